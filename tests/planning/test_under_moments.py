@@ -69,7 +69,7 @@ def test_sure_margins_do_not_depend_on_the_mesh() -> None:
     point, found = point_of(forward_kinematics(THESIS, [0.0, 1.0, 2.0], load=load)), []
     for degree, refinement in ((7, 0), (8, 0), (7, 1)):
         here = point.member.on(degree=degree, refinement=refinement)
-        found.append(monotonicity(here.problem, here.solve(here.carried(point)).state))
+        found.append(monotonicity(here.problem, here.solve(here.transfer(point)).state))
     assert np.ptp(found) < 1e-10
 
 

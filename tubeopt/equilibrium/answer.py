@@ -1,4 +1,4 @@
-"""From a solved point to the plain `Equilibrium`, and back."""
+"""Conversion of solved points to plain `Equilibrium` objects, and back."""
 
 from __future__ import annotations
 
@@ -30,22 +30,26 @@ from .problem import (
 )
 from .result import Accuracy, Equilibrium, Statistics, Status, refuse_friction, refuse_load
 
-# The shape of one piece of a tube is integrated with an error that is a fraction of the piece, not of the arm.
+# The error of the shape is a fraction of the length of a piece of a tube, not of the arm.
 SHORT = 0.01
-"""Length (m) over which the tip of tubes made of pieces is right: to 1e-10 m where 1e-8 is asked for."""
+"""Length (m) to which the tip error of tubes made of pieces is relative: 1e-10 m at the default tolerance."""
 
 FOLDED = "the equilibrium is a fold (margin 0): it has no solution close by that Newton can find"
 
 
 def to_equilibrium(point: Place, start: str, began: float = 0.0) -> Equilibrium:
-    """The equilibrium of a solved point; `start`: how it was reached; `began`: when (s), 0 where that is not known."""
-    return answered(point.member, point.member.found(point), start, began)
+    """Equilibrium of a solved point.
+
+    Args:
+        start: what it was solved from.   began: start of the clock, s; 0 if unknown.
+    """
+    return equilibrium_of(point.member, point.member.solution(point), start, began)
 
 
-def answered(
+def equilibrium_of(
     member: Member[Any], result: ArmSolution, start: str, began: float = 0.0, method: str = "newton"
 ) -> Equilibrium:
-    """The equilibrium of a problem as a solver found it."""
+    """Equilibrium of a problem from the solution of a solver."""
     mesh = member.torsion.mesh
     statistics = Statistics(
         method=method,
@@ -57,21 +61,24 @@ def answered(
         family=mesh.tableau.family,
         refinement=member.discretisation.refinement,
     )
-    return built(member.robot, (member.rotations, np.array(member.translations)), result, statistics, member.load)
+    translations = np.array(member.translations)
+    return build_equilibrium(member.robot, member.rotations, translations, result, statistics, load=member.load)
 
 
-def built(
+def build_equilibrium(
     robot: Robot,
-    joints: tuple[Array, Array],
+    rotations: Array,
+    translations: Array,
     result: ArmSolution,
     statistics: Statistics,
+    *,
     load: Load | None = None,
 ) -> Equilibrium:
-    """The equilibrium of a robot at joint values as a solver found it."""
+    """Equilibrium of a robot at joint values from the solution of a solver."""
     equilibrium = Equilibrium(
         robot=robot,
-        rotations=joints[0],
-        translations=joints[1],
+        rotations=rotations,
+        translations=translations,
         arm=result.arm,
         tip_rotations=result.tip_rotations,
         section_start=result.section_start,
@@ -86,6 +93,7 @@ def built(
         load=load,
         work=result.work,
     )
+    # The solver has these already: they need not be computed on first access.
     if result.base_wrench is not None:
         vars(equilibrium)["base_wrench"] = result.base_wrench
     if result.compliance is not None:
@@ -94,30 +102,32 @@ def built(
 
 
 def error_of(equilibrium: Equilibrium) -> float:
-    """`largest_error` of an equilibrium; under a load by the whole length of the arm."""
+    """Estimated error of an equilibrium, as in `largest_error`; under a load relative to the whole arm."""
     even = equilibrium.load is not None or equilibrium.robot.even
     length = float(equilibrium.arc_length[-1])
     return float(largest_error(equilibrium.mesh_error, equilibrium.tip_error, length, even=even))
 
 
 def largest_error(theta: Any, tip: Any, length: Any, *, even: bool = True) -> Any:
-    """Estimated error of theta, rad, or of the tip, m, as a fraction of the arm's length, m, whichever is larger; where
-    tubes are not `even`, as a fraction of at most SHORT."""
+    """Larger one of the estimated errors of theta, rad, and of the tip relative to the length of the arm.
+
+    For tubes made of pieces (not `even`), relative to at most SHORT. Arguments are numbers or arrays.
+    """
     # Numbers are compared by Python: NumPy takes longer for one than the kernel for a piece.
-    least, most = (min, max) if isinstance(tip, float) else (np.minimum, np.maximum)
-    by = most(length, 1e-300)
-    return most(theta, tip / (by if even else least(by, SHORT)))
+    minimum, maximum = (min, max) if isinstance(tip, float) else (np.minimum, np.maximum)
+    scale = maximum(length, 1e-300)
+    return maximum(theta, tip / (scale if even else minimum(scale, SHORT)))
 
 
-# --- and back ---------------------------------------------------------------------------------------------------------
+# --- From an equilibrium to its problem -------------------------------------------------------------------------------
 
 
 def point_of(equilibrium: Equilibrium, load: Load | None = None, discretisation: Discretisation | None = None) -> Place:
-    """The solved point behind an equilibrium; arguments as of `unsolved`.
+    """Solved point of an equilibrium; arguments as of `unsolved`.
 
     Raises:
-        InputError: the equilibrium bears friction, or its robot no load.
-        SolveError: Newton's method does not stay there: it is a fold.
+        InputError: an equilibrium with friction, or a load on a robot that cannot be loaded.
+        SolveError: Newton's method does not converge, as at a fold.
     """
     member, x = unsolved(equilibrium, load, discretisation)
     return Point.near(member, x, FOLDED)
@@ -126,18 +136,17 @@ def point_of(equilibrium: Equilibrium, load: Load | None = None, discretisation:
 def unsolved(
     equilibrium: Equilibrium, load: Load | None = None, discretisation: Discretisation | None = None
 ) -> tuple[Member[Any], Array]:
-    """The problem behind an equilibrium, and its unknowns as they were solved for.
+    """Problem of an equilibrium, and its unknowns as they were solved for.
 
     Args:
-        load: one that grows from an equilibrium without a load, of which it bears none yet.
-        discretisation: of an equilibrium without a load; by default the usual one. One under a load keeps its mesh.
+        load: load that will grow on an unloaded equilibrium; its factor is still 0.
+        discretisation: mesh of an unloaded equilibrium, or the default. A loaded one keeps its mesh.
     """
     refuse_friction(equilibrium)
     robot, rotations, shift = equilibrium.robot, equilibrium.rotations, tuple(equilibrium.translations.tolist())
     member: Member[Any]
     if equilibrium.load is not None:
-        own = discretisation_of(equilibrium)
-        member = Loaded(robot, _own(equilibrium), rotations, shift, own)
+        member = Loaded(robot, _loaded_problem_of(equilibrium), rotations, shift, discretisation_of(equilibrium))
         theta = sample_rotation(equilibrium, equilibrium.point)
         return member, member.unknowns(theta, equilibrium.point_curvature)
     if load is None:
@@ -148,8 +157,8 @@ def unsolved(
     return member, member.unknowns(sample_rotation(equilibrium, member.torsion.arc_length))
 
 
-def _own(equilibrium: Equilibrium) -> LoadedProblem:
-    """The problem of a loaded equilibrium, on the mesh on which it was solved: perhaps that of a larger load."""
+def _loaded_problem_of(equilibrium: Equilibrium) -> LoadedProblem:
+    """Problem of a loaded equilibrium on its own mesh, which may be that of a larger load."""
     robot, shift, load = equilibrium.robot, tuple(equilibrium.translations.tolist()), equilibrium.load
     assert load is not None
     start, d = loading_of(robot, shift, load)[0].start, discretisation_of(equilibrium)
@@ -158,22 +167,25 @@ def _own(equilibrium: Equilibrium) -> LoadedProblem:
 
 
 def collocated(equilibrium: Equilibrium) -> tuple[ReducedProblem, arms.Profile]:
-    """The problem that an equilibrium without a load solves, on its own mesh, and the torsion along its arm."""
+    """Problem of an unloaded equilibrium on its own mesh, and the torsion along its arm."""
     refuse_load(equilibrium)
     point = point_of(equilibrium, discretisation=discretisation_of(equilibrium))
     return point.member.problem, point.torsion
 
 
 def linearised(equilibrium: Equilibrium) -> Array:
-    """(U, U) the linearised equations behind an equilibrium without a load, on its own mesh, as it was solved."""
+    """(U, U) Jacobian of the equations of an unloaded equilibrium on its own mesh."""
     refuse_load(equilibrium)
     member, x = unsolved(equilibrium, discretisation=discretisation_of(equilibrium))
     return np.asarray(member.at(x).hessian)
 
 
 def sure_margin(equilibrium: Equilibrium) -> float:
-    """What the linearised equations have of the elastic form in all directions: the margin, or under a load without an
-    energy the least eigenvalue of their symmetric part. Above 0 there is no other equilibrium close by."""
+    """Lower bound of the linearised equations relative to the elastic form, at most 1.
+
+    The margin, or under a load without an energy the smallest eigenvalue of their symmetric part. Above 0 there is no
+    other equilibrium close by.
+    """
     if equilibrium.load is None or equilibrium.load.has_energy:
         return min(equilibrium.margin, 1.0)
     member, x = unsolved(equilibrium)
@@ -181,32 +193,36 @@ def sure_margin(equilibrium: Equilibrium) -> float:
 
 
 def at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array | None]:
-    """Rotations (N, n) without the natural turn, and curvature (N, 2), of an equilibrium at the points of a problem;
-    without a load the curvature is None."""
+    """Elastic rotations (N, n) and curvature (N, 2) of an equilibrium at the points of a problem.
+
+    The curvature is None without a load.
+    """
     s, curvature = problem.torsion.arc_length, None
     if start.load is not None:
-        near = LARGEST_SHIFT * start.arc_length[-1]
-        if len(s) == len(start.point) and np.abs(s - start.point).max() <= near:
+        tolerance = LARGEST_SHIFT * start.arc_length[-1]
+        if len(s) == len(start.point) and np.abs(s - start.point).max() <= tolerance:
             s, curvature = start.point, start.point_curvature
         else:
-            curvature = _own(start).mesh.interpolated(start.point_curvature, s)
+            curvature = _loaded_problem_of(start).mesh.interpolated(start.point_curvature, s)
     return sample_rotation(start, s), curvature
 
 
 def discretisation_of(equilibrium: Equilibrium) -> Discretisation:
-    """The discretisation on which an equilibrium was solved."""
-    how = equilibrium.statistics
-    return _discretisation(how.family, how.degree, how.refinement)
+    """Discretisation on which an equilibrium was solved."""
+    statistics = equilibrium.statistics
+    return _discretisation(statistics.family, statistics.degree, statistics.refinement)
 
 
 _discretisation = lru_cache(maxsize=64)(Discretisation)
 
 
 def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
-    """theta (len(arc_length), n) of an equilibrium: as solved at its own collocation points, else cubic Hermite; phi
-    where a tube is made of pieces."""
-    own, robot, shift = equilibrium.point, equilibrium.robot, equilibrium.translations
-    if len(own) != len(arc_length) or np.abs(own - arc_length).max(initial=0.0) > ROUND_OFF:
+    """(N, n) theta of an equilibrium at arc lengths (N,); phi for tubes made of pieces.
+
+    As solved at its own collocation points, interpolated by cubic Hermite polynomials elsewhere.
+    """
+    points, robot, shift = equilibrium.point, equilibrium.robot, equilibrium.translations
+    if len(points) != len(arc_length) or np.abs(points - arc_length).max(initial=0.0) > ROUND_OFF:
         arm = np.stack([equilibrium.rotation.T, equilibrium.torsion.T])
         return sample_arms(robot, shift, equilibrium.arc_length, arm, arc_length)
     theta = equilibrium.point_rotation
@@ -214,14 +230,14 @@ def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
 
 
 def sample_arms(robot: Robot, translations: Array, s: Array, arms: Array, arc_length: Array) -> Array:
-    """The same (..., len(arc_length), n) of arms (..., 2, m, n), rotation and torsion at arc lengths s (m,)."""
+    """(..., N, n) theta or phi at arc lengths (N,) of arms (..., 2, m, n), rotation and torsion at s (m,)."""
     rotation, torsion = arms[..., 0, :, :], arms[..., 1, :, :]
     even = robot.even
     phi = rotation if even else rotation - robot.assembly(translations).wound(s)
     if len(s) < 2:
         return np.repeat(phi, len(arc_length), axis=-2)
     if not even:
-        # The polynomial through the shape points of each piece: its rate jumps between.
+        # The polynomial through the shape points of each piece: the torsion jumps between pieces.
         piece, _, x = between(s[::STEPS], arc_length)
         basis = np.vander(np.clip(x, 0.0, 1.0), STEPS + 1, increasing=True) @ THROUGH_ENDS
         around = phi[..., piece[:, None] * STEPS + np.arange(STEPS + 1), :]

@@ -1,4 +1,9 @@
-"""Following a branch of equilibria along a family of problems: joints move, a load grows, or both."""
+"""Continuation of a branch of equilibria along a family of problems: joints move, a load grows, or both.
+
+Natural-parameter continuation: `step_to` predicts along the tangent or the secant and corrects by Newton's method;
+`follow` controls the step length. The step lengthens while Newton's method converges well and shortens towards a fold,
+which the last margins predict.
+"""
 
 from __future__ import annotations
 
@@ -20,54 +25,53 @@ from .result import Equilibrium
 
 P = TypeVar("P", bound=Place)
 
-# A shift is compared with the length of the arm. Without this lower bound an arm of length zero, as at full retraction,
-# could not move at all.
+# A translation is compared with the length of the arm. Without this lower bound an arm of length zero, as at full
+# retraction, could not move at all.
 SHORT_ARM = 0.1
-"""Length of an arm over that of the longest tube: in shorter arms tubes hardly couple."""
+"""Length of an arm over that of the longest tube below which tubes hardly couple."""
 
 
-# The state moves by the square root of what is left of a path before a fold, so that a fold is found to 1e-4 rad here.
+# Close to a fold the state moves by the square root of the distance to it: a fold is known to 1e-4 rad here.
 SHORTEST_STEP = 1e-8
 """Fraction of a path or a load below which a failing step means that the branch has ended."""
 
 SHARPEST_STEP = 1e-11
-"""The same where no fold and no bifurcation is found there: the branch may only bend sharply."""
+"""Fraction below which it has ended where there is no fold and no bifurcation: the branch may only bend sharply."""
 
 # The margin (or its square) falls linearly only close to the end: a step of the whole distance often fails, and a
 # failed step costs as much as a good one. With 0.8 five steps leave 0.03 % of the distance.
 TOWARDS_END = 0.8
-"""Fraction of the distance to where the margin seems to vanish that one step covers."""
+"""Fraction of the predicted distance to the end of a branch that one step covers."""
 
-# At a bifurcation the load (or the motion) does not push along the softest direction at all; differences leave 1e-6.
+# At a bifurcation the change of the equations is orthogonal to the softest direction; differences leave 1e-6.
 SYMMETRIC = 1e-5
-"""Cosine between the push and the softest direction below which a branch ends in a bifurcation, not in a fold."""
+"""Cosine between the change of the equations and the softest direction below which a branch ends in a bifurcation."""
 
 
 def largest_twist(margin: float) -> float:
     """Largest change (rad) of the twist at a point in one step from an equilibrium of this margin.
 
-    The twist changes by up to 1/margin times as much as the joints do. Near a fold a step that is not short against the
-    hysteresis ends on the branch beyond it, where Newton is at ease, and the snap would pass unseen.
+    The twist changes by up to 1 / margin times as much as the joints do. Near a fold a step that is not short against
+    the hysteresis ends on the branch beyond it, where Newton's method converges well, and the snap would be missed.
     """
     return min(max(2 * abs(margin) * LARGEST_TWIST, SOFT_TWIST), LARGEST_TWIST)
 
 
 @lru_cache(maxsize=64)
 def shortest_arm(robot: Robot) -> float:
-    """Length (m) of an arm such that shifts which are small for it are small for every shorter one, be it of length
-    zero."""
+    """Length (m) of an arm to which translations are compared in shorter arms, down to length 0."""
     return SHORT_ARM * max(tube.length for tube in robot.tubes)
 
 
 def small_motion(turn: Array, shift: Array, length: float) -> bool:
-    """Whether a motion is so small that one step of Newton from an arm of this length (m) stays on its branch."""
-    turned, moved = (max(map(abs, by.tolist())) for by in (turn, shift))
-    return bool(turned <= LARGEST_TURN and moved <= LARGEST_SHIFT * length)
+    """True for motions after which Newton's method stays on the branch of an arm of this length (m)."""
+    largest_turn, largest_shift = (max(map(abs, change.tolist())) for change in (turn, shift))
+    return bool(largest_turn <= LARGEST_TURN and largest_shift <= LARGEST_SHIFT * length)
 
 
 @dataclass(frozen=True, eq=False)
 class JointPath:
-    """The straight path from `start` to `end`, (2n,) rotations then translations, for fractions t in [0, 1]."""
+    """Straight path between joint values (2n,), rotations then translations, for fractions t in [0, 1]."""
 
     robot: Robot
     start: Array
@@ -86,37 +90,37 @@ class JointPath:
         return 1.0 / max(turn / LARGEST_TURN, shift / LARGEST_SHIFT, 1.0)
 
     def span(self) -> float:
-        """How far the joints go: largest turn, rad, or shift over the longest tube."""
+        """Length of the path: largest rotation, rad, or translation over the longest tube."""
         return max(self._changes())
 
     @property
     def moves(self) -> bool:
-        """Whether joint values change."""
+        """True if joint values change."""
         return bool((self.start != self.end).any())
 
     @property
     def slides(self) -> bool:
-        """Whether translations change."""
+        """True if translations change."""
         n = len(self.start) // 2
         return bool((self.start[n:] != self.end[n:]).any())
 
     def _changes(self) -> tuple[float, float]:
-        """Largest turn, rad, and shift over the longest tube."""
+        """Largest change of a rotation, rad, and of a translation over the longest tube."""
         change, n = np.abs(self.end - self.start), len(self.start) // 2
         longest = max(tube.length for tube in self.robot.tubes)
         return float(change[:n].max()), float(change[n:].max()) / longest
 
     def rows(self) -> list[Array]:
-        """Joint values (2n,) of all steps: no longer than `largest_step`, and one at each of the `events`."""
-        step, at, rows = self.largest_step(), 0.0, []
+        """Joint values (2n,) after steps of at most `largest_step`, with one at each of the `events`."""
+        step, t, rows = self.largest_step(), 0.0, []
         for event in self.events():
-            while at < event:
-                at = event if at + step >= event - 1e-12 else at + step
-                rows.append(np.concatenate(self.at(at)))
+            while t < event:
+                t = event if t + step >= event - 1e-12 else t + step
+                rows.append(np.concatenate(self.at(t)))
         return rows
 
     def events(self) -> list[float]:
-        """Fractions, 1 included, where two breakpoints meet, or one meets the plate: there their order may change."""
+        """Fractions at which two breakpoints, or one and the plate, meet and may change their order; the last is 1."""
         if not self.slides:
             return [1.0]
         n = len(self.start) // 2
@@ -125,10 +129,10 @@ class JointPath:
         points = np.array([*assembly.breakpoints, 0.0])
         speeds = np.append(rates[assembly.breakpoint_tubes], 0.0)
         # Points p + v t and q + w t meet at t = (p - q) / (w - v); the plate is a point at rest.
-        gap, closing = points[:, None] - points, speeds - speeds[:, None]
-        moving = np.abs(closing) > ROUND_OFF
         # Tubes that move with equal speed never meet.
-        times = gap[moving] / closing[moving]
+        distance, closing = points[:, None] - points, speeds - speeds[:, None]
+        moving = np.abs(closing) > ROUND_OFF
+        times = distance[moving] / closing[moving]
         return [*sorted({round(float(t), 12) for t in times if 1e-9 < t < 1 - 1e-9}), 1.0]
 
 
@@ -154,38 +158,40 @@ def steps_along(robot: Robot, joints: Array) -> tuple[Array, Index]:
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """Problems that depend on one number t: from t = 0 to 1 the joints move along a path while one load becomes
-    another; a load that grows from none may grow on."""
+    """Problems with one parameter t: from t = 0 to 1 joints move along a path, while one load changes into another.
+
+    A load that grows from 0 may grow beyond t = 1.
+    """
 
     path: JointPath
     load: Load | None = None
-    """At t = 1; None where there is none at any t."""
+    """Load at t = 1; None without a load at any t."""
     before: Load | None = None
-    """At the start; None is no load."""
+    """Load at t = 0, or None."""
 
     @property
     def loads(self) -> tuple[Load | None, Load | None]:
-        """At the start and at the end."""
+        """Loads at t = 0 and t = 1."""
         return self.before, self.load
 
     @staticmethod
     def growing(member: Loaded) -> Family:
-        """The load of a problem grows from nothing where the joints are: t is the factor on it."""
-        here = np.concatenate([member.rotations, member.translations])
-        return Family(JointPath(member.robot, here, here, member.discretisation), member.problem.load)
+        """Family at constant joint values with t as the factor on the load of a problem."""
+        joints = np.concatenate([member.rotations, member.translations])
+        return Family(JointPath(member.robot, joints, joints, member.discretisation), member.problem.load)
 
     def load_at(self, t: float) -> Load | None:
-        """The load at t."""
+        """Load at t."""
         if self.load is None or t == 1 or self.before == self.load:
             return self.load
         return self.load.scaled(t) if self.before is None else between(self.before, self.load, t)
 
     def _factored(self, t: float) -> tuple[Load | None, float]:
-        """The load at t as a load and a factor on it: of one that grows from none, only the factor changes."""
+        """Load at t as a load and a factor; only the factor changes for a load that grows from 0."""
         return (self.load, t) if self.before is None else (self.load_at(t), 1.0)
 
     def member(self, t: float) -> Member[Any]:
-        """The problem at t."""
+        """Problem at t."""
         rotations, translations = self.path.at(t)
         shift, (load, factor) = tuple(translations.tolist()), self._factored(t)
         if load is None:
@@ -193,57 +199,57 @@ class Family:
         return Loaded.of(self.path.robot, rotations, shift, load, self.path.discretisation, factor)
 
     def like(self, known: Member[Any], t: float) -> Member[Any] | None:
-        """The problem at t with the same unknowns as a known one; None where it has others, or where the arm is beyond
-        the ends of the path, where a tube may be out of its actuator."""
+        """Problem at t with the same unknowns as `known`; None where it has other ones.
+
+        None also beyond the ends of a path on which tubes translate: one may be out of its actuator there.
+        """
         rotations, translations = self.path.at(t)
         if not 0.0 <= t <= 1.0 and self.path.slides:
             return None
-        return known.beside(rotations, tuple(translations.tolist()), *self._factored(t))
+        return known.with_inputs(rotations, tuple(translations.tolist()), *self._factored(t))
 
     def under_load(self, t: float) -> Loaded:
-        """The problem at t, where there is a load, under the whole of it."""
+        """Problem at t under its full load, with factor 1; only for families with a load."""
         (rotations, translations), load = self.path.at(t), self.load_at(t)
         assert load is not None
         return Loaded.of(self.path.robot, rotations, tuple(translations.tolist()), load)
 
     def span(self) -> float:
-        """How far the joints go: largest turn, rad, or shift over the longest tube; at least 1 where the load
-        changes."""
+        """Length of the path, as `JointPath.span`; at least 1 where the load changes."""
         return max(self.path.span(), float(self.before != self.load))
 
 
 @dataclass(frozen=True, eq=False)
 class Milestone:
-    """An equilibrium at t of a family."""
+    """Equilibrium at t of a family."""
 
     t: float
     pose: Equilibrium
 
 
 def step_to(family: Family, t: float, point: P, before: P | None = None) -> P | None:
-    """The equilibrium at t on the branch of `point`, stable or not; None where Newton's method is not at ease.
+    """Equilibrium at t on the branch of `point`, stable or not; None where the step is too long or the branch ends.
 
-    The guess is that it goes on changing along the tangent, or else as it did from `before` to `point`.
+    Predictor: the tangent at `point`, or the secant from `before`. Corrector: Newton's method.
     """
-    there = family.member(t)
-    x = there.carried(point)
-    change = there.tangent(point)
+    member = family.member(t)
+    x = member.transfer(point)
+    change = member.tangent(point)
     # Where only the load grows, the tangent costs one solve with the known Hessian. Where joints move, the secant of
     # the last two points is as good, and free.
     if change is not None:
         x = x + change
     elif before is not None and point.t > before.t:
-        # Secant through both last points, for a step of another length.
-        x = x + (x - there.carried(before)) * ((t - point.t) / (point.t - before.t))
-    # A guess that is on the branch converges in three to five steps; more than eight are a sign of another branch.
-    result = there.solve(x, iterations=8)
+        x = x + (x - member.transfer(before)) * ((t - point.t) / (point.t - before.t))
+    # A guess on the branch converges in three to five steps; more than eight, or slow contraction, are a sign of
+    # another branch.
+    result = member.solve(x, iterations=8)
     if not result.converged or result.contraction > LARGEST_RATIO:
         return None
-    # Newton's method may converge well to a neighbouring branch: only a short way from the last point is the same
-    # branch.
-    if there.moved(point, result.state) > largest_twist(point.margin):
+    # Newton's method may converge well to a neighbouring branch, but not within this distance.
+    if member.distance(point, result.state) > largest_twist(point.margin):
         return None
-    return Point.of(there, result, t)  # type: ignore[return-value]
+    return Point.of(member, result, t)  # type: ignore[return-value]
 
 
 def follow(
@@ -254,39 +260,43 @@ def follow(
     stable: bool = True,
     shortest: float = SHORTEST_STEP,
 ) -> Iterator[P]:
-    """Points of the branch after `start`, up to t = `goal`, or to just before it ends (if `stable`, turns unstable),
-    where steps of part `shortest` fail."""
-    here, before = start, None
+    """Points of the branch after `start`, up to t = `goal` or to just before the branch ends.
+
+    Args:
+        stable: stop where the branch turns unstable, too.
+        shortest: fraction of the path, or of the goal, below which a failed step means the end.
+    """
+    point, before = start, None
     step = longest = min(family.path.largest_step(), goal - start.t)
-    least, ends, power = shortest * max(1.0, abs(goal)), False, 0
-    while here.t < goal:
-        t = goal if here.t + step >= goal - 1e-12 * max(1.0, abs(goal)) else here.t + step
-        there = step_to(family, t, here, before)
-        if there is None or (stable and there.margin <= 0):
-            # The first failure may be that of a long step; one of a step to before a bifurcation tells of a fold.
-            # A third, not a half: where a branch ends, every failed step is wasted.
-            step, ends, power = step / 3, True, 2 if power else 0
-            if step < least:
+    min_step, near_end, power = shortest * max(1.0, abs(goal)), False, 0
+    while point.t < goal:
+        t = goal if point.t + step >= goal - 1e-12 * max(1.0, abs(goal)) else point.t + step
+        point_next = step_to(family, t, point, before)
+        if point_next is None or (stable and point_next.margin <= 0):
+            # A first failure may be due to a long step. If a step up to a predicted bifurcation (power 1) fails, the
+            # end is a fold (power 2). A third, not a half: where a branch ends, every failed step is wasted.
+            step, near_end, power = step / 3, True, 2 if power else 0
+            if step < min_step:
                 return
             continue
-        yield there
-        here, before = there, here
+        yield point_next
+        point, before = point_next, point
         step = min(2 * step, longest)
-        if ends:
+        if near_end:
             power = max(power, 1)
-            # The prediction is poor far from the end: one step is not shortened to less than a twentieth by it.
-            step = min(step, max(TOWARDS_END * _left(here, before, power), step / 20, least))
+            # The prediction is poor far from the end: it shortens one step to a twentieth at most.
+            step = min(step, max(TOWARDS_END * _distance_to_end(point, before, power), step / 20, min_step))
 
 
-def _left(here: Place, before: Place, power: int) -> float:
-    """How far ahead of `here`, in t, the margin vanishes; infinity where it grows.
+def _distance_to_end(point: Place, before: Place, power: int) -> float:
+    """Distance in t from a point to where its margin vanishes, predicted from two points; infinity where it grows.
 
-    A power of the margin falls linearly with t: the first power towards a bifurcation, the second towards a fold.
+    margin^power falls linearly with t: the first power towards a bifurcation, the second towards a fold.
     """
-    if not 0 < here.margin < before.margin:
+    if not 0 < point.margin < before.margin:
         return np.inf
     # m^p falls linearly: t_end - t = (t - t_0) m^p / (m_0^p - m^p).
-    return (here.t - before.t) / ((before.margin / here.margin) ** power - 1)
+    return (point.t - before.t) / ((before.margin / point.margin) ** power - 1)
 
 
 def reach(
@@ -297,19 +307,21 @@ def reach(
     stable: bool = True,
     shortest: float = SHORTEST_STEP,
 ) -> P:
-    """The last point of `follow`; `start` where the branch ends at once."""
+    """Last point of `follow`; `start` where the branch ends at once."""
     return [start, *follow(family, start, goal, stable=stable, shortest=shortest)][-1]
 
 
 def bifurcates(family: Family, last: Place) -> bool:
-    """Whether what changes along a family does not push along the softest direction of a point close to the end of its
-    branch."""
-    # A central difference of the gradient, whose round-off 1e-16 / 1e-6 is far below SYMMETRIC.
-    by = 1e-6 * max(1.0, abs(last.t))
-    point = [there for t in (last.t - by, last.t + by, last.t) if (there := family.like(last.member, t)) is not None]
-    if len(point) < 2:
+    """True if the branch ends in a bifurcation: w . g_t = 0 with the left null vector w, at its last point.
+
+    At a fold w . g_t is not 0: the change of the equations pushes the robot along its softest direction.
+    """
+    # Difference of the gradient, whose round-off 1e-16 / 1e-6 is far below SYMMETRIC.
+    dt = 1e-6 * max(1.0, abs(last.t))
+    times = (last.t - dt, last.t + dt, last.t)
+    members = [member for t in times if (member := family.like(last.member, t)) is not None]
+    if len(members) < 2:
         return False
-    one, other = (there.at(last.state.x).gradient for there in point[:2])
-    pull = other - one
-    soft = last.unresisted
-    return bool(abs(soft @ pull) <= SYMMETRIC * np.linalg.norm(soft) * np.linalg.norm(pull))
+    low, high = (member.at(last.state.x).gradient for member in members[:2])
+    g_t, w = high - low, last.unresisted
+    return bool(abs(w @ g_t) <= SYMMETRIC * np.linalg.norm(w) * np.linalg.norm(g_t))

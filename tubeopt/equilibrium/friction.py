@@ -40,7 +40,7 @@ from ..solvers.friction_increment import FRICTION_TOLERANCE, Increment, held_mar
 from ..solvers.newton import full_steps
 from ..solvers.settings import NEWTON, ONWARD
 from ..typing import Array, Index
-from .answer import answered, at_points, sample_rotation
+from .answer import at_points, equilibrium_of, sample_rotation
 from .continuation import steps_along
 from .member import Loaded, Point, Unloaded, lever
 from .problem import Discretisation, check_load, loading_of
@@ -258,8 +258,8 @@ def to_held_equilibrium(robot: Robot, current: FrictionEquilibrium, start: str) 
         balance = (state.gradient + contact.rows.T @ current.found.torque)[: problem.size]
         torsion = replace(state.elastic, gradient=balance, energy=state.energy)
         member = Unloaded(robot, problem, current.rotations, shift, Discretisation(degree=DEGREE))
-        shape = member.found(Point(0.0, member, torsion, current.margin), (current.profile, error))
-        plain = answered(member, shape, start, method="increment")
+        shape = member.solution(Point(0.0, member, torsion, current.margin), current.profile, error)
+        plain = equilibrium_of(member, shape, start, method="increment")
     friction = FrictionState(
         friction=contact.friction,
         arc_length=tuple(contact.arc_length.tolist()),
@@ -300,7 +300,7 @@ def _under_load(robot: Robot, held: FrictionEquilibrium, state: LoadedState, sta
     )
     shift = tuple(held.translations.tolist())
     member = Loaded(robot, problem, held.rotations, shift, Discretisation(degree=DEGREE))
-    return answered(member, result, start, method="increment")
+    return equilibrium_of(member, result, start, method="increment")
 
 
 def _bending_error(current: FrictionEquilibrium) -> float:

@@ -1,4 +1,13 @@
-"""Forward kinematics: joint values -> the equilibrium that the robot takes."""
+"""Forward kinematics: equilibrium of a robot at joint values.
+
+The torsion boundary-value problem is discretised by collocation (`block/transcription/reduced.py`) and solved by
+Newton's method. `forward_kinematics` calls, in this order:
+
+1. `unloaded` or `loaded`: the compiled kernel, on the default mesh or finer ones.
+2. `_descend`: the general solver, from tubes without torsion; if that ends in a saddle, on the path from home.
+3. `on_branch`: with a start or a load, continuation along the joints or the load (`continuation.py`).
+4. `_to_tolerance`: halves the pieces of the mesh until the estimated error is below the tolerance.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +23,6 @@ from numpy.typing import ArrayLike
 
 from ..arguments import renamed, typed
 from ..block.transcription.arm import ArmSolution, profile
-from ..block.transcription.loaded import LoadedProblem
 from ..block.transcription.reduced import evaluate, worst_equation
 from ..errors import InputError, SolveError, positive
 from ..files.field_metadata import POSITIVE, OneOf, unit
@@ -27,7 +35,16 @@ from ..solvers.ipopt import solve_ipopt, solve_loaded_ipopt
 from ..solvers.settings import LARGEST_RATIO, LARGEST_TWIST, Ipopt, Newton
 from ..solvers.time_limit import limited
 from ..typing import Array
-from .answer import FOLDED, answered, at_points, built, error_of, largest_error, to_equilibrium, unsolved
+from .answer import (
+    FOLDED,
+    at_points,
+    build_equilibrium,
+    equilibrium_of,
+    error_of,
+    largest_error,
+    to_equilibrium,
+    unsolved,
+)
 from .continuation import (
     SHARPEST_STEP,
     SHORTEST_STEP,
@@ -61,13 +78,11 @@ from .verification import verify_equilibrium
 
 # --- By the compiled kernels ------------------------------------------------------------------------------------------
 
-# Equilibria by the compiled kernels: one, and those along a family.
-#
-# A function returns None, or stops, where a kernel declines: there is none for the robot, no stable equilibrium is
-# close by, or no mesh is fine enough. The general solver then goes on.
+# Each function returns None, or stops, where a kernel declines: there is none for the robot, no stable equilibrium is
+# close by, or no mesh is fine enough. The general solver then continues.
 
-# Close to a fold the general solver bends its steps to the branch, where the kernel only halves them: seven halvings
-# cost the kernel less than one step of the general solver, more would be spent on a branch that ends.
+# Close to a fold the general solver predicts the branch, where the kernel only halves its steps: seven halvings cost
+# less than one step of the general solver; more would be spent on a branch that ends.
 SHORTEST_COMPILED = 1 / 128
 """Fraction of the longest step along a path below which the general solver takes over from the compiled kernel."""
 
@@ -75,23 +90,26 @@ SHORTEST_COMPILED = 1 / 128
 def unloaded(
     robot: Robot, rotations: Array, translations: Array, guess: Equilibrium | None, request: SolveRequest
 ) -> Equilibrium | None:
-    """The stable equilibrium without a load at joint values: from tubes without torsion, or by a small motion from a
-    guess; on the usual mesh or, where that is too coarse, on one twice as fine."""
-    if _tied(robot):
-        _check_translations(robot, tuple(translations.tolist()))
-    start, most = None, LARGEST_TWIST
+    """Stable equilibrium without a load, from tubes without torsion or by a small motion from a guess.
+
+    It is solved on the default mesh or, where that is too coarse, on one of half the size.
+    """
+    if len(robot.moving_together) < robot.n_tubes:
+        _check_tied_translations(robot, tuple(translations.tolist()))
+    start, max_change = None, LARGEST_TWIST
     if guess is not None:
         turn, arm, points = rotations - guess.rotations, guess.arm, guess.points
         length = max(float(arm.arc_length[-1]), shortest_arm(robot))
         if guess.margin <= 0 or not small_motion(turn, translations - guess.translations, length):
             return None
-        along = arm.arc_length, arm.rotation, arm.torsion, points.point, points.point_rotation
-        start, most = Start(*along, turn, guess.translations), largest_twist(guess.margin)
+        sampled = arm.arc_length, arm.rotation, arm.torsion, points.point, points.point_rotation
+        start, max_change = Start(*sampled, turn, guess.translations), largest_twist(guess.margin)
     # Finer meshes are left to the general solver: the kernel has static memory for the pieces of these two.
     for refinement in (0, 1):
         solved = solve_compiled(robot, rotations, translations, start, refinement)
-        if solved is None or solved.largest_change > most:
+        if solved is None or solved.largest_change > max_change:
             return None
+        # A Newton iteration that contracts slowly may have converged to another branch.
         if start is not None and solved.contraction > LARGEST_RATIO:
             return None
         result = solved.found
@@ -108,63 +126,52 @@ def unloaded(
             refinement=refinement,
             loading=solved.loading,
         )
-        return built(robot, (rotations, translations), result, statistics)
+        return build_equilibrium(robot, rotations, translations, result, statistics)
     return None
 
 
-@lru_cache(maxsize=64)
-def _tied(robot: Robot) -> bool:
-    """Whether tubes move together."""
-    return len(robot.moving_together) < robot.n_tubes
-
-
 @lru_cache(maxsize=256)
-def _check_translations(robot: Robot, shift: tuple[float, ...]) -> None:
-    """Raise InputError where tubes that move together are moved apart; the kernel sees the tubes only."""
-    robot.assembly(np.array(shift))
+def _check_tied_translations(robot: Robot, translations: tuple[float, ...]) -> None:
+    """Raise InputError if tubes on one carriage have different translations, which the kernel does not check."""
+    robot.assembly(np.array(translations))
 
 
-def loaded(start: Equilibrium, there: Loaded, request: SolveRequest) -> Equilibrium | None:
-    """The stable equilibrium under a dead load: grown from `start`, which bears none, or a small change of it, which
-    bears one."""
-    robot, rotations, shift, load = there.robot, there.rotations, there.translations, there.load
+def loaded(start: Equilibrium, member: Loaded, request: SolveRequest) -> Equilibrium | None:
+    """Stable equilibrium under a dead load, grown from an unloaded `start` or by a small change of a loaded one."""
+    robot, rotations, shift, load = member.robot, member.rotations, member.translations, member.load
     if not (load.has_energy and start.margin > 0):
         return None
-    problem, turn = there.problem, rotations - start.rotations
+    problem, turn = member.problem, rotations - start.rotations
     if start.load is None:
-        word, close = "the load before, from none", not turn.any() and np.array_equal(start.translations, shift)
+        how, close = "the load before, from none", not turn.any() and np.array_equal(start.translations, shift)
     else:
-        word, close = "guess", small_motion(turn, shift - start.translations, float(start.arc_length[-1]))
+        how, close = "guess", small_motion(turn, shift - start.translations, float(start.arc_length[-1]))
     if not close:
         return None
     inputs = at_points(start, problem)
     margin = start.margin
-    coarse: ArmSolution | None = None
+    solution: ArmSolution | None = None
     for refinement in range(LOADED_REFINEMENTS + 1):
         rules = loaded_rules(robot, shift, load, refinement)
-        if coarse is not None:
-            # The polynomials of a mesh are those of the elastic rotation, without the natural turn.
-            known = [coarse.points.point_rotation - problem.wound, coarse.points.point_curvature]
-            table = problem.mesh.interpolated(np.concatenate(known, axis=1), rules.problem.torsion.arc_length)
-            inputs, turn, margin = (table[:, : len(turn)], table[:, len(turn) :]), 0 * turn, coarse.margin
-        problem, coarse = rules.problem, solve_loaded_compiled(rules, (rotations, turn), inputs, margin)
-        if coarse is None:
+        if solution is not None:
+            # Start from the coarse solution; its polynomials are those of the elastic rotation, without natural twist.
+            coarse = [solution.points.point_rotation - problem.wound, solution.points.point_curvature]
+            table = problem.mesh.interpolated(np.concatenate(coarse, axis=1), rules.problem.torsion.arc_length)
+            inputs, turn, margin = (table[:, : len(turn)], table[:, len(turn) :]), 0 * turn, solution.margin
+        problem, solution = rules.problem, solve_loaded_compiled(rules, (rotations, turn), inputs, margin)
+        if solution is None:
             return None
-        if not _too_coarse(coarse, problem, request):
-            d = replace(LOADED_DISCRETISATION, refinement=refinement)
-            return answered(Loaded(robot, problem, rotations, shift, d), coarse, word, request.began)
+        theta_error, tip_error, margin_error = solution.errors
+        error = float(largest_error(theta_error, tip_error, problem.torsion.assembly.total_length))
+        if margin_error <= request.method.newton.margin_tolerance and error <= request.tolerance:
+            discretisation = replace(LOADED_DISCRETISATION, refinement=refinement)
+            solved = Loaded(robot, problem, rotations, shift, discretisation)
+            return equilibrium_of(solved, solution, how, request.began)
     return None
 
 
-def _too_coarse(result: ArmSolution, problem: LoadedProblem, request: SolveRequest) -> bool:
-    theta, tip, margin = result.errors
-    error = float(largest_error(theta, tip, problem.torsion.assembly.total_length))
-    return margin > request.method.newton.margin_tolerance or error > request.tolerance
-
-
 def nearby(family: Family, guess: Equilibrium, t: float, request: SolveRequest) -> Equilibrium | None:
-    """The stable equilibrium at t of a family on the branch of `guess`, a small change away; None as well close to a
-    fold."""
+    """Stable equilibrium at t of a family, a small change from `guess` on its branch; None close to a fold, too."""
     if family.load is not None:
         return loaded(guess, family.under_load(t), request)
     rotations, translations = family.path.at(t)
@@ -173,34 +180,38 @@ def nearby(family: Family, guess: Equilibrium, t: float, request: SolveRequest) 
 
 
 def along(family: Family, start: Milestone, request: SolveRequest | None = None) -> Iterator[Milestone]:
-    """Equilibria after `start` as far as t = 1, or to where the kernel declines even short steps."""
-    # The kernel itself checks the same limits: a step that it declines costs one failed solve.
+    """Stable equilibria after `start`, up to t = 1 or to the point where the kernel declines even short steps."""
+    request = request or SolveRequest()
     longest = family.path.largest_step()
     if longest < 1.0:
-        longest *= 1 - 1e-9  # a round-off may make a step longer than the kernel takes
-    here, step = start, longest
+        longest *= 1 - 1e-9  # round-off may make a step longer than the kernel accepts
+    last, step = start, longest
     if family.load is not None and start.pose.load is None and family.path.moves:
-        # Where joints move, the kernel goes on from an equilibrium under a load, if it is zero.
-        first = nearby(family, start.pose, start.t, request or SolveRequest())
+        # Where joints move as well, the kernel continues from an equilibrium under a load, here of size 0.
+        first = nearby(family, start.pose, start.t, request)
         if first is None:
             return
-        here = Milestone(start.t, first)
-    while here.t < 1.0:
-        t = 1.0 if here.t + step >= 1 - 1e-12 else here.t + step
-        pose = nearby(family, here.pose, t, request or SolveRequest())
+        last = Milestone(start.t, first)
+    while last.t < 1.0:
+        t = 1.0 if last.t + step >= 1 - 1e-12 else last.t + step
+        pose = nearby(family, last.pose, t, request)
         if pose is not None:
-            here, step = Milestone(t, pose), min(2 * step, longest)
-            yield here
+            last, step = Milestone(t, pose), min(2 * step, longest)
+            yield last
             continue
         step /= 2
         if step < longest * SHORTEST_COMPILED:
             return
 
 
+# --- Forward kinematics -----------------------------------------------------------------------------------------------
+
+# Most equilibria take a few milliseconds, under a load a tenth of a second.
 KINEMATICS_LIMIT = 60.0
-"""s, for one equilibrium: most take a few milliseconds, under a load a tenth of a second."""
+"""Default time limit for one equilibrium, s."""
 
 Along = Callable[[Array], Array]
+"""Function of arc lengths (N,), m."""
 
 
 @renamed(guess="start")
@@ -259,33 +270,39 @@ def forward_kinematics(  # noqa: PLR0913
     """
     began = time.perf_counter()
     check_robot(robot)
-    alpha, place = joint_values(robot, rotations, translations)
-    shift = tuple(place.tolist())
-    by = method_of(method, load, discretisation)
+    alpha, shift = joint_values(robot, rotations, translations)
+    translation = tuple(shift.tolist())
+    solver = method_of(method, load, discretisation)
     positive("tolerance", tolerance)
     guess = None if start is None else _start_of(robot, start, tolerance)
-    request, result = SolveRequest(by, tolerance, began), None
+    request = SolveRequest(solver, tolerance, began)
     if load is not None:
-        check_load(robot, load, shift)
+        check_load(robot, load, translation)
+        # Under a load without a start, the branch of the unloaded equilibrium is followed while the load grows.
         guess = guess if guess is not None else forward_kinematics(robot, alpha, shift, tolerance=tolerance)
         discretisation = LOADED_DISCRETISATION
     elif guess is not None and guess.load is not None:
         raise InputError("start has a load, but no load is given; give the load, or a start without load")
-    elif request.of_kernel(None, discretisation):
-        result = unloaded(robot, alpha, place, guess, request)
+
+    # 1. The compiled kernel, for one solve without a load: from tubes without torsion, or close to the start.
+    result = None
+    if load is None and request.by_kernel(None, discretisation):
+        result = unloaded(robot, alpha, shift, guess, request)
     if result is None and guess is None:
-        point, home = _descended(Unloaded.of(robot, alpha, shift, discretisation), by)
-        result = _to_tolerance(point, home, request)
+        # 2. The general solver from tubes without torsion, or from home.
+        point, how = _descend(Unloaded.of(robot, alpha, translation, discretisation), solver)
+        result = _to_tolerance(point, how, request)
     elif result is None:
+        # 3. Continuation from the start, along joints and load.
         assert guess is not None
-        own = np.concatenate([guess.rotations, guess.translations])
-        path = JointPath(robot, own, np.concatenate([alpha, place]), discretisation)
+        joints = np.concatenate([guess.rotations, guess.translations])
+        path = JointPath(robot, joints, np.concatenate([alpha, shift]), discretisation)
         result = on_branch(Family(path, load, guess.load), guess, request)
     return verify_equilibrium(result) if verify else result
 
 
 def _start_of(robot: Robot, start: Any, tolerance: float) -> Equilibrium:
-    """The equilibrium that a start is or has, or that of its joint values; raises InputError where it is none."""
+    """Equilibrium of the argument `start`: itself, its `equilibrium`, or that of its joint values."""
     known = start if isinstance(start, Equilibrium) else getattr(start, "equilibrium", None)
     if isinstance(known, Equilibrium):
         if known.robot.n_tubes != robot.n_tubes:
@@ -297,86 +314,94 @@ def _start_of(robot: Robot, start: Any, tolerance: float) -> Equilibrium:
 
 
 def under_load(equilibrium: Equilibrium, load: Load | None) -> Equilibrium:
-    """The equilibrium at the same joint values into which one grows with a load, or goes over as its load becomes
-    another; raises SolveError where it is lost."""
+    """Equilibrium at the same joint values on the same branch after the load grew, or changed into another one.
+
+    Raises:
+        SolveError: the branch ends before the full load.
+    """
     robot, joints = equilibrium.robot, (equilibrium.rotations, equilibrium.translations)
     return forward_kinematics(robot, *joints, load=load, start=equilibrium)
 
 
 def _to_tolerance(point: Place, start: str, request: SolveRequest) -> Equilibrium:
-    """The equilibrium of a point that was reached from `start`, on the first mesh whose estimated error is small
-    enough, as far as finer ones help.
+    """Equilibrium of a solved point on the first mesh whose estimated error is within the tolerance.
+
+    Args:
+        start: what the point was solved from, for the statistics.
 
     Raises:
-        SolveError: none is fine enough; the error bears the equilibrium on the last one.
+        SolveError: none is fine enough; `.solution` is the equilibrium on the last mesh.
     """
-    by, first, before = request.method, point.member.discretisation.refinement, np.inf
+    solver, first, error_before = request.method, point.member.discretisation.refinement, np.inf
     finest = max(REFINEMENTS if point.member.load is None else LOADED_REFINEMENTS, first)
     for level in range(first, finest + 1):
-        shape = point.member.found(point)
-        result = answered(point.member, shape, start, request.began, by.name)
+        solution = point.member.solution(point)
+        result = equilibrium_of(point.member, solution, start, request.began, solver.name)
         error = error_of(result)
-        if error <= request.tolerance and (level == finest or shape.errors[2] <= by.newton.margin_tolerance):
+        if error <= request.tolerance and (level == finest or solution.errors[2] <= solver.newton.margin_tolerance):
             return result
         # Halved pieces lower the error by orders of magnitude; a factor below two means that it is not one of the mesh.
-        if error > request.tolerance and (level == finest or error > before / 2):
+        if error > request.tolerance and (level == finest or error > error_before / 2):
             why = "" if level == finest else "; finer pieces no longer help"
             wrong = f"the estimated error is {error:.1e} rad, wanted was {request.tolerance:.1e} rad"
             raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}{why}", result)
-        there, before = point.member.on(refinement=level + 1), error
+        finer, error_before = point.member.on(refinement=level + 1), error
         failure = f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one"
-        point = point.onto(there, failure, by.newton.iterations)
-        point = _by_method(point, by)
+        point = point.onto(finer, failure, solver.newton.iterations)
+        point = _by_method(point, solver)
     raise AssertionError("the finest mesh neither reached the tolerance nor raised an error")
 
 
 @small
-def _descended(member: Unloaded, by: Method) -> tuple[Place, str]:
-    """A stable equilibrium, and from where energy descent led to it."""
+def _descend(member: Unloaded, solver: Method) -> tuple[Place, str]:
+    """Stable equilibrium by energy descent, and what it was found from."""
     failure = ""
     try:
-        point = _resolved(member, np.zeros(member.problem.size), by)
+        point = _solve(member, np.zeros(member.problem.size), solver)
         if point.margin > 0:
             return point, "tubes without torsion"
     except SolveError as error:
         failure = f" ({error})"
-    # From tubes without torsion Newton's method ended in a saddle or nowhere: symmetric tubes that oppose one another
-    # are such a case. On the path from home every step ends in a minimum.
+    # Newton's method ended in a saddle, or did not converge: symmetric tubes that oppose one another are such a case.
+    # On the path from home every step ends in a minimum.
     result = member.from_home()
     point = Point.of(member, result)
     if point.margin <= 0 or not result.converged:
         raise SolveError(f"no stable equilibrium was found: the best has margin {point.margin:.3g}{failure}")
-    return _by_method(point, by), "the path from home"
+    return _by_method(point, solver), "the path from home"
 
 
-def _by_method(point: Place, by: Method) -> Place:
-    """A solved point, solved once more from there where the method is not Newton's."""
-    if by.name == "newton":
+def _by_method(point: Place, solver: Method) -> Place:
+    """Point solved once more by the requested method, if that is not Newton's."""
+    if solver.name == "newton":
         return point
     if isinstance(point.member, Unloaded):
-        return _resolved(point.member, point.state.x, by)
+        return _solve(point.member, point.state.x, solver)
     problem, rotations = point.member.problem, point.member.rotations
-    return Point.of(point.member, solve_loaded_ipopt(problem, rotations, point.state, by.ipopt), point.t)
+    return Point.of(point.member, solve_loaded_ipopt(problem, rotations, point.state, solver.ipopt), point.t)
 
 
-def _resolved(member: Unloaded, x: Array, by: Method) -> PlainPoint:
-    """Solved from unknowns x (U,) by a method; raises SolveError where it does not converge."""
+def _solve(member: Unloaded, x: Array, solver: Method) -> PlainPoint:
+    """Solution from unknowns x (U,) by a method; raises SolveError where it does not converge."""
     problem, rotations = member.problem, member.rotations
-    if by.name == "newton":
-        result = member.descend(x, by.newton)
-    elif by.name == "energy" and problem.assembly.eccentric:
+    if solver.name == "newton":
+        result = member.descend(x, solver.newton)
+    elif solver.name == "energy" and problem.assembly.eccentric:
         raise InputError("method is 'energy'; eccentric robots have no such energy: use newton or ipopt")
     else:
         guess = profile(problem, rotations, evaluate(problem, rotations, x))
-        result = solve_ipopt(problem, rotations, guess, "energy" if by.name == "energy" else "equations", by.ipopt)
+        form = "energy" if solver.name == "energy" else "equations"
+        result = solve_ipopt(problem, rotations, guess, form, solver.ipopt)
     if not result.converged:
         raise SolveError(f"{Status.NOT_CONVERGED}: {worst_equation(problem, result.state)}")
     return Point.of(member, result)
 
 
 def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: tuple[float, ...]) -> Equilibrium | None:
-    """The equilibrium after a small motion from `guess`, by one solve: `forward_kinematics` with a start that does not
-    ask where the branch ends. None where Newton's method is not at ease, or the motion is not small."""
+    """Equilibrium after a small motion from `guess`, by a single solve.
+
+    None where Newton's method converges slowly, which may mean another branch, or where the motion is not small.
+    """
     request = SolveRequest()
     quick = unloaded(robot, rotations, np.array(translations), guess, request)
     if quick is not None:
@@ -384,9 +409,9 @@ def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: t
     turn, shift = rotations - guess.rotations, translations - guess.translations
     if not small_motion(turn, shift, max(float(guess.arc_length[-1]), shortest_arm(robot))):
         return None
-    own = np.concatenate([guess.rotations, guess.translations])
-    family = Family(JointPath(robot, own, np.concatenate([rotations, translations])))
-    # Newton that goes far from the guess may have jumped past a fold: steps along the way would tell.
+    joints = np.concatenate([guess.rotations, guess.translations])
+    family = Family(JointPath(robot, joints, np.concatenate([rotations, translations])))
+    # `step_to` refuses a solution far from the guess: Newton's method may have jumped past a fold.
     point = step_to(family, 1.0, _start(family, Milestone(0.0, guess)))
     if point is None:
         return None
@@ -398,47 +423,48 @@ def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: t
 
 @small
 def on_branch(family: Family, guess: Equilibrium, request: SolveRequest) -> Equilibrium:
-    """The equilibrium at t = 1 of a family on the branch of `guess`, which is that at t = 0; raises SolveError as
-    `forward_kinematics`."""
-    d, grows = family.path.discretisation, family.load is not None and guess.load is None and not family.path.moves
-    here = Milestone(0.0, guess)
-    if request.of_kernel(family.load, d):
-        if grows:
+    """Equilibrium at t = 1 of a family on the branch of `guess`, the equilibrium at t = 0.
+
+    Raises:
+        SolveError: as `forward_kinematics`.
+    """
+    discretisation = family.path.discretisation
+    load_grows = family.load is not None and guess.load is None and not family.path.moves
+    last = Milestone(0.0, guess)
+    if request.by_kernel(family.load, discretisation):
+        if load_grows:
             quick = nearby(family, guess, 1.0, request)
-            here = here if quick is None else Milestone(1.0, quick)
+            last = last if quick is None else Milestone(1.0, quick)
         else:
-            here = [here, *along(family, here, request)][-1]
-        if here.t == 1.0:
-            return here.pose
-    known, shortest = _start(family, here), SHORTEST_STEP if grows else SHARPEST_STEP
-    if grows:
-        # The start was sampled from another mesh: Newton's method solves it once on this one.
-        known = Point.near(known.member, known.state.x, FOLDED)
+            last = [last, *along(family, last, request)][-1]
+        if last.t == 1.0:
+            return last.pose
+    point, shortest = _start(family, last), SHORTEST_STEP if load_grows else SHARPEST_STEP
+    if load_grows:
+        # The unloaded equilibrium was sampled from another mesh: Newton's method solves it once on this one.
+        point = Point.near(point.member, point.state.x, FOLDED)
     # Without a load the branch of the start is followed whether it stays stable or not.
-    stable = grows or (family.load is not None and known.margin > 0)
-    point = reach(family, known, stable=stable, shortest=shortest)
-    if point.t < 1.0 and grows:
-        why = f"{_ending(family, point)} at {100 * point.t:.4g} % of the load"
+    stable = load_grows or (family.load is not None and point.margin > 0)
+    point = reach(family, point, stable=stable, shortest=shortest)
+    if point.t < 1.0 and load_grows:
+        if point.member.flutters(point.state):
+            ending = "it begins to flutter"
+        else:
+            ending = "it bifurcates" if bifurcates(family, point) else "it ends in a fold"
+        why = f"{ending} at {100 * point.t:.4g} % of the load"
         raise SolveError(f"{Status.BRANCH_ENDED_UNDER_LOAD}: {why}", to_equilibrium(point, "the load before"))
     if point.t < 1.0:
         why = f"it ends {100 * point.t:.2f} % of the path from the start to the goal"
-        raise SolveError(f"{Status.BRANCH_ENDED}: {why}", here.pose)
-    start = "the load before, from none" if grows else "guess"
+        raise SolveError(f"{Status.BRANCH_ENDED}: {why}", last.pose)
+    start = "the load before, from none" if load_grows else "guess"
     return _to_tolerance(_by_method(point, request.method), start, request)
 
 
-def _start(family: Family, here: Milestone) -> Place:
-    """An equilibrium as the beginning of a branch, as it was solved for."""
-    pose = here.pose
+def _start(family: Family, milestone: Milestone) -> Place:
+    """Equilibrium as the first point of a branch, as it was solved."""
+    pose = milestone.pose
     member, x = unsolved(pose, family.load, family.path.discretisation)
-    return Point(here.t, member, member.at(x), pose.margin)
-
-
-def _ending(family: Family, point: Place) -> str:
-    """What happens to a branch just after its last stable point, in words."""
-    if point.member.flutters(point.state):
-        return "it begins to flutter"
-    return "it bifurcates" if bifurcates(family, point) else "it ends in a fold"
+    return Point(milestone.t, member, member.at(x), pose.margin)
 
 
 def equilibrium_at(
@@ -450,7 +476,10 @@ def equilibrium_at(
     load: Load | None = None,
     curvature_at: Along | None = None,
 ) -> Equilibrium:
-    """What `Equilibrium.at` tells."""
+    """Equilibrium close to rotations (and, under a load, curvature) that are functions of arc length; `Equilibrium.at`.
+
+    By default that of `forward_kinematics`.
+    """
     if rotation_at is None or (load is not None and curvature_at is None):
         return forward_kinematics(robot, rotations, translations, load=load)
     began, shift = time.perf_counter(), tuple(translations.tolist())

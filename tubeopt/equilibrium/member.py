@@ -1,7 +1,7 @@
-"""One robot at joint values, under a load or without one: the problem that a continuation solves at each of its points.
+"""Equations of one robot at joint values, with or without a load, and their solutions.
 
-`Unloaded` and `Loaded` answer the same questions about their unknowns. What follows a branch, finds its end, or falls
-downhill in energy asks these only, and so is written once.
+`Unloaded` and `Loaded` have one interface: equations, margin, and the transfer of unknowns between problems.
+Continuation, folds and energy descent use this interface only, and so are written once.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 import scipy
@@ -58,103 +58,121 @@ from .problem import (
     reduced_problem,
 )
 
+
+class Errors(NamedTuple):
+    """Estimated discretisation errors of a solved point."""
+
+    theta: float
+    """Largest error of a rotation, rad."""
+    tip: float
+    """Error of the tip position, m."""
+    margin: float
+
+
 S = TypeVar("S", Evaluation, LoadedState)
 M = TypeVar("M", bound="Member[Any]")
 
 
 @dataclass(frozen=True, eq=False)
 class Point(Generic[M, S]):
-    """A solved equilibrium at t of a family."""
+    """Solved equilibrium of a member of a family."""
 
     t: float
+    """Parameter of the member in the family."""
     member: M
     state: S
+    """Unknowns with the equations, their Jacobian and the energy there."""
     margin: float
     iterations: int = 0
+    """Newton iterations of the solve."""
 
     @cached_property
     def softest(self) -> Array:
-        """(U,) direction in which the equilibrium is softest."""
+        """(U,) unit vector of the smallest eigenvalue."""
         return np.asarray(self.member.softest(self.state))
 
     @cached_property
     def unresisted(self) -> Array:
-        """(U,) push that the softest direction does not resist at a fold: along it, if the equations have an energy."""
+        """(U,) left null vector of the Jacobian at a fold: the softest direction if the equations have an energy."""
         if self.member.descends:
             return self.softest
-        # One inverse iteration with H': at a fold that gives the left vector of its zero eigenvalue.
+        # One inverse iteration with H': close to a fold it gives the left eigenvector of the zero eigenvalue.
         push = np.linalg.solve(self.state.hessian.T, self.softest)
         return np.asarray(push * np.sign(push @ self.softest) / np.linalg.norm(push))
 
     @property
     def torsion(self) -> Profile:
-        """Along the arm."""
-        return self.member.along(self.state)
+        """Rotation and torsion along the arm."""
+        return self.member.profile(self.state)
 
     @staticmethod
     def of(member: M, result: NewtonResult[S], t: float = 0.0) -> Point[M, S]:
-        """What a solver found, at t."""
+        """Point from the result of a solver."""
         return Point(t, member, result.state, member.margin(result.state), result.iterations)
 
     @staticmethod
     def at(member: M, x: Array, t: float = 0.0) -> Point[M, S]:
-        """That of unknowns x, which are solved."""
+        """Point at unknowns x (U,) that solve the equations."""
         state = member.at(x)
         return Point(t, member, state, member.margin(state))
 
     @staticmethod
     def near(member: M, x: Array, failure: str, iterations: int = NEWTON.iterations) -> Point[M, S]:
-        """What Newton's method finds from unknowns x; raises SolveError, with words of its failure, where it fails."""
+        """Point found by Newton's method from unknowns x (U,); raises SolveError with the message `failure`."""
         result = member.solve(x, iterations)
         if not result.converged:
             raise SolveError(failure)
         return Point.of(member, result)
 
-    def onto(self, there: M, failure: str, iterations: int = NEWTON.iterations) -> Point[M, Any]:
-        """The equilibrium of another problem close to this one; raises SolveError as `near`."""
-        return Point.near(there, there.carried(self), failure, iterations)
+    def onto(self, member: M, failure: str, iterations: int = NEWTON.iterations) -> Point[M, Any]:
+        """Point of another problem close to this one; raises SolveError with the message `failure`."""
+        return Point.near(member, member.transfer(self), failure, iterations)
 
 
 Place = Point[Any, Any]
-"""A point with a load or without one."""
+"""Point with or without a load."""
 
 
 @dataclass(frozen=True, eq=False)
 class Member(ABC, Generic[S]):
-    """A robot at joint values, (n,) rad and m, on one mesh; U unknowns x."""
+    """Equations of a robot at joint values on one mesh, with U unknowns x."""
 
     robot: Robot
     problem: Any
     rotations: Array
+    """(n,) rad."""
     translations: tuple[float, ...]
+    """(n,) m."""
     discretisation: Discretisation
 
     @property
     @abstractmethod
     def torsion(self) -> ReducedProblem:
-        """The problem of its rotations."""
+        """Equations of the rotations."""
 
     @property
     def load(self) -> Load | None:
-        """That acts; None without one."""
+        """External load, or None."""
         return None
 
     @abstractmethod
     def on(self: M, **mesh: Any) -> M:
-        """The same with another `degree` or `refinement` of the mesh."""
+        """Same robot and load on a mesh with another `degree` or `refinement`."""
 
     @abstractmethod
     def unknowns(self, theta: Array, curvature: Array | None = None) -> Array:
-        """(U,) unknowns of rotations (N, n) and, under a load, curvature (N, 2) at the points; None is that of the
-        rotations without a load."""
+        """(U,) unknowns for rotations (N, n) and, under a load, curvature (N, 2) at the collocation points.
+
+        Without a curvature it is the natural one of the rotations.
+        """
 
     @abstractmethod
     def at(self, x: Array) -> S:
-        """The state of unknowns x (U,)."""
+        """State at unknowns x (U,): gradient, Hessian and energy."""
 
     @abstractmethod
     def turn(self, state: S, step: Array) -> float:
-        """Largest turn (rad) by a step (U,) from a state: of a tube at a point, or of the arm."""
+        """Largest rotation (rad) of a tube or of the arm at a point by a step (U,) from a state."""
 
     @abstractmethod
     def residual(self, state: S) -> float:
@@ -166,52 +184,54 @@ class Member(ABC, Generic[S]):
 
     @abstractmethod
     def index(self, state: S) -> int:
-        """How many directions of a solved state are unstable."""
+        """Number of unstable directions of a solved state."""
 
     @abstractmethod
-    def along(self, state: S) -> Profile:
-        """Torsion along the arm of a state."""
+    def profile(self, state: S) -> Profile:
+        """Rotation and torsion along the arm."""
 
     @abstractmethod
-    def found(self, point: Place) -> ArmSolution:
+    def solution(self, point: Place) -> ArmSolution:
         """Shape, energy and estimated errors of a solved point."""
 
     @abstractmethod
     def softest(self, state: S) -> Array:
-        """(U,) direction in which a solved state is softest."""
+        """(U,) unit vector of the smallest eigenvalue of a solved state."""
 
     def flutters(self, state: S) -> bool:
-        """Whether a solved state is softest in an oscillation: a pair of complex eigenvalues, which has no fold."""
+        """True if the softest mode of a solved state has complex eigenvalues: an oscillation, for which there is no fold."""
         return not self.descends and softest_of(state.hessian)[1]
 
     @abstractmethod
-    def beside(
+    def with_inputs(
         self, rotations: Array, translations: tuple[float, ...], load: Load | None, factor: float
     ) -> Member[S] | None:
-        """The problem at other joint values and under a load times a factor on a mesh with as many pieces, so that it
-        has the same unknowns; None where the sections are others."""
+        """Same unknowns at other joint values and under a load times a factor; None where the sections differ."""
 
     @abstractmethod
-    def carried(self, point: Place) -> Array:
+    def transfer(self, point: Place) -> Array:
         """(U,) unknowns with the twist and the bending of a point, which may be on another mesh."""
 
     @abstractmethod
-    def moved(self, point: Place, state: S) -> float:
-        """Largest change of a twist, and turn of the arm, from a point to a state here, rad."""
+    def distance(self, point: Place, state: S) -> float:
+        """Largest difference (rad) between a point and a state of this member: of a twist, or of the arm's frame."""
 
     @abstractmethod
     def round_off(self, state: S) -> float:
-        """Size (J) of the energies whose sum a state's is."""
+        """Sum of the sizes (J) of the energies that may cancel in the potential."""
 
     def tangent(self, point: Place) -> Array | None:
-        """(U,) change of the unknowns of a point along the branch, where that costs nothing; else None."""
+        """(U,) predicted change of the unknowns from a point to this member, if it costs one solve only; else None."""
         return None
 
     def downhill(self, state: S, time: float) -> tuple[Array, bool]:
-        """(U,) step of the gradient flow of the energy in a time, and whether its matrix is not positive; without an
-        energy, of the flow against the residual, and whether that grows apart."""
-        # Implicit Euler step of x' = -g: (1 / dt + H) dx = -g, Newton's step for dt to infinity.
-        matrix = _shifted(state.hessian, 1 / time)
+        """(U,) implicit Euler step of the flow x' = -g, and True if its matrix is not positive definite.
+
+        Without an energy, True if the symmetric part of the matrix has a negative eigenvalue.
+        """
+        # (1 / dt + H) dx = -g, which is Newton's step for dt to infinity.
+        matrix = state.hessian.copy()
+        matrix.ravel()[:: len(matrix) + 1] += 1 / time
         if self.descends:
             _, step, failed = scipy.linalg.lapack.dposv(matrix, -state.gradient)
             return np.asarray(step), failed != 0
@@ -222,11 +242,11 @@ class Member(ABC, Generic[S]):
 
     @property
     def descends(self) -> bool:
-        """Whether the gradient is that of an energy, which falls along the flow."""
+        """True if the equations are the gradient of an energy, which then decreases along the flow."""
         return True
 
     def solve(self, x: Array, iterations: int = NEWTON.iterations) -> NewtonResult[S]:
-        """By Newton's method from x (U,), in at most so many steps."""
+        """Solve by Newton's method with full steps from x (U,)."""
         return full_steps(
             self.at(x),
             lambda state, step: self.at(state.x + step),
@@ -236,17 +256,10 @@ class Member(ABC, Generic[S]):
         )
 
 
-def pieces_of(mesh: Mesh, assembly: Assembly, there: Assembly) -> Index | None:
-    """(m,) pieces of each section of a mesh; None where another assembly has not as many sections."""
+def pieces_of(mesh: Mesh, assembly: Assembly, other: Assembly) -> Index | None:
+    """(m,) number of pieces of each section of a mesh; None if another assembly has a different number of sections."""
     count = assembly.n_sections
-    return np.bincount(mesh.section, minlength=count) if there.n_sections == count else None
-
-
-def _shifted(matrix: Array, by: float) -> Array:
-    """A square matrix with a number added to its diagonal."""
-    out = matrix.copy()
-    out.ravel()[:: len(out) + 1] += by
-    return out
+    return np.bincount(mesh.section, minlength=count) if other.n_sections == count else None
 
 
 # --- Without a load ---------------------------------------------------------------------------------------------------
@@ -254,12 +267,12 @@ def _shifted(matrix: Array, by: float) -> Array:
 # The tubes turn together from home, and each step ends in a minimum. Opposed tubes may leave the branch through a fold
 # in any step; a step of at most a sixteenth of a turn keeps them in the basin of the nearest minimum.
 HOME_TURN = math.pi / 8
-"""Largest turn (rad) of a tube per step of the path from home, for a cold start that ended in no stable equilibrium."""
+"""Largest rotation (rad) of a tube per step of the path from home."""
 
 
 @dataclass(frozen=True, eq=False)
 class Unloaded(Member[Evaluation]):
-    """Without a load: the unknowns are those of the torsion."""
+    """Equations without a load; the unknowns are those of the torsion."""
 
     problem: ReducedProblem
     discretisation: Discretisation = DEFAULT_DISCRETISATION
@@ -271,17 +284,17 @@ class Unloaded(Member[Evaluation]):
         translations: tuple[float, ...],
         discretisation: Discretisation = DEFAULT_DISCRETISATION,
     ) -> Unloaded:
-        """That of a robot at joint values."""
+        """Member of a robot at joint values."""
         problem = reduced_problem(robot, translations, discretisation)
         return Unloaded(robot, problem, rotations, translations, discretisation)
 
     @property
     def torsion(self) -> ReducedProblem:
-        """See `Member`, as below."""
+        """Equations of the rotations."""
         return self.problem
 
     def on(self, **mesh: Any) -> Unloaded:
-        """At the same joint values."""
+        """See `Member.on`."""
         return Unloaded.of(self.robot, self.rotations, self.translations, replace(self.discretisation, **mesh))
 
     def unknowns(self, theta: Array, curvature: Array | None = None) -> Array:
@@ -293,26 +306,28 @@ class Unloaded(Member[Evaluation]):
         return evaluate(self.problem, self.rotations, x)
 
     def descend(self, x: Array, settings: Newton = NEWTON) -> NewtonResult[Evaluation]:
-        """The minimum of the energy to which a descent leads from x (U,); for tubes off the centreline, which have no
-        such energy, what Newton's method finds from that of the same tubes on it."""
+        """Minimise the energy from x (U,) by guarded Newton steps.
+
+        Tubes off the centreline have no such energy: Newton's method solves from the minimum of the same tubes on it.
+        """
         if self.problem.assembly.eccentric:
-            there = self._on_centreline()
-            # Offsets are a perturbation (d |u| < 1/4): the concentric minimum is a start close to the answer.
-            start = there.descend(there.unknowns(self.at(x).theta), settings)
+            concentric = self._on_centreline()
+            # Offsets are a perturbation (d |u| < 1/4): the concentric minimum is close to the solution.
+            start = concentric.descend(concentric.unknowns(self.at(x).theta), settings)
             return self.solve(self.unknowns(start.state.theta), settings.iterations)
         return descend(self.at(x), lambda state, step: self.at(state.x + step), self.turn, self.residual, settings)
 
     def from_home(self) -> NewtonResult[Evaluation]:
-        """By turning all tubes together from home, with a descent in energy at each step, off any saddle."""
-        there = self._on_centreline()
-        z = np.zeros(there.problem.size)
+        """Turn all tubes together from home, minimise the energy at each step, and leave every saddle."""
+        concentric = self._on_centreline()
+        z = np.zeros(concentric.problem.size)
         steps = max(1, int(np.ceil(np.abs(self.rotations).max(initial=0.0) / HOME_TURN)))
         for k in range(1, steps + 1):
-            here = replace(there, rotations=self.rotations * k / steps)
-            result = here.descend(z)
-            if result.converged and here.margin(result.state) <= 0:
-                # A symmetric saddle has two sides of equal right; the lower one is taken.
-                sides = [here.descend(start) for start in leave_saddle(here.problem, result.state)]
+            member = replace(concentric, rotations=self.rotations * k / steps)
+            result = member.descend(z)
+            if result.converged and member.margin(result.state) <= 0:
+                # Either side of a symmetric saddle is possible; the one that ends lower is taken.
+                sides = [member.descend(start) for start in leave_saddle(member.problem, result.state)]
                 result = min(sides, key=lambda side: side.state.energy)
             z = result.state.z
         if self.problem.assembly.eccentric:
@@ -320,35 +335,37 @@ class Unloaded(Member[Evaluation]):
         return result
 
     def _on_centreline(self) -> Unloaded:
-        """With all tubes on the centreline: these have the energy that is to fall."""
+        """Same tubes on the centreline, where they have an energy."""
         return replace(self, problem=on_centreline(self.problem))
 
     def turn(self, state: Evaluation, step: Array) -> float:
-        """Of a tube."""
+        """Largest rotation (rad) of a tube by a step."""
         return torsional_turn(self.problem, step)
 
     def residual(self, state: Evaluation) -> float:
-        """Of the equations of torsion."""
+        """Largest violation of the torsion equations, as an error of theta, rad."""
         return residual(self.problem, state)
 
     def margin(self, state: Evaluation) -> float:
-        """By the second variation."""
+        """Smallest eigenvalue of the second variation relative to its torsional part."""
         return margin(self.problem, state)
 
     def index(self, state: Evaluation) -> int:
-        """By the second variation."""
+        """Number of negative eigenvalues of the second variation."""
         return unstable_directions(self.problem, state)
 
-    def along(self, state: Evaluation) -> arms.Profile:
-        """Integrated from the points."""
+    def profile(self, state: Evaluation) -> arms.Profile:
+        """Rotation and torsion along the arm, integrated from the collocation points."""
         return arms.profile(self.problem, self.rotations, state)
 
-    def found(self, point: Place, rubbed: tuple[arms.Profile, float] | None = None) -> ArmSolution:
-        """`rubbed`: torsion along the arm and the error (rad) of the mesh, where friction shapes them too."""
+    def solution(self, point: Place, profile: arms.Profile | None = None, defect: float | None = None) -> ArmSolution:
+        """Shape, energy and estimated errors of a solved point.
+
+        With friction, `profile` and `defect` (rad) replace the rotations along the arm and the error of the mesh.
+        """
         problem, state = self.problem, point.state
-        torsion, defect = (point.torsion, None) if rubbed is None else rubbed
-        arm = evaluate_arm(problem, self.rotations, state, torsion)
-        # The inverse of the linearised equation amplifies a defect by at most one over the margin.
+        arm = evaluate_arm(problem, self.rotations, state, point.torsion if profile is None else profile)
+        # The inverse of the linearised equations amplifies a defect by at most 1 / margin.
         error = (arm.defect if defect is None else defect) / max(min(1.0, abs(point.margin)), 1e-6)
         return ArmSolution.of(
             arm,
@@ -357,19 +374,19 @@ class Unloaded(Member[Evaluation]):
             margin=point.margin,
             energy=arm.energy,
             residual=self.residual(state),
-            errors=(error, arm.shape_error + error * lever(problem), 0.0),
+            errors=Errors(error, arm.shape_error + error * lever(problem), 0.0),
             iterations=point.iterations,
             index=0 if point.margin > 0 else self.index(state),
         )
 
     def softest(self, state: Evaluation) -> Array:
-        """By the second variation."""
+        """(U,) eigenvector of the smallest eigenvalue of the second variation."""
         return softest(self.problem, state)
 
-    def beside(
+    def with_inputs(
         self, rotations: Array, translations: tuple[float, ...], load: Load | None, factor: float
     ) -> Unloaded | None:
-        """Without a load."""
+        """See `Member.with_inputs`; without a load."""
         if translations == self.translations:
             return replace(self, rotations=rotations)
         assembly, d = self.robot.assembly(np.array(translations)), self.discretisation
@@ -377,11 +394,10 @@ class Unloaded(Member[Evaluation]):
         if pieces is None:
             return None
         problem = reduce(assembly, make_mesh(assembly, pieces, family=d.family, degree=d.degree))
-        there = Unloaded(self.robot, problem, rotations, translations, d)
-        return there if problem.size == self.problem.size else None
+        return Unloaded(self.robot, problem, rotations, translations, d) if problem.size == self.problem.size else None
 
-    def carried(self, point: Place) -> Array:
-        """Twist is interpolated with its own slopes, also where nothing couples the tubes."""
+    def transfer(self, point: Place) -> Array:
+        """(U,) unknowns of a point from another mesh: the twist is interpolated with its slopes."""
         known = point.member
         if known.problem is self.problem:
             return np.asarray(point.state.x)
@@ -390,18 +406,21 @@ class Unloaded(Member[Evaluation]):
             twist = arms.interpolate(known.problem, point.torsion, self.problem.arc_length) - known.rotations
         return self.unknowns(self.rotations + twist)
 
-    def moved(self, point: Place, state: Evaluation) -> float:
-        """Of the coupled tubes: the others are carried along, not solved for."""
-        return torsional_turn(self.problem, state.x - self.carried(point))
+    def distance(self, point: Place, state: Evaluation) -> float:
+        """Largest difference (rad) of the twist of coupled tubes, the only ones solved for."""
+        return torsional_turn(self.problem, state.x - self.transfer(point))
 
     def round_off(self, state: Evaluation) -> float:
-        """Bending energies may cancel."""
+        """Sum of the bending energies (J), which may cancel, and the energy."""
         return self.problem.energy_parts + abs(state.energy)
 
     @property
     def descends(self) -> bool:
-        """At a fold of tubes off the centreline the same tubes on it may have a minimum close by, in which a descent of
-        their energy would be caught."""
+        """True on the centreline.
+
+        At a fold of eccentric tubes the same tubes on the centreline may have a minimum close by, in which a descent of
+        their energy would end.
+        """
         return not self.problem.assembly.eccentric
 
 
@@ -410,16 +429,15 @@ PlainPoint = Point[Unloaded, Evaluation]
 
 @lru_cache(maxsize=16)
 def lever(problem: ReducedProblem) -> float:
-    """By how much a tip can move with a wrong theta, m per rad: |dp| <= int |du / dtheta| |dtheta| (L - s) ds.
+    """Largest displacement of the tip per error of theta, m/rad: |dp| <= int |du / dtheta| |dtheta| (L - s) ds.
 
-    The curvature u itself can vanish where tubes oppose each other, its change with theta does not: sum |m_i| / sum
-    kb_i bounds it.
+    The curvature u can vanish where tubes oppose each other, but not its derivative, bounded by sum |m_i| / sum kb_i.
     """
     mesh = problem.mesh
     if not len(mesh.length):
         return 0.0
-    ahead = mesh.start[-1] + mesh.length[-1] - mesh.start - mesh.length / 2
-    return float((pull_rate(problem) * mesh.length) @ ahead)
+    distance_to_tip = mesh.start[-1] + mesh.length[-1] - mesh.start - mesh.length / 2
+    return float((pull_rate(problem) * mesh.length) @ distance_to_tip)
 
 
 # --- Under a load -----------------------------------------------------------------------------------------------------
@@ -427,7 +445,7 @@ def lever(problem: ReducedProblem) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Loaded(Member[LoadedState]):
-    """Under `factor` times the load of the problem: the unknowns are those of the torsion, then of the bending."""
+    """Equations under `factor` times the load of the problem; the unknowns are torsion, then bending."""
 
     problem: LoadedProblem
     discretisation: Discretisation = LOADED_DISCRETISATION
@@ -444,63 +462,65 @@ class Loaded(Member[LoadedState]):
         discretisation: Discretisation = LOADED_DISCRETISATION,
         factor: float = 1.0,
     ) -> Loaded:
-        """That of a robot at joint values under `factor` times a load."""
+        """Member of a robot at joint values under `factor` times a load."""
         problem = loaded_problem(robot, translations, load, discretisation)
         return Loaded(robot, problem, rotations, translations, discretisation, factor)
 
     @property
     def torsion(self) -> ReducedProblem:
-        """See `Member`, as below."""
+        """Equations of the rotations."""
         return self.problem.torsion
 
     def on(self, **mesh: Any) -> Loaded:
-        """Under the same part of the load."""
+        """See `Member.on`; the factor stays."""
         d = replace(self.discretisation, **mesh)
         return Loaded.of(self.robot, self.rotations, self.translations, self.problem.load, d, self.factor)
 
     @property
     def load(self) -> Load:
-        """That acts."""
+        """Load times its factor."""
         return self.problem.load if self.factor == 1.0 else self.problem.load.scaled(self.factor)
 
     def unknowns(self, theta: Array, curvature: Array | None = None) -> Array:
-        """Of rotations and curvature."""
+        """(U,) unknowns for rotations (N, n) and curvature (N, 2)."""
         return loaded.unknowns(self.problem, self.rotations, theta, curvature)
 
     def at(self, x: Array) -> LoadedState:
-        """Under the part of the load that acts."""
+        """State at unknowns x (U,)."""
         return loaded.evaluate(self.problem, self.rotations, x, self.factor)
 
     def turn(self, state: LoadedState, step: Array) -> float:
-        """Of a tube, or of the arm if its curvature changed alike all along it."""
+        """Largest rotation (rad) of a tube by a step, or of the arm if its curvature changed equally all along."""
         tubes = np.abs(self.torsion.factor @ step[: self.torsion.size]).max(initial=0.0)
         length = self.torsion.assembly.total_length
         return max(float(tubes), length * float(np.abs(state.turned @ step).max(initial=0.0)))
 
     def residual(self, state: LoadedState) -> float:
-        """Of the equations of torsion and bending, as an error of theta at the points or of the arm's direction."""
+        """Largest violation of the equations, as an error of theta or of the arm's direction, rad."""
         split = self.torsion.size
         tubes = np.abs(self.torsion.factor @ state.gradient[:split]).max(initial=0.0)
         bend = np.abs(np.repeat(self.problem.softness, 2) * state.gradient[split:]).max(initial=0.0)
         return max(float(tubes), self.torsion.assembly.total_length * float(bend))
 
     def margin(self, state: LoadedState) -> float:
-        """By the second variation relative to its torsional and bending part, at most 1; under loads without an energy
-        the least real part of the eigenvalues of the linearised equations."""
+        """Smallest eigenvalue of the second variation relative to its torsional and bending part, at most 1.
+
+        Under loads without an energy, the smallest real part of the eigenvalues of the linearised equations.
+        """
         if self.problem.couples is None or not state.factor:  # without load the equations have an energy
             return least(state.hessian)
         return min(1.0, float(stiffnesses(state.hessian, symmetric=False).min(initial=1.0)))
 
     def index(self, state: LoadedState) -> int:
-        """By the second variation, or the linearised equations."""
+        """Number of eigenvalues with a negative real part."""
         return int((stiffnesses(state.hessian, symmetric=self.descends) < 0).sum())
 
-    def along(self, state: LoadedState) -> arms.Profile:
-        """Integrated from the points and the torques at joints."""
+    def profile(self, state: LoadedState) -> arms.Profile:
+        """Rotation and torsion along the arm, integrated from the collocation points."""
         return loaded_profile(self.problem, self.rotations, state)
 
-    def found(self, point: Place) -> ArmSolution:
-        """What follows from the solved state at once need not be solved for again."""
+    def solution(self, point: Place) -> ArmSolution:
+        """Shape, energy, compliance, base wrench and estimated errors of a solved point."""
         state, problem, profile = point.state, self.problem, point.torsion
         return ArmSolution.of(
             loaded_arm(problem, profile, state),
@@ -517,27 +537,25 @@ class Loaded(Member[LoadedState]):
             base_wrench=base_wrench(problem, state),
         )
 
-    def _errors(self, point: LoadedPoint) -> tuple[float, float, float]:
-        """Estimated errors of theta, rad, of the tip, m, and of the margin: what a Newton step on a finer rule
-        changes."""
-        there = self.on(degree=self.discretisation.degree + EXTRA_POINTS)
-        problem, state = there.problem, there.at(there.carried(point))
-        # At a fold the step along the softest direction has no bound: its stiffness counts as at least this.
-        least = LEAST_STIFFNESS
-        shift = least if abs(point.margin) < least else 0.0
+    def _errors(self, point: LoadedPoint) -> Errors:
+        """Estimated errors: the change by one Newton step on a mesh with more points per piece."""
+        finer = self.on(degree=self.discretisation.degree + EXTRA_POINTS)
+        problem, state = finer.problem, finer.at(finer.transfer(point))
+        # At a fold the step along the softest direction is unbounded: its stiffness counts as at least this.
+        shift = LEAST_STIFFNESS if abs(point.margin) < LEAST_STIFFNESS else 0.0
         step = np.linalg.solve(state.hessian + shift * np.eye(problem.size), -state.gradient)
         split = problem.torsion.size
         theta = np.abs(problem.torsion.factor @ step[:split]).max(initial=0.0)
-        moved = tip_position(problem, state) + tip_slopes(problem, state)[:3] @ step
-        moved -= tip_position(self.problem, point.state)
-        # Only of arms that loads hardly soften is the margin less sure than the shape.
-        close = point.margin > HARDLY_SOFTENED and self.descends
-        margin = abs(there.margin(state) - point.margin) if close else 0.0
-        # Between the points theta is up to 1.6 times as far off as at them (measured).
-        return 2 * float(theta), float(np.linalg.norm(moved)), margin
+        tip_change = tip_position(problem, state) + tip_slopes(problem, state)[:3] @ step
+        tip_change -= tip_position(self.problem, point.state)
+        # The margin is less accurate than the shape only for arms that loads hardly soften.
+        hardly_softened = point.margin > HARDLY_SOFTENED and self.descends
+        margin = abs(finer.margin(state) - point.margin) if hardly_softened else 0.0
+        # Between the points the error of theta is up to 1.6 times that at the points (measured).
+        return Errors(2 * float(theta), float(np.linalg.norm(tip_change)), margin)
 
     def softest(self, state: LoadedState) -> Array:
-        """By the second variation, or the linearised equations."""
+        """(U,) eigenvector of the eigenvalue with the smallest real part."""
         if not self.descends:
             return softest_of(state.hessian)[0]
         vectors: Array = np.linalg.eigh(state.hessian)[1]
@@ -545,13 +563,13 @@ class Loaded(Member[LoadedState]):
 
     @property
     def descends(self) -> bool:
-        """Moments and forces that turn with the tip have no energy."""
+        """False under moments and follower forces, which have no energy."""
         return self.problem.couples is None
 
-    def beside(
+    def with_inputs(
         self, rotations: Array, translations: tuple[float, ...], load: Load | None, factor: float
     ) -> Loaded | None:
-        """Under a load whose places are the same."""
+        """See `Member.with_inputs`; the load acts at the same points."""
         assert load is not None
         if translations == self.translations and load is self.problem.load:
             return replace(self, rotations=rotations, factor=factor)
@@ -560,53 +578,55 @@ class Loaded(Member[LoadedState]):
         if pieces is None:
             return None
         problem = loaded_problem(self.robot, translations, load, self.discretisation, tuple(pieces.tolist()))
-        there = Loaded(self.robot, problem, rotations, translations, self.discretisation, factor)
-        return there if problem.size == self.problem.size else None
+        if problem.size != self.problem.size:
+            return None
+        return Loaded(self.robot, problem, rotations, translations, self.discretisation, factor)
 
-    def carried(self, point: Place) -> Array:
-        """Bending is interpolated by the polynomials of the pieces."""
-        known, state, there = point.member, point.state, self.problem
-        if known.problem.torsion is there.torsion:
+    def transfer(self, point: Place) -> Array:
+        """(U,) unknowns of a point from another mesh: bending is interpolated by the polynomials of the pieces."""
+        known, state, problem = point.member, point.state, self.problem
+        if known.problem.torsion is problem.torsion:
             return np.asarray(state.x)
-        bent = known.problem.softness[:, None] * state.x[known.problem.torsion.size :].reshape(-1, 2)
-        if not self._alike(known.problem):
-            bent = known.problem.mesh.interpolated(bent, there.torsion.arc_length)
+        bending = known.problem.softness[:, None] * state.x[known.problem.torsion.size :].reshape(-1, 2)
+        if not self._same_points(known.problem):
+            bending = known.problem.mesh.interpolated(bending, problem.torsion.arc_length)
         x = self.unknowns(self.rotations + self._twist(point))
-        x[there.torsion.size :] = (bent / there.softness[:, None]).ravel()
+        x[problem.torsion.size :] = (bending / problem.softness[:, None]).ravel()
         return x
 
-    def _alike(self, known: LoadedProblem) -> bool:
-        """Whether the points and unknowns of another problem stand for those here, one by one."""
+    def _same_points(self, known: LoadedProblem) -> bool:
+        """True if points and unknowns of another problem correspond one to one to those of this one."""
         own, other = self.problem.torsion, known.torsion
-        same_points = len(own.weight) == len(other.weight) and np.array_equal(own.mesh.section, other.mesh.section)
-        return same_points and np.array_equal(own.flat, other.flat)
+        same_mesh = len(own.weight) == len(other.weight) and np.array_equal(own.mesh.section, other.mesh.section)
+        return same_mesh and np.array_equal(own.flat, other.flat)
 
     def _twist(self, point: Place) -> Array:
-        """(N, n) twist of a point at the points here: where a tube was not unknown it has one all the same."""
+        """(N, n) twist of a point at the collocation points of this member, for all tubes."""
         known = point.member
-        if self._alike(known.problem):
+        if self._same_points(known.problem):
             return np.asarray(point.state.theta - known.rotations)
         theta = arms.interpolate(known.torsion, point.torsion, self.torsion.arc_length)
         return np.asarray(theta - known.rotations)
 
-    def moved(self, point: Place, state: LoadedState) -> float:
-        """Of a twist at a point, and of the arm's frame there."""
+    def distance(self, point: Place, state: LoadedState) -> float:
+        """Largest difference (rad) of a twist and of the arm's frame at the collocation points."""
         frames = point.state.orientation.stage
-        if not self._alike(point.member.problem):
+        if not self._same_points(point.member.problem):
             frames = point.member.problem.mesh.interpolated(frames, self.torsion.arc_length)
-        turned = (state.theta - self.rotations - self._twist(point)).ravel()[self.problem.torsion.flat]
-        twist = np.abs(turned).max(initial=0.0)
+        twist_change = (state.theta - self.rotations - self._twist(point)).ravel()[self.problem.torsion.flat]
+        twist = np.abs(twist_change).max(initial=0.0)
+        # The frames are unit quaternions: a rotation by a moves one by a / 2.
         return max(float(twist), 2 * float(np.linalg.norm(state.orientation.stage - frames, axis=1).max()))
 
     def tangent(self, point: Place) -> Array | None:
-        """Where only the factor changes, by what the load pulls."""
+        """(U,) change by the derivative with respect to the factor, where only that changes."""
         if point.member.problem is not self.problem or not np.array_equal(point.member.rotations, self.rotations):
             return None
         step = scipy.linalg.lapack.dgesv(point.state.hessian, -point.state.pull)[2]
         return np.asarray(step * (self.factor - point.state.factor))
 
     def round_off(self, state: LoadedState) -> float:
-        """Elastic energy and work may cancel."""
+        """Sum of elastic energy and work (J), which may cancel."""
         return state.energy + abs(state.work)
 
 

@@ -273,7 +273,7 @@ class SolveRequest:
     tolerance: float = TOLERANCE
     began: float = field(default_factory=time.perf_counter)
 
-    def of_kernel(self, load: Load | None, discretisation: Discretisation) -> bool:
+    def by_kernel(self, load: Load | None, discretisation: Discretisation) -> bool:
         """Whether a compiled kernel solves what is asked: by its own method, on its own points. Under a load the
         settings of Newton's method that hold there are the kernel's, too."""
         if load is not None:

@@ -177,7 +177,7 @@ def bifurcation(family: Family, point: Place, goal: float) -> Loss | None:
 
     def solved(t: float) -> Place | None:
         member = family.member(t)
-        result = member.solve(member.carried(point))
+        result = member.solve(member.transfer(point))
         return Point.of(member, result, t) if result.converged else None
 
     # Short distances first: beyond a bifurcation Newton's method finds the old branch only from close by.

@@ -190,7 +190,7 @@ def leave(family: Family, last: Place, loss: Loss | None, goal: float) -> Place 
             "about the equilibrium grow, and their final equilibrium is unknown"
         )
     landed = fall(lost, direction)
-    jump = 0.0 if landed is None else landed.member.moved(lost, landed.state)
+    jump = 0.0 if landed is None else landed.member.distance(lost, landed.state)
     t = min(goal, lost.t + PAST)
     beyond = step_to(family, t, last) if jump <= SMOOTH_TURN else None
     # Where the branch does not continue beyond its end, even a small jump is a snap.
@@ -202,7 +202,7 @@ def leave(family: Family, last: Place, loss: Loss | None, goal: float) -> Place 
         raise SolveError(
             f"the branch ends at {100 * t:.3f} % of the path, and energy descent from there finds no equilibrium"
         )
-    if landed is None and side.member.moved(beyond, side.state) > SMOOTH_TURN:
+    if landed is None and side.member.distance(beyond, side.state) > SMOOTH_TURN:
         return Event(replace(beyond, t=lost.t), side)
     return side
 
