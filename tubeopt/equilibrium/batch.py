@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,14 +27,13 @@ from ..typing import Array, Index, Mask, StatusEnum
 from .answer import largest_error, sample_arms
 from .kinematics import forward_kinematics
 from .problem import TOLERANCE, check_load, loaded_rules
-from .result import Equilibrium
 
 CHUNK = 2048
-"""Configurations that one worker takes at a time: enough that its start costs nothing, few enough to share out."""
+"""Number of configurations per call of the kernel: large against its overhead, small enough to occupy all workers."""
 
 
 class BatchStatus(StatusEnum):
-    """What became of many joint values; every value reads as a sentence."""
+    """Outcome of a batch, as a sentence."""
 
     SOLVED = "a stable equilibrium was found at all joint values"
     GAPS = "no stable equilibrium was found at some joint values"
@@ -41,20 +41,20 @@ class BatchStatus(StatusEnum):
 
 @dataclass(frozen=True)
 class BatchStatistics:
-    """What a batch took."""
+    """Size of a batch."""
 
     samples: int
-    """Joint values that were solved for."""
+    """Number of configurations."""
     failures: int
-    """How many of them have no stable equilibrium that was found."""
+    """Number of configurations without a stable equilibrium found."""
 
 
 @dataclass(frozen=True, eq=False)
 class EquilibriumBatch(Displayed):
-    """Equilibria of N configurations of a robot with n tubes; rows of what did not converge are NaN."""
+    """Equilibria of N configurations of a robot with n tubes; rows that did not converge are NaN."""
 
     robot: Robot
-    """The robot."""
+    """Robot of all configurations."""
     rotations: Array
     """(N, n) rotations, rad."""
     translations: Array
@@ -62,37 +62,37 @@ class EquilibriumBatch(Displayed):
     tip_position: Array
     """(N, 3) end of the tube that reaches farthest, in the plate frame, m."""
     tip_rotation: Array
-    """(N, 3, 3) its frame."""
+    """(N, 3, 3) frame of the tip in the plate frame."""
     tip_rotations: Array
     """(N, n) theta_i at each tube's own end, rad."""
     margin: Array
-    """(N,) stability margins."""
+    """(N,) stability margins; positive where stable."""
     energy: Array
     """(N,) elastic energies, J."""
     residual: Array
-    """(N,) of theta, rad."""
+    """(N,) violations of the equations, as errors of theta, rad."""
     mesh_error: Array
-    """(N,) of theta, rad."""
+    """(N,) estimated discretisation errors of theta, rad."""
     tip_error: Array
     """(N,) estimated errors of the tip position, m."""
     converged: Mask
-    """(N,) whether a stable equilibrium was found to the tolerance; one without a margin under loads that have none."""
+    """(N,) True where a stable equilibrium was found to the tolerance; any equilibrium under loads without a margin."""
     failures: tuple[tuple[int, str], ...] = ()
-    """(row, reason in words) of those that were not."""
+    """(row, reason) of all others."""
     compliance: Array = field(default_factory=lambda: np.zeros((0, 6, 6)))
-    """(N, 6, 6) of the tip, m and rad by N and N m, under a load; (0, 6, 6) without one."""
+    """(N, 6, 6) compliance of the tip, m and rad per N and N m, under a load; (0, 6, 6) without one."""
 
     def __len__(self) -> int:
         return len(self.rotations)
 
     @property
     def value(self) -> Array:
-        """(N, 3) the tips, m."""
+        """(N, 3) tip positions, m."""
         return self.tip_position
 
     @property
     def status(self) -> BatchStatus:
-        """Whether an equilibrium was found for every configuration."""
+        """Outcome of the batch, as a sentence."""
         return BatchStatus.SOLVED if self.converged.all() else BatchStatus.GAPS
 
     @property
@@ -102,7 +102,7 @@ class EquilibriumBatch(Displayed):
 
     @property
     def stable(self) -> Mask:
-        """(N,) whether a stable equilibrium was found."""
+        """(N,) True where a stable equilibrium was found."""
         return np.asarray(self.converged & (self.margin > 0))
 
 
@@ -168,36 +168,40 @@ def solved_batch(
     raises: bool = False,
     progress: Callable[[int], object] | None = None,
 ) -> EquilibriumBatch:
-    """That of `forward_kinematics_batch` at rotations and translations (N, n) that are known to be admissible;
-    `raises`: for the first configuration without an equilibrium."""
+    """Batch at checked rotations and translations (N, n).
+
+    Args:
+        raises: raise SolveError for the first configuration without an equilibrium.
+    """
     table = np.full((len(alpha), 17 + robot.n_tubes), np.nan)
     compliance = np.full((len(alpha) if load is not None else 0, 6, 6), np.nan)
     failures: list[tuple[int, str]] = []
 
     def run(rows: slice) -> int:
-        """Solve rows into `table`; returns how many they were."""
+        """Solve some rows into `table` and `compliance`; returns their number."""
         if load is None:
-            left = _solve_rows(robot, alpha, shift, rows, table, tolerance)
+            unsolved = _solve_rows(robot, alpha, shift, rows, table, tolerance)
         else:
-            left = _grow_rows(robot, (alpha, shift, load), rows, (table, compliance), tolerance)
-        for row in left.tolist():
+            unsolved = _solve_loaded_rows(robot, alpha, shift, load, rows, table, compliance, tolerance)
+        for row in unsolved.tolist():
             try:
                 e = forward_kinematics(robot, alpha[row], shift[row], load=load, tolerance=tolerance)
             except SolveError as error:
                 table[row], compliance[row : row + 1] = np.nan, np.nan  # without a load there is no such row
                 failures.append((row, str(error)))
                 continue
-            table[row] = _row(e)
+            scalars = [e.margin, e.residual, e.mesh_error, e.tip_error, e.energy]
+            table[row] = np.concatenate([e.tip_position, e.tip_rotation.ravel(), e.tip_rotations, scalars])
             if load is not None:
                 compliance[row] = e.compliance
         return len(alpha[rows])
 
-    done = 0
-    for count in _shared_out(run, len(alpha), workers or os.cpu_count() or 1):
+    solved = 0
+    for count in _in_chunks(run, len(alpha), workers or os.cpu_count() or 1):
         check_time()
-        done += count
+        solved += count
         if progress is not None:
-            progress(done)
+            progress(solved)
         if failures and raises:
             row, reason = min(failures)
             raise SolveError(f"configuration {row}: {reason}")
@@ -221,6 +225,7 @@ def joint_arrays(robot: Robot, rotations: ArrayLike, translations: ArrayLike | N
 
 
 def _table(name: str, values: ArrayLike) -> Array:
+    """Argument `name` as an array of finite numbers."""
     try:
         array = np.array(values, dtype=float)
     except (TypeError, ValueError, OverflowError):
@@ -255,8 +260,8 @@ def _admissible(robot: Robot, shift: Array) -> None:
             raise InputError(f"translations[{row}]: {error}") from None
 
 
-def _shared_out(run: Callable[[slice], int], count: int, workers: int) -> Iterator[int]:
-    """Run chunks of rows on so many threads."""
+def _in_chunks(run: Callable[[slice], int], count: int, workers: int) -> Iterator[int]:
+    """Results of `run` for chunks of `count` rows, on a number of threads."""
     chunks = [slice(k, min(k + CHUNK, count)) for k in range(0, count, CHUNK)]
     if workers == 1 or len(chunks) == 1:
         yield from map(run, chunks)
@@ -266,48 +271,62 @@ def _shared_out(run: Callable[[slice], int], count: int, workers: int) -> Iterat
 
 
 def _solve_rows(robot: Robot, alpha: Array, shift: Array, rows: slice, table: Array, tolerance: float) -> Index:
-    """Solve some rows into `table` by the compiled kernel; returns those that are left over."""
-    left: Index = np.arange(rows.start, rows.stop)
-    for refinement in (0, 1):
-        solved = solve_many_compiled(robot, alpha[left], shift[left], None, refinement) if len(left) else None
-        if solved is None:
-            break
-        table[left] = solved[0]
-        left = left[solved[1] | ~_fine(robot, shift[left], solved[0], tolerance)]
-    return left
-
-
-def _fine(robot: Robot, shift: Array, result: Array, tolerance: float) -> Mask:
-    """(N,) which rows of the kernel hold the tolerance, as `forward_kinematics` asks for it."""
+    """Solve some rows into `table` by the compiled kernel; returns the rows that it did not solve."""
+    unsolved: Index = np.arange(rows.start, rows.stop)
     straight, curved = np.array([(tube.straight_length, tube.curved_length) for tube in robot.tubes]).T
-    length, n = (np.minimum(shift, straight) + curved).max(1), robot.n_tubes
-    return np.asarray(largest_error(result[:, n + 14], result[:, n + 15], length, even=robot.even) <= tolerance)
+    n = robot.n_tubes
+    for refinement in (0, 1):
+        result = (
+            solve_many_compiled(robot, alpha[unsolved], shift[unsolved], None, refinement) if len(unsolved) else None
+        )
+        if result is None:
+            break
+        values, declined = result
+        table[unsolved] = values
+        length = (np.minimum(shift[unsolved], straight) + curved).max(1)
+        coarse = ~(largest_error(values[:, n + 14], values[:, n + 15], length, even=robot.even) <= tolerance)
+        unsolved = unsolved[declined | coarse]
+    return unsolved
 
 
-def _grow_rows(
-    robot: Robot, inputs: tuple[Array, Array, Load], rows: slice, out: tuple[Array, Array], tolerance: float
+def _solve_loaded_rows(
+    robot: Robot,
+    alpha: Array,
+    shift: Array,
+    load: Load,
+    rows: slice,
+    table: Array,
+    compliance: Array,
+    tolerance: float,
 ) -> Index:
-    """Solve some rows under load into a table and compliances by the compiled kernels; returns those left over."""
-    (alpha, shift, load), (table, compliance), left = inputs, out, [np.arange(0)]
-    places, group = np.unique(shift[rows], axis=0, return_inverse=True)
-    for k, place in enumerate(places):
+    """Solve some rows under a load by the compiled kernels; returns the rows that they did not solve."""
+    unsolved = [np.arange(0)]
+    translations, group = np.unique(shift[rows], axis=0, return_inverse=True)
+    for k, translation in enumerate(translations):
         chosen = rows.start + np.flatnonzero(group.ravel() == k)
-        if len(chosen) > 1 and (solved := _grow_many(robot, alpha[chosen], place, load, tolerance)) is not None:
-            table[chosen], compliance[chosen], fine = solved
-            chosen = chosen[~fine]
-        left.append(chosen)
-    return np.concatenate(left)
+        result = _solve_loaded(robot, alpha[chosen], translation, load, tolerance) if len(chosen) > 1 else None
+        if result is not None:
+            table[chosen], compliance[chosen] = result.table, result.compliance
+            chosen = chosen[~result.solved]
+        unsolved.append(chosen)
+    return np.concatenate(unsolved)
 
 
-def _grow_many(
+class _LoadedRows(NamedTuple):
+    """Equilibria at M rotations and one set of translations under a load."""
+
+    table: Array
+    """Rows of tip position (3), frame (9), tip rotations (n), margin, residual, errors of theta and tip, energy."""
+    compliance: Array
+    """(M, 6, 6) of the tip."""
+    solved: Mask
+    """(M,) True where a stable equilibrium grew from the unloaded one, on a mesh that is fine enough."""
+
+
+def _solve_loaded(
     robot: Robot, rotations: Array, translations: Array, load: Load, tolerance: float
-) -> tuple[Array, Array, Mask] | None:
-    """Equilibria at rotations (M, n) and translations (n,) under a load, by the compiled kernels.
-
-    Rows of tip position (3), tip frame (9), tip rotations (n), margin, residual, errors of theta and tip, energy; the
-    compliances (M, 6, 6); and (M,) which are fine: grown from an equilibrium without load, and on a mesh fine enough.
-    None where there is no kernel for them.
-    """
+) -> _LoadedRows | None:
+    """Equilibria at rotations (M, n) and translations (n,) under a load, by the compiled kernels; None without one."""
     shift = tuple(translations.tolist())
     check_load(robot, load, shift)
     first = solve_compiled(robot, rotations[0], translations) if load.has_energy else None
@@ -327,15 +346,12 @@ def _grow_many(
         return None
     table, compliance, declined = result
     coarse = largest_error(table[:, n + 14], table[:, n + 15], length) > tolerance
-    return table[:, :-1], compliance, ~(unloaded[1] | declined | coarse | (table[:, -1] > NEWTON.margin_tolerance))
-
-
-def _row(e: Equilibrium) -> Array:
-    rest = [e.margin, e.residual, e.mesh_error, e.tip_error, e.energy]
-    return np.concatenate([e.tip_position, e.tip_rotation.ravel(), e.tip_rotations, rest])
+    unsolved = unloaded[1] | declined | coarse | (table[:, -1] > NEWTON.margin_tolerance)
+    return _LoadedRows(table[:, :-1], compliance, ~unsolved)
 
 
 def _batch(robot: Robot, alpha: Array, shift: Array, table: Array, failures: list[tuple[int, str]]) -> EquilibriumBatch:
+    """Batch from rows of the table."""
     n = robot.n_tubes
     converged = np.ones(len(alpha), dtype=bool)
     converged[[row for row, _ in failures]] = False

@@ -1,14 +1,15 @@
-"""A robot whose tubes rub, on its way: the state after every increment, and what the next one remembers of it.
+"""Increments of a motion with friction between the tubes: each state follows from the one before.
 
-What rubs at an arc length s was, before an increment in which tube i advanced by dz_i, at s - dz_i on tube i. Its slip
-is what the rotation theta_o(s) - theta_i(s) of the outer tube in the inner one differs by from theta_o(s - dz_o) -
-theta_i(s - dz_i) then: the memory is the material's.
+Slip is a property of the material. In an increment in which tube i advances by dz_i, the material of tube i at arc
+length s was at s - dz_i before. So the slip is the change of the relative rotation of the outer tube o and the inner
+tube i from theta_o(s - dz_o) - theta_i(s - dz_i) before to theta_o(s) - theta_i(s) after.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,27 +43,30 @@ from ..solvers.settings import NEWTON, ONWARD
 from ..typing import Array, Index
 from .answer import at_points, equilibrium_of, sample_rotation
 from .continuation import steps_along
-from .member import Loaded, Point, Unloaded, lever
+from .member import Errors, Loaded, Point, Unloaded, lever
 from .problem import Discretisation, check_load, loading_of
 from .result import Equilibrium, FrictionState, Status
 
 ROUND_OFF = 1e-13
-"""Of a least eigenvalue."""
+"""Round-off of a smallest eigenvalue."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrictionEquilibrium:
-    """A state of a robot whose tubes rub, at joint values (n,); heat (J) since its history began.
-
-    tangent: how far the bases turned (n,), and x changed (X,), from the state before on the same contact.
-    """
+    """State of a robot with friction."""
 
     contact: Contact
+    """Equations and friction law on one mesh."""
     rotations: Array
+    """(n,) joint rotations, rad."""
     translations: Array
+    """(n,) joint translations, m."""
     found: Increment
+    """Solution of the increment that led to the state."""
     heat: float
+    """Heat of friction since the start of the history, J."""
     tangent: tuple[Array, Array] | None = None
+    """Changes of the joint rotations (n,) and of x (X,) in the last increment on the same contact."""
 
     @cached_property
     def profile(self) -> arms.Profile:
@@ -71,12 +75,12 @@ class FrictionEquilibrium:
 
     @cached_property
     def margin(self) -> float:
-        """The margin without friction: least eigenvalue of the second variation."""
+        """Margin without friction: smallest eigenvalue of the second variation."""
         return least(self.found.state.hessian)
 
     @cached_property
     def held_margin(self) -> float:
-        """The same along the motions that what sticks leaves free: between the margin and 1, since it is over fewer."""
+        """Smallest eigenvalue over the motions in which sticking contacts stay stuck, between the margin and 1."""
         if self.found.signs.all() or self.margin > 1 - ROUND_OFF:
             return self.margin
         return held_margin(self.contact, self.found.state, self.found.signs)
@@ -84,21 +88,21 @@ class FrictionEquilibrium:
     def theta(self, arc_length: Array) -> Array:
         """(X, n) elastic rotations at arc lengths (X,), m; behind the plate by the twist of the transmission."""
         problem = self.contact.problem
-        if not len(problem.mesh.length):  # nothing twists an arm of length zero
+        if not len(problem.mesh.length):  # an arm of length 0 has no twist
             return np.tile(self.rotations, (len(arc_length), 1))
         inside = arms.interpolate(problem, self.profile, np.maximum(arc_length, 0.0))
         behind = np.minimum(arc_length, 0.0)
         if behind.any():
-            # Behind the plate the torque is constant: theta falls by t times the compliance not passed yet.
-            place = np.maximum(problem.assembly.transmission + behind[:, None], 0.0)
-            softer = problem.assembly.compliant(place) - problem.here.transmission
-            inside += softer * self.profile.torque[0]
+            # Behind the plate the torque is constant: theta falls by it times the compliance up to the plate.
+            position = np.maximum(problem.assembly.transmission + behind[:, None], 0.0)
+            compliance = problem.assembly.compliant(position) - problem.here.transmission
+            inside += compliance * self.profile.torque[0]
         return inside
 
 
 @lru_cache(maxsize=64)
 def contact_of(robot: Robot, translations: tuple[float, ...], friction: Friction, load: Load | None = None) -> Contact:
-    """The rows of friction of a robot at translations under a load or none, built once for all rotations."""
+    """Contact equations of a robot at translations, with or without a load, built once for all rotations."""
     if load is None:
         return make_contact(robot.assembly(np.array(translations)), friction)
     check_load(robot, load, translations)
@@ -107,51 +111,51 @@ def contact_of(robot: Robot, translations: tuple[float, ...], friction: Friction
 
 
 def validate_friction(robot: Robot, friction: Friction) -> None:
-    """Raise InputError for a robot or a friction of which there is no motion with friction."""
+    """Raise InputError for friction of another number of tubes, or for an eccentric robot."""
     check_friction(friction, robot.n_tubes)
     if isinstance(robot, (EccentricRobot, SegmentedEccentricRobot)):
         raise InputError("friction is given for an eccentric robot; it is supported for concentric robots only")
 
 
 def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> FrictionEquilibrium:
-    """An equilibrium as the start of a motion with friction: its own history goes on, or begins, where it has none.
+    """Equilibrium as the start of a motion with friction; without friction a history starts there.
 
     Raises:
         InputError: an equilibrium with another friction.
-        SolveError: it is no equilibrium of this robot.
+        SolveError: an equilibrium of another robot.
     """
-    own = equilibrium.friction
-    if own is not None and own.friction != friction:
+    stored = equilibrium.friction
+    if stored is not None and stored.friction != friction:
         raise InputError("start has a different friction; use the same friction, or a start without friction")
     shift = equilibrium.translations
     contact = contact_of(robot, tuple(shift.tolist()), friction, equilibrium.load)
-    if own is None:
+    if stored is None:
         return shaken(contact, equilibrium)
-    points, bent = _sampled(contact, equilibrium)
+    points, bending = _sampled(contact, equilibrium)
     between = sample_rotation(equilibrium, contact.place)[np.arange(len(contact.place)), contact.tube]
-    x = unknowns_of(contact, equilibrium.rotations, points, between, bent)
+    x = unknowns_of(contact, equilibrium.rotations, points, between, bending)
     state = evaluate_contact(contact, equilibrium.rotations, x)
-    torque = np.array(own.torque)
+    torque = np.array(stored.torque)
     if len(torque) != len(contact.capacity) or imbalance(contact, state, torque) > 1e-6:
         raise SolveError("start is not in balance with its friction: it belongs to another robot")
     # Slip is stored only as a torque at its limit, which a file may have rounded in the last digit.
     slips = np.abs(torque) >= contact.capacity * (1 - 1e-12)
     signs = (np.sign(torque) * slips).astype(np.int8)
-    result = Increment(state, torque, signs, 0.0, True, 0.0, own.violation)
-    return FrictionEquilibrium(contact, equilibrium.rotations, shift, result, own.heat)
+    result = Increment(state, torque, signs, 0.0, True, 0.0, stored.violation)
+    return FrictionEquilibrium(contact, equilibrium.rotations, shift, result, stored.heat)
 
 
 def shaken(contact: Contact, equilibrium: Equilibrium) -> FrictionEquilibrium:
-    """An equilibrium without friction as a state of a contact in which nothing bears any.
+    """State without friction torques at an equilibrium without friction, as after vibration.
 
     Raises:
-        SolveError: it is no equilibrium of the contact's robot.
+        SolveError: an equilibrium of another robot.
     """
     alpha = equilibrium.rotations
-    points, bent = _sampled(contact, equilibrium)
+    points, bending = _sampled(contact, equilibrium)
     parts = [to_unknowns(contact.problem, alpha, points), np.zeros(contact.loose.shape[1])]
-    if contact.loaded is not None and bent is not None:
-        parts.insert(1, (bent / contact.loaded.softness[:, None]).ravel())
+    if contact.loaded is not None and bending is not None:
+        parts.insert(1, (bending / contact.loaded.softness[:, None]).ravel())
     relaxed = full_steps(
         evaluate_contact(contact, alpha, np.concatenate(parts)),
         lambda state, change: evaluate_contact(contact, alpha, state.x + change),
@@ -161,14 +165,16 @@ def shaken(contact: Contact, equilibrium: Equilibrium) -> FrictionEquilibrium:
     )
     if not relaxed.converged:
         raise SolveError("Newton's method does not converge from start on the friction mesh")
-    nothing = np.zeros(len(contact.capacity))
-    result = Increment(relaxed.state, nothing, nothing.astype(np.int8), 0.0, True, 0.0, 0.0)
+    zero = np.zeros(len(contact.capacity))
+    result = Increment(relaxed.state, zero, zero.astype(np.int8), 0.0, True, 0.0, 0.0)
     return FrictionEquilibrium(contact, alpha, equilibrium.translations, result, 0.0)
 
 
 def _sampled(contact: Contact, equilibrium: Equilibrium) -> tuple[Array, Array | None]:
-    """Elastic rotations (N, n) of an equilibrium at the points of a contact; under a load also the curvature (N, 2)
-    there beyond that without load, 1/m."""
+    """Elastic rotations (N, n) and bending (N, 2), 1/m, of an equilibrium at the points of a contact.
+
+    Bending is the curvature less the natural one of the rotations; None without a load.
+    """
     problem = contact.loaded
     if problem is None:
         return sample_rotation(equilibrium, contact.problem.arc_length), None
@@ -182,79 +188,83 @@ def _sampled(contact: Contact, equilibrium: Equilibrium) -> tuple[Array, Array |
 def step(
     robot: Robot, current: FrictionEquilibrium, rotations: Array, translations: Array, load: Load | None = None
 ) -> FrictionEquilibrium | None:
-    """The state after an increment to other joint values (n,) and another load, by Newton's method; None where that is
-    not at ease."""
-    contact, before, x = carried(robot, current, rotations, translations, load)
-    same = contact is current.contact
-    slid = None if same or not contact.friction.sliding else _slid(robot, contact, translations - current.translations)
-    turned = rotations - current.rotations
-    # Without sliding the same rows stick or slip as before; on other rows nothing is known.
-    guess, signs = (x + _ahead(current, turned), current.found.signs) if same else (x, None)
-    result = increment(contact, rotations, guess, before, signs, slid)
+    """State after an increment to other joint values (n,) and another load; None where Newton's method fails."""
+    contact, before, x = start_increment(robot, current, rotations, translations, load)
+    same_contact = contact is current.contact
+    turn, shift = rotations - current.rotations, translations - current.translations
+
+    sliding, guess, signs = None, x, None
+    if same_contact:
+        # The same rows stick or slip as before. If the joints turn on in the same direction, x changes as it did.
+        signs = current.found.signs
+        if current.tangent is not None:
+            last_turn, last_change = current.tangent
+            along, size = float(turn @ last_turn), float(last_turn @ last_turn)
+            if along > ONWARD * np.sqrt(size * float(turn @ turn)) > 0:
+                guess = x + last_change * (along / size)
+    elif contact.friction.sliding:
+        # At the surface a rotation moves the material by r dtheta, a translation by dz: dz / r compares both.
+        radius = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
+        sliding = np.abs(shift[contact.pair + 1] - shift[contact.pair]) / radius[contact.pair]
+        sliding = np.where(sliding > FRICTION_TOLERANCE, sliding, 0.0)
+
+    result = increment(contact, rotations, guess, before, signs, sliding)
     if result is None or not result.converged:
         return None
-    tangent = (turned, result.state.x - x) if same else None
+    tangent = (turn, result.state.x - x) if same_contact else None
     return FrictionEquilibrium(contact, rotations, translations, result, current.heat + result.heat, tangent)
 
 
-def _ahead(current: FrictionEquilibrium, turned: Array) -> Array | float:
-    """By how much x changes when the bases turn on (n,) as they turned to a state; 0 where they turn another way."""
-    if current.tangent is None:
-        return 0.0
-    last, change = current.tangent
-    along, size = float(turned @ last), float(last @ last)
-    straight = along > ONWARD * np.sqrt(size * float(turned @ turned)) > 0
-    return change * (along / size) if straight else 0.0
+class IncrementStart(NamedTuple):
+    """Start of an increment."""
+
+    contact: Contact
+    """Contact equations at the joint values and load after the increment."""
+    before: Array
+    """(R,) relative rotations of the material before it, rad."""
+    x: Array
+    """(X,) unknowns with all tubes turned with their joints."""
 
 
-def _slid(robot: Robot, contact: Contact, moved: Array) -> Array:
-    """(R,) sliding of the tubes along each other, over the radius at which they rub, rad; 0 where it is round-off."""
-    radius = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
-    # At the surface a turn moves r dtheta around and a slide dz along: dz / r compares both.
-    slid = np.abs(moved[contact.pair + 1] - moved[contact.pair]) / radius[contact.pair]
-    return np.where(slid > FRICTION_TOLERANCE, slid, 0.0)
-
-
-def carried(
+def start_increment(
     robot: Robot, current: FrictionEquilibrium, rotations: Array, translations: Array, load: Load | None = None
-) -> tuple[Contact, Array, Array]:
-    """At other joint values, under another load: the contact, the relative rotations (R,) before the increment, and a
-    first guess of x."""
+) -> IncrementStart:
+    """Start of an increment from a state to other joint values (n,) and another load."""
     moved = translations - current.translations
     if not moved.any() and load == current.contact.load:
-        return current.contact, current.found.state.turned, current.found.state.x
+        return IncrementStart(current.contact, current.found.state.turned, current.found.state.x)
     contact = contact_of(robot, tuple(translations.tolist()), current.contact.friction, load)
     pair, s, points = contact.pair, contact.arc_length, contact.problem.arc_length
-    # What is at s now was at s - dz_i on tube i: the slip is that of the material (see the top).
-    where = (points, contact.place, s - moved[pair], s - moved[pair + 1])
-    theta = current.theta(np.concatenate(where))
-    at, between, inner, outer = np.split(theta, np.cumsum([len(part) for part in where])[:-1])
-    row, spot = np.arange(len(pair)), np.arange(len(contact.place))
+    # The material at s was at s - dz_i on tube i.
+    arc_lengths = (points, contact.place, s - moved[pair], s - moved[pair + 1])
+    theta = current.theta(np.concatenate(arc_lengths))
+    at_points, between, inner, outer = np.split(theta, np.cumsum([len(part) for part in arc_lengths])[:-1])
+    row, joint = np.arange(len(pair)), np.arange(len(contact.place))
     before = outer[row, pair + 1] - inner[row, pair]
-    turned = rotations - current.rotations
-    x = unknowns_of(contact, rotations, at + turned, (between + turned)[spot, contact.tube], bent_at(current, contact))
-    return contact, before, x
+    turn = rotations - current.rotations
+    at_joints = (between + turn)[joint, contact.tube]
+    x = unknowns_of(contact, rotations, at_points + turn, at_joints, bent_at(current, contact))
+    return IncrementStart(contact, before, x)
 
 
 def bent_at(current: FrictionEquilibrium, contact: Contact) -> Array | None:
-    """(N, 2) curvature of a state beyond that without load, 1/m, at the points of a contact; None where that has no
-    load."""
-    own = bent_of(current.contact, current.found.state.x)
+    """(N, 2) bending of a state, 1/m, at the points of a contact; None for one without a load."""
+    bending = bent_of(current.contact, current.found.state.x)
     if contact.loaded is None or current.contact is contact:
-        return own if contact.loaded is not None else None
-    if own is None or current.contact.loaded is None:
+        return bending if contact.loaded is not None else None
+    if bending is None or current.contact.loaded is None:
         return np.zeros((len(contact.loaded.softness), 2))
-    return current.contact.loaded.mesh.interpolated(own, contact.loaded.torsion.arc_length)
+    return current.contact.loaded.mesh.interpolated(bending, contact.loaded.torsion.arc_length)
 
 
 def to_held_equilibrium(robot: Robot, current: FrictionEquilibrium, start: str) -> Equilibrium:
-    """A state with friction as an equilibrium, with its shape, energy and error estimates."""
+    """Equilibrium of a state with friction, with shape, energy and error estimates."""
     contact, state, problem = current.contact, current.found.state, current.contact.problem
     shift, error = tuple(current.translations.tolist()), _smooth_error(current) + _front_error(current)
     if isinstance(state.elastic, LoadedState):
         plain = _under_load(robot, current, state.elastic, start, error)
     else:
-        # Friction is a force in the balance: the residual is the gradient with its torques.
+        # Friction torques are part of the balance: the residual is the gradient with them.
         balance = (state.gradient + contact.rows.T @ current.found.torque)[: problem.size]
         torsion = replace(state.elastic, gradient=balance, energy=state.energy)
         member = Unloaded(robot, problem, current.rotations, shift, Discretisation(degree=DEGREE))
@@ -273,17 +283,17 @@ def to_held_equilibrium(robot: Robot, current: FrictionEquilibrium, start: str) 
     status = Status.STABLE if current.margin > 0 else (Status.HELD if current.held_margin > 0 else Status.UNSTABLE)
     result = replace(plain, status=status, friction=friction)
     if "base_wrench" in vars(plain):
-        # Kept with the state: what recomputes it from the shape knows no friction.
+        # The state's own: recomputed from the shape it would lack the friction torques.
         vars(result)["base_wrench"] = plain.base_wrench
     return result
 
 
 def _under_load(robot: Robot, held: FrictionEquilibrium, state: LoadedState, start: str, error: float) -> Equilibrium:
-    """The equilibrium of a state under a load, whose rotations may be off by `error`, rad, over the margin."""
+    """Equilibrium of a state under a load; `error` (rad) is the mesh error of the equations."""
     problem = held.contact.loaded
     assert problem is not None
-    # A residual moves x by the inverse of the Hessian, whose largest eigenvalue is 1 / margin.
-    off = error / max(min(1.0, abs(held.margin)), 1e-6)
+    # A residual changes x by the inverse of the Hessian, whose largest eigenvalue is 1 / margin.
+    theta_error = error / max(min(1.0, abs(held.margin)), 1e-6)
     arm, s = loaded_arm(problem, held.profile, state), problem.torsion.arc_length
     result = ArmSolution.of(
         arm,
@@ -292,7 +302,7 @@ def _under_load(robot: Robot, held: FrictionEquilibrium, state: LoadedState, sta
         margin=held.margin,
         energy=held.found.state.energy + state.work,
         residual=imbalance(held.contact, held.found.state, held.found.torque),
-        errors=(off, off * lever(problem.torsion) + _bending_error(held), float("nan")),
+        errors=Errors(theta_error, theta_error * lever(problem.torsion) + _bending_error(held), float("nan")),
         iterations=0,
         index=0 if held.margin > 0 else int((np.linalg.eigvalsh(held.found.state.hessian) < 0).sum()),
         work=state.work,
@@ -304,23 +314,23 @@ def _under_load(robot: Robot, held: FrictionEquilibrium, state: LoadedState, sta
 
 
 def _bending_error(current: FrictionEquilibrium) -> float:
-    """How far the tip is off, m, by what the equations of bending miss at the points of a finer rule."""
+    """Error of the tip, m, by the residual of the bending equations at the points of a finer rule."""
     contact, finer = current.contact, _finer(current.contact)
-    bent = bent_of(contact, current.found.state.x)
-    assert bent is not None
+    bending = bent_of(contact, current.found.state.x)
+    assert bending is not None
     assert contact.loaded is not None
     s = finer.torsion.arc_length
     z = to_unknowns(finer.torsion, current.rotations, arms.interpolate(contact.problem, current.profile, s))
-    q = contact.loaded.mesh.interpolated(bent, s) / finer.softness[:, None]
+    q = contact.loaded.mesh.interpolated(bending, s) / finer.softness[:, None]
     state = loaded.evaluate(finer, current.rotations, np.concatenate([z, q.ravel()]))
-    missed = np.linalg.norm(state.gradient[finer.torsion.size :].reshape(-1, 2), axis=1)
-    # A wrong bend at s moves the tip by its angle times the distance to the tip.
-    return float((finer.torsion.weight * finer.softness * missed) @ (finer.torsion.assembly.total_length - s))
+    residual = np.linalg.norm(state.gradient[finer.torsion.size :].reshape(-1, 2), axis=1)
+    # An error of the bending at s moves the tip by its angle times the distance to the tip.
+    return float((finer.torsion.weight * finer.softness * residual) @ (finer.torsion.assembly.total_length - s))
 
 
 @lru_cache(maxsize=8)
 def _finer(contact: Contact) -> LoadedProblem:
-    """The loaded problem of a contact with EXTRA_POINTS more on each piece."""
+    """Loaded problem of a contact with EXTRA_POINTS more points on each piece."""
     torsion, mesh, loading = contact.problem, contact.problem.mesh, contact.loading
     assert loading is not None
     unknown = np.zeros((torsion.assembly.n_sections, torsion.assembly.n_tubes), dtype=bool)
@@ -330,56 +340,75 @@ def _finer(contact: Contact) -> LoadedProblem:
 
 
 def _smooth_error(current: FrictionEquilibrium) -> float:
-    """Bound of what the collocated moments of the tubes are off between the points, as an error of a rotation, rad."""
+    """Error of theta, rad, by the moments of the tubes between the collocation points."""
     problem = current.contact.problem
     mesh, n, t = problem.mesh, problem.assembly.n_tubes, problem.mesh.tableau
     if not problem.size:
         return 0.0
-    nodes, chosen, phase, arm = _between(current.contact)
-    theta = arms.rotations_at(problem, current.profile, nodes)[mesh.collocated]
-    direction = theta.reshape(-1, n) + phase
-    moment = section_function("moment", len(direction), n, False)(direction, *chosen)[0].copy()
-    bent = bent_of(current.contact, current.found.state.x)
-    if bent is not None:  # M_i = m_i (u_x sin theta_i - u_y cos theta_i) of the whole curvature u
-        x, y = (t.basis(nodes, 0) @ bent.reshape(-1, t.degree, 2)).reshape(-1, 2).T[:, :, None]
-        moment += chosen[1] * (x * np.sin(direction) - y * np.cos(direction))
+    finer = _finer_points(current.contact)
+    theta = arms.rotations_at(problem, current.profile, finer.nodes)[mesh.collocated]
+    direction = theta.reshape(-1, n) + finer.phase
+    sections = finer.stiffness, finer.moment
+    moment = section_function("moment", len(direction), n, False)(direction, *sections)[0].copy()
+    bending = bent_of(current.contact, current.found.state.x)
+    if (
+        bending is not None
+    ):  # M_i = m_i (u_x sin theta_i - u_y cos theta_i), with the natural curvature and bending in u
+        x, y = (t.basis(finer.nodes, 0) @ bending.reshape(-1, t.degree, 2)).reshape(-1, 2).T[:, :, None]
+        moment += finer.moment * (x * np.sin(direction) - y * np.cos(direction))
     moment = moment.reshape(theta.shape)
-    own = current.found.state.elastic.torque.reshape(-1, t.degree, n)
-    return float((np.abs(moment - t.basis(nodes, 0) @ own).max(1) * arm).sum(0).max())
+    collocated = current.found.state.elastic.torque.reshape(-1, t.degree, n)
+    return float((np.abs(moment - t.basis(finer.nodes, 0) @ collocated).max(1) * finer.turn).sum(0).max())
+
+
+class _FinerPoints(NamedTuple):
+    """Points of a finer rule on the collocated pieces, and the tubes there."""
+
+    nodes: tuple[float, ...]
+    """Fractions of a piece."""
+    stiffness: Array
+    moment: Array
+    phase: Array
+    turn: Array
+    """(E, n) rotation of all beyond a piece per moment on it, rad/N."""
 
 
 @lru_cache(maxsize=8)
-def _between(contact: Contact) -> tuple[tuple[float, ...], tuple[Array, Array], Array, Array]:
-    """Finer points on a piece, stiffness and moment of the tubes there, what turns them against theta, and by how much
-    a moment (N) on a piece turns the arm beyond, (E, n) rad per N."""
+def _finer_points(contact: Contact) -> _FinerPoints:
     problem = contact.problem
     mesh, t = problem.mesh, problem.mesh.tableau
-    finer = tableau("gauss", t.degree + EXTRA_POINTS).nodes
-    there, kept = sections_at(problem.assembly, mesh, finer), np.repeat(mesh.collocated, len(finer))
-    stiffness, moment, phase = there.stiffness[kept], there.moment[kept], there.phase[kept]
+    nodes = tableau("gauss", t.degree + EXTRA_POINTS).nodes
+    sections, collocated = sections_at(problem.assembly, mesh, nodes), np.repeat(mesh.collocated, len(nodes))
     lever = problem.assembly.transmission + (mesh.start + mesh.length)[mesh.collocated, None]
-    # A moment that is off on a piece turns its tube by the compliance up to the end of the piece.
-    turn = mesh.length[mesh.collocated, None] * lever / there.torsional_stiffness.min(0)
-    return tuple(finer.tolist()), (stiffness, moment), phase, turn
+    return _FinerPoints(
+        nodes=tuple(nodes.tolist()),
+        stiffness=sections.stiffness[collocated],
+        moment=sections.moment[collocated],
+        phase=sections.phase[collocated],
+        # An error of the moment on a piece turns its tube by the compliance up to the end of the piece.
+        turn=mesh.length[mesh.collocated, None] * lever / sections.torsional_stiffness.min(0),
+    )
 
 
 def _front_error(current: FrictionEquilibrium) -> float:
-    """Bound of what the ends of slip are off, which lie somewhere between two points, rad."""
+    """Upper bound on the error of theta, rad, by slip zones that end between two points."""
     signs = current.found.signs
-    return float(sum(wrong[np.diff(signs[rows]) != 0].sum() for rows, wrong in _fronts(current.contact)))
+    return float(sum(errors[np.diff(signs[rows]) != 0].sum() for rows, errors in _fronts(current.contact)))
 
 
 @lru_cache(maxsize=8)
 def _fronts(contact: Contact) -> list[tuple[Index, Array]]:
-    """Of every pair its rows along the arm (K,), and what an end of slip between neighbours can be off, (K - 1,) rad:
-    half a spacing of full torque where the rotation is a parabola of it."""
+    """Rows (K,) of every pair along the arm, and the error (K - 1,) rad by a slip zone that ends between two rows.
+
+    The end is off by at most half a spacing, over which the full torque makes the rotation a parabola.
+    """
     problem, out = contact.problem, []
     soft = problem.here.rate.max((0, 1), initial=0.0)
     for pair in np.unique(contact.pair):
         rows = np.flatnonzero((contact.pair == pair) & (contact.point >= 0))
         spacing = problem.weight[contact.point[rows]]
         per_length = (contact.capacity[rows] / spacing)[:-1]
-        # A front between two points is off by half a spacing at most: c (h / 2)^2 / 2 = c h^2 / 8.
+        # c (h / 2)^2 / 2 = c h^2 / 8.
         widest = np.maximum(spacing[:-1], spacing[1:])
         out.append((rows, per_length * widest**2 / 8 * soft[[pair, pair + 1]].sum()))
     return out
@@ -388,13 +417,14 @@ def _fronts(contact: Contact) -> list[tuple[Index, Array]]:
 def sweep(
     robot: Robot, current: FrictionEquilibrium, joints: Array, behind: Array, *, margins: bool = True
 ) -> Rubbed | None:
-    """States at rows of joint values (T, 2n), the first of which is that of `current`. Where they end sooner, the next
-    step is too long, or a snap, and `rubbing_following` goes on from the last.
+    """States at rows of joint values (T, 2n) by the compiled kernel; None without a kernel for this robot and friction.
+
+    The first row is that of `current`. There are fewer states if a step is too long or the robot snaps; then
+    `friction_path.segment_with_friction` continues from the last one.
 
     Args:
-        behind: (S,) stations behind the tip that are told, m.   margins: whether they are told.
-
-    None where there is no kernel for this robot and this friction.
+        behind: (S,) distances of stations behind the tip at which the shape is returned, m.
+        margins: whether to compute the margins.
     """
     state = current.found.state.x, current.found.torque, current.found.signs
     steps, inputs = steps_along(robot, joints)
@@ -407,13 +437,13 @@ def sweep(
 
 
 def swept(robot: Robot, current: FrictionEquilibrium, joints: Array, many: Rubbed, k: int) -> FrictionEquilibrium:
-    """The state after the k-th of many steps from `current` along rows (T, 2n); `current` itself after the 0-th."""
+    """State after the k-th step from `current` along rows (T, 2n), from the results of `sweep`."""
     if not k:
         return current
     rotations, translations = np.split(joints[k], 2)
     contact = contact_of(robot, tuple(translations.tolist()), current.contact.friction)
-    there = evaluate_contact(contact, rotations, many.unknowns[k - 1, : contact.problem.size])
+    state = evaluate_contact(contact, rotations, many.unknowns[k - 1, : contact.problem.size])
     rows, heat, violation = len(contact.capacity), float(many.heat[k - 1]), float(many.violation[k - 1])
     torque, signs = many.torque[k - 1, :rows], many.signs[k - 1, :rows]
-    result = Increment(there, torque, signs, heat, True, 0.0, violation)
+    result = Increment(state, torque, signs, heat, True, 0.0, violation)
     return FrictionEquilibrium(contact, rotations, translations, result, current.heat + heat)

@@ -140,9 +140,9 @@ class Member(ABC, Generic[S]):
     robot: Robot
     problem: Any
     rotations: Array
-    """(n,) rad."""
+    """(n,) joint rotations, rad."""
     translations: tuple[float, ...]
-    """(n,) m."""
+    """(n,) joint translations, m."""
     discretisation: Discretisation
 
     @property
@@ -199,7 +199,7 @@ class Member(ABC, Generic[S]):
         """(U,) unit vector of the smallest eigenvalue of a solved state."""
 
     def flutters(self, state: S) -> bool:
-        """True if the softest mode of a solved state has complex eigenvalues: an oscillation, for which there is no fold."""
+        """True if the softest mode of a solved state has complex eigenvalues: an oscillation, which has no fold."""
         return not self.descends and softest_of(state.hessian)[1]
 
     @abstractmethod
@@ -298,11 +298,11 @@ class Unloaded(Member[Evaluation]):
         return Unloaded.of(self.robot, self.rotations, self.translations, replace(self.discretisation, **mesh))
 
     def unknowns(self, theta: Array, curvature: Array | None = None) -> Array:
-        """Of rotations alone."""
+        """(U,) unknowns for rotations (N, n)."""
         return to_unknowns(self.problem, self.rotations, theta)
 
     def at(self, x: Array) -> Evaluation:
-        """Of the torsion."""
+        """State at unknowns x (U,)."""
         return evaluate(self.problem, self.rotations, x)
 
     def descend(self, x: Array, settings: Newton = NEWTON) -> NewtonResult[Evaluation]:

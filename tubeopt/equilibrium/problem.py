@@ -1,4 +1,4 @@
-"""The problem of a robot at translations, under a load or none: sections, mesh, forces and weight."""
+"""Discretised equations of a robot at its translations, with or without a load: sections, mesh, forces, weight."""
 
 from __future__ import annotations
 
@@ -45,69 +45,79 @@ class Discretisation(Displayed):
 
 DEFAULT_DISCRETISATION = Discretisation()
 
-# Collocation of degree 6 gains 2^12 with each halving: six take any error that halving can lower to round-off. A larger
+# Collocation of degree 6 gains 2^12 with each halving: six halvings reduce any error of the mesh to round-off. A larger
 # error comes from unknowns that are not well determined (close to a fold), which finer pieces do not improve.
 REFINEMENTS = 6
 """Largest number of times that the pieces of the mesh are halved."""
 
 # Under load the pieces are shorter from the start, and every point has two more unknowns.
 LOADED_REFINEMENTS = 4
-"""The same under load."""
+"""Largest number of times that the pieces of the mesh are halved under a load."""
 
+# With one point more per piece than without a load the margin, too, is accurate to about 1e-8.
 LOADED_DISCRETISATION = Discretisation(degree=7)
-"""One point more per piece than without load: then the margin, too, is right to about 1e-8."""
+"""Default discretisation under a load."""
 
 
+# A motion uses the problems of its equilibria a second time, for the speed of the tip.
 KEPT = 128
-"""Problems that are kept: a motion asks for those of its equilibria once more, for the speed of the tip."""
+"""Number of problems in a cache."""
 
 EXTRA_POINTS = 1
-"""Collocation points by which the check of the mesh is finer than the solution."""
+"""Number of collocation points per piece that the check of the mesh has more than the solution."""
 
 
 @lru_cache(maxsize=KEPT)
 def assembly_of(robot: Robot, translations: tuple[float, ...]) -> Assembly:
-    """The bundle of a robot at translations (n,), m."""
+    """Assembly of a robot at translations (n,), m."""
     return robot.assembly(np.array(translations))
 
 
 @lru_cache(maxsize=64)
 def reduced_problem(robot: Robot, translations: tuple[float, ...], discretisation: Discretisation) -> ReducedProblem:
-    """The reduced torsion problem at given translations, built once for all rotations."""
+    """Reduced torsion problem of a robot at translations (n,), built once for all rotations."""
     return reduced_assembly(assembly_of(robot, translations), discretisation)
 
 
 def reduced_assembly(assembly: Assembly, discretisation: Discretisation = DEFAULT_DISCRETISATION) -> ReducedProblem:
-    """The reduced torsion problem of tubes that are placed."""
+    """Reduced torsion problem of an assembly."""
     d = discretisation
     mesh = make_mesh(assembly, piece_counts(assembly, d.refinement), family=d.family, degree=d.degree)
     return reduce(assembly, mesh)
 
 
 def check_load(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
-    """Raise InputError where a robot cannot bear a load: tubes beside one another, a force beyond the tip, an arm that
-    does not exist, a tube of unknown weight."""
+    """Raise InputError if a load cannot act on a robot.
+
+    That is an eccentric robot, a force beyond the tip, an arm of length 0, or a tube of unknown weight.
+    """
     if not isinstance(load, Load):
         raise InputError(f"load is {load!r}; it must be a Load")
     _check(robot, load, translations)
 
 
-LARGEST_BEND = 1000.0
-"""The same for a force that is refused: no tube bears it, and a mesh that would is too fine to solve."""
+# No tube withstands more, and the mesh would be too fine to solve.
+MAX_BEND = 1000.0
+"""Largest force times length^2 over bending stiffness."""
 
-MOST_GRAVITY = 100.0
-"""m/s^2, ten times that of the earth: beyond, it was probably meant in another unit."""
+# Ten times that of the earth: more was probably meant in another unit.
+USUAL_GRAVITY = 100.0
+"""Largest gravity without a warning, m/s^2."""
 
-MOST_TURN = 10.0
-"""Moment times length over bending stiffness, rad: beyond, it bends a straight arm by more than a turn and a half."""
+# It bends a straight arm by a turn and a half.
+USUAL_TURN = 10.0
+"""Largest moment times length over bending stiffness without a warning, rad."""
 
-LARGEST_TURN = 30.0
-"""Moment times length over bending stiffness, rad: beyond, an arm is bent to a coil of five turns."""
+# It bends a straight arm to a coil of five turns.
+MAX_TURN = 30.0
+"""Largest moment times length over bending stiffness, rad."""
 
 
 def _check_size(robot: Robot, load: Load, length: float) -> None:
-    """Refuse forces and moments that no arm of these tubes bears, and warn of forces that none is made for: they were
-    probably meant in mN and mN m."""
+    """Raise InputError for forces and moments too large for these tubes; warn of unusual ones.
+
+    They were probably meant in mN and mN m.
+    """
     stiffness = sum(float(tube.bending_stiffness) for tube in robot.tubes)
     forces, moments = {"tip force": load.force}, {"tip moment": load.moment}
     for k, part in enumerate(load.points):
@@ -117,27 +127,30 @@ def _check_size(robot: Robot, load: Load, length: float) -> None:
     for k, stretch in enumerate(stretches):
         over = min(stretch.end, length) - stretch.start
         forces[f"force of distributed[{k}]"] = triple("force", np.multiply(over, stretch.force))
-    for parts, unit, scale, most, largest in (
-        (forces, "N", stiffness / length**2, MOST_BEND, LARGEST_BEND),
-        (moments, "N m", stiffness / length, MOST_TURN, LARGEST_TURN),
+    for parts, unit, scale, usual, largest in (
+        (forces, "N", stiffness / length**2, MOST_BEND, MAX_BEND),
+        (moments, "N m", stiffness / length, USUAL_TURN, MAX_TURN),
     ):
         for name, vector in parts.items():
             size = max(map(abs, vector))
-            words = f"{name} of the load has {size:g} {unit}; on this arm it"
+            subject = f"{name} of the load has {size:g} {unit}; on this arm it"
             if size > largest * scale:
-                raise InputError(f"{words} must be at most {largest * scale:.3g} {unit}: was {size:g} m{unit} meant?")
-            if size > most * scale:
-                warn_implausible(f"{words} is usually at most {most * scale:.3g} {unit}: was {size:g} m{unit} meant?")
-    pull = float(np.linalg.norm(load.gravity or 0.0))
-    if pull > MOST_GRAVITY:
+                raise InputError(f"{subject} must be at most {largest * scale:.3g} {unit}: was {size:g} m{unit} meant?")
+            if size > usual * scale:
+                warn_implausible(f"{subject} is usually at most {usual * scale:.3g} {unit}: was {size:g} m{unit} meant?")
+    gravity = float(np.linalg.norm(load.gravity or 0.0))
+    if gravity > USUAL_GRAVITY:
         warn_implausible(
-            f"gravity is {pull:.4g} m/s^2, {pull / GRAVITY:.3g} times that of the earth: was {pull:.4g} mm/s^2 meant?"
+            f"gravity is {gravity:.4g} m/s^2, {gravity / GRAVITY:.3g} times that of the earth: "
+            f"was {gravity:.4g} mm/s^2 meant?"
         )
 
 
-def _check_places(load: Load, length: float) -> None:
-    """Refuse points and stretches that lie beyond the end of the arm, where there is nothing that they could act on;
-    warn of stretches that begin on it and end beyond: they act as far as the arm goes."""
+def _check_points(load: Load, length: float) -> None:
+    """Raise InputError for points and stretches beyond the end of the arm.
+
+    A stretch that starts on the arm and ends beyond acts up to the end of the arm, with a warning.
+    """
     arm = f"the length of the arm, {length:g} m ({length * 1e3:.6g} mm)"
     for k, part in enumerate(load.points):
         if part.at > length * (1 + 1e-12):
@@ -148,10 +161,10 @@ def _check_places(load: Load, length: float) -> None:
     for k, stretch in enumerate(stretches):
         if not isinstance(stretch, Stretch):
             return
-        begin, end = (f"{s:g} m ({s * 1e3:.6g} mm)" for s in (stretch.start, stretch.end))
+        start, end = (f"{s:g} m ({s * 1e3:.6g} mm)" for s in (stretch.start, stretch.end))
         if stretch.start >= length * (1 - 1e-12):
             raise InputError(
-                f"distributed[{k}] of the load begins at {begin}; it must begin before the end of the arm, at "
+                f"distributed[{k}] of the load begins at {start}; it must begin before the end of the arm, at "
                 f"{length:g} m ({length * 1e3:.6g} mm)"
             )
         if stretch.end > length * (1 + 1e-9):
@@ -162,6 +175,7 @@ def _check_places(load: Load, length: float) -> None:
 
 @lru_cache(maxsize=KEPT)
 def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
+    """See `check_load`; once for each robot, load and translations."""
     assembly = assembly_of(robot, translations)
     if assembly.eccentric:
         raise InputError("this robot is eccentric; only concentric robots can be loaded")
@@ -169,7 +183,7 @@ def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
     if not length:
         raise InputError("no tube is in front of the base plate, so no load can act on the arm")
     _check_size(robot, load, length)
-    _check_places(load, length)
+    _check_points(load, length)
     masses(robot.tubes, load)
 
 
@@ -181,8 +195,11 @@ def loaded_problem(
     discretisation: Discretisation = LOADED_DISCRETISATION,
     pieces: tuple[int, ...] | None = None,
 ) -> LoadedProblem:
-    """The problem of a robot at given translations under a load, built once for all rotations; `pieces` of each
-    section, by default those that the load needs."""
+    """Problem of a robot at translations (n,) under a load, built once for all rotations.
+
+    Args:
+        pieces: number of pieces of each section; by default as many as the load needs.
+    """
     return _problem(robot, translations, load, discretisation, pieces)
 
 
@@ -193,7 +210,7 @@ def _problem(
     discretisation: Discretisation,
     pieces: tuple[int, ...] | None = None,
 ) -> LoadedProblem:
-    """See `loaded_problem`."""
+    """See `loaded_problem`, which caches it."""
     _, loading = loading_of(robot, translations, load)
     counts = tuple((loading.counts * 2**discretisation.refinement).tolist()) if pieces is None else pieces
     torsion = _torsion(robot, translations, tuple(load.cuts().tolist()), counts, discretisation)
@@ -202,7 +219,7 @@ def _problem(
 
 @lru_cache(maxsize=KEPT)
 def loading_of(robot: Robot, translations: tuple[float, ...], load: Load) -> tuple[Assembly, Loading]:
-    """The tubes at given translations, in sections that end where the load jumps, and what the load is on them."""
+    """Assembly at translations (n,), cut where the load jumps, and the load on its sections."""
     density = masses(robot.tubes, load)
     assembly = _cut(robot, translations, tuple(load.cuts().tolist()))
     return assembly, Loading(load, density, loaded_counts(assembly, *_bounds(assembly, load, density)))
@@ -210,12 +227,12 @@ def loading_of(robot: Robot, translations: tuple[float, ...], load: Load) -> tup
 
 @lru_cache(maxsize=KEPT)
 def loaded_rules(robot: Robot, translations: tuple[float, ...], load: Load, refinement: int = 0) -> LoadedRules:
-    """The problem of a robot under a load on the rules of the compiled kernel."""
+    """Problem of a robot under a load on the three quadrature rules of the compiled kernel."""
     family, degree = LOADED_DISCRETISATION.family, LOADED_DISCRETISATION.degree
     problem = loaded_problem(robot, translations, load, Discretisation(family, degree, refinement))
-    # What only the kernel asks for is not kept beside the rules.
-    others = (Discretisation(family, k, refinement) for k in (ROUGH_DEGREE, degree + EXTRA_POINTS))
-    return LoadedRules(problem, *(_problem(robot, translations, load, d) for d in others))
+    # Only the kernel uses the two other rules: they are not cached on their own.
+    rough_and_fine = (Discretisation(family, k, refinement) for k in (ROUGH_DEGREE, degree + EXTRA_POINTS))
+    return LoadedRules(problem, *(_problem(robot, translations, load, d) for d in rough_and_fine))
 
 
 @lru_cache(maxsize=KEPT)
@@ -228,13 +245,13 @@ def _cut(robot: Robot, translations: tuple[float, ...], cuts: tuple[float, ...])
 def _torsion(
     robot: Robot, translations: tuple[float, ...], cuts: tuple[float, ...], counts: tuple[int, ...], d: Discretisation
 ) -> ReducedProblem:
-    """The problem of the rotations, which the numbers of the load do not change."""
+    """Torsion problem on the mesh of a load; forces and moments do not enter it."""
     assembly = _cut(robot, translations, cuts)
     return reduce(assembly, loaded_mesh(assembly, np.array(counts), family=d.family, degree=d.degree))
 
 
 def _bounds(assembly: Assembly, load: Load, density: Array) -> tuple[float, float]:
-    """Bounds of the force on any cross-section, N, and of the moment of what is not a force, N m."""
+    """Upper bounds on the force on any cross-section, N, and on the applied moments, N m."""
     along = turning = 0.0
     if load.distributed is not None:
         per_length = load.per_length(np.linspace(0, assembly.total_length, 33)[1:-1])
@@ -250,7 +267,7 @@ def _bounds(assembly: Assembly, load: Load, density: Array) -> tuple[float, floa
 METHODS = ("newton", "ipopt", "energy")
 
 TOLERANCE = 1e-8
-"""Wanted accuracy of theta(s), rad, and of the tip, as a fraction of the length of the arm."""
+"""Default tolerance of theta(s), rad, and of the tip relative to the length of the arm."""
 
 
 @dataclass(frozen=True)
@@ -267,23 +284,30 @@ NAMED = {name: Method(name) for name in METHODS}
 
 @dataclass(frozen=True)
 class SolveRequest:
-    """By which method, to which tolerance (see TOLERANCE), and since when (s)."""
+    """Method, tolerance and start of the clock of a solve."""
 
     method: Method = NAMED["newton"]
     tolerance: float = TOLERANCE
+    """Largest error, as TOLERANCE."""
     began: float = field(default_factory=time.perf_counter)
+    """Start of the clock, s."""
 
     def by_kernel(self, load: Load | None, discretisation: Discretisation) -> bool:
-        """Whether a compiled kernel solves what is asked: by its own method, on its own points. Under a load the
-        settings of Newton's method that hold there are the kernel's, too."""
+        """True if a compiled kernel may solve: by Newton's method with its settings, on its collocation points.
+
+        Under a load, the only settings allowed are also the kernel's.
+        """
         if load is not None:
             return self.method.name == "newton"
         return self.method is NAMED["newton"] and discretisation == DEFAULT_DISCRETISATION
 
 
 def method_of(method: str | Newton | Ipopt, load: Load | None, discretisation: Discretisation) -> Method:
-    """Behind a name or the settings of a solver; raises InputError where it is neither, or cannot solve under the
-    load."""
+    """Method from its name or the settings of its solver.
+
+    Raises:
+        InputError: neither of them, or a method that cannot solve under the load.
+    """
     if isinstance(method, Newton):
         by = Method("newton", newton=method)
     elif isinstance(method, Ipopt):
@@ -296,7 +320,7 @@ def method_of(method: str | Newton | Ipopt, load: Load | None, discretisation: D
 
 
 def _must_bear(by: Method, load: Load, discretisation: Discretisation) -> None:
-    """Raise InputError for what there is not under a load."""
+    """Raise InputError for methods and settings that are not supported under a load."""
     if replace(by.newton, margin_tolerance=NEWTON.margin_tolerance) != NEWTON:
         raise InputError("method has settings other than margin_tolerance; only this one applies under load")
     if by.name != "newton" and not load.has_energy:

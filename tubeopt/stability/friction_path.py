@@ -22,9 +22,9 @@ from ..equilibrium.continuation import Family, JointPath, largest_twist
 from ..equilibrium.friction import (
     FrictionEquilibrium,
     bent_at,
-    carried,
     rest,
     shaken,
+    start_increment,
     step,
     sweep,
     swept,
@@ -262,7 +262,7 @@ def _flow(family: Family, current: FrictionEquilibrium, t: float, *, pushed: boo
     None where the flow does not end in a state.
     """
     (rotations, translations), load = family.path.at(t), family.load_at(t)
-    contact, before, x = carried(family.path.robot, current, rotations, translations, load)
+    contact, before, x = start_increment(family.path.robot, current, rotations, translations, load)
     push = None
     if pushed and contact is current.contact:
         push = NUDGE * softest(contact, current.found.state, current.found.signs)
