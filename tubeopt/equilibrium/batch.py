@@ -276,9 +276,9 @@ def _solve_rows(robot: Robot, alpha: Array, shift: Array, rows: slice, table: Ar
     straight, curved = np.array([(tube.straight_length, tube.curved_length) for tube in robot.tubes]).T
     n = robot.n_tubes
     for refinement in (0, 1):
-        result = (
-            solve_many_compiled(robot, alpha[unsolved], shift[unsolved], None, refinement) if len(unsolved) else None
-        )
+        if not len(unsolved):
+            break
+        result = solve_many_compiled(robot, alpha[unsolved], shift[unsolved], None, refinement)
         if result is None:
             break
         values, declined = result

@@ -1,4 +1,4 @@
-"""The result of a forward-kinematics solve: plain arrays, saved as JSON + npz."""
+"""Result of forward kinematics: plain arrays, saved as JSON and npz."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Status(StatusEnum):
-    """Result of a solve; every value reads as a sentence."""
+    """Outcome of a solve, as a sentence."""
 
     STABLE = "a stable equilibrium was found"
     UNSTABLE = "an unstable equilibrium was found: any disturbance makes the robot leave it"
@@ -50,7 +50,7 @@ class Statistics(Displayed):
     degree: int
     """Degree of the collocation polynomials."""
     start: str
-    """Start that led to convergence."""
+    """Start from which the solver converged."""
     seconds: float
     """Solve time without `loading`, s."""
     family: str = "gauss"
@@ -58,7 +58,7 @@ class Statistics(Displayed):
     refinement: int = 0
     """Number of times that the default mesh was halved."""
     loading: float = 0.0
-    """Seconds in which the robot's kernel was got ready first: in a process loaded once, on a machine compiled once."""
+    """Time to load the robot's kernel, once per process, or to compile it, once per machine, s."""
 
 
 @dataclass(frozen=True)
@@ -77,30 +77,32 @@ class Verification(Displayed):
 
 @dataclass(frozen=True)
 class FrictionState:
-    """What friction does in an equilibrium, at R places where tubes rub, of which the last may be concentrated."""
+    """Friction torques of an equilibrium at R contacts, of which the last may be concentrated."""
 
     friction: Friction
-    """As given."""
+    """Friction law of the tubes."""
     arc_length: tuple[float, ...]
-    """(R,) m."""
+    """(R,) positions of the contacts, m."""
     pair: tuple[int, ...]
-    """(R,) the inner tube, from 0."""
+    """(R,) numbers of the inner tubes, from 0."""
     torque: tuple[float, ...]
-    """(R,) that the outer tube bears at the place against the inner one, N m."""
+    """(R,) torques on the outer tube by the inner one, N m."""
     capacity: tuple[float, ...]
-    """(R,) what the torque can be, N m."""
+    """(R,) largest possible torques, N m."""
     held_margin: Annotated[float, "margin with friction; absent without friction"]
-    """Least eigenvalue of the second variation, relative to its torsional part, along all motions in which sticking
-    places continue to stick: the stability of the equilibrium without vibration."""
+    """Smallest eigenvalue of the second variation over motions in which sticking contacts stay stuck.
+
+    Stability of the equilibrium without vibration.
+    """
     heat: Annotated[
         float, key("friction_heat_mJ"), "heat of friction since the first waypoint; absent without friction"
     ]
     violation: float
-    """Of the laws of friction, as a slip (rad) or a part of the capacity."""
+    """Largest violation of the friction law, as a slip (rad) or a fraction of the capacity."""
 
     @property
     def sticking(self) -> Mask:
-        """(R,) whether a place bears less than it could."""
+        """(R,) True where the torque is below the capacity."""
         return np.abs(self.torque) < np.array(self.capacity) * (1 - 1e-12)
 
 
@@ -118,14 +120,16 @@ class Jacobian(Displayed):
     wrt: tuple[str, ...]
     """Meaning of the columns: "rotations", "translations", or a dimension of the tubes."""
     position: Array
-    """(3, Q) of tip_position."""
+    """(3, Q) derivatives of tip_position, m per unit."""
     rotation: Array
-    """(3, Q) turn vector of the tip frame, in the plate frame, rad."""
+    """(3, Q) rotation vector of the tip frame, in the plate frame, rad per unit."""
     tip_rotations: Array
-    """(n, Q) of theta at each tube's own end."""
+    """(n, Q) derivatives of theta at each tube's own end, rad per unit."""
     margin: Array
-    """(Q,); NaN where the margin is a double eigenvalue, and under a load without an energy: see
-    `Equilibrium.margin_slopes`."""
+    """(Q,) derivatives of the margin.
+
+    NaN where it is a double eigenvalue, and under a load without an energy: see `Equilibrium.margin_slopes`.
+    """
     energy: Array
     """(Q,) derivatives of the elastic energy, J per unit."""
 
