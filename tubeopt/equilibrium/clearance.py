@@ -1,22 +1,22 @@
-"""What room between the tubes does to an arm: where a tube ends, those inside it leave it off its axis, and tilted.
+"""Correction for the clearance between tubes: at the end of a tube the inner ones leave it off its axis, and tilted.
 
-Let y be the way of the inner tubes across the outer one, |y| <= delta, and rho the difference of what both would be
-bent to alone. Both bend, so the energy beyond that of tubes on one centreline is, with bending stiffnesses k_i and k_o,
+Let y be the lateral displacement of the inner tubes in the outer one, |y| <= delta, and rho the difference of the
+curvatures that both would have alone. Both bend, so the energy beyond that of tubes on one centreline is, with bending stiffnesses k_i and k_o,
 
     1/2 int k_i k_o / (k_i + k_o) |y'' - rho|^2 ds,     |y| <= delta,     no moment where the outer tube ends.
 
-Far inside, the wall bears the moment. Towards the end it is lost over a length l from one wall to the other:
-y'' = rho x / l and rho l^2 / 6 = 2 delta, so
+Far inside, contact with the wall transmits the moment. Towards the end the inner tubes cross from one wall to the other
+over a length l: y'' = rho x / l and rho l^2 / 6 = 2 delta, so
 
     l = sqrt(12 delta / rho)     and the tilt is     rho l / 2 = sqrt(3 delta rho),
 
-as long as rho turns little over l. Shorter overlaps leave the inner tubes free: the tilt is rho times their length. The
-line that both would have stays where it is, so that k_o / (k_i + k_o) of tilt and of delta is that of the inner tubes.
+if the direction of rho changes little over l. Shorter overlaps leave the inner tubes free: the tilt is rho times their
+length. The common centreline stays, so that the inner tubes have the fraction k_o / (k_i + k_o) of tilt and of delta.
 
-At most: the moment M, over k_i k_o / (k_i + k_o), is straight but for the walls, which bend its graph towards
-themselves; its extremes lie where a wall is touched, and there y'' = M + rho points away from the wall. So
-|M| <= max |rho| =: R and |y''| <= 2 R, and with Landau's inequality the tilt is at most 2 sqrt(2 delta R). This is a
-proof for tubes that are bent in one plane and pushed by nothing but each other.
+Bound: the moment M, over k_i k_o / (k_i + k_o), is linear between contacts with the walls, which bend its graph towards
+themselves. Its extremes are at contacts, where y'' = M + rho points away from the wall. So |M| <= max |rho| =: R and
+|y''| <= 2 R, and with Landau's inequality the tilt is at most 2 sqrt(2 delta R). This is a proof for tubes that are
+bent in one plane without external forces.
 
 The same effects are treated by Ha, Fagogenis and Dupont, "Modeling tube clearance and bounding the effect of friction
 in concentric tube robot kinematics", IEEE Transactions on Robotics 35(2), 2019.
@@ -40,49 +40,50 @@ from ..typing import Array
 from .result import Equilibrium
 
 SHORTEST = 1e-9
-"""Parts of an arm beyond the end of a tube that are shorter (m) do not count."""
+"""Length (m) of the arm beyond the end of a tube below which it is ignored."""
 
 
 @dataclass(frozen=True, eq=False)
 class Leaving(Displayed):
-    """Where the tubes inside leave a tube that ends in front of the plate."""
+    """End of a tube in front of the plate, where the inner tubes leave it."""
 
     tube: int
-    """That ends, from 0."""
+    """Number of the tube that ends, from 0."""
     arc_length: float
-    """Where, m."""
+    """Position of its end, m."""
     clearance: float
-    """Radial, m."""
+    """Radial clearance delta, m."""
     mismatch: float
-    """By how much both would be bent differently if left alone, 1/m."""
+    """Difference rho of the curvatures that both would have alone, 1/m."""
     contact: float
     """Length over which the inner tubes cross from one wall to the other, m."""
     turn: Array
-    """(3,) rotation vector by which all beyond is turned, rad."""
+    """(3,) rotation vector of the arm beyond, rad."""
     shift: Array
-    """(3,) by which it is moved, m."""
+    """(3,) displacement of the arm beyond, m."""
     most_turn: float
-    """Estimate of the largest turn, rad; a bound for tubes that are bent in one plane and pushed by nothing but each
-    other."""
+    """Estimate of the largest rotation, rad; a bound for tubes bent in one plane without external forces."""
     most_shift: float
-    """The same of the shift, m."""
+    """Estimate of the largest displacement, m; a bound for the same tubes."""
 
 
 @dataclass(frozen=True, eq=False)
 class ClearanceCorrection(Displayed):
-    """An arm with the tilts that the room between its tubes allows, to first order in them."""
+    """Arm with the tilts by the clearance of its tubes, to first order."""
 
     equilibrium: Equilibrium
     """Equilibrium of tubes on one centreline."""
     leavings: tuple[Leaving, ...]
     """Points at which tubes end inside others, from base to tip."""
     position: Array
-    """(M, 3) of the points of the arm, m."""
+    """(M, 3) corrected points of the arm, m."""
     turn: Array
     """(3, 3) rotation of the tip frame by the clearance."""
     radius: Array
-    """(M,) estimate of how far points can be from where they are without clearance, at worst, m: a bound to first order
-    where the tubes are bent in one plane."""
+    """(M,) estimated largest displacement of points by the clearance, m.
+
+    A first-order bound for tubes that are bent in one plane.
+    """
 
     @property
     def tip_position(self) -> Array:
@@ -96,7 +97,7 @@ class ClearanceCorrection(Displayed):
 
     @property
     def tip_radius(self) -> float:
-        """Estimate of how far the tip can be from where it is without clearance, at worst, m."""
+        """Estimated largest displacement of the tip by the clearance, m."""
         return float(self.radius[-1])
 
 

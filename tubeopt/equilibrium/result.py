@@ -50,7 +50,7 @@ class Statistics(Displayed):
     degree: int
     """Degree of the collocation polynomials."""
     start: str
-    """Start from which the solver converged."""
+    """Start of the successful solve."""
     seconds: float
     """Solve time without `loading`, s."""
     family: str = "gauss"
@@ -140,7 +140,7 @@ class Jacobian(Displayed):
 
     @classmethod
     def of(cls, derivatives: Callable[[], Derivatives]) -> Jacobian:
-        """The Jacobian of `derivatives`, which are asked for again where more than the pose of the tip is read."""
+        """Jacobian from `derivatives`, which is called again when more than the pose of the tip is read."""
         result, jacobian = derivatives(), object.__new__(cls)
         pose = {"position": result.tip_position.copy(), "rotation": result.tip_rotation.copy()}
         jacobian.__dict__.update(wrt=result.wrt, **pose, _derivatives=derivatives)
@@ -161,11 +161,11 @@ class Jacobian(Displayed):
 
 
 READ_LATER = ("tip_rotations", "margin", "energy")
-"""What a Jacobian computes when it is first read."""
+"""Fields of a Jacobian that are computed when they are first read."""
 
 
 class Derivatives(Protocol):
-    """Derivatives of an equilibrium, computed where they are read: those of a Jacobian, by the same names."""
+    """Derivatives of an equilibrium, computed when they are read; names as in `Jacobian`."""
 
     wrt: tuple[str, ...]
 
@@ -187,7 +187,7 @@ class Derivatives(Protocol):
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How well an equilibrium is solved."""
+    """Residual and estimated discretisation errors of an equilibrium."""
 
     residual: Annotated[float, unit("rad"), form(".1e", label="residual"), "residual of the equations"]
     """Largest violation of the collocation equations."""
@@ -197,19 +197,19 @@ class Accuracy:
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium(Displayed):
-    """One equilibrium of a robot; n tubes, m points along the arm. SI units, angles not wrapped.
+    """Equilibrium of a robot with n tubes, at m points along the arm. SI units, angles not wrapped.
 
-    What its parts hold is read at the equilibrium too: `equilibrium.position` is `equilibrium.arm.position`.
+    Fields of its parts are attributes, too: `equilibrium.position` is `equilibrium.arm.position`.
     """
 
     _brief = ("robot", "rotations", "translations", "tip_position", "margin", "status")
 
     robot: Robot
-    """The robot."""
+    """Robot in equilibrium."""
     rotations: Annotated[Array, unit("deg"), form(".6g", label="rotations"), "rotation of every tube"]
-    """Shape (n,), as given."""
+    """(n,) joint rotations, rad."""
     translations: Annotated[Array, unit("mm"), form(".6g", label="translations"), "translation of every tube"]
-    """Shape (n,), as given."""
+    """(n,) joint translations, m."""
     arm: ArmShape
     """Centreline with its Bishop frame, and the rotations of the tubes along it."""
     tip_rotations: Annotated[
@@ -377,7 +377,7 @@ class Equilibrium(Displayed):
         return result
 
     def verified(self) -> Equilibrium:
-        """This equilibrium with its `verification` by adaptive re-integration."""
+        """Same equilibrium with its `verification` by adaptive re-integration."""
         result: Equilibrium = lazy_import("tubeopt.equilibrium.verification.verify_equilibrium")(self)
         return result
 
@@ -387,14 +387,14 @@ class Equilibrium(Displayed):
 
 
 def refuse_load(equilibrium: Equilibrium) -> None:
-    """Raise InputError for an equilibrium under load or friction, where what is asked knows of neither."""
+    """Raise InputError for an equilibrium with a load or friction, in functions that support neither."""
     if equilibrium.load is not None:
         raise InputError("the equilibrium has a load; this function supports equilibria without load only")
     refuse_friction(equilibrium)
 
 
 def refuse_friction(equilibrium: Equilibrium) -> None:
-    """Raise InputError for an equilibrium under friction, where what is asked does not know of it."""
+    """Raise InputError for an equilibrium with friction, in functions that do not support it."""
     if equilibrium.friction is not None:
         raise InputError("the equilibrium has friction; this function supports equilibria without friction only")
 
