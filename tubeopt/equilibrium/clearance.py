@@ -1,7 +1,8 @@
 """Correction for the clearance between tubes: at the end of a tube the inner ones leave it off its axis, and tilted.
 
 Let y be the lateral displacement of the inner tubes in the outer one, |y| <= delta, and rho the difference of the
-curvatures that both would have alone. Both bend, so the energy beyond that of tubes on one centreline is, with bending stiffnesses k_i and k_o,
+curvatures that both would have alone. Both bend, so the energy beyond that of tubes on one centreline is, with bending
+stiffnesses k_i and k_o,
 
     1/2 int k_i k_o / (k_i + k_o) |y'' - rho|^2 ds,     |y| <= delta,     no moment where the outer tube ends.
 
@@ -129,64 +130,78 @@ def clearance_correction(
     if not isinstance(robot, ConcentricRobot):
         raise InputError("robot is eccentric; clearance between tubes is defined for concentric robots only")
     inputs = clearance if clearance is not None else robot.clearance or drawn_clearance(robot.tubes)
-    room = clearances(inputs, robot.n_tubes)
-    ends = sorted(range(1, robot.n_tubes), key=lambda o: e.tube_end[o])
-    leavings = tuple(result for o in ends if (result := _leaving(e, o, room[o - 1])) is not None)
+    delta = clearances(inputs, robot.n_tubes)
+    outer_tubes = sorted(range(1, robot.n_tubes), key=lambda o: e.tube_end[o])
+    leavings = tuple(leaving for o in outer_tubes if (leaving := _leaving(e, o, delta[o - 1])) is not None)
     position, turn, radius = e.position.copy(), np.zeros(3), np.zeros(len(e.position))
     for leaving in leavings:
-        beyond = np.maximum(e.arc_length - leaving.arc_length, 0.0)
         lever = e.position - e.position[int(np.searchsorted(e.arc_length, leaving.arc_length))]
-        ahead = (beyond > 0)[:, None]
-        position += ahead * (np.cross(leaving.turn, lever) + leaving.shift)
-        radius += ahead[:, 0] * (leaving.most_turn * np.linalg.norm(lever, axis=1) + leaving.most_shift)
+        beyond = (e.arc_length > leaving.arc_length)[:, None]
+        position += beyond * (np.cross(leaving.turn, lever) + leaving.shift)
+        radius += beyond[:, 0] * (leaving.most_turn * np.linalg.norm(lever, axis=1) + leaving.most_shift)
         turn = turn + leaving.turn
     return ClearanceCorrection(e, leavings, position, _rotation(turn), radius)
 
 
-def _leaving(e: Equilibrium, outer: int, room: float) -> Leaving | None:
-    """What happens where a tube ends; None where that is behind the plate, no tube inside it goes on, or both bend
-    alike."""
+def _leaving(e: Equilibrium, outer: int, delta: float) -> Leaving | None:
+    """End of an outer tube with clearance `delta`.
+
+    None where it is behind the plate, where no inner tube continues, or where both have the same curvature.
+    """
     end = float(e.tube_end[outer])
     if end <= 0 or e.tube_end[:outer].max() - end < SHORTEST:
         return None
     assembly = e.robot.assembly(e.translations)
     before = e.arc_length <= end
     mismatch, stiffness = _mismatch(assembly, e, outer, np.append(e.arc_length[before], end))
-    here, largest = mismatch[-1], float(np.linalg.norm(mismatch, axis=1).max())
-    size = float(np.linalg.norm(here))
-    if size * end < 1e-12:
+    rho_end, rho_max = mismatch[-1], float(np.linalg.norm(mismatch, axis=1).max())
+    rho = float(np.linalg.norm(rho_end))
+    if rho * end < 1e-12:
         return None
-    contact = min(np.sqrt(12 * room / size), end)
-    tilt = min(np.sqrt(3 * room * size), size * end)
-    inside = stiffness[1] / stiffness.sum()
+    contact = min(np.sqrt(12 * delta / rho), end)
+    tilt = min(np.sqrt(3 * delta * rho), rho * end)
+    inner_fraction = stiffness[1] / stiffness.sum()
     frame = e.frame[int(np.searchsorted(e.arc_length, end))]
-    axis = frame[:, :2] @ here / size
+    axis = frame[:, :2] @ rho_end / rho
     sideways = np.cross(axis, frame[:, 2])
-    reach = min(np.sqrt(2 * room / largest), end)
-    most = 2 * room / reach + largest * reach if room else 0.0
-    turn, shift = inside * tilt * axis, inside * room * sideways
-    return Leaving(outer, end, room, size, float(contact), turn, shift, float(inside * most), inside * room)
+    # Landau's inequality over the best length, or over a shorter overlap.
+    length = min(np.sqrt(2 * delta / rho_max), end)
+    max_tilt = 2 * delta / length + rho_max * length if delta else 0.0
+    return Leaving(
+        tube=outer,
+        arc_length=end,
+        clearance=delta,
+        mismatch=rho,
+        contact=float(contact),
+        turn=inner_fraction * tilt * axis,
+        shift=inner_fraction * delta * sideways,
+        most_turn=float(inner_fraction * max_tilt),
+        most_shift=inner_fraction * delta,
+    )
 
 
 def _mismatch(assembly: Assembly, e: Equilibrium, outer: int, at: Array) -> tuple[Array, Array]:
-    """(X, 2) difference of what the tubes inside and the outer one are bent to alone, 1/m, in the arm's frame at arc
-    lengths up to where the outer one ends; and the bending stiffness (2,) of both at the last, N m^2."""
+    """(X, 2) rho, 1/m, in the arm's frame at arc lengths up to the end of the outer tube, and stiffnesses (2,), N m^2.
+
+    rho is the difference of the curvatures that the inner tubes and the outer one would have alone. The stiffnesses are
+    those of the inner tubes and of the outer one at its end.
+    """
     inside = np.minimum(at, at[-1] - SHORTEST)
     angle = np.column_stack([np.interp(inside, e.arc_length, row) for row in e.rotation])
-    there = assembly.cross_sections(inside, inside)
-    stiffness = there.stiffness
-    angle += there.phase - there.wound
+    sections = assembly.cross_sections(inside, inside)
+    stiffness = sections.stiffness
+    angle += sections.phase - sections.wound
 
-    def bent(some: slice) -> Array:
-        own = angle[:, some], stiffness[:, some], there.moment[:, some]
-        return section_function("curvature", len(at), own[0].shape[1], False)(*own)[0].copy()
+    def curvature(tubes: slice) -> Array:
+        part = angle[:, tubes], stiffness[:, tubes], sections.moment[:, tubes]
+        return section_function("curvature", len(at), part[0].shape[1], False)(*part)[0].copy()
 
     last = stiffness[-1]
-    return bent(slice(outer)) - bent(slice(outer, outer + 1)), np.array([last[:outer].sum(), last[outer]])
+    return curvature(slice(outer)) - curvature(slice(outer, outer + 1)), np.array([last[:outer].sum(), last[outer]])
 
 
 def _rotation(turn: Array) -> Array:
-    """(3, 3) of a rotation vector."""
+    """(3, 3) rotation matrix of a rotation vector."""
     from scipy.spatial.transform import Rotation  # takes as long to load as thousands of solves
 
     return np.asarray(Rotation.from_rotvec(turn).as_matrix())
