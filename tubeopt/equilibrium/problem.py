@@ -137,7 +137,9 @@ def _check_size(robot: Robot, load: Load, length: float) -> None:
             if size > largest * scale:
                 raise InputError(f"{subject} must be at most {largest * scale:.3g} {unit}: was {size:g} m{unit} meant?")
             if size > usual * scale:
-                warn_implausible(f"{subject} is usually at most {usual * scale:.3g} {unit}: was {size:g} m{unit} meant?")
+                warn_implausible(
+                    f"{subject} is usually at most {usual * scale:.3g} {unit}: was {size:g} m{unit} meant?"
+                )
     gravity = float(np.linalg.norm(load.gravity or 0.0))
     if gravity > USUAL_GRAVITY:
         warn_implausible(
