@@ -80,7 +80,7 @@ class PlanByDefault(TyperGroup):
 
 
 GROUPS: dict[str, tuple[type[TyperGroup], str]] = {
-    "init": (TyperGroup, "Write a robot, rig or study file to begin with."),
+    "init": (TyperGroup, "Write a template of a robot, rig or study file."),
     "heat": (PlanByDefault, "Plan, control, run and calibrate the heating that sets the shape of tubes."),
     "mold": (PlanByDefault, "Design and calibrate molds that set the shape of tubes."),
     "robot": (TyperGroup, "Inspect a robot file, or list the built-in robots."),

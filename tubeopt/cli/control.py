@@ -16,10 +16,10 @@ from pydantic import Field
 
 from ..control.c_binding import servo_of
 from ..control.c_library import c_library, save_c_library
-from ..control.command import OBJECTIVES, ServoOptions
+from ..control.command import ServoOptions
 from ..control.crtk import CrtkRobot
 from ..control.server import HOST, RobotServer, ServerOptions, check_websockets
-from ..files.checked import Entry, NotNegative, Positive, Whole
+from ..files.checked import Entry, Positive
 from ..files.field_metadata import Typical
 from ..files.fields import keys_from, values
 from ..runs.robot_keys import Posed, RobotPath, rewording_joints
@@ -63,34 +63,24 @@ def export(study: ExportEntry, output: Output, robot: str) -> None:
 # --- server -----------------------------------------------------------------------------------------------------------
 
 
+SERVO = ("speed", "turn_rate", "shift_rate", "min_margin", "clearance", "objective")
+"""Fields of `ServoOptions` with a flag."""
+
+SERVER = ("port", "period", "publish")
+"""Fields of `ServerOptions` with a flag; the token has its own."""
+
+
+@keys_from(ServerOptions, *SERVER)
+@keys_from(ServoOptions, *SERVO)
 class ServeEntry(Posed):
-    """A robot to be served, where it begins, and how it may move."""
+    """Robot to serve, with its start and its limits."""
 
     obstacles: Bodies = Field(
         (),
         description="obstacles: a YAML file, or a list as [{centre_mm: [30, 0, 120], radius_mm: 8}]; default none",
         examples=["OBSTACLES.yaml"],
     )
-    clearance_mm: Annotated[NotNegative, Typical(1e-5, 0.1)] = Field(
-        Decimal(0), description="smallest allowed distance between arm and obstacles"
-    )
-    min_margin: Positive = Field(Decimal("0.1"), description="smallest allowed stability margin")
-    speed_mm_per_s: Annotated[Positive, Typical(1e-4, 2.0)] = Field(Decimal(50), description="largest tip speed")
-    turn_rate_deg_per_s: Annotated[Positive, Typical(0.03, 40.0)] = Field(
-        Decimal(170), description="largest rotation speed of a tube"
-    )
-    shift_rate_mm_per_s: Annotated[Positive, Typical(1e-4, 2.0)] = Field(
-        Decimal(50), description="largest translation speed of a tube"
-    )
-    objective: str | None = Field(
-        None,
-        description="null-space objective, for joint motion that does not move the "
-        f"tip: {', '.join(OBJECTIVES)}; default none",
-        examples=["WORD"],
-    )
-    port: Annotated[Whole, Field(ge=0, le=65535)] = Field(
-        8765, description="TCP port of the server; 0 selects a free port"
-    )
+
     token: str | None = Field(
         None,
         min_length=1,
@@ -100,10 +90,6 @@ class ServeEntry(Posed):
     watchdog_s: Annotated[Positive, Typical(2e-3, 10.0)] = Field(
         Decimal("0.1"), description="time without a command after which the robot stops"
     )
-    period_s: Annotated[Positive, Typical(1e-5, 0.2)] = Field(
-        Decimal("0.001"), le=1, description="period of the control loop"
-    )
-    publish_Hz: Positive = Field(Decimal(40), description="rate of published states")
 
 
 @study_command(
@@ -120,16 +106,12 @@ def serve(study: ServeEntry, output: Output) -> None:
     """
     check_websockets()
     robot = study.robot
-    options = ServoOptions(
-        **study.in_si(
-            "speed_mm_per_s", "turn_rate_deg_per_s", "shift_rate_mm_per_s", "min_margin", "clearance_mm", "objective"
-        )
-    )
+    options = ServoOptions(**values(ServoOptions, study, *SERVO))
     with rewording_joints(start=("--rotations-deg", "--translations-mm")):
         servo = servo_of(robot, study.joints, obstacles=study.obstacles, options=options)
     server = RobotServer(
         CrtkRobot(servo, watchdog=study.si("watchdog_s")),
-        ServerOptions(token=study.token or "", **study.in_si("port", "period_s", "publish_Hz")),
+        ServerOptions(token=study.token or "", **values(ServerOptions, study, *SERVER)),
     )
 
     def _ready() -> None:

@@ -170,7 +170,7 @@ def study_file_command(study: type[F], *, example: str, note: str = "") -> Calla
     for key, field in keys.fields.items():
         default = _default_text(field)
         text = {True: "yes", False: "no"}[default] if isinstance(default, bool) else default
-        shown = "" if default is None else f"key of the study, else {text}"
+        shown = "" if default in (None, "") else f"key of the study, else {text}"
         keyed.append(_option(key, field, keys.flags[key], None, shown=shown))
 
     @contextmanager

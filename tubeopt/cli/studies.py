@@ -65,11 +65,11 @@ def figure(
         ),
     ] = "ieee",
 ) -> None:
-    """Make the plots of a study for a paper: plots without headings, captions, data and the command.
+    """Make the plots of a study for a paper, with captions, data and the command in separate files.
 
-    Saves what `tubeopt run` saves. Each plot has the format of the journal and 600 dpi. The file captions.txt has the
-    headings. NAME_data.csv has the values in the plot NAME. The file command.txt has the command and the versions. Exit
-    codes are those of the command of the study.
+    Saves what `tubeopt run` saves. Each plot has the format of the journal, 600 dpi and no heading. The file
+    captions.txt has the headings, command.txt the command and the versions. NAME_data.csv has the values in the plot
+    NAME. Exit codes are those of the command of the study.
     """
     style = JOURNALS[choice("--journal", journal, tuple(JOURNALS))]
     if output.out is None:
@@ -102,7 +102,7 @@ def sweep(
     output: Output,
     workers: Annotated[
         int,
-        typer.Option(metavar="N", help="Number of worker processes; 0 for one per core, 1 for none besides this one."),
+        typer.Option(metavar="N", help="Number of worker processes; 0 for one per core, 1 to compute in this process."),
     ] = 0,
     scheduler: Annotated[
         str | None,

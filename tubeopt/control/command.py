@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
 
 import numpy as np
 
 from ..display import Displayed
 from ..errors import InputError, choice, finite, items, positive, vector
+from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, TYPICAL_CLEARANCE, Absent, Range, Typical, unit
 from ..inverse.joints import Configuration, parts
 from ..robots.limits import check_target
 from ..robots.robot import Robot
@@ -89,22 +91,29 @@ def check_places(command: Command, robot: Robot) -> None:
 class ServoOptions(Displayed):
     """Speeds, margins and objective of a servo."""
 
-    speed: float = 0.05
-    """Most that the tip is asked to move, m/s."""
-    turn_rate: float = 3.0
-    """Most of every rotation, rad/s."""
-    shift_rate: float = 0.05
-    """Most of every translation, m/s."""
-    min_margin: float = 0.1
-    """Floor of the margin."""
-    clearance: float = 0.0
-    """Smallest allowed distance between arm and obstacles, m."""
+    speed: Annotated[float, unit("mm_per_s"), POSITIVE, Typical(1e-4, 2.0), "largest tip speed"] = 0.05
+    turn_rate: Annotated[
+        float,
+        unit("deg_per_s"),
+        POSITIVE,
+        Typical(0.03, 40.0),
+        Absent(math.radians(170)),
+        "largest rotation speed of a tube",
+    ] = 3.0
+    shift_rate: Annotated[
+        float, unit("mm_per_s"), POSITIVE, Typical(1e-4, 2.0), "largest translation speed of a tube"
+    ] = 0.05
+    min_margin: Annotated[float, Range(above=0.0, below=1.0), "smallest allowed stability margin"] = 0.1
+    clearance: Annotated[
+        float, unit("mm"), NOT_NEGATIVE, TYPICAL_CLEARANCE, "smallest allowed distance between arm and obstacles"
+    ] = 0.0
     priorities: tuple[str, ...] = ("pivot", "position+velocity+direction+joints")
     """Tasks of TASKS, the most important first; those of one word, as "position+direction", count alike."""
-    objective: str | None = None
-    """Null-space objective, one of OBJECTIVES: margin, middle of the joint ranges, or compliance of the tip
-    (minimised).
-    """
+    objective: Annotated[
+        str | None,
+        "null-space objective, for joint motion that does not move the tip: "
+        "margin, centre (of the joint ranges) or compliance (minimised); default none",
+    ] = None
     push: float = 0.2
     """Share of the rates that goes there."""
 

@@ -20,12 +20,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.util import find_spec
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from ..arguments import typed
 from ..errors import InputError, SolveError, finite, instance, whole
+from ..files.field_metadata import POSITIVE, Range, Typical, unit
 from .crtk import CrtkRobot
 
 LOGGER = logging.getLogger("tubeopt")
@@ -65,14 +66,13 @@ TURNS = 2e-4
 class ServerOptions:
     """How a robot is served."""
 
-    port: int = 8765
-    """TCP port; 0 selects a free one."""
+    port: Annotated[int, Range(least=0, most=65535), "TCP port of the server; 0 selects a free port"] = 8765
     token: str = ""
     """Password of the clients; "" makes a random one."""
-    period: float = 1e-3
-    """Period of the control loop, s."""
-    publish: float = 40.0
-    """Rate of published states, 1/s."""
+    period: Annotated[
+        float, unit("s"), Range(above=0.0, most=1.0), Typical(1e-5, 0.2), "period of the control loop"
+    ] = 1e-3
+    publish: Annotated[float, unit("Hz"), POSITIVE, "rate of published states"] = 40.0
 
     def __post_init__(self) -> None:
         for name in ("period", "publish"):

@@ -162,7 +162,7 @@ def sensor_of(name: str | None) -> Sensor | None:
 RigPath = Annotated[
     Rig,
     in_file(load_rig, "a rig file", kind=Rig),
-    Field(description="path of the rig file, relative to this file"),
+    Field(description="path of the rig file, relative to this file, or the name of a built-in rig"),
 ]
 """Rig, given as the path of its file or the name of a built-in rig."""
 
@@ -269,7 +269,7 @@ class HeatingStudy(HeatedTube):
 OvenPath = Annotated[
     Oven,
     in_file(load_oven, "an oven file", kind=Oven),
-    Field(description="path of the oven file, relative to this file"),
+    Field(description="path of the oven file, relative to this file, or the name of a built-in oven"),
 ]
 """Oven, given as the path of its file."""
 

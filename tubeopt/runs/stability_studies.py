@@ -300,6 +300,7 @@ class LoadLimitResult(Displayed):
     translations: Array
     """Shape (n,), m."""
     load: Load
+    """Load whose factor is searched."""
     limit: Annotated[LoadLimit | None, "the load limit; null if stability is not lost"]
     up_to: Annotated[float, "largest load factor searched"]
 

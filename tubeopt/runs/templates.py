@@ -230,6 +230,7 @@ ROBOTS = {"validation": "thesis_etr", "mandrel": "example_pieces", "design": "ex
 OF_RIGS: dict[str, Data] = {
     "heating": {"rig": "thesis_calcium_silicate", "sensor": "thermocouple"},
     "led_heating": {"rig": "thesis_calcium_silicate"},
+    "oven": {"oven": "steel_slab"},
     "heating_run": {"simulate": "thesis_calcium_silicate"},
     "heating_calibration": {"rig": "thesis_calcium_silicate", "log": "heating_log"},
     "mold_calibration": {"trials": "example_trials"},
