@@ -41,7 +41,7 @@ def test_what_bends_a_turn_between_samples_changes_as_the_product_of_what_does()
     transport = SimpleNamespace(still=False, compliance_slope=compliance_slope, twist_slope=twist_slope)
     most = np.array([[0.6]])
     bending = SimpleNamespace(
-        most=most,
+        max_u=most,
         change=lambda by: tangent_stiffness * by.sum(-1),
         second=lambda one, other: bow * (one * other).sum(-1),
     )
@@ -69,7 +69,7 @@ def test_what_the_linearised_equations_make_of_a_turn_changes_as_the_product_of_
     (varied, v), (gained, g) = growing(random, count, 2), growing(random, count, 2)
     most, change = random.uniform(0.1, 0.2, (2, count))
     torque, more = random.uniform(1, 2, (2, count, 2))
-    bending = SimpleNamespace(most=most[None], change=lambda by: change[None])
+    bending = SimpleNamespace(max_u=most[None], change=lambda by: change[None])
     bounds = bare(long=h, transmission=spring, ease=ease, bending=bending, offset=offset, torque=torque[None])
     bounds.zero, bounds.torque_change = np.zeros((1, count, 2)), lambda by: more[None]
 
@@ -98,7 +98,7 @@ def test_the_ball_takes_what_changes_the_linearised_equations_by_time_and_by_tur
 
     still: Any = SimpleNamespace(
         weight=(NONE + 1, NONE[..., None] + 1),
-        bending=SimpleNamespace(most=NONE[0], change=lambda y: NONE[0] + 0.1, second=lambda y, by: NONE[0] + 0.2),
+        bending=SimpleNamespace(max_u=NONE[0], change=lambda y: NONE[0] + 0.1, second=lambda y, by: NONE[0] + 0.2),
         transport=SimpleNamespace(gain=lambda pair: 0.03 * pair[..., 0]),
         zero=NONE,
         chord=lambda turn: None,

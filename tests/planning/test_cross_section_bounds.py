@@ -110,7 +110,7 @@ def test_a_tube_beside_the_centreline_is_softer_where_the_arm_bends_away_from_it
     constants = Constants(NONE, bounds, np.array([offset]), direction, np.ones(1))  # type: ignore[arg-type]
     found = CurvatureBounds.of(constants, np.zeros(1, dtype=int))
     x = share * np.linspace(-1, 1, 401)
-    assert found.most == pytest.approx(share / offset)
+    assert found.max_u == pytest.approx(share / offset)
     assert found.k_uu == pytest.approx((2 * kb * offset**2 / (1 + x) ** 3).max())
     assert found.k_uuu == pytest.approx((6 * kb * offset**3 / (1 + x) ** 4).max())
     # By the mean value theorem from what k, and its gradient, are where the arm is straight.

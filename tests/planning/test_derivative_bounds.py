@@ -68,7 +68,7 @@ def test_bounds_of_the_bend_of_tubes_off_the_centreline_hold_for_all_rotations()
     sloped = -(kb * lever / (1 + u @ lever.T)[..., None] ** 2).sum(1)
     size = np.abs(turn)
     for true, most, share in (
-        (np.linalg.norm(u, axis=-1), bound.most, 0.99),
+        (np.linalg.norm(u, axis=-1), bound.max_u, 0.99),
         (bound.stiffness / stiffness(u), 1.0, 0.99),
         (np.linalg.norm(sloped, axis=-1), bound.k_u, 0.4),
         (np.linalg.norm(ahead - behind, axis=-1) / (2 * step), bound.change(size), 0.95),

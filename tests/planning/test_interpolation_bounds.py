@@ -50,7 +50,7 @@ U, YIELD, BOW, FIRST, SECOND = 0.5, 0.6, 0.7, 0.12, 0.23
 
 BEND = SimpleNamespace(
     pairs=PAIRS * (1 - np.eye(2))[None],
-    most=np.full(1, U),
+    max_u=np.full(1, U),
     moment=np.full((1, 2), 0.9),
     stiffness=np.full(1, 2.0),
     change=lambda turn: YIELD * turn.sum(-1),
@@ -70,8 +70,8 @@ def stub(offset: float, still: bool, h: float, *, wide: bool = False) -> Any:
         offset=np.full(2, offset),
         still=still,
         bounds=SimpleNamespace(torsional=torsional, pull=[np.array(k) for k in (0.9, 0.5, 0.4, 0.1)], twist=[0.31]),
-        least=lambda table, *_: np.full((1, 2), 3.0),
-        most=lambda table, *_: np.full((1, 2), table),
+        smallest=lambda table, *_: np.full((1, 2), 3.0),
+        largest=lambda table, *_: np.full((1, 2), table),
     )
     return SimpleNamespace(
         constants=constants,
@@ -342,7 +342,7 @@ def test_an_arm_is_as_thick_as_its_outermost_tube_and_bends_as_where_it_is_longe
     for k in long:
         lengths = [cuts[0, k + 1] - cuts[0, k] for cuts in (intervals.start_cuts, intervals.end_cuts)]
         found = intervals.sagitta(np.array([0]), np.array([k]), np.array([[0.2, 0.7]]))
-        assert found == pytest.approx(intervals.bending.most[0, k] * (0.5 * max(lengths)) ** 2 / 8)
+        assert found == pytest.approx(intervals.bending.max_u[0, k] * (0.5 * max(lengths)) ** 2 / 8)
     # Three tubes beside the centreline reach as far as their distance from it.
     beside = EccentricRobot(Tube(1.2e-3, 1.0e-3, 0.0, 0.08, 12.0))
     assert Constants.of(beside).radius == pytest.approx(np.full(3, beside.distance + 0.6e-3))

@@ -180,7 +180,7 @@ def test_what_differs_between_samples_is_half_their_distance_times_the_change_of
         twist_slope=DerivativeBounds(twist_slope, twist_slope, twist_slope),
         gain=lambda ones: g.pairing.jet.d.sum(3),
     )
-    constants = SimpleNamespace(bounds=SimpleNamespace(twist=[None]), most=lambda table, stretch: twist[None])
+    constants = SimpleNamespace(bounds=SimpleNamespace(twist=[None]), largest=lambda table, stretch: twist[None])
     bounds.intervals = SimpleNamespace(arms=SimpleNamespace(constants=constants), stretch=None, moved=moved[None])
     changes = _Changes((turn[0][None], turn[1][None]), torque.jet.d, lever.jet.d, np.ones(1, dtype=bool))
     found = bounds._between_samples(changes)
@@ -500,7 +500,7 @@ def test_roots_of_what_changes_are_as_far_from_the_nearer_end_as_half_of_the_tim
     one = np.ones((1, 1, 1))
     stiffest = SimpleNamespace(stiffest=(None, None))
     values = iter((one * 3.0, one * kt))
-    constants = SimpleNamespace(bounds=stiffest, most=lambda table, stretch: next(values))
+    constants = SimpleNamespace(bounds=stiffest, largest=lambda table, stretch: next(values))
     intervals = SimpleNamespace(arms=SimpleNamespace(constants=constants), stretch=None)
     transport = SimpleNamespace(
         still=False,
@@ -755,7 +755,7 @@ def test_forces_and_levers_are_the_most_of_both_ends_of_a_section_and_of_the_tim
     ahead_of = np.cumsum((longest * intervals.force.v)[0, ::-1])[::-1]
     assert intervals.lever[0] == pytest.approx(ahead_of)
     straight = intervals.lever / intervals.bending.stiffness
-    assert intervals.bending.most == pytest.approx(straight)
+    assert intervals.bending.max_u == pytest.approx(straight)
     along, weight = np.array([[0.0, 3.0, 4.0, 0.1, 0.0, 0.0], [1.0, 0, 0, 0, 0.2, 0]]), np.diag([0.0, 1.5, 2.0])
     hanging = Pull(np.array([np.inf]), np.zeros((1, 6)), np.zeros((2, 2)), along, weight)
     assert hanging.per_length == pytest.approx((5.0 + 1.0 + 1.5 + 2.0, 0.1 + 0.2))

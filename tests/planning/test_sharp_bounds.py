@@ -388,7 +388,7 @@ def test_the_norm_of_a_change_is_the_torsional_energy_of_what_its_moments_twist(
     count = bounds.torque.shape
     moment, grown, more = random.uniform(1, 2, (3, *count))
     bounds.torque_change = lambda turn: moment  # type: ignore[method-assign]
-    bounds._stretch = lambda u: grown if u is bounds.bending.most else more  # type: ignore[method-assign]
+    bounds._stretch = lambda u: grown if u is bounds.bending.max_u else more  # type: ignore[method-assign]
     h, kt = bounds.long.v[0], np.array([tube.torsional_stiffness for tube in STEPPED.tubes])
     total = np.array([0.06, 0.03]) / kt * (h[:, None] * moment[0]).sum(0) ** 2
     ahead = np.zeros((2, 2))
@@ -436,7 +436,7 @@ def test_the_ball_of_a_parabola_is_that_of_newton_and_kantorovich(
     flat, made = DerivativeBounds(NONE, NONE, NONE, NONE), iter((NONE + by_time / 2, NONE + by_ball / 2))
     still: Any = SimpleNamespace(
         weight=(NONE + 1, NONE[..., None] + 1),
-        bending=SimpleNamespace(most=NONE[0], change=lambda y: NONE[0], second=lambda y, by: NONE[0]),
+        bending=SimpleNamespace(max_u=NONE[0], change=lambda y: NONE[0], second=lambda y, by: NONE[0]),
         transport=SimpleNamespace(gain=lambda pair: NONE),
         zero=NONE,
         chord=lambda turn: None,

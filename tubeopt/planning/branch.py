@@ -195,7 +195,7 @@ class _Bounds:
         start, end = self.torques(DerivativeBounds(self.torque_change(dtheta), self.zero, self.zero))
         whole = self.torques(DerivativeBounds(self.torque, self.zero, self.zero))[0].v
         # Beside the centreline a tube is longer than the arm, by g = 1 + d u.a.
-        g = 1 + self._stretch(self.bending.most)
+        g = 1 + self._stretch(self.bending.max_u)
         dg = self._stretch(self.bending.change(dtheta[0])) * whole
         a, b = g * start.v + dg, g * end.v + dg
         # The torque is linear from a to b along a section: int (a + (b - a) x)^2 dx = (a^2 + a b + b^2) / 3.
@@ -236,7 +236,7 @@ class _Bounds:
     def _between_samples(self, dtheta: AngleChange) -> Array:
         """(B, K, n) h^2 / 8, h the sample distance, times the change of d^2 theta / dx^2 = h d (h g w) / ds."""
         h, (moment, _) = self.steps(), self.cross_sections(self.chord(dtheta))
-        u, du = self.bending.most, self.bending.change(dtheta[0])
+        u, du = self.bending.max_u, self.bending.change(dtheta[0])
         g = DerivativeBounds(1 + self._stretch(u), self._stretch(du), self.zero)
         second = h * h * g * moment * self.ease
         if not self.transport.still:
@@ -252,7 +252,7 @@ class _Bounds:
 
     def ball(self, dtheta: AngleChange) -> tuple[_Ball, Mask]:
         """Ball that contains e = theta - theta~, and (B,) True where the iteration maps it into itself."""
-        b, zero = self.bending, np.zeros_like(self.bending.most)
+        b, zero = self.bending, np.zeros_like(self.bending.max_u)
         moment, u = self.cross_sections(self.chord(dtheta))
         # F(theta~, t) is 0 at both ends, so that in between it is at most max |F_tt| / 8.
         residual = self.norm(self.response(_with_pairs(self.rotation(moment, u.map(self._stretch)).dd / 8)))
@@ -311,7 +311,7 @@ class _Bounds:
         `moments` and `stretch` (B, K, n) are the changes of M and g that y makes, with their first derivatives.
         """
         b, bounds = self.bending, self if moving else self._at_rest()
-        g = DerivativeBounds(self._stretch(b.most), self._stretch(b.change(direction[0])), self.zero)
+        g = DerivativeBounds(self._stretch(b.max_u), self._stretch(b.change(direction[0])), self.zero)
         change = bounds.rotation(moments, g).d
         if self.offset.any():
             torque = bounds.torques(DerivativeBounds(self.torque, self.torque_change(direction), self.zero))[0]

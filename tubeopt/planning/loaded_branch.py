@@ -151,7 +151,7 @@ class _Bounds:
         self.pull = replace(self.transport.pulls, v=self.slope)
         """`pairs` and `slope` with their changes along tubes that vary."""
         self.long, self.spring = linear(*intervals.length), intervals.transmission
-        self.lever, self.u = intervals.lever, b.most
+        self.lever, self.u = intervals.lever, b.max_u
         self.couple, (self.kick, self.along) = intervals.couple, intervals.twisting
         """|m_c| (B, K); moments that twist a tube, at the ends of sections and per length (B, K, n)."""
         compliance = self.long.v[..., None] / self.kt
@@ -208,7 +208,7 @@ class _Bounds:
         """Half of the sample distance times bounds on the slopes of the differences `c` along the arm."""
         h, dh, lever, du = self.long.v[..., None], self.long.d[..., None], self.lever, self._curvature_change(c)
         constants = self.intervals.arms.constants
-        twist = constants.most(constants.bounds.twist[0], self.intervals.stretch)
+        twist = constants.largest(constants.bounds.twist[0], self.intervals.stretch)
         # theta' = t / kt + u*_z.
         theta = dh * (self.torque / self.kt + twist) + h * c.torque / self.kt
         theta = theta + h * (self.torque * self.transport.ease.d + self.transport.twist_slope.v * self.intervals.moved)
@@ -432,7 +432,7 @@ class _Bounds:
         if self.transport.still:
             return np.zeros(()), np.zeros(())
         c, stretch = self.intervals.arms.constants, self.intervals.stretch
-        kb, kt = (c.most(most, stretch) for most in c.bounds.stiffest)
+        kb, kt = (c.largest(most, stretch) for most in c.bounds.stiffest)
         # Half of the time; and d sqrt(f) = df / (2 sqrt(f)), with the smallest f.
         bending = self.transport.bending_compliance.d * np.sqrt(kb.sum(-1)) / 4
         return self.transport.ease.d * np.sqrt(kt) / 4, bending

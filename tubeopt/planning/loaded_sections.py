@@ -239,18 +239,18 @@ class LoadedArms(Arms):
         bend = CurvatureBounds.of(c, *self.crossed)
         transport, pull = (
             TransportBounds.of(c, np.array(1.0), *self.crossed),
-            [c.most(each, *self.crossed) for each in c.bounds.pull],
+            [c.largest(each, *self.crossed) for each in c.bounds.pull],
         )
         pulls = self._felt[0][inner], self._felt[1][inner + 1]
         force = np.maximum(*(np.linalg.norm(each[:, FORCE], axis=1) for each in pulls))
         # The moment is at most that of the load on a straight arm. A torque grows by |u| |a| per length, and by applied
         # moments on its tube.
         moment, (along, couple) = self._lever[owner], self.pull.per_length
-        u = bend.most + moment / bend.stiffness
+        u = bend.max_u + moment / bend.stiffness
         grows = u[:, None] * bend.moment + couple
         torque = np.maximum(np.abs(self.borne[0][0][inner]), np.abs(self.torque[inner + 1])) + h[:, None] * grows
         ease, twist_slope = transport.ease, transport.twist_slope
-        turn = torque * ease.v + c.most(c.bounds.twist[0], *self.crossed)
+        turn = torque * ease.v + c.largest(c.bounds.twist[0], *self.crossed)
         turning = grows * ease.v + torque * ease.d + twist_slope.v
         swing = unit_vector(DerivativeBounds(turn, turn, turning))
         whole, growing = torque.sum(1), grows.sum(1)
@@ -363,7 +363,7 @@ class LoadedIntervals(Intervals):
     def bending(self) -> CurvatureBounds:
         """Bounds on the curvature in every section, (B, K), with the load."""
         plain = CurvatureBounds.of(self.arms.constants, self.stretch)
-        return replace(plain, most=plain.most + self.lever / plain.stiffness)
+        return replace(plain, max_u=plain.max_u + self.lever / plain.stiffness)
 
     @cached_property
     def loads(self) -> SampledLoads:

@@ -131,14 +131,14 @@ class Constants:
         places = breakpoints.reshape(*breakpoints.shape[:-1], self.ended, -1)
         return np.asarray((s[..., None, None] >= places).sum(-2), dtype=np.intp)
 
-    def most(self, table: Array, *stretches: Index) -> Array:
+    def largest(self, table: Array, *stretches: Index) -> Array:
         """(..., n) largest value of a table (n, C + 1) over the given stretches (..., n) of each tube."""
         tube = np.arange(len(table))
         return np.asarray(reduce(np.maximum, (table[tube, stretch] for stretch in stretches)))
 
-    def least(self, table: Array, *stretches: Index) -> Array:
+    def smallest(self, table: Array, *stretches: Index) -> Array:
         """(..., n) smallest value of a table (n, C + 1) over the given stretches (..., n) of each tube."""
-        return -self.most(-table, *stretches)
+        return -self.largest(-table, *stretches)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +153,7 @@ class CurvatureBounds:
     """(..., n) m_i = kb_i |u*_i|, 0 where tube i is not curved."""
     pairs: Array
     """(..., n, n) upper bound on m_i m_j / k, 0 for i = j."""
-    most: Array
+    max_u: Array
     """(...) upper bound on |u|."""
     stiffness: Array
     """(...) lower bound on k."""
@@ -167,29 +167,29 @@ class CurvatureBounds:
     @staticmethod
     def of(c: Constants, *stretches: Index) -> CurvatureBounds:
         """Bounds for cross-sections where each tube is in any of the given stretches (..., n)."""
-        moment, kb = c.most(c.bounds.pull[0], *stretches), c.least(c.bounds.bending[0], *stretches)
+        moment, kb = c.largest(c.bounds.pull[0], *stretches), c.smallest(c.bounds.bending[0], *stretches)
         # k(0); any positive number where no tube is present, since nothing bends there.
         k_0 = np.where(kb.any(-1), kb.sum(-1), 1.0)
         k_u_0 = np.linalg.norm(kb @ c.direction, axis=-1)
         s = moment.sum(-1)
         # |u| (k(0) - |grad k(0)| |u|) <= |S|: iterated from below, |u| grows towards the least root.
-        most = s / k_0
+        max_u = s / k_0
         for _ in range(50 if k_u_0.any() else 0):
-            most = s / np.maximum(k_0 - k_u_0 * most, 1e-300)
-        stiffness = k_0 - k_u_0 * most
+            max_u = s / np.maximum(k_0 - k_u_0 * max_u, 1e-300)
+        stiffness = k_0 - k_u_0 * max_u
         # k_i = kb_i / g_i: the second and third derivatives by u are 2 kb d^2 / g^3 and 6 kb d^3 / g^4 in size.
-        g = np.maximum(1 - c.offset * most[..., None], 0.0)
+        g = np.maximum(1 - c.offset * max_u[..., None], 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
             k_uu = np.where(kb * c.offset > 0, 2 * kb * c.offset**2 / g**3, 0.0).sum(-1)
             k_uuu = np.where(kb * c.offset > 0, 6 * kb * c.offset**3 / g**4, 0.0).sum(-1)
         # The gradient of k at 0, and its growth up to |u|.
-        k_u = k_u_0 + most * k_uu
+        k_u = k_u_0 + max_u * k_uu
         # d(u k) = k du + u (grad k . du), of which the second part may oppose the first.
-        tangent_stiffness = stiffness - most * k_u
+        tangent_stiffness = stiffness - max_u * k_u
         pairs = moment[..., :, None] * moment[..., None, :] / stiffness[..., None, None]
         n = moment.shape[-1]
         pairs[..., np.arange(n), np.arange(n)] = 0.0
-        return CurvatureBounds(moment, pairs, most, stiffness, k_u, k_uu, k_uuu, tangent_stiffness)
+        return CurvatureBounds(moment, pairs, max_u, stiffness, k_u, k_uu, k_uuu, tangent_stiffness)
 
     def change(self, dtheta: Array) -> Array:
         """(...) bound on |du| where theta_i changes by at most `dtheta` (..., n)."""
@@ -200,7 +200,7 @@ class CurvatureBounds:
         # u k(u) = S, differentiated up to three times and solved for the highest derivative of u:
         # (k + u k_u) u' = S',  (k + u k_u) u'' = S'' - (2 k_u + u k_uu) u'^2, and so on.
         ratio, k = self.stiffness / self.tangent_stiffness, self.stiffness
-        two, three = 2 * self.k_u / k + self.most * self.k_uu / k, (3 * self.k_uu + self.most * self.k_uuu) / k
+        two, three = 2 * self.k_u / k + self.max_u * self.k_uu / k, (3 * self.k_uu + self.max_u * self.k_uuu) / k
         d = ratio * s.d
         dd = ratio * (s.dd + two * d**2)
         ddd = k_ddd = None
@@ -208,12 +208,12 @@ class CurvatureBounds:
             ddd = ratio * (s.ddd + 3 * two * d * dd + three * d**3)
             k_ddd = (self.k_u * ddd + 3 * self.k_uu * d * dd + self.k_uuu * d**3) / k
         size = DerivativeBounds(np.ones_like(k), self.k_u * d / k, (self.k_u * dd + self.k_uu * d**2) / k, k_ddd)
-        return DerivativeBounds(self.most, d, dd, ddd), size
+        return DerivativeBounds(self.max_u, d, dd, ddd), size
 
     def second(self, x: Array, y: Array) -> Array:
         """(...) bound on the second derivative of u by theta in the directions x and y (..., n)."""
         # (u k)_xy = k u_xy + k_x u_y + k_y u_x + u k_xy, solved for u_xy.
-        by_stiffness = (2 * self.k_u + self.most * self.k_uu) * self.change(x) * self.change(y)
+        by_stiffness = (2 * self.k_u + self.max_u * self.k_uu) * self.change(x) * self.change(y)
         return np.asarray(((self.moment * x * y).sum(-1) + by_stiffness) / self.tangent_stiffness)
 
 
@@ -246,30 +246,30 @@ class TransportBounds:
     def of(c: Constants, move: Array, *stretches: Index) -> TransportBounds:
         """Bounds for cross-sections in the given stretches (..., n) that move by `move` (..., n), m, in unit time."""
         b, none = c.bounds, np.zeros(())
-        kb = c.least(b.bending[0], *stretches)
+        kb = c.smallest(b.bending[0], *stretches)
         kb = np.where(kb.any(-1, keepdims=True), kb, 1.0)
         if c.still:
             nothing, bending_compliance = (
                 DerivativeBounds(none, none, none, none),
                 DerivativeBounds(1 / kb.sum(-1), none, none, none),
             )
-            ease = DerivativeBounds(1 / c.least(b.torsional, *stretches), none, none, none)
+            ease = DerivativeBounds(1 / c.smallest(b.torsional, *stretches), none, none, none)
             return TransportBounds(True, nothing, nothing, ease, nothing, nothing, nothing, bending_compliance)
 
         def by_time(value: Array, *rates: Array) -> DerivativeBounds:
             # d/dt = move d/ds, for every order.
-            rows = [c.most(rate, *stretches) * move ** (k + 1) for k, rate in enumerate(rates)]
+            rows = [c.largest(rate, *stretches) * move ** (k + 1) for k, rate in enumerate(rates)]
             return DerivativeBounds(value, *rows, *(np.zeros_like(value) for _ in range(3 - len(rows))))
 
         bending_compliance = inverse(by_time(kb, *b.bending[1:]).map(lambda part: part.sum(-1)))
-        pull = by_time(c.most(b.pull[0], *stretches), *b.pull[1:])
+        pull = by_time(c.largest(b.pull[0], *stretches), *b.pull[1:])
         pulls = pull * bending_compliance.map(lambda part: part[..., None])
         pairs = pulls.map(lambda part: part[..., :, None]) * pull.map(lambda part: part[..., None, :])
         pairs = pairs.map(lambda part: part * (1 - np.eye(part.shape[-1])))
-        ease = by_time(1 / c.least(b.torsional, *stretches), *b.ease)
-        slope, bend, third = (c.most(rate, *stretches) for rate in b.ease)
+        ease = by_time(1 / c.smallest(b.torsional, *stretches), *b.ease)
+        slope, bend, third = (c.largest(rate, *stretches) for rate in b.ease)
         compliance_slope = DerivativeBounds(slope, bend * move, third * move**2)
-        twist_slope = by_time(c.most(b.twist[1], *stretches), b.twist[2])
+        twist_slope = by_time(c.largest(b.twist[1], *stretches), b.twist[2])
         bow = DerivativeBounds(
             np.zeros_like(move), twist_slope.v * move**2 / 2, twist_slope.v * move**2, twist_slope.d * move**2
         )
@@ -482,7 +482,7 @@ class Arms:
             return out, turned
         h, owner = np.diff(self.arc_length)[self.inner], self.owner[self.inner]
         bend, transport = CurvatureBounds.of(c, *self.crossed), TransportBounds.of(c, np.array(1.0), *self.crossed)
-        most, kt = bend.pairs.sum(2), c.least(c.bounds.torsional, *self.crossed)
+        most, kt = bend.pairs.sum(2), c.smallest(c.bounds.torsional, *self.crossed)
         torque = self._torque(h[:, None] * most)
         gain = most / kt + torque * transport.ease.d + transport.twist_slope.v
         speed = np.maximum(np.abs(self._onwards[self.inner]), np.abs(self.torsion[self.inner + 1])) + h[:, None] * gain
@@ -491,8 +491,8 @@ class Arms:
         if not c.still:
             faster += 2 * most * transport.ease.d + torque * transport.ease.dd + transport.twist_slope.d
         # Tubes off the centreline: theta' = g w, whose change along the arm has that of g as well.
-        twist_slope, gain = gain, gain * (1 + c.offset * bend.most[:, None])
-        u, (first, second) = bend.most, transport.bend(speed, np.zeros(()))
+        twist_slope, gain = gain, gain * (1 + c.offset * bend.max_u[:, None])
+        u, (first, second) = bend.max_u, transport.bend(speed, np.zeros(()))
         du = bend.change(speed) + first
         gain += speed * c.offset * du[:, None] / (1 - c.offset * u[:, None])
         ddu = bend.second(speed, speed) + bend.change(gain) + second
@@ -597,7 +597,7 @@ class Intervals:
     @cached_property
     def torsional(self) -> Array:
         """(B, K, n) lower bound on kt, N m^2."""
-        return self.arms.constants.least(self.arms.constants.bounds.torsional, self.stretch)
+        return self.arms.constants.smallest(self.arms.constants.bounds.torsional, self.stretch)
 
     @cached_property
     def transmission(self) -> DerivativeBounds:
@@ -633,7 +633,7 @@ class Intervals:
     def sagitta(self, which: Index, section: Index, x: Array) -> Array:
         """(N,) bound on the distance of arms from their chords between fractions x (N, 2) of sections, m."""
         long = np.maximum(*self.length)[which, section] * (x[:, 1] - x[:, 0])
-        return np.asarray(self.bending.most[which, section] * long**2 / 8)
+        return np.asarray(self.bending.max_u[which, section] * long**2 / 8)
 
     @property
     def parts(self) -> tuple[tuple[Index, Array], tuple[Index, Array]]:

@@ -361,7 +361,8 @@ def _candidates(robot: Robot, min_margin: float, seed: int) -> _Candidates:
     if not valid:
         raise SolveError("no random translations within the limits satisfy the tube order")
     shift = np.array(valid)
-    alpha = random.uniform(*np.array(limits.rotations).T, size=(len(valid), robot.n_tubes))
+    low, high = np.array(limits.rotations).T
+    alpha = random.uniform(low, high, size=(len(valid), robot.n_tubes))
     poses = solve_poses(robot, alpha, shift, np.zeros(1))
     good = np.nan_to_num(poses.margin, nan=-1.0) >= max(min_margin, 1e-6)
     if good.sum() < 3:
