@@ -72,7 +72,7 @@ class Track:
 
     verifier: TrajectoryVerifier
     links: tuple[Link, ...]
-    """In order of time."""
+    """Intervals of the motion in order of time."""
     frame: Frame
     """Frame of its plate in the frame that the arms share."""
     begin: float
@@ -151,9 +151,9 @@ class Side(Table):
     """Stretch of one arm in N cells."""
 
     link: Index
-    """(N,)."""
+    """(N,) number of the link."""
     section: Index
-    """(N,)."""
+    """(N,) number of the section."""
     x: Array
     """(N, 2) fractions of the section."""
     points: Array
@@ -273,7 +273,7 @@ class _Distances(NamedTuple):
     measured: float
     """Smallest measured distance, m."""
     when: float
-    """Its time, s."""
+    """Time of the smallest distance, s."""
 
 
 def _bounds(tracks: tuple[Track, Track], times: Array, target: ClearanceTarget, closest: float) -> _Distances:
@@ -605,7 +605,7 @@ class Lines(Table):
     points: Array
     """(N, P, 3) m."""
     radius: Array
-    """(N, P) m."""
+    """(N, P) radii of the arms, m."""
     time: Array = field(default_factory=lambda: np.zeros(1))
 
     @staticmethod

@@ -31,7 +31,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..typing import Array, Mask
-from .sections import PARTS, DerivativeBounds, Intervals, inverse, linear, unit_vector
+from .sections import PARTS, DerivativeBounds, Intervals, inverse, linear, pair_differences, unit_vector
 
 AngleChange = tuple[Array, Array]
 """Bounds on changes of angles in every section: of theta_i (B, K, n), and of theta_i - theta_j (B, K, n, n)."""
@@ -97,8 +97,8 @@ def _at_ends(gain: Array) -> Array:
 
 
 def _with_pairs(own: Array) -> AngleChange:
-    """Bounds on theta_i with those on theta_i - theta_j that follow from the triangle inequality."""
-    return own, own[..., :, None] + own[..., None, :] if own.ndim else own
+    """Bounds on theta_i, with the bounds on theta_i - theta_j that follow."""
+    return own, pair_differences(own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +161,7 @@ class _Bounds:
         """Time derivatives of the chord theta~: only the natural twist of tubes that vary is not linear in time."""
         twist_tt = self.transport.bow.dd
         own = DerivativeBounds(dtheta[0], dtheta[0], twist_tt)
-        return own, DerivativeBounds(dtheta[1], dtheta[1], _with_pairs(twist_tt)[1])
+        return own, DerivativeBounds(dtheta[1], dtheta[1], pair_differences(twist_tt))
 
     def cross_sections(self, angles: AngleDerivatives) -> tuple[DerivativeBounds, DerivativeBounds]:
         """Moments M (B, K, n) and curvature u (B, K) where the angles have these time derivatives."""
@@ -227,7 +227,7 @@ class _Bounds:
         twist = _with_pairs(self.transport.bow.d)
         own, pair = own + twist[0], pair + twist[1]
         error = self._between_samples((own, pair))
-        wide = own + 2 * error, pair + 2 * _with_pairs(error)[1]
+        wide = own + 2 * error, pair + 2 * pair_differences(error)
         # The error bound is linear in the change that it bounds. So if twice the first error covers the error of the
         # widened change, the widened change is a bound.
         valid = (self._between_samples(wide) <= 2 * error + 1e-15).all((1, 2))
@@ -284,7 +284,7 @@ class _Bounds:
         e_t = ((ball.residual_tt / 2 + ball.jacobian_t * ball.radius) / ball.contraction)[:, None, None]
         twist = self.transport.bow
         orders = [dtheta[0] + e_t * own, twist.order(2), twist.order(3)]
-        pairs = [dtheta[1] + e_t[..., None] * self.weight[1], *(_with_pairs(each)[1] for each in orders[1:])]
+        pairs = [dtheta[1] + e_t[..., None] * self.weight[1], *(pair_differences(each) for each in orders[1:])]
         for order in (1, 2):
             moment, u = self.cross_sections((DerivativeBounds(own, *orders), DerivativeBounds(own, *pairs)))
             theta = self.rotation(moment, u.map(self._stretch)).order(order + 1)

@@ -34,7 +34,7 @@ import numpy as np
 from ..typing import Array, Mask
 from .branch import AngleChange, Branch, least_root, rotating_tangent, tip_derivatives
 from .loaded_sections import LoadedIntervals
-from .sections import PARTS, DerivativeBounds, linear, unit_vector
+from .sections import PARTS, DerivativeBounds, linear, pair_differences, unit_vector
 
 # f - chord = -int G f'' with Green's function G: for |f''| <= T, T linear in time, at most T / 6 at each time, which is
 # approached at an end where T vanishes (for constant T: T / 8).
@@ -89,7 +89,7 @@ class _Displacement:
 
 @dataclass(frozen=True, eq=False)
 class _Samples:
-    """Changes between samples."""
+    """Bounds on the changes between samples along the arm."""
 
     theta: Array
     """(B, K, n) rad."""
@@ -104,11 +104,11 @@ class _Chord:
     """Bounds, with time derivatives, along the chord of torques and moments."""
 
     theta: DerivativeBounds
-    """(B, K, n)."""
+    """(B, K, n) rotations of the tubes."""
     pair: DerivativeBounds
     """(B, K, n, n) of theta_i - theta_j."""
     tangent: DerivativeBounds
-    """(B, K)."""
+    """(B, K) unit tangents of the centreline."""
     torque: DerivativeBounds
     """(B, K, n) T_i, from equilibrium with the load."""
     moment: DerivativeBounds
@@ -136,7 +136,7 @@ class _GeometryChange:
     bending: Array
     """(B, K) int h |r| where T = 1."""
     force: Array
-    """(B, K) N."""
+    """(B, K) force on the cross-sections, N."""
 
 
 class _Bounds:
@@ -194,7 +194,7 @@ class _Bounds:
         first, last = ROUNDS
         for _ in range(last + 1):
             error = self._between_samples(rounds[-1])
-            angle = own + error.theta, pair + _pairs(error.theta)
+            angle = own + error.theta, pair + pair_differences(error.theta)
             rounds.append(_Changes(angle, torque + error.torque, moment + error.moment, rounds[0].valid))
         x_2, x_3, x_6, x_7 = (rounds[k].parts for k in (first, first + 1, last, last + 1))
         valid = [
@@ -266,7 +266,8 @@ class _Bounds:
         """Bounds along the chord, whose torques are at most `torque` (B, K, n) and which changes by `c`."""
         twist_tt = self._twist(DerivativeBounds(torque, c.torque, np.zeros_like(c.torque))).dd
         # A parabola is steeper than its chord by at most half of its second derivative.
-        theta, both = DerivativeBounds(np.ones_like(twist_tt), c.angle[0] + twist_tt / 2, twist_tt), _pairs(twist_tt)
+        theta = DerivativeBounds(np.ones_like(twist_tt), c.angle[0] + twist_tt / 2, twist_tt)
+        both = pair_differences(twist_tt)
         pair = DerivativeBounds(np.ones_like(both), c.angle[1] + both / 2, both)
         u = self._bend(theta, DerivativeBounds(self.lever, c.moment, np.zeros_like(c.moment)))
         w = np.cumsum(u.d, axis=1)
@@ -324,7 +325,7 @@ class _Bounds:
         First without torques and moments of this order; the residual, over the convexity, bounds these.
         """
         theta = self._twist(y.bounds("torque")).order(order)
-        y.theta[order], y.pair[order] = theta, _pairs(theta)
+        y.theta[order], y.pair[order] = theta, pair_differences(theta)
         u, frame = self._bend(y.bounds("theta"), y.bounds("moment")), y.frame
         gain = u.order(order) + frame[1] * u.d
         if order == 3:
@@ -334,7 +335,7 @@ class _Bounds:
         torque, moment = (bounds.order(order) for bounds in balance)
         size = self._size(torque, moment) / convexity
         response = self._response(size)
-        y.theta[order], y.pair[order] = theta + response.angle[0], _pairs(theta) + response.angle[1]
+        y.theta[order], y.pair[order] = theta + response.angle[0], pair_differences(theta) + response.angle[1]
         frame[order] = frame[order] + self.swing * size[:, None]
         y.torque[order], y.moment[order] = torque + response.torque, moment + response.moment
 
@@ -493,11 +494,6 @@ def _square_over(change: Array, least: Array) -> Array:
 def _to_tip(bound: Array) -> Array:
     """(B, K) sums over each section and all sections from there to the tip."""
     return np.cumsum(bound[:, ::-1], axis=1)[:, ::-1]
-
-
-def _pairs(own: Array) -> Array:
-    """(..., n, n) bounds on theta_i - theta_j from those on theta_i (..., n)."""
-    return own[..., :, None] + own[..., None, :]
 
 
 def _root_change(start: Array, end: Array) -> Array:

@@ -459,7 +459,7 @@ class _Arm(NamedTuple):
     points: Array
     """(P, 3) centreline in the frame of the bases, m."""
     radius: Array
-    """(P,) m."""
+    """(P,) radii of the arm, m."""
     square: float
     """Squared length of a piece, m^2."""
     sagitta: float

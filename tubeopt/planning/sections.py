@@ -72,6 +72,11 @@ def unit_vector(angle: DerivativeBounds) -> DerivativeBounds:
     return DerivativeBounds(np.ones_like(angle.d), angle.d, angle.d**2 + angle.dd, third)
 
 
+def pair_differences(own: Array) -> Array:
+    """(..., n, n) bounds on theta_i - theta_j from those on theta_i (..., n), by the triangle inequality."""
+    return own[..., :, None] + own[..., None, :] if own.ndim else own
+
+
 def inverse(size: DerivativeBounds) -> DerivativeBounds:
     """Bounds for 1 / f, where f is at least `size.v` and the others bound its derivatives."""
     # (1/f)'' = 2 f'^2 / f^3 - f'' / f^2, and (1/f)''' = -6 f'^3 / f^4 + 6 f' f'' / f^3 - f''' / f^2.
@@ -322,7 +327,7 @@ class _Steps(NamedTuple):
     last: Index
     """(...) point at its end."""
     length: Array
-    """(...) m."""
+    """(...) lengths of the steps, m."""
     fraction: Array
     """(...) of the step, 0 to 1."""
 
@@ -336,11 +341,11 @@ class Arms:
     first: Index
     """(E + 1,) number of the first point of every equilibrium, and P."""
     arc_length: Array
-    """(P,) m."""
+    """(P,) arc lengths of the points, m."""
     position: Array
-    """(P, 3) m."""
+    """(P, 3) positions of the points, m."""
     tangent: Array
-    """(P, 3)."""
+    """(P, 3) unit tangents."""
     rotation: Array
     """(P, n) theta, rad."""
     torsion: Array
@@ -364,7 +369,7 @@ class Arms:
 
     @cached_property
     def translations(self) -> Array:
-        """(E, n) m."""
+        """(E, n) translations of the equilibria, m."""
         return np.array([e.translations for e in self.equilibria])
 
     @cached_property

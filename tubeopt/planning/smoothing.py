@@ -393,7 +393,7 @@ ROUND_OFF = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """A smoothed motion."""
+    """Result of smoothing: a motion with its knots."""
 
     motion: Motion
     points: Array

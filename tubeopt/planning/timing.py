@@ -186,9 +186,9 @@ class _Program:
     h: Array
     """(N,) lengths of the cells."""
     a: Array
-    """(N, r)."""
+    """(N, r) coefficients of u, over the limits of the acceleration."""
     b: Array
-    """(N, r)."""
+    """(N, r) coefficients of x, over the limits of the acceleration."""
     x_max: Array
     """(N + 1,) maximum velocity curve, from the rates."""
 

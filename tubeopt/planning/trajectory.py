@@ -92,7 +92,7 @@ class Trajectory(Displayed):
     start: Equilibrium
     """Equilibrium at the requested start."""
     turns: Annotated[tuple[int, ...], "full turns added to the rotations of the goal"]
-    """(n,) full turns."""
+    """(n,) full turns added to the rotations of the goal."""
     obstacles: tuple[Obstacle, ...]
     """Obstacles that the arm avoids."""
     min_margin: float

@@ -95,9 +95,9 @@ class Cells(Table):
     """N cells of arms in intervals."""
 
     which: Index
-    """(N,) interval."""
+    """(N,) number of the interval."""
     section: Index
-    """(N,) section."""
+    """(N,) number of the section."""
     x: Array
     """(N, 2) fractions of the section."""
     t: Array
@@ -261,7 +261,7 @@ class Step:
     """Fraction of the time."""
     equilibrium: Equilibrium
     joints: Array
-    """(2n,) joint values."""
+    """(2n,) joint values at the step."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -138,12 +138,12 @@ class Validation(Displayed):
         """Remarks on the measurements and on the comparison, as text."""
         error = self.registration_error
         known = "" if error is None else remark(error)
-        words = list(self.measurements.remarks) + ([known] if known else [])
+        remarks = list(self.measurements.remarks) + ([known] if known else [])
         if self.left_out:
             row, reason = self.left_out[0]
             count = f"{len(self.left_out)} rows have no stable shape and were left out"
-            words.append(f"{count}; the first is row {row + 1}: {reason}")
-        return tuple(words)
+            remarks.append(f"{count}; the first is row {row + 1}: {reason}")
+        return tuple(remarks)
 
     @property
     def residuals(self) -> Array:
@@ -217,9 +217,9 @@ def validate(
     if model.failures and not own:
         row, reason = model.failures[0]
         raise SolveError(f"row {row + 1}: {reason}")
-    found = compare_at(model, model.start, robot)
-    check_registration(found.registration_error, method)
-    return found
+    result = compare_at(model, model.start, robot)
+    check_registration(result.registration_error, method)
+    return result
 
 
 def check_tubes(robot: Robot, measurements: Measurements) -> None:
@@ -238,7 +238,7 @@ def compare_at(model: ArmModel, state: State, robot: Robot) -> Validation:
     front = model.station == 0
     tip[model.row[front]] = motion.apply(predicted[front])
     measured = motion.apply(m.tip_position)
-    found = passes(m)
+    result = passes(m)
     return Validation(
         robot=robot,
         measurements=m,
@@ -249,7 +249,7 @@ def compare_at(model: ArmModel, state: State, robot: Robot) -> Validation:
         axis_errors=axis,
         margin=poses.margin,
         length=model.length,
-        parity=parity(found.pairs, measured - tip, measured),
+        parity=parity(result.pairs, measured - tip, measured),
         registration_error=registration_error(model, state),
         left_out=model.failures,
     )
@@ -325,9 +325,9 @@ class _Pairs(NamedTuple):
     """Predicted and measured positions (or directions) in the frame of the plate."""
 
     predicted: Array
-    """(V, 3)."""
+    """(V, 3) predicted values."""
     measured: Array
-    """(V, 3)."""
+    """(V, 3) measured values."""
     shift: Array
     """(V, 3) added to either to give the lever of a rotation."""
 

@@ -100,31 +100,31 @@ class Setup:
         return all(np.array_equal(getattr(self, name), getattr(other, name)) for name in TUBES)
 
     @without_unit_warnings()
-    def robot(self, given: Robot, found_by: str = "") -> CommonRobot:
+    def robot(self, base: Robot, found_by: str = "") -> CommonRobot:
         """The robot with these numbers; raises InputError where there is none."""
-        first = Setup.of(given)
+        first = Setup.of(base)
         if self.same_tubes(first):
-            tubes = members(given)
+            tubes = members(base)
         else:
-            tubes = tuple(self._tube(tube, k, first) for k, tube in enumerate(members(given)))
+            tubes = tuple(self._tube(tube, k, first) for k, tube in enumerate(members(base)))
         mounts: dict[str, Any] = {name: tuple(getattr(self, name).tolist()) for name in MOUNTS}
         pairs = zip(self.drives.rotation_gains, self.drives.rotation_middles, strict=True)
         middles = tuple(middle if gain != 1.0 else 0.0 for gain, middle in pairs)
         calibration = replace(self.drives, found_by=found_by, rotation_middles=middles, **mounts)
         drives = None if calibration.trivial else calibration
-        if isinstance(given, ConcentricRobot):
-            rubbing = replace(friction_of(given) or Friction(), torque=tuple(self.friction.tolist()) or (0.0,))
+        if isinstance(base, ConcentricRobot):
+            rubbing = replace(friction_of(base) or Friction(), torque=tuple(self.friction.tolist()) or (0.0,))
             friction = None if rubbing.trivial else rubbing
             loose = tuple(self.clearance.tolist()) if self.clearance.any() else None
-            return replace(given, tubes=tubes, calibration=drives, friction=friction, clearance=loose)
-        if isinstance(given, SegmentedEccentricRobot):
-            return replace(given, segments=tubes, calibration=drives)
-        if isinstance(given, EccentricRobot):
+            return replace(base, tubes=tubes, calibration=drives, friction=friction, clearance=loose)
+        if isinstance(base, SegmentedEccentricRobot):
+            return replace(base, segments=tubes, calibration=drives)
+        if isinstance(base, EccentricRobot):
             # What is behind the straight part of the tube is transmission, as far as there is any.
-            extra = max(0.0, given.transmission_length + float(self.straight_length[0] - first.straight_length[0]))
-            kept = replace(tubes[0], straight_length=given.tube.straight_length)
-            return replace(given, tube=kept, transmission_length=extra, calibration=drives)
-        raise InputError(f"robot is a {type(given).__name__}; only robots that a file can describe can be calibrated")
+            extra = max(0.0, base.transmission_length + float(self.straight_length[0] - first.straight_length[0]))
+            tube = replace(tubes[0], straight_length=base.tube.straight_length)
+            return replace(base, tube=tube, transmission_length=extra, calibration=drives)
+        raise InputError(f"robot is a {type(base).__name__}; only robots that a file can describe can be calibrated")
 
     def _tube(self, tube: Tube, k: int, first: Setup) -> Tube:
         lengthened = float(self.straight_length[k] - first.straight_length[k])
@@ -319,8 +319,8 @@ def _curvature_span(context: Context, index: int | None) -> Span:
 def _piece_span(context: Context, index: int | None) -> Span:
     tube, piece = context.setup.pieces[index or 0]
     made = members(context.robot)[tube]
-    value, room = made.pieces[piece].largest_curvature, 2 / made.outer_diameter
-    return Span(0.0, -room, room, max(value, 1.0), 0.1 * value + 0.5)
+    value, limit = made.pieces[piece].largest_curvature, 2 / made.outer_diameter
+    return Span(0.0, -limit, limit, max(value, 1.0), 0.1 * value + 0.5)
 
 
 def _ratio_span(context: Context, index: int | None) -> Span:
@@ -337,9 +337,9 @@ def _translation_span(context: Context, index: int | None) -> Span:
     together = context.robot.moving_together
     tubes = list(range(context.robot.n_tubes)) if index is None else list(together[index])
     start = context.setup.drives.translation_offsets[tubes[0]]
-    room = min(context.robot.tubes[i].straight_length - _furthest(context, i) for i in tubes)
+    limit = min(context.robot.tubes[i].straight_length - _furthest(context, i) for i in tubes)
     scale = context.length / 10
-    return Span(start, start - 2 * scale, start + max(0.0, min(2 * scale, room)), scale, 2e-3)
+    return Span(start, start - 2 * scale, start + max(0.0, min(2 * scale, limit)), scale, 2e-3)
 
 
 def _furthest(context: Context, tube: int) -> float:
@@ -352,8 +352,8 @@ def _transmission_span(context: Context, index: int | None) -> Span:
     tubes = members(context.robot)
     each = context.robot.n_tubes // len(tubes)
     reach = [max(_furthest(context, i) for i in range(k * each, (k + 1) * each)) for k in range(len(tubes))]
-    room = [most - tube.straight_length for most, tube in zip(reach, tubes, strict=True)]
-    least = max(room) if index is None else room[index]
+    limit = [most - tube.straight_length for most, tube in zip(reach, tubes, strict=True)]
+    least = max(limit) if index is None else limit[index]
     start = 0.0
     if isinstance(context.robot, EccentricRobot):
         start, least = context.robot.transmission_length, max(0.0, least)

@@ -79,9 +79,9 @@ def hold_out(model: ArmModel, weights: Weights, fit: Descent[State], fold: Index
     own = fold[model.row]
     out = np.empty_like(fit.residuals)
     for k in np.unique(own):
-        rest = replace(weights, share=weights.share * (own != k))
+        training = replace(weights, share=weights.share * (own != k))
         try:
-            without = descend(model, rest, fit.state, jacobian=fit.jacobian, solver=BY_CHORDS)
+            without = descend(model, training, fit.state, jacobian=fit.jacobian, solver=BY_CHORDS)
             out[own == k] = without.residuals[own == k]
         except SolveError:
             out[own == k] = fit.residuals[own == k]
@@ -279,13 +279,13 @@ def fit(
     check_tubes(robot, measurements)
     chosen = choose_parameters(robot, measurements, parameters, options.registration)
     check_counts(measurements, len(chosen) + FREEDOMS[options.registration], options.folds)
-    told = progress or (lambda done, total: None)
+    report = progress or (lambda done, total: None)
     model = ArmModel(robot, measurements, chosen, options.registration, options.base)
-    told(1, 4)
+    report(1, 4)
     problem = FitProblem(model, options)
-    told(2, 4)
-    answer = problem.answer(measurements, told)
-    told(4, 4)
+    report(2, 4)
+    answer = problem.answer(measurements, report)
+    report(4, 4)
     return answer
 
 
@@ -325,25 +325,25 @@ class FitProblem:
     ) -> None:
         self.chosen, self.options = model.parameters, options
         self.sigma = (options.noise[0] or sigma[0], options.noise[1] or sigma[1])
-        begin = start or model.start
-        slopes = model.jacobian(begin)
+        origin = start or model.start
+        slopes = model.jacobian(origin)
         self.held, self.remarks = self._undetermined(model, slopes)
         self.free = [k for k in range(len(self.chosen)) if k not in self.held]
         self.model = model.with_parameters([self.chosen[k] for k in self.free])
-        kept = [*self.free, *range(len(self.chosen), slopes.shape[2])]
-        self.fit = self._settle(State(begin.x[self.free], begin.registration), slopes[..., kept])
+        columns = [*self.free, *range(len(self.chosen), slopes.shape[2])]
+        self.fit = self._settle(State(origin.x[self.free], origin.registration), slopes[..., columns])
 
     def _undetermined(self, model: ArmModel, slopes: Array) -> tuple[list[int], list[str]]:
         idle = [k for k, p in enumerate(self.chosen) if p.idle]
-        words = [left_out(self.chosen[k]) for k in idle]
-        rest = [k for k, p in enumerate(self.chosen) if not p.idle]
-        if not rest or self.options.priors:
-            return idle, words
+        messages = [left_out(self.chosen[k]) for k in idle]
+        active = [k for k, p in enumerate(self.chosen) if not p.idle]
+        if not active or self.options.priors:
+            return idle, messages
         unit = np.where(model.directed, model.length, 1.0)
-        kept = [*rest, *range(len(self.chosen), slopes.shape[2])]
-        chosen = [self.chosen[k] for k in rest]
-        held, more = undetermined(chosen, slopes[..., kept] * unit[:, None, None], model.length)
-        return sorted([*idle, *(rest[k] for k in held)]), words + more
+        columns = [*active, *range(len(self.chosen), slopes.shape[2])]
+        chosen = [self.chosen[k] for k in active]
+        held, more = undetermined(chosen, slopes[..., columns] * unit[:, None, None], model.length)
+        return sorted([*idle, *(active[k] for k in held)]), messages + more
 
     def weights(self) -> Weights:
         """Weights of the observations for the noise."""
@@ -352,46 +352,46 @@ class FitProblem:
     def _settle(self, start: State, slopes: Array) -> Descent[State]:
         """Descend from a start with its slopes, and estimate the noise, until it settles; with nothing but least
         squares of positions it does not matter what it is."""
-        found = descend(self.model, self.weights(), start, first=slopes, solver=FITTING)
+        descent = descend(self.model, self.weights(), start, first=slopes, solver=FITTING)
         for _ in range(NOISE_ROUNDS):
-            last, self.sigma = self.sigma, self._noise(found)
+            last, self.sigma = self.sigma, self._noise(descent)
             alike = not self.model.directed.any() and self.options.loss == "linear" and not self.options.priors
             if alike or np.allclose(self.sigma, last, rtol=SAME_NOISE, atol=0):
                 break
-            found = descend(self.model, self.weights(), found.state, first=found.jacobian, solver=FITTING)
-        return self._registered(found)
+            descent = descend(self.model, self.weights(), descent.state, first=descent.jacobian, solver=FITTING)
+        return self._registered(descent)
 
-    def _registered(self, found: Descent[State]) -> Descent[State]:
+    def _registered(self, descent: Descent[State]) -> Descent[State]:
         """The descent with the registration in closed form, which its last step reaches to first order only."""
         if self.options.loss != "linear":
-            return found
-        state = self.model.registered(found.state, self.options.noise)
+            return descent
+        state = self.model.registered(descent.state, self.options.noise)
         # Slopes of motion with friction cost as much as a fit; those of the state before serve there, as in `descend`.
-        slopes = found.jacobian if self.model.costly(state) else self.model.jacobian(state)
-        return replace(found, state=state, residuals=self.model.residuals(state), jacobian=slopes)
+        slopes = descent.jacobian if self.model.costly(state) else self.model.jacobian(state)
+        return replace(descent, state=state, residuals=self.model.residuals(state), jacobian=slopes)
 
-    def _noise(self, found: Descent[State]) -> tuple[float, float]:
+    def _noise(self, descent: Descent[State]) -> tuple[float, float]:
         """Standard deviations of a coordinate of positions and of directions: given, or left by the fit."""
-        left, given = self._left(found), self.options.noise
+        left, given = self._left(descent), self.options.noise
         return given[0] or left[0], given[1] or left[1]
 
-    def _left(self, found: Descent[State]) -> tuple[float, float]:
+    def _left(self, descent: Descent[State]) -> tuple[float, float]:
         """Standard deviations of a coordinate of positions and of directions that a fit leaves.
 
         With a robust loss, from the median, which outliers do not move.
         """
-        size = np.linalg.norm(found.residuals, axis=1)
+        size = np.linalg.norm(descent.residuals, axis=1)
         a = self.model.directed
         unknowns = len(self.free) + self.model.freedoms
         total = 3 * (~a).sum() + 2 * a.sum()
         # Each unknown takes one number to fit, which leaves so much less in the residuals.
-        spare = max(total - unknowns, 1) / total
+        freedom_ratio = max(total - unknowns, 1) / total
         out = []
         for sizes, coordinates, given in ((size[~a], 3, self.options.noise[0]), (size[a], 2, self.options.noise[1])):
             if not len(sizes):
                 out.append(given or FIRST_GUESS[1])
             elif self.options.loss == "linear":
-                out.append(float(np.sqrt((sizes**2).sum() / (coordinates * len(sizes) * spare))))
+                out.append(float(np.sqrt((sizes**2).sum() / (coordinates * len(sizes) * freedom_ratio))))
             else:
                 # The median of a chi distribution with k coordinates is sqrt(2 P^-1(k / 2, 1 / 2)), P the incomplete
                 # gamma function.
@@ -414,7 +414,7 @@ class FitProblem:
         inverse = np.linalg.pinv(square / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
         return np.asarray(inverse[: len(self.free), : len(self.free)])
 
-    def answer(self, measurements: Measurements, told: Progress) -> Fit:
+    def answer(self, measurements: Measurements, report: Progress) -> Fit:
         """Everything that is said about the fit."""
         model, options, state = self.model, self.options, self.fit.state
         known = registration_error(model, state)
@@ -429,7 +429,7 @@ class FitProblem:
         along, axis = None, None
         if fold is not None:
             along, axis = distances(model, hold_out(model, self.weights(), self.fit, fold))
-        told(3, 4)
+        report(3, 4)
         # A direction is three numbers with two degrees of freedom.
         degrees = max(1, 3 * len(model.row) - int(model.directed.sum()) - len(self.free) - model.freedoms)
         half = scipy.special.stdtrit(degrees, (1 + options.confidence) / 2) * errors
@@ -474,25 +474,25 @@ class FitProblem:
         return errors, correlation
 
     def _doubts(self, half: Array, correlation: Array) -> list[str]:
-        words = doubts(self.chosen, self.free, self.values, half, correlation)
-        words += entangled_history(self.model, self.fit)
-        words += louder(self._left(self.fit), self.options.noise)
+        messages = doubts(self.chosen, self.free, self.values, half, correlation)
+        messages += entangled_history(self.model, self.fit)
+        messages += louder(self._left(self.fit), self.options.noise)
         if not self.fit.converged:
-            words.append(
+            messages.append(
                 f"the fit had not settled after {FITTING.iterations} steps: estimate fewer parameters, or "
                 "start from a closer robot"
             )
         if self.fit.obstacle:
-            words.append(
+            messages.append(
                 f"the last steps were cut short, since beyond them there is no such robot: {self.fit.obstacle}"
             )
         if self.model.failures:
             row, reason = self.model.failures[0]
-            words.append(
+            messages.append(
                 f"{len(self.model.failures)} rows have no stable shape and were left out; the first is row {row + 1}: "
                 f"{reason}"
             )
-        return words
+        return messages
 
 
 def _estimates(

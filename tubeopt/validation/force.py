@@ -214,11 +214,11 @@ class ForceRecord(Displayed):
     def remarks(self) -> tuple[str, ...]:
         """Effects of the robot that the estimates ignore."""
         r = self.robot
-        words = {
+        ignored = {
             "the room between the tubes (clearance)": isinstance(r, ConcentricRobot) and r.clearance is not None,
             "friction between the tubes": isinstance(r, ConcentricRobot) and r.friction is not None,
         }
-        return tuple(f"{what} is left out of the estimates" for what, has in words.items() if has)
+        return tuple(f"{what} is left out of the estimates" for what, has in ignored.items() if has)
 
 
 @typed
@@ -282,11 +282,11 @@ def estimate_forces(
     last: Equilibrium | None = None
     for row in range(len(measurements)):
         length = robot.assembly(shift[row]).total_length
-        seen = np.isfinite(positions[row, :, 0])
+        present = np.isfinite(positions[row, :, 0])
         try:
             joints = joint_values(robot, alpha[row], shift[row])
-            offset = setup.sensor_offset if seen[0] else np.zeros(3)
-            measured = Measured(length - stations[seen], positions[row, seen], noise, offset)
+            offset = setup.sensor_offset if present[0] else np.zeros(3)
+            measured = Measured(length - stations[present], positions[row, present], noise, offset)
             estimate = _fitted(robot, joints, measured, base, last)
         except SolveError as error:
             failures.append((row, str(error)))
@@ -426,21 +426,25 @@ def _estimate(start: Trial, base: Load, measured: Measured) -> ForceEstimate:
     weakest = np.linalg.svd(start.jacobian)[2].T
     failed: SolveError | None = None
     choices = [EVERYWHERE, weakest[:, :2], weakest[:, :1]]
-    seen = weakest[:, ~hidden(start)]
-    if 0 < seen.shape[1] < 3:
-        choices.insert(0, seen)
+    observable = weakest[:, ~hidden(start)]
+    if 0 < observable.shape[1] < 3:
+        choices.insert(0, observable)
     for axes in choices:
         try:
             trial, iterations = fit(start, base, measured, FULL, axes)
         except TimeLimitError:
             raise
         except SolveError as error:
-            failed = failed if axes is seen else failed or error
+            failed = failed if axes is observable else failed or error
             continue
-        if axes is seen and hidden(trial).sum() < 3 - seen.shape[1]:
+        if axes is observable and hidden(trial).sum() < 3 - observable.shape[1]:
             # At this fit more directions are observable: all are fitted from here.
             start = trial
-        elif axes is seen or axes is EVERYWHERE or float(np.linalg.norm(remaining_step(trial, EVERYWHERE))) <= WITHIN:
+        elif (
+            axes is observable
+            or axes is EVERYWHERE
+            or float(np.linalg.norm(remaining_step(trial, EVERYWHERE))) <= WITHIN
+        ):
             break
     else:
         assert failed is not None

@@ -194,8 +194,8 @@ def trial_at(near: Equilibrium, base: Load, force: Array, measured: Measured) ->
     moved = np.linalg.solve(state.hessian, tip_slopes(problem, state)[:3].T)
     residuals, rows = [], []
     for s, position in zip(measured.arc_length, measured.position, strict=True):
-        here, slopes = position_slopes(problem, state, float(s))
-        residuals.append(position - here)
+        point_position, slopes = position_slopes(problem, state, float(s))
+        residuals.append(position - point_position)
         rows.append(slopes @ moved)
     if away.any():
         residuals[0] -= away
@@ -255,10 +255,10 @@ def covariance_of(trial: Trial, base: Load, measured: Measured, axes: Array) -> 
     left, size, right = np.linalg.svd(trial.jacobian @ axes, full_matrices=True)
     right = right @ axes.T
     if len(right) < 3:
-        rest = scipy.linalg.null_space(axes.T)
-        others = np.linalg.svd(trial.jacobian @ rest, full_matrices=False)
+        complement = scipy.linalg.null_space(axes.T)
+        others = np.linalg.svd(trial.jacobian @ complement, full_matrices=False)
         left = np.column_stack([left[:, : len(right)], others[0]])
-        size, right = np.append(size, others[1]), np.vstack([right, others[2] @ rest.T])
+        size, right = np.append(size, others[1]), np.vstack([right, others[2] @ complement.T])
     linear, bent, lost = np.zeros((3, 3)), np.zeros((3, 3)), hidden(trial)
     for k in np.flatnonzero(~lost):
         along = axes if k < axes.shape[1] else np.column_stack([axes, right[k]])
@@ -306,10 +306,10 @@ def _moved(trial: Trial, base: Load, measured: Measured, by: Array, axes: Array)
 
 def _unbounded(linear: Array, bent: Array, right: Array, lost: Mask) -> Covariance:
     """Covariance where the directions `lost` (3,) have no bound."""
-    rest = right[~lost]
-    square = rest @ _second_moment(linear, bent) @ rest.T
+    bounded_axes = right[~lost]
+    square = bounded_axes @ _second_moment(linear, bent) @ bounded_axes.T
     own, turns = np.linalg.eigh(square)
-    directions = np.vstack([turns.T @ rest, right[lost]])
+    directions = np.vstack([turns.T @ bounded_axes, right[lost]])
     errors = np.append(np.sqrt(np.maximum(own, 0.0)), np.full(int(lost.sum()), np.inf))
     # Infinite in every entry that a direction without a bound contributes to.
     bounded = np.isfinite(errors)

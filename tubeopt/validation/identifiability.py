@@ -48,29 +48,29 @@ def undetermined(parameters: Sequence[Parameter], jacobian: Array, length: float
     scaled = beside_registration(jacobian, len(parameters)) * [p.scale for p in parameters]
     # RMS motion of the tips, in lengths of the arm, per plausible change of each parameter.
     scaled /= length * math.sqrt(len(jacobian))
-    kept: list[int] = []
-    held, words = [], []
+    independent: list[int] = []
+    held, remarks = [], []
     for k, parameter in enumerate(parameters):
         # Added one by one in the user's order: of two that cannot be told apart the first is estimated.
-        _, singular, directions = np.linalg.svd(scaled[:, [*kept, k]], full_matrices=False)
+        _, singular, directions = np.linalg.svd(scaled[:, [*independent, k]], full_matrices=False)
         if singular[-1] > NO_EFFECT:
-            kept.append(k)
+            independent.append(k)
             continue
         held.append(k)
-        with_it = [parameters[j].name for j, part in zip(kept, directions[-1], strict=False) if abs(part) > 0.05]
+        with_it = [parameters[j].name for j, part in zip(independent, directions[-1], strict=False) if abs(part) > 0.05]
         if with_it:
-            words.append(
+            remarks.append(
                 f"{parameter.name} cannot be distinguished from a change of {join(with_it)} together with the "
                 f"registration; held at {shown(parameter.start, parameter.unit)}"
             )
         else:
-            words.append(
+            remarks.append(
                 f"{parameter.name} has next to no effect on the measured tips: a change by "
                 f"{shown(parameter.scale, parameter.unit)} moves them by less than "
                 f"{shown(NO_EFFECT * length, 'm')} (RMS) once the registration has followed; held at "
                 f"{shown(parameter.start, parameter.unit)}"
             )
-    return held, words
+    return held, remarks
 
 
 def left_out(parameter: Parameter) -> str:
@@ -95,34 +95,34 @@ def doubts(
         free: indices of the parameters that were estimated.   values, half: (P,) estimates and half widths of their
             intervals.   correlation: (P, P).
     """
-    words = []
+    remarks = []
     for k in free:
         p = parameters[k]
         if min(values[k] - p.low, p.high - values[k]) <= 1e-6 * p.scale:
-            words.append(f"{p.name} ended at the edge of its range: the interval does not hold there")
+            remarks.append(f"{p.name} ended at the edge of its range: the interval does not hold there")
         if half[k] > p.scale:
-            words.append(f"{p.name} is hardly determined: its interval is wider than any plausible range")
+            remarks.append(f"{p.name} is hardly determined: its interval is wider than any plausible range")
     for a, j in enumerate(free):
         for k in free[a + 1 :]:
             if abs(correlation[j, k]) > 0.99:
-                words.append(
+                remarks.append(
                     f"{parameters[j].name} and {parameters[k].name} are entangled (correlation "
                     f"{correlation[j, k]:.3f}): the data determine a combination of them far better than each"
                 )
-    return words
+    return remarks
 
 
-def louder(left: Sequence[float], given: Sequence[float | None]) -> list[str]:
+def louder(left: Sequence[float], known: Sequence[float | None]) -> list[str]:
     """Remarks where residuals are far beyond the noise that was given: of positions, m, and of directions, rad."""
-    words = []
-    for spread, noise, kind in zip(left, given, ("m", "rad"), strict=True):
+    remarks = []
+    for spread, noise, kind in zip(left, known, ("m", "rad"), strict=True):
         if noise and spread > 3.0 * noise:
-            words.append(
+            remarks.append(
                 f"residuals are {spread / noise:.2g} times the noise that was given ({shown(spread, kind)} for "
                 f"{shown(noise, kind)}): the intervals are too narrow, since the model lacks something or the noise is "
                 "larger"
             )
-    return words
+    return remarks
 
 
 def shown(value: float, unit: str) -> str:
@@ -158,22 +158,22 @@ def entangled_history(model: ArmModel, fit: Descent[State]) -> list[str]:
     slopes[..., :count] = fit.jacobian[..., :count]
     flat = slopes.reshape(-1, slopes.shape[2])
     usual = [k for k, p in enumerate(every) if not p.effect.history] + list(range(len(every), flat.shape[1]))
-    words = []
+    remarks = []
     for k, p in enumerate(every):
         if p.name not in fitted:
             continue
         rivals = [j for j, q in enumerate(every) if q.kind != p.kind and q.effect.history]
         left = _beside(flat[:, k], flat[:, usual])
         parted = _beside(left, np.column_stack([_beside(flat[:, j], flat[:, usual]) for j in rivals]))
-        share = float(np.linalg.norm(parted)) / max(float(np.linalg.norm(left)), 1e-300)
-        if share < 0.3:  # of it, the others of its kind cannot imitate
+        ratio = float(np.linalg.norm(parted)) / max(float(np.linalg.norm(left)), 1e-300)
+        if ratio < 0.3:  # of it, the others of its kind cannot imitate
             kinds = " and ".join(sorted({every[j].kind for j in rivals}))
-            words.append(
+            remarks.append(
                 f"{p.name} can hardly be distinguished from {kinds} on this path: these explain all but "
-                f"{100 * share:.0f} % of it. Measure the same path once slowly and once fast: a latency grows with the "
+                f"{100 * ratio:.0f} % of it. Measure the same path once slowly and once fast: a latency grows with the "
                 "speed, play and friction do not"
             )
-    return words
+    return remarks
 
 
 def _beside(column: Array, others: Array) -> Array:
@@ -436,11 +436,11 @@ def _way(robot: Robot, rotations: Array, translations: Array) -> tuple[Array, tu
     """Rows of a way from home, each time to the nearest that is left, -1 for home, and its joint values."""
     home = _home(robot)
     place = np.hstack([rotations, 20.0 * translations])  # an arm bends by about 20 rad per m
-    left, here, order = list(range(len(place))), np.append(home[0], 20.0 * home[1]), [-1]
+    left, position, order = list(range(len(place))), np.append(home[0], 20.0 * home[1]), [-1]
     while left:
-        nearest = min(left, key=lambda k: float(np.linalg.norm(place[k] - here)))
+        nearest = min(left, key=lambda k: float(np.linalg.norm(place[k] - position)))
         left.remove(nearest)
-        here = place[nearest]
+        position = place[nearest]
         order.append(nearest)
     joints = [home if k < 0 else (rotations[k], translations[k]) for k in order]
     rows, out = [-1], [home]
