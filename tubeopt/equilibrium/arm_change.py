@@ -13,7 +13,7 @@ import numpy as np
 from ..block.transcription.arm import cumulate
 from ..block.transcription.collocated import ENDS
 from ..block.transcription.responsive import Forcing, Response
-from ..block.transcription.standing import Given, by_data_of, cross, sections_of, values_of
+from ..block.transcription.standing import SectionInputs, by_data_of, cross, sections_of, values_of
 from ..errors import InputError, SolveError
 from ..robots.assembly import ROUND_OFF
 from ..robots.load import FORCE, MOMENT
@@ -123,7 +123,7 @@ class ArmChange(Directions):
         return self._gained(stored)
 
     @cached_property
-    def given_there(self) -> Given:
+    def given_there(self) -> SectionInputs:
         """theta, kb, m (2 T, n) and b (2 T, 2) of what strips uncover, then of what was there."""
         here, points = self.here, self.strips
         index, tubes = points.index, points.sections
@@ -290,7 +290,7 @@ class ArmChange(Directions):
         out = by[:, :n].ravel() @ moved.phi.reshape(-1, size)
         out += by[:, n:].ravel() @ moved.bent.reshape(-1, size)
         if forcing.data.any():
-            out += (weights[:, None] * here.by_data[2].reshape(len(weights), -1)).ravel() @ forcing.data.reshape(
+            out += (weights[:, None] * here.by_data.energy.reshape(len(weights), -1)).ravel() @ forcing.data.reshape(
                 -1, size
             )
         torque = here.torque.reshape(-1, n)

@@ -1,16 +1,17 @@
-"""One increment of a robot whose tubes rub: the least of its energy and of what friction takes on the way there.
+"""One increment of a robot with friction between its tubes: minimum of its energy and of the heat of friction.
 
     x = argmin  E(x) + sum_r D_r |phi_r(x) - phi_r,before|
     <=>  grad E + P' lam = 0,   |lam| <= D,   lam = D sign(slip) where a row slips, no slip where it sticks
 
-By Newton's method: every step solves the quadratic program of the energy's second-order model with the exact friction
-(`sticking`). Where the energy itself is not convex, but is along what sticks, the same exchanges are tried from the
-rows that stuck before, and their answer is taken only if it is a minimum by the inertia of the whole system.
+Newton's method: every step solves a quadratic program, the second-order model of the energy with the exact friction
+(`stick_or_slip`). If the energy is not convex, but is along the sticking rows, the exchanges start from the rows that
+stuck before. Their result is accepted only if it is a minimum, by the inertia of the whole system.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -24,38 +25,39 @@ from .settings import FRICTION_ITERATIONS, LAST_STEP, ROUND_OFF, STICK_CHANGES
 
 # --- Sticking and slipping --------------------------------------------------------------------------------------------
 
-# What sticks and what slips: a convex quadratic program with a bound on every multiplier.
+# A convex quadratic program with a bound on every multiplier decides which rows stick.
 #
-# Rows of friction with a compliance A (positive definite), free slips b (what they would slip if nothing rubbed) and
-# capacities D bear torques lam and slip by v = b - A lam so that
+# Rows of friction with a compliance A (positive definite), slips b without friction and capacities D have torques lam
+# and slips v = b - A lam so that
 #
 #     |lam| <= D,     v = 0 where |lam| < D,     v has the sign of lam where |lam| = D.
 #
-# Block principal pivoting exchanges all rows of the wrong kind at once (Judice and Pires, Computers & Operations
-# Research 21 (1994)), from all rows slipping as if nothing rubbed; from all rows sticking it would go row by row. Where
-# that goes in circles, the dual program, least 1/2 lam' A lam - b' lam within the capacities, is solved from there by
-# an active set that goes down with every step, and so ends.
+# Block principal pivoting exchanges all wrong rows at once (Judice and Pires, Computers & Operations Research 21
+# (1994)). It starts with all rows slipping as without friction; from all rows sticking it would go row by row. If it
+# cycles, the dual program, minimum of 1/2 lam' A lam - b' lam within the capacities, is solved from there by an active
+# set method that decreases with every step, and so ends.
 
 Signs = NDArray[np.int8]
 
 SLIP_ROUND_OFF = 1e-12
-"""Slip (rad) and fraction of the capacity that are round-off."""
+"""Slip (rad), and fraction of the capacity, below which a violation is round-off."""
 
 # Block pivoting may cycle. Judice and Pires switch to single exchanges after ten such rounds; here the descent, which
 # cannot cycle, is as fast, so that four are enough.
 STICK_PATIENCE = 4
-"""Exchanges between sticking and slipping without fewer wrong rows, after which pivoting counts as cycling."""
+"""Number of exchanges without fewer wrong rows after which pivoting counts as cycling."""
 
 
 def stick_or_slip(
     compliance: Array, free: Array, capacity: Array, start: Signs, *, convex: bool = True
 ) -> tuple[Array, Signs] | None:
-    """Torques (R,) and for every row the sign of its slip, 0 where it sticks; None where none were found, which only
-    round-off can do where A is positive definite.
+    """Torques (R,), and signs (R,) of the slips, 0 for rows that stick.
+
+    None if there is no solution; with a positive definite compliance only round-off can cause this.
 
     Args:
-        compliance: (R, R).   free: (R,) slips without friction.   capacity: (R,), above 0.   start: (R,) first guess.
-        convex: whether A is positive definite.
+        compliance: A (R, R).   free: slips (R,) without friction.   capacity: (R,), above 0.   start: first signs (R,).
+        convex: True if A is positive definite.
     """
     signs, fewest, patience = start.copy(), len(free) + 1, STICK_PATIENCE
     while True:
@@ -81,23 +83,27 @@ def stick_or_slip(
         signs[over] = np.sign(torque[over])
 
 
-def _by_descent(compliance: Array, free: Array, capacity: Array, near: Array) -> tuple[Array, Signs] | None:
-    """The same from torques (R,) nearby: those inside go down to their least, then the one is freed that gains most."""
-    torque = np.clip(near, -capacity, capacity)
+def _by_descent(compliance: Array, free: Array, capacity: Array, start: Array) -> tuple[Array, Signs] | None:
+    """`stick_or_slip` by an active set method from torques (R,).
+
+    Torques within their capacity move to their minimum; then the row with the largest gain is released.
+    """
+    torque = np.clip(start, -capacity, capacity)
     inside = np.abs(torque) < capacity
     for _ in range(STICK_CHANGES * (len(free) + 1)):
         rows = np.flatnonzero(inside)
         if len(rows):
-            rest = free[rows] - compliance[rows] @ (torque * ~inside)
-            target, failed = _solve(compliance[np.ix_(rows, rows)], rest)
+            slip = free[rows] - compliance[rows] @ (torque * ~inside)
+            target, failed = _solve(compliance[np.ix_(rows, rows)], slip)
             if failed:
                 return None
-            move, room = target - torque[rows], np.full(len(rows), np.inf)
-            ahead = move != 0
-            room[ahead] = (np.copysign(capacity[rows], move) - torque[rows])[ahead] / move[ahead]
-            first = int(np.argmin(room))
-            if room[first] < 1:
-                torque[rows] += room[first] * move
+            # Fraction of the move at which each row reaches its capacity.
+            move, fraction = target - torque[rows], np.full(len(rows), np.inf)
+            moving = move != 0
+            fraction[moving] = (np.copysign(capacity[rows], move) - torque[rows])[moving] / move[moving]
+            first = int(np.argmin(fraction))
+            if fraction[first] < 1:
+                torque[rows] += fraction[first] * move
                 torque[rows[first]] = np.copysign(capacity[rows[first]], move[first])
                 inside[rows[first]] = False
                 continue
@@ -111,8 +117,8 @@ def _by_descent(compliance: Array, free: Array, capacity: Array, near: Array) ->
 
 
 def _solve(matrix: Array, right: Array) -> tuple[Array, bool]:
-    """Solution of a symmetric system, by Cholesky where it is positive definite; whether it is singular."""
-    # Half the work of an indefinite factorisation, and nearly all matrices here are positive.
+    """Solution of a symmetric system, and True if it is singular."""
+    # Cholesky first: it takes half the work of an indefinite factorisation, and nearly all matrices are positive.
     _, x, failed = scipy.linalg.lapack.dposv(matrix, right)
     if failed:
         _, _, x, failed = scipy.linalg.lapack.dsysv(matrix, right)
@@ -120,43 +126,44 @@ def _solve(matrix: Array, right: Array) -> tuple[Array, bool]:
 
 
 FRICTION_TOLERANCE = 1e-9
-"""Largest violation of what friction demands, as a slip (rad) or a part of the capacity, with which a state counts."""
+"""Largest violation of the friction conditions of a converged state, as a slip (rad) or fraction of the capacity."""
 
 
 @dataclass(frozen=True, eq=False)
 class Increment:
-    """A state after an increment.
-
-    Attributes:
-        state: where it is.   torque: (R,) that friction bears, N m.   signs: (R,) of the slip, 0 where a row sticks or
-            has slid along the axis.
-        heat: that friction took, J.   converged: whether it is a minimum, to round-off.
-        contraction: largest ratio of successive steps with the same rows sticking.
-        violation: of what friction demands, as a slip (rad) or a part of the capacity.
-    """
+    """A state after an increment."""
 
     state: Rubbing
     torque: Array
+    """Friction torques (R,) of the rows, N m."""
     signs: Signs
+    """Signs (R,) of the slips, 0 for rows that stick or have slid along the axis."""
     heat: float
+    """Heat of friction, J."""
     converged: bool
+    """True for a minimum, to round-off."""
     contraction: float
+    """Largest ratio of successive steps with the same rows sticking."""
     violation: float
+    """Largest violation of the friction conditions, as a slip (rad) or fraction of the capacity."""
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Second-order model of an energy: Newton's step without friction (X,), response (X, R) to torques of the rows,
-    compliance (R, R) of the rows, and the number of negative eigenvalues of the Hessian."""
+    """Second-order model of an energy."""
 
     step: Array
+    """Newton step (X,) without friction."""
     response: Array
+    """Change (X, R) of the unknowns by torques of the rows."""
     compliance: Array
+    """Compliance (R, R) of the rows."""
     negative: int
+    """Number of negative eigenvalues of the Hessian."""
 
 
 def model_of(rows: Array, gradient: Array, hessian: Array) -> Model | None:
-    """The model for rows (R, X); None where the Hessian is singular."""
+    """Model for rows (R, X); None if the Hessian is singular."""
     right = np.column_stack([-gradient, rows.T])
     if not len(right):
         return Model(right[:, 0], right[:, 1:], rows @ right[:, 1:], 0)
@@ -172,26 +179,34 @@ def model_of(rows: Array, gradient: Array, hessian: Array) -> Model | None:
 
 
 def choose(model: Model, free: Array, capacity: Array, signs: Signs | None) -> tuple[Array, Signs] | None:
-    """Torques and signs of the rows for a model, from what they would slip without friction (R,); None where there are
-    none, or where they make no minimum."""
+    """Torques and signs of the rows for a model, from slips without friction (R,); None if there is no minimum."""
     first = np.sign(free).astype(np.int8) if signs is None else signs
     result = stick_or_slip(model.compliance, free, capacity, first, convex=not model.negative)
-    return result if result is not None and (not model.negative or _minimum(model, result[1])) else None
-
-
-def _minimum(model: Model, signs: Signs) -> bool:
-    """Whether the Hessian is positive along what sticks: by Haynsworth, what sticks must stop all that is negative."""
-    stuck = np.flatnonzero(signs == 0)
+    if result is None or not model.negative:
+        return result
+    # Haynsworth: the Hessian is positive along the sticking rows if their compliance has all its negative eigenvalues.
+    stuck = np.flatnonzero(result[1] == 0)
     values = np.linalg.eigvalsh(model.compliance[np.ix_(stuck, stuck)]) if len(stuck) else np.zeros(0)
-    return int((values < 0).sum()) == model.negative
+    return result if int((values < 0).sum()) == model.negative else None
 
 
-class _Turned:
-    """Rows that slide along the axis by zeta (rad, over the radius at which they rub) while they turn by v: friction
-    takes D sqrt(v^2 + zeta^2), smooth in v, and bears lam = D v / sqrt(v^2 + zeta^2) about the axis.
+class RowForces(NamedTuple):
+    """Friction of all rows."""
 
-    Newton's method on lam sqrt(v^2 + zeta^2) = D v in both, with lam kept within D, is at ease however small zeta is
-    (Chan, Golub and Mulet, SIAM J. Sci. Comput. 20 (1999)).
+    torque: Array
+    """Torques (R,), N m."""
+    signs: Signs
+    """Signs (R,) of the slips, 0 for rows that stick or slide along the axis."""
+    heat: float
+    """Heat of friction, J."""
+
+
+class _SlidingRows:
+    """Rows that slide along the axis by zeta (rad, over their friction radius) while they turn by v.
+
+    Friction takes the heat D sqrt(v^2 + zeta^2), smooth in v, and its torque is lam = D v / sqrt(v^2 + zeta^2).
+    Newton's method on lam sqrt(v^2 + zeta^2) = D v in both unknowns, with lam kept within D, converges however small
+    zeta is (Chan, Golub and Mulet, SIAM J. Sci. Comput. 20 (1999)).
     """
 
     def __init__(self, contact: Contact, slid: Array | None) -> None:
@@ -199,32 +214,34 @@ class _Turned:
         self.any = bool(slid.any())
         self.sharp, self.smooth = slid == 0 if self.any else slice(None), np.flatnonzero(slid)
         self.rows, self.capacity = contact.rows[self.sharp], contact.capacity[self.sharp]
-        self.own, self.most, self.zeta = contact.rows[self.smooth], contact.capacity[self.smooth], slid[self.smooth]
+        self.smooth_rows, self.limit = contact.rows[self.smooth], contact.capacity[self.smooth]
+        self.zeta = slid[self.smooth]
         self.torque = np.zeros(len(self.smooth))
 
     def added(self, state: Rubbing, slip: Array) -> tuple[Array, Array]:
-        """Gradient and Hessian of the energy with what these rows take."""
+        """Gradient and Hessian of the energy with the heat of these rows."""
         size = np.hypot(slip[self.smooth], self.zeta)
         # d/dv of D sqrt(v^2 + zeta^2); the second derivative takes the torque in place of D v / size.
-        self.pull = self.most * slip[self.smooth] / size
-        self.stiffness = (self.most - self.torque * slip[self.smooth] / size) / size
+        self.slope = self.limit * slip[self.smooth] / size
+        self.stiffness = (self.limit - self.torque * slip[self.smooth] / size) / size
         return (
-            state.gradient + self.own.T @ self.pull,
-            state.hessian + (self.own.T * self.stiffness) @ self.own,
+            state.gradient + self.smooth_rows.T @ self.slope,
+            state.hessian + (self.smooth_rows.T * self.stiffness) @ self.smooth_rows,
         )
 
     def advance(self, step: Array) -> None:
-        """The torques after a step of Newton's method."""
-        self.torque = np.clip(self.pull + self.stiffness * (self.own @ step), -self.most, self.most)
+        """Update the torques after a step of Newton's method."""
+        torque = self.slope + self.stiffness * (self.smooth_rows @ step)
+        self.torque = np.clip(torque, -self.limit, self.limit)
 
-    def whole(self, torque: Array, signs: Signs, slip: Array) -> tuple[Array, Signs, float]:
-        """Torques and signs of all rows, and the heat, J."""
+    def all_rows(self, torque: Array, signs: Signs, slip: Array) -> RowForces:
+        """Friction of all rows, from torques and signs of those that do not slide along the axis."""
         all_torque, all_signs = np.zeros(len(slip)), np.zeros(len(slip), dtype=np.int8)
         size = np.hypot(slip[self.smooth], self.zeta)
         all_torque[self.sharp], all_signs[self.sharp] = torque, signs
-        all_torque[self.smooth] = self.torque  # that of the slip would be its round-off over zeta
-        heat = float(self.capacity @ np.abs(slip[self.sharp] * signs)) + float(self.most @ size)
-        return all_torque, all_signs, heat
+        all_torque[self.smooth] = self.torque  # computed from the slip, it would be round-off over zeta
+        heat = float(self.capacity @ np.abs(slip[self.sharp] * signs)) + float(self.limit @ size)
+        return RowForces(all_torque, all_signs, heat)
 
 
 def increment(
@@ -235,61 +252,51 @@ def increment(
     signs: Signs | None = None,
     slid: Array | None = None,
 ) -> Increment | None:
-    """The state at base rotations (n,) near x, from relative rotations `before` (R,); None where none is close by.
+    """State at base rotations (n,) near x, from relative rotations `before` (R,); None if there is none nearby.
 
     Args:
-        signs: of what slips, for a first guess; by default what the energy's model without friction would do.
-        slid: (R,) by how much rows slide along the axis, over the radius at which they rub, rad.
+        signs: first signs of the slips; by default those of the energy's model without friction.
+        slid: slide (R,) of the rows along the axis over their friction radius, rad.
     """
-    state, turned = evaluate_contact(contact, rotations, x), _Turned(contact, slid)
-    last, contraction, kept = np.inf, 0.0, None
-    signs = None if signs is None else signs[turned.sharp]
+    state, sliding = evaluate_contact(contact, rotations, x), _SlidingRows(contact, slid)
+    last, contraction, previous = np.inf, 0.0, None
+    signs = None if signs is None else signs[sliding.sharp]
     # The set of sticking rows settles in a few steps; then Newton's method converges quadratically.
     for _ in range(FRICTION_ITERATIONS):
         slip = state.turned - before
-        model = model_of(turned.rows, *turned.added(state, slip))
+        model = model_of(sliding.rows, *sliding.added(state, slip))
         if model is None:
             return None
-        free = slip[turned.sharp] + turned.rows @ model.step
-        result = choose(model, free, turned.capacity, signs if kept is None else kept)
+        free = slip[sliding.sharp] + sliding.rows @ model.step
+        result = choose(model, free, sliding.capacity, signs if previous is None else previous)
         if result is None:
             return None
-        torque, now = result
+        torque, current = result
         step = model.step - model.response @ torque
         size = contact.turn_of(step)
         # Beyond half a turn the quadratic model says nothing about the energy.
         if not np.isfinite(size) or size > np.pi:
             return None
         state = evaluate_contact(contact, rotations, state.x + step)
-        turned.advance(step)
+        sliding.advance(step)
         if size <= LAST_STEP:
-            whole = turned.whole(torque, now, state.turned - before)
-            # A step of round-off may still change much of the torque of what slides by little.
-            tiny = size <= ROUND_OFF and not turned.any
-            if tiny or imbalance(contact, state, whole[0]) <= ROUND_OFF:
-                return _told(contact, state, whole, (before, slid), contraction)
-        elif not turned.any and kept is not None and np.array_equal(now, kept):
+            slip = state.turned - before
+            forces = sliding.all_rows(torque, current, slip)
+            # After a step of round-off, torques of rows with a small slide may still change.
+            tiny = size <= ROUND_OFF and not sliding.any
+            if tiny or imbalance(contact, state, forces.torque) <= ROUND_OFF:
+                wrong = np.where(forces.signs == 0, np.abs(slip), np.maximum(0.0, -slip * forces.signs))
+                if slid is not None:
+                    # lam sqrt(v^2 + zeta^2) = D v for rows that slide along the axis.
+                    turns = np.abs(forces.torque / contact.capacity * np.hypot(slip, slid) - slip)
+                    wrong = np.where(slid != 0, turns, wrong)
+                wrong = np.maximum(wrong, np.maximum(0.0, np.abs(forces.torque) / contact.capacity - 1))
+                violation = float(wrong.max(initial=0.0))
+                return Increment(state, *forces, violation <= FRICTION_TOLERANCE, contraction, violation)
+        elif not sliding.any and previous is not None and np.array_equal(current, previous):
             contraction = max(contraction, size / last)
-        last, kept = size, now
+        last, previous = size, current
     return None
-
-
-def _told(
-    contact: Contact,
-    state: Rubbing,
-    result: tuple[Array, Signs, float],
-    history: tuple[Array, Array | None],
-    contraction: float,
-) -> Increment:
-    (torque, signs, heat), (before, slid) = result, history
-    slip = state.turned - before
-    wrong = np.where(signs == 0, np.abs(slip), np.maximum(0.0, -slip * signs))
-    if slid is not None:
-        turns = np.abs(torque / contact.capacity * np.hypot(slip, slid) - slip)
-        wrong = np.where(slid != 0, turns, wrong)
-    wrong = np.maximum(wrong, np.maximum(0.0, np.abs(torque) / contact.capacity - 1))
-    violation = float(wrong.max(initial=0.0))
-    return Increment(state, torque, signs, heat, violation <= FRICTION_TOLERANCE, contraction, violation)
 
 
 def imbalance(contact: Contact, state: Rubbing, torque: Array) -> float:
@@ -298,14 +305,13 @@ def imbalance(contact: Contact, state: Rubbing, torque: Array) -> float:
 
 
 def held_margin(contact: Contact, state: Rubbing, signs: Signs) -> float:
-    """Least eigenvalue of the Hessian along what the sticking rows leave free, at most 1: how stable the state is as
-    long as friction holds what it holds."""
+    """Margin while the sticking rows stick: smallest eigenvalue of the Hessian on their null space, at most 1."""
     free = _free(contact, signs)
     return least(free.T @ state.hessian @ free)
 
 
 def _free(contact: Contact, signs: Signs) -> Array:
-    """(X, F) directions in which the sticking rows do not slip, of unit length and across each other."""
+    """Orthonormal directions (X, F) in which the sticking rows do not slip."""
     stuck = contact.rows[signs == 0]
     if not len(stuck):
         return np.eye(stuck.shape[1])
@@ -313,11 +319,11 @@ def _free(contact: Contact, signs: Signs) -> Array:
 
 
 SLOW, PATIENT, NEAR = 1e-4, 20, 1e-3
-"""A step (rad) of a flow that may be at rest; steps between two looks whether it is; how far from there rest may be."""
+"""Step (rad) below which a flow may be at rest, number of steps between two checks, and distance (rad) of the rest."""
 
 
 def softest(contact: Contact, state: Rubbing, signs: Signs) -> Array:
-    """Direction (X,) in which a state is softest without slip of what sticks; its largest turn is 1 rad."""
+    """Softest direction (X,) of a state without slip of the sticking rows; its largest turn is 1 rad."""
     free = _free(contact, signs)
     direction = free @ np.linalg.eigh(free.T @ state.hessian @ free)[1][:, 0]
     return np.asarray(direction / contact.turn_of(direction))
@@ -326,29 +332,28 @@ def softest(contact: Contact, state: Rubbing, signs: Signs) -> Array:
 def slide(
     contact: Contact, rotations: Array, x: Array, before: Array, push: Array | None = None
 ) -> tuple[Increment, float] | None:
-    """The flow of energy and friction down to where it comes to rest, and what friction took (J); None where that is
-    not found. It begins at x, or beside it, on the side of +-`push` (X,) that is lower.
+    """State at which the flow of energy with friction comes to rest, and the heat (J); None if it is not found.
 
-    Linearly implicit Euler steps in the norm of the torsional energy, each with exact friction from where the last one
-    left it, which grow into those of Newton where the flow comes to rest.
+    The flow starts at x, or at the lower of x +- `push` (X,). Linearly implicit Euler steps in the norm of the
+    torsional energy, each with exact friction from the last state, grow into Newton steps as the flow comes to rest.
     """
     starts = [x] if push is None else [x + push, x - push]
     sides = [evaluate_contact(contact, rotations, start) for start in starts]
-    taken = [float(contact.capacity @ np.abs(side.turned - before)) for side in sides]
-    lower = min(range(len(sides)), key=lambda k: sides[k].energy + taken[k])
-    state, heat = sides[lower], taken[lower] if push is not None else 0.0
+    heats = [float(contact.capacity @ np.abs(side.turned - before)) for side in sides]
+    lower = min(range(len(sides)), key=lambda k: sides[k].energy + heats[k])
+    state, heat = sides[lower], heats[lower] if push is not None else 0.0
     before = state.turned if push is not None else before
     delay, turn, signs = 1.0, np.inf, None
     for count in range(FLOW_STEPS):
-        # At rest the flow is left to Newton's method, which also finds what friction alone holds; where the flow only
-        # creeps past a state that was lost, that finds nothing near, and the flow goes on.
+        # Near rest Newton's method takes over, which also finds states that only friction holds. If the flow merely
+        # creeps past a lost state, it finds nothing nearby, and the flow continues.
         if turn < SLOW and (delay > 1e6 or count % PATIENT == 0):
             last = increment(contact, rotations, state.x, before, signs)
             if last is not None and last.converged and contact.turn_of(last.state.x - state.x) < NEAR:
                 return last, heat + last.heat
         model = model_of(contact.rows, state.gradient, state.hessian + np.eye(len(x)) / delay)
         result = None
-        # Where friction holds what the energy alone would not, from what stuck in the step before.
+        # If the energy is not convex, the rows that stuck in the last step may still hold the state.
         if model is not None and (not model.negative or signs is not None):
             free = state.turned - before + contact.rows @ model.step
             result = choose(model, free, contact.capacity, signs if model.negative else None)
@@ -361,16 +366,13 @@ def slide(
             delay *= shortened(turn)
             continue
         trial = evaluate_contact(contact, rotations, state.x + move)
-        spent, owed = (float(contact.capacity @ np.abs(at.turned - before)) for at in (trial, state))
-        if trial.energy + spent > state.energy + owed + 1e-13 * _scale(contact, state):
+        trial_heat, current_heat = (float(contact.capacity @ np.abs(at.turned - before)) for at in (trial, state))
+        # Round-off of the energy is that of its parts.
+        work = 0.0 if contact.loaded is None else abs(state.elastic.potential - state.elastic.energy)
+        scale = contact.problem.energy_parts + abs(state.energy) + work
+        if trial.energy + trial_heat > state.energy + current_heat + 1e-13 * scale:
             delay *= 0.25
             continue
-        state, before, heat, signs = trial, trial.turned, heat + spent, result[1]
+        state, before, heat, signs = trial, trial.turned, heat + trial_heat, result[1]
         delay = grown(delay, turn)
     return None
-
-
-def _scale(contact: Contact, state: Rubbing) -> float:
-    """The energies whose round-off is that of their sum, J."""
-    work = 0.0 if contact.loaded is None else abs(state.elastic.potential - state.elastic.energy)
-    return contact.problem.energy_parts + abs(state.energy) + work

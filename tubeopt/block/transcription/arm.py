@@ -1,4 +1,4 @@
-"""From the collocated solution to the torsion anywhere along the arm."""
+"""The arm of a collocated solution: torsion at any arc length, shape, energy, and errors of mesh and integration."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class Profile:
 
     theta = rotation + c (x h torque + h^2 int int moment) + h int extra.
 
-    Where tubes have a natural twist theta is the elastic rotation phi.
+    For tubes with natural twist theta is the elastic rotation phi.
 
     Attributes:
-        rotation, torque: (P, n) theta, rad, and t = kt theta' / g, N m, where each piece begins.
-        moment: (P, K, n) M at the collocation points, N, 0 on pieces without.
-        compliance: (P, n) c, the mean of 1 / kt on a piece.
-        extra: (P, K, n) (g / kt - c) t at the points, rad/m.
+        rotation, torque: theta, rad, and t = kt theta' / g, N m, where each piece begins, (P, n).
+        moment: M (P, K, n) at the collocation points, N, 0 on pieces without.
+        compliance: c (P, n), the mean of 1 / kt on a piece, 1/(N m^2).
+        extra: (g / kt - c) t (P, K, n) at the points, rad/m.
     """
 
     rotation: Array
@@ -45,37 +45,40 @@ class Profile:
 
 
 def profile(problem: ReducedProblem, rotations: Array, state: Evaluation) -> Profile:
-    """theta_i(s) of a solved problem."""
+    """Torsion along the arm of a solved problem."""
     return integrate(problem, rotations, state.moment, state.extra_twist)
 
 
 def integrate(problem: ReducedProblem, base: Array, moment: Array, extra_twist: Array | None = None) -> Profile:
-    """Integrate moments M (N, n), N, from the tip, where torsion is 0, then the rotation from the base (n,); of tubes
-    off the centreline with (g - 1) w (N, n) at the points."""
+    """Torsion along the arm: moments integrated from the tip, then rotations from the base.
+
+    Args:
+        base: rotations (n,) at the clamps, rad.  moment: M (N, n) at the points, N.
+        extra_twist: (g - 1) w (N, n) of eccentric tubes at the points, rad/m.
+    """
     mesh, here = problem.mesh, problem.here
     t, h = mesh.tableau, mesh.length[:, None]
     inner = np.zeros((len(h), t.degree, len(base)))
     inner[mesh.collocated] = moment.reshape(-1, *inner.shape[1:])
     gain = h * (t.weights @ inner)
-    # t = 0 at the tip and t' = M: at each beginning it is minus all that is gained ahead.
+    # t = 0 at the tip and t' = M: t where a piece begins is minus the integral of M from there to the tip.
     torque = -np.cumsum(gain[::-1], axis=0)[::-1]
     mean = np.asarray(t.weights @ here.rate)
     extra = (torque[:, None] + h[..., None] * (t.adjoint @ inner)) * (here.rate - mean[:, None])
     if extra_twist is not None:
         extra[mesh.collocated] += extra_twist.reshape(-1, *inner.shape[1:])
-    # Integrating twice, int_0^1 (1 - x) M dx: the torque gained at x turns only what follows.
+    # Integrated twice, int_0^1 (1 - x) M dx: a moment at x twists only the part beyond it.
     turn = mean * (h * torque + h**2 * ((t.weights * (1 - t.nodes)) @ inner)) + h * (t.weights @ extra)
     start = base + here.transmission * (torque[0] if len(torque) else 0.0)
     return Profile(start + np.cumsum(turn, axis=0) - turn, torque, inner, mean, extra)
 
 
 def pushed(problem: ReducedProblem, arm: Profile, end: Index, tube: Index, torque: Array) -> Profile:
-    """The torsion with torques (R,), N m, on tubes (R,) besides: each turns its tube up to where piece `end` (R,)
-    begins."""
+    """Torsion with additional torques (R,), N m, on tubes (R,), each where piece `end` (R,) begins."""
     soft = problem.softness[1]
     rotation, twisted, extra = arm.rotation.copy(), arm.torque.copy(), arm.extra.copy()
     for e, i, push in zip(end.tolist(), tube.tolist(), torque.tolist(), strict=True):
-        # A torque turns every place by int ds / kt up to the nearer of the place and where it acts.
+        # A torque turns every point by int ds / kt up to the nearer of the point and where it acts.
         rotation[:, i] += push * np.minimum(soft[:-1, i], soft[e, i])
         twisted[:e, i] += push
         extra[:e, :, i] += push * (problem.here.rate[:e, :, i] - arm.compliance[:e, None, i])
@@ -83,25 +86,25 @@ def pushed(problem: ReducedProblem, arm: Profile, end: Index, tube: Index, torqu
 
 
 def rotations_at(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) -> Array:
-    """theta (P, len(x), n) at fractions x of every piece."""
+    """Rotations theta (P, len(x), n) at fractions x of every piece, rad."""
     return turned_along(problem.mesh.tableau, problem.mesh.length, arm, x)
 
 
 def torques_at(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) -> Array:
-    """t (P, len(x), n) at fractions x of every piece, N m."""
+    """Torques t (P, len(x), n) at fractions x of every piece, N m."""
     mesh = problem.mesh
     return np.asarray(arm.torque[:, None] + mesh.length[:, None, None] * (mesh.tableau.basis(x, 1) @ arm.moment))
 
 
 def turned_along(t: Tableau, length: Array, arm: Profile, x: tuple[float, ...]) -> Array:
-    """`rotations_at` of pieces of lengths (P,), m."""
+    """Rotations theta (P, len(x), n) at fractions x of pieces of lengths (P,), m."""
     h = length[:, None, None]
     even: Array = np.array(x)[:, None] * h * arm.torque[:, None] + h**2 * (t.basis(x, 2) @ arm.moment)
     return arm.rotation[:, None] + arm.compliance[:, None] * even + h * (t.basis(x, 1) @ arm.extra)
 
 
 def interpolate(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Array:
-    """theta (len(arc_length), n) at any arc length; constant beyond the ends."""
+    """Rotations theta (S, n) at arc lengths (S,), rad; constant beyond the ends."""
     mesh = problem.mesh
     piece, x = mesh.places(arc_length)
     h = mesh.length[piece][:, None]
@@ -111,7 +114,7 @@ def interpolate(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Arr
 
 
 def torque_at(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Array:
-    """t (len(arc_length), n) at any arc length, N m."""
+    """Torques t (S, n) at arc lengths (S,), N m; 0 beyond the tip."""
     mesh = problem.mesh
     if not len(mesh.length):
         return np.zeros((len(arc_length), arm.torque.shape[1]))
@@ -125,10 +128,10 @@ class Sections:
     """Cross-sections of an arm at X fractions of every piece.
 
     Attributes:
-        elastic, rotation: (P, X, n) theta without and with the natural turn, rad.
-        torsion: (P, X, n) slope of the latter, rad/m.
-        rate: (P, X, n) g / kt.   moment: (P, X, n) M, N.   curvature: (P, X, 2) without a load, 1/m.
-        bending: (P, X) bending energy per length, N.
+        elastic, rotation: theta (P, X, n) without and with the natural turn, rad.
+        torsion: derivative (P, X, n) of `rotation`, rad/m.
+        rate: g / kt (P, X, n).   moment: M (P, X, n), N.   curvature: (P, X, 2) without a load, 1/m.
+        bending: bending energy (P, X) per length, N.
     """
 
     elastic: Array
@@ -140,12 +143,12 @@ class Sections:
     bending: Array
 
     def part(self, first: int, last: int) -> Sections:
-        """At some of the fractions."""
+        """Cross-sections at the fractions from number `first` up to `last`."""
         return Sections(*(table[:, first:last] for table in vars(self).values()))
 
 
 def sections_along(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) -> Sections:
-    """The cross-sections at fractions x of every piece."""
+    """Cross-sections at fractions x of every piece."""
     assembly, theta, here = problem.assembly, rotations_at(problem, arm, x), sections_at(problem, x)
     function = section_function("section", len(here.phase), assembly.n_tubes, assembly.eccentric)
     inputs = theta.reshape(here.phase.shape) + here.phase, here.stiffness, here.moment, *assembly.place
@@ -164,80 +167,80 @@ def sections_along(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) 
 
 @lru_cache(maxsize=64)
 def sections_at(problem: ReducedProblem, x: tuple[float, ...]) -> CrossSections:
-    """(P X, n) cross-sections at fractions x of every piece, which do not depend on what turns the tubes."""
+    """Cross-sections (P X, n) at fractions x of every piece; they are independent of the rotations."""
     return meshes.sections_at(problem.assembly, problem.mesh, np.array(x))
 
 
 @dataclass(frozen=True, eq=False)
 class ArmShape:
-    """The whole arm at its m = 1 + STEPS x P shape points."""
+    """Shape of an arm at its m = 1 + STEPS x P shape points."""
 
     arc_length: Array
-    """(m,) m."""
+    """Arc lengths (m,), m."""
     rotation: Array
-    """(n, m) theta_i(s), rad; beyond a tube's end constant."""
+    """Rotations theta (n, m) of the tubes, rad; constant beyond the end of a tube."""
     torsion: Array
-    """(n, m) its derivative, rad/m; beyond a tube's end 0."""
+    """Derivative (n, m) of the rotations, rad/m; 0 beyond the end of a tube."""
     curvature: Array
-    """(m, 2) curvature vector in the Bishop frame, 1/m."""
+    """Curvature (m, 2) in the Bishop frame, 1/m."""
     position: Array
-    """(m, 3) of the centreline, m."""
+    """Positions (m, 3) of the centreline, m."""
     frame: Array
-    """(m, 3, 3) its Bishop frame."""
+    """Bishop frames (m, 3, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
 class CollocationPoints:
-    """The N collocation points of an equilibrium: where a warm start begins."""
+    """The N collocation points of an equilibrium, from which a warm start begins."""
 
     point: Array
-    """(N,) arc length, m."""
+    """Arc lengths (N,), m."""
     point_rotation: Array
-    """(N, n) theta_i of the tubes that are coupled there, rad; their base rotation for the others."""
+    """Rotations theta (N, n) of the tubes coupled there, rad; base rotations of the others."""
     point_curvature: Array = field(default_factory=lambda: np.zeros(0))
-    """(N, 2) curvature under load, 1/m; empty without one."""
+    """Curvature (N, 2) under load, 1/m; empty without a load."""
 
 
 @dataclass(eq=False, slots=True)
 class ArmSolution:
-    """An equilibrium as a solver found it; not frozen, since it is made in every solve."""
+    """Result of a solver; not frozen, since one is created in every solve."""
 
     arm: ArmShape
     tip_rotations: Array
-    """(n,) theta_i at each tube's own end, rad."""
+    """Rotations theta (n,) at the end of each tube, rad."""
     section_start: Array
-    """(k,) arc length of the breakpoints in front of the plate, m."""
+    """Arc lengths (k,) of the breakpoints in front of the plate, m."""
     tube_end: Array
-    """(n,) arc length of each tube's end, m."""
+    """Arc lengths (n,) of the ends of the tubes, m."""
     points: CollocationPoints
     margin: float
     energy: float
-    """Elastic, J."""
+    """Elastic energy, J."""
     residual: float
     """Largest violation of the equations, rad."""
     errors: tuple[float, float, float]
-    """Estimated, of theta (rad), of the tip (m) and of the margin."""
+    """Estimated errors of theta (rad), of the tip (m) and of the margin."""
     iterations: int
     index: int = 0
-    """Unstable directions."""
+    """Number of unstable directions."""
     work: float = 0.0
-    """Of dead loads, J."""
+    """Work of dead loads, J."""
     compliance: Array | None = None
-    """(6, 6) of the tip; None where nothing tells it yet."""
+    """Compliance (6, 6) of the tip; None if it is not computed yet."""
     base_wrench: Array | None = None
-    """(6,) on the plate, likewise."""
+    """Force and moment (6,) on the plate; None if not computed yet."""
 
     @staticmethod
-    def of(arm: ArmShape, assembly: Assembly, **rest: Any) -> ArmSolution:
-        """That of an arm of tubes that are placed."""
+    def of(arm: ArmShape, assembly: Assembly, **results: Any) -> ArmSolution:
+        """Solution with the shape of an arm and further results."""
         ends = np.maximum(assembly.end, 0.0)
         tips = arm.rotation[np.arange(len(ends)), np.searchsorted(arm.arc_length, ends - 1e-12)]
-        return ArmSolution(arm, tips, assembly.start, ends, **rest)
+        return ArmSolution(arm, tips, assembly.start, ends, **results)
 
 
 @dataclass(frozen=True, eq=False)
 class Arm(ArmShape):
-    """The same, and what integration and mesh get wrong.
+    """Shape of an arm, with the errors of integration and mesh.
 
     Attributes:
         shape_error: estimated error of the tip by the steps of the integration, m.
@@ -251,31 +254,31 @@ class Arm(ArmShape):
 
 
 class Between(NamedTuple):
-    """Places (S,) between points of an arm."""
+    """Positions of S arc lengths between the shape points of an arm."""
 
     point: Index
-    """(S,) the one before."""
+    """Shape point (S,) before each."""
     length: Array
-    """(S,) from there to the next, m."""
+    """Distance (S,) from that point to the next, m."""
     share: Array
-    """(S,) of that length to the place; outside of 0 to 1 beyond the ends."""
+    """Fraction (S,) of that distance; below 0 or above 1 beyond the ends."""
 
 
 def between(s: Array, at: Array) -> Between:
-    """Where arc lengths (S,) lie between points (m,), m at least 2."""
+    """Positions of arc lengths (S,) between shape points (m,), m at least 2."""
     k = np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(s) - 2)
     length = s[k + 1] - s[k]
     return Between(k, length, (at - s[k]) / length)
 
 
 def arc_lengths(mesh: Mesh) -> Array:
-    """(m,) arc length of the shape points, m."""
+    """Arc lengths (m,) of the shape points, m."""
     inner = mesh.start[:, None] + mesh.length[:, None] * ENDS[1:]
     return np.concatenate([ENDS[:1], inner.ravel()])
 
 
 def along_pieces(values: Array, pieces: int) -> Array:
-    """(m, k) of values (P, 5, k) at the shape points of every piece, of which neighbours share one."""
+    """Values (m, k) at the shape points, from values (P, 5, k) at those of every piece; neighbours share one."""
     table = values.reshape(pieces, len(ENDS), -1)
     return np.concatenate([table[0, :1], table[:, 1:].reshape(-1, table.shape[2])])
 
@@ -285,17 +288,19 @@ def along_pieces(values: Array, pieces: int) -> Array:
 
 @lru_cache(maxsize=16)
 def hermite(family: str, degree: int) -> Array:
-    """(K, 9) values at the points of the polynomial with given values at ENDS and slopes at ENDS but the first."""
+    """Matrix (K, 9) to the points from values at ENDS and slopes at all of ENDS but the first, by one polynomial."""
     x, power = tableau(family, degree).nodes, np.arange(2 * len(ENDS) - 1)
-    # Slopes of the monomials; those at 0 are left out, where u belongs to another piece.
+    # Slopes of the monomials; that at 0 is left out, since u may jump there.
     rates = power * ENDS[1:, None] ** np.maximum(power - 1, 0)
     conditions = np.concatenate([ENDS[:, None] ** power, rates])
     return np.asarray(np.linalg.solve(conditions.T, (x[:, None] ** power).T).T)
 
 
 def frames_at_points(t: Tableau, length: Array, shape: ArmShape) -> Array:
-    """(P, K, 3, 3) frames at the points of pieces of lengths (P,), from those at the shape points: polynomials through
-    those of a piece, with the slopes R hat(u) there (where it begins, u is another one's)."""
+    """Frames (P, K, 3, 3) at the points of pieces of lengths (P,), from those at the shape points.
+
+    They are interpolated by a polynomial with the slopes R hat(u) at all shape points of a piece but the first.
+    """
     pieces, count = len(length), 2 * len(ENDS) - 1
     index = shape_points(pieces)
     frame, step = shape.frame[index], length[:, None, None, None]
@@ -306,12 +311,12 @@ def frames_at_points(t: Tableau, length: Array, shape: ArmShape) -> Array:
 
 
 _HAT = np.array([[0.0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0]])
-"""hat(u) by rows from (u_x, u_y)."""
+"""Matrix (2, 9) from (u_x, u_y) to hat(u), by rows."""
 
 
 @lru_cache(maxsize=64)
 def shape_points(pieces: int) -> NDArray[np.intp]:
-    """(P, 5) which of the shape points lie at ENDS of every piece."""
+    """Indices (P, 5) of the shape points at ENDS of every piece."""
     steps = len(ENDS) - 1
     return np.asarray(np.arange(pieces)[:, None] * steps + np.arange(steps + 1), dtype=np.intp)
 
@@ -320,7 +325,7 @@ _ENDS = tuple(ENDS.tolist())
 
 
 def cumulate(t: Tableau, values: Array) -> Array:
-    """Integrals (m, ...) from the plate to every shape point of values (P, K, ...) at the points, per piece."""
+    """Integrals (m, ...) from the plate to every shape point, of values (P, K, ...) at the points of every piece."""
     flat = values.reshape(*values.shape[:2], int(np.prod(values.shape[2:])))
     inner = (t.basis(_ENDS, 1) @ flat).reshape(len(flat), len(ENDS), *values.shape[2:])
     ends = np.concatenate([np.zeros((1, *inner.shape[2:])), np.cumsum(inner[:, -1], axis=0)])
@@ -331,32 +336,31 @@ def cumulate(t: Tableau, values: Array) -> Array:
 # --- Whole arm: shape, energy, error of the mesh ----------------------------------------------------------------------
 
 COARSE_STEPS = STEPS // 2
-"""Steps of the shape per piece in the coarser integration, which estimates the error of STEPS."""
+"""Steps per piece of the coarser integration of the shape, which estimates the error."""
 
 EXTRA_POINTS = 3
-"""Collocation points by which the check of the mesh is finer than the solution."""
+"""Number of additional collocation points in the check of the mesh."""
 
 SUBSTEPS = 2
-"""Steps of the shape from one of its points to the next where tubes vary along a piece: there the curvature turns as it
-goes on."""
+"""Magnus steps between shape points of tubes that vary along a piece: natural twist rotates the curvature."""
 
 
 def gauss_fractions(steps: int) -> Array:
-    """(3 steps,) where along a piece so many Magnus steps need the curvature, 0 to 1."""
+    """Fractions (3 steps,) of a piece at which its Magnus steps need the curvature, 0 to 1."""
     return np.asarray(((np.arange(steps)[:, None] + GAUSS_POINTS) / steps).ravel())
 
 
 ROUGHER = np.vander(GAUSS_POINTS, 6) @ np.linalg.inv(np.vander(gauss_fractions(2)))
-"""(3, 6) what makes of the curvature at the points of two steps that at the points of one step for both."""
+"""Matrix (3, 6) from the curvature at the points of two steps to that at the points of one step over both."""
 
 SHAPE_RATIO = (STEPS // COARSE_STEPS) ** 6 - 1
-"""How far the rougher integration, of order 6, is off the finer one, over what is wrong with that."""
+"""Ratio of the difference of both integrations, of order 6, to the error of the finer one."""
 
 _HOME = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
 
 
 def evaluate_arm(problem: ReducedProblem, rotations: Array, state: Evaluation, torsion: Profile) -> Arm:
-    """Everything along the arm, from the solved state and its torsion profile; theta with the natural turn."""
+    """Arm of a solved state and its torsion; rotations include the natural turn."""
     mesh, n = problem.mesh, problem.assembly.n_tubes
     pieces = len(mesh.length)
     if not pieces:
@@ -374,7 +378,7 @@ def evaluate_arm(problem: ReducedProblem, rotations: Array, state: Evaluation, t
     rough = _poses(ROUGHER @ u.reshape(-1, 2 * len(GAUSS_POINTS), 2), 2 * length[::2])[1][-1]
     first = np.cumsum(steps) - steps
     ends = np.append(0, (first[:, None] + steps[:, None] // STEPS * np.arange(1, STEPS + 1)).ravel())
-    # The energies of the collocated pieces are those that were made least.
+    # The state has the energy of the collocated pieces.
     energy = state.energy + float((mesh.length * (finer.bending @ _finer(mesh).weights))[~mesh.collocated].sum())
     if problem.assembly.eccentric:
         # |z|^2 / 2 is int t^2 / (2 kt); with stretch it is int g t^2 / (2 kt).
@@ -393,7 +397,7 @@ def evaluate_arm(problem: ReducedProblem, rotations: Array, state: Evaluation, t
 
 
 def _torsion(problem: ReducedProblem, torsion: Profile) -> float:
-    """int g t^2 / (2 kt), J, with that of the transmissions."""
+    """Torsional energy int g t^2 / (2 kt), J, with that of the transmissions."""
     mesh = problem.mesh
     torque = torsion.torque[:, None, :] + mesh.length[:, None, None] * (mesh.tableau.matrix @ torsion.moment)
     slope = torsion.compliance[:, None] * torque + torsion.extra
@@ -402,19 +406,19 @@ def _torsion(problem: ReducedProblem, torsion: Profile) -> float:
 
 
 def _steps(problem: ReducedProblem) -> NDArray[np.intp]:
-    """(P,) Magnus steps on every piece."""
+    """Number of Magnus steps (P,) on every piece."""
     mesh = problem.mesh
     steady = problem.assembly.steady(*(mesh.start + mesh.length * x for x in (INWARDS / 2, 1 - INWARDS / 2)))
     return np.where(steady, STEPS, SUBSTEPS * STEPS)
 
 
 def _finer(mesh: Mesh) -> Tableau:
-    """Finer quadrature that checks the one of the mesh."""
+    """Finer quadrature, which checks that of the mesh."""
     return tableau("gauss", mesh.tableau.degree + EXTRA_POINTS)
 
 
 def _sections(problem: ReducedProblem, torsion: Profile, steps: NDArray[np.intp]) -> list[Sections]:
-    """The cross-sections at ENDS, at the points of the finer quadrature, and at those of each number of steps."""
+    """Cross-sections at ENDS, at the points of the finer quadrature, and at those of each number of Magnus steps."""
     places = [ENDS, _finer(problem.mesh).nodes, *(gauss_fractions(k) for k in sorted(set(steps.tolist())))]
     whole = sections_along(problem, torsion, tuple(np.concatenate(places).tolist()))
     return [whole.part(b - len(x), b) for x, b in zip(places, accumulate(map(len, places)), strict=True)]
@@ -428,13 +432,15 @@ def _poses(u: Array, lengths: Array) -> tuple[Array, Array]:
 
 
 def _defect(problem: ReducedProblem, torsion: Profile, here: Sections) -> float:
-    """What a quadrature with EXTRA_POINTS more, at cross-sections `here`, says is wrong in theta, rad: inside each
-    piece, and by a torque gained too much, which turns all that lies nearer to the base."""
+    """Error of theta by a quadrature with EXTRA_POINTS more points, at cross-sections `here`, rad.
+
+    It has a part inside each piece, and one by the error of the torque, which twists the tube up to there.
+    """
     mesh, finer = problem.mesh, _finer(problem.mesh)
     h = mesh.length[:, None, None]
     gain = h * here.moment
     torque = torsion.torque[:, None] + finer.matrix @ gain
     inner = np.abs(torsion.rotation[:, None] + h * (finer.matrix @ (here.rate * torque)) - here.elastic).max(1)
-    # A torque gained too much turns its tube from there to where it is clamped.
+    # An error of the torque twists its tube from the clamp to that piece.
     gained = np.abs(finer.weights @ gain - h[:, 0] * (mesh.tableau.weights @ torsion.moment))
     return float((inner + gained * reach(mesh, problem.here)[1:]).sum(0).max(initial=0.0))

@@ -1,19 +1,19 @@
-"""The collocated torsion problem with everything eliminated but theta at the collocation points.
+"""The collocated torsion problem, with theta at the collocation points as the only unknowns.
 
-Along an arm theta_i(s) = alpha_i - int (|beta_i| + min(s, r)) M_i(r) / kt_i dr: what the boundary conditions and the
-linear parts of the equations say. Collocated, theta = alpha - Gamma M(theta), with Gamma = S B of quadrature weights B
+Along an arm theta_i(s) = alpha_i - int (|beta_i| + min(s, r)) M_i(r) / kt_i dr, by the boundary conditions and the
+linear parts of the equations. Collocated, theta = alpha - Gamma M(theta), with Gamma = S B of quadrature weights B
 and, for Gauss points, a symmetric positive definite S / kt = L L'. In the coordinates z of theta = alpha + L z the
 elastic energy of concentric tubes is  z'z / 2 + sum of weights times V(theta):  its gradient is the collocation
-residual, its Hessian I + L' B V'' L has the stability margin as its smallest eigenvalue (capped at 1, which the
-torsion that nothing couples always has).
+residual, and the smallest eigenvalue of its Hessian I + L' B V'' L is the stability margin, at most 1, the eigenvalue
+of uncoupled torsion.
 
-Tubes off the centreline add the stretch of each tube, theta' = g w, which no energy of this form has:
+Eccentric tubes add the stretch of each tube, theta' = g w, which has no energy of this form:
 
     theta = alpha - Gamma M - P [(g - 1) . W M],   P, W: integration from the base and from the tip.
 
-Tubes made of pieces are wound by their natural twist, theta = phi + int u*_z, and what the elastic torsion turns is
-phi: it obeys the same equations, with the cross-section at phi + phase in place of theta, and int ds / kt in place of
-s / kt. Where a tube is made of pieces, `theta` here and in `arm` is phi.
+Tubes made of pieces have a natural twist, theta = phi + int u*_z. The elastic rotation phi obeys the same equations,
+with the cross-section at phi + phase in place of theta, and int ds / kt in place of s / kt. Of tubes made of pieces
+`theta` in this module and in `arm` is phi.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -37,21 +38,22 @@ from .mesh import Compliant, Mesh, ahead, compliant, green_of, integrals, reach
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """k tubes off the centreline that are curved together, at the p points where they are.
-
-    tubes (k,), points (p,); compliance (k, p, p): Gamma of each, weights included; up_to (p, N), beyond (N, p):
-    integrals from the base to these points, and over them from every point to the tip.
-    """
+    """k eccentric tubes that are curved together, at the p points where they are curved."""
 
     tubes: Index
+    """Tubes (k,)."""
     points: Index
+    """Points (p,)."""
     compliance: Array
+    """Gamma (k, p, p) of each tube, with quadrature weights."""
     up_to: Array
+    """Integration (p, N) from the base to these points."""
     beyond: Array
+    """Integration (N, p) over these points from every point to the tip."""
 
 
 def _curved_groups(assembly: Assembly) -> list[Index]:
-    """Tubes that are curved together, in groups that do not act on one another but from base to tip."""
+    """Groups of tubes that are curved in the same sections; groups affect each other in one direction only."""
     groups: list[set[int]] = []
     for row in assembly.curved:
         mine = set(np.flatnonzero(row).tolist())
@@ -67,13 +69,17 @@ def _curved_groups(assembly: Assembly) -> list[Index]:
 
 
 def _present(assembly: Assembly, group: set[int]) -> set[int]:
-    """Tubes that run where some of a group are curved."""
+    """Tubes that are present where some tube of a group is curved."""
     there = assembly.curved[:, sorted(group)].any(1)
     return set(np.flatnonzero(assembly.present[there].any(0)).tolist())
 
 
 def blocks_of(assembly: Assembly, green: Array, section: Index, integrals: tuple[Array, ...]) -> list[Block]:
-    """Blocks of an assembly whose N points lie on sections `section`, with min(s, r) (N, N), and P, W, weights."""
+    """Blocks of an assembly with N points.
+
+    Args:
+        green: min(s, r) (N, N) of the points.  section: section (N,) of each point.  integrals: P, W and weights.
+    """
     up_to, beyond, weight = integrals
     blocks = []
     for tubes in _curved_groups(assembly):
@@ -86,29 +92,31 @@ def blocks_of(assembly: Assembly, green: Array, section: Index, integrals: tuple
 
 
 LARGE = 60
-"""Unknowns; with more, leaving out the zeros of L saves time."""
+"""Number of unknowns from which it saves time to skip the zeros of L."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Where the second variation (N, n, n) goes in a (U, U) matrix: `entries` of the one and `places` in the other,
-    both flat, and the `weight` of each."""
+    """Map from second derivatives (N, n, n) at the points to entries of a matrix (U, U)."""
 
     entries: Index
+    """Flat indices in the second derivatives."""
     places: Index
+    """Flat indices in the matrix."""
     weight: Array
+    """Quadrature weight of each entry."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReducedProblem:
-    """Numbers of one assembly on one mesh, ready for any rotations; N collocation points, U unknowns.
+    """One assembly on one mesh, for any rotations; N collocation points, U unknowns.
 
-    What only NumPy needs is computed when it is asked for: the compiled kernels have most of it by themselves.
+    Properties are computed on first use: the compiled kernels need few of them.
 
     Attributes:
-        assembly, mesh: what is solved.
-        unknown: (m, n) whether the rotation of a tube is unknown in a section.
-        here: the tubes at the points that all pieces would have.
+        assembly, mesh: tubes, and pieces of the arm.
+        unknown: True (m, n) if the rotation of a tube is unknown in a section.
+        here: torsional compliance of the tubes at the points of all pieces.
     """
 
     assembly: Assembly
@@ -118,11 +126,11 @@ class ReducedProblem:
 
     @cached_property
     def elements(self) -> Index:
-        """The pieces that have collocation points."""
+        """Pieces with collocation points."""
         return np.flatnonzero(self.mesh.collocated)
 
     def _chosen(self, table: Array) -> Array:
-        """Rows (N,) of the collocation points, of those of the points that all pieces would have."""
+        """Rows (N,) of the collocation points, from a table of the points of all pieces."""
         if len(self.elements) == len(self.mesh.length):
             return table
         degree = self.mesh.tableau.degree
@@ -130,33 +138,33 @@ class ReducedProblem:
 
     @cached_property
     def section(self) -> Index:
-        """(N,) of the points."""
+        """Section (N,) of each point."""
         return np.repeat(self.mesh.section[self.elements], self.mesh.tableau.degree)
 
     @cached_property
     def stiffness(self) -> Array:
-        """(N, n) kb_i of the tubes present at the points."""
+        """kb (N, n) of the tubes present at the points."""
         return self._chosen(self.here.sections.stiffness)
 
     @cached_property
     def moment(self) -> Array:
-        """(N, n) m_i of the tubes curved at the points."""
+        """m (N, n) of the tubes curved at the points."""
         return self._chosen(self.here.sections.moment)
 
     @cached_property
     def phase(self) -> Array:
-        """(N, n) angle to be added to the elastic rotation for the direction of a tube's pull."""
+        """Angle (N, n) from the elastic rotation to the direction of the precurvature, rad."""
         return self._chosen(self.here.sections.phase)
 
     @cached_property
     def arc_length(self) -> Array:
-        """(N,) place of the points, m."""
+        """Arc lengths (N,) of the points, m."""
         mesh, elements = self.mesh, self.elements
         return np.asarray((mesh.start[elements, None] + mesh.length[elements, None] * mesh.tableau.nodes).ravel())
 
     @cached_property
     def weight(self) -> Array:
-        """(N,) quadrature weight of the points, m."""
+        """Quadrature weights (N,) of the points, m."""
         return np.outer(self.mesh.length[self.elements], self.mesh.tableau.weights).ravel()
 
     @cached_property
@@ -166,32 +174,32 @@ class ReducedProblem:
 
     @property
     def point(self) -> Index:
-        """(U,) collocation point of each unknown; unknowns are sorted by tube, then by point."""
+        """Collocation point (U,) of each unknown; unknowns are sorted by tube, then by point."""
         return self._place[0]
 
     @property
     def tube(self) -> Index:
-        """(U,) tube of each unknown."""
+        """Tube (U,) of each unknown."""
         return self._place[1]
 
     @cached_property
     def factor(self) -> Array:
-        """(U, U) L, rad per sqrt(J)."""
+        """Factor L (U, U), rad per sqrt(J)."""
         return _factor(self.mesh, self.here, self._place)
 
     @cached_property
     def flat(self) -> Index:
-        """(U,) entry of each unknown in a flat (N, n) array."""
+        """Index (U,) of each unknown in a flat (N, n) array."""
         return np.asarray(self.point * self.assembly.n_tubes + self.tube)
 
     @cached_property
     def flat_weight(self) -> Array:
-        """(U,) its quadrature weight."""
+        """Quadrature weight (U,) of each unknown."""
         return self.weight[self.point]
 
     @cached_property
     def pairs(self) -> _Pairs:
-        """Of unknowns at the same point."""
+        """Entries of pairs of unknowns at the same point."""
         (point, tube), n, count = self._place, self.assembly.n_tubes, len(self.weight)
         index = np.full((count, n), -1)
         index[point, tube] = np.arange(len(point))
@@ -203,14 +211,14 @@ class ReducedProblem:
 
     @cached_property
     def stretch(self) -> tuple[Array, Array, Array] | None:
-        """(P, W, inverse of L) for tubes off the centreline."""
+        """P, W and the inverse of L for eccentric tubes, else None."""
         if not self.assembly.eccentric:
             return None
         return *integrals(self.mesh, self.elements), np.asarray(np.linalg.inv(self.factor), dtype=float)
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
-        """Tubes off the centreline that are curved together, for their margin."""
+        """Groups of eccentric tubes that are curved together, for their margin."""
         if self.stretch is None:
             return ()
         mesh, elements = self.mesh, self.elements
@@ -224,7 +232,7 @@ class ReducedProblem:
 
     @cached_property
     def spread(self) -> Array:
-        """(N, n, U) rows of L, 0 for tubes that are not unknown at a point."""
+        """Rows (N, n, U) of L, 0 for tubes without an unknown at a point."""
         count, n = self.stiffness.shape
         spread = np.zeros((count * n, self.size))
         spread[self.flat] = self.factor
@@ -232,87 +240,94 @@ class ReducedProblem:
 
     @cached_property
     def bending_softness(self) -> Array:
-        """(N,) 1 / sqrt(B K)."""
+        """1 / sqrt(B K) (N,) at the points."""
         return np.asarray(1 / np.sqrt(self.weight * self.stiffness.sum(1)))
 
     @cached_property
     def by_tube(self) -> tuple[slice, ...]:
-        """The unknowns of each tube, between which L is 0."""
+        """Unknowns of each tube; L is block diagonal in them."""
         cuts = np.searchsorted(self.tube, np.arange(self.assembly.n_tubes + 1)).tolist()
         return tuple(slice(a, b) for a, b in pairwise(cuts) if b > a)
 
     @cached_property
     def cuts(self) -> Array:
-        """(P + 1,) arc lengths where pieces begin, and of the tip, m."""
+        """Arc lengths (P + 1,) where pieces begin, and of the tip, m."""
         return np.append(self.mesh.start, self.assembly.total_length)
 
     @cached_property
     def tip_tube(self) -> int:
-        """The tube that ends last, of several the innermost, on which a moment at the tip acts."""
+        """Tube on which a moment at the tip acts: that which ends last, of several the innermost."""
         return int(last_tube(self.assembly.end))
 
     @cached_property
     def on_pieces(self) -> tuple[Array, Array]:
-        """kb_i and m_i on each piece, (P, n); raises InputError where a tube is made of pieces, which vary along it."""
+        """kb and m (P, n) on each piece; raises InputError for tubes made of pieces, which vary along it."""
         here = self.assembly.of_sections(self.mesh.section)
         return here.stiffness, here.moment
 
     @cached_property
     def softness(self) -> tuple[Array, Array]:
-        """(N, n) and (P + 1, n) int ds / kt from where each tube is held to the points, and to the ends of pieces."""
+        """int ds / kt from the clamp of each tube to the points (N, n), and to the ends of pieces (P + 1, n)."""
         return ahead(self.mesh, self.here), reach(self.mesh, self.here)
 
     @cached_property
     def energy_parts(self) -> float:
-        """Sum of the sizes of the bending energies, J. It bounds the round-off of their sum, which may be near 0."""
+        """Sum of absolute bending energies, J; it bounds the round-off of the energy, which may be near 0."""
         rate = mapped(bend_rate_function(self.assembly.n_tubes), len(self.weight))(self.stiffness, self.moment)[0]
         return float(self.weight @ (rate * np.abs(self.moment)).sum(1))
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """State of a reduced problem: `theta` (N, n), the energy (J), residual and its Jacobian in z, moments M (N, n),
-    twist w = theta' / g at the points times (g - 1), as (N, n), zero for concentric tubes."""
+    """State of a reduced problem."""
 
     z: Array
+    """Unknowns (U,)."""
     theta: Array
+    """Rotations (N, n) at the points, rad."""
     energy: float
+    """Elastic energy of the collocated pieces, J."""
     gradient: Array
+    """Residual (U,); of concentric tubes the gradient of the energy."""
     hessian: Array
+    """Derivative (U, U) of the residual."""
     moment: Array
+    """M (N, n), N."""
     extra_twist: Array | None
+    """(g - 1) w (N, n) of eccentric tubes, rad/m, else None."""
 
     @property
     def x(self) -> Array:
-        """(U,) the unknowns: all describe torsion."""
+        """Unknowns (U,), all of torsion."""
         return self.z
 
     @property
     def potential(self) -> float:
-        """Energy that an equilibrium makes least, J: without load the elastic one."""
+        """Energy with a minimum at stable equilibria, J: without load the elastic energy."""
         return self.energy
 
     @property
     def torque(self) -> Array:
-        """(N, n) torque per length on each tube, N."""
+        """Torque per length (N, n) on each tube, N."""
         return self.moment
 
 
 def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> ReducedProblem:
-    """The reduced problem: only rotations theta at collocation points are left, of coupled tubes.
+    """Reduced problem of an assembly on a mesh.
 
-    With `unknown` (m, n) it keeps the tubes that are marked there, section by section.
+    Args:
+        unknown: True (m, n) for tubes whose rotation is unknown in a section; by default those that are coupled.
     """
     if unknown is None:
-        # Concentric straight tubes are carried along; tubes off the centreline are stretched where the arm is curved.
+        # Straight concentric tubes follow; eccentric tubes are stretched where the arm is curved.
         unknown = assembly.present if assembly.eccentric else assembly.curved
     return ReducedProblem(assembly, mesh, unknown, compliant(assembly, mesh))
 
 
 def _factor(mesh: Mesh, here: Compliant, unknowns: tuple[Index, Index]) -> Array:
-    """(U, U) L: for every tube the root of its compliance. `unknowns` are point (U,) and tube (U,) of each unknown."""
+    """Factor L (U, U): Cholesky factors of the compliances of the tubes; `unknowns` are their points and tubes (U,)."""
     # With theta = L z the torsional energy is |z|^2 / 2. The Hessian in z is the identity plus the coupling, so that
-    # its least eigenvalue is the margin, and Newton's method needs no scaling.
+    # its smallest eigenvalue is the margin, and Newton's method needs no scaling.
     (point, tube), elements = unknowns, np.flatnonzero(mesh.collocated)
     factor, begin = np.zeros((len(point), len(point))), reach(mesh, here)[elements].T
     green = green_of(mesh.tableau, begin, mesh.length[elements], here.rate[elements].transpose(2, 0, 1))
@@ -325,14 +340,14 @@ def _factor(mesh: Mesh, here: Compliant, unknowns: tuple[Index, Index]) -> Array
 
 
 def on_centreline(problem: ReducedProblem) -> ReducedProblem:
-    """The same tubes without offsets on the same mesh: the problem that has an energy, and defines the margin."""
+    """The problem of the same tubes without offsets on the same mesh, which has an energy."""
     if not problem.assembly.eccentric:
         return problem
     return reduce(without_offsets(problem.assembly), problem.mesh)
 
 
 def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
-    """Energy, residual, Jacobian and moments at z (U,) for base rotations (n,)."""
+    """State at unknowns z (U,) for base rotations (n,)."""
     assembly, count = problem.assembly, len(problem.weight)
     theta = np.empty((count, assembly.n_tubes))
     theta[:] = rotations
@@ -358,7 +373,7 @@ def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
 
 
 def torsional_hessian(problem: ReducedProblem, stiffness: Array) -> Array:
-    """1 + L' B (dM/dtheta) L from the output dM/dtheta of `balance`."""
+    """Hessian 1 + L' B (dM/dtheta) L (U, U), from the output dM/dtheta of `balance`."""
     second = np.zeros(problem.size**2)
     pairs = problem.pairs
     second[pairs.places] = stiffness.ravel()[pairs.entries] * pairs.weight
@@ -376,10 +391,19 @@ def torsional_hessian(problem: ReducedProblem, stiffness: Array) -> Array:
     return np.asarray(hessian)
 
 
-def _stretch_terms(
-    problem: ReducedProblem, moment: Array, stiffness: Array, stretch: list[Array]
-) -> tuple[Array, Array, Array]:
-    """(g - 1) w at the points, and what it adds to theta, with its Jacobian, both in z coordinates."""
+class _StretchTerms(NamedTuple):
+    """Terms of the stretch of eccentric tubes."""
+
+    extra: Array
+    """(g - 1) w (N, n), rad/m."""
+    change: Array
+    """Change of the unknowns z (U,) by it."""
+    slope: Array
+    """Derivative (U, U) of that change by z."""
+
+
+def _stretch_terms(problem: ReducedProblem, moment: Array, stiffness: Array, stretch: list[Array]) -> _StretchTerms:
+    """Terms of the stretch of eccentric tubes, from the outputs of `balance`."""
     assert problem.stretch is not None
     up_to, beyond, inverse = problem.stretch
     kt = problem.assembly.torsional_stiffness
@@ -397,29 +421,33 @@ def _stretch_terms(
     through = crossed[:, :, :, None] * slope_moment.swapaxes(0, 1)[:, None]
     p, t = problem.point, problem.tube
     chosen = (direct - through)[t[:, None], p[:, None], p, t]
-    return extra, inverse @ change[p, t], inverse @ chosen @ problem.factor
+    return _StretchTerms(extra, inverse @ change[p, t], inverse @ chosen @ problem.factor)
 
 
 def pull_rate(problem: ReducedProblem) -> Array:
-    """(P,) how much curvature a turn of all tubes can change on each piece, 1/m; see `bend_rate_function`."""
+    """Largest change (P,) of curvature per turn of all tubes on each piece, 1/m; see `bend_rate_function`."""
     stiffness, moment = problem.here.sections.stiffness, problem.here.sections.moment
     each = mapped(bend_rate_function(moment.shape[1]), len(moment))(stiffness, moment)[0].sum(1)
     return np.asarray(each.reshape(-1, problem.mesh.tableau.degree).max(1, initial=0.0))
 
 
 def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Array:
-    """z (U,) of given rotations theta (N, n) at the collocation points."""
+    """Unknowns z (U,) of rotations theta (N, n) at the collocation points."""
     p, t = problem.point, problem.tube
     return whitened(problem, theta[p, t] - rotations[t])
 
 
 def row_of(problem: ReducedProblem, tube: int, lever: Array) -> Array:
-    """(U,) the turn of a tube at a place by z; `lever` (N,): its turn there by a torque at each point, rad/(N m)."""
+    """Turn of a tube at one point by z, a row (U,).
+
+    Args:
+        lever: turn (N,) of the tube there by a torque at each collocation point, rad/(N m).
+    """
     return whitened(problem, np.where(problem.tube == tube, lever[problem.point], 0.0))
 
 
 def whitened(problem: ReducedProblem, turns: Array) -> Array:
-    """z (U,) of turns (U,) of the unknown rotations, rad."""
+    """Unknowns z (U,) of turns (U,) of the rotations, rad."""
     if not problem.size:
         return np.zeros(0)
     # L is triangular: z = L^-1 (theta - alpha), and torsional energy is |z|^2 / 2 again.
@@ -427,13 +455,13 @@ def whitened(problem: ReducedProblem, turns: Array) -> Array:
 
 
 def residual(problem: ReducedProblem, state: Evaluation) -> float:
-    """Largest violation of the collocation equations, as an error of theta at the points, rad."""
-    # The gradient is in sqrt(J): L turns it into the rotations by which the equations are missed.
+    """Largest residual of the collocation equations, as an error of theta at the points, rad."""
+    # The gradient is in sqrt(J): L converts it to errors of rotations.
     return float(abs(problem.factor @ state.gradient).max()) if problem.size else 0.0
 
 
 def worst_equation(problem: ReducedProblem, state: Evaluation) -> str:
-    """The most violated collocation equation in words, with its violation."""
+    """Name of the most violated collocation equation, with its violation."""
     if not problem.size:
         return "all equations hold"
     # A NaN counts as the largest violation, since no number can be compared with it.

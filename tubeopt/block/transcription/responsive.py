@@ -1,12 +1,13 @@
-"""How an arm in equilibrium answers to whatever changes: the one linearisation.
+"""Linearised response of an arm in equilibrium to changes of its joints, dimensions and loads.
 
-A turn psi of the frame about world axes changes the rest of `standing` by
+A turn psi of the frame about world axes changes the quantities of `standing` by
 
     psi' = R du,     db = (R'(dm - psi x m))_xy,     dm' = n x (psi x e) - e x dn.
 
-These equations are collocated where the equilibrium was. The state (phi, psi, t, m) at the end of a piece is linear in
-that where it begins; plate and tip close the chain. A breakpoint that moves uncovers a stretch with other tubes, which
-is a jump of the rates there. Without a load m, n and l are 0: phi and t close the chain, and psi follows.
+The equations are collocated at the points of the equilibrium. The state (phi, psi, t, m) at the end of a piece is
+linear in the state at its start; conditions at plate and tip close the chain. A breakpoint that moves exposes a stretch
+with other tubes, which is a jump of the rates. Without a load m, n and l are 0: phi and t close the chain, and psi
+follows.
 """
 
 from __future__ import annotations
@@ -26,21 +27,26 @@ from .standing import Standing, cross, hat
 
 @dataclass(frozen=True, eq=False)
 class Forcing:
-    """What Q parameters change at fixed arc lengths: alpha (n, Q), int ds / kt up to the plate (n, Q); at the points
-    phase, kb and m (P, K, 3 n, Q), 1 / kt (P, K, n, Q) and the force (P, K, 3, Q); what the state gains between the
-    pieces (P + 1, 2 n + 6, Q), and by which `side` of what acts there."""
+    """Changes by Q parameters, at fixed arc lengths."""
 
     base: Array
+    """Change (n, Q) of the rotations alpha."""
     transmission: Array
+    """Change (n, Q) of int ds / kt from clamp to plate."""
     data: Array
+    """Change (P, K, 3 n, Q) of phase, kb and m at the points."""
     rate: Array
+    """Change (P, K, n, Q) of 1 / kt."""
     force: Array
+    """Change (P, K, 3, Q) of the force."""
     jumps: Array
+    """Jump (P + 1, 2 n + 6, Q) of the state at the ends of the pieces."""
     side: int
+    """Side of the moments at joints on which the jumps are: -1 towards the plate, 1 towards the tip."""
 
 
 class Forced(NamedTuple):
-    """What is forced of phi', t', u and m' at the points, by columns (P, K, r, C)."""
+    """Forced parts of phi', t', u and m' at the points, by columns (P, K, r, C)."""
 
     phi: Array
     torque: Array
@@ -48,58 +54,67 @@ class Forced(NamedTuple):
     moment: Array
 
 
-class Felt(NamedTuple):
-    """Change of t and m at the points, of t' beside u (P, K, n + 2, C), of m', and of phi' at fixed t, by columns
-    (P, K, r, C); None where phi' is of the torques alone."""
+class SectionChange(NamedTuple):
+    """Changes at the points, by columns (P, K, r, C)."""
 
     torque: Array
+    """Change of t."""
     moment: Array
+    """Change of m."""
     bending: Array
+    """Change (P, K, n + 2, C) of t' above u."""
     falling: Array
+    """Change of m'."""
     turning: Array | None
+    """Change of phi' at fixed t; None if phi' depends on torques only."""
 
 
 @dataclass(frozen=True, eq=False)
 class Maps:
-    """Linear maps of P pieces: the `matrix` (P, r, r) of the equations of phi, then of u, at the points, r = K (n + 2),
-    the state at the ends `gathered` (P, 2 n + 6, r) from them, and both by the state where the pieces begin, `inner`
-    (P, r, 2 n + 6) and `ends` (P, 2 n + 6, 2 n + 6). Without a load u follows from phi, and r = K n."""
+    """Linear maps of P pieces with r = K (n + 2) unknowns each, phi and u at the points; without a load r = K n."""
 
     matrix: Array
+    """Equations (P, r, r) of the unknowns."""
     gathered: Array
+    """State (P, 2 n + 6, r) at the end of a piece by its unknowns."""
     inner: Array
+    """Unknowns (P, r, 2 n + 6) by the state at the start."""
     ends: Array
+    """State (P, 2 n + 6, 2 n + 6) at the end by the state at the start."""
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Change of an arm at fixed arc lengths: the state (P + 1, 2 n + 6, Q) where pieces begin, and at the tip;
-    phi (P, K, n, Q) and psi (P, K, 3, Q) at the points. The rest is computed when it is first read: `felt` gives what
-    phi and psi make at the points, and `across` what b is by psi and m, None without a load."""
+    """Change of an arm at fixed arc lengths; further quantities are computed on first use."""
 
     state: Array
+    """State (P + 1, 2 n + 6, Q) where pieces begin, and at the tip."""
     phi: Array
+    """Rotations (P, K, n, Q) at the points."""
     psi: Array
-    felt: Callable[[], Felt]
+    """Turn (P, K, 3, Q) of the frame at the points."""
+    felt: Callable[[], SectionChange]
+    """Returns the changes at the points."""
     across: tuple[Array, Array] | None
+    """Derivatives of b by psi and by m; None without a load."""
 
     @cached_property
-    def _felt(self) -> Felt:
+    def _felt(self) -> SectionChange:
         return self.felt()
 
     @property
     def torque(self) -> Array:
-        """(P, K, n, Q) of t."""
+        """Change (P, K, n, Q) of t."""
         return self._felt.torque
 
     @property
     def moment(self) -> Array:
-        """(P, K, 3, Q) of m."""
+        """Change (P, K, 3, Q) of m."""
         return self._felt.moment
 
     @cached_property
     def bent(self) -> Array:
-        """(P, K, 2, Q) of b."""
+        """Change (P, K, 2, Q) of b."""
         if self.across is None:
             return np.zeros((*self.psi.shape[:2], 2, self.psi.shape[3]))
         by_turn, by_moment = self.across
@@ -107,41 +122,40 @@ class Response:
 
     @property
     def curvature(self) -> Array:
-        """(P, K, 2, Q) of u."""
+        """Change (P, K, 2, Q) of u."""
         return self._felt.bending[..., -2:, :]
 
 
 class Responsive(Standing):
-    """An arm in equilibrium, and how it answers."""
+    """An arm in equilibrium, with its linearised response."""
 
     @property
     def size(self) -> int:
-        """Length of a state: rotations, turn of the frame, torques, moment. The chain is of the rows `kept`: without a
-        load, of rotations and torques."""
+        """Length of a state: rotations, turn of the frame, torques, moment; the chain has its rows `kept`."""
         return 2 * self.n + 6
 
     @property
     def unknowns(self) -> int:
-        """Unknowns r of a piece: phi at its points and, under a load, u."""
+        """Number r of unknowns of a piece: phi at its points and, under a load, u."""
         return self.degree * (self.n if self.own == self.n else self.n + 2)
 
     @cached_property
     def _across(self) -> tuple[Array, Array]:
-        """At the points, of b by psi and by m."""
+        """Derivatives of b at the points by psi and by m."""
         return self.across @ self.about_moment, self.across
 
     @cached_property
     def _leaning(self) -> Array:
-        """(P, K, 3, 3) of m' by psi."""
+        """Derivative (P, K, 3, 3) of m' by psi."""
         return np.asarray(hat(-self.force) @ self.about_axis)
 
     @cached_property
     def _by(self) -> Array:
-        """(P, K, n + 2, n + 2) of M beside u by theta beside b at the points."""
+        """Derivative (P, K, n + 2, n + 2) of M and u by theta and b at the points."""
         return self.at.by.reshape(self.pieces, self.degree, self.n + 2, self.n + 2)
 
     def _by_state(self, softness: float) -> tuple[Array, Array | None]:
-        """(P, K, n + 2, own) of t' beside u by (phi, psi) and, under a load, (P, K, n + 2, 3) by m."""
+        """Derivatives (P, K, n + 2, own) of t' and u by (phi, psi) and, under a load, (P, K, n + 2, 3) by m."""
         n = self.n
         if self.load is None:
             return self._by[..., :n], None
@@ -159,13 +173,18 @@ class Responsive(Standing):
         return out, by_moment
 
     def _swept(self, matrix: Array, rates: Array) -> Array:
-        """(P, K, r, C) integrals of rates (P, K, r, C) by the matrices (P, K, K) of the pieces."""
+        """Integrals (P, K, r, C) of rates (P, K, r, C), by the matrices (P, K, K) of the pieces."""
         out = matrix @ rates.reshape(self.pieces, self.degree, -1)
         return np.asarray(out.reshape(rates.shape))
 
-    def _felt(self, q: Array, starts: tuple[Array, Array], forced: Forced | None, softness: float = 1.0) -> Felt:
-        """What changes of (phi, psi) at the points, by columns (P, K, own, C), and of t and m where the pieces begin
-        (P or 1, 1, r, C) make there."""
+    def _felt(
+        self, q: Array, starts: tuple[Array, Array], forced: Forced | None, softness: float = 1.0
+    ) -> SectionChange:
+        """Changes at the points by those of (phi, psi) there, q (P, K, own, C).
+
+        Args:
+            starts: changes of t and m where the pieces begin, (P or 1, 1, r, C).  forced: forced parts.
+        """
         n, (by_state, by_moment) = self.n, self._by_state(softness)
         bending = by_state @ q
         if by_moment is None:
@@ -185,10 +204,10 @@ class Responsive(Standing):
         turning = None if self.coupled is None else self.coupled @ q[..., :n, :]
         if forced is not None:
             turning = forced.phi if turning is None else turning + forced.phi
-        return Felt(torque, moment, bending, falling, turning)
+        return SectionChange(torque, moment, bending, falling, turning)
 
-    def _unforced(self, softness: float) -> Felt:
-        """`_felt` by columns of phi, then of u, at the points, then of the state where the pieces begin."""
+    def _unforced(self, softness: float) -> SectionChange:
+        """`_felt` by columns of phi and u at the points, then of the state where pieces begin."""
         n, k, own, size, inner = self.n, self.degree, self.own, 2 * self.own, self.unknowns
         begin = _units(size, inner + size, inner)
         starts = begin[own : own + n], begin[own + n :]
@@ -199,9 +218,8 @@ class Responsive(Standing):
             np.multiply(self.ahead[:, :, None, :, None], turned, out=q[..., n:, k * n : inner].reshape(-1, k, 3, k, 2))
         return self._felt(q, starts, None, softness)
 
-    def _ended(self, felt: Felt, softness: float) -> tuple[Array, Array]:
-        """(P, r, C) integrals of the rates of phi up to the points, and u there, and (P, 2 own, C) of the rates of the
-        state along whole pieces."""
+    def _ended(self, felt: SectionChange, softness: float) -> tuple[Array, Array]:
+        """Integrals of the rates of phi up to the points, above u there (P, r, C), and of the state (P, 2 own, C)."""
         n, own, k, count = self.n, self.own, self.degree, felt.torque.shape[-1]
         there, end = np.empty((self.pieces, self.unknowns, count)), np.empty((self.pieces, 2 * own, count))
         rates = softness * self.winding[..., None] * felt.torque
@@ -219,7 +237,7 @@ class Responsive(Standing):
         return there, end
 
     def _maps(self, softness: float) -> Maps:
-        """The linear maps of all pieces."""
+        """Linear maps of all pieces, softened by a factor."""
         n, k, size, inner = self.n, self.degree, 2 * self.own, self.unknowns
         there, end = self._ended(self._unforced(softness), softness)
         # A state adds itself to what it makes of phi at every point, and of itself at the end.
@@ -237,12 +255,11 @@ class Responsive(Standing):
 
     @cached_property
     def _standing_maps(self) -> Maps:
-        """Of the arm as it stands."""
+        """Linear maps without softening."""
         return self._maps(1.0)
 
     def _forced_maps(self, forced: Forced) -> tuple[Array, Array]:
-        """(P, r, C) of phi and u at the points and (P, 2 own, C) of the state at the ends of the pieces by what is
-        forced."""
+        """Forced phi and u at the points (P, r, C), and states at the ends of the pieces (P, 2 own, C)."""
         count, maps = forced.phi.shape[-1], self._standing_maps
         none = np.zeros((1, self.degree, self.own, count)), (np.zeros((self.n, count)), np.zeros((3, count)))
         there, end = self._ended(self._felt(*none, forced), 1.0)
@@ -250,8 +267,10 @@ class Responsive(Standing):
         return solved, self._past(end, 1) + maps.gathered @ solved
 
     def _past(self, states: Array, first: int) -> Array:
-        """States (P + 1 - first, 2 own, C) at the places from the `first` on, past the moments that act there: changed
-        in place, from the plate's side to the tip's."""
+        """States (P + 1 - first, 2 own, C) at the ends of pieces from number `first`, after the moments that act there.
+
+        They are changed in place, from the side of the plate to that of the tip.
+        """
         for k, tube, moment in self.joints:
             if k >= first:
                 turn = states[k - first, self.n : self.n + 3]
@@ -259,8 +278,11 @@ class Responsive(Standing):
         return states
 
     def _system(self, softness: float, ends: Array, turns: Array | None = None) -> Array:
-        """The matrix of torques and moment (own) at the plate, and of the states where pieces begin (P, 2 own);
-        `turns` (P, 2 own, 3) is what a turn of the tip makes of these, with which a force turns."""
+        """Matrix of the chain, for torques and moment (own) at the plate and the states (P, 2 own) where pieces begin.
+
+        Args:
+            turns: change (P, 2 own, 3) of the states by a turn of the tip, with which a follower force turns.
+        """
         n, size, own, pieces = self.n, 2 * self.own, self.own, self.pieces
         total = own + pieces * size
         matrix = np.zeros((total, total))
@@ -287,13 +309,13 @@ class Responsive(Standing):
 
     @cached_property
     def turning(self) -> Array | None:
-        """(P, K, 3, 3) change of m' by the turn of the tip, with which a force turns; None of dead forces."""
+        """Derivative (P, K, 3, 3) of m' by the turn of the tip under a follower force; None under dead forces."""
         if not (self.following and self.tip_force.any()):
             return None
         return np.asarray(self.about_axis @ hat(self.tip_force))
 
     def respond(self, forcing: Forcing) -> Response:
-        """How the arm answers to changes.
+        """Response of the arm to changes.
 
         Raises:
             SolveError: the equilibrium is a fold.
@@ -303,11 +325,11 @@ class Responsive(Standing):
         first[:n] = forcing.base + forcing.transmission * self.torque_plate_side[0][:, None]
         if not self.pieces:
             nothing = [np.zeros((0, self.degree, rows, count)) for rows in (n, 3, n + 2)]
-            # What leaves the plate twists the transmissions.
+            # Torques at the plate twist the transmissions.
             state, torque = forcing.jumps.copy(), slice(n + 3, 2 * n + 3)
             state[0, :n] += first[:n] - self.transmission[:, None] * state[0, torque]
             state[0, torque] = 0.0
-            felt = Felt(nothing[0], nothing[1], nothing[2], nothing[1], None)
+            felt = SectionChange(nothing[0], nothing[1], nothing[2], nothing[1], None)
             return Response(state, nothing[0], nothing[1], lambda: felt, None)
         forced, columns = self._forced(forcing)
         maps, turned = self._standing_maps, self._turns
@@ -320,7 +342,7 @@ class Responsive(Standing):
         table = right[: self.pieces * size].reshape(self.pieces, size, count)
         if gained is not None:
             table[..., columns] = gained[..., turned:]
-        # What is known at the plate goes to the right-hand side through the first piece.
+        # The known part at the plate enters the right-hand side through the first piece.
         table[0] += maps.ends[0] @ start
         table += jumps[1:]
         *_, result, singular = scipy.linalg.lapack.dgesv(matrix, right)
@@ -348,39 +370,40 @@ class Responsive(Standing):
         return self._along(state, q, wide, 1.0)
 
     def _whole(self, state: Array) -> Array:
-        """(P + 1, 2 n + 6, Q) states of (P + 1, 2 own, Q): without a load psi and m are 0."""
+        """States (P + 1, 2 n + 6, Q) from those in the chain (P + 1, 2 own, Q): without a load psi and m are 0."""
         out = np.zeros((len(state), self.size, state.shape[2]))
         out[:, self.kept] = state
         return out
 
     @property
     def _turns(self) -> int:
-        """Columns of the turn of the tip."""
+        """Number of columns of the turn of the tip."""
         return 0 if self.turning is None else 3
 
     def _forced(self, forcing: Forcing) -> tuple[Forced | None, Index]:
-        """What is forced at the points by the turn of the tip and by the changes that force anything there, and which
-        of the changes these are."""
+        """Forced parts at the points by the turn of the tip and by some of the changes, and the numbers of these."""
         extra, parts = self._turns, (forcing.data, forcing.rate, forcing.force)
         if not extra and not any(part.any() for part in parts):
             return None, np.zeros(0, dtype=np.intp)
         some = [part.any((0, 1, 2)) for part in parts]
         columns: Index = np.flatnonzero(some[0] | some[1] | some[2])
         data, rate, force = (part[..., columns] for part in parts)
-        torque_by, u_by, _, phi_by = self.by_data
+        by_data = self.by_data
         turning = rate * self.stretched[..., None]
-        if phi_by is not None:
-            turning += phi_by @ data
-        made = [turning, torque_by @ data, u_by @ data, -self.about_axis @ force]
+        if by_data.rotation_rate is not None:
+            turning += by_data.rotation_rate @ data
+        forced = [turning, by_data.torque @ data, by_data.curvature @ data, -self.about_axis @ force]
         if self.turning is not None:
-            # Three more columns: a force that turns with the tip is forced by its unknown turn.
-            made = [np.concatenate([np.zeros((*p.shape[:3], extra)), p], axis=3) for p in made]
-            made[3][..., :extra] = self.turning
-        return Forced(*made), columns
+            # Three more columns: a follower force changes with the unknown turn of the tip.
+            forced = [np.concatenate([np.zeros((*p.shape[:3], extra)), p], axis=3) for p in forced]
+            forced[3][..., :extra] = self.turning
+        return Forced(*forced), columns
 
     def _along(self, state: Array, q: Array, forced: Forced | None, softness: float) -> Response:
-        """The response, of states (P + 1, 2 n + 6, Q) and phi and u at the points (P, r, Q). Without a load the states
-        have, of psi, what it gains between the pieces."""
+        """Response from states (P + 1, 2 n + 6, Q), and phi and u at the points (P, r, Q).
+
+        Without a load the states have the jumps of psi between the pieces in place of psi.
+        """
         n, k, begin = self.n, self.degree, state[:-1, None]
         phi = q[:, : k * n].reshape(self.pieces, k, n, -1)
         starts = begin[:, :, n + 3 : 2 * n + 3], begin[:, :, 2 * n + 3 :]
@@ -397,22 +420,22 @@ class Responsive(Standing):
         return Response(state, phi, self._turned(state, bends), lambda: felt, None)
 
     def _turned(self, state: Array, bends: Array) -> Array:
-        """(P, K, 3, Q) psi at the points, of states and u (P, K, 2, Q)."""
+        """Turn psi (P, K, 3, Q) at the points, from states and u (P, K, 2, Q)."""
         return np.asarray(state[:-1, None, self.n : self.n + 3] + self._swept(self.ahead, self.frame[..., :2] @ bends))
 
     def wound(self, response: Response, forcing: Forcing, piece: int) -> Array:
-        """(K, n, Q) change of phi' at the points of a piece."""
+        """Change (K, n, Q) of phi' at the points of a piece."""
         out = self.winding[piece, ..., None] * response.torque[piece]
         out += self.stretched[piece, ..., None] * forcing.rate[piece]
         if self.coupled is not None:
             out += self.coupled[piece] @ response.phi[piece]
-            by_data = self.by_data[3]
+            by_data = self.by_data.rotation_rate
             assert by_data is not None
             out += by_data[piece] @ forcing.data[piece]
         return np.asarray(out)
 
     def pulled(self, pull: Array, softness: float) -> Response:
-        """The mode in which torques fall by (P, K, n) towards the plate, and nothing bends: one column."""
+        """Mode without bending whose torque grows by `pull` (P, K, n) per length from the tip, one column."""
         n = self.n
         torque, tip_side, _ = self._inwards(-pull, np.zeros(n))
         rates, state = softness * self.rate * torque, np.zeros((self.pieces + 1, self.size, 1))
@@ -420,18 +443,20 @@ class Responsive(Standing):
         state[:, :n, 0], state[:, n + 3 : 2 * n + 3, 0] = np.cumsum(whole, axis=0), tip_side
         phi = state[:-1, None, :n, 0] + self.ahead @ rates
         none = np.zeros((*self.axis.shape[:2], n + 2, 1))
-        felt = Felt(torque[..., None], none[..., :3, :], none, none[..., :3, :], None)
+        felt = SectionChange(torque[..., None], none[..., :3, :], none, none[..., :3, :], None)
         return Response(state, phi[..., None], none[..., :3, :], lambda: felt, None)
 
     def mode(self, margin: float, *, one_of_two: bool = False) -> tuple[Response, float] | None:
-        """How the arm buckles when its elasticity is softened by its margin, one column, and 1 / (1 - margin); None
-        where the mesh is too coarse to show how, or two ways are equally easy and not `one_of_two` will do."""
+        """Buckling mode of the arm softened by its margin, one column, and the factor 1 / (1 - margin).
+
+        None if the mesh is too coarse for the mode, or if the eigenvalue is double, unless `one_of_two` modes will do.
+        """
         known = margin
         for _ in range(MODE_STEPS):
-            # Beside the eigenvalue itself, where there would be nothing left to divide by.
-            # Inverse iteration close to the eigenvalue: one step from any start gives the mode but for others.
-            beside = margin - ASIDE
-            softness = 1 / (1 - beside)
+            # Inverse iteration at a shift close to the eigenvalue, where the matrix is not singular: one step from any
+            # start gives the mode, up to others.
+            shifted = margin - SHIFT
+            softness = 1 / (1 - shifted)
             maps = self._maps(softness)
             matrix = self._system(softness, maps.ends)
             angle = np.arange(len(matrix), dtype=float)
@@ -442,23 +467,23 @@ class Responsive(Standing):
             size = np.abs(grown[:, 0]).max()
             result = scipy.linalg.lapack.dgetrs(factors, pivots, grown[:, 0] / size)[0]
             result /= np.abs(result).max()
-            # What the second start has beside the first mode.
-            other = np.abs(grown[:, 1] - result * ((result @ grown[:, 1]) / (result @ result))).max()
+            # Part of the second start that is not the first mode.
+            second = np.abs(grown[:, 1] - result * ((result @ grown[:, 1]) / (result @ result))).max()
             state = self._state(result, softness)
             inner = maps.inner @ state[:-1]
             mode = self._along(state if self.own > self.n else self._whole(state), inner, None, softness)
             margin = self.quotient(mode, softness)
-            # Every mode grows by one over its distance, and is mixed into this one by as much.
-            if abs(margin - beside) * size < DOUBLE * other:
+            # Every mode grows by one over the distance of its eigenvalue from the shift.
+            if abs(margin - shifted) * size < DOUBLE * second:
                 if not one_of_two:
                     return None
                 break
-            if other < MIXED * size:
+            if second < MIXED * size:
                 break
         return (mode, softness) if abs(margin - known) < SAME_MODE else None
 
     def _state(self, result: Array, softness: float) -> Array:
-        """(P + 1, 2 own, 1) states where pieces begin, of torques and moment at the plate and what follows."""
+        """States (P + 1, 2 own, 1) where pieces begin, from a solution of the chain."""
         n, own = self.n, self.own
         state = np.zeros((self.pieces + 1, 2 * own, 1))
         state[1:, :, 0] = result[own:].reshape(self.pieces, 2 * own)
@@ -467,14 +492,14 @@ class Responsive(Standing):
         return state
 
     def elastic(self, mode: Response, softness: float) -> float:
-        """The elastic part T of the second variation along a mode, one column."""
+        """Elastic part T of the second variation along a mode of one column, J."""
         torque, bent, held = mode.torque[..., 0], mode.bent[..., 0], mode.state[0, self.n + 3 : 2 * self.n + 3, 0]
         # int t^2 / kt + |b|^2 / K: energies by torques and moments, of an elasticity softened by the factor.
         density = (self.rate * torque**2).sum(2) + (bent**2).sum(2) / self.stiffness.sum(2)
         return float(softness**2 * ((self.weights * density).sum() + self.transmission @ held**2))
 
     def quotient(self, mode: Response, softness: float) -> float:
-        """Second variation over its elastic part T along a mode, one column."""
+        """Ratio of the second variation to its elastic part T along a mode of one column."""
         y, psi, curved = (part[..., 0] for part in (mode.phi, mode.psi, mode.curvature))
         bending = (self.frame[..., :2] @ curved[..., None])[..., 0]
         form = (y * (self._by[..., : self.n, : self.n] @ y[..., None])[..., 0]).sum(2)
@@ -485,26 +510,24 @@ class Responsive(Standing):
 
 
 MODE_STEPS = 4
-"""How often a mode is sought at most, each time at the quotient of the one before."""
+"""Maximum number of inverse iterations, each at the quotient of the last mode."""
 
 MIXED = 3e-7
-"""Part of another mode that a mode may have; the margin's derivative is off by about as much."""
+"""Largest part of another mode in a mode; the derivative of the margin has an error of about that size."""
 
 SAME_MODE = 1e-6
-"""Difference of the margin up to which a mode is that of the margin."""
+"""Largest difference of the quotient of a mode from the margin."""
 
-ASIDE = 1e-12
-"""By how much less than the margin an arm is softened to find how it buckles: more than round-off of the matrix, and
-far less than DOUBLE."""
+SHIFT = 1e-12
+"""Distance from the margin at which a mode is computed: more than round-off of the matrix, and far less than DOUBLE."""
 
 DOUBLE = 1e-9
-"""Eigenvalues closer than this are one, whose mode, and so derivative, is not known."""
+"""Distance of eigenvalues below which they count as double, without a unique mode and derivative."""
 
 
 @lru_cache(maxsize=64)
 def _own_units(n: int, degree: int, own: int) -> Array:
-    """(K, own, r + 2 own) phi and psi at the points of a piece, by phi and u there, but for what u turns, and by the
-    state where it begins; not to be changed."""
+    """Read-only (K, own, r + 2 own): phi and psi at the points by phi there, and by the state at the start."""
     inner = degree * (n if own == n else n + 2)
     out = np.zeros((degree, own, inner + 2 * own))
     out[:, :n, : degree * n] = np.eye(degree * n).reshape(degree, n, -1)
@@ -514,5 +537,5 @@ def _own_units(n: int, degree: int, own: int) -> Array:
 
 @lru_cache(maxsize=64)
 def _units(rows: int, columns: int, first: int = 0) -> Array:
-    """(rows, columns) 1 in the columns from the first one on, one by one, 0 elsewhere; not to be changed."""
+    """Read-only (rows, columns): the identity, shifted to begin at column `first`."""
     return np.eye(rows, columns, first)

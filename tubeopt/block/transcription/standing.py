@@ -6,14 +6,15 @@ cross-section, in world axes, obey
     phi' = t / kt,   t' = M(theta, b) - l.e,   R' = R hat(u),   m' = -e x n - l,
     b = (R'm)_xy,    u = (b + sum a_i) / sum kb_i,    e = R e3,    theta = phi + phase,
 
-with the force n on the cross-section and the moment l per length, whose part along the arm the outermost tube feels. Of
-tubes off the centreline phi' = g t / kt, with the stretch g, and no load acts on them.
+with the force n on the cross-section and the moment l per length, of which the axial part acts on the outermost tube.
+Of eccentric tubes phi' = g t / kt, with the stretch g, and no load acts on them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,59 +30,76 @@ from .reduced import ReducedProblem
 
 @dataclass(frozen=True, eq=False)
 class Sections:
-    """Cross-sections at X places: torque per length above curvature, `values` (X, n + 2), and bending energy per length
-    (X,), with their derivatives (X, n + 2, n + 2), (X, n + 2) by theta and b; stretch (X, n) and, of tubes off the
-    centreline, its derivatives (X, n, n) by theta."""
+    """Cross-sections at X points, with their derivatives by theta and b."""
 
     values: Array
+    """Torque per length above curvature (X, n + 2)."""
     energy: Array
+    """Bending energy per length (X,)."""
     by: Array
+    """Derivative (X, n + 2, n + 2) of the values."""
     by_energy: Array
+    """Derivative (X, n + 2) of the energy."""
     stretch: Array
+    """Stretch (X, n)."""
     by_stretch: Array | None = None
+    """Derivative (X, n, n) of the stretch of eccentric tubes by theta, else None."""
 
     @property
     def torque(self) -> Array:
-        """(X, n) N m per m."""
+        """Torque per length (X, n), N."""
         return self.values[:, :-2]
 
     @property
     def curvature(self) -> Array:
-        """(X, 2) 1/m."""
+        """Curvature (X, 2), 1/m."""
         return self.values[:, -2:]
 
     @property
     def by_torque(self) -> Array:
-        """(X, n, n + 2) of the torque."""
+        """Derivative (X, n, n + 2) of the torque."""
         return self.by[:, :-2]
 
     @property
     def by_curvature(self) -> Array:
-        """(X, 2, n + 2) of the curvature."""
+        """Derivative (X, 2, n + 2) of the curvature."""
         return self.by[:, -2:]
 
 
-Given = tuple[Array, Array, Array, Array]
-"""theta, kb, m (X, n) and b (X, 2) at X places."""
+SectionInputs = tuple[Array, Array, Array, Array]
+"""theta, kb, m (X, n) and b (X, 2) at X points."""
 
 
-def values_of(inputs: Given, offsets: tuple[Array, ...]) -> tuple[Array, Array, Array, Array]:
-    """Torque (X, n), curvature (X, 2), bending energy (X,) and stretch (X, n) of `sections_of`."""
+class SectionValues(NamedTuple):
+    """Cross-sections at X points, without derivatives."""
+
+    torque: Array
+    """Torque per length (X, n), N."""
+    curvature: Array
+    """Curvature (X, 2), 1/m."""
+    energy: Array
+    """Bending energy per length (X,), N."""
+    stretch: Array
+    """Stretch (X, n)."""
+
+
+def values_of(inputs: SectionInputs, offsets: tuple[Array, ...]) -> SectionValues:
+    """Cross-sections without derivatives; arguments as of `sections_of`."""
     count, n = inputs[0].shape
     if offsets:
         torque, stretch, curvature, energy = section_function("section", count, n, True)(*inputs[:3], *offsets)
-        return torque.copy(), curvature.copy(), energy[:, 0].copy(), stretch.copy()
+        return SectionValues(torque.copy(), curvature.copy(), energy[:, 0].copy(), stretch.copy())
     values, energy = bent_function("section", count, n)(*inputs)
-    own = values.copy()
-    return own[:, :n], own[:, n:], energy[:, 0].copy(), np.ones((count, n))
+    values = values.copy()
+    return SectionValues(values[:, :n], values[:, n:], energy[:, 0].copy(), np.ones((count, n)))
 
 
-def sections_of(inputs: Given, offsets: tuple[Array, ...]) -> Sections:
-    """Cross-sections that bear bending moments; `offsets` are those of the tubes and their angles (n,), or nothing."""
+def sections_of(inputs: SectionInputs, offsets: tuple[Array, ...]) -> Sections:
+    """Cross-sections with bending moments b; `offsets` are offset and angle (n,) of eccentric tubes, or ()."""
     count, n = inputs[0].shape
     if offsets:
-        values, (torque, stretch, curvature, energy) = _off_the_centreline(inputs, offsets)
-        # They bear no bending moment b.
+        values, (torque, stretch, curvature, energy) = _eccentric_sections(inputs, offsets)
+        # Eccentric tubes have no bending moment b.
         by, by_energy = np.zeros((count, n + 2, n + 2)), np.zeros((count, n + 2))
         by[:, :n, :n], by[:, n:, :n], by_energy[:, :n] = torque[..., :n], curvature[..., :n], energy[:, 0, :n]
         stacked = np.concatenate([values[0], values[2]], axis=1)
@@ -90,19 +108,21 @@ def sections_of(inputs: Given, offsets: tuple[Array, ...]) -> Sections:
     return Sections(stacked, energy[:, 0], by.reshape(count, n + 2, n + 2), by_energy, np.ones((count, n)))
 
 
-def by_data_of(inputs: Given, offsets: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Derivatives (X, n, 2 n), (X, 2, 2 n), (X, 2 n) of torque, curvature and energy there by kb and m; of tubes off
-    the centreline also those (X, n, 2 n) of the stretch."""
+def by_data_of(inputs: SectionInputs, offsets: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Derivatives (X, n, 2 n), (X, 2, 2 n), (X, 2 n) of torque, curvature and energy by kb and m.
+
+    Of eccentric tubes also that (X, n, 2 n) of the stretch.
+    """
     count, n = inputs[0].shape
     if offsets:
-        torque, stretch, curvature, energy = (by[..., n:] for by in _off_the_centreline(inputs, offsets)[1])
+        torque, stretch, curvature, energy = (by[..., n:] for by in _eccentric_sections(inputs, offsets)[1])
         return torque, curvature, energy[:, 0], stretch
     by, by_energy = (part.copy() for part in bent_function("linear_data", count, n)(*inputs))
     by = by.reshape(count, n + 2, 2 * n)
     return by[:, :n], by[:, n:], by_energy
 
 
-def _off_the_centreline(inputs: Given, offsets: tuple[Array, ...]) -> tuple[list[Array], list[Array]]:
+def _eccentric_sections(inputs: SectionInputs, offsets: tuple[Array, ...]) -> tuple[list[Array], list[Array]]:
     """Torque, stretch, curvature and energy (X, r), and their derivatives (X, r, 3 n) by theta, kb and m."""
     count, n = inputs[0].shape
     out = [part.copy() for part in section_function("linear", count, n, True)(*inputs[:3], *offsets)]
@@ -114,29 +134,53 @@ def _off_the_centreline(inputs: Given, offsets: tuple[Array, ...]) -> tuple[list
 
 
 _HAT = np.array([[0.0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]])
-"""The matrix of b -> a x b by rows, from a."""
+"""Matrix (3, 9) from a to the matrix of b -> a x b, by rows."""
 
 
 def hat(a: Array) -> Array:
-    """(..., 3, 3) matrices of b -> a x b of vectors a (..., 3)."""
+    """Matrices (..., 3, 3) of b -> a x b, of vectors a (..., 3)."""
     return np.asarray((a @ _HAT).reshape(*a.shape, 3))
 
 
 def cross(a: Array, b: Array) -> Array:
-    """(..., 3) cross product of vectors."""
+    """Cross product (..., 3) of vectors."""
     return np.asarray((hat(a) @ b[..., None])[..., 0])
+
+
+class FromTip(NamedTuple):
+    """Quantities (r,) integrated from the tip of an arm of P pieces."""
+
+    points: Array
+    """Values (P, K, r) at the points."""
+    tip_side: Array
+    """Values (P + 1, r) at the ends of the pieces, on the side of the tip."""
+    plate_side: Array
+    """Values (P + 1, r) there, on the side of the plate."""
+
+
+class DataSlopes(NamedTuple):
+    """Derivatives by phase, kb and m (3 n) at the points, at fixed torques."""
+
+    torque: Array
+    """Derivative (P, K, n, 3 n) of M."""
+    curvature: Array
+    """Derivative (P, K, 2, 3 n) of u."""
+    energy: Array
+    """Derivative (P, K, 3 n) of the elastic energy per length."""
+    rotation_rate: Array | None
+    """Derivative (P, K, n, 3 n) of phi' of eccentric tubes, else None."""
 
 
 class Standing:
     """An arm in equilibrium: n tubes, P pieces with K points each.
 
     Args:
-        problem: of the rotations, on the mesh of the arm.
-        base: (n,) rotations, rad.
-        solved: (N, n) elastic rotations at the collocation points of the problem.
-        shape: of the arm.
-        burden: the problem of it under a load, None without one.
-        straight: whether it matters where straight tubes would bend to.
+        problem: torsion problem, on the mesh of the arm.
+        base: rotations (n,) at the clamps, rad.
+        solved: elastic rotations (N, n) at the collocation points of the problem.
+        shape: shape of the arm.
+        burden: problem under a load, or None.
+        straight: True if rotations of straight tubes are needed; they follow from the torques.
     """
 
     def __init__(
@@ -153,7 +197,7 @@ class Standing:
         self.mesh, self.t, self.length = problem.mesh, problem.mesh.tableau, problem.mesh.length
         self.n = problem.assembly.n_tubes
         self.pieces, self.degree = len(self.length), self.t.degree
-        # Without a load the frame and the moment follow, and the state is of rotations and torques.
+        # Without a load the state has rotations and torques only; frame and moment follow.
         self.own = self.n if burden is None else self.n + 3
         self.kept = _kept(self.n, self.own)
         self.h = self.length[:, None, None]
@@ -179,11 +223,11 @@ class Standing:
             theta = np.zeros((*points, self.n))
             theta[self.mesh.collocated] = solved.reshape(-1, self.degree, self.n)
         self.theta = theta + self.phase
-        # Of tubes that are straight here theta is not solved for, but follows.
-        # Torques first: they give the rotations of all tubes, and the sections are then at these.
+        # The rotations of straight tubes are no unknowns. Torques first: they give the rotations of all tubes, at which
+        # the cross-sections are evaluated.
         if straight or not self.mesh.collocated.all():
-            gained, _, _, stretch = values_of(self.tables, self.offsets)
-            self._torques(gained, stretch)
+            values = values_of(self.tables, self.offsets)
+            self._torques(values.torque, values.stretch)
             self.theta = self.phi + self.phase
             self.at = sections_of(self.tables, self.offsets)
         else:
@@ -191,7 +235,7 @@ class Standing:
             self._torques(self.at.torque, self.at.stretch)
 
     def _load(self, burden: LoadedProblem | None) -> None:
-        """Forces, moments per length on the tubes, moments at joints."""
+        """Set the forces, moments per length on the tubes, and moments at joints."""
         points = self.pieces, self.degree
         self.load = None if burden is None else burden.load
         self.following = self.load is not None and self.load.frame == "tip"
@@ -206,7 +250,7 @@ class Standing:
         tip = self.shape.frame[-1]
         self.tip_force, self.tip_moment = (tip @ part if self.following else part for part in inputs)
         if self.following:
-            # A force at the tip that turns with it acts on all of the arm; the burden has the others.
+            # A follower force at the tip acts on the whole arm; the problem has the other forces.
             self.force = self.force + self.tip_force
         couples = burden.couples
         if couples is not None and len(couples.point):
@@ -220,7 +264,7 @@ class Standing:
                 self.kicks[k, tube] += moment @ self.end_frame[k, :, 2]
 
     def _moments(self) -> None:
-        """The moment m at the points, and on the sides of plate and tip of the places between the pieces."""
+        """Set the moment m at the points, and on both sides of the ends of the pieces."""
         if self.load is None:
             none = np.zeros((self.pieces + 1, 3))
             self.moment, self.moment_tip_side, self.moment_plate_side = np.zeros(self.axis.shape), none, none
@@ -235,43 +279,47 @@ class Standing:
         )
         self.bent = (self.across @ self.moment[..., None])[..., 0]
 
-    def _inwards(self, fall: Array, tip: Array, kicked: slice | None = None) -> tuple[Array, Array, Array]:
-        """Integral from the tip of what falls (P, K, r) towards it and, with `kicked` columns, where moments act
-        between pieces: at the points, and on the sides of tip and plate of the places between pieces (P + 1, r)."""
+    def _inwards(self, fall: Array, tip: Array, kicked: slice | None = None) -> FromTip:
+        """Quantities (r,) integrated from their values at the tip towards the plate.
+
+        Args:
+            fall: decrease (P, K, r) per length towards the tip.  tip: values (r,) there.
+            kicked: columns of the moments that act between pieces; None without these.
+        """
         beyond = _beyond(self.pieces)
         plate_side = tip_side = beyond @ (self.weights[:, None] @ fall)[:, 0] + tip
         if self.kicks is not None and kicked is not None:
             # A moment between pieces is felt by all that lies nearer to the plate.
             plate_side = plate_side + np.cumsum(self.kicks[::-1, kicked], axis=0)[::-1]
             tip_side = plate_side - self.kicks[:, kicked]
-        return tip_side[:-1, None] - self.back @ fall, tip_side, plate_side
+        return FromTip(tip_side[:-1, None] - self.back @ fall, tip_side, plate_side)
 
     @cached_property
     def about_moment(self) -> Array:
-        """(P, K, 3, 3) matrices of a -> m x a."""
+        """Matrices (P, K, 3, 3) of a -> m x a."""
         return hat(self.moment)
 
     @cached_property
     def back(self) -> Array:
-        """(P, K, K) integrals up to the points of what has t and m."""
+        """Integration (P, K, K) up to the points, for t and m."""
         return np.asarray(self.h * self.t.adjoint)
 
     @cached_property
     def ahead(self) -> Array:
-        """(P, K, K) integrals up to the points of what has phi and psi."""
+        """Integration (P, K, K) up to the points, for phi and psi."""
         return np.asarray(self.h * self.t.matrix)
 
     @property
-    def tables(self) -> Given:
-        """theta, kb, m (P K, n) and b (P K, 2)."""
+    def tables(self) -> SectionInputs:
+        """theta, kb, m (P K, n) and b (P K, 2) at the points."""
         theta, kb, m = (table.reshape(-1, self.n) for table in (self.theta, self.stiffness, self.moments))
         return theta, kb, m, self.bent.reshape(-1, 2)
 
     def _torques(self, gained: Array, stretch: Array) -> None:
-        """Torques t and rotations phi at the points, and between the pieces as `_moments`, from M and g (P K, n)."""
+        """Set torques t and rotations phi, at the points and at the ends of the pieces, from M and g (P K, n)."""
         stretch = stretch.reshape(self.rate.shape)
         self.winding = self.rate * stretch
-        """(P, K, n) of phi' by the torque: g / kt."""
+        """Derivative g / kt (P, K, n) of phi' by the torque."""
         fall = -gained.reshape(self.pieces, self.degree, self.n)
         if self.along is not None:
             fall += (self.along @ self.axis[..., None])[..., 0]
@@ -280,23 +328,23 @@ class Standing:
             tip[self.tip_tube] = self.tip_moment @ self.end_frame[-1, :, 2]
         self.torque, self.torque_tip_side, self.torque_plate_side = self._inwards(fall, tip, slice(self.n))
         self.stretched = self.torque * stretch
-        """(P, K, n) g t."""
+        """Torque times stretch, g t (P, K, n), N m."""
         turning = self.rate * self.stretched
-        # Between where a tube is clamped and the plate it turns by t int ds / kt.
+        # Between clamp and plate a tube twists by t int ds / kt.
         first = self.base + self.transmission * self.torque_plate_side[0]
         self.phi_ends = first + _beyond(self.pieces)[::-1, ::-1] @ (self.weights[:, None] @ turning)[:, 0]
         self.phi = self.phi_ends[:-1, None] + self.ahead @ turning
 
     @cached_property
     def coupled(self) -> Array | None:
-        """(P, K, n, n) of phi' by phi at given torques; None on the centreline."""
+        """Derivative (P, K, n, n) of phi' by phi at fixed torques; None for concentric tubes."""
         if self.at.by_stretch is None:
             return None
         return (self.rate * self.torque)[..., None] * self.at.by_stretch.reshape(*self.rate.shape, self.n)
 
     @cached_property
     def by_energy(self) -> Array:
-        """(P, K, n + 2) of the elastic energy per length by theta and b at given torques."""
+        """Derivative (P, K, n + 2) of the elastic energy per length by theta and b at fixed torques."""
         out = self.at.by_energy.reshape(self.pieces, self.degree, self.n + 2)
         if self.coupled is None:
             return out
@@ -305,9 +353,8 @@ class Standing:
         return np.concatenate([out[..., : self.n] + stretched, out[..., self.n :]], axis=2)
 
     @cached_property
-    def by_data(self) -> tuple[Array, Array, Array, Array | None]:
-        """At the points, of M (P, K, n, 3 n), u (P, K, 2, 3 n) and, at given torques, the elastic energy per length
-        (P, K, 3 n) and phi' (P, K, n, 3 n), by phase, kb and m; None where phi' is of the torques alone."""
+    def by_data(self) -> DataSlopes:
+        """Derivatives of cross-sections by phase, kb and m."""
         n, points = self.n, (self.pieces, self.degree)
         own = by_data_of(self.tables, self.offsets)
         turned = self.at.by_torque, self.at.by_curvature, self.by_energy.reshape(-1, n + 2)
@@ -315,19 +362,19 @@ class Standing:
         torque, curvature, energy = out[0].reshape(*points, n, -1), out[1].reshape(*points, 2, -1), out[2]
         energy = energy.reshape(*points, -1)
         if self.coupled is None:
-            return torque, curvature, energy, None
+            return DataSlopes(torque, curvature, energy, None)
         stretched = (self.rate * self.torque)[..., None] * own[3].reshape(*points, n, -1)
         energy[..., n:] += (self.torque[..., None, :] @ stretched)[..., 0, :] / 2
-        return torque, curvature, energy, np.concatenate([self.coupled, stretched], axis=-1)
+        return DataSlopes(torque, curvature, energy, np.concatenate([self.coupled, stretched], axis=-1))
 
 
 @lru_cache(maxsize=16)
 def _kept(n: int, own: int) -> Index:
-    """Rows of the state that the chain is of."""
+    """Rows of the state (2 n + 6,) in the chain of pieces; without a load, of rotations and torques only."""
     return np.concatenate([np.arange(own), n + 3 + np.arange(own)])
 
 
 @lru_cache(maxsize=64)
 def _beyond(pieces: int) -> Array:
-    """(P + 1, P) 1 where a piece lies beyond a place between pieces, 0 elsewhere."""
+    """Matrix (P + 1, P), 1 if a piece lies beyond an end of a piece, else 0."""
     return np.triu(np.ones((pieces + 1, pieces)))
