@@ -16,9 +16,8 @@ def test_a_step_of_any_length_keeps_the_heat_of_an_insulated_rig(span: float) ->
     """The columns of its matrices sum up to the heat capacities: what leaves a cell enters another."""
     rng = np.random.default_rng(3)
     values = dict.fromkeys(PROPERTIES, 1.0) | {
-        "heat_slope": 0.0, "conduction_slope": 0.0, "to_clamp": 0.0, "to_air": 0.0, "radiating": 0.0, "outer": 0.0,
-        "heat": 0.9, "conduction": 1.6e-5, "gap": 0.4, "wall": 0.8, "mold_k": 0.5, "mold_heat": 1e6, "leak": 0.0,
-        "ambient": 298.0,
+        "c_slope": 0.0, "k_slope": 0.0, "h_clamp": 0.0, "h_air": 0.0, "eps_sigma": 0.0, "h_outer": 0.0, "c_tube": 0.9,
+        "kA": 1.6e-5, "h_gap": 0.4, "R_wall": 0.8, "k_mold": 0.5, "c_mold": 1e6, "G_leak": 0.0, "T_amb": 298.0,
     }  # fmt: skip
     p = np.array([values[name] for name in PROPERTIES])
     width = rng.uniform(1e-3, 4e-3, GRID.cells)
@@ -29,8 +28,8 @@ def test_a_step_of_any_length_keeps_the_heat_of_an_insulated_rig(span: float) ->
     after = np.asarray(step_function(GRID)(cells, lumped, 0.0, span, p, q)[0])
     v = Volumes.of(q, GRID)
     capacity = np.zeros_like(cells)
-    capacity[0] = np.asarray(v.heat)[:, 0]
-    capacity[1:, -GRID.covered :] = np.asarray(v.shell_heat).T
+    capacity[0] = np.asarray(v.C_tube)[:, 0]
+    capacity[1:, -GRID.covered :] = np.asarray(v.C_mold).T
     moved = capacity * (after - cells)
     assert np.abs(moved).sum() > 1e-3 * span / (1 + span)
     assert abs(moved.sum()) < 1e-11 * np.abs(capacity * cells).sum()

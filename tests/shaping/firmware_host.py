@@ -13,7 +13,7 @@ import numpy as np
 
 from tubeopt.constants import ZERO_CELSIUS
 from tubeopt.shaping.firmware.line import SimulatedRig
-from tubeopt.shaping.heating.thermal import joined
+from tubeopt.shaping.heating.thermal import curved_temperatures
 from tubeopt.typing import Array
 
 COMPILER = shutil.which("g++") or shutil.which("clang++")
@@ -121,7 +121,7 @@ def run(heater: Path, rig: SimulatedRig, fault: Fault | None = None, longest: fl
             command = ""
             count = answer()
             tube = rig.state.cells[:, :, 0]
-            curved = joined(rig.model, tube) - ZERO_CELSIUS
+            curved = curved_temperatures(rig.model, tube) - ZERO_CELSIUS
             found.rows.append((rig.time, count, reading, curved.min(), curved.max(), tube.max() - ZERO_CELSIUS))
             if k and found.lines and found.lines[-1].get("state") == "stopped":
                 break

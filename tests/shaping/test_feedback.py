@@ -25,14 +25,14 @@ from tubeopt import (
 from tubeopt.constants import ZERO_CELSIUS
 from tubeopt.runs.heating_run import run_heating
 from tubeopt.shaping.firmware.line import SimulatedLine, SimulatedRig
-from tubeopt.shaping.heating.controller import begin, decide, run_loop, wilson
+from tubeopt.shaping.heating.controller import LawState, decide, run_loop, wilson
 from tubeopt.shaping.heating.optimal_schedule import solve_ideal
 from tubeopt.shaping.heating.planning import plan_heating
-from tubeopt.shaping.heating.replanning import Leader, planner_for
+from tubeopt.shaping.heating.replanning import Replanner, planner_for
 from tubeopt.shaping.heating.robust import RESET, Response, nominal_law, regulator
-from tubeopt.shaping.heating.sensors import followed
+from tubeopt.shaping.heating.sensors import lagged_reading
 from tubeopt.shaping.heating.simulation import at_rest
-from tubeopt.shaping.heating.thermal import joined, stack, thermal_model
+from tubeopt.shaping.heating.thermal import curved_temperatures, stack, thermal_model
 from tubeopt.shaping.heating.uncertainty import ENSEMBLE, Uncertainty
 
 from .heating_reference import TUBE, integrate, thesis_rig
@@ -75,7 +75,7 @@ def test_a_led_rig_does_what_an_adaptive_integrator_says_of_its_counts() -> None
         member = replace(fleet, properties=fleet.properties[b : b + 1], volumes=fleet.volumes[b : b + 1])
         last = len(history.time) - 1
         exact = integrate(member, law.slot, history.count[:last, b] / 255)
-        curved = joined(member, exact.tube[:, 0]) - ZERO_CELSIUS
+        curved = curved_temperatures(member, exact.tube[:, 0]) - ZERO_CELSIUS
         assert np.abs(curved.max(1) - history.hottest[: last + 1, b]).max() < 0.5
         assert np.abs(curved.min(1) - history.coldest[: last + 1, b]).max() < 0.5
 
@@ -89,7 +89,7 @@ def test_resistance_alone_is_told_to_be_no_thermometer() -> None:
 
 def test_the_law_without_gains_gives_what_was_planned() -> None:
     law = replace(nominal_law(plan(), Thermocouple()), holdback=math.inf)
-    state, given = begin(1), []
+    state, given = LawState.start(1), []
     for _ in law.planned:
         count, state = decide(law, state, np.array([25.0]))
         given.append(count[0])
@@ -98,18 +98,18 @@ def test_the_law_without_gains_gives_what_was_planned() -> None:
 
 def test_the_law_waits_for_a_cold_tube_and_gives_up_in_the_end() -> None:
     law = replace(nominal_law(plan(), Thermocouple()), patience=5.0)
-    state, counts = begin(1), []
+    state, counts = LawState.start(1), []
     for _ in range(60):
         count, state = decide(law, state, np.array([25.0]))
         counts.append(int(count[0]))
-    assert state.place[0] < law.hold[0]
+    assert state.index[0] < law.hold[0]
     assert counts[-1] == 0
 
 
 def test_a_sensor_lags_as_its_equation_says() -> None:
     sensor = Thermocouple(lag=0.7)
     exact = solve_ivp(lambda t, y: (20 + 30 * t - y) / 0.7, (0, 0.5), [5.0], rtol=1e-10, atol=1e-10).y[0, -1]
-    (found,) = followed(sensor.lag, np.array([5.0]), np.array([20.0]), np.array([35.0]), 0.5)
+    (found,) = lagged_reading(sensor.lag, np.array([5.0]), np.array([20.0]), np.array([35.0]), 0.5)
     assert abs(found - exact) < 1e-8
 
 
@@ -189,10 +189,10 @@ def test_the_rest_is_planned_anew_and_perturbed_rigs_stay_in_the_window() -> Non
         held: list[tuple[float, float]] = []
 
         def seen(_: object, row: dict[str, Any], rig: SimulatedRig = rig, held: list[Any] = held) -> None:
-            curved = joined(rig.model, rig.state.cells[0, :, 0]) - ZERO_CELSIUS
+            curved = curved_temperatures(rig.model, rig.state.cells[0, :, 0]) - ZERO_CELSIUS
             held.extend([(curved.min(), curved.max())] * (row["state"] == "holding"))
 
-        leader = Leader(planner)
+        leader = Replanner(planner)
         found = run_heating(SimulatedLine(rig, law, plan().spec.limit + 8), show=seen, leader=leader)
         assert found.done
         assert sum(row["led"] for row in found.rows) > 0.5 * len(found.rows)
@@ -219,7 +219,7 @@ def test_a_computer_that_is_late_leaves_the_board_to_its_own_law() -> None:
     assert sum(row["led"] for row in found.rows) == 3
     hold = [row["temperature_degC"] for row in found.rows if row["state"] == "holding"]
     assert 500 < min(hold) <= max(hold) < 550
-    memory = replace(begin(1), place=np.array([first]))
+    memory = replace(LawState.start(1), index=np.array([first]))
     count, after = decide(law, memory, law.reference[first : first + 1], 255.0)
     assert count[0] <= law.planned[first] * (1 + law.share) + law.lost + 1
     # Left alone, the law says the same again.
@@ -232,7 +232,7 @@ def test_margin_keeps_off_the_limit_too() -> None:
     tube, spec = Tube(1.0e-3, 0.9e-3, 0.0, 100e-3, 5.0), HeatingSpec(hold_time=10, objective="margin")
     found = solve_ideal(tube, thesis_rig(), spec)
     low, high = spec.window_degC
-    held, margin = found.held - ZERO_CELSIUS, -found.miss
+    held, margin = found.hold - ZERO_CELSIUS, -found.miss
     assert margin > 10
     assert min(held.min() - low, high - held.max()) == pytest.approx(margin, abs=0.01)
     assert spec.limit - (found.tube.max() - ZERO_CELSIUS) == pytest.approx(margin, abs=0.01)

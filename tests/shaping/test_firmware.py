@@ -31,7 +31,7 @@ from tubeopt.shaping.firmware.sketch_files import (
     tabled,
     write_sketch,
 )
-from tubeopt.shaping.heating.controller import HeatingLaw, begin, decide
+from tubeopt.shaping.heating.controller import HeatingLaw, LawState, decide
 from tubeopt.shaping.heating.thermal import ThermalModel, thermal_model
 from tubeopt.shaping.heating.uncertainty import ENSEMBLE, Uncertainty
 from tubeopt.show.heat_report import HeatingRunReport, LedHeatingReport
@@ -88,7 +88,7 @@ def test_the_firmware_leads_as_the_law_does(heater: Path) -> None:
         ]
         found = run(heater, rigs[0])
         assert found.reason == "done"
-        law, memory, hottest = law_for(rigs[1]), begin(1), []
+        law, memory, hottest = law_for(rigs[1]), LawState.start(1), []
         count: Any = np.zeros(1)
         for k in range(found.columns.shape[1]):
             reading = rigs[1].reading
@@ -109,7 +109,7 @@ def test_the_firmware_follows_a_lead_as_the_law_does_and_goes_on_alone(heater: P
     # Told after a slot's count was decided: of the eighth there is nothing left.
     assert sum(line["led"] for line in told) == 7
     first = next(k for k, line in enumerate(told) if line["led"])
-    law, memory, hottest = law_for(rigs[1]), begin(1), []
+    law, memory, hottest = law_for(rigs[1]), LawState.start(1), []
     count: Any = np.zeros(1)
     leads = dict(zip(range(first, first + 8), np.linspace(16, 9, 8), strict=True))
     for k in range(found.columns.shape[1]):

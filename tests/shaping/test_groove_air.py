@@ -11,58 +11,62 @@ import pytest
 
 from tubeopt.shaping import STEEL
 from tubeopt.shaping.heating.rig import MoldBed, Rig
-from tubeopt.shaping.heating.thermal import Lie, even_gap, gap_of
+from tubeopt.shaping.heating.thermal import GrooveAir, uniform_gap, uniform_gap_of
 from tubeopt.typing import Array
 
 from .heating_reference import TUBE
 
 METAL = 1e6
 
-centred = partial(Lie.leaning, standoff=math.inf)
+touching = GrooveAir.tube_on_floor_and_wall
+centred = partial(touching, standoff=math.inf)
 
 
 @pytest.mark.parametrize("width", [2.0, 3.0])
 def test_a_wide_square_groove_has_the_shape_factor_of_the_textbook(width: float) -> None:
     """S = 2 pi / ln(1.08 w / D): Incropera et al., Fundamentals of Heat and Mass Transfer, Table 4.1."""
-    gap = even_gap(1.0, centred(1.0, width, width), METAL)
+    gap = uniform_gap(1.0, centred(1.0, width, width), METAL)
     assert math.pi / gap == pytest.approx(2 * math.pi / math.log(1.08 * width), rel=1e-2)
 
 
 @pytest.mark.parametrize(("play", "depth"), [(0.02, 1.04), (0.05, 1.1), (0.1, 1.3)])
 @pytest.mark.parametrize("leaning", [False, True])
 def test_walls_of_metal_agree_with_a_series_for_any_place_of_the_tube(play: float, depth: float, leaning: bool) -> None:
-    lie = Lie.leaning(1.0, 1 + 2 * play, depth, 0.01) if leaning else centred(1.0, 1 + 2 * play, depth)
-    assert even_gap(1.0, lie, METAL) == pytest.approx(_by_series(lie), rel=1e-2)
+    lie = touching(1.0, 1 + 2 * play, depth, 0.01) if leaning else centred(1.0, 1 + 2 * play, depth)
+    assert uniform_gap(1.0, lie, METAL) == pytest.approx(_by_series(lie), rel=1e-2)
 
 
 @pytest.mark.parametrize("ratio", [2.7, 20.0])
 @pytest.mark.parametrize("play", [0.02, 0.05])
 def test_a_board_that_conducts_little_better_than_air_agrees_with_a_series(play: float, ratio: float) -> None:
-    gap = even_gap(1.0, centred(1.0, 1 + 2 * play, 1 + 2 * play), ratio)
+    gap = uniform_gap(1.0, centred(1.0, 1 + 2 * play, 1 + 2 * play), ratio)
     assert gap == pytest.approx(_by_two_series(1 + 2 * play, ratio), rel=1.5e-2)
 
 
+touching = GrooveAir.tube_on_floor_and_wall
+
+
 def test_where_all_is_air_there_is_no_gap() -> None:
-    assert even_gap(1.0, Lie.leaning(1.0, 1.1, 1.2), 1.0) == pytest.approx(0.0, abs=1e-9)
+    assert uniform_gap(1.0, touching(1.0, 1.1, 1.2), 1.0) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_where_a_tube_lies_matters_in_metal_and_hardly_in_board() -> None:
     size = 2.02e-3
     for ratio, least in ((2.7, 0.95), (300.0, 0.6)):
-        middle, leaning = (even_gap(1.92e-3, kind(1.92e-3, size, size), ratio) for kind in (centred, Lie.leaning))
+        middle, leaning = (uniform_gap(1.92e-3, kind(1.92e-3, size, size), ratio) for kind in (centred, touching))
         assert least < leaning / middle < least + 0.06
 
 
 def test_a_rig_takes_the_even_gap_of_its_groove_unless_its_file_says_one() -> None:
     rig = Rig(mold=MoldBed(side_clearance=50e-6))
-    assert 75e-6 < gap_of(TUBE, rig) < 85e-6
+    assert 75e-6 < uniform_gap_of(TUBE, rig) < 85e-6
     steel = replace(rig, mold=replace(rig.mold, material=STEEL))
-    assert gap_of(TUBE, steel) < gap_of(TUBE, rig)
+    assert uniform_gap_of(TUBE, steel) < uniform_gap_of(TUBE, rig)
     said = Rig(mold=MoldBed(gap=70e-6))
-    assert gap_of(TUBE, said) == said.mold.play == 70e-6
+    assert uniform_gap_of(TUBE, said) == said.mold.play == 70e-6
 
 
-def _by_series(lie: Lie) -> float:
+def _by_series(lie: GrooveAir) -> float:
     """Even gap with isothermal walls: ln r and harmonics that vanish on the tube, fitted to the walls."""
     right, top, left, bottom = (0.5 + x for x in (lie.right, lie.top, lie.left, lie.bottom))
     angle = np.linspace(0.0, 2 * math.pi, 4001)[:-1]

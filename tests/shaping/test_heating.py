@@ -20,7 +20,7 @@ from tubeopt.shaping.heating.plan import arduino_header, schedule_csv
 from tubeopt.shaping.heating.rig import Battery, Circuit, Clamps, MoldBed
 from tubeopt.shaping.heating.robust import Uncertainty, assess, at_charge, charge_tables, most_likely
 from tubeopt.shaping.heating.simulation import History, resimulate, warming
-from tubeopt.shaping.heating.thermal import FINE, ThermalModel, joined, thermal_model
+from tubeopt.shaping.heating.thermal import FINE, ThermalModel, curved_temperatures, thermal_model
 from tubeopt.shaping.materials import GLASS_MICA, MDF
 
 from .heating_reference import TUBE, header_duties, integrate, thesis_plan, thesis_rig, with_mold
@@ -43,7 +43,7 @@ def resimulated(plan: HeatingPlan) -> tuple[np.ndarray[Any, Any], np.ndarray[Any
     """Temperatures (degC) of the curved part in the hold, and of all at all times, on a finer grid."""
     model, history = finer(plan)
     tube = history.tube[::PARTS, 0]
-    return joined(model, tube[plan.in_hold]) - ZERO, tube - ZERO
+    return curved_temperatures(model, tube[plan.in_hold]) - ZERO, tube - ZERO
 
 
 def with_resistor(rig: Rig, ohm: float) -> Rig:
@@ -132,7 +132,7 @@ def test_a_window_that_cannot_be_held_is_answered_with_the_best_and_a_cure() -> 
     plan = plan_heating(TUBE, with_mold(thesis_rig(), lead=4e-3), HeatingSpec(hold_time=5))
     assert not plan.feasible
     assert plan.hottest + plan.mesh_error <= 550.0 + 1e-9
-    assert plan.shortfall == pytest.approx(500 - plan.lowest + plan.outcome.mesh.held)
+    assert plan.shortfall == pytest.approx(500 - plan.lowest + plan.outcome.mesh.hold)
     cured = [cure for cure in plan.cures if cure.cures]
     assert cured
     assert "lead of" in cured[0].change
@@ -226,7 +226,7 @@ def test_what_the_circuit_does_not_bear_is_not_held(limit: str, value: float) ->
         strained.hold_start,
     )
     assert outcome.shortfall == 0
-    assert not outcome.kept
+    assert not outcome.feasible
     assert f"{value:g} A" in outcome.broken[0]
 
 

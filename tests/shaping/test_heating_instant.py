@@ -14,8 +14,17 @@ from tubeopt.physics.heat import Resolution
 from tubeopt.physics.heat_functions import instant_functions
 from tubeopt.robots.materials import ThermalData
 from tubeopt.shaping.heating.rig import gap_conductance
-from tubeopt.shaping.heating.simulation import State, advance, current, march, rates, step_by_step, stored, warming_span
-from tubeopt.shaping.heating.thermal import gap_of, leak_resistance, stack, thermal_model
+from tubeopt.shaping.heating.simulation import (
+    State,
+    advance,
+    circuit_state,
+    march,
+    rates,
+    step_by_step,
+    stored,
+    warming_span,
+)
+from tubeopt.shaping.heating.thermal import leak_resistance, stack, thermal_model, uniform_gap_of
 from tubeopt.shaping.materials import CALCIUM_SILICATE, STEEL
 from tubeopt.solvers.compiled.heating import Windows, heating_kernel
 from tubeopt.typing import Array
@@ -103,7 +112,9 @@ class ByHand:
         material = rig.mold.material
         k = rig.loss_factor * material.conductivity
         half = math.log(self.faces[1] / self.faces[0]) / 2 / (2 * math.pi * k * w)
-        gap = 1 / (rig.loss_factor * gap_conductance(gap_of(TUBE, rig), rig.ambient) * touching * self.girth * w)
+        gap = 1 / (
+            rig.loss_factor * gap_conductance(uniform_gap_of(TUBE, rig), rig.ambient) * touching * self.girth * w
+        )
         self.move((i, 0), (i, 1), (T[i, 0] - T[i, 1]) / (gap + half))
         self.heat[i, 1] += self.stray * w / self.width[FIRST:].sum()
         for j in range(1, GRID.shells + 1):
@@ -130,15 +141,15 @@ class ByHand:
 def test_the_balance_is_that_of_loops_over_the_cells(material: Any) -> None:
     rigs = [rig_of(material), replace(rig_of(material), loss_factor=0.9)]
     model = stack([thermal_model(TUBE, rig, GRID) for rig in rigs])
-    cells, lumped = states(2, model.ambient)
+    cells, lumped = states(2, model.T_amb)
     rate, slow = rates(model, cells, lumped, DUTY)
-    now = current(model, cells[:, :, 0], lumped)
+    now = circuit_state(model, cells[:, :, 0], lumped)
     for b, rig in enumerate(rigs):
         expected = ByHand(rig, model.width, cells[b], lumped[b])
         np.testing.assert_allclose(rate[b], expected.heat / expected.capacity, rtol=1e-11, atol=1e-11)
         mean, battery = DUTY * expected.total, rig.battery
-        assert now.total[b] == pytest.approx(expected.total, rel=1e-13)
-        assert now.tube[b] == pytest.approx(expected.through, rel=1e-13)
+        assert now.I_on[b] == pytest.approx(expected.total, rel=1e-13)
+        assert now.I_tube[b] == pytest.approx(expected.through, rel=1e-13)
         resistance = battery.internal_resistance + rig.circuit.resistance - rig.circuit.contact_resistance
         rest = battery.voltage - battery.voltage_slope * lumped[b, 1]
         others = [
@@ -154,7 +165,7 @@ def test_what_the_battery_gives_is_stored_or_lost_at_every_instant(material: Any
     """The rate of what is stored, by differences along the rates, is drawn less turned to heat in the circuit, less
     given off."""
     model = thermal_model(TUBE, rig_of(material), GRID)
-    cells, lumped = states(1, model.ambient)
+    cells, lumped = states(1, model.T_amb)
     rate, slow = rates(model, cells, lumped, DUTY)
     step = 1e-2 / np.abs(rate).max()
     ahead, behind = (stored(model, State(cells + s * rate, lumped + s * slow))[0] for s in (step, -step))
@@ -165,7 +176,7 @@ def test_what_the_battery_gives_is_stored_or_lost_at_every_instant(material: Any
 def test_the_jacobian_of_the_implicit_steps_is_that_of_the_flows() -> None:
     """Without current and with a conductivity that does not depend on temperature, by central differences."""
     model = thermal_model(ideal_tube(emissivity=0.3), rig_of(STEEL), GRID)
-    cells, lumped = states(1, model.ambient)
+    cells, lumped = states(1, model.T_amb)
     n, m = cells.shape[1:]
     columns = instant_functions(GRID)["linearised"](cells[0].T, model.properties[0], model.volumes[0])
     heat, own, inward, along = (column.full().T[None] for column in columns)
@@ -190,7 +201,7 @@ def test_the_jacobian_of_the_implicit_steps_is_that_of_the_flows() -> None:
 
 def test_one_member_in_many_states_is_each_state_alone() -> None:
     model = thermal_model(TUBE, rig_of(STEEL), GRID)
-    cells, lumped = states(6, model.ambient)
+    cells, lumped = states(6, model.T_amb)
     together = rates(model, cells, lumped, DUTY)
     for k in range(6):
         alone = rates(model, cells[k : k + 1], lumped[k : k + 1], DUTY)
@@ -204,7 +215,7 @@ def test_the_kernel_makes_the_steps_of_the_expressions(material: Any) -> None:
     """Of two rigs at once, in windows of unlike spans; also of one rig alone, whose factors are kept between calls."""
     rigs = [rig_of(material), replace(rig_of(material), loss_factor=0.9, ambient=290.0)]
     model = stack([thermal_model(TUBE, rig, GRID) for rig in rigs])
-    cells, lumped = states(2, model.ambient)
+    cells, lumped = states(2, model.T_amb)
     duty = np.random.default_rng(1).random((4, 2)) * [[0.1], [0.1], [0.0], [1.0]]
     windows = Windows(np.array([0.05, 1.0, 0.2, 0.05]), np.array([1, 4, 1, 1]), duty, np.array([0, 2, 1, 3, 4]))
     here, there = (State(np.empty((5, *cells.shape)), np.empty((5, *lumped.shape))) for _ in range(2))
@@ -220,4 +231,4 @@ def test_the_kernel_makes_the_steps_of_the_expressions(material: Any) -> None:
     idle, full, ampere = warming_span(alone, one.cells, one.lumped)
     for rate, level in ((idle, 0.0), (full, 1.0)):
         np.testing.assert_allclose(rate, rates(alone, one.cells, one.lumped, level)[0][:, :, 0], rtol=1e-10, atol=1e-10)
-    assert ampere == pytest.approx(current(alone, one.cells[:, :, 0], one.lumped).total, rel=1e-13)
+    assert ampere == pytest.approx(circuit_state(alone, one.cells[:, :, 0], one.lumped).I_on, rel=1e-13)

@@ -11,11 +11,11 @@ import pytest
 from tests.command_line import ROOT
 from tubeopt import HeatingPlan, HeatingSpec, Rig, Tube, load_rig, plan_heating
 from tubeopt.shaping import rank_mold_materials
-from tubeopt.shaping.heating.counts import guarded_counts, paced
+from tubeopt.shaping.heating.counts import guarded_counts, rollout
 from tubeopt.shaping.heating.outcome import outcome_of
-from tubeopt.shaping.heating.schedule import at_start, missed_by, placed
+from tubeopt.shaping.heating.schedule import misses, no_duties, search_hold
 from tubeopt.shaping.heating.simulation import resimulate
-from tubeopt.shaping.heating.thermal import COARSE, FINE, joined, thermal_model
+from tubeopt.shaping.heating.thermal import COARSE, FINE, curved_temperatures, thermal_model
 from tubeopt.shaping.materials import GLASS_MICA, MDF, MOLD_MATERIALS
 from tubeopt.shaping.mold.heat import HeatSpec
 from tubeopt.typing import Array
@@ -55,7 +55,7 @@ def test_a_plan_reports_what_its_counts_miss() -> None:
     history = resimulate(thermal_model(TUBE, MICA, FINE), ASKED.slot, plan.duty[:-1] / 255)
     seen = outcome_of(thermal_model(TUBE, MICA, FINE), MICA, ASKED, history, plan.hold_start, plan.outcome.mesh)
     assert seen.shortfall == pytest.approx(plan.shortfall, abs=1e-6)
-    assert plan.shortfall == pytest.approx(500.0 - plan.lowest + plan.outcome.mesh.held)
+    assert plan.shortfall == pytest.approx(500.0 - plan.lowest + plan.outcome.mesh.hold)
 
 
 RIGS = [
@@ -75,18 +75,18 @@ def test_shooting_finds_no_hold_that_misses_by_much_less(
     rig: Rig, tube: Tube, spec: HeatingSpec, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Random profiles of the hottest point's temperature, any place of the hold: a search that knows no policy.
-    monkeypatch.setattr("tubeopt.shaping.heating.schedule.DECIDED", 1.0)
+    monkeypatch.setattr("tubeopt.shaping.heating.schedule.MIN_INTERVAL", 1.0)
     model, cap, dice = thermal_model(tube, rig, COARSE), spec.limit - 8.0, np.random.default_rng(1)
-    nearest = placed(model, rig, spec, cap)
-    span, own = nearest.pace.span, nearest.missed
+    nearest = search_hold(model, rig, spec, cap)
+    span, own = nearest.course.span, nearest.miss
     hold, longest = round(spec.hold_time / span), int(spec.longest_heating / span)
     assert own > 1.0
     best = own
     for trial in range(25):
         knots = dice.uniform(0.3 * cap, 1.1 * cap, 6) if trial % 2 else cap - dice.uniform(0, 40, 6)
         profile = np.minimum(np.interp(np.linspace(0, 1, longest + hold), np.linspace(0, 1, 6), knots), cap)
-        shot = paced(model, spec, rig, profile, np.zeros(len(profile), bool), at_start(model, span))
-        best = min(best, float(missed_by(model, spec, shot, hold)[1 : longest + 1].min()))
+        shot = rollout(model, spec, rig, profile, np.zeros(len(profile), bool), no_duties(model, span))
+        best = min(best, float(misses(model, spec, shot, hold)[1 : longest + 1].min()))
     assert own <= 1.05 * best + 0.5
 
 
@@ -116,19 +116,22 @@ def test_ranked_materials_are_held_where_their_plan_is(hold: float) -> None:
 STEEL = load_rig(ROOT / "configs" / "rigs" / "thesis_steel.yaml")
 
 
-def misses(rig: Rig, tube: Tube, spec: HeatingSpec, counts: Array, plan: HeatingPlan) -> float:
+def shortfall_of(rig: Rig, tube: Tube, spec: HeatingSpec, counts: Array, plan: HeatingPlan) -> float:
     """By how much counts miss the window, K, where their hold is best; infinite where they break more than the plan."""
     model = thermal_model(tube, rig, FINE)
     within = resimulate(model, spec.slot, counts / 255).within
     assert within is not None
     broken = within.rate > max(spec.ramp, plan.steepest), within.mean_current > rig.circuit.current_limit
     held, mesh = np.lib.stride_tricks.sliding_window_view, plan.outcome.mesh
-    coldest, hottest = joined(model, within.coldest).min(1), joined(model, within.hottest).max(1)
+    coldest, hottest = (
+        curved_temperatures(model, within.coldest).min(1),
+        curved_temperatures(model, within.hottest).max(1),
+    )
     low, high = np.array(spec.window_degC) + 273.15
     starts = int(spec.longest_heating / spec.slot) + 1
     miss = (
         np.maximum(low - held(coldest, spec.hold_slots).min(1), held(hottest, spec.hold_slots).max(1) - high)
-        + mesh.held
+        + mesh.hold
     )
     top = np.maximum.accumulate(within.hottest.max(1))[spec.hold_slots - 1 :] - 273.15 + mesh.hottest
     miss[top > spec.limit + plan.outcome.excess] = np.inf
@@ -149,10 +152,12 @@ def test_steel_is_missed_by_less_than_by_counts_that_rise_in_a_line() -> None:
     assert plan.steepest <= spec.ramp
     assert plan.mean_current <= STEEL.circuit.current_limit
     line = np.round(18.5 * np.minimum(np.arange(720) / 200, 1.0))
-    assert misses(STEEL, STEEL.tube, spec, line, plan) == pytest.approx(446.0, abs=1.0)
+    assert shortfall_of(STEEL, STEEL.tube, spec, line, plan) == pytest.approx(446.0, abs=1.0)
     assert plan.shortfall < 440.0
     assert plan.iterations == 0  # the search alone answers, which saves most of the time
-    assert misses(STEEL, STEEL.tube, spec, np.asarray(plan.duty[:-1], float), plan) == pytest.approx(plan.shortfall)
+    assert shortfall_of(STEEL, STEEL.tube, spec, np.asarray(plan.duty[:-1], float), plan) == pytest.approx(
+        plan.shortfall
+    )
 
 
 @pytest.mark.parametrize(("rig", "tube", "spec"), [*RIGS, (STEEL, STEEL.tube, HeatingSpec(longest_heating=60.0))])
@@ -162,7 +167,7 @@ def test_no_dithered_line_of_counts_misses_by_less(rig: Rig, tube: Tube, spec: H
     for _ in range(15):
         rise = int(dice.uniform(0.02, 0.8) * length)
         counts = straight(length, max(rise, 1), *(dice.uniform(0.4, 1.2, 2) * most))
-        assert misses(rig, tube, spec, counts, plan) > 0.98 * plan.shortfall - 1.0
+        assert shortfall_of(rig, tube, spec, counts, plan) > 0.98 * plan.shortfall - 1.0
 
 
 def test_counts_that_current_holds_back_are_never_given_at_once() -> None:

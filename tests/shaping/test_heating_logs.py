@@ -14,13 +14,13 @@ from tubeopt.shaping.firmware.line import SimulatedRig
 from tubeopt.shaping.heating.calibration import (
     FACTORS,
     HeatingLog,
-    believable,
     calibrate,
     predict,
-    step_of,
+    resolution_of,
     unexplained,
+    without_saturated,
 )
-from tubeopt.shaping.heating.plan import ageing, ageing_words
+from tubeopt.shaping.heating.plan import ageing, ageing_remarks
 from tubeopt.shaping.heating.sensors import Thermocouple
 from tubeopt.shaping.heating.simulation import simulate
 from tubeopt.shaping.heating.thermal import FINE, thermal_model
@@ -50,13 +50,13 @@ EXPECTED = {"temperature": TRUE[:, 0]}
 def test_a_dead_thermometer_is_refused() -> None:
     dead = HeatingLog(TIME, DUTY, np.full(len(TIME), 298.15))
     with pytest.raises(InputError, match=r"log is 25.0 degC in all 15 readings.*the thermometer is broken"):
-        believable(dead, thesis_rig(), EXPECTED)
+        without_saturated(dead, thesis_rig(), EXPECTED)
     cold = HeatingLog(TIME, 0 * DUTY, np.full(len(TIME), 298.15))
-    assert believable(cold, thesis_rig(), {"temperature": np.full(len(TIME), 298.15)})[1] == ()
+    assert without_saturated(cold, thesis_rig(), {"temperature": np.full(len(TIME), 298.15)})[1] == ()
 
 
 def test_a_saturated_thermometer_is_left_out_where_it_is() -> None:
-    log, words = believable(HeatingLog(TIME, DUTY, np.minimum(TRUE[:, 0], 600.0)), thesis_rig(), EXPECTED)
+    log, words = without_saturated(HeatingLog(TIME, DUTY, np.minimum(TRUE[:, 0], 600.0)), thesis_rig(), EXPECTED)
     high = TRUE[:, 0] > 600.0
     assert (np.isnan(log.channels["temperature"]) == high).all()
     assert f"stays at 326.9 degC for {high.sum()} readings" in words[0]
@@ -95,7 +95,10 @@ def test_residuals_are_held_to_the_noise_that_was_stated() -> None:
     assert unexplained("temperature", noise, None, 2.0) == ()
     assert "times the stated noise of 1 K" in unexplained("temperature", noise, 1.0, 2.0)[0]
     steps = np.round(12.0 + 0.1 * np.sin(np.linspace(0, 12, 200)), 2)
-    assert unexplained("voltage", 12.0 + 0.1 * np.sin(np.linspace(0, 12, 200)) - steps, None, 2.0, step_of(steps)) == ()
+    assert (
+        unexplained("voltage", 12.0 + 0.1 * np.sin(np.linspace(0, 12, 200)) - steps, None, 2.0, resolution_of(steps))
+        == ()
+    )
     wave = 3 * np.sin(np.linspace(0, 12, 200))
     told = unexplained("voltage", wave, None, 2.0)
     assert len(told) == 1
@@ -164,7 +167,7 @@ def test_cold_ends_age_as_long_as_they_are_near_450_degC() -> None:
     inside = (hot > 400) & (hot < 500) & ~plan.curved[:half]
     assert length == pytest.approx(np.ptp(plan.position[:half][inside]), abs=5e-3)
     assert 10 < longest < plan.hold_end
-    assert "BIOMED2007" in ageing_words(plan)[0]
-    assert f"for up to {longest:.0f} s" in ageing_words(plan)[0]
+    assert "BIOMED2007" in ageing_remarks(plan)[0]
+    assert f"for up to {longest:.0f} s" in ageing_remarks(plan)[0]
     cold = replace(plan, course=replace(plan.course, temperature=np.full_like(plan.temperature, 25.0)))
-    assert ageing_words(cold) == ()
+    assert ageing_remarks(cold) == ()

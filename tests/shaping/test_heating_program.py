@@ -10,8 +10,8 @@ import pytest
 import scipy.sparse
 
 from tubeopt import HeatingSpec, load_rig, load_robot
-from tubeopt.shaping.heating.counts import soonest
-from tubeopt.shaping.heating.optimal_control import DURATION, VENTS, WISHES, Structure, physics, program
+from tubeopt.shaping.heating.counts import minimum_time_counts
+from tubeopt.shaping.heating.optimal_control import SCALE, TASK, VENTS, Structure, program, rig_parameters
 from tubeopt.shaping.heating.optimal_schedule import Ideal, planned_ramp, solve_ideal
 from tubeopt.shaping.heating.thermal import COARSE, PROGRAM, thermal_model
 from tubeopt.typing import Array
@@ -30,11 +30,11 @@ def with_lead(lead: float) -> Ideal:
 
 def test_derivatives_are_those_of_the_program() -> None:
     generator = np.random.default_rng(5)
-    structure = Structure(PROGRAM, clear=True, chosen=("lead", "vents"))
+    structure = Structure(PROGRAM, soft_limit=True, chosen=("lead", "vents"))
     made = program(structure)
     answer = with_lead(20e-3)
-    wishes = generator.uniform(0.5, 2.0, len(WISHES))
-    p = np.concatenate([physics(TUBE, thesis_rig(), PROGRAM), wishes])
+    wishes = generator.uniform(0.5, 2.0, len(TASK))
+    p = np.concatenate([rig_parameters(TUBE, thesis_rig(), PROGRAM), wishes])
     x = np.concatenate([answer.x, structure.copies_of(answer.x[-2 - VENTS :])])
     x += 0.05 * generator.standard_normal(x.size)
     way, multipliers = generator.standard_normal(x.size), generator.standard_normal(sum(made.sizes.values()))
@@ -59,7 +59,9 @@ def test_what_stalls_would_not_get_there_in_five_times_the_time(lead: float) -> 
     rig = replace(thesis_rig(), mold=replace(thesis_rig().mold, lead=lead))
     model, spec = thermal_model(TUBE, rig, COARSE), HeatingSpec(hold_time=10)
     longer = replace(spec, longest_heating=1800)
-    assert (soonest(model, spec, rig, 1.0) is None) == (soonest(model, longer, rig, 1.0) is None)
+    assert (minimum_time_counts(model, spec, rig, 1.0) is None) == (
+        minimum_time_counts(model, longer, rig, 1.0) is None
+    )
 
 
 def test_a_lead_that_may_be_longer_is_so_where_its_multiplier_says_it() -> None:
@@ -68,7 +70,7 @@ def test_a_lead_that_may_be_longer_is_so_where_its_multiplier_says_it() -> None:
         fixed = with_lead(lead)
         free = HeatingSpec(hold_time=10, free=("lead",), lead_range=(lead, 60e-3))
         chosen = solve_ideal(TUBE, fixed.rig, free, guess=fixed).rig.mold.lead
-        assert fixed.lead_gains == (chosen > 1.001 * lead) == gains
+        assert fixed.longer_lead_helps == (chosen > 1.001 * lead) == gains
 
 
 def test_time_that_may_be_taken_costs_nothing() -> None:
@@ -82,9 +84,9 @@ def test_time_that_may_be_taken_costs_nothing() -> None:
         for longest in (60.0, 360.0)
     )
     assert whole.heating > 60
-    assert whole.heating / DURATION + whole.miss < short.heating / DURATION + short.miss
+    assert whole.heating / SCALE.duration + whole.miss < short.heating / SCALE.duration + short.miss
 
 
 def test_the_ramp_is_planned_less_what_the_fine_grid_takes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tubeopt.shaping.heating.optimal_schedule.RAMP_KEPT", 0.5)
+    monkeypatch.setattr("tubeopt.shaping.heating.optimal_schedule.RAMP_RESERVE", 0.5)
     assert planned_ramp(TUBE, thesis_rig(), HeatingSpec(ramp=1000.0), 0.0) == pytest.approx(500.0)

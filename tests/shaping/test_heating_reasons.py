@@ -1,4 +1,4 @@
-"""A plan that misses its window names what stopped it, and never answers with no heating at all."""
+"""A plan that shortfall_of its window names what stopped it, and never answers with no heating at all."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tubeopt.shaping.heating.thermal import FINE, thermal_model
 from tubeopt.shaping.materials import GLASS_MICA, STEEL
 
 from .heating_reference import TUBE, thesis_rig, with_mold
-from .test_heating_least_miss import misses
+from .test_heating_least_miss import shortfall_of
 
 RIG = load_rig(ROOT / "configs" / "rigs" / "thesis_mdf.yaml")
 THIN = load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml").tubes[1]
@@ -64,7 +64,7 @@ def test_a_rig_on_which_one_count_breaks_the_ramp_late_in_its_slot_is_heated() -
 def test_no_line_of_counts_on_that_rig_misses_by_less(rise: float) -> None:
     rig, plan = thin_in_steel()
     counts = np.floor(23 * np.minimum((1 + np.arange(80)) / (rise * 80), 1.0))
-    assert misses(rig, THIN, replace(SHORT, ramp=1.02 * plan.steepest), counts, plan) > 0.99 * plan.shortfall
+    assert shortfall_of(rig, THIN, replace(SHORT, ramp=1.02 * plan.steepest), counts, plan) > 0.99 * plan.shortfall
 
 
 def test_a_mean_current_below_that_of_one_count_is_broken_by_one_count() -> None:

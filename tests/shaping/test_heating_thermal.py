@@ -12,16 +12,10 @@ from scipy.special import erfc
 from tubeopt import Tube
 from tubeopt.shaping.heating.counts import sum_up_rounding
 from tubeopt.shaping.heating.optimal_control import (
-    AMPERE,
-    CHARGE,
-    DRIVE,
-    LENGTH,
-    OHM,
-    RISE,
-    SAG,
+    SCALE,
     VENTS,
     instant,
-    physics,
+    rig_parameters,
 )
 from tubeopt.shaping.heating.rig import Rig, air_conductivity, natural_convection
 from tubeopt.shaping.heating.simulation import (
@@ -30,7 +24,7 @@ from tubeopt.shaping.heating.simulation import (
     State,
     advance,
     at_rest,
-    current,
+    circuit_state,
     rates,
     resimulate,
     simulate,
@@ -67,7 +61,7 @@ SCHEDULE = np.concatenate([np.linspace(3, 16, 40).round(), np.full(60, 10.0)]) /
 
 def into_mold(model: ThermalModel, state: State) -> float:
     """Heat (W) from the last cell of the tube into the first shell."""
-    return float(conductance(model, "to_mold")[-1] * (state.cells[0, -1, 0] - state.cells[0, -1, 1]))
+    return float(conductance(model, "G_gap")[-1] * (state.cells[0, -1, 0] - state.cells[0, -1, 1]))
 
 
 def test_a_tube_that_only_stands_in_air_warms_up_exponentially() -> None:
@@ -130,7 +124,7 @@ def test_the_mold_is_a_half_space_beside_a_wide_tube() -> None:
         faces = np.geomspace(1.0, rig.mold.radius, shells + 1)
         r = np.sqrt(faces[:-1] * faces[1:])
         near = r < 1.06
-        expected = model.ambient + 100 * np.sqrt(1 / r) * erfc((r - 1) / (2 * math.sqrt(conductivity / heat * span)))
+        expected = model.T_amb + 100 * np.sqrt(1 / r) * erfc((r - 1) / (2 * math.sqrt(conductivity / heat * span)))
         errors.append(np.abs(final.cells[0, -1, 1:] - expected)[near].max())
     assert errors[1] < 0.1
     assert errors[1] < 0.5 * errors[0]
@@ -221,23 +215,27 @@ def test_the_program_and_the_simulation_have_the_same_physics(material: object, 
     model = thermal_model(tube, rig, resolution)
     generator = np.random.default_rng(0)
     n, first = model.position.size, resolution.grip + resolution.clearance
-    cells = np.full((1, n, 1 + resolution.shells), model.ambient) + 500 * generator.random((1, n, 5))
+    cells = np.full((1, n, 1 + resolution.shells), model.T_amb) + 500 * generator.random((1, n, 5))
     lumped = np.array([[320.0, 0.01, 0.05, 0.0, 0.0, 0.0]])
     duty = 0.07
     rate, slow = rates(model, cells, lumped, duty)
-    now = current(model, cells[:, :, 0], lumped)
-    scaled = (cells[0] - model.ambient) / RISE
+    now = circuit_state(model, cells[:, :, 0], lumped)
+    scaled = (cells[0] - model.T_amb) / SCALE.T
     z = np.concatenate(
-        [scaled[:, 0], scaled[first:, 1:].ravel(), [(320 - model.ambient) / RISE, 0.01 / CHARGE, 0.05 / SAG]]
+        [
+            scaled[:, 0],
+            scaled[first:, 1:].ravel(),
+            [(320 - model.T_amb) / SCALE.T, 0.01 / SCALE.charge, 0.05 / SCALE.V_sag],
+        ]
     )
     expected = np.concatenate(
         [rate[0, :, 0], rate[0, first:, 1:].ravel(), [slow[0, CLAMP]]]
-    ) / RISE  # fmt: skip
-    z_rate = np.concatenate([expected, [slow[0, 1] / CHARGE, slow[0, 2] / SAG]])
-    circuit = [now.total[0] / AMPERE, now.resistance.sum() / OHM]
-    design = np.concatenate([[rig.clamps.clearance / LENGTH, rig.mold.lead / LENGTH], 0.3 * places**2])
-    drive = duty * now.total[0] ** 2 / DRIVE
-    equations, power = instant(resolution)(z, z_rate, circuit, drive, design, physics(tube, rig, resolution))
+    ) / SCALE.T  # fmt: skip
+    z_rate = np.concatenate([expected, [slow[0, 1] / SCALE.charge, slow[0, 2] / SCALE.V_sag]])
+    circuit = [now.I_on[0] / SCALE.current, now.R_half.sum() / SCALE.R]
+    design = np.concatenate([[rig.clamps.clearance / SCALE.length, rig.mold.lead / SCALE.length], 0.3 * places**2])
+    drive = duty * now.I_on[0] ** 2 / SCALE.I_sq
+    equations, power = instant(resolution)(z, z_rate, circuit, drive, design, rig_parameters(tube, rig, resolution))
     # The program fixes the leak at the given lead, as the model does: nothing is left over.
     np.testing.assert_allclose(equations.full(), 0.0, atol=1e-11 * max(1.0, np.abs(z_rate).max()))
     assert float(power) == pytest.approx(slow[0, DRAWN], rel=1e-12)
@@ -272,7 +270,7 @@ def test_vents_run_from_the_end_of_the_mold_to_its_middle() -> None:
     np.testing.assert_allclose(vent_profile(rig, np.array([0.0, 0.25, 1.0])), [0.0, 0.05, 0.2])
     np.testing.assert_allclose(vent_profile(with_mold(rig, vents=(0.1,)), np.array([0.0, 1.0])), 0.1)
     closed, open_ = (thermal_model(TUBE, with_mold(rig, vents=v), COARSE) for v in ((0.0,), (0.3,)))
-    assert (conductance(open_, "to_air") > conductance(closed, "to_air"))[closed.zone >= 2].all()
+    assert (conductance(open_, "G_air") > conductance(closed, "G_air"))[closed.zone >= 2].all()
 
 
 def test_convection_is_that_of_the_textbook() -> None:
@@ -285,9 +283,9 @@ def test_convection_is_that_of_the_textbook() -> None:
 def test_the_sag_of_the_battery_is_a_first_order_lag() -> None:
     model = thermal_model(TUBE, thesis_rig(), COARSE)
     lumped = np.zeros((1, 6))
-    lumped[0, CLAMP] = model.ambient
+    lumped[0, CLAMP] = model.T_amb
     state = State(at_rest(model).cells, lumped)
-    now = current(model, state.cells[:, :, 0], lumped)
+    now = circuit_state(model, state.cells[:, :, 0], lumped)
     history = simulate(model, 1.0, np.full(10, 1 / 255))
-    expected = now.total[0] / 255 * 0.006 * (1 - np.exp(-history.time / 30.0))
+    expected = now.I_on[0] / 255 * 0.006 * (1 - np.exp(-history.time / 30.0))
     np.testing.assert_allclose(history.lumped[:, 0, 2], expected, rtol=0.01, atol=1e-6)

@@ -79,7 +79,7 @@ def asked(name: str, side: float) -> np.ndarray:
     return np.vstack(points)
 
 
-def placed(points: np.ndarray, start: np.ndarray, towards: np.ndarray) -> np.ndarray:
+def search_hold(points: np.ndarray, start: np.ndarray, towards: np.ndarray) -> np.ndarray:
     """Points moved so that they begin at `start`, along `towards`."""
     return start + points @ np.array([towards, [-towards[1], towards[0]]])
 
@@ -125,7 +125,7 @@ def test_the_drawing_holds_the_curve(made: tuple[str, Mold, Path]) -> None:
         centre = np.array(entity.dxf.center)[:2] / 1e3
         drawn.append(on_arc(centre, entity.dxf.radius / 1e3, math.radians(entity.dxf.start_angle), sweep))
     line = np.vstack(drawn)
-    off = apart(placed(asked(name, SIDES[name]), start, towards)[::3], line)
+    off = apart(search_hold(asked(name, SIDES[name]), start, towards)[::3], line)
     assert off.max() < 1e-6
     # As long as the curve, so that every place along it is where it belongs.
     assert mold.grooves[0].bend_length == pytest.approx(TUBES[name].curved_length / (1 - BACK.shrinkage), abs=1e-6)
@@ -140,7 +140,7 @@ def test_the_walls_of_the_solid_stand_beside_the_curve(made: tuple[str, Mold, Pa
     assert mesh.is_watertight
     floor = mesh.vertices[np.abs(mesh.vertices[:, 2] + groove.depth * 1e3) < 1e-4][:, :2] / 1e3
     start, towards = np.asarray(groove.centreline.lead_in.end), groove.centreline.lead_in.tangent(np.zeros(1))[0]
-    line = placed(asked(name, SIDES[name]), start, towards)
+    line = search_hold(asked(name, SIDES[name]), start, towards)
     near = apart(floor, line)
     bend = near < groove.width
     assert bend.sum() > 25
@@ -154,7 +154,7 @@ def test_the_cutter_follows_the_curve(made: tuple[str, Mold, Path]) -> None:
     assert toolpath_deviation(mold, text) < 1e-6
     # By another reader: the two outermost ways stand half the room beside the curve.
     start, towards = np.asarray(groove.centreline.lead_in.end), groove.centreline.lead_in.tangent(np.zeros(1))[0]
-    line = placed(asked(name, SIDES[name]), start, towards)
+    line = search_hold(asked(name, SIDES[name]), start, towards)
     room = (groove.width - groove.mill.diameter) / 2
     x = y = z = 0.0
     for word, rest in re.findall(r"^(G[0-3]) (.*)$", text, re.MULTILINE):

@@ -10,7 +10,14 @@ import pytest
 
 from tubeopt import HeatingPlan, HeatingSpec, InputError, MoldSpec, Rig, Tube
 from tubeopt.shaping import Springback, tube_fabrication
-from tubeopt.shaping.heating.thermal import FINE, Lie, even_gap, gap_of, joined, thermal_model
+from tubeopt.shaping.heating.thermal import (
+    FINE,
+    GrooveAir,
+    curved_temperatures,
+    thermal_model,
+    uniform_gap,
+    uniform_gap_of,
+)
 from tubeopt.shaping.mold.layout import open_area
 from tubeopt.shaping.mold.mold import plan_mold
 from tubeopt.shaping.mold.spec import ClampSpec, PlateSpec, VentSpec
@@ -33,7 +40,9 @@ def drawn_again(made: TubeFabrication, rig: Rig) -> tuple[Tube, Rig]:
 
 def _even_gap(width: float, depth: float) -> float:
     """Of calcium silicate, whose conductivity its maker gives, and air at 275 degC: Incropera et al., Table A.4."""
-    return even_gap(TUBE.outer_diameter, Lie.leaning(TUBE.outer_diameter, width, depth), 0.12 / 0.0436)
+    return uniform_gap(
+        TUBE.outer_diameter, GrooveAir.tube_on_floor_and_wall(TUBE.outer_diameter, width, depth), 0.12 / 0.0436
+    )
 
 
 def test_the_schedule_holds_the_window_on_the_mold_as_drawn() -> None:
@@ -51,7 +60,7 @@ def test_the_schedule_holds_the_window_on_the_mold_as_drawn() -> None:
     plan, low, high = made.heating, *SHORT.window_degC
     model = thermal_model(tube, drawn, replace(FINE, clearance=8, lead=18, curved=24, shells=18))
     history = integrate(model, SHORT.slot, plan.duty[:-1] / 255, rtol=1e-5)
-    held = joined(model, history.tube[plan.in_hold, 0]) - 273.15
+    held = curved_temperatures(model, history.tube[plan.in_hold, 0]) - 273.15
     assert low <= held.min() <= held.max() <= high
     # With the leads of the rig's file the tube would be another one.
     given = integrate(thermal_model(TUBE, rig, FINE), SHORT.slot, plan.duty[:-1] / 255)
@@ -121,7 +130,7 @@ def test_an_even_gap_from_a_log_goes_along_with_the_groove() -> None:
     computed = rig_as_drawn(rig, mold).mold
     assert computed.gap == pytest.approx(_even_gap(groove.width, groove.depth), rel=0.02)
     assert computed.side_clearance == pytest.approx(40e-6)
-    said = rig_as_drawn(with_mold(rig, gap=0.9 * gap_of(TUBE, rig)), mold).mold
+    said = rig_as_drawn(with_mold(rig, gap=0.9 * uniform_gap_of(TUBE, rig)), mold).mold
     assert said.gap == pytest.approx(0.9 * computed.gap)
 
 

@@ -1,20 +1,21 @@
-"""Heat flows at one instant in half a tube that is heated by its resistance in a mold: finite volumes in CasADi.
+"""Heat at one instant in half a tube that its own resistance warms in a mold: finite volumes as CasADi expressions.
 
 Along the tube, from the outer end of a clamp to the middle of the curved part:
 
     rho c(T) A T_t = (k(T) A T_x)_x + d I^2 rho_e(T) / A - q
 
-with the heat loss q per length: to the clamp where the tube is gripped, to the air (convection and radiation) where it
-is bare, through the gap to the mold where it is covered, and to the air through vents. Shells of mold around every
-covered cell conduct heat in radial direction and along the tube; the outermost cools in air. The clamps are lumped. The
-duty is d, and I is the current while the MOSFET conducts:
+with q the heat loss per length: into the clamp where the tube is gripped, to the air (convection and radiation) where
+it is bare, through the air gap into the mold where it is covered, and to the air through vents. Around every covered
+cell lie shells of mold. They conduct heat to one another in radius and along the tube; the outermost cools in air. The
+clamps are lumps. d is the duty, I the current while the MOSFET conducts:
 
-    I (R_battery + R_series + R) = V(charge) - V_sag,   charge' = -d I / capacity,   tau V_sag' = d I R_sag - V_sag
+    I (R_internal + R_series + R) = V_oc(charge) - V_sag,   charge' = d I / Q,   tau V_sag' = d I R_sag - V_sag
 
-and R the resistance of the tube, in parallel with that of a conducting mold.
+and R the resistance of the tube, in parallel with that of a conductive mold.
 
-All functions take numbers or symbols: the program of the ideal schedule keeps current and resistance as unknowns, the
-simulation eliminates them.
+`energy_balance` and `state_rates` are the model. The simulation and the optimal control problem both call them, with
+numbers or symbols. The optimal control problem keeps I and R as unknowns of their own, the simulation eliminates them.
+Temperatures are in K.
 """
 
 from __future__ import annotations
@@ -31,27 +32,84 @@ from numpy.typing import NDArray
 GRIP, CLEARANCE, LEAD, CURVED = range(4)
 """Zones from the clamp to the middle of the curved part; the last two are in the mold."""
 
-PROPERTIES = (
-    "heat", "heat_slope", "reference", "conduction", "conduction_slope", "resistance", "resistance_slope", "to_clamp",
-    "to_air", "radiating", "gap", "wall", "mold_k", "mold_heat", "outer", "leak", "series", "contact", "clamp_heat",
-    "clamp_loss", "voltage", "voltage_slope", "internal", "sag", "sag_time", "capacity", "lost", "ambient", "grip",
-    "curved",
-)  # fmt: skip
-"""Constants of tube and rig, SI.
 
-Tube, per length, at the temperature `reference`: heat capacity, conductivity times section, electric resistance, with
-their relative slopes per K; heat transfer to clamp, to air, by radiation and through the gap. Mold: thermal resistance
-of its innermost half shell, conductivity, heat capacity per volume, heat transfer from the outermost shell per length,
-and electric conductance in parallel with the tube. Circuit: resistances in series with the tube, and of the contacts
-alone. Heat capacity and heat loss of a clamp; the battery; the part of a period that every pulse loses while the
-current rises; lengths of clamp and half of the curved part."""
+@dataclass(frozen=True, eq=False)
+class Properties:
+    """Parameters of tube and rig, SI; h_ are heat transfer coefficients per length of tube, W/(m K)."""
 
-Properties = dict[str, Any]
+    # Tube, per length. Heat capacity, conductivity and resistance are linear in temperature.
+    c_tube: Any
+    """Heat capacity of the tube per length at T_ref, J/(m K)."""
+    c_slope: Any
+    """Relative slope of the heat capacity, 1/K."""
+    T_ref: Any
+    """Temperature at which the material data of the tube hold, K."""
+    kA: Any
+    """Conductivity times cross-section of the tube at T_ref, W m/K."""
+    k_slope: Any
+    """Relative slope of the conductivity, 1/K."""
+    r_tube: Any
+    """Electrical resistance of the tube per length at T_ref, ohm/m."""
+    r_slope: Any
+    """Relative slope of the resistance, 1/K."""
+    h_clamp: Any
+    """Transfer into the clamp."""
+    h_air: Any
+    """Convection of the bare tube to air."""
+    eps_sigma: Any
+    """Radiation of the bare tube per length, W/(m K^4)."""
+    h_gap: Any
+    """Transfer through the air gap into the mold."""
+    # Mold.
+    R_wall: Any
+    """Thermal resistance of the inner half of the innermost shell, m K/W."""
+    k_mold: Any
+    """Thermal conductivity of the mold, W/(m K)."""
+    c_mold: Any
+    """Heat capacity of the mold per volume, J/(m^3 K)."""
+    h_outer: Any
+    """Transfer from the outermost node of the mold to air."""
+    G_leak: Any
+    """Electrical conductance of the mold in parallel with the tube, 1/ohm."""
+    # Circuit and clamps.
+    R_series: Any
+    """Resistance of cables, contacts and MOSFET, ohm."""
+    R_contact: Any
+    """Resistance of both contacts of the clamps together, part of R_series, ohm."""
+    C_clamp: Any
+    """Heat capacity of one clamp, J/K."""
+    G_clamp_air: Any
+    """Heat transfer from one clamp to air, W/K."""
+    # Battery.
+    V_start: Any
+    """Open-circuit voltage before heating, V."""
+    V_slope: Any
+    """Change of the open-circuit voltage with the state of charge, V."""
+    R_internal: Any
+    """Immediate internal resistance, ohm."""
+    R_sag: Any
+    """Additional resistance after the voltage sag, ohm."""
+    tau_sag: Any
+    """Time constant of the sag, s."""
+    Q_battery: Any
+    """Capacity, C."""
+    lost_duty: Any
+    """Fraction of a PWM period that each pulse loses while the current rises."""
+    T_amb: Any
+    """Ambient temperature, K."""
+    L_grip: Any
+    """Length of tube in one clamp, m."""
+    L_curved: Any
+    """Half the length of the curved part, m."""
+
+    @classmethod
+    def of(cls, column: Any) -> Properties:
+        """Properties from a column of symbols in the order of the fields."""
+        return cls(*ca.vertsplit(column))
 
 
-def named(column: Any) -> Properties:
-    """PROPERTIES by name, from a column of their values."""
-    return dict(zip(PROPERTIES, ca.vertsplit(column), strict=True))
+PROPERTIES = tuple(item.name for item in fields(Properties))
+"""Names of the properties in the order in which columns hold them."""
 
 
 @dataclass(frozen=True)
@@ -65,66 +123,77 @@ class Resolution:
     shells: int = 7
 
     @property
-    def counts(self) -> tuple[int, ...]:
-        """Number of cells (4,) of each zone, from the clamp to the middle."""
+    def counts(self) -> tuple[int, int, int, int]:
+        """Cells of each zone, from the clamp to the middle."""
         return self.grip, self.clearance, self.lead, self.curved
 
     @property
     def cells(self) -> int:
-        """Number n of cells."""
+        """Number of cells of half the tube, n."""
         return sum(self.counts)
 
     @property
     def covered(self) -> int:
-        """Number c of cells in the mold, the last ones."""
+        """Number of cells in the mold, c; they are the last ones."""
         return self.lead + self.curved
 
 
 @lru_cache(maxsize=16)
 def zones(resolution: Resolution) -> NDArray[np.intp]:
-    """Zone (n,) of each cell: GRIP, CLEARANCE, LEAD or CURVED; a read-only array."""
+    """(n,) zone of each cell: GRIP, CLEARANCE, LEAD or CURVED; read-only."""
     zone = np.repeat(np.arange(4), resolution.counts)
     zone.flags.writeable = False
     return zone
 
 
+class Shells(NamedTuple):
+    """Geometry of the M shells of the mold."""
+
+    area: Any
+    """(M,) cross-sections, m^2."""
+    log_ratio: Any
+    """(M-1,) logarithms of the ratios of neighbouring node radii."""
+
+
 @dataclass(frozen=True, eq=False)
 class Volumes:
-    """Coefficients of the finite volumes; n cells of the tube, of which the last c are in the mold, and M shells.
+    """Coefficients of the finite volumes: n cells of the tube, of which the last c are in the mold, and M shells."""
 
-    Attributes:
-        heat: heat capacity (n,) at the reference temperature, J/K.
-        resistance: electric resistance (n,) at the reference temperature, 0 in the clamp, ohm.
-        conduction: conductance (n-1,) between neighbours at the reference temperature, W/K.
-        to_clamp, to_air, radiating: heat transfer (n,), W/K, W/K, W/K^4. to_mold: to the first shell (c,), W/K.
-        shell_heat: heat capacity (c, M) of the shells, J/K.
-        radial: conductance (c, M-1) between shells, W/K. outer: heat transfer (c,) to the air, W/K.
-        axial: conductance (c-1, M) between shells of neighbouring cells, W/K.
-        grip_share: fraction (n,) of the clamp around each cell. cover_share: fraction (c,) of the mold.
-    """
-
-    heat: Any
-    resistance: Any
-    conduction: Any
-    to_clamp: Any
-    to_air: Any
-    radiating: Any
-    to_mold: Any
-    shell_heat: Any
-    radial: Any
-    outer: Any
-    axial: Any
-    grip_share: Any
-    cover_share: Any
+    C_tube: Any
+    """(n,) heat capacities of the cells at T_ref, J/K."""
+    R_tube: Any
+    """(n,) electrical resistances at T_ref, 0 in the clamp, ohm."""
+    G_tube: Any
+    """(n-1,) conductances between neighbouring cells at T_ref, W/K."""
+    G_clamp: Any
+    """(n,) conductances into the clamp, W/K."""
+    G_air: Any
+    """(n,) convection to air, W/K."""
+    G_rad: Any
+    """(n,) radiation, W/K^4."""
+    G_gap: Any
+    """(c,) conductances into the first shell, W/K."""
+    C_mold: Any
+    """(c, M) heat capacities of the shells, J/K."""
+    G_radial: Any
+    """(c, M-1) conductances between shells of one cell, W/K."""
+    G_outer: Any
+    """(c,) conductances from the outermost shell to air, W/K."""
+    G_shell: Any
+    """(c-1, M) conductances between shells of neighbouring cells, W/K."""
+    clamp_fraction: Any
+    """(n,) fraction of the clamp around each cell."""
+    mold_fraction: Any
+    """(c,) fraction of the mold around each cell."""
 
     @property
     def column(self) -> Any:
-        """All coefficients in one column, in the order of the fields."""
+        """All coefficients in one column, field after field."""
         return ca.veccat(*(ca.densify(getattr(self, item.name)) for item in fields(self)))
 
     @classmethod
     def of(cls, column: Any, resolution: Resolution) -> Volumes:
-        """Coefficients from their `column`."""
+        """Coefficients from `column`."""
         shapes = volume_shapes(resolution)
         ends = np.cumsum([0, *(rows * columns for rows, columns in shapes.values())]).tolist()
         parts = zip(shapes.items(), ca.vertsplit(column, ends), strict=True)
@@ -132,249 +201,290 @@ class Volumes:
 
 
 def volume_shapes(resolution: Resolution) -> dict[str, tuple[int, int]]:
-    """Rows and columns of the entries of `Volumes`, in their order."""
+    """Rows and columns of the fields of `Volumes`, in their order."""
     n, c, m = resolution.cells, resolution.covered, resolution.shells
-    columns = {
-        "heat": n, "resistance": n, "conduction": n - 1, "to_clamp": n, "to_air": n, "radiating": n, "to_mold": c,
-        "shell_heat": (c, m), "radial": (c, m - 1), "outer": c, "axial": (c - 1, m), "grip_share": n, "cover_share": c,
-    }  # fmt: skip
-    return {name: size if isinstance(size, tuple) else (size, 1) for name, size in columns.items()}
+    sizes = (n, n, n - 1, n, n, n, c, (c, m), (c, m - 1), c, (c - 1, m), n, c)
+    shapes = (size if isinstance(size, tuple) else (size, 1) for size in sizes)
+    return dict(zip((item.name for item in fields(Volumes)), shapes, strict=True))
 
 
-def volumes(g: Properties, width: Any, vent: Any, shells: tuple[Any, Any], resolution: Resolution) -> Volumes:
+def volumes(p: Properties, width: Any, vent: Any, shells: Shells, resolution: Resolution) -> Volumes:
     """Coefficients of the finite volumes.
 
     Args:
-        g: constants by the names of PROPERTIES. width: (n,) of the cells, m.
+        p: tube and rig. width: (n,) of the cells, m.
         vent: (c,) fraction of the tube's surface that the mold leaves open.
-        shells: (M,) cross-section of each, m^2, and (M-1,) logarithms of the ratios of their radii.
     """
     zone, first = zones(resolution), resolution.cells - resolution.covered
-    ring, ratio = shells
     gripped = ca.DM((zone == GRIP).astype(float))
     bare = ca.vertcat(ca.DM((zone[:first] == CLEARANCE).astype(float)), vent) * width
     # Temperatures belong to the middle of a cell: neighbours are half of both widths apart.
-    cover, distance = width[first:], 0.5 * (width[1:] + width[:-1])
-    gap = g["gap"] * (1 - vent)
+    covered, distance = width[first:], 0.5 * (width[1:] + width[:-1])
+    h_gap = p.h_gap * (1 - vent)
     return Volumes(
-        heat=g["heat"] * width,
-        resistance=(1 - gripped) * g["resistance"] * width,
-        conduction=g["conduction"] / distance,
-        to_clamp=gripped * g["to_clamp"] * width,
-        to_air=g["to_air"] * bare,
-        radiating=g["radiating"] * bare,
-        # 1 / (1 / gap + wall), without dividing by a gap that vents take away.
-        to_mold=cover * gap / (1 + gap * g["wall"]),
-        shell_heat=ca.mtimes(cover, (g["mold_heat"] * ring).T),
+        C_tube=p.c_tube * width,
+        R_tube=(1 - gripped) * p.r_tube * width,
+        G_tube=p.kA / distance,
+        G_clamp=gripped * p.h_clamp * width,
+        G_air=p.h_air * bare,
+        G_rad=p.eps_sigma * bare,
+        # 1 / (1 / h_gap + R_wall), without dividing by an h_gap that vents reduce to 0.
+        G_gap=covered * h_gap / (1 + h_gap * p.R_wall),
+        C_mold=ca.mtimes(covered, (p.c_mold * shells.area).T),
         # Steady flow between the radii r < R of a ring: 2 pi k dx (T_r - T_R) / ln(R / r).
-        radial=2 * math.pi * g["mold_k"] * ca.mtimes(cover, (1 / ratio).T),
-        outer=g["outer"] * cover,
-        axial=g["mold_k"] * ca.mtimes(1 / distance[first:], ring.T),
-        grip_share=gripped * width / g["grip"],
-        cover_share=cover / ca.sum1(cover),
+        G_radial=2 * math.pi * p.k_mold * ca.mtimes(covered, (1 / shells.log_ratio).T),
+        G_outer=p.h_outer * covered,
+        G_shell=p.k_mold * ca.mtimes(1 / distance[first:], shells.area.T),
+        clamp_fraction=gripped * width / p.L_grip,
+        mold_fraction=covered / ca.sum1(covered),
     )
 
 
-# --- the circuit ------------------------------------------------------------------------------------------------------
+# --- circuit ----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Load:
-    """Electric load of the battery."""
+class Drive(NamedTuple):
+    """Electrical quantities that heat the rig."""
 
-    half: Any
+    R_half: Any
     """Resistance of half the tube, ohm."""
-    mean: Any
-    """Mean current of the battery, A."""
-    drive: Any
-    """Mean square of the current: duty times current squared, A^2."""
+    I_mean: Any
+    """Battery current, averaged over a PWM period, A."""
+    I_sq: Any
+    """Mean square of the battery current, A^2."""
 
 
-def resistances(tube: Any, v: Volumes, g: Properties) -> Any:
-    """Resistances (n,) of the cells at temperatures (n,), K, in ohm."""
-    return v.resistance * (1 + g["resistance_slope"] * (tube - g["reference"]))
+def cell_resistance(T: Any, v: Volumes, p: Properties) -> Any:
+    """(n,) resistances of the cells at temperatures (n,), ohm."""
+    return v.R_tube * (1 + p.r_slope * (T - p.T_ref))
 
 
-def tube_share(half: Any, g: Properties) -> Any:
-    """Fraction of the current that flows through the tube; the rest flows through the mold."""
-    # R = 2 half in parallel with 1 / leak: I_tube / I = (1 / R) / (1 / R + leak).
-    return 1 / (1 + 2 * half * g["leak"])
+def tube_fraction(R_half: Any, p: Properties) -> Any:
+    """Fraction of the current that flows through the tube and not through the mold."""
+    # R = 2 R_half in parallel with 1 / G_leak: I_tube / I = (1 / R) / (1 / R + G_leak).
+    return 1 / (1 + 2 * R_half * p.G_leak)
 
 
-def source_voltage(used: Any, g: Properties) -> Any:
-    """Open-circuit voltage of the battery, V, after the fraction `used` of its charge was drawn."""
-    return g["voltage"] - g["voltage_slope"] * used
+def open_circuit_voltage(charge: Any, p: Properties) -> Any:
+    """Open-circuit voltage after drawing a fraction `charge` of the capacity, V."""
+    return p.V_start - p.V_slope * charge
 
 
-def loop_resistance(half: Any, g: Properties) -> Any:
-    """Resistance of the whole circuit, including that of the battery, ohm."""
-    # R / (1 + R leak) is the resistance of tube and mold in parallel.
-    return g["internal"] + g["series"] + 2 * half * tube_share(half, g)
+def loop_resistance(R_half: Any, p: Properties) -> Any:
+    """Resistance of the whole loop: battery, circuit, and tube in parallel with the mold, ohm."""
+    # R / (1 + R G_leak) is the resistance of tube and mold in parallel.
+    return p.R_internal + p.R_series + 2 * R_half * tube_fraction(R_half, p)
 
 
-def conducting(duty: Any, g: Properties) -> Any:
-    """Effective duty: fraction of the time in which the full current gives the power of the pulses.
+def effective_duty(duty: Any, p: Properties) -> Any:
+    """Fraction of time at full current that gives the power of pulses of this duty.
 
-    The inductance of the circuit delays the rise of the current in every pulse; at a duty of 1 there are no pulses.
+    It is less than the duty, since the inductance of the loop delays the current of each pulse. A switch that is always
+    on loses nothing.
     """
-    # A pulse shorter than the delay has no power.
-    return ca.if_else(duty < 1, ca.fmax(duty - g["lost"], 0.0), duty)
+    # Pulses shorter than the loss would otherwise give negative power.
+    return ca.if_else(duty < 1, ca.fmax(duty - p.lost_duty, 0.0), duty)
 
 
-def battery_rates(load: Load, sagged: Any, g: Properties) -> tuple[Any, Any]:
-    """Rates of the used charge (1/s) and of the voltage sag (V/s)."""
-    return load.mean / g["capacity"], (load.mean * g["sag"] - sagged) / g["sag_time"]
+class BatteryRates(NamedTuple):
+    """Rates of the battery's states."""
+
+    charge: Any
+    """Rate of the fraction of the capacity that was drawn, 1/s."""
+    V_sag: Any
+    """Rate of the voltage sag, V/s."""
+
+
+def battery_rates(drive: Drive, V_sag: Any, p: Properties) -> BatteryRates:
+    """Rates of charge and sag under a mean current."""
+    return BatteryRates(drive.I_mean / p.Q_battery, (drive.I_mean * p.R_sag - V_sag) / p.tau_sag)
 
 
 # --- heat -------------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Temperatures:
-    """Temperatures of tube (n,), mold (c, M) and clamp, K."""
+class Temperatures(NamedTuple):
+    """Temperatures of half the rig, K."""
 
     tube: Any
+    """(n,) cells."""
     mold: Any
+    """(c, M) shells."""
     clamp: Any
 
 
-@dataclass(frozen=True, eq=False)
-class Flows:
-    """Net heat flows into tube (n,), mold (c, M) and one clamp, and from half of the rig to the surroundings, W."""
+class HeatFlows(NamedTuple):
+    """Net heat flows into the parts of half the rig, W."""
 
     tube: Any
+    """(n,) cells."""
     mold: Any
+    """(c, M) shells."""
     clamp: Any
+    """One clamp."""
     surroundings: Any
+    """Air around half the rig."""
 
 
-def heat_flows(at: Temperatures, load: Load, v: Volumes, g: Properties) -> Flows:
-    """Heat balance of half the tube, half the mold and one clamp."""
-    first, ambient = at.tube.numel() - at.mold.size1(), g["ambient"]
-    into_mold = v.to_mold * (at.tube[first:] - at.mold[:, 0])
-    cells = cell_flows(at.tube, at.clamp, load, v, g)
-    along = _net(heat_along(at.tube[:-1], at.tube[1:], v.conduction, g))
-    outward = v.radial * (at.mold[:, :-1] - at.mold[:, 1:])
-    outside = v.outer * (at.mold[:, -1] - ambient)
-    sideways = _net(v.axial * (at.mold[1:, :] - at.mold[:-1, :]))
-    q_clamp, q_air = ca.sum1(cells.q_clamp), ca.sum1(cells.q_air) + ca.sum1(outside)
-    clamp, surroundings = lump_flows(at.clamp, q_clamp, q_air, load, g)
-    return Flows(
-        tube=cells.net + along - ca.vertcat(ca.DM(first, 1), into_mold),
-        mold=ca.horzcat(into_mold + stray_heat(load, v.cover_share, g), outward)
-        - ca.horzcat(outward, outside)
-        + sideways,
-        clamp=clamp,
-        surroundings=surroundings,
+def energy_balance(T: Temperatures, drive: Drive, v: Volumes, p: Properties) -> HeatFlows:
+    """Net heat flows into the cells of half the tube, half of the mold, one clamp and the air."""
+    first = T.tube.numel() - T.mold.size1()
+    # Joule heat of the cells and contacts, less the losses into the clamp and to the air.
+    cell = cell_balance(T.tube, T.clamp, drive, v, p)
+    # Conduction along the tube.
+    q_tube = conduction(T.tube[:-1], T.tube[1:], v.G_tube, p)
+    # Through the air gap of the groove into the innermost shell.
+    q_gap = v.G_gap * (T.tube[first:] - T.mold[:, 0])
+    # Joule heat of the current that bypasses the tube in a conductive mold, at its inner surface.
+    q_leak = leak_heat(drive, v.mold_fraction, p)
+    # Conduction in the mold, outwards and along the tube.
+    q_radial = v.G_radial * (T.mold[:, :-1] - T.mold[:, 1:])
+    q_along = v.G_shell * (T.mold[1:, :] - T.mold[:-1, :])
+    # From the outer surface of the mold to the air.
+    q_outer = v.G_outer * (T.mold[:, -1] - p.T_amb)
+    lump = clamp_balance(T.clamp, ca.sum1(cell.clamp), ca.sum1(cell.air) + ca.sum1(q_outer), drive, p)
+    return HeatFlows(
+        tube=cell.net + _net_inflow(q_tube) - ca.vertcat(ca.DM(first, 1), q_gap),
+        mold=ca.horzcat(q_gap + q_leak, q_radial) - ca.horzcat(q_radial, q_outer) + _net_inflow(q_along),
+        clamp=lump.clamp,
+        surroundings=lump.surroundings,
     )
 
 
 class CellFlows(NamedTuple):
-    """Heat flows of cells of the tube, W, without conduction along the tube and into the mold."""
+    """Heat flows of cells of the tube, except those to neighbouring cells and into the mold, W."""
 
     net: Any
-    """Joule heat and contact heat, less the losses."""
-    q_clamp: Any
-    """Loss to the clamp."""
-    q_air: Any
-    """Loss to the air."""
+    """Net flow into the cell."""
+    clamp: Any
+    """From the cell into the clamp."""
+    air: Any
+    """From the cell to the air."""
 
 
-def cell_flows(tube: Any, clamp: Any, load: Load, v: Volumes, g: Properties) -> CellFlows:
-    """Heat flows of cells at temperatures `tube`, K."""
-    q_clamp = v.to_clamp * (tube - clamp)
-    q_air = heat_to_air(tube, g["ambient"], v.to_air, v.radiating)
-    # Joule heat is quadratic in the tube's current, which is the fraction `tube_share` of the whole current.
-    q_joule = load.drive * tube_share(load.half, g) ** 2 * resistances(tube, v, g)
-    return CellFlows(q_joule - q_clamp - q_air + contact_heat(load, g) * v.grip_share, q_clamp, q_air)
+def cell_balance(T: Any, T_clamp: Any, drive: Drive, v: Volumes, p: Properties) -> CellFlows:
+    """Joule heat and losses of cells at temperatures T, each by itself."""
+    # Joule heat follows the square of the tube's own current.
+    q_joule = drive.I_sq * tube_fraction(drive.R_half, p) ** 2 * cell_resistance(T, v, p)
+    # Heat of the contact, spread over the gripped cells.
+    q_contact = contact_heat(drive, p) * v.clamp_fraction
+    # Conduction into the clamp.
+    q_clamp = v.G_clamp * (T - T_clamp)
+    # Convection and radiation where the tube is bare.
+    q_air = air_loss(T, p.T_amb, v.G_air, v.G_rad)
+    return CellFlows(q_joule - q_clamp - q_air + q_contact, q_clamp, q_air)
 
 
-def heat_to_air(hot: Any, ambient: Any, convection: Any, radiation: Any) -> Any:
-    """Heat flow to the air, W or W/m^2, from surfaces at `hot`, K, into surroundings at `ambient`, K.
+def air_loss(T: Any, T_amb: Any, convection: Any, radiation: Any) -> Any:
+    """Heat loss of surfaces to air by convection and radiation.
 
     Args:
-        convection: W/K or W/(m^2 K).  radiation: W/K^4 or W/(m^2 K^4).
+        T, T_amb: temperatures of surface and surroundings, K.
+        convection: W/K, or W/(m^2 K) for a heat flux. radiation: W/K^4, or W/(m^2 K^4).
     """
-    return convection * (hot - ambient) + radiation * (hot**4 - ambient**4)
+    return convection * (T - T_amb) + radiation * (T**4 - T_amb**4)
 
 
-def heat_along(left: Any, right: Any, conduction: Any, g: Properties) -> Any:
-    """Conductive heat flow between neighbouring cells of the tube, from `right` to `left`, W."""
+def conduction(T_left: Any, T_right: Any, G: Any, p: Properties) -> Any:
+    """Conductive heat flow along the tube between neighbouring cells, right to left, W."""
     # k is linear in T, so its value at the mean is its exact average between both temperatures.
-    slope = 1 + g["conduction_slope"] * (0.5 * (right + left) - g["reference"])
-    return conduction * slope * (right - left)
+    slope = 1 + p.k_slope * (0.5 * (T_right + T_left) - p.T_ref)
+    return G * slope * (T_right - T_left)
 
 
-def contact_heat(load: Load, g: Properties) -> Any:
-    """Heat of one clamp contact that flows into the tube, W; the same flows into the clamp."""
-    # Two contacts have half of the resistance each, and half of the heat of each goes to either side.
-    return 0.25 * load.drive * g["contact"]
+def contact_heat(drive: Drive, p: Properties) -> Any:
+    """Joule heat of one contact that flows to each of its two sides, tube and clamp, W."""
+    # Each of two contacts has half of the resistance, and half of its heat flows to either side.
+    return 0.25 * drive.I_sq * p.R_contact
 
 
-def stray_heat(load: Load, cover_share: Any, g: Properties) -> Any:
-    """Joule heat in parts of the mold, by the current that flows through it, W."""
-    # The current I (1 - f) flows through half of the mold at the voltage I f R / 2 of half of the tube.
-    fraction = tube_share(load.half, g)
-    return load.drive * (1 - fraction) * fraction * load.half * cover_share
+def leak_heat(drive: Drive, mold_fraction: Any, p: Properties) -> Any:
+    """Joule heat of the current beside the tube in parts of the mold, W."""
+    # Half the mold carries the current (1 - f) I at the voltage f I R_half of half the tube.
+    f = tube_fraction(drive.R_half, p)
+    return drive.I_sq * (1 - f) * f * drive.R_half * mold_fraction
 
 
-def lump_flows(clamp: Any, q_clamp: Any, q_air: Any, load: Load, g: Properties) -> tuple[Any, Any]:
-    """Net heat flows into one clamp, and from half of the rig to its surroundings, W.
+class ClampFlows(NamedTuple):
+    """Net heat flows into the lumps of half the rig, W."""
 
-    Args:
-        clamp: temperature of the clamp, K.
-        q_clamp: heat flow from tube to clamp, W.  q_air: heat flow from tube and mold to the air, W.
-    """
-    cooling = g["clamp_loss"] * (clamp - g["ambient"])
-    return q_clamp + contact_heat(load, g) - cooling, q_air + cooling
+    clamp: Any
+    surroundings: Any
 
 
-def _net(flow: Any) -> Any:
-    """Net inflow (n, ...) of cells from flows (n-1, ...) between them, each from the next cell to the one before."""
-    none = ca.DM(1, flow.size2())
-    return ca.vertcat(flow, none) - ca.vertcat(none, flow)
+def clamp_balance(T_clamp: Any, q_clamp: Any, q_loss: Any, drive: Drive, p: Properties) -> ClampFlows:
+    """Net heat of one clamp and of the air, for the heat from the tube into the clamp and the losses to air, W."""
+    # Free convection of the clamp.
+    q_cooling = p.G_clamp_air * (T_clamp - p.T_amb)
+    return ClampFlows(q_clamp + contact_heat(drive, p) - q_cooling, q_loss + q_cooling)
 
 
-def tube_capacity(tube: Any, v: Volumes, g: Properties) -> Any:
-    """Heat capacities (n,) of the cells at temperatures (n,), K, in J/K; those of the shells are constant."""
-    return v.heat * (1 + g["heat_slope"] * (tube - g["reference"]))
+def _net_inflow(flow: Any) -> Any:
+    """Net flow into each cell, by row, from the flows (n-1, ...) from each cell to the one before."""
+    closed = ca.DM(1, flow.size2())
+    return ca.vertcat(flow, closed) - ca.vertcat(closed, flow)
 
 
-def stored_heat(at: Temperatures, v: Volumes, g: Properties) -> Any:
-    """Heat in half the tube, half the mold and one clamp above ambient, J: the integral of the capacities."""
-    ambient, reference = g["ambient"], g["reference"]
-    # Integral of heat_slope (T - T_ref) from ambient to the temperature.
-    curve = 0.5 * g["heat_slope"] * ((at.tube - reference) ** 2 - (ambient - reference) ** 2)
-    metal = ca.dot(v.heat, at.tube - ambient + curve)
-    return metal + ca.dot(v.shell_heat, at.mold - ambient) + g["clamp_heat"] * (at.clamp - ambient)
+# --- states -----------------------------------------------------------------------------------------------------------
+
+
+class RigState(NamedTuple):
+    """States of half the rig, or their rates per s."""
+
+    T: Temperatures
+    charge: Any
+    """Fraction of the capacity that was drawn."""
+    V_sag: Any
+    """Voltage sag of the battery, V."""
+
+
+def state_rates(x: RigState, q: HeatFlows, drive: Drive, v: Volumes, p: Properties) -> RigState:
+    """Rates of all states from their `energy_balance`: K/s, 1/s and V/s."""
+    battery = battery_rates(drive, x.V_sag, p)
+    return RigState(
+        Temperatures(q.tube / tube_capacity(x.T.tube, v, p), q.mold / v.C_mold, q.clamp / p.C_clamp),
+        battery.charge,
+        battery.V_sag,
+    )
+
+
+def tube_capacity(T: Any, v: Volumes, p: Properties) -> Any:
+    """(n,) heat capacities of the cells at temperatures (n,), J/K; those of the shells are constant."""
+    return v.C_tube * (1 + p.c_slope * (T - p.T_ref))
+
+
+def stored_heat(T: Temperatures, v: Volumes, p: Properties) -> Any:
+    """Heat in half the tube, half of the mold and one clamp above ambient, J: the integral of the capacities."""
+    # Integral of c_slope (T - T_ref) from T_amb to T.
+    curve = 0.5 * p.c_slope * ((T.tube - p.T_ref) ** 2 - (p.T_amb - p.T_ref) ** 2)
+    tube = ca.dot(v.C_tube, T.tube - p.T_amb + curve)
+    return tube + ca.dot(v.C_mold, T.mold - p.T_amb) + p.C_clamp * (T.clamp - p.T_amb)
 
 
 class FrozenJacobian(NamedTuple):
-    """Entries of the Jacobian of the heat flows into cells (1 + M, n), W/K, above its diagonal and on it."""
+    """Entries of the Jacobian of the heat flows into cells and shells (1 + M, n), W/K."""
 
-    diagonal: Any
-    """Entries (1 + M, n) of a cell with itself."""
+    own: Any
+    """(1 + M, n) by the own temperature."""
     outward: Any
-    """Entries (1 + M, n) with the next shell of the same cell, 0 in the last row."""
+    """(1 + M, n) by that of the next shell of the same cell, 0 in the last row."""
     along: Any
-    """Entries (1 + M, n-1) with the same shell of the next cell."""
+    """(1 + M, n-1) by that of the next cell."""
 
 
-def frozen_jacobian(at: Temperatures, cells: Any, v: Volumes, g: Properties) -> FrozenJacobian:
-    """Approximate Jacobian of the heat flows for an implicit step: without Joule heat.
+def frozen_jacobian(T: Temperatures, cells: Any, v: Volumes, p: Properties) -> FrozenJacobian:
+    """Approximate Jacobian for the implicit step: Joule heat is left out.
 
-    It is symmetric but for the slope of the conductivity. `cells` (1 + M, n) are the symbols in `at`.
+    It is symmetric except for the slope of the conductivity. `cells` (1 + M, n) are the symbols of which T consists.
     """
-    # The current depends on the resistance of all cells, so that with it the Jacobian would be full.
-    flows = heat_flows(at, Load(0.0, 0.0, 0.0), v, g)
+    # The current depends on the resistance of all cells: with it the Jacobian would be full.
+    flows = energy_balance(T, Drive(0.0, 0.0, 0.0), v, p)
     rows, n = cells.shape
     J = ca.jacobian(ca.vec(by_cell(flows.tube, flows.mold)), ca.vec(cells))
     # By columns, a shell is 1 entry from the next one outward and `rows` entries from the next cell.
-    diagonal, outward, along = (_diagonal(J, offset) for offset in (0, 1, rows))
+    own, outward, along = (_diagonal(J, offset) for offset in (0, 1, rows))
     return FrozenJacobian(
-        diagonal=ca.reshape(diagonal, rows, n),
-        outward=ca.reshape(ca.vertcat(outward, 0), rows, n),
-        along=ca.reshape(along, rows, n - 1),
+        ca.reshape(own, rows, n), ca.reshape(ca.vertcat(outward, 0), rows, n), ca.reshape(along, rows, n - 1)
     )
 
 
@@ -386,6 +496,6 @@ def _diagonal(matrix: Any, offset: int) -> Any:
 
 
 def by_cell(tube: Any, mold: Any, bare: float = 0.0) -> Any:
-    """Values (1 + M, n) of the tube (first row) and the shells around it; `bare` where there is no mold."""
+    """(1 + M, n) values of the tube (first row) and the shells around it, `bare` where there is no mold."""
     outside = bare * ca.DM.ones(mold.size2(), tube.numel() - mold.size1())
     return ca.densify(ca.vertcat(tube.T, ca.horzcat(outside, mold.T)))

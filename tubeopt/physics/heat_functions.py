@@ -1,4 +1,4 @@
-"""Heat balance at one instant and over a time step, as functions for a simulation that eliminates the current."""
+"""The balance of heat at one instant, and a step in time, as functions for a simulation that eliminates the current."""
 
 from __future__ import annotations
 
@@ -6,142 +6,160 @@ import math
 from collections.abc import Callable
 from dataclasses import fields
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 
 from . import heat
-from .heat import PROPERTIES, Resolution, named
+from .heat import PROPERTIES, Properties, Resolution, Shells
 
 CLAMP, CHARGE, SAG, DRAWN, CIRCUIT, LOST = range(6)
-"""Entries of the lumped state: clamp temperature (K), charge used (fraction), sag (V), and energies of the rig
-(J): drawn from the battery's chemistry, turned to heat in battery, cables and MOSFET, lost to the surroundings."""
+"""Entries of the lumped state: clamp temperature (K), charge drawn (fraction), sag (V), and energies of the rig (J):
+drawn from the battery's chemistry, turned to heat in battery, cables and MOSFET, lost to the air."""
 
 LUMPED = 6
 
 GAMMA = 1 - 1 / math.sqrt(2)
-"""Coefficient gamma of ROS2 (Verwer, Spee, Blom and Hundsdorfer, SIAM J. Sci. Comput. 20 (1999)).
+"""Parameter of ROS2, which is of order 2 for any approximate Jacobian and L-stable with the exact one (Verwer, Spee,
+Blom and Hundsdorfer, SIAM J. Sci. Comput. 20 (1999)): the root with the small error, which needs a Jacobian that is at
+most a sixth too small."""
 
-The method has order 2 for any approximation of the Jacobian, and is L-stable with the exact one. Of its two values this
-one has the smaller error; the Jacobian may then be at most a sixth too small."""
 
-
-OF_A_CELL = ("heat", "resistance", "to_clamp", "to_air", "radiating", "grip_share")
+OF_A_CELL = ("C_tube", "R_tube", "G_clamp", "G_air", "G_rad", "clamp_fraction")
 """Entries of `Volumes` that belong to one cell of the tube, in the order in which laws and kernel take them."""
 
 
 @lru_cache(maxsize=16)
 def volumes_function(resolution: Resolution) -> ca.Function:
-    """Function (properties, widths, vents, rings, log ratios) -> column of all coefficients."""
+    """Function (properties, widths, vents, areas and log ratios of shells) -> column of all coefficients."""
     m = resolution.shells
     sizes = (len(PROPERTIES), resolution.cells, resolution.covered, m, m - 1)
     symbols = [ca.SX.sym(name, size) for name, size in zip("pwvrl", sizes, strict=True)]
-    p, width, vent, *shells = symbols
-    volumes = heat.volumes(named(p), width, vent, (shells[0], shells[1]), resolution)
-    return ca.Function("volumes", symbols, [volumes.column])
+    p, width, vent, area, log_ratio = symbols
+    v = heat.volumes(Properties.of(p), width, vent, Shells(area, log_ratio), resolution)
+    return ca.Function("volumes", symbols, [v.column])
 
 
 @lru_cache(maxsize=16)
 def instant_functions(resolution: Resolution) -> dict[str, ca.Function]:
-    """Functions of one rig at an instant, by name.
+    """Functions of the state of one rig, for its simulation.
 
-    Arguments are those of temperatures, lumped state and duty on which a function depends, then properties and the
-    column of volumes. Cells are (1 + M, n); entries of shells without a mold have no effect.
+    Inputs, where they matter: temperatures, lumped state, duty, properties, column of volumes. Temperatures of cells
+    are (1 + M, n); shells without a mold have no effect.
 
-    rates: rates of cells and lumped state. warming: rates of the first two rows, which a current heats. span: rates of
-    the tube at duty 0 and 1, and the current while the MOSFET conducts. current, at temperatures of the tube (n,): this
-    current, its part through the tube, the terminal voltage, and the resistance of half the tube. linearised: heat
-    capacities, 1 where there is no mold, and the `frozen_jacobian`. stored: heat above ambient in the whole rig.
+    rates: of cells and lumped state. warming: rates of the first two rows, which a current heats. span: rates of the
+    tube without and with full duty, and the current while the MOSFET conducts. current, at temperatures of the tube
+    (n,): this one, its part through the tube, the terminal voltage, and the resistance of half the tube. linearised:
+    heat capacities, 1 where there is no mold, and the `frozen_jacobian`. stored: heat above ambient in the whole rig.
     """
     rows, n = 1 + resolution.shells, resolution.cells
     cells, tube = ca.SX.sym("cells", rows, n), ca.SX.sym("tube", n)
     lumped, duty = ca.SX.sym("lumped", LUMPED), ca.SX.sym("duty")
-    p = ca.SX.sym("p", len(PROPERTIES))
+    column = ca.SX.sym("p", len(PROPERTIES))
     q = ca.SX.sym("q", sum(rows * columns for rows, columns in heat.volume_shapes(resolution).values()))
-    g, v = named(p), heat.Volumes.of(q, resolution)
-    at = heat.Temperatures(cells[0, :].T, cells[1:, n - resolution.covered :].T, lumped[CLAMP])
+    p, v = Properties.of(column), heat.Volumes.of(q, resolution)
+    T = heat.Temperatures(cells[0, :].T, cells[1:, n - resolution.covered :].T, lumped[CLAMP])
+    x = heat.RigState(T, lumped[CHARGE], lumped[SAG])
 
-    load, total = _loaded(ca.sum1(heat.resistances(at.tube, v, g)), lumped, duty, g)
-    flows = heat.heat_flows(at, load, v, g)
-    capacity = heat.by_cell(heat.tube_capacity(at.tube, v, g), v.shell_heat, bare=1.0)
-    slow = _slow(flows.clamp, flows.surroundings, load, total, lumped, g)
-    cell_rates = heat.by_cell(flows.tube, flows.mold) / capacity
-    half = ca.sum1(heat.resistances(tube, v, g))
-    now = _loaded(half, lumped, duty, g)[1]
-    terminal = heat.source_voltage(lumped[CHARGE], g) - lumped[SAG] - g["internal"] * now
-    measured = ca.vertcat(now, now * heat.tube_share(half, g), terminal, half)
-    table = {
-        "rates": ([cells, lumped, duty, p, q], [cell_rates, slow]),
-        # Joule heat enters the tube, stray heat the first shell; the other rows do not depend on duty.
-        "warming": ([cells, lumped, duty, p, q], [cell_rates[:2, :]]),
-        "current": ([tube, lumped, p, q], [measured]),
-        "linearised": ([cells, p, q], [capacity, *heat.frozen_jacobian(at, cells, v, g)]),
-        "stored": ([cells, lumped, p, q], [2 * heat.stored_heat(at, v, g)]),
+    I_on, drive = _circuit(ca.sum1(heat.cell_resistance(T.tube, v, p)), lumped, duty, p)
+    flows = heat.energy_balance(T, drive, v, p)
+    rates = heat.state_rates(x, flows, drive, v, p)
+    cell_rates = heat.by_cell(rates.T.tube, rates.T.mold)
+    battery = heat.BatteryRates(rates.charge, rates.V_sag)
+    lumped_rates = _lumped_rates(rates.T.clamp, battery, flows.surroundings, drive, I_on, lumped, p)
+    capacity = heat.by_cell(heat.tube_capacity(T.tube, v, p), v.C_mold, bare=1.0)
+
+    R_half = ca.sum1(heat.cell_resistance(tube, v, p))
+    current = _circuit(R_half, lumped, duty, p).I_on
+    terminal = heat.open_circuit_voltage(lumped[CHARGE], p) - lumped[SAG] - p.R_internal * current
+    circuit = ca.vertcat(current, current * heat.tube_fraction(R_half, p), terminal, R_half)
+    functions = {
+        "rates": ([cells, lumped, duty, column, q], [cell_rates, lumped_rates]),
+        # Joule heat enters the tube, leak heat the first shell; the other rows do not depend on duty.
+        "warming": ([cells, lumped, duty, column, q], [cell_rates[:2, :]]),
+        "current": ([tube, lumped, column, q], [circuit]),
+        "linearised": ([cells, column, q], [capacity, *heat.frozen_jacobian(T, cells, v, p)]),
+        "stored": ([cells, lumped, column, q], [2 * heat.stored_heat(T, v, p)]),
     }
-    warming = ca.Function("warming", *table["warming"])
-    ends = [warming(cells, lumped, level, p, q)[0, :].T for level in (0.0, 1.0)]
-    table["span"] = [cells, lumped, p, q], [*ends, total]
+    warming = ca.Function("warming", *functions["warming"])
+    ends = [warming(cells, lumped, level, column, q)[0, :].T for level in (0.0, 1.0)]
+    functions["span"] = [cells, lumped, column, q], [*ends, I_on]
     return {
         name: ca.Function(name, inputs, [ca.densify(value) for value in outputs], {"cse": True})
-        for name, (inputs, outputs) in table.items()
+        for name, (inputs, outputs) in functions.items()
     }
 
 
-def _loaded(half: ca.SX, lumped: ca.SX, duty: ca.SX, g: heat.Properties) -> tuple[heat.Load, ca.SX]:
-    """Electric load at a duty, and the current while the MOSFET conducts, A; `half` of the tube has that many ohm."""
-    total = (heat.source_voltage(lumped[CHARGE], g) - lumped[SAG]) / heat.loop_resistance(half, g)
-    on = heat.conducting(duty, g)
+class _Circuit(NamedTuple):
+    I_on: ca.SX
+    """Current while the MOSFET conducts, A."""
+    drive: heat.Drive
+
+
+def _circuit(R_half: ca.SX, lumped: ca.SX, duty: ca.SX, p: Properties) -> _Circuit:
+    """Currents at a duty where half the tube has R_half, ohm."""
+    I_on = (heat.open_circuit_voltage(lumped[CHARGE], p) - lumped[SAG]) / heat.loop_resistance(R_half, p)
+    on = heat.effective_duty(duty, p)
     # The mean square of a pulsed current is d I^2, not (d I)^2.
-    return heat.Load(half, on * total, on * total**2), total
+    return _Circuit(I_on, heat.Drive(R_half, on * I_on, on * I_on**2))
 
 
-def _slow(clamp: ca.SX, surroundings: ca.SX, load: heat.Load, total: ca.SX, lumped: ca.SX, g: heat.Properties) -> ca.SX:
-    """Rates of the lumped state, with the heat flows into a clamp, and from half the rig to its surroundings, W."""
-    discharge, sagging = heat.battery_rates(load, lumped[SAG], g)
+def _lumped_rates(
+    T_clamp: ca.SX,
+    battery: heat.BatteryRates,
+    q_surroundings: ca.SX,
+    drive: heat.Drive,
+    I_on: ca.SX,
+    lumped: ca.SX,
+    p: Properties,
+) -> ca.SX:
+    """Rates of the lumped state, from those of clamp (K/s) and battery and the heat flow into the air, W."""
     # The contacts' heat goes into tube and clamps, not into cables.
-    outside_tube = g["internal"] + g["series"] - g["contact"]
+    R_circuit = p.R_internal + p.R_series - p.R_contact
     return ca.vertcat(
-        clamp / g["clamp_heat"],
-        discharge,
-        sagging,
-        load.mean * heat.source_voltage(lumped[CHARGE], g),
-        # d I (V_sag + I R): what the voltage at rest loses before it reaches the tube.
-        load.mean * (lumped[SAG] + total * outside_tube),
+        T_clamp,
+        battery.charge,
+        battery.V_sag,
+        drive.I_mean * heat.open_circuit_voltage(lumped[CHARGE], p),
+        # d I (V_sag + I R): what the open-circuit voltage loses before it reaches the tube.
+        drive.I_mean * (lumped[SAG] + I_on * R_circuit),
         # The flows are those of half the rig.
-        2 * surroundings,
+        2 * q_surroundings,
     )
 
 
 @lru_cache(maxsize=1)
 def cell_functions() -> tuple[ca.Function, ...]:
-    """Functions of one cell, from which the compiled kernel makes the step of `step_function` on grids of any size.
+    """Laws of one cell, of which the compiled kernel makes the same step as `step_function` on grids of any size.
 
-    ohm: resistance of a cell. load: electric load of a duty, with the current while the MOSFET conducts. cell: net heat
-    flow of a cell, Joule heat in its part of the mold, heat flows to clamp and air, heat capacity, and derivative of
-    the losses by its temperature. link: heat flow from the next cell, and its slopes in both temperatures. lumps: rates
-    of the lumped state.
+    ohm: resistance of a cell. load: `Drive` at a duty, with the current while the MOSFET conducts. cell: net heat flow
+    of a cell by itself, heat of its part of the mold by the current beside the tube, heat flows into the clamp and to
+    the air, its heat capacity, and the slope of these losses in its temperature. link: heat flow from the next cell,
+    and its slopes in both temperatures. lumps: rates of the lumped state.
     """
-    scalars = ("tube", "other", "clamp", "into_clamp", "off", "half", "duty", "coefficient")
-    tube, other, clamp, into_clamp, off, half, duty, coefficient = (ca.SX.sym(name) for name in scalars)
-    lumped, seen, p = ca.SX.sym("lumped", LUMPED), ca.SX.sym("load", 4), ca.SX.sym("p", len(PROPERTIES))
-    g, load = named(p), heat.Load(seen[0], seen[1], seen[2])
+    scalars = ("T", "T_next", "T_clamp", "q_clamp", "q_loss", "R_half", "duty", "coefficient")
+    T, T_next, T_clamp, q_clamp, q_loss, R_half, duty, coefficient = (ca.SX.sym(name) for name in scalars)
+    lumped, load, column = ca.SX.sym("lumped", LUMPED), ca.SX.sym("load", 4), ca.SX.sym("p", len(PROPERTIES))
+    p, drive, I_on = Properties.of(column), heat.Drive(load[0], load[1], load[2]), load[3]
     own = {name: ca.SX.sym(name) for name in OF_A_CELL}
     # A law of one cell that took another coefficient would fail at once on None.
     v = heat.Volumes(**{item.name: own.get(item.name) for item in fields(heat.Volumes)})
-    gain, given, air = heat.cell_flows(tube, clamp, load, v, g)
-    stray = heat.stray_heat(load, coefficient, g)
-    begun, total = _loaded(half, lumped, duty, g)
-    link = heat.heat_along(tube, other, coefficient, g)
-    gains = heat.lump_flows(clamp, into_clamp, off, load, g)
+    cell = heat.cell_balance(T, T_clamp, drive, v, p)
+    leak = heat.leak_heat(drive, coefficient, p)
+    start = _circuit(R_half, lumped, duty, p)
+    link = heat.conduction(T, T_next, coefficient, p)
+    lumps = heat.clamp_balance(T_clamp, q_clamp, q_loss, drive, p)
+    battery = heat.battery_rates(drive, lumped[SAG], p)
+    rates = _lumped_rates(lumps.clamp / p.C_clamp, battery, lumps.surroundings, drive, I_on, lumped, p)
     laws = {
-        "ohm": ([tube, own["resistance"], p], [heat.resistances(tube, v, g)]),
-        "load": ([half, lumped, duty, p], [ca.vertcat(begun.half, begun.mean, begun.drive, total)]),
+        "ohm": ([T, own["R_tube"], column], [heat.cell_resistance(T, v, p)]),
+        "load": ([R_half, lumped, duty, column], [ca.vertcat(*start.drive, start.I_on)]),
         "cell": (
-            [tube, clamp, seen, *own.values(), coefficient, p],
-            [gain, stray, given, air, heat.tube_capacity(tube, v, g), ca.jacobian(given + air, tube)],
+            [T, T_clamp, load, *own.values(), coefficient, column],
+            [cell.net, leak, cell.clamp, cell.air, heat.tube_capacity(T, v, p), ca.jacobian(cell.clamp + cell.air, T)],
         ),
-        "link": ([tube, other, coefficient, p], [link, ca.jacobian(link, tube), ca.jacobian(link, other)]),
-        "lumps": ([clamp, into_clamp, off, seen, lumped, p], [_slow(*gains, load, seen[3], lumped, g)]),
+        "link": ([T, T_next, coefficient, column], [link, ca.jacobian(link, T), ca.jacobian(link, T_next)]),
+        "lumps": ([T_clamp, q_clamp, q_loss, load, lumped, column], [rates]),
     }
     return tuple(
         ca.Function(f"law_{name}", inputs, [ca.densify(value) for value in outputs], {"cse": True})
@@ -151,51 +169,53 @@ def cell_functions() -> tuple[ca.Function, ...]:
 
 @lru_cache(maxsize=16)
 def step_function(resolution: Resolution) -> ca.Function:
-    """(cells, lumped, duty, span, properties, volumes) -> (cells, lumped) after a span, s, at constant duty: ROS2.
+    """Function (cells, lumped, duty, span, properties, volumes) -> (cells, lumped) after a span, s: one step of ROS2.
 
-    The matrix of a stage is that of the shells times that of the tube's direction (approximate factorisation), each
-    of which is many small tridiagonal ones. The lumped states are slow: their Jacobian is left out, and they follow the
-    cells by the trapezoidal rule.
+    The matrix of a stage is the product of that of the shells and that along the tube (approximate factorisation).
+    Both consist of many small tridiagonal matrices. The lumped states are slow: their Jacobian is left out, and they
+    follow the cells by the trapezoidal rule.
     """
     functions = instant_functions(resolution)
     rates, inputs = functions["rates"], functions["rates"].sx_in()
     cells, lumped, duty, p, q = inputs
     h = ca.SX.sym("span")
-    capacity, own, inward, along = functions["linearised"](cells, p, q)
-    # What leaves to clamp and air stands in the second, which is exact where a cell has no shells.
-    across = -inward - ca.vertcat(ca.DM(1, cells.size2()), inward[:-1, :])
+    capacity, own, outward, along = functions["linearised"](cells, p, q)
+    # Losses to clamp and air are in the second factor, which is exact where a cell has no shells.
+    across = -outward - ca.vertcat(ca.DM(1, cells.size2()), outward[:-1, :])
     # C - gamma h (A + B) = (C - gamma h A) C^-1 (C - gamma h B) but for gamma^2 h^2 A C^-1 B.
-    outward = _tridiagonal(capacity - GAMMA * h * across, -GAMMA * h * inward[:-1, :])
-    sideways = _tridiagonal((capacity - GAMMA * h * (own - across)).T, -GAMMA * h * along.T)
+    solve_outward = _tridiagonal(capacity - GAMMA * h * across, -GAMMA * h * outward[:-1, :])
+    solve_along = _tridiagonal((capacity - GAMMA * h * (own - across)).T, -GAMMA * h * along.T)
 
     def stage(rate: Any) -> Any:
-        return sideways((capacity * outward(capacity * rate)).T).T
+        return solve_along((capacity * solve_outward(capacity * rate)).T).T
 
-    rate, slow = rates(cells, lumped, duty, p, q)
-    first = stage(rate)
-    later = lumped + h * slow
-    # ROS2: (1 - gamma h J) k_2 = F(u + h k_1) - 2 k_1, and u + h (3 k_1 + k_2) / 2 is the end.
-    second = stage(rates(cells + h * first, later, duty, p, q)[0] - 2 * first)
-    after = cells + h * (1.5 * first + 0.5 * second)
-    # The stage in between overshoots what is stiff: the clamps would feel it.
-    lumped_after = lumped + 0.5 * h * (slow + rates(after, later, duty, p, q)[1])
-    return ca.Function("step", [cells, lumped, duty, h, p, q], [after, lumped_after], {"cse": True})
+    # ROS2: (1 - gamma h J) k_1 = F(u), (1 - gamma h J) k_2 = F(u + h k_1) - 2 k_1, u_next = u + h (3 k_1 + k_2) / 2.
+    rate, lumped_rate = rates(cells, lumped, duty, p, q)
+    k_1 = stage(rate)
+    predicted = lumped + h * lumped_rate
+    k_2 = stage(rates(cells + h * k_1, predicted, duty, p, q)[0] - 2 * k_1)
+    cells_next = cells + h * (1.5 * k_1 + 0.5 * k_2)
+    # Rates at the end and not at u + h k_1, which overshoots where the equations are stiff.
+    lumped_next = lumped + 0.5 * h * (lumped_rate + rates(cells_next, predicted, duty, p, q)[1])
+    return ca.Function("step", [cells, lumped, duty, h, p, q], [cells_next, lumped_next], {"cse": True})
 
 
-def _tridiagonal(diagonal: ca.SX, beside: ca.SX) -> Callable[[Any], Any]:
-    """Solver of many symmetric tridiagonal systems, of which every column (N) of `diagonal` and (N-1) of `beside` is
-    one, for right-hand sides in columns."""
+def _tridiagonal(diagonal: ca.SX, off_diagonal: ca.SX) -> Callable[[Any], Any]:
+    """Solver of symmetric tridiagonal systems for right-hand sides in columns.
+
+    Every column (N) of `diagonal` and (N-1) of `off_diagonal` is one system.
+    """
     count = diagonal.size1()
     # No pivots: C - gamma h J is diagonally dominant, as heat flows from hot to cold.
     inverse, ratio = [1 / diagonal[0, :]], []
     for k in range(1, count):
-        ratio.append(beside[k - 1, :] * inverse[-1])
-        inverse.append(1 / (diagonal[k, :] - ratio[-1] * beside[k - 1, :]))
+        ratio.append(off_diagonal[k - 1, :] * inverse[-1])
+        inverse.append(1 / (diagonal[k, :] - ratio[-1] * off_diagonal[k - 1, :]))
 
-    def solve(load: Any) -> Any:
-        rows = [load[0, :]]
+    def solve(right_hand_side: Any) -> Any:
+        rows = [right_hand_side[0, :]]
         for k in range(1, count):
-            rows.append(load[k, :] - ratio[k - 1] * rows[-1])
+            rows.append(right_hand_side[k, :] - ratio[k - 1] * rows[-1])
         rows[-1] = rows[-1] * inverse[-1]
         for k in range(count - 2, -1, -1):
             rows[k] = rows[k] * inverse[k] - ratio[k] * rows[k + 1]

@@ -21,7 +21,7 @@ from ..shaping.firmware.sketch_files import OVERSHOOT
 from ..shaping.heating.controller import HeatingLaw
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
-from ..shaping.heating.replanning import Leader, planner_for
+from ..shaping.heating.replanning import Replanner, planner_for
 from ..shaping.heating.rig import Rig
 from ..shaping.heating.robust import design_feedback
 from ..shaping.heating.sensors import Sensor, Thermocouple
@@ -123,7 +123,7 @@ class HeatingRunStudy(Study):
                 raise ValueError(f"{name}: the rig file has no tube; it must have the tube to heat")
         return self
 
-    def open(self) -> tuple[Line, Leader | None]:
+    def open(self) -> tuple[Line, Replanner | None]:
         """Open the line to the board or the simulated rig, and prepare replanning if requested.
 
         Raises:
@@ -132,7 +132,9 @@ class HeatingRunStudy(Study):
         rig, needs_plan = self.simulate or self.rig, self.simulate is not None or self.replan_s is not None
         # The board has its own controller: this computer needs one only to simulate or to replan.
         design = default_feedback(rig) if rig is not None and needs_plan else None
-        leader = None if design is None or self.replan_s is None else Leader(planner_for(*design), self.si("replan_s"))
+        leader = (
+            None if design is None or self.replan_s is None else Replanner(planner_for(*design), self.si("replan_s"))
+        )
         if self.port is not None:
             return SerialLine(self.port), leader
         assert design is not None
@@ -147,7 +149,7 @@ class HeatingRunStudy(Study):
         bar = progress or (lambda done, total: None)
         return self.run_on(out, *self.open(), lambda hello, row: bar(row["place"], int(hello.get("slots", 0))))
 
-    def run_on(self, out: Path | None, line: Line, leader: Leader | None, show: Show) -> HeatingRun:
+    def run_on(self, out: Path | None, line: Line, leader: Replanner | None, show: Show) -> HeatingRun:
         """Run the heating over a line from `open`, with a log in `out`."""
         log = None if out is None else out / LOG_FILE
         return run_heating(line, dry=self.dry, log=log, show=show, leader=leader)
@@ -174,7 +176,7 @@ def run_heating(
     dry: bool = False,
     log: Path | None = None,
     show: Show | None = None,
-    leader: Leader | None = None,
+    leader: Replanner | None = None,
 ) -> HeatingRun:
     """Start a heating and read its reports to the end; an interruption stops the rig.
 

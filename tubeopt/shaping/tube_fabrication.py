@@ -1,9 +1,9 @@
-"""Mold and heating of one tube, planned for each other: what is heated is what the mold holds.
+"""Mold and heating of one tube, planned for each other by fixed-point iteration.
 
-The rig's file says how the mold is to lie around the tube; plate, cutters and clamps decide how it does. So the mold is
-drawn first, and the heating is planned on the rig *as drawn*: with its leads, gaps, groove, plate and vents. What the
-heating then knows better (where the cold ends stop, how far the tube grows, how warm the clamps get) goes back into the
-mold, until nothing changes any more.
+The rig's file has the desired mold around the tube; plate, cutters and clamps determine the real one. So the mold is
+planned first, and then the heating on the rig *as drawn*, with the leads, gaps, groove, plate and vents of the mold.
+Results of the heating (length of the cold ends, growth of the tube, temperature of the clamps) go back into the mold,
+until nothing changes.
 """
 
 from __future__ import annotations
@@ -18,44 +18,47 @@ from ..errors import InputError, without_unit_warnings
 from ..robots.materials import NITINOL
 from ..robots.tubes import Tube
 from .heating.counts import full_current
-from .heating.plan import HeatingPlan, ageing_words
+from .heating.plan import HeatingPlan, ageing_remarks
 from .heating.planning import plan_heating
 from .heating.rig import Rig
 from .heating.spec import HeatingSpec
-from .heating.thermal import gap_of, gap_transfer, groove_gap, own_gap, vent_profile
+from .heating.thermal import gap_transfer, groove_gap, square_groove_gap, uniform_gap_of, vent_profile
 from .materials import recipe_for
 from .mold.heat import heating_for
 from .mold.layout import open_area
 from .mold.mold import Groove, Mold, plan_mold
-from .mold.spec import GrooveSpec, MoldSpec
+from .mold.spec import MoldSpec
 
-# Each mold moves the leads by what the last heating said: the correction is a fixed point, and shrinks each time.
-MOLDS = 5
-"""Molds that are drawn at most."""
+# The corrections of the leads shrink from mold to mold.
+MAX_ROUNDS = 5
+"""Largest number of molds."""
 
-# A tenth of what a mill is set to.
+# A tenth of the resolution of a mill.
 SAME_LENGTH = 1e-5
-"""Lengths of mold and heating that differ by less are equal, m."""
+"""Difference below which lengths of mold and heating are equal, m."""
 
 # A cold end is read from cells of about a millimetre.
-LONGER_LEAD = 1e-3
+LEAD_RESERVE = 1e-3
 """Length of the leads beyond cold ends that reach into the curved part, m."""
 
-# The next plate rounds lengths, which moves the resistance by up to a percent or two.
-LEAD_PEAK = 0.98
-"""Share of the circuit's peak current for which leads are made longer, where a shorter tube would draw more."""
+# The next plate rounds lengths, which changes the resistance by up to a percent or two.
+PEAK_FRACTION = 0.98
+"""Fraction of the circuit's peak current for which leads are lengthened, where a shorter tube would draw more."""
 
-VENT_PLACES = 41
-"""Places from the end of the mold to its middle at which the rig as drawn says how far it is vented."""
+VENT_POINTS = 41
+"""Number of points from the end of the mold to its middle of the vent profile as drawn."""
 
 
 @dataclass(frozen=True)
-class Known:
-    """What heating tells the mold: length of the cold ends and growth of the tube, m; temperature of the clamps, K."""
+class HeatingFeedback:
+    """Results of the heating for the next mold."""
 
     cold_length: float
+    """Length of tube from a clamp to the heated part, m."""
     growth: float
-    clamps: float
+    """Thermal expansion of the tube, m."""
+    T_clamp: float
+    """Temperature of the clamps, K."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,15 +66,15 @@ class TubeFabrication:
     """Mold and heating of one tube."""
 
     tube: Tube
-    """The tube to make."""
+    """Tube to make."""
     mold: Mold
     """Mold with one groove for the tube."""
     rig: Rig
-    """The rig with the mold as drawn."""
+    """Rig with the mold as drawn."""
     heating: HeatingPlan
-    """Planned on it, of the tube with a curved part as long as the bend."""
+    """Heating on this rig, of the tube with a curved part as long as the bend."""
     rounds: int
-    """Molds that were drawn."""
+    """Number of molds that were planned."""
     disagreement: str
     """Differences between mold and heating, as text; "" without any."""
     remarks: tuple[str, ...] = ()
@@ -79,7 +82,7 @@ class TubeFabrication:
 
     @property
     def groove(self) -> Groove:
-        """The groove of the tube."""
+        """Groove of the tube."""
         return self.mold.grooves[0]
 
     @property
@@ -105,44 +108,49 @@ def plan_tube(
             tube's material.
         SolveError: the optimal control problem of the heating did not converge.
     """
-    asked = MoldSpec() if mold is None else mold
-    heating = heating_for(asked.heat) if heating is None else heating
+    spec = MoldSpec() if mold is None else mold
+    heating = heating_for(spec.heat) if heating is None else heating
     heated, remarks = _with_thermal_data(tube)
-    remarks += _air(heated, rig)
-    on, known, plan, drawn = rig, None, None, None
-    for round_ in range(1, MOLDS + 1):
+    remarks += _gap_remarks(heated, rig)
+    drawn_rig, drawn = rig, None
+    feedback: HeatingFeedback | None = None
+    plan: HeatingPlan | None = None
+    for round_ in range(1, MAX_ROUNDS + 1):
         try:
-            following = plan_mold(heated, mold_spec_for(on, heated, asked, heating, known, rig), numbers=[number])
+            next_spec = mold_spec_for(drawn_rig, heated, spec, heating, feedback, rig)
+            next_mold = plan_mold(heated, next_spec, numbers=[number])
         except InputError as error:
             if drawn is None or plan is None:
                 raise
-            return TubeFabrication(tube, drawn, on, plan, round_ - 1, f"{_needed(plan)}: {error}", remarks)
-        drawn, before, on = following, on, rig_as_drawn(rig, following)
-        if plan is None or not _alike(before, on):
-            # As it lies in its groove: bent so, its curved part as long as the bend.
-            plan = plan_heating(following.grooves[0].held, on, heating)
-        elif _settled(drawn, plan):
-            return TubeFabrication(tube, drawn, on, plan, round_, "", (*remarks, *ageing_words(plan)))
-        known = _known(drawn.grooves[0], plan, heating)
+            return TubeFabrication(
+                tube, drawn, drawn_rig, plan, round_ - 1, f"{_required_lead(plan)}: {error}", remarks
+            )
+        drawn, previous, drawn_rig = next_mold, drawn_rig, rig_as_drawn(rig, next_mold)
+        if plan is None or not _same_rig(previous, drawn_rig):
+            # The tube as its groove holds it: its curved part is as long as the bend.
+            plan = plan_heating(drawn.grooves[0].held, drawn_rig, heating)
+        elif _consistent(drawn, plan):
+            return TubeFabrication(tube, drawn, drawn_rig, plan, round_, "", (*remarks, *ageing_remarks(plan)))
+        feedback = _heating_feedback(drawn.grooves[0], plan, heating)
     assert drawn is not None
     assert plan is not None
-    short = plan.cold_end > _lead_and_gap(drawn.grooves[0]) + SAME_LENGTH
-    words = _needed(plan) if short else "the mold as drawn still changes"
-    return TubeFabrication(tube, drawn, on, plan, MOLDS, f"{words} after {MOLDS} rounds", remarks)
+    too_short = plan.cold_end > _clamp_to_bend(drawn.grooves[0]) + SAME_LENGTH
+    reason = _required_lead(plan) if too_short else "the mold as drawn still changes"
+    return TubeFabrication(tube, drawn, drawn_rig, plan, MAX_ROUNDS, f"{reason} after {MAX_ROUNDS} rounds", remarks)
 
 
 def mold_spec_for(
-    rig: Rig, tube: Tube, spec: MoldSpec, heating: HeatingSpec, known: Known | None, asked: Rig
+    rig: Rig, tube: Tube, spec: MoldSpec, heating: HeatingSpec, feedback: HeatingFeedback | None, given: Rig
 ) -> MoldSpec:
-    """The mold's specification in line with the rig on which it is heated: material, groove, clamps, lead, vents, heat.
+    """Specification of the mold with material, groove, clamps, lead, vents and heat of the rig.
 
     Args:
-        rig: as drawn so far. tube: that is heated. spec: what else is asked of the mold.
-        heating: what the tube is heated for.
-        known: from the heating. asked: the rig as given, whose leads are the least.
+        rig: as drawn so far. tube: that is heated. spec: other requirements on the mold.
+        heating: requirements on the heating.
+        feedback: results of the last heating. given: rig of the user; its leads are the smallest.
     """
-    least = max(asked.mold.lead, spec.clamps.least_lead)
-    clamps = replace(spec.clamps, gap=asked.clamps.clearance, grip=asked.clamps.grip, least_lead=least)
+    smallest_lead = max(given.mold.lead, spec.clamps.least_lead)
+    clamps = replace(spec.clamps, gap=given.clamps.clearance, grip=given.clamps.grip, least_lead=smallest_lead)
     low, high = heating.window_degC
     heat = replace(
         spec.heat,
@@ -151,33 +159,29 @@ def mold_spec_for(
         hold_time=heating.hold_time,
         ambient=rig.ambient,
         contact_conductance=gap_transfer(tube, rig),
-        clamp_temperature=None if known is None else known.clamps,
+        clamp_temperature=None if feedback is None else feedback.T_clamp,
     )
-    vents = replace(spec.vents, profile=lid_profile(replace(rig, mold=replace(rig.mold, vents=asked.mold.vents)), tube))
+    vents = replace(spec.vents, profile=lid_profile(replace(rig, mold=replace(rig.mold, vents=given.mold.vents)), tube))
+    # The rig's side clearance on either side of the tube; wider only if no end mill is that small.
+    clearance = 2 * given.mold.play
+    fits = spec.milling.end_mills[0].diameter <= tube.outer_diameter + clearance
+    most_clearance = clearance if fits else max(clearance, spec.groove.most_clearance)
     return replace(
         spec,
         material=rig.mold.material,
-        groove=_groove_for(asked, tube, spec),
+        groove=replace(spec.groove, clearance=clearance, most_clearance=most_clearance),
         clamps=clamps,
-        cold_length=asked.clamps.clearance + asked.mold.lead if known is None else known.cold_length,
-        growth=None if known is None else known.growth,
+        cold_length=given.clamps.clearance + given.mold.lead if feedback is None else feedback.cold_length,
+        growth=None if feedback is None else feedback.growth,
         heat=heat,
         vents=vents,
     )
 
 
-def _groove_for(rig: Rig, tube: Tube, spec: MoldSpec) -> GrooveSpec:
-    """A groove with the rig's side clearance on either side of the tube; wider only where no end mill is as small."""
-    play = 2 * rig.mold.play
-    fits = spec.milling.end_mills[0].diameter <= tube.outer_diameter + play
-    most = play if fits else max(play, spec.groove.most_clearance)
-    return replace(spec.groove, clearance=play, most_clearance=most)
-
-
 def lid_profile(rig: Rig, tube: Tube) -> tuple[float, ...]:
-    """Open part of the groove's area in cells along the bend, from the rig's open part of the tube's surface.
+    """Open fraction of the groove's area in cells along the bend, from the rig's open fraction of the tube's surface.
 
-    A vent bares the upper half of the tube below it, so that the groove is open over twice the part of the surface.
+    A vent bares the upper half of the tube below it, so the open fraction of the groove is twice that of the surface.
     """
     if not any(rig.mold.vents):
         return (0.0,)
@@ -190,14 +194,18 @@ def lid_profile(rig: Rig, tube: Tube) -> tuple[float, ...]:
 
 @without_unit_warnings()
 def rig_as_drawn(rig: Rig, mold: Mold) -> Rig:
-    """The rig with a mold of one groove: leads, distance of the clamps, gap, plates and vents as they are drawn."""
+    """Rig with a mold of one groove: its leads, clamps, gap, plates and vents are those of the drawing."""
     groove, plate = mold.grooves[0], mold.spec.plate
     curve = groove.centreline
+    gap = groove_gap(groove.tube, rig, groove.width, groove.depth)
+    if rig.mold.gap is not None:
+        # A calibrated gap keeps its ratio to that of the computed one.
+        gap = rig.mold.gap * gap / square_groove_gap(groove.tube, rig)
     bed = replace(
         rig.mold,
         lead=0.5 * (curve.lead_in.length + curve.lead_out.length),
         side_clearance=0.5 * (groove.width - groove.tube.outer_diameter),
-        gap=_gap_as_drawn(rig, groove),
+        gap=gap,
         # As much material as lies around the groove, over its length.
         width=mold.size[0] * mold.size[1] / curve.length,
         thickness=plate.thickness + plate.lid_thickness,
@@ -206,96 +214,94 @@ def rig_as_drawn(rig: Rig, mold: Mold) -> Rig:
     return replace(rig, mold=bed, clamps=replace(rig.clamps, clearance=0.5 * sum(groove.gaps), grip=groove.grip))
 
 
-def _gap_as_drawn(rig: Rig, groove: Groove) -> float:
-    """Even gap (m) of the groove as drawn; a gap that the rig's file says keeps its ratio to that of its own groove."""
-    drawn = groove_gap(groove.tube, rig, groove.width, groove.depth)
-    return drawn if rig.mold.gap is None else rig.mold.gap * drawn / own_gap(groove.tube, rig)
-
-
 def drawn_vents(groove: Groove, spec: MoldSpec) -> tuple[float, ...]:
-    """Part of the tube's surface that the drawn vents bare, from the end of the mold (no vents there) to its middle."""
+    """Fraction of the tube's surface that the drawn vents bare, from the end of the mold to its middle."""
     if not groove.vents:
         return (0.0,)
     profile = np.asarray(spec.vents.profile)
-    wanted = groove.width * groove.bend_length * float(profile.mean())
-    opened = len(groove.vents) * open_area(groove.width, spec.vents.diameter) / wanted
+    requested = groove.width * groove.bend_length * float(profile.mean())
+    realised = len(groove.vents) * open_area(groove.width, spec.vents.diameter) / requested
+    # The leads have no vents.
     lead, half = groove.centreline.lead_in.length, 0.5 * groove.bend_length
-    along = np.linspace(0.0, lead + half, VENT_PLACES) - lead
+    along = np.linspace(0.0, lead + half, VENT_POINTS) - lead
     cell = np.clip((along / (2 * half) * len(profile)).astype(int), 0, len(profile) - 1)
-    part = np.where(along >= 0, 0.5 * opened * profile[cell], 0.0)
-    return tuple(np.minimum(part, 0.5).tolist())
+    bare = np.where(along >= 0, 0.5 * realised * profile[cell], 0.0)
+    return tuple(np.minimum(bare, 0.5).tolist())
 
 
 def _with_thermal_data(tube: Tube) -> tuple[Tube, tuple[str, ...]]:
+    """Tube with thermal data, and a remark if they are those of nitinol."""
     recipe_for(tube.material)
     if tube.material.thermal is not None:
         return tube, ()
-    words = f"thermal constants of {tube.material.name} are not known; mold and heating take those of nitinol"
-    return replace(tube, material=replace(tube.material, thermal=NITINOL.thermal)), (words,)
+    remark = f"thermal constants of {tube.material.name} are not known; mold and heating take those of nitinol"
+    return replace(tube, material=replace(tube.material, thermal=NITINOL.thermal)), (remark,)
 
 
-def _air(tube: Tube, rig: Rig) -> tuple[str, ...]:
-    """Whether the even gap that the rig's file says is that of its groove."""
-    said, computed = gap_of(tube, rig), own_gap(tube, rig)
-    if abs(said / computed - 1) < 0.25:
+def _gap_remarks(tube: Tube, rig: Rig) -> tuple[str, ...]:
+    """Remark on a gap of the rig's file that is not that of its groove."""
+    gap, computed = uniform_gap_of(tube, rig), square_groove_gap(tube, rig)
+    if abs(gap / computed - 1) < 0.25:
         return ()
     return (
-        f"gap_um of the rig file is {1e6 * said:.0f} um. A groove with {1e6 * rig.mold.play:.0f} um on each side of "
+        f"gap_um of the rig file is {1e6 * gap:.0f} um. A groove with {1e6 * rig.mold.play:.0f} um on each side of "
         f"this tube has a uniform gap of {1e6 * computed:.0f} um. Remove gap_um unless it comes from a log (tubeopt "
         "heat calibrate)",
     )
 
 
-def _known(groove: Groove, plan: HeatingPlan, spec: HeatingSpec) -> Known:
-    """What the heating tells the next mold; leads that are too short, or let too much current flow, get longer."""
-    held, end = _lead_and_gap(groove), plan.cold_end
-    if math.isinf(end):
-        # The whole tube is cold, for which no lead helps.
-        end = groove.cold.length
-    hot = int(np.flatnonzero(plan.in_hold)[-1])
-    clamps = float(plan.clamp_temperature[hot]) + ZERO_CELSIUS
-    # The plate makes leads longer than they are asked to be, by as much again next time.
-    asked = groove.cold.length + _length_for_peak(plan, spec) - held
-    return Known(max(end if end <= held + SAME_LENGTH else end + LONGER_LEAD, asked), plan.growth, clamps)
+def _heating_feedback(groove: Groove, plan: HeatingPlan, spec: HeatingSpec) -> HeatingFeedback:
+    """Results of the heating; leads that are too short, or let too much current flow, get longer."""
+    length, cold_end = _clamp_to_bend(groove), plan.cold_end
+    if math.isinf(cold_end):
+        # The whole tube is cold: no lead helps.
+        cold_end = groove.cold.length
+    last = int(np.flatnonzero(plan.in_hold)[-1])
+    T_clamp = float(plan.clamp_temperature[last]) + ZERO_CELSIUS
+    # The plate makes leads longer than requested, by the same length again next time.
+    for_peak = groove.cold.length + _length_for_peak(plan, spec) - length
+    for_ends = cold_end if cold_end <= length + SAME_LENGTH else cold_end + LEAD_RESERVE
+    return HeatingFeedback(max(for_ends, for_peak), plan.growth, T_clamp)
 
 
 def _length_for_peak(plan: HeatingPlan, spec: HeatingSpec) -> float:
-    """Length (m) from clamp to bend with which the cold tube draws what the circuit bears; 0 where that is too long.
+    """Length (m) from clamp to bend with which the cold tube draws the allowed peak current; 0 if it is too long.
 
-    The current is greatest through the cold tube at rest, whose resistance grows as its length.
+    The current is greatest through the cold tube at rest, whose resistance is proportional to its length.
     """
     tube, rig = plan.tube, plan.rig
-    now, most = full_current(tube, rig, leaking=False), LEAD_PEAK * rig.circuit.peak_limit
-    whole = tube.curved_length + 2 * (rig.mold.lead + rig.clamps.clearance)
-    ohm = rig.battery.voltage / now - rig.battery.internal_resistance - rig.circuit.resistance
-    needed = whole * (1 + rig.battery.voltage * (1 / most - 1 / now) / ohm)
-    each = 0.5 * (needed - tube.curved_length)
+    current, allowed = full_current(tube, rig, leaking=False), PEAK_FRACTION * rig.circuit.peak_limit
+    length = tube.curved_length + 2 * (rig.mold.lead + rig.clamps.clearance)
+    R = rig.battery.voltage / current - rig.battery.internal_resistance - rig.circuit.resistance
+    required = length * (1 + rig.battery.voltage * (1 / allowed - 1 / current) / R)
+    each = 0.5 * (required - tube.curved_length)
     return each if each - rig.clamps.clearance <= spec.lead_range[1] else 0.0
 
 
-def _lead_and_gap(groove: Groove) -> float:
+def _clamp_to_bend(groove: Groove) -> float:
     """Length (m) of tube from a clamp to the bend."""
     return groove.gaps[0] + groove.centreline.lead_in.length
 
 
-def _alike(a: Rig, b: Rig) -> bool:
-    """Whether two rigs as drawn are the same to the heating, to lengths of `SAME_LENGTH`."""
+def _same_rig(a: Rig, b: Rig) -> bool:
+    """True if two rigs as drawn are equal for the heating, to lengths of `SAME_LENGTH`."""
     lengths = [abs(getattr(a.mold, name) - getattr(b.mold, name)) for name in ("lead", "gap", "width", "thickness")]
     lengths.append(abs(a.clamps.clearance - b.clamps.clearance))
-    vents = (vent_profile(rig, np.linspace(0.0, 1.0, VENT_PLACES)) for rig in (a, b))
-    return max(lengths) < SAME_LENGTH and float(np.abs(next(vents) - next(vents)).max()) < SAME_LENGTH
+    vents = [vent_profile(rig, np.linspace(0.0, 1.0, VENT_POINTS)) for rig in (a, b)]
+    return max(lengths) < SAME_LENGTH and float(np.abs(vents[0] - vents[1]).max()) < SAME_LENGTH
 
 
-def _settled(mold: Mold, plan: HeatingPlan) -> bool:
-    """Whether the mold holds what the plan heats, and was drawn with what the plan knows."""
+def _consistent(mold: Mold, plan: HeatingPlan) -> bool:
+    """True if the mold holds the heated tube and has the lead and growth of the heating."""
     groove = mold.grooves[0]
     uneven = abs(groove.centreline.lead_in.length - groove.centreline.lead_out.length)
     differences = [groove.free_length - plan.free_length, uneven, groove.growth - plan.growth]
-    short = 0.0 if math.isinf(plan.cold_end) else plan.cold_end - _lead_and_gap(groove)
-    return max(abs(x) for x in differences) < SAME_LENGTH and short < SAME_LENGTH
+    missing = 0.0 if math.isinf(plan.cold_end) else plan.cold_end - _clamp_to_bend(groove)
+    return max(abs(x) for x in differences) < SAME_LENGTH and missing < SAME_LENGTH
 
 
-def _needed(plan: HeatingPlan) -> str:
-    need = 1e3 * (plan.cold_end + LONGER_LEAD)
-    have = 1e3 * (plan.rig.clamps.clearance + plan.rig.mold.lead)
-    return f"the heating needs {need:.1f} mm from clamp to bend, the mold has {have:.1f} mm"
+def _required_lead(plan: HeatingPlan) -> str:
+    """Message with the required and the present length from clamp to bend."""
+    required = 1e3 * (plan.cold_end + LEAD_RESERVE)
+    present = 1e3 * (plan.rig.clamps.clearance + plan.rig.mold.lead)
+    return f"the heating needs {required:.1f} mm from clamp to bend, the mold has {present:.1f} mm"

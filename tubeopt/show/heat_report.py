@@ -24,9 +24,9 @@ from ..shaping.heating.calibration import BIAS, UNITS, RigFit, kind_of
 from ..shaping.heating.controller import Contribution, Feedback
 from ..shaping.heating.oven import OvenPlan, oven_csv
 from ..shaping.heating.plan import Cure, HeatingPlan, arduino_header, schedule_csv
-from ..shaping.heating.replanning import Leader
+from ..shaping.heating.replanning import Replanner
 from ..shaping.heating.robust import Band
-from ..shaping.heating.thermal import gap_of
+from ..shaping.heating.thermal import uniform_gap_of
 from .quantities import Quantity, columns, described, line, of_field, within
 from .report import Drawing, Report, drawing, grid, remarks, to_text, two_columns
 
@@ -110,7 +110,8 @@ PLAN = described(
     Quantity("clearance_mm", "bare tube between clamp and mold", lambda p: p.rig.clamps.clearance),
     Quantity("lead_mm", "straight tube in the mold on each side", lambda p: p.rig.mold.lead),
     Quantity("side_clearance_um", "side clearance of the tube in its groove", lambda p: p.rig.mold.play),
-    Quantity("gap_um", "uniform gap that conducts as much as the air of the groove", lambda p: gap_of(p.tube, p.rig)),
+    Quantity("gap_um", "uniform gap that conducts as much as the air of the groove",
+             lambda p: uniform_gap_of(p.tube, p.rig)),
     Quantity("curved_length_mm", "curved part of the tube", lambda p: p.tube.curved_length),
     Quantity("free_length_mm", "cold length of tube between the clamps"),
     Quantity("vents_percent", "open part of the surface, from the end of the mold to its middle",
@@ -551,14 +552,14 @@ def with_live_page(study: HeatingRunStudy, out: Path | None, *, shown: bool = Tr
         return study.run_on(out, line, leader, show)
 
 
-def _foretold(row: dict[str, Any], leader: Leader | None) -> list[tuple[str, str]]:
+def _foretold(row: dict[str, Any], leader: Replanner | None) -> list[tuple[str, str]]:
     """State of the rig as estimated by the replanning computer, as text."""
     if leader is None:
         return []
     who = "this computer" if row.get("led") else "the board's own law"
     rest = leader.rest
     # The rest begins at the present slot; what is left of the hold begins as many slots later.
-    hold = () if rest is None else rest.reading[max(leader.planner.law.hold[0] - rest.place, 0) :]
+    hold = () if rest is None else rest.reading[max(leader.planner.law.hold[0] - rest.index, 0) :]
     told = [("led by", f"{who}; the rig heats {100 * leader.strength:+.0f} % more than its file says")]
     return told if not len(hold) else [*told, ("foretold", f"{min(hold):.0f} to {max(hold):.0f} degC in the hold")]
 

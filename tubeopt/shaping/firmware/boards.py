@@ -1,4 +1,4 @@
-"""Boards that can run the firmware, and how they measure."""
+"""Boards that run the firmware, their measurements, and the electrical parts of a rig."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from ..heating.plan import HeatingPlan
 from ..heating.rig import COUNTS, Battery, Circuit, Rig
 
 CONVERTERS = {"max31855": 125, "max6675": 250, "analog": 20}
-"""Converter of a thermocouple, or an analog line such as a camera's, and the least time between two readings, ms: data
-sheets of Maxim, 100 and 220 ms at most, and what is left to be sure."""
+"""Converter of a thermocouple, or an analog line such as a camera's, and the smallest time between two readings, ms:
+data sheets of Maxim, 100 and 220 ms at most, with a reserve."""
 
 READS = {"thermocouple": ("max31855", "max6675"), "camera": ("analog",)}
-"""Sensor -> converters with which the sketch reads it, the usual one first. It reads no temperature from resistance."""
+"""Converters with which the sketch reads each sensor, the default first. It reads no temperature from resistance."""
 
 LOWER = 10e3
-"""Resistor of the divider from the pin to ground, ohm: whatever is above it, the pin sees less than the 10 kohm that
-the ATmega's converter wants of a source (data sheet of the ATmega328P)."""
+"""Resistor of the divider from the pin to ground, ohm. With any upper resistor the source resistance is below the
+10 kohm that the converter of the ATmega requires (data sheet of the ATmega328P)."""
 
-SURPLUS = 1.5
-"""Greatest voltage that can be read, as a multiple of a full battery's at rest: for chargers and peaks of switching,
-and as the ESP32's converter is straight up to about three quarters of its reference."""
+VOLTAGE_RANGE = 1.5
+"""Range of the voltage measurement, as a multiple of a full battery at rest: for chargers and switching peaks; the
+converter of the ESP32 is linear up to about three quarters of its reference."""
 
 HALL = (0.04, 0.02, 0.01, 0.008, 0.005, 0.004, 0.002)
-"""Volt per ampere of Hall sensors that are sold for 100 to 2000 A, whose line rises by 4 V."""
+"""Sensitivities of common Hall sensors for 100 to 2000 A with a span of 4 V, V/A."""
 
-READABLE = 1.2
-"""Greatest current that can be read, at least, as a multiple of the one at which the sketch stops."""
+CURRENT_RANGE = 1.2
+"""Smallest range of the current measurement, as a multiple of the current at which the sketch stops."""
 
 E24 = (
     1.0, 1.1, 1.2, 1.3, 1.5, 1.6, 1.8, 2.0, 2.2, 2.4, 2.7, 3.0, 3.3, 3.6, 3.9, 4.3, 4.7, 5.1, 5.6, 6.2, 6.8, 7.5, 8.2,
@@ -43,20 +43,23 @@ E24 = (
 
 @dataclass(frozen=True)
 class Board:
-    """A board: how its core is called, its PWM frequencies (Hz), the steps and the reference (V) of its converter, and
-    what its pins are called: gate, stop button, chip select, voltage, current, analog temperature."""
+    """Microcontroller board."""
 
     name: str
     title: str
     frequencies: tuple[float, ...]
+    """PWM frequencies that the sketch sets, Hz."""
     steps: int
+    """Steps of the analog-digital converter."""
     reference: float
+    """Reference voltage of the converter, V."""
     pins: dict[str, str]
+    """Pins of gate, stop button, chip select, voltage, current and analog temperature."""
 
 
 AVR_PINS = {"gate": "9", "stop": "2", "select": "10", "voltage": "A0", "current": "A1", "temperature": "A2"}
 ATMEGA = (16e6 / 1024 / 510, 16e6 / 256 / 510)
-"""Of timer 1, phase-correct in 8 bits; a third, 490 Hz, loses more of every pulse to the loop's inductance."""
+"""Frequencies of timer 1, phase-correct in 8 bits, Hz. A third one, 490 Hz, loses more of every pulse to inductance."""
 
 BOARDS = {
     "uno": Board("uno", "Arduino Uno", ATMEGA, 1024, 5.0, AVR_PINS),
@@ -70,15 +73,15 @@ BOARDS = {
         {"gate": "15", "stop": "14", "select": "17", "voltage": "26", "current": "27", "temperature": "28"},
     ),
 }  # fmt: skip
-"""By their names. The Pico's core has no PWM below 100 Hz."""
+"""Boards by name. The Pico's core has no PWM below 100 Hz."""
 
 
 @dataclass(frozen=True)
 class Wiring:
-    """How a board is connected.
+    """Connections of a board.
 
     Raises:
-        InputError: a value is out of its range, or no board of this name.
+        InputError: a value is out of its range, or an unknown board.
     """
 
     board: Annotated[str, OneOf(tuple(BOARDS)), "board: uno, nano, esp32 or pico"] = "uno"
@@ -98,101 +101,98 @@ class Wiring:
 
     @property
     def known(self) -> Board:
-        """The board."""
+        """Board with its pins and converter."""
         return BOARDS[self.board]
 
 
-def converter_for(sensor: str, wanted: str | None = None) -> str:
-    """The converter with which the sketch reads a sensor: `wanted`, or the usual one.
+def converter_for(sensor: str, requested: str | None = None) -> str:
+    """Converter with which the sketch reads a sensor: the requested or the default one.
 
     Raises:
-        InputError: the sketch does not read such a sensor, or not by the converter that is wanted.
+        InputError: the sketch does not read such a sensor, or not by the requested converter.
     """
     if sensor not in READS:
         raise InputError(
             f"sensor is {sensor!r}; for a sketch it must be one of {', '.join(READS)}; "
             "plan_heating(..., sensor=) in Python evaluates other sensors"
         )
-    return READS[sensor][0] if wanted is None else choice(f"converter of a {sensor}", wanted, READS[sensor])
+    return READS[sensor][0] if requested is None else choice(f"converter of a {sensor}", requested, READS[sensor])
 
 
 def upper_resistor(wiring: Wiring, battery: Battery) -> float:
-    """Resistor of the divider from the battery to the pin, ohm: the least of E24 with which `SURPLUS` times the voltage
-    of the full battery is no more than the board's reference; 1 kohm or more."""
+    """Resistor of the divider from the battery to the pin, ohm: the smallest of E24 for the range; at least 1 kohm."""
     _, full = battery.open_circuit[-1]
-    least = max(LOWER * (SURPLUS * full / wiring.known.reference - 1), 1e3)
-    decade = 10.0 ** math.floor(math.log10(least))
-    return next(value * decade for value in (*E24, 10.0) if value * decade >= least)
+    smallest = max(LOWER * (VOLTAGE_RANGE * full / wiring.known.reference - 1), 1e3)
+    decade = 10.0 ** math.floor(math.log10(smallest))
+    return next(value * decade for value in (*E24, 10.0) if value * decade >= smallest)
 
 
 def divider(wiring: Wiring, battery: Battery) -> float:
-    """Voltage of the battery per volt at the pin."""
+    """Ratio of the battery voltage to the voltage at the pin."""
     return 1 + upper_resistor(wiring, battery) / LOWER
 
 
 def hall_slope(wiring: Wiring, circuit: Circuit) -> float:
-    """Volt per ampere of the Hall sensor: as wired, or the greatest of `HALL` with which the over-current limit, times
-    `READABLE`, is no more than the board's reference.
+    """Sensitivity of the Hall sensor, V/A: as wired, or the largest of `HALL` whose range includes the peak limit.
 
     Raises:
-        InputError: the limit cannot be read: by the sensor as wired, or by any.
+        InputError: the range does not include the limit.
     """
     board, limit = wiring.known, circuit.peak_limit
-    steepest = (board.reference - wiring.current_zero) / (READABLE * limit)
-    wired = HALL if wiring.shunt_V_per_A is None else (wiring.shunt_V_per_A,)
-    found = next((slope for slope in wired if slope <= steepest), None)
-    if found is None and wiring.measures_electrics:
-        most = steepest * limit / wired[-1]
+    largest = (board.reference - wiring.current_zero) / (CURRENT_RANGE * limit)
+    sensors = HALL if wiring.shunt_V_per_A is None else (wiring.shunt_V_per_A,)
+    slope = next((slope for slope in sensors if slope <= largest), None)
+    if slope is None and wiring.measures_electrics:
+        max_limit = largest * limit / sensors[-1]
         raise InputError(
             f"peak_limit of the circuit is {limit:g} A; for the {board.title} it must be at "
-            f"most {most:.0f} A (80 % of the range of a Hall sensor of {1e3 * wired[-1]:g} "
+            f"most {max_limit:.0f} A (80 % of the range of a Hall sensor of {1e3 * sensors[-1]:g} "
             "mV/A), so that over-current is detected"
         )
-    return wired[-1] if found is None else found
+    return sensors[-1] if slope is None else slope
 
 
-def pwm_frequency(wiring: Wiring, rig: Rig, wanted: float | None = None) -> float:
-    """The frequency (Hz) of the board that is nearest to `wanted`; by default the lowest, which loses least of a pulse.
+def pwm_frequency(wiring: Wiring, rig: Rig, requested: float | None = None) -> float:
+    """PWM frequency (Hz) of the board nearest to the requested one; default the lowest, with the smallest pulse loss.
 
     Raises:
-        InputError: `wanted` is more than twice or less than half of that, or pulses of the rig lose a tenth of a period
-            or more even so.
+        InputError: the board has no frequency within a factor of 2, or pulses of the rig lose a tenth of a period.
     """
     board = wiring.known
-    found = board.frequencies[0]
-    if wanted is not None:
-        found = min(board.frequencies, key=lambda f: abs(math.log(f / wanted)))
-        if not 0.5 < found / wanted < 2:
+    frequency = board.frequencies[0]
+    if requested is not None:
+        frequency = min(board.frequencies, key=lambda f: abs(math.log(f / requested)))
+        if not 0.5 < frequency / requested < 2:
             known = " or ".join(f"{f:.4g}" for f in board.frequencies)
-            raise InputError(f"pwm_Hz is {wanted:.10g}; the sketch sets pulses of this board to {known} Hz")
-    if rig.circuit.lost_on_time * found >= 0.1:
+            raise InputError(f"pwm_Hz is {requested:.10g}; the sketch sets pulses of this board to {known} Hz")
+    if rig.circuit.lost_on_time * frequency >= 0.1:
         raise InputError(
-            f"lost_on_time of the circuit is {1e6 * rig.circuit.lost_on_time:g} us; at {found:.0f} Hz it must be below "
-            f"{1e5 / found:.0f} us, a tenth of a period"
+            f"lost_on_time of the circuit is {1e6 * rig.circuit.lost_on_time:g} us; at {frequency:.0f} Hz it must be "
+            f"below {1e5 / frequency:.0f} us, a tenth of a period"
         )
-    return found
+    return frequency
 
 
-# --- what else a rig is built of --------------------------------------------------------------------------------------
+# --- parts of a rig ---------------------------------------------------------------------------------------------------
 
 
 FUSES = (5, 10, 15, 20, 25, 30, 40, 50, 60, 70, 80, 100, 125, 150, 175, 200)
-"""A, of blade and bolt fuses (ISO 8820)."""
+"""Ratings of blade and bolt fuses (ISO 8820), A."""
 
-DENSITY = 6.0
-"""Lasting current that copper in free air bears, A/mm2 rms, for cables of some metres: assumed, on the safe side of IEC
-60364-5-52 for single cores up to 25 mm2."""
+CURRENT_DENSITY = 6.0
+"""Largest continuous current of copper in free air, A/mm2 rms, for cables of some metres: assumed, on the safe side of
+IEC 60364-5-52 for single cores up to 25 mm2."""
 
 CABLES = (1.5, 2.5, 4, 6, 10, 16, 25, 35, 50)
-"""mm2, of stranded cables (IEC 60228)."""
+"""Sections of stranded cables (IEC 60228), mm2."""
 
-SPARE = 1.25
-"""By which a fuse, a cable and a MOSFET are rated above what flows."""
+SAFETY = 1.25
+"""Safety factor on the currents of fuse, cable and MOSFET."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a rig."""
+    """Electrical part of a rig."""
 
     name: Annotated[str, form("s", label="part"), "name of the part"]
     rating: Annotated[str, form("s", label="rating"), "required rating"]
@@ -200,18 +200,18 @@ class Part:
 
 
 def root_mean_square(plan: HeatingPlan) -> float:
-    """Greatest current of the plan as a root mean square over 10 s, A: what warms cables and fuses."""
+    """Largest root mean square current over 10 s, A: what heats cables and fuses."""
     square = plan.duty / COUNTS * plan.current**2
     window = max(round(10.0 / plan.spec.slot), 1)
     return float(math.sqrt(np.convolve(square, np.ones(window) / window, mode="valid").max()))
 
 
 def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
-    """Everything between battery and tube, rated for the plan's currents, and the board's own parts."""
+    """Parts between battery and tube, rated for the plan's currents, and those of the board."""
     rms, peak, rest = root_mean_square(plan), plan.peak_current, plan.rig.battery.voltage
-    fuse = next((size for size in FUSES if size >= SPARE * rms), FUSES[-1])
+    fuse = next((size for size in FUSES if size >= SAFETY * rms), FUSES[-1])
     # A cable must outlive its fuse.
-    cable = next((size for size in CABLES if DENSITY * size >= max(SPARE * rms, fuse)), CABLES[-1])
+    cable = next((size for size in CABLES if CURRENT_DENSITY * size >= max(SAFETY * rms, fuse)), CABLES[-1])
     heat = rms**2 * plan.rig.circuit.mosfet_resistance
     current = f"{rms:.0f} A rms, {peak:.0f} A while on"
     sensor = {
@@ -219,19 +219,19 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
         "max6675": "thermocouple type K 0.25 mm, its bead insulated, with MAX6675",
         "analog": f"0 to {wiring.known.reference:g} V line of a camera or amplifier",
     }[wiring.converter]
-    bears = math.ceil(2.5 * rest / 10) * 10
+    voltage = math.ceil(2.5 * rest / 10) * 10
     resistance = 1e3 * plan.rig.circuit.mosfet_resistance
     reference, ratio = wiring.known.reference, divider(wiring, plan.rig.battery)
     upper = f"{upper_resistor(wiring, plan.rig.battery) / 1e3:g}"
     slope, limit = hall_slope(wiring, plan.rig.circuit), plan.rig.circuit.peak_limit
-    hall = f"Hall, {math.ceil(max(SPARE * peak, READABLE * limit) / 50) * 50} A, {1e3 * slope:g} mV/A"
+    hall = f"Hall, {math.ceil(max(SAFETY * peak, CURRENT_RANGE * limit) / 50) * 50} A, {1e3 * slope:g} mV/A"
     return (
         Part("fuse", f"{fuse} A, slow, at the battery's plus", current),
         Part("cable", f"{cable:g} mm2 copper, as short as can be", current),
-        Part("MOSFET", f"{bears} V, {math.ceil(SPARE * peak / 10) * 10} A, logic level, at most {resistance:g} mohm",
+        Part("MOSFET", f"{voltage} V, {math.ceil(SAFETY * peak / 10) * 10} A, logic level, at most {resistance:g} mohm",
              f"{peak:.0f} A while on; warms by {heat:.1f} W"),
         Part("gate driver", "2 A or more, 10 kohm from gate to source", "without signal the switch must stay off"),
-        Part("diode", f"Schottky, {bears} V, {math.ceil(peak / 10) * 10} A of pulse, across the tube",
+        Part("diode", f"Schottky, {voltage} V, {math.ceil(peak / 10) * 10} A of pulse, across the tube",
              "the loop's inductance"),
         Part("emergency stop", "normally closed, in the gate driver's supply, second contact to the board",
              "stops without the board too"),

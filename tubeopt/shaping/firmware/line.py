@@ -1,4 +1,4 @@
-"""What a computer says to a rig and hears from it, one JSON object a line, over a port; and a rig in place of a rig."""
+"""Connection of a computer to a rig: one JSON object a line over a serial port; and a simulated rig."""
 
 from __future__ import annotations
 
@@ -13,118 +13,116 @@ from typing import Any
 import numpy as np
 
 from ...constants import ZERO_CELSIUS
-from ...errors import InputError, SolveError, import_extra
-from ...physics.heat import PROPERTIES
-from ..heating.controller import HeatingLaw, begin, decide
+from ...errors import InputError, SolveError, extra
+from ..heating.controller import HeatingLaw, LawState, decide
 from ..heating.rig import COUNTS
-from ..heating.sensors import Felt, Sensor
-from ..heating.simulation import State, current
+from ..heating.sensors import MeasuredRig, Sensor
+from ..heating.simulation import State, circuit_state
 from ..heating.thermal import ThermalModel
 
 BAUD = 115200
 
 
 @contextlib.contextmanager
-def _lost() -> Iterator[None]:
-    """Say of a port that it is gone."""
+def _port_errors() -> Iterator[None]:
+    """Turn errors of a port into SolveError."""
     try:
         yield
-    except OSError as error:  # of which the exceptions of pyserial are
+    except OSError as error:  # base class of the exceptions of pyserial
         raise SolveError(f"the connection to the rig is lost: {error}; check that the rig is off") from None
 
 
 class SerialLine:
-    """The serial port of a board that runs the sketch.
+    """Serial port of a board that runs the sketch.
 
     Raises:
-        InputError: pyserial is not installed, or there is no such port, or it cannot be opened.
+        InputError: pyserial is not installed, or the port does not exist or cannot be opened.
     """
 
     def __init__(self, port: str) -> None:
-        serial = import_extra("serial", "rig", "rigs on a port")
+        serial = extra("serial", "rig", "rigs on a port")
         try:
             self._port = serial.Serial(port, BAUD, timeout=1.0)
         except (serial.SerialException, ValueError, OSError) as error:
             raise InputError(f"--port is {port!r}; it must be a serial port that can be opened: {error}") from None
-        self._rest = b""
+        self._buffer = b""
 
-    def send(self, do: str, **more: Any) -> None:
-        """Send a command; raises SolveError where the port is gone."""
-        with _lost():
-            self._port.write((json.dumps({"do": do, **more}, separators=(",", ":")) + "\n").encode())
+    def send(self, do: str, **arguments: Any) -> None:
+        """Send a command; raises SolveError if the port is gone."""
+        with _port_errors():
+            self._port.write((json.dumps({"do": do, **arguments}, separators=(",", ":")) + "\n").encode())
 
     def receive(self) -> dict[str, Any] | None:
-        """The next report, {} for what is none, None where nothing came within a second; errors as `send`."""
-        with _lost():
-            self._rest += self._port.readline()
-        if not self._rest.endswith(b"\n"):
+        """Next report, {} for an invalid one, None if nothing came within a second; errors as `send`."""
+        with _port_errors():
+            self._buffer += self._port.readline()
+        if not self._buffer.endswith(b"\n"):
             return None
-        text, self._rest = self._rest, b""
+        text, self._buffer = self._buffer, b""
         try:
-            found = json.loads(text)
+            report = json.loads(text)
         except ValueError:
             return {}
-        return found if isinstance(found, dict) else {}
+        return report if isinstance(report, dict) else {}
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the port."""
         self._port.close()
 
 
 @dataclass
 class SimulatedRig:
-    """One member of a thermal model that is switched and read like a rig."""
+    """Rig of one member that is switched and measured like a real one."""
 
     model: ThermalModel
-    """Of one member."""
     sensor: Sensor
     bias: float = 0.0
-    """Of the sensor where `hot` is reached, K."""
+    """Bias of the sensor at the temperature `hot`, K."""
     hot: float = 550.0
-    """degC."""
+    """Temperature at which the bias is reached, degC."""
     seed: int = 0
-    """Of the sensor's noise."""
+    """Seed of the sensor's noise."""
     time: float = field(default=0.0, init=False)
-    """s."""
+    """Time since the start of the simulation, s."""
 
     def __post_init__(self) -> None:
-        self._felt = Felt.at_rest(self.model, self.sensor)
-        self._ends = float(self._felt.target[0]), self.hot
+        self._rig = MeasuredRig.at_rest(self.model, self.sensor)
+        self._ends = float(self._rig.target[0]), self.hot
         self._rng = np.random.default_rng(self.seed)
 
     @property
     def state(self) -> State:
-        """Temperatures, and what else the model remembers."""
-        return self._felt.state
+        """State of the thermal model."""
+        return self._rig.state
 
     def pass_time(self, count: int, span: float) -> None:
-        """Let `span` seconds go by with the switch at `count`."""
-        self._felt = self._felt.after(self.model, self.sensor, count / COUNTS, span)
+        """Simulate `span` seconds with the switch at `count`."""
+        self._rig = self._rig.after(self.model, self.sensor, count / COUNTS, span)
         self.time += span
 
     @property
     def reading(self) -> float:
-        """What the sensor shows, degC."""
-        return float(self.sensor.shown(self._felt.lagged, self.bias, self._ends, self._rng)[0])
+        """Reading of the sensor, degC; every call has its own noise."""
+        return float(self.sensor.shown(self._rig.lagged, self.bias, self._ends, self._rng)[0])
 
     def electrics(self, conducting: bool) -> tuple[float, float]:
-        """Voltage of the battery, V, and current, A, while the switch conducts or while it does not."""
-        now = current(self.model, self.state.cells[:, :, 0], self.state.lumped)
-        volt, ampere = float(now.terminal_voltage[0]), float(now.total[0])
-        if conducting:
-            return volt, ampere
-        return volt + ampere * float(self.model.properties[0, PROPERTIES.index("internal")]), 0.0
+        """Battery voltage, V, and current, A, while the switch conducts or is open."""
+        circuit = circuit_state(self.model, self.state.cells[:, :, 0], self.state.lumped)
+        V, I_on = float(circuit.V_terminal[0]), float(circuit.I_on[0])
+        return (V, I_on) if conducting else (V + I_on * float(self.model.parameter("R_internal")[0]), 0.0)
 
     @property
     def hottest(self) -> float:
-        """Hottest point of the tube, K."""
+        """Temperature of the hottest point of the tube, K."""
         return float(self.state.cells[:, :, 0].max())
 
 
 class SimulatedLine:
-    """A simulated rig that a law leads, in place of a board.
+    """Simulated rig under a control law, with the commands and reports of a board.
 
-    speed: of its clock, in seconds of the rig per second; infinite for as fast as can be.
+    Args:
+        limit: reading at which it stops, degC.
+        speed: seconds of the rig per second of the clock; infinite for as fast as possible.
     """
 
     def __init__(
@@ -136,97 +134,86 @@ class SimulatedLine:
         window: tuple[float, float] | None = None,
     ) -> None:
         self._rig, self._law, self._limit, self._speed, self._window = rig, law, limit, speed, window
-        self._lead: deque[float] = deque()
-        self._memory = begin(1)
+        self._override: deque[float] = deque()
+        self._law_state = LawState.start(1)
         self._count, self._running, self._dry, self._reason, self._state = 0, False, False, "", "idle"
-        self._heard: deque[dict[str, Any]] = deque()
-        self._hello()
+        self._reports: deque[dict[str, Any]] = deque()
+        self.send("hello")
 
-    def _hello(self) -> None:
-        slot = round(1000 * self._law.slot)
-        self._heard.append(
-            {
-                "event": "hello",
-                "firmware": "simulated",
-                "schedule": "",
-                "slots": len(self._law.planned),
-                "slot_ms": slot,
-                "window_degC": self._window,
-            }
-        )
-
-    def send(self, do: str, **more: Any) -> None:
-        """Send a command."""
+    def send(self, do: str, **arguments: Any) -> None:
+        """Send a command: "start", "stop", "hello", "lead" or "status"."""
         if do == "start" and not self._running:
-            self._running, self._dry, self._memory = True, bool(more.get("dry")), begin(1)
-            self._lead.clear()
+            self._running, self._dry, self._law_state = True, bool(arguments.get("dry")), LawState.start(1)
+            self._override.clear()
         elif do == "stop" and self._running:
             self._end("stopped by command")
         elif do == "hello":
-            self._hello()
+            report = {"event": "hello", "firmware": "simulated", "schedule": "", "slots": len(self._law.planned)}
+            self._reports.append({**report, "slot_ms": round(1000 * self._law.slot), "window_degC": self._window})
         elif do == "lead":
-            self._lead = deque(np.linspace(more["from"] / 100, more["to"] / 100, more["slots"]).tolist())
+            counts = np.linspace(arguments["from"] / 100, arguments["to"] / 100, arguments["slots"])
+            self._override = deque(counts.tolist())
         else:
-            self._heard.append(self._status())
+            self._reports.append(self._status())
 
     def receive(self) -> dict[str, Any] | None:
-        """The next report; a slot of the rig goes by where none waits."""
-        if self._heard:
-            return self._heard.popleft()
+        """Next report; without one, a slot of the rig is simulated."""
+        if self._reports:
+            return self._reports.popleft()
         if not self._running:
             return None
-        law, place = self._law, int(self._memory.place[0])
-        if self._dry:  # without current the tube would never come to where the schedule waits for it
+        law, index = self._law, int(self._law_state.index[0])
+        if self._dry:  # without current the tube would never reach the reference: do not wait for it
             law = replace(law, holdback=np.inf)
         reading = self._rig.reading
         if reading > self._limit:
             self._end("over-temperature")
-        elif place >= len(law.planned):
+        elif index >= len(law.planned):
             self._end("done")
-        elif self._memory.waited[0] > law.patience:
+        elif self._law_state.waited[0] > law.patience:
             self._end("behind schedule")
         else:
-            lead = self._lead.popleft() if self._lead else np.nan
-            count, self._memory = decide(law, self._memory, np.array([reading]), lead)
+            override = self._override.popleft() if self._override else np.nan
+            count, self._law_state = decide(law, self._law_state, np.array([reading]), override)
             self._count = int(count[0])
-            self._state = "holding" if place >= law.hold[0] else "heating"
-            self._heard.append(self._status(reading))
+            self._state = "holding" if index >= law.hold[0] else "heating"
+            self._reports.append(self._status(reading))
             self._rig.pass_time(0 if self._dry else self._count, law.slot)
             if np.isfinite(self._speed):
                 time.sleep(law.slot / self._speed)
-        return self._heard.popleft()
+        return self._reports.popleft()
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing: there is no port."""
 
     @property
     def hottest(self) -> float:
-        """Hottest point of the simulated tube, degC."""
+        """Temperature of the hottest point of the simulated tube, degC."""
         return self._rig.hottest - ZERO_CELSIUS
 
     def _end(self, reason: str) -> None:
         self._running, self._count, self._reason, self._state = False, 0, reason, "stopped"
-        self._heard.append(self._status())
+        self._reports.append(self._status())
 
     def _status(self, reading: float | None = None) -> dict[str, Any]:
-        volt, ampere = self._rig.electrics(self._count > 0 and not self._dry)
-        place = int(self._memory.place[0])
+        V, current = self._rig.electrics(self._count > 0 and not self._dry)
+        index = int(self._law_state.index[0])
         return {
             "event": "status",
             "state": self._state,
             "time_s": round(self._rig.time, 3),
             "temperature_degC": self._rig.reading if reading is None else reading,
-            "reference_degC": float(self._law.reference[min(place, len(self._law.reference) - 1)]),
+            "reference_degC": float(self._law.reference[min(index, len(self._law.reference) - 1)]),
             "count": self._count,
-            "place": place,
-            # In the steps of the sketch's own reports.
-            "voltage_V": round(volt, 2),
-            "current_A": round(ampere, 1),
+            "place": index,
+            # With the resolution of the sketch's own reports.
+            "voltage_V": round(V, 2),
+            "current_A": round(current, 1),
             "reason": self._reason,
             "dry": self._dry,
-            "led": bool(self._lead),
+            "led": bool(self._override),
         }
 
 
 Line = SerialLine | SimulatedLine
-"""A line to a rig."""
+"""Connection to a rig."""

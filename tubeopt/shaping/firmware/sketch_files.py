@@ -1,4 +1,4 @@
-"""The sketch that runs a law on a board: sources that are the same for all, and two headers of numbers."""
+"""Files of the sketch that runs a control law on a board: fixed sources, and two generated headers."""
 
 from __future__ import annotations
 
@@ -25,33 +25,33 @@ SOURCES = (
     "heater.h", "heater.cpp", "hardware.h", "converter.h", "hardware_avr.cpp", "hardware_arduino.cpp", f"{NAME}.ino",
 )  # fmt: skip
 HOST = "host.cpp"
-"""The board in place of a board, for tests on a computer."""
+"""Simulated board, for tests on a computer."""
 
 CENTS, TENTHS = 100, 10
-"""Steps of a count, and of a kelvin, in the tables."""
+"""Steps per count, and per kelvin, in the tables."""
 
 COLDEST = -50.0
-"""degC, zero of the table of temperatures."""
+"""Zero of the table of temperatures, degC."""
 
 TICK = 0.1
-"""Time between two looks at what must never be, s, at most."""
+"""Longest time between two checks of the safety limits, s."""
 
 OVERSHOOT = 8.0
 """Reading above the limit, K, at which the firmware stops."""
 
 LEAKING, LEAKING_STEPS = 4.0, 3
-"""Current beside the pulses, A, above which the switch is stuck; and so many steps of the converter at least."""
+"""Current between pulses above which the switch counts as stuck, A; at least so many steps of the converter."""
 
 STUCK_RISE, STUCK_MS = 3.0, 300
-"""A reading that did not move for so long, ms, while the schedule rose by so much, K, is of a thermometer that lost
-touch: longer than a conversion takes, and more than the steps of a converter."""
+"""A thermometer counts as detached if its reading is constant while the schedule rises by so much, K, for so long, ms:
+more than the resolution of a converter, and longer than a conversion."""
 
 CHARGES = (1.0, 0.8, 0.6)
-"""States of charge for which the sketch holds a schedule; the sensor's law sees to what lies between."""
+"""States of charge for which the sketch has a schedule; between them the feedback corrects."""
 
 
 def tabled(law: HeatingLaw) -> HeatingLaw:
-    """The law with the numbers that the tables of the sketch hold."""
+    """Law with its numbers rounded as in the tables of the sketch."""
     return replace(
         law,
         planned=np.round(law.planned * CENTS) / CENTS,
@@ -60,7 +60,7 @@ def tabled(law: HeatingLaw) -> HeatingLaw:
 
 
 def _float(value: float) -> str:
-    """A number as a literal of C++."""
+    """Number as a C++ literal."""
     return f"({float(f'{value:.8g}')!r}f)"
 
 
@@ -72,11 +72,44 @@ def _rows(name: str, values: Array) -> str:
 
 
 def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tuple[float, Array]]) -> str:
-    """schedule.h.   tables: voltage at rest, V, and counts of effect (T,) of each, the fullest battery first."""
-    law = tabled(feedback.law)
+    """Text of schedule.h: tables, law and safety limits.
+
+    Args:
+        tables: voltage at rest, V, and effective counts (T,) of each, the fullest battery first.
+    """
+    law, rig, sensor = tabled(feedback.law), plan.rig, feedback.sensor
     slot = slot_milliseconds(law.slot)
     ticks = next(n for n in range(math.ceil(law.slot / TICK), slot + 1) if slot % n == 0)
-    numbers = _numbers(plan, feedback, slot, ticks, len(tables))
+    full = full_current(plan.tube, rig)
+    sagging = rig.battery.internal_resistance + rig.battery.sag_resistance
+    numbers = {
+        "SLOTS": f"{len(law.planned)}u",
+        "WINDOW_LOW": str(round(plan.spec.window_degC[0])),
+        "WINDOW_HIGH": str(round(plan.spec.window_degC[1])),
+        "HOLD_FIRST": f"{law.hold[0]}u",
+        "SLOT_MS": f"{slot}u",
+        "TICKS_PER_SLOT": f"{ticks}u",
+        "TICK_MS": f"{slot // ticks}u",
+        "TABLES": f"{len(tables)}u",
+        "PROPORTIONAL": _float(law.proportional),
+        "INTEGRAL": _float(law.integral),
+        "SHARE": _float(law.share),
+        "HOLDBACK": _float(law.holdback),
+        "PATIENCE_MS": f"{round(1000 * law.patience)}ul",
+        "LONGEST_MS": f"{round(1000 * law.longest)}ul",
+        "LOST": _float(law.lost),
+        "TOO_HOT": _float(plan.spec.limit + OVERSHOOT),
+        "LOWEST_READING": _float(sensor.lowest),
+        "HIGHEST_READING": _float(sensor.highest),
+        "START_BELOW": "80.0f",
+        "STUCK_WITHIN": _float(max(0.5 * sensor.quantum, 0.02)),
+        "STUCK_RISE": _float(max(STUCK_RISE, 8 * sensor.quantum)),
+        "STUCK_MS": f"{STUCK_MS}ul",
+        "STUCK_HOLDING_MS": "20000ul",
+        "MOST_AMPERE": _float(rig.circuit.peak_limit),
+        "LEAST_AMPERE": _float(0.3 * full),
+        "LOWEST_VOLT": _float(rig.battery.open_circuit[0][1] - sagging * full),
+    }
     body = "".join(_rows(f"PLANNED_{k}", np.round(planned * CENTS)) for k, (_, planned) in enumerate(tables))
     body += _rows("REFERENCE", np.round((law.reference - COLDEST) * TENTHS))
     volts = ", ".join(f"{volt:.3f}f" for volt, _ in tables)
@@ -116,45 +149,8 @@ static inline float reference_at(uint16_t k) {{
 """
 
 
-def _numbers(plan: HeatingPlan, feedback: Feedback, slot: int, ticks: int, tables: int) -> dict[str, str]:
-    """What schedule.h defines: the law, and where it must stop."""
-    law, rig, sensor = tabled(feedback.law), plan.rig, feedback.sensor
-    first, _ = law.hold
-    full = full_current(plan.tube, rig)
-    sagging = rig.battery.internal_resistance + rig.battery.sag_resistance
-    lowest = rig.battery.open_circuit[0][1] - sagging * full
-    return {
-        "SLOTS": f"{len(law.planned)}u",
-        "WINDOW_LOW": str(round(plan.spec.window_degC[0])),
-        "WINDOW_HIGH": str(round(plan.spec.window_degC[1])),
-        "HOLD_FIRST": f"{first}u",
-        "SLOT_MS": f"{slot}u",
-        "TICKS_PER_SLOT": f"{ticks}u",
-        "TICK_MS": f"{slot // ticks}u",
-        "TABLES": f"{tables}u",
-        "PROPORTIONAL": _float(law.proportional),
-        "INTEGRAL": _float(law.integral),
-        "SHARE": _float(law.share),
-        "HOLDBACK": _float(law.holdback),
-        "PATIENCE_MS": f"{round(1000 * law.patience)}ul",
-        "LONGEST_MS": f"{round(1000 * law.longest)}ul",
-        "LOST": _float(law.lost),
-        "TOO_HOT": _float(plan.spec.limit + OVERSHOOT),
-        "LOWEST_READING": _float(sensor.lowest),
-        "HIGHEST_READING": _float(sensor.highest),
-        "START_BELOW": "80.0f",
-        "STUCK_WITHIN": _float(max(0.5 * sensor.quantum, 0.02)),
-        "STUCK_RISE": _float(max(STUCK_RISE, 8 * sensor.quantum)),
-        "STUCK_MS": f"{STUCK_MS}ul",
-        "STUCK_HOLDING_MS": "20000ul",
-        "MOST_AMPERE": _float(rig.circuit.peak_limit),
-        "LEAST_AMPERE": _float(0.3 * full),
-        "LOWEST_VOLT": _float(lowest),
-    }
-
-
 def board_header(wiring: Wiring, rig: Rig) -> str:
-    """board.h: pins, frequency, and how the board measures."""
+    """Text of board.h: pins, PWM frequency and measurements."""
     board, frequency = wiring.known, rig.circuit.pwm_frequency
     volt = board.reference / board.steps
     prescaler = min((1024, 256, 64), key=lambda p: abs(16e6 / p / 510 - frequency))
@@ -188,27 +184,27 @@ def board_header(wiring: Wiring, rig: Rig) -> str:
 
 
 def schedules(plan: HeatingPlan, feedback: Feedback) -> list[tuple[float, Array]]:
-    """Voltage at rest and counts of effect for several states of charge, the fullest battery first."""
+    """Voltage at rest and effective counts for several states of charge, the fullest battery first."""
     law, lost = feedback.law, COUNTS * plan.rig.circuit.lost_share
-    found = [(plan.rig.battery.voltage, law.planned)]
+    tables = [(plan.rig.battery.voltage, law.planned)]
     for charge in sorted({c for c in CHARGES if c < plan.rig.battery.state_of_charge - 0.05}, reverse=True):
-        other = at_charge(plan, charge)
-        found.append((other.rig.battery.voltage, np.maximum(prolonged(other, len(law.planned)) - lost, 0.0)))
-    return found
+        scaled = at_charge(plan, charge)
+        tables.append((scaled.rig.battery.voltage, np.maximum(prolonged(scaled, len(law.planned)) - lost, 0.0)))
+    return tables
 
 
 def write_sketch(
     plan: HeatingPlan, feedback: Feedback, wiring: Wiring, directory: Path, *, host: bool = False
 ) -> list[Path]:
-    """Write the sketch into `directory`/tube_heater; return the paths.
+    """Write the sketch into `directory`/tube_heater and return the paths.
 
-    The pulses have the frequency of the plan's rig: it must be one that the board has.
+    The PWM frequency is that of the plan's rig: the board must support it.
 
     Args:
-        host: also host.cpp, with which it runs on a computer.
+        host: also write host.cpp, which runs the sketch on a computer.
 
     Raises:
-        InputError: the slot is no whole number of milliseconds, or pulses lose too much.
+        InputError: the slot is no whole number of milliseconds, or the pulse loss is too large.
     """
     folder = directory / NAME
     texts = {

@@ -1,4 +1,4 @@
-"""What a schedule of whole counts keeps and what it breaks: window, limit, ramp and currents, within slots too."""
+"""Comparison of a simulated schedule with its requirements: window, limit, ramp and currents, also within slots."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from ...physics.heat_functions import CHARGE
 from .rig import COUNTS, Rig
 from .simulation import History, resimulate
 from .spec import HeatingSpec
-from .thermal import ThermalModel, joined, seen
+from .thermal import ThermalModel, curved_temperatures, tube_extremes
 
-LEAST_CHARGE = 0.2
+MIN_CHARGE = 0.2
 """State of charge below which lead-acid batteries suffer."""
 
 BROKEN = {
@@ -26,28 +26,27 @@ BROKEN = {
     "peak_current": "while the MOSFET conducts the current is {} A; the circuit allows {:g} A at any duty",
     "mean_current": "the mean current reaches {} A; the circuit allows {:g} A",
 }
-"""What is said of a limit that is not kept: the value, and the limit."""
+"""Message for a violated limit, with the value and the limit."""
 
 COARSE_COUNT = (
     ": a single count is too coarse for it; a battery of less voltage, or a resistor in series, makes counts finer"
 )
-"""What is added where one count alone breaks the ramp of the cold tube."""
+"""Addition to the message where one count alone exceeds the ramp of the cold tube."""
 
 
 @dataclass(frozen=True)
 class MeshError:
-    """Error of the temperatures of the fine grid, K, from a grid half as fine (Richardson): the methods are of second
-    order."""
+    """Error of the temperatures of the fine grid by Richardson extrapolation from a grid half as fine, K."""
 
-    held: float
-    """Of the coldest and of the hottest place of the curved part during the hold."""
+    hold: float
+    """Error of the coldest and hottest point of the curved part during the hold."""
     hottest: float
-    """Of the hottest point at any time."""
+    """Error of the hottest point at any time."""
 
     @property
-    def most(self) -> float:
-        """The greater of the two."""
-        return max(self.held, self.hottest)
+    def largest(self) -> float:
+        """Larger one of the two errors, K."""
+        return max(self.hold, self.hottest)
 
 
 NO_ERROR = MeshError(0.0, 0.0)
@@ -55,90 +54,102 @@ NO_ERROR = MeshError(0.0, 0.0)
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of what was asked, within slots too."""
+    """Temperatures, heating rate and currents of a schedule compared with their limits, also within slots."""
 
     lowest: Annotated[float, unit("degC"), "lowest temperature of the curved part in the hold"]
     highest: Annotated[float, unit("degC"), "highest temperature of the curved part in the hold"]
     hottest: Annotated[float, unit("degC"), "highest temperature of any point at any time"]
     shortfall: Annotated[float, unit("K"), "miss of window and limit"]
-    """Each with its mesh error."""
+    """Mesh errors are included."""
     excess: float
-    """By how much the hottest point is above the limit, its mesh error included, K."""
+    """Excess of the hottest point over the limit, mesh error included, K."""
     mesh: MeshError
     """Error of these temperatures by the grid."""
     ramp: Annotated[float, unit("K_per_s"), "largest heating rate, mean over a slot"]
-    """Of any point outside the clamps."""
+    """Largest over all points outside the clamps."""
     steepest: Annotated[float, unit("K_per_s"), "largest heating rate at any instant"]
-    """With the duty taken as a mean power: what the specification limits."""
+    """The duty is taken as a mean power; this rate is limited by the specification."""
     mean_current: Annotated[float, unit("A"), "largest product of current and duty"]
     peak_current: Annotated[float, unit("A"), "largest current while the MOSFET conducts"]
     broken: Annotated[tuple[str, ...], "ramp or currents that exceed their limits"]
-    """As text, with the excess."""
+    """Messages with value and limit."""
 
     @property
-    def kept(self) -> bool:
-        """Whether window, limit, ramp and currents are all kept."""
+    def feasible(self) -> bool:
+        """True if window, limit, ramp and currents are all satisfied."""
         return self.shortfall <= 0.0 and not self.broken
 
 
 def outcome_of(
     model: ThermalModel, rig: Rig, spec: HeatingSpec, history: History, start: float, mesh: MeshError = NO_ERROR
 ) -> Outcome:
-    """The outcome of what `resimulate` simulated, whose hold begins at `start`, s; with the error of its mesh."""
+    """Outcome of a history of `resimulate` whose hold starts at `start`, s."""
     within = history.within
     assert within is not None
     first, last = hold_slots(spec, start)
-    lowest = float(joined(model, within.coldest[first:last]).min()) - ZERO_CELSIUS
-    highest = float(joined(model, within.hottest[first:last]).max()) - ZERO_CELSIUS
+    lowest = float(curved_temperatures(model, within.coldest[first:last]).min()) - ZERO_CELSIUS
+    highest = float(curved_temperatures(model, within.hottest[first:last]).max()) - ZERO_CELSIUS
     hottest = float(within.hottest.max()) - ZERO_CELSIUS
     low, high = spec.window_degC
     excess = max(hottest + mesh.hottest - spec.limit, 0.0)
-    miss = max(low - lowest + mesh.held, highest - high + mesh.held, excess)
-    warming = history.tube[1:, 0] - history.tube[:-1, 0]
-    ramp = float(warming[:, model.zone > GRIP].max() / (history.time[1] - history.time[0]))
-    found = {"steepest": within.rate, "mean_current": within.mean_current, "peak_current": within.current}
+    miss = max(low - lowest + mesh.hold, highest - high + mesh.hold, excess)
+    rises = history.tube[1:, 0] - history.tube[:-1, 0]
+    limited = {"steepest": within.rate, "mean_current": within.mean_current, "peak_current": within.current}
     return Outcome(
-        lowest, highest, hottest, max(miss, 0.0), excess, mesh, ramp, **found, broken=broken(rig, spec, found, model)
+        lowest=lowest,
+        highest=highest,
+        hottest=hottest,
+        shortfall=max(miss, 0.0),
+        excess=excess,
+        mesh=mesh,
+        ramp=float(rises[:, model.zone > GRIP].max() / (history.time[1] - history.time[0])),
+        **limited,
+        broken=broken(rig, spec, limited, model),
     )
 
 
 def hold_slots(spec: HeatingSpec, start: float) -> tuple[int, int]:
-    """First slot of the hold, and the slot before which it ends."""
+    """First slot of the hold, and the first slot after it."""
     first = round(start / spec.slot)
     return first, first + spec.hold_slots
 
 
 def broken(
-    rig: Rig, spec: HeatingSpec, found: Mapping[str, float], model: ThermalModel | None = None
+    rig: Rig, spec: HeatingSpec, values: Mapping[str, float], model: ThermalModel | None = None
 ) -> tuple[str, ...]:
-    """In words, which of ramp and currents are beyond their limits; K/s and A by their names in `Outcome`. With a
-    model, also whether a single count is too coarse for the ramp."""
+    """Messages for ramp and currents (K/s and A by their names in `Outcome`) that exceed their limits.
+
+    With a model, the message for the ramp says whether a single count is too coarse for it.
+    """
     circuit = rig.circuit
     limits = {"steepest": spec.ramp, "peak_current": circuit.peak_limit, "mean_current": circuit.current_limit}
-    beyond = {name: limit for name, limit in limits.items() if found[name] > limit}
-    words = {name: BROKEN[name].format(_above(found[name], limit), limit) for name, limit in beyond.items()}
-    if "steepest" in words and model is not None and count_warms(model, rig, spec) > spec.ramp:
-        words["steepest"] += COARSE_COUNT
-    return tuple(words.values())
+    messages = {
+        name: BROKEN[name].format(_distinct(values[name], limit), limit)
+        for name, limit in limits.items()
+        if values[name] > limit
+    }
+    if "steepest" in messages and model is not None and count_rate_of(model, rig, spec) > spec.ramp:
+        messages["steepest"] += COARSE_COUNT
+    return tuple(messages.values())
 
 
-def one_count(rig: Rig) -> int:
-    """The least count that heats as much as one does where no pulse loses anything."""
+def effective_count(rig: Rig) -> int:
+    """Smallest count that heats at least as much as one count of a circuit without inductance."""
     return math.ceil(1 + COUNTS * rig.circuit.lost_share - 1e-9)
 
 
-def count_warms(model: ThermalModel, rig: Rig, spec: HeatingSpec) -> float:
-    """Fastest warming of the cold tube outside of the clamps by one count in one slot, K/s.
+def count_rate_of(model: ThermalModel, rig: Rig, spec: HeatingSpec) -> float:
+    """Largest heating rate of the cold tube outside the clamps by one count in one slot, K/s.
 
-    It is not fastest at once where contacts heat the tube in the clamps, which warms the tube beside them.
+    It may occur late: contacts heat the tube in the clamps, which warms the tube beside them.
     """
-    within = resimulate(model, spec.slot, [one_count(rig) / COUNTS]).within
+    within = resimulate(model, spec.slot, [effective_count(rig) / COUNTS]).within
     assert within is not None
     return within.rate
 
 
-def _above(value: float, limit: float) -> str:
-    """A value with as many digits as show that it is above its limit."""
+def _distinct(value: float, limit: float) -> str:
+    """Value with as many digits as show that it exceeds its limit."""
     for digits in range(1, 6):
         if float(f"{value:.{digits}f}") > limit:
             return f"{value:.{digits}f}"
@@ -146,36 +157,37 @@ def _above(value: float, limit: float) -> str:
 
 
 def remarks(rig: Rig, history: History, wall: float) -> tuple[str, ...]:
-    """What else rig and mold suffer, in words; `wall` is the hottest temperature of the groove, K."""
-    found = []
+    """Remarks on mold and battery; `wall` is the hottest temperature of the groove, K."""
+    messages = []
     mold = rig.mold.material
     if wall > mold.limit_temperature:
-        found.append(
+        messages.append(
             f"the mold of {mold.name.replace('_', ' ')} {mold.failure} above {mold.limit_temperature_degC:.0f} degC; "
             f"its groove reaches {math.ceil(wall - ZERO_CELSIUS)} degC"
         )
     left = rig.battery.state_of_charge - float(history.lumped[-1, 0, CHARGE])
     if left < 0:
         used = rig.battery.state_of_charge - left
-        found.append(
+        messages.append(
             f"the heating takes {100 * used:.0f} % of the battery's capacity; the battery holds "
             f"{100 * rig.battery.state_of_charge:.0f} %"
         )
-    elif left < LEAST_CHARGE:
-        found.append(
-            f"the battery is left with {100 * left:.0f} % of its charge; below {100 * LEAST_CHARGE:.0f} % lead-acid "
+    elif left < MIN_CHARGE:
+        messages.append(
+            f"the battery is left with {100 * left:.0f} % of its charge; below {100 * MIN_CHARGE:.0f} % lead-acid "
             "batteries suffer"
         )
-    return tuple(found)
+    return tuple(messages)
 
 
 Simulated = tuple[ThermalModel, History]
-"""A model, and what a schedule does to it."""
+"""Model, and its history under a schedule."""
 
 
 def mesh_error(coarse: Simulated, fine: Simulated, spec: HeatingSpec, start: float) -> MeshError:
-    """Error of a simulation whose hold begins at `start`, s, from one on a grid half as fine."""
+    """Mesh error of a simulation whose hold starts at `start`, s, from one on a grid half as fine."""
     first, last = hold_slots(spec, start)
-    ends = [np.array(seen(model, history.tube[: last + 1, 0])) for model, history in (coarse, fine)]
-    change = np.abs(ends[0] - ends[1]) / 3
+    extremes = [np.array(tube_extremes(model, history.tube[: last + 1, 0])) for model, history in (coarse, fine)]
+    # Of second order: the error of half as many cells is 4 times that of the fine grid, their difference 3 times.
+    change = np.abs(extremes[0] - extremes[1]) / 3
     return MeshError(float(change[:2, first:].max()), float(change[2].max()))

@@ -44,9 +44,9 @@ from ...files.field_metadata import (
 from ...robots.file import TubeEntry, tube_to_dict
 from ...robots.tubes import Tube
 from ...typing import Array, StatusEnum
-from .plan import AGEING, AIR, QUENCHED_DEGC, SHORTEST, WATER
+from .plan import AGEING_DEGC, AIR, QUENCHED_DEGC, SHORTEST_AGEING, WATER
 from .rig import HOT, MoldBed, air_conductivity, gap_conductance
-from .thermal import SURFACE_TRANSFER, Lie, even_gap, thermal_data
+from .thermal import SURFACE_TRANSFER, GrooveAir, thermal_data, uniform_gap
 
 METHODS = ("oven", "furnace", "salt_bath")
 QUENCHES = ("water", "water_in_mold", "air")
@@ -389,7 +389,7 @@ def tube_lag(tube: Tube, oven: Oven) -> float:
     side = tube.outer_diameter + 2 * bed.play
     ratio = bed.material.conductivity / air_conductivity(oven.ambient + 0.5 * HOT)
     gap = (
-        even_gap(tube.outer_diameter, Lie.leaning(tube.outer_diameter, side, side), ratio)
+        uniform_gap(tube.outer_diameter, GrooveAir.tube_on_floor_and_wall(tube.outer_diameter, side, side), ratio)
         if bed.gap is None
         else bed.gap
     )
@@ -542,10 +542,10 @@ def remarks_of(oven: Oven, tail: Cooling) -> tuple[str, ...]:
             f"heat transfer of {oven.transfer_coefficient:g} W/(m^2 K) is assumed for this method; measure the mold's "
             "temperature once, and give convection_W_per_m2_K"
         )
-    if tail.ageing_time > SHORTEST:
+    if tail.ageing_time > SHORTEST_AGEING:
         found.append(
-            f"the tube cools from {AGEING[1]:g} to {AGEING[0]:g} degC in {tail.ageing_time:.0f} s, where Ti-50.8Ni "
-            f"precipitates fastest; above {SHORTEST:g} s its Af changes. Quench it out of the mold"
+            f"the tube cools from {AGEING_DEGC[1]:g} to {AGEING_DEGC[0]:g} degC in {tail.ageing_time:.0f} s, where Ti-50.8Ni "
+            f"precipitates fastest; above {SHORTEST_AGEING:g} s its Af changes. Quench it out of the mold"
         )
     return tuple(found)
 
@@ -565,7 +565,7 @@ class Cooling:
     quench_time: float
     """From there until the hottest point is below 100 degC, s."""
     ageing_time: float
-    """Longest time of a point between the temperatures of `AGEING`, s."""
+    """Longest time of a point between the temperatures of `AGEING_DEGC`, s."""
 
 
 def cool(block: MoldBlock, oven: Oven, tube: Tube, state: Array) -> Cooling:
@@ -598,7 +598,7 @@ def cool(block: MoldBlock, oven: Oven, tube: Tube, state: Array) -> Cooling:
     time, course = np.concatenate(times), np.concatenate(states)
     points = course[:, cells:] - ZERO_CELSIUS
     spans = np.diff(time, prepend=0.0)
-    ageing = (points > AGEING[0]) & (points < AGEING[1])
+    ageing = (points > AGEING_DEGC[0]) & (points < AGEING_DEGC[1])
     return Cooling(
         time=time,
         coldest=points.min(1),

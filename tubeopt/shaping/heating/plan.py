@@ -1,10 +1,10 @@
-"""A heating plan: the schedule, the temperatures that it makes, what they mean for the tube, and its files."""
+"""Heating plan: schedule, temperatures, effects on the tube, and files."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from ...physics.heat_functions import CHARGE, CLAMP, DRAWN
 from ...robots.tubes import Tube
 from ...typing import Array, Delegate, StatusEnum
 from .controller import Feedback
-from .counts import Counts, heating_rate, stops
+from .counts import Counts, blocking_limits, heating_rate
 from .outcome import Outcome, hold_slots, remarks
 from .rig import COUNTS, Rig
 from .schedule import HOPELESS, Schedule
@@ -28,19 +28,19 @@ from .spec import HeatingSpec
 from .thermal import thermal_data
 
 WATER, AIR = 2000.0, 50.0
-"""Heat transfer when quenched, W/(m^2 K): in agitated water, on average over the range in which it first boils; in a
-draught, with radiation. Order of magnitude, assumed."""
+"""Heat transfer coefficients of the quench, W/(m^2 K): agitated water, averaged over film boiling; moving air, with
+radiation. Orders of magnitude, assumed."""
 
 QUENCHED_DEGC = 100.0
-"""Below this nothing happens to nitinol in seconds."""
+"""Temperature below which the structure of nitinol does not change within seconds."""
 
-AGEING, SHORTEST = (400.0, 500.0), 120.0
-"""Temperatures, degC, around the fastest precipitation of Ti-50.8Ni wire, by which its austenite finish moves; and
-the shortest treatment, s, that the source tells of (ASME 2nd Frontiers in Biomedical Devices, BIOMED2007, p. 89)."""
+AGEING_DEGC, SHORTEST_AGEING = (400.0, 500.0), 120.0
+"""Temperatures around the fastest precipitation of Ti-50.8Ni wire, which changes its austenite finish, and the shortest
+published treatment, s (ASME 2nd Frontiers in Biomedical Devices, BIOMED2007, p. 89)."""
 
 
 class HeatingStatus(StatusEnum):
-    """What became of a plan; every value reads as a sentence."""
+    """Status of a plan; every value reads as a sentence."""
 
     HELD = "window, limits and ramp are satisfied"
     MISSED = "the best schedule violates a requirement"
@@ -48,7 +48,7 @@ class HeatingStatus(StatusEnum):
 
 @dataclass(frozen=True)
 class Cure:
-    """A change, in words, and what would still be wrong with it."""
+    """Change that would help, and the violations that remain with it."""
 
     change: Annotated[str, "the change"]
     shortfall: Annotated[float, unit("K"), "remaining miss of window and limit"]
@@ -56,13 +56,13 @@ class Cure:
 
     @property
     def cures(self) -> bool:
-        """Whether all would be kept, by a schedule of whole counts."""
+        """True if a schedule of whole counts would satisfy every requirement."""
         return self.shortfall <= 0.0 and not self.broken
 
 
 @dataclass(frozen=True)
 class HeatingStatistics:
-    """What a plan took: iterations of the optimal control problem in its last round, and slots of the schedule."""
+    """Iterations of the optimal control problem in its last round, and slots of the schedule."""
 
     iterations: int
     slots: int
@@ -70,82 +70,82 @@ class HeatingStatistics:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """What happens over time and along the tube: T slots, X places."""
+    """Temperatures, currents and duties at T times and X positions along the tube."""
 
     time: Array
-    """(T,) beginning of every slot, s."""
+    """(T,) start of every slot, s."""
     duty: Annotated[Counts, "duty of every slot, 0 to 255"]
-    """Shape (T,), integers, from there to the next; the last ones are 0."""
+    """Shape (T,), integers; the last ones are 0."""
     temperature: Array
-    """(T, X) degC along the tube at these times."""
+    """(T, X) temperatures along the tube, degC."""
     position: Array
-    """(X,) from the outer end of a clamp, m."""
+    """(X,) positions along the tube from the outer end of a clamp, m."""
     curved: NDArray[np.bool_]
-    """(X,) which places belong to the curved part."""
+    """(X,) which positions belong to the curved part."""
     zone: NDArray[np.intp]
     """(X,) 0 clamp, 1 clearance, 2 lead, 3 curved part."""
     ideal_duty: Array
     """(T,) mean duties before rounding, in counts."""
     ideal_temperature: Array
-    """(T, X) degC by the ideal duties."""
+    """(T, X) temperatures under the ideal duties, degC."""
     voltage: Array
-    """(T,) at the battery while the MOSFET conducts, V."""
+    """(T,) battery voltage while the MOSFET conducts, V."""
     current: Array
-    """(T,) from the battery while the MOSFET conducts, A."""
+    """(T,) battery current while the MOSFET conducts, A."""
     charge: Array
-    """(T,) state of charge."""
+    """(T,) state of charge, 0 to 1."""
     clamp_temperature: Array
-    """(T,) of the clamps, degC."""
+    """(T,) temperature of the clamps, degC."""
     mold_temperature: Array
-    """(T,) of the groove's wall at its hottest place, degC."""
+    """(T,) hottest temperature of the groove's wall, degC."""
 
 
 @dataclass(frozen=True)
 class Energies:
-    """Where the energy goes."""
+    """Energy balance of a plan."""
 
     energy: Annotated[float, unit("kJ"), "energy drawn from the battery"]
     tube_energy: float
     """Heat in tube, mold and clamps at the end, J."""
     energy_error: Annotated[float, "relative error of the energy balance"]
-    """Of the re-simulation."""
+    """Error of the re-simulation."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeatingPlan(Displayed):
-    """A schedule, and what it does to the tube, re-simulated on the fine grid, in steps of a tenth of a second.
+    """Schedule and its re-simulation on the fine grid, in steps of a tenth of a second.
 
-    What its parts hold is read at the plan too: `plan.duty` is `plan.course.duty`.
+    Fields of its parts are attributes of the plan too: `plan.duty` is `plan.course.duty`.
     """
 
     _brief = ("status", "hold_start", "hold_end", "lowest", "highest")
 
     tube: Tube
-    """The heated tube."""
+    """Heated tube."""
     rig: Rig
-    """The rig; free clearance, lead and vents have their chosen values."""
+    """Rig; free clearance, lead and vents have their chosen values."""
     spec: HeatingSpec
-    """The specification."""
+    """Specification of the heating."""
     course: Course
     """Temperatures, currents and duties over time."""
     outcome: Outcome
     """Temperatures, ramp and currents compared with window and limits, also between samples."""
     energies: Energies
-    """Energy balance."""
+    """Energy balance of battery, tube and mold."""
     hold_start: Annotated[float, unit("s"), "start of the hold"]
     reasons: tuple[str, ...]
     """Reasons why the window is missed, as text; empty if it is kept."""
     problems: Annotated[tuple[str, ...], "violated limits, as text"]
-    """With their reasons; also other problems, such as an overheated mold."""
+    """Also lists other problems, such as an overheated mold."""
     cures: Annotated[tuple[Cure, ...], "changes that would help, best first"]
-    """Only if a limit is violated; those that suffice come first."""
+    """Empty if no limit is violated; sufficient changes come first."""
     quench_time: Annotated[float, key("quench_s"), "time until the whole tube is below 100 degC"]
-    """After the end of the hold, out of the mold."""
+    """Measured from the end of the hold, out of the mold."""
     growth: Annotated[float, unit("mm"), form(".2f", label="growth when hot"), "thermal expansion of the tube"]
-    """At the end of the hold."""
+    """Expansion at the end of the hold."""
     iterations: Annotated[int, "iterations of the optimal control problem in its last round; 0 if it was not needed"]
     feedback: Feedback | None = None
-    """The law that leads the schedule by a sensor, where one was given."""
+    """Feedback controller for the sensor, if one was given."""
 
     time, ideal_duty, ideal_temperature = (
         Delegate[Array]("course"),
@@ -173,12 +173,12 @@ class HeatingPlan(Displayed):
         """True if all limits are satisfied: window and temperature limit including mesh error, ramp, and the currents
         of the circuit.
         """
-        return self.outcome.kept
+        return self.outcome.feasible
 
     @property
     def mesh_error(self) -> float:
         """Estimated error of the temperatures by the mesh (Richardson, grid half as fine), K."""
-        return self.outcome.mesh.most
+        return self.outcome.mesh.largest
 
     @property
     def hold_end(self) -> float:
@@ -192,7 +192,7 @@ class HeatingPlan(Displayed):
 
     @property
     def status(self) -> HeatingStatus:
-        """Whether all limits are satisfied; `verdict` names those that are not."""
+        """HELD if all limits are satisfied; `verdict` names those that are not."""
         return HeatingStatus.HELD if self.feasible else HeatingStatus.MISSED
 
     @property
@@ -202,7 +202,7 @@ class HeatingPlan(Displayed):
 
     @property
     def verdict(self) -> str:
-        """ "held" where everything is kept; else what is not, in a few words."""
+        """ "held" if all limits are satisfied; otherwise the violations, in short."""
         if self.feasible:
             return "held"
         circuit = self.rig.circuit
@@ -211,9 +211,9 @@ class HeatingPlan(Displayed):
             (self.mean_current, circuit.current_limit, "A"),
             (self.peak_current, circuit.peak_limit, "A while on"),
         )
-        broken = [f"{value:.1f} {unit} of {limit:g}" for value, limit, unit in bounds if value > limit]
-        missed = [f"missed by {self.shortfall:.1f} K"] if self.shortfall > 0 else []
-        return ", ".join(missed + ([f"limits broken: {', '.join(broken)}"] if broken else []))
+        broken = [f"{value:.1f} {unit} (limit {limit:g})" for value, limit, unit in bounds if value > limit]
+        miss = [f"misses the window by {self.shortfall:.1f} K"] if self.shortfall > 0 else []
+        return ", ".join(miss + ([f"exceeds limits: {', '.join(broken)}"] if broken else []))
 
     @property
     def table_length(self) -> int:
@@ -223,91 +223,91 @@ class HeatingPlan(Displayed):
     @property
     def in_hold(self) -> NDArray[np.bool_]:
         """(T,) which times lie in the hold, both ends included."""
-        slack = 1e-6
-        return np.asarray((self.time >= self.hold_start - slack) & (self.time <= self.hold_end + slack))
+        round_off = 1e-6
+        return np.asarray((self.time >= self.hold_start - round_off) & (self.time <= self.hold_end + round_off))
 
     @property
     def rounding_error(self) -> float:
-        """Greatest difference of the temperatures from those of the ideal duties, K."""
+        """Largest difference of the temperatures from those of the ideal duties, K."""
         return float(np.abs(self.temperature - self.ideal_temperature).max())
 
     @property
     def pwm_ripple(self) -> float:
-        """Swing of the temperature within a period of the PWM, K: what taking the duty for a mean power leaves out."""
+        """Temperature ripple within a period of the PWM, K: the error of taking the duty as a mean power."""
         on = float(self.duty.max()) / COUNTS
         return heating_rate(self.tube, self.rig, self.peak_current) * on * (1 - on) / self.rig.circuit.pwm_frequency
 
     @property
     def cold_end(self) -> float:
-        """Length of tube at each end, from the clamp's edge, beyond which none is colder than the window as the hold
-        ends, m; infinite where the middle is."""
-        row = self.temperature[int(np.flatnonzero(self.in_hold)[-1])]
-        half = len(row) // 2
-        x, values = self.position[:half], row[:half]
-        low = self.spec.window_degC[0]
-        cold = np.flatnonzero(values < low)
+        """Length of tube at each end, from the clamp's edge, that is colder than the window as the hold ends, m.
+
+        Infinite if the middle of the tube is.
+        """
+        T = self.temperature[int(np.flatnonzero(self.in_hold)[-1])]
+        half, low = len(T) // 2, self.spec.window_degC[0]
+        cold = np.flatnonzero(T[:half] < low)
         if not len(cold):
             return 0.0
         k = int(cold[-1])
         if k == half - 1:
             return math.inf
-        at = np.interp(low, values[k : k + 2], x[k : k + 2])
-        return max(float(at - self.rig.clamps.grip), 0.0)
+        edge = np.interp(low, T[k : k + 2], self.position[k : k + 2])
+        return max(float(edge - self.rig.clamps.grip), 0.0)
 
     @property
     def free_length(self) -> float:
-        """Length of tube between the clamps when cold, m."""
+        """Length of the cold tube between the clamps, m."""
         return 2 * (self.rig.clamps.clearance + self.rig.mold.lead) + self.tube.curved_length
 
     @property
     def extra_length(self) -> float:
-        """Tube to be added before heating and cut off afterwards, m: leads that the straight part cannot be."""
+        """Tube to be added before heating and cut off afterwards, m: the part of the leads that the tube lacks."""
         end = self.rig.clamps.grip + self.rig.clamps.clearance + self.rig.mold.lead
         return end + max(end - self.tube.straight_length, 0.0)
 
     @classmethod
     def of(
-        cls, tube: Tube, spec: HeatingSpec, found: Schedule, iterations: int, *, cures: tuple[Cure, ...] = ()
+        cls, tube: Tube, spec: HeatingSpec, schedule: Schedule, iterations: int, *, cures: tuple[Cure, ...] = ()
     ) -> Self:
-        """The plan of a schedule, and the iterations that it took."""
-        run, history, outcome = found.run, found.checked, found.outcome
+        """Plan of a schedule that was found in so many iterations."""
+        run, history, outcome = schedule.run, schedule.history, schedule.outcome
         rig, model = run.rig, run.model
         _, last = hold_slots(spec, run.start)
-        row = history.tube[last, 0]
-        rise = (row - model.ambient) * model.width
-        covered = model.zone >= LEAD
-        walls = history.walls[:, 0][:, covered, 0]
-        reasons = reasons_of(found)
+        T_end = history.tube[last, 0]
+        walls = history.walls[:, 0][:, model.zone >= LEAD, 0]
+        reasons = reasons_of(schedule)
         missed = (f"the window is missed by {outcome.shortfall:.1f} K: {'; '.join(reasons)}",) if reasons else ()
         course = Course(
             time=history.time,
-            duty=np.append(found.counts, 0),
+            duty=np.append(schedule.counts, 0),
             temperature=_mirrored(history.tube[:, 0]) - ZERO_CELSIUS,
             position=model.full_position,
             curved=_mirrored(model.curved),
             zone=_mirrored(model.zone),
             ideal_duty=np.append(COUNTS * run.levels, 0.0),
-            ideal_temperature=_mirrored(run.exact.tube[:, 0]) - ZERO_CELSIUS,
+            ideal_temperature=_mirrored(run.history.tube[:, 0]) - ZERO_CELSIUS,
             voltage=history.voltage[:, 0],
             current=history.current[:, 0],
             charge=rig.battery.state_of_charge - history.lumped[:, 0, CHARGE],
             clamp_temperature=history.lumped[:, 0, CLAMP] - ZERO_CELSIUS,
             mold_temperature=walls.max(1) - ZERO_CELSIUS,
         )
-        held = float(stored(model, history.state(-1))[0])
+        tube_energy = float(stored(model, history.state(-1))[0])
+        # Both halves of the tube expand, outside the clamps.
+        rise = ((T_end - model.T_amb) * model.width)[model.zone > GRIP]
         return cls(
             tube=tube,
             rig=rig,
             spec=spec,
             course=course,
             outcome=outcome,
-            energies=Energies(float(history.lumped[-1, 0, DRAWN]), held, float(history.imbalance[0])),
+            energies=Energies(float(history.lumped[-1, 0, DRAWN]), tube_energy, float(history.imbalance[0])),
             hold_start=run.start,
             reasons=reasons,
             problems=outcome.broken + missed + remarks(rig, history, float(walls.max())),
             cures=cures,
-            quench_time=quench_time(tube, spec, float(row.max())),
-            growth=float(2 * thermal_data(tube).expansion * rise[model.zone > GRIP].sum()),
+            quench_time=quench_time(tube, spec, float(T_end.max())),
+            growth=float(2 * thermal_data(tube).expansion * rise.sum()),
             iterations=iterations,
         )
 
@@ -317,90 +317,97 @@ def _mirrored(half: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate([half, half[..., ::-1]], axis=-1)
 
 
-def quench_time(tube: Tube, spec: HeatingSpec, hottest: float) -> float:
-    """Time (s) in which the hottest point, at `hottest` (K), cools below 100 degC out of the mold: a lump of metal."""
+def quench_time(tube: Tube, spec: HeatingSpec, T_hot: float) -> float:
+    """Time (s) in which the hottest point cools from T_hot (K) to 100 degC out of the mold, as a lump of metal."""
     data = thermal_data(tube)
-    medium = 20.0 + ZERO_CELSIUS
-    transfer = WATER if spec.quench == "water" else AIR
+    h = WATER if spec.quench == "water" else AIR
     wall = (tube.outer_diameter**2 - tube.inner_diameter**2) / (4 * tube.outer_diameter)
-    rate = transfer / (data.density * data.heat_capacity * wall)
-    goal = QUENCHED_DEGC + ZERO_CELSIUS
-    return 0.0 if hottest <= goal else max(0.0, math.log((hottest - medium) / (goal - medium)) / rate)
+    rate = h / (data.density * data.heat_capacity * wall)
+    T_medium, T_cold = 20.0 + ZERO_CELSIUS, QUENCHED_DEGC + ZERO_CELSIUS
+    return 0.0 if T_hot <= T_cold else max(0.0, math.log((T_hot - T_medium) / (T_cold - T_medium)) / rate)
 
 
-def ageing(plan: HeatingPlan) -> tuple[float, float]:
-    """Length (m) of tube beside the curved part, at each end, whose hottest is where nitinol ages; its longest time (s)
-    there."""
+class Ageing(NamedTuple):
+    """Tube beside the curved part that is within `AGEING_DEGC`."""
+
+    length: float
+    """Length at each end whose highest temperature is in this range, m."""
+    longest: float
+    """Longest time of one of its points in this range, s."""
+
+
+def ageing(plan: HeatingPlan) -> Ageing:
+    """Ageing of the tube beside the curved part, where nitinol precipitates."""
     half = len(plan.position) // 2
     outside = np.flatnonzero(~plan.curved[:half])
-    spans = np.diff(plan.time, append=plan.time[-1])
-    within = (plan.temperature[:, outside] > AGEING[0]) & (plan.temperature[:, outside] < AGEING[1])
-    times = (within * spans[:, None]).sum(0)
-    place = plan.position[:half]
-    faces = np.concatenate([[0.0], 0.5 * (place[1:] + place[:-1]), place[-1:]])
-    widths = np.diff(faces)[outside]
-    hottest = plan.temperature[:, outside].max(0)
-    ages = (hottest > AGEING[0]) & (hottest < AGEING[1])
-    return float(widths[ages].sum()), float(times[ages].max(initial=0.0))
+    low, high = AGEING_DEGC
+    temperature = plan.temperature[:, outside]
+    inside = (temperature > low) & (temperature < high)
+    times = (inside * np.diff(plan.time, append=plan.time[-1])[:, None]).sum(0)
+    x = plan.position[:half]
+    widths = np.diff(np.concatenate([[0.0], 0.5 * (x[1:] + x[:-1]), x[-1:]]))[outside]
+    hottest = temperature.max(0)
+    ages = (hottest > low) & (hottest < high)
+    return Ageing(float(widths[ages].sum()), float(times[ages].max(initial=0.0)))
 
 
-def ageing_words(plan: HeatingPlan) -> tuple[str, ...]:
-    """What to know of it; nothing where no part of the tube gets there."""
+def ageing_remarks(plan: HeatingPlan) -> tuple[str, ...]:
+    """Remark on the ageing beside the bend; none where no part of the tube is in this range."""
     length, longest = ageing(plan)
     if not length:
         return ()
-    than = "less" if longest < SHORTEST else "more"
+    low, high = AGEING_DEGC
+    comparison = "less" if longest < SHORTEST_AGEING else "more"
     return (
-        f"next to the bend, {1e3 * length:.0f} mm of tube at each end stay at {AGEING[0]:.0f} to {AGEING[1]:.0f} degC "
-        f"for up to {longest:.0f} s. There Ti-50.8Ni precipitates fastest, and its Af changes. This is {than} than the "
-        f"{SHORTEST:.0f} s of the shortest published treatment (BIOMED2007, p. 89). Measure Af of the remaining tube",
+        f"next to the bend, {1e3 * length:.0f} mm of tube at each end stay at {low:.0f} to {high:.0f} degC "
+        f"for up to {longest:.0f} s. There Ti-50.8Ni precipitates fastest, and its Af changes. This is {comparison} "
+        f"than the {SHORTEST_AGEING:.0f} s of the shortest published treatment (BIOMED2007, p. 89). Measure Af of the "
+        "remaining tube",
     )
 
 
-# --- what keeps a schedule from its window ----------------------------------------------------------------------------
+# --- reasons of a miss ------------------------------------------------------------------------------------------------
 
 
 # A technician changes no rig for less: the loss of a rig is known to 15 % (`Uncertainty`).
-WORTH = 0.1
-"""Relative change that is worth being reported: of a miss, and of the time to the longest heating."""
+MIN_GAIN = 0.1
+"""Smallest relative change that is reported: of a miss, and of the time to the longest heating."""
 
-LEAST_SHARE = 0.1
-"""Share of the time to the end of the hold from which on a limit is named that allows no count more."""
+MIN_BLOCKED = 0.1
+"""Smallest fraction of the time to the end of the hold in which a limit must block to be named."""
 
 
-def reasons_of(found: Schedule) -> tuple[str, ...]:
-    """What keeps a schedule from its window; empty where the window is kept.
+def reasons_of(schedule: Schedule) -> tuple[str, ...]:
+    """Reasons why a schedule misses its window; empty if it does not.
 
-    Far below the limit of temperature, these are the limits that allow no count more. Near that limit, a count more
-    makes one place too hot while another is too cold.
+    Far below the temperature limit, these are the limits that allow no greater count. Near it, a greater count makes
+    one point too hot while another is too cold.
     """
-    outcome, spec, rig = found.outcome, found.spec, found.run.rig
+    outcome, spec, rig = schedule.outcome, schedule.spec, schedule.run.rig
     if outcome.shortfall <= 0:
         return ()
-    _, last = hold_slots(spec, found.run.start)
-    states = [found.checked.state(k) for k in range(last)]
-    stopped = stops(found.run.model, spec, rig, found.counts[:last], states)
-    words = {
+    _, last = hold_slots(spec, schedule.run.start)
+    states = [schedule.history.state(k) for k in range(last)]
+    blocking = blocking_limits(schedule.run.model, spec, rig, schedule.counts[:last], states)
+    descriptions = {
         "duty": "the switch conducts all the time",
         "current": f"the mean current of {rig.circuit.current_limit:g} A allows no count more",
         "ramp": f"the ramp of {spec.ramp:g} K/s allows no count more",
     }
-    held = {limit: stopped.count(limit) for limit in words}
-    until = f"of the {spec.slot * last:g} s to the end of the hold"
-    said = [
-        f"{words[limit]} in {spec.slot * slots:g} {until}"
-        for limit, slots in held.items()
-        if slots > LEAST_SHARE * last
+    reasons = [
+        f"{description} in {spec.slot * blocking.count(limit):g} of the {spec.slot * last:g} s to the end of the hold"
+        for limit, description in descriptions.items()
+        if blocking.count(limit) > MIN_BLOCKED * last
     ]
-    if said and found.run.start > (1 - WORTH) * spec.longest_heating:
-        said.append(f"the heating may last {spec.longest_heating:g} s at most")
-    if not said or outcome.hottest + outcome.mesh.hottest > spec.limit - HOPELESS:
-        said.insert(
+    if reasons and schedule.run.start > (1 - MIN_GAIN) * spec.longest_heating:
+        reasons.append(f"the heating may last {spec.longest_heating:g} s at most")
+    if not reasons or outcome.hottest + outcome.mesh.hottest > spec.limit - HOPELESS:
+        reasons.insert(
             0,
             f"in the hold the curved part is at {outcome.lowest:.1f} to {outcome.highest:.1f} degC while the hottest "
             f"point of the tube reaches {outcome.hottest:.1f} degC of {spec.limit:g} degC",
         )
-    return tuple(said)
+    return tuple(reasons)
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
@@ -410,7 +417,7 @@ PER_LINE = 16
 
 
 def schedule_csv(plan: HeatingPlan) -> str:
-    """A row for every slot: its beginning, the duty (0-255), and what the simulation tells.
+    """CSV with a row for every slot: start, duty (0-255), and results of the simulation.
 
     `coldest_degC` and `hottest_degC` are of the curved part, `limit_point_degC` is the hottest of the whole tube;
     voltage and current are those while the MOSFET conducts.
@@ -435,7 +442,7 @@ def schedule_csv(plan: HeatingPlan) -> str:
 
 
 def arduino_header(plan: HeatingPlan) -> str:
-    """A C header with the duties as bytes, for `analogWrite` every SLOT_MS ms; errors as `slot_milliseconds`."""
+    """C header with the duties as bytes, for `analogWrite` every SLOT_MS ms; errors as `slot_milliseconds`."""
     duty, milliseconds = plan.duty.tolist(), slot_milliseconds(plan.spec.slot)
     lines = [", ".join(f"{d:3d}" for d in duty[k : k + PER_LINE]) for k in range(0, len(duty), PER_LINE)]
     body = ",\n".join(f"    {line}" for line in lines)
@@ -463,7 +470,7 @@ static const uint8_t HEATING_DUTY[HEATING_SLOTS] PROGMEM = {{
 
 
 def slot_milliseconds(slot: float) -> int:
-    """A slot (s) in ms; raises InputError where that is no whole number."""
+    """Duration of a slot (s) in ms; raises InputError if it is no whole number."""
     milliseconds = round(1000 * slot)
     if abs(milliseconds - 1000 * slot) > 1e-9 or milliseconds < 1:
         raise InputError(f"slot is {slot:g} s; for an Arduino it must be a whole number of milliseconds")

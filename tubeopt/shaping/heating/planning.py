@@ -1,16 +1,13 @@
-"""How to heat a tube so that its curved part is shape-set, and what would help where that cannot be done.
-
-Changes of rig and question are tried one after the other.
-"""
+"""Heating plan for a tube, and changes of rig or question that would help where it is infeasible."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from ...constants import ZERO_CELSIUS
-from ...errors import InputError, SolveError, instance, without_unit_warnings
+from ...errors import InputError, SolveError, instance, undoubted
 from ...robots.tubes import Tube
 from ...solvers.blas import small
 from ...solvers.time_limit import TIME_LIMIT, limited
@@ -18,13 +15,13 @@ from ..materials import CALCIUM_SILICATE, check_temperatures, warn_of_limit
 from .counts import count_rate, full_current
 from .optimal_schedule import Ideal, solve_ideal
 from .outcome import Outcome, broken, hold_slots
-from .plan import WORTH, Cure, HeatingPlan
+from .plan import MIN_GAIN, Cure, HeatingPlan
 from .rig import Rig
 from .robust import design_feedback
-from .schedule import Programmed, Schedule, best_schedule, foreseen, programmed, realised
+from .schedule import Programmed, Schedule, best_schedule, minimum_time_outcome, programmed, realised_outcome
 from .sensors import Sensor
 from .spec import LONGEST, HeatingSpec
-from .thermal import PROGRAM, joined, thermal_data, thermal_model
+from .thermal import PROGRAM, curved_temperatures, thermal_data, thermal_model
 
 
 @small
@@ -67,8 +64,8 @@ def plan_heating(
         (True, True, True)
     """
     spec = HeatingSpec() if spec is None else spec
-    for name, value, wanted in (("tube", tube, Tube), ("rig", rig, Rig), ("spec", spec, HeatingSpec)):
-        instance(name, value, wanted)
+    for name, value, kind in (("tube", tube, Tube), ("rig", rig, Rig), ("spec", spec, HeatingSpec)):
+        instance(name, value, kind)
     check_temperatures(tube.material, "window_degC", *spec.window_degC)
     warn_of_limit(tube.material, spec.limit)
     thermal_data(tube)
@@ -77,11 +74,11 @@ def plan_heating(
             f"ambient of the rig is {rig.ambient - ZERO_CELSIUS:g} degC; it must be below the window, which begins at "
             f"{spec.window_degC[0]:g} degC"
         )
-    thermal_model(tube, rig, PROGRAM)  # refuses a tube and a mold that do not fit one another
-    found = best_schedule(tube, rig, spec)
-    changes = find_cures(tube, rig, spec, found) if cures and not found.kept else ()
-    iterations = 0 if found.program is None else found.program.ideal.iterations
-    plan = HeatingPlan.of(tube, spec, found, iterations, cures=changes)
+    thermal_model(tube, rig, PROGRAM)  # raises InputError where tube and mold do not fit
+    schedule = best_schedule(tube, rig, spec)
+    changes = find_cures(tube, rig, spec, schedule) if cures and not schedule.feasible else ()
+    iterations = 0 if schedule.program is None else schedule.program.ideal.iterations
+    plan = HeatingPlan.of(tube, spec, schedule, iterations, cures=changes)
     return plan if sensor is None else replace(plan, feedback=design_feedback(plan, sensor))
 
 
@@ -89,144 +86,169 @@ def plan_heating(
 
 
 # Each may take a plan of its own, some seconds. Candidates are ordered by the reason of the miss.
-MOST_CURES = 3
-"""Changes that are tried."""
+MAX_CHANGES = 3
+"""Number of changes that are tried."""
 
 # A MAX31855 converts in 100 ms: the firmware keeps no shorter slot under control.
 QUICK_SLOT = 0.1
-"""Slots that are proposed for a window too narrow for the requested ones, s."""
+"""Slot that is proposed for a window too narrow for the requested one, s."""
 
-# A sixth of `RESERVE`: a larger miss of the program is not made up by counts.
+# A sixth of `RESERVE`: whole counts do not compensate a larger miss of the program.
 SMALL_MISS = 0.05
-"""Miss of the window by the program below which a schedule of whole counts is made as a check, K."""
+"""Miss of the window by the program below which whole counts are computed as a check, K."""
 
-# The default slot: one fifth of the counts that slots of 0.1 s need, where `SWING` allows it.
-CHECKED_SLOT = 0.5
-"""Longest duration of equal duties in that check, s."""
+# The default slot: one fifth of the counts that slots of 0.1 s need, where `MAX_SWING` allows it.
+CHECK_SLOT = 0.5
+"""Longest slot in that check, s."""
 
 # A tenth of a window of 50 K is 5 K, twice the ripple of the default slot.
-SWING = 0.1
-"""Largest heating by half a count in that time, as a fraction of the window's width."""
+MAX_SWING = 0.1
+"""Largest heating by half a count in a slot of that check, as a fraction of the window's width."""
 
-Change = tuple[str, Rig, HeatingSpec]
+
+@dataclass(frozen=True)
+class Change:
+    """Change of rig or question that may help."""
+
+    description: str
+    """Text for users; "{chosen}" stands for what the program chooses."""
+    rig: Rig
+    spec: HeatingSpec
+
+
+@dataclass(frozen=True, eq=False)
+class TriedChange:
+    """Change with the solution of its optimal control problem."""
+
+    change: Change
+    ideal: Ideal
+    description: str
+    """Description with what the program chose."""
 
 
 def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule) -> tuple[Cure, ...]:
-    """Changes that let everything be kept, or at least nearly; the best first, the search ends at the first that cures.
+    """Changes that would make a schedule feasible, or nearly; the best first.
 
-    Changes for the window that leave nothing of the rig free are first tried by the soonest schedule; the others, and
-    those that it does not keep, by the program alone, and what seems to cure is confirmed. `best`: without any change.
+    The search ends at the first that cures. A change that frees no parameter of the rig is first tried by the
+    minimum-time schedule. Others, and those that it does not satisfy, are tried by the program, and confirmed by whole
+    counts.
+
+    Args:
+        best: schedule without any change.
     """
     plain = replace(spec, objective="time")
     if best.outcome.shortfall <= 0:
-        return _ordered(_for_limits(tube, rig, plain, best.outcome))
-    found: list[Cure] = []
-    near, limited = best.program, bool(best.outcome.broken)
-    answers: list[tuple[Rig, HeatingSpec, Ideal]] = []
-    for change in _candidates(rig, plain, best)[:MOST_CURES]:
-        cure = _kept(change, tube, limited)
-        if cure is None and not answers:
-            # Only what the soonest schedule does not keep needs the program.
+        return _sorted(_for_limits(tube, rig, plain, best.outcome))
+    cures: list[Cure] = []
+    near, limits_broken = best.program, bool(best.outcome.broken)
+    tried: list[TriedChange] = []
+    for change in _candidates(rig, plain, best)[:MAX_CHANGES]:
+        cure = _by_minimum_time(change, tube, limits_broken)
+        if cure is None and not tried:
+            # Only a change that the minimum-time schedule does not satisfy needs the program.
             near = near or programmed(tube, rig, spec)
             if not spec.free and spec == plain:
-                answers.append((rig, spec, near.ideal))
-        if _in_vain(change, answers):
+                tried.append(TriedChange(Change("", rig, spec), near.ideal, ""))
+        if _lead_alone_is_useless(change, tried):
             continue
-        if cure is None and near is not None and (tried := _tried(change, tube, spec, near)) is not None:
-            answers.append((*change[1:], tried[1]))
-            if near is not None and change[2].free:
-                # What frees more begins with what less has made of it.
-                near = replace(near, ideal=tried[1])
-            cure = _settled(change, tube, tried, limited)
-        if cure is not None and cure.shortfall < (1 - WORTH) * best.outcome.shortfall:
-            found.append(cure)
-            # No change for the window is one for limits.
-            if cure.cures or (limited and cure.shortfall <= 0):
+        if cure is None and near is not None and (attempt := _by_program(change, tube, spec, near)) is not None:
+            tried.append(attempt)
+            if change.spec.free:
+                # A change that frees more parameters starts at the solution with fewer.
+                near = replace(near, ideal=attempt.ideal)
+            cure = _confirmed(attempt, tube, limits_broken)
+        if cure is not None and cure.shortfall < (1 - MIN_GAIN) * best.outcome.shortfall:
+            cures.append(cure)
+            # A change for the window does not help against broken limits.
+            if cure.cures or (limits_broken and cure.shortfall <= 0):
                 break
-    return _ordered(found)
+    return _sorted(cures)
 
 
-def _in_vain(change: Change, answers: Sequence[tuple[Rig, HeatingSpec, Ideal]]) -> bool:
-    """Whether a change frees the lead alone, upwards, where by an answer to the same without that no longer one is
-    better: what is best with the lead fixed is best with it free then."""
-    _, rig, asked = change
-    if asked.free != ("lead",):
+def _sorted(cures: Sequence[Cure]) -> tuple[Cure, ...]:
+    return tuple(sorted(cures, key=lambda cure: (not cure.cures, cure.shortfall)))
+
+
+def _lead_alone_is_useless(change: Change, tried: Sequence[TriedChange]) -> bool:
+    """True if a change frees only the lead, and the solution with the fixed lead shows that a longer one is no better.
+
+    The solution with the lead fixed at its lower bound is then also the one with the lead free.
+    """
+    spec = change.spec
+    if spec.free != ("lead",):
         return False
     return any(
-        rig == other and replace(asked, free=(), lead_range=spec.lead_range) == spec and not ideal.lead_gains
-        for other, spec, ideal in answers
+        change.rig == other.change.rig
+        and replace(spec, free=(), lead_range=other.change.spec.lead_range) == other.change.spec
+        and not other.ideal.longer_lead_helps
+        for other in tried
     )
 
 
-def _kept(change: Change, tube: Tube, anyway: bool) -> Cure | None:
-    """The cure that a change is by the soonest schedule; None where that does not keep everything, or, where limits of
-    ramp and currents are broken `anyway`, the window.
+def _by_minimum_time(change: Change, tube: Tube, despite_limits: bool) -> Cure | None:
+    """Cure by the minimum-time schedule; None if that violates a requirement.
 
-    A schedule of longer slots is one of short ones too, of which every few share their count.
+    With `despite_limits`, ramp and currents may be exceeded. A schedule of longer slots is also one of short slots.
     """
-    words, rig, asked = change
-    found: Cure | None = None
-    for spec in () if asked.free else _slower(tube, rig, asked):
-        outcome = foreseen(tube, rig, spec)
+    cure: Cure | None = None
+    for spec in () if change.spec.free else _with_check_slot(tube, change.rig, change.spec):
+        outcome = minimum_time_outcome(tube, change.rig, spec)
         if outcome is None or outcome.shortfall > 0:
             continue
-        if outcome.kept:
-            return Cure(words, 0.0)
-        found = Cure(words, 0.0, outcome.broken) if anyway else None
-    return found
+        if outcome.feasible:
+            return Cure(change.description, 0.0)
+        cure = Cure(change.description, 0.0, outcome.broken) if despite_limits else None
+    return cure
 
 
-def _slower(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[HeatingSpec, ...]:
-    """What is asked for with slots several times as long, where these fill the hold and half a count does not warm by
-    much in one; and as it is."""
-    longer = spec.slot * math.floor(CHECKED_SLOT / spec.slot + 1e-9)
+def _with_check_slot(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[HeatingSpec, ...]:
+    """The question with longer slots, if these fit the hold and half a count heats little in one; and as it is."""
+    longer = spec.slot * math.floor(CHECK_SLOT / spec.slot + 1e-9)
     if longer <= spec.slot or abs(spec.hold_time / longer - round(spec.hold_time / longer)) > 1e-9:
         return (spec,)
     low, high = spec.window_degC
     swing = 0.5 * longer * count_rate(tube, rig)
-    return (replace(spec, slot=longer), spec) if swing < SWING * (high - low) else (spec,)
+    return (replace(spec, slot=longer), spec) if swing < MAX_SWING * (high - low) else (spec,)
 
 
-def _settled(change: Change, tube: Tube, tried: tuple[Cure, Ideal], limited: bool) -> Cure:
-    """What the program makes of a change, and whole counts of what it would cure."""
-    cure, answer = tried
-    if cure.shortfall >= SMALL_MISS:
-        return cure
-    fixed = replace(change[2], free=())
-    if change[2].free and (kept := _kept((cure.change, answer.rig, fixed), tube, limited)) is not None:
-        return kept
-    for asked in _slower(tube, answer.rig, fixed):
-        outcome = realised(tube, asked, answer)
-        if outcome.kept or (limited and outcome.shortfall <= 0):
-            break
-    return replace(cure, shortfall=outcome.shortfall, broken=outcome.broken)
-
-
-def _ordered(cures: Sequence[Cure]) -> tuple[Cure, ...]:
-    return tuple(sorted(cures, key=lambda cure: (not cure.cures, cure.shortfall)))
-
-
-def _tried(change: Change, tube: Tube, spec: HeatingSpec, near: Programmed) -> tuple[Cure, Ideal] | None:
-    """By how much the program misses the window with a change, and its answer; None where it finds none, or would
-    change nothing of the rig that it may."""
-    words, rig, asked = change
-    part = asked.slot / spec.slot
+def _by_program(change: Change, tube: Tube, spec: HeatingSpec, near: Programmed) -> TriedChange | None:
+    """Change solved by the program; None without a solution, or if nothing of the rig that is free would change."""
+    rig, task = change.rig, change.spec
+    # Rounding in a slot is proportional to its length.
+    part = task.slot / spec.slot
     low, high = near.reserve
-    # Another material is farther from the answer than a new start is.
+    # Another material is farther from the solution than a new start is.
     guess = near.ideal if rig.mold.material == near.ideal.rig.mold.material else None
     try:
-        answer = solve_ideal(tube, rig, asked, reserve=(part * low, part * high), shift=near.shift, guess=guess)
+        ideal = solve_ideal(tube, rig, task, reserve=(part * low, part * high), shift=near.shift, guess=guess)
     except SolveError:
         return None
-    chosen = _chosen(rig, answer.rig)
-    if asked.free and not chosen:
+    chosen = _describe_choice(rig, ideal.rig)
+    if task.free and not chosen:
         return None
-    return Cure(words.format(chosen=chosen), max(answer.miss, 0.0)), answer
+    return TriedChange(change, ideal, change.description.format(chosen=chosen))
 
 
-def _chosen(rig: Rig, other: Rig) -> str:
-    """In words, what the program chose of lead and clearance, by more than a hundredth, and of vents that open."""
-    mold, clearance = other.mold, other.clamps.clearance
+def _confirmed(tried: TriedChange, tube: Tube, despite_limits: bool) -> Cure:
+    """Cure by the program, confirmed by whole counts if its miss is small."""
+    ideal, miss = tried.ideal, max(tried.ideal.miss, 0.0)
+    if miss >= SMALL_MISS:
+        return Cure(tried.description, miss)
+    fixed = replace(tried.change.spec, free=())
+    if tried.change.spec.free:
+        cure = _by_minimum_time(Change(tried.description, ideal.rig, fixed), tube, despite_limits)
+        if cure is not None:
+            return cure
+    for spec in _with_check_slot(tube, ideal.rig, fixed):
+        outcome = realised_outcome(tube, spec, ideal)
+        if outcome.feasible or (despite_limits and outcome.shortfall <= 0):
+            break
+    return Cure(tried.description, outcome.shortfall, outcome.broken)
+
+
+def _describe_choice(rig: Rig, chosen: Rig) -> str:
+    """Description of the chosen lead and clearance, if changed by more than a hundredth, and of opened vents."""
+    mold, clearance = chosen.mold, chosen.clamps.clearance
     parts = []
     if not math.isclose(rig.mold.lead, mold.lead, rel_tol=0.01):
         parts.append(f"a lead of {1e3 * mold.lead:.1f} mm of extra tube in the mold at each end")
@@ -237,92 +259,89 @@ def _chosen(rig: Rig, other: Rig) -> str:
     return ", ".join(parts[:-1]) + " and " * (len(parts) > 1) + "".join(parts[-1:])
 
 
-def _confirmed(change: Change, tube: Tube) -> list[Cure]:
-    """What whole counts make of a change; nothing where there is no schedule."""
-    words, rig, asked = change
-    if (kept := _kept(change, tube, False)) is not None:
-        return [kept]
-    try:
-        outcome = best_schedule(tube, rig, asked).outcome
-    except SolveError:
-        return []
-    return [Cure(words, outcome.shortfall, outcome.broken)]
-
-
-@without_unit_warnings()
+@undoubted()
 def _for_limits(tube: Tube, rig: Rig, spec: HeatingSpec, outcome: Outcome) -> list[Cure]:
-    """Changes where the window is held but ramp or currents are not: less current, or another limit."""
-    now, count = full_current(tube, rig), count_rate(tube, rig)
-    # One count should warm the tube by less than half of the ramp, and the peak stay below the circuit's.
-    most = min(now * math.sqrt(min(0.4 * spec.ramp / count, 1.0)), 0.95 * rig.circuit.peak_limit)
-    found: list[Cure] = []
-    if most < now:
-        ohm = 1e-3 * math.ceil(rig.battery.voltage * (1 / most - 1 / now) / 1e-3)
-        circuit = replace(rig.circuit, cable_resistance=rig.circuit.cable_resistance + ohm)
-        change = f"a resistor of {1e3 * ohm:.0f} mohm in series", replace(rig, circuit=circuit), spec
-        found += _confirmed(change, tube)
+    """Changes where the window is held but ramp or currents are exceeded: less current, or another limit."""
+    current, rate = full_current(tube, rig), count_rate(tube, rig)
+    # One count should heat the tube by less than half of the ramp, and the peak stay below the circuit's limit.
+    target = min(current * math.sqrt(min(0.4 * spec.ramp / rate, 1.0)), 0.95 * rig.circuit.peak_limit)
+    cures: list[Cure] = []
+    if target < current:
+        R = 1e-3 * math.ceil(rig.battery.voltage * (1 / target - 1 / current) / 1e-3)
+        circuit = replace(rig.circuit, cable_resistance=rig.circuit.cable_resistance + R)
+        change = Change(f"a resistor of {1e3 * R:.0f} mohm in series", replace(rig, circuit=circuit), spec)
+        cure = _by_minimum_time(change, tube, False)
+        if cure is None:
+            try:
+                best = best_schedule(tube, change.rig, spec).outcome
+                cure = Cure(change.description, best.shortfall, best.broken)
+            except SolveError:
+                pass
+        cures += [] if cure is None else [cure]
     if outcome.steepest > spec.ramp:
-        # The schedule that breaks the limit keeps another one.
+        # The schedule that exceeds the limit satisfies a higher one.
         faster = replace(spec, ramp=float(5 * math.ceil(outcome.steepest / 5 + 1e-9)))
-        found.append(Cure(f"a ramp of {faster.ramp:g} K/s", 0.0, broken(rig, faster, vars(outcome))))
-    return found
+        cures.append(Cure(f"a ramp of {faster.ramp:g} K/s", 0.0, broken(rig, faster, vars(outcome))))
+    return cures
 
 
 def _candidates(rig: Rig, spec: HeatingSpec, best: Schedule) -> list[Change]:
-    """The changes that fit the reason: the whole tube too cold, its ends too cold, or a window too narrow."""
+    """Changes that fit the reason of the miss: whole tube too cold, ends too cold, or window too narrow."""
     low, high = spec.window_degC
     if best.program is None:
         _, end = hold_slots(spec, best.run.start)
-        last, heating = joined(best.run.model, best.checked.tube[end, 0]) - ZERO_CELSIUS, best.run.start
+        T_end, heating = curved_temperatures(best.run.model, best.history.tube[end, 0]) - ZERO_CELSIUS, best.run.start
     else:
         ideal, shift = best.program.ideal, best.program.shift
-        last, heating = ideal.held[-1] - ZERO_CELSIUS + (0.0 if shift is None else shift.held[-1]), ideal.heating
-    if last.max() < low:
-        return _for_power(rig, spec)
-    # A mold that had no time to get warm is told by a heating as long as it may be.
-    soon = _more_time(rig, spec) if heating > (1 - WORTH) * spec.longest_heating else []
-    if last.max() - last.min() > 0.5 * (high - low):
-        return soon + _for_ends(rig, spec)
-    return soon + _for_narrow_window(rig, spec)
+        T_end = ideal.hold[-1] - ZERO_CELSIUS + (0.0 if shift is None else shift.hold[-1])
+        heating = ideal.heating
 
-
-def _more_time(rig: Rig, spec: HeatingSpec) -> list[Change]:
+    more_time: list[Change] = []
     longer = replace(spec, longest_heating=min(3.0 * spec.longest_heating, LONGEST))
-    if longer == spec:
-        return []
-    return [(f"a heating of up to {longer.longest_heating:g} s", rig, longer)]
+    if longer != spec:
+        more_time.append(Change(f"a heating of up to {longer.longest_heating:g} s", rig, longer))
+    if T_end.max() < low:
+        return [*_for_power(rig, spec), *more_time]
+    # A heating as long as allowed shows that the mold had no time to get warm.
+    if heating <= (1 - MIN_GAIN) * spec.longest_heating:
+        more_time = []
+    if T_end.max() - T_end.min() > 0.5 * (high - low):
+        return [*more_time, *_for_ends(rig, spec)]
+    return [*more_time, *_for_narrow_window(rig, spec)]
 
 
 def _for_power(rig: Rig, spec: HeatingSpec) -> list[Change]:
-    found: list[Change] = []
+    changes: list[Change] = []
     if rig.mold.material != CALCIUM_SILICATE:
         silicate = replace(rig, mold=replace(rig.mold, material=CALCIUM_SILICATE))
         name = rig.mold.material.name.replace("_", " ")
-        found.append((f"a mold of calcium silicate in place of {name}", silicate, spec))
+        changes.append(Change(f"a mold of calcium silicate in place of {name}", silicate, spec))
     circuit = replace(rig.circuit, current_limit=2.0 * rig.circuit.current_limit)
-    words = f"a circuit that allows a mean current of {circuit.current_limit:g} A"
-    found.append((words, replace(rig, circuit=circuit), spec))
+    description = f"a circuit that allows a mean current of {circuit.current_limit:g} A"
+    changes.append(Change(description, replace(rig, circuit=circuit), spec))
     if rig.battery.state_of_charge < 0.95:
-        found.append(("a full battery", rig.with_charge(1.0), spec))
-    return found + _more_time(rig, spec)
+        changes.append(Change("a full battery", rig.with_charge(1.0), spec))
+    return changes
 
 
 def _for_ends(rig: Rig, spec: HeatingSpec) -> list[Change]:
     lead, clearance = rig.mold.lead, rig.clamps.clearance
     longer = replace(spec, free=("lead",), lead_range=(lead, max(60e-3, 1.5 * lead)))
-    room = min(1e-3, 0.5 * clearance), max(20e-3, 1.01 * clearance)
+    clearances = min(1e-3, 0.5 * clearance), max(20e-3, 1.01 * clearance)
     return [
-        ("{chosen}", rig, longer),
-        ("{chosen}", rig, replace(longer, free=("lead", "clearance", "vents"), clearance_range=room)),
+        Change("{chosen}", rig, longer),
+        Change("{chosen}", rig, replace(longer, free=("lead", "clearance", "vents"), clearance_range=clearances)),
     ]
 
 
 def _for_narrow_window(rig: Rig, spec: HeatingSpec) -> list[Change]:
     lead = _for_ends(rig, spec)[0]
     wider = replace(spec, window_degC=(spec.window_degC[0] - 25.0, spec.window_degC[1]))
-    wide = (f"a window that begins at {wider.window_degC[0]:g} degC", rig, wider)
-    if spec.slot <= (short := QUICK_SLOT):
+    wide = Change(f"a window that begins at {wider.window_degC[0]:g} degC", rig, wider)
+    if spec.slot <= QUICK_SLOT:
         return [lead, wide]
-    quick = f"duties kept for {short:g} s instead of {spec.slot:g} s"
-    both = (f"{lead[0]}, and {quick}", rig, replace(lead[2], slot=short))
-    return [(quick, rig, replace(spec, slot=short)), both, wide]
+    quick = Change(f"slots of {QUICK_SLOT:g} s instead of {spec.slot:g} s", rig, replace(spec, slot=QUICK_SLOT))
+    both = replace(
+        lead, description=f"{lead.description}, and {quick.description}", spec=replace(lead.spec, slot=QUICK_SLOT)
+    )
+    return [quick, both, wide]

@@ -1,13 +1,13 @@
-"""A plan on uncertain rigs: band of temperatures, more likely schedule, other charges, feedback controller.
+"""Heating plans on uncertain rigs: temperature band, robust schedule, states of charge, feedback design.
 
-All are simulated on one ensemble (`Uncertainty.ensemble`): the nominal rig, which is the first member, and others.
+All are simulated on one ensemble (`Uncertainty.ensemble`), whose first member is the nominal rig.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import scipy
@@ -22,25 +22,30 @@ from .outcome import hold_slots
 from .plan import HeatingPlan
 from .rig import COUNTS
 from .schedule import Run, checked
-from .sensors import Felt, Sensor
-from .simulation import State, current, resimulate, simulate, simulate_feedback
-from .thermal import FINE, ThermalModel, seen, thermal_model
+from .sensors import MeasuredRig, Sensor
+from .simulation import State, circuit_state, resimulate, simulate, simulate_feedback
+from .thermal import FINE, ThermalModel, thermal_model, tube_extremes
 from .uncertainty import ENSEMBLE, Uncertainty
 
-PROBES = (0.94, 1.06)
+SIMULATED_SCALES = (0.94, 1.06)
+"""Scales of a schedule that are simulated; temperatures are nearly linear in the scale."""
+
 SCALES = np.linspace(0.8, 1.2, 401)
+"""Scales among which the best is chosen."""
+
 CHARGES = (1.0, 0.9, 0.8, 0.7, 0.6)
+"""States of charge of the tables for the technician."""
 
 
 # --- charge -----------------------------------------------------------------------------------------------------------
 
 
 def at_charge(plan: HeatingPlan, state_of_charge: float) -> HeatingPlan:
-    """The plan for the same temperatures with the battery at another charge.
+    """Plan for the same temperatures with the battery at another state of charge.
 
-    The tube feels duty times current squared only: the ideal duties are scaled, slot by slot, so that it stays the
-    same, as far as the current limit allows, and rounded and integrated anew. Where the battery is too weak for that,
-    the duty is 255 and the plan is not feasible.
+    Only duty times current squared heats the tube: the ideal duties are scaled slot by slot so that it stays the same,
+    as far as the current limit allows, then rounded and simulated again. If the battery is too weak for that, the duty
+    is 255 and the plan is not feasible.
 
     Raises:
         InputError: a state of charge outside of (0, 1].
@@ -50,60 +55,60 @@ def at_charge(plan: HeatingPlan, state_of_charge: float) -> HeatingPlan:
     slot = plan.spec.slot
     nominal = simulate(thermal_model(plan.tube, plan.rig, FINE), slot, levels)
     lost = rig.circuit.lost_share
-    # d I^2 is the heat of the tube but for its resistance, which follows its temperature.
-    drive = np.maximum(levels - lost, 0.0) * nominal.current[:-1, 0] ** 2
+    # d I^2 determines the heat: the resistance of the tube follows from its temperature.
+    I_sq = np.maximum(levels - lost, 0.0) * nominal.current[:-1, 0] ** 2
     model = thermal_model(plan.tube, rig, FINE)
 
     def controller(time: float, state: State) -> float:
-        now = current(model, state.cells[:, :, 0], state.lumped).total[0]
-        wanted = float(drive[round(time / slot)] / now**2)
-        return min(1.0, wanted + lost * (wanted > 0), rig.circuit.current_limit / float(now))
+        I_on = circuit_state(model, state.cells[:, :, 0], state.lumped).I_on[0]
+        effective = float(I_sq[round(time / slot)] / I_on**2)
+        return min(1.0, effective + lost * (effective > 0), rig.circuit.current_limit / float(I_on))
 
-    exact, scaled = simulate_feedback(model, slot, len(levels), controller)
-    run = Run(rig, model, scaled, exact, plan.outcome.mesh, plan.hold_start)
-    found = checked(plan.spec, run, guarded_counts(model, plan.spec, rig, scaled))
-    return HeatingPlan.of(plan.tube, plan.spec, found, plan.iterations)
+    history, scaled = simulate_feedback(model, slot, len(levels), controller)
+    run = Run(rig, model, scaled, history, plan.outcome.mesh, plan.hold_start)
+    schedule = checked(plan.spec, run, guarded_counts(model, plan.spec, rig, scaled))
+    return HeatingPlan.of(plan.tube, plan.spec, schedule, plan.iterations)
 
 
 def charge_tables(plan: HeatingPlan, charges: Sequence[float] = CHARGES) -> tuple[HeatingPlan, ...]:
-    """Plans for several states of charge: the technician reads the battery's voltage at rest and picks one."""
+    """Plans for several states of charge, to be chosen by the battery's voltage at rest."""
     return tuple(at_charge(plan, charge) for charge in charges)
 
 
-# --- what is not known ------------------------------------------------------------------------------------------------
+# --- temperature band -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """What a schedule may do on S rigs that are not quite the one that it was planned for."""
+    """Temperatures of a schedule on S uncertain rigs."""
 
     time: Array
-    """(T,) s."""
+    """(T,) start of every slot, s."""
     coldest: Array
-    """(T, S) of the curved part, degC."""
+    """(T, S) coldest point of the curved part, degC."""
     hottest: Array
-    """(T, S) of the curved part, degC."""
+    """(T, S) hottest point of the curved part, degC."""
     lowest: Array
-    """(S,) of the curved part during the hold, degC."""
+    """(S,) lowest temperature of the curved part during the hold, degC."""
     highest: Array
-    """(S,) of the curved part during the hold, degC."""
+    """(S,) highest temperature of the curved part during the hold, degC."""
     top: Array
-    """(S,) of all points at all times, degC."""
+    """(S,) highest temperature of any point at any time, degC."""
     probability: Annotated[float, "fraction that stays in the window"]
     too_cold: Annotated[float, "fraction that falls below the window"]
     too_hot: Annotated[float, "fraction that rises above window or limit"]
 
     def quantiles(self, fraction: float = 0.9) -> tuple[Array, Array]:
-        """(T,) lower and (T,) upper limit, degC, of the curved part in this fraction of the samples."""
+        """Lower and upper temperature (T,) of the curved part that this fraction of the rigs keeps, degC."""
         tail = 0.5 * (1 - fraction)
         return np.quantile(self.coldest, tail, axis=1), np.quantile(self.hottest, 1 - tail, axis=1)
 
 
 def assess(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, samples: int = 64) -> Band:
-    """The band of temperatures of a plan over an ensemble of rigs, and the probability of staying in the window.
+    """Temperature band of a plan on an ensemble of rigs, and the probability of staying in the window.
 
     Args:
-        uncertainty: how far the rig may be from what its file says; by default `Uncertainty.of_a_workshop()`.
+        uncertainty: of rig and tube; by default `Uncertainty.of_a_workshop()`.
         samples: size of the ensemble, at least 2.
 
     Raises:
@@ -120,9 +125,9 @@ def _band(plan: HeatingPlan, model: ThermalModel, counts: Counts) -> Band:
     history = simulate(model, spec.slot, counts / COUNTS)
     reference = thermal_model(plan.tube, plan.rig, FINE)
     fine = resimulate(reference, spec.slot, counts / COUNTS)
-    # The coarse grid's error is nearly the same in all members: the nominal one, which is the first, tells it.
-    both = zip(seen(model, history.tube), seen(reference, fine.tube[:, 0]), strict=True)
-    coldest, hottest, top = (rough[:, 1:] + (exact - rough[:, 0])[:, None] for rough, exact in both)
+    # The error of the coarse grid is nearly the same in all members: that of the nominal one corrects them.
+    grids = zip(tube_extremes(model, history.tube), tube_extremes(reference, fine.tube[:, 0]), strict=True)
+    coldest, hottest, top = (coarse[:, 1:] + (exact - coarse[:, 0])[:, None] for coarse, exact in grids)
     first, last = hold_slots(spec, plan.hold_start)
     lowest, highest = coldest[first : last + 1].min(0), hottest[first : last + 1].max(0)
     cold = lowest < spec.window_degC[0]
@@ -142,23 +147,23 @@ def _band(plan: HeatingPlan, model: ThermalModel, counts: Counts) -> Band:
 
 @dataclass(frozen=True, eq=False)
 class RobustSchedule:
-    """The schedule of those scaled from a plan's that is most likely to stay in the window."""
+    """Schedule with the scale of a plan's duties that is most likely to stay in the window."""
 
     scale: float
-    """Of the plan's ideal duties."""
+    """Factor on the plan's ideal duties."""
     plan: HeatingPlan
-    """Of the nominal rig with it."""
+    """Plan of the nominal rig with the scaled schedule."""
     band: Band
-    """With it."""
+    """Temperature band of the scaled schedule."""
     before: Band
-    """With the plan's own schedule."""
+    """Temperature band of the plan's own schedule."""
 
 
 def most_likely(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, samples: int = 64) -> RobustSchedule:
-    """Scale the duties of a plan so that the probability of staying in the window is greatest.
+    """Schedule with the scale of a plan's duties that maximises the probability of staying in the window.
 
-    Temperatures are nearly linear in the scale: two scales are simulated for every sample, the best one is read off and
-    simulated for what is reported.
+    Temperatures are nearly linear in the scale: two scales are simulated for every sample, and the best one by
+    interpolation is simulated again for the result.
 
     Raises:
         InputError: fewer than 2 samples.
@@ -167,18 +172,18 @@ def most_likely(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, sa
     before = assess(plan, uncertainty, samples=samples)
     model = uncertainty.ensemble(plan.tube, plan.rig, samples).model
     levels = plan.ideal_duty[:-1] / COUNTS
-    low, high = (_band(plan, model, sum_up_rounding(np.minimum(scale * levels, 1.0))) for scale in PROBES)
-    # Linear in the scale from two probes, 401 scales without another simulation.
-    part = ((SCALES - PROBES[0]) / (PROBES[1] - PROBES[0]))[:, None]
+    first, second = SIMULATED_SCALES
+    low, high = (_band(plan, model, sum_up_rounding(np.minimum(scale * levels, 1.0))) for scale in SIMULATED_SCALES)
+    part = ((SCALES - first) / (second - first))[:, None]
 
-    def between(name: str) -> Array:
-        first, second = getattr(low, name), getattr(high, name)
-        return np.asarray(first + part * (second - first))
+    def interpolated(name: str) -> Array:
+        at_first, at_second = getattr(low, name), getattr(high, name)
+        return np.asarray(at_first + part * (at_second - at_first))
 
     lower, upper = plan.spec.window_degC
-    excess = np.maximum(between("highest") - upper, between("top") - plan.spec.limit)
-    miss = np.maximum(np.maximum(lower - between("lowest"), excess), 0.0)
-    # Where several scales keep as many samples, the one that misses the others by least.
+    excess = np.maximum(interpolated("highest") - upper, interpolated("top") - plan.spec.limit)
+    miss = np.maximum(np.maximum(lower - interpolated("lowest"), excess), 0.0)
+    # Among scales that keep equally many samples, the one with the smallest mean miss.
     scale = float(SCALES[np.argmax((miss <= 0).mean(1) - 1e-4 * miss.mean(1))])
     scaled = np.minimum(scale * levels, 1.0)
     fine = thermal_model(plan.tube, plan.rig, FINE)
@@ -186,33 +191,36 @@ def most_likely(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, sa
     band = _band(plan, model, counts)
     if band.probability <= before.probability:
         return RobustSchedule(1.0, plan, before, before)
-    exact = simulate(fine, plan.spec.slot, scaled)
-    run = Run(plan.rig, fine, scaled, exact, plan.outcome.mesh, plan.hold_start)
+    history = simulate(fine, plan.spec.slot, scaled)
+    run = Run(plan.rig, fine, scaled, history, plan.outcome.mesh, plan.hold_start)
     robust = HeatingPlan.of(plan.tube, plan.spec, checked(plan.spec, run, counts), plan.iterations)
     return RobustSchedule(scale, robust, band, before)
 
 
-# --- feedback: gains and set-point from the model, chosen on uncertain rigs -------------------------------------------
+# --- feedback: gains and set-point, chosen on uncertain rigs ----------------------------------------------------------
 
 
 # A quarter of a window of 50 K is 12 K: the bias is 2 K for a thermocouple, 9 K for a camera.
 INSIDE = 0.25
 """Distance of the coldest point inside the window where a controlled hold begins, as a fraction of its width."""
 
-# From 48 rigs the share in the window has a standard error of 7 %, enough to order five gains; the time grows with
-# them.
+# With 48 rigs the fraction in the window has a standard error of 7 %, enough to order five gains; the time is
+# proportional to their number.
 RIGS = 48
-"""Random rigs on which gains and set-point are chosen; others test them."""
+"""Number of random rigs on which gains and set-point are chosen; others test them."""
 
 SHIFTS = np.linspace(-15.0, 15.0, 121)
-"""Set-points that are looked at, K from the plan's."""
+"""Set-points among which the best is chosen, K from the plan's."""
 
 PROBE = 0.02
-"""Share by which the planned duties are raised to see what the reading does."""
+"""Relative increase of the planned duties with which the response of the reading is simulated."""
 
+# The first shells of the mold warm up in about this time, and the power that the tube needs falls with it.
 RESET = 8.0
-"""Time, s, in which an error that stays weighs as much as one at once: that of the mold's first shells, which fill up
-and are why the tube needs less and less power."""
+"""Time in which a lasting error costs as much as its instantaneous value, s."""
+
+KELVIN_GAINS = (0.002, 0.005, 0.01, 0.02, 0.04)
+"""Corrections that cost as much as an error of 1 K, 1/K, from gentle to quick gains."""
 
 
 @small
@@ -228,11 +236,11 @@ def design_feedback(
 ) -> Feedback:
     """Feedback controller for a heating plan: feedforward, gains and set-point, with the probability of success.
 
-    The schedule of the plan is the feedforward. Gains and set-point maximise the probability that the window is kept.
+    The schedule of the plan is the feedforward. Gains and set-point maximise the probability of staying in the window.
     That probability is estimated on rigs that were not used to choose them.
 
     Args:
-        plan: the plan to control; one with objective "margin" leaves most room for feedback.
+        plan: the plan to control; objective "margin" leaves the largest margin for feedback.
         uncertainty: uncertainty of rig and tube; by default `Uncertainty.of_a_workshop()`.
         samples: number of rigs for the probability, at least 20.
         time_limit: maximum run time, s.
@@ -245,51 +253,58 @@ def design_feedback(
         >>> import tubeopt
         >>> rig = tubeopt.load_rig("configs/rigs/thesis_calcium_silicate.yaml")
         >>> plan = tubeopt.plan_heating(rig.tube, rig, tubeopt.HeatingSpec(hold_time=5))
-        >>> led = tubeopt.design_feedback(plan, tubeopt.Thermocouple(), samples=20)
-        >>> led.probability > 0.8 > led.open_loop
+        >>> feedback = tubeopt.design_feedback(plan, tubeopt.Thermocouple(), samples=20)
+        >>> feedback.probability > 0.8 > feedback.open_loop
         True
     """
     instance("sensor", sensor, Sensor)
     if samples < 20:
         raise InputError(f"samples is {samples}; it must be at least 20")
-    unknown = Uncertainty.of_a_workshop() if uncertainty is None else uncertainty
-    law = _tuned(plan, sensor, unknown, seed)
-    rigs = unknown.ensemble(plan.tube, plan.rig, samples, sensor_bias=sensor.bias, seed=seed + 1)
+    uncertainty = Uncertainty.of_a_workshop() if uncertainty is None else uncertainty
+    law = _tuned(plan, sensor, uncertainty, seed)
+    rigs = uncertainty.ensemble(plan.tube, plan.rig, samples, sensor_bias=sensor.bias, seed=seed + 1)
     history = corrected(plan, law, sensor, run_loop(rigs.model, law, sensor, bias=rigs.bias, seed=seed))
     lowest, highest = (row[1:] for row in history.extremes(law))
     top = history.top.max(0)[1:]
     low, high = plan.spec.window_degC
-    kept = history.finished[1:] & (lowest >= low) & (highest <= high) & (top <= plan.spec.limit)
-    names = (*unknown.unknown, "sensor")
+    names = (*uncertainty.unknown, "sensor")
     return Feedback(
-        sensor=sensor, law=law, uncertainty=unknown, history=history, lowest=lowest, highest=highest, top=top,
-        kept=kept, open_loop=assess(plan, unknown, samples=samples).probability,
+        sensor=sensor,
+        law=law,
+        uncertainty=uncertainty,
+        history=history,
+        lowest=lowest,
+        highest=highest,
+        top=top,
+        kept=history.finished[1:] & (lowest >= low) & (highest <= high) & (top <= plan.spec.limit),
+        open_loop=assess(plan, uncertainty, samples=samples).probability,
         contributions=_contributions(names, np.column_stack([rigs.draws, rigs.bias[1:]]), lowest, highest),
-        window=plan.spec.window_degC, limit=plan.spec.limit,
-    )  # fmt: skip
+        window=plan.spec.window_degC,
+        limit=plan.spec.limit,
+    )
 
 
 def nominal_law(plan: HeatingPlan, sensor: Sensor) -> HeatingLaw:
-    """The plan's schedule and what the sensor should read of it, not yet corrected.
+    """Law without feedback: the plan's schedule and the readings of the sensor under it.
 
-    The soonest hold begins where the coldest point has just reached the window, which another rig's has not: the law's
-    begins once it is inside by `INSIDE`, or, where the plan never gets there, when the plan's does. The last duty
-    continues for as long as it began later.
+    The minimum-time hold begins where the coldest point of the nominal rig has just reached the window. The law's hold
+    begins once it is inside by `INSIDE`, so that other rigs have reached it too; if the plan never gets there, with the
+    plan's hold. The last duty is prolonged by this delay.
     """
     slot, planned = plan.spec.slot, round(plan.hold_start / plan.spec.slot)
     low, high = plan.spec.window_degC
     coldest = plan.temperature[planned : planned + plan.spec.hold_slots // 2][:, plan.curved].min(1)
-    well = coldest >= low + INSIDE * (high - low)
-    later = int(np.argmax(well)) if well.any() else 0
+    inside = coldest >= low + INSIDE * (high - low)
+    delay = int(np.argmax(inside)) if inside.any() else 0
     last = planned + plan.spec.hold_slots
     model = thermal_model(plan.tube, plan.rig, FINE)
     lost = COUNTS * plan.rig.circuit.lost_share
-    commanded = prolonged(plan, last + later)
+    commanded = prolonged(plan, last + delay)
     return HeatingLaw(
         slot=slot,
         planned=np.maximum(commanded - lost, 0.0),
-        reference=readings(model, sensor, slot, commanded / COUNTS)[: last + later, 0],
-        hold=(planned + later, last + later),
+        reference=readings(model, sensor, slot, commanded / COUNTS)[: last + delay, 0],
+        hold=(planned + delay, last + delay),
         proportional=0.0,
         integral=0.0,
         lost=lost,
@@ -297,60 +312,62 @@ def nominal_law(plan: HeatingPlan, sensor: Sensor) -> HeatingLaw:
 
 
 def prolonged(plan: HeatingPlan, slots: int) -> Array:
-    """(slots,) mean counts of a plan's heating and hold, whose last goes on."""
+    """(slots,) mean counts of a plan's heating and hold, continued with the last one."""
     last = round(plan.hold_end / plan.spec.slot)
     return np.append(plan.ideal_duty[:last], np.full(slots - last, plan.ideal_duty[last - 1]))
 
 
-def _tuned(plan: HeatingPlan, sensor: Sensor, unknown: Uncertainty, seed: int) -> HeatingLaw:
-    """The law with the gains and the set-point that keep most of a fleet in the window, and that by most."""
+def _tuned(plan: HeatingPlan, sensor: Sensor, uncertainty: Uncertainty, seed: int) -> HeatingLaw:
+    """Law with the gains and the set-point that keep most uncertain rigs in the window."""
     law = nominal_law(plan, sensor)
-    nominal = thermal_model(plan.tube, plan.rig, ENSEMBLE)
-    found = response(nominal, sensor, law)
-    rigs = unknown.ensemble(plan.tube, plan.rig, RIGS, sensor_bias=sensor.bias, seed=seed)
+    plant = response(thermal_model(plan.tube, plan.rig, ENSEMBLE), sensor, law)
+    rigs = uncertainty.ensemble(plan.tube, plan.rig, RIGS, sensor_bias=sensor.bias, seed=seed)
     best: tuple[float, HeatingLaw] | None = None
-    for share in (0.002, 0.005, 0.01, 0.02, 0.04):  # per K, from gentle to quick
-        proportional, integral = regulator(found, law.slot, share)
+    for correction_per_kelvin in KELVIN_GAINS:
+        proportional, integral = regulator(plant, law.slot, correction_per_kelvin)
         trial = replace(law, proportional=proportional, integral=integral)
         history = corrected(plan, trial, sensor, run_loop(rigs.model, trial, sensor, bias=rigs.bias, seed=seed))
-        low, high = history.extremes(trial)
-        value, shift = _best_shift(plan, low, high, history.top.max(0))
+        lowest, highest = history.extremes(trial)
+        value, shift = _best_shift(plan, lowest, highest, history.top.max(0))
         if best is None or value > best[0]:
             best = value, shifted(trial, shift)
     assert best is not None
     return best[1]
 
 
-def _best_shift(plan: HeatingPlan, low: Array, high: Array, top: Array) -> tuple[float, float]:
-    """Of the set-points: share of rigs in the window, where temperatures move with it, plus a little of the least
-    distance from its ends; and the set-point, K."""
-    begin, end = plan.spec.window_degC
-    # A set-point that moves by a shift moves all temperatures of the hold by it, to first order.
-    below = low[:, None] + SHIFTS - begin
-    above = np.minimum(end - high, plan.spec.limit - top)[:, None] - SHIFTS
-    room = np.clip(np.minimum(below, above), -50.0, 50.0)
-    # As many as possible; among equals those whose worst twentieth has most room.
-    value = (room >= 0).mean(0) + 1e-3 * np.quantile(room, 0.05, axis=0)
+def _best_shift(plan: HeatingPlan, lowest: Array, highest: Array, top: Array) -> tuple[float, float]:
+    """Best value over all set-points, and the shift (K) that has it.
+
+    The value is the fraction of rigs in the window plus a little of the distance from the window's ends.
+    """
+    low, high = plan.spec.window_degC
+    # A shift of the set-point moves all temperatures of the hold by it, to first order.
+    below = lowest[:, None] + SHIFTS - low
+    above = np.minimum(high - highest, plan.spec.limit - top)[:, None] - SHIFTS
+    margin = np.clip(np.minimum(below, above), -50.0, 50.0)
+    # Among equal fractions the one whose worst twentieth has the largest margin.
+    value = (margin >= 0).mean(0) + 1e-3 * np.quantile(margin, 0.05, axis=0)
     best = int(np.argmax(value))
     return float(value[best]), float(SHIFTS[best])
 
 
 def corrected(plan: HeatingPlan, law: HeatingLaw, sensor: Sensor, history: LoopHistory) -> LoopHistory:
-    """Temperatures of a fleet with what the fine grid adds to the first member, at every slot of the schedule."""
+    """History corrected by the difference of the fine grid on the nominal rig, at every slot of the schedule."""
     models = (thermal_model(plan.tube, plan.rig, grid) for grid in (FINE, ENSEMBLE))
-    fine, coarse = (run_loop(model, law, replace(sensor, noise=0.0)) for model in models)
+    nominal = [run_loop(model, law, replace(sensor, noise=0.0)) for model in models]
 
-    def added(name: str) -> Array:
+    def difference(name: str) -> Array:
         slots = range(len(law.planned) + 1)
-        one, other = (np.interp(slots, h.place[:, 0], getattr(h, name)[:, 0]) for h in (fine, coarse))
-        return np.asarray((one - other)[np.minimum(history.place, len(law.planned))])
+        fine, coarse = (np.interp(slots, h.index[:, 0], getattr(h, name)[:, 0]) for h in nominal)
+        return np.asarray((fine - coarse)[np.minimum(history.index, len(law.planned))])
 
-    return replace(history, **{name: getattr(history, name) + added(name) for name in ("coldest", "hottest", "top")})
+    names = ("coldest", "hottest", "top")
+    return replace(history, **{name: getattr(history, name) + difference(name) for name in names})
 
 
 def _contributions(names: Sequence[str], draws: Array, lowest: Array, highest: Array) -> tuple[Contribution, ...]:
-    """Standard deviations of the middle of the hold's temperatures by each of the draws, from a linear fit."""
-    # A hold that never began has no temperatures.
+    """Standard deviations of the mid-range temperature of the hold by each uncertain parameter, from a linear fit."""
+    # A rig that never reached the hold has no temperatures.
     good = np.isfinite(lowest) & np.isfinite(highest)
     if good.sum() <= draws.shape[1] + 2:
         return ()
@@ -358,53 +375,64 @@ def _contributions(names: Sequence[str], draws: Array, lowest: Array, highest: A
     # The draws are independent, so a slope times its draw's deviation is that draw's own part.
     columns = np.column_stack([np.ones(int(good.sum())), draws[good]])
     slope = np.linalg.lstsq(columns, middle, rcond=None)[0][1:]
-    found = [Contribution(name, float(abs(s) * w)) for name, s, w in zip(names, slope, spread, strict=True)]
-    return tuple(sorted(found, key=lambda item: -item.deviation))
+    contributions = [Contribution(name, float(abs(s) * w)) for name, s, w in zip(names, slope, spread, strict=True)]
+    return tuple(sorted(contributions, key=lambda item: -item.deviation))
 
 
-# --- gains: a linear-quadratic regulator of what the reading does after a share of power ------------------------------
+# --- gains: linear-quadratic regulator of the reading -----------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Response:
-    """What the reading does after a share of power: towards `gain`, K, with a time constant, s."""
+    """First-order response of the reading to a relative change of the power."""
 
     gain: float
+    """Final change per relative change, K."""
     time_constant: float
+    """Time constant, s."""
 
 
 def readings(model: ThermalModel, sensor: Sensor, slot: float, duty: Array) -> Array:
-    """(T + 1, B) degC that a sensor without bias and noise shows under duties (T,) in [0, 1]."""
-    felt = [Felt.at_rest(model, sensor)]
+    """(T + 1, B) readings of a sensor without bias and noise under duties (T,) in [0, 1], degC."""
+    rigs = [MeasuredRig.at_rest(model, sensor)]
     for level in duty:
-        felt.append(felt[-1].after(model, sensor, level, slot))
-    return np.array([now.lagged for now in felt])
+        rigs.append(rigs[-1].after(model, sensor, level, slot))
+    return np.array([rig.lagged for rig in rigs])
 
 
 def response(model: ThermalModel, sensor: Sensor, law: HeatingLaw) -> Response:
-    """The response of the first member's reading in the hold to a share of what a law plans."""
+    """Response of the first member's reading in the hold to a relative change of the planned power."""
     first, last = law.hold
     duty = (law.planned + law.lost * (law.planned > 0)) / COUNTS
-    plain = readings(model, sensor, law.slot, duty)[:, 0]
-    raised = readings(model, sensor, law.slot, np.where(np.arange(len(duty)) < first, duty, duty * (1 + PROBE)))[:, 0]
-    rise = (raised - plain)[first : last + 1] / PROBE
+    raised = np.where(np.arange(len(duty)) < first, duty, duty * (1 + PROBE))
+    nominal, stepped = (readings(model, sensor, law.slot, levels)[:, 0] for levels in (duty, raised))
+    rise = (stepped - nominal)[first : last + 1] / PROBE
     gain = float(rise[-1])
     # The area between the step and its end is the time constant, whatever the shape is.
     return Response(gain, float(max(law.slot * np.sum(1 - rise / gain), law.slot)))
 
 
-def regulator(found: Response, slot: float, share_per_kelvin: float) -> tuple[float, float]:
-    """Proportional (1/K) and integral gain (1/(K s)) that balance errors with the share that they cost.
+class Gains(NamedTuple):
+    """Gains of a PI controller."""
 
-    The least sum over slots of e^2 + (sum of e / RESET)^2 + (share / share_per_kelvin)^2, the reading being the state:
-    the algebraic Riccati equation of error and integrated error.
+    proportional: float
+    """1/K."""
+    integral: float
+    """1/(K s)."""
+
+
+def regulator(plant: Response, slot: float, correction_per_kelvin: float) -> Gains:
+    """Gains of the linear-quadratic regulator of error and integrated error.
+
+    They minimise the sum over slots of e^2 + (sum of e / RESET)^2 + (correction / correction_per_kelvin)^2 by the
+    algebraic Riccati equation.
     """
-    # First order over one slot: e' = a e - gain (1 - a) share, and the integral gains slot times e.
-    kept = float(np.exp(-slot / found.time_constant))
-    A = np.array([[kept, 0.0], [slot, 1.0]])
-    B = np.array([[-found.gain * (1 - kept)], [0.0]])
-    Q, R = np.diag([1.0, 1 / RESET**2]), np.array([[1 / share_per_kelvin**2]])
+    # First order over one slot: e' = a e - gain (1 - a) correction, and the integral grows by slot times e.
+    a = float(np.exp(-slot / plant.time_constant))
+    A = np.array([[a, 0.0], [slot, 1.0]])
+    B = np.array([[-plant.gain * (1 - a)], [0.0]])
+    Q, R = np.diag([1.0, 1 / RESET**2]), np.array([[1 / correction_per_kelvin**2]])
     P = scipy.linalg.solve_discrete_are(A, B, Q, R)
-    # share = -K (e, integral) with K = (R + B' P B)^-1 B' P A, negative as power lessens e.
-    gains = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)[0]
-    return float(-gains[0]), float(-gains[1])
+    # correction = -K (e, integral) with K = (R + B' P B)^-1 B' P A, negative as power reduces e.
+    K = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)[0]
+    return Gains(float(-K[0]), float(-K[1]))

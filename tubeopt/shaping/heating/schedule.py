@@ -1,18 +1,18 @@
-"""The schedule of whole counts that keeps everything, or misses the window by least.
+"""Schedule of whole counts that satisfies every requirement, or has the smallest miss of the window.
 
-Where the soonest hold is asked for, the greatest counts that keep the limits come first (`soonest`). Where these do not
-keep everything, or something else is asked for, the ideal schedule solves an optimal control problem on a coarse
-grid. It is rounded to whole counts and simulated in steps of a tenth of a second on a grid of three times as many cells
-and shells. Where that misses the window, the program's bounds are shifted by the difference between the two grids, and
-it is solved again (deferred correction): what holds in the end holds on the fine grid, for the schedule that is
-returned. Counts never break the ramp where one count alone keeps it; where they fall behind the ideal schedule for
-that, it is solved again with more room below the ramp.
+For objective "time" the minimum-time counts are tried first. If these do not satisfy every requirement, and for other
+objectives, the ideal schedule solves an optimal control problem on a coarse grid. It is rounded to whole counts and
+simulated in steps of a tenth of a second on a grid with three times as many cells and shells. If that misses the
+window, the bounds of the program are shifted by the difference between the two grids, and it is solved again (deferred
+correction): the result holds on the fine grid. Counts never break the ramp where one count alone keeps it. If they fall
+behind the ideal schedule for that, it is solved again with a larger reserve below the ramp.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,65 +20,75 @@ from numpy.typing import NDArray
 from ...constants import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
-from .counts import DECIDED, Counts, Pace, Soonest, guarded_counts, paced, ripple, soonest, would_centre
+from .counts import (
+    MIN_INTERVAL,
+    Counts,
+    MinimumTime,
+    Rollout,
+    guarded_counts,
+    minimum_time_counts,
+    ripple,
+    rollout,
+    would_centre,
+)
 from .optimal_schedule import Ideal, Shift, planned_ramp, solve_ideal
 from .outcome import MeshError, Outcome, hold_slots, mesh_error, outcome_of
 from .rig import COUNTS, Rig
 from .simulation import History, at_rest, resimulate, simulate
 from .spec import HeatingSpec
-from .thermal import COARSE, FINE, ThermalModel, joined, thermal_model
+from .thermal import COARSE, FINE, ThermalModel, curved_temperatures, thermal_model
 
-# --- the hold that misses a window by least, by mean duties: searched over when it is, and how hot --------------------
+# --- mean duties with the smallest miss: search over the start and the temperature of the hold ------------------------
 
 
-# The default longest heating is 360 s: 800 places keep its grid at 0.5 s. With half of them a hold begins 1.5 s later.
-PLACES = 800
-"""Times at which the hold may begin, at least half a second apart."""
+# The default longest heating is 360 s: 800 starts keep its grid at 0.5 s. With half of them a hold begins 1.5 s later.
+MAX_STARTS = 800
+"""Number of times at which the hold may begin, at least half a second apart."""
 
 # In geometric steps up to 360 s, each is 2.1 times the one before. Half and twice change no plan.
 BRANCHES = 9
-"""Times from which on the curved part is brought to the window's middle."""
+"""Number of times from which on the curved part is centred about the middle of the window."""
 
 # The reading of the thesis' tube settles with a time constant of 2.3 s, thick tubes in metal take longer. Half and
 # twice change no plan.
 SETTLING = 60.0
-"""Time after which such a hold begins at the latest, s."""
+"""Longest time from the start of centring to the hold, s."""
 
 # In longer holds the tube is no more even after a wait, but the mold is warmer.
-BURST = 20.0
-"""Length of a hold up to which a colder wait before it may pay, s."""
+SHORT_HOLD = 20.0
+"""Length of a hold up to which a colder wait before it may help, s."""
 
-# From a wait below the first, the rise takes longer than the ends need to cool; a wait above the second is the hold.
-WAITS = 0.6, 0.85
-"""Temperatures of the wait, as shares of the limit's rise over ambient."""
+# After a colder wait the rise takes longer than the ends need to cool; a hotter wait is the hold.
+WAIT_LEVELS = 0.6, 0.85
+"""Temperatures of the wait above ambient, as fractions of that of the limit."""
 
 # Geometric, from half of what one count changes in a slot to what the ramp of 20 K/s makes in two seconds.
-RISES, BEFORE = (2.0, 5.0, 10.0, 20.0, 40.0), 5.0
-"""By how much the hold begins below the limit, to which it rises, K; and how long before the hold, s."""
+RISES, RISE_TIME = (2.0, 5.0, 10.0, 20.0, 40.0), 5.0
+"""Rises of the hottest point up to the limit, K, from so long before the hold (s) to its end."""
 
 # Far below the 2.3 K of half a count in a slot. Half and twice change no plan.
 SAME_MISS = 0.02
-"""Misses that differ by less are equal, K: the soonest is taken."""
+"""Difference below which misses are equal, K: the soonest hold is taken."""
 
-# Each try moves the hottest point by what it was off. In two missed plans one try suffices; half and twice change none.
-CAPS = 4
-"""Limits of the hottest point that are tried until its counts come to just below the limit."""
+# Each try corrects the error of the hottest point. In two missed plans one try suffices; half and twice change none.
+CAP_TRIES = 4
+"""Number of limits of the hottest point that are tried until its counts come to just below the limit."""
 
-# Rounding adds up to half a count to a duty. With half of the room counts fall behind, and the plan of least energy
-# begins its hold 9 s later; with twice the room 50 s later. "Margin" gets a whole count: with half of it the hold is up
-# to 8 K colder, with twice it begins 117 s later.
-ROOM, MORE_ROOM = 0.75, 1.0
-"""Reserve below the ramp, as the warming by so many counts; and the larger one, if counts fall behind with it."""
+# Rounding adds up to half a count to a duty. With half of the reserve counts fall behind, and the plan of least energy
+# begins its hold 9 s later; with twice the reserve 50 s later. "Margin" gets a whole count: with half of it the hold is
+# up to 8 K colder, with twice it begins 117 s later.
+RAMP_RESERVE, LARGE_RAMP_RESERVE = 0.75, 1.0
+"""Reserve below the ramp, as the heating rate of so many counts; and the larger one, if counts fall behind with it."""
 
 # Each round repeats the program with the difference of the grids. Two suffice in the six plans.
 ROUNDS = 4
-"""Rounds of the optimal control problem; each is corrected by the difference of its grid from the fine one."""
+"""Number of solutions of the optimal control problem, each corrected by the difference of the grids."""
 
-# What one trim leaves is of second order. Half suffices in the six plans.
+# The error after one trim is of second order. Half suffices in the six plans.
 TRIMS = 8
-"""How often duties are scaled down until no point is above the limit."""
+"""Number of times that duties are scaled down until no point is above the limit."""
 
-# The plan also says how the tube cools in its mold, if it is not quenched.
+# The plan also shows how the tube cools in its mold, if it is not quenched.
 COOLING = 10.0
 """Simulated time after the hold, the tube still in the mold, s."""
 
@@ -86,8 +96,8 @@ COOLING = 10.0
 SAME_SHIFT = 0.3
 """Change of the correction below which another round would change nothing, K."""
 
-# The grids of the program and the result differ by less, so that what misses by more on one misses on the other. Half
-# and twice change no plan.
+# The grids of the program and the result differ by less, so that a larger miss on one is a miss on the other. Half and
+# twice change no plan.
 HOPELESS = 5.0
 """Miss of the window after the first round that no correction repairs, K."""
 
@@ -95,7 +105,7 @@ HOPELESS = 5.0
 SETTLED = 2.0
 """Miss of the window by the corrected program that no further round repairs, K."""
 
-# Above it counts decide whether the window is kept, and are made in every round. Half and twice change no plan.
+# Above it counts decide whether the window is kept, and are computed in every round. Half and twice change no plan.
 FINE_SWING = 0.5
 """Largest ripple by the rounding of duties with which the estimate without counts is accurate enough, K."""
 
@@ -104,99 +114,110 @@ FINE_SWING = 0.5
 FIRST_ERROR = 0.004
 """Mesh error before it is known, as a fraction of the rise in temperature."""
 
-# Counts for other charges are rounded anew. Twice changes a window of 10 K by 0.1 K; half lets the plan keep it, with
-# nothing to spare for that.
+# Counts for other charges are rounded anew. Twice changes a window of 10 K by 0.1 K; half lets the plan keep it without
+# a reserve for that.
 RESERVE = 0.3
-"""Kept from the window's ends beyond rounding and mesh error, K."""
+"""Distance from the window's ends in addition to rounding and mesh error, K."""
 
 
 @dataclass(frozen=True, eq=False)
-class Nearest:
-    """Mean duties to the end of a hold, with which of them it begins, and by how much it misses the window, K."""
+class NearestHold:
+    """Mean duties to the end of the hold with the smallest miss."""
 
-    pace: Pace
+    course: Rollout
     first: int
-    missed: float
+    """Index of the duty with which the hold begins."""
+    miss: float
+    """Miss of the window, K."""
 
 
-def nearest_hold(tube: Tube, rig: Rig, spec: HeatingSpec) -> Nearest:
-    """The mean duties that miss the window by least, wherever the hold is and at whatever temperature.
+def nearest_hold(tube: Tube, rig: Rig, spec: HeatingSpec) -> NearestHold:
+    """Mean duties with the smallest miss of the window, over all starts and temperatures of the hold.
 
-    More power never makes anything colder. So it heats as fast as ramp and currents allow, until the hottest point is
-    at the limit; at some time it lets the curved part spread evenly about the window's middle, as far as the limit
-    allows; and it holds where that misses by least. All times are searched on a grid over all that may be; then holds
-    that rise to the limit, and short ones after a colder wait, in which the tube is more even.
+    More power never makes anything colder. So the policy heats as fast as ramp and currents allow, until the hottest
+    point is at the limit; from some time on it centres the curved part about the middle of the window, as far as the
+    limit allows; and it holds where the miss is smallest. All times are searched on a grid; then holds that rise to the
+    limit, and short ones after a colder wait, in which the tube is more even.
     """
-    (model, rough), swing = (thermal_model(tube, rig, grid) for grid in (FINE, COARSE)), ripple(tube, rig, spec)
+    (fine, coarse), swing = (thermal_model(tube, rig, grid) for grid in (FINE, COARSE)), ripple(tube, rig, spec)
     guess = FIRST_ERROR * (spec.limit + ZERO_CELSIUS - rig.ambient)
-    found = placed(model, rig, spec, spec.limit - guess - swing)
-    # What the mesh adds is known of these duties.
-    runs = ((m, simulate(m, found.pace.span, found.pace.levels)) for m in (rough, model))
-    start = found.first * found.pace.span
-    error = mesh_error(next(runs), next(runs), replace(spec, slot=found.pace.span), start)
-    return capped(model, rig, spec, found, guess - error.hottest - RESERVE)
+    nearest = search_hold(fine, rig, spec, spec.limit - guess - swing)
+    # With these duties the mesh error is known.
+    course = nearest.course
+    runs = ((model, simulate(model, course.span, course.levels)) for model in (coarse, fine))
+    error = mesh_error(next(runs), next(runs), replace(spec, slot=course.span), nearest.first * course.span)
+    return with_raised_caps(fine, rig, spec, nearest, guess - error.hottest - RESERVE)
 
 
-def capped(model: ThermalModel, rig: Rig, spec: HeatingSpec, found: Nearest, higher: float) -> Nearest:
-    """The same policy with caps that are so much `higher`, K."""
-    caps = found.pace.caps + higher
-    pace = paced(model, spec, rig, caps, found.pace.centred, at_start(model, found.pace.span))
-    return Nearest(pace, found.first, float(missed_by(model, spec, pace, len(pace.levels) - found.first)[-1]))
+def with_raised_caps(
+    model: ThermalModel, rig: Rig, spec: HeatingSpec, nearest: NearestHold, rise: float
+) -> NearestHold:
+    """Hold of the same policy with all caps raised, K."""
+    course = nearest.course
+    course = rollout(model, spec, rig, course.caps + rise, course.centred, no_duties(model, course.span))
+    miss = float(misses(model, spec, course, len(course.levels) - nearest.first)[-1])
+    return NearestHold(course, nearest.first, miss)
 
 
-def at_start(model: ThermalModel, span: float) -> Pace:
-    """Before the first duty."""
-    return Pace(span, np.zeros(0), np.zeros(0), np.zeros(0, dtype=bool), (at_rest(model),))
+def no_duties(model: ThermalModel, span: float) -> Rollout:
+    """Rollout before the first duty."""
+    return Rollout(span, np.zeros(0), np.zeros(0), np.zeros(0, dtype=bool), (at_rest(model),))
 
 
-def placed(model: ThermalModel, rig: Rig, spec: HeatingSpec, cap: float) -> Nearest:
-    """The mean duties with which no point is hotter than `cap`, degC, that miss the window by least."""
+def search_hold(model: ThermalModel, rig: Rig, spec: HeatingSpec, cap: float) -> NearestHold:
+    """Mean duties with the smallest miss of the window with which no point is hotter than `cap`, degC."""
     slots = int(spec.longest_heating / spec.slot)
-    each = max(round(DECIDED / spec.slot), math.ceil(slots / PLACES), 1)
-    span, longest, hold = each * spec.slot, slots // each, -(-spec.hold_slots // each)
-    rest, places = at_start(model, span), np.arange(longest + hold)
-    tried: list[tuple[float, int, Pace]] = []
+    slots_per_duty = max(round(MIN_INTERVAL / spec.slot), math.ceil(slots / MAX_STARTS), 1)
+    span = slots_per_duty * spec.slot
+    longest, hold = slots // slots_per_duty, -(-spec.hold_slots // slots_per_duty)
+    start, index = no_duties(model, span), np.arange(longest + hold)
+    candidates: list[NearestHold] = []
 
-    def follow(caps: Array, centred: NDArray[np.bool_], known: Pace, least: int = 1) -> Pace:
-        pace = paced(model, spec, rig, caps, centred, known)
-        missed = missed_by(model, spec, pace, hold)[: longest + 1]
-        missed[:least] = np.inf
-        # The soonest of those that are as good.
-        first = int(np.argmax(missed <= missed.min() + SAME_MISS))
-        tried.append((float(missed[first]), first, pace))
-        return pace
+    def try_policy(caps: Array, centred: NDArray[np.bool_], known: Rollout, earliest: int = 1) -> Rollout:
+        """Add the best hold under a policy, which begins with duty `earliest` or later."""
+        course = rollout(model, spec, rig, caps, centred, known)
+        miss = misses(model, spec, course, hold)[: longest + 1]
+        miss[:earliest] = np.inf
+        # Among equal misses the soonest hold.
+        first = int(np.argmax(miss <= miss.min() + SAME_MISS))
+        candidates.append(NearestHold(course, first, float(miss[first])))
+        return course
 
-    hottest = follow(np.full(len(places), cap), places < 0, rest)
+    # Always as hot as allowed.
+    hottest = try_policy(np.full(len(index), cap), index < 0, start)
+    # Centred from some time on.
     free = np.flatnonzero(would_centre(model, spec, hottest)[: longest + 1])
     if len(free):
         settle = round(SETTLING / span)
         spread = np.geomspace(1, longest + 1, BRANCHES).astype(int) - 1
-        for at in sorted({int(free[0]), *(int(at) for at in spread if at >= free[0])}):
-            until = at + settle + hold if at > free[0] else len(places)
-            follow(hottest.caps[:until], places[:until] >= at, hottest, max(at, 1))
-    if spec.hold_time <= BURST:
-        ambient = model.ambient - ZERO_CELSIUS
-        for share in WAITS:
-            rise = math.ceil((1 - share) * (cap - ambient) / spec.ramp / span)
-            waiting = places < longest - 2 * rise
-            follow(
-                np.where(waiting, ambient + share * (cap - ambient), cap), places < 0, rest, max(longest - 2 * rise, 1)
-            )
-    _, first, pace = min(tried, key=lambda one: one[0])
-    last, before = first + hold, round(BEFORE / span)
-    for lower in RISES:
-        rising = np.clip((last - places[:last]) / hold, 0.0, 1.0) * lower
-        caps = pace.caps[:last] - np.where(places[:last] >= first - before, rising, 0.0)
-        follow(caps, pace.centred[:last], pace, max(first - before, 1))
-    missed, first, pace = min(tried, key=lambda one: one[0])
-    last = first + hold
-    kept = Pace(span, pace.levels[:last], pace.caps[:last], pace.centred[:last], pace.states[: last + 1])
-    return Nearest(kept, first, missed)
+        for k in sorted({int(free[0]), *(int(k) for k in spread if k >= free[0])}):
+            until = k + settle + hold if k > free[0] else len(index)
+            try_policy(hottest.caps[:until], index[:until] >= k, hottest, max(k, 1))
+    # After a colder wait.
+    if spec.hold_time <= SHORT_HOLD:
+        T_amb = model.T_amb - ZERO_CELSIUS
+        for level in WAIT_LEVELS:
+            rise = math.ceil((1 - level) * (cap - T_amb) / spec.ramp / span)
+            caps = np.where(index < longest - 2 * rise, T_amb + level * (cap - T_amb), cap)
+            try_policy(caps, index < 0, start, max(longest - 2 * rise, 1))
+    # The best of these, rising during the hold.
+    best = min(candidates, key=lambda candidate: candidate.miss)
+    course, last, before = best.course, best.first + hold, round(RISE_TIME / span)
+    for rise_to_cap in RISES:
+        below = np.clip((last - index[:last]) / hold, 0.0, 1.0) * rise_to_cap
+        caps = course.caps[:last] - np.where(index[:last] >= best.first - before, below, 0.0)
+        try_policy(caps, course.centred[:last], course, max(best.first - before, 1))
+    best = min(candidates, key=lambda candidate: candidate.miss)
+    course, last = best.course, best.first + hold
+    until_end = Rollout(
+        span, course.levels[:last], course.caps[:last], course.centred[:last], course.states[: last + 1]
+    )
+    return NearestHold(until_end, best.first, best.miss)
 
 
-def missed_by(model: ThermalModel, spec: HeatingSpec, pace: Pace, hold: int) -> Array:
-    """(P,) by how much the window is missed where the hold, `hold` duties long, begins with each of the duties, K."""
-    coldest, hottest, _ = np.lib.stride_tricks.sliding_window_view(pace.seen(model), hold + 1, axis=1)
+def misses(model: ThermalModel, spec: HeatingSpec, course: Rollout, hold: int) -> Array:
+    """Miss of the window, K, of holds of so many duties that begin with each of the duties."""
+    coldest, hottest, _ = np.lib.stride_tricks.sliding_window_view(course.extremes(model), hold + 1, axis=1)
     low, high = spec.window_degC
     return np.asarray(np.maximum(low - coldest.min(1), hottest.max(1) - high))
 
@@ -206,304 +227,311 @@ def missed_by(model: ThermalModel, spec: HeatingSpec, pace: Pace, hold: int) -> 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Mean duties, and what they do."""
+    """Mean duties and their simulation."""
 
     rig: Rig
-    """With clearance, lead and vents as chosen."""
+    """Rig with clearance, lead and vents as chosen."""
     model: ThermalModel
-    """Its fine one."""
+    """Fine model of the rig."""
     levels: Array
-    """(T,) mean duties in every slot."""
-    exact: History
-    """What they do."""
+    """(T,) mean duty of every slot."""
+    history: History
+    """Simulation of the mean duties."""
     error: MeshError
-    """Of the mesh."""
+    """Error of the temperatures by the mesh."""
     start: float
-    """Of the hold, s."""
+    """Start of the hold, s."""
+
+
+class WindowReserve(NamedTuple):
+    """Distance from the window's ends that is reserved for rounding and mesh error, K."""
+
+    low: float
+    high: float
 
 
 @dataclass(frozen=True, eq=False)
 class Programmed:
-    """What the program said of a schedule."""
+    """Solution of the optimal control problem behind a schedule."""
 
     ideal: Ideal
-    """Its answer."""
     shift: Shift | None
-    """Of its temperatures, by which it was corrected."""
-    reserve: tuple[float, float]
-    """Kept from the window's ends, K."""
+    """Correction of the temperatures with which it was solved."""
+    reserve: WindowReserve
 
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
-    """A schedule: mean duties, the counts in their place, what these do, and what is kept."""
+    """Schedule of whole counts, its simulation and outcome."""
 
     spec: HeatingSpec
-    """What was asked for."""
     run: Run
-    """Of the mean duties."""
+    """Mean duties that the counts realise."""
     counts: Counts
-    """(T,) in their place."""
-    checked: History
-    """What they do."""
+    """(T,) count of every slot."""
+    history: History
+    """Simulation of the counts."""
     outcome: Outcome
-    """What is kept."""
+    """Comparison with the requirements."""
     program: Programmed | None = None
-    """What the program said of it, where it was asked."""
+    """Optimal control problem, if it was solved."""
 
     @property
-    def kept(self) -> bool:
-        """Whether everything is."""
-        return self.outcome.kept
+    def feasible(self) -> bool:
+        """True if every requirement is satisfied."""
+        return self.outcome.feasible
 
     @property
-    def breaks(self) -> bool:
-        """Whether ramp or mean current are beyond their limits, which other counts may keep."""
+    def breaks_limits(self) -> bool:
+        """True if ramp or mean current exceed their limits, which other counts may keep."""
         outcome = self.outcome
         return outcome.steepest > self.spec.ramp or outcome.mean_current > self.run.rig.circuit.current_limit
 
+    @property
+    def violation(self) -> tuple[float, ...]:
+        """Violation of the requirements, to be compared in order: hard limits before the window.
+
+        Excess of ramp and mean current counts in steps of a quarter, since whole counts exceed them by chance.
+        """
+        outcome, circuit = self.outcome, self.run.rig.circuit
+        excess = max(outcome.steepest / self.spec.ramp, outcome.mean_current / circuit.current_limit, 1.0)
+        return len(outcome.broken), int(math.log(excess, 1.25)), outcome.excess > 0, outcome.shortfall
+
 
 def checked(spec: HeatingSpec, run: Run, counts: Counts, program: Programmed | None = None) -> Schedule:
-    """What counts in the place of mean duties do, and what is kept."""
-    done = resimulate(run.model, spec.slot, counts / COUNTS)
-    return Schedule(spec, run, counts, done, outcome_of(run.model, run.rig, spec, done, run.start, run.error), program)
+    """Schedule of counts that realise mean duties, simulated and compared with the requirements."""
+    history = resimulate(run.model, spec.slot, counts / COUNTS)
+    outcome = outcome_of(run.model, run.rig, spec, history, run.start, run.error)
+    return Schedule(spec, run, counts, history, outcome, program)
 
 
 def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
-    """The schedule that keeps everything, or the one that misses the window by least."""
-    room, more = ROOM, MORE_ROOM
-    hasty, fixed = spec.objective == "time", not spec.free
-    if hasty and fixed and (sooner := _hastened(tube, rig, spec)) is not None:
-        return sooner
-    # Nothing is farther from the window's ends than what does not fall behind.
-    first = more if spec.objective == "margin" else room
-    nearest = nearest_hold(tube, rig, spec) if hasty and fixed else None
-    far, counted = nearest is not None and nearest.missed > HOPELESS, None
-    if nearest is not None and far:
-        # No program missed by less than this search where one count alone keeps the limits.
-        counted = _counted(tube, rig, spec, nearest, None)
-        if not counted.breaks and not counted.outcome.excess:
+    """Schedule that satisfies every requirement, or the one with the smallest miss of the window."""
+    minimum_time, rig_given = spec.objective == "time", not spec.free
+    if minimum_time and rig_given and (soonest := _minimum_time_schedule(tube, rig, spec)) is not None:
+        return soonest
+    # The largest distance from the window's ends needs counts that do not fall behind.
+    ramp_reserve = LARGE_RAMP_RESERVE if spec.objective == "margin" else RAMP_RESERVE
+    nearest = nearest_hold(tube, rig, spec) if minimum_time and rig_given else None
+    hopeless, counted = nearest is not None and nearest.miss > HOPELESS, None
+    if nearest is not None and hopeless:
+        # No program had a smaller miss than this search where one count alone keeps the limits.
+        counted = _nearest_schedule(tube, rig, spec, nearest, None)
+        if not counted.breaks_limits and not counted.outcome.excess:
             return counted
-    found = _corrected(tube, rig, spec, first, rounds=1 if far else ROUNDS)
-    if hasty and not fixed and found.outcome.shortfall <= HOPELESS:
-        sooner = _hastened(tube, found.run.rig, spec)
-        if sooner is not None and not (found.kept and sooner.run.start >= found.run.start):
-            return sooner
-    if found.kept:
-        return found
-    same = planned_ramp(tube, rig, spec, first) == planned_ramp(tube, rig, spec, more)
-    if not (far or same) and _behind(found, spec):
-        found = min(found, _corrected(tube, rig, spec, more, rounds=ROUNDS), key=_missing)
-    if nearest is None and found.outcome.shortfall > 0:
-        nearest = nearest_hold(tube, found.run.rig, spec)
-    hopeless = nearest is None or nearest.missed > found.outcome.shortfall
-    if nearest is None or (hopeless and not found.outcome.excess and not found.breaks):
-        return found
-    counted = counted or _counted(tube, found.run.rig, spec, nearest, found.program)
-    return min(found, replace(counted, program=found.program), key=_missing)
+    best = _corrected(tube, rig, spec, ramp_reserve, rounds=1 if hopeless else ROUNDS)
+    if minimum_time and not rig_given and best.outcome.shortfall <= HOPELESS:
+        soonest = _minimum_time_schedule(tube, best.run.rig, spec)
+        if soonest is not None and not (best.feasible and soonest.run.start >= best.run.start):
+            return soonest
+    if best.feasible:
+        return best
+    ramps = [planned_ramp(tube, rig, spec, reserve) for reserve in (ramp_reserve, LARGE_RAMP_RESERVE)]
+    if not hopeless and ramps[0] != ramps[1] and _fell_behind(best, spec):
+        second = _corrected(tube, rig, spec, LARGE_RAMP_RESERVE, rounds=ROUNDS)
+        best = min(best, second, key=lambda schedule: schedule.violation)
+    if nearest is None and best.outcome.shortfall > 0:
+        nearest = nearest_hold(tube, best.run.rig, spec)
+    no_better = nearest is None or nearest.miss > best.outcome.shortfall
+    if nearest is None or (no_better and not best.outcome.excess and not best.breaks_limits):
+        return best
+    counted = counted or _nearest_schedule(tube, best.run.rig, spec, nearest, best.program)
+    return min(best, replace(counted, program=best.program), key=lambda schedule: schedule.violation)
 
 
 def programmed(tube: Tube, rig: Rig, spec: HeatingSpec) -> Programmed:
-    """What the program says of a schedule before any correction."""
+    """Solution of the optimal control problem before any correction."""
     reserve = _first_reserve(tube, rig, spec)
-    return Programmed(solve_ideal(tube, rig, spec, reserve=reserve, room=ROOM), None, reserve)
+    return Programmed(solve_ideal(tube, rig, spec, reserve=reserve, ramp_reserve=RAMP_RESERVE), None, reserve)
 
 
-def _first_reserve(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[float, float]:
-    """What is kept from the window's ends before rounding and mesh error are known, K."""
+def _first_reserve(tube: Tube, rig: Rig, spec: HeatingSpec) -> WindowReserve:
+    """Reserve before rounding and mesh error are known."""
     error = FIRST_ERROR * (spec.limit + ZERO_CELSIUS - rig.ambient)
-    return 2 * (ripple(tube, rig, spec) + error,)
+    return WindowReserve(*2 * (ripple(tube, rig, spec) + error,))
 
 
-def _missing(found: Schedule) -> tuple[int, int, bool, float]:
-    """How far a schedule is from keeping everything: what must not be comes before the window, limits of ramp and mean
-    current in steps of a quarter, since whole counts break them by chance."""
-    outcome, circuit = found.outcome, found.run.rig.circuit
-    beyond = max(outcome.steepest / found.spec.ramp, outcome.mean_current / circuit.current_limit, 1.0)
-    return len(outcome.broken), int(math.log(beyond, 1.25)), outcome.excess > 0, outcome.shortfall
-
-
-def _hastened(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule | None:
-    """The soonest schedule of whole counts; None where it does not keep everything."""
-    answer = _soonest(tube, rig, spec)
-    if answer is None:
+def _minimum_time_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule | None:
+    """Minimum-time schedule; None if it violates a requirement."""
+    fastest = _minimum_time(tube, rig, spec)
+    if fastest is None:
         return None
-    found = checked(spec, _run(tube, rig, spec, answer.levels, answer.start), answer.counts)
-    return found if found.kept else None
+    schedule = checked(spec, _run(tube, rig, spec, fastest.levels, fastest.start), fastest.counts)
+    return schedule if schedule.feasible else None
 
 
-def foreseen(tube: Tube, rig: Rig, spec: HeatingSpec) -> Outcome | None:
-    """What the soonest schedule of whole counts keeps; None where it misses the window."""
-    answer = _soonest(tube, rig, spec)
-    return None if answer is None else _outcome(tube, rig, spec, answer.counts, answer.start)
+def minimum_time_outcome(tube: Tube, rig: Rig, spec: HeatingSpec) -> Outcome | None:
+    """Outcome of the minimum-time schedule; None if it misses the window."""
+    fastest = _minimum_time(tube, rig, spec)
+    return None if fastest is None else _outcome_of_counts(tube, rig, spec, fastest.counts, fastest.start)
 
 
-def _soonest(tube: Tube, rig: Rig, spec: HeatingSpec) -> Soonest | None:
-    """The soonest schedule on the fine grid, with its cooling; None where it misses the window."""
-    # Other charges are rounded anew: half a count is left for that.
-    least, model = RESERVE + ripple(tube, rig, spec), thermal_model(tube, rig, COARSE)
-    # What the mesh adds is told by the same on a coarse one.
-    rough = soonest(model, spec, rig, least)
-    if rough is None:
+def _minimum_time(tube: Tube, rig: Rig, spec: HeatingSpec) -> MinimumTime | None:
+    """Minimum-time counts on the fine grid, with the cooling; None if they miss the window."""
+    # Other charges are rounded anew: half a count is reserved for that.
+    reserve, coarse = RESERVE + ripple(tube, rig, spec), thermal_model(tube, rig, COARSE)
+    # The mesh error is that of the counts of a coarse grid.
+    first = minimum_time_counts(coarse, spec, rig, reserve)
+    if first is None:
         return None
-    coarse, fine = simulate(model, spec.slot, rough.levels), thermal_model(tube, rig, FINE)
-    if _far(model, spec, coarse, rough.start):
+    history, fine = simulate(coarse, spec.slot, first.levels), thermal_model(tube, rig, FINE)
+    if _far(coarse, spec, history, first.start):
         return None
-    error = mesh_error((model, coarse), (fine, simulate(fine, spec.slot, rough.levels)), spec, rough.start)
-    answer = soonest(fine, spec, rig, error.most + least)
-    if answer is None:
+    error = mesh_error((coarse, history), (fine, simulate(fine, spec.slot, first.levels)), spec, first.start)
+    fastest = minimum_time_counts(fine, spec, rig, error.largest + reserve)
+    if fastest is None:
         return None
     cooling = np.zeros(math.ceil(COOLING / spec.slot))
-    counts = np.concatenate([answer.counts, cooling.astype(np.int64)])
-    return Soonest(counts, np.concatenate([answer.levels, cooling]), answer.start)
+    counts = np.concatenate([fastest.counts, cooling.astype(np.int64)])
+    return MinimumTime(counts, np.concatenate([fastest.levels, cooling]), fastest.start)
 
 
-# --- the least miss ---------------------------------------------------------------------------------------------------
+# --- the smallest miss ------------------------------------------------------------------------------------------------
 
 
-def _counted(tube: Tube, rig: Rig, spec: HeatingSpec, nearest: Nearest, program: Programmed | None) -> Schedule:
-    """The schedule of whole counts in the place of mean duties, whose hottest point comes to just below the limit."""
+def _nearest_schedule(
+    tube: Tube, rig: Rig, spec: HeatingSpec, nearest: NearestHold, program: Programmed | None
+) -> Schedule:
+    """Whole counts of mean duties whose hottest point comes to just below the limit."""
     model, best = thermal_model(tube, rig, FINE), None
-    for _ in range(CAPS):
-        pace, first = nearest.pace, nearest.first
-        each = round(pace.span / spec.slot)
-        heated = np.repeat(pace.levels, each)[: first * each + spec.hold_slots]
+    for _ in range(CAP_TRIES):
+        course, first = nearest.course, nearest.first
+        slots_per_duty = round(course.span / spec.slot)
+        heated = np.repeat(course.levels, slots_per_duty)[: first * slots_per_duty + spec.hold_slots]
         levels = np.append(heated, np.zeros(math.ceil(COOLING / spec.slot)))
-        found = _guarded(tube, spec, _run(tube, rig, spec, levels, first * pace.span), 1.0, program)
-        best = found if best is None else min(best, found, key=_missing)
-        spare = spec.limit - found.outcome.hottest - found.outcome.mesh.hottest
-        reached = float(pace.seen(model)[2].max()) > pace.caps.max() - SAME_SHIFT
-        if 0 <= spare <= 4 * RESERVE or (spare > 0 and not reached):
+        schedule = _guarded(tube, spec, _run(tube, rig, spec, levels, first * course.span), 1.0, program)
+        best = schedule if best is None else min(best, schedule, key=lambda each: each.violation)
+        margin = spec.limit - schedule.outcome.hottest - schedule.outcome.mesh.hottest
+        reached_cap = float(course.extremes(model)[2].max()) > course.caps.max() - SAME_SHIFT
+        if 0 <= margin <= 4 * RESERVE or (margin > 0 and not reached_cap):
             break
-        nearest = capped(model, rig, spec, nearest, spare - RESERVE)
+        nearest = with_raised_caps(model, rig, spec, nearest, margin - RESERVE)
     assert best is not None
     return best
 
 
 def _far(model: ThermalModel, spec: HeatingSpec, history: History, start: float) -> bool:
-    """Whether the window is missed by so much that no grid would change it."""
+    """True if no finer grid would change that the window is missed."""
     (low, high), (first, last) = spec.window_degC, hold_slots(spec, start)
-    held = joined(model, history.tube[first : last + 1, 0]) - ZERO_CELSIUS
-    return bool(max(low - held.min(), held.max() - high) > HOPELESS)
+    hold = curved_temperatures(model, history.tube[first : last + 1, 0]) - ZERO_CELSIUS
+    return bool(max(low - hold.min(), hold.max() - high) > HOPELESS)
 
 
 def _run(tube: Tube, rig: Rig, spec: HeatingSpec, levels: Array, start: float) -> Run:
-    """What mean duties do where the hold begins at `start`, s."""
-    fine, coarse = ((m, simulate(m, spec.slot, levels)) for m in (thermal_model(tube, rig, g) for g in (FINE, COARSE)))
+    """Simulation of mean duties with a hold that starts at `start`, s."""
+    models = (thermal_model(tube, rig, grid) for grid in (FINE, COARSE))
+    fine, coarse = ((model, simulate(model, spec.slot, levels)) for model in models)
     return Run(rig, fine[0], levels, fine[1], mesh_error(coarse, fine, spec, start), start)
 
 
-def _behind(found: Schedule, spec: HeatingSpec) -> bool:
-    """Whether the counts, held back for the sake of the ramp, cost what the window is missed by."""
-    run = found.run
+def _fell_behind(schedule: Schedule, spec: HeatingSpec) -> bool:
+    """True if counts omitted for the ramp may be the cause of the miss."""
+    run = schedule.run
     start = round(run.start / spec.slot)
-    lag = joined(run.model, run.exact.tube[start, 0] - found.checked.tube[start, 0])
-    return 0 < found.outcome.shortfall < float(lag.max()) + HOPELESS
+    lag = curved_temperatures(run.model, run.history.tube[start, 0] - schedule.history.tube[start, 0])
+    return 0 < schedule.outcome.shortfall < float(lag.max()) + HOPELESS
 
 
-def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float, *, rounds: int) -> Schedule:
-    """The schedule after as many corrections as it takes, in so many rounds at most, with `room` below the ramp."""
+def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, ramp_reserve: float, *, rounds: int) -> Schedule:
+    """Schedule of the optimal control problem after deferred correction, in at most so many rounds."""
     swing = ripple(tube, rig, spec)
     reserve = _first_reserve(tube, rig, spec)
     ideal: Ideal | None = None
     shift: Shift | None = None
     best: Schedule | None = None
     for round_ in range(rounds):
-        # What may be chosen of the rig is chosen once: a correction belongs to the rig that it was found on.
-        on, asked = (rig, spec) if ideal is None else (ideal.rig, replace(spec, free=()))
-        ideal = solve_ideal(tube, on, asked, reserve=reserve, room=room, shift=shift, guess=ideal)
-        run = _run(tube, ideal.rig, spec, commanded(slots(ideal, spec), ideal.rig), hold_start(ideal, spec))
-        lost = (swing, 4 * swing)
-        # No counts keep what mean duties miss by far: before the correction, which may keep the limit, none are asked.
+        # The rig is chosen in the first round: a correction belongs to the rig on which it was computed.
+        on, task = (rig, spec) if ideal is None else (ideal.rig, replace(spec, free=()))
+        ideal = solve_ideal(tube, on, task, reserve=reserve, ramp_reserve=ramp_reserve, shift=shift, guess=ideal)
+        duties = commanded_duties(ideal_duties(ideal, spec), ideal.rig)
+        run = _run(tube, ideal.rig, spec, duties, hold_start(ideal, spec))
+        rounding = WindowReserve(swing, 4 * swing)
+        # No counts repair a large miss of the mean duties: none are computed before the correction, which may.
         if round_ or rounds == 1 or swing > FINE_SWING or not _hopeless(ideal, run, spec):
-            found = _guarded(tube, spec, run, 1.0, Programmed(ideal, shift, reserve))
+            schedule = _guarded(tube, spec, run, 1.0, Programmed(ideal, shift, reserve))
             # The margin is that of the fine grid only after a correction.
-            if best is None or spec.objective == "margin" or found.outcome.shortfall <= best.outcome.shortfall:
-                best = found
-            if found.outcome.shortfall <= 0 and (spec.objective != "margin" or round_):
+            if best is None or spec.objective == "margin" or schedule.outcome.shortfall <= best.outcome.shortfall:
+                best = schedule
+            if schedule.outcome.shortfall <= 0 and (spec.objective != "margin" or round_):
                 break
             if ideal.miss > (SETTLED if round_ else 10 * HOPELESS):
                 break
-            lost = _rounded(found, spec)
-        before, shift = shift, Shift.between(ideal, tube, run.model, run.exact, slots_on(ideal, spec))
-        if before is not None and before.near(shift, SAME_SHIFT):
+            rounding = _rounding_loss(schedule, spec)
+        previous, shift = shift, Shift.between(ideal, tube, run.model, run.history, heated_slots(ideal, spec))
+        if previous is not None and np.abs(previous.hold - shift.hold).max() < SAME_SHIFT:
             break
-        reserve = (lost[0] + run.error.most + RESERVE, lost[1] + run.error.most + RESERVE)
+        reserve = WindowReserve(*(loss + run.error.largest + RESERVE for loss in rounding))
     assert best is not None
-    return _trimmed(tube, spec, best)
-
-
-def _guarded(tube: Tube, spec: HeatingSpec, run: Run, scale: float, program: Programmed | None) -> Schedule:
-    """The schedule of counts in the place of mean duties, times a scale."""
-    levels = scale * run.levels
-    found = checked(spec, run, guarded_counts(run.model, spec, run.rig, levels), program)
-    if not found.breaks or found.outcome.shortfall <= 0:
-        return found
-    # Limits that one count breaks already are broken by more only where that keeps much more of the window.
-    hurried = checked(spec, run, guarded_counts(run.model, spec, run.rig, levels, hurried=True), program)
-    return hurried if hurried.outcome.shortfall < found.outcome.shortfall - HOPELESS else found
-
-
-def _hopeless(ideal: Ideal, run: Run, spec: HeatingSpec) -> bool:
-    """Whether the window is missed by far, but by so little, or with so hot a point, that a correction changes much."""
-    hottest = float(run.exact.tube.max()) - ZERO_CELSIUS + run.error.hottest
-    corrigible = ideal.miss <= 10 * HOPELESS or hottest > spec.limit
-    return ideal.miss > HOPELESS and corrigible and _far(run.model, spec, run.exact, run.start)
-
-
-def realised(tube: Tube, spec: HeatingSpec, ideal: Ideal) -> Outcome:
-    """What whole counts in the place of an ideal schedule keep."""
-    fine, levels = thermal_model(tube, ideal.rig, FINE), slots(ideal, spec)
-    counts = guarded_counts(fine, spec, ideal.rig, commanded(levels, ideal.rig), hurried=True)
-    return _outcome(tube, ideal.rig, spec, counts, hold_start(ideal, spec))
-
-
-def _outcome(tube: Tube, rig: Rig, spec: HeatingSpec, counts: Counts, start: float) -> Outcome:
-    """What counts keep, by themselves, where the hold begins at `start`, s."""
-    fine, coarse = (thermal_model(tube, rig, grid) for grid in (FINE, COARSE))
-    done = resimulate(fine, spec.slot, counts / COUNTS)
-    error = mesh_error((coarse, simulate(coarse, spec.slot, counts / COUNTS)), (fine, done), spec, start)
-    return outcome_of(fine, rig, spec, done, start, error)
-
-
-def _trimmed(tube: Tube, spec: HeatingSpec, found: Schedule) -> Schedule:
-    """With counts of the duties scaled down until no point is above the limit, less the mesh's error."""
-    run, scale = found.run, 1.0
+    # Scale duties down until no point is above the limit, less the mesh error.
+    scale = 1.0
     for _ in range(TRIMS):
-        excess = found.outcome.excess
+        excess = best.outcome.excess
         if excess <= 0:
             break
         # Temperatures rise nearly in proportion to the duty.
-        scale *= 1 - (excess + RESERVE) / (spec.limit + ZERO_CELSIUS - run.model.ambient)
-        found = _guarded(tube, spec, run, scale, found.program)
-    return found
+        scale *= 1 - (excess + RESERVE) / (spec.limit + ZERO_CELSIUS - best.run.model.T_amb)
+        best = _guarded(tube, spec, best.run, scale, best.program)
+    return best
 
 
-def slots(ideal: Ideal, spec: HeatingSpec) -> Array:
+def _guarded(tube: Tube, spec: HeatingSpec, run: Run, scale: float, program: Programmed | None) -> Schedule:
+    """Schedule of counts that realise mean duties, times a scale."""
+    levels = scale * run.levels
+    schedule = checked(spec, run, guarded_counts(run.model, spec, run.rig, levels), program)
+    if not schedule.breaks_limits or schedule.outcome.shortfall <= 0:
+        return schedule
+    # Limits that one count breaks already are exceeded by more only if that reduces the miss much.
+    hurried = checked(spec, run, guarded_counts(run.model, spec, run.rig, levels, hurried=True), program)
+    return hurried if hurried.outcome.shortfall < schedule.outcome.shortfall - HOPELESS else schedule
+
+
+def _hopeless(ideal: Ideal, run: Run, spec: HeatingSpec) -> bool:
+    """True if the window is missed by much, in a way that a correction may change."""
+    hottest = float(run.history.tube.max()) - ZERO_CELSIUS + run.error.hottest
+    correctable = ideal.miss <= 10 * HOPELESS or hottest > spec.limit
+    return ideal.miss > HOPELESS and correctable and _far(run.model, spec, run.history, run.start)
+
+
+def realised_outcome(tube: Tube, spec: HeatingSpec, ideal: Ideal) -> Outcome:
+    """Outcome of whole counts that realise an ideal schedule."""
+    fine, duties = thermal_model(tube, ideal.rig, FINE), commanded_duties(ideal_duties(ideal, spec), ideal.rig)
+    counts = guarded_counts(fine, spec, ideal.rig, duties, hurried=True)
+    return _outcome_of_counts(tube, ideal.rig, spec, counts, hold_start(ideal, spec))
+
+
+def _outcome_of_counts(tube: Tube, rig: Rig, spec: HeatingSpec, counts: Counts, start: float) -> Outcome:
+    """Outcome of counts with a hold that starts at `start`, s, and with their own mesh error."""
+    fine, coarse = (thermal_model(tube, rig, grid) for grid in (FINE, COARSE))
+    history = resimulate(fine, spec.slot, counts / COUNTS)
+    error = mesh_error((coarse, simulate(coarse, spec.slot, counts / COUNTS)), (fine, history), spec, start)
+    return outcome_of(fine, rig, spec, history, start, error)
+
+
+def ideal_duties(ideal: Ideal, spec: HeatingSpec) -> Array:
     """(T,) ideal mean duty in every slot: heating, hold, and 0 while the tube cools in the mold."""
-    levels = ideal.duty(spec.slot, slots_on(ideal, spec))
+    levels = ideal.duty(spec.slot, heated_slots(ideal, spec))
     return np.concatenate([levels, np.zeros(math.ceil(COOLING / spec.slot))])
 
 
-def commanded(duty: Array, rig: Rig) -> Array:
-    """Duties to be switched for these of effect: what every pulse loses on top."""
+def commanded_duties(duty: Array, rig: Rig) -> Array:
+    """Duties of the switch for effective duties: the part of each pulse that inductance takes is added."""
     return np.where(duty > 0, np.minimum(duty + rig.circuit.lost_share, 1.0), 0.0)
 
 
-def slots_on(ideal: Ideal, spec: HeatingSpec) -> int:
+def heated_slots(ideal: Ideal, spec: HeatingSpec) -> int:
     """Number of slots of heating and hold."""
     return round(hold_start(ideal, spec) / spec.slot) + spec.hold_slots
 
 
 def hold_start(ideal: Ideal, spec: HeatingSpec) -> float:
-    """Beginning of the first slot of the hold, s."""
+    """Start of the first slot of the hold, s."""
     return spec.slot * math.ceil(ideal.heating / spec.slot - 1e-9)
 
 
-def _rounded(found: Schedule, spec: HeatingSpec) -> tuple[float, float]:
-    """What rounding took from the window at its low end (during the hold) and at its high end (at any time), K."""
-    run = found.run
+def _rounding_loss(schedule: Schedule, spec: HeatingSpec) -> WindowReserve:
+    """Distances from the window's ends that rounding takes, K: low during the hold, high at any time."""
+    run = schedule.run
     first, last = hold_slots(spec, run.start)
-    change = found.checked.tube[:, 0] - run.exact.tube[:, 0]
+    change = schedule.history.tube[:, 0] - run.history.tube[:, 0]
     low = -float(change[first : last + 1][:, run.model.curved].min())
-    return max(low, 0.0), max(float(change.max()), 0.0)
+    return WindowReserve(max(low, 0.0), max(float(change.max()), 0.0))

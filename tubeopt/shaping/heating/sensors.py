@@ -1,7 +1,7 @@
-"""What a rig can feel of the tube while it is heated: a thermocouple, the tube's own resistance, a thermal camera.
+"""Temperature sensors of a heated tube: thermocouple, resistance of the tube, thermal camera.
 
-A sensor reads a temperature. What it reads lags behind, is off by a bias that stays, is noisy, and comes in steps; the
-reading that a sensor without these would give is its `target`, a function of the state of the thermal model.
+A reading lags behind the tube, has a constant bias and noise, and is quantised. The `target` of a sensor is its reading
+without these, a function of the state of the thermal model.
 """
 
 from __future__ import annotations
@@ -16,30 +16,31 @@ from ...constants import ZERO_CELSIUS
 from ...display import Displayed
 from ...errors import InputError, numbers
 from ...files.field_metadata import NOT_NEGATIVE, POSITIVE, Typical, check_fields, key, unit
-from ...physics.heat import PROPERTIES
 from ...typing import Array
-from .simulation import State, advance, at_rest, current
+from .simulation import State, advance, at_rest, circuit_state
 from .thermal import ThermalModel
 
 
-def followed(lag: ArrayLike, before: Array, target: Array, now: Array, span: float) -> Array:
-    """Readings that lag behind by a time constant, s, `span` seconds after they were `before`, while their targets went
-    in a line to `now`: solutions of lag y' + y = target."""
+def lagged_reading(lag: ArrayLike, reading: Array, target: Array, target_after: Array, span: float) -> Array:
+    """Readings after `span` s of sensors with a time constant `lag`, s: solution of lag y' + y = target.
+
+    The target changes linearly from `target` to `target_after`.
+    """
     lag = np.asarray(lag, dtype=float)
-    slope, kept = (now - target) / span, np.exp(-span / np.maximum(lag, 1e-9))
-    return np.asarray(now - lag * slope + (before - target + lag * slope) * kept)
+    slope, decay = (target_after - target) / span, np.exp(-span / np.maximum(lag, 1e-9))
+    return np.asarray(target_after - lag * slope + (reading - target + lag * slope) * decay)
 
 
 @dataclass(frozen=True)
 class Sensor(Displayed):
-    """What all sensors have in common.
+    """Properties that all sensors have.
 
     Raises:
-        InputError: a value is out of its range, or the range that it reads is empty.
+        InputError: a value is out of its range, or the range of valid readings is empty.
     """
 
     name: ClassVar[str] = "sensor"
-    """What it is called in files and words."""
+    """Name in files and messages."""
 
     lag: Annotated[float, unit("s"), NOT_NEGATIVE, Typical(1e-3, 30.0), "time constant of the sensor"] = 0.0
     noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 0.0
@@ -58,53 +59,58 @@ class Sensor(Displayed):
             )
 
     def target(self, model: ThermalModel, state: State) -> Array:
-        """(B,) degC that it would read at once and without error."""
+        """(B,) readings without lag and errors, degC."""
         raise NotImplementedError
 
     def shown(self, lagged: Array, bias: Array | float, ends: tuple[float, float], rng: np.random.Generator) -> Array:
-        """(B,) readings: off by a bias in proportion to the rise from one temperature to another, as thermometers err,
-        noisy, and in the steps that the sensor has."""
-        part = np.clip((lagged - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0)
-        value = lagged + bias * part + self.noise * rng.standard_normal(len(lagged))
+        """(B,) readings with bias, noise and quantisation, degC.
+
+        The bias grows from 0 at the first temperature of `ends` to its full value at the second, as errors of
+        thermometers do.
+        """
+        fraction = np.clip((lagged - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0)
+        value = lagged + bias * fraction + self.noise * rng.standard_normal(len(lagged))
         return np.asarray(np.round(value / self.quantum) * self.quantum) if self.quantum else value
 
 
 @dataclass(frozen=True, eq=False)
-class Felt:
-    """Rigs, and what a sensor feels of them: (B,) degC that it would read at once, and with its lag."""
+class MeasuredRig:
+    """State of B rigs and of the sensors on them."""
 
     state: State
     target: Array
+    """(B,) readings without lag and errors, degC."""
     lagged: Array
+    """(B,) readings with lag, without errors, degC."""
 
     @classmethod
-    def at_rest(cls, model: ThermalModel, sensor: Sensor) -> Felt:
-        """Everything at the ambient temperature."""
+    def at_rest(cls, model: ThermalModel, sensor: Sensor) -> MeasuredRig:
+        """Rigs and sensors at ambient temperature."""
         state = at_rest(model)
         target = sensor.target(model, state)
         return cls(state, target, target)
 
-    def after(self, model: ThermalModel, sensor: Sensor, duty: Array | float, span: float) -> Felt:
-        """`span` seconds later, at a duty, one number or (B,)."""
+    def after(self, model: ThermalModel, sensor: Sensor, duty: Array | float, span: float) -> MeasuredRig:
+        """Rigs and sensors after `span` seconds at a duty, one number or (B,)."""
         state = advance(model, self.state, duty, span)
         target = sensor.target(model, state)
-        return Felt(state, target, followed(sensor.lag, self.lagged, self.target, target, span))
+        return MeasuredRig(state, target, lagged_reading(sensor.lag, self.lagged, self.target, target, span))
 
 
-def tube_at(model: ThermalModel, state: State, places: ArrayLike) -> Array:
-    """(B, S) temperatures, degC, of the tube at distances (S,) from the middle of the curved part, m."""
-    tube, wanted = state.cells[:, :, 0], model.half_length - np.abs(places)
+def tube_temperature(model: ThermalModel, state: State, positions: ArrayLike) -> Array:
+    """(B, S) temperatures of the tube, degC, at distances (S,) from the middle of the curved part, m."""
+    tube, x = state.cells[:, :, 0], model.half_length - np.abs(positions)
     grid = np.append(model.position, model.half_length)
-    # The middle mirrors the last cell: temperature is even about it, so it is flat up to there.
-    index = np.clip(np.searchsorted(grid, wanted), 1, len(grid) - 1)
-    part = (wanted - grid[index - 1]) / (grid[index] - grid[index - 1])
-    whole = np.concatenate([tube, tube[:, -1:]], axis=1)
-    return np.asarray((1 - part) * whole[:, index - 1] + part * whole[:, index]) - ZERO_CELSIUS
+    # The temperature is symmetric about the middle: flat from the last cell.
+    index = np.clip(np.searchsorted(grid, x), 1, len(grid) - 1)
+    fraction = (x - grid[index - 1]) / (grid[index] - grid[index - 1])
+    T = np.concatenate([tube, tube[:, -1:]], axis=1)
+    return np.asarray((1 - fraction) * T[:, index - 1] + fraction * T[:, index]) - ZERO_CELSIUS
 
 
 @dataclass(frozen=True)
 class Thermocouple(Sensor):
-    """A thermocouple on the tube: by default of type K, 0.25 mm thick, read by a MAX31855.
+    """Thermocouple on the tube: by default of type K, 0.25 mm thick, read by a MAX31855.
 
     The resolution is that of the converter. Lag, noise and bias are assumed: a bead behind a thin insulating coat, and
     half of the standard limits of error of type K at 525 degC (ASTM E230: 0.75 %, 4 K). The half assumes one comparison
@@ -122,20 +128,20 @@ class Thermocouple(Sensor):
     ] = 0.0
 
     def target(self, model: ThermalModel, state: State) -> Array:
-        """(B,) temperature where it touches."""
+        """(B,) temperatures at the thermocouple, degC."""
         if abs(self.position) >= model.half_length - model.position[0]:
             raise InputError(
                 f"position of the thermocouple is {self.position * 1e3:g} mm from the middle of the tube; it must lie "
                 "on the tube"
             )
-        return np.asarray(tube_at(model, state, (self.position,)).mean(1))
+        return np.asarray(tube_temperature(model, state, (self.position,)).mean(1))
 
 
 @dataclass(frozen=True)
 class Camera(Sensor):
-    """A thermal camera, or a line of one, that sees the tube through vents of the lid.
+    """Thermal camera, or a line camera, that sees the tube through vents of the lid.
 
-    Its bias is that of an emissivity of 0.5 known to 0.02, at 525 degC and 10 um. With dT / T = d(eps) / eps * lambda T
+    The bias is that of an emissivity of 0.5 known to 0.02, at 525 degC and 10 um. With dT / T = d(eps) / eps * lambda T
     / c2 that is 18 K. Half of it remains after a comparison of a painted spot with a thermocouple.
     """
 
@@ -157,19 +163,19 @@ class Camera(Sensor):
         object.__setattr__(self, "positions", numbers("positions of the camera", self.positions))
 
     def target(self, model: ThermalModel, state: State) -> Array:
-        """(B,) mean temperature of the places that it sees."""
-        if not self.positions or max(abs(place) for place in self.positions) >= model.half_length:
+        """(B,) mean temperatures of the measured positions, degC."""
+        if not self.positions or max(abs(x) for x in self.positions) >= model.half_length:
             raise InputError("positions of the camera must be at least one point on the tube")
-        return np.asarray(tube_at(model, state, self.positions).mean(1))
+        return np.asarray(tube_temperature(model, state, self.positions).mean(1))
 
 
 @dataclass(frozen=True)
 class TubeResistance(Sensor):
-    """The tube as its own thermometer: voltage over current while the switch conducts, as a ratio to the cold tube.
+    """Tube as its own thermometer: resistance while the switch conducts, relative to that of the cold tube.
 
-    Reads the mean temperature between the clamps that explains the ratio with the nominal slope of the resistivity. The
-    contacts are measured with the tube, so their resistance and an error of the slope affect the reading. Both belong
-    to the uncertain rig, not to the bias of the sensor.
+    The reading is the mean temperature between the clamps that explains the ratio with the nominal slope of the
+    resistivity. The contacts are measured with the tube, so their resistance and an error of the slope affect the
+    reading. Both belong to the uncertain rig, not to the bias of the sensor.
     """
 
     name: ClassVar[str] = "resistance"
@@ -180,19 +186,18 @@ class TubeResistance(Sensor):
     ] = 5e-4
 
     def target(self, model: ThermalModel, state: State) -> Array:
-        """(B,) temperature that the ratio of resistances stands for."""
+        """(B,) temperatures from the ratio of resistances, degC."""
+        T_amb, R_contact = model.parameter("T_amb"), model.parameter("R_contact")
 
-        def measured(cells: Array) -> Array:
-            now = current(model, cells, state.lumped)
-            contact = model.properties[:, PROPERTIES.index("contact")]
-            return 2 * now.resistance + contact
+        def resistance(T: Array) -> Array:
+            return 2 * circuit_state(model, T, state.lumped).R_half + R_contact
 
-        cold = np.broadcast_to(model.surroundings[:, None], state.cells[:, :, 0].shape)
-        ratio = measured(state.cells[:, :, 0]) / measured(np.ascontiguousarray(cold))
-        start = model.surroundings - ZERO_CELSIUS
+        cold = np.broadcast_to(T_amb[:, None], state.cells[:, :, 0].shape)
+        ratio = resistance(state.cells[:, :, 0]) / resistance(np.ascontiguousarray(cold))
+        start = T_amb - ZERO_CELSIUS
         # Relative to the resistance at the temperature at which the rig was switched on.
         return np.asarray(start + (ratio - 1) * (1 / self.slope + start - 25.0))
 
 
 SENSORS: dict[str, type[Sensor]] = {kind.name: kind for kind in (Thermocouple, TubeResistance, Camera)}
-"""Sensors by their names."""
+"""Sensor classes by name."""

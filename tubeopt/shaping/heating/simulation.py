@@ -1,5 +1,4 @@
-"""The thermal model for many members at once: at one instant, `physics.heat` on arrays, and in time by a Rosenbrock
-method; and where the energy goes."""
+"""Simulation of the thermal model for many members at once: rates at one instant, Rosenbrock steps, energy balance."""
 
 from __future__ import annotations
 
@@ -21,90 +20,94 @@ from ...solvers.time_limit import check_time
 from ...typing import Array
 from .thermal import ThermalModel
 
-STEP, LOOK = 0.25, 0.1
-"""Greatest step, s, of a simulation, and of one that looks for extremes."""
+STEP, FINE_STEP = 0.25, 0.1
+"""Largest step of a simulation, and of one that records extremes within slots, s."""
 
 BATCH = 60
-"""States of one member that are looked at together; each holds the model's numbers once."""
+"""Number of states of one member that are evaluated together; each has a copy of the model's numbers."""
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """cells: (B, n, 1+M) temperatures of the tube (first) and of the shells around it, K; lumped: (B, 6)."""
+    """State of B members."""
 
     cells: Array
+    """(B, n, 1+M) temperatures of the tube (first) and of the shells around it, K."""
     lumped: Array
+    """(B, 6) clamp, battery and energies, by the indices of `physics.heat_functions`."""
 
 
 def at_rest(model: ThermalModel) -> State:
-    """Everything at the ambient temperature of its member, the battery rested."""
+    """State with everything at the ambient temperature of its member, and the battery rested."""
+    T_amb = model.parameter("T_amb")
     lumped = np.zeros((model.members, LUMPED))
-    lumped[:, CLAMP] = model.surroundings
+    lumped[:, CLAMP] = T_amb
     shape = model.members, model.resolution.cells, 1 + model.resolution.shells
-    return State(np.broadcast_to(model.surroundings[:, None, None], shape).copy(), lumped)
+    return State(np.broadcast_to(T_amb[:, None, None], shape).copy(), lumped)
 
 
-@dataclass(frozen=True, eq=False)
-class Current:
-    """(B,) current while the MOSFET conducts, its part through the tube, the terminal voltage then, and half
-    the tube's resistance, ohm."""
+class CircuitState(NamedTuple):
+    """Electrical quantities of B members while the MOSFET conducts."""
 
-    total: Array
-    tube: Array
-    terminal_voltage: Array
-    resistance: Array
+    I_on: Array
+    """(B,) current of the battery, A."""
+    I_tube: Array
+    """(B,) part of it through the tube, A."""
+    V_terminal: Array
+    """(B,) voltage at the battery's terminals, V."""
+    R_half: Array
+    """(B,) resistance of half the tube, ohm."""
 
 
-def _evaluated(name: str, model: ThermalModel, cells: Array, *others: Array) -> list[Array]:
-    """Outputs of a function, members first, at temperatures (B, ...) and others (B, ...); copies.
+def _evaluate(name: str, model: ThermalModel, cells: Array, *inputs: Array) -> list[Array]:
+    """Outputs of a function, members first, at temperatures (B, ...) and other inputs (B, ...); copies.
 
-    One member may be asked in B states.
+    A model of one member may be evaluated in B states.
     """
     b = len(cells)
     function = mapped(instant_functions(model.resolution)[name], b)
     flat = cells.reshape(function.inputs[0].shape)
-    return [value.reshape(b, -1).copy() for value in function(flat, *others, model.properties, model.volumes)]
+    return [value.reshape(b, -1).copy() for value in function(flat, *inputs, model.properties, model.volumes)]
 
 
-def current(model: ThermalModel, tube: Array, lumped: Array) -> Current:
-    """The circuit at tube temperatures (B, n) and lumped states (B, 6)."""
-    (seen,) = _evaluated("current", model, tube, lumped)
-    return Current(*seen.T)
+def circuit_state(model: ThermalModel, tube: Array, lumped: Array) -> CircuitState:
+    """Circuit at tube temperatures (B, n) and lumped states (B, 6)."""
+    (columns,) = _evaluate("current", model, tube, lumped)
+    return CircuitState(*columns.T)
 
 
 def rates(model: ThermalModel, cells: Array, lumped: Array, duty: Array | float) -> tuple[Array, Array]:
     """Rates of (cells, lumped) in K/s and per s, at a duty in [0, 1], one number or (B,)."""
-    rate, slow = _evaluated("rates", model, cells, lumped, np.reshape(duty, (-1, 1)))
-    return rate.reshape(cells.shape), slow
+    cell_rates, lumped_rates = _evaluate("rates", model, cells, lumped, np.reshape(duty, (-1, 1)))
+    return cell_rates.reshape(cells.shape), lumped_rates
 
 
 def warming(model: ThermalModel, cells: Array, lumped: Array, duty: Array | float) -> Array:
-    """(B, n, 2) of `rates`, K/s, those of what a current heats: the tube, and the shell next to it of a mold that
-    conducts."""
-    (rate,) = _evaluated("warming", model, cells, lumped, np.reshape(duty, (-1, 1)))
+    """(B, n, 2) rates of what a current heats, K/s: the tube, and the shell next to it of a conductive mold."""
+    (rate,) = _evaluate("warming", model, cells, lumped, np.reshape(duty, (-1, 1)))
     return rate.reshape(*cells.shape[:2], 2)
 
 
 class WarmingSpan(NamedTuple):
-    """Between which rates a duty warms the tube of B members."""
+    """Range of heating rates of the tube of B members."""
 
     idle: Array
     """(B, n) at no duty, K/s."""
     full: Array
     """(B, n) at full duty, K/s."""
-    current: Array
-    """(B,) while the MOSFET conducts, A."""
+    I_on: Array
+    """(B,) current while the MOSFET conducts, A."""
 
 
 def warming_span(model: ThermalModel, cells: Array, lumped: Array) -> WarmingSpan:
-    """The rates of the tube at no duty and at full duty, and the current, at cells (B, n, 1+M) and lumped (B, 6)."""
+    """Heating rates at no duty and at full duty, at cells (B, n, 1+M) and lumped states (B, 6)."""
     marcher = marcher_of(model) if len(cells) == model.members == 1 else None
     if marcher is not None:
         n = model.resolution.cells
-        found = marcher.spread(cells, lumped)
-        return WarmingSpan(found[None, :n], found[None, n:-1], found[-1:])
-    idle, full, ampere = _evaluated("span", model, cells, lumped)
-    return WarmingSpan(idle, full, ampere[:, 0])
+        values = marcher.spread(cells, lumped)
+        return WarmingSpan(values[None, :n], values[None, n:-1], values[-1:])
+    idle, full, I_on = _evaluate("span", model, cells, lumped)
+    return WarmingSpan(idle, full, I_on[:, 0])
 
 
 _bound = threading.local()
@@ -112,20 +115,22 @@ _bound = threading.local()
 
 
 def marcher_of(model: ThermalModel) -> Marcher | None:
-    """A model bound to the compiled kernel, of this thread; None where there is no kernel."""
+    """Model bound to the compiled kernel in this thread; None without a kernel."""
     kernel = heating_kernel()
     if kernel is None:
         return None
     # By thread, since a marcher writes into buffers of its own; weak, so that it ends with its model.
-    known: WeakKeyDictionary[ThermalModel, Marcher] = _bound.__dict__.setdefault("marchers", WeakKeyDictionary())
-    if (found := known.get(model)) is None:
-        found = known[model] = Marcher(kernel, model.resolution, model.properties, model.volumes)
-    return found
+    marchers: WeakKeyDictionary[ThermalModel, Marcher] = _bound.__dict__.setdefault("marchers", WeakKeyDictionary())
+    if model not in marchers:
+        marchers[model] = Marcher(kernel, model.resolution, model.properties, model.volumes)
+    return marchers[model]
 
 
 def march(model: ThermalModel, course: State, windows: Windows) -> None:
-    """Write the states after windows of time at constant duties into a course (T, B, ...) whose first one in place is
-    given: in the compiled kernel, or where there is none by steps one by one, to the same states."""
+    """Write the states after windows of time at constant duties into a course (T, B, ...) that has the first one.
+
+    The compiled kernel and, without it, `step_by_step` give the same states.
+    """
     check_time()
     marcher = marcher_of(model)
     if marcher is None:
@@ -135,69 +140,69 @@ def march(model: ThermalModel, course: State, windows: Windows) -> None:
 
 
 def step_by_step(model: ThermalModel, course: State, windows: Windows) -> None:
-    """`march` without a compiler."""
+    """March as `march` does, without the compiled kernel."""
     function = mapped(step_function(model.resolution), course.cells.shape[1])
     shape, spans = function.inputs[0].shape, windows.span / windows.steps
     cells, lumped = (row[windows.place[0]] for row in (course.cells, course.lumped))
-    for place, span, count, duty in zip(windows.place[1:], spans, windows.steps, windows.duty, strict=True):
+    for row, span, count, duty in zip(windows.place[1:], spans, windows.steps, windows.duty, strict=True):
         for _ in range(count):
             numbers = model.properties, model.volumes
             cells, lumped = function(cells.reshape(shape), lumped, duty[:, None], span, *numbers)
-        course.cells[place], course.lumped[place] = cells.reshape(course.cells.shape[1:]), lumped
+        course.cells[row], course.lumped[row] = cells.reshape(course.cells.shape[1:]), lumped
 
 
 def stored(model: ThermalModel, state: State) -> Array:
     """(B,) heat in the whole tube, mold and both clamps above ambient, J."""
-    (heat,) = _evaluated("stored", model, state.cells, state.lumped)
+    (heat,) = _evaluate("stored", model, state.cells, state.lumped)
     return heat[:, 0]
 
 
 def imbalance(model: ThermalModel, state: State) -> Array:
-    """(B,) energy that is not accounted for, as a fraction of what was drawn from the battery."""
+    """(B,) error of the energy balance as a fraction of the energy from the battery."""
     lumped = state.lumped
-    # Energy from the battery is in the circuit, given off, or stored; what is left is error of the steps.
-    missing = lumped[:, DRAWN] - lumped[:, CIRCUIT] - lumped[:, LOST] - stored(model, state)
-    return np.asarray(np.abs(missing) / np.maximum(lumped[:, DRAWN], 1e-12))
+    # Energy from the battery is in the circuit, lost to the air, or stored; the rest is the error of the steps.
+    error = lumped[:, DRAWN] - lumped[:, CIRCUIT] - lumped[:, LOST] - stored(model, state)
+    return np.asarray(np.abs(error) / np.maximum(lumped[:, DRAWN], 1e-12))
 
 
 @dataclass(frozen=True, eq=False)
-class Extremes:
-    """The extremes of one member, looked for every `LOOK` seconds at least and at the slots' ends."""
+class SlotExtremes:
+    """Extremes of one member within its slots, from steps of at most `FINE_STEP`."""
 
     coldest: Array
-    """(T-1, n) of the tube's cells within every slot, K."""
+    """(T-1, n) lowest temperature of each cell of the tube in each slot, K."""
     hottest: Array
-    """(T-1, n) of the tube's cells within every slot, K."""
+    """(T-1, n) highest temperature of each cell of the tube in each slot, K."""
     rate: float
-    """Fastest warming of any cell outside of the clamps, K/s, the duty taken for a mean power."""
+    """Largest heating rate of any cell outside the clamps, K/s, the duty taken as a mean power."""
     current: float
-    """Greatest current while the MOSFET conducts, A."""
+    """Largest current while the MOSFET conducts, A."""
     mean_current: float
-    """Greatest current times duty, A."""
+    """Largest product of current and duty, A."""
 
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """A simulation of B members."""
+    """Simulation of B members at T times."""
 
     time: Array
-    """(T,) s."""
+    """(T,) times, s."""
     tube: Array
     """(T, B, n) temperatures of the tube's cells, K."""
     walls: Array
     """(T, B, n, M) temperatures of the mold's shells, K."""
     lumped: Array
-    """(T, B, 6) by the places in `physics.heat_functions`."""
+    """(T, B, 6) lumped states by the indices of `physics.heat_functions`."""
     voltage: Array
-    """(T, B) at the battery's terminals while the MOSFET conducts, V."""
+    """(T, B) voltage at the battery's terminals while the MOSFET conducts, V."""
     current: Array
-    """(T, B) through them then, A."""
+    """(T, B) current of the battery while the MOSFET conducts, A."""
     resistance: Array
-    """(T, B) of the tube between the clamps, ohm."""
+    """(T, B) resistance of the tube between the clamps, ohm."""
     imbalance: Array
-    """(B,) energy unaccounted for, as a fraction of what the battery gave."""
-    within: Extremes | None = None
-    """Within the slots, where `resimulate` made the history."""
+    """(B,) error of the energy balance as a fraction of the energy from the battery."""
+    within: SlotExtremes | None = None
+    """Extremes within the slots; only `resimulate` records them."""
 
     def state(self, k: int) -> State:
         """Temperatures and lumped states at time k."""
@@ -205,25 +210,22 @@ class History:
 
 
 def history_of(model: ThermalModel, slot: float, course: State) -> History:
-    """What a simulation tells of its states (T, B, ...) at the slots' ends."""
+    """History of the states (T, B, ...) at the ends of the slots."""
     cells, lumped = course.cells, course.lumped
     tube = np.ascontiguousarray(cells[..., 0])
-    # One member is asked in many states at once.
-    together = BATCH if model.members == 1 else 1
-    batches = [slice(first, first + together) for first in range(0, len(tube), together)]
-    now = [current(model, np.concatenate(tube[some]), np.concatenate(lumped[some])) for some in batches]
-
-    def seen(name: str) -> Array:
-        return np.concatenate([getattr(one, name) for one in now]).reshape(tube.shape[:2])
-
+    # One member is evaluated in many states at once.
+    size = BATCH if model.members == 1 else 1
+    batches = [slice(first, first + size) for first in range(0, len(tube), size)]
+    circuits = [circuit_state(model, np.concatenate(tube[batch]), np.concatenate(lumped[batch])) for batch in batches]
+    circuit = CircuitState(*(np.concatenate(part).reshape(tube.shape[:2]) for part in zip(*circuits, strict=True)))
     return History(
         time=np.asarray(slot * np.arange(len(tube)), dtype=float),
         tube=tube,
         walls=cells[..., 1:],
         lumped=lumped,
-        voltage=seen("terminal_voltage"),
-        current=seen("total"),
-        resistance=2 * seen("resistance"),
+        voltage=circuit.V_terminal,
+        current=circuit.I_on,
+        resistance=2 * circuit.R_half,
         imbalance=imbalance(model, State(cells[-1], lumped[-1])),
     )
 
@@ -232,85 +234,84 @@ def history_of(model: ThermalModel, slot: float, course: State) -> History:
 
 
 def advance(model: ThermalModel, state: State, duty: Array | float, span: float, steps: int | None = None) -> State:
-    """The state after `span` seconds at constant duty, one number or (B,): equal steps of ROS2, as many as `STEP` asks
-    for unless told."""
+    """State after `span` seconds at a constant duty, one number or (B,), in equal steps; by default `steps_of` many."""
     count, marcher = steps_of(span) if steps is None else steps, marcher_of(model)
     if marcher is not None:
         return State(*marcher.advance(state.cells, state.lumped, duty, span, count))
-    course, level = _begun(state, 2), np.empty((1, len(state.cells)))
+    course, level = _course(state, 2), np.empty((1, len(state.cells)))
     level[0] = duty
     step_by_step(model, course, Windows(np.array([span]), np.array([count]), level, np.arange(2)))
     return State(course.cells[1], course.lumped[1])
 
 
-def _begun(start: State, rows: int) -> State:
-    """A course (rows, B, ...) that begins with a state."""
-    course = State(*(np.empty((rows, *row.shape)) for row in (start.cells, start.lumped)))
+def _course(start: State, rows: int) -> State:
+    """Course (rows, B, ...) with its first state; the others are not yet set."""
+    course = State(*(np.empty((rows, *part.shape)) for part in (start.cells, start.lumped)))
     course.cells[0], course.lumped[0] = start.cells, start.lumped
     return course
 
 
 def steps_of(span: float) -> int:
-    """Steps that a span, s, takes."""
+    """Number of steps of at most `STEP` in a span, s."""
     return max(math.ceil(span / STEP - 1e-9), 1)
 
 
 def simulate(
     model: ThermalModel, slot: float, duty: ArrayLike, *, start: State | None = None, steps: int | None = None
 ) -> History:
-    """The members under a schedule, in which duty[k] (T,) or (T, B) in [0, 1] holds from k slots to k + 1.
+    """Simulate the members under a schedule, with duty[k] (T,) or (T, B) in [0, 1] from slot k to k + 1.
 
-    The times of the history are the slots' ends, with the start.
+    The history has the start and the ends of the slots.
 
     Args:
-        steps: in every slot; by default as many as `STEP` asks for.
+        steps: in every slot; by default `steps_of` many.
     """
-    return history_of(model, slot, _trace(model, slot, np.asarray(duty, dtype=float), start or at_rest(model), steps))
+    levels = np.asarray(duty, dtype=float)
+    return history_of(model, slot, _trace(model, slot, levels, start or at_rest(model), steps or steps_of(slot)))
 
 
-def _trace(model: ThermalModel, slot: float, levels: Array, start: State, steps: int | None = None) -> State:
-    """The states (T + 1, B, ...) at the slots' ends, with the start."""
-    course, slots = _begun(start, len(levels) + 1), len(levels)
+def _trace(model: ThermalModel, slot: float, levels: Array, start: State, steps: int) -> State:
+    """States (T + 1, B, ...) at the start and at the ends of the slots."""
+    course, slots = _course(start, len(levels) + 1), len(levels)
     duties = np.broadcast_to(levels.reshape(slots, -1), (slots, len(start.cells)))
-    each = np.full(slots, steps_of(slot) if steps is None else steps)
-    march(model, course, Windows(np.full(slots, slot), each, duties, np.arange(slots + 1)))
+    march(model, course, Windows(np.full(slots, slot), np.full(slots, steps), duties, np.arange(slots + 1)))
     return course
 
 
 def resimulate(model: ThermalModel, slot: float, duty: ArrayLike) -> History:
-    """One member under a schedule, in steps of at most `LOOK`; the history knows the extremes within the slots."""
+    """Simulate one member under a schedule in steps of at most `FINE_STEP`, with the extremes within the slots."""
     levels = np.asarray(duty, dtype=float)
-    # 1e-9 is round-off: a slot of exactly one look stays one.
-    looks = math.ceil(slot / LOOK - 1e-9)
-    course = _trace(model, slot / looks, np.repeat(levels, looks), at_rest(model))
-    whole = history_of(model, slot / looks, course)
-    seen = ("time", "tube", "walls", "lumped", "voltage", "current", "resistance")
-    ends = {name: getattr(whole, name)[::looks] for name in seen}
-    return replace(whole, **ends, within=_extremes(model, course, whole.current[:, 0], levels, looks))
+    # 1e-9 is round-off: a slot of exactly one step stays one.
+    parts = math.ceil(slot / FINE_STEP - 1e-9)
+    span = slot / parts
+    course = _trace(model, span, np.repeat(levels, parts), at_rest(model), steps_of(span))
+    history = history_of(model, span, course)
+    sampled = ("time", "tube", "walls", "lumped", "voltage", "current", "resistance")
+    ends = {name: getattr(history, name)[::parts] for name in sampled}
+    return replace(history, **ends, within=_slot_extremes(model, course, history.current[:, 0], levels, parts))
 
 
-def _extremes(model: ThermalModel, course: State, ampere: Array, duty: Array, looks: int) -> Extremes:
-    """Of slots (T-1,) at these duties, from states, and currents while the MOSFET conducts, at `looks` times in every
-    slot and at the start."""
-    # Where one duty ends and another begins, the greater one warms faster.
-    either = np.repeat(duty, looks)
-    level = np.maximum(np.append(either, 0.0), np.append(0.0, either))
+def _slot_extremes(model: ThermalModel, course: State, I_on: Array, duty: Array, parts: int) -> SlotExtremes:
+    """Extremes within slots at duties (T-1,), from states and currents at the start and `parts` times per slot."""
+    # Where one duty ends and another begins, the greater one heats faster.
+    level = np.repeat(duty, parts)
+    level = np.maximum(np.append(level, 0.0), np.append(0.0, level))
     rate, free = 0.0, model.zone > GRIP
     for first in range(0, len(level), BATCH):
-        some = slice(first, first + BATCH)
-        found = warming(model, course.cells[some, 0], course.lumped[some, 0], level[some])
-        rate = max(rate, float(found[:, free, 0].max()))
-    tube, slots = course.cells[:, 0, :, 0], (len(duty), looks, -1)
-    starts, ends = (part.reshape(slots) for part in (tube[:-1], tube[1:]))
-    # Within a look temperatures are nearly monotonic, so that its ends are its extremes.
+        batch = slice(first, first + BATCH)
+        rates_of_batch = warming(model, course.cells[batch, 0], course.lumped[batch, 0], level[batch])
+        rate = max(rate, float(rates_of_batch[:, free, 0].max()))
+    tube, shape = course.cells[:, 0, :, 0], (len(duty), parts, -1)
+    starts, ends = tube[:-1].reshape(shape), tube[1:].reshape(shape)
+    # Within a step temperatures are nearly monotonic, so that its ends are its extremes.
     coldest, hottest = np.minimum(starts, ends).min(1), np.maximum(starts, ends).max(1)
-    return Extremes(coldest, hottest, rate, float(ampere.max()), float((level * ampere).max()))
+    return SlotExtremes(coldest, hottest, rate, float(I_on.max()), float((level * I_on).max()))
 
 
 def simulate_feedback(
     model: ThermalModel, slot: float, count: int, controller: Callable[[float, State], float]
 ) -> tuple[History, Array]:
-    """One member under a duty that `controller` chooses at every slot from time and state; also the duties (count,)."""
+    """Simulate one member with a `controller` (time, state) -> duty; returns history and duties (count,)."""
     states, duties = [at_rest(model)], []
     for k in range(count):
         check_time()

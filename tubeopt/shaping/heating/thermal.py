@@ -1,7 +1,7 @@
-"""The numbers of the thermal model for tubes on rigs: grids, properties, and batches of perturbed rigs.
+"""Parameters of the thermal model for tubes on rigs: grids, properties, and batches of perturbed rigs.
 
 The physics is that of `physics.heat`. The PWM period is far below every time constant of the tube, so the duty counts
-as a mean power; `HeatingPlan.pwm_ripple` says how far that is true.
+as a mean power; `HeatingPlan.pwm_ripple` is the error of this assumption.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ...constants import STEFAN_BOLTZMANN, ZERO_CELSIUS
 from ...errors import InputError
-from ...physics.heat import CLEARANCE, CURVED, GRIP, LEAD, PROPERTIES, Properties, Resolution, zones
+from ...physics.heat import CURVED, GRIP, LEAD, PROPERTIES, Properties, Resolution, Shells, zones
 from ...physics.heat_functions import volumes_function
 from ...robots.materials import ThermalData
 from ...robots.tubes import Tube
@@ -27,27 +27,30 @@ from ...typing import Array
 from .rig import HOT, Rig, air_conductivity, gap_conductance, natural_convection
 
 SURFACE_TRANSFER = 10.0
-"""Heat transfer of the outer surfaces of clamps and mold, W/(m^2 K): free convection of plates and radiation near room
-temperature, assumed; they hardly warm up."""
+"""Heat transfer coefficient of the outer surfaces of clamps and mold, W/(m^2 K): free convection of plates and
+radiation near room temperature, assumed; they hardly warm up."""
 
 GRADED = 12e-3
-"""Length, m, in which the curved part gets as many cells as it would if it were no longer."""
+"""Length of the curved part up to which its cells are of equal width, m; in a longer one they grow from there."""
 
 DECAYS = 3.0
-"""Decay lengths in which the clamp gets as many cells as it would if it were no longer."""
+"""Length of the clamp up to which its cells are of equal width, in decay lengths of the temperature."""
 
 COARSE = Resolution(grip=4)
 PROGRAM = Resolution(2, 3, 4, 6, 4)
-"""For the optimal control problem, whose bounds are then shifted by the difference from the fine model."""
+"""Grid of the optimal control problem, whose bounds are then shifted by the difference from the fine model."""
 
 FINE = Resolution(8, 6, 14, 18, 14)
-"""The bare tube beside a clamp is the hottest point in a mold that draws much: half as many cells in the clamp make it
-4 K too hot there."""
+"""Grid of results. With half as many cells in the clamp the bare tube beside it, the hottest point in a conductive
+mold, is 4 K too hot."""
 
 
 def cell_widths(tube: Tube, rig: Rig, resolution: Resolution) -> Array:
-    """(n,) m. Uniform in clearance and lead; graded towards the middle in the curved part, and in the clamp, where the
-    temperature falls within the decay length of a fin, away from its edge."""
+    """(n,) widths of the cells, m.
+
+    Uniform in clearance and lead; growing towards the middle in the curved part, and away from the edge in the clamp,
+    where the temperature falls within the decay length of a fin.
+    """
     lengths = half_lengths(tube, rig)
     fractions = cell_fractions(resolution, lengths, contact_decay(tube, rig))
     return np.asarray(fractions * np.array(lengths)[zones(resolution)])
@@ -62,23 +65,23 @@ def cell_fractions(resolution: Resolution, lengths: Sequence[float], decay: floa
 
 def _graded(cells: int, slope: float) -> Array:
     """(cells + 1,) faces from 0 to 1 whose first cells are `slope` times as wide as uniform ones."""
-    at = np.linspace(0.0, 1.0, cells + 1)
+    uniform = np.linspace(0.0, 1.0, cells + 1)
     if slope > 0.999:
-        return at
+        return uniform
     # d/dx sinh(a x) / sinh(a) at 0 is a / sinh(a): the first cells are that times a uniform one.
     stretch = float(scipy.optimize.brentq(lambda a: a / math.sinh(a) - slope, 1e-3, 50.0))
-    return np.asarray(np.sinh(stretch * at) / math.sinh(stretch))
+    return np.asarray(np.sinh(stretch * uniform) / math.sinh(stretch))
 
 
 def contact_decay(tube: Tube, rig: Rig) -> float:
-    """Length in which the tube takes the temperature of a clamp, m."""
+    """Decay length of the tube's temperature towards that of a clamp, m."""
     per_length = rig.clamps.contact_conductance * math.pi * tube.outer_diameter
     # A fin: k A T'' = h p (T - T_clamp) falls as exp(-x / l) with l^2 = k A / (h p).
     return math.sqrt(thermal_data(tube).conductivity * tube.cross_section / per_length)
 
 
 def thermal_data(tube: Tube) -> ThermalData:
-    """The tube's thermal data; raises InputError where its material has none."""
+    """Thermal data of the tube; raises InputError for a material without."""
     if tube.material.thermal is None:
         raise InputError(f"material {tube.material.name!r} has no thermal data; they are required to heat a tube")
     return tube.material.thermal
@@ -86,39 +89,37 @@ def thermal_data(tube: Tube) -> ThermalData:
 
 @dataclass(frozen=True, eq=False)
 class ThermalModel:
-    """The numbers of the finite-volume model of half a tube, for B members at once; n cells."""
+    """Finite-volume model of half a tube for B members at once: parameters on a grid of n cells."""
 
     resolution: Resolution
-    """The grid."""
     position: Array
     """(n,) middle of each cell from the outer end of the clamp, m."""
     width: Array
-    """(n,) of each cell, m."""
+    """(n,) width of each cell, m."""
     half_length: float
-    """m."""
+    """Length of half the tube, clamp included, m."""
     properties: Array
-    """(B, P) by the names of `physics.heat.PROPERTIES`."""
+    """(B, P) values by the names of `physics.heat.PROPERTIES`."""
     volumes: Array
     """(B, V) columns of `physics.heat.Volumes`."""
 
     @property
     def members(self) -> int:
-        """B."""
+        """Number of members, B."""
         return len(self.properties)
 
-    @property
-    def ambient(self) -> float:
-        """K, that of the first member."""
-        return float(self.surroundings[0])
+    def parameter(self, name: str) -> Array:
+        """(B,) values of a property of `physics.heat.Properties`."""
+        return np.asarray(self.properties[:, PROPERTIES.index(name)])
 
     @property
-    def surroundings(self) -> Array:
-        """(B,) ambient temperature of every member, K."""
-        return np.asarray(self.properties[:, PROPERTIES.index("ambient")])
+    def T_amb(self) -> float:
+        """Ambient temperature of the first member, K."""
+        return float(self.parameter("T_amb")[0])
 
     @property
     def zone(self) -> NDArray[np.intp]:
-        """(n,) GRIP, CLEARANCE, LEAD or CURVED."""
+        """(n,) zone of each cell: GRIP, CLEARANCE, LEAD or CURVED."""
         return zones(self.resolution)
 
     @property
@@ -133,41 +134,44 @@ class ThermalModel:
 
 
 def stack(models: Sequence[ThermalModel]) -> ThermalModel:
-    """Models on the same grid as the members of one."""
-    columns = [np.vstack([m.properties for m in models]), np.vstack([m.volumes for m in models])]
-    return replace(models[0], properties=columns[0], volumes=columns[1])
+    """Model whose members are those of models on the same grid."""
+    return replace(
+        models[0],
+        properties=np.vstack([m.properties for m in models]),
+        volumes=np.vstack([m.volumes for m in models]),
+    )
 
 
 def vent_profile(rig: Rig, fraction: Array) -> Array:
-    """Vents at `fraction` (c,) of the way from the end of the mold to its middle."""
+    """Open fraction of the tube's surface at positions (c,) from the end of the mold (0) to its middle (1)."""
     vents = np.array(rig.mold.vents)
-    places = np.linspace(0.0, 1.0, len(vents)) if len(vents) > 1 else np.zeros(1)
-    return np.asarray(np.interp(fraction, places, vents))
+    given = np.linspace(0.0, 1.0, len(vents)) if len(vents) > 1 else np.zeros(1)
+    return np.asarray(np.interp(fraction, given, vents))
 
 
 def covered_fraction(tube: Tube, rig: Rig, resolution: Resolution) -> Array:
-    """(c,) places of the covered cells on the way from the end of the mold (0) to its middle (1)."""
+    """(c,) positions of the covered cells between the end of the mold (0) and its middle (1)."""
     lengths, zone = half_lengths(tube, rig), zones(resolution)
     width = cell_widths(tube, rig, resolution)
-    place = np.cumsum(width) - 0.5 * width - lengths[GRIP] - lengths[CLEARANCE]
-    return np.asarray(place[zone >= LEAD] / (lengths[LEAD] + lengths[CURVED]))
+    position = np.cumsum(width) - 0.5 * width - lengths.grip - lengths.clearance
+    return np.asarray(position[zone >= LEAD] / (lengths.lead + lengths.curved))
 
 
 def shell_radii(rig: Rig, tube: Tube, shells: int) -> tuple[Array, Array]:
-    """Faces (M+1,) and nodes (M,) of the shells, m; geometric, since a hot wire's field is linear in log r."""
+    """Radii of the faces (M+1,) and nodes (M,) of the shells, m; raises InputError for a mold that is too small."""
     inner, outer = 0.5 * tube.outer_diameter, rig.mold.radius
     if outer < 2 * inner:
         raise InputError(
             f"the mold is {rig.mold.width * 1e3:g} mm by {rig.mold.thickness * 1e3:g} mm; that is too small to "
             f"surround a tube of {tube.outer_diameter * 1e3:g} mm"
         )
-    # Cells of equal log r have equal resistance to heat; their nodes are the geometric means.
+    # The field of a hot wire is linear in log r: shells of equal ratio have equal thermal resistance.
     faces = np.geomspace(inner, outer, shells + 1)
     return faces, np.sqrt(faces[:-1] * faces[1:])
 
 
 class HalfLengths(NamedTuple):
-    """Lengths of half the tube, from a clamp to its middle, m; in the order of the zones of `physics.heat`."""
+    """Lengths of the zones of half the tube, from a clamp to the middle, m; in the order of `physics.heat`."""
 
     grip: float
     clearance: float
@@ -176,98 +180,110 @@ class HalfLengths(NamedTuple):
 
 
 def half_lengths(tube: Tube, rig: Rig) -> HalfLengths:
-    """Lengths of the zones from the clamp to the middle of the curved part, m; raises InputError without a curve."""
+    """Lengths of the zones of half the tube, m; raises InputError for a tube without a curved part."""
     if tube.curved_length <= 0:
         raise InputError(f"curved_length is {tube.curved_length:g} m; a tube to be shape-set must have a curved part")
     return HalfLengths(rig.clamps.grip, rig.clamps.clearance, rig.mold.lead, 0.5 * tube.curved_length)
 
 
-def gap_of(tube: Tube, rig: Rig) -> float:
-    """Even gap of air (m) that conducts as much as that of the groove: the rig's own, or of the groove as milled."""
-    return own_gap(tube, rig) if rig.mold.gap is None else rig.mold.gap
+def uniform_gap_of(tube: Tube, rig: Rig) -> float:
+    """Uniform gap (m) that conducts as much as the air in the groove: that of the rig, or of its groove as milled."""
+    return square_groove_gap(tube, rig) if rig.mold.gap is None else rig.mold.gap
 
 
-def own_gap(tube: Tube, rig: Rig) -> float:
-    """The even gap (m) of a square groove with the rig's side clearance."""
+def square_groove_gap(tube: Tube, rig: Rig) -> float:
+    """Uniform gap (m) of a square groove with the rig's side clearance."""
     side = tube.outer_diameter + 2 * rig.mold.play
     return groove_gap(tube, rig, side, side)
 
 
 def groove_gap(tube: Tube, rig: Rig, width: float, depth: float) -> float:
-    """The even gap (m) that conducts as much as the air of a groove of this width and depth, m, in the rig's mold."""
+    """Uniform gap (m) that conducts as much as the air of a groove of this width and depth (m) in the rig's mold."""
     ratio = rig.mold.material.conductivity / air_conductivity(rig.ambient + 0.5 * HOT)
-    return even_gap(tube.outer_diameter, Lie.leaning(tube.outer_diameter, width, depth), ratio)
+    return uniform_gap(tube.outer_diameter, GrooveAir.tube_on_floor_and_wall(tube.outer_diameter, width, depth), ratio)
 
 
 def gap_transfer(tube: Tube, rig: Rig) -> float:
-    """Heat transfer through the air between tube and groove, W/(m^2 K), without the loss factor."""
-    return gap_conductance(gap_of(tube, rig), rig.ambient)
+    """Heat transfer coefficient of the air between tube and groove, W/(m^2 K), without the loss factor."""
+    return gap_conductance(uniform_gap_of(tube, rig), rig.ambient)
 
 
 def leak_resistance(tube: Tube, rig: Rig) -> float:
-    """Resistance of the way through the mold beside the tube, ohm: its surface twice, and the plates."""
+    """Electrical resistance of the mold in parallel with the tube, ohm: two contacts with the tube, and the plates."""
     covered = tube.curved_length + 2 * rig.mold.lead
     if rig.mold.material.electrically_insulating:
         return math.inf
     # Half of the surface counts for each direction: current enters the mold and leaves it.
-    touching = 0.5 * math.pi * tube.outer_diameter * covered
+    contact_area = 0.5 * math.pi * tube.outer_diameter * covered
     plates = rig.mold.material.resistivity * covered / (rig.mold.width * rig.mold.thickness)
-    return 2 * rig.mold.leak_resistance / touching + plates
+    return 2 * rig.mold.leak_resistance / contact_area + plates
 
 
-def properties(tube: Tube, rig: Rig) -> Properties:
-    """What `physics.heat` must know of tube and rig, but the shells' last half, which depends on their number."""
+def properties(tube: Tube, rig: Rig, shells: int) -> Properties:
+    """Parameters of `physics.heat` for a mold of this number of shells."""
     data, section, girth = thermal_data(tube), tube.cross_section, math.pi * tube.outer_diameter
     mold, battery, circuit, clamps = rig.mold.material, rig.battery, rig.circuit, rig.clamps
-    factor, lengths, leak = rig.loss_factor, half_lengths(tube, rig), leak_resistance(tube, rig)
-    bare = rig.convection or natural_convection(tube.outer_diameter, rig.ambient + HOT, rig.ambient)
-    return {
-        "heat": data.density * section * data.heat_capacity,
-        "heat_slope": data.heat_capacity_slope,
-        "reference": data.reference_temperature,
-        "conduction": data.conductivity * section,
-        "conduction_slope": data.conductivity_slope,
-        "resistance": rig.resistivity_factor * data.resistivity / section,
-        "resistance_slope": data.resistivity_slope,
-        "to_clamp": clamps.contact_conductance * girth,
-        "to_air": bare * girth * factor,
-        "radiating": data.emissivity * STEFAN_BOLTZMANN * girth * factor,
-        "gap": gap_transfer(tube, rig) * girth * factor,
-        "mold_k": factor * mold.conductivity,
-        "mold_heat": factor * mold.density * mold.heat_capacity,
-        "leak": 0.0 if math.isinf(leak) else 1 / leak,
-        "series": circuit.resistance,
-        "contact": circuit.contact_resistance,
-        "clamp_heat": clamps.mass * clamps.heat_capacity,
-        "clamp_loss": SURFACE_TRANSFER * clamps.area,
-        "voltage": battery.voltage,
-        "voltage_slope": battery.voltage_slope,
-        "internal": battery.internal_resistance,
-        "sag": battery.sag_resistance,
-        "sag_time": battery.sag_time,
-        "capacity": battery.capacity,
-        "lost": circuit.lost_share,
-        "ambient": rig.ambient,
-        "grip": lengths[GRIP],
-        "curved": lengths[CURVED],
-    }
-
-
-def model_numbers(tube: Tube, rig: Rig, shells: int) -> tuple[Array, tuple[Array, Array]]:
-    """The values of `physics.heat.PROPERTIES`, and of the shells cross-sections (M,), m^2, and log ratios (M-1,)."""
+    factor, lengths, R_leak = rig.loss_factor, half_lengths(tube, rig), leak_resistance(tube, rig)
+    h_bare = rig.convection or natural_convection(tube.outer_diameter, rig.ambient + HOT, rig.ambient)
     faces, nodes = shell_radii(rig, tube, shells)
-    values = properties(tube, rig)
-    k = values["mold_k"]
-    values["wall"] = math.log(nodes[0] / faces[0]) / (2 * math.pi * k)
+    k_mold = factor * mold.conductivity
     # From the last node to the mold's surface by conduction, then by transfer to the air, in series.
-    to_air = SURFACE_TRANSFER * 2 * math.pi * faces[-1]
-    values["outer"] = 1 / (math.log(faces[-1] / nodes[-1]) / (2 * math.pi * k) + 1 / to_air)
-    return np.array([values[name] for name in PROPERTIES]), (math.pi * np.diff(faces**2), np.diff(np.log(nodes)))
+    R_outer = math.log(faces[-1] / nodes[-1]) / (2 * math.pi * k_mold) + 1 / (
+        SURFACE_TRANSFER * 2 * math.pi * faces[-1]
+    )
+    return Properties(
+        c_tube=data.density * section * data.heat_capacity,
+        c_slope=data.heat_capacity_slope,
+        T_ref=data.reference_temperature,
+        kA=data.conductivity * section,
+        k_slope=data.conductivity_slope,
+        r_tube=rig.resistivity_factor * data.resistivity / section,
+        r_slope=data.resistivity_slope,
+        h_clamp=clamps.contact_conductance * girth,
+        h_air=h_bare * girth * factor,
+        eps_sigma=data.emissivity * STEFAN_BOLTZMANN * girth * factor,
+        h_gap=gap_transfer(tube, rig) * girth * factor,
+        R_wall=math.log(nodes[0] / faces[0]) / (2 * math.pi * k_mold),
+        k_mold=k_mold,
+        c_mold=factor * mold.density * mold.heat_capacity,
+        h_outer=1 / R_outer,
+        G_leak=0.0 if math.isinf(R_leak) else 1 / R_leak,
+        R_series=circuit.resistance,
+        R_contact=circuit.contact_resistance,
+        C_clamp=clamps.mass * clamps.heat_capacity,
+        G_clamp_air=SURFACE_TRANSFER * clamps.area,
+        V_start=battery.voltage,
+        V_slope=battery.voltage_slope,
+        R_internal=battery.internal_resistance,
+        R_sag=battery.sag_resistance,
+        tau_sag=battery.sag_time,
+        Q_battery=battery.capacity,
+        lost_duty=circuit.lost_share,
+        T_amb=rig.ambient,
+        L_grip=lengths.grip,
+        L_curved=lengths.curved,
+    )
+
+
+class RigNumbers(NamedTuple):
+    """Parameters of `physics.heat` as arrays."""
+
+    properties: Array
+    """(P,) values by the names of `physics.heat.PROPERTIES`."""
+    shells: Shells
+
+
+def rig_numbers(tube: Tube, rig: Rig, shells: int) -> RigNumbers:
+    """Parameters of tube and rig, and the geometry of the shells."""
+    faces, nodes = shell_radii(rig, tube, shells)
+    values = vars(properties(tube, rig, shells))
+    geometry = Shells(math.pi * np.diff(faces**2), np.diff(np.log(nodes)))
+    return RigNumbers(np.array([values[name] for name in PROPERTIES]), geometry)
 
 
 def thermal_model(tube: Tube, rig: Rig, resolution: Resolution = COARSE) -> ThermalModel:
-    """The numbers of the model for one tube on one rig."""
-    numbers, shells = model_numbers(tube, rig, resolution.shells)
+    """Thermal model of one tube on one rig."""
+    numbers = rig_numbers(tube, rig, resolution.shells)
     width = cell_widths(tube, rig, resolution)
     vent = vent_profile(rig, covered_fraction(tube, rig, resolution))
     return ThermalModel(
@@ -275,74 +291,72 @@ def thermal_model(tube: Tube, rig: Rig, resolution: Resolution = COARSE) -> Ther
         position=np.cumsum(width) - 0.5 * width,
         width=width,
         half_length=float(sum(half_lengths(tube, rig))),
-        properties=numbers[None],
-        volumes=volumes_function(resolution)(numbers, width, vent, *shells).full().T,
+        properties=numbers.properties[None],
+        volumes=volumes_function(resolution)(numbers.properties, width, vent, *numbers.shells).full().T,
     )
 
 
 def curve_start(model: ThermalModel) -> float:
-    """Where the curved part begins, m from the outer end of the clamp."""
+    """Position where the curved part begins, m from the outer end of the clamp."""
     first = int(np.argmax(model.curved))
     return float(model.position[first] - 0.5 * model.width[first])
 
 
-def joined(model: ThermalModel, tube: Array) -> Array:
-    """(..., 1 + c) temperatures where the curved part begins, and at its cells, from those of the cells (..., n)."""
+def curved_temperatures(model: ThermalModel, tube: Array) -> Array:
+    """(..., 1 + c) temperatures at the start of the curved part and at its cells, from those of all cells (..., n)."""
     first = int(np.argmax(model.curved))
     before, after = model.width[first - 1], model.width[first]
-    # Linear between the middles of two cells: weights are the distances to the other one's middle.
+    # Linear between the middles of two cells: weights are the distances to the middle of the other one.
     edge = (after * tube[..., first - 1] + before * tube[..., first]) / (before + after)
     return np.concatenate([edge[..., None], tube[..., first:]], axis=-1)
 
 
-class Seen(NamedTuple):
-    """Temperatures of the tube that limits are about, (...,) degC."""
+class TubeExtremes(NamedTuple):
+    """Temperatures of the tube that window and limit apply to, (...,) degC."""
 
     coldest: Array
-    """Of the curved part."""
+    """Coldest point of the curved part."""
     hottest: Array
-    """Of the curved part."""
-    top: Array
-    """Of all points."""
+    """Hottest point of the curved part."""
+    peak: Array
+    """Hottest point of the tube."""
 
 
-def seen(model: ThermalModel, tube: Array) -> Seen:
-    """(...,) coldest and hottest of the curved part, and the hottest point, degC, where the cells have (..., n), K."""
-    curved = joined(model, tube) - ZERO_CELSIUS
-    return Seen(curved.min(-1), curved.max(-1), tube.max(-1) - ZERO_CELSIUS)
+def tube_extremes(model: ThermalModel, tube: Array) -> TubeExtremes:
+    """Extreme temperatures (...,), degC, from those of the cells (..., n), K."""
+    curved = curved_temperatures(model, tube) - ZERO_CELSIUS
+    return TubeExtremes(curved.min(-1), curved.max(-1), tube.max(-1) - ZERO_CELSIUS)
 
 
 # --- Air in a groove --------------------------------------------------------------------------------------------------
 
-# How well the air conducts heat between a round tube and the groove in which it lies, by a solution in the plane.
-#
-# The model above has shells of mold around the tube behind an even gap of air. A groove is square and wider than the
-# tube, which lies on its floor and against a wall. The mold conducts three times (board) to a thousand times (steel) as
-# well as air. Heat flows in the plane across the tube, steady,
+# The model above has shells of mold around the tube behind a uniform gap of air. A real groove is square and wider than
+# the tube, which touches its floor and one wall. The mold conducts three times (board) to a thousand times (steel) as
+# well as air. Steady heat flow in the plane across the tube,
 #
 #     div(k grad T) = 0,   T = 1 on the tube,  0 on a circle far away,  k that of air in the groove, else of the mold,
 #
-# by linear finite elements on rays from the tube's axis. The even gap is the one that makes the model's total
-# resistance to heat that of this solution. Where a tube touches a wall that conducts well, nearly all heat flows there.
-# A board spreads it first, so that the place of the tube hardly matters.
+# is solved by linear finite elements on rays from the tube's axis. The uniform gap is the one that gives the model the
+# total thermal resistance of this solution. If a tube touches a wall that conducts well, nearly all heat flows there. A
+# board spreads it first, so that the position of the tube hardly matters.
 
 STANDOFF = 10e-6
-"""Air between the tube and what it lies on, m: the roughness of a milled face, and oxide; assumed."""
+"""Air gap between the tube and the wall that it touches, m: roughness of a milled face, and oxide; assumed."""
 
 FAR = 4.0
-"""Least radius of the circle far away, in diameters of the tube: what tells a square from a circle dies out before."""
+"""Smallest radius of the circle far away, in tube diameters: the field of a square is round before."""
 
 RAYS, AIR_RINGS, MOLD_RINGS = 240, 8, 24
 GRADING = 3.0
-"""How much finer the rings of the mold are at the groove than far away, as a logarithm."""
+"""Logarithm of the ratio of ring widths in the mold, far away to at the groove."""
 
-LEAST_PLAY = 1e-3
-"""Least air on any side, in diameters of the tube, for which the elements are fine enough."""
+MIN_AIR = 1e-3
+"""Smallest air gap on any side, in tube diameters, for which the elements are fine enough."""
 
 
 @dataclass(frozen=True)
-class Lie:
-    """Where a tube lies in the cross-section of its groove: air at the right wall, lid, left wall and floor, m."""
+class GrooveAir:
+    """Air around a tube in the cross-section of its groove: distances to right wall, lid, left wall and floor, m."""
 
     right: float
     top: float
@@ -350,47 +364,48 @@ class Lie:
     bottom: float
 
     @classmethod
-    def leaning(cls, diameter: float, width: float, depth: float, standoff: float = STANDOFF) -> Lie:
-        """On the floor and against one wall, as a bent tube lies that is pressed into its groove."""
-        side, up = min(standoff, 0.5 * (width - diameter)), min(standoff, 0.5 * (depth - diameter))
-        return cls(width - diameter - side, depth - diameter - up, side, up)
+    def tube_on_floor_and_wall(
+        cls, diameter: float, width: float, depth: float, standoff: float = STANDOFF
+    ) -> GrooveAir:
+        """Air around a tube on the floor and against one wall, as a bent tube pressed into its groove."""
+        side, bottom = min(standoff, 0.5 * (width - diameter)), min(standoff, 0.5 * (depth - diameter))
+        return cls(width - diameter - side, depth - diameter - bottom, side, bottom)
 
 
 @functools.lru_cache(maxsize=256)
-def even_gap(diameter: float, lie: Lie, ratio: float) -> float:
-    """Even gap of air (m) around a tube that conducts to the mold as much as the air of its groove does.
+def uniform_gap(diameter: float, air: GrooveAir, ratio: float) -> float:
+    """Uniform air gap (m) around a tube that conducts as much heat to the mold as the air of its groove.
 
-    Air nearer than `LEAST_PLAY` diameters counts as that.
+    Air gaps below `MIN_AIR` diameters count as that.
 
     Args:
         diameter: of the tube, m. ratio: of the mold's conductivity to that of air.
     """
-    air = [max(x / diameter, LEAST_PLAY) for x in (lie.right, lie.top, lie.left, lie.bottom)]
-    sides = [0.5 + x for x in air]
-    angle, wall = _rays(sides)
-    # The same elements filled with mold alone say what they make of it, so that their error cancels.
-    resistance, alone = (_resistance(angle, wall, k, ratio) for k in (1.0, ratio))
-    return float(math.pi * diameter * (resistance - alone))
+    gaps = [max(x / diameter, MIN_AIR) for x in (air.right, air.top, air.left, air.bottom)]
+    angle, wall = _rays([0.5 + x for x in gaps])
+    # The resistance of the same elements filled with mold alone is subtracted, so that their error cancels.
+    resistance, filled = (_resistance(angle, wall, k, ratio) for k in (1.0, ratio))
+    return float(math.pi * diameter * (resistance - filled))
 
 
 def _rays(sides: list[float]) -> tuple[Array, Array]:
-    """(n,) angles from 0 to 2 pi, dense where air is thin, with the corners, and (n,) ways to the wall in diameters."""
+    """(n,) angles from 0 to 2 pi, with the corners, dense where air is thin, and (n,) distances to the wall."""
     right, top, left, bottom = sides
     corners = [(right, top), (-left, top), (-left, -bottom), (right, -bottom)]
     dense = np.linspace(0.0, 2 * math.pi, 16 * RAYS + 1)
     # Rays are dense where the gap is thin: there the field changes fastest along the tube.
-    weight = 1 / np.minimum(_wall(dense, sides) - 0.5, 0.3) + 2.0
-    share = np.concatenate([[0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]) * np.diff(dense))])
-    spread = np.interp(np.linspace(0.0, share[-1], RAYS, endpoint=False), share, dense)
+    weight = 1 / np.minimum(_wall_distance(dense, sides) - 0.5, 0.3) + 2.0
+    cumulative = np.concatenate([[0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]) * np.diff(dense))])
+    spread = np.interp(np.linspace(0.0, cumulative[-1], RAYS, endpoint=False), cumulative, dense)
     exact = np.mod([math.atan2(y, x) for x, y in corners], 2 * math.pi)
     angle = np.unique(np.concatenate([spread, exact]))
     # A ray that nearly coincides with a corner would make slivers.
-    apart = np.abs(angle[:, None] - exact).min(1)
-    angle = angle[(apart == 0) | (apart > 1e-4)]
-    return angle, _wall(angle, sides)
+    to_corner = np.abs(angle[:, None] - exact).min(1)
+    angle = angle[(to_corner == 0) | (to_corner > 1e-4)]
+    return angle, _wall_distance(angle, sides)
 
 
-def _wall(angle: Array, sides: list[float]) -> Array:
+def _wall_distance(angle: Array, sides: list[float]) -> Array:
     right, top, left, bottom = sides
     x, y = np.cos(angle), np.sin(angle)
     across = np.where(x > 0, right, left) / np.maximum(np.abs(x), 1e-12)
@@ -398,39 +413,35 @@ def _wall(angle: Array, sides: list[float]) -> Array:
     return np.minimum(across, along)
 
 
-def _resistance(angle: Array, wall: Array, air: float, mold: float) -> float:
-    """Between the tube, of diameter 1, and the circle far away, for these conductivities."""
+def _resistance(angle: Array, wall: Array, k_air: float, k_mold: float) -> float:
+    """Thermal resistance between the tube, of diameter 1, and the circle far away."""
     inner = 0.5 + np.linspace(0.0, 1.0, AIR_RINGS + 1)[:, None] * (wall - 0.5)
     # Geometric rings, as a field in the plane falls like the logarithm of the radius.
     outward = np.expm1(GRADING * np.linspace(0.0, 1.0, MOLD_RINGS + 1)[1:]) / math.expm1(GRADING)
     far = max(FAR, 2 * float(wall.max()))
     radius = np.vstack([inner, wall + outward[:, None] * (far - wall)])
-    place = np.stack([radius * np.cos(angle), radius * np.sin(angle)])
-    number = np.arange(radius.size).reshape(radius.shape)
-    after = np.roll(number, -1, axis=1)
-    corners = [grid.ravel() for grid in (number[:-1], number[1:], after[1:], after[:-1])]
-    conductivity = np.repeat([air, mold], [AIR_RINGS * len(angle), MOLD_RINGS * len(angle)])
-    first, second = (
-        _triangles(place.reshape(2, -1), [corners[k] for k in triangle], conductivity)
-        for triangle in ((0, 1, 2), (0, 2, 3))
-    )
-    stiffness = first + second
-    field = np.zeros(radius.size)
-    field[number[0]] = 1.0
-    free = number[1:-1].ravel()
-    matrix = stiffness[free]
-    field[free] = scipy.sparse.linalg.spsolve(matrix[:, free].tocsc(), -(matrix @ field))
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle)]).reshape(2, -1)
+    node = np.arange(radius.size).reshape(radius.shape)
+    node_next = np.roll(node, -1, axis=1)
+    a, b, c, d = (grid.ravel() for grid in (node[:-1], node[1:], node_next[1:], node_next[:-1]))
+    k = np.repeat([k_air, k_mold], [AIR_RINGS * len(angle), MOLD_RINGS * len(angle)])
+    stiffness = _triangles(points, [a, b, c], k) + _triangles(points, [a, c, d], k)
+    T = np.zeros(radius.size)
+    T[node[0]] = 1.0
+    free = node[1:-1].ravel()
+    rows = stiffness[free]
+    T[free] = scipy.sparse.linalg.spsolve(rows[:, free].tocsc(), -(rows @ T))
     # With a difference of 1 the energy int k |grad T|^2 is the heat flow, the inverse of the resistance.
-    return 1 / float(field @ (stiffness @ field))
+    return 1 / float(T @ (stiffness @ T))
 
 
-def _triangles(place: Array, nodes: list[NDArray[np.intp]], conductivity: Array) -> scipy.sparse.csr_array:
-    """Stiffness of linear triangles with corners at `place` (2, N)."""
-    x, y = (np.array([axis[node] for node in nodes]) for axis in place)
+def _triangles(points: Array, nodes: list[NDArray[np.intp]], conductivity: Array) -> scipy.sparse.csr_array:
+    """Stiffness matrix of linear triangles with corners among `points` (2, N)."""
+    x, y = (np.array([axis[corner] for corner in nodes]) for axis in points)
     # Gradients of the linear shape functions, times twice the area of the triangle.
     slope = np.stack([np.roll(y, -1, 0) - np.roll(y, -2, 0), np.roll(x, -2, 0) - np.roll(x, -1, 0)])
-    twice = np.abs((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]))
+    twice_area = np.abs((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]))
     pairs = list(itertools.product(range(3), repeat=2))
-    values = [conductivity * (slope[:, a] * slope[:, b]).sum(0) / (2 * twice) for a, b in pairs]
+    values = [conductivity * (slope[:, a] * slope[:, b]).sum(0) / (2 * twice_area) for a, b in pairs]
     rows, columns = (np.concatenate([nodes[pair[side]] for pair in pairs]) for side in (0, 1))
-    return scipy.sparse.csr_array((np.concatenate(values), (rows, columns)), shape=(place.shape[1],) * 2)
+    return scipy.sparse.csr_array((np.concatenate(values), (rows, columns)), shape=(points.shape[1],) * 2)

@@ -1,4 +1,4 @@
-"""What is not known of a rig and its tube, and an ensemble of those that they may be."""
+"""Uncertainty of a rig and its tube, and ensembles of uncertain rigs."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from ...robots.tubes import Tube
 from ...typing import Array
 from .calibration import FACTORS
 from .rig import Rig
-from .thermal import ThermalModel, gap_of, stack, thermal_data, thermal_model
+from .thermal import ThermalModel, stack, thermal_data, thermal_model, uniform_gap_of
 
 PART = Range(least=0.0, most=0.99)
-"""Of half-widths that are fractions."""
+"""Range of half-widths that are fractions."""
 
 
-# 20 cells, the fine grid has 46: hundreds of members are simulated, and what the fine grid adds is nearly the same in
-# all. It is taken from the nominal one.
+# 20 cells, the fine grid has 46: hundreds of members are simulated, and the difference of the fine grid is nearly the
+# same in all. It is taken from the nominal one.
 ENSEMBLE = Resolution(2, 4, 6, 8, 6)
 """Grid of uncertain rigs."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ensemble:
-    """Rigs that are simulated together: the nominal one, which is the first member, and S sampled ones."""
+    """Rigs that are simulated together: the nominal one as the first member, and S sampled ones."""
 
     model: ThermalModel
-    """Of the 1 + S members."""
+    """Thermal model of the 1 + S members."""
     draws: Array
-    """(S, number of `Uncertainty.unknown`) in -1 to 1."""
+    """(S, number of `Uncertainty.unknown`) samples in -1 to 1."""
     bias: Array
-    """(1 + S,) of the members' sensors where the tube is hot, K; 0 for the nominal one."""
+    """(1 + S,) bias of each sensor where the tube is hot, K; 0 for the nominal one."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Uncertainty(Displayed):
 
     @classmethod
     def of_a_workshop(cls) -> Self:
-        """All of it at once, as wide as it is where nothing was measured: assumed."""
+        """Uncertainty of a rig of which nothing was measured: assumed."""
         return cls(
             loss=0.15, contact_resistance=0.3, resistivity=0.1, resistivity_slope=0.2, gap=0.5, conductivity=0.2,
             heat_capacity=0.06, inner_diameter=20e-6, ambient=5.0, charge=0.2, lost_on_time=10e-6,
@@ -94,23 +94,23 @@ class Uncertainty(Displayed):
         return tuple(item.name for item in fields(self) if getattr(self, item.name) > 0)
 
     def draws(self, samples: int, seed: int = 0) -> Array:
-        """(samples, number of `unknown`) in -1 to 1: a Latin hypercube."""
+        """(samples, number of `unknown`) samples in -1 to 1: a Latin hypercube."""
         if not self.unknown:
             return np.zeros((samples, 0))
         return np.asarray(2 * scipy.stats.qmc.LatinHypercube(d=len(self.unknown), rng=seed).random(samples) - 1)
 
     @without_unit_warnings()
     def member(self, tube: Tube, rig: Rig, draw: Sequence[float]) -> tuple[Tube, Rig]:
-        """The tube and the rig at one draw, in the order of `unknown`."""
+        """Tube and rig of one sample, whose entries are in the order of `unknown`."""
         by = dict.fromkeys((item.name for item in fields(self)), 0.0)
-        by |= {name: getattr(self, name) * float(part) for name, part in zip(self.unknown, draw, strict=True)}
+        by |= {name: getattr(self, name) * float(x) for name, x in zip(self.unknown, draw, strict=True)}
         data = thermal_data(tube)
         data = replace(
             data,
             heat_capacity=data.heat_capacity * (1 + by["heat_capacity"]),
             resistivity_slope=data.resistivity_slope * (1 + by["resistivity_slope"]),
         )
-        # A wire has no bore that could be another.
+        # A solid wire has no bore.
         inner = tube.inner_diameter + by["inner_diameter"] if tube.inner_diameter > 0 else 0.0
         if not 0 <= inner < tube.outer_diameter:
             raise InputError(
@@ -120,18 +120,18 @@ class Uncertainty(Displayed):
             )
         material = replace(rig.mold.material, conductivity=rig.mold.material.conductivity * (1 + by["conductivity"]))
         lost = rig.circuit.lost_on_time + 0.5 * (self.lost_on_time + by["lost_on_time"])
-        other = replace(
+        member = replace(
             rig.with_charge(rig.battery.state_of_charge * (1 - 0.5 * (self.charge + by["charge"]))),
             circuit=replace(rig.circuit, lost_on_time=lost),
-            mold=replace(rig.mold, gap=gap_of(tube, rig), material=material),
+            mold=replace(rig.mold, gap=uniform_gap_of(tube, rig), material=material),
             ambient=rig.ambient + by["ambient"],
         )
         for name in ("loss", "gap", "contact_resistance", "resistivity"):
-            other = FACTORS[name](other, 1 + by[name])
-        return replace(tube, inner_diameter=inner, material=replace(tube.material, thermal=data)), other
+            member = FACTORS[name](member, 1 + by[name])
+        return replace(tube, inner_diameter=inner, material=replace(tube.material, thermal=data)), member
 
     def ensemble(self, tube: Tube, rig: Rig, samples: int, *, sensor_bias: float = 0.0, seed: int = 0) -> Ensemble:
-        """The nominal rig and `samples` random ones; `sensor_bias` is the half-width of their sensors' bias, K."""
+        """Nominal rig and `samples` random ones; `sensor_bias` is the half-width of the bias of their sensors, K."""
         draws = self.draws(samples, seed)
         members = [(tube, rig), *(self.member(tube, rig, draw) for draw in draws)]
         bias = sensor_bias * np.random.default_rng(seed).uniform(-1, 1, samples)

@@ -182,7 +182,7 @@ def plot_feedback(answer: ClosedLoopHeating) -> Figure:
     for axes in (whole, close):
         _draw_window(axes, answer.plan)
     # NaN breaks the line where the heating of a rig has ended. Rigs end at different times.
-    running = np.where(history.place < len(feedback.law.planned), 1.0, np.nan)
+    running = np.where(history.index < len(feedback.law.planned), 1.0, np.nan)
     during_hold = np.where(in_hold, 1.0, np.nan)
     for axes, values, colour, name in (
         (whole, history.hottest * running, TUBE, f"hottest of the curve, {feedback.samples} rigs"),

@@ -23,7 +23,7 @@ def heating_source() -> str:
     generator = ca.CodeGenerator("heat.c")
     for law in cell_functions():
         generator.add(law)
-    constants = {"AMBIENT": PROPERTIES.index("ambient"), "CLAMP": CLAMP, "LUMPED": LUMPED, "GAMMA": GAMMA}
+    constants = {"AMBIENT": PROPERTIES.index("T_amb"), "CLAMP": CLAMP, "LUMPED": LUMPED, "GAMMA": GAMMA}
     return c_text(constants, generator, "heating.c")
 
 
@@ -53,14 +53,14 @@ def _fields(volumes: Array, resolution: Resolution) -> Array:
     columns = zip(shapes.items(), np.split(volumes, ends, axis=1), strict=True)
     parts = {name: part.reshape(len(part), width, height) for (name, (height, width)), part in columns}
     tube, fields = np.zeros((len(volumes), 8, n)), np.zeros((len(volumes), 3, rows, n))
-    for row, name in zip(tube.swapaxes(0, 1), (*OF_A_CELL, "conduction", "cover_share"), strict=True):
-        row[:, bare if name == "cover_share" else 0 :][:, : parts[name].shape[2]] = parts[name][:, 0]
+    for row, name in zip(tube.swapaxes(0, 1), (*OF_A_CELL, "G_tube", "mold_fraction"), strict=True):
+        row[:, bare if name == "mold_fraction" else 0 :][:, : parts[name].shape[2]] = parts[name][:, 0]
     outward, along, capacity = fields.swapaxes(0, 1)
-    outward[:, :, bare:] = np.concatenate([parts[name] for name in ("to_mold", "radial", "outer")], axis=1)
+    outward[:, :, bare:] = np.concatenate([parts[name] for name in ("G_gap", "G_radial", "G_outer")], axis=1)
     along[:, 1:, bare : n - 1], capacity[:, 1:, :bare], capacity[:, 1:, bare:] = (
-        parts["axial"],
+        parts["G_shell"],
         1.0,
-        parts["shell_heat"],
+        parts["C_mold"],
     )
     return np.concatenate([tube.reshape(len(volumes), -1), fields.reshape(len(volumes), -1)], axis=1)
 
