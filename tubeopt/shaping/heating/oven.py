@@ -544,8 +544,8 @@ def remarks_of(oven: Oven, tail: Cooling) -> tuple[str, ...]:
         )
     if tail.ageing_time > SHORTEST_AGEING:
         found.append(
-            f"the tube cools from {AGEING_DEGC[1]:g} to {AGEING_DEGC[0]:g} degC in {tail.ageing_time:.0f} s, where Ti-50.8Ni "
-            f"precipitates fastest; above {SHORTEST_AGEING:g} s its Af changes. Quench it out of the mold"
+            f"the tube cools from {AGEING_DEGC[1]:g} to {AGEING_DEGC[0]:g} degC in {tail.ageing_time:.0f} s, where "
+            f"Ti-50.8Ni precipitates fastest; above {SHORTEST_AGEING:g} s its Af changes. Quench it out of the mold"
         )
     return tuple(found)
 

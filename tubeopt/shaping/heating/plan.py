@@ -269,7 +269,7 @@ class HeatingPlan(Displayed):
     def of(
         cls, tube: Tube, spec: HeatingSpec, schedule: Schedule, iterations: int, *, cures: tuple[Cure, ...] = ()
     ) -> Self:
-        """Plan of a schedule that was found in so many iterations."""
+        """Plan of a schedule, with the iterations of its optimal control problem."""
         run, history, outcome = schedule.run, schedule.history, schedule.outcome
         rig, model = run.rig, run.model
         _, last = hold_slots(spec, run.start)

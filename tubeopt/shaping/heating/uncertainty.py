@@ -82,7 +82,7 @@ class Uncertainty(Displayed):
 
     @classmethod
     def of_a_workshop(cls) -> Self:
-        """Uncertainty of a rig of which nothing was measured: assumed."""
+        """Uncertainty of a rig without any measurement: assumed."""
         return cls(
             loss=0.15, contact_resistance=0.3, resistivity=0.1, resistivity_slope=0.2, gap=0.5, conductivity=0.2,
             heat_capacity=0.06, inner_diameter=20e-6, ambient=5.0, charge=0.2, lost_on_time=10e-6,
@@ -101,7 +101,7 @@ class Uncertainty(Displayed):
 
     @without_unit_warnings()
     def member(self, tube: Tube, rig: Rig, draw: Sequence[float]) -> tuple[Tube, Rig]:
-        """Tube and rig of one sample, whose entries are in the order of `unknown`."""
+        """Tube and rig of one sample (entries in the order of `unknown`)."""
         by = dict.fromkeys((item.name for item in fields(self)), 0.0)
         by |= {name: getattr(self, name) * float(x) for name, x in zip(self.unknown, draw, strict=True)}
         data = thermal_data(tube)
