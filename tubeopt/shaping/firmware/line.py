@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ...constants import ZERO_CELSIUS
-from ...errors import InputError, SolveError, extra
+from ...errors import InputError, SolveError, import_extra
 from ..heating.controller import HeatingLaw, LawState, decide
 from ..heating.rig import COUNTS
 from ..heating.sensors import MeasuredRig, Sensor
@@ -40,7 +40,7 @@ class SerialLine:
     """
 
     def __init__(self, port: str) -> None:
-        serial = extra("serial", "rig", "rigs on a port")
+        serial = import_extra("serial", "rig", "rigs on a port")
         try:
             self._port = serial.Serial(port, BAUD, timeout=1.0)
         except (serial.SerialException, ValueError, OSError) as error:

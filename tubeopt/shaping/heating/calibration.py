@@ -23,7 +23,7 @@ import scipy
 
 from ...constants import ZERO_CELSIUS
 from ...display import Displayed
-from ...errors import InputError, choice, finite, positive, undoubted
+from ...errors import InputError, choice, finite, positive, without_unit_warnings
 from ...physics.heat import LEAD, Resolution
 from ...robots.tubes import Tube
 from ...solvers.robust_least_squares import LeastSquaresSolver, Weights, descend
@@ -329,7 +329,7 @@ BIAS = "bias"
 def _scaled(part: str, name: str) -> Callable[[Rig, float], Rig]:
     """Function (rig, factor) -> rig with one field of one of its parts multiplied by the factor."""
 
-    @undoubted()
+    @without_unit_warnings()
     def scale(rig: Rig, factor: float) -> Rig:
         old: Any = getattr(rig, part)
         return replace(rig, **{part: replace(old, **{name: getattr(old, name) * factor})})

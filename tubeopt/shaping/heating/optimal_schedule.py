@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from ...constants import ZERO_CELSIUS
-from ...errors import SolveError, undoubted
+from ...errors import SolveError, without_unit_warnings
 from ...physics.heat import GRIP, LEAD
 from ...physics.heat_functions import CHARGE, CLAMP, SAG
 from ...robots.tubes import Tube
@@ -269,7 +269,7 @@ def _constraint_bounds(nlp: Program, shift: Shift | None) -> tuple[Array, Array]
 # --- the answer -------------------------------------------------------------------------------------------------------
 
 
-@undoubted()
+@without_unit_warnings()
 def _ideal(
     nlp: Program, tube: Tube, rig: Rig, spec: HeatingSpec, solution: dict[str, Array], stats: dict[str, Any]
 ) -> Ideal:

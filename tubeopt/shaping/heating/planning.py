@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from ...constants import ZERO_CELSIUS
-from ...errors import InputError, SolveError, instance, undoubted
+from ...errors import InputError, SolveError, instance, without_unit_warnings
 from ...robots.tubes import Tube
 from ...solvers.blas import small
 from ...solvers.time_limit import TIME_LIMIT, limited
@@ -259,7 +259,7 @@ def _describe_choice(rig: Rig, chosen: Rig) -> str:
     return ", ".join(parts[:-1]) + " and " * (len(parts) > 1) + "".join(parts[-1:])
 
 
-@undoubted()
+@without_unit_warnings()
 def _for_limits(tube: Tube, rig: Rig, spec: HeatingSpec, outcome: Outcome) -> list[Cure]:
     """Changes where the window is held but ramp or currents are exceeded: less current, or another limit."""
     current, rate = full_current(tube, rig), count_rate(tube, rig)
