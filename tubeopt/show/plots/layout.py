@@ -18,7 +18,7 @@ from matplotlib.transforms import Bbox
 from ...typing import Array
 from ..page import WIDTH, narrow
 from .figure import NotebookFigure
-from .texts import MAX_ASPECT, faults, separate, too_wide
+from .texts import MAX_ASPECT, crowded, faults, separate, too_wide
 
 MAX_PASSES = 3
 """Passes of the layout engine, at most: axes of equal aspect change their size with their position."""
@@ -44,7 +44,8 @@ def finish(figure: Figure) -> None:
         arrange(figure, stacked=narrow())
     else:
         _settle(figure)
-        separate(figure)
+        if crowded(figure):
+            separate(figure)
 
 
 def fitted(draw: Callable[[], Figure]) -> Figure:

@@ -75,6 +75,17 @@ def faults(figure: Figure) -> list[Fault]:
     return out
 
 
+def crowded(figure: Figure) -> bool:
+    """True if texts overlap others or lie in other panels; without legends, whose texts have no positions yet.
+
+    After the layout it needs no drawing, which would take a quarter of the time of a picture.
+    """
+    texts = list(drawn_texts(figure, legends=False))
+    boxes = _boxes(texts)
+    overlapping = np.tril(_overlap(figure, boxes, boxes), -1).any()
+    return bool(overlapping) or any(True for _ in _covered(figure, texts, boxes))
+
+
 def separate(figure: Figure) -> None:
     """Move names off other texts and panels, thin out numbers of scales, and hide those that still overlap."""
     for _ in range(ROUNDS):
@@ -143,21 +154,22 @@ def too_wide(figure: Figure) -> Iterator[tuple[Text, float]]:
             yield text, 0.95 * (box.width - outside)
 
 
-def drawn_texts(figure: Figure) -> Iterator[PlacedText]:
-    """Every text that is drawn."""
-    whole = [*figure.texts, *(text for legend in figure.legends for text in (*legend.get_texts(), legend.get_title()))]
-    panels = [each for axes in figure.axes if axes.get_visible() for each in _texts_of(axes)]
+def drawn_texts(figure: Figure, *, legends: bool = True) -> Iterator[PlacedText]:
+    """Every text that is drawn, with or without those of legends."""
+    shown = figure.legends if legends else []
+    whole = [*figure.texts, *(text for legend in shown for text in (*legend.get_texts(), legend.get_title()))]
+    panels = [each for axes in figure.axes if axes.get_visible() for each in _texts_of(axes, legends=legends)]
     for each in (*panels, *(PlacedText(text, None, None) for text in whole)):
         if each.text.get_visible() and each.text.get_text().strip():
             yield each
 
 
-def _texts_of(axes: Axes) -> Iterator[PlacedText]:
+def _texts_of(axes: Axes, *, legends: bool) -> Iterator[PlacedText]:
     parts: list[Any] = axes.get_children()
     for part in parts:
         if isinstance(part, Text):
             yield PlacedText(part, axes, None)
-        elif hasattr(part, "get_texts") and part.get_visible():  # a legend
+        elif legends and hasattr(part, "get_texts") and part.get_visible():  # a legend
             yield from (PlacedText(text, axes, None) for text in (*part.get_texts(), part.get_title()))
         elif hasattr(part, "get_celld") and part.get_visible():  # a table
             yield from (PlacedText(cell.get_text(), axes, None) for cell in part.get_celld().values())

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from html import escape
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,30 +28,41 @@ from .session import Session, bearing_words
 MAP_SAMPLES = 13
 """Points per axis of the small stability map."""
 
-WIDEST = 2 * np.pi
-"""S-curves are traced no farther than a turn from home, where limits are wider."""
+MAX_TURN = 2 * np.pi
+"""Largest rotation from home in an S-curve, rad, which repeats after a turn."""
+
+CACHED_CURVES = 16
+"""Number of cached S-curves of all tabs: a robot often returns to earlier joint values."""
 
 
-CURVES = 16
-"""S-curves that are remembered, for all tabs: a robot often comes back to where it was."""
+class MapKey(NamedTuple):
+    """Values on which certificate and stability map depend."""
 
-Place = tuple[Robot, tuple[float, ...]]
-"""A robot and its translations, m."""
+    robot: Robot
+    translations: tuple[float, ...]
+    """m."""
 
-Way = tuple[Place, int, tuple[float, ...]]
-"""A place, a tube that turns, and the rotations of the others, rad."""
+
+class CurveKey(NamedTuple):
+    """Values on which an S-curve depends."""
+
+    place: MapKey
+    tube: int
+    """Index of the turning tube."""
+    other_rotations: tuple[float, ...]
+    """Rotations of the other tubes, rad."""
 
 
 class _InterruptedError(Exception):
-    """Something more urgent is to be done."""
+    """A job is waiting."""
 
 
 class Insights:
-    """Remembers each answer with the question that it belongs to, and shows it while that is the question.
+    """Stores each result with the values that it depends on, and shows it as long as they hold.
 
     Args:
-        session: what is shown now.
-        waiting: whether something more urgent is to be done.
+        session: returns the current session.
+        waiting: True if a more urgent job waits.
     """
 
     def __init__(self, panel: Panel, session: Callable[[], Session], waiting: Callable[[], bool]) -> None:
@@ -65,13 +77,13 @@ class Insights:
     @property
     def chores(self) -> list[tuple[float, Job]]:
         """Delays without input, s, and the tasks that run after them."""
-        # The faster an answer, the sooner it is computed: a map that begins early would delay the others.
-        return [(0.03, self._certify), (0.1, self._bear), (0.35, self._trace), (0.6, self._chart)]
+        # Fast results come first: a map that starts early would delay the others.
+        return [(0.03, self._certify), (0.1, self._show_load), (0.35, self._trace_curve), (0.6, self._compute_map)]
 
     @property
     def certificate(self) -> float | None:
-        """The certificate at the present translations, None where it is not known yet."""
-        return self._certificate[1] if self._certificate and self._certificate[0] == self._at() else None
+        """Certificate at the current translations; None if it is not computed yet."""
+        return self._certificate[1] if self._certificate and self._certificate[0] == self._map_key() else None
 
     def want_map(self, on: bool) -> None:
         """Show a stability map, or none."""
@@ -79,42 +91,40 @@ class Insights:
         self._panel.plot("map", "computing the stability map …" if on else "", text=on)
 
     def plot(self) -> None:
-        """Mark the present place in the plots that hold at it."""
+        """Mark the current joint values in the plots that depend on them."""
         current = self._session().equilibrium
         if current.load is not None:
             return
-        if self._curve and self._curve[1] is not None and self._curve[0] == self._way():
+        if self._curve and self._curve[1] is not None and self._curve[0] == self._curve_key():
             self._panel.plot("curve", s_curve_plot(self._curve[1], current, self.tube))
-        if self._map and self._map[1] is not None and self._map[0] == self._at():
+        if self._map and self._map[1] is not None and self._map[0] == self._map_key():
             self._panel.plot("map", map_plot(self._map[1], current))
 
-    def _at(self) -> Place:
-        """Key of certificate and map: the values that they depend on."""
+    def _map_key(self) -> MapKey:
         session = self._session()
-        return session.robot, tuple(session.equilibrium.translations.tolist())
+        return MapKey(session.robot, tuple(session.equilibrium.translations.tolist()))
 
-    def _way(self) -> Way:
-        """Key of the S-curve: the values that it depends on."""
+    def _curve_key(self) -> CurveKey:
         current = self._session().equilibrium
         # The rotation of the tube itself is the abscissa: turning it moves the mark and leaves the curve.
-        return self._at(), self.tube, tuple(np.delete(current.rotations, self.tube).tolist())
+        return CurveKey(self._map_key(), self.tube, tuple(np.delete(current.rotations, self.tube).tolist()))
 
     def _certify(self) -> None:
         if self.certificate is None:
             session = self._session()
             value = snap_free_certificate(session.robot, session.equilibrium.translations)
-            self._certificate = self._at(), value
+            self._certificate = self._map_key(), value
             self._panel.show(session, value, None)
 
-    def _bear(self) -> None:
+    def _show_load(self) -> None:
         """Show the effect of the load, and the largest load."""
         current = self._session().equilibrium
         if self._panel.push is not None and self._borne is not current:
             self._borne = current
             self._panel.push.tell(bearing_words(current))
 
-    def _trace(self) -> None:
-        key = self._way()
+    def _trace_curve(self) -> None:
+        key = self._curve_key()
         if self._session().equilibrium.load is not None:
             self._curve = None
             self._panel.plot("curve", "S-curves and maps are for no load", text=True)
@@ -122,15 +132,15 @@ class Insights:
         if self._curve and self._curve[0] == key:
             return
         try:
-            self._curve = key, _s_curve(*key)
+            self._curve = key, _s_curve(key)
         except (InputError, SolveError) as error:
-            # The failure is remembered too, so that it is not tried again at every rest.
+            # The failure is stored too, so that it is not tried again at every rest.
             self._curve = key, None
             self._panel.plot("curve", f"no S-curve here: {error}", text=True)
         self.plot()
 
-    def _chart(self) -> None:
-        key = self._at()
+    def _compute_map(self) -> None:
+        key = self._map_key()
         if not self._map_wanted or (self._map and self._map[0] == key):
             return
 
@@ -142,7 +152,7 @@ class Insights:
         session = self._session()
         shift = session.equilibrium.translations
         try:
-            # Directions as few as they can be, and even: half of the ways tell of the other.
+            # As few directions as possible, and an even number: half of the paths follow from the other half.
             chart = stability_map(session.robot, shift, samples=MAP_SAMPLES, directions=2, workers=1, progress=urgent)
         except _InterruptedError:
             return
@@ -154,13 +164,13 @@ class Insights:
         self.plot()
 
 
-@lru_cache(maxsize=CURVES)
-def _s_curve(place: Place, tube: int, others: tuple[float, ...]) -> Branch:
-    """The branch along a turn of one tube, from one limit to the other; raises as `trace_branch` does."""
-    robot, shift = place
+@lru_cache(maxsize=CACHED_CURVES)
+def _s_curve(key: CurveKey) -> Branch:
+    """Branch along a turn of one tube, from one limit to the other; raises as `trace_branch` does."""
+    robot, shift = key.place
     # Limits may be infinite, and curves repeat after a turn.
-    ends = np.clip(robot.limits.rotations[tube], -WIDEST, WIDEST)
-    start, end = (np.insert(np.array(others), tube, angle) for angle in ends)
+    ends = np.clip(robot.limits.rotations[key.tube], -MAX_TURN, MAX_TURN)
+    start, end = (np.insert(np.array(key.other_rotations), key.tube, angle) for angle in ends)
     return trace_branch(robot, start, end, np.array(shift))
 
 
@@ -168,11 +178,11 @@ Job = Callable[[], object]
 
 
 class Worker:
-    """Runs jobs in the order in which they are posted, then chores when it has been quiet for their delay (s).
+    """Thread that runs jobs in the order of posting, and chores after a delay, s, without jobs.
 
     Args:
-        chores: (delay, chore): each is run once after the last job, sooner ones first.
-        failed: told of an exception that a job or chore lets through; the worker goes on.
+        chores: (delay, chore): each is run once after the last job, in the order of the delays.
+        failed: receives the exceptions of jobs and chores; the worker continues.
     """
 
     def __init__(self, chores: Sequence[tuple[float, Job]], failed: Callable[[Exception], object]) -> None:
@@ -184,9 +194,9 @@ class Worker:
         threading.Thread(target=self._run, name="tubeopt-view", daemon=True).start()
 
     def post(self, job: Job, *, key: str | None = None) -> None:
-        """Have a job done; one with a key takes the place of any that waits under the same key."""
+        """Queue a job; it replaces a waiting job with the same key, if it has one."""
         with self._change:
-            # Of the positions of a slider only the latest matters: without it the robot would lag behind the hand.
+            # Of the positions of a slider only the latest matters: with all of them the robot would lag behind.
             if key is not None:
                 self._jobs = deque(waiting for waiting in self._jobs if waiting[0] != key)
             self._jobs.append((key, job))
@@ -198,7 +208,7 @@ class Worker:
         return bool(self._jobs) or not self._open
 
     def close(self) -> None:
-        """Do no more jobs; returns at once."""
+        """Stop the worker, without waiting for it."""
         with self._change:
             self._open = False
             self._jobs.clear()
@@ -218,7 +228,7 @@ class Worker:
                     job = self._jobs.popleft()[1]
             if job is not None:
                 self._attempt(job)
-                # After each job all chores are due again: what they know may be of another state.
+                # After each job all chores are due again: their results may be of another state.
                 left, quiet = list(self._chores), time.monotonic()
             # The condition may wake early or spuriously, so the time is checked again.
             elif self._open and left and time.monotonic() >= quiet + left[0][0]:
@@ -227,7 +237,7 @@ class Worker:
     def _attempt(self, job: Job) -> None:
         try:
             job()
-        except Exception as error:  # nothing that goes wrong in one job may leave the page without an answer
+        except Exception as error:  # an error in one job must not leave the page without an answer
             if not self._open:
                 return
             traceback.print_exc()
@@ -241,7 +251,7 @@ GREY = "#8a8f98"
 
 @dataclass(frozen=True)
 class Axes:
-    """A plot's ranges, and from them pixels."""
+    """Axes of a plot: ranges, and the conversion to pixels."""
 
     x: tuple[float, float]
     y: tuple[float, float]
@@ -254,13 +264,13 @@ class Axes:
         return np.column_stack([across, down])
 
     def line(self, x: Array, y: Array, colour: str, *, dashed: bool = False, width: float = 1.8) -> str:
-        """A line through values."""
+        """SVG of a line through values."""
         points = " ".join(f"{a:.1f},{b:.1f}" for a, b in self.at(x, y))
         dash = ' stroke-dasharray="5 4"' if dashed else ""
         return f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="{width}"{dash}/>'
 
     def dot(self, x: float, y: float, colour: str, *, hollow: bool = False, radius: float = 4.0) -> str:
-        """Draw a point."""
+        """SVG of a point."""
         ((a, b),) = self.at(np.array([x]), np.array([y]))
         fill = "white" if hollow else colour
         return f'<circle cx="{a:.1f}" cy="{b:.1f}" r="{radius}" fill="{fill}" stroke="{colour}" stroke-width="1.5"/>'
@@ -273,13 +283,13 @@ def ticks(low: float, high: float, *, angle: bool = False) -> Array:
     decade = 10.0 ** np.floor(np.log10((high - low) / 5))
     steps += [round_ * decade for round_ in (1, 2, 5, 10)] if not angle or (high - low) < 60 else []
     step = next((s for s in sorted(steps) if (high - low) / s <= 5.5), max(steps))
-    # The slack keeps a tick at the end of a range, which round-off could lose.
+    # The tolerance keeps a tick at the end of a range, which round-off could lose.
     first = np.ceil(low / step - 1e-9)
     return np.asarray(np.arange(first, np.floor(high / step + 1e-9) + 1) * step)
 
 
 def frame(axes: Axes, body: Sequence[str], title: str, *, angles: tuple[bool, bool] = (False, False)) -> str:
-    """A whole plot: grid, numbers, names of the axes, and what is drawn."""
+    """SVG of a plot: grid, numbers, names of the axes, and the drawing."""
     out = [
         f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" width="100%" role="img" aria-label="{escape(title, quote=True)}" '
         'style="font:10px sans-serif;display:block">'
@@ -307,16 +317,16 @@ def _number(value: float) -> str:
     return f"{value + 0.0:.6g}".replace("-", "\N{MINUS SIGN}")
 
 
-def _range(values: Array, least: float) -> tuple[float, float]:
-    """A range around values, no narrower than `least`."""
+def _range(values: Array, min_span: float) -> tuple[float, float]:
+    """Range around values, of at least `min_span`."""
     low, high = float(np.min(values)), float(np.max(values))
     # Six per cent keep lines off the frame; the last bound avoids a scale of no length.
-    room = max(0.06 * (high - low), (least - (high - low)) / 2, 1e-12)
-    return low - room, high + room
+    border = max(0.06 * (high - low), (min_span - (high - low)) / 2, 1e-12)
+    return low - border, high + border
 
 
 def torsion_plot(equilibrium: Equilibrium) -> str:
-    """Torsion of every tube over arc length, each up to its own end."""
+    """SVG of the torsion of every tube over arc length, each up to its own end."""
     s = equilibrium.arc_length
     torsion = np.degrees(equilibrium.torsion) * 1e-3
     axes = Axes(
@@ -337,7 +347,7 @@ def torsion_plot(equilibrium: Equilibrium) -> str:
 
 
 def s_curve_plot(branch: Branch, equilibrium: Equilibrium, tube: int) -> str:
-    """Tip angle of a tube over its input, the folds, and where the robot is now."""
+    """SVG of the tip angle of a tube over its input, with folds and the current joint values."""
     fine = smooth(branch)
     x, y = np.degrees(fine.rotations[:, tube]), np.degrees(fine.tip_rotations[:, tube])
     current = float(np.degrees(equilibrium.rotations[tube])), float(np.degrees(equilibrium.tip_rotations[tube]))
