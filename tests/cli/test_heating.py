@@ -147,7 +147,7 @@ def test_a_window_that_cannot_be_held_is_told_with_a_cure(run: Run, tmp_path: Pa
     text = " ".join(outcome.out.split())
     for words in (
         "MISSED",
-        "a mold of calcium silicate in place of steel: cures it",
+        "a mold of calcium silicate in place of steel: sufficient",
         "problem: while the MOSFET",
     ):
         assert words in text

@@ -205,7 +205,7 @@ def test_counts_too_coarse_for_the_ramp_are_told() -> None:
     (words,) = plan.broken
     assert f"warms at up to {plan.steepest:.1f} K/s, beyond the ramp of 20 K/s" in words
     assert words in plan.problems
-    assert plan.verdict == f"limits broken: {plan.steepest:.1f} K/s of 20"
+    assert plan.verdict == f"exceeds limits: {plan.steepest:.1f} K/s (limit 20)"
     resistor = plan.cures[0]
     assert resistor.cures
     ohm = float(resistor.change.split(" of ")[1].split(" mohm")[0]) / 1e3

@@ -90,7 +90,7 @@ PLAN = described(
     "shortfall broken",
     line("curved part in the hold", "{lowest_degC:.1f} to {highest_degC:.1f} degC"),
     "lowest highest",
-    of_field(HeatingPlan, "hottest", label="hottest point, ever",
+    of_field(HeatingPlan, "hottest", label="maximum temperature",
              words="{hottest_degC:.1f} degC (limit {limit_degC:g})"),
     Quantity("mesh_error_K", "estimated mesh error of these temperatures"),
     line("heating, then hold", "{hold_start_s:g} s, to {hold_end_s:g} s"),
@@ -286,7 +286,7 @@ class HeatingReport(Report[Heating]):
 
 
 def _cure_words(cure: Cure) -> str:
-    left = "cures it" if cure.cures else f"leaves {cure.shortfall:.1f} K"
+    left = "sufficient" if cure.cures else f"{cure.shortfall:.1f} K remain"
     return f"{cure.change}: {left}" + "".join(f"; {words}" for words in cure.broken)
 
 
@@ -560,8 +560,8 @@ def _foretold(row: dict[str, Any], leader: Replanner | None) -> list[tuple[str, 
     rest = leader.rest
     # The rest begins at the present slot; what is left of the hold begins as many slots later.
     hold = () if rest is None else rest.reading[max(leader.planner.law.hold[0] - rest.index, 0) :]
-    told = [("led by", f"{who}; the rig heats {100 * leader.strength:+.0f} % more than its file says")]
-    return told if not len(hold) else [*told, ("foretold", f"{min(hold):.0f} to {max(hold):.0f} degC in the hold")]
+    told = [("controlled by", f"{who}; the rig heats {100 * leader.strength:+.0f} % more than its file says")]
+    return told if not len(hold) else [*told, ("predicted", f"{min(hold):.0f} to {max(hold):.0f} degC in the hold")]
 
 
 def _told(hello: dict[str, Any], row: dict[str, Any], readings: list[float]) -> list[tuple[str, str]]:
@@ -571,9 +571,9 @@ def _told(hello: dict[str, Any], row: dict[str, Any], readings: list[float]) -> 
     window = hello.get("window_degC")
     within = "" if window is None else f", window {window[0]:g} to {window[1]:g}"
     return [
-        ("temperature", f"{row['temperature_degC']:.1f} degC, wanted {row['reference_degC']:.1f}{within}"),
+        ("temperature", f"{row['temperature_degC']:.1f} degC, reference {row['reference_degC']:.1f}{within}"),
         ("", _curve(readings)),
-        ("duty", f"{row['count']} of 255" + (", dry: nothing flows" if row["dry"] else "")),
+        ("duty", f"{row['count']} of 255" + (", dry run, no current" if row["dry"] else "")),
         ("battery", battery),
         ("time", f"{row['time_s']:.0f} s, {left:.0f} s left"),
         ("stop", "Ctrl-C"),

@@ -204,7 +204,7 @@ def plot_feedback(answer: ClosedLoopHeating) -> Figure:
     items = feedback.contributions
     names = [item.name.replace("_", " ") for item in items]
     deviations = [item.deviation for item in items]
-    quantity = "moves the hold by (K, standard deviation)"
+    quantity = "effect on the hold (K, standard deviation)"
     draw_bars(figure.add_subplot(grid[:, 1]), names, deviations, quantity, colours=IDEAL)
     low_p, high_p = feedback.interval
     success = f"{100 * feedback.probability:.1f} % of {feedback.samples} rigs keep the window"
