@@ -40,7 +40,7 @@ from tubeopt.design import (
 from tubeopt.design.evaluation import state_at
 from tubeopt.design.objectives import aim
 from tubeopt.design.program import Program, compile_task
-from tubeopt.design.verify import check_own, numbers_of
+from tubeopt.design.verify import check_custom, numbers_of
 from tubeopt.equilibrium.answer import sure_margin
 from tubeopt.typing import Array
 
@@ -202,7 +202,7 @@ def test_own_requirement_on_poses_is_kept_and_verified() -> None:
     assert min(e.tip_position[2] for e in design.equilibria) >= 0.113 - 1e-8
     without = optimize_design(replace(task, requirements=task.requirements[:2]), turns=0)
     assert min(e.tip_position[2] for e in without.equilibria) < 0.113
-    check = check_own(Height(0.113), without.robot, without.equilibria)
+    check = check_custom(Height(0.113), without.robot, without.equilibria)
     assert not check.kept
     assert check.found == f"{min(1e3 * e.tip_position[2] for e in without.equilibria):.6g} mm"
     assert check.what == "height of the tips"

@@ -45,7 +45,7 @@ from tubeopt.design.evaluation import robot_at
 from tubeopt.design.exchange import reachable
 from tubeopt.design.infeasibility import DesignNotFoundError
 from tubeopt.design.parameters import as_pieces, design_space
-from tubeopt.design.pose import SHARES, arm_points, arm_slopes
+from tubeopt.design.pose import FRACTIONS, arm_points, arm_slopes
 from tubeopt.design.program import compile_task, corners
 from tubeopt.design.state import FixedPose, FreePose, Layout, State
 from tubeopt.design.task import DesignSolver
@@ -189,9 +189,9 @@ def test_points_along_the_arm_move_as_differences_say() -> None:
     beta = np.array(shift) - [tube.straight_length for tube in robot.tubes]
     x = np.concatenate([0.9 * space.start, turned, beta])
     state = State(layout, x)
-    slope = arm_slopes(state.pose(0), SHARES) @ state.chain(0)
+    slope = arm_slopes(state.pose(0), FRACTIONS) @ state.chain(0)
     for k, row in enumerate(np.eye(len(x))):
-        up, down = (arm_points(State(layout, x + 1e-6 * sign * row).pose(0), SHARES) for sign in (1, -1))
+        up, down = (arm_points(State(layout, x + 1e-6 * sign * row).pose(0), FRACTIONS) for sign in (1, -1))
         found = (up - down) / 2e-6
         assert np.abs(slope[:, :, k] - found).max() < 2e-6 * np.abs(found).max() + 1e-9
 

@@ -44,6 +44,10 @@ def arm(**known: Any) -> Any:
     return SimpleNamespace(translations=np.zeros(2), **known)
 
 
+def checks_of(requirement: Any, *arms: Any, robot: ConcentricRobot = ROBOT) -> Any:
+    return verify.verify(program_of(requirement), robot, np.zeros(0), arms).checks
+
+
 @pytest.mark.parametrize(
     ("least", "found", "snaps", "kept"),
     [
@@ -71,7 +75,7 @@ def test_a_certificate_is_kept_at_its_worst_translations_and_above_no_margin_tha
     monkeypatch.setattr(verify, "snap_free_certificate", lambda robot, row: (0.9, least, 0.8)[int(row[0])])
     monkeypatch.setattr(verify, "worst_margin", search)
     monkeypatch.setattr(verify, "count_snaps", lambda robot, turns, seed, row: (snaps, snaps))
-    checks = verify._certificate(program_of(), ROBOT, SnapFree(0.2), 6)
+    checks = checks_of(SnapFree(0.2))
     assert [check.kept for check in checks] == kept
     assert searched == [1.0]
 
@@ -81,10 +85,10 @@ def test_a_certificate_is_kept_at_its_floor_where_tubes_may_be_off(monkeypatch: 
     monkeypatch.setattr(verify, "certified_at", lambda program, robot: [(0.0, 0.0)])
     monkeypatch.setattr(verify, "worst_margin", lambda robot, row: SimpleNamespace(margin=1.0))
     monkeypatch.setattr(verify, "count_snaps", lambda *_: (0, 0))
-    monkeypatch.setattr(verify, "_erring", lambda *_: [])
+    monkeypatch.setattr(verify, "PERTURBED_ROBOTS", 0)
     for short, kept in ((1.0e-4, True), (1.02e-4, False)):
         monkeypatch.setattr(verify, "snap_free_certificate", lambda robot, row, short=short: one.floor - short)
-        assert verify._certificate(program_of(), ROBOT, one, 6)[0].kept == kept
+        assert checks_of(one)[0].kept == kept
 
 
 def test_errors_of_three_tubes_take_as_much_from_a_certificate_as_is_allowed_for() -> None:
@@ -120,11 +124,13 @@ def test_tubes_that_are_off_are_tried_at_the_corners_of_their_errors(monkeypatch
     rows = [np.array([0.5, 0.0]), np.ones(2), np.array([0.7, 0.0])]
     assert certificate(ROBOT, rows[1]) == pytest.approx(snap_free_certificate(ROBOT), abs=1e-9)
     monkeypatch.setattr(verify, "PERTURBED_ROBOTS", 400)
+    monkeypatch.setattr(verify, "SEARCHED_TRANSLATIONS", 0)
+    monkeypatch.setattr(verify, "certified_at", lambda *_: rows)
     monkeypatch.setattr(verify, "snap_free_certificate", certificate)
     worst = 1 - (1 - certificate(ROBOT, rows[1])) * 1.1**2 * 1.2 / 0.8
     for more, kept in ((-1e-9, True), (1e-9, False)):
         asked = SnapFree(worst + 1e-4 + 1e-6 + more, curvature_error=0.1, stiffness_error=0.2)
-        check = verify._erring(ROBOT, asked, rows)[0]
+        check = checks_of(asked)[1]
         assert float(check.found) == pytest.approx(worst, abs=1e-5)
         assert check.kept == kept
 
@@ -146,7 +152,7 @@ def test_the_margin_in_use_is_the_least_of_poses_ways_and_deployments(
     monkeypatch.setattr(verify, "motions", lambda *_: ways)
     for at_pose, on_the_way in ((0.2991, 0.2991), (0.2989, 0.5), (0.5, 0.2989)):
         drawn = (arm(margin=0.9), arm(margin=on_the_way))
-        monkeypatch.setattr(verify, "on_the_way", lambda robot, arms, drawn=drawn: drawn)
+        monkeypatch.setattr(verify, "deployments", lambda robot, arms, drawn=drawn: drawn)
         found = verify.verify(program, ROBOT, np.zeros(0), (arm(margin=0.9), arm(margin=at_pose)))
         assert [check.kept for check in found.checks] == [at_pose > 0.299, on_the_way > 0.299, kept[2]]
         assert found.kept == all(check.kept for check in found.checks)
@@ -156,15 +162,15 @@ def test_the_stroke_force_is_that_of_the_weakest_pose(monkeypatch: pytest.Monkey
     for second, kept in ((0.5 - 0.9e-6, True), (0.5 - 1.1e-6, False)):
         forces = [0.9, second]
         monkeypatch.setattr(verify, "numbers_of", lambda *_, forces=forces: lambda one: np.array([forces[one.pose]]))
-        assert verify._stroke_force(StrokeForce(0.5), ROBOT, (arm(), arm())).kept == kept
+        assert checks_of(StrokeForce(0.5), arm(), arm())[0].kept == kept
 
 
 def test_the_room_around_an_arm_is_the_least_of_poses_and_deployments(monkeypatch: pytest.MonkeyPatch) -> None:
     one = Avoid((Sphere((0.0, 0.0, 1.0), 0.1),), clearance=2e-3, deployed=True)
-    monkeypatch.setattr(verify, "least_room", lambda one, robot, arm: arm.room)
+    monkeypatch.setattr(verify, "arm_distance", lambda one, robot, arm: arm.room)
     for pose, drawn in ((2e-3, 2e-3), (1.999e-3, 9e-3), (9e-3, 1.999e-3)):
-        monkeypatch.setattr(verify, "on_the_way", lambda robot, arms, drawn=drawn: [arm(room=drawn)])
-        assert verify._anatomy(one, ROBOT, (arm(room=9e-3), arm(room=pose))).kept == (min(pose, drawn) >= 2e-3)
+        monkeypatch.setattr(verify, "deployments", lambda robot, arms, drawn=drawn: [arm(room=drawn)])
+        assert checks_of(one, arm(room=9e-3), arm(room=pose))[0].kept == (min(pose, drawn) >= 2e-3)
 
 
 def test_a_tip_is_as_near_to_its_target_as_the_worst_of_all() -> None:
@@ -177,13 +183,14 @@ def test_a_tip_is_as_near_to_its_target_as_the_worst_of_all() -> None:
             arm(tip_position=np.array([5e-4, 0.0, 0.1])),
             arm(tip_position=np.array([off, 0.0, 0.2]), tip_rotation=axes),
         )
-        assert [check.kept for check in verify._tips(program_of(Reach((wide, fine))), arms)] == kept
+        assert [check.kept for check in checks_of(Reach((wide, fine)), *arms)] == kept
 
 
 def test_tubes_are_in_order_in_the_poses_too(monkeypatch: pytest.MonkeyPatch) -> None:
     for gap, kept in ((0.0, True), (-1e-3, False)):
         monkeypatch.setattr(verify, "worst_order", lambda tubes, places, gap=gap: (gap, "in words"))
-        assert [each.kept for each in verify._order(program_of(ordered=True), ROBOT, (arm(), arm()))] == [kept]
+        checks = verify.verify(program_of(ordered=True), ROBOT, np.zeros(0), (arm(), arm())).checks
+        assert [check.kept for check in checks] == [kept]
 
 
 def test_snaps_are_counted_in_whole_turns_forth_and_back(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -221,7 +228,7 @@ def test_translations_of_a_box_are_added_where_less_than_the_floor_or_the_promis
     for short, added in ((0.9e-4, ()), (1.1e-4, ((0.01, 0.0),))):
         least = max(one.floor, promised or 0.0) - short
         monkeypatch.setattr(exchange, "worst_in_box", lambda *_, least=least: (least, (0.01, 0.0)))
-        assert exchange.violations(program, np.array([promised or 0.0]))[0].translations == added
+        assert exchange.worst_cases(program, np.array([promised or 0.0])).added.translations == added
 
 
 UNEQUAL = nested((0.01, 0.05, 3.0), (0.01, 0.04, 5.0))
@@ -247,7 +254,7 @@ def test_a_promise_about_tubes_is_kept_up_to_its_limit(make: Any, limit: float, 
     """The carriages travel 30 mm and 10 mm."""
     moved = arms([0.0, 0.0], [-0.03, -0.01])
     for beyond, kept in ((2e-5, True), (-2e-5, False)):
-        assert verify.check_tubes(make(limit * (1 + sign * beyond)), UNEQUAL, moved)[0].kept == kept
+        assert checks_of(make(limit * (1 + sign * beyond)), *moved, robot=UNEQUAL)[0].kept == kept
 
 
 def test_the_room_of_an_arm_is_that_of_its_closest_place_less_the_tube_that_is_there() -> None:
@@ -258,7 +265,7 @@ def test_the_room_of_an_arm_is_that_of_its_closest_place_less_the_tube_that_is_t
             arc_length=np.array([0.0, 0.02, 0.03]),
             position=np.array([[0.0, 0.0, height] for height in heights]),
         )
-        assert verify.least_room(wall, UNEQUAL, arm) == pytest.approx(room, rel=1e-12)
+        assert verify.arm_distance(wall, UNEQUAL, arm) == pytest.approx(room, rel=1e-12)
 
 
 def test_the_strain_of_several_poses_is_the_largest_of_each() -> None:
@@ -275,7 +282,7 @@ def test_an_own_requirement_is_kept_to_a_millionth_of_its_step(monkeypatch: pyte
     )
     for left, kept in ((-1.9e-6, True), (-2.1e-6, False)):
         monkeypatch.setattr(verify, "recorded", lambda *_, left=left: lambda look: np.array([0.5, left]))
-        assert verify.check_own(one, UNEQUAL, ()).kept == kept
+        assert verify.check_custom(one, UNEQUAL, ()).kept == kept
 
 
 def test_a_stroke_force_is_that_at_which_the_arm_buckles(monkeypatch: pytest.MonkeyPatch) -> None:

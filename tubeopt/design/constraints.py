@@ -34,42 +34,42 @@ Function = Callable[[Quantities], Any]
 
 @dataclass(frozen=True)
 class Limit:
-    """What a group of rows is about."""
+    """Limit that a group of constraints expresses."""
 
     words: str
-    """What is limited."""
+    """Name of the limited quantity."""
     value: float
-    """The limit, SI."""
+    """Value of the limit, SI."""
     most: bool
-    """Whether the limit is an upper one."""
+    """True for an upper limit."""
     unit: str
-    """In which it is shown."""
+    """Unit for display."""
     factor: float
-    """What turns SI into that unit."""
+    """Factor from SI to that unit."""
     size: float
     """SI change that counts as one step when limits are relaxed against each other."""
     movable: bool = True
-    """Whether it may be relaxed."""
+    """True if the limit may be relaxed."""
 
     def shown(self, value: float | None = None) -> str:
-        """The limit, or another value of the same kind, with its unit."""
+        """Text of the limit, or of another value of the same quantity, with its unit."""
         number = f"{(self.value if value is None else value) * self.factor:.4g}"
         return f"{number} {self.unit}".strip()
 
 
 @dataclass(frozen=True, eq=False)
 class Statement:
-    """A limit as an expression."""
+    """Limit as an expression."""
 
     part: int
-    """Tells the statements of a requirement apart."""
+    """Index among the statements of its requirement."""
     limit: Limit
     expression: Expression
-    """(K,) >= 0, SI."""
+    """Distances (K,) to the limit, SI; >= 0 if it is satisfied."""
     vector: Expression | None = None
-    """(3 K,), one after the other, where the length of a vector is limited."""
+    """Vectors (3 K,), one after the other, if the limit is on their lengths."""
     always: bool = False
-    """Whether it stays a constraint though no unknown may move it for a while."""
+    """True if it stays a constraint where its derivative is 0."""
 
 
 Poses = tuple[int, ...]
@@ -80,32 +80,40 @@ Stated = Iterator[tuple[Limit, Function, Function | None]]
 def statements(
     requirement: Requirement, pieces: Sequence[int], poses: Poses, points: Points = ()
 ) -> tuple[Statement, ...]:
-    """What a requirement states as expressions, for tubes of so many pieces; () where it is none of that kind.
+    """Limits of a requirement as expressions; () if it has none.
 
-    `poses` are those that it is about: its own for Reach and Coverage, also those on joint paths for SnapFreeInUse, all
-    task poses for others. `points` are those of a box in the program for Coverage, the translations of the certificate
-    for SnapFree.
+    Args:
+        pieces: number of pieces of each tube.
+        poses: numbers of the poses to which it applies: its own for Reach and Coverage, also those on joint paths for
+            SnapFreeInUse, all task poses for others.
+        points: positions for Coverage, translations of the certificate for SnapFree.
     """
-    n, count, own = len(pieces), max(poses, default=-1) + 1, isinstance(requirement, CustomRequirement)
+    n, count, always = len(pieces), max(poses, default=-1) + 1, isinstance(requirement, CustomRequirement)
 
     def record(function: Function, limit: Limit) -> Expression:
         return recorded(function, n, count, limit.words, pieces)
 
     return tuple(
-        Statement(k, limit, record(function, limit), None if vector is None else record(vector, limit), own)
+        Statement(k, limit, record(function, limit), None if vector is None else record(vector, limit), always)
         for k, (limit, function, vector) in enumerate(_stated(requirement, n, poses, points))
     )
 
 
-def _stated(one: Requirement, n: int, poses: Poses, points: Points) -> Stated:
-    """Every limit, what is left of it, and the vector whose length it limits: of tubes and certificates."""
-    match one:
+def _stated(requirement: Requirement, n: int, poses: Poses, points: Points) -> Stated:
+    """Every limit, the distance to it, and the vector if its length is limited: requirements on tubes alone."""
+    match requirement:
         case CustomRequirement():
-            movable = one.relaxed(one.size) is not None
+            movable = requirement.relaxed(requirement.size) is not None
             limit = Limit(
-                one.words, float(one.limit), bool(one.is_upper_bound), one.unit, one.factor, one.size, movable
+                requirement.words,
+                float(requirement.limit),
+                bool(requirement.is_upper_bound),
+                requirement.unit,
+                requirement.factor,
+                requirement.size,
+                movable,
             )
-            yield limit, one.expression, None
+            yield limit, requirement.expression, None
         case SnapFree(floor=least):
             limit = Limit("certified margin", least, False, "", 1.0, 0.1)
             yield limit, lambda q: ca.vertcat(*(q.certificate(row) for row in points)) - least, None
@@ -116,31 +124,36 @@ def _stated(one: Requirement, n: int, poses: Poses, points: Points) -> Stated:
             limit = Limit("wall thickness", least, False, "mm", 1e3, 1e-4)
             yield limit, lambda q: (q.tubes["outer_diameter"] - q.tubes["inner_diameter"]) / 2 - least, None
         case Length(field=field, tube=i):
-            sign, whole = 1.0 if one.least else -1.0, field == "length"
+            sign, whole = 1.0 if requirement.least else -1.0, field == "length"
             words = f"{'overall length' if whole else field.replace('_', ' ')} of tube {i + 1}"
             parts = ("straight_length", "curved_length") if whole else (field,)
-            limit = Limit(words, one.limit, not one.least, "mm", 1e3, 1e-2)
+            limit = Limit(words, requirement.limit, not requirement.least, "mm", 1e3, 1e-2)
             yield limit, lambda q: sign * (sum(q.tubes[part][i] for part in parts) - limit.value), None
         case _:
-            yield from _stated_of_poses(one, poses, points)
+            yield from _stated_of_poses(requirement, poses, points)
 
 
-def _stated_of_poses(one: Requirement, poses: Poses, points: Points) -> Stated:
-    match one:
+def _stated_of_poses(requirement: Requirement, poses: Poses, points: Points) -> Stated:
+    """Every limit, the distance to it, and the vector if its length is limited: requirements on poses."""
+    match requirement:
         case SnapFreeInUse(margin=least) if poses:
             limit = Limit("margin in use", least, False, "", 1.0, 0.1)
-            yield limit, lambda q: ca.vertcat(*(e.margin for e in arms(q, poses, one.deployed))) - least, None
+            yield limit, lambda q: ca.vertcat(*(e.margin for e in arms(q, poses, requirement.deployed))) - least, None
         case Strain(limits=limits):
-            posed = poses if one.in_poses else ()
-            for i, most in enumerate(limits if one.straightened or posed else ()):
+            posed = poses if requirement.in_poses else ()
+            for i, most in enumerate(limits if requirement.straightened or posed else ()):
                 limit = Limit(f"strain of tube {i + 1}", most, True, "%", 1e2, 1e-3)
-                yield limit, partial(_unstrained, one, posed, i), None
+                yield limit, partial(_remaining_strain, requirement, posed, i), None
         case Avoid(clearance=least) if poses:
             limit = Limit("clearance of the obstacles", least, False, "mm", 1e3, 1e-3)
-            yield limit, lambda q: ca.vertcat(*(e.clearance(one) for e in arms(q, poses, one.deployed))) - least, None
+            yield (
+                limit,
+                lambda q: ca.vertcat(*(e.clearance(requirement) for e in arms(q, poses, requirement.deployed))) - least,
+                None,
+            )
         case Stroke(limit=most) if len(poses) > 1:
             limit = Limit("stroke of a carriage", most, True, "mm", 1e3, 1e-2)
-            yield limit, lambda q: most - ca.vertcat(*_travels(q, poses)), None
+            yield limit, partial(_remaining_stroke, most, poses), None
         case StrokeForce(limit=least):
             limit = Limit("stroke force", least, False, "mN", 1e3, 1e-2)
             yield limit, lambda q: ca.vertcat(*(q.poses[k].stroke_force for k in poses)) - least, None
@@ -160,22 +173,23 @@ def _stated_of_poses(one: Requirement, poses: Poses, points: Points) -> Stated:
 
 
 def arms(q: Quantities, poses: Poses, deployed: bool) -> list[PoseQuantities]:
-    """The arms of some poses; with `deployed` also those on their way out."""
+    """Arms of some poses; with `deployed` also the partly deployed ones."""
     drawn = SHARES if deployed else ()
     return [arm for k in poses for arm in (q.poses[k], *(q.poses[k].drawn(share) for share in drawn))]
 
 
-def _travels(q: Quantities, poses: Poses) -> list[Any]:
-    return [q.poses[a].translations - q.poses[b].translations for a, b in permutations(poses, 2)]
+def _remaining_stroke(limit: float, poses: Poses, q: Quantities) -> Any:
+    """Stroke limit minus the travel of each carriage between any two poses."""
+    return limit - ca.vertcat(*(q.poses[a].translations - q.poses[b].translations for a, b in permutations(poses, 2)))
 
 
-def _unstrained(one: Strain, poses: Poses, tube: int, q: Quantities) -> Any:
-    """What is left of the strain of a tube."""
-    straight = [q.straightened_strain(tube)] if one.straightened else []
-    return one.limits[tube] - ca.vertcat(*straight, *(q.poses[k].strain(tube) for k in poses))
+def _remaining_strain(requirement: Strain, poses: Poses, tube: int, q: Quantities) -> Any:
+    """Strain limit of a tube minus its strains, straightened and in poses."""
+    straight = [q.straightened_strain(tube)] if requirement.straightened else []
+    return requirement.limits[tube] - ca.vertcat(*straight, *(q.poses[k].strain(tube) for k in poses))
 
 
-# Requirements of one limit: the field that is it, and whether it rises (1) or falls (-1) to the easier side.
+# Requirements with one limit: its field, and the sign by which it is relaxed.
 LIMITS = {
     SnapFreeInUse: ("margin", -1),
     Nesting: ("clearance", -1),
@@ -188,7 +202,7 @@ LIMITS = {
 
 
 def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
-    """The requirement with the limit of one of its statements moved by `amount` > 0, SI, to the easier side."""
+    """Requirement with the limit of one statement relaxed by `amount` > 0, SI."""
     match requirement:
         case SnapFree():
             return requirement.eased(amount)
@@ -197,8 +211,13 @@ def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
         case Length(limit=limit, least=least):
             return replace(requirement, limit=limit + (-amount if least else amount))
         case Reach(targets=targets):
-            both = [(k, name) for k in range(len(targets)) for name in ("tolerance", "direction_tolerance")]
-            k, field = [each for each in both if each[1] == "tolerance" or targets[each[0]].direction is not None][part]
+            limits = [
+                (k, name)
+                for k, target in enumerate(targets)
+                for name in ("tolerance", "direction_tolerance")
+                if name == "tolerance" or target.direction is not None
+            ]
+            k, field = limits[part]
             eased = replace(targets[k], **{field: getattr(targets[k], field) + amount})
             return replace(requirement, targets=(*targets[:k], eased, *targets[k + 1 :]))
         case CustomRequirement():
@@ -209,22 +228,23 @@ def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
 
 
 def _near(limit: Limit, poses: Poses, points: Points) -> tuple[Limit, Function, Function]:
-    """The tips of poses are within the limit's value of points."""
+    """Limit on the distance of the tips of poses from points: distance to the limit, and vectors from the points."""
 
-    def gap(q: Quantities) -> Any:
+    def offsets(q: Quantities) -> Any:
         return ca.vertcat(*(q.poses[k].tip_position - ca.DM(p) for k, p in zip(poses, points, strict=True)))
 
-    def room(q: Quantities) -> Any:
+    def remaining(q: Quantities) -> Any:
         # Rounded off near the target, to be smooth at the target itself.
         soft = 0.03 * limit.value
-        distance = ca.sqrt(ca.sum1(ca.reshape(gap(q), 3, len(poses)) ** 2) + soft**2)
+        distance = ca.sqrt(ca.sum1(ca.reshape(offsets(q), 3, len(poses)) ** 2) + soft**2)
         return np.sqrt(limit.value**2 + soft**2) - distance.T
 
-    return limit, room, gap
+    return limit, remaining, offsets
 
 
 def _along(limit: Limit, pose: int, direction: tuple[float, ...], q: Quantities) -> Any:
-    """What is left of the direction's tolerance, rad."""
-    heading, wanted = q.poses[pose].tip_direction, ca.DM(direction)
-    apart, together = (ca.sqrt(ca.sumsqr(heading + sign * wanted) + 1e-9**2) for sign in (-1, 1))
-    return limit.value - 2 * ca.atan2(apart, together)
+    """Tolerance of a direction minus the angle of the tip from it, rad."""
+    # The angle between unit vectors a and b is 2 atan2(|a - b|, |a + b|), accurate near 0 and pi.
+    heading, target = q.poses[pose].tip_direction, ca.DM(direction)
+    difference, total = (ca.sqrt(ca.sumsqr(heading + sign * target) + 1e-9**2) for sign in (-1, 1))
+    return limit.value - 2 * ca.atan2(difference, total)

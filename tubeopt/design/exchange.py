@@ -1,10 +1,12 @@
-"""Requirements with endlessly many cases, by exchange: solve, find the worst cases left out, add them, repeat."""
+"""Requirements with infinitely many cases, by exchange: solve, find the worst omitted cases, add them, repeat."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,11 +24,11 @@ from .pose import Twist
 from .program import Added, Program, compile_task, corners
 from .requirements import Coverage, Reach, Requirement, SnapFree, SnapFreeInUse, Target, of_kind
 from .solve import to_feasibility, with_joints
-from .state import FreePose
+from .state import FreePose, Via
 from .task import DesignTask
 
 Box = tuple[tuple[float, ...], tuple[float, ...]]
-"""Least and greatest translations."""
+"""Smallest and largest translations (n,), m."""
 
 # Rows of a joint path between two task poses. `follow` finds snaps between rows; the least margin is read at rows
 # only, and the tolerance on the margin of paths (1e-3) covers what 16 rows leave out.
@@ -36,75 +38,88 @@ PATH_POINTS = 16
 # more than a few at once make the program larger and no better.
 POINTS_PER_ROUND = 3
 
+# Steps of a limit, a thousandth of what a designer changes: a point missed by less counts as reached.
+UNREACHED = 1e-3
+
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A robot moved from the `first` to the `second` of two task poses."""
+    """Motion of a robot along the straight joint path between two task poses."""
 
     first: int
+    """Number of the pose at the start."""
     second: int
+    """Number of the pose at the end."""
     fraction: Array
-    """(W,) of the step."""
+    """Fractions (W,) of the path."""
     margin: Array
-    """(W,) at these."""
+    """Margins (W,) at these fractions."""
     equilibria: Sequence[Equilibrium]
-    """(W,) at these."""
+    """Equilibria (W,) at these fractions."""
     snap: float | None
-    """The fraction at which it snaps; None where it does not."""
+    """Fraction at which the robot snaps; None if it does not."""
 
 
 def motions(program: Program, robot: ConcentricRobot, x: Array) -> list[Motion]:
-    """The robot moved through its task poses in order, slowly; after a snap it goes on from the next pose anew."""
+    """Quasi-static motions through the task poses in order; after a snap the next motion starts anew."""
     state = state_at(program, x)
-    joints = [state.joint_values(k) for k in program.task_poses]
-    count = PATH_POINTS
-    share = np.linspace(0.0, 1.0, count + 1)
-    out = []
+    poses = program.task_poses
+    fraction = np.linspace(0.0, 1.0, PATH_POINTS + 1)
+    found = []
     start: Equilibrium | None = None
-    for a in range(len(joints) - 1):
-        rows = [np.outer(1 - share, joints[a][j]) + np.outer(share, joints[a + 1][j]) for j in range(2)]
-        path = follow(robot, rows[0], rows[1], start=start)
-        # The row before the snap and the share of the step after it, as a fraction of the whole path.
-        snap = (path.snaps[0].index + path.snaps[0].fraction) / count if path.snaps else None
+    for first, second in pairwise(poses):
+        ends = zip(state.joint_values(first), state.joint_values(second), strict=True)
+        rotations, translations = (np.outer(1 - fraction, a) + np.outer(fraction, b) for a, b in ends)
+        path = follow(robot, rotations, translations, start=start)
+        # The row before the snap and the fraction of the step after it, as a fraction of the whole path.
+        snap = (path.snaps[0].index + path.snaps[0].fraction) / PATH_POINTS if path.snaps else None
         margin = np.array([e.margin for e in path.equilibria])
-        numbers = program.task_poses[a], program.task_poses[a + 1]
-        out.append(Motion(*numbers, share, margin, path.equilibria, snap))
+        found.append(Motion(first, second, fraction, margin, path.equilibria, snap))
         start = None if path.snaps else path.equilibria[-1]
-    return out
+    return found
 
 
-# Kept: exchange and the final check ask for the same box of the same robot.
+# Cached: exchange and the final check search the same box of the same robot.
 @lru_cache(maxsize=16)
 def worst_in_box(robot: ConcentricRobot, box: Box) -> tuple[float, tuple[float, ...]]:
-    """Least certificate over a box of translations, and where."""
+    """Smallest certificate over a box of translations, and the translations (n,) with it."""
     worst = worst_certificate(robot, *box).certificate
     return worst.margin, tuple(worst.translations.tolist())
 
 
 def certified_at(program: Program, robot: ConcentricRobot) -> tuple[tuple[float, ...], ...]:
-    """Translations at which a design is certified: those in the program, and the worst of a box."""
-    boxes = [one.box for one in of_kind(program.task.requirements, SnapFree) if one.box is not None]
+    """Translations at which a design is certified: those of the program, and the worst ones of each box."""
+    boxes = [each.box for each in of_kind(program.task.requirements, SnapFree) if each.box is not None]
     return tuple(dict.fromkeys([*program.layout.certified, *(worst_in_box(robot, box)[1] for box in boxes)]))
 
 
-def violations(program: Program, x: Array) -> tuple[Added, str]:
-    """What is to be added to a program whose optimum is x, and in a word why; nothing and "" where all cases hold."""
+class WorstCases(NamedTuple):
+    """Worst cases that a design violates."""
+
+    added: Added
+    """Cases of its program, and the violated ones."""
+    description: str
+    """Which cases are violated; "" if none is."""
+
+
+def worst_cases(program: Program, x: Array) -> WorstCases:
+    """Worst cases that the optimum x (X,) of a program violates, among those that its requirements cover."""
     robot = robot_at(program, x)
-    added, why = program.added, []
-    # Where the margin is what is wanted, what the design claims must hold in the cases left out too.
-    promised = float(x[program.layout.column("margin")]) if "margin" in program.layout.auxiliary else -np.inf
-    for one in of_kind(program.task.requirements, SnapFree):
-        if one.box is not None:
-            margin, row = worst_in_box(robot, one.box)
-            if margin < max(one.floor, promised) - one.tolerance:
+    added, words = program.added, []
+    # If the margin is the objective, the value that the design claims must hold in the omitted cases too.
+    claimed = float(x[program.layout.column("margin")]) if "margin" in program.layout.auxiliary else -np.inf
+    for certificate in of_kind(program.task.requirements, SnapFree):
+        if certificate.box is not None:
+            margin, row = worst_in_box(robot, certificate.box)
+            if margin < max(certificate.floor, claimed) - certificate.tolerance:
                 added = replace(added, translations=(*added.translations, row))
-                why.append(f"certificate {margin:.4f} in the box")
-    for one in of_kind(program.task.requirements, SnapFreeInUse):
-        if one.paths:
-            wanted = one.margin if program.layout.certified else max(one.margin, promised)
-            vias = _weak_points(program, robot, x, wanted - one.tolerance)
+                words.append(f"certificate {margin:.4f} in the box")
+    for use in of_kind(program.task.requirements, SnapFreeInUse):
+        if use.paths:
+            min_margin = use.margin if program.layout.certified else max(use.margin, claimed)
+            vias = _weak_points(program, robot, x, min_margin - use.tolerance)
             added = replace(added, vias=(*added.vias, *vias))
-            why += [f"{len(vias)} points on joint paths"] if vias else []
+            words += [f"{len(vias)} points on joint paths"] if vias else []
     boxes = of_kind(program.task.requirements, Coverage)
     if boxes:
         tables = list(added.points) or [corners(box) for box in boxes]
@@ -113,131 +128,128 @@ def violations(program: Program, x: Array) -> tuple[Added, str]:
             # Points that the program has already stay missed by its tolerance: adding them again would never end.
             new = [point for point in missed if point not in tables[k]][:POINTS_PER_ROUND]
             tables[k] = (*tables[k], *new)
-            why += [f"{len(missed)} points of the workspace box"] if new else []
+            words += [f"{len(missed)} points of the workspace box"] if new else []
         added = replace(added, points=tuple(tables))
-    return added, ", ".join(why)
+    return WorstCases(added, ", ".join(words))
 
 
-def _weak_points(program: Program, robot: ConcentricRobot, x: Array, least: float) -> list[tuple[int, int, float]]:
-    """Points of joint paths where the margin is below `least`, the worst of each; poses there begin in what was
-    found."""
-    out = []
+def _weak_points(program: Program, robot: ConcentricRobot, x: Array, min_margin: float) -> list[Via]:
+    """The worst point of each joint path on which the margin falls below `min_margin`.
+
+    The pose that this point becomes starts from the equilibrium found there.
+    """
+    vias: list[Via] = []
     for motion in motions(program, robot, x):
         if motion.snap is not None:
-            fraction, found = _inside_fold(robot, motion)
-        elif motion.margin.min() < least:
+            fraction, equilibrium = _inside_fold(robot, motion, motion.snap)
+        elif motion.margin.min() < min_margin:
             k = int(np.argmin(motion.margin))
-            fraction, found = float(motion.fraction[k]), motion.equilibria[k]
+            fraction, equilibrium = float(motion.fraction[k]), motion.equilibria[k]
         else:
             continue
-        out.append((motion.first, motion.second, fraction))
         # The number of the pose that this point becomes: exchange appends it to all poses.
-        program.guesses[len(program.layout.poses) + len(out) - 1] = twist_of(found)
-    return out
+        program.guesses[len(program.layout.poses) + len(vias)] = twist_of(equilibrium)
+        vias.append(Via(motion.first, motion.second, fraction))
+    return vias
 
 
-def _inside_fold(robot: ConcentricRobot, motion: Motion) -> tuple[float, Equilibrium]:
-    """A fraction of a path that snaps, and the equilibrium there with the least margin: the saddle between branches.
+def _inside_fold(robot: ConcentricRobot, motion: Motion, snap: float) -> tuple[float, Equilibrium]:
+    """Fraction between the two folds of a motion that snaps, and the saddle there, the equilibrium of least margin.
 
-    Going forth the robot leaves its branch at one fold, coming back at another; half-way between them the saddle is
-    farthest from both. A design in which it has a positive margin has no folds there.
+    The robot leaves its branch at one fold on the way forward, and at another fold on the way back. Half-way between
+    them the saddle is farthest from both. A design in which it has a positive margin has no folds there.
     """
-    assert motion.snap is not None
-    joints = [np.concatenate([e.rotations, e.translations]) for e in (motion.equilibria[0], motion.equilibria[-1])]
-
-    def at(t: float) -> tuple[Array, Array]:
-        rotations, translations = np.split(joints[0] + t * (joints[1] - joints[0]), 2)
-        return rotations, translations
-
-    there, here = at(1.0), at(0.0)
+    start, end = motion.equilibria[0], motion.equilibria[-1]
     # Moved back from its new branch, the robot leaves that one at the other fold.
-    back = follow(robot, [there[0], here[0]], [there[1], here[1]], start=motion.equilibria[-1]).snaps
-    t = motion.snap if not back else 0.5 * (motion.snap + 1.0 - back[-1].fraction)
-    candidates = find_equilibria(robot, *at(t))
-    return t, min(candidates, key=lambda e: e.margin)
+    rotations, translations = [end.rotations, start.rotations], [end.translations, start.translations]
+    back = follow(robot, rotations, translations, start=end).snaps
+    t = snap if not back else 0.5 * (snap + 1.0 - back[-1].fraction)
+    joints = (a + t * (b - a) for a, b in ((start.rotations, end.rotations), (start.translations, end.translations)))
+    return t, min(find_equilibria(robot, *joints), key=lambda e: e.margin)
 
 
 def twist_of(equilibrium: Equilibrium) -> Twist:
-    """Where a pose near an equilibrium begins."""
+    """Start of a pose near an equilibrium."""
     length = max(float(equilibrium.tube_end.max()), 1e-300)
     return Twist(equilibrium.point / length, equilibrium.point_rotation - equilibrium.rotations)
 
 
 def _missed(program: Program, x: Array, box: Coverage) -> list[tuple[float, ...]]:
-    """Sobol points of a workspace box that the robot at x cannot reach under the task's other requirements, the
-    farthest out of reach first."""
+    """Sobol points (3,) of a workspace box that the robot at x cannot reach, the farthest out of reach first."""
     if not box.samples:
         return []
-    unit = sobol(3, box.samples)
-    points = np.array(box.lower) + unit * (np.array(box.upper) - np.array(box.lower))
+    points = np.array(box.lower) + sobol(3, box.samples) * (np.array(box.upper) - np.array(box.lower))
     missed = []
     for k, point in enumerate(points.tolist()):
-        gap = reachable(program, x, tuple(point), box.tolerance, seed=k)
-        if gap > 1e-3:
-            missed.append((gap, tuple(point)))
+        distance = reachable(program, x, tuple(point), box.tolerance, seed=k)
+        if distance > UNREACHED:
+            missed.append((distance, tuple(point)))
     return [point for _, point in sorted(missed, reverse=True)]
 
 
 def reachable(program: Program, x: Array, point: tuple[float, ...], tolerance: float, *, seed: int = 0) -> float:
-    """How far, in steps of the limits, the robot at x stays from reaching a point within what poses must keep."""
+    """Smallest violation, in steps of the limits, with which the robot at x reaches a point.
+
+    All requirements that apply to any pose count.
+    """
     robot = robot_at(program, x)
-    held = robot.tubes[0].straight_length
-    fixed = (Free("straight_length", (0,), held, held),)  # no dimension may change, but a task has one that is free
+    length = robot.tubes[0].straight_length
+    fixed = (Free("straight_length", (0,), length, length),)  # no dimension may change, but a task has one that is free
     target = Target((point[0], point[1], point[2]), tolerance)
-    keep = tuple(
-        replace(one, paths=False) if isinstance(one, SnapFreeInUse) else one
-        for one in program.task.requirements
-        if not isinstance(one, Coverage | Reach | SnapFree) and _of_one_pose(one, program.task.robot.n_tubes)
+    requirements = tuple(
+        replace(each, paths=False) if isinstance(each, SnapFreeInUse) else each
+        for each in program.task.requirements
+        if not isinstance(each, Coverage | Reach | SnapFree) and _applies_to_any_pose(each, robot.n_tubes)
     )
-    alone = compile_task(DesignTask(robot, fixed, (Reach((target,)), *keep), ordered=False))
+    pose_program = compile_task(DesignTask(robot, fixed, (Reach((target,)), *requirements), ordered=False))
     best = np.inf
     # A local search that fails proves nothing, so that it gets two more starts.
     for attempt_number in range(3):
         random = np.random.default_rng([seed, attempt_number])
-        begin = with_joints(alone, alone.layout.space.start, random)
-        best = min(best, violation(alone, to_feasibility(alone, begin)))
+        start = with_joints(pose_program, pose_program.layout.space.start, random)
+        best = min(best, violation(pose_program, to_feasibility(pose_program, start)))
         # Guesses of a search that failed would start the next one on the same branch.
-        alone.guesses.clear()
-        if best <= 1e-3:
+        pose_program.guesses.clear()
+        if best <= UNREACHED:
             break
     return best
 
 
-def _of_one_pose(one: Requirement, n: int) -> bool:
-    """Whether a requirement can be asked of any pose: an own one that speaks of poses by number says nothing of it."""
-    if not isinstance(one, CustomRequirement):
+def _applies_to_any_pose(requirement: Requirement, n: int) -> bool:
+    """False for a custom requirement that names task poses by their numbers."""
+    if not isinstance(requirement, CustomRequirement):
         return True
     try:
         # Recorded for one pose, an expression raises if it names a second one.
-        return bool(recorded(one.expression, n, 1, one.words, (1,) * n).quantities)
+        return bool(recorded(requirement.expression, n, 1, requirement.words, (1,) * n).quantities)
     except InputError:
         return False
 
 
 def carry(old: Program, added: Added, x: Array, seed: int = 0) -> tuple[Program, Array]:
-    """The program with more cases, and x in its layout; poses that are new begin from the best of many."""
+    """Program with more cases, and x in its layout; new poses start at the best of random joint values."""
     new = compile_task(old.task, added)
     # With the same poses only translations of the certificate are new, and x keeps its layout.
     if new.layout.poses == old.layout.poses:
         new.guesses.update(old.guesses)
         return new, x.copy()
-    out = with_joints(new, x[: old.layout.designs], np.random.default_rng([seed, len(new.layout.poses)]))
-    first_old, first_new = len(old.task_poses), len(new.task_poses)
+    start = with_joints(new, x[: old.layout.designs], np.random.default_rng([seed, len(new.layout.poses)]))
+    first_via_old, first_via_new = len(old.task_poses), len(new.task_poses)
     pairs = [
         # strict=False: a box that got points has more poses than before, the old ones first.
         *(pair for before, after in zip(old.own, new.own, strict=True) for pair in zip(before, after, strict=False)),
         *([(old.depth_pose, new.depth_pose)] if old.depth_pose is not None and new.depth_pose is not None else []),
-        *((first_old + k, first_new + k) for k in range(len(added.vias))),
+        *((first_via_old + k, first_via_new + k) for k in range(len(added.vias))),
     ]
     for before, after in pairs:
-        there = new.layout.poses[after]
-        if isinstance(there, FreePose):
-            here = old.layout.poses[before]
-            assert isinstance(here, FreePose)
-            for a, b in zip(old.layout.joints(here), new.layout.joints(there), strict=True):
-                out[b] = x[a]
+        new_pose = new.layout.poses[after]
+        if isinstance(new_pose, FreePose):
+            old_pose = old.layout.poses[before]
+            assert isinstance(old_pose, FreePose)
+            for a, b in zip(old.layout.joints(old_pose), new.layout.joints(new_pose), strict=True):
+                start[b] = x[a]
         if before in old.guesses:
             new.guesses[after] = old.guesses[before]
     for name in old.layout.auxiliary:
-        out[new.layout.column(name)] = x[old.layout.column(name)]
-    return new, np.clip(out, new.lower, new.upper)
+        start[new.layout.column(name)] = x[old.layout.column(name)]
+    return new, np.clip(start, new.lower, new.upper)

@@ -1,13 +1,13 @@
-"""What shows that no design can meet a task: bounds that hold for all designs in the ranges of the free dimensions.
+"""Proofs that no design satisfies a task, from bounds over the ranges of the free dimensions.
 
-A search that ends without a design shows nothing. These do:
+A search that ends without a design proves nothing. These bounds do:
 
-- limits on dimensions that are linear in what is free, as lengths, walls and clearances: a linear program finds whether
-  one design keeps all of them;
-- the strain of a tube that is held straight, which grows with its curvature and its diameter;
+- limits that are linear in the free dimensions, such as lengths, walls and clearances: a linear program decides whether
+  one design satisfies all of them;
+- the strain of a straightened tube, which grows with its curvature and its diameter;
 - a target farther from the plate than the longest tube may get: no tube begins beyond the plate;
-- the certificate where only curvatures are free: its coupling |c_ij| grows with the size of every curvature, the
-  torsional part of the second variation has none of them, so that it is largest at the least curvatures.
+- the certificate if only curvatures are free: its coupling |c_ij| grows with the size of every curvature, and the
+  torsional part of the second variation has none of them, so that it is largest at the smallest curvatures.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -30,7 +31,7 @@ from .evaluation import FEASIBLE, Attempt, Rows, attempt, evaluate, evaluated_at
 from .parameters import TUBE_FIELDS, WHOLE
 from .program import Program, elastic, points_of, recompiled
 from .requirements import Coverage, Reach, SnapFree, Strain, of_kind
-from .solve import LEAST_SLACK, NEARLY_FEASIBLE, Ranking, best_from, improve, to_feasibility
+from .solve import NEARLY_FEASIBLE, SLACK_TOLERANCE, Ranking, best_from, improve, to_feasibility
 from .task import DesignTask, extreme_lengths
 
 # Steps of a limit, or part of a margin, by which a bound must miss it: far above round-off of the bound, far below
@@ -39,7 +40,7 @@ SURELY = 1e-6
 
 
 def shown_infeasible(program: Program) -> str:
-    """Why no design in the ranges of a task meets it, in words; "" where nothing of this kind shows it."""
+    """Reason why no design in the ranges of a task satisfies it; "" if none of the bounds proves it."""
     kinds = (_dimensions, _targets) if program.task.space.pieced else (_dimensions, _strains, _targets, _certificates)
     for kind in kinds:
         for words in kind(program):
@@ -48,19 +49,19 @@ def shown_infeasible(program: Program) -> str:
 
 
 def _dimensions(program: Program) -> Iterator[str]:
-    """Least violation t, in steps, of all rows a x + b + t >= 0 that are linear in the dimensions x."""
+    """Smallest violation t, in steps, of all rows a x + b + t >= 0 that are linear in the dimensions x."""
     space = program.layout.space
     rows: list[tuple[Limit, Array, float]] = []
     for statement in (each for stated in program.stated for each in stated):
         found = statement.expression
         fields = WHOLE if space.pieced else TUBE_FIELDS
-        if not all(one.pose is None and one.name in fields for one in found.quantities):
+        if not all(quantity.pose is None and quantity.name in fields for quantity in found.quantities):
             continue
         y = ca.SX.sym("y", found.value.size1_in(0))
         slope = ca.jacobian(found.value(y), y)
         if ca.depends_on(slope, y):
             continue
-        maps = [_linear(program, one.name) for one in found.quantities]
+        maps = [_linear(program, quantity.name) for quantity in found.quantities]
         matrix, offset = (np.concatenate([each[k] for each in maps]) for k in (0, 1))
         slopes = np.array(ca.DM(slope)) @ matrix
         values = np.array(found.value(offset)).ravel()
@@ -88,33 +89,33 @@ def _at(limit: Limit) -> str:
 
 
 def _linear(program: Program, name: str) -> tuple[Array, Array]:
-    """Matrix (n, D) and offset (n,) by which a dimension of the tubes follows from x."""
+    """Matrix (n, D) and offset (n,) of a dimension of the tubes as a linear function of x."""
     space = program.layout.space
     offset = np.array([getattr(tube, name) for tube in space.robot_tubes], dtype=float)
     matrix = np.zeros((len(offset), len(space.unknowns)))
-    for k, one in enumerate(space.unknowns):
-        for i in one.tubes if one.field == name else ():
-            matrix[i, k] = offset[i] if one.scaled else 1.0
+    for k, unknown in enumerate(space.unknowns):
+        for i in unknown.tubes if unknown.field == name else ():
+            matrix[i, k] = offset[i] if unknown.scaled else 1.0
             offset[i] = 0.0
     return matrix, offset
 
 
 def _least(program: Program, field: str) -> Array:
-    """(n,) the least size of a dimension of the tubes that their ranges have, with its sign."""
+    """Value (n,) of a dimension with the smallest absolute value in its range, for each tube."""
     space = program.layout.space
     found = np.array([getattr(tube, field) for tube in space.robot_tubes], dtype=float)
-    for one, *bounds in zip(space.unknowns, space.lower, space.upper, strict=True):
-        for i in one.tubes if one.field == field else ():
-            low, high = sorted(float(bound) * (found[i] if one.scaled else 1.0) for bound in bounds)
+    for unknown, *bounds in zip(space.unknowns, space.lower, space.upper, strict=True):
+        for i in unknown.tubes if unknown.field == field else ():
+            low, high = sorted(float(bound) * (found[i] if unknown.scaled else 1.0) for bound in bounds)
             found[i] = min(max(0.0, low), high)
     return found
 
 
 def _strains(program: Program) -> Iterator[str]:
-    for one in of_kind(program.task.requirements, Strain):
+    for requirement in of_kind(program.task.requirements, Strain):
         curvature, outer = (_least(program, field).tolist() for field in ("curvature", "outer_diameter"))
-        for i, (bend, diameter, most) in enumerate(zip(map(abs, curvature), outer, one.limits, strict=True)):
-            if not one.straightened or bend * diameter >= 2:
+        for i, (bend, diameter, most) in enumerate(zip(map(abs, curvature), outer, requirement.limits, strict=True)):
+            if not requirement.straightened or bend * diameter >= 2:
                 continue
             least = surface_strain(diameter / 2, bend, bend)
             if least > most * (1 + SURELY):
@@ -128,13 +129,13 @@ def _targets(program: Program) -> Iterator[str]:
     task = program.task
     most = extreme_lengths(task, "upper")
     longest = float((most["straight_length"] + most["curved_length"]).max())
-    for one, points in zip(task.requirements, points_of(task.requirements, program.added), strict=True):
-        tolerances = [target.tolerance for target in one.targets] if isinstance(one, Reach) else [
-            one.tolerance if isinstance(one, Coverage) else 0.0] * len(points)  # fmt: skip
+    for requirement, points in zip(task.requirements, points_of(task.requirements, program.added), strict=True):
+        tolerances = [target.tolerance for target in requirement.targets] if isinstance(requirement, Reach) else [
+            requirement.tolerance if isinstance(requirement, Coverage) else 0.0] * len(points)  # fmt: skip
         for k, (point, tolerance) in enumerate(zip(points, tolerances, strict=True)):
             far = float(np.linalg.norm(point))
             if far - tolerance > longest + SURELY * longest:
-                what = f"target {k + 1}" if isinstance(one, Reach) else "a corner of the workspace box"
+                what = f"target {k + 1}" if isinstance(requirement, Reach) else "a corner of the workspace box"
                 yield (
                     f"{what} is {far * 1e3:.4g} mm from the plate, and no tube gets longer than {longest * 1e3:.4g} mm"
                 )
@@ -142,29 +143,29 @@ def _targets(program: Program) -> Iterator[str]:
 
 def _certificates(program: Program) -> Iterator[str]:
     space = program.layout.space
-    if any(one.field != "curvature" for one in space.unknowns):
+    if any(unknown.field != "curvature" for unknown in space.unknowns):
         return
     least = _least(program, "curvature").tolist()
     tubes = tuple(replace(tube, curvature=bend) for tube, bend in zip(space.robot_tubes, least, strict=True))
     with without_unit_warnings():
         robot = replace(program.task.robot, tubes=tubes)
-    for one in of_kind(program.task.requirements, SnapFree):
+    for requirement in of_kind(program.task.requirements, SnapFree):
         for row in program.layout.certified:
             most = snap_free_certificate(robot, np.array(row))
-            if most < one.floor - max(SURELY, one.tolerance if one.box is not None else 0.0):
+            if most < requirement.floor - max(SURELY, requirement.tolerance if requirement.box is not None else 0.0):
                 yield (
-                    f"the certified margin is at most {most:.4g} in the ranges of the curvatures, and {one.floor:.4g} "
-                    "is demanded"
+                    f"the certified margin is at most {most:.4g} in the ranges of the curvatures, and "
+                    f"{requirement.floor:.4g} is demanded"
                 )
 
 
-# Each takes as long as a design. The starts that failed least come first, and are the nearest to the least relaxation.
+# Each takes as long as a design. The starts with the smallest violation come first, closest to the smallest relaxation.
 RELAXED_STARTS = 2
 
 
 @dataclass(frozen=True)
 class Change:
-    """One limit that must move: `requirement` and `part` as in `Rows`, by `amount` (SI, > 0) to `value`."""
+    """Relaxation of one limit (`requirement` and `part` as in `Rows`) by `amount` (SI, > 0) to `value`."""
 
     requirement: int
     part: int
@@ -174,14 +175,14 @@ class Change:
 
     @property
     def words(self) -> str:
-        """What must happen, as a clause."""
+        """Description as a clause."""
         verb = "rise" if self.limit.most else "fall"
         return f"{self.limit.words} must {verb} from {self.limit.shown()} to {self.limit.shown(self.value)}"
 
 
 @dataclass(frozen=True, eq=False)
 class Relaxation:
-    """A way to make a task feasible: limits that move, the task with them moved, and its verified feasible design."""
+    """Relaxation that makes a task feasible: changes of limits, the relaxed task, and its verified feasible design."""
 
     changes: tuple[Change, ...]
     task: DesignTask
@@ -189,16 +190,17 @@ class Relaxation:
 
     @property
     def words(self) -> str:
-        """All changes."""
+        """Description of all changes."""
         return " and ".join(change.words for change in self.changes)
 
 
 class DesignNotFoundError(SolveError):
-    """No search ended with a design that meets all requirements, which does not show that there is none; the message
-    names the limits that were violated most, and with which other limits a design was found.
+    """No design was found that satisfies all requirements; this is no proof that there is none.
 
-    relaxations: ways to make the task feasible: first the one with the least sum of moves, each in steps of its limit
-    (`Limit.size`), then those in which one limit moves alone; each was verified by solving the relaxed task.
+    The message names the limits that were violated most, and limits with which a design was found.
+
+    relaxations: relaxations that make the task feasible, each verified by solving the relaxed task. First the one with
+    the smallest sum of changes, in steps of each limit (`Limit.size`), then those that change a single limit.
     """
 
     def __init__(self, message: str, relaxations: Sequence[Relaxation], closest: Attempt) -> None:
@@ -207,87 +209,101 @@ class DesignNotFoundError(SolveError):
 
 
 class InfeasibleDesignError(DesignNotFoundError):
-    """It is shown that no design meets all requirements (`design.infeasibility`); the message says how."""
+    """No design satisfies all requirements, which is proved (`design.infeasibility`); the message has the reason."""
 
 
 def best_of(ranking: Ranking) -> Attempt:
-    """The best design of all starts.
+    """Best design of all starts.
 
     Raises:
-        InfeasibleDesignError: it is shown that there is none.
-        DesignNotFoundError: none was found.
+        InfeasibleDesignError: no design exists, which is proved.
+        DesignNotFoundError: no design was found.
     """
     if ranking.designs:
         return ranking.designs[0]
     closest, starts = ranking.failed[0], ranking.starts
     shown = shown_infeasible(closest.program)
-    limits = "; ".join(f"{count} failed most at {_with_article(name)}" for name, count in ranking.failures.items())
+    limits = "; ".join(
+        f"{count} failed most at {name if name.startswith(('a ', 'an ')) else f'the {name}'}"
+        for name, count in ranking.failures.items()
+    )
     tried = f"of {starts} starts, {limits}"
     if ranking.late:
         tried += f"; the time limit ended {ranking.late} of them"
-    ways: list[Relaxation] = []
+    relaxations: list[Relaxation] = []
     with suppress(LateError):
-        ways = smallest_relaxations(ranking.failed)
-    eased = ", or ".join(way.words for way in ways) or "no relaxation was found that makes the task feasible"
+        relaxations = smallest_relaxations(ranking.failed)
+    eased = ", or ".join(each.words for each in relaxations) or "no relaxation was found that makes the task feasible"
     if shown:
-        raise InfeasibleDesignError(f"no design meets all requirements, since {shown}; {tried}; {eased}", ways, closest)
+        message = f"no design meets all requirements, since {shown}; {tried}; {eased}"
+        raise InfeasibleDesignError(message, relaxations, closest)
     doubt = "no design was found that meets all requirements; one may still exist"
-    raise DesignNotFoundError(f"{doubt}: {tried}; {eased}", ways, closest)
-
-
-def _with_article(limit: str) -> str:
-    return limit if limit.startswith(("a ", "an ")) else f"the {limit}"
+    raise DesignNotFoundError(f"{doubt}: {tried}; {eased}", relaxations, closest)
 
 
 def smallest_relaxations(failed: Sequence[Attempt]) -> list[Relaxation]:
-    """The relaxation with the least sum of moves that is found near where starts failed, and up to three in which one
-    limit moves alone."""
-    sums: list[tuple[float, Program, Array, Array]] = []
-    for one in failed[:RELAXED_STARTS]:
-        found = evaluate(one.program, one.x)
+    """Relaxation with the smallest sum of changes near the failed starts, then up to three of a single limit."""
+    solutions: list[_ElasticSolution] = []
+    for end in failed[:RELAXED_STARTS]:
+        found = evaluate(end.program, end.x)
         if found is not None:
             movable = np.array([group.limit.movable for group in found.groups], dtype=bool)
-            eased = _elastic(one.program, one.x, movable)
-            sums += [] if eased is None else [(float(eased[1].sum()), one.program, *eased)]
-    if not sums:
+            relaxed_end = _elastic(end.program, end.x, movable)
+            solutions += [] if relaxed_end is None else [relaxed_end]
+    if not solutions:
         return []
-    _, program, x, slack = min(sums, key=lambda item: item[0])
-    together = _apply(program, x, slack)
-    out = [] if together is None else [together]
-    moved = np.flatnonzero(slack > LEAST_SLACK)
+    smallest = min(solutions, key=lambda solution: solution.slack.sum())
+    program, x, slack = smallest
+    together = _apply(smallest)
+    relaxations = [] if together is None else [together]
+    moved = np.flatnonzero(slack > SLACK_TOLERANCE)
     groups = evaluated_at(program, x).groups
     values = [float(group.values.min()) for group in groups]
     near = [k for k in np.argsort(values) if groups[k].limit.movable]
     candidates = moved if len(moved) > 1 else np.array([k for k in near if k not in moved], dtype=int)
     for k in candidates[:3]:
         single = _elastic(program, x, np.arange(len(values)) == k)
-        relaxation = None if single is None else _apply(program, *single)
-        out += [] if relaxation is None else [relaxation]
-    return out
+        relaxation = None if single is None else _apply(single)
+        relaxations += [] if relaxation is None else [relaxation]
+    return relaxations
 
 
-def _elastic(program: Program, start: Array, may_move: Array) -> tuple[Array, Array] | None:
-    """x and slack of every group (steps) with the least sum; None where no slack of the allowed groups suffices."""
+class _ElasticSolution(NamedTuple):
+    """Optimum of a program with slacks."""
+
+    program: Program
+    """Program without slacks."""
+    x: Array
+    """Unknowns (X,), SI."""
+    slack: Array
+    """Relaxation of each group of rows, in steps of its limit."""
+
+
+def _elastic(program: Program, start: Array, may_move: Array) -> _ElasticSolution | None:
+    """Smallest sum of slacks over the groups that may be relaxed; None if no slack suffices."""
     groups = evaluated_at(program, start).groups
     eased = elastic(program, may_move.tolist())
     slack = np.where(may_move, [max(0.0, -float(group.values.min())) + 1e-2 for group in groups], 0.0)
-    begin = to_feasibility(eased, np.concatenate([start, slack]))
-    if violation(eased, begin) > NEARLY_FEASIBLE:
+    x = to_feasibility(eased, np.concatenate([start, slack]))
+    if violation(eased, x) > NEARLY_FEASIBLE:
         return None
-    best = best_from(eased, begin)
-    return (best.x[: len(start)], best.x[len(start) :]) if best.violation <= LEAST_SLACK else None
+    best = best_from(eased, x)
+    if best.violation > SLACK_TOLERANCE:
+        return None
+    return _ElasticSolution(program, *np.split(best.x, [len(start)]))
 
 
-def _apply(program: Program, x: Array, slack: Array) -> Relaxation | None:
-    """Move the limits, rounded outwards, and solve the relaxed task; None where it is not found feasible."""
+def _apply(solution: _ElasticSolution) -> Relaxation | None:
+    """Relax the limits, rounded outwards, and solve the relaxed task; None if no feasible design is found."""
+    program, x, slack = solution
     groups = evaluated_at(program, x).groups
-    # Enlarged until the relaxed task is found feasible; rounded a little to the demanding side, so that a limit of
-    # 160 mm is told as such.
+    # Enlarged until the relaxed task is found feasible; rounded a little to the strict side first, so that a limit of
+    # 160 mm is reported as such.
     for factor, inwards in ((1.0, 0.01), (1.0, 0.0), (1.02, 0.0), (1.04, 0.0), (1.06, 0.0)):
         moves = [
             _change(group, factor * float(s) * group.limit.size, inwards)
             for group, s in zip(groups, slack, strict=True)
-            if s > LEAST_SLACK
+            if s > SLACK_TOLERANCE
         ]
         if not moves:
             return None
@@ -301,12 +317,12 @@ def _apply(program: Program, x: Array, slack: Array) -> Relaxation | None:
 
 
 def apply_changes(task: DesignTask, changes: Sequence[Change]) -> DesignTask:
-    """The task with limits moved."""
+    """Task with changed limits."""
     requirements = list(task.requirements)
     for change in changes:
         if change.requirement < len(requirements):
-            one = requirements[change.requirement]
-            requirements[change.requirement] = relaxed(one, change.part, change.amount)
+            requirement = requirements[change.requirement]
+            requirements[change.requirement] = relaxed(requirement, change.part, change.amount)
     return replace(task, requirements=tuple(requirements))
 
 

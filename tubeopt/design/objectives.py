@@ -1,4 +1,4 @@
-"""What a design is good for: objectives, and their numbers as expressions of tubes and poses."""
+"""Objectives of a design, as expressions of tubes and poses."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from .requirements import ROUNDED, Rows, deviations
 
 
 class Kind(NamedTuple):
-    """What is told of an objective."""
+    """Description of an objective."""
 
     words: str
-    """What it is called."""
+    """Name of the objective."""
     unit: str
-    """In which it is shown."""
+    """Unit for display."""
     factor: float
-    """What turns SI into that unit."""
+    """Factor from SI to that unit."""
     sign: int
-    """1 where less is better, -1 where more is better."""
+    """1 if it is minimised, -1 if it is maximised."""
 
 
 KINDS = {
@@ -51,7 +51,7 @@ KINDS = {
     "deployment": Kind("deviation of the deployment", "mm", 1e3, 1),
     "change": Kind("change of the robot", "", 1.0, 1),
 }
-# What is told of task poses.
+# Objectives on task poses.
 POSED = (
     "tip_deflection",
     "tip_stiffness",
@@ -62,7 +62,7 @@ POSED = (
     "deployment",
 )
 
-# What is told under a force on the tip.
+# Objectives under a force on the tip.
 PUSHED = ("tip_deflection", "tip_stiffness")
 
 # Translation (m) that counts as much as a rotation of 1 rad: at that distance from the axis, 1 rad moves the tip by
@@ -143,56 +143,63 @@ class Objective(Displayed):
             object.__setattr__(self, "translations", numbers("translations of the objective", self.translations))
 
     words, unit, factor, sign = (
-        Delegate[str]("told"),
-        Delegate[str]("told"),
-        Delegate[float]("told"),
-        Delegate[int]("told"),
+        Delegate[str]("description"),
+        Delegate[str]("description"),
+        Delegate[float]("description"),
+        Delegate[int]("description"),
     )
 
     @property
-    def told(self) -> Kind:
-        """Description of its kind: label, unit and direction."""
+    def description(self) -> Kind:
+        """Name, unit and direction of its kind."""
         return KINDS[self.kind]
 
 
 AnyObjective = Objective | CustomObjective
-"""A built-in aim or an own one."""
+"""Built-in or custom objective."""
 
 
-def key_of(one: AnyObjective) -> str:
-    """By what an objective is known among those of its task: its kind, or the words of an own one."""
-    return one.kind if isinstance(one, Objective) else one.words
+def key_of(objective: AnyObjective) -> str:
+    """Name of an objective within its task: its kind, or the words of a custom one."""
+    return objective.kind if isinstance(objective, Objective) else objective.words
 
 
-def shown(one: AnyObjective, value: float) -> str:
-    """An objective's value with its name and unit."""
-    return f"{one.words} {value * one.factor:.6g} {one.unit}".strip()
+def shown(objective: AnyObjective, value: float) -> str:
+    """Text of an objective's value with its name and unit."""
+    return f"{objective.words} {value * objective.factor:.6g} {objective.unit}".strip()
 
 
 def aim(
-    one: AnyObjective, pieces: Sequence[int], poses: Sequence[int], certified: Rows, depth_pose: int | None
+    objective: AnyObjective, pieces: Sequence[int], poses: Sequence[int], certified: Rows, depth_pose: int | None
 ) -> Expression | None:
-    """An objective in its own sign, SI, for tubes of so many pieces: the largest of its numbers counts where less is
-    better, the least where more is; None for the change of the unknowns, which is no matter of tubes and poses.
+    """Expression of an objective in its own sign, SI; None for the change of the unknowns.
 
-    `poses` are those whose margin counts, `certified` the translations of the certificate, `depth_pose` the pose of
-    reach_radius.
+    The largest of its numbers counts if it is minimised, the smallest if it is maximised.
+
+    Args:
+        pieces: number of pieces of each tube.
+        poses: numbers of the poses that count.
+        certified: translations of the certificate, m.
+        depth_pose: number of the pose of reach_radius.
     """
-    if isinstance(one, Objective) and one.kind == "change":
+    if isinstance(objective, Objective) and objective.kind == "change":
         return None
     numbers = (
-        one.expression if isinstance(one, CustomObjective) else partial(_numbers, one, poses, certified, depth_pose)
+        objective.expression
+        if isinstance(objective, CustomObjective)
+        else partial(_numbers, objective, poses, certified, depth_pose)
     )
-    last = max([*poses, depth_pose or 0] if isinstance(one, Objective) else poses, default=-1)
-    found = recorded(numbers, len(pieces), last + 1, one.words, pieces)
-    if isinstance(one, CustomObjective) and found.value.numel_out() != 1:
-        raise InputError(f"the objective {one.words} has {found.value.numel_out()} numbers; it must be one")
-    return found
+    last = max([*poses, depth_pose or 0] if isinstance(objective, Objective) else poses, default=-1)
+    expression = recorded(numbers, len(pieces), last + 1, objective.words, pieces)
+    count = expression.value.numel_out()
+    if isinstance(objective, CustomObjective) and count != 1:
+        raise InputError(f"the objective {objective.words} has {count} numbers; it must be one")
+    return expression
 
 
-def _numbers(one: Objective, poses: Sequence[int], certified: Rows, depth_pose: int | None, q: Quantities) -> Any:
+def _numbers(objective: Objective, poses: Sequence[int], certified: Rows, depth_pose: int | None, q: Quantities) -> Any:
     at = [q.poses[k] for k in poses]
-    match one.kind:
+    match objective.kind:
         case "strain":
             return ca.vertcat(*(q.straightened_strain(i) for i in range(q.n_tubes)))
         case "margin" if certified:
@@ -200,17 +207,17 @@ def _numbers(one: Objective, poses: Sequence[int], certified: Rows, depth_pose: 
         case "margin":
             return ca.vertcat(*(pose.margin for pose in at))
         case "tip_deflection":
-            load = Load(one.tip_force or ZERO, one.tip_moment or ZERO)
+            load = Load(objective.tip_force or ZERO, objective.tip_moment or ZERO)
             return ca.vertcat(*(ca.norm_2(pose.deflection(load)) for pose in at))
         case "tip_stiffness":
-            force = ca.DM(list(one.tip_force or ()))
-            return ca.vertcat(*(ca.sumsqr(force) / ca.dot(force, pose.deflection(one.tip_force)) for pose in at))
+            force = ca.DM(list(objective.tip_force or ()))
+            return ca.vertcat(*(ca.sumsqr(force) / ca.dot(force, pose.deflection(objective.tip_force)) for pose in at))
         case "stroke_force":
             return ca.vertcat(*(pose.stroke_force for pose in at))
         case "dexterity":
-            return sum(_least_motion(pose.jacobian) for pose in at) / len(at)
+            return sum(_smallest_motion(pose.jacobian) for pose in at) / len(at)
         case "orientability":
-            return sum(_least_turn(pose) for pose in at) / len(at)
+            return sum(_smallest_turn(pose) for pose in at) / len(at)
         case "workspace_volume":
             return _swept([pose.tip_position for pose in at])
         case "deployment":
@@ -222,20 +229,23 @@ def _numbers(one: Objective, poses: Sequence[int], certified: Rows, depth_pose: 
             assert depth_pose is not None
             return ca.norm_2(q.poses[depth_pose].tip_position[:2])
         case "tip_curvature":
-            return _tip_curvature(one, q)
+            return _tip_curvature(objective, q)
         case _:
-            return 1 / _tip_curvature(one, q)
+            return 1 / _tip_curvature(objective, q)
 
 
 def _scaled(jacobian: Any) -> Any:
-    """A Jacobian (3, 2 n) by rotations and translations, for 1 rad or PER_TURN."""
+    """Jacobian (3, 2 n) by rotations and translations, scaled to 1 rad or PER_TURN."""
     n = jacobian.shape[1] // 2
     return ca.horzcat(jacobian[:, :n], PER_TURN * jacobian[:, n:])
 
 
-def _least_turn(pose: PoseQuantities) -> Any:
-    """(s_1^-8 + s_2^-8)^(-1/8) of the singular values of the change of the tip's direction by joints that leave its
-    place, rad: of what is left of its squares when the part that places the tip is eliminated."""
+def _smallest_turn(pose: PoseQuantities) -> Any:
+    """Smoothed smallest rotation of the tip direction at a fixed tip position, (s_1^-8 + s_2^-8)^(-1/8), rad.
+
+    s_1 and s_2 are the singular values of the Jacobian of the direction, projected on the null space of that of the
+    position.
+    """
     moves, heading = _scaled(pose.jacobian) / UNIT, pose.tip_direction
     turns = -ca.skew(heading) @ _scaled(pose.turning)
     free = ca.DM.eye(moves.shape[1]) - moves.T @ ca.inv(moves @ moves.T + REGULAR * ca.DM.eye(3)) @ moves
@@ -247,15 +257,15 @@ def _least_turn(pose: PoseQuantities) -> Any:
     return ca.sqrt(product) * quartic ** (-1 / 8)
 
 
-def _least_motion(jacobian: Any) -> Any:
-    """(sum s_k^-8)^(-1/8) of the singular values of a Jacobian of the tip (3, 2 n) by rotations and translations, m."""
+def _smallest_motion(jacobian: Any) -> Any:
+    """Smoothed smallest singular value (sum s_k^-8)^(-1/8) of the Jacobian (3, 2 n) of the tip, m."""
     scaled = _scaled(jacobian) / UNIT
     inverse = ca.inv(scaled @ scaled.T + REGULAR * ca.DM.eye(3))
     return UNIT * ca.trace(inverse @ inverse @ inverse @ inverse) ** (-1 / 8)
 
 
 def _swept(tips: Sequence[Any]) -> Any:
-    """Volume of the body of revolution of a polygon of places (3,), by Pappus: positive however it is walked round."""
+    """Volume of the body of revolution of a polygon of points (3,), by Pappus; independent of its orientation."""
     radius = [ca.sqrt(tip[0] ** 2 + tip[1] ** 2 + ROUNDED**2) for tip in tips]
     total = 0.0
     for k, tip in enumerate(tips):
@@ -264,9 +274,9 @@ def _swept(tips: Sequence[Any]) -> Any:
     return np.pi / 3 * ca.sqrt(total**2 + 1e-12**2)
 
 
-def _tip_curvature(one: Objective, q: Quantities) -> Any:
+def _tip_curvature(objective: Objective, q: Quantities) -> Any:
     """Curvature of the section at the tip, 1/m, with all tubes bending to one side."""
-    shift = ca.DM.zeros(q.n_tubes) if one.translations is None else ca.DM(one.translations)
+    shift = ca.DM.zeros(q.n_tubes) if objective.translations is None else ca.DM(objective.translations)
     kb, end = q.tubes["bending_stiffness"], shift + q.tubes["curved_length"]
     there = kb * (end >= ca.mmax(end) - ROUND_OFF)
     bent = there * ca.fabs(q.tubes["curvature"]) * (q.tubes["curved_length"] > 0)

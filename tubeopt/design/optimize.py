@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from ..solvers.time_limit import LONG_TIME_LIMIT, LateError, check_time, limited
 from ..stability import snap_free_certificate
 from ..typing import Array, Progress, StatusEnum
 from .evaluation import Attempt, Report
-from .exchange import carry, certified_at, violations
+from .exchange import carry, certified_at, worst_cases
 from .infeasibility import DesignNotFoundError, best_of
 from .objectives import key_of
 from .parameters import NAMES, UNITS
@@ -35,7 +35,7 @@ from .verify import Check, Verification, solve_again, verify
 
 
 class DesignStatus(StatusEnum):
-    """What became of a design; every value reads as a sentence."""
+    """Status of a design, as a sentence."""
 
     KEPT = "the design satisfies all requirements"
     STOPPED = "the design satisfies all requirements; the search for a better one reached the time limit"
@@ -44,7 +44,7 @@ class DesignStatus(StatusEnum):
 
 @dataclass(frozen=True)
 class DesignStatistics:
-    """What a design took: starts, rounds in which worst cases were added, seconds."""
+    """Starts, rounds in which worst cases were added, and run time in seconds."""
 
     starts: int
     rounds: int
@@ -53,16 +53,16 @@ class DesignStatistics:
 
 @dataclass(frozen=True, eq=False)
 class DesignSolution(Displayed):
-    """A design that meets its task."""
+    """Design that satisfies its task."""
 
     _brief = ("robot", "certificate", "objectives", "status")
 
     task: DesignTask
-    """The task."""
+    """Task that the design solves."""
     robot: ConcentricRobot
-    """The designed robot."""
+    """Robot with the designed tubes."""
     certificate: Annotated[float, "lower bound on the margin at all rotations"]
-    """Smallest over the translations and the box for which the task demands a certificate, otherwise at home."""
+    """Smallest over the translations and the box for which the task requires a certificate, otherwise at home."""
     equilibria: Annotated[tuple[Equilibrium, ...], key("poses"), "the task poses"]
     """Equilibria, solved again by forward kinematics, in the order of the requirements."""
     objective: float
@@ -78,14 +78,14 @@ class DesignSolution(Displayed):
     added: Added
     """The worst cases that were added."""
     verification: Verification
-    """All promises, checked again."""
+    """Checks of all requirements by independent code."""
     seconds: Annotated[float, "run time, s"]
     out_of_time: bool = False
     """True if the time limit ended the search: a better design may be near."""
 
     @property
     def value(self) -> ConcentricRobot:
-        """The designed robot."""
+        """Robot with the designed tubes."""
         return self.robot
 
     @property
@@ -93,10 +93,10 @@ class DesignSolution(Displayed):
         """Remarks on the design: dimensions at a bound, tubes that hardly bend the arm, open obstacles, an unusual
         search.
         """
-        kept = of_kind(self.task.requirements, Avoid)
-        said = (words for one in kept for words in scene_of(one.obstacles).stands_for)
+        avoided = of_kind(self.task.requirements, Avoid)
+        closed = (words for requirement in avoided for words in scene_of(requirement.obstacles).stands_for)
         late = ("the time limit ended the search: a better design may be near",) if self.out_of_time else ()
-        return (*remarks(self.robot, self.dimensions), *(f"the clearance is from {words}" for words in said), *late)
+        return (*remarks(self.robot, self.dimensions), *(f"the clearance is from {words}" for words in closed), *late)
 
     @property
     def status(self) -> DesignStatus:
@@ -112,11 +112,11 @@ class DesignSolution(Displayed):
 
     @property
     def attempt(self) -> Attempt:
-        """The optimum as the program sees it: where further designs may begin."""
+        """Optimum of the program, a start for further designs."""
         return self.ranking.designs[0]
 
 
-# Of the time limit, for the search; what was found is checked in the rest.
+# Fraction of the time limit for the search; the design is verified in the remaining time.
 SEARCH_SHARE = 0.8
 
 # Rounds of exchange. The worst case moves with the design, by less each round; where it still moves after twelve, a
@@ -187,158 +187,152 @@ def optimize_design(
     instance("task", task, DesignTask)
     for name, value, least in (("starts", starts, 1), ("workers", workers, 1), ("seed", seed, 0), ("turns", turns, 0)):
         whole(name, value, least)
-    began = time.perf_counter()
-    search = partial(_searched, starts=starts, seed=seed, workers=workers, progress=progress)
-    one = next((one for one in of_kind(task.requirements, SnapFree) if one.max_force), None)
+    start_time = time.perf_counter()
+    search = partial(_search, starts=starts, seed=seed, workers=workers, progress=progress)
     search_time = SEARCH_SHARE * time_left()
-    if one is not None:
-        return _certified_for_force(task, one, search, turns, began=began, search_time=search_time)
+    for certificate in of_kind(task.requirements, SnapFree):
+        if certificate.max_force:
+            design = _search_under_force(task, certificate, search, search_time)
+            solution = solution_of(design.task, design.ranking, turns, start_time)
+            return replace(
+                solution,
+                task=task,
+                verification=Verification((*solution.verification.checks, design.check)),
+                seconds=time.perf_counter() - start_time,
+                out_of_time=design.late or solution.out_of_time,
+            )
     with within(search_time):
-        found = search(task, begin=start)
+        ranking = search(task, start=start)
     try:
-        return solution_of(task, found, turns, began)
+        return solution_of(task, ranking, turns, start_time)
     except LateError as late:
-        late.best = found[0].designs[0]
+        late.best = ranking.designs[0]
         raise
 
 
-def _searched(
+def _search(
     task: DesignTask,
-    begin: Attempt | None = None,
+    start: Attempt | None = None,
     *,
     starts: int,
     seed: int,
     workers: int,
     progress: Progress | None,
-) -> tuple[Ranking, int]:
-    """All designs that were found, the best of them for the worst cases, and how often these were added."""
+) -> Ranking:
+    """Designs of all starts, the best one first and with the worst cases added to its program."""
     report: Report | None = getattr(progress, "iteration", None)
     search = partial(multistart, seed=seed, workers=workers, progress=progress, report=report)
-    added = None if begin is None else begin.program.added
-    if begin is None:
+    added = None
+    if start is None:
         ranking = search(compile_task(task), starts=starts)
     else:
-        ranking = rank([solve_from(recompiled(task, begin.program), begin.x, report, keep=True)])
+        added = start.program.added
+        ranking = rank([solve_from(recompiled(task, start.program), start.x, report, keep=True)])
     retries = task.solver.retries
     if not ranking.designs and starts < retries and not ranking.late:
         ranking = search(compile_task(task, added), starts=retries)
     best, rounds = add_worst_cases(best_of(ranking), report)
-    others = [one for one in ranking.designs[1:] if one.program.layout is best.program.layout]
-    late = ranking.late + best.late
-    return replace(ranking, designs=(best, *(others or ranking.designs[1:])), late=late), rounds
+    # Designs whose program has the same unknowns come with the same cases; the others can only be listed.
+    alike = [design for design in ranking.designs[1:] if design.program.layout is best.program.layout]
+    designs = (best, *(alike or ranking.designs[1:]))
+    return replace(ranking, designs=designs, late=ranking.late + best.late, rounds=rounds)
 
 
-def _certified_for_force(
-    task: DesignTask,
-    one: SnapFree,
-    search: Callable[[DesignTask], tuple[Ranking, int]],
-    turns: int,
-    *,
-    began: float,
-    search_time: float,
-) -> DesignSolution:
-    """The design for a task that names a force; only the one that withstands it is verified.
+class _ForceDesign(NamedTuple):
+    """Design that withstands the force of its task."""
 
-    The certificate under force is at most that without, and falls with it. So the lower bound of that one is raised
-    until the best design above it satisfies the other, which is computed anew for every such design (see
-    `stability.loaded_certificate`). The answer is the best among designs of that certificate without force; another
-    with a smaller one may withstand the force too.
+    task: DesignTask
+    """Task with a larger certificate in place of the force."""
+    ranking: Ranking
+    check: Check
+    """Certificate under the force."""
+    late: bool
+    """True if the time limit ended the search."""
+
+
+def _search_under_force(
+    task: DesignTask, requirement: SnapFree, search: Callable[[DesignTask], Ranking], search_time: float
+) -> _ForceDesign:
+    """Design for a certificate under force, by bisection of the required certificate without force.
+
+    The certificate under force is at most the one without force, and falls with it. So the required certificate without
+    force (`floor`) is raised until the best design above it satisfies the requirement under force, which is computed
+    anew for every such design (see `stability.loaded_certificate`). The result is the best design with that certificate
+    without force; a design with a smaller one may withstand the force too.
     """
-    known: dict[float, tuple[tuple[Ranking, int], Check]] = {}
-
-    def loaded_certificate(floor: float) -> float:
-        """Certificate under the force of the best design with at least `floor` without force."""
-        try:
-            found = search(_without_force(task, one, floor))
-        except DesignNotFoundError as error:
-            head = f"no design was found that withstands {one.max_force * 1e3:g} mN"
-            raise SolveError(f"{head}; its certificate without force must be {floor:.4f}: {error}") from error
-        best = found[0].designs[0]
-        check_time()
-        value, check = _under_force(best.program, best.robot, one)
-        known[floor] = found, check
-        return value
-
+    force = f"{requirement.max_force * 1e3:g} mN"
+    low = floor = requirement.margin
+    best: _ForceDesign | None = None
+    high = 1.0  # smallest floor whose design withstands the force; no certificate exceeds 1
+    late = False
     try:
         with within(search_time):
-            floor, late = _bisect_floor(one, loaded_certificate), False
+            for _ in range(FORCE_ROUNDS):
+                unloaded = replace(requirement, margin=floor, max_force=0.0)
+                requirements = tuple(unloaded if each is requirement else each for each in task.requirements)
+                unloaded_task = replace(task, requirements=requirements)
+                try:
+                    ranking = search(unloaded_task)
+                except DesignNotFoundError as error:
+                    head = f"no design was found that withstands {force}"
+                    raise SolveError(f"{head}; its certificate without force must be {floor:.4f}: {error}") from error
+                check_time()
+                design = ranking.designs[0]
+                certificate = min(
+                    snap_free_certificate(design.robot, np.array(row), max_force=requirement.max_force)
+                    for row in certified_at(design.program, design.robot)
+                )
+                shortfall = requirement.margin - certificate
+                if shortfall <= 0:
+                    words = f"certificate under forces on the tip of up to {force}"
+                    best = _ForceDesign(unloaded_task, ranking, Check(words, f"{certificate:.5f}", True), False)
+                    high = floor
+                    if high - low <= FORCE_ACCURACY:
+                        break
+                    # Uses 90 % of the surplus: the two certificates fall at different rates.
+                    floor = max((low + high) / 2, high + 0.9 * shortfall)
+                else:
+                    low = floor
+                    floor = min(floor + 1.1 * shortfall + FORCE_ACCURACY / 2, (low + high) / 2)
     except LateError:
-        kept = [floor for floor, (_, check) in known.items() if check.kept]
-        if not kept:
+        if best is None:
             raise
-        floor, late = min(kept), True
-    found, check = known[floor]
-    solution = solution_of(_without_force(task, one, floor), found, turns, began)
-    verification = Verification((*solution.verification.checks, check))
-    seconds, late = time.perf_counter() - began, late or solution.out_of_time
-    return replace(solution, task=task, verification=verification, seconds=seconds, out_of_time=late)
-
-
-def _without_force(task: DesignTask, one: SnapFree, floor: float) -> DesignTask:
-    """The task with a floor of the certificate without force in place of the requirement."""
-    plain = replace(one, margin=floor, max_force=0.0)
-    return replace(task, requirements=tuple(plain if each is one else each for each in task.requirements))
-
-
-def _under_force(program: Program, robot: ConcentricRobot, one: SnapFree) -> tuple[float, Check]:
-    """The certificate of a design under the force that a requirement names, at all translations for which it was asked,
-    and the check that says so."""
-    rows = certified_at(program, robot)
-    value = min(snap_free_certificate(robot, np.array(row), max_force=one.max_force) for row in rows)
-    words = f"certificate under forces on the tip of up to {one.max_force * 1e3:g} mN"
-    return value, Check(words, f"{value:.5f}", value >= one.margin)
-
-
-def _bisect_floor(one: SnapFree, loaded_certificate: Callable[[float], float]) -> float:
-    """The least certificate without force, to FORCE_ACCURACY, whose design has the required one under it."""
-    low, high = one.margin, None
-    floor = one.margin
-    for _ in range(FORCE_ROUNDS):
-        short = one.margin - loaded_certificate(floor)
-        if short <= 0:
-            high = floor
-            if high - low <= FORCE_ACCURACY:
-                return high
-            # Uses 90 % of the surplus: the two certificates fall at different rates.
-            floor = max((low + high) / 2, high + 0.9 * short)
-            continue
-        low = floor
-        floor = min(floor + 1.1 * short + FORCE_ACCURACY / 2, (low + (1.0 if high is None else high)) / 2)
-    if high is None:
+        late = True
+    if best is None:
         raise SolveError(
-            f"no design was found that is certified for {one.max_force * 1e3:g} "
-            f"mN: the required certificate without force reached {low:.4f}"
+            f"no design was found that is certified for {force}: the required certificate without force reached "
+            f"{low:.4f}"
         )
-    return high
+    return best._replace(late=late)
 
 
-def add_worst_cases(found: Attempt, report: Report | None = None) -> tuple[Attempt, int]:
-    """A design for which all cases hold, and how many rounds of adding the worst of them that took; where a time limit
-    ends that, the last one."""
+def add_worst_cases(design: Attempt, report: Report | None = None) -> tuple[Attempt, int]:
+    """Design that satisfies all cases of its requirements, and the number of rounds that added the worst cases.
+
+    If a time limit ends the search, this is the last design.
+    """
     rounds = 0
     while True:
         try:
-            added, why = violations(found.program, found.x)
+            violation = worst_cases(design.program, design.x)
         except LateError:
-            return replace(found, late=True), rounds
-        if not why:
-            return found, rounds
+            return replace(design, late=True), rounds
+        if not violation.description:
+            return design, rounds
         if rounds >= ROUNDS:
-            raise SolveError(f"worst cases remain after {rounds} rounds: {why}")
+            raise SolveError(f"worst cases remain after {rounds} rounds: {violation.description}")
         rounds += 1
-        program, start = carry(found.program, added, found.x, rounds)
-        found = best_of(rank([solve_from(program, start, report, keep=True)]))
+        program, start = carry(design.program, violation.added, design.x, rounds)
+        design = best_of(rank([solve_from(program, start, report, keep=True)]))
 
 
-def solution_of(task: DesignTask, found: tuple[Ranking, int], turns: int, began: float) -> DesignSolution:
-    """The answer that the best of all designs is, checked again; how often worst cases were added to it, and the moment
-    `began`, from which it is timed, are told with it."""
-    ranking, rounds = found
+def solution_of(task: DesignTask, ranking: Ranking, turns: int, start_time: float) -> DesignSolution:
+    """Verify the best design, and describe it; its run time counts from `start_time`."""
     best = ranking.designs[0]
     program, x, robot = best.program, best.x, best.robot
     equilibria = solve_again(program, robot, x)
     verification = verify(program, robot, x, equilibria, turns=turns)
-    values = {key_of(one): best.value(one) for one in task.objectives}
+    values = {key_of(objective): best.value(objective) for objective in task.objectives}
     certified = certified_at(program, robot) or (tuple(robot.home_translations.tolist()),)
     single = len(task.objectives) == 1 and task.objectives[0].weight == 1.0
     solution = DesignSolution(
@@ -351,10 +345,10 @@ def solution_of(task: DesignTask, found: tuple[Ranking, int], turns: int, began:
         dimensions=dimensions(program, x),
         sensitivities=sensitivities(best),
         ranking=ranking,
-        rounds=rounds,
+        rounds=ranking.rounds,
         added=program.added,
         verification=verification,
-        seconds=time.perf_counter() - began,
+        seconds=time.perf_counter() - start_time,
         out_of_time=bool(ranking.late),
     )
     if not verification.kept:
@@ -365,23 +359,24 @@ def solution_of(task: DesignTask, found: tuple[Ranking, int], turns: int, began:
 def dimensions(program: Program, x: Array) -> tuple[Dimension, ...]:
     """Free dimensions before and after, tube by tube."""
     space, tubes = program.layout.space, program.layout.space.tubes(x[: program.layout.designs])
-    out = []
-    for k, (one, name) in enumerate(zip(space.unknowns, space.names, strict=True)):
-        unit, factor = UNITS[one.field]
-        gap = 1e-5 * space.scale[k]
-        bound = "lower" if x[k] <= space.lower[k] + gap else "upper" if x[k] >= space.upper[k] - gap else ""
-        if one.pieces:
-            out.append(Dimension(name, unit, float(space.start[k]) * factor, float(x[k]) * factor, bound))
+    rows = []
+    for k, (unknown, name) in enumerate(zip(space.unknowns, space.names, strict=True)):
+        unit, factor = UNITS[unknown.field]
+        tolerance = 1e-5 * space.scale[k]
+        at_lower, at_upper = x[k] <= space.lower[k] + tolerance, x[k] >= space.upper[k] - tolerance
+        bound = "lower" if at_lower else "upper" if at_upper else ""
+        if unknown.pieces:
+            rows.append(Dimension(name, unit, float(space.start[k]) * factor, float(x[k]) * factor, bound))
             continue
-        for i in one.tubes:
-            before, after = (getattr(some[i], one.field) * factor for some in (space.robot_tubes, tubes))
-            out.append(Dimension(f"{NAMES[one.field]} of tube {i + 1}", unit, before, after, bound))
-    return tuple(out)
+        for i in unknown.tubes:
+            before, after = (getattr(each[i], unknown.field) * factor for each in (space.robot_tubes, tubes))
+            rows.append(Dimension(f"{NAMES[unknown.field]} of tube {i + 1}", unit, before, after, bound))
+    return tuple(rows)
 
 
 @dataclass(frozen=True, eq=False)
 class FrontPoint:
-    """One design of the front: margin demanded, objective in its own sign (SI), and the robot."""
+    """Design of the front: required margin, objective in its own sign (SI), and the robot."""
 
     margin: float
     objective: float
@@ -390,7 +385,7 @@ class FrontPoint:
 
 @dataclass(frozen=True, eq=False)
 class ParetoFront:
-    """Designs in order of the margin demanded, up to the greatest for which one was found."""
+    """Designs in order of the required margin, up to the largest margin with a design."""
 
     task: DesignTask
     objective: Annotated[str, "objective that is traded for margin"]
@@ -398,23 +393,23 @@ class ParetoFront:
     ended: Annotated[float | None, key("infeasible_from"), "smallest margin without a design"]
     """None where every requested margin has a design."""
     out_of_time: bool = False
-    """Whether the time limit ended the front there."""
+    """True if the time limit ended the front at that margin."""
 
 
 def front_tasks(task: DesignTask, margins: Sequence[float]) -> list[tuple[float, DesignTask]]:
-    """Margins in order of size, each with the task in which it is demanded."""
+    """Margins in increasing order, each with the task that requires it."""
     if not len(margins):
         raise InputError("margins is empty; a front needs at least one")
     if len(task.objectives) > 1 or key_of(task.objectives[0]) == "margin":
         raise InputError("a front needs one objective, and that other than the margin itself")
     margined = SnapFree | SnapFreeInUse
-    if not any(isinstance(one, margined) for one in task.requirements):
+    if not any(isinstance(each, margined) for each in task.requirements):
         raise InputError("a front needs a certificate or a margin in use among the requirements")
-    out = []
+    tasks = []
     for margin in sorted(finite("a margin of the front", m) for m in margins):
-        asked = [replace(one, margin=margin) if isinstance(one, margined) else one for one in task.requirements]
-        out.append((margin, replace(task, requirements=tuple(asked))))
-    return out
+        moved = (replace(each, margin=margin) if isinstance(each, margined) else each for each in task.requirements)
+        tasks.append((margin, replace(task, requirements=tuple(moved))))
+    return tasks
 
 
 @renamed(begin="start")
@@ -429,39 +424,38 @@ def pareto_front(
     progress: Progress | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> ParetoFront:
-    """The best objective at each of several margins, each solve warm-started from the one before.
+    """Best objective at each of several margins; each solve starts from the design before.
 
     Args:
-        margins: demanded of the certificate or in use; they are taken in order of size.
-        start: an answer for the least of them, or near it.
-        time_limit: s, on the clock, at which the front ends.
+        margins: required certificate or margin in use; solved in increasing order.
+        start: a design for the smallest margin, or near it.
+        time_limit: maximum run time, s; the front ends there.
 
     Raises:
         InputError: no margins, one that no certificate or pose can have, a task without certificate or margin in use,
             or with several objectives.
-        SolveError: no design was found for the least margin.
+        SolveError: no design was found for the smallest margin.
     """
-    one = task.objectives[0]
+    objective = task.objectives[0]
     points: list[FrontPoint] = []
-    here = start
     tasks = front_tasks(task, margins)
-    for k, (margin, eased) in enumerate(tasks):
-        if here is None:
-            found = best_of(multistart(compile_task(eased), starts=4, seed=seed))
+    design = start
+    for k, (margin, margin_task) in enumerate(tasks):
+        if design is None:
+            design = best_of(multistart(compile_task(margin_task), starts=4, seed=seed))
         else:
-            found = solve_from(recompiled(eased, here.program), here.x, keep=True)
+            design = solve_from(recompiled(margin_task, design.program), design.x, keep=True)
         try:
-            if not found.feasible:
+            if not design.feasible:
                 raise SolveError(f"no design was found with a margin of at least {margin:g}")
-            found, _ = add_worst_cases(found)
+            design, _ = add_worst_cases(design)
         except SolveError:
             if not points:
                 raise
-            return ParetoFront(task, key_of(one), tuple(points), margin, found.late)
-        if found.late and points:
-            return ParetoFront(task, key_of(one), tuple(points), margin, True)
-        points.append(FrontPoint(margin, found.value(one), found.robot))
-        here = found
+            return ParetoFront(task, key_of(objective), tuple(points), margin, design.late)
+        if design.late and points:
+            return ParetoFront(task, key_of(objective), tuple(points), margin, True)
+        points.append(FrontPoint(margin, design.value(objective), design.robot))
         if progress is not None:
             progress(k + 1, len(tasks))
-    return ParetoFront(task, key_of(one), tuple(points), None)
+    return ParetoFront(task, key_of(objective), tuple(points), None)

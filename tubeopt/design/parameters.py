@@ -31,7 +31,7 @@ PIECE_FIELDS = {
 
 # Curvature (1/m) of a piece that may be curved, in place of 0: without a direction its derivative would be undefined.
 # It moves no tip by more than round-off.
-LEAST_BEND = 1e-9
+MIN_BEND = 1e-9
 
 Place = tuple[int, int]
 """A tube, and one of its pieces."""
@@ -39,28 +39,32 @@ Place = tuple[int, int]
 
 @dataclass(frozen=True)
 class Unknown:
-    """What one unknown of a design is: a dimension of tubes, or of some of their pieces."""
+    """Unknown of a design: a dimension of tubes, or of some of their pieces."""
 
     field: str
     tubes: tuple[int, ...]
     scaled: bool = False
-    """Whether it is a factor on what the tubes have."""
+    """True if it is a factor on the dimension of the tubes."""
     pieces: tuple[Place, ...] = ()
-    """() of whole tubes."""
+    """Tube and piece numbers; () for a dimension of whole tubes."""
     order: int = 0
-    """Of a shape: the number of the coefficient."""
+    """Degree of the coefficient of a shape."""
     torsion_share: float | None = None
-    """By how much less torsional stiffness is left, per bending stiffness that slots take, where the one follows the
-    other."""
+    """Relative loss of torsional stiffness per relative loss of bending stiffness by slots; None without loss."""
 
 
-PieceValues = Mapping[Place, Mapping[tuple[str, int], tuple[float, float | None]]]
-"""Of every piece, the values of its unknowns by field and order, with the share of the torsion."""
+UnknownValues = Mapping[tuple[str, int], tuple[float, float | None]]
+"""Value and torsion share of each unknown of a piece, by field and order."""
+
+PieceValues = Mapping[Place, UnknownValues]
+"""Values of the unknowns of every piece."""
 
 
 def of_section(tube: Tube, **changes: Any) -> Tube:
-    """The tube with other diameters or another material. A stiffness that is given, of the tube or of a piece, grows as
-    that of the cross-section does, and a given mass as its area."""
+    """Tube with other diameters or another material.
+
+    A given stiffness of the tube or of a piece scales with that of the cross-section, a given mass with its area.
+    """
     new = replace(tube, **changes)
     second = new.second_moment / tube.second_moment
     # K = E I and K_t = G J, and J = 2 I of a tube: both grow as the second moment and as their modulus.
@@ -78,7 +82,7 @@ def of_section(tube: Tube, **changes: Any) -> Tube:
 
 
 def as_pieces(tube: Tube) -> Tube:
-    """The tube as one of pieces, though it be of one curvature."""
+    """Tube made of pieces; a tube of one curvature becomes one piece."""
     if tube.general or tube.curved_length == 0:
         return tube
     return replace(tube, curvature=abs(tube.curvature), pieces=(Piece(tube.curved_length, tube.curvature),))
@@ -98,7 +102,7 @@ def with_slots(tubes: Sequence[Tube], places: Sequence[Place], slots: Slots) -> 
 
 
 def start_of(tubes: Sequence[Tube], unknown: Unknown) -> float:
-    """What an unknown is before anything is changed, on average over its pieces or tubes."""
+    """Initial value of an unknown, averaged over its pieces or tubes."""
     if unknown.pieces:
         return float(np.mean([_start(tubes[i], j, unknown.field, unknown.order) for i, j in unknown.pieces]))
     return 1.0 if unknown.scaled else float(np.mean([getattr(tubes[i], unknown.field) for i in unknown.tubes]))
@@ -134,11 +138,11 @@ def _coefficient(x: Quantity, length: float, order: int) -> float:
 
 
 def piece_values(unknowns: Sequence[Unknown], values: Sequence[float]) -> PieceValues:
-    """The values of unknowns, piece by piece."""
+    """Values of unknowns, piece by piece."""
     out: dict[Place, dict[tuple[str, int], tuple[float, float | None]]] = {}
-    for one, value in zip(unknowns, values, strict=True):
-        for place in one.pieces:
-            out.setdefault(place, {})[one.field, one.order] = float(value), one.torsion_share
+    for unknown, value in zip(unknowns, values, strict=True):
+        for place in unknown.pieces:
+            out.setdefault(place, {})[unknown.field, unknown.order] = float(value), unknown.torsion_share
     return out
 
 
@@ -152,17 +156,17 @@ def changed_tubes(tubes: Sequence[Tube], values: PieceValues) -> tuple[Tube, ...
     return tuple(out)
 
 
-def _changed_piece(tube: Tube, piece: Piece, values: Mapping[tuple[str, int], tuple[float, float | None]]) -> Piece:
+def _changed_piece(tube: Tube, piece: Piece, values: UnknownValues) -> Piece:
     x, y, z = piece.precurvature
     # Sorted by order: coefficients of rising degree.
     shape = [value for (field, _), (value, _) in sorted(values.items()) if field == "piece_shape"]
     if shape:
-        shape[0] = shape[0] if any(abs(c) > LEAST_BEND for c in shape) else LEAST_BEND
+        shape[0] = shape[0] if any(abs(c) > MIN_BEND for c in shape) else MIN_BEND
         x, y = Series((0.0, piece.length), (tuple(shape),)), 0.0
     own = {field: value for (field, _), (value, _) in values.items() if field != "piece_shape"}
     bend = own.get("piece_curvature")
     if bend is not None:
-        bend = bend if abs(bend) > LEAST_BEND else LEAST_BEND
+        bend = bend if abs(bend) > MIN_BEND else MIN_BEND
         x, y = (times(q, bend) for q in bend_of((x, y), piece.length)[1])
     if "piece_plane" in own:
         x, y = turned(x, y, own["piece_plane"])
@@ -176,8 +180,8 @@ def _changed_piece(tube: Tube, piece: Piece, values: Mapping[tuple[str, int], tu
     return replace(piece, precurvature=(x, y, own.get("piece_twist", z)), **stiffness)
 
 
-def factors(values: Mapping[tuple[str, int], tuple[float, float | None]]) -> tuple[float, float]:
-    """By what bending and torsional stiffness of a piece are multiplied."""
+def factors(values: UnknownValues) -> tuple[float, float]:
+    """Factors on the bending and torsional stiffness of a piece."""
     bending, share = values.get(("piece_bending_factor", 0), (1.0, None))
     # Slots that take 1 - b of the bending stiffness take share (1 - b) of the torsional one.
     tied = 1.0 if share is None else 1 - share * (1 - bending)
@@ -185,7 +189,7 @@ def factors(values: Mapping[tuple[str, int], tuple[float, float | None]]) -> tup
 
 
 def largest_bend_slope(piece: Piece, unknown: Unknown, value: float) -> float:
-    """Change of the largest curvature of a piece with one of its unknowns, by the value of that."""
+    """Derivative of the largest curvature of a piece by one of its unknowns at its value."""
     if unknown.field == "piece_curvature":
         return -1.0 if value < 0 else 1.0
     if unknown.field != "piece_shape":
@@ -200,7 +204,7 @@ def largest_bend_slope(piece: Piece, unknown: Unknown, value: float) -> float:
 
 
 def change_of(here: Directions, unknown: Unknown, values: PieceValues) -> Change:
-    """What an unknown changes along a solved arm."""
+    """Derivatives of the sections of a solved arm by an unknown of pieces."""
     (rate, stiffness, moment, phase), n = np.zeros((4, *here.here.phase.shape)), here.n
     out = Change(np.zeros(n), rate, stiffness, moment, phase, np.zeros(n))
     for i, j in unknown.pieces:
@@ -230,35 +234,35 @@ def change_of(here: Directions, unknown: Unknown, values: PieceValues) -> Change
 
 
 class PieceRates(NamedTuple):
-    """Change of a piece's cross-sections with one unknown."""
+    """Derivatives of a piece's cross-sections by one unknown."""
 
     x: Any
-    """Of the precurvature u*_x."""
+    """Derivative of the precurvature u*_x."""
     y: Any
-    """Of u*_y."""
+    """Derivative of the precurvature u*_y."""
     bending: Any
-    """Of the bending stiffness."""
+    """Derivative of the bending stiffness."""
     torsional: Any
-    """Of the torsional stiffness, in proportion to it."""
+    """Derivative of the torsional stiffness."""
     twist: Any
-    """Of the natural rotation."""
+    """Derivative of the natural rotation."""
 
 
 def _piece_rates(
     unknown: Unknown,
-    values: Mapping[tuple[str, int], tuple[float, float | None]],
+    values: UnknownValues,
     fraction: Array,
     length: float,
     now: Array,
 ) -> PieceRates:
-    """Rates at fractions of a piece of a length, whose cross-sections there are `now` (6, ..)."""
+    """Derivatives at fractions of a piece with cross-sections `now` (6, ..)."""
     kb, kt, x, y, _, _ = now
     plane = values.get(("piece_plane", 0), (0.0, None))[0]
     bending, torsion = factors(values)
     match unknown.field:
         case "piece_curvature":
             bend = values["piece_curvature", 0][0]
-            bend = bend if abs(bend) > LEAST_BEND else LEAST_BEND
+            bend = bend if abs(bend) > MIN_BEND else MIN_BEND
             # u* is proportional to the bend.
             return PieceRates(x / bend, y / bend, 0.0, 0.0, 0.0)
         case "piece_shape":
@@ -281,7 +285,7 @@ def _piece_rates(
 
 
 def _compliance_change(here: Directions, tube: int, ends: tuple[float, float], relative: Any) -> float:
-    """Change of int ds / GJ from the clamped end to the plate, as GJ changes by a relative amount between two ends."""
+    """Change of int ds / GJ from the clamped end to the plate, for a relative change of GJ between two places."""
     if not np.any(relative):
         return 0.0
     clamped = here.assembly.transmission
@@ -319,9 +323,9 @@ UNITS = {
 WHOLE = ("straight_length", "curved_length", *DIAMETERS)
 
 # Coefficients of the curvature along a piece: higher degrees add oscillations along the piece that no mold shapes.
-MOST_COEFFICIENTS = 12
+MAX_COEFFICIENTS = 12
 
-# What a design is differentiated into, n each.
+# Dimensions and stiffnesses whose derivatives by the unknowns are computed, n each.
 GRADED = (*TUBE_FIELDS, *STIFFNESSES)
 
 
@@ -398,8 +402,8 @@ class Free(Displayed):
             raise InputError(f"pieces are given for the {name}; it is a dimension of whole tubes")
         if self.coefficients > 1 and self.field != "piece_shape":
             raise InputError(f"coefficients is {self.coefficients} for the {name}; only a piece_shape has them")
-        if self.coefficients > MOST_COEFFICIENTS:
-            raise InputError(f"coefficients is {self.coefficients}; it must be at most {MOST_COEFFICIENTS}")
+        if self.coefficients > MAX_COEFFICIENTS:
+            raise InputError(f"coefficients is {self.coefficients}; it must be at most {MAX_COEFFICIENTS}")
         if self.field.endswith("_factor") and not 0 < self.lower <= self.upper <= 1:
             raise InputError(f"bounds of the {name} are {self.lower:g} and {self.upper:g}; they must be in (0, 1]")
         if self.slots is not None and self.field != "piece_bending_factor":
@@ -422,40 +426,36 @@ class DesignSpace:
     lower: Array
     upper: Array
     scale: Array
-    """The size of a change that matters."""
+    """Typical changes (D,)."""
     pieced: bool = False
-    """Whether it is a design of pieces; `robot_tubes` are then all made of such."""
+    """True if the design has unknowns of pieces; all `robot_tubes` are then made of pieces."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each unknown is, in words."""
-        return tuple(
-            _piece_words(one)
-            if one.pieces
-            else f"{'factor of ' if one.scaled else ''}{NAMES[one.field]} of tube{'s' * (len(one.tubes) > 1)} "
-            f"{', '.join(str(i + 1) for i in one.tubes)}"
-            for one in self.unknowns
-        )
+        """Description of each unknown."""
+        return tuple(_piece_words(unknown) if unknown.pieces else _tube_words(unknown) for unknown in self.unknowns)
 
     def tubes(self, x: Array) -> tuple[Tube, ...]:
-        """The tubes at x (D,); raises InputError where they are no tubes."""
+        """Tubes at x (D,); raises InputError if they have no wall."""
         values: list[dict[str, float]] = [{} for _ in self.robot_tubes]
-        for one, value in zip(self.unknowns, x, strict=True):
-            for i in one.tubes if one.field in TUBE_FIELDS else ():
-                values[i][one.field] = float(value) * (getattr(self.robot_tubes[i], one.field) if one.scaled else 1.0)
+        for unknown, value in zip(self.unknowns, x, strict=True):
+            for i in unknown.tubes if unknown.field in TUBE_FIELDS else ():
+                values[i][unknown.field] = float(value) * (
+                    getattr(self.robot_tubes[i], unknown.field) if unknown.scaled else 1.0
+                )
         whole = tuple(_changed(tube, changes) for tube, changes in zip(self.robot_tubes, values, strict=True))
         return changed_tubes(whole, piece_values(self.unknowns, x.tolist())) if self.pieced else whole
 
     def expressions(self, x: Any) -> dict[str, Any]:
-        """Every one of GRADED (n,) as an expression of x (D,); what x does not move are numbers."""
+        """Expressions (n,) of all GRADED dimensions in x (D,)."""
         out: dict[str, Any] = {}
         for name in GRADED:
             column = ca.MX([getattr(tube, name) for tube in self.robot_tubes])
-            for k, one in enumerate(self.unknowns):
-                for i in one.tubes if one.field == name else ():
-                    column[i] = x[k] * (getattr(self.robot_tubes[i], name) if one.scaled else 1.0)
+            for k, unknown in enumerate(self.unknowns):
+                for i in unknown.tubes if unknown.field == name else ():
+                    column[i] = x[k] * (getattr(self.robot_tubes[i], name) if unknown.scaled else 1.0)
             out[name] = column
-        if any(one.field in DIAMETERS for one in self.unknowns):
+        if any(unknown.field in DIAMETERS for unknown in self.unknowns):
             second = second_moment(out["outer_diameter"], out["inner_diameter"])
             before = ca.DM([tube.second_moment for tube in self.robot_tubes])
             for name in STIFFNESSES:
@@ -463,7 +463,7 @@ class DesignSpace:
         return out
 
     def bend_slopes(self, tubes: Sequence[Tube], x: Array) -> Array:
-        """(n, D) change of the largest curvature of tubes made of pieces."""
+        """Derivative (n, D) of the largest curvature of tubes made of pieces."""
         out = np.zeros((len(tubes), len(self.unknowns)))
         for i, tube in enumerate(tubes):
             for j, piece in enumerate(tube.pieces):
@@ -474,11 +474,11 @@ class DesignSpace:
         return out
 
     def bend_slope(self, tube: Tube, place: Place, x: Array) -> Array:
-        """(D,) change of the largest curvature of a piece of a tube."""
+        """Gradient (D,) of the largest curvature of a piece."""
         piece = tube.pieces[place[1]]
         slopes = [
-            largest_bend_slope(piece, one, value) if place in one.pieces else 0.0
-            for one, value in zip(self.unknowns, x.tolist(), strict=True)
+            largest_bend_slope(piece, unknown, value) if place in unknown.pieces else 0.0
+            for unknown, value in zip(self.unknowns, x.tolist(), strict=True)
         ]
         return np.array(slopes)
 
@@ -489,12 +489,12 @@ class DesignSpace:
         return ca.Function("slopes", [x], slopes)
 
     def slopes(self, x: Array) -> dict[str, Array]:
-        """Change (n, D) of every one of GRADED with x (D,)."""
+        """Derivatives (n, D) of all GRADED dimensions by x (D,)."""
         return {name: slope.full() for name, slope in zip(GRADED, self._graded(x), strict=True)}
 
 
 def _changed(tube: Tube, changes: dict[str, float]) -> Tube:
-    """A tube with other dimensions, those of pieces all in proportion."""
+    """Tube with other dimensions; its pieces scale in proportion."""
     # At once: with only one diameter changed, a tube may have no wall.
     at_once = [name for name in changes if name in DIAMETERS or not tube.general]
     changed = of_section(tube, **{name: changes[name] for name in at_once}) if at_once else tube
@@ -505,26 +505,28 @@ def _changed(tube: Tube, changes: dict[str, float]) -> Tube:
 
 
 def _entries(free: Sequence[Free]) -> list[tuple[Free, Unknown]]:
-    """The unknowns that are dimensions of whole tubes, each with what frees it."""
+    """Unknowns that are dimensions of whole tubes, each with its free dimension."""
     taken: set[tuple[str, int]] = set()
     found = []
-    for one in free:
-        for i in one.tubes:
-            if (one.field, i) in taken:
-                raise InputError(f"{NAMES[one.field]} of tube {i + 1} is free twice; it must be named once")
-            taken.add((one.field, i))
-        groups = [(i,) for i in one.tubes] if one.tie == "each" else [one.tubes]
-        found += [(one, Unknown(one.field, group, one.tie == "scaled")) for group in groups]
+    for dimension in free:
+        for i in dimension.tubes:
+            if (dimension.field, i) in taken:
+                raise InputError(f"{NAMES[dimension.field]} of tube {i + 1} is free twice; it must be named once")
+            taken.add((dimension.field, i))
+        groups = [(i,) for i in dimension.tubes] if dimension.tie == "each" else [dimension.tubes]
+        found += [(dimension, Unknown(dimension.field, group, dimension.tie == "scaled")) for group in groups]
     return found
 
 
 def design_space(tubes: Sequence[Tube], free: Sequence[Free]) -> DesignSpace:
-    """The unknowns of a design that starts from `tubes`; the start is brought within the bounds."""
-    for one in free:
-        for i in one.tubes:
+    """Unknowns of a design that starts from `tubes`; the start is clipped to the bounds."""
+    for dimension in free:
+        for i in dimension.tubes:
             if not 0 <= i < len(tubes):
-                raise InputError(f"free {NAMES[one.field]} names tube {i + 1}; the robot has tubes 1 to {len(tubes)}")
-    pieced = any(one.field in PIECE_FIELDS for one in free) or any(tube.general for tube in tubes)
+                raise InputError(
+                    f"free {NAMES[dimension.field]} names tube {i + 1}; the robot has tubes 1 to {len(tubes)}"
+                )
+    pieced = any(dimension.field in PIECE_FIELDS for dimension in free) or any(tube.general for tube in tubes)
     if pieced:
         tubes, found = _piece_entries(tuple(as_pieces(tube) for tube in tubes), free)
     else:
@@ -540,51 +542,64 @@ def design_space(tubes: Sequence[Tube], free: Sequence[Free]) -> DesignSpace:
     return DesignSpace(tuple(tubes), unknowns, begin, lower, upper, scale, pieced)
 
 
-def _piece_words(one: Unknown) -> str:
-    places = ", ".join(f"{j + 1} of tube {i + 1}" for i, j in one.pieces)
-    order = f"{one.order + 1}. " if one.field == "piece_shape" else ""
-    return f"{order}{NAMES[one.field]} of piece{'s' * (len(one.pieces) > 1)} {places}"
+def _tube_words(unknown: Unknown) -> str:
+    tubes = ", ".join(str(i + 1) for i in unknown.tubes)
+    factor = "factor of " if unknown.scaled else ""
+    return f"{factor}{NAMES[unknown.field]} of tube{'s' * (len(unknown.tubes) > 1)} {tubes}"
+
+
+def _piece_words(unknown: Unknown) -> str:
+    places = ", ".join(f"{j + 1} of tube {i + 1}" for i, j in unknown.pieces)
+    order = f"{unknown.order + 1}. " if unknown.field == "piece_shape" else ""
+    return f"{order}{NAMES[unknown.field]} of piece{'s' * (len(unknown.pieces) > 1)} {places}"
 
 
 def _piece_entries(
     tubes: tuple[Tube, ...], free: Sequence[Free]
 ) -> tuple[tuple[Tube, ...], list[tuple[Free, Unknown]]]:
-    """The tubes with the slots that are free, and the unknowns of a design of pieces, each with what frees it."""
-    whole = [one for one in free if one.field in WHOLE]
+    """Tubes with the free slots, and the unknowns of a design of pieces, each with its free dimension."""
+    whole = [dimension for dimension in free if dimension.field in WHOLE]
     found = _entries(whole)
-    for one in free:
-        if one in whole:
+    for dimension in free:
+        if dimension in whole:
             continue
-        if one.field not in PIECE_FIELDS:
+        if dimension.field not in PIECE_FIELDS:
             raise InputError(
-                f"free {NAMES[one.field]} is a dimension of whole tubes; for tubes made of "
+                f"free {NAMES[dimension.field]} is a dimension of whole tubes; for tubes made of "
                 "pieces only their lengths and diameters can be free; use piece_curvature "
                 "for the curvature of pieces"
             )
-        places = [place for i in one.tubes for place in _places(one, i, tubes)]
+        places = [place for i in dimension.tubes for place in _places(dimension, i, tubes)]
         taken = {(other.field, place) for _, other in found for place in other.pieces}
-        if one.slots is not None:
-            tubes = with_slots(tubes, places, one.slots)
+        if dimension.slots is not None:
+            tubes = with_slots(tubes, places, dimension.slots)
         for i, j in places:
-            if (one.field, (i, j)) in taken:
-                raise InputError(f"{NAMES[one.field]} of piece {j + 1} of tube {i + 1} is free twice; name it once")
+            if (dimension.field, (i, j)) in taken:
+                raise InputError(
+                    f"{NAMES[dimension.field]} of piece {j + 1} of tube {i + 1} is free twice; name it once"
+                )
             # The constant coefficient of a shape is a curvature: both free would be two unknowns for one number.
-            other = {"piece_shape": "piece_curvature", "piece_curvature": "piece_shape"}.get(one.field)
+            other = {"piece_shape": "piece_curvature", "piece_curvature": "piece_shape"}.get(dimension.field)
             if (other, (i, j)) in taken:
                 raise InputError(
                     f"piece {j + 1} of tube {i + 1} has a free curvature and a free shape; it has one of them"
                 )
-        for group in [(place,) for place in places] if one.tie == "each" else [tuple(places)]:
+        for group in [(place,) for place in places] if dimension.tie == "each" else [tuple(places)]:
             own = tuple(sorted({i for i, _ in group}))
-            more = (Unknown(one.field, own, False, group, k, one.torsion_share) for k in range(one.coefficients))
-            found += [(one, unknown) for unknown in more]
+            more = (
+                Unknown(dimension.field, own, False, group, k, dimension.torsion_share)
+                for k in range(dimension.coefficients)
+            )
+            found += [(dimension, unknown) for unknown in more]
     return tubes, found
 
 
-def _places(one: Free, i: int, tubes: Sequence[Tube]) -> list[tuple[int, int]]:
-    """The pieces of a tube that are meant."""
+def _places(dimension: Free, i: int, tubes: Sequence[Tube]) -> list[tuple[int, int]]:
+    """Tube and piece numbers that a free dimension covers in tube i."""
     count = len(tubes[i].pieces)
-    for j in one.pieces:
+    for j in dimension.pieces:
         if j >= count:
-            raise InputError(f"free {NAMES[one.field]} names piece {j + 1} of tube {i + 1}; it has {count} pieces")
-    return [(i, j) for j in (one.pieces or range(count))]
+            raise InputError(
+                f"free {NAMES[dimension.field]} names piece {j + 1} of tube {i + 1}; it has {count} pieces"
+            )
+    return [(i, j) for j in (dimension.pieces or range(count))]

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,30 +43,42 @@ RAMP = 3e-3
 
 
 def _cubic(x: Array) -> tuple[Array, Array]:
-    """Weights (4, K) of p0, h t0, p1, h t1 in Hermite's cubic at x (K,), and their derivatives."""
+    """Weights (4, K) of p0, h t0, p1, h t1 in Hermite's cubic at x (K,), and their derivatives by x."""
     weights = np.stack([(1 + 2 * x) * (1 - x) ** 2, x * (1 - x) ** 2, x**2 * (3 - 2 * x), -(x**2) * (1 - x)])
     return weights, np.stack([6 * x * (x - 1), (1 - x) * (1 - 3 * x), 6 * x * (1 - x), x * (3 * x - 2)])
 
 
-def _between(pose: Pose, share: Array) -> tuple[Index, Array, Array, Array]:
-    """For parts (K,) of the arm: the shape point before, the length to the next, how far along it, 0 to 1, and what
-    `_cubic` weighs (4, K, 3)."""
+class _Segments(NamedTuple):
+    """Cubic segments between shape points, with K places on them."""
+
+    k: Index
+    """Shape point (K,) before each place."""
+    h: Array
+    """Length (K,) of the segment, m."""
+    x: Array
+    """Fraction (K,) of the segment, 0 to 1."""
+    nodes: Array
+    """Coefficients (4, K, 3) of the weights of `_cubic`."""
+
+
+def _segments(pose: Pose, fraction: Array) -> _Segments:
+    """Segments at fractions (K,) of the arm's length."""
     s, position, tangent = pose.arm.arc_length, pose.arm.position, pose.arm.frame[:, :, 2]
-    k, h, x = between(s, share * s[-1])
+    k, h, x = between(s, fraction * s[-1])
     # Hermite's cubic takes slopes by x = (s - s_k) / h: h times the unit tangents.
     nodes = np.stack([position[k], h[:, None] * tangent[k], position[k + 1], h[:, None] * tangent[k + 1]])
-    return k, h, x, nodes
+    return _Segments(k, h, x, nodes)
 
 
-def arm_points(pose: Pose, share: Array) -> Array:
-    """Centreline (K, 3) at parts (K,) of the arm's length, cubic between the shape points."""
-    _, _, x, nodes = _between(pose, share)
-    return np.asarray(np.einsum("wk,wkc->kc", _cubic(x)[0], nodes))
+def arm_points(pose: Pose, fraction: Array) -> Array:
+    """Centreline (K, 3) at fractions (K,) of the arm's length, cubic between the shape points."""
+    segments = _segments(pose, fraction)
+    return np.asarray(np.einsum("wk,wkc->kc", _cubic(segments.x)[0], segments.nodes))
 
 
-def arm_slopes(pose: Pose, share: Array) -> Array:
-    """(K, 3, L) change of `arm_points`, at the same part of an arm whose length changes too."""
-    k, h, x, nodes = _between(pose, share)
+def arm_slopes(pose: Pose, fraction: Array) -> Array:
+    """Derivatives (K, 3, L) of `arm_points` at fixed fractions of the length, which changes too."""
+    k, h, x, nodes = _segments(pose, fraction)
     position, turn, arc = pose.shape_slopes
     tangent = pose.arm.frame[:, :, 2]
     weights, rates = _cubic(x)
@@ -76,51 +88,53 @@ def arm_slopes(pose: Pose, share: Array) -> Array:
         # A turn vector w moves a tangent t by w x t = -[t] w.
         turned = -hat(tangent[end]) @ turn[end]
         moved = moved + w[:, None, None] * (h[:, None, None] * turned + tangent[end][:, :, None] * dh[:, None, :])
-    # x = (share L - s_k) / h: at a fixed share of a length that changes, x changes too.
-    dx = (share[:, None] * arc[-1] - arc[k] - x[:, None] * dh) / h[:, None]
+    # x = (fraction L - s_k) / h: at a fixed fraction of a length that changes, x changes too.
+    dx = (fraction[:, None] * arc[-1] - arc[k] - x[:, None] * dh) / h[:, None]
     return np.asarray(moved + np.einsum("wk,wkc->kc", rates, nodes)[:, :, None] * dx[:, None, :])
 
 
 # From 1: the point at the plate is the same for all designs.
-SHARES = (np.arange(CLEARANCES * WITHIN) + 1) / (CLEARANCES * WITHIN)
+FRACTIONS = (np.arange(CLEARANCES * WITHIN) + 1) / (CLEARANCES * WITHIN)
 
 
 def arm_clearance(pose: Pose, body: Any, chain: Array, thicker: Array, ended: Array) -> tuple[Array, Array]:
-    """Distance (CLEARANCES,) of the arm's surface from a body where it is least in each part of the arm, m, less what
-    the arm is held off, and its change (.., X).
+    """Smallest distance (CLEARANCES,) of the arm's surface from a body in each part of the arm, minus HELD_OFF, m.
+
+    The second value is its derivative (CLEARANCES, X).
 
     `chain` (Q, X) takes the directions of the pose to the unknowns; `thicker` and `ended` (n, X) are the changes of the
     radii of the tubes and of their ends.
     """
-    radius, rounder = _radius(pose, thicker, ended, pose.shape_slopes[2][-1] @ chain)
-    points = arm_points(pose, SHARES)
-    room = body.signed_distance(points) - radius - HELD_OFF
-    # The least of several points has the slope of the point where it is reached.
-    worst = room.reshape(CLEARANCES, WITHIN).argmin(1) + WITHIN * np.arange(CLEARANCES)
-    local = np.einsum("kc,kcl->kl", body.gradient(points[worst]), arm_slopes(pose, SHARES[worst]))
-    return room[worst], local @ chain - rounder[worst]
+    radius, rounder = _radius(pose, thicker, ended, pose.shape_slopes.arc_length[-1] @ chain)
+    points = arm_points(pose, FRACTIONS)
+    distance = body.signed_distance(points) - radius - HELD_OFF
+    # The minimum over several points has the slope of the point where it is reached.
+    worst = distance.reshape(CLEARANCES, WITHIN).argmin(1) + WITHIN * np.arange(CLEARANCES)
+    local = np.einsum("kc,kcl->kl", body.gradient(points[worst]), arm_slopes(pose, FRACTIONS[worst]))
+    return distance[worst], local @ chain - rounder[worst]
 
 
 def _radius(pose: Pose, thicker: Array, ended: Array, longer: Array) -> tuple[Array, Array]:
-    """Radius (K,) of the arm at SHARES of its length, and its change (K, X) by those of the radii and the ends of the
-    tubes, (n, X), and of its length (X,).
+    """Radius (K,) of the arm at FRACTIONS of its length, and its derivative (K, X).
+
+    `thicker` and `ended` (n, X) are the derivatives of the radii and ends of the tubes, `longer` (X,) of the length.
 
     Beyond its end a tube's radius runs out over RAMP, so that the radius is continuous, and never too small.
     """
     radii = np.array([tube.outer_diameter / 2 for tube in pose.solved.member.robot.tubes])
-    share = SHARES[:, None]
-    beyond = (share * pose.arm.arc_length[-1] - pose.problem.assembly.end) / RAMP
+    fraction = FRACTIONS[:, None]
+    beyond = (fraction * pose.arm.arc_length[-1] - pose.problem.assembly.end) / RAMP
     ramp = np.clip(beyond, 0.0, 1.0)
     # Each radius falls to that of the innermost tube: at least that is left of the arm everywhere.
     each = radii - (radii - radii[0]) * ramp
     tube = each.argmax(1)
-    k = np.arange(len(SHARES))
+    k = np.arange(len(FRACTIONS))
     thin = ramp[k, tube, None]
     change = thin * thicker[0] + (1 - thin) * thicker[tube]
     # The slope jumps at both ends of a ramp; there 0 is taken, the value outside of it.
     sloping = (beyond[k, tube] > 0) & (beyond[k, tube] < 1)
     rate = np.where(sloping, (radii[0] - radii[tube]) / RAMP, 0.0)
-    return each[k, tube], change + rate[:, None] * (share * longer - ended[tube])
+    return each[k, tube], change + rate[:, None] * (fraction * longer - ended[tube])
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,21 +146,21 @@ class Twist:
 
 
 class _Draft(ConcentricRobot):
-    """Tubes that a design tries, which need not nest yet."""
+    """Robot of a trial design, whose tubes need not nest."""
 
     def __post_init__(self) -> None:
         pass
 
 
 def _placed(tubes: Sequence[Tube], rotations: Array, translations: Array) -> Unloaded:
-    """The problem of tubes at joint values, which is not kept: a design tries others every time."""
+    """Torsion problem of tubes at joint values, not cached: every design has other tubes."""
     assembly = assemble(tubes, translations)
     problem = reduced_assembly(assembly)
     return Unloaded(_Draft(tuple(tubes)), problem, rotations, tuple(translations.tolist()))
 
 
 def solve_pose(tubes: Sequence[Tube], rotations: Array, translations: Array, guess: Twist | None = None) -> PlainPoint:
-    """The equilibrium near `guess`, or the one that descent reaches from tubes without torsion."""
+    """Equilibrium near `guess`, or the result of descent from tubes without torsion."""
     member = _placed(tubes, rotations, translations)
     problem = member.problem
     if guess is not None and len(guess.fraction) and problem.size:
@@ -163,24 +177,37 @@ def solve_pose(tubes: Sequence[Tube], rotations: Array, translations: Array, gue
 
 
 def without_solving(tubes: Sequence[Tube], translations: Array) -> PlainPoint:
-    """The problem at given translations, for what does not depend on the rotations: the certificate."""
+    """Unsolved pose at given translations, for the certificate, which does not depend on the rotations."""
     member = _placed(tubes, np.zeros(len(tubes)), translations)
     return Point(0.0, member, member.at(np.zeros(member.problem.size)), 1.0)
 
 
 def moving(rows: Array) -> tuple[Array, Array]:
-    """(L, Q) the directions of rows (L, X) in which anything changes, and (Q, X) the unknowns of these: derivatives
-    along them, times the second, are those by all unknowns."""
+    """Nonzero columns (L, Q) of derivatives (L, X), and the selection (Q, X) of their unknowns.
+
+    Derivatives along the columns, times the selection, are derivatives by all unknowns.
+    """
     columns = np.flatnonzero(rows.any(0))
     # Derivatives cost as much as there are directions: unknowns that move nothing are left out.
     return rows[:, columns], np.eye(rows.shape[1])[columns]
 
 
-class Pose:
-    """A solved pose: values at once; derivatives where they are asked for, (.., L) by what `wrt` names of PARAMETERS,
-    n columns each, then by what `more` says that changes; or by the directions `along` (L, Q) in place of these.
+class ShapeSlopes(NamedTuple):
+    """Derivatives of position, frame and arc length of m shape points."""
 
-    n tubes, m shape points.
+    position: Array
+    """Shape (m, 3, L), m."""
+    turn: Array
+    """Rotation vectors (m, 3, L) of the frame, rad."""
+    arc_length: Array
+    """Shape (m, L), m."""
+
+
+class Pose:
+    """Solved pose of n tubes with m shape points; derivatives are computed on first use.
+
+    Derivatives (.., L) are by the PARAMETERS in `wrt`, n columns each, then by the changes of sections that `more`
+    returns; or along the directions `along` (L, Q).
     """
 
     def __init__(
@@ -195,13 +222,13 @@ class Pose:
 
     @cached_property
     def arm(self) -> ArmShape:
-        """The shape."""
+        """Shape of the arm."""
         solved = self.solved
         return evaluate_arm(self.problem, solved.member.rotations, solved.state, solved.torsion)
 
     @property
     def twist(self) -> Twist:
-        """Guess for a pose close by."""
+        """Guess for a nearby pose."""
         length = max(self.problem.assembly.total_length, 1e-300)
         return Twist(self.problem.arc_length / length, self.solved.state.theta - self.solved.member.rotations)
 
@@ -221,20 +248,20 @@ class Pose:
         return Responsive(self.problem, self.solved.member.rotations, self.solved.state.theta, self.arm)
 
     @property
-    def shape_slopes(self) -> tuple[Array, Array, Array]:
-        """(m, 3, L) change of position and of frame (turn vector), (m, L) of arc length, at the shape points."""
+    def shape_slopes(self) -> ShapeSlopes:
+        """Derivatives of the shape at its points, which move with the lengths."""
         of = self.derivatives
         # `position` is that at a fixed arc length: a shape point also moves along its tangent, by d s. The slope of the
         # tip contains the change of the length already.
         position = of.position + self.arm.frame[:, :, 2, None] * of.moved[:, None]
         position[-1] = of.tip_position
-        return position, of.turned, of.moved
+        return ShapeSlopes(position, of.turned, of.moved)
 
     @cached_property
     def certificate(self) -> tuple[float, Array]:
-        """mu_cert at this pose's translations, and its change (L,), at given rotations.
+        """Certificate mu_cert at the translations of this pose, and its derivative (L,).
 
-        Where two tubes of pieces do better than at their worst it is the margin of the equilibrium that has the least.
+        For two tubes made of pieces it is the smallest margin of all equilibria, which may exceed the bound.
         """
         value, mode, _ = worst_case(self.problem)
         # At its worst the margin is stationary in the rotations: its slope at given rotations is that of the minimum.

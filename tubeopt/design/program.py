@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from .requirements import Coverage, Poses, Reach, Requirement, SnapFree, SnapFre
 from .state import FixedPose, FreePose, Layout, PoseKind, State, Via
 from .task import DesignTask, extreme_lengths
 
-# What task poses must keep where nothing else speaks of snapping.
+# Requirement on task poses if no other one limits the margin.
 STABLE = SnapFreeInUse(0.05, paths=False)
 
 # Objectives whose worst number is bounded by an unknown of its own: its bounds and its size.
@@ -37,40 +38,45 @@ BOUNDED = {
 
 @dataclass(frozen=True)
 class Added:
-    """What exchange has added to a task."""
+    """Worst cases that exchange has added to a task."""
 
     translations: tuple[tuple[float, ...], ...] = ()
-    """(.., n) of the certificate, m."""
-    vias: tuple[tuple[int, int, float], ...] = ()
-    """Points on joint paths: first and second pose, fraction."""
+    """Translations (.., n) of the certificate, m."""
+    vias: tuple[Via, ...] = ()
+    """Points on joint paths."""
     points: tuple[tuple[tuple[float, ...], ...], ...] = ()
-    """Of each workspace box, m."""
+    """Positions (.., 3) for each workspace box, m."""
 
 
 @dataclass(frozen=True, eq=False)
-class Reached:
-    """A design on the way of a search: x (X,), its objective as minimised, its largest violation, in steps of its
-    limit, and the words of that limit."""
+class PassedDesign:
+    """Design that a search has passed."""
 
     x: Array
+    """Unknowns (X,), SI."""
     objective: float
+    """Minimised value."""
     violation: float
+    """Largest violation, in steps of its limit."""
     worst: str
+    """Name of that limit; "" if none is violated."""
 
     @property
     def order(self) -> tuple[float, float]:
-        """By which the better one comes first."""
+        """Sort key, the better design first."""
         return self.violation, self.objective
 
 
 class Lately:
-    """The state that was asked for last, since several ask for the same one after another, and the best design that a
-    search passed, which is the answer where time ends it; left behind where a program goes to another process. Older
-    states are not kept: their poses began elsewhere."""
+    """Memory of a search: the last state, and the best design, which is the result if the time limit ends the search.
+
+    Objective and constraints are evaluated at the same x one after the other. Older states are not stored, since their
+    poses started elsewhere. The memory is not sent to other processes.
+    """
 
     def __init__(self) -> None:
         self.state: State | None = None
-        self.best: Reached | None = None
+        self.best: PassedDesign | None = None
 
     def __reduce__(self) -> tuple[type[Lately], tuple[()]]:
         return Lately, ()
@@ -78,43 +84,36 @@ class Lately:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A task with what exchange has added, laid out as unknowns and rows."""
+    """Task and added worst cases as a nonlinear program: unknowns, constraints, objectives."""
 
     task: DesignTask
     added: Added
     layout: Layout
     own: tuple[tuple[int, ...], ...]
-    """For every requirement, the poses that are its own."""
+    """Numbers of the poses that belong to each requirement."""
     stated: tuple[tuple[Statement, ...], ...]
-    """Every requirement as expressions."""
+    """Limits of each requirement as expressions."""
     aims: dict[AnyObjective, Expression]
-    """The objectives that are expressions."""
+    """Objectives that are expressions; only "change" has none."""
     depth_pose: int | None
-    """That of the objective reach_radius."""
+    """Number of the pose of the objective reach_radius."""
     targets: dict[int, tuple[float, ...]]
-    """What the tip is to reach in every free pose: a point, or a height, m."""
+    """Tip position (3,) or height (1,) of each free pose by its number, m."""
     lower: Array
-    """(X,) SI."""
+    """Lower bounds (X,), SI."""
     upper: Array
-    """(X,) SI."""
+    """Upper bounds (X,), SI."""
     scale: Array
-    """(X,) the size of a change that matters, SI."""
+    """Typical changes (X,), SI."""
     elastic: bool = False
-    """Whether every group of rows has a slack, of which the sum is minimised in place of the objective."""
+    """True if every group of rows has a slack; the sum of slacks is minimised in place of the objective."""
     guesses: dict[PoseNumber, Twist] = field(default_factory=dict)
     lately: Lately = field(default_factory=Lately, init=False, repr=False)
 
     @property
     def task_poses(self) -> tuple[int, ...]:
-        """Numbers of the task poses, without those on the way."""
+        """Numbers of the task poses, without those on joint paths."""
         return tuple(k for k, pose in enumerate(self.layout.poses) if not isinstance(pose, Via))
-
-
-def _all_requirements(task: DesignTask) -> tuple[Requirement, ...]:
-    """Those of the task, and that poses be stable where nothing else says so."""
-    given = task.requirements
-    speaks = of_kind(given, SnapFree) + of_kind(given, SnapFreeInUse)
-    return given if speaks or not task.has_poses else (*given, STABLE)
 
 
 def compile_task(task: DesignTask, added: Added | None = None) -> Program:
@@ -130,68 +129,68 @@ def compile_task(task: DesignTask, added: Added | None = None) -> Program:
         return numbers
 
     targets: dict[int, tuple[float, ...]] = {}
-    for one, points in zip(task.requirements, points_of(task.requirements, added), strict=True):
-        if isinstance(one, Poses):
-            own.append(tuple(range(len(poses), len(poses) + len(one.rotations))))
-            poses.extend(FixedPose(*pair) for pair in zip(one.rotations, one.translations, strict=True))
+    for requirement, points in zip(task.requirements, points_of(task.requirements, added), strict=True):
+        if isinstance(requirement, Poses):
+            own.append(tuple(range(len(poses), len(poses) + len(requirement.rotations))))
+            poses.extend(FixedPose(*pair) for pair in zip(requirement.rotations, requirement.translations, strict=True))
         else:
             own.append(free(len(points)))
             targets |= dict(zip(own[-1], points, strict=True))
-    deep = [one for one in task.built_in if one.kind == "reach_radius"]
+    deep = [objective for objective in task.built_in if objective.kind == "reach_radius"]
     depth_pose = free(1)[0] if deep else None
     if depth_pose is not None:
         targets[depth_pose] = (float(deep[0].depth or 0.0),)
     certified = _certified(task, added)
-    stated, aims = _recorded(task, added, own, (len(poses), depth_pose, certified))
+    stated, aims = _recorded(task, added, own, len(poses), depth_pose, certified)
     # Last, so that the numbers of the task poses stay as exchange adds points of joint paths.
-    poses.extend(Via(*via) for via in added.vias)
-    kinds = [one.kind for one in task.built_in]
+    poses.extend(added.vias)
+    kinds = [objective.kind for objective in task.built_in]
     auxiliary = tuple(kind for kind in BOUNDED if kind in kinds)
     layout = Layout(task.space, tuple(poses), certified, auxiliary)
-    lower, upper, scale = _bounds(task, layout)
-    return Program(task, added, layout, tuple(own), stated, aims, depth_pose, targets, lower, upper, scale)
+    return Program(task, added, layout, tuple(own), stated, aims, depth_pose, targets, *_bounds(task, layout))
 
 
 def _recorded(
     task: DesignTask,
     added: Added,
     own: Sequence[tuple[int, ...]],
-    about: tuple[int, int | None, tuple[tuple[float, ...], ...]],
+    count: int,
+    depth_pose: int | None,
+    certified: tuple[tuple[float, ...], ...],
 ) -> tuple[tuple[tuple[Statement, ...], ...], dict[AnyObjective, Expression]]:
-    """Requirements and objectives as expressions; `about` is the number of task poses, the pose of reach_radius, and
-    the translations of the certificate."""
-    count, depth_pose, certified = about
+    """Requirements and objectives as expressions, for `count` task poses and translations of the certificate."""
     pieces = [len(tube.pieces) or 1 for tube in task.space.robot_tubes]
-    posed, passed = tuple(range(count)), tuple(range(count + len(added.vias)))
+    task_poses, all_poses = tuple(range(count)), tuple(range(count + len(added.vias)))
     stated = []
-    requirements = _all_requirements(task)
-    for number, (one, points) in enumerate(zip(requirements, points_of(requirements, added), strict=True)):
-        match one:
+    requirements = task.requirements
+    if task.has_poses and not any(isinstance(each, SnapFree | SnapFreeInUse) for each in requirements):
+        requirements = (*requirements, STABLE)
+    for number, (requirement, points) in enumerate(zip(requirements, points_of(requirements, added), strict=True)):
+        match requirement:
             case Coverage() | Reach():
-                stated.append(statements(one, pieces, own[number], points))
+                stated.append(statements(requirement, pieces, own[number], points))
             case SnapFreeInUse():
-                stated.append(statements(one, pieces, passed))
+                stated.append(statements(requirement, pieces, all_poses))
             case _:
-                stated.append(statements(one, pieces, posed, certified))
+                stated.append(statements(requirement, pieces, task_poses, certified))
     aims = {}
     for wanted in task.objectives:
-        on_the_way = isinstance(wanted, Objective) and wanted.kind not in POSED
-        found = aim(wanted, pieces, passed if on_the_way else posed, certified, depth_pose)
-        if found is not None:
-            aims[wanted] = found
+        on_paths = isinstance(wanted, Objective) and wanted.kind not in POSED
+        expression = aim(wanted, pieces, all_poses if on_paths else task_poses, certified, depth_pose)
+        if expression is not None:
+            aims[wanted] = expression
     return tuple(stated), aims
 
 
 def points_of(requirements: Sequence[Requirement], added: Added) -> list[Points]:
-    """The points that the tip is to reach for every requirement: of a box its corners, or what exchange has made of
-    them; () of those that ask for none."""
+    """Target positions of every requirement: for a box its corners, or those with the points added by exchange."""
     boxes = iter(added.points)
     out: list[Points] = []
-    for one in requirements:
-        if isinstance(one, Coverage):
-            out.append(next(boxes, corners(one)))
+    for requirement in requirements:
+        if isinstance(requirement, Coverage):
+            out.append(next(boxes, corners(requirement)))
         else:
-            out.append([target.position for target in one.targets] if isinstance(one, Reach) else [])
+            out.append([target.position for target in requirement.targets] if isinstance(requirement, Reach) else [])
     return out
 
 
@@ -201,25 +200,33 @@ def corners(box: Coverage) -> tuple[tuple[float, ...], ...]:
 
 
 def _certified(task: DesignTask, added: Added) -> tuple[tuple[float, ...], ...]:
-    found: list[tuple[float, ...]] = []
-    for one in of_kind(task.requirements, SnapFree):
-        if one.translations is not None:
-            found.extend(one.translations)
-        if one.box is not None:
+    rows: list[tuple[float, ...]] = []
+    for requirement in of_kind(task.requirements, SnapFree):
+        if requirement.translations is not None:
+            rows.extend(requirement.translations)
+        if requirement.box is not None:
             # Two opposite corners begin the exchange, which adds the worst translations inside.
-            found.extend([one.box[0], one.box[1]])
-        if not found:
+            rows.extend([requirement.box[0], requirement.box[1]])
+        if not rows:
             # Without translations and without a box the robot is certified at home.
-            found.append((0.0,) * task.robot.n_tubes)
+            rows.append((0.0,) * task.robot.n_tubes)
     # Without duplicates: equal rows would be active twice.
-    return tuple(dict.fromkeys([*found, *added.translations]))
+    return tuple(dict.fromkeys([*rows, *added.translations]))
 
 
-def _bounds(task: DesignTask, layout: Layout) -> tuple[Array, Array, Array]:
+class _Bounds(NamedTuple):
+    """Bounds and typical changes (X,) of the unknowns, SI."""
+
+    lower: Array
+    upper: Array
+    scale: Array
+
+
+def _bounds(task: DesignTask, layout: Layout) -> _Bounds:
     space, n = layout.space, layout.n
     low_tubes = np.array([tube.length for tube in space.tubes(space.start)])
-    most = extreme_lengths(task, "upper")
-    high_tubes = most["straight_length"] + most["curved_length"]
+    longest = extreme_lengths(task, "upper")
+    high_tubes = longest["straight_length"] + longest["curved_length"]
     turns = np.array(task.robot.limits.rotations)
     # beta is minus the length of a tube behind the plate: from all of the longest possible tube to nothing. Changes
     # that matter are 1 rad and a fifth of a tube, which may have length 0.
@@ -230,18 +237,17 @@ def _bounds(task: DesignTask, layout: Layout) -> tuple[Array, Array, Array]:
     )
     auxiliary = np.reshape([BOUNDED[name] for name in layout.auxiliary], (-1, 3)).T
     parts = zip((space.lower, space.upper, space.scale), of_a_pose, auxiliary, strict=True)
-    lower, upper, scale = (np.concatenate([own, *[joints] * layout.free_poses, more]) for own, joints, more in parts)
-    return lower, upper, scale
+    return _Bounds(*(np.concatenate([own, *[joints] * layout.free_poses, more]) for own, joints, more in parts))
 
 
 def recompiled(task: DesignTask, near: Program) -> Program:
-    """The program of a task with the added cases of another one, and what is known of its poses."""
+    """Program of a task with the added cases and the pose guesses of another program."""
     # A copy of the guesses: neither program may move the starts of the other.
     return replace(compile_task(task, near.added), guesses=dict(near.guesses))
 
 
 def slack_name(k: int) -> str:
-    """Name of the auxiliary unknown by which the k-th group of rows is eased, in steps of its limit."""
+    """Name of the slack of the k-th group of rows, in steps of its limit."""
     return f"slack {k}"
 
 

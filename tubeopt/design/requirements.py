@@ -24,10 +24,10 @@ from ..robots.order import last_tube
 from ..robots.tubes import Tube
 from ..typing import Array, Mask
 
-# Of the arm's length, at which a deployment is looked at.
+# Fractions of the arm's length at which a deployment is checked.
 SHARES = (0.25, 0.5, 0.75)
 
-# Of an arm that is drawn back, where its distance from the whole one counts.
+# Fractions of a withdrawn arm at which its distance from the whole arm is checked.
 ALONG = (0.5, 0.75, 1.0)
 
 
@@ -35,9 +35,9 @@ class Retracted(NamedTuple):
     """An arm whose tubes are withdrawn so that it has a fraction of its length."""
 
     translations: Array
-    """(n,) m."""
+    """Translations (n,), m."""
     withdrawn: Mask
-    """(n,) which tubes are withdrawn for that: those that end beyond the fraction."""
+    """Mask (n,) of the tubes that end beyond the fraction and are withdrawn."""
     last: int
     """The tube that ends last."""
 
@@ -134,7 +134,7 @@ class SnapFree(Displayed):
         return 1 - (1 - self.margin) / self.growth
 
     def eased(self, amount: float) -> SnapFree:
-        """The requirement with its floor lowered by so much."""
+        """Requirement with its floor lowered by `amount`."""
         return replace(self, margin=1 - (1 - self.floor + amount) * self.growth)
 
 
@@ -157,7 +157,7 @@ class SnapFreeInUse:
 class Strain:
     """Largest bending strain of every tube: held straight, and at every task pose, r |u - u*| / (1 - r |u*|).
 
-    Nothing is said of the ways between poses.
+    Joint paths between poses are not checked.
     """
 
     limits: Annotated[
@@ -181,7 +181,7 @@ class Strain:
 
 @dataclass(frozen=True)
 class Nesting(Checked):
-    """Every tube fits into the next with at least this difference of diameters, m."""
+    """Smallest difference of diameters, m, between a tube and the tube around it."""
 
     clearance: Annotated[
         float,
@@ -195,7 +195,7 @@ class Nesting(Checked):
 
 @dataclass(frozen=True)
 class Wall(Checked):
-    """Every tube has at least this wall thickness, m."""
+    """Smallest wall thickness of all tubes, m."""
 
     thickness: Annotated[float, key("wall_mm"), POSITIVE, Typical(1e-5, 0.01), "smallest wall thickness"]
     _owner = "a wall"
@@ -206,7 +206,7 @@ LENGTHS = ("length", "straight_length", "curved_length")
 
 @dataclass(frozen=True)
 class Length:
-    """A length (overall, straight or curved) of one tube (from 0) is at most `limit`, m, or at least with `least`."""
+    """Largest length (overall, straight or curved) of one tube (from 0), m; with `least` the smallest length."""
 
     field: str
     tube: int
@@ -222,7 +222,7 @@ class Length:
 
 @dataclass(frozen=True)
 class Stroke(Checked):
-    """No carriage travels more than this between any two task poses, m."""
+    """Largest travel of a carriage between any two task poses, m."""
 
     limit: Annotated[
         float, key("stroke_mm"), POSITIVE, Typical(1e-4, 5.0), "largest travel of a carriage between task poses"
@@ -232,8 +232,7 @@ class Stroke(Checked):
 
 @dataclass(frozen=True)
 class StrokeForce:
-    """At every task pose, all of which have given joint values, the tip can push along itself with this force, N,
-    before the arm buckles or snaps."""
+    """Smallest force along the tip, N, at which the arm buckles or snaps in a task pose with given joint values."""
 
     limit: Annotated[float, key("stroke_force_mN"), POSITIVE, "smallest axial tip force that every pose must withstand"]
 
@@ -319,7 +318,7 @@ class Poses:
 
 
 def deviations(q: Quantities, poses: Sequence[int]) -> Any:
-    """Gaps between arms on their way out to poses and where the whole arm will be: (3 K,), m, one after the other."""
+    """Vectors (3 K,), m, from the fully deployed arm to partly deployed arms of all poses, one after the other."""
     return ca.vertcat(
         *(
             q.poses[k].drawn(share).position(along) - q.poses[k].position(share * along)
@@ -332,8 +331,11 @@ def deviations(q: Quantities, poses: Sequence[int]) -> Any:
 
 @dataclass(frozen=True)
 class Deployment(Checked, CustomRequirement):
-    """On its way out to every task pose, its tubes drawn back straight, the arm lies where the whole arm will be: to
-    within `limit`, m, at SHARES of its length, ALONG it."""
+    """Largest distance, m, of the partly deployed arm from the fully deployed arm, for every task pose.
+
+    The arm is deployed along straight lines in translation. It is checked at the fractions SHARES of its length, at the
+    fractions ALONG of each partly deployed arm.
+    """
 
     limit: Annotated[
         float,
@@ -346,21 +348,21 @@ class Deployment(Checked, CustomRequirement):
     _owner = words
 
     def expression(self, q: Quantities) -> Any:
-        """What is left of the limit, of every place."""
+        """Limit minus the distance, at every checked point."""
         gaps = ca.reshape(deviations(q, range(len(q.poses))), 3, -1)
         return self.limit - ca.sqrt(ca.sum1(gaps**2).T + ROUNDED**2)
 
 
-# Length (m) within which what may be 0 is rounded off: the norm has no derivative there.
+# Length (m) by which norms are smoothed at 0, where they have no derivative.
 ROUNDED = 1e-6
 
 
 @dataclass(frozen=True)
 class Avoid:
-    """At every task pose the whole arm, with its thickness, is at least `clearance` (m) away from every obstacle; with
-    `deployed` also on its way out to the pose, its tubes drawn back straight, at the SHARES of its length.
+    """Smallest distance (m) of the arm's surface from all obstacles at every task pose.
 
-    Nothing is said of the ways between poses: `plan_trajectory` finds and proves such.
+    With `deployed` also for partly deployed arms, at the fractions SHARES of the length. Joint paths between poses are
+    not checked: `plan_trajectory` finds and proves them.
     """
 
     obstacles: tuple[Obstacle, ...]
@@ -375,11 +377,11 @@ class Avoid:
         instance("deployed", self.deployed, bool)
 
     def signed_distance(self, points: Array) -> Array:
-        """(m,) distance of points (m, 3) from the nearest obstacle, m, < 0 inside."""
+        """Distances (m,) of points (m, 3) from the nearest obstacle, m, < 0 inside."""
         return scene_of(self.obstacles).nearest(points)
 
     def gradient(self, points: Array) -> Array:
-        """(m, 3) of `signed_distance`."""
+        """Gradients (m, 3) of `signed_distance`."""
         return scene_of(self.obstacles).gradient(points)
 
 
@@ -409,9 +411,9 @@ Requirement = (
     | Avoid
     | CustomRequirement
 )
-"""Anything that a design may have to keep."""
+"""Requirement on a design."""
 
 
 def of_kind(requirements: Sequence[Requirement], kind: type[Any]) -> list[Any]:
     """Requirements of one kind, in order."""
-    return [one for one in requirements if isinstance(one, kind)]
+    return [requirement for requirement in requirements if isinstance(requirement, kind)]

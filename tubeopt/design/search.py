@@ -1,12 +1,15 @@
-"""Designs for what has no derivative, as what planning finds out about a robot, or about two: simplex searches over the
-free dimensions (Nelder and Mead 1965) from several starts, within the requirements of a task each."""
+"""Design for goals without derivatives, such as the reachable share of a region, of one robot or two.
+
+Simplex searches over the free dimensions (Nelder and Mead 1965) from several starts, within the requirements of a task.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import chain
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -24,7 +27,7 @@ from .infeasibility import best_of
 from .objectives import Objective
 from .optimize import DesignSolution, DesignStatus, solution_of
 from .program import Program, compile_task
-from .requirements import SnapFree
+from .requirements import SnapFree, of_kind
 from .solve import multistart, rank, start_values, to_feasibility
 from .task import DesignTask
 
@@ -36,80 +39,80 @@ SIMPLEX_STEP = 0.2
 SIMPLEX_SIZE = 1e-3
 
 
-class _Asked(Protocol):
+class _Score(Protocol):
     @property
     def words(self) -> str:
-        """What its value is called."""
+        """Name of the value."""
 
     @property
     def ranges(self) -> Array:
-        """(k, 2) least and greatest of its own numbers, SI."""
+        """Ranges (k, 2) of further unknowns, such as the place of a base plate, SI."""
 
 
-class Wanted(_Asked, Protocol):
-    """What is asked of a robot, and of numbers of its own (k,), as where a plate stands, which begin as 0."""
+class Wanted(_Score, Protocol):
+    """Goal for one robot and k further unknowns, which start at 0."""
 
     def __call__(self, robot: ConcentricRobot, own: Array) -> tuple[float, float]:
-        """A score from 0, at best, to 1, which tells neighbours apart, and the value, of which more is better.
+        """Score from 0 (best) to 1, which must differ between neighbours, and the value, of which more is better.
 
         Raises:
-            InputError, SolveError: of this robot nothing can be told, which is the worst.
+            InputError, SolveError: the robot cannot be evaluated. It counts as the worst.
         """
 
 
-class WantedOfPair(_Asked, Protocol):
-    """What is asked of two robots, as `Wanted` of one."""
+class WantedOfPair(_Score, Protocol):
+    """Goal for two robots and k further unknowns, like `Wanted` for one."""
 
     def __call__(self, one: ConcentricRobot, other: ConcentricRobot, own: Array) -> tuple[float, float]:
-        """Score and value, as of `Wanted`."""
+        """Score and value, as in `Wanted`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Searched(Displayed):
-    """What was found for what has no derivative."""
+    """Result of a search without derivatives."""
 
     _brief = ("wanted", "before", "after", "tried")
 
     wanted: str
-    """What was asked."""
+    """Name of the value."""
     before: float
-    """Its value of what was given."""
+    """Value at the dimensions of the task."""
     after: float
-    """Its value of what was found."""
+    """Value of the best design."""
     own: Array = field(repr=False)
-    """(k,) its own numbers."""
+    """Further unknowns (k,) of the best design, SI."""
     tried: int
-    """Designs, or pairs, that were looked at."""
+    """Number of evaluated designs or pairs."""
     seconds: float
-    """Of all."""
+    """Run time, checks included."""
 
     @property
     def statistics(self) -> int:
-        """How many were looked at."""
+        """Number of evaluated designs or pairs."""
         return self.tried
 
 
 @dataclass(frozen=True, eq=False)
 class SearchedDesign(Searched):
-    """The best design that was found for what has no derivative."""
+    """Best design of a search without derivatives."""
 
     solution: DesignSolution
-    """The design, its requirements checked again by other code."""
+    """Design whose requirements independent code has checked."""
 
     status = Delegate[DesignStatus]("solution")
 
     @property
     def value(self) -> ConcentricRobot:
-        """The designed robot."""
+        """Designed robot."""
         return self.solution.robot
 
 
 @dataclass(frozen=True, eq=False)
 class SearchedPair(Searched):
-    """The best two robots that were found for what has no derivative."""
+    """Best two robots of a search without derivatives."""
 
     solutions: tuple[DesignSolution, DesignSolution]
-    """The designs, the requirements of each checked again by other code."""
+    """Designs whose requirements independent code has checked."""
 
     @property
     def value(self) -> tuple[ConcentricRobot, ConcentricRobot]:
@@ -119,107 +122,107 @@ class SearchedPair(Searched):
     @property
     def status(self) -> DesignStatus:
         """Result of the final check of both robots; the status of the one that fails, if any."""
-        one, other = (solution.status for solution in self.solutions)
-        return one if other is DesignStatus.KEPT else other
-
-
-class Budget(NamedTuple):
-    """Effort of a search without derivatives."""
-
-    seconds: float
-    """Search time, s, shared by all starts."""
-    starts: int
-    seed: int
-    turns: int
-    """Random full turns of the final check."""
+        first, second = (solution.status for solution in self.solutions)
+        return first if second is DesignStatus.KEPT else second
 
 
 class _EndError(Exception):
     """The time limit is reached, or no better score is possible."""
 
 
+class _Designs(NamedTuple):
+    """Point of the search space, SI."""
+
+    dimensions: list[Array]
+    """Free dimensions (D,) of each robot."""
+    own: Array
+    """Further unknowns (k,)."""
+
+
 @dataclass(eq=False)
-class _Search:
-    """Scores at places u (D + k,) of the unit cube, and the best of them: of the dimensions of all programs, then of
-    the own numbers of what is wanted."""
+class _SimplexSearch:
+    """Nelder-Mead search over the unit cube of all unknowns: dimensions of each robot, then further unknowns."""
 
     programs: tuple[Program, ...]
-    wanted: Any
+    goal: Any
+    progress: Progress | None = None
     until: float = 0.0
+    """Clock time at which the current search ends, s."""
     tried: int = 0
     score: float = np.inf
     value: float = np.nan
-    best: Array | None = None
-    progress: Callable[[int], object] | None = None
+    best: _Designs | None = None
+    """Designs with the smallest score so far."""
 
     @property
     def ranges(self) -> Array:
-        """(D + k, 2) of all unknowns."""
+        """Bounds (D + k, 2) of all unknowns."""
         spaces = [program.layout.space for program in self.programs]
-        own = np.reshape(np.asarray(self.wanted.ranges, dtype=float), (-1, 2))
+        own = np.reshape(np.asarray(self.goal.ranges, dtype=float), (-1, 2))
         return np.concatenate([*(np.column_stack([space.lower, space.upper]) for space in spaces), own])
 
-    def from_unit(self, u: Array) -> tuple[list[Array], Array]:
-        """Dimensions of each robot, and own numbers, SI, at a point of the unit cube."""
+    def from_unit(self, u: Array) -> _Designs:
+        """Designs at a point of the unit cube."""
         low, high = self.ranges.T
         # Clipped, since `to_unit` may leave the cube by round-off.
         x = low + np.clip(u, 0.0, 1.0) * (high - low)
-        *designs, own = np.split(x, np.cumsum([program.layout.designs for program in self.programs]))
-        return designs, own
+        *dimensions, own = np.split(x, np.cumsum([program.layout.designs for program in self.programs]))
+        return _Designs(dimensions, own)
 
-    def to_unit(self, designs: Sequence[Array], own: Array) -> Array:
-        """Point of the unit cube of dimensions and own numbers, SI."""
+    def to_unit(self, at: _Designs) -> Array:
+        """Point of the unit cube of designs."""
         low, high = self.ranges.T
         # A range without width has no unit: its coordinate is 0, not 0 / 0.
-        return np.asarray((np.concatenate([*designs, own]) - low) / np.where(high > low, high - low, 1.0))
+        return np.asarray((np.concatenate([*at.dimensions, at.own]) - low) / np.where(high > low, high - low, 1.0))
 
     def __call__(self, u: Array) -> float:
-        """The score: beyond 1 where a requirement is not kept."""
+        """Score at a point of the unit cube; above 1 if a requirement is violated."""
         # 0 is the best score that `Wanted` allows, so nothing is left to search.
         if time.perf_counter() > self.until or self.score == 0:
             raise _EndError
         self.tried += 1
         if self.progress is not None:
-            self.progress(self.tried)
-        designs, own = self.from_unit(u)
+            self.progress(self.tried, 0)
+        at = self.from_unit(u)
         # Requirements come before the score: they need no planning. Their score is graded by the violation, from 1 to
         # 2, so that the simplex finds back to designs that satisfy them.
-        short = max(violation(program, x) for program, x in zip(self.programs, designs, strict=True))
-        if short > FEASIBLE:
-            return 1.0 + min(short, 1.0)
-        score, value = self.score_of(designs, own)
+        worst = max(violation(program, x) for program, x in zip(self.programs, at.dimensions, strict=True))
+        if worst > FEASIBLE:
+            return 1.0 + min(worst, 1.0)
+        score, value = self.evaluate(at)
         if score < self.score:
-            self.score, self.value, self.best = score, value, np.clip(u, 0.0, 1.0)
+            self.score, self.value, self.best = score, value, at
         return score
 
-    def score_of(self, designs: Sequence[Array], own: Array) -> tuple[float, float]:
-        """Score and value of designs that keep their requirements."""
+    def evaluate(self, at: _Designs) -> tuple[float, float]:
+        """Score and value of designs that satisfy their requirements."""
         try:
-            robots = [robot_at(program, x) for program, x in zip(self.programs, designs, strict=True)]
-            score, value = self.wanted(*robots, own)
+            robots = [robot_at(program, x) for program, x in zip(self.programs, at.dimensions, strict=True)]
+            score, value = self.goal(*robots, at.own)
         except (InputError, SolveError):
             # The worst score among designs that satisfy the requirements, still below that of any other design.
             return 1.0, 0.0
         return float(score), float(value)
 
-    def descend(self, u: Array, until: float) -> None:
-        """Simplex searches, each from the end of the one before, while they improve the score."""
+    def minimise_from(self, start: _Designs, until: float) -> None:
+        """Repeat simplex searches, each from the end of the previous one, while they improve the score."""
         # A simplex that is pressed against a requirement becomes flat, and cannot move along it: a new one can.
-        self.until, before = until, np.inf
-        # scipy stops where both are satisfied: the simplex is small, and all its scores are equal. The counts are out
-        # of reach, so that only the time limit ends a search early.
-        options = {"xatol": SIMPLEX_SIZE, "fatol": 0.0, "maxfev": 10**6, "maxiter": 10**6}
+        self.until, previous, u = until, np.inf, self.to_unit(start)
         bounds = [(0.0, 1.0)] * len(u)
         with suppress(_EndError):
             while True:
                 # Edges point into the cube, down from the upper half of a range: the bounds shorten none of them.
                 simplex = np.vstack([u, u + np.diag(SIMPLEX_STEP * np.where(u > 0.5, -1, 1))])
-                some = {**options, "initial_simplex": simplex}
-                found = scipy.optimize.minimize(self, u, method="Nelder-Mead", bounds=bounds, options=some)
+                # scipy stops where both are satisfied: the simplex is small, and all its scores are equal. The counts
+                # are out of reach, so that only the time limit ends a search early.
+                options = {"xatol": SIMPLEX_SIZE, "fatol": 0.0, "maxfev": 10**6, "maxiter": 10**6}
+                end = scipy.optimize.minimize(
+                    self, u, method="Nelder-Mead", bounds=bounds, options={**options, "initial_simplex": simplex}
+                )
                 # `not <` in place of `>=`: a score that is NaN ends the search too.
-                if not found.fun < before - SIMPLEX_SIZE:
+                if not end.fun < previous - SIMPLEX_SIZE:
                     break
-                u, before = found.x, float(found.fun)
+                u, previous = end.x, float(end.fun)
 
 
 @renamed(seconds="time_limit")
@@ -262,9 +265,9 @@ def search_design(
         >>> tubeopt.search_design(task, wanted, time_limit=10).after
         1.0
     """
+    search = partial(_search, starts=starts, seed=seed, turns=turns, progress=progress)
     limit = positive("time_limit", time_limit) + TIME_LIMIT
-    budget = Budget(time_limit, starts, seed, turns)
-    (solution,), result = without_derivatives((task,), wanted, budget, progress, time_limit=limit)
+    (solution,), result = search((task,), wanted, search_time=time_limit, time_limit=limit)
     return SearchedDesign(**vars(result), solution=solution)
 
 
@@ -281,17 +284,17 @@ def search_pair(
     turns: int = 6,
     progress: Progress | None = None,
 ) -> SearchedPair:
-    """The best two robots for what has no derivative, sized together, each within the requirements of its own task.
+    """The best two robots found together for a goal without derivatives, each within the requirements of its own task.
 
     Args:
-        tasks: as of `search_design`, one for each robot.
-        wanted: as `tubeopt.planning.PairReach`.
-        time_limit, starts, seed, turns, progress: as of `search_design`.
+        tasks: one for each robot, as for `search_design`.
+        wanted: the goal, for example `tubeopt.planning.PairReach`.
+        time_limit, starts, seed, turns, progress: as for `search_design`.
 
     Raises:
-        InputError: not two tasks; tasks as `search_design` refuses them; numbers that make no sense.
-        DesignNotFoundError: no start leads to designs that keep the requirements.
-        SolveError: a design breaks a promise when it is checked again.
+        InputError: not two tasks; tasks that `search_design` does not support; numbers out of range.
+        DesignNotFoundError: no start leads to designs that satisfy the requirements.
+        SolveError: a design violates a requirement when it is checked again.
 
     Examples:
         >>> import tubeopt
@@ -308,64 +311,68 @@ def search_pair(
     """
     if not isinstance(tasks, (tuple, list)) or len(tasks) != 2:
         raise InputError(f"tasks are {tasks!r}; they must be two, one for each robot")
+    search = partial(_search, starts=starts, seed=seed, turns=turns, progress=progress)
     limit = positive("time_limit", time_limit) + TIME_LIMIT
-    budget = Budget(time_limit, starts, seed, turns)
-    (one, other), result = without_derivatives(tuple(tasks), wanted, budget, progress, time_limit=limit)
-    return SearchedPair(**vars(result), solutions=(one, other))
+    (first, second), result = search(tuple(tasks), wanted, search_time=time_limit, time_limit=limit)
+    return SearchedPair(**vars(result), solutions=(first, second))
 
 
 @limited
-def without_derivatives(
+def _search(
     tasks: tuple[DesignTask, ...],
     wanted: Wanted | WantedOfPair,
-    budget: Budget,
-    progress: Progress | None,
     *,
+    search_time: float,
+    starts: int,
+    seed: int,
+    turns: int,
+    progress: Progress | None,
     time_limit: float = TIME_LIMIT,
 ) -> tuple[list[DesignSolution], Searched]:
-    """The best designs, one for each task, and their value before and after. The time limit exceeds the search time by
-    the time for the first design and the checks."""
-    seconds, starts, seed, turns = budget
+    """The best designs, one for each task, and the value before and after.
+
+    The time limit exceeds the search time, since it includes the first designs and the final checks.
+    """
     for task in tasks:
         _check(task)
     for name, number, least in (("starts", starts, 1), ("seed", seed, 0), ("turns", turns, 0)):
         whole(name, number, least)
-    began = time.perf_counter()
-    plain = [replace(task, objective=Objective("change")) for task in tasks]
-    programs = tuple(compile_task(task) for task in plain)
-    with within(time_limit - seconds):
-        first = [best_of(multistart(program, starts=1, seed=seed)).x for program in programs]
-    note = None if progress is None else lambda count: progress(count, 0)
-    search = _Search(programs, wanted, progress=note)
-    # Own numbers begin at 0, or at the bound nearest to it.
-    zero = np.clip(np.zeros(len(wanted.ranges)), *np.reshape(wanted.ranges, (-1, 2)).T)
-    with within(time_limit - seconds):
-        _, before = search.score_of([program.layout.space.start for program in programs], zero)
-    drawn = [start_values(program, seed + k, starts)[1:] for k, program in enumerate(programs)]
-    # A generator: this work is done under the search time below, not before it.
-    others = ([to_feasibility(*each) for each in zip(programs, some, strict=True)] for some in zip(*drawn, strict=True))
-    begin = time.perf_counter()
-    with within(seconds), suppress(LateError):
-        for k, designs in enumerate([first, *others]):
+    start_time = time.perf_counter()
+    # Designs that satisfy the requirements near the start: the objective of the task does not count.
+    tasks = tuple(replace(task, objective=Objective("change")) for task in tasks)
+    programs = tuple(compile_task(task) for task in tasks)
+    search = _SimplexSearch(programs, wanted, progress)
+    # Further unknowns start at 0, or at the bound nearest to it.
+    own = np.clip(np.zeros(len(wanted.ranges)), *np.reshape(wanted.ranges, (-1, 2)).T)
+    with within(time_limit - search_time):
+        first = _Designs([best_of(multistart(program, starts=1, seed=seed)).x for program in programs], own)
+    with within(time_limit - search_time):
+        _, before = search.evaluate(_Designs([program.layout.space.start for program in programs], own))
+    draws = zip(*(start_values(program, seed + k, starts)[1:] for k, program in enumerate(programs)), strict=True)
+    # A generator: these starts are made feasible within the search time below, not before it.
+    more = (_Designs([to_feasibility(*pair) for pair in zip(programs, draw, strict=True)], own) for draw in draws)
+    search_start = time.perf_counter()
+    with within(search_time), suppress(LateError):
+        for k, start in enumerate(chain([first], more)):
             # The time that a start leaves over is used by the next ones.
-            search.descend(search.to_unit(designs, zero), begin + seconds * (k + 1) / starts)
+            search.minimise_from(start, search_start + search_time * (k + 1) / starts)
     if search.best is None:  # the time limit came before the first score
-        search.best, (_, search.value) = search.to_unit(first, zero), search.score_of(first, zero)
-    designs, own = search.from_unit(search.best)
-    found = [attempt(program, x) for program, x in zip(programs, designs, strict=True)]
-    solutions = [solution_of(task, (rank([each]), 0), turns, began) for task, each in zip(plain, found, strict=True)]
-    spent = time.perf_counter() - began
-    return solutions, Searched(wanted.words, before, search.value, own, search.tried, spent)
+        search.best, (_, search.value) = first, search.evaluate(first)
+    attempts = [attempt(program, x) for program, x in zip(programs, search.best.dimensions, strict=True)]
+    solutions = [solution_of(task, rank([end]), turns, start_time) for task, end in zip(tasks, attempts, strict=True)]
+    seconds = time.perf_counter() - start_time
+    return solutions, Searched(wanted.words, before, search.value, search.best.own, search.tried, seconds)
 
 
 def _check(task: DesignTask) -> None:
+    """Raise InputError for a task with requirements that this search does not support."""
     instance("task", task, DesignTask)
     if task.has_poses:
         raise InputError(
             "the task has poses; a derivative-free search supports requirements on tubes and certificates only"
         )
-    for one in task.requirements:
-        if isinstance(one, SnapFree) and (one.box is not None or one.max_force):
+    for certificate in of_kind(task.requirements, SnapFree):
+        if certificate.box is not None or certificate.max_force:
             raise InputError(
                 "snap_free has a box or a force; a derivative-free search supports fixed translations without load only"
             )

@@ -1,4 +1,4 @@
-"""What limits a design: prices of active limits, dimensions at a bound, and tubes that it does not need."""
+"""Active limits of a design and their prices, dimensions at a bound, and tubes without effect."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ LEAST_PRICE = 1e-6
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """How the objective changes with one limit that binds, to first order."""
+    """Derivative of the objective by one active limit."""
 
     limit: Limit
-    """What is limited."""
+    """Active limit."""
     derivative: Annotated[float, key("derivative_si"), "derivative of the objective by the limit, both in SI"]
-    """In the objective's own sign; with several objectives, of their weighted sum, as minimised."""
+    """Derivative in the objective's own sign; with several objectives, of their minimised weighted sum."""
     sentence: Annotated[str, key("words"), "gain from relaxing the limit, as text"]
 
 
 def sensitivities(found: Attempt) -> tuple[Sensitivity, ...]:
-    """All limits that bind at an optimum, the dearest first; empty where the design is no optimum to first order."""
+    """Active limits of an optimum, the most expensive first; empty if the design is no optimum to first order."""
     multipliers = _multipliers(found)
     if multipliers is None:
         return ()
@@ -58,8 +58,10 @@ def sensitivities(found: Attempt) -> tuple[Sensitivity, ...]:
 
 
 def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
-    """Multipliers of the rows and of the bounds (> 0 at a lower one): IPOPT's where it converged, else the ones that
-    come closest to the conditions of optimality at the design; None where those do not hold."""
+    """Multipliers of the rows and of the bounds (> 0 at a lower one), from IPOPT if it converged.
+
+    Otherwise those that satisfy the conditions of optimality best at the design; None if it is no optimum.
+    """
     if found.optimum is not None and found.optimum.success:
         return found.optimum.multipliers, found.optimum.bound_multipliers
     program, x = found.program, found.x
@@ -75,8 +77,8 @@ def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
     slope = there.objective[1] * program.scale
     if not matrix.size:
         return None  # nothing is near
-    price, gap = scipy.optimize.nnls(matrix, slope)
-    if gap > OPTIMALITY_GAP * float(np.linalg.norm(slope)):
+    price, residual = scipy.optimize.nnls(matrix, slope)
+    if residual > OPTIMALITY_GAP * float(np.linalg.norm(slope)):
         return None
     out = np.zeros(len(values))
     out[near] = price[: len(near)]
@@ -88,13 +90,13 @@ def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
 
 
 def _bounds(found: Attempt, multipliers: Array) -> list[tuple[Limit, float]]:
-    """Bounds of the dimensions, with what they cost."""
+    """Active bounds of the dimensions, with their prices."""
     space = found.program.layout.space
     out = []
-    for k, (name, one) in enumerate(zip(space.names, space.unknowns, strict=True)):
+    for k, (name, unknown) in enumerate(zip(space.names, space.unknowns, strict=True)):
         price = float(multipliers[k])
         most = price < 0
-        unit, factor = ("", 1.0) if one.scaled else UNITS[one.field]
+        unit, factor = ("", 1.0) if unknown.scaled else UNITS[unknown.field]
         value = float((space.upper if most else space.lower)[k])
         words = f"{'upper' if most else 'lower'} bound of the {name}"
         near = abs(found.x[k] - value) <= 1e-4 * space.scale[k]
@@ -105,12 +107,12 @@ def _bounds(found: Attempt, multipliers: Array) -> list[tuple[Limit, float]]:
 
 
 def _sensitivity(found: Attempt, limit: Limit, price: float) -> Sensitivity:
-    """`price`: how much less the minimised objective gets per SI unit by which the limit is eased."""
+    """Sensitivity to a limit; `price` is the decrease of the minimised objective per SI unit of relaxation."""
     objectives = found.program.task.objectives
     sign = 1.0 if limit.most else -1.0
     if len(objectives) == 1 and objectives[0].weight == 1.0:
-        one = objectives[0]
-        name, unit, factor, direction = one.words, one.unit, one.factor, one.sign
+        objective = objectives[0]
+        name, unit, factor, direction = objective.words, objective.unit, objective.factor, objective.sign
     else:
         name, unit, factor, direction = "weighted objective", "", 1.0, 1
     derivative = -direction * price * sign
@@ -126,30 +128,31 @@ def _sensitivity(found: Attempt, limit: Limit, price: float) -> Sensitivity:
 
 @dataclass(frozen=True)
 class Dimension:
-    """One free dimension."""
+    """Free dimension before and after the design."""
 
     name: Annotated[str, "name of the dimension and its tube"]
     unit: Annotated[str, "unit of its values"]
     before: Annotated[float, form(".5g", label="before"), "value of the given robot"]
     after: Annotated[float, form(".5g", label="after"), "value of the design"]
     bound: str
-    """The bound that it lies on, "lower" or "upper"; "" where on none."""
+    """"lower" or "upper" if the dimension is at that bound, else ""."""
 
 
 def remarks(robot: ConcentricRobot, dimensions: Sequence[Dimension]) -> tuple[str, ...]:
     """Sentences on a designed robot, each with its number."""
-    return (*_at_bounds(dimensions), *_useless(robot))
+    at_bounds = (
+        f"{each.name} lies on its {each.bound} bound, {each.after:.4g} {each.unit}, which the design hangs on"
+        for each in dimensions
+        if each.bound
+    )
+    return (*at_bounds, *_without_effect(robot))
 
 
-def _at_bounds(dimensions: Sequence[Dimension]) -> Iterator[str]:
-    for one in dimensions:
-        if one.bound:
-            yield f"{one.name} lies on its {one.bound} bound, {one.after:.4g} {one.unit}, which the design hangs on"
+def _without_effect(robot: ConcentricRobot) -> Iterator[str]:
+    """Remarks on tubes whose bend moves the arm at home less than the sag of the stiffest tube under its own weight.
 
-
-def _useless(robot: ConcentricRobot) -> Iterator[str]:
-    """Tubes whose bend moves the end of their curved part, at home, by less than the weight of the stiffest tube moves
-    its own: as cantilevers, the curvature kb kappa / sum kb of the tubes that are there, and w L^4 / (8 kb)."""
+    The bend has the curvature kb kappa / sum kb over the tubes at each place, the sag is w L^4 / (8 kb).
+    """
     stiff = np.array([float(tube.bending_stiffness) for tube in robot.tubes])
     stiffest = int(stiff.argmax())
     outer = robot.tubes[stiffest]
@@ -159,7 +162,7 @@ def _useless(robot: ConcentricRobot) -> Iterator[str]:
     sag = mass * GRAVITY * outer.curved_length**4 / (8 * stiff[stiffest])
     ends = np.array([tube.length for tube in robot.tubes]) + robot.home_translations
     for i, tube in enumerate(robot.tubes):
-        moved = _moved(tube, float(ends[i]), ends, stiff)
+        moved = _bend_of(tube, float(ends[i]), ends, stiff)
         if moved < sag:
             yield (
                 f"tube {i + 1} bends the arm by {moved * 1e3:.2g} mm. Tube {stiffest + 1}, the stiffest, sags by "
@@ -167,11 +170,11 @@ def _useless(robot: ConcentricRobot) -> Iterator[str]:
             )
 
 
-def _moved(tube: Tube, end: float, ends: Array, stiff: Array) -> float:
-    """How far, m, the end (m from the plate) of a tube is moved by its bend, tubes of `stiff` lying up to `ends`."""
-    begin = end - tube.curved_length
-    cuts = np.unique(np.clip([begin, *ends, end], begin, end))
-    there = ends > 0.5 * (cuts[1:] + cuts[:-1])[:, None]
-    bend = float(tube.bending_stiffness) * abs(tube.curvature) / (there * stiff).sum(1)
+def _bend_of(tube: Tube, end: float, ends: Array, kb: Array) -> float:
+    """Displacement, m, of the end (m from the plate) of a tube by its bend; kb and `ends` are those of all tubes."""
+    start = end - tube.curved_length
+    cuts = np.unique(np.clip([start, *ends, end], start, end))
+    present = ends > 0.5 * (cuts[1:] + cuts[:-1])[:, None]
+    bend = float(tube.bending_stiffness) * abs(tube.curvature) / (present * kb).sum(1)
     lever = end - cuts
     return float((bend * (lever[:-1] ** 2 - lever[1:] ** 2) / 2).sum())

@@ -1,14 +1,12 @@
-"""Solving a design program from one start or many: joints, feasibility, the optimum, rims of targets, its kinks.
+"""Solve a design program from one start or many.
 
 A start has the dimensions of a design and, for every target, the best of many random joint values. Least squares find
 a feasible design, IPOPT the optimum.
 
-Inside one order of breakpoints everything is smooth in the unknowns; where a section between two of them closes there
-is a kink. Optima often lie on kinks: two tubes that end together, a transition just at the plate. There no gradient
-method converges. So the order is fixed, which makes the lengths of the sections constraints, and swapped where one that
-is closed at the optimum would rather be passed.
-
-Of many starts feasible designs are ranked, and failures counted by what failed.
+The program is smooth within one order of breakpoints, and has a kink where a section between two of them closes. Optima
+often lie on kinks: two tubes that end together, a transition just at the plate. No gradient method converges there. So
+the order is fixed, which makes the lengths of the sections constraints. At the optimum, the order is swapped where the
+multiplier of a closed section shows that the objective decreases beyond it.
 """
 
 from __future__ import annotations
@@ -26,20 +24,20 @@ import scipy
 from ..errors import InputError, SolveError, without_unit_warnings
 from ..robots.limits import JointLimits
 from ..robots.tubes import Tube
-from ..solvers.ipopt import Optimum, Values, minimise, nowhere
+from ..solvers.ipopt import Values, minimise, nowhere
 from ..solvers.parallel import executor, run_all
 from ..solvers.sampling import sobol
 from ..solvers.time_limit import LateError
 from ..typing import Array, Progress
-from .evaluation import FEASIBLE, Attempt, Evaluated, MoreRows, Report, Rows, attempt, cubed, evaluate, prices, squared
+from .evaluation import FEASIBLE, Attempt, Evaluated, MoreRows, Report, attempt, cubed, evaluate, prices, squared
 from .objectives import KINDS
 from .pose import Pose, solve_pose
 from .program import BOUNDED, Program
-from .requirements import Avoid
+from .requirements import Avoid, of_kind
 from .state import FreePose, State
 
 # Steps of a limit. The sum of slacks is an L1 norm, whose optimum has most of them at 0 up to the tolerance of IPOPT.
-LEAST_SLACK = 1e-5
+SLACK_TOLERANCE = 1e-5
 
 
 # Violation, in steps of its limit, below which IPOPT takes over. From farther away it spends its iterations on
@@ -62,7 +60,7 @@ BALL_ITERATIONS = 0.4
 
 
 def solve(program: Program, start: Array, report: Report | None = None) -> Attempt:
-    """The best design from a start (X,), SI: feasible by least squares, then optimal by IPOPT."""
+    """Best design from a start (X,), SI: feasible by least squares, then optimal by IPOPT."""
     x = to_feasibility(program, np.clip(start, program.lower, program.upper), report)
     found = attempt(program, x)
     # Dimensions stay where least squares left them; joint values alone are drawn again.
@@ -70,22 +68,31 @@ def solve(program: Program, start: Array, report: Report | None = None) -> Attem
         if found.violation <= NEARLY_FEASIBLE:
             break
         random = np.random.default_rng([kick, program.layout.size])
-        begin = with_joints(program, found.x[: program.layout.designs], random)
-        x = to_feasibility(program, begin, report)
-        found = min(found, attempt(program, x), key=lambda one: one.violation)
+        redrawn = with_joints(program, found.x[: program.layout.designs], random)
+        x = to_feasibility(program, redrawn, report)
+        found = min(found, attempt(program, x), key=lambda end: end.violation)
     return found if found.violation > NEARLY_FEASIBLE else best_from(program, found.x, report)
 
 
 def best_from(program: Program, x: Array, report: Report | None = None) -> Attempt:
-    """The optimum from a design that is nearly feasible.
+    """Optimum from a design that is nearly feasible.
 
-    IPOPT is let loose across all kinks first; where it does not converge, it ends in one order of breakpoints after the
-    other.
+    Targets are first kept in cubes inside their tolerances, on which IPOPT is quicker and ends at better optima. Where
+    these cost something, a second run has the whole balls.
     """
-    return _to_the_rim(program, _in_the_cubes(program, x, report), report)
+    found = _optimum_in_cubes(program, x, report)
+    if not np.isfinite(found.violation) or _price_of_cubes(program, found) <= CUBE_PRICE:
+        return found
+    iterations = round(BALL_ITERATIONS * program.task.solver.iterations)
+    in_balls = improve(program, found.x, report, iterations, exact=True)
+    if found.feasible and in_balls.feasible:
+        gain = ORDER_GAIN * max(abs(found.objective), 1e-3)
+        return in_balls if in_balls.objective < found.objective - gain else found
+    return min(found, in_balls, key=_rank)
 
 
-def _in_the_cubes(program: Program, x: Array, report: Report | None) -> Attempt:
+def _optimum_in_cubes(program: Program, x: Array, report: Report | None) -> Attempt:
+    """Optimum by IPOPT across all kinks; if it does not converge, in one order of breakpoints after the other."""
     found = improve(program, x, report)
     if found.feasible and found.optimum is not None and found.optimum.success:
         return found
@@ -95,31 +102,22 @@ def _in_the_cubes(program: Program, x: Array, report: Report | None) -> Attempt:
         # IPOPT ended just outside.
         x = to_feasibility(program, found.x, report)
         candidates.append(attempt(program, x))
-    best = min(candidates, key=_worse)
-    return min(best, _through_cells(best, report), key=_worse)
-
-
-def _to_the_rim(program: Program, found: Attempt, report: Report | None) -> Attempt:
-    """The optimum with whole balls around the targets, where the cubes inside them cost something."""
-    if not np.isfinite(found.violation) or _price_of_cubes(program, found) <= CUBE_PRICE:
-        return found
-    other = improve(program, found.x, report, round(BALL_ITERATIONS * program.task.solver.iterations), exact=True)
-    if found.feasible and other.feasible:
-        least = ORDER_GAIN * max(abs(found.objective), 1e-3)
-        return other if other.objective < found.objective - least else found
-    return min(found, other, key=_worse)
+    best = min(candidates, key=_rank)
+    return min(best, _through_cells(best, report), key=_rank)
 
 
 def _price_of_cubes(program: Program, found: Attempt) -> float:
-    """Relative gain of the objective, to first order, were the cubes to hold the balls; without prices inf where a cube
-    binds, and 0 where none does."""
+    """Relative gain of the objective, to first order, if the cubes were enlarged to contain the balls.
+
+    Without multipliers infinite if a cube is active, else 0.
+    """
     groups = found.evaluated.groups
     balls = [group for group in groups if group.vector is not None]
-    near = any((cubed(one).values < CUBE_PRICE * one.limit.value / one.limit.size).any() for one in balls)
+    near = any((cubed(group).values < CUBE_PRICE * group.limit.value / group.limit.size).any() for group in balls)
     if not near:
         return 0.0
     if program.elastic:
-        return np.inf if any(one.slack is not None and one.slack[0] > LEAST_SLACK for one in balls) else 0.0
+        return np.inf if any(group.slack is not None and group.slack[0] > SLACK_TOLERANCE for group in balls) else 0.0
     if not found.feasible or found.optimum is None or not found.optimum.success:
         return np.inf
     gains = [
@@ -130,8 +128,9 @@ def _price_of_cubes(program: Program, found: Attempt) -> float:
     return float(sum(gains) / max(abs(found.objective), 1e-3))
 
 
-def _worse(one: Attempt) -> tuple[bool, float]:
-    return not one.feasible, one.objective if one.feasible else one.violation
+def _rank(end: Attempt) -> tuple[bool, float]:
+    """Sort key: feasible designs first, by objective, then the others by violation."""
+    return not end.feasible, end.objective if end.feasible else end.violation
 
 
 # --- joint values of targets: the best of many random ones ------------------------------------------------------------
@@ -143,7 +142,7 @@ PER_RADIAN = 5e-3
 
 
 def with_joints(program: Program, design: Array, random: np.random.Generator) -> Array:
-    """A start (X,) with these dimensions (D,), every free pose at the best of random joint values."""
+    """Start (X,) with dimensions (D,) and every free pose at the best of random joint values."""
     layout = program.layout
     x = np.clip(np.zeros(layout.size), program.lower, program.upper)
     x[: layout.designs] = design
@@ -157,29 +156,33 @@ def with_joints(program: Program, design: Array, random: np.random.Generator) ->
     if not poses:
         return x
     tips = np.array([pose.arm.position[-1] for pose in poses])
-    penalty = _outside(program, poses)
-    # Before the first target is no pose that tubes would turn from.
+    # Penetration of the worst point of each arm into obstacles, m.
+    penalty = np.zeros(len(poses))
+    for avoid in of_kind(program.task.requirements, Avoid):
+        depth = [avoid.clearance - float(avoid.signed_distance(pose.arm.position).min()) for pose in poses]
+        penalty += np.maximum(0.0, depth)
+    # The first target has no pose before it.
     turned = np.zeros(len(poses))
     for index, target in program.targets.items():
         pose = layout.poses[index]
         assert isinstance(pose, FreePose)
-        best = int(np.argmin(_gap(tips, target) + penalty + PER_RADIAN * turned))
+        # A target of one number is a height.
+        offsets = tips[:, 2:] - target[0] if len(target) == 1 else tips - np.array(target)
+        distance = np.linalg.norm(offsets, axis=1)
+        best = int(np.argmin(distance + penalty + PER_RADIAN * turned))
         turned = np.array([np.abs((row - joints[best])[: layout.n]).max() for row in joints])
         x[layout.joints(pose)[0]], x[layout.joints(pose)[1]] = np.split(joints[best], 2)
         program.guesses[index] = poses[best].twist
     return np.clip(x, program.lower, program.upper)
 
 
-def _gap(tips: Array, target: tuple[float, ...]) -> Array:
-    """Distance of tips (N, 3) from a point, or from a height where that is all that is given."""
-    return np.abs(tips[:, 2] - target[0]) if len(target) == 1 else np.linalg.norm(tips - np.array(target), axis=1)
-
-
 def _sample(
     tubes: tuple[Tube, ...], limits: JointLimits | None, random: np.random.Generator, count: int
 ) -> tuple[list[Array], list[Pose]]:
-    """Joint values (2 n,), rotations then beta, with carriages and ends in order, within the limits of translations
-    where that leaves a range, and their poses."""
+    """Random joint values (2 n,), rotations then beta, and their stable poses.
+
+    Carriages and ends are in order, and within the limits of translations where these leave a range.
+    """
     n = len(tubes)
     length = np.array([tube.length for tube in tubes])
     straight = np.array([tube.straight_length for tube in tubes])
@@ -207,16 +210,6 @@ def _sample(
     return joints, poses
 
 
-def _outside(program: Program, poses: Sequence[Pose]) -> Array:
-    """(N,) how far, m, the worst point of each arm is where it must not be."""
-    out = np.zeros(len(poses))
-    for one in program.task.requirements:
-        for k, pose in enumerate(poses):
-            if isinstance(one, Avoid):
-                out[k] += max(0.0, one.clearance - float(one.signed_distance(pose.arm.position).min()))
-    return out
-
-
 # --- least squares to a feasible design -------------------------------------------------------------------------------
 
 
@@ -226,45 +219,45 @@ INTERIOR = 1e-3
 
 
 def to_feasibility(program: Program, start: Array, report: Report | None = None) -> Array:
-    """Least squares of the violations from a start: Gauss and Newton in a trust region within the bounds."""
+    """Feasible unknowns (X,) near a start, by least squares of the violations in a trust region within the bounds."""
     scale = program.scale
     lower, upper = program.lower / scale, program.upper / scale
     fixed = upper - lower < 1e-12
-    begin = _settle_auxiliary(program, start) / scale
+    x0 = _settle_auxiliary(program, start) / scale
     move = np.flatnonzero(~fixed)
     rows_count = 0
     # scipy asks for values and Jacobian apart, while one evaluation has both.
     slope: dict[bytes, Array] = {}
 
     def full(part: Array) -> Array:
-        x = begin.copy()
+        x = x0.copy()
         x[move] = part
         return x * scale
 
     def residual(part: Array) -> Array:
-        """(r,) what the free unknowns `part` violate; NaN where there is no equilibrium."""
+        """Violations (r,) at the free unknowns `part`; NaN without an equilibrium."""
         nonlocal rows_count
         found = evaluate(program, full(part))
         if found is None:
             # scipy's trust region shrinks after a step to values that are not finite.
             return np.full(rows_count, np.nan)
-        gap, jacobian = _shortfall(found, INTERIOR)
-        rows_count = len(gap)
+        shortfall, jacobian = _shortfall(found, INTERIOR)
+        rows_count = len(shortfall)
         slope.clear()
         slope[part.tobytes()] = jacobian[:, move] * scale[move]
         found.note()
         if report is not None:
             report("feasibility", found.violation[0])
-        return gap
+        return shortfall
 
     def jacobian(part: Array) -> Array:
         if part.tobytes() not in slope:
             residual(part)
         return slope[part.tobytes()]
 
-    if evaluate(program, full(begin[move])) is None:
+    if evaluate(program, full(x0[move])) is None:
         return start
-    inside = np.clip(begin[move], lower[move] + 1e-9, upper[move] - 1e-9)
+    inside = np.clip(x0[move], lower[move] + 1e-9, upper[move] - 1e-9)
     missed = residual(inside)
     if not np.isfinite(missed).all() or not missed.any():
         return full(inside)
@@ -276,7 +269,7 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
 
 
 def _shortfall(found: Evaluated, inside: float) -> tuple[Array, Array]:
-    """By how much rows fall short of being kept by `inside` steps, and its change; of a limited vector, along it."""
+    """Violation of rows that are to be `inside` by so many steps, and its derivative; of a limited vector, along it."""
     values, slopes = [], []
     for group in found.groups:
         short = np.minimum(group.values - inside, 0.0)
@@ -298,7 +291,7 @@ def _shortfall(found: Evaluated, inside: float) -> tuple[Array, Array]:
 
 
 def _settle_auxiliary(program: Program, x: Array) -> Array:
-    """x with the auxiliary unknowns where the rows behind them are kept, and not more."""
+    """Unknowns with the auxiliary ones at the smallest values that satisfy their rows."""
     x = x.copy()
     names = [name for name in program.layout.auxiliary if name in BOUNDED]
     for name in names:
@@ -311,9 +304,9 @@ def _settle_auxiliary(program: Program, x: Array) -> Array:
     for name in names:
         column = program.layout.column(name)
         mine = slopes[:, column] != 0
-        room = values[mine] / np.abs(slopes[mine, column])
+        distance = values[mine] / np.abs(slopes[mine, column])
         # A thousandth of the scale inside, since IPOPT needs a start in the interior.
-        step = float(room.min()) - 1e-3 * program.scale[column]
+        step = float(distance.min()) - 1e-3 * program.scale[column]
         x[column] -= KINDS[name].sign * step
     return np.clip(x, program.lower, program.upper)
 
@@ -331,11 +324,12 @@ def improve(
     strategy: str = "quick",
     exact: bool = False,
 ) -> Attempt:
-    """The optimum from a start that is nearly feasible, or the start where it has no equilibrium.
+    """Optimum by IPOPT from a nearly feasible start, or the start if it has no equilibrium.
 
-    `rows` are further values and their change, to be kept >= 0; `strategy` is one of `solvers.ipopt.STRATEGIES`.
-    Distances from targets are kept in the cube inside the tolerance, on which IPOPT is quicker and ends at better
-    optima; with `exact` in the whole ball, and where the tolerance is eased by slack, by their length itself.
+    Args:
+        rows: further constraints, >= 0 if satisfied.
+        strategy: one of `solvers.ipopt.STRATEGIES`.
+        exact: limit distances from targets by balls, not by the cubes inside them.
     """
     iterations = program.task.solver.iterations if iterations is None else iterations
     form = squared if exact else cubed
@@ -344,7 +338,7 @@ def improve(
     if known is None:
         return attempt(program, start)
     count, size = len(known.rows(form, rows)[0]), known.size
-    seen: list[tuple[float, Array]] = []
+    best: list[tuple[float, Array]] = []
 
     def values(x: Array) -> Values:
         """Objective and constraints at scaled unknowns x (k,), with derivatives; keeps the best feasible x."""
@@ -353,8 +347,8 @@ def improve(
             return nowhere(count, len(x))
         f, slope = found.objective
         g, jacobian = found.rows(form, rows)
-        if g.min(initial=0.0) >= -FEASIBLE and (not seen or f < seen[0][0]):
-            seen[:] = [(f, x * scale)]
+        if g.min(initial=0.0) >= -FEASIBLE and (not best or f < best[0][0]):
+            best[:] = [(f, x * scale)]
             found.note()
         # In units of the objective at the start, so that IPOPT's tolerance is relative.
         return Values(f / size, slope * scale / size, g, jacobian * scale)
@@ -368,22 +362,18 @@ def improve(
         bound_multipliers=optimum.bound_multipliers * size / scale,
     )  # fmt: skip
     if form is cubed:
-        optimum = _folded(optimum, known.groups)
+        # One multiplier for the six sides of every cube: the price of moving them all.
+        sides = [1 if group.vector is None else 6 for group in known.groups]
+        counts = [each * len(group.values) for each, group in zip(sides, known.groups, strict=True)]
+        *parts, fixed = np.split(optimum.multipliers, np.cumsum(counts))
+        of_cubes = [part.reshape(-1, each).sum(1) for each, part in zip(sides, parts, strict=True)]
+        optimum = replace(optimum, multipliers=np.concatenate([*of_cubes, fixed]))
     reached = attempt(program, optimum.x, optimum)
-    if optimum.success or not seen or (reached.feasible and reached.objective <= seen[0][0]):
+    if optimum.success or not best or (reached.feasible and reached.objective <= best[0][0]):
         return reached
-    # Going round in circles, it has passed something better.
-    inside = np.clip(seen[0][1], program.lower, program.upper)
+    # Where IPOPT cycles, it has passed a better design.
+    inside = np.clip(best[0][1], program.lower, program.upper)
     return attempt(program, inside, replace(optimum, x=inside))
-
-
-def _folded(optimum: Optimum, groups: list[Rows]) -> Optimum:
-    """The optimum with one multiplier for the six sides of every cube: the price of moving them all."""
-    sides = [1 if group.vector is None else 6 for group in groups]
-    counts = [each * len(group.values) for each, group in zip(sides, groups, strict=True)]
-    *parts, rest = np.split(optimum.multipliers, np.cumsum(counts))
-    of_cubes = [part.reshape(-1, each).sum(1) for each, part in zip(sides, parts, strict=True)]
-    return replace(optimum, multipliers=np.concatenate([*of_cubes, rest]))
 
 
 # --- orders of breakpoints --------------------------------------------------------------------------------------------
@@ -411,11 +401,11 @@ class Order:
 
 
 Cell = tuple[Order, ...]
-"""An order for every pose, then for every translation of the certificate."""
+"""Order of breakpoints of every pose, then of every translation of the certificate."""
 
 
 def _breakpoints(state: State, k: int) -> tuple[Array, Array]:
-    """Places (2 n,) of the breakpoints of one pose or certificate, m, and their change (2 n, X)."""
+    """Places (2 n,) of the breakpoints of one pose or certificate, m, and their derivatives (2 n, X)."""
     layout = state.layout
     if k < len(layout.poses):
         transition, moved = state.joint_values(k)[1], state.joint_slopes(k)[1]
@@ -429,7 +419,7 @@ def _breakpoints(state: State, k: int) -> tuple[Array, Array]:
 
 
 def cell_of(state: State) -> Cell:
-    """The orders in which breakpoints are."""
+    """Present orders of breakpoints."""
     orders = []
     for k in range(len(state.layout.poses) + len(state.layout.certified)):
         places, _ = _breakpoints(state, k)
@@ -438,20 +428,28 @@ def cell_of(state: State) -> Cell:
     return tuple(orders)
 
 
+class SectionEnds(NamedTuple):
+    """Breakpoints of a section; -1 is the plate."""
+
+    pose: int
+    proximal: int
+    distal: int
+
+
 class Sections(NamedTuple):
-    """Sections of a cell that can change."""
+    """Sections of a cell whose lengths depend on unknowns."""
 
     lengths: Array
-    """(K,) in steps of 10 mm, >= 0 in the cell."""
+    """Lengths (K,) in steps of 10 mm, >= 0 in the cell."""
     slopes: Array
-    """(K, X)."""
-    ends: list[tuple[int, int, int]]
-    """Pose, and breakpoints before and behind; -1 for the plate."""
+    """Derivatives (K, X) of the lengths."""
+    ends: list[SectionEnds]
+    """Breakpoints of each section."""
 
 
 def cell_rows(state: State, cell: Cell) -> Sections:
     """Sections of a cell as constraints: with a fixed order of breakpoints their lengths are >= 0."""
-    values, slopes, what = [], [], []
+    values, slopes, ends = [], [], []
     for k, order in enumerate(cell):
         places, moved = _breakpoints(state, k)
         places, moved = np.append(places, 0.0), np.vstack([moved, np.zeros(moved.shape[1])])
@@ -461,25 +459,25 @@ def cell_rows(state: State, cell: Cell) -> Sections:
             if np.abs(slope).max() > 1e-12:
                 values.append((places[b] - places[a]) / 1e-2)
                 slopes.append(slope / 1e-2)
-                what.append((k, a, b))
-    return Sections(np.array(values), np.reshape(slopes, (len(values), state.layout.size)), what)
+                ends.append(SectionEnds(k, a, b))
+    return Sections(np.array(values), np.reshape(slopes, (len(values), state.layout.size)), ends)
 
 
 def swapped(cell: Cell, pose: int, a: int, b: int) -> Cell:
-    """The cell beyond the kink where breakpoints a and b of a pose meet."""
+    """Cell beyond the kink where breakpoints a and b of a pose meet."""
     order = cell[pose]
     if a == -1:
-        other = Order(order.beyond[1:], (*order.behind, b))
+        swap = Order(order.beyond[1:], (*order.behind, b))
     elif b == -1:
-        other = Order((a, *order.beyond), tuple(i for i in order.behind if i != a))
+        swap = Order((a, *order.beyond), tuple(i for i in order.behind if i != a))
     else:
         k = order.beyond.index(a)
-        other = Order((*order.beyond[:k], b, a, *order.beyond[k + 2 :]), order.behind)
-    return (*cell[:pose], other, *cell[pose + 1 :])
+        swap = Order((*order.beyond[:k], b, a, *order.beyond[k + 2 :]), order.behind)
+    return (*cell[:pose], swap, *cell[pose + 1 :])
 
 
 def _through_cells(start: Attempt, report: Report | None) -> Attempt:
-    """The optimum in the cell of a start, then in its neighbours for as long as they are better."""
+    """Optimum in the cell of a start, then in neighbouring cells while they are better."""
     program, cell = start.program, cell_of(start.state)
     best = _in_cell(program, start.x, cell, report)
     tried = {cell}
@@ -488,27 +486,29 @@ def _through_cells(start: Attempt, report: Report | None) -> Attempt:
         if not best.feasible or not ends:
             break
         prices = np.zeros(len(lengths)) if best.optimum is None else best.optimum.multipliers[-len(lengths) :]
-        # Only a closed section whose constraint has a price would rather be passed.
+        # Beyond a closed section the objective decreases only if its constraint has a multiplier.
         closed = [k for k in np.argsort(-prices) if lengths[k] * 1e-2 < CLOSED_SECTION and prices[k] > 1e-8]
-        better = None
         for k in closed:
-            other = swapped(cell, *ends[k])
-            if other in tried:
+            neighbour = swapped(cell, *ends[k])
+            if neighbour in tried:
                 continue
-            tried.add(other)
-            begin = _across(program, best.x, lengths[k], slopes[k])
-            found = _in_cell(program, begin, other, report)
+            tried.add(neighbour)
+            # The shortest step in scaled unknowns that opens the section on the other side: along the gradient of its
+            # length.
+            slope = slopes[k] * program.scale
+            step = -(lengths[k] + OPENED_SECTION / 1e-2) / float(slope @ slope)
+            across = np.clip(best.x + step * slope * program.scale, program.lower, program.upper)
+            found = _in_cell(program, across, neighbour, report)
             if found.feasible and found.objective < best.objective - ORDER_GAIN * max(abs(best.objective), 1e-3):
-                better = other, found
+                cell, best = neighbour, found
                 break
-        if better is None:
+        else:
             break
-        cell, best = better
     return replace(best, program=program)
 
 
 def _in_cell(program: Program, start: Array, cell: Cell, report: Report | None) -> Attempt:
-    """The optimum in one cell."""
+    """Optimum within one order of breakpoints."""
 
     def rows(state: State) -> tuple[Array, Array]:
         return cell_rows(state, cell)[:2]
@@ -516,16 +516,8 @@ def _in_cell(program: Program, start: Array, cell: Cell, report: Report | None) 
     found = improve(program, start, report, rows=rows)
     if program.layout.free_poses or (found.optimum is not None and found.optimum.success):
         return found
-    other = improve(program, start, report, rows=rows, strategy="patient")
-    return min(found, other, key=lambda one: (not one.feasible, one.objective))
-
-
-def _across(program: Program, x: Array, value: float, slope: Array) -> Array:
-    """x moved as little as possible to where a section is open on the other side."""
-    scaled = slope * program.scale
-    # Along the gradient of the section's length in scaled unknowns: the shortest step that opens it.
-    step = -(value + OPENED_SECTION / 1e-2) / float(scaled @ scaled)
-    return np.clip(x + step * scaled * program.scale, program.lower, program.upper)
+    patient = improve(program, start, report, rows=rows, strategy="patient")
+    return min(found, patient, key=lambda end: (not end.feasible, end.objective))
 
 
 # Random dimensions per start; only those whose tubes nest and fit become starts, which random diameters rarely do.
@@ -534,73 +526,72 @@ DESIGNS_PER_START = 32
 # Steps of their scale. Far above the tolerance to which starts reach one optimum, far below what can be made.
 SAME_DESIGN = 1e-3
 
-# Where no design was looked at.
+# Name of the violated limit if no design was evaluated.
 NOTHING = "a first design, which time did not suffice for"
 
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """What became of all starts."""
+    """Designs of all starts, ranked, and failures counted by the limit violated most."""
 
     designs: tuple[Attempt, ...]
-    """Feasible ones, the best first, each once."""
+    """Feasible designs, the best first, each once."""
     found: tuple[int, ...]
-    """From how many starts each was reached."""
+    """Number of starts that reached each design."""
     failures: dict[str, int]
-    """How many starts ended infeasible, by the limit violated most."""
+    """Number of infeasible starts, by the limit violated most."""
     failed: tuple[Attempt, ...]
-    """Where, the least violated first."""
+    """Ends of these starts, the smallest violation first."""
 
     late: int = 0
-    """How many starts a time limit ended."""
+    """Number of starts that a time limit ended."""
+    rounds: int = 0
+    """Rounds in which worst cases were added to the best design."""
 
     @property
     def starts(self) -> int:
-        """Number of starts."""
+        """Number of starts, feasible or not."""
         return sum(self.found) + sum(self.failures.values())
 
 
 def solve_from(program: Program, start: Array, report: Report | None = None, *, keep: bool = False) -> Attempt:
-    """`solve` on a copy of the program that remembers no poses of other starts, unless it is to `keep` them; the best
-    on its way where a time limit ends it."""
-    # With poses of other starts as guesses a design would depend on the order of starts.
+    """Best design from a start, or the best one so far if a time limit ends the search.
+
+    With poses of other starts as guesses, a design would depend on the order of starts: it is solved without them
+    unless `keep` is set.
+    """
     own = program if keep else replace(program, guesses={})
     try:
         return solve(own, start, report)
     except LateError:
-        return cut_short(own)
-
-
-def cut_short(program: Program) -> Attempt:
-    """The best design that a search had passed when its time was over."""
-    best = program.lately.best
-    if best is None:
-        return Attempt(program, program.lower, np.inf, np.inf, NOTHING, None, late=True)
-    x = np.clip(best.x, program.lower, program.upper)
-    return Attempt(program, x, best.objective, best.violation, best.worst, None, late=True)
+        best = own.lately.best
+        if best is None:
+            return Attempt(own, own.lower, np.inf, np.inf, NOTHING, None, late=True)
+        x = np.clip(best.x, own.lower, own.upper)
+        return Attempt(own, x, best.objective, best.violation, best.worst, None, late=True)
 
 
 def rank(attempts: Sequence[Attempt]) -> Ranking:
     """Feasible designs in order, duplicates merged; the others counted."""
     designs: list[Attempt] = []
-    found: list[int] = []
-    for one in sorted((a for a in attempts if a.feasible), key=lambda a: a.objective):
-        k = next((k for k, other in enumerate(designs) if _same(one, other)), None)
+    counts: list[int] = []
+    for end in sorted((a for a in attempts if a.feasible), key=lambda a: a.objective):
+        k = next((k for k, design in enumerate(designs) if _same(end, design)), None)
         if k is None:
-            designs.append(one)
-            found.append(1)
+            designs.append(end)
+            counts.append(1)
         else:
-            found[k] += 1
+            counts[k] += 1
     failed = sorted((a for a in attempts if not a.feasible), key=lambda a: a.violation)
     failures = Counter(a.worst for a in failed)
     late = sum(a.late for a in attempts)
-    return Ranking(tuple(designs), tuple(found), dict(failures.most_common()), tuple(failed), late)
+    return Ranking(tuple(designs), tuple(counts), dict(failures.most_common()), tuple(failed), late)
 
 
 def _same(a: Attempt, b: Attempt) -> bool:
     count = a.program.layout.designs
-    gap = np.abs(a.x[:count] - b.x[:count]) / a.program.scale[:count]
-    return bool(gap.max() < SAME_DESIGN)
+    distance = np.abs(a.x[:count] - b.x[:count]) / a.program.scale[:count]
+    return bool(distance.max() < SAME_DESIGN)
 
 
 def multistart(
@@ -612,12 +603,17 @@ def multistart(
     progress: Progress | None = None,
     report: Report | None = None,
 ) -> Ranking:
-    """Solve from the task's own dimensions and from `starts` - 1 others, on so many processes; with one only, `report`
-    is told of every iteration. `seed` is of the other dimensions and of the first joint values."""
-    begin, workers = start_values(program, seed, starts), min(workers, starts)
-    one = partial(solve_from, program, report=report if workers == 1 else None)
+    """Designs from the dimensions of the task and from `starts` - 1 random ones.
+
+    Args:
+        seed: random seed of the dimensions and of the first joint values.
+        workers: number of processes.
+        report: called after every iteration, with one worker only.
+    """
+    values, workers = start_values(program, seed, starts), min(workers, starts)
+    solve_start = partial(solve_from, program, report=report if workers == 1 else None)
     with executor(workers) as pool:
-        return rank(run_all(one, begin, pool, progress))
+        return rank(run_all(solve_start, values, pool, progress))
 
 
 def start_values(program: Program, seed: int, count: int) -> list[Array]:
@@ -628,13 +624,14 @@ def start_values(program: Program, seed: int, count: int) -> list[Array]:
         return [with_joints(program, space.start, np.random.default_rng([seed, 0]))]
     unit = sobol(layout.designs, DESIGNS_PER_START * count, seed)
     drawn = [space.lower + row * (space.upper - space.lower) for row in unit]
-    # Dimensions of tubes that make a robot come first.
-    designs = [space.start, *sorted(drawn, key=lambda design: not _makes_robot(program, design))]
+    # Dimensions of tubes that nest come first.
+    designs = [space.start, *sorted(drawn, key=lambda design: not _nests(program, design))]
     return [with_joints(program, design, np.random.default_rng([seed, k])) for k, design in enumerate(designs[:count])]
 
 
 @without_unit_warnings()
-def _makes_robot(program: Program, design: Array) -> bool:
+def _nests(program: Program, design: Array) -> bool:
+    """True if dimensions make tubes that nest."""
     try:
         replace(program.task.robot, tubes=program.layout.space.tubes(design), joint_limits=None)
     except InputError:

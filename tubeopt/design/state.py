@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -62,18 +63,18 @@ PoseKind = FreePose | FixedPose | Via
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """What the unknowns x (X,) are: D dimensions, 2 n joint values of each of F free poses, auxiliary numbers."""
+    """Layout of the unknowns x (X,): D dimensions, 2 n joint values of each of F free poses, auxiliary unknowns."""
 
     space: DesignSpace
     poses: tuple[PoseKind, ...]
     """Task poses in order, then via points."""
     certified: tuple[tuple[float, ...], ...]
-    """(T, n) translations of the certificate, m."""
+    """Translations (T, n) of the certificate, m."""
     auxiliary: tuple[str, ...]
 
     @property
     def n(self) -> int:
-        """Number of tubes."""
+        """Number of tubes n."""
         return len(self.space.robot_tubes)
 
     @property
@@ -101,11 +102,10 @@ class Layout:
         return self.designs + 2 * self.n * self.free_poses + self.auxiliary.index(name)
 
 
-# What every pose is differentiated by first.
+# First parameters by which every pose is differentiated.
 JOINTS = ("rotations", "translations")
 
-# N; a pose that withstands more along its tip counts as one that withstands this: beyond, the branch is followed for
-# nothing.
+# Upper bound of a stroke force, N: a pose that withstands more counts as one that withstands this.
 STRONGEST = 10.0
 
 # Step of central differences by unknowns of pieces, relative to their size: truncation 1e-10, round-off of an
@@ -114,9 +114,11 @@ STEP = 1e-5
 
 
 class State:
-    """Everything at x; equilibria are solved when asked for, near `guesses`, where the next poses close by begin too.
+    """Tubes, poses and quantities at x; equilibria are solved on first use, near `guesses`, which they update.
 
-    Raises, when asked: InputError where the dimensions make no tubes, SolveError where a pose has no equilibrium.
+    Raises:
+        InputError: (on use) the dimensions make no tubes.
+        SolveError: (on use) a pose has no equilibrium.
     """
 
     def __init__(self, layout: Layout, x: Array, guesses: dict[PoseNumber, Twist] | None = None) -> None:
@@ -128,20 +130,20 @@ class State:
         self._moved: dict[PoseNumber, tuple[Array, Array]] = {}
         self._chains: dict[PoseNumber, Array] = {}
 
-    def quantity(self, one: Quantity) -> tuple[Array, Array]:
-        """Value and change (.., X) of a quantity; poses are numbered as in the layout."""
-        if one not in self._known:
-            self._known[one] = _value_and_change(self, one)
-        return self._known[one]
+    def quantity(self, quantity: Quantity) -> tuple[Array, Array]:
+        """Value and derivative (.., X) of a quantity; poses are numbered as in the layout."""
+        if quantity not in self._known:
+            self._known[quantity] = _value_and_change(self, quantity)
+        return self._known[quantity]
 
     @cached_property
     def tubes(self) -> tuple[Tube, ...]:
-        """The tubes."""
+        """Tubes with the dimensions of x."""
         return self.layout.space.tubes(self.x[: self.layout.designs])
 
     @cached_property
     def slopes(self) -> dict[str, Array]:
-        """(n, X) change of every dimension and stiffness."""
+        """Derivatives (n, X) of all dimensions and stiffnesses."""
         space, x = self.layout.space, self.x[: self.layout.designs]
         designs = space.slopes(x)
         if space.pieced:
@@ -154,27 +156,27 @@ class State:
         return rotations, translations
 
     def joint_slopes(self, index: PoseNumber) -> tuple[Array, Array]:
-        """(n, X) change of the rotations and of the translations of a pose."""
+        """Derivatives (n, X) of the rotations and of the translations of a pose."""
         (_, turned), (_, shifted) = self._joints(index)
         return turned, shifted
 
     def _joints(self, index: PoseNumber) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Both of the rotations, and of the translations."""
+        """Values and derivatives of the rotations, then of the translations."""
         if isinstance(index, tuple):
-            number, share = index
+            number, fraction = index
             turned, (shift, moved) = self._joints(number)
-            drawn, withdrawn, last = retracted(self.tubes, shift, share)
+            drawn, withdrawn, last = retracted(self.tubes, shift, fraction)
             ended = moved + self.slopes["curved_length"]
-            # A withdrawn tube ends at `share` times the end of the last one:
-            # d translation = share d end_last - d curved_length, and `ended` is d translation + d curved_length.
-            return turned, (drawn, moved - withdrawn[:, None] * (ended - share * ended[last]))
+            # A withdrawn tube ends at `fraction` times the end of the last one:
+            # d translation = fraction d end_last - d curved_length, and `ended` is d translation + d curved_length.
+            return turned, (drawn, moved - withdrawn[:, None] * (ended - fraction * ended[last]))
         pose = self.layout.poses[index]
         if isinstance(pose, Via):
             t, first, second = pose.fraction, self._joints(pose.first), self._joints(pose.second)
             rotations, translations = (
                 # Joint values of a via point are linear between two poses, and so are their changes.
-                ((1 - t) * one[0] + t * other[0], (1 - t) * one[1] + t * other[1])
-                for one, other in zip(first, second, strict=True)
+                ((1 - t) * a[0] + t * b[0], (1 - t) * a[1] + t * b[1])
+                for a, b in zip(first, second, strict=True)
             )
             return rotations, translations
         if isinstance(pose, FixedPose):
@@ -186,7 +188,7 @@ class State:
         return (self.x[alpha], unit[alpha]), (self.x[beta] + straight, unit[beta] + self.slopes["straight_length"])
 
     def pose(self, index: PoseNumber) -> Pose:
-        """The equilibrium of a pose."""
+        """Solved pose."""
         if index not in self._poses:
             joints, slopes = self.joint_values(index), self.joint_slopes(index)
             solved = solve_pose(self.tubes, *joints, self.guesses.get(index))
@@ -198,45 +200,48 @@ class State:
 
     @cached_property
     def resized(self) -> dict[str, Array]:
-        """(n, X) change of the DIMENSIONS that some unknown of whole tubes moves."""
+        """Derivatives (n, X) of the DIMENSIONS that depend on unknowns of whole tubes."""
         names = [name for name in DIMENSIONS if name != "curvature" or not self.layout.space.pieced]
         return {name: self.slopes[name] for name in names if self.slopes[name].any()}
 
     @cached_property
     def free_pieces(self) -> list[int]:
         """Columns of the unknowns of pieces."""
-        return [column for column, one in enumerate(self.layout.space.unknowns) if one.pieces]
+        return [column for column, unknown in enumerate(self.layout.space.unknowns) if unknown.pieces]
 
     def piece_changes(self, here: Directions) -> list[Change]:
-        """What every unknown of pieces changes along a solved arm."""
+        """Derivatives of the sections of a solved arm by every unknown of pieces."""
         unknowns = self.layout.space.unknowns
         values = piece_values(unknowns, self.x[: self.layout.designs].tolist())
         return [change_of(here, unknowns[column], values) for column in self.free_pieces]
 
     @cached_property
     def _reshaped(self) -> Array:
-        """(L - 2 n, X) change of what a pose is differentiated by beside its joint values."""
+        """Derivatives (L - 2 n, X) of the parameters of a pose except its joint values."""
         return np.concatenate([*self.resized.values(), np.eye(self.layout.size)[self.free_pieces]])
 
     def chain(self, index: PoseNumber) -> Array:
-        """(Q, X) 1 where a direction in which a pose is differentiated is that of an unknown."""
+        """Selection (Q, X) of the unknowns along which a pose is differentiated."""
         self.pose(index)
         return self._chains[index]
 
     def jacobian(self, index: PoseNumber, *, turning: bool = False) -> tuple[Array, Array]:
-        """(6 n,) change of the tip's place with the joint values of a pose, joint by joint, or of its frame (turn
-        vector), and by how much that changes (6 n, X): the central difference of exact derivatives."""
+        """Jacobian (6 n,) of the tip position by the joint values, joint by joint, and its derivative (6 n, X).
+
+        With `turning` the Jacobian of the tip frame (rotation vector). The derivative is a central difference of exact
+        derivatives.
+        """
         if index not in self._moved:
             self._moved[index] = self._tip_moves(index)
         half = np.split(np.arange(12 * self.layout.n), 2)[int(turning)]
         return self._moved[index][0][half], self._moved[index][1][half]
 
     def _tip_moves(self, index: PoseNumber) -> tuple[Array, Array]:
-        """(12 n,) change of the tip's place, then of its frame, and by how much that changes (12 n, X)."""
+        """Jacobians (12 n,) of the tip position, then of its frame, and their derivative (12 n, X)."""
 
-        def here(state: State) -> Array:
-            of = state.pose(index).by_joints
-            return np.concatenate([each.ravel(order="F") for each in (of.tip_position, of.tip_rotation)])
+        def jacobians(state: State) -> Array:
+            linear = state.pose(index).by_joints
+            return np.concatenate([each.ravel(order="F") for each in (linear.tip_position, linear.tip_rotation)])
 
         # Sizes: dimensions have their own, rotations and auxiliary numbers 1, translations that of an arm.
         size = np.ones(self.layout.size)
@@ -249,59 +254,59 @@ class State:
             # Derivatives are exact, so that truncation is 1e-8 of the second change, and round-off 1e-12 over 1e-4.
             step = np.eye(self.layout.size)[column] * 1e-4 * size[column]
             # States of their own with copied guesses: neither side may move the start of the other.
-            ends = (here(State(self.layout, x, dict(self.guesses))) for x in (self.x + step, self.x - step))
+            ends = (jacobians(State(self.layout, x, dict(self.guesses))) for x in (self.x + step, self.x - step))
             change[:, column] = -np.diff(np.stack(list(ends)), axis=0)[0] / (2 * step[column])
-        return here(self), change
+        return jacobians(self), change
 
     def certificate_at(self, translations: tuple[float, ...]) -> tuple[float, Array]:
-        """mu_cert at translations (n,), m, and its change (X,)."""
+        """Certificate mu_cert at translations (n,), m, and its gradient (X,)."""
         solved = without_solving(self.tubes, np.array(translations))
         directions, chain = moving(self._reshaped)
         value, slope = Pose(solved, [*self.resized], self.piece_changes, directions).certificate
         return value, slope @ chain
 
 
-def _value_and_change(state: State, one: Quantity) -> tuple[Array, Array]:
-    """Those of `State.quantity`, computed."""
-    match one.name:
+def _value_and_change(state: State, quantity: Quantity) -> tuple[Array, Array]:
+    """Value and derivative of a quantity, as `State.quantity`, not cached."""
+    match quantity.name:
         case "certificate":
-            return _row(state.certificate_at(one.at))
+            return _row(state.certificate_at(quantity.at))
         case "straightened_strain":
-            return _row(straightened_strain(state, *one.at))
-    if one.pose is None:
-        return np.array([getattr(tube, one.name) for tube in state.tubes]), state.slopes[one.name]
-    match one.name:
+            return _row(straightened_strain(state, *quantity.at))
+    if quantity.pose is None:
+        return np.array([getattr(tube, quantity.name) for tube in state.tubes]), state.slopes[quantity.name]
+    match quantity.name:
         case "rotations" | "translations":
-            part = JOINTS.index(one.name)
-            return state.joint_values(one.pose)[part], state.joint_slopes(one.pose)[part]
+            part = JOINTS.index(quantity.name)
+            return state.joint_values(quantity.pose)[part], state.joint_slopes(quantity.pose)[part]
         case "strain":
-            return _row(pose_strain(state, one.pose, one.at[0]))
+            return _row(pose_strain(state, quantity.pose, quantity.at[0]))
         case "deflection":
-            return tip_deflection(state, one.pose, one.at[0])
+            return tip_deflection(state, quantity.pose, quantity.at[0])
         case "margin_under":
-            return _row(margin_under(state, one.pose, one.at[0]))
+            return _row(margin_under(state, quantity.pose, quantity.at[0]))
         case "stroke_force":
-            return _row(stroke_force(state, one.pose))
+            return _row(stroke_force(state, quantity.pose))
         case "jacobian" | "turning":
-            return state.jacobian(one.pose, turning=one.name == "turning")
+            return state.jacobian(quantity.pose, turning=quantity.name == "turning")
         case "clearance":
-            ended = state.joint_slopes(one.pose)[1] + state.slopes["curved_length"]
-            chain, thicker = state.chain(one.pose), 0.5 * state.slopes["outer_diameter"]
-            return arm_clearance(state.pose(one.pose), one.at[0], chain, thicker, ended)
-    chain = state.chain(one.pose)
-    value, change = _of_pose(state.pose(one.pose), one)
+            ended = state.joint_slopes(quantity.pose)[1] + state.slopes["curved_length"]
+            chain, thicker = state.chain(quantity.pose), 0.5 * state.slopes["outer_diameter"]
+            return arm_clearance(state.pose(quantity.pose), quantity.at[0], chain, thicker, ended)
+    chain = state.chain(quantity.pose)
+    value, change = _of_pose(state.pose(quantity.pose), quantity)
     return value, change @ chain
 
 
-def _row(found: tuple[float, Array]) -> tuple[Array, Array]:
-    """(1,) and (1, X) of one number."""
-    return np.array(found[:1]), found[1][None]
+def _row(number: tuple[float, Array]) -> tuple[Array, Array]:
+    """Value and derivative of one number as arrays (1,) and (1, X)."""
+    return np.array(number[:1]), number[1][None]
 
 
-def _of_pose(pose: Pose, one: Quantity) -> tuple[Array, Array]:
-    """Value and change (.., Q) along the directions in which a pose is differentiated."""
+def _of_pose(pose: Pose, quantity: Quantity) -> tuple[Array, Array]:
+    """Value and derivative (.., Q) along the directions in which a pose is differentiated."""
     of = pose.derivatives
-    match one.name:
+    match quantity.name:
         case "tip_position":
             return pose.arm.position[-1], of.tip_position
         case "tip_direction":
@@ -311,16 +316,20 @@ def _of_pose(pose: Pose, one: Quantity) -> tuple[Array, Array]:
         case "margin":
             return np.array([pose.margin]), of.one_margin[None]
         case "position":
-            return position_at(of, one.at[0])
+            return position_at(of, quantity.at[0])
         case _:
-            return curvature_at(of, one.at[0])
+            return curvature_at(of, quantity.at[0])
 
 
 # --- loads ------------------------------------------------------------------------------------------------------------
 
 
 def tip_deflection(state: State, index: PoseNumber, load: Load) -> tuple[Array, Array]:
-    """(3,) m and (3, X) of a load that grows on a pose; raises SolveError where the robot does not bear it there."""
+    """Displacement (3,) of the tip by a load on a pose, m, and its derivative (3, X).
+
+    Raises:
+        SolveError: the robot does not withstand the load.
+    """
     pose, chain = state.pose(index), state.chain(index)
     plain = to_equilibrium(pose.solved, "guess")
     pushed = under_load(plain, load)
@@ -331,12 +340,15 @@ def tip_deflection(state: State, index: PoseNumber, load: Load) -> tuple[Array, 
 
 
 def margin_under(state: State, index: PoseNumber, load: Load) -> tuple[float, Array]:
-    """`sure_margin` of a pose under a load, and its change (X,); raises SolveError where the robot does not bear it
-    there, or breakpoints meet at the pose that part."""
+    """`sure_margin` of a pose under a load, and its gradient (X,).
+
+    Raises:
+        SolveError: the robot does not withstand the load, or coinciding breakpoints move apart.
+    """
     pose, chain = state.pose(index), state.chain(index)
     plain, names, rows = _unloaded(state, index)
     pushed, pieces = under_load(plain, load), np.eye(state.layout.size)[state.free_pieces]
-    least = sure_margin(pushed)
+    margin = sure_margin(pushed)
     if load.has_energy:
         slope = linearise(pushed, pose.wrt, more=pose.more, along=pose.along).one_margin @ chain
     else:
@@ -345,12 +357,15 @@ def margin_under(state: State, index: PoseNumber, load: Load) -> tuple[float, Ar
         slope = margin_slopes(pushed, names, free, sure=True) @ np.concatenate([rows, pieces])
     if not np.isfinite(slope).all():
         raise SolveError(f"the margin of pose {index} under a load has no derivative: breakpoints meet there")
-    return least, slope
+    return margin, slope
 
 
 def stroke_force(state: State, index: PoseNumber) -> tuple[float, Array]:
-    """The stroke force of a pose, N, at most STRONGEST, and its change (X,); raises SolveError where there is no limit
-    close to where the branch is lost, or it has no derivative."""
+    """Stroke force of a pose, N, at most STRONGEST, and its gradient (X,).
+
+    Raises:
+        SolveError: the branch ends without a limit nearby, or the force has no derivative.
+    """
     plain, names, rows = _unloaded(state, index)
     free = _free_pieces(state)
     turn = state.pose(index).derivatives.tip_rotation @ state.chain(index)
@@ -363,23 +378,41 @@ def stroke_force(state: State, index: PoseNumber) -> tuple[float, Array]:
     return found[0], found[1] @ np.concatenate([rows, pieces])
 
 
-def _unloaded(state: State, index: PoseNumber) -> tuple[Equilibrium, list[str], Array]:
-    """The equilibrium of a pose, the PARAMETERS that some unknown moves, and their change with the unknowns, n rows
-    each: the others need not be differentiated. What is free of pieces moves none."""
+class _UnloadedPose(NamedTuple):
+    """Pose without load, and the parameters that depend on unknowns of whole tubes and joints."""
+
+    equilibrium: Equilibrium
+    names: list[str]
+    """Names of the PARAMETERS that depend on unknowns; others need no derivatives."""
+    rows: Array
+    """Their derivatives by the unknowns, n rows each, X columns."""
+
+
+def _unloaded(state: State, index: PoseNumber) -> _UnloadedPose:
+    """Pose without load, with its parameters."""
     rows = dict(zip(JOINTS, state.joint_slopes(index), strict=True)) | state.resized
     moved = {name: part for name, part in rows.items() if part.any()}
     plain = to_equilibrium(state.pose(index).solved, "guess")
-    return plain, [*moved], np.concatenate([np.zeros((0, state.layout.size)), *moved.values()])
+    return _UnloadedPose(plain, [*moved], np.concatenate([np.zeros((0, state.layout.size)), *moved.values()]))
 
 
-def _free_pieces(state: State) -> list[tuple[int, float, tuple[ConcentricRobot, ConcentricRobot]]]:
-    """Column of every unknown of pieces, a step of it, and the robots a step further and a step back."""
+class _PieceStep(NamedTuple):
+    """Step of one unknown of pieces, for central differences."""
+
+    column: int
+    step: float
+    robots: tuple[ConcentricRobot, ConcentricRobot]
+    """Robots a step up and a step down."""
+
+
+def _free_pieces(state: State) -> list[_PieceStep]:
+    """Steps of all unknowns of pieces."""
     space, designs, out = state.layout.space, state.x[: state.layout.designs], []
     for k in state.free_pieces:
         step = STEP * float(space.scale[k])
         row = step * np.eye(len(designs))[k]
         robots = ConcentricRobot(space.tubes(designs + row)), ConcentricRobot(space.tubes(designs - row))
-        out.append((k, step, robots))
+        out.append(_PieceStep(k, step, robots))
     return out
 
 
@@ -388,7 +421,7 @@ def _free_pieces(state: State) -> list[tuple[int, float, tuple[ConcentricRobot, 
 
 @lru_cache(maxsize=1)
 def _strain() -> ca.Function:
-    """(theta, u (2,), precurvature, outer diameter) -> strain, and its slope (1, 5)."""
+    """Strain and its gradient (1, 5) as function of theta, u (2,), precurvature and outer diameter."""
     x = ca.SX.sym("x", 5)
     theta, u, natural, diameter = x[0], (x[1], x[2]), x[3], x[4]
     bend = bend_from_own((ca.cos(theta), ca.sin(theta)), u, natural)
@@ -398,7 +431,7 @@ def _strain() -> ca.Function:
 
 @lru_cache(maxsize=1)
 def _straightened() -> ca.Function:
-    """(precurvature, outer diameter) -> strain held straight, and its slope (1, 2)."""
+    """Strain of a straightened tube and its gradient (1, 2) as function of precurvature and outer diameter."""
     x = ca.SX.sym("x", 2)
     # Held straight, a tube loses its whole precurvature: it is bent by |u*| against its natural shape.
     strain = surface_strain(x[1] / 2, ca.fabs(x[0]), x[0])
@@ -407,32 +440,31 @@ def _straightened() -> ca.Function:
 
 @lru_cache(maxsize=1024)
 def _slot_ratio(tube: Tube, number: int) -> tuple[float, float]:
-    """How many times as much as a whole tube a piece is strained, and the change of that with the share of its bending
-    stiffness that is left."""
+    """Strain of a piece relative to a tube without slots, and its derivative by the bending factor."""
     if not tube.pieces or (slots := tube.pieces[number].slots) is None:
         return 1.0, 0.0
     b = ca.SX.sym("b")
     ratio = slots.strain_ratio(b)
-    told = ca.Function("ratio", [b], [ratio, ca.jacobian(ratio, b)])
-    value, slope = told(tube.pieces[number].bending_factor(float(tube.bending_stiffness)))
+    function = ca.Function("ratio", [b], [ratio, ca.jacobian(ratio, b)])
+    value, slope = function(tube.pieces[number].bending_factor(float(tube.bending_stiffness)))
     return float(value), float(slope)
 
 
 def _ratio(state: State, tube: int, number: int) -> tuple[float, Array]:
-    """What slots multiply the strain of a piece by, and its change (X,)."""
+    """Strain of a piece relative to a tube without slots, and its gradient (X,)."""
     shape, space = state.tubes[tube], state.layout.space
     value, slope = _slot_ratio(shape, number)
     change = np.zeros(state.layout.size)
-    for column, one in enumerate(space.unknowns):
-        if one.field == "piece_bending_factor" and (tube, number) in one.pieces:
-            left = shape.pieces[number].bending_factor(float(shape.bending_stiffness))
-            # The share that is left is proportional to the unknown factor, so that its slope is left / factor.
-            change[column] = slope * left / state.x[column]
+    for column, unknown in enumerate(space.unknowns):
+        if unknown.field == "piece_bending_factor" and (tube, number) in unknown.pieces:
+            factor = shape.pieces[number].bending_factor(float(shape.bending_stiffness))
+            # The remaining stiffness is proportional to the unknown x, so that its slope is factor / x.
+            change[column] = slope * factor / state.x[column]
     return value, change
 
 
 def straightened_strain(state: State, tube: int, number: int) -> tuple[float, Array]:
-    """Largest strain of a piece of a tube held straight, and its change (X,); a tube of one curvature is one piece."""
+    """Largest strain of a piece of a straightened tube, and its gradient (X,); a tube of one curvature is one piece."""
     shape, space = state.tubes[tube], state.layout.space
     if not space.pieced:
         natural, change = shape.curvature, state.slopes["curvature"][tube]
@@ -448,26 +480,26 @@ def straightened_strain(state: State, tube: int, number: int) -> tuple[float, Ar
 
 
 def pose_strain(state: State, index: PoseNumber, tube: int) -> tuple[float, Array]:
-    """Largest bending strain of a tube in a pose, and its change (X,); 0 where it is not in front of the plate."""
+    """Largest bending strain of a tube in a pose, and its gradient (X,); 0 if the tube is behind the plate."""
     shape, of = state.tubes[tube], state.pose(index).derivatives
     n, mesh = of.n, of.problem.mesh
     # Sections in which the tube is present from end to end; the others have no strain of it.
-    there = np.flatnonzero((of.here.stiffness[..., tube] > 0).all(1) & (mesh.length > 0))
-    if not len(there):
+    sections = np.flatnonzero((of.here.stiffness[..., tube] > 0).all(1) & (mesh.length > 0))
+    if not len(sections):
         return 0.0, np.zeros(state.layout.size)
-    across, bend = (table[there].reshape(len(there) * len(PLACES), -1) for table in of.sections)
+    across, bend = (table[sections].reshape(len(sections) * len(PLACES), -1) for table in of.sections)
     theta, stiffness, moment = (across[:, k * n + tube] for k in range(3))
     # The moment of a tube is kb u*, its stiffness times its precurvature: the quotient is u*.
-    given = np.column_stack([theta, bend, moment / stiffness, np.full(len(theta), shape.outer_diameter)])
-    strains, slopes = (part.copy() for part in mapped(_strain(), len(given))(given))
-    number = _pieces_there(shape, mesh.start[there] + mesh.length[there] / 2 + of.assembly.transmission[tube])
+    inputs = np.column_stack([theta, bend, moment / stiffness, np.full(len(theta), shape.outer_diameter)])
+    strains, slopes = (part.copy() for part in mapped(_strain(), len(inputs))(inputs))
+    number = _pieces_at(shape, mesh.start[sections] + mesh.length[sections] / 2 + of.assembly.transmission[tube])
     ratios = np.array([_slot_ratio(shape, k)[0] if k >= 0 else 1.0 for k in number.tolist()])
     # The maximum has the slope of the section in which it is reached; of equal ones the first is taken.
     worst = int(np.argmax(strains[:, 0] * np.repeat(ratios, len(PLACES))))
     piece, end = divmod(worst, len(PLACES))
-    k = int(there[piece])
+    k = int(sections[piece])
     at = of.section(k, PLACES[end], of.moved[k * (len(PLACES) - 1) + end])
-    kb, natural = stiffness[worst], given[worst, 3]
+    kb, natural = stiffness[worst], inputs[worst, 3]
     # u* = M / kb, so that du* = (dM - u* dkb) / kb.
     grown = (at.by_tubes[2 * n + tube] - natural * at.by_tubes[n + tube]) / kb
     slope, value = slopes.reshape(-1, 5)[worst], float(strains[worst, 0])
@@ -479,8 +511,8 @@ def pose_strain(state: State, index: PoseNumber, tube: int) -> tuple[float, Arra
     return ratio * value, ratio * change + value * raised
 
 
-def _pieces_there(shape: Tube, place: Array) -> Array:
-    """(P,) piece of a tube at places along it, m; -1 its straight part, and all of a tube of one curvature."""
+def _pieces_at(shape: Tube, place: Array) -> Array:
+    """Pieces (P,) of a tube at places along it, m; -1 for the straight part and for a tube of one curvature."""
     joints = shape.straight_length + np.cumsum([0.0, *(piece.length for piece in shape.pieces)])
     # A place beyond the last piece by round-off belongs to that piece.
     return np.minimum(np.searchsorted(joints, place, side="right") - 1, len(shape.pieces) - 1)

@@ -44,14 +44,14 @@ BOUNDED = ("tip_curvature", "turning_radius", "strain", "length", "change")
 
 @dataclass(frozen=True)
 class StockTube:
-    """A size that can be bought."""
+    """Tube size from stock."""
 
     name: Annotated[str, "order number"]
     outer_diameter: Annotated[float, unit("mm"), POSITIVE, Typical(1e-4, 0.1)]
     inner_diameter: Annotated[float, unit("mm"), NOT_NEGATIVE, Typical(2e-5, 0.1)]
     source: Annotated[str, "supplier or publication"] = ""
     material: Material = NITINOL
-    """Of which it is."""
+    """Material of the tube."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -66,29 +66,29 @@ class Candidate:
 
     sizes: tuple[StockTube, ...]
     bound: float
-    """The best objective that the requirements on dimensions alone allow, as minimised."""
+    """Lower bound on the minimised objective, from the requirements on dimensions alone."""
     objective: float | None
-    """What a design reaches, in its own sign, SI, None where there is none."""
+    """Objective of the design in its own sign, SI; None without a design."""
     robot: ConcentricRobot | None
     status: str
-    """One of "design", "not found" with what failed most, "infeasible" with what shows it, "pruned", "out of time"."""
+    """"design", "pruned", "out of time", "not found" with the limit violated most, or "infeasible" with the reason."""
 
 
 @dataclass(frozen=True, eq=False)
 class StockChoice:
-    """All candidates: designs first, the best first; then those without one, then the pruned."""
+    """All candidates: designs, the best first, then candidates without a design, then pruned ones."""
 
     candidates: tuple[Candidate, ...]
 
     @property
     def best(self) -> Candidate | None:
-        """The best design, None where there is none."""
+        """Best design; None if there is none."""
         first = self.candidates[0] if self.candidates else None
         return first if first is not None and first.robot is not None else None
 
     def count(self, status: str) -> int:
-        """How many candidates ended so."""
-        return sum(one.status.startswith(status) for one in self.candidates)
+        """Number of candidates with a status."""
+        return sum(candidate.status.startswith(status) for candidate in self.candidates)
 
 
 @typed
@@ -104,17 +104,17 @@ def choose_from_stock(
     progress: Progress | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> StockChoice:
-    """Design with every choice of stock sizes that nest, but for those that cannot be among the best.
+    """Choose stock sizes for all tubes: a design for every choice that nests and may be among the best.
 
-    Candidates are taken in the order of their bounds: the optimum under the requirements on dimensions alone (held-
-    straight strain, lengths, walls). A candidate whose bound is worse than the `keep` best designs found is pruned. The
-    bound is exact where that smaller problem has one optimum, as for curvature and strain.
+    Candidates are solved in the order of their bounds, the optima under the requirements on dimensions alone (strain of
+    straightened tubes, lengths, walls). A candidate is pruned if its bound is worse than the `keep` best designs. The
+    bound is exact if that smaller problem has one optimum, as for curvature and strain.
 
     Args:
-        clearance: least difference of diameters between a tube and the next one.
-        keep: how many of the best designs are to be found for certain.
-        starts: of each design.
-        time_limit: s, on the clock; choices that are not designed by then are "out of time".
+        clearance: smallest difference of diameters between a tube and the tube around it, m.
+        keep: number of best designs that pruning must not remove.
+        starts: number of starts for each design.
+        time_limit: maximum run time, s; choices without a design by then are "out of time".
 
     Raises:
         InputError: keep, starts or workers below 1, a clearance below 0, nothing in stock nests, a task in which
@@ -130,7 +130,7 @@ def choose_from_stock(
     done: list[Candidate] = []
     with executor(workers) as pool:
         for k in range(0, len(order), workers):
-            best = sorted(_minimised(task, one) for one in done if one.robot is not None)
+            best = sorted(_minimised(task, candidate) for candidate in done if candidate.robot is not None)
             limit = best[keep - 1] if len(best) >= keep else np.inf
             batch = order[k : k + workers]
             late = late or time_left() == 0
@@ -140,17 +140,20 @@ def choose_from_stock(
             done += run_all(partial(_design, starts=starts), tasks, pool)
             if progress is not None:
                 progress(len(done), len(order))
-    designs = sorted((one for one in done if one.robot is not None), key=lambda one: _minimised(task, one))
+    designs = sorted((each for each in done if each.robot is not None), key=lambda each: _minimised(task, each))
     if not designs:
         why = f"no design was found with any of {len(choices)} choices from stock: {done[0].status}"
         raise TimeLimitError(f"{why}; the time limit was {time_limit:g} s") if late else SolveError(why)
-    rest = sorted((one for one in done if one.robot is None), key=lambda one: one.status in ("pruned", "out of time"))
+    rest = sorted(
+        (candidate for candidate in done if candidate.robot is None),
+        key=lambda one: one.status in ("pruned", "out of time"),
+    )
     return StockChoice((*designs, *rest))
 
 
 def stock_choices(task: DesignTask, stock: Sequence[StockTube], clearance: float) -> list[tuple[StockTube, ...]]:
-    """All choices of sizes for the tubes of a task, inner to outer."""
-    if any(one.field in ("outer_diameter", "inner_diameter") for one in task.free):
+    """Choices of nesting sizes for the tubes of a task, inner to outer."""
+    if any(dimension.field in ("outer_diameter", "inner_diameter") for dimension in task.free):
         raise InputError("diameters are free, and the tubes come from stock; use one of both")
     if len(task.objectives) > 1:
         raise InputError("a choice from stock needs one objective; the task has several")
@@ -163,7 +166,7 @@ def stock_choices(task: DesignTask, stock: Sequence[StockTube], clearance: float
 
 def combinations(stock: Sequence[StockTube], n: int, clearance: float) -> Iterator[tuple[StockTube, ...]]:
     """Choices of n sizes, inner to outer, each with `clearance` inside the next."""
-    sizes = sorted(stock, key=lambda one: one.outer_diameter)
+    sizes = sorted(stock, key=lambda size: size.outer_diameter)
     for chosen in itertools.combinations(sizes, n):
         if all(b.inner_diameter - a.outer_diameter >= clearance - 1e-12 for a, b in itertools.pairwise(chosen)):
             yield chosen
@@ -186,8 +189,7 @@ def with_sizes(task: DesignTask, sizes: Sequence[StockTube]) -> DesignTask:
 
 def _bound(task: DesignTask) -> float:
     """The best objective, as minimised, under the requirements on dimensions alone."""
-    one = task.objectives[0]
-    if key_of(one) not in BOUNDED:
+    if key_of(task.objectives[0]) not in BOUNDED:
         return -np.inf
     kept = tuple(
         replace(r, in_poses=False) if isinstance(r, Strain) else r
@@ -198,9 +200,9 @@ def _bound(task: DesignTask) -> float:
     return ranking.designs[0].objective if ranking.designs else np.inf
 
 
-def _minimised(task: DesignTask, one: Candidate) -> float:
-    assert one.objective is not None
-    return task.objectives[0].sign * task.objectives[0].weight * one.objective
+def _minimised(task: DesignTask, candidate: Candidate) -> float:
+    assert candidate.objective is not None
+    return task.objectives[0].sign * task.objectives[0].weight * candidate.objective
 
 
 def _design(item: tuple[DesignTask, tuple[StockTube, ...], float], starts: int) -> Candidate:
@@ -213,9 +215,9 @@ def _design(item: tuple[DesignTask, tuple[StockTube, ...], float], starts: int) 
         status = f"infeasible: {shown}" if shown else f"not found: {next(iter(ranking.failures))}"
         return Candidate(sizes, bound, None, None, "out of time" if ranking.late and not shown else status)
     try:
-        found, _ = add_worst_cases(ranking.designs[0])
+        design, _ = add_worst_cases(ranking.designs[0])
     except SolveError as error:
         return Candidate(sizes, bound, None, None, f"not found: {error}")
-    if found.late:
+    if design.late:
         return Candidate(sizes, bound, None, None, "out of time")
-    return Candidate(sizes, bound, found.value(task.objectives[0]), found.robot, "design")
+    return Candidate(sizes, bound, design.value(task.objectives[0]), design.robot, "design")

@@ -37,7 +37,7 @@ ORDER_SLACK = 1e-10
 
 @dataclass(frozen=True)
 class Place:
-    """Translations at which the order must hold: words, and the least and the greatest of every tube (n,), m."""
+    """Translations at which the order of tubes must hold: description, smallest and largest translations (n,), m."""
 
     words: str
     low: tuple[float, ...]
@@ -47,12 +47,11 @@ class Place:
 def ordered_places(
     n_tubes: int, requirements: Sequence[Requirement], objectives: Sequence[AnyObjective]
 ) -> tuple[Place, ...]:
-    """Where tubes must be in order: at translations 0, which is then home, and wherever a requirement or an objective
-    puts them."""
+    """Translations at which tubes must be in order: 0, which is then home, and those of requirements and objectives."""
     zero = (0.0,) * n_tubes
     found = [Place("at translations 0", zero, zero)]
-    for one in requirements:
-        match one:
+    for requirement in requirements:
+        match requirement:
             case SnapFree(translations=rows, box=box):
                 found += [Place(f"at the certified translations {_mm(row)}", row, row) for row in rows or ()]
                 found += [] if box is None else [Place(f"in the certified box {_mm(box[0])} to {_mm(box[1])}", *box)]
@@ -66,61 +65,67 @@ def ordered_places(
     return tuple({(place.low, place.high): place for place in reversed(found)}.values())[::-1]
 
 
-def order_gaps(straight: Array, curved: Array, low: Array, high: Array) -> Array:
-    """(3 n - 2,) m by which the order holds between two rows of translations, < 0 where it does not: of carriages, of
-    ends, from the plate; or, linear in all as it is, its change (3 n - 2, X) from those (n, X)."""
+def order_distances(straight: Array, curved: Array, low: Array, high: Array) -> Array:
+    """Distances (3 n - 2,), m, of carriages, of ends, and of ends from the plate; negative if the order is violated.
+
+    Translations may lie between `low` and `high`. The function is linear, so that it maps derivatives (n, X) too.
+    """
     carriages = straight[:-1] - straight[1:] + low[1:] - high[:-1]
     return np.concatenate([carriages, curved[:-1] - curved[1:] + low[:-1] - high[1:], curved + low])
 
 
-def gaps_of(tubes: Sequence[Tube], low: Sequence[float] | Array, high: Sequence[float] | Array) -> Array:
-    """(3 n - 2,) m by which the order of tubes holds."""
+def tube_distances(tubes: Sequence[Tube], low: Sequence[float] | Array, high: Sequence[float] | Array) -> Array:
+    """Distances (3 n - 2,), m, of tubes between two rows of translations, as `order_distances`."""
     straight, curved = (
         np.array([getattr(tube, name) for tube in tubes]) for name in ("straight_length", "curved_length")
     )
-    return order_gaps(straight, curved, np.array(low), np.array(high))
+    return order_distances(straight, curved, np.array(low), np.array(high))
 
 
 def worst_order(tubes: Sequence[Tube], places: Sequence[Place]) -> tuple[float, str]:
-    """Least gap of the order at places, m, and in words where and of which tubes."""
-    return min((_worst(gaps_of(tubes, place.low, place.high), place) for place in places), key=lambda found: found[0])
+    """Smallest distance of the order at places, m, and a clause with place and tubes."""
+    return min(
+        (_worst(tube_distances(tubes, place.low, place.high), place) for place in places), key=lambda pair: pair[0]
+    )
 
 
 def check_order(places: Sequence[Place], least: dict[str, Array], most: dict[str, Array]) -> None:
-    """Raise InputError where no lengths within their bounds (n,) keep the order at places."""
+    """Raise InputError if no lengths within their bounds (n,) satisfy the order at places."""
     for place in places:
-        lows = order_gaps(most["straight_length"], most["curved_length"], np.array(place.low), np.array(place.high))
+        lows = order_distances(
+            most["straight_length"], most["curved_length"], np.array(place.low), np.array(place.high)
+        )
         n = len(place.low)
         # The outer tube of a pair counts with its least length.
         for name, first in (("straight_length", 0), ("curved_length", n - 1)):
             lows[first : first + n - 1] += most[name][1:] - least[name][1:]
-        gap, words = _worst(lows, place)
-        if gap < -ORDER_SLACK:
+        distance, words = _worst(lows, place)
+        if distance < -ORDER_SLACK:
             raise InputError(
                 f"{words}, whatever lengths are chosen; ordered=False (in a file: ordered: false) allows it"
             )
 
 
-def _worst(gaps: Array, place: Place) -> tuple[float, str]:
-    """The least gap, and a clause for it."""
-    k, n = int(np.argmin(gaps)), len(place.low)
-    gap = float(gaps[k])
-    far = f"{abs(gap) * 1e3:.4g} mm"
+def _worst(distances: Array, place: Place) -> tuple[float, str]:
+    """Smallest distance of the order, and a clause for it."""
+    k, n = int(np.argmin(distances)), len(place.low)
+    distance = float(distances[k])
+    size = f"{abs(distance) * 1e3:.4g} mm"
     if k >= 2 * (n - 1):
         i = k - 2 * (n - 1) + 1
-        side = f"ends {far} behind the plate" if gap < 0 else f"ends {far} beyond the plate"
-        return gap, f"tube {i} {side} {place.words}"
+        side = f"ends {size} behind the plate" if distance < 0 else f"ends {size} beyond the plate"
+        return distance, f"tube {i} {side} {place.words}"
     i = k % (n - 1) + 1
     inner, outer = f"tube {i}", f"tube {i + 1}"
     if k < n - 1:
-        side = "before" if gap < 0 else "behind"
-        return gap, f"the carriage of {inner} stands {far} {side} that of {outer} {place.words}"
-    side = "inside" if gap < 0 else "beyond"
-    return gap, f"{inner} ends {far} {side} {'' if gap < 0 else 'the end of '}{outer} {place.words}"
+        side = "before" if distance < 0 else "behind"
+        return distance, f"the carriage of {inner} stands {size} {side} that of {outer} {place.words}"
+    side = "inside" if distance < 0 else "beyond"
+    return distance, f"{inner} ends {size} {side} {'' if distance < 0 else 'the end of '}{outer} {place.words}"
 
 
 def pose_places(translations: Sequence[Array]) -> tuple[Place, ...]:
-    """Places of task poses."""
+    """Translations of task poses as places."""
     rows = [tuple(row.tolist()) for row in translations]
     return tuple(Place(f"at task pose {k}", row, row) for k, row in enumerate(rows, start=1))
 
@@ -162,11 +167,11 @@ class DesignTask(Displayed):
     requirements: tuple[Requirement, ...] = ()
     """Requirements; the design satisfies all of them."""
     objective: AnyObjective | tuple[AnyObjective, ...] = field(default_factory=lambda: Objective("change"))
-    """One, or several that are added with their weights."""
+    """Objective, or several that are added with their weights."""
     name: str = ""
     """Name in tables and messages."""
     ordered: bool = True
-    """Whether the tubes must be in order: carriages in order, ends in order, no tube withdrawn past the plate. It
+    """True if the tubes must be in order: carriages in order, ends in order, no tube withdrawn past the plate. It
     applies at translations 0, over certified boxes, and at all translations that requirements and objectives name.
     Poses with free joint values always keep the order.
     """
@@ -182,8 +187,10 @@ class DesignTask(Displayed):
             object.__setattr__(self, "objective", items("objective", self.objective, AnyObjective, "Objective"))
         n = self.robot.n_tubes
         spread = [
-            replace(one, limits=one.limits * n) if isinstance(one, Strain) and len(one.limits) == 1 else one
-            for one in requirements
+            replace(requirement, limits=requirement.limits * n)
+            if isinstance(requirement, Strain) and len(requirement.limits) == 1
+            else requirement
+            for requirement in requirements
         ]
         object.__setattr__(self, "requirements", tuple(spread))
         self.space  # noqa: B018  (its checks)
@@ -199,13 +206,13 @@ class DesignTask(Displayed):
 
     @property
     def objectives(self) -> tuple[AnyObjective, ...]:
-        """All objectives of the task."""
+        """Objectives of the task as a tuple."""
         return (self.objective,) if isinstance(self.objective, AnyObjective) else tuple(self.objective)
 
     @property
     def built_in(self) -> tuple[Objective, ...]:
         """Objectives that are not custom."""
-        return tuple(one for one in self.objectives if isinstance(one, Objective))
+        return tuple(objective for objective in self.objectives if isinstance(objective, Objective))
 
     @property
     def places(self) -> tuple[Place, ...]:
@@ -221,20 +228,20 @@ class DesignTask(Displayed):
     def has_poses(self) -> bool:
         """True if the task has poses."""
         kinds = (Reach, Poses, Coverage)
-        posed = any(isinstance(one, kinds) for one in self.requirements)
-        return posed or any(one.kind == "reach_radius" for one in self.built_in)
+        posed = any(isinstance(requirement, kinds) for requirement in self.requirements)
+        return posed or any(objective.kind == "reach_radius" for objective in self.built_in)
 
 
 def extreme_lengths(task: DesignTask, side: str) -> dict[str, Array]:
-    """(n,) least ("lower") or greatest ("upper") straight and curved length that every tube may get, m."""
+    """Smallest ("lower") or largest ("upper") straight and curved lengths (n,) within the bounds, m."""
     space = task.space
     found = {
         field: np.array([getattr(tube, field) for tube in task.robot.tubes])
         for field in ("straight_length", "curved_length")
     }
-    for one, bound in zip(space.unknowns, getattr(space, side), strict=True):
-        for i in one.tubes if one.field in found else ():
-            found[one.field][i] = float(bound) * (found[one.field][i] if one.scaled else 1.0)
+    for unknown, bound in zip(space.unknowns, getattr(space, side), strict=True):
+        for i in unknown.tubes if unknown.field in found else ():
+            found[unknown.field][i] = float(bound) * (found[unknown.field][i] if unknown.scaled else 1.0)
     return found
 
 
@@ -256,8 +263,8 @@ def _per_tube(name: str, row: Sequence[float], n: int) -> None:
 
 def _check_requirements(task: DesignTask) -> None:
     n = task.robot.n_tubes
-    for one in task.requirements:
-        match one:
+    for requirement in task.requirements:
+        match requirement:
             case SnapFree(translations=rows, box=box):
                 for row in (*(rows or ()), *(box or ())):
                     _advanced(task, "translations of the certificate", row)
@@ -271,11 +278,13 @@ def _check_requirements(task: DesignTask) -> None:
             case Length(tube=tube) if not 0 <= tube < n:
                 raise InputError(f"length names tube {tube + 1}; the robot has tubes 1 to {n}")
             case SnapFreeInUse() | Stroke() | Avoid() | Deployment() if not task.has_poses:
-                raise InputError(f"{type(one).__name__} needs task poses; the task must have Reach, Coverage or Poses")
+                raise InputError(
+                    f"{type(requirement).__name__} needs task poses; the task must have Reach, Coverage or Poses"
+                )
             case StrokeForce():
                 _given_poses(task, "requirement StrokeForce")
             case CustomRequirement():
-                one.checked()
+                requirement.checked()
             case _:
                 pass
     for kind in (SnapFree, SnapFreeInUse, Strain, Stroke, StrokeForce):
@@ -284,7 +293,10 @@ def _check_requirements(task: DesignTask) -> None:
 
 
 def _given_poses(task: DesignTask, what: str) -> None:
-    """A limit of buckling ends where joint values leave the plane in which the arm lies."""
+    """Raise InputError if task poses have free joint values.
+
+    The buckling load is not differentiable where joint values leave the plane of the arm.
+    """
     if not of_kind(task.requirements, Poses) or of_kind(task.requirements, Reach) + of_kind(
         task.requirements, Coverage
     ):
@@ -292,17 +304,21 @@ def _given_poses(task: DesignTask, what: str) -> None:
 
 
 def _check_pieces(task: DesignTask) -> None:
-    """What a design of pieces cannot ask for: bounds for errors of tubes, and what one curvature gives."""
-    may_vary = any(one.pieces for one in task.space.unknowns) or not all(tube.even for tube in task.space.robot_tubes)
-    if may_vary and any(isinstance(one, SnapFree) and one.growth > 1 for one in task.requirements):
+    """Raise InputError for requirements and objectives that are not defined for tubes made of pieces."""
+    may_vary = any(unknown.pieces for unknown in task.space.unknowns) or not all(
+        tube.even for tube in task.space.robot_tubes
+    )
+    if may_vary and any(
+        isinstance(requirement, SnapFree) and requirement.growth > 1 for requirement in task.requirements
+    ):
         raise InputError(
             "snap_free has errors of curvature or stiffness; there is no proof for tubes "
             "made of pieces: require a larger margin, and check tolerances"
         )
     if not task.space.pieced:
         return
-    for one in task.requirements:
-        if isinstance(one, Strain):
+    for requirement in task.requirements:
+        if isinstance(requirement, Strain):
             _check_slots(task.space)
     for wanted in task.objectives:
         if isinstance(wanted, Objective) and wanted.kind in ("tip_curvature", "turning_radius"):
@@ -315,8 +331,8 @@ def _check_pieces(task: DesignTask) -> None:
 
 
 def _check_slots(space: DesignSpace) -> None:
-    """A limit of strain must know where slots are: they strain what they leave more than a whole tube."""
-    free = {place for one in space.unknowns if one.field == "piece_bending_factor" for place in one.pieces}
+    """Raise InputError if strain is limited and slots are unknown: the remaining material has a higher strain."""
+    free = {place for unknown in space.unknowns if unknown.field == "piece_bending_factor" for place in unknown.pieces}
     for i, tube in enumerate(space.robot_tubes):
         for j, piece in enumerate(tube.pieces):
             if piece.slots is None and (slots_unknown(tube, piece) or (i, j) in free):
@@ -330,27 +346,29 @@ def _check_slots(space: DesignSpace) -> None:
 
 def _check_objectives(task: DesignTask) -> None:
     certified = bool(of_kind(task.requirements, SnapFree))
-    for one in task.objectives:
-        if isinstance(one, CustomObjective):
-            one.checked()
-            if one.words in KINDS:
+    for objective in task.objectives:
+        if isinstance(objective, CustomObjective):
+            objective.checked()
+            if objective.words in KINDS:
                 raise InputError(
                     "a user-defined objective has the description "
-                    f"{one.words!r} of a built-in one; use another description"
+                    f"{objective.words!r} of a built-in one; use another description"
                 )
             continue
-        if one.translations is not None:
-            _advanced(task, "translations of the objective", one.translations)
-        if one.kind == "margin" and not (certified or task.has_poses):
+        if objective.translations is not None:
+            _advanced(task, "translations of the objective", objective.translations)
+        if objective.kind == "margin" and not (certified or task.has_poses):
             raise InputError("objective margin needs a certificate or task poses; the task has neither")
-        if one.kind == "orientability" and task.robot.n_tubes < 3:
+        if objective.kind == "orientability" and task.robot.n_tubes < 3:
             raise InputError(f"objective orientability needs 3 tubes; the robot has {task.robot.n_tubes}")
-        if one.kind in ("stroke_force", "workspace_volume"):
-            _given_poses(task, f"objective {one.kind}")
+        if objective.kind in ("stroke_force", "workspace_volume"):
+            _given_poses(task, f"objective {objective.kind}")
         count = sum(len(each.rotations) for each in of_kind(task.requirements, Poses))
-        if one.kind == "workspace_volume" and count < 3:
+        if objective.kind == "workspace_volume" and count < 3:
             raise InputError(f"objective workspace_volume has {count} task poses; a polygon needs at least 3")
-        if one.kind in POSED and not task.has_poses:
-            raise InputError(f"objective {one.kind} needs task poses (Reach, Coverage or Poses); the task has none")
-    if len({key_of(one) for one in task.objectives}) < len(task.objectives):
+        if objective.kind in POSED and not task.has_poses:
+            raise InputError(
+                f"objective {objective.kind} needs task poses (Reach, Coverage or Poses); the task has none"
+            )
+    if len({key_of(objective) for objective in task.objectives}) < len(task.objectives):
         raise InputError("an objective is given twice; each must be given once")

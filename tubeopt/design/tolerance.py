@@ -1,4 +1,4 @@
-"""What manufacturing leaves of a design: how likely it stays snap-free, and how far the tips spread."""
+"""Effect of manufacturing tolerances: probability of a snap-free robot, and spread of the tips."""
 
 from __future__ import annotations
 
@@ -52,23 +52,23 @@ class Tolerances:
 
 @dataclass(frozen=True, eq=False)
 class ToleranceAnalysis:
-    """Samples of a robot as it may be made."""
+    """Statistics of robots with random manufacturing errors."""
 
     certificate: Array
-    """(S,) least mu_cert of each over the given translations."""
+    """Smallest mu_cert (S,) of each sample over the translations."""
     snap_free: Annotated[float, key("snap_free_probability"), "fraction of them that is snap-free"]
     """Fraction of the samples with a positive margin."""
     interval: Annotated[tuple[float, float], key("interval_95"), "95 % confidence interval of this fraction"]
-    """Wilson interval."""
+    """Wilson score interval."""
     margin: float
     margin_kept: float
-    """Share that keeps `margin`."""
+    """Fraction of the samples with at least `margin`."""
     tip: Array
-    """(S, P, 3) tips in each pose, m, NaN where a sample has no stable equilibrium."""
+    """Tip positions (S, P, 3) in each pose, m; NaN if a sample has no stable equilibrium."""
     spread: Annotated[Array, key("tip_spread_rms_mm"), "RMS distance of the tip of a pose from its nominal position"]
-    """Shape (P,), one for each pose."""
+    """Shape (P,), m."""
     spread_95: Annotated[Array, key("tip_spread_95_mm"), "distance that contains 95 % of these tips"]
-    """Shape (P,)."""
+    """Shape (P,), m."""
     failed: Annotated[int, "samples that could not be solved"]
 
 
@@ -86,14 +86,14 @@ def tolerance_analysis(  # noqa: PLR0913
     progress: Progress | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> ToleranceAnalysis:
-    """Sample robots as they may be made.
+    """Sample robots with random manufacturing errors.
 
     Args:
-        translations: (T, n) m at which the certificate is computed; None is home.
-        poses: (rotations, translations) whose tips are compared, rad and m.
-        margin: of which to report how many samples keep it.
+        translations: translations (T, n), m, of the certificate; None is home.
+        poses: joint values (rotations, translations), rad and m, at which tips are compared.
+        margin: margin for which the fraction of samples is reported.
         samples: number of random robots.
-        time_limit: s, on the clock.
+        time_limit: maximum run time, s.
 
     Raises:
         InputError: fewer than 2 samples, joint values of another number of tubes, no `Tolerances`.
@@ -118,7 +118,7 @@ def tolerance_analysis(  # noqa: PLR0913
     with executor(min(workers, len(batches))) as pool:
         parts = run_all(partial(_batch, translations=where, poses=tuple(poses)), batches, pool, progress)
     certificate, tip = (np.concatenate([part[k] for part in parts]) for k in range(2))
-    gap = np.linalg.norm(tip - nominal[1], axis=2)
+    distance = np.linalg.norm(tip - nominal[1], axis=2)
     free = int((certificate > 0).sum())
     interval = scipy.stats.binomtest(free, samples).proportion_ci(0.95, method="wilson")
     return ToleranceAnalysis(
@@ -128,14 +128,14 @@ def tolerance_analysis(  # noqa: PLR0913
         margin=margin,
         margin_kept=float((certificate >= margin).mean()),
         tip=tip,
-        spread=np.sqrt(np.nanmean(gap**2, axis=0)),
-        spread_95=np.nanquantile(gap, 0.95, axis=0),
-        failed=int(np.isnan(gap).any(axis=1).sum()),
+        spread=np.sqrt(np.nanmean(distance**2, axis=0)),
+        spread_95=np.nanquantile(distance, 0.95, axis=0),
+        failed=int(np.isnan(distance).any(axis=1).sum()),
     )
 
 
 def sample_tubes(tubes: Sequence[Tube], tolerances: Tolerances, samples: int, seed: int = 0) -> list[tuple[Tube, ...]]:
-    """`samples` sets of tubes as they may be made."""
+    """Sets of tubes with random errors, `samples` in number."""
     random = np.random.default_rng(seed)
     size = (samples, len(tubes), 4)
     errors = random.standard_normal(size) if tolerances.distribution == "normal" else random.uniform(-1, 1, size)
@@ -145,7 +145,7 @@ def sample_tubes(tubes: Sequence[Tube], tolerances: Tolerances, samples: int, se
 
 
 def _made(tube: Tube, tolerances: Tolerances, errors: Sequence[float]) -> Tube:
-    """A tube as it may be made, pieces with stiffnesses of their own as much stiffer as the others."""
+    """Tube with errors (4,) in standard deviations or half widths; pieces stiffen in the same proportion."""
     bend, stiff, straight, curved = errors
     factor = 1 + tolerances.stiffness * stiff
     length = max(0.0, tube.curved_length + tolerances.curved_length * curved)

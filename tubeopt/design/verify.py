@@ -1,12 +1,11 @@
-"""Promises computed again from the robot and its equilibria: strain, walls, nesting, lengths, travel, and own
-requirements by their expressions."""
+"""Verification of a design by independent code: requirements computed again from its robot and solved equilibria."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -29,7 +28,7 @@ from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..stability import find_stroke_force, follow, snap_free_certificate, worst_margin
 from ..typing import Array
 from .evaluation import state_at
-from .exchange import certified_at, motions
+from .exchange import UNREACHED, certified_at, motions
 from .program import Program, points_of
 from .requirements import (
     SHARES,
@@ -51,185 +50,220 @@ from .requirements import (
 from .state import STRONGEST
 from .task import ORDER_SLACK, pose_places, worst_order
 
-# Part of a limit, or of a step of a custom requirement, by which it may be missed.
-MISSED = 1e-6
+# Fraction of a limit, or of a step of a custom requirement, by which it may be violated.
+RELATIVE_TOLERANCE = 1e-6
 
+# The same in m, rad, N and margin: the tolerance of the optimisation, not of the design.
+TOLERANCE = 1e-6
 
-@dataclass(frozen=True)
-class Check:
-    """One promise."""
-
-    what: Annotated[str, form("s", label=""), "the requirement"]
-    found: Annotated[str, form("s", label="found"), "the value found"]
-    kept: Annotated[bool, "true if it is satisfied"]
-
-
-def check_tubes(one: Requirement, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> list[Check]:
-    """What becomes of a promise about tubes; nothing for other requirements."""
-    match one:
-        case Strain(limits=limits):
-            found = largest_strain(one, robot, equilibria)
-            worst = int(np.argmax(found / np.array(limits)))
-            where = ["straightened"] * one.straightened + ["at the task poses"] * (one.in_poses and bool(equilibria))
-            words = f"largest strain {' and '.join(where)}, in tube {worst + 1}"
-            kept = bool((found <= np.array(limits) * (1 + MISSED)).all())
-            return [Check(words, f"{found[worst] * 100:.4f} %", kept)]
-        case Wall(thickness=limit):
-            least = min((tube.outer_diameter - tube.inner_diameter) / 2 for tube in robot.tubes)
-            return [Check("smallest wall thickness", _mm(least), least >= limit * (1 - MISSED))]
-        case Nesting(clearance=limit) if robot.n_tubes > 1:
-            least = min(outer.inner_diameter - inner.outer_diameter for inner, outer in pairwise(robot.tubes))
-            # An absolute tolerance, 1 nm: the limit may be 0, and a share of it would allow nothing.
-            return [Check("least clearance of the diameters", _mm(least), least >= limit - 1e-3 * MISSED)]
-        case Length(field=field, tube=i, limit=limit, least=at_least):
-            value = getattr(robot.tubes[i], field)
-            kept = value >= limit * (1 - MISSED) if at_least else value <= limit * (1 + MISSED)
-            return [Check(f"{field.replace('_', ' ')} of tube {i + 1}", _mm(value), kept)]
-        case Stroke(limit=limit) if equilibria:
-            travel = float(np.ptp([e.translations for e in equilibria], axis=0).max())
-            return [Check("longest travel of a carriage", _mm(travel), travel <= limit * (1 + MISSED))]
-        case _:
-            return []
-
-
-def largest_strain(one: Strain, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> Array:
-    """Independent of physics.torsion: (n,) largest bending strain of every tube where `one` limits it.
-
-    Held straight, and at the shape points, to both sides of which the tubes are bent as their balance of moments says.
-    """
-    found = np.array([tube.straightened_strain if one.straightened else 0.0 for tube in robot.tubes])
-    for e in equilibria if one.in_poses else ():
-        for aside in (-1e-9, 1e-9):  # m: the arm's curvature jumps at breakpoints
-            s = e.arc_length + aside
-            # In front of the plate, up to the end of the tube: its translation and its curved length.
-            there = (s > 0) & (s < e.translations[:, None] + np.array([[tube.curved_length] for tube in robot.tubes]))
-            own = [_own(tube, s - d) for tube, d in zip(robot.tubes, e.translations, strict=True)]
-            stiffness = there * np.array([part[1] for part in own])
-            # u* e^(j theta) in the common frame. Without a load, sum k_i (u - u*_i) = 0:
-            # the arm has their weighted mean.
-            turned = [part[0] * np.exp(1j * angle) for part, angle in zip(own, e.rotation, strict=True)]
-            bent = (stiffness * turned).sum(axis=0) / np.maximum(stiffness.sum(axis=0), 1e-300)
-            for i, tube in enumerate(robot.tubes):
-                radius = tube.outer_diameter / 2
-                strain = own[i][2] * surface_strain(radius, np.abs(bent - turned[i]), np.abs(own[i][0]))
-                found[i] = max(found[i], strain[there[i]].max(initial=0.0))
-    return found
-
-
-def _own(tube: Tube, place: Array) -> tuple[Array, Array, Array]:
-    """Precurvature x + j y in its own frame, 1/m, bending stiffness, N m^2, and how many times as much as a whole tube
-    it is strained, (m,) each, at places from where its straight part ends, m."""
-    bend, whole = np.zeros(len(place), dtype=complex), float(tube.bending_stiffness)
-    stiffness, ratio, begin = np.full(len(place), whole), np.ones(len(place)), 0.0
-    for piece in tube.chain:
-        here = (place > begin) & (place <= begin + piece.length)
-        x, y, kb = (_at(part, place[here] - begin) for part in (*piece.precurvature[:2], piece.bending_stiffness))
-        bend[here] = x + 1j * y
-        stiffness[here] = whole if kb is None else kb
-        ratio[here] = piece.strain_ratio(whole)
-        begin += piece.length
-    return bend, stiffness, ratio
-
-
-def _at(quantity: Any, place: Array) -> Any:
-    return quantity(place) if isinstance(quantity, Series) else quantity
-
-
-def least_room(body: Any, robot: ConcentricRobot, equilibrium: Equilibrium) -> float:
-    """Least distance (m) of the arm's surface at its shape points in front of the plate from a body."""
-    ends = equilibrium.tube_end
-    radius = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
-    outer = np.array([radius[np.flatnonzero(ends >= s - 1e-9)].max() for s in equilibrium.arc_length])
-    return float((body.signed_distance(equilibrium.position) - outer)[1:].min())
-
-
-def _mm(value: float) -> str:
-    return f"{value * 1e3:.4f} mm"
-
-
-def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Look:
-    """Quantities as numbers: of the robot, and of its equilibria by forward kinematics; along the arm by adaptive
-    integration."""
-
-    def look(one: Quantity) -> Array:
-        """The numbers of one quantity."""
-        if one.name == "certificate":
-            return np.array([snap_free_certificate(robot, np.array(one.at))])
-        if one.name == "straightened_strain":
-            tube = robot.tubes[one.at[0]]
-            return np.array([piece_strain(tube, tube.pieces[one.at[1]]) if tube.pieces else tube.straightened_strain])
-        if one.pose is None:
-            return np.array([getattr(tube, one.name) for tube in robot.tubes])
-        found = equilibria[one.pose] if isinstance(one.pose, int) else draw(robot, equilibria[one.pose[0]], one.pose[1])
-        match one.name:
-            case "strain":
-                anywhere = Strain((1.0,) * robot.n_tubes, straightened=False, in_poses=True)
-                return largest_strain(anywhere, robot, (found,))[list(one.at)]
-            case "clearance":
-                # A recorded clearance has a row for each part of the arm; the least of all is the strictest for each.
-                return np.full(CLEARANCES, least_room(one.at[0], robot, found))
-            case "deflection":
-                return under_load(found, one.at[0]).tip_position - found.tip_position
-            case "margin_under":
-                return np.array([sure_margin(under_load(found, one.at[0]))])
-            case "stroke_force":
-                limit = find_stroke_force(
-                    robot, found.rotations, found.translations, equilibrium=found, up_to=STRONGEST
-                )
-                return np.array([STRONGEST if limit is None else limit.factor])
-            case "jacobian":
-                return found.jacobian().position.ravel(order="F")
-            case "turning":
-                return found.jacobian().rotation.ravel(order="F")
-            case "tip_direction":
-                return np.asarray(found.tip_rotation[:, 2])
-            case "position" | "curvature":
-                place, bend = point_at(found, one.at[0] * float(found.arc_length[-1]))
-                return place if one.name == "position" else bend
-            case name:
-                return np.atleast_1d(getattr(found, name))
-
-    return look
-
-
-def check_own(one: CustomRequirement, robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Check:
-    """What becomes of a custom requirement."""
-    pieces = [len(tube.pieces) or 1 for tube in robot.tubes]
-    expression = recorded(one.expression, robot.n_tubes, len(equilibria), one.words, pieces)
-    try:
-        least = float(expression(numbers_of(robot, equilibria)).min())
-    except FloatingPointError:
-        return Check(one.words, "not a finite number", False)
-    value = one.limit - least if one.is_upper_bound else one.limit + least
-    return Check(one.words, f"{value * one.factor:.6g} {one.unit}".strip(), least >= -MISSED * one.size)
-
-
-# By how much (m, rad, margin) a promise may be missed: the tolerance of the optimisation, not of the design.
-SLACK = 1e-6
-
-# The search for the least margin takes seconds a translation; where the certificate is smallest it has most to find.
+# The search for the smallest margin takes seconds per translation; it is most likely to succeed where the certificate
+# is smallest.
 SEARCHED_TRANSLATIONS = 3
 
 # Corners of the box of tube errors, drawn at random: of three tubes there are 2^9, and the bound covers all of them.
 PERTURBED_ROBOTS = 12
 
 
+@dataclass(frozen=True)
+class Check:
+    """Check of one requirement."""
+
+    what: Annotated[str, form("s", label=""), "the requirement"]
+    found: Annotated[str, form("s", label="found"), "the value found"]
+    kept: Annotated[bool, "true if it is satisfied"]
+
+
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """All promises of a design, checked again."""
+    """Checks of all requirements of a design."""
 
     checks: tuple[Check, ...]
-    """One for each promise."""
+    """One or more for each requirement."""
 
     @property
     def kept(self) -> bool:
-        """Whether all promises are kept."""
+        """True if all requirements are satisfied."""
         return all(check.kept for check in self.checks)
 
     @property
     def broken(self) -> str:
-        """The promises that are not kept, in words."""
+        """Violated requirements with the values found."""
         return "; ".join(f"{check.what}: {check.found}" for check in self.checks if not check.kept)
+
+
+def verify(
+    program: Program, robot: ConcentricRobot, x: Array, equilibria: tuple[Equilibrium, ...], *, turns: int = 6
+) -> Verification:
+    """Check all requirements of the design x (X,) on its robot and the equilibria of its task poses.
+
+    Certificates are compared with a search for the smallest margin and with random full turns; strain and clearance are
+    computed without the code of the optimisation.
+    """
+    task = program.task
+    checks: list[Check] = []
+    for requirement in task.requirements:
+        checks += _checks_of(requirement, program, robot, x, equilibria, turns)
+    pose_translations = [e.translations for e in equilibria]
+    places = (*task.places, *(pose_places(pose_translations) if task.ordered else ()))
+    if places:
+        distance, words = worst_order(robot.tubes, places)
+        checks.append(Check("order of the tubes", words, distance >= -ORDER_SLACK))
+    return Verification((*checks, *_check_targets(program, equilibria)))
+
+
+def _checks_of(
+    requirement: Requirement,
+    program: Program,
+    robot: ConcentricRobot,
+    x: Array,
+    equilibria: tuple[Equilibrium, ...],
+    turns: int,
+) -> Iterator[Check]:
+    """Checks of one requirement; those on targets are in `_check_targets`."""
+    match requirement:
+        case SnapFree():
+            yield from _check_certificate(program, robot, requirement, turns)
+        case SnapFreeInUse(margin=limit, tolerance=tolerance) if equilibria:
+            arms = {"margin at the task poses": equilibria}
+            if requirement.deployed:
+                arms["margin during deployment to the task poses"] = deployments(robot, equilibria)
+            for words, some in arms.items():
+                margin = min(e.margin for e in some)
+                yield Check(words, f"{margin:.4f}", margin >= limit - tolerance)
+            if requirement.paths and len(equilibria) > 1:
+                paths = motions(program, robot, x)
+                if any(path.snap is not None for path in paths):
+                    yield Check("joint paths between the task poses", "a snap", False)
+                else:
+                    margin = min(float(path.margin.min()) for path in paths)
+                    words = "margin on the joint paths between the task poses"
+                    # Exchange accepts margins down to one tolerance; the second one covers round-off.
+                    yield Check(words, f"{margin:.4f}", margin >= limit - 2 * tolerance)
+        case Strain(limits=limits):
+            strain = largest_strain(requirement, robot, equilibria)
+            worst = int(np.argmax(strain / np.array(limits)))
+            posed = requirement.in_poses and bool(equilibria)
+            where = ["straightened"] * requirement.straightened + ["at the task poses"] * posed
+            kept = bool((strain <= np.array(limits) * (1 + RELATIVE_TOLERANCE)).all())
+            words = f"largest strain {' and '.join(where)}, in tube {worst + 1}"
+            yield Check(words, f"{strain[worst] * 100:.4f} %", kept)
+        case Wall(thickness=limit):
+            wall = min((tube.outer_diameter - tube.inner_diameter) / 2 for tube in robot.tubes)
+            yield Check("smallest wall thickness", _mm(wall), wall >= limit * (1 - RELATIVE_TOLERANCE))
+        case Nesting(clearance=limit) if robot.n_tubes > 1:
+            clearance = min(outer.inner_diameter - inner.outer_diameter for inner, outer in pairwise(robot.tubes))
+            # An absolute tolerance, 1 nm: the limit may be 0, and a fraction of it would allow nothing.
+            kept = clearance >= limit - 1e-3 * TOLERANCE
+            yield Check("least clearance of the diameters", _mm(clearance), kept)
+        case Length(field=field, tube=i, limit=limit, least=at_least):
+            length = getattr(robot.tubes[i], field)
+            below, above = limit * (1 - RELATIVE_TOLERANCE), limit * (1 + RELATIVE_TOLERANCE)
+            kept = length >= below if at_least else length <= above
+            yield Check(f"{field.replace('_', ' ')} of tube {i + 1}", _mm(length), kept)
+        case Stroke(limit=limit) if equilibria:
+            travel = float(np.ptp([e.translations for e in equilibria], axis=0).max())
+            yield Check("longest travel of a carriage", _mm(travel), travel <= limit * (1 + RELATIVE_TOLERANCE))
+        case StrokeForce(limit=limit):
+            value_of = numbers_of(robot, equilibria)
+            force = min(float(value_of(Quantity("stroke_force", k))[0]) for k in range(len(equilibria)))
+            yield Check("stroke force at the task poses", f"{force * 1e3:.4f} mN", force >= limit - TOLERANCE)
+        case Avoid(clearance=limit):
+            arms_on_path = deployments(robot, equilibria) if requirement.deployed else ()
+            distances = (arm_distance(requirement, robot, e) for e in (*equilibria, *arms_on_path))
+            excess = min(distances, default=np.inf) - limit
+            # No tolerance here: the optimisation adds HELD_OFF to the clearance.
+            yield Check("room between the arm and the obstacles at the task poses", _mm(excess), excess >= 0)
+        case CustomRequirement():
+            yield check_custom(requirement, robot, equilibria)
+
+
+def _check_certificate(program: Program, robot: ConcentricRobot, requirement: SnapFree, turns: int) -> Iterator[Check]:
+    """Checks of a certificate: its value, with tube errors, by a search for smaller margins, and by full turns."""
+    translations = [np.array(row) for row in certified_at(program, robot)]
+    certificates = [snap_free_certificate(robot, row) for row in translations]
+    lowest = requirement.floor - requirement.tolerance - TOLERANCE
+    yield Check("certificate", f"{min(certificates):.5f}", min(certificates) >= lowest)
+    # Growth 1 means no errors; a tube that is not even has no single curvature to change.
+    if requirement.growth > 1 and all(tube.even for tube in robot.tubes):
+        worst = _smallest_with_errors(robot, requirement, translations)
+        words = f"least certificate of {PERTURBED_ROBOTS} robots with random errors of their tubes"
+        yield Check(words, f"{worst:.5f}", worst >= requirement.margin - requirement.tolerance - TOLERANCE)
+    searched = np.argsort(certificates)[:SEARCHED_TRANSLATIONS]
+    for k in searched:
+        try:
+            margin = worst_margin(robot, translations[k]).margin
+        except SolveError:
+            margin = 0.0  # a fold
+        where = ", ".join(f"{d * 1e3:.4g}" for d in translations[k])
+        words = f"least margin that search finds at translations {where} mm"
+        # The certificate is a lower bound: an equilibrium with less margin refutes it.
+        yield Check(words, f"{margin:.4f}", margin >= certificates[k] - TOLERANCE)
+    # Only a positive margin excludes snaps.
+    if requirement.margin > 0:
+        snaps = sum(count_snaps(robot, turns, 10 + int(k), translations[k])[0] for k in searched)
+        words = f"snaps in {turns * len(searched)} random full turns forth and back"
+        yield Check(words, str(snaps), snaps == 0)
+
+
+def _smallest_with_errors(robot: ConcentricRobot, requirement: SnapFree, translations: list[Array]) -> float:
+    """Smallest certificate of robots whose tubes deviate by the allowed errors, each up or down at random."""
+    random, smallest = np.random.default_rng(0), np.inf
+    error = np.array([[requirement.curvature_error], [requirement.stiffness_error], [requirement.stiffness_error]])
+    for _ in range(PERTURBED_ROBOTS):
+        curvature, bending, torsional = 1 + random.choice([-1.0, 1.0], (3, robot.n_tubes)) * error
+        tubes = tuple(
+            tube.resized("curvature", tube.curvature * float(curvature[i]))
+            .resized("bending_stiffness", float(tube.bending_stiffness) * float(bending[i]))
+            .resized("torsional_stiffness", float(tube.torsional_stiffness) * float(torsional[i]))
+            for i, tube in enumerate(robot.tubes)
+        )
+        smallest = min(smallest, *(snap_free_certificate(ConcentricRobot(tubes), row) for row in translations))
+    return smallest
+
+
+def _check_targets(program: Program, equilibria: tuple[Equilibrium, ...]) -> Iterator[Check]:
+    """Checks of tip positions and directions at targets and in workspace boxes."""
+    place = {number: k for k, number in enumerate(program.task_poses)}
+    requirements = program.task.requirements
+    points = points_of(requirements, program.added)
+    for requirement, own, positions in zip(requirements, program.own, points, strict=True):
+        if not isinstance(requirement, Reach | Coverage):
+            continue
+        poses = [equilibria[place[number]] for number in own]
+        targets = requirement.targets if isinstance(requirement, Reach) else [requirement] * len(positions)
+        tolerance = np.array([target.tolerance for target in targets])
+        distance = np.linalg.norm([e.tip_position for e in poses] - np.array(positions), axis=1)
+        worst = int(np.argmax(distance / tolerance))
+        words = f"largest distance of the tip from {len(positions)} targets"
+        kept = bool(distance[worst] <= (1 + UNREACHED) * tolerance[worst])
+        yield Check(words, f"{distance[worst] * 1e3:.4f} mm", kept)
+        if isinstance(requirement, Coverage):
+            continue
+        for k, (target, pose) in enumerate(zip(requirement.targets, poses, strict=True)):
+            if target.direction is not None:
+                # Clipped: beyond 1 by round-off, arccos is NaN.
+                cosine = np.clip(pose.tip_rotation[:, 2] @ np.array(target.direction), -1, 1)
+                angle = float(np.arccos(cosine))
+                kept = angle <= target.direction_tolerance + TOLERANCE
+                yield Check(f"direction at target {k + 1}", f"{np.degrees(angle):.3f} deg off", kept)
+
+
+def solve_again(program: Program, robot: ConcentricRobot, x: Array) -> tuple[Equilibrium, ...]:
+    """Equilibria of all task poses by forward kinematics from scratch.
+
+    If the robot must reach the poses on joint paths, these are the equilibria at the ends of the paths.
+    """
+    state = state_at(program, x)
+    joints = [state.joint_values(k) for k in program.task_poses]
+    if len(joints) > 1 and any(each.paths for each in of_kind(program.task.requirements, SnapFreeInUse)):
+        paths = motions(program, robot, x)
+        return (paths[0].equilibria[0], *(path.equilibria[-1] for path in paths))
+    return tuple(forward_kinematics(robot, *pair) for pair in joints)
+
+
+def deployments(robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> tuple[Equilibrium, ...]:
+    """Partly deployed arms of all poses."""
+    return tuple(draw(robot, pose, fraction) for pose in equilibria for fraction in SHARES)
 
 
 @typed
@@ -243,19 +277,19 @@ def count_snaps(
     *,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> tuple[int, int]:
-    """Snaps and turns on which there were some, in full turns of random tubes in random directions, forth and back.
+    """Number of snaps, and of turns with a snap, in full turns of random tubes in random directions.
 
-    Every turn begins at the untwisted home, with all tubes bending to one side; at least one tube, and not all,
-    goes a full turn forth or back, and then everything goes back to where it began.
+    Every turn starts at the untwisted home, with all tubes bending to one side. At least one tube, and not all,
+    rotates by a full turn in either direction, and then all tubes return to the start.
 
     Raises:
-        TimeLimitError: `time_limit` (s) was reached before all turns were made.
+        TimeLimitError: `time_limit` (s) was reached before the last turn.
     """
     whole("turns", turns, 0)
     random = np.random.default_rng(seed)
     n = robot.n_tubes
     home = shifts(robot, translations)
-    # A tube with negative curvature begins turned by half: all bend to one side, without torsion.
+    # A tube with negative curvature starts at half a turn: all bend to one side, without torsion.
     start = np.array([np.pi if tube.curvature < 0 else 0.0 for tube in robot.tubes])
     snaps, snapped = 0, 0
     for _ in range(turns):
@@ -265,165 +299,138 @@ def count_snaps(
         if n > 1 and not turn.any():
             turn[random.integers(n - 1)] = random.choice([-1.0, 1.0])
         # A random offset: from the exactly aligned home, a turn and its reverse are mirror images.
-        begin = start + random.uniform(-0.5, 0.5, n)
-        way = np.array([start, begin, begin + 2 * np.pi * turn, begin, start])
-        found = len(follow(robot, way, np.tile(home, (5, 1))).snaps)
-        snaps, snapped = snaps + found, snapped + (found > 0)
+        offset = start + random.uniform(-0.5, 0.5, n)
+        rotations = np.array([start, offset, offset + 2 * np.pi * turn, offset, start])
+        count = len(follow(robot, rotations, np.tile(home, (5, 1))).snaps)
+        snaps, snapped = snaps + count, snapped + (count > 0)
     return snaps, snapped
 
 
-def solve_again(program: Program, robot: ConcentricRobot, x: Array) -> tuple[Equilibrium, ...]:
-    """Equilibria of all task poses by forward kinematics from scratch; of poses that the robot reaches on joint paths,
-    those in which it arrives."""
-    state = state_at(program, x)
-    joints = [state.joint_values(k) for k in program.task_poses]
-    paths = [one for one in of_kind(program.task.requirements, SnapFreeInUse) if one.paths]
-    if paths and len(joints) > 1:
-        found = motions(program, robot, x)
-        return (found[0].equilibria[0], *(motion.equilibria[-1] for motion in found))
-    return tuple(forward_kinematics(robot, *pair) for pair in joints)
+class _TubeSections(NamedTuple):
+    """Properties of one tube at m places."""
+
+    precurvature: Array
+    """Curvature x + j y (m,) in the frame of the tube, 1/m."""
+    stiffness: Array
+    """Bending stiffness (m,), N m^2."""
+    strain_ratio: Array
+    """Strain (m,) relative to that of a tube without slots."""
 
 
-def verify(
-    program: Program, robot: ConcentricRobot, x: Array, equilibria: tuple[Equilibrium, ...], *, turns: int = 6
-) -> Verification:
-    """Check a design again: certificates against search and against random full turns, poses by forward kinematics,
-    tubes by what they are and by the strain in their poses, custom requirements by their expressions at all of that."""
-    checks: list[Check] = []
-    for one in program.task.requirements:
-        if isinstance(one, SnapFree):
-            checks += _certificate(program, robot, one, turns)
-        elif isinstance(one, SnapFreeInUse) and equilibria:
-            arms = {"margin at the task poses": equilibria}
-            if one.deployed:
-                arms["margin during deployment to the task poses"] = on_the_way(robot, equilibria)
-            for words, some in arms.items():
-                least = min(e.margin for e in some)
-                checks.append(Check(words, f"{least:.4f}", least >= one.margin - one.tolerance))
-            if one.paths and len(equilibria) > 1:
-                checks.append(_paths(program, robot, x, one))
-        elif isinstance(one, StrokeForce):
-            checks.append(_stroke_force(one, robot, equilibria))
-        elif isinstance(one, Avoid):
-            checks.append(_anatomy(one, robot, equilibria))
-        elif isinstance(one, CustomRequirement):
-            checks.append(check_own(one, robot, equilibria))
-        checks += check_tubes(one, robot, equilibria)
-    checks += _order(program, robot, equilibria)
-    checks += _tips(program, equilibria)
-    return Verification(tuple(checks))
-
-
-def _certificate(program: Program, robot: ConcentricRobot, one: SnapFree, turns: int) -> list[Check]:
-    rows = [np.array(row) for row in certified_at(program, robot)]
-    values = [snap_free_certificate(robot, row) for row in rows]
-    checks = [Check("certificate", f"{min(values):.5f}", min(values) >= one.floor - one.tolerance - SLACK)]
-    checks += _erring(robot, one, rows)
-    order = np.argsort(values)[:SEARCHED_TRANSLATIONS]
-    for k in order:
-        try:
-            found = worst_margin(robot, rows[k]).margin
-        except SolveError:
-            found = 0.0  # a fold
-        where = ", ".join(f"{d * 1e3:.4g}" for d in rows[k])
-        words = f"least margin that search finds at translations {where} mm"
-        # The certificate is a lower bound: an equilibrium with less margin refutes it.
-        checks.append(Check(words, f"{found:.4f}", found >= values[k] - SLACK))
-    # Only a positive margin promises that no turn snaps.
-    if one.margin > 0:
-        snaps = sum(count_snaps(robot, turns, 10 + int(k), rows[k])[0] for k in order)
-        words = f"snaps in {turns * len(order)} random full turns forth and back"
-        checks.append(Check(words, str(snaps), snaps == 0))
-    return checks
-
-
-def _erring(robot: ConcentricRobot, one: SnapFree, rows: list[Array]) -> list[Check]:
-    """The certificate with curvatures and stiffnesses that are off by as much as they may be."""
-    # Growth 1 means no errors; a tube that is not even has no single curvature to change.
-    if one.growth == 1 or not all(tube.even for tube in robot.tubes):
-        return []
-    random, least = np.random.default_rng(0), np.inf
-    for _ in range(PERTURBED_ROBOTS):
-        bent, bending, torsional = 1 + random.choice([-1.0, 1.0], (3, robot.n_tubes)) * np.array(
-            [[one.curvature_error], [one.stiffness_error], [one.stiffness_error]]
+def _sections_at(tube: Tube, s: Array) -> _TubeSections:
+    """Properties at s (m,), m, from the end of the straight part."""
+    uncut = float(tube.bending_stiffness)
+    precurvature, stiffness, ratio = np.zeros(len(s), dtype=complex), np.full(len(s), uncut), np.ones(len(s))
+    start = 0.0
+    for piece in tube.chain:
+        inside = (s > start) & (s <= start + piece.length)
+        x, y, kb = (
+            part(s[inside] - start) if isinstance(part, Series) else part
+            for part in (*piece.precurvature[:2], piece.bending_stiffness)
         )
-        tubes = tuple(
-            tube.resized("curvature", tube.curvature * float(bent[i]))
-            .resized("bending_stiffness", float(tube.bending_stiffness) * float(bending[i]))
-            .resized("torsional_stiffness", float(tube.torsional_stiffness) * float(torsional[i]))
-            for i, tube in enumerate(robot.tubes)
-        )
-        least = min(least, *(snap_free_certificate(ConcentricRobot(tubes), row) for row in rows))
-    words = f"least certificate of {PERTURBED_ROBOTS} robots with random errors of their tubes"
-    return [Check(words, f"{least:.5f}", least >= one.margin - one.tolerance - SLACK)]
+        precurvature[inside] = x + 1j * y
+        stiffness[inside] = uncut if kb is None else kb
+        ratio[inside] = piece.strain_ratio(uncut)
+        start += piece.length
+    return _TubeSections(precurvature, stiffness, ratio)
 
 
-def on_the_way(robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> tuple[Equilibrium, ...]:
-    """Arms on their way out to poses."""
-    return tuple(draw(robot, one, share) for one in equilibria for share in SHARES)
+def largest_strain(requirement: Strain, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> Array:
+    """Largest bending strain (n,) of every tube, straightened and in poses as required. Independent of physics.torsion.
+
+    In poses it is evaluated on both sides of every shape point, from the balance of bending moments.
+    """
+    largest = np.array([tube.straightened_strain if requirement.straightened else 0.0 for tube in robot.tubes])
+    for e in equilibria if requirement.in_poses else ():
+        for offset in (-1e-9, 1e-9):  # m: the arm's curvature jumps at breakpoints
+            s = e.arc_length + offset
+            # In front of the plate, up to the end of the tube: its translation and its curved length.
+            present = (s > 0) & (s < e.translations[:, None] + np.array([[tube.curved_length] for tube in robot.tubes]))
+            sections = [_sections_at(tube, s - d) for tube, d in zip(robot.tubes, e.translations, strict=True)]
+            kb = present * np.array([section.stiffness for section in sections])
+            # u* e^(j theta) in the common frame. Without a load, sum kb_i (u - u*_i) = 0:
+            # the arm has their weighted mean.
+            rotated = [
+                section.precurvature * np.exp(1j * theta) for section, theta in zip(sections, e.rotation, strict=True)
+            ]
+            u = (kb * rotated).sum(axis=0) / np.maximum(kb.sum(axis=0), 1e-300)
+            for i, (tube, section) in enumerate(zip(robot.tubes, sections, strict=True)):
+                bend, radius = np.abs(u - rotated[i]), tube.outer_diameter / 2
+                strain = section.strain_ratio * surface_strain(radius, bend, np.abs(section.precurvature))
+                largest[i] = max(largest[i], strain[present[i]].max(initial=0.0))
+    return largest
 
 
-def _order(program: Program, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> list[Check]:
-    """Tubes in order where the task wants them so, and in its poses."""
-    posed = pose_places([e.translations for e in equilibria]) if program.task.ordered else ()
-    places = (*program.task.places, *posed)
-    if not places:
-        return []
-    gap, words = worst_order(robot.tubes, places)
-    return [Check("order of the tubes", words, gap >= -ORDER_SLACK)]
+def arm_distance(body: Any, robot: ConcentricRobot, equilibrium: Equilibrium) -> float:
+    """Smallest distance (m) from a body to the arm's surface at its shape points in front of the plate."""
+    ends = equilibrium.tube_end
+    radius = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
+    arm_radius = np.array([radius[np.flatnonzero(ends >= s - 1e-9)].max() for s in equilibrium.arc_length])
+    return float((body.signed_distance(equilibrium.position) - arm_radius)[1:].min())
 
 
-def _paths(program: Program, robot: ConcentricRobot, x: Array, one: SnapFreeInUse) -> Check:
-    found = motions(program, robot, x)
-    if any(motion.snap is not None for motion in found):
-        return Check("joint paths between the task poses", "a snap", False)
-    least = min(float(motion.margin.min()) for motion in found)
-    words = "margin on the joint paths between the task poses"
-    # Exchange accepts margins down to one tolerance; the second one keeps round-off from refuting these.
-    return Check(words, f"{least:.4f}", least >= one.margin - 2 * one.tolerance)
+def _mm(value: float) -> str:
+    return f"{value * 1e3:.4f} mm"
 
 
-def _stroke_force(one: StrokeForce, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> Check:
-    look = numbers_of(robot, equilibria)
-    least = min(float(look(Quantity("stroke_force", k))[0]) for k in range(len(equilibria)))
-    return Check("stroke force at the task poses", f"{least * 1e3:.4f} mN", least >= one.limit - SLACK)
+def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Look:
+    """Function that evaluates quantities of a robot and of its equilibria.
+
+    Loaded poses and withdrawn arms are solved by forward kinematics, points on the arm by adaptive integration.
+    """
+
+    def value_of(quantity: Quantity) -> Array:
+        """Numbers (k,) of one quantity."""
+        if quantity.name == "certificate":
+            return np.array([snap_free_certificate(robot, np.array(quantity.at))])
+        if quantity.name == "straightened_strain":
+            tube, number = robot.tubes[quantity.at[0]], quantity.at[1]
+            return np.array([piece_strain(tube, tube.pieces[number]) if tube.pieces else tube.straightened_strain])
+        if quantity.pose is None:
+            return np.array([getattr(tube, quantity.name) for tube in robot.tubes])
+        if isinstance(quantity.pose, int):
+            pose = equilibria[quantity.pose]
+        else:
+            number, fraction = quantity.pose
+            pose = draw(robot, equilibria[number], fraction)
+        match quantity.name:
+            case "strain":
+                in_pose = Strain((1.0,) * robot.n_tubes, straightened=False, in_poses=True)
+                return largest_strain(in_pose, robot, (pose,))[list(quantity.at)]
+            case "clearance":
+                # A recorded clearance has a row for each part of the arm; the smallest of all is the strictest for
+                # each.
+                return np.full(CLEARANCES, arm_distance(quantity.at[0], robot, pose))
+            case "deflection":
+                return under_load(pose, quantity.at[0]).tip_position - pose.tip_position
+            case "margin_under":
+                return np.array([sure_margin(under_load(pose, quantity.at[0]))])
+            case "stroke_force":
+                limit = find_stroke_force(robot, pose.rotations, pose.translations, equilibrium=pose, up_to=STRONGEST)
+                return np.array([STRONGEST if limit is None else limit.factor])
+            case "jacobian":
+                return pose.jacobian().position.ravel(order="F")
+            case "turning":
+                return pose.jacobian().rotation.ravel(order="F")
+            case "tip_direction":
+                return np.asarray(pose.tip_rotation[:, 2])
+            case "position" | "curvature":
+                point, u = point_at(pose, quantity.at[0] * float(pose.arc_length[-1]))
+                return point if quantity.name == "position" else u
+            case name:
+                return np.atleast_1d(getattr(pose, name))
+
+    return value_of
 
 
-def _anatomy(one: Avoid, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> Check:
-    drawn = on_the_way(robot, equilibria) if one.deployed else ()
-    room = min((least_room(one, robot, e) for e in (*equilibria, *drawn)), default=np.inf) - one.clearance
-    # No tolerance here: the design was kept off by HELD_OFF in addition.
-    return Check("room between the arm and the obstacles at the task poses", f"{room * 1e3:.4f} mm", room >= 0)
-
-
-def _tips(program: Program, equilibria: tuple[Equilibrium, ...]) -> list[Check]:
-    place = {number: k for k, number in enumerate(program.task_poses)}
-    points = points_of(program.task.requirements, program.added)
-    checks = []
-    for one, own, aims in zip(program.task.requirements, program.own, points, strict=True):
-        if not isinstance(one, Reach | Coverage):
-            continue
-        reached = [equilibria[place[number]] for number in own]
-        targets = one.targets if isinstance(one, Reach) else [one] * len(aims)
-        allowed = np.array([target.tolerance for target in targets])
-        gaps = np.linalg.norm([e.tip_position for e in reached] - np.array(aims), axis=1)
-        worst = int(np.argmax(gaps / allowed))
-        words = f"largest distance of the tip from {len(aims)} targets"
-        # As in `reachable`, a thousandth of the tolerance may be missed.
-        kept = bool(gaps[worst] <= (1 + 1e-3) * allowed[worst])
-        checks.append(Check(words, f"{gaps[worst] * 1e3:.4f} mm", kept))
-        if isinstance(one, Reach):
-            checks += _directions(one, reached)
-    return checks
-
-
-def _directions(one: Reach, equilibria: list[Equilibrium]) -> list[Check]:
-    out = []
-    for k, (target, equilibrium) in enumerate(zip(one.targets, equilibria, strict=True)):
-        if target.direction is not None:
-            heading = equilibrium.tip_rotation[:, 2]
-            # Clipped: beyond 1 by round-off, arccos is NaN.
-            angle = float(np.arccos(np.clip(heading @ np.array(target.direction), -1, 1)))
-            kept = angle <= target.direction_tolerance + SLACK
-            out.append(Check(f"direction at target {k + 1}", f"{np.degrees(angle):.3f} deg off", kept))
-    return out
+def check_custom(requirement: CustomRequirement, robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Check:
+    """Check of a custom requirement, by its expression at the numbers of the robot and its equilibria."""
+    pieces = [len(tube.pieces) or 1 for tube in robot.tubes]
+    expression = recorded(requirement.expression, robot.n_tubes, len(equilibria), requirement.words, pieces)
+    try:
+        excess = float(expression(numbers_of(robot, equilibria)).min())
+    except FloatingPointError:
+        return Check(requirement.words, "not a finite number", False)
+    value = requirement.limit - excess if requirement.is_upper_bound else requirement.limit + excess
+    kept = excess >= -RELATIVE_TOLERANCE * requirement.size
+    return Check(requirement.words, f"{value * requirement.factor:.6g} {requirement.unit}".strip(), kept)

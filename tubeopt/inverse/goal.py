@@ -88,33 +88,35 @@ def extras(cost: CustomObjective | None, constraints: Sequence[CustomRequirement
     return Extras(found, tuple((one, recorded(one.expression, n, 1, one.words)) for one in constraints))
 
 
-def _asked(one: CustomObjective | CustomRequirement, ask: Callable[[], T]) -> T:
+def _asked(objective: CustomObjective | CustomRequirement, ask: Callable[[], T]) -> T:
     try:
         return ask()
     except FloatingPointError:
-        raise InputError(f"the expression of {one.words} is not finite at a pose on the path to the target") from None
+        raise InputError(
+            f"the expression of {objective.words} is not finite at a pose on the path to the target"
+        ) from None
 
 
 def values(at: Posture) -> Callable[[Quantity], Array]:
     """Quantities of a posture as numbers."""
 
-    def look(one: Quantity) -> Array:
+    def look(quantity: Quantity) -> Array:
         """One quantity of the posture."""
         here = at.equilibrium
-        match one.name:
-            case _ if isinstance(one.pose, tuple):
+        match quantity.name:
+            case _ if isinstance(quantity.pose, tuple):
                 raise InputError("deployment poses are available in designs only")
             case "strain" | "clearance" | "deflection" | "margin_under" | "jacobian" | "turning" | "stroke_force":
-                raise InputError(f"the {one.name.replace('_', ' ')} of a pose is available in designs only")
+                raise InputError(f"the {quantity.name.replace('_', ' ')} of a pose is available in designs only")
             case "certificate":
-                return np.array([snap_free_certificate(at.space.robot, np.array(one.at))])
+                return np.array([snap_free_certificate(at.space.robot, np.array(quantity.at))])
             case "tip_direction":
                 return at.direction
             case "position":
-                return place_at(at.derivatives, one.at[0])
-            case "curvature" if one.at:
-                return curvature_at(at.derivatives, one.at[0])[0]
-            case name if one.pose is None:
+                return place_at(at.derivatives, quantity.at[0])
+            case "curvature" if quantity.at:
+                return curvature_at(at.derivatives, quantity.at[0])[0]
+            case name if quantity.pose is None:
                 return np.array([getattr(tube, name) for tube in at.space.robot.tubes])
             case name:
                 return np.atleast_1d(getattr(here, name))
@@ -126,9 +128,9 @@ def linear(at: Posture) -> Callable[[Quantity], tuple[Array, Array]]:
     """Quantities of a posture, and their change (.., m) with its joints."""
     n = at.space.robot.n_tubes
 
-    def slope(one: Quantity) -> Array:
+    def slope(quantity: Quantity) -> Array:
         """(..., m) change of a quantity with the joints."""
-        match one.name:
+        match quantity.name:
             case "rotations":
                 return at.space.spread[:n]
             case "translations":
@@ -140,11 +142,11 @@ def linear(at: Posture) -> Callable[[Quantity], tuple[Array, Array]]:
             case "margin":
                 return at.margin_slope()[None]
             case "position":
-                return position_at(at.derivatives, one.at[0])[1] @ at.space.spread
-            case "curvature" if one.at:
-                return curvature_at(at.derivatives, one.at[0])[1] @ at.space.spread
+                return position_at(at.derivatives, quantity.at[0])[1] @ at.space.spread
+            case "curvature" if quantity.at:
+                return curvature_at(at.derivatives, quantity.at[0])[1] @ at.space.spread
             case _:
-                return np.zeros((one.size(n), len(at.q)))
+                return np.zeros((quantity.size(n), len(at.q)))
 
     look = values(at)
     return lambda one: (look(one), slope(one))

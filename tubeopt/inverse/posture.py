@@ -199,9 +199,9 @@ def start_at(space: JointSpace, q: Array) -> Posture | None:
         return None
 
 
-def same_place(one: Posture | None, other: Posture) -> bool:
+def same_place(posture: Posture | None, other: Posture) -> bool:
     """Whether two postures at the same joint values are one equilibrium."""
-    return one is not None and bool(np.linalg.norm(one.tip - other.tip) <= SAME_TIP)
+    return posture is not None and bool(np.linalg.norm(posture.tip - other.tip) <= SAME_TIP)
 
 
 def posture_of(space: JointSpace, equilibrium: Equilibrium, name: str = "") -> Posture:
