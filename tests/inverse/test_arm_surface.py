@@ -175,7 +175,7 @@ def test_a_target_inside_a_body_of_a_crowd_is_approached_as_close_as_it_goes(mon
     way."""
     bodies = cloud(600, list(reachable(THESIS, 4, seed=6))[3:])
     target = np.array(bodies[0].centre)
-    monkeypatch.setattr(closest, "POSTURES", 1)
+    monkeypatch.setattr(closest, "MAX_SOLVES", 1)
     monkeypatch.setattr(multistart, "CLEAR_STARTS", 0)
     few = InverseOptions(starts=12)
     found = inverse_kinematics(THESIS, target, obstacles=bodies, on_failure="closest", options=few)

@@ -37,7 +37,7 @@ from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.mirror import mirror_closed_form, mirror_pose
 from tubeopt.inverse.multistart import build_table, nearest_starts, start_table
 from tubeopt.inverse.posture import posture_of
-from tubeopt.inverse.search import Way, find_way
+from tubeopt.inverse.search import FoundPath, find_path
 from tubeopt.inverse.task import Task
 from tubeopt.robots.limits import JointLimits
 from tubeopt.robots.robot import Robot
@@ -158,7 +158,7 @@ class TestSeed:
         """No small motion along the postures with the same tip comes closer to the reference."""
         reference = (np.radians([30.0, 60.0, 90.0]), np.array([-0.03, -0.02, -0.01]))
         answer = inverse_kinematics(THESIS, TARGET, reference=reference)
-        goal = pose_question(THESIS, (TARGET, None), (None, reference))
+        goal = pose_question(THESIS, TARGET, reference=reference)
         at = posture_of(goal.space, answer.equilibrium)
         kernel = np.linalg.svd(goal.slope(at) * goal.space.scale)[2][3:] * goal.space.scale
         random, tried = np.random.default_rng(0), 0
@@ -618,12 +618,12 @@ class TestWays:
         monkeypatch.setattr(joint_path, "PATH_WORK", 0.2)  # the whole search takes 2.4
         ends: list[tuple[int, int]] = []
 
-        def noted(task: Task, *asked: Any, **more: Any) -> Way:
-            way = find_way(task, *asked, **more)
+        def noted(task: Task, *asked: Any, **more: Any) -> FoundPath:
+            way = find_path(task, *asked, **more)
             ends.append((way.motions, task.work.operations))
             return way
 
-        monkeypatch.setattr(joint_path, "find_way", noted)
+        monkeypatch.setattr(joint_path, "find_path", noted)
         alone = inverse_kinematics(robot, target, reachable=True, options=InverseOptions(time_limit=math.inf))
         stop = threading.Event()
 

@@ -14,8 +14,8 @@ from tubeopt import InverseOptions, Ipopt, Problem, ProblemSolution, forward_kin
 from tubeopt.block.transcription.program import torsion_guess
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.inverse import program
+from tubeopt.inverse.breakpoint_order import breakpoint_order
 from tubeopt.inverse.clock import Clock
-from tubeopt.inverse.gauss_newton import breakpoint_order
 from tubeopt.inverse.goal import Goal, pose_question
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.posture import Posture, posture_of
@@ -47,8 +47,9 @@ def question(at: Posture, **options: object) -> Goal:
     reference = (at.equilibrium.rotations, at.equilibrium.translations)
     return pose_question(
         at.space.robot,
-        (at.tip, direction),  # type: ignore[arg-type]
-        (None, reference),
+        at.tip,
+        direction,  # type: ignore[arg-type]
+        reference=reference,
         obstacles=obstacles,  # type: ignore[arg-type]
         options=given,
     )
@@ -154,7 +155,7 @@ def test_the_order_of_breakpoints_changes_on_the_way() -> None:
     assert before != after
     reference = (wanted.rotations, wanted.translations)
     near = InverseOptions(objective="nearest")
-    goal = pose_question(THESIS, (wanted.tip_position, None), (None, reference), options=near)
+    goal = pose_question(THESIS, wanted.tip_position, reference=reference, options=near)
     found = solve_program(goal, start)
     assert found.reached
     np.testing.assert_allclose(found.posture.q, space.join(*reference), atol=1e-4)

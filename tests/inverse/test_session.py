@@ -141,7 +141,7 @@ def test_it_does_not_jump() -> None:
 def test_branch_jump_is_reported() -> None:
     """Of motions of the joints that bring the tip straight on, round on an arc, and through a snap."""
     before = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
-    goal = pose_question(THESIS, (before.tip_position, None))
+    goal = pose_question(THESIS, before.tip_position)
     here = posture_of(goal.space, before)
     near = here.to(here.q + np.array([0.02, 0.02, 0.02, 0.0, 0.0, 0.0]))
     assert near is not None

@@ -224,9 +224,9 @@ def test_other_postures_are_tried_where_the_nearest_is_cut_off(monkeypatch: pyte
 
     def nearest_cut_off(*arguments: Any, **options: Any) -> search.Way:
         tried.append(len(arguments[2]))
-        return search.Way(None, "search", 7) if len(tried) == 1 else search.find_way(*arguments, **options)
+        return search.FoundPath(None, "search", 7) if len(tried) == 1 else search.find_path(*arguments, **options)
 
-    monkeypatch.setattr(plan, "find_way", nearest_cut_off)
+    monkeypatch.setattr(plan, "find_path", nearest_cut_off)
     monkeypatch.setattr("tubeopt.planning.goals.InverseOptions", partial(InverseOptions, starts=6))
     found = plan_trajectory(THESIS, HOME, there.tip_position, options=PlanOptions(objective="none"))
     first = inverse_kinematics(THESIS, there.tip_position, start=forward_kinematics(THESIS, *HOME))

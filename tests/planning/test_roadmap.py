@@ -84,7 +84,7 @@ def test_a_place_of_the_tip_is_planned_for_from_the_map_alone(monkeypatch: pytes
         raise AssertionError("joint values are those beside the map, and no other way is searched for")
 
     monkeypatch.setattr("tubeopt.planning.goals.inverse_kinematics", never)
-    monkeypatch.setattr("tubeopt.planning.plan.find_way", never)
+    monkeypatch.setattr("tubeopt.planning.plan.find_path", never)
     quick = PlanOptions(clearance=2e-4, objective="none", roadmap=roadmap)
     plan = plan_trajectory(ROBOT, start, place, obstacles=[body], options=quick)
     assert plan.proved

@@ -81,7 +81,7 @@ KNOT_DAMPING = 1e-6
 
 # Distance from obstacles, as a fraction of the robot's length, within which they count at a knot, and the largest
 # number of points that a knot keeps clear of. Bodies farther away become rows of a later program.
-BODY_REACH, MOST_CONTACTS = 0.05, 3
+BODY_REACH, MAX_CONTACTS = 0.05, 3
 
 # Places per step between points of the arm, on straight lines, at which its distance from bodies is measured.
 PLACES_PER_STEP = 4
@@ -149,7 +149,7 @@ class Knots:
         """(K, C) how much farther from bodies than the clearance (m) arms are where they come closest, infinite
         where there are none, and (K, C, m) its derivatives."""
         space, (count, m) = self.chart.space, self.z.shape
-        most = MOST_CONTACTS
+        most = MAX_CONTACTS
         gap, slope = np.full((count, most), np.inf), np.zeros((count, most, m))
         x = np.arange(PLACES_PER_STEP) / PLACES_PER_STEP
         fine, along, moved = (_between(table, x) for table in (self.points, self.along, self.slopes[2]))

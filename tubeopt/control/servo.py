@@ -223,7 +223,7 @@ class Servo:
     def _constraints(self, here: Posture, rate: Array) -> Constraints:
         """Constraints of a step: rates and ranges, order, margin, bodies. Those violated already must not get worse."""
         options, m = self.options, len(here.q)
-        bounds = np.minimum(here.room, 0.0)
+        bounds = np.minimum(here.step_bounds, 0.0)
         bounds[: 2 * m] = np.maximum(bounds[: 2 * m].reshape(2, m), -rate).ravel() / self._twice
         rows, more, kinds = [self._sides], [bounds], [(2 * m, Why.ORDER)]
         slope = here.margin_slope() * self.space.scale
@@ -246,7 +246,7 @@ class Servo:
         m, reasons = len(here.q), set[Why]()
         for row in active.tolist():
             if row < 2 * m:
-                reasons.add(Why.RANGE if here.room[row] > -rate[row % m] else Why.RATE)
+                reasons.add(Why.RANGE if here.step_bounds[row] > -rate[row % m] else Why.RATE)
             else:
                 reasons.add(next(kind for first, kind in reversed(kinds) if row >= first))
         return Why(sum(reasons))
@@ -320,16 +320,16 @@ class Servo:
 
     def _position(self, target: Array, at: Posture, dt: float) -> tuple[Array, Array]:
         length = self.space.length
-        return at.jacobian[0] / length, _at_most(self.options.speed * dt, target - at.tip) / length
+        return at.jacobian.tip / length, _at_most(self.options.speed * dt, target - at.tip) / length
 
     def _velocity(self, velocity: Array, at: Posture, dt: float) -> tuple[Array, Array]:
-        return at.jacobian[0] / self.space.length, _at_most(self.options.speed, velocity) * (dt / self.space.length)
+        return at.jacobian.tip / self.space.length, _at_most(self.options.speed, velocity) * (dt / self.space.length)
 
     def _direction(self, direction: Array, at: Posture, dt: float) -> tuple[Array, Array]:
         here = at.direction
         # As fast as the tip would turn about a tenth of the robot.
         most = 10 * self.options.speed * dt / self.space.length
-        return np.cross(at.jacobian[1], here[:, None], axis=0), _at_most(most, direction - here)
+        return np.cross(at.jacobian.turn, here[:, None], axis=0), _at_most(most, direction - here)
 
     def _pivot(self, pivot: Array, at: Posture, dt: float) -> tuple[Array, Array]:
         """The closest point of the arm moves onto the pivot, in the plane normal to the arm."""

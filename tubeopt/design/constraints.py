@@ -211,13 +211,13 @@ def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
         case Length(limit=limit, least=least):
             return replace(requirement, limit=limit + (-amount if least else amount))
         case Reach(targets=targets):
-            limits = [
+            parts = [
                 (k, name)
                 for k, target in enumerate(targets)
                 for name in ("tolerance", "direction_tolerance")
                 if name == "tolerance" or target.direction is not None
             ]
-            k, field = limits[part]
+            k, field = parts[part]
             eased = replace(targets[k], **{field: getattr(targets[k], field) + amount})
             return replace(requirement, targets=(*targets[:k], eased, *targets[k + 1 :]))
         case CustomRequirement():

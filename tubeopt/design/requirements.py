@@ -344,7 +344,7 @@ class Deployment(Checked, CustomRequirement):
         Typical(1e-6, 0.2),
         "largest distance between the deploying arm and the fully deployed arm",
     ]
-    words, unit, factor, size, most = "deviation of the deployment", "mm", 1e3, 1e-3, True
+    words, unit, factor, size, is_upper_bound = "deviation of the deployment", "mm", 1e3, 1e-3, True
     _owner = words
 
     def expression(self, q: Quantities) -> Any:

@@ -29,71 +29,76 @@ FINER = 17
 """Points between the two neighbours of one at which it is closest."""
 
 # Every contact is a row of a quadratic program.
-MOST_CONTACTS = 6
-"""Places where the arm comes closest to one body that are told."""
+MAX_CONTACTS = 6
+"""Maximum number of contacts with one body."""
 
 AHEAD, BEYOND = 5e-3, 1e-9
-"""How much farther than is enough distances are measured, and beyond what is of interest, m."""
+"""Additional distances up to which distances are computed, beyond those that decide, m."""
 
 PARTS = 4
-"""Pieces of the centreline between two shape points, at whose ends the arm is looked around from."""
+"""Number of pieces of the centreline between two shape points for the coarse search."""
 
 
-def cubic(begin: Any, end: Any, slope: Any, last: Any, x: Any, length: Any = 1.0) -> Any:
-    """Cubic interpolation at shares x of a length, from values at both ends and slopes there."""
+def cubic(start: Any, end: Any, start_slope: Any, end_slope: Any, x: Any, length: Any = 1.0) -> Any:
+    """Cubic Hermite interpolation at fractions x of a length."""
     y = 1 - x
-    return y * y * (begin * (1 + 2 * x) + slope * (length * x)) + x * x * (end * (1 + 2 * y) - last * (length * y))
+    return y * y * (start * (1 + 2 * x) + start_slope * (length * x)) + x * x * (
+        end * (1 + 2 * y) - end_slope * (length * y)
+    )
 
 
 _UNIT = np.eye(4)
 BETWEEN = cubic(_UNIT[0], _UNIT[1], _UNIT[2], _UNIT[3], np.arange(1, PARTS)[:, None] / PARTS)
-"""(PARTS - 1, 4) weights of both shape points, and of both tangents times the length between, in the points there."""
+"""Weights (PARTS - 1, 4) of two shape points, and of their tangents times the length, at the points between them."""
 
 
 @lru_cache(maxsize=64)
 def outer_radius(robot: Robot) -> Array:
-    """(n,) radius of the arm where tube i is the outermost, for eccentric tubes of what holds them, m."""
+    """Radius (n,) of the arm where tube i is the outermost, m; for eccentric tubes that of the sheath."""
     offset = robot.assembly(np.array(robot.home_translations)).offset
     return np.array([tube.outer_diameter / 2 for tube in robot.tubes]) + offset
 
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """Where an arm comes closest to bodies."""
+    """Places where an arm comes closest to bodies."""
 
     body: Index
-    """(c,) their numbers."""
+    """Numbers (c,) of the bodies."""
     place: Array
-    """(c,) arc lengths, m."""
+    """Arc lengths (c,), m."""
     point: Array
-    """(c, 3) of the centreline, m."""
+    """Points (c, 3) of the centreline, m."""
     distance: Array
-    """(c,) of the surface of the arm, m."""
+    """Distances (c,) of the arm's surface from the bodies, m."""
 
     def chosen(self, rows: Mask | Index) -> Contacts:
-        """Some of them."""
+        """Contacts in some rows."""
         return Contacts(self.body[rows], self.place[rows], self.point[rows], self.distance[rows])
 
     @property
     def rank(self) -> Index:
-        """(c,) the how many-th of its body each of them is, from 0; those of a body stand together."""
+        """Index (c,) of each contact among those of its body, from 0; contacts are sorted by body."""
         return np.arange(len(self.body)) - np.searchsorted(self.body, self.body)
 
 
 @dataclass(frozen=True, eq=False)
 class _Near:
-    """All contacts within a distance, m; rows of the grid about which bodies come that close, and the least (m) that
-    these distances can be there."""
+    """Contacts within a distance."""
 
     within: float
+    """Distance, m."""
     contacts: Contacts
     row: Index
+    """Rows (r,) of the grid near which bodies come that close."""
     at_least: Array
+    """Lower bounds (r,) of the distances near these rows, m."""
     also: frozenset[int]
+    """Bodies that are included at any rank."""
 
     @cached_property
     def bodies(self) -> int:
-        """How many bodies they are of."""
+        """Number of bodies with contacts."""
         return len(np.unique(self.contacts.body))
 
 
@@ -103,22 +108,22 @@ NOWHERE = Contacts(NONE, np.zeros(0), np.zeros((0, 3)), np.zeros(0))
 
 @dataclass(frozen=True, eq=False)
 class ArmSurface:
-    """The surface of the arm of an equilibrium, round at the end of every tube."""
+    """Surface of the arm of an equilibrium, round at the end of every tube."""
 
     equilibrium: Equilibrium
     _clear: dict[Scene, tuple[float, bool]] = field(default_factory=dict, init=False, repr=False)
-    """Clearances from scenes, and whether each is exact, not a bound."""
+    """Clearances from scenes, with True if exact, False if a lower bound."""
     _known: dict[Scene, _Near] = field(default_factory=dict, init=False, repr=False)
-    """What is known of scenes."""
+    """Contacts with scenes."""
 
     @cached_property
     def grid(self) -> Array:
-        """(p,) arc lengths close enough for bodies: evenly spaced, and the ends of tubes, where the radius falls."""
+        """Arc lengths (p,) of the finest grid: evenly spaced, and the ends of tubes, where the radius falls."""
         ends = self.equilibrium.tube_end
         tip = self.equilibrium.arc_length[-1]
         s = np.sort(np.concatenate([EVENLY * tip, ends[(ends > 0) & (ends < tip)]]))
-        own = s[1:] > s[:-1]
-        return s if own.all() else s[np.append(True, own)]
+        distinct = s[1:] > s[:-1]
+        return s if distinct.all() else s[np.append(True, distinct)]
 
     def at(self, s: Array) -> tuple[Array, Array]:
         """Centreline (p, 3) and radius of the arm (p,) at arc lengths."""
@@ -129,12 +134,12 @@ class ArmSurface:
         return self.at(np.linspace(0.0, self.equilibrium.arc_length[-1], count))
 
     def centreline(self, s: Array) -> Array:
-        """(p, 3) at arc lengths."""
+        """Centreline (p, 3) at arc lengths (p,), m."""
         arm = self.equilibrium
         return _hermite(arm.arc_length, arm.position, arm.frame[:, :, 2], s)
 
     def radius(self, s: Array) -> Array:
-        """(p,) radius of the arm at arc lengths: of the outermost tube, or of what holds tubes beside each other."""
+        """Radius (p,) of the arm at arc lengths (p,): the outermost tube, or the sheath of eccentric tubes."""
         ends, thick = self._steps
         return np.asarray(thick[np.searchsorted(ends, s)])
 
@@ -143,14 +148,13 @@ class ArmSurface:
         """Arc lengths (n,) at which tubes end, in order, and the radius of the arm (n + 1,) up to each and beyond."""
         ends = self.equilibrium.tube_end
         order = np.argsort(ends)
-        there = np.append(outer_radius(self.equilibrium.robot)[order], 0.0)
-        return ends[order] + 1e-12, np.maximum.accumulate(there[::-1])[::-1]
+        radius = np.append(outer_radius(self.equilibrium.robot)[order], 0.0)
+        return ends[order] + 1e-12, np.maximum.accumulate(radius[::-1])[::-1]
 
     def clearance(self, scene: Scene, enough: float = np.inf) -> float:
-        """Least distance of the surface from bodies, m; some lower bound of it that is `enough`, where it is more than
-        that; infinite without bodies.
+        """Smallest distance of the surface from bodies, m; infinite without bodies. Above `enough` it is a lower bound.
 
-        Points far apart tell along which stretches it may be the least, and these are looked at more closely.
+        A coarse grid shows on which intervals the distance may be smallest; only these are refined.
         """
         if not scene.bodies:
             return np.inf
@@ -158,9 +162,9 @@ class ArmSurface:
             near = self._known[scene]
             if not len(near.row):
                 return near.within
-            least = min(near.within, float(near.contacts.distance.min(initial=np.inf)))
-            doubtful = near.row[near.at_least < min(enough, least)]
-            return min(least, self._between(scene, doubtful)) if len(doubtful) else least
+            smallest = min(near.within, float(near.contacts.distance.min(initial=np.inf)))
+            doubtful = near.row[near.at_least < min(enough, smallest)]
+            return min(smallest, self._between(scene, doubtful)) if len(doubtful) else smallest
         known, exact = self._clear.get(scene, (-np.inf, False))
         if not exact and known < enough:
             self._clear[scene] = known, _ = self._clearance(scene, enough)
@@ -168,58 +172,60 @@ class ArmSurface:
 
     @cached_property
     def _points(self) -> Array:
-        """(p, 3) of the centreline at the grid."""
+        """Centreline (p, 3) at the grid."""
         return self.centreline(self.grid)
 
     @cached_property
     def _radii(self) -> Array:
-        """(p,) at the grid."""
+        """Radius (p,) of the arm at the grid."""
         return self.radius(self.grid)
 
     @cached_property
     def _few(self) -> Index:
-        """Rows of the grid that are looked at first: also those at which the radius falls."""
+        """Rows of the coarse grid, with those at which the radius falls."""
         few, last = np.zeros(len(self.grid), dtype=bool), len(self.grid) - 1
         few[:: STRIDES[0]] = few[last] = True
         few[np.minimum(np.searchsorted(self.grid, self.equilibrium.tube_end), last)] = True
         return few.nonzero()[0]
 
     def _window(self, rows: Index, stride: int) -> tuple[Array, Array]:
-        """How far the stretch that every so many-th point stands for reaches from rows (r,) of the grid, and how thick
-        the arm is there at most, m: it grows thinner towards its tip."""
+        """Half lengths (r,) of the intervals around rows (r,) of a grid with a stride, and their largest radius, m.
+
+        The arm grows thinner towards its tip: the radius is that of the proximal end.
+        """
         grid, half = self.grid, (stride + 1) // 2
         first, end = np.maximum(rows - half, 0), grid[np.minimum(rows + half, len(grid) - 1)]
         return np.maximum(grid[rows] - grid[first], end - grid[rows]), self._radii[first]
 
     def _clearance(self, scene: Scene, enough: float) -> tuple[float, bool]:
-        """The clearance and True, or a bound that is enough and False."""
-        grid, least, rows = self.grid, np.inf, self._few
+        """Clearance and True, or a sufficient lower bound and False."""
+        grid, smallest, rows = self.grid, np.inf, self._few
         for stride, finer in zip(STRIDES, (*STRIDES[1:], 0), strict=True):
             points, radius = self.centreline(grid[rows]), self._radii[rows]
             reach, thick = self._window(rows, stride)
-            least = min(least, float((scene.at_most(points) - radius).min()))
-            interesting = min(max(least, 0.0), enough + AHEAD) + reach + thick + BEYOND
-            distance = scene.nearest(points, interesting)
-            least = min(least, float((distance - radius)[distance < interesting].min(initial=np.inf)))
+            smallest = min(smallest, float((scene.at_most(points) - radius).min()))
+            # Beyond this distance a point cannot decide.
+            cutoff = min(max(smallest, 0.0), enough + AHEAD) + reach + thick + BEYOND
+            distance = scene.nearest(points, cutoff)
+            smallest = min(smallest, float((distance - radius)[distance < cutoff].min(initial=np.inf)))
             bound = self._at_least(scene, distance, reach) - thick
             if bound.min() >= enough:
                 return float(bound.min()), False
-            rows = rows[bound <= least]
+            rows = rows[bound <= smallest]
             if finer:
                 rows = np.unique(self._around(rows, stride, finer))
-        return min(least, self._between(scene, rows)), True
+        return min(smallest, self._between(scene, rows)), True
 
     def _around(self, rows: Index, stride: int, finer: int) -> Index:
-        """(r, k) every `finer`-th row of the stretches that rows (r,) stand for."""
+        """Every `finer`-th row (r, k) of the intervals around rows (r,) of a grid with a stride."""
         half = (stride + 1) // 2
         return np.asarray(np.clip(rows[:, None] + np.arange(-half, half + 1, finer), 0, len(self.grid) - 1))
 
     def _at_least(self, scene: Scene, distance: Array, reach: Array) -> Array:
-        """(r,) the least that the distance of the centreline from bodies can be within `reach` (r,) along it of points
-        with these distances (r,), m, as far as it has a minimum there.
+        """Lower bounds (r,) of minima of the distance within `reach` (r,) of points with distances (r,), m.
 
-        A distance changes by no more than its point moves. From a solid body outside of it even less: at the minimum D
-        the shortest way is square to the arm, whose curvature is k, and |x - y|^2 <= D^2 + (1 + k D) reach^2.
+        A distance changes by no more than its point moves. Outside a solid body it changes less: at the minimum D the
+        shortest line is normal to the arm, whose curvature is k, and |x - y|^2 <= D^2 + (1 + k D) reach^2.
         """
         bound = distance - reach
         if scene.solid:
@@ -230,42 +236,47 @@ class ArmSurface:
 
     @cached_property
     def bend(self) -> float:
-        """Curvature of the arm at most, 1/m: with room for what is between its points."""
+        """Upper bound of the curvature of the arm, 1/m, with a reserve for the places between its points."""
         return 1.2 * float(np.linalg.norm(self.equilibrium.curvature, axis=1).max(initial=0.0))
 
     def _between(self, scene: Scene, rows: Index) -> float:
-        """Least distance between points of the grid and their neighbours, m: near a small body the arm comes closer
-        there than a clearance may be off."""
+        """Smallest distance between points of the grid and their neighbours, m.
+
+        Near a small body the arm comes closer there than the tolerance of a clearance.
+        """
         cells = np.unique(np.append(rows, rows - 1))
         cells = cells[(cells >= 0) & (cells < len(self.grid) - 1)]
         if not len(cells):
             return np.inf
-        begin, length = self.grid[cells], np.diff(self.grid)[cells]
-        share = np.arange(1, FINER // 2) / (FINER // 2)
-        points, radius = self.at((begin[:, None] + length[:, None] * share).ravel())
+        start, length = self.grid[cells], np.diff(self.grid)[cells]
+        fraction = np.arange(1, FINER // 2) / (FINER // 2)
+        points, radius = self.at((start[:, None] + length[:, None] * fraction).ravel())
         return float((scene.nearest(points) - radius).min())
 
     def contacts(
         self, scene: Scene, within: float, fewest: int | None = None, also: frozenset[int] = frozenset()
     ) -> Contacts:
-        """Where the arm comes closest to each of the bodies, if closer than `within`, m: body by body, of each at most
-        MOST_CONTACTS, the closest first. With `fewest`, those farther than so many bodies may be left out, except
-        `also`, numbers of bodies."""
+        """Contacts closer than `within`, m, sorted by body, then by distance, at most MAX_CONTACTS for each body.
+
+        With `fewest`, only so many nearest bodies need to be included, and in addition the bodies `also`.
+        """
         known = self._known.get(scene)
         if known is None or not (known.within >= within or (fewest and known.bodies >= fewest and also <= known.also)):
             known = self._known[scene] = self._near(scene, within, fewest, also)
         return known.contacts.chosen(known.contacts.distance <= within) if len(known.contacts.body) else NOWHERE
 
-    def look_around(self, lookout: ClearanceMonitor, within: float) -> None:
-        """Look for contacts within a distance, m, unless a lookout knows that there are none."""
-        if lookout.far(*self._sparse(within)):
-            self._known[lookout.scene] = _Near(within, NOWHERE, NONE, np.zeros(0), frozenset())
+    def look_around(self, monitor: ClearanceMonitor, within: float) -> None:
+        """Compute contacts within a distance, m, unless a monitor shows that there are none."""
+        if monitor.far(*self._sparse(within)):
+            self._known[monitor.scene] = _Near(within, NOWHERE, NONE, np.zeros(0), frozenset())
         else:
-            self.contacts(lookout.scene, within)
+            self.contacts(monitor.scene, within)
 
     def _sparse(self, within: float) -> tuple[Array, Array]:
-        """Some points (p, 3) of the centreline, and distances (p,) from them, m, beyond which nothing is closer to the
-        surface than `within`: the shape points, and some between each and the next."""
+        """Points (p, 3) of the centreline, and distances (p,), m, that cover everything within `within` of the surface.
+
+        These are the shape points and some points between them.
+        """
         arm = self.equilibrium
         at, length = arm.position, arm.arc_length[1:] - arm.arc_length[:-1]
         ahead = arm.frame[:, :, 2]
@@ -277,8 +288,11 @@ class ArmSurface:
         return np.concatenate([at, between]), reach + (within + float(outer_radius(arm.robot).max()) + BEYOND)
 
     def _near(self, scene: Scene, within: float, fewest: int | None, also: frozenset[int]) -> _Near:
-        """Bodies and stretches of the arm that are far from each other are left out in pairs, first by points far
-        apart; so is what is farther than `fewest` bodies certainly are not."""
+        """Contacts by successive refinement of the grid.
+
+        Pairs of a body and an interval of the arm are dropped as soon as a bound shows that they are too far apart, or
+        farther than `fewest` bodies.
+        """
         few, whole = self._few, within
         always = np.fromiter(also, int, len(also))
         reach, thick = self._window(few, STRIDES[0])
@@ -309,11 +323,11 @@ class ArmSurface:
         least = least[np.lexsort((row[least], distance[least], body[least]))]
         body, row = body[least], row[least]
         found = Contacts(body, self.grid[row], self._points[row], distance[least])
-        first = found.rank < MOST_CONTACTS
+        first = found.rank < MAX_CONTACTS
         return self._closer(scene, found.chosen(first), row[first])
 
     def _closer(self, scene: Scene, contacts: Contacts, row: Index) -> Contacts:
-        """The same between the neighbours of points of the grid."""
+        """Contacts refined between the neighbours of points of the grid."""
         low, high = self.grid[np.maximum(row - 1, 0)], self.grid[np.minimum(row + 1, len(self.grid) - 1)]
         finer = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, FINER)
         points, radius = self.at(finer.ravel())
@@ -332,20 +346,20 @@ class ArmSurface:
 
 
 def _farthest(body: Index, distance: Array, count: int) -> float:
-    """Distance within which there are `count` bodies, of pairs (k,); infinite where there are fewer."""
+    """Distance within which there are `count` bodies, from pairs (k,); infinite if there are fewer."""
     least = np.full(body.max(initial=-1) + 1, np.inf)
     np.minimum.at(least, body, distance)
     return float(np.partition(least, count - 1)[count - 1]) if len(least) >= count else np.inf
 
 
 def _once(body: Index, rows: Index, count: int) -> tuple[Index, Index]:
-    """Pairs of bodies (k,) and rows (k, r) of `count`, each once, in order, by a table: to sort takes longer."""
+    """Distinct pairs of bodies (k,) and rows (k, r) of `count`, in order, by a table, which is faster than sorting."""
     known = np.zeros(body.max(initial=-1) + 1, dtype=bool)
     known[body] = True
     table = np.zeros((np.count_nonzero(known), count), dtype=bool)
     table[(np.cumsum(known) - 1)[body][:, None], rows] = True
-    one, row = np.nonzero(table)
-    return np.flatnonzero(known)[one], row
+    index, row = np.nonzero(table)
+    return np.flatnonzero(known)[index], row
 
 
 def _hermite(s: Array, value: Array, slope: Array, at: Array) -> Array:

@@ -1,4 +1,4 @@
-"""How much time is left, on the clock or in counted work."""
+"""Time limits of searches, in wall-clock time or in counted work."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from ..solvers.time_limit import time_left
 
 @dataclass(eq=False)
 class Clock:
-    """Time that is left of a limit; the longer time `within` which it lies tells how crowded the machine is."""
+    """Time limit of a search, possibly a part of a longer one."""
 
     limit: float
-    """s, at most what is left of the time limit around it."""
+    """Time limit, s, at most the rest of the enclosing one."""
     within: Clock | None = None
-    """The clock of which this is a share; it ends this one too."""
+    """Enclosing clock, which ends this one too."""
     now: Callable[[], float] = time.perf_counter
     """Current time, s: of the wall clock, or of counted work, which is the same on every machine under any load."""
     began: float = field(init=False)
-    """When it began, s of `now`."""
+    """Start, s of `now`."""
     worked: float = field(default_factory=time.process_time, init=False)
-    """Time of the processor when it began, s."""
+    """Processor time at the start, s."""
 
     def __post_init__(self) -> None:
         self.began = self.now()
@@ -39,16 +39,16 @@ class Clock:
 
     @property
     def left(self) -> float:
-        """Seconds that are left, 0 when the limit is reached."""
+        """Remaining time, s; 0 after the limit."""
         return max(0.0, self.limit - self.seconds)
 
-    def part(self, share: float, *, most: float = math.inf) -> Clock:
-        """A clock of its own for a share of what is left, at most so many seconds."""
-        return Clock(min(most, share * self.left), self, self.now)
+    def part(self, fraction: float, *, most: float = math.inf) -> Clock:
+        """Clock for a fraction of the remaining time, at most `most` seconds."""
+        return Clock(min(most, fraction * self.left), self, self.now)
 
     @property
     def parallel_slowdown(self) -> float:
-        """Seconds that pass per second of this process's work, at least 1: more where others use the processor."""
+        """Wall-clock time per processor time of this process, at least 1; larger on a busy machine."""
         if self.within is not None:
             return self.within.parallel_slowdown
         passed, worked = time.perf_counter() - self.began, time.process_time() - self.worked
@@ -56,5 +56,5 @@ class Clock:
 
     @property
     def over(self) -> bool:
-        """Whether the limit is reached."""
+        """True if the limit is reached."""
         return self.seconds >= self.limit or (self.within is not None and self.within.over)

@@ -1,8 +1,8 @@
-"""The closest pose to a target out of reach: a constrained minimum of what is left to it.
+"""Closest pose to a target out of reach: a constrained minimum of the residual, by sequential quadratic programming.
 
-The descent of `gauss_newton` among allowed postures. Its model of the Lagrangian starts from Gauss and Newton's and is
-updated by Powell's damped BFGS, since far from the target the curvature of the tip counts, which Gauss and Newton leave
-out. A step that leaves what is allowed is brought back by least motions of the joints.
+The descent of `gauss_newton` among allowed postures. The Hessian of the Lagrangian starts from that of Gauss-Newton and
+is updated by Powell's damped BFGS (Nocedal and Wright, 2006, procedure 18.2): far from the target the curvature of the
+tip counts, which Gauss-Newton leaves out. A step that violates constraints is restored by smallest joint motions.
 """
 
 from __future__ import annotations
@@ -14,27 +14,28 @@ import numpy as np
 import scipy
 
 from ..typing import Array, Index
-from .gauss_newton import FIRST_STEP, SLACK, Back, Descent, Model, Search, Step, apart, breakpoint_order
+from .breakpoint_order import breakpoint_order, separate_breakpoints
+from .gauss_newton import FIRST_STEP, SLACK, Model, Restored, Search, Step, descend
 from .goal import Goal
 from .posture import Posture
 
 # Quasi-Newton updates need about as many steps as there are joints before they converge superlinearly; each step may
 # take some equilibria to come back to what is allowed.
-STEPS, POSTURES = 60, 150
+MAX_STEPS, MAX_SOLVES = 60, 150
 """Maximum numbers of steps and of equilibria of one descent."""
 
 # 2 nm on an arm of 200 mm, which is the accuracy of forward kinematics.
-PROMISE = 1e-8
-"""Approach of a step to the target, as a share of the robot's length, that it must promise."""
+MIN_APPROACH = 1e-8
+"""Approach to the target, relative to the robot's length, that a step must promise."""
 
-# The first is ten times PROMISE, since two descents to one minimum end up to that far apart. The second compares
+# The first is ten times MIN_APPROACH, since two descents to one minimum end up to that far apart. The second compares
 # searches that were not polished: 4 um on an arm of 200 mm.
 GAIN, SAME_MISS = 1e-7, 2e-5
 """Approach by which a later end replaces an earlier one, and largest difference of distances from the target that count
-as equal; both as shares of the robot's length."""
+as equal; both relative to the robot's length."""
 
 # Newton steps on the constraints: each about doubles the digits where they converge.
-RETURNS = 12
+RESTORATIONS = 12
 """Maximum number of steps back into the allowed set."""
 
 # Cholesky's factorisation needs a positive definite matrix also where some motion of the joints does not move the tip.
@@ -51,144 +52,138 @@ AGREEING = 4
 
 
 def approach(goal: Goal, start: Posture) -> Search | None:
-    """The local minimum of what is left to the target that is found from a posture; None where no allowed posture is
-    found near the start."""
-    goal.touched.clear()  # so that what is found does not depend on what was looked for before
-    first = restored(goal, start, most=RETURNS)
+    """Local minimum of the residual from a start; None if no allowed posture is found near the start."""
+    goal.touched.clear()  # the result must not depend on earlier searches
+    first = restored(goal, start, max_steps=RESTORATIONS)
     if first is None:
         return None
-    descent = Descent(_Miss(goal), FIRST_STEP, STEPS, POSTURES)
-    here = descent.last(restored(goal, apart(goal, first), most=RETURNS) or first)
-    return Search(here, goal.reached(here, 1e-8, 1e-8), descent.steps, descent.solves)
+    start = restored(goal, separate_breakpoints(goal, first), max_steps=RESTORATIONS) or first
+    end = descend(_MissProblem(goal), start, size=FIRST_STEP, max_steps=MAX_STEPS, max_solves=MAX_SOLVES)
+    return Search(end.posture, goal.reached(end.posture, 1e-8, 1e-8), end.steps, end.solves)
 
 
 def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]]) -> Search | None:
-    """The allowed posture that misses the target least: of each group of ends, polished in their order until several
-    agree. More ends at the end of a group never make it worse.
+    """Allowed posture with the smallest residual: each group of ends is polished in order, until several agree.
 
-    One that is closer by no more than round-off does not take the place of an earlier one.
+    More ends at the end of a group never make it worse. A later end replaces an earlier one only if it is closer
+    by more than round-off.
     """
     best: Search | None = None
     for ends in groups:
-        least, agreeing = np.inf, 0
+        smallest, agreeing = np.inf, 0
         for end in _distinct(goal, ends):
             if agreeing >= AGREEING or (best is not None and goal.clock.over):
                 break
             found = approach(goal, end)
             if found is None:
                 continue
-            miss = left(goal, found.posture)
-            agreeing = 0 if miss < least - SAME_MISS else agreeing + (miss < least + SAME_MISS)
-            least = min(least, miss)
-            if best is None or miss < left(goal, best.posture) - GAIN:
+            miss = _miss(goal, found.posture)
+            agreeing = 0 if miss < smallest - SAME_MISS else agreeing + (miss < smallest + SAME_MISS)
+            smallest = min(smallest, miss)
+            if best is None or miss < _miss(goal, best.posture) - GAIN:
                 best = found
     return best
 
 
 def _distinct(goal: Goal, ends: Sequence[Posture]) -> Iterator[Posture]:
-    """Postures without those that are one with an earlier one."""
-    seen: list[Posture] = []
+    """Postures without those that equal an earlier one."""
+    distinct: list[Posture] = []
     for end in ends:
-        if all(np.abs((end.q - other.q) / goal.space.scale).max() > SAME_END for other in seen):
-            seen.append(end)
+        if all(np.abs((end.q - each.q) / goal.space.scale).max() > SAME_END for each in distinct):
+            distinct.append(end)
             yield end
 
 
-def left(goal: Goal, at: Posture) -> float:
-    """What is left to the target, as a share of the robot's length."""
+def _miss(goal: Goal, at: Posture) -> float:
+    """Norm of the residual, relative to the robot's length."""
     return float(np.linalg.norm(goal.residual(at)))
 
 
-def restored(goal: Goal, at: Posture, *, most: int) -> Posture | None:
-    """The nearest allowed posture, by least motions of the joints that keep the linearised constraints; None where that
-    leads nowhere."""
+def restored(goal: Goal, at: Posture, *, max_steps: int) -> Posture | None:
+    """Nearest allowed posture, by smallest joint motions to the linearised constraints; None if this fails."""
     none = np.zeros((0, len(at.q))), np.zeros(0)
-    for _ in range(most):
+    for _ in range(max_steps):
         if goal.allowed(at, SLACK):
             return at
-        model = Model(np.diag(1 / goal.space.scale), np.zeros(len(at.q)), *none, *goal.demands(at)[:2])
+        model = Model(np.diag(1 / goal.space.scale), np.zeros(len(at.q)), *none, *goal.constraints(at)[:2])
         chosen = model.step(goal, FIRST_STEP)
-        there = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
-        if there is None:
+        nearer = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
+        if nearer is None:
             return None
-        at = there
+        at = nearer
     return at if goal.allowed(at, SLACK) else None
 
 
 @dataclass(frozen=True, eq=False)
 class _Lagrangian(Model):
-    """A model whose Hessian is that of the Lagrangian, in units of the joints' scales."""
+    """Model with the Hessian of the Lagrangian, in units of the joints' scales."""
 
     at: Posture
     hessian: Array
     slope: Array
-    """(m,) of half the square of what is left."""
+    """Gradient (m,) of half the squared residual."""
     names: Index
-    """(c,) of the demands, the first rows; those after them keep the order of breakpoints."""
+    """Identifiers (c,) of the constraints; rows after them are the order of breakpoints."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Miss:
-    """Half the square of what is left to the target, among allowed postures."""
+class _MissProblem:
+    """Half the squared residual, among allowed postures."""
 
     goal: Goal
 
     def value(self, at: Posture) -> float:
-        return 0.5 * left(self.goal, at) ** 2
+        return 0.5 * _miss(self.goal, at) ** 2
 
-    def least(self, value: float) -> float:
-        return float(PROMISE * max(np.sqrt(2 * value), PROMISE))
+    def min_decrease(self, value: float) -> float:
+        return float(MIN_APPROACH * max(np.sqrt(2 * value), MIN_APPROACH))
 
-    def ended(self, at: Posture, values: Sequence[float]) -> bool:
+    def converged(self, at: Posture, values: Sequence[float]) -> bool:
         return False
 
     def model(self, at: Posture, side: int, last: Step | None) -> _Lagrangian:
-        """The quadratic model of distance and constraints at a posture."""
+        """Quadratic model of the residual and linearised constraints at a posture."""
         goal, scale, m = self.goal, self.goal.space.scale, len(at.q)
         residual, jacobian = goal.residual(at), goal.slope(at, side=side) * scale
-        rows, bounds, names = goal.demands(at)
-        rows, bounds = breakpoint_order(goal, at).kept(at.q, rows, np.minimum(bounds, 0.0))
-        least = (CURVATURE + 1e-3 * float(residual @ residual)) * np.eye(m)
-        hessian, slope = jacobian.T @ jacobian + least, jacobian.T @ residual
+        rows, bounds, names = goal.constraints(at)
+        rows, bounds = breakpoint_order(goal, at).constrain(at.q, rows, np.minimum(bounds, 0.0))
+        regularisation = (CURVATURE + 1e-3 * float(residual @ residual)) * np.eye(m)
+        hessian, slope = jacobian.T @ jacobian + regularisation, jacobian.T @ residual
         if last is not None and isinstance(last.model, _Lagrangian):
-            hessian = self._updated(last, last.model, at, slope, (rows, names))
+            hessian = self._updated(last, last.model, at, slope, rows, names)
         root = np.linalg.cholesky(hessian).T
         right = -np.linalg.solve(root.T, slope)
         none = np.zeros((0, m)), np.zeros(0)
         return _Lagrangian(root / scale, right, *none, rows, bounds, at, hessian, slope, names)
 
-    def _updated(
-        self, last: Step, before: _Lagrangian, at: Posture, slope: Array, demands: tuple[Array, Index]
-    ) -> Array:
-        """Powell's damped BFGS update with the change of the Lagrangian's gradient."""
-        (rows, names), scale, hessian = demands, self.goal.space.scale, before.hessian
-        force = _forces(before, hessian @ (last.x / scale) + before.slope, last.active, scale)
-        step = (at.q - before.at.q) / scale
-        _, mine, other = np.intersect1d(before.names, names, return_indices=True)
-        change = slope - before.slope - force[mine] @ ((rows[other] - before.rows[mine]) * scale)
-        bent = hessian @ step
-        curved, own = float(step @ bent), float(step @ change)
-        if curved <= 1e-16:
-            return hessian
-        if own < 0.2 * curved:
-            share = 0.8 * curved / (curved - own)
-            change = share * change + (1 - share) * bent
-            own = float(step @ change)
-        hessian = hessian - np.outer(bent, bent) / curved + np.outer(change, change) / own
-        return np.asarray(hessian + CURVATURE * np.eye(len(hessian)))
+    def _updated(self, last: Step, before: _Lagrangian, at: Posture, slope: Array, rows: Array, names: Index) -> Array:
+        """Powell's damped BFGS update of the Hessian B by a step s and the change y of the Lagrangian's gradient."""
+        scale, B = self.goal.space.scale, before.hessian
+        # Multipliers of the active rows: the gradient of the quadratic program at its solution is their combination.
+        multiplier = np.zeros(len(before.rows))
+        active = last.active[last.active < len(multiplier)]
+        if len(active):
+            gradient = B @ (last.x / scale) + before.slope
+            multiplier[active] = scipy.optimize.nnls((before.rows[active] * scale).T, gradient)[0]
+        s = (at.q - before.at.q) / scale
+        # Only constraints known at both postures contribute: their normals change by the second difference.
+        _, old, new = np.intersect1d(before.names, names, return_indices=True)
+        y = slope - before.slope - multiplier[old] @ ((rows[new] - before.rows[old]) * scale)
+        Bs = B @ s
+        sBs, sy = float(s @ Bs), float(s @ y)
+        if sBs <= 1e-16:
+            return B
+        if sy < 0.2 * sBs:
+            # Damping keeps B positive definite: y is mixed with B s until s y = 0.2 s B s.
+            theta = 0.8 * sBs / (sBs - sy)
+            y = theta * y + (1 - theta) * Bs
+            sy = float(s @ y)
+        B = B - np.outer(Bs, Bs) / sBs + np.outer(y, y) / sy
+        return np.asarray(B + CURVATURE * np.eye(len(B)))
 
-    def back(self, here: Posture, x: Array) -> Back:
-        there = here.to(self.goal.space.clip(here.q + x))
-        return Back(None if there is None else restored(self.goal, there, most=4), 1)
+    def after(self, here: Posture, x: Array) -> Restored:
+        at = here.to(self.goal.space.clip(here.q + x))
+        return Restored(None if at is None else restored(self.goal, at, max_steps=4), 1)
 
-    def beyond(self, past: Posture) -> Posture | None:
-        return restored(self.goal, past, most=4)
-
-
-def _forces(before: _Lagrangian, gradient: Array, active: Index, scale: Array) -> Array:
-    """(c,) of every row, 0 where it does not hold: `gradient` of the program in the step as their combination."""
-    force = np.zeros(len(before.rows))
-    held = active[active < len(force)]
-    if len(held):
-        force[held] = scipy.optimize.nnls((before.rows[held] * scale).T, gradient)[0]
-    return force
+    def after_crossing(self, crossed: Posture) -> Posture | None:
+        return restored(self.goal, crossed, max_steps=4)

@@ -21,13 +21,13 @@ from ..solvers.sampling import sobol
 from ..typing import Array, Mask
 
 CLOSE = 1e-6
-"""Share of a joint's scale at which it counts as being at the end of its range."""
+"""Distance from the end of a range, relative to the joint's scale, that counts as being at it."""
 
 SLACK = 1e-9
-"""Share of a joint's scale, and of the longest tube, by which round-off may leave ranges and order."""
+"""Allowed violation of ranges and order by round-off, relative to the joint's scale and the longest tube."""
 
 SAME_PLACE = 1e-9
-"""Play (m) that is none, and distance of carriages that are at one place: far below a drive's, above that of files."""
+"""Play (m) that counts as none, and distance of carriages at the same place: below a drive's, above that of files."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,45 +36,45 @@ class JointSpace:
 
     robot: Robot
     limits: JointLimits
-    """Of which the ranges were made."""
+    """Limits that define the ranges."""
     carriage_gap: float
-    """Of which the order was made, as `joint_space` says, m."""
+    """Smallest distance of carriages, as for `joint_space`, m."""
     section_length: float
-    """The same, m."""
+    """Smallest length of a section, as for `joint_space`, m."""
     apart: tuple[tuple[int, int], ...]
-    """Nested tubes, from 0, whose inner one may end inside the outer one."""
+    """Pairs of nested tubes, from 0; the inner one may end inside the outer one."""
     fixed: tuple[Demand, ...]
     """The part of the order that leaves no play."""
     carriages: tuple[tuple[int, ...], ...]
     """Tubes, from 0, that each translation moves."""
     lower: Array
-    """(m,) least of each."""
+    """Lower bounds (m,)."""
     upper: Array
-    """(m,) greatest of each."""
+    """Upper bounds (m,)."""
     rows: Array
-    """(k, m) the order of the tubes: rows q >= least."""
+    """Order of the tubes as rows (k, m): rows q >= least."""
     least: Array
-    """(k,) m."""
+    """Bounds (k,) of the order, m."""
     row_names: tuple[str, ...]
-    """(k,) what each row says where it is active."""
+    """Descriptions (k,) of active rows."""
     row_faults: tuple[str, ...]
-    """(k,) what tubes would do where each row is broken."""
+    """Descriptions (k,) of violated rows."""
     spread: Array
-    """(2n, m) (rotations, translations) = spread q + offset."""
+    """Matrix (2n, m): rotations and translations are spread q + offset."""
     offset: Array
-    """(2n,) rad and m."""
+    """Offset (2n,), rad and m."""
     scale: Array
-    """(m,) what counts as one unit of each: 1 rad, and half the longest tube."""
+    """Units (m,) of the joints: 1 rad, and half the longest tube."""
 
     @cached_property
     def length(self) -> float:
-        """Length of the longest tube, m: what distances are measured by."""
+        """Length of the longest tube, m, the unit of distances."""
         return max(tube.length for tube in self.robot.tubes)
 
     @cached_property
     def ranges(self) -> Array:
-        """(2, 2n) least and greatest rotations and translations of the tubes."""
-        which = self.spread.argmax(1)  # one joint moves each; a product would make NaN of an endless range
+        """Bounds (2, 2n) of the rotations and translations of the tubes."""
+        which = self.spread.argmax(1)  # one joint moves each; a product would make NaN of an infinite range
         return np.stack([self.lower[which], self.upper[which]]) + self.offset
 
     @cached_property
@@ -84,16 +84,16 @@ class JointSpace:
         return float((shift + [tube.length - tube.straight_length for tube in self.robot.tubes]).max())
 
     def joint(self, q: Array) -> Array:
-        """(..., 2n) rotations and translations of independent joint values (..., m)."""
+        """Rotations and translations (..., 2n) of independent joint values (..., m)."""
         return q if self.plain else np.asarray(q @ self.spread.T + self.offset)
 
     @cached_property
     def plain(self) -> bool:
-        """Whether every tube has a carriage of its own: rotations and translations are the independent joint values."""
+        """True if every tube has its own carriage: rotations and translations are the independent joint values."""
         return not self.offset.any() and np.array_equal(self.spread, np.eye(len(self.offset)))
 
     def by_joints(self, slopes: Array) -> Array:
-        """(..., m) derivatives by independent joint values of those (..., 2n) by rotations and translations."""
+        """Derivatives (..., m) by independent joint values, from those (..., 2n) by rotations and translations."""
         return slopes if self.plain else np.asarray(slopes @ self.spread)
 
     def split(self, q: Array) -> tuple[Array, tuple[float, ...]]:
@@ -103,10 +103,10 @@ class JointSpace:
         return joint[:n], tuple(joint[n:].tolist())
 
     def join(self, rotations: Array, translations: Array, name: str = "") -> Array:
-        """(m,) independent joint values of rotations and translations (n,).
+        """Independent joint values (m,) of rotations and translations (n,).
 
         Raises:
-            InputError: tubes that one joint moves are elsewhere than it would move them; the message calls them `name`.
+            InputError: tubes that one joint moves have inconsistent translations; the message has `name`.
         """
         q = self._independent(rotations, translations)
         if not self.plain and np.abs(q @ self.spread.T + self.offset - [*rotations, *translations]).max() > SAME_PLACE:
@@ -114,50 +114,49 @@ class JointSpace:
         return q
 
     def _independent(self, rotations: Array, translations: Array) -> Array:
-        """(m,) joint values at which the first tube of every carriage is at its translation."""
+        """Joint values (m,) at which the first tube of every carriage has its translation."""
         own = np.asarray(translations) - self.offset[self.robot.n_tubes :]
         return np.concatenate([rotations, own[[tubes[0] for tubes in self.carriages]]])
 
     def _moved_apart(self, shift: Array, name: str) -> str:
-        """In words, why no joint values have the translations (n,)."""
+        """Reason why no joint values have the translations (n,)."""
         for tubes in self.robot.moving_together:
             if np.ptp(shift[list(tubes)]) > SAME_PLACE:
                 return f"{_translations(shift, tubes, name)}; they must be equal, since one carriage moves these tubes"
-        missing = [one.least - shift[one.ahead] + shift[one.behind] for one in self.fixed]
+        missing = [demand.least - shift[demand.ahead] + shift[demand.behind] for demand in self.fixed]
         worst = int(np.argmax(missing))
-        one = self.fixed[worst]
-        tubes = tuple(sorted((one.ahead, one.behind)))
-        return f"{_translations(shift, tubes, name)}: {one.broken}, by {missing[worst] * TO_MM:.4g} mm"
+        demand = self.fixed[worst]
+        tubes = tuple(sorted((demand.ahead, demand.behind)))
+        return f"{_translations(shift, tubes, name)}: {demand.broken}, by {missing[worst] * TO_MM:.4g} mm"
 
     def holding(self, *shifts: Array) -> JointSpace:
-        """The space that has the translations (n,) of each of `shifts`.
+        """Joint space that includes the translations (n,) of each of `shifts`.
 
-        It is this one where it has them. Where the order leaves two carriages no play, and an inner tube ends inside
-        the outer one, the carriages move apart: so that the inner tube may end there.
+        Where the order leaves two carriages no play, and an inner tube ends inside the outer one, they get independent
+        carriages, so that the inner tube may end there.
         """
         apart = {
-            one.ends
-            for one in self.fixed
+            demand.ends
+            for demand in self.fixed
             for shift in shifts
-            if one.ends is not None and shift[one.ahead] - shift[one.behind] < one.least - SAME_PLACE
+            if demand.ends is not None and shift[demand.ahead] - shift[demand.behind] < demand.least - SAME_PLACE
         }
         if not apart:
             return self
-        kept = tuple(sorted(apart.union(self.apart)))
-        return _joint_space(self.robot, self.limits, self.carriage_gap, self.section_length, kept)
+        pairs = tuple(sorted(apart.union(self.apart)))
+        return _joint_space(self.robot, self.limits, self.carriage_gap, self.section_length, pairs)
 
     def admissible(self, q: Array) -> bool:
-        """Whether q keeps the ranges and the order, to within round-off."""
+        """True if q satisfies the ranges and the order, except for round-off."""
         inside = (q >= self.lower - SLACK * self.scale) & (q <= self.upper + SLACK * self.scale)
         return bool(inside.all() and self.ordered(q))
 
     def ordered(self, q: Array) -> Mask:
-        """(...) whether q (..., m) keep the order, to within round-off."""
+        """Mask (...) of the joint values q (..., m) that satisfy the order, except for round-off."""
         return np.asarray((q @ self.rows.T >= self.least - SLACK * self.length).all(-1))
 
     def outside(self, q: Array, slack: float = SLACK) -> str:
-        """In words, what is out of its range, by more than `slack` of a joint's scale, or out of order at q (m,); empty
-        where nothing is."""
+        """Text of a joint out of range, by more than `slack` of its scale, or of tubes out of order, or ""."""
         n = self.robot.n_tubes
         for k in np.flatnonzero((q < self.lower - slack * self.scale) | (q > self.upper + slack * self.scale)):
             unit, factor = ("deg", np.degrees(1.0)) if k < n else ("mm", TO_MM)
@@ -170,62 +169,64 @@ class JointSpace:
         return f"{self.row_faults[worst]}, by {missing[worst] * TO_MM:.4g} mm"
 
     def inequalities(self, q: Array) -> tuple[Array, Array]:
-        """rows (2m + k, m) and bounds of a step from q that stays admissible."""
+        """Rows (2m + k, m) and bounds (2m + k,) of an admissible step from q."""
         return self._sides, self._ends - self._sides @ q
 
     @cached_property
     def _sides(self) -> Array:
-        """(2m + k, m) rows of the ranges, then of the order."""
+        """Rows (2m + k, m) of the ranges, then of the order."""
         unit = np.eye(len(self.scale))
         return np.vstack([unit, -unit, self.rows])
 
     @cached_property
     def _ends(self) -> Array:
-        """(2m + k,) what these are at least."""
+        """Bounds (2m + k,) of these rows."""
         return np.concatenate([self.lower, -self.upper, self.least])
 
-    def free_sides(self, room: Array) -> tuple[int, ...]:
-        """(n,) of every tube: -1 where its translation can shrink but not grow, for its range or for the order of the
-        tubes, else 1; from the bounds (2m + k,) of `inequalities`."""
-        m, held = len(self.scale), room >= -1e-9 * self.length
-        if not held.any():
+    def free_sides(self, bounds: Array) -> tuple[int, ...]:
+        """Sides (n,) to which translations can move: -1 if a translation can shrink but not grow, else 1.
+
+        `bounds` (2m + k,) are those of `inequalities`; range and order count.
+        """
+        m, active = len(self.scale), bounds >= -1e-9 * self.length
+        if not active.any():
             return (1,) * self.robot.n_tubes
-        low, high = held[:m].tolist(), held[m : 2 * m].tolist()
-        for row in np.flatnonzero(held[2 * m :]):
+        low, high = active[:m].tolist(), active[m : 2 * m].tolist()
+        for row in np.flatnonzero(active[2 * m :]):
             for joint, sign in self._ordered[row]:
                 (low if sign > 0 else high)[joint] = True
-        back = [high[joint] and not low[joint] for joint in range(self.robot.n_tubes, m)]
-        held_back = {tube for tubes, one in zip(self.carriages, back, strict=True) for tube in tubes if one}
-        return tuple(-1 if tube in held_back else 1 for tube in range(self.robot.n_tubes))
+        shrinks = [high[joint] and not low[joint] for joint in range(self.robot.n_tubes, m)]
+        shrinking = {tube for tubes, shrink in zip(self.carriages, shrinks, strict=True) for tube in tubes if shrink}
+        return tuple(-1 if tube in shrinking else 1 for tube in range(self.robot.n_tubes))
 
     @cached_property
     def _ordered(self) -> list[list[tuple[int, float]]]:
-        """Which joints are in each row of the order, and with which sign."""
+        """Joints in each row of the order, with their signs."""
         return [[(int(k), float(np.sign(row[k]))) for k in np.flatnonzero(row)] for row in self.rows]
 
     def clip(self, q: Array) -> Array:
-        """q with round-off beyond the ranges taken away."""
+        """Joint values clipped to the ranges, for round-off."""
         return np.clip(q, self.lower, self.upper)
 
     @cached_property
     def names(self) -> list[str]:
-        """(m,) "rotation of tube 1", ..., "translation of tube 1", ..., or of the tubes that a carriage moves."""
+        """Names (m,) of the joints: "rotation of tube 1", ..., "translation of tube 1", ..."""
         turns = [f"rotation of tube {i + 1}" for i in range(self.robot.n_tubes)]
         return turns + [f"translation of {carriage_name(tubes)}" for tubes in self.carriages]
 
     def active(self, q: Array) -> list[str]:
-        """In words, what holds q: joints at the end of their range, tubes that touch in their order."""
+        """Texts of active limits: joints at the end of their range, tubes at their order."""
         m, words = len(self.scale), []
         for k in range(m):
             row = k if q[k] - self.lower[k] <= self.upper[k] - q[k] else m + k
             end = self.lower[k] if row == k else self.upper[k]
             if abs(q[k] - end) <= CLOSE * self.scale[k] or not self.lower[k] < q[k] < self.upper[k]:
                 words.append(self.limit(row))
-        gap = self.rows @ q - self.least
-        return words + [name for name, size in zip(self.row_names, gap, strict=True) if size <= CLOSE * self.length]
+        excess = self.rows @ q - self.least
+        return words + [name for name, size in zip(self.row_names, excess, strict=True) if size <= CLOSE * self.length]
 
     def limit(self, row: int) -> str:
-        """In words, the limit that a row of `inequalities` is, from 0."""
+        """Description of a row of `inequalities`, from 0."""
         m = len(self.scale)
         if row >= 2 * m:
             return self.row_names[row - 2 * m]
@@ -235,37 +236,37 @@ class JointSpace:
         return f"{self.names[k]} at its end ({unit})"
 
     def wrap(self, q: Array, near: Array) -> Array:
-        """q (..., m) with every rotation turned by whole turns into its range, as near to `near` as it can be.
+        """Joint values q (..., m) with rotations moved by full turns into their ranges, closest to `near`.
 
-        A rotation whose range has no such place is left out of its range.
+        A rotation without such a value stays out of its range.
         """
         n, turn = self.robot.n_tubes, 2 * np.pi
         out = q.copy()
         rotations, low, high = q[..., :n], self.lower[:n], self.upper[:n]
         first = np.ceil((low - 1e-9 - rotations) / turn)
         last = np.floor((high + 1e-9 - rotations) / turn)
-        wanted = np.round((near[..., :n] - rotations) / turn)
-        turns = np.where(first <= last, np.clip(wanted, first, np.maximum(first, last)), wanted)
+        nearest = np.round((near[..., :n] - rotations) / turn)
+        turns = np.where(first <= last, np.clip(nearest, first, np.maximum(first, last)), nearest)
         moved = rotations + turn * turns
         inside = np.clip(moved, low, high)
         out[..., :n] = np.where(np.abs(moved - inside) <= 2e-9, inside, moved)
         return out
 
     def nearest(self, q: Array) -> Array:
-        """The admissible joint values closest to q."""
+        """Admissible joint values (m,) closest to q."""
         rows, bounds = self.inequalities(q)
         found = constrained_least_squares(np.diag(1 / self.scale), np.zeros(len(q)), rows, bounds)
         return self.clip(q + found.x if found is not None else self.inside())
 
     def middle(self) -> Array:
-        """(m,) home where the ranges allow it, else their nearest values."""
+        """Home (m,), clipped to the ranges."""
         return self.clip(self._independent(self.robot.home_rotations, self.robot.home_translations))
 
     def sample(self, count: int) -> Array:
-        """(count, m) admissible joint values, spread evenly: Sobol points of the ranges that keep the order.
+        """Admissible joint values (count, m), evenly spread: Sobol points of the ranges that satisfy the order.
 
-        Where the order leaves little of them, the rest is drawn carriage by carriage, the outermost first, each in the
-        range that the order leaves it.
+        If the order excludes most of them, the others are drawn carriage by carriage, the outermost first, each in the
+        range that the order leaves.
         """
         n = self.robot.n_tubes
         m = len(self.lower)
@@ -287,30 +288,32 @@ class JointSpace:
         return np.concatenate([chosen, added])
 
     def _drawn(self, unit: Array, low: Array, high: Array) -> Array:
-        """(m,) admissible joint values at shares (m,) of what is left of each; rotations from `low` to `high` (n,)."""
+        """Admissible joint values (m,) at fractions (m,) of the ranges; rotations from `low` to `high` (n,)."""
         n = self.robot.n_tubes
-        shares = iter(np.resize(unit[n:], n).tolist())
-        return self._placed(low + unit[:n] * (high - low), lambda bottom, top: bottom + next(shares) * (top - bottom))
+        fractions = iter(np.resize(unit[n:], n).tolist())
+        return self._placed(
+            low + unit[:n] * (high - low), lambda bottom, top: bottom + next(fractions) * (top - bottom)
+        )
 
     def inside(self) -> Array:
-        """(m,) joint values in the middle of all ranges and of what the order leaves; raises InputError without any."""
+        """Joint values (m,) in the middle of ranges and order; raises InputError if there are none."""
         n = self.robot.n_tubes
         return self._placed((self.lower + self.upper)[:n] / 2, lambda bottom, top: (bottom + top) / 2)
 
     @cached_property
     def assembly(self) -> Assembly:
-        """The tubes of the arm at some joint values."""
+        """Assembly of the arm at some joint values."""
         return self.robot.assembly(self.joint(self.inside())[self.robot.n_tubes :])
 
     def _placed(self, rotations: Array, choose: Callable[[float, float], float]) -> Array:
-        """(m,) joint values of rotations (n,) and of translations in order; see `in_order`."""
+        """Joint values (m,) of rotations (n,) and of translations in order; see `in_order`."""
         ranges = translation_ranges(self.robot.tubes, self.limits)
         shift = in_order(self.robot, ranges, self._order, choose)
         if shift is None:
-            gap = f" with carriages {self.carriage_gap * TO_MM:.4g} mm apart" if self.carriage_gap else ""
+            distance = f" with carriages {self.carriage_gap * TO_MM:.4g} mm apart" if self.carriage_gap else ""
             raise InputError(
-                f"limits allow no joint values with the tube order{gap}: every tube must be clamped behind, and end "
-                "beyond, the tube around it"
+                f"limits allow no joint values with the tube order{distance}: every tube must be clamped behind, and "
+                "end beyond, the tube around it"
             )
         return self._independent(rotations, shift)
 
@@ -322,12 +325,12 @@ class JointSpace:
 def joint_space(
     robot: Robot, limits: JointLimits | None = None, carriage_gap: float = 0.0, section_length: float = 0.0
 ) -> JointSpace:
-    """The joint values that `limits` (by default `robot.limits`) and the order of the tubes allow, found once.
+    """Joint space of `limits` (by default `robot.limits`) and of the order of the tubes, cached.
 
-    A tube is held behind the one around it, at least `carriage_gap` (m) apart, and ends beyond it, by at least
-    `section_length` (m); the curved part of an eccentric segment begins beyond the end of the next outer one. No tube
-    leaves its actuator, none is withdrawn past the plate. Where the order leaves two carriages no play, as for two
-    tubes of equal length, they are one joint; see `JointSpace.holding` for those that are apart.
+    A tube is clamped behind the tube around it, at least `carriage_gap` (m) apart, and ends beyond it, by at least
+    `section_length` (m). The curved part of an eccentric segment begins beyond the end of the next outer one. No tube
+    leaves its actuator or is withdrawn past the plate. Where the order leaves two carriages no play, as for two tubes
+    of equal length, they are one joint; see `JointSpace.holding` for exceptions.
     """
     return _joint_space(robot, limits if limits is not None else robot.limits, carriage_gap, section_length, ())
 
@@ -354,23 +357,23 @@ def _joint_space(
     lower = np.array([*turn[:, 0], *((low - offset)[list(group)].max() for group in carriages)])
     upper = np.array([*turn[:, 1], *((high - offset)[list(group)].min() for group in carriages)])
     upper = np.where((upper - lower <= ROUND_OFF) & (lower - upper <= SAME_PLACE), lower, upper)
-    rows = np.array([spread[n + one.ahead] - spread[n + one.behind] for one in order])
-    least = np.array([one.least - offset[one.ahead] + offset[one.behind] for one in order])
-    kept = np.array([bool(row.any()) for row in rows], dtype=bool)
+    rows = np.array([spread[n + demand.ahead] - spread[n + demand.behind] for demand in order])
+    least = np.array([demand.least - offset[demand.ahead] + offset[demand.behind] for demand in order])
+    variable = np.array([bool(row.any()) for row in rows], dtype=bool)
     space = JointSpace(
         robot=robot,
         limits=allowed,
         carriage_gap=carriage_gap,
         section_length=section_length,
         apart=apart,
-        fixed=tuple(one for one, keep in zip(order, kept, strict=True) if not keep),
+        fixed=tuple(demand for demand, varies in zip(order, variable, strict=True) if not varies),
         carriages=carriages,
         lower=lower,
         upper=upper,
-        rows=rows.reshape(-1, len(lower))[kept],
-        least=least[kept],
-        row_names=tuple(one.name for one, keep in zip(order, kept, strict=True) if keep),
-        row_faults=tuple(one.broken for one, keep in zip(order, kept, strict=True) if keep),
+        rows=rows.reshape(-1, len(lower))[variable],
+        least=least[variable],
+        row_names=tuple(demand.name for demand, varies in zip(order, variable, strict=True) if varies),
+        row_faults=tuple(demand.broken for demand, varies in zip(order, variable, strict=True) if varies),
         spread=spread,
         offset=np.concatenate([np.zeros(n), offset]),
         scale=np.concatenate([np.ones(n), np.full(len(carriages), max(tube.length for tube in robot.tubes) / 2)]),
@@ -383,22 +386,22 @@ def _tied(robot: Robot, order: Sequence[Demand]) -> tuple[Array, tuple[tuple[int
     """Translations of every tube relative to its group's joint, and the groups: carriages without play are joined."""
     offset = np.zeros(robot.n_tubes)
     groups = [list(tubes) for tubes in robot.moving_together]
-    for one in order:
-        i, j = one.ahead, one.behind
-        most = min((-other.least for other in order if (other.ahead, other.behind) == (j, i)), default=np.inf)
-        own, other = (next(g for g in groups if k in g) for k in (i, j))
-        if not -ROUND_OFF <= most - one.least <= SAME_PLACE or own is other:
+    for demand in order:
+        i, j = demand.ahead, demand.behind
+        upper = min((-each.least for each in order if (each.ahead, each.behind) == (j, i)), default=np.inf)
+        first, second = (next(group for group in groups if k in group) for k in (i, j))
+        if not -ROUND_OFF <= upper - demand.least <= SAME_PLACE or first is second:
             continue
-        # q_i + offset_i - q_j - offset_j is in the middle of what is left, with q_i = q_j from now on.
-        shift = (one.least + most) / 2 - offset[i] + offset[j]
-        offset[own] += shift
-        groups.remove(own)
-        other += own
+        # q_i + offset_i - q_j - offset_j is in the middle of the remaining play, with q_i = q_j from now on.
+        shift = (demand.least + upper) / 2 - offset[i] + offset[j]
+        offset[first] += shift
+        groups.remove(first)
+        second += first
     return offset, tuple(tuple(sorted(group)) for group in groups)
 
 
 def _translations(shift: Array, tubes: Sequence[int], name: str) -> str:
-    """What tubes, from 0, are at, in words."""
+    """Text of the translations of tubes, from 0."""
     numbers = [f"{number:.6g} mm" for number in (shift[list(tubes)] * TO_MM).tolist()]
     places, last = ", ".join(str(tube + 1) for tube in tubes[:-1]), tubes[-1] + 1
     of = f" of {name}" if name else ""
@@ -410,7 +413,7 @@ Configuration = Any
 
 
 def parts(name: str, value: Configuration) -> tuple[Any, Any]:
-    """Rotations and translations of a configuration as they are given; raises InputError naming it where it is none."""
+    """Rotations and translations of a configuration, unchecked; raises InputError with `name` for other values."""
     if hasattr(value, "rotations") and hasattr(value, "translations"):
         return value.rotations, value.translations
     try:
@@ -423,7 +426,7 @@ def parts(name: str, value: Configuration) -> tuple[Any, Any]:
 
 
 def configuration(space: JointSpace, name: str, value: Configuration) -> Array:
-    """(m,) joint values of a configuration; raises InputError naming it where it is none."""
+    """Joint values (m,) of a configuration; raises InputError with `name` for other values."""
     rotations, translations = parts(name, value)
     n = space.robot.n_tubes
     alpha = vector(f"rotations of {name}", rotations, n)
@@ -441,8 +444,8 @@ def joints_of(space: JointSpace, name: str, value: Configuration) -> tuple[Array
 
 
 def shift_of(robot: Robot, *places: Any) -> list[Array]:
-    """(n,) translations, m, of each place that is a configuration, so far as it makes sense; a tip pose has none."""
-    found = []
+    """Translations (n,), m, of each place that is a configuration; tip poses and invalid values are skipped."""
+    rows = []
     for place in places:
         if isinstance(place, tuple | list) and len(place) == 2:
             shift = robot.home_translations if place[1] is None else place[1]
@@ -451,12 +454,12 @@ def shift_of(robot: Robot, *places: Any) -> list[Array]:
         with suppress(TypeError, ValueError):
             row = np.array(shift, dtype=float)
             if row.shape == (robot.n_tubes,):
-                found.append(row)
-    return found
+                rows.append(row)
+    return rows
 
 
 def scaled_weights(space: JointSpace, weights: Any) -> Array:
-    """(m,) weights of the joints in a distance: given per rad and per m, else one over the scale of each."""
+    """Weights (m,) of the joints in a distance, from weights per rad and per m; by default one over the scale."""
     if weights is None:
         return 1 / space.scale
     n = space.robot.n_tubes

@@ -1,7 +1,7 @@
-"""The search from many starts, by the fast path and the nonlinear program; the table of starts; and why none succeeded.
+"""Search from many starts, by Gauss-Newton and the nonlinear program, and the table of starts.
 
-The whole robot can be turned about the axis of its plate, and every tube by whole turns, without another change of its
-shape: so configurations are compared with a target by height and distance from the axis, and turned to its azimuth.
+Turning the whole robot about the axis of its plate, or a tube by whole turns, does not change the shape: so
+configurations are compared with a target by height and distance from the axis, and turned to its azimuth.
 """
 
 from __future__ import annotations
@@ -28,15 +28,16 @@ from .answer import InverseSolution, InverseStatistics, InverseStatus
 from .arm_surface import ArmSurface
 from .clock import Clock
 from .closest import SAME_MISS, closest_of
-from .gauss_newton import ON_TARGET, SLACK, Search, correct, held_most, improve, millimetres, missed_by, reach
+from .gauss_newton import ON_TARGET, SLACK, Search, correct, improve, reach
 from .goal import Goal
-from .joint_path import answer_at, straight_way
+from .joint_path import answer_at, straight_path
 from .joints import JointSpace
+from .miss import limiting_constraint, millimetres, miss_text
 from .posture import Posture, posture_of, same_place, start_at
 from .program import programmable, solve_program
 
 VERSION = 4
-"""Of what the table holds: a change of it makes old files unread."""
+"""Version of the table: files of other versions are not read."""
 
 SIZE, SIZE_OF_MANY = 2048, 512
 """Configurations per table; the second for more than `MANY` joints, among which a start leads to most targets."""
@@ -56,66 +57,73 @@ DIRECTION_WEIGHT, NEARNESS_WEIGHT = 0.35, 0.02
 """Weights, in the ranking of starts, of the direction error and of the distance from a reference (in units of the
 joints' scales), relative to the position error over the robot's length."""
 
-LEAST_MARGIN = 0.01
-"""Margin from which on a configuration is worth keeping."""
+MIN_MARGIN = 0.01
+"""Smallest margin of a configuration in the table."""
 
 
 @dataclass(frozen=True, eq=False)
 class StartTable:
-    """Stable configurations."""
+    """Table of stable configurations."""
 
     q: Array
-    """(N, m) joint values."""
+    """Joint values (N, m)."""
     tip: Array
-    """(N, 3) m."""
+    """Tip positions (N, 3), m."""
     direction: Array
-    """(N, 3) along which the tip points."""
+    """Tip directions (N, 3)."""
     margin: Array
-    """(N,)."""
+    """Margins (N,)."""
     tried: int
-    """Configurations of which these are the stable ones."""
+    """Number of configurations tried, stable or not."""
     whole: bool
-    """Whether time did not run out before all were tried."""
+    """True if all configurations were tried within the time limit."""
 
     @property
     def arrays(self) -> tuple[Array, Array, Array, Array]:
-        """What it says of every configuration."""
+        """Joint values, tips, directions and margins."""
         return self.q, self.tip, self.direction, self.margin
 
 
 def build_table(
-    space: JointSpace, size: int, clock: Clock | None = None, begun: StartTable | None = None
+    space: JointSpace, size: int, clock: Clock | None = None, partial: StartTable | None = None
 ) -> StartTable:
-    """Solve `size` configurations spread over what the limits allow, or as many as there is time for, after those of a
-    table that was begun; keep those with a stable equilibrium."""
+    """Table of the stable ones of `size` configurations spread over the joint limits.
+
+    It continues a `partial` table, and is partial itself if the time runs out.
+    """
     clock = clock or Clock(math.inf)
-    q = _by_mirror(space, space.sample(size))
+    samples = _by_mirror(space, space.sample(size))
     n, m = space.robot.n_tubes, len(space.lower)
-    if begun is None:
-        begun = StartTable(np.empty((0, m)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0), 0, whole=False)
-    parts, tried = [begun.arrays], begun.tried
-    count = 8  # configurations between two looks at the clock, more where these are quick
+    if partial is None:
+        partial = StartTable(np.empty((0, m)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0), 0, whole=False)
+    parts, tried = [partial.arrays], partial.tried
+    count = 8  # configurations between two checks of the clock, more where these are quick
     while tried < size and not clock.over:
-        began, some = clock.seconds, q[tried : tried + count]
-        joint = space.joint(some)
-        found = solved_batch(space.robot, joint[:, :n], joint[:, n:])
-        # Rows without an equilibrium have margin NaN: as 0 they are below LEAST_MARGIN.
-        kept = found.converged & (np.nan_to_num(found.margin) >= LEAST_MARGIN)
-        parts.append((some[kept], found.tip_position[kept], found.tip_rotation[kept, :, 2], found.margin[kept]))
+        start_time, batch = clock.seconds, samples[tried : tried + count]
+        joint = space.joint(batch)
+        solved = solved_batch(space.robot, joint[:, :n], joint[:, n:])
+        # Rows without an equilibrium have margin NaN: as 0 they are below MIN_MARGIN.
+        stable = solved.converged & (np.nan_to_num(solved.margin) >= MIN_MARGIN)
+        parts.append(
+            (batch[stable], solved.tip_position[stable], solved.tip_rotation[stable, :, 2], solved.margin[stable])
+        )
         tried += count
         # Batches double while they are quick, up to 128: a slow robot still stops near its time limit.
-        if clock.seconds - began < 0.02:
+        if clock.seconds - start_time < 0.02:
             count = min(2 * count, 128)
-    solved, tip, direction, margin = (np.concatenate(each) for each in zip(*parts, strict=True))
-    table = StartTable(solved, tip, direction, margin, tried, whole=tried >= size)
+    q, tip, direction, margin = (np.concatenate(each) for each in zip(*parts, strict=True))
+    table = StartTable(q, tip, direction, margin, tried, whole=tried >= size)
     if table.whole and not len(table.q):
         raise InputError("no stable equilibrium was found within the limits")
     return table
 
 
 def _by_mirror(space: JointSpace, q: Array) -> Array:
-    """Samples (N, m) with the three tubes of every eccentric segment turned as a hand would: the first to a direction,
-    the others to either side of it. Three independent rotations mostly wind a long transmission up until it snaps."""
+    """Samples (N, m) with mirror-symmetric rotations of the three tubes of every eccentric segment.
+
+    The first tube is turned to a direction, the others to either side of it. Three independent rotations mostly twist a
+    long transmission until it snaps.
+    """
     if not space.assembly.eccentric:
         return q
     out = q.copy()
@@ -131,14 +139,14 @@ def _by_mirror(space: JointSpace, q: Array) -> Array:
 
 
 def start_table(space: JointSpace, size: int | None = None, clock: Clock | None = None) -> StartTable:
-    """The table of a joint space: from the cache on disk as far as it is there, else built, and put there."""
+    """Table of a joint space, from the cache on disk, or built and stored there."""
     size = size or (SIZE if len(space.lower) <= MANY else SIZE_OF_MANY)
     path = cache_directory() / f"inverse-{_key(space, size)}.npz"
     stored = _read(path, len(space.lower), size)
     if stored is not None and stored.whole:
         return stored
     table = build_table(space, size, clock, stored)
-    # Nothing new was tried, so that the file needs no change.
+    # Nothing new was tried: the file needs no change.
     if table.tried == (stored.tried if stored is not None else 0):
         return table
     try:
@@ -150,7 +158,7 @@ def start_table(space: JointSpace, size: int | None = None, clock: Clock | None 
 
 
 def _key(space: JointSpace, size: int) -> str:
-    """Hash of all that the table depends on."""
+    """Hash of all inputs of the table."""
     tubes = in_full((VERSION, size, type(space.robot).__name__, space.robot.tubes, space.carriages))
     assembly = space.assembly
     digest = hashlib.sha256(tubes.encode())
@@ -168,7 +176,7 @@ def _key(space: JointSpace, size: int) -> str:
 
 
 def _read(path: Path, joints: int, size: int) -> StartTable | None:
-    """The table in a file, as far as it was built; None where there is none, or the file is damaged."""
+    """Table in a file, possibly partial; None if there is no file or it is damaged."""
     try:
         # The content, not the path: of a damaged file numpy would leave the handle open.
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
@@ -190,9 +198,9 @@ def nearest_starts(
     min_margin: float,
     reference: Array | None,
 ) -> Array:
-    """(k, m) configurations of a table, turned towards a target (position, direction or None), most promising first.
+    """Configurations (k, m) of a table, turned to a target (position, direction or None), most promising first.
 
-    Those with less than `min_margin` are left out, and those that cannot be turned there come with the turn that the
+    Those with less than `min_margin` are omitted. Those that cannot be turned to its azimuth are turned as far as the
     limits allow.
     """
     position, direction = target
@@ -226,8 +234,11 @@ def nearest_starts(
 
 
 def spread_starts(space: JointSpace, q: Array, count: int, *, first: int) -> Iterator[Array]:
-    """At most `count` of joint values (k, m) sorted by promise: the `first` of them, then such as differ most from all
-    chosen before, among the `POOL` most promising; each is looked for when it is asked for."""
+    """At most `count` of joint values (k, m) sorted by promise, by the farthest-point method (Gonzalez 1985).
+
+    The `first` of them are returned in order, then those that differ most from all before, among the `POOL` most
+    promising.
+    """
     if len(q) <= first:
         yield from q
         return
@@ -237,29 +248,29 @@ def spread_starts(space: JointSpace, q: Array, count: int, *, first: int) -> Ite
     relative = q[:, :n] - q[:, n - 1 : n]
     # Rotations against the outermost tube, as points of circles; the turn of the whole robot follows from the target.
     features = np.hstack([np.cos(relative), np.sin(relative), q[:, n:] / space.scale[n:]])
-    # Distance from the nearest chosen one. Taking its maximum each time is the farthest-point method
-    # (Gonzalez, Theor. Comput. Sci. 38 (1985)).
-    gap = np.min([np.linalg.norm(features - own, axis=1) for own in features[: max(first, 1)]], axis=0)
+    # Distance from the nearest chosen one (Gonzalez, Theor. Comput. Sci. 38 (1985)).
+    distance = np.min([np.linalg.norm(features - own, axis=1) for own in features[: max(first, 1)]], axis=0)
     for _ in range(min(count, len(q)) - max(first, 1)):
         # Rounded, so that of mirror images the more promising one is taken.
-        farthest = int(np.argmax(np.round(gap, 9)))
+        farthest = int(np.argmax(np.round(distance, 9)))
         # All others equal one that was chosen.
-        if gap[farthest] <= 0:
+        if distance[farthest] <= 0:
             return
         yield q[farthest]
-        gap = np.minimum(gap, np.linalg.norm(features - features[farthest], axis=1))
+        distance = np.minimum(distance, np.linalg.norm(features - features[farthest], axis=1))
 
 
 def _mirrored(space: JointSpace, table: StartTable) -> StartTable:
-    """The table with the mirror image of every configuration: all rotations negative, seen in the plane x = 0."""
+    """Table with the mirror image of every configuration in the plane x = 0: all rotations negative."""
     flipped, mirror = table.q.copy(), np.array([-1.0, 1.0, 1.0])
     flipped[:, : space.robot.n_tubes] *= -1
     # Negated rotations may leave the limits: whole turns bring some back, and the others are left out.
     flipped = space.wrap(flipped, space.middle())
     inside = ((flipped >= space.lower) & (flipped <= space.upper)).all(1)
     images = flipped, table.tip * mirror, table.direction * mirror, table.margin
-    both = (np.concatenate([own, image[inside]]) for own, image in zip(table.arrays, images, strict=True))
-    q, tip, direction, margin = both
+    q, tip, direction, margin = (
+        np.concatenate([own, image[inside]]) for own, image in zip(table.arrays, images, strict=True)
+    )
     return StartTable(q, tip, direction, margin, table.tried, table.whole)
 
 
@@ -273,28 +284,28 @@ def _turned(vectors: Array, angle: Array) -> Array:
 # Where the target is easy one of the first reaches it. Spread starts come next, since the nearest ones are often of
 # one posture, which an obstacle may block as a whole.
 NEAREST = 12
-"""Starts that are taken as they come, the most promising first; those after them are spread over all postures."""
+"""Number of most promising starts that are tried first; later ones are spread over all postures."""
 
 # Finding a clear one takes up to 400 forward kinematics, so that these come last.
 CLEAR_STARTS = 8
-"""Starts clear of the obstacles that are tried where all others ended in one."""
+"""Number of starts clear of obstacles that are tried if all others end in one."""
 
 # Each further one costs another search.
 COMPARED = 3
-"""Answers among which the best is taken where there is an objective and no start."""
+"""Number of solutions that are compared if there is an objective and no start."""
 
 # An answer that a cold start does not find is of another branch at the same joint values: correct, but harder to use.
 DOUBTED = 4
-"""Answers that a cold forward kinematics does not find, after which one of them is taken."""
+"""Number of solutions that forward kinematics without a start does not find, after which the search ends."""
 
 # Out of reach all descents end at the same closest pose, and need not be made from all starts.
 UNANIMOUS = 10
-"""Starts that end at the same distance from the target, after which it counts as out of reach."""
+"""Number of starts that end at the same distance, after which the target counts as out of reach."""
 
 # Half of the default number of starts, none of which came within 4 mm on an arm of 200 mm.
 HOPELESS, FAR = 24, 0.02
-"""Starts that all end farther from the target than this share of the robot's length, after which it counts as out of
-reach."""
+"""Number of starts that all end farther from the target than this, relative to the robot's length, after which it
+counts as out of reach."""
 
 # Round-off must not choose among mirror images, which cost the same.
 SAME_COST = 1e-7
@@ -306,87 +317,91 @@ PROGRAM_STARTS = 4
 
 
 def known_starts(space: JointSpace, clock: Clock | None = None) -> StartTable:
-    """The table of configurations of a robot from which a search may begin, built or loaded once; where there is too
-    little time as far as there is, and further the next time."""
-    shelf = _start_tables(space)
-    if not (shelf and shelf[0].whole):
-        shelf[:] = [start_table(space, clock=clock)]
-    return shelf[0]
+    """Table of starts, built or loaded once per process; a partial table is continued by the next call."""
+    table = _TABLES.get(space)
+    if table is None or not table.whole:
+        table = start_table(space, clock=clock)
+    # The last spaces used: the oldest one is dropped.
+    _TABLES.pop(space, None)
+    _TABLES[space] = table
+    if len(_TABLES) > MAX_TABLES:
+        _TABLES.pop(next(iter(_TABLES)), None)
+    return table
 
 
-@lru_cache(maxsize=32)
-def _start_tables(space: JointSpace) -> list[StartTable]:
-    return []
+MAX_TABLES = 32
+_TABLES: dict[JointSpace, StartTable] = {}
 
 
 @lru_cache(maxsize=32)
 def known_home(space: JointSpace) -> Posture | None:
-    """The equilibrium at home, or at the joint values nearest to it that ranges and order allow; None without one."""
+    """Posture at home, or at the nearest admissible joint values; None without a stable equilibrium."""
     home = space.middle()
     return start_at(space, home if space.admissible(home) else space.nearest(home))
 
 
 @dataclass
 class Multistart:
-    """One search: the question, and what came of it so far.
+    """State of a search from many starts.
 
-    More starts only add to what fewer do, so that they never give a worse answer: starts come in a sequence that does
-    not depend on their number, and what is done after them depends on the first of them.
+    More starts never give a worse solution: starts come in a sequence that does not depend on their number, and later
+    stages depend on the first of them.
     """
 
     goal: Goal
     first: Posture | None
-    """Of the start."""
+    """Posture of the given start, or None."""
     tries: int = 0
     clear: int = 0
-    """Of the tries, those from starts that are clear of the obstacles."""
+    """Number of tries from starts that are clear of obstacles."""
     iterations: int = 0
     solves: int = 0
-    least: float = np.inf
-    """What the best of all searches missed by, m."""
+    smallest_miss: float = np.inf
+    """Smallest distance from the target of all searches, m."""
     agreeing: int = 0
-    """How many more missed by the same."""
+    """Number of further searches with the same distance."""
     everywhere: bool = False
-    """Whether starts are spread over all postures from the first on."""
+    """True if starts are spread over all postures from the first on."""
     ends: list[list[Posture]] = field(default_factory=list)
-    """Postures in which searches ended without an answer, in order, a list for each kind of start."""
+    """Postures in which searches ended off target, in order, a list for each stage."""
     stalled: list[Posture] = field(default_factory=list)
-    """Starts from which the fast path found none."""
+    """Starts from which Gauss-Newton did not reach the target."""
 
     def one(self) -> list[InverseSolution]:
-        """The answer from the seed; else the best of the first ones that a cold forward kinematics agrees with: one
-        where any answer will do, several where one is to be the best."""
-        wanted = COMPARED if self.goal.ranked else 1
+        """Solution from the start, or else the best of the first ones that forward kinematics without a start finds.
+
+        Without a cost the first one counts, with a cost several are compared.
+        """
+        count = COMPARED if self.goal.ranked else 1
         good: list[InverseSolution] = []
         doubtful: list[InverseSolution] = []
         for answer in self._by_starts():
             if answer.statistics.start == "seed":
                 return [answer]
             (good if answer.cold_start_agrees else doubtful).append(answer)
-            if len(good) == wanted or len(doubtful) == DOUBTED:
+            if len(good) == count or len(doubtful) == DOUBTED:
                 break
         if self.goal.ranked or not good:
             for answer in self._by_programs():
                 (good if answer.cold_start_agrees else doubtful).append(answer)
                 if good and not self.goal.ranked:
                     break
-        found = good or doubtful or list(islice(self._by_clear_starts(), 1))
-        return self._cheapest(found)
+        return self._cheapest(good or doubtful or list(islice(self._by_clear_starts(), 1)))
 
-    def _cheapest(self, found: list[InverseSolution]) -> list[InverseSolution]:
-        """The answer of least cost, if there is one, the first of those that differ by round-off."""
+    def _cheapest(self, answers: list[InverseSolution]) -> list[InverseSolution]:
+        """Solution of smallest cost, the first of those that differ by round-off; empty without solutions."""
         best: list[InverseSolution] = []
-        least = np.inf
-        for answer in found:
+        smallest = np.inf
+        for answer in answers:
             cost = self.goal.cost(posture_of(self.goal.space, answer.equilibrium))
             # Relative to the cost, but with a floor: costs near 0 differ by round-off only.
-            if cost < least - SAME_COST * max(abs(cost), 1e-3):
-                best, least = [answer], cost
+            if cost < smallest - SAME_COST * max(abs(cost), 1e-3):
+                best, smallest = [answer], cost
         return best
 
     def all(self) -> list[InverseSolution]:
-        """Distinct answers, best first."""
-        # Distinct answers have different postures: starts are spread over these from the first on.
+        """Distinct solutions, best first."""
+        # Distinct solutions have different postures: starts are spread over these from the first on.
         self.everywhere = True
         found = [*self._by_starts(), *self._by_programs()]
         if not found:
@@ -396,22 +411,22 @@ class Multistart:
             found.sort(key=lambda answer: round(self._distance(answer), 6))
         else:
             found.sort(key=lambda answer: (-round(answer.margin, 3), round(answer.equilibrium.energy, 9)))
-        kept: list[InverseSolution] = []
+        distinct: list[InverseSolution] = []
         for answer in found:
-            if all(_difference(answer, other) > self.goal.options.distinct for other in kept):
-                kept.append(answer)
-        return kept
+            if all(_difference(answer, each) > self.goal.options.distinct for each in distinct):
+                distinct.append(answer)
+        return distinct
 
     def _distance(self, answer: InverseSolution) -> float:
         q = self.goal.space.join(answer.rotations, answer.translations)
         return float(np.linalg.norm(self.goal.weights * (q - self.goal.reference)))
 
     def _by_starts(self) -> Iterator[InverseSolution]:
-        """Answers from the seed, or else from near the reference, and from the table."""
+        """Solutions from the start or near the reference, then from the table."""
         found, goal, first, name = False, self.goal, self.first, "seed"
         self.ends.append([])
         if first is None and goal.named:
-            # Without a seed, but with joint values to stay near: the nearest ones within the limits.
+            # Without a start, but with joint values to stay near: the nearest ones within the limits.
             first, name = start_at(goal.space, goal.space.nearest(goal.reference)), "reference"
         if first is not None and (answer := self._from(first, name)) is not None:
             found = True
@@ -429,7 +444,7 @@ class Multistart:
                 yield answer
 
     def _by_programs(self) -> Iterator[InverseSolution]:
-        """Answers of the nonlinear program from the first starts that the fast path did not solve."""
+        """Solutions of the nonlinear program from the first starts that Gauss-Newton did not solve."""
         if self.goal.options.method != "auto" or not programmable(self.goal):
             return
         self.ends.append([])
@@ -440,7 +455,7 @@ class Multistart:
                 yield answer
 
     def _by_clear_starts(self) -> Iterator[InverseSolution]:
-        """Answers from starts clear of the obstacles: others may all end in one, these stay clear."""
+        """Solutions from starts that are clear of obstacles, and stay so."""
         if not self.goal.hindered:
             return
         self.ends.append([])
@@ -455,20 +470,20 @@ class Multistart:
             if answer is not None:
                 yield answer
 
-    def _starts(self, most: int) -> Iterator[Posture]:
-        """Stable postures of the table, the most promising first; they may be in an obstacle."""
+    def _starts(self, count: int) -> Iterator[Posture]:
+        """At most `count` stable postures of the table, the most promising first; they may be in an obstacle."""
         goal = self.goal
         reference = goal.reference if goal.named else None
         target = (goal.position, goal.direction)
         known = known_starts(goal.space, goal.clock)
         near = nearest_starts(goal.space, known, target, min_margin=goal.floor, reference=reference)
-        for q in spread_starts(goal.space, near, most, first=0 if self.everywhere else NEAREST):
+        for q in spread_starts(goal.space, near, count, first=0 if self.everywhere else NEAREST):
             start = start_at(goal.space, q)
             if start is not None and start.margin >= goal.floor:
                 yield start
 
     def _from(self, start: Posture, name: str) -> InverseSolution | None:
-        """The answer that a search from one start gives, if it does."""
+        """Solution of a search from one start, or None."""
         goal, space = self.goal, self.goal.space
         if not start.admissible:
             start = start.to(space.nearest(start.q)) or start
@@ -482,38 +497,39 @@ class Multistart:
         if not search.reached or not goal.ranked:
             return self._finished(search, name, "gauss_newton")
         if goal.options.method == "auto" and programmable(goal):
-            better = self._by_program(search.posture)
-            if self._better(better, search.posture, name):
-                last = improve(goal, better.posture)
-                return self._finished(replace(last, iterations=last.iterations + better.iterations), name, "nlp")
+            program = self._by_program(search.posture)
+            if self._better(program, search.posture, name):
+                last = improve(goal, program.posture)
+                return self._finished(replace(last, iterations=last.iterations + program.iterations), name, "nlp")
         search = improve(goal, search.posture)
         self._count(search)
         return self._finished(search, name, "gauss_newton")
 
     def _better(self, search: Search, than: Posture, name: str) -> bool:
-        """Whether a solution of the program is worth having: cheaper, and for a seed reached without a snap."""
+        """True if a solution of the program has a smaller cost and, from a given start, is reached without a snap."""
         at = search.posture
         if not search.reached or self.goal.cost(at) > self.goal.cost(than) + 1e-12:
             return False
-        # From a seed the answer must be on its own branch: the seed moved to these joint values arrives there.
+        # From a given start the solution must be on its branch: the start moved to these joint values arrives there.
         return name != "seed" or same_place(than.to(at.q), at)
 
     def _by_program(self, start: Posture) -> Search:
+        """Search by the nonlinear program, finished by Gauss-Newton if it ends near the target."""
         found = solve_program(self.goal, start)
         if found.reached:
             return found
-        # The program's equations are those of the equilibrium; where it ends near the target the fast path finishes.
         near = self.goal.position_error(found.posture) <= 1e-4 and self.goal.allowed(found.posture)
         finished = reach(self.goal, found.posture) if near else found
         return replace(finished, iterations=found.iterations + finished.iterations)
 
     def _hopeless(self) -> bool:
-        """Whether the target is most likely out of reach: starts agree on the closest pose, or all end far off."""
+        """True if the target is most likely out of reach: starts agree on the closest pose, or all end far off."""
         if self.agreeing >= UNANIMOUS:
             return True
-        return self.least > FAR * self.goal.space.length and self.tries >= HOPELESS
+        return self.smallest_miss > FAR * self.goal.space.length and self.tries >= HOPELESS
 
     def _count(self, search: Search) -> None:
+        """Add a search to the statistics."""
         self.iterations += search.iterations
         self.solves += search.solves
         if search.reached:
@@ -522,31 +538,34 @@ class Multistart:
         miss = float(np.linalg.norm(self.goal.residual(search.posture))) * length
         same = SAME_MISS * length
         # A smaller miss starts the count anew, an equal one adds to it, a larger one shows nothing.
-        if miss < self.least - same:
+        if miss < self.smallest_miss - same:
             self.agreeing = 0
-        elif miss < self.least + same:
+        elif miss < self.smallest_miss + same:
             self.agreeing += 1
-        self.least = min(self.least, miss)
+        self.smallest_miss = min(self.smallest_miss, miss)
         self.ends[-1].append(search.posture)
 
     def _finished(self, search: Search, name: str, method: str) -> InverseSolution | None:
-        """The search's posture as an answer; None if it is none."""
+        """Solution at the end of a search; None if it is off target or violates a constraint."""
         if method == "nlp":
             self._count(search)
         if not search.reached:
             return None
         goal, at = self.goal, search.posture
-        # Within the tolerance of the search it may miss that of an answer: it is corrected once more.
+        # The tolerance of the search is larger than that of a solution: it is corrected once more.
         if not goal.met(at):
-            at = correct(goal, at, goal.slope(at), close=ON_TARGET).posture or at
+            at = correct(goal, at, goal.slope(at), tolerance=ON_TARGET).posture or at
         good = goal.met(at) and goal.allowed(at, SLACK)
-        return self._packed(at, InverseStatus.REACHED, (name, method)) if good else None
+        return self._packed(at, InverseStatus.REACHED, name, method) if good else None
 
-    def _packed(self, at: Posture, status: InverseStatus, how: tuple[str, str]) -> InverseSolution:
-        goal, (name, method) = self.goal, how
-        origin, begin = ("seed", self.first) if self.first is not None else ("home", known_home(goal.space))
-        way = straight_way(origin, begin, at)
-        straight = None if self.first is None else way is not None
+    def _packed(
+        self, at: Posture, status: InverseStatus, name: str = "table", method: str = "gauss_newton"
+    ) -> InverseSolution:
+        """Solution at a posture, with the straight path to it if it has no snap."""
+        goal = self.goal
+        origin, start = ("seed", self.first) if self.first is not None else ("home", known_home(goal.space))
+        path = straight_path(origin, start, at)
+        straight = None if self.first is None else path is not None
         return answer_at(
             goal,
             at,
@@ -554,13 +573,12 @@ class Multistart:
             InverseStatistics(method, name, max(self.tries, 1), self.iterations, self.solves, goal.clock.seconds),
             cold_start_agrees=same_place(start_at(goal.space, at.q), at),
             straight_from_seed=straight,
-            reachable=None if way is None else True,
-            path=way,
+            reachable=None if path is None else True,
+            path=path,
         )
 
     def failure(self, on_failure: str) -> InverseSolution:
-        """The closest pose, returned or raised with a message that says by how far the target is missed, and why; where
-        it is on target, an answer."""
+        """Closest pose, returned or raised as SolveError with the miss and its cause; a solution if it is on target."""
         goal, late = self.goal, self.goal.clock.over
         search = closest_of(goal, self.ends)
         if search is None:
@@ -568,36 +586,36 @@ class Multistart:
         self.iterations, self.solves = self.iterations + search.iterations, self.solves + search.solves
         at = search.posture
         if goal.met(at) and goal.allowed(at, SLACK):  # what the searches from the starts missed
-            return self._packed(at, InverseStatus.REACHED, ("table", "gauss_newton"))
+            return self._packed(at, InverseStatus.REACHED)
         status = InverseStatus.TIMED_OUT if late else InverseStatus.CLOSEST
-        closest = self._packed(at, status, ("table", "gauss_newton"))
+        closest = self._packed(at, status)
         if on_failure == "closest":
             return closest
-        others = self.tries - self.clear
-        tried = f"in {others} start{'' if others == 1 else 's'}" + (
+        count = self.tries - self.clear
+        tried = f"in {count} start{'' if count == 1 else 's'}" + (
             f" and {self.clear} clear of the obstacles" if self.clear else ""
         )
         if late:
             tried = f"within {self.goal.options.time_limit:g} s, {tried.replace('in', 'after', 1)}"
         cause, advice = self._cause(at, late)
-        raise SolveError(f"target not reached {tried}: {missed_by(goal, at)}: {cause}; {advice}", closest)
+        raise SolveError(f"target not reached {tried}: {miss_text(goal, at)}: {cause}; {advice}", closest)
 
     def _cause(self, at: Posture, late: bool) -> tuple[str, str]:
-        """Why the closest pose misses the target, and what to change; the first that applies."""
+        """Cause of the miss of the closest pose, and advice: the first cause that applies."""
         goal = self.goal
         beyond = goal.beyond_reach()
         if beyond > 0:
-            far = f"the target is out of reach, {millimetres(beyond)} beyond the longest arm"
-            return far, "move it closer to the plate"
+            distance = f"the target is out of reach, {millimetres(beyond)} beyond the longest arm"
+            return distance, "move it closer to the plate"
         if late:
             return "whether the target can be reached is not known", "increase time_limit"
-        limit, advice = held_most(goal, at)
+        limit, advice = limiting_constraint(goal, at)
         if limit and goal.pointed:
             advice = "leave the direction free, or give it a direction_weight"
         return (limit, advice) if limit else ("the search ended in a local minimum", "increase starts")
 
     def _without_a_pose(self, late: bool) -> str:
-        """Why there is not even a closest pose."""
+        """Message of a search without a closest pose."""
         goal = self.goal
         if late:
             return (
@@ -621,9 +639,9 @@ class Multistart:
         return f"no answer was found: none of {self.tries} starts could be brought inside of the limits"
 
 
-def _difference(one: InverseSolution, other: InverseSolution) -> float:
-    """Largest distance of two arms at equal shares of their lengths, over the longer of them."""
-    arms = one.equilibrium, other.equilibrium
+def _difference(first: InverseSolution, second: InverseSolution) -> float:
+    """Largest distance of two arms at equal fractions of their lengths, relative to the longer one."""
+    arms = first.equilibrium, second.equilibrium
     (a, _), (b, _) = (ArmSurface(arm).line(33) for arm in arms)
     # Arms that are withdrawn all the way have length 0, and do not differ.
     longest = max(float(arm.arc_length[-1]) for arm in arms)

@@ -1,10 +1,11 @@
-"""A solved configuration on the way to a target: where the tip is, how stable it is, and how both change."""
+"""Solved configuration of a search: tip, margin, and their derivatives by the joints."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,8 +25,23 @@ from ..typing import Array, Delegate
 from .arm_surface import ArmSurface, Contacts
 from .joints import Configuration, JointSpace, configuration
 
-_Slopes = tuple[tuple[Array, Array, Array], Array]
-"""Of tip, turn vector and margin by the joints, and of the shape points by rotations and translations."""
+
+class TipJacobian(NamedTuple):
+    """Derivatives of the tip by independent joint values (m,)."""
+
+    tip: Array
+    """Derivative (3, m) of the position."""
+    turn: Array
+    """Derivative (3, m) of the frame, as rotation vectors."""
+    margin: Array
+    """Derivative (m,) of the margin."""
+
+
+class _Slopes(NamedTuple):
+    jacobian: TipJacobian
+    shape: Array
+    """Derivatives (p, 3, 2 n) of the shape points by rotations and translations."""
+
 
 # Round-off of arc lengths, which are sums of lengths of pieces.
 EDGE = 1e-9
@@ -38,7 +54,7 @@ SAME_TIP = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class Posture:
-    """An equilibrium at independent joint values q (m,)."""
+    """Equilibrium at independent joint values q (m,)."""
 
     space: JointSpace
     q: Array
@@ -47,39 +63,39 @@ class Posture:
     margin = Delegate[float]("equilibrium")
 
     @cached_property
-    def room(self) -> Array:
-        """(2m + k,) bounds of a step that stays admissible, as `JointSpace.inequalities`."""
+    def step_bounds(self) -> Array:
+        """Bounds (2m + k,) of an admissible step, as `JointSpace.inequalities`."""
         return self.space.inequalities(self.q)[1]
 
     @cached_property
     def admissible(self) -> bool:
-        """Whether q keeps the ranges and the order, as `JointSpace.admissible`."""
+        """True if q satisfies ranges and order, as `JointSpace.admissible`."""
         return self.space.admissible(self.q)
 
     @property
     def tip(self) -> Array:
-        """(3,) m."""
+        """Position (3,) of the tip, m."""
         return self.equilibrium.tip_position
 
     @property
     def direction(self) -> Array:
-        """(3,) unit vector along which the tip points."""
+        """Direction (3,) of the tip, a unit vector."""
         return np.asarray(self.equilibrium.tip_rotation[:, 2])
 
     @cached_property
     def solution(self) -> PlainPoint:
-        """The solved problem behind the equilibrium, on the default mesh."""
+        """Solved torsion problem of the equilibrium, on the default mesh."""
         refuse_load(self.equilibrium)
         return point_of(self.equilibrium)
 
     @property
     def problem(self) -> ReducedProblem:
-        """That it solves."""
+        """Torsion problem of the equilibrium."""
         return self.solution.member.problem
 
     @cached_property
     def derivatives(self) -> Linearised:
-        """Those by rotations and translations, which grow, where they differ to either side: of all that there is."""
+        """Derivatives by rotations and translations; for growing translations where they differ to either side."""
         return self._derivatives(1)
 
     def _derivatives(self, side: int) -> Linearised:
@@ -87,40 +103,40 @@ class Posture:
 
     @cached_property
     def _free(self) -> _Slopes:
-        """Of each joint towards the side to which it is free to move, where it has but one."""
-        return self._slopes(self.space.free_sides(self.room))
+        """Derivatives towards the side to which each joint can move."""
+        return self._slopes(self.space.free_sides(self.step_bounds))
 
     def _slopes(self, sides: tuple[int, ...]) -> _Slopes:
-        """Those that are asked for all the time, by the compiled kernel where it has them."""
+        """Derivatives to the given sides, by the compiled kernel if it has them."""
         found = compiled_slopes(self.equilibrium, sides, self.space.carriages)
         if found is not None and found.along is not None:
             parts: list[Array] = [found.position, found.turn, found.margin, found.along]
         else:
             of = [self.derivatives if side > 0 else self._derivatives(-1) for side in sorted({*sides})]
-            told = [[each.tip_position, each.tip_rotation, each.margin, each.position] for each in of]
+            by_side = [[each.tip_position, each.tip_rotation, each.margin, each.position] for each in of]
             grows = np.array([*[1] * len(sides), *sides]) > 0
-            parts = [np.where(grows, pair[-1], pair[0]) for pair in zip(*told, strict=True)]
+            parts = [np.where(grows, pair[-1], pair[0]) for pair in zip(*by_side, strict=True)]
         position, turn, margin, along = parts
         by_joints = self.space.by_joints
-        return (by_joints(position), by_joints(turn), by_joints(margin)), along
+        return _Slopes(TipJacobian(by_joints(position), by_joints(turn), by_joints(margin)), along)
 
     @property
-    def jacobian(self) -> tuple[Array, Array, Array]:
-        """(3, m) of the tip, (3, m) of its turn vector, (m,) of the margin, with respect to q.
+    def jacobian(self) -> TipJacobian:
+        """Derivatives of the tip by q.
 
-        Where breakpoints coincide, as where one tube ends in its order at the end of another, derivatives differ to
-        either side: each joint has those of the side to which it is free to move.
+        Where breakpoints coincide, derivatives differ to either side: each joint has those of the side to which it can
+        move.
         """
-        return self._free[0]
+        return self._free.jacobian
 
     @cached_property
-    def backward(self) -> tuple[Array, Array, Array]:
-        """As `jacobian`, with the derivatives of translations that shrink."""
-        return self._slopes((-1,) * self.space.robot.n_tubes)[0]
+    def backward(self) -> TipJacobian:
+        """Derivatives of the tip by q, for shrinking translations."""
+        return self._slopes((-1,) * self.space.robot.n_tubes).jacobian
 
     @property
     def two_sided(self) -> bool:
-        """Whether derivatives differ to either side by more than round-off, as where breakpoints coincide."""
+        """True if derivatives differ to either side by more than round-off, as where breakpoints coincide."""
         pairs = zip(self.jacobian, self.backward, strict=True)
         return not all(
             np.allclose(a, b, rtol=0, atol=1e-6 * np.abs(np.nan_to_num(a)).max(), equal_nan=True) for a, b in pairs
@@ -128,32 +144,31 @@ class Posture:
 
     @property
     def along(self) -> Array:
-        """(p, 3, 2n) change of the shape points by rotations and translations, to the sides of `jacobian`."""
-        return self._free[1]
+        """Derivatives (p, 3, 2n) of the shape points by rotations and translations, to the sides of `jacobian`."""
+        return self._free.shape
 
     @cached_property
     def bend(self) -> float:
-        """int |u|^2 ds, 1/m."""
+        """Integral of the squared curvature, int |u|^2 ds, 1/m."""
         return self.derivatives.total_bend
 
     @cached_property
     def bend_slope(self) -> Array:
-        """(m,) change of `bend` per joint."""
+        """Gradient (m,) of `bend`."""
         return self.space.by_joints(self.derivatives.bend)
 
     def margin_slope(self) -> Array:
-        """(m,) change of the margin per joint; 0 where it has none (a double eigenvalue)."""
-        slope, known = self.jacobian[2], np.isfinite(self.jacobian[2])
+        """Gradient (m,) of the margin; 0 where it has none (a double eigenvalue)."""
+        slope, known = self.jacobian.margin, np.isfinite(self.jacobian.margin)
         return slope if known.all() else np.where(known, slope, 0.0)
 
     @cached_property
     def outline(self) -> ArmSurface:
-        """The surface of the arm."""
+        """Surface of the arm."""
         return ArmSurface(self.equilibrium)
 
     def contact_slopes(self, scene: Scene, contacts: Contacts) -> Array:
-        """(c, m) change of the distances of contacts with q. A contact at the edge where a tube ends moves along with
-        it."""
+        """Derivatives (c, m) of the distances of contacts by q; a contact at the end of a tube moves with it."""
         away, arm = scene.gradients(contacts.body, contacts.point), self.equilibrium
         slope = (away[:, None] @ _interpolated(arm.arc_length, self.along, contacts.place))[:, 0]
         # The end of the arm is the last of the shape points, which moves along by itself.
@@ -163,8 +178,10 @@ class Posture:
         return self.space.by_joints(slope)
 
     def to(self, q: Array) -> Posture | None:
-        """The stable equilibrium at q that a slow straight motion from here leads to; None where the robot snaps, or is
-        so close to it that steps of ordinary length do not tell."""
+        """Posture at q after a quasi-static straight motion from here.
+
+        None if the robot snaps, or is too close to a snap for steps of ordinary length.
+        """
         here, moved = self.equilibrium, np.abs(q - self.q)
         longest = LARGEST_SHIFT * max(float(here.arc_length[-1]), shortest_arm(self.space.robot))
         turn, shift = moved[: self.space.robot.n_tubes].max(), moved[self.space.robot.n_tubes :].max(initial=0.0)
@@ -172,26 +189,26 @@ class Posture:
         try:
             for k in range(1, steps + 1):
                 rotations, shift = self.space.split(self.q + (q - self.q) * (k / steps) if k < steps else q)
-                there = one_step(self.space.robot, here, rotations, shift)
-                if there is None or not there.stable:
+                following = one_step(self.space.robot, here, rotations, shift)
+                if following is None or not following.stable:
                     return None
-                here = there
+                here = following
         except (SolveError, InputError):
             return None
         return Posture(self.space, q, here)
 
 
 def _interpolated(s: Array, table: Array, at: Array) -> Array:
-    """(c, ...) linear interpolation in a table (m, ...) at arc lengths (c,)."""
+    """Linear interpolation (c, ..) in a table (m, ..) at arc lengths (c,)."""
     if len(s) < 2:
         return np.repeat(table[:1], len(at), axis=0)
-    k, _, share = between(s, at)
-    x = share.reshape(-1, *[1] * (table.ndim - 1))
+    k, _, fraction = between(s, at)
+    x = fraction.reshape(-1, *[1] * (table.ndim - 1))
     return np.asarray((1 - x) * table[k] + x * table[k + 1])
 
 
 def start_at(space: JointSpace, q: Array) -> Posture | None:
-    """The stable equilibrium that a cold forward kinematics finds at q, or None."""
+    """Posture at q by forward kinematics without a start; None without a stable equilibrium."""
     rotations, shift = space.split(q)
     try:
         return Posture(space, q, forward_kinematics(space.robot, rotations, shift))
@@ -199,18 +216,18 @@ def start_at(space: JointSpace, q: Array) -> Posture | None:
         return None
 
 
-def same_place(posture: Posture | None, other: Posture) -> bool:
-    """Whether two postures at the same joint values are one equilibrium."""
-    return posture is not None and bool(np.linalg.norm(posture.tip - other.tip) <= SAME_TIP)
+def same_place(a: Posture | None, b: Posture) -> bool:
+    """True if two postures at the same joint values are the same equilibrium."""
+    return a is not None and bool(np.linalg.norm(a.tip - b.tip) <= SAME_TIP)
 
 
 def posture_of(space: JointSpace, equilibrium: Equilibrium, name: str = "") -> Posture:
-    """The posture of an equilibrium; raises InputError, which calls it `name`, where the joint space has none."""
+    """Posture of an equilibrium; raises InputError, with `name`, if it is not in the joint space."""
     return Posture(space, space.join(equilibrium.rotations, equilibrium.translations, name), equilibrium)
 
 
 def start_posture(space: JointSpace, start: Configuration) -> Posture:
-    """The equilibrium of a start: its own, else that of a cold forward kinematics at its joint values."""
+    """Posture of a start: its equilibrium, or that of forward kinematics at its joint values."""
     q = configuration(space, "start", start)
     known = start if isinstance(start, Equilibrium) else getattr(start, "equilibrium", None)
     if isinstance(known, Equilibrium) and known.robot == space.robot:

@@ -22,7 +22,7 @@ import math
 import threading
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -50,7 +50,14 @@ from ..solvers.named_program import ProblemSolution, ProblemStatus
 from ..solvers.problem import Problem
 from ..solvers.settings import LARGEST_TWIST, Ipopt
 from ..typing import Array
-from .gauss_newton import CLOSED_SECTION, Order, Search, apart, beyond, breakpoint_order
+from .breakpoint_order import (
+    CLOSED_SECTION,
+    Order,
+    breakpoint_order,
+    cross_breakpoints,
+    separate_breakpoints,
+)
+from .gauss_newton import Search
 from .goal import Goal
 from .posture import Posture
 
@@ -68,22 +75,22 @@ quasi-Newton approximation needs no more iterations with them than without."""
 
 @dataclass(frozen=True)
 class Question:
-    """What makes two programs the same but for numbers."""
+    """Structure of a program: two goals with equal values share one program, with other numbers."""
 
     structure: Structure
     carriages: tuple[tuple[int, ...], ...]
     pointed: bool
-    """Whether the direction is a constraint."""
+    """True if the direction is a constraint."""
     aimed: bool
-    """Whether it is a cost."""
+    """True if the direction is a cost."""
     objective: str
     """"nearest", "margin" or "curvature"."""
     obstacles: tuple[Obstacle, ...]
-    """What the arm keeps away from."""
+    """Obstacles that the arm avoids."""
     length: float
-    """By which distances are measured, m."""
+    """Length of the robot, the unit of distances, m."""
     closings: int
-    """Rows that keep the order."""
+    """Number of constraints on the order of breakpoints and tubes."""
 
 
 def inverse_program(question: Question, thread: int) -> Problem:
@@ -244,7 +251,7 @@ ORDERS = 6
 """Changes of the order of breakpoints that a solution goes through at most."""
 
 # Distances are written out for every point along the arm.
-MOST_BODIES = 16
+MAX_BODIES = 16
 """Obstacles for which a program is built: every one costs as much as all of the arm."""
 
 # CasADi's construction cannot be interrupted. A program is begun only where more time than this is left, so that a
@@ -258,46 +265,45 @@ MARGIN_BEYOND = 1e-4
 
 
 def programmable(goal: Goal) -> bool:
-    """Whether the program can be written: enough joints for the target, few obstacles, a formula for every one, nothing
-    own."""
+    """True if the program can be stated: enough joints, few obstacles with formulas, and nothing custom."""
     if goal.extras.constraints or goal.extras.cost is not None:
         return False
     bodies = goal.scene.bodies
-    few = len(bodies) <= MOST_BODIES
+    few = len(bodies) <= MAX_BODIES
     return few and not goal.overdetermined and all(has_formula(body) for body in bodies)
 
 
 def solve_program(goal: Goal, start: Posture) -> Search:
-    """The program's solution from an allowed posture, on target or not, and through changes of order."""
-    here, iterations = apart(goal, start), 0
-    best, least = here, (np.inf, np.inf)
+    """Solution of the program from an allowed posture, on target or not, with changes of the order of breakpoints."""
+    here, iterations = separate_breakpoints(goal, start), 0
+    best, best_score = here, (np.inf, np.inf)
     for _ in range(ORDERS + 1):
         if goal.clock.left < building(goal):
             break
-        found, count, crossed = _solve_order(goal, here)
-        iterations += count
-        if found is None:
+        solution = _solve_order(goal, here)
+        iterations += solution.iterations
+        if solution.posture is None:
             break
-        score = _score(goal, found)
-        if score >= (least[0] * (1 - 1e-6), least[1] - 1e-9):
+        score = _score(goal, solution.posture)
+        if score >= (best_score[0] * (1 - 1e-6), best_score[1] - 1e-9):
             break
-        best, least = found, score
-        other = next(beyond(goal, found, crossed), None)
-        if other is None:
+        best, best_score = solution.posture, score
+        crossed = next(cross_breakpoints(goal, best, solution.active_sections), None)
+        if crossed is None:
             break
-        here = other
+        here = crossed
     return Search(best, goal.reached(best, 1e-8, 1e-8) and goal.allowed(best, 1e-9), iterations, 0)
 
 
 def building(goal: Goal) -> float:
-    """Seconds that it may take to build the program and to begin to solve it, which nothing can cut short."""
+    """Longest time, s, to build the program and to start its solution, which cannot be interrupted."""
     return BUILDING * goal.space.robot.n_tubes**3 * (1 + len(goal.scene.bodies))
 
 
 def _score(goal: Goal, at: Posture) -> tuple[float, float]:
-    """What is left to the target, 0 where it is next to nothing, then the cost: less is better."""
-    missing = float(np.linalg.norm(goal.residual(at)))
-    return (0.0 if missing < 1e-6 else missing), goal.cost(at)
+    """Sort key, the better posture first: norm of the residual, rounded to 0 near the target, then the cost."""
+    residual = float(np.linalg.norm(goal.residual(at)))
+    return (0.0 if residual < 1e-6 else residual), goal.cost(at)
 
 
 USABLE = (
@@ -310,27 +316,37 @@ USABLE = (
 does not reach the target, the next may: what follows checks."""
 
 
-def _solve_order(goal: Goal, at: Posture) -> tuple[Posture | None, int, list[tuple[Array, float]]]:
-    """Solve with the order of breakpoints of `at`; the posture reached, iterations, what to cross."""
+class _OrderSolution(NamedTuple):
+    """Solution within one order of breakpoints."""
+
+    posture: Posture | None
+    """None if there is no usable solution."""
+    iterations: int
+    active_sections: list[tuple[Array, float]]
+    """Rows and bounds of closed sections with multipliers: beyond them the cost decreases."""
+
+
+def _solve_order(goal: Goal, at: Posture) -> _OrderSolution:
+    """Solve the program within the order of breakpoints of a posture."""
     order = breakpoint_order(goal, at)
     if not len(at.problem.mesh.length):
-        return None, 0, []  # all tubes are withdrawn, and nothing is left to turn
+        return _OrderSolution(None, 0, [])  # all tubes are withdrawn, and nothing is left to turn
     program = posed(goal, at, order)
     found = program.attempt(_in_time(goal))
     if not all(np.isfinite(value).all() for value in found.values.values()):
-        return None, 0, []
+        return _OrderSolution(None, 0, [])
     posture = _read(goal, at, found, order) if found.status in USABLE else None
     if posture is None:
-        return None, found.statistics.iterations, []
-    gap = order.rows @ found.values["translations"] - order.bound
-    force = found.multipliers.get("order of breakpoints", np.zeros(0)) * goal.space.length
-    pressed = ((gap <= 10 * CLOSED_SECTION) & (np.abs(force) > 1e-7))[: order.changeable]
-    crossed = [(order.rows[k], float(order.bound[k])) for k in np.flatnonzero(pressed)]
-    return posture, found.statistics.iterations, crossed
+        return _OrderSolution(None, found.statistics.iterations, [])
+    length = order.rows @ found.values["translations"] - order.bound
+    multiplier = found.multipliers.get("order of breakpoints", np.zeros(0)) * goal.space.length
+    active = ((length <= 10 * CLOSED_SECTION) & (np.abs(multiplier) > 1e-7))[: order.changeable]
+    sections = [(order.rows[k], float(order.bound[k])) for k in np.flatnonzero(active)]
+    return _OrderSolution(posture, found.statistics.iterations, sections)
 
 
 def _in_time(goal: Goal) -> Ipopt:
-    """Settings with the time that is left, cut to a power of two: a solver is built for every time limit."""
+    """Settings with the remaining time, rounded down to a power of two: a solver is built for every time limit."""
     left = max(goal.clock.left, building(goal))
     return SETTINGS if left == math.inf else replace(SETTINGS, time_limit=2.0 ** math.floor(math.log2(left)))
 
@@ -349,7 +365,7 @@ def _question(goal: Goal, at: Posture, order: Order) -> Question:
 
 
 def posed(goal: Goal, at: Posture, order: Order) -> Problem:
-    """The program of a goal, with its numbers, that starts at a posture."""
+    """Program of a goal with its numbers, and a posture as the start."""
     space, problem = goal.space, at.problem
     program = inverse_program(_question(goal, at, order), threading.get_ident())
     n, mesh = space.robot.n_tubes, problem.mesh
@@ -372,7 +388,7 @@ def posed(goal: Goal, at: Posture, order: Order) -> Problem:
         "direction": np.zeros(3) if goal.direction is None else goal.direction,
         "direction weight": np.array(goal.direction_weight or 0.0),
         "least margin": np.array(goal.min_margin + MARGIN_BEYOND),
-        "clearance": np.array(goal.gap),
+        "clearance": np.array(goal.kept_clearance),
         "radius": at.outline.radius(mesh.start + 0.5 * mesh.length),
         "reference": at.q if goal.objective is None else goal.reference,
         "weights": 1 / space.scale if goal.objective is None else goal.weights,
@@ -392,7 +408,7 @@ def posed(goal: Goal, at: Posture, order: Order) -> Problem:
 
 
 def _read(goal: Goal, at: Posture, found: ProblemSolution, order: Order) -> Posture | None:
-    """The posture at a solution of the program: solved by Newton's method from its rotations."""
+    """Posture at a solution of the program, by Newton's method from its rotations; None if that fails."""
     q = goal.space.clip(np.concatenate([found.values["rotations"], found.values["translations"]]))
     rotations, shift = goal.space.split(q)
     theta = inside_points(at.problem, found.values["rotation inside"])

@@ -1,9 +1,9 @@
-"""Finding a path: straight, by translations at which nothing can snap, by RRT-Connect (OMPL); why there may be none.
+"""Path search: straight, by translations that exclude snaps, by RRT-Connect (OMPL); and obstructions.
 
-A path is continuous, so that whatever changes from one value to another takes every value in between: the tip rotation
-of a tube, that of one tube against another, a translation. If no state with one of these values is allowed, there is no
-path. Where nothing but that value is free, one state decides, and that is a proof. Else states are checked on a grid,
-or at random: what is found then is a reason to give up and not a proof, and says how many states were checked.
+A path is continuous, so that every coordinate takes all values between its ends: the tip rotation of a tube, that of
+one tube relative to another, a translation. If no state with one of these values is allowed, there is no path. If only
+one state has this value, it decides, which is a proof. Otherwise states are checked on a grid or at random: the result
+is evidence, not a proof, and reports the number of states.
 """
 
 from __future__ import annotations
@@ -24,55 +24,55 @@ from .clock import Clock
 from .task import STEP_SHIFT, STEP_TURN, Task
 
 SEARCHES = ("auto", "rrt_connect", "optimal")
-"""Ways of searching."""
+"""Search methods."""
 
 
-WALL_SECONDS, WALL_SHARE = 5.0, 0.15
-"""Maximum duration of the search for obstructions, s, and share of the remaining time."""
+WALL_SECONDS, WALL_FRACTION = 5.0, 0.15
+"""Maximum duration of the search for obstructions, s, and fraction of the remaining time."""
 
 # A certificate takes about as long as the check of a motion.
-DETOUR_SECONDS, DETOUR_SHARE = 6.0, 0.3
-"""The same of paths by translations that exclude snaps."""
+DETOUR_SECONDS, DETOUR_FRACTION = 6.0, 0.3
+"""Maximum duration of the search for paths by certified translations, s, and fraction of the remaining time."""
 
 # Measured for two and three tubes: 22 and 16.
 CERTIFICATE_STATES = 20
 """Work of a certificate, in equilibria of the chart."""
 
 # Each is tried at four points from either end: 1280 candidates.
-DETOUR_SAMPLES, MOST_DETOURS = 160, 24
-"""Translations among which such are searched for, and paths that are tried, shortest first."""
+DETOUR_SAMPLES, MAX_DETOURS = 160, 24
+"""Number of sampled translations, and of detours that are tried, the shortest first."""
 
 # Longer ones mostly fail, and their check is wasted; shorter ones make trees that grow slowly in free space.
 LONG_MOTION = 1.2
 """Longest motion that RRT-Connect tries at once, in units of the joints' scales; short ones have a quarter of it."""
 
 # Where an obstruction is known the search is most likely in vain, and ends early.
-LONG_SHARE, REASON_SHARE = 0.5, 0.3
-"""Share of the remaining time for long motions; short ones get the rest. The second if an obstruction is known."""
+LONG_FRACTION, REASON_FRACTION = 0.5, 0.3
+"""Fraction of the remaining time for long motions; short ones get the rest. The second if an obstruction is known."""
 
-POCKET_SHARE = 0.3
-"""Share of the time that long motions leave for the test whether start or goal lie in a closed region."""
+POCKET_FRACTION = 0.3
+"""Fraction of the time after long motions for the test of whether start or goal lie in a closed region."""
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
-    """What was found between points of the chart."""
+class FoundPath:
+    """Result of a path search between points of the chart."""
 
     points: Array | None
-    """(k, m) whose straight motions hold."""
+    """Waypoints (k, m) with valid straight motions between them; None without a path."""
     how: str
-    """How they were found: "straight", "detour", "search", or "roadmap"."""
+    """Method: "straight", "detour", "search", or "roadmap"."""
     motions: int
-    """That were checked."""
+    """Number of motions checked."""
     closest: Array | None = None
-    """(k, m) without a way, what came closest to the goal."""
+    """Without a path, the waypoints (k, m) that came closest to the goal."""
     why: str = ""
-    """Without a way, what stands against there being one, in words."""
+    """Without a path, the reason."""
     impossible: bool = False
-    """Whether that is proved."""
+    """True if the reason is a proof."""
 
 
-def find_way(
+def find_path(
     task: Task,
     start: Array,
     goals: Sequence[Array],
@@ -81,46 +81,52 @@ def find_way(
     how: str = "auto",
     improving: float = 5.0,
     seed: int = 0,
-) -> Way:
-    """A way from a point to the first goal that is found, the nearest ones tried first, by one of SEARCHES; for so long
-    (s) "optimal" improves what it finds."""
+) -> FoundPath:
+    """Path from a point to one of several goals.
+
+    Args:
+        how: method, one of SEARCHES.
+        improving: time, s, for which "optimal" shortens the path.
+    """
     tried, n = 0, task.chart.space.robot.n_tubes
     for goal in goals:
         tried += 1
         if task.motion(start, goal):
-            return Way(np.stack([start, goal]), "straight", tried)
+            return FoundPath(np.stack([start, goal]), "straight", tried)
     seconds = improving if how == "optimal" else None
-    between = wall(task, start, goals, clock.part(WALL_SHARE, most=WALL_SECONDS), seed=seed)
+    between = wall(task, start, goals, clock.part(WALL_FRACTION, most=WALL_SECONDS), seed=seed)
     if between is not None and between.proved:
-        return Way(None, "search", tried, None, between.words, True)
+        return FoundPath(None, "search", tried, None, between.words, True)
     if how != "rrt_connect" and between is None:
-        share = clock.part(DETOUR_SHARE, most=DETOUR_SECONDS)
+        part = clock.part(DETOUR_FRACTION, most=DETOUR_SECONDS)
         for goal in goals:
-            for shift in islice(certified_translations(task, start, goal, share), MOST_DETOURS):
-                # Translations change, tips turn where nothing can snap, and translations go on from there.
+            for shift in islice(certified_translations(task, start, goal, part), MAX_DETOURS):
+                # Translations change, tips turn at certified translations, then translations change to the goal.
                 points = [start, np.append(start[:n], shift), np.append(goal[:n], shift), goal]
                 tried += len(points) - 1
                 if task.path(points):
-                    detour = Way(np.stack(points), "detour", tried)
+                    detour = FoundPath(np.stack(points), "detour", tried)
                     return _improved(task, detour, goals, clock, seconds, seed)
     reason = "" if between is None else between.words
     found = by_sampling(task, start, goals, clock, seed=seed, tried=tried, reason=reason)
     return _improved(task, found, goals, clock, seconds, seed)
 
 
-def _improved(task: Task, way: Way, goals: Sequence[Array], clock: Clock, seconds: float | None, seed: int) -> Way:
-    """What BIT* finds in the time that it is given, where that is asked for and shorter than a way that is known."""
-    if seconds is None or way.points is None:
-        return way
-    other = by_sampling(task, way.points[0], goals, clock, seconds=seconds, seed=seed, tried=way.motions)
-    shorter = other.points is not None and task.length(other.points) < task.length(way.points)
-    return other if shorter else replace(way, motions=other.motions)
+def _improved(
+    task: Task, path: FoundPath, goals: Sequence[Array], clock: Clock, seconds: float | None, seed: int
+) -> FoundPath:
+    """Path shortened by BIT* for a time, s; the path itself without a time or a shorter one."""
+    if seconds is None or path.points is None:
+        return path
+    optimal = by_sampling(task, path.points[0], goals, clock, seconds=seconds, seed=seed, tried=path.motions)
+    shorter = optimal.points is not None and task.length(optimal.points) < task.length(path.points)
+    return optimal if shorter else replace(path, motions=optimal.motions)
 
 
 def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) -> Iterator[Array]:
-    """Carriages (G,) where no rotation can snap by the margin to keep, nearest to start and goal first.
+    """Translations (G,) of the carriages whose certificate is the required margin, nearest to start and goal first.
 
-    Each is handed on before the next is looked for: a certificate takes as long as the check of a motion.
+    They are computed one by one, since a certificate takes as long as the check of a motion.
     """
     space = task.chart.space
     n = space.robot.n_tubes
@@ -133,8 +139,7 @@ def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) 
     for shift in table[np.argsort(far, kind="stable")]:
         if clock.over:
             return
-        known = any(np.linalg.norm((shift - other) / task.scale[n:]) < 0.08 for other in found)
-        if known:
+        if any(np.linalg.norm((shift - each) / task.scale[n:]) < 0.08 for each in found):
             continue
         translations = space.split(np.append(np.zeros(n), shift))[1]
         task.count(CERTIFICATE_STATES)  # counted where it is known, too: the count must not depend on the cache
@@ -145,7 +150,7 @@ def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) 
 
 @lru_cache(maxsize=8192)
 def _certificate_at(robot: Robot, translations: tuple[float, ...]) -> float:
-    """Its certificate there: plans between the same translations ask for a thousand of the same again."""
+    """Certificate of a robot, cached: plans between the same translations need a thousand of them again."""
     return snap_free_certificate(robot, translations)
 
 
@@ -159,11 +164,10 @@ def by_sampling(
     seed: int = 0,
     tried: int = 0,
     reason: str = "",
-) -> Way:
-    """RRT-Connect of OMPL between a point and goals until the clock is over, or BIT* for `seconds`.
+) -> FoundPath:
+    """Path by RRT-Connect of OMPL until the clock is over, or by BIT* for `seconds`.
 
-    `reason`: what stands against a way, in words. It ends the search early, and so does a start or a goal that turns
-    out to lie in a closed pocket.
+    A known `reason` against a path ends the search early, and so does a start or goal in a closed region.
     """
     try:
         from ompl import base, geometric, util
@@ -174,13 +178,13 @@ def by_sampling(
     util.RNG.setSeed(seed + 1)
     scale, count = task.scale, [tried]
 
-    def moves(one: Array, other: Array) -> bool:
+    def is_valid(a: Array, b: Array) -> bool:
         if clock.over:
             return False
         count[0] += 1
-        return task.motion(one * scale, other * scale)
+        return task.motion(a * scale, b * scale)
 
-    information, problem = _posed(base, task, start, goals, moves)
+    information, problem = _ompl_problem(base, task, start, goals, is_valid)
     if seconds is not None:
         clock = clock.part(1.0, most=seconds)
         problem.setOptimizationObjective(base.PathLengthOptimizationObjective(information))
@@ -190,30 +194,30 @@ def by_sampling(
         planner.setRange(LONG_MOTION)
     planner.setProblemDefinition(problem)
     planner.setup()
-    first = clock if seconds is not None else clock.part(REASON_SHARE if reason else LONG_SHARE)
+    first = clock if seconds is not None else clock.part(REASON_FRACTION if reason else LONG_FRACTION)
     planner.solve(base.PlannerTerminationCondition(lambda: first.over))
     if first is not clock and not problem.hasExactSolution():
-        reason = reason or closed_off(task, start, goals, clock.part(POCKET_SHARE), seed=seed)
+        reason = reason or closed_off(task, start, goals, clock.part(POCKET_FRACTION), seed=seed)
         if reason:
-            return replace(_way(problem, scale, (start, goals), count[0]), why=reason)
-        # Where long motions do not lead on, short ones may.
+            return replace(_ompl_path(problem, scale, start, goals, count[0]), why=reason)
+        # Where long motions fail, short ones may succeed.
         planner.setRange(LONG_MOTION / 4)
         planner.solve(base.PlannerTerminationCondition(lambda: clock.over))
     data = base.PlannerData(information)
     planner.getPlannerData(data)
     tags = [data.getVertex(k).getTag() for k in range(data.numVertices())]
     trees = f"the trees of {tags.count(1)} states from the start and {tags.count(2)} from the goal did not meet"
-    return replace(_way(problem, scale, (start, goals), count[0]), why=trees)
+    return replace(_ompl_path(problem, scale, start, goals, count[0]), why=trees)
 
 
-def _posed(
-    base: Any, task: Task, start: Array, goals: Sequence[Array], moves: Callable[[Array, Array], bool]
+def _ompl_problem(
+    base: Any, task: Task, start: Array, goals: Sequence[Array], is_valid: Callable[[Array, Array], bool]
 ) -> tuple[Any, Any]:
-    """The way from a point to goals as a problem of OMPL, in units of the joints' scales; `moves` checks a motion."""
+    """Space information and problem of OMPL, in units of the joints' scales; `is_valid` checks a motion."""
 
     class Motions(base.MotionValidator):  # type: ignore[misc]
-        def checkMotion(self, one: Any, other: Any, *_: Any) -> bool:
-            return moves(*(np.array([state[i] for i in range(len(start))]) for state in (one, other)))
+        def checkMotion(self, a: Any, b: Any, *_: Any) -> bool:
+            return is_valid(*(np.array([state[i] for i in range(len(start))]) for state in (a, b)))
 
     space = base.RealVectorStateSpace(len(start))
     bounds = base.RealVectorBounds(len(start))
@@ -227,23 +231,23 @@ def _posed(
     information.setup()
     problem = base.ProblemDefinition(information)
     problem.addStartState(_state(space, start / task.scale))
-    wanted = base.GoalStates(information)
+    goal_states = base.GoalStates(information)
     for goal in goals:
-        wanted.addState(_state(space, goal / task.scale))
-    problem.setGoal(wanted)
+        goal_states.addState(_state(space, goal / task.scale))
+    problem.setGoal(goal_states)
     return information, problem
 
 
 def closed_off(task: Task, start: Array, goals: Sequence[Array], clock: Clock, *, seed: int = 0) -> str:
-    """Which end of a plan no motion was found to leave, in words; empty where both are open, or time is over."""
+    """Text of the end of a plan that no motion was found to leave; empty if both are open, or the time is over."""
     for name, points in (("goal", goals), ("start", [start])):
-        filled = []
+        states = 0
         for point in points:
-            filled.append(pocket(task, point, clock, seed=seed))
-            if filled[-1] is None:
+            count = pocket(task, point, clock, seed=seed)
+            if count is None:
                 break
+            states += count
         else:
-            states = sum(count for count in filled if count is not None)
             return (
                 f"no path was found from the {name}'s side: its tree filled {states} states and could not leave "
                 "(evidence, not a proof)"
@@ -252,27 +256,26 @@ def closed_off(task: Task, start: Array, goals: Sequence[Array], clock: Clock, *
 
 
 def _state(space: Any, values: Array) -> Any:
-    """A state of OMPL."""
+    """State of OMPL with coordinate values."""
     state = space.allocState()
     for i, value in enumerate(values):
         state[i] = float(value)
     return state
 
 
-def _way(problem: Any, scale: Array, ends: tuple[Array, Sequence[Array]], motions: int) -> Way:
-    """What OMPL found."""
-    start, goals = ends
+def _ompl_path(problem: Any, scale: Array, start: Array, goals: Sequence[Array], motions: int) -> FoundPath:
+    """Path found by OMPL, or the points that came closest to a goal."""
     if not problem.hasSolution():
-        return Way(None, "search", motions)
+        return FoundPath(None, "search", motions)
     states = problem.getSolutionPath().getStates()
     points = np.array([[state[i] for i in range(len(start))] for state in states]) * scale
     if not problem.hasExactSolution():
-        return Way(None, "search", motions, points)
+        return FoundPath(None, "search", motions, points)
     # The ends exactly: they went through the units of the search.
     points[0] = start
     # OMPL does not say which goal it reached.
     points[-1] = min(goals, key=lambda goal: float(np.linalg.norm((goal - points[-1]) / scale)))
-    return Way(points, "search", motions)
+    return FoundPath(points, "search", motions)
 
 
 def _bounds(task: Task, ends: Sequence[Array]) -> tuple[Array, Array]:
@@ -286,38 +289,38 @@ def _bounds(task: Task, ends: Sequence[Array]) -> tuple[Array, Array]:
 
 
 def without_corners(task: Task, points: Array) -> Array:
-    """The way without the corners past which it can go straight, from each as far as that holds."""
-    way = [points[0]]
-    for last, there in pairwise(points[1:]):
-        if not task.motion(way[-1], there):
-            way.append(last)
-    return np.stack([*way, points[-1]])
+    """Path without the corners that straight motions can skip."""
+    path = [points[0]]
+    for last, following in pairwise(points[1:]):
+        if not task.motion(path[-1], following):
+            path.append(last)
+    return np.stack([*path, points[-1]])
 
 
 def shorten(task: Task, points: Array, clock: Clock, *, seed: int = 0) -> Array:
-    """The way with corners cut: random places on it joined straight where that holds and is shorter in joint space."""
+    """Path with corners cut: random points on it are joined by a straight motion if that is valid and shorter."""
     random = np.random.default_rng(seed)
-    way = [np.array(point) for point in points]
+    path = [np.array(point) for point in points]
     for _ in range(60):
-        if clock.over or len(way) < 3:
+        if clock.over or len(path) < 3:
             break
-        lengths = np.array([np.linalg.norm((b - a) / task.scale) for a, b in pairwise(way)])
+        lengths = np.array([np.linalg.norm((b - a) / task.scale) for a, b in pairwise(path)])
         marks = np.concatenate([[0.0], np.cumsum(lengths)])
         a, b = np.sort(random.uniform(0, marks[-1], 2))
         i, j = (int(np.searchsorted(marks, x, side="right") - 1) for x in (a, b))
-        i, j = min(i, len(way) - 2), min(j, len(way) - 2)
+        i, j = min(i, len(path) - 2), min(j, len(path) - 2)
         if i == j:
             continue
-        first = way[i] + (a - marks[i]) / max(lengths[i], 1e-12) * (way[i + 1] - way[i])
-        last = way[j] + (b - marks[j]) / max(lengths[j], 1e-12) * (way[j + 1] - way[j])
-        old = [first, *way[i + 1 : j + 1], last]
+        first = path[i] + (a - marks[i]) / max(lengths[i], 1e-12) * (path[i + 1] - path[i])
+        last = path[j] + (b - marks[j]) / max(lengths[j], 1e-12) * (path[j + 1] - path[j])
+        old = [first, *path[i + 1 : j + 1], last]
         if task.length([first, last]) < task.length(old) and task.motion(first, last):
-            way = [*way[: i + 1], first, last, *way[j + 1 :]]
-    return np.stack(way)
+            path = [*path[: i + 1], first, last, *path[j + 1 :]]
+    return np.stack(path)
 
 
 LEVELS = 9
-"""Checked sections between start and goal, of every coordinate."""
+"""Number of checked sections between start and goal, for every coordinate."""
 
 # If a twentieth of a section is allowed, one of so many random states is, with 92 %.
 SCREENED = 48
@@ -328,9 +331,9 @@ GRID_STATES = 20_000
 """Maximum number of grid states; larger sections are not decided."""
 
 DOUBT = 2e-3
-"""Margin that states must lack to count as not allowed: more than the integration is off."""
+"""Missing margin from which a state counts as not allowed: more than the error of the integration."""
 
-POCKET_STATES, POCKET_APART = 60, 0.02
+POCKET_STATES, POCKET_DISTANCE = 60, 0.02
 """Number of states at which a region counts as open, and distance of two states in units of the joints' scales."""
 
 # Of directions in six dimensions, so many random ones find an opening of a tenth of a per cent with 78 %.
@@ -340,7 +343,7 @@ FAILED_MOTIONS = 1500
 
 @dataclass(frozen=True)
 class Wall:
-    """What separates start and goal."""
+    """Obstruction between start and goal."""
 
     words: str
     proved: bool
@@ -348,49 +351,54 @@ class Wall:
 
 @dataclass(frozen=True, eq=False)
 class _Section:
-    """All states z with row @ z = level; `name` in words.
-
-    free: axes (k, m) along which states of the section differ.   low, high, step (k,) along them; base (m,) is one.
-    """
+    """Set of all states with one value of a coordinate."""
 
     name: str
+    """Description of the coordinate and its value."""
     base: Array
+    """State (m,) of the section."""
     free: Array
+    """Axes (k, m) along which states differ."""
     low: Array
+    """Lower ends (k,) along the axes."""
     high: Array
+    """Upper ends (k,) along the axes."""
     step: Array
+    """Largest distances (k,) of checked states along the axes."""
 
-    def points(self, shares: Array) -> Array:
-        """(N, m) states at shares (N, k) of the ranges."""
-        return np.asarray(self.base + (self.low + shares * (self.high - self.low)) @ self.free)
+    def points(self, fractions: Array) -> Array:
+        """States (N, m) at fractions (N, k) of the ranges."""
+        return np.asarray(self.base + (self.low + fractions * (self.high - self.low)) @ self.free)
 
-    def grid(self, most: int) -> Array | None:
-        """(N, m) all states, as close as the points of a motion that are checked; None of more than `most`."""
+    def grid(self, max_states: int) -> Array | None:
+        """Grid (N, m) as dense as the checked points of a motion; None if it has more than `max_states`."""
         counts = [int(np.ceil(x - 1e-9)) + 1 for x in (self.high - self.low) / self.step]
-        if np.prod(np.array(counts, dtype=float)) > most:
+        if np.prod(np.array(counts, dtype=float)) > max_states:
             return None
         axes = np.meshgrid(*(np.linspace(0, 1, count) for count in counts), indexing="ij")
         return self.points(np.stack([axis.ravel() for axis in axes], axis=1)) if counts else self.base[None]
 
 
 def wall(task: Task, start: Array, goals: Sequence[Array], clock: Clock, *, seed: int = 0) -> Wall | None:
-    """What keeps a start from all goals, points (m,); None where nothing was found before the clock was over. Of
-    several goals the one is told of which least is proved."""
+    """Obstruction between a start and all goals (m,); None if none is found within the time.
+
+    With several goals it is the weakest one: not proved if any of them is not.
+    """
     margin, space = task.min_margin - DOUBT, task.chart.space
-    if not task.obstacles:  # turned as a whole, the robot is as it was: its joints may be turned at will
+    if not task.obstacles:  # turning the whole robot changes nothing: its rotations may have any value
         lower, upper, n = space.lower.copy(), space.upper.copy(), space.robot.n_tubes
         lower[:n], upper[:n] = -np.inf, np.inf
         space = replace(space, lower=lower, upper=upper)
     chart = replace(task.chart, space=space)
     bare = replace(task, chart=chart, min_margin=margin, margin_room=0.0, floor=0.0, ends=None)
     random = np.random.default_rng(seed)
-    found = []
+    walls = []
     for goal in goals:
         between = next(iter(_walls(bare, start, goal, clock, random)), None)
         if between is None:
             return None
-        found.append(between)
-    return min(found, key=lambda each: each.proved, default=None)
+        walls.append(between)
+    return min(walls, key=lambda each: each.proved, default=None)
 
 
 def _walls(task: Task, start: Array, goal: Array, clock: Clock, random: np.random.Generator) -> Iterator[Wall]:
@@ -415,7 +423,7 @@ def _walls(task: Task, start: Array, goal: Array, clock: Clock, random: np.rando
 
 
 def _any(task: Task, z: Array, clock: Clock) -> bool:
-    """Whether some state (N, m) is allowed, of which most sections have one among the first."""
+    """True if a state (N, m) is allowed; most sections have one among the first."""
     parts = np.split(z, range(16, len(z), 16))
     return any(bool(task.holds(some).any()) for some in parts if not clock.over)
 
@@ -437,53 +445,56 @@ def _sections(task: Task, start: Array, goal: Array) -> Iterator[_Section]:
     moved = np.flatnonzero(space.upper[n:] - space.lower[n:] > 1e-9) + n
     low = np.append(np.minimum(space.lower[:n], np.minimum(start, goal)[:n]) - np.pi, space.lower[n:])
     high = np.append(np.maximum(space.upper[:n], np.maximum(start, goal)[:n]) + np.pi, space.upper[n:])
-    shares = np.arange(1, LEVELS + 1) / (LEVELS + 1)
+    fractions = np.arange(1, LEVELS + 1) / (LEVELS + 1)
     # Start and goal are allowed, and so are most sections near them: the middle ones are most likely to separate.
-    for share in shares[np.argsort(np.abs(shares - 0.5), kind="stable")]:
-        base = start + share * (goal - start)
+    for fraction in fractions[np.argsort(np.abs(fractions - 0.5), kind="stable")]:
+        base = start + fraction * (goal - start)
         for row, name in rows:
             if abs(row @ (goal - start)) < 1e-6:
                 continue
             value = float(row @ base) * (180 / np.pi if np.abs(row[:n]).any() else 1e3)
             axes = [axis for axis in unit[:n] if row @ axis == 0]
             if row.any() and not row.sum():
-                axes.append(np.abs(row))  # both of two tubes turned by the same
+                axes.append(np.abs(row))  # two tubes turned by the same angle
             if not task.obstacles:
-                axes.pop()  # turned as a whole, the robot is as it was
+                axes.pop()  # turning the whole robot changes nothing
             axes += [unit[k] for k in moved if row[k] == 0]
-            yield _section(name.format(value), base, np.reshape(axes, (-1, m)), (low, high), task)
+            yield _section(name.format(value), base, np.reshape(axes, (-1, m)), low, high, task)
 
 
-def _section(name: str, base: Array, free: Array, box: tuple[Array, Array], task: Task) -> _Section:
+def _section(name: str, base: Array, free: Array, lower: Array, upper: Array, task: Task) -> _Section:
+    """Section through a state, with axes limited to a box (m,)."""
     n = task.chart.space.robot.n_tubes
     low, high, step = [], [], []
     for axis in free:
         i = int(np.argmax(axis != 0))
         turns = i < n
-        # Without anything to collide with a whole turn is all that there is.
+        # Without obstacles a full turn covers all rotations.
         whole = turns and not task.obstacles
-        low.append(0.0 if whole else box[0][i] - base[i])
-        high.append(2 * np.pi if whole else box[1][i] - base[i])
+        low.append(0.0 if whole else lower[i] - base[i])
+        high.append(2 * np.pi if whole else upper[i] - base[i])
         step.append(STEP_TURN if turns else STEP_SHIFT * task.chart.space.length)
     return _Section(name, base, free, np.array(low), np.array(high), np.array(step))
 
 
 def pocket(task: Task, point: Array, clock: Clock, *, seed: int = 0) -> int | None:
-    """How many states fill the place around a point that no motion was found to leave; None where it is open, or the
-    clock is over. Evidence, and no proof: motions of random length and direction are tried."""
+    """Number of states in a closed region around a point; None if it is open, or the clock is over.
+
+    Motions of random length and direction are tried: this is evidence, not a proof.
+    """
     random = np.random.default_rng(seed)
     states, failed = [point], 0
     while failed < FAILED_MOTIONS:
         if clock.over or len(states) >= POCKET_STATES:
             return None
         at = states[random.integers(len(states))]
-        way = random.normal(size=len(point))
+        direction = random.normal(size=len(point))
         # Lengths over 2.5 decades: a narrow opening needs short motions, a wide one long.
-        there = at + 10 ** random.uniform(-2.5, 0.0) * way / np.linalg.norm(way) * task.scale
-        apart = np.linalg.norm((np.array(states) - there) / task.scale, axis=1).min()
-        if task.motion(at, there):
-            if apart > POCKET_APART:
-                states, failed = [*states, there], 0
+        end = at + 10 ** random.uniform(-2.5, 0.0) * direction / np.linalg.norm(direction) * task.scale
+        distance = np.linalg.norm((np.array(states) - end) / task.scale, axis=1).min()
+        if task.motion(at, end):
+            if distance > POCKET_DISTANCE:
+                states, failed = [*states, end], 0
         else:
             failed += 1
     return len(states)

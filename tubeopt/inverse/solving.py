@@ -1,10 +1,10 @@
-"""Inverse kinematics: joint values whose equilibrium, stable by a margin, has its tip at a target.
+"""Inverse kinematics: joint values whose equilibrium has its tip at a target and a sufficient margin.
 
-Under a load the unloaded robot is aimed so that the loaded one arrives. How a load moves the tip changes little from
-one posture to the next, so that aiming by what is missed converges like a geometric series. Every answer of the way is
-one of the search without load, and the load is put on it as the robot would feel it: growing from none.
+Under a load the target of the unloaded robot is shifted until the tip of the loaded robot arrives. The displacement by
+a load changes little from one posture to the next, so that the iteration converges like a geometric series. Each
+iterate is a solution without load, on which the load then grows from 0.
 
-A session solves one target after another, each from the last on its branch, as a servo does.
+A session solves one target after another, each on the branch of the solution before, as a servo does.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, TypedDict, Unpack, overload
+from typing import Literal, NamedTuple, TypedDict, Unpack, overload
 
 import numpy as np
 import scipy
@@ -30,46 +30,36 @@ from ..solvers.blas import small
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution, InverseStatistics, InverseStatus, JointPath
 from .arm_surface import ArmSurface
+from .breakpoint_order import Order, breakpoint_order, crossings
 from .clock import Clock
-from .gauss_newton import (
-    FIRST_STEP,
-    Model,
-    Order,
-    breakpoint_order,
-    broyden,
-    crossings,
-    held_by,
-    missed_by,
-    moved,
-    on_target,
-    reach,
-)
+from .gauss_newton import FIRST_STEP, Model, broyden, moved, on_target, reach
 from .goal import Goal, angle, pose_question, unit_vector
-from .joint_path import answer_at, joint_path_of, jump_between, with_a_way
+from .joint_path import answer_at, joint_path_of, jump_between, with_path
 from .joints import Configuration
+from .miss import active_constraints, miss_text
 from .multistart import Multistart, known_home
 from .posture import Posture, posture_of, same_place, start_posture
 from .program import programmable, solve_program
 
-SHOTS = 40
-"""Solutions without load, and rounds of corrections of margin and clearance, in search of one under a load."""
+MAX_SHOTS = 40
+"""Maximum number of solutions without load, and of corrections of margin and clearance, for a solution under load."""
 
-# A fifth of what an answer may miss by.
+# A fifth of the tolerance of a solution.
 AIM_TOLERANCE, STALLED = 2e-9, 1e-7
-"""Distance, m, and angle, rad, at which the aim is good; and the miss, as a share of the arm or as an angle, below
-which round-off ends the iteration."""
+"""Distance, m, and angle, rad, at which the iteration ends; and the miss, relative to the arm or as an angle, below
+which round-off ends it."""
 
 # With larger ratios 40 shots gain less than two digits.
 AIM_GAIN, POOR_SHOTS = 0.9, 4
 """Largest ratio of successive misses of a converging iteration, and shots above it after which it does not converge."""
 
 # Without it corrections approach the bound from below without reaching it.
-AIM_ROOM = 1e-3
-"""Margin, and share of the arm's length as clearance, that are required beyond what was found missing."""
+AIM_EXCESS = 1e-3
+"""Margin, and clearance relative to the arm's length, that are required beyond the amount that was missing."""
 
 
 class Asked(TypedDict, total=False):
-    """What `inverse_kinematics` may be asked besides, with one answer or all."""
+    """Options of `inverse_kinematics`, with one solution or all."""
 
     direction: ArrayLike | None
     start: Configuration | None
@@ -162,8 +152,10 @@ def inverse_kinematics(  # noqa: PLR0913
         raise InputError("all_solutions, reachable and on_failure 'closest' are for a robot without load")
     goal = pose_question(
         robot,
-        (position, direction),
-        (start, reference),
+        position,
+        direction,
+        start=start,
+        reference=reference,
         min_margin=min_margin,
         limits=limits,
         weights=weights,
@@ -172,7 +164,7 @@ def inverse_kinematics(  # noqa: PLR0913
     )
     goal = replace(goal, clock=clock)
     if load is not None:
-        return _under_load(goal, _without_load(start), load, held=reference is not None)
+        return _under_load(goal, _without_load(start), load, fixed=reference is not None)
     found = answers_of(goal, start, every=all_solutions, on_failure=on_failure, reachable=reachable)
     return found if all_solutions else found[0]
 
@@ -185,7 +177,7 @@ def answers_of(
     on_failure: str = "raise",
     reachable: bool = False,
 ) -> list[InverseSolution]:
-    """The answer to a question, or `every` one."""
+    """Solution of a goal, or `every` one."""
     if goal.objective == "nearest" and not goal.named:
         raise InputError("objective is 'nearest', but neither reference nor start is given; give one of them")
     if goal.direction_weight is not None and goal.direction is None:
@@ -200,94 +192,101 @@ def answers_of(
     search = Multistart(goal, first)
     found = (search.all() if every else search.one()) or [search.failure(on_failure)]
     if reachable:
-        begin = first if first is not None else known_home(goal.space)
-        found = [with_a_way(each, begin, goal) for each in found]
+        origin = first if first is not None else known_home(goal.space)
+        found = [with_path(each, origin, goal) for each in found]
     return found
 
 
-def _under_load(goal: Goal, start: Configuration | None, load: Load, *, held: bool) -> InverseSolution:
-    """Joint values whose loaded equilibrium has its tip at a target, with margin and clearance under the load; near the
-    start or, where its reference is `held`, that of the goal.
+def _under_load(goal: Goal, start: Configuration | None, load: Load, *, fixed: bool) -> InverseSolution:
+    """Solution whose loaded equilibrium is on target, with margin and clearance under the load.
 
-    Where the loaded arm falls short of the margin or the clearance, the unloaded one is asked for so much more.
+    It stays near the start, or near the reference of the goal if that is `fixed`. If the loaded arm lacks margin or
+    clearance, that of the unloaded arm is raised by the missing amount.
     """
     if goal.direction_weight is not None:
         raise InputError("direction_weight is given; under load a direction is a constraint or free")
-    wanted, last = goal, start
-    for _ in range(SHOTS):
-        last, e = _aim(wanted, last, load, held=held)
+    unloaded_goal, last = goal, start
+    for _ in range(MAX_SHOTS):
+        last, e = _aim(unloaded_goal, last, load, fixed=fixed)
         answer = _loaded_answer(last, e, goal)
-        short = goal.min_margin - e.margin
-        near = goal.clearance - ArmSurface(e).clearance(goal.scene) if goal.scene.bodies else -1.0
-        if short <= 0 and near <= 0:
+        lacking_margin = goal.min_margin - e.margin
+        lacking_clearance = goal.clearance - ArmSurface(e).clearance(goal.scene) if goal.scene.bodies else -1.0
+        if lacking_margin <= 0 and lacking_clearance <= 0:
             return answer
-        floor = wanted.min_margin + max(short, 0.0) + (AIM_ROOM if short > 0 else 0.0)
-        clearance = wanted.clearance + max(near, 0.0) + (AIM_ROOM * float(e.arc_length[-1]) if near > 0 else 0.0)
-        if floor >= 1:
+        min_margin, clearance = unloaded_goal.min_margin, unloaded_goal.clearance
+        if lacking_margin > 0:
+            min_margin = min_margin + lacking_margin + AIM_EXCESS
+        if lacking_clearance > 0:
+            clearance = clearance + lacking_clearance + AIM_EXCESS * float(e.arc_length[-1])
+        if min_margin >= 1:
             break
-        wanted = replace(wanted, min_margin=floor, options=replace(wanted.options, clearance=clearance))
+        options = replace(unloaded_goal.options, clearance=clearance)
+        unloaded_goal = replace(unloaded_goal, min_margin=min_margin, options=options)
     raise SolveError(
         f"the best solution under load has margin {e.margin:.3g}, and its clearance is "
-        f"{1e3 * max(near, 0.0):.3g} mm too small",
+        f"{1e3 * max(lacking_clearance, 0.0):.3g} mm too small",
         answer,
     )
 
 
 def _without_load(start: Configuration | None) -> Configuration | None:
-    """Where a robot is, without the load that it bears there."""
+    """Start without its load."""
     known = getattr(start, "equilibrium", start)
     if isinstance(known, Equilibrium) and known.load is not None:
         return known.rotations, known.translations
     return start
 
 
-def _aim(goal: Goal, last: Configuration | None, load: Load, *, held: bool) -> tuple[InverseSolution, Equilibrium]:
-    """An answer without load whose loaded equilibrium is on target: by Broyden's method in where the unloaded tip is
-    and, where it is wanted, in its direction, from as if the load moved all tips alike."""
-    at, missed, poor = goal, np.inf, 0
-    # At first as if the load moved all tips alike: then the miss changes as the aim does.
+def _aim(goal: Goal, last: Configuration | None, load: Load, *, fixed: bool) -> tuple[InverseSolution, Equilibrium]:
+    """Solution without load whose loaded equilibrium is on target, by Broyden's method in the unloaded target.
+
+    Unknowns are the position and, if it is required, the direction.
+    """
+    at, miss, poor = goal, np.inf, 0
+    # The first slope assumes that the load moves all tips alike: the miss then changes as the target does.
     slope: Array = np.eye(3 if goal.direction is None else 6)
     before: Array | None = None
     step = slope[0]
-    for _ in range(SHOTS):
-        if isinstance(last, InverseSolution) and not held:
-            here = goal.space.join(last.rotations, last.translations)
-            at = replace(at, named=True, objective=at.objective or "nearest", reference=here)
+    for _ in range(MAX_SHOTS):
+        if isinstance(last, InverseSolution) and not fixed:
+            q = goal.space.join(last.rotations, last.translations)
+            at = replace(at, named=True, objective=at.objective or "nearest", reference=q)
         (last,) = answers_of(at, last)
         e = forward_kinematics(
             last.equilibrium.robot, last.rotations, last.translations, load=load, start=last.equilibrium
         )
-        gap = goal.position - e.tip_position
+        offset = goal.position - e.tip_position
         turn = 0.0 if goal.direction is None else angle(e.tip_rotation[:, 2], goal.direction)
-        last_miss, missed = missed, max(float(np.linalg.norm(gap)) / float(e.arc_length[-1]), turn)
-        if max(float(np.linalg.norm(gap)), turn) <= AIM_TOLERANCE:
+        last_miss, miss = miss, max(float(np.linalg.norm(offset)) / float(e.arc_length[-1]), turn)
+        if max(float(np.linalg.norm(offset)), turn) <= AIM_TOLERANCE:
             return last, e
         # Counted and not refused at once: Broyden's slope may still be that of the start.
-        poor += missed > AIM_GAIN * last_miss
-        if poor and missed <= STALLED:
+        poor += miss > AIM_GAIN * last_miss
+        if poor and miss <= STALLED:
             return last, e
         if poor > POOR_SHOTS:
             break
-        length, off = float(e.arc_length[-1]), gap
+        length, residual = float(e.arc_length[-1]), offset
         if goal.direction is not None:
-            # In m: a direction that is off by 1 rad counts as one length of the arm.
-            off = np.concatenate([gap, length * (goal.direction - e.tip_rotation[:, 2])])
+            # In m: a direction error of 1 rad counts as one length of the arm.
+            residual = np.concatenate([offset, length * (goal.direction - e.tip_rotation[:, 2])])
         if before is not None:
-            slope = broyden(slope, step, before - off)
-        before, step = off, np.linalg.solve(slope, off)
+            slope = broyden(slope, step, before - residual)
+        before, step = residual, np.linalg.solve(slope, residual)
         at = replace(at, position=at.position + step[:3])
         if at.direction is not None:
             along = at.direction + step[3:] / length
             at = replace(at, direction=along / np.linalg.norm(along))
     raise SolveError(
-        f"the loaded robot misses the target by {1e3 * np.linalg.norm(gap):.3g} mm; iterations did not converge"
+        f"the loaded robot misses the target by {1e3 * np.linalg.norm(offset):.3g} mm; iterations did not converge"
     )
 
 
-def _loaded_answer(found: InverseSolution, e: Equilibrium, goal: Goal) -> InverseSolution:
+def _loaded_answer(unloaded: InverseSolution, e: Equilibrium, goal: Goal) -> InverseSolution:
+    """Solution under load from that without."""
     at = posture_of(goal.space, e)
     return replace(
-        found,
+        unloaded,
         target_position=goal.position,
         target_direction=goal.direction,
         equilibrium=e,
@@ -295,35 +294,36 @@ def _loaded_answer(found: InverseSolution, e: Equilibrium, goal: Goal) -> Invers
         direction_error=goal.direction_error(at),
         cold_start_agrees=None,
         straight_from_seed=None,
-        # The way of the unloaded robot: what the loaded one does on it nobody asked.
+        # The path of the unloaded robot: the loaded robot was not followed along it.
         reachable=None,
         path=None,
     )
 
 
-# A fifth of what an answer may miss by.
+# A fifth of the tolerance of a solution.
 STEP_TOLERANCE = 2e-9
 """Distance, m, and angle, rad, at which a step ends."""
 
 # Derivatives of the last target are used for a whole step, so that its error grows with the square of the step.
-MOVE = 0.02
-"""Share of the robot's length; farther targets are approached in so long parts on a straight line."""
+MAX_MOVE = 0.02
+"""Longest step of the tip, relative to the robot's length; farther targets are approached in parts along a
+line."""
 
 # Four halvings. Where the robot jumps even then, the branch most likely ends there.
-LEAST_PART = 1 / 16
-"""Smallest part, as a share of the longest, into which a step is divided to avoid a jump."""
+MIN_PART = 1 / 16
+"""Smallest part, relative to the longest, into which a step is divided to avoid a jump."""
 
 # The motion in the null space stays below that towards the target, for which the linear model is trusted.
-PUSH = 0.5
-"""Length of the motion towards larger margin, over that of the motion towards the target."""
+NULL_SPACE_STEP = 0.5
+"""Length of the motion towards larger margin, relative to that of the motion towards the target."""
 
 # Near a fold the margin falls like a square root, so that derivatives of earlier steps predict it too large.
 CAREFUL = 0.15
 """Margin above its bound below which derivatives are computed anew for every step."""
 
 # A point of the arm can move farther than the tip, which may only turn.
-CLEARANCE_PER_MOVE, LEAST_CLEARANCE = 4.0, 2e-4
-"""Spare clearance of a step that ignores obstacles: per distance that the tip moves, and besides, m."""
+CLEARANCE_PER_MOVE, MIN_CLEARANCE = 4.0, 2e-4
+"""Clearance from which a step ignores obstacles: per distance that the tip moves, and an additional constant, m."""
 
 STALE_SOLVES, STALE_STEPS = 4, 8
 """Equilibria of a step, and steps, after which derivatives are computed anew."""
@@ -332,16 +332,19 @@ CLOSING_SECTION = 1e-3
 """Length, m, of a section that a step may close."""
 
 LAST = "last target"
-"""Where the way to an answer begins."""
+"""Origin of the path to a solution of a session."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Slopes:
-    """Derivatives of the residual and of the margin near a posture, and how many steps ago they were computed."""
+    """Derivatives near a posture."""
 
     target: Array
+    """Jacobian of the residual."""
     margin: Array
+    """Gradient (m,) of the margin."""
     age: int
+    """Number of steps since they were computed."""
 
 
 class IkSession:
@@ -373,8 +376,8 @@ class IkSession:
     ) -> None:
         self._goal = pose_question(
             robot,
-            (np.zeros(3), None),
-            (start, None),
+            np.zeros(3),
+            start=start,
             min_margin=min_margin,
             limits=limits,
             weights=weights,
@@ -390,7 +393,7 @@ class IkSession:
 
     @property
     def solution(self) -> InverseSolution | None:
-        """The last answer, None before the first."""
+        """Last solution; None before the first."""
         return self._solution
 
     @small
@@ -408,17 +411,18 @@ class IkSession:
         answers = self.solve_path(position, direction=direction)
         if len(answers) == 1:
             return answers[0]
-        last, ways = answers[-1], [each.path for each in answers]
-        known = [way for way in ways if way is not None]
-        whole = None
-        if len(known) == len(ways):
-            table = [np.concatenate([way.rotations, way.translations], axis=1) for way in known]
-            rows = np.concatenate([table[0], *(each[1:] for each in table[1:])])
-            whole = JointPath(LAST, *np.split(rows, 2, axis=1))
-        statistics = _summed([each.statistics for each in answers])
-        leaps = next((each.jump for each in answers if each.jump), "")
+        paths = [each.path for each in answers if each.path is not None]
+        path = None
+        if len(paths) == len(answers):
+            tables = [np.concatenate([each.rotations, each.translations], axis=1) for each in paths]
+            rows = np.concatenate([tables[0], *(table[1:] for table in tables[1:])])
+            path = JointPath(LAST, *np.split(rows, 2, axis=1))
         self._solution = replace(
-            last, reachable=None if whole is None else True, path=whole, jump=leaps, statistics=statistics
+            answers[-1],
+            reachable=None if path is None else True,
+            path=path,
+            jump=next((each.jump for each in answers if each.jump), ""),
+            statistics=_summed([each.statistics for each in answers]),
         )
         return self._solution
 
@@ -434,59 +438,68 @@ class IkSession:
         pointing = None if direction is None else unit_vector("direction", direction)
         goal = replace(self._goal, position=target, direction=pointing, clock=Clock(self._goal.options.time_limit))
         if self._here is None:
-            return [self._first(goal)]
+            (answer,) = answers_of(goal, None)
+            self._here, self._solution = posture_of(goal.space, answer.equilibrium), answer
+            return [answer]
         if goal.pointed != self._pointed:
             self._near, self._pointed = None, goal.pointed
         before = self._here, self._near, self._solution
         try:
-            return self._led(goal, self._here)
+            return self._solve_line(goal, self._here)
         except SolveError:
             self._here, self._near, self._solution = before
             raise
 
-    def _led(self, goal: Goal, first: Posture) -> list[InverseSolution]:
-        """Answers along the line from a posture to a goal, in parts that are halved where the robot would leap."""
+    def _solve_line(self, goal: Goal, first: Posture) -> list[InverseSolution]:
+        """Solutions along the line from a posture to a goal, in parts that are halved where the robot would jump."""
         answers: list[InverseSolution] = []
-        most = 1 / _parts(goal, first)
-        done, share, here = 0.0, most, first
+        longest = 1 / _parts(goal, first)
+        done, part, here = 0.0, longest, first
         while done < 1:
-            share = min(share, 1 - done)
-            end = done + share if done + share < 1 - 1e-9 else 1.0
-            began = time.perf_counter()
+            part = min(part, 1 - done)
+            end = done + part if done + part < 1 - 1e-9 else 1.0
+            start_time = time.perf_counter()
             if goal.clock.over:
                 raise SolveError(_stalled(goal, here))
-            part = goal if end == 1 else _between(goal, first, end)
-            there, near, solves = self._step((part, goal), here, self._near)
-            words, safe = jump_between(goal, here, there)
-            if words and share > most * LEAST_PART and self._finer(goal, (first, here), done + share / 2):
-                share /= 2
-                continue
-            answers.append(self._keep(part, (here, there), near, (words, safe, solves, began)))
-            done, share, here = end, min(2 * share, most), there
+            target = goal if end == 1 else _between(goal, first, end)
+            step = self._step(target, goal, here)
+            reason, safe = jump_between(goal, here, step.posture)
+            if reason and part > longest * MIN_PART:
+                try:
+                    self._step(_between(goal, first, done + part / 2), goal, here)
+                except SolveError:
+                    pass  # a jump is better than no solution
+                else:
+                    part /= 2
+                    continue
+            answer = answer_at(
+                target,
+                step.posture,
+                InverseStatus.REACHED,
+                InverseStatistics("gauss_newton", "seed", 1, 1, step.solves, time.perf_counter() - start_time),
+                cold_start_agrees=None,
+                straight_from_seed=safe,
+                reachable=True if safe else None,
+                path=joint_path_of(LAST, goal.space, [here.q, step.posture.q]) if safe else None,
+                jump=reason,
+            )
+            answers.append(answer)
+            self._here, self._near, self._solution = step.posture, step.slopes, answer
+            done, part, here = end, min(2 * part, longest), step.posture
         if len(answers) == 1:
             return answers
-        # The last answer alone, where the straight way to it no longer leaps; small steps may have led elsewhere.
-        words, safe = jump_between(goal, first, here)
-        if words:
+        # The last solution alone if the straight path to it does not jump; small steps may end on another
+        # branch.
+        reason, safe = jump_between(goal, first, here)
+        if reason:
             return answers
-        way = joint_path_of(LAST, goal.space, [first.q, here.q])
-        self._solution = replace(
-            answers[-1], path=way, straight_from_seed=safe, jump="", statistics=_summed([a.statistics for a in answers])
-        )
+        path = joint_path_of(LAST, goal.space, [first.q, here.q])
+        statistics = _summed([each.statistics for each in answers])
+        self._solution = replace(answers[-1], path=path, straight_from_seed=safe, jump="", statistics=statistics)
         return [self._solution]
 
-    def _finer(self, goal: Goal, postures: tuple[Posture, Posture], share: float) -> bool:
-        """Whether the branch leads to a share of the way, too, from the first posture to the goal, and there from the
-        second; a leap is better than no answer."""
-        first, here = postures
-        try:
-            self._step((_between(goal, first, share), goal), here, self._near)
-        except SolveError:
-            return False
-        return True
-
     def _allowed(self, start: Posture) -> Posture:
-        """The start; raises InputError where it is not allowed itself."""
+        """Start of the session; raises InputError if it is out of range or has too little margin."""
         if words := self._goal.space.outside(start.q):
             raise InputError(f"start is out of range: {words}")
         if start.margin < self._goal.floor:
@@ -495,132 +508,139 @@ class IkSession:
             )
         return start
 
-    def _first(self, goal: Goal) -> InverseSolution:
-        (answer,) = answers_of(goal, None)
-        self._here, self._solution = posture_of(goal.space, answer.equilibrium), answer
-        return answer
-
-    def _step(
-        self, goals: tuple[Goal, Goal], here: Posture, near: _Slopes | None
-    ) -> tuple[Posture, _Slopes | None, int]:
-        """The posture on the first of two goals, which lies on the way to the other; derivatives for the next step, and
-        the equilibria solved."""
-        goal, last = goals
+    def _step(self, goal: Goal, last: Goal, here: Posture) -> _SessionStep:
+        """Step to a goal on the line to the `last` one; raises SolveError if the branch does not reach it."""
+        near = self._near
         if here.margin < goal.floor + CAREFUL or (near is not None and near.age >= STALE_STEPS):
             near = None
         solves = 0
-        for start, slopes, order, guarded in _attempts(goal, here, near):
-            moved, after, count = _servo(goal, start, slopes, order, guarded=guarded)
-            solves += count
-            if moved is not None:
-                return moved, after if count <= STALE_SOLVES else None, solves
+        for attempt in _attempts(goal, here, near):
+            end = _null_space_step(goal, attempt)
+            solves += end.solves
+            if end.posture is not None:
+                return _SessionStep(end.posture, end.slopes if end.solves <= STALE_SOLVES else None, solves)
         search = reach(goal, here)
         if search.reached:
-            return search.posture, None, solves + search.solves
+            return _SessionStep(search.posture, None, solves + search.solves)
         if not programmable(goal):
             raise SolveError(_stalled(last, search.posture))
-        other = solve_program(replace(goal, objective="nearest", reference=here.q), here)
-        if not other.reached or not same_place(here.to(other.posture.q), other.posture):
+        program = solve_program(replace(goal, objective="nearest", reference=here.q), here)
+        if not program.reached or not same_place(here.to(program.posture.q), program.posture):
             raise SolveError(_stalled(last, search.posture))
-        return other.posture, None, solves + search.solves + other.solves
-
-    def _keep(
-        self, goal: Goal, postures: tuple[Posture, Posture], near: _Slopes | None, how: tuple[str, bool, int, float]
-    ) -> InverseSolution:
-        """The answer at the second of two postures, which the session is at from now on, after the first."""
-        (before, at), (words, safe, solves, began) = postures, how
-        answer = answer_at(
-            goal,
-            at,
-            InverseStatus.REACHED,
-            InverseStatistics("gauss_newton", "seed", 1, 1, solves, time.perf_counter() - began),
-            cold_start_agrees=None,
-            straight_from_seed=safe,
-            reachable=True if safe else None,
-            path=joint_path_of(LAST, goal.space, [before.q, at.q]) if safe else None,
-            jump=words,
-        )
-        self._here, self._near, self._solution = at, near, answer
-        return answer
+        return _SessionStep(program.posture, None, solves + search.solves + program.solves)
 
 
 def _summed(parts: Sequence[InverseStatistics]) -> InverseStatistics:
-    """What answers one after another have cost."""
+    """Total cost of consecutive solutions."""
     iterations, solves = sum(each.iterations for each in parts), sum(each.solves for each in parts)
     return replace(parts[-1], iterations=iterations, solves=solves, seconds=sum(each.seconds for each in parts))
 
 
 def _parts(goal: Goal, here: Posture) -> int:
-    """Parts in which a target is approached on a straight line: one, unless it is far."""
-    count = int(np.ceil(float(np.linalg.norm(goal.position - here.tip)) / (MOVE * goal.space.length)))
+    """Number of parts in which a target is approached on a straight line."""
+    count = int(np.ceil(float(np.linalg.norm(goal.position - here.tip)) / (MAX_MOVE * goal.space.length)))
     turned = goal.direction_error(here) if goal.pointed else 0.0
-    return max(1, count, int(np.ceil(turned / (10 * MOVE))))
+    return max(1, count, int(np.ceil(turned / (10 * MAX_MOVE))))
 
 
-def _between(goal: Goal, first: Posture, share: float) -> Goal:
-    """The target on the way from a posture to a goal, `share` of the way on."""
-    part = replace(goal, position=first.tip + (goal.position - first.tip) * share)
+def _between(goal: Goal, first: Posture, fraction: float) -> Goal:
+    """Goal at a fraction of the line from a posture to a goal."""
+    part = replace(goal, position=first.tip + (goal.position - first.tip) * fraction)
     if not goal.pointed:
         return part
-    return replace(part, direction=scipy.spatial.geometric_slerp(first.direction, goal.direction, share))
+    return replace(part, direction=scipy.spatial.geometric_slerp(first.direction, goal.direction, fraction))
 
 
-def _attempts(goal: Goal, here: Posture, near: _Slopes | None) -> Iterator[tuple[Posture, _Slopes, Order | None, bool]]:
-    """Where to step from, with which derivatives, and whether the step is guarded by obstacles and custom constraints:
-    with derivatives of earlier steps, unguarded; with new ones, guarded if there is nothing to spare or else it failed;
-    then, since derivatives change with the order of breakpoints, without a change of order, and from beyond each change
-    that is close."""
-    room = _roomy(goal, here)
-    if near is not None and room:
-        yield here, near, None, False
+class _SessionStep(NamedTuple):
+    """Step of a session to the next target."""
+
+    posture: Posture
+    slopes: _Slopes | None
+    """Derivatives for the next step; None if they must be computed anew."""
+    solves: int
+    """Number of equilibria solved."""
+
+
+class _Attempt(NamedTuple):
+    """Setting of one step."""
+
+    start: Posture
+    slopes: _Slopes
+    order: Order | None
+    """Order of breakpoints to keep; None allows changes."""
+    guarded: bool
+    """True if obstacles and custom constraints limit the step."""
+
+
+def _attempts(goal: Goal, here: Posture, near: _Slopes | None) -> Iterator[_Attempt]:
+    """Settings of a step, the fastest first.
+
+    With derivatives of earlier steps, unguarded; with new ones, then guarded. Derivatives change with the order of
+    breakpoints: so the last ones keep the order, from here and from beyond each near change.
+    """
+    clear = _is_clear(goal, here)
+    if near is not None and clear:
+        yield _Attempt(here, near, None, False)
     fresh = _Slopes(goal.slope(here), here.margin_slope(), 0)
-    if room:
-        yield here, fresh, None, False
+    if clear:
+        yield _Attempt(here, fresh, None, False)
     if goal.hindered:
-        yield here, fresh, None, True
-    yield here, fresh, breakpoint_order(goal, here), True
-    for other in crossings(goal, here, CLOSING_SECTION):
-        yield other, _Slopes(goal.slope(other), other.margin_slope(), 0), breakpoint_order(goal, other), True
+        yield _Attempt(here, fresh, None, True)
+    yield _Attempt(here, fresh, breakpoint_order(goal, here), True)
+    for crossed in crossings(goal, here, CLOSING_SECTION):
+        slopes = _Slopes(goal.slope(crossed), crossed.margin_slope(), 0)
+        yield _Attempt(crossed, slopes, breakpoint_order(goal, crossed), True)
 
 
-def _roomy(goal: Goal, here: Posture) -> bool:
-    """Whether the arm is so far from all bodies that a step to the target will not bring it to them, as a rule."""
+def _is_clear(goal: Goal, here: Posture) -> bool:
+    """True if a step to the target is short compared with the distance from obstacles."""
     if goal.extras.constraints:
         return False
-    enough = goal.gap + LEAST_CLEARANCE + CLEARANCE_PER_MOVE * goal.position_error(here)
+    enough = goal.kept_clearance + MIN_CLEARANCE + CLEARANCE_PER_MOVE * goal.position_error(here)
     return here.outline.clearance(goal.scene, enough) >= enough
 
 
-def _servo(
-    goal: Goal, here: Posture, near: _Slopes, order: Order | None, *, guarded: bool
-) -> tuple[Posture | None, _Slopes, int]:
-    """One step towards the target and, in what it leaves free, towards larger margin; then corrections. The posture is
-    None where it is not allowed."""
+class _StepEnd(NamedTuple):
+    """End of one step."""
+
+    posture: Posture | None
+    """None if it violates a constraint."""
+    slopes: _Slopes
+    """Derivatives as the step has updated them."""
+    solves: int
+    """Number of equilibria solved."""
+
+
+def _null_space_step(goal: Goal, attempt: _Attempt) -> _StepEnd:
+    """Step to the target and, in the null space, towards larger margin, then corrections."""
+    here, near, order, guarded = attempt
     residual = goal.residual(here)
     if goal.reached(here, STEP_TOLERANCE, STEP_TOLERANCE):
-        return here, near, 0
+        return _StepEnd(here, near, 0)
     rows, bounds = goal.space.inequalities(here.q)
     if here.margin < goal.floor + CAREFUL or (guarded and goal.hindered):
         rows, bounds = goal.inequalities(here)
     if order is not None:
-        rows, bounds = order.kept(here.q, rows, bounds)
+        rows, bounds = order.constrain(here.q, rows, bounds)
     scale = goal.space.scale
-    # The shortest way, which says how far to go beside it.
+    # The length of the shortest motion to the target limits that in the null space.
     size = float(np.linalg.norm(np.linalg.pinv(near.target * scale) @ residual))
-    push = near.margin * scale if here.margin < 1 - 1e-6 else np.zeros(len(scale))
-    steep = float(np.linalg.norm(push))
-    aside = push * (PUSH * size * min(1.0, 1.0 / steep)) if steep > 0 else push
+    ascent = near.margin * scale if here.margin < 1 - 1e-6 else np.zeros(len(scale))
+    steepness = float(np.linalg.norm(ascent))
+    if steepness > 0:
+        ascent = ascent * (NULL_SPACE_STEP * size * min(1.0, 1.0 / steepness))
     target = on_target(near.target, residual)
-    chosen = Model(np.diag(1 / scale), aside, *target, rows, np.minimum(bounds, 0.0)).step(goal, FIRST_STEP)
+    chosen = Model(np.diag(1 / scale), ascent, *target, rows, np.minimum(bounds, 0.0)).step(goal, FIRST_STEP)
     if chosen is None:
-        return None, near, 1
-    most = 4 if order is None else 8
-    back = moved(goal, here, chosen.x, near.target, close=STEP_TOLERANCE, most=most, order=order)
-    return back.posture, _Slopes(back.slope, near.margin, near.age + 1), back.solves
+        return _StepEnd(None, near, 1)
+    max_steps = 4 if order is None else 8
+    end = moved(goal, here, chosen.x, near.target, tolerance=STEP_TOLERANCE, max_steps=max_steps, order=order)
+    return _StepEnd(end.posture, _Slopes(end.slope, near.margin, near.age + 1), end.solves)
 
 
 def _stalled(goal: Goal, at: Posture) -> str:
+    """Message of a session that cannot reach its target."""
     if goal.clock.over:
-        return f"the time limit was reached before the target: {missed_by(goal, at)}"
-    why = ", ".join(held_by(goal, at)) or "the branch of equilibria does not lead on"
-    return f"the target cannot be reached from here: {missed_by(goal, at)}: {why}"
+        return f"the time limit was reached before the target: {miss_text(goal, at)}"
+    why = ", ".join(active_constraints(goal, at)) or "the branch of equilibria does not lead on"
+    return f"the target cannot be reached from here: {miss_text(goal, at)}: {why}"

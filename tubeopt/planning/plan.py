@@ -26,7 +26,7 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance, positive, vector, whole
 from ..files.field_metadata import TYPICAL_REGION, typical_length
 from ..inverse.clock import Clock, LateError
-from ..inverse.search import Way, find_way, shorten, without_corners
+from ..inverse.search import FoundPath, find_path, shorten, without_corners
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot
@@ -369,7 +369,7 @@ class _Search(NamedTuple):
 
     task: PlanTask
     goals: list[End]
-    path: Way
+    path: FoundPath
 
 
 def _search(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], seed: int) -> _Search:
@@ -390,7 +390,7 @@ def _search(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], see
             return _Search(task, goals, way)
         left = max(0.0, until - clock.seconds)
     search = Clock(NEAREST_SHARE * left if postures else left)
-    find = partial(find_way, how=options.search, improving=options.search_seconds)
+    find = partial(find_path, how=options.search, improving=options.search_seconds)
     way = find(task, start, [end.point for end in goals], search, seed=seed)
     if way.impossible and (of_the_tip(goal) or len(goals) == MOST_ENDS or task.chart.load is not None):
         way = replace(way, impossible=False, why=f"{way.why} (for the tried configurations; others may meet the goal)")
@@ -404,7 +404,7 @@ def _search(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], see
     return _Search(task, goals, replace(again, motions=way.motions + again.motions, impossible=False))
 
 
-def _smooth_and_prove(task: PlanTask, first: Equilibrium, end: End, way: Way) -> Trajectory | Faults:
+def _smooth_and_prove(task: PlanTask, first: Equilibrium, end: End, way: FoundPath) -> Trajectory | Faults:
     """Trajectory along a path: the first provable motion of `motions_near`; the faults of the last if there is none."""
     assert way.points is not None
     clock = task.clock
@@ -432,7 +432,7 @@ def _smooth_and_prove(task: PlanTask, first: Equilibrium, end: End, way: Way) ->
     return faults
 
 
-def _search_error(task: PlanTask, first: Equilibrium, goals: Sequence[End], way: Way) -> SolveError:
+def _search_error(task: PlanTask, first: Equilibrium, goals: Sequence[End], way: FoundPath) -> SolveError:
     """Error after a search without a path, with the partial trajectory that comes closest to the goal."""
     clock = task.clock
     if way.impossible:

@@ -201,7 +201,7 @@ def _approach(task: PlanTask, start: Array, place: Array, enough: float) -> tupl
             break
         tried = z + SHORTER[:, None] * step
         arms = task.arms(tried)
-        left = np.where(task.spare(tried, arms=arms) >= 0, np.linalg.norm(arms.tip - place, axis=1), np.inf)
+        left = np.where(task.reserves(tried, arms=arms) >= 0, np.linalg.norm(arms.tip - place, axis=1), np.inf)
         best = int(left.argmin())
         if left[best] > 0.99 * miss:
             break

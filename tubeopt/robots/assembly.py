@@ -62,46 +62,45 @@ class Assembly:
     lengthwise: Lengthwise | None = None
     """Precurvature and stiffness along the tubes, where one of them is written as pieces; else None."""
     even: bool = True
-    """Whether stiffnesses, and the curvature of the curved part, are the same all along each tube."""
+    """True if stiffnesses, and the curvature of the curved part, are constant along each tube."""
 
     @property
     def general(self) -> bool:
-        """Whether a tube is written as pieces, which all have their own place in the numbers of an arm."""
+        """True if a tube is made of pieces, which have their own breakpoints."""
         return self.lengthwise is not None
 
     def cross_sections(self, arc_length: Array, inside: Array) -> CrossSections:
-        """The tubes at arc lengths (X,), m; `inside` (X,) lie in the same sections, away from their ends, which tells
-        what is meant where a breakpoint lies."""
+        """Cross-sections at arc lengths (X,), m; `inside` (X,) decides at breakpoints."""
         section = np.searchsorted(self.start, inside, side="right") - 1
         if self.even:
             return self.of_sections(section)
         assert self.lengthwise is not None
         place, near = (s[:, None] + self.transmission for s in (arc_length, inside))
-        # By section, for what lies inside a very short one rounds to where it ends.
+        # By section, since a point inside a very short one rounds to its end.
         return self.lengthwise.at(place, near, self.present[section])
 
     def of_sections(self, section: Index) -> CrossSections:
-        """The tubes in sections (X,), where all are even."""
+        """Cross-sections in sections (X,) of even tubes."""
         kb = self.bending_stiffness * self.present[section]
         moment, none = kb * self.curvature * self.curved[section], np.zeros(kb.shape)
         return CrossSections(kb, moment, none, none + self.torsional_stiffness, none, none)
 
     def wound(self, arc_length: Array) -> Array:
-        """(X, n) natural turn of the tubes up to arc lengths (X,) from where they are held, rad; 0 of even ones."""
+        """Natural rotation (X, n) of the tubes from their clamped ends to arc lengths (X,), rad; 0 for even tubes."""
         if self.even:
             return np.zeros((len(arc_length), self.n_tubes))
         assert self.lengthwise is not None
         return np.asarray(self.lengthwise.values(arc_length[:, None] + self.transmission)[5])
 
     def steady(self, low: Array, high: Array) -> Mask:
-        """(P,) whether no tube varies from arc lengths `low` to `high` (P,), m, inside sections."""
+        """Mask (P,) of the intervals from `low` to `high` (P,), m, inside sections, along which no tube varies."""
         if self.even:
             return np.ones(len(low), dtype=bool)
         assert self.lengthwise is not None
         return self.lengthwise.steady(*(s[:, None] + self.transmission for s in (low, high)))
 
     def compliant(self, place: Array) -> Array:
-        """(..., n) int ds / GJ of the tubes from their held ends to arc lengths (..., n) from there, 1/(N m)."""
+        """Compliance (..., n), int ds / GJ, from the clamped ends to arc lengths (..., n) from there, 1/(N m)."""
         if self.even:
             return np.asarray(place / self.torsional_stiffness)
         assert self.lengthwise is not None
@@ -109,7 +108,7 @@ class Assembly:
 
     @property
     def held_stiffness(self) -> Array:
-        """(n,) GJ where the tubes are held, N m^2."""
+        """Torsional stiffness (n,) at the clamped ends, N m^2."""
         if self.even:
             return self.torsional_stiffness
         assert self.lengthwise is not None
@@ -127,7 +126,7 @@ class Assembly:
 
     @property
     def breakpoint_tubes(self) -> list[int]:
-        """Of which tube each of the breakpoints is."""
+        """Tube of each of the `breakpoints`."""
         each = list(range(self.n_tubes))
         cuts = () if self.lengthwise is None else self.lengthwise.cuts
         return [*each, *each, *(i for i, own in enumerate(cuts) for _ in own)]
@@ -139,28 +138,28 @@ class Assembly:
 
     @property
     def total_length(self) -> float:
-        """Arc length of the tip, m; 0 where no tube stands out of the plate by more than ROUND_OFF."""
+        """Arc length of the tip, m; 0 if no tube reaches beyond the plate by more than ROUND_OFF."""
         return float(self.end.max()) if self.n_sections else 0.0
 
     @cached_property
     def eccentric(self) -> bool:
-        """Whether any tube runs off the centreline."""
+        """True if a tube runs off the centreline."""
         return bool(self.offset.any())
 
     @property
     def place(self) -> tuple[Array, ...]:
-        """Offset and angle (n,), or nothing where all tubes are concentric: as functions of a cross-section take it."""
+        """Offset and angle (n,), or () for concentric tubes, as arguments of cross-section functions."""
         return (self.offset, self.offset_angle) if self.eccentric else ()
 
     @property
     def across(self) -> Array:
-        """(n, 2) m: where each tube runs beside the centreline, d (cos phi, sin phi)."""
+        """Offsets (n, 2) of the tubes from the centreline, d (cos phi, sin phi), m."""
         angle = self.offset_angle
         return np.asarray(self.offset[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
 
     @cached_property
     def coupled(self) -> Mask:
-        """(m,) sections in which torsion is not simply linear: two curved tubes, or one where tubes run off-centre."""
+        """Mask (m,) of the sections with nonlinear torsion: two curved tubes, or one with eccentric tubes."""
         return np.asarray(self.curved.sum(1) >= (1 if self.eccentric else 2))
 
 
@@ -237,7 +236,7 @@ def _breakpoints(transition: Array, end: Array, table: Lengthwise | None, beta: 
 
 
 class _OfPieces:
-    """Stands for one number per tube where a tube is made of pieces: every use is refused."""
+    """Placeholder for a number per tube of tubes made of pieces: every use raises InputError."""
 
     def __init__(self, name: str, tube: int) -> None:
         self.name, self.tube = name, tube
@@ -258,7 +257,7 @@ class _OfPieces:
 
 
 def _numbers(tubes: Sequence[Tube], name: str) -> Array:
-    """(n,) one number per tube; what refuses to be used where a tube is not even."""
+    """One number (n,) per tube; a placeholder that raises on use if a tube is not even."""
     uneven = next((i for i, tube in enumerate(tubes, start=1) if not tube.even), 0)
     if uneven:
         return cast(Array, _OfPieces("curvature" if name == "arc" else name, uneven))
@@ -266,22 +265,22 @@ def _numbers(tubes: Sequence[Tube], name: str) -> Array:
 
 
 def where(transition: Array, end: Array, curvature: Array, s: Array | float) -> tuple[Mask, Mask]:
-    """Which tubes are present, and which are curved, at arc length s between the breakpoints."""
+    """Masks of the tubes that are present, and that are curved, at arc length s between the breakpoints."""
     present: Mask = np.asarray(s < end)
     return present, np.asarray(present & (s > transition) & (curvature != 0))
 
 
 def merge(points: Iterable[float]) -> Array:
-    """Sorted points without those closer than ROUND_OFF to the last one that was kept."""
-    kept: list[float] = []
+    """Sorted points without those closer than ROUND_OFF to the one before."""
+    distinct: list[float] = []
     for point in sorted(points):
-        if not kept or point - kept[-1] > ROUND_OFF:
-            kept.append(point)
-    return np.array(kept)
+        if not distinct or point - distinct[-1] > ROUND_OFF:
+            distinct.append(point)
+    return np.array(distinct)
 
 
 def cut(assembly: Assembly, at: Array) -> Assembly:
-    """The same bundle with further breakpoints at arc lengths `at` (m) between the plate and the tip."""
+    """Bundle with further breakpoints at arc lengths `at` (m) between the plate and the tip."""
     total = assembly.total_length
     inside = at[(at > ROUND_OFF) & (at < total - ROUND_OFF)]
     start = merge(np.concatenate([assembly.start, inside]))
@@ -294,7 +293,7 @@ def cut(assembly: Assembly, at: Array) -> Assembly:
 
 
 def without_offsets(assembly: Assembly) -> Assembly:
-    """The same tubes, all on the centreline."""
+    """Bundle with all tubes on the centreline."""
     zero = np.zeros(assembly.n_tubes)
     return replace(assembly, offset=zero, offset_angle=zero)
 
@@ -305,19 +304,21 @@ DIMENSIONS = ("curvature", "straight_length", "curved_length", "bending_stiffnes
 
 @dataclass(frozen=True)
 class Breakpoint:
-    """Where tubes that move together begin to curve, or end (`end`), or where panels of a tube made of pieces meet:
-    the `joint`, counted from 1 from the first tube's held end on."""
+    """Transition or end of tubes that move together, or joint between panels of a tube made of pieces.
+
+    Joints are numbered from 1, from the first tube's clamped end on.
+    """
 
     tubes: tuple[int, ...]
     end: bool
     joint: int = 0
 
     def place(self, n: int) -> int:
-        """Where it is in a column of n transitions, n ends, and all joints."""
+        """Index in a column of n transitions, n ends, and all joints."""
         return 2 * n + self.joint - 1 if self.joint else self.tubes[0] + (n if self.end else 0)
 
     def before(self, other: Breakpoint) -> bool:
-        """Whether it is a place of the same tube nearer to its held end."""
+        """True if it belongs to the same tube and is closer to its clamped end."""
         return bool(set(self.tubes) & set(other.tubes)) and (self.end, self.joint) < (other.end, other.joint)
 
     def __str__(self) -> str:
@@ -330,7 +331,7 @@ class Breakpoint:
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """Breakpoints in front of the plate in order, and those held behind it.
+    """Breakpoints in front of the plate in order, and those behind it.
 
     Section k lies between breakpoint k - 1 (the plate for the first) and breakpoint k; `present`, `curved` (m, n) tell
     which tubes are there, and curved there, `panel` (m, n) how many breakpoints of each lie behind it. Sections may
@@ -344,7 +345,7 @@ class Order:
     panel: NDArray[np.intp]
 
     def lengths(self, where: Array) -> Array:
-        """(m,) lengths of the sections, from the places of the transitions, ends and joints."""
+        """Lengths (m,) of the sections, from the arc lengths of transitions, ends and joints."""
         n = self.present.shape[1]
         return np.diff([0.0, *(where[point.place(n)] for point in self.front)])
 
@@ -365,7 +366,7 @@ def where_of(assembly: Assembly) -> Array:
 
 
 def order_of(assembly: Assembly, carriages: Sequence[tuple[int, ...]], *, side: int = -1) -> Order:
-    """The order of the breakpoints of an assembly.
+    """Order of the breakpoints of an assembly.
 
     Args:
         carriages: tubes that move together; breakpoints that they share are one.
@@ -391,12 +392,12 @@ def order_of(assembly: Assembly, carriages: Sequence[tuple[int, ...]], *, side: 
     front = sorted(
         (g for g in groups if g[0] + (0.0 if g[2].end else nudge) > 0), key=lambda g: (round(g[0], 10), g[1])
     )
-    kept = [point for *_, point in front]
-    return arrange(kept, [point for *_, point in groups if point not in kept], n)
+    points = [point for *_, point in front]
+    return arrange(points, [point for *_, point in groups if point not in points], n)
 
 
 def arrange(front: Sequence[Breakpoint], behind: Sequence[Breakpoint], n_tubes: int) -> Order:
-    """The order with these breakpoints in front of the plate, base to tip, and those behind it."""
+    """Order with breakpoints in front of the plate, base to tip, and behind it."""
     present, curved = (np.zeros((len(front), n_tubes), dtype=bool) for _ in range(2))
     panel = np.zeros((len(front), n_tubes), dtype=np.intp)
     for i in range(n_tubes):
@@ -414,7 +415,7 @@ def arrange(front: Sequence[Breakpoint], behind: Sequence[Breakpoint], n_tubes: 
 
 
 def has_curve(assembly: Assembly, tube: int) -> bool:
-    """Whether a tube has a curved part."""
+    """True if a tube has a curved part."""
     return bool(assembly.end[tube] > assembly.transition[tube])
 
 
@@ -424,5 +425,5 @@ def places(translations: Any, straight_length: Any, curved_length: Any) -> tuple
 
 
 def dimensions_of(tubes: Sequence[Any]) -> dict[str, Array]:
-    """The DIMENSIONS of tubes, (n,) each."""
+    """Arrays (n,) of the DIMENSIONS of tubes."""
     return {name: np.array([getattr(tube, name) for tube in tubes]) for name in DIMENSIONS}

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import accumulate, pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -51,6 +51,17 @@ class CrossSections:
     wound: Array
 
 
+class _PanelPoints(NamedTuple):
+    """Points on panels."""
+
+    coefficients: Array
+    """Coefficients (X, n, 6, D) of the panels."""
+    x: Array
+    """Coordinates (X, n) on the panels, -1 to 1."""
+    length: Array
+    """Lengths (X, n) of the panels, m."""
+
+
 @dataclass(frozen=True, eq=False)
 class Lengthwise:
     """n tubes of up to B panels with up to D coefficients.
@@ -83,38 +94,37 @@ class Lengthwise:
 
     @cached_property
     def _even(self) -> bool:
-        """Whether GJ is the same all along every panel."""
+        """True if GJ is constant along every panel."""
         return not self.coefficients[:, :, 1, 1:].any()
 
     @cached_property
     def _varied(self) -> Mask:
-        """(n, B) whether there is anything along a panel that varies, the natural turn included."""
+        """Mask (n, B) of the panels along which a quantity varies, the natural rotation included."""
         return np.asarray(self.coefficients[..., 1:].any((2, 3)))
 
     def steady(self, low: Array, high: Array) -> Mask:
-        """(P,) whether no tube varies along stretches from `low` to `high` (P, n) from the held ends, m."""
+        """Mask (P,) of the intervals `low` to `high` (P, n), m from the clamped ends, along which no tube varies."""
         panel, tube = self.panel(low), np.arange(self.n_tubes)
         return np.asarray(((panel == self.panel(high)) & ~self._varied[tube, panel]).all(1))
 
     def panel(self, place: Array) -> NDArray[np.intp]:
-        """(X, n) panel of each tube at arc lengths (X, n) from its held end, m; those outside are of the nearest."""
+        """Panels (X, n) of the tubes at arc lengths (X, n) from their clamped ends, m; outside, the nearest panel."""
         # Breaks behind the last panel of a shorter tube are inf, and not counted.
         last = np.isfinite(self.breaks).sum(1) - 2
         found = (place[:, :, None] >= self.breaks[:, 1:]).sum(2)
         return np.asarray(np.minimum(found, last))
 
-    def _panels_at(self, place: Array, inside: Array) -> tuple[Array, Array, Array]:
-        """Coefficients (X, n, 6, D) of the panels that hold `inside` (X, n), where on them `place` (X, n) is, -1 to 1,
-        and their lengths (X, n)."""
+    def _panels_at(self, place: Array, inside: Array) -> _PanelPoints:
+        """Panels that contain `inside` (X, n), at `place` (X, n)."""
         panel, tube = self.panel(inside), np.arange(self.n_tubes)
         low, high = self.breaks[tube, panel], self.breaks[tube, panel + 1]
         # The panel becomes the interval -1 to 1 of the Chebyshev polynomials. Outside, T_k grows like (2 x)^k:
         # round-off is clipped.
         x = np.clip((2 * place - low - high) / (high - low), -1.0, 1.0)
-        return self.coefficients[tube, panel], x, high - low
+        return _PanelPoints(self.coefficients[tube, panel], x, high - low)
 
     def values(self, place: Array, inside: Array | None = None) -> Array:
-        """(6, X, n) QUANTITIES at arc lengths (X, n) from the held ends, m.
+        """Values (6, X, n) of QUANTITIES at arc lengths (X, n) from the clamped ends, m.
 
         Args:
             inside: (X, n) places on the same stretch by which the panel is chosen, where `place` may be at its end.
@@ -132,7 +142,7 @@ class Lengthwise:
         return np.asarray((table @ basis[..., None])[..., 0].transpose(2, 0, 1))
 
     def rates(self, place: Array, inside: Array) -> Array:
-        """(6, X, n) derivatives of QUANTITIES by arc length, as `values`."""
+        """Derivatives (6, X, n) of QUANTITIES by arc length, as `values`."""
         table, x, length = self._panels_at(place, inside)
         degree = table.shape[-1] - 1
         # Row k has the coefficients of T_k'. By arc length, d/ds = (2 / length) d/dx.
@@ -141,7 +151,7 @@ class Lengthwise:
         return np.asarray(((table @ basis[..., None])[..., 0] * (2 / length)[..., None]).transpose(2, 0, 1))
 
     def compliant(self, place: Array) -> Array:
-        """(..., n) int ds / GJ of each tube from its held end to arc lengths (..., n), 1/(N m)."""
+        """Torsional compliance (..., n), int ds / GJ, from the clamped ends to arc lengths (..., n), 1/(N m)."""
         tube, at = np.arange(self.n_tubes), place.reshape(-1, self.n_tubes)
         panel = self.panel(at)
         low = self.breaks[tube, panel]
@@ -156,7 +166,7 @@ class Lengthwise:
         return np.asarray(whole.reshape(place.shape))
 
     def at(self, place: Array, inside: Array, present: Mask) -> CrossSections:
-        """The tubes at arc lengths (X, n) from their held ends; `inside` as in `values`; (X, n) which are there."""
+        """Cross-sections at arc lengths (X, n) from the clamped ends; `inside` as in `values`; `present` is (X, n)."""
         bending, torsional, x, y, z, wound = self.values(place, inside)
         kb = bending * present
         # The natural twist turns the tube's frame by int u*_z ds, and u*_xy with it.
@@ -194,14 +204,14 @@ class _Panel:
 
 @lru_cache(maxsize=128)
 def lengthwise(tubes: tuple[Tube, ...]) -> Lengthwise:
-    """The table of a bundle of tubes."""
+    """Table of a bundle of tubes, cached."""
     panels = [_panels(tube) for tube in tubes]
-    n, most = len(tubes), max(len(own) for own in panels)
+    n, count = len(tubes), max(len(own) for own in panels)
     # `values` always fills T_0 and T_1.
     width = max(2, *(len(c) for own in panels for panel in own for c in panel.channels))
-    breaks, table = np.full((n, most + 1), np.inf), np.zeros((n, most, len(QUANTITIES), width))
-    direction, detail, twist = np.zeros((3, n, most))
-    compliance = np.zeros((n, most + 1))
+    breaks, table = np.full((n, count + 1), np.inf), np.zeros((n, count, len(QUANTITIES), width))
+    direction, detail, twist = np.zeros((3, n, count))
+    compliance = np.zeros((n, count + 1))
     for i, own in enumerate(panels):
         breaks[i, : len(own) + 1] = [0.0, *(panel.high for panel in own)]
         compliance[i, 1 : len(own) + 1] = list(accumulate(panel.compliance for panel in own))
@@ -230,7 +240,7 @@ def _direction(x: Array, y: Array) -> float:
 
 
 def _zeros(x: Array, y: Array) -> list[float]:
-    """Where in -1 .. 1 a bend in one plane changes sides, ends left out."""
+    """Places in (-1, 1) at which a bend in one plane changes its sign."""
     angle = _direction(x, y)
     if not np.isfinite(angle) or not (np.any(x) or np.any(y)):
         return []
@@ -241,13 +251,13 @@ def _zeros(x: Array, y: Array) -> list[float]:
 
 
 def _degree(coefficients: Array) -> int:
-    """Polynomial degree without what does not matter."""
+    """Polynomial degree without negligible coefficients."""
     size = np.abs(coefficients)
     return int(np.flatnonzero(size >= DETAIL * size.max())[-1]) if size.any() else 0
 
 
 def _panels(tube: Tube) -> list[_Panel]:
-    """The panels of a tube from its held end."""
+    """Panels of a tube from its clamped end."""
     out: list[_Panel] = []
     start, wound = 0.0, 0.0
     for length, precurvature, bending, torsional in stretches(tube):
@@ -265,7 +275,7 @@ def _panels(tube: Tube) -> list[_Panel]:
 
 
 def _constant(start: float, length: float, numbers: list[float], wound: float) -> _Panel:
-    """The panel of a stretch along which nothing varies but the natural turn, `wound` at its beginning."""
+    """Panel of constant quantities; the natural rotation is `wound` at its start."""
     _, torsional, x, y, z = numbers
     half = z * length / 2
     # wound + z s with s = (x + 1) length / 2.
@@ -282,7 +292,7 @@ def _constant(start: float, length: float, numbers: list[float], wound: float) -
 
 
 def _varying(start: float, breaks: Array, quantities: Sequence[Quantity], wound: float) -> list[_Panel]:
-    """The panels of a stretch with breaks from its beginning, where the natural turn is `wound`."""
+    """Panels of varying quantities between breaks; the natural rotation is `wound` at the start."""
     out, (nodes, weights) = [], gauss_rule()
     for k, channels in enumerate(zip(*(on_panels(q, breaks) for q in quantities), strict=True)):
         low, length = start + breaks[k], breaks[k + 1] - breaks[k]
@@ -307,7 +317,7 @@ def _varying(start: float, breaks: Array, quantities: Sequence[Quantity], wound:
 
 
 def _cuts(tube: Tube, panels: list[_Panel]) -> tuple[float, ...]:
-    """Where pieces of a tube begin and end, and where its bend changes sides, from its held end, m."""
+    """Ends of the pieces of a tube, and sign changes of its bend, from its clamped end, m."""
     ends = accumulate((length for length, *_ in stretches(tube)), initial=0.0)
     return tuple(sorted([*ends, *(side for panel in panels for side in panel.sides)]))
 
@@ -362,7 +372,7 @@ class Variation:
 
     @property
     def still(self) -> bool:
-        """Whether nothing changes along any cell."""
+        """True if no quantity varies along a cell."""
         return not any(rates.any() for rates in (self.bending[1:], self.ease, self.pull[1:], self.twist[1:]))
 
 
@@ -518,7 +528,7 @@ def steps_of(tubes: Sequence[Tube]) -> Steps:
 
 
 def varies(tubes: Sequence[Tube]) -> bool:
-    """Whether anything varies along a piece of a tube."""
+    """True if a quantity varies along a piece of a tube."""
     return any(vary((*u, *stiff)) for tube in tubes for _, u, *stiff in stretches(tube))
 
 

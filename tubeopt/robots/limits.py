@@ -1,4 +1,4 @@
-"""Joint limits: what the actuators allow, and the default that a robot's geometry implies."""
+"""Joint limits of actuators, default limits from the lengths of the tubes, and checks of units."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class JointLimits(Displayed):
 
 
 def default_limits(tubes: Sequence[Tube]) -> JointLimits:
-    """Rotations a turn from home; translations from wholly withdrawn to wholly advanced."""
+    """Limits from the lengths: a full turn to either side; translations from fully withdrawn to fully advanced."""
     return JointLimits(
         rotations=((-2 * np.pi, 2 * np.pi),) * len(tubes),
         translations=tuple((-tube.curved_length, tube.straight_length) for tube in tubes),
@@ -119,7 +119,7 @@ ROUNDED = 1e-9
 
 
 def reading_fault(tube: Tube, key: str, value: float) -> str:
-    """What a joint value of a tube must be, in the unit of its key or column, deg or mm; empty where it is that."""
+    """Text of the allowed values of a joint, in the unit of its key or column, deg or mm; empty if it is one."""
     most = round(math.degrees(MOST_TURN))
     if key.endswith("_deg") and abs(value) > most:
         return f"at most {most} ({MOST_TURN / math.tau:.0f} turns) to either side"
@@ -136,7 +136,7 @@ MOST_BEND = 20.0
 
 
 def check_force(tubes: Sequence[Tube], name: str, force: float, length: float) -> None:
-    """Warn of a force, N, that no arm of these tubes of a length, m, is made for: it was probably meant in mN."""
+    """Warn of a force, N, that is too large for an arm of these tubes and length, m: it was probably meant in mN."""
     if not length:
         return
     usual = MOST_BEND * sum(float(tube.bending_stiffness) for tube in tubes) / length**2

@@ -1,4 +1,4 @@
-"""The order of tubes: how far carriages may be apart, and home, the joint values with which a robot begins."""
+"""Order of tubes: distances of carriages and ends, home, and tubes that end inside others."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .assembly import ROUND_OFF
 from .limits import JointLimits, default_limits
 from .tubes import Tube
 
-# Distance (m) of two ends that are at one place: round-off of lengths and translations that a file states in mm.
+# Distance (m) of two ends that count as equal: round-off of lengths and translations that a file states in mm.
 SAME_END = 1e-9
 
 
 class Nested(Protocol):
-    """What the order of tubes depends on, as a `Robot`."""
+    """Properties of a `Robot` on which the order of tubes depends."""
 
     nested_curves: bool
 
@@ -40,28 +40,27 @@ class Nested(Protocol):
 
 @dataclass(frozen=True)
 class Demand:
-    """The translation of tube `ahead` minus that of tube `behind` (from 0) is at least `least`."""
+    """Constraint: the translation of tube `ahead` minus that of tube `behind` (from 0) is at least `least`."""
 
     ahead: int
     behind: int
     least: float
-    """m."""
+    """Smallest difference, m."""
     name: str
-    """What the robot does where the difference is `least`."""
+    """Description of the active constraint."""
     broken: str
-    """What it would do below."""
+    """Description of the violated constraint."""
     ends: tuple[int, int] | None = None
-    """The nested tubes, inner and outer, if the demand is of their ends alone."""
+    """Inner and outer tube, if the constraint is on their ends alone."""
 
 
 def carriage_name(tubes: tuple[int, ...]) -> str:
-    """What moves: a tube, or the tubes of a segment."""
+    """Text of the tubes that a carriage moves."""
     return f"tube {tubes[0] + 1}" if len(tubes) == 1 else f"tubes {tubes[0] + 1} to {tubes[-1] + 1}"
 
 
 def translation_ranges(tubes: Sequence[Tube], allowed: JointLimits) -> tuple[Array, Array]:
-    """(n,) least and (n,) greatest translation of every tube, m, within limits and its lengths; raises InputError
-    where nothing is left of one."""
+    """Smallest and largest translations (n,), m, within limits and lengths; raises InputError if a range is empty."""
     shift = np.array(allowed.translations).reshape(-1, 2)
     straight, curved = (np.array([getattr(t, f"{part}_length") for t in tubes]) for part in ("straight", "curved"))
     # A tube is held behind the plate: beta = t - straight <= 0. Its end stays in front of it: t + curved >= 0.
@@ -77,18 +76,18 @@ def translation_ranges(tubes: Sequence[Tube], allowed: JointLimits) -> tuple[Arr
 def demands(
     robot: Nested, carriage_gap: float = 0.0, section_length: float = 0.0, apart: tuple[tuple[int, int], ...] = ()
 ) -> list[Demand]:
-    """What keeps nested tubes in order, once for all tubes that move together.
+    """Constraints on the order of nested tubes, once for all tubes that move together.
 
-    A tube is held behind the one around it, by at least `carriage_gap` (m), and ends beyond it, by at least
-    `section_length` (m); the inner tube of pairs that are `apart` may end inside the outer one.
+    A tube is clamped behind the tube around it, by at least `carriage_gap` (m), and ends beyond it, by at least
+    `section_length` (m); the inner tube of the pairs `apart` may end inside the outer one.
     """
     tubes, group = robot.tubes, {i: tubes for tubes in robot.moving_together for i in tubes}
     found: list[Demand] = []
-    seen = set()
+    pairs = set()
     for i, o in robot.nested_pairs:
-        if (group[i], group[o]) in seen:
+        if (group[i], group[o]) in pairs:
             continue
-        seen.add((group[i], group[o]))
+        pairs.add((group[i], group[o]))
         inner, outer = tubes[i], tubes[o]
         names = carriage_name(group[i]), carriage_name(group[o])
         # Held behind: beta_o - beta_i >= gap, with beta = translation - straight_length.
@@ -109,20 +108,21 @@ def demands(
 
 
 def out_of_order(robot: Nested, translations: Array) -> list[tuple[Demand, float]]:
-    """What translations (n,), m, break of the order of carriages and curves, and by how much, m."""
-    short = [
+    """Constraints on carriages and curves that translations (n,), m, violate, and by how much, m."""
+    missing = [
         (each, float(each.least - translations[each.ahead] + translations[each.behind]))
         for each in demands(robot)
         if each.ends is None
     ]
-    return [(each, missing) for each, missing in short if missing > SAME_END]
+    return [(each, amount) for each, amount in missing if amount > SAME_END]
 
 
 def home_translations(robot: Nested) -> Array:
-    """(n,) m: 0 wherever limits and the order of the tubes allow that; else, from the outermost tube inwards, each is
-    moved from 0 as little as they allow.
+    """Translations (n,) at home, m: 0 if limits and order allow it.
 
-    Where limits leave no translations in order, those that the lengths of the tubes allow.
+    Otherwise each is as close to 0 as possible, from the outermost tube inwards.
+
+    If no translations within the limits are in order, the lengths of the tubes are the limits.
     """
     found, order = None, demands(robot)
     with suppress(InputError):
@@ -134,17 +134,16 @@ def home_translations(robot: Nested) -> Array:
 
 
 def _nearest_to_0(bottom: float, top: float) -> float:
-    # Rounded, since 0 is meant where round-off is all that speaks against it.
+    # Rounded, so that round-off in the bounds does not move a tube from 0.
     return round(min(max(0.0, bottom), top), 12) + 0.0
 
 
 def in_order(
     robot: Nested, ranges: tuple[Array, Array], order: Sequence[Demand], choose: Callable[[float, float], float]
 ) -> Array | None:
-    """(n,) translations, m, within ranges (n,) and in order, chosen carriage by carriage, the outermost first.
+    """Translations (n,), m, within ranges (n,) and in order, chosen carriage by carriage, the outermost first.
 
-    Each is chosen between the least and the greatest for which all carriages inside of it have places. None where there
-    are none.
+    Each is chosen from the interval that leaves a place to all carriages inside of it. None if an interval is empty.
     """
     groups = robot.moving_together
     of = {tube: k for k, tubes in enumerate(groups) for tube in tubes}
@@ -156,19 +155,19 @@ def in_order(
             least[k] = max(least[k], demand.least)
         else:
             most[o] = min(most[o], -demand.least)
-    # Differences along a chain: from the innermost outwards, the room that leaves a place to all carriages inside.
-    room: list[tuple[float, float]] = []
+    # Differences along a chain: from the innermost outwards, the interval that leaves a place to all carriages inside.
+    interval: list[tuple[float, float]] = []
     for k, tubes in enumerate(groups):
         bottom, top = float(ranges[0][list(tubes)].max()), float(ranges[1][list(tubes)].min())
         if k:
-            bottom, top = max(bottom, room[-1][0] - most[k - 1]), min(top, room[-1][1] - least[k - 1])
+            bottom, top = max(bottom, interval[-1][0] - most[k - 1]), min(top, interval[-1][1] - least[k - 1])
         if bottom > top + ROUND_OFF or least[k] > most[k] + ROUND_OFF:
             return None
-        room.append((bottom, top))
-    # Back from the outermost, every choice in its room can be continued: no choice is ever undone.
+        interval.append((bottom, top))
+    # Back from the outermost, every choice in its interval can be continued: no choice is ever undone.
     out, outer = np.zeros(len(of)), 0.0
     for k in reversed(range(len(groups))):
-        bottom, top = room[k]
+        bottom, top = interval[k]
         if k < len(groups) - 1:
             bottom, top = max(bottom, outer + least[k]), min(top, outer + most[k])
         outer = choose(bottom, top)
@@ -178,53 +177,55 @@ def in_order(
 
 @dataclass(frozen=True)
 class EndInside:
-    """A tube that ends inside another one; both from 0."""
+    """Tube that ends inside another one, both counted from 0."""
 
     tube: int
     around: int
-    """The outer one that reaches farthest beyond it."""
+    """Outer tube that reaches farthest beyond it."""
     depth: float
-    """By how much that one is longer, in front of the plate, m."""
+    """Length by which that tube reaches beyond it, in front of the plate, m."""
 
 
 def ends_inside(robot: Nested, end: Array) -> tuple[EndInside, ...]:
-    """The tubes that end inside an outer one where tubes end at arc lengths (n,), m, from the plate."""
-    around, shown = dict(robot.nested_pairs), np.maximum(end, 0.0)
+    """Tubes that end inside an outer one, for ends at arc lengths (n,), m, from the plate."""
+    around, visible = dict(robot.nested_pairs), np.maximum(end, 0.0)
     found = []
     for tube in range(len(end)):
         outer = farthest = tube
         while outer in around:
             outer = around[outer]
-            farthest = outer if shown[outer] > shown[farthest] + SAME_END else farthest
+            farthest = outer if visible[outer] > visible[farthest] + SAME_END else farthest
         if farthest != tube:
-            found.append(EndInside(tube, farthest, float(shown[farthest] - shown[tube])))
+            found.append(EndInside(tube, farthest, float(visible[farthest] - visible[tube])))
     return tuple(found)
 
 
 def tip_tube(end: Array) -> int | None:
-    """The tube, from 0, that is the tip where tubes end at arc lengths (n,), m: of those that end there the innermost.
+    """Tube, from 0, at the tip, for ends at arc lengths (n,), m: of those that end there the innermost.
 
-    None where all are withdrawn behind the plate.
+    None if all are withdrawn behind the plate.
     """
     return int(last_tube(end)) if end.max() > SAME_END else None
 
 
 def last_tube(end: Array) -> Index:
-    """(...) the tube, from 0, that ends last where tubes end at arc lengths (..., n), m: of those that end there the
-    innermost, which holds the tool. Ends within SAME_END of one another are one, whatever round-off says."""
+    """Tubes (...), from 0, that end last, for ends at arc lengths (..., n), m.
+
+    Of tubes that end within SAME_END of each other it is the innermost, which holds the tool.
+    """
     return np.asarray(np.argmax(end >= end.max(-1, keepdims=True) - SAME_END, axis=-1))
 
 
-def outermost(there: Mask) -> Index:
-    """(...) the outermost of the tubes, from 0, that are `there` (..., n)."""
-    return np.asarray(there.shape[-1] - 1 - np.argmax(there[..., ::-1], axis=-1))
+def outermost(present: Mask) -> Index:
+    """Outermost tubes (...), from 0, of those `present` (..., n)."""
+    return np.asarray(present.shape[-1] - 1 - np.argmax(present[..., ::-1], axis=-1))
 
 
 def twisted_tube(end: Array, arc_length: ArrayLike) -> Index:
-    """(...) the tube, from 0, that a moment along the arm twists at arc lengths (...), m, where tubes end at (..., n).
+    """Tubes (...), from 0, that an axial moment twists at arc lengths (...), m, for ends at (..., n).
 
-    It is the outermost tube there, and at the tip the tube that ends last. A moment changes its tube where it passes an
-    end: of the last two, the shape jumps there by what their twists differ.
+    It is the outermost tube there, and at the tip the tube that ends last. The moment changes its tube at an end, where
+    the frame jumps by the difference of their twists.
     """
     at = np.asarray(arc_length)
     at_tip = at >= end.max(-1) - SAME_END

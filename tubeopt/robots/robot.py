@@ -1,4 +1,4 @@
-"""What every tube robot offers to the rest of the library, and warnings of tubes that do not fit one another."""
+"""Base class of all tube robots, and warnings of tubes that do not fit into each other."""
 
 from __future__ import annotations
 
@@ -28,37 +28,39 @@ Kept = TypeVar("Kept")
 
 
 class Robot(Displayed, ABC):
-    """Tubes, how they are held, and the sections that they form. A kind of robot is a frozen dataclass, so that what is
-    built for one can be cached."""
+    """Tubes, their carriages, and the sections that they form.
+
+    Robots are frozen dataclasses, so that results can be cached.
+    """
 
     _asked_for = "a robot; tubeopt.load_robot reads one from a file"
 
     name: str
-    """What to call it in tables and pictures."""
+    """Name in tables and pictures."""
     tubes: tuple[Tube, ...]
-    """One per joint rotation, n in all."""
+    """Tubes, inner to outer, one per joint rotation."""
     joint_limits: JointLimits | None
-    """Limits as given, None where the lengths imply them."""
+    """Given joint limits; None for those that follow from the lengths."""
     calibration: Calibration | None
-    """How readings of the drives become joint values, None where they read true."""
+    """Conversion of drive readings to joint values; None if readings are joint values."""
     nested_curves: bool = True
-    """Whether the curved part of a tube may lie inside the tube around it."""
+    """True if the curved part of a tube may lie inside the tube around it."""
 
     @property
     def home_translations(self) -> Array:
-        """(n,) translations at home, m: 0 wherever the limits and the order of the tubes allow that; else, from the
-        outermost tube inwards, each is moved from 0 as little as they allow."""
+        """Translations (n,) at home, m: 0 if limits and order allow it; otherwise, from the outermost tube inwards,
+        closest to 0."""
         return self._home.copy()
 
     @property
     def home_rotations(self) -> Array:
-        """(n,) rotations at home, rad: 0, or as near as limits allow."""
+        """Rotations (n,) at home, rad: 0, or the nearest values within the limits."""
         low, high = np.array(self.limits.rotations).T
         return np.clip(np.zeros(self.n_tubes), low, high)
 
     @property
     def home_readings(self) -> Array:
-        """(n,) what the drives of the carriages read at home, m, where no carriage yields."""
+        """Readings (n,) of the carriages at home, m, if no carriage yields."""
         own = self.calibration
         return self.home_translations if own is None else own.to_readings(0.0, self._home)[1]
 
@@ -81,8 +83,7 @@ class Robot(Displayed, ABC):
         """Sections at `translations` (n,), m; raises InputError where they are not admissible."""
 
     def check_drives(self, *, yields: bool = False) -> None:
-        """Raise InputError where limits or calibration are for another number of tubes, or for carriages that yield
-        and do not."""
+        """Raise InputError if limits or calibration do not fit the number of tubes or the carriages."""
         for tube in self.tubes:
             warn_of_units(tube)
         limits = self.joint_limits
@@ -106,7 +107,7 @@ class Robot(Displayed, ABC):
 
     @cached_property
     def even(self) -> bool:
-        """Whether stiffnesses, and the curvature of the curved part, are the same all along each tube."""
+        """True if stiffnesses, and the curvature of the curved part, are constant along each tube."""
         return all(tube.even for tube in self.tubes)
 
     @property
@@ -179,7 +180,7 @@ class Robot(Displayed, ABC):
 
 
 def check_robot(robot: object) -> None:
-    """Raise InputError where something else is given for a robot, as the path of its file."""
+    """Raise InputError for other objects, such as the path of a robot file."""
     if not hasattr(robot, "assembly"):
         raise InputError(
             f"robot is {reprlib.repr(robot)}; it must be a robot; tubeopt.load_robot reads one from a file"
@@ -187,13 +188,16 @@ def check_robot(robot: object) -> None:
 
 
 def shifts(robot: Robot, translations: ArrayLike | None) -> Array:
-    """(n,) m: translations as they are given, None for home; raises InputError where they are not n finite numbers."""
+    """Translations (n,), m, None for home; raises InputError if they are not n finite numbers."""
     return vector("translations", robot.home_translations if translations is None else translations, robot.n_tubes)
 
 
 def joint_values(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
-    """Rotations (n,), rad, and translations (n,), m, None for home; raises InputError naming what is wrong: not n
-    finite numbers, or numbers in another unit."""
+    """Rotations (n,), rad, and translations (n,), m, None for home.
+
+    Raises:
+        InputError: not n finite numbers, or numbers in another unit.
+    """
     shift, alpha = shifts(robot, translations), vector("rotations", rotations, robot.n_tubes)
     check_turn(alpha)
     check_reach(robot.tubes, shift.tolist())
@@ -201,33 +205,35 @@ def joint_values(robot: Robot, rotations: ArrayLike, translations: ArrayLike | N
 
 
 def keeps_hash(cls: type[Kept]) -> type[Kept]:
-    """A frozen dataclass whose objects reckon their hash once: what is built for a robot is looked up all the time.
-    It is not pickled, since words have another one in every process."""
-    reckoned: Any = cls.__hash__
+    """Decorate a frozen dataclass so that its objects compute their hash once, for frequent cache look-ups.
 
-    def kept(self: Any) -> int:
+    The hash is not pickled, since strings have other hashes in every process.
+    """
+    compute: Any = cls.__hash__
+
+    def cached_hash(self: Any) -> int:
         if "_hash" not in self.__dict__:
-            object.__setattr__(self, "_hash", reckoned(self))
-        known: int = self._hash
-        return known
+            object.__setattr__(self, "_hash", compute(self))
+        value: int = self._hash
+        return value
 
     def state(self: Any) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_hash"}
 
-    cls.__hash__, cls.__getstate__ = kept, state  # type: ignore[method-assign]
+    cls.__hash__, cls.__getstate__ = cached_hash, state  # type: ignore[method-assign]
     return cls
 
 
 @without_unit_warnings()
 def resized(robot: Robot, tube: int, name: str, value: float) -> Any:
-    """The robot with another dimension of a tube, SI; see `Tube.resized`."""
-    tubes = [one.resized(name, value) if i == tube else one for i, one in enumerate(robot.tubes)]
+    """Robot with another dimension of a tube, SI; see `Tube.resized`."""
+    tubes = [each.resized(name, value) if i == tube else each for i, each in enumerate(robot.tubes)]
     return replace(robot, tubes=tuple(tubes))  # type: ignore[type-var]
 
 
 @lru_cache(maxsize=64)
 def is_general(robot: Robot) -> bool:
-    """Whether a tube of the robot is written as pieces: how its numbers lie. What answers depend on is `even`."""
+    """True if a tube of the robot is made of pieces."""
     return any(tube.general for tube in robot.tubes)
 
 
@@ -239,41 +245,43 @@ LOOSE_MM = 0.1
 
 
 def clearances(robot: Robot) -> dict[int, tuple[int, float]]:
-    """Tube -> the tube around it, if any, and the radial clearance (mm) between them; tubes counted from 0."""
-    return {i: (o, round(_room(robot.tubes[i], robot.tubes[o]) * TO_MM, 9)) for i, o in robot.nested_pairs}
+    """For each nested tube, from 0, the tube around it and the radial clearance between them, mm."""
+    return {i: (o, round(_clearance(robot.tubes[i], robot.tubes[o]) * TO_MM, 9)) for i, o in robot.nested_pairs}
 
 
 def drawn_clearance(tubes: Sequence[Tube]) -> tuple[float, ...]:
-    """(n - 1,) radial clearance of every tube in the next one by their diameters, m."""
-    return tuple(_room(inner, outer) for inner, outer in pairwise(tubes))
+    """Radial clearances (n - 1,) of the tubes in the next ones, from their diameters, m."""
+    return tuple(_clearance(inner, outer) for inner, outer in pairwise(tubes))
 
 
-def _room(inner: Tube, outer: Tube) -> float:
+def _clearance(inner: Tube, outer: Tube) -> float:
     return (outer.inner_diameter - inner.outer_diameter) / 2
 
 
 def fit_warnings(robot: Robot) -> list[str]:
-    """What may go wrong when this robot is built and used: tubes strained too far, tubes too tight or too loose."""
-    found = []
+    """Warnings of tubes with too much strain, and of tubes that fit too tightly or too loosely."""
+    warnings = []
     for i, tube in enumerate(robot.tubes, start=1):
         strain, name = tube.straightened_strain, tube.material.name
         reached = f"tube {i} is strained {strain * 100:.2f} % when held straight, beyond the"
         if strain > tube.material.superelastic_strain:
-            found.append(
+            warnings.append(
                 f"{reached} {tube.material.superelastic_strain * 100:.3g} % limit of superelasticity of {name}"
             )
         elif strain > tube.material.working_strain:
-            found.append(f"{reached} {tube.material.working_strain * 100:.3g} % limit of {name} for repeated bending")
+            warnings.append(
+                f"{reached} {tube.material.working_strain * 100:.3g} % limit of {name} for repeated bending"
+            )
         unknown = [str(j) for j, piece in enumerate(tube.pieces, start=1) if slots_unknown(tube, piece)]
         if unknown:
-            found.append(
+            warnings.append(
                 f"tube {i} is softer in piece{'s' * (len(unknown) > 1)} {', '.join(unknown)} than elsewhere. The "
                 "strain at slots is larger than shown here. Give the fraction with slots by slots: {share: ...}"
             )
     for i, (around, clearance) in clearances(robot).items():
         fit = f"tube {i + 1} has {clearance:.3g} mm of radial clearance in tube {around + 1},"
         if clearance < TIGHT_MM:
-            found.append(f"{fit} less than the {TIGHT_MM:g} mm that sliding needs: friction will wind the tubes up")
+            warnings.append(f"{fit} less than the {TIGHT_MM:g} mm that sliding needs: friction will wind the tubes up")
         elif clearance > LOOSE_MM:
-            found.append(f"{fit} more than {LOOSE_MM:g} mm: its axis may lie beside the outer tube's")
-    return found
+            warnings.append(f"{fit} more than {LOOSE_MM:g} mm: its axis may lie beside the outer tube's")
+    return warnings

@@ -23,8 +23,9 @@ from ...control.servo import Servo
 from ...errors import InputError
 from ...files.units import TO_MM
 from ...inverse.answer import InverseOptions
-from ...inverse.gauss_newton import held_by, reach
+from ...inverse.gauss_newton import reach
 from ...inverse.goal import Goal, pose_question
+from ...inverse.miss import active_constraints
 from ...inverse.posture import Posture, start_posture
 from ...typing import Array
 from .session import Session, moved_to
@@ -154,9 +155,8 @@ def pull(
     """
     if session.equilibrium.load is not None:
         raise InputError("the tip can be moved without load only; remove the load first")
-    places = session.equilibrium, None
     goal = pose_question(
-        session.robot, (target, None), places, min_margin=min_margin, obstacles=obstacles, options=QUICK
+        session.robot, target, start=session.equilibrium, min_margin=min_margin, obstacles=obstacles, options=QUICK
     )
     current = start_posture(goal.space, session.equilibrium)
     for part in _parts(goal, current.tip):
@@ -183,6 +183,6 @@ def _parts(goal: Goal, tip: Array) -> list[Array]:
 
 def _held(goal: Goal, current: Posture) -> list[str]:
     """Constraints that stop the tip, without joints near their limits: margin and obstacles come first."""
-    words = held_by(goal, current)
+    words = active_constraints(goal, current)
     # False sorts before True: margin and arm come first.
     return sorted(words, key=lambda word: not word.startswith(("margin", "arm"))) or ["no joint leads nearer to it"]

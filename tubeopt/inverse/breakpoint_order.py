@@ -1,0 +1,142 @@
+"""Order of breakpoints along the arm: constraints that keep it, and postures beyond a change of it.
+
+Derivatives of an equilibrium are smooth within one order of breakpoints, and jump where a section between two of them
+closes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..robots.assembly import Assembly
+from ..typing import Array
+from .goal import Goal
+from .posture import Posture
+
+# Ten times the distance at which a target counts as met: breakpoints that are closer make no difference to an answer.
+CLOSED_SECTION = 1e-7
+"""Length, m, below which a section between breakpoints counts as closed."""
+
+# Derivatives are valid up to the end of a section only. On an arm of 200 mm a section of 20 um stops a step so soon
+# that a descent looks converged although it would continue in the next order of breakpoints.
+SHORT_SECTION = 1e-4
+"""Length of a section, relative to the robot's length, that may block a step like a closed one."""
+
+# More than CLOSED_SECTION (2 um against 0.1 um on an arm of 200 mm), or the first step beyond a change of order would
+# close the section again and lead back.
+MOVED_PAST = 1e-5
+"""Distance by which breakpoints are moved past each other, relative to the robot's length."""
+
+
+@dataclass(frozen=True, eq=False)
+class Order:
+    """Order of breakpoints as linear inequalities in the translations d (G,) of the carriages."""
+
+    length: Array
+    """Lengths (P,) of the mesh pieces at d = 0, m."""
+    length_slope: Array
+    """Derivatives (P, G) of these lengths by d."""
+    rows: Array
+    """Rows (c, G) with rows d >= bound: the order of breakpoints, then the order of the tubes, which is fixed."""
+    bound: Array
+    """Bounds (c,), m."""
+    changeable: int
+    """Number of rows for the order of breakpoints."""
+
+    def constrain(self, q: Array, rows: Array, bounds: Array) -> tuple[Array, Array]:
+        """Constraints of a step from joint values q (m,), extended by the order of breakpoints."""
+        own = np.zeros((self.changeable, len(q)))
+        own[:, len(q) - self.rows.shape[1] :] = self.rows[: self.changeable]
+        own_bounds = np.minimum(self.bound[: self.changeable] - own @ q, 0.0)
+        return np.vstack([rows, own]), np.concatenate([bounds, own_bounds])
+
+    def closed(self, shift: Array, section: float) -> list[tuple[Array, float]]:
+        """Rows and bounds of sections not longer than `section` (m) at translations (G,)."""
+        length = self.rows[: self.changeable] @ shift - self.bound[: self.changeable]
+        return [(self.rows[k], float(self.bound[k])) for k in np.flatnonzero(length <= section)]
+
+
+def breakpoint_order(goal: Goal, at: Posture) -> Order:
+    """Order of breakpoints of a posture."""
+    space, problem = goal.space, at.problem
+    n, groups = space.robot.n_tubes, len(space.carriages)
+    assembly, shift = problem.assembly, at.q[n:]
+    marks = [(0.0, np.zeros(groups))]
+    rows, bound = [], []
+    for k, tubes in enumerate(space.carriages):
+        unit = np.eye(groups)[k]
+        for s in _breakpoints(assembly, tubes):
+            if s > 0:
+                marks.append((s, unit))
+            else:
+                rows.append(-unit)
+                bound.append(float(s - shift[k]))
+    marks.sort(key=lambda mark: mark[0])
+    place = np.array([mark[0] for mark in marks])
+    slope = np.array([mark[1] for mark in marks])
+    cuts = np.append(assembly.start, assembly.total_length)
+    owner = slope[np.abs(place[:, None] - cuts).argmin(0)]
+    section = np.diff(owner, axis=0)
+    counts = np.bincount(problem.mesh.section, minlength=assembly.n_sections)
+    length_slope = (section / counts[:, None])[problem.mesh.section]
+    for first, second, row in zip(place[:-1], place[1:], np.diff(slope, axis=0), strict=True):
+        if row.any():
+            rows.append(row)
+            bound.append(float(row @ shift - (second - first)))
+    length = problem.mesh.length - length_slope @ shift
+    rows, bound, changeable = [*rows, *space.rows[:, n:]], [*bound, *space.least], len(bound)
+    return Order(length, length_slope, np.reshape(rows, (-1, groups)), np.array(bound), changeable)
+
+
+def _breakpoints(assembly: Assembly, tubes: tuple[int, ...]) -> list[float]:
+    """Distinct transitions, ends, and joints of pieces of the tubes of one carriage, m."""
+    mine = list(tubes)
+    ends, transitions = assembly.end[mine], assembly.transition[mine]
+    bent = ends - transitions > 1e-12
+    joints = zip(assembly.breakpoints, assembly.breakpoint_tubes, strict=True)
+    cuts = [s for s, i in joints if i in mine] if assembly.general else []
+    return sorted({round(float(s), 12) for s in [*ends, *transitions[bent], *cuts]})
+
+
+def separate_breakpoints(goal: Goal, at: Posture) -> Posture:
+    """Posture with coinciding breakpoints moved apart a little, if the limits allow it."""
+    space = goal.space
+    n = space.robot.n_tubes
+    # A step of its own for each carriage: with equal ones breakpoints that coincide would stay together.
+    step = MOVED_PAST * space.length * np.arange(1, len(space.carriages) + 1)[::-1]
+    place = np.sort(np.append([s for g in space.carriages for s in _breakpoints(at.problem.assembly, g)], 0.0))
+    if (np.diff(place) > CLOSED_SECTION).all():
+        return at
+    for sign in (1.0, -1.0):
+        q = at.q.copy()
+        q[n:] += sign * step
+        if space.admissible(q):
+            moved = at.to(q)
+            if moved is not None:
+                return moved
+    return at
+
+
+def crossings(goal: Goal, at: Posture, section: float) -> Iterator[Posture]:
+    """Postures beyond each change of the order across a section not longer than `section`, m."""
+    return cross_breakpoints(goal, at, breakpoint_order(goal, at).closed(at.q[goal.space.robot.n_tubes :], section))
+
+
+def cross_breakpoints(goal: Goal, at: Posture, sections: Sequence[tuple[Array, float]]) -> Iterator[Posture]:
+    """Posture with breakpoints moved past each other, for each section (row, bound), within the limits."""
+    space = goal.space
+    n = space.robot.n_tubes
+    for row, bound in sections:
+        q = at.q.copy()
+        past = max(float(row @ at.q[n:] - bound), 0.0) + 2 * MOVED_PAST * space.length
+        # The shortest motion of the carriages that takes the row past its bound.
+        q[n:] -= past * row / float(row @ row)
+        q = space.clip(q)
+        if not space.admissible(q):
+            continue
+        moved = at.to(q)
+        if moved is not None and moved.margin >= goal.floor:
+            yield moved
