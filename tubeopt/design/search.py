@@ -97,7 +97,7 @@ class SearchedDesign(Searched):
     """Best design of a search without derivatives."""
 
     solution: DesignSolution
-    """Design whose requirements independent code has checked."""
+    """Design, verified by independent code."""
 
     status = Delegate[DesignStatus]("solution")
 
@@ -112,7 +112,7 @@ class SearchedPair(Searched):
     """Best two robots of a search without derivatives."""
 
     solutions: tuple[DesignSolution, DesignSolution]
-    """Designs whose requirements independent code has checked."""
+    """Designs, verified by independent code."""
 
     @property
     def value(self) -> tuple[ConcentricRobot, ConcentricRobot]:
