@@ -116,8 +116,11 @@ def _slopes(section: CrossSection, inputs: list[Any], wrt: Any) -> SectionSlopes
     """
     theta, stiffness, moment, *offsets = inputs
     if not offsets:
-        flat = [ca.densify(ca.jacobian(value, wrt)) for value in (section.curvature, section.moment)]
-        return SectionSlopes(*flat, ca.DM.zeros(theta.shape[0], wrt.numel()))
+        return SectionSlopes(
+            curvature=ca.densify(ca.jacobian(section.curvature, wrt)),
+            moment=ca.densify(ca.jacobian(section.moment, wrt)),
+            stretch=ca.DM.zeros(theta.shape[0], wrt.numel()),
+        )
     u = ca.SX.sym("u", 2)
     stretch = _stretch(u, *offsets)
     balance = u * ca.sum1(stiffness / stretch) - ca.sum1(natural_moments(theta, moment)).T
