@@ -35,7 +35,6 @@ from ..equilibrium.verification import verifications
 from ..errors import InputError, SolveError, finite, instance, positive
 from ..files.field_metadata import TYPICAL_CLEARANCE, form, key, typical_length, unit
 from ..inverse.clock import Clock
-from ..inverse.joints import JointSpace
 from ..robots.assembly import ROUND_OFF
 from ..robots.limits import JointLimits
 from ..robots.load import Load
@@ -497,21 +496,54 @@ def proved(first: Equilibrium, t: Array, joints: Array, kept: Kept, clock: Clock
     """Proof of a trajectory of joint values (T, 2n) at times t (T,), s, from an equilibrium at the first."""
     robot, load, (alpha, shift) = first.robot, first.load, np.split(joints, 2, axis=1)
     forced = under_any_force(robot, shift, kept.max_force, load) if kept.max_force else None
-    moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
+    deflection = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
     # A force may move the arm closer to bodies by its deflection.
-    target = ClearanceTarget(kept.clearance + moved, ACCURACY, MOST_CELLS)
+    target = ClearanceTarget(kept.clearance + deflection, ACCURACY, MOST_CELLS)
     verifier = TrajectoryVerifier(robot, scene_of(kept.bodies), target, clock, load)
-    rate_limits = kept.rate_limits
-    tip = math.inf if rate_limits is None or rate_limits.tip is None else rate_limits.tip
+    limits = kept.rate_limits
+    tip_limit = math.inf if limits is None or limits.tip is None else limits.tip
     trace = follow(verifier, first, t, joints)
-    pace = paced(verifier, trace.links, float(t[-1] - t[0]), tip)
-    refuted, unproved = _branch_faults(verifier, trace, kept.min_margin, t)
-    unproved += _tip_faults(pace, tip, pushed=forced is not None)
+    pace = paced(verifier, trace.links, float(t[-1] - t[0]), tip_limit)
+    # Violations of requirements, then requirements that are not proved.
+    faults, unproved = _branch_faults(verifier, trace, kept.min_margin, t)
+    unproved += _tip_faults(pace, tip_limit, pushed=forced is not None)
     if forced is not None:
         unproved += _force_faults(forced, kept.min_margin)
     late = bool(unproved) and verifier.clock.over
-    proof = _judge(verifier, (trace, pace), refuted, joint_range(robot, kept.limits), (t, alpha, shift), rate_limits)
-    proof = replace(proof, faults=(*proof.faults, *unproved), open=late and not proof.faults)
+    steps = [step.equilibrium for step in trace.steps]
+    reintegration = _again([steps[k] for k in np.unique(np.linspace(0, len(steps) - 1, VERIFIED).astype(int))])
+    if reintegration > AGREEMENT * verifier.length:
+        faults.append(f"re-integration moves the tip by {reintegration * 1e3:.3g} mm")
+    # Faults of the table itself.
+    space, rates = joint_range(robot, kept.limits), [rates_of(t, values) for values in (alpha, shift)]
+    faults += out_of_range(space, alpha, shift)
+    if limits is not None:
+        faults += too_fast(space, rates, pace.measured, limits)
+    turning, moving = ([float(each.max(initial=0.0)) for each in kind] for kind in rates)
+    tip_steps = np.linalg.norm(np.diff([e.tip_position for e in steps], axis=0), axis=1)
+    proof = Proof(
+        snap=trace.snap,
+        least_margin=trace.margin,
+        least_clearance=trace.clearance,
+        measured_clearance=trace.measured,
+        paces=Paces(
+            largest_rotation_rate=turning[0],
+            largest_translation_rate=moving[0],
+            largest_rotation_acceleration=turning[1],
+            largest_translation_acceleration=moving[1],
+            largest_tip_step=float(tip_steps.max(initial=0.0)),
+            largest_tip_rate=pace.bound,
+            measured_tip_rate=pace.measured,
+            tip_length=float(tip_steps.sum()),
+        ),
+        reintegration=reintegration,
+        statistics=ProofStatistics(verifier.count + 1, trace.steps[-1].at),
+        end=steps[-1],
+        faults=(*faults, *unproved),
+        open=late and not faults,
+        samples=_at_samples(trace.steps, t),
+        clearance_from=verifier.scene.stands_for,
+    )
     return proof if forced is None else _under_force(proof, forced)
 
 
@@ -629,47 +661,6 @@ def _again(equilibria: Sequence[Equilibrium]) -> float:
     if equilibria[0].load is not None:
         return max(e.tip_error for e in equilibria)
     return max(check.tip_position for check in verifications(equilibria))
-
-
-def _judge(
-    verifier: TrajectoryVerifier,
-    found: tuple[TrajectoryTrace, Pace],
-    faults: list[str],
-    space: JointSpace,
-    table: tuple[Array, Array, Array],
-    rate_limits: RateLimits | None,
-) -> Proof:
-    """Proof with all faults, also those of the table itself."""
-    (t, alpha, shift), (trace, pace) = table, found
-    steps = [step.equilibrium for step in trace.steps]
-    tips = np.array([e.tip_position for e in steps])
-    moved = np.linalg.norm(np.diff(tips, axis=0), axis=1)
-    tip_step = float(moved.max(initial=0.0))
-    picked = [steps[k] for k in np.unique(np.linspace(0, len(steps) - 1, VERIFIED).astype(int))]
-    again = _again(picked)
-    rates = [rates_of(t, values) for values in (alpha, shift)]
-    turning, moving = ([float(each.max(initial=0.0)) for each in kind] for kind in rates)
-    if again > AGREEMENT * verifier.length:
-        faults.append(f"re-integration moves the tip by {again * 1e3:.3g} mm")
-    faults += out_of_range(space, alpha, shift)
-    if rate_limits is not None:
-        faults += too_fast(space, rates, pace.measured, rate_limits)
-    return Proof(
-        snap=trace.snap,
-        least_margin=trace.margin,
-        least_clearance=trace.clearance,
-        measured_clearance=trace.measured,
-        paces=Paces(
-            *(turning[0], moving[0], turning[1], moving[1], tip_step, pace.bound, pace.measured),
-            tip_length=float(moved.sum()),
-        ),
-        reintegration=again,
-        statistics=ProofStatistics(verifier.count + 1, trace.steps[-1].at),
-        end=steps[-1],
-        faults=tuple(faults),
-        samples=_at_samples(trace.steps, t),
-        clearance_from=verifier.scene.stands_for,
-    )
 
 
 def _at_samples(steps: Sequence[Step], t: Array) -> tuple[Equilibrium, ...]:
