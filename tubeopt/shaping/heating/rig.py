@@ -38,20 +38,20 @@ AMPERE_HOUR = 3600.0
 """1 A h in C."""
 
 OHMS = Typical(1e-5, 0.5)
-"""Of cables, contacts and batteries: more is that of a tube."""
+"""Typical resistances of cables, contacts and batteries, ohm; tubes have more."""
 
 HOT = 500.0
 """Rise over ambient, K, at which the heat transfer of tubes into air is taken; in free convection it changes with the
 sixth root of it."""
 
 MOST_VOLT = 120.0
-"""Of a battery, V: more is no low voltage, and a workshop's switches and hands do not bear it."""
+"""Largest battery voltage, V: above it, it is no low voltage, which switches and safety rules of a workshop assume."""
 
 CHARGED = 1.08
 """Voltage of a battery that has just been charged, as a multiple of that at rest when full: up to 13.7 V of 12.7."""
 
 SIDE_CLEARANCE = 50e-6
-"""Air on either side of a tube in a groove where a rig says nothing, m."""
+"""Default side clearance, m."""
 
 LOGGER = logging.getLogger(__name__)
 
@@ -132,7 +132,7 @@ class Battery:
         return float((table[k, 1] - table[k - 1, 1]) / (table[k, 0] - table[k - 1, 0]))
 
     def charge_at(self, voltage: float) -> float:
-        """State of charge that belongs to a voltage at rest.
+        """State of charge at a voltage at rest.
 
         A battery that has just been charged shows more than it does at rest: up to `CHARGED` more than the table ends
         with is taken as full, with a warning. Raises InputError beyond that, or below the table.
@@ -183,12 +183,12 @@ class Circuit:
 
     @property
     def lost_share(self) -> float:
-        """Part of a period of the PWM that every pulse loses."""
+        """Fraction of a PWM period that every pulse loses."""
         return self.lost_on_time * self.pwm_frequency
 
     @property
     def resistance(self) -> float:
-        """Everything in series with the tube but the battery, ohm."""
+        """Resistance in series with the tube, without the battery, ohm."""
         return self.cable_resistance + self.contact_resistance + self.mosfet_resistance
 
 
@@ -274,12 +274,12 @@ class MoldBed:
 
     @property
     def play(self) -> float:
-        """The side clearance as given, or by default, m."""
+        """Side clearance, m; if not given, that of the default."""
         return next((x for x in (self.side_clearance, self.gap) if x is not None), SIDE_CLEARANCE)
 
     @property
     def radius(self) -> float:
-        """Of the cylinder with the same cross-section, which stands for the plates, m."""
+        """Radius of the cylinder with the cross-section of the plates, m."""
         return math.sqrt(self.width * self.thickness / math.pi)
 
 

@@ -1,4 +1,4 @@
-"""What a heating schedule is asked for."""
+"""Specification of a heating schedule."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ OBJECTIVES = ("time", "energy", "margin")
 QUENCHES = ("water", "air")
 FREE = ("clearance", "lead", "vents")
 LONGEST = 1800.0
-"""Hold, s, beyond which no tube that is heated by its own resistance needs one."""
+"""Longest hold and heating, s."""
 
 
 @dataclass(frozen=True)
 class HeatingSpec(Displayed):
-    """The treatment that the curved part needs, and what the schedule must respect.
+    """Heat treatment of the curved part, and limits of the schedule.
 
     Raises:
         InputError: an empty window, a window above the limit, or another value out of its range.
@@ -108,12 +108,12 @@ class HeatingSpec(Displayed):
 
     @property
     def hold_slots(self) -> int:
-        """Whole slots that cover the hold."""
+        """Number of whole slots that cover the hold."""
         return math.ceil(self.hold_time / self.slot - 1e-9)
 
     @property
     def covered_time(self) -> float:
-        """Time that whole slots may need to cover the hold wherever it begins, s."""
+        """Time of the whole slots that cover the hold from any start, s."""
         return self.slot * (self.hold_slots + 1)
 
     @property

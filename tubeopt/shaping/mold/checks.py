@@ -1,4 +1,4 @@
-"""What a mold must satisfy, each as a number beside its limit and a sentence for when it does not (SI)."""
+"""Checks of a mold: a number, its limit and the message of a violation (SI)."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class Check:
     unit: str
     """ "m", "1" or "K"."""
     at_most: bool
-    """Whether the value must not exceed the limit, or not fall below it."""
+    """True for an upper limit, False for a lower one."""
     failure: str
-    """The sentence that is said where it fails."""
+    """Message of a failed check."""
 
     @property
     def passed(self) -> bool:

@@ -43,7 +43,7 @@ CANNED = ("linuxcnc", "mach")
 
 @dataclass(frozen=True)
 class Stage:
-    """What one tool does to a plate.   tool: in words.   diameter: m.   spindle: 1/s.   lines: of the program."""
+    """Machining of a plate by one tool.   tool: in words.   diameter: m.   spindle: 1/s.   lines: of the program."""
 
     tool: str
     diameter: float
@@ -67,7 +67,7 @@ class Program:
 
     @property
     def time(self) -> float:
-        """How long its moves take, s; without dwells and changes of tools."""
+        """Duration of the moves, s, without dwells and tool changes."""
         return sum(motion.time for motion in self.motions)
 
 
@@ -86,7 +86,7 @@ def checked_programs(mold: Mold, part: str) -> list[Program]:
 
 
 def clear_room(mold: Mold) -> float:
-    """How far (m) from the plates' edges clamps of their stock must stay."""
+    """Distance (m) of the stock's clamps from the plates' edges."""
     return beyond_edge([groove.width for groove in mold.grooves], mold.spec)
 
 
@@ -118,7 +118,7 @@ def check_duration(file: str, time: float) -> None:
 
 
 def stages_of(mold: Mold, part: str) -> list[Stage]:
-    """What the tools do to a plate, one after the other: grooves, a stage for every drill; what cuts it out is last."""
+    """Machining stages of a plate in order: grooves, a stage for every drill; what cuts it out is last."""
     spec, shop, base = mold.spec, mold.spec.workshop, part == "base"
     thickness = spec.plate.thickness if base else spec.plate.lid_thickness
     holes = mold.holes if base else (*mold.vents, *mold.holes)
@@ -212,7 +212,7 @@ def outlined(size: Point, thickness: float, spec: MoldSpec) -> Iterator[str]:
 
 
 def _tabs(start: Point, end: Point, spec: MoldSpec) -> Iterator[Arc]:
-    """Where the cutter is lifted on one side of the outline."""
+    """Tabs on one side of the outline, where the cutter is lifted."""
     shop, side = spec.workshop, Arc.between(start, end)
     count = max(1, round(side.length / shop.tab_pitch))
     half = 0.5 * min(shop.tab_width + shop.outline_diameter, 0.9 * side.length / count)
@@ -334,7 +334,7 @@ class Motion:
 
     @property
     def time(self) -> float:
-        """How long it takes, s; a drill cycle at its feed, down and up."""
+        """Duration, s; a drill cycle at its feed, down and up."""
         way = math.hypot(self.piece.length, self.end - self.start) * (2 if self.cycle else 1)
         return way / (RAPID if self.feed is None else self.feed)
 
@@ -366,7 +366,7 @@ def read_gcode(text: str) -> tuple[Motion, ...]:
 
 
 def _motions(machine: _Machine, number: int, words: list[tuple[str, float]]) -> Iterator[Motion]:
-    """What a line moves, and what it leaves in force."""
+    """Moves of a line; the modal state of the machine is updated."""
     for letter, value in words:
         if letter == "M" and value in (3, 5, 30):
             machine.spindle = value == 3

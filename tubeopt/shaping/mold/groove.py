@@ -35,7 +35,7 @@ class Arc:
     start: Point
     """m."""
     heading: float
-    """Where it starts, rad."""
+    """Heading at the start, rad."""
     length: float
     """m."""
     curvature: float = 0.0
@@ -50,17 +50,17 @@ class Arc:
 
     @property
     def sweep(self) -> float:
-        """Angle by which it turns, rad."""
+        """Signed turning angle, rad."""
         return self.curvature * self.length
 
     @property
     def radius(self) -> float:
-        """m; inf of a line."""
+        """Radius, m; inf for a line."""
         return 1 / abs(self.curvature) if self.curvature else math.inf
 
     @cached_property
     def centre(self) -> Point:
-        """Of an arc, m."""
+        """Centre of the circle, m; only for an arc."""
         x, y = self.start
         return x - math.sin(self.heading) / self.curvature, y + math.cos(self.heading) / self.curvature
 
@@ -82,7 +82,7 @@ class Arc:
         return np.column_stack([np.cos(angle), np.sin(angle)])
 
     def offset(self, distance: float) -> Arc:
-        """The parallel piece at `distance` (m) to the left; the radius of an arc must stay positive."""
+        """Parallel piece at `distance` (m) to the left; the radius of an arc must stay positive."""
         # Length and radius both scale by 1 - kappa d, and the turn stays.
         shrink = 1 - self.curvature * distance
         (x, y), h = self.start, self.heading
@@ -105,19 +105,19 @@ class Arc:
         return np.asarray(np.where(inside, to_circle, np.minimum(*ends)))
 
     def moved(self, shift: Point) -> Arc:
-        """The piece, moved by `shift` (m)."""
+        """Piece moved by `shift` (m)."""
         return replace(self, start=(self.start[0] + shift[0], self.start[1] + shift[1]))
 
 
 class Samples(NamedTuple):
-    """Places of a curve."""
+    """Samples of a curve."""
 
     arc_length: Array
-    """(N,) m."""
+    """(N,) arc lengths, m."""
     points: Array
-    """(N, 2) m."""
+    """(N, 2) points, m."""
     tangents: Array
-    """(N, 2) unit."""
+    """(N, 2) unit tangents."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class Centreline:
 
     @property
     def pieces(self) -> tuple[Arc, ...]:
-        """All pieces in order."""
+        """Lead-in, pieces of the bend, and lead-out."""
         return self.lead_in, *self.bend, self.lead_out
 
     @property
@@ -159,7 +159,7 @@ class Centreline:
         return Centreline(self.lead_in.moved(shift), bend, self.lead_out.moved(shift))
 
     def lengthened(self, extra: float) -> Centreline:
-        """With both leads `extra` (m) longer, outwards."""
+        """Centreline with both leads `extra` (m) longer, outwards."""
         return with_leads(self.bend, self.lead_in.length + extra, self.lead_out.length + extra)
 
     def sample(self, step: float) -> Array:

@@ -98,7 +98,7 @@ class ColdEnd:
     """The end of a heated tube as a fin: T(x) = set - (set - clamp) exp(-x / decay_length), x from the clamp."""
 
     length: float
-    """From the clamp to where the tube is within the tolerance, m."""
+    """Length from the clamp to where the tube is within the tolerance, m."""
     decay_length: float
     """sqrt(k A / (h P)), m."""
     loss_coefficient: float
@@ -121,7 +121,7 @@ def heat_drawn(diameter: float, material: MoldMaterial, heat: HeatSpec, times: A
 
 
 def cold_end(tube: Tube, material: MoldMaterial, heat: HeatSpec) -> ColdEnd:
-    """How far the clamps chill the tube at the end of the hold, by the fin equation.
+    """Cold end of the tube beside a clamp at the end of the hold, by the fin equation.
 
     Uniform Joule heat that holds the set temperature far from the clamps, loss to the mold proportional to the
     temperature, steady: true after decay_length^2 / diffusivity of the tube, some 10 s.

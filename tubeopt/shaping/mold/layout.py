@@ -1,4 +1,4 @@
-"""Where everything lies on a plate: grooves in a row, bolts and dowels along the edge, vents over the bends (m).
+"""Layout of a plate: grooves in a row, bolts and dowels along the edge, vents over the bends (m).
 
 Grooves stand one above the other or side by side, no nearer than the wall between them.
 """
@@ -39,26 +39,26 @@ SLACK = 1e-12
 """Lengths (m) and strains are compared with this slack, so that a plate exactly thick enough passes."""
 
 DIRECTIONS = ((0.0, 1.0), (1.0, 0.0))
-"""In which grooves stand in a row: one above the other, side by side."""
+"""Directions of a row of grooves: one above the other, side by side."""
 
 
 @dataclass(frozen=True)
 class Blank:
-    """A groove before it has a place."""
+    """Groove without a position on a plate."""
 
     number: int
-    """Of the tube in texts and drawings."""
+    """Number of the tube in texts and drawings."""
     tube: Tube
-    """What it is to become."""
+    """Finished tube."""
     held: Tube
     """The tube as the groove holds it, with the curvatures and the length of its bend."""
     cold: ColdEnd
-    """Of the tube; its length is that of the specification where one is given."""
+    """Cold end of the tube; its length is that of the specification, if given."""
     mill: EndMill
-    """That cuts it."""
+    """End mill of the groove."""
     width: Annotated[float, unit("mm"), form(".4g", label="groove, width"), "width of the groove"]
     bend: tuple[Arc, ...]
-    """With its top at y = 0."""
+    """Pieces of the bend; its top is at y = 0."""
     least_lead: float
     """Least length of the lead at either end, from the bend to the edge of the plate, m."""
 
@@ -74,7 +74,7 @@ class Blank:
 
     @property
     def bend_angle(self) -> float:
-        """Angle through which it bends, to either side, rad."""
+        """Total bending angle, to either side, rad."""
         return sum(abs(piece.sweep) for piece in self.bend)
 
 

@@ -164,7 +164,7 @@ class Block:
 
 
 class MandrelStatus(StatusEnum):
-    """How a mandrel was planned; every value reads as a sentence. One that fails a check is refused."""
+    """Status of a planned mandrel; every value reads as a sentence."""
 
     TURNED = "the mandrel is turned, and passes all checks"
     PRINTED = "the mandrel is a block to be printed, and passes all checks"
@@ -184,13 +184,13 @@ class Mandrel(Displayed):
 
     number: Annotated[int, key("tube"), "number of the tube, 1 for the innermost"]
     tube: Tube
-    """What it is to become."""
+    """Finished tube."""
     held: Tube
     """The tube as the mandrel holds it."""
     spec: MoldSpec
-    """What was asked for."""
+    """Specification of the mandrel."""
     body: Cylinder | Block
-    """What is turned or printed."""
+    """Solid that is turned or printed."""
     winding: Winding
     """Centreline of the groove in it, leads included."""
     width: Annotated[float, unit("mm"), form(".4g", label="groove, width"), "width of the groove"]
@@ -201,7 +201,7 @@ class Mandrel(Displayed):
         float, unit("mm"), form(".4g", label="tube between the clamps"), "length of tube between the clamps"
     ]
     checks: tuple[Check, ...]
-    """What was checked, with numbers and limits."""
+    """Checks with numbers and limits."""
     remarks: Annotated[tuple[str, ...], "remarks for making and using it"]
 
     @property
@@ -211,12 +211,12 @@ class Mandrel(Displayed):
 
     @property
     def status(self) -> MandrelStatus:
-        """How it was planned."""
+        """TURNED or PRINTED."""
         return MandrelStatus.TURNED if isinstance(self.body, Cylinder) else MandrelStatus.PRINTED
 
     @property
     def statistics(self) -> MandrelStatistics:
-        """What it has."""
+        """Numbers of checks and remarks."""
         return MandrelStatistics(len(self.checks), len(self.remarks))
 
     @property

@@ -59,13 +59,13 @@ class Clamp:
     end: Annotated[str, "proximal or distal"]
     face: Annotated[Point, unit("mm"), "centre of the face towards the plate"]
     direction: Annotated[Point, "direction of the tube into the clamp"]
-    """Unit vector."""
+    """Unit vector along the tube."""
     travel: float
-    """By which it may slide outwards, m; 0 for the fixed one."""
+    """Travel of the sliding clamp outwards, m; 0 for the fixed one."""
 
     @property
     def slides(self) -> bool:
-        """Whether the clamp gives way when the tube grows."""
+        """True for the clamp that slides when the tube expands."""
         return self.travel > 0
 
 
@@ -93,18 +93,18 @@ class Groove:
     """The groove of one tube: a blank that has its place on a plate, and is read at the groove too."""
 
     blank: Blank
-    """What is cut."""
+    """Groove without its position on the plate."""
     centreline: Centreline
-    """From plate edge to plate edge."""
+    """Centreline from plate edge to plate edge."""
     depth: Annotated[float, unit("mm"), form(".4g", label="groove, depth"), "depth of the groove"]
     growth: Annotated[float, unit("mm"), form(".4g", label="growth when hot"), "thermal expansion of the tube"]
     """Between the clamps; from the specification where it gives one."""
     clamps: Annotated[tuple[Clamp, Clamp], "the two clamps"]
-    """Proximal and distal."""
+    """Proximal and distal clamp."""
     grip: float
     """Length of tube in each clamp, m."""
     vents: tuple[Hole, ...] = ()
-    """Over the bend."""
+    """Vents of the lid over the bend."""
 
     number, mill, cold = Delegate[int]("blank"), Delegate[EndMill]("blank"), Delegate[ColdEnd]("blank")
     tube, held = Delegate[Tube]("blank"), Delegate[Tube]("blank")
@@ -112,7 +112,7 @@ class Groove:
 
     @property
     def curvature(self) -> float:
-        """Of the groove's bend, 1/m, with the sign of the tube's (the drawing shows its size); the largest of many."""
+        """Signed curvature of the bend, 1/m; the largest of several."""
         return self.held.curvature
 
     @property
@@ -183,7 +183,7 @@ class Groove:
 
 
 class MoldStatus(StatusEnum):
-    """How a mold was planned; every value reads as a sentence. One that fails a check is refused."""
+    """Status of a planned mold; every value reads as a sentence. A mold that fails a check raises InputError."""
 
     CHECKED = "the mold passes all checks"
     REMARKED = "the mold passes all checks, with remarks"
@@ -353,7 +353,7 @@ def _clamp_gap(mouth: Point, way: Array, size: Point, spec: MoldSpec) -> float:
 
 
 def _clamp_remarks(grooves: Sequence[Groove], spec: ClampSpec) -> list[str]:
-    """Which clamps overlap, in all places to which they slide."""
+    """Remarks on clamps that overlap anywhere in their travel."""
     placed = [(g.number, clamp_corners(clamp, spec, clamp.travel)) for g in grooves for clamp in g.clamps]
     pairs = {
         (first, second) for (first, a), (second, b) in itertools.combinations(placed, 2) if rectangles_overlap(a, b)
@@ -402,7 +402,7 @@ class RobotMold(Displayed):
     """A mold for tubes of a robot."""
 
     mold: Mold
-    """As planned; its grooves are numbered as the tubes of the robot."""
+    """Planned mold; its grooves have the numbers of the robot's tubes."""
     name: Annotated[str, key("robot"), "name of the robot"]
     left_out: tuple[str, ...]
     """Why other tubes have no groove."""

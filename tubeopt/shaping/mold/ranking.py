@@ -32,7 +32,7 @@ class MaterialRating:
     """A mold material for one tube."""
 
     material: MoldMaterial
-    """Which."""
+    """Rated material."""
     heat_drawn: Annotated[float, unit("J_per_m"), "heat into the mold per length of tube during the hold"]
     """The tube is hot from the beginning."""
     heat_flow: Annotated[float, unit("W_per_m"), "heat flow into the mold per length of tube at the end of the hold"]
@@ -43,12 +43,12 @@ class MaterialRating:
     limit_margin: Annotated[float, unit("K"), "margin to that limit"]
     """Limit of the material less the set temperature."""
     plan: HeatingPlan | None = None
-    """Of the tube on the rig with such a mold; None where no rig was given."""
+    """Heating plan on the rig with such a mold; None without a rig."""
     reasons: Annotated[tuple[str, ...], "reasons for and against it"] = ()
 
     @property
     def shortfall(self) -> float | None:
-        """By how much the plan on the rig misses the window, K; None where no rig was given."""
+        """Miss of the window by the plan on the rig, K; None without a rig."""
         return None if self.plan is None else self.plan.shortfall
 
     @property
@@ -110,7 +110,7 @@ def rank_mold_materials(
 
 
 def _place(rating: MaterialRating) -> tuple[bool, bool, float]:
-    """By which materials are ordered."""
+    """Sort key of a rating: suitable first, then feasible plans, then energy or miss."""
     if rating.plan is None:
         return not rating.suitable, False, rating.heat
     missed = rating.energy is None

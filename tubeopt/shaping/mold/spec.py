@@ -1,4 +1,4 @@
-"""What a mold is asked for: material, spring-back, fit of the groove, plate, cutters, clamps, vents, heating (SI)."""
+"""Specification of a mold: material, spring-back, fit of the groove, plate, cutters, clamps, vents, heating (SI)."""
 
 from __future__ import annotations
 
