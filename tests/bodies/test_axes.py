@@ -265,7 +265,7 @@ def test_images_that_say_how_they_lie_are_not_overruled(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("line", ["# space: LPS", "# Space = lps", "# SPACE=LPS"])
-def test_the_word_for_axes_may_be_spelled_otherwise(tmp_path: Path, line: str) -> None:
+def test_axes_may_have_alternative_spellings(tmp_path: Path, line: str) -> None:
     path = tmp_path / "points.csv"
     path.write_text(f"{line}\nx_mm,y_mm,z_mm\n1,2,3\n")
     assert stated_axes(path) == "LPS"

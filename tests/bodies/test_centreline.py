@@ -11,7 +11,7 @@ from tubeopt.bodies.images import LabelImage, field_of_image
 from tubeopt.bodies.phantoms import LUMEN, TARGET, bronchial_tree
 
 
-def test_it_keeps_to_the_middle_and_tells_how_wide_the_way_is() -> None:
+def test_centreline_is_in_the_middle_with_radius() -> None:
     phantom = bronchial_tree()
     image = phantom.image(1e-3)
     field = field_of_image(image, lumen=image.chosen([LUMEN, TARGET]))

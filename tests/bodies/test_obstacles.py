@@ -99,7 +99,7 @@ def test_a_scene_knows_which_bodies_are_close() -> None:
     assert not set(far) & set(close)
 
 
-def test_a_lookout_says_what_a_look_would_and_looks_seldom(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_clearance_monitor_agrees_with_search_and_searches_seldom(monkeypatch: pytest.MonkeyPatch) -> None:
     random, scene = np.random.default_rng(0), scene_of(BODIES)
     points, reach = POINTS[:12] + np.array([0.1, 0.0, 0.05]), random.uniform(1e-3, 2e-2, 12)
     asked, nearest = [0], Scene.nearest
@@ -109,22 +109,22 @@ def test_a_lookout_says_what_a_look_would_and_looks_seldom(monkeypatch: pytest.M
         return nearest(scene, points, within)
 
     monkeypatch.setattr(Scene, "nearest", counted)
-    lookout, told = ClearanceMonitor(scene), []
+    monitor, told = ClearanceMonitor(scene), []
     for _ in range(400):
         points = points + random.normal(size=points.shape) * 1e-4 - np.array([3e-4, 0.0, 1e-4])
-        told.append(lookout.far(points, reach))
+        told.append(monitor.far(points, reach))
         assert told[-1] == bool((nearest(scene, points) > reach).all())
     assert 50 < sum(told) < 350
     assert asked[0] < 60
 
 
-def test_a_lookout_trusts_a_point_as_far_as_it_can_have_come_closer() -> None:
+def test_clearance_monitor_reuses_distance_within_motion() -> None:
     """Of 5 mm, where 1 mm are asked for, a way of 4 mm straight towards a plane leaves nothing to spare."""
     wall = Scene((HalfSpace((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),))
     for way, far in ((3.99e-3, True), (4.01e-3, False)):
-        lookout, reach = ClearanceMonitor(wall), np.array([1e-3])
-        assert lookout.far(np.array([[0.0, 0.0, 5e-3]]), reach)
-        assert lookout.far(np.array([[0.0, 0.0, 5e-3 - way]]), reach) == far
+        monitor, reach = ClearanceMonitor(wall), np.array([1e-3])
+        assert monitor.far(np.array([[0.0, 0.0, 5e-3]]), reach)
+        assert monitor.far(np.array([[0.0, 0.0, 5e-3 - way]]), reach) == far
 
 
 def test_a_scene_names_all_bodies_that_are_closer_than_a_reach() -> None:

@@ -9,7 +9,7 @@ from tubeopt import InputError
 from tubeopt.bodies.frames import Plane, base_frame
 
 
-def test_a_plane_holds_what_it_goes_through_whoever_sees_it() -> None:
+def test_plane_contains_its_points_in_every_frame() -> None:
     three = np.random.default_rng(0).normal(size=(3, 3))
     plane, frame = Plane.through(*three), base_frame([0.1, -0.2, 0.3], [0.3, 0.2, 1.0], 0.7)
     assert plane.height(three) == pytest.approx(0, abs=1e-12)

@@ -106,7 +106,7 @@ def test_nothing_slips_between_the_corners_of_a_triangle(tmp_path: Path) -> None
     assert through.clearance_from == ("the 2 triangles of sheet.stl, an open surface: it has no inside",)
 
 
-def test_why_a_surface_bounds_no_body_is_said_by_its_edges() -> None:
+def test_open_surface_is_reported_by_its_edges() -> None:
     """A box is closed; without a triangle three edges have one, and with a wall inside four have three."""
     box = trimesh.creation.box((0.02, 0.02, 0.02))
     corners, faces = np.array(box.vertices), np.array(box.faces)
@@ -154,7 +154,7 @@ def test_points_of_no_triangle_count_as_well(tmp_path: Path) -> None:
     assert found.surface.signed_distance(places) == pytest.approx([2e-3, 2e-3, 1e-2], abs=1e-9)
 
 
-def test_a_plan_of_several_arms_says_what_its_clearance_is_from() -> None:
+def test_plan_of_arms_reports_reference_of_clearance() -> None:
     proofs = [SimpleNamespace(clearance_from=words) for words in (("wall", "sheet"), ("sheet",), ())]
     (row,) = (quantity for quantity in ARMS if quantity.name == "clearance from")
     assert row.text(SimpleNamespace(proof=SimpleNamespace(proofs=proofs)), {}) == "wall; sheet"  # type: ignore[arg-type]
@@ -173,7 +173,7 @@ def test_the_largest_gap_is_the_longest_edge_of_the_shortest_tree(count: int) ->
     assert largest_gap(np.zeros((3, 3))) == 0
 
 
-def test_what_is_proved_about_a_cloud_is_said(run: Run, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_proof_about_point_cloud_is_reported(run: Run, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     grid = np.array([[x, y, 60] for x in (20, 32, 44) for y in (20, 32, 44)], dtype=float)
     rows = "".join(",".join(map(str, row)) + "\n" for row in grid.tolist())
     (tmp_path / "wall.csv").write_text(f"# SPACE=RAS\nx_mm,y_mm,z_mm\n{rows}")

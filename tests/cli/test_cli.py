@@ -78,9 +78,7 @@ def test_as_a_module() -> None:
         (("fk", THESIS, "other.yaml"), "Got unexpected extra argument"),
     ],
 )
-def test_a_flag_that_is_not_known_is_told_with_those_that_may_be_meant(
-    run: Run, typed: tuple[str, ...], message: str
-) -> None:
+def test_unknown_flag_is_reported_with_similar_flags(run: Run, typed: tuple[str, ...], message: str) -> None:
     outcome = run(*typed)
     assert outcome.code == 2
     assert message in outcome.err
@@ -140,7 +138,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 @pytest.mark.parametrize("display", [False, True])
-def test_fk_draws_pictures_and_says_where(
+def test_fk_reports_paths_of_plots(
     run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, opened: list[str], display: bool
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -252,7 +250,7 @@ def test_fk_refuses(run: Run, flags: list[str], problem: str) -> None:
     assert refused(run("fk", THESIS, *flags)) == [problem]
 
 
-def test_all_problems_are_told_at_once(run: Run, tmp_path: Path) -> None:
+def test_all_problems_are_reported_at_once(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "x.yaml"
     path.write_text("kind: concentric\ntubes: [{outer_diameter_mm: -1, inner_diameter_mm: 0, radius: 3}]\n")
     assert refused(run("fk", str(path), "--rotations-deg", "a", "--tolerance", "-1")) == [
@@ -343,7 +341,7 @@ def test_output_that_nobody_reads_on() -> None:
 # --- formats ----------------------------------------------------------------------------------------------------------
 
 
-def test_pictures_and_arms_are_saved_in_the_formats_that_are_asked_for(
+def test_plots_and_arms_are_saved_in_requested_formats(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(RC, "pdf.fonttype", 42)  # that of the fixture has no room for the sign of a diameter
@@ -387,7 +385,7 @@ def test_formats_that_are_not_known_are_refused(run: Run, flags: list[str], word
 # --- what is told besides the answer ----------------------------------------------------------------------------------
 
 
-def test_what_may_go_wrong_with_a_robot_is_told_wherever_it_is_used(run: Run) -> None:
+def test_robot_warnings_are_reported_by_every_command(run: Run) -> None:
     words = (
         "tube 2 has 0.15 mm of radial clearance in tube 3, more than 0.1 mm: its axis may lie beside the outer tube's"
     )

@@ -61,7 +61,7 @@ def painted(*arguments: str) -> dict[str, object]:
     return data
 
 
-def test_what_is_not_typed_is_as_in_the_study_or_as_the_command_says() -> None:
+def test_missing_flags_have_defaults_of_study_or_command() -> None:
     assert painted() == {
         "robot": THESIS, "twice": False, "kind": "paint", "coat_um": 1e-8, "coats": 2, "tints_percent": [10, 2.5],
         "names": ["red", "blue"], "gloss": True, "matt": False,
@@ -101,18 +101,18 @@ def test_messages_name_the_flag(flags: tuple[str, ...], message: str) -> None:
     assert str(caught.value) == message
 
 
-def test_what_a_file_says_may_be_typed_in_its_place(run: Run) -> None:
+def test_data_may_replace_a_file_on_the_command_line(run: Run) -> None:
     typed = answer(run("fk", THESIS, "--load", "{tip_force_mN: [1, 0, 0]}", "--json"))
     flagged = answer(run("fk", THESIS, "--tip-force-mN", "1,0,0", "--json"))
     assert typed["tip_position_mm"] == flagged["tip_position_mm"]
 
 
-def test_a_format_without_a_place_to_save_is_told(run: Run) -> None:
+def test_format_without_directory_is_reported(run: Run) -> None:
     told = answer(run("fk", THESIS, "--format", "pdf", "--json"))["warnings"]
     assert told == ["--format has no effect without --out or --plot: nothing is saved"]
 
 
-def test_an_arm_of_no_length_is_told(run: Run) -> None:
+def test_arm_without_length_is_reported(run: Run) -> None:
     told = answer(run("fk", THESIS, "--translations-mm", "-300,-300,-300", "--json"))["warnings"]
     assert told == ["no tube is in front of the base plate at these translations; the tip lies in the plate"]
 

@@ -99,11 +99,11 @@ def test_a_sensor_needs_uncertain_rigs(run: Run, samples: str) -> None:
         (("--lead-range-mm", "5,2"), "--lead-range-mm is 5 mm to 2 mm; the first must be below the second"),
     ],
 )
-def test_what_is_refused_is_called_by_its_flag_and_unit(run: Run, flags: tuple[str, ...], wanted: str) -> None:
+def test_refused_value_is_reported_by_flag_and_unit(run: Run, flags: tuple[str, ...], wanted: str) -> None:
     assert refused(run("heat", "plan", RIG, *flags)) == [wanted]
 
 
-def test_a_robot_in_place_of_a_rig_is_called_a_robot_file(run: Run) -> None:
+def test_robot_file_in_place_of_rig_is_reported(run: Run) -> None:
     (line,) = refused(run("heat", "plan", ROBOT))
     assert line.endswith("kind is 'eccentric'; it must be rig; this is a robot file, and a rig file is wanted")
 
@@ -135,7 +135,7 @@ def test_a_rig_that_is_known_keeps_the_window_without_a_sensor(run: Run, loss: s
     assert "uncertain rigs keep window and limit" in " ".join(outcome.out.split())
 
 
-def test_a_window_that_cannot_be_held_is_told_with_a_cure(run: Run, tmp_path: Path) -> None:
+def test_missed_window_is_reported_with_remedy(run: Run, tmp_path: Path) -> None:
     flags = ("--material", "steel", "--hold-s", "5", "--longest-s", "40", "--loss-percent", "0")
     outcome = run("heat", RIG, *flags, "--charges-percent", "none", "--out", str(tmp_path))
     assert outcome.code == 3
@@ -208,7 +208,7 @@ def test_a_log_calibrates_the_rig(run: Run, tmp_path: Path) -> None:
         (("plan", RIG, "--tube", "4"), "--tube is 4; without a robot it must be 1, the rig file's own"),
     ],
 )
-def test_what_is_missing_or_not_meant_is_told_by_its_flag(run: Run, words: tuple[str, ...], message: str) -> None:
+def test_missing_or_superfluous_key_is_reported_by_flag(run: Run, words: tuple[str, ...], message: str) -> None:
     assert refused(run("heat", *words)) == [message]
 
 

@@ -202,7 +202,7 @@ def talk(*arguments: str, answers: list[str]) -> tuple[int, str]:
     return code, COLOUR.sub("", shown.decode()).replace("\r", "")
 
 
-def test_a_person_is_asked_and_asked_again() -> None:
+def test_prompts_repeat_after_invalid_answers() -> None:
     first = ["twice\n", "\n", "1,x\n", "1,1.4\n", "1.2,1.3\n", *["\n"] * 4]
     second = ["\n", "\n", "\n", "0.8,1.2\n", *["\n"] * 4]
     code, shown = talk("init", "robot", answers=first + second)

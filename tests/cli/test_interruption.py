@@ -24,7 +24,7 @@ MOST = 4.0
 """Two seconds, and what a busy machine adds."""
 
 
-def test_ctrl_c_ends_a_command_although_ipopt_ends_its_solve_and_the_program_goes_on() -> None:
+def test_ctrl_c_ends_command_during_ipopt() -> None:
     with started(["--log", "debug", "heat", "plan", RIG]) as process:
         assert process.stderr is not None
         while not COLOUR.sub("", process.stderr.readline()).startswith(
@@ -38,7 +38,7 @@ def test_ctrl_c_ends_a_command_although_ipopt_ends_its_solve_and_the_program_goe
     assert took < MOST
 
 
-def test_a_compiled_loop_in_threads_ends_and_what_is_kept_is_said_as_json_too(tmp_path: Path) -> None:
+def test_interrupted_compiled_loop_reports_saved_results_as_json(tmp_path: Path) -> None:
     out = tmp_path / "out"
     with started(["workspace", THESIS, "--samples", "100000000", "--out", str(out), "--json"]) as process:
         while not (out.exists() and list(out.iterdir())):
@@ -80,7 +80,7 @@ app.program = lambda: solve
     ],
     ids=["while Python imports", "while Python leaves", "in compiled code that makes another error of it"],
 )
-def test_ctrl_c_waits_until_it_can_be_told_and_undoes_nothing(when: str, code: int, printed: str, told: str) -> None:
+def test_ctrl_c_is_delayed_until_it_can_be_reported(when: str, code: int, printed: str, told: str) -> None:
     hear = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"
     script = f"{hear}\n{when}\nfrom tubeopt.cli import main\nmain(['--version'])"
     done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)

@@ -32,7 +32,7 @@ def test_help_has_an_example_and_the_common_flags(run: Run) -> None:
         assert part in outcome.out
 
 
-def test_the_tip_is_where_it_was_asked_to_be(run: Run) -> None:
+def test_tip_reaches_target(run: Run) -> None:
     (found,) = answer(run("ik", THESIS, *TARGET, "--json"))["solutions"]
     robot = load_robot(THESIS)
     tip = forward_kinematics(
@@ -101,7 +101,7 @@ def test_a_table_of_targets_is_followed(run: Run, tmp_path: Path) -> None:
         np.testing.assert_allclose(before.tip_position * 1e3, wanted, atol=1e-4)
 
 
-def test_far_targets_are_led_to_through_others(run: Run, tmp_path: Path) -> None:
+def test_far_targets_get_inserted_targets(run: Run, tmp_path: Path) -> None:
     table = tmp_path / "targets.csv"
     table.write_text("x_mm,y_mm,z_mm\n50,30,150\n62,20,145\n")
     data = answer(run("ik", THESIS, "--targets", str(table), "--follow", "--json"))
@@ -146,7 +146,7 @@ def test_obstacles_are_kept_clear_of(run: Run) -> None:
     assert found["clearance_mm"] >= 1.0
 
 
-def test_a_target_beside_the_plate_ends_with_the_time_limit(run: Run) -> None:
+def test_target_beside_plate_ends_with_time_limit(run: Run) -> None:
     pieces = str(ROOT / "configs" / "robots" / "example_pieces.yaml")
     began = time.perf_counter()
     outcome = run("ik", pieces, "--target-mm", "0.030,0.010,0.045", "--time-limit-s", "0.05")
@@ -158,7 +158,7 @@ def test_a_target_beside_the_plate_ends_with_the_time_limit(run: Run) -> None:
     assert "whether the target can be reached is not known" in words
 
 
-def test_postures_that_the_time_limit_left_out_are_told_of(run: Run) -> None:
+def test_postures_omitted_by_time_limit_are_reported(run: Run) -> None:
     some = run("ik", THESIS, *TARGET, "--all", "--json", "--time-limit-s", "0.3", "--starts", "2000")
     assert answer(some)["timed_out"]
     assert not answer(run("ik", THESIS, *TARGET, "--all", "--json", "--starts", "2"))["timed_out"]

@@ -31,7 +31,7 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_file_says_what_pushes(file: Path) -> None:
+def test_load_file_defines_load(file: Path) -> None:
     assert load_entry(file).build() == Load(
         (0.1, 0, 0),
         gravity=(0, 0, -9.81),
@@ -114,7 +114,7 @@ def test_certified_whatever_pushes(run: Run) -> None:
     assert "certificate_under_force" not in plain
 
 
-def test_how_much_the_robot_bears(run: Run, tmp_path: Path) -> None:
+def test_load_limit_of_robot(run: Run, tmp_path: Path) -> None:
     asked = ["load-limit", THESIS, "--json"]
     turned = ["--from-deg", "0,0,0", "--rotations-deg", "200,0,0", "--tip-force-mN=-10,0,0"]
     limit = answer(run(*asked, *turned))["limit"]

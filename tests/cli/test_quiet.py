@@ -57,7 +57,7 @@ def test_warnings_of_python_are_one_sentence_or_nothing(capsys: pytest.CaptureFi
 @pytest.mark.parametrize(
     ("terminal", "quiet", "shown"), [(True, False, True), (False, False, False), (True, True, False)]
 )
-def test_who_waits_for_a_kernel_at_a_terminal_is_told(
+def test_compilation_is_reported_in_a_terminal(
     terminal: bool, quiet: bool, shown: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)

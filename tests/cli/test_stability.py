@@ -122,7 +122,7 @@ def test_a_snap_in_words(run: Run) -> None:
         assert part in text
 
 
-def test_a_way_without_a_snap(run: Run, tmp_path: Path) -> None:
+def test_joint_path_without_snap(run: Run, tmp_path: Path) -> None:
     outcome = run("snap", THESIS, "--from-deg", "-90,0,0", "--to-deg", "90,0,0", "--out", str(tmp_path))
     assert outcome.code == 0
     assert "does not snap: the branch reaches the end of the path, with margin 1.000" in one_line(outcome.out)
@@ -269,7 +269,7 @@ def test_the_command_that_repeats_a_snap_is_printed_in_one_line(run: Run) -> Non
     assert run(*command.split()[1:]).code == 0
 
 
-def test_certify_when_nothing_is_proved_and_nothing_found(run: Run, tmp_path: Path) -> None:
+def test_certify_undecided(run: Run, tmp_path: Path) -> None:
     scaled(concentric(THESIS), -0.01, tmp_path / "robot.yaml")
     study = tmp_path / "study.yaml"
     study.write_text("kind: certify\nrobot: robot.yaml\n", encoding="utf-8")
@@ -304,7 +304,7 @@ def test_a_snap_that_only_both_tubes_together_reach_is_inside_the_limits(run: Ru
     assert again["snap"]["rotations_deg"] == pytest.approx([inner, outer], abs=1e-6)
 
 
-def test_a_snap_beyond_the_limits_is_not_said_to_be_inside(run: Run, tmp_path: Path) -> None:
+def test_snap_beyond_limits_is_reported_as_outside(run: Run, tmp_path: Path) -> None:
     robot = turned(101.9, tmp_path / "robot.yaml")
     data = answer(run("certify", robot, "--json"), 3)
     assert data["finding"] == "CAN_SNAP"
@@ -363,7 +363,7 @@ def test_certify_a_box(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     assert f"{data['box']['evaluations']} evaluations" in text
 
 
-def test_certify_says_what_a_proof_is_of(run: Run) -> None:
+def test_certify_reports_assumptions_of_proof(run: Run) -> None:
     text = one_line(run("certify", ETR).out)
     assert "thesis ETR cannot snap at any rotation (proved, also at 0.336 of its torsional stiffness)" in text
     assert "the share of torsional stiffness that may be lost with the proof still holding" in text

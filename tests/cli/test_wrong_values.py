@@ -102,7 +102,7 @@ def test_messages_name_the_key_in_its_unit(run: Run, keys: str, words: str, tmp_
     assert words in "\n".join(refused(run("plan", str(tmp_path / "plan.yaml"))))
 
 
-def test_an_empty_trajectory_is_called_empty(run: Run, tmp_path: Path) -> None:
+def test_empty_trajectory_is_reported(run: Run, tmp_path: Path) -> None:
     (tmp_path / "empty.csv").write_text("")
     (message,) = refused(run("verify", str(tmp_path / "empty.csv")))
     assert "empty.csv: the file is empty; its first line must name the columns" in message

@@ -122,7 +122,7 @@ def test_keys_are_in_their_units() -> None:
         ({"marks_mm": []}, "marks_mm has 0 items; it must have at least 1"),
     ],
 )
-def test_what_is_wrong_is_said_in_the_units_of_the_file(data: dict[str, object], message: str) -> None:
+def test_errors_are_reported_in_units_of_file(data: dict[str, object], message: str) -> None:
     with pytest.raises(InputError) as caught:
         read(data | FIRST)
     assert message in str(caught.value)
@@ -188,7 +188,7 @@ def test_numbers_survive_a_file_to_the_last_bit(
     assert read(load_yaml(path)) == rack
 
 
-def test_the_schema_says_what_the_field_says() -> None:
+def test_schema_matches_field() -> None:
     schema = Entry.model_json_schema()
     assert schema["description"] == "A rack for tubes."
     assert schema["properties"]["width_mm"]["description"] == "of the board"
@@ -214,7 +214,7 @@ def test_a_number_or_several(data: dict[str, object], made: Pace) -> None:
     assert check(entry_of(Pace), to_data(made), "").build() == made
 
 
-def test_what_is_wrong_with_one_of_several_is_said() -> None:
+def test_error_in_one_of_several_values_is_reported() -> None:
     with pytest.raises(InputError, match=r"speed_mm_per_s\[1\] is -2; it must be greater than 0"):
         check(entry_of(Pace), {"speed_mm_per_s": [5, -2]}, "")
 
@@ -258,7 +258,7 @@ class Seeded:
         ({"count": 0}, "count is 0; it must be greater than 0"),
     ],
 )
-def test_the_range_of_a_whole_number_in_a_file_is_said_in_whole_numbers(data: dict[str, object], message: str) -> None:
+def test_range_of_whole_number_is_reported_in_whole_numbers(data: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
         check(entry_of(Seeded), data, "")
 
@@ -273,7 +273,7 @@ class Asked(PlainEntry):
     wait_degC: Number
 
 
-def test_a_part_makes_the_dataclass_that_it_asks_for_beside_keys_of_its_own() -> None:
+def test_part_builds_dataclass_with_own_keys() -> None:
     entry = check(PaceEntry, {"places_mm": [1, 2.5], "speed_mm_per_s": 5}, "")
     assert entry.build() == Pace(0.005)
     assert entry.si("places_mm") == (0.001, 0.0025)

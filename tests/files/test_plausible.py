@@ -118,7 +118,7 @@ def test_a_file_is_warned_of_what_its_material_does_not_do(
     assert re.search(words, said[0])
 
 
-def test_a_key_in_another_unit_is_told_with_the_factor(tmp_path: Path) -> None:
+def test_key_in_other_unit_is_reported_with_factor(tmp_path: Path) -> None:
     path = written(tmp_path / "x.yaml", "curvature_per_mm: 0.0107")
     with pytest.raises(InputError) as caught:
         load_robot(path)

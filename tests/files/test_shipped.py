@@ -23,7 +23,7 @@ def empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_every_file_has_a_name_of_its_own_and_says_what_it_is() -> None:
+def test_built_in_files_have_unique_names_and_descriptions() -> None:
     files = [path for ending in ENDINGS for path in FOLDER.glob(f"*/*{ending}")]
     assert len(files) == len(shipped()) > 50
     for name, path in shipped().items():

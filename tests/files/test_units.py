@@ -100,7 +100,7 @@ def test_units_are_those_of_the_international_system() -> None:
     assert {"min", "inch", "kPa", "mAh", "per_cm"} <= set(alike)
 
 
-def test_a_key_in_another_unit_is_said_with_the_factor_to_its_own() -> None:
+def test_key_in_other_unit_is_reported_with_factor_to_its_own() -> None:
     assert suggest_key("hold_min", ["hold_s"]) == "; did you mean 'hold_s', 60 times the number?"
     assert suggest_key("width_inch", ["width_mm"]) == "; did you mean 'width_mm', 25.4 times the number?"
     assert suggest_key("turn_rad", ["turn_deg"]) == "; did you mean 'turn_deg', 57.2958 times the number?"

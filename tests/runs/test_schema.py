@@ -38,7 +38,7 @@ def test_the_files_are_in_step(name: str) -> None:
     assert written == made()[name], "run `python -m tubeopt.runs.schema`"
 
 
-def test_they_are_written_where_asked(tmp_path: Path) -> None:
+def test_schemas_are_written_to_directory(tmp_path: Path) -> None:
     assert {path.name for path in write_schemas(tmp_path / "schema")} == set(made()) == set(WRITTEN)
     assert json.loads((tmp_path / "schema" / "robot.schema.json").read_text())["title"] == "tubeopt robot"
 

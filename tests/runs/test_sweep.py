@@ -55,7 +55,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 # --- what it computes -------------------------------------------------------------------------------------------------
 
 
-def test_tables_of_precurvature_are_found_beside_the_robot(run: Run, tmp_path: Path) -> None:
+def test_precurvature_tables_are_relative_to_robot_file(run: Run, tmp_path: Path) -> None:
     """Whether keys of the robot vary or not, and wherever the sweep is run."""
     (tmp_path / "bend.csv").write_text("arc_length_mm,curvature_x_per_m,curvature_y_per_m\n0,10,0\n20,8,3\n40,5,6\n")
     tube = {
@@ -190,7 +190,7 @@ def test_the_points_of_a_grid() -> None:
     assert list(points)[-1] == points[-1] == {"a": 0.3, "b": "x", "c": "x"}
 
 
-def test_points_are_made_when_they_are_asked_for() -> None:
+def test_points_are_generated_lazily() -> None:
     points = Points((Axis(("a",), None, -1.0, 2.0, 1001), Axis(("b",), None, 0.0, 1.0, 9001)))
     assert points[-1] == {"a": 2.0, "b": 1.0}
     with patch("numpy.linspace", side_effect=AssertionError("all values for one point")):
@@ -234,7 +234,7 @@ def lines(journal: Path) -> list[bytes]:
     return journal.read_bytes().splitlines() if journal.exists() else []
 
 
-def test_killed_in_the_middle_and_resumed(tmp_path: Path) -> None:
+def test_killed_sweep_resumes(tmp_path: Path) -> None:
     script, journal = tmp_path / "run.py", tmp_path / "killed" / "journal.jsonl"
     script.write_text(SCRIPT)
     command = [sys.executable, str(script), str(journal.parent)]
@@ -394,7 +394,7 @@ def test_how_long_a_study_took_is_no_result(run: Run, tmp_path: Path) -> None:
     assert not [column for column in columns if "seconds" in column or "statistics" in column]
 
 
-def test_a_column_of_no_result_is_told(run: Run, tmp_path: Path) -> None:
+def test_column_without_result_is_reported(run: Run, tmp_path: Path) -> None:
     path = written(tmp_path, vary=[{"key": "rotations_deg[1]", "values": [0, 1]}], columns=["margin", "energi_mJ"])
     outcome = run("sweep", path, "--workers", "1", "--out", str(tmp_path / "out"))
     assert outcome.code == 3

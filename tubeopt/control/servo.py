@@ -46,7 +46,7 @@ class Guard:
         self.options = options
         self.space: JointSpace = joint_space(robot, limits).holding(*shift_of(robot, start))
         self.scene: Scene = scene_of(checked_obstacles(obstacles))
-        self._lookout = ClearanceMonitor(self.scene)
+        self._monitor = ClearanceMonitor(self.scene)
         self.here = self.before = start_posture(self.space, start)
         """Where the robot is, and where it was before the last step."""
         self.sight = 0.0
@@ -75,7 +75,7 @@ class Guard:
                 continue
             posture = Posture(self.space, q, there)
             if self.scene.bodies:
-                posture.outline.look_around(self._lookout, self.sight)
+                posture.outline.look_around(self._monitor, self.sight)
                 if (missing := self._missing(posture)) > 0 and missing > self._missing(here):
                     continue
             self.here = posture
