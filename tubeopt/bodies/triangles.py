@@ -43,7 +43,7 @@ class Grid(NamedTuple):
     """Start of the first column (2,), m."""
     width: Array
     """Widths of a column (2,), m."""
-    count: int
+    side: int
     """Number of columns along each side."""
 
 
