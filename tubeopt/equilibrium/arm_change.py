@@ -28,7 +28,7 @@ TIP = 1e-9
 """Distance (m) from the tip up to which a force acts at it."""
 
 AHEAD = 100 * SAME_END
-"""How far (m) the fastest end moves, to see whether a moment passes from one tube to another."""
+"""Motion (m) of the fastest end, to test whether a moment passes from one tube to another."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class Section:
 
 
 class ArmChange(Directions):
-    """How an arm answers to directions, computed where it is asked for.
+    """Derivatives of an arm in equilibrium in Q directions, computed when they are read.
 
     Raises:
         InputError: the tip draws back from under a force or moment that acts where it is.
@@ -50,7 +50,7 @@ class ArmChange(Directions):
 
     @cached_property
     def forcing(self) -> Forcing:
-        """All that the directions change."""
+        """Derivatives of the equations in all directions, with the motion of breakpoints."""
         forcing = self.entered.forcing
         forcing.jumps[:] += (self.strips.onto[:, None] * self._gains.T) @ self.widths
         return forcing
@@ -66,13 +66,12 @@ class ArmChange(Directions):
 
     @cached_property
     def _values_there(self) -> tuple[Array, Array, Array, Array]:
-        """Torque, curvature, bending energy and stretch of the cross-sections that strips uncover, then of what was
-        there."""
+        """Torque, curvature, bending energy and stretch in the strips after the motion, then before it."""
         return values_of(self.given_there, self.here.offsets)
 
     @cached_property
     def _rates_there(self) -> Array:
-        """(2 T, 2 n + 6) rates of the state there."""
+        """(2 T, 2 n + 6) derivatives of the state with respect to arc length in the strips."""
         here, points, n = self.here, self.strips, self.n
         index, count = points.index, len(points.index)
         both = np.concatenate([index, index])
@@ -97,25 +96,25 @@ class ArmChange(Directions):
 
     @property
     def _torque_there(self) -> Array:
-        """(2 T, n) torques there."""
+        """(2 T, n) torques at the strips."""
         here, index = self.here, self.strips.index
         torque = (here.torque_plate_side if self.side < 0 else here.torque_tip_side)[index]
         return np.concatenate([torque, torque])
 
     def _gained(self, there: Array) -> Array:
-        """(T, ...) gained per width of a strip, of what is there (2 T, ...)."""
-        # A breakpoint that moves uncovers what is new and covers what was: the jump of the rates counts.
+        """(T, ...) change per width of a strip of a quantity per length (2 T, ...), after and before the motion."""
+        # A breakpoint that moves replaces one cross-section by another: the jump of the quantity counts.
         new, old = (there.T * self.strips.there).T.reshape(2, -1, *there.shape[1:])
         return np.asarray(self.side * (new - old))
 
     @cached_property
     def _gains(self) -> Array:
-        """(T, 2 n + 6) what the rates of the state gain per width of a strip."""
+        """(T, 2 n + 6) change of the state per width of a strip."""
         return self._gained(self._rates_there) if len(self.strips.index) else np.zeros((0, self.here.size))
 
     @cached_property
     def _stored(self) -> Array:
-        """(T,) what the elastic energy per length gains per width of a strip."""
+        """(T,) change of the elastic energy per width of a strip, J/m."""
         if not len(self.strips.index):
             return np.zeros(0)
         # Bending energy and torsion: t phi' / 2 per length, phi' = g t / kt.
@@ -124,7 +123,7 @@ class ArmChange(Directions):
 
     @cached_property
     def given_there(self) -> SectionInputs:
-        """theta, kb, m (2 T, n) and b (2 T, 2) of what strips uncover, then of what was there."""
+        """theta, kb, m (2 T, n) and b (2 T, 2) in the strips after the motion, then before it."""
         here, points = self.here, self.strips
         index, tubes = points.index, points.sections
         frame, moment = here.end_frame[index], here.moment_plate_side if self.side < 0 else here.moment_tip_side
@@ -134,7 +133,7 @@ class ArmChange(Directions):
 
     @cached_property
     def response(self) -> Response:
-        """Of the arm."""
+        """Derivatives of the state along the arm."""
         forcing = self.forcing
         here, load = self.here, self.here.load
         if load is not None:
@@ -145,7 +144,7 @@ class ArmChange(Directions):
         return here.respond(forcing)
 
     def _must_stay(self) -> None:
-        """Refuse motions that draw the tip, or the end of a tube, from under what acts there."""
+        """Raise an error for motions that retract the tip or the end of a tube from a load that acts there."""
         here, ends, points = self.here, self.assembly.end, self.breakpoints
         assert here.load is not None
         tip = self.cuts[-1]
@@ -175,7 +174,7 @@ class ArmChange(Directions):
 
     @property
     def pushed(self) -> Array:
-        """(3, Q) motion of the tip with the tubes that push it out, or that alone hold it there."""
+        """(3, Q) motion of the tip along its axis with the tubes that end there, m."""
         return np.asarray(self.here.end_frame[-1, :, 2, None] * self._longer)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""What tubes off the centreline add to an equilibrium: where each runs and how long it is; segments as a chain."""
+"""Centrelines and lengths of eccentric tubes; a segmented robot as a chain of separate segments."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .result import Equilibrium
 
 
 def tube_centrelines(equilibrium: Equilibrium) -> Array:
-    """(n, m, 3) m: the centreline of every tube, p + R (d cos phi, d sin phi, 0), at the m arc lengths of the arm.
+    """(n, m, 3) centreline of every tube, p + R (d cos phi, d sin phi, 0), m, at the m arc lengths of the arm.
 
     NaN beyond a tube's own end, and everywhere for a tube that does not reach past the plate.
     """
@@ -56,25 +56,25 @@ def tube_lengths(equilibrium: Equilibrium) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SegmentChain:
-    """A segmented eccentric robot as a chain of segments, each solved for itself with its tubes on the centreline."""
+    """Segmented eccentric robot as a chain of segments, each solved alone with its tubes on the centreline."""
 
     robot: SegmentedEccentricRobot
     rotations: Array
-    """(3 k,) rad, as given."""
+    """(3 k,) joint rotations, rad."""
     translations: Array
-    """(3 k,) m, as given."""
+    """(3 k,) joint translations, m."""
     segments: tuple[Equilibrium, ...]
     """Equilibrium of every segment in front of the plate in its own frame, base to tip."""
     start: Array
-    """(len(segments),) arc length where each begins to curve, m."""
+    """(len(segments),) arc lengths at which the segments begin to curve, m."""
     arc_length: Array
-    """(m,) arc lengths, m."""
+    """(m,) arc lengths of the points, m."""
     position: Array
-    """(m, 3) the chained centreline, m."""
+    """(m, 3) points of the chained centreline, m."""
     tip_position: Array
-    """(3,) its end in the plate frame, m."""
+    """(3,) tip in the plate frame, m."""
     tip_rotation: Array
-    """(3, 3) its frame there."""
+    """(3, 3) frame of the tip in the plate frame."""
 
     def full_model(self) -> Equilibrium:
         """The coupled equilibrium of the whole robot on the chain's branch, followed from the same tubes at d = 0.

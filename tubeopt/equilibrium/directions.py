@@ -1,6 +1,6 @@
-"""What joint values, dimensions and stiffnesses of the tubes change of an arm in equilibrium, at fixed arc lengths.
+"""Changes of the equations of an arm with joint values, dimensions and stiffnesses of the tubes, at fixed arc lengths.
 
-A tube that moves carries what varies along it past every point, and moves its breakpoints.
+A tube that moves carries its varying properties past every point, and moves its breakpoints.
 """
 
 from __future__ import annotations
@@ -26,29 +26,33 @@ from ..typing import Array, Index, Mask
 
 # --- Strips of the arm that moving breakpoints uncover ----------------------------------------------------------------
 
-# Breakpoints of the tubes move, and uncover strips in which there are other tubes.
+# A breakpoint that moves uncovers a strip of the arm in which other tubes are present than before.
 
 SAME_SPEED = 1e-12
-"""Part of the greatest speed below which speeds of breakpoints that coincide differ by round-off alone."""
+"""Fraction of the largest speed below which speeds of coinciding breakpoints differ by round-off only."""
 
 
 @dataclass(frozen=True, eq=False)
 class Breakpoints:
-    """J breakpoints in front of the plate or at it: the `tube` that has each, its `place` (m), whether it is the `end`
-    of the tube, the `index` of the piece that begins there, and numbers of those that coincide, `together`."""
+    """J breakpoints of the tubes in front of the plate or at it."""
 
     tube: Index
+    """(J,) tube of each breakpoint."""
     place: Array
+    """(J,) arc lengths, m."""
     end: Mask
+    """(J,) True where it is the end of the tube."""
     index: Index
+    """(J,) piece of the mesh that begins there."""
     together: tuple[tuple[int, ...], ...]
+    """Groups of breakpoints that coincide."""
     of_tubes: Array
     """(J, n) 1 where a tube has the breakpoint, 0 elsewhere."""
 
 
 @lru_cache(maxsize=64)
 def breakpoints_of(assembly: Assembly, between: bytes) -> Breakpoints:
-    """Those of all tubes; `between` are the arc lengths (P + 1,) between the pieces."""
+    """Breakpoints of all tubes; `between` are the bytes of the arc lengths (P + 1,) between the pieces."""
     each = [_places(assembly, i) for i in range(assembly.n_tubes)]
     # Breakpoints behind the plate are out of the arm; one at the plate may move into it.
     own = [(i, s, k == len(row) - 1) for i, row in enumerate(each) for k, s in enumerate(row) if s > -ROUND_OFF]
@@ -63,24 +67,28 @@ def breakpoints_of(assembly: Assembly, between: bytes) -> Breakpoints:
 
 
 class Strip(NamedTuple):
-    """What breakpoints that coincide uncover between two of their shifted places: those of `past` moved beyond it. It
-    lies on the side of the tip or, with `plate_side`, of the plate; places are numbers of breakpoints."""
+    """Stretch of the arm between two shifted positions of coinciding breakpoints."""
 
     together: tuple[int, ...]
+    """Breakpoints that coincide."""
     past: tuple[int, ...]
+    """Breakpoints that have moved beyond the strip."""
     plate_side: bool
+    """True if the strip lies on the plate's side of the common position."""
 
 
 @lru_cache(maxsize=64)
 def strips_of(points: Breakpoints, columns: int, speeds: bytes) -> tuple[tuple[Strip, ...], Array]:
-    """The strips (T,) that Q `columns` of directions uncover and their widths (T, Q), if breakpoints move towards the
-    tip at `speeds` (J, Q). The order in which the places are then decides which tubes are in a strip."""
+    """Strips (T,) uncovered by Q `columns` of directions, and their widths (T, Q), with speeds (J, Q) towards the tip.
+
+    The order of the shifted breakpoints decides which tubes are present in a strip.
+    """
     speed = np.frombuffer(speeds).reshape(-1, columns)
     widths: dict[Strip, Array] = {}
     for own in points.together:
         in_front, rows = bool(points.place[own[0]] > ROUND_OFF), speed[[*own]]
         if len(own) == 1:
-            # One that is behind or at the plate uncovers only what it moves in front of it.
+            # A breakpoint at the plate uncovers a strip only if it moves in front of it.
             widths[Strip(own, own, False)] = rows[0] if in_front else np.maximum(rows[0], 0.0)
             continue
         alike: dict[tuple[float, ...], list[int]] = {}
@@ -88,7 +96,7 @@ def strips_of(points: Breakpoints, columns: int, speeds: bytes) -> tuple[tuple[S
             # Directions with equal speeds uncover equal strips, so each pattern is sorted once.
             alike.setdefault(tuple(rows[:, column].tolist()), []).append(column)
         for pace, those in alike.items():
-            # Shifted places in their order; between two of them lie those that moved farther.
+            # Shifted positions in order; in front of each strip are the breakpoints that moved farther.
             levels = sorted([0.0, *pace])
             least = SAME_SPEED * max(levels[-1], -levels[0])
             for low, high in pairwise(levels):
@@ -101,13 +109,16 @@ def strips_of(points: Breakpoints, columns: int, speeds: bytes) -> tuple[tuple[S
 
 @dataclass(frozen=True, eq=False)
 class Uncovered:
-    """Of T strips: the `index` of the piece that begins there and 2 T cross-sections, of what the motion uncovers, then
-    of what was there; `there` (2 T,) whether there is any tube, and the `outermost` one."""
+    """Cross-sections of T strips after the motion, then before it (2 T)."""
 
     index: Index
+    """(T,) piece of the mesh that begins at each strip."""
     sections: CrossSections
+    """(2 T) cross-sections."""
     there: Mask
+    """(2 T,) True where any tube is present."""
     outermost: Index
+    """(2 T,) outermost tube that is present."""
     onto: Array
     """(P + 1, T) 1 where the piece of a row begins, 0 elsewhere."""
 
@@ -118,30 +129,30 @@ class Uncovered:
 
     @cached_property
     def stiffness(self) -> Array:
-        """(2 T, n) kb; 1 where there is no tube, where a cross-section cannot be asked."""
+        """(2 T, n) kb; 1 without any tube, where a cross-section could not be evaluated."""
         return np.where(self.there[:, None], self.sections.stiffness, 1.0)
 
     @cached_property
     def grown(self) -> Array:
-        """(T,) 1 where a strip that the tip uncovers is new, -1 where there is none any more, else 0."""
+        """(T,) 1 where the tip extends the arm by a strip, -1 where it shortens it, else 0."""
         new, old = self.there.reshape(2, -1)
         return np.asarray(new * 1.0 - old)
 
 
 @lru_cache(maxsize=64)
 def uncovered_by(assembly: Assembly, between: bytes, strips: tuple[Strip, ...]) -> Uncovered:
-    """What strips uncover; `between` as for `breakpoints_of`."""
+    """Cross-sections in strips; `between` as in `breakpoints_of`."""
     points, count = breakpoints_of(assembly, between), len(strips)
     first = np.array([strip.together[0] for strip in strips], dtype=np.intp)
     place = points.place[first]
-    # Breakpoints that have moved beyond each cross-section: of what is uncovered, then of what was there.
+    # Breakpoints that have moved beyond each cross-section: after the motion, then before it.
     each = [strip.past for strip in strips] + [strip.together if strip.plate_side else () for strip in strips]
     row = [k for k, moved in enumerate(each) for _ in moved]
     beyond = np.zeros((2 * count, len(points.place)))
     beyond[row, [j for moved in each for j in moved]] = 1.0
     both = np.concatenate([place, place])
     side = both[:, None] + ROUND_OFF
-    # A tube whose breakpoint moved beyond is still what it was before it: its place is on the plate's side.
+    # A tube whose breakpoint moved beyond continues as before the breakpoint: it is evaluated on the plate's side.
     near = side - 2 * ROUND_OFF * (beyond @ points.of_tubes)
     # Where a curved part begins to grow its end moves alone.
     bends = side - 2 * ROUND_OFF * ((beyond * ~points.end) @ points.of_tubes)
@@ -164,8 +175,10 @@ def _places(assembly: Assembly, tube: int) -> list[float]:
 
 
 def _sections(assembly: Assembly, s: Array, near: Array, present: Mask) -> CrossSections:
-    """The tubes at arc lengths (X,), each on the side of (X, n), straight behind where it is held, and (X, n) which are
-    there."""
+    """Cross-sections at arc lengths (X,), each tube on the side `near` (X, n), with `present` (X, n) tubes.
+
+    Tubes are straight behind their clamped ends.
+    """
     if assembly.lengthwise is not None:
         side = near + assembly.transmission
         here = assembly.lengthwise.at(s[:, None] + assembly.transmission, side, present)
@@ -177,7 +190,7 @@ def _sections(assembly: Assembly, s: Array, near: Array, present: Mask) -> Cross
 
 
 PARAMETERS = ("rotations", "translations", *DIMENSIONS)
-"""What an equilibrium is differentiated by, n columns each, per rad, per m, or per SI unit of the dimension."""
+"""Parameters of the derivatives of an equilibrium, n columns each, per rad, per m, or per SI unit."""
 
 
 def check_wrt(wrt: Sequence[str], side: int) -> None:
@@ -191,42 +204,50 @@ def check_wrt(wrt: Sequence[str], side: int) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What an unknown changes at fixed arc lengths: int ds / kt up to the plate (n,), at the points (P, K, n) 1 / kt,
-    kb, m and phase, and the natural turn (n,) up to the ends of the tubes."""
+    """Derivatives of the tubes at fixed arc lengths with respect to one parameter; (P, K, n) at the points."""
 
     transmission: Array
+    """(n,) of int ds / kt up to the plate."""
     rate: Array
+    """(P, K, n) of 1 / kt."""
     stiffness: Array
+    """(P, K, n) of kb."""
     moment: Array
+    """(P, K, n) of m."""
     phase: Array
+    """(P, K, n) of the phase of the precurvature."""
     wound: Array
+    """(n,) of the natural twist up to the ends of the tubes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Entered:
-    """What directions change: `forcing`, but for breakpoints; the natural turn (n, Q) up to the ends of the tubes,
-    `wound`; by how much each moves the breakpoints, `speed` (J, Q)."""
+    """Derivatives of the equations in Q directions."""
 
     forcing: Forcing
+    """Derivatives without the motion of breakpoints."""
     wound: Array
+    """(n, Q) derivatives of the natural twist up to the ends of the tubes."""
     speed: Array
+    """(J, Q) motion of the breakpoints towards the tip."""
 
 
 class Directions:
-    """Q directions in which an arm is changed: by what `wrt` names of its n tubes, n columns each.
+    """Q directions of change of an arm: the parameters named by `wrt`, n columns each.
 
-    Where breakpoints coincide they are directional: those along a sum of parameters are not the sum of those by each.
+    Where breakpoints coincide derivatives are directional: along a sum of parameters they are not the sum of those
+    along each.
 
     Args:
-        here: the arm in equilibrium.
-        tubes: of which it is.
-        margin: of the equilibrium.
+        here: arm in equilibrium.
+        tubes: tubes of the arm.
+        margin: margin of the equilibrium.
         wrt: names of PARAMETERS.
         side: 1 for parameters that grow, so that breakpoints move towards the tip, -1 for those that shrink: where
             breakpoints coincide the derivatives differ.
         more: changes of the tubes at fixed arc lengths, one further column each.
-        along: (L, Q) directions, by what `wrt` and `more` give, that replace these L columns; as where a group of tubes
-            moves at once. Where moments act, no direction moves breakpoints to both sides.
+        along: (L, Q) combinations of the L columns of `wrt` and `more` that replace them, as for a group of tubes that
+            moves together. Where moments act, no direction moves breakpoints to both sides.
 
     Raises:
         InputError: a name that is not among PARAMETERS, or a side that is neither 1 nor -1.
@@ -252,7 +273,7 @@ class Directions:
 
     @cached_property
     def entered(self) -> Entered:
-        """What they change."""
+        """Derivatives of the equations in all directions."""
         here, n, size = self.here, self.n, self.n * len(self.wrt) + len(self._more)
         points, bases = (here.pieces, here.degree), np.zeros((3, n, size))
         forcing = Forcing(
@@ -286,7 +307,7 @@ class Directions:
 
     @cached_property
     def _uncovering(self) -> tuple[Uncovered, Array]:
-        """What the directions uncover, and the widths (T, Q) of the strips."""
+        """Cross-sections in the strips that the directions uncover, and the widths (T, Q) of the strips."""
         strips, widths = strips_of(self.breakpoints, self.size, (self.side * self.entered.speed).tobytes())
         return uncovered_by(self.assembly, self.cuts.tobytes(), strips), widths
 

@@ -1,4 +1,4 @@
-"""Results on disk: `result.json` to read, `arrays.npz` for what runs along the arm. SI units, as in the library."""
+"""Equilibria on disk: `result.json` for reading, `arrays.npz` for arrays along the arm. SI units."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ from ..typing import Array
 from .result import Accuracy, Equilibrium, Status
 
 LOAD_FIELDS = ("load", "work", "point_curvature", "friction")
-"""What a file written without loads and friction does not have."""
+"""Fields that a file written without loads and friction does not have."""
 
 PARTS = {"arm": ArmShape, "points": CollocationPoints, "accuracy": Accuracy}
-"""Fields of an equilibrium that a file has one by one."""
+"""Parts of an equilibrium whose fields a file has one by one."""
 
 ALONG_THE_ARM = tuple(field.name for field in dataclasses.fields(ArmShape))
 """Arrays with a value per point; all others are short enough to be read in `result.json`."""
 
 TIP = ("tip_position", "tip_rotation")
-"""What a file tells of the arm for whoever reads it."""
+"""Fields of the arm that a file has for its readers only."""
 
 
 def _types() -> dict[str, Any]:
-    """What `result.json` holds, and of which type."""
-    held: dict[str, Any] = {}
+    """Names and types of the fields of `result.json`."""
+    types: dict[str, Any] = {}
     for name, kind in typing.get_type_hints(Equilibrium).items():
         if name == "arm":
-            held |= dict.fromkeys(TIP, Array)
+            types |= dict.fromkeys(TIP, Array)
         elif name in PARTS:
-            held |= typing.get_type_hints(PARTS[name])
+            types |= typing.get_type_hints(PARTS[name])
         elif name != "_brief":
-            held[name] = kind
-    return held
+            types[name] = kind
+    return types
 
 
 ARRAYS = tuple(name for name, kind in _types().items() if kind == Array)
@@ -68,7 +68,7 @@ def _record_model() -> type[BaseModel]:
     optional = {field.name: field.default for field in dataclasses.fields(Equilibrium) if field.name in LOAD_FIELDS}
     optional["point_curvature"] = []
     fields: dict[str, Any] = {name: (kind, optional.get(name, ...)) for name, kind in types.items()}
-    # Not-a-number and infinity, which a failed solve may hold, have no numeral in JSON: they are written as text.
+    # NaN and infinity, which a failed solve may have, are no JSON numbers: they are written as text.
     config = ConfigDict(extra="forbid", ser_json_inf_nan="strings")
     return create_model("EquilibriumRecord", __config__=config, arrays_sha256=(str, ...), **fields)
 
@@ -96,7 +96,7 @@ def save_equilibrium(equilibrium: Equilibrium, directory: str | PathLike[str]) -
 
 @typed
 def load_equilibrium(directory: str | PathLike[str]) -> Equilibrium:
-    """The equilibrium that `save_equilibrium` wrote into `directory`, equal in every bit.
+    """Read the equilibrium that `save_equilibrium` wrote into `directory`, equal in every bit.
 
     Raises:
         InputError: a file is missing, is not what was written, or the two are not of the same solve.

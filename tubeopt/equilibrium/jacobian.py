@@ -28,7 +28,7 @@ from .problem import loaded_problem, loading_of
 from .result import Equilibrium, Jacobian
 
 JOINTS = ("rotations", "translations")
-"""What a Jacobian is taken with respect to unless asked otherwise."""
+"""Default parameters of a Jacobian."""
 
 SAME_ARM = 1e-9
 """Rotations that differ by less, rad, are of one arm."""

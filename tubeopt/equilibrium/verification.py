@@ -1,11 +1,11 @@
-"""A check of an equilibrium that shares nothing with the solver but the tubes: adaptive integration of the equations.
+"""Independent verification of an equilibrium by adaptive integration of its equations.
 
-From the solved values at the plate, torque, bending moment and shape are integrated to the tip by DOP853 (SciPy) with
-tolerance 1e-12, from one breakpoint to the next, with the physics written out once more in NumPy; every tube is read
-piece by piece. Loads are those of Rucker, Jones and Webster, IEEE T-RO 26 (2010): with the force n and the bending
-moment m on the cross-sections, the torques t_i on them and what acts per length, f and l,
+It shares only the tubes with the solver. From the solved values at the plate, torque, bending moment and shape are
+integrated to the tip by DOP853 (SciPy) with tolerance 1e-12, from one breakpoint to the next; the physics is written
+once more, in NumPy. Loads are those of Rucker, Jones and Webster, IEEE T-RO 26 (2010): with the force n and the bending
+moment m on the cross-sections, the torques t_i, and force and moment per length f and l,
 
-    u = (m + sum of pulls) / sum kb,    n' = -f,    m' = -u x t + n x e3 - l  in the Bishop frame,
+    u = (m + sum kb_i u*_i e^(j theta_i)) / sum kb_i,    n' = -f,    m' = -u x t + n x e3 - l  in the Bishop frame,
 
 and at the tip n and m are the force and the moment there.
 """
@@ -32,10 +32,10 @@ from .result import Equilibrium, Verification, refuse_friction, small_turn
 TOLERANCE = 1e-12
 
 ROUND_OFF = 4e-16
-"""Relative change of a curvature that is none."""
+"""Relative change of a curvature by round-off."""
 
 SAME_PLACE = 1e-12
-"""Distance (m) of places that are one: round-off of a length."""
+"""Distance (m) up to which two positions are equal: round-off of a length."""
 
 
 def verify_equilibrium(equilibrium: Equilibrium) -> Equilibrium:
@@ -110,7 +110,7 @@ def _frame(state: Array, n: int) -> Array:
 
 
 def _past_points(equilibrium: Equilibrium, assembly: Assembly, s: float, state: Array, *, ending: bool) -> Array:
-    """The state beyond the forces and moments that act at an arc length; at the tip where a section is `ending`."""
+    """State beyond the forces and moments that act at arc length s; `ending`: also those at the tip."""
     n, out, load = assembly.n_tubes, state.copy(), equilibrium.load or Load()
     for part in load.acting if ending else load.points:
         axes, place = np.eye(3), part.at
@@ -118,7 +118,7 @@ def _past_points(equilibrium: Equilibrium, assembly: Assembly, s: float, state: 
             axes = equilibrium.tip_rotation if load.frame == "tip" else axes
             place = max(s, float(assembly.end[last_tube(assembly.end)]))
         if abs(place - s) < SAME_PLACE:
-            # Beyond a point load what lies ahead lacks it: moments and force drop by its own.
+            # The cross-section transmits the loads beyond it: past a point load force and moment drop by it.
             moment = _frame(state, n).T @ axes @ part.moment
             out[n + twisted_tube(assembly.end, s)] -= moment[2]
             out[-5:-3] -= moment[:2]
@@ -127,13 +127,12 @@ def _past_points(equilibrium: Equilibrium, assembly: Assembly, s: float, state: 
 
 
 Stretch = tuple[float, float, tuple[Quantity, ...]]
-"""Where one begins along its tube from where that is held, and where it ends, m; kb, kt and u* (3) along it."""
+"""(start, end) from the clamped end of its tube, m; kb, kt and u* (3) along it."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Arms:
-    """B equilibria of a robot under a load, their tubes as they are placed, and what each tube is along itself, read
-    from its pieces alone."""
+    """B equilibria of a robot under a load, with their assemblies and the properties of each tube along itself."""
 
     equilibria: Sequence[Equilibrium]
     load: Load
@@ -142,7 +141,7 @@ class _Arms:
 
     @staticmethod
     def of(equilibria: Sequence[Equilibrium]) -> _Arms:
-        """Those of a list."""
+        """Arms of a list of equilibria of one robot under one load."""
         robot, load, along = equilibria[0].robot, equilibria[0].load or Load(), []
         for tube in robot.tubes:
             own, begin = [], 0.0
@@ -155,16 +154,16 @@ class _Arms:
 
     @property
     def robot(self) -> Robot:
-        """Of all of them."""
+        """Robot of all equilibria."""
         return self.equilibria[0].robot
 
     @property
     def n_sections(self) -> int:
-        """The most that one of them has."""
+        """Largest number of sections of an arm."""
         return max(assembly.n_sections for assembly in self.assemblies)
 
     def past_points(self, rows: Index, s: Array, state: Array, *, ending: bool = False) -> Array:
-        """The states of some of them beyond the forces and moments that act at arc lengths (B,)."""
+        """States of some arms beyond the forces and moments that act at arc lengths (B,)."""
         if self.load == Load():
             return state
         each = zip(rows.tolist(), s.tolist(), state, strict=True)
@@ -173,7 +172,7 @@ class _Arms:
         )
 
     def section(self, k: int) -> _Section:
-        """The k-th from the plate, of arms that have so many."""
+        """Section k from the plate, of all arms that have it."""
         rows = np.array([b for b, assembly in enumerate(self.assemblies) if k < assembly.n_sections], dtype=np.intp)
         some = [self.assemblies[b] for b in rows]
         start, length = (np.array([getattr(each, name)[k] for each in some]) for name in ("start", "length"))
@@ -190,8 +189,7 @@ class _Arms:
         return replace(section, everywhere=section.tubes(0.5)) if still else section
 
     def base(self) -> Array:
-        """(B, 2n + 17) theta, t, R, p, m, n behind the plate: the torque is kt (theta' / g - u*_z), with moments at the
-        plate."""
+        """(B, 2n + 17) theta, t, R, p, m, n behind the plate; the torque is kt (theta' / g - u*_z)."""
         states = []
         for each in self.equilibria:
             wrench, none = each.base_wrench, np.zeros(self.robot.n_tubes)
@@ -202,7 +200,7 @@ class _Arms:
             section = self.section(0)
             _, kt, _, z = tubes = section.tubes(0.0)
             slope = np.array([self.equilibria[b].torsion[:, 0] for b in section.rows])
-            # As on the arm, less what the points at the plate take away.
+            # The torques on the arm and those of point loads at the plate.
             beyond = self.past_points(section.rows, 0 * section.start, state[section.rows])
             # theta' = g (u*_z + t / kt), solved for t.
             torque = kt * (slope / section.bent(tubes, beyond)[2] - z) - beyond[:, n : 2 * n]
@@ -210,7 +208,7 @@ class _Arms:
         return state
 
     def transmitted(self, assembly: Assembly, torque: Array) -> Array:
-        """(n,) turn of the tubes between where they are held and the plate, rad."""
+        """(n,) rotation of the tubes from their clamped ends to the plate, rad."""
         out = np.zeros(assembly.n_tubes)
         for i, (own, held) in enumerate(zip(self.along, assembly.transmission.tolist(), strict=True)):
             for begin, end, (_, kt, _, _, z) in own:
@@ -226,8 +224,11 @@ class _Arms:
 
 @dataclass(frozen=True, eq=False)
 class _Section:
-    """A section of B arms, `rows`, from one arc length to another (B,), m: mass per length (B,), kg/m; by arm and tube
-    from where its stretch runs and what it is there, None where it has ended. Places are fractions of the section."""
+    """One section of B arms, `rows`, between arc lengths `start` and `stop` (B,), m. Positions x are fractions of it.
+
+    `mass` (B,) is per length, kg/m. `parts` has for each arm and tube the start of its stretch and kb, kt and u* along
+    it, None where the tube has ended.
+    """
 
     assembly: Assembly
     load: Load
@@ -240,16 +241,16 @@ class _Section:
 
     @cached_property
     def there(self) -> Mask:
-        """(B, n) whether a tube is there."""
+        """(B, n) True where a tube is present."""
         return np.array([[part is not None for part in row] for row in self.parts])
 
     @cached_property
     def loaded(self) -> bool:
-        """Whether anything acts on the arms."""
+        """True if there is an external load."""
         return self.load != Load()
 
     def places(self, x: float) -> Array:
-        """(B,) m."""
+        """(B,) arc lengths at a fraction of the section, m."""
         return self.start + x * (self.stop - self.start)
 
     def tubes(self, x: float) -> tuple[Array, ...]:
@@ -281,7 +282,7 @@ class _Section:
         return u, pull, g
 
     def rates(self, x: float, state: Array) -> Array:
-        """(B, 2n + 17) of theta, t, R, p, m, n by arc length."""
+        """(B, 2n + 17) derivatives of theta, t, R, p, m, n with respect to arc length."""
         count, n = self.there.shape
         torque = state[:, n : 2 * n]
         frame, out = state[:, 2 * n : 2 * n + 9].reshape(count, 3, 3), np.zeros(state.shape)
@@ -300,7 +301,7 @@ class _Section:
         return out
 
     def _loaded(self, x: float, state: Array, u: Array, out: Array) -> None:
-        """Add what a load makes of rates of torques, moments and forces."""
+        """Add the effect of a load to the derivatives of torques, moments and forces."""
         count, n = self.there.shape
         frame = state[:, 2 * n : 2 * n + 9].reshape(count, 3, 3)
         per_length = self.load.per_length(self.places(x))
@@ -315,10 +316,10 @@ class _Section:
         out[:, -3:] = -along
 
     def integrated(self, state: Array) -> Array:
-        """The states at the end, from those at the beginning."""
-        # Sections of different arms as fractions: one right-hand side for all.
+        """States at the end of the section, from those at its start."""
+        # Sections of different arms have different lengths: integrated over fractions, they share one step size.
         long = (self.stop - self.start)[:, None]
-        # The error is a mean over all arms, so that each alone may have the root of their number times as much.
+        # The solver bounds the root mean square over all arms: one arm may have sqrt(B) times as much.
         tight = dict.fromkeys(("rtol", "atol"), TOLERANCE / np.sqrt(len(state)))
         run = scipy.integrate.solve_ivp(
             lambda x, flat: (long * self.rates(x, flat.reshape(state.shape))).ravel(),
