@@ -172,7 +172,7 @@ def test_answers_about_stability() -> None:
     assert answers[3].value is True
     chart = stability_map(THESIS, samples=3, directions=4, workers=1)
     assert chart.value.shape == (3, 3)
-    assert (chart.statistics.ways, chart.statistics.directions) == (9, 4)
+    assert (chart.statistics.paths, chart.statistics.directions) == (9, 4)
     assert (str(chart.status) == "the robot snaps on none of the paths") == (not chart.snaps.any())
 
 

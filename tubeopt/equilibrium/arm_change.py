@@ -1,6 +1,6 @@
-"""How an arm in equilibrium answers to directions: its tip, its shape, its energy.
+"""Derivatives of an arm in equilibrium: of its tip, shape and energy.
 
-A breakpoint that moves uncovers a stretch with other tubes, which is a jump of all rates there.
+A breakpoint that moves uncovers a strip with other tubes: there all derivatives with respect to arc length jump.
 """
 
 from __future__ import annotations

@@ -435,17 +435,17 @@ class Directions:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Pieces, points, tubes."""
+        """Numbers of pieces, of points on each, and of tubes."""
         return self.here.pieces, self.here.degree, self.n
 
     @property
     def place(self) -> Array:
-        """(P, K, n) where the points lie on the tubes, m from their held ends."""
+        """(P, K, n) positions of the points on the tubes, m from their clamped ends."""
         return self._arc_length[..., None] + self.assembly.transmission
 
     @property
     def table(self) -> Lengthwise:
-        """What tubes made of pieces are along them."""
+        """Properties of tubes made of pieces along them."""
         assert self.assembly.lengthwise is not None
         return self.assembly.lengthwise
 

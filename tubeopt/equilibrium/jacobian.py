@@ -140,17 +140,17 @@ def position_slopes(equilibrium: Equilibrium, carriages: Carriages | None = None
 # a step back: the eigenvectors are not solved for again. Of the symmetric part w is v.
 
 STEP = 1e-5
-"""Of the differences: rad, and as a share of the arm's length, of one over it, or of a stiffness."""
+"""Step of the differences: rad, or a fraction of the arm's length, of its inverse, or of a stiffness."""
 
 APART = 1e-6
 """Distance of two eigenvalues, and cosine of a left and a right eigenvector, below which there is no derivative."""
 
 Side = tuple[Robot, Array, tuple[float, ...]]
-"""A robot and its joint values."""
+"""Robot, rotations (n,) and translations (n,)."""
 
 
 def unit_of(e: Equilibrium, name: str, tube: int) -> float:
-    """By what a step is measured: it turns the tip by about as much, in rad."""
+    """Unit of a step: a change by it turns the tip by about 1 rad."""
     length = float(e.arc_length[-1])
     match name:
         case "rotations":

@@ -114,12 +114,12 @@ class _Wave:
 
     @property
     def weights(self) -> tuple[Array, Array, Array, Array]:
-        """What the section function `mode` weighs with, (N, n) each."""
+        """Weights of the section function `mode`, (N, n) each."""
         kt = self.problem.assembly.torsional_stiffness
         return self.mode.y, self.b, -self.mode.value * self.a * self.twist, -self.a * self.tau / kt
 
     def gains(self, of: ArmChange) -> Array:
-        """(T,) what the strips that breakpoints uncover add to the equation, per width."""
+        """(T,) change of the equation by the strips that breakpoints uncover, per width."""
         strips, count, kappa = of.strips, len(of.strips.index), self.mode.value
         if not count:
             return np.zeros(0)
@@ -134,7 +134,7 @@ class _Wave:
         return np.asarray(of.side * (values[:count] - values[count:]))
 
     def beyond(self, s: float) -> tuple[Array, Array]:
-        """a and tau (n,) at a place between whole elements."""
+        """a and tau (n,) at an arc length between whole elements."""
         there = self.problem.arc_length > s
         return self.mode.zeta[there].sum(0), -(self.problem.weight[:, None] * self.pull)[there].sum(0)
 
@@ -216,9 +216,11 @@ class Linearised(ArmChange):
     def _form(
         self, inputs: Sequence[Array], softness: float, *, worst: bool, data: bool = False
     ) -> tuple[Array, Array, Array]:
-        """What a mode has of the second variation per length (X,) at theta, kb, m, b, with g and y, its gradient
-        (X, n + 4) by theta, b, g and, where there are `data`, (X, 2 n) by kb and m; at the equilibrium or at the
-        `worst` rotations."""
+        """Second variation of a mode per length (X,) at theta, kb, m, b, with g and y, and its gradients.
+
+        Gradients are (X, n + 4) with respect to theta, b, g, and with `data` (X, 2 n) with respect to kb and m. At the
+        equilibrium, or at the `worst` rotations.
+        """
         count, n = inputs[0].shape
         if worst:
             _, form, slope, _ = mapped(worst_function(n), count)(inputs[1], inputs[2], inputs[5])
@@ -391,14 +393,16 @@ def _longer(of: Linearised) -> Array:
 
 
 def _place(of: Linearised, fraction: float) -> tuple[int, float]:
-    """The piece in which a fraction of the length lies, and how far inside, 0 to 1."""
+    """Piece at a fraction of the length, and the fraction of the piece."""
     (k,), _, (x,) = between(of.cuts, np.array([fraction * of.cuts[-1]]))
     return int(k), float(x)
 
 
 def _weights(of: Linearised, fraction: float) -> tuple[int, Array, Array]:
-    """The piece in which a fraction of the length lies, and weights (5,) of its shape points in value and change per m,
-    by the polynomial through them."""
+    """Piece at a fraction of the length, and weights (5,) of its shape points for value and derivative per m.
+
+    They are those of the polynomial through the points.
+    """
     k, x = _place(of, fraction)
     powers = np.arange(len(ENDS))
     rates = powers * np.power(x, np.maximum(powers - 1, 0))

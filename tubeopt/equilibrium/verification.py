@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -39,7 +40,7 @@ SAME_PLACE = 1e-12
 
 
 def verify_equilibrium(equilibrium: Equilibrium) -> Equilibrium:
-    """The same equilibrium with its `verification` filled in; raises InputError for one under friction."""
+    """Verify an equilibrium: returns it with its `verification`; raises InputError with friction."""
     (check,) = verifications([equilibrium])
     return replace(equilibrium, verification=check)
 
@@ -100,7 +101,7 @@ def point_at(equilibrium: Equilibrium, arc_length: float) -> tuple[Array, Array]
             break
         section = replace(section, stop=np.minimum(section.stop, arc_length))
         state = section.integrated(arms.past_points(section.rows, section.start, state))
-        u = complex(section.bent(section.tubes(1.0), state)[0][0])
+        u = complex(section.curvature(section.tubes(1.0), state).u[0])
     return state[0, 2 * n + 9 : 2 * n + 12], np.array([u.real, u.imag])
 
 
@@ -203,7 +204,7 @@ class _Arms:
             # The torques on the arm and those of point loads at the plate.
             beyond = self.past_points(section.rows, 0 * section.start, state[section.rows])
             # theta' = g (u*_z + t / kt), solved for t.
-            torque = kt * (slope / section.bent(tubes, beyond)[2] - z) - beyond[:, n : 2 * n]
+            torque = kt * (slope / section.curvature(tubes, beyond).g - z) - beyond[:, n : 2 * n]
             state[section.rows, n : 2 * n] = torque
         return state
 
@@ -220,6 +221,17 @@ class _Arms:
                         lambda x, z=z, kt=kt, t=torque[i]: at(z, x) + t / at(kt, x), 0, stop - begin, epsrel=TOLERANCE
                     )[0]
         return out
+
+
+class _Curvature(NamedTuple):
+    """Curvature of B cross-sections, with complex numbers for the plane of the Bishop frame."""
+
+    u: Array
+    """(B,) u_x + j u_y, 1/m."""
+    moments: Array
+    """(B, n) kb u* e^(j theta), N m."""
+    g: Array
+    """(B, n) arc length of each tube per arc length of the arm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,12 +277,11 @@ class _Section:
         kb, kt, bend, aside, twist = np.moveaxis(np.array(table), 2, 0)
         return kb, kt, bend + 1j * aside, twist
 
-    def bent(self, tubes: tuple[Array, ...], state: Array) -> tuple[Array, Array, Array]:
-        """u_x + j u_y (B,) by fixed-point iteration on u sum kb / g(u) = m + sum kb u* e^(j theta), these pulls, and g
-        (B, n)."""
-        kb, _, own, _ = tubes
-        pull = kb * own * np.exp(1j * state[:, : kb.shape[1]])
-        total, g, assembly = state[:, -5] + 1j * state[:, -4] + pull.sum(1), np.ones(kb.shape), self.assembly
+    def curvature(self, tubes: tuple[Array, ...], state: Array) -> _Curvature:
+        """Curvature by fixed-point iteration on u sum kb / g(u) = m + sum kb u* e^(j theta)."""
+        kb, _, u_star, _ = tubes
+        moments = kb * u_star * np.exp(1j * state[:, : kb.shape[1]])
+        total, g, assembly = state[:, -5] + 1j * state[:, -4] + moments.sum(1), np.ones(kb.shape), self.assembly
         # Start without stretch; each pass shrinks the error by d |u|, so 60 are far more than enough.
         u = total / kb.sum(1)
         sin, cos = np.sin(assembly.offset_angle), np.cos(assembly.offset_angle)
@@ -279,7 +290,7 @@ class _Section:
             u, before = total / (kb / g).sum(1), u
             if (np.abs(u - before) <= ROUND_OFF * np.abs(u)).all():
                 break
-        return u, pull, g
+        return _Curvature(u, moments, g)
 
     def rates(self, x: float, state: Array) -> Array:
         """(B, 2n + 17) derivatives of theta, t, R, p, m, n with respect to arc length."""
@@ -287,11 +298,11 @@ class _Section:
         torque = state[:, n : 2 * n]
         frame, out = state[:, 2 * n : 2 * n + 9].reshape(count, 3, 3), np.zeros(state.shape)
         _, kt, _, z = tubes = self.tubes(x)
-        u, pull, g = self.bent(tubes, state)
+        u, moments, g = self.curvature(tubes, state)
         a, b, ahead = u.real, u.imag, frame[:, :, 2]
         out[:, :n] = g * (z + torque / kt) * self.there
         # conj(u) kb u* e^(j theta) has the imaginary part m (u_x sin theta - u_y cos theta) = M.
-        out[:, n : 2 * n] = (np.conj(u)[:, None] * pull).imag
+        out[:, n : 2 * n] = (np.conj(u)[:, None] * moments).imag
         turned = out[:, 2 * n : 2 * n + 9].reshape(count, 3, 3)  # R times the matrix of u x
         turned[:, :, 0], turned[:, :, 1] = -b[:, None] * ahead, a[:, None] * ahead
         turned[:, :, 2] = b[:, None] * frame[:, :, 0] - a[:, None] * frame[:, :, 1]
