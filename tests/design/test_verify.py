@@ -216,6 +216,12 @@ def test_a_deployment_is_off_by_the_length_of_each_gap(monkeypatch: pytest.Monke
     assert left == pytest.approx([1e-3, -1e-3], abs=1e-9)
 
 
+def test_the_limit_of_a_deployment_is_relaxed_upwards() -> None:
+    eased = requirements.Deployment(6e-3).relaxed(1e-3)
+    assert eased is not None
+    assert eased.limit == pytest.approx(7e-3)
+
+
 @pytest.mark.parametrize("promised", [None, 0.5])
 def test_translations_of_a_box_are_added_where_less_than_the_floor_or_the_promise_is_certified(
     promised: float | None, monkeypatch: pytest.MonkeyPatch
