@@ -180,10 +180,10 @@ def test_narrow_limits() -> None:
         assert (np.abs(verdict.snap.rotations).max() <= limit) == within
 
 
-def test_the_sheet_ends_at_folds() -> None:
+def test_the_stable_set_ends_at_folds() -> None:
     problem = reduced_problem(CRL, (0.0, 0.0, 0.0), DEFAULT_DISCRETISATION)
-    sheet = equilibrium_grid(problem, np.arange(3), np.zeros(3), worst_margin(CRL).unstable)
-    found = folds(sheet, lambda joints: np.abs(joints).max(-1) < TURN, most=4)
+    grid = equilibrium_grid(problem, np.arange(3), np.zeros(3), worst_margin(CRL).unstable)
+    found = folds(grid, lambda joints: np.abs(joints).max(-1) < TURN, max_folds=4)
     assert len(found) == 4
     assert (np.diff(np.abs(found).max(1)) >= 0).all()
     snaps = [find_snap(CRL, (np.zeros(3), None), ([*1.2 * fold, 0.0], None)) for fold in found]
