@@ -53,7 +53,9 @@ def main(out: Path) -> list[Path]:
         published=(THESIS, "thesis"),
     )
     picture = out / "thesis_etr_permutations.png"
-    title = f"{robot.name}: six assignments of its tubes to one mirror actuation, and the same robot at d = 0"
+    # No line of the heading may end within "d = 0".
+    same = "the same robot at d = 0".replace(" = ", "\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}")
+    title = f"{robot.name}: six assignments of its tubes to one mirror actuation, and {same}"
     plot_permutations(data, picture, title=title, arms=arms)
     return [picture]
 

@@ -147,11 +147,12 @@ def plot_permutations(data: Permutations, *, title: str, arms: Sequence[Equilibr
     figure = new_figure(7.4, 3.3)
     headed(figure, title)
     scene, hexagon, curve = figure.subplots(1, 3, width_ratios=[1.0, 1.15, 1.45])
-    # In the meridian of their bend, where nobody can tell the arms apart.
+    # In the meridian of their bend the arms coincide to the width of a line.
     for k, arm in enumerate(arms):
         x, y, _ = _meridian(arm_curve(arm, 0.0).points * TO_MM).T
         scene.plot(x, y, color=tube_colour(k) if k < 6 else INK, lw=1.2, ls="-" if k < 6 else ":")
-    scene.set(xlabel="distance from the axis (mm)", ylabel="z (mm)", title="all seven arms, to scale")
+    # The panel is narrower than the name of its axis in one line, which would be clipped at the edge of the picture.
+    scene.set(xlabel="distance from\nthe axis (mm)", ylabel="z (mm)", title="all seven arms, to scale")
     scene.set_aspect("equal")
     _draw_hexagon(hexagon, data)
     _draw_deviation(curve, data)
@@ -165,13 +166,15 @@ def _draw_hexagon(axes: Axes, data: Permutations) -> None:
     # By angle about the reference: otherwise the hexagon's outline would cross itself.
     order = np.argsort(np.arctan2(seen[:, 1], seen[:, 0]))
     axes.fill(seen[order, 0], seen[order, 1], facecolor="none", edgecolor=FAINT, lw=0.7)
-    reach = float(np.abs(seen).max())
+    half_width, half_height = np.abs(seen).max(axis=0)
     for k, (at, name) in enumerate(zip(seen, data.names, strict=True)):
-        axes.plot(*at, "o", ms=5, color=tube_colour(k))
+        axes.plot(*at, "o", ms=4, color=tube_colour(k))
         note(axes, name, at, 7 * at / np.linalg.norm(at), colour=tube_colour(k))
-    axes.plot(0, 0, "+", ms=8, mew=1.2, color=INK)
+    axes.plot(0, 0, "+", ms=5, mew=1.0, color=INK)
     note(axes, "d = 0", (0, 0), (7, 0))
-    axes.set(xlim=(-1.6 * reach, 1.6 * reach), ylim=(-1.6 * reach, 1.6 * reach))
+    # Names stand outside the hexagon, which may be flat: half as high as wide, the panel has space for them.
+    half_width, half_height = 1.6 * half_width, max(1.6 * half_height, 0.8 * half_width)
+    axes.set(xlim=(-half_width, half_width), ylim=(-half_height, half_height))
     axes.set(xlabel="across the arm (µm)", ylabel="across the arm (µm)")
     axes.set_title(f"tips at separation {number(float(np.degrees(data.shown)), 1)}°")
     axes.set_aspect("equal")
