@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from .loss import SnappingLoss, snapping_loss
 from .sampling import METHODS, Workspace, load_workspace, save_workspace, workspace
-from .shared import SharedWorkspace, place_pair, shared_workspace
 from .volume import Findings, Volume, alpha_volume, examine, meridian_volume, voxel_volume
-from .voxels import PATCHES, Voxels, voxels
+from .voxels import PATCHES, SharedWorkspace, Voxels, place_pair, shared_workspace, voxels
 
 __all__ = [
     "METHODS",
