@@ -210,7 +210,7 @@ def _seed(block: ComposedBlock[Any], name: str, column: str) -> Array:
     """Change (N, Q) of the input `name` with each entry of the input `column`."""
     entries, size = _columns(block, column), block.begin_numbers[name].size
     if (name, column) == ("curved_length", "piece_length") and block.chain is not None:
-        return (np.arange(size)[:, None] == block.chain.owner).astype(float)
+        return np.asarray(np.arange(size)[:, None] == block.chain.owner, dtype=float)
     return entries if name == column else np.zeros((size, entries.shape[1]))
 
 

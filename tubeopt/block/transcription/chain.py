@@ -376,11 +376,11 @@ def tubes_at(tubes: Sequence[Tube], inputs: Mapping[str, Array]) -> tuple[Tube, 
             rows = np.flatnonzero(chain.piece == k).tolist()
             joints = np.concatenate([[0.0], np.cumsum(width[rows, 0])])
             shapes = (*(channels[rows, c] for c in range(4)), turning[rows])
-            bending, torsional, x, y, z = (_quantity(joints, shape) for shape in shapes)
+            local_kb, local_kt, x, y, z = (_quantity(joints, shape) for shape in shapes)
             slots = tube.pieces[len(pieces)].slots if tube.pieces else None
             # A piece as stiff as its tube follows the tube.
-            bending, torsional = (None if bending == kb else bending), (None if torsional == kt else torsional)
-            pieces.append(Piece(float(joints[-1]), (x, y, z), bending, torsional, slots))
+            stiffness = None if local_kb == kb else local_kb, None if local_kt == kt else local_kt
+            pieces.append(Piece(float(joints[-1]), (x, y, z), *stiffness, slots))
         curvature, made = max((piece.largest_curvature for piece in pieces), default=0.0), tuple(pieces)
         # A tube of one curvature stays one if its pieces allow it; a tube of pieces stays one of pieces.
         if not tube.general and all(piece.plain for piece in pieces):

@@ -312,8 +312,8 @@ class MoldBlock:
             flow, by_own = flow * (medium.power / total), by_own * (medium.power / total)
         size = self.volume.size
         return (
-            np.bincount(self.surface_cell, flow, minlength=size),
-            np.bincount(self.surface_cell, by_own, minlength=size),
+            np.asarray(np.bincount(self.surface_cell, flow, minlength=size), dtype=float),
+            np.asarray(np.bincount(self.surface_cell, by_own, minlength=size), dtype=float),
         )
 
     def run(
@@ -576,7 +576,8 @@ def cool(block: MoldBlock, oven: Oven, tube: Tube, state: Array) -> Cooling:
     times, states = [np.zeros(1)], [state[None]]
     if oven.transfer_time:
         time, course = block.run(state, air, oven.transfer_time)
-        times.append(time[1:]), states.append(course[1:])
+        times.append(time[1:])
+        states.append(course[1:])
     moved = states[-1][-1]
     begin = float(times[-1][-1])
     if oven.quench == "water":
@@ -594,7 +595,8 @@ def cool(block: MoldBlock, oven: Oven, tube: Tube, state: Array) -> Cooling:
         time, course = block.run(moved, medium, LONGEST, lambda points: goal - float(points.max()))
         time, course = time[1:], course[1:]
         last, surroundings = float(time[-1]), medium.temperature
-    times.append(begin + time), states.append(course)
+    times.append(begin + time)
+    states.append(course)
     time, course = np.concatenate(times), np.concatenate(states)
     points = course[:, cells:] - ZERO_CELSIUS
     spans = np.diff(time, prepend=0.0)
