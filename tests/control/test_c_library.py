@@ -360,7 +360,7 @@ def test_among_bodies_the_servo_does_what_that_of_python_does(which: str, reques
     target, reasons = seed.tip_position + 8e-3 * across, Why(0)
     for _ in range(60):
         known = servo.step(Command(position=target), 1e-3)
-        here = servo.guard.before.equilibrium
+        here = servo.guard.before.arm
         pose, _, _, why = library.servo(command(target), contacts_of(here, bodies), 5e-4)
         assert pose.tip_position == pytest.approx(known.equilibrium.tip_position, abs=1e-9)
         assert why == known.why

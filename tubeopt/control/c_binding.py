@@ -41,6 +41,9 @@ TOO_LARGE = (
 )
 
 
+# Change of a joint (rad, m) in a step below which it rests.
+RESTS = 1e-12
+
 # Of the centreline of a pose.
 POINTS = 40
 
@@ -105,7 +108,8 @@ class CRobot:
         start.argtypes, start.restype = [ctypes.c_void_p], ctypes.c_void_p
         self._memory = ctypes.c_void_p(start(self._room.ctypes.data))
         # What goes in and comes out stays where it is: to ask NumPy for an address takes as long as a step's algebra.
-        self._in, self._pose, self._report = np.zeros(max(12, 2 * self._n)), np.zeros(3 * self._n + 16), np.zeros(3)
+        self._in, self._pose, self._report = np.zeros(max(14, 2 * self._n)), np.zeros(3 * self._n + 16), np.zeros(3)
+        self._to = np.zeros(2 * self._n)
         self._slopes = np.full(6 * 2 * self._n + 2 * self._n**2 + 2 * self._n + 36, np.nan)
         self._length, self._points = np.zeros(POINTS), np.zeros((POINTS, 3))
         self._shape = self._function("shape")
@@ -118,6 +122,7 @@ class CRobot:
                 ("undo", (self._pose,)),
                 ("slopes_at", (self._slopes,)),
                 ("servo", (self._in, self._pose, self._report)),
+                ("servo_joints", (self._in, self._to, self._pose, self._report)),
                 *([("bear", (self._in, self._pose))] if library.loads else []),
             )
         }
@@ -197,18 +202,30 @@ class CRobot:
     def servo(
         self, command: Array, contacts: Array | None = None, clearance: float = 0.0
     ) -> tuple[CPose, float, float, Why]:
-        """One step of a command (12,): step (s), position, direction (3,) each, speed, rates of rotations and of
-        translations, least margin, push; returns the pose, what is left to the target (m, rad), and why.
+        """One step of a command (12,) or (14,).
+
+        A command has the step (s), position and direction (3,) each, speed, rates of rotations and of translations,
+        least margin, push, and, if limited, accelerations of rotations and of translations. Returns the pose, what is
+        left to the target (m, rad), and why.
 
         `contacts` (c, 5): arc lengths, unit vectors away from bodies, and distances (m) where the arm comes close to
         these, to keep `clearance` (m); raises InputError for too many, under load, and where the library has none."""
-        self._in[:12] = command
+        self._in[12:14] = 0.0
+        self._in[: len(command)] = command
         if contacts is None:
             self._call("servo")
         else:
             self._call_among(np.ascontiguousarray(contacts, dtype=float), clearance)
         why, _ = self._report[2:].view(np.int32)
         return self._posed(), float(self._report[0]), float(self._report[1]), Why(int(why))
+
+    def servo_joints(self, command: Array, rotations: ArrayLike, translations: ArrayLike) -> tuple[CPose, Why]:
+        """One step straight to joint values (n,), of a command as of `servo`: the pose, and why it ends short."""
+        n = self._n
+        self._in[:14] = command
+        self._to[:n], self._to[n:] = vector("rotations", rotations, n), vector("translations", translations, n)
+        self._call("servo_joints")
+        return self._posed(), Why(int(self._report[2:].view(np.int32)[0]))
 
 
 def servo_of(
@@ -265,18 +282,42 @@ class CServo:
             raise InputError("the servo of a C library does not support a pivot")
         here, o = self.equilibrium, self.options
         self._before = here
-        if command.joints is not None:
-            rotations, shift = self.space.split(at_most(configuration(self.space, "joints", command.joints), "joints"))
-            return self._straight(rotations, np.array(shift), dt)
         place = here.tip_position if command.position is None else command.position
         if command.velocity is not None:
             way = command.velocity * dt
             place = here.tip_position + way * min(1.0, self.space.length / max(float(np.linalg.norm(way)), 1e-300))
         pointing = np.zeros(3) if command.direction is None else command.direction
-        push = o.push if o.objective else 0.0
-        told = np.concatenate([[dt], place, pointing, [o.speed, o.turn_rate, o.shift_rate, o.min_margin, push]])
+        # Without a target the robot brakes.
+        asked = command.velocity is not None or command.position is not None or command.direction is not None
+        push = o.push if o.objective and (asked or not self.limited) else 0.0
+        speed = o.speed if asked or not self.limited else 0.0
+        accelerations = o.turn_acceleration or 0.0, o.shift_acceleration or 0.0
+        limits = [speed, o.turn_rate, o.shift_rate, o.min_margin, push, *accelerations]
+        told = np.concatenate([[dt], place, pointing, limits])
+        if command.joints is not None:
+            rotations, shift = self.space.split(at_most(configuration(self.space, "joints", command.joints), "joints"))
+            if not self.limited:
+                return self._straight(rotations, np.array(shift), dt)
+            if not self.space.admissible(self.space.join(rotations, np.array(shift), "joints")):
+                return ServoStep(here, Why.HELD | Why.RANGE, np.nan, np.nan)
+            self.equilibrium, why = self._robot.servo_joints(told, rotations, shift)
+            return ServoStep(self.equilibrium, why, np.nan, np.nan)
         self.equilibrium, distance, angle, why = self._robot.servo(told)
         return ServoStep(self.equilibrium, why, distance, angle)
+
+    @property
+    def limited(self) -> bool:
+        """Whether accelerations are limited."""
+        return self.options.turn_acceleration is not None or self.options.shift_acceleration is not None
+
+    @property
+    def moving(self) -> bool:
+        """Whether the robot has to brake before it rests."""
+        here, before = self.equilibrium, self._before
+        moved = max(
+            np.abs(here.rotations - before.rotations).max(), np.abs(here.translations - before.translations).max()
+        )
+        return self.limited and bool(moved > RESTS)
 
     def undo(self) -> None:
         """Take the last step back, which was not sent; nothing where it made none, or was taken back already."""

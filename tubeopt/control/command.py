@@ -116,10 +116,17 @@ class ServoOptions(Displayed):
     ] = None
     push: float = 0.2
     """Share of the rates that goes there."""
+    turn_acceleration: float | None = None
+    """Largest acceleration of every rotation, rad/s^2; None: no limit."""
+    shift_acceleration: float | None = None
+    """Largest acceleration of every translation, m/s^2; None: no limit."""
 
     def __post_init__(self) -> None:
         for name in ("speed", "turn_rate", "shift_rate", "clearance", "push"):
             object.__setattr__(self, name, at_most(positive(name, getattr(self, name), zero=True), name))
+        for name in ("turn_acceleration", "shift_acceleration"):
+            if (value := getattr(self, name)) is not None:
+                object.__setattr__(self, name, at_most(positive(name, value), name))
         if not 0 < finite("min_margin", self.min_margin) < 1:
             raise InputError(f"min_margin is {self.min_margin:g}; it must be between 0 and 1")
         named = [
@@ -143,6 +150,7 @@ class Why(enum.IntFlag):
     SHORTENED = 16
     HELD = 32
     OBSTACLE = 64
+    NO_CLOSER = 128
 
     @property
     def words(self) -> str:
@@ -158,6 +166,7 @@ WORDS = {
     Why.SHORTENED: "the guard has shortened the step",
     Why.HELD: "no step is safe, the robot stays where it is",
     Why.OBSTACLE: "the arm slides along an obstacle",
+    Why.NO_CLOSER: "no small motion brings the tip closer to the target",
 }
 
 

@@ -141,29 +141,37 @@ class CrtkRobot:
         back."""
         goal = self._goal
         self._before, self._moved = self.servo.equilibrium, dt
-        if goal is None or self.state != "ENABLED":
+        if (goal is None or self.state != "ENABLED") and not self.servo.moving:
             return
         now = clock()
-        if goal.stale(now, self.watchdog):
+        if goal is not None and goal.stale(now, self.watchdog):
             self.hold(LATE)
-            return
+            if not self.servo.moving:
+                return
+        brakes = self._goal is None or self.state != "ENABLED"
+        if goal is None or brakes:
+            goal = _Goal(Command(), now, True)
         if self.sent is not None and now < self.sent:  # the clock has gone back
             self.sent = now
         why, begun = None, now
         span = min(dt, self._passed(now) + SURE * min(self._took))
         while why is None and span > 0:
             why, now = self.servo.step(goal.command, span).why, clock()
-            if goal.stale(now, self.watchdog):
-                self.servo.undo()
+            if goal.stale(now, self.watchdog) and not brakes:
                 self.hold(LATE)
-                return
+                if not self.servo.limited:  # else it brakes from here
+                    self.servo.undo()
+                    return
             if span > self._passed(now) * (1 + 1e-12):  # it took less time than steps do
                 self.servo.undo()
                 why, span = None, self._passed(now)
         if why is None:
             return
         self._took, self._moved = (self._took[1], now - begun), span
-        self.sent, self._why, self._words = now, why, why.words
+        self.sent = now
+        if brakes or self._goal is None:
+            return
+        self._why, self._words = why, why.words
         if not goal.stream:
             self._arrive(goal, now)
 

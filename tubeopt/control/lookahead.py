@@ -343,7 +343,7 @@ class PredictiveServo:
     @property
     def equilibrium(self) -> Equilibrium:
         """Current equilibrium of the robot."""
-        return self._guard.here.equilibrium
+        return self._guard.arm
 
     @property
     def way(self) -> Array | None:
@@ -376,7 +376,7 @@ class PredictiveServo:
         lacking = self._renew(knots)
         if not lacking:
             change, passed = self._along(knots, dt)
-            there, lacking = self._guard.go(change, Why.RATE if passed < self._count else Why(0))
+            there, lacking = self._guard.go(change, Why.RATE if passed < self._count else Why(0), dt)
             if Why.HELD not in lacking:
                 self._waited = 0
                 # What is left of the way is cut into as many knots again.
@@ -385,7 +385,8 @@ class PredictiveServo:
                 return ServoStep(there, lacking, *told)
         self._waited += 1
         if self._waited <= PATIENCE:
-            return ServoStep(here.equilibrium, lacking | Why.HELD, *told)
+            arm, _ = self._guard.go(np.zeros(len(here.q)), Why(0), dt)
+            return ServoStep(arm, lacking | Why.HELD, *told)
         return self._servo.step(command, dt)
 
     def _renew(self, knots: Knots) -> Why:
@@ -462,7 +463,7 @@ class PredictiveServo:
         at = _places(knots.z, np.array([passed]))
         change = np.clip(self._chart.joints(at)[0], space.lower, space.upper) - here.q
         share = float((np.abs(change) / np.maximum(rate * dt, 1e-300)).max())
-        return change / max(share, 1.0), passed
+        return np.clip(change / max(share, 1.0), *self._guard.ends(dt)), passed
 
 
 def _places(z: Array, at: Array) -> Array:

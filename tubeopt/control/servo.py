@@ -6,9 +6,9 @@ farther than a small motion twists them, where margin or clearance fall short, t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import dist, hypot
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,16 @@ from .command import Command, ServoOptions, ServoStep, Why, at_most, check_place
 HALVINGS = 4
 
 
+class Place(NamedTuple):
+    """Where a robot is."""
+
+    here: Posture
+    """Its stop point."""
+    arm: Equilibrium
+    speed: Array
+    """(m,) of the joints, rad/s and m/s."""
+
+
 class Guard:
     """Where a robot is, and whether it may go on from there; arguments and errors as of `Servo`."""
 
@@ -47,8 +57,18 @@ class Guard:
         self.space: JointSpace = joint_space(robot, limits).holding(*shift_of(robot, start))
         self.scene: Scene = scene_of(checked_obstacles(obstacles))
         self._monitor = ClearanceMonitor(self.scene)
-        self.here = self.before = start_posture(self.space, start)
-        """Where the robot is, and where it was before the last step."""
+        self.here = start_posture(self.space, start)
+        """Where the robot would come to rest if it braked from now on; without accelerations, where it is."""
+        self.arm = self.here.equilibrium
+        """Where the robot is."""
+        self.speed: Array = np.zeros(len(self.here.q))
+        """(m,) of the joints after the last step, rad/s and m/s."""
+        self.before = Place(self.here, self.arm, self.speed)
+        rotation = np.arange(len(self.here.q)) < robot.n_tubes
+        accelerations = [getattr(options, f"{name}_acceleration") or np.inf for name in ("turn", "shift")]
+        self.acceleration: Array = np.where(rotation, *accelerations)
+        self.rate: Array = np.where(rotation, options.turn_rate, options.shift_rate)
+        self.limited = bool(np.isfinite(self.acceleration).any())
         self.sight = 0.0
         """Distance (m) up to which bodies are looked at where a step leads: once for the guard and the next step."""
         if words := self.space.outside(self.here.q):
@@ -58,29 +78,110 @@ class Guard:
                 f"start has margin {self.here.margin:.3g}; it must be min_margin, {options.min_margin:g}, or more"
             )
 
-    def go(self, change: Array, why: Why) -> tuple[Equilibrium, Why]:
-        """The equilibrium after a change of the joints (m,), of as much of it as passes, and what is in the way."""
+    def keep(self) -> None:
+        """Remember the place, to which `undo` returns."""
+        self.before = Place(self.here, self.arm, self.speed)
+
+    def undo(self) -> None:
+        """Return to the place before the last step."""
+        self.here, self.arm, self.speed = self.before
+
+    def ends(self, dt: float) -> tuple[Array, Array]:
+        """(m,) least and largest change of the stop point in a cycle, within rates and accelerations.
+
+        The robot q follows its stop point s = q + v |v| / (2 a). A new speed v' leads to s = q + v' dt + v' |v'| / 2a.
+        """
+        if not self.limited:
+            return -self.rate * dt, self.rate * dt
+        v, most = self.speed, self.acceleration * dt
+        fast = np.minimum(v + most, np.maximum(self.rate, v - most))
+        slow = np.maximum(v - most, np.minimum(-self.rate, v + most))
+        ahead = self.here.q - self._joints(self.arm)
+        low, high = (by * dt + by * np.abs(by) / (2 * self.acceleration) - ahead for by in (slow, fast))
+        return low, high
+
+    def go(
+        self, change: Array, why: Why, dt: float, closer: Callable[[Posture, float], bool] = lambda _, __: True
+    ) -> tuple[Equilibrium, Why]:
+        """The equilibrium after a change of the stop point (m,), of as much of it as passes, and what is in the way.
+
+        `closer` decides whether a part of the change brings the tip closer to its target; where none does, the robot
+        rests.
+        """
         here = self.here
+        self.keep()
         if not any(abs(by) > 1e-14 for by in (change / self.space.scale).tolist()):
-            return here.equilibrium, why
-        floor = min(self.options.min_margin, here.margin)
+            return self._follow(dt), why
+        floor, guarded, passed = min(self.options.min_margin, here.margin), False, False
         for halving in range(HALVINGS + 1):
             q = here.q + change / 2**halving
-            rotations, shift = self.space.split(q)
+            posture = self._passes(q, floor, dt)
+            if posture is None:
+                guarded = True
+            elif closer(posture, 1 / 2**halving):
+                self.here, passed = posture, True
+                break
+        if passed:
+            why |= Why.SHORTENED if guarded else Why(0)
+        else:
+            why = Why.HELD if guarded else why & ~Why.RATE | Why.NO_CLOSER
+        return self._follow(dt), why
+
+    def _passes(self, q: Array, floor: float, dt: float) -> Posture | None:
+        """The posture at joint values q (m,) of a stop point; None where it, or the way to it, may not be."""
+        rotations, shift = self.space.split(q)
+        try:
+            there = one_step(self.space.robot, self.here.equilibrium, rotations, shift)
+        except (SolveError, InputError):
+            return None
+        if there is None or there.margin < floor:
+            return None
+        posture = Posture(self.space, q, there)
+        if self.scene.bodies:
+            posture.outline.look_around(self._monitor, self.sight)
+            if (missing := self._missing(posture)) > 0 and missing > self._missing(self.here):
+                return None
+        reserve = min(floor + ROOM / 2, there.margin)
+        return posture if not self.limited or self._can_brake(q, reserve, dt) else None
+
+    def _can_brake(self, stop: Array, floor: float, dt: float) -> bool:
+        """Whether the robot keeps a margin at its next place, and at some places where it brakes from there."""
+        q, speed = self._next(stop, dt)
+        longest = float((np.abs(speed) / self.acceleration).max())
+        for part in range(BRAKING):
+            left = np.maximum(0.0, 1 - longest * part / BRAKING * self.acceleration / np.maximum(np.abs(speed), 1e-300))
+            at = stop - (stop - q) * np.where(speed == 0, 1.0, left**2)
             try:
-                there = one_step(self.space.robot, here.equilibrium, rotations, shift)
+                there = one_step(self.space.robot, self.arm, *self.space.split(at))
             except (SolveError, InputError):
-                continue
+                return False
             if there is None or there.margin < floor:
-                continue
-            posture = Posture(self.space, q, there)
-            if self.scene.bodies:
-                posture.outline.look_around(self._monitor, self.sight)
-                if (missing := self._missing(posture)) > 0 and missing > self._missing(here):
-                    continue
-            self.here = posture
-            return there, why | Why.SHORTENED if halving else why
-        return here.equilibrium, why | Why.HELD
+                return False
+        return True
+
+    def _next(self, stop: Array, dt: float) -> tuple[Array, Array]:
+        """(m,) joint values after a cycle and speeds v = sgn(d) (sqrt((a dt)^2 + 2 a |d|) - a dt), of d = s - q: from
+        them the robot can brake to its stop point s, with d' = v |v| / (2 a)."""
+        q = self._joints(self.arm)
+        d = stop - q
+        speed = 2 * d / (dt + np.sqrt(dt**2 + 2 * np.abs(d) / self.acceleration))
+        return np.where(np.isfinite(self.acceleration), q + dt * speed, stop), speed
+
+    def _follow(self, dt: float) -> Equilibrium:
+        """The equilibrium of the robot after a cycle towards its stop point."""
+        if not self.limited:
+            self.arm = self.here.equilibrium
+            return self.arm
+        q, self.speed = self._next(self.here.q, dt)
+        there = Posture(self.space, self._joints(self.arm), self.arm).to(q)
+        if there is None:  # the guard has looked ahead: it does not happen
+            self.here, self.speed = start_posture(self.space, self.arm), 0 * self.speed
+        else:
+            self.arm = there.equilibrium
+        return self.arm
+
+    def _joints(self, arm: Equilibrium) -> Array:
+        return self.space.join(arm.rotations, arm.translations)
 
     def _missing(self, at: Posture) -> float:
         """Clearance (m) that is missing."""
@@ -88,9 +189,10 @@ class Guard:
 
     def left(self, command: Command) -> tuple[float, float]:
         """Distance (m) and angle (rad) from what is commanded; NaN where nothing is."""
-        here = self.here
-        away = np.nan if command.position is None else dist(command.position, here.tip)
-        return away, np.nan if command.direction is None else angle(here.direction, command.direction)
+        arm = self.arm
+        away = np.nan if command.position is None else dist(command.position, arm.tip_position)
+        pointing = arm.tip_rotation[:, 2]
+        return away, np.nan if command.direction is None else angle(pointing, command.direction)
 
 
 # Weight of joint motion over its scale against the tip's motion over the robot's length. It matters where the
@@ -117,9 +219,44 @@ FARTHER = 1.2
 # steps; the guard would reject most longer ones.
 TURN, SHIFT = 0.3, 0.05
 
+# Speed (rad/s, m/s) below which a joint rests.
+RESTS = 1e-9
+
+# Places at which the margin of a braking robot is looked at.
+BRAKING = 4
+
+# Distance (m) and angle (rad) at which a target is met.
+MET = 1e-6
+
+# Fraction of the predicted decrease of the distance that a step must have. Far out of reach steps to and fro across a
+# singular pose have none.
+DESCENT = 0.25
+
+# Largest curvature of the squared distance over the scales that damps a step, and largest factor on it of a joint that
+# goes to and fro: where breakpoints coincide, the distance has kinks.
+MOST_CURVED, MOST_STIFF = 4.0, 1e6
+
+# Change over the scales below which the robot rests: its second-order effect on the tip is below round-off.
+DEAD = 1e-7
+
 # Singular value of a task below which it leaves a motion free: above round-off of the Jacobian, below any motion that
 # counts.
 FREE = 1e-6
+
+
+class Part(NamedTuple):
+    """One part of a command."""
+
+    name: str
+    target: Any
+    rows: Array
+    """Derivatives by the joints."""
+    gap: Array
+    """What is missing."""
+    most: float
+    """Largest motion in a cycle, in the norm of the gap."""
+    met: float
+    """Norm of the gap at which the target is met."""
 
 
 class Task(NamedTuple):
@@ -129,6 +266,7 @@ class Task(NamedTuple):
     target: Array
     damped: bool
     """False for the objective, which must not be slowed down by damping."""
+    parts: tuple[Part, ...] = ()
 
 
 class Constraints(NamedTuple):
@@ -171,7 +309,16 @@ class Servo:
         unit = np.eye(len(self.space.scale))
         self._sides = np.vstack([unit, -unit, self.space.rows * self.space.scale])
         """(2m + k, m) rows of rates and ranges, then of the order, over the joints' scales."""
-        self._twice, self._damping = np.tile(self.space.scale, 2), DAMPING * unit
+        self._twice, self._unit = np.tile(self.space.scale, 2), unit
+        self._damping = 0.0
+        """Square of the additional damping; more than 0 after a step that did not bring the tip closer."""
+        self._stiff: Array = np.ones(len(self.space.scale))
+        """(m,) factors on it."""
+        self._last: Array = np.zeros(len(self.space.scale))
+        """(m,) last step over the scales."""
+        self._ease = 1.0
+        """Part of the push of the objective: it halves where the push goes to and fro."""
+        self._goal: Array | None = None
         if self.options.objective == "compliance" and compiled_slopes(self.equilibrium) is None:
             raise InputError(
                 "objective is 'compliance'; it needs a compiled kernel for the robot; choose another objective"
@@ -180,7 +327,17 @@ class Servo:
     @property
     def equilibrium(self) -> Equilibrium:
         """Current equilibrium of the robot."""
-        return self.guard.here.equilibrium
+        return self.guard.arm
+
+    @property
+    def limited(self) -> bool:
+        """Whether accelerations are limited."""
+        return self.guard.limited
+
+    @property
+    def moving(self) -> bool:
+        """Whether the robot has to brake before it rests."""
+        return bool((np.abs(self.guard.speed) > RESTS).any())
 
     @small
     def step(self, command: Command, dt: float) -> ServoStep[Equilibrium]:
@@ -191,40 +348,109 @@ class Servo:
         """
         dt = time_step(dt)
         check_places(command, self.space.robot)
-        here = self.guard.before = self.guard.here
-        remaining = self.guard.left(command)
-        groups = (self._task(group, command, here, dt) for group in self._groups)
-        tasks = [task for task in groups if task is not None]
+        guard, m = self.guard, len(self.space.scale)
+        here = guard.here
+        remaining = guard.left(command)
+        self._note_target(command, dt)
+        groups = [group for group in self._groups if group or not self._damping]
+        tasks = [task for group in groups if (task := self._task(group, command, here, dt)) is not None]
         if not tasks:
-            return ServoStep(here.equilibrium, Why(0), *remaining)
-        rate = self._rate(dt)
-        rows, bounds, kinds = self._constraints(here, rate)
+            return ServoStep(*guard.go(np.zeros(m), Why(0), dt), *remaining)
+        near = guard.ends(dt)
+        low, high = self._box(near, dt)
+        rows, bounds, kinds = self._constraints(here, low, high)
         # Where the margin cannot be raised, it is at least not lowered: then to stay keeps all.
         solved = self._by_priority(tasks, rows, bounds) or self._by_priority(tasks, rows, np.minimum(bounds, 0.0))
         if solved is None:
-            return ServoStep(here.equilibrium, Why.HELD, *remaining)
+            return ServoStep(guard.go(np.zeros(m), Why(0), dt)[0], Why.HELD, *remaining)
         step, active = solved
+        why = self._why(active, here, low, high, kinds)
         # The first rows are rates and ranges, which nothing exceeds, not by rounding either.
-        m = len(here.q)
-        change = np.minimum(np.maximum(step, bounds[:m]), -bounds[m : 2 * m]) * self.space.scale
-        return ServoStep(*self.guard.go(change, self._why(active, here, rate, kinds)), *remaining)
+        step = np.minimum(np.maximum(step, bounds[:m]), -bounds[m : 2 * m])
+        arm, why = self._take(step, [part for task in tasks for part in task.parts], near, why, dt)
+        missed = any(float(np.linalg.norm(part.gap)) > part.met for task in tasks for part in task.parts)
+        if missed and guard.here is here and Why.HELD not in why:
+            why |= Why.NO_CLOSER
+        return ServoStep(arm, why, *remaining)
 
     def undo(self) -> None:
         """Take the last step back, which was not sent."""
-        self.guard.here = self.guard.before
+        self.guard.undo()
 
-    def _rate(self, dt: float) -> Array:
-        """(m,) most that each joint moves in a step."""
-        options, space = self.options, self.space
-        rate = np.full(len(space.scale), min(options.shift_rate * dt, SHIFT * space.length))
-        rate[: space.robot.n_tubes] = min(options.turn_rate * dt, TURN)
-        return rate
+    def _note_target(self, command: Command, dt: float) -> None:
+        """Forget the damping where the target jumps."""
+        last, self._goal = self._goal, command.position
+        if last is None or self._goal is None or dist(last, self._goal) > 2 * self.options.speed * dt:
+            self._damping = 0.0
 
-    def _constraints(self, here: Posture, rate: Array) -> Constraints:
+    def _box(self, near: tuple[Array, Array], dt: float) -> tuple[Array, Array]:
+        """(m,) least and largest change of the joints in the quadratic program, of those `near` that a cycle allows.
+
+        A damped step is shortened as a whole once it is known: at its corners a box would turn it. Only a joint that
+        moves the other way, and first has to brake, stays.
+        """
+        most = np.full(len(self.space.scale), SHIFT * self.space.length)
+        most[: self.space.robot.n_tubes] = TURN
+        if not self._damping:
+            return np.maximum(near[0], -most), np.minimum(near[1], most)
+        brakes = np.where(np.isfinite(self.guard.acceleration), 0.51 * self.guard.acceleration * dt**2, 0.0)
+        return np.where(near[0] < -brakes, -most, 0.0), np.where(near[1] > brakes, most, 0.0)
+
+    def _take(
+        self, step: Array, parts: Sequence[Part], near: tuple[Array, Array], why: Why, dt: float
+    ) -> tuple[Equilibrium, Why]:
+        """The equilibrium after so much of a step (m,) over the scales as the guard allows and brings the tip closer.
+
+        The damping is the curvature of half the squared distance along the step, which Gauss-Newton leaves out. Within
+        reach it vanishes with the distance; out of reach it lets the steps converge.
+        """
+        share, scale, last = 1.0, self.space.scale, self._last
+        if self._damping:
+            share = min([1.0, *(_allowed(part.most, part.rows @ (step * scale)) for part in parts)])
+            ends = np.where(step > 0, near[1], near[0]) / scale
+            share = min(share, float(np.divide(ends, step, out=np.ones_like(step), where=step != 0).min()))
+            share = max(share, 0.0)
+        to_and_fro = step * last < 0
+        self._stiff = np.where(to_and_fro, np.minimum(4 * self._stiff, MOST_STIFF), np.maximum(1.0, self._stiff / 1.2))
+        turned, size = float(step @ last), float(np.abs(step).max())
+        if self._damping:
+            back = turned < -0.5 * float(np.linalg.norm(step) * np.linalg.norm(last))
+        else:
+            self._stiff[:] = 1.0
+            far = any(_allowed(part.most, part.gap) < 1 for part in parts)
+            back = far and bool(((share * step * last < -0.5 * last**2) & (np.abs(last) > 10 * DEAD)).any())
+        if (self._damping and size < DEAD) or share * size < DEAD**2:
+            return self.guard.go(0 * step, why & ~Why.RATE, dt)
+        # A velocity has no distance, and that of a pivot has kinks at the points of the shape.
+        led = any(part.name == "velocity" for part in parts)
+        gaps = [part for part in parts if part.name != "pivot" and not led]
+        before = sum(float(part.gap @ part.gap) for part in gaps)
+
+        def closer(posture: Posture, part_of: float) -> bool:
+            made = share * part_of * step
+            model = sum(_square(part.gap - part.rows @ (made * scale)) for part in gaps)
+            after = sum(_square(self._gap(part.name, part.target, posture)) for part in gaps)
+            square = float(made @ made)
+            curved = min((after - model) / square, MOST_CURVED) if square > DEAD**2 else 0.0
+            descends = model >= before or before < DEAD**2 or before - after >= DESCENT * (before - model)
+            grows = not descends or back
+            if grows or (self._damping and curved > self._damping):
+                self._damping = max(curved, min(4 * self._damping * grows, MOST_CURVED), DAMPING**2)
+            elif self._damping and share * part_of == 1:
+                self._damping = max(curved, self._damping / 2) if self._damping > 2 * DAMPING**2 else 0.0
+            if descends:
+                self._ease = min(1.0, (0.5 if turned < 0 else 1.2) * self._ease)
+                self._last = np.where(step == 0, last, made)
+            return descends
+
+        return self.guard.go(share * step * scale, why, dt, closer)
+
+    def _constraints(self, here: Posture, low: Array, high: Array) -> Constraints:
         """Constraints of a step: rates and ranges, order, margin, bodies. Those violated already must not get worse."""
         options, m = self.options, len(here.q)
         bounds = np.minimum(here.step_bounds, 0.0)
-        bounds[: 2 * m] = np.maximum(bounds[: 2 * m].reshape(2, m), -rate).ravel() / self._twice
+        ends = np.maximum(bounds[: 2 * m], np.concatenate([low, -high]))
+        bounds[: 2 * m] = np.minimum(ends, 0.0) / self._twice
         rows, more, kinds = [self._sides], [bounds], [(2 * m, Why.ORDER)]
         slope = here.margin_slope() * self.space.scale
         if any(up := slope.tolist()):
@@ -235,18 +461,18 @@ class Servo:
             rows.append(slope[None])
             more.append(np.array([min(APPROACH * (options.min_margin + ROOM - here.margin), rise)]))
         if self.guard.scene.bodies:
-            near, least = self._body_rows(here, rate)
+            near, least = self._body_rows(here, np.maximum(high, -low))
             kinds.append((sum(map(len, more)), Why.OBSTACLE))
             rows.append(near)
             more.append(least)
         return Constraints(np.concatenate(rows), np.concatenate(more), kinds)
 
-    def _why(self, active: Index, here: Posture, rate: Array, kinds: Sequence[tuple[int, Why]]) -> Why:
+    def _why(self, active: Index, here: Posture, low: Array, high: Array, kinds: Sequence[tuple[int, Why]]) -> Why:
         """Meaning of the active rows."""
-        m, reasons = len(here.q), set[Why]()
+        m, reasons, ends = len(here.q), set[Why](), np.concatenate([low, -high])
         for row in active.tolist():
             if row < 2 * m:
-                reasons.add(Why.RANGE if here.step_bounds[row] > -rate[row % m] else Why.RATE)
+                reasons.add(Why.RANGE if here.step_bounds[row] > ends[row] else Why.RATE)
             else:
                 reasons.add(next(kind for first, kind in reversed(kinds) if row >= first))
         return Why(sum(reasons))
@@ -277,7 +503,11 @@ class Servo:
         matrix, target = task.matrix, task.target
         if task.damped:
             n = matrix.shape[1]
-            matrix = np.concatenate([matrix, self._damping[:n, :n]])
+            if self._damping and n == len(self._unit):
+                damping = np.diag(np.sqrt(DAMPING**2 + self._damping * self._stiff))
+            else:
+                damping = np.sqrt(DAMPING**2 + self._damping) * self._unit[:n, :n]
+            matrix = np.concatenate([matrix, damping])
             target = np.concatenate([target, np.zeros(n)])
         solved = constrained_least_squares(matrix, target, rows, bounds)
         return None if solved is None else (solved.x, solved.active)
@@ -303,54 +533,60 @@ class Servo:
         if not group:
             step = self._objective(at, dt)
             return Task(np.eye(len(step)), step, damped=False)
-        of_kind = {
-            "position": self._position,
-            "velocity": self._velocity,
-            "direction": self._direction,
-            "pivot": self._pivot,
-            "joints": self._joints,
-        }
-        rows, targets = [], []
-        for name in group:
-            if (target := getattr(command, name)) is not None:
-                row, gap = of_kind[name](target, at, dt)
-                rows.append(row * self.space.scale)
-                targets.append(gap)
-        return Task(np.concatenate(rows), np.concatenate(targets), damped=True) if rows else None
+        parts = [self._part(name, target, at, dt) for name in group if (target := getattr(command, name)) is not None]
+        if not parts:
+            return None
+        shares = [1.0 if self._damping else _allowed(part.most, part.gap) for part in parts]
+        targets = [share * part.gap for share, part in zip(shares, parts, strict=True)]
+        matrix = np.concatenate([part.rows * self.space.scale for part in parts])
+        return Task(matrix, np.concatenate(targets), True, tuple(parts))
 
-    def _position(self, target: Array, at: Posture, dt: float) -> tuple[Array, Array]:
-        length = self.space.length
-        return at.jacobian.tip / length, _at_most(self.options.speed * dt, target - at.tip) / length
+    def _gap(self, name: str, target: Any, at: Posture) -> Array:
+        """What is missing to one part of a command: over the length of the robot, or over the scales of the joints."""
+        if name == "position":
+            return np.asarray((target - at.tip) / self.space.length)
+        if name == "direction":
+            return np.asarray(target - at.direction)
+        if name == "joints":
+            goal = at_most(configuration(self.space, "joints", target), "joints")
+            return np.asarray((goal - at.q) / self.space.scale)
+        _, across, away = self._foot(target, at)
+        return across @ away
 
-    def _velocity(self, velocity: Array, at: Posture, dt: float) -> tuple[Array, Array]:
-        return at.jacobian.tip / self.space.length, _at_most(self.options.speed, velocity) * (dt / self.space.length)
-
-    def _direction(self, direction: Array, at: Posture, dt: float) -> tuple[Array, Array]:
-        here = at.direction
-        # As fast as the tip would turn about a tenth of the robot.
-        most = 10 * self.options.speed * dt / self.space.length
-        return np.cross(at.jacobian.turn, here[:, None], axis=0), _at_most(most, direction - here)
-
-    def _pivot(self, pivot: Array, at: Posture, dt: float) -> tuple[Array, Array]:
-        """The closest point of the arm moves onto the pivot, in the plane normal to the arm."""
+    def _foot(self, pivot: Array, at: Posture) -> tuple[tuple[int, float], Array, Array]:
+        """Of the closest point of the arm to a pivot: its place between two shape points, the two directions (2, 3)
+        across the arm over its length, and the vector (3,) from it to the pivot, m."""
         arm = at.equilibrium
         start, chord = arm.position[:-1], np.diff(arm.position, axis=0)
         square = np.maximum((chord**2).sum(1), 1e-300)
         along = np.clip(((pivot - start) * chord).sum(1) / square, 0, 1)
         feet = start + along[:, None] * chord
         k = int(np.argmin(((pivot - feet) ** 2).sum(1)))
-        moved = (1 - along[k]) * at.along[k] + along[k] * at.along[k + 1]
-        across = arm.frame[k][:, :2].T / self.space.length
-        gap = _at_most(self.options.speed * dt / self.space.length, across @ (pivot - feet[k]))
-        return self.space.by_joints(across @ moved), gap
+        return (k, float(along[k])), arm.frame[k][:, :2].T / self.space.length, pivot - feet[k]
 
-    def _joints(self, goal: Configuration, at: Posture, dt: float) -> tuple[Array, Array]:
-        """Straight there, as fast as the slowest joint allows."""
-        space, n = self.space, self.space.robot.n_tubes
-        gap = at_most(configuration(space, "joints", goal), "joints") - at.q
-        rate = np.where(np.arange(len(gap)) < n, self.options.turn_rate, self.options.shift_rate) * dt
-        steps = float((np.abs(gap) / np.maximum(rate, 1e-300)).max())
-        return np.diag(1 / space.scale), gap / max(steps, 1.0) / space.scale
+    def _part(self, name: str, target: Any, at: Posture, dt: float) -> Part:
+        """One part of a command, with the largest motion of the tip in a cycle."""
+        length, speed = self.space.length, self.options.speed * dt / self.space.length
+        met = MET / length
+        if name == "velocity":
+            gap = _at_most(self.options.speed, target) * (dt / length)
+            return Part(name, target, at.jacobian.tip / length, gap, np.inf, np.inf)
+        gap = self._gap(name, target, at)
+        if name == "position":
+            return Part(name, target, at.jacobian.tip / length, gap, speed, met)
+        if name == "direction":
+            # As fast as the tip would turn about a tenth of the robot.
+            return Part(name, target, np.cross(at.jacobian.turn, at.direction[:, None], axis=0), gap, 10 * speed, MET)
+        if name == "joints":
+            # Straight there, as fast as the slowest joint allows.
+            rate = self.guard.rate * dt / self.space.scale
+            steps = float((np.abs(gap) / np.maximum(rate, 1e-300)).max())
+            return Part(
+                name, target, self._unit / self.space.scale, gap, float(np.linalg.norm(gap)) / max(steps, 1.0), MET
+            )
+        (k, along), across, _ = self._foot(target, at)
+        moved = (1 - along) * at.along[k] + along * at.along[k + 1]
+        return Part(name, target, self.space.by_joints(across @ moved), gap, speed, met)
 
     def _objective(self, at: Posture, dt: float) -> Array:
         """(m,) the step over the joints' scales that is best for the objective, as long as `push` of the rates."""
@@ -364,7 +600,18 @@ class Servo:
             pull = -_softness(at) * space.scale
         size = float(np.linalg.norm(pull))
         longest = self.options.push * min(self.options.turn_rate * dt, TURN)
+        if name != "centre":
+            longest *= self._ease
         return pull * min(1.0, longest / size) if name == "centre" and size else pull * (longest / max(size, 1e-300))
+
+
+def _allowed(most: float, motion: Array) -> float:
+    """The part of a motion that is no longer than `most`."""
+    return min(most / max(hypot(*motion.tolist()), 1e-300), 1.0)
+
+
+def _square(vector: Array) -> float:
+    return float(vector @ vector)
 
 
 def _at_most(length: float, vector: Array) -> Array:

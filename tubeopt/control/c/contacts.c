@@ -30,20 +30,32 @@ static void keep_clear(const tubeopt_memory *m, const Bodies *bodies, double ris
     }
 }
 
+/* A contact of an answer as it is at another one. */
+static tubeopt_contact contact_at(const Answer *here, const Answer *next, const tubeopt_contact *contact) {
+    double s = contact->arc_length, was[3], is[3];
+    long long last = here->pieces * STEPS, end = next->pieces * STEPS;
+    tubeopt_contact then = *contact;
+    for (int j = 0; j < N; j++)
+        if (at_edge(here, j, s)) then.arc_length = next->tube_end[j];
+    if (s >= here->arc_length[last] - EDGE || then.arc_length > next->arc_length[end]) then.arc_length = next->arc_length[end];
+    place_on(here, s, was);
+    place_on(next, then.arc_length, is);
+    for (int r = 0; r < 3; r++) then.distance += contact->normal[r] * (is[r] - was[r]);
+    return then;
+}
+
 /* Whether the next answer brings a contact closer than it may. */
 static int too_close(const tubeopt_memory *m, const Bodies *bodies) {
-    const Answer *here = m->answers + m->here, *next = m->answers + !m->here;
-    long long last = here->pieces * STEPS, end = next->pieces * STEPS;
     for (int i = 0; i < bodies->count; i++) {
         const tubeopt_contact *contact = bodies->contacts + i;
-        double s = contact->arc_length, then = s, was[3], is[3], distance = contact->distance;
-        for (int j = 0; j < N; j++)
-            if (at_edge(here, j, s)) then = next->tube_end[j];
-        if (s >= here->arc_length[last] - EDGE || then > next->arc_length[end]) then = next->arc_length[end];
-        place_on(here, s, was);
-        place_on(next, then, is);
-        for (int r = 0; r < 3; r++) distance += contact->normal[r] * (is[r] - was[r]);
+        double distance = contact_at(m->answers + m->here, m->answers + !m->here, contact).distance;
         if (distance < bodies->clearance && distance < contact->distance) return 1;
     }
     return 0;
+}
+
+/* The contacts of a robot as they are where it comes to rest. */
+static void shift_contacts(const tubeopt_memory *m, const tubeopt_memory *stop, Bodies *bodies) {
+    for (int i = 0; i < bodies->count && m != stop; i++)
+        bodies->contacts[i] = contact_at(m->answers + m->here, stop->answers + stop->here, bodies->contacts + i);
 }

@@ -33,6 +33,10 @@ struct tubeopt_memory {
     Along along[MOST_SHAPE];
 #endif
     double rows[MOST_ROWS * JOINTS], bounds[MOST_ROWS], multipliers[MOST_ROWS]; /* of a servo step */
+    double low[JOINTS], high[JOINTS];                   /* ends of the next step of a servo within rates */
+    double speed[JOINTS], slower[JOINTS];               /* of a robot whose accelerations are limited; before the last step */
+    int moves, was_moving;                              /* its stop point, after this memory, is in use; for tubeopt_undo */
+    double damping, ease, last[JOINTS], stiff[JOINTS], goal[3]; /* squared, of steps that did not bring the tip closer; part of the push; last step */
 #if TUBEOPT_LOADS
     int bears;
     tubeopt_load load, next_load;                       /* what it bears, and what it is to bear at the end of a way */
@@ -44,7 +48,7 @@ struct tubeopt_memory {
 
 static void *room_of(const tubeopt_memory *m) { return (char *)m + OWN_ROOM; }
 
-size_t tubeopt_memory_size(void) { return OWN_ROOM + tubeopt_bearing_size(); }
+#define ROOM_OF_ONE (OWN_ROOM + (tubeopt_bearing_size() + 63) / 64 * 64)
 
 static int bears(const tubeopt_memory *m) { return m->bears; }
 
@@ -70,14 +74,17 @@ static void return_loaded(tubeopt_memory *m) {
     if (m->bears) tubeopt_bearing_return(room_of(m));
 }
 #else
-size_t tubeopt_memory_size(void) { return sizeof(tubeopt_memory); }
-
+#define ROOM_OF_ONE ((sizeof(tubeopt_memory) + 63) / 64 * 64)
 #define bears(memory) 0
 #define bear_to(memory, joints, t) 0
 #define keep_loaded(memory)
 #define return_loaded(memory)
 #define accept_loaded(memory)
 #endif
+
+size_t tubeopt_memory_size(void) { return 2 * ROOM_OF_ONE; } /* the robot, and where it comes to rest */
+
+static tubeopt_memory *stop_of(tubeopt_memory *m) { return (tubeopt_memory *)((char *)m + ROOM_OF_ONE); }
 
 tubeopt_memory *tubeopt_start(void *memory) {
     memset(memory, 0, tubeopt_memory_size());
@@ -228,8 +235,11 @@ static int keep_branch(tubeopt_memory *m, const tubeopt_joints *to, double longe
 tubeopt_status tubeopt_solve(tubeopt_memory *m, const tubeopt_joints *joints, tubeopt_pose *pose) {
     tubeopt_status not_taken = refused(joints);
     if (not_taken) return not_taken;
-    m->fresh = 0;
+    m->fresh = m->moves = 0;
     m->before = NULL;
+    m->damping = 0; /* a servo begins anew */
+    m->ease = 1;
+    memset(m->last, 0, sizeof m->last);
     if (solve(&ROBOT, joints->rotations, joints->translations, NULL, &m->work, m->answers + !m->here))
         return TUBEOPT_DECLINED;
     accept(m, joints);
@@ -252,6 +262,7 @@ tubeopt_status tubeopt_follow(tubeopt_memory *m, const tubeopt_joints *joints, t
     double parts = parts_of(&m->joints, joints, length);
     if (parts > MOST_PARTS) return TUBEOPT_TOO_FAR;
     if (keep_branch(m, joints, 1 / parts)) return TUBEOPT_SNAP;
+    m->moves = 0;
     tell(m, 0, pose);
     return TUBEOPT_DONE;
 }
@@ -266,6 +277,10 @@ tubeopt_status tubeopt_undo(tubeopt_memory *m, tubeopt_pose *pose) {
     m->fresh = 0;
     m->before = NULL;
     return_loaded(m);
+    if (m->moves && m->was_moving) {
+        tubeopt_undo(stop_of(m), pose);
+        memcpy(m->speed, m->slower, sizeof m->speed);
+    }
     tell(m, 0, pose);
     return TUBEOPT_DONE;
 }

@@ -72,7 +72,8 @@ enum {
     TUBEOPT_AT_MARGIN = 8,  /* the margin is at its lower bound: the tip moves along this limit */
     TUBEOPT_SHORTENED = 16, /* the guard has shortened the step */
     TUBEOPT_HELD = 32,      /* no step is safe: the robot does not move */
-    TUBEOPT_AT_BODY = 64    /* the arm moves along a body */
+    TUBEOPT_AT_BODY = 64,   /* the arm moves along a body */
+    TUBEOPT_NO_CLOSER = 128 /* no small motion brings the tip closer to the target: it is out of reach from here */
 };
 
 typedef struct {
@@ -83,6 +84,7 @@ typedef struct {
     double turn_rate, shift_rate;     /* largest rates of every joint, rad/s and m/s */
     double min_margin;                /* smallest allowed margin */
     double push;                      /* fraction of the rates that increases the margin in the null space; 0: none */
+    double turn_acceleration, shift_acceleration; /* largest accelerations of the joints, rad/s^2 and m/s^2; 0: no limit */
 } tubeopt_command;
 
 typedef struct {
@@ -127,6 +129,11 @@ tubeopt_status tubeopt_shape(const tubeopt_memory *memory, int count, double *ar
    ranges, order and the smallest margin. Its equilibrium is solved on the branch before it is returned. */
 tubeopt_status tubeopt_servo(tubeopt_memory *memory, const tubeopt_command *command, tubeopt_pose *pose,
                              tubeopt_report *report);
+
+/* One step straight to joint values within ranges and order; of the command only step, rates, margin and accelerations are
+   used. */
+tubeopt_status tubeopt_servo_joints(tubeopt_memory *memory, const tubeopt_command *command, const tubeopt_joints *goal,
+                                    tubeopt_pose *pose, tubeopt_report *report);
 
 #if TUBEOPT_BODIES
 #define TUBEOPT_MOST_CONTACTS 32

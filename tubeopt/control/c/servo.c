@@ -6,10 +6,17 @@
 #define CLOSE 1e-9
 #define ROOM 0.01  /* of the margin above its floor, at which the tip slides: a step along the floor bends away from it */
 #define RISE 0.3   /* share of what joints could do for margin or clearance that a step must do at most */
+#define NEAR 1e-6  /* m and rad, at which a target is met */
+#define DESCENT 0.25 /* fraction of the predicted decrease of the distance that a step must have: zigzags have none */
+#define BRAKING 4  /* places on the way on which a robot brakes that are looked at */
+#define MOST_CURVED 4. /* curvature of a distance over the scales: kinks, where breakpoints coincide, look larger */
+#define MOST_STIFF 1e6
+#define DEAD 1e-7  /* of a joint's scale: a shorter whole step leaves the robot at rest */
 
 typedef struct {
-    double task[6][JOINTS], missing[6]; /* by independent joints over their scale */
+    double task[6][JOINTS], missing[6], clipped; /* by independent joints over their scale; part of a step's speed */
     double margin[JOINTS], rate[JOINTS], low[JOINTS], high[JOINTS];
+    double near[2][JOINTS]; /* ends of a step within rates, over the scale */
     int rows, why;
 } Aim;
 
@@ -18,7 +25,7 @@ typedef struct {
     int count;
     double clearance;
 #if TUBEOPT_BODIES
-    const tubeopt_contact *contacts;
+    tubeopt_contact *contacts;
 #endif
 } Bodies;
 
@@ -39,38 +46,49 @@ static void dependent(const double *q, tubeopt_joints *joints) {
     }
 }
 
-/* What is missing to the command, at most what its speed allows, and how the tip answers to the joints. */
-static void aim_at(const tubeopt_memory *m, const tubeopt_command *c, Aim *aim, tubeopt_report *report) {
-    tubeopt_pose here;
-    double gap[3], distance = 0, length = 0, turned = 0;
-    tell(m, 0, &here);
-    for (int r = 0; r < 3; r++) gap[r] = c->position[r] - here.position[r];
-    distance = sqrt(dot(gap, gap, 3));
-    double share = distance > c->speed * c->step ? c->speed * c->step / distance : 1;
+/* What is missing to the command (6) at the last or the next equilibrium: position over the longest tube, direction. */
+static int missing_to(const tubeopt_memory *m, const tubeopt_command *c, int next, double *missing, double *t) {
+    tubeopt_pose pose;
+    double length = sqrt(dot(c->direction, c->direction, 3));
+    tell(m, next, &pose);
     for (int r = 0; r < 3; r++) {
-        by_joints(m->slopes.position[r], aim->task[r]);
-        for (int k = 0; k < JOINTS; k++) aim->task[r][k] /= LONGEST_TUBE;
-        aim->missing[r] = share * gap[r] / LONGEST_TUBE;
+        t[r] = pose.frame[3 * r + 2];
+        missing[r] = (c->position[r] - pose.position[r]) / LONGEST_TUBE;
+        missing[3 + r] = length > 0 ? c->direction[r] / length - t[r] : 0;
     }
-    aim->rows = 3;
-    report->distance = distance;
-    report->angle = 0;
-    length = sqrt(dot(c->direction, c->direction, 3));
-    by_joints(m->slopes.margin, aim->margin);
-    if (!(length > 0)) return;
-    for (int r = 0; r < 3; r++) { /* the change of the direction t is turn x t */
+    return length > 0 ? 6 : 3;
+}
+
+static void report_missing(const tubeopt_memory *m, const tubeopt_command *c, tubeopt_report *report) {
+    double missing[6], t[3];
+    missing_to(m, c, 0, missing, t);
+    report->distance = LONGEST_TUBE * sqrt(dot(missing, missing, 3));
+    report->angle = 2 * asin(fmin(1, sqrt(dot(missing + 3, missing + 3, 3)) / 2));
+}
+
+/* What is missing to the command, and how the tip answers to the joints. */
+static void aim_at(const tubeopt_memory *m, const tubeopt_command *c, Aim *aim) {
+    double t[3];
+    aim->rows = missing_to(m, c, 0, aim->missing, t);
+    for (int r = 0; r < 3; r++) {
         int one = (r + 1) % 3, two = (r + 2) % 3;
-        double t[3] = {here.frame[2], here.frame[5], here.frame[8]}, first[JOINTS], second[JOINTS];
+        double first[JOINTS], second[JOINTS];
+        by_joints(m->slopes.position[r], aim->task[r]);
         by_joints(m->slopes.turn[one], first);
         by_joints(m->slopes.turn[two], second);
-        for (int k = 0; k < JOINTS; k++) aim->task[3 + r][k] = first[k] * t[two] - second[k] * t[one];
-        aim->missing[3 + r] = c->direction[r] / length - t[r];
-        turned += aim->missing[3 + r] * aim->missing[3 + r];
+        for (int k = 0; k < JOINTS; k++) { /* the change of the direction t is turn x t */
+            aim->task[r][k] /= LONGEST_TUBE;
+            aim->task[3 + r][k] = first[k] * t[two] - second[k] * t[one];
+        }
     }
-    report->angle = 2 * asin(fmin(1, sqrt(turned) / 2));
-    double most = c->speed * c->step / (LONGEST_TUBE / 10); /* as fast as the tip would turn about a tenth of the robot */
-    for (int r = 3; r < 6 && turned > most * most; r++) aim->missing[r] *= most / sqrt(turned);
-    aim->rows = 6;
+    by_joints(m->slopes.margin, aim->margin);
+}
+
+/* The largest part of a motion of the tip (6) that its speed allows: a direction turns as fast as the tip would about a
+   tenth of the robot. */
+static double part_allowed(const tubeopt_command *c, const double *motion, int kind) {
+    double most = c->speed * c->step / (kind ? LONGEST_TUBE / 10 : LONGEST_TUBE), size = sqrt(dot(motion + 3 * kind, motion + 3 * kind, 3));
+    return size > most ? most / size : 1;
 }
 
 /* Room for one row more, whose bound is known. */
@@ -84,6 +102,7 @@ static double *new_row(Quadratic *p, double bound) {
 #else
 #define keep_clear(memory, bodies, rise, program, aim) (void)(bodies)
 #define too_close(memory, bodies) 0
+#define shift_contacts(memory, stop, bodies)
 #endif
 
 /* Rows of a step over the joints' scale: rates and ranges, order, floor of the margin, which it need not raise by more
@@ -92,10 +111,17 @@ static void hedge(const tubeopt_memory *m, const tubeopt_command *c, const Bodie
                   Quadratic *p, Aim *aim) {
     p->count = 0;
     for (int k = 0; k < JOINTS; k++) {
-        double rate = fmin((k < N ? c->turn_rate : c->shift_rate) * c->step, k < N ? LARGEST_TURN : LARGEST_SHIFT * LONGEST_TUBE);
-        aim->rate[k] = rate / SCALE[k];
-        aim->low[k] = fmin(0, fmax(-rate, LOWER[k] - q[k])) / SCALE[k];
-        aim->high[k] = fmax(0, fmin(rate, UPPER[k] - q[k])) / SCALE[k];
+        double most = k < N ? LARGEST_TURN : LARGEST_SHIFT * LONGEST_TUBE, low = fmax(-most, m->low[k]), high = fmin(most, m->high[k]);
+        aim->near[0][k] = low / SCALE[k];
+        aim->near[1][k] = high / SCALE[k];
+        if (m->damping) { /* this step is shortened as a whole, once it is known; a joint that moves brakes before it returns */
+            double brakes = 0.51 * (k < N ? c->turn_acceleration : c->shift_acceleration) * c->step * c->step;
+            low = low < -brakes ? -most : 0;
+            high = high > brakes ? most : 0;
+        }
+        aim->rate[k] = fmax(high, -low) / SCALE[k];
+        aim->low[k] = fmin(0, fmax(low, LOWER[k] - q[k])) / SCALE[k];
+        aim->high[k] = fmax(0, fmin(high, UPPER[k] - q[k])) / SCALE[k];
         for (int side = 0; side < 2; side++) {
             double *row = new_row(p, side ? -aim->high[k] : aim->low[k]);
             memset(row, 0, JOINTS * sizeof(double));
@@ -121,14 +147,23 @@ static int step_towards(tubeopt_memory *m, const tubeopt_command *c, const Bodie
     Quadratic p = {m->rows, m->bounds, m->multipliers, JOINTS, 0, {0}, 0};
     hedge(m, c, bodies, q, rise, &p, aim);
     double steep = sqrt(dot(aim->margin, aim->margin, JOINTS)), push = steep > 0 ? c->push * c->turn_rate * c->step / steep : 0;
+    double share = 1;
     memset(matrix, 0, sizeof matrix);
     memcpy(matrix, aim->task, aim->rows * sizeof aim->task[0]);
-    memcpy(right, aim->missing, aim->rows * sizeof(double));
+    for (int r = 0; r < aim->rows; r++) right[r] = (m->damping ? 1 : part_allowed(c, aim->missing, r / 3)) * aim->missing[r];
     for (int k = 0, r = aim->rows; k < JOINTS; k++, r++) {
-        matrix[r * JOINTS + k] = DAMPING;
-        right[r] = DAMPING * push * aim->margin[k];
+        matrix[r * JOINTS + k] = sqrt(DAMPING * DAMPING + m->damping * m->stiff[k]);
+        right[r] = m->damping ? 0 : DAMPING * m->ease * push * aim->margin[k];
     }
     if (!least_squares(&p, aim->rows + JOINTS, matrix, right, step)) return 0;
+    if (m->damping) {
+        double motion[6];
+        for (int r = 0; r < 6; r++) motion[r] = dot(aim->task[r], step, JOINTS);
+        for (int kind = 0; kind < aim->rows / 3; kind++) share = fmin(share, part_allowed(c, motion, kind));
+        for (int k = 0; k < JOINTS; k++)
+            if (step[k]) share = fmin(share, fmax(0, aim->near[step[k] > 0][k] / step[k]));
+    }
+    aim->clipped = share;
     aim->why = 0;
     for (int k = 0; k < p.actives; k++) {
         int r = p.active[k], joint = r / 2;
@@ -143,74 +178,207 @@ static int step_towards(tubeopt_memory *m, const tubeopt_command *c, const Bodie
 }
 
 static tubeopt_status not_commanded(const tubeopt_command *c) {
-    double all[12] = {c->step, c->speed, c->turn_rate, c->shift_rate, c->min_margin, c->push};
-    memcpy(all + 6, c->position, sizeof c->position);
-    memcpy(all + 9, c->direction, sizeof c->direction);
+    const double *all = (const double *)c;
     int possible = c->step > 0 && c->speed >= 0 && c->turn_rate >= 0 && c->shift_rate >= 0 && c->push >= 0;
-    if (!possible) return TUBEOPT_BAD_INPUT;
-    tubeopt_status found = bounded(all, 12, TUBEOPT_MOST_NUMBER);
+    if (!possible || c->turn_acceleration < 0 || c->shift_acceleration < 0) return TUBEOPT_BAD_INPUT;
+    tubeopt_status found = bounded(all, sizeof *c / sizeof *all, TUBEOPT_MOST_NUMBER);
     int away = sqrt(dot(c->position, c->position, 3)) > TUBEOPT_MOST_AWAY * LONGEST_TUBE;
     return found == TUBEOPT_DONE && away ? TUBEOPT_TOO_LARGE : found;
 }
 
-static tubeopt_status servo_step(tubeopt_memory *m, const tubeopt_command *c, const Bodies *bodies, tubeopt_pose *pose,
-                                 tubeopt_report *report) {
+/* Where a robot that follows its stop point s is after a time T, and how fast it went there. */
+static void follow_stop(const tubeopt_command *c, const double *s, double T, double *q, double *speed) {
+    for (int k = 0; k < JOINTS; k++) {
+        double a = k < N ? c->turn_acceleration : c->shift_acceleration, d = s[k] - q[k];
+        speed[k] = a > 0 ? 2 * d / (T + sqrt(T * T + 2 * fabs(d) / a)) : d / T;
+        q[k] = a > 0 ? q[k] + T * speed[k] : s[k];
+    }
+}
+
+/* Whether a robot can follow a stop point s: where it is next, and some places on the way on which it brakes to s, keep a
+   margin. */
+static int can_brake(tubeopt_memory *robot, const tubeopt_command *c, const double *s, double floor) {
+    double q[JOINTS], at[JOINTS], speed[JOINTS], longest = 0;
+    tubeopt_joints next;
+    independent(&robot->joints, q);
+    follow_stop(c, s, c->step, q, speed);
+    for (int k = 0; k < JOINTS; k++) longest = fmax(longest, fabs(speed[k]) / (k < N ? c->turn_acceleration : c->shift_acceleration));
+    for (int part = 0; part < BRAKING; part++) {
+        for (int k = 0; k < JOINTS; k++) {
+            double left = fmax(0, 1 - longest * part / BRAKING * (k < N ? c->turn_acceleration : c->shift_acceleration) / fabs(speed[k]));
+            at[k] = part && speed[k] ? s[k] - (s[k] - q[k]) * left * left : q[k];
+        }
+        dependent(at, &next);
+        if (step_to(robot, &next) || bear_to(robot, &next, 1) || margin_told(robot, 1) < floor) return 0;
+    }
+    return 1;
+}
+
+/* Take so much of a step (n) over the joints' scale as the guard lets pass and brings the tip closer; returns why it is not all.
+   The damping follows the curvature of the distance: what is out of reach is missed by Gauss-Newton steps, each farther. */
+static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command *c, const Bodies *bodies, const double *q, double *step, double floor,
+                Aim *aim, tubeopt_report *report) {
+    tubeopt_joints next;
+    double share = aim->clipped, size = 0, turned = 0, there[JOINTS], left[6], expected[6], t[3];
+    int guarded = 0, back = 0, far = !m->damping && part_allowed(c, aim->missing, 0) < 1;
+    for (int k = 0; k < JOINTS; k++) {
+        step[k] = fmin(fmax(step[k], aim->low[k]), aim->high[k]); /* of rounding */
+        size = fmax(size, fabs(step[k]));
+        turned += step[k] * m->last[k];
+        m->stiff[k] = !m->damping ? 1 : step[k] * m->last[k] < 0 ? fmin(4 * m->stiff[k], MOST_STIFF) : fmax(1, m->stiff[k] / 1.2);
+        back |= far && share * step[k] * m->last[k] < -0.5 * m->last[k] * m->last[k] && fabs(m->last[k]) > 10 * DEAD;
+    }
+    back |= m->damping && turned < -0.5 * sqrt(dot(step, step, JOINTS) * dot(m->last, m->last, JOINTS));
+    if ((m->damping && size < DEAD) || share * size < DEAD * DEAD) return aim->why & ~TUBEOPT_AT_RATE;
+    for (int half = 0; half <= HALVINGS; half++, share /= 2) {
+        double ends = 0, before = dot(aim->missing, aim->missing, 6), model = 0, after, curved;
+        for (int k = 0; k < JOINTS; k++)
+            there[k] = fmin(fmax(q[k] + share * SCALE[k] * step[k], fmin(q[k], LOWER[k])), fmax(q[k], UPPER[k]));
+        dependent(there, &next);
+        report->solves++;
+        if (step_to(m, &next) || bear_to(m, &next, 1) || margin_told(m, 1) < floor || too_close(m, bodies) ||
+            (robot != m && !can_brake(robot, c, there, fmin(floor + ROOM / 2, margin_told(m, 1))))) {
+            guarded = 1;
+            continue;
+        }
+        missing_to(m, c, 1, left, t);
+        for (int r = 0; r < 6; r++) expected[r] = r < aim->rows ? aim->missing[r] - share * dot(aim->task[r], step, JOINTS) : 0;
+        after = dot(left, left, 6);
+        model = dot(expected, expected, 6);
+        ends = share * share * dot(step, step, JOINTS);
+        curved = ends > DEAD * DEAD ? fmin((after - model) / ends, MOST_CURVED) : 0;
+        int closer = model >= before || before < DEAD * DEAD || before - after >= DESCENT * (before - model);
+        if (!closer || back || (m->damping && curved > m->damping)) m->damping = fmax(fmax(curved, fmin(4 * m->damping * (!closer || back), MOST_CURVED)), DAMPING * DAMPING);
+        else if (m->damping && share == 1) m->damping = m->damping > 2 * DAMPING * DAMPING ? fmax(curved, m->damping / 2) : 0;
+        if (!closer) continue;
+        accept(m, &next);
+        accept_loaded(m);
+        m->ease = fmin(1, (turned < 0 ? 0.5 : 1.2) * m->ease);
+        for (int k = 0; k < JOINTS; k++)
+            if (step[k]) m->last[k] = share * step[k];
+        return aim->why | (guarded ? TUBEOPT_SHORTENED : 0);
+    }
+    return guarded ? TUBEOPT_HELD : aim->why & ~TUBEOPT_AT_RATE;
+}
+
+/* The step (n) over the joints' scale straight to joint values, as much of it as rates allow. */
+static void straight_to(tubeopt_memory *m, const tubeopt_joints *goal, const double *q, Aim *aim, double *step) {
+    double to[JOINTS];
+    memset(aim, 0, sizeof *aim);
+    independent(goal, to);
+    aim->clipped = 1;
+    m->damping = 0;
+    for (int k = 0; k < JOINTS; k++) {
+        double most = k < N ? LARGEST_TURN : LARGEST_SHIFT * LONGEST_TUBE, end = to[k] > q[k] ? fmin(m->high[k], most) : fmax(m->low[k], -most);
+        step[k] = aim->low[k] = aim->high[k] = (to[k] - q[k]) / SCALE[k];
+        if (to[k] != q[k]) aim->clipped = fmin(aim->clipped, fmax(0, end / (to[k] - q[k])));
+    }
+    aim->why = aim->clipped < 1 ? TUBEOPT_AT_RATE : 0;
+}
+
+static tubeopt_status servo_step(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command *c, const tubeopt_joints *goal,
+                                 const Bodies *bodies, tubeopt_pose *pose, tubeopt_report *report) {
     Aim aim;
     tubeopt_joints next;
-    double q[JOINTS], step[JOINTS], there[JOINTS], floor;
-    if (!m->started) return TUBEOPT_NOT_STARTED;
-    tubeopt_status not_taken = not_commanded(c);
-    if (not_taken) return not_taken;
+    double q[JOINTS], step[JOINTS] = {0}, floor, moved = 0;
     independent(&m->joints, q); /* which has one translation for all tubes without play between them */
     dependent(q, &next);
     for (int i = 0; i < N; i++)
         if (fabs(next.translations[i] - m->joints.translations[i]) > CLOSE) return TUBEOPT_BAD_INPUT;
     report->solves = 0;
     report->why = TUBEOPT_HELD;
-    if (look_ahead(m, 0)) return TUBEOPT_DECLINED;
+    if (!goal && look_ahead(m, 0)) return TUBEOPT_DECLINED;
     const Answer *here = m->answers + m->here;
     m->origin = m->joints;
     keep_loaded(m);
-    aim_at(m, c, &aim, report);
+    if (!goal) aim_at(m, c, &aim);
+    report_missing(m, c, report);
+    for (int r = 0; r < 3; r++) moved += (c->position[r] - m->goal[r]) * (c->position[r] - m->goal[r]);
+    if (sqrt(moved) > 2 * c->speed * c->step) m->damping = 0; /* another target */
+    memcpy(m->goal, c->position, sizeof m->goal);
     floor = fmin(c->min_margin, margin_told(m, 0)); /* what is below it does not get worse */
-    if (step_towards(m, c, bodies, q, 1, &aim, step) || step_towards(m, c, bodies, q, 0, &aim, step)) {
-        double share = 1;
-        for (int k = 0; k < JOINTS; k++) step[k] = fmin(fmax(step[k], aim.low[k]), aim.high[k]); /* of rounding */
-        for (int half = 0; half <= HALVINGS; half++, share /= 2) {
-            for (int k = 0; k < JOINTS; k++)
-                there[k] = fmin(fmax(q[k] + share * SCALE[k] * step[k], fmin(q[k], LOWER[k])), fmax(q[k], UPPER[k]));
-            dependent(there, &next);
-            report->solves++;
-            if (step_to(m, &next) || bear_to(m, &next, 1) || margin_told(m, 1) < floor || too_close(m, bodies)) continue;
-            accept(m, &next);
-            accept_loaded(m);
-            report->why = aim.why | (half ? TUBEOPT_SHORTENED : 0);
-            break;
-        }
-    }
+    if (goal) straight_to(m, goal, q, &aim, step);
+    if (goal || step_towards(m, c, bodies, q, 1, &aim, step) || step_towards(m, c, bodies, q, 0, &aim, step))
+        report->why = take(m, robot, c, bodies, q, step, floor, &aim, report);
+    int rests = !memcmp(&m->origin, &m->joints, sizeof next), missed = fmax(report->distance, report->angle) > NEAR;
+    if (rests && missed && !goal && !(report->why & TUBEOPT_HELD)) report->why |= TUBEOPT_NO_CLOSER;
     m->before = here;
     tell(m, 0, pose);
     return TUBEOPT_DONE;
 }
 
+/* The robot follows its stop point s, where it would rest if it braked from now on: s = q + v |v| / (2 a). The step above is one
+   of s, within what a changes v by in a cycle; then v = sgn(d) (sqrt((a T)^2 + 2 a |d|) - a T), d = s - q, ends in s again. So the
+   robot can always brake before what s keeps clear of: ranges, order, and the floor of the margin. */
+static tubeopt_status servo(tubeopt_memory *m, const tubeopt_command *c, const tubeopt_joints *goal, Bodies *bodies, tubeopt_pose *pose,
+                            tubeopt_report *report) {
+    tubeopt_memory *stop = m;
+    tubeopt_joints next;
+    double q[JOINTS], s[JOINTS], T = c->step;
+    tubeopt_status not_taken = m->started ? not_commanded(c) : TUBEOPT_NOT_STARTED;
+    if (not_taken) return not_taken;
+    int limited = c->turn_acceleration > 0 || c->shift_acceleration > 0;
+    if (limited) stop = stop_of(m);
+    if (limited && !m->moves) {
+        memcpy(stop, m, ROOM_OF_ONE);
+        stop->fresh = 0; /* the workspace points to what was copied */
+        memset(m->speed, 0, sizeof m->speed);
+    }
+    m->moves = limited;
+    m->was_moving = 0;
+    independent(&m->joints, q);
+    independent(&stop->joints, s);
+    for (int k = 0; k < JOINTS; k++) {
+        double a = k < N ? c->turn_acceleration : c->shift_acceleration, rate = k < N ? c->turn_rate : c->shift_rate;
+        double inverse = a > 0 ? 1 / a : 0, more = a > 0 ? a * T : INFINITY, v = limited ? m->speed[k] : 0;
+        double fast = fmin(v + more, fmax(rate, v - more)), slow = fmax(v - more, fmin(-rate, v + more));
+        stop->low[k] = slow * T + inverse * slow * fabs(slow) / 2 - (s[k] - q[k]);
+        stop->high[k] = fast * T + inverse * fast * fabs(fast) / 2 - (s[k] - q[k]);
+    }
+    shift_contacts(m, stop, bodies);
+    tubeopt_status status = servo_step(stop, m, c, goal, bodies, pose, report);
+    if (status || !limited) return status;
+    report_missing(m, c, report);
+    m->was_moving = 1;
+    memcpy(m->slower, m->speed, sizeof m->speed);
+    independent(&stop->joints, s);
+    follow_stop(c, s, T, q, m->speed);
+    dependent(q, &next);
+    if (keep_branch(m, &next, 1)) { /* which s has kept: it does not happen */
+        m->moves = 0;
+        report->why |= TUBEOPT_HELD;
+    }
+    tell(m, 0, pose);
+    return TUBEOPT_DONE;
+}
+
 tubeopt_status tubeopt_servo(tubeopt_memory *m, const tubeopt_command *c, tubeopt_pose *pose, tubeopt_report *report) {
-    const Bodies none = {0};
-    return servo_step(m, c, &none, pose, report);
+    Bodies none = {0};
+    return servo(m, c, NULL, &none, pose, report);
+}
+
+tubeopt_status tubeopt_servo_joints(tubeopt_memory *m, const tubeopt_command *c, const tubeopt_joints *goal, tubeopt_pose *pose,
+                                    tubeopt_report *report) {
+    Bodies none = {0};
+    tubeopt_status not_taken = refused(goal);
+    return not_taken ? not_taken : servo(m, c, goal, &none, pose, report);
 }
 
 #if TUBEOPT_BODIES
 tubeopt_status tubeopt_servo_among(tubeopt_memory *m, const tubeopt_command *c, int count,
                                    const tubeopt_contact *contacts, double clearance, tubeopt_pose *pose,
                                    tubeopt_report *report) {
-    const Bodies bodies = {count, clearance, contacts};
+    tubeopt_contact own[TUBEOPT_MOST_CONTACTS];
+    Bodies bodies = {count, clearance, own};
     if (!m->started) return TUBEOPT_NOT_STARTED;
     if (count < 0 || count > TUBEOPT_MOST_CONTACTS || bears(m)) return TUBEOPT_BAD_INPUT;
     tubeopt_status not_taken = bounded(&clearance, 1, TUBEOPT_MOST_NUMBER);
+    memcpy(own, contacts, count * sizeof *own);
     for (int k = 0; k < count && !not_taken; k++) {
         const tubeopt_contact *at = contacts + k;
         double all[5] = {at->arc_length, at->normal[0], at->normal[1], at->normal[2], at->distance};
         not_taken = bounded(all, 5, TUBEOPT_MOST_NUMBER);
     }
-    return not_taken ? not_taken : servo_step(m, c, &bodies, pose, report);
+    return not_taken ? not_taken : servo(m, c, NULL, &bodies, pose, report);
 }
 #endif

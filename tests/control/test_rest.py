@@ -1,0 +1,163 @@
+"""Out of reach, and with limited accelerations: the robot comes to rest, within its limits, as close as it can."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.examples import CRL, THESIS
+from tubeopt import ConcentricRobot, forward_kinematics, inverse_kinematics, load_robot
+from tubeopt.control.c_binding import CServo
+from tubeopt.control.c_library import c_library
+from tubeopt.control.command import Command, ServoOptions, ServoStep, Why
+from tubeopt.control.crtk import CrtkRobot
+from tubeopt.control.lookahead import PredictiveServo
+from tubeopt.control.servo import Servo
+from tubeopt.inverse.joints import joint_space
+from tubeopt.solvers.compiled.library import compile_to, compiler
+
+TWO_TUBES = load_robot("configs/robots/two_tube.yaml")
+START = ([0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
+ACCELERATIONS = {"turn_acceleration": 30.0, "shift_acceleration": 1.0}
+ROUNDING = 1e-9
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled_quickly(own_tables: None) -> Iterator[None]:
+    def compile_quickly(text: str, path: Path, flags: Sequence[str]) -> None:
+        compile_to(text, path, [*flags, "-Og"])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tubeopt.control.c_binding.compile_to", compile_quickly)
+        yield
+
+
+def made(kind: str, robot: ConcentricRobot, start: tuple[Sequence[float], Sequence[float]], **options: float) -> object:
+    if kind == "c":
+        if compiler() is None:
+            pytest.skip("no C compiler")
+        return CServo(c_library(robot), start, ServoOptions(**options))
+    kinds = {"python": Servo, "predictive": PredictiveServo}
+    return kinds[kind](robot, start, options=ServoOptions(**options))
+
+
+def joints_of(steps: Sequence[ServoStep]) -> np.ndarray:
+    return np.array([np.concatenate([step.rotations, step.translations]) for step in steps])
+
+
+def reversals(joints: np.ndarray) -> int:
+    """Largest number of changes of the sign of a joint's motion."""
+    moved = np.diff(joints, axis=0)
+    return max(int((np.diff(np.sign(column[np.abs(column) > 1e-9])) != 0).sum()) for column in moved.T)
+
+
+@pytest.mark.parametrize("kind", ["python", "c", "predictive"])
+@pytest.mark.parametrize("away", [(0.3, 0.1, 0.3), (-0.1, 0.3, 0.3)])
+def test_robot_rests_where_target_is_out_of_reach(kind: str, away: tuple[float, float, float]) -> None:
+    dt, count = (5e-3, 1200) if kind != "predictive" else (0.02, 400)
+    servo = made(kind, THESIS, START, speed=0.2, shift_rate=0.2)
+    steps = [servo.step(Command(position=away), dt) for _ in range(count)]
+    joints = joints_of(steps)[-count // 3 :]
+    assert reversals(joints) < 5
+    assert np.abs(np.diff(joints, axis=0)).max() < 1e-6
+    last = steps[-1]
+    assert Why.NO_CLOSER in last.why
+    assert "no small motion" in last.why.words
+    # Inverse kinematics from there finds no closer place either.
+    start = forward_kinematics(THESIS, last.rotations, last.translations)
+    known = inverse_kinematics(THESIS, away, start=start, on_failure="closest", min_margin=0.1)
+    assert np.linalg.norm(known.equilibrium.tip_position - away) > last.distance - 1e-4
+
+
+@pytest.mark.parametrize("kind", ["python", "c"])
+@pytest.mark.parametrize(("robot", "start"), [(THESIS, START), (TWO_TUBES, None)], ids=["thesis", "two"])
+def test_accelerations_are_kept_to_target_and_back_to_rest(
+    kind: str, robot: ConcentricRobot, start: tuple[list[float], list[float]] | None
+) -> None:
+    space = joint_space(robot)
+    begin = start or space.split(0.5 * space.inside() + 0.5 * space.middle())
+    servo = made(kind, robot, begin, speed=0.1, **ACCELERATIONS)
+    first, dt, n = servo.equilibrium, 1e-3, robot.n_tubes
+    targets = [first.tip_position + np.array([4e-3, 3e-3, 2e-3]), np.array([0.3, 0.0, 0.2]), first.tip_position]
+    steps = [servo.step(Command(position=target), dt) for target in targets for _ in range(700)]
+    if len(steps[-1].rotations) == 3:
+        assert steps[699].distance < 1e-6
+    steps += [servo.step(Command(), dt) for _ in range(200)]
+    joints = joints_of(steps)
+    joints = np.vstack([np.concatenate([first.rotations, first.translations]), joints])
+    speed = np.vstack([np.zeros(2 * n), np.diff(joints, axis=0) / dt])
+    change = np.abs(np.diff(speed, axis=0)) / dt
+    assert change[:, :n].max() <= ACCELERATIONS["turn_acceleration"] * (1 + ROUNDING) + 1e-6
+    assert change[:, n:].max() <= ACCELERATIONS["shift_acceleration"] * (1 + ROUNDING) + 1e-6
+    assert change[:, :n].max() > 0.9 * ACCELERATIONS["turn_acceleration"]
+    assert np.abs(speed[:, :n]).max() <= 3.0 * (1 + ROUNDING)
+    assert np.abs(speed[:, n:]).max() <= 0.05 * (1 + ROUNDING)
+    assert not servo.moving
+    assert np.abs(speed[-1]).max() < 1e-9
+    assert min(step.equilibrium.margin for step in steps) > 0.1 - 0.01
+
+
+@pytest.mark.parametrize("kind", ["python", "c"])
+def test_joints_speed_up_and_brake_straight_to_their_goal(kind: str) -> None:
+    servo = made(kind, THESIS, START, **ACCELERATIONS)
+    goal = np.array([0.4, 0.9, 2.0]), np.array([-0.049, -0.03, -0.02])
+    joints = joints_of([servo.step(Command(joints=goal), 1e-3) for _ in range(400)])
+    assert joints[-1] == pytest.approx(np.concatenate(goal), abs=1e-9)
+    turned = joints[:, 0]
+    # 0.4 rad at 30 rad/s^2 and 3 rad/s take 0.4 / 3 + 3 / 30 s.
+    assert np.argmax(turned > 0.4 - 1e-3) == pytest.approx(233, abs=12)
+    assert np.diff(turned).min() >= -1e-12
+    assert np.abs(np.diff(turned, 2)).max() <= 30.0 * 1e-6 * (1 + ROUNDING)
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler")
+def test_undone_step_gives_the_speed_back() -> None:
+    servo = made("c", THESIS, START, **ACCELERATIONS)
+    target = Command(position=servo.equilibrium.tip_position + np.array([5e-3, 0.0, 0.0]))
+    for _ in range(30):
+        servo.step(target, 1e-3)
+    before = servo.equilibrium
+    there = servo.step(target, 1e-3).equilibrium
+    servo.undo()
+    assert servo.equilibrium is before
+    assert servo.step(target, 1e-3).rotations == pytest.approx(there.rotations, abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["python", "c"])
+def test_motion_of_objective_comes_to_rest(kind: str) -> None:
+    space = joint_space(CRL)
+    q = next(
+        q
+        for q in space.sample(16)
+        if 0.3 < forward_kinematics(CRL, *space.split(0.8 * q + 0.2 * space.inside())).margin < 0.9
+    )
+    start = space.split(0.8 * q + 0.2 * space.inside())
+    servo = made(kind, CRL, start, objective="margin")
+    target, first = servo.equilibrium.tip_position, servo.equilibrium.margin
+    steps = [servo.step(Command(position=target), 5e-3) for _ in range(900)]
+    assert steps[-1].equilibrium.margin > first
+    assert steps[-1].distance < 1e-5
+    assert np.abs(np.diff(joints_of(steps[-50:]), axis=0)).max() < 1e-5
+
+
+@pytest.mark.parametrize("kind", ["python", "c"])
+def test_server_brakes_when_commands_stop(kind: str) -> None:
+    """Watchdog, disable and release bring a moving robot to rest within its accelerations."""
+    servo = made(kind, THESIS, START, **ACCELERATIONS)
+    arm, now, dt = CrtkRobot(servo), 0.0, 1e-3
+    place = (servo.equilibrium.tip_position + np.array([0.01, 0.0, 0.0])).tolist()
+    joints = []
+    arm.command({"op": "state_command", "command": "enable"}, now)
+    for k in range(400):
+        if k < 60:
+            arm.command({"op": "servo_cp", "position": place}, now)
+        arm.tick(lambda: now, dt)  # noqa: B023
+        now += dt
+        joints.append(np.concatenate([arm.servo.equilibrium.rotations, arm.servo.equilibrium.translations]))
+    speed = np.diff(np.array(joints), axis=0) / dt
+    assert np.abs(speed[60]).max() > 0.1
+    assert np.abs(np.diff(speed[:, :3], axis=0)).max() / dt <= ACCELERATIONS["turn_acceleration"] * (1 + 1e-6)
+    assert np.abs(speed[-1]).max() == 0
