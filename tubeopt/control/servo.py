@@ -228,12 +228,12 @@ BRAKING = 4
 # Distance (m) and angle (rad) at which a target is met.
 MET = 1e-6
 
-# Fraction of the predicted decrease of the distance that a step must have. Far out of reach steps to and fro across a
+# Fraction of the predicted decrease of the distance that a step must have. Far out of reach steps back and forth across a
 # singular pose have none.
 DESCENT = 0.25
 
 # Largest curvature of the squared distance over the scales that damps a step, and largest factor on it of a joint that
-# goes to and fro: where breakpoints coincide, the distance has kinks.
+# goes back and forth: where breakpoints coincide, the distance has kinks.
 MOST_CURVED, MOST_STIFF = 4.0, 1e6
 
 # Change over the scales below which the robot rests: its second-order effect on the tip is below round-off.
@@ -317,7 +317,7 @@ class Servo:
         self._last: Array = np.zeros(len(self.space.scale))
         """(m,) last step over the scales."""
         self._ease = 1.0
-        """Part of the push of the objective: it halves where the push goes to and fro."""
+        """Part of the push of the objective: it halves where the push goes back and forth."""
         self._goal: Array | None = None
         if self.options.objective == "compliance" and compiled_slopes(self.equilibrium) is None:
             raise InputError(
@@ -410,8 +410,8 @@ class Servo:
             ends = np.where(step > 0, near[1], near[0]) / scale
             share = min(share, float(np.divide(ends, step, out=np.ones_like(step), where=step != 0).min()))
             share = max(share, 0.0)
-        to_and_fro = step * last < 0
-        self._stiff = np.where(to_and_fro, np.minimum(4 * self._stiff, MOST_STIFF), np.maximum(1.0, self._stiff / 1.2))
+        reverses = step * last < 0
+        self._stiff = np.where(reverses, np.minimum(4 * self._stiff, MOST_STIFF), np.maximum(1.0, self._stiff / 1.2))
         turned, size = float(step @ last), float(np.abs(step).max())
         if self._damping:
             back = turned < -0.5 * float(np.linalg.norm(step) * np.linalg.norm(last))
