@@ -228,8 +228,8 @@ BRAKING = 4
 # Distance (m) and angle (rad) at which a target is met.
 MET = 1e-6
 
-# Fraction of the predicted decrease of the distance that a step must have. Far out of reach steps back and forth across a
-# singular pose have none.
+# Fraction of the predicted decrease of the distance that a step must have. Steps back and forth across a singular pose,
+# at the edge of the reach, have none.
 DESCENT = 0.25
 
 # Largest curvature of the squared distance over the scales that damps a step, and largest factor on it of a joint that
