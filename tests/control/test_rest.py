@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.examples import CRL, THESIS
-from tubeopt import ConcentricRobot, forward_kinematics, inverse_kinematics, load_robot
+from tubeopt import ConcentricRobot, InputError, forward_kinematics, inverse_kinematics, load_robot
 from tubeopt.control.c_binding import CServo
 from tubeopt.control.c_library import c_library
 from tubeopt.control.command import Command, ServoOptions, ServoStep, Why
@@ -161,3 +161,35 @@ def test_server_brakes_when_commands_stop(kind: str) -> None:
     assert np.abs(speed[60]).max() > 0.1
     assert np.abs(np.diff(speed[:, :3], axis=0)).max() / dt <= ACCELERATIONS["turn_acceleration"] * (1 + 1e-6)
     assert np.abs(speed[-1]).max() == 0
+
+
+def test_hold_home_and_relative_joints_of_the_server() -> None:
+    servo = made("python", THESIS, START, **ACCELERATIONS)
+    arm, clock = CrtkRobot(servo), iter(np.arange(1, 100_000) * 1e-3 / 2)
+
+    def tick(count: int) -> None:
+        for _ in range(count):
+            arm.tick(lambda: float(next(clock)), 1e-3)
+
+    turn, stay = {"rotations": [0.05, 0.0, 0.0], "translations": [0.0] * 3}, {"rotations": [0.0] * 3}
+    arm.command({"op": "state_command", "command": "enable"}, 0.0)
+    arm.command({"op": "state_command", "command": "unhome"}, 0.0)
+    assert arm.report(0.0)["operating_state"]["is_homed"] is False
+    with pytest.raises(InputError, match="the robot is not homed"):
+        arm.command({"op": "move_jr", **turn}, 0.0)
+    arm.command({"op": "state_command", "command": "home"}, 0.0)
+    with pytest.raises(InputError, match="translations"):
+        arm.command({"op": "move_jr", **stay}, 0.0)
+    arm.command({"op": "move_jr", **turn}, 0.0)
+    assert arm.busy
+    tick(300)
+    assert not arm.busy
+    assert arm.servo.equilibrium.rotations == pytest.approx([0.05, 1.0, 2.0], abs=1e-6)
+    arm.command({"op": "move_jr", **turn}, 0.2)
+    tick(20)
+    arm.command({"op": "hold"}, 0.2)
+    assert not arm.busy
+    tick(100)
+    assert not arm.servo.moving
+    assert 0.05 < arm.servo.equilibrium.rotations[0] < 0.1 - 1e-3
+    assert arm.report(0.3)["why"] == "held by command"

@@ -63,7 +63,16 @@ def export(study: ExportEntry, output: Output, robot: str) -> None:
 # --- server -----------------------------------------------------------------------------------------------------------
 
 
-SERVO = ("speed", "turn_rate", "shift_rate", "min_margin", "clearance", "objective")
+SERVO = (
+    "speed",
+    "turn_rate",
+    "shift_rate",
+    "turn_acceleration",
+    "shift_acceleration",
+    "min_margin",
+    "clearance",
+    "objective",
+)
 """Fields of `ServoOptions` with a flag."""
 
 SERVER = ("port", "period", "publish")

@@ -116,10 +116,12 @@ class ServoOptions(Displayed):
     ] = None
     push: float = 0.2
     """Share of the rates that goes there."""
-    turn_acceleration: float | None = None
-    """Largest acceleration of every rotation, rad/s^2; None: no limit."""
-    shift_acceleration: float | None = None
-    """Largest acceleration of every translation, m/s^2; None: no limit."""
+    turn_acceleration: Annotated[
+        float | None, unit("deg_per_s2"), POSITIVE, "largest acceleration of a rotation; default no limit"
+    ] = None
+    shift_acceleration: Annotated[
+        float | None, unit("mm_per_s2"), POSITIVE, "largest acceleration of a translation; default no limit"
+    ] = None
 
     def __post_init__(self) -> None:
         for name in ("speed", "turn_rate", "shift_rate", "clearance", "push"):

@@ -50,12 +50,19 @@ KEYS = {
     "servo_cp": ("position", "direction"),
     "servo_cv": ("linear",),
     "servo_jp": ("rotations", "translations"),
+    "servo_jr": ("rotations", "translations"),
     "move_cp": ("position", "direction"),
     "move_jp": ("rotations", "translations"),
+    "move_jr": ("rotations", "translations"),
+    "hold": (),
     "state_command": ("command",),
 }
 
-# What `state_command` may say, and the state that follows.
+# What `state_command` may say, and whether the drives are homed after it. Only then the robot moves: joint values of
+# drives that are not homed mean nothing.
+HOMING = {"home": True, "unhome": False}
+
+# What else it may say, and the state that follows.
 TRANSITIONS = {
     "enable": "ENABLED",
     "disable": "DISABLED",
@@ -95,7 +102,7 @@ class CrtkRobot:
         if not finite("watchdog", watchdog) > 0:
             raise InputError(f"watchdog is {watchdog:g} s; it must be more than 0")
         self.servo, self.watchdog = servo, watchdog
-        self.state = "DISABLED"
+        self.state, self.homed = "DISABLED", True
         self._goal: _Goal | None = None
         self._why = Why(0)
         self._words = ""
@@ -121,10 +128,15 @@ class CrtkRobot:
         _check_keys(name, message)
         if name == "state_command":
             self._change(message.get("command"))
+        elif name == "hold":
+            self.hold("held by command")
         else:
-            wanted = {"cp": self._pose, "cv": _twist, "jp": self._joints}[name[-2:]](message)
+            read = {"cp": self._pose, "cv": _twist, "jp": self._joints, "jr": self._relative}[name[-2:]]
+            wanted = read(message)
             if self.state != "ENABLED":
                 raise InputError(f"{name} is rejected: the robot is {self.state}; enable it first")
+            if not self.homed:
+                raise InputError(f"{name} is rejected: the robot is not homed; send the state command home first")
             self._goal = _Goal(wanted, now, name.startswith("servo"), closer=now)
 
     def release(self) -> None:
@@ -203,13 +215,23 @@ class CrtkRobot:
         return turn, 0.0 if command.position is None else math.dist(command.position, arm.tip_position)
 
     def _change(self, wanted: Any) -> None:
-        if not (isinstance(wanted, str) and wanted in TRANSITIONS):
-            raise InputError(f"command is {wanted!r}; it must be one of {', '.join(TRANSITIONS)}")
+        if not (isinstance(wanted, str) and wanted in TRANSITIONS | HOMING):
+            raise InputError(f"command is {wanted!r}; it must be one of {', '.join(TRANSITIONS | HOMING)}")
+        if wanted in HOMING:
+            self._goal, self.homed = None, HOMING[wanted]
+            return
         if wanted == "resume" and self.state != "PAUSED":
             raise InputError(f"resume is rejected: the robot is {self.state}")
         if wanted == "pause" and self.state != "ENABLED":
             raise InputError(f"pause is rejected: the robot is {self.state}")
         self._goal, self.state = None, TRANSITIONS[wanted]
+
+    def _relative(self, message: Mapping[str, Any]) -> Command:
+        """The command of joint values relative to those of now."""
+        arm, n = self.servo.equilibrium, self.servo.space.robot.n_tubes
+        now = {"rotations": arm.rotations, "translations": arm.translations}
+        changes = {name: vector(name, message.get(name, ()), n) for name in now}
+        return self._joints({name: (now[name] + changes[name]).tolist() for name in now})
 
     def _joints(self, message: Mapping[str, Any]) -> Command:
         n = self.servo.space.robot.n_tubes
@@ -254,7 +276,7 @@ class CrtkRobot:
             "op": "state",
             "time": now,
             "setpoint_time": self.sent,
-            "operating_state": {"state": self.state, "is_homed": True, "is_busy": self.busy},
+            "operating_state": {"state": self.state, "is_homed": self.homed, "is_busy": self.busy},
             # There is no sensor here: what is measured is what was sent.
             "setpoint_js": state,
             "measured_js": state,
