@@ -49,6 +49,14 @@ def header() -> SimpleNamespace:
     return SimpleNamespace(stamp=None, frame_id="")
 
 
+CRTK_MESSAGES = {
+    "crtk_msgs.msg": [
+        kind("OperatingState", header=header, state=str, is_homed=bool, is_busy=bool),
+        kind("StringStamped", header=header, string=str),
+    ]
+}
+
+
 class Node:
     """What the node asks of rclpy."""
 
@@ -86,7 +94,7 @@ class Node:
 
 
 @pytest.fixture
-def node(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def node(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Iterator[Any]:
     pose = lambda: SimpleNamespace(position=numbers("xyz")(), orientation=numbers("wxyz")())  # noqa: E731
     wrench = lambda: SimpleNamespace(force=numbers("xyz")(), torque=numbers("xyz")())  # noqa: E731
     twist = lambda: SimpleNamespace(linear=numbers("xyz")())  # noqa: E731
@@ -97,7 +105,8 @@ def node(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
             kind("WrenchStamped", header=header, wrench=wrench),
         ],
         "sensor_msgs.msg": [kind("JointState", header=header, name=list, position=list, velocity=list)],
-        "std_msgs.msg": [kind("Float64", data=float), kind("String", data=str)],
+        "std_msgs.msg": [kind("Empty"), kind("Float64", data=float), kind("String", data=str)],
+        **(CRTK_MESSAGES if getattr(request, "param", False) else {}),
         "rclpy.node": [Node],
         "rclpy": [],
     }
@@ -239,3 +248,23 @@ def test_a_step_that_fails_holds_the_robot_and_the_node_goes_on(node: Any, monke
     time.sleep(5e-3)
     robot.tick()
     assert robot.told["measured_js"].position[5] == pytest.approx(-0.0201, abs=1e-6)
+
+
+@pytest.mark.parametrize("node", [True], indirect=True)
+def test_messages_of_crtk_are_used_where_installed(node: Any) -> None:
+    robot = node.RobotNode()
+    robot.tick()
+    state = robot.told["operating_state"]
+    assert (state.state, state.is_homed, state.is_busy, state.header.stamp) == ("DISABLED", True, False, "now")
+    robot.heard["state_command"](node.StringStamped(string="enable"))
+    turn = [0.01, 0.0, 0.0, 0.0, 0.0, 0.0]
+    before = list(robot.told["measured_js"].position)
+    robot.heard["move_jr"](node.JointState(position=turn))
+    robot.tick()
+    assert robot.told["operating_state"].is_busy
+    for _ in range(50):
+        robot.tick()
+    assert robot.told["measured_js"].position == pytest.approx(np.add(before, turn), abs=1e-6)
+    robot.heard["hold"](node.Empty())
+    assert robot.robot.report(0.0)["why"] == "held by command"
+    assert not robot.warned

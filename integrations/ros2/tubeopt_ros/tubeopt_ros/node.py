@@ -11,12 +11,17 @@ import rclpy
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Empty, Float64, String
 
 import tubeopt
 from tubeopt.control.c_binding import CServo
 from tubeopt.control.c_library import c_library
 from tubeopt.control.crtk import CrtkRobot
+
+try:  # the messages of CRTK, which its clients use
+    from crtk_msgs.msg import OperatingState, StringStamped
+except ImportError:
+    OperatingState = StringStamped = None
 
 
 class RobotNode(Node):
@@ -38,7 +43,10 @@ class RobotNode(Node):
             ("servo_cv", TwistStamped, _twist),
             ("servo_jp", JointState, self._joints),
             ("move_jp", JointState, self._joints),
-            ("state_command", String, _word),
+            ("servo_jr", JointState, self._joints),
+            ("move_jr", JointState, self._joints),
+            ("hold", Empty, _nothing),
+            ("state_command", StringStamped or String, _word),
         ):
             self.create_subscription(kind, op, partial(self._hear, op, read), 1)
         self.create_subscription(PoseStamped, "sensor_cp", self.feel, 1)
@@ -47,7 +55,8 @@ class RobotNode(Node):
             for kind, names in (
                 (JointState, ("measured_js", "setpoint_js")),
                 (PoseStamped, ("measured_cp", "setpoint_cp")),
-                (String, ("operating_state", "why")),
+                (OperatingState or String, ("operating_state",)),
+                (String, ("why",)),
                 (Float64, ("margin",)),
                 (WrenchStamped, ("measured_cf",)),
             )
@@ -128,7 +137,7 @@ class RobotNode(Node):
             place.x, place.y, place.z = told[name]["position"]
             turn.w, turn.x, turn.y, turn.z = quaternion(np.array(told[name]["rotation"]))
             self._out[name].publish(message)
-        self._out["operating_state"].publish(String(data=told["operating_state"]["state"]))
+        self._out["operating_state"].publish(_state(told["operating_state"], stamp))
         self._out["why"].publish(String(data=told["why"]))
         self._out["margin"].publish(Float64(data=told["margin"]))
 
@@ -168,7 +177,19 @@ def _twist(message) -> dict:
 
 
 def _word(message) -> dict:
-    return {"command": message.data}
+    return {"command": message.string if StringStamped else message.data}
+
+
+def _nothing(message) -> dict:
+    return {}
+
+
+def _state(known: dict, stamp):
+    if OperatingState is None:
+        return String(data=known["state"])
+    message = OperatingState(**known)
+    message.header.stamp = stamp
+    return message
 
 
 def main() -> None:
