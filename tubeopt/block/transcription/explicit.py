@@ -1,16 +1,15 @@
-"""Equilibria without equations to solve: from the tubes' rotations at their tips to the joint rotations that they need.
+"""Explicit map from tip rotations and translations to the equilibrium: joint rotations, margin and shape.
 
-Torsion vanishes at every tube's own end. Given the rotations there and the translations, the equations of torsion are
-therefore an initial-value problem from the tip to the plate, whose solution always exists and is unique: every
-equilibrium, stable or not, is one point (tip rotations, translations), and every such point is one equilibrium. Where
-several equilibria have the same joint values, these points tell them apart; a continuous path of points is a branch.
+Torsion vanishes at the end of every tube. For given rotations there, the equations of torsion are an initial-value
+problem from tip to plate, which has exactly one solution. So equilibria, stable or not, and points (tip rotations,
+translations) correspond one to one. Such points distinguish equilibria at the same joint values, and a continuous path
+of points is a branch.
 
-The integrator takes `STEPS` steps of order 4 per section, of which there are 2 n with lengths that may be 0, and more
-of tubes made of pieces, which are taken as chains of arcs and helices (`robots.steps`): breakpoints are sorted by
-comparisons, so that one function serves every translation. One step is a function of its own, called for all of them:
-it is written out once, however many tubes and steps there are. The margin enters as in
-`inverse_program`, by the determinants of the Jacobi fields of softened tubes, for tubes off the centreline those of
-their own equations.
+The integrator takes `STEPS` steps of order 4 per section. Two-piece tubes have 2 n sections, some of length 0; general
+tubes have more, as chains of arcs and helices (`robots.lengthwise.steps_of`). Breakpoints are sorted by minima and
+maxima, so that one function serves every translation. One step is a CasADi function, called for all steps: the
+expression stays small. Determinants of the Jacobi fields of softened tubes give the margin, as in `inverse.program`;
+those of eccentric tubes satisfy the eccentric equations.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -32,88 +31,86 @@ from ...typing import Array
 from .collocated import Piece, Torsion
 from .functions import determinant_function
 
-# --- From the tip to the plate over a piece, on arrays ----------------------------------------------------------------
+State = list[Any]
+"""theta, torque or torsion, ... as columns, and their derivatives by the tip rotations as matrices."""
 
-# From the tip to the plate over a piece of the mesh, in one call: torsion, and Jacobi fields of softened tubes where a
-# program must stay small.
-
-Columns = list[Any]
+# --- March over a piece of the mesh, on arrays ------------------------------------------------------------------------
 
 
 @lru_cache(maxsize=64)
 def march_function(n: int, eccentric: bool, slopes: bool, steps: int, varying: bool = False) -> ca.Function:
-    """Steps of the classical method on a piece of the mesh.
+    """March over a piece of the mesh, from its far to its near end, by the classical Runge-Kutta method.
 
-    From (theta, torque, travel (n,)[, derivatives (n, n) of theta and of the torque by the tip angles], h (steps,) m,
-    1 / kt, kb, m (n,)[, offset, angle (n,)]) at its far end to the same state at its near end, and theta and theta'
-    (n, steps + 1) where the steps begin and end. `travel` is the length of every tube so far, m; h is counted towards
-    the base. The last two inputs are those of eccentric tubes.
+    Inputs (theta, torque, travel (n,)[, derivatives (n, n) of theta and of the torque by the tip rotations], h (steps,)
+    m, 1 / kt, kb, m (n,)[, offset, angle (n,)]) at the far end; the last two for eccentric tubes. Outputs are the same
+    state at the near end, and theta and theta' (n, steps + 1) at the ends of the steps. `travel` is the length of each
+    tube so far, m; h is counted towards the base.
 
-    Where cross-sections are `varying` along the piece, theta is the elastic rotation, and 1 / kt, kb, m and phase
-    (n (2 steps + 1),), from the near end on where the steps end, are half-way and begin, stand for 1 / kt, kb and m.
+    For cross-sections `varying` along the piece, theta is the elastic rotation. In place of 1 / kt, kb and m the inputs
+    are 1 / kt, kb, m and phase (n (2 steps + 1),) at the ends and middles of the steps, from the near end on.
     """
     step = _step_function(n, eccentric, slopes, varying)
-    state, places = _state(ca.MX, n, slopes), 2 * steps + 1 if varying else 1
+    initial, nodes = _state(ca.MX, n, slopes), 2 * steps + 1 if varying else 1
     h = ca.MX.sym("h", steps)
-    constants = [ca.MX.sym("constant", n * places) for _ in range(_given(eccentric, varying))]
-    tables = [ca.reshape(part, n, places) for part in constants]
-    here, passed, rates = state, [state[0]], []
+    constants = [ca.MX.sym("constant", n * nodes) for _ in range(_section_size(eccentric, varying))]
+    tables = [ca.reshape(part, n, nodes) for part in constants]
+    state, thetas, rates = initial, [initial[0]], []
     for k in range(steps):
         far = 2 * (steps - k)
-        inputs = [part[:, at] for at in (far, far - 1, far - 2) for part in tables] if varying else constants
-        # `far`, `far - 1`, `far - 2` are far end, middle and near end: where the classical method looks.
-        *here, rate = step(*here, h[k], *inputs)
-        passed.append(here[0])
+        # The classical method evaluates far end, middle and near end of a step.
+        inputs = [part[:, node] for node in (far, far - 1, far - 2) for part in tables] if varying else constants
+        *state, rate = step(*state, h[k], *inputs)
+        thetas.append(state[0])
         rates.append(rate)
     # The slope at the near end, which no further step computes: cubics through the steps need it.
-    stretch = section_functions(n, True)["moment"](here[0], *constants[1:])[1] if eccentric else 1
-    rates.append(stretch * tables[0][:, 0] * here[1])
-    return ca.Function("march", [*state, h, *constants], [*here, ca.horzcat(*passed), ca.horzcat(*rates)])
+    g = section_functions(n, True)["moment"](state[0], *constants[1:])[1] if eccentric else 1
+    rates.append(g * tables[0][:, 0] * state[1])
+    return ca.Function("march", [*initial, h, *constants], [*state, ca.horzcat(*thetas), ca.horzcat(*rates)])
 
 
-def _state(kind: Any, n: int, slopes: bool) -> Columns:
+def _state(kind: Any, n: int, slopes: bool) -> State:
     return [kind.sym("state", *shape) for shape in [(n, 1)] * 3 + [(n, n)] * (2 if slopes else 0)]
 
 
-def _given(eccentric: bool, varying: bool) -> int:
-    """How many vectors tell of a cross-section."""
+def _section_size(eccentric: bool, varying: bool) -> int:
+    """Number of vectors (n,) that describe a cross-section."""
     return 4 if varying else 5 if eccentric else 3
 
 
 @lru_cache(maxsize=32)
 def _step_function(n: int, eccentric: bool, slopes: bool, varying: bool) -> ca.Function:
-    """One of these steps: the state after it, and theta' where it began."""
+    """Step of `march_function`: the state after it, and theta' before it."""
     state, h = _state(ca.SX, n, slopes), ca.SX.sym("h")
     sections = [
-        [ca.SX.sym("constant", n) for _ in range(_given(eccentric, varying))] for _ in range(3 if varying else 1)
+        [ca.SX.sym("constant", n) for _ in range(_section_size(eccentric, varying))] for _ in range(3 if varying else 1)
     ]
     section_function = section_functions(n, eccentric)["balance" if slopes else "moment"]
 
-    def rates(at: Columns, half: int) -> Columns:
-        """By arc length; the travel grows towards the base."""
-        theta, torque = at[:2]
+    def rates(state: State, half: int) -> State:
+        """Derivative of the state by arc length, `half` half-steps from the far end."""
+        theta, torque = state[:2]
         rate, *section = sections[half if varying else 0]
         if varying:
             theta = theta + section.pop()
         out = section_function.call([theta, *section])
-        stretch = (out[3] if slopes else out[1]) if eccentric else ca.SX.ones(n)
+        g = (out[3] if slopes else out[1]) if eccentric else ca.SX.ones(n)
         # theta' = g T / kt, T' = M, and the length of a tube grows by g against the direction of s.
-        own = [stretch * rate * torque, out[0], -stretch]
+        derivative = [g * rate * torque, out[0], -g]
         if not slopes:
-            return own
-        theta_by_tip, torque_by_tip = at[3:]
-        turned = ca.diag(stretch * rate) @ torque_by_tip
+            return derivative
+        theta_by_tip, torque_by_tip = state[3:]
+        theta_slope = ca.diag(g * rate) @ torque_by_tip
         if eccentric:
-            turned += ca.diag(rate * torque) @ (out[4] @ theta_by_tip)
-        return [*own, turned, out[1] @ theta_by_tip]
+            theta_slope += ca.diag(rate * torque) @ (out[4] @ theta_by_tip)
+        return [*derivative, theta_slope, out[1] @ theta_by_tip]
 
     after = [ca.densify(part) for part in classical_step(state, rates, -h)]
     inputs = [part for section in sections for part in section]
     return ca.Function("step", [*state, h, *inputs], [*after, rates(state, 0)[0]], {"cse": True})
 
 
-def classical_step(state: Columns, rates: Callable[[Columns, int], Columns], h: Any) -> Columns:
-    """The state after a step h of Runge and Kutta's classical method; `rates` of a state some halves of it on."""
+def classical_step(state: State, rates: Callable[[State, int], State], h: Any) -> State:
+    """State after a step h of the classical Runge-Kutta method; `rates(state, k)` is its derivative at k half-steps."""
     slopes = [rates(state, 0)]
     for half in (1, 1, 2):
         slopes.append(rates([a + half / 2 * h * b for a, b in zip(state, slopes[-1], strict=True)], half))
@@ -124,8 +121,9 @@ def classical_step(state: Columns, rates: Callable[[Columns, int], Columns], h: 
 # --- Jacobi fields ----------------------------------------------------------------------------------------------------
 
 SOFT_NODES = np.array([0.0, 1 / 3, 1 / 2, 2 / 3, 1.0])
-"""Where a step of Butcher's method of order 6 needs its right-hand side."""
+"""Nodes of Butcher's method of order 6."""
 
+# Node of SOFT_NODES, row of the Runge-Kutta matrix, and weight of each of the seven stages.
 _STAGES = (0, 1, 3, 1, 2, 2, 4)
 _BUTCHER = (
     (),
@@ -139,13 +137,11 @@ _BUTCHER = (
 _WEIGHTS = (11 / 120, 0, 27 / 40, 27 / 40, -4 / 15, -4 / 15, 11 / 120)
 
 SOFT_STEPS = 2
-"""Steps of that method per piece: margins below 0.9 to about 1e-6."""
+"""Steps of Butcher's method per piece: margins below 0.9 to about 1e-6."""
 
 
 def marched_fields(torsion: Torsion, fields: Any, margin: Any) -> Any:
-    """Jacobi fields (2n, n) at the beginning of a piece from those at its end, tubes softened by the fraction `margin`.
-
-    The fields are those of `softened_fields`.
+    """Jacobi fields (2n, n) at the start of a piece from `fields` at its end, tubes softened by the fraction `margin`.
 
     Method: J. C. Butcher, J. Austral. Math. Soc. 4 (1964), order 6 in 7 stages.
     """
@@ -155,57 +151,61 @@ def marched_fields(torsion: Torsion, fields: Any, margin: Any) -> Any:
     for step in reversed(range(SOFT_STEPS)):
         x = (step + SOFT_NODES) / SOFT_STEPS
         theta, w = torsion.rotation(x), torsion.torsion(x)
-        rates = [_field_rate(piece, x[k], (theta[:, k], w[:, k]), margin) for k in range(len(x))]
+        rates = [_field_rate(piece, x[k], theta[:, k], w[:, k], margin) for k in range(len(x))]
         slopes: list[Any] = []
         for stage, row in zip(_STAGES, _BUTCHER, strict=True):
-            at = fields - h * sum((a * k for a, k in zip(row, slopes, strict=True)), ca.SX.zeros(2 * n, n))
+            state = fields - h * sum((a * k for a, k in zip(row, slopes, strict=True)), ca.SX.zeros(2 * n, n))
             # Towards the plate: the node at fraction c of the step lies at 1 - c of the stretch.
-            slopes.append(rates[len(x) - 1 - stage](at))
+            slopes.append(rates[len(x) - 1 - stage](state))
         fields = fields - h * sum(b * k for b, k in zip(_WEIGHTS, slopes, strict=True))
     return fields
 
 
-def _field_rate(piece: Piece, x: float, at: tuple[Any, Any], margin: Any) -> Any:
-    """The right-hand side of the Jacobi fields at the fraction x of a piece, theta and w there, as a function of the
-    fields."""
-    n, (theta, w) = piece.grid.n_tubes, at
-    _, stiff, *stretching = piece.balance(theta, x)
+def _field_rate(piece: Piece, x: float, theta: Any, w: Any, margin: Any) -> Callable[[Any], Any]:
+    """Right-hand side of the Jacobi fields, a function of the fields, at the fraction x of a piece with theta, w."""
+    n = piece.grid.n_tubes
+    _, stiffness, *stretch = piece.balance(theta, x)
     # Softening multiplies kt where w changes, with the state kept: the definition of the margin.
-    gain = ca.diag(1 / ((1 - margin) * piece.torsional_stiffness)) @ stiff
+    gain = ca.diag(1 / ((1 - margin) * piece.torsional_stiffness)) @ stiffness
 
     def rate(fields: Any) -> Any:
         y, v = fields[:n, :], fields[n:, :]
-        turned = ca.diag(stretching[0]) @ v if stretching else v
-        if len(stretching) > 1:
-            turned += ca.diag(w) @ (stretching[1] @ y)
-        return ca.vertcat(turned, gain @ y)
+        y_rate = ca.diag(stretch[0]) @ v if stretch else v
+        if len(stretch) > 1:
+            y_rate += ca.diag(w) @ (stretch[1] @ y)
+        return ca.vertcat(y_rate, gain @ y)
 
     return rate
 
 
+# --- Explicit map from tip rotations to the equilibrium ---------------------------------------------------------------
+
 STEPS = 4
 """Steps per section: joint rotations of the thesis' robot to about 1e-5 rad."""
 
-TURNED = 1.5
-"""Natural turn (rad) of a helix for which STEPS are as good as for an arc."""
+MAX_HELIX_TURN = 1.5
+"""Natural turn (rad) of a helix in a section up to which STEPS are as accurate as for an arc."""
 
-EXPANDED = 200_000
-"""Operations up to which all steps are written out, which is a tenth faster than calls; beyond, that takes seconds."""
+MAX_EXPANDED_SIZE = 200_000
+"""Operations up to which all steps are expanded: a tenth faster than calls, but building takes seconds beyond it."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What makes the arms of two robots one function: tubes, whether they lie beside the centreline, of tubes made of
-    pieces how many `stretches` they have at most (0: all have one curvature), and steps per section."""
+    """Structure of a robot: robots of one kind share one `explicit_arm`."""
 
     n: int
+    """Number of tubes."""
     eccentric: bool = False
+    """Tubes run beside the centreline."""
     stretches: int = 0
+    """Largest number of arcs and helices of a tube made of pieces; 0 for tubes of one curvature."""
     steps: int = STEPS
+    """Steps per section."""
 
     @property
     def size(self) -> int:
-        """Length of `explicit_parameters`."""
+        """Number of `explicit_parameters`."""
         return self.n * (6 * self.stretches + 1 if self.stretches else 7)
 
     @property
@@ -214,7 +214,7 @@ class Kind:
         return self.n * max(self.stretches, 2)
 
     def reach(self, robot: Any) -> Any:
-        """(n,) lengths of the tubes behind their straight parts, m, of an expression of `explicit_parameters`."""
+        """Curved lengths (n,) of the tubes, m, as an expression of `explicit_parameters`."""
         if not self.stretches:
             _, _, _, straight, whole, *_ = ca.vertsplit(robot, self.n)
             return whole - straight
@@ -223,33 +223,35 @@ class Kind:
 
 
 def explicit_kind(robot: Robot, *, steps: int = STEPS) -> Kind:
-    """Which function a robot's arm is; that of tubes that vary along a piece, which is cut into steps, in half as many
-    per section."""
+    """Kind of a robot, with `steps` per section, half as many for tubes that vary along a piece.
+
+    Such pieces are already cut into short stretches.
+    """
     if not robot.even:
         known = steps_of(robot.tubes)
         steps = (steps + 1) // 2 if varies(robot.tubes) else steps
         lengths = np.diff(known.cuts, axis=1, prepend=0.0)
-        # Helices turn the pull by twist * h in a step: the error of order 4 grows with its fourth power.
-        most = float(np.abs(known.twist * lengths * (known.curvature > 0)).max())
-        return Kind(robot.n_tubes, False, known.cuts.shape[1], steps * max(1, int(np.ceil(most / TURNED))))
+        # A helix rotates the natural moment by twist * h in a step: the error of order 4 grows with its fourth power.
+        turn = float(np.abs(known.twist * lengths * (known.curvature > 0)).max())
+        return Kind(robot.n_tubes, False, known.cuts.shape[1], steps * max(1, int(np.ceil(turn / MAX_HELIX_TURN))))
     return Kind(robot.n_tubes, robot.assembly(robot.home_translations).eccentric, steps=steps)
 
 
 def explicit_parameters(robot: Robot) -> Array:
-    """What `explicit_arm` needs to know of a robot: kb, kt, m = kb kappa, straight and whole lengths, place; (7n,).
+    """Parameters (7n,) of a robot for `explicit_arm`: kb, kt, m = kb kappa, straight and whole lengths, offset, angle.
 
-    Of tubes made of pieces, by stretches (n, C) each: where they end, kb, kt, m, the direction of the bend that they
-    would have at the held end, natural twist; then the natural turn (n,) up to the ends.
+    For tubes made of pieces, tables (n, C) over C stretches: arc length of the end, kb, kt, m, direction of the bend
+    extrapolated to the held end, natural twist; then the natural turn (n,) up to the end of the tube.
     """
     home = robot.assembly(robot.home_translations)
     tubes = robot.tubes
     if not home.even:
         known = steps_of(tubes)
-        begin = np.pad(known.cuts, ((0, 0), (1, 0)))[:, :-1]
-        lead = known.phase + known.wound - known.twist * begin
-        end = known.wound[:, -1] + known.twist[:, -1] * (known.cuts - begin)[:, -1]
-        tables = known.cuts, known.bending, known.torsional, known.bending * known.curvature, lead, known.twist
-        return np.concatenate([*(table.ravel(order="F") for table in tables), end])
+        start = np.pad(known.cuts, ((0, 0), (1, 0)))[:, :-1]
+        direction = known.phase + known.wound - known.twist * start
+        end_turn = known.wound[:, -1] + known.twist[:, -1] * (known.cuts - start)[:, -1]
+        tables = known.cuts, known.bending, known.torsional, known.bending * known.curvature, direction, known.twist
+        return np.concatenate([*(table.ravel(order="F") for table in tables), end_turn])
     return np.concatenate(
         [
             home.bending_stiffness,
@@ -265,42 +267,51 @@ def explicit_parameters(robot: Robot) -> Array:
 
 @lru_cache(maxsize=16)
 def explicit_arm(kind: Kind) -> ca.Function:
-    """(tip rotations (n,), translations (n,), margin, robot) -> the equilibrium.
+    """Function (tip rotations (n,), translations (n,), margin, robot) -> equilibrium.
 
-    Outputs: `rotations` (n,) of the joints; `fields` (sections,) determinants of the Jacobi fields of tubes softened by
-    the margin, all positive if and only if the equilibrium's own margin is larger; `points` (3, p) and `tangents`
-    (3, p) of the centreline, plate to tip, and their `arc_length` (p,).
+    Outputs: joint `rotations` (n,); `fields` (sections,), determinants of the Jacobi fields of tubes softened by the
+    margin, all positive if and only if the margin of the equilibrium is larger; `points` (3, p) and `tangents` (3, p)
+    of the centreline, plate to tip, and their `arc_length` (p,).
     """
     n = kind.n
     tip, shift, margin, robot = (ca.MX.sym(k, m) for k, m in (("tip", n), ("d", n), ("mu", 1), ("robot", kind.size)))
-    place: tuple[Any, ...] = ()
+    offsets: tuple[Any, ...] = ()
     if kind.stretches:
-        length, *inputs, transmission, end = _stretches(n, kind.stretches)(shift, robot)
-        theta = tip - end
+        length, *inputs, transmission, end_turn = _stretches(n, kind.stretches)(shift, robot)
+        theta = tip - end_turn
     else:
-        kb, kt, moment, straight, whole, *beside = ca.vertsplit(robot, n)
-        place = tuple(beside)
+        kb, kt, moment, straight, whole, *offset_and_angle = ca.vertsplit(robot, n)
+        offsets = tuple(offset_and_angle)
         length, *inputs, transmission = _sections(n)(shift, kb, moment, straight, whole)
         inputs, theta = [*inputs, ca.repmat(kt, 1, kind.sections)], tip
-    columns = [ca.horzsplit(each) for each in (length, *inputs)]
+    columns = [ca.horzsplit(table) for table in (length, *inputs)]
     step, determinant, fields = _step(n, kind.eccentric, kind.stretches > 0), determinant_function(n), []
-    # At the tip w = 0; Jacobi fields of tip angles begin with y = 1, v = 0.
+    # At the tip w = 0; Jacobi fields of tip rotations start with y = 1, v = 0.
     w, y, v = ca.MX(ca.DM.zeros(n)), ca.MX(ca.densify(ca.DM.eye(n))), ca.MX(ca.DM.zeros(n, n))
-    bends: list[tuple[Any, Any]] = []
-    for whole_length, stiffness, pull, kt, *turned in reversed(list(zip(*columns, strict=True))):
-        h = whole_length / kind.steps
-        if turned:
-            lead, twist, softer = turned
-            # The torque kt w is continuous where a tube changes its stiffness, not w: ratio of both kt.
-            w, v = softer * w, ca.repmat(softer, 1, n) * v
+    steps: list[tuple[Any, Any]] = []
+    for section_length, kb, m, kt, *natural in reversed(list(zip(*columns, strict=True))):
+        h = section_length / kind.steps
+        if natural:
+            direction, twist, kt_ratio = natural
+            # The torque kt w is continuous where a tube changes its stiffness, not w.
+            w, v = kt_ratio * w, ca.repmat(kt_ratio, 1, n) * v
         for k in range(kind.steps):
-            ahead = (lead - k * h * twist, twist) if turned else place
-            theta, w, y, v, bend = step(theta, w, y, v, h, stiffness, pull, kt, 1 - margin, *ahead)
-            bends.append((h, bend))
+            place = (direction - k * h * twist, twist) if natural else offsets
+            theta, w, y, v, curvature = step(theta, w, y, v, h, kb, m, kt, 1 - margin, *place)
+            steps.append((h, curvature))
         fields.append(determinant(y))
-    # At the plate the straight part adds its turn: joint rotations vary by y - transmission v.
+    # The straight part behind the plate adds its twist: joint rotations vary by y - transmission v.
     fields[-1] = determinant(y - ca.repmat(transmission, 1, n) * v)
-    shape = _shape(bends)
+    # The shape, from plate to tip.
+    frame, position, s = ca.MX(ca.densify(ca.DM.eye(3))), ca.MX(ca.DM.zeros(3)), ca.MX(0)
+    points, tangents, arc_lengths = [position], [frame[:, 2]], [s]
+    for h, curvature in reversed(steps):
+        frame, position = _pose_step()(frame, position, h, curvature)
+        s = s + h
+        points.append(position)
+        tangents.append(frame[:, 2])
+        arc_lengths.append(s)
+    shape = ca.horzcat(*points), ca.horzcat(*tangents), ca.vertcat(*arc_lengths)
     arm = ca.Function(
         "explicit_arm",
         [tip, shift, margin, robot],
@@ -308,99 +319,118 @@ def explicit_arm(kind: Kind) -> ca.Function:
         ["tip", "translations", "margin", "robot"],
         ["rotations", "fields", "points", "tangents", "arc_length"],
     )
-    return arm.expand() if explicit_size(kind) < EXPANDED else arm
+    return arm.expand() if explicit_size(kind) < MAX_EXPANDED_SIZE else arm
 
 
 @lru_cache(maxsize=16)
 def explicit_joints(kind: Kind) -> ca.Function:
-    """The outputs `rotations` and `fields` of `explicit_arm` alone, which cost less without the shape."""
+    """Function with the outputs `rotations` and `fields` of `explicit_arm`, which costs less without the shape."""
     inputs = explicit_arm(kind).mx_in()
     joints = ca.Function("explicit_joints", inputs, explicit_arm(kind).call(inputs)[:2])
-    return joints.expand() if explicit_size(kind) < EXPANDED else joints
+    return joints.expand() if explicit_size(kind) < MAX_EXPANDED_SIZE else joints
 
 
 @lru_cache(maxsize=16)
 def explicit_rotations(kind: Kind) -> ca.Function:
-    """(tip rotations (n,), translations (n,), robot) -> the output `rotations` of `explicit_arm` alone, without Jacobi
-    fields and shape: a sixth of its cost."""
+    """Function (tip rotations (n,), translations (n,), robot) -> joint rotations (n,), at a sixth of the cost."""
     tip, shift, _, robot = explicit_arm(kind).mx_in()
     rotations = ca.Function("explicit_rotations", [tip, shift, robot], [explicit_arm(kind)(tip, shift, 0, robot)[0]])
-    return rotations.expand() if explicit_size(kind) < EXPANDED else rotations
+    return rotations.expand() if explicit_size(kind) < MAX_EXPANDED_SIZE else rotations
 
 
 def explicit_size(kind: Kind) -> int:
-    """Operations of `explicit_arm`, without building it."""
+    """Number of operations of `explicit_arm`, without building it."""
     return kind.sections * kind.steps * int(_step(kind.n, kind.eccentric, kind.stretches > 0).n_instructions())
 
 
 @lru_cache(maxsize=16)
 def _sections(n: int) -> ca.Function:
-    """(translations, kb, moment, straight and whole lengths (n,) each) -> by columns of the 2n sections their length,
-    stiffness and moment (n,); and the transmissions (n,)."""
+    """Function (translations, kb, moment, straight and whole lengths (n,) each) -> 2n sections of constant curvature.
+
+    Outputs: lengths (1, 2n), kb and moment (n, 2n) of the sections, transmissions (n,), m.
+    """
     shift, kb, moment, straight, whole = (ca.SX.sym(k, n) for k in ("d", "kb", "m", "straight", "whole"))
     columns = []
-    for a, b, here, there in _along(ca.horzcat(shift, shift - straight + whole)):
-        columns.append((b - a, _stiff(kb, there), moment * there * here[:, 1]))
+    for section in _sections_of(ca.horzcat(shift, shift - straight + whole)):
+        present = section.present
+        columns.append((section.end - section.start, _stiffness(kb, present), moment * present * section.stretch[:, 1]))
     tables = [ca.densify(ca.horzcat(*table)) for table in zip(*columns, strict=True)]
     return ca.Function("sections", [shift, kb, moment, straight, whole], [*tables, ca.fmax(straight - shift, 0)])
 
 
 @lru_cache(maxsize=16)
 def _stretches(n: int, count: int) -> ca.Function:
-    """(translations, robot) of tubes with `count` stretches -> by columns of the sections their length, stiffness,
-    moment, kt, the direction of the bends without elastic torsion where they end, its rate, and kt of the next section
-    over their own; the transmissions (n,) times kt over its mean; the natural turn up to the ends (n,)."""
+    """Function (translations, robot) -> sections of tubes with `count` stretches.
+
+    Outputs, by columns of the sections: length, kb, moment, kt, natural direction of the bend at the end, its rate, and
+    kt of the next section over that of the section; then transmissions (n,) times kt over its mean there, and natural
+    turns (n,) up to the ends of the tubes.
+    """
     kind = Kind(n, stretches=count)
     shift, robot = ca.SX.sym("d", n), ca.SX.sym("robot", kind.size)
-    *tables, end = ca.vertsplit(robot, [0, *(n * count * np.arange(1, 7)).tolist(), kind.size])
-    own, kb, kt, moment, lead, twist = (ca.reshape(table, n, count) for table in tables)
-    held = ca.fmax(own[:, 0] - shift, 0)
+    *tables, end_turn = ca.vertsplit(robot, [0, *(n * count * np.arange(1, 7)).tolist(), kind.size])
+    cuts, kb, kt, moment, direction, twist = (ca.reshape(table, n, count) for table in tables)
+    transmission = ca.fmax(cuts[:, 0] - shift, 0)
     columns = []
-    before = ca.horzcat(ca.SX.zeros(n), own[:, :-1])
-    for a, b, here, there in _along(own - ca.repmat(held, 1, count)):
-        stiffness, pull, torsional, ahead, rate = (ca.sum2(here * part) for part in (kb, moment, kt, lead, twist))
-        columns.append([b - a, _stiff(stiffness, there), pull * there, torsional, ahead + rate * (b + held), rate])
-    after = [each[3] for each in columns[1:]] + [columns[-1][3]]
+    previous = ca.horzcat(ca.SX.zeros(n), cuts[:, :-1])
+    for start, end, stretch, present in _sections_of(cuts - ca.repmat(transmission, 1, count)):
+        section_kb, m, section_kt, at_zero, rate = (
+            ca.sum2(stretch * table) for table in (kb, moment, kt, direction, twist)
+        )
+        at_end = at_zero + rate * (end + transmission)
+        columns.append([end - start, _stiffness(section_kb, present), m * present, section_kt, at_end, rate])
+    next_kt = [column[3] for column in columns[1:]] + [columns[-1][3]]
     tables = [ca.densify(ca.horzcat(*table)) for table in zip(*columns, strict=True)]
-    tables.append(ca.horzcat(*(b / a[3] for a, b in zip(columns, after, strict=True))))
-    inside = ca.fmin(ca.fmax(ca.repmat(held, 1, count) - before, 0), own - before)
-    return ca.Function("stretches", [shift, robot], [*tables, ca.sum2(inside / kt) * columns[0][3], end])
+    tables.append(ca.horzcat(*(after / column[3] for column, after in zip(columns, next_kt, strict=True))))
+    # Behind the plate the torque is constant, and the twist its integral with 1 / kt over each stretch there.
+    behind = ca.fmin(ca.fmax(ca.repmat(transmission, 1, count) - previous, 0), cuts - previous)
+    return ca.Function("stretches", [shift, robot], [*tables, ca.sum2(behind / kt) * columns[0][3], end_turn])
 
 
-def _along(places: Any) -> Iterator[tuple[Any, Any, Any, Any]]:
-    """The sections of tubes whose stretches end at arc lengths (n, C): where each begins and ends, which stretch of
-    every tube is there (n, C), the last one also behind its end, and which tubes are there (n,)."""
-    n, count = places.shape
-    cuts = [ca.SX(0), *_sorted([ca.fmax(v, 0) for v in ca.vertsplit(ca.vec(places))])]
-    for a, b in pairwise(cuts):
-        # The middle of a section is on one side of every breakpoint; its ends may be on one.
-        middle = ca.repmat((a + b) / 2, n, 1)
-        later = ca.horzcat(*(middle >= places[:, c] for c in range(count - 1)), ca.SX.zeros(n))
-        yield a, b, ca.horzcat(ca.SX.ones(n), later[:, :-1]) - later, middle < places[:, -1]
+class _Section(NamedTuple):
+    """Part of the arm between two breakpoints."""
+
+    start: Any
+    end: Any
+    """Arc lengths, m."""
+    stretch: Any
+    """Indicator (n, C) of the stretch of each tube; beyond the end of a tube its last stretch."""
+    present: Any
+    """Indicator (n,) of the tubes that reach the section."""
 
 
-def _stiff(stiffness: Any, there: Any) -> Any:
-    """(n,) of the tubes that are there. The middle of a section without length, or with one of a rounding error, may
-    lie at the end of all tubes: whichever it has, they must not divide by 0."""
-    return ca.if_else(ca.sum1(there) > 0, stiffness * there, stiffness)
-
-
-def _sorted(values: list[Any]) -> list[Any]:
-    """Values in increasing order, by a network of comparisons."""
-    out = list(values)
-    for last in range(len(out) - 1, 0, -1):
-        # Comparisons, not a permutation: CasADi can differentiate minima and maxima, whatever their order.
+def _sections_of(ends: Any) -> Iterator[_Section]:
+    """Sections of tubes whose C stretches end at arc lengths `ends` (n, C)."""
+    n, count = ends.shape
+    breakpoints = [ca.fmax(end, 0) for end in ca.vertsplit(ca.vec(ends))]
+    # Bubble sort by minima and maxima, which CasADi differentiates whatever the order.
+    for last in range(len(breakpoints) - 1, 0, -1):
         for k in range(last):
-            out[k], out[k + 1] = ca.fmin(out[k], out[k + 1]), ca.fmax(out[k], out[k + 1])
-    return out
+            a, b = breakpoints[k : k + 2]
+            breakpoints[k], breakpoints[k + 1] = ca.fmin(a, b), ca.fmax(a, b)
+    for start, end in pairwise([ca.SX(0), *breakpoints]):
+        # The middle of a section is on one side of every breakpoint; its ends may be on one.
+        middle = ca.repmat((start + end) / 2, n, 1)
+        later = ca.horzcat(*(middle >= ends[:, c] for c in range(count - 1)), ca.SX.zeros(n))
+        yield _Section(start, end, ca.horzcat(ca.SX.ones(n), later[:, :-1]) - later, middle < ends[:, -1])
+
+
+def _stiffness(kb: Any, present: Any) -> Any:
+    """Bending stiffness (n,) of the tubes present, or of all tubes if none is.
+
+    The middle of a section of no length, or of that of a rounding error, may lie at the end of all tubes. The sum of
+    the stiffnesses must not be 0 there, since curvatures are divided by it.
+    """
+    return ca.if_else(ca.sum1(present) > 0, kb * present, kb)
 
 
 @lru_cache(maxsize=16)
 def _step(n: int, eccentric: bool, twisted: bool = False) -> ca.Function:
-    """A step towards the plate: (theta, w, Jacobi fields y, v, its length, stiffness, moment, kt, softening, place) ->
-    (theta, w, y, v) after it, and the curvatures (2, 3) at its near end, in its middle and at its far end.
+    """Step of `explicit_arm` towards the plate, of order 4.
 
-    In the place of `place` are, of `twisted` tubes, the natural direction of their bends at the far end and its rate.
+    Inputs theta, w, Jacobi fields y, v, length, kb, moment, kt, softening, offset, angle. Outputs theta, w, y, v after
+    the step, and curvatures (2, 3) at its near end, middle and far end. For `twisted` tubes the last two inputs are the
+    natural direction of the bend at the far end, and its rate.
     """
     theta, w, h, kb, m, kt, softening, *place = (
         ca.SX.sym(k, 1 if k in ("h", "softening") else n)
@@ -408,32 +438,35 @@ def _step(n: int, eccentric: bool, twisted: bool = False) -> ca.Function:
     )
     y, v = ca.SX.sym("y", n, n), ca.SX.sym("v", n, n)
     params = (kb, m, *(place if eccentric else ()))
-    lead = [place[0] - x * h * place[1] for x in (0, 0.5, 1)] if twisted else [0.0, 0.0, 0.0]
+    # Natural direction of the bend at far end, middle and near end.
+    natural = [place[0] - x * h * place[1] for x in (0, 0.5, 1)] if twisted else [0.0, 0.0, 0.0]
     functions = section_functions(n, eccentric)
-    balance, bend = functions["balance"], functions["curvature"]
+    balance, curvature = functions["balance"], functions["curvature"]
 
-    def turning(theta: Any, w: Any) -> Any:
+    def rate(theta: Any, w: Any) -> Any:
         return balance(theta, *params)[3] * w if eccentric else w
 
     state, stiffness = (theta, w, y, v), (kt, softening * kt)
-    march = partial(_runge_kutta, balance) if eccentric else partial(_nystrom, balance, lead)
+    march = partial(_runge_kutta, balance) if eccentric else partial(_nystrom, balance, natural)
     near, near_w, *fields = march(state, params, stiffness, h)
     # Cubic Hermite interpolation at the middle, of order 4 as the step.
-    middle = (theta + near) / 2 + h / 8 * (turning(near, near_w) - turning(theta, w))
-    bends = ca.horzcat(*(bend(at + lead[k], *params) for k, at in ((2, near), (1, middle), (0, theta))))
+    middle = (theta + near) / 2 + h / 8 * (rate(near, near_w) - rate(theta, w))
+    curvatures = ca.horzcat(*(curvature(at + natural[k], *params) for k, at in ((2, near), (1, middle), (0, theta))))
     inputs = [theta, w, y, v, h, kb, m, kt, softening, *place]
-    return ca.Function("step", inputs, [near, near_w, *fields, ca.densify(bends)], {"cse": True})
+    return ca.Function("step", inputs, [near, near_w, *fields, ca.densify(curvatures)], {"cse": True})
 
 
 def _nystrom(
-    balance: Any, lead: list[Any], state: tuple[Any, ...], inputs: tuple[Any, ...], kt: tuple[Any, Any], h: Any
+    balance: Any, natural: list[Any], state: tuple[Any, ...], inputs: tuple[Any, ...], kt: tuple[Any, Any], h: Any
 ) -> list[Any]:
-    """A step of theta'' = M / kt and of its Jacobi fields, of softened tubes, of order 4; M is that of theta + `lead`
-    at its far end, in its middle and at its near end."""
+    """Step of order 4 of theta'' = M(theta + natural) / kt and of the Jacobi fields of softened tubes.
+
+    `natural` are directions at far end, middle and near end; `kt` are stiffnesses of the tubes and of softened tubes.
+    """
     theta, w, y, v = state
 
-    def gains(theta: Any, place: int = 0) -> tuple[Any, Any]:
-        moment, slope, *_ = balance(theta + lead[place], *inputs)
+    def gains(theta: Any, node: int = 0) -> tuple[Any, Any]:
+        moment, slope, *_ = balance(theta + natural[node], *inputs)
         return moment / kt[0], ca.diag(1 / kt[1]) @ slope
 
     # theta'' does not depend on theta': Nystrom's method of order 4 has three stages, not four.
@@ -455,40 +488,31 @@ def _nystrom(
 def _runge_kutta(
     balance: Any, state: tuple[Any, ...], inputs: tuple[Any, ...], kt: tuple[Any, Any], h: Any
 ) -> list[Any]:
-    """A step of theta' = g w, w' = M / kt and of its Jacobi fields, of softened tubes, of order 4."""
+    """Step of order 4 of theta' = g w, w' = M / kt and of the Jacobi fields of softened tubes; see `_nystrom`."""
 
-    def rates(at: list[Any], _: int) -> list[Any]:
-        theta, w, y, v = at
-        moment, slope, _, stretch, stretching = balance(theta, *inputs)
-        turned = ca.diag(stretch) @ v + ca.diag(w) @ (stretching @ y)
-        return [stretch * w, moment / kt[0], turned, ca.diag(1 / kt[1]) @ slope @ y]
+    def rates(state: State, _: int) -> State:
+        theta, w, y, v = state
+        moment, slope, _, g, g_by_theta = balance(theta, *inputs)
+        y_rate = ca.diag(g) @ v + ca.diag(w) @ (g_by_theta @ y)
+        return [g * w, moment / kt[0], y_rate, ca.diag(1 / kt[1]) @ slope @ y]
 
     return classical_step(list(state), rates, -h)
 
 
-def _shape(bends: list[tuple[Any, Any]]) -> tuple[Any, Any, Any]:
-    """Positions and tangents (3, p), arc lengths (p,), plate to tip, from lengths and bends of steps to the plate."""
-    frame, position, s = ca.MX(ca.densify(ca.DM.eye(3))), ca.MX(ca.DM.zeros(3)), ca.MX(0)
-    out = [(position, frame[:, 2], s)]
-    for h, bend in reversed(bends):
-        frame, position = _carry()(frame, position, h, bend)
-        s = s + h
-        out.append((position, frame[:, 2], s))
-    positions, tangents, marks = zip(*out, strict=True)
-    return ca.horzcat(*positions), ca.horzcat(*tangents), ca.vertcat(*marks)
-
-
 @lru_cache(maxsize=1)
-def _carry() -> ca.Function:
-    """(frame, position, length, curvatures (2, 3)) -> frame and position after a Magnus step of order 4 on SE(3)."""
-    frame, position, h, bend = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3), ca.SX.sym("h"), ca.SX.sym("u", 2, 3)
-    near, middle, far = bend[:, 0], bend[:, 1], bend[:, 2]
-    # Magnus series: Simpson's rule for int u ds, and the bracket of the twists at both ends.
+def _pose_step() -> ca.Function:
+    """Function (R, p, length, curvatures (2, 3)) -> R, p after a Magnus step of order 4 on SE(3).
+
+    The curvatures are those at near end, middle and far end of the step.
+    """
+    frame, position, h, u = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3), ca.SX.sym("h"), ca.SX.sym("u", 2, 3)
+    near, middle, far = u[:, 0], u[:, 1], u[:, 2]
+    # Magnus series: Simpson's rule for int u ds, and h^2 / 12 times the bracket of the twists (u, e3) at both ends.
     mean = h / 6 * (near + 4 * middle + far)
-    bracket = h**2 / 12
-    turn = ca.vertcat(mean, bracket * (near[0] * far[1] - near[1] * far[0]))
-    # The commutator of the twists (u, e3) at both ends: (u0 - u1) x e3.
+    factor = h**2 / 12
+    omega = ca.vertcat(mean, factor * (near[0] * far[1] - near[1] * far[0]))
+    # Translational part of the bracket: (u_near - u_far) x e3.
     change = near - far
-    rotation, step = exponential(turn, ca.vertcat(bracket * change[1], -bracket * change[0], h))
-    out = [ca.densify(frame @ rotation), ca.densify(position + frame @ step)]
-    return ca.Function("carry", [frame, position, h, bend], out, {"cse": True})
+    rotation, shift = exponential(omega, ca.vertcat(factor * change[1], -factor * change[0], h))
+    out = [ca.densify(frame @ rotation), ca.densify(position + frame @ shift)]
+    return ca.Function("pose_step", [frame, position, h, u], out, {"cse": True})
