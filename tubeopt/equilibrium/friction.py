@@ -20,10 +20,10 @@ from ..block.transcription.buffered import section_function
 from ..block.transcription.contact import (
     DEGREE,
     Contact,
-    bent_of,
+    bending_of,
+    contact_profile,
     evaluate_contact,
     make_contact,
-    rubbing_profile,
     unknowns_of,
 )
 from ..block.transcription.loaded import LoadedProblem, LoadedState, base_wrench, load_problem, loaded_arm
@@ -71,7 +71,7 @@ class FrictionEquilibrium:
     @cached_property
     def profile(self) -> arms.Profile:
         """Torsion along the arm."""
-        return rubbing_profile(self.contact, self.rotations, self.found.state, self.found.torque)
+        return contact_profile(self.contact, self.rotations, self.found.state, self.found.torque)
 
     @cached_property
     def margin(self) -> float:
@@ -153,14 +153,14 @@ def shaken(contact: Contact, equilibrium: Equilibrium) -> FrictionEquilibrium:
     """
     alpha = equilibrium.rotations
     points, bending = _sampled(contact, equilibrium)
-    parts = [to_unknowns(contact.problem, alpha, points), np.zeros(contact.loose.shape[1])]
+    parts = [to_unknowns(contact.problem, alpha, points), np.zeros(contact.place_by_y.shape[1])]
     if contact.loaded is not None and bending is not None:
         parts.insert(1, (bending / contact.loaded.softness[:, None]).ravel())
     relaxed = full_steps(
         evaluate_contact(contact, alpha, np.concatenate(parts)),
         lambda state, change: evaluate_contact(contact, alpha, state.x + change),
-        lambda _, change: contact.turn_of(change),
-        lambda state: contact.turn_of(state.gradient),
+        lambda _, change: contact.largest_rotation(change),
+        lambda state: contact.largest_rotation(state.gradient),
         NEWTON.iterations,
     )
     if not relaxed.converged:
@@ -182,7 +182,7 @@ def _sampled(contact: Contact, equilibrium: Equilibrium) -> tuple[Array, Array |
     if curvature is None:
         return theta, np.zeros((len(problem.softness), 2))
     x = loaded.unknowns(problem, equilibrium.rotations, theta, curvature)
-    return theta, bent_of(contact, x)
+    return theta, bending_of(contact, x)
 
 
 def step(
@@ -232,7 +232,7 @@ def start_increment(
     """Start of an increment from a state to other joint values (n,) and another load."""
     moved = translations - current.translations
     if not moved.any() and load == current.contact.load:
-        return IncrementStart(current.contact, current.found.state.turned, current.found.state.x)
+        return IncrementStart(current.contact, current.found.state.relative_rotations, current.found.state.x)
     contact = contact_of(robot, tuple(translations.tolist()), current.contact.friction, load)
     pair, s, points = contact.pair, contact.arc_length, contact.problem.arc_length
     # The material at s was at s - dz_i on tube i.
@@ -249,7 +249,7 @@ def start_increment(
 
 def bent_at(current: FrictionEquilibrium, contact: Contact) -> Array | None:
     """(N, 2) bending of a state, 1/m, at the points of a contact; None for one without a load."""
-    bending = bent_of(current.contact, current.found.state.x)
+    bending = bending_of(current.contact, current.found.state.x)
     if contact.loaded is None or current.contact is contact:
         return bending if contact.loaded is not None else None
     if bending is None or current.contact.loaded is None:
@@ -316,7 +316,7 @@ def _under_load(robot: Robot, held: FrictionEquilibrium, state: LoadedState, sta
 def _bending_error(current: FrictionEquilibrium) -> float:
     """Error of the tip, m, by the residual of the bending equations at the points of a finer rule."""
     contact, finer = current.contact, _finer(current.contact)
-    bending = bent_of(contact, current.found.state.x)
+    bending = bending_of(contact, current.found.state.x)
     assert bending is not None
     assert contact.loaded is not None
     s = finer.torsion.arc_length
@@ -350,7 +350,7 @@ def _smooth_error(current: FrictionEquilibrium) -> float:
     direction = theta.reshape(-1, n) + finer.phase
     sections = finer.stiffness, finer.moment
     moment = section_function("moment", len(direction), n, False)(direction, *sections)[0].copy()
-    bending = bent_of(current.contact, current.found.state.x)
+    bending = bending_of(current.contact, current.found.state.x)
     if (
         bending is not None
     ):  # M_i = m_i (u_x sin theta_i - u_y cos theta_i), with the natural curvature and bending in u

@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..block.transcription.contact import Contact, Rubbing, evaluate_contact
+from ..block.transcription.contact import Contact, ContactState, evaluate_contact
 from ..block.transcription.second_variation import least
 from ..typing import Array
 from .newton import FLOW_STEPS, STRIDE, grown, shortened
@@ -133,7 +133,7 @@ FRICTION_TOLERANCE = 1e-9
 class Increment:
     """A state after an increment."""
 
-    state: Rubbing
+    state: ContactState
     torque: Array
     """Friction torques (R,) of the rows, N m."""
     signs: Signs
@@ -218,7 +218,7 @@ class _SlidingRows:
         self.zeta = slid[self.smooth]
         self.torque = np.zeros(len(self.smooth))
 
-    def added(self, state: Rubbing, slip: Array) -> tuple[Array, Array]:
+    def added(self, state: ContactState, slip: Array) -> tuple[Array, Array]:
         """Gradient and Hessian of the energy with the heat of these rows."""
         size = np.hypot(slip[self.smooth], self.zeta)
         # d/dv of D sqrt(v^2 + zeta^2); the second derivative takes the torque in place of D v / size.
@@ -263,7 +263,7 @@ def increment(
     signs = None if signs is None else signs[sliding.sharp]
     # The set of sticking rows settles in a few steps; then Newton's method converges quadratically.
     for _ in range(FRICTION_ITERATIONS):
-        slip = state.turned - before
+        slip = state.relative_rotations - before
         model = model_of(sliding.rows, *sliding.added(state, slip))
         if model is None:
             return None
@@ -273,14 +273,14 @@ def increment(
             return None
         torque, current = result
         step = model.step - model.response @ torque
-        size = contact.turn_of(step)
+        size = contact.largest_rotation(step)
         # Beyond half a turn the quadratic model says nothing about the energy.
         if not np.isfinite(size) or size > np.pi:
             return None
         state = evaluate_contact(contact, rotations, state.x + step)
         sliding.advance(step)
         if size <= LAST_STEP:
-            slip = state.turned - before
+            slip = state.relative_rotations - before
             forces = sliding.all_rows(torque, current, slip)
             # After a step of round-off, torques of rows with a small slide may still change.
             tiny = size <= ROUND_OFF and not sliding.any
@@ -299,12 +299,12 @@ def increment(
     return None
 
 
-def imbalance(contact: Contact, state: Rubbing, torque: Array) -> float:
+def imbalance(contact: Contact, state: ContactState, torque: Array) -> float:
     """Largest violation of the equations of equilibrium, as an error of a rotation, rad."""
-    return contact.turn_of(state.gradient + contact.rows.T @ torque)
+    return contact.largest_rotation(state.gradient + contact.rows.T @ torque)
 
 
-def held_margin(contact: Contact, state: Rubbing, signs: Signs) -> float:
+def held_margin(contact: Contact, state: ContactState, signs: Signs) -> float:
     """Margin while the sticking rows stick: smallest eigenvalue of the Hessian on their null space, at most 1."""
     free = _free(contact, signs)
     return least(free.T @ state.hessian @ free)
@@ -322,11 +322,11 @@ SLOW, PATIENT, NEAR = 1e-4, 20, 1e-3
 """Step (rad) below which a flow may be at rest, number of steps between two checks, and distance (rad) of the rest."""
 
 
-def softest(contact: Contact, state: Rubbing, signs: Signs) -> Array:
+def softest(contact: Contact, state: ContactState, signs: Signs) -> Array:
     """Softest direction (X,) of a state without slip of the sticking rows; its largest turn is 1 rad."""
     free = _free(contact, signs)
     direction = free @ np.linalg.eigh(free.T @ state.hessian @ free)[1][:, 0]
-    return np.asarray(direction / contact.turn_of(direction))
+    return np.asarray(direction / contact.largest_rotation(direction))
 
 
 def slide(
@@ -339,40 +339,42 @@ def slide(
     """
     starts = [x] if push is None else [x + push, x - push]
     sides = [evaluate_contact(contact, rotations, start) for start in starts]
-    heats = [float(contact.capacity @ np.abs(side.turned - before)) for side in sides]
+    heats = [float(contact.capacity @ np.abs(side.relative_rotations - before)) for side in sides]
     lower = min(range(len(sides)), key=lambda k: sides[k].energy + heats[k])
     state, heat = sides[lower], heats[lower] if push is not None else 0.0
-    before = state.turned if push is not None else before
+    before = state.relative_rotations if push is not None else before
     delay, turn, signs = 1.0, np.inf, None
     for count in range(FLOW_STEPS):
         # Near rest Newton's method takes over, which also finds states that only friction holds. If the flow merely
         # creeps past a lost state, it finds nothing nearby, and the flow continues.
         if turn < SLOW and (delay > 1e6 or count % PATIENT == 0):
             last = increment(contact, rotations, state.x, before, signs)
-            if last is not None and last.converged and contact.turn_of(last.state.x - state.x) < NEAR:
+            if last is not None and last.converged and contact.largest_rotation(last.state.x - state.x) < NEAR:
                 return last, heat + last.heat
         model = model_of(contact.rows, state.gradient, state.hessian + np.eye(len(x)) / delay)
         result = None
         # If the energy is not convex, the rows that stuck in the last step may still hold the state.
         if model is not None and (not model.negative or signs is not None):
-            free = state.turned - before + contact.rows @ model.step
+            free = state.relative_rotations - before + contact.rows @ model.step
             result = choose(model, free, contact.capacity, signs if model.negative else None)
         if model is None or result is None:
             delay *= 0.25
             continue
         move = model.step - model.response @ result[0]
-        turn = contact.turn_of(move)
+        turn = contact.largest_rotation(move)
         if turn > STRIDE:
             delay *= shortened(turn)
             continue
         trial = evaluate_contact(contact, rotations, state.x + move)
-        trial_heat, current_heat = (float(contact.capacity @ np.abs(at.turned - before)) for at in (trial, state))
+        trial_heat, current_heat = (
+            float(contact.capacity @ np.abs(at.relative_rotations - before)) for at in (trial, state)
+        )
         # Round-off of the energy is that of its parts.
         work = 0.0 if contact.loaded is None else abs(state.elastic.potential - state.elastic.energy)
         scale = contact.problem.energy_parts + abs(state.energy) + work
         if trial.energy + trial_heat > state.energy + current_heat + 1e-13 * scale:
             delay *= 0.25
             continue
-        state, before, heat, signs = trial, trial.turned, heat + trial_heat, result[1]
+        state, before, heat, signs = trial, trial.relative_rotations, heat + trial_heat, result[1]
         delay = grown(delay, turn)
     return None

@@ -7,7 +7,7 @@ import pytest
 
 from tubeopt import ConcentricRobot, Friction, Piece, Tube
 from tubeopt.block.transcription import arm as arms
-from tubeopt.block.transcription.contact import evaluate_contact, make_contact, rubbing_profile
+from tubeopt.block.transcription.contact import contact_profile, evaluate_contact, make_contact
 
 MM = 1e-3
 STIFFNESS = 0.02
@@ -26,7 +26,7 @@ def test_concentrated_friction_turns_tubes_whose_stiffness_varies_along_a_piece(
     contact = make_contact(assembly, Friction(plate=0.05, jumps=0.05, ends=0.05))
     rotations, torque = np.array([0.2, 0.9]), np.array([1.0, -2.0, 3.0, 1.5])[: len(contact.capacity)] * 1e-3
     state = evaluate_contact(contact, rotations, 0.1 * np.ones(contact.rows.shape[1]))
-    profile, problem = rubbing_profile(contact, rotations, state, torque), contact.problem
+    profile, problem = contact_profile(contact, rotations, state, torque), contact.problem
     ends = arms.rotations_at(problem, profile, (0.0, 1.0))
     assert ends[1:, 0] == pytest.approx(ends[:-1, 1], abs=1e-9)
     x, h = (0.2, 0.7), 1e-4

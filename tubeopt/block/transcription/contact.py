@@ -1,22 +1,22 @@
-"""Where neighbouring tubes rub: their relative rotations as linear functions of the whitened unknowns.
+"""Friction between neighbouring tubes: their relative rotations, linear in the whitened unknowns.
 
 With theta = alpha + L z at the collocation points, the rotation of a tube in the next one around it at row r is
 
     phi_r = alpha_outer - alpha_inner + P_r x,     x = (z, y),
 
-and friction of capacity D_r = B_a tau bears the torque lam_r, |lam_r| <= D_r. Concentrated friction (at the plate, at a
-jump of curvature, where a tube ends) acts between the points. What rotation the unknowns z leave open there is the
-conditional compliance of that place given the points; it is whitened too, into unknowns y that no bending energy sees:
-the energy is E(z) + y'y / 2.
+and friction of capacity D_r = B_a tau transmits a torque lam_r, |lam_r| <= D_r. Concentrated friction (at the plate, at
+jumps of curvature, at ends of tubes) acts between the points. The rotation there that z does not determine has the
+conditional compliance of that place given the points. It is whitened too, into unknowns y on which the coupling energy
+does not depend: the energy is E(z) + y'y / 2.
 
-Under a load the arm also bends by q (see `loaded`): x = (z, q, y), and an equilibrium makes E(z, q) - W + y'y / 2
-least. The rows stay as they are, since bending changes no rotation of one tube in another.
+Under a load the arm also bends by q (see `loaded`): x = (z, q, y), and an equilibrium is a minimum of
+E(z, q) - W + y'y / 2. The rows stay the same, since bending changes no relative rotation.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -32,70 +32,82 @@ from .mesh import loaded_mesh, make_mesh, piece_counts
 from .reduced import Evaluation, ReducedProblem, evaluate, reduce, to_unknowns
 
 DEGREE = 6
-"""Collocation points of a piece."""
+"""Collocation points of a piece of the mesh."""
 
 PIECES = 4
-"""Least number of pieces along which two tubes rub: the kink of the torsion where slip ends lies inside one."""
+"""Minimum number of pieces along the overlap of two tubes: torsion has a kink, inside a piece, where slip ends."""
 
-LOOSE = 1e-11
-"""Part of a compliance that is round-off: what the points leave open by less, they tell."""
+NEGLIGIBLE_COMPLIANCE = 1e-11
+"""Fraction of a compliance that is round-off: a smaller conditional compliance counts as 0."""
 
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """R rows of friction of an assembly; X unknowns x, of which the last Y turn M tubes at places between the points.
-
-    Attributes:
-        problem: the torsion, with the rotation of every tube that rubs unknown.   friction: as given.
-        loading, loaded: a load, and the same torsion with the bending under it; None without load.
-        rows: (R, X) relative rotation by the unknowns, rad per sqrt(J).
-        capacity: (R,) N m.   arc_length: (R,) m.
-        pair: (R,) the inner tube.   point: (R,) collocation point, -1 for concentrated friction.
-        place, tube: (M,) arc length, m, and tube, of the rotations between the points.
-        known: (M, U) these by z.   loose: (M, Y) by y.
-    """
+    """R rows of friction, linear in X unknowns x = (z, q, y), the last Y of which rotate tubes at M places."""
 
     problem: ReducedProblem
+    """Torsion, in which the rotation of every tube with friction is unknown."""
     friction: Friction
+    """Friction between neighbouring tubes."""
     loading: Loading | None
+    """External load, or None."""
     loaded: LoadedProblem | None
+    """The same torsion with bending under the load; None without load."""
     rows: Array
+    """Derivative (R, X) of the relative rotations by the unknowns, rad per sqrt(J)."""
     capacity: Array
+    """Largest friction torques (R,), N m."""
     arc_length: Array
+    """Arc lengths (R,) of the rows, m."""
     pair: Index
+    """Inner tube (R,) of each pair."""
     point: Index
+    """Collocation points (R,); -1 for concentrated friction."""
     place: Array
+    """Arc lengths (M,) of concentrated friction, m."""
     tube: Index
-    known: Array
-    loose: Array
+    """Tubes (M,) that concentrated friction acts on."""
+    place_by_z: Array
+    """Rotations (M, U) at these places by z."""
+    place_by_y: Array
+    """Rotations (M, Y) at these places by y."""
 
     @property
     def elastic_size(self) -> int:
-        """Number of unknowns (z, q) of torsion and bending, ahead of the Y others."""
+        """Number of unknowns (z, q) of torsion and bending, which come before y."""
         return self.problem.size if self.loaded is None else self.loaded.size
 
     @property
     def load(self) -> Load | None:
-        """The load on the tubes."""
+        """External load, or None."""
         return None if self.loading is None else self.loading.load
 
-    def turn_of(self, step: Array) -> float:
-        """Largest turn (rad) by a step in x: of a tube, or of the arm if its curvature changed alike all along it."""
-        torsion, bending, rest = np.split(step, [self.problem.size, self.elastic_size])
-        turns = [self.problem.factor @ torsion, self.known @ torsion + self.loose @ rest]
+    def largest_rotation(self, step: Array) -> float:
+        """Largest rotation by a step in x, rad: of a tube, or of the arm as if its curvature changed uniformly."""
+        z, q, y = np.split(step, [self.problem.size, self.elastic_size])
+        rotations = [self.problem.factor @ z, self.place_by_z @ z + self.place_by_y @ y]
         if self.loaded is not None:
             length = self.problem.assembly.total_length
-            turns.append(length * np.repeat(self.loaded.softness, 2) * bending)
-        return float(np.abs(np.concatenate(turns)).max(initial=0.0))
+            rotations.append(length * np.repeat(self.loaded.softness, 2) * q)
+        return float(np.abs(np.concatenate(rotations)).max(initial=0.0))
+
+
+class _Concentrated(NamedTuple):
+    """Friction of a pair of tubes at one place."""
+
+    arc_length: float
+    pair: int
+    """Inner tube."""
+    capacity: float
+    """N m."""
 
 
 def make_contact(assembly: Assembly, friction: Friction, loading: Loading | None = None) -> Contact:
-    """The rows of friction of concentric tubes under a load or none, on a mesh fine enough for both."""
+    """Friction rows of concentric tubes, with or without load, on a mesh fine enough for both."""
     n = assembly.n_tubes
     capacities = {name: np.array(friction.per_pair(name, n - 1)) for name in PAIRWISE}
-    # (m, n - 1) sections in which a pair touches that rubs anywhere.
-    rub = np.sum(list(capacities.values()), axis=0) > 0
-    touching = assembly.present[:, 1:] & rub
+    # (m, n - 1) sections in which a pair with friction touches.
+    touching = assembly.present[:, 1:] & (np.sum(list(capacities.values()), axis=0) > 0)
     unknown = assembly.curved & (assembly.coupled | (loading is not None))[:, None]
     unknown[:, 1:] |= touching
     unknown[:, :-1] |= touching
@@ -104,39 +116,45 @@ def make_contact(assembly: Assembly, friction: Friction, loading: Loading | None
     bending = 0 if under_load is None else under_load.size - problem.size
     index = np.full((len(problem.weight), n), -1)
     index[problem.point, problem.tube] = np.arange(problem.size)
-    spots = _spots(assembly, capacities)
-    place, tube = _between(spots)
-    known, loose = _open(problem, place, tube)
-    held = np.zeros((problem.size, bending + loose.shape[1]))
-    by_x = np.block([[problem.factor, held], [known, np.zeros((len(known), bending)), loose]])
+    concentrated = _concentrated(assembly, capacities)
+    places = sorted({(tube, part.arc_length) for part in concentrated for tube in (part.pair, part.pair + 1)})
+    place, tube = np.array([s for _, s in places]), np.array([j for j, _ in places], dtype=np.intp)
+    by_z, by_y = _rotations_between(problem, place, tube)
+    zeros = np.zeros((problem.size, bending + by_y.shape[1]))
+    by_x = np.block([[problem.factor, zeros], [by_z, np.zeros((len(by_z), bending)), by_y]])
     section = np.repeat(problem.mesh.section[problem.mesh.collocated], DEGREE)
     pair, point = np.nonzero((assembly.present[:, 1:] & (capacities["torque"] > 0))[section].T)
-    rows = by_x[index[point, pair + 1]] - by_x[index[point, pair]]
-    whole: tuple[list[Any], ...] = (
-        [rows],
-        [capacities["torque"][pair] * problem.weight[point]],
-        [problem.arc_length[point]],
-        [pair],
-        [point],
-    )
-    for s, i, most in spots:
-        outer, inner = (problem.size + int(np.flatnonzero((place == s) & (tube == j))[0]) for j in (i + 1, i))
+    rows, acting = [by_x[index[point, pair + 1]] - by_x[index[point, pair]]], []
+    for part in concentrated:
+        inner, outer = (problem.size + places.index((j, part.arc_length)) for j in (part.pair, part.pair + 1))
         row = by_x[outer] - by_x[inner]
-        if row @ row > 0:  # tubes that are held at the plate itself turn as their drives do, whatever rubs
-            for column, value in zip(whole, (row, most, s, i, -1), strict=True):
-                column.append(np.array([value]))
-    rows, capacity, arc_length, pair, point = (np.concatenate(column) for column in whole)
+        # Tubes clamped at the plate itself follow their drives: friction there has no effect.
+        if row @ row > 0:
+            rows.append(row[None])
+            acting.append(part)
     return Contact(
-        problem, friction, loading, under_load, rows, capacity, arc_length, pair, point, place, tube, known, loose
+        problem=problem,
+        friction=friction,
+        loading=loading,
+        loaded=under_load,
+        rows=np.concatenate(rows),
+        capacity=np.append(capacities["torque"][pair] * problem.weight[point], [part.capacity for part in acting]),
+        arc_length=np.append(problem.arc_length[point], [part.arc_length for part in acting]),
+        pair=np.append(pair, np.array([part.pair for part in acting], dtype=np.intp)),
+        point=np.append(point, np.full(len(acting), -1)),
+        place=place,
+        tube=tube,
+        place_by_z=by_z,
+        place_by_y=by_y,
     )
 
 
 def _problem(
-    assembly: Assembly, friction: Friction, rubs: Mask, unknown: Mask, loading: Loading | None
+    assembly: Assembly, friction: Friction, touching: Mask, unknown: Mask, loading: Loading | None
 ) -> ReducedProblem:
-    """The torsion with the rotations `unknown` (m, n), in sections that are cut finer where pairs rub (m, n - 1)."""
-    overlap = assembly.length @ rubs
-    longest = np.min(np.where(rubs, overlap / (PIECES * 2.0**friction.refinement), np.inf), axis=1, initial=np.inf)
+    """Torsion with `unknown` (m, n) rotations, on a mesh that is finer where pairs are `touching` (m, n - 1)."""
+    overlap = assembly.length @ touching
+    longest = np.min(np.where(touching, overlap / (PIECES * 2.0**friction.refinement), np.inf), axis=1, initial=np.inf)
     counts = np.maximum(piece_counts(assembly), np.ceil(assembly.length / longest - 1e-9).astype(np.intp))
     if loading is not None:
         return reduce(assembly, loaded_mesh(assembly, np.maximum(counts, loading.counts), degree=DEGREE), unknown)
@@ -144,13 +162,13 @@ def _problem(
     return reduce(assembly, replace(mesh, collocated=(unknown.sum(1) > 0)[mesh.section]), unknown)
 
 
-def _spots(assembly: Assembly, capacities: dict[str, Array]) -> list[tuple[float, int, float]]:
-    """Arc length, inner tube and capacity (N m) of all that rubs at one place."""
-    result: dict[tuple[float, int], float] = {}
+def _concentrated(assembly: Assembly, capacities: dict[str, Array]) -> list[_Concentrated]:
+    """Concentrated friction of all pairs; capacities at one place are added."""
+    total: dict[tuple[float, int], float] = {}
 
-    def add(s: float, pair: int, most: float) -> None:
-        if most > 0:
-            result[s, pair] = result.get((s, pair), 0.0) + most
+    def add(s: float, pair: int, capacity: float) -> None:
+        if capacity > 0:
+            total[s, pair] = total.get((s, pair), 0.0) + capacity
 
     for i in range(assembly.n_tubes - 1):
         end = float(assembly.end[i + 1])
@@ -161,108 +179,115 @@ def _spots(assembly: Assembly, capacities: dict[str, Array]) -> list[tuple[float
         for s in {s for s, j in cuts if j in (i, i + 1) and ROUND_OFF < s < end - ROUND_OFF}:
             add(_nearest(assembly, s), i, capacities["jumps"][i])
         add(_nearest(assembly, end), i, capacities["ends"][i])
-    return [(s, i, most) for (s, i), most in result.items()]
+    return [_Concentrated(s, pair, capacity) for (s, pair), capacity in total.items()]
 
 
 def _nearest(assembly: Assembly, s: float) -> float:
-    """The end of a section at arc length s, of which breakpoints that are one keep a single one."""
+    """End of a section nearest to arc length s, since breakpoints that coincide within round-off are merged."""
     ends = np.append(assembly.start, assembly.total_length)
     return float(ends[np.argmin(np.abs(ends - s))])
 
 
-def _between(spots: list[tuple[float, int, float]]) -> tuple[Array, Index]:
-    """Places, m, and tubes of the rotations that concentrated friction works on, by tube."""
-    both = sorted({(j, s) for s, i, _ in spots for j in (i, i + 1)})
-    return np.array([s for _, s in both]), np.array([j for j, _ in both], dtype=np.intp)
+def _rotations_between(problem: ReducedProblem, place: Array, tube: Index) -> tuple[Array, Array]:
+    """Rotations of tubes at M ends of pieces: derivatives (M, U) by z, and (M, Y) by unknowns y of their own.
 
-
-def _open(problem: ReducedProblem, place: Array, tube: Index) -> tuple[Array, Array]:
-    """Rotations (M,) of tubes at ends of pieces by z, and by unknowns of their own for what z leaves open."""
-    known, columns = np.zeros((len(place), problem.size)), []
-    soft_points, soft_ends = problem.softness
+    Compliances of a rod are those of Brownian motion: the covariance of rotations at two places is the compliance up to
+    the nearer one. So z conditions the rotations at the places, and y whitens their conditional covariance.
+    """
+    by_z, columns = np.zeros((len(place), problem.size)), []
+    point_compliance, end_compliance = problem.softness
     ends = np.append(problem.mesh.start, problem.assembly.total_length)
     for j in np.unique(tube):
-        mine, unknowns = np.flatnonzero(tube == j), np.flatnonzero(problem.tube == j)
-        own = np.array([soft_ends[np.argmin(np.abs(ends - s)), j] for s in place[mine]])
-        crossed = np.minimum(own[:, None], soft_points[problem.point[unknowns], j])
+        at_tube, unknowns = np.flatnonzero(tube == j), np.flatnonzero(problem.tube == j)
+        compliance = np.array([end_compliance[np.argmin(np.abs(ends - s)), j] for s in place[at_tube]])
+        shared = np.minimum(compliance[:, None], point_compliance[problem.point[unknowns], j])
         factor = problem.factor[np.ix_(unknowns, unknowns)]
-        known[np.ix_(mine, unknowns)] = scipy.linalg.solve_triangular(factor, crossed.T, lower=True).T
-        rest = np.minimum(own[:, None], own) - known[mine] @ known[mine].T
-        values, vectors = np.linalg.eigh(rest)
-        kept = values > LOOSE * max(float(own.max()), 1e-300)
-        part = np.zeros((len(place), int(kept.sum())))
-        part[mine] = vectors[:, kept] * np.sqrt(values[kept])
-        columns.append(part)
-    return known, np.concatenate([np.zeros((len(place), 0)), *columns], axis=1)
+        by_z[np.ix_(at_tube, unknowns)] = scipy.linalg.solve_triangular(factor, shared.T, lower=True).T
+        conditional = np.minimum(compliance[:, None], compliance) - by_z[at_tube] @ by_z[at_tube].T
+        values, vectors = np.linalg.eigh(conditional)
+        positive = values > NEGLIGIBLE_COMPLIANCE * max(float(compliance.max()), 1e-300)
+        by_y = np.zeros((len(place), int(positive.sum())))
+        by_y[at_tube] = vectors[:, positive] * np.sqrt(values[positive])
+        columns.append(by_y)
+    return by_z, np.concatenate([np.zeros((len(place), 0)), *columns], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
-class Rubbing:
-    """State of a contact at unknowns x, without friction: `elastic` is that of the tubes, by (z, q); energy is that of
-    x less the work of a load, J, with its gradient and Hessian; `turned` (R,) are the relative rotations, rad."""
+class ContactState:
+    """State of a contact at unknowns x, friction left out."""
 
     x: Array
+    """Unknowns (X,)."""
     elastic: Evaluation | LoadedState
+    """State of the tubes, by (z, q)."""
     energy: float
+    """Energy less the work of the load, J."""
     gradient: Array
+    """Gradient (X,) of the energy."""
     hessian: Array
-    turned: Array
+    """Hessian (X, X) of the energy."""
+    relative_rotations: Array
+    """Rotations (R,) of the outer tube relative to the inner one, rad."""
 
     @property
     def torsion(self) -> Evaluation:
-        """State of tubes that bear no load."""
+        """State of tubes without external load."""
         assert isinstance(self.elastic, Evaluation)
         return self.elastic
 
 
-def evaluate_contact(contact: Contact, rotations: Array, x: Array) -> Rubbing:
-    """Energy, its derivatives, and relative rotations at x (U + Y,) for base rotations (n,)."""
-    own, y = np.split(x, [contact.elastic_size])
+def evaluate_contact(contact: Contact, rotations: Array, x: Array) -> ContactState:
+    """Energy, its derivatives, and relative rotations at x (X,) for base rotations (n,)."""
+    elastic_x, y = np.split(x, [contact.elastic_size])
     elastic: Evaluation | LoadedState
     if contact.loaded is None:
-        elastic = evaluate(contact.problem, rotations, own)
+        elastic = evaluate(contact.problem, rotations, elastic_x)
     else:
-        elastic = loaded.evaluate(contact.loaded, rotations, own)
+        elastic = loaded.evaluate(contact.loaded, rotations, elastic_x)
     gradient, hessian = elastic.gradient, elastic.hessian
     if len(y):
         gradient = np.concatenate([gradient, y])
         hessian = scipy.linalg.block_diag(hessian, np.eye(len(y)))
-    turned = (rotations[contact.pair + 1] - rotations[contact.pair]) + contact.rows @ x
-    return Rubbing(x, elastic, elastic.potential + float(y @ y) / 2, gradient, hessian, turned)
+    relative = (rotations[contact.pair + 1] - rotations[contact.pair]) + contact.rows @ x
+    return ContactState(x, elastic, elastic.potential + float(y @ y) / 2, gradient, hessian, relative)
 
 
-def rubbing_profile(contact: Contact, rotations: Array, state: Rubbing, torque: Array) -> Profile:
-    """theta_i(s) of a solved contact whose rows bear torques (R,), N m."""
+def contact_profile(contact: Contact, rotations: Array, state: ContactState, torque: Array) -> Profile:
+    """Torsion along the tubes of a solved contact with friction torques (R,), N m."""
     problem, moment = contact.problem, state.elastic.torque.copy()
-    inside = np.flatnonzero(contact.point >= 0)
-    point, pair, per_length = contact.point[inside], contact.pair[inside], torque[inside]
-    per_length = per_length / problem.weight[point]
+    at_points = np.flatnonzero(contact.point >= 0)
+    point, pair = contact.point[at_points], contact.pair[at_points]
+    per_length = torque[at_points] / problem.weight[point]
     np.add.at(moment, (point, pair + 1), per_length)
     np.add.at(moment, (point, pair), -per_length)
-    spots = np.flatnonzero(contact.point < 0)
+    concentrated = np.flatnonzero(contact.point < 0)
     ends = np.append(problem.mesh.start, problem.assembly.total_length)
-    end = np.argmin(np.abs(ends - contact.arc_length[spots, None]), axis=1)
-    inner, push = contact.pair[spots], torque[spots]
-    both = np.concatenate([inner + 1, inner]), np.concatenate([-push, push])
-    return pushed(problem, integrate(problem, rotations, moment), np.tile(end, 2), *both)
+    end = np.argmin(np.abs(ends - contact.arc_length[concentrated, None]), axis=1)
+    inner, at_end = contact.pair[concentrated], torque[concentrated]
+    tubes, torques = np.concatenate([inner + 1, inner]), np.concatenate([-at_end, at_end])
+    return pushed(problem, integrate(problem, rotations, moment), np.tile(end, 2), tubes, torques)
 
 
-def unknowns_of(contact: Contact, rotations: Array, points: Array, between: Array, bent: Array | None = None) -> Array:
-    """x (X,) of elastic rotations at the collocation points (N, n) and at the places between them (M,); under a load
-    also of `bent` (N, 2), the curvature at the points beyond that without load, 1/m."""
+def unknowns_of(
+    contact: Contact, rotations: Array, points: Array, places: Array, bending: Array | None = None
+) -> Array:
+    """Unknowns x (X,) at elastic rotations at the collocation points (N, n) and at the M places between them.
+
+    Under a load `bending` (N, 2) is the curvature at the points less that without load, 1/m.
+    """
     z = to_unknowns(contact.problem, rotations, points)
     parts = [z]
     if contact.loaded is not None:
-        assert bent is not None
-        parts.append((bent / contact.loaded.softness[:, None]).ravel())
-    if contact.loose.shape[1]:
-        rest = between - rotations[contact.tube] - contact.known @ z
-        parts.append(np.asarray(np.linalg.lstsq(contact.loose, rest, rcond=None)[0], dtype=float))
+        assert bending is not None
+        parts.append((bending / contact.loaded.softness[:, None]).ravel())
+    if contact.place_by_y.shape[1]:
+        residual = places - rotations[contact.tube] - contact.place_by_z @ z
+        parts.append(np.asarray(np.linalg.lstsq(contact.place_by_y, residual, rcond=None)[0], dtype=float))
     return np.concatenate(parts)
 
 
-def bent_of(contact: Contact, x: Array) -> Array | None:
-    """(N, 2) curvature beyond that without load at the collocation points, 1/m; None without a load."""
+def bending_of(contact: Contact, x: Array) -> Array | None:
+    """Curvature (N, 2) at the collocation points less that without load, 1/m; None without a load."""
     if contact.loaded is None:
         return None
     return contact.loaded.softness[:, None] * x[contact.problem.size : contact.elastic_size].reshape(-1, 2)
