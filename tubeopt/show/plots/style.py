@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from functools import wraps
+from inspect import signature
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, Literal, ParamSpec, Protocol, TypeVar, cast
@@ -122,15 +123,21 @@ def picture(draw: Callable[Concatenate[D, P], Figure]) -> Picture[D, P]:
     The decorated function takes a further argument `path` after the data: file to save the picture in, whose ending
     selects PNG, TIFF, PDF, SVG or EPS (InputError for another); None, the default, saves nothing.
     """
+    data_name = next(iter(signature(draw).parameters))
 
-    @wraps(draw)
     @styled
-    def wrapper(data: D, path: Any = None, /, *args: P.args, **keywords: P.kwargs) -> Figure:
+    def drawn(data: D, path: Any = None, /, *args: P.args, **keywords: P.kwargs) -> Figure:
         if WIDTH.get() is None:
             return finish(draw(data, *args, **keywords), path)
         from .layout import fitted
 
         return saved(fitted(lambda: draw(data, *args, **keywords)), path)
+
+    @wraps(draw)
+    def wrapper(*args: Any, **keywords: Any) -> Figure:
+        if not args and data_name in keywords:
+            args = (keywords.pop(data_name),)
+        return drawn(*args, **keywords)
 
     return cast(Picture[D, P], wrapper)
 
