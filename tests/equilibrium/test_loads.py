@@ -178,7 +178,7 @@ def test_jacobian_is_that_of_differences(thesis: ConcentricRobot, load: Load) ->
             rate = (sides[0].potential - sides[1].potential) / 2e-5
             assert state.gradient @ direction == pytest.approx(rate, abs=1e-8)
     pull = (evaluate(problem, alpha, x, 0.9).gradient - evaluate(problem, alpha, x, 0.7).gradient) / 0.2
-    assert np.allclose(state.pull, pull, rtol=0, atol=1e-12)
+    assert np.allclose(state.load_slope, pull, rtol=0, atol=1e-12)
 
 
 def tube_frame(e: Equilibrium) -> Array:

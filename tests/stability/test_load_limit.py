@@ -74,7 +74,7 @@ def largest_factor(problem: LoadedProblem, alpha: Array, x: Array, factor: float
         y = np.append(x, factor)
         for _ in range(12):
             state = evaluate(problem, alpha, y[:-1], y[-1])
-            matrix = np.block([[state.hessian, state.pull[:, None]], [softest, np.zeros(1)]])
+            matrix = np.block([[state.hessian, state.load_slope[:, None]], [softest, np.zeros(1)]])
             step = np.linalg.solve(matrix, -np.append(state.gradient, softest @ (y[:-1] - x) - along))
             y += step
             if np.abs(step).max() < 1e-12:

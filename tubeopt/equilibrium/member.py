@@ -493,7 +493,7 @@ class Loaded(Member[LoadedState]):
         """Largest rotation (rad) of a tube by a step, or of the arm if its curvature changed equally all along."""
         tubes = np.abs(self.torsion.factor @ step[: self.torsion.size]).max(initial=0.0)
         length = self.torsion.assembly.total_length
-        return max(float(tubes), length * float(np.abs(state.turned @ step).max(initial=0.0)))
+        return max(float(tubes), length * float(np.abs(state.curvature_slope @ step).max(initial=0.0)))
 
     def residual(self, state: LoadedState) -> float:
         """Largest violation of the equations, as an error of theta or of the arm's direction, rad."""
@@ -622,7 +622,7 @@ class Loaded(Member[LoadedState]):
         """(U,) change by the derivative with respect to the factor, where only that changes."""
         if point.member.problem is not self.problem or not np.array_equal(point.member.rotations, self.rotations):
             return None
-        step = scipy.linalg.lapack.dgesv(point.state.hessian, -point.state.pull)[2]
+        step = scipy.linalg.lapack.dgesv(point.state.hessian, -point.state.load_slope)[2]
         return np.asarray(step * (self.factor - point.state.factor))
 
     def round_off(self, state: LoadedState) -> float:

@@ -1,5 +1,7 @@
-"""The collocated torsion problem solved by IPOPT, as equations or as the energy whose stationary points they are; under
-load as least potential energy, the orientation among the unknowns."""
+"""Equilibria by IPOPT, as collocated equations or as minima of the energy, and IPOPT for functions with derivatives.
+
+Under load the potential energy is minimised, with the orientation among the unknowns.
+"""
 
 from __future__ import annotations
 
@@ -36,15 +38,15 @@ from .settings import NO_SENSITIVITIES, Ipopt
 from .time_limit import LEAST_SECONDS, LateError, check_time, time_left
 
 EQUILIBRIUM = Ipopt(tolerance=1e-12, iterations=300, expand=True)
-"""How an equilibrium is solved for unless told otherwise."""
+"""Default settings for equilibria."""
 
 EQUATIONS = replace(EQUILIBRIUM, hessian="limited-memory")
-"""The same where as many equations as unknowns leave no choice: no second derivative changes the steps."""
+"""Default settings for as many equations as unknowns, where second derivatives do not change the steps."""
 
 
 @lru_cache(maxsize=64)
 def _program(structure: Structure, formulation: str, thread: int) -> Problem:
-    """The program of one equilibrium, all that is given of it parameters; each thread has its own numbers."""
+    """Program of one equilibrium with its data as parameters; each thread has a program of its own."""
     problem = Problem(formulation)
     rotations = problem.parameter("rotations", np.zeros(structure.grid.n_tubes))
     if formulation == "equations":
@@ -55,10 +57,10 @@ def _program(structure: Structure, formulation: str, thread: int) -> Problem:
 
 
 def _add_energy(problem: Problem, structure: Structure, rotations: Any) -> None:
-    """The optimal control problem behind an equilibrium: least energy over theta with control w = theta'.
+    """Add the optimal control problem of an equilibrium: minimum energy over theta with the control w = theta'.
 
-    Only for concentric tubes, whose equilibria are its stationary points. A transmission without length stores no
-    energy, so its idle twist is given the cost of a whole arm.
+    It is for concentric tubes, whose equilibria are its stationary points. A transmission of no length stores no
+    energy, so its twist, which has no effect, gets the cost of a whole arm.
     """
     grid, pieces = structure.grid, len(structure.section)
     n, degree = grid.n_tubes, grid.degree
@@ -74,16 +76,16 @@ def _add_energy(problem: Problem, structure: Structure, rotations: Any) -> None:
     defect, end, energy = mapped("motion", grid, pieces)(theta, inner, twist, *row)
     tubes = [f"tube {i + 1}" for i in range(n)]
     after, points = location_labels(pieces, degree, structure.section)
-    for each in (
+    for constraint in (
         equation("rotation equation", tubes, points, defect, 1.0),
         equation("continuity of rotation", tubes, after, theta[:, 1:] - end[:, :-1], 1.0),
         equation("base rotation", tubes, None, theta[:, 0] - rotations - transmission * base, 1.0),
     ):
-        problem.subject_to(each.name, each.expression, upper=0.0, entries=each.entries)
-    # Twist of no length has no energy: without a cost the program would have a free direction.
-    idle = ca.if_else(transmission > 0, transmission, ca.sum1(lengths))
-    stored = ca.sum2(energy) + ca.dot(kt[:, 0] * idle, base**2) / 2
-    problem.minimize(stored * ca.sum1(lengths) / ca.sum1(kt[:, 0]))
+        problem.subject_to(constraint.name, constraint.expression, upper=0.0, entries=constraint.entries)
+    # Twist over no length has no energy: without a cost the program would have a free direction.
+    cost_length = ca.if_else(transmission > 0, transmission, ca.sum1(lengths))
+    elastic = ca.sum2(energy) + ca.dot(kt[:, 0] * cost_length, base**2) / 2
+    problem.minimize(elastic * ca.sum1(lengths) / ca.sum1(kt[:, 0]))
 
 
 def solve_ipopt(
@@ -96,11 +98,11 @@ def solve_ipopt(
     """Solve the collocated problem from the torsion `guess`.
 
     Args:
-        formulation: "equations" (no objective, the equations as constraints) or "energy" (least elastic energy).
-        settings: None are `EQUATIONS` or `EQUILIBRIUM`.
+        formulation: "equations" (no objective, the equations as constraints) or "energy" (minimum elastic energy).
+        settings: default `EQUATIONS` for equations, and `EQUILIBRIUM` for the energy.
 
     Raises:
-        SolveError: IPOPT did not converge; the message names its verdict and the worst constraints.
+        SolveError: IPOPT did not converge; the message has its status and the largest violations.
     """
     if not len(problem.mesh.length):
         return NewtonResult(evaluate(problem, rotations, np.zeros(0)), True, 0, 0.0)
@@ -125,7 +127,7 @@ def solve_ipopt(
 
 
 def inside_points(problem: ReducedProblem, inside: Array) -> Array:
-    """theta (N, n) at the points of a reduced problem, of the column "rotation inside" of all pieces."""
+    """Rotations theta (N, n) at the points of a reduced problem, from the variable "rotation inside" of all pieces."""
     mesh, n = problem.mesh, problem.assembly.n_tubes
     return inside.reshape(len(mesh.length), mesh.tableau.degree, n)[mesh.collocated].reshape(-1, n)
 
@@ -133,28 +135,31 @@ def inside_points(problem: ReducedProblem, inside: Array) -> Array:
 def solve_loaded_ipopt(
     problem: LoadedProblem, rotations: Array, guess: LoadedState, settings: Ipopt | None = None
 ) -> NewtonResult[LoadedState]:
-    """The equilibrium under a load with an energy, from a state close by: the equations of `block.transcription.loaded`
-    in another writing, in which the quaternions are unknowns, tied to the curvature by constraints."""
+    """Equilibrium under a load with an energy, from a state close to it.
+
+    The equations are those of `block.transcription.loaded`, but quaternions are unknowns, with constraints that relate
+    them to the curvature.
+    """
     program, split = Problem("equilibrium under load"), problem.torsion.size
     z = program.variable("twist", split, guess=guess.x[:split])
     q = program.variable("bending", problem.size - split, guess=guess.x[split:])
-    begin, stage = guess.orientation.begin, guess.orientation.stage
-    ends = ca.reshape(program.variable("orientation", begin.size, guess=begin.ravel()), 4, len(begin))
+    start, stage = guess.orientation.start, guess.orientation.stage
+    ends = ca.reshape(program.variable("orientation", start.size, guess=start.ravel()), 4, len(start))
     inside = ca.reshape(program.variable("orientation inside", stage.size, guess=stage.ravel()), 4, len(stage))
-    stored, rows = _section(problem, rotations, z, q)
+    bending_energy, curvature = _bending(problem, rotations, z, q)
     omegas = map(ca.DM, quaternion_rates())
-    rate = sum(ca.repmat(row, 4, 1) * (omega @ inside) / 2 for row, omega in zip(rows, omegas, strict=True))
+    rate = sum(ca.repmat(u, 4, 1) * (omega @ inside) / 2 for u, omega in zip(curvature, omegas, strict=True))
     mesh, defects = problem.mesh, [ends[:, 0] - ca.DM([1, 0, 0, 0])]
     degree = mesh.tableau.degree
     for e, h in enumerate(mesh.length.tolist()):
-        own = slice(e * degree, (e + 1) * degree)
-        moved = h * rate[:, own] @ ca.DM(np.column_stack([mesh.tableau.matrix.T, mesh.tableau.weights]))
-        there = ca.horzcat(inside[:, own], ends[:, e + 1])
-        defects.append(ca.vec(there - ca.repmat(ends[:, e], 1, degree + 1) - moved))
+        points = slice(e * degree, (e + 1) * degree)
+        increment = h * rate[:, points] @ ca.DM(np.column_stack([mesh.tableau.matrix.T, mesh.tableau.weights]))
+        after = ca.horzcat(inside[:, points], ends[:, e + 1])
+        defects.append(ca.vec(after - ca.repmat(ends[:, e], 1, degree + 1) - increment))
     program.subject_to("orientation equation", ca.vertcat(*defects), upper=0.0)
     tangent = ca.vertcat(*(ca.sum1(inside * (ca.DM(form) @ inside)) for form in tangent_forms()))
     work = ca.dot(ca.DM((problem.torsion.weight[:, None] * problem.force).T), tangent)
-    potential = (ca.sumsqr(z) + ca.sumsqr(q)) / 2 + stored - work
+    potential = (ca.sumsqr(z) + ca.sumsqr(q)) / 2 + bending_energy - work
     program.minimize(potential * problem.tip_lever)
     result = program.attempt(settings or EQUILIBRIUM)
     if result.status is not ProblemStatus.SOLVED:
@@ -163,8 +168,8 @@ def solve_loaded_ipopt(
     return NewtonResult(under_load.evaluate(problem, rotations, x), True, result.statistics.iterations, 0.0)
 
 
-def _section(problem: LoadedProblem, rotations: Array, z: Any, q: Any) -> tuple[Any, list[Any]]:
-    """Bending energy of the cross-sections, J, and rows u_x and u_y (N,) of the curvature at the points."""
+def _bending(problem: LoadedProblem, rotations: Array, z: Any, q: Any) -> tuple[Any, list[Any]]:
+    """Coupling energy of the cross-sections, J, and rows u_x and u_y (N,) of the curvature at the points."""
     torsion = problem.torsion
     count, n = torsion.stiffness.shape
     base = rotations + torsion.phase
@@ -177,8 +182,6 @@ def _section(problem: LoadedProblem, rotations: Array, z: Any, q: Any) -> tuple[
 
 
 # --- Functions that compute their own first derivatives ---------------------------------------------------------------
-
-# IPOPT on functions that compute their own first derivatives: values and gradients in, raw solution and status out.
 
 OPTIONS: dict[str, Any] = {
     **NO_SENSITIVITIES,
@@ -201,45 +204,55 @@ STRATEGIES: dict[str, dict[str, Any]] = {
     "quick": {"ipopt.mu_strategy": "adaptive", "ipopt.limited_memory_max_history": 6},
     "patient": {"ipopt.mu_strategy": "monotone", "ipopt.limited_memory_max_history": 30},
 }
-"""Quick is best on most problems; on some it goes round in circles, and patient does not."""
+"""Options by strategy: quick is faster on most problems; on some it cycles, where patient converges."""
 
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """f, its gradient (X,), g (G,) and its Jacobian (G, X) at a point."""
+    """Functions f(x) and g(x) at a point, with first derivatives."""
 
     objective: float
+    """f."""
     gradient: Array
+    """Gradient (X,) of f."""
     constraints: Array
+    """g (G,)."""
     jacobian: Array
+    """Jacobian (G, X) of g."""
 
 
 def nowhere(rows: int, size: int) -> Values:
-    """Values where the functions are not defined."""
+    """NaN for all values, at a point where the functions are not defined."""
     nan = np.full(rows, np.nan)
     return Values(np.nan, np.full(size, np.nan), nan, np.full((rows, size), np.nan))
 
 
 Evaluate = Callable[[Array], Values]
-"""Values at x (X,); NaN where there are none."""
+"""Function x (X,) -> values, NaN where they are not defined."""
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """Where IPOPT ended: x (X,), values there, multipliers of constraints (G,) (>= 0 where g >= 0 is active) and of
-    bounds (X,), its own verdict, iterations."""
+    """Last point of IPOPT."""
 
     x: Array
+    """Variables (X,)."""
     values: Values
+    """Functions at x."""
     multipliers: Array
+    """Multipliers (G,) of the constraints, positive for active ones."""
     bound_multipliers: Array
+    """Multipliers (X,) of the bounds."""
     success: bool
+    """IPOPT converged."""
     status: str
+    """Status of IPOPT, in lower case."""
     iterations: int
+    """Number of iterations."""
 
 
 class _Callback(ca.Callback):
-    """A function of dense matrices of the shapes `inputs` and `outputs`; `jacobian` has its derivatives."""
+    """CasADi function of dense matrices of the shapes `inputs` and `outputs`, with its `jacobian`."""
 
     def __init__(
         self,
@@ -275,32 +288,32 @@ class _Callback(ca.Callback):
         return self._jacobian
 
 
-def _own_derivatives(values_at: Callable[[bytes], Values], size: int, rows: int) -> _Callback:
-    """x -> f, g, with their derivatives."""
+def _functions(values_at: Callable[[bytes], Values], size: int, rows: int) -> _Callback:
+    """CasADi function x -> (f, g), with first derivatives."""
 
-    def both(x: Any) -> list[Any]:
-        here = values_at(np.array(x).tobytes())
-        return [ca.DM(here.objective), ca.DM(here.constraints)]
+    def functions(x: Any) -> list[Any]:
+        values = values_at(np.array(x).tobytes())
+        return [ca.DM(values.objective), ca.DM(values.constraints)]
 
     def slopes(x: Any, *_: Any) -> list[Any]:
-        here = values_at(np.array(x).tobytes())
-        return [ca.DM(here.gradient[None]), ca.DM(here.jacobian)]
+        values = values_at(np.array(x).tobytes())
+        return [ca.DM(values.gradient[None]), ca.DM(values.jacobian)]
 
     shapes = [(1, 1), (rows, 1)]
     derivatives = _Callback("slopes", [(size, 1), *shapes], [(1, size), (rows, size)], slopes)
-    return _Callback("program", [(size, 1)], shapes, both, derivatives)
+    return _Callback("program", [(size, 1)], shapes, functions, derivatives)
 
 
-def _watch(report: Callable[[float], object], size: int, rows: int) -> _Callback:
-    """Calls `report` with the iteration's objective."""
+def _iteration_callback(report: Callable[[float], object], size: int, rows: int) -> _Callback:
+    """Callback of `nlpsol` that reports the objective of each iteration."""
 
-    def told(x: Any, f: Any, *_: Any) -> list[Any]:
+    def callback(x: Any, f: Any, *_: Any) -> list[Any]:
         report(float(f))
         return [0]
 
-    known = {"f": 1, "x": size, "lam_x": size, "g": rows, "lam_g": rows}
-    inputs = [(known.get(ca.nlpsol_out(i), 0), 1) for i in range(ca.nlpsol_n_out())]
-    return _Callback("watch", inputs, [(1, 1)], told)
+    sizes = {"f": 1, "x": size, "lam_x": size, "g": rows, "lam_g": rows}
+    inputs = [(sizes.get(ca.nlpsol_out(i), 0), 1) for i in range(ca.nlpsol_n_out())]
+    return _Callback("watch", inputs, [(1, 1)], callback)
 
 
 def minimise(
@@ -313,9 +326,13 @@ def minimise(
     strategy: str,
     report: Callable[[float], object] | None,
 ) -> Optimum:
-    """Minimise f(x) subject to g(x) >= 0 and lower <= x <= upper, from `start` (X,), in the scale of x.
+    """Minimise f(x) subject to g(x) >= 0 and lower <= x <= upper, from `start` (X,).
 
-    Values may be NaN where the functions are not defined: the step is then shortened.
+    Args:
+        evaluate: functions of x, which should be of order 1; where they are NaN, IPOPT shortens its step.
+        iterations: maximum number of iterations.
+        strategy: key of `STRATEGIES`.
+        report: function called with the objective of each iteration, or None.
 
     Raises:
         LateError: the nearest time limit is reached.
@@ -324,11 +341,12 @@ def minimise(
 
     @lru_cache(maxsize=1)
     def values_at(x: bytes) -> Values:
-        """So that value and gradient at one point cost one evaluation."""
+        """Values at a point, remembered: value and gradient there cost one evaluation."""
         try:
             check_time()
             return evaluate(np.frombuffer(x).copy())
-        except LateError as error:  # IPOPT has to end before it may go up
+        except LateError as error:
+            # An exception must not pass through IPOPT: it is raised again when IPOPT has ended.
             late.append(error)
             return nowhere(rows, size)
 
@@ -336,14 +354,14 @@ def minimise(
     rows = len(values_at(start.tobytes()).constraints)
     if late:
         raise late[0]
-    program = _own_derivatives(values_at, size, rows)
+    program = _functions(values_at, size, rows)
     x = ca.MX.sym("x", size)
     f, g = program(x)
     options = {**OPTIONS, **STRATEGIES[strategy], "ipopt.max_iter": iterations}
     if time_left() < np.inf:
         options["ipopt.max_wall_time"] = max(time_left(), LEAST_SECONDS)
     if report is not None:
-        options["iteration_callback"] = _watch(report, size, rows)
+        options["iteration_callback"] = _iteration_callback(report, size, rows)
     solver = ca.nlpsol("design", "ipopt", {"x": x, "f": f, "g": g}, options)
     result = solver(x0=start, lbx=lower, ubx=upper, lbg=np.zeros(rows), ubg=np.full(rows, np.inf))
     stats = solver.stats()

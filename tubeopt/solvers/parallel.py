@@ -1,7 +1,7 @@
 """Many independent computations on the cores of this machine, or on a cluster, behind one `Executor`.
 
-`each` is what most callers want: a function of one item, sent to every worker once, and an answer or a `Failure` for
-every item, as they come. `executor` is the bare `concurrent.futures.Executor` below it.
+Most callers need `each`: it sends a function of one item to every worker once, and yields a value or a `Failure` for
+every item, as they are ready. `executor` is the plain `concurrent.futures.Executor` below it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import wait as wait_for_end
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from ..errors import InputError, SolveError
 from ..typing import Progress
@@ -32,20 +32,20 @@ A = TypeVar("A")
 B = TypeVar("B")
 
 AHEAD = 4
-"""Items that wait at each worker: enough that none is idle, few enough that the items need no memory."""
+"""Items queued per worker: enough that none is idle, few enough that the items need no memory."""
 
-AT_A_CLUSTER = 64
-"""Items in flight at a cluster, at least: workers may join it at any time."""
+MIN_QUEUED_AT_CLUSTER = 64
+"""Minimum number of items queued at a cluster, since workers may join it at any time."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Why an item has no answer."""
+    """Reason why an item has no value."""
 
     kind: str
     """Name of the exception, or `WorkerLost`."""
     reason: str
-    """Its message."""
+    """Message of the exception."""
 
     def __str__(self) -> str:
         return f"{self.kind}: {self.reason}"
@@ -56,32 +56,34 @@ class Outcome(Generic[B]):
     """Result of one item: its value, or its failure."""
 
     index: int
-    """Its place among the items."""
+    """Number of the item, from 0."""
     value: B | None
+    """Value of the function; None for a failure."""
     failure: Failure | None
+    """Failure, or None."""
     seconds: float = float("nan")
-    """How long the worker computed."""
+    """Time of the computation in the worker, s; NaN if the worker was lost."""
 
 
 class SerialExecutor(Executor):
-    """An executor that computes in this process, when asked."""
+    """Executor that computes in this process, as items are submitted."""
 
     def __init__(self, common: object = None) -> None:
         self._common = common
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """A future that is done already."""
+        """Finished future of the call."""
         future: Future[Any] = Future()
         try:
             with using(self._common):
                 future.set_result(fn(*args, **kwargs))
-        except Exception as error:  # as a worker does: whatever the function raises belongs to its future
+        except Exception as error:  # as in a worker: an exception of the function is the result of its future
             future.set_exception(error)
         return future
 
 
 def number_of_workers(workers: int) -> int:
-    """`workers`, or one per core for 0; raises InputError for what is no such number."""
+    """Number of processes: `workers`, or one per core for 0; raises InputError for other values."""
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 0:
         raise InputError(f"workers is {workers!r}; it must be 0 (one per core) or a number of processes")
     return workers or os.cpu_count() or 1
@@ -89,12 +91,12 @@ def number_of_workers(workers: int) -> int:
 
 @contextmanager
 def executor(workers: int = 0, *, scheduler: str | None = None, common: object = None) -> Iterator[Executor]:
-    """An executor: processes of this machine, this process for one worker, or a Dask cluster.
+    """Executor on processes of this machine, in this process for one worker, or on a Dask cluster.
 
     Args:
-        workers: processes; 0 is one per core, 1 this process. A cluster has its own.
-        scheduler: address of a Dask scheduler, as tcp://host:8786 (needs the extra `cluster`).
-        common: any object that can be pickled; every worker receives it once and gets it by `common_data()`.
+        workers: number of processes; 0 is one per core, 1 this process. Not used with a cluster.
+        scheduler: address of a Dask scheduler, such as tcp://host:8786 (needs the extra `cluster`).
+        common: any object that can be pickled; every worker receives it once, and reads it by `common_data()`.
 
     Raises:
         InputError: a wrong number of workers; no scheduler at that address, or one without workers; Dask is not
@@ -113,7 +115,7 @@ def executor(workers: int = 0, *, scheduler: str | None = None, common: object =
     with _processes(count, common) as pool:
         try:
             yield pool
-        except BaseException:  # also where a signal comes: no process goes on
+        except BaseException:  # also KeyboardInterrupt: no process may go on
             pool.shutdown(wait=False, cancel_futures=True)
             raise
 
@@ -121,44 +123,44 @@ def executor(workers: int = 0, *, scheduler: str | None = None, common: object =
 def run_all(
     function: Callable[[A], B], items: Sequence[A], pool: Executor, progress: Progress | None = None
 ) -> list[B]:
-    """`function` of every item, in order."""
-    answers = map(function, items) if isinstance(pool, SerialExecutor) else pool.map(timed(function), items)
+    """Values of `function` for all items, in order."""
+    values = map(function, items) if isinstance(pool, SerialExecutor) else pool.map(timed(function), items)
     out = []
-    for answer in answers:
-        out.append(answer)
+    for value in values:
+        out.append(value)
         if progress is not None:
             progress(len(out), len(items))
     return out
 
 
 def _processes(count: int, common: object) -> ProcessPoolExecutor:
-    """Fresh processes that hold common data.
+    """Pool of fresh processes with common data.
 
-    They are not forked from this one, whose solvers may hold locks in other threads, but where the system can from a
-    server that does nothing but import the library, once.
+    They are not forked from this process, whose solvers may hold locks in other threads. Where the system allows it,
+    they are forked from a server process that has imported the library and does nothing else.
     """
     if "forkserver" in multiprocessing.get_all_start_methods():
         context: Any = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["__main__", "tubeopt"])
     else:
         context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(count, context, _begin, (packed(common),))
+    return ProcessPoolExecutor(count, context, _start_worker, (packed(common),))
 
 
-def _begin(packed: bytes) -> None:
-    """Start of a worker process: its parent handles interrupts, and it does not outlive its parent."""
+def _start_worker(packed: bytes) -> None:
+    """Initialise a worker process: it leaves interrupts to its parent, and ends with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    logging.getLogger("tubeopt").setLevel(logging.ERROR)  # what is to be warned of, the parent has seen
+    logging.getLogger("tubeopt").setLevel(logging.ERROR)  # the parent has shown the warnings
     warnings.simplefilter("ignore")
     parent = multiprocessing.parent_process()
     if parent is not None:
-        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+        def end_with_parent() -> None:
+            wait_for_end([parent.sentinel])
+            os._exit(1)
+
+        threading.Thread(target=end_with_parent, daemon=True).start()
     COMMON.set(unpacked(packed))
-
-
-def _end_with(sentinel: int) -> None:
-    wait_for_end([sentinel])
-    os._exit(1)
 
 
 def each(
@@ -168,24 +170,28 @@ def each(
     workers: int = 0,
     scheduler: str | None = None,
 ) -> Iterator[Outcome[B]]:
-    """Results of `function` for all items, in the order in which they are ready; a failure costs its own item only.
+    """Results of `function` for all items, in the order in which they are ready; a failure affects its own item only.
 
-    The function is sent to every worker once, with all that is bound to it: `functools.partial(function, robot)`, or
-    an object with `__call__`. Items are taken from the iterable as workers become free, so that it may be endless.
-    Whatever a worker raises becomes a `Failure`. If a process dies, its unfinished items are computed again,
-    each in a process of its own. An item that ends its process again has failed.
+    The function is sent to every worker once, with its bound arguments: `functools.partial(function, robot)`, or an
+    object with `__call__`. Items are taken from the iterable as workers become free, so that it may be infinite. An
+    exception in a worker becomes a `Failure`. If a process dies, its unfinished items are computed again, each in a
+    process of its own. An item that ends its process again has failed.
 
     Args:
         workers, scheduler: as for `executor`.
 
     Raises:
-        InputError: as `executor`; the function does not pickle, or workers cannot load it or cannot start.
+        InputError: as for `executor`; the function cannot be pickled, or workers cannot load it or cannot start.
         SolveError: the connection to the cluster is lost.
     """
     numbered = enumerate(items)
     while True:
         with executor(workers, scheduler=scheduler, common=timed(function)) as pool:
-            run: _Run[A, B] = _Run(pool, _in_flight(pool, workers, scheduler))
+            if scheduler is not None:
+                limit = max(MIN_QUEUED_AT_CLUSTER, AHEAD * int(getattr(pool, "workers", 0)))
+            else:
+                limit = 1 if isinstance(pool, SerialExecutor) else AHEAD * number_of_workers(workers)
+            run: _Run[A, B] = _Run(pool, limit)
             yield from run.all(numbered)
         if not run.lost:
             return
@@ -195,7 +201,7 @@ def each(
 
 
 class _Run(Generic[A, B]):
-    """Items on their way through an executor, at most `limit` at a time; `lost` holds them if its processes die."""
+    """Items in an executor, at most `limit` at a time; `lost` are those whose processes died."""
 
     def __init__(self, pool: Executor, limit: int) -> None:
         self.pool, self.limit = pool, limit
@@ -206,8 +212,7 @@ class _Run(Generic[A, B]):
         """Outcomes until there are no items left, or no processes."""
         self.fill(numbered)
         while self.pending:
-            done, _ = wait(self.pending, return_when=FIRST_COMPLETED)
-            for future in done:
+            for future in wait(self.pending, return_when=FIRST_COMPLETED).done:
                 outcome = self.outcome(future)
                 if outcome is not None:
                     yield outcome
@@ -227,7 +232,7 @@ class _Run(Generic[A, B]):
                 return
 
     def outcome(self, future: Future[Any]) -> Outcome[B] | None:
-        """What became of an item; None where it was lost with the processes."""
+        """Outcome of an item; None if it was lost with the processes."""
         index, item = self.pending.pop(future)
         try:
             value, failure, seconds = future.result()
@@ -238,14 +243,14 @@ class _Run(Generic[A, B]):
             raise
         except CancelledError:
             raise SolveError("the connection to the cluster is lost; finished points are kept") from None
-        except Exception as error:  # of the executor: an item that does not pickle, a worker of the cluster lost thrice
+        except Exception as error:  # of the executor: an item that cannot be pickled, a cluster worker lost three times
             kind = "WorkerLost" if type(error).__name__ == "KilledWorker" else type(error).__name__
             return Outcome(index, None, Failure(kind, str(error) or "no message"))
         return Outcome(index, value, failure, seconds)
 
 
 def _alone(function: Callable[[A], B], numbered: tuple[int, A]) -> Outcome[B]:
-    """The outcome of an item in a process of its own, whose death is the item's own failure."""
+    """Outcome of an item in a process of its own, whose death is a failure of the item."""
     with _processes(1, timed(function)) as pool:
         run: _Run[A, B] = _Run(pool, 1)
         for outcome in run.all(iter([numbered])):
@@ -254,7 +259,7 @@ def _alone(function: Callable[[A], B], numbered: tuple[int, A]) -> Outcome[B]:
 
 
 def _require_start() -> None:
-    """Raise InputError where processes end before they begin: then it is not the items that end them."""
+    """Raise InputError if processes end before they receive an item: then the items are not the cause."""
     with _processes(1, None) as pool:
         try:
             pool.submit(os.getpid).result()
@@ -265,20 +270,22 @@ def _require_start() -> None:
             ) from None
 
 
-def _compute(item: Any) -> tuple[Any, Failure | None, float]:
-    """Answer, failure and seconds of an item, in a worker."""
+class _Computed(NamedTuple):
+    """Result of an item in a worker."""
+
+    value: Any
+    failure: Failure | None
+    seconds: float
+
+
+def _compute(item: Any) -> _Computed:
+    """Compute an item in a worker."""
     function = common_data()
-    began = time.perf_counter()
+    start = time.perf_counter()
     try:
         value, failure = function(item), None
     except LateError:
         raise
-    except Exception as error:  # the failure of one item, whatever it is, leaves the others
+    except Exception as error:  # any failure of one item leaves the other items unaffected
         value, failure = None, Failure(type(error).__name__, str(error) or "no message")
-    return value, failure, time.perf_counter() - began
-
-
-def _in_flight(pool: Executor, workers: int, scheduler: str | None) -> int:
-    if scheduler is not None:
-        return max(AT_A_CLUSTER, AHEAD * int(getattr(pool, "workers", 0)))
-    return 1 if isinstance(pool, SerialExecutor) else AHEAD * number_of_workers(workers)
+    return _Computed(value, failure, time.perf_counter() - start)

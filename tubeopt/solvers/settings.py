@@ -29,7 +29,7 @@ class Newton(Settings):
 
 
 NEWTON = Newton()
-"""Default settings."""
+"""Default settings of Newton's method for equilibria."""
 
 # The limits below are compiled into the kernels: kernel and Python follow the same branch only with the same limits.
 
@@ -54,13 +54,13 @@ LARGEST_RATIO = 0.3
 LARGEST_TWIST = 0.6
 """Largest change (rad) of the twist theta - alpha at a point in one step along a branch."""
 
-# The two stable branches beside a narrow hysteresis are little more than this apart.
+# The two stable branches of a narrow hysteresis are little more than this apart.
 SOFT_TWIST = 0.1
-"""The same (rad) where the margin is 0."""
+"""Value of LARGEST_TWIST (rad) at margin 0."""
 
 LARGEST_TURN = 0.3
-"""Largest change (rad) of a joint rotation in one step along a path. After a full turn the equilibria repeat, so that a
-step must be short against a turn."""
+"""Largest change (rad) of a joint rotation in one step along a path. Equilibria repeat after a full turn: a step must
+be much smaller."""
 
 LARGEST_SHIFT = 0.05
 """Largest change of a translation in one step along a path, as a fraction of the longest tube."""
@@ -69,7 +69,7 @@ LARGEST_SHIFT = 0.05
 LEAST_STIFFNESS = 1e-6
 """Smallest margin by which an error estimate is divided."""
 
-# Only of arms that a load hardly softens is the margin less accurate than the shape.
+# Only for arms that a load hardly softens is the margin less accurate than the shape.
 HARDLY_SOFTENED = 0.99
 """Margin above which its own accuracy is checked under load."""
 
@@ -79,7 +79,7 @@ SHORTEST_LOAD_STEP = 1e-3
 # A descent of the dual program never repeats a set of rows. It ends after few exchanges a row unless round-off makes
 # it repeat one.
 STICK_CHANGES = 20
-"""Exchanges per row after which the search for sticking rows gives up."""
+"""Exchanges per row after which the search for sticking rows stops."""
 
 FRICTION_ITERATIONS = 15
 """Maximum number of Newton iterations of an increment with friction."""
@@ -88,14 +88,13 @@ ONWARD = 0.9
 """Cosine of the angle between two increments of the bases above which the second continues the first."""
 
 HESSIANS = ("exact", "limited-memory")
+"""Second derivatives for IPOPT."""
 
 NO_SENSITIVITIES = {"no_nlp_grad": True, "calc_lam_p": False}
-"""Options of `casadi.nlpsol`: how an optimum changes with the parameters, nobody asks; the derivatives that would tell
-take as long to build as all others."""
-
+"""Options of `casadi.nlpsol` without parametric sensitivities, which take as long to build as all other derivatives."""
 
 LINEAR_SOLVERS = ("mumps", "ma27", "ma57", "ma77", "ma86", "ma97", "pardiso", "pardisomkl", "spral", "wsmp")
-"""Those that IPOPT knows, where they are installed."""
+"""Linear solvers of IPOPT; all but the first must be installed."""
 
 
 @typed
@@ -114,17 +113,17 @@ class Ipopt(Displayed):
     iterations: int = 500
     """Maximum number of iterations."""
     time_limit: float = TIME_LIMIT
-    """s, after which it stops where it is."""
+    """Time limit of one solve, s; IPOPT then stops at its current point."""
     linear_solver: str = "mumps"
     """Linear solver of the Newton steps; "mumps" comes with CasADi."""
     expand: bool = False
-    """Write the program out in scalars first: a solve is faster, the building slower. For one to three blocks."""
+    """Expand the program to scalar operations: solves are faster, building slower. For one to three blocks."""
     hessian: str = "exact"
     """Second derivatives: "exact", or "limited-memory"."""
     barrier: float = 0.1
     """Initial barrier parameter of a cold start."""
     print_level: int = 0
-    """0 silent, 5 a line for every iteration."""
+    """Output of IPOPT: 0 silent, 5 a line for every iteration."""
 
     def __post_init__(self) -> None:
         positive("tolerance", self.tolerance)
@@ -141,7 +140,7 @@ class Ipopt(Displayed):
 
     def options(self, *, warm: bool) -> dict[str, Any]:
         """Options of `casadi.nlpsol`; `warm` for a start with multipliers."""
-        own: dict[str, Any] = {
+        ipopt: dict[str, Any] = {
             "tol": self.tolerance,
             "constr_viol_tol": self.constraint_tolerance or self.tolerance,
             "max_iter": self.iterations,
@@ -150,20 +149,19 @@ class Ipopt(Displayed):
             "mu_init": self.barrier,
             "print_level": self.print_level,
             "sb": "yes",
-            # "Acceptable" is not converged: what is not within the tolerance is a failure, and said to be one.
+            # An "acceptable" solution has not converged within the tolerance: it counts as a failure.
             "acceptable_iter": 0,
         }
         if self.time_limit < math.inf:
-            own["max_wall_time"] = self.time_limit
+            ipopt["max_wall_time"] = self.time_limit
         if warm:
-            near = dict.fromkeys(
-                (f"warm_start_{what}" for what in ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")),
-                1e-9,
-            )
-            own |= {"warm_start_init_point": "yes", "warm_start_mult_bound_push": 1e-9, "mu_init": 1e-9, **near}
+            # The start may lie this close to its bounds: IPOPT would move it away from them otherwise.
+            pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+            ipopt |= {"warm_start_init_point": "yes", "mu_init": 1e-9}
+            ipopt |= dict.fromkeys((f"warm_start_{push}" for push in pushes), 1e-9)
         return {
             "print_time": False,
             "show_eval_warnings": False,
             **NO_SENSITIVITIES,
-            **{f"ipopt.{key}": value for key, value in own.items()},
+            **{f"ipopt.{key}": value for key, value in ipopt.items()},
         }

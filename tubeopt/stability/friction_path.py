@@ -354,7 +354,7 @@ def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
     weights = np.array([integration_to(problem, s) for s in equilibrium.arc_length.tolist()])
     orientation = state.elastic.orientation
     tangents = (tangent_slopes(orientation.stage) @ orientation.stage_slope).reshape(len(orientation.stage), -1)
-    slopes = (weights @ tangents).reshape(len(weights), 3, -1) @ state.elastic.turned
+    slopes = (weights @ tangents).reshape(len(weights), 3, -1) @ state.elastic.curvature_slope
     first_order = np.abs(slopes @ response[: problem.size]) @ contact.capacity
 
     # Any order: |x - x0| <= |P' lam| / mu, where the energy is convex with the constant mu.

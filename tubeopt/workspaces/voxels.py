@@ -270,9 +270,9 @@ def _tips(workspace: Workspace, min_margin: float) -> Array:
 
 
 def _shared(tips: Sequence[Array], bases: tuple[Frame, Frame], size: float) -> SharedWorkspace:
-    keys = [np.unique(keys_of(cells(base.placed(tip), size))) for base, tip in zip(bases, tips, strict=True)]
-    shared = index_of(np.intersect1d(*keys, assume_unique=True))
-    volumes = np.array([len(each) for each in keys]) * size**3
+    first, second = (np.unique(keys_of(cells(base.placed(tip), size))) for base, tip in zip(bases, tips, strict=True))
+    shared = index_of(np.intersect1d(first, second, assume_unique=True))
+    volumes = np.array([len(first), len(second)]) * size**3
     return SharedWorkspace(size, volumes, len(shared) * size**3, np.asarray((shared + 0.5) * size), bases)
 
 

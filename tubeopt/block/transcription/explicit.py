@@ -371,7 +371,7 @@ def _stretches(n: int, count: int) -> ca.Function:
     *tables, end_turn = ca.vertsplit(robot, [0, *(n * count * np.arange(1, 7)).tolist(), kind.size])
     cuts, kb, kt, moment, direction, twist = (ca.reshape(table, n, count) for table in tables)
     transmission = ca.fmax(cuts[:, 0] - shift, 0)
-    columns = []
+    columns: list[list[Any]] = []
     previous = ca.horzcat(ca.SX.zeros(n), cuts[:, :-1])
     for start, end, stretch, present in _sections_of(cuts - ca.repmat(transmission, 1, count)):
         section_kb, m, section_kt, at_zero, rate = (

@@ -1,27 +1,28 @@
-"""The collocated equilibrium of concentric tubes under load: torsion and bending, with the orientation eliminated.
+"""Collocated equilibrium of concentric tubes under load: torsion and bending, with the orientation eliminated.
 
 Unknowns are whitened: z of the torsion, as in `reduced`, and q of the bending, two per collocation point,
 
     theta = alpha + L z,      u = u0(theta) + q / sqrt(B K),      K = sum kb,
 
-u0 being the curvature of the unloaded cross-section. With the force n on the cross-sections, which dead loads fix in
-advance, the elastic energy and the work of the load are
+where u0 is the curvature of the unloaded cross-section. Dead loads determine the force n on the cross-sections in
+advance. The elastic energy and the work of the load are
 
     E = z'z / 2 + q'q / 2 + sum B V(theta) - W,      W = sum B n.t(u),
 
-t the tangent from the orientation that u gives. grad E = 0 are the collocated equations of equilibrium, with the
-bending moment m = dW/du / B, and the least eigenvalue of the Hessian is the margin. Without load the Hessian is that of
-`reduced` beside the identity.
+where t is the tangent from the orientation by u. The collocated equations of equilibrium are grad E = 0, with the
+bending moment m = dW/du / B. The smallest eigenvalue of the Hessian is the margin. Without load the Hessian is
+block-diagonal: that of `reduced`, and the identity.
 
-Moments and forces that turn with the tip have no such W: their equations are the same, with what the load does in a
-small motion in place of the derivatives of W, and a Jacobian that is not symmetric. With the sum m of the moments ahead
-the arm feels B (R'm)_xy beside dW/du, R the frame from the orientation, and each moment twists its tube (`couples`).
+Moments, and forces that turn with the tip, have no such W. Their equations are the same, with the virtual work of the
+load in place of the derivatives of W, and their Jacobian is not symmetric. The sum m of the moments beyond a point adds
+B (R'm)_xy to dW/du, where R is the Bishop frame, and each moment twists its tube (`Couples`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,15 +39,14 @@ from .reduced import ReducedProblem, row_of, to_unknowns, torsional_hessian
 
 # --- Dead moments -----------------------------------------------------------------------------------------------------
 
-# What dead moments on a loaded arm twist: the part of them along the arm, which no energy has, and its derivatives.
-#
 # A moment m of fixed direction acts on tube j, where the arm has the tangent t. In a small motion the frame turns by
 # dpsi about world axes, and the tube by dtheta about the tangent. The work is
 #
 #     m.dpsi + tau dtheta,        tau = m.t.
 #
-# The first part bends all tubes up to there: `loaded` has it beside that of forces, by the sum of all moments ahead.
-# The second twists one tube: at the tip the one that ends last, of several the innermost; elsewhere the outermost one.
+# The first part bends all tubes up to there: `evaluate` adds it to that of forces, by the sum of all moments beyond.
+# The second part twists one tube: at the tip the tube that ends last (of several the innermost), elsewhere the
+# outermost.
 # At a joint between pieces m is the moment itself; a moment per length acts at the collocation points, times their
 # weights. The work depends on the path, so that the Jacobian is not symmetric.
 
@@ -59,124 +59,125 @@ class Couples:
     """C moments on the tubes of an arm: J at joints between pieces, the tip first, then those at collocation points."""
 
     along: Array
-    """(N, n, 3) moments per length at the collocation points, on the tubes, N."""
+    """Moments (N, n, 3) per length on the tubes at the collocation points, N."""
     moment: Array
-    """(C, 3) world axes, N m; that at the tip in the axes of the load."""
+    """Moments (C, 3) in world axes, N m; the moment at the tip in the axes of the load."""
     joint: Index
-    """(J,) the piece that begins there; the number of pieces at the tip."""
+    """Pieces (J,) that start where the moments act; the number of pieces at the tip."""
     point: Index
-    """(C - J,) collocation points."""
+    """Collocation points (C - J,)."""
     tube: Index
-    """(C,) on which each acts."""
+    """Tubes (C,) on which the moments act."""
     row: Array
-    """(C, U) turn of the tube there by z."""
+    """Rotations (C, U) of the tubes where the moments act, by z."""
     following: bool
-    """Whether the moment at the tip turns with it."""
+    """The moment at the tip turns with it."""
     rest: Array
-    """(J, C) turns of the tubes at the joints, by unit torques on all of them, that z does not see, rad/(N m)."""
+    """Rotations (J, C) at the joints by unit torques, less their part through z, rad/(N m)."""
 
-    def quaternions(self, along: Orientation) -> Array:
-        """(C, 4) where the moments act."""
-        return np.concatenate([along.begin[self.joint], along.stage[self.point]])
+    def quaternions(self, orientation: Orientation) -> Array:
+        """Quaternions (C, 4) where the moments act."""
+        return np.concatenate([orientation.start[self.joint], orientation.stage[self.point]])
 
-    def torques(self, along: Orientation) -> Array:
-        """(C,) tau = m.t."""
-        out = (self.moment * tangents(self.quaternions(along))).sum(1)
+    def torques(self, orientation: Orientation) -> Array:
+        """Torques (C,) tau = m.t, N m."""
+        out = (self.moment * tangents(self.quaternions(orientation))).sum(1)
         if self.following:
             out[0] = self.moment[0, 2]
         return np.asarray(out)
 
-    def torque_slopes(self, along: Orientation, turned: Array) -> Array:
-        """(C, U + 2 N) derivative of the torques, with `turned` (2 N, U + 2 N) that of the curvature."""
-        slope = np.concatenate([along.begin_slope[self.joint], along.stage_slope[self.point]])
-        leaning = (self.moment[:, None] @ tangent_slopes(self.quaternions(along)))[:, 0]
-        leaning[:1] *= not self.following
-        return np.asarray((leaning[:, None] @ slope)[:, 0] @ turned)
+    def torque_slopes(self, orientation: Orientation, curvature_slope: Array) -> Array:
+        """Derivative (C, U + 2 N) of the torques by x, from that of the curvature (2 N, U + 2 N)."""
+        slope = np.concatenate([orientation.start_slope[self.joint], orientation.stage_slope[self.point]])
+        by_quaternion = (self.moment[:, None] @ tangent_slopes(self.quaternions(orientation)))[:, 0]
+        # A moment that turns with the tip has a constant torque.
+        by_quaternion[:1] *= not self.following
+        return np.asarray((by_quaternion[:, None] @ slope)[:, 0] @ curvature_slope)
 
 
 def couples_of(torsion: ReducedProblem, load: Load, per_length: Array, spread: Array) -> Couples:
-    """The moments of a load: at the tip, at its points, and `per_length` (N, 3) at the collocation points, N; `spread`
-    (N, n, U) is the turn of the tubes there by z."""
+    """Moments of a load: at the tip, at its points, and `per_length` (N, 3) at the collocation points, N.
+
+    `spread` (N, n, U) is the derivative of the rotations at the points by z.
+    """
     assembly, mesh = torsion.assembly, torsion.mesh
-    ahead, ends = torsion.softness
-    at = [(part.at, part.moment) for part in load.acting[::-1] if any(part.moment) or part.at == np.inf]
-    # The piece that begins there, at the tip the number of pieces.
-    joint = np.searchsorted(mesh.start, [s - END for s, _ in at])
-    on_joint, point = twisted_tube(assembly.end, [s for s, _ in at]), np.flatnonzero(per_length.any(1))
-    tube_there = np.repeat(outermost(assembly.present)[mesh.section], mesh.tableau.degree)
-    on_point = tube_there[point]
-    tube, lever = np.concatenate([on_joint, on_point]), np.concatenate([ends[joint, on_joint], ahead[point, on_point]])
+    point_compliance, end_compliance = torsion.softness
+    at_joints = [part for part in load.acting[::-1] if any(part.moment) or part.at == np.inf]
+    # The piece that starts there, at the tip the number of pieces.
+    joint = np.searchsorted(mesh.start, [part.at - END for part in at_joints])
+    on_joint, point = twisted_tube(assembly.end, [part.at for part in at_joints]), np.flatnonzero(per_length.any(1))
+    outer_tube = np.repeat(outermost(assembly.present)[mesh.section], mesh.tableau.degree)
+    on_point = outer_tube[point]
+    tube = np.concatenate([on_joint, on_point])
+    compliance = np.concatenate([end_compliance[joint, on_joint], point_compliance[point, on_point]])
     rows = [
-        # A torque turns its tube up to where it acts, and no farther.
-        row_of(torsion, j, np.minimum(ahead[:, j], end))
-        for j, end in zip(on_joint.tolist(), lever.tolist(), strict=False)
+        # A torque twists its tube up to where it acts, and no farther.
+        row_of(torsion, j, np.minimum(point_compliance[:, j], end))
+        for j, end in zip(on_joint.tolist(), compliance.tolist(), strict=False)
     ]
     row, count = np.concatenate([rows, spread[point, on_point]]), len(joint)
-    whole = np.where(tube[:count, None] == tube, np.minimum(lever[:count, None], lever), 0.0)
+    total = np.where(tube[:count, None] == tube, np.minimum(compliance[:count, None], compliance), 0.0)
     return Couples(
-        along=np.where((tube_there[:, None] == np.arange(assembly.n_tubes))[..., None], per_length[:, None], 0.0),
-        moment=np.concatenate([[m for _, m in at], (per_length.T * torsion.weight).T[point]]),
+        along=np.where((outer_tube[:, None] == np.arange(assembly.n_tubes))[..., None], per_length[:, None], 0.0),
+        moment=np.concatenate([[part.moment for part in at_joints], (per_length.T * torsion.weight).T[point]]),
         joint=joint,
         point=point,
         tube=tube,
         row=row,
         following=load.frame == "tip",
-        # All of int ds / kt between two places, less what L L' has of it at the collocation points.
-        rest=whole - row[:count] @ row.T,
+        # int ds / kt up to the nearer of two places, less its part L L' through the collocation points.
+        rest=total - row[:count] @ row.T,
     )
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedProblem:
-    """Numbers of one robot under one load on one mesh, ready for any rotations; N points, U rotations unknown.
-
-    Attributes:
-        torsion: the problem of the rotations, on a mesh all of whose pieces have collocation points.
-        load: what pushes.
-        ahead: (N, 6) force n, N, and moment m, N m, of what acts beyond the points, in world axes.
-        base: (6,) all of that.
-        couples: the moments, where the load has no energy.
-    """
+    """Data of one robot under one load on one mesh, for any rotations; N points, U unknown rotations."""
 
     torsion: ReducedProblem
+    """Problem of the rotations, on a mesh all pieces of which have collocation points."""
     load: Load
+    """External load."""
     ahead: Array
+    """Sum (N, 6) of forces n, N, and moments m, N m, that act beyond the points, in world axes."""
     base: Array
+    """Sum (6,) of all forces and moments."""
     couples: Couples | None
+    """Moments of a load without an energy, or None."""
 
     @cached_property
     def force(self) -> Array:
-        """(N, 3) n."""
+        """Forces n (N, 3) on the cross-sections, N."""
         return np.ascontiguousarray(self.ahead[:, FORCE])
 
     @property
     def spread(self) -> Array:
-        """(N, n, U) rows of L, 0 for tubes that are not unknown at a point."""
+        """Rows (N, n, U) of L, 0 for tubes that are not unknown at a point."""
         return self.torsion.spread
 
     @property
     def softness(self) -> Array:
-        """(N,) 1 / sqrt(B K)."""
+        """Factors (N,) 1 / sqrt(B K)."""
         return self.torsion.bending_softness
 
     @property
     def tip_tube(self) -> int:
-        """The tube that ends last, of several the innermost."""
+        """Tube that ends last, of several the innermost."""
         return self.torsion.tip_tube
 
     @property
     def tip_row(self) -> Array:
-        """(U,) its rotation at its end by z."""
+        """Rotation (U,) of the tip tube at its end, by z."""
         return _tip_tube(self.torsion)[0]
 
     @property
     def tip_rest(self) -> float:
-        """Rotation at its end by a unit torque there that z does not see, rad/(N m)."""
+        """Torsional compliance of the tip tube at its end, less its part through z, rad/(N m)."""
         return self.tip_lever - float(self.tip_row @ self.tip_row)
 
     @property
     def tip_lever(self) -> float:
-        """Its whole compliance: rotation at its end by a unit torque there, rad/(N m)."""
+        """Torsional compliance of the tip tube at its end, rad/(N m)."""
         return _tip_tube(self.torsion)[1]
 
     @property
@@ -186,7 +187,7 @@ class LoadedProblem:
 
     @cached_property
     def wound(self) -> Array:
-        """(N, n) natural turn of the tubes up to the points, rad."""
+        """Natural rotations (N, n) of the tubes up to the points, rad."""
         return self.torsion.assembly.wound(self.torsion.arc_length)
 
     @property
@@ -197,89 +198,91 @@ class LoadedProblem:
 
 @dataclass(frozen=True, eq=False)
 class LoadedState:
-    """State of a loaded problem.
-
-    x: (U + 2 N,) unknowns z and q.   factor: of the load.   theta (N, n) and curvature (N, 2) at the points.
-    energy: elastic energy, J; under moments without the torsion that z does not see.
-    work: int n.t ds, what the load does on the arm as it comes from the plate's point, J; NaN without an energy.
-    gradient, hessian: of energy less work, or the equations and their Jacobian for loads without an energy.
-    pull: (U + 2 N,) derivative of the gradient by the factor.
-    torque: (N, n) torque per length on each tube, N.   joint_torques: (J,) of the moments at joints, N m.
-    twisted: (C, U + 2 N) derivative of the torques of all moments.
-    base_moment: (2,) bending moment at the plate, N m.   turned: (2 N, U + 2 N) du/dx.
-    """
+    """State of a loaded problem."""
 
     x: Array
+    """Unknowns (U + 2 N,): z and q."""
     factor: float
+    """Factor of the load."""
     theta: Array
+    """Elastic rotations (N, n) at the points, rad."""
     curvature: Array
+    """Curvature (N, 2) at the points, 1/m."""
     energy: float
+    """Elastic energy, J; under moments without the torsion that z does not determine."""
     work: float
+    """Work int n.t ds of the load from all points of the arm at the plate, J; NaN for a load without an energy."""
     gradient: Array
+    """Gradient of energy less work by x, or the equations for loads without an energy."""
     hessian: Array
-    pull: Array
+    """Derivative of `gradient` by x."""
+    load_slope: Array
+    """Derivative (U + 2 N,) of `gradient` by the factor."""
     torque: Array
+    """Torque (N, n) per length on each tube, N."""
     joint_torques: Array
-    twisted: Array
+    """Torques (J,) of the moments at joints, N m."""
+    torque_slope: Array
+    """Derivative (C, U + 2 N) of the torques of all moments by x."""
     base_moment: Array
+    """Bending moment (2,) at the plate, N m."""
     orientation: Orientation
-    turned: Array
+    """Orientation of the arm."""
+    curvature_slope: Array
+    """Derivative (2 N, U + 2 N) of the curvature by x."""
 
     @property
     def potential(self) -> float:
-        """Energy less work, J: what dead loads make least."""
+        """Energy less work, J, which is minimal at equilibria under dead loads."""
         return self.energy - self.work
 
 
 @dataclass(frozen=True, eq=False)
 class Loading:
-    """A load on an assembly whose sections end where the load jumps.
-
-    Attributes:
-        load: as given.   density: (n,) mass per length of the tubes, kg/m.
-        counts: (m,) least number of pieces of each section.
-    """
+    """Load on an assembly, the sections of which end where the load jumps."""
 
     load: Load
+    """External load."""
     density: Array
+    """Masses (n,) per length of the tubes, kg/m."""
     counts: Index
+    """Minimum numbers (m,) of pieces of the sections."""
 
 
 def load_problem(torsion: ReducedProblem, load: Load, density: Array) -> LoadedProblem:
-    """Set up a problem; `density` (n,) is the mass per length of the tubes, kg/m."""
-    along = _per_length(torsion.mesh, load, torsion.assembly.present @ density)
-    couples = None if load.has_energy else couples_of(torsion, load, along[..., MOMENT].reshape(-1, 3), torsion.spread)
-    return LoadedProblem(torsion, load, *_ahead(torsion.mesh, load, along), couples)
+    """Problem of an equilibrium under load; `density` (n,) is the mass per length of the tubes, kg/m."""
+    mesh = torsion.mesh
+    # Forces, N/m, and moments, N, per length at the points (P, K, 6), in world axes.
+    per_length = load.per_length(mesh.start[:, None] + mesh.length[:, None] * mesh.tableau.nodes)
+    if load.gravity is not None:
+        mass = torsion.assembly.present @ density
+        per_length[..., FORCE] += mass[mesh.section][:, None, None] * np.array(load.gravity)
+    moments = per_length[..., MOMENT].reshape(-1, 3)
+    couples = None if load.has_energy else couples_of(torsion, load, moments, torsion.spread)
+    return LoadedProblem(torsion, load, *_ahead(mesh, load, per_length), couples)
 
 
 @lru_cache(maxsize=64)
 def _tip_tube(torsion: ReducedProblem) -> tuple[Array, float]:
-    """Rotation of the tube that ends last at its end: (U,) by z, and by a unit torque there, rad/(N m)."""
+    """Rotation of the tip tube at its end: (U,) by z, and by a unit torque there, rad/(N m)."""
     tip = torsion.tip_tube
-    lever, ends = torsion.softness
-    return row_of(torsion, tip, lever[:, tip]), float(ends[-1, tip])
+    point_compliance, end_compliance = torsion.softness
+    return row_of(torsion, tip, point_compliance[:, tip]), float(end_compliance[-1, tip])
 
 
-def _per_length(mesh: Mesh, load: Load, mass: Array) -> Array:
-    """(P, K, 6) force, N/m, and moment, N, per length at the points, in world axes; `mass` (m,) per length of each
-    section, kg/m."""
-    along = load.per_length(mesh.start[:, None] + mesh.length[:, None] * mesh.tableau.nodes)
-    if load.gravity is not None:
-        along[..., FORCE] += mass[mesh.section][:, None, None] * np.array(load.gravity)
-    return along
+def _ahead(mesh: Mesh, load: Load, per_length: Array) -> tuple[Array, Array]:
+    """Sums of forces and moments beyond the points (N, 6), and beyond the plate (6,), in world axes.
 
-
-def _ahead(mesh: Mesh, load: Load, along: Array) -> tuple[Array, Array]:
-    """Force and moment (N, 6) of what acts beyond the points, and (6,) beyond the plate, of loads in world axes;
-    `along` (P, K, 6) is what there is per length."""
+    `per_length` (P, K, 6) are the distributed ones; forces that turn with the tip are left out.
+    """
     s = mesh.start[:, None] + mesh.length[:, None] * mesh.tableau.nodes
     out, base = np.zeros((*s.shape, 6)), np.zeros(6)
-    if along.any():
+    if per_length.any():
         h, t = mesh.length[:, None, None], mesh.tableau
-        whole = (h * along * t.weights[:, None]).sum(1)
-        ahead = np.cumsum(whole[::-1], axis=0)[::-1]
-        # From each point to the end of its piece, then the pieces ahead.
-        out, base = h * ((t.weights - t.matrix) @ along) + (ahead - whole)[:, None], ahead[0].copy()
+        of_piece = (h * per_length * t.weights[:, None]).sum(1)
+        ahead = np.cumsum(of_piece[::-1], axis=0)[::-1]
+        # From each point to the end of its piece, then the pieces beyond.
+        out, base = h * ((t.weights - t.matrix) @ per_length) + (ahead - of_piece)[:, None], ahead[0].copy()
     for part in load.acting if load.frame == "world" else load.points:
         # At the end of the arm, within round-off, a force acts on all of it.
         out[s < part.at] += (*part.force, *part.moment)
@@ -295,197 +298,209 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
     theta = np.empty((count, n))
     theta[:] = rotations
     theta.ravel()[torsion.flat] += torsion.factor @ z
-    bend, moment, stiff, natural, slope, second = section_function("bending", count, n, False)(
+    coupling, moment, stiffness, natural, slope, second = section_function("bending", count, n, False)(
         theta + torsion.phase, torsion.stiffness, torsion.moment
     )
     # CasADi stores by columns: (N, n, 2).
     slope, second = (part.reshape(count, n, 2).swapaxes(1, 2) for part in (slope, second))
     curvature = natural + problem.softness[:, None] * q.reshape(count, 2)
-    turned = np.zeros((2 * count, problem.size))
-    turned[:, :split] = (slope @ problem.spread).reshape(2 * count, split)
-    # u = u0(theta) + q / sqrt(B K): the second part turns each point by its own q only.
-    turned[np.arange(2 * count), split + np.arange(2 * count)] = np.repeat(problem.softness, 2)
-    # The quaternions are linear in the curvature of each piece, so that they are eliminated. One adjoint sweep from the
-    # tip to the plate gives what they add to the gradient of the work, for all curvatures at once.
-    along = orient(mesh, curvature)
-    push = _push(problem, along)
+    by_x = np.zeros((2 * count, problem.size))
+    by_x[:, :split] = (slope @ problem.spread).reshape(2 * count, split)
+    # u = u0(theta) + q / sqrt(B K): the second part changes the curvature of each point by its own q only.
+    by_x[np.arange(2 * count), split + np.arange(2 * count)] = np.repeat(problem.softness, 2)
+    # The quaternions are linear in the curvature of each piece, and are eliminated. One adjoint sweep from tip to plate
+    # gives the gradient of the work through them, for all curvatures at once.
+    orientation = orient(mesh, curvature)
+    sums = _load_sums(problem, orientation)
     # n.t = Q'(sum n_i T_i) Q with symmetric T_i: its derivative by Q is 2 (sum n_i T_i) Q.
-    forms = ((2 * weight[:, None] * push.ahead[:, FORCE]) @ tangent_forms().reshape(3, 16)).reshape(count, 4, 4)
-    swept = adjoint(mesh, along, (forms @ along.stage[:, :, None])[:, :, 0])
-    felt, work, couples = swept.gradient, second_derivative(along, swept, forms), problem.couples
+    forms = ((2 * weight[:, None] * sums.ahead[:, FORCE]) @ tangent_forms().reshape(3, 16)).reshape(count, 4, 4)
+    first = adjoint(mesh, orientation, (forms @ orientation.stage[:, :, None])[:, :, 0])
+    # First and second derivatives of the work by the curvature.
+    by_u, by_uu, couples = first.gradient, second_derivative(orientation, first, forms), problem.couples
     if couples is not None:
-        bending = (weight[:, None] * push.ahead[:, MOMENT]) @ frame_forms()[:, :2].reshape(3, 32)
-        leaning = (bending.reshape(count, 8, 4) @ along.stage[:, :, None]).reshape(count, 2, 4)
-        felt = felt + (leaning @ along.stage[:, :, None])[:, :, 0]
-        work += (2 * leaning @ along.stage_slope).reshape(2 * count, 2 * count)
+        moment_forms = (weight[:, None] * sums.ahead[:, MOMENT]) @ frame_forms()[:, :2].reshape(3, 32)
+        half_slope = (moment_forms.reshape(count, 8, 4) @ orientation.stage[:, :, None]).reshape(count, 2, 4)
+        by_u = by_u + (half_slope @ orientation.stage[:, :, None])[:, :, 0]
+        by_uu += (2 * half_slope @ orientation.stage_slope).reshape(2 * count, 2 * count)
     # Torque on the tubes per length: of the cross-section at its own curvature.
-    torque = moment - factor * (felt[:, None, :] @ slope)[:, 0] / weight[:, None]
-    softened = stiff.copy()
-    # The load pulls at u0(theta), whose second derivative is diagonal in the angles.
-    softened.ravel().reshape(count, n * n)[:, :: n + 1] -= factor * (felt[:, None, :] @ second)[:, 0] / weight[:, None]
-    pull, joint_torques, twisted = -(felt.ravel() @ turned), np.zeros(1), np.zeros((0, len(x)))
+    torque = moment - factor * (by_u[:, None, :] @ slope)[:, 0] / weight[:, None]
+    softened = stiffness.copy()
+    # The load acts on u0(theta), the second derivative of which is diagonal in the angles.
+    softened.ravel().reshape(count, n * n)[:, :: n + 1] -= factor * (by_u[:, None, :] @ second)[:, 0] / weight[:, None]
+    load_slope, joint_torques, torque_slope = -(by_u.ravel() @ by_x), np.zeros(1), np.zeros((0, len(x)))
     if couples is not None:
-        joints, twisting = len(couples.joint), couples.torques(along)
-        pull[:split] -= twisting @ couples.row
-        torque[couples.point, couples.tube[joints:]] -= factor * twisting[joints:] / weight[couples.point]
-        joint_torques, twisted = factor * twisting[:joints], couples.torque_slopes(along, turned)
-    gradient = x + factor * pull
+        joints, torques = len(couples.joint), couples.torques(orientation)
+        load_slope[:split] -= torques @ couples.row
+        torque[couples.point, couples.tube[joints:]] -= factor * torques[joints:] / weight[couples.point]
+        joint_torques, torque_slope = factor * torques[:joints], couples.torque_slopes(orientation, by_x)
+    gradient = x + factor * load_slope
     gradient[:split] += (moment.ravel()[torsion.flat] * torsion.flat_weight) @ torsion.factor
-    hessian = _hessian(problem, factor, turned[:, :split], softened, work)
-    # Dead moments have no energy: their torques enter the equations only, whose Jacobian is then not symmetric.
+    hessian = _hessian(problem, factor, by_x[:, :split], softened, by_uu)
+    # Dead moments have no energy: their torques are in the equations only, and the Jacobian is then not symmetric.
     if couples is not None:
-        hessian[:split] -= factor * (couples.row.T @ twisted)
+        hessian[:split] -= factor * (couples.row.T @ torque_slope)
     if problem.load.frame == "tip":
-        hessian -= factor * _following(problem, along, push, turned)
+        # Virtual work of a load that turns with the tip.
+        reach, turn = _tip(problem, orientation, by_x)
+        wrench_slope = reach.T @ _cross(sums.turning[FORCE]) + turn.T @ _cross(sums.turning[MOMENT])
+        hessian += factor * (wrench_slope @ turn)
     return LoadedState(
         x=x,
         factor=factor,
         theta=theta,
         curvature=curvature,
-        energy=float(x @ x) / 2 + float(weight @ bend[:, 0]),
-        work=factor * float(weight @ (problem.force * tangents(along.stage)).sum(1)) if couples is None else np.nan,
+        energy=float(x @ x) / 2 + float(weight @ coupling[:, 0]),
+        work=factor * float(weight @ (problem.force * tangents(orientation.stage)).sum(1))
+        if couples is None
+        else np.nan,
         gradient=gradient,
         hessian=hessian,
-        pull=pull,
+        load_slope=load_slope,
         torque=torque,
         joint_torques=joint_torques,
-        twisted=twisted,
-        base_moment=factor * (world_turns() @ along.begin[0] @ swept.base / 2 + push.base[MOMENT])[:2],
-        orientation=along,
-        turned=turned,
+        torque_slope=torque_slope,
+        base_moment=factor * (world_turns() @ orientation.start[0] @ first.base / 2 + sums.base[MOMENT])[:2],
+        orientation=orientation,
+        curvature_slope=by_x,
     )
 
 
-def _hessian(problem: LoadedProblem, factor: float, by_tubes: Array, softened: Array, work: Array) -> Array:
-    """(U + 2 N, U + 2 N) second derivative of the potential energy, of dM/dtheta (N, n, n) less what the load makes of
-    it, and of that of the load by the curvature (2 N, 2 N), which `by_tubes` (2 N, U) is changed by the tubes."""
-    split, by_bending = problem.torsion.size, np.repeat(-factor * problem.softness, 2)
-    felt_by_tubes = work @ by_tubes
+def _hessian(problem: LoadedProblem, factor: float, by_z: Array, softened: Array, by_uu: Array) -> Array:
+    """Second derivative (U + 2 N, U + 2 N) of the potential energy by x.
+
+    Args:
+        by_z: derivative (2 N, U) of the curvature by z.
+        softened: derivative (N, n, n) of the torques by the angles, under load.
+        by_uu: second derivative (2 N, 2 N) of the work by the curvature.
+    """
+    split, by_q = problem.torsion.size, np.repeat(-factor * problem.softness, 2)
+    by_uz = by_uu @ by_z
     hessian = np.empty((problem.size, problem.size))
-    hessian[:split, :split] = torsional_hessian(problem.torsion, softened) - factor * (by_tubes.T @ felt_by_tubes)
+    hessian[:split, :split] = torsional_hessian(problem.torsion, softened) - factor * (by_z.T @ by_uz)
     hessian.ravel()[: split * problem.size : problem.size + 1] -= 1.0
-    # What bending turns is diagonal.
-    hessian[split:, :split] = by_bending[:, None] * felt_by_tubes
-    # Of moments the matrix is not symmetric.
-    alike = problem.couples is None
-    hessian[:split, split:] = hessian[split:, :split].T if alike else (by_tubes.T @ work) * by_bending
-    hessian[split:, split:] = by_bending[:, None] * work * np.repeat(problem.softness, 2)
+    # The derivative of the curvature by q is diagonal.
+    hessian[split:, :split] = by_q[:, None] * by_uz
+    # Under moments the matrix is not symmetric.
+    symmetric = problem.couples is None
+    hessian[:split, split:] = hessian[split:, :split].T if symmetric else (by_z.T @ by_uu) * by_q
+    hessian[split:, split:] = by_q[:, None] * by_uu * np.repeat(problem.softness, 2)
     hessian.ravel()[:: problem.size + 1] += 1.0
     return hessian
 
 
-@dataclass(frozen=True, eq=False)
-class _Push:
-    """The whole load at an orientation of the tip, in world axes: force and moment beyond the points, `ahead` (N, 6),
-    and beyond the plate, `base` (6,); `turning` (6,) at the tip, which turns with it."""
+class _LoadSums(NamedTuple):
+    """Forces and moments at an orientation of the tip, in world axes."""
 
     ahead: Array
+    """Sum (N, 6) of those that act beyond the points."""
     base: Array
+    """Sum (6,) of all."""
     turning: Array
+    """Force and moment (6,) at the tip that turn with it."""
 
 
-def _push(problem: LoadedProblem, along: Orientation) -> _Push:
+def _load_sums(problem: LoadedProblem, orientation: Orientation) -> _LoadSums:
+    """Sums of the load, those that turn with the tip included."""
     if problem.load.frame == "world":
-        return _Push(problem.ahead, problem.base, np.zeros(6))
-    frame = tip_frame(along)
+        return _LoadSums(problem.ahead, problem.base, np.zeros(6))
+    frame = tip_frame(orientation)
     turning = np.concatenate([frame @ problem.load.force, frame @ problem.load.moment])
-    return _Push(problem.ahead + turning, problem.base + turning, turning)
-
-
-def _following(problem: LoadedProblem, along: Orientation, push: _Push, turned: Array) -> Array:
-    """(U + 2 N, U + 2 N) what a load that turns with the tip adds to the derivative of what the load does."""
-    reach, turn = _tip(problem, along, turned)
-    return -(reach.T @ _cross(push.turning[FORCE]) + turn.T @ _cross(push.turning[MOMENT])) @ turn
+    return _LoadSums(problem.ahead + turning, problem.base + turning, turning)
 
 
 def _cross(a: Array) -> Array:
-    """(3, 3) matrix of b -> a x b."""
+    """Matrix (3, 3) of b -> a x b."""
     return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
 
 
-def tip_frame(along: Orientation) -> Array:
-    """(3, 3) Bishop frame of the tip."""
-    return np.array(rotation_matrix_function()(along.begin[-1]))
+def tip_frame(orientation: Orientation) -> Array:
+    """Bishop frame (3, 3) of the tip."""
+    return np.array(rotation_matrix_function()(orientation.start[-1]))
 
 
-def _tip(problem: LoadedProblem, along: Orientation, turned: Array) -> tuple[Array, Array]:
-    """(3, U + 2 N) change of the tip's position, and turn of its Bishop frame about world axes."""
-    count = len(along.stage)
-    moved = tangent_slopes(along.stage) @ along.stage_slope
-    # The tip is int t ds: its change is the sum of those of the tangents with the weights.
-    reach = (problem.torsion.weight @ moved.reshape(count, -1)).reshape(3, -1) @ turned
-    turn = 2 * (world_turns() @ along.begin[-1]) @ along.begin_slope[-1] @ turned
+def _tip(problem: LoadedProblem, orientation: Orientation, curvature_slope: Array) -> tuple[Array, Array]:
+    """Derivatives (3, U + 2 N) by x of the tip position, and of the rotation of its frame about world axes."""
+    count = len(orientation.stage)
+    by_u = tangent_slopes(orientation.stage) @ orientation.stage_slope
+    # The tip is int t ds: its derivative is the weighted sum of those of the tangents.
+    reach = (problem.torsion.weight @ by_u.reshape(count, -1)).reshape(3, -1) @ curvature_slope
+    turn = 2 * (world_turns() @ orientation.start[-1]) @ orientation.start_slope[-1] @ curvature_slope
     return reach, turn
 
 
 def tip_slopes(problem: LoadedProblem, state: LoadedState) -> Array:
-    """(6, U + 2 N) change of the tip's position, and turn of the tube that ends last, about world axes."""
-    reach, turn = _tip(problem, state.orientation, state.turned)
+    """Derivative (6, U + 2 N) by x of the tip position, and of the rotation of the tip tube about world axes."""
+    reach, turn = _tip(problem, state.orientation, state.curvature_slope)
     turn[:, : len(problem.tip_row)] += np.outer(tip_frame(state.orientation)[:, 2], problem.tip_row)
     return np.concatenate([reach, turn])
 
 
 def tip_position(problem: LoadedProblem, state: LoadedState) -> Array:
-    """(3,) position of the tip, m."""
+    """Position (3,) of the tip, m."""
     return np.asarray(problem.torsion.weight @ tangents(state.orientation.stage))
 
 
 def compliance(problem: LoadedProblem, state: LoadedState) -> Array:
-    """(6, 6) translation (m) and rotation (rad) of the tip by a dead force (N) and moment (N m) there, world axes."""
+    """Compliance (6, 6): translation (m) and rotation (rad) of the tip by a dead force (N) and moment (N m) there.
+
+    All are in world axes.
+    """
     slopes = tip_slopes(problem, state)
-    answer = np.linalg.solve(state.hessian, slopes.T)
-    out = slopes @ answer
-    # What z does not see of the twist by a torque at the tip: by the new moment, and by the old one as the tip turns.
+    response = np.linalg.solve(state.hessian, slopes.T)
+    out = slopes @ response
+    # Twist by a torque at the tip that z does not determine: by the added moment, and by that of the load as the tip
+    # turns.
     tangent = tip_frame(state.orientation)[:, 2]
     out[3:, 3:] += problem.tip_rest * np.outer(tangent, tangent)
     if problem.couples is not None:
-        out[3:] += state.factor * np.outer(tangent, problem.couples.rest[0] @ state.twisted @ answer)
+        out[3:] += state.factor * np.outer(tangent, problem.couples.rest[0] @ state.torque_slope @ response)
     return np.asarray(out)
 
 
 def symmetric_part(problem: LoadedProblem, state: LoadedState) -> Array:
-    """The symmetric part of the linearised equations under a load without an energy, by x and by J twists: those that
-    moments at joints make of their tubes and no z does."""
+    """Symmetric part of the linearised equations under a load without an energy, by x and J twists.
+
+    The twists are those by the moments at joints that z does not determine.
+    """
     couples = problem.couples
     assert couples is not None
     joints = len(couples.joint)
     # Twists w at joints with energy w' rest^-1 w / 2, in coordinates where that is the identity.
     size, vectors = np.linalg.eigh(couples.rest[:, :joints])
     root = (vectors * np.sqrt(np.maximum(size, 0.0))) @ vectors.T
-    across = -state.factor / 2 * root @ state.twisted[:joints]
-    # x' A x has the symmetric part only: above 0 in all directions no small motion gains work.
-    both = (state.hessian + state.hessian.T) / 2
-    return np.block([[both, across.T], [across, np.eye(joints)]])
+    across = -state.factor / 2 * root @ state.torque_slope[:joints]
+    # x' A x depends on the symmetric part only: if it is positive in all directions, no small motion gains work.
+    symmetric = (state.hessian + state.hessian.T) / 2
+    return np.block([[symmetric, across.T], [across, np.eye(joints)]])
 
 
 def monotonicity(problem: LoadedProblem, state: LoadedState) -> float:
-    """Least eigenvalue of the symmetric part of the linearised equations, at most 1, where the load has no energy:
-    above 0 there is no other equilibrium close by."""
+    """Smallest eigenvalue of `symmetric_part`, at most 1; if it is positive, there is no other equilibrium close by."""
     return min(1.0, float(np.linalg.eigvalsh(symmetric_part(problem, state))[0]))
 
 
 def base_wrench(problem: LoadedProblem, state: LoadedState) -> Array:
-    """(6,) force (N) and moment about the plate's point (N m) that the load puts on the plate.
+    """Force (N) and moment about the centre of the plate (N m) of the load on the plate (6,).
 
-    The moment in bending is that which bends the arm at the plate, the moment in torsion that of all tubes there.
+    The bending moment is that of the arm at the plate, the torsional moment the sum over all tubes there.
     """
-    force = state.factor * _push(problem, state.orientation).base[FORCE]
+    force = state.factor * _load_sums(problem, state.orientation).base[FORCE]
     torque = float(state.joint_torques.sum() - problem.torsion.weight @ state.torque.sum(1))
     return np.concatenate([force, state.base_moment, [torque]])
 
 
 def unknowns(problem: LoadedProblem, rotations: Array, theta: Array, curvature: Array | None = None) -> Array:
-    """x (U + 2 N,) of rotations theta (N, n) and curvature (N, 2) at the points; by default that without load."""
+    """Unknowns x (U + 2 N,) at rotations theta (N, n) and curvature (N, 2); by default the curvature without load."""
     z = to_unknowns(problem.torsion, rotations, theta)
     count = len(problem.softness)
     if curvature is None:
         return np.concatenate([z, np.zeros(2 * count)])
     torsion = problem.torsion
-    full = np.empty_like(torsion.moment)
-    full[:] = rotations
-    full.ravel()[torsion.flat] += torsion.factor @ z
-    natural = section_function("curvature", count, full.shape[1], False)(
-        full + torsion.phase, torsion.stiffness, torsion.moment
+    collocated = np.empty_like(torsion.moment)
+    collocated[:] = rotations
+    collocated.ravel()[torsion.flat] += torsion.factor @ z
+    natural = section_function("curvature", count, collocated.shape[1], False)(
+        collocated + torsion.phase, torsion.stiffness, torsion.moment
     )[0]
     return np.concatenate([z, ((curvature - natural) / problem.softness[:, None]).ravel()])
 
@@ -494,7 +509,7 @@ def unknowns(problem: LoadedProblem, rotations: Array, theta: Array, curvature: 
 
 
 def loaded_profile(problem: LoadedProblem, rotations: Array, state: LoadedState) -> Profile:
-    """theta_i(s) of all tubes; a torque at a joint twists its tube up to there."""
+    """Torsion along all tubes; a torque at a joint twists its tube up to there."""
     torsion, couples = problem.torsion, problem.couples
     profile = integrate(torsion, rotations, state.torque)
     if couples is None:
@@ -504,44 +519,47 @@ def loaded_profile(problem: LoadedProblem, rotations: Array, state: LoadedState)
 
 
 def elastic_energy(problem: LoadedProblem, profile: Profile, state: LoadedState) -> float:
-    """Of bending and torsion, J. Moments twist tubes as no z does: torsion has half of int t^2 / kt."""
+    """Elastic energy of bending and torsion, J.
+
+    Moments twist tubes beyond z, so torsion is integrated: half of int t^2 / kt replaces z'z / 2.
+    """
     torsion, mesh = problem.torsion, problem.mesh
     t, rate = mesh.tableau, torsion.here.rate
     torque = profile.torque[:, None] + mesh.length[:, None, None] * (t.adjoint @ profile.moment)
-    inside = np.einsum("p,k,pki->", mesh.length, t.weights, rate * torque**2)
+    twice_torsional = np.einsum("p,k,pki->", mesh.length, t.weights, rate * torque**2)
     z = state.x[: torsion.size]
-    return state.energy + float(inside + torsion.here.transmission @ profile.torque[0] ** 2 - z @ z) / 2
+    return state.energy + float(twice_torsional + torsion.here.transmission @ profile.torque[0] ** 2 - z @ z) / 2
 
 
 def loaded_arm(problem: LoadedProblem, profile: Profile, state: LoadedState) -> ArmShape:
-    """Everything along the arm, from the torsion along it."""
+    """Shape of the arm from the torsion along it."""
     torsion, mesh = problem.torsion, problem.mesh
     t, pieces = mesh.tableau, len(mesh.length)
-    here = sections_along(torsion, profile, tuple(ENDS.tolist()))
-    bent = (state.x[torsion.size :].reshape(-1, 2) * problem.softness[:, None]).reshape(pieces, t.degree, 2)
-    curvature = here.curvature + t.lagrange(ENDS) @ bent
-    along, up_to = state.orientation, mesh.length[:, None, None] * t.lagrange(ENDS, integrals=1)
+    sections = sections_along(torsion, profile, tuple(ENDS.tolist()))
+    bending = (state.x[torsion.size :].reshape(-1, 2) * problem.softness[:, None]).reshape(pieces, t.degree, 2)
+    curvature = sections.curvature + t.lagrange(ENDS) @ bending
+    orientation, integrals = state.orientation, mesh.length[:, None, None] * t.lagrange(ENDS, integrals=1)
     # Q' = (u_x Omega_x + u_y Omega_y) Q / 2 at the points, integrated by their polynomial.
-    turning = (along.rate @ along.stage[:, :, None] / 2).reshape(pieces, t.degree, 4)
-    quaternion = along.begin[:-1, None] + up_to @ turning
-    quaternion[:, -1] = along.begin[1:]
-    # Collocation keeps the norm at the ends of pieces only; between them it is off by its error.
+    rate = (orientation.rate @ orientation.stage[:, :, None] / 2).reshape(pieces, t.degree, 4)
+    quaternion = orientation.start[:-1, None] + integrals @ rate
+    quaternion[:, -1] = orientation.start[1:]
+    # Collocation preserves the norm at the ends of pieces only.
     quaternion /= np.linalg.norm(quaternion, axis=2, keepdims=True)
-    moved = up_to @ tangents(along.stage).reshape(pieces, t.degree, 3)
-    begun = np.cumsum(np.concatenate([np.zeros((1, 3)), moved[:-1, -1]]), axis=0)
+    offset = integrals @ tangents(orientation.stage).reshape(pieces, t.degree, 3)
+    start = np.cumsum(np.concatenate([np.zeros((1, 3)), offset[:-1, -1]]), axis=0)
     frame = mapped(rotation_matrix_function(), pieces * len(ENDS))(quaternion.reshape(-1, 4))[0]
     return ArmShape(
         arc_length=arc_lengths(mesh),
-        rotation=along_pieces(here.rotation, pieces).T.copy(),
-        torsion=along_pieces(here.torsion, pieces).T.copy(),
+        rotation=along_pieces(sections.rotation, pieces).T.copy(),
+        torsion=along_pieces(sections.torsion, pieces).T.copy(),
         curvature=along_pieces(curvature, pieces),
-        position=along_pieces(begun[:, None] + moved, pieces),
+        position=along_pieces(start[:, None] + offset, pieces),
         frame=along_pieces(frame, pieces).reshape(-1, 3, 3).swapaxes(1, 2).copy(),
     )
 
 
 def integration_to(problem: LoadedProblem, s: float) -> Array:
-    """(N,) weights by which values at the points are integrated from the plate to arc length s, m."""
+    """Quadrature weights (N,) at the points for integrals from the plate to arc length s, m."""
     mesh = problem.mesh
     degree = mesh.tableau.degree
     (piece,), x = mesh.places(np.array([s]))
@@ -551,22 +569,23 @@ def integration_to(problem: LoadedProblem, s: float) -> Array:
 
 
 def position_slopes(problem: LoadedProblem, state: LoadedState, s: float) -> tuple[Array, Array]:
-    """(3,) position at arc length s, m, and (3, U + 2 N) its change."""
-    along, weight = state.orientation, integration_to(problem, s)
-    moved = weight @ (tangent_slopes(along.stage) @ along.stage_slope).reshape(len(weight), -1)
-    return weight @ tangents(along.stage), moved.reshape(3, -1) @ state.turned
+    """Position (3,) at arc length s, m, and its derivative (3, U + 2 N) by x."""
+    orientation, weight = state.orientation, integration_to(problem, s)
+    by_u = weight @ (tangent_slopes(orientation.stage) @ orientation.stage_slope).reshape(len(weight), -1)
+    return weight @ tangents(orientation.stage), by_u.reshape(3, -1) @ state.curvature_slope
 
 
 def compliance_along(problem: LoadedProblem, state: LoadedState, s: float, tube: int) -> Array:
-    """(6, 6) translation (m) and rotation (rad) at arc length s by a dead force (N) and moment (N m) there, world axes;
-    the moment's part along the arm turns `tube`, and it is that tube's rotation."""
-    torsion, along, weight = problem.torsion, state.orientation, integration_to(problem, s)
-    turned = np.einsum("k,krc,kc->r", weight, along.rate, along.stage) / 2
-    quaternion = IDENTITY + turned
-    slope = np.einsum("k,krc,kcj->rj", weight, along.rate, along.stage_slope) / 2
-    # Product rule of rate(u) Q / 2: by Q above, by u here.
-    own = np.einsum("k,jrc,kc->rkj", weight, quaternion_rates(), along.stage) / 2
-    slope = (slope + own.reshape(4, -1)) @ state.turned
+    """Compliance (6, 6) at arc length s: translation (m) and rotation (rad) by a dead force (N) and moment (N m) there.
+
+    All are in world axes. The axial part of the moment twists `tube`, whose rotation is that of the compliance.
+    """
+    torsion, orientation, weight = problem.torsion, state.orientation, integration_to(problem, s)
+    quaternion = IDENTITY + np.einsum("k,krc,kc->r", weight, orientation.rate, orientation.stage) / 2
+    # Product rule of rate(u) Q / 2: by Q, and by u.
+    by_stage = np.einsum("k,krc,kcj->rj", weight, orientation.rate, orientation.stage_slope) / 2
+    by_rate = np.einsum("k,jrc,kc->rkj", weight, quaternion_rates(), orientation.stage) / 2
+    slope = (by_stage + by_rate.reshape(4, -1)) @ state.curvature_slope
     turn = 2 * (world_turns() @ quaternion) @ slope
     tangent = np.array(rotation_matrix_function()(quaternion / np.linalg.norm(quaternion)))[:, 2]
     row, rest = _twist(problem, weight, tube)
@@ -578,15 +597,18 @@ def compliance_along(problem: LoadedProblem, state: LoadedState, s: float, tube:
 
 
 def _twist(problem: LoadedProblem, weight: Array, tube: int) -> tuple[Array, float]:
-    """(U,) rotation of a tube at a place by z, and its compliance that z does not see, rad/(N m)."""
+    """Rotation (U,) of a tube at a place by z, and its compliance there less the part through z, rad/(N m).
+
+    `weight` (N,) are the quadrature weights from the plate to the place.
+    """
     torsion, mesh = problem.torsion, problem.mesh
-    rate, held, t = torsion.here.rate[:, :, tube].ravel(), torsion.here.transmission[tube], mesh.tableau
+    rate, behind, t = torsion.here.rate[:, :, tube].ravel(), torsion.here.transmission[tube], mesh.tableau
     piece = np.repeat(np.arange(len(mesh.length)), t.degree)
-    up_to = np.where(piece < piece[:, None], torsion.weight, 0.0)
-    within = np.kron(np.diag(mesh.length), t.matrix)
-    # Row of the Green's function to the place s: int to the nearer of point and s.
-    shared = (up_to + within) * rate / torsion.weight
-    lever = held + shared @ weight
-    whole = held + float((weight**2 * rate / torsion.weight).sum())
-    row = row_of(torsion, tube, lever)
-    return row, whole - float(row @ row)
+    pieces_before = np.where(piece < piece[:, None], torsion.weight, 0.0)
+    within_piece = np.kron(np.diag(mesh.length), t.matrix)
+    # Row of the Green's function to the place s: the integral up to the nearer of point and s.
+    green = (pieces_before + within_piece) * rate / torsion.weight
+    compliance_to_points = behind + green @ weight
+    compliance_at_place = behind + float((weight**2 * rate / torsion.weight).sum())
+    row = row_of(torsion, tube, compliance_to_points)
+    return row, compliance_at_place - float(row @ row)
