@@ -17,24 +17,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 SERIES_TERMS = 9
-"""Terms of the series of the exponential: for a turn of 2 rad the first left out is 4^9 / 20! = 1e-13."""
+"""Terms of the series of the exponential: for a rotation of 2 rad the first omitted term is 4^9 / 20! = 1e-13."""
 
 GAUSS_POINTS = np.array([0.5 - np.sqrt(15) / 10, 0.5, 0.5 + np.sqrt(15) / 10])
-"""Where a step of length 1 needs the curvature."""
+"""Nodes of a step of length 1, at which it needs the curvature."""
 
 
 def _bracket(a: tuple[Any, Any], b: tuple[Any, Any]) -> tuple[Any, Any]:
-    """Minus the Lie bracket of two twists (omega, v): the sign that right multiplication asks for."""
+    """Negative Lie bracket of two twists (omega, v), since the pose is multiplied from the right."""
     return ca.cross(b[0], a[0]), ca.cross(b[0], a[1]) + ca.cross(b[1], a[0])
 
 
 def _combine(*terms: tuple[float, tuple[Any, Any]]) -> tuple[Any, Any]:
+    """Linear combination of twists, from pairs (coefficient, twist)."""
     return sum(c * t[0] for c, t in terms), sum(c * t[1] for c, t in terms)
 
 
 def exponential(omega: Any, v: Any) -> tuple[Any, Any]:
-    """(R, p) = exp of a twist that turns by at most 2 rad, to round-off: (1 - cos x) / x^2 and (x - sin x) / x^3 as
-    power series, which have no cancellation and no branch."""
+    """Exponential (R, p) of a twist of at most 2 rad, to round-off.
+
+    (1 - cos x) / x^2 and (x - sin x) / x^3 are power series, which have no cancellation and no branch.
+    """
     x = ca.dot(omega, omega)
     b, c = _series(x, 2), _series(x, 3)
     # R = 1 + sin(t) / t [w] + b [w]^2 and p = v + b [w] v + c [w]^2 v, with sin(t) / t = 1 - t^2 c.
@@ -44,16 +47,15 @@ def exponential(omega: Any, v: Any) -> tuple[Any, Any]:
 
 
 def _series(x: Any, k: int) -> Any:
-    """sum_j (-x)^j / (2 j + k)!"""
+    """Series sum_j (-x)^j / (2 j + k)!, by Horner's rule."""
     total: Any = 0.0
-    # Horner's rule, from the smallest term on.
     for j in reversed(range(SERIES_TERMS)):
         total = 1.0 / math.factorial(2 * j + k) - x * total
     return total
 
 
 def _magnus(curvature: Any, length: Any) -> tuple[Any, Any]:
-    """The twist whose exponential is a step of `length`, m, with `curvature` (2, 3), 1/m, at the three GAUSS_POINTS."""
+    """Twist (omega, v) of a step of `length`, m, with `curvature` (2, 3), 1/m, at the three GAUSS_POINTS."""
     twist = [(ca.vertcat(curvature[:, k], 0), ca.vertcat(0, 0, 1)) for k in range(3)]
     # Taylor coefficients about the middle: a_k = h^k xi^(k - 1) / (k - 1)!, by differences.
     a1 = _combine((length, twist[1]))
@@ -73,10 +75,12 @@ def magnus_step(rotation: Any, position: Any, curvature: Any, length: Any) -> tu
 
 
 def magnus_quaternion(quaternion: Any, position: Any, curvature: Any, length: Any) -> tuple[Any, Any]:
-    """`magnus_step` of a pose whose rotation is a unit quaternion (4,), scalar first: 7 numbers instead of 12, and the
-    norm is kept. Of `SX` symbols, written out by a function that is built once."""
-    turn, shift = _quaternion_step().call([quaternion, position, curvature, length])
-    return turn, shift
+    """`magnus_step` of a pose with a unit quaternion (4,), scalar first, the norm of which is preserved.
+
+    The state has 7 numbers instead of 12. The arguments are `SX` symbols, since a cached function is expanded.
+    """
+    rotated, moved = _quaternion_step().call([quaternion, position, curvature, length])
+    return rotated, moved
 
 
 @lru_cache(maxsize=1)
@@ -93,29 +97,28 @@ def _quaternion_step() -> ca.Function:
 
 
 def quaternion_product(a: Any, b: Any) -> Any:
-    """a b of quaternions (4,), scalar first."""
+    """Product a b of quaternions (4,), scalar first."""
     return ca.vertcat(a[0] * b[0] - ca.dot(a[1:], b[1:]), a[0] * b[1:] + b[0] * a[1:] + ca.cross(a[1:], b[1:]))
 
 
 def rotation_matrix(quaternion: Any) -> Any:
-    """(3, 3) of a unit quaternion (4,), scalar first."""
+    """Rotation matrix (3, 3) of a unit quaternion (4,), scalar first."""
     w, v = quaternion[0], quaternion[1:]
     return (w**2 - ca.dot(v, v)) * ca.DM.eye(3) + 2 * v @ v.T + 2 * w * ca.skew(v)
 
 
 @lru_cache(maxsize=1)
 def quaternion_rates() -> NDArray[np.float64]:
-    """(2, 4, 4) matrices Omega_j: Q' = (u_x Omega_x + u_y Omega_y) Q / 2 for the quaternion Q of the Bishop frame."""
+    """Matrices Omega (2, 4, 4): Q' = (u_x Omega_x + u_y Omega_y) Q / 2 for the quaternion Q of the Bishop frame."""
     q, u = ca.SX.sym("q", 4), ca.SX.sym("u", 2)
-    # u is given in the moving frame, so it multiplies from the right: Q' = Q (0, u) / 2.
-    turned = quaternion_product(q, ca.vertcat(0, u, 0))
-    parts = [ca.evalf(ca.jacobian(ca.jacobian(turned, u)[:, j], q)).full() for j in range(2)]
-    return np.array(parts)
+    # u has components in the moving frame, so it multiplies from the right: Q' = Q (0, u) / 2.
+    product = quaternion_product(q, ca.vertcat(0, u, 0))
+    return np.array([ca.evalf(ca.jacobian(ca.jacobian(product, u)[:, j], q)).full() for j in range(2)])
 
 
 @lru_cache(maxsize=1)
 def frame_forms() -> NDArray[np.float64]:
-    """(3, 3, 4, 4) symmetric matrices T_ij with R_ij = Q' T_ij Q, the frame R of a unit quaternion Q."""
+    """Symmetric matrices T (3, 3, 4, 4) with R_ij = Q' T_ij Q for the frame R of a unit quaternion Q."""
     q = ca.SX.sym("q", 4)
     # R_ij is quadratic in Q: half of its Hessian is the matrix of the form.
     frame = rotation_matrix(q)
@@ -124,13 +127,13 @@ def frame_forms() -> NDArray[np.float64]:
 
 @lru_cache(maxsize=1)
 def tangent_forms() -> NDArray[np.float64]:
-    """(3, 4, 4) of them for the tangent R e3."""
+    """Symmetric matrices (3, 4, 4) of the tangent R e3, as in `frame_forms`."""
     return frame_forms()[:, 2].copy()
 
 
 @lru_cache(maxsize=1)
 def world_turns() -> NDArray[np.float64]:
-    """(3, 4, 4) matrices Z_i with dpsi_i = 2 (Z_i Q)' dQ, the turn about world axes of a unit quaternion Q."""
+    """Matrices Z (3, 4, 4) of rotations about world axes: dpsi_i = 2 (Z_i Q)' dQ for a unit quaternion Q."""
     q, e = ca.SX.sym("q", 4), ca.SX.sym("e", 3)
     # World axes multiply from the left: dQ = (0, dpsi) Q / 2, and the Z_i Q are orthonormal.
     product = quaternion_product(ca.vertcat(0, e), q)
@@ -139,15 +142,17 @@ def world_turns() -> NDArray[np.float64]:
 
 @lru_cache(maxsize=1)
 def rotation_matrix_function() -> ca.Function:
-    """Q (4,) -> R (3, 3)."""
+    """Function from a unit quaternion (4,) to the rotation matrix (3, 3)."""
     q = ca.SX.sym("q", 4)
     return ca.Function("rotation_matrix", [q], [ca.densify(rotation_matrix(q))])
 
 
 @lru_cache(maxsize=1)
 def carry_function() -> ca.Function:
-    """(pose (12,), u (6,), h) -> the pose, R by columns and p, after a step of length h; u at the three GAUSS_POINTS, x
-    before y."""
+    """Function (pose (12,), u (6,), h) -> pose after a step of length h.
+
+    A pose is R by columns and p; u are the curvatures (u_x, u_y) at the three GAUSS_POINTS, one after the other.
+    """
     pose, u, h = ca.SX.sym("pose", 12), ca.SX.sym("u", 6), ca.SX.sym("h")
-    turned, shifted = magnus_step(ca.reshape(pose[:9], 3, 3), pose[9:], ca.reshape(u, 2, 3), h)
-    return ca.Function("carry", [pose, u, h], [ca.vertcat(ca.vec(turned), shifted)], {"cse": True})
+    rotation, position = magnus_step(ca.reshape(pose[:9], 3, 3), pose[9:], ca.reshape(u, 2, 3), h)
+    return ca.Function("carry", [pose, u, h], [ca.vertcat(ca.vec(rotation), position)], {"cse": True})

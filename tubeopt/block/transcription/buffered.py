@@ -1,4 +1,4 @@
-"""CasADi functions on NumPy arrays without the cost of converting them at each call."""
+"""CasADi functions bound to NumPy arrays, which are not converted at each call."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from ...typing import Array
 
 
 class Buffered:
-    """A function of dense arguments bound to arrays of its own: write `inputs`, call, read `outputs`.
+    """Function of dense arguments bound to arrays: write `inputs`, call, read `outputs`.
 
-    Every array is the transpose of the CasADi matrix (whose storage is by columns), so a function mapped over N points
-    has (N, rows) arrays. The arrays are overwritten by the next call.
+    Every array is the transpose of the CasADi matrix, which is stored by columns, so a function mapped over N points
+    has (N, rows) arrays. The next call overwrites them.
     """
 
     def __init__(self, function: ca.Function) -> None:
         buffer: Any
         buffer, self._trigger = function.buffer()
-        # The buffer holds the function's memory and pointers into the arrays: it must live as long as they do.
+        # The buffer owns the memory of the function and points into the arrays: it must live as long as they do.
         self._buffer = buffer
         self.inputs = [np.zeros(function.size_in(i)[::-1]) for i in range(function.n_in())]
         self.outputs = [np.zeros(function.size_out(i)[::-1]) for i in range(function.n_out())]
@@ -33,7 +33,7 @@ class Buffered:
             buffer.set_res(i, memoryview(array.data))
 
     def __call__(self, *arguments: Any) -> list[Array]:
-        """Outputs at `arguments`, one per input; None leaves an input as it is."""
+        """Outputs at `arguments`, one per input; None leaves an input unchanged."""
         for array, value in zip(self.inputs, arguments, strict=True):
             if value is not None:
                 array[...] = value
@@ -42,22 +42,25 @@ class Buffered:
 
 
 class Empty:
-    """A function mapped over no points, as on an arm of length zero, which CasADi has no map for: empty outputs."""
+    """Function mapped over no points, as on an arm of length zero, for which CasADi has no map: outputs are empty."""
 
     def __init__(self, function: ca.Function) -> None:
         self.inputs = [np.zeros((0, function.size1_in(i))) for i in range(function.n_in())]
         self.outputs = [np.zeros((0, function.size1_out(i))) for i in range(function.n_out())]
 
     def __call__(self, *arguments: Any) -> list[Array]:
-        """Outputs (0, rows), whatever the arguments."""
+        """Empty outputs (0, rows)."""
         return self.outputs
 
 
 def _bind(function: ca.Function, count: int, chained: bool = False) -> Buffered | Empty:
-    """A function over `count` points, each on its own or, if `chained`, from the first output of the one before."""
+    """Function mapped over `count` points; if `chained`, its first output is the first input at the next point."""
     if not count:
         return Empty(function)
     return Buffered(function.mapaccum(count) if chained else function.map(count))
+
+
+# Buffers are cached by thread: threads must not share arrays.
 
 
 @lru_cache(maxsize=256)
@@ -66,7 +69,7 @@ def _section(kind: str, count: int, n_tubes: int, eccentric: bool, thread: int) 
 
 
 def section_function(kind: str, count: int, n_tubes: int, eccentric: bool) -> Buffered | Empty:
-    """`physics.torsion.section_functions` mapped over `count` points, bound to arrays of this thread."""
+    """Function `kind` of `physics.torsion.section_functions`, `mapped` over `count` points."""
     return _section(kind, count, n_tubes, eccentric, threading.get_ident())
 
 
@@ -76,7 +79,7 @@ def _bent(kind: str, count: int, n_tubes: int, thread: int) -> Buffered | Empty:
 
 
 def bent_function(kind: str, count: int, n_tubes: int) -> Buffered | Empty:
-    """`physics.torsion.bent_functions` mapped over `count` points, bound to arrays of this thread."""
+    """Function `kind` of `physics.torsion.bent_functions`, `mapped` over `count` points."""
     return _bent(kind, count, n_tubes, threading.get_ident())
 
 
@@ -86,10 +89,10 @@ def _bound(function: ca.Function, count: int, chained: bool, thread: int) -> Buf
 
 
 def mapped(function: ca.Function, count: int) -> Buffered | Empty:
-    """A function mapped over `count` points, bound to arrays of this thread."""
+    """Function mapped over `count` points, bound to arrays of this thread."""
     return _bound(function, count, False, threading.get_ident())
 
 
 def chained(function: ca.Function, count: int) -> Buffered | Empty:
-    """A function whose first output is its next first input, `count` times in a row, bound to arrays of this thread."""
+    """Function iterated `count` times on its first argument, bound to arrays of this thread."""
     return _bound(function, count, True, threading.get_ident())

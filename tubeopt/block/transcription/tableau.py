@@ -20,17 +20,18 @@ FAMILIES = ("gauss", "radau")
 
 @dataclass(frozen=True, eq=False)
 class Tableau:
-    """Runge-Kutta matrix `matrix` (K, K), `weights` (K,) and `nodes` (K,) of a collocation method.
-
-    `legendre_of_lagrange` (K, K) holds, by column, the Legendre coefficients on [-1, 1] of the Lagrange polynomials:
-    the stable way to integrate them.
-    """
+    """Butcher tableau of a collocation method with K nodes on [0, 1]."""
 
     family: str
+    """Name of the family, "gauss" or "radau"."""
     nodes: Array
+    """Nodes c (K,)."""
     weights: Array
+    """Weights b (K,)."""
     matrix: Array
+    """Runge-Kutta matrix a (K, K)."""
     legendre_of_lagrange: Array
+    """Legendre coefficients (K, K) on [-1, 1] of the Lagrange polynomials, by column: stable to integrate."""
 
     @property
     def degree(self) -> int:
@@ -39,26 +40,30 @@ class Tableau:
 
     @cached_property
     def adjoint(self) -> Array:
-        """(K, K) matrix b_j - a_ji b_j / b_i that makes a pair with `matrix` symplectic: itself for Gauss points.
+        """Matrix (K, K) b_j - a_ji b_j / b_i of the symplectic partitioned method with `matrix`.
 
-        With it for theta'' the collocated equations are those of a least energy (Hairer, Lubich, Wanner, Geometric
-        Numerical Integration, II.1.4 and VI.4).
+        For Gauss nodes it equals `matrix`.
+
+        With it for theta'' the collocated equations are the stationarity conditions of an energy (Hairer, Lubich,
+        Wanner, Geometric Numerical Integration, II.1.4 and VI.4).
         """
         return np.asarray(self.weights - self.matrix.T * self.weights / self.weights[:, None])
 
     def lagrange(self, at: ArrayLike, *, integrals: int = 0) -> Array:
-        """(T, K) values at `at` (T,) in [0, 1] of the Lagrange polynomials, integrated `integrals` times from 0, -1 for
-        their derivatives."""
+        """Values (T, K) of the Lagrange polynomials at `at` (T,) in [0, 1].
+
+        They are integrated `integrals` times from 0; -1 are their derivatives.
+        """
         x = 2 * np.asarray(at, dtype=float) - 1
         coefficients = self.integrated(integrals)
         return np.asarray(legendre.legvander(x, len(coefficients) - 1) @ coefficients)
 
     def integrated(self, times: int) -> Array:
-        """(K + times, K) Legendre coefficients on [-1, 1], by column, of the Lagrange polynomials integrated from 0."""
+        """Legendre coefficients (K + times, K) on [-1, 1], by column, of the Lagrange polynomials integrated from 0."""
         return _integrated(self.family, self.degree, times)
 
     def basis(self, at: tuple[float, ...], integrals: int) -> Array:
-        """`lagrange` at places that are asked for again and again: remembered, not to be changed."""
+        """Cached `lagrange` at fixed points; the array must not be changed."""
         return _basis(self.family, self.degree, at, integrals)
 
 
@@ -69,7 +74,6 @@ def _basis(family: str, degree: int, at: tuple[float, ...], integrals: int) -> A
 
 @lru_cache(maxsize=64)
 def _integrated(family: str, degree: int, integrals: int) -> Array:
-    """Legendre coefficients, by column, of the Lagrange polynomials integrated from 0."""
     coefficients = tableau(family, degree).legendre_of_lagrange
     if integrals < 0:
         return np.asarray(legendre.legder(coefficients, m=-integrals, scl=2.0))
@@ -78,7 +82,7 @@ def _integrated(family: str, degree: int, integrals: int) -> Array:
 
 @lru_cache(maxsize=64)
 def tableau(family: str = "gauss", degree: int = 6) -> Tableau:
-    """The collocation tableau with `degree` points of the given family, "gauss" or "radau" (right end included).
+    """Collocation tableau with `degree` nodes of the family "gauss" or "radau" (right end included).
 
     Raises:
         InputError: unknown family, or degree below 1.
@@ -89,7 +93,7 @@ def tableau(family: str = "gauss", degree: int = 6) -> Tableau:
     if family == "gauss":
         x = legendre.leggauss(degree)[0]
     else:
-        # Radau IIA: the roots of P_K - P_{K-1} on [-1, 1], of which the last is 1 exactly.
+        # Radau IIA: the roots of P_K - P_{K-1} on [-1, 1], the last of which is 1 exactly.
         x = np.sort(legendre.legroots([0.0] * (degree - 1) + [-1.0, 1.0]).real)
         x[-1] = 1.0
     # Powers of x would make this matrix ill-conditioned; Legendre polynomials keep it near orthogonal.
