@@ -22,6 +22,7 @@ from .show.plots.loads import (
 )
 from .show.plots.maps import plot_branch, plot_energy_maps, plot_stability_map
 from .show.plots.mold import plot_mandrel, plot_materials, plot_mold, plot_springback
+from .show.plots.oven import plot_oven
 from .show.plots.path import plot_path, plot_snap
 from .show.plots.shape import plot_equilibria, plot_shape, plot_shapes, plot_torsion, plot_torsions
 from .show.plots.sheets import plot_fabrication_sheet, plot_setup_sheet
@@ -55,6 +56,7 @@ __all__ = [
     "plot_mandrel",
     "plot_materials",
     "plot_mold",
+    "plot_oven",
     "plot_pair_places",
     "plot_pair_shares",
     "plot_path",

@@ -113,7 +113,7 @@ class CertificateBound:
     floor: Any
     force: float
     pairs: tuple[float, float]
-    """Pairs of the bound that is constrained: of `stability.loaded_certificate`, the larger one at the start."""
+    """Pairs of the bound that is constrained: of `loaded_worst_case`, the larger one at the start."""
     eigenvalue: Any = None
     """Unknown eigenvalue; None without a force."""
     states: Any = None
@@ -192,7 +192,7 @@ def _add_under_force(block: ComposedBlock[Any], floor: Any, force: float) -> Non
     """Add the largest eigenvalue of `physics.certificate` and its eigenfunction where pieces begin as unknowns.
 
     The largest eigenvalue is simple, hence smooth, and only its eigenfunction has one sign (Krein and Rutman), which is
-    a constraint. Of the two bounds of `stability.loaded_certificate`, the one that is larger at the start is used.
+    a constraint. Of the two bounds of `loaded_worst_case`, the one that is larger at the start is used.
     """
     model, program = block.model, block.program
     n, pieces = block.robot.n_tubes, model.n_pieces

@@ -39,7 +39,7 @@ from ..robots.robot import Robot
 from ..solvers.compiled.rubbing import Rubbed, rub_compiled
 from ..solvers.friction_increment import FRICTION_TOLERANCE, Increment, held_margin, imbalance, increment
 from ..solvers.newton import full_steps
-from ..solvers.settings import NEWTON, ONWARD
+from ..solvers.settings import LEAST_STIFFNESS, NEWTON, ONWARD
 from ..typing import Array, Index
 from .answer import at_points, equilibrium_of, sample_rotation
 from .continuation import steps_along
@@ -293,7 +293,7 @@ def _under_load(robot: Robot, held: FrictionEquilibrium, state: LoadedState, sta
     problem = held.contact.loaded
     assert problem is not None
     # A residual changes x by the inverse of the Hessian, whose largest eigenvalue is 1 / margin.
-    theta_error = error / max(min(1.0, abs(held.margin)), 1e-6)
+    theta_error = error / max(min(1.0, abs(held.margin)), LEAST_STIFFNESS)
     arm, s = loaded_arm(problem, held.profile, state), problem.torsion.arc_length
     result = ArmSolution.of(
         arm,

@@ -92,7 +92,7 @@ def unloaded(
 ) -> Equilibrium | None:
     """Stable equilibrium without a load, from tubes without torsion or by a small motion from a guess.
 
-    It is solved on the default mesh or, where that is too coarse, on one of half the size.
+    It is solved on the default mesh or, where that is too coarse, with elements half as long.
     """
     if len(robot.moving_together) < robot.n_tubes:
         _check_tied_translations(robot, tuple(translations.tolist()))

@@ -366,7 +366,7 @@ class Unloaded(Member[Evaluation]):
         problem, state = self.problem, point.state
         arm = evaluate_arm(problem, self.rotations, state, point.torsion if profile is None else profile)
         # The inverse of the linearised equations amplifies a defect by at most 1 / margin.
-        error = (arm.defect if defect is None else defect) / max(min(1.0, abs(point.margin)), 1e-6)
+        error = (arm.defect if defect is None else defect) / max(min(1.0, abs(point.margin)), LEAST_STIFFNESS)
         return ArmSolution.of(
             arm,
             problem.assembly,

@@ -52,6 +52,7 @@ from .trajectory_trace import (
     Table,
     TrajectoryVerifier,
     bisect,
+    distance_on_patch,
     follow,
     parted,
     prove_branch,
@@ -301,13 +302,13 @@ def _bounds(tracks: tuple[Track, Track], times: Array, target: ClearanceTarget, 
             row = int(surface.argmin())
             corner = int(distance[row].min((0, 1)).argmin())
             closest, when = float(surface[row]), float(cells.t[row, corner])
-        # |D|^2 >= min |D_k|^2 - V, less both sagittas and both radii.
-        low = np.sqrt(np.maximum(nearest**2 - squares.sum(0) / 4, 0.0)) - sagitta.sum(0) - thick
+        # Less both sagittas, both radii and both chord errors; two centrelines are never inside one another.
+        low = np.maximum(distance_on_patch(nearest, squares.sum(0) / 4), 0.0) - sagitta.sum(0) - thick - error
         threshold = target.threshold(closest)
-        sharp = surface - low <= SHARE * max(closest - threshold, 0.0)
+        lost = surface - error - low
         # Beyond the maximum number of cells all are taken as they are: less sharp, but still a bound.
-        done = (low - error >= threshold) | sharp | (total > target.cells)
-        np.minimum.at(bound, cells.which[done], (low - error)[done])
+        done = (low >= threshold) | (lost <= SHARE * max(closest - threshold, 0.0)) | (total > target.cells)
+        np.minimum.at(bound, cells.which[done], low[done])
         # sqrt(d^2 - q / 4) = d - q / (8 d) to first order: halve in the direction that weakens the bound most.
         weakening = squares / (8 * np.maximum(nearest, 1e-6)) + np.concatenate([sagitta, np.zeros((1, len(cells)))])
         cells = cells[~done].halved(tracks, weakening[:, ~done].argmax(0))

@@ -134,26 +134,40 @@ class Sizes(Table):
         sagitta = intervals.sagitta(*at, cells.x)
         return Sizes(along, time, sagitta, chord_error[at] + shape[cells.which], intervals.radius[at])
 
-    def bound(self, distance: Array) -> Array:
-        """(N,) lower bounds on the clearance, m, without `chord_error`; `distance` (N,): smallest of the corners."""
+    @property
+    def variance(self) -> Array:
+        """(N,) bound on the variance V of a point of the patch over its corners, m^2."""
         # A point at the fraction x between two corners has the variance x (1 - x) |side|^2, at most a quarter.
-        variance = (self.along + self.time) / 4
-        outside = (distance**2 > variance) & (distance > 0)
-        # Inside a body by the triangle inequality: a corner is within sqrt(V) of any point of the patch.
-        nearest = np.where(outside, np.sqrt(np.maximum(distance**2 - variance, 0.0)), distance - variance**0.5)
-        return np.asarray(nearest - self.sagitta - self.radius)
+        return np.asarray((self.along + self.time) / 4)
+
+    def bound(self, distance: Array) -> Array:
+        """(N,) lower bounds on the clearance, m; `distance` (N,): smallest of the corners."""
+        return distance_on_patch(distance, self.variance) - self.sagitta - self.radius - self.chord_error
 
     def needed(self, threshold: float) -> float:
-        """Distance of the corners at which all cells reach a threshold, m."""
-        # `bound` solved for the distance D: sqrt(D^2 - V) - sagitta - chord_error - radius >= threshold.
-        least = np.maximum(threshold + self.sagitta + self.chord_error + self.radius, 0.0)
-        return float(np.sqrt(least**2 + (self.along + self.time) / 4).max(initial=0.0))
+        """Distance of the corners at which all cells reach a threshold, m: `bound` solved for it."""
+        least = np.maximum(threshold + self.sagitta + self.radius + self.chord_error, 0.0)
+        return float(np.sqrt(least**2 + self.variance).max(initial=0.0))
 
     def longer(self, distance: Array) -> Mask:
         """(N,) True where the length of a cell weakens the bound more than its displacement in time."""
         # To first order D - sqrt(D^2 - V) = V / (2 D), and V is a quarter of the squares.
         far = 8 * np.maximum(distance, np.sqrt(np.maximum(self.along, self.time)) + 1e-12)
         return np.asarray(self.along / far + self.sagitta >= self.time / far)
+
+
+def distance_on_patch(distance: Array, variance: Array) -> Array:
+    """(N,) lower bounds on the distance of all points of patches, m, from the smallest distance of their corners.
+
+    For a point p of a patch, with weights w_k of the corners c_k, and the point b of a body that is nearest to p:
+    sum w_k |c_k - b|^2 = |p - b|^2 + V with the variance V of the corners. No |c_k - b| is below `distance`.
+
+    Args:
+        distance: (N,) smallest of the corners, m; negative inside a body. variance: (N,) bounds on V, m^2.
+    """
+    outside = (distance**2 > variance) & (distance > 0)
+    # Inside a body by the triangle inequality: a corner is within sqrt(V) of any point of the patch.
+    return np.where(outside, np.sqrt(np.maximum(distance**2 - variance, 0.0)), distance - variance**0.5)
 
 
 def clearance_bounds(
@@ -187,10 +201,10 @@ def clearance_bounds(
         closest = min(closest, float((nearest - sizes.radius).min()))
         threshold = target.threshold(closest)
         low = sizes.bound(nearest)
-        sharp = nearest - sizes.radius - low <= SHARE * max(closest - threshold, 0.0)
-        # Sharp cells whose chord error alone keeps them below the threshold need shorter intervals, not smaller cells.
-        done = (low - sizes.chord_error >= threshold) | sharp | (total > target.cells)
-        np.minimum.at(bound, cells.which[done], (low - sizes.chord_error)[done])
+        # Cells whose chord error alone keeps them below the threshold need shorter intervals, not smaller cells.
+        lost = nearest - sizes.radius - sizes.chord_error - low
+        done = (low >= threshold) | (lost <= SHARE * max(closest - threshold, 0.0)) | (total > target.cells)
+        np.minimum.at(bound, cells.which[done], low[done])
         within = sizes[~done].needed(closest)
         cells = _halve(cells[~done], intervals, sizes.longer(nearest)[~done], scene, within)
         sizes = Sizes.of(cells, intervals, chord_error)

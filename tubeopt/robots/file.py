@@ -41,8 +41,8 @@ DEG_PER_MM, N_MM2 = UNITS["deg_per_mm"], UNITS["N_mm2"]
 # Of a piece or a helix, and what a helix advances per turn, m.
 RADIUS = PITCH = Typical(5e-4, 10.0)
 
-# Of that of the cross-section: what is given outside has a wrong unit.
-LEAST_STIFFNESS, MOST_STIFFNESS = 1e-4, 10.0
+# A stiffness outside these multiples of that of the cross-section has a wrong unit.
+MIN_STIFFNESS_RATIO, MAX_STIFFNESS_RATIO = 1e-4, 10.0
 
 COLUMNS = ("arc_length_mm", "curvature_x_per_m", "curvature_y_per_m")
 # Columns of a table of precurvature; the twist may be left out.
@@ -229,10 +229,10 @@ def _quantity(entry: Decimal | SeriesEntry, unit: Decimal) -> Quantity:
 
 def check_stiffness(name: str, value: float, of_section: float) -> None:
     """Raise InputError where a stiffness (N m^2) can be none of a tube whose cross-section has another."""
-    if not LEAST_STIFFNESS * of_section <= value <= MOST_STIFFNESS * of_section:
+    if not MIN_STIFFNESS_RATIO * of_section <= value <= MAX_STIFFNESS_RATIO * of_section:
         raise InputError(
             f"{name} is {value * 1e6:.10g}; the cross-section and material give {of_section * 1e6:.4g}, and it must be "
-            f"{LEAST_STIFFNESS:g} to {MOST_STIFFNESS:g} times that"
+            f"{MIN_STIFFNESS_RATIO:g} to {MAX_STIFFNESS_RATIO:g} times that"
         )
 
 

@@ -122,7 +122,7 @@ class Report(Generic[A]):
         return {name: drawing(plot, what) for name, plot, what in parts if what is not None}
 
     def draw(self, directory: Path) -> list[Path]:
-        """Write the pictures into `directory`, in the format of `FORMAT`; return the paths."""
+        """Write the pictures into `directory`, in the format of the command; return the paths."""
         drawings = {directory / file_name(name): draw for name, draw in self.pictures().items()}
         for path, draw in drawings.items():
             draw(path)

@@ -244,7 +244,7 @@ class Arm(ArmShape):
 
     Attributes:
         shape_error: estimated error of the tip by the steps of the integration, m.
-        defect: largest residual of the integral equation for theta on a finer quadrature, rad.
+        defect: defect of the equation for theta on a finer quadrature, largest sum along a tube, rad.
         energy: elastic energy, J.
     """
 

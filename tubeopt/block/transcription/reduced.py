@@ -356,20 +356,21 @@ def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
         return Evaluation(z, theta, 0.0, z.copy(), np.zeros((0, 0)), nothing, nothing if assembly.eccentric else None)
     theta.ravel()[problem.flat] += problem.factor @ z
     balance = section_function("balance", count, assembly.n_tubes, assembly.eccentric)
-    moment, stiffness, bending, *stretch = balance(
+    # M, dM/dtheta and V of the cross-sections, from kb and m of their tubes.
+    torque, torque_slope, bending, *stretch = balance(
         theta + problem.phase, problem.stiffness, problem.moment, *assembly.place
     )
-    moment = moment.copy()
+    torque = torque.copy()
     # theta = alpha + L z: L' B M is the gradient of the bending energy, z that of |z|^2 / 2.
-    gradient = z + (moment.ravel()[problem.flat] * problem.flat_weight) @ problem.factor
-    hessian = torsional_hessian(problem, stiffness)
+    gradient = z + (torque.ravel()[problem.flat] * problem.flat_weight) @ problem.factor
+    hessian = torsional_hessian(problem, torque_slope)
     energy = float(z @ z) / 2 + float(problem.weight @ bending[:, 0])
     extra = None
     if problem.stretch is not None:
-        extra, residual, slope = _stretch_terms(problem, moment, stiffness, stretch)
+        extra, residual, slope = _stretch_terms(problem, torque, torque_slope, stretch)
         gradient -= residual
         hessian -= slope
-    return Evaluation(z, theta, energy, gradient, hessian, moment, extra)
+    return Evaluation(z, theta, energy, gradient, hessian, torque, extra)
 
 
 def torsional_hessian(problem: ReducedProblem, stiffness: Array) -> Array:

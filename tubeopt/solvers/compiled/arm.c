@@ -1,4 +1,4 @@
-/* From the solved rotations to the whole arm: what block/transcription/arm.py and whole_arm.py do. */
+/* From the solved rotations to the whole arm: what block/transcription/arm.py does. */
 
 /* theta' = c t + extra with the torque t, t' = M, and the mean c of 1 / kt on the piece. */
 typedef struct {

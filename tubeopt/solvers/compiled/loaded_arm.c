@@ -1,4 +1,4 @@
-/* From a solved state to the tip, its compliance, and the whole arm: what block/transcription/loaded.py and loaded_arm.py do. */
+/* From a solved state to the tip, its compliance, and the whole arm: what block/transcription/loaded.py does. */
 
 /* out (3) += scale times the tangent of a quaternion, which need not be normalised. */
 static void add_tangent(double scale, const double *q, double *out) {

@@ -1,4 +1,4 @@
-/* What sticks and what slips: the descent of solvers/stick_slip.py. From what slipped before it takes few changes, each a
+/* What sticks and what slips: the descent of `stick_or_slip` in solvers/friction_increment.py. From what slipped before it takes few changes, each a
    small elimination; the energy falls with each of them, so that no state comes back and it ends.
 
    A (count, count) by rows is positive definite, `free` what would slip without friction, `most` the capacities. */
