@@ -236,6 +236,9 @@ DESCENT = 0.25
 # goes back and forth: where breakpoints coincide, the distance has kinks.
 MOST_CURVED, MOST_STIFF = 4.0, 1e6
 
+# Damped steps far from rest before one without damping, which is faster; twice as many each time.
+PATIENCE = 8
+
 # Change over the scales below which the robot rests: its second-order effect on the tip is below round-off.
 DEAD = 1e-7
 
@@ -312,6 +315,8 @@ class Servo:
         self._twice, self._unit = np.tile(self.space.scale, 2), unit
         self._damping = 0.0
         """Square of the additional damping; more than 0 after a step that did not bring the tip closer."""
+        self._damped, self._patience = 0, PATIENCE
+        """Damped steps far from rest, and how many there are before one without damping."""
         self._stiff: Array = np.ones(len(self.space.scale))
         """(m,) factors on it."""
         self._last: Array = np.zeros(len(self.space.scale))
@@ -381,7 +386,7 @@ class Servo:
         """Forget the damping where the target jumps."""
         last, self._goal = self._goal, command.position
         if last is None or self._goal is None or dist(last, self._goal) > 2 * self.options.speed * dt:
-            self._damping = 0.0
+            self._damping, self._damped, self._patience = 0.0, 0, PATIENCE
 
     def _box(self, near: tuple[Array, Array], dt: float) -> tuple[Array, Array]:
         """(m,) least and largest change of the joints in the quadratic program, of those `near` that a cycle allows.
@@ -438,12 +443,19 @@ class Servo:
                 self._damping = max(curved, min(4 * self._damping * grows, MOST_CURVED), DAMPING**2)
             elif self._damping and share * part_of == 1:
                 self._damping = max(curved, self._damping / 2) if self._damping > 2 * DAMPING**2 else 0.0
+            if descends and self._damping and share * part_of < 1:  # far from rest: perhaps it does without again
+                self._damped += 1
+                if self._damped >= self._patience:
+                    self._damping, self._damped, self._patience = 0.0, 0, 2 * self._patience
             if descends:
                 self._ease = min(1.0, (0.5 if turned < 0 else 1.2) * self._ease)
                 self._last = np.where(step == 0, last, made)
             return descends
 
-        return self.guard.go(share * step * scale, why, dt, closer)
+        arm, why = self.guard.go(share * step * scale, why, dt, closer)
+        if Why.HELD in why:
+            self._damping = 0.0  # another direction may pass
+        return arm, why
 
     def _constraints(self, here: Posture, low: Array, high: Array) -> Constraints:
         """Constraints of a step: rates and ranges, order, margin, bodies. Those violated already must not get worse."""

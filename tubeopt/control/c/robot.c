@@ -2,6 +2,7 @@
 /* --- the robot in the hands of a program ------------------------------------------------------------------------- */
 
 #define MOST_PARTS 64
+#define PATIENCE 8             /* damped servo steps far from rest, twice as many each time, before one without damping */
 #define MOST_SOLVES 256        /* of one call */
 #define SHORTEST_PART (1 / 300.) /* of a step of ordinary length */
 
@@ -36,7 +37,7 @@ struct tubeopt_memory {
     double low[JOINTS], high[JOINTS];                   /* ends of the next step of a servo within rates */
     double speed[JOINTS], slower[JOINTS];               /* of a robot whose accelerations are limited; before the last step */
     int moves, was_moving;                              /* its stop point, after this memory, is in use; for tubeopt_undo */
-    double damping, ease, last[JOINTS], stiff[JOINTS], goal[3]; /* squared, of steps that did not bring the tip closer; part of the push; last step */
+    double damping, ease, last[JOINTS], stiff[JOINTS], goal[3], damped, patience; /* squared, of steps that did not bring the tip closer; part of the push; last step */
 #if TUBEOPT_LOADS
     int bears;
     tubeopt_load load, next_load;                       /* what it bears, and what it is to bear at the end of a way */
@@ -239,6 +240,7 @@ tubeopt_status tubeopt_solve(tubeopt_memory *m, const tubeopt_joints *joints, tu
     m->before = NULL;
     m->damping = 0; /* a servo begins anew */
     m->ease = 1;
+    m->patience = PATIENCE;
     memset(m->last, 0, sizeof m->last);
     if (solve(&ROBOT, joints->rotations, joints->translations, NULL, &m->work, m->answers + !m->here))
         return TUBEOPT_DECLINED;

@@ -251,6 +251,10 @@ static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command 
         if (!closer || back || (m->damping && curved > m->damping)) m->damping = fmax(fmax(curved, fmin(4 * m->damping * (!closer || back), MOST_CURVED)), DAMPING * DAMPING);
         else if (m->damping && share == 1) m->damping = m->damping > 2 * DAMPING * DAMPING ? fmax(curved, m->damping / 2) : 0;
         if (!closer) continue;
+        if (m->damping && share < 1 && ++m->damped >= m->patience) { /* far from rest: perhaps it does without again */
+            m->damping = m->damped = 0;
+            m->patience *= 2;
+        }
         accept(m, &next);
         accept_loaded(m);
         m->ease = fmin(1, (turned < 0 ? 0.5 : 1.2) * m->ease);
@@ -258,6 +262,7 @@ static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command 
             if (step[k]) m->last[k] = share * step[k];
         return aim->why | (guarded ? TUBEOPT_SHORTENED : 0);
     }
+    if (guarded) m->damping = 0; /* another direction may pass */
     return guarded ? TUBEOPT_HELD : aim->why & ~TUBEOPT_AT_RATE;
 }
 
@@ -294,7 +299,10 @@ static tubeopt_status servo_step(tubeopt_memory *m, tubeopt_memory *robot, const
     if (!goal) aim_at(m, c, &aim);
     report_missing(m, c, report);
     for (int r = 0; r < 3; r++) moved += (c->position[r] - m->goal[r]) * (c->position[r] - m->goal[r]);
-    if (sqrt(moved) > 2 * c->speed * c->step) m->damping = 0; /* another target */
+    if (sqrt(moved) > 2 * c->speed * c->step) { /* another target */
+        m->damping = m->damped = 0;
+        m->patience = PATIENCE;
+    }
     memcpy(m->goal, c->position, sizeof m->goal);
     floor = fmin(c->min_margin, margin_told(m, 0)); /* what is below it does not get worse */
     if (goal) straight_to(m, goal, q, &aim, step);
