@@ -1,7 +1,7 @@
 """The tip of the CRL robot moves to a target behind a region of small margin: one-step servo and predictive servo.
 
-Result: the one-step servo stops where the margin reaches its lower bound, since every step closer reduces it. The
-predictive servo plans the whole path and goes around the region.
+Result: both reach it. The one-step servo slides along the lower bound of the margin, where each step closer would
+reduce it; the predictive servo plans the whole path around the region.
 """
 
 from __future__ import annotations
