@@ -89,7 +89,7 @@ def _values(pose: Pose) -> tuple[Array, ...]:
 def _section_slopes(pose: Pose) -> tuple[Array, Array]:
     """(P, 5, n, L) of theta and (P, 5, 2, L) of the curvature where each piece is divided."""
     of, n = pose.derivatives, len(pose.solved.member.rotations)
-    found = [[of.section(k, x, of.moved[4 * k + j]) for j, x in enumerate(PLACES)] for k in range(of.here.pieces)]
+    found = [[of.section(k, x, of.moved[4 * k + j]) for j, x in enumerate(PLACES)] for k in range(of.arm.pieces)]
     parts = (
         [[part(one) for one in row] for row in found] for part in (lambda s: s.by_tubes[:n], lambda s: s.by_curvature)
     )

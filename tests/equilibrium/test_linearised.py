@@ -24,7 +24,7 @@ from tubeopt import (
     load_robot,
 )
 from tubeopt.block.transcription.arm import evaluate_arm
-from tubeopt.block.transcription.responsive import Responsive
+from tubeopt.block.transcription.responsive import LinearisedArm
 from tubeopt.equilibrium.answer import sample_rotation
 from tubeopt.equilibrium.directions import PARAMETERS
 from tubeopt.equilibrium.jacobian import derivatives_of
@@ -472,7 +472,7 @@ def test_one_tube_off_the_centreline_may_change_alone(name: str) -> None:
             told.append(np.array([*shape.position[-1], point.margin]))
             if k == 0:
                 start = point.state.x
-                here = Responsive(problem, e.rotations, point.state.theta, shape)
+                here = LinearisedArm(problem, e.rotations, point.state.theta, shape)
                 of = Linearised(here, e.robot.tubes, point.margin, (name,))
         wanted = (8 * (told[1] - told[3]) - (told[2] - told[4])) / 12
         step = 2e-3 * getattr(bundle, name)[tube]

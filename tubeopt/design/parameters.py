@@ -205,7 +205,7 @@ def largest_bend_slope(piece: Piece, unknown: Unknown, value: float) -> float:
 
 def change_of(here: Directions, unknown: Unknown, values: PieceValues) -> Change:
     """Derivatives of the sections of a solved arm by an unknown of pieces."""
-    (rate, stiffness, moment, phase), n = np.zeros((4, *here.here.phase.shape)), here.n
+    (rate, stiffness, moment, phase), n = np.zeros((4, *here.arm.phase.shape)), here.n
     out = Change(np.zeros(n), rate, stiffness, moment, phase, np.zeros(n))
     for i, j in unknown.pieces:
         tube = here.tubes[i]
@@ -214,7 +214,7 @@ def change_of(here: Directions, unknown: Unknown, values: PieceValues) -> Change
         local = here.place[..., i] - low
         kb, kt, x, y, _, _ = here.values[..., i]
         # Beyond its end a tube has no stiffness, and no change of it.
-        there = (here.here.stiffness[..., i] > 0).astype(float)
+        there = (here.arm.stiffness[..., i] > 0).astype(float)
         inside = (local > 0) & (local < length)
         dx, dy, dkb, dkt, wound = _piece_rates(unknown, values[i, j], local / length, length, here.values[..., i])
         size = np.hypot(x, y)

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..block.quantities import CLEARANCES
 from ..block.transcription.arm import ArmShape, between, evaluate_arm
-from ..block.transcription.responsive import Responsive
+from ..block.transcription.responsive import LinearisedArm
 from ..block.transcription.standing import hat
 from ..equilibrium.directions import Change, Directions
 from ..equilibrium.linearised import Linearised
@@ -244,8 +244,8 @@ class Pose:
         return Linearised(self._standing, self.solved.member.robot.tubes, self.margin)
 
     @cached_property
-    def _standing(self) -> Responsive:
-        return Responsive(self.problem, self.solved.member.rotations, self.solved.state.theta, self.arm)
+    def _standing(self) -> LinearisedArm:
+        return LinearisedArm(self.problem, self.solved.member.rotations, self.solved.state.theta, self.arm)
 
     @property
     def shape_slopes(self) -> ShapeSlopes:

@@ -484,7 +484,7 @@ def pose_strain(state: State, index: PoseNumber, tube: int) -> tuple[float, Arra
     shape, of = state.tubes[tube], state.pose(index).derivatives
     n, mesh = of.n, of.problem.mesh
     # Sections in which the tube is present from end to end; the others have no strain of it.
-    sections = np.flatnonzero((of.here.stiffness[..., tube] > 0).all(1) & (mesh.length > 0))
+    sections = np.flatnonzero((of.arm.stiffness[..., tube] > 0).all(1) & (mesh.length > 0))
     if not len(sections):
         return 0.0, np.zeros(state.layout.size)
     across, bend = (table[sections].reshape(len(sections) * len(PLACES), -1) for table in of.sections)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..block.transcription.mesh import INWARDS
 from ..block.transcription.reduced import ReducedProblem
-from ..block.transcription.responsive import Forcing, Responsive
+from ..block.transcription.responsive import Forcing, LinearisedArm
 from ..errors import InputError
 from ..robots.assembly import DIMENSIONS, ROUND_OFF, Assembly
 from ..robots.lengthwise import CrossSections, Lengthwise
@@ -34,42 +34,71 @@ SAME_SPEED = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Breakpoints:
-    """J breakpoints of the tubes in front of the plate or at it."""
+    """J breakpoints of n tubes in front of the plate or at it: all but their exact positions."""
 
     tube: Index
     """(J,) tube of each breakpoint."""
-    place: Array
-    """(J,) arc lengths, m."""
     end: Mask
     """(J,) True where it is the end of the tube."""
     index: Index
     """(J,) piece of the mesh that begins there."""
-    together: tuple[tuple[int, ...], ...]
-    """Groups of breakpoints that coincide."""
+    in_front: Mask
+    """(J,) False at the plate."""
+    groups: tuple[tuple[int, ...], ...]
+    """Groups of breakpoints that coincide, in the order of the arm."""
     of_tubes: Array
     """(J, n) 1 where a tube has the breakpoint, 0 elsewhere."""
 
 
 @lru_cache(maxsize=64)
-def breakpoints_of(assembly: Assembly, between: bytes) -> Breakpoints:
-    """Breakpoints of all tubes; `between` are the bytes of the arc lengths (P + 1,) between the pieces."""
-    each = [_places(assembly, i) for i in range(assembly.n_tubes)]
+def breakpoints_of(
+    n: int, tube: tuple[int, ...], end: tuple[bool, ...], index: tuple[int, ...], in_front: tuple[bool, ...]
+) -> Breakpoints:
+    """Breakpoints of n tubes: arms whose breakpoints have the same order share one object; see `Breakpoints`."""
+    groups: dict[int, list[int]] = {}
+    for j, k in enumerate(index):
+        groups.setdefault(k, []).append(j)
+    return Breakpoints(
+        tube=np.array(tube, dtype=np.intp),
+        end=np.array(end, dtype=bool),
+        index=np.array(index, dtype=np.intp),
+        in_front=np.array(in_front, dtype=bool),
+        groups=tuple(tuple(group) for _, group in sorted(groups.items())),
+        of_tubes=np.eye(n)[[*tube]],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Breakpoints of an arm with their positions."""
+
+    breakpoints: Breakpoints
+    """Order of the breakpoints."""
+    place: Array
+    """(J,) arc lengths, m."""
+
+
+@lru_cache(maxsize=64)
+def placed_breakpoints(assembly: Assembly, between: bytes) -> Placed:
+    """Breakpoints of all tubes of an arm; `between` are the bytes of the arc lengths (P + 1,) between the pieces."""
+    rows = [_places(assembly, i) for i in range(assembly.n_tubes)]
     # Breakpoints behind the plate are out of the arm; one at the plate may move into it.
-    own = [(i, s, k == len(row) - 1) for i, row in enumerate(each) for k, s in enumerate(row) if s > -ROUND_OFF]
+    own = [(i, s, k == len(row) - 1) for i, row in enumerate(rows) for k, s in enumerate(row) if s > -ROUND_OFF]
     place = np.array([s for _, s, _ in own])
-    index = np.searchsorted(np.frombuffer(between), place - 2 * ROUND_OFF)
-    where: dict[int, list[int]] = {}
-    for j, k in enumerate(index.tolist()):
-        where.setdefault(k, []).append(j)
-    tube, end = np.array([i for i, _, _ in own], dtype=np.intp), np.array([last for _, _, last in own], dtype=bool)
-    together = tuple(tuple(some) for _, some in sorted(where.items()))
-    return Breakpoints(tube, place, end, index, together, np.eye(assembly.n_tubes)[tube])
+    breakpoints = breakpoints_of(
+        assembly.n_tubes,
+        tube=tuple(i for i, _, _ in own),
+        end=tuple(end for _, _, end in own),
+        index=tuple(np.frombuffer(between).searchsorted(place - 2 * ROUND_OFF).tolist()),
+        in_front=tuple((place > ROUND_OFF).tolist()),
+    )
+    return Placed(breakpoints, place)
 
 
 class Strip(NamedTuple):
     """Stretch of the arm between two shifted positions of coinciding breakpoints."""
 
-    together: tuple[int, ...]
+    group: tuple[int, ...]
     """Breakpoints that coincide."""
     past: tuple[int, ...]
     """Breakpoints that have moved beyond the strip."""
@@ -77,93 +106,112 @@ class Strip(NamedTuple):
     """True if the strip lies on the plate's side of the common position."""
 
 
+@dataclass(frozen=True, eq=False)
+class Strips:
+    """T strips that Q directions uncover."""
+
+    first: Index
+    """(T,) breakpoint at each strip, the first of those that coincide."""
+    widths: Array
+    """(T, Q) widths per unit of motion."""
+    past: Array
+    """(2 T, n) 1 where a breakpoint of the tube has moved beyond the strip, after the motion, then before it."""
+    past_inside: Array
+    """(2 T, n) 1 where such a breakpoint is not the end of the tube."""
+
+
 @lru_cache(maxsize=64)
-def strips_of(points: Breakpoints, columns: int, speeds: bytes) -> tuple[tuple[Strip, ...], Array]:
-    """Strips (T,) uncovered by Q `columns` of directions, and their widths (T, Q), with speeds (J, Q) towards the tip.
+def strips_of(points: Breakpoints, columns: int, speeds: bytes) -> Strips:
+    """Strips uncovered by Q `columns` of directions, with speeds (J, Q) towards the tip.
 
     The order of the shifted breakpoints decides which tubes are present in a strip.
     """
-    speed = np.frombuffer(speeds).reshape(-1, columns)
-    widths: dict[Strip, Array] = {}
-    for own in points.together:
-        in_front, rows = bool(points.place[own[0]] > ROUND_OFF), speed[[*own]]
-        if len(own) == 1:
+    speed, widths = np.frombuffer(speeds).reshape(-1, columns), dict[Strip, Array]()
+    for group in points.groups:
+        in_front, rows = bool(points.in_front[group[0]]), speed[[*group]]
+        if len(group) == 1:
             # A breakpoint at the plate uncovers a strip only if it moves in front of it.
-            widths[Strip(own, own, False)] = rows[0] if in_front else np.maximum(rows[0], 0.0)
+            widths[Strip(group, group, False)] = rows[0] if in_front else np.maximum(rows[0], 0.0)
             continue
         alike: dict[tuple[float, ...], list[int]] = {}
         for column in np.flatnonzero(rows.any(0)).tolist():
             # Directions with equal speeds uncover equal strips, so each pattern is sorted once.
             alike.setdefault(tuple(rows[:, column].tolist()), []).append(column)
-        for pace, those in alike.items():
+        for pattern, among in alike.items():
             # Shifted positions in order; in front of each strip are the breakpoints that moved farther.
-            levels = sorted([0.0, *pace])
-            least = SAME_SPEED * max(levels[-1], -levels[0])
+            levels = sorted([0.0, *pattern])
+            round_off = SAME_SPEED * max(levels[-1], -levels[0])
             for low, high in pairwise(levels):
-                if high - low > least and (high > 0 or in_front):
-                    past = tuple(j for j, one in zip(own, pace, strict=True) if one >= high - least)
-                    widths.setdefault(Strip(own, past, high <= 0), np.zeros(columns))[those] += high - low
+                if high - low > round_off and (high > 0 or in_front):
+                    past = tuple(j for j, v in zip(group, pattern, strict=True) if v >= high - round_off)
+                    widths.setdefault(Strip(group, past, high <= 0), np.zeros(columns))[among] += high - low
     widths = {strip: width for strip, width in widths.items() if width.any()}
-    return tuple(widths), np.array([*widths.values()]).reshape(len(widths), columns)
+    beyond = np.zeros((2, len(widths), len(points.tube)))
+    for k, strip in enumerate(widths):
+        beyond[0, k, [*strip.past]] = 1.0
+        if strip.plate_side:
+            beyond[1, k, [*strip.group]] = 1.0
+    past_points = beyond.reshape(-1, len(points.tube))
+    return Strips(
+        first=np.array([strip.group[0] for strip in widths], dtype=np.intp),
+        widths=np.array([*widths.values()]).reshape(len(widths), columns),
+        past=past_points @ points.of_tubes,
+        past_inside=(past_points * ~points.end) @ points.of_tubes,
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Uncovered:
-    """Cross-sections of T strips after the motion, then before it (2 T)."""
+    """T strips that Q directions uncover, with their cross-sections after the motion, then before it (2 T)."""
 
     index: Index
     """(T,) piece of the mesh that begins at each strip."""
+    widths: Array
+    """(T, Q) widths per unit of motion."""
     sections: CrossSections
     """(2 T) cross-sections."""
-    there: Mask
-    """(2 T,) True where any tube is present."""
     outermost: Index
-    """(2 T,) outermost tube that is present."""
-    onto: Array
-    """(P + 1, T) 1 where the piece of a row begins, 0 elsewhere."""
+    """(2, T) outermost tube that is present."""
+    signs: Array
+    """(2, T) 1 after the motion and -1 before it, 0 where no tube is present."""
 
     @cached_property
-    def rate(self) -> Array:
-        """(2 T, n) 1 / kt."""
-        return np.asarray(1 / self.sections.torsional_stiffness)
+    def compliance(self) -> Array:
+        """(2, T, n) 1 / kt."""
+        kt = self.sections.torsional_stiffness
+        return np.asarray(1 / kt.reshape(2, -1, kt.shape[1]))
 
     @cached_property
     def stiffness(self) -> Array:
         """(2 T, n) kb; 1 without any tube, where a cross-section could not be evaluated."""
-        return np.where(self.there[:, None], self.sections.stiffness, 1.0)
+        return np.where(self.signs.reshape(-1, 1) != 0, self.sections.stiffness, 1.0)
 
-    @cached_property
-    def grown(self) -> Array:
+    @property
+    def growth(self) -> Array:
         """(T,) 1 where the tip extends the arm by a strip, -1 where it shortens it, else 0."""
-        new, old = self.there.reshape(2, -1)
-        return np.asarray(new * 1.0 - old)
+        return np.asarray(self.signs.sum(0))
 
 
 @lru_cache(maxsize=64)
-def uncovered_by(assembly: Assembly, between: bytes, strips: tuple[Strip, ...]) -> Uncovered:
-    """Cross-sections in strips; `between` as in `breakpoints_of`."""
-    points, count = breakpoints_of(assembly, between), len(strips)
-    first = np.array([strip.together[0] for strip in strips], dtype=np.intp)
-    place = points.place[first]
-    # Breakpoints that have moved beyond each cross-section: after the motion, then before it.
-    each = [strip.past for strip in strips] + [strip.together if strip.plate_side else () for strip in strips]
-    row = [k for k, moved in enumerate(each) for _ in moved]
-    beyond = np.zeros((2 * count, len(points.place)))
-    beyond[row, [j for moved in each for j in moved]] = 1.0
-    both = np.concatenate([place, place])
-    side = both[:, None] + ROUND_OFF
+def uncovered_by(assembly: Assembly, placed: Placed, strips: Strips) -> Uncovered:
+    """Cross-sections in the strips of an arm."""
+    place = placed.place[strips.first]
+    place = np.concatenate([place, place])
+    side = place[:, None] + ROUND_OFF
     # A tube whose breakpoint moved beyond continues as before the breakpoint: it is evaluated on the plate's side.
-    near = side - 2 * ROUND_OFF * (beyond @ points.of_tubes)
+    present = side - 2 * ROUND_OFF * strips.past < assembly.end
     # Where a curved part begins to grow its end moves alone.
-    bends = side - 2 * ROUND_OFF * ((beyond * ~points.end) @ points.of_tubes)
-    present = near < assembly.end
+    near = side - 2 * ROUND_OFF * strips.past_inside
     return Uncovered(
-        index=points.index[first],
-        sections=_sections(assembly, both, bends, present),
-        there=np.asarray(present.any(1)),
-        outermost=outermost(present),
-        onto=np.asarray(np.arange(len(between) // 8)[:, None] == points.index[first], dtype=float),
+        index=placed.breakpoints.index[strips.first],
+        widths=strips.widths,
+        sections=_sections(assembly, place, near, present),
+        outermost=outermost(present).reshape(2, -1),
+        signs=present.any(1).reshape(2, -1) * _AFTER_BEFORE,
     )
+
+
+_AFTER_BEFORE = np.array([[1.0], [-1.0]])
 
 
 def _places(assembly: Assembly, tube: int) -> list[float]:
@@ -181,8 +229,8 @@ def _sections(assembly: Assembly, s: Array, near: Array, present: Mask) -> Cross
     """
     if assembly.lengthwise is not None:
         side = near + assembly.transmission
-        here = assembly.lengthwise.at(s[:, None] + assembly.transmission, side, present)
-        return replace(here, moment=here.moment * (side >= 0))
+        arm = assembly.lengthwise.at(s[:, None] + assembly.transmission, side, present)
+        return replace(arm, moment=arm.moment * (side >= 0))
     kb = assembly.bending_stiffness * present
     none = np.zeros(kb.shape)
     moment = kb * assembly.curvature * (near > assembly.transition)
@@ -239,7 +287,7 @@ class Directions:
     along each.
 
     Args:
-        here: arm in equilibrium.
+        arm: arm in equilibrium.
         tubes: tubes of the arm.
         margin: margin of the equilibrium.
         wrt: names of PARAMETERS.
@@ -255,7 +303,7 @@ class Directions:
 
     def __init__(
         self,
-        here: Responsive,
+        arm: LinearisedArm,
         tubes: Sequence[Tube],
         margin: float,
         wrt: Sequence[str] = ("rotations", "translations"),
@@ -264,9 +312,9 @@ class Directions:
         along: Array | None = None,
     ) -> None:
         check_wrt(wrt, side)
-        self.here, self.tubes, self.value, self.wrt, self.side = here, tuple(tubes), margin, tuple(wrt), side
-        self.problem, self.assembly = here.problem, here.problem.assembly
-        self.n, self.arm, self.cuts = here.n, here.shape, here.cuts
+        self.arm, self.tubes, self.value, self.wrt, self.side = arm, tuple(tubes), margin, tuple(wrt), side
+        self.problem, self.assembly = arm.problem, arm.problem.assembly
+        self.n, self.shape, self.cuts = arm.n, arm.shape, arm.cuts
         self._more = [] if more is None else list(more(self))
         self._along = along
         self.size = self.n * len(self.wrt) + len(self._more) if along is None else along.shape[1]
@@ -274,22 +322,22 @@ class Directions:
     @cached_property
     def entered(self) -> Entered:
         """Derivatives of the equations in all directions."""
-        here, n, size = self.here, self.n, self.n * len(self.wrt) + len(self._more)
-        points, bases = (here.pieces, here.degree), np.zeros((3, n, size))
+        arm, n, size = self.arm, self.n, self.n * len(self.wrt) + len(self._more)
+        points, bases = (arm.pieces, arm.degree), np.zeros((3, n, size))
         forcing = Forcing(
-            base=bases[0],
+            alpha=bases[0],
             transmission=bases[1],
             data=np.zeros((*points, 3 * n, size)),
-            rate=np.zeros((*points, n, size)),
+            compliance=np.zeros((*points, n, size)),
             force=np.zeros((*points, 3, size)),
-            jumps=np.zeros((here.pieces + 1, here.size, self.size)),
+            jumps=np.zeros((arm.pieces + 1, arm.size, self.size)),
             side=self.side,
         )
         into = Entered(forcing, bases[2], np.zeros((len(self.breakpoints.tube), size)))
         for k, name in enumerate(self.wrt):
             self._enter(into, k * n, name)
         for column, change in enumerate(self._more, start=n * len(self.wrt)):
-            forcing.transmission[:, column], forcing.rate[..., column] = change.transmission, change.rate
+            forcing.transmission[:, column], forcing.compliance[..., column] = change.transmission, change.rate
             forcing.data[..., column] = np.concatenate([change.phase, change.stiffness, change.moment], axis=2)
             into.wound[:, column] += change.wound
         if self._along is None:
@@ -297,39 +345,40 @@ class Directions:
         along = self._along
         forcing = replace(
             forcing,
-            base=forcing.base @ along,
+            alpha=forcing.alpha @ along,
             transmission=forcing.transmission @ along,
             data=_combined(forcing.data, along),
-            rate=_combined(forcing.rate, along),
+            compliance=_combined(forcing.compliance, along),
             force=_combined(forcing.force, along),
         )
         return Entered(forcing, into.wound @ along, into.speed @ along)
 
     @cached_property
-    def _uncovering(self) -> tuple[Uncovered, Array]:
-        """Cross-sections in the strips that the directions uncover, and the widths (T, Q) of the strips."""
-        strips, widths = strips_of(self.breakpoints, self.size, (self.side * self.entered.speed).tobytes())
-        return uncovered_by(self.assembly, self.cuts.tobytes(), strips), widths
-
-    @property
     def strips(self) -> Uncovered:
         """The T strips that breakpoints uncover."""
-        return self._uncovering[0]
+        speeds = (self.side * self.entered.speed).tobytes()
+        return uncovered_by(self.assembly, self.placed, strips_of(self.breakpoints, self.size, speeds))
 
     @property
     def widths(self) -> Array:
         """(T, Q) of the strips."""
-        return self._uncovering[1]
+        return self.strips.widths
 
     @cached_property
+    def placed(self) -> Placed:
+        """Breakpoints in front of the plate or at it."""
+        return placed_breakpoints(self.assembly, self.cuts.tobytes())
+
+    @property
     def breakpoints(self) -> Breakpoints:
-        return breakpoints_of(self.assembly, self.cuts.tobytes())
+        """Order of the breakpoints."""
+        return self.placed.breakpoints
 
     def _enter(self, entered: Entered, first: int, name: str) -> None:
         """Enter what a parameter of the tubes changes into n columns from the first one on."""
-        here, into, own = self.here, entered.forcing, slice(first, first + self.n)
+        arm, into, own = self.arm, entered.forcing, slice(first, first + self.n)
         if name == "rotations":
-            into.base[:, own] = np.eye(self.n)
+            into.alpha[:, own] = np.eye(self.n)
             return
         if name == "translations" and self.assembly.lengthwise is None and not self._density.any():
             entered.speed[:, own] = self.breakpoints.of_tubes
@@ -343,17 +392,20 @@ class Directions:
         elif name == "curvature":
             bend = np.array([tube.curvature for tube in self.tubes])
             # m = kb kappa: dm / dkappa = m / kappa, and kb where kappa is 0.
-            into.data[..., m, column] = here.moments / np.where(bend, bend, 1.0)
+            into.data[..., m, column] = arm.natural_moment / np.where(bend, bend, 1.0)
             for k in np.flatnonzero(bend == 0).tolist():
-                into.data[..., m[k], column[k]] = here.stiffness[..., k] * self._bendable(k)
+                into.data[..., m[k], column[k]] = arm.stiffness[..., k] * self._bendable(k)
         elif name == "bending_stiffness":
             stiffness = np.array([tube.bending_stiffness for tube in self.tubes], dtype=float)
-            into.data[..., kb, column], into.data[..., m, column] = here.stiffness / stiffness, here.moments / stiffness
+            into.data[..., kb, column], into.data[..., m, column] = (
+                arm.stiffness / stiffness,
+                arm.natural_moment / stiffness,
+            )
         elif name == "torsional_stiffness":
             stiffness = np.array([tube.torsional_stiffness for tube in self.tubes], dtype=float)
             # d(1 / kt) / dkt = -1 / kt^2, in proportion to the whole tube's kt.
-            into.rate[..., i, column] = -here.rate / stiffness
-            into.transmission[i, column] = -here.transmission / stiffness
+            into.compliance[..., i, column] = -arm.compliance / stiffness
+            into.transmission[i, column] = -arm.transmission / stiffness
         else:
             for k in range(self.n):
                 self._advance(entered, first, name, k)
@@ -361,7 +413,7 @@ class Directions:
     def _advance(self, entered: Entered, first: int, name: str, i: int) -> None:
         """A tube moves forward with all that it is; or its curved part becomes longer, all its pieces in proportion: a
         place x of the tube moves by (x - l) / L behind the straight part, l, for each unit of length, L."""
-        here, into, n, own, points = self.here, entered.forcing, self.n, self.tubes[i], self.breakpoints
+        arm, into, n, own, points = self.arm, entered.forcing, self.n, self.tubes[i], self.breakpoints
         column = first + i
         held, mine, table = float(self.assembly.transmission[i]), points.tube == i, self.assembly.lengthwise
 
@@ -370,7 +422,7 @@ class Directions:
                 return np.ones_like(place)
             return np.maximum(place - own.straight_length, 0.0) / (own.curved_length or np.inf)
 
-        pace = moves(points.place[mine] + held)
+        pace = moves(self.placed.place[mine] + held)
         if name == "curved_length":
             pace[points.end[mine]] = 1.0
         entered.speed[mine, column] += pace
@@ -390,14 +442,14 @@ class Directions:
         for k, rate in enumerate(self._passing[:3]):
             # At a fixed arc length a tube that moves forward shows what was behind: minus its slope times the motion.
             into.data[..., k * n + i, column] -= rate[..., i] * moved
-        into.rate[..., i, column] -= self._passing[3][..., i] * moved
+        into.compliance[..., i, column] -= self._passing[3][..., i] * moved
         if stretches:
             straight = np.array([tube.straight_length for tube in self.tubes])
             up_to = table.compliant(self.assembly.transmission)[i] - table.compliant(straight)[i]
             into.transmission[i, column] += max(float(up_to), 0.0) / own.curved_length
             ends = np.array([tube.length for tube in self.tubes])
             begun, ended = table.values(np.stack([straight, ends]))[5][:, i]
-            turned = here.problem.here.sections.wound.reshape(here.phase.shape)[..., i] - begun
+            turned = arm.problem.here.sections.wound.reshape(arm.phase.shape)[..., i] - begun
             # The twist is per length, so that a longer curved part winds more, in proportion.
             into.data[..., i, column] += np.where(moved != 0, turned, 0.0) / own.curved_length
             entered.wound[i, column] += (ended - begun) / own.curved_length
@@ -405,17 +457,17 @@ class Directions:
     @cached_property
     def _arc_length(self) -> Array:
         """(P, K) of the points, m."""
-        return np.asarray(self.here.mesh.start[:, None] + self.here.length[:, None] * self.here.t.nodes)
+        return np.asarray(self.arm.mesh.start[:, None] + self.arm.length[:, None] * self.arm.tableau.nodes)
 
     @cached_property
     def _density(self) -> Array:
         """(n,) mass per length of the tubes, kg/m; 0 where nothing weighs."""
-        load = self.here.load
+        load = self.arm.load
         return np.zeros(self.n) if load is None else masses(self.tubes, load)
 
     @property
     def _gravity(self) -> Array:
-        load = self.here.load
+        load = self.arm.load
         return np.array((0.0, 0.0, 0.0) if load is None or load.gravity is None else load.gravity)
 
     def _bendable(self, i: int) -> Array:
@@ -429,14 +481,9 @@ class Directions:
 
     @property
     def _passing(self) -> tuple[Array, ...]:
-        return passing(self.here.problem)
+        return passing(self.arm.problem)
 
     # --- what a change of pieces needs to know ------------------------------------------------------------------------
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Numbers of pieces, of points on each, and of tubes."""
-        return self.here.pieces, self.here.degree, self.n
 
     @property
     def place(self) -> Array:
@@ -452,7 +499,7 @@ class Directions:
     @cached_property
     def values(self) -> Array:
         """(6, P, K, n) the quantities of the table at the points."""
-        return self.table.values(self.place.reshape(-1, self.n)).reshape(6, *self.shape)
+        return self.table.values(self.place.reshape(-1, self.n)).reshape(6, *self.arm.phase.shape)
 
 
 def _combined(columns: Array, along: Array) -> Array:

@@ -25,7 +25,7 @@ from ..block.transcription.arm import between
 from ..block.transcription.buffered import bent_function, mapped, section_function
 from ..block.transcription.collocated import ENDS, THROUGH_ENDS
 from ..block.transcription.reduced import ReducedProblem
-from ..block.transcription.responsive import Response, Responsive
+from ..block.transcription.responsive import LinearisedArm, Response
 from ..block.transcription.second_variation import Mode, worst_mode
 from ..block.transcription.standing import cross, hat, sections_of
 from ..errors import SolveError
@@ -55,9 +55,9 @@ from .result import Equilibrium, refuse_friction
 
 def offset_change(of: ArmChange) -> Array:
     """(Q,) change of the margin; NaN where it is a double eigenvalue."""
-    here, problem, forcing, n = of.here, of.problem, of.forcing, of.n
-    there = here.mesh.collocated
-    theta, torque = (table[there].reshape(-1, n) for table in (here.theta, here.torque))
+    arm, problem, forcing, n = of.arm, of.problem, of.forcing, of.n
+    there = arm.mesh.collocated
+    theta, torque = (table[there].reshape(-1, n) for table in (arm.theta, arm.torque))
     mode = worst_mode(problem, theta)
     if mode is None:
         return np.zeros(of.size)
@@ -71,15 +71,15 @@ def offset_change(of: ArmChange) -> Array:
 
     changed = np.concatenate([at_points(of.response.phi), at_points(forcing.data)[:, n:]], axis=1)
     function = section_function("mode", count, n, True)
-    slope = function(theta, problem.stiffness, problem.moment, *here.offsets, *wave.weights)[1].reshape(count, 3 * n)
+    slope = function(theta, problem.stiffness, problem.moment, *arm.offsets, *wave.weights)[1].reshape(count, 3 * n)
     out = np.einsum("a,ac,acq->q", problem.weight, slope, changed)
-    softer, kappa = at_points(forcing.rate), mode.value
+    softer, kappa = at_points(forcing.compliance), mode.value
     twisted = at_points(of.response.torque) / problem.assembly.torsional_stiffness[:, None] + softer * torque[..., None]
     out -= kappa * np.einsum("a,ai,aiq->q", problem.weight, wave.a * wave.stretched, twisted)
     out -= np.einsum("a,ai,aiq->q", problem.weight, wave.a * wave.g * wave.tau, softer)
     for p in np.flatnonzero(~there):
-        a, tau = wave.beyond(here.mesh.start[p])
-        out -= (a * tau) @ np.tensordot(here.weights[p], forcing.rate[p], 1)
+        a, tau = wave.beyond(arm.mesh.start[p])
+        out -= (a * tau) @ np.tensordot(arm.weights[p], forcing.compliance[p], 1)
     out -= (wave.a_start * wave.tau_start) @ forcing.transmission
     return np.asarray((out + wave.gains(of) @ of.widths) / mode.pairing)
 
@@ -104,7 +104,7 @@ class _Wave:
         self.pull = np.einsum("aij,aj->ai", turned, mode.y)
         # tau' = M' y and tau = 0 at the tip: the torque of the mode, as w is that of the state.
         self.tau, self.tau_start = -(beyond @ self.pull), -(weight * self.pull).sum(0)
-        # The transpose of P sums over the points from here to the tip.
+        # The transpose of P sums over the points from a place to the tip.
         self.a, self.a_start = (up_to.T @ mode.zeta) / weight, mode.zeta.sum(0)
         self.b = np.zeros_like(theta)
         for block in problem.blocks:
@@ -126,12 +126,11 @@ class _Wave:
         kt, index = self.problem.assembly.torsional_stiffness, strips.index
         places = [self._at(s) for s in of.cuts[index]]
         y, tau, a, b = (np.array(part * 2) for part in zip(*places, strict=True))
-        twist = np.concatenate([of.here.torque_tip_side[index]] * 2) / kt
-        theta, stiffness, moment, _ = of.given_there
+        twist = np.concatenate([of.arm.torque_tip_side[index]] * 2) / kt
         weights = (y, b, -kappa * a * twist, -a * tau / kt)
         function = section_function("mode", 2 * count, of.n, True)
-        values = function(theta, stiffness, moment, *of.here.offsets, *weights)[0][:, 0] * strips.there
-        return np.asarray(of.side * (values[:count] - values[count:]))
+        values = function(*of.strip_inputs[:3], *of.arm.offsets, *weights)[0].reshape(2, -1)
+        return np.asarray(of.side * (strips.signs * values).sum(0))
 
     def beyond(self, s: float) -> tuple[Array, Array]:
         """a and tau (n,) at an arc length between whole elements."""
@@ -179,37 +178,36 @@ class Linearised(ArmChange):
         return self._margin(one_of_two=True)
 
     def _margin(self, *, one_of_two: bool) -> Array:
-        if not self.here.pieces:
+        if not self.arm.pieces:
             return -self._softened
         if self.value >= FLAT:
             return np.zeros(self.size)
-        if self.here.offsets:
+        if self.arm.offsets:
             return offset_change(self)
-        load = self.here.load
+        load = self.arm.load
         known = (load is None or load.has_energy) and not np.isnan(self.value)
-        mode = mode_of(self.here, self.value, one_of_two) if known else None
+        mode = mode_of(self.arm, self.value, one_of_two) if known else None
         return np.full(self.size, np.nan) if mode is None else self._quotient(*mode)
 
     def certificate(self, value: float, y: Array) -> Array:
         """(Q,) of the certificate that is `value` at its mode y (N, n), `stability.certificate.worst_case`."""
-        here, n, solved = self.here, self.n, self.here.mesh.collocated
+        arm, n, solved = self.arm, self.n, self.arm.mesh.collocated
         if value >= FLAT:
             return np.zeros(self.size)
         worst = mapped(worst_function(n), len(y))(self.problem.stiffness, self.problem.moment, y)[0]
-        pull = np.zeros(here.phase.shape)
-        pull[solved] = (worst.reshape(-1, n, n) @ y[..., None]).reshape(-1, here.degree, n)
+        decrease = np.zeros(arm.phase.shape)
+        decrease[solved] = -(worst.reshape(-1, n, n) @ y[..., None]).reshape(-1, arm.degree, n)
         softness = 1 / (1 - value)
-        return self._quotient(here.pulled(pull, softness), softness, worst=True)
+        return self._quotient(arm.torsion_mode(decrease, softness), softness, worst=True)
 
     @property
     def _softened(self) -> Array:
         """(Q,) by how much the margin of an arm of length zero falls with what leaves the plate: the largest eigenvalue
         of -dM/dtheta over the stiffness of the transmissions, which alone twist there, or 0."""
-        count, root = len(self.strips.index), np.sqrt(self.here.transmission)
-        there = sections_of(self.given_there, self.here.offsets)
-        slope = there.by_torque[..., : self.n] * self.strips.there[:, None, None]
+        root, slopes = np.sqrt(self.arm.transmission), sections_of(self.strip_inputs, self.arm.offsets).slopes
+        slopes = np.einsum("bt,btij->tij", self.strips.signs, slopes.reshape(2, -1, *slopes.shape[1:]))
         # Symmetric as the second variation, and with the same eigenvalues as -dM/dtheta times compliance.
-        second = -root[:, None] * (slope[:count] - slope[count:]) * root
+        second = -root[:, None] * slopes[:, : self.n, : self.n] * root
         symmetric = (second + second.swapaxes(1, 2)) / 2
         return np.asarray(np.linalg.eigvalsh(np.tensordot(self.widths.T, symmetric, 1)).max(1, initial=0.0))
 
@@ -231,11 +229,11 @@ class Linearised(ArmChange):
 
     def _quotient(self, mode: Response, softness: float, *, worst: bool = False) -> Array:
         """(Q,) of a least eigenvalue of the second variation, from its mode."""
-        here, forcing, n, size = self.here, self.forcing, self.n, self.size
-        weights, torque = here.weights, mode.torque[..., 0]
-        y, felt = mode.phi[..., 0], mode.bent[..., 0]
-        count, data = len(here.at.energy), bool(forcing.data.any())
-        flat = (here.theta, here.stiffness, here.moments, here.bent, felt, y)
+        arm, forcing, n, size = self.arm, self.forcing, self.n, self.size
+        weights, torque = arm.weights, mode.torque[..., 0]
+        y, felt = mode.phi[..., 0], mode.bending_moment[..., 0]
+        count, data = len(weights.ravel()), bool(forcing.data.any())
+        flat = (arm.theta, arm.stiffness, arm.natural_moment, arm.bending_moment, felt, y)
         tables = [table.reshape(count, -1) for table in flat]
         _, slope, own = self._form(tables, softness, worst=worst, data=data)
         by = weights.ravel()[:, None] * slope
@@ -243,57 +241,56 @@ class Linearised(ArmChange):
         if data:
             whole = np.concatenate([by[:, :n], weights.ravel()[:, None] * own], axis=1)
             out += whole.ravel() @ forcing.data.reshape(-1, size)
-        if here.load is not None:
+        if arm.load is not None:
             out += self._carried(mode, by)
         # int v^2 d(1 / kt): a softer tube lowers the margin where the mode twists it.
-        out -= softness * (weights[..., None] * torque**2).ravel() @ forcing.rate.reshape(-1, size)
+        out -= softness * (weights[..., None] * torque**2).ravel() @ forcing.compliance.reshape(-1, size)
         held = mode.state[0, n + 3 : 2 * n + 3, 0]
         out -= softness * held**2 @ forcing.transmission
         out += self._mode_gains(mode, softness, worst=worst) @ self.widths
         # The mode is stationary for Q / T: only the explicit change of Q - mu T counts, over T.
-        return np.asarray(out / here.elastic(mode, softness))
+        return np.asarray(out / arm.elastic(mode, softness))
 
     def _carried(self, mode: Response, by: Array) -> Array:
         """(Q,) what the change of forces, moments and of the frame adds to it, with the gradient (X, n + 4)."""
-        here, moved, n, size = self.here, self.response, self.n, self.size
+        arm, moved, n, size = self.arm, self.response, self.n, self.size
         psi, moment = mode.psi[..., 0], mode.moment[..., 0]
-        out = by[:, n : n + 2].ravel() @ moved.bent.reshape(-1, size)
-        across = (here.frame[..., :2] @ by[:, n + 2 :].reshape(here.pieces, here.degree, 2, 1))[..., 0]
+        out = by[:, n : n + 2].ravel() @ moved.bending_moment.reshape(-1, size)
+        across = (arm.frame[..., :2] @ by[:, n + 2 :].reshape(arm.pieces, arm.degree, 2, 1))[..., 0]
         turns = hat(psi)
-        twice = here.weights[..., None, None] * (turns @ turns)
+        twice = arm.weights[..., None, None] * (turns @ turns)
         # g = (R'(dm + m x psi))_xy: by the moment, of which half is the costate's, and by the turn of the frame.
-        whole = moment - (turns @ here.moment[..., None])[..., 0]
+        whole = moment - (turns @ arm.moment[..., None])[..., 0]
         out += ((turns @ across[..., None])[..., 0] / 2).ravel() @ moved.moment.reshape(-1, size)
-        turning = cross(across, whole) - cross(here.axis, (twice @ here.force[..., None])[..., 0])
+        turning = cross(across, whole) - cross(arm.axis, (twice @ arm.force[..., None])[..., 0])
         out += turning.ravel() @ moved.psi.reshape(-1, size)
-        return np.asarray(out - (twice @ here.axis[..., None]).ravel() @ self.forcing.force.reshape(-1, size))
+        return np.asarray(out - (twice @ arm.axis[..., None]).ravel() @ self.forcing.force.reshape(-1, size))
 
     def _mode_gains(self, mode: Response, softness: float, *, worst: bool) -> Array:
         """(T,) what the margin gains per width of a strip."""
-        here, points, n = self.here, self.strips, self.n
-        index, count = points.index, len(points.index)
-        if not count:
+        arm, strips, n = self.arm, self.strips, self.n
+        index = strips.index
+        if not len(index):
             return np.zeros(0)
-        frame, state = here.end_frame[index], mode.state[index, :, 0]
+        frame, state = arm.end_frame[index], mode.state[index, :, 0]
         y, psi, torque, moment = state[:, :n], state[:, n : n + 3], state[:, n + 3 : 2 * n + 3], state[:, 2 * n + 3 :]
         # hat(psi) b = psi x b: the turn of the frame by the mode.
-        turns, bends = hat(psi), (here.moment_plate_side if self.side < 0 else here.moment_tip_side)[index]
+        turns, bends = hat(psi), (arm.moment_plate_side if self.side < 0 else arm.moment_tip_side)[index]
         whole = moment - (turns @ bends[..., None])[..., 0]
         felt = (frame[..., :2].swapaxes(1, 2) @ whole[..., None])[..., 0]
-        rate, inputs = points.rate, self.given_there
-        both = (np.concatenate([part, part]) for part in (felt, y))
-        form = self._form([*inputs, *both], softness, worst=worst)[0]
-        lean = (self._force_there * (turns @ turns @ frame[..., 2:])[..., 0]).sum(1)
-        twisted = torque**2
-        density = form - softness * (rate * np.concatenate([twisted, twisted])).sum(1) - np.concatenate([lean, lean])
-        density = density * points.there
-        return np.asarray(self.side * (density[:count] - density[count:]))
+        form = self._form(
+            [*self.strip_inputs, np.concatenate([felt, felt]), np.concatenate([y, y])], softness, worst=worst
+        )[0]
+        # Work of the force on the cross-section, n.(psi x (psi x e)).
+        work = (self._strip_force * (turns @ turns @ frame[..., 2:])[..., 0]).sum(1)
+        twist = softness * (strips.compliance * torque**2).sum(2)
+        return np.asarray(self.side * (strips.signs * (form.reshape(2, -1) - twist - work)).sum(0))
 
 
 @lru_cache(maxsize=8)
-def mode_of(here: Responsive, margin: float, one_of_two: bool) -> tuple[Response, float] | None:
-    """See `Responsive.mode`."""
-    return here.mode(margin, one_of_two=one_of_two)
+def mode_of(arm: LinearisedArm, margin: float, one_of_two: bool) -> tuple[Response, float] | None:
+    """See `LinearisedArm.mode`."""
+    return arm.mode(margin, one_of_two=one_of_two)
 
 
 def linearise(
@@ -332,7 +329,7 @@ def sharing(carriages: tuple[tuple[int, ...], ...], wrt: tuple[str, ...]) -> Arr
 
 
 @lru_cache(maxsize=8)
-def standing_of(equilibrium: Equilibrium, straight: bool = True) -> Responsive:
+def standing_of(equilibrium: Equilibrium, straight: bool = True) -> LinearisedArm:
     """The arm of an equilibrium of concentric tubes, on the mesh on which it was solved; `straight` as there. Raises
     InputError where friction acts on it, and SolveError where it was not solved."""
     refuse_friction(equilibrium)
@@ -343,7 +340,7 @@ def standing_of(equilibrium: Equilibrium, straight: bool = True) -> Responsive:
         burden = loaded_problem(robot, shift, equilibrium.load, discretisation_of(equilibrium))
         problem = burden.torsion
     solved = sample_rotation(equilibrium, problem.arc_length)
-    arm = Responsive(problem, equilibrium.rotations, solved, equilibrium.arm, burden=burden, straight=straight)
+    arm = LinearisedArm(problem, equilibrium.rotations, solved, equilibrium.arm, loaded=burden, straight=straight)
     # From the moments the rotations follow anew: a state that was not solved gives others.
     unlike = arm.phi[arm.mesh.collocated].ravel() - solved.ravel()
     off = float(np.abs(unlike[problem.flat]).max(initial=0.0))
@@ -357,7 +354,7 @@ def standing_of(equilibrium: Equilibrium, straight: bool = True) -> Responsive:
 
 def place_at(of: Linearised, fraction: float) -> Array:
     """(3,) position at a fraction of the arm's length in front of the plate, m."""
-    table = of.arm.position
+    table = of.shape.position
     if len(of.cuts) < 2:
         return np.asarray(table[-1])
     k, weights, _ = _weights(of, fraction)
@@ -366,13 +363,13 @@ def place_at(of: Linearised, fraction: float) -> Array:
 
 def position_at(of: Linearised, fraction: float) -> tuple[Array, Array]:
     """(3,) position at a fraction of the arm's length in front of the plate, m, and its change (3, Q)."""
-    table = of.arm.position
+    table = of.shape.position
     change = of.position.copy()
     if len(of.cuts) < 2:
         return table[-1], change[-1]
     longer = _longer(of)
     # The last shape point moves with the tip; the others are at fixed arc lengths.
-    change[-1] -= np.outer(of.arm.frame[-1][:, 2], longer)
+    change[-1] -= np.outer(of.shape.frame[-1][:, 2], longer)
     k, weights, rates = _weights(of, fraction)
     own = slice(4 * k, 4 * k + 5)
     return weights @ table[own], np.tensordot(weights, change[own], 1) + fraction * np.outer(rates @ table[own], longer)
@@ -389,7 +386,7 @@ def curvature_at(of: Linearised, fraction: float) -> tuple[Array, Array]:
 
 def _longer(of: Linearised) -> Array:
     """(Q,) change of the arm's length."""
-    return np.asarray(of.arm.frame[-1][:, 2] @ of.pushed)
+    return np.asarray(of.shape.frame[-1][:, 2] @ of.pushed)
 
 
 def _place(of: Linearised, fraction: float) -> tuple[int, float]:

@@ -199,10 +199,10 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
 def bent_functions(n: int) -> dict[str, ca.Function]:
     """CasADi functions of (theta, kb, m, b) at a cross-section of n concentric tubes with a bending moment b (2,), N m.
 
-    `section`: M above u, bending energy.  `linear`: these and their derivatives, transposed, (n + 2, n + 2), (n + 2, 1)
-    with respect to theta and b; `linear_data`: those (2 n, n + 2), (2 n, 1) with respect to kb and m.  `mode`, with
-    further arguments g (2,), y (n,) and a softness c: second variation per length along a mode that turns the tubes by
-    y and bends by the moment g,
+    `section`: M above u.  `linear`: these and their derivative, transposed, (n + 2, n + 2) with respect to theta and b;
+    `linear_data`: that (2 n, n + 2) with respect to kb and m.  `energy`: bending energy per length and its gradient
+    (3 n + 2) with respect to all arguments.  `mode`, with further arguments g (2,), y (n,) and a softness c: second
+    variation per length along a mode that turns the tubes by y and bends by the moment g,
 
         y' (dM/dtheta) y - 2 g'(du/dtheta) y - c |g|^2 / sum kb,
 
@@ -212,14 +212,15 @@ def bent_functions(n: int) -> dict[str, ca.Function]:
     load, g, softness = ca.SX.sym("b", 2), ca.SX.sym("g", 2), ca.SX.sym("c")
     inputs, state, data = [theta, stiffness, moment, load], ca.vertcat(theta, load), ca.vertcat(stiffness, moment)
     section = cross_section(theta, stiffness, moment, load=load)
-    values = [ca.vertcat(section.moment, section.curvature), section.bending_energy]
+    values, energy = ca.vertcat(section.moment, section.curvature), section.bending_energy
     m_theta, u_theta = ca.jacobian(section.moment, theta), ca.jacobian(section.curvature, theta)
     mode = ca.bilin(m_theta, y, y) - 2 * g.T @ u_theta @ y - softness * ca.sumsqr(g) / ca.sum1(stiffness)
     mode_inputs = [*inputs, g, y, softness]
     table = {
-        "section": (inputs, values),
-        "linear": (inputs, [*values, *(ca.densify(ca.jacobian(value, state).T) for value in values)]),
-        "linear_data": (inputs, [ca.densify(ca.jacobian(value, data).T) for value in values]),
+        "section": (inputs, [values]),
+        "linear": (inputs, [values, ca.densify(ca.jacobian(values, state).T)]),
+        "linear_data": (inputs, [ca.densify(ca.jacobian(values, data).T)]),
+        "energy": (inputs, [energy, ca.densify(ca.gradient(energy, ca.vertcat(*inputs)))]),
         "mode": (mode_inputs, [mode, ca.densify(ca.gradient(mode, ca.vertcat(state, g)))]),
         "mode_data": (mode_inputs, [ca.densify(ca.gradient(mode, data))]),
     }

@@ -17,7 +17,7 @@ from ..arguments import typed
 from ..block.transcription.arm import evaluate_arm, profile
 from ..block.transcription.buffered import mapped
 from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate
-from ..block.transcription.responsive import Responsive
+from ..block.transcription.responsive import LinearisedArm
 from ..block.transcription.second_variation import least as least_value
 from ..display import Displayed
 from ..equilibrium.linearised import Linearised
@@ -416,7 +416,7 @@ def _linearised(
     """Derivatives of the certificate or margin with respect to PARAMETERS at a solved state."""
     arm = evaluate_arm(problem, rotations, state, profile(problem, rotations, state))
     names = tuple("translations" if name == "translation" else name for name in PARAMETERS)
-    return Linearised(Responsive(problem, rotations, state.theta, arm), robot.tubes, margin, names)
+    return Linearised(LinearisedArm(problem, rotations, state.theta, arm), robot.tubes, margin, names)
 
 
 def worst_of_pair(member: Unloaded, above: float) -> PlainPoint | None:

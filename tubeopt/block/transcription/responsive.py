@@ -22,20 +22,20 @@ import scipy
 
 from ...errors import SolveError
 from ...typing import Array, Index
-from .standing import Standing, cross, hat
+from .standing import ArmState, cross, hat
 
 
 @dataclass(frozen=True, eq=False)
 class Forcing:
     """Changes by Q parameters, at fixed arc lengths."""
 
-    base: Array
+    alpha: Array
     """Change (n, Q) of the rotations alpha."""
     transmission: Array
     """Change (n, Q) of int ds / kt from clamp to plate."""
     data: Array
     """Change (P, K, 3 n, Q) of phase, kb and m at the points."""
-    rate: Array
+    compliance: Array
     """Change (P, K, n, Q) of 1 / kt."""
     force: Array
     """Change (P, K, 3, Q) of the force."""
@@ -54,7 +54,7 @@ class Forced(NamedTuple):
     moment: Array
 
 
-class SectionChange(NamedTuple):
+class PointChanges(NamedTuple):
     """Changes at the points, by columns (P, K, r, C)."""
 
     torque: Array
@@ -63,24 +63,57 @@ class SectionChange(NamedTuple):
     """Change of m."""
     bending: Array
     """Change (P, K, n + 2, C) of t' above u."""
-    falling: Array
+    moment_rate: Array
     """Change of m'."""
-    turning: Array | None
+    twist: Array | None
     """Change of phi' at fixed t; None if phi' depends on torques only."""
 
 
-@dataclass(frozen=True, eq=False)
-class Maps:
+class Maps(NamedTuple):
     """Linear maps of P pieces with r = K (n + 2) unknowns each, phi and u at the points; without a load r = K n."""
 
     matrix: Array
     """Equations (P, r, r) of the unknowns."""
-    gathered: Array
+    end_by_unknowns: Array
     """State (P, 2 n + 6, r) at the end of a piece by its unknowns."""
-    inner: Array
+    unknowns: Array
     """Unknowns (P, r, 2 n + 6) by the state at the start."""
-    ends: Array
+    end: Array
     """State (P, 2 n + 6, 2 n + 6) at the end by the state at the start."""
+
+
+class Chain:
+    """Band matrix of the equations that join the pieces.
+
+    Args:
+        size: number of equations.
+        lower: number of diagonals below the main one.
+        upper: number of diagonals above it.
+    """
+
+    def __init__(self, size: int, lower: int, upper: int) -> None:
+        self.lower, self.upper = lower, upper
+        # LAPACK has entry (i, j) at lower + upper + i - j in the storage of column j: the first `lower` places are for
+        # what pivoting fills in. Read with columns that are one place shorter, the storage is the matrix.
+        depth = 2 * lower + upper + 1
+        self._storage = np.zeros((size, depth))
+        step, first = self._storage.itemsize, self._storage.itemsize * (lower + upper)
+        self.entries = np.ndarray((size, size), float, self._storage, first, (step, step * (depth - 1)))
+        """Matrix (size, size), to be read and written within the band only."""
+
+    def diagonal(self, k: int) -> Array:
+        """Entries (i, i + k), by columns i + k."""
+        return self._storage[:, self.lower + self.upper - k]
+
+    def solve(self, right: Array) -> Array | None:
+        """Solutions (size, C) for right-hand sides (size, C); None if the matrix is singular."""
+        *_, out, singular = scipy.linalg.lapack.dgbsv(self.lower, self.upper, self._storage.T, right)
+        return None if singular or not np.isfinite(out).all() else np.asarray(out)
+
+    def factorised(self) -> Callable[[Array], Array]:
+        """Function that solves for one right-hand side after another, even if the matrix is nearly singular."""
+        factors, pivots, _ = scipy.linalg.lapack.dgbtrf(self._storage.T, self.lower, self.upper)
+        return lambda right: scipy.linalg.lapack.dgbtrs(factors, self.lower, self.upper, right, pivots)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,224 +126,224 @@ class Response:
     """Rotations (P, K, n, Q) at the points."""
     psi: Array
     """Turn (P, K, 3, Q) of the frame at the points."""
-    felt: Callable[[], SectionChange]
+    point_changes: Callable[[], PointChanges]
     """Returns the changes at the points."""
-    across: tuple[Array, Array] | None
-    """Derivatives of b by psi and by m; None without a load."""
+    moment_slopes: Array | None
+    """Derivative (P, K, 2, 6) of b by psi and m; None without a load."""
 
     @cached_property
-    def _felt(self) -> SectionChange:
-        return self.felt()
+    def _changes(self) -> PointChanges:
+        return self.point_changes()
 
     @property
     def torque(self) -> Array:
         """Change (P, K, n, Q) of t."""
-        return self._felt.torque
+        return self._changes.torque
 
     @property
     def moment(self) -> Array:
         """Change (P, K, 3, Q) of m."""
-        return self._felt.moment
+        return self._changes.moment
 
     @cached_property
-    def bent(self) -> Array:
+    def bending_moment(self) -> Array:
         """Change (P, K, 2, Q) of b."""
-        if self.across is None:
+        if self.moment_slopes is None:
             return np.zeros((*self.psi.shape[:2], 2, self.psi.shape[3]))
-        by_turn, by_moment = self.across
-        return np.asarray(by_turn @ self.psi + by_moment @ self.moment)
+        return np.asarray(self.moment_slopes[..., :3] @ self.psi + self.moment_slopes[..., 3:] @ self.moment)
 
     @property
     def curvature(self) -> Array:
         """Change (P, K, 2, Q) of u."""
-        return self._felt.bending[..., -2:, :]
+        return self._changes.bending[..., -2:, :]
 
 
-class Responsive(Standing):
+class LinearisedArm(ArmState):
     """An arm in equilibrium, with its linearised response."""
 
     @property
     def size(self) -> int:
-        """Length of a state: rotations, turn of the frame, torques, moment; the chain has its rows `kept`."""
+        """Length of a state (phi, psi, t, m); the chain has its rows `chain_rows`."""
         return 2 * self.n + 6
 
     @property
     def unknowns(self) -> int:
         """Number r of unknowns of a piece: phi at its points and, under a load, u."""
-        return self.degree * (self.n if self.own == self.n else self.n + 2)
+        return self.degree * (self.n if self.load is None else self.n + 2)
 
     @cached_property
-    def _across(self) -> tuple[Array, Array]:
-        """Derivatives of b at the points by psi and by m."""
-        return self.across @ self.about_moment, self.across
+    def _moment_slopes(self) -> Array:
+        """Derivative (P, K, 2, 6) of b at the points by psi and m."""
+        # b = R'm changes by R'(dm + m x psi): the turn of the frame acts through m.
+        return np.concatenate([self.across @ self.about_moment, self.across], axis=3)
 
     @cached_property
-    def _leaning(self) -> Array:
+    def _moment_rate_slopes(self) -> Array:
         """Derivative (P, K, 3, 3) of m' by psi."""
         return np.asarray(hat(-self.force) @ self.about_axis)
 
     @cached_property
-    def _by(self) -> Array:
+    def _slopes(self) -> Array:
         """Derivative (P, K, n + 2, n + 2) of M and u by theta and b at the points."""
-        return self.at.by.reshape(self.pieces, self.degree, self.n + 2, self.n + 2)
+        return self.at.slopes.reshape(self.pieces, self.degree, self.n + 2, self.n + 2)
 
-    def _by_state(self, softness: float) -> tuple[Array, Array | None]:
-        """Derivatives (P, K, n + 2, own) of t' and u by (phi, psi) and, under a load, (P, K, n + 2, 3) by m."""
+    def _bending_slopes(self, softness: float) -> Array:
+        """Derivative of t' and u at the points by phi (P, K, n + 2, n), or by (phi, psi, m) (P, K, n + 2, n + 6)."""
         n = self.n
         if self.load is None:
-            return self._by[..., :n], None
-        by_bent = self._by[..., n:]
+            return self._slopes[..., :n]
+        by_moment = self._slopes[..., n:]
         if softness != 1.0:
-            by_bent = by_bent.copy()
-            by_bent[..., n:, :] *= softness
-        out = np.empty((self.pieces, self.degree, n + 2, n + 3))
-        out[..., :n] = self._by[..., :n]
-        by_moment = by_bent @ self.across
-        # b = R'm changes by R'(dm + m x psi): the turn of the frame acts through m.
-        np.matmul(by_moment, self.about_moment, out=out[..., n:])
-        if self.along is not None:
-            out[..., :n, n:] -= cross(self.axis[..., None, :], self.along)
-        return out, by_moment
+            by_moment = by_moment.copy()
+            by_moment[..., n:, :] *= softness
+        out = np.empty((self.pieces, self.degree, n + 2, n + 6))
+        out[..., :n] = self._slopes[..., :n]
+        np.matmul(by_moment, self._moment_slopes, out=out[..., n:])
+        if self.moment_density is not None:
+            out[..., :n, n : n + 3] -= cross(self.axis[..., None, :], self.moment_density)
+        return out
 
-    def _swept(self, matrix: Array, rates: Array) -> Array:
+    def _integrated(self, matrix: Array, rates: Array) -> Array:
         """Integrals (P, K, r, C) of rates (P, K, r, C), by the matrices (P, K, K) of the pieces."""
         out = matrix @ rates.reshape(self.pieces, self.degree, -1)
         return np.asarray(out.reshape(rates.shape))
 
-    def _felt(
-        self, q: Array, starts: tuple[Array, Array], forced: Forced | None, softness: float = 1.0
-    ) -> SectionChange:
-        """Changes at the points by those of (phi, psi) there, q (P, K, own, C).
+    def _point_changes(self, q: Array, starts: Array, forced: Forced | None, softness: float = 1.0) -> PointChanges:
+        """Changes at the points by those of (phi, psi) there, without a load of phi.
 
         Args:
-            starts: changes of t and m where the pieces begin, (P or 1, 1, r, C).  forced: forced parts.
+            q: changes (P, K, half, C) at the points.
+            starts: changes (P or 1, 1, half, C) of t and m where the pieces begin.
+            forced: forced parts.
+            softness: factor on the compliance.
         """
-        n, (by_state, by_moment) = self.n, self._by_state(softness)
-        bending = by_state @ q
-        if by_moment is None:
-            moment = falling = np.zeros((self.pieces, self.degree, 3, q.shape[3]))
+        n, half, slopes = self.n, self.half, self._bending_slopes(softness)
+        bending = slopes[..., :half] @ q
+        if self.load is None:
+            moment = moment_rate = np.zeros((self.pieces, self.degree, 3, q.shape[3]))
         else:
-            falling = self._leaning @ q[..., n:, :]
+            moment_rate = self._moment_rate_slopes @ q[..., n:, :]
             if forced is not None:
-                falling += forced.moment
-            moment = self._swept(self.back, falling)
-            moment += starts[1]
-            bending += by_moment @ moment
+                moment_rate += forced.moment
+            moment = self._integrated(self.back, moment_rate)
+            moment += starts[:, :, n:]
+            bending += slopes[..., half:] @ moment
         if forced is not None:
             bending[..., :n, :] += forced.torque
             bending[..., n:, :] += forced.curvature
-        torque = self._swept(self.back, bending[..., :n, :])
-        torque += starts[0]
-        turning = None if self.coupled is None else self.coupled @ q[..., :n, :]
+        torque = self._integrated(self.back, bending[..., :n, :])
+        torque += starts[:, :, :n]
+        twist = None if self.twist_slopes is None else self.twist_slopes @ q[..., :n, :]
         if forced is not None:
-            turning = forced.phi if turning is None else turning + forced.phi
-        return SectionChange(torque, moment, bending, falling, turning)
+            twist = forced.phi if twist is None else twist + forced.phi
+        return PointChanges(torque, moment, bending, moment_rate, twist)
 
-    def _unforced(self, softness: float) -> SectionChange:
-        """`_felt` by columns of phi and u at the points, then of the state where pieces begin."""
-        n, k, own, size, inner = self.n, self.degree, self.own, 2 * self.own, self.unknowns
-        begin = _units(size, inner + size, inner)
-        starts = begin[own : own + n], begin[own + n :]
-        q = np.empty((self.pieces, k, own, inner + size))
-        q[:] = _own_units(n, k, own)
-        if own > n:  # psi is the integral of R u
-            turned = self.frame[:, None, :, :, :2].swapaxes(2, 3)
-            np.multiply(self.ahead[:, :, None, :, None], turned, out=q[..., n:, k * n : inner].reshape(-1, k, 3, k, 2))
-        return self._felt(q, starts, None, softness)
-
-    def _ended(self, felt: SectionChange, softness: float) -> tuple[Array, Array]:
-        """Integrals of the rates of phi up to the points, above u there (P, r, C), and of the state (P, 2 own, C)."""
-        n, own, k, count = self.n, self.own, self.degree, felt.torque.shape[-1]
-        there, end = np.empty((self.pieces, self.unknowns, count)), np.empty((self.pieces, 2 * own, count))
-        rates = softness * self.winding[..., None] * felt.torque
-        if felt.turning is not None:
-            rates += felt.turning
-        parts = [(rates, slice(n)), (felt.bending[..., :n, :], slice(own, own + n))]
-        if own > n:
-            bends = felt.bending[..., n:, :]
-            there[:, k * n :].reshape(self.pieces, k, 2, count)[:] = bends
-            parts += [(self.frame[..., :2] @ bends, slice(n, own)), (felt.falling, slice(own + n, None))]
-        weights = self.weights[:, None]
-        for part, rows in parts:
-            np.matmul(weights, part.reshape(self.pieces, k, -1), out=end[:, rows].reshape(self.pieces, 1, -1))
-        np.matmul(self.ahead, rates.reshape(self.pieces, k, -1), out=there[:, : k * n].reshape(self.pieces, k, -1))
-        return there, end
+    def _integrals(self, changes: PointChanges, softness: float) -> tuple[Array, Array]:
+        """Integrals of phi' up to the points, above u there (P, r, C), and of the rates of the state (P, 2 half, C)."""
+        n, half, k, count = self.n, self.half, self.degree, changes.torque.shape[-1]
+        rates = np.empty((self.pieces, k, 2 * half, count))
+        np.multiply((softness * self.twist_compliance)[..., None], changes.torque, out=rates[..., :n, :])
+        if changes.twist is not None:
+            rates[..., :n, :] += changes.twist
+        rates[..., half : half + n, :] = changes.bending[..., :n, :]
+        inner = np.empty((self.pieces, self.unknowns, count))
+        if self.load is not None:
+            curvature = changes.bending[..., n:, :]
+            inner[:, k * n :].reshape(self.pieces, 2, k, count)[:] = curvature.swapaxes(1, 2)
+            np.matmul(self.frame[..., :2], curvature, out=rates[..., n:half, :])
+            rates[..., half + n :, :] = changes.moment_rate
+        phi_rates = rates[..., :n, :].reshape(self.pieces, k, -1)
+        np.matmul(self.ahead, phi_rates, out=inner[:, : k * n].reshape(self.pieces, k, -1))
+        end = self.weights[:, None] @ rates.reshape(self.pieces, k, -1)
+        return inner, end.reshape(self.pieces, 2 * half, count)
 
     def _maps(self, softness: float) -> Maps:
-        """Linear maps of all pieces, softened by a factor."""
-        n, k, size, inner = self.n, self.degree, 2 * self.own, self.unknowns
-        there, end = self._ended(self._unforced(softness), softness)
-        # A state adds itself to what it makes of phi at every point, and of itself at the end.
-        next_row = inner + size + 1
-        there[:, : k * n].reshape(self.pieces, k, -1)[..., inner::next_row] += 1.0
-        # The state at the end is that at the beginning and the integral of its rates.
-        end.reshape(self.pieces, -1)[:, inner::next_row] += 1.0
-        self._past(end, 1)
+        """Linear maps of all pieces, softened by a factor.
+
+        Columns are phi and u at the points, (K, n) and (2, K), then the state where the piece begins.
+        """
+        n, k, half, size, r = self.n, self.degree, self.half, 2 * self.half, self.unknowns
+        q = np.empty((self.pieces, k, half, r + size))
+        q[:] = _units_at_points(n, k, half)
+        if self.load is not None:
+            # psi is the integral of R u: axis x or y of the frame at every point.
+            axes = self.frame[..., :2].transpose(0, 2, 3, 1)[:, None].copy()
+            np.multiply(self.ahead[:, :, None, None], axes, out=q[..., n:, k * n : r].reshape(-1, k, 3, 2, k))
+        starts = _units(half, r + size, r + half)[None, None]
+        inner, end = self._integrals(self._point_changes(q, starts, None, softness), softness)
+        # The start of a piece adds itself to phi at every point, and to the state at the end.
+        next_row = r + size + 1
+        inner[:, : k * n].reshape(self.pieces, k, -1)[..., r::next_row] += 1.0
+        end.reshape(self.pieces, -1)[:, r::next_row] += 1.0
+        self._turn_joint_moments(end, 1)
         # Equations of the points: unknowns less their own integrals; eliminated piece by piece.
-        matrix = -there[..., :inner]
-        matrix.reshape(self.pieces, -1)[:, :: inner + 1] += 1.0
-        solved = np.asarray(np.linalg.solve(matrix, there[..., inner:]))
-        ends = end[..., inner:] + end[..., :inner] @ solved
-        return Maps(matrix, end[..., :inner], solved, ends)
+        matrix = -inner[..., :r]
+        matrix.reshape(self.pieces, -1)[:, :: r + 1] += 1.0
+        unknowns = np.asarray(np.linalg.solve(matrix, inner[..., r:]))
+        return Maps(matrix, end[..., :r], unknowns, end[..., r:] + end[..., :r] @ unknowns)
 
     @cached_property
-    def _standing_maps(self) -> Maps:
+    def _unsoftened_maps(self) -> Maps:
         """Linear maps without softening."""
         return self._maps(1.0)
 
     def _forced_maps(self, forced: Forced) -> tuple[Array, Array]:
-        """Forced phi and u at the points (P, r, C), and states at the ends of the pieces (P, 2 own, C)."""
-        count, maps = forced.phi.shape[-1], self._standing_maps
-        none = np.zeros((1, self.degree, self.own, count)), (np.zeros((self.n, count)), np.zeros((3, count)))
-        there, end = self._ended(self._felt(*none, forced), 1.0)
-        solved = np.asarray(np.linalg.solve(maps.matrix, there))
-        return solved, self._past(end, 1) + maps.gathered @ solved
+        """Forced phi and u at the points (P, r, C), and states at the ends of the pieces (P, 2 half, C)."""
+        maps = self._unsoftened_maps
+        none = np.zeros((1, self.degree, self.half, forced.phi.shape[-1]))
+        inner, end = self._integrals(self._point_changes(none, none[:, :1], forced), 1.0)
+        solved = np.asarray(np.linalg.solve(maps.matrix, inner))
+        return solved, self._turn_joint_moments(end, 1) + maps.end_by_unknowns @ solved
 
-    def _past(self, states: Array, first: int) -> Array:
-        """States (P + 1 - first, 2 own, C) at the ends of pieces from number `first`, after the moments that act there.
+    def _turn_joint_moments(self, states: Array, first: int) -> Array:
+        """States (P + 1 - first, 2 half, C) at the ends of pieces from number `first`, behind the moments there.
 
         They are changed in place, from the side of the plate to that of the tip.
         """
-        for k, tube, moment in self.joints:
-            if k >= first:
-                turn = states[k - first, self.n : self.n + 3]
-                states[k - first, self.own + tube] -= cross(self.end_frame[k, :, 2], moment) @ turn
+        for piece, tube, moment in self.joint_moments:
+            if piece >= first:
+                psi = states[piece - first, self.n : self.n + 3]
+                states[piece - first, self.half + tube] -= cross(self.end_frame[piece, :, 2], moment) @ psi
         return states
 
-    def _system(self, softness: float, ends: Array, turns: Array | None = None) -> Array:
-        """Matrix of the chain, for torques and moment (own) at the plate and the states (P, 2 own) where pieces begin.
+    def _chain(self, softness: float, ends: Array, turns: Array | None = None) -> Chain:
+        """Equations of (t, m) at the plate (half) and the states (P, 2 half) at the ends of the pieces.
 
         Args:
-            turns: change (P, 2 own, 3) of the states by a turn of the tip, with which a follower force turns.
+            softness: factor on the compliance.
+            ends: maps (P, 2 half, 2 half) from the start of a piece to its end.
+            turns: change (P, 2 half, 3) of the states by a turn of the tip, with which a follower force turns.
         """
-        n, size, own, pieces = self.n, 2 * self.own, self.own, self.pieces
-        total = own + pieces * size
-        matrix = np.zeros((total, total))
-        matrix[: pieces * size].reshape(-1)[own :: total + 1] = 1.0
-        matrix[:size, :own] = -ends[0, :, own:]
-        # At the plate theta turns by the transmission times the torque, which is unknown there.
+        n, half, size = self.n, self.half, 2 * self.half
+        total = half + self.pieces * size
+        chain = Chain(total, 3 * half - 1, half if turns is None else total - 1)
+        matrix = chain.entries
+        # States at the ends of the pieces.
+        chain.diagonal(half)[half:] = 1.0
+        # Less those at their starts by the maps; theta at the plate turns by the transmission times the torque there.
+        matrix[:size, :half] = -ends[0, :, half:]
         matrix[:size, :n] -= ends[0, :, :n] * (softness * self.transmission)
-        for k in range(1, pieces):
-            matrix[k * size : (k + 1) * size, own + (k - 1) * size : own + k * size] = -ends[k]
+        for k in range(1, self.pieces):
+            matrix[k * size : (k + 1) * size, half + (k - 1) * size : half + k * size] = -ends[k]
+        last, tip_rows = total - size, slice(total - half, total)
         if turns is not None:
-            turn = slice(total - size + n, total - size + own)
-            matrix[: pieces * size, turn] -= turns.reshape(-1, 3)
-        last, rows = total - size, slice(pieces * size, total)
-        matrix[rows].reshape(-1)[last + own :: total + 1] = 1.0
-        if own == n:
-            return matrix
-        tip = matrix[rows, last + n : last + own]
-        if self.following:
+            matrix[: total - half, last + n : last + half] -= turns.reshape(-1, 3)
+        # At the tip t and m do not change, but with the load and the frame.
+        chain.diagonal(0)[tip_rows] = 1.0
+        if self.load is None:
+            return chain
+        by_psi = matrix[tip_rows, last + n : last + half]
+        if self.follower:
             # A moment that turns with the tip changes by psi x m.
-            tip[n:] += hat(self.tip_moment)
+            by_psi[n:] += hat(self.tip_moment)
         elif self.tip_moment.any():
-            tip[self.tip_tube] -= cross(self.end_frame[-1, :, 2], self.tip_moment)
-        return matrix
+            by_psi[self.tip_tube] -= cross(self.end_frame[-1, :, 2], self.tip_moment)
+        return chain
 
     @cached_property
-    def turning(self) -> Array | None:
+    def _follower_slopes(self) -> Array | None:
         """Derivative (P, K, 3, 3) of m' by the turn of the tip under a follower force; None under dead forces."""
-        if not (self.following and self.tip_force.any()):
+        if not (self.follower and self.tip_force.any()):
             return None
         return np.asarray(self.about_axis @ hat(self.tip_force))
 
@@ -320,131 +353,141 @@ class Responsive(Standing):
         Raises:
             SolveError: the equilibrium is a fold.
         """
-        n, own, size, count = self.n, self.own, 2 * self.own, forcing.base.shape[1]
-        first = np.zeros((size, count))
-        first[:n] = forcing.base + forcing.transmission * self.torque_plate_side[0][:, None]
+        n, half, size, count = self.n, self.half, 2 * self.half, forcing.alpha.shape[1]
+        start = np.zeros((size, count))
+        start[:n] = forcing.alpha + forcing.transmission * self.torque_plate_side[0][:, None]
         if not self.pieces:
-            nothing = [np.zeros((0, self.degree, rows, count)) for rows in (n, 3, n + 2)]
-            # Torques at the plate twist the transmissions.
-            state, torque = forcing.jumps.copy(), slice(n + 3, 2 * n + 3)
-            state[0, :n] += first[:n] - self.transmission[:, None] * state[0, torque]
-            state[0, torque] = 0.0
-            felt = SectionChange(nothing[0], nothing[1], nothing[2], nothing[1], None)
-            return Response(state, nothing[0], nothing[1], lambda: felt, None)
+            return self._response_without_arm(forcing.jumps, start[:n])
         forced, columns = self._forced(forcing)
-        maps, turned = self._standing_maps, self._turns
-        inner, gained = (None, None) if forced is None else self._forced_maps(forced)
-        matrix = self._system(1.0, maps.ends, None if gained is None or not turned else gained[..., :turned])
-        right, jumps = np.zeros((len(matrix), count)), forcing.jumps[:, self.kept]
+        maps, turned = self._unsoftened_maps, 0 if self._follower_slopes is None else 3
+        inner, ends = (None, None) if forced is None else self._forced_maps(forced)
+        chain = self._chain(1.0, maps.end, ends[..., :turned] if ends is not None and turned else None)
+        jumps = forcing.jumps[:, self.chain_rows]
         if forcing.side < 0:
-            self._past(jumps, 0)
-        start = first + jumps[0]
-        table = right[: self.pieces * size].reshape(self.pieces, size, count)
-        if gained is not None:
-            table[..., columns] = gained[..., turned:]
+            self._turn_joint_moments(jumps, 0)
+        start += jumps[0]
+        right = np.zeros((half + self.pieces * size, count))
+        table = right[:-half].reshape(self.pieces, size, count)
+        if ends is not None:
+            table[..., columns] = ends[..., turned:]
         # The known part at the plate enters the right-hand side through the first piece.
-        table[0] += maps.ends[0] @ start
+        table[0] += maps.end[0] @ start
         table += jumps[1:]
-        *_, result, singular = scipy.linalg.lapack.dgesv(matrix, right)
-        if singular or not np.isfinite(result).all():
+        result = chain.solve(right)
+        if result is None:
             raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
-        state = np.empty((self.pieces + 1, size, count))
-        state[1:] = result[own:].reshape(self.pieces, size, count)
-        state[0] = start
-        state[0, own:] += result[:own]
-        state[0, :n] += self.transmission[:, None] * result[:n]
-        q = maps.inner @ state[:-1]
-        wide = None
+        state = self._states(result, 1.0)
+        state[0] += start
+        q = maps.unknowns @ state[:-1]
+        all_forced = None
         if forced is not None and inner is not None:
             q[..., columns] += inner[..., turned:]
-            wide = Forced(*(np.zeros((*part.shape[:3], count)) for part in forced))
-            for whole, part in zip(wide, forced, strict=True):
-                whole[..., columns] = part[..., turned:]
-            if self.turning is not None:
-                turn = state[-1, n : n + 3]
-                q += inner[..., :turned] @ turn
-                wide.moment[:] += self.turning @ turn
+            all_forced = Forced(*(np.zeros((*part.shape[:3], count)) for part in forced))
+            for into, part in zip(all_forced, forced, strict=True):
+                into[..., columns] = part[..., turned:]
+            if self._follower_slopes is not None:
+                tip_turn = state[-1, n : n + 3]
+                q += inner[..., :turned] @ tip_turn
+                all_forced.moment[:] += self._follower_slopes @ tip_turn
         if self.load is None:
-            state = self._whole(state)
+            state = self._full_states(state)
             state[:, n : n + 3] = forcing.jumps[:, n : n + 3]
-        return self._along(state, q, wide, 1.0)
+        return self._response(state, q, all_forced, 1.0)
 
-    def _whole(self, state: Array) -> Array:
-        """States (P + 1, 2 n + 6, Q) from those in the chain (P + 1, 2 own, Q): without a load psi and m are 0."""
+    def _response_without_arm(self, jumps: Array, turn: Array) -> Response:
+        """Response of an arm of length zero, whose plate turns the tubes by `turn` (n, Q)."""
+        n, count = self.n, turn.shape[1]
+        phi, vector, bending = (np.zeros((0, self.degree, rows, count)) for rows in (n, 3, n + 2))
+        # Torques at the plate twist the transmissions.
+        state, torque = jumps.copy(), slice(n + 3, 2 * n + 3)
+        state[0, :n] += turn - self.transmission[:, None] * state[0, torque]
+        state[0, torque] = 0.0
+        changes = PointChanges(phi, vector, bending, vector, None)
+        return Response(state, phi, vector, lambda: changes, None)
+
+    def _states(self, result: Array, softness: float) -> Array:
+        """States (P + 1, 2 half, C) where pieces begin, from a solution (half + P 2 half, C) of the chain."""
+        n, half = self.n, self.half
+        state = np.zeros((self.pieces + 1, 2 * half, result.shape[1]))
+        state[1:] = result[half:].reshape(self.pieces, 2 * half, -1)
+        state[0, half:] = result[:half]
+        state[0, :n] = (softness * self.transmission)[:, None] * result[:n]
+        return state
+
+    def _full_states(self, state: Array) -> Array:
+        """States (P + 1, 2 n + 6, Q) from those in the chain (P + 1, 2 half, Q): without a load psi and m are 0."""
         out = np.zeros((len(state), self.size, state.shape[2]))
-        out[:, self.kept] = state
+        out[:, self.chain_rows] = state
         return out
-
-    @property
-    def _turns(self) -> int:
-        """Number of columns of the turn of the tip."""
-        return 0 if self.turning is None else 3
 
     def _forced(self, forcing: Forcing) -> tuple[Forced | None, Index]:
         """Forced parts at the points by the turn of the tip and by some of the changes, and the numbers of these."""
-        extra, parts = self._turns, (forcing.data, forcing.rate, forcing.force)
-        if not extra and not any(part.any() for part in parts):
+        parts = forcing.data, forcing.compliance, forcing.force
+        if self._follower_slopes is None and not any(part.any() for part in parts):
             return None, np.zeros(0, dtype=np.intp)
-        some = [part.any((0, 1, 2)) for part in parts]
-        columns: Index = np.flatnonzero(some[0] | some[1] | some[2])
-        data, rate, force = (part[..., columns] for part in parts)
-        by_data = self.by_data
-        turning = rate * self.stretched[..., None]
+        changed = [part.any((0, 1, 2)) for part in parts]
+        columns: Index = np.flatnonzero(changed[0] | changed[1] | changed[2])
+        data, compliance, force = (part[..., columns] for part in parts)
+        by_data = self.data_slopes
+        phi = compliance * self.stretched_torque[..., None]
         if by_data.rotation_rate is not None:
-            turning += by_data.rotation_rate @ data
-        forced = [turning, by_data.torque @ data, by_data.curvature @ data, -self.about_axis @ force]
-        if self.turning is not None:
+            phi += by_data.rotation_rate @ data
+        forced = Forced(phi, by_data.torque @ data, by_data.curvature @ data, -self.about_axis @ force)
+        if self._follower_slopes is not None:
             # Three more columns: a follower force changes with the unknown turn of the tip.
-            forced = [np.concatenate([np.zeros((*p.shape[:3], extra)), p], axis=3) for p in forced]
-            forced[3][..., :extra] = self.turning
-        return Forced(*forced), columns
+            forced = Forced(*(np.concatenate([np.zeros((*part.shape[:3], 3)), part], axis=3) for part in forced))
+            forced.moment[..., :3] = self._follower_slopes
+        return forced, columns
 
-    def _along(self, state: Array, q: Array, forced: Forced | None, softness: float) -> Response:
+    def _response(self, state: Array, q: Array, forced: Forced | None, softness: float) -> Response:
         """Response from states (P + 1, 2 n + 6, Q), and phi and u at the points (P, r, Q).
 
         Without a load the states have the jumps of psi between the pieces in place of psi.
         """
-        n, k, begin = self.n, self.degree, state[:-1, None]
-        phi = q[:, : k * n].reshape(self.pieces, k, n, -1)
-        starts = begin[:, :, n + 3 : 2 * n + 3], begin[:, :, 2 * n + 3 :]
+        n, k, pieces = self.n, self.degree, self.pieces
+        phi, starts = q[:, : k * n].reshape(pieces, k, n, -1), state[:-1, None, n + 3 :]
         if self.load is not None:
-            psi = self._turned(state, q[:, k * n :].reshape(self.pieces, k, 2, -1))
-            of_both = lambda: self._felt(np.concatenate([phi, psi], axis=2), starts, forced, softness)  # noqa: E731
-            return Response(state, phi, psi, of_both, self._across)
-        felt = self._felt(phi, starts, forced, softness)
-        bends = felt.bending[..., n:, :]
-        gained = self.weights[:, None] @ (self.frame[..., :2] @ bends).reshape(self.pieces, k, -1)
-        state[1:, n : n + 3] += gained.reshape(self.pieces, 3, -1)
+            psi = self._psi(state, q[:, k * n :].reshape(pieces, 2, k, -1).swapaxes(1, 2))
+
+            def at_points() -> PointChanges:
+                return self._point_changes(np.concatenate([phi, psi], axis=2), starts, forced, softness)
+
+            return Response(state, phi, psi, at_points, self._moment_slopes)
+        changes = self._point_changes(phi, starts, forced, softness)
+        curvature = changes.bending[..., n:, :]
+        turns = self.weights[:, None] @ (self.frame[..., :2] @ curvature).reshape(pieces, k, -1)
+        state[1:, n : n + 3] += turns.reshape(pieces, 3, -1)
         # Without a load psi acts on nothing, so that it is summed afterwards.
         state[:, n : n + 3] = np.cumsum(state[:, n : n + 3], axis=0)
-        return Response(state, phi, self._turned(state, bends), lambda: felt, None)
+        return Response(state, phi, self._psi(state, curvature), lambda: changes, None)
 
-    def _turned(self, state: Array, bends: Array) -> Array:
-        """Turn psi (P, K, 3, Q) at the points, from states and u (P, K, 2, Q)."""
-        return np.asarray(state[:-1, None, self.n : self.n + 3] + self._swept(self.ahead, self.frame[..., :2] @ bends))
+    def _psi(self, state: Array, curvature: Array) -> Array:
+        """Turn psi (P, K, 3, Q) at the points, from states and changes of u (P, K, 2, Q)."""
+        turns = self._integrated(self.ahead, self.frame[..., :2] @ curvature)
+        return np.asarray(state[:-1, None, self.n : self.n + 3] + turns)
 
-    def wound(self, response: Response, forcing: Forcing, piece: int) -> Array:
+    def twist_change(self, response: Response, forcing: Forcing, piece: int) -> Array:
         """Change (K, n, Q) of phi' at the points of a piece."""
-        out = self.winding[piece, ..., None] * response.torque[piece]
-        out += self.stretched[piece, ..., None] * forcing.rate[piece]
-        if self.coupled is not None:
-            out += self.coupled[piece] @ response.phi[piece]
-            by_data = self.by_data.rotation_rate
+        out = self.twist_compliance[piece, ..., None] * response.torque[piece]
+        out += self.stretched_torque[piece, ..., None] * forcing.compliance[piece]
+        if self.twist_slopes is not None:
+            out += self.twist_slopes[piece] @ response.phi[piece]
+            by_data = self.data_slopes.rotation_rate
             assert by_data is not None
             out += by_data[piece] @ forcing.data[piece]
         return np.asarray(out)
 
-    def pulled(self, pull: Array, softness: float) -> Response:
-        """Mode without bending whose torque grows by `pull` (P, K, n) per length from the tip, one column."""
+    def torsion_mode(self, decrease: Array, softness: float) -> Response:
+        """Mode without bending, one column, with torques that fall by `decrease` (P, K, n) per length towards the tip."""
         n = self.n
-        torque, tip_side, _ = self._inwards(-pull, np.zeros(n))
-        rates, state = softness * self.rate * torque, np.zeros((self.pieces + 1, self.size, 1))
-        whole = np.concatenate([softness * self.transmission * tip_side[:1], (self.weights[..., None] * rates).sum(1)])
-        state[:, :n, 0], state[:, n + 3 : 2 * n + 3, 0] = np.cumsum(whole, axis=0), tip_side
+        torque, tip_side, _ = self._from_tip(decrease, np.zeros(n))
+        rates, state = softness * self.compliance * torque, np.zeros((self.pieces + 1, self.size, 1))
+        turns = np.concatenate([softness * self.transmission * tip_side[:1], (self.weights[..., None] * rates).sum(1)])
+        state[:, :n, 0], state[:, n + 3 : 2 * n + 3, 0] = np.cumsum(turns, axis=0), tip_side
         phi = state[:-1, None, :n, 0] + self.ahead @ rates
         none = np.zeros((*self.axis.shape[:2], n + 2, 1))
-        felt = SectionChange(torque[..., None], none[..., :3, :], none, none[..., :3, :], None)
-        return Response(state, phi[..., None], none[..., :3, :], lambda: felt, None)
+        changes = PointChanges(torque[..., None], none[..., :3, :], none, none[..., :3, :], None)
+        return Response(state, phi[..., None], none[..., :3, :], lambda: changes, None)
 
     def mode(self, margin: float, *, one_of_two: bool = False) -> tuple[Response, float] | None:
         """Buckling mode of the arm softened by its margin, one column, and the factor 1 / (1 - margin).
@@ -458,20 +501,18 @@ class Responsive(Standing):
             shifted = margin - SHIFT
             softness = 1 / (1 - shifted)
             maps = self._maps(softness)
-            matrix = self._system(softness, maps.ends)
-            angle = np.arange(len(matrix), dtype=float)
-            factors, pivots, _ = scipy.linalg.lapack.dgetrf(matrix)
+            solve = self._chain(softness, maps.end).factorised()
+            angle = np.arange(self.half * (1 + 2 * self.pieces), dtype=float)
             # Irregular starts, so that symmetry makes none orthogonal to a mode; the second shows other modes.
-            right = np.column_stack([np.cos(angle), np.sin(angle)])
-            grown = scipy.linalg.lapack.dgetrs(factors, pivots, right)[0]
+            grown = solve(np.column_stack([np.cos(angle), np.sin(angle)]))
             size = np.abs(grown[:, 0]).max()
-            result = scipy.linalg.lapack.dgetrs(factors, pivots, grown[:, 0] / size)[0]
+            result = solve(grown[:, 0] / size)
             result /= np.abs(result).max()
             # Part of the second start that is not the first mode.
             second = np.abs(grown[:, 1] - result * ((result @ grown[:, 1]) / (result @ result))).max()
-            state = self._state(result, softness)
-            inner = maps.inner @ state[:-1]
-            mode = self._along(state if self.own > self.n else self._whole(state), inner, None, softness)
+            state = self._states(result[:, None], softness)
+            q = maps.unknowns @ state[:-1]
+            mode = self._response(self._full_states(state) if self.load is None else state, q, None, softness)
             margin = self.quotient(mode, softness)
             # Every mode grows by one over the distance of its eigenvalue from the shift.
             if abs(margin - shifted) * size < DOUBLE * second:
@@ -482,27 +523,19 @@ class Responsive(Standing):
                 break
         return (mode, softness) if abs(margin - known) < SAME_MODE else None
 
-    def _state(self, result: Array, softness: float) -> Array:
-        """States (P + 1, 2 own, 1) where pieces begin, from a solution of the chain."""
-        n, own = self.n, self.own
-        state = np.zeros((self.pieces + 1, 2 * own, 1))
-        state[1:, :, 0] = result[own:].reshape(self.pieces, 2 * own)
-        state[0, own:, 0] = result[:own]
-        state[0, :n, 0] = softness * self.transmission * result[:n]
-        return state
-
     def elastic(self, mode: Response, softness: float) -> float:
         """Elastic part T of the second variation along a mode of one column, J."""
-        torque, bent, held = mode.torque[..., 0], mode.bent[..., 0], mode.state[0, self.n + 3 : 2 * self.n + 3, 0]
+        torque, b = mode.torque[..., 0], mode.bending_moment[..., 0]
+        plate_torque = mode.state[0, self.n + 3 : 2 * self.n + 3, 0]
         # int t^2 / kt + |b|^2 / K: energies by torques and moments, of an elasticity softened by the factor.
-        density = (self.rate * torque**2).sum(2) + (bent**2).sum(2) / self.stiffness.sum(2)
-        return float(softness**2 * ((self.weights * density).sum() + self.transmission @ held**2))
+        density = (self.compliance * torque**2).sum(2) + (b**2).sum(2) / self.stiffness.sum(2)
+        return float(softness**2 * ((self.weights * density).sum() + self.transmission @ plate_torque**2))
 
     def quotient(self, mode: Response, softness: float) -> float:
         """Ratio of the second variation to its elastic part T along a mode of one column."""
-        y, psi, curved = (part[..., 0] for part in (mode.phi, mode.psi, mode.curvature))
-        bending = (self.frame[..., :2] @ curved[..., None])[..., 0]
-        form = (y * (self._by[..., : self.n, : self.n] @ y[..., None])[..., 0]).sum(2)
+        y, psi, curvature = (part[..., 0] for part in (mode.phi, mode.psi, mode.curvature))
+        bending = (self.frame[..., :2] @ curvature[..., None])[..., 0]
+        form = (y * (self._slopes[..., : self.n, : self.n] @ y[..., None])[..., 0]).sum(2)
         if self.load is not None:
             # Work of the forces and moments in the second order of the turn psi.
             form -= (self.force * cross(psi, cross(psi, self.axis)) + self.moment * cross(psi, bending)).sum(2)
@@ -526,12 +559,12 @@ DOUBLE = 1e-9
 
 
 @lru_cache(maxsize=64)
-def _own_units(n: int, degree: int, own: int) -> Array:
-    """Read-only (K, own, r + 2 own): phi and psi at the points by phi there, and by the state at the start."""
-    inner = degree * (n if own == n else n + 2)
-    out = np.zeros((degree, own, inner + 2 * own))
+def _units_at_points(n: int, degree: int, half: int) -> Array:
+    """Read-only (K, half, r + 2 half): phi and psi at the points by phi there, and by the state at the start."""
+    r = degree * (n if half == n else n + 2)
+    out = np.zeros((degree, half, r + 2 * half))
     out[:, :n, : degree * n] = np.eye(degree * n).reshape(degree, n, -1)
-    out[:, n:, inner + n : inner + own] = np.eye(own - n)
+    out[:, n:, r + n : r + half] = np.eye(half - n)
     return out
 
 

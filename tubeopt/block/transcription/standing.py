@@ -12,7 +12,6 @@ Of eccentric tubes phi' = g t / kt, with the stretch g, and no load acts on them
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -28,109 +27,134 @@ from .reduced import ReducedProblem
 # --- Cross-sections that carry a bending moment -----------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Sections:
-    """Cross-sections at X points, with their derivatives by theta and b."""
+class SectionInputs(NamedTuple):
+    """Arguments of the functions of cross-sections, at X points."""
 
-    values: Array
-    """Torque per length above curvature (X, n + 2)."""
-    energy: Array
-    """Bending energy per length (X,)."""
-    by: Array
-    """Derivative (X, n + 2, n + 2) of the values."""
-    by_energy: Array
-    """Derivative (X, n + 2) of the energy."""
-    stretch: Array
-    """Stretch (X, n)."""
-    by_stretch: Array | None = None
-    """Derivative (X, n, n) of the stretch of eccentric tubes by theta, else None."""
-
-    @property
-    def torque(self) -> Array:
-        """Torque per length (X, n), N."""
-        return self.values[:, :-2]
-
-    @property
-    def curvature(self) -> Array:
-        """Curvature (X, 2), 1/m."""
-        return self.values[:, -2:]
-
-    @property
-    def by_torque(self) -> Array:
-        """Derivative (X, n, n + 2) of the torque."""
-        return self.by[:, :-2]
-
-    @property
-    def by_curvature(self) -> Array:
-        """Derivative (X, 2, n + 2) of the curvature."""
-        return self.by[:, -2:]
-
-
-SectionInputs = tuple[Array, Array, Array, Array]
-"""theta, kb, m (X, n) and b (X, 2) at X points."""
+    theta: Array
+    """Rotations (X, n), rad."""
+    stiffness: Array
+    """Bending stiffnesses kb (X, n), N m^2."""
+    natural_moment: Array
+    """Moments m_i = kb_i kappa_i (X, n) that straighten the tubes, N m."""
+    bending_moment: Array
+    """Moment b (X, 2) on the cross-section, in its axes, N m."""
 
 
 class SectionValues(NamedTuple):
-    """Cross-sections at X points, without derivatives."""
+    """Cross-sections at X points."""
 
     torque: Array
-    """Torque per length (X, n), N."""
+    """Torque per length M (X, n), N."""
     curvature: Array
-    """Curvature (X, 2), 1/m."""
-    energy: Array
-    """Bending energy per length (X,), N."""
+    """Curvature u (X, 2), 1/m."""
     stretch: Array
-    """Stretch (X, n)."""
+    """Stretch g (X, n), 1 of concentric tubes."""
 
 
-def values_of(inputs: SectionInputs, offsets: tuple[Array, ...]) -> SectionValues:
-    """Cross-sections without derivatives; arguments as of `sections_of`."""
-    count, n = inputs[0].shape
+class Sections(NamedTuple):
+    """Cross-sections at X points with their derivatives by theta and b."""
+
+    torque: Array
+    """Torque per length M (X, n), N."""
+    curvature: Array
+    """Curvature u (X, 2), 1/m."""
+    stretch: Array
+    """Stretch g (X, n), 1 of concentric tubes."""
+    slopes: Array
+    """Derivative (X, n + 2, n + 2) of M above u."""
+    stretch_slopes: Array | None
+    """Derivative (X, n, n) of the stretch of eccentric tubes by theta, else None."""
+
+
+class SectionDataSlopes(NamedTuple):
+    """Derivatives of cross-sections at X points by kb and m (2 n)."""
+
+    torque: Array
+    """Derivative (X, n, 2 n) of M."""
+    curvature: Array
+    """Derivative (X, 2, 2 n) of u."""
+    stretch: Array | None
+    """Derivative (X, n, 2 n) of the stretch of eccentric tubes, else None."""
+
+
+class SectionEnergy(NamedTuple):
+    """Bending energy per length at X points."""
+
+    value: Array
+    """Energy (X,), N."""
+    slopes: Array
+    """Derivative (X, 3 n + 2) by theta, kb, m and b."""
+
+
+Offsets = tuple[()] | tuple[Array, Array]
+"""Offsets (n,) of eccentric tubes from the centreline, m, and their angles (n,), rad; () of concentric tubes."""
+
+
+def values_of(inputs: SectionInputs, offsets: Offsets) -> SectionValues:
+    """Cross-sections without derivatives."""
+    count, n = inputs.theta.shape
     if offsets:
-        torque, stretch, curvature, energy = section_function("section", count, n, True)(*inputs[:3], *offsets)
-        return SectionValues(torque.copy(), curvature.copy(), energy[:, 0].copy(), stretch.copy())
-    values, energy = bent_function("section", count, n)(*inputs)
-    values = values.copy()
-    return SectionValues(values[:, :n], values[:, n:], energy[:, 0].copy(), np.ones((count, n)))
+        torque, stretch, curvature, _ = section_function("section", count, n, True)(*inputs[:3], *offsets)
+        return SectionValues(torque.copy(), curvature.copy(), stretch.copy())
+    values = bent_function("section", count, n)(*inputs)[0].copy()
+    return SectionValues(values[:, :n], values[:, n:], np.ones((count, n)))
 
 
-def sections_of(inputs: SectionInputs, offsets: tuple[Array, ...]) -> Sections:
-    """Cross-sections with bending moments b; `offsets` are offset and angle (n,) of eccentric tubes, or ()."""
-    count, n = inputs[0].shape
+def sections_of(inputs: SectionInputs, offsets: Offsets) -> Sections:
+    """Cross-sections with derivatives."""
+    count, n = inputs.theta.shape
     if offsets:
-        values, (torque, stretch, curvature, energy) = _eccentric_sections(inputs, offsets)
+        all_of = _eccentric_sections(inputs, offsets)
         # Eccentric tubes have no bending moment b.
-        by, by_energy = np.zeros((count, n + 2, n + 2)), np.zeros((count, n + 2))
-        by[:, :n, :n], by[:, n:, :n], by_energy[:, :n] = torque[..., :n], curvature[..., :n], energy[:, 0, :n]
-        stacked = np.concatenate([values[0], values[2]], axis=1)
-        return Sections(stacked, values[3][:, 0], by, by_energy, values[1], stretch[..., :n])
-    stacked, energy, by, by_energy = (part.copy() for part in bent_function("linear", count, n)(*inputs))
-    return Sections(stacked, energy[:, 0], by.reshape(count, n + 2, n + 2), by_energy, np.ones((count, n)))
+        slopes = np.zeros((count, n + 2, n + 2))
+        slopes[:, :n, :n], slopes[:, n:, :n] = all_of.torque_slopes[..., :n], all_of.curvature_slopes[..., :n]
+        return Sections(all_of.torque, all_of.curvature, all_of.stretch, slopes, all_of.stretch_slopes[..., :n])
+    values, slopes = (part.copy() for part in bent_function("linear", count, n)(*inputs))
+    slopes = slopes.reshape(count, n + 2, n + 2)
+    return Sections(values[:, :n], values[:, n:], np.ones((count, n)), slopes, None)
 
 
-def by_data_of(inputs: SectionInputs, offsets: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Derivatives (X, n, 2 n), (X, 2, 2 n), (X, 2 n) of torque, curvature and energy by kb and m.
-
-    Of eccentric tubes also that (X, n, 2 n) of the stretch.
-    """
-    count, n = inputs[0].shape
+def data_slopes_of(inputs: SectionInputs, offsets: Offsets) -> SectionDataSlopes:
+    """Derivatives of cross-sections by kb and m."""
+    count, n = inputs.theta.shape
     if offsets:
-        torque, stretch, curvature, energy = (by[..., n:] for by in _eccentric_sections(inputs, offsets)[1])
-        return torque, curvature, energy[:, 0], stretch
-    by, by_energy = (part.copy() for part in bent_function("linear_data", count, n)(*inputs))
-    by = by.reshape(count, n + 2, 2 * n)
-    return by[:, :n], by[:, n:], by_energy
+        of = _eccentric_sections(inputs, offsets)
+        return SectionDataSlopes(of.torque_slopes[..., n:], of.curvature_slopes[..., n:], of.stretch_slopes[..., n:])
+    slopes = bent_function("linear_data", count, n)(*inputs)[0].copy().reshape(count, n + 2, 2 * n)
+    return SectionDataSlopes(slopes[:, :n], slopes[:, n:], None)
 
 
-def _eccentric_sections(inputs: SectionInputs, offsets: tuple[Array, ...]) -> tuple[list[Array], list[Array]]:
-    """Torque, stretch, curvature and energy (X, r), and their derivatives (X, r, 3 n) by theta, kb and m."""
-    count, n = inputs[0].shape
+def energy_of(inputs: SectionInputs, offsets: Offsets) -> SectionEnergy:
+    """Bending energy per length with its derivatives."""
+    count, n = inputs.theta.shape
+    if offsets:
+        of = _eccentric_sections(inputs, offsets)
+        return SectionEnergy(of.energy[:, 0], np.concatenate([of.energy_slopes[:, 0], np.zeros((count, 2))], axis=1))
+    energy, slopes = (part.copy() for part in bent_function("energy", count, n)(*inputs))
+    return SectionEnergy(energy[:, 0], slopes)
+
+
+class _EccentricSections(NamedTuple):
+    """Cross-sections of eccentric tubes at X points, with their derivatives (X, r, 3 n) by theta, kb and m."""
+
+    torque: Array
+    stretch: Array
+    curvature: Array
+    energy: Array
+    torque_slopes: Array
+    stretch_slopes: Array
+    curvature_slopes: Array
+    energy_slopes: Array
+
+
+def _eccentric_sections(inputs: SectionInputs, offsets: Offsets) -> _EccentricSections:
+    count, n = inputs.theta.shape
     out = [part.copy() for part in section_function("linear", count, n, True)(*inputs[:3], *offsets)]
     # CasADi stores (r, 3 n) by columns.
-    by = [
+    slopes = [
         part.reshape(count, 3 * n, value.shape[1]).swapaxes(1, 2) for value, part in zip(out[:4], out[4:], strict=True)
     ]
-    return out[:4], by
+    return _EccentricSections(*out[:4], *slopes)
 
 
 _HAT = np.array([[0.0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]])
@@ -158,6 +182,17 @@ class FromTip(NamedTuple):
     """Values (P + 1, r) there, on the side of the plate."""
 
 
+class JointMoment(NamedTuple):
+    """Moment that acts where two pieces meet."""
+
+    piece: int
+    """Piece that begins there."""
+    tube: int
+    """Tube that its part along the arm twists."""
+    moment: Array
+    """Moment (3,), N m."""
+
+
 class DataSlopes(NamedTuple):
     """Derivatives by phase, kb and m (3 n) at the points, at fixed torques."""
 
@@ -165,134 +200,161 @@ class DataSlopes(NamedTuple):
     """Derivative (P, K, n, 3 n) of M."""
     curvature: Array
     """Derivative (P, K, 2, 3 n) of u."""
-    energy: Array
-    """Derivative (P, K, 3 n) of the elastic energy per length."""
     rotation_rate: Array | None
     """Derivative (P, K, n, 3 n) of phi' of eccentric tubes, else None."""
 
 
-class Standing:
+class ArmState:
     """An arm in equilibrium: n tubes, P pieces with K points each.
 
     Args:
         problem: torsion problem, on the mesh of the arm.
-        base: rotations (n,) at the clamps, rad.
-        solved: elastic rotations (N, n) at the collocation points of the problem.
+        alpha: rotations (n,) at the clamps, rad.
+        phi: elastic rotations (N, n) at the collocation points of the problem.
         shape: shape of the arm.
-        burden: problem under a load, or None.
+        loaded: problem under a load, or None.
         straight: True if rotations of straight tubes are needed; they follow from the torques.
     """
 
     def __init__(
         self,
         problem: ReducedProblem,
-        base: Array,
-        solved: Array,
+        alpha: Array,
+        phi: Array,
         shape: ArmShape,
         *,
-        burden: LoadedProblem | None = None,
+        loaded: LoadedProblem | None = None,
         straight: bool = True,
     ) -> None:
-        self.problem, self.base, self.shape = problem, base, shape
-        self.mesh, self.t, self.length = problem.mesh, problem.mesh.tableau, problem.mesh.length
+        self.problem, self.alpha, self.shape = problem, alpha, shape
+        self.mesh, self.tableau, self.length = problem.mesh, problem.mesh.tableau, problem.mesh.length
         self.n = problem.assembly.n_tubes
-        self.pieces, self.degree = len(self.length), self.t.degree
-        # Without a load the state has rotations and torques only; frame and moment follow.
-        self.own = self.n if burden is None else self.n + 3
-        self.kept = _kept(self.n, self.own)
-        self.h = self.length[:, None, None]
-        self.weights = self.length[:, None] * self.t.weights
+        self.pieces, self.degree = len(self.length), self.tableau.degree
         self.cuts, self.tip_tube = problem.cuts, problem.tip_tube
-        self.sections = sections = problem.here.sections
-        points = self.pieces, self.degree
-        self.phase, self.stiffness, self.moments = (
+        points, sections = (self.pieces, self.degree), problem.here.sections
+        self.phase, self.stiffness, self.natural_moment = (
             part.reshape(*points, self.n) for part in (sections.phase, sections.stiffness, sections.moment)
         )
-        self.rate, self.transmission = problem.here.rate, problem.here.transmission
-        placed = problem.assembly
-        self.offsets = (placed.offset, placed.offset_angle) if placed.eccentric else ()
-        self.frame = frames_at_points(self.t, self.length, shape)
+        self.compliance, self.transmission = problem.here.rate, problem.here.transmission
+        """1 / kt (P, K, n), and int ds / kt (n,) from clamp to plate."""
+        assembly = problem.assembly
+        self.offsets: Offsets = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
+        self.h = self.length[:, None, None]
+        self.weights = self.length[:, None] * self.tableau.weights
+        self.frame, self.end_frame = frames_at_points(self.tableau, self.length, shape), shape.frame[::STEPS]
         self.axis = self.frame[..., 2]
         self.across, self.about_axis = self.frame[..., :2].swapaxes(2, 3), hat(self.axis)
-        self.end_frame = shape.frame[::STEPS]
-        self._load(burden)
-        self._moments()
-        theta = solved.reshape(-1, self.degree, self.n)
-        if len(theta) < self.pieces:
-            # Pieces without points have no solved rotations; theirs follow from the torques below.
-            theta = np.zeros((*points, self.n))
-            theta[self.mesh.collocated] = solved.reshape(-1, self.degree, self.n)
-        self.theta = theta + self.phase
-        # The rotations of straight tubes are no unknowns. Torques first: they give the rotations of all tubes, at which
-        # the cross-sections are evaluated.
+        """Matrices of a -> (R'a)_xy (P, K, 2, 3) and a -> e x a (P, K, 3, 3)."""
+        self._set_load(loaded)
+        self._set_moments()
+        table = phi.reshape(-1, self.degree, self.n)
+        if len(table) < self.pieces:
+            # Pieces without collocation points have no rotations yet: theirs follow from the torques below.
+            table = np.zeros((*points, self.n))
+            table[self.mesh.collocated] = phi.reshape(-1, self.degree, self.n)
+        self.theta = table + self.phase
         if straight or not self.mesh.collocated.all():
-            values = values_of(self.tables, self.offsets)
-            self._torques(values.torque, values.stretch)
+            # Rotations of straight tubes are no unknowns of the problem. The torques do not depend on them, and give
+            # the rotations of all tubes, at which the cross-sections are evaluated.
+            values = values_of(self.section_inputs, self.offsets)
+            self._set_torques(values.torque, values.stretch)
             self.theta = self.phi + self.phase
-            self.at = sections_of(self.tables, self.offsets)
+            self.at = sections_of(self.section_inputs, self.offsets)
         else:
-            self.at = sections_of(self.tables, self.offsets)
-            self._torques(self.at.torque, self.at.stretch)
+            self.at = sections_of(self.section_inputs, self.offsets)
+            self._set_torques(self.at.torque, self.at.stretch)
 
-    def _load(self, burden: LoadedProblem | None) -> None:
-        """Set the forces, moments per length on the tubes, and moments at joints."""
+    def _set_load(self, loaded: LoadedProblem | None) -> None:
+        """Set the forces, moments per length on the tubes, and moments where pieces meet."""
         points = self.pieces, self.degree
-        self.load = None if burden is None else burden.load
-        self.following = self.load is not None and self.load.frame == "tip"
+        self.load = None if loaded is None else loaded.load
+        # Without a load the chain of pieces has rotations and torques only; frame and moment follow.
+        self.half = self.n if loaded is None else self.n + 3
+        """Length of (phi, psi), and of (t, m), in the chain."""
+        self.chain_rows = _chain_rows(self.n, self.half)
+        self.follower = self.load is not None and self.load.frame == "tip"
         self.tip_force = self.tip_moment = np.zeros(3)
-        self.force = np.zeros((*points, 3)) if burden is None else burden.force.reshape(*points, 3)
-        self.joints: list[tuple[int, int, Array]] = []
-        """Piece that begins at the moment, the tube it acts on, and the moment (3,)."""
-        self.along = self.kicks = None
-        if burden is None:
+        self.joint_moments: list[JointMoment] = []
+        self.moment_density: Array | None = None
+        """Moments per length l (P, K, n, 3) on the tubes, N."""
+        self.moment_jumps: Array | None = None
+        """Jumps (P + 1, n + 3) of (t, m) by moments where pieces meet, N m."""
+        if loaded is None:
+            self.force = np.zeros((*points, 3))
             return
-        inputs = np.array(burden.load.force), np.array(burden.load.moment)
-        tip = self.shape.frame[-1]
-        self.tip_force, self.tip_moment = (tip @ part if self.following else part for part in inputs)
-        if self.following:
+        self.force = loaded.force.reshape(*points, 3)
+        self.tip_force, self.tip_moment = np.array(loaded.load.force), np.array(loaded.load.moment)
+        if self.follower:
+            tip_frame = self.shape.frame[-1]
+            self.tip_force, self.tip_moment = tip_frame @ self.tip_force, tip_frame @ self.tip_moment
             # A follower force at the tip acts on the whole arm; the problem has the other forces.
             self.force = self.force + self.tip_force
-        couples = burden.couples
-        if couples is not None and len(couples.point):
-            self.along = couples.along.reshape(*points, self.n, 3)
-        if couples is not None and len(couples.joint) > 1:
-            self.joints = [*zip(couples.joint.tolist(), couples.tube.tolist(), couples.moment, strict=False)][1:]
-            self.kicks = np.zeros((self.pieces + 1, self.own))
-            for k, tube, moment in self.joints:
-                self.kicks[k, self.n :] += moment
+        couples = loaded.couples
+        if couples is None:
+            return
+        if len(couples.point):
+            self.moment_density = couples.along.reshape(*points, self.n, 3)
+        if len(couples.joint) > 1:
+            acting = zip(couples.joint.tolist(), couples.tube.tolist(), couples.moment, strict=False)
+            self.joint_moments = [JointMoment(*each) for each in acting][1:]
+            self.moment_jumps = np.zeros((self.pieces + 1, self.half))
+            for piece, tube, moment in self.joint_moments:
+                self.moment_jumps[piece, self.n :] += moment
                 # The part of a moment along the arm twists one tube, the rest bends all of them.
-                self.kicks[k, tube] += moment @ self.end_frame[k, :, 2]
+                self.moment_jumps[piece, tube] += moment @ self.end_frame[piece, :, 2]
 
-    def _moments(self) -> None:
-        """Set the moment m at the points, and on both sides of the ends of the pieces."""
+    def _set_moments(self) -> None:
+        """Set the moment m at the points and on both sides of the ends of the pieces, and b at the points."""
+        points = self.pieces, self.degree
         if self.load is None:
             none = np.zeros((self.pieces + 1, 3))
-            self.moment, self.moment_tip_side, self.moment_plate_side = np.zeros(self.axis.shape), none, none
-            self.bent = np.zeros((*self.axis.shape[:2], 2))
+            self.moment, self.moment_tip_side, self.moment_plate_side = np.zeros((*points, 3)), none, none
+            self.bending_moment = np.zeros((*points, 2))
             return
-        # m' = -e x n: from the plate towards the tip the moment falls by e x n.
-        fall = (self.about_axis @ self.force[..., None])[..., 0]
-        if self.along is not None:
-            fall += self.along.sum(2)
-        self.moment, self.moment_tip_side, self.moment_plate_side = self._inwards(
-            fall, self.tip_moment, slice(self.n, None)
-        )
-        self.bent = (self.across @ self.moment[..., None])[..., 0]
+        # m' = -e x n - l: from the plate towards the tip the moment decreases by e x n + l.
+        decrease = (self.about_axis @ self.force[..., None])[..., 0]
+        if self.moment_density is not None:
+            decrease += self.moment_density.sum(2)
+        jumps = None if self.moment_jumps is None else self.moment_jumps[:, self.n :]
+        self.moment, self.moment_tip_side, self.moment_plate_side = self._from_tip(decrease, self.tip_moment, jumps)
+        self.bending_moment = (self.across @ self.moment[..., None])[..., 0]
 
-    def _inwards(self, fall: Array, tip: Array, kicked: slice | None = None) -> FromTip:
+    def _set_torques(self, torque_rate: Array, stretch: Array) -> None:
+        """Set torques t and rotations phi, at the points and at the ends of the pieces, from M and g (P K, n)."""
+        points = self.compliance.shape
+        self.twist_compliance = self.compliance * stretch.reshape(points)
+        """Derivative g / kt (P, K, n) of phi' by the torque."""
+        decrease = -torque_rate.reshape(points)
+        if self.moment_density is not None:
+            decrease += (self.moment_density @ self.axis[..., None])[..., 0]
+        tip = np.zeros(self.n)
+        if self.load is not None:
+            tip[self.tip_tube] = self.tip_moment @ self.end_frame[-1, :, 2]
+        jumps = None if self.moment_jumps is None else self.moment_jumps[:, : self.n]
+        self.torque, self.torque_tip_side, self.torque_plate_side = self._from_tip(decrease, tip, jumps)
+        self.stretched_torque = self.torque * stretch.reshape(points)
+        """g t (P, K, n), N m."""
+        turns = self._from_start @ (self.compliance * self.stretched_torque)
+        # Between clamp and plate a tube twists by t int ds / kt.
+        at_plate = self.alpha + self.transmission * self.torque_plate_side[0]
+        self.phi_ends = at_plate + _beyond(self.pieces)[::-1, ::-1] @ turns[:, -1]
+        self.phi = self.phi_ends[:-1, None] + turns[:, :-1]
+
+    def _from_tip(self, decrease: Array, tip: Array, jumps: Array | None = None) -> FromTip:
         """Quantities (r,) integrated from their values at the tip towards the plate.
 
         Args:
-            fall: decrease (P, K, r) per length towards the tip.  tip: values (r,) there.
-            kicked: columns of the moments that act between pieces; None without these.
+            decrease: rates (P, K, r) at which they decrease towards the tip.
+            tip: values (r,) there.
+            jumps: jumps (P + 1, r) where pieces meet, or None.
         """
-        beyond = _beyond(self.pieces)
-        plate_side = tip_side = beyond @ (self.weights[:, None] @ fall)[:, 0] + tip
-        if self.kicks is not None and kicked is not None:
-            # A moment between pieces is felt by all that lies nearer to the plate.
-            plate_side = plate_side + np.cumsum(self.kicks[::-1, kicked], axis=0)[::-1]
-            tip_side = plate_side - self.kicks[:, kicked]
-        return FromTip(tip_side[:-1, None] - self.back @ fall, tip_side, plate_side)
+        integrals = self._from_start_adjoint @ decrease
+        plate_side = tip_side = _beyond(self.pieces) @ integrals[:, -1] + tip
+        if jumps is not None:
+            # A moment between pieces acts on all that lies nearer to the plate.
+            plate_side = plate_side + np.cumsum(jumps[::-1], axis=0)[::-1]
+            tip_side = plate_side - jumps
+        return FromTip(tip_side[:-1, None] - integrals[:, :-1], tip_side, plate_side)
 
     @cached_property
     def about_moment(self) -> Array:
@@ -300,78 +362,66 @@ class Standing:
         return hat(self.moment)
 
     @cached_property
-    def back(self) -> Array:
-        """Integration (P, K, K) up to the points, for t and m."""
-        return np.asarray(self.h * self.t.adjoint)
+    def _from_start(self) -> Array:
+        """Integration (P, K + 1, K) from the start of a piece to its points and its end, for phi and psi."""
+        return np.asarray(self.h * self.tableau.integration)
 
     @cached_property
-    def ahead(self) -> Array:
-        """Integration (P, K, K) up to the points, for phi and psi."""
-        return np.asarray(self.h * self.t.matrix)
+    def _from_start_adjoint(self) -> Array:
+        """The adjoint integration (P, K + 1, K), for t and m."""
+        return np.asarray(self.h * self.tableau.adjoint_integration)
 
     @property
-    def tables(self) -> SectionInputs:
-        """theta, kb, m (P K, n) and b (P K, 2) at the points."""
-        theta, kb, m = (table.reshape(-1, self.n) for table in (self.theta, self.stiffness, self.moments))
-        return theta, kb, m, self.bent.reshape(-1, 2)
+    def ahead(self) -> Array:
+        """Integration (P, K, K) up to the points, for phi and psi."""
+        return self._from_start[:, :-1]
 
-    def _torques(self, gained: Array, stretch: Array) -> None:
-        """Set torques t and rotations phi, at the points and at the ends of the pieces, from M and g (P K, n)."""
-        stretch = stretch.reshape(self.rate.shape)
-        self.winding = self.rate * stretch
-        """Derivative g / kt (P, K, n) of phi' by the torque."""
-        fall = -gained.reshape(self.pieces, self.degree, self.n)
-        if self.along is not None:
-            fall += (self.along @ self.axis[..., None])[..., 0]
-        tip = np.zeros(self.n)
-        if self.load is not None:
-            tip[self.tip_tube] = self.tip_moment @ self.end_frame[-1, :, 2]
-        self.torque, self.torque_tip_side, self.torque_plate_side = self._inwards(fall, tip, slice(self.n))
-        self.stretched = self.torque * stretch
-        """Torque times stretch, g t (P, K, n), N m."""
-        turning = self.rate * self.stretched
-        # Between clamp and plate a tube twists by t int ds / kt.
-        first = self.base + self.transmission * self.torque_plate_side[0]
-        self.phi_ends = first + _beyond(self.pieces)[::-1, ::-1] @ (self.weights[:, None] @ turning)[:, 0]
-        self.phi = self.phi_ends[:-1, None] + self.ahead @ turning
+    @property
+    def back(self) -> Array:
+        """Integration (P, K, K) up to the points, for t and m."""
+        return self._from_start_adjoint[:, :-1]
+
+    @property
+    def section_inputs(self) -> SectionInputs:
+        """Arguments of the cross-sections at the P K points."""
+        theta, kb, m = (table.reshape(-1, self.n) for table in (self.theta, self.stiffness, self.natural_moment))
+        return SectionInputs(theta, kb, m, self.bending_moment.reshape(-1, 2))
 
     @cached_property
-    def coupled(self) -> Array | None:
+    def twist_slopes(self) -> Array | None:
         """Derivative (P, K, n, n) of phi' by phi at fixed torques; None for concentric tubes."""
-        if self.at.by_stretch is None:
+        if self.at.stretch_slopes is None:
             return None
-        return (self.rate * self.torque)[..., None] * self.at.by_stretch.reshape(*self.rate.shape, self.n)
+        return (self.compliance * self.torque)[..., None] * self.at.stretch_slopes.reshape(*self.torque.shape, self.n)
 
     @cached_property
-    def by_energy(self) -> Array:
-        """Derivative (P, K, n + 2) of the elastic energy per length by theta and b at fixed torques."""
-        out = self.at.by_energy.reshape(self.pieces, self.degree, self.n + 2)
-        if self.coupled is None:
-            return out
-        # Torsion has the energy t phi' / 2, and phi' depends on phi through g.
-        stretched = (self.torque[..., None, :] @ self.coupled)[..., 0, :] / 2
-        return np.concatenate([out[..., : self.n] + stretched, out[..., self.n :]], axis=2)
-
-    @cached_property
-    def by_data(self) -> DataSlopes:
+    def data_slopes(self) -> DataSlopes:
         """Derivatives of cross-sections by phase, kb and m."""
         n, points = self.n, (self.pieces, self.degree)
-        own = by_data_of(self.tables, self.offsets)
-        turned = self.at.by_torque, self.at.by_curvature, self.by_energy.reshape(-1, n + 2)
-        out = [np.concatenate([a[..., :n], b], axis=-1) for a, b in zip(turned, own[:3], strict=True)]
-        torque, curvature, energy = out[0].reshape(*points, n, -1), out[1].reshape(*points, 2, -1), out[2]
-        energy = energy.reshape(*points, -1)
-        if self.coupled is None:
-            return DataSlopes(torque, curvature, energy, None)
-        stretched = (self.rate * self.torque)[..., None] * own[3].reshape(*points, n, -1)
-        energy[..., n:] += (self.torque[..., None, :] @ stretched)[..., 0, :] / 2
-        return DataSlopes(torque, curvature, energy, np.concatenate([self.coupled, stretched], axis=-1))
+        by_data, by_phase = data_slopes_of(self.section_inputs, self.offsets), self.at.slopes[..., :n]
+        torque = np.concatenate([by_phase[:, :n], by_data.torque], axis=2).reshape(*points, n, -1)
+        curvature = np.concatenate([by_phase[:, n:], by_data.curvature], axis=2).reshape(*points, 2, -1)
+        if self.twist_slopes is None:
+            return DataSlopes(torque, curvature, None)
+        assert by_data.stretch is not None
+        twist = (self.compliance * self.torque)[..., None] * by_data.stretch.reshape(*points, n, -1)
+        return DataSlopes(torque, curvature, np.concatenate([self.twist_slopes, twist], axis=3))
+
+    @cached_property
+    def energy_slopes(self) -> Array:
+        """Derivative (P, K, 3 n + 2) of the elastic energy per length by theta, kb, m and b at fixed torques."""
+        out = energy_of(self.section_inputs, self.offsets).slopes.reshape(self.pieces, self.degree, -1)
+        if self.twist_slopes is not None:
+            # Torsion has the energy t phi' / 2, and phi' depends on theta, kb and m through g.
+            rotation_rate = self.data_slopes.rotation_rate
+            out[..., : 3 * self.n] += (self.torque[..., None, :] @ rotation_rate)[..., 0, :] / 2
+        return out
 
 
 @lru_cache(maxsize=16)
-def _kept(n: int, own: int) -> Index:
+def _chain_rows(n: int, half: int) -> Index:
     """Rows of the state (2 n + 6,) in the chain of pieces; without a load, of rotations and torques only."""
-    return np.concatenate([np.arange(own), n + 3 + np.arange(own)])
+    return np.concatenate([np.arange(half), n + 3 + np.arange(half)])
 
 
 @lru_cache(maxsize=64)

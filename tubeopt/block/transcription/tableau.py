@@ -49,6 +49,16 @@ class Tableau:
         """
         return np.asarray(self.weights - self.matrix.T * self.weights / self.weights[:, None])
 
+    @cached_property
+    def integration(self) -> Array:
+        """(K + 1, K) integration from 0 to the nodes, and to 1."""
+        return np.concatenate([self.matrix, self.weights[None]])
+
+    @cached_property
+    def adjoint_integration(self) -> Array:
+        """(K + 1, K) integration from 0 to the nodes by `adjoint`, and to 1."""
+        return np.concatenate([self.adjoint, self.weights[None]])
+
     def lagrange(self, at: ArrayLike, *, integrals: int = 0) -> Array:
         """Values (T, K) of the Lagrange polynomials at `at` (T,) in [0, 1].
 
