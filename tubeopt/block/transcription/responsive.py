@@ -478,7 +478,7 @@ class LinearisedArm(ArmState):
         return np.asarray(out)
 
     def torsion_mode(self, decrease: Array, softness: float) -> Response:
-        """Mode without bending, one column, with torques that fall by `decrease` (P, K, n) per length towards the tip."""
+        """Mode without bending, one column, with torques that fall by `decrease` (P, K, n) towards the tip."""
         n = self.n
         torque, tip_side, _ = self._from_tip(decrease, np.zeros(n))
         rates, state = softness * self.compliance * torque, np.zeros((self.pieces + 1, self.size, 1))
