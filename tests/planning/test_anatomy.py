@@ -22,7 +22,7 @@ from tubeopt.bodies.images import LabelImage, field_of_image
 from tubeopt.bodies.phantoms import LUMEN, TARGET, bronchial_tree, kidney, ventricle
 from tubeopt.files.checked import check
 from tubeopt.planning import Trajectory, plan_trajectory
-from tubeopt.planning.smoothing import table_function
+from tubeopt.planning.knots import table_function
 from tubeopt.runs.inverse_study import InverseStudy
 from tubeopt.runs.plan_study import PlanStudy
 from tubeopt.runs.surroundings_file import load_anatomy, load_obstacles

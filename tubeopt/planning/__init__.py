@@ -4,6 +4,7 @@ from .arms import ArmsProof, PairProof, PlacedRobot, verify_arms
 from .arms_plan import ArmsPlan, plan_arms
 from .goals import TipGoal
 from .motion import RateLimits
+from .optimal_motion import Motion
 from .plan import EntryRegion, plan_from_region, plan_trajectory
 from .proof import Proof, verify_trajectory
 from .question import PlanOptions
@@ -17,6 +18,7 @@ __all__ = [
     "ArmsProof",
     "Entry",
     "EntryRegion",
+    "Motion",
     "PairProof",
     "PairReach",
     "PairShare",

@@ -102,7 +102,7 @@ with without_unit_warnings():
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class JointMotion:
     """Joint values (m,) as polynomials of time in between knots, from 0 s on."""
 
     curve: PPoly
@@ -110,9 +110,9 @@ class Motion:
     """True if the speed of the tip is limited, which needs more samples."""
 
     @staticmethod
-    def resting(q: Array) -> Motion:
+    def resting(q: Array) -> JointMotion:
         """Rest at joint values (m,)."""
-        return Motion(PPoly(q[None, None], [0.0, INSTANT / 2]))
+        return JointMotion(PPoly(q[None, None], [0.0, INSTANT / 2]))
 
     @property
     def time(self) -> Array:
@@ -124,7 +124,7 @@ class Motion:
         """Duration, s."""
         return float(self.time[-1])
 
-    def slower(self, factor: float) -> Motion:
+    def slower(self, factor: float) -> JointMotion:
         """Motion with its duration multiplied by a factor."""
         order = np.arange(len(self.curve.c) - 1, -1, -1)[:, None, None]
         return replace(self, curve=PPoly(self.curve.c / factor**order, self.time * factor))

@@ -48,7 +48,7 @@ from .goals import (
     other_ends,
     start_equilibrium,
 )
-from .motion import DEFAULT_RATES, Motion, RateLimits
+from .motion import DEFAULT_RATES, JointMotion, RateLimits
 from .proof import Kept, proved
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, plan_task, reserve_deflection
 from .smoothing import smooth
@@ -99,7 +99,7 @@ SHORT = 1e-9
 class Candidate(NamedTuple):
     """A motion to prove."""
 
-    motion: Motion
+    motion: JointMotion
     smoothed_for: str
     """Objective of its smoothing, "corners" if only corners are rounded, "" if it stops at them."""
     iterations: int
@@ -160,7 +160,9 @@ def _worth_smoothing(task: PlanTask, curves: Sequence[Array]) -> bool:
     return 1 - straight / length > (WORTH_AMONG_BODIES if task.obstacles else WORTH)
 
 
-def _rounded(task: PlanTask, first: Equilibrium, q: Array, end: Array, limits: Limits, clock: Clock) -> Motion | None:
+def _rounded(
+    task: PlanTask, first: Equilibrium, q: Array, end: Array, limits: Limits, clock: Clock
+) -> JointMotion | None:
     """Time-optimal motion close to joint values (k, m), with the roundest valid corners; None if none is valid in time.
 
     `end` (m,): point of the chart at the end.
@@ -175,7 +177,7 @@ def _rounded(task: PlanTask, first: Equilibrium, q: Array, end: Array, limits: L
 
 
 def build(
-    task: PlanTask, first: Equilibrium, end: End | None, motion: Motion, statistics: PlanStatistics
+    task: PlanTask, first: Equilibrium, end: End | None, motion: JointMotion, statistics: PlanStatistics
 ) -> Trajectory | Faults:
     """Sample a motion, make its ends exact, and prove it as far as time allows; returns its faults if it has any.
 
@@ -454,7 +456,7 @@ def _search_error(task: PlanTask, first: Equilibrium, goals: Sequence[End], way:
     return SolveError(f"no plan was found within {clock.limit:g} s: {tried}{near}{why}", partial)
 
 
-def _affordable(task: PlanTask, points: Array, limits: Limits, left: float) -> tuple[Array, Motion | None]:
+def _affordable(task: PlanTask, points: Array, limits: Limits, left: float) -> tuple[Array, JointMotion | None]:
     """Longest first part of a path whose proof should take no longer than `left` seconds, as a motion with stops."""
     while len(points) > 1:
         motion = stopping_at(joint_curves(task, points), limits)

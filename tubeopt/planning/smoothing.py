@@ -25,21 +25,18 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy
 from scipy.interpolate import CubicHermiteSpline
 
 from ..block.quantities import Expression
 from ..block.transcription.explicit import Kind, explicit_arm, explicit_joints
-from ..bodies.corridors import MeshObstacle
-from ..bodies.distance_field import DistanceField
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
-from ..inverse.arm_surface import cubic
 from ..inverse.clock import Clock
 from ..inverse.task import Arms
 from ..solvers.settings import NO_SENSITIVITIES
 from ..typing import Array
-from .motion import Motion
+from .knots import MAX_NODES, SPLITS, TABLES, Cubics, ample_duration, body_distances, differences
+from .motion import JointMotion
 from .question import WEIGHTS, PlanTask
 from .timing import Limits, violated
 
@@ -48,22 +45,9 @@ from .timing import Limits, violated
 SHARPNESS = 400.0
 """Sharpness of the smooth minimum distance, over the length of the robot: it is at most log(points) / 400 too small."""
 
-SPLITS = 4
-"""Points per step of the arm at which its distance from bodies is measured."""
-
 # Where joints hardly move the tips may: without a weight they would drift.
 TIP_WEIGHT = 0.05
 """Weight of the motion of the tip rotations relative to that of the joints, in the length."""
-
-MOST_NODES = 1_000_000
-"""Maximum number of nodes of a distance table: its splines and their derivatives take 32 bytes for each."""
-
-# Steps of voxels would be corners for Newton's method.
-BLUR = 1.5
-"""Standard deviation, in nodes, of the Gaussian filter on a table of distances."""
-
-TABLES = (MeshObstacle, DistanceField)
-"""Bodies without a formula for their distance."""
 
 OPTIONS: dict[str, Any] = {
     **NO_SENSITIVITIES,
@@ -163,18 +147,14 @@ def _program(question: PathQuestion) -> PathProgram:
     arms = ca.MX.sym("arms", knot.size1_out(0), knots)
     rotations, fields, least = ca.vertsplit(arms, [0, n, n + question.kind.sections, arms.shape[0]])
     h = ca.repmat(p["step"].T, m, 1)
-    delta, v_0, v_1 = (joints[:, 1:] - joints[:, :-1]) / h, rates[:, :-1], rates[:, 1:]
-    # Hermite's cubic with slopes v_0, v_1 and mean slope delta: q'' at both ends, and the middle Bezier coefficient of
-    # q'; the mean of the three coefficients v_0, 3 delta - v_0 - v_1, v_1 is delta.
-    early, late = (6 * delta - 4 * v_0 - 2 * v_1) / h, (2 * v_0 + 4 * v_1 - 6 * delta) / h
-    middle = 3 * delta - v_0 - v_1
+    path = Cubics(joints, rates, h)
     speed, force = ca.repmat(p["rate"], 1, intervals), ca.repmat(p["acceleration"], 1, intervals)
-    accelerations = ca.vertcat(early, late) / ca.vertcat(force, force)
-    # The inner Bezier coefficients of q: if they satisfy ranges and order, so does all of the interval between knots.
-    between = ca.horzcat(joints[:, :-1] + h / 3 * v_0, joints[:, 1:] - h / 3 * v_1)
+    accelerations = ca.vertcat(path.early, path.late) / ca.vertcat(force, force)
+    # If the inner Bezier coefficients of q satisfy ranges and order, so does all of the interval between knots.
+    between = path.inner
     order = ca.reshape(p["order"], question.rows, m)
     dtip, twist = tip[:, 1:] - tip[:, :-1], ca.repmat(p["twist"].T, n, 1)
-    speeds = ca.vertcat(ca.vec(rates[:, 1:-1] / ca.repmat(p["rate"], 1, knots - 2)), ca.vec(middle / speed))
+    speeds = ca.vertcat(ca.vec(rates[:, 1:-1] / ca.repmat(p["rate"], 1, knots - 2)), ca.vec(path.middle / speed))
     # |x| <= y as x - y <= 0 and -x - y <= 0: smooth, and linear where y is.
     parts = {
         "equilibrium": ca.vec(rotations - q[:n, :]),
@@ -188,11 +168,7 @@ def _program(question: PathQuestion) -> PathProgram:
     if question.obstacles:
         parts["clearance"] = ca.vec(least) / question.length
     w, tip_length = p["weights"], TIP_WEIGHT * ca.sum1(ca.sum2(dtip**2 / h[:n, :]))
-    # int |q'|^2 of the cubics; and, since q'' is linear, int q''^2 = h (early^2 + early late + late^2) / 3.
-    squares = 36 * delta**2 - 6 * delta * (v_0 + v_1) + 4 * v_0**2 + 4 * v_1**2 - 2 * v_0 * v_1
-    length = ca.sum1(ca.sum2(h * squares / 30))
-    effort = ca.sum1(ca.sum2(h * (early**2 + early * late + late**2) / 3))
-    objective = w[0] * (length + tip_length) + w[1] * square + w[2] * effort - w[3] * margin
+    objective = w[0] * (path.length + tip_length) + w[1] * square + w[2] * path.effort - w[3] * margin
     x = ca.vertcat(ca.vec(joints), ca.vec(rates), ca.vec(tip), square, margin)
     parameters = ca.vertcat(*p.values())
     problem = {"x": x, "f": objective, "p": parameters}
@@ -287,20 +263,14 @@ def _distance(question: PathQuestion) -> ca.Function:
 
     One row for every body with a formula, and one per step of the arm for a table, which usually surrounds the arm.
     """
-    n = question.kind.n
-    count = explicit_arm(question.kind).size2_out(2)
-    inputs = [ca.MX.sym("p", 3, count), ca.MX.sym("t", 3, count), ca.MX.sym("s", count)]
-    inputs += [ca.MX.sym("d", n), ca.MX.sym("robot", question.kind.size), ca.MX.sym("r", n)]
-    places, thick = _places(question.kind, count)(*inputs)
+    kind = question.kind
+    count = explicit_arm(kind).size2_out(2)
+    distances = body_distances(kind, count, question.obstacles)
+    inputs = distances.mx_in()
     sharp = SHARPNESS / question.length
-    x, y, z = (ca.SX.sym(axis) for axis in "xyz")
     least = []
-    for k, obstacle in enumerate(question.obstacles):
-        if isinstance(obstacle, TABLES):
-            distance = ca.reshape(_tabulated(obstacle, places) - thick, SPLITS, count - 1)
-        else:
-            body = ca.Function(f"body_{k}", [x, y, z], [obstacle.distance(x, y, z)]).map(places.shape[1])
-            distance = (body(places[0, :], places[1, :], places[2, :]) - thick).T
+    for body, column in zip(question.obstacles, ca.horzsplit(distances(*inputs)), strict=True):
+        distance = ca.reshape(column, SPLITS, count - 1) if isinstance(body, TABLES) else column
         least += [-ca.logsumexp(-sharp * part) / sharp for part in ca.horzsplit(distance)]
     return ca.Function("least_distance", inputs, [ca.vertcat(*least)])
 
@@ -310,51 +280,6 @@ def _body_of_rows(question: PathQuestion) -> list[int]:
     steps = explicit_arm(question.kind).size2_out(2) - 1
     counts = [steps if isinstance(body, TABLES) else 1 for body in question.obstacles]
     return [k for k, count in enumerate(counts) for _ in range(count)]
-
-
-def _tabulated(body: MeshObstacle | DistanceField, places: Any) -> Any:
-    """(1, a) distances of places (3, a) from a body that is a table; beyond its lattice, those of its border, m."""
-    lattice = body.lattice
-    at = ca.DM(lattice.frame.axes.T) @ (places - ca.repmat(ca.DM(lattice.frame.origin), 1, places.shape[1]))
-    last = ca.DM((np.array(lattice.values.shape) - 1) * lattice.spacing)
-    inside = ca.fmin(ca.fmax(at, 0), ca.repmat(last, 1, places.shape[1]))
-    return table_function(body).map(places.shape[1])(inside)
-
-
-@lru_cache(maxsize=8)
-def table_function(body: MeshObstacle | DistanceField) -> ca.Function:
-    """Function of a place (3,), m from the first node of a body's lattice: cubic B-splines weighted by its distances.
-
-    The distances are weights, not interpolated values, so no system is solved and a table of millions is a function at
-    once. This and the filter blur the steps of voxels; `_required`, evaluated at the first knots, compensates. Tables
-    of more than MOST_NODES are thinned out.
-    """
-    lattice = body.lattice
-    stride = int(np.ceil((lattice.values.size / MOST_NODES) ** (1 / 3)))
-    few = lattice.values[::stride, ::stride, ::stride].astype(float)
-    values = np.pad(scipy.ndimage.gaussian_filter(few, BLUR, mode="nearest"), (1, 1 + (stride > 1)), mode="edge")
-    # The weight of node i belongs to the spline on the knots from i - 2 to i + 2.
-    knots = [
-        (np.arange(count + 4) - 3) * stride * step
-        for count, step in zip(values.shape, lattice.spacing.tolist(), strict=True)
-    ]
-    return ca.Function.bspline("table", knots, values.ravel(order="F"), [3, 3, 3], 1)
-
-
-def _places(kind: Kind, count: int) -> ca.Function:
-    """Points along an arm (3, a), `SPLITS` per step, and its radius there (1, a)."""
-    points, tangents, s = ca.SX.sym("p", 3, count), ca.SX.sym("t", 3, count), ca.SX.sym("s", count)
-    shift, robot, radius = ca.SX.sym("d", kind.n), ca.SX.sym("robot", kind.size), ca.SX.sym("r", kind.n)
-    end = shift + kind.reach(robot)
-    places, thick = [], []
-    for k in range(count - 1):
-        h = s[k + 1] - s[k]
-        for x in np.arange(1, SPLITS + 1) / SPLITS:
-            places.append(cubic(points[:, k], points[:, k + 1], tangents[:, k], tangents[:, k + 1], x, h))
-            # Steps do not extend across the end of a tube, so the middle decides.
-            thick.append(ca.mmax(radius * ((s[k] + s[k + 1]) / 2 < end)))
-    out = [ca.horzcat(*places), ca.horzcat(*thick)]
-    return ca.Function("places", [points, tangents, s, shift, robot, radius], out)
 
 
 UNFINISHED = ("Maximum_WallTime_Exceeded", "Maximum_Iterations_Exceeded")
@@ -395,7 +320,7 @@ ROUND_OFF = 1e-9
 class Smoothed:
     """Result of smoothing: a motion with its knots."""
 
-    motion: Motion
+    motion: JointMotion
     points: Array
     """(K, m) knots in the chart."""
     iterations: int
@@ -404,7 +329,7 @@ class Smoothed:
 
 def building(task: PlanTask) -> float:
     """Time that building the program of a task and starting its solution may take, s."""
-    nodes = sum(min(body.lattice.values.size, MOST_NODES) for body in task.obstacles if isinstance(body, TABLES))
+    nodes = sum(min(body.lattice.values.size, MAX_NODES) for body in task.obstacles if isinstance(body, TABLES))
     return BUILD_PER_OPERATION * task.chart.size + BUILD_PER_BODY * len(task.obstacles) + BUILD_PER_NODE * nodes
 
 
@@ -489,7 +414,7 @@ def _solve(
     program = path_program(question)
     q = task.chart.joints(z)
     time = np.concatenate([[0.0], np.cumsum(step)])
-    unit = _duration(q, time, rate, acceleration)
+    unit = ample_duration(q, time, rate, acceleration)
     length = max(float(np.linalg.norm(np.diff(q / scale, axis=0), axis=1).sum()), 1e-9)
     weights = np.array(WEIGHTS[objective]) * [length**-2, 1.0, length**-2, 1.0]
     p = program.values(
@@ -506,7 +431,7 @@ def _solve(
     )
     # No margin is above 1: bounds need an interior below it.
     floor = min(task.min_margin + float(reserve[0]), 0.998)
-    x = np.concatenate([(q / scale).ravel(), (begin_rates(q, time) / scale).ravel(), z[:, :n].ravel(), [1.0, floor]])
+    x = np.concatenate([(q / scale).ravel(), (differences(q, time) / scale).ravel(), z[:, :n].ravel(), [1.0, floor]])
     solver = program.solver(clock.left)
     least = _required(task, program, np.asarray(program.least(x, p)), knots, float(reserve[1]))
     result = solver(x0=x, p=p, **_bounds(task, program, (q, z, least), objective, floor))
@@ -518,24 +443,8 @@ def _solve(
     *moved, tips, (square, _) = np.split(np.asarray(result["x"]).ravel(), sizes)
     joints, rates = (each.reshape(q.shape) * scale for each in moved)
     duration = float(np.sqrt(square)) * unit
-    motion = Motion(CubicHermiteSpline(time * duration, joints, rates / duration))
+    motion = JointMotion(CubicHermiteSpline(time * duration, joints, rates / duration))
     return Smoothed(motion, np.column_stack([tips.reshape(-1, n), joints[:, n:]]), int(stats["iter_count"]))
-
-
-def begin_rates(q: Array, time: Array) -> Array:
-    """(K, m) rates at knots by differences, at rest at both ends."""
-    v = np.gradient(q, time, axis=0)
-    v[0], v[-1] = 0.0, 0.0
-    return np.asarray(v)
-
-
-def _duration(q: Array, time: Array, rate: Array, acceleration: Array) -> float:
-    """Duration in which the knots are passed well within the limits, s."""
-    v, step = begin_rates(q, time), np.diff(time)[:, None]
-    speed = (np.abs(np.diff(q, axis=0)) / step / rate).max()
-    hard = (np.abs(np.diff(v, axis=0)) / step / acceleration).max()
-    # Between knots cubics are faster than differences.
-    return float(max(2.0 * speed, 1.5 * np.sqrt(hard), 1e-2))
 
 
 def _required(task: PlanTask, program: PathProgram, least: Array, knots: tuple[Array, Arms], reserve: float) -> Array:

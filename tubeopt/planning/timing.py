@@ -31,7 +31,7 @@ from ..errors import SolveError
 from ..inverse.arm_surface import ArmSurface
 from ..inverse.clock import Clock
 from ..typing import Array, Index, Mask
-from .motion import INSTANT, MIN_SAMPLES_OF_TIP, SAMPLE_STEP, Motion
+from .motion import INSTANT, MIN_SAMPLES_OF_TIP, SAMPLE_STEP, JointMotion
 from .question import PlanTask
 
 # The first grid finds where the motion is slow, and the second has its cells there. Measured on six plans: with half
@@ -85,21 +85,21 @@ class Limits:
     """Largest speed of the tip, m/s, and its position as a function of the joint values."""
 
 
-def at_full_speed(motion: Motion, limits: Limits) -> Motion:
+def at_full_speed(motion: JointMotion, limits: Limits) -> JointMotion:
     """Time-optimal motion from rest to rest along the curve of a motion."""
     return motion if motion.duration < INSTANT else _time_optimal([motion.curve], limits)[0]
 
 
-def stopping_at(paths: Sequence[Array], limits: Limits) -> Motion:
+def stopping_at(paths: Sequence[Array], limits: Limits) -> JointMotion:
     """Time-optimal motion along rounded paths (k, m) of evenly spaced joint values, at rest where they meet."""
     parts = _time_optimal([rounded(path) for path in paths], limits)
     starts = np.cumsum([0.0, *(part.duration for part in parts)])
     time = [parts[0].time, *(part.time[1:] + start for part, start in zip(parts[1:], starts[1:-1], strict=True))]
     powers = np.concatenate([part.curve.c for part in parts], axis=1)
-    return Motion(PPoly(powers, np.concatenate(time)), parts[0].tip_limited)
+    return JointMotion(PPoly(powers, np.concatenate(time)), parts[0].tip_limited)
 
 
-def through(q: Array, scale: Array, limits: Limits, spacing: float | None = None) -> Motion:
+def through(q: Array, scale: Array, limits: Limits, spacing: float | None = None) -> JointMotion:
     """Time-optimal motion close to a path of joint values (k, m), at rest at both ends.
 
     A spline with control points `spacing` apart, in units of the scales, rounds the corners; by default closely.
@@ -107,7 +107,7 @@ def through(q: Array, scale: Array, limits: Limits, spacing: float | None = None
     step = np.linalg.norm(np.diff(q / scale, axis=0), axis=1)
     mark = np.concatenate([[0.0], np.cumsum(step)])
     if not mark[-1] > 1e-9:
-        return Motion.resting(q[0])
+        return JointMotion.resting(q[0])
     count = max(100, 4 * len(q)) if spacing is None else max(8, int(np.ceil(mark[-1] / spacing)) + 1)
     even = np.linspace(0, mark[-1], count)
     return stopping_at([np.column_stack([np.interp(even, mark, column) for column in q.T])], limits)
@@ -130,7 +130,7 @@ def rounded(table: Array) -> PPoly:
     return PPoly(np.array(powers), inner)
 
 
-def _time_optimal(curves: Sequence[PPoly], limits: Limits) -> list[Motion]:
+def _time_optimal(curves: Sequence[PPoly], limits: Limits) -> list[JointMotion]:
     """Time-optimal motions along consecutive cubic curves."""
     grids = [_grid(curve, np.linspace(curve.x[0], curve.x[-1], CELLS)) for curve in curves]
     for k, (curve, s, x) in enumerate(zip(curves, grids, _squared_speeds(curves, grids, limits), strict=True)):
@@ -144,7 +144,7 @@ def _time_optimal(curves: Sequence[PPoly], limits: Limits) -> list[Motion]:
         # c1 ds + c2 ds^2 + c3 ds^3 with ds = p t + w t^2, by powers of t from the sixth down.
         powers = [c3 * w**3, 3 * c3 * p * w**2, c2 * w**2 + 3 * c3 * p**2 * w, 2 * c2 * p * w + c3 * p**3]
         powers += [c1 * w + c2 * p**2, c1 * p, curve(s[:-1])]
-        motion = Motion(PPoly(np.array(powers), _time(s, x)), tip_limited=limits.tip is not None)
+        motion = JointMotion(PPoly(np.array(powers), _time(s, x)), tip_limited=limits.tip is not None)
         motions.append(motion.slower(max(1.0, SHORTEST / motion.duration)))
     return motions
 
@@ -346,7 +346,7 @@ class Violations:
 
 
 def violated(
-    task: PlanTask, start: Equilibrium, motion: Motion, clock: Clock, checkpoints: tuple[Array, Array]
+    task: PlanTask, start: Equilibrium, motion: JointMotion, clock: Clock, checkpoints: tuple[Array, Array]
 ) -> Violations:
     """Violations along a motion.
 
