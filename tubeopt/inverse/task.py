@@ -229,6 +229,7 @@ class Task:
     """
 
     chart: TipCoordinates
+    """Space that is searched."""
     obstacles: tuple[Obstacle, ...]
     min_margin: float
     clearance: float
