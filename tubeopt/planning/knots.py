@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -35,7 +35,7 @@ class Cubics:
     h: Any
     """(m, K - 1) durations of the intervals, equal in a column."""
 
-    @property
+    @cached_property
     def mean(self) -> Any:
         """(m, K - 1) mean slopes: the mean of the three Bezier coefficients of q'."""
         return (self.q[:, 1:] - self.q[:, :-1]) / self.h
@@ -45,12 +45,12 @@ class Cubics:
         """(m, K - 1) middle Bezier coefficients of q'; the outer two are the slopes at knots."""
         return 3 * self.mean - self.v[:, :-1] - self.v[:, 1:]
 
-    @property
+    @cached_property
     def early(self) -> Any:
         """(m, K - 1) q'' at the beginning of every interval; q'' is linear to `late`."""
         return (6 * self.mean - 4 * self.v[:, :-1] - 2 * self.v[:, 1:]) / self.h
 
-    @property
+    @cached_property
     def late(self) -> Any:
         """(m, K - 1) q'' at the end of every interval."""
         return (2 * self.v[:, :-1] + 4 * self.v[:, 1:] - 6 * self.mean) / self.h

@@ -12,6 +12,7 @@ at all times. Margin and clearance hold at knots: `Motion.trajectory` follows th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -296,9 +297,10 @@ class Motion:
         self._rates = rates
         n, carriages = self.robot.n_tubes, len(self._space.carriages)
         jerks = [rotation_jerk] * n + [translation_jerk] * carriages
-        rows = [k for k, jerk in enumerate(jerks) if jerk is not None]
+        limited = {k: positive("jerk", jerk) for k, jerk in enumerate(jerks) if jerk is not None}
+        rows = list(limited)
         if rows:
-            largest = np.array([positive("jerk", jerks[k]) for k in rows])
+            largest = np.array(list(limited.values()))
             jerk = (path.late - path.early)[rows, :] / path.h[rows, :] / ca.repmat(ca.DM(largest), 1, count - 1)
             self._at_most("limits of the jerks", jerk, self._square**1.5)
             unit = ca.DM(acceleration[rows])
@@ -572,7 +574,7 @@ class Motion:
         slopes = np.array([c[2], c[2] + c[1] * h, c[2] + 2 * c[1] * h + 3 * c[0] * h**2])
         bends = np.array([2 * c[1], 2 * c[1] + 6 * c[0] * h])
         fastest = float((np.abs(slopes) / rate).max()), float((np.abs(bends) / acceleration).max())
-        return max(1.0, fastest[0], np.sqrt(fastest[1]))
+        return max(1.0, fastest[0], math.sqrt(fastest[1]))
 
     def _task(self, solution: Any) -> PlanTask:
         """Requirements on the motion, as those of a plan."""
