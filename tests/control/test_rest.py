@@ -193,3 +193,31 @@ def test_hold_home_and_relative_joints_of_the_server() -> None:
     assert not arm.servo.moving
     assert 0.05 < arm.servo.equilibrium.rotations[0] < 0.1 - 1e-3
     assert arm.report(0.3)["why"] == "held by command"
+
+
+@pytest.mark.parametrize(("kind", "count"), [("python", 300), ("c", 3000)])
+def test_accelerations_are_kept_whatever_is_commanded(kind: str, count: int) -> None:
+    """Positions, directions, velocities, joints and nothing in turn, at cycles of different lengths."""
+    random, space = np.random.default_rng(1), joint_space(CRL)
+    servo = made(kind, CRL, space.split(0.5 * space.inside() + 0.5 * space.middle()), speed=0.1, **ACCELERATIONS)
+    goals, command, last = space.sample(16), Command(), np.zeros(6)
+    most = np.repeat([ACCELERATIONS["turn_acceleration"], ACCELERATIONS["shift_acceleration"]], 3)
+    for k in range(count):
+        here = servo.equilibrium
+        if k % 15 == 0:
+            rotations, shift = space.split(goals[random.integers(len(goals))])
+            command = [
+                Command(position=here.tip_position + 0.02 * random.normal(size=3)),
+                Command(position=here.tip_position, direction=random.normal(size=3)),
+                Command(velocity=0.05 * random.normal(size=3)),
+                Command(joints=(rotations, np.array(shift))),
+                Command(),
+            ][random.integers(5)]
+        dt = float(random.choice([1e-3, 2e-3, 3e-4]))
+        step = servo.step(command, dt)
+        speed = np.concatenate([step.rotations - here.rotations, step.translations - here.translations]) / dt
+        assert (np.abs(speed - last) <= most * dt * (1 + ROUNDING) + 1e-10).all()
+        assert np.abs(speed[:3]).max() <= 3.0 + 1e-9
+        assert np.abs(speed[3:]).max() <= 0.05 + 1e-9
+        assert not space.outside(space.join(step.rotations, step.translations))
+        last = speed
