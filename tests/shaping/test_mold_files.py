@@ -22,7 +22,7 @@ from tubeopt.shaping.mold.files import (
     plate_part,
     write_dxf,
     write_solid,
-    wrong_volume,
+    volume_fault,
 )
 from tubeopt.shaping.mold.gcode import groove_gcode, read_gcode, toolpath_deviation
 from tubeopt.shaping.mold.groove import Arc
@@ -124,8 +124,8 @@ def test_solids_are_watertight_and_of_the_right_volume(mold: Mold, files: Path) 
 
 def test_a_solid_that_is_not_right_is_refused(mold: Mold, files: Path, tmp_path: Path) -> None:
     mesh = trimesh.load_mesh(files / "base.stl")
-    assert wrong_volume(mold, "base", mesh) == ""
-    assert wrong_volume(mold, "lid", mesh).startswith("the volume of the lid is off by")
+    assert volume_fault(mold, "base", mesh) == ""
+    assert volume_fault(mold, "lid", mesh).startswith("the volume of the lid is off by")
     cube = manifold().Manifold.cube((1.0, 1.0, 1.0))
     with pytest.raises(SolveError, match=r"said\.stl: it is a cube"):
         write_solid(Part("base", lambda: cube, lambda _: "it is a cube", ()), tmp_path / "said.stl")

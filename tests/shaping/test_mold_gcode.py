@@ -115,7 +115,7 @@ def test_hazards_are_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     good = texts(mold, "base")[0]
     assert "rapid speed" in hazards(read_gcode(good.replace("G1 Z-", "G0 Z-")))[0]
     assert "spindle still" in hazards(read_gcode(good.replace("M3", "M5")))[0]
-    monkeypatch.setattr("tubeopt.shaping.mold.gcode._up", lambda mold: iter(["G0 Z5.0000"]))
+    monkeypatch.setattr("tubeopt.shaping.mold.gcode._retract", lambda mold: iter(["G0 Z5.0000"]))
     with pytest.raises(SolveError, match="rapid speed below the plate's face"):
         write_mold(mold, tmp_path)
     assert not list(tmp_path.iterdir())

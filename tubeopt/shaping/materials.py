@@ -16,7 +16,7 @@ INSULATING_RESISTIVITY = 1e3
 """Resistivity (ohm m) from which a mold counts as an electrical insulator: beside a tube of 1e-6 ohm m whose section is
 a thousandth of the mold's, less than 1e-6 of the current goes astray."""
 
-ROOM = Range(least=ZERO_CELSIUS - 40.0, most=ZERO_CELSIUS + 60.0)
+AMBIENT_RANGE = Range(least=ZERO_CELSIUS - 40.0, most=ZERO_CELSIUS + 60.0)
 """Temperatures of surroundings in which a tube is set, K."""
 
 PRICE_CLASSES = ("low", "moderate", "high")

@@ -21,7 +21,7 @@ from ..runs.mold_study import Ranking
 from ..runs.workshop_file import save_rig, save_springback, springback_to_dict
 from ..shaping.mold.checks import Check, pressing_strain
 from ..shaping.mold.files import write_mold
-from ..shaping.mold.gcode import Program, clear_room, programs_of
+from ..shaping.mold.gcode import Program, clamp_distance, programs_of
 from ..shaping.mold.layout import Hole
 from ..shaping.mold.mandrel import Block, Cylinder, Mandrel, predict_wound_tube, write_mandrel
 from ..shaping.mold.mold import Clamp, Groove, RobotMold, predict_tube
@@ -103,7 +103,7 @@ MOLD = described(
         ),
     ),
     Quantity("programs", "G-code of both plates, in order of machining", lambda a: programs_of(a.mold), of=PROGRAM),
-    Quantity("clear_mm", "free room for clamps next to the plates", lambda a: clear_room(a.mold)),
+    Quantity("clear_mm", "free room for clamps next to the plates", lambda a: clamp_distance(a.mold)),
     Quantity("holes", "holes for bolts, dowels and vents", lambda a: a.mold.holes, of=described(Hole)),
     Quantity("checks", "checks, and whether they passed", lambda a: [_check(c) for c in a.mold.checks]),
     Quantity("remarks", "remarks for making and using it", lambda a: [*a.left_out, *a.mold.remarks]),

@@ -29,7 +29,7 @@ from ...files.field_metadata import (
 )
 from ...robots.file import TubeEntry, tube_to_dict
 from ...robots.tubes import Tube
-from ..materials import CALCIUM_SILICATE, MOLD_MATERIALS, ROOM, MoldMaterial, mold_material
+from ..materials import AMBIENT_RANGE, CALCIUM_SILICATE, MOLD_MATERIALS, MoldMaterial, mold_material
 
 COUNTS = 255
 """The largest duty of an 8-bit PWM: always on."""
@@ -295,7 +295,7 @@ class Rig(Displayed):
     circuit: Annotated[Circuit, "cables, contacts, MOSFET and their current limits"] = field(default_factory=Circuit)
     clamps: Annotated[Clamps, "the two equal clamps"] = field(default_factory=Clamps)
     mold: Annotated[MoldBed, "the mold as the tube's surroundings"] = field(default_factory=MoldBed)
-    ambient: Annotated[float, unit("degC"), ROOM, "ambient temperature"] = 25.0 + ZERO_CELSIUS
+    ambient: Annotated[float, unit("degC"), AMBIENT_RANGE, "ambient temperature"] = 25.0 + ZERO_CELSIUS
     convection: Annotated[
         float | None,
         unit("W_per_m2_K"),

@@ -14,13 +14,13 @@ from .spec import EndMill, MoldSpec
 from .springback import bend_direction, tube_in_mold
 
 OVERRUN = 1e-3
-"""The cutter's edge clears the plate by this much (m) before it goes down or up."""
+"""Distance of the cutter's edge from the plate before it plunges or retracts, m."""
 
 HOLDER = 5e-3
-"""Room (m) beside a tool for what holds it, near the plate."""
+"""Space beside a tool for its holder, m."""
 
 THROUGH = 0.5e-3
-"""What goes through the plate goes this far (m) into the board beneath."""
+"""Depth of cuts through a plate into the board below, m."""
 
 
 @dataclass(frozen=True)
@@ -28,13 +28,13 @@ class Check:
     """One condition on a mold."""
 
     name: str
-    """What is checked."""
+    """Checked quantity, in words."""
     value: float
-    """The number, in `unit`."""
+    """Value of the quantity, in `unit`."""
     limit: float
-    """What it is compared with, in `unit`."""
+    """Limit of the quantity, in `unit`."""
     unit: str
-    """ "m", "1" or "K"."""
+    """Unit of value and limit: "m", "1" or "K"."""
     at_most: bool
     """True for an upper limit, False for a lower one."""
     failure: str
@@ -42,33 +42,33 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """Whether the condition holds."""
-        gap = self.limit - self.value if self.at_most else self.value - self.limit
-        return gap >= -SLACK
+        """True if the condition is satisfied."""
+        reserve = self.limit - self.value if self.at_most else self.value - self.limit
+        return reserve >= -SLACK
 
 
 def refuse_failed(checks: Iterable[Check]) -> None:
-    """Raise InputError with one line for every check that failed, if there are any."""
+    """Raise InputError with a line for every failed check, if there is any."""
     failures = [check.failure for check in checks if not check.passed]
     if failures:
         raise InputError("\n".join(failures))
 
 
 def choose_mill(number: int, tube: Tube, spec: MoldSpec) -> tuple[EndMill, float]:
-    """The end mill for the groove of a tube, and the groove's width (m).
+    """End mill for the groove of a tube, and width of the groove, m.
 
-    The smallest mill as wide as tube and clearance, where it is not wider than the greatest clearance allows: one cut.
-    Else the largest of those that are smaller, and a groove of exactly tube and clearance, cut along both walls.
+    The smallest mill between the smallest and the largest clearance cuts the groove in one pass. Without such a mill,
+    the largest smaller one cuts a groove of the smallest clearance along both walls.
     """
-    least = tube.outer_diameter + spec.groove.clearance
-    most = max(tube.outer_diameter + spec.groove.most_clearance, least)
+    min_width = tube.outer_diameter + spec.groove.clearance
+    max_width = max(tube.outer_diameter + spec.groove.most_clearance, min_width)
     mills = spec.milling.end_mills
     for mill in mills:
-        if least - SLACK <= mill.diameter <= most + SLACK:
+        if min_width - SLACK <= mill.diameter <= max_width + SLACK:
             return mill, mill.diameter
-    smaller = [mill for mill in mills if mill.diameter < least]
+    smaller = [mill for mill in mills if mill.diameter < min_width]
     if smaller:
-        return smaller[-1], least
+        return smaller[-1], min_width
     raise InputError(
         f"the smallest available end mill ({mills[0].diameter * 1e3:g} mm) is wider than the "
         f"groove of tube {number}: outer diameter {tube.outer_diameter * 1e3:g} mm and at "
@@ -77,19 +77,26 @@ def choose_mill(number: int, tube: Tube, spec: MoldSpec) -> tuple[EndMill, float
 
 
 def groove_depth(tube: Tube, spec: MoldSpec) -> float:
-    """Depth (m) of the groove: tube and clearance, rounded up to the step of depths, so that the lid lies flat."""
+    """Depth of the groove, m: tube and clearance, rounded up to the step of depths, so that the lid lies flat."""
     step = spec.groove.depth_step
     return math.ceil((tube.outer_diameter + spec.groove.clearance) / step - 1e-9) * step
 
 
-def strain_check(number: int, held: Tube, spec: MoldSpec, how: str, when: str, remedy: str) -> Check:
-    """The condition on the strain of a straight tube that is bent as its mold holds it: how, when, and what to do."""
-    strain, most = pressing_strain(held, held.curvature), spec.most_strain or held.material.superelastic_strain
+def strain_check(number: int, held: Tube, spec: MoldSpec, process: str, occasion: str, remedy: str) -> Check:
+    """Check of the strain of a straight tube that is bent to its shape in the mold.
+
+    Args:
+        held: tube as the mold holds it.
+        process: such as "pressed into the groove".
+        occasion: clause on the process for the message.
+        remedy: advice for the message.
+    """
+    strain, limit = pressing_strain(held, held.curvature), spec.most_strain or held.material.superelastic_strain
     failure = (
-        f"tube {number} is strained {strain * 100:.3g} % {when}, beyond the {most * 100:.3g} % that "
+        f"tube {number} is strained {strain * 100:.3g} % {occasion}, beyond the {limit * 100:.3g} % that "
         f"{held.material.name} springs back from; {remedy}"
     )
-    return Check(f"tube {number}: strain when {how}", strain, most, "1", True, failure)
+    return Check(f"tube {number}: strain when {process}", strain, limit, "1", True, failure)
 
 
 def pressing_strain(tube: Tube, mold_curvature: float) -> float:
@@ -98,7 +105,7 @@ def pressing_strain(tube: Tube, mold_curvature: float) -> float:
 
 
 def tube_checks(blank: Blank, spec: MoldSpec) -> tuple[Check, ...]:
-    """The conditions on one groove that do not depend on where it lies."""
+    """Checks of one groove that do not depend on its position on the plate."""
     number, tube, mill, width = blank.number, blank.held, blank.mill, blank.width
     depth = groove_depth(tube, spec)
     radius = min(piece.radius for piece in blank.bend)
@@ -138,52 +145,55 @@ def tube_checks(blank: Blank, spec: MoldSpec) -> tuple[Check, ...]:
     )
 
 
-def wall_check(least_wall: float, spec: MoldSpec) -> Check:
-    """The condition on the wall between neighbouring grooves (m)."""
+def wall_check(min_wall: float, spec: MoldSpec) -> Check:
+    """Check of the thinnest wall between grooves, m."""
     return Check(
         "least wall between grooves",
-        least_wall,
+        min_wall,
         spec.groove.wall,
         "m",
         False,
-        f"the wall between grooves is {least_wall * 1e3:.4g} mm; it must be at least {spec.groove.wall * 1e3:.4g} mm",
+        f"the wall between grooves is {min_wall * 1e3:.4g} mm; it must be at least {spec.groove.wall * 1e3:.4g} mm",
     )
 
 
 def as_held(number: int, tube: Tube, spec: MoldSpec) -> Tube:
-    """A tube as its mold holds it."""
+    """Tube as its mold holds it, with the number of the tube in messages."""
     try:
         return tube_in_mold(tube, spec.springback)
     except InputError as error:
         raise InputError(f"tube {number}: {error}") from None
 
 
-def held_in_plane(number: int, tube: Tube, spec: MoldSpec, who: str) -> Tube:
-    """A tube as its mold holds it; raises InputError where nothing of it is curved, or it is a space curve: `who`, in
-    words, planar bends only."""
+def held_in_plane(number: int, tube: Tube, spec: MoldSpec, limitation: str) -> Tube:
+    """Tube as a planar mold holds it.
+
+    Raises:
+        InputError: a straight tube, or a space curve; `limitation` begins the reason, such as "a plate holds".
+    """
     if tube.curved_length == 0:
         raise InputError(f"tube {number} has no curved part; it needs no mold")
     if bend_direction(tube) is None:
-        raise InputError(f"tube {number} is a space curve; {who} planar bends only: use a mandrel")
+        raise InputError(f"tube {number} is a space curve; {limitation} planar bends only: use a mandrel")
     return as_held(number, tube, spec)
 
 
 def springback_remarks(spec: MoldSpec) -> list[str]:
-    """What to know of a spring-back that is not from trials."""
+    """Remarks on a spring-back that is not from trials."""
     if spec.springback.calibrated:
         return []
     return ["the spring-back is not calibrated: tubes will come out straighter; set one, then `tubeopt mold calibrate`"]
 
 
 def stiffness_remarks(tube: Tube) -> list[str]:
-    """What to know of a tube whose pieces have stiffnesses of their own."""
+    """Remarks on a tube whose pieces have stiffnesses of their own."""
     if not any(piece.bending_stiffness or piece.torsional_stiffness for piece in tube.pieces):
         return []
     return ["the stiffnesses of its pieces are given, not derived: the slots that make them are not drawn"]
 
 
 def material_remarks(spec: MoldSpec) -> tuple[str, ...]:
-    """What the mold's material makes of the heating."""
+    """Remarks on the mold's material at the set temperature."""
     remarks, material = [], spec.material
     if spec.heat.set_temperature > material.limit_temperature:
         remarks.append(
@@ -199,29 +209,29 @@ def material_remarks(spec: MoldSpec) -> tuple[str, ...]:
 
 
 def overrun(width: float) -> float:
-    """How far (m) the cutter of a groove goes on beyond the plate's edge, however oblique the groove leaves it."""
+    """Length (m) of the cutter path beyond the plate's edge, enough for grooves that leave it at a small angle."""
     return 3 * width + OVERRUN
 
 
 def beyond_edge(widths: Sequence[float], spec: MoldSpec) -> float:
-    """How far (m) from the plate's edges clamps of the stock must stay, for grooves of these widths (m)."""
+    """Smallest distance (m) of the stock's clamps from the plate's edges, for grooves of `widths` (m)."""
     outline = spec.workshop.outline_diameter + HOLDER if spec.workshop.cut_out else 0.0
     return max([outline, *(overrun(width) + 0.5 * width + HOLDER for width in widths)])
 
 
 def machining_remarks(size: Point, widths: Sequence[float], spec: MoldSpec) -> tuple[str, ...]:
-    """What the stock or the end mill of the outline does not allow, in words."""
-    shop, found = spec.workshop, []
+    """Remarks on a stock that is too small, and on an end mill too short for the outline."""
+    shop, remarks = spec.workshop, []
     if not shop.cut_out:
         return ()
     thickness = max(spec.plate.thickness, spec.plate.lid_thickness)
     if shop.outline_reach < thickness + THROUGH:
-        found.append(
+        remarks.append(
             f"the end mill that cuts plates out reaches {shop.outline_reach * 1e3:g} mm deep, the plate is "
             f"{thickness * 1e3:g} mm thick: take a longer one, or stock in the plates' size (cut_out: false)"
         )
-    need = [side + 2 * beyond_edge(widths, spec) for side in size]
-    if shop.stock is not None and any(s < n for s, n in zip(shop.stock, need, strict=True)):
-        asked, there = (" x ".join(f"{1e3 * side:.0f}" for side in sides) for sides in (need, shop.stock))
-        found.append(f"the stock is {there} mm; with room for tools and clamps it must be {asked} mm")
-    return tuple(found)
+    needed = [side + 2 * beyond_edge(widths, spec) for side in size]
+    if shop.stock is not None and any(s < n for s, n in zip(shop.stock, needed, strict=True)):
+        required, actual = (" x ".join(f"{1e3 * side:.0f}" for side in sides) for sides in (needed, shop.stock))
+        remarks.append(f"the stock is {actual} mm; with room for tools and clamps it must be {required} mm")
+    return tuple(remarks)

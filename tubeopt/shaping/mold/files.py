@@ -18,10 +18,10 @@ from ...files.files import atomic_write, left_out_where_missing, write_text
 from ...files.units import TO_MM
 from ...typing import Array
 from .gcode import checked_programs
-from .groove import Arc, Point, farthest, leads_to_edge, polygon
-from .mold import PARTS, Clamp, Groove, Mold, clamp_corners
+from .groove import Arc, Point, directed_distance, leads_to_edge, polygon
+from .mold import PARTS, Clamp, Mold, clamp_corners
 
-# --- what is drawn of a plate -----------------------------------------------------------------------------------------
+# --- drawing of a plate -----------------------------------------------------------------------------------------------
 
 
 LAYERS = ("OUTLINE", "GROOVE", "CENTERLINE", "HOLES", "TEXT")
@@ -30,23 +30,31 @@ TEXT_HEIGHT_MM = 2.2
 
 @dataclass(frozen=True)
 class Drawing:
-    """A plate in mm: per layer its lines and arcs; circles (centre, diameter) and texts (place, text)."""
+    """Drawing of a plate, in mm."""
 
     size: Point
+    """Width and height of the plate."""
     pieces: dict[str, tuple[Arc, ...]]
+    """Lines and arcs of each layer."""
     circles: tuple[tuple[Point, float], ...]
+    """Centres and diameters of the holes."""
     texts: tuple[tuple[Point, str], ...]
+    """Positions and texts of the lines below the plate."""
 
 
 def draw_plate(mold: Mold, part: str) -> Drawing:
-    """The drawing of the lower plate ("base") or the top plate ("lid"), both seen from above, as they lie when closed.
+    """Drawing of the lower plate ("base") or the top plate ("lid"), both seen from above, as they lie when closed.
 
     Centrelines are on both, grooves only on the base, vents only on the lid; clamps are drawn with the texts.
     """
     width, height = (extent * TO_MM for extent in mold.size)
     outline = rectangle(width, height)
     centre = tuple(in_mm(piece) for groove in mold.grooves for piece in groove.centreline.pieces)
-    walls = tuple(in_mm(piece) for groove in mold.grooves for piece in groove_walls(groove, mold.size))
+    walls: list[Arc] = []
+    for groove in mold.grooves:
+        for side in (1, -1):
+            wall = groove.centreline.offset(side * groove.width / 2)
+            walls += (in_mm(piece) for piece in leads_to_edge(wall.bend, mold.size).pieces)
     jaws = tuple(in_mm(line) for groove in mold.grooves for clamp in groove.clamps for line in _jaws(clamp, mold))
     holes = (*mold.holes, *(mold.vents if part == "lid" else ()))
     base = part == "base"
@@ -54,7 +62,7 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
         size=(width, height),
         pieces={
             "OUTLINE": outline,
-            "GROOVE": walls if base else (),
+            "GROOVE": tuple(walls) if base else (),
             "CENTERLINE": centre,
             "TEXT": jaws if base else (),
         },
@@ -63,14 +71,8 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
     )
 
 
-def groove_walls(groove: Groove, size: Point) -> tuple[Arc, ...]:
-    """Both walls of a groove (m), lead, bend, lead, from plate edge to plate edge."""
-    walls = (groove.centreline.offset(side * groove.width / 2) for side in (1, -1))
-    return tuple(piece for wall in walls for piece in leads_to_edge(wall.bend, size).pieces)
-
-
 def _jaws(clamp: Clamp, mold: Mold) -> list[Arc]:
-    """Outline of a clamp's jaws (m), and of its far side after it has slid."""
+    """Outline of a clamp's jaws (m), and its far side after the travel."""
     spec = mold.spec.clamps
     lines = _around(clamp_corners(clamp, spec))
     if clamp.slides:
@@ -80,7 +82,7 @@ def _jaws(clamp: Clamp, mold: Mold) -> list[Arc]:
 
 
 def _texts(mold: Mold, part: str) -> list[tuple[Point, str]]:
-    """Lines of text below the plate: what it is, and a line per groove."""
+    """Lines of text below the plate: its material and size, and a line per groove."""
     plate, spec = mold.spec.plate, mold.spec
     thickness = (plate.thickness if part == "base" else plate.lid_thickness) * TO_MM
     lines = [
@@ -100,16 +102,17 @@ def _texts(mold: Mold, part: str) -> list[tuple[Point, str]]:
 
 
 def rectangle(width: float, height: float) -> tuple[Arc, ...]:
-    """The outline of a plate whose lower left corner is the origin."""
+    """Outline of a plate whose lower left corner is the origin."""
     return tuple(_around(np.array([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])))
 
 
 def _around(corners: Sequence[Array] | Array) -> list[Arc]:
+    """Lines of the closed polygon with these corners (N, 2)."""
     return [Arc.between(a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)]
 
 
 def in_mm(piece: Arc) -> Arc:
-    """A piece in m, in mm."""
+    """Convert a piece from m to mm."""
     (x, y), length = piece.start, piece.length * TO_MM
     return Arc((x * TO_MM, y * TO_MM), piece.heading, length, piece.curvature / TO_MM)
 
@@ -121,38 +124,38 @@ COLOURS = {
     "HOLES": (3, "#009E73"),
     "TEXT": (8, "#6A6A6A"),
 }
-"""Of the layers: index in DXF, colour in SVG."""
+"""Colours of the layers: index in DXF, hexadecimal in SVG."""
 
 MARGIN_MM = 25.0
 
 TOLERANCE = 1e-6
-"""Greatest distance (m) of the centreline in a DXF file from the one wanted."""
+"""Largest distance of the centreline in a DXF file from that of the mold, m."""
 
-# A polygon of n corners is short of the circle's area by (2 pi / n)^2 / 6: 0.02 %. With half of them it is 0.07 %,
-# close to the 0.1 % by which the volume may be off.
+# A polygon of n corners has less area than its circle by a fraction of (2 pi / n)^2 / 6: 0.02 %. With half of them it
+# is 0.07 %, close to the tolerance of the volume, 0.1 %.
 HOLE_SIDES = 192
 """Corners of a hole in a solid."""
 
 ABOVE = 1e-3
-"""Cutters of a solid reach this far (m) beyond the faces, so that no faces coincide."""
+"""Height of cutting solids above the plate, m, so that no faces coincide."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A piece to be made: a plate, a cylinder or a block, and everything that its files are made of."""
+    """Plate, cylinder or block to be made, with the contents of its files."""
 
     name: str
-    """Of its files, without their ending."""
+    """Name of its files, without their ending."""
     solid: Callable[[], Any]
-    """Makes the solid (manifold3d, mm)."""
+    """Function that makes the solid (manifold3d, mm)."""
     fault: Callable[[Any], str]
-    """What is wrong with the mesh (mm) of its file, in words; "" where nothing is."""
+    """Function that checks the mesh (mm) read from its file: message of a fault, or ""."""
     texts: tuple[tuple[str, str], ...]
-    """Names and contents of its programs and tables, which were read again and compared."""
+    """Names and contents of its programs and tables, which were read back and compared."""
     drawing: Drawing | None = None
-    """Of a plate."""
+    """Drawing of a plate; None for another part."""
     centreline: tuple[Arc, ...] = ()
-    """That its drawing must hold, m."""
+    """Centrelines that the drawing must contain, m."""
 
 
 def write_parts(parts: Sequence[Part], directory: str | PathLike[str]) -> list[Path]:
@@ -182,17 +185,18 @@ def write_parts(parts: Sequence[Part], directory: str | PathLike[str]) -> list[P
 def write_mold(mold: Mold, directory: str | Path) -> list[Path]:
     """Write base and lid as DXF, SVG and STL and their G-code, as `write_parts`; return the paths.
 
-    Raises SolveError too where a program, read back, leaves its groove by more than 10 um, or moves where it must not.
+    Raises SolveError also if a program, read back, deviates from its groove by more than 10 um, or moves at rapid speed
+    in the plate.
     """
     return write_parts([plate_part(mold, name) for name in PARTS], directory)
 
 
 def plate_part(mold: Mold, name: str) -> Part:
-    """A plate of a mold, "base" or "lid": the upper face of the base at z = 0, the lid on it."""
+    """Plate of a mold, "base" or "lid", as a part; the upper face of the base is at z = 0, the lid on it."""
     return Part(
         name=name,
         solid=partial(_plate_solid, mold, name),
-        fault=partial(wrong_volume, mold, name),
+        fault=partial(volume_fault, mold, name),
         texts=tuple((program.file, program.text) for program in checked_programs(mold, name)),
         drawing=draw_plate(mold, name),
         centreline=tuple(piece for groove in mold.grooves for piece in groove.centreline.pieces),
@@ -203,8 +207,11 @@ def plate_part(mold: Mold, name: str) -> Part:
 
 
 def write_dxf(drawing: Drawing, centreline: Sequence[Arc], path: Path) -> Path:
-    """Write a drawing as DXF (R2010, true arcs), whole or not at all; raises SolveError where its centreline, read
-    back, lies 1 um or more from these."""
+    """Write a drawing as DXF (R2010, true arcs), completely or not at all, and return the path.
+
+    Raises:
+        SolveError: the centreline in the file deviates from `centreline` by more than 1 um.
+    """
     ezdxf = import_extra("ezdxf", "fabrication", "DXF files")
     document = ezdxf.new("R2010")
     document.header["$INSUNITS"] = 4  # mm
@@ -229,7 +236,7 @@ def write_dxf(drawing: Drawing, centreline: Sequence[Arc], path: Path) -> Path:
 
 
 def read_centreline(path: str | PathLike[str]) -> tuple[Arc, ...]:
-    """The lines and arcs on layer CENTERLINE of a DXF file, in m."""
+    """Lines and arcs on layer CENTERLINE of a DXF file, in m."""
     ezdxf = import_extra("ezdxf", "fabrication", "DXF files")
     try:
         document = ezdxf.readfile(path)
@@ -249,15 +256,14 @@ def read_centreline(path: str | PathLike[str]) -> tuple[Arc, ...]:
     return tuple(pieces)
 
 
-def dxf_deviation(own: Sequence[Arc], path: str | PathLike[str]) -> float:
-    """Greatest distance (m), either way, between centrelines and those in a DXF file, sampled every millimetre."""
+def dxf_deviation(pieces: Sequence[Arc], path: str | PathLike[str]) -> float:
+    """Hausdorff distance (m) between centrelines and those in a DXF file, by samples 1 mm apart; inf without any."""
     read = read_centreline(path)
-    if not read:
-        return math.inf
-    return max(farthest(own, read), farthest(read, own))
+    return max(directed_distance(pieces, read), directed_distance(read, pieces)) if read else math.inf
 
 
 def _add(space: object, piece: Arc, layer: str) -> None:
+    """Add a line or an arc to the model space of a DXF document."""
     attributes = {"layer": layer}
     if not piece.curvature:
         space.add_line(piece.start, piece.end, dxfattribs=attributes)  # type: ignore[attr-defined]
@@ -269,7 +275,7 @@ def _add(space: object, piece: Arc, layer: str) -> None:
 
 
 def svg_of(drawing: Drawing) -> str:
-    """A drawing as SVG in its true size, with a group for every layer."""
+    """SVG of a drawing in its true size, with a group for every layer."""
     low = min([0.0, *(place[1] for place, _ in drawing.texts)]) - MARGIN_MM / 2
     longest = max(len(text) for _, text in drawing.texts) * 0.6 * TEXT_HEIGHT_MM
     right = max(drawing.size[0] + MARGIN_MM, longest)
@@ -297,6 +303,7 @@ def svg_of(drawing: Drawing) -> str:
 
 
 def _path(piece: Arc) -> str:
+    """Path data of a line or an arc in SVG."""
     (x0, y0), (x1, y1) = piece.start, piece.end
     if not piece.curvature:
         return f"M{x0:.6f},{y0:.6f} L{x1:.6f},{y1:.6f}"
@@ -308,28 +315,31 @@ def _path(piece: Arc) -> str:
 
 
 def write_solid(part: Part, path: Path) -> Path:
-    """Write the solid of a part as binary STL, whole or not at all, and return the path; raises SolveError where it is
-    not watertight, or something is wrong with it, read back."""
+    """Write the solid of a part as binary STL, completely or not at all, and return the path.
+
+    Raises:
+        SolveError: the solid is not watertight, or its mesh, read back, has a fault.
+    """
     mesh = part.solid().to_mesh()
-    # Vertices as STL holds them; what then coincides is one vertex, so that the file closes as the solid does.
+    # In the precision of STL; vertices that then coincide are merged, so that the mesh stays closed.
     faces = trimesh().Trimesh(np.asarray(mesh.vert_properties, dtype=np.float32)[:, :3], mesh.tri_verts, process=True)
     with atomic_write(path) as temporary:
         temporary.write_bytes(faces.export(file_type="stl"))
         read = trimesh().load_mesh(str(temporary), file_type="stl")
-        words = part.fault(read) if read.is_watertight else f"the solid of the {part.name} is not watertight"
-        if words:
-            raise SolveError(f"{path}: {words}")
+        fault = part.fault(read) if read.is_watertight else f"the solid of the {part.name} is not watertight"
+        if fault:
+            raise SolveError(f"{path}: {fault}")
     return path
 
 
-def wrong_volume(mold: Mold, part: str, mesh: Any) -> str:
-    """What is wrong with the volume of a plate as a mesh, in words, where that is more than 0.1 %."""
-    off = float(mesh.volume) / TO_MM**3 / (mold.base_volume if part == "base" else mold.lid_volume) - 1
-    return f"the volume of the {part} is off by {off * 100:.3g} %" if abs(off) > 1e-3 else ""
+def volume_fault(mold: Mold, part: str, mesh: Any) -> str:
+    """Message for a mesh (mm) of a plate whose volume deviates by more than 0.1 %; otherwise ""."""
+    error = float(mesh.volume) / TO_MM**3 / (mold.base_volume if part == "base" else mold.lid_volume) - 1
+    return f"the volume of the {part} is off by {error * 100:.3g} %" if abs(error) > 1e-3 else ""
 
 
 def _plate_solid(mold: Mold, part: str) -> Any:
-    """A plate cut out of its outline with its holes, in the plane, and made thick; the base less its grooves."""
+    """Solid of a plate (mm): its outline with holes, extruded; from the base the grooves are cut."""
     library, plate = manifold(), mold.spec.plate
     base = part == "base"
     holes = mold.holes if base else (*mold.holes, *mold.vents)
@@ -345,7 +355,7 @@ def _plate_solid(mold: Mold, part: str) -> Any:
         return library.Manifold.extrude(drilled, plate.lid_thickness * TO_MM)
     solid = library.Manifold.extrude(drilled, plate.thickness * TO_MM).translate((0.0, 0.0, -plate.thickness * TO_MM))
     for groove in mold.grooves:
-        # Beyond the edge by more than an oblique exit needs.
+        # Long enough for a groove that leaves the plate at a small angle.
         corners = polygon(groove.centreline.lengthened(20 * groove.width), groove.width)
         cutter = library.Manifold.extrude(library.CrossSection([corners * TO_MM]), (groove.depth + ABOVE) * TO_MM)
         solid -= cutter.translate((0.0, 0.0, -groove.depth * TO_MM))
@@ -353,10 +363,10 @@ def _plate_solid(mold: Mold, part: str) -> Any:
 
 
 def manifold() -> Any:
-    """The library of solids; raises MissingExtraError without it."""
+    """Module manifold3d for solids; raises MissingExtraError if it is not installed."""
     return import_extra("manifold3d", "fabrication", "STL files")
 
 
 def trimesh() -> Any:
-    """The library of meshes; raises MissingExtraError without it."""
+    """Module trimesh for meshes; raises MissingExtraError if it is not installed."""
     return import_extra("trimesh", "fabrication", "STL files")

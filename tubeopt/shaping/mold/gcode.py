@@ -1,8 +1,8 @@
-"""The plates of a mold as G-code (mm, absolute, mm/min), and the programs read again.
+"""G-code for the plates of a mold (mm, absolute, mm/min), and a reader that checks it.
 
 Zero of the workpiece is the lower left corner of the plate, z = 0 its upper face. End mills of grooves enter and leave
-beyond the plate's edge. Nothing moves at rapid speed below the upper face: tools are drawn out at their feed. The
-reader knows what is written here: G0 to G3 with I and J, the drill cycle G83, arcs in the plane.
+beyond the plate's edge. Nothing moves at rapid speed below the upper face: tools retract at their feed. The reader
+interprets the commands written here: G0 to G3 with I and J, the drill cycle G83, arcs in the plane.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from ...errors import InputError, SolveError
 from ...files.units import TO_MM
 from .checks import THROUGH, beyond_edge, overrun
-from .groove import Arc, Centreline, Point, farthest
+from .groove import Arc, Centreline, Point, directed_distance
 from .layout import Hole
 from .mold import PARTS, Groove, Mold
 from .spec import WORK_OFFSETS, MoldSpec
@@ -34,35 +34,41 @@ POINT = 0.3
 PROBING = 1.0
 """Feed (mm/s) towards a touch plate."""
 
-LONGEST = 7 * 86400.0
-"""Time (s) that a program may take: longer ones come from a number in another unit."""
+MAX_DURATION = 7 * 86400.0
+"""Largest duration of a program, s; a longer one probably has a number in another unit."""
 
 CANNED = ("linuxcnc", "mach")
-"""Dialects that know the drill cycle G83."""
+"""Dialects with the drill cycle G83."""
 
 
 @dataclass(frozen=True)
 class Stage:
-    """Machining of a plate by one tool.   tool: in words.   diameter: m.   spindle: 1/s.   lines: of the program."""
+    """Machining of a plate by one tool."""
 
     tool: str
+    """Name of the tool, such as "drill 3 mm"."""
     diameter: float
+    """Diameter of the tool, m."""
     spindle: float
+    """Spindle speed, 1/s."""
     lines: tuple[str, ...]
+    """Lines of the program."""
 
 
 @dataclass(frozen=True)
 class Program:
-    """A program: its file, the plate, the tool that it begins with, and what it says."""
+    """G-code program of a plate."""
 
     file: Annotated[str, "name of the file"]
     part: str
+    """Plate, "base" or "lid"."""
     tool: Annotated[str, "first tool"]
     text: str
+    """G-code."""
 
     @cached_property
     def motions(self) -> tuple[Motion, ...]:
-        """Its moves, read again from the text."""
+        """Moves of the program, read from its text."""
         return read_gcode(self.text)
 
     @property
@@ -72,53 +78,60 @@ class Program:
 
 
 def programs_of(mold: Mold) -> list[Program]:
-    """The programs of both plates."""
+    """Programs of both plates."""
     return [each for part in PARTS for each in programs(mold, part)]
 
 
 def checked_programs(mold: Mold, part: str) -> list[Program]:
-    """The programs of a plate; raises SolveError where, read again, a cutter leaves its groove by more than 10 um."""
-    made = programs(mold, part)
+    """Programs of a plate, read back and compared with the grooves.
+
+    Raises:
+        SolveError: a cutter deviates from its groove by more than 10 um.
+    """
+    checked = programs(mold, part)
     deviation = toolpath_deviation(mold, groove_gcode(mold)) if part == "base" else 0.0
     if deviation > TOLERANCE:
-        raise SolveError(f"{made[0].file}: a cutter path deviates from its groove by {deviation * 1e6:.3g} um")
-    return made
+        raise SolveError(f"{checked[0].file}: a cutter path deviates from its groove by {deviation * 1e6:.3g} um")
+    return checked
 
 
-def clear_room(mold: Mold) -> float:
-    """Distance (m) of the stock's clamps from the plates' edges."""
+def clamp_distance(mold: Mold) -> float:
+    """Smallest distance (m) of the stock's clamps from the plates' edges."""
     return beyond_edge([groove.width for groove in mold.grooves], mold.spec)
 
 
 def programs(mold: Mold, part: str) -> list[Program]:
-    """The programs of a plate: one, or one for each tool where there is no touch plate.
+    """Programs of a plate: one, or without a touch plate one for each tool.
 
-    Raises SolveError where, read again, one moves where it must not.
+    Raises:
+        InputError: a program takes too long.
+        SolveError: a program, read back, has a hazardous move.
     """
     stages, title = stages_of(mold, part), f"{part} of a mold, {mold.spec.material.name}"
     files: dict[str, Sequence[Stage]] = {f"{part}_{k}.nc": [stage] for k, stage in enumerate(stages, start=1)}
     if mold.spec.workshop.touch_plate is not None:
         files = {f"{part}.nc": stages}
-    clear = clear_room(mold)
-    made = [Program(n, part, some[0].tool, program(title, clear, mold.spec, some)) for n, some in files.items()]
-    for each in made:
-        for wrong in hazards(each.motions):
-            raise SolveError(f"{each.file}: {wrong}")
+    of_plate = []
+    for file, of_file in files.items():
+        each = Program(file, part, of_file[0].tool, program(title, clamp_distance(mold), mold.spec, of_file))
+        for hazard in hazards(each.motions):
+            raise SolveError(f"{each.file}: {hazard}")
         check_duration(each.file, each.time)
-    return made
+        of_plate.append(each)
+    return of_plate
 
 
 def check_duration(file: str, time: float) -> None:
-    """Raise InputError for a program whose moves take longer than any is run, s."""
-    if time > LONGEST:
+    """Raise InputError for a program whose moves take more than `MAX_DURATION`; time: duration, s."""
+    if time > MAX_DURATION:
         raise InputError(
             f"the program {file} takes {time / 86400:.3g} days; it must take at most "
-            f"{LONGEST / 86400:.0f} days: use larger feeds or deeper cuts"
+            f"{MAX_DURATION / 86400:.0f} days: use larger feeds or deeper cuts"
         )
 
 
 def stages_of(mold: Mold, part: str) -> list[Stage]:
-    """Machining stages of a plate in order: grooves, a stage for every drill; what cuts it out is last."""
+    """Machining stages of a plate, in order: grooves, a stage for each drill, the outline."""
     spec, shop, base = mold.spec, mold.spec.workshop, part == "base"
     thickness = spec.plate.thickness if base else spec.plate.lid_thickness
     holes = mold.holes if base else (*mold.vents, *mold.holes)
@@ -133,82 +146,83 @@ def stages_of(mold: Mold, part: str) -> list[Stage]:
 
 
 def groove_stages(mold: Mold) -> list[Stage]:
-    """A stage for every end mill of the grooves."""
+    """Stages that cut the grooves, one for each end mill."""
     stages = []
     for mill in sorted({groove.mill for groove in mold.grooves}, key=lambda mill: mill.diameter):
-        some = sorted((g for g in mold.grooves if g.mill == mill), key=lambda g: g.number)
-        lines = tuple(line for groove in some for line in _passes(groove, mold))
+        grooves = sorted((g for g in mold.grooves if g.mill == mill), key=lambda g: g.number)
+        lines = tuple(line for groove in grooves for line in _passes(groove, mold))
         stages.append(Stage(f"end mill {mill.diameter * TO_MM:g} mm", mill.diameter, mold.spec.milling.spindle, lines))
     return stages
 
 
 def groove_gcode(mold: Mold) -> str:
-    """The moves of all grooves."""
+    """Lines of G-code that cut all grooves."""
     return "\n".join(line for stage in groove_stages(mold) for line in stage.lines)
 
 
-# --- what the tools do ------------------------------------------------------------------------------------------------
+# --- moves of the tools -----------------------------------------------------------------------------------------------
 
 
 def pass_depths(depth: float, step: float) -> tuple[float, ...]:
-    """Depths (m) of the passes, equal steps, none greater than `step`."""
+    """Depths (m) of passes in equal steps of at most `step` (m)."""
     count = math.ceil(depth / step - 1e-9)
     return tuple(depth * (k + 1) / count for k in range(count))
 
 
 def _passes(groove: Groove, mold: Mold) -> Iterator[str]:
+    """Lines that cut a groove, pass by pass."""
     milling = mold.spec.milling
     yield f"(tube {groove.number}: width {_mm(groove.width)}, depth {_mm(groove.depth)})"
     for depth in pass_depths(groove.depth, milling.step_down):
-        for way in cutter_ways(groove):
-            yield from _down(way.lead_in.start, depth, mold.spec)
-            for k, piece in enumerate(way.pieces):
+        for path in cutter_paths(groove):
+            yield from _plunge(path.lead_in.start, depth, mold.spec)
+            for k, piece in enumerate(path.pieces):
                 yield _move(piece) + (_feed(milling.feed) if k == 0 else "")
-            yield from _up(mold.spec)
+            yield from _retract(mold.spec)
 
 
 def drilled(holes: Sequence[Hole], thickness: float, spec: MoldSpec) -> Iterator[str]:
-    """Holes of one diameter through a plate of this thickness, m."""
+    """Lines that drill holes of one diameter through a plate; thickness: of the plate, m."""
     shop, milling = spec.workshop, spec.milling
+    has_cycle = shop.dialect in CANNED
     for purpose in dict.fromkeys(hole.purpose for hole in holes):
         yield f"({purpose}s)"
-        some = [hole for hole in holes if hole.purpose == purpose]
-        depth = thickness + THROUGH + POINT * some[0].diameter
-        canned = shop.dialect in CANNED
-        if canned:
+        of_purpose = [hole for hole in holes if hole.purpose == purpose]
+        depth = thickness + THROUGH + POINT * of_purpose[0].diameter
+        if has_cycle:
             yield f"G0 Z{_mm(milling.safe_height)}"
-        for k, hole in enumerate(some):
-            x, y = hole.centre
-            if canned:
+            for k, hole in enumerate(of_purpose):
                 cycle = f"G98 G83 Z{_mm(-depth)} R{_mm(NEAR)} Q{_mm(shop.peck)}{_feed(shop.drill_feed)} "
-                yield f"{cycle if k == 0 else ''}X{_mm(x)} Y{_mm(y)}"
-                continue
-            before = 0.0
-            for goal in pass_depths(depth, shop.peck):
-                yield from _down(hole.centre, before, spec, quick=True) if before else _above(hole.centre, spec)
-                yield f"G1 Z{_mm(-goal)}{_feed(shop.drill_feed)}"
-                yield f"G1 Z{_mm(NEAR)}{_feed(milling.feed)}"
-                before = goal
-        if canned:
+                yield f"{cycle if k == 0 else ''}X{_mm(hole.centre[0])} Y{_mm(hole.centre[1])}"
             yield "G80"
+            continue
+        for hole in of_purpose:
+            yield from _approach(hole.centre, spec)
+            drilled_depth = 0.0
+            for peck in pass_depths(depth, shop.peck):
+                if drilled_depth:  # back in the hole down to the last peck, faster than into the material
+                    yield f"G1 Z{_mm(-drilled_depth)}{_feed(milling.feed)}"
+                yield f"G1 Z{_mm(-peck)}{_feed(shop.drill_feed)}"
+                yield from _retract(spec)
+                drilled_depth = peck
 
 
 def outlined(size: Point, thickness: float, spec: MoldSpec) -> Iterator[str]:
-    """Around the plate, clockwise: the cutter's teeth run down into the material."""
+    """Lines that cut out a plate, clockwise: climb milling. thickness: of the plate, m."""
     shop = spec.workshop
     radius, top = shop.outline_diameter / 2, thickness - shop.tab_height
     low, (x, y) = -radius, (size[0] + radius, size[1] + radius)
     corners = [(low, low), (low, y), (x, y), (x, low), (low, low)]
     for depth in pass_depths(thickness + THROUGH, shop.outline_step):
-        yield from _down(corners[0], depth, spec)
+        yield from _plunge(corners[0], depth, spec)
         for start, end in pairwise(corners):
-            for part in _tabs(start, end, spec) if depth > top else ():
-                yield _move(Arc.between(start, part.start)) + _feed(shop.outline_feed)
+            for tab in _tabs(start, end, spec) if depth > top else ():
+                yield _move(Arc.between(start, tab.start)) + _feed(shop.outline_feed)
                 yield f"G1 Z{_mm(-top)}"
-                yield _move(part)
+                yield _move(tab)
                 yield f"G1 Z{_mm(-depth)}{_feed(spec.milling.plunge_feed)}"
             yield _move(Arc.between(start, end)) + _feed(shop.outline_feed)
-        yield from _up(spec)
+        yield from _retract(spec)
 
 
 def _tabs(start: Point, end: Point, spec: MoldSpec) -> Iterator[Arc]:
@@ -221,57 +235,57 @@ def _tabs(start: Point, end: Point, spec: MoldSpec) -> Iterator[Arc]:
         yield Arc.between(*side.point(np.array([middle - half, middle + half])))
 
 
-def _above(place: Point, spec: MoldSpec) -> Iterator[str]:
+def _approach(point: Point, spec: MoldSpec) -> Iterator[str]:
+    """Rapid moves to a place just above a point of the plate."""
     yield f"G0 Z{_mm(spec.milling.safe_height)}"
-    yield f"G0 X{_mm(place[0])} Y{_mm(place[1])}"
+    yield f"G0 X{_mm(point[0])} Y{_mm(point[1])}"
     yield f"G0 Z{_mm(NEAR)}"
 
 
-def _down(place: Point, depth: float, spec: MoldSpec, *, quick: bool = False) -> Iterator[str]:
-    """To a depth (m) at a place; `quick` where that was drilled before, and the drill stands above it."""
-    if not quick:
-        yield from _above(place, spec)
-    milling = spec.milling
-    yield f"G1 Z{_mm(-depth)}{_feed(milling.feed if quick else milling.plunge_feed)}"
+def _plunge(point: Point, depth: float, spec: MoldSpec) -> Iterator[str]:
+    """Approach of a point, and a plunge to a depth (m)."""
+    yield from _approach(point, spec)
+    yield f"G1 Z{_mm(-depth)}{_feed(spec.milling.plunge_feed)}"
 
 
-def _up(spec: MoldSpec) -> Iterator[str]:
+def _retract(spec: MoldSpec) -> Iterator[str]:
+    """Move out of the plate at the feed."""
     yield f"G1 Z{_mm(NEAR)}{_feed(spec.milling.feed)}"
 
 
-# --- the program around it --------------------------------------------------------------------------------------------
+# --- programs ---------------------------------------------------------------------------------------------------------
 
 
 def program(title: str, clear: float, spec: MoldSpec, stages: Sequence[Stage]) -> str:
-    """A whole program; clamps of the stock are to stay `clear` (m) from the plate."""
+    """Text of a program; clear: smallest distance of the stock's clamps from the plate, m."""
     shop = spec.workshop
     high = f"G0 Z{_mm(shop.change_height)}"
-    path = {"linuxcnc": ["G64 P0.005"], "mach": ["G64"], "grbl": []}[shop.dialect]
+    path_control = {"linuxcnc": ["G64 P0.005"], "mach": ["G64"], "grbl": []}[shop.dialect]
     lines = [
         f"({title}, for {shop.dialect})",
         "(zero: lower left corner and upper face of the plate)",
         f"(clamps: {math.ceil(clear * TO_MM)} mm and more from the plate)",
         f"G21 G90 G91.1 G94 G17 G40 G49 G80 {shop.work_offset}",
-        *path,
+        *path_control,
     ]
     for k, stage in enumerate(stages):
-        lines += _changed(spec, stage, k + 1, high)
+        lines += _tool_change(spec, stage, k + 1, high)
         lines += [high, f"M3 S{stage.spindle * PER_MINUTE:.0f}", f"G4 P{shop.spin_up:g}", *stage.lines]
         lines += [high, "M5"]
     return "\n".join([*lines, "M30", ""])
 
 
-def _changed(spec: MoldSpec, stage: Stage, number: int, high: str) -> Iterator[str]:
-    """The tool is in the spindle, and Z is set for it."""
+def _tool_change(spec: MoldSpec, stage: Stage, number: int, high: str) -> Iterator[str]:
+    """Lines that change to the tool of a stage and set Z for it; high: move to the height of tool changes."""
     shop = spec.workshop
     yield f"(tool {number}: {stage.tool})"
     if shop.touch_plate is None:
         yield "(set Z to 0 on the plate's upper face with this tool)"
         return
-    # The first tool has been set by hand; those that follow find the plate by the touch plate.
+    # The first tool is set by hand; the others probe the touch plate.
     if number == 1:
         return
-    # Nothing is cut as near to a corner as that.
+    # Neither grooves nor holes are so near to a corner.
     corner = _mm(0.5 * spec.groove.wall)
     yield f"G0 X{corner} Y{corner}"
     yield f"M0 ({stage.tool}, touch plate under it)" if shop.dialect == "grbl" else f"T{number} M6"
@@ -288,10 +302,12 @@ def _changed(spec: MoldSpec, stage: Stage, number: int, high: str) -> Iterator[s
 
 
 def _feed(feed: float) -> str:
+    """Word of a feed, m/s."""
     return f" F{feed * TO_MM * PER_MINUTE:.1f}"
 
 
 def _move(piece: Arc) -> str:
+    """Move along a line or an arc."""
     x, y = piece.end
     if not piece.curvature:
         return f"G1 X{_mm(x)} Y{_mm(y)}"
@@ -300,147 +316,165 @@ def _move(piece: Arc) -> str:
 
 
 def _mm(length: float) -> str:
-    """A length (m) in mm with 0.1 um, and never -0."""
+    """Number of a length (m) in mm, to 0.1 um, and never -0."""
     return f"{round(length * TO_MM, 4) + 0.0:.4f}"
 
 
-# --- programs read again ----------------------------------------------------------------------------------------------
+# --- reading back -----------------------------------------------------------------------------------------------------
 
 
 PER_MINUTE = 60.0
 TOLERANCE = 1e-5
-"""Greatest distance (m) of the cutter's way from where it is meant to be."""
+"""Largest deviation of a cutter path from its groove, m."""
 
 RAPID = 50e-3
-"""Speed of rapid moves that is reckoned with, m/s."""
+"""Assumed speed of rapid moves, m/s."""
 
 WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
-IN_FORCE = {0, 1, 2, 3, 83}
-"""Motions that stay in force."""
+MODAL = {0, 1, 2, 3, 83}
+"""Modal motion commands: they apply to the following lines as well."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A move.   line: number.   piece: in the plane (m), a point's where it only goes up or down.   start, end: z (m).
-    feed: m/s, None for a rapid one.   spindle: whether it turns.   cycle: whether it is a drill cycle."""
+    """Move of a tool."""
 
     line: int
+    """Number of the line, from 1."""
     piece: Arc
+    """Path in the plane, m; of length 0 for a vertical move."""
     start: float
+    """Height z at the start, m."""
     end: float
+    """Height z at the end, m."""
     feed: float | None
+    """Speed, m/s; None for a rapid move."""
     spindle: bool
+    """True if the spindle turns."""
     cycle: bool = False
+    """True for a drill cycle."""
 
     @property
     def time(self) -> float:
         """Duration, s; a drill cycle at its feed, down and up."""
-        way = math.hypot(self.piece.length, self.end - self.start) * (2 if self.cycle else 1)
-        return way / (RAPID if self.feed is None else self.feed)
+        length = math.hypot(self.piece.length, self.end - self.start) * (2 if self.cycle else 1)
+        return length / (RAPID if self.feed is None else self.feed)
 
 
 @dataclass
 class _Machine:
-    """What is in force: motion, place (m), feed (m/s), spindle; height above which drill cycles are quick (m)."""
+    """Modal state of a machine."""
 
     motion: int = 0
-    place: Point = (0.0, 0.0)
+    """Number of the motion command, such as 1 for G1."""
+    position: Point = (0.0, 0.0)
+    """Position x, y, m."""
     z: float = 0.0
+    """Height, m."""
     feed: float = 0.0
+    """Feed, m/s."""
     spindle: bool = False
-    depth: float = 0.0
-    above: float = 0.0
+    """True if the spindle turns."""
+    cycle_depth: float = 0.0
+    """Height of the bottom of drill cycles, m."""
+    cycle_start: float = 0.0
+    """Height at which drill cycles begin, m."""
 
 
 def read_gcode(text: str) -> tuple[Motion, ...]:
-    """The moves of a program."""
+    """Moves of a program.
+
+    Raises:
+        InputError: a line is not words of a letter and a number, or an arc does not end on its circle.
+    """
     machine = _Machine()
-    found: list[Motion] = []
+    motions: list[Motion] = []
     for number, line in enumerate(text.splitlines(), start=1):
         bare = re.sub(r"\([^)]*\)", "", line).strip()
         words = [(letter, float(value)) for letter, value in WORD.findall(bare)]
         if re.sub(r"\s", "", WORD.sub("", bare)):
             raise InputError(f"line {number} of the G-code is {line!r}; it must be words of a letter and a number")
-        found += _motions(machine, number, words)
-    return tuple(found)
+        motions += _motions(machine, number, words)
+    return tuple(motions)
 
 
-def _motions(machine: _Machine, number: int, words: list[tuple[str, float]]) -> Iterator[Motion]:
+def _motions(machine: _Machine, line: int, words: list[tuple[str, float]]) -> Iterator[Motion]:
     """Moves of a line; the modal state of the machine is updated."""
     for letter, value in words:
         if letter == "M" and value in (3, 5, 30):
             machine.spindle = value == 3
-        if letter == "G" and value in IN_FORCE:
+        if letter == "G" and value in MODAL:
             machine.motion = int(value)
         if letter == "G" and value == 80:
             machine.motion = 0
-    # What sets offsets, dwells or probes moves nothing that cuts.
+    # Offsets, dwells and probing cut nothing.
     if any(letter == "G" and value in (4, 10, 31, 38.2, 92) for letter, value in words):
         return
-    given = {letter: value / TO_MM for letter, value in words if letter in "XYZIJRF"}
-    machine.feed = given.get("F", machine.feed * PER_MINUTE) / PER_MINUTE
-    if not given.keys() & set("XYZ"):
+    values = {letter: value / TO_MM for letter, value in words if letter in "XYZIJRF"}
+    machine.feed = values.get("F", machine.feed * PER_MINUTE) / PER_MINUTE
+    if not values.keys() & set("XYZ"):
         return
-    end = given.get("X", machine.place[0]), given.get("Y", machine.place[1])
+    start, spindle = machine.position, machine.spindle
+    end = values.get("X", start[0]), values.get("Y", start[1])
     if machine.motion == 83:
-        machine.depth, machine.above = given.get("Z", machine.depth), given.get("R", machine.above)
-        yield Motion(number, Arc.between(machine.place, end), machine.z, machine.z, None, machine.spindle)
-        machine.place = end
-        yield Motion(
-            number, Arc.between(end, end), machine.above, machine.depth, machine.feed, machine.spindle, cycle=True
-        )
+        machine.cycle_depth = values.get("Z", machine.cycle_depth)
+        machine.cycle_start = values.get("R", machine.cycle_start)
+        yield Motion(line, Arc.between(start, end), machine.z, machine.z, None, spindle)
+        machine.position = end
+        hole = Arc.between(end, end)
+        yield Motion(line, hole, machine.cycle_start, machine.cycle_depth, machine.feed, spindle, cycle=True)
         return
-    z = given.get("Z", machine.z)
-    piece = Arc.between(machine.place, end)
+    z = values.get("Z", machine.z)
+    piece = Arc.between(start, end)
     if machine.motion > 1:
-        centre = machine.place[0] + given.get("I", 0.0), machine.place[1] + given.get("J", 0.0)
-        piece = _arc(number, machine.place, end, centre=centre, left=machine.motion == 3)
-    yield Motion(number, piece, machine.z, z, machine.feed if machine.motion else None, machine.spindle)
-    machine.place, machine.z = end, z
+        centre = start[0] + values.get("I", 0.0), start[1] + values.get("J", 0.0)
+        piece = _arc(line, start, end, centre=centre, left=machine.motion == 3)
+    yield Motion(line, piece, machine.z, z, machine.feed if machine.motion else None, spindle)
+    machine.position, machine.z = end, z
 
 
-def _arc(number: int, start: Point, end: Point, *, centre: Point, left: bool) -> Arc:
-    radius, other = math.dist(start, centre), math.dist(end, centre)
-    if abs(radius - other) > 5e-6:
+def _arc(line: int, start: Point, end: Point, *, centre: Point, left: bool) -> Arc:
+    """Arc of a line of the program; left: counter-clockwise."""
+    radius, end_radius = math.dist(start, centre), math.dist(end, centre)
+    if abs(radius - end_radius) > 5e-6:
         raise InputError(
-            f"line {number} of the G-code: the arc's ends lie {radius * TO_MM:g} and {other * TO_MM:g} mm off centre"
+            f"line {line} of the G-code: the arc's ends lie {radius * TO_MM:g} and {end_radius * TO_MM:g} mm off centre"
         )
-    first, last = (math.atan2(place[1] - centre[1], place[0] - centre[0]) for place in (start, end))
+    first, last = (math.atan2(point[1] - centre[1], point[0] - centre[0]) for point in (start, end))
     side = 1 if left else -1
     turn = side * (last - first) % (2 * math.pi)
     return Arc(start, first + side * math.pi / 2, radius * turn, side / radius)
 
 
 def hazards(motions: Iterable[Motion]) -> list[str]:
-    """What a program must not do: rapid moves below the plate's face, cuts without feed or with the spindle still."""
-    found = []
+    """Messages for rapid moves below the plate's face, and for cuts without feed or with the spindle still."""
+    messages = []
     for motion in motions:
         if min(motion.start, motion.end) >= 0:
             continue
         if motion.feed is None:
-            found.append(f"line {motion.line} moves at rapid speed below the plate's face")
+            messages.append(f"line {motion.line} moves at rapid speed below the plate's face")
         elif not motion.spindle or motion.feed <= 0:
-            found.append(f"line {motion.line} cuts with the spindle still, or without a feed")
-    return found
+            messages.append(f"line {motion.line} cuts with the spindle still, or without a feed")
+    return messages
 
 
-def cutter_ways(groove: Groove) -> tuple[Centreline, ...]:
-    """The ways of the cutter in one pass (m), with the overrun beyond the plate's edge."""
+def cutter_paths(groove: Groove) -> tuple[Centreline, ...]:
+    """Paths of the cutter in one pass, with the overrun beyond the plate's edge."""
     return tuple(groove.centreline.offset(d).lengthened(overrun(groove.width)) for d in groove.cutter_offsets)
 
 
 def toolpath_deviation(mold: Mold, text: str) -> float:
-    """Greatest distance (m), either way, between where cutters of grooves go and where they are meant to; inf if too
-    shallow.
+    """Hausdorff distance (m) between the cuts of a program and the cutter paths of the grooves; inf if too shallow.
 
-    At full depth, every way of every groove must be there.
+    Every cutter path of every groove must be cut at full depth.
     """
-    cuts = [m for m in read_gcode(text) if m.feed is not None and m.piece.length > 0]
-    worst = 0.0
-    for groove in mold.grooves:
-        deep = [cut.piece for cut in cuts if abs(cut.end + groove.depth) < 1e-6]
-        if not deep:
+    cuts = [motion for motion in read_gcode(text) if motion.feed is not None and motion.piece.length > 0]
+    paths = [(groove, path) for groove in mold.grooves for path in cutter_paths(groove)]
+    deviation = 0.0
+    for groove, path in paths:
+        at_depth = [cut.piece for cut in cuts if abs(cut.end + groove.depth) < 1e-6]
+        if not at_depth:
             return math.inf
-        worst = max(worst, *(farthest(way.pieces, deep) for way in cutter_ways(groove)))
-    meant = [piece for groove in mold.grooves for way in cutter_ways(groove) for piece in way.pieces]
-    return max(worst, farthest({cut.piece for cut in cuts}, meant))
+        deviation = max(deviation, directed_distance(path.pieces, at_depth))
+    return max(deviation, directed_distance({cut.piece for cut in cuts}, [p for _, path in paths for p in path.pieces]))

@@ -1,4 +1,4 @@
-"""The plane geometry of a groove: straight pieces, true arcs, and a bend of any curvature as a chain of them (m, rad).
+"""Plane geometry of a groove: lines, arcs, and a bend of any curvature as a chain of arcs (m, rad).
 
 Where the curvature is constant an arc is the curve itself. Elsewhere each stretch is a biarc: two arcs, tangent to each
 other, with the ends and tangents of the stretch (Bolton, Computer-Aided Design 7, 1975), halved until it lies on the
@@ -18,7 +18,7 @@ from numpy.polynomial import chebyshev
 
 from ...robots.tubes import Tube
 from ...typing import Array
-from .springback import signed_curvature
+from .springback import Panel, signed_curvature
 
 Point = tuple[float, float]
 
@@ -33,13 +33,13 @@ class Arc:
     """A stretch of one curvature: an arc of a circle, or a line where that is 0."""
 
     start: Point
-    """m."""
+    """Start point, m."""
     heading: float
     """Heading at the start, rad."""
     length: float
-    """m."""
+    """Arc length, m."""
     curvature: float = 0.0
-    """1/m, positive where it turns left."""
+    """Signed curvature, 1/m; positive: the piece turns left."""
 
     @classmethod
     def between(cls, start: Array | Point, end: Array | Point) -> Arc:
@@ -66,13 +66,13 @@ class Arc:
 
     @cached_property
     def end(self) -> Point:
-        """m."""
+        """End point, m."""
         return _point(self.point(np.array([self.length]))[0])
 
     def point(self, s: Array) -> Array:
         """(N, 2) points at arc lengths `s` (N,), also beyond the ends."""
         half = 0.5 * self.curvature * np.asarray(s)
-        # The chord to a place has half the turn to there, and sinc is sin(pi x) / (pi x).
+        # The chord to a point has half the turn of its arc, and NumPy's sinc is sin(pi x) / (pi x).
         chord, angle = s * np.sinc(half / math.pi), self.heading + half
         return np.asarray(self.start) + np.column_stack([chord * np.cos(angle), chord * np.sin(angle)])
 
@@ -92,15 +92,15 @@ class Arc:
     def distance(self, points: Array) -> Array:
         """(N,) distances (m) of `points` (N, 2) from the piece."""
         if not self.curvature:
-            away, way = points - np.asarray(self.start), self.tangent(np.zeros(1))[0]
+            relative, direction = points - np.asarray(self.start), self.tangent(np.zeros(1))[0]
             # Nearest point of the line, or the nearer one of its ends.
-            along = np.clip(away @ way, 0.0, self.length)
-            return np.asarray(np.linalg.norm(away - along[:, None] * way, axis=1))
-        away, left = points - np.asarray(self.centre), math.copysign(1.0, self.curvature)
+            along = np.clip(relative @ direction, 0.0, self.length)
+            return np.asarray(np.linalg.norm(relative - along[:, None] * direction, axis=1))
+        relative, side = points - np.asarray(self.centre), math.copysign(1.0, self.curvature)
         # Angle about the centre from the start, counted in the sense of the arc.
-        turned = left * (np.arctan2(away[:, 1], away[:, 0]) - self.heading) + math.pi / 2
-        inside = np.mod(turned, 2 * math.pi) <= abs(self.sweep)
-        to_circle = np.abs(np.linalg.norm(away, axis=1) - self.radius)
+        angle = side * (np.arctan2(relative[:, 1], relative[:, 0]) - self.heading) + math.pi / 2
+        inside = np.mod(angle, 2 * math.pi) <= abs(self.sweep)
+        to_circle = np.abs(np.linalg.norm(relative, axis=1) - self.radius)
         ends = [np.linalg.norm(points - np.asarray(end), axis=1) for end in (self.start, self.end)]
         return np.asarray(np.where(inside, to_circle, np.minimum(*ends)))
 
@@ -128,10 +128,10 @@ class Centreline:
     """
 
     lead_in: Arc
-    """The line before the bend."""
+    """Line before the bend."""
     bend: tuple[Arc, ...]
     lead_out: Arc
-    """The line behind the bend."""
+    """Line behind the bend."""
 
     @property
     def pieces(self) -> tuple[Arc, ...]:
@@ -140,7 +140,7 @@ class Centreline:
 
     @property
     def length(self) -> float:
-        """Length, m."""
+        """Arc length from end to end, m."""
         return sum(piece.length for piece in self.pieces)
 
     @property
@@ -149,12 +149,12 @@ class Centreline:
         return sum(piece.length for piece in self.bend)
 
     def offset(self, distance: float) -> Centreline:
-        """The parallel centreline at `distance` (m) to the left."""
+        """Parallel centreline at `distance` (m) to the left."""
         bend = tuple(piece.offset(distance) for piece in self.bend)
         return Centreline(self.lead_in.offset(distance), bend, self.lead_out.offset(distance))
 
     def moved(self, shift: Point) -> Centreline:
-        """The centreline, moved by `shift` (m)."""
+        """Centreline moved by `shift` (m)."""
         bend = tuple(piece.moved(shift) for piece in self.bend)
         return Centreline(self.lead_in.moved(shift), bend, self.lead_out.moved(shift))
 
@@ -167,21 +167,22 @@ class Centreline:
         return self.along(step).points
 
     def along(self, step: float) -> Samples:
-        """Places at most `step` (m) apart, with the ends of all pieces."""
-        begins = np.cumsum([0.0, *(piece.length for piece in self.pieces)])
-        places = [spaced(piece.length, step) for piece in self.pieces]
-        both = list(zip(self.pieces, places, strict=True))
-        points, tangents = np.vstack([p.point(s) for p, s in both]), np.vstack([p.tangent(s) for p, s in both])
-        arc_length = np.concatenate([begin + s for begin, s in zip(begins, places, strict=False)])
-        return Samples(arc_length, points, tangents)
+        """Samples at most `step` (m) apart, with the ends of all pieces."""
+        s = [spaced(piece.length, step) for piece in self.pieces]
+        starts = np.cumsum([0.0, *(piece.length for piece in self.pieces[:-1])])
+        return Samples(
+            arc_length=np.concatenate([start + own for start, own in zip(starts, s, strict=True)]),
+            points=np.vstack([piece.point(own) for piece, own in zip(self.pieces, s, strict=True)]),
+            tangents=np.vstack([piece.tangent(own) for piece, own in zip(self.pieces, s, strict=True)]),
+        )
 
     def bend_point(self, s: Array) -> Array:
         """(N, 2) points at arc lengths `s` (N,) of the bend, m."""
         ends = np.cumsum([piece.length for piece in self.bend])
-        which = np.minimum(np.searchsorted(ends, s), len(self.bend) - 1)
-        begins = ends - [piece.length for piece in self.bend]
-        places = [self.bend[k].point(np.array([x - begins[k]])) for k, x in zip(which, s, strict=True)]
-        return np.vstack(places) if places else np.zeros((0, 2))
+        index = np.minimum(np.searchsorted(ends, s), len(self.bend) - 1)
+        starts = ends - [piece.length for piece in self.bend]
+        points = [self.bend[k].point(np.array([x - starts[k]])) for k, x in zip(index, s, strict=True)]
+        return np.vstack(points) if points else np.zeros((0, 2))
 
     def distance(self, points: Array) -> Array:
         """(N,) distances (m) of `points` (N, 2) from the centreline."""
@@ -189,7 +190,7 @@ class Centreline:
 
 
 def with_leads(bend: Sequence[Arc], lead_in: float, lead_out: float) -> Centreline:
-    """The bend with tangent leads of these lengths (m)."""
+    """Centreline of a bend and tangent leads of lengths `lead_in` and `lead_out` (m)."""
     first, last = bend[0], bend[-1]
     start = _point(np.asarray(first.start) - lead_in * first.tangent(np.zeros(1))[0])
     out = Arc(last.end, last.heading + last.sweep, lead_out)
@@ -197,22 +198,23 @@ def with_leads(bend: Sequence[Arc], lead_in: float, lead_out: float) -> Centreli
 
 
 def leads_to_edge(bend: Sequence[Arc], size: Point) -> Centreline:
-    """The bend with tangent leads that end at the edge of the plate [0, width] x [0, height]; the bend lies inside."""
+    """Centreline of a bend inside the plate [0, width] x [0, height], with tangent leads that end at its edge."""
     first, last = bend[0].tangent(np.zeros(1))[0], bend[-1].tangent(np.array([bend[-1].length]))[0]
-    return with_leads(bend, way_to_edge(bend[0].start, -first, size), way_to_edge(bend[-1].end, last, size))
+    lead_in = distance_to_edge(bend[0].start, -first, size)
+    return with_leads(bend, lead_in, distance_to_edge(bend[-1].end, last, size))
 
 
-def way_to_edge(start: Point, direction: Array, size: Point) -> float:
-    """Length (m) of the way from a point inside the plate [0, width] x [0, height] to its edge; `direction` is unit."""
-    ways = []
+def distance_to_edge(start: Point, direction: Array, size: Point) -> float:
+    """Distance (m) along a unit vector (2,) from a point inside the plate [0, width] x [0, height] to its edge."""
+    distances = []
     for position, component, extent in zip(start, direction, size, strict=True):
         if abs(component) > 1e-12:
-            ways.append(((extent if component > 0 else 0.0) - position) / component)
-    return float(min(ways))
+            distances.append(((extent if component > 0 else 0.0) - position) / component)
+    return float(min(distances))
 
 
 def bounds(pieces: Sequence[Arc]) -> tuple[Point, Point]:
-    """Least and greatest coordinates of pieces, exact for arcs."""
+    """Corners of the bounding box of pieces, m; exact for arcs."""
     points = [end for piece in pieces for end in (piece.start, piece.end)]
     for piece in pieces:
         if piece.curvature:
@@ -223,48 +225,52 @@ def bounds(pieces: Sequence[Arc]) -> tuple[Point, Point]:
     return _point(array.min(axis=0)), _point(array.max(axis=0))
 
 
-def least_distance(first: Centreline, second: Centreline) -> float:
-    """Least distance (m) between two centrelines, from samples of the first, half a millimetre apart, to the second:
-    too large by less than a quarter, so that curves which cross are at most that far apart."""
+def min_distance(first: Centreline, second: Centreline) -> float:
+    """Smallest distance (m) between two centrelines, too large by less than 0.25 mm.
+
+    It is taken from samples of the first, half a millimetre apart, to the second: curves that cross are at most a
+    quarter of a millimetre apart.
+    """
     return float(second.distance(first.sample(5e-4)).min())
 
 
-def farthest(pieces: Iterable[Arc], others: Iterable[Arc]) -> float:
-    """Greatest distance (m) of pieces, sampled every millimetre, from others."""
+def directed_distance(pieces: Iterable[Arc], reference: Iterable[Arc]) -> float:
+    """Directed Hausdorff distance (m) from pieces, sampled every millimetre, to reference pieces."""
     points = np.vstack([piece.point(spaced(piece.length, 1e-3)) for piece in pieces])
-    return float(np.min([other.distance(points) for other in others], axis=0).max())
+    return float(np.min([piece.distance(points) for piece in reference], axis=0).max())
 
 
 def crosses_itself(curve: Centreline, width: float) -> bool:
-    """Whether a groove of this width (m) runs into itself: it comes near to where it has been, facing another way.
-
-    Only points between which it turns by more than a quarter are compared, those a bend parts, however tight it is.
-    """
+    """True for a groove of `width` (m) that runs into itself."""
     step = 1.5e-3
     _, points, tangents = curve.along(step)
     # Between two samples a curve may come nearer by half a step.
-    return comes_back(points, np.unwrap(np.arctan2(tangents[:, 1], tangents[:, 0])), math.hypot(width, step / 2))
+    return meets_itself(points, np.unwrap(np.arctan2(tangents[:, 1], tangents[:, 0])), math.hypot(width, step / 2))
 
 
-def comes_back(at: Array, heading: Array, distance: float) -> bool:
-    """Whether a planar curve, by points (N, 2) and headings (N,), comes nearer than this (m) to where it has been,
-    having turned by more than a quarter."""
+def meets_itself(points: Array, heading: Array, distance: float) -> bool:
+    """True for a planar curve of points (N, 2) and headings (N,) with two points nearer than `distance` (m).
+
+    Only points between which the heading changes by more than a quarter turn are compared: along a bend, however tight,
+    neighbours are always near.
+    """
     if np.ptp(heading) <= math.pi / 2:
         return False
-    for k in range(len(at) - 1):
-        apart = np.maximum.accumulate(heading[k:]) - np.minimum.accumulate(heading[k:]) > math.pi / 2
-        if (((at[k:][apart] - at[k]) ** 2).sum(1) < distance**2).any():
+    for k in range(len(points) - 1):
+        later = np.maximum.accumulate(heading[k:]) - np.minimum.accumulate(heading[k:]) > math.pi / 2
+        if (((points[k:][later] - points[k]) ** 2).sum(1) < distance**2).any():
             return True
     return False
 
 
 def polygon(curve: Centreline, width: float, sagitta: float = SAGITTA) -> Array:
-    """(N, 2) corners, counter-clockwise, of a groove of this width (m); chords leave arcs by `sagitta` (m) at most."""
+    """(N, 2) corners, counter-clockwise, of a groove of `width` (m); chords leave arcs by at most `sagitta` (m)."""
     left, right = (_polyline(curve.offset(side * width / 2), sagitta) for side in (1, -1))
     return np.vstack([right, left[::-1]])
 
 
 def _polyline(curve: Centreline, sagitta: float) -> Array:
+    """(N, 2) ends of chords that deviate from a curve by at most `sagitta`, m."""
     parts = [np.asarray([curve.lead_in.start])]
     for k, piece in enumerate(curve.bend):
         count = 1
@@ -272,8 +278,8 @@ def _polyline(curve: Centreline, sagitta: float) -> Array:
             # A chord over the angle a leaves its arc by r (1 - cos(a / 2)).
             step = 2 * math.acos(max(1 - sagitta / piece.radius, -1.0))
             count = max(2 if len(curve.bend) == 1 else 1, math.ceil(abs(piece.sweep) / step))
-        places = np.linspace(0.0, piece.length, count + 1)
-        parts.append(piece.point(places if k == 0 else places[1:]))
+        s = np.linspace(0.0, piece.length, count + 1)
+        parts.append(piece.point(s if k == 0 else s[1:]))
     return np.vstack([*parts, [curve.lead_out.end]])
 
 
@@ -282,15 +288,14 @@ def clipped_area(corners: Array, size: Point) -> float:
     for axis in (0, 1):
         for sign, bound in ((1.0, 0.0), (-1.0, -size[axis])):
             value = sign * corners[:, axis] - bound
-            kept = []
+            clipped = []
             for k in range(len(corners)):
-                before, here = k - 1, k
-                if (value[before] < 0) != (value[here] < 0):
-                    part = value[before] / (value[before] - value[here])
-                    kept.append(corners[before] + part * (corners[here] - corners[before]))
-                if value[here] >= 0:
-                    kept.append(corners[here])
-            corners = np.array(kept)
+                if (value[k - 1] < 0) != (value[k] < 0):
+                    part = value[k - 1] / (value[k - 1] - value[k])
+                    clipped.append(corners[k - 1] + part * (corners[k] - corners[k - 1]))
+                if value[k] >= 0:
+                    clipped.append(corners[k])
+            corners = np.array(clipped)
     x, y = corners[:, 0] - corners[0, 0], corners[:, 1] - corners[0, 1]
     # Shoelace formula, from the first corner, so that distant polygons lose no digits.
     return 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
@@ -314,78 +319,82 @@ ARC_TOLERANCE = 0.5e-6
 """Largest distance of the arcs of a groove from its curve, m."""
 
 # The deviation rises and falls once on each arc. Eight steps to a half-wave miss its height by 1 - cos(pi / 16), 2 %.
-ARC_PLACES = 17
+ARC_POINTS = 17
 """Checked points on a pair of arcs."""
 
 # Beyond it the deviation of a biarc with equal arms is not yet of third order, and 17 points need not see its peak.
 ARC_TURN = 0.5
 """Largest turn of one pair of arcs, rad."""
 
+# Few milling machines take an arc with a radius of kilometres.
 FLAT = 1e-9
-"""Arcs that rise less than this (m) above their chord are lines: few cutters take a radius of kilometres."""
+"""Rise above the chord, m, up to which an arc becomes a line."""
 
 _GAUSS = np.polynomial.legendre.leggauss(16)
 
 
 def bend_of(held: Tube) -> tuple[Arc, ...]:
-    """The bend of a groove that holds a planar tube so, from left to right.
+    """Bend of a groove for a planar tube, from left to right.
 
-    The headings of its ends are opposite, and on the whole it turns to the right: one arc stands symmetrically about
-    the vertical. Its top is at y = 0.
+    The headings of its ends are opposite, and in total it turns to the right: a single arc is symmetric about the
+    vertical. Its top is at y = 0.
+
+    Args:
+        held: tube as the mold holds it.
     """
-    panels = _merged(signed_curvature(held))
-    turn = math.fsum(_turn(length, c) for length, c in panels)
+    panels: list[Panel] = []
+    for panel in signed_curvature(held):
+        if panel.length < 1e-12:  # round-off between a kink and a change of sign
+            continue
+        if panels and len(panel.coefficients) == 1 and np.array_equal(panel.coefficients, panels[-1].coefficients):
+            # Neighbouring panels of the same constant curvature are one arc.
+            panels[-1] = Panel(panels[-1].length + panel.length, panel.coefficients)
+        else:
+            panels.append(panel)
+    turn = math.fsum(_turn(panel) for panel in panels)
     side = -1.0 if turn >= 0 else 1.0
-    at, heading = np.zeros(2), abs(turn) / 2
+    start, heading = np.zeros(2), abs(turn) / 2
     pieces: list[Arc] = []
     for length, coefficients in panels:
-        stretch = Stretch(length, side * coefficients, at, heading)
+        stretch = Stretch(length, side * coefficients, start, heading)
         pieces += stretch.arcs()
         end = np.array([length])
-        at, heading = stretch.points(end)[0], float(stretch.headings(end)[0])
+        start, heading = stretch.points(end)[0], float(stretch.headings(end)[0])
     low, high = bounds(pieces)
-    middle = (-(low[0] + high[0]) / 2, -high[1])
-    return tuple(piece.moved(middle) for piece in pieces)
+    to_middle = (-(low[0] + high[0]) / 2, -high[1])
+    return tuple(piece.moved(to_middle) for piece in pieces)
 
 
-def _turn(length: float, coefficients: Array) -> float:
-    whole = chebyshev.chebint(coefficients)
-    return float(chebyshev.chebval(1.0, whole) - chebyshev.chebval(-1.0, whole)) * length / 2
-
-
-def _merged(panels: list[tuple[float, Array]]) -> list[tuple[float, Array]]:
-    """Neighbouring panels of the same constant curvature as one, without those that round-off has cut."""
-    out: list[tuple[float, Array]] = []
-    for length, coefficients in panels:
-        if length < 1e-12:  # a kink and a change of sign beside each other
-            continue
-        if out and len(coefficients) == len(out[-1][1]) == 1 and coefficients[0] == out[-1][1][0]:
-            out[-1] = (out[-1][0] + length, coefficients)
-        else:
-            out.append((length, coefficients))
-    return out
+def _turn(panel: Panel) -> float:
+    """Integral of the curvature over a panel, rad."""
+    integral = chebyshev.chebint(panel.coefficients)
+    return float(chebyshev.chebval(1.0, integral) - chebyshev.chebval(-1.0, integral)) * panel.length / 2
 
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """A stretch of length (m) and one polynomial of curvature (1/m, positive turns left): Chebyshev coefficients."""
+    """Stretch of a bend on which the curvature is one polynomial of the arc length."""
 
     length: float
+    """Arc length, m."""
     coefficients: Array
+    """Chebyshev coefficients of the curvature, 1/m; positive: it turns left."""
     start: Array
+    """(2,) start point, m."""
     heading: float
+    """Heading at the start, rad."""
 
     def headings(self, s: Array) -> Array:
         """(N,) headings (rad) at arc lengths (N,)."""
-        whole = chebyshev.chebint(self.coefficients) * self.length / 2
+        integral = chebyshev.chebint(self.coefficients) * self.length / 2
         x = 2 * s / self.length - 1
-        return np.asarray(self.heading + chebyshev.chebval(x, whole) - chebyshev.chebval(-1.0, whole))
+        return np.asarray(self.heading + chebyshev.chebval(x, integral) - chebyshev.chebval(-1.0, integral))
 
     def points(self, s: Array) -> Array:
         """(N, 2) points at rising arc lengths (N,)."""
-        most = np.abs(self.coefficients).sum()
-        # At most half a radian a stretch: 16 Gauss points then integrate cos and sin to round-off.
-        fine = np.linspace(0.0, self.length, math.ceil(2 * most * self.length) + 1)
+        max_curvature = np.abs(self.coefficients).sum()
+        # At most half a radian an interval: 16 Gauss points then integrate cos and sin to round-off.
+        fine = np.linspace(0.0, self.length, math.ceil(2 * max_curvature * self.length) + 1)
         knots = np.unique(np.concatenate([fine, s]))
         half, middle = np.diff(knots) / 2, (knots[1:] + knots[:-1]) / 2
         nodes, weights = _GAUSS
@@ -395,14 +404,14 @@ class Stretch:
         return self.start + corners[np.searchsorted(knots, s)]
 
     def arcs(self) -> list[Arc]:
-        """The stretch as tangent arcs."""
+        """Tangent arcs, as biarcs that are halved until they lie on the curve."""
         if len(self.coefficients) == 1:
             return [_one_arc(self.start, self.heading, float(self.coefficients[0]), self.length)]
         pieces: list[Arc] = []
         stack = [(0.0, self.length)]
         while stack:
             low, high = stack.pop()
-            s = np.linspace(low, high, ARC_PLACES)
+            s = np.linspace(low, high, ARC_POINTS)
             points, headings = self.points(s), self.headings(s)
             if np.ptp(headings) <= ARC_TURN:
                 pair = _biarc(points[0], float(headings[0]), points[-1], float(headings[-1]))
@@ -415,28 +424,30 @@ class Stretch:
 
 
 def _one_arc(start: Array, heading: float, curvature: float, length: float) -> Arc:
+    """Arc, or a line where the arc is flat."""
     sweep = curvature * length
     # Rise of an arc over its chord: r (1 - cos(sweep / 2)), about sweep * length / 8.
     flat = abs(sweep) * length / 8 <= FLAT
-    at = float(start[0]), float(start[1])
-    return Arc(at, heading + sweep / 2, length) if flat else Arc(at, heading, length, curvature)
+    point = _point(start)
+    return Arc(point, heading + sweep / 2, length) if flat else Arc(point, heading, length, curvature)
 
 
 def _biarc(start: Array, first: float, end: Array, last: float) -> tuple[Arc, Arc]:
-    """The biarc from `start` with heading `first` to `end` with heading `last`, with equal arms."""
+    """Biarc from `start` with heading `first` to `end` with heading `last`, with equal arms."""
     t0, t1 = (np.array([math.cos(angle), math.sin(angle)]) for angle in (first, last))
     chord = end - start
     along = float(chord @ (t0 + t1))
-    # Twice sin^2 of half the turn is 1 - cos, without cancellation.
-    bent = 4 * math.sin((last - first) / 2) ** 2
+    # 2 (1 - cos) of the turn, by the half angle, without cancellation.
+    bending = 4 * math.sin((last - first) / 2) ** 2
     square = float(chord @ chord)
-    # Positive root of bent a^2 / 2 + along a = |chord|^2 / 2 with equal arms, free of cancellation.
-    arm = square / (along + math.sqrt(along**2 + bent * square))
+    # Positive root of bending a^2 / 2 + along a = |chord|^2 / 2 with equal arms, free of cancellation.
+    arm = square / (along + math.sqrt(along**2 + bending * square))
     joint = (start + end + arm * (t0 - t1)) / 2
     return _arc_to(start, first, joint), _arc_to(joint, first + _sweep(start, first, joint), end)
 
 
 def _sweep(start: Array, heading: float, end: Array) -> float:
+    """Signed turning angle of the arc from `start` with `heading` to `end`, rad: twice that to its chord."""
     chord = end - start
     across = math.cos(heading) * chord[1] - math.sin(heading) * chord[0]
     along = math.cos(heading) * chord[0] + math.sin(heading) * chord[1]
@@ -444,7 +455,7 @@ def _sweep(start: Array, heading: float, end: Array) -> float:
 
 
 def _arc_to(start: Array, heading: float, end: Array) -> Arc:
-    """The arc from `start` with `heading` to `end`."""
+    """Arc from `start` with `heading` to `end`."""
     half = _sweep(start, heading, end) / 2
     chord = float(np.linalg.norm(end - start))
     return _one_arc(start, heading, 2 * math.sin(half) / chord, chord / float(np.sinc(half / math.pi)))

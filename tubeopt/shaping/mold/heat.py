@@ -1,10 +1,10 @@
-"""Heat that a mold draws from a hot tube, and the cold ends of the tube, in closed form (SI).
+"""Heat flow from a hot tube into its mold, and the cold ends of the tube, in closed form (SI).
 
-The tube is a cylinder, suddenly at its set temperature, in a mold without end, behind the conductance of the contact
-between them. The heat per length that it gives off has a closed Laplace transform (Carslaw and Jaeger, Conduction of
-Heat in Solids, 1959, section 13.5), which is inverted numerically (Abate and Valko, Int. J. Numer. Meth. Eng. 60, 2004:
-the fixed Talbot contour). What the mold draws at the end of the hold, as a coefficient of heat loss, makes a fin of the
-tube's ends between the hot part and the clamps.
+The tube is a cylinder, suddenly at its set temperature, in an infinite mold, with a thermal contact conductance between
+them. The heat flow per length has a closed Laplace transform (Carslaw and Jaeger, Conduction of Heat in Solids, 1959,
+section 13.5), which is inverted numerically (Abate and Valko, Int. J. Numer. Meth. Eng. 60, 2004: the fixed Talbot
+contour). The flow at the end of the hold time, as a coefficient of heat loss, gives the fin between the hot part and
+the clamps.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from ...robots.tubes import Tube
 from ...typing import Array
 from ..heating.rig import gap_conductance
 from ..heating.spec import HeatingSpec
-from ..materials import ROOM, MoldMaterial
+from ..materials import AMBIENT_RANGE, MoldMaterial
 
 AMBIENT = 20.0 + ZERO_CELSIUS
 
-USUAL_GAP = 75e-6
-"""Even gap of air, m, that stands for a groove of 2 mm in board around a tube of 1.92 mm (`heating.thermal`)."""
+TYPICAL_GAP = 75e-6
+"""Uniform air gap, m, equivalent to a groove of 2 mm in board around a tube of 1.92 mm (`heating.thermal`)."""
 
 Transform = Callable[[Array], Array]
 
@@ -51,7 +51,7 @@ class HeatSpec:
     ] = 525.0 + ZERO_CELSIUS
     tolerance: Annotated[float, unit("K"), POSITIVE, "allowed temperature drop at the ends of the curved part"] = 25.0
     hold_time: Annotated[float, key("hold_s"), POSITIVE, "hold time at the set temperature"] = 60.0
-    ambient: Annotated[float, unit("degC"), ROOM, "ambient temperature"] = AMBIENT
+    ambient: Annotated[float, unit("degC"), AMBIENT_RANGE, "ambient temperature"] = AMBIENT
     clamp_temperature: Annotated[
         float | None,
         key("clamp_degC"),
@@ -64,7 +64,7 @@ class HeatSpec:
         POSITIVE,
         "thermal conductance between the whole tube surface and the mold. Default: air "
         "around a 1.92 mm tube in a 2 mm groove (75 um gap); calibrate it",
-    ] = round(gap_conductance(USUAL_GAP, AMBIENT), 1)
+    ] = round(gap_conductance(TYPICAL_GAP, AMBIENT), 1)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -87,7 +87,7 @@ class HeatSpec:
 
 
 def heating_for(heat: HeatSpec) -> HeatingSpec:
-    """The heating that a mold is laid out for, as a window and a hold."""
+    """Heating specification with the window and hold time of a mold's design."""
     degrees = heat.set_temperature - ZERO_CELSIUS
     window = (round(degrees - heat.tolerance, 9), round(degrees + heat.tolerance, 9))
     return HeatingSpec(window_degC=window, hold_time=heat.hold_time)
@@ -95,27 +95,32 @@ def heating_for(heat: HeatSpec) -> HeatingSpec:
 
 @dataclass(frozen=True)
 class ColdEnd:
-    """The end of a heated tube as a fin: T(x) = set - (set - clamp) exp(-x / decay_length), x from the clamp."""
+    """End of a heated tube as a fin: T(x) = T_set - (T_set - T_clamp) exp(-x / decay_length), x from the clamp."""
 
     length: float
     """Length from the clamp to where the tube is within the tolerance, m."""
     decay_length: float
-    """sqrt(k A / (h P)), m."""
+    """Decay length sqrt(k A / (h P)), m."""
     loss_coefficient: float
-    """h of what is around the tube at the end of the hold, W/(m^2 K)."""
+    """Heat transfer coefficient h from the tube to the mold at the end of the hold time, W/(m^2 K)."""
 
     def of_length(self, length: float | None) -> ColdEnd:
-        """With a length (m) that is known; as it is where that is None."""
+        """Copy with a measured length (m); unchanged for None."""
         return self if length is None else replace(self, length=length)
 
 
 def heat_flow(diameter: float, material: MoldMaterial, heat: HeatSpec, times: Array) -> Array:
-    """(N,) W/m that a tube of this outer diameter (m) gives off into the mold, `times` (N,) s after it got hot."""
+    """(N,) heat flow from a tube into the mold per length, W/m.
+
+    Args:
+        diameter: outer diameter of the tube, m.
+        times: (N,) times after the tube is hot, s.
+    """
     return _invert(_flow_transform(diameter, material, heat), times)
 
 
 def heat_drawn(diameter: float, material: MoldMaterial, heat: HeatSpec, times: Array) -> Array:
-    """(N,) J/m that the mold has drawn from the tube, `times` (N,) s after it got hot."""
+    """(N,) heat from a tube into the mold per length, J/m: the integral of `heat_flow`."""
     flow = _flow_transform(diameter, material, heat)
     return _invert(lambda s: flow(s) / s, times)
 
@@ -123,41 +128,42 @@ def heat_drawn(diameter: float, material: MoldMaterial, heat: HeatSpec, times: A
 def cold_end(tube: Tube, material: MoldMaterial, heat: HeatSpec) -> ColdEnd:
     """Cold end of the tube beside a clamp at the end of the hold, by the fin equation.
 
-    Uniform Joule heat that holds the set temperature far from the clamps, loss to the mold proportional to the
-    temperature, steady: true after decay_length^2 / diffusivity of the tube, some 10 s.
+    The fin is steady, with uniform Joule heat for the set temperature far from the clamps and loss proportional to the
+    temperature. This is valid after decay_length^2 / diffusivity of the tube, about 10 s.
     """
     loss = float(heat_flow(tube.outer_diameter, material, heat, np.array([heat.hold_time]))[0]) / heat.rise
     return fin(tube, heat, loss / (math.pi * tube.outer_diameter))
 
 
 def fin(tube: Tube, heat: HeatSpec, coefficient: float) -> ColdEnd:
-    """The end of a tube that loses so much, W/(m^2 K), as a fin."""
-    data, hot = thermal_data(tube), heat.set_temperature
-    decay = math.sqrt(data.at("conductivity", hot) * tube.cross_section / (coefficient * math.pi * tube.outer_diameter))
-    gap = hot - heat.clamps
-    length = decay * math.log(gap / heat.tolerance) if gap > heat.tolerance else 0.0
+    """Cold end of a tube as a fin; coefficient: of the heat loss, W/(m^2 K)."""
+    k = thermal_data(tube).at("conductivity", heat.set_temperature)
+    decay = math.sqrt(k * tube.cross_section / (coefficient * math.pi * tube.outer_diameter))
+    drop = heat.set_temperature - heat.clamps
+    length = decay * math.log(drop / heat.tolerance) if drop > heat.tolerance else 0.0
     return ColdEnd(length, decay, coefficient)
 
 
 def thermal_growth(tube: Tube, heat: HeatSpec, decay_length: float, length: float) -> float:
     """Growth (m) of a tube of `length` (m) between clamps: the integral of its thermal expansion.
 
-    Between the clamps the temperature of the fin is the set temperature less a hyperbolic cosine from either end.
+    The temperature between two clamps is T_set - (T_set - T_clamp) cosh(x / decay_length) / cosh(length / 2 /
+    decay_length), with x from the middle.
     """
-    half = length / 2
-    lost = 2 * decay_length * math.tanh(half / decay_length)
-    at_clamps = heat.clamps - heat.ambient
-    return thermal_data(tube).expansion * (heat.rise * (length - lost) + at_clamps * lost)
+    cold_length = 2 * decay_length * math.tanh(length / 2 / decay_length)
+    clamp_rise = heat.clamps - heat.ambient
+    return thermal_data(tube).expansion * (heat.rise * (length - cold_length) + clamp_rise * cold_length)
 
 
 def thermal_data(tube: Tube) -> ThermalData:
-    """Thermal constants of the tube's material, or those of nitinol where it has none."""
+    """Thermal constants of the tube's material; those of nitinol if it has none."""
     data = tube.material.thermal or NITINOL.thermal
     assert data is not None
     return data
 
 
 def _flow_transform(diameter: float, material: MoldMaterial, heat: HeatSpec) -> Transform:
+    """Laplace transform of the heat flow per length, W s/m."""
     contact = 1 / (heat.contact_conductance * math.pi * diameter)
 
     def transform(s: Array) -> Array:

@@ -1,7 +1,7 @@
-"""What holds a tube that is a space curve: a turned cylinder with a helical groove, or a printed block (SI).
+"""Mandrels for tubes that are space curves: a turned cylinder with a helical groove, or a printed block (SI).
 
-The curvature springs back as in a plate; torsion and natural twist are as given. The groove is round below, as wide as
-the tube and the clearance, and its centreline is the curve. Tangent leads run out of the solid at both ends.
+The curvature springs back as in a plate; torsion and natural twist are unchanged. The groove has a round bottom, as
+wide as tube and clearance, and its centreline is the curve. Tangent leads run out of the solid at both ends.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from .checks import (
 )
 from .files import Part, manifold, trimesh, write_parts
 from .gcode import check_duration
-from .groove import SAGITTA, comes_back, way_to_edge
+from .groove import SAGITTA, distance_to_edge, meets_itself
 from .heat import ColdEnd, cold_end
 from .spec import MoldSpec
 from .springback import Springback, bend_direction, tube_from_mold
@@ -49,53 +49,57 @@ from .springback import Springback, bend_direction, tube_from_mold
 CHORD_TURN = math.radians(5.0)
 """Largest angle between neighbouring segments of a groove in space, rad."""
 
-# Even over the sphere they are sqrt(4 pi / 200), 14 deg, apart, so that one is within 10 deg of the best. There a block
-# is higher by less than 1 / cos(10 deg), 2 %.
+# Spread evenly over the sphere, 200 directions are sqrt(4 pi / 200), 14 deg, apart, so that one is within 10 deg of the
+# best. There a block is higher by less than 1 / cos(10 deg), 2 %.
 BLOCK_SIDES = 200
-"""Directions from which a block is tried to open."""
+"""Number of candidate directions for the open side of a block."""
 
-# Walls rise along the open side. On a slope of 53 deg they meet the bottom at 37 deg: steeper ones leave an edge
-# that is too thin to be printed.
+# Walls rise along the open side. On a slope of 53 deg they meet the bottom at 37 deg: on steeper ones the edge is too
+# thin to be printed.
 BLOCK_SLOPE = 0.8
-"""Greatest slope of a groove towards the open side of its block, as a sine."""
+"""Largest slope of a groove towards the open side of its block, as a sine."""
 
 SHANK = 25e-3
-"""Length of a turned mandrel that the chuck takes, m."""
+"""Length of a turned mandrel in the chuck, m."""
 
 
 @dataclass(frozen=True, eq=False)
 class Winding:
-    """A curve in space: arc length (N,), points (N, 3) and unit tangents (N, 3), and which points are of the bend."""
+    """Centreline of a groove in space."""
 
     arc_length: Array
+    """(N,) arc lengths, m; 0 at the start of the bend."""
     points: Array
+    """(N, 3) points, m."""
     tangents: Array
+    """(N, 3) unit tangents."""
     bend: slice
+    """Indices of the points of the bend; the others are of the leads."""
 
     def moved(self, rotation: Array, shift: Array) -> Winding:
-        """The curve turned by a matrix (3, 3), then moved by `shift` (3,)."""
+        """Curve rotated by a matrix (3, 3), then moved by `shift` (3,), m."""
         return Winding(self.arc_length, self.points @ rotation.T + shift, self.tangents @ rotation.T, self.bend)
 
     def lengthened(self, extra: float, step: float = 1e-3) -> Winding:
-        """With both leads `extra` (m) longer; by points about `step` (m) apart."""
+        """Curve with both leads `extra` (m) longer, in points about `step` (m) apart."""
         s = self.arc_length
         return self.with_leads(extra - s[0], extra + s[-1] - s[self.bend][-1], step)
 
     def with_leads(self, before: float, after: float, step: float = 1e-3) -> Winding:
-        """The bend with straight tangent leads of these lengths (m) in place of its own."""
+        """Bend with straight tangent leads of lengths `before` and `after` (m) in place of its own."""
         s, p, t = (field[self.bend] for field in (self.arc_length, self.points, self.tangents))
         counts = [max(2, math.ceil(length / step)) for length in (before, after)]
-        back, on = np.linspace(-before, 0.0, counts[0])[:-1], np.linspace(0.0, after, counts[1])[1:]
+        lead_in, lead_out = np.linspace(-before, 0.0, counts[0])[:-1], np.linspace(0.0, after, counts[1])[1:]
         return Winding(
-            np.concatenate([s[0] + back, s, s[-1] + on]),
-            np.vstack([p[0] + back[:, None] * t[0], p, p[-1] + on[:, None] * t[-1]]),
-            np.vstack([np.tile(t[0], (len(back), 1)), t, np.tile(t[-1], (len(on), 1))]),
-            slice(len(back), len(back) + len(s)),
+            np.concatenate([s[0] + lead_in, s, s[-1] + lead_out]),
+            np.vstack([p[0] + lead_in[:, None] * t[0], p, p[-1] + lead_out[:, None] * t[-1]]),
+            np.vstack([np.tile(t[0], (len(lead_in), 1)), t, np.tile(t[-1], (len(lead_out), 1))]),
+            slice(len(lead_in), len(lead_in) + len(s)),
         )
 
 
 def helix_of(held: Tube) -> tuple[float, float] | None:
-    """Curvature and torsion (1/m) where the whole curved part is one helix in constant components; else None."""
+    """Curvature and torsion (1/m) of a curved part that is one helix with constant precurvature; None for others."""
     if any(vary(piece.precurvature) for piece in held.chain):
         return None
     u = np.array([piece.precurvature for piece in held.chain])
@@ -106,16 +110,15 @@ def helix_of(held: Tube) -> tuple[float, float] | None:
 
 
 def bend_in_space(held: Tube) -> Winding:
-    """The bend from the origin, along z at first: R' = R hat(u*), p' = R e3, to 1e-12."""
-    state = np.concatenate([np.zeros(3), np.eye(3).ravel()])
-    s, rows = [0.0], [state]
+    """Bend that starts at the origin along z: R' = R hat(u*), p' = R e3, integrated to 1e-12."""
+    s, rows = [0.0], [np.concatenate([np.zeros(3), np.eye(3).ravel()])]
+    curvature = max(held.curvature, 1.0)
+    # An arc of length c rises by kappa c^2 / 8 over its chord.
+    step = min(math.sqrt(8 * SAGITTA / curvature), CHORD_TURN / curvature, 1e-3)
     for piece in held.chain:
         breaks = breaks_of(piece.precurvature, piece.length)
         for low, high in pairwise(breaks):
-            bent = max(held.curvature, 1.0)
-            # A chord of length c rises by kappa c^2 / 8 over its arc.
-            step = min(math.sqrt(8 * SAGITTA / bent), CHORD_TURN / bent, 1e-3)
-            places = np.linspace(low, high, max(2, math.ceil((high - low) / step) + 1))
+            samples = np.linspace(low, high, max(2, math.ceil((high - low) / step) + 1))
 
             def rate(x: float, y: Array, piece: Piece = piece) -> Array:
                 ux, uy, uz = (float(values(q, np.array([x]))[0]) for q in piece.precurvature)
@@ -123,12 +126,11 @@ def bend_in_space(held: Tube) -> Winding:
                 hat = np.array([[0.0, -uz, uy], [uz, 0.0, -ux], [-uy, ux, 0.0]])
                 return np.concatenate([frame[:, 2], (frame @ hat).ravel()])
 
-            found = scipy.integrate.solve_ivp(
-                rate, (low, high), rows[-1], method="DOP853", t_eval=places, rtol=1e-11, atol=1e-13
+            states = scipy.integrate.solve_ivp(
+                rate, (low, high), rows[-1], method="DOP853", t_eval=samples, rtol=1e-11, atol=1e-13
             ).y.T
-            begin = s[-1]
-            s += (begin + places[1:] - low).tolist()
-            rows += list(found[1:])
+            s += (s[-1] + samples[1:] - low).tolist()
+            rows += list(states[1:])
     table = np.array(rows)
     tangents = table[:, 3:].reshape(-1, 3, 3)[:, :, 2]
     tangents = tangents / np.linalg.norm(tangents, axis=1)[:, None]
@@ -137,30 +139,34 @@ def bend_in_space(held: Tube) -> Winding:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A turned cylinder along x, with a helix around it; m."""
+    """Turned cylinder along x, with a helical groove."""
 
     radius: float
+    """Radius of the cylinder, m."""
     length: float
+    """Length with the part in the chuck, m."""
     helix_radius: float
-    lead: float
-    """Advance of the helix per rad; negative: left-handed."""
+    """Radius of the groove's centreline, m."""
+    advance: float
+    """Advance of the helix per rad, m; negative: left-handed."""
 
     @property
     def pitch(self) -> float:
         """Advance of the helix per turn, m."""
-        return 2 * math.pi * abs(self.lead)
+        return 2 * math.pi * abs(self.advance)
 
     @property
     def handed(self) -> str:
-        """The helix: left or right."""
-        return "left" if self.lead < 0 else "right"
+        """Hand of the helix, "left" or "right"."""
+        return "left" if self.advance < 0 else "right"
 
 
 @dataclass(frozen=True)
 class Block:
-    """A block [0, x] x [0, y] x [0, z], m, open above."""
+    """Printed block with a groove that is open above."""
 
     size: tuple[float, float, float]
+    """Lengths along x, y and z, m."""
 
 
 class MandrelStatus(StatusEnum):
@@ -172,7 +178,7 @@ class MandrelStatus(StatusEnum):
 
 @dataclass(frozen=True)
 class MandrelStatistics:
-    """Checks that were made, and remarks."""
+    """Numbers of checks and remarks."""
 
     checks: int
     remarks: int
@@ -184,9 +190,9 @@ class Mandrel(Displayed):
 
     number: Annotated[int, key("tube"), "number of the tube, 1 for the innermost"]
     tube: Tube
-    """Finished tube."""
+    """Tube after shape-setting and trimming."""
     held: Tube
-    """The tube as the mandrel holds it."""
+    """Tube as the mandrel holds it."""
     spec: MoldSpec
     """Specification of the mandrel."""
     body: Cylinder | Block
@@ -196,7 +202,7 @@ class Mandrel(Displayed):
     width: Annotated[float, unit("mm"), form(".4g", label="groove, width"), "width of the groove"]
     """Also the diameter of its round bottom."""
     cold: ColdEnd
-    """The cold end of the tube; its length is that of the specification where one is given."""
+    """Cold end of the tube; its length is that of the specification, if given."""
     free_length: Annotated[
         float, unit("mm"), form(".4g", label="tube between the clamps"), "length of tube between the clamps"
     ]
@@ -206,12 +212,12 @@ class Mandrel(Displayed):
 
     @property
     def value(self) -> Winding:
-        """The centreline of its groove."""
+        """Centreline of its groove."""
         return self.winding
 
     @property
     def status(self) -> MandrelStatus:
-        """TURNED or PRINTED."""
+        """Status with the kind of mandrel: turned or printed."""
         return MandrelStatus.TURNED if isinstance(self.body, Cylinder) else MandrelStatus.PRINTED
 
     @property
@@ -227,103 +233,119 @@ class Mandrel(Displayed):
 
 
 def plan_mandrel(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -> Mandrel:
-    """The mandrel on which a space curve is set: turned for a helix with room for a core, else printed.
+    """Mandrel for a tube that is a space curve: turned for a helix that leaves a core, otherwise printed.
 
     Args:
-        tube: made of pieces; planar ones take a plate (`plan_mold`).
-        mold: as of `plan_mold`; of the plate only margin and wall count.
-        number: of the tube, for texts.
+        tube: a tube made of pieces; planar tubes take a plate (`plan_mold`).
+        mold: material, fit and tools, as for `plan_mold`; of the plate, only margin and wall are used.
+        number: number of the tube in texts.
 
     Raises:
-        InputError: the tube is planar, strained too far, no mandrel yields its curvature, turns of the groove run into
-            one another, or no side of a block opens all of the groove.
+        InputError: the tube is planar or strained too far, no mandrel yields its curvature, turns of the groove
+            overlap, or no side of a block gives access to the whole groove.
     """
     spec = MoldSpec() if mold is None else mold
     instance("tube", tube, Tube)
     if bend_direction(tube) is not None:
         raise InputError(f"tube {number} is planar; use a plate, not a mandrel")
     held, cold = as_held(number, tube, spec), cold_end(tube, spec.material, spec.heat).of_length(spec.cold_length)
-    wound = "wound into the groove"
-    checks = [strain_check(number, held, spec, wound, f"when it is {wound}", "set it in steps")]
+    process = "wound into the groove"
+    checks = [strain_check(number, held, spec, process, f"when it is {process}", "set it in steps")]
     refuse_failed(checks)
-    found = helix_of(held)
+    helix = helix_of(held)
     width = tube.outer_diameter + spec.groove.clearance
-    # The groove's bottom, with the floor of a plate below it as the core's radius.
-    turned = found is not None and found[0] / (found[0] ** 2 + found[1] ** 2) >= width / 2 + spec.groove.floor
-    special: list[str] = []
+    # A core remains if the bottom of the groove is at least the floor of a plate from the axis.
+    turned = helix is not None and helix[0] / (helix[0] ** 2 + helix[1] ** 2) >= width / 2 + spec.groove.floor
+    tool_remarks: list[str] = []
     body: Cylinder | Block
-    if found is not None and turned:
+    if helix is not None and turned:
         mill, width = choose_mill(number, tube, spec)
         if abs(mill.diameter - width) > 1e-9:
-            special = [f"none of the end mills at hand is {width * 1e3:g} mm wide; the groove takes a tool ground so"]
-        body, winding = _cylinder(held, found, width, spec)
-        checks += _turns_apart(number, held, found, body, width, spec)
+            tool_remarks.append(
+                f"none of the end mills at hand is {width * 1e3:g} mm wide; the groove takes a tool ground so"
+            )
+        body, winding = _cylinder(held, helix, width, spec)
+        checks += _wall_checks(number, held, helix, body, width, spec)
     else:
         lead = max(spec.clamps.least_lead, cold.length - spec.clamps.gap)
         body, winding = _block(number, held, lead, width, spec)
     refuse_failed(checks)
     leads = winding.arc_length[-1] - winding.arc_length[0] - held.curved_length
     free = held.curved_length + max(leads + 2 * spec.clamps.gap, 2 * cold.length)
-    remarks = (*_remarks(tube, spec, turned), *special, *material_remarks(spec))
-    return Mandrel(number, tube, held, spec, body, winding, width, cold, float(free), tuple(checks), remarks)
+    return Mandrel(
+        number=number,
+        tube=tube,
+        held=held,
+        spec=spec,
+        body=body,
+        winding=winding,
+        width=width,
+        cold=cold,
+        free_length=float(free),
+        checks=tuple(checks),
+        remarks=(*_remarks(tube, spec, turned), *tool_remarks, *material_remarks(spec)),
+    )
 
 
 def predict_wound_tube(mandrel: Mandrel, *, springback: Springback | None = None) -> Tube:
-    """The tube that comes off a mandrel: the reverse of `plan_mandrel`, with the planned or another spring-back."""
+    """Tube that a mandrel produces after spring-back: the inverse of `plan_mandrel`.
+
+    Args:
+        springback: spring-back model; by default that of the mandrel.
+    """
     instance("mandrel", mandrel, Mandrel)
     return tube_from_mold(mandrel.held, springback or mandrel.spec.springback)
 
 
 def _cylinder(held: Tube, helix: tuple[float, float], width: float, spec: MoldSpec) -> tuple[Cylinder, Winding]:
-    """The helix about x from angle 0, and tangent leads until they have left the cylinder."""
+    """Cylinder with the helix about x from angle 0, and tangent leads until they are outside it."""
     curvature, torsion = helix
     size = curvature**2 + torsion**2
-    # Helix of curvature k and torsion t: radius k / (k^2 + t^2), advance per rad t / (k^2 + t^2).
-    radius, lead, bent = curvature / size, torsion / size, math.sqrt(size)
-    # A straight lead leaves at the radius where its groove's bottom is the surface.
-    out = math.sqrt((radius + width) ** 2 - radius**2) / (radius * bent)
-    # Per arc length: it turns by sqrt(k^2 + t^2) and advances by the lead times that.
-    advance = abs(lead) * bent
-    first = SHANK + spec.plate.margin + out * advance
-    last = first + (held.curved_length + out) * advance + spec.plate.margin
-    count = math.ceil(held.curved_length * bent / math.radians(2.0)) + 1
+    # Helix of curvature k and torsion t: radius k / (k^2 + t^2), advance per rad t / (k^2 + t^2), and sqrt(k^2 + t^2)
+    # rad per arc length.
+    radius, advance, turn_rate = curvature / size, torsion / size, math.sqrt(size)
+    # A straight lead ends at the radius at which the bottom of its groove is at the surface.
+    lead = math.sqrt((radius + width) ** 2 - radius**2) / (radius * turn_rate)
+    axial = abs(advance) * turn_rate  # advance per arc length
+    first = SHANK + spec.plate.margin + lead * axial
+    length = first + (held.curved_length + lead) * axial + spec.plate.margin
+    count = math.ceil(held.curved_length * turn_rate / math.radians(2.0)) + 1
     s = np.linspace(0.0, held.curved_length, count)
-    side = math.copysign(1.0, lead)
-    angle = side * s * bent
-    points = np.column_stack([first + advance * s, radius * np.cos(angle), radius * np.sin(angle)])
-    around = side * radius * bent
-    tangents = np.column_stack([np.full(count, advance), -around * np.sin(angle), around * np.cos(angle)])
+    side = math.copysign(1.0, advance)
+    angle = side * s * turn_rate
+    points = np.column_stack([first + axial * s, radius * np.cos(angle), radius * np.sin(angle)])
+    around = side * radius * turn_rate
+    tangents = np.column_stack([np.full(count, axial), -around * np.sin(angle), around * np.cos(angle)])
     bend = Winding(s, points, tangents, slice(0, count))
-    return Cylinder(radius + width / 2, last, radius, lead), bend.with_leads(out, out)
+    return Cylinder(radius + width / 2, length, radius, advance), bend.with_leads(lead, lead)
 
 
-def _turns_apart(
+def _wall_checks(
     number: int, held: Tube, helix: tuple[float, float], body: Cylinder, width: float, spec: MoldSpec
 ) -> list[Check]:
-    """The wall between turns of the groove, square to it, where it makes more than one."""
-    bent = math.hypot(*helix)
-    if held.curved_length * bent <= 2 * math.pi:
+    """Check of the wall between turns of the groove; none for a single turn."""
+    turn_rate = math.hypot(*helix)
+    if held.curved_length * turn_rate <= 2 * math.pi:
         return []
-    # The pitch along the axis, times the cosine of the slope, is the distance square to the groove.
-    wall = body.pitch * body.helix_radius * bent - width
-    least = spec.groove.wall
+    # The pitch along the axis, times the cosine of the slope, is the distance perpendicular to the groove.
+    wall = body.pitch * body.helix_radius * turn_rate - width
     failure = (
         f"the turns of the groove of tube {number} leave {wall * 1e3:.4g} mm of wall between them; it must be at least "
-        f"{least * 1e3:.4g} mm: set fewer turns at a time"
+        f"{spec.groove.wall * 1e3:.4g} mm: set fewer turns at a time"
     )
-    return [Check(f"tube {number}: wall between turns of the groove", wall, least, "m", False, failure)]
+    return [Check(f"tube {number}: wall between turns of the groove", wall, spec.groove.wall, "m", False, failure)]
 
 
 def _block(number: int, held: Tube, lead: float, width: float, spec: MoldSpec) -> tuple[Block, Winding]:
-    """The block of least volume over the sides from which all of the groove can be reached."""
+    """Smallest block, over the open sides from which the whole groove is accessible."""
     bend = bend_in_space(held).with_leads(lead, lead)
     best: tuple[float, Block, Winding] | None = None
     for up in _sides(bend.points, BLOCK_SIDES):
         steep = np.abs(bend.tangents @ up).max() > BLOCK_SLOPE
-        if steep or _meets_itself(bend, up, width + spec.groove.wall):
+        if steep or _overlaps_in_view(bend, up, width + spec.groove.wall):
             continue
-        along = bend.points[-1] - bend.points[0]
-        x = along - (along @ up) * up
+        chord = bend.points[-1] - bend.points[0]
+        x = chord - (chord @ up) * up
         x = x / np.linalg.norm(x)
         turned = bend.moved(np.vstack([x, np.cross(up, x), up]), np.zeros(3))
         rim = width / 2 + spec.groove.wall
@@ -333,13 +355,15 @@ def _block(number: int, held: Tube, lead: float, width: float, spec: MoldSpec) -
         low[0], high[0] = min(low[0], inner[:, 0].min() - rim), max(high[0], inner[:, 0].max() + rim)
         low[1], high[1] = low[1] - rim, high[1] + rim
         sides = tuple(high[:2] - low[:2])
-        ends = [(turned.points[k, :2] - low[:2], sign * turned.tangents[k, :2]) for k, sign in ((0, -1), (-1, 1))]
-        ways = [max(way_to_edge(end, way, sides), 0.0) for end, way in ends]
+        extra = []
+        for k, sign in ((0, -1), (-1, 1)):
+            end, outward = turned.points[k, :2] - low[:2], sign * turned.tangents[k, :2]
+            extra.append(max(distance_to_edge(end, outward, sides), 0.0))
         low[2] -= width / 2 + spec.groove.floor
         high[2] += width / 2
         size = high - low
         if best is None or size.prod() < best[0]:
-            winding = turned.moved(np.eye(3), -low).with_leads(lead + ways[0], lead + ways[1])
+            winding = turned.moved(np.eye(3), -low).with_leads(lead + extra[0], lead + extra[1])
             best = float(size.prod()), Block((float(size[0]), float(size[1]), float(size[2]))), winding
     if best is None:
         raise InputError(
@@ -351,8 +375,8 @@ def _block(number: int, held: Tube, lead: float, width: float, spec: MoldSpec) -
 
 
 def _sides(points: Array, count: int) -> Array:
-    """(N, 3) unit directions: the principal axes of the curve, then `count` evenly about the sphere (Fibonacci)."""
-    # Along the axis of least extent a curve is flattest: the most probable side, tried first.
+    """(N, 3) unit vectors: the principal axes of the points, then `count` spread evenly over the sphere (Fibonacci)."""
+    # Seen along its axis of smallest extent a curve is flattest: the most probable side comes first.
     axes = np.linalg.svd(points - points.mean(axis=0))[2][::-1]
     k = np.arange(count) + 0.5
     z, angle = 1 - 2 * k / count, math.pi * (1 + math.sqrt(5)) * k
@@ -360,22 +384,21 @@ def _sides(points: Array, count: int) -> Array:
     return np.vstack([axes, -axes, np.column_stack([ring * np.cos(angle), ring * np.sin(angle), z])])
 
 
-def _meets_itself(curve: Winding, up: Array, width: float) -> bool:
-    """Whether the groove, seen along `up`, comes near to where it has been, more than a quarter turn later, or turns
-    more tightly than it is wide."""
+def _overlaps_in_view(curve: Winding, up: Array, width: float) -> bool:
+    """True if a groove of `width` (m), seen along `up`, meets itself or has a bend tighter than half its width."""
     first = np.cross(up, [1.0, 0.0, 0.0] if abs(up[0]) < 0.9 else [0.0, 1.0, 0.0])
     first /= np.linalg.norm(first)
     plane = np.column_stack([first, np.cross(up, first)])
-    seen, ways = curve.points @ plane, curve.tangents @ plane
-    heading = np.unwrap(np.arctan2(ways[:, 1], ways[:, 0]))
-    steps = np.linalg.norm(np.diff(seen, axis=0), axis=1)
+    points, tangents = curve.points @ plane, curve.tangents @ plane
+    heading = np.unwrap(np.arctan2(tangents[:, 1], tangents[:, 0]))
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     # A bend tighter than half the width would cut its own inner wall.
-    if (np.abs(np.diff(heading)) > 2 * steps / width).any():
-        return True
-    return comes_back(seen, heading, width)
+    too_tight = (np.abs(np.diff(heading)) > 2 * steps / width).any()
+    return bool(too_tight) or meets_itself(points, heading, width)
 
 
 def _remarks(tube: Tube, spec: MoldSpec, turned: bool) -> list[str]:
+    """Remarks on spring-back, making the mandrel, and materials."""
     remarks = [
         "the natural twist and torsion are as given: trials of planar bends say nothing about their spring-back",
         *springback_remarks(spec),
@@ -395,40 +418,42 @@ def _remarks(tube: Tube, spec: MoldSpec, turned: bool) -> list[str]:
 
 
 TOLERANCE = 1e-5
-"""Greatest distance (m) of the groove in a file from the curve."""
+"""Largest distance of the groove in a file from the curve, m."""
 
 COLUMNS = ("arc_length_mm", "feed_mm", "rotation_deg", "tip_radius_mm")
 SIDES = 720
-"""Corners of a turned mandrel."""
+"""Corners of the cross-section of a turned mandrel's solid."""
 
 FINE = 1e-4
-"""Distance (m) of places along the leads, where feed and rotation are not proportional."""
+"""Distance of points along the leads, where feed and rotation are not proportional, m."""
 
 
 def write_mandrel(mandrel: Mandrel, directory: str | PathLike[str]) -> list[Path]:
-    """Write mandrel.stl, and of a turned one mandrel.csv and mandrel.nc, as `write_parts`; return the paths.
+    """Write mandrel.stl, and for a turned mandrel mandrel.csv and mandrel.nc, as `write_parts`; return the paths.
 
-    Raises SolveError too where a groove lies more than 10 um from its curve when it is read back.
+    Raises SolveError also if a groove, read back, deviates from its curve by more than 10 um.
     """
     return write_parts([mandrel_part(mandrel)], directory)
 
 
 def mandrel_part(mandrel: Mandrel) -> Part:
-    """The cylinder or block; of a cylinder with the table of rotation and feed, and its program."""
+    """Mandrel as a part; a cylinder has a table of rotation and feed, and a program."""
     texts: tuple[tuple[str, str], ...] = ()
     if isinstance(mandrel.body, Cylinder):
         rows = rotation_table(mandrel) * np.array([TO_MM, TO_MM, 180 / math.pi, TO_MM])
         table, text = to_csv(COLUMNS, [[f"{x:.5f}" for x in row] for row in rows]), mandrel_gcode(mandrel)
         read = np.loadtxt(io.StringIO(table), delimiter=",", skiprows=1)[:, 1:]
         texts = (("mandrel.csv", table), ("mandrel.nc", text))
-        for (name, _), places in zip(texts, (read, read_rotary(text)), strict=True):
-            if words := _table_off_curve(mandrel, places):
-                raise SolveError(f"{name}: {words}")
+        for (name, _), rows in zip(texts, (read, _read_rotary(text)), strict=True):
+            feed, angle, tip = rows[:, 0] / TO_MM, np.radians(rows[:, 1]), rows[:, 2] / TO_MM + mandrel.width / 2
+            points = np.column_stack([feed, tip * np.cos(angle), tip * np.sin(angle)])
+            if fault := _off_curve(mandrel, points):
+                raise SolveError(f"{name}: {fault}")
     return Part("mandrel", partial(_solid, mandrel), partial(solid_off_curve, mandrel), texts)
 
 
 def rotation_table(mandrel: Mandrel) -> Array:
-    """(N, 4) of a turned one: arc length along the bend, feed (m), rotation (rad), radius of the tool's tip (m)."""
+    """(N, 4) arc length, feed (m), rotation (rad) and radius of the tool's tip (m) for a turned mandrel."""
     fine = mandrel.winding.lengthened(0.0, FINE)
     feed, y, z = fine.points.T
     angle = np.unwrap(np.arctan2(z, y))
@@ -436,11 +461,14 @@ def rotation_table(mandrel: Mandrel) -> Array:
 
 
 def mandrel_gcode(mandrel: Mandrel) -> str:
-    """The groove for a 4th axis: X along it, A about it (deg), Z the tip's distance from it; inverse time feed."""
+    """G-code of a turned mandrel for a rotary axis: X along it, A about it (deg), Z the tip's distance from it.
+
+    Feeds are in inverse time, since the speed over ground is not that of X and A.
+    """
     table, milling = rotation_table(mandrel), mandrel.spec.milling
     assert isinstance(mandrel.body, Cylinder)
     outer = mandrel.body.radius
-    # 1e-9 is round-off: a depth of whole steps takes no further pass.
+    # 1e-9 is round-off: a depth of whole steps needs no further pass.
     passes = math.ceil(mandrel.width / milling.step_down - 1e-9)
     check_duration("mandrel.nc", passes * float(table[-1, 0] - table[0, 0]) / milling.feed)
     safe = f"G0 Z{(outer + mandrel.width + milling.safe_height) * TO_MM:.4f}"
@@ -461,48 +489,46 @@ def mandrel_gcode(mandrel: Mandrel) -> str:
             f"G1 Z{tip[0] * TO_MM:.4f} F{milling.plunge_feed * TO_MM * 60:.1f}",
             "G93",
         ]
-        for before, here, z in zip(table[:-1], table[1:], tip[1:], strict=True):
-            # Inverse time: moves per minute, since the speed over ground is not that of X and A.
-            rate = 60 * milling.feed / (here[0] - before[0])
-            lines.append(f"G1 X{here[1] * TO_MM:.4f} A{math.degrees(here[2]):.5f} Z{z * TO_MM:.4f} F{rate:.2f}")
+        for start, end, z in zip(table[:-1], table[1:], tip[1:], strict=True):
+            rate = 60 * milling.feed / (end[0] - start[0])  # moves per minute
+            lines.append(f"G1 X{end[1] * TO_MM:.4f} A{math.degrees(end[2]):.5f} Z{z * TO_MM:.4f} F{rate:.2f}")
         lines.append("G94")
     return "\n".join([*lines, safe, "M5", "M30", ""])
 
 
-def read_rotary(text: str) -> Array:
-    """(N, 3) feed (mm), rotation (deg), radius of the tip (mm) of the last, deepest pass of a program."""
-    last = text.rsplit("G93", 1)[-1]
-    rows = re.findall(r"^G1 X([-\d.]+) A([-\d.]+) Z([-\d.]+)", last, re.MULTILINE)
+def _read_rotary(text: str) -> Array:
+    """(N, 3) feed (mm), rotation (deg) and radius of the tip (mm) in the last, deepest pass of a program."""
+    deepest = text.rsplit("G93", 1)[-1]
+    rows = re.findall(r"^G1 X([-\d.]+) A([-\d.]+) Z([-\d.]+)", deepest, re.MULTILINE)
     return np.array([[float(x) for x in row] for row in rows])
 
 
-def off_curve(mandrel: Mandrel, places: Array, away: float = 0.0) -> str:
-    """What is wrong with a groove, in words, where places of it (N, 3), m, of which some is to lie `away` (m) from each
-    of the bend, are off by more than 10 um."""
-    near = scipy.spatial.KDTree(places).query(mandrel.winding.points[mandrel.winding.bend])[0]
-    off = float(np.abs(near - away).max())
-    return f"the groove lies {off * 1e6:.3g} um from the curve" if off > TOLERANCE else ""
+def _off_curve(mandrel: Mandrel, points: Array, distance: float = 0.0) -> str:
+    """Message for a groove that deviates from the bend by more than 10 um; otherwise "".
+
+    Args:
+        points: (N, 3) points of the groove, m.
+        distance: distance of every point of the bend from the nearest of them, m.
+    """
+    nearest = scipy.spatial.KDTree(points).query(mandrel.winding.points[mandrel.winding.bend])[0]
+    deviation = float(np.abs(nearest - distance).max())
+    return f"the groove lies {deviation * 1e6:.3g} um from the curve" if deviation > TOLERANCE else ""
 
 
 def solid_off_curve(mandrel: Mandrel, mesh: Any) -> str:
-    """`off_curve` of a solid, a mesh in mm: the groove's bottom lies half a width from the bend everywhere."""
-    return off_curve(mandrel, np.asarray(mesh.vertices) / TO_MM, mandrel.width / 2)
-
-
-def _table_off_curve(mandrel: Mandrel, rows: Array) -> str:
-    """`off_curve` of a table of feed (mm), rotation (deg) and radius of the tip (mm)."""
-    feed, angle, tip = rows[:, 0] / TO_MM, np.radians(rows[:, 1]), rows[:, 2] / TO_MM + mandrel.width / 2
-    return off_curve(mandrel, np.column_stack([feed, tip * np.cos(angle), tip * np.sin(angle)]))
+    """Message for a mesh (mm) whose groove's bottom is not half a width from the bend everywhere; otherwise ""."""
+    return _off_curve(mandrel, np.asarray(mesh.vertices) / TO_MM, mandrel.width / 2)
 
 
 def _solid(mandrel: Mandrel) -> Any:
+    """Solid of a mandrel (manifold3d, mm)."""
     library, w, body = manifold().Manifold, mandrel.winding, mandrel.body
     if isinstance(body, Cylinder):
         solid = library.cylinder(body.length * TO_MM, body.radius * TO_MM, -1.0, SIDES).rotate((0.0, 90.0, 0.0))
         radial = w.points * np.array([0.0, 1.0, 1.0])
-        away = np.linalg.norm(radial, axis=1)
-        heights = np.maximum(body.radius + mandrel.width - away, mandrel.width)
-        return solid - channel(w.points, w.tangents, radial / away[:, None], heights, mandrel.width / 2, SAGITTA)
+        radius = np.linalg.norm(radial, axis=1)
+        heights = np.maximum(body.radius + mandrel.width - radius, mandrel.width)
+        return solid - channel(w.points, w.tangents, radial / radius[:, None], heights, mandrel.width / 2, SAGITTA)
     solid = library.cube(tuple(x * TO_MM for x in body.size))
     beyond = w.lengthened(10 * mandrel.width)
     ups = np.tile([0.0, 0.0, 1.0], (len(beyond.points), 1))
@@ -511,14 +537,17 @@ def _solid(mandrel: Mandrel) -> Any:
 
 
 def channel(points: Array, tangents: Array, ups: Array, heights: Array, radius: float, sagitta: float) -> Any:
-    """The manifold3d solid swept along `points` (N, 3), m: half a circle below, walls that rise along `ups`.
+    """Solid (manifold3d, mm) that cuts a groove: half a circle below, walls that rise along `ups`.
 
     Args:
-        tangents, ups: (N, 3) unit; ups may lean along the curve.
-        heights: (N,) of the walls above the points, m.
-        radius: of the circle, m: that of the groove. sagitta: by which its chords leave it at most, m.
+        points: (N, 3) centreline, m.
+        tangents: (N, 3) unit tangents.
+        ups: (N, 3) unit directions of the walls, not necessarily perpendicular to the tangents.
+        heights: (N,) heights of the walls above the points, m.
+        radius: radius of the circle, m.
+        sagitta: largest distance of its chords from the circle, m.
     """
-    # Square to the curve even where `ups` leans along it, so the bottom stays round.
+    # Perpendicular to the curve even where `ups` is not, so that the bottom is round.
     across = np.cross(tangents, ups)
     across /= np.linalg.norm(across, axis=1)[:, None]
     up = np.cross(across, tangents)

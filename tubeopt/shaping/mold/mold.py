@@ -1,4 +1,4 @@
-"""The mold in which tubes are shape-set: grooves on a plate, a lid with vents, and what comes out of it (SI).
+"""Molds for shape-setting: grooves on a plate, a lid with vents, and the tube after spring-back (SI).
 
 Frame: the origin is the lower left corner of the lower plate, x to the right, y up, z = 0 its upper face; the lid lies
 on it. Grooves run from the proximal end of the tube, on the left, to the distal end.
@@ -43,13 +43,13 @@ from .spec import ENDS, ClampSpec, EndMill, MoldSpec
 from .springback import Springback, bend_direction, tube_from_mold
 
 PARTS = ("base", "lid")
-"""The two plates of a mold."""
+"""Names of the two plates of a mold."""
 
 TRAVEL_STEP = 0.5e-3
-"""The travel of the sliding clamp is rounded up to a multiple of it, m."""
+"""Step to which the travel of the sliding clamp is rounded up, m."""
 
 CLAMP_CLEARANCE = 1e-3
-"""Least distance of a clamp's corner from the plate along the tube, m."""
+"""Smallest distance of a clamp's corner from the plate along the tube, m."""
 
 
 @dataclass(frozen=True)
@@ -69,28 +69,18 @@ class Clamp:
         return self.travel > 0
 
 
-def clamp_corners(clamp: Clamp, spec: ClampSpec, slid: float = 0.0) -> Array:
-    """(4, 2) corners (m) of a clamp: two at its face, two at its far side, which has slid outwards by `slid`."""
+def clamp_corners(clamp: Clamp, spec: ClampSpec, travel: float = 0.0) -> Array:
+    """(4, 2) corners (m) of a clamp: two at its face, two at its far side, moved outwards by `travel` (m)."""
     along = np.asarray(clamp.direction)
     across = np.array([-along[1], along[0]]) * spec.width / 2
     near = np.asarray(clamp.face)
-    far = near + along * (spec.grip + slid)
+    far = near + along * (spec.grip + travel)
     return np.array([near - across, far - across, far + across, near + across])
-
-
-def rectangles_overlap(first: Array, second: Array) -> bool:
-    """Whether two rectangles (4, 2) overlap: no side of either separates their corners (separating axis theorem)."""
-    for corners in (first, second):
-        for axis in (corners[1] - corners[0], corners[3] - corners[0]):
-            a, b = first @ axis, second @ axis
-            if a.max() <= b.min() or b.max() <= a.min():
-                return False
-    return True
 
 
 @dataclass(frozen=True)
 class Groove:
-    """The groove of one tube: a blank that has its place on a plate, and is read at the groove too."""
+    """Groove of one tube on a plate; the properties of its blank are also its own."""
 
     blank: Blank
     """Groove without its position on the plate."""
@@ -112,12 +102,12 @@ class Groove:
 
     @property
     def curvature(self) -> float:
-        """Signed curvature of the bend, 1/m; the largest of several."""
+        """Largest curvature of the bend, 1/m, with its sign."""
         return self.held.curvature
 
     @property
     def radius(self) -> float:
-        """Radius of the centreline in the bend, m, the least of many; inf where it is straight."""
+        """Smallest radius of the bend's centreline, m; inf if it is straight."""
         return 1 / abs(self.curvature) if self.curvature else math.inf
 
     @property
@@ -143,13 +133,13 @@ class Groove:
 
     @property
     def before_bend(self) -> float:
-        """Length of tube to cut before the bend, from its proximal end: clamp, gap and lead, or the straight part."""
-        held = self.grip + math.dist(self.clamps[0].face, self.centreline.lead_in.end)
-        return max(held, self.tube.straight_length)
+        """Length of tube to cut before the bend, m: clamp, gap and lead, or the straight part if that is longer."""
+        to_clamp_end = self.grip + math.dist(self.clamps[0].face, self.centreline.lead_in.end)
+        return max(to_clamp_end, self.tube.straight_length)
 
     @property
     def after_bend(self) -> float:
-        """Length of tube to cut behind the bend: lead, gap and clamp."""
+        """Length of tube to cut behind the bend, m: lead, gap and clamp."""
         return math.dist(self.clamps[1].face, self.centreline.lead_out.start) + self.grip
 
     @property
@@ -159,7 +149,7 @@ class Groove:
 
     @property
     def extra_length(self) -> float:
-        """Length of tube that is trimmed off afterwards, m: what the cold ends and clamps cost."""
+        """Length of tube to trim off after setting, m, which cold ends and clamps need."""
         return self.stock_length - self.tube.length
 
     @property
@@ -169,16 +159,17 @@ class Groove:
 
     @property
     def cutter_offsets(self) -> tuple[float, ...]:
-        """Distances (m) of the cutter's ways from the centreline, to the left; 0 alone where it fills the groove."""
-        room = self.width - self.mill.diameter
-        if room <= 1e-9:
+        """Offsets (m) of the cutter paths to the left of the centreline; only 0 if the cutter fills the groove."""
+        span = self.width - self.mill.diameter
+        if span <= 1e-9:
             return (0.0,)
-        count = math.ceil(room / (self.mill.diameter / 2) - 1e-9) + 1
-        return tuple(float(x) for x in np.linspace(-room / 2, room / 2, count))
+        # Neighbouring paths are at most a cutter's radius apart.
+        count = math.ceil(span / (self.mill.diameter / 2) - 1e-9) + 1
+        return tuple(float(x) for x in np.linspace(-span / 2, span / 2, count))
 
     @property
     def radius_play(self) -> float:
-        """Part by which the tube's radius may differ from the groove's, as it may lie at either wall of the bend."""
+        """Largest relative difference of the tube's radius from the groove's, as it may touch either wall."""
         return (self.width - self.tube.outer_diameter) / 2 * abs(self.curvature)
 
 
@@ -191,7 +182,7 @@ class MoldStatus(StatusEnum):
 
 @dataclass(frozen=True)
 class MoldStatistics:
-    """Grooves, holes through both plates, checks that were made, and remarks."""
+    """Numbers of grooves, holes through both plates, checks and remarks."""
 
     grooves: int
     holes: int
@@ -204,13 +195,13 @@ class Mold(Displayed):
     """Two plates with the grooves of one or several tubes."""
 
     spec: MoldSpec
-    """The specification."""
+    """Specification that the mold satisfies."""
     size: Point
     """Width and height of both plates, m."""
     grooves: tuple[Groove, ...]
     """Grooves, one per tube."""
     holes: tuple[Hole, ...]
-    """Bolts and dowels, through both plates."""
+    """Holes for bolts and dowels through both plates."""
     checks: tuple[Check, ...]
     """Checks, with numbers and limits."""
     remarks: tuple[str, ...]
@@ -218,12 +209,12 @@ class Mold(Displayed):
 
     @property
     def value(self) -> tuple[Groove, ...]:
-        """The grooves."""
+        """Grooves, one per tube."""
         return self.grooves
 
     @property
     def status(self) -> MoldStatus:
-        """Whether all checks are satisfied, as a sentence."""
+        """Status of the checks and remarks, as a sentence."""
         return MoldStatus.REMARKED if self.remarks else MoldStatus.CHECKED
 
     @property
@@ -233,21 +224,26 @@ class Mold(Displayed):
 
     @property
     def vents(self) -> tuple[Hole, ...]:
-        """All vents of the lid."""
+        """Vents of the lid, over all bends."""
         return tuple(vent for groove in self.grooves for vent in groove.vents)
 
     @property
     def base_volume(self) -> float:
-        """Volume of the lower plate, m^3: plate less grooves less holes."""
+        """Volume of the lower plate, m^3: plate minus grooves and holes."""
         plate = self.size[0] * self.size[1] * self.spec.plate.thickness
         holes = sum(math.pi / 4 * hole.diameter**2 for hole in self.holes) * self.spec.plate.thickness
-        return plate - holes - sum(groove_area(groove, self.size) * groove.depth for groove in self.grooves)
+        grooves = 0.0
+        for groove in self.grooves:
+            # Lengthened beyond the plate, so that a corner of the plate cuts it off.
+            corners = polygon(groove.centreline.lengthened(groove.width + 1e-3), groove.width, 1e-9)
+            grooves += clipped_area(corners, self.size) * groove.depth
+        return plate - holes - grooves
 
     @property
     def lid_volume(self) -> float:
-        """Volume of the top plate, m^3: plate less holes and vents."""
-        through = sum(math.pi / 4 * hole.diameter**2 for hole in (*self.holes, *self.vents))
-        return (self.size[0] * self.size[1] - through) * self.spec.plate.lid_thickness
+        """Volume of the top plate, m^3: plate minus holes and vents."""
+        open_area = sum(math.pi / 4 * hole.diameter**2 for hole in (*self.holes, *self.vents))
+        return (self.size[0] * self.size[1] - open_area) * self.spec.plate.lid_thickness
 
 
 @typed
@@ -258,9 +254,8 @@ def plan_mold(
 
     The bend of a groove has the length of the tube's curved part, and a curvature that springs back to the tube's. It
     is one arc for a tube of one curvature, and a chain of tangent arcs for planar pieces. Tangent leads run to the
-    plate's
-    edge, long enough that the clamps do not chill the bend. The tube's straight part needs no setting; if it is longer
-    than lead and clamp it hangs out of the proximal clamp.
+    plate's edge, long enough that the clamps do not cool the bend. The tube's straight part needs no setting: if it is
+    longer than lead and clamp, its end is free behind the proximal clamp.
 
     Args:
         tubes: a tube, or several.
@@ -283,32 +278,30 @@ def plan_mold(
     instance("mold", spec, MoldSpec)
     if not isinstance(tubes, (Tube, Sequence)):
         raise InputError(f"tubes is {tubes!r}; it must be a Tube or several")
-    wanted = (tubes,) if isinstance(tubes, Tube) else tuple(tubes)
-    if not wanted:
+    all_tubes = (tubes,) if isinstance(tubes, Tube) else tuple(tubes)
+    if not all_tubes:
         raise InputError("tubes is empty; there must be at least one")
-    called = range(1, len(wanted) + 1) if numbers is None else numbers
-    if len(called) != len(wanted):
-        raise InputError(f"numbers has {len(called)} entries; it must have {len(wanted)}, one per tube")
-    blanks = [_blank(number, tube, spec) for number, tube in zip(called, wanted, strict=True)]
+    if numbers is None:
+        numbers = range(1, len(all_tubes) + 1)
+    if len(numbers) != len(all_tubes):
+        raise InputError(f"numbers has {len(numbers)} entries; it must have {len(all_tubes)}, one per tube")
+    blanks = [_blank(number, tube, spec) for number, tube in zip(numbers, all_tubes, strict=True)]
     checks = [check for blank in blanks for check in tube_checks(blank, spec)]
     refuse_failed(checks)
     layout = nest(blanks, spec)
     if len(blanks) > 1:
-        checks.append(wall_check(layout.least_wall, spec))
+        checks.append(wall_check(layout.min_wall, spec))
     widths = [blank.width for blank in blanks]
     holes = place_fasteners(layout.size, layout.centrelines, widths, spec)
-    placed = [_placed(blank, curve, layout.size, spec) for blank, curve in zip(blanks, layout.centrelines, strict=True)]
-    remarks = *_remarks(placed, spec), *machining_remarks(layout.size, widths, spec)
-    return Mold(spec, layout.size, tuple(placed), holes, tuple(checks), remarks)
-
-
-def groove_area(groove: Groove, size: Point) -> float:
-    """Area (m^2) of a groove within the plate: width times length, less what a corner of the plate cuts off."""
-    corners = polygon(groove.centreline.lengthened(groove.width + 1e-3), groove.width, 1e-9)
-    return clipped_area(corners, size)
+    grooves = tuple(
+        _groove(blank, curve, layout.size, spec) for blank, curve in zip(blanks, layout.centrelines, strict=True)
+    )
+    remarks = *_remarks(grooves, spec), *machining_remarks(layout.size, widths, spec)
+    return Mold(spec, layout.size, grooves, holes, tuple(checks), remarks)
 
 
 def _blank(number: int, tube: Tube, spec: MoldSpec) -> Blank:
+    """Groove of a tube without its position on the plate."""
     if not isinstance(tube, Tube):
         raise InputError(f"tube {number} is a {type(tube).__name__}; it must be a Tube")
     held = held_in_plane(number, tube, spec, "a plate holds")
@@ -318,46 +311,48 @@ def _blank(number: int, tube: Tube, spec: MoldSpec) -> Blank:
     return Blank(number, tube, held, cold, mill, width, bend_of(held), lead)
 
 
-def _placed(blank: Blank, curve: Centreline, size: Point, spec: MoldSpec) -> Groove:
-    """The groove on the plate, with clamps, growth and vents."""
-    clamps = spec.clamps
-    ways = (-curve.lead_in.tangent(np.zeros(1))[0], curve.lead_out.tangent(np.zeros(1))[0])
-    mouths = (curve.lead_in.start, curve.lead_out.end)
-    gaps = [_clamp_gap(mouth, way, size, spec) for mouth, way in zip(mouths, ways, strict=True)]
+def _groove(blank: Blank, curve: Centreline, size: Point, spec: MoldSpec) -> Groove:
+    """Groove on the plate, with clamps, thermal growth and vents."""
+    mouths = curve.lead_in.start, curve.lead_out.end
+    outward = -curve.lead_in.tangent(np.zeros(1))[0], curve.lead_out.tangent(np.zeros(1))[0]
+    gaps = []
+    for mouth, direction in zip(mouths, outward, strict=True):
+        # The gap is larger where the corner of a slanted clamp would meet the plate.
+        to_edge = [min(abs(x), abs(extent - x)) for x, extent in zip(mouth, size, strict=True)]
+        cosine = abs(float(direction[to_edge.index(min(to_edge))]))
+        slant = math.sqrt(max(1 - cosine**2, 0.0)) / cosine
+        gaps.append(max(spec.clamps.gap, spec.clamps.width / 2 * slant + CLAMP_CLEARANCE))
     growth = spec.growth
     if growth is None:
         growth = thermal_growth(blank.tube, spec.heat, blank.cold.decay_length, curve.length + sum(gaps))
-    travel = math.ceil((growth * clamps.travel_factor + clamps.travel_extra) / TRAVEL_STEP - 1e-9) * TRAVEL_STEP
-    placed = []
-    for end, mouth, way, gap in zip(ENDS, mouths, ways, gaps, strict=True):
-        face = np.asarray(mouth) + gap * way
-        slide = travel if end == clamps.sliding_end else 0.0
-        placed.append(Clamp(end, (float(face[0]), float(face[1])), (float(way[0]), float(way[1])), slide))
+    travel = growth * spec.clamps.travel_factor + spec.clamps.travel_extra
+    travel = math.ceil(travel / TRAVEL_STEP - 1e-9) * TRAVEL_STEP
+    clamps = []
+    for end, mouth, direction, gap in zip(ENDS, mouths, outward, gaps, strict=True):
+        face = np.asarray(mouth) + gap * direction
+        clamps.append(
+            Clamp(
+                end=end,
+                face=(float(face[0]), float(face[1])),
+                direction=(float(direction[0]), float(direction[1])),
+                travel=travel if end == spec.clamps.sliding_end else 0.0,
+            )
+        )
     return Groove(
         blank=blank,
         centreline=curve,
         depth=groove_depth(blank.tube, spec),
         growth=growth,
-        clamps=(placed[0], placed[1]),
-        grip=clamps.grip,
+        clamps=(clamps[0], clamps[1]),
+        grip=spec.clamps.grip,
         vents=place_vents(curve, blank.width, spec.vents),
     )
 
 
-def _clamp_gap(mouth: Point, way: Array, size: Point, spec: MoldSpec) -> float:
-    """Length (m) of tube from edge to clamp: the gap asked for, more where a slanted clamp would meet the plate."""
-    to_edge = [min(abs(x), abs(extent - x)) for x, extent in zip(mouth, size, strict=True)]
-    across = abs(float(way[to_edge.index(min(to_edge))]))
-    slant = math.sqrt(max(1 - across**2, 0.0)) / across
-    return max(spec.clamps.gap, spec.clamps.width / 2 * slant + CLAMP_CLEARANCE)
-
-
 def _clamp_remarks(grooves: Sequence[Groove], spec: ClampSpec) -> list[str]:
     """Remarks on clamps that overlap anywhere in their travel."""
-    placed = [(g.number, clamp_corners(clamp, spec, clamp.travel)) for g in grooves for clamp in g.clamps]
-    pairs = {
-        (first, second) for (first, a), (second, b) in itertools.combinations(placed, 2) if rectangles_overlap(a, b)
-    }
+    jaws = [(g.number, clamp_corners(clamp, spec, clamp.travel)) for g in grooves for clamp in g.clamps]
+    pairs = {(first, second) for (first, a), (second, b) in itertools.combinations(jaws, 2) if _overlap(a, b)}
     return [
         f"the two clamps of tube {first} overlap: use narrower clamps, or longer leads"
         if first == second
@@ -366,7 +361,18 @@ def _clamp_remarks(grooves: Sequence[Groove], spec: ClampSpec) -> list[str]:
     ]
 
 
+def _overlap(first: Array, second: Array) -> bool:
+    """True if two rectangles (4, 2) overlap: no side of either separates their corners (separating axis theorem)."""
+    for corners in (first, second):
+        for axis in (corners[1] - corners[0], corners[3] - corners[0]):
+            a, b = first @ axis, second @ axis
+            if a.max() <= b.min() or b.max() <= a.min():
+                return False
+    return True
+
+
 def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:
+    """Remarks on spring-back, shrinkage, clamps and materials."""
     remarks, back = springback_remarks(spec), spec.springback
     if back.curvature_range is not None:
         low, high = back.curvature_range
@@ -377,10 +383,10 @@ def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:
                     f"({1e3 / high:.4g} to {1e3 / low:.4g} mm) that the spring-back is from"
                 )
     if back.shrinkage == 0:
-        most = max(groove.growth / groove.free_length * groove.bend_length for groove in grooves)
+        shrinkage = max(groove.growth / groove.free_length * groove.bend_length for groove in grooves)
         remarks.append(
-            f"a curved part comes out up to {most * 1e3:.2g} mm short when it cools; `shrinkage` of the spring-back "
-            "makes up for it"
+            f"a curved part comes out up to {shrinkage * 1e3:.2g} mm short when it cools; `shrinkage` of the "
+            "spring-back makes up for it"
         )
     remarks += _clamp_remarks(grooves, spec.clamps)
     for groove in grooves:
@@ -389,8 +395,8 @@ def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:
                 f"tube {groove.number}: thermal constants of {groove.tube.material.name} are not known; those of "
                 "nitinol are taken"
             )
-        words_of = *stiffness_remarks(groove.tube), *mold_remarks(groove.tube.material, spec.heat.set_temperature)
-        remarks += [f"tube {groove.number}: {words}" for words in words_of]
+        of_tube = *stiffness_remarks(groove.tube), *mold_remarks(groove.tube.material, spec.heat.set_temperature)
+        remarks += [f"tube {groove.number}: {remark}" for remark in of_tube]
     return [*remarks, *material_remarks(spec)]
 
 
@@ -423,7 +429,14 @@ def plan_robot_mold(robot: Robot, spec: MoldSpec | None = None, tubes: Sequence[
 
 
 def chosen_tubes(robot: Robot, tubes: Sequence[int] | None = None) -> tuple[list[int], list[str]]:
-    """Numbers, from 1, of the tubes that need a groove, and why others are left out; arguments and errors as above."""
+    """Numbers, from 1, of the tubes that need a groove, and the reasons why others have none.
+
+    Args:
+        tubes: numbers that the user selects; None selects all that need one.
+
+    Raises:
+        InputError: no such tube, or none that needs a groove.
+    """
     all_tubes = robot.tubes
     if tubes is not None:
         for number in tubes:
@@ -450,7 +463,7 @@ def chosen_tubes(robot: Robot, tubes: Sequence[int] | None = None) -> tuple[list
 
 
 def predict_tube(mold: Mold, index: int | None = None, *, springback: Springback | None = None) -> Tube:
-    """The tube that a groove produces after spring-back: the inverse of `plan_mold`.
+    """Tube that a groove produces after spring-back: the inverse of `plan_mold`.
 
     Args:
         mold: the mold.
@@ -471,11 +484,11 @@ def predict_tube(mold: Mold, index: int | None = None, *, springback: Springback
     count = len(mold.grooves)
     if index is None and count > 1:
         raise InputError(f"the mold has {count} grooves; give index, 0 to {count - 1}")
-    if not 0 <= (which := whole("index", 0 if index is None else index)) < count:
+    if not 0 <= (k := whole("index", 0 if index is None else index)) < count:
         raise InputError(f"index is {index}; it must lie in 0 to {count - 1}")
-    return tube_from_mold(mold.grooves[which].held, springback or mold.spec.springback)
+    return tube_from_mold(mold.grooves[k].held, springback or mold.spec.springback)
 
 
 def predict_tubes(mold: Mold, *, springback: Springback | None = None) -> tuple[Tube, ...]:
-    """The tubes that come out of all grooves, as `predict_tube`."""
+    """Tubes that all grooves produce after spring-back, as `predict_tube`."""
     return tuple(predict_tube(mold, k, springback=springback) for k in range(len(mold.grooves)))

@@ -17,17 +17,17 @@ DIALECTS = ("grbl", "linuxcnc", "mach")
 WORK_OFFSETS = ("G54", "G55", "G56", "G57", "G58", "G59")
 
 
-LENGTH, ROOM = Range(above=0.0, most=2.0), Range(least=0.0, most=2.0)
-"""Lengths of molds and tools, m: none is longer, but many are in mm."""
+LENGTH, LENGTH_OR_ZERO = Range(above=0.0, most=2.0), Range(least=0.0, most=2.0)
+"""Allowed lengths of molds and tools, m: none is longer, and a larger number is probably in mm."""
 
 SMALL, STEP = Typical(1e-5, 0.4), Typical(1e-6, 0.02)
-"""Of parts of molds and tools, and of depths of single cuts, m."""
+"""Typical sizes of parts of molds and tools, and typical depths of single cuts, m."""
 
 CUT = Range(least=1e-5, most=2.0)
-"""Depths of single cuts, m: a program with smaller ones has thousands of passes, and machines do not set them."""
+"""Allowed depths of single cuts, m; below them, a program has thousands of passes that machines cannot resolve."""
 
 FEED, SPEED = Range(least=2e-5, most=1.0), Range(above=0.0, most=2000.0)
-"""Of milling machines: m/s, at least 1.2 mm/min, and revolutions per second."""
+"""Allowed feeds, m/s (at least 1.2 mm/min), and spindle speeds, 1/s."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class GrooveSpec:
     """Fit of the groove around the tube."""
 
     clearance: Annotated[
-        float, unit("mm"), ROOM, STEP, "smallest extra width and depth of the groove over the outer diameter"
+        float, unit("mm"), LENGTH_OR_ZERO, STEP, "smallest extra width and depth of the groove over the outer diameter"
     ] = 0.05e-3
     most_clearance: Annotated[
         float,
@@ -183,7 +183,7 @@ class ClampSpec:
     gap: Annotated[
         float,
         unit("mm"),
-        ROOM,
+        LENGTH_OR_ZERO,
         "distance from plate edge to clamp along the tube; larger if the tube leaves the plate at an angle",
     ] = 5e-3
     grip: Annotated[float, unit("mm"), LENGTH, "length of tube in a clamp"] = 12e-3
@@ -191,7 +191,7 @@ class ClampSpec:
     least_lead: Annotated[float, unit("mm"), LENGTH, "smallest straight groove on each side of the bend"] = 5e-3
     sliding_end: Annotated[str, OneOf(ENDS), "end with the sliding clamp, for thermal expansion of the tube"] = "distal"
     travel_factor: Annotated[float, POSITIVE, "travel of the sliding clamp per thermal expansion of the tube"] = 1.5
-    travel_extra: Annotated[float, unit("mm"), ROOM, "additional travel"] = 0.5e-3
+    travel_extra: Annotated[float, unit("mm"), LENGTH_OR_ZERO, "additional travel"] = 0.5e-3
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -240,13 +240,13 @@ class MoldSpec(Displayed):
     cold_length: Annotated[
         float | None,
         unit("mm"),
-        ROOM,
+        LENGTH_OR_ZERO,
         "length of cold tube between clamp and heated part; by default estimated by a fin model",
     ] = None
     growth: Annotated[
         float | None,
         unit("mm"),
-        ROOM,
+        LENGTH_OR_ZERO,
         "thermal expansion of the tube between the clamps; by default integrated over the fin model",
     ] = None
     most_strain: Annotated[

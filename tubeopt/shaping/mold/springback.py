@@ -1,4 +1,4 @@
-"""Spring-back: its model, its fit to trials, and a tube as its mold holds it and as it comes out (SI).
+"""Spring-back: its model, its fit to trials, and the tube in its mold and after it (SI).
 
 Every curvature springs back by itself, and the length of the curved part shrinks.
 """
@@ -29,7 +29,7 @@ ROUND_OFF = 1e-9
 
 
 RADII = 1e-3, 10.0
-"""Least and greatest radius to which a tube is bent, m: a tighter or wider one was given in another unit."""
+"""Smallest and largest radius of a bent tube, m; numbers beyond them are probably in another unit."""
 
 
 @dataclass(frozen=True)
@@ -56,38 +56,38 @@ class Springback:
         if not -1 < self.fraction < 1:
             raise InputError(f"fraction of the spring-back is {self.fraction:g}; it must lie between -1 and 1")
         if self.curvature_range is not None:
-            least, most = vector("curvature_range of the spring-back", self.curvature_range, 2, "least and greatest")
-            object.__setattr__(self, "curvature_range", (float(least), float(most)))
+            low, high = vector("curvature_range of the spring-back", self.curvature_range, 2, "least and greatest")
+            object.__setattr__(self, "curvature_range", (float(low), float(high)))
         if not 0 <= self.shrinkage < 0.1:
             raise InputError(f"shrinkage of the spring-back is {self.shrinkage:g}; it must lie in [0, 0.1)")
 
     @property
     def calibrated(self) -> bool:
-        """Whether the numbers are from trials, or at least not all 0."""
+        """True for numbers from trials, and for any that are not 0."""
         return self.curvature_range is not None or self.fraction != 0 or self.slope != 0
 
     def obtained(self, mold_curvature: float) -> float:
-        """Curvature (1/m) of a tube set in a mold of `mold_curvature` (1/m); the sign is kept."""
+        """Curvature (1/m) of a tube set in a mold of `mold_curvature` (1/m), with its sign."""
         size = abs(mold_curvature)
         return math.copysign(size * (1 - self.fraction - self.slope * size), mold_curvature)
 
     def mold(self, curvature: float) -> float:
-        """Curvature (1/m) of the mold that yields `curvature` (1/m); the sign is kept.
+        """Curvature (1/m) of the mold that yields `curvature` (1/m), with its sign.
 
         Raises:
-            InputError: no mold yields it: the more one bends, the more springs back.
+            InputError: no mold yields it, since the lost fraction increases with the mold's curvature.
         """
-        size, kept = abs(curvature), 1 - self.fraction
-        # size = k (kept - slope k) is a quadratic in the mold's curvature k.
-        inside = kept**2 - 4 * self.slope * size
-        if inside < 0:
-            most = kept**2 / (4 * self.slope)
+        size, retained = abs(curvature), 1 - self.fraction
+        # size = k (retained - slope k) is a quadratic in the mold's curvature k.
+        discriminant = retained**2 - 4 * self.slope * size
+        if discriminant < 0:
+            max_curvature = retained**2 / (4 * self.slope)
             raise InputError(
-                f"curvature is {curvature:g} per m; with this spring-back no mold yields more than {most:.4g} per m "
-                f"(radius {1e3 / most:.4g} mm)"
+                f"curvature is {curvature:g} per m; with this spring-back no mold yields more than "
+                f"{max_curvature:.4g} per m (radius {1e3 / max_curvature:.4g} mm)"
             )
-        # The lesser root, in the form that does not cancel and is right for a slope of 0.
-        return math.copysign(2 * size / (kept + math.sqrt(inside)), curvature)
+        # The smaller root, in the form that does not cancel and is right for a slope of 0.
+        return math.copysign(2 * size / (retained + math.sqrt(discriminant)), curvature)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,13 +95,13 @@ class Calibration(Displayed):
     """Spring-back fitted to trials."""
 
     springback: Springback
-    """The fitted model, with the range of the trials."""
+    """Fitted model, with the range of the trials."""
     model: Annotated[str, "spring-back model"]
-    """Constant or linear."""
+    """Name of the selected model, "constant" or "linear"."""
     mold_curvature: Array
-    """(N,) of the molds of the trials, 1/m."""
+    """(N,) curvatures of the molds of the trials, 1/m."""
     obtained_curvature: Array
-    """(N,) of the tubes that came out of them, 1/m."""
+    """(N,) curvatures of the tubes set in them, 1/m."""
     fraction_interval: Annotated[tuple[float, float] | None, unit("percent"), "95 % interval of the fraction"]
     """None where trials are too few."""
     slope_interval: Annotated[tuple[float, float] | None, unit("mm"), "95 % interval of the slope"]
@@ -112,12 +112,12 @@ class Calibration(Displayed):
 
     @property
     def lost(self) -> Array:
-        """(N,) part of the curvature that each trial lost."""
+        """(N,) fraction of the mold's curvature lost in each trial."""
         return np.asarray(1 - self.obtained_curvature / self.mold_curvature)
 
     @property
     def fitted(self) -> Array:
-        """(N,) part of the curvature that the model loses in each trial."""
+        """(N,) lost fraction of the model for each trial."""
         return self.springback.fraction + self.springback.slope * self.mold_curvature
 
 
@@ -131,10 +131,9 @@ def calibrate_springback(
 
     Args:
         model: model of the lost curvature fraction: constant, linear (increases with curvature) or auto (selected from
-            the trials). "auto" is linear where the 95 % interval of the slope leaves out 0. Intervals are those of the
-            chosen model as if it had been given. In 600 simulated sets of 6 trials they cover the fraction in 91 to
-            97 %, and a slope that is small and happens to be kept in 52 to 94 %; with a model that is given they cover
-            both in 93 to 96 %.
+            the trials). "auto" selects linear if the 95 % interval of the slope excludes 0. The intervals ignore this
+            selection. In 600 simulated sets of 6 trials they cover the fraction in 91 to 97 %, and a small slope that
+            happens to be selected in 52 to 94 %; without selection they cover fraction and slope in 93 to 96 %.
 
     Raises:
         InputError: no trials, lists of different lengths, a radius that is not positive, or too few different mold
@@ -151,7 +150,7 @@ def calibrate_springback(
     values, intervals, noise = _least_squares(kappa, lost, 2 if model == "linear" else 1)
     if model == "auto" and distinct >= 2 and len(molds) >= 4:
         line, ends, about = _least_squares(kappa, lost, 2)
-        # Both ends of the interval have one sign: 0 is left out. A range of round-off shows no slope.
+        # The interval excludes 0 if both ends have one sign. A range of round-off shows no slope.
         if ends and ends[1][0] * ends[1][1] > 0 and abs(line[1]) * np.ptp(kappa) > ROUND_OFF:
             values, intervals, noise = line, ends, about
     slope = float(values[1]) if len(values) == 2 else 0.0
@@ -172,29 +171,30 @@ class PolynomialFit(NamedTuple):
     """A polynomial fitted to trials."""
 
     values: Array
-    """Coefficients, constant first."""
+    """(order,) coefficients, constant first."""
     intervals: list[tuple[float, float]]
-    """95 % intervals; empty where trials are too few."""
+    """95 % intervals; empty with too few trials."""
     noise: float
-    """Standard deviation about it; NaN where trials are too few."""
+    """Standard deviation of the trials about the polynomial; NaN with too few trials."""
 
 
 def _least_squares(kappa: Array, lost: Array, order: int) -> PolynomialFit:
-    """The lost fraction as a polynomial of the mold's curvature, with `order` coefficients."""
+    """Fit the lost fraction by a polynomial of the mold's curvature with `order` coefficients."""
     matrix = np.vander(kappa, order, increasing=True)
     values = np.asarray(np.linalg.lstsq(matrix, lost, rcond=None)[0], dtype=float)
-    free = len(lost) - order
-    if free < 1:
+    dof = len(lost) - order
+    if dof < 1:
         return PolynomialFit(values, [], math.nan)
-    noise = float(np.sqrt(np.sum((lost - matrix @ values) ** 2) / free))
-    spread = noise * np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix)))
-    # Student's t with the freedoms that are left, since the noise is estimated from the same trials.
-    reach = scipy.special.stdtrit(free, (1 + 0.95) / 2) * spread
-    intervals = [(float(v - r), float(v + r)) for v, r in zip(values, reach, strict=True)]
+    noise = float(np.sqrt(np.sum((lost - matrix @ values) ** 2) / dof))
+    standard_error = noise * np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix)))
+    # Student's t, since the noise is estimated from the same trials.
+    half_width = scipy.special.stdtrit(dof, (1 + 0.95) / 2) * standard_error
+    intervals = [(float(v - h), float(v + h)) for v, h in zip(values, half_width, strict=True)]
     return PolynomialFit(values, intervals, noise)
 
 
 def _radii(name: str, values: Sequence[float] | Array) -> Array:
+    """(N,) checked radii of trials, m."""
     if not len(values):
         raise InputError(f"{name} is empty; there must be at least one trial")
     radii = np.array([positive(f"{name} of trial {k}", value) for k, value in enumerate(values, start=1)])
@@ -226,10 +226,10 @@ def _remarks(back: Springback, lost: Array, trials: int, distinct: int) -> tuple
 
 
 ORDER = 24
-"""Degree of the polynomials by which a curvature that springs back unevenly is drawn."""
+"""Degree of the polynomials that interpolate a curvature after uneven spring-back."""
 
 PLANAR = 1e-9
-"""Part of the largest curvature that may point out of the plane of a planar bend."""
+"""Tolerance of a planar bend: curvature out of its plane over the largest curvature."""
 
 
 _NODES = chebyshev.chebpts1(ORDER + 1)
@@ -237,18 +237,23 @@ _INTERPOLATE = np.linalg.inv(chebyshev.chebvander(_NODES, ORDER))
 
 
 def tube_in_mold(tube: Tube, back: Springback) -> Tube:
-    """The tube as its mold holds it: every curvature that springs back to the tube's, the curved part longer by what
-    it shrinks. The natural twist is as given, since trials of planar bends say nothing about it."""
+    """Tube as its mold holds it: with curvatures that spring back to the tube's, and a curved part before shrinkage.
+
+    The natural twist stays, since trials of planar bends say nothing about it.
+    """
     return _changed(tube, back.mold, 1 / (1 - back.shrinkage), even=back.slope == 0)
 
 
 def tube_from_mold(held: Tube, back: Springback) -> Tube:
-    """The tube that comes out of a mold that holds it so: the reverse of `tube_in_mold`."""
+    """Tube after spring-back from its shape in the mold: the inverse of `tube_in_mold`."""
     return _changed(held, back.obtained, 1 - back.shrinkage, even=back.slope == 0)
 
 
 def _changed(tube: Tube, curve: Callable[[float], float], factor: float, *, even: bool) -> Tube:
-    """The tube with another curvature in place of each, and its curved part `factor` times as long."""
+    """Tube with every curvature mapped by `curve`, and its curved part `factor` times as long.
+
+    even: the map is a constant factor.
+    """
     largest = curve(tube.curvature)
     if not tube.general:
         return replace(tube, curvature=largest, curved_length=tube.curved_length * factor)
@@ -258,41 +263,41 @@ def _changed(tube: Tube, curve: Callable[[float], float], factor: float, *, even
 
 
 def _changed_piece(piece: Piece, curve: Callable[[float], float], factor: float, *, even: bool) -> Piece:
+    """Piece with its curvature mapped by `curve`, `factor` times as long; the arguments are those of `_changed`."""
     x, y, z = piece.precurvature
 
     def gain(size: float) -> float:
-        # The limit of a curvature that vanishes, where 0 / 0 would stand.
-        size = max(size, 1e-9)
+        size = max(size, 1e-9)  # the limit at curvature 0, where the quotient is 0 / 0
         return curve(size) / size
 
     if even or not vary((x, y)):
-        at = 1.0 if even else float(np.hypot(x, y))
-        x, y = times(x, gain(at)), times(y, gain(at))
+        size = 1.0 if even else float(np.hypot(x, y))
+        x, y = times(x, gain(size)), times(y, gain(size))
     else:
         breaks = _smooth_stretches(x, y, piece.length)
-        own = x, y
+        components = x, y
 
-        def bent(quantity: Quantity, s: Array) -> Array:
-            sizes = np.hypot(values(own[0], s), values(own[1], s))
-            return np.asarray(values(quantity, s) * np.array([gain(size) for size in sizes]))
+        def mapped(component: Quantity, s: Array) -> Array:
+            sizes = np.hypot(values(components[0], s), values(components[1], s))
+            return np.asarray(values(component, s) * np.array([gain(size) for size in sizes]))
 
-        x, y = (0.0 if q == 0.0 else _fitted(partial(bent, q), breaks) for q in own)
+        x, y = (0.0 if q == 0.0 else _interpolated(partial(mapped, q), breaks) for q in components)
     return replace(piece, precurvature=(x, y, z)).stretched(factor)
 
 
 def _smooth_stretches(x: Quantity, y: Quantity, length: float) -> list[float]:
-    """Arc lengths between which the size of the curvature is smooth: it has a corner where the bend changes side."""
+    """Arc lengths (m) between which |curvature| is smooth: it has a corner where the bend changes side."""
     breaks = breaks_of([x, y], length)
-    found = set(breaks.tolist())
+    corners = set(breaks.tolist())
     for quantity in (x, y):
         for (low, high), coefficients in zip(pairwise(breaks), on_panels(quantity, breaks), strict=True):
-            inside = zeros(coefficients, 1e-7)
-            found |= {float((low + high) / 2 + r * (high - low) / 2) for r in inside}
-    return sorted(found)
+            roots = zeros(coefficients, 1e-7)
+            corners |= {float((low + high) / 2 + root * (high - low) / 2) for root in roots}
+    return sorted(corners)
 
 
-def _fitted(function: Callable[[Array], Array], breaks: list[float]) -> Series:
-    """A function that is smooth between breaks as polynomials to round-off."""
+def _interpolated(function: Callable[[Array], Array], breaks: list[float]) -> Series:
+    """Piecewise polynomials that equal a function, smooth between breaks, to round-off."""
     low, high = np.array(breaks[:-1]), np.array(breaks[1:])
     scale = float(np.abs(function(np.linspace(0.0, breaks[-1], 200))).max())
     ends, table = [0.0], []
@@ -310,7 +315,7 @@ def _fitted(function: Callable[[Array], Array], breaks: list[float]) -> Series:
 
 
 def bend_direction(tube: Tube) -> tuple[float, float] | None:
-    """The line of the cross-section (unit, in its right half) along which all precurvature lies, or None."""
+    """Unit vector (2,) of the cross-section along which all precurvature lies, with x >= 0; None for a space curve."""
     if tube.curvature == 0 or tube.curved_length == 0:
         return 1.0, 0.0
     u = np.vstack([_sampled(piece) for piece in tube.chain])
@@ -326,24 +331,35 @@ def bend_direction(tube: Tube) -> tuple[float, float] | None:
 
 
 def _sampled(piece: Piece) -> Array:
-    """(N, 3) u* of a piece, dense in every panel."""
+    """(N, 3) precurvature u* of a piece, dense in every panel, 1/m."""
     breaks = breaks_of(piece.precurvature, piece.length)
     s = np.unique(np.concatenate([np.linspace(a, b, 3 * ORDER) for a, b in pairwise(breaks)]))
     return np.column_stack([values(q, s) for q in piece.precurvature])
 
 
-def signed_curvature(tube: Tube) -> list[tuple[float, Array]]:
-    """Of a planar tube: per panel of its curved part the length (m) and Chebyshev coefficients of the curvature (1/m),
-    positive about the bend direction."""
+class Panel(NamedTuple):
+    """Stretch of a planar tube on which the curvature is one polynomial."""
+
+    length: float
+    """Arc length, m."""
+    coefficients: Array
+    """Chebyshev coefficients of the curvature, 1/m; positive about the bend direction."""
+
+
+def signed_curvature(tube: Tube) -> list[Panel]:
+    """Signed curvature of the curved part of a planar tube, in panels.
+
+    Raises:
+        InputError: the tube is a space curve.
+    """
     direction = bend_direction(tube)
     if direction is None:
         raise InputError("the tube is a space curve; a plate supports planar bends only")
-    out: list[tuple[float, Array]] = []
+    panels: list[Panel] = []
     for piece in tube.chain:
         x, y, _ = piece.precurvature
         breaks = breaks_of([x, y], piece.length)
-        panels = zip(np.diff(breaks), on_panels(x, breaks), on_panels(y, breaks), strict=True)
-        for length, cx, cy in panels:
-            both = chebyshev.chebadd(direction[0] * cx, direction[1] * cy)
-            out.append((float(length), np.asarray(both, dtype=float)))
-    return out
+        for length, cx, cy in zip(np.diff(breaks), on_panels(x, breaks), on_panels(y, breaks), strict=True):
+            curvature = chebyshev.chebadd(direction[0] * cx, direction[1] * cy)
+            panels.append(Panel(float(length), np.asarray(curvature, dtype=float)))
+    return panels

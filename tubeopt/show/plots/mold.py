@@ -15,7 +15,7 @@ from ...shaping.mold.files import draw_plate
 from ...shaping.mold.groove import Arc
 from ...shaping.mold.mandrel import Cylinder, Mandrel, rotation_table
 from ...shaping.mold.mold import Groove, Mold, clamp_corners
-from ...shaping.mold.ranking import MOST_LEAK, MaterialRating
+from ...shaping.mold.ranking import MAX_LEAK, MaterialRating
 from ...shaping.mold.springback import Calibration
 from ...typing import Array
 from ..page import tube_colour
@@ -179,7 +179,7 @@ def plot_materials(ratings: Sequence[MaterialRating], *, title: str = "") -> Fig
         axes.set_xlabel(label)
     panels[1].axvline(0, color=INK, lw=0.8)
     panels[2].set_xscale("log")
-    limit = panels[2].axvline(MOST_LEAK, color=INK, lw=0.8, ls=(0, (4, 3)))
+    limit = panels[2].axvline(MAX_LEAK, color=INK, lw=0.8, ls=(0, (4, 3)))
     suitable = [r.suitable for r in ratings]
     legend: dict[str, Any] = {
         "suitable" if kind else "not suitable": bars[suitable.index(kind)] for kind in sorted({*suitable})

@@ -13,7 +13,7 @@ from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
 from ...shaping.firmware.boards import root_mean_square
 from ...shaping.heating.plan import HeatingPlan
-from ...shaping.mold.gcode import clear_room
+from ...shaping.mold.gcode import clamp_distance
 from ...shaping.mold.mandrel import Cylinder, Mandrel
 from ...shaping.mold.mold import Groove, Mold
 from ...shaping.tube_fabrication import TubeFabrication
@@ -152,7 +152,7 @@ def mold_steps(mold: Mold) -> list[str]:
     fixed = "distal" if clamps.sliding_end == "proximal" else "proximal"
     return [
         f"Cut both plates (base and lid, *.nc for {spec.workshop.dialect}). Clamp the stock at least "
-        f"{math.ceil(clear_room(mold) * TO_MM)} mm from the plate, with a board below. {bolts} bolts of "
+        f"{math.ceil(clamp_distance(mold) * TO_MM)} mm from the plate, with a board below. {bolts} bolts of "
         f"{spec.plate.bolt_diameter * TO_MM:g} mm, 2 dowels of {spec.plate.dowel_diameter * TO_MM:g} mm (ream them), "
         f"{len(mold.vents)} vents of {spec.vents.diameter * TO_MM:g} mm in the lid.",
         "Cut the tube and mark the bend. Press it into the groove, marks on the ends of the bend; dowels, lid, bolts.",
