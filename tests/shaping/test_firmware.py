@@ -34,7 +34,7 @@ from tubeopt.shaping.firmware.sketch_files import (
 from tubeopt.shaping.heating.controller import HeatingLaw, LawState, decide
 from tubeopt.shaping.heating.thermal import ThermalModel, thermal_model
 from tubeopt.shaping.heating.uncertainty import ENSEMBLE, Uncertainty
-from tubeopt.show.heat_report import HeatingRunReport, LedHeatingReport
+from tubeopt.show.heat_report import HeatingRunReport, FeedbackReport
 from tubeopt.typing import Array
 
 from .firmware_host import COMPILER, Fault, built, run
@@ -333,12 +333,12 @@ def test_a_run_says_whether_its_readings_kept_the_window(
 def test_a_sketch_for_a_heating_that_is_not_held_says_so() -> None:
     outcome = plan().outcome
     held = ClosedLoopHeating(plan(), led(), Wiring(), plan().rig.circuit.pwm_frequency)
-    LedHeatingReport(held).conclude()
+    FeedbackReport(held).conclude()
     broken = replace(plan(), outcome=replace(outcome, broken=("the ramp is 9 K/s",)))
     with pytest.raises(SolveError, match="the ramp is 9 K/s"):
-        LedHeatingReport(replace(held, plan=broken)).conclude()
+        FeedbackReport(replace(held, plan=broken)).conclude()
     with pytest.raises(SolveError, match=r"0\.0 % of \d+ random"):
-        LedHeatingReport(replace(held, feedback=replace(led(), kept=0 * led().kept))).conclude()
+        FeedbackReport(replace(held, feedback=replace(led(), kept=0 * led().kept))).conclude()
 
 
 def test_a_run_that_is_interrupted_stops_the_rig(tmp_path: Path) -> None:

@@ -40,10 +40,11 @@ EXIT_CODES = {Finding.SNAP_FREE: 0, Finding.CAN_SNAP: 3, Finding.OPEN: 4}
 
 def sentence(a: Certification) -> str:
     """Verdict with its proof, the results of the search, the snap, and the assumptions."""
-    return f"{_finding(a.verdict)}, {ASSUMING}"
+    return f"{_verdict_text(a.verdict)}, {ASSUMING}"
 
 
-def _finding(verdict: SnapAssessment) -> str:
+def _verdict_text(verdict: SnapAssessment) -> str:
+    """Verdict with its proof, the results of the search, and the snap."""
     proved = f"{verdict.certificate.margin:.3g}" if np.isfinite(verdict.certificate.margin) else "none"
     found_margin = "0" if verdict.worst is None else f"{verdict.worst.margin:.3g}"
     # The certificate of eccentric robots bounds the torsional stiffness, not the margin.
@@ -60,18 +61,18 @@ def _finding(verdict: SnapAssessment) -> str:
         if verdict.worst is not None and verdict.worst.margin < 0:
             search += ", an unstable equilibrium, so some path leads to a snap"
         return f"not proved (certificate {proved}), and search found no snap ({search})"
-    # What a search did not find within the limits may still be there: it is no proof.
+    # A search that finds nothing within the limits is no proof that nothing is there.
     beyond = "" if verdict.decided else "search found that "
     where = "" if verdict.within_limits else f", but {beyond}only beyond its joint limits"
-    start, end = (degrees(angles, ".6g") for angles in _way(verdict))
+    start, end = (degrees(angles, ".6g") for angles in _path_rotations(verdict))
     return (
         f"{verdict.finding}{where}: from rotations {start} towards {end}, at {degrees(verdict.snap.rotations)} "
         f"(least margin found {found_margin}; certificate {proved})"
     )
 
 
-def _way(verdict: SnapAssessment) -> list[Array]:
-    """Rotations from the relaxed pose to beyond the snap, none without one."""
+def _path_rotations(verdict: SnapAssessment) -> list[Array]:
+    """Rotations at the relaxed pose and beyond the snap; none without a snap."""
     return [angles for angles in (verdict.start, verdict.end) if angles is not None]
 
 
@@ -82,35 +83,36 @@ def command(a: Certification) -> str | None:
     if not verdict.followed:
         return None
     if verdict.snap is not None:
-        (start, shift), (end, _) = (_read(a, angles) for angles in _way(verdict))
+        (start, shift), (end, _) = (_readings(a, angles) for angles in _path_rotations(verdict))
         return f"tubeopt snap {file} --from-deg {flag(start)} --to-deg {flag(end)} --from-mm {flag(shift)}"
     if verdict.worst is None:
         return None
-    angles, shift = _read(a, verdict.worst.equilibrium.rotations)
+    angles, shift = _readings(a, verdict.worst.equilibrium.rotations)
     # 1e-4 deg is finer than any drive, and keeps the command short.
     return f"tubeopt equilibria {file} --rotations-deg {flag(np.round(angles, 4))} --translations-mm {flag(shift)}"
 
 
-def _read(a: Certification, rotations: Array) -> tuple[Array, Array]:
-    """Readings of the drives at given rotations, deg and mm."""
-    turned, shifted = to_readings(a.robot, rotations, a.verdict.certificate.translations)
-    return np.degrees(turned), shifted * TO_MM
+def _readings(a: Certification, rotations: Array) -> tuple[Array, Array]:
+    """Readings of the drives at joint values with these rotations, deg and mm."""
+    rotations, translations = to_readings(a.robot, rotations, a.verdict.certificate.translations)
+    return np.degrees(rotations), translations * TO_MM
 
 
 def _fractions(a: Certification) -> list[tuple[tuple[int, int], float]]:
     """Pairs of tubes, from 1, and the fraction that each takes from a margin of 1; the largest first."""
-    share = a.verdict.certificate.share
-    # The matrix of shares is symmetric: each pair once.
-    pairs = [((i + 1, j + 1), float(share[i, j])) for i, j in itertools.combinations(range(len(share)), 2)]
+    fraction = a.verdict.certificate.share
+    # The matrix is symmetric: each pair once.
+    pairs = [((i + 1, j + 1), float(fraction[i, j])) for i, j in itertools.combinations(range(len(fraction)), 2)]
     return sorted((pair for pair in pairs if pair[1] > 0), key=lambda pair: -pair[1])
 
 
-def _takes(a: Certification) -> str:
-    shares = [f"tubes {i} and {j} {100 * share:.1f} %" for (i, j), share in _fractions(a)]
-    return ", ".join(shares) or "nothing: no two tubes are coupled"
+def _fractions_text(a: Certification) -> str:
+    """Fractions of the margin that pairs of tubes take, as text."""
+    fractions = [f"tubes {i} and {j} {100 * fraction:.1f} %" for (i, j), fraction in _fractions(a)]
+    return ", ".join(fractions) or "nothing: no two tubes are coupled"
 
 
-def _certificate(a: Certification) -> str:
+def _certificate_text(a: Certification) -> str:
     """Certificate, and the quantity that it bounds."""
     margin = a.verdict.certificate.margin
     if not np.isfinite(margin):
@@ -120,7 +122,7 @@ def _certificate(a: Certification) -> str:
     return f"{margin:.6f}, a lower bound of the margin at all rotations"
 
 
-def _forced(a: Certification) -> str | None:
+def _force_text(a: Certification) -> str | None:
     """Certificate under a force, as text."""
     if a.force is None or a.forced is None:
         return None
@@ -130,7 +132,8 @@ def _forced(a: Certification) -> str | None:
     return f"{pushed}: nothing is proved (certificate {a.forced:.3g})"
 
 
-def _least(a: Certification) -> str:
+def _smallest_margin_text(a: Certification) -> str:
+    """Smallest margin found and its rotations, as text."""
     worst = a.verdict.worst
     if worst is None:
         return "0, a fold"
@@ -138,7 +141,8 @@ def _least(a: Certification) -> str:
     return f"{worst.margin:.6f}, at rotations {where}"
 
 
-def _limited(a: Certification) -> str | None:
+def _limiting_text(a: Certification) -> str | None:
+    """Tubes and section that limit the certificate, as text."""
     certificate = a.verdict.certificate
     if certificate.section is None:
         return None
@@ -150,7 +154,8 @@ def _limited(a: Certification) -> str | None:
     return f"tubes {i + 1} and {j + 1}, on {section}"
 
 
-def _searched(a: Certification) -> str | None:
+def _search_text(a: Certification) -> str | None:
+    """Effort of a search without a snap, as text."""
     verdict = a.verdict
     if verdict.snap is not None or not verdict.paths:
         return None
@@ -158,14 +163,15 @@ def _searched(a: Certification) -> str | None:
     return f"{verdict.paths} paths from the relaxed pose, none with a snap{lost}"
 
 
-def _snap_words(a: Certification) -> str | None:
+def _snap_text(a: Certification) -> str | None:
+    """Jump of the tip and released energy, as text."""
     snap = a.verdict.snap
     if snap is None:
         return None
     return f"the tip jumps {snap.tip_jump * TO_MM:.3f} mm and {snap.energy_released * TO_MILLI:.4f} mJ are released"
 
 
-def _limits(a: Certification) -> str | None:
+def _limits_text(a: Certification) -> str | None:
     """Limits of the rotations, and the position of the snap relative to them."""
     if a.verdict.snap is None:
         return None
@@ -186,8 +192,8 @@ def _gradient(a: Certification) -> dict[str, list[float | None]]:
 
 
 SHARE: tuple[Quantity[tuple[tuple[int, int], float]], ...] = (
-    Quantity("tubes", "the two tubes, from 1", lambda taken: taken[0]),
-    Quantity("share", "part of the margin of 1 that their coupling takes", lambda taken: taken[1]),
+    Quantity("tubes", "the two tubes, from 1", lambda pair: pair[0]),
+    Quantity("share", "part of the margin of 1 that their coupling takes", lambda pair: pair[1]),
 )
 
 BOX = described(
@@ -207,32 +213,32 @@ CERTIFICATION = described(
     Quantity("assumed", "assumptions of all results", lambda a: ASSUMING),
     Quantity("certificate", "certificate",
              lambda a: a.verdict.certificate.margin if np.isfinite(a.verdict.certificate.margin) else None,
-             words=_certificate),
+             words=_certificate_text),
     of_field(Certification, "force", optional=True),
-    of_field(Certification, "forced", label="under a force on the tip", words=_forced, optional=True),
+    of_field(Certification, "forced", label="under a force on the tip", words=_force_text, optional=True),
     Quantity("untwisted_margin", "margin of the softest untwisted equilibrium, in closed form; eccentric robots only",
              lambda a: a.verdict.untwisted if isinstance(a.verdict, EccentricSnapAssessment) else None),
     Quantity("margin_found", "smallest margin found",
-             lambda a: None if a.verdict.worst is None else a.verdict.worst.margin, words=_least,
+             lambda a: None if a.verdict.worst is None else a.verdict.worst.margin, words=_smallest_margin_text,
              label="least margin found"),
     Quantity("found_at_deg", "rotations of the smallest margin",
              lambda a: None if a.verdict.worst is None else a.verdict.worst.equilibrium.rotations),
     Quantity("limiting_tubes", "the two tubes that limit the certificate, from 1",
              lambda a: None if a.verdict.certificate.pair is None else [i + 1 for i in a.verdict.certificate.pair]),
     Quantity("limiting_section_mm", "ends of the section that limits the certificate",
-             lambda a: a.verdict.certificate.section, label="limited by", words=_limited),
+             lambda a: a.verdict.certificate.section, label="limited by", words=_limiting_text),
     Quantity("shares", "part of the margin of 1 that each pair of tubes takes", _fractions, of=SHARE,
-             label="takes from the margin", words=_takes),
+             label="takes from the margin", words=_fractions_text),
     Quantity("gradient", "derivatives of the certificate by the parameters of each tube, per unit of the key",
              _gradient),
     Quantity("paths_tried", "number of paths searched for a snap", lambda a: a.verdict.paths),
     Quantity("paths_lost", "number of these paths where the equilibrium was lost", lambda a: a.verdict.failed),
-    line("the snap", _snap_words),
-    Quantity("rotation_limits_deg", "allowed rotations", lambda a: np.array(a.robot.limits.rotations), words=_limits,
-             label="rotations allowed"),
-    line("the search for a snap", _searched),
+    line("the snap", _snap_text),
+    Quantity("rotation_limits_deg", "allowed rotations", lambda a: np.array(a.robot.limits.rotations),
+             words=_limits_text, label="rotations allowed"),
+    line("the search for a snap", _search_text),
     Quantity("within_limits", "true if the snap is within the limits", lambda a: a.verdict.within_limits),
-    Quantity("path_deg", "rotations from the relaxed pose to beyond the snap", lambda a: _way(a.verdict)),
+    Quantity("path_deg", "rotations from the relaxed pose to beyond the snap", lambda a: _path_rotations(a.verdict)),
     Quantity("snap", "the snap found", lambda a: a.verdict.snap, of=SNAP),
     Quantity("repeat", "command that reproduces the snap", command),
     of_field(Certification, "box", label="box", words="{box[lower_mm]:.6g} mm to {box[upper_mm]:.6g} mm", of=BOX),
@@ -274,6 +280,7 @@ class CertificationReport(Report[Certification]):
         return notes
 
     def _gradient(self) -> RenderableType:
+        """Table of the derivatives of the certificate, or why it has none."""
         certificate = self.answer.verdict.certificate
         # The smallest of several eigenvalues is not differentiable where two of them are equal.
         if not np.isfinite(certificate.gradient["curvature"]).all():

@@ -68,7 +68,8 @@ class Doctor:
     passed: Annotated[bool, "true if the self-test passed"]
 
 
-def _extras(a: Doctor) -> str:
+def _extras_text(a: Doctor) -> str:
+    """Installed extras, and what the others lack."""
     installed = ", ".join(name for name, lacks in a.missing.items() if not lacks)
     absent = (
         f"{name} lacks {', '.join(lacks)} (pip install 'tubeopt[{name}]')" for name, lacks in a.missing.items() if lacks
@@ -76,9 +77,10 @@ def _extras(a: Doctor) -> str:
     return "; ".join([f"installed: {installed or 'none'}", *absent])
 
 
-def _verdict(a: Doctor) -> str:
-    words = "passed" if a.passed else "FAILED"
-    return f"{words}: off by {a.difference * TO_MM:.0e} mm from a re-integration; {a.solve * 1e6:.0f} us a solve"
+def _self_test_text(a: Doctor) -> str:
+    """Result of the self-test, as text."""
+    verdict = "passed" if a.passed else "FAILED"
+    return f"{verdict}: off by {a.difference * TO_MM:.0e} mm from a re-integration; {a.solve * 1e6:.0f} us a solve"
 
 
 DOCTOR = described(
@@ -93,9 +95,9 @@ DOCTOR = described(
              words=lambda a: f"{a.cache}, {a.cache_bytes / 1e6:.1f} MB", label="cache"),
     "cache_bytes",
     Quantity("missing", "missing packages of each extra",
-             lambda a: {name: list(lacks) for name, lacks in a.missing.items()}, label="extras", words=_extras),
+             lambda a: {name: list(lacks) for name, lacks in a.missing.items()}, label="extras", words=_extras_text),
     "passed difference solve",
-    line("self-test", _verdict),
+    line("self-test", _self_test_text),
 )  # fmt: skip
 
 
@@ -134,6 +136,7 @@ def examine() -> Doctor:
 
 
 def _kernel() -> str:
+    """Origin of the compiled kernel, as text."""
     if os.environ.get("TUBEOPT_COMPILE") == "0":
         return "switched off by TUBEOPT_COMPILE=0"
     compiled = library(2, False)
@@ -177,7 +180,7 @@ class ShippedReport(Report[ShippedFiles]):
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         descriptions = ["", *(f.about[:1].upper() + f.about[1:] for f in files)]
         described_rows = zip(rows, descriptions, strict=True)
-        lines = ("  ".join([*map(str.ljust, row, widths), words]) for row, words in described_rows)
+        lines = ("  ".join([*map(str.ljust, row, widths), about]) for row, about in described_rows)
         return "\n".join(line.rstrip() for line in lines)
 
 

@@ -59,9 +59,9 @@ DIMENSION = described(
 
 BINDING = described(
     Sensitivity,
-    Quantity("limit", "requirement, as text", lambda one: one.limit.words),
-    Quantity("value", "limit value", lambda one: one.limit.value * one.limit.factor),
-    Quantity("unit", "unit of the limit", lambda one: one.limit.unit),
+    Quantity("limit", "requirement, as text", lambda sensitivity: sensitivity.limit.words),
+    Quantity("value", "limit value", lambda sensitivity: sensitivity.limit.value * sensitivity.limit.factor),
+    Quantity("unit", "unit of the limit", lambda sensitivity: sensitivity.limit.unit),
     "derivative sentence",
 )
 
@@ -79,13 +79,15 @@ CHECK = described(
 )
 
 
-def _made(t: ToleranceAnalysis) -> str:
+def _snap_free_text(t: ToleranceAnalysis) -> str:
+    """Fraction of sampled robots that stay snap-free, as text."""
     low, high = t.interval
-    words = f"{100 * t.snap_free:.1f} % of {len(t.certificate)} samples stay snap-free"
-    return f"{words} (95 %: {100 * low:.1f} to {100 * high:.1f} %)"
+    fraction = f"{100 * t.snap_free:.1f} % of {len(t.certificate)} samples stay snap-free"
+    return f"{fraction} (95 %: {100 * low:.1f} to {100 * high:.1f} %)"
 
 
-def _spread(t: ToleranceAnalysis) -> str | None:
+def _spread_text(t: ToleranceAnalysis) -> str | None:
+    """Spread of the tips of sampled robots, as text."""
     if not len(t.spread):
         return None
     return f"RMS up to {t.spread.max() * TO_MM:.3f} mm, 95 % within {t.spread_95.max() * TO_MM:.3f} mm"
@@ -98,8 +100,8 @@ TOLERANCE = described(
 )
 
 FRONT_POINT: tuple[Quantity[tuple[ParetoFront, FrontPoint]], ...] = (
-    Quantity("margin", "required margin", lambda at: at[1].margin),
-    Quantity("value", "value of the objective", lambda at: at[1].objective * at[0].task.objectives[0].factor),
+    Quantity("margin", "required margin", lambda item: item[1].margin),
+    Quantity("value", "value of the objective", lambda item: item[1].objective * item[0].task.objectives[0].factor),
 )
 
 FRONT = described(
@@ -142,12 +144,14 @@ SEARCHED: tuple[Quantity[RegionAnswer], ...] = (
 )
 
 
-def _starts(s: DesignSolution) -> str:
+def _starts_text(s: DesignSolution) -> str:
+    """Numbers of starts, feasible and failed, as text."""
     failed = ", ".join(f"{count} at the {name}" for name, count in s.ranking.failures.items())
     return f"{s.ranking.starts}, {sum(s.ranking.found)} feasible" + f" ({failed})" * bool(failed)
 
 
-def _margins(s: DesignSolution) -> str | None:
+def _poses_text(s: DesignSolution) -> str | None:
+    """Number of task poses and their smallest margin, as text."""
     return f"{len(s.equilibria)}, least margin {min(e.margin for e in s.equilibria):.4f}" if s.equilibria else None
 
 
@@ -159,9 +163,9 @@ SOLUTION = described(
              words="{certificate:.6f}, a lower bound of the margin at all rotations"),
     of_field(DesignSolution, "dimensions", of=DIMENSION),
     of_field(DesignSolution, "sensitivities", of=BINDING),
-    of_field(DesignSolution, "equilibria", label="task poses", words=_margins, of=POSE),
+    of_field(DesignSolution, "equilibria", label="task poses", words=_poses_text, of=POSE),
     Quantity("checks", "independent checks of the result", lambda s: s.verification.checks, of=CHECK),
-    Quantity("starts", "number of starts", lambda s: s.ranking.starts, label="starts", words=_starts),
+    Quantity("starts", "number of starts", lambda s: s.ranking.starts, label="starts", words=_starts_text),
     Quantity("designs", "number of distinct designs found", lambda s: len(s.ranking.designs)),
     Quantity("failures", "number of failed starts, by stage", lambda s: s.ranking.failures),
     of_field(DesignSolution, "rounds", label="worst cases added", words="in {rounds} rounds"),
@@ -169,15 +173,15 @@ SOLUTION = described(
 )  # fmt: skip
 
 CHOICE: tuple[Quantity[tuple[AnyObjective, Candidate]], ...] = (
-    Quantity("sizes", "sizes, inner to outer", lambda of: [size.name for size in of[1].sizes], label="inner to outer",
-             words=lambda of: ", ".join(size.name for size in of[1].sizes)),
-    Quantity("value", "value of the objective", lambda of: of[1].objective and of[1].objective * of[0].factor,
+    Quantity("sizes", "sizes, inner to outer", lambda c: [size.name for size in c[1].sizes], label="inner to outer",
+             words=lambda c: ", ".join(size.name for size in c[1].sizes)),
+    Quantity("value", "value of the objective", lambda c: c[1].objective and c[1].objective * c[0].factor,
              label="value",
-             words=lambda of: "–" if of[1].objective is None else f"{of[1].objective * of[0].factor:.5g} {of[0].unit}"),
-    Quantity("status", "design, not found, infeasible, pruned or out of time, with the reason", lambda of: of[1].status,
+             words=lambda c: "–" if c[1].objective is None else f"{c[1].objective * c[0].factor:.5g} {c[0].unit}"),
+    Quantity("status", "design, not found, infeasible, pruned or out of time, with the reason", lambda c: c[1].status,
              label="", words="{status}"),
 )  # fmt: skip
-"""A choice from stock, by what was wanted."""
+"""Quantities of a choice from stock, with the objective that ranks it."""
 
 DESIGN = described(
     DesignAnswer,
@@ -190,22 +194,25 @@ DESIGN = described(
     of_field(DesignAnswer, "tolerance", of=TOLERANCE),
     of_field(DesignAnswer, "front", of=FRONT),
     of_field(DesignAnswer, "region", of=REGION),
-    *within((line("as manufactured", _made), line("tip spread", _spread)), lambda a: a.tolerance),
+    *within((line("as manufactured", _snap_free_text), line("tip spread", _spread_text)), lambda a: a.tolerance),
     *within(SEARCHED, lambda a: a.region),
     Quantity("stock", "choices from stock, best first; null unless requested", lambda a: _choices(a), of=CHOICE,
-             label="from stock", words=lambda a: _best(a)),
+             label="from stock", words=lambda a: _best_text(a)),
     line("seconds", "{seconds:.1f}"),
 )  # fmt: skip
 
 
-def _best(a: DesignAnswer) -> str | None:
+def _best_text(a: DesignAnswer) -> str | None:
+    """Sizes of the best choice from stock, as text; None without one."""
     if a.stock is None or a.stock.best is None:
         return None
     return f"{', '.join(size.name for size in a.stock.best.sizes)} (of {len(a.stock.candidates)} choices)"
 
 
 def _choices(a: DesignAnswer) -> list[tuple[AnyObjective, Candidate]] | None:
-    return None if a.stock is None else [(a.solution.task.objectives[0], one) for one in a.stock.candidates]
+    """Objective and candidate of every choice from stock, best first; None unless requested."""
+    objective = a.solution.task.objectives[0]
+    return None if a.stock is None else [(objective, candidate) for candidate in a.stock.candidates]
 
 
 def dimensions(s: DesignSolution, of: str = "") -> RenderableType:
@@ -219,7 +226,7 @@ def checked_again(s: DesignSolution) -> RenderableType:
 
 
 def before_after(s: DesignSolution, name: str) -> Drawing:
-    """The shapes of the robot that was given and of the design of that name, at home."""
+    """Picture of the shapes before and after the design, at home; name: heading."""
     home = [forward_kinematics(robot, np.zeros(robot.n_tubes)) for robot in (s.task.robot, s.robot)]
     return drawing("shape.plot_shapes", home, titles=("before", "after"), heading=name)
 
@@ -235,24 +242,24 @@ class DesignReport(Report[DesignAnswer]):
     def rows(self) -> list[tuple[str, str]]:
         """The objectives, then the answer in short."""
         s, region = self.answer.solution, self.answer.region
-        given = [shown(one, s.objectives[key_of(one)]) for one in s.task.objectives]
-        return [("objective", words) for words in (given if region is None else [region.summary])] + super().rows()
+        values = [shown(objective, s.objectives[key_of(objective)]) for objective in s.task.objectives]
+        return [("objective", text) for text in (values if region is None else [region.summary])] + super().rows()
 
     def below(self) -> list[RenderableType]:
-        """Dimensions, what binds, checks."""
+        """Dimensions, active limits with their sensitivities, checks, and choices from stock."""
         s = self.answer.solution
         parts: list[RenderableType] = [dimensions(s)]
-        parts += [Text(f"  {words}") for words in self.answer.remarks]
+        parts += [Text(f"  {remark}") for remark in self.answer.remarks]
         if s.sensitivities:
             parts.append(Text("what binds, and what easing it would buy", style="italic"))
-            parts += [Text(f"  {one.sentence}") for one in s.sensitivities]
+            parts += [Text(f"  {sensitivity.sentence}") for sensitivity in s.sensitivities]
         parts.append(checked_again(s))
         if self.answer.stock is not None:
             parts.append(grid(*self.from_stock(), title="choices from stock", key=True))
         return parts
 
     def from_stock(self) -> tuple[list[str], list[list[str]]]:
-        """A table of the choices, the best first, and of how many more there are."""
+        """Heads and rows of the choices, best first, and the numbers of further ones by status."""
         choices = _choices(self.answer) or []
         heads, rows = columns(choices[:STOCK_ROWS], CHOICE)
         counts = {
@@ -262,10 +269,10 @@ class DesignReport(Report[DesignAnswer]):
             "pruned": "pruned by their bound",
             "out of time": "not tried in time",
         }
-        for status, words in counts.items():
+        for status, text in counts.items():
             # A status may end in its reason: the beginning names the kind.
-            count = sum(one.status.startswith(status) for _, one in choices[STOCK_ROWS:])
-            rows += [[f"{count} more", "–", words]] if count else []
+            count = sum(candidate.status.startswith(status) for _, candidate in choices[STOCK_ROWS:])
+            rows += [[f"{count} more", "–", text]] if count else []
         return heads, rows
 
     def save(self, directory: Path) -> list[Path]:
@@ -279,17 +286,17 @@ class DesignReport(Report[DesignAnswer]):
         """Pictures of the design; `CAPTIONS` describes them."""
         a, s = self.answer, self.answer.solution
         name = self.title()
-        found: dict[str, Drawing] = {"shapes": before_after(s, name)}
+        pictures: dict[str, Drawing] = {"shapes": before_after(s, name)}
         if s.equilibria:
-            found["poses"] = drawing("design.plot_poses", s)
-        # Of two tubes one relative rotation is all there is: a map over two has no meaning.
+            pictures["poses"] = drawing("design.plot_poses", s)
+        # Two tubes have a single relative rotation: a map over two would show nothing more.
         if s.robot.n_tubes > 2:
-            found["maps"] = lambda path=None: _draw_maps((s.task.robot, s.robot), path)
+            pictures["maps"] = lambda path=None: _draw_maps((s.task.robot, s.robot), path)
         if a.front is not None:
-            found["pareto"] = drawing("design.plot_front", a.front)
+            pictures["pareto"] = drawing("design.plot_front", a.front)
         if a.tolerance is not None:
-            found["tolerance"] = drawing("design.plot_tolerance", a.tolerance, heading=name)
-        return found
+            pictures["tolerance"] = drawing("design.plot_tolerance", a.tolerance, heading=name)
+        return pictures
 
     def page(self) -> str:
         """The report as Markdown, with its pictures."""
@@ -298,7 +305,7 @@ class DesignReport(Report[DesignAnswer]):
         lines += _markdown(("", ""), self.rows())
         lines += ["", "## Dimensions", "", *_markdown(*columns(s.dimensions, DIMENSION))]
         remarks = self.answer.remarks
-        lines += ["", *(f"- {words}" for words in remarks)] if remarks else []
+        lines += ["", *(f"- {remark}" for remark in remarks)] if remarks else []
         lines += ["", "## Requirements that bind", ""]
         rows = [(o.limit.words, o.limit.shown(), o.sentence) for o in s.sensitivities]
         lines += _markdown(("limit", "at", "price"), rows) if rows else ["None."]
@@ -315,7 +322,7 @@ class DesignReport(Report[DesignAnswer]):
 
 
 def _draw_maps(robots: Sequence[ConcentricRobot], path: Path | None) -> Any:
-    """The maps of margins before and after, which take longer than all else to compute."""
+    """Draw the maps of margins before and after; they are computed here, since they take long."""
     from ..stability import stability_map
     from .plots.design import plot_before_after
 
@@ -326,55 +333,63 @@ def _draw_maps(robots: Sequence[ConcentricRobot], path: Path | None) -> Any:
 
 
 def _objectives(a: DesignAnswer) -> dict[str, float]:
-    """Values of what was wanted; of a region what the design reaches of it, since its task has no objective."""
+    """Values of the objectives, by key with unit; for a region, the fraction that the design reaches."""
     if a.region is not None:
         return {"reach_share": a.region.after.share}
-    return {_key(one): a.solution.objectives[key_of(one)] * one.factor for one in a.solution.task.objectives}
-
-
-def _key(one: AnyObjective) -> str:
-    unit = {"1/m": "_per_m", "mm": "_mm", "%": "_percent"}.get(one.unit, "")
-    return f"{key_of(one)}{unit}"
+    values = {}
+    for objective in a.solution.task.objectives:
+        unit = {"1/m": "_per_m", "mm": "_mm", "%": "_percent"}.get(objective.unit, "")
+        key = key_of(objective)
+        values[f"{key}{unit}"] = a.solution.objectives[key] * objective.factor
+    return values
 
 
 def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table in Markdown."""
     lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
     return lines + [f"| {' | '.join(row)} |" for row in rows]
 
 
 @dataclass(frozen=True, eq=False)
 class _Arm:
-    """One of the two: its number, from 1, its design, where it stands, and what it reaches by itself."""
+    """One robot of a pair."""
 
     number: int
+    """Number of the arm, from 1."""
     name: str
     solution: DesignSolution
     plate: Frame
+    """Frame of its plate."""
     before: ReachShare
+    """Places that the given robot reaches alone."""
     after: ReachShare
+    """Places that the design reaches alone."""
 
 
 def _arms(a: PairAnswer) -> list[_Arm]:
-    each = zip(a.names, a.search.solutions, a.plates, a.before.reached, a.after.reached, strict=True)
-    return [_Arm(k + 1, *one) for k, one in enumerate(each)]
+    """Both robots of a pair."""
+    fields = zip(a.names, a.search.solutions, a.plates, a.before.reached, a.after.reached, strict=True)
+    return [_Arm(number, *of_arm) for number, of_arm in enumerate(fields, start=1)]
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %"
+def _percent(fraction: float) -> str:
+    return f"{100 * fraction:.0f} %"
 
 
-def _alone(a: PairAnswer) -> str:
+def _reach_text(a: PairAnswer) -> str:
+    """Fractions of places that each arm reaches alone, as text."""
     return "; ".join(
         f"{arm.name} {_percent(arm.before.share)} before, {_percent(arm.after.share)} after" for arm in _arms(a)
     )
 
 
-def _stands(a: PairAnswer) -> str:
-    told = []
+def _plates_text(a: PairAnswer) -> str:
+    """Positions and directions of the plates, as text."""
+    plates = []
     for arm in _arms(a):
-        (x, y, z), (p, q, r) = arm.plate.origin * TO_MM, arm.plate.axes[:, 2]
-        told.append(f"{arm.name} at {x:.2f}, {y:.2f}, {z:.2f} mm along {p:.3f}, {q:.3f}, {r:.3f}")
-    return "; ".join(told)
+        (x, y, z), (u, v, w) = arm.plate.origin * TO_MM, arm.plate.axes[:, 2]
+        plates.append(f"{arm.name} at {x:.2f}, {y:.2f}, {z:.2f} mm along {u:.3f}, {v:.3f}, {w:.3f}")
+    return "; ".join(plates)
 
 
 ARM: tuple[Quantity[_Arm], ...] = (
@@ -403,11 +418,11 @@ PAIR = described(
     Quantity("after", "fraction of their pairs that the designs reach", lambda a: a.after.share),
     line("pairs of places reached", lambda a: f"{_percent(a.before.share)} before, {_percent(a.after.share)} after, of "
          f"{len(a.after.apart)} places not searched with"),
-    line("reached by itself", _alone),
+    line("reached by itself", _reach_text),
     Quantity("clearance_mm", "clearance between the arms", lambda a: a.after.clearance),
     "planned",
     of_field(PairAnswer, "proved", label="proved", words="{proved} of {planned} motions of both arms to such pairs"),
-    line("plates", _stands),
+    line("plates", _plates_text),
     Quantity("arms", "the two arms", _arms, of=ARM),
     Quantity("remarks", "active limits, tubes with little effect, a coarse search"),
     Quantity("seconds", "run time of the search, s", lambda a: a.search.seconds, form=".1f",
@@ -415,16 +430,18 @@ PAIR = described(
 )  # fmt: skip
 
 
-def pairs_of_places(share: PairShare, places: Sequence[Array]) -> str:
-    """A table of all pairs of places, mm in the frame that both share: how far the arms are apart at least, and whether
-    they hold the pair."""
+def pairs_of_places(reach: PairShare, places: Sequence[Array]) -> str:
+    """CSV of all pairs of places: both places, lower bound on the distance between the arms, 1 if they reach the pair.
+
+    places: positions (3,) in the frame that both share, mm.
+    """
     columns = [f"{axis}{k}_mm" for k in (1, 2) for axis in "xyz"]
     rows = []
-    # Off the diagonal: both tips cannot be at one place.
-    for i, j in np.argwhere(~np.eye(len(share.apart), dtype=bool)):
-        apart = share.apart[i, j]
-        told = "" if np.isnan(apart) else float(at_least(apart))
-        rows.append([*map(float, [*places[i], *places[j]]), told, int(share.held[i, j])])
+    # Off the diagonal, since the two tips cannot be at the same place.
+    for i, j in np.argwhere(~np.eye(len(reach.apart), dtype=bool)):
+        distance = reach.apart[i, j]
+        bound = "" if np.isnan(distance) else float(at_least(distance))
+        rows.append([*map(float, [*places[i], *places[j]]), bound, int(reach.held[i, j])])
     return to_csv([*columns, "apart_at_least_mm", "held"], rows)
 
 
@@ -441,7 +458,7 @@ class PairReport(Report[PairAnswer]):
         parts: list[RenderableType] = []
         for arm in _arms(self.answer):
             parts += [dimensions(arm.solution, f" of {arm.name}"), checked_again(arm.solution)]
-        return [*parts, *(Text(f"  {words}") for words in self.answer.remarks)]
+        return [*parts, *(Text(f"  {remark}") for remark in self.answer.remarks)]
 
     def save(self, directory: Path) -> list[Path]:
         """Write arm_1/robot.yaml and arm_2/robot.yaml, the pairs of places, and design_pair.json."""
@@ -459,10 +476,10 @@ class PairReport(Report[PairAnswer]):
         """Pictures of the satisfied pairs before and after, their places, and the shapes of each arm."""
         a = self.answer
         shares, places = (a.before, a.after), a.plates[0].placed(a.after.reached[0].targets)
-        found: dict[str, Drawing] = {
+        pictures: dict[str, Drawing] = {
             "pairs": drawing("design.plot_pair_shares", shares, names=a.names),
             "places": drawing("design.plot_pair_places", shares, names=a.names, places=places),
         }
         for arm in _arms(a):
-            found[f"arm_{arm.number}_shapes"] = before_after(arm.solution, arm.name)
-        return found
+            pictures[f"arm_{arm.number}_shapes"] = before_after(arm.solution, arm.name)
+        return pictures

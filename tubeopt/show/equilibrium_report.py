@@ -31,11 +31,6 @@ def _poisson_ratio(tube: Tube) -> float | None:
     return tube.material.poisson_ratio if derived else None
 
 
-def _poisson_words(tube: Tube) -> str:
-    ratio = _poisson_ratio(tube)
-    return "–" if ratio is None else f"{ratio:.6g}"
-
-
 TUBE: tuple[Quantity[Tube], ...] = (
     Quantity("outer_diameter_mm", "outer diameter", digits=9, form=".6g"),
     Quantity("inner_diameter_mm", "inner diameter", digits=9, form=".6g"),
@@ -46,7 +41,12 @@ TUBE: tuple[Quantity[Tube], ...] = (
     Quantity("material", "material", lambda tube: tube.material.name, words="{material}"),
     Quantity("bending_stiffness_N_mm2", "bending stiffness EI", form=".6g"),
     Quantity("torsional_stiffness_N_mm2", "torsional stiffness GJ", form=".6g"),
-    Quantity("poisson_ratio", "Poisson's ratio", _poisson_ratio, words=_poisson_words),
+    Quantity(
+        "poisson_ratio",
+        "Poisson's ratio",
+        _poisson_ratio,
+        words=lambda tube: "–" if (ratio := _poisson_ratio(tube)) is None else f"{ratio:.6g}",
+    ),
     Quantity(
         "straightened_strain_percent", "strain of the straightened tube", form=".6g", label="strain held straight"
     ),
@@ -61,15 +61,16 @@ NESTED: tuple[Quantity[tuple[Tube, float | None]], ...] = (
 
 ROBOT: tuple[Quantity[Robot], ...] = (
     Quantity("robot", "name of the robot", lambda robot: robot.name),
-    Quantity("tubes", "the tubes, inner to outer", lambda robot: _nested(robot), of=NESTED),
+    Quantity("tubes", "the tubes, inner to outer", lambda robot: _tubes(robot), of=NESTED),
     Quantity("home_translations_mm", "translations at home", digits=9),
     Quantity("warnings", "possible problems in making and using it", lambda robot: fit_warnings(robot)),
 )
 
 
-def _nested(robot: Robot) -> list[tuple[Tube, float | None]]:
-    gaps = clearances(robot)
-    return [(tube, gaps[i][1] / TO_MM if i in gaps else None) for i, tube in enumerate(robot.tubes)]
+def _tubes(robot: Robot) -> list[tuple[Tube, float | None]]:
+    """Tubes with their radial clearances in the next outer one, m."""
+    of_tube = clearances(robot)
+    return [(tube, of_tube[i][1] / TO_MM if i in of_tube else None) for i, tube in enumerate(robot.tubes)]
 
 
 class RobotReport(Report[AnyRobot]):
@@ -92,11 +93,11 @@ class RobotReport(Report[AnyRobot]):
         numbers = [f"{i} >" for i in range(1, len(tubes) + 1)]
         lines = remarks(fit_warnings(self.answer), what="warning")
         properties = grid(("tube", *numbers), cells, title=self.title(), key=True)
-        home = [Text(words)] if (words := _home_in_words(self.answer)) else []
+        home = [Text(reason)] if (reason := _home_reason(self.answer)) else []
         return Group(properties, *home, *(lines or [Text("no warnings", style="green")]))
 
 
-def _home_in_words(robot: Robot) -> str:
+def _home_reason(robot: Robot) -> str:
     """Reason why the translations at home are not 0; "" where they are."""
     if not robot.home_translations.any():
         return ""
@@ -107,6 +108,7 @@ def _home_in_words(robot: Robot) -> str:
 
 
 def _cell(value: float | str | None) -> str:
+    """Text of a cell; a dash for no value."""
     if value is None:
         return "–"
     return value if isinstance(value, str) else f"{value:.4g}"
@@ -134,14 +136,14 @@ EQUILIBRIUM = described(
     Quantity("tip_by_history_mm",
              "largest displacement of the tip by friction along x, y and z, for any history, to first order; absent "
              "without friction", lambda e: by_history(e), optional=True),
-    line("friction holds it", lambda e: _held_within(e)),
+    line("friction holds it", lambda e: _history_text(e)),
     Quantity("tip_by_clearance_mm",
              "tip position after tilting by the clearance between the tubes, to first order; absent without clearance",
              lambda e: _tilted(e, "tip_position"), optional=True),
     Quantity("tip_clearance_radius_mm",
              "largest distance of that from the tip position, estimated; a first-order bound for tubes bent in one "
              "plane; absent without clearance", lambda e: _tilted(e, "tip_radius"), optional=True),
-    line("clearance", lambda e: _loose(e)),
+    line("clearance", lambda e: _clearance_text(e)),
     Quantity("tip_direction", "direction of the tip", lambda e: e.tip_rotation[:, 2], form=".4f",
              label="pointing along"),
     "tip_rotations",
@@ -157,14 +159,14 @@ EQUILIBRIUM = described(
     of_field(Equilibrium, "verification", of=VERIFICATION, label="re-integration differs",
              words="{verification[tip_position_mm]:.1e} mm at the tip, {verification[rotation_rad]:.1e} rad"),
     Quantity("statistics", "method, mesh, iterations and time", lambda e: dict(vars(e.statistics)), label="solved",
-             words=lambda e: _how(e)),
+             words=lambda e: _solver_text(e)),
 )  # fmt: skip
 
 
 def by_history(e: Equilibrium) -> Array | None:
-    """(3,) half widths (m) to first order of where friction can hold the tip; None where the robot tells of none."""
+    """(3,) half-widths (m) of the range in which friction can hold the tip, to first order; None without friction."""
     friction = friction_of(e.robot)
-    # A state that was followed with friction has a history already; the band is for unknown histories.
+    # A state from a path with friction has a known history; the range is for unknown histories.
     if friction is None or e.friction is not None or not e.stable:
         return None
     from ..stability import friction_band  # with all of stability, which forward kinematics starts without
@@ -189,7 +191,8 @@ def _snap_distance_in_words(e: Equilibrium) -> str | None:
     return f"at least {np.degrees(distance):.1f} deg: all tubes can turn by this much, each either way (proved)"
 
 
-def _held_within(e: Equilibrium) -> str | None:
+def _history_text(e: Equilibrium) -> str | None:
+    """Range in which friction can hold the tip, as text."""
     half = by_history(e)
     return None if half is None else f"within ± {millimetres(half, '.3f')} along x, y, z, to first order"
 
@@ -201,15 +204,17 @@ def _tilted(e: Equilibrium, name: str) -> Any:
     return getattr(clearance_correction(e), name)
 
 
-def _loose(e: Equilibrium) -> str | None:
-    place = _tilted(e, "tip_position")
-    if place is None:
+def _clearance_text(e: Equilibrium) -> str | None:
+    """Displacement of the tip by the clearance between the tubes, as text."""
+    tip = _tilted(e, "tip_position")
+    if tip is None:
         return None
-    moved = millimetres(place - e.tip_position, ".3f")
-    return f"tilts the tip by {moved} to first order, at worst some {_tilted(e, 'tip_radius') * TO_MM:.3f} mm"
+    displacement = millimetres(tip - e.tip_position, ".3f")
+    return f"tilts the tip by {displacement} to first order, at worst some {_tilted(e, 'tip_radius') * TO_MM:.3f} mm"
 
 
-def _how(e: Equilibrium) -> str:
+def _solver_text(e: Equilibrium) -> str:
+    """Time, method and iterations of the solve, as text."""
     s = e.statistics
     loading = f", after {s.loading * TO_MILLI:.0f} ms to get its kernel ready" if s.loading > NOTICED else ""
     work = f"{s.method}, {counted(s.iterations, 'iteration')}"

@@ -27,7 +27,7 @@ from ..shaping.mold.mandrel import Block, Cylinder, Mandrel, predict_wound_tube,
 from ..shaping.mold.mold import Clamp, Groove, RobotMold, predict_tube
 from ..shaping.mold.ranking import MaterialRating
 from ..shaping.mold.springback import Calibration, Springback
-from .heat_report import HEATING, SUCCESS, HeatingReport, held_duties, missed, success_words, unlikely
+from .heat_report import HEATING, SUCCESS, HeatingReport, hold_duties, missed, success_text, unlikely
 from .quantities import Quantity, described, of_field, with_unit, within
 from .report import Drawing, Report, drawing, grid, remarks
 
@@ -143,16 +143,17 @@ class MoldReport(Report[RobotMold]):
 
 
 def _springback(back: Springback) -> dict[str, Any]:
-    """A spring-back with the keys of a mold file, as plain numbers."""
+    """Record of a spring-back with the keys of a mold file."""
     data = springback_to_dict(back)
     return {key: [float(x) for x in value] if isinstance(value, list) else float(value) for key, value in data.items()}
 
 
 SUFFIXES = {"m": "mm", "1": "percent", "K": "K"}
-"""SI unit of a check -> the unit in which it is told."""
+"""SI unit of a check -> unit in its record."""
 
 
 def _check(check: Check) -> dict[str, Any]:
+    """Record of a check."""
     values = {"value": check.value, "at_most" if check.at_most else "at_least": check.limit}
     return {"what": check.name, **with_unit(SUFFIXES[check.unit], values), "passed": check.passed}
 
@@ -166,18 +167,19 @@ TRIAL: tuple[Quantity[tuple[float, float, float]], ...] = (
 
 
 def _trials(c: Calibration) -> list[tuple[float, float, float]]:
+    """Curvatures of mold and tube, 1/m, and residual of the lost fraction, for every trial."""
     return list(zip(*(x.tolist() for x in (c.mold_curvature, c.obtained_curvature, c.lost - c.fitted)), strict=True))
 
 
-def _within(interval: tuple[float, float] | None) -> str:
+def _interval_text(interval: tuple[float, float] | None) -> str:
+    """95 % interval of a fraction, as text; "" without one."""
     return "" if interval is None else f" (95 %: {interval[0] * 100:.3g} to {interval[1] * 100:.3g} %)"
 
 
 def _radii(c: Calibration) -> list[float] | None:
-    """Least and greatest mold radius of the trials, m."""
-    known = c.springback.curvature_range
-    # The largest curvature is the least radius.
-    return None if known is None else [1 / max(known), 1 / min(known)]
+    """Smallest and largest mold radius of the trials, m."""
+    curvatures = c.springback.curvature_range
+    return None if curvatures is None else [1 / max(curvatures), 1 / min(curvatures)]
 
 
 CALIBRATION = described(
@@ -185,12 +187,12 @@ CALIBRATION = described(
     Quantity("trials", "the trials", _trials, of=TRIAL, words=lambda c: str(len(c.mold_curvature)), label="trials"),
     of_field(Calibration, "model", label="model", words="{model}"),
     Quantity("fraction_percent", "lost fraction of the curvature at small curvature", lambda c: c.springback.fraction,
-             words=lambda c: f"{c.springback.fraction * 100:.3g} %{_within(c.fraction_interval)}",
+             words=lambda c: f"{c.springback.fraction * 100:.3g} %{_interval_text(c.fraction_interval)}",
              label="lost at small curvature"),
     Quantity("slope_mm", "increase of the lost fraction with the mold curvature", lambda c: c.springback.slope,
              label="and per 1/m of curvature",
-             words=lambda c: f"{c.springback.slope * 100:.3g} %{_within(c.slope_interval)}" if c.model == "linear"
-             else None),
+             words=lambda c: None if c.model != "linear" else
+             f"{c.springback.slope * 100:.3g} %{_interval_text(c.slope_interval)}"),
     Quantity("shrinkage_percent", "fraction of the bend length lost on cooling",
              lambda c: c.springback.shrinkage),
     Quantity("radius_range_mm", "smallest and largest mold radius of the trials", _radii, digits=9, optional=True),
@@ -208,12 +210,12 @@ class CalibrationReport(Report[Calibration]):
     drawn = (("springback", "mold.plot_springback"),)
 
     def rows(self) -> list[tuple[str, str]]:
-        """The model, and what the molds of the trials yield by it."""
+        """The model, and the radii that the smallest and the largest mold of the trials yield by it."""
         back = self.answer.springback
         assert back.curvature_range is not None
         yields = [
             (f"mold radius {TO_MM / kappa:.4g} mm yields", f"{TO_MM / back.obtained(kappa):.4g} mm")
-            # From the least radius up; a single curvature is both ends of its range.
+            # From the smallest radius up; a single curvature is both ends of its range.
             for kappa in sorted(set(back.curvature_range), reverse=True)
         ]
         return super().rows() + yields
@@ -297,7 +299,7 @@ def _turned(get: Callable[[Cylinder], Any]) -> Callable[[Mandrel], Any]:
     return lambda m: get(m.body) if isinstance(m.body, Cylinder) else None
 
 
-OFF_IT: tuple[Quantity[Tube], ...] = (
+WOUND_TUBE: tuple[Quantity[Tube], ...] = (
     Quantity("curvature_per_m", "largest curvature of the tube"),
     Quantity("curved_length_mm", "curved length of the tube"),
 )
@@ -327,7 +329,7 @@ MANDREL = described(
              label="cold end from the clamp"),
     "free_length",
     Quantity("stock_length_mm", "length of the tube blank", form=".4g", label="cut the tube to"),
-    Quantity("predicted", "predicted tube", predict_wound_tube, of=OFF_IT),
+    Quantity("predicted", "predicted tube", predict_wound_tube, of=WOUND_TUBE),
     "remarks",
 )  # fmt: skip
 
@@ -380,13 +382,14 @@ FABRICATION = described(
 
 def _faults(a: Fabrication) -> list[str]:
     """Violated conditions, as text."""
-    found = []
+    faults = []
     for part in a.parts:
         plan = part.heating.plan
-        kept = unlikely(part.heating.success) if plan.feasible else missed(plan)
-        found += [f"tube {part.number}: {kept}"] if kept else []
-        found += [] if part.fabrication.agreed else [f"tube {part.number}: {part.fabrication.disagreement}"]
-    return found
+        if fault := unlikely(part.heating.success) if plan.feasible else missed(plan):
+            faults.append(f"tube {part.number}: {fault}")
+        if not part.fabrication.agreed:
+            faults.append(f"tube {part.number}: {part.fabrication.disagreement}")
+    return faults
 
 
 class FabricationReport(Report[Fabrication]):
@@ -398,28 +401,29 @@ class FabricationReport(Report[Fabrication]):
         """A row for every tube, and the remarks."""
         cells, notes = [], []
         for part in self.answer.parts:
-            plan, made = part.heating.plan, part.fabrication
-            most, least = held_duties(plan)
+            plan, fabrication = part.heating.plan, part.fabrication
+            max_duty, min_duty = hold_duties(plan)
             cells.append(
                 (
                     str(part.number),
                     plan.verdict,
                     f"{plan.lowest:.0f} to {plan.highest:.0f} degC",
-                    f"{most} to {least}",
+                    f"{max_duty} to {min_duty}",
                     f"{plan.hold_start:g} + {plan.spec.hold_time:g} s",
-                    f"radius {made.groove.radius * TO_MM:.2f} mm",
+                    f"radius {fabrication.groove.radius * TO_MM:.2f} mm",
                     f"{plan.rig.mold.lead * TO_MM:.1f} mm",
-                    f"{made.groove.free_length * TO_MM:.1f} mm",
+                    f"{fabrication.groove.free_length * TO_MM:.1f} mm",
                 )
             )
-            said = (*made.remarks, *plan.problems, *([] if made.agreed else [made.disagreement]))
-            notes += [f"tube {part.number}: {words}" for words in said]
+            disagreement = [] if fabrication.agreed else [fabrication.disagreement]
+            of_tube = *fabrication.remarks, *plan.problems, *disagreement
+            notes += [f"tube {part.number}: {note}" for note in of_tube]
             notes += [f"tube {part.number}: what would help: {cure.change}" for cure in plan.cures]
         columns = ("tube", "window", "curved part", "duty", "heating", "mold", "leads", "between clamps")
         title = f"{self.title()}: molds and schedules"
-        sure = [f"tube {part.number}: {success_words(part.heating.success)}" for part in self.answer.parts]
+        success = [f"tube {part.number}: {success_text(part.heating.success)}" for part in self.answer.parts]
         return Group(
-            *(Text(words, style="bold") for words in sure),
+            *(Text(line, style="bold") for line in success),
             grid(columns, cells, title=title),
             *remarks((*notes, *self.answer.left_out)),
         )
@@ -431,15 +435,15 @@ class FabricationReport(Report[Fabrication]):
         save_robot(self.answer.robot, directory / "robot.yaml")
         paths = [directory / "robot.yaml", self.save_record(directory)]
         for part in self.answer.parts:
-            place = directory / f"tube_{part.number}"
-            paths += MoldReport(part.mold).save(place / "mold") + HeatingReport(part.heating).save(place / "heating")
-            paths.append(place / "rig.yaml")
+            folder = directory / f"tube_{part.number}"
+            paths += MoldReport(part.mold).save(folder / "mold") + HeatingReport(part.heating).save(folder / "heating")
+            paths.append(folder / "rig.yaml")
             rig = replace(part.heating.plan.rig, tube=part.heating.plan.tube)
             save_rig(rig, paths[-1], f"The rig with the mold of tube {part.number} as drawn.")
             title = f"{self.answer.robot.name or 'robot'}, tube {part.number}"
-            words = success_words(part.heating.success)
-            plot_fabrication_sheet(part.fabrication, place / "sheet.pdf", title=title, success=words)
-            paths.append(place / "sheet.pdf")
+            success = success_text(part.heating.success)
+            plot_fabrication_sheet(part.fabrication, folder / "sheet.pdf", title=title, success=success)
+            paths.append(folder / "sheet.pdf")
         return paths
 
     def pictures(self) -> dict[str, Drawing]:
@@ -452,7 +456,7 @@ class FabricationReport(Report[Fabrication]):
         }
 
     def conclude(self) -> None:
-        """Raise SolveError where a window is not held, or by few rigs, or mold and heating do not agree."""
+        """Raise SolveError if a window is missed, or kept by few rigs, or mold and heating disagree."""
         faults = _faults(self.answer)
         if faults:
             raise SolveError("; ".join(faults))

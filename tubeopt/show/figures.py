@@ -102,5 +102,5 @@ class FigureReport(Report[Figures]):
 
 def _caption(headings: list[str]) -> str:
     """The headings of a picture, which it does not have itself, as a sentence."""
-    lines = [line.rstrip(",:") for words in dict.fromkeys(headings) for line in words.split("\n")]
+    lines = [line.rstrip(",:") for heading in dict.fromkeys(headings) for line in heading.split("\n")]
     return f"{re.sub(r' {2,}', ' ', '; '.join(lines)) or 'No heading'}. Computed with tubeopt {version('tubeopt')}."

@@ -37,15 +37,15 @@ def margin_in_words(margin: float) -> str:
     return in_a_word(margin) if np.isnan(margin) else f"{round(margin, 3) + 0.0:.3f}, {in_a_word(margin)}"
 
 
-def released(energy: float, words: str) -> str:
+def released(energy: float, template: str) -> str:
     """Text with the released energy, J, in its placeholder in mJ; "" if the load has no energy."""
-    return "" if np.isnan(energy) else words.format(energy * TO_MILLI)
+    return "" if np.isnan(energy) else template.format(energy * TO_MILLI)
 
 
 def ends_in_words(inside: Sequence[EndInside]) -> str:
     """Tubes that end inside outer ones, as text; "" if none does."""
     return "; ".join(
-        f"tube {one.tube + 1} ends {one.depth * TO_MM:.4g} mm inside tube {one.around + 1}" for one in inside
+        f"tube {end.tube + 1} ends {end.depth * TO_MM:.4g} mm inside tube {end.around + 1}" for end in inside
     )
 
 
@@ -99,8 +99,8 @@ def flag(values: Array) -> str:
     return row(np.round(values, 6), ".12g").replace(" ", "")
 
 
-def counted(count: int, one: str, many: str = "", *, none: str = "") -> str:
+def counted(count: int, singular: str, plural: str = "", *, none: str = "") -> str:
     """Count with its noun: "1 snap", "2 snaps"; `none` in place of 0."""
     if count == 0 and none:
         return none
-    return f"1 {one}" if count == 1 else f"{count} {many or one + 's'}"
+    return f"1 {singular}" if count == 1 else f"{count} {plural or singular + 's'}"

@@ -34,26 +34,29 @@ QUANTILES = (0.05, 0.5, 0.95)
 """Printed quantiles of the temperatures of uncertain rigs."""
 
 
-def _verdict(plan: HeatingPlan) -> str:
+def _window_text(plan: HeatingPlan) -> str:
+    """Window and hold time, and whether they are kept, as text."""
     low, high = plan.spec.window_degC
-    wanted = f"{low:g} to {high:g} degC for {plan.spec.hold_time:g} s"
-    return f"held: {wanted}" if plan.feasible else f"MISSED ({wanted}), {plan.verdict}"
+    window = f"{low:g} to {high:g} degC for {plan.spec.hold_time:g} s"
+    return f"held: {window}" if plan.feasible else f"MISSED ({window}), {plan.verdict}"
 
 
-def held_duties(plan: HeatingPlan) -> tuple[int, int]:
-    """Greatest and least duty during the hold."""
-    # The last instant is the end of the hold: its duty belongs to the slot after.
+def hold_duties(plan: HeatingPlan) -> tuple[int, int]:
+    """Largest and smallest duty during the hold."""
+    # The last instant is the end of the hold: its duty is that of the slot after it.
     duties = plan.duty[plan.in_hold][:-1]
     return int(duties.max()), int(duties.min())
 
 
-def _duties(plan: HeatingPlan) -> str:
-    most, least = held_duties(plan)
-    counts = f"{most}" if most == least else f"{most} falling to {least}"
-    return f"{counts} of 255, {plan.spec.slot:g} s each"
+def _duties_text(plan: HeatingPlan) -> str:
+    """Duties during the hold, as text."""
+    largest, smallest = hold_duties(plan)
+    duties = f"{largest}" if largest == smallest else f"{largest} falling to {smallest}"
+    return f"{duties} of 255, {plan.spec.slot:g} s each"
 
 
-def _cold_end(plan: HeatingPlan) -> str:
+def _cold_end_text(plan: HeatingPlan) -> str:
+    """Length of the tube below the window, as text."""
     if plan.cold_end == float("inf"):
         return "the middle of the curved part is below the window"
     if plan.cold_end == 0.0:
@@ -61,14 +64,15 @@ def _cold_end(plan: HeatingPlan) -> str:
     return f"{plan.cold_end * TO_MM:.1f} mm from each clamp are below the window"
 
 
-def _chosen(plan: HeatingPlan) -> str | None:
+def _free_text(plan: HeatingPlan) -> str | None:
+    """Optimised dimensions of the rig, as text; None if there are none."""
     vents = ", ".join(f"{100 * part:.0f}" for part in plan.rig.mold.vents)
-    words = {
+    texts = {
         "clearance": f"clearance {plan.rig.clamps.clearance * TO_MM:.1f} mm",
         "lead": f"lead {plan.rig.mold.lead * TO_MM:.1f} mm",
         "vents": f"vents {vents} % from the end of the mold to its middle",
     }
-    return "; ".join(words[name] for name in plan.spec.free) or None
+    return "; ".join(texts[name] for name in plan.spec.free) or None
 
 
 CURE = described(
@@ -81,7 +85,7 @@ PLAN = described(
     HeatingPlan,
     Quantity("rig", "name of the rig", lambda p: p.rig.name),
     Quantity("mold_material", "material of the mold", lambda p: p.rig.mold.material.name),
-    Quantity("window_degC", "temperature window of the hold", lambda p: p.spec.window_degC, words=_verdict,
+    Quantity("window_degC", "temperature window of the hold", lambda p: p.spec.window_degC, words=_window_text,
              label="window"),
     Quantity("limit_degC", "temperature limit of every point at all times", lambda p: p.spec.limit),
     Quantity("hold_s", "hold time", lambda p: p.spec.hold_time),
@@ -94,7 +98,7 @@ PLAN = described(
              words="{hottest_degC:.1f} degC (limit {limit_degC:g})"),
     Quantity("mesh_error_K", "estimated mesh error of these temperatures"),
     line("heating, then hold", "{hold_start_s:g} s, to {hold_end_s:g} s"),
-    line("duty in the hold", _duties),
+    line("duty in the hold", _duties_text),
     "hold_start",
     Quantity("hold_end_s", "end of the hold"),
     line("fastest warming", "{steepest_K_per_s:.1f} K/s (limit {ramp_limit_K_per_s:g})"),
@@ -103,7 +107,7 @@ PLAN = described(
     "ramp steepest",
     Quantity("ramp_limit_K_per_s", "limit of the heating rate", lambda p: p.spec.ramp),
     Quantity("pwm_ripple_K", "temperature ripple within a PWM period"),
-    Quantity("cold_end_mm", "length of the cold end", words=_cold_end, label="cold end"),
+    Quantity("cold_end_mm", "length of the cold end", words=_cold_end_text, label="cold end"),
     Quantity("extra_length_mm", "extra length of tube, cut off afterwards",
              words="{extra_length_mm:.1f} mm in all, to be cut off afterwards", label="extra tube"),
     "growth",
@@ -131,7 +135,7 @@ PLAN = described(
     of_field(HeatingPlan, "quench_time", label="quench", words="in {quench}: below 100 degC after {quench_s:.1f} s"),
     of_field(HeatingPlan, "energy_error", label="energy balance",
              words="closed to {energy_error:.1e}; mesh error {mesh_error_K:.1f} K"),
-    line("chosen", _chosen),
+    line("chosen", _free_text),
     "iterations problems",
     of_field(HeatingPlan, "cures", of=CURE),
     "duty",
@@ -167,25 +171,25 @@ SUCCESS: tuple[Quantity[Any], ...] = (
 )  # fmt: skip
 
 
-def success_words(success: Success | None) -> str:
+def success_text(success: Success | None) -> str:
     """Probability that a heating keeps window and limit, as text."""
     if success is None:
         return "success: not known, since no uncertain rigs were sampled (--samples 0)"
     low, high = success.interval
-    kept = f"{100 * success.probability:.0f} % of {success.samples} uncertain rigs keep window and limit"
+    fraction = f"{100 * success.probability:.0f} % of {success.samples} uncertain rigs keep window and limit"
     bounds = f"(95 %: {100 * low:.0f} to {100 * high:.0f} %)"
     if not success.sensor:
-        return f"success: {kept} {bounds}; no sensor closes the loop"
+        return f"success: {fraction} {bounds}; no sensor closes the loop"
     alone = f"by the schedule alone {100 * (success.open_loop or 0):.0f} % of the same rigs do"
-    return f"success: {kept} {bounds}; the sensor closes the loop ({success.sensor}); {alone}"
+    return f"success: {fraction} {bounds}; the sensor closes the loop ({success.sensor}); {alone}"
 
 
 def unlikely(success: Success | None) -> str:
-    """Why a heating that holds the window on the rig as filed is not to be trusted; "" where it is."""
+    """Message for a feasible plan that most uncertain rigs miss; otherwise ""."""
     if success is None or success.likely:
         return ""
     return (
-        f"{success_words(success)}; at least one half must: close the loop (--sensor thermocouple, tubeopt heat "
+        f"{success_text(success)}; at least one half must: close the loop (--sensor thermocouple, tubeopt heat "
         "firmware), or calibrate the rig"
     )
 
@@ -227,22 +231,22 @@ class HeatingReport(Report[Heating]):
 
     def table(self) -> Group:
         """Table with the probability of success and the plan."""
-        return Group(Text(success_words(self.answer.success), style="bold"), super().table())
+        return Group(Text(success_text(self.answer.success), style="bold"), super().table())
 
     def rows(self) -> list[tuple[str, str]]:
-        """The plan, and what becomes of it on uncertain rigs."""
+        """The plan, and its result on uncertain rigs."""
         band = self.answer.band
-        told = super().rows()
+        rows = super().rows()
         if band is not None:
-            words = (
+            result = (
                 f"{100 * band.probability:.0f} % of rigs stay in the window; {100 * band.too_cold:.0f} % fall "
                 f"below, {100 * band.too_hot:.0f} % rise above"
             )
-            told.append(("by schedule alone" if self.answer.plan.feedback else "uncertain rigs", words))
-        return told
+            rows.append(("by schedule alone" if self.answer.plan.feedback else "uncertain rigs", result))
+        return rows
 
     def below(self) -> list[RenderableType]:
-        """The tables by charge, problems, and what would help."""
+        """Tables by charge, problems, and changes that would help."""
         plan, tables = self.answer.plan, self.answer.tables
         parts: list[RenderableType] = []
         if tables:
@@ -258,7 +262,9 @@ class HeatingReport(Report[Heating]):
             columns = ("battery >", "charge >", "curved part in the hold", "window")
             parts.append(grid(columns, cells, title="pick by the battery's voltage at rest"))
         parts += remarks(plan.problems, what="problem")
-        parts += remarks((_cure_words(cure) for cure in plan.cures), what="what would help")
+        for cure in plan.cures:
+            result = "sufficient" if cure.cures else f"{cure.shortfall:.1f} K remain"
+            parts += remarks(["; ".join([f"{cure.change}: {result}", *cure.broken])], what="what would help")
         if not plan.feasible and not plan.cures:
             parts += remarks(["none of the changes that were tried helps"])
         return parts
@@ -268,7 +274,7 @@ class HeatingReport(Report[Heating]):
         paths = _save_schedule(self.answer.plan, directory, "schedule")
         for table in self.answer.tables:
             paths += _save_schedule(table, directory, f"schedule_{table.rig.battery.voltage:.2f}V")
-        # The rig goes with the plan: only with it can the schedule be simulated again.
+        # With the rig, the schedule can be simulated again from the file.
         data = self.record() | {"rig_data": rig_to_dict(self.answer.plan.rig)}
         write_text(directory / self.file, to_text(data))
         return [*paths, directory / self.file]
@@ -277,25 +283,19 @@ class HeatingReport(Report[Heating]):
         return {"heating": drawing("heating.plot_heating", self.answer.plan, band=self.answer.band)}
 
     def conclude(self) -> None:
-        """Raise SolveError where no schedule was found that holds the window within limit, ramp and currents, or where
-        most uncertain rigs miss it."""
+        """Raise SolveError if the plan is infeasible, or if most uncertain rigs miss the window."""
         if not self.answer.plan.feasible:
             raise SolveError(missed(self.answer.plan))
-        if words := unlikely(self.answer.success):
-            raise SolveError(words)
-
-
-def _cure_words(cure: Cure) -> str:
-    left = "sufficient" if cure.cures else f"{cure.shortfall:.1f} K remain"
-    return f"{cure.change}: {left}" + "".join(f"; {words}" for words in cure.broken)
+        if message := unlikely(self.answer.success):
+            raise SolveError(message)
 
 
 def missed(plan: HeatingPlan) -> str:
     """Violated conditions of a plan, as text."""
     low, high = plan.spec.window_degC
     window = f"no schedule was found that holds {low:g} to {high:g} degC for {plan.spec.hold_time:g} s"
-    cold = [f"it is missed by {plan.shortfall:.1f} K", *plan.reasons] if plan.shortfall > 0 else []
-    return f"{window}{':' if cold else ' within the limits:'} {'; '.join((*cold, *plan.broken))}"
+    misses = [f"it is missed by {plan.shortfall:.1f} K", *plan.reasons] if plan.shortfall > 0 else []
+    return f"{window}{':' if misses else ' within the limits:'} {'; '.join((*misses, *plan.broken))}"
 
 
 def _save_schedule(plan: HeatingPlan, directory: Path, name: str) -> list[Path]:
@@ -373,7 +373,7 @@ FEEDBACK = described(
     of_field(Feedback, "contributions", of=CONTRIBUTION),
 )  # fmt: skip
 
-LED_HEATING = described(
+FEEDBACK_HEATING = described(
     ClosedLoopHeating,
     Quantity("rig", "name of the rig", lambda a: a.plan.rig.name),
     Quantity("window_degC", "temperature window of the hold", lambda a: a.plan.spec.window_degC),
@@ -387,9 +387,9 @@ LED_HEATING = described(
 )  # fmt: skip
 
 
-class LedHeatingReport(Report[ClosedLoopHeating]):
+class FeedbackReport(Report[ClosedLoopHeating]):
     command = "heat firmware"
-    quantities = LED_HEATING
+    quantities = FEEDBACK_HEATING
     file = "law.json"
     drawn = (("feedback", "heating.plot_feedback"), ("wiring", "heating.plot_wiring"))
 
@@ -399,9 +399,9 @@ class LedHeatingReport(Report[ClosedLoopHeating]):
     def below(self) -> list[RenderableType]:
         """Contributions to the temperature error, and the list of parts."""
         answer = self.answer
-        moved = columns(answer.feedback.contributions[:6], CONTRIBUTION)
+        contributions = columns(answer.feedback.contributions[:6], CONTRIBUTION)
         return [
-            grid(*moved, title="what moves the temperature (standard deviation)"),
+            grid(*contributions, title="what moves the temperature (standard deviation)"),
             grid(*columns(parts_list(answer.plan, answer.wiring), PART), title="what to build it of"),
             *remarks(answer.plan.problems, what="problem"),
         ]
@@ -412,7 +412,7 @@ class LedHeatingReport(Report[ClosedLoopHeating]):
         return [self.save_record(directory), *write_sketch(answer.plan, answer.feedback, answer.wiring, directory)]
 
     def conclude(self) -> None:
-        """Raise SolveError where the schedule does not keep everything on the rig as filed, or most rigs fail."""
+        """Raise SolveError if the schedule is infeasible on the nominal rig, or if most uncertain rigs fail."""
         answer, feedback = self.answer, self.answer.feedback
         if not answer.plan.feasible:
             raise SolveError(missed(answer.plan))
@@ -468,7 +468,7 @@ class OvenReport(Report[OvenPlan]):
         return self.answer.oven.name or "oven"
 
     def below(self) -> list[RenderableType]:
-        """Problems and remarks."""
+        """Problems of the plan, and remarks on it."""
         return [
             *remarks(self.answer.problems, what="problem"),
             *remarks(self.answer.remarks, what="remark"),
@@ -499,22 +499,22 @@ RUN = described(
     Quantity("lowest_degC", "lowest reading in the hold; null without one", lambda r: r.held and r.held[0]),
     Quantity("highest_degC", "highest reading in the hold", lambda r: r.held and r.held[1]),
     Quantity("shortfall_K", "miss of the window by the readings of the hold; 0 if it is kept",
-             label="in the hold", words=lambda r: _held(r)),
+             label="in the hold", words=lambda r: _readings_text(r)),
     Quantity("rows", "number of reports from the rig", lambda r: len(r.rows)),
     Quantity("log", "file with all reports", lambda r: None if r.log is None else str(r.log)),
 )  # fmt: skip
 
 
-def _held(run: HeatingRun) -> str:
-    """Temperatures measured in the hold, as text."""
+def _readings_text(run: HeatingRun) -> str:
+    """Readings of the hold, and whether they are in the window, as text."""
     if run.held is None:
         return "nothing was measured"
-    read = f"{run.held[0]:.1f} to {run.held[1]:.1f} degC"
+    readings = f"{run.held[0]:.1f} to {run.held[1]:.1f} degC"
     if run.window is None or run.shortfall is None:
-        return f"{read}; the rig reports no window"
+        return f"{readings}; the rig reports no window"
     window = f"{run.window[0]:g} to {run.window[1]:g} degC"
     verdict = f"missed by {run.shortfall:.1f} K" if run.shortfall > 0 else "kept"
-    return f"{read}: window of {window} {verdict}"
+    return f"{readings}: window of {window} {verdict}"
 
 
 class HeatingRunReport(Report[HeatingRun]):
@@ -525,19 +525,19 @@ class HeatingRunReport(Report[HeatingRun]):
         return self.answer.name
 
     def conclude(self) -> None:
-        """Raise SolveError where the rig stopped before it was done, or readings of the hold missed the window."""
+        """Raise SolveError if the rig stopped early, or if readings of the hold missed the window."""
         if not self.answer.done:
             raise SolveError(f"the rig stopped after {self.answer.time:.1f} s: {self.answer.reason}")
         if self.answer.shortfall:
-            raise SolveError(f"in the hold {_held(self.answer)}")
+            raise SolveError(f"in the hold {_readings_text(self.answer)}")
 
 
 def with_live_page(study: HeatingRunStudy, out: Path | None, *, shown: bool = True) -> HeatingRun:
-    """Run a heating and show it as it goes, on stderr; the log goes into `out`."""
+    """Run a heating and show its state on stderr; the log is written into `out`."""
     if not shown:
         return study.run_in(out)
     readings: list[float] = []
-    line, leader = study.open()
+    line, replanner = study.open()
     with Live(console=Console(stderr=True), transient=True, refresh_per_second=8) as live:
 
         def show(hello: dict[str, Any], row: dict[str, Any]) -> None:
@@ -545,26 +545,29 @@ def with_live_page(study: HeatingRunStudy, out: Path | None, *, shown: bool = Tr
             live.update(
                 two_columns(
                     f"{hello.get('firmware', 'rig')}: {row['state']}",
-                    _told(hello, row, readings) + _foretold(row, leader),
+                    _state_rows(hello, row, readings) + _prediction_rows(row, replanner),
                 )
             )
 
-        return study.run_on(out, line, leader, show)
+        return study.run_on(out, line, replanner, show)
 
 
-def _foretold(row: dict[str, Any], leader: Replanner | None) -> list[tuple[str, str]]:
-    """State of the rig as estimated by the replanning computer, as text."""
-    if leader is None:
+def _prediction_rows(row: dict[str, Any], replanner: Replanner | None) -> list[tuple[str, str]]:
+    """Rows on the controller, and on the temperatures of the hold as predicted by the replanning computer."""
+    if replanner is None:
         return []
-    who = "this computer" if row.get("led") else "the board's own law"
-    rest = leader.rest
-    # The rest begins at the present slot; what is left of the hold begins as many slots later.
-    hold = () if rest is None else rest.reading[max(leader.planner.law.hold[0] - rest.index, 0) :]
-    told = [("controlled by", f"{who}; the rig heats {100 * leader.strength:+.0f} % more than its file says")]
-    return told if not len(hold) else [*told, ("predicted", f"{min(hold):.0f} to {max(hold):.0f} degC in the hold")]
+    controller = "this computer" if row.get("led") else "the board's own law"
+    rows = [("controlled by", f"{controller}; the rig heats {100 * replanner.strength:+.0f} % more than its file says")]
+    if replanner.rest is not None:
+        # The remaining schedule begins at the present slot, the hold perhaps some slots later.
+        reading = replanner.rest.reading[max(replanner.planner.law.hold[0] - replanner.rest.index, 0) :]
+        if len(reading):
+            rows.append(("predicted", f"{min(reading):.0f} to {max(reading):.0f} degC in the hold"))
+    return rows
 
 
-def _told(hello: dict[str, Any], row: dict[str, Any], readings: list[float]) -> list[tuple[str, str]]:
+def _state_rows(hello: dict[str, Any], row: dict[str, Any], readings: list[float]) -> list[tuple[str, str]]:
+    """Rows on the present state, from the messages of the rig at its start and of this slot."""
     left = max(hello.get("slots", 0) - row["place"], 0) * hello.get("slot_ms", 500) / 1000
     volt, ampere = row["voltage_V"], row["current_A"]
     battery = "not measured" if volt is None else f"{volt:.2f} V, {ampere:.0f} A while on"
@@ -581,7 +584,7 @@ def _told(hello: dict[str, Any], row: dict[str, Any], readings: list[float]) -> 
 
 
 def _curve(readings: list[float]) -> str:
-    """The readings so far as a line of blocks."""
+    """Curve of the readings up to now, as a line of block characters."""
     # Every k-th reading, k rounded up, so that the line never exceeds WIDTH.
     shown = readings[:: max(1, -(-len(readings) // WIDTH))]
     # A scale from 0 degC; at least 1, as all readings may be 0 or below.

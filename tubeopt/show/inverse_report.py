@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from .quantities import Quantity, described, line, of_field, readings, rows, wit
 from .report import Drawing, Report, drawing, grid, two_columns
 
 NOTES = 10
-"""Targets about which something is said; the others are counted."""
+"""Largest number of notes on targets; further ones are counted."""
 
 ROUND_OFF = 1e-2
 """Error (mm or deg) below which a solve has converged: targets are reached to 1e-6 mm, and misses are larger."""
@@ -61,11 +61,11 @@ SOLUTION = described(
              words=lambda s: "; ".join(s.scene.stands_for) or None),
     Quantity("energy_mJ", "elastic energy", lambda s: s.equilibrium.energy),
     "cold_start_agrees straight_from_seed reachable",
-    of_field(InverseSolution, "path", label="snap-free path", words=lambda s: _way_words(s)),
+    of_field(InverseSolution, "path", label="snap-free path", words=lambda s: _path_text(s)),
     "jump",
     of_field(InverseSolution, "active", label="limited by", words=lambda s: ", ".join(s.active) or None),
     Quantity("statistics", "starts, iterations and time", lambda s: asdict(s.statistics), label="solved",
-             words=lambda s: _how(s)),
+             words=lambda s: _solver_text(s)),
 )  # fmt: skip
 
 
@@ -74,18 +74,20 @@ def _error(value: float) -> str:
     return f"{value:.4f}" if value >= ROUND_OFF else f"{value:.1e}"
 
 
-def _way_words(s: InverseSolution) -> str:
+def _path_text(s: InverseSolution) -> str:
+    """Snap-free path to the solution, as text."""
     if s.path is not None:
         count = len(s.path.rotations) - 2
-        there = f"through {counted(count, 'waypoint')}" if count else "straight"
-        return f"{there} from {'home' if s.path.origin == 'home' else f'the {s.path.origin}'}"
+        course = f"through {counted(count, 'waypoint')}" if count else "straight"
+        return f"{course} from {'home' if s.path.origin == 'home' else f'the {s.path.origin}'}"
     return "none was found" if s.reachable is False else "none is known"
 
 
-def _how(s: InverseSolution) -> str:
-    count = s.statistics
-    tries = counted(count.tries, "start")
-    return f"in {count.seconds * TO_MILLI:.1f} ms by {count.method}, {tries}, from the {count.start}"
+def _solver_text(s: InverseSolution) -> str:
+    """Time, method and starts of the search, as text."""
+    used = s.statistics
+    starts = counted(used.tries, "start")
+    return f"in {used.seconds * TO_MILLI:.1f} ms by {used.method}, {starts}, from the {used.start}"
 
 
 POSTURES = described(
@@ -103,10 +105,10 @@ class PosturesReport(Report[Postures]):
     drawn = (("inverse", "workspace.plot_inverse", "solutions"),)
 
     def table(self) -> Group:
-        """The best answer, and a row for each of the others."""
-        best, *others = self.answer.solutions
+        """Best solution, and a row for each other posture."""
+        best, *alternatives = self.answer.solutions
         parts: list[Any] = [two_columns(f"{super().title()}: {best.status}", rows(best, SOLUTION))]
-        if others:
+        if alternatives:
             cells = [
                 (
                     row(np.degrees(s.rotations), ".2f"),
@@ -114,17 +116,19 @@ class PosturesReport(Report[Postures]):
                     f"{s.margin:.3f}",
                     f"{s.equilibrium.energy * TO_MILLI:.3f}",
                 )
-                for s in others
+                for s in alternatives
             ]
-            parts.append(Text(f"\nother postures with the same tip: {len(others)}"))
+            parts.append(Text(f"\nother postures with the same tip: {len(alternatives)}"))
             parts.append(grid(("rotations (deg)", "translations (mm)", "margin >", "mJ >"), cells))
         if self.answer.timed_out:
             parts.append(Text("\nthe time limit ended the search: there may be more postures, and paths to them"))
         return Group(*parts)
 
     def save(self, directory: Path) -> list[Path]:
-        """Write solutions.json, result.json with arrays.npz of the best, and path.csv, the waypoints to it, where a way
-        is known, in readings where the robot has a calibration; `tubeopt follow` reads them."""
+        """Write solutions.json, result.json and arrays.npz of the best solution, and path.csv if a path to it is known.
+
+        The waypoints of path.csv are readings of the drives for a calibrated robot; `tubeopt follow` reads them.
+        """
         best = self.answer.solutions[0]
         paths = [self.save_record(directory), *save_equilibrium(best.equilibrium, directory)]
         if best.path is not None:
@@ -137,13 +141,13 @@ class PosturesReport(Report[Postures]):
         return {"arm": self.answer.solutions[0].equilibrium}
 
     def conclude(self) -> None:
-        """Raise SolveError where the target is missed."""
+        """Raise SolveError if the target is missed."""
         best = self.answer.solutions[0]
         if not best.reached:
             raise SolveError(f"{best.status}: {_miss(best)}", best)
 
 
-OF_THE_TARGET = described(
+TARGET_QUANTITIES = described(
     Row,
     "position direction",
     Quantity("status", "result of the search", lambda r: "FAILED" if r.solution is None else r.solution.status.name),
@@ -153,16 +157,16 @@ OF_THE_TARGET = described(
 ROW = described(
     Row,
     "number",
-    *OF_THE_TARGET,
+    *TARGET_QUANTITIES,
     # The target is known without a solution, so that its keys come from the row.
-    *within([q for q in SOLUTION if q.key not in {own.key for own in OF_THE_TARGET}], lambda r: r.solution),
+    *within([q for q in SOLUTION if q.key not in {own.key for own in TARGET_QUANTITIES}], lambda r: r.solution),
     "problem",
 )
 
 TARGETS = described(
     TargetTable,
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
-    Quantity("targets", "number of targets in the table", lambda a: len(_given(a))),
+    Quantity("targets", "number of targets in the table", lambda a: len(_requested(a))),
     Quantity(
         "reached",
         "number of targets reached",
@@ -172,54 +176,62 @@ TARGETS = described(
     ),
     line("largest error", lambda a: _of_reached(a, lambda s: f"{max(x.position_error for x in s) * TO_MM:.1e} mm")),
     line("least margin", lambda a: _of_reached(a, lambda s: f"{min(x.margin for x in s):.3f}")),
-    line("median time", lambda a: _of_reached(a, _median_time)),
-    line("snap-free path", lambda a: None if a.followed else _of_reached(a, _ways)),
-    line("put in between", lambda a: _between(a)),
-    line("jumps", lambda a: _jumps(a)),
+    line(
+        "median time",
+        lambda a: _of_reached(
+            a, lambda s: f"{np.median([x.statistics.seconds for x in s]) * TO_MILLI:.1f} ms per target"
+        ),
+    ),
+    line(
+        "snap-free path",
+        lambda a: (
+            None
+            if a.followed
+            else _of_reached(a, lambda s: f"known to {sum(x.path is not None for x in s)} of {len(s)}")
+        ),
+    ),
+    line("put in between", lambda a: _inserted_text(a)),
+    line("jumps", lambda a: _jumps_text(a)),
     of_field(TargetTable, "rows", of=ROW),
 )
 
 
-def _given(a: TargetTable) -> list[Row]:
+def _requested(a: TargetTable) -> list[Row]:
+    """Rows of the targets in the table, without inserted ones."""
     return [r for r in a.rows if not r.inserted]
 
 
 def _reached(a: TargetTable) -> list[InverseSolution]:
-    return [r.solution for r in _given(a) if r.solution is not None and r.solution.reached]
+    """Solutions of requested targets that are reached."""
+    return [r.solution for r in _requested(a) if r.solution is not None and r.solution.reached]
 
 
-def _of_reached(a: TargetTable, words: Any) -> str | None:
+def _of_reached(a: TargetTable, text: Callable[[list[InverseSolution]], str]) -> str | None:
+    """Text on the reached targets; None if there are none."""
     reached = _reached(a)
-    return words(reached) if reached else None
+    return text(reached) if reached else None
 
 
-def _median_time(reached: Sequence[InverseSolution]) -> str:
-    return f"{np.median([s.statistics.seconds for s in reached]) * TO_MILLI:.1f} ms per target"
+def _inserted_text(a: TargetTable) -> str | None:
+    """Number of inserted targets, as text; None if there are none."""
+    count = len(a.rows) - len(_requested(a))
+    return f"{count} targets, so that the robot does not jump" if a.followed and count else None
 
 
-def _ways(reached: Sequence[InverseSolution]) -> str:
-    return f"known to {sum(s.path is not None for s in reached)} of {len(reached)}"
-
-
-def _between(a: TargetTable) -> str | None:
-    # Rows that are not given were put in between by the search.
-    between = len(a.rows) - len(_given(a))
-    return f"{between} targets, so that the robot does not jump" if a.followed and between else None
-
-
-def _jumps(a: TargetTable) -> str | None:
-    leaping = sum(bool(r.solution and r.solution.jump) for r in a.rows)
-    return f"{leaping or 'none'}, of {len(a.rows)} rows" if a.followed else None
+def _jumps_text(a: TargetTable) -> str | None:
+    """Number of rows with a jump, as text; None if rows are solved one by one."""
+    jumps = sum(bool(r.solution and r.solution.jump) for r in a.rows)
+    return f"{jumps or 'none'}, of {len(a.rows)} rows" if a.followed else None
 
 
 def _miss(s: InverseSolution) -> str:
-    """Distance from the target, and the active constraints."""
-    held = ", ".join(s.active)
-    return f"{s.position_error * TO_MM:.4g} mm short{f': {held}' if held else ''}"
+    """Distance from the target, and the active constraints, as text."""
+    active = ", ".join(s.active)
+    return f"{s.position_error * TO_MM:.4g} mm short{f': {active}' if active else ''}"
 
 
-def _why(r: Row) -> str:
-    """Why a target of a table was not reached."""
+def _failure(r: Row) -> str:
+    """Reason why a target of a table was not reached."""
     return r.problem if r.solution is None else _miss(r.solution)
 
 
@@ -228,11 +240,11 @@ class TargetTableReport(Report[TargetTable]):
     quantities = TARGETS
 
     def below(self) -> list[RenderableType]:
-        """Why targets were not reached."""
-        notes = [(r, _why(r)) for r in _given(self.answer) if r.solution is None or not r.solution.reached]
+        """Reasons why targets were not reached, and jumps."""
+        notes = [(r, _failure(r)) for r in _requested(self.answer) if r.solution is None or not r.solution.reached]
         notes += [(r, f"jumps: {r.solution.jump}") for r in self.answer.rows if r.solution and r.solution.jump]
         more = [Text(f"and {len(notes) - NOTES} more")] if len(notes) > NOTES else []
-        return [*(Text(f"target {r.number:g}: {words}") for r, words in notes[:NOTES]), *more]
+        return [*(Text(f"target {r.number:g}: {note}") for r, note in notes[:NOTES]), *more]
 
     def save(self, directory: Path) -> list[Path]:
         """Write solutions.csv: a row per target, empty cells where there is no answer."""
@@ -255,11 +267,11 @@ class TargetTableReport(Report[TargetTable]):
                 continue
             joints = joint_cells(*to_readings(s.equilibrium.robot, s.rotations, s.translations))
             tip = [round(float(x), 9) + 0.0 for x in s.equilibrium.tip_position * TO_MM]
-            turned = "" if r.direction is None else float(np.degrees(s.direction_error))
-            known = {True: "yes", False: "no", None: ""}[s.reachable]
-            leaps = f'"{s.jump}"' if s.jump else ""
-            errors = [s.position_error * TO_MM, turned, s.margin]
-            yield [*target, *joints, *tip, *errors, known, leaps, s.status.name, ""]
+            direction_error = "" if r.direction is None else float(np.degrees(s.direction_error))
+            reachable = {True: "yes", False: "no", None: ""}[s.reachable]
+            jump = f'"{s.jump}"' if s.jump else ""
+            errors = [s.position_error * TO_MM, direction_error, s.margin]
+            yield [*target, *joints, *tip, *errors, reachable, jump, s.status.name, ""]
 
     def pictures(self) -> dict[str, Drawing]:
         reached = _reached(self.answer)
@@ -267,7 +279,7 @@ class TargetTableReport(Report[TargetTable]):
         return {"targets": drawing("workspace.plot_targets", reached)} if len(reached) > 1 else {}
 
     def conclude(self) -> None:
-        """Raise SolveError where every target is missed; misses within a table are named in it."""
-        given = _given(self.answer)
+        """Raise SolveError if every target is missed; single misses are named in the table."""
+        requested = _requested(self.answer)
         if not _reached(self.answer):
-            raise SolveError(f"none of {len(given)} targets was reached; the first: {_why(given[0])}")
+            raise SolveError(f"none of {len(requested)} targets was reached; the first: {_failure(requested[0])}")

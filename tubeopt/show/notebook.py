@@ -278,7 +278,7 @@ PROBLEM = described(
     line("status", lambda s: str(s.status)),
     "objective",
     line("values", lambda s: ", ".join(s.values)),
-    line("violated", lambda s: ", ".join(str(one) for one in s.violations) or None),
+    line("violated", lambda s: ", ".join(str(violation) for violation in s.violations) or None),
     line("solved", lambda s: f"in {s.statistics.seconds:.2f} s, {s.statistics.iterations} iterations"),
 )
 

@@ -33,10 +33,10 @@ from .report import Drawing, Report, drawing, two_columns
 
 BEYOND = "assuming no other load and no friction"
 
-FELT = 25
-"""Samples at which it is told how far friction can hold the tip."""
+FRICTION_SAMPLES = 25
+"""Samples of the motion at which the effect of friction on the tip is computed."""
 
-HOW = {
+METHODS = {
     "straight": "straight",
     "detour": "by translations at which nothing can snap",
     "search": "by random search",
@@ -47,7 +47,8 @@ HOW = {
 }
 
 
-def _clearance(p: Proof) -> str | None:
+def _clearance_text(p: Proof) -> str | None:
+    """Proved and measured clearance, as text; None without obstacles."""
     measured = f"({p.measured_clearance * TO_MM:.3f} mm measured)"
     # -inf where no bound is shown, +inf without obstacles.
     if np.isfinite(p.least_clearance):
@@ -55,7 +56,8 @@ def _clearance(p: Proof) -> str | None:
     return f"none is shown {measured}" if p.least_clearance < 0 else None
 
 
-def _again(p: Proof) -> str:
+def _equilibria_text(p: Proof) -> str:
+    """Number of equilibria of the proof, and their independent check, as text."""
     if p.end.load is not None:
         return f"through {p.equilibria} equilibria, tips right to {p.reintegration * TO_MM:.0e} mm (estimated)"
     checked = f", re-integrated to {p.reintegration * TO_MM:.0e} mm (DOP853)" if np.isfinite(p.reintegration) else ""
@@ -63,18 +65,21 @@ def _again(p: Proof) -> str:
 
 
 def _assuming(p: Proof) -> str:
+    """Assumptions of a proof, as text."""
     forced = "" if p.forced is None else f"any force of up to {p.forced.max_force * 1e3:g} mN on the tip"
     if p.end.load is not None:
         return f"under {load_in_words(p.end.load)}{forced and f' and {forced}'}, {BEYOND}"
     return f"under {forced}, assuming no weight or friction" if forced else ASSUMING
 
 
-def _any_force(f: ForceBound) -> str:
-    moved = f"moves the arm by at most {f.deflection * TO_MM:.3g} mm" if f.margin > 0 else "may snap the robot"
-    return f"of up to {f.max_force * 1e3:g} mN {moved}, margin at least {f.margin:.4f}"
+def _force_text(f: ForceBound) -> str:
+    """Effect of any force on the tip, as text."""
+    effect = f"moves the arm by at most {f.deflection * TO_MM:.3g} mm" if f.margin > 0 else "may snap the robot"
+    return f"of up to {f.max_force * 1e3:g} mN {effect}, margin at least {f.margin:.4f}"
 
 
-def _tip_speed(p: Proof) -> str:
+def _tip_speed_text(p: Proof) -> str:
+    """Proved and measured speed of the tip, as text."""
     measured = f"{p.measured_tip_rate * TO_MM:.2f} mm/s between equilibria"
     if math.isinf(p.largest_tip_rate):
         return f"{measured}; no bound is proved"
@@ -83,7 +88,7 @@ def _tip_speed(p: Proof) -> str:
 
 FORCED = described(
     ForceBound,
-    line("any force on the tip", _any_force),
+    line("any force on the tip", _force_text),
     "max_force deflection",
 )
 
@@ -92,7 +97,7 @@ PROOF = described(
     Quantity("proved", "true if all requirements are proved", lambda p: p.holds),
     Quantity("assumed", "assumptions of all results", _assuming),
     "faults followed snap least_margin",
-    of_field(Proof, "least_clearance", label="clearance", words=_clearance),
+    of_field(Proof, "least_clearance", label="clearance", words=_clearance_text),
     Quantity(
         "clearance_from",
         "reference of the clearance, for obstacles that are points or open surfaces; absent otherwise",
@@ -112,9 +117,9 @@ PROOF = described(
     ),
     "largest_rotation_rate largest_translation_rate largest_rotation_acceleration largest_translation_acceleration",
     line("path of the tip", "{tip_length_mm:.2f} mm, in steps of at most {largest_tip_step_mm:.2f} mm"),
-    line("speed of the tip", _tip_speed),
+    line("speed of the tip", _tip_speed_text),
     "largest_tip_step tip_length largest_tip_rate measured_tip_rate reintegration",
-    of_field(Proof, "equilibria", label="followed again", words=_again),
+    of_field(Proof, "equilibria", label="followed again", words=_equilibria_text),
 )
 
 
@@ -140,14 +145,15 @@ def _ends(k: int, name: str, label: str) -> Quantity[Trajectory]:
     )
 
 
-def _chosen(t: Trajectory) -> str | None:
+def _entry_text(t: Trajectory) -> str | None:
+    """Position of the plate found by the plan, as text; None if it was fixed."""
     if t.entry is None:
         return None
     (x, y, z), axes = t.entry.frame.origin * TO_MM, t.entry.frame.axes
     # The last column is the new axis; its z component is the cosine to the old one. Round-off may exceed 1.
     leans = np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0)))
-    words = f"moved by {x:.2f}, {y:.2f}, {z:.2f} mm, leaning {leans:.1f} deg"
-    return f"{words}; {t.entry.considered} positions considered, {t.entry.tried} tried"
+    pose = f"moved by {x:.2f}, {y:.2f}, {z:.2f} mm, leaning {leans:.1f} deg"
+    return f"{pose}; {t.entry.considered} positions considered, {t.entry.tried} tried"
 
 
 ENTRY = described(
@@ -162,10 +168,11 @@ ENTRY = described(
 )
 
 
-def _smoothed(t: Trajectory) -> str | None:
+def _smoothing_text(t: Trajectory) -> str | None:
+    """Effect and effort of smoothing, as text; None if it did nothing."""
     s = t.statistics
-    words = f"{s.raw_length:.2f} to {s.length:.2f} joint units ({s.smoothed}), {s.iterations} iterations"
-    return f"{words}, {s.smooth_seconds:.1f} s" if s.smoothed else None
+    change = f"{s.raw_length:.2f} to {s.length:.2f} joint units ({s.smoothed}), {s.iterations} iterations"
+    return f"{change}, {s.smooth_seconds:.1f} s" if s.smoothed else None
 
 
 TRAJECTORY = described(
@@ -189,31 +196,32 @@ TRAJECTORY = described(
              "largest displacement of the tip by friction along x, y and z, over all samples, to first order; absent "
              "without friction", lambda t: largest_by_history(t), optional=True, label="friction holds it",
              words="within ± {tip_by_history_mm:.3f} mm along x, y, z, to first order"),
-    line("plate", _chosen),
+    line("plate", _entry_text),
     of_field(Trajectory, "entry", of=ENTRY, optional=True),
     of_field(Trajectory, "proof", of=PROOF),
     Quantity("statistics", "effort of the search", lambda t: asdict(t.statistics)),
 )  # fmt: skip
 
-FOUND: tuple[Quantity[Trajectory], ...] = (
+SEARCH: tuple[Quantity[Trajectory], ...] = (
     *within(PROOF, lambda t: t.proof),
-    line("found", lambda t: _found(t)),
-    line("smoothed", _smoothed),
+    line("found", lambda t: _search_text(t)),
+    line("smoothed", _smoothing_text),
 )
 """Quantities below those of the motion."""
 
 
 def largest_by_history(t: Trajectory) -> Array | None:
-    """(3,) largest half widths of FELT samples evenly spaced in time, m; None for a robot without friction."""
-    chosen = np.unique(np.linspace(0, len(t.arms) - 1, FELT).round().astype(int)).tolist()
+    """(3,) largest half-widths of the range in which friction can hold the tip, m; None without friction."""
+    chosen = np.unique(np.linspace(0, len(t.arms) - 1, FRICTION_SAMPLES).round().astype(int)).tolist()
     half_widths = [half for k in chosen if (half := by_history(t.arms[k])) is not None]
     # Per axis: the largest along x and along y may be at different instants.
     return np.max(half_widths, axis=0) if half_widths else None
 
 
-def _found(t: Trajectory) -> str:
+def _search_text(t: Trajectory) -> str:
+    """Method and effort of the search, as text."""
     s = t.statistics
-    return f"{HOW[s.how]}, {s.motions} motion{'' if s.motions == 1 else 's'}, {s.search_seconds:.1f} s"
+    return f"{METHODS[s.how]}, {s.motions} motion{'' if s.motions == 1 else 's'}, {s.search_seconds:.1f} s"
 
 
 class TrajectoryReport(Report[Trajectory]):
@@ -223,17 +231,19 @@ class TrajectoryReport(Report[Trajectory]):
 
     def title(self) -> str:
         t = self.answer
-        what = "a motion on one stable branch, proved" if t.proved else f"a motion, {t.status}"
-        under = "" if t.start.load is None else f", {_assuming(t.proof)}"
-        return f"{super().title()}: {what}{under}"
+        result = "a motion on one stable branch, proved" if t.proved else f"a motion, {t.status}"
+        assumptions = "" if t.start.load is None else f", {_assuming(t.proof)}"
+        return f"{super().title()}: {result}{assumptions}"
 
     def rows(self) -> list[tuple[str, str]]:
-        """The plan, its proof, and how it was found."""
-        return super().rows() + rows(self.answer, FOUND)
+        """The plan, its proof, and the search."""
+        return super().rows() + rows(self.answer, SEARCH)
 
     def save(self, directory: Path) -> list[Path]:
-        """Write trajectory.csv, with robot.yaml beside it, joint_trajectory.json, tip.csv, and plan.json; base.txt,
-        where the plate stands in the patient, where that was chosen."""
+        """Write robot.yaml, trajectory.csv, joint_trajectory.json, tip.csv and plan.json.
+
+        If the plan includes the position of the plate, base.txt has its pose in the patient.
+        """
         paths = [directory / name for name in ("robot.yaml", "trajectory.csv", "tip.csv", "joint_trajectory.json")]
         save_robot(self.answer.robot, paths[0])
         save_trajectory(self.answer, paths[1], robot_file="robot.yaml")
@@ -246,6 +256,7 @@ class TrajectoryReport(Report[Trajectory]):
         return [*paths, self.save_record(directory)]
 
     def _tip(self) -> Iterator[Sequence[object]]:
+        """Rows of tip.csv."""
         t = self.answer
         for time, tip, margin, clear in zip(t.time, t.tip_position, t.margin, t.clearance, strict=True):
             # To 1 nm, so that round-off does not show in the file.
@@ -267,14 +278,14 @@ class TrajectoryReport(Report[Trajectory]):
         return {"trajectory": drawing("trajectory.animate_trajectory", self.answer)}
 
     def conclude(self) -> None:
-        """Raise NotProvedError where the proof was not finished."""
+        """Raise NotProvedError if the proof is incomplete."""
         if not self.answer.proved:
             raise NotProvedError(f"a trajectory was found, but it is {self.answer.status}")
 
 
 def _pose(base: Frame) -> str:
-    """A frame in RAS as a matrix of four rows, mm, as `base: {pose: base.txt}` of an anatomy reads it."""
-    # Homogeneous 4 x 4 matrix, as navigation software exchanges it.
+    """Text of a frame in RAS as a homogeneous matrix, mm, as `base: {pose: base.txt}` of an anatomy reads it."""
+    # Navigation software exchanges poses in this form.
     rows = [*np.column_stack([base.axes, base.origin * TO_MM]), np.array([0.0, 0.0, 0.0, 1.0])]
     return "# SPACE=RAS\n" + "".join(" ".join(f"{number:.12g}" for number in row) + "\n" for row in rows)
 
@@ -294,36 +305,40 @@ class CheckedReport(Report[VerifiedTrajectory]):
     drawn = (("verified", "trajectory.plot_checked"),)
 
     def table(self) -> Group:
-        """Verdict and numbers; the error that `conclude` raises has the faults."""
+        """Verdict and numbers; `conclude` raises the faults."""
         a = self.answer
         verdict = "holds" if a.proof.holds else "does not hold"
         return Group(Text(f"{a.file} {verdict}, {_assuming(a.proof)}"), two_columns("", self.rows()))
 
     def conclude(self) -> None:
-        """Raise SolveError where something does not hold."""
+        """Raise SolveError if a requirement is violated."""
         if not self.answer.proof.holds:
             raise SolveError(f"{self.answer.file}: {'; '.join(self.answer.proof.faults)}")
 
 
 INSTANTS = 200
-"""Instants at which the distances between arms are told in a file."""
+"""Instants of the distances between arms in their file."""
 
 
 class _Arm(NamedTuple):
-    """One of several robots of a plan: its number, from 1, its name, where its plate stands, and its motion."""
+    """One of several robots of a plan."""
 
     number: int
+    """Number of the arm, from 1."""
     name: str
     base: Frame
+    """Frame of its plate."""
     motion: Trajectory
 
 
 def _arms(plan: ArmsPlan) -> list[_Arm]:
+    """Arms of a plan with their motions."""
     pairs = enumerate(zip(plan.arms, plan.trajectories, strict=True), start=1)
     return [_Arm(number, arm.called, arm.base, motion) for number, (arm, motion) in pairs]
 
 
-def _bound(pair: PairProof) -> str:
+def _distance_text(pair: PairProof) -> str:
+    """Proved and measured distance of two arms, as text."""
     i, j = pair.arms
     if not np.isfinite(pair.least_clearance):
         return f"{i + 1} and {j + 1}: none is shown ({pair.measured_clearance * TO_MM:.3f} mm measured)"
@@ -331,24 +346,13 @@ def _bound(pair: PairProof) -> str:
     return f"{i + 1} and {j + 1}: at least {at_least(pair.least_clearance):.3f} mm at all times ({measured})"
 
 
-def _clearance_from(plan: ArmsPlan) -> str | None:
-    """Origin of the clearance of arms from obstacles that are no solids; None if all are."""
-    # Each sentence once, in the order of the arms.
-    return "; ".join(dict.fromkeys(chain(*(proof.clearance_from for proof in plan.proof.proofs)))) or None
-
-
-def _called(arm: _Arm) -> str:
-    """Its number and, where it has one, its name."""
-    return f"{arm.number} ({arm.name})" if arm.name != f"arm {arm.number}" else f"{arm.number}"
-
-
-def _moves(arm: _Arm) -> str:
+def _motion_text(arm: _Arm) -> str:
+    """Motion of an arm, with its number and own name, as text."""
     t = arm.motion
+    name = f"{arm.number} ({arm.name})" if arm.name != f"arm {arm.number}" else f"{arm.number}"
     if len(t.time) == 1:
-        return f"{_called(arm)} rests"
-    return (
-        f"{_called(arm)} moves from {t.time[0]:.2f} to {t.time[-1]:.2f} s, margin at least {t.proof.least_margin:.4f}"
-    )
+        return f"{name} rests"
+    return f"{name} moves from {t.time[0]:.2f} to {t.time[-1]:.2f} s, margin at least {t.proof.least_margin:.4f}"
 
 
 ARM: tuple[Quantity[_Arm], ...] = (
@@ -379,9 +383,11 @@ ARMS = described(
     Quantity("withdrawn_first", "arms that withdraw first and continue later, from 1",
              lambda p: [k + 1 for k in p.withdrawn_first],
              words=lambda p: ", ".join(str(k + 1) for k in p.withdrawn_first) or None, label="withdraw first"),
-    line("arms", lambda p: "; ".join(_moves(arm) for arm in _arms(p))),
-    line("distances between arms", lambda p: "; ".join(_bound(pair) for pair in p.proof.pairs)),
-    line("clearance from", lambda p: _clearance_from(p)),
+    line("arms", lambda p: "; ".join(_motion_text(arm) for arm in _arms(p))),
+    line("distances between arms", lambda p: "; ".join(_distance_text(pair) for pair in p.proof.pairs)),
+    # Each sentence once, in the order of the arms.
+    line("clearance from", lambda p: "; ".join(dict.fromkeys(
+        chain(*(proof.clearance_from for proof in p.proof.proofs)))) or None),
     Quantity("faults", "violated or unproved requirements, as text", lambda p: p.proof.faults),
     Quantity("arms", "the arms", _arms, of=ARM),
     Quantity("pairs", "the pairs of arms", lambda p: p.proof.pairs, of=PAIR),
@@ -390,11 +396,14 @@ ARMS = described(
 
 
 def between_arms(plan: ArmsPlan) -> str:
-    """A table of the distances of every two arms at instants: what is measured between points of both, and what is
-    proved of all points, from this instant to the next; empty where nothing is."""
+    """CSV of the distances of every two arms at instants.
+
+    Columns are the measured distances between points of both arms, and the proved bounds for all points from this
+    instant to the next; cells without a bound are empty.
+    """
     times, pairs = np.linspace(0.0, plan.duration, INSTANTS), plan.proof.pairs
-    words = [f"arms_{pair.arms[0] + 1}_{pair.arms[1] + 1}" for pair in pairs]
-    columns = ["time_s", *(f"{each}_mm" for each in words), *(f"{each}_at_least_mm" for each in words)]
+    names = [f"arms_{pair.arms[0] + 1}_{pair.arms[1] + 1}" for pair in pairs]
+    columns = ["time_s", *(f"{name}_mm" for name in names), *(f"{name}_at_least_mm" for name in names)]
     # The bound of a row covers the interval up to the next row.
     later = np.append(times[1:], times[-1])
     bounds = np.column_stack([pair.at_least(times, later) for pair in pairs])
@@ -431,18 +440,18 @@ class ArmsReport(Report[ArmsPlan]):
 
     def pictures(self) -> dict[str, Drawing]:
         """The arms and their distances, and a page that plays if viser is installed."""
-        shown = {"arms": drawing("trajectory.plot_arms", self.answer)}
+        pictures = {"arms": drawing("trajectory.plot_arms", self.answer)}
         if find_spec("viser") is not None:
             from .viewer.host import arms_page
 
-            shown["arms.html"] = lambda path: write_text(path, arms_page(self.answer))
-        return shown
+            pictures["arms.html"] = lambda path: write_text(path, arms_page(self.answer))
+        return pictures
 
     def films(self) -> dict[str, Drawing]:
         """Film of the moving arms."""
         return {"arms": drawing("trajectory.animate_arms", self.answer)}
 
     def conclude(self) -> None:
-        """Raise NotProvedError where something is not proved."""
+        """Raise NotProvedError if a requirement is not proved."""
         if not self.answer.proved:
             raise NotProvedError(f"trajectories were found, but: {self.answer.status}")

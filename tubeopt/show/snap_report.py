@@ -75,14 +75,14 @@ SNAP = described(
     of_field(Snap, "after", of=STATE),
 )
 
-WAY = described(
+STRAIGHT_MOTION = described(
     StraightMotion,
     Quantity("robot", "name of the robot", lambda w: w.robot.name),
     Quantity("from_deg", "rotations at the start", lambda w: w.start[0]),
     Quantity("from_mm", "translations at the start", lambda w: w.start[1]),
     Quantity("to_deg", "rotations at the end", lambda w: w.end[0]),
     Quantity("to_mm", "translations at the end", lambda w: w.end[1]),
-    Quantity("answer", "result, as text", lambda w: way_sentence(w)),
+    Quantity("answer", "result, as text", lambda w: motion_sentence(w)),
     line("from", "rotations {from_deg:.9g} deg, translations {from_mm:.9g} mm"),
     line("to", "rotations {to_deg:.9g} deg, translations {to_mm:.9g} mm"),
     of_field(StraightMotion, "snap", of=SNAP),
@@ -93,7 +93,7 @@ PATH = described(
     stability.Path,
     Quantity("robot", "name of the robot", lambda m: m.equilibria[0].robot.name),
     line("least margin", lambda m: f"{min(e.margin for e in m.equilibria):.3f} at a waypoint"),
-    line("friction", lambda m: _rubbed(m)),
+    line("friction", lambda m: _friction_text(m)),
     Quantity("waypoints", "the state at every waypoint", lambda m: list(m.equilibria), of=(*JOINTS, *STATE)),
     line("tip at the end", lambda m: millimetres(m.equilibria[-1].tip_position, ".4f")),
     Quantity("remarks", "carriages out of order, or an outer tube at the tip; absent otherwise",
@@ -110,27 +110,27 @@ def _remarks(m: stability.Path) -> list[str]:
         violations = [demand.broken for demand, _ in out_of_order(e.robot, e.translations)]
         inside, tip = ends_inside(e.robot, e.tube_end), tip_number(e)
         if inside and tip is not None:
-            within = ", ".join(str(one.tube + 1) for one in inside)
-            violations.append(f"the tip is the end of tube {tip}, and tube {within} ends inside an outer tube")
-        for words in violations:
-            # One remark for all waypoints with the same words: a path may have thousands.
-            waypoints.setdefault(words, []).append(k)
-    return [f"{words}, {_waypoints(where)}" for words, where in waypoints.items()]
+            numbers = ", ".join(str(end.tube + 1) for end in inside)
+            violations.append(f"the tip is the end of tube {tip}, and tube {numbers} ends inside an outer tube")
+        for violation in violations:
+            # One remark for all waypoints with the same violation: a path may have thousands.
+            waypoints.setdefault(violation, []).append(k)
+    texts = []
+    for violation, (first, *further) in waypoints.items():
+        more = f" and {counted(len(further), 'other')}" if further else ""
+        texts.append(f"{violation}, at waypoint {first}{more}")
+    return texts
 
 
-def _waypoints(where: Sequence[int]) -> str:
-    return f"at waypoint {where[0]}" + (f" and {counted(len(where) - 1, 'other')}" if len(where) > 1 else "")
-
-
-def _rubbed(m: stability.Path) -> str | None:
-    """Effect of friction along the path; None without friction."""
+def _friction_text(m: stability.Path) -> str | None:
+    """Effect of friction along the path, as text; None without friction."""
     last = m.equilibria[-1].friction
     if last is None:
         return None
     return f"took {last.heat * TO_MILLI:.3f} mJ; tubes stick at {100 * last.sticking.mean():.0f} % of where they rub"
 
 
-def way_sentence(w: StraightMotion) -> str:
+def motion_sentence(w: StraightMotion) -> str:
     """Snaps along the path, as text."""
     if w.snap is not None:
         return (
@@ -168,9 +168,9 @@ class EquilibriaReport(Report[Equilibria]):
         return Group(Text(f"{head}, translations {millimetres(a.translations)}"), grid(columns, cells))
 
 
-class WayReport(Report[StraightMotion]):
+class StraightMotionReport(Report[StraightMotion]):
     command = "snap"
-    quantities = WAY
+    quantities = STRAIGHT_MOTION
     file = "snap.json"
     drawn = (("snap", "shape.plot_shape", "arrived"), ("snap", "path.plot_snap", "snap"))
 
@@ -178,7 +178,7 @@ class WayReport(Report[StraightMotion]):
         """The answer in words, then the numbers of the snap."""
         w = self.answer
         numbers = self.rows() + ([] if w.snap is None else rows(w.snap, SNAP))
-        return Group(Text(f"{w.robot.name or 'the robot'} {way_sentence(w)}"), two_columns("", numbers))
+        return Group(Text(f"{w.robot.name or 'the robot'} {motion_sentence(w)}"), two_columns("", numbers))
 
     def solids(self) -> dict[str, Equilibrium]:
         """The arm before and after the snap, or arrived."""
@@ -235,7 +235,7 @@ class PathReport(Report[stability.Path]):
 
 
 def _nearest(a: RobotMap) -> Array | None:
-    """The snap that needs the least turning of the tube that turns more; None without snaps."""
+    """Rotations (2,) of the snap with the smallest largest rotation, rad; None without snaps."""
     boundary = a.map.boundary
     # Directions without a snap are NaN.
     boundary = boundary[np.isfinite(boundary).all(1)]
@@ -243,20 +243,21 @@ def _nearest(a: RobotMap) -> Array | None:
     return boundary[np.argmin(np.abs(boundary).max(1))] if len(boundary) else None
 
 
-def _least_before(a: RobotMap) -> float | None:
+def _min_margin_before_snap(a: RobotMap) -> float | None:
+    """Smallest margin of the points reached without a snap; None if there are none."""
     snapped = a.map.snaps > 0
     return None if snapped.all() else float(a.map.margin[~snapped].min())
 
 
 def _snapping_fraction(a: RobotMap) -> float:
-    """Part of all directions; each stands for those that are closer to it than to its neighbours."""
+    """Fraction of all directions that snap; each is weighted by the angle closer to it than to its neighbours."""
     angles = a.map.directions
     # Half of the distance between both neighbours, times 2; directions need not be even.
-    wide = np.roll(angles, -1) - np.roll(angles, 1)
-    # The neighbours of the first and last direction lie a turn away.
-    wide[[0, -1]] += 2 * np.pi
+    weights = np.roll(angles, -1) - np.roll(angles, 1)
+    # The neighbours of the first and last direction are a turn away.
+    weights[[0, -1]] += 2 * np.pi
     # The weights add to 4 pi, twice a turn.
-    return float(wide @ np.isfinite(a.map.boundary).all(1)) / (4 * np.pi)
+    return float(weights @ np.isfinite(a.map.boundary).all(1)) / (4 * np.pi)
 
 
 MAP = described(
@@ -268,7 +269,8 @@ MAP = described(
     Quantity("samples", "points per axis", lambda a: len(a.map.angles)),
     Quantity("directions", "number of directions searched for the first snap", lambda a: len(a.map.boundary)),
     Quantity("least_margin", "smallest margin", lambda a: a.map.margin.min(), form=".3f", label="least margin"),
-    Quantity("least_margin_before_a_snap", "smallest margin of the points reached without a snap", _least_before),
+    Quantity("least_margin_before_a_snap", "smallest margin of the points reached without a snap",
+             _min_margin_before_snap),
     Quantity("snapped_fraction", "fraction of the map that is reached after a snap", lambda a: (a.map.snaps > 0).mean(),
              label="reached after a snap", words=lambda a: f"{100 * (a.map.snaps > 0).mean():.1f} % of the map"),
     Quantity("most_snaps", "largest number of snaps on the path to a point", lambda a: a.map.snaps.max()),
@@ -320,14 +322,14 @@ LIMIT = described(
              words=lambda a: None if a.after is None else f"{a.tip_jump * TO_MM:.4f} mm"),
     of_field(LoadLimit, "energy_released", label="energy released by tubes and load",
              words=lambda a: released(a.energy_released, "{:.4f} mJ") or None),
-    line("margin after", lambda a: _margin_after(a)),
+    line("margin after", lambda a: _margin_after_text(a)),
     of_field(LoadLimit, "before", of=STATE),
     of_field(LoadLimit, "after", of=STATE),
 )  # fmt: skip
 
 
-def _margin_after(limit: LoadLimit) -> str | None:
-    """The margin of the equilibrium after the limit, in words."""
+def _margin_after_text(limit: LoadLimit) -> str | None:
+    """Margin of the equilibrium after the limit, as text."""
     if limit.after is None:
         return None
     if limit.kind == "bifurcation":
@@ -336,7 +338,7 @@ def _margin_after(limit: LoadLimit) -> str | None:
     return margin_in_words(limit.after.margin)
 
 
-BEARING = described(
+LOAD_LIMIT = described(
     LoadLimitResult,
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     *JOINTS,
@@ -356,9 +358,9 @@ def _size(load: Load, factor: float) -> str:
     return f"{' and '.join(parts)} at the tip ({times})" if alone and parts else times
 
 
-class BearingReport(Report[LoadLimitResult]):
+class LoadLimitReport(Report[LoadLimitResult]):
     command = "load-limit"
-    quantities = BEARING
+    quantities = LOAD_LIMIT
     file = "load_limit.json"
 
     def title(self) -> str:
@@ -378,11 +380,11 @@ class BearingReport(Report[LoadLimitResult]):
         limit = self.answer.limit
         if limit is None:
             return {}
-        words = f"{limit.factor:.4g} times the load, where the equilibrium is lost"
+        remark = f"{limit.factor:.4g} times the load, where the equilibrium is lost"
         if limit.after is None:
-            return {"load_limit": drawing("shape.plot_shape", limit.before, remark=words)}
+            return {"load_limit": drawing("shape.plot_shape", limit.before, remark=remark)}
         return {"load_limit": drawing("shape.plot_shape", limit.before, ghosts=[limit.after],
-                                      remark=f"{words}; ghost: where the robot lands")}  # fmt: skip
+                                      remark=f"{remark}; ghost: where the robot lands")}  # fmt: skip
 
 
 FORCE = described(
@@ -416,18 +418,18 @@ RECORD = described(
     Quantity("told", "number of rows with an estimate", lambda r: sum(e is not None for e in r.estimates), form="d",
              label="rows with an estimate"),
     "noise",
-    line("largest force", lambda r: _largest(r)),
-    line("standard errors (median)", lambda r: _errors(r)),
-    line("confidence", lambda r: CONFIDENCE if _told(r) else None),
-    line("not significant", lambda r: _untold(r)),
-    Quantity("estimates", "the force in every row with an estimate", lambda r: _told(r), of=ESTIMATE),
+    line("largest force", lambda r: _largest_force_text(r)),
+    line("standard errors (median)", lambda r: _standard_errors_text(r)),
+    line("confidence", lambda r: CONFIDENCE if _estimates(r) else None),
+    line("not significant", lambda r: _undetermined_text(r)),
+    Quantity("estimates", "the force in every row with an estimate", lambda r: _estimates(r), of=ESTIMATE),
     Quantity("failures", "rows without an estimate, from 1, and the reason",
              lambda r: [[k + 1, why] for k, why in r.failures]),
     Quantity("remarks", "effects of the robot that the estimates ignore"),
 )  # fmt: skip
 
 
-def _largest(r: ForceRecord) -> str | None:
+def _largest_force_text(r: ForceRecord) -> str | None:
     sizes = np.linalg.norm(r.force, axis=1)
     if np.isnan(sizes).all():
         return None
@@ -435,17 +437,19 @@ def _largest(r: ForceRecord) -> str | None:
     return f"{sizes[k] * TO_MILLI:.4g} mN in row {k + 1}: {row(r.force[k] * TO_MILLI, '.4g')} mN"
 
 
-def _errors(r: ForceRecord) -> str | None:
+def _standard_errors_text(r: ForceRecord) -> str | None:
     # NaN: undetermined, or no estimate.
-    told = r.standard_error[~np.isnan(r.standard_error[:, 0])]
-    return f"{row(np.median(told, axis=0) * TO_MILLI, '.3g')} mN along x, y, z" if len(told) else None
+    known = r.standard_error[~np.isnan(r.standard_error[:, 0])]
+    return f"{row(np.median(known, axis=0) * TO_MILLI, '.3g')} mN along x, y, z" if len(known) else None
 
 
-def _told(r: ForceRecord) -> list[tuple[int, ForceEstimate]]:
+def _estimates(r: ForceRecord) -> list[tuple[int, ForceEstimate]]:
+    """Rows with an estimate: their numbers, from 1, and the estimates."""
     return [(k, e) for k, e in enumerate(r.estimates, start=1) if e is not None]
 
 
-def _untold(r: ForceRecord) -> str:
+def _undetermined_text(r: ForceRecord) -> str:
+    """Number of rows with an undetermined direction, as text."""
     count = sum(e is not None and e.undetermined.startswith("undetermined") for e in r.estimates)
     return f"in some direction in {counted(count, 'row', none='no row')}"
 
@@ -465,7 +469,7 @@ class ForceReport(Report[ForceRecord]):
 
     def below(self) -> list[RenderableType]:
         """First rows of the table."""
-        told = _told(self.answer)
+        estimates = _estimates(self.answer)
         columns = ("row >", "force x, y, z (mN) >", "size (mN) >", "standard errors (mN) >")
         cells = (
             [
@@ -474,11 +478,11 @@ class ForceReport(Report[ForceRecord]):
                 f"{np.linalg.norm(e.force) * TO_MILLI:.2f}",
                 row(np.sqrt(np.diag(e.covariance)) * TO_MILLI, ".3g"),
             ]
-            for k, e in told[:SHOWN]
+            for k, e in estimates[:SHOWN]
         )
-        more = len(told) - SHOWN
-        rest = [f"and {counted(more, 'row')} more, which --out saves in forces.csv"] if more > 0 else []
-        return [grid(columns, cells), *remarks(rest), *remarks(self.answer.remarks, what="remark")]
+        more = len(estimates) - SHOWN
+        further = [f"and {counted(more, 'row')} more, which --out saves in forces.csv"] if more > 0 else []
+        return [grid(columns, cells), *remarks(further), *remarks(self.answer.remarks, what="remark")]
 
     def save(self, directory: Path) -> list[Path]:
         """Write forces.json, and forces.csv with a row per row of the recording."""
