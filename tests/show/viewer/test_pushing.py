@@ -14,10 +14,10 @@ from tubeopt.show.viewer import View
 from tubeopt.show.viewer.session import (
     DIRECTIONS,
     Session,
-    bearing_of,
-    bearing_words,
     go_home,
     head_of,
+    load_effect,
+    load_words,
     move_joint,
     newtons_per_metre,
     open_session,
@@ -94,16 +94,16 @@ def test_joints_move_under_the_load() -> None:
 
 def test_what_a_load_does_in_a_sentence() -> None:
     here = gently_pushed().equilibrium
-    found = bearing_of(here)
+    found = load_effect(here)
     assert found is not None
     deflection, limit = found
     assert limit is not None
     assert limit.factor == pytest.approx(2.1846, abs=1e-4)
-    assert bearing_words(here) == f"10.00 mN: tip moved by {1e3 * deflection:.4f} mm, snaps at 2.1846 times as much"
+    assert load_words(here) == f"10.00 mN: tip moved by {1e3 * deflection:.4f} mm, snaps at 2.1846 times as much"
     plain = turned().equilibrium
-    assert bearing_words(plain) == ""
+    assert load_words(plain) == ""
     far = push(plain, Load((-0.03, 0, 0))).equilibria[-1]
-    assert bearing_words(far).startswith("30.00 mN: t")
+    assert load_words(far).startswith("30.00 mN: t")
     scale = newtons_per_metre(plain)
     assert scale * (head_of(here, scale) - here.tip_position) == pytest.approx([-0.01, 0, 0])
 
@@ -119,7 +119,7 @@ def test_a_force_that_is_typed_and_a_snap_by_it(tab: Tab) -> None:
     tab.type("force x (mN)", -10)
     tab.press("Put the load on")
     tab.wait_for_tip(gentle.tip_position)
-    told, words = tab.wait_for("load-limit", "snaps at"), bearing_words(gentle)
+    told, words = tab.wait_for("load-limit", "snaps at"), load_words(gentle)
     assert NUMBER.sub("", told) == NUMBER.sub("", words)
     assert numbers(told) == pytest.approx(numbers(words), abs=1.01e-4)
     assert float(tab.read("margin")) == pytest.approx(gentle.margin, abs=1.01e-4)

@@ -18,7 +18,7 @@ from tests.examples import THESIS
 from tubeopt import InputError, Load
 from tubeopt.show.viewer import teleoperation
 from tubeopt.show.viewer.session import Session, open_session, push_on, record
-from tubeopt.show.viewer.teleoperation import LONGEST, SPEED, Hand, Hands, read
+from tubeopt.show.viewer.teleoperation import MAX_STEP, SPEED, Channel, TipServo, read
 from tubeopt.show.viewer.view import load_waypoints, make_playback, recorded
 from tubeopt.typing import Array
 
@@ -56,15 +56,15 @@ def test_keys_sticks_and_caps_mean_a_velocity() -> None:
     np.testing.assert_allclose(json.loads(done.stdout), [case[2] for case in cases], atol=1e-12)
 
 
-def attend(hands: Hands, messages: AsyncIterator[str | bytes]) -> None:
+def attend(channel: Channel, messages: AsyncIterator[str | bytes]) -> None:
     """In a thread of its own: in this one the browser's tests keep a loop running."""
     with ThreadPoolExecutor(1) as pool:
-        pool.submit(asyncio.run, hands.attend(messages)).result()
+        pool.submit(asyncio.run, channel.receive(messages)).result()
 
 
 def test_messages_lead_the_robot_whose_word_they_have_and_the_rest_is_left_out() -> None:
-    hands, told = Hands(), list[Array]()
-    word = hands.admit(told.append)
+    channel, told = Channel(), list[Array]()
+    word = channel.register(told.append)
     good = json.dumps({"tab": word, "velocity": [0, 3, 4]})
     bad: list[str | bytes] = [
         "",
@@ -80,21 +80,21 @@ def test_messages_lead_the_robot_whose_word_they_have_and_the_rest_is_left_out()
         for each in (*bad, json.dumps({"tab": "guessed", "velocity": [1, 0, 0]}), good):
             yield each
 
-    attend(hands, messages())
+    attend(channel, messages())
     assert len(told) == 1
     np.testing.assert_allclose(told[0], [0, 0.6, 0.8])  # no faster than the greatest speed
     for each in bad:
         with pytest.raises(InputError):
             read(each)
-    hands.dismiss(word)
-    attend(hands, messages())
+    channel.remove(word)
+    attend(channel, messages())
     assert len(told) == 1
 
 
 def led(session: Session, velocity: tuple[float, float, float], messages: int, margin: float) -> tuple[Session, str]:
-    own, words = Hand(), ""
+    own, words = TipServo(), ""
     for _ in range(messages):
-        session, words = own.lead(session, np.array(velocity), margin)
+        session, words = own.move(session, np.array(velocity), margin)
     return session, words
 
 
@@ -102,14 +102,14 @@ def test_a_message_moves_the_tip_for_the_time_since_the_last_one(monkeypatch: py
     clock = iter([0.0, 0.05, 0.1, 60.0, 60.05])
     monkeypatch.setattr("tubeopt.show.viewer.teleoperation.time.monotonic", lambda: next(clock))
     session = begun = record(open_session(THESIS, *SOME), True)
-    own, way = Hand(), []
+    own, way = TipServo(), []
     for _ in range(5):
         before = session.equilibrium.tip_position
-        session, words = own.lead(session, np.array([0.5, 0.0, 0.0]), 0.05)
+        session, words = own.move(session, np.array([0.5, 0.0, 0.0]), 0.05)
         assert words in ("", "a joint moves as fast as it may")
         way.append(session.equilibrium.tip_position - before)
     # The first and the fourth, after a silence of a minute, are of the longest time.
-    expected = 0.5 * SPEED * np.array([LONGEST, 0.05, 0.05, LONGEST, 0.05])
+    expected = 0.5 * SPEED * np.array([MAX_STEP, 0.05, 0.05, MAX_STEP, 0.05])
     np.testing.assert_allclose([step[0] for step in way], expected, rtol=0.05)
     assert np.abs(np.array(way)[:, 1:]).max() < 0.1 * expected[1]
     # What was recorded on the way leads there again.
@@ -119,7 +119,7 @@ def test_a_message_moves_the_tip_for_the_time_since_the_last_one(monkeypatch: py
 
 
 def test_the_tip_stops_at_the_floor_of_the_margin_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    times = iter(np.arange(0.0, 1e3, LONGEST))
+    times = iter(np.arange(0.0, 1e3, MAX_STEP))
     monkeypatch.setattr("tubeopt.show.viewer.teleoperation.time.monotonic", lambda: next(times))
     session, words = led(open_session(THESIS, [np.radians(200), 0, 0]), (1.0, 0.0, 0.0), 1, 0.05)
     floor = session.equilibrium.margin - 0.05
@@ -133,7 +133,7 @@ def test_the_tip_stops_at_the_floor_of_the_margin_and_says_so(monkeypatch: pytes
 def test_it_leads_without_load_and_replays_what_was_recorded_only() -> None:
     session = open_session(THESIS, *SOME)
     with pytest.raises(InputError, match="moved without load"):
-        Hand().lead(push_on(session, Load((0.01, 0.0, 0.0))), np.array([1.0, 0, 0]), 0.05)
+        TipServo().move(push_on(session, Load((0.01, 0.0, 0.0))), np.array([1.0, 0, 0]), 0.05)
     for each in (session, record(session, True)):
         with pytest.raises(InputError, match="nothing was recorded"):
             recorded(each)

@@ -10,15 +10,15 @@ import pytest
 
 from tubeopt import InputError
 from tubeopt.bodies.obstacles import Obstacle
-from tubeopt.show.viewer.view import Given, load_bodies
+from tubeopt.show.viewer.view import LoadedFiles, load_bodies
 
 CUBE, LOW, HIGH = 2.0, np.array([10.0, 20.0, 30.0]), np.array([14.0, 26.0, 38.0])
 """Edge of a voxel, and corners of a box, mm."""
 
 
 @pytest.fixture
-def given() -> Iterator[Given]:
-    given = Given()
+def given() -> Iterator[LoadedFiles]:
+    given = LoadedFiles()
     yield given
     given.close()
 
@@ -47,7 +47,7 @@ def ends(bodies: tuple[Obstacle, ...]) -> tuple[float, float]:
     return float(inside.min()), float(inside.max())
 
 
-def test_an_image_and_a_mesh_lie_where_their_files_have_them(given: Given, tmp_path: Path) -> None:
+def test_an_image_and_a_mesh_lie_where_their_files_have_them(given: LoadedFiles, tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh")
     bodies, words = load_bodies(given.keep("C:\\scans\\a.nii.gz", nifti(tmp_path / "a.nii.gz")))
     assert ends(bodies) == pytest.approx((30, 38), abs=CUBE)
@@ -58,13 +58,13 @@ def test_an_image_and_a_mesh_lie_where_their_files_have_them(given: Given, tmp_p
     assert words == "a mesh where its file has it"
 
 
-def test_a_file_of_an_anatomy_finds_the_image_that_was_loaded_before(given: Given, tmp_path: Path) -> None:
+def test_a_file_of_an_anatomy_finds_the_image_that_was_loaded_before(given: LoadedFiles, tmp_path: Path) -> None:
     text = b"anatomy:\n  image: a.nii\n  forbidden: [7]\n  base: {position_mm: [0, 0, 10], direction: [0, 0, 1]}\n"
     path = given.keep("anatomy.yaml", text)
     with pytest.raises(InputError) as missing:
         load_bodies(path)
-    assert str(path.parent) not in given.words(missing.value)
-    assert "a.nii: there is no such file" in given.words(missing.value)
+    assert str(path.parent) not in given.message(missing.value)
+    assert "a.nii: there is no such file" in given.message(missing.value)
     given.keep("a.nii", nifti(tmp_path / "a.nii"))
     bodies, words = load_bodies(path)
     (body,) = bodies
@@ -73,7 +73,7 @@ def test_a_file_of_an_anatomy_finds_the_image_that_was_loaded_before(given: Give
     assert words == "obstacles, 1"
 
 
-def test_what_is_no_file_of_bodies_is_refused_by_its_own_name(given: Given, tmp_path: Path) -> None:
+def test_what_is_no_file_of_bodies_is_refused_by_its_own_name(given: LoadedFiles, tmp_path: Path) -> None:
     for name, content, message in (
         ("empty.nii", nifti(tmp_path / "e.nii", 0), "empty.nii has"),
         ("notes.txt", b"hello", "notes.txt: "),
@@ -81,7 +81,7 @@ def test_what_is_no_file_of_bodies_is_refused_by_its_own_name(given: Given, tmp_
     ):
         with pytest.raises(InputError) as wrong:
             load_bodies(given.keep(name, content))
-        assert given.words(wrong.value).startswith(message)
+        assert given.message(wrong.value).startswith(message)
     for name in ("", "..", "a/.."):
         with pytest.raises(InputError, match="is no name of a file"):
             given.keep(name, b"")

@@ -273,8 +273,8 @@ def exported(what: str, session: Session, scene: Scene, client: Any, *, trail: b
     if what == "recording":
         return "trajectory.csv", recording_csv(session).encode()
     if what == "picture":
-        seen = client.camera
-        height, width = min(seen.image_height, 1600), min(seen.image_width, 2400)
+        camera = client.camera
+        height, width = min(camera.image_height, 1600), min(camera.image_width, 2400)
         return "view.png", png(client.get_render(height, width, transport_format="png", timeout=60))
     return "view.html", scene_html(session, scene.contents, trail=trail).encode()
 

@@ -23,7 +23,7 @@ from ...typing import Array
 from ..page import margin_colour, tube_colour
 from ..plots.maps import fold_points, smooth, stable_parts
 from .panel import Panel
-from .session import Session, bearing_words
+from .session import Session, load_words
 
 MAP_SAMPLES = 13
 """Points per axis of the small stability map."""
@@ -71,8 +71,8 @@ class Insights:
         self._certificate: tuple[object, float] | None = None
         self._curve: tuple[object, Branch | None] | None = None
         self._map: tuple[object, StabilityMap | None] | None = None
-        self._map_wanted = False
-        self._borne: Equilibrium | None = None
+        self._map_shown = False
+        self._loaded: Equilibrium | None = None
 
     @property
     def chores(self) -> list[tuple[float, Job]]:
@@ -85,9 +85,9 @@ class Insights:
         """Certificate at the current translations; None if it is not computed yet."""
         return self._certificate[1] if self._certificate and self._certificate[0] == self._map_key() else None
 
-    def want_map(self, on: bool) -> None:
-        """Show a stability map, or none."""
-        self._map_wanted, self._map = on, None
+    def show_map(self, on: bool) -> None:
+        """Show the stability map, or hide it."""
+        self._map_shown, self._map = on, None
         self._panel.plot("map", "computing the stability map …" if on else "", text=on)
 
     def plot(self) -> None:
@@ -119,9 +119,9 @@ class Insights:
     def _show_load(self) -> None:
         """Show the effect of the load, and the largest load."""
         current = self._session().equilibrium
-        if self._panel.push is not None and self._borne is not current:
-            self._borne = current
-            self._panel.push.tell(bearing_words(current))
+        if self._panel.push is not None and self._loaded is not current:
+            self._loaded = current
+            self._panel.push.report(load_words(current))
 
     def _trace_curve(self) -> None:
         key = self._curve_key()
@@ -141,10 +141,10 @@ class Insights:
 
     def _compute_map(self) -> None:
         key = self._map_key()
-        if not self._map_wanted or (self._map and self._map[0] == key):
+        if not self._map_shown or (self._map and self._map[0] == key):
             return
 
-        def urgent(done: int, of: int) -> None:
+        def interrupt(completed: int, total: int) -> None:
             if self._waiting():
                 # Raised from the progress of the search, which has no other exit.
                 raise _InterruptedError
@@ -153,7 +153,9 @@ class Insights:
         shift = session.equilibrium.translations
         try:
             # As few directions as possible, and an even number: half of the paths follow from the other half.
-            chart = stability_map(session.robot, shift, samples=MAP_SAMPLES, directions=2, workers=1, progress=urgent)
+            chart = stability_map(
+                session.robot, shift, samples=MAP_SAMPLES, directions=2, workers=1, progress=interrupt
+            )
         except _InterruptedError:
             return
         except (InputError, SolveError) as error:

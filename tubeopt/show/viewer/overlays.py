@@ -175,14 +175,14 @@ def _rings(equilibrium: Equilibrium) -> Array:
     return np.asarray(line.position(s)[:, None] + radius * line.ring(s, SIDES)[0])
 
 
-ASIDE = 0.45
-"""Distance to the side, over the length of the longer arm."""
+LATERAL = 0.45
+"""Distance of the compared robot to the side, over the length of the longer arm."""
 
 PLACE = "/beside"
 
 
-def session_beside(robot: Robot, first: Session) -> Session:
-    """A session of a robot that can stand beside the one of `first`, at home.
+def comparison_session(robot: Robot, first: Session) -> Session:
+    """Session of a robot to be compared with that of `first`, at home.
 
     Raises:
         InputError: another number of tubes.
@@ -197,32 +197,32 @@ def session_beside(robot: Robot, first: Session) -> Session:
     return open_session(robot)
 
 
-class Beside:
-    """A robot of `session_beside` that follows the joint values of the first, with a label that says how it is."""
+class Comparison:
+    """Robot beside the first one that follows its joint values, with a label on its state."""
 
     def __init__(self, api: Any, session: Session, first: Session) -> None:
         self.session = session
         long = max(float(each.equilibrium.arc_length[-1]) for each in (session, first))
-        # To the right of who looks at the first one from where the camera begins.
-        place = ASIDE * long * SCALE * np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
-        self._frame = api.add_frame(PLACE, show_axes=False, position=tuple(place))
+        # To the right of the first robot, seen from the initial camera.
+        position = LATERAL * long * SCALE * np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
+        self._frame = api.add_frame(PLACE, show_axes=False, position=tuple(position))
         self._label = api.add_label(f"{PLACE}/name", "", anchor="bottom-right")
         self._scene = Scene(api, PLACE)
         self._scene.layer(f"{PLACE[1:]}/plate", [plate_part(plate_radius(session.equilibrium))])
         self.follow(first)
 
     def follow(self, first: Session) -> str:
-        """Go to the joint values of the first robot; returns why it stays where it was, or nothing."""
-        here, words = first.equilibrium, ""
+        """Go to the joint values of the first robot; returns the message of an error, or ""."""
+        target, message = first.equilibrium, ""
         try:
-            self.session = move(self.session, here.rotations, here.translations)
+            self.session = move(self.session, target.rotations, target.translations)
         except (InputError, SolveError) as error:
-            words = f"beside: {error}"
+            message = f"beside: {error}"
         shown = self.session.equilibrium
         self._scene.show(shown)
         self._label.text = f"{shown.robot.name or 'robot'}: {self.session.verdict}, margin {shown.margin:.3f}"
         self._label.position = tuple(shown.tip_position * SCALE)
-        return words
+        return message
 
     @property
     def visible(self) -> bool:
@@ -234,5 +234,5 @@ class Beside:
         self._frame.visible = on
 
     def remove(self) -> None:
-        """Take it away with all that belongs to it."""
+        """Remove the robot and its label from the scene."""
         self._frame.remove()

@@ -39,7 +39,7 @@ from .session import (
 )
 from .teleoperation import KEYS
 from .view import BODIES, YAML, View
-from .words import Wishes, hand_words, legend, log_words, message_words, readout, typed
+from .words import Commands, key_words, legend, log_words, message_words, readout, typed
 
 FIELDS = (
     ("curvature", "curvature", "1/m", 1.0, 0.1),
@@ -51,13 +51,13 @@ FIELDS = (
 
 @dataclass(frozen=True)
 class Knob:
-    """One dimension of one tube (or of the equal tubes of a segment), from `low` to `high` by `step`."""
+    """Slider of one dimension of one tube, or of the equal tubes of a segment."""
 
     label: str
-    place: int
-    """Index in `parts`."""
+    index: int
+    """Index of the tube in `parts`."""
     field: str
-    """Field of `Tube`."""
+    """Name of the field of `Tube`."""
     factor: float
     """Factor from SI to the unit of the label and of the limits."""
     low: float
@@ -65,12 +65,12 @@ class Knob:
     step: float
 
     def shown(self, robot: Robot) -> float:
-        """Its value, in the unit of the label."""
-        return float(getattr(parts(robot)[self.place], self.field)) * self.factor
+        """Value of the dimension, in the unit of the label."""
+        return float(getattr(parts(robot)[self.index], self.field)) * self.factor
 
 
 def parts(robot: Robot) -> tuple[Tube, ...]:
-    """The tubes that can be chosen on their own: all, the one that all three are, or one per segment."""
+    """Tubes that can be changed independently: all, the one of an eccentric robot, or one per segment."""
     if isinstance(robot, EccentricRobot):
         return (robot.tube,)
     if isinstance(robot, SegmentedEccentricRobot):
@@ -79,24 +79,24 @@ def parts(robot: Robot) -> tuple[Tube, ...]:
 
 
 def knobs(robot: Robot) -> tuple[Knob, ...]:
-    """Curvature and lengths of every tube, each from nothing to twice what it is."""
+    """Curvature and lengths of every tube, each from 0 to twice its value."""
     name = {EccentricRobot: "all tubes", SegmentedEccentricRobot: "segment"}.get(type(robot), "tube")
     out = []
     for k, tube in enumerate(parts(robot)):
         for label, field, unit, factor, step in FIELDS:
             value = getattr(tube, field) * factor
-            most = max(2 * abs(value), 10 * step)
+            high = max(2 * abs(value), 10 * step)
             if tube.general and field == "curved_length":
                 continue  # it is the sum of the pieces
-            # Pieces that were bent straight would not know which way to bend.
+            # Pieces keep their direction of bending only if they stay curved.
             low = step if tube.general and field == "curvature" else min(0.0, 2 * value)
-            which = name if name == "all tubes" else f"{name} {k + 1}"
-            out.append(Knob(f"{which}: {label} ({unit})", k, field, factor, low, most, step))
+            owner = name if name == "all tubes" else f"{name} {k + 1}"
+            out.append(Knob(f"{owner}: {label} ({unit})", k, field, factor, low, high, step))
     return tuple(out)
 
 
 def with_knob(robot: Robot, knob: Knob, value: float) -> Robot:
-    """The robot with one dimension changed to `value`, in the knob's unit.
+    """Robot with one dimension changed to `value`, in the knob's unit.
 
     Raises:
         InputError: a value out of the knob's range, or tubes that no longer fit together.
@@ -106,7 +106,7 @@ def with_knob(robot: Robot, knob: Knob, value: float) -> Robot:
         raise InputError(f"{knob.label} is {number:g}; it must be from {knob.low:g} to {knob.high:g}")
     changed: dict[str, Any] = {knob.field: number / knob.factor}
     tubes = list(parts(robot))
-    tubes[knob.place] = replace(tubes[knob.place], **changed)
+    tubes[knob.index] = replace(tubes[knob.index], **changed)
     if isinstance(robot, EccentricRobot):
         return replace(robot, tube=tubes[0])
     if isinstance(robot, SegmentedEccentricRobot):
@@ -116,69 +116,70 @@ def with_knob(robot: Robot, knob: Knob, value: float) -> Robot:
     raise InputError(f"the tubes of a {type(robot).__name__} cannot be changed here")
 
 
-GIVEN = "as given"
+OWN_GRAVITY = "as given"
 
-WORDS = '<div data-testid="load-limit" style="font:12px sans-serif;padding:2px 10px 6px">{}</div>'
+EFFECT = '<div data-testid="load-limit" style="font:12px sans-serif;padding:2px 10px 6px">{}</div>'
 
 
 class PushPanel:
-    """The widgets of a load.
+    """Widgets of a load.
 
     Args:
         gui: `gui` of a client of a viser server.
-        tab: told of what is wanted.
-        numbers: reads number boxes; None, with a sentence, where one holds no number.
-        make: makes a button, and a box to be ticked.
-        given: that acts from the beginning, if any: its gravity is among the choices.
+        tab: receives the commands.
+        numbers: reads number boxes; returns None, after a message, if one has no number.
+        button: makes a button.
+        check: makes a check box.
+        initial: load at the start, if any; its gravity is among the choices.
     """
 
     def __init__(
         self,
         gui: Any,
-        tab: Wishes,
+        tab: Commands,
         numbers: Callable[[list[Any]], Array | None],
-        make: tuple[Callable[..., Any], Callable[..., Any]],
-        given: Load | None = None,
+        button: Callable[..., Any],
+        check: Callable[..., Any],
+        initial: Load | None = None,
     ) -> None:
-        own = None if given is None else given.gravity
-        self._tab, self._choices = tab, DIRECTIONS if own is None else {**DIRECTIONS, GIVEN: own}
-        self._words = gui.add_html(WORDS.format(""))
+        own = None if initial is None else initial.gravity
+        self._tab, self._choices = tab, DIRECTIONS if own is None else {**DIRECTIONS, OWN_GRAVITY: own}
+        self._effect = gui.add_html(EFFECT.format(""))
         self._shown: tuple[float, ...] = (0.0, 0.0, 0.0)
-        button, check = make
         hint = "Drag the arrows at the head of the force on the tip."
         check("drag a force", False, partial(tab.show, "force"), hint=hint)
         self._boxes = [gui.add_text(f"force {axis} (mN)", "0") for axis in "xyz"]
         self._gravity = gui.add_dropdown("gravity", tuple(self._choices))
-        self._gravity.value = GIVEN if own else "none"
+        self._gravity.value = OWN_GRAVITY if own else "none"
 
         def put_on() -> None:
             force = numbers(self._boxes)
             if force is not None:
-                self.push(force / TO_MILLI, done=True)
+                self.push(force / TO_MILLI, released=True)
 
         def take_off() -> None:
             self._gravity.value = "none"
-            self.push(np.zeros(3), done=True)
+            self.push(np.zeros(3), released=True)
 
         button("Put the load on", put_on)
         button("Take the load off", take_off)
 
-    def push(self, force: Array, *, done: bool) -> None:
-        """Let a force act on the tip, N, with the gravity that is chosen; `done` where the hand has let go of it."""
+    def push(self, force: Array, *, released: bool) -> None:
+        """Apply a force (3,) at the tip, N, with the selected gravity; released: True at the end of a drag."""
         load = Load(tuple(force.tolist()), gravity=self._choices[self._gravity.value])
-        self._tab.change(lambda session: push_on(session, load), held=None if done else "push")
+        self._tab.change(lambda session: push_on(session, load), dragged=None if released else "push")
 
     def show(self, load: Load | None) -> None:
-        """The force that acts, in the boxes, unless it is what they were last told."""
+        """Show the force in the boxes, unless they were set to it before: the user may be typing another one."""
         force = (0.0, 0.0, 0.0) if load is None else load.force
         if force != self._shown:
             self._shown = force
             for box, value in zip(self._boxes, force, strict=True):
                 box.value = typed(value * TO_MILLI, 4)
 
-    def tell(self, words: str) -> None:
-        """Show the effect of the load in a sentence."""
-        self._words.content = WORDS.format(escape(words))
+    def report(self, effect: str) -> None:
+        """Show the effect of the load, as text."""
+        self._effect.content = EFFECT.format(escape(effect))
 
 
 class ForceArrow:
@@ -190,24 +191,24 @@ class ForceArrow:
         self._tip = np.zeros(3)
 
     def mark(self, equilibrium: Equilibrium, on: bool) -> None:
-        """Put marks at the head of the arrow, or take them away."""
+        """Show or hide the marks at the head of the arrow."""
         if self._controls is not None:
             self._head.put(head_of(equilibrium, self._newtons_per_metre), equilibrium.robot, on)
 
-    def show(self, equilibrium: Equilibrium, *, held: bool) -> None:
-        """Draw the force that acts; the marks go to its head, unless the hand has them."""
+    def show(self, equilibrium: Equilibrium, *, dragged: bool) -> None:
+        """Draw the force; the marks follow its head, unless they are being dragged."""
         self._tip = equilibrium.tip_position
         if equilibrium.load is None and not self._head.there:
             self._scene.show_force(self._tip, self._tip)
             return
         head = head_of(equilibrium, self._newtons_per_metre)
         self._scene.show_force(self._tip, head)
-        if not held:
+        if not dragged:
             self._head.follow(head)
 
-    def _drawn(self, head: Array, done: bool) -> None:
+    def _drawn(self, head: Array, released: bool) -> None:
         assert self._controls is not None
-        self._controls.push(self._newtons_per_metre * (head - self._tip), done=done)
+        self._controls.push(self._newtons_per_metre * (head - self._tip), released=released)
 
     @cached_property
     def _newtons_per_metre(self) -> float:
@@ -219,13 +220,13 @@ STEP = 0.1
 """Step of the sliders of joints, deg or mm."""
 
 EXACT = 6
-"""Digits behind the point in the boxes for exact values, deg or mm."""
+"""Decimals in the boxes for exact values, deg or mm."""
 
 MIRROR = "mirror"
-"""Stands for the joint that is dragged where it is the direction or the separation."""
+"""Name of the dragged control for the sliders of direction and separation."""
 
-LONGEST_TURN = 720.0
-"""Sliders reach no farther (deg) where limits do."""
+MAX_TURN = 720.0
+"""Largest rotation of a slider, deg, also if the limits are wider."""
 
 OBLIQUE = "a direction"
 """Name of planes that are not across an axis."""
@@ -234,13 +235,13 @@ PAD = '<div style="font:12px sans-serif;padding:0 10px 6px;opacity:.75">{}</div>
 
 
 class Panel:
-    """The widgets of one client, made by its `gui` of viser; `tab` is told of everything that is wanted."""
+    """Widgets of one client, made by its `gui` of viser; `tab` receives the commands."""
 
-    def __init__(self, gui: Any, tab: Wishes, view: View) -> None:
+    def __init__(self, gui: Any, tab: Commands, view: View) -> None:
         self._gui, self._tab, self._view = gui, tab, view
         self._shown: dict[int, float] = {}
-        self._aimed: dict[int, str] = {}
-        self._in_hand: set[int] = set()
+        self._shown_targets: dict[int, str] = {}
+        self._user_set: set[int] = set()
         self._layers: dict[str, Any] = {}
         robot = view.robot
         gui.set_panel_label(robot.name or "robot")
@@ -258,11 +259,11 @@ class Panel:
             self._mirror = self._mirror_sliders() if isinstance(robot, EccentricRobot) else []
             self._boxes = self._exact()
         with tabs.add_tab("Tip"):
-            self._margin, self._targets = self._lead_controls(view.min_margin)
+            self._margin, self._targets = self._tip_controls(view.min_margin)
         self.push: PushPanel | None = None
         if not robot.assembly(robot.home_translations).eccentric:
             with tabs.add_tab("Load"):
-                self.push = PushPanel(gui, tab, self._numbers, (self._button, self._check), view.load)
+                self.push = PushPanel(gui, tab, self._numbers, self._button, self._check, view.load)
         with tabs.add_tab("Play"):
             self._time = self._play_controls()
         with tabs.add_tab("Design"):
@@ -279,23 +280,23 @@ class Panel:
         plots.dock_left()
         plots.set_width(340)
 
-    # --- shown -------------------------------------------------------------------------------------------------------
+    # --- output ------------------------------------------------------------------------------------------------------
 
     @property
-    def least_margin(self) -> float:
+    def min_margin(self) -> float:
         """Smallest margin during motions of the tip."""
         return float(self._margin.value)
 
     def say(self, text: str, *, bad: bool = False) -> None:
-        """One sentence below the readout."""
+        """Show a message below the readout."""
         self._message.content = message_words(text, bad=bad)
 
-    def lend(self, word: str | None) -> None:
-        """Let the script of the page move the tip, or no longer (None)."""
-        self._keys.content = "" if word is None else hand_words(word, KEYS)
+    def show_keys(self, token: str | None) -> None:
+        """Let the script of the page move the tip by its token; None: no longer."""
+        self._keys.content = "" if token is None else key_words(token, KEYS)
 
     def show(self, session: Session, certificate: float | None, torsion: str | None) -> None:
-        """The readout and the log; with the plot of torsion where it is given."""
+        """Show readout, log, load, and the plot of torsion unless it is None."""
         self._readout.content = readout(session, certificate)
         self._log.content = log_words(session.log)
         if torsion is not None:
@@ -304,24 +305,24 @@ class Panel:
             self.push.show(session.equilibrium.load)
 
     def plot(self, name: str, content: str, *, text: bool = False) -> None:
-        """A plot of "torsion", the "curve" or the "map", or why there is none."""
+        """Show a plot, "torsion", "curve" or "map", or the reason why there is none; text: `content` is no HTML."""
         self._plots[name].content = PAD.format(escape(content)) if text else content
 
     def sync(self, session: Session, dragged: int | str | None = None, *, refused: bool = False) -> None:
-        """Bring sliders and boxes to where the robot is; not the slider of the joint that is being `dragged`.
+        """Set sliders and boxes to the state of the robot, except the slider of the `dragged` joint.
 
-        What was refused stays in the boxes, to be corrected there.
+        Refused values stay in the boxes, so that the user can correct them.
         """
         factor, low, high = _slider_range(session.robot)
         for k, (slider, value) in enumerate(zip(self._sliders, session.q * factor, strict=True)):
             shown = min(low[k], round(value, 1)), max(high[k], round(value, 1))
             if (slider.min, slider.max) != shown:
                 slider.min, slider.max = shown
-            if k != dragged or not self._held(slider):
+            if k != dragged or not self._is_users(slider):
                 self._put(slider, round(float(value), 1))
         if self._mirror:
             self._sync_mirror(np.degrees(session.equilibrium.rotations), dragged=dragged == MIRROR)
-        # All tubes, also those that share a joint: exact values may break what sliders keep.
+        # All tubes, also those that share a joint: exact values may differ within a joint.
         values = [*np.degrees(session.equilibrium.rotations), *(session.equilibrium.translations * TO_MM)]
         for box, value in zip(self._boxes, values, strict=True):
             if not refused:
@@ -329,55 +330,56 @@ class Panel:
         for knob, slider in self._knobs:
             self._put(slider, round(knob.shown(session.robot), 4))
         for box, value in zip(self._targets, session.equilibrium.tip_position * TO_MM, strict=True):
-            if box.value == self._aimed.get(id(box), "0"):  # nobody has typed a target
-                box.value = self._aimed[id(box)] = typed(value, 3)
+            if box.value == self._shown_targets.get(id(box), "0"):  # nobody has typed a target
+                box.value = self._shown_targets[id(box)] = typed(value, 3)
 
     def _sync_mirror(self, rotations: np.ndarray, *, dragged: bool) -> None:
-        """Direction and separation where the tubes keep the mirror law; elsewhere there are none to be shown."""
+        """Set the sliders of direction and separation, if the rotations satisfy the mirror law."""
         direction, ahead, behind = rotations
         separation = (ahead - behind) / 2
         # Mirror law (thesis, eq. 3.51): the other tubes turn by +d and -d from the middle one.
         if abs(ahead + behind - 2 * direction) < STEP and -STEP / 2 < separation < self._mirror[1].max + STEP / 2:
             for slider, value in zip(self._mirror, (direction, max(separation, 0.0)), strict=True):
-                if not dragged or not self._held(slider):
+                if not dragged or not self._is_users(slider):
                     self._put(slider, round(float(value), 1))
 
     def tick(self, *layers: str, on: bool = True) -> None:
-        """Layers are shown, or no more, as a click would have it."""
+        """Set the check boxes of layers; viser then calls their handlers as for a click."""
         for layer in layers:
             self._layers[layer].value = on
 
     def offer_playback(self, duration: float) -> None:
-        """There is a trajectory of this length, s."""
+        """Enable the controls for a trajectory of a duration, s."""
         self._time.max = max(round(duration, 3), 0.01)
         self._time.disabled = False
         self.at_time(0.0)
 
     def at_time(self, seconds: float) -> None:
-        """The time of the trajectory that is shown."""
+        """Set the slider of the time, s."""
         self._put(self._time, round(seconds, 3))
 
     def _put(self, widget: Any, value: float) -> None:
-        """Set a widget without taking it for a wish of the user; what shows it already is left to the hand."""
+        """Set a widget, unless it shows the value already, so that the change is not taken for the user's."""
         if self._shown.get(id(widget)) != value:
-            self._in_hand.discard(id(widget))
+            self._user_set.discard(id(widget))
             self._shown[id(widget)] = value
             widget.value = value
 
-    def _held(self, widget: Any) -> bool:
+    def _is_users(self, widget: Any) -> bool:
         """True if a widget still shows the user's value: a trajectory may have changed it."""
-        return id(widget) in self._in_hand
+        return id(widget) in self._user_set
 
-    def _wished(self, event: Any) -> bool:
+    def _from_user(self, event: Any) -> bool:
         """True if an event is a user's, and no echo of a value set by the program."""
-        # viser reports values set by the program too; taken for wishes, they would move the robot in a loop.
-        wish = event.client is not None and abs(event.target.value - self._shown.get(id(event.target), np.inf)) > 1e-6
-        if wish:
-            self._shown[id(event.target)] = event.target.value
-            self._in_hand.add(id(event.target))
-        return bool(wish)
+        # viser reports values set by the program too; taken for commands, they would move the robot in a loop.
+        difference = abs(event.target.value - self._shown.get(id(event.target), np.inf))
+        if event.client is None or not difference > 1e-6:
+            return False
+        self._shown[id(event.target)] = event.target.value
+        self._user_set.add(id(event.target))
+        return True
 
-    # --- built -------------------------------------------------------------------------------------------------------
+    # --- widgets -----------------------------------------------------------------------------------------------------
 
     def _slider(self, joint: int, name: str) -> Any:
         factor, low, high = (float(each[joint]) for each in _slider_range(self._view.robot))
@@ -386,13 +388,13 @@ class Panel:
             f"{name} ({unit})", low, max(high, low + STEP), STEP, min(max(0.0, low), high), marks=()
         )
         change = self._tab.change
-        return self._when_moved(slider, lambda at: change(lambda s: move_joint(s, joint, at / factor), held=joint))
+        return self._when_moved(slider, lambda at: change(lambda s: move_joint(s, joint, at / factor), dragged=joint))
 
     def _when_moved(self, widget: Any, act: Callable[[float], None]) -> Any:
-        """Tell `act` where the hand has put a slider."""
+        """Call `act` with the value of a slider when the user moves it."""
 
         async def moved(event: Any) -> None:
-            if self._wished(event):
+            if self._from_user(event):
                 act(float(event.target.value))
 
         widget.on_update(moved)
@@ -410,13 +412,13 @@ class Panel:
             separation = self._gui.add_slider("separation (deg)", 0.0, 120.0, STEP, 0.0, marks=())
 
         def go(_: float) -> None:
-            turned = mirror_rotations(float(np.radians(direction.value)), float(np.radians(separation.value)))
-            self._tab.change(lambda session: move(session, turned, session.equilibrium.translations), held=MIRROR)
+            rotations = mirror_rotations(float(np.radians(direction.value)), float(np.radians(separation.value)))
+            self._tab.change(lambda session: move(session, rotations, session.equilibrium.translations), dragged=MIRROR)
 
         return [self._when_moved(slider, go) for slider in (direction, separation)]
 
     def _exact(self) -> list[Any]:
-        """Number boxes for every joint of every tube, which act when their button is pressed: the way is straight."""
+        """Number boxes for the joint values of every tube; a button moves the robot there on a straight path."""
         robot = self._view.robot
         n = robot.n_tubes
         labels = [f"rotation {i + 1} (deg)" for i in range(n)] + [f"translation {i + 1} (mm)" for i in range(n)]
@@ -433,26 +435,28 @@ class Panel:
 
     def _numbers(self, boxes: Sequence[Any]) -> np.ndarray | None:
         """Numbers in text boxes; None and a message if one is no number."""
-        read = [parse_number(box.value) for box in boxes]
-        for box, number in zip(boxes, read, strict=True):
+        numbers = [parse_number(box.value) for box in boxes]
+        for box, number in zip(boxes, numbers, strict=True):
             if isinstance(number, str) or not number.is_finite():
                 self.say(f"{box.label} is {box.value!r}; it must be a number", bad=True)
                 return None
-        return np.array([float(number) for number in read])
+        return np.array([float(number) for number in numbers])
 
-    def _lead_controls(self, least: float) -> tuple[Any, list[Any]]:
-        margin = self._gui.add_slider("least margin", 0.0, 0.9, 0.01, min(max(least, 0.0), 0.9), marks=())
-        dragged = partial(self._tab.show, "target")
-        self._check("drag the tip", False, dragged, hint="Drag the arrows at the tip to move it.")
+    def _tip_controls(self, min_margin: float) -> tuple[Any, list[Any]]:
+        """Slider of the smallest margin, and boxes of the target."""
+        margin = self._gui.add_slider("least margin", 0.0, 0.9, 0.01, min(max(min_margin, 0.0), 0.9), marks=())
+        self._check(
+            "drag the tip", False, partial(self._tab.show, "target"), hint="Drag the arrows at the tip to move it."
+        )
         self._check("lead the tip by keys, gamepad or 3-D mouse", False, partial(self._tab.show, "hand"))
         boxes = [self._gui.add_text(f"target {axis} (mm)", "0") for axis in "xyz"]
 
-        def lead() -> None:
+        def go() -> None:
             values = self._numbers(boxes)
             if values is not None:
-                self._tab.lead(values / TO_MM, done=True)
+                self._tab.move_tip(values / TO_MM, released=True)
 
-        self._button("Lead the tip there", lead)
+        self._button("Lead the tip there", go)
         return margin, boxes
 
     def _play_controls(self) -> Any:
@@ -490,8 +494,8 @@ class Panel:
             self._shown[id(slider)] = round(value, 4)
 
             # The default binds the knob of this round; a closure would see the last one.
-            def turn(at: float, knob: Knob = knob) -> None:
-                change(lambda session: redesign(session, with_knob(session.robot, knob, at)), key=knob.label)
+            def turn(value: float, knob: Knob = knob) -> None:
+                change(lambda session: redesign(session, with_knob(session.robot, knob, value)), key=knob.label)
 
             out.append((knob, self._when_moved(slider, turn)))
         self._check("stability map", False, partial(self._tab.show, "map"))
@@ -525,7 +529,7 @@ class Panel:
         self._gui.add_html(legend())
 
     def _cut_controls(self) -> None:
-        """A plane that cuts the bodies, and where it stands."""
+        """Controls of a plane that cuts the bodies."""
         reach = round(1.5 * TO_MM * max(tube.length for tube in self._view.robot.tubes))
         across = self._gui.add_dropdown("cut bodies across", ("nothing", *ACROSS, OBLIQUE))
         oblique = self._gui.add_vector3(OBLIQUE, (1.0, 1.0, 0.0), step=0.05, visible=False)
@@ -557,16 +561,16 @@ class SliderRange(NamedTuple):
     """Ranges of the sliders of all joints (m,), deg or mm."""
 
     factor: np.ndarray
-    """Factor from SI."""
+    """Factors from SI to deg or mm."""
     low: np.ndarray
     high: np.ndarray
 
 
 def _slider_range(robot: Robot) -> SliderRange:
-    """Ranges of the sliders, in whole steps; rotations up to `LONGEST_TURN`."""
+    """Ranges of the sliders, in whole steps; rotations up to `MAX_TURN`."""
     space = space_of(robot)
     turns = np.arange(len(space.lower)) < robot.n_tubes
     # Rotations may be unlimited, and a slider needs ends.
-    factor, most = np.where(turns, np.degrees(1.0), TO_MM), np.where(turns, LONGEST_TURN, np.inf)
-    low, high = (np.round(np.clip(ends * factor, -most, most), 1) for ends in (space.lower, space.upper))
+    factor, bound = np.where(turns, np.degrees(1.0), TO_MM), np.where(turns, MAX_TURN, np.inf)
+    low, high = (np.round(np.clip(ends * factor, -bound, bound), 1) for ends in (space.lower, space.upper))
     return SliderRange(factor, low, high)

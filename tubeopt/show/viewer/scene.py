@@ -58,11 +58,11 @@ FRAMES, SNAP_SECONDS = 12, 0.36
 
 
 class Scene:
-    """What one browser shows, as handles of viser that are changed and not made anew.
+    """Scene of one browser; its objects in viser are updated in place.
 
     Args:
         api: `scene` of a viser server or of one of its clients.
-        prefix: under which name everything stands.
+        prefix: name in viser below which all objects are.
     """
 
     def __init__(self, api: Any, prefix: str = "/robot") -> None:
@@ -140,14 +140,14 @@ class Scene:
         """True if a layer shows something."""
         return name in self._layers and bool(self._layers[name][1])
 
-    def show_cloud(self, found: Workspace) -> None:
-        """The tips of a workspace as points coloured by margin."""
+    def show_cloud(self, workspace: Workspace) -> None:
+        """Show the tips of a workspace as points coloured by margin."""
         self.clear("workspace")
-        rows = found.table[np.isfinite(found.table[:, -1])]
-        n = found.robot.n_tubes
+        rows = workspace.table[np.isfinite(workspace.table[:, -1])]
+        n = workspace.robot.n_tubes
         points = (rows[:, 2 * n : 2 * n + 3] * SCALE).astype(np.float32)
         colours = np.array([margin_colour(margin) for margin in rows[:, -1]], dtype=np.uint8)
-        size = DOT * max(tube.length for tube in found.robot.tubes) * SCALE
+        size = DOT * max(tube.length for tube in workspace.robot.tubes) * SCALE
         cloud = self._api.add_point_cloud(
             "/workspace/tips", points, colours, point_size=size, point_shape="circle", precision="float32"
         )
@@ -225,10 +225,10 @@ class Mark:
             self._dragged(np.array(event.target.position) / SCALE, event.phase == "end")
 
 
-def ghost_parts(others: Sequence[Equilibrium]) -> list[Part]:
+def ghost_parts(ghosts: Sequence[Equilibrium]) -> list[Part]:
     """Other equilibria, translucent; stable ones blue, unstable ones red."""
     out = []
-    for k, each in enumerate(others):
+    for k, each in enumerate(ghosts):
         surfaces = [part.surface for part in robot_parts(each)]
         if surfaces:
             out.append(Part(f"ghost_{k + 1}", join(surfaces), GHOST_COLOURS[each.stable], GHOST_OPACITY))
@@ -258,13 +258,13 @@ SIDES = {
 """Positions of the camera, over the length of the arm: views of the planes y-z, x-z and x-y, and the first view."""
 
 
-def look_from(seen: Any, equilibrium: Equilibrium, side: str = "corner", *, far: float = 1.0) -> None:
-    """Put a camera of viser's to one of `SIDES`, `far` times as far away, so that it sees the whole robot."""
+def look_from(camera: Any, equilibrium: Equilibrium, side: str = "corner", *, far: float = 1.0) -> None:
+    """Move a camera of viser to one of `SIDES`, `far` times as far away, so that it sees the whole robot."""
     # With all tubes withdrawn the camera would stand in the plate.
     length = max(float(equilibrium.arc_length[-1]), 0.02) * SCALE
-    seen.position = tuple(far * length * np.array(SIDES[side]))
+    camera.position = tuple(far * length * np.array(SIDES[side]))
     # About the middle of an arm, which bends away from the axis.
-    seen.look_at = (0.0, 0.0, 0.45 * length)
+    camera.look_at = (0.0, 0.0, 0.45 * length)
 
 
 def animate(client: Any, scene: Scene, snaps: Sequence[Snap]) -> None:
@@ -279,7 +279,7 @@ def animate(client: Any, scene: Scene, snaps: Sequence[Snap]) -> None:
 
 
 def arrow_surface(start: Array, end: Array) -> Surface:
-    """An arrow from one place to another."""
+    """Surface of an arrow between two points (3,), m."""
     length = float(np.linalg.norm(end - start))
     shaft, head, tall = 0.015 * length, 0.05 * length, 0.8 * length
     # Points at edges are twice there, so that no normals are averaged across them and edges look sharp.

@@ -142,10 +142,10 @@ def allowed(robot: Robot, q: Array, joint: int) -> tuple[Limit, Limit]:
     """
     space = space_of(robot)
     low, high = (Limit(float(ends[joint]), "end of its range") for ends in (space.lower, space.upper))
-    for order, least, name in zip(space.rows, space.least, space.row_names, strict=True):
+    for order, lower, name in zip(space.rows, space.least, space.row_names, strict=True):
         if order[joint] != 0:
-            # Solves order . q = min(least, present value) for this joint, with the others fixed.
-            bound = Limit(float((min(least, order @ q) - order @ q) / order[joint] + q[joint]), name)
+            # Solves order . q = min(lower, present value) for this joint, with the others fixed.
+            bound = Limit(float((min(lower, order @ q) - order @ q) / order[joint] + q[joint]), name)
             low, high = (max(low, bound), high) if order[joint] > 0 else (low, min(high, bound))
     return low, high
 
@@ -194,12 +194,12 @@ def move_joint(session: Session, joint: int, value: float) -> tuple[Session, str
     robot, q = session.robot, session.q
     (low, lower), (high, upper) = allowed(robot, q, joint)
     reached = min(max(value, low), high)
-    words = ""
+    message = ""
     if abs(reached - value) > 1e-9:
-        words = f"{space_of(robot).names[joint]} is stopped: {lower if value < low else upper}"
+        message = f"{space_of(robot).names[joint]} is stopped: {lower if value < low else upper}"
     q[joint] = reached
     rotations, translations = space_of(robot).split(q)
-    return move(session, rotations, translations), words
+    return move(session, rotations, translations), message
 
 
 def go_home(session: Session) -> Session:
@@ -379,40 +379,40 @@ def head_of(equilibrium: Equilibrium, scale: float) -> np.ndarray:
     return np.asarray(equilibrium.tip_position + force / scale)
 
 
-def bearing_of(equilibrium: Equilibrium) -> tuple[float, LoadLimit | None] | None:
-    """Displacement of the tip by the load, m, and the load limit; None if the load is not reached on one branch.
+def load_effect(equilibrium: Equilibrium) -> tuple[float, LoadLimit | None] | None:
+    """Displacement of the tip by the load, m, and the load limit; None if the robot snaps when the load is removed.
 
-    The limit is None if the robot bears UP_TO times the load.
+    The limit is None if the robot withstands `UP_TO` times the load.
 
     Raises:
         SolveError: the branch is lost without a fold or bifurcation close by.
     """
-    load, rest = equilibrium.load, without_load(equilibrium)
-    if load is None or rest is None:
+    load, unloaded = equilibrium.load, without_load(equilibrium)
+    if load is None or unloaded is None:
         return None
     joints = equilibrium.rotations, equilibrium.translations
     # From the unloaded state, as the limit is a factor on the whole load.
-    limit = find_load_limit(equilibrium.robot, *joints, load, equilibrium=rest, up_to=UP_TO)
-    return float(np.linalg.norm(equilibrium.tip_position - rest.tip_position)), limit
+    limit = find_load_limit(equilibrium.robot, *joints, load, equilibrium=unloaded, up_to=UP_TO)
+    return float(np.linalg.norm(equilibrium.tip_position - unloaded.tip_position)), limit
 
 
-def bearing_words(equilibrium: Equilibrium) -> str:
+def load_words(equilibrium: Equilibrium) -> str:
     """Effect of the load in a sentence; "" without load."""
     load = equilibrium.load
     if load is None:
         return ""
     force = float(np.linalg.norm(load.force)) * TO_MILLI
     weight = " and weight" if load.gravity is not None else ""
-    what = f"{force:.2f} mN{weight}"
+    size = f"{force:.2f} mN{weight}"
     try:
-        found = bearing_of(equilibrium)
+        effect = load_effect(equilibrium)
     except SolveError as error:
-        return f"{what}: {error}"
-    if found is None:
-        return f"{what}: taken off, the robot snaps"
-    moved, limit = found
-    bears = f"withstands more than {UP_TO:g} times as much"
+        return f"{size}: {error}"
+    if effect is None:
+        return f"{size}: taken off, the robot snaps"
+    displacement, limit = effect
+    capacity = f"withstands more than {UP_TO:g} times as much"
     if limit is not None:
-        end = "snaps" if limit.kind == "fold" else "buckles"
-        bears = f"{end} at {limit.factor:.4f} times as much"
-    return f"{what}: tip moved by {moved * TO_MM:.4f} mm, {bears}"
+        failure = "snaps" if limit.kind == "fold" else "buckles"
+        capacity = f"{failure} at {limit.factor:.4f} times as much"
+    return f"{size}: tip moved by {displacement * TO_MM:.4f} mm, {capacity}"

@@ -1,9 +1,8 @@
-"""The tip led by keys, a gamepad or a 3-D mouse: what the page says, and the servo that does it.
+"""Motion of the tip by keys, a gamepad or a 3-D mouse: messages of the page, and the servo that moves the robot.
 
-Over a socket of the same server, `/hand`, the page sends JSON objects {"tab": ..., "velocity": [x, y, z]}: which robot
-is meant, by a word that its own page alone was told, and the velocity of the tip along the axes of the plate as a share
-of `SPEED`. A message moves the tip for the time since the last one, and for no longer than `LONGEST`: who falls silent
-stands still.
+Over a socket of the same server, `/hand`, the page sends JSON objects {"tab": ..., "velocity": [x, y, z]}: the token of
+a robot, which only its own page has, and the velocity of the tip along the axes of the plate over `SPEED`. A message
+moves the tip for the time since the last one, and at most for `MAX_STEP`: without messages, the tip rests.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from ...inverse.answer import InverseOptions
 from ...inverse.gauss_newton import reach
 from ...inverse.goal import Goal, pose_question
 from ...inverse.miss import active_constraints
-from ...inverse.posture import Posture, start_posture
+from ...inverse.posture import start_posture
 from ...typing import Array
 from .session import Session, moved_to
 
@@ -34,121 +33,122 @@ PATH = "/hand"
 """Path of the socket."""
 
 SPEED = 0.03
-"""Greatest speed of the tip, m/s."""
+"""Largest speed of the tip, m/s."""
 
-LONGEST = 0.1
-"""s that one message moves the tip."""
+MAX_STEP = 0.1
+"""Largest duration of the motion by one message, s."""
 
-LEAST_MARGIN = 0.01
-"""Floor of the margin where less is asked for."""
+MIN_MARGIN = 0.01
+"""Smallest margin during motions, also if the user requests less."""
 
 KEYS = "J L, K I, O U: along x, y, z; Shift: slower. Or the sticks of a gamepad, or a 3-D mouse."
 
 Drive = Callable[[Array], None]
 
 
-class Hands:
+class Channel:
     """Robots that pages may move: secret tokens, and the functions that move the robots."""
 
     def __init__(self) -> None:
-        self._led: dict[str, Drive] = {}
+        self._drives: dict[str, Drive] = {}
 
-    def admit(self, drive: Drive) -> str:
+    def register(self, drive: Drive) -> str:
         """Token for a robot; `drive` receives velocities (3,) over the largest speed."""
         # 128 random bits: no other page can guess which robot to move.
-        word = secrets.token_urlsafe(16)
-        self._led[word] = drive
-        return word
+        token = secrets.token_urlsafe(16)
+        self._drives[token] = drive
+        return token
 
-    def dismiss(self, word: str) -> None:
-        """The word means nothing any more."""
-        self._led.pop(word, None)
+    def remove(self, token: str) -> None:
+        """Make a token invalid."""
+        self._drives.pop(token, None)
 
-    async def attend(self, messages: AsyncIterable[str | bytes]) -> None:
-        """Do what the messages of a socket say; those that make no sense are left out."""
+    async def receive(self, messages: AsyncIterable[str | bytes]) -> None:
+        """Execute the messages of a socket; invalid ones are ignored."""
         async for message in messages:
             try:
-                word, velocity = read(message)
+                token, velocity = read(message)
             except InputError:
                 continue
-            if word in self._led:
-                self._led[word](velocity)
+            if token in self._drives:
+                self._drives[token](velocity)
 
 
 def read(message: str | bytes) -> tuple[str, Array]:
-    """The word and the velocity (3,) of a message.
+    """Token and velocity (3,) of a message.
 
     Raises:
-        InputError: it is something else.
+        InputError: the message is invalid.
     """
     try:
-        said = json.loads(message)
-        velocity = np.array(said["velocity"], dtype=float)
-        word = said["tab"]
+        data = json.loads(message)
+        velocity = np.array(data["velocity"], dtype=float)
+        token = data["tab"]
     except (ValueError, KeyError, TypeError):
         raise InputError("the message has no tab and velocity") from None
-    if not isinstance(word, str) or velocity.shape != (3,) or not np.isfinite(velocity).all():
+    if not isinstance(token, str) or velocity.shape != (3,) or not np.isfinite(velocity).all():
         raise InputError("the velocity is not three finite numbers")
     # Two keys at once are no faster than one; slower velocities stay as they are.
-    return word, velocity / max(1.0, float(np.linalg.norm(velocity)))
+    return token, velocity / max(1.0, float(np.linalg.norm(velocity)))
 
 
-class Hand:
-    """Leads the robot of a session by a servo of its own."""
+class TipServo:
+    """Servo that moves the tip of a session by velocities."""
 
     def __init__(self) -> None:
         self._servo: Servo | None = None
         self._bodies: tuple[Obstacle, ...] = ()
         self._last = -np.inf
 
-    def lead(
+    def move(
         self, session: Session, velocity: Array, min_margin: float, obstacles: tuple[Obstacle, ...] = ()
     ) -> tuple[Session, str]:
-        """The session after a message with a velocity (3,), a share of the greatest; and what is in the way, in words.
+        """Session after a message, and the reason why the tip moved less than requested, or "".
+
+        velocity: (3,) velocity of the tip over the largest speed.
 
         Raises:
-            InputError: the robot bears a load, or is closer to a snap than the margin to keep.
+            InputError: the robot has a load, or its margin is below the smallest one.
         """
         now = time.monotonic()
-        # After a pause the first message would otherwise move the tip by the whole time of rest.
-        passed, self._last = min(now - self._last, LONGEST), now
+        # After a pause the first message would otherwise move the tip for the whole time of rest.
+        duration, self._last = min(now - self._last, MAX_STEP), now
         if not velocity.any():
             return session, ""
         if session.equilibrium.load is not None:
             raise InputError("the tip can be moved without load only; remove the load first")
-        options = ServoOptions(speed=SPEED, min_margin=max(min_margin, LEAST_MARGIN))
-        known = self._servo
-        current = session.equilibrium
-        # The robot may have been moved by sliders meanwhile: a servo knows only what it did itself.
-        if known is None or known.equilibrium is not current or (known.options, self._bodies) != (options, obstacles):
-            known = Servo(session.robot, current, obstacles=obstacles, options=options)
-            self._servo, self._bodies = known, obstacles
+        options = ServoOptions(speed=SPEED, min_margin=max(min_margin, MIN_MARGIN))
+        servo, current = self._servo, session.equilibrium
+        # Sliders may have moved the robot since the last message: a servo knows only its own steps.
+        if servo is None or servo.equilibrium is not current or (servo.options, self._bodies) != (options, obstacles):
+            servo = Servo(session.robot, current, obstacles=obstacles, options=options)
+            self._servo, self._bodies = servo, obstacles
         # Two messages may come at once; a step of no duration has no velocity.
-        step = known.step(Command(velocity=SPEED * velocity), max(passed, 1e-3))
+        step = servo.step(Command(velocity=SPEED * velocity), max(duration, 1e-3))
         return moved_to(session, step.equilibrium), step.why.words
 
 
-LONGEST_PULL = 0.05
-"""The tip is led along a straight line in parts of this share of the longest tube."""
+PART_LENGTH = 0.05
+"""Length of the parts of a straight motion of the tip, over the length of the longest tube."""
 
 CLOSE_ENOUGH = 1e-6
 """Distance (m) at which a target counts as reached."""
 
+# While the user drags the target, each step is soon followed by another one.
 QUICK = InverseOptions(steps=20)
-"""A step towards the target follows the hand, and there will be another one."""
+"""Options of a step towards the target, with few iterations."""
 
 
 def pull(
     session: Session, target: ArrayLike, *, min_margin: float = 0.05, obstacles: Sequence[Obstacle] = ()
 ) -> tuple[Session, str]:
-    """The session after moving the tip towards `target` (3,), m, on its branch, by Gauss-Newton steps within all
-    limits.
+    """Session after moving the tip towards `target` (3,), m, by Gauss-Newton steps within all limits.
 
     Every step is a stable equilibrium on the same branch with a margin of at least `min_margin` (or that of the start):
     the robot does not snap. The motion ends when the tip comes no nearer.
 
     Returns:
-        The session, and the reason why the tip stopped, "" on target.
+        The session, and the reason why the tip stopped, or "" on target.
 
     Raises:
         InputError: a target that is not three finite numbers, a margin that is not from 0 to 1; a load.
@@ -164,25 +164,22 @@ def pull(
         current = result.posture
         session = moved_to(session, current.equilibrium)
         if not result.reached and float(np.linalg.norm(part - current.tip)) > CLOSE_ENOUGH:
-            # From the current tip straight at the target, which may lie around the corner.
+            # The straight path is blocked: the last step aims at the target itself, which may still be nearer.
             current = reach(goal, current).posture
             session = moved_to(session, current.equilibrium)
             break
     error = float(np.linalg.norm(goal.position - current.tip))
     if error <= CLOSE_ENOUGH:
         return session, ""
-    return session, f"the tip stops {error * TO_MM:.2f} mm short of the target: {', '.join(_held(goal, current))}"
+    # Margin and obstacles come first, before joints at their limits.
+    active = sorted(active_constraints(goal, current), key=lambda text: not text.startswith(("margin", "arm")))
+    reasons = ", ".join(active) or "no joint leads nearer to it"
+    return session, f"the tip stops {error * TO_MM:.2f} mm short of the target: {reasons}"
 
 
 def _parts(goal: Goal, tip: Array) -> list[Array]:
+    """Ends (3,) of the parts of the straight path from the tip to the target, m."""
     path = goal.position - tip
     # Short parts keep the tip near the straight line: Gauss-Newton steps over a long path may go around.
-    count = max(1, int(np.ceil(float(np.linalg.norm(path)) / (LONGEST_PULL * goal.space.length))))
+    count = max(1, int(np.ceil(float(np.linalg.norm(path)) / (PART_LENGTH * goal.space.length))))
     return [tip + path * k / count for k in range(1, count + 1)]
-
-
-def _held(goal: Goal, current: Posture) -> list[str]:
-    """Constraints that stop the tip, without joints near their limits: margin and obstacles come first."""
-    words = active_constraints(goal, current)
-    # False sorts before True: margin and arm come first.
-    return sorted(words, key=lambda word: not word.startswith(("margin", "arm"))) or ["no joint leads nearer to it"]

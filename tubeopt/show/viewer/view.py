@@ -185,7 +185,7 @@ BODIES = ",".join((*TABLES, *IMAGES, ".gz", *MESHES))
 """File endings in the dialog of a browser, which reads only the last part of a name with two dots."""
 
 
-class Given:
+class LoadedFiles:
     """Folder of loaded files under their own names, so that a file finds those that it names."""
 
     def __init__(self) -> None:
@@ -205,21 +205,21 @@ class Given:
         path.write_bytes(content)
         return path
 
-    def words(self, error: Exception) -> str:
+    def message(self, error: Exception) -> str:
         """Error message, with the names of files as they were loaded."""
-        # The temporary folder means nothing to who loaded the file.
+        # The user does not know the temporary folder.
         return str(error).replace(f"{self._folder.name}/", "").replace(self._folder.name, "the files loaded here")
 
     def close(self) -> None:
-        """Remove all files."""
+        """Remove all files of the folder."""
         self._folder.cleanup()
 
 
 def load_bodies(path: Path) -> tuple[tuple[Obstacle, ...], str]:
-    """Bodies in a file of obstacles, of an anatomy, of a mesh (mm) or of labelled voxels, and what they are, in words.
+    """Bodies in a file of obstacles, of an anatomy, of a mesh (mm) or of labelled voxels, and a description.
 
-    Meshes and images alone lie where their file has them, with the plate at its origin, and the arm keeps out of what
-    has a label; what is lumen, and where the robot stands, a file with the key `anatomy` says, which names them.
+    A mesh or an image alone is placed as in its file, with the plate at its origin, and the arm avoids all labels. A
+    file with the key `anatomy` names meshes and images, the lumen, and the position of the robot.
 
     Raises:
         InputError: as `load_obstacles`, `load_anatomy`, `load_mesh` and `read_image`.
@@ -250,21 +250,21 @@ class View:
     translations: Array | None = None
     """(n,) m; None: home."""
     obstacles: tuple[Obstacle, ...] = ()
-    """Drawn, and kept away from when the tip is led."""
+    """Obstacles, which motions of the tip avoid."""
     waypoints: Waypoints | None = None
     """Waypoints of a trajectory to be played."""
     min_margin: float = 0.05
     """Smallest margin during motions of the tip; first value of the slider."""
     load: Load | None = None
-    """A force on the tip and gravity that act from the beginning."""
+    """Force on the tip and gravity at the start."""
     out: Path | None = None
     """Directory into which exports are saved besides being sent to the browser."""
 
     def session(self) -> Session:
         """A new session; raises InputError and SolveError as `open_session` and `push_on` do."""
-        begun = open_session(self.robot, self.rotations, self.translations)
+        session = open_session(self.robot, self.rotations, self.translations)
         if self.load is None:
-            return begun
+            return session
         if self.load != Load(self.load.force, gravity=self.load.gravity):
             raise InputError("load is more than a force on the tip and gravity, which is what can be shown and dragged")
-        return push_on(begun, self.load)
+        return push_on(session, self.load)

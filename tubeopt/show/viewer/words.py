@@ -1,4 +1,4 @@
-"""The readout in HTML: tip, margin, energy, certificate, what happened. Everything from files is escaped."""
+"""Texts of the page in HTML: readout, log, messages, legend; and the commands of the page. Texts are escaped."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..quantities import Quantity, record
 from .session import Event, Session
 
 SHOWN_EVENTS = 12
-"""The latest events are shown, the others counted."""
+"""Number of events in the log; earlier ones are counted."""
 
 BOX = "font:12px/1.45 sans-serif;padding:2px 10px 6px"
 BADGE = {"stable": "#009660", "close to a snap": "#b8860b", "snapped": "#c81e1e"}
@@ -31,16 +31,16 @@ SIDEBAR: tuple[Quantity[Equilibrium], ...] = (
 
 
 def readout(session: Session, certificate: float | None) -> str:
-    """State of the robot as text. `certificate` None: not computed yet."""
+    """State of the robot; certificate: None while it is not computed."""
     e = session.equilibrium
     known = record(e, SIDEBAR)
     lines = "<br>".join(f'{q.about} <span data-testid="{q.about}">{q.number(known)}</span> {q.sign}' for q in SIDEBAR)
     # Negative margins, of unstable equilibria, have no bar.
-    share = 100 * min(max(e.margin, 0.0), 1.0)
+    percent = 100 * min(max(e.margin, 0.0), 1.0)
     state = session.verdict
     bar = (
         '<div style="height:9px;border-radius:4px;background:#8883;overflow:hidden">'
-        f'<div style="width:{share:.1f}%;height:100%;background:rgb{margin_colour(e.margin)}"></div></div>'
+        f'<div style="width:{percent:.1f}%;height:100%;background:rgb{margin_colour(e.margin)}"></div></div>'
     )
     badge = (
         f'<b data-testid="state" style="background:{BADGE[state]};color:white;border-radius:4px;padding:1px 7px">'
@@ -55,13 +55,13 @@ def readout(session: Session, certificate: float | None) -> str:
 
 
 def typed(value: float, digits: int) -> str:
-    """A number as one would type it."""
-    # Trailing zeros go; +0.0 turns -0 into 0.
+    """Number for a text box, without trailing zeros."""
+    # +0.0 turns -0 into 0.
     return f"{round(float(value), digits) + 0.0:.{digits}f}".rstrip("0").rstrip(".")
 
 
 def tube_colours(n_tubes: int) -> str:
-    """Colours of the tubes, the innermost first."""
+    """Legend of the colours of the tubes, innermost first."""
     marks = (
         f'<span style="color:{tube_colour(i)}">\N{BLACK CIRCLE}</span>\N{NO-BREAK SPACE}tube\N{NO-BREAK SPACE}{i + 1}'
         for i in range(n_tubes)
@@ -80,7 +80,7 @@ def certificate_words(certificate: float | None) -> str:
 
 
 def log_words(log: Sequence[Event]) -> str:
-    """Events, the latest first."""
+    """Log of events, latest first."""
     rows = [
         f'<li data-testid="event" value="{number}" style="{"color:#c81e1e" if event.snap else ""}">'
         f"{escape(event.text)}</li>"
@@ -93,7 +93,7 @@ def log_words(log: Sequence[Event]) -> str:
 
 
 def message_words(text: str, *, bad: bool = False) -> str:
-    """Sentences to the user, each on a line of its own; none takes no room, `bad` ones stay in sight (`page.css`)."""
+    """Message to the user, a line for each sentence; `bad` ones stay visible while the panel scrolls (`page.css`)."""
     if not text:
         return '<div data-testid="message"></div>'
     role, colour = ("alert", "#c81e1e") if bad else ("status", "#3b6fb5")
@@ -103,12 +103,12 @@ def message_words(text: str, *, bad: bool = False) -> str:
     )
 
 
-def others_words(others: Sequence[Equilibrium]) -> str:
+def ghost_words(ghosts: Sequence[Equilibrium]) -> str:
     """Number of other equilibria at these joint values, as text."""
-    stable = sum(each.stable for each in others)
-    many = counted(len(others), "other equilibrium", "other equilibria")
-    kinds = f": {stable} stable (blue), {len(others) - stable} unstable (red)" if others else ""
-    return f"{many} at these joint values{kinds}"
+    stable = sum(ghost.stable for ghost in ghosts)
+    count = counted(len(ghosts), "other equilibrium", "other equilibria")
+    kinds = f": {stable} stable (blue), {len(ghosts) - stable} unstable (red)" if ghosts else ""
+    return f"{count} at these joint values{kinds}"
 
 
 LEGEND = (
@@ -120,7 +120,7 @@ LEGEND = (
     ("rgb(205,60,60)", "unstable ones"),
     ("#8888", "squares of the floor: 1 cm, and bold 10 cm"),
 )
-"""Colours of the scene, and what they mean."""
+"""Colours of the scene and their meanings."""
 
 
 def legend() -> str:
@@ -128,38 +128,41 @@ def legend() -> str:
     scale = [f"rgb{margin_colour(margin)}" for margin in (0.0, 0.5, 1.0)]
     rows = (
         f'<div><span style="display:inline-block;width:34px;height:9px;border-radius:3px;margin-right:8px;'
-        f'background:{colour.format(*scale)}"></span>{escape(words)}</div>'
-        for colour, words in LEGEND
+        f'background:{colour.format(*scale)}"></span>{escape(meaning)}</div>'
+        for colour, meaning in LEGEND
     )
     return f'<div style="{BOX}" data-testid="legend">{"".join(rows)}</div>'
 
 
-def hand_words(word: str, keys: str) -> str:
-    """Note on the keys that move the tip, with the id of the robot for the script of the page."""
-    return f'<div style="{BOX}" data-testid="hand" data-hand="{escape(word)}">{escape(keys)}</div>'
+def key_words(token: str, keys: str) -> str:
+    """Note on the keys that move the tip, with the token of the robot for the script of the page."""
+    return f'<div style="{BOX}" data-testid="hand" data-hand="{escape(token)}">{escape(keys)}</div>'
 
 
-Verb = Callable[[Session], Session | tuple[Session, str]]
-"""Changes a session; it may also tell in words what stopped it."""
+Change = Callable[[Session], Session | tuple[Session, str]]
+"""Function that changes a session; it may also return the reason why it stopped early."""
 
 
-class Wishes(Protocol):
+class Commands(Protocol):
     """Commands of the page; every method returns at once."""
 
-    def change(self, verb: Verb, *, held: int | str | None = None, key: str | None = None, pause: bool = True) -> None:
-        """Do something to the robot.
+    def change(
+        self, change: Change, *, dragged: int | str | None = None, key: str | None = None, pause: bool = True
+    ) -> None:
+        """Change the robot.
 
         Args:
-            held: the joint, or by a name the other thing, that the hand has and does not let go of.
-            key: what waits under the same key is not done any more; by default a name that is held.
-            pause: whether a trajectory that is being played pauses for it.
+            dragged: joint, or name of another control, that the user is dragging; all changes by one drag are one step
+                of undo.
+            key: a waiting change with the same key is dropped; by default the name of the dragged control.
+            pause: True pauses the playback of a trajectory.
         """
 
     def undo(self) -> None:
-        """Take the last change back: joint values, branch and tubes."""
+        """Undo the last change of joint values, branch or tubes."""
 
-    def lead(self, target: np.ndarray, *, done: bool) -> None:
-        """Lead the tip towards a target, m; `done` puts the target's mark back onto the tip."""
+    def move_tip(self, target: np.ndarray, *, released: bool) -> None:
+        """Move the tip towards a target, m; `released` puts the target's mark back onto the tip."""
 
     def ghosts(self) -> None:
         """Show all other equilibria, or hide them."""
@@ -168,19 +171,19 @@ class Wishes(Protocol):
         """Show or hide a layer: trail, workspace, obstacles, swept, target, hand, force, map, beside."""
 
     def cut(self, plane: Plane | None) -> None:
-        """Show bodies up to a plane, with what it cuts; None: all of them."""
+        """Show bodies up to a plane, with their cross-sections in it; None: whole bodies."""
 
     def load(self, what: str, name: str, content: bytes) -> None:
-        """Take a file: a trajectory, bodies to keep clear of, the robot beside."""
+        """Load a file: a trajectory, obstacles, or a robot to compare."""
 
     def play(self) -> None:
         """Start or pause the playback."""
 
     def replay(self) -> None:
-        """Play the recording."""
+        """Play the recorded motion."""
 
     def look(self, side: str) -> None:
-        """Look from a side: side, front, above, corner."""
+        """Move the camera to a side: side, front, above, corner."""
 
     def scrub(self, seconds: float) -> None:
         """Go to a time of the trajectory."""
