@@ -40,7 +40,7 @@ class Limit:
     """Name of the limited quantity."""
     value: float
     """Value of the limit, SI."""
-    most: bool
+    is_upper_bound: bool
     """True for an upper limit."""
     unit: str
     """Unit for display."""
@@ -114,20 +114,20 @@ def _stated(requirement: Requirement, n: int, poses: Poses, points: Points) -> S
                 movable,
             )
             yield limit, requirement.expression, None
-        case SnapFree(floor=least):
-            limit = Limit("certified margin", least, False, "", 1.0, 0.1)
-            yield limit, lambda q: ca.vertcat(*(q.certificate(row) for row in points)) - least, None
-        case Nesting(clearance=least) if n > 1:
-            limit = Limit("clearance of the diameters", least, False, "mm", 1e3, 1e-4)
-            yield limit, lambda q: q.tubes["inner_diameter"][1:] - q.tubes["outer_diameter"][:-1] - least, None
-        case Wall(thickness=least):
-            limit = Limit("wall thickness", least, False, "mm", 1e3, 1e-4)
-            yield limit, lambda q: (q.tubes["outer_diameter"] - q.tubes["inner_diameter"]) / 2 - least, None
+        case SnapFree(floor=lower):
+            limit = Limit("certified margin", lower, False, "", 1.0, 0.1)
+            yield limit, lambda q: ca.vertcat(*(q.certificate(row) for row in points)) - lower, None
+        case Nesting(clearance=lower) if n > 1:
+            limit = Limit("clearance of the diameters", lower, False, "mm", 1e3, 1e-4)
+            yield limit, lambda q: q.tubes["inner_diameter"][1:] - q.tubes["outer_diameter"][:-1] - lower, None
+        case Wall(thickness=lower):
+            limit = Limit("wall thickness", lower, False, "mm", 1e3, 1e-4)
+            yield limit, lambda q: (q.tubes["outer_diameter"] - q.tubes["inner_diameter"]) / 2 - lower, None
         case Length(field=field, tube=i):
             sign, whole = 1.0 if requirement.least else -1.0, field == "length"
-            words = f"{'overall length' if whole else field.replace('_', ' ')} of tube {i + 1}"
+            name = f"{'overall length' if whole else field.replace('_', ' ')} of tube {i + 1}"
             parts = ("straight_length", "curved_length") if whole else (field,)
-            limit = Limit(words, requirement.limit, not requirement.least, "mm", 1e3, 1e-2)
+            limit = Limit(name, requirement.limit, not requirement.least, "mm", 1e3, 1e-2)
             yield limit, lambda q: sign * (sum(q.tubes[part][i] for part in parts) - limit.value), None
         case _:
             yield from _stated_of_poses(requirement, poses, points)
@@ -136,37 +136,37 @@ def _stated(requirement: Requirement, n: int, poses: Poses, points: Points) -> S
 def _stated_of_poses(requirement: Requirement, poses: Poses, points: Points) -> Stated:
     """Every limit, the distance to it, and the vector if its length is limited: requirements on poses."""
     match requirement:
-        case SnapFreeInUse(margin=least) if poses:
-            limit = Limit("margin in use", least, False, "", 1.0, 0.1)
-            yield limit, lambda q: ca.vertcat(*(e.margin for e in arms(q, poses, requirement.deployed))) - least, None
+        case SnapFreeInUse(margin=lower) if poses:
+            limit = Limit("margin in use", lower, False, "", 1.0, 0.1)
+            yield limit, lambda q: ca.vertcat(*(e.margin for e in arms(q, poses, requirement.deployed))) - lower, None
         case Strain(limits=limits):
             posed = poses if requirement.in_poses else ()
-            for i, most in enumerate(limits if requirement.straightened or posed else ()):
-                limit = Limit(f"strain of tube {i + 1}", most, True, "%", 1e2, 1e-3)
+            for i, upper in enumerate(limits if requirement.straightened or posed else ()):
+                limit = Limit(f"strain of tube {i + 1}", upper, True, "%", 1e2, 1e-3)
                 yield limit, partial(_remaining_strain, requirement, posed, i), None
-        case Avoid(clearance=least) if poses:
-            limit = Limit("clearance of the obstacles", least, False, "mm", 1e3, 1e-3)
+        case Avoid(clearance=lower) if poses:
+            limit = Limit("clearance of the obstacles", lower, False, "mm", 1e3, 1e-3)
             yield (
                 limit,
-                lambda q: ca.vertcat(*(e.clearance(requirement) for e in arms(q, poses, requirement.deployed))) - least,
+                lambda q: ca.vertcat(*(e.clearance(requirement) for e in arms(q, poses, requirement.deployed))) - lower,
                 None,
             )
-        case Stroke(limit=most) if len(poses) > 1:
-            limit = Limit("stroke of a carriage", most, True, "mm", 1e3, 1e-2)
-            yield limit, partial(_remaining_stroke, most, poses), None
-        case StrokeForce(limit=least):
-            limit = Limit("stroke force", least, False, "mN", 1e3, 1e-2)
-            yield limit, lambda q: ca.vertcat(*(q.poses[k].stroke_force for k in poses)) - least, None
+        case Stroke(limit=upper) if len(poses) > 1:
+            limit = Limit("stroke of a carriage", upper, True, "mm", 1e3, 1e-2)
+            yield limit, partial(_remaining_stroke, upper, poses), None
+        case StrokeForce(limit=lower):
+            limit = Limit("stroke force", lower, False, "mN", 1e3, 1e-2)
+            yield limit, lambda q: ca.vertcat(*(q.poses[k].stroke_force for k in poses)) - lower, None
         case Reach(targets=targets):
             for k, (pose, target) in enumerate(zip(poses, targets, strict=True), start=1):
                 limit = Limit(f"tolerance of target {k}", target.tolerance, True, "mm", 1e3, 1e-3)
                 yield _near(limit, (pose,), (target.position,))
                 if target.direction is not None:
-                    words, most = f"tolerance of the direction at target {k}", target.direction_tolerance
-                    limit = Limit(words, most, True, "deg", 180 / np.pi, np.radians(5.0))
+                    name, upper = f"tolerance of the direction at target {k}", target.direction_tolerance
+                    limit = Limit(name, upper, True, "deg", 180 / np.pi, np.radians(5.0))
                     yield limit, partial(_along, limit, pose, target.direction), None
-        case Coverage(tolerance=most):
-            limit = Limit("tolerance of the workspace box", most, True, "mm", 1e3, 1e-3)
+        case Coverage(tolerance=upper):
+            limit = Limit("tolerance of the workspace box", upper, True, "mm", 1e3, 1e-3)
             yield _near(limit, poses, points)
         case _:
             return
@@ -174,8 +174,8 @@ def _stated_of_poses(requirement: Requirement, poses: Poses, points: Points) -> 
 
 def arms(q: Quantities, poses: Poses, deployed: bool) -> list[PoseQuantities]:
     """Arms of some poses; with `deployed` also the partly deployed ones."""
-    drawn = SHARES if deployed else ()
-    return [arm for k in poses for arm in (q.poses[k], *(q.poses[k].drawn(share) for share in drawn))]
+    fractions = SHARES if deployed else ()
+    return [arm for k in poses for arm in (q.poses[k], *(q.poses[k].drawn(fraction) for fraction in fractions))]
 
 
 def _remaining_stroke(limit: float, poses: Poses, q: Quantities) -> Any:
@@ -207,9 +207,9 @@ def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
         case SnapFree():
             return requirement.eased(amount)
         case Strain(limits=limits):
-            return replace(requirement, limits=tuple(most + amount * (i == part) for i, most in enumerate(limits)))
-        case Length(limit=limit, least=least):
-            return replace(requirement, limit=limit + (-amount if least else amount))
+            return replace(requirement, limits=tuple(upper + amount * (i == part) for i, upper in enumerate(limits)))
+        case Length(limit=limit, least=is_lower):
+            return replace(requirement, limit=limit + (-amount if is_lower else amount))
         case Reach(targets=targets):
             parts = [
                 (k, name)

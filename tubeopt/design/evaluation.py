@@ -154,10 +154,10 @@ def squared(group: Rows) -> Rows:
     if group.vector is None or group.slack is not None:
         return group
     vector, change = group.vector
-    most = group.limit.value / group.limit.size
+    radius = group.limit.value / group.limit.size
     # (r^2 - |v|^2) / (2 r) is r - |v| to first order at |v| = r, and smooth also at v = 0.
-    values = (most**2 - (vector**2).sum(1)) / (2 * most) - INSIDE
-    return replace(group, values=values, jacobian=-np.einsum("kc,kcx->kx", vector, change) / most)
+    values = (radius**2 - (vector**2).sum(1)) / (2 * radius) - INSIDE
+    return replace(group, values=values, jacobian=-np.einsum("kc,kcx->kx", vector, change) / radius)
 
 
 def cubed(group: Rows) -> Rows:
@@ -166,8 +166,8 @@ def cubed(group: Rows) -> Rows:
         return group
     # The cube inside a ball of radius r has half the side r / sqrt(3).
     vector, change = np.sqrt(3) * group.vector[0], np.sqrt(3) * group.vector[1]
-    most = group.limit.value / group.limit.size - INSIDE + (0.0 if group.slack is None else group.slack[0])
-    values = np.concatenate([most - vector, most + vector], axis=1).ravel()
+    half_side = group.limit.value / group.limit.size - INSIDE + (0.0 if group.slack is None else group.slack[0])
+    values = np.concatenate([half_side - vector, half_side + vector], axis=1).ravel()
     jacobian = np.concatenate([-change, change], axis=1).reshape(len(values), -1)
     if group.slack is not None:
         jacobian[:, group.slack[1]] += 1.0
@@ -324,11 +324,11 @@ class Attempt:
 
 def attempt(program: Program, x: Array, optimum: Optimum | None = None) -> Attempt:
     """Objective and violation at x."""
-    found = evaluate(program, x)
-    if found is None:
+    evaluated = evaluate(program, x)
+    if evaluated is None:
         return Attempt(program, x, np.inf, np.inf, NO_EQUILIBRIUM, optimum)
-    size, words = found.violation
-    return Attempt(program, x, found.objective[0], size, words if size > FEASIBLE else "", optimum)
+    size, name = evaluated.violation
+    return Attempt(program, x, evaluated.objective[0], size, name if size > FEASIBLE else "", optimum)
 
 
 # Name of the violated limit if a pose has no equilibrium.
@@ -337,8 +337,8 @@ NO_EQUILIBRIUM = "an equilibrium at every pose"
 
 def violation(program: Program, x: Array) -> float:
     """Largest violation at x, in steps of its limit; infinity without an equilibrium."""
-    found = evaluate(program, x)
-    return np.inf if found is None else found.violation[0]
+    evaluated = evaluate(program, x)
+    return np.inf if evaluated is None else evaluated.violation[0]
 
 
 def objective_value(program: Program, state: State, objective: AnyObjective) -> tuple[float, Array]:

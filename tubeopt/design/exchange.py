@@ -65,7 +65,7 @@ def motions(program: Program, robot: ConcentricRobot, x: Array) -> list[Motion]:
     state = state_at(program, x)
     poses = program.task_poses
     fraction = np.linspace(0.0, 1.0, PATH_POINTS + 1)
-    found = []
+    motions_between = []
     start: Equilibrium | None = None
     for first, second in pairwise(poses):
         ends = zip(state.joint_values(first), state.joint_values(second), strict=True)
@@ -74,9 +74,9 @@ def motions(program: Program, robot: ConcentricRobot, x: Array) -> list[Motion]:
         # The row before the snap and the fraction of the step after it, as a fraction of the whole path.
         snap = (path.snaps[0].index + path.snaps[0].fraction) / PATH_POINTS if path.snaps else None
         margin = np.array([e.margin for e in path.equilibria])
-        found.append(Motion(first, second, fraction, margin, path.equilibria, snap))
+        motions_between.append(Motion(first, second, fraction, margin, path.equilibria, snap))
         start = None if path.snaps else path.equilibria[-1]
-    return found
+    return motions_between
 
 
 # Cached: exchange and the final check search the same box of the same robot.
@@ -105,7 +105,7 @@ class WorstCases(NamedTuple):
 def worst_cases(program: Program, x: Array) -> WorstCases:
     """Worst cases that the optimum x (X,) of a program violates, among those that its requirements cover."""
     robot = robot_at(program, x)
-    added, words = program.added, []
+    added, descriptions = program.added, []
     # If the margin is the objective, the value that the design claims must hold in the omitted cases too.
     claimed = float(x[program.layout.column("margin")]) if "margin" in program.layout.auxiliary else -np.inf
     for certificate in of_kind(program.task.requirements, SnapFree):
@@ -113,13 +113,13 @@ def worst_cases(program: Program, x: Array) -> WorstCases:
             margin, row = worst_in_box(robot, certificate.box)
             if margin < max(certificate.floor, claimed) - certificate.tolerance:
                 added = replace(added, translations=(*added.translations, row))
-                words.append(f"certificate {margin:.4f} in the box")
+                descriptions.append(f"certificate {margin:.4f} in the box")
     for use in of_kind(program.task.requirements, SnapFreeInUse):
         if use.paths:
             min_margin = use.margin if program.layout.certified else max(use.margin, claimed)
             vias = _weak_points(program, robot, x, min_margin - use.tolerance)
             added = replace(added, vias=(*added.vias, *vias))
-            words += [f"{len(vias)} points on joint paths"] if vias else []
+            descriptions += [f"{len(vias)} points on joint paths"] if vias else []
     boxes = of_kind(program.task.requirements, Coverage)
     if boxes:
         tables = list(added.points) or [corners(box) for box in boxes]
@@ -128,9 +128,9 @@ def worst_cases(program: Program, x: Array) -> WorstCases:
             # Points that the program has already stay missed by its tolerance: adding them again would never end.
             new = [point for point in missed if point not in tables[k]][:POINTS_PER_ROUND]
             tables[k] = (*tables[k], *new)
-            words += [f"{len(missed)} points of the workspace box"] if new else []
+            descriptions += [f"{len(missed)} points of the workspace box"] if new else []
         added = replace(added, points=tuple(tables))
-    return WorstCases(added, ", ".join(words))
+    return WorstCases(added, ", ".join(descriptions))
 
 
 def _weak_points(program: Program, robot: ConcentricRobot, x: Array, min_margin: float) -> list[Via]:

@@ -53,18 +53,18 @@ def _dimensions(program: Program) -> Iterator[str]:
     space = program.layout.space
     rows: list[tuple[Limit, Array, float]] = []
     for statement in (each for stated in program.stated for each in stated):
-        found = statement.expression
+        expression = statement.expression
         fields = WHOLE if space.pieced else TUBE_FIELDS
-        if not all(quantity.pose is None and quantity.name in fields for quantity in found.quantities):
+        if not all(quantity.pose is None and quantity.name in fields for quantity in expression.quantities):
             continue
-        y = ca.SX.sym("y", found.value.size1_in(0))
-        slope = ca.jacobian(found.value(y), y)
+        y = ca.SX.sym("y", expression.value.size1_in(0))
+        slope = ca.jacobian(expression.value(y), y)
         if ca.depends_on(slope, y):
             continue
-        maps = [_linear(program, quantity.name) for quantity in found.quantities]
+        maps = [_linear(program, quantity.name) for quantity in expression.quantities]
         matrix, offset = (np.concatenate([each[k] for each in maps]) for k in (0, 1))
         slopes = np.array(ca.DM(slope)) @ matrix
-        values = np.array(found.value(offset)).ravel()
+        values = np.array(expression.value(offset)).ravel()
         rows += [
             (statement.limit, slopes[k] / statement.limit.size, values[k] / statement.limit.size)
             for k in range(len(values))
@@ -85,7 +85,7 @@ def _dimensions(program: Program) -> Iterator[str]:
 
 
 def _at(limit: Limit) -> str:
-    return f"of at {'most' if limit.most else 'least'} {limit.shown()}"
+    return f"of at {'most' if limit.is_upper_bound else 'least'} {limit.shown()}"
 
 
 def _linear(program: Program, name: str) -> tuple[Array, Array]:
@@ -100,35 +100,35 @@ def _linear(program: Program, name: str) -> tuple[Array, Array]:
     return matrix, offset
 
 
-def _least(program: Program, field: str) -> Array:
+def _smallest_values(program: Program, field: str) -> Array:
     """Value (n,) of a dimension with the smallest absolute value in its range, for each tube."""
     space = program.layout.space
-    found = np.array([getattr(tube, field) for tube in space.robot_tubes], dtype=float)
+    values = np.array([getattr(tube, field) for tube in space.robot_tubes], dtype=float)
     for unknown, *bounds in zip(space.unknowns, space.lower, space.upper, strict=True):
         for i in unknown.tubes if unknown.field == field else ():
-            low, high = sorted(float(bound) * (found[i] if unknown.scaled else 1.0) for bound in bounds)
-            found[i] = min(max(0.0, low), high)
-    return found
+            low, high = sorted(float(bound) * (values[i] if unknown.scaled else 1.0) for bound in bounds)
+            values[i] = min(max(0.0, low), high)
+    return values
 
 
 def _strains(program: Program) -> Iterator[str]:
     for requirement in of_kind(program.task.requirements, Strain):
-        curvature, outer = (_least(program, field).tolist() for field in ("curvature", "outer_diameter"))
-        for i, (bend, diameter, most) in enumerate(zip(map(abs, curvature), outer, requirement.limits, strict=True)):
+        curvature, outer = (_smallest_values(program, field).tolist() for field in ("curvature", "outer_diameter"))
+        for i, (bend, diameter, limit) in enumerate(zip(map(abs, curvature), outer, requirement.limits, strict=True)):
             if not requirement.straightened or bend * diameter >= 2:
                 continue
-            least = surface_strain(diameter / 2, bend, bend)
-            if least > most * (1 + SURELY):
+            strain = surface_strain(diameter / 2, bend, bend)
+            if strain > limit * (1 + SURELY):
                 yield (
-                    f"tube {i + 1} held straight is strained by at least {100 * least:.4g} %, and {100 * most:.4g} % "
+                    f"tube {i + 1} held straight is strained by at least {100 * strain:.4g} %, and {100 * limit:.4g} % "
                     "is allowed"
                 )
 
 
 def _targets(program: Program) -> Iterator[str]:
     task = program.task
-    most = extreme_lengths(task, "upper")
-    longest = float((most["straight_length"] + most["curved_length"]).max())
+    longest_tubes = extreme_lengths(task, "upper")
+    longest = float((longest_tubes["straight_length"] + longest_tubes["curved_length"]).max())
     for requirement, points in zip(task.requirements, points_of(task.requirements, program.added), strict=True):
         tolerances = [target.tolerance for target in requirement.targets] if isinstance(requirement, Reach) else [
             requirement.tolerance if isinstance(requirement, Coverage) else 0.0] * len(points)  # fmt: skip
@@ -145,16 +145,16 @@ def _certificates(program: Program) -> Iterator[str]:
     space = program.layout.space
     if any(unknown.field != "curvature" for unknown in space.unknowns):
         return
-    least = _least(program, "curvature").tolist()
-    tubes = tuple(replace(tube, curvature=bend) for tube, bend in zip(space.robot_tubes, least, strict=True))
+    curvatures = _smallest_values(program, "curvature").tolist()
+    tubes = tuple(replace(tube, curvature=bend) for tube, bend in zip(space.robot_tubes, curvatures, strict=True))
     with without_unit_warnings():
         robot = replace(program.task.robot, tubes=tubes)
     for requirement in of_kind(program.task.requirements, SnapFree):
         for row in program.layout.certified:
-            most = snap_free_certificate(robot, np.array(row))
-            if most < requirement.floor - max(SURELY, requirement.tolerance if requirement.box is not None else 0.0):
+            largest = snap_free_certificate(robot, np.array(row))
+            if largest < requirement.floor - max(SURELY, requirement.tolerance if requirement.box is not None else 0.0):
                 yield (
-                    f"the certified margin is at most {most:.4g} in the ranges of the curvatures, and "
+                    f"the certified margin is at most {largest:.4g} in the ranges of the curvatures, and "
                     f"{requirement.floor:.4g} is demanded"
                 )
 
@@ -176,7 +176,7 @@ class Change:
     @property
     def words(self) -> str:
         """Description as a clause."""
-        verb = "rise" if self.limit.most else "fall"
+        verb = "rise" if self.limit.is_upper_bound else "fall"
         return f"{self.limit.words} must {verb} from {self.limit.shown()} to {self.limit.shown(self.value)}"
 
 
@@ -245,9 +245,9 @@ def smallest_relaxations(failed: Sequence[Attempt]) -> list[Relaxation]:
     """Relaxation with the smallest sum of changes near the failed starts, then up to three of a single limit."""
     solutions: list[_ElasticSolution] = []
     for end in failed[:RELAXED_STARTS]:
-        found = evaluate(end.program, end.x)
-        if found is not None:
-            movable = np.array([group.limit.movable for group in found.groups], dtype=bool)
+        evaluated = evaluate(end.program, end.x)
+        if evaluated is not None:
+            movable = np.array([group.limit.movable for group in evaluated.groups], dtype=bool)
             relaxed_end = _elastic(end.program, end.x, movable)
             solutions += [] if relaxed_end is None else [relaxed_end]
     if not solutions:
@@ -328,10 +328,12 @@ def apply_changes(task: DesignTask, changes: Sequence[Change]) -> DesignTask:
 
 def _change(group: Rows, amount: float, inwards: float) -> Change:
     limit = group.limit
-    sign = 1.0 if limit.most else -1.0
+    sign = 1.0 if limit.is_upper_bound else -1.0
     shown = (limit.value + sign * amount) * limit.factor
     digits = 2 - int(np.floor(np.log10(max(abs(shown), 1e-12))))
     step = 10.0 ** -min(max(digits, 0), 8)
-    rounded = (np.ceil(shown / step - inwards - 1e-9) if limit.most else np.floor(shown / step + inwards + 1e-9)) * step
+    rounded = (
+        np.ceil(shown / step - inwards - 1e-9) if limit.is_upper_bound else np.floor(shown / step + inwards + 1e-9)
+    ) * step
     value = float(rounded / limit.factor)
     return Change(group.requirement, group.part, limit, abs(value - limit.value), value)

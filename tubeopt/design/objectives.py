@@ -278,6 +278,6 @@ def _tip_curvature(objective: Objective, q: Quantities) -> Any:
     """Curvature of the section at the tip, 1/m, with all tubes bending to one side."""
     shift = ca.DM.zeros(q.n_tubes) if objective.translations is None else ca.DM(objective.translations)
     kb, end = q.tubes["bending_stiffness"], shift + q.tubes["curved_length"]
-    there = kb * (end >= ca.mmax(end) - ROUND_OFF)
-    bent = there * ca.fabs(q.tubes["curvature"]) * (q.tubes["curved_length"] > 0)
-    return cross_section(ca.DM.zeros(q.n_tubes), there, bent).curvature[0]
+    stiffness = kb * (end >= ca.mmax(end) - ROUND_OFF)
+    bent = stiffness * ca.fabs(q.tubes["curvature"]) * (q.tubes["curved_length"] > 0)
+    return cross_section(ca.DM.zeros(q.n_tubes), stiffness, bent).curvature[0]

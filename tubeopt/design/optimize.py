@@ -185,8 +185,8 @@ def optimize_design(
         True
     """
     instance("task", task, DesignTask)
-    for name, value, least in (("starts", starts, 1), ("workers", workers, 1), ("seed", seed, 0), ("turns", turns, 0)):
-        whole(name, value, least)
+    for name, value, lower in (("starts", starts, 1), ("workers", workers, 1), ("seed", seed, 0), ("turns", turns, 0)):
+        whole(name, value, lower)
     start_time = time.perf_counter()
     search = partial(_search, starts=starts, seed=seed, workers=workers, progress=progress)
     search_time = SEARCH_SHARE * time_left()

@@ -68,7 +68,7 @@ def of_section(tube: Tube, **changes: Any) -> Tube:
     new = replace(tube, **changes)
     second = new.second_moment / tube.second_moment
     # K = E I and K_t = G J, and J = 2 I of a tube: both grow as the second moment and as their modulus.
-    moduli = [(one.material.youngs_modulus, one.material.shear_modulus) for one in (new, tube)]
+    moduli = [(each.material.youngs_modulus, each.material.shear_modulus) for each in (new, tube)]
     factors = [second * after / before for after, before in zip(*moduli, strict=True)]
     grown = {
         name: getattr(tube, name) * factor
@@ -182,9 +182,9 @@ def _changed_piece(tube: Tube, piece: Piece, values: UnknownValues) -> Piece:
 
 def factors(values: UnknownValues) -> tuple[float, float]:
     """Factors on the bending and torsional stiffness of a piece."""
-    bending, share = values.get(("piece_bending_factor", 0), (1.0, None))
+    bending, torsion_fraction = values.get(("piece_bending_factor", 0), (1.0, None))
     # Slots that take 1 - b of the bending stiffness take share (1 - b) of the torsional one.
-    tied = 1.0 if share is None else 1 - share * (1 - bending)
+    tied = 1.0 if torsion_fraction is None else 1 - torsion_fraction * (1 - bending)
     return bending, tied * values.get(("piece_torsion_factor", 0), (1.0, None))[0]
 
 
@@ -203,31 +203,31 @@ def largest_bend_slope(piece: Piece, unknown: Unknown, value: float) -> float:
     return sign * float(np.cos(unknown.order * np.arccos(np.clip(2 * s[worst] / piece.length - 1, -1, 1))))
 
 
-def change_of(here: Directions, unknown: Unknown, values: PieceValues) -> Change:
+def change_of(directions: Directions, unknown: Unknown, values: PieceValues) -> Change:
     """Derivatives of the sections of a solved arm by an unknown of pieces."""
-    (rate, stiffness, moment, phase), n = np.zeros((4, *here.arm.phase.shape)), here.n
+    (rate, stiffness, moment, phase), n = np.zeros((4, *directions.arm.phase.shape)), directions.n
     out = Change(np.zeros(n), rate, stiffness, moment, phase, np.zeros(n))
     for i, j in unknown.pieces:
-        tube = here.tubes[i]
+        tube = directions.tubes[i]
         low = tube.straight_length + sum(piece.length for piece in tube.pieces[:j])
         length = tube.pieces[j].length
-        local = here.place[..., i] - low
-        kb, kt, x, y, _, _ = here.values[..., i]
-        # Beyond its end a tube has no stiffness, and no change of it.
-        there = (here.arm.stiffness[..., i] > 0).astype(float)
+        local = directions.place[..., i] - low
+        kb, kt, x, y, _, _ = directions.values[..., i]
+        # Behind its end, a tube has neither stiffness nor a change of it.
+        present = (directions.arm.stiffness[..., i] > 0).astype(float)
         inside = (local > 0) & (local < length)
-        dx, dy, dkb, dkt, wound = _piece_rates(unknown, values[i, j], local / length, length, here.values[..., i])
+        dx, dy, dkb, dkt, wound = _piece_rates(unknown, values[i, j], local / length, length, directions.values[..., i])
         size = np.hypot(x, y)
         # A straight section has no direction: divided by 1 its rates are 0, not 0 / 0.
         solid = np.where(size > 0, size, 1.0)
-        bent = there * inside
+        bent = present * inside
         out.stiffness[..., i] += bent * dkb
         # The moment is kb |u*|, the phase atan2(u*_y, u*_x): product rule, and rates in polar coordinates.
         out.moment[..., i] += bent * (dkb * size + kb * (x * dx + y * dy) / solid)
         out.phase[..., i] += wound + inside * (x * dy - y * dx) / solid**2
         # d (1 / kt) = -dkt / kt^2: the twist rate is the torsional moment times 1 / kt.
         out.rate[..., i] += -(inside * dkt) / kt**2
-        out.transmission[i] += _compliance_change(here, i, (low, low + length), dkt / kt)
+        out.transmission[i] += _compliance_change(directions, i, (low, low + length), dkt / kt)
         if unknown.field == "piece_twist":
             out.wound[i] += length
     return out
@@ -284,16 +284,16 @@ def _piece_rates(
             return PieceRates(0.0, 0.0, 0.0, kt / torsion * factors(untwisted)[1], 0.0)
 
 
-def _compliance_change(here: Directions, tube: int, ends: tuple[float, float], relative: Any) -> float:
+def _compliance_change(directions: Directions, tube: int, ends: tuple[float, float], relative: Any) -> float:
     """Change of int ds / GJ from the clamped end to the plate, for a relative change of GJ between two places."""
     if not np.any(relative):
         return 0.0
-    clamped = here.assembly.transmission
+    clamped = directions.assembly.transmission
     compliance = []
     for end in ends:
         place = clamped.copy()
         place[tube] = min(end, clamped[tube])
-        compliance.append(float(here.table.compliant(place)[tube]))
+        compliance.append(float(directions.table.compliant(place)[tube]))
     # d (1 / GJ) = -(1 / GJ) dGJ / GJ, and dGJ / GJ is the same all along a piece.
     return -(compliance[1] - compliance[0]) * float(relative.flat[0])
 
@@ -507,15 +507,15 @@ def _changed(tube: Tube, changes: dict[str, float]) -> Tube:
 def _entries(free: Sequence[Free]) -> list[tuple[Free, Unknown]]:
     """Unknowns that are dimensions of whole tubes, each with its free dimension."""
     taken: set[tuple[str, int]] = set()
-    found = []
+    entries = []
     for dimension in free:
         for i in dimension.tubes:
             if (dimension.field, i) in taken:
                 raise InputError(f"{NAMES[dimension.field]} of tube {i + 1} is free twice; it must be named once")
             taken.add((dimension.field, i))
         groups = [(i,) for i in dimension.tubes] if dimension.tie == "each" else [dimension.tubes]
-        found += [(dimension, Unknown(dimension.field, group, dimension.tie == "scaled")) for group in groups]
-    return found
+        entries += [(dimension, Unknown(dimension.field, group, dimension.tie == "scaled")) for group in groups]
+    return entries
 
 
 def design_space(tubes: Sequence[Tube], free: Sequence[Free]) -> DesignSpace:
@@ -528,18 +528,18 @@ def design_space(tubes: Sequence[Tube], free: Sequence[Free]) -> DesignSpace:
                 )
     pieced = any(dimension.field in PIECE_FIELDS for dimension in free) or any(tube.general for tube in tubes)
     if pieced:
-        tubes, found = _piece_entries(tuple(as_pieces(tube) for tube in tubes), free)
+        tubes, entries = _piece_entries(tuple(as_pieces(tube) for tube in tubes), free)
     else:
-        found = _entries(free)
-    if not found:
+        entries = _entries(free)
+    if not entries:
         raise InputError("free is empty; a design needs at least one free dimension")
-    lower, upper = (np.array([getattr(one, side) for one, _ in found]) for side in ("lower", "upper"))
-    unknowns = tuple(unknown for _, unknown in found)
-    begin = np.clip([start_of(tubes, unknown) for unknown in unknowns], lower, upper)
+    lower, upper = (np.array([getattr(dimension, side) for dimension, _ in entries]) for side in ("lower", "upper"))
+    unknowns = tuple(unknown for _, unknown in entries)
+    start = np.clip([start_of(tubes, unknown) for unknown in unknowns], lower, upper)
     span = np.where(upper > lower, upper - lower, 1.0)
     # The size of the start, from a tenth of the range to all of it: near 0 it would make steps of no size.
-    scale = np.where(np.abs(begin) > 0, np.minimum(span, np.maximum(np.abs(begin), 0.1 * span)), span)
-    return DesignSpace(tuple(tubes), unknowns, begin, lower, upper, scale, pieced)
+    scale = np.where(np.abs(start) > 0, np.minimum(span, np.maximum(np.abs(start), 0.1 * span)), span)
+    return DesignSpace(tuple(tubes), unknowns, start, lower, upper, scale, pieced)
 
 
 def _tube_words(unknown: Unknown) -> str:
@@ -559,7 +559,7 @@ def _piece_entries(
 ) -> tuple[tuple[Tube, ...], list[tuple[Free, Unknown]]]:
     """Tubes with the free slots, and the unknowns of a design of pieces, each with its free dimension."""
     whole = [dimension for dimension in free if dimension.field in WHOLE]
-    found = _entries(whole)
+    entries = _entries(whole)
     for dimension in free:
         if dimension in whole:
             continue
@@ -570,7 +570,7 @@ def _piece_entries(
                 "for the curvature of pieces"
             )
         places = [place for i in dimension.tubes for place in _places(dimension, i, tubes)]
-        taken = {(other.field, place) for _, other in found for place in other.pieces}
+        taken = {(other.field, place) for _, other in entries for place in other.pieces}
         if dimension.slots is not None:
             tubes = with_slots(tubes, places, dimension.slots)
         for i, j in places:
@@ -586,12 +586,12 @@ def _piece_entries(
                 )
         for group in [(place,) for place in places] if dimension.tie == "each" else [tuple(places)]:
             own = tuple(sorted({i for i, _ in group}))
-            more = (
+            unknowns = (
                 Unknown(dimension.field, own, False, group, k, dimension.torsion_share)
                 for k in range(dimension.coefficients)
             )
-            found += [(dimension, unknown) for unknown in more]
-    return tubes, found
+            entries += [(dimension, unknown) for unknown in unknowns]
+    return tubes, entries
 
 
 def _places(dimension: Free, i: int, tubes: Sequence[Tube]) -> list[tuple[int, int]]:

@@ -255,12 +255,12 @@ def elastic(program: Program, may_move: Sequence[bool]) -> Program:
     """The program with a slack for every group of rows, fixed at 0 for those that may not move."""
     count = len(may_move)
     layout = replace(program.layout, auxiliary=(*program.layout.auxiliary, *(slack_name(k) for k in range(count))))
-    most = np.where(may_move, 1e4, 0.0)  # steps
+    max_slack = np.where(may_move, 1e4, 0.0)  # steps
     return replace(
         program,
         layout=layout,
         lower=np.concatenate([program.lower, np.zeros(count)]),
-        upper=np.concatenate([program.upper, most]),
+        upper=np.concatenate([program.upper, max_slack]),
         scale=np.concatenate([program.scale, np.ones(count)]),
         elastic=True,
         guesses=dict(program.guesses),

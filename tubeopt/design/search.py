@@ -335,8 +335,8 @@ def _search(
     """
     for task in tasks:
         _check(task)
-    for name, number, least in (("starts", starts, 1), ("seed", seed, 0), ("turns", turns, 0)):
-        whole(name, number, least)
+    for name, number, lower in (("starts", starts, 1), ("seed", seed, 0), ("turns", turns, 0)):
+        whole(name, number, lower)
     start_time = time.perf_counter()
     # Designs that satisfy the requirements near the start: the objective of the task does not count.
     tasks = tuple(replace(task, objective=Objective("change")) for task in tasks)

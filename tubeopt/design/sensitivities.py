@@ -41,40 +41,40 @@ class Sensitivity:
     sentence: Annotated[str, key("words"), "gain from relaxing the limit, as text"]
 
 
-def sensitivities(found: Attempt) -> tuple[Sensitivity, ...]:
+def sensitivities(design: Attempt) -> tuple[Sensitivity, ...]:
     """Active limits of an optimum, the most expensive first; empty if the design is no optimum to first order."""
-    multipliers = _multipliers(found)
+    multipliers = _multipliers(design)
     if multipliers is None:
         return ()
-    groups = found.evaluated.groups
+    groups = design.evaluated.groups
     per_step = zip(groups, prices(groups, multipliers[0]), strict=True)
     costs = [(group.limit, price / group.limit.size) for group, price in per_step]
-    costs += _bounds(found, multipliers[1])
+    costs += _bounds(design, multipliers[1])
     effect = [price * limit.size for limit, price in costs]
     largest = max(effect, default=0.0)
     order = np.argsort(effect)[::-1]
-    least = LEAST_PRICE * max(largest, 1e-300)
-    return tuple(_sensitivity(found, *costs[k]) for k in order if effect[k] > least > 0)
+    smallest = LEAST_PRICE * max(largest, 1e-300)
+    return tuple(_sensitivity(design, *costs[k]) for k in order if effect[k] > smallest > 0)
 
 
-def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
+def _multipliers(design: Attempt) -> tuple[Array, Array] | None:
     """Multipliers of the rows and of the bounds (> 0 at a lower one), from IPOPT if it converged.
 
     Otherwise those that satisfy the conditions of optimality best at the design; None if it is no optimum.
     """
-    if found.optimum is not None and found.optimum.success:
-        return found.optimum.multipliers, found.optimum.bound_multipliers
-    program, x = found.program, found.x
-    there = found.evaluated
-    values, jacobian = there.rows()
-    sections = cell_rows(there.state, cell_of(there.state))
+    if design.optimum is not None and design.optimum.success:
+        return design.optimum.multipliers, design.optimum.bound_multipliers
+    program, x = design.program, design.x
+    evaluated = design.evaluated
+    values, jacobian = evaluated.rows()
+    sections = cell_rows(evaluated.state, cell_of(evaluated.state))
     near = np.flatnonzero(values < NEAR_LIMIT)
     closed = np.flatnonzero(sections.lengths < NEAR_LIMIT)
     low, high = ((program.scale * NEAR_LIMIT > abs(x - bound)) for bound in (program.lower, program.upper))
     unit = np.eye(len(x))
     columns = [jacobian[near], sections.slopes[closed], -sections.slopes[closed], unit[low], -unit[high]]
     matrix = (np.concatenate(columns) * program.scale).T
-    slope = there.objective[1] * program.scale
+    slope = evaluated.objective[1] * program.scale
     if not matrix.size:
         return None  # nothing is near
     price, residual = scipy.optimize.nnls(matrix, slope)
@@ -89,27 +89,27 @@ def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
     return out, bounds
 
 
-def _bounds(found: Attempt, multipliers: Array) -> list[tuple[Limit, float]]:
+def _bounds(design: Attempt, multipliers: Array) -> list[tuple[Limit, float]]:
     """Active bounds of the dimensions, with their prices."""
-    space = found.program.layout.space
+    space = design.program.layout.space
     out = []
     for k, (name, unknown) in enumerate(zip(space.names, space.unknowns, strict=True)):
         price = float(multipliers[k])
-        most = price < 0
+        is_upper = price < 0
         unit, factor = ("", 1.0) if unknown.scaled else UNITS[unknown.field]
-        value = float((space.upper if most else space.lower)[k])
-        words = f"{'upper' if most else 'lower'} bound of the {name}"
-        near = abs(found.x[k] - value) <= 1e-4 * space.scale[k]
+        value = float((space.upper if is_upper else space.lower)[k])
+        description = f"{'upper' if is_upper else 'lower'} bound of the {name}"
+        near = abs(design.x[k] - value) <= 1e-4 * space.scale[k]
         if near and space.upper[k] > space.lower[k]:
             size = min(float(space.scale[k]), 0.2 * abs(value)) if value else float(space.scale[k])
-            out.append((Limit(words, value, most, unit, factor, size), abs(price)))
+            out.append((Limit(description, value, is_upper, unit, factor, size), abs(price)))
     return out
 
 
-def _sensitivity(found: Attempt, limit: Limit, price: float) -> Sensitivity:
+def _sensitivity(design: Attempt, limit: Limit, price: float) -> Sensitivity:
     """Sensitivity to a limit; `price` is the decrease of the minimised objective per SI unit of relaxation."""
-    objectives = found.program.task.objectives
-    sign = 1.0 if limit.most else -1.0
+    objectives = design.program.task.objectives
+    sign = 1.0 if limit.is_upper_bound else -1.0
     if len(objectives) == 1 and objectives[0].weight == 1.0:
         objective = objectives[0]
         name, unit, factor, direction = objective.words, objective.unit, objective.factor, objective.sign
@@ -119,7 +119,7 @@ def _sensitivity(found: Attempt, limit: Limit, price: float) -> Sensitivity:
     # a round amount of the limit, in the unit in which it is shown
     step = float(10.0 ** np.floor(np.log10(max(limit.size * limit.factor, 1e-12)) + 1e-9))
     gain = abs(price) * step / limit.factor * factor
-    verb = "more" if limit.most else "less"
+    verb = "more" if limit.is_upper_bound else "less"
     change = "less" if direction > 0 else "more"
     shown = f"{step:g} {limit.unit}".strip()
     sentence = f"{shown} {verb} {limit.words} buys {f'{gain:.3g} {unit}'.strip()} {change} {name}"

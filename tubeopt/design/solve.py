@@ -62,16 +62,16 @@ BALL_ITERATIONS = 0.4
 def solve(program: Program, start: Array, report: Report | None = None) -> Attempt:
     """Best design from a start (X,), SI: feasible by least squares, then optimal by IPOPT."""
     x = to_feasibility(program, np.clip(start, program.lower, program.upper), report)
-    found = attempt(program, x)
+    best = attempt(program, x)
     # Dimensions stay where least squares left them; joint values alone are drawn again.
     for kick in range(POSE_RESTARTS if program.layout.free_poses else 0):
-        if found.violation <= NEARLY_FEASIBLE:
+        if best.violation <= NEARLY_FEASIBLE:
             break
         random = np.random.default_rng([kick, program.layout.size])
-        redrawn = with_joints(program, found.x[: program.layout.designs], random)
+        redrawn = with_joints(program, best.x[: program.layout.designs], random)
         x = to_feasibility(program, redrawn, report)
-        found = min(found, attempt(program, x), key=lambda end: end.violation)
-    return found if found.violation > NEARLY_FEASIBLE else best_from(program, found.x, report)
+        best = min(best, attempt(program, x), key=lambda end: end.violation)
+    return best if best.violation > NEARLY_FEASIBLE else best_from(program, best.x, report)
 
 
 def best_from(program: Program, x: Array, report: Report | None = None) -> Attempt:
@@ -80,52 +80,52 @@ def best_from(program: Program, x: Array, report: Report | None = None) -> Attem
     Targets are first kept in cubes inside their tolerances, on which IPOPT is quicker and ends at better optima. Where
     these cost something, a second run has the whole balls.
     """
-    found = _optimum_in_cubes(program, x, report)
-    if not np.isfinite(found.violation) or _price_of_cubes(program, found) <= CUBE_PRICE:
-        return found
+    in_cubes = _optimum_in_cubes(program, x, report)
+    if not np.isfinite(in_cubes.violation) or _price_of_cubes(program, in_cubes) <= CUBE_PRICE:
+        return in_cubes
     iterations = round(BALL_ITERATIONS * program.task.solver.iterations)
-    in_balls = improve(program, found.x, report, iterations, exact=True)
-    if found.feasible and in_balls.feasible:
-        gain = ORDER_GAIN * max(abs(found.objective), 1e-3)
-        return in_balls if in_balls.objective < found.objective - gain else found
-    return min(found, in_balls, key=_rank)
+    in_balls = improve(program, in_cubes.x, report, iterations, exact=True)
+    if in_cubes.feasible and in_balls.feasible:
+        gain = ORDER_GAIN * max(abs(in_cubes.objective), 1e-3)
+        return in_balls if in_balls.objective < in_cubes.objective - gain else in_cubes
+    return min(in_cubes, in_balls, key=_rank)
 
 
 def _optimum_in_cubes(program: Program, x: Array, report: Report | None) -> Attempt:
     """Optimum by IPOPT across all kinks; if it does not converge, in one order of breakpoints after the other."""
-    found = improve(program, x, report)
-    if found.feasible and found.optimum is not None and found.optimum.success:
-        return found
+    optimum = improve(program, x, report)
+    if optimum.feasible and optimum.optimum is not None and optimum.optimum.success:
+        return optimum
     # The start too, since IPOPT may end worse than it began where it does not converge.
-    candidates = [found, attempt(program, x)]
-    if np.isfinite(found.violation) and not found.feasible:
+    candidates = [optimum, attempt(program, x)]
+    if np.isfinite(optimum.violation) and not optimum.feasible:
         # IPOPT ended just outside.
-        x = to_feasibility(program, found.x, report)
+        x = to_feasibility(program, optimum.x, report)
         candidates.append(attempt(program, x))
     best = min(candidates, key=_rank)
     return min(best, _through_cells(best, report), key=_rank)
 
 
-def _price_of_cubes(program: Program, found: Attempt) -> float:
+def _price_of_cubes(program: Program, in_cubes: Attempt) -> float:
     """Relative gain of the objective, to first order, if the cubes were enlarged to contain the balls.
 
     Without multipliers infinite if a cube is active, else 0.
     """
-    groups = found.evaluated.groups
+    groups = in_cubes.evaluated.groups
     balls = [group for group in groups if group.vector is not None]
     near = any((cubed(group).values < CUBE_PRICE * group.limit.value / group.limit.size).any() for group in balls)
     if not near:
         return 0.0
     if program.elastic:
         return np.inf if any(group.slack is not None and group.slack[0] > SLACK_TOLERANCE for group in balls) else 0.0
-    if not found.feasible or found.optimum is None or not found.optimum.success:
+    if not in_cubes.feasible or in_cubes.optimum is None or not in_cubes.optimum.success:
         return np.inf
     gains = [
         price * (np.sqrt(3) - 1) * group.limit.value / group.limit.size
-        for group, price in zip(groups, prices(groups, found.optimum.multipliers), strict=True)
+        for group, price in zip(groups, prices(groups, in_cubes.optimum.multipliers), strict=True)
         if group.vector is not None
     ]
-    return float(sum(gains) / max(abs(found.objective), 1e-3))
+    return float(sum(gains) / max(abs(in_cubes.objective), 1e-3))
 
 
 def _rank(end: Attempt) -> tuple[bool, float]:
@@ -237,17 +237,17 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
     def residual(part: Array) -> Array:
         """Violations (r,) at the free unknowns `part`; NaN without an equilibrium."""
         nonlocal rows_count
-        found = evaluate(program, full(part))
-        if found is None:
+        evaluated = evaluate(program, full(part))
+        if evaluated is None:
             # scipy's trust region shrinks after a step to values that are not finite.
             return np.full(rows_count, np.nan)
-        shortfall, jacobian = _shortfall(found, INTERIOR)
+        shortfall, jacobian = _shortfall(evaluated, INTERIOR)
         rows_count = len(shortfall)
         slope.clear()
         slope[part.tobytes()] = jacobian[:, move] * scale[move]
-        found.note()
+        evaluated.note()
         if report is not None:
-            report("feasibility", found.violation[0])
+            report("feasibility", evaluated.violation[0])
         return shortfall
 
     def jacobian(part: Array) -> Array:
@@ -268,10 +268,10 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
     return _settle_auxiliary(program, full(result.x))
 
 
-def _shortfall(found: Evaluated, inside: float) -> tuple[Array, Array]:
+def _shortfall(evaluated: Evaluated, inside: float) -> tuple[Array, Array]:
     """Violation of rows that are to be `inside` by so many steps, and its derivative; of a limited vector, along it."""
     values, slopes = [], []
-    for group in found.groups:
+    for group in evaluated.groups:
         short = np.minimum(group.values - inside, 0.0)
         slope = group.jacobian * (short < 0)[:, None]
         if group.vector is not None:
@@ -286,8 +286,8 @@ def _shortfall(found: Evaluated, inside: float) -> tuple[Array, Array]:
             short = (short[:, None] * along).ravel()
         values.append(short)
         slopes.append(slope)
-    fixed = np.minimum(found.fixed[0] - inside, 0.0)
-    return np.concatenate([*values, fixed]), np.concatenate([*slopes, found.fixed[1] * (fixed < 0)[:, None]])
+    fixed = np.minimum(evaluated.fixed[0] - inside, 0.0)
+    return np.concatenate([*values, fixed]), np.concatenate([*slopes, evaluated.fixed[1] * (fixed < 0)[:, None]])
 
 
 def _settle_auxiliary(program: Program, x: Array) -> Array:
@@ -297,10 +297,10 @@ def _settle_auxiliary(program: Program, x: Array) -> Array:
     for name in names:
         column = program.layout.column(name)
         x[column] = program.upper[column] if KINDS[name].sign > 0 else program.lower[column]
-    found = evaluate(program, x) if names else None
-    if found is None:
+    evaluated = evaluate(program, x) if names else None
+    if evaluated is None:
         return x
-    values, slopes = found.fixed
+    values, slopes = evaluated.fixed
     for name in names:
         column = program.layout.column(name)
         mine = slopes[:, column] != 0
@@ -342,14 +342,14 @@ def improve(
 
     def values(x: Array) -> Values:
         """Objective and constraints at scaled unknowns x (k,), with derivatives; keeps the best feasible x."""
-        found = evaluate(program, x * scale)
-        if found is None:
+        evaluated = evaluate(program, x * scale)
+        if evaluated is None:
             return nowhere(count, len(x))
-        f, slope = found.objective
-        g, jacobian = found.rows(form, rows)
+        f, slope = evaluated.objective
+        g, jacobian = evaluated.rows(form, rows)
         if g.min(initial=0.0) >= -FEASIBLE and (not best or f < best[0][0]):
             best[:] = [(f, x * scale)]
-            found.note()
+            evaluated.note()
         # In units of the objective at the start, so that IPOPT's tolerance is relative.
         return Values(f / size, slope * scale / size, g, jacobian * scale)
 
@@ -498,9 +498,9 @@ def _through_cells(start: Attempt, report: Report | None) -> Attempt:
             slope = slopes[k] * program.scale
             step = -(lengths[k] + OPENED_SECTION / 1e-2) / float(slope @ slope)
             across = np.clip(best.x + step * slope * program.scale, program.lower, program.upper)
-            found = _in_cell(program, across, neighbour, report)
-            if found.feasible and found.objective < best.objective - ORDER_GAIN * max(abs(best.objective), 1e-3):
-                cell, best = neighbour, found
+            optimum = _in_cell(program, across, neighbour, report)
+            if optimum.feasible and optimum.objective < best.objective - ORDER_GAIN * max(abs(best.objective), 1e-3):
+                cell, best = neighbour, optimum
                 break
         else:
             break
@@ -513,11 +513,11 @@ def _in_cell(program: Program, start: Array, cell: Cell, report: Report | None) 
     def rows(state: State) -> tuple[Array, Array]:
         return cell_rows(state, cell)[:2]
 
-    found = improve(program, start, report, rows=rows)
-    if program.layout.free_poses or (found.optimum is not None and found.optimum.success):
-        return found
+    optimum = improve(program, start, report, rows=rows)
+    if program.layout.free_poses or (optimum.optimum is not None and optimum.optimum.success):
+        return optimum
     patient = improve(program, start, report, rows=rows, strategy="patient")
-    return min(found, patient, key=lambda end: (not end.feasible, end.objective))
+    return min(optimum, patient, key=lambda end: (not end.feasible, end.objective))
 
 
 # Random dimensions per start; only those whose tubes nest and fit become starts, which random diameters rarely do.

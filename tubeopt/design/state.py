@@ -370,12 +370,12 @@ def stroke_force(state: State, index: PoseNumber) -> tuple[float, Array]:
     free = _free_pieces(state)
     turn = state.pose(index).derivatives.tip_rotation @ state.chain(index)
     varied = [Varied(step, robots, turn[:, k]) for k, step, robots in free]
-    found = stroke_slopes(plain, names, STRONGEST, varied=varied)
-    if found is None:
+    slopes = stroke_slopes(plain, names, STRONGEST, varied=varied)
+    if slopes is None:
         # The value is capped at STRONGEST, and a capped value has no slope.
         return STRONGEST, np.zeros(state.layout.size)
     pieces = np.eye(state.layout.size)[state.free_pieces]
-    return found[0], found[1] @ np.concatenate([rows, pieces])
+    return slopes[0], slopes[1] @ np.concatenate([rows, pieces])
 
 
 class _UnloadedPose(NamedTuple):

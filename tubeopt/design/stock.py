@@ -127,28 +127,30 @@ def choose_from_stock(
     bounds = [_bound(with_sizes(task, sizes)) for sizes in choices]
     late = False
     order = np.argsort(bounds, kind="stable")
-    done: list[Candidate] = []
+    candidates: list[Candidate] = []
     with executor(workers) as pool:
         for k in range(0, len(order), workers):
-            best = sorted(_minimised(task, candidate) for candidate in done if candidate.robot is not None)
+            best = sorted(_minimised(task, candidate) for candidate in candidates if candidate.robot is not None)
             limit = best[keep - 1] if len(best) >= keep else np.inf
             batch = order[k : k + workers]
             late = late or time_left() == 0
             ended = [i for i in batch if late or bounds[i] >= limit]
-            done += [Candidate(choices[i], bounds[i], None, None, "out of time" if late else "pruned") for i in ended]
+            candidates += [
+                Candidate(choices[i], bounds[i], None, None, "out of time" if late else "pruned") for i in ended
+            ]
             tasks = [(with_sizes(task, choices[i]), choices[i], bounds[i]) for i in batch if i not in ended]
-            done += run_all(partial(_design, starts=starts), tasks, pool)
+            candidates += run_all(partial(_design, starts=starts), tasks, pool)
             if progress is not None:
-                progress(len(done), len(order))
-    designs = sorted((each for each in done if each.robot is not None), key=lambda each: _minimised(task, each))
+                progress(len(candidates), len(order))
+    designs = sorted((each for each in candidates if each.robot is not None), key=lambda each: _minimised(task, each))
     if not designs:
-        why = f"no design was found with any of {len(choices)} choices from stock: {done[0].status}"
+        why = f"no design was found with any of {len(choices)} choices from stock: {candidates[0].status}"
         raise TimeLimitError(f"{why}; the time limit was {time_limit:g} s") if late else SolveError(why)
-    rest = sorted(
-        (candidate for candidate in done if candidate.robot is None),
-        key=lambda one: one.status in ("pruned", "out of time"),
+    without_design = sorted(
+        (candidate for candidate in candidates if candidate.robot is None),
+        key=lambda candidate: candidate.status in ("pruned", "out of time"),
     )
-    return StockChoice((*designs, *rest))
+    return StockChoice((*designs, *without_design))
 
 
 def stock_choices(task: DesignTask, stock: Sequence[StockTube], clearance: float) -> list[tuple[StockTube, ...]]:
@@ -191,12 +193,12 @@ def _bound(task: DesignTask) -> float:
     """The best objective, as minimised, under the requirements on dimensions alone."""
     if key_of(task.objectives[0]) not in BOUNDED:
         return -np.inf
-    kept = tuple(
+    cheap = tuple(
         replace(r, in_poses=False) if isinstance(r, Strain) else r
         for r in task.requirements
         if isinstance(r, (*CHEAP, Strain))
     )
-    ranking = multistart(compile_task(replace(task, requirements=kept)), starts=1)
+    ranking = multistart(compile_task(replace(task, requirements=cheap)), starts=1)
     return ranking.designs[0].objective if ranking.designs else np.inf
 
 

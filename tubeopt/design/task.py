@@ -49,20 +49,20 @@ def ordered_places(
 ) -> tuple[Place, ...]:
     """Translations at which tubes must be in order: 0, which is then home, and those of requirements and objectives."""
     zero = (0.0,) * n_tubes
-    found = [Place("at translations 0", zero, zero)]
+    places = [Place("at translations 0", zero, zero)]
     for requirement in requirements:
         match requirement:
             case SnapFree(translations=rows, box=box):
-                found += [Place(f"at the certified translations {_mm(row)}", row, row) for row in rows or ()]
-                found += [] if box is None else [Place(f"in the certified box {_mm(box[0])} to {_mm(box[1])}", *box)]
+                places += [Place(f"at the certified translations {_mm(row)}", row, row) for row in rows or ()]
+                places += [] if box is None else [Place(f"in the certified box {_mm(box[0])} to {_mm(box[1])}", *box)]
             case Poses(translations=rows):
-                found += [Place(f"at the pose with translations {_mm(row)}", row, row) for row in dict.fromkeys(rows)]
+                places += [Place(f"at the pose with translations {_mm(row)}", row, row) for row in dict.fromkeys(rows)]
             case _:
                 pass
     for aim in objectives:
         if isinstance(aim, Objective) and aim.translations is not None:
-            found.append(Place(f"at the objective's translations {_mm(aim.translations)}", *(aim.translations,) * 2))
-    return tuple({(place.low, place.high): place for place in reversed(found)}.values())[::-1]
+            places.append(Place(f"at the objective's translations {_mm(aim.translations)}", *(aim.translations,) * 2))
+    return tuple({(place.low, place.high): place for place in reversed(places)}.values())[::-1]
 
 
 def order_distances(straight: Array, curved: Array, low: Array, high: Array) -> Array:
@@ -89,20 +89,20 @@ def worst_order(tubes: Sequence[Tube], places: Sequence[Place]) -> tuple[float, 
     )
 
 
-def check_order(places: Sequence[Place], least: dict[str, Array], most: dict[str, Array]) -> None:
+def check_order(places: Sequence[Place], shortest: dict[str, Array], longest: dict[str, Array]) -> None:
     """Raise InputError if no lengths within their bounds (n,) satisfy the order at places."""
     for place in places:
         lows = order_distances(
-            most["straight_length"], most["curved_length"], np.array(place.low), np.array(place.high)
+            longest["straight_length"], longest["curved_length"], np.array(place.low), np.array(place.high)
         )
         n = len(place.low)
         # The outer tube of a pair counts with its least length.
         for name, first in (("straight_length", 0), ("curved_length", n - 1)):
-            lows[first : first + n - 1] += most[name][1:] - least[name][1:]
-        distance, words = _worst(lows, place)
+            lows[first : first + n - 1] += longest[name][1:] - shortest[name][1:]
+        distance, clause = _worst(lows, place)
         if distance < -ORDER_SLACK:
             raise InputError(
-                f"{words}, whatever lengths are chosen; ordered=False (in a file: ordered: false) allows it"
+                f"{clause}, whatever lengths are chosen; ordered=False (in a file: ordered: false) allows it"
             )
 
 
@@ -235,24 +235,24 @@ class DesignTask(Displayed):
 def extreme_lengths(task: DesignTask, side: str) -> dict[str, Array]:
     """Smallest ("lower") or largest ("upper") straight and curved lengths (n,) within the bounds, m."""
     space = task.space
-    found = {
+    lengths = {
         field: np.array([getattr(tube, field) for tube in task.robot.tubes])
         for field in ("straight_length", "curved_length")
     }
     for unknown, bound in zip(space.unknowns, getattr(space, side), strict=True):
-        for i in unknown.tubes if unknown.field in found else ():
-            found[unknown.field][i] = float(bound) * (found[unknown.field][i] if unknown.scaled else 1.0)
-    return found
+        for i in unknown.tubes if unknown.field in lengths else ():
+            lengths[unknown.field][i] = float(bound) * (lengths[unknown.field][i] if unknown.scaled else 1.0)
+    return lengths
 
 
 def _advanced(task: DesignTask, name: str, row: Sequence[float]) -> None:
     _per_tube(name, row, task.robot.n_tubes)
-    least = extreme_lengths(task, "lower")["straight_length"].tolist()
-    for i, (shift, most) in enumerate(zip(row, least, strict=True)):
-        if shift > most + 1e-12:
+    straight = extreme_lengths(task, "lower")["straight_length"].tolist()
+    for i, (shift, max_shift) in enumerate(zip(row, straight, strict=True)):
+        if shift > max_shift + 1e-12:
             raise InputError(
                 f"translation of tube {i + 1} is {shift:g} m; it must be at most the lower "
-                f"bound of its straight length, {most:g} m"
+                f"bound of its straight length, {max_shift:g} m"
             )
 
 

@@ -106,8 +106,8 @@ def verify(
     pose_translations = [e.translations for e in equilibria]
     places = (*task.places, *(pose_places(pose_translations) if task.ordered else ()))
     if places:
-        distance, words = worst_order(robot.tubes, places)
-        checks.append(Check("order of the tubes", words, distance >= -ORDER_SLACK))
+        distance, clause = worst_order(robot.tubes, places)
+        checks.append(Check("order of the tubes", clause, distance >= -ORDER_SLACK))
     return Verification((*checks, *_check_targets(program, equilibria)))
 
 
@@ -127,39 +127,39 @@ def _checks_of(
             arms = {"margin at the task poses": equilibria}
             if requirement.deployed:
                 arms["margin during deployment to the task poses"] = deployments(robot, equilibria)
-            for words, some in arms.items():
+            for name, some in arms.items():
                 margin = min(e.margin for e in some)
-                yield Check(words, f"{margin:.4f}", margin >= limit - tolerance)
+                yield Check(name, f"{margin:.4f}", margin >= limit - tolerance)
             if requirement.paths and len(equilibria) > 1:
                 paths = motions(program, robot, x)
                 if any(path.snap is not None for path in paths):
                     yield Check("joint paths between the task poses", "a snap", False)
                 else:
                     margin = min(float(path.margin.min()) for path in paths)
-                    words = "margin on the joint paths between the task poses"
+                    name = "margin on the joint paths between the task poses"
                     # Exchange accepts margins down to one tolerance; the second one covers round-off.
-                    yield Check(words, f"{margin:.4f}", margin >= limit - 2 * tolerance)
+                    yield Check(name, f"{margin:.4f}", margin >= limit - 2 * tolerance)
         case Strain(limits=limits):
             strain = largest_strain(requirement, robot, equilibria)
             worst = int(np.argmax(strain / np.array(limits)))
             posed = requirement.in_poses and bool(equilibria)
             where = ["straightened"] * requirement.straightened + ["at the task poses"] * posed
-            kept = bool((strain <= np.array(limits) * (1 + RELATIVE_TOLERANCE)).all())
-            words = f"largest strain {' and '.join(where)}, in tube {worst + 1}"
-            yield Check(words, f"{strain[worst] * 100:.4f} %", kept)
+            satisfied = bool((strain <= np.array(limits) * (1 + RELATIVE_TOLERANCE)).all())
+            name = f"largest strain {' and '.join(where)}, in tube {worst + 1}"
+            yield Check(name, f"{strain[worst] * 100:.4f} %", satisfied)
         case Wall(thickness=limit):
             wall = min((tube.outer_diameter - tube.inner_diameter) / 2 for tube in robot.tubes)
             yield Check("smallest wall thickness", _mm(wall), wall >= limit * (1 - RELATIVE_TOLERANCE))
         case Nesting(clearance=limit) if robot.n_tubes > 1:
             clearance = min(outer.inner_diameter - inner.outer_diameter for inner, outer in pairwise(robot.tubes))
             # An absolute tolerance, 1 nm: the limit may be 0, and a fraction of it would allow nothing.
-            kept = clearance >= limit - 1e-3 * TOLERANCE
-            yield Check("least clearance of the diameters", _mm(clearance), kept)
+            satisfied = clearance >= limit - 1e-3 * TOLERANCE
+            yield Check("least clearance of the diameters", _mm(clearance), satisfied)
         case Length(field=field, tube=i, limit=limit, least=at_least):
             length = getattr(robot.tubes[i], field)
             below, above = limit * (1 - RELATIVE_TOLERANCE), limit * (1 + RELATIVE_TOLERANCE)
-            kept = length >= below if at_least else length <= above
-            yield Check(f"{field.replace('_', ' ')} of tube {i + 1}", _mm(length), kept)
+            satisfied = length >= below if at_least else length <= above
+            yield Check(f"{field.replace('_', ' ')} of tube {i + 1}", _mm(length), satisfied)
         case Stroke(limit=limit) if equilibria:
             travel = float(np.ptp([e.translations for e in equilibria], axis=0).max())
             yield Check("longest travel of a carriage", _mm(travel), travel <= limit * (1 + RELATIVE_TOLERANCE))
@@ -186,8 +186,8 @@ def _check_certificate(program: Program, robot: ConcentricRobot, requirement: Sn
     # Growth 1 means no errors; a tube that is not even has no single curvature to change.
     if requirement.growth > 1 and all(tube.even for tube in robot.tubes):
         worst = _smallest_with_errors(robot, requirement, translations)
-        words = f"least certificate of {PERTURBED_ROBOTS} robots with random errors of their tubes"
-        yield Check(words, f"{worst:.5f}", worst >= requirement.margin - requirement.tolerance - TOLERANCE)
+        name = f"least certificate of {PERTURBED_ROBOTS} robots with random errors of their tubes"
+        yield Check(name, f"{worst:.5f}", worst >= requirement.margin - requirement.tolerance - TOLERANCE)
     searched = np.argsort(certificates)[:SEARCHED_TRANSLATIONS]
     for k in searched:
         try:
@@ -195,14 +195,14 @@ def _check_certificate(program: Program, robot: ConcentricRobot, requirement: Sn
         except SolveError:
             margin = 0.0  # a fold
         where = ", ".join(f"{d * 1e3:.4g}" for d in translations[k])
-        words = f"least margin that search finds at translations {where} mm"
+        name = f"least margin that search finds at translations {where} mm"
         # The certificate is a lower bound: an equilibrium with less margin refutes it.
-        yield Check(words, f"{margin:.4f}", margin >= certificates[k] - TOLERANCE)
+        yield Check(name, f"{margin:.4f}", margin >= certificates[k] - TOLERANCE)
     # Only a positive margin excludes snaps.
     if requirement.margin > 0:
         snaps = sum(count_snaps(robot, turns, 10 + int(k), translations[k])[0] for k in searched)
-        words = f"snaps in {turns * len(searched)} random full turns forth and back"
-        yield Check(words, str(snaps), snaps == 0)
+        name = f"snaps in {turns * len(searched)} random full turns forth and back"
+        yield Check(name, str(snaps), snaps == 0)
 
 
 def _smallest_with_errors(robot: ConcentricRobot, requirement: SnapFree, translations: list[Array]) -> float:
@@ -234,9 +234,9 @@ def _check_targets(program: Program, equilibria: tuple[Equilibrium, ...]) -> Ite
         tolerance = np.array([target.tolerance for target in targets])
         distance = np.linalg.norm([e.tip_position for e in poses] - np.array(positions), axis=1)
         worst = int(np.argmax(distance / tolerance))
-        words = f"largest distance of the tip from {len(positions)} targets"
-        kept = bool(distance[worst] <= (1 + UNREACHED) * tolerance[worst])
-        yield Check(words, f"{distance[worst] * 1e3:.4f} mm", kept)
+        name = f"largest distance of the tip from {len(positions)} targets"
+        satisfied = bool(distance[worst] <= (1 + UNREACHED) * tolerance[worst])
+        yield Check(name, f"{distance[worst] * 1e3:.4f} mm", satisfied)
         if isinstance(requirement, Coverage):
             continue
         for k, (target, pose) in enumerate(zip(requirement.targets, poses, strict=True)):
@@ -244,8 +244,8 @@ def _check_targets(program: Program, equilibria: tuple[Equilibrium, ...]) -> Ite
                 # Clipped: beyond 1 by round-off, arccos is NaN.
                 cosine = np.clip(pose.tip_rotation[:, 2] @ np.array(target.direction), -1, 1)
                 angle = float(np.arccos(cosine))
-                kept = angle <= target.direction_tolerance + TOLERANCE
-                yield Check(f"direction at target {k + 1}", f"{np.degrees(angle):.3f} deg off", kept)
+                satisfied = angle <= target.direction_tolerance + TOLERANCE
+                yield Check(f"direction at target {k + 1}", f"{np.degrees(angle):.3f} deg off", satisfied)
 
 
 def solve_again(program: Program, robot: ConcentricRobot, x: Array) -> tuple[Equilibrium, ...]:
