@@ -130,8 +130,8 @@ class Track:
             more, lost = prove_branch(self.verifier, split)
         except BranchEndsError:  # a contradiction to the proved branch
             return replace(self, whole=False)
-        kept = [link for k, link in enumerate(self.links) if k not in moving]
-        links = sorted([*kept, *more], key=lambda link: link.start.at)
+        unchanged = [link for k, link in enumerate(self.links) if k not in moving]
+        links = sorted([*unchanged, *more], key=lambda link: link.start.at)
         return replace(self, links=tuple(links), whole=self.whole and not lost)
 
 
@@ -228,40 +228,40 @@ class PairProof(Displayed):
     bounds: Array = field(repr=False)
     """(M,) lower bounds in these intervals, m; sharp only where they decide about the clearance or the minimum."""
 
-    def at_least(self, begin: Array, end: Array) -> Array:
+    def at_least(self, start: Array, end: Array) -> Array:
         """(T,) lower bounds on the distance between times (T,) and later ones (T,), s; outside both arms rest."""
-        most = len(self.bounds) - 1
-        first = np.clip(np.searchsorted(self.times, begin, "right") - 1, 0, most)
-        last = np.clip(np.searchsorted(self.times, end, "left") - 1, 0, most)
+        last_interval = len(self.bounds) - 1
+        first = np.clip(np.searchsorted(self.times, start, "right") - 1, 0, last_interval)
+        last = np.clip(np.searchsorted(self.times, end, "left") - 1, 0, last_interval)
         return np.array([self.bounds[a : max(a, b) + 1].min() for a, b in zip(first, last, strict=True)])
 
 
 def apart(
-    arms: tuple[int, int], tracks: tuple[Track, Track], target: ClearanceTarget, most: float = np.inf
+    arms: tuple[int, int], tracks: tuple[Track, Track], target: ClearanceTarget, max_distance: float = np.inf
 ) -> PairProof:
     """Lower bound on the distance between the surfaces of two arms, sharp where it is smallest.
 
     `most`: distance of parts that do not move, m, which no bound exceeds.
     """
-    one, other = tracks
+    first, second = tracks
     measured, when = np.inf, 0.0
     for _ in range(MOST_ROUNDS):
-        times = np.union1d(one.times, other.times)
+        times = np.union1d(first.times, second.times)
         times = times if len(times) > 1 else np.repeat(times, 2)
-        rounds = _bounds((one, other), times, target, measured)
+        rounds = _bounds((first, second), times, target, measured)
         bound = rounds.bound
         if rounds.measured < measured:
             measured, when = rounds.measured, rounds.when
         short = np.flatnonzero(bound < target.threshold(measured))
-        over = one.verifier.exhausted or other.verifier.exhausted
+        over = first.verifier.exhausted or second.verifier.exhausted
         # A measured distance below the clearance refutes it, and no sharper bound is necessary.
-        if not len(short) or over or not (one.whole and other.whole) or measured < target.clearance:
+        if not len(short) or over or not (first.whole and second.whole) or measured < target.clearance:
             break
-        one, other = (track.finer(side[short]) for track, side in zip((one, other), rounds.links, strict=True))
-    if not (one.whole and other.whole):
+        first, second = (track.finer(side[short]) for track, side in zip((first, second), rounds.links, strict=True))
+    if not (first.whole and second.whole):
         bound = np.full(len(bound), -np.inf)
-    bound = np.minimum(bound, most)
-    return PairProof(arms, float(bound.min()), min(float(measured), most), float(when), times, bound)
+    bound = np.minimum(bound, max_distance)
+    return PairProof(arms, float(bound.min()), min(float(measured), max_distance), float(when), times, bound)
 
 
 class _Distances(NamedTuple):
@@ -307,11 +307,11 @@ def _bounds(tracks: tuple[Track, Track], times: Array, target: ClearanceTarget, 
         threshold = target.threshold(closest)
         lost = surface - error - low
         # Beyond the maximum number of cells all are taken as they are: less sharp, but still a bound.
-        done = (low >= threshold) | (lost <= SHARE * max(closest - threshold, 0.0)) | (total > target.cells)
-        np.minimum.at(bound, cells.which[done], low[done])
+        decided = (low >= threshold) | (lost <= SHARE * max(closest - threshold, 0.0)) | (total > target.cells)
+        np.minimum.at(bound, cells.which[decided], low[decided])
         # sqrt(d^2 - q / 4) = d - q / (8 d) to first order: halve in the direction that weakens the bound most.
         weakening = squares / (8 * np.maximum(nearest, 1e-6)) + np.concatenate([sagitta, np.zeros((1, len(cells)))])
-        cells = cells[~done].halved(tracks, weakening[:, ~done].argmax(0))
+        cells = cells[~decided].halved(tracks, weakening[:, ~decided].argmax(0))
     return _Distances(bound, links, closest, when)
 
 
@@ -449,9 +449,9 @@ def plate_of(arm: PlacedRobot) -> Sphere:
     return Sphere((x, y, z), float(Constants.of(arm.robot).radius.max()))
 
 
-def between_plates(one: PlacedRobot, other: PlacedRobot) -> float:
+def between_plates(first: PlacedRobot, second: PlacedRobot) -> float:
     """Distance of the spheres `plate_of` two arms, m."""
-    a, b = plate_of(one), plate_of(other)
+    a, b = plate_of(first), plate_of(second)
     return float(np.linalg.norm(np.subtract(a.centre, b.centre))) - a.radius - b.radius
 
 
@@ -513,19 +513,19 @@ def verify_arms(
     bodies = checked_obstacles(obstacles)
     plates = [plate_of(arm) for arm in known]
     proofs, tracks = [], []
-    for k, (arm, motion, begin) in enumerate(zip(known, motions, begins, strict=True)):
-        others = [plate for j, plate in enumerate(plates) if j != k]
+    for k, (arm, motion, start) in enumerate(zip(known, motions, begins, strict=True)):
+        other_plates = [plate for j, plate in enumerate(plates) if j != k]
         with of_arm(known, k):
             motion = _checked(motion)
             joints = motion.rotations, motion.translations
-            first = begin or forward_kinematics(arm.robot, *(part[0] for part in joints))
+            first = start or forward_kinematics(arm.robot, *(part[0] for part in joints))
             proofs.append(
                 verify_trajectory(
                     arm.robot,
                     motion.time,
                     *joints,
                     start=first,
-                    obstacles=bodies_in_frame(arm.base, [*bodies, *others]),
+                    obstacles=bodies_in_frame(arm.base, [*bodies, *other_plates]),
                     min_margin=min_margin,
                     clearance=clearance,
                     rate_limits=rate_limits,
@@ -540,8 +540,8 @@ def verify_arms(
     pairs = []
     for i, j in combinations(range(len(known)), 2):
         target = ClearanceTarget(clearance, ACCURACY, MOST_CELLS)
-        most = between_plates(known[i], known[j])
-        pairs.append(apart((i, j), (tracks[i], tracks[j]), target, most))
+        max_distance = between_plates(known[i], known[j])
+        pairs.append(apart((i, j), (tracks[i], tracks[j]), target, max_distance))
         faults += _pair_faults(known, pairs[-1], clearance)
     return ArmsProof(tuple(proofs), tuple(pairs), tuple(faults))
 
@@ -569,16 +569,16 @@ def _checked(motion: TimedMotion) -> _Motion:
 
 def _pair_faults(arms: Sequence[PlacedRobot], proof: PairProof, clearance: float) -> list[str]:
     """Violated or unproved clearance of two arms, as text."""
-    words = " and ".join(called(arms, k) for k in proof.arms)
+    names = " and ".join(called(arms, k) for k in proof.arms)
     if proof.measured_clearance < clearance:
         return [
-            f"{words} {CLOSE} {proof.measured_clearance * 1e3:.4g} mm at {proof.when:.4g} s; they must keep "
+            f"{names} {CLOSE} {proof.measured_clearance * 1e3:.4g} mm at {proof.when:.4g} s; they must keep "
             f"{clearance * 1e3:.6g} mm"
         ]
     if proof.least_clearance == -math.inf:
-        return [f"not proved: no bound of the distance of {words} at all times"]
+        return [f"not proved: no bound of the distance of {names} at all times"]
     if proof.least_clearance < clearance:
-        bound = f"a distance of {proof.least_clearance * 1e3:.4g} mm is proved for {words}"
+        bound = f"a distance of {proof.least_clearance * 1e3:.4g} mm is proved for {names}"
         return [f"not proved: {bound}; the required clearance is {clearance * 1e3:.6g} mm"]
     return []
 
@@ -636,5 +636,5 @@ class Lines(Table):
 
     def distances(self, other: Lines) -> Array:
         """(T,) distances between the surfaces of two arms at the same instants, m."""
-        both = zip(self.points, self.radius, other.points, other.radius, strict=True)
-        return np.array([(scipy.spatial.distance.cdist(a, b) - r[:, None] - q).min() for a, r, b, q in both])
+        pairs = zip(self.points, self.radius, other.points, other.radius, strict=True)
+        return np.array([(scipy.spatial.distance.cdist(a, b) - r[:, None] - q).min() for a, r, b, q in pairs])

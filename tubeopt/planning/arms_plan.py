@@ -123,7 +123,7 @@ class ArmsPlan(Displayed):
         """(T, P) distances of the P pairs of arms at times (T,), m."""
         t = np.asarray(times, dtype=float)
         lines = [_moving(arm, each).at_times(t) for arm, each in zip(self.arms, self.trajectories, strict=True)]
-        return np.stack([one.distances(other) for one, other in combinations(lines, 2)], axis=1)
+        return np.stack([first.distances(second) for first, second in combinations(lines, 2)], axis=1)
 
 
 @typed
@@ -182,12 +182,12 @@ def plan_arms(
 
     def planned(k: int, ends: Sequence[Equilibrium], limit: float, withdrawn: bool) -> Trajectory:
         arm = known[k]
-        others: list[Obstacle] = []
+        resting: list[Obstacle] = []
         for j, end in enumerate(ends):
             if j != k:
-                others += [plate_of(known[j]), *at_rest(end, known[j].base, REST_CHORD)]
+                resting += [plate_of(known[j]), *at_rest(end, known[j].base, REST_CHORD)]
         arguments: dict[str, Any] = {
-            "obstacles": bodies_in_frame(arm.base, [*bodies, *others]),
+            "obstacles": bodies_in_frame(arm.base, [*bodies, *resting]),
             "min_margin": min_margin,
             "rate_limits": rate_limits,
             "options": replace(options, time_limit=limit),
@@ -269,11 +269,11 @@ def _moves(
         SolveError: an arm does not reach its goal. An arm that cannot retract remains in place.
     """
     ends, moves = list(first), list[Move]()
-    for done, (k, withdrawn) in enumerate(sequence):
+    for count, (k, withdrawn) in enumerate(sequence):
         try:
             if limit.over:
                 raise SolveError("the time limit was reached")
-            moves.append(Move(k, planned(k, ends, limit.left / (len(sequence) - done), withdrawn)))
+            moves.append(Move(k, planned(k, ends, limit.left / (len(sequence) - count), withdrawn)))
         except SolveError as error:
             if withdrawn:
                 continue
@@ -308,8 +308,8 @@ def _overlapped(
         for (k, motion), line in zip(moves, lines, strict=True):
             earliest, latest = float(whole[k].time[-1]), max(float(each.time[-1]) for each in whole)
             delays = np.linspace(earliest, latest, DELAYS)[:-1].tolist() if np.isfinite(reserve) else []
-            others = [each for j, each in enumerate(whole) if j != k]
-            valid = (at for at in delays if _clear(line.later(at), others, at, clearance + reserve))
+            other_lines = [each for j, each in enumerate(whole) if j != k]
+            valid = (at for at in delays if _clear(line.later(at), other_lines, at, clearance + reserve))
             at = next(valid, latest)
             whole[k] = Lines.concatenated([whole[k], line.later(at)])  # with rest in between
             parts[k].append(replace(motion, time=motion.time + at))
@@ -321,15 +321,15 @@ def _moving(arm: PlacedRobot, motion: Trajectory) -> Lines:
     return replace(Lines.of(motion.arms, POINTS, arm.base), time=motion.time)
 
 
-def _clear(line: Lines, others: Sequence[Lines], since: float, distance: float) -> bool:
+def _clear(line: Lines, lines: Sequence[Lines], since: float, distance: float) -> bool:
     """True if an arm that starts at a time keeps a distance from the others until they rest.
 
     After that they are at rest, as in its plan.
     """
-    for other in others:
-        if other.time[-1] > since:
-            times = np.linspace(since, other.time[-1], INSTANTS)
-            if line.at_times(times).distances(other.at_times(times)).min() < distance:
+    for obstacle_line in lines:
+        if obstacle_line.time[-1] > since:
+            times = np.linspace(since, obstacle_line.time[-1], INSTANTS)
+            if line.at_times(times).distances(obstacle_line.at_times(times)).min() < distance:
                 return False
     return True
 

@@ -321,12 +321,12 @@ class _Bounds:
 
     def _at_rest(self) -> _Bounds:
         """Bounds with sections, transmissions and compliances that do not change with time."""
-        other = copy(self)
-        other.long, other.transmission, other.ease = (
+        resting = copy(self)
+        resting.long, resting.transmission, resting.ease = (
             DerivativeBounds(bounds.v, np.zeros_like(bounds.v), np.zeros_like(bounds.v))
             for bounds in (self.long, self.transmission, self.ease)
         )
-        return other
+        return resting
 
     def chord_error(self, dtheta: AngleChange, error: Array) -> Array:
         """(B, K) bound on the distance of a point from the straight line between its positions at both ends, m.

@@ -113,14 +113,14 @@ def least_miss(task: PlanTask, position: Array, clock: Clock | None = None) -> f
     space = task.chart.space
     target = (position, None)
     known = nearest_starts(space, known_starts(space, clock), target, min_margin=0.0, reference=None)
-    least = np.inf
+    smallest = np.inf
     for q in spread_starts(space, known, STARTS, first=STARTS // 2):
         if clock is not None and clock.over:
             return 0.0
-        least = min(least, _closest(task, q, position))
-        if least <= NEAR * space.length:
+        smallest = min(smallest, _closest(task, q, position))
+        if smallest <= NEAR * space.length:
             return 0.0
-    return float(least) if np.isfinite(least) else 0.0
+    return float(smallest) if np.isfinite(smallest) else 0.0
 
 
 def _closest(task: PlanTask, start: Array, position: Array) -> float:
@@ -390,7 +390,7 @@ def other_ends(
         end
         for e in good
         for end in _turned(task, e, start.rotations, modulo_turns)
-        if all(np.abs((end.point - other.point) / task.scale).max() > SAME_END for other in known)
+        if all(np.abs((end.point - known_end.point) / task.scale).max() > SAME_END for known_end in known)
     ]
     return _nearest(task, start, fresh)
 
@@ -546,8 +546,8 @@ def _options(task: PlanTask, seconds: float) -> InverseOptions:
 
 
 def _in_range(space: JointSpace, name: str, rotations: Array, translations: Array) -> None:
-    if words := space.outside(space.join(rotations, translations, name), ROUNDED):
-        raise InputError(f"{name} is out of range: {words}")
+    if message := space.outside(space.join(rotations, translations, name), ROUNDED):
+        raise InputError(f"{name} is out of range: {message}")
 
 
 def _fault(task: PlanTask, name: str, e: Equilibrium) -> str:
@@ -574,9 +574,9 @@ def _turned(task: PlanTask, e: Equilibrium, start: Array, modulo: bool) -> list[
     ranges = []
     for i in range(n):
         # 1e-6 of a turn keeps rotations at the very edge of the limits.
-        least = int(np.ceil((space.lower[i] - e.rotations[i]) / (2 * np.pi) - 1e-6))
-        most = int(np.floor((space.upper[i] - e.rotations[i]) / (2 * np.pi) + 1e-6))
-        ranges.append(range(least, most + 1))
+        first = int(np.ceil((space.lower[i] - e.rotations[i]) / (2 * np.pi) - 1e-6))
+        last = int(np.floor((space.upper[i] - e.rotations[i]) / (2 * np.pi) + 1e-6))
+        ranges.append(range(first, last + 1))
     _in_range(space, "goal", np.clip(e.rotations, space.lower[:n], space.upper[:n]), e.translations)
     # In wide ranges only the turns nearest to the start: there are many others, farther away.
     near = []

@@ -267,8 +267,8 @@ class _Bounds:
         twist_tt = self._twist(DerivativeBounds(torque, c.torque, np.zeros_like(c.torque))).dd
         # A parabola is steeper than its chord by at most half of its second derivative.
         theta = DerivativeBounds(np.ones_like(twist_tt), c.angle[0] + twist_tt / 2, twist_tt)
-        both = pair_differences(twist_tt)
-        pair = DerivativeBounds(np.ones_like(both), c.angle[1] + both / 2, both)
+        differences = pair_differences(twist_tt)
+        pair = DerivativeBounds(np.ones_like(differences), c.angle[1] + differences / 2, differences)
         u = self._bend(theta, DerivativeBounds(self.lever, c.moment, np.zeros_like(c.moment)))
         w = np.cumsum(u.d, axis=1)
         tangent = rotating_tangent(w, np.cumsum(w * u.d + u.dd, axis=1))
@@ -433,7 +433,7 @@ class _Bounds:
         if self.transport.still:
             return np.zeros(()), np.zeros(())
         c, stretch = self.intervals.arms.constants, self.intervals.stretch
-        kb, kt = (c.largest(most, stretch) for most in c.bounds.stiffest)
+        kb, kt = (c.largest(stiffness, stretch) for stiffness in c.bounds.stiffest)
         # Half of the time; and d sqrt(f) = df / (2 sqrt(f)), with the smallest f.
         bending = self.transport.bending_compliance.d * np.sqrt(kb.sum(-1)) / 4
         return self.transport.ease.d * np.sqrt(kt) / 4, bending
@@ -486,9 +486,9 @@ class _TimeDerivatives:
         return DerivativeBounds(*getattr(self, name))
 
 
-def _square_over(change: Array, least: Array) -> Array:
+def _square_over(change: Array, lower: Array) -> Array:
     """change^2 / least, and 0 where nothing changes, even if `least` is 0."""
-    return np.asarray(change**2 / np.maximum(least, 1e-300))
+    return np.asarray(change**2 / np.maximum(lower, 1e-300))
 
 
 def _to_tip(bound: Array) -> Array:

@@ -282,12 +282,12 @@ class LoadedArms(Arms):
         """(E,) bound on the moment of the load on the bundle, N m."""
         length, p = self.ends.max(1), self.pull
         force, moment = (np.linalg.norm(p.points[:, k], axis=1) for k in (FORCE, MOMENT))
-        begin, end = (np.minimum(each, length[:, None]) for each in p.stretches.T[:, None])
+        start, end = (np.minimum(each, length[:, None]) for each in p.stretches.T[:, None])
         per_length, couple = (np.linalg.norm(p.along[:, k], axis=1) for k in (FORCE, MOMENT))
         # However an arm is bent, a force at s has a lever of at most s; a weight over all of it has L^2 / 2.
         out = np.minimum(p.at, length[:, None]) @ force + moment.sum()
         out += length**2 / 2 * np.linalg.norm(p.weight, axis=1).sum()
-        return np.asarray(out + (end**2 - begin**2) @ per_length / 2 + (end - begin) @ couple)
+        return np.asarray(out + (end**2 - start**2) @ per_length / 2 + (end - start) @ couple)
 
 
 @dataclass(frozen=True, eq=False)

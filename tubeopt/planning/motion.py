@@ -139,8 +139,8 @@ class JointMotion:
             return np.zeros(1), self.curve(np.zeros(1))
         coarse = self.curve(np.linspace(0, self.duration, 40 * len(self.time)))
         change = np.abs(np.diff(coarse / scale, axis=0)).max() * len(coarse)
-        least = MIN_SAMPLES_OF_TIP if self.tip_limited else MIN_SAMPLES
-        count = int(np.clip(np.ceil(change / SAMPLE_STEP), least, MAX_SAMPLES))
+        min_count = MIN_SAMPLES_OF_TIP if self.tip_limited else MIN_SAMPLES
+        count = int(np.clip(np.ceil(change / SAMPLE_STEP), min_count, MAX_SAMPLES))
         time = np.linspace(0, self.duration, count + 1)
         return time, self.curve(time)
 
@@ -196,9 +196,9 @@ def too_fast(space: JointSpace, rates: Sequence[tuple[Array, Array]], tip_rate: 
     n = space.robot.n_tubes
     units = ((180 / np.pi, "deg/s"), (1e3, "mm/s")), ((180 / np.pi, "deg/s^2"), (1e3, "mm/s^2"))
     for order, limit in enumerate(limits.of(space)):
-        most = np.concatenate([limit[:n], (space.spread @ np.append(np.zeros(n), limit[n:]))[n:]])
+        max_rate = np.concatenate([limit[:n], (space.spread @ np.append(np.zeros(n), limit[n:]))[n:]])
         for kind, what in enumerate(("rotation", "translation")):
-            own, allowed = rates[kind][order], most[kind * n : kind * n + n]
+            own, allowed = rates[kind][order], max_rate[kind * n : kind * n + n]
             i = int(np.argmax(own / allowed))
             factor, unit = units[order][kind]
             if own[i] > allowed[i] * (1 + 1e-3 * order + SLACK):

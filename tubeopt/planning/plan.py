@@ -118,8 +118,8 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[Cand
     resting = stopping_at(curves, limits)
     candidates = list[Candidate]()
     scanned = aim == "length" and extra is None and any(isinstance(body, DistanceField) for body in task.obstacles)
-    most = SCANNED_SECONDS * clock.parallel_slowdown if scanned else task.options.smoothing_seconds
-    own = Clock(min(most, SMOOTHING_SHARE * clock.left), clock)
+    max_seconds = SCANNED_SECONDS * clock.parallel_slowdown if scanned else task.options.smoothing_seconds
+    own = Clock(min(max_seconds, SMOOTHING_SHARE * clock.left), clock)
     for name in ("length", "time") if aim == "time" else (aim,):
         if aim == "none" or own.left < LEAST_SMOOTHING or not _worth_smoothing(task, curves):
             break
@@ -131,9 +131,9 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[Cand
             motion = best.motion if name == "effort" else rounder or at_full_speed(best.motion, limits)
             candidates.append(Candidate(motion, name, best.iterations, len(best.points)))
     if aim in ("length", "time") and extra is None:
-        rest = Clock(min(ROUNDING_SECONDS * clock.parallel_slowdown, ROUNDING_SHARE * clock.left), clock)
+        remaining = Clock(min(ROUNDING_SECONDS * clock.parallel_slowdown, ROUNDING_SHARE * clock.left), clock)
         joints = np.concatenate(curves)
-        if len(curves) > 1 and (corners := _rounded(task, first, joints, points[-1], limits, rest)) is not None:
+        if len(curves) > 1 and (corners := _rounded(task, first, joints, points[-1], limits, remaining)) is not None:
             candidates.append(Candidate(corners, "corners", 0, len(points)))
         if aim == "time":
             candidates = [each for each in candidates if each.motion.duration <= resting.duration]
@@ -196,9 +196,9 @@ def build(
     table = np.array([space.joint(row) for row in q])
     table[0] = [*first.rotations, *first.translations]
     n = space.robot.n_tubes
-    least, clearance = task.min_margin - 1e-6, task.clearance - task.reserve
-    kept = Kept(task.obstacles, least, clearance, rates, space.limits, task.max_force)
-    proof = proved(first, t, table, kept, clock)
+    margin, clearance = task.min_margin - 1e-6, task.clearance - task.reserve
+    requirements = Kept(task.obstacles, margin, clearance, rates, space.limits, task.max_force)
+    proof = proved(first, t, table, requirements, clock)
     if not (proof.holds or proof.open):
         overspeed = 1.0 if rates.tip is None else proof.largest_tip_rate / rates.tip
         if 1 < overspeed < MAX_OVERSPEED and len(proof.faults) == 1:
@@ -382,51 +382,53 @@ def _search(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], see
     postures = of_the_tip(goal) and left > POSTURES_SECONDS
     start = task.chart.of(first)
     if options.roadmap is not None:
-        way = options.roadmap.shortest_path(task, start, [end.point for end in goals], Clock(ROADMAP_SHARE * left))
-        if way.points is None and len(goals) < ENOUGH_ENDS and of_the_tip(goal):
+        path = options.roadmap.shortest_path(task, start, [end.point for end in goals], Clock(ROADMAP_SHARE * left))
+        if path.points is None and len(goals) < ENOUGH_ENDS and of_the_tip(goal):
             goals = asked_ends(task, first, goal, ENOUGH_ENDS)
             task = _between(task, first, goals)
-            rest = Clock(ROADMAP_SHARE * max(0.0, left - clock.seconds))
-            way = options.roadmap.shortest_path(task, start, [end.point for end in goals], rest)
-        if way.points is not None:
-            return _Search(task, goals, way)
+            remaining = Clock(ROADMAP_SHARE * max(0.0, left - clock.seconds))
+            path = options.roadmap.shortest_path(task, start, [end.point for end in goals], remaining)
+        if path.points is not None:
+            return _Search(task, goals, path)
         left = max(0.0, until - clock.seconds)
     search = Clock(NEAREST_SHARE * left if postures else left)
     find = partial(find_path, how=options.search, improving=options.search_seconds)
-    way = find(task, start, [end.point for end in goals], search, seed=seed)
-    if way.impossible and (of_the_tip(goal) or len(goals) == MOST_ENDS or task.chart.load is not None):
-        way = replace(way, impossible=False, why=f"{way.why} (for the tried configurations; others may meet the goal)")
-    if way.points is not None or not postures:
-        return _Search(task, goals, way)
-    rest = Clock(left - search.seconds)
-    more = other_ends(task, first, goal, goals, rest.part(0.5), modulo_turns=options.modulo_turns)
+    path = find(task, start, [end.point for end in goals], search, seed=seed)
+    if path.impossible and (of_the_tip(goal) or len(goals) == MOST_ENDS or task.chart.load is not None):
+        path = replace(
+            path, impossible=False, why=f"{path.why} (for the tried configurations; others may meet the goal)"
+        )
+    if path.points is not None or not postures:
+        return _Search(task, goals, path)
+    remaining = Clock(left - search.seconds)
+    more = other_ends(task, first, goal, goals, remaining.part(0.5), modulo_turns=options.modulo_turns)
     goals = [*goals, *more]
     task = _between(task, first, goals)
-    again = find(task, start, [end.point for end in more or goals], rest, seed=seed + 1)
-    return _Search(task, goals, replace(again, motions=way.motions + again.motions, impossible=False))
+    second = find(task, start, [end.point for end in more or goals], remaining, seed=seed + 1)
+    return _Search(task, goals, replace(second, motions=path.motions + second.motions, impossible=False))
 
 
-def _smooth_and_prove(task: PlanTask, first: Equilibrium, end: End, way: FoundPath) -> Trajectory | Faults:
+def _smooth_and_prove(task: PlanTask, first: Equilibrium, end: End, path: FoundPath) -> Trajectory | Faults:
     """Trajectory along a path: the first provable motion of `motions_near`; the faults of the last if there is none."""
-    assert way.points is not None
+    assert path.points is not None
     clock = task.clock
     searched = clock.seconds
     try:
         # The path of a roadmap is the shortest there: without smoothing, only unnecessary corners are left out.
-        if way.how == "roadmap" and task.options.objective == "none":
-            points = without_corners(task, way.points)
+        if path.how == "roadmap" and task.options.objective == "none":
+            points = without_corners(task, path.points)
         else:
             cut = Clock(min(SHORTEN_SECONDS, SHORTEN_SHARE * clock.left))
-            points = shorten(task, way.points, cut, seed=task.options.seed)
-        raw = task.length(way.points)
+            points = shorten(task, path.points, cut, seed=task.options.seed)
+        raw = task.length(path.points)
         motions = motions_near(task, first, points)
     except LateError:
         return (no_time(clock),)
     smoothed = clock.seconds
     faults: Faults = ()
     for candidate in motions:
-        numbers = (way.motions, raw, 0.0, candidate.iterations, candidate.knots, searched, smoothed - searched)
-        statistics = PlanStatistics(way.how, candidate.smoothed_for, *numbers)
+        numbers = (path.motions, raw, 0.0, candidate.iterations, candidate.knots, searched, smoothed - searched)
+        statistics = PlanStatistics(path.how, candidate.smoothed_for, *numbers)
         result = build(task, first, end, candidate.motion, statistics)
         if isinstance(result, Trajectory):
             return result
@@ -434,24 +436,24 @@ def _smooth_and_prove(task: PlanTask, first: Equilibrium, end: End, way: FoundPa
     return faults
 
 
-def _search_error(task: PlanTask, first: Equilibrium, goals: Sequence[End], way: FoundPath) -> SolveError:
+def _search_error(task: PlanTask, first: Equilibrium, goals: Sequence[End], path: FoundPath) -> SolveError:
     """Error after a search without a path, with the partial trajectory that comes closest to the goal."""
     clock = task.clock
-    if way.impossible:
-        return SolveError(f"no plan exists: {way.why}")
+    if path.impossible:
+        return SolveError(f"no plan exists: {path.why}")
     partial, distance = None, float("nan")
-    if way.closest is not None and len(way.closest) > 1:
-        distance = min(float(np.linalg.norm((way.closest[-1] - each.point) / task.scale)) for each in goals)
-        points, motion = way.closest, None
+    if path.closest is not None and len(path.closest) > 1:
+        distance = min(float(np.linalg.norm((path.closest[-1] - each.point) / task.scale)) for each in goals)
+        points, motion = path.closest, None
         with suppress(LateError):
-            points, motion = _affordable(task, way.closest, actuators(task, first), clock.left)
+            points, motion = _affordable(task, path.closest, actuators(task, first), clock.left)
         if motion is not None:
-            statistics = PlanStatistics("partial", "", way.motions, 0.0, 0.0, 0, len(points), clock.seconds)
+            statistics = PlanStatistics("partial", "", path.motions, 0.0, 0.0, 0, len(points), clock.seconds)
             result = build(task, first, None, motion, statistics)
             partial = result if isinstance(result, Trajectory) and result.proof.holds else None
     near = f"; the closest state is {distance:.3g} (joint scales) from the goal" if distance == distance else ""
-    why = f"; {way.why}" if way.why else ""
-    count = "1 motion was" if way.motions == 1 else f"{way.motions} motions were"
+    why = f"; {path.why}" if path.why else ""
+    count = "1 motion was" if path.motions == 1 else f"{path.motions} motions were"
     tried = f"{count} tried in {clock.seconds:.1f} s"
     return SolveError(f"no plan was found within {clock.limit:g} s: {tried}{near}{why}", partial)
 
@@ -671,7 +673,7 @@ def _clearance(task: PlanTask, arms: Lines) -> Array:
 
 def _miss(task: PlanTask, arms: Lines, goal: TipGoal, frame: Frame) -> float:
     """Smallest sum of distance from a goal and missing clearance over arms turned about the plate's z, m."""
-    least = np.inf
+    smallest = np.inf
     tip = arms.points[:, -1]
     for place in goal.places():
         x, y, z = np.asarray(place.position, dtype=float)
@@ -683,5 +685,5 @@ def _miss(task: PlanTask, arms: Lines, goal: TipGoal, frame: Frame) -> float:
         # Points are rows: R p is p @ R^T.
         rotated = Lines(frame.placed(arms.points[near] @ axes.transpose(0, 2, 1)), arms.radius[near])
         missing = np.maximum(task.clearance - _clearance(task, rotated), 0.0)
-        least = min(least, float((miss[near] + missing).min(initial=np.inf)))
-    return least
+        smallest = min(smallest, float((miss[near] + missing).min(initial=np.inf)))
+    return smallest

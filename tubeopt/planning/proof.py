@@ -184,8 +184,8 @@ class _Row:
     @cached_property
     def pace(self) -> Array:
         """(B,) largest rate of a joint; 1 at rest."""
-        most = np.abs(self.rate).max(1)
-        return np.where(most > 0, most, 1.0)
+        largest = np.abs(self.rate).max(1)
+        return np.where(largest > 0, largest, 1.0)
 
     @cached_property
     def alike(self) -> Mask:
@@ -293,12 +293,12 @@ class _Row:
         return np.asarray(np.minimum(plain, sides.max(0))), attained
 
 
-def fastest_on_cubic(mean: Array, begin: Array, end: Array) -> float:
+def fastest_on_cubic(mean: Array, start: Array, end: Array) -> float:
     """Upper bound on the speed along the cubic with mean velocity `mean` (3,) and the velocities `begin` and `end`."""
-    x, bow = np.linspace(0.0, 1.0, SAMPLES + 1)[:, None], mean - (begin + end) / 2
+    x, bow = np.linspace(0.0, 1.0, SAMPLES + 1)[:, None], mean - (start + end) / 2
     # 6 x (1 - x) has mean 1 and is 0 at both ends: `bow` makes the mean right. The second derivative is -12 bow, which
     # bounds the speed between samples.
-    velocity = begin + (end - begin) * x + 6 * x * (1 - x) * bow
+    velocity = start + (end - start) * x + 6 * x * (1 - x) * bow
     return float(np.linalg.norm(velocity, axis=1).max() + 12 * np.linalg.norm(bow) / (8 * SAMPLES**2))
 
 
@@ -642,8 +642,8 @@ def _branch_faults(
         for step in trace.steps:
             if a <= step.at <= b and (sure := verifier.sure_margin(step.equilibrium)) <= 0:
                 at = f"{100 * step.at:.4g} % of the trajectory the margin is {step.equilibrium.margin:.3g}"
-                least = f"the least eigenvalue of the symmetric part of the linearised equations is {sure:.3g}"
-                why = f"not proved: at {at}, but {least}; a proof under moments needs it above 0"
+                condition = f"the least eigenvalue of the symmetric part of the linearised equations is {sure:.3g}"
+                why = f"not proved: at {at}, but {condition}; a proof under moments needs it above 0"
                 return faults, [*unproved, why]
         where = f"{100 * a:.8g} % and {100 * b:.8g} % of the trajectory"
         unproved.append(f"not proved: nothing shows that one stable branch joins {where}")

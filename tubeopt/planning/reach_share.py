@@ -141,14 +141,14 @@ def evaluate_reach(
     task = plan_task(robot, obstacles, min_margin, DEFAULT_RATES, None, options, places=(start,))
     first = start_equilibrium(task.chart.space, start)
     check_start(task, first)
-    begin, n = task.chart.of(first), robot.n_tubes
+    first_point, n = task.chart.of(first), robot.n_tubes
     miss = np.linalg.norm(first.tip_position - places, axis=1)
-    joints, tips = np.full((len(places), len(begin)), np.nan), np.full((len(places), n), np.nan)
+    joints, tips = np.full((len(places), len(first_point)), np.nan), np.full((len(places), n), np.nan)
     examined = 0
     with suppress(LateError, SolveError):  # results so far are returned
         roadmap = roadmap_of(task, count)
-        examined, own = len(roadmap), task.from_to(begin, begin)
-        search = _Search(own, roadmap, begin, own.arms(roadmap.points).tip)
+        examined, own = len(roadmap), task.from_to(first_point, first_point)
+        search = _Search(own, roadmap, first_point, own.arms(roadmap.points).tip)
         for k, place in enumerate(places):
             for distance, z in search.approach(place, tolerance):
                 if distance >= miss[k] or task.clock.over:
@@ -263,8 +263,8 @@ class RegionReach(Displayed):
     @property
     def ranges(self) -> Array:
         """(k, 2) ranges of the motion of the plate: along x, y and z, m, then about x and y, rad; only free ones."""
-        most = np.array([self.shift] * 3 * bool(self.shift) + [self.tilt] * 2 * bool(self.tilt))
-        return np.column_stack([-most, most])
+        bounds = np.array([self.shift] * 3 * bool(self.shift) + [self.tilt] * 2 * bool(self.tilt))
+        return np.column_stack([-bounds, bounds])
 
     def base(self, own: Array) -> Frame:
         """Pose of the plate in the frame of the given plate after a move by numbers (k,)."""
@@ -308,10 +308,10 @@ class RegionReach(Displayed):
         return proved, len(some)
 
 
-def score(results: Sequence[ReachShare], share: float) -> tuple[float, float]:
+def score(results: Sequence[ReachShare], fraction: float) -> tuple[float, float]:
     """Score, from 0 (all reached) to 1, from a fraction and the distances from missed targets; and the fraction."""
     missed = [np.minimum(np.maximum(each.miss - each.tolerance, 0.0) / FAR_MISS, 1.0) for each in results]
-    return float(np.mean(missed) + 1 - share) / 2, share
+    return float(np.mean(missed) + 1 - fraction) / 2, fraction
 
 
 # Pieces of 2 mm on an arm of 200 mm: the bound is 1 mm^2 / d too small at a distance d.
@@ -424,8 +424,8 @@ class PairReach(Displayed):
         numbers = np.split(np.asarray(own, dtype=float), 2)
         sides = [side.evaluate(robot, x) for side, robot, x in zip(self.sides, (one, other), numbers, strict=True)]
         arms = [
-            _at_rest(robot, found, base)
-            for robot, found, base in zip((one, other), sides, self.plates(own), strict=True)
+            _at_rest(robot, own_reach, base)
+            for robot, own_reach, base in zip((one, other), sides, self.plates(own), strict=True)
         ]
         apart = np.full((len(self.targets),) * 2, np.nan)
         for i, first in arms[0].items():
@@ -466,11 +466,11 @@ class _Arm(NamedTuple):
     """Bound on the distance of the centreline from its pieces, m."""
 
 
-def _at_rest(robot: Robot, found: ReachShare, base: Frame) -> dict[int, _Arm]:
+def _at_rest(robot: Robot, reach: ReachShare, base: Frame) -> dict[int, _Arm]:
     """Arms at the reached targets, by number."""
     arms: dict[int, _Arm] = {}
-    for k in np.flatnonzero(found.reached).tolist():
-        e = found.arm(robot, k)
+    for k in np.flatnonzero(reach.reached).tolist():
+        e = reach.arm(robot, k)
         if e is None:
             continue
         outline = ArmSurface(e)
@@ -483,12 +483,12 @@ def _at_rest(robot: Robot, found: ReachShare, base: Frame) -> dict[int, _Arm]:
     return arms
 
 
-def _apart(one: _Arm, other: _Arm) -> float:
+def _apart(first: _Arm, second: _Arm) -> float:
     """Lower bound on the distance of two arms, m.
 
     Squared distances between pieces are at least those of their ends less a quarter of their squared lengths, as in
     `arms`.
     """
-    square = scipy.spatial.distance.cdist(one.points, other.points, "sqeuclidean")
-    straight = np.sqrt(np.maximum(square - (one.square + other.square) / 4, 0.0))
-    return float((straight - one.radius[:, None] - other.radius).min()) - one.sagitta - other.sagitta
+    square = scipy.spatial.distance.cdist(first.points, second.points, "sqeuclidean")
+    straight = np.sqrt(np.maximum(square - (first.square + second.square) / 4, 0.0))
+    return float((straight - first.radius[:, None] - second.radius).min()) - first.sagitta - second.sagitta

@@ -59,10 +59,10 @@ class DerivativeBounds:
         return DerivativeBounds(function(self.v), function(self.d), function(self.dd), third)
 
 
-def linear(begin: Array, end: Array) -> DerivativeBounds:
+def linear(start: Array, end: Array) -> DerivativeBounds:
     """Bounds for a function that is linear in time between two values."""
-    zero = np.zeros_like(begin)
-    return DerivativeBounds(np.maximum(np.abs(begin), np.abs(end)), np.abs(end - begin), zero, zero)
+    zero = np.zeros_like(start)
+    return DerivativeBounds(np.maximum(np.abs(start), np.abs(end)), np.abs(end - start), zero, zero)
 
 
 def unit_vector(angle: DerivativeBounds) -> DerivativeBounds:
@@ -80,9 +80,9 @@ def pair_differences(own: Array) -> Array:
 def inverse(size: DerivativeBounds) -> DerivativeBounds:
     """Bounds for 1 / f, where f is at least `size.v` and the others bound its derivatives."""
     # (1/f)'' = 2 f'^2 / f^3 - f'' / f^2, and (1/f)''' = -6 f'^3 / f^4 + 6 f' f'' / f^3 - f''' / f^2.
-    one, two = size.d / size.v, size.dd / size.v
-    third = None if size.ddd is None else (size.ddd / size.v + 6 * one * two + 6 * one**3) / size.v
-    return DerivativeBounds(1 / size.v, one / size.v, (two + 2 * one**2) / size.v, third)
+    first, two = size.d / size.v, size.dd / size.v
+    third = None if size.ddd is None else (size.ddd / size.v + 6 * first * two + 6 * first**3) / size.v
+    return DerivativeBounds(1 / size.v, first / size.v, (two + 2 * first**2) / size.v, third)
 
 
 @dataclass(frozen=True, eq=False)
@@ -487,14 +487,14 @@ class Arms:
             return out, turned
         h, owner = np.diff(self.arc_length)[self.inner], self.owner[self.inner]
         bend, transport = CurvatureBounds.of(c, *self.crossed), TransportBounds.of(c, np.array(1.0), *self.crossed)
-        most, kt = bend.pairs.sum(2), c.smallest(c.bounds.torsional, *self.crossed)
-        torque = self._torque(h[:, None] * most)
-        gain = most / kt + torque * transport.ease.d + transport.twist_slope.v
+        largest, kt = bend.pairs.sum(2), c.smallest(c.bounds.torsional, *self.crossed)
+        torque = self._torque(h[:, None] * largest)
+        gain = largest / kt + torque * transport.ease.d + transport.twist_slope.v
         speed = np.maximum(np.abs(self._onwards[self.inner]), np.abs(self.torsion[self.inner + 1])) + h[:, None] * gain
         pair = speed[:, :, None] + speed[:, None, :]
         faster = ((bend.pairs * pair).sum(2) + transport.moment(pair, np.zeros(()))[0]) / kt
         if not c.still:
-            faster += 2 * most * transport.ease.d + torque * transport.ease.dd + transport.twist_slope.d
+            faster += 2 * largest * transport.ease.d + torque * transport.ease.dd + transport.twist_slope.d
         # Tubes off the centreline: theta' = g w, whose change along the arm has that of g as well.
         twist_slope, gain = gain, gain * (1 + c.offset * bend.max_u[:, None])
         u, (first, second) = bend.max_u, transport.bend(speed, np.zeros(()))
@@ -502,9 +502,9 @@ class Arms:
         gain += speed * c.offset * du[:, None] / (1 - c.offset * u[:, None])
         ddu = bend.second(speed, speed) + bend.change(gain) + second
         # There theta' = g w, g = 1 - d u: of both.
-        least = 1 - c.offset * u[:, None]
+        lower = 1 - c.offset * u[:, None]
         faster = (1 + c.offset * u[:, None]) * faster + c.offset * (
-            2 * du[:, None] * twist_slope + ddu[:, None] * speed / least
+            2 * du[:, None] * twist_slope + ddu[:, None] * speed / lower
         )
         third, fourth = u**2 + du, u**3 + 3 * u * du + ddu
         error = np.minimum(SHAPE_ERROR[0] * h**3 * third, SHAPE_ERROR[1] * h**4 * fourth)
@@ -647,8 +647,8 @@ class Intervals:
         before, after = (
             cuts[:, :-1, None] + x * np.diff(cuts, axis=1)[:, :, None] for cuts in (self.start_cuts, self.end_cuts)
         )
-        one, other = (np.broadcast_to(e[:, None, None], before.shape) for e in (self.start, self.end))
-        return (one, before), (other, after)
+        start, end = (np.broadcast_to(e[:, None, None], before.shape) for e in (self.start, self.end))
+        return (start, before), (end, after)
 
     @cached_property
     def changes(self) -> tuple[Array, Array]:
@@ -656,8 +656,8 @@ class Intervals:
 
         They hold at the samples, and contain the errors of interpolation there.
         """
-        one, other = self.parts
-        change = self.arms.rotations(*other) - self.arms.rotations(*one)
-        wrong = self.arms.turn_error(*one) + self.arms.turn_error(*other)
+        start, end = self.parts
+        change = self.arms.rotations(*end) - self.arms.rotations(*start)
+        wrong = self.arms.turn_error(*start) + self.arms.turn_error(*end)
         pairs = np.abs(change[..., :, None] - change[..., None, :]) + wrong[..., :, None] + wrong[..., None, :]
         return (np.abs(change) + wrong).max(2), pairs.max(2)

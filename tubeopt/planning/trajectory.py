@@ -195,10 +195,10 @@ class TimedJoints:
         tips = self.start_tips
         if tips is None:
             return None
-        found = find_equilibria(self.robot, self.rotations[0], self.translations[0])
+        equilibria = find_equilibria(self.robot, self.rotations[0], self.translations[0])
         if load is not None:
-            found = loaded([e for e in found if e.stable], load)[0]
-        best = min(found, key=lambda e: float(np.abs(e.tip_rotations - tips).max()), default=None)
+            equilibria = loaded([e for e in equilibria if e.stable], load)[0]
+        best = min(equilibria, key=lambda e: float(np.abs(e.tip_rotations - tips).max()), default=None)
         if best is None or np.abs(best.tip_rotations - tips).max() > 1e-3:
             under = "" if load is None else " under this load"
             raise InputError(

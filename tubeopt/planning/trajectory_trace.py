@@ -146,8 +146,8 @@ class Sizes(Table):
 
     def needed(self, threshold: float) -> float:
         """Distance of the corners at which all cells reach a threshold, m: `bound` solved for it."""
-        least = np.maximum(threshold + self.sagitta + self.radius + self.chord_error, 0.0)
-        return float(np.sqrt(least**2 + self.variance).max(initial=0.0))
+        distance = np.maximum(threshold + self.sagitta + self.radius + self.chord_error, 0.0)
+        return float(np.sqrt(distance**2 + self.variance).max(initial=0.0))
 
     def longer(self, distance: Array) -> Mask:
         """(N,) True where the length of a cell weakens the bound more than its displacement in time."""
@@ -203,10 +203,10 @@ def clearance_bounds(
         low = sizes.bound(nearest)
         # Cells whose chord error alone keeps them below the threshold need shorter intervals, not smaller cells.
         lost = nearest - sizes.radius - sizes.chord_error - low
-        done = (low >= threshold) | (lost <= SHARE * max(closest - threshold, 0.0)) | (total > target.cells)
-        np.minimum.at(bound, cells.which[done], low[done])
-        within = sizes[~done].needed(closest)
-        cells = _halve(cells[~done], intervals, sizes.longer(nearest)[~done], scene, within)
+        decided = (low >= threshold) | (lost <= SHARE * max(closest - threshold, 0.0)) | (total > target.cells)
+        np.minimum.at(bound, cells.which[decided], low[decided])
+        within = sizes[~decided].needed(closest)
+        cells = _halve(cells[~decided], intervals, sizes.longer(nearest)[~decided], scene, within)
         sizes = Sizes.of(cells, intervals, chord_error)
     return bound, closest
 
@@ -545,7 +545,7 @@ def _divided(parts: Array, meetings: Array) -> Array:
 
 def prove_branch(verifier: TrajectoryVerifier, links: list[Link]) -> Proved:
     """Prove one stable branch along links, which are bisected as often as necessary."""
-    done: list[Link] = []
+    proved: list[Link] = []
     unproved: list[Times] = []
     while links:
         fresh: list[Link] = []
@@ -556,14 +556,14 @@ def prove_branch(verifier: TrajectoryVerifier, links: list[Link]) -> Proved:
                 unbounded = 0 if bounded else link.unbounded + 1
                 short = link.end.at - link.start.at < SHORTEST or unbounded > verifier.max_bisections
                 if unbroken:
-                    done.append(replace(link, chord_error=error, unbounded=unbounded, rates=rates))
+                    proved.append(replace(link, chord_error=error, unbounded=unbounded, rates=rates))
                 elif verifier.exhausted or short:
                     unproved.append((link.start.at, link.end.at))
-                    done.append(replace(link, chord_error=np.full_like(error, np.inf), unbounded=unbounded))
+                    proved.append(replace(link, chord_error=np.full_like(error, np.inf), unbounded=unbounded))
                 else:
                     fresh += bisect(verifier, replace(link, unbounded=unbounded))
         links = fresh
-    return Proved(sorted(done, key=lambda link: link.start.at), unproved)
+    return Proved(sorted(proved, key=lambda link: link.start.at), unproved)
 
 
 def bisect(verifier: TrajectoryVerifier, link: Link) -> list[Link]:
@@ -599,7 +599,7 @@ class _Cleared(NamedTuple):
 
 def _prove_clearance(verifier: TrajectoryVerifier, links: list[Link]) -> _Cleared:
     """Bound the clearance of links, bisected until the smallest bound is sharp."""
-    done: dict[int, Link] = {}
+    proved: dict[int, Link] = {}
     unproved: list[Times] = []
     closest = math.inf
     while links:
@@ -608,28 +608,28 @@ def _prove_clearance(verifier: TrajectoryVerifier, links: list[Link]) -> _Cleare
             error = np.array([link.chord_error if len(link.chord_error) else at_rest for link in some])
             bounds, closest = clearance_bounds(intervals, error, verifier.scene, verifier.target, closest)
             for link, bound in zip(some, bounds.tolist(), strict=True):
-                done[id(link)] = replace(link, bound=bound)
+                proved[id(link)] = replace(link, bound=bound)
         threshold = verifier.target.threshold(closest)
         loose = [
-            key for key, link in done.items() if link.bound < threshold and link.end.at - link.start.at >= SHORTEST
+            key for key, link in proved.items() if link.bound < threshold and link.end.at - link.start.at >= SHORTEST
         ]
         if verifier.exhausted:
             break
         try:
-            links, more = prove_branch(verifier, [half for key in loose for half in bisect(verifier, done[key])])
+            links, more = prove_branch(verifier, [half for key in loose for half in bisect(verifier, proved[key])])
         except BranchEndsError as error:  # a contradiction to the proved branch: nothing is proved here
             unproved.append((error.at, error.at))
             break
         unproved += more
         for key in loose:
-            del done[key]
-    return _Cleared(sorted(done.values(), key=lambda link: link.start.at), unproved, closest)
+            del proved[key]
+    return _Cleared(sorted(proved.values(), key=lambda link: link.start.at), unproved, closest)
 
 
 def _least_margin(verifier: TrajectoryVerifier, steps: Sequence[Step]) -> float:
     """Smallest margin, also between steps: around local minima, intervals are bisected."""
     margins = np.array([step.equilibrium.margin for step in steps])
-    least = float(margins.min())
+    smallest = float(margins.min())
     padded = np.concatenate([[np.inf], margins, [np.inf]])
     dips = np.flatnonzero((margins <= padded[:-2]) & (margins <= padded[2:]))
     for k in dips[np.argsort(margins[dips], kind="stable")]:
@@ -638,7 +638,7 @@ def _least_margin(verifier: TrajectoryVerifier, steps: Sequence[Step]) -> float:
             values = [step.equilibrium.margin for step in around]
             # A smooth minimum is at most an eighth of the rise of its sides below the samples; a fourth is safe.
             depth = 0.25 * (max(values) - min(values))
-            if depth < DIP or min(values) - depth >= least or around[-1].at - around[0].at < SHORTEST:
+            if depth < DIP or min(values) - depth >= smallest or around[-1].at - around[0].at < SHORTEST:
                 break
             finer = [around[0]]
             for start, end in pairwise(around):
@@ -646,5 +646,5 @@ def _least_margin(verifier: TrajectoryVerifier, steps: Sequence[Step]) -> float:
                 finer += [end] if middle is None else [middle, end]
             best = int(np.argmin([step.equilibrium.margin for step in finer]))
             around = finer[max(best - 1, 0) : best + 2]
-            least = min(least, finer[best].equilibrium.margin)
-    return least
+            smallest = min(smallest, finer[best].equilibrium.margin)
+    return smallest

@@ -314,9 +314,9 @@ def registration_error(model: ArmModel, state: State) -> RegistrationError | Non
     alone[: len(turns), : len(turns)] = inverse
     if freedoms == 6:
         alone[3:, 3:] = np.eye(3) * variance[0] / (~a).sum()
-    both = (alone, _from_blocks(moved, _blocks(model)))
+    both_errors = (alone, _from_blocks(moved, _blocks(model)))
     centre = predicted[~a].mean(0) if freedoms == 6 else np.zeros(3)
-    errors = [standard_errors(covariance, turns, centre, model.length) for covariance in both]
+    errors = [standard_errors(covariance, turns, centre, model.length) for covariance in both_errors]
     turn, reach = np.max(errors, axis=0).tolist()
     return RegistrationError(turn, reach, narrow, mirror)
 

@@ -262,8 +262,8 @@ def _drive(name: str) -> Change:
 
     def change(setup: Setup, _: Setup, which: Sequence[int], value: float, __: bool) -> None:
         known: float | tuple[float, ...] = getattr(setup.drives, name)
-        given = value if isinstance(known, float) else tuple(value if i in which else x for i, x in enumerate(known))
-        setup.drives = replace(setup.drives, **{name: given})  # type: ignore[arg-type]
+        changed = value if isinstance(known, float) else tuple(value if i in which else x for i, x in enumerate(known))
+        setup.drives = replace(setup.drives, **{name: changed})  # type: ignore[arg-type]
 
     return change
 
@@ -318,8 +318,8 @@ def _curvature_span(context: Context, index: int | None) -> Span:
 
 def _piece_span(context: Context, index: int | None) -> Span:
     tube, piece = context.setup.pieces[index or 0]
-    made = members(context.robot)[tube]
-    value, limit = made.pieces[piece].largest_curvature, 2 / made.outer_diameter
+    tube_pieces = members(context.robot)[tube]
+    value, limit = tube_pieces.pieces[piece].largest_curvature, 2 / tube_pieces.outer_diameter
     return Span(0.0, -limit, limit, max(value, 1.0), 0.1 * value + 0.5)
 
 
@@ -352,12 +352,12 @@ def _transmission_span(context: Context, index: int | None) -> Span:
     tubes = members(context.robot)
     each = context.robot.n_tubes // len(tubes)
     reach = [max(_furthest(context, i) for i in range(k * each, (k + 1) * each)) for k in range(len(tubes))]
-    limit = [most - tube.straight_length for most, tube in zip(reach, tubes, strict=True)]
-    least = max(limit) if index is None else limit[index]
+    limit = [longest - tube.straight_length for longest, tube in zip(reach, tubes, strict=True)]
+    min_length = max(limit) if index is None else limit[index]
     start = 0.0
     if isinstance(context.robot, EccentricRobot):
-        start, least = context.robot.transmission_length, max(0.0, least)
-    return Span(start, min(start, least), start + 20 * context.length, context.length, 0.1 * context.length)
+        start, min_length = context.robot.transmission_length, max(0.0, min_length)
+    return Span(start, min(start, min_length), start + 20 * context.length, context.length, 0.1 * context.length)
 
 
 def _transmission(setup: Setup, first: Setup, which: Sequence[int], value: float, _: bool) -> None:

@@ -279,7 +279,7 @@ def fit(
     check_tubes(robot, measurements)
     chosen = choose_parameters(robot, measurements, parameters, options.registration)
     check_counts(measurements, len(chosen) + FREEDOMS[options.registration], options.folds)
-    report = progress or (lambda done, total: None)
+    report = progress or (lambda count, total: None)
     model = ArmModel(robot, measurements, chosen, options.registration, options.base)
     report(1, 4)
     problem = FitProblem(model, options)
@@ -372,8 +372,8 @@ class FitProblem:
 
     def _noise(self, descent: Descent[State]) -> tuple[float, float]:
         """Standard deviations of a coordinate of positions and of directions: given, or left by the fit."""
-        left, given = self._left(descent), self.options.noise
-        return given[0] or left[0], given[1] or left[1]
+        left, known = self._left(descent), self.options.noise
+        return known[0] or left[0], known[1] or left[1]
 
     def _left(self, descent: Descent[State]) -> tuple[float, float]:
         """Standard deviations of a coordinate of positions and of directions that a fit leaves.
@@ -387,9 +387,9 @@ class FitProblem:
         # Each unknown takes one number to fit, which leaves so much less in the residuals.
         freedom_ratio = max(total - unknowns, 1) / total
         out = []
-        for sizes, coordinates, given in ((size[~a], 3, self.options.noise[0]), (size[a], 2, self.options.noise[1])):
+        for sizes, coordinates, noise in ((size[~a], 3, self.options.noise[0]), (size[a], 2, self.options.noise[1])):
             if not len(sizes):
-                out.append(given or FIRST_GUESS[1])
+                out.append(noise or FIRST_GUESS[1])
             elif self.options.loss == "linear":
                 out.append(float(np.sqrt((sizes**2).sum() / (coordinates * len(sizes) * freedom_ratio))))
             else:

@@ -145,10 +145,10 @@ class ForceEstimate(Displayed):
             drawn = replace(self.measured, position=position + noise * random.normal(size=position.shape))
             with suppress(SolveError):
                 start = trial_at(self.equilibrium, self.base, self.force, drawn)
-                again = _estimate(start, self.base, drawn)
-                error = again.directions @ (self.force - again.force)
+                estimate = _estimate(start, self.base, drawn)
+                error = estimate.directions @ (self.force - estimate.force)
                 # Squares along the principal axes of the ellipsoid; a direction without a bound adds 0.
-                inside += float(np.sum((error / again.errors) ** 2)) <= quantile
+                inside += float(np.sum((error / estimate.errors) ** 2)) <= quantile
         return inside / draws
 
     @property

@@ -256,9 +256,9 @@ def covariance_of(trial: Trial, base: Load, measured: Measured, axes: Array) -> 
     right = right @ axes.T
     if len(right) < 3:
         complement = scipy.linalg.null_space(axes.T)
-        others = np.linalg.svd(trial.jacobian @ complement, full_matrices=False)
-        left = np.column_stack([left[:, : len(right)], others[0]])
-        size, right = np.append(size, others[1]), np.vstack([right, others[2] @ complement.T])
+        complement_svd = np.linalg.svd(trial.jacobian @ complement, full_matrices=False)
+        left = np.column_stack([left[:, : len(right)], complement_svd[0]])
+        size, right = np.append(size, complement_svd[1]), np.vstack([right, complement_svd[2] @ complement.T])
     linear, bent, lost = np.zeros((3, 3)), np.zeros((3, 3)), hidden(trial)
     for k in np.flatnonzero(~lost):
         along = axes if k < axes.shape[1] else np.column_stack([axes, right[k]])
@@ -296,10 +296,10 @@ def _second_moment(linear: Array, bent: Array) -> Array:
 
 def _moved(trial: Trial, base: Load, measured: Measured, by: Array, axes: Array) -> Array | None:
     """(3,) change of the fitted force along axes (3, m), N, if residuals change `by` (3 P,); None without a fit."""
-    other = replace(measured, position=measured.position + measured.noise * by.reshape(-1, 3))
+    moved = replace(measured, position=measured.position + measured.noise * by.reshape(-1, 3))
     near = replace(trial, residual=trial.residual + by)
     try:
-        return np.asarray(fit(near, base, other, QUICK, axes)[0].force - trial.force)
+        return np.asarray(fit(near, base, moved, QUICK, axes)[0].force - trial.force)
     except (InputError, SolveError):
         return None
 

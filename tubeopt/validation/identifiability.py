@@ -150,9 +150,9 @@ def entangled_history(model: ArmModel, fit: Descent[State]) -> list[str]:
     names = [name for kind, own in known.items() if EFFECTS[kind].history for name in own if name not in fitted]
     if not names:
         return []
-    others = choose_parameters(model.robot, model.measurements, names, model.method)
-    every = [*model.parameters, *others]
-    start = np.append(fit.state.x, [p.start for p in others])
+    parameters = choose_parameters(model.robot, model.measurements, names, model.method)
+    every = [*model.parameters, *parameters]
+    start = np.append(fit.state.x, [p.start for p in parameters])
     count = len(model.parameters)
     slopes = model.with_parameters(every).jacobian(State(start, fit.state.registration), skip=count)
     slopes[..., :count] = fit.jacobian[..., :count]
@@ -176,13 +176,13 @@ def entangled_history(model: ArmModel, fit: Descent[State]) -> list[str]:
     return remarks
 
 
-def _beside(column: Array, others: Array) -> Array:
+def _beside(column: Array, columns: Array) -> Array:
     """Residual of a column after a least-squares fit of the other columns."""
-    if not others.shape[1]:
+    if not columns.shape[1]:
         return column
-    scale = np.maximum(np.linalg.norm(others, axis=0), 1e-300)
-    answer = np.linalg.lstsq(others / scale, column, rcond=1e-10)[0]
-    return np.asarray(column - (others / scale) @ answer)
+    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    answer = np.linalg.lstsq(columns / scale, column, rcond=1e-10)[0]
+    return np.asarray(column - (columns / scale) @ answer)
 
 
 # Registrations of measurements that are planned; "saved" is of a calibration, which comes after them.
@@ -277,7 +277,9 @@ def where_to_measure(
     best = _reachable(lambda usable: _exchange(slopes, len(chosen), count, usable), robot, (alpha, shift), tips)
     scale = np.array([p.scale for p in chosen])
     random = np.random.default_rng(seed + 1)
-    others = [_errors(slopes[random.choice(len(data), count, replace=False)], len(chosen)) for _ in range(COMPARED)]
+    random_errors = [
+        _errors(slopes[random.choice(len(data), count, replace=False)], len(chosen)) for _ in range(COMPARED)
+    ]
     rows, joints = _way(robot, alpha[best], shift[best])
     margin = solve_poses(robot, *joints, model.stations).margin
     return Placement(
@@ -288,7 +290,7 @@ def where_to_measure(
         parameters=tuple(p.name for p in chosen),
         units=tuple(p.unit for p in chosen),
         standard_errors=_errors(slopes[best], len(chosen)) * scale,
-        random=np.median(others, axis=0) * scale,
+        random=np.median(random_errors, axis=0) * scale,
         noise=noise,
     )
 

@@ -112,14 +112,14 @@ class Measurements(Displayed):
         translations = finite_array("translations", self.translations, 2)
         if translations.shape != (count, n):
             raise InputError(f"translations have shape {translations.shape}; rotations have {rotations.shape}")
-        found: dict[str, Array | None] = {"rotations": rotations, "translations": translations}
-        found["sensors"] = _sensors(self.sensors, count)
+        arrays: dict[str, Array | None] = {"rotations": rotations, "translations": translations}
+        arrays["sensors"] = _sensors(self.sensors, count)
         for name in ("direction", "separation", "time"):
             label = getattr(self, name)
-            found[name] = None if label is None else finite_array(name, label, 1)
+            arrays[name] = None if label is None else finite_array(name, label, 1)
             if label is not None and len(label) != count:
                 raise InputError(f"{name} has {len(label)} numbers; it must be {count}, one per configuration")
-        for name, value in found.items():
+        for name, value in arrays.items():
             object.__setattr__(self, name, value)
         self._check_sensors()
         wrapped = tuple(items("wrapped", self.wrapped, bool, "True or False"))
@@ -131,11 +131,11 @@ class Measurements(Displayed):
             raise InputError(f"a log of joint readings needs the time of every row, and {n} tubes as the rows have")
 
     def _check_sensors(self) -> None:
-        count, seen = self.sensors.shape[:2]
+        count, coordinates = self.sensors.shape[:2]
         if self.behind is not None:
             behind = finite_array("behind", self.behind, 1)
-            if behind.shape != (seen,) or (behind < 0).any():
-                raise InputError(f"behind is {behind.tolist()} m; it must be {seen} distances, at least 0")
+            if behind.shape != (coordinates,) or (behind < 0).any():
+                raise InputError(f"behind is {behind.tolist()} m; it must be {coordinates} distances, at least 0")
             object.__setattr__(self, "behind", behind)
         if self.orientation is not None:
             try:
@@ -283,11 +283,11 @@ class Timeline:
             for rows, (time, values) in zip(self.runs, self.source, strict=True):
                 joints[rows] = _between(time, values, m.time[rows] - latency)
         else:
-            wanted = m.time - latency
+            instants = m.time - latency
             first = np.array([time[0] for time, _ in self.source])
-            run = np.clip(np.searchsorted(first, wanted, side="right") - 1, 0, len(first) - 1)
+            run = np.clip(np.searchsorted(first, instants, side="right") - 1, 0, len(first) - 1)
             for k, (time, values) in enumerate(self.source):
-                joints[run == k] = _between(time, values, wanted[run == k])
+                joints[run == k] = _between(time, values, instants[run == k])
         return joints[:, : m.n_tubes], joints[:, m.n_tubes :]
 
     def driven(self, drives: Calibration, turns: Array) -> tuple[Array, Array]:
@@ -315,18 +315,18 @@ class Timeline:
             begins = np.argmax(moved != 0, axis=0) if len(moved) else np.zeros(len(play), dtype=int)
             first = np.sign(moved[begins, np.arange(len(play))]) if len(moved) else np.zeros(len(play))
             low, high = drive - play, drive + play
-            here = drive[0] - play * first
+            output = drive[0] - play * first
             for k, row in enumerate(rows):
-                here = np.minimum(np.maximum(here, low[k]), high[k])
-                followed[row] = here
+                output = np.minimum(np.maximum(output, low[k]), high[k])
+                followed[row] = output
         return followed
 
 
-def _between(time: Array, values: Array, wanted: Array) -> Array:
-    """Values (M, c) at times (M,), at wanted times, held beyond the ends."""
-    if len(time) == 1 or not len(wanted):
-        return np.repeat(values[:1], len(wanted), axis=0)
-    inside = np.clip(wanted, time[0], time[-1])
+def _between(time: Array, values: Array, instants: Array) -> Array:
+    """Values (M, c) at times (M,), at instants (K,), constant beyond the ends."""
+    if len(time) == 1 or not len(instants):
+        return np.repeat(values[:1], len(instants), axis=0)
+    inside = np.clip(instants, time[0], time[-1])
     return np.asarray(scipy.interpolate.PchipInterpolator(time, values)(inside))
 
 
@@ -370,17 +370,17 @@ def passes(measurements: Measurements) -> Passes:
     tree = scipy.spatial.cKDTree(joints)
     place, pairs, paired = np.arange(count), [], np.zeros(count, dtype=bool)
     for k, near in enumerate(tree.query_ball_point(joints, reach)):
-        others = np.array([j for j in near if j < k], dtype=int)
+        earlier = np.array([j for j in near if j < k], dtype=int)
         # Rows just before are near because little time has passed, unless the path reversed in between.
-        others = others[travelled[k] - travelled[others] > 2 * reach[k]]
-        if not len(others):
+        earlier = earlier[travelled[k] - travelled[earlier] > 2 * reach[k]]
+        if not len(earlier):
             continue
-        distance = np.linalg.norm(joints[others] - joints[k], axis=1)
-        place[k] = place[others[np.argmin(distance)]]
-        against = (ahead[others] + behind[others]) @ (ahead[k] + behind[k]) < 0
-        opposite = others[against & ~paired[others]]
+        distance = np.linalg.norm(joints[earlier] - joints[k], axis=1)
+        place[k] = place[earlier[np.argmin(distance)]]
+        against = (ahead[earlier] + behind[earlier]) @ (ahead[k] + behind[k]) < 0
+        opposite = earlier[against & ~paired[earlier]]
         if len(opposite):
-            j = int(opposite[np.argmin(distance[against & ~paired[others]])])
+            j = int(opposite[np.argmin(distance[against & ~paired[earlier]])])
             pairs.append((j, k))
             paired[[j, k]] = True
     return Passes(place, np.array(pairs, dtype=int).reshape(-1, 2))
@@ -444,13 +444,15 @@ class Parity:
 
 def parity(pairs: Index, residuals: Array, measured: Array) -> Parity | None:
     """The split of residuals (N, 3) and measured tips (N, 3), m, NaN where not seen; None with fewer than 10 pairs."""
-    there, back = residuals[pairs[:, 0]], residuals[pairs[:, 1]]
-    good = np.isfinite(there).all(1) & np.isfinite(back).all(1)
+    forth, back = residuals[pairs[:, 0]], residuals[pairs[:, 1]]
+    good = np.isfinite(forth).all(1) & np.isfinite(back).all(1)
     if good.sum() < 10:
         return None
     apart = measured[pairs[good, 0]] - measured[pairs[good, 1]]
-    history, static, seen = (_rms(x[good] if len(x) > len(apart) else x) for x in (there - back, there + back, apart))
-    return Parity(int(good.sum()), history, static, seen)
+    history, static, measured_rms = (
+        _rms(x[good] if len(x) > len(apart) else x) for x in (forth - back, forth + back, apart)
+    )
+    return Parity(int(good.sum()), history, static, measured_rms)
 
 
 def _rms(twice: Array) -> float:

@@ -117,25 +117,25 @@ def rubbed_poses(
     margin, length = np.full(count, np.nan), np.zeros(count)
     failures: list[tuple[int, str]] = []
     poses = Poses(position, frame, margin, length, ())
-    seen = _Seen(robot, stations, poses)
+    table_of_poses = _Seen(robot, stations, poses)
     for run in runs:
-        table, done = np.hstack([alpha[run], shift[run]]), 0
+        table, solved = np.hstack([alpha[run], shift[run]]), 0
         try:
             held = start_with_friction(robot, table[0], coarse)
-            seen.put(run[0], held)
-            done = 1
-            while done < len(run):
-                many = None if loose(robot) else sweep(robot, held, table[done - 1 :], stations, margins=margins)
+            table_of_poses.put(run[0], held)
+            solved = 1
+            while solved < len(run):
+                many = None if loose(robot) else sweep(robot, held, table[solved - 1 :], stations, margins=margins)
                 if many is not None:
                     count = len(many.margin)
-                    seen.put_many(run[done : done + count], shift, many)
-                    held, done = swept(robot, held, table[done - 1 :], many, count), done + count
-                if done < len(run):  # where the kernel gives up, a step with more care
-                    held, _ = segment_with_friction(robot, held, table[done])
-                    seen.put(run[done], held)
-                    done += 1
+                    table_of_poses.put_many(run[solved : solved + count], shift, many)
+                    held, solved = swept(robot, held, table[solved - 1 :], many, count), solved + count
+                if solved < len(run):  # where the kernel gives up, a step with more care
+                    held, _ = segment_with_friction(robot, held, table[solved])
+                    table_of_poses.put(run[solved], held)
+                    solved += 1
         except (InputError, SolveError) as error:
-            failures += [(int(row), str(error)) for row in run[done:]]
+            failures += [(int(row), str(error)) for row in run[solved:]]
     return replace(poses, failures=tuple(failures))
 
 
@@ -187,26 +187,26 @@ def _followed(robot: Robot, batch: EquilibriumBatch, run: Index) -> Iterator[tup
     own = batch.tip_rotations[run] - batch.rotations[run]
     driven = np.abs(np.diff(batch.rotations[run], axis=0)).max(1, initial=0.0)
     # A tip that turns against its drive by so much more than any drive turned may be in another equilibrium.
-    leaps = np.flatnonzero(np.abs(np.diff(own, axis=0)).max(1, initial=0.0) > 0.5 + 15.0 * driven) + 1
-    here, done = None, 0
-    for leap in leaps.tolist():
-        if leap < done:
+    jumps = np.flatnonzero(np.abs(np.diff(own, axis=0)).max(1, initial=0.0) > 0.5 + 15.0 * driven) + 1
+    current, next_row = None, 0
+    for jump in jumps.tolist():
+        if jump < next_row:
             continue
-        k = leap
+        k = jump
         while k < len(run):
             row, before = int(run[k]), int(run[k - 1])
             try:
-                if here is None:
-                    here = forward_kinematics(robot, batch.rotations[before], batch.translations[before])
-                here = forward_kinematics(robot, batch.rotations[row], batch.translations[row], start=here)
+                if current is None:
+                    current = forward_kinematics(robot, batch.rotations[before], batch.translations[before])
+                current = forward_kinematics(robot, batch.rotations[row], batch.translations[row], start=current)
             except SolveError:
                 break  # the branch ends: the robot snaps to what the row alone leads to
             # Back at the equilibrium that the row finds on its own: both agree from here on.
-            if not here.stable or (np.abs(here.tip_rotations - batch.tip_rotations[row]) < 1e-3).all():
+            if not current.stable or (np.abs(current.tip_rotations - batch.tip_rotations[row]) < 1e-3).all():
                 break
-            yield row, here
+            yield row, current
             k += 1
-        here, done = None, k + 1
+        current, next_row = None, k + 1
 
 
 def about_z(angle: ArrayLike) -> Array:
@@ -221,8 +221,10 @@ def about_z(angle: ArrayLike) -> Array:
 def stations_of(shape: Equilibrium | Arm, stations: Array) -> Array:
     """(K, 3) positions of stations behind the tip; on the plate's axis where they are behind the plate."""
     # Breakpoints that coincide give equal arc lengths, which a spline does not accept.
-    at, kept = shape.arc_length[-1] - stations, np.append(True, np.diff(shape.arc_length) > 0)
-    line = scipy.interpolate.CubicHermiteSpline(shape.arc_length[kept], shape.position[kept], shape.frame[kept, :, 2])
+    at, distinct = shape.arc_length[-1] - stations, np.append(True, np.diff(shape.arc_length) > 0)
+    line = scipy.interpolate.CubicHermiteSpline(
+        shape.arc_length[distinct], shape.position[distinct], shape.frame[distinct, :, 2]
+    )
     out: Array = line(np.maximum(at, 0.0))
     # Behind the plate the tubes are straight, along its axis.
     out[:, 2] += np.minimum(at, 0.0)
@@ -327,25 +329,27 @@ class ArmModel:
         beside, wrapped = self.turns, np.array(m.wrapped or (False,) * m.n_tubes)
         gained = np.flatnonzero(np.array(self.first.drives.rotation_gains) != 1.0).tolist()
         moves = [(k, beside[k] + turn) for k in gained for turn in range(-TURNS, TURNS + 1)]
-        fitting, least = np.zeros(m.n_tubes), self._misfit(np.zeros(m.n_tubes)) if moves else 0.0
-        as_read = least
+        fitting, min_misfit = np.zeros(m.n_tubes), self._misfit(np.zeros(m.n_tubes)) if moves else 0.0
+        as_read = min_misfit
         while moves:
             tried = [np.where(np.arange(m.n_tubes) == k, turns, fitting) for k, turns in moves]
             misfits = [self._misfit(turns) for turns in tried]
             # A change must take off a tenth, and more than round-off.
-            if min(misfits) > min(CLEARLY * least, least - SEEN):
+            if min(misfits) > min(CLEARLY * min_misfit, min_misfit - SEEN):
                 break
-            fitting, least = tried[int(np.argmin(misfits))], min(misfits)
+            fitting, min_misfit = tried[int(np.argmin(misfits))], min(misfits)
         known = np.where(wrapped, fitting, 0.0)
-        self.turns = fitting if least < self._misfit(known) / 2 else known
+        self.turns = fitting if min_misfit < self._misfit(known) / 2 else known
         if fitting.any():
-            words = " and ".join(f"{-360 * fitting[k]:+.0f} deg of rotation_{k + 1}" for k in np.flatnonzero(fitting))
+            corrections = " and ".join(
+                f"{-360 * fitting[k]:+.0f} deg of rotation_{k + 1}" for k in np.flatnonzero(fitting)
+            )
             counted = "so they are counted"
             if not np.array_equal(self.turns, fitting):
-                kept = [f"rotation_{k + 1}" for k in np.flatnonzero(self.turns != fitting)]
-                counted = f"{' and '.join(kept)} counts as read, since errors are not halved"
+                as_read_joints = [f"rotation_{k + 1}" for k in np.flatnonzero(self.turns != fitting)]
+                counted = f"{' and '.join(as_read_joints)} counts as read, since errors are not halved"
             remark = (
-                f"readings fit best with {words}: {least * 1e3:.2f} mm instead of {as_read * 1e3:.2f} mm "
+                f"readings fit best with {corrections}: {min_misfit * 1e3:.2f} mm instead of {as_read * 1e3:.2f} mm "
                 f"(root mean square); {counted}"
             )
             self.measurements = replace(m, remarks=(*m.remarks, remark))
@@ -368,11 +372,11 @@ class ArmModel:
     def _observe(self, poses: Poses) -> None:
         """Lay out what was measured."""
         positions = self.measurements.station_position
-        seen = np.isfinite(positions[..., 0]) & poses.found[:, None] & np.isfinite(poses.position[..., 0])
-        rows, stations = np.nonzero(seen)
+        observed = np.isfinite(positions[..., 0]) & poses.found[:, None] & np.isfinite(poses.position[..., 0])
+        rows, stations = np.nonzero(observed)
         predicted, pointing = self._placed(self.first, poses)
         # The axis of the sensor needs a registration, which positions alone give first; directions then refine it.
-        m, registration = self.measurements, self._register(positions[seen], predicted[seen])
+        m, registration = self.measurements, self._register(positions[observed], predicted[observed])
         self.axis = self._sensor_axis(poses, pointing, registration)
         parts, row, station = [positions[rows, stations]], [rows], [stations]
         frames = m.orientation
@@ -382,7 +386,7 @@ class ArmModel:
             row.append(directed)
             station.append(np.full(len(directed), -1))
             directions = Directions(parts[1], pointing[directed])
-            registration = self._register(positions[seen], predicted[seen], directions)
+            registration = self._register(positions[observed], predicted[observed], directions)
         self.observed, self.row, self.station = np.concatenate(parts), np.concatenate(row), np.concatenate(station)
         self.start = State(np.array([p.start for p in self.parameters]), registration)
 
@@ -402,8 +406,8 @@ class ArmModel:
         setup, a = self.setup(state.x), self.directed
         placed = self._placed(setup, self.poses(setup))
         directions = Directions(self.observed[a], placed[1][self.row[a]], noise)
-        found = self._register(self.observed[~a], placed[0][self.row[~a], self.station[~a]], directions)
-        return State(state.x, found)
+        registration = self._register(self.observed[~a], placed[0][self.row[~a], self.station[~a]], directions)
+        return State(state.x, registration)
 
     @property
     def directed(self) -> Mask:
@@ -418,21 +422,21 @@ class ArmModel:
             return m.sensor_axis
         if known:
             return np.array(known)
-        seen = np.isfinite(m.orientation).all((1, 2)) & poses.found
-        if not seen.any():
+        measured = np.isfinite(m.orientation).all((1, 2)) & poses.found
+        if not measured.any():
             return None
         # Rows times R are R' times vectors: from the plate into the device's frame.
-        tangent = pointing[seen] @ registration.rotation
-        alike = np.einsum("ka,nba,nb->k", AXES, m.orientation[seen], tangent)
+        tangent = pointing[measured] @ registration.rotation
+        alike = np.einsum("ka,nba,nb->k", AXES, m.orientation[measured], tangent)
         return np.asarray(AXES[int(np.argmax(alike))])
 
     def with_parameters(self, parameters: Sequence[Parameter]) -> ArmModel:
         """Model of the same observations with other parameters in x; solved equilibria are reused."""
-        other = object.__new__(ArmModel)
-        other.__dict__.update(self.__dict__)
-        other.parameters = tuple(parameters)
-        other.start = State(np.array([p.start for p in parameters]), self.start.registration)
-        return other
+        copied = object.__new__(ArmModel)
+        copied.__dict__.update(self.__dict__)
+        copied.parameters = tuple(parameters)
+        copied.start = State(np.array([p.start for p in parameters]), self.start.registration)
+        return copied
 
     # --- what a state predicts ----------------------------------------------------------------------------------------
 
@@ -453,18 +457,18 @@ class ArmModel:
 
         Tubes that rub carry the friction among themselves; to the carriages they are tubes that do not.
         """
-        for told, *given, found in self._gave_way:
-            yields_alike = told.drives.translation_compliance == setup.drives.translation_compliance
-            if yields_alike and told.same_tubes(setup) and np.array_equal(given, [alpha, shift]):
-                return found
+        for known, *joints, yielding in self._gave_way:
+            yields_alike = known.drives.translation_compliance == setup.drives.translation_compliance
+            if yields_alike and known.same_tubes(setup) and np.array_equal(joints, [alpha, shift]):
+                return yielding
         near = None
         if self._gave_way:
-            _, _, before, there = self._gave_way[0]
+            _, _, before, last_shift = self._gave_way[0]
             # Carriages that yield by as much as before, at the new readings.
-            near = there + shift - before
-        found = yielded(setup.robot(self.robot), alpha, shift, np.array(setup.drives.translation_compliance), near)
-        self._gave_way[:] = [(setup.copy(), alpha, shift, found), *self._gave_way[:2]]
-        return found
+            near = last_shift + shift - before
+        yielding = yielded(setup.robot(self.robot), alpha, shift, np.array(setup.drives.translation_compliance), near)
+        self._gave_way[:] = [(setup.copy(), alpha, shift, yielding), *self._gave_way[:2]]
+        return yielding
 
     def poses(self, setup: Setup, joints: tuple[Array, Array] | None = None, *, margins: bool = False) -> Poses:
         """Equilibria of every row, at its own joint values or at others; the last few are remembered.
@@ -532,15 +536,15 @@ class ArmModel:
         taken the other way, and a parameter that cannot be changed either way gets a column of 0. All parameters of the
         drives share the derivatives by the joint values. The columns of the first `skip` parameters are left at 0.
         """
-        here = self.predicted(state)
+        predicted = self.predicted(state)
         count = len(self.parameters)
-        out = np.zeros((*here.shape, count + self.freedoms))
+        out = np.zeros((*predicted.shape, count + self.freedoms))
         now = self.setup(state.x)
         joints: Array | None = None
         for k, p in enumerate(self.parameters[skip:], start=skip):
             inward = -1.0 if state.x[k] > (p.low + p.high) / 2 else 1.0
             if p.effect.drives and not now.friction.any():  # with friction, rows depend on all joint values before
-                joints = self._joint_slopes(now, state.registration, here) if joints is None else joints
+                joints = self._joint_slopes(now, state.registration, predicted) if joints is None else joints
                 moved = self.setup(_nudged(state.x, k, inward * STEP * p.scale))
                 change = np.hstack(self.joints(moved)) - np.hstack(self.joints(now))
                 change /= inward * STEP * p.scale
@@ -549,12 +553,12 @@ class ArmModel:
                 continue
             for step in (inward * STEP * p.scale, -inward * STEP * p.scale):
                 try:
-                    there = self.predicted(State(_nudged(state.x, k, step), state.registration))
+                    shifted = self.predicted(State(_nudged(state.x, k, step), state.registration))
                 except (InputError, SolveError):
                     continue
-                out[..., k] = (here - there) / step
+                out[..., k] = (predicted - shifted) / step
                 break
-        out[..., count:] = -self._registration_slope(state, here)
+        out[..., count:] = -self._registration_slope(state, predicted)
         return out
 
     @property
@@ -566,11 +570,11 @@ class ArmModel:
         """True if derivatives need a pass along all rows for every parameter."""
         return bool(self.setup(state.x).friction.any()) and bool(self.timeline.runs)
 
-    def _joint_slopes(self, setup: Setup, motion: Registration, here: Array) -> Array:
+    def _joint_slopes(self, setup: Setup, motion: Registration, predicted: Array) -> Array:
         """(V, 3, 2 n) of what is seen by the joint values of its row; tubes of one carriage share theirs equally."""
         alpha, shift = self.joints(setup)
         n = alpha.shape[1]
-        out = np.zeros((*here.shape, 2 * n))
+        out = np.zeros((*predicted.shape, 2 * n))
         carriages = self.robot.moving_together
         moves = [((i,), 0) for i in range(n)] + [(tubes, n) for tubes in carriages]
         for tubes, block in moves:
@@ -578,20 +582,22 @@ class ArmModel:
                 moved = [alpha.copy(), shift.copy()]
                 moved[block > 0][:, list(tubes)] += step
                 try:
-                    there = self._seen(setup, self.poses(setup, (moved[0], moved[1])), motion)
+                    shifted = self._seen(setup, self.poses(setup, (moved[0], moved[1])), motion)
                 except (InputError, SolveError):
                     continue
-                out[..., [block + i for i in tubes]] = ((there - here) / step / len(tubes))[..., None]
+                out[..., [block + i for i in tubes]] = ((shifted - predicted) / step / len(tubes))[..., None]
                 break
         return out
 
-    def _registration_slope(self, state: State, here: Array) -> Array:
+    def _registration_slope(self, state: State, predicted: Array) -> Array:
         """(V, 3, F) of what is predicted by the registration's freedoms."""
-        out = np.zeros((*here.shape, self.freedoms))
+        out = np.zeros((*predicted.shape, self.freedoms))
         for k in range(self.freedoms):
             turn, shift = state.registration.rates(k)
             lever = np.where(
-                self.directed[:, None], here, here + state.registration.rotation.T @ state.registration.translation
+                self.directed[:, None],
+                predicted,
+                predicted + state.registration.rotation.T @ state.registration.translation,
             )
             out[..., k] = np.cross(turn, lever) + np.where(self.directed[:, None], 0.0, shift)
         return out

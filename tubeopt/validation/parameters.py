@@ -57,10 +57,10 @@ def choose_parameters(
     if isinstance(names, str) or not len(names):
         raise InputError(f"no parameters are given; choose from {', '.join(KINDS)}")
     context = Context(robot, measurements, Setup.of(robot))
-    chosen = [_parameter(context, name, registration) for given in names for name in _spelled_out(context, given)]
+    chosen = [_parameter(context, name, registration) for spelling in names for name in _spelled_out(context, spelling)]
     for k, parameter in enumerate(chosen):
-        for other in chosen[:k]:
-            _contradict(other, parameter)
+        for earlier in chosen[:k]:
+            _contradict(earlier, parameter)
     return tuple(chosen)
 
 
@@ -148,14 +148,14 @@ def _check_number(context: Context, effect: Effect, name: str, number: str | Non
     if number is None or number in known:
         return
     if effect.each == "piece":
-        there = f"choose from {', '.join(known)}" if known else "the robot has no tube of two or more pieces"
-        raise InputError(f"parameter {name!r}: there is no such piece of a tube; {there}")
+        choices = f"choose from {', '.join(known)}" if known else "the robot has no tube of two or more pieces"
+        raise InputError(f"parameter {name!r}: there is no such piece of a tube; {choices}")
     if number in AXES:
         raise InputError(f"parameter {name!r} is not known; it has the axes {' and '.join(effect.each)}")
     what = COUNTED.get(effect.each, "tubes")
     what = what if effect.each in COUNTED or count == context.robot.n_tubes else "different tubes"
-    least = effect.first
-    allowed = f"the number must be {least} to {count}" if least <= count else "it has no such parameter"
+    first = effect.first
+    allowed = f"the number must be {first} to {count}" if first <= count else "it has no such parameter"
     raise InputError(f"parameter {name!r}: the robot has {count} {what}; {allowed}")
 
 
@@ -176,14 +176,14 @@ def groups(
     """Effects that these data of this robot can speak of, and that are always compared or `asked` for, each with the
     names of its parameters."""
     context = Context(robot, measurements, Setup.of(robot))
-    found: dict[str, tuple[str, ...]] = {}
+    by_kind: dict[str, tuple[str, ...]] = {}
     for kind, effect in EFFECTS.items():
-        wanted = effect.compared == "always" or (effect.compared == "asked" and kind in asked)
-        if not wanted or lacking(measurements, effect, registration):
+        compared = effect.compared == "always" or (effect.compared == "asked" and kind in asked)
+        if not compared or lacking(measurements, effect, registration):
             continue
         numbered = effect.each and kind != "translation_gain"
-        found[kind] = tuple(_spelled_out(context, f"{kind}_all")) if numbered else (kind,)
-    return {kind: names for kind, names in found.items() if names}
+        by_kind[kind] = tuple(_spelled_out(context, f"{kind}_all")) if numbered else (kind,)
+    return {kind: names for kind, names in by_kind.items() if names}
 
 
 def apply(setup: Setup, parameters: Sequence[Parameter], values: Array) -> Setup:

@@ -154,24 +154,24 @@ def register(
         return Registration(method, np.eye(3), np.zeros(3))
     solve = _about_axis if method == "base-axis" else _rigid
     d = directions
-    found = solve(m, p, base, None, 0.0)
+    registration = solve(m, p, base, None, 0.0)
     if d is None or not len(d.measured):
-        return found
+        return registration
     ratio = (d.noise[0] or FIRST_GUESS[0]) / (d.noise[1] or FIRST_GUESS[1])
     for _ in range(ROUNDS):
-        found, last = solve(m, p, base, d, ratio), ratio
-        ratio = _noise_ratio(found, m, p, d)
+        registration, last = solve(m, p, base, d, ratio), ratio
+        ratio = _noise_ratio(registration, m, p, d)
         if abs(ratio - last) <= 1e-12 * last:
             break
-    return found
+    return registration
 
 
-def _noise_ratio(found: Registration, m: Array, p: Array, d: Directions) -> float:
+def _noise_ratio(registration: Registration, m: Array, p: Array, d: Directions) -> float:
     """Noise of positions over that of directions, m: known, or from the residuals of a registration."""
-    left = found.apply(m) - p, d.measured @ found.rotation.T - d.predicted
+    left = registration.apply(m) - p, d.measured @ registration.rotation.T - d.predicted
     # A position has three degrees of freedom, a direction two.
     each = [math.sqrt((r**2).sum() / (k * len(r))) for k, r in zip((3, 2), left, strict=True)]
-    position, direction = (given or max(own, 1e-12) for given, own in zip(d.noise, each, strict=True))
+    position, direction = (known or max(own, 1e-12) for known, own in zip(d.noise, each, strict=True))
     return position / direction
 
 
@@ -180,32 +180,32 @@ def _rigid(m: Array, p: Array, _: BasePose, d: Directions | None, ratio: float) 
     if len(m) < 3:
         raise InputError(f"registration is 'rigid' and there are {len(m)} measurements; it needs at least 3")
     m_mean, p_mean = m.mean(0), p.mean(0)
-    there, here = p - p_mean, m - m_mean
+    model, target = p - p_mean, m - m_mean
     if d is not None:
-        there, here = np.vstack([there, ratio * d.predicted]), np.vstack([here, ratio * d.measured])
+        model, target = np.vstack([model, ratio * d.predicted]), np.vstack([target, ratio * d.measured])
     # The second singular value is 0 where all tips lie on a line.
-    if np.linalg.svd(there, compute_uv=False)[1] <= IN_LINE * math.sqrt(len(p)):
+    if np.linalg.svd(model, compute_uv=False)[1] <= IN_LINE * math.sqrt(len(p)):
         raise InputError(
             "registration is 'rigid', but the predicted tips lie on a line and do not "
             "determine the rotation about it; measure more configurations, or use base-axis "
             "or none"
         )
-    rotation = scipy.spatial.transform.Rotation.align_vectors(there, here)[0].as_matrix()
+    rotation = scipy.spatial.transform.Rotation.align_vectors(model, target)[0].as_matrix()
     return Registration("rigid", rotation, p_mean - rotation @ m_mean)
 
 
 def _about_axis(measured: Array, predicted: Array, base: BasePose, d: Directions | None, ratio: float) -> Registration:
     """Base to the origin, its axis to z, with the best yaw."""
     from_base = measured - np.array(base.position)
-    there, here = [predicted], [from_base]
+    model, target = [predicted], [from_base]
     if d is not None:
-        there, here = [predicted, ratio * d.predicted], [from_base, ratio * d.measured]
-    pairs = np.vstack([[0.0, 0.0, 1.0], *there]), np.vstack([base.axis, *here])
+        model, target = [predicted, ratio * d.predicted], [from_base, ratio * d.measured]
+    pairs = np.vstack([[0.0, 0.0, 1.0], *model]), np.vstack([base.axis, *target])
     # scipy meets a pair of infinite weight exactly: that of the axes.
     weights = np.append(np.inf, np.ones(len(pairs[0]) - 1))
     rotation = scipy.spatial.transform.Rotation.align_vectors(*pairs, weights=weights)[0].as_matrix()
     # Of all that is matched: |sum of conj(x + iy) (x' + iy')|, since the rotation about the axis is the best one.
-    agreement = ((np.vstack(here) @ rotation.T)[:, :2] * np.vstack(there)[:, :2]).sum()
+    agreement = ((np.vstack(target) @ rotation.T)[:, :2] * np.vstack(model)[:, :2]).sum()
     if agreement <= IN_LINE**2 * len(measured):
         raise InputError(
             "registration is 'base-axis' and all rotations about the axis fit alike, as of tips on the axis; measure "

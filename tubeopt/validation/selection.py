@@ -234,8 +234,8 @@ class _Search:
         it; what is held out at few places, and charged for parameters, is no such evidence."""
         order = list(self.known)
         for kind in reversed(self.now.effects):
-            for other in order[: order.index(kind)]:
-                trial = self._in_place(other, kind)
+            for earlier in order[: order.index(kind)]:
+                trial = self._in_place(earlier, kind)
                 if trial is not None:
                     return trial
         return None
@@ -243,23 +243,23 @@ class _Search:
     def _in_place(self, other: str, kind: str) -> _Trial | None:
         """The set with another effect in the place of one of now; None where the data speak strongly against it."""
         sets, now = self.sets, Effects(self.now.effects)
-        fewer, room = now - {kind}, STRONG_EVIDENCE * sets.inflation
+        fewer, threshold = now - {kind}, STRONG_EVIDENCE * sets.inflation
         changed = fewer | {other}
-        if other in now or sets.seen(changed) > sets.seen(now) + room + CROOKED * sets.inflation:
+        if other in now or sets.seen(changed) > sets.seen(now) + threshold + CROOKED * sets.inflation:
             return None
         if sets.lost(changed) >= sets.lost(fewer):
             return None  # it must predict better than nothing in its place, not only cost little
         trial = self._tried(changed)
-        return trial if trial is not None and self._seen(trial) <= self._seen(self.now) + room else None
+        return trial if trial is not None and self._seen(trial) <= self._seen(self.now) + threshold else None
 
     def _fewer(self) -> _Trial | None:
         """Set without the effect that is least worth its cost by the fit to all rows; None if all are worth it."""
         now, sets, cost = Effects(self.now.effects), self.sets, self._cost(self.now)
         near = sets.cost(now) + CROOKED * sets.inflation
         tried = (self._tried(now - {kind}) for kind in self.now.effects if sets.cost(now - {kind}) <= near)
-        worth = {trial: self._worth(trial) for trial in tried if trial is not None}
-        idle = [trial for trial, value in worth.items() if value < 0 or self._cost(trial) < cost]
-        return min(idle, key=lambda trial: worth[trial], default=None)
+        evidence = {trial: self._worth(trial) for trial in tried if trial is not None}
+        idle = [trial for trial, value in evidence.items() if value < 0 or self._cost(trial) < cost]
+        return min(idle, key=lambda trial: evidence[trial], default=None)
 
     def _worth(self, fewer: _Trial) -> float:
         """Gain of the current effects over fewer, by the fit to all rows, relative to their cost.
@@ -338,10 +338,10 @@ class _Search:
 
     def answer(self) -> Comparison:
         """The comparison, with the fit of the kept effects."""
-        found = None
+        result = None
         if self.now.effects:
             problem = FitProblem(self.now.model, self.given, self.now.fit.state, self.now.sigma)
-            found = problem.answer(self.measurements, lambda done, total: None)
+            result = problem.answer(self.measurements, lambda count, total: None)
         else:
             check_registration(registration_error(self.begun.model, self.begun.fit.state), self.begun.model.method)
         along, axis = distances(self.model, self.begun.residuals)
@@ -351,7 +351,7 @@ class _Search:
             steps=self._kept(),
             dropped=tuple(dict.fromkeys(kind for kind in self.passed if kind not in self.now.effects)),
             refused=self._refused(),
-            fit=found,
+            fit=result,
             chosen_anew=self._chosen_anew(),
             folds=len(np.unique(self.fold)),
             remarks=(*self.measurements.remarks, *(left_out(p) for p in self.idle)),
@@ -404,7 +404,7 @@ class _Search:
 
     def _rivals(self, kind: str) -> tuple[str, ...]:
         """Effects that predict as well in place of a kept one."""
-        return tuple(other for other in self.known if self._in_place(other, kind) is not None)
+        return tuple(rival for rival in self.known if self._in_place(rival, kind) is not None)
 
     def _gain(self, before: Array, after: Array) -> tuple[float, float]:
         """Part by which the held-out error falls, and that over its standard error between blocks."""
@@ -491,9 +491,9 @@ class HeldOutSets:
         # For independent errors of unit variance the optimism is twice the number of parameters and freedoms.
         optimism = self.lost(self.there) - self.seen(self.there)
         self.inflation = max(1.0, optimism / (2 * max(self.parameters(self.there) + self.free, 1)))
-        least = max(math.log(self.numbers / self.inflation), 2 * math.log(max(self.count, 1)), LEAST)
+        min_inflation = max(math.log(self.numbers / self.inflation), 2 * math.log(max(self.count, 1)), LEAST)
         # Holding out charges 2 for each parameter already.
-        self.price, self.charge = self.inflation * LEAST, self.inflation * (least - 2)
+        self.price, self.charge = self.inflation * LEAST, self.inflation * (min_inflation - 2)
 
     def parameters(self, effects: Iterable[str]) -> int:
         """Number of parameters of a set."""
@@ -522,11 +522,11 @@ class HeldOutSets:
         n, step = self.count, np.zeros(len(square))
         chosen = np.array([kind in effects for kind in self.kinds], dtype=bool)
         step[:n] = np.where(chosen, 0.0, self.absent)
-        here = [(kind in effects) - float(kind in self.there) for kind in self.jumps]
-        step[n + self.free : -1] = here * self.scale[n + self.free :]
+        change = [(kind in effects) - float(kind in self.there) for kind in self.jumps]
+        step[n + self.free : -1] = change * self.scale[n + self.free :]
         # Residuals are the last column: with the factor 1, step' S step is the loss of residuals + J step.
         step[-1] = 1.0
-        free = np.concatenate([chosen, np.ones(self.free, dtype=bool), np.zeros(len(here) + 1, dtype=bool)])
+        free = np.concatenate([chosen, np.ones(self.free, dtype=bool), np.zeros(len(change) + 1, dtype=bool)])
         while free.any():
             step[free] = 0.0
             self._solve(square, step, free)
@@ -554,8 +554,8 @@ class HeldOutSets:
         default from the set that is there, from none and from all."""
         for start in starts or (self.there, Effects(), Effects(self.names)):
             best = start
-            while (found := min([best, *self.around(best)], key=self.cost)) != best:
-                best = found
+            while (best_neighbour := min([best, *self.around(best)], key=self.cost)) != best:
+                best = best_neighbour
         return sorted(self.known, key=self.cost)
 
     def chosen_anew(self) -> Array:
@@ -563,10 +563,10 @@ class HeldOutSets:
         out, total = np.empty_like(self.residuals), self.squares.sum(0)
         columns = [self.slopes, *(jump[..., None] for jump in self.jumps.values())]
         for k, label in enumerate(np.unique(self.fold)):
-            rest = copy(self)
-            rest.squares, rest.known = np.delete(self.squares, k, axis=0), {}
+            remaining = copy(self)
+            remaining.squares, remaining.known = np.delete(self.squares, k, axis=0), {}
             # From no effect: the set that is there was chosen with this fold.
-            best = rest.explore([Effects()])[0]
+            best = remaining.explore([Effects()])[0]
             step = self._step(best, total - self.squares[k])[:-1] / self.scale
             mine = self.fold == label
             table = np.concatenate([column[mine] for column in columns], axis=2)
