@@ -135,8 +135,8 @@ def of_field(kind: type[A], name: str, **changes: Any) -> Quantity[A]:
     first: dict[type, Any] = {type(mark): mark for mark in reversed(marks[1:])}
     named, shown = first.get(Key, Key("")), first.get(Form, Form(""))
     key = named.name or (f"{name}_{named.unit}" if named.unit else name)
-    made = {"form": shown.spec, "label": shown.label, "of": _of_parts(marks[0])}
-    return Quantity(key, **{"about": first[str], "get": attrgetter(name)} | made | changes)
+    marked = {"form": shown.spec, "label": shown.label, "of": _of_parts(marks[0])}
+    return Quantity(key, **{"about": first[str], "get": attrgetter(name)} | marked | changes)
 
 
 def _marked(kind: type) -> Mapping[str, tuple[Any, ...]]:

@@ -334,9 +334,9 @@ class Part:
     """Shift along the normal for sorting by depth, m: an outer surface stays in front of one that it touches."""
 
 
-def _mixed(colour: Colour, other: float, part: float) -> Colour:
+def _mixed(colour: Colour, background: float, part: float) -> Colour:
     """A colour with a part of a grey."""
-    red, green, blue = (round((1 - part) * c + part * other) for c in colour)
+    red, green, blue = (round((1 - part) * c + part * background) for c in colour)
     return red, green, blue
 
 

@@ -71,20 +71,22 @@ REGISTRATION = described(
 
 
 def _axis_error(v: Validation) -> float | None:
+    """RMS angle between measured and predicted directions, rad; None without measured directions."""
     # NaN in rows without a measured direction.
     return None if v.axis_errors is None else float(np.sqrt(np.nanmean(v.axis_errors**2)))
 
 
 def _stations(v: Validation) -> list[dict[str, float]] | None:
+    """Records of the errors at stations behind the tip; None with the tip alone."""
     behind = v.measurements.stations
-    # With the tip alone it would repeat the error of the tip.
     if len(behind) == 1:
         return None
     summaries = [_summary(ErrorSummary.of(v.along[:, k]), v.length) for k in range(len(behind))]
     return [{"behind_mm": float(at * TO_MM)} | each for at, each in zip(behind, summaries, strict=True)]
 
 
-def _both_ways(v: Validation) -> str | None:
+def _parity_text(v: Validation) -> str | None:
+    """Part of the error that depends on the direction of motion, as text; None without pairs."""
     if v.parity is None:
         return None
     p = v.parity
@@ -124,7 +126,7 @@ COMPARISON = described(
     Quantity("least_margin", "smallest margin of the configurations", lambda v: np.nanmin(v.margin)),
     Quantity("axis_error_rms_deg", "RMS angle between measured and predicted direction", _axis_error, form=".2f"),
     Quantity("stations", "errors at each distance behind the tip", lambda v: _stations(v)),
-    of_field(Validation, "parity", label="both directions", words=lambda v: _both_ways(v)),
+    of_field(Validation, "parity", label="both directions", words=lambda v: _parity_text(v)),
     Quantity("remarks", "remarks on the measurements"),
 )  # fmt: skip
 
@@ -162,13 +164,14 @@ def save_residuals(directory: Path, v: Validation, held_out: Array | None = None
 
 
 SUFFIXES = {"": "", "1/m": "per_m", "rad": "deg", "m": "mm", "s": "s", "N": "mN_m_per_m", "m/N": "mm_per_N"}
-"""SI unit of a parameter -> the unit in which it is told."""
+"""SI unit of a parameter -> unit in its record."""
 
 
 def _estimate(e: Estimate) -> dict[str, Any]:
+    """Record of an estimated parameter."""
     names = ("start", "value", "standard_error", "low", "high", "block_error", "block_low", "block_high")
-    told = with_unit(SUFFIXES[e.unit], {name: getattr(e, name) for name in names})
-    return {"name": e.name, **told, "held": e.held}
+    values = with_unit(SUFFIXES[e.unit], {name: getattr(e, name) for name in names})
+    return {"name": e.name, **values, "held": e.held}
 
 
 FIT_ERRORS: tuple[Quantity[Fit], ...] = (
@@ -204,7 +207,7 @@ class FitReport(Report[Fit]):
     def rows(self) -> list[tuple[str, str]]:
         """The comparison after the fit, the errors before, after and held out, the noise."""
         compared = quantities.rows(self.answer.after, COMPARISON)
-        # The error after the fit is one of three here, and takes the place of the single one.
+        # The error after the fit is one of three errors, which replace the single one.
         at = [name for name, _ in compared].index("tip error")
         errors = quantities.rows(self.answer, FIT_ERRORS)
         return [*compared[:at], *errors, *compared[at + 1 :], *quantities.rows(self.answer, FIT)]
@@ -217,13 +220,13 @@ class FitReport(Report[Fit]):
             sign = f" {SIGNS.get(unit, unit)}" if unit else ""
             names = ("start", "value", "low", "high", "block_low", "block_high")
             factor = "× " if not unit and e.start == 1.0 else ""  # what is given is 1 of factors alone
-            start, value, low, high, least, most = (
+            start, value, low, high, block_low, block_high = (
                 f"{factor * (name in names[:2])}{in_units(getattr(e, name), unit):.4g}" for name in names
             )
             fitted = (
                 ("held", "–", "–")
                 if e.held
-                else (f"{value}{sign}", f"{low} to {high}{sign}", f"{least} to {most}{sign}")
+                else (f"{value}{sign}", f"{low} to {high}{sign}", f"{block_low} to {block_high}{sign}")
             )
             cells.append((e.name, f"{start}{sign}", *fitted))
         interval = f"{100 * self.answer.confidence:g} % interval"
@@ -305,13 +308,13 @@ class EffectsReport(Report[Comparison]):
 
     def save(self, directory: Path) -> list[Path]:
         """Write report.json, and residuals.csv and the calibrated robot.yaml where an effect pays."""
-        rest = [] if self.answer.fit is None else FitReport(self.answer.fit).save(directory)[1:]
-        return [self.save_record(directory), *rest]
+        of_fit = [] if self.answer.fit is None else FitReport(self.answer.fit).save(directory)[1:]
+        return [self.save_record(directory), *of_fit]
 
     def pictures(self) -> dict[str, Drawing]:
         """Pictures of the effects; residuals and errors if an effect is useful."""
-        rest = {} if self.answer.fit is None else FitReport(self.answer.fit).pictures()
-        return {"effects": drawing("validation.plot_effects", self.answer)} | rest
+        of_fit = {} if self.answer.fit is None else FitReport(self.answer.fit).pictures()
+        return {"effects": drawing("validation.plot_effects", self.answer)} | of_fit
 
 
 def _expected(p: Placement) -> list[dict[str, Any]]:
@@ -352,7 +355,7 @@ class PlacementReport(Report[Placement]):
     file = "report.json"
 
     def below(self) -> list[RenderableType]:
-        """Expected errors."""
+        """Table of the expected errors."""
         p = self.answer
         cells = []
         for name, unit, own, random in zip(p.parameters, p.units, p.standard_errors, p.random, strict=True):

@@ -43,20 +43,23 @@ def _extent(a: Findings, side: int) -> Array:
     return corner
 
 
-def _least_margin(a: Findings) -> float:
+def _min_margin(a: Findings) -> float:
+    """Smallest margin of all samples."""
     # Part by part: a streamed workspace need not fit into memory.
     return float(min(np.nanmin(part[:, -1], initial=np.inf) for _, part in a.workspace.chunks()))
 
 
-def _spans(a: Findings) -> str:
+def _spans_text(a: Findings) -> str:
+    """Ranges of the tip coordinates, as text."""
     parts = [part[:, -7:-4] for _, part in a.workspace.chunks()]
     low, high = (TO_MM * of([of(tips, axis=0) for tips in parts], axis=0) for of in (np.nanmin, np.nanmax))
     return ", ".join(f"{a} {x:.4g} to {y:.4g}" for a, x, y in zip("xyz", low, high, strict=True)) + " mm"
 
 
-def _dexterity(a: Findings) -> str:
-    seen = a.voxels.dexterity
-    return f"{100 * seen.mean():.1f} % of all directions per voxel, at most {100 * seen.max():.1f} %"
+def _dexterity_text(a: Findings) -> str:
+    """Mean and largest dexterity of the voxels, as text."""
+    dexterity = a.voxels.dexterity
+    return f"{100 * dexterity.mean():.1f} % of all directions per voxel, at most {100 * dexterity.max():.1f} %"
 
 
 MERIDIAN: tuple[Quantity[Volume], ...] = (
@@ -85,8 +88,8 @@ WORKSPACE = described(
     Quantity("without_equilibrium", "number of samples without a stable equilibrium",
              lambda a: len(a.workspace.failures)),
     Quantity("counted", "number of samples with the required margin", lambda a: a.voxels.samples),
-    Quantity("least_margin", "smallest margin", _least_margin, form=".4f", label="least margin"),
-    line("tip range", _spans),
+    Quantity("least_margin", "smallest margin", _min_margin, form=".4f", label="least margin"),
+    line("tip range", _spans_text),
     Quantity("lower_mm", "smallest coordinates of the voxels", lambda a: _extent(a, 0)),
     Quantity("upper_mm", "largest coordinates of the voxels", lambda a: _extent(a, 1)),
     Quantity("voxel_mm", "edge of a voxel", lambda a: a.voxels.size),
@@ -102,21 +105,22 @@ WORKSPACE = described(
              words="{volume_unseen_cm3:.4g} cm3 estimated as not yet sampled"),
     *within(MERIDIAN, lambda a: a.meridian),
     *within(ALPHA, lambda a: a.alpha),
-    line("dexterity", _dexterity),
+    line("dexterity", _dexterity_text),
     Quantity("mean_dexterity", "mean fraction of all directions in which a voxel is reached",
              lambda a: a.voxels.dexterity.mean()),
     Quantity("largest_dexterity", "largest fraction of all directions in which a voxel is reached",
              lambda a: a.voxels.dexterity.max()),
     of_field(Findings, "loss", label="unstable",
              words="{snapping[unstable]} of {snapping[equilibria]} equilibria", of=LOSS),
-    line("lost to snapping", lambda a: None if a.loss is None else _lost(a.loss)),
+    line("lost to snapping", lambda a: None if a.loss is None else _loss_text(a.loss)),
 )  # fmt: skip
 
 
-def _lost(lost: SnappingLoss) -> str:
-    low, high = (100 * end for end in lost.interval)
-    share = f"{low:.2g} to {high:.2g} % of all equilibria (95 % confidence)"
-    return f"{lost.lost_volume * per_si('cm3'):.4g} cm3, {100 * lost.fraction:.2f} %; {share}"
+def _loss_text(loss: SnappingLoss) -> str:
+    """Volume and fraction lost to snapping, as text."""
+    low, high = (100 * end for end in loss.interval)
+    interval = f"{low:.2g} to {high:.2g} % of all equilibria (95 % confidence)"
+    return f"{loss.lost_volume * per_si('cm3'):.4g} cm3, {100 * loss.fraction:.2f} %; {interval}"
 
 
 class WorkspaceReport(Report[Findings]):
@@ -196,17 +200,17 @@ class SweepReport(Report[Sweep]):
     def rows(self) -> list[tuple[str, str]]:
         """Number of points, first failures, and the file of the table."""
         a = self.answer
-        told = [(f"  point {index + 1}", reason) for index, reason in a.failures[:SHOWN]]
+        failures = [(f"  point {index + 1}", reason) for index, reason in a.failures[:SHOWN]]
         if len(a.failures) > SHOWN:
-            told.append(("", f"and {len(a.failures) - SHOWN} more, in the table"))
-        return [*super().rows(), *told, ("table", str(a.table)), ("arrays", str(a.arrays))]
+            failures.append(("", f"and {len(a.failures) - SHOWN} more, in the table"))
+        return [*super().rows(), *failures, ("table", str(a.table)), ("arrays", str(a.arrays))]
 
     def tables(self) -> dict[str, Any]:
         """The table, which is CSV and npz already."""
         return {"table": self.answer}
 
     def conclude(self) -> None:
-        """Raise SolveError where every point failed."""
+        """Raise SolveError if every point failed."""
         a = self.answer
         if len(a.failures) == a.points:
             raise SolveError(f"all {a.points} points failed; the first: {a.failures[0][1]}")

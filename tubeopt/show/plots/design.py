@@ -69,9 +69,9 @@ def plot_poses(solution: DesignSolution) -> Figure:
         axes.set_aspect("equal", adjustable="datalim")
         axes.set_xlabel(f"{'xyz'[i]} (mm)")
     views[0].set_ylabel("z (mm)")
-    least = min((e.margin for e in solution.equilibria), default=1.0)
+    min_margin = min((e.margin for e in solution.equilibria), default=1.0)
     count = len(solution.equilibria)
-    headed(figure, f"{solution.robot.name or 'design'}: {count} task poses, least margin {least:.3f}")
+    headed(figure, f"{solution.robot.name or 'design'}: {count} task poses, least margin {min_margin:.3f}")
     handles = []
     for k in range(solution.robot.n_tubes):
         handles += views[0].plot([], [], color=tube_colour(k), lw=2 + k, label=f"tube {k + 1}")
@@ -229,12 +229,12 @@ def plot_pair_shares(
     panels = figure.subplots(1, 2, sharey=True)
     # The clearance is the middle of the colours: satisfied and violated pairs differ in hue.
     largest = 2 * TO_MM * max(shares[1].clearance, 1e-4)
-    for panel, share, when in zip(panels, shares, ("as given", "as designed"), strict=True):
+    for panel, reach, when in zip(panels, shares, ("as given", "as designed"), strict=True):
         # NaN lets the grey of the panel show.
-        table = np.where(np.eye(len(share.apart), dtype=bool), np.nan, share.apart * TO_MM)
+        table = np.where(np.eye(len(reach.apart), dtype=bool), np.nan, reach.apart * TO_MM)
         panel.set_facecolor(FAINT)
         panel.imshow(table, vmin=0, vmax=largest, cmap="RdBu")
-        panel.set(title=f"{when}: {100 * share.share:.0f} % of pairs", xlabel=f"target number of {names[1]}")
+        panel.set(title=f"{when}: {100 * reach.share:.0f} % of pairs", xlabel=f"target number of {names[1]}")
         panel.set(xticks=range(0, len(table), TICK_STEP), yticks=range(0, len(table), TICK_STEP))
     panels[0].set_ylabel(f"target number of {names[0]}")
     where: dict[str, Any] = {"location": "bottom", "shrink": 0.6, "aspect": 40, "extend": "both"}
@@ -260,17 +260,17 @@ def plot_pair_places(
     Raises:
         InputError: the number of places is not that of the shares.
     """
-    if any(np.shape(places) != (len(share.apart), 3) for share in shares):
+    if any(np.shape(places) != (len(reach.apart), 3) for reach in shares):
         raise InputError(f"places has shape {np.shape(places)}; it must be ({len(shares[0].apart)}, 3)")
     figure = new_figure(7.0, 7.6)
     panels = figure.subplots(2, 2, sharex=True, sharey="row")
     # Half of the largest extent and a tenth of it as an edge: all panels have one scale.
     middle, half = (places.max(0) + places.min(0)) / 2 * TO_MM, 0.6 * float(np.ptp(places, axis=0).max()) * TO_MM
-    for column, share, when in zip(panels.T, shares, ("as given", "as designed"), strict=True):
-        column[0].set_title(f"{when}: {100 * share.share:.0f} % of pairs")
+    for column, reach, when in zip(panels.T, shares, ("as given", "as designed"), strict=True):
+        column[0].set_title(f"{when}: {100 * reach.share:.0f} % of pairs")
         column[1].set_xlabel("x (mm)")
         for axes, axis in zip(column, (2, 1), strict=True):  # seen along y, and along z
-            drawn = [_draw_halves(axes, places[:, [0, axis]] * TO_MM, share, arm) for arm in (0, 1)]
+            drawn = [_draw_halves(axes, places[:, [0, axis]] * TO_MM, reach, arm) for arm in (0, 1)]
             axes.set_aspect("equal")
             axes.set(xlim=middle[0] + np.array([-half, half]), ylim=middle[axis] + np.array([-half, half]))
     panels[0, 0].set_ylabel("z (mm)")
@@ -280,13 +280,13 @@ def plot_pair_places(
     return headed(figure, title or f"tip of {names[0]}: left half,  tip of {names[1]}: right half")
 
 
-def _draw_halves(axes: Axes, points: Array, share: PairShare, arm: int) -> Collection:
+def _draw_halves(axes: Axes, points: Array, reach: PairShare, arm: int) -> Collection:
     """Left (arm 0) or right half of each point (N, 2), mm, coloured by the targets left for the other arm."""
     from matplotlib.markers import MarkerStyle
 
-    reached = share.reached[arm].reached
+    reached = reach.reached[arm].reached
     # Rows are targets of the first arm; the sum over the other index counts its partners.
-    left = share.held.sum(1 - arm) / (len(points) - 1)
+    left = reach.held.sum(1 - arm) / (len(points) - 1)
     half: Any = MarkerStyle("o", fillstyle=("left", "right")[arm])
     look: dict[str, Any] = {
         "s": 20 if narrow() else 60,

@@ -315,8 +315,10 @@ def _break_headings_and_legends(figure: Figure) -> None:
             handles: Any = legend.legend_handles
             size = legend.get_texts()[0].get_fontsize()
             legend.remove()
-            made = figure.legend(handles, entries, loc="outside lower center", ncols=max(columns, 1), fontsize=size)
-            for text in made.get_texts():
+            legend_below = figure.legend(
+                handles, entries, loc="outside lower center", ncols=max(columns, 1), fontsize=size
+            )
+            for text in legend_below.get_texts():
                 _break_lines(text, 0.85 * page_width)
 
 

@@ -72,10 +72,10 @@ def plot_equilibria(equilibria: Sequence[Equilibrium], *, view: tuple[float, flo
     """
     from matplotlib.lines import Line2D
 
-    lowest, *others = equilibria
+    lowest, *ghosts = equilibria
     figure = new_figure(7.0, 5.4)
     headed(figure, f"{caption(lowest)}\n{len(equilibria)} equilibria at these joint values")
-    (scene,), seen = draw_scenes(figure, [lowest], [others], view)
+    (scene,), seen = draw_scenes(figure, [lowest], [ghosts], view)
     handles = []
     for k, each in enumerate(equilibria, start=1):
         line = seen.project(Centreline(each).position(np.linspace(0, each.arc_length[-1], 80)))

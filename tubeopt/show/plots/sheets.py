@@ -112,8 +112,8 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
     tables = [groove_numbers(groove, part) for groove in shown]
     _write_table(figure, columns, top - ROW, *tables)
     if len(part.grooves) > len(shown):
-        others = ", ".join(str(groove.number) for groove in part.grooves[len(shown) :])
-        _write(figure, EDGE, top - (len(tables[0]) + 1.4) * ROW, f"tubes {others}: see mold.json")
+        numbers = ", ".join(str(groove.number) for groove in part.grooves[len(shown) :])
+        _write(figure, EDGE, top - (len(tables[0]) + 1.4) * ROW, f"tubes {numbers}: see mold.json")
     _write_steps(figure, 158.0, top, mold_steps(part), part.remarks)
     return figure
 
@@ -213,10 +213,10 @@ QUARTERS = (0.25, 0.5, 0.75)
 
 
 @picture
-def plot_fabrication_sheet(made: TubeFabrication, *, title: str = "", success: str = "") -> Figure:
+def plot_fabrication_sheet(fabrication: TubeFabrication, *, title: str = "", success: str = "") -> Figure:
     """Heating sheet for the operator: one page A4, whose first line is the probability of success."""
-    plan = made.heating
-    figure = _new_sheet(f"Heating sheet: {title or f'tube {made.groove.number}'}")
+    plan = fabrication.heating
+    figure = _new_sheet(f"Heating sheet: {title or f'tube {fabrication.groove.number}'}")
     left, wide, top = 0.09, 0.37, 0.47 * A4[1]
     over_time = figure.add_axes((left, 0.68, wide, 0.185))
     duty = figure.add_axes((left, 0.53, wide, 0.105), sharex=over_time)
@@ -226,10 +226,10 @@ def plot_fabrication_sheet(made: TubeFabrication, *, title: str = "", success: s
     duty.set_xlabel("time (s)")
     _write(figure, EDGE, A4[1] - EDGE + 5, success or "success: not known", weight="bold")
     _write(figure, EDGE, A4[1] - EDGE - 6, f"{plan.rig.name or 'rig'}, mold of {plan.rig.mold.material.name}")
-    _write_table(figure, (EDGE, EDGE + 62.0), top, heating_numbers(made))
+    _write_table(figure, (EDGE, EDGE + 62.0), top, heating_numbers(fabrication))
     for head, lines, y in (
         ("Time line", time_line(plan), A4[1] - EDGE - 6),
-        ("Before", preparation(made), A4[1] - EDGE - 50),
+        ("Before", preparation(fabrication), A4[1] - EDGE - 50),
         ("Safety", safety(plan), A4[1] - EDGE - 104),
     ):
         _write(figure, 152.0, y, head, weight="bold")
@@ -238,9 +238,9 @@ def plot_fabrication_sheet(made: TubeFabrication, *, title: str = "", success: s
     return figure
 
 
-def heating_numbers(made: TubeFabrication) -> dict[str, str]:
+def heating_numbers(fabrication: TubeFabrication) -> dict[str, str]:
     """Table of a heating: settings, and values to measure and to watch; mm, s, degC, V, A."""
-    plan, groove, tube = made.heating, made.groove, made.groove.tube
+    plan, groove, tube = fabrication.heating, fabrication.groove, fabrication.groove.tube
     low, high = plan.spec.window_degC
     on = plan.duty > 0
     hold = plan.duty[plan.in_hold][:-1]
@@ -280,9 +280,9 @@ def time_line(plan: HeatingPlan) -> list[str]:
     ]
 
 
-def preparation(made: TubeFabrication) -> list[str]:
+def preparation(fabrication: TubeFabrication) -> list[str]:
     """Tasks before the switch: setting up, wiring, measuring."""
-    plan, spec = made.heating, made.mold.spec
+    plan, spec = fabrication.heating, fabrication.mold.spec
     battery, fixed = plan.rig.battery, "distal" if spec.clamps.sliding_end == "proximal" else "proximal"
     return [
         f"Tube in its groove, {plan.rig.clamps.grip * TO_MM:g} mm of it in each clamp; the {fixed} clamp is fixed, the "

@@ -195,10 +195,10 @@ def _box(box: BboxBase) -> Array:
     return np.asarray(box.extents, dtype=float).reshape(1, 4)
 
 
-def _overlap(figure: Figure, boxes: Array, others: Array) -> Mask:
+def _overlap(figure: Figure, boxes: Array, neighbours: Array) -> Mask:
     """(N, M) whether boxes (N, 4) and (M, 4) overlap by more than `TOLERANCE`."""
-    ends = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
-    starts = np.maximum(boxes[:, None, :2], others[None, :, :2])
+    ends = np.minimum(boxes[:, None, 2:], neighbours[None, :, 2:])
+    starts = np.maximum(boxes[:, None, :2], neighbours[None, :, :2])
     return np.asarray((ends - starts > np.array(TOLERANCE) * figure.dpi / 72).all(-1))
 
 

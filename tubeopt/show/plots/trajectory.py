@@ -95,8 +95,10 @@ def plot_checked(checked: VerifiedTrajectory) -> Figure:
     share_x(panels, joints.time)
     verdict = "holds" if proof.holds else "does not hold"
     seconds = number(float(joints.time[-1] - joints.time[0]), 1)
-    least = f"least margin {proof.least_margin:.3f}"
-    return headed(figure, f"{joints.robot.name or 'robot'}\n{seconds} s,  {least},  {verdict}{_under_load(proof.end)}")
+    margin_text = f"least margin {proof.least_margin:.3f}"
+    return headed(
+        figure, f"{joints.robot.name or 'robot'}\n{seconds} s,  {margin_text},  {verdict}{_under_load(proof.end)}"
+    )
 
 
 def _under_load(arm: Equilibrium) -> str:

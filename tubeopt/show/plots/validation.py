@@ -253,17 +253,17 @@ def plot_effects(comparison: Comparison) -> Figure:
 
 def _draw_steps(axes: Axes, c: Comparison) -> None:
     """Draw a bar for the robot as given, for every useful effect, and for every refused one."""
-    kept = [("as given", c.start.rms), *((f"+ {s.effect.replace('_', ' ')}", s.held_out.rms) for s in c.steps)]
+    steps = [("as given", c.start.rms), *((f"+ {s.effect.replace('_', ' ')}", s.held_out.rms) for s in c.steps)]
     refused = [(f"({s.effect.replace('_', ' ')})", s.held_out.rms) for s in c.refused]
-    names, errors = zip(*kept, *refused, strict=True)
+    names, errors = zip(*steps, *refused, strict=True)
     values = np.array(errors) * TO_MM
     gains = [f"{100 * s.gain + 0.0:+.1f} %".replace("-0.0", "±0.0").replace("+0.0", "±0.0") for s in c.refused]
-    words = [f"{value:.2f}" for value in values[: len(kept)]] + [gain.replace("-", "\N{MINUS SIGN}") for gain in gains]
+    words = [f"{value:.2f}" for value in values[: len(steps)]] + [gain.replace("-", "\N{MINUS SIGN}") for gain in gains]
     bars = draw_bars(axes, names, values, f"RMS tip error held out (mm), {c.folds} blocks", colours=KEPT, words=words)
-    for bar, label in zip(bars[len(kept) :], axes.get_yticklabels()[len(kept) :], strict=True):
+    for bar, label in zip(bars[len(steps) :], axes.get_yticklabels()[len(steps) :], strict=True):
         bar.set(facecolor="none", edgecolor=REFUSED, lw=0.9)
         label.set_color(FAINT)
-    axes.set_xlim(0, 1.14 * float(values[: len(kept)].max()))
+    axes.set_xlim(0, 1.14 * float(values[: len(steps)].max()))
     if c.fit is not None:
         # Standard deviation per coordinate; in space the variances of three add.
         noise = c.fit.noise * np.sqrt(3) * TO_MM

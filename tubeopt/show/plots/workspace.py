@@ -76,8 +76,11 @@ def plot_targets(
     figure = new_figure(9.0, 5.0)
     name = title or arms[-1].robot.name or "robot"
     largest_error = max(each.position_error for each in solutions)
-    least = min(each.margin for each in solutions)
-    headed(figure, f"{name}: {len(arms)} targets, tip within {largest_error * 1e9:.2g} nm, margin at least {least:.3f}")
+    min_margin = min(each.margin for each in solutions)
+    headed(
+        figure,
+        f"{name}: {len(arms)} targets, tip within {largest_error * 1e9:.2g} nm, margin at least {min_margin:.3f}",
+    )
     distance = path_length(targets) * TO_MM
     scene = swept_scene(arms, np.arange(len(arms), dtype=float), targets, shown=shown, targets=True)
     panels = beside_scene(figure, 3, scene, view)
@@ -270,9 +273,9 @@ def _draw_section(axes: Axes, section: _Section, values: Array, span: tuple[floa
     shown = np.ma.masked_where(outside, fine)
     low, high = span
     drawn = axes.pcolormesh(*edges, shown.T, cmap=MAP, vmin=low, vmax=high, rasterized=True)
-    kept = [np.flatnonzero(~outside.all(axis=1 - k)) for k in range(2)]
-    axes.set_xlim(edges[0][kept[0][0]], edges[0][kept[0][-1] + 1])
-    axes.set_ylim(edges[1][kept[1][0]], edges[1][kept[1][-1] + 1])
+    visible = [np.flatnonzero(~outside.all(axis=1 - k)) for k in range(2)]
+    axes.set_xlim(edges[0][visible[0][0]], edges[0][visible[0][-1] + 1])
+    axes.set_ylim(edges[1][visible[1][0]], edges[1][visible[1][-1] + 1])
     axes.set(xlabel="from the axis (mm)", ylabel="z (mm)")
     axes.set_aspect("equal")
     return drawn
