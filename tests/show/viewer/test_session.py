@@ -281,7 +281,7 @@ def test_another_design_is_the_same_branch_or_says_that_it_is_not() -> None:
 
 def test_a_shorter_tube_brings_its_joint_back_into_range() -> None:
     session, _ = move_joint(open_session(THESIS), 3, 0.15)
-    shorter = next(knob for knob in knobs(THESIS) if (knob.place, knob.field) == (0, "straight_length"))
+    shorter = next(knob for knob in knobs(THESIS) if (knob.index, knob.field) == (0, "straight_length"))
     robot = with_knob(THESIS, shorter, 160.0)
     assert robot.limits.translations[0][1] == pytest.approx(0.16)
     changed = redesign(session, robot)
