@@ -13,7 +13,7 @@ import argparse
 from pathlib import Path
 
 import tubeopt
-from tubeopt.show.plots.oven import plot_oven
+from tubeopt.show.plots.heating import plot_oven
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -11,7 +11,7 @@ from .show.plots.design import (
     plot_tolerance,
 )
 from .show.plots.eccentric import plot_permutations, plot_reach
-from .show.plots.heating import plot_feedback, plot_heating, plot_rig_fit, plot_wiring
+from .show.plots.heating import plot_feedback, plot_heating, plot_oven, plot_rig_fit, plot_wiring
 from .show.plots.loads import (
     plot_bearing,
     plot_force_estimates,
@@ -22,7 +22,6 @@ from .show.plots.loads import (
 )
 from .show.plots.maps import plot_branch, plot_energy_maps, plot_stability_map
 from .show.plots.mold import plot_mandrel, plot_materials, plot_mold, plot_springback
-from .show.plots.oven import plot_oven
 from .show.plots.path import plot_path, plot_snap
 from .show.plots.shape import plot_equilibria, plot_shape, plot_shapes, plot_torsion, plot_torsions
 from .show.plots.sheets import plot_fabrication_sheet, plot_setup_sheet

@@ -8,8 +8,7 @@ import typer
 
 from ..errors import choice
 from ..robots.file import load_robot
-from ..runs.shipped_files import shipped_files, shipped_folders
-from ..show.command_report import examine
+from ..show.command_report import examine, shipped_files, shipped_folders
 from ..show.reports import report
 from .commands import ROBOT
 from .flags import command, files, words

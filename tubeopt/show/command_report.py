@@ -18,12 +18,15 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.verification import verify_equilibrium
 from ..errors import SolveError
-from ..files.field_metadata import unit
+from ..files.field_metadata import key, unit
+from ..files.shipped import FOLDER as SHIPPED_FOLDER
+from ..files.shipped import description_of, shipped
 from ..files.units import TO_MM
+from ..files.yaml_file import load_yaml
 from ..robots.concentric import ConcentricRobot
+from ..robots.file import robot_from_dict
 from ..robots.robot import Robot
 from ..robots.tubes import Tube
-from ..runs.shipped_files import ShippedFile, ShippedFiles
 from ..runs.templates import WrittenFile
 from ..solvers.compiled.library import cache_directory, library
 from ..solvers.compiled.packaged import FOLDER
@@ -160,6 +163,48 @@ def _self_test() -> tuple[float, float]:
         forward_kinematics(robot, rotations)
         seconds.append(time.perf_counter() - start)
     return difference, min(seconds)
+
+
+@dataclass(frozen=True)
+class ShippedFile(Displayed):
+    """Built-in file."""
+
+    name: Annotated[str, "name for commands"]
+
+    folder: Annotated[str, "folder: robots, rigs, studies, ..."]
+
+    kind: Annotated[str | None, "its key `kind`; null without one"]
+
+    n_tubes: Annotated[int | None, key("tubes"), "number of tubes of a robot"]
+
+    about: Annotated[str, "description"]
+
+
+@dataclass(frozen=True)
+class ShippedFiles(Displayed):
+    """Built-in files of one folder, or all."""
+
+    files: tuple[ShippedFile, ...]
+    """Files, sorted by folder and name."""
+
+
+def shipped_folders() -> tuple[str, ...]:
+    """Names of the folders of built-in files."""
+    return tuple(sorted({path.parent.name for path in shipped().values()}))
+
+
+def shipped_files(folder: str = "*") -> ShippedFiles:
+    """Built-in files of a folder; of all folders by default."""
+    listed = sorted(shipped(folder).values(), key=lambda path: path.relative_to(SHIPPED_FOLDER))
+    return ShippedFiles(tuple(map(_described, listed)))
+
+
+def _described(path: Path) -> ShippedFile:
+    """Name, kind and description of a built-in file."""
+    folder = path.parent.name
+    data = load_yaml(path) if path.suffix == ".yaml" else {}
+    n_tubes = robot_from_dict(data, path).n_tubes if folder == "robots" else None
+    return ShippedFile(path.stem, folder, data.get("kind"), n_tubes, description_of(path))
 
 
 FILE = described(ShippedFile)

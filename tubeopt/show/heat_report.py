@@ -462,7 +462,7 @@ class OvenReport(Report[OvenPlan]):
     command = "heat oven"
     quantities = OVEN
     file = "oven.json"
-    drawn = (("oven", "oven.plot_oven"),)
+    drawn = (("oven", "heating.plot_oven"),)
 
     def title(self) -> str:
         return self.answer.oven.name or "oven"
