@@ -34,7 +34,7 @@ from tubeopt.shaping.firmware.sketch_files import (
 from tubeopt.shaping.heating.controller import HeatingLaw, LawState, decide
 from tubeopt.shaping.heating.thermal import ThermalModel, thermal_model
 from tubeopt.shaping.heating.uncertainty import ENSEMBLE, Uncertainty
-from tubeopt.show.heat_report import HeatingRunReport, FeedbackReport
+from tubeopt.show.heat_report import FeedbackReport, HeatingRunReport
 from tubeopt.typing import Array
 
 from .firmware_host import COMPILER, Fault, built, run

@@ -20,9 +20,9 @@ from tubeopt.shaping.mold.files import (
     dxf_deviation,
     manifold,
     plate_part,
+    volume_fault,
     write_dxf,
     write_solid,
-    volume_fault,
 )
 from tubeopt.shaping.mold.gcode import groove_gcode, read_gcode, toolpath_deviation
 from tubeopt.shaping.mold.groove import Arc
