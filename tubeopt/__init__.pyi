@@ -93,6 +93,7 @@ from .runs.sweeping import Sweep, sweep
 from .runs.workshop_file import load_oven, load_rig, save_rig
 from .shaping import Mold, MoldSpec, plan_mold, predict_tube
 from .shaping.heating.controller import Feedback
+from .shaping.heating.heating_block import HeatingBlock
 from .shaping.heating.oven import Oven, OvenPlan, plan_oven
 from .shaping.heating.plan import HeatingPlan
 from .shaping.heating.planning import plan_heating
@@ -182,6 +183,7 @@ __all__ = [
     "Friction",
     "FrictionBand",
     "HalfSpace",
+    "HeatingBlock",
     "HeatingPlan",
     "HeatingSpec",
     "IkSession",

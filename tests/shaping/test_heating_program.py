@@ -11,8 +11,9 @@ import scipy.sparse
 
 from tubeopt import HeatingSpec, load_rig, load_robot
 from tubeopt.shaping.heating.counts import minimum_time_counts
-from tubeopt.shaping.heating.optimal_control import SCALE, TASK, VENTS, Structure, program, rig_parameters
+from tubeopt.shaping.heating.optimal_control import Structure, program
 from tubeopt.shaping.heating.optimal_schedule import Ideal, planned_ramp, solve_ideal
+from tubeopt.shaping.heating.rig_course import SCALE, TASK, VENTS, rig_parameters
 from tubeopt.shaping.heating.thermal import COARSE, PROGRAM, thermal_model
 from tubeopt.typing import Array
 

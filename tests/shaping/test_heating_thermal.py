@@ -11,13 +11,8 @@ from scipy.special import erfc
 
 from tubeopt import Tube
 from tubeopt.shaping.heating.counts import sum_up_rounding
-from tubeopt.shaping.heating.optimal_control import (
-    SCALE,
-    VENTS,
-    instant,
-    rig_parameters,
-)
 from tubeopt.shaping.heating.rig import Rig, air_conductivity, natural_convection
+from tubeopt.shaping.heating.rig_course import SCALE, VENTS, instant, rig_parameters
 from tubeopt.shaping.heating.simulation import (
     CLAMP,
     DRAWN,

@@ -1,10 +1,7 @@
-"""Heating schedule as an optimal control problem: finite volumes along the tube, Radau collocation in time.
+"""Heating schedule as an optimal control problem: the course of a rig, limits and objective, compiled once.
 
-Two phases, heating of free duration and hold of given duration, share their states where they meet. Unknowns are the
-temperatures at all collocation points, the mean square current I^2 times duty (linear between nodes), and what may be
-chosen of the rig: clearance, lead and vents. These are always unknowns, fixed by their bounds where the rig is given,
-so that one compiled program serves every tube, rig and question. The current and the tube's resistance are unknowns of
-their own: eliminated, they would couple every temperature with every other.
+What may be chosen of the rig (clearance, lead and vents) is always unknown, fixed by its bounds where the rig is given,
+so that one compiled program serves every tube, rig and question.
 
 The equations of one instant depend on few unknowns, and linearly on the rates of its temperatures. They are
 differentiated as symbols once and evaluated at all points. Automatic differentiation of the whole program would take
@@ -13,7 +10,7 @@ one sweep for each direction.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -22,136 +19,13 @@ import casadi as ca
 import numpy as np
 
 from ...block.transcription.tableau import tableau
-from ...physics import heat
-from ...physics.heat import CLEARANCE, CURVED, GRIP, LEAD, PROPERTIES, Properties, Resolution, Shells, zones
-from ...robots.tubes import Tube
+from ...physics.heat import Resolution
 from ...solvers.settings import Ipopt
 from ...typing import Array
-from .rig import Rig
-from .thermal import cell_fractions, contact_decay, covered_fraction, half_lengths, rig_numbers
-
-
-class Scales(NamedTuple):
-    """Sizes by which unknowns and residuals are divided, so that IPOPT sees numbers of the order of 1."""
-
-    T: float = 500.0
-    """Temperature above ambient, K."""
-    charge: float = 1e-2
-    """Fraction of the battery's capacity."""
-    V_sag: float = 0.1
-    """Voltage sag, V."""
-    current: float = 100.0
-    """Current, A."""
-    R: float = 0.1
-    """Resistance of half the tube, ohm."""
-    length: float = 1e-2
-    """Clearance and lead, m."""
-    duration: float = 30.0
-    """Heating time, s."""
-    I_sq: float = 100.0
-    """Mean square current, A^2."""
-    voltage: float = 10.0
-    """Residual of the circuit, V."""
-    window: float = 10.0
-    """Constraints of the window, K."""
-    band: float = 25.0
-    """Distance from the window's middle in the objective, K."""
-    energy: float = 1e4
-    """Energy in the objective, J."""
-
-
-SCALE = Scales()
-
-VENTS = 6
-"""Number of points from the end of the mold to its middle at which vents may be chosen; linear between them."""
+from .rig_course import SCALE, TASK, TIME_MESH, VENTS, RigCourse, TimeMesh, instant, parameter_count
 
 OWN, PARAMETERS = (0, 2, 3, 4), 5
 """Inputs of `instant`: those that are unknowns of the instant other than rates, and the parameters of tube and rig."""
-
-
-def rig_parameters(tube: Tube, rig: Rig, resolution: Resolution) -> Array:
-    """Column of all parameters of tube and rig in the program; `Parameters` takes it apart.
-
-    Properties, fractions of the cells (n,), geometry of the shells, and the weights of the vents at the covered cells.
-    """
-    numbers = rig_numbers(tube, rig, resolution.shells)
-    position = covered_fraction(tube, rig, resolution)
-    weights = np.array([np.interp(position, np.linspace(0.0, 1.0, VENTS), unit) for unit in np.eye(VENTS)])
-    fractions = cell_fractions(resolution, half_lengths(tube, rig), contact_decay(tube, rig))
-    return np.concatenate([numbers.properties, fractions, *numbers.shells, weights.ravel()])
-
-
-def parameter_count(resolution: Resolution) -> int:
-    """Length of the column of `rig_parameters`."""
-    return len(PROPERTIES) + resolution.cells + 2 * resolution.shells - 1 + resolution.covered * VENTS
-
-
-@dataclass(frozen=True, eq=False)
-class Parameters:
-    """Parameters of tube and rig as symbols."""
-
-    properties: Properties
-    fraction: Any
-    """(n,) width of each cell as a fraction of its zone."""
-    shells: Shells
-    vents: Any
-    """(c, VENTS) weights of the chosen vents at the covered cells."""
-
-    @classmethod
-    def of(cls, column: Any, resolution: Resolution) -> Parameters:
-        """Parameters from the column of `rig_parameters`."""
-        n, m, covered = resolution.cells, resolution.shells, resolution.covered
-        ends = np.cumsum([0, len(PROPERTIES), n, m, m - 1, covered * VENTS]).tolist()
-        properties, fraction, area, log_ratio, vents = ca.vertsplit(column, ends)
-        return cls(Properties.of(properties), fraction, Shells(area, log_ratio), ca.reshape(vents, covered, VENTS))
-
-    def widths(self, resolution: Resolution, design: Any) -> Any:
-        """(n,) widths of the cells at a scaled design, m."""
-        p = self.properties
-        lengths = {
-            GRIP: p.L_grip, CLEARANCE: SCALE.length * design[0], LEAD: SCALE.length * design[1], CURVED: p.L_curved,
-        }  # fmt: skip
-        return self.fraction * ca.vertcat(*(lengths[int(zone)] for zone in zones(resolution)))
-
-
-@lru_cache(maxsize=8)
-def instant(resolution: Resolution) -> ca.Function:
-    """Function (z, z', circuit, I_sq, design, parameters) -> (equations, battery power in W) of one instant.
-
-    All unknowns are scaled. z: temperatures of tube, shells cell by cell and clamp above ambient, charge drawn, sag; z'
-    is per s. circuit: current while the MOSFET conducts, and resistance of half the tube. design: clearance, lead, and
-    vents at equal distances.
-    """
-    n, m, covered = resolution.cells, resolution.shells, resolution.covered
-    sizes = {"z": n + covered * m + 3, "rate": n + covered * m + 3, "circuit": 2, "I_sq": 1, "design": 2 + VENTS}
-    z, rate, circuit, I_sq, design = (ca.SX.sym(name, size) for name, size in sizes.items())
-    column = ca.SX.sym("p", parameter_count(resolution))
-    parameters = Parameters.of(column, resolution)
-    p = parameters.properties
-    vent = ca.mtimes(parameters.vents, design[2:])
-    v = heat.volumes(p, parameters.widths(resolution, design), vent, parameters.shells, resolution)
-    T = heat.Temperatures(
-        tube=p.T_amb + SCALE.T * z[:n],
-        mold=p.T_amb + SCALE.T * ca.reshape(z[n : n + covered * m], m, covered).T,
-        clamp=p.T_amb + SCALE.T * z[-3],
-    )
-    x = heat.RigState(T, SCALE.charge * z[-2], SCALE.V_sag * z[-1])
-    I_on = SCALE.current * circuit[0]
-    drive = heat.Drive(R_half=SCALE.R * circuit[1], I_mean=SCALE.I_sq * I_sq / I_on, I_sq=SCALE.I_sq * I_sq)
-    x_dot = heat.state_rates(x, heat.energy_balance(T, drive, v, p), drive, v, p)
-    z_dot = ca.vertcat(
-        x_dot.T.tube / SCALE.T,
-        ca.vec(x_dot.T.mold.T) / SCALE.T,
-        x_dot.T.clamp / SCALE.T,
-        x_dot.charge / SCALE.charge,
-        x_dot.V_sag / SCALE.V_sag,
-    )
-    V_oc = heat.open_circuit_voltage(x.charge, p)
-    # Current and resistance stay unknowns: eliminated, every cell would couple to all others.
-    voltage = (I_on * heat.loop_resistance(drive.R_half, p) - V_oc + x.V_sag) / SCALE.voltage
-    resistance = ca.sum1(heat.cell_resistance(T.tube, v, p)) / SCALE.R - circuit[1]
-    equations = ca.vertcat(rate - z_dot, voltage, resistance)
-    return ca.Function("instant", [z, rate, circuit, I_sq, design, column], [equations, drive.I_mean * V_oc])
 
 
 class Derivative(NamedTuple):
@@ -233,16 +107,8 @@ def _function(name: str, inputs: dict[str, Any], outputs: dict[str, Any]) -> ca.
 # --- the program ------------------------------------------------------------------------------------------------------
 
 
-TASK = (
-    "hold", "low", "high", "limit", "ramp", "current", "w_time", "w_energy", "w_centre", "w_miss", "w_I_sq",
-)  # fmt: skip
-"""Parameters of the question: hold (s), window and limit (K), ramp (K/s), mean current (A), and objective weights."""
-
 REGULARISATION = 1e-5
 """Added to the diagonal of the convex Hessian, in scaled unknowns."""
-
-W_LENGTH, W_VENT, W_VENT_CHANGE = 1e-2, 1.0, 20.0
-"""Weights in the objective of the squares of clearance and lead (scaled), of the vents, and of their differences."""
 
 # The objective is in units of about 1 K and 30 s: a tolerance of 1e-4 is far below what the coarse grid and counts
 # change. Tubes that are hard to heat take up to about 150 iterations.
@@ -274,32 +140,11 @@ WARM: dict[str, Any] = {
 
 
 @dataclass(frozen=True)
-class TimeMesh:
-    """Numbers of intervals of heating and hold, and of collocation points in each; short where the phases meet."""
-
-    heating: int = 14
-    hold: int = 10
-    degree: int = 2
-
-    @property
-    def fractions(self) -> tuple[Array, Array]:
-        """Faces of the intervals in each phase, from 0 to 1."""
-        up, on = np.linspace(0.0, 1.0, self.heating + 1), np.linspace(0.0, 1.0, self.hold + 1)
-        return 1 - np.sinh(1.5 * up[::-1]) / math.sinh(1.5), np.sinh(4.0 * on) / math.sinh(4.0)
-
-    def times(self, heating: float, hold: float) -> tuple[Array, Array]:
-        """Faces of the intervals, and collocation points (N,), s, for durations of heating and hold, s."""
-        first, second = self.fractions
-        faces = np.concatenate([heating * first, heating + hold * second[1:]])
-        return faces, (faces[:-1, None] + np.diff(faces)[:, None] * tableau("radau", self.degree).nodes).ravel()
-
-
-@dataclass(frozen=True)
 class Structure:
     """Everything that the structure of a program depends on: each needs a compiled program of its own."""
 
     resolution: Resolution
-    mesh: TimeMesh = TimeMesh()
+    mesh: TimeMesh = TIME_MESH
     soft_limit: bool = False
     """Whether the limit is relaxed by the miss as the window is; otherwise it is a bound of the unknowns."""
     chosen: tuple[str, ...] = ()
@@ -344,11 +189,6 @@ class Structure:
             "copies": (len(self.copied), intervals - 1),
         }
 
-    @property
-    def holding_points(self) -> int:
-        """Number of points of the hold, H, with the one at which it begins."""
-        return self.mesh.hold * self.mesh.degree + 1
-
 
 @dataclass(frozen=True, eq=False)
 class Program:
@@ -363,6 +203,8 @@ class Program:
     """Solver with a convex part of the Hessian, for when the others fail."""
     split: Any
     """Function that takes the column of unknowns apart."""
+    own: Any
+    """Function (unknowns, parameters) -> values of own requirements."""
     sizes: dict[str, int]
     """Number of constraints of each kind, in their order."""
 
@@ -374,31 +216,6 @@ class Program:
                 return f"the worst constraint is {name}, entry {row + 1} of {size}, violated by {violation.max():.1e}"
             row -= size
         raise AssertionError
-
-
-def differentiation(mesh: TimeMesh) -> Array:
-    """(1+N, N) matrix from values at start and points to rates at the points times the interval's length."""
-    # Radau IIA is stiffly accurate: the last point is the end, where the next interval begins.
-    nodes = np.concatenate([[0.0], tableau("radau", mesh.degree).nodes])
-    k, count = mesh.degree, mesh.heating + mesh.hold
-    powers = np.arange(k + 1)
-    slopes = powers * nodes[1:, None] ** np.maximum(powers - 1, 0)
-    local = slopes @ np.linalg.inv(np.vander(nodes, increasing=True))
-    D = np.zeros((1 + count * k, count * k))
-    for i in range(count):
-        D[i * k : (i + 1) * k + 1, i * k : (i + 1) * k] = local.T
-    return D
-
-
-def interpolation(mesh: TimeMesh) -> Array:
-    """(1+K, N) matrix from values at the ends of the intervals to values at the points, linear in between."""
-    nodes, count = tableau("radau", mesh.degree).nodes, mesh.heating + mesh.hold
-    mix = np.zeros((count + 1, count * mesh.degree))
-    for i in range(count):
-        columns = slice(i * mesh.degree, (i + 1) * mesh.degree)
-        # The mean square current is continuous and linear in every interval.
-        mix[i, columns], mix[i + 1, columns] = 1 - nodes, nodes
-    return mix
 
 
 @dataclass(frozen=True, eq=False)
@@ -438,86 +255,68 @@ class _Unknowns:
         return ca.kron(ca.vertcat(*rows), ca.DM.ones(1, s.mesh.degree))
 
 
-def _hold_temperatures(s: Structure, x: _Unknowns, parameters: Parameters, designs: Any) -> Any:
-    """(1+c, H) temperatures (K) at the start of the curved part and at its cells, at the points of the hold."""
-    first = s.resolution.cells - s.resolution.curved
-    rows = x.z[first - 1 : s.resolution.cells, s.points - s.holding_points :] * SCALE.T
-    # The joint of lead and curve lies between two cells whose widths the design may change.
-    columns = ca.horzsplit(designs[:, s.points - s.holding_points :])
-    widths = [parameters.widths(s.resolution, design)[first - 1 : first + 1] for design in columns]
-    before, after = ca.vertsplit(ca.horzcat(*widths))
-    joint = (after * rows[0, :] + before * rows[1, :]) / (before + after)
-    return ca.vertcat(joint, rows[1:, :]) + parameters.properties.T_amb
+@dataclass(frozen=True, eq=False)
+class OwnTerms:
+    """Requirements and objective of a user, as functions of the course; compared by identity."""
+
+    requirements: tuple[Callable[[RigCourse], Any], ...] = ()
+    """Functions that return expressions whose entries must be at least 0, scaled."""
+    objective: Callable[[RigCourse], Any] | None = None
+    """Function that returns what is minimised in place of time and energy, scaled."""
+
+
+NO_TERMS = OwnTerms()
+"""The program of the built-in objectives alone."""
 
 
 @lru_cache(maxsize=8)
-def program(s: Structure) -> Program:
+def program(s: Structure, own: OwnTerms = NO_TERMS) -> Program:
     """Compiled program of a structure."""
     x, mesh = _Unknowns(**{name: ca.MX.sym(name, *shape) for name, shape in s.unknowns.items()}), s.mesh
     p, task = ca.MX.sym("p", parameter_count(s.resolution)), ca.MX.sym("task", len(TASK))
     w = dict(zip(TASK, ca.vertsplit(task), strict=True))
-    parameters = Parameters.of(p, s.resolution)
-    T_amb = parameters.properties.T_amb
-
-    # Length of the interval of every point: heating time and hold, split by the mesh.
-    heating_parts, hold_parts = (np.diff(faces) for faces in mesh.fractions)
-    heating = SCALE.duration * ca.repmat(x.durations * ca.DM(heating_parts).T, mesh.degree, 1)
-    length = ca.horzcat(ca.vec(heating).T, w["hold"] * ca.DM(np.repeat(hold_parts, mesh.degree)).T)
-
-    # Collocation: rates and mean square currents at the points; everything begins at ambient temperature.
-    values = ca.horzcat(ca.DM.zeros(s.states, 1), x.z)
-    rate = ca.mtimes(values, ca.sparsify(ca.DM(differentiation(mesh)))) / ca.repmat(length, s.states, 1)
-    I_sq = ca.mtimes(x.I_sq, ca.sparsify(ca.DM(interpolation(mesh))))
-    designs = x.designs(s)
-    instants = instant(s.resolution).map("instants", "serial", s.points, [5], [])
-    equations, power = instants(x.z, rate, x.circuit, I_sq, designs, p)
-
-    T_hold = _hold_temperatures(s, x, parameters, designs)
-    misses = ca.repmat(x.misses[s.points - s.holding_points :], T_hold.size1(), 1)
-    limit = (w["limit"] - T_amb + x.misses) / SCALE.T
+    course = RigCourse(
+        s.resolution,
+        mesh,
+        z=x.z,
+        circuit=x.circuit,
+        I_sq_nodes=x.I_sq,
+        durations=x.durations,
+        hold=w["hold"],
+        designs=x.designs(s),
+        column=p,
+    )
+    limits = course.limits(w, x.misses)
+    limits["limit"] = limits["limit"][:, : s.soft_limit * s.points]
     blocks = {
-        "equations": equations,
+        "equations": course.equations,
         # Copies are equal by constraints of two entries each, which keep the factors sparse.
         "same": ca.horzcat(ca.diff(x.durations, 1, 1), ca.diff(x.misses, 1, 1)),
-        "low": (T_hold + misses - w["low"]) / SCALE.window,
-        "high": (T_hold - misses - w["high"]) / SCALE.window,
-        "limit": (x.z[: s.resolution.cells, :] - ca.repmat(limit, s.resolution.cells, 1))[:, : s.soft_limit * s.points],
-        "ramp": rate[s.resolution.grip : s.resolution.cells, :] * SCALE.T / w["ramp"],
-        "current": I_sq * SCALE.I_sq / (x.circuit[0, :] * SCALE.current) / w["current"],
-        # duty = I_sq / I^2 at most 1, times I^2: polynomial, and finite where the current is small.
-        "duty": I_sq * SCALE.I_sq / SCALE.current**2 - x.circuit[0, :] ** 2,
+        **limits,
         # Copies of the design are equal from interval to interval, as those of the duration.
         "chosen": ca.diff(ca.horzcat(x.design[s.copied], x.copies), 1, 1) if s.copied else ca.MX(0, 1),
+        "own": ca.veccat(ca.MX(0, 1), *(requirement(course) for requirement in own.requirements)),
     }
-
-    # Squares of the distance from the middle of the window and of changes of the current.
-    changes = ca.diff(x.I_sq, 1, 1)
-    # From the last interval of heating to the first of the hold the current may jump.
-    changes[mesh.heating] = 0
-    middle = 0.5 * (w["low"] + w["high"])
-    smooth = w["w_centre"] * ca.sumsqr((T_hold - middle) / SCALE.band) / T_hold.numel()
-    smooth += w["w_I_sq"] * ca.sumsqr(changes)
-    # Among equally good clearances, leads and vents the smallest; squares damp the steps of bilinear terms. Vents that
-    # change fast along the tube would compensate errors of the coarse grid.
-    smooth += W_LENGTH * ca.sumsqr(x.design[:2]) + W_VENT * ca.sumsqr(x.design[2:])
-    smooth += W_VENT_CHANGE * ca.sumsqr(ca.diff(x.design[2:]))
+    smooth = course.regularisation(w, x.design)
     linear = w["w_time"] * x.durations[0] + w["w_miss"] * x.misses[0]
+    if own.objective is not None:
+        linear += own.objective(course)
     # Energy is the quadrature of power, with the weights of the collocation.
-    quadrature = np.tile(tableau("radau", mesh.degree).weights, mesh.heating + mesh.hold)
+    quadrature = np.tile(tableau("radau", mesh.degree).weights, mesh.intervals)
     energy = w["w_energy"] / SCALE.energy * ca.DM(quadrature).T
 
     problem = {
         "x": x.column,
         "p": ca.veccat(p, task),
-        "f": smooth + linear + ca.sum2(power * energy * length),
+        "f": smooth + linear + ca.sum2(course.power * energy * course.length),
         "g": ca.veccat(*blocks.values()),
     }
-    blocks["equations"] = ca.vertcat(rate, ca.MX(equations.size1() - s.states, s.points))
+    blocks["equations"] = ca.vertcat(course.rate, ca.MX(course.equations.size1() - s.states, s.points))
     derivatives = exact_derivatives(
         problem,
         s.resolution,
         parameters=p,
-        own=ca.vertcat(x.z, x.circuit, I_sq, designs, length),
+        own=ca.vertcat(x.z, x.circuit, course.I_sq, course.designs, course.length),
         rest={"f": smooth + linear, "g": ca.veccat(*blocks.values())},
         weights=energy,
     )
@@ -529,6 +328,7 @@ def program(s: Structure) -> Program:
         restart=ca.nlpsol("heating_again", "ipopt", problem, {**exact, **WARM, "ipopt.max_iter": RESTART_ITERATIONS}),
         exact=ca.nlpsol("heating_exact", "ipopt", problem, {**exact, **COLD}),
         split=ca.Function("split", [x.column], [x.z, x.circuit, x.I_sq, x.durations[0], x.misses[0], x.design]),
+        own=ca.Function("own", [x.column, problem["p"]], [blocks["own"]]),
         sizes={name: int(block.numel()) for name, block in blocks.items()},
     )
 

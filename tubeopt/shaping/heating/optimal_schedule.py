@@ -17,8 +17,9 @@ from ...physics.heat_functions import CHARGE, CLAMP, SAG
 from ...robots.tubes import Tube
 from ...typing import Array
 from .counts import count_rate, full_current
-from .optimal_control import SCALE, TASK, VENTS, Program, Structure, program, rig_parameters
+from .optimal_control import NO_TERMS, OwnTerms, Program, Structure, program
 from .rig import COUNTS, Rig
+from .rig_course import LIMIT_RANGES, SCALE, TASK, VENTS, rig_parameters
 from .simulation import History, State, simulate, simulate_feedback, warming_span
 from .spec import HeatingSpec
 from .thermal import PROGRAM, ThermalModel, curve_start, curved_temperatures, thermal_model, vent_profile
@@ -54,8 +55,22 @@ WEIGHTS = {
     "time": {"w_time": 1.0, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 1.0, "w_I_sq": 0.01},
     "energy": {"w_time": 0.3, "w_energy": 5.0, "w_centre": 0.02, "w_miss": 3.0, "w_I_sq": 0.01},
     "margin": {"w_time": 0.3, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 1.0, "w_I_sq": 0.01},
+    "own": {"w_time": 0.0, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 3.0, "w_I_sq": 0.01},
 }
 """Weights per s / 30, J / 1e4, square of 25 K, K, and square of changes of the mean square current of 100 A^2."""
+
+
+class CourseNumbers(NamedTuple):
+    """Scaled unknowns of a course in numbers, in the order of the program."""
+
+    z: Array
+    """(N, S) states at the collocation points."""
+    circuit: Array
+    """(N, 2) current and resistance of half the tube."""
+    I_sq: Array
+    """(1+K,) mean square current at the ends of the intervals."""
+    durations: Array
+    """(intervals of heating,) copies of the heating time."""
 
 
 class Multipliers(NamedTuple):
@@ -87,9 +102,15 @@ class Ideal:
     """(H, 1 + c) temperatures in the hold at the start of the curved part and at its cells, K."""
     iterations: int
     """Iterations of IPOPT."""
+    objective: float
+    """Scaled objective of the program."""
     x: Array
     """Scaled unknowns without the copies of the design."""
     multipliers: Multipliers
+    own: Array
+    """Values of own requirements, which must be at least 0."""
+    structure: Structure
+    """Structure of the program."""
 
     @property
     def longer_lead_helps(self) -> bool:
@@ -113,10 +134,15 @@ class Shift:
     """(H, 1 + c) in the hold, at the start of the curved part and at its cells."""
     tube: Array
     """(N, n) at all points and cells."""
+    own: Array
+    """Values of own requirements at the simulation less those at the solution."""
 
     @classmethod
-    def between(cls, ideal: Ideal, tube: Tube, model: ThermalModel, history: History, slots: int) -> Shift:
-        """Shift from an ideal schedule to the simulation of its duties on a finer model in so many slots."""
+    def between(cls, ideal: Ideal, tube: Tube, model: ThermalModel, history: History, slots: int, own: Array) -> Shift:
+        """Shift from an ideal schedule to the simulation of its duties on a finer model in so many slots.
+
+        `own` are the values of own requirements at the simulation.
+        """
         slot = float(history.time[1])
         # The hold of the program may end within the slot after the last heated one.
         duties = ideal.duty(slot, max(math.ceil(ideal.time[-1] / slot), slots) + 1)
@@ -128,10 +154,12 @@ class Shift:
         fine = np.array([np.interp(coarse.position, model.position, row) for row in at_time])
         first = len(ideal.time) - len(ideal.hold)
         edge = np.array([[np.interp(curve_start(model), model.position, row)] for row in at_time[first:]])
-        return cls(np.hstack([edge, fine[first:][:, coarse.curved]]) - ideal.hold, fine - ideal.tube)
+        return cls(
+            np.hstack([edge, fine[first:][:, coarse.curved]]) - ideal.hold, fine - ideal.tube, np.zeros(len(ideal.own))
+        )
 
 
-def solve_ideal(
+def solve_ideal(  # noqa: PLR0913
     tube: Tube,
     rig: Rig,
     spec: HeatingSpec,
@@ -141,6 +169,7 @@ def solve_ideal(
     shift: Shift | None = None,
     guess: Ideal | None = None,
     soft_limit: bool = True,
+    own: OwnTerms = NO_TERMS,
 ) -> Ideal:
     """Best schedule with a duty of any value.
 
@@ -151,13 +180,14 @@ def solve_ideal(
         guess: earlier solution of a similar question.
         soft_limit: whether objective "margin" maximises the distance to the limit too. Where the window is missed it
             must not, since the limit would be relaxed as well.
+        own: requirements and objective of a user.
 
     Raises:
         SolveError: IPOPT did not converge; the message names the worst constraint.
     """
     structure = Structure(PROGRAM, soft_limit=soft_limit and spec.objective == "margin", chosen=spec.free)
-    nlp = program(structure)
-    x = guess.x if guess is not None else first_guess(nlp, tube, rig, spec)
+    nlp = program(structure, own)
+    x = guess.x if guess is not None else first_guess(structure, tube, rig, spec)
     lower, upper = _unknown_bounds(structure, tube, rig, spec)
     lbg, ubg = _constraint_bounds(nlp, shift)
     if not structure.soft_limit:
@@ -165,7 +195,7 @@ def solve_ideal(
         tubes[:] = (
             spec.limit - reserve[1] + ZERO_CELSIUS - rig.ambient - (0 if shift is None else shift.tube)
         ) / SCALE.T
-    task = _task(spec, tube, rig, reserve, ramp_reserve)
+    task = task_of(tube, rig, spec, reserve, ramp_reserve, own=own.objective is not None)
     x = np.clip(np.concatenate([x, structure.copies_of(x[-2 - VENTS :])]), lower, upper)
     bounds = {"lbx": lower, "ubx": upper, "lbg": lbg, "ubg": ubg}
     p = np.concatenate([rig_parameters(tube, rig, structure.resolution), task])
@@ -190,9 +220,45 @@ def solve_ideal(
     if spec.objective == "margin" and soft_limit and answer.miss > 0:
         return solve_ideal(
             tube, rig, spec,
-            reserve=reserve, ramp_reserve=ramp_reserve, shift=shift, guess=guess, soft_limit=False,
+            reserve=reserve, ramp_reserve=ramp_reserve, shift=shift, guess=guess, soft_limit=False, own=own,
         )  # fmt: skip
     return answer
+
+
+def own_values(tube: Tube, spec: HeatingSpec, ideal: Ideal, own: OwnTerms, run: OwnRun) -> Array:
+    """Values of own requirements at a simulation on the fine grid."""
+    s = ideal.structure
+    coarse = thermal_model(tube, ideal.rig, s.resolution)
+    slot = float(run.history.time[1])
+    # Shells of both grids lie at other radii: theirs are those of the program's grid.
+    history = simulate(coarse, slot, run.duties)
+    cells = np.array([np.interp(coarse.position, run.model.position, row) for row in run.history.tube[:, 0]])
+    history = replace(
+        history,
+        tube=cells[:, None],
+        lumped=run.history.lumped,
+        current=run.history.current,
+        resistance=run.history.resistance,
+    )
+    effective = np.maximum(run.duties - ideal.rig.circuit.lost_share, 0.0)
+    parts = [part.ravel() for part in unknowns_of(s, coarse, history, effective, spec, run.start)]
+    vents = vent_profile(ideal.rig, np.linspace(0.0, 1.0, VENTS))
+    lengths = np.array([ideal.rig.clamps.clearance, ideal.rig.mold.lead]) / SCALE.length
+    design = np.concatenate([lengths, vents])
+    x = np.concatenate([*parts, np.zeros(s.points), design, s.copies_of(design)])
+    p = np.concatenate([rig_parameters(tube, ideal.rig, s.resolution), task_of(tube, ideal.rig, spec, (0, 0), 0.0)])
+    return np.asarray(program(s, own).own(x, p).full().ravel())
+
+
+class OwnRun(NamedTuple):
+    """Simulation at which own requirements are evaluated."""
+
+    model: ThermalModel
+    history: History
+    duties: Array
+    """(T-1,) duties of the slots, 0 to 1."""
+    start: float
+    """Start of the hold, s."""
 
 
 def planned_ramp(tube: Tube, rig: Rig, spec: HeatingSpec, reserve: float) -> float:
@@ -202,7 +268,10 @@ def planned_ramp(tube: Tube, rig: Rig, spec: HeatingSpec, reserve: float) -> flo
     return max(ramp - reserve * count, MIN_RAMP * spec.ramp) if count < ramp else ramp
 
 
-def _task(spec: HeatingSpec, tube: Tube, rig: Rig, reserve: tuple[float, float], ramp_reserve: float) -> Array:
+def task_of(
+    tube: Tube, rig: Rig, spec: HeatingSpec, reserve: tuple[float, float], ramp_reserve: float, *, own: bool = False
+) -> Array:
+    """Values by the names of `TASK`, with reserves as of `solve_ideal`; `own`: with the weights of an own objective."""
     low, high = spec.window_degC
     # By sum-up rounding the mean current is up to a whole count greater.
     current = max(rig.circuit.current_limit - full_current(tube, rig) / COUNTS, 0.5 * rig.circuit.current_limit)
@@ -213,7 +282,7 @@ def _task(spec: HeatingSpec, tube: Tube, rig: Rig, reserve: tuple[float, float],
         "limit": spec.limit - reserve[1] + ZERO_CELSIUS,
         "ramp": planned_ramp(tube, rig, spec, ramp_reserve),
         "current": current,
-        **WEIGHTS[spec.objective],
+        **WEIGHTS["own" if own else spec.objective],
     }
     return np.array([values[name] for name in TASK])
 
@@ -253,14 +322,17 @@ def _unknown_bounds(s: Structure, tube: Tube, rig: Rig, spec: HeatingSpec) -> tu
 
 def _constraint_bounds(nlp: Program, shift: Shift | None) -> tuple[Array, Array]:
     limits: dict[str, tuple[Any, Any]] = {
-        "equations": (0.0, 0.0), "same": (0.0, 0.0), "low": (0.0, np.inf), "high": (-np.inf, 0.0),
-        "limit": (-np.inf, 0.0), "ramp": (-np.inf, 1.0), "current": (-np.inf, 1.0), "duty": (-np.inf, 0.0),
+        "equations": (0.0, 0.0),
+        "same": (0.0, 0.0),
+        **LIMIT_RANGES,
         "chosen": (0.0, 0.0),
-    }  # fmt: skip
+        "own": (0.0, np.inf),
+    }
     if shift is not None:
         # The constraints have the units of their scales.
         limits["low"] = (-shift.hold / SCALE.window, np.inf)
         limits["high"] = (-np.inf, -shift.hold / SCALE.window)
+        limits["own"] = (-shift.own, np.inf)
         if nlp.structure.soft_limit:
             limits["limit"] = (-np.inf, -shift.tube / SCALE.T)
     return _bounds(limits, nlp.sizes)
@@ -275,12 +347,6 @@ def _ideal(
 ) -> Ideal:
     s = nlp.structure
     Z, circuit, I_sq, duration, miss, design = (part.full() for part in nlp.split(solution["x"]))
-    heating = SCALE.duration * float(duration[0, 0])
-    faces, points = s.mesh.times(heating, spec.covered_time)
-    # I_sq is linear between the nodes, the current is known at the points: the duty is curved a little.
-    fine = np.unique(np.concatenate([faces, np.linspace(0.0, faces[-1], DUTY_POINTS)]))
-    I_on = SCALE.current * np.interp(fine, points, circuit[0])
-    duty = SCALE.I_sq * np.interp(fine, faces, I_sq.ravel()) / I_on**2
     clamps, mold = rig.clamps, rig.mold
     if "clearance" in spec.free:
         clamps = replace(clamps, clearance=SCALE.length * float(design[0, 0]))
@@ -288,30 +354,53 @@ def _ideal(
         mold = replace(mold, lead=SCALE.length * float(design[1, 0]))
     if "vents" in spec.free:
         mold = replace(mold, vents=tuple(np.clip(design[2:, 0], 0.0, 0.5).tolist()))
-    chosen = replace(rig, clamps=clamps, mold=mold)
-    temperature = rig.ambient + SCALE.T * Z[: s.resolution.cells].T
+    numbers = CourseNumbers(Z.T, circuit.T, I_sq.ravel(), np.full(s.mesh.heating, float(duration[0, 0])))
+    # The copies of the design, and their constraints, are the last ones; own constraints come after them.
+    count = nlp.sizes["own"]
+    own = [len(solution[name]) - s.copies for name in ("x", "lam_x")] + [len(solution["lam_g"]) - count - s.copies]
+    return replace(
+        ideal_of(s, tube, replace(rig, clamps=clamps, mold=mold), spec, numbers),
+        miss=float(miss[0, 0]),
+        iterations=int(stats["iter_count"]),
+        objective=float(solution["f"][0]),
+        x=solution["x"][: own[0]],
+        multipliers=Multipliers(solution["lam_x"][: own[1]], solution["lam_g"][: own[2]]),
+        own=solution["g"][len(solution["g"]) - count :],
+    )
+
+
+def ideal_of(s: Structure, tube: Tube, rig: Rig, spec: HeatingSpec, numbers: CourseNumbers) -> Ideal:
+    """Ideal schedule of a course in numbers, without miss and multipliers."""
+    heating = SCALE.duration * float(numbers.durations[0])
+    faces, points = s.mesh.times(heating, spec.covered_time)
+    # I_sq is linear between the nodes, the current is known at the points: the duty is curved a little.
+    fine = np.unique(np.concatenate([faces, np.linspace(0.0, faces[-1], DUTY_POINTS)]))
+    I_on = SCALE.current * np.interp(fine, points, numbers.circuit[:, 0])
+    duty = SCALE.I_sq * np.interp(fine, faces, numbers.I_sq) / I_on**2
+    temperature = rig.ambient + SCALE.T * numbers.z[:, : s.resolution.cells]
     first_of_hold = s.mesh.heating * s.mesh.degree - 1
-    # The copies of the design, and their constraints, are the last ones.
-    own = [len(solution[name]) - s.copies for name in ("x", "lam_x", "lam_g")]
     return Ideal(
         heating=heating,
         node_time=fine,
         node_duty=np.clip(duty, 0.0, 1.0),
-        miss=float(miss[0, 0]),
-        rig=chosen,
+        miss=0.0,
+        rig=rig,
         time=points,
         tube=temperature,
-        hold=curved_temperatures(thermal_model(tube, chosen, s.resolution), temperature[first_of_hold:]),
-        iterations=int(stats["iter_count"]),
-        x=solution["x"][: own[0]],
-        multipliers=Multipliers(solution["lam_x"][: own[1]], solution["lam_g"][: own[2]]),
+        hold=curved_temperatures(thermal_model(tube, rig, s.resolution), temperature[first_of_hold:]),
+        iterations=0,
+        objective=math.nan,
+        x=np.zeros(0),
+        multipliers=Multipliers(np.zeros(0), np.zeros(0)),
+        own=np.zeros(0),
+        structure=s,
     )
 
 
 # --- start: the schedule of a controller that knows the model ---------------------------------------------------------
 
 
-def first_guess(nlp: Program, tube: Tube, rig: Rig, spec: HeatingSpec) -> Array:
+def first_guess(s: Structure, tube: Tube, rig: Rig, spec: HeatingSpec) -> Array:
     """Unknowns of a schedule that heats as fast as the ramp allows.
 
     Where that misses the window by far, of one that heats as long as allowed: of two optima, IPOPT ends at the one on
@@ -319,20 +408,19 @@ def first_guess(nlp: Program, tube: Tube, rig: Rig, spec: HeatingSpec) -> Array:
     """
     target = 0.5 * sum(spec.window_degC) + ZERO_CELSIUS
     soonest = (target - rig.ambient) / min(0.9 * spec.ramp, 1e3)
-    unknowns, miss = _controlled(nlp, tube, rig, spec, soonest)
+    unknowns, miss = _controlled(s, tube, rig, spec, soonest)
     if miss > 0 and soonest < spec.longest_heating:
-        unknowns, miss = _controlled(nlp, tube, rig, spec, spec.longest_heating)
+        unknowns, miss = _controlled(s, tube, rig, spec, spec.longest_heating)
     design = np.array([rig.clamps.clearance, rig.mold.lead]) / SCALE.length
     vents = vent_profile(rig, np.linspace(0.0, 1.0, VENTS))
-    return np.concatenate([unknowns, np.full(nlp.structure.points, miss), design, vents])
+    return np.concatenate([unknowns, np.full(s.points, miss), design, vents])
 
 
-def _controlled(nlp: Program, tube: Tube, rig: Rig, spec: HeatingSpec, heating: float) -> tuple[Array, float]:
+def _controlled(s: Structure, tube: Tube, rig: Rig, spec: HeatingSpec, heating: float) -> tuple[Array, float]:
     """States, circuit, currents and durations of a controlled heating of this duration (s), and its miss, K.
 
     The controller knows the model and keeps the hottest cell on the ramp to the middle of the window.
     """
-    s = nlp.structure
     model = thermal_model(tube, rig, s.resolution)
     target, ramp = 0.5 * sum(spec.window_degC) + ZERO_CELSIUS, min(0.9 * spec.ramp, 1e3)
     count = int(np.clip(np.ceil((heating + spec.covered_time) / GUESS_SLOT), 200, 2000))
@@ -343,9 +431,21 @@ def _controlled(nlp: Program, tube: Tube, rig: Rig, spec: HeatingSpec, heating: 
         return duty_for(model, state, setpoint, slot, rig.circuit.current_limit)
 
     history, duties = simulate_feedback(model, slot, count, controller)
-    faces, points = s.mesh.times(heating, spec.covered_time)
+    unknowns = unknowns_of(s, model, history, duties, spec, heating)
+    hold = curved_temperatures(
+        model, model.T_amb + SCALE.T * unknowns.z[-s.mesh.holding_points :, : s.resolution.cells]
+    )
+    low, high = spec.window_degC
+    miss = max(low - float(hold.min() - ZERO_CELSIUS), float(hold.max() - ZERO_CELSIUS) - high)
+    columns = np.concatenate([part.ravel() for part in unknowns])
+    return columns, 1.1 * miss if miss > GUESS_MISS else 0.0
 
-    # Scaled states and circuit at the collocation points.
+
+def unknowns_of(
+    s: Structure, model: ThermalModel, history: History, duties: Array, spec: HeatingSpec, heating: float
+) -> CourseNumbers:
+    """Unknowns of a simulation on the program's grid at `duties` (T-1,), with a hold that starts at `heating`, s."""
+    faces, points = s.mesh.times(heating, spec.covered_time)
     covered, lumped = model.zone >= LEAD, history.lumped[:, 0]
     temperatures = [history.tube[:, 0], history.walls[:, 0][:, covered].reshape(len(history.time), -1)]
     z = np.column_stack(
@@ -361,12 +461,7 @@ def _controlled(nlp: Program, tube: Tube, rig: Rig, spec: HeatingSpec, heating: 
     # Mean square currents at the ends of the intervals.
     middle = 0.5 * (history.time[1:] + history.time[:-1])
     I_sq = np.interp(faces, middle, duties * history.current[:-1, 0] ** 2) / SCALE.I_sq
-    durations = np.full(s.mesh.heating, heating / SCALE.duration)
-
-    hold = curved_temperatures(model, model.T_amb + SCALE.T * z[-s.holding_points :, : s.resolution.cells])
-    low, high = spec.window_degC
-    miss = max(low - float(hold.min() - ZERO_CELSIUS), float(hold.max() - ZERO_CELSIUS) - high)
-    return np.concatenate([z.ravel(), circuit.ravel(), I_sq, durations]), 1.1 * miss if miss > GUESS_MISS else 0.0
+    return CourseNumbers(z, circuit, I_sq, np.full(s.mesh.heating, heating / SCALE.duration))
 
 
 def duty_for(model: ThermalModel, state: State, setpoint: float, slot: float, current_limit: float) -> float:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
+from ...block.custom import CustomObjective, CustomRequirement
 from ...constants import ZERO_CELSIUS
 from ...errors import InputError, SolveError, instance, without_unit_warnings
 from ...robots.tubes import Tube
@@ -13,10 +15,12 @@ from ...solvers.blas import small
 from ...solvers.time_limit import TIME_LIMIT, limited
 from ..materials import CALCIUM_SILICATE, check_temperatures, warn_of_limit
 from .counts import count_rate, full_current
+from .optimal_control import NO_TERMS, OwnTerms
 from .optimal_schedule import Ideal, solve_ideal
 from .outcome import Outcome, broken, hold_slots
 from .plan import MIN_GAIN, Cure, HeatingPlan
 from .rig import Rig
+from .rig_course import RigCourse
 from .robust import design_feedback
 from .schedule import Programmed, Schedule, best_schedule, minimum_time_outcome, programmed, realised_outcome
 from .sensors import Sensor
@@ -34,6 +38,8 @@ def plan_heating(
     sensor: Sensor | None = None,
     cures: bool = True,
     time_limit: float = TIME_LIMIT,
+    requirements: Sequence[CustomRequirement | Callable[[RigCourse], Any]] = (),
+    objective: CustomObjective | Callable[[RigCourse], Any] | None = None,
 ) -> HeatingPlan:
     """Schedule of integer duties that keeps the curved part of a tube in the temperature window for the hold time.
 
@@ -49,6 +55,10 @@ def plan_heating(
             with the probability that uncertain rigs keep the window (see `design_feedback`).
         cures: whether changes that would help are searched where the window is missed.
         time_limit: maximum run time, s.
+        requirements: own requirements: objects, or functions of the course of the rig (attributes as of `HeatingBlock`)
+            that return expressions, each entry at least 0. The plan is corrected until its counts satisfy them on the
+            fine grid; no cures are searched.
+        objective: own objective, an object or a function of the course, of the order of 1; replaces that of `spec`.
 
     Raises:
         InputError: a tube without curved part, or an invalid rig or window. A material without thermal data or recipe
@@ -75,11 +85,41 @@ def plan_heating(
             f"{spec.window_degC[0]:g} degC"
         )
     thermal_model(tube, rig, PROGRAM)  # raises InputError where tube and mold do not fit
-    schedule = best_schedule(tube, rig, spec)
-    changes = find_cures(tube, rig, spec, schedule) if cures and not schedule.feasible else ()
+    own = _own_terms(requirements, objective)
+    schedule = best_schedule(tube, rig, spec, own)
+    changes = find_cures(tube, rig, spec, schedule) if cures and own is NO_TERMS and not schedule.feasible else ()
     iterations = 0 if schedule.program is None else schedule.program.ideal.iterations
     plan = HeatingPlan.of(tube, spec, schedule, iterations, cures=changes)
     return plan if sensor is None else replace(plan, feedback=design_feedback(plan, sensor))
+
+
+def _own_terms(requirements: Sequence[Any], objective: Any) -> OwnTerms:
+    """Own requirements and objective as functions of the course, scaled."""
+    if not requirements and objective is None:
+        return NO_TERMS
+    for name, values, kind in (
+        ("requirements", requirements, CustomRequirement),
+        ("objective", () if objective is None else (objective,), CustomObjective),
+    ):
+        for value in values:
+            if isinstance(value, kind):
+                value.checked()
+            elif not callable(value):
+                raise InputError(f"{name} has {value!r}; it must be a {kind.__name__} or a function of the course")
+
+    def requirement(value: Any) -> Callable[[RigCourse], Any]:
+        if isinstance(value, CustomRequirement):
+            return lambda course: value.expression(course) / value.size  # type: ignore[arg-type]
+        return value  # type: ignore[no-any-return]
+
+    minimised = objective
+    if isinstance(objective, CustomObjective):
+        factor = objective.sign * objective.weight
+
+        def minimised(course: RigCourse) -> Any:
+            return factor * objective.expression(course)
+
+    return OwnTerms(tuple(requirement(value) for value in requirements), minimised)
 
 
 # --- changes that would help ------------------------------------------------------------------------------------------

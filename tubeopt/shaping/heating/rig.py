@@ -280,7 +280,7 @@ class MoldBed:
     @property
     def radius(self) -> float:
         """Radius of the cylinder with the cross-section of the plates, m."""
-        return math.sqrt(self.width * self.thickness / math.pi)
+        return (self.width * self.thickness / math.pi) ** 0.5
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ behind the ideal schedule for that, it is solved again with a larger reserve bel
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +31,8 @@ from .counts import (
     rollout,
     would_centre,
 )
-from .optimal_schedule import Ideal, Shift, planned_ramp, solve_ideal
+from .optimal_control import NO_TERMS, OwnTerms
+from .optimal_schedule import Ideal, OwnRun, Shift, own_values, planned_ramp, solve_ideal
 from .outcome import MeshError, Outcome, hold_slots, mesh_error, outcome_of
 from .rig import COUNTS, Rig
 from .simulation import History, at_rest, resimulate, simulate
@@ -275,11 +276,18 @@ class Schedule:
     """Comparison with the requirements."""
     program: Programmed | None = None
     """Optimal control problem, if it was solved."""
+    own: Array = field(default_factory=lambda: np.zeros(0))
+    """Values of own requirements, scaled, which must be at least 0."""
 
     @property
     def feasible(self) -> bool:
         """True if every requirement is satisfied."""
-        return self.outcome.feasible
+        return self.outcome.feasible and not self.own_miss
+
+    @property
+    def own_miss(self) -> float:
+        """Largest violation of own requirements, scaled; 0 if all are satisfied."""
+        return max(-float(self.own.min(initial=0.0)), 0.0)
 
     @property
     def breaks_limits(self) -> bool:
@@ -295,7 +303,7 @@ class Schedule:
         """
         outcome, circuit = self.outcome, self.run.rig.circuit
         excess = max(outcome.steepest / self.spec.ramp, outcome.mean_current / circuit.current_limit, 1.0)
-        return len(outcome.broken), int(math.log(excess, 1.25)), outcome.excess > 0, outcome.shortfall
+        return len(outcome.broken), int(math.log(excess, 1.25)), outcome.excess > 0, self.own_miss, outcome.shortfall
 
 
 def checked(spec: HeatingSpec, run: Run, counts: Counts, program: Programmed | None = None) -> Schedule:
@@ -305,8 +313,11 @@ def checked(spec: HeatingSpec, run: Run, counts: Counts, program: Programmed | N
     return Schedule(spec, run, counts, history, outcome, program)
 
 
-def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
+def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec, own: OwnTerms = NO_TERMS) -> Schedule:
     """Schedule that satisfies every requirement, or the one with the smallest miss of the window."""
+    if own is not NO_TERMS:
+        # The other methods know nothing of own requirements and objectives.
+        return _corrected(tube, rig, spec, RAMP_RESERVE, rounds=ROUNDS, own=own)
     minimum_time, rig_given = spec.objective == "time", not spec.free
     if minimum_time and rig_given and (soonest := _minimum_time_schedule(tube, rig, spec)) is not None:
         return soonest
@@ -432,7 +443,9 @@ def _fell_behind(schedule: Schedule, spec: HeatingSpec) -> bool:
     return 0 < schedule.outcome.shortfall < float(lag.max()) + HOPELESS
 
 
-def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, ramp_reserve: float, *, rounds: int) -> Schedule:
+def _corrected(
+    tube: Tube, rig: Rig, spec: HeatingSpec, ramp_reserve: float, *, rounds: int, own: OwnTerms = NO_TERMS
+) -> Schedule:
     """Schedule of the optimal control problem after deferred correction, in at most so many rounds."""
     swing = ripple(tube, rig, spec)
     reserve = _first_reserve(tube, rig, spec)
@@ -442,23 +455,31 @@ def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, ramp_reserve: float, *, 
     for round_ in range(rounds):
         # The rig is chosen in the first round: a correction belongs to the rig on which it was computed.
         on, task = (rig, spec) if ideal is None else (ideal.rig, replace(spec, free=()))
-        ideal = solve_ideal(tube, on, task, reserve=reserve, ramp_reserve=ramp_reserve, shift=shift, guess=ideal)
+        ideal = solve_ideal(
+            tube, on, task, reserve=reserve, ramp_reserve=ramp_reserve, shift=shift, guess=ideal, own=own
+        )
         duties = commanded_duties(ideal_duties(ideal, spec), ideal.rig)
         run = _run(tube, ideal.rig, spec, duties, hold_start(ideal, spec))
-        rounding = WindowReserve(swing, 4 * swing)
+        rounding, schedule = WindowReserve(swing, 4 * swing), None
         # No counts repair a large miss of the mean duties: none are computed before the correction, which may.
-        if round_ or rounds == 1 or swing > FINE_SWING or not _hopeless(ideal, run, spec):
+        if round_ or rounds == 1 or own.requirements or swing > FINE_SWING or not _hopeless(ideal, run, spec):
             schedule = _guarded(tube, spec, run, 1.0, Programmed(ideal, shift, reserve))
+            if own.requirements:
+                schedule = replace(schedule, own=_own_values_of(schedule, tube, ideal, own))
             # The margin is that of the fine grid only after a correction.
-            if best is None or spec.objective == "margin" or schedule.outcome.shortfall <= best.outcome.shortfall:
+            if best is None or spec.objective == "margin" or _no_worse(schedule, best):
                 best = schedule
-            if schedule.outcome.shortfall <= 0 and (spec.objective != "margin" or round_):
+            if schedule.outcome.shortfall <= 0 and not schedule.own_miss and (spec.objective != "margin" or round_):
                 break
             if ideal.miss > (SETTLED if round_ else 10 * HOPELESS):
                 break
             rounding = _rounding_loss(schedule, spec)
-        previous, shift = shift, Shift.between(ideal, tube, run.model, run.history, heated_slots(ideal, spec))
-        if previous is not None and np.abs(previous.hold - shift.hold).max() < SAME_SHIFT:
+        # A violation counts twice, since whole counts differ from round to round.
+        values = ideal.own if schedule is None else schedule.own + np.minimum(schedule.own, 0.0)
+        slots = heated_slots(ideal, spec)
+        previous, shift = shift, Shift.between(ideal, tube, run.model, run.history, slots, values)
+        settled = schedule is None or not schedule.own_miss
+        if previous is not None and settled and np.abs(previous.hold - shift.hold).max() < SAME_SHIFT:
             break
         reserve = WindowReserve(*(loss + run.error.largest + RESERVE for loss in rounding))
     assert best is not None
@@ -470,8 +491,19 @@ def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, ramp_reserve: float, *, 
             break
         # Temperatures rise nearly in proportion to the duty.
         scale *= 1 - (excess + RESERVE) / (spec.limit + ZERO_CELSIUS - best.run.model.T_amb)
-        best = _guarded(tube, spec, best.run, scale, best.program)
+        best = replace(_guarded(tube, spec, best.run, scale, best.program), own=best.own)
     return best
+
+
+def _own_values_of(schedule: Schedule, tube: Tube, ideal: Ideal, own: OwnTerms) -> Array:
+    """Values of own requirements under the counts of a schedule."""
+    run = OwnRun(schedule.run.model, schedule.history, schedule.counts / COUNTS, schedule.run.start)
+    return own_values(tube, schedule.spec, ideal, own, run)
+
+
+def _no_worse(schedule: Schedule, best: Schedule) -> bool:
+    """True if a schedule violates own requirements and the window no more than the best so far."""
+    return (schedule.own_miss, schedule.outcome.shortfall) <= (best.own_miss, best.outcome.shortfall)
 
 
 def _guarded(tube: Tube, spec: HeatingSpec, run: Run, scale: float, program: Programmed | None) -> Schedule:
@@ -497,6 +529,12 @@ def realised_outcome(tube: Tube, spec: HeatingSpec, ideal: Ideal) -> Outcome:
     fine, duties = thermal_model(tube, ideal.rig, FINE), commanded_duties(ideal_duties(ideal, spec), ideal.rig)
     counts = guarded_counts(fine, spec, ideal.rig, duties, hurried=True)
     return _outcome_of_counts(tube, ideal.rig, spec, counts, hold_start(ideal, spec))
+
+
+def realised_schedule(tube: Tube, spec: HeatingSpec, ideal: Ideal) -> Schedule:
+    """Schedule of whole counts that realise an ideal schedule, without any correction."""
+    duties = commanded_duties(ideal_duties(ideal, spec), ideal.rig)
+    return _guarded(tube, spec, _run(tube, ideal.rig, spec, duties, hold_start(ideal, spec)), 1.0, None)
 
 
 def _outcome_of_counts(tube: Tube, rig: Rig, spec: HeatingSpec, counts: Counts, start: float) -> Outcome:

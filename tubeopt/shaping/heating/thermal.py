@@ -11,8 +11,9 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 import scipy
 from numpy.typing import NDArray
@@ -157,17 +158,30 @@ def covered_fraction(tube: Tube, rig: Rig, resolution: Resolution) -> Array:
     return np.asarray(position[zone >= LEAD] / (lengths.lead + lengths.curved))
 
 
-def shell_radii(rig: Rig, tube: Tube, shells: int) -> tuple[Array, Array]:
-    """Radii of the faces (M+1,) and nodes (M,) of the shells, m; raises InputError for a mold that is too small."""
-    inner, outer = 0.5 * tube.outer_diameter, rig.mold.radius
-    if outer < 2 * inner:
+class ShellRadii(NamedTuple):
+    """Radii of M shells of mold around the tube, m; numbers, or expressions for a mold of free thickness."""
+
+    faces: Any
+    """(M+1,) radii of the faces."""
+    nodes: Any
+    """(M,) radii of the nodes."""
+
+
+def shell_radii(rig: Rig, tube: Tube, shells: int) -> ShellRadii:
+    """Radii of the shells, from the surface of the tube to that of the mold."""
+    # The field of a hot wire is linear in log r: shells of equal ratio have equal thermal resistance.
+    inner = 0.5 * tube.outer_diameter
+    faces = inner * ca.exp(ca.log(rig.mold.radius / inner) * ca.DM(np.linspace(0.0, 1.0, shells + 1)))
+    return ShellRadii(faces, ca.sqrt(faces[:-1] * faces[1:]))
+
+
+def check_mold(rig: Rig, tube: Tube) -> None:
+    """Raise InputError for a mold that is too small for the tube."""
+    if rig.mold.radius < tube.outer_diameter:
         raise InputError(
             f"the mold is {rig.mold.width * 1e3:g} mm by {rig.mold.thickness * 1e3:g} mm; that is too small to "
             f"surround a tube of {tube.outer_diameter * 1e3:g} mm"
         )
-    # The field of a hot wire is linear in log r: shells of equal ratio have equal thermal resistance.
-    faces = np.geomspace(inner, outer, shells + 1)
-    return faces, np.sqrt(faces[:-1] * faces[1:])
 
 
 class HalfLengths(NamedTuple):
@@ -223,14 +237,12 @@ def properties(tube: Tube, rig: Rig, shells: int) -> Properties:
     """Parameters of `physics.heat` for a mold of this number of shells."""
     data, section, girth = thermal_data(tube), tube.cross_section, math.pi * tube.outer_diameter
     mold, battery, circuit, clamps = rig.mold.material, rig.battery, rig.circuit, rig.clamps
-    factor, lengths, R_leak = rig.loss_factor, half_lengths(tube, rig), leak_resistance(tube, rig)
+    factor, lengths = rig.loss_factor, half_lengths(tube, rig)
     h_bare = rig.convection or natural_convection(tube.outer_diameter, rig.ambient + HOT, rig.ambient)
     faces, nodes = shell_radii(rig, tube, shells)
     k_mold = factor * mold.conductivity
     # From the last node to the mold's surface by conduction, then by transfer to the air, in series.
-    R_outer = math.log(faces[-1] / nodes[-1]) / (2 * math.pi * k_mold) + 1 / (
-        SURFACE_TRANSFER * 2 * math.pi * faces[-1]
-    )
+    R_outer = ca.log(faces[-1] / nodes[-1]) / (2 * math.pi * k_mold) + 1 / (SURFACE_TRANSFER * 2 * math.pi * faces[-1])
     return Properties(
         c_tube=data.density * section * data.heat_capacity,
         c_slope=data.heat_capacity_slope,
@@ -243,11 +255,11 @@ def properties(tube: Tube, rig: Rig, shells: int) -> Properties:
         h_air=h_bare * girth * factor,
         eps_sigma=data.emissivity * STEFAN_BOLTZMANN * girth * factor,
         h_gap=gap_transfer(tube, rig) * girth * factor,
-        R_wall=math.log(nodes[0] / faces[0]) / (2 * math.pi * k_mold),
+        R_wall=ca.log(nodes[0] / faces[0]) / (2 * math.pi * k_mold),
         k_mold=k_mold,
         c_mold=factor * mold.density * mold.heat_capacity,
         h_outer=1 / R_outer,
-        G_leak=0.0 if math.isinf(R_leak) else 1 / R_leak,
+        G_leak=0.0 if mold.electrically_insulating else 1 / leak_resistance(tube, rig),
         R_series=circuit.resistance,
         R_contact=circuit.contact_resistance,
         C_clamp=clamps.mass * clamps.heat_capacity,
@@ -265,6 +277,12 @@ def properties(tube: Tube, rig: Rig, shells: int) -> Properties:
     )
 
 
+def shells_of(tube: Tube, rig: Rig, shells: int) -> Shells:
+    """Geometry of the shells for `physics.heat`."""
+    faces, nodes = shell_radii(rig, tube, shells)
+    return Shells(math.pi * (faces[1:] ** 2 - faces[:-1] ** 2), ca.log(nodes[1:] / nodes[:-1]))
+
+
 class RigNumbers(NamedTuple):
     """Parameters of `physics.heat` as arrays."""
 
@@ -274,11 +292,11 @@ class RigNumbers(NamedTuple):
 
 
 def rig_numbers(tube: Tube, rig: Rig, shells: int) -> RigNumbers:
-    """Parameters of tube and rig, and the geometry of the shells."""
-    faces, nodes = shell_radii(rig, tube, shells)
+    """Parameters of tube and rig, and the geometry of the shells; raises InputError for a mold that is too small."""
+    check_mold(rig, tube)
     values = vars(properties(tube, rig, shells))
-    geometry = Shells(math.pi * np.diff(faces**2), np.diff(np.log(nodes)))
-    return RigNumbers(np.array([values[name] for name in PROPERTIES]), geometry)
+    geometry = Shells(*(part.full().ravel() for part in shells_of(tube, rig, shells)))
+    return RigNumbers(np.array([float(values[name]) for name in PROPERTIES]), geometry)
 
 
 def thermal_model(tube: Tube, rig: Rig, resolution: Resolution = COARSE) -> ThermalModel:
