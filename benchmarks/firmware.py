@@ -23,7 +23,7 @@ from tubeopt.constants import ZERO_CELSIUS
 from tubeopt.shaping.firmware.boards import BOARDS, Wiring
 from tubeopt.shaping.firmware.line import SimulatedRig
 from tubeopt.shaping.firmware.sketch_files import schedules, tabled, write_sketch
-from tubeopt.shaping.heating.controller import HeatingLaw, begin, decide
+from tubeopt.shaping.heating.controller import HeatingLaw, LawState, decide
 from tubeopt.shaping.heating.uncertainty import Uncertainty
 from tubeopt.typing import Array
 
@@ -46,7 +46,7 @@ class Pair:
 
 def by_law(law: HeatingLaw, rig: SimulatedRig, ticks: int) -> Array:
     """(ticks,) hottest point of a rig that the law leads, degC."""
-    memory, hottest, count = begin(1), [], np.zeros(1, dtype=np.int64)
+    memory, hottest, count = LawState.start(1), [], np.zeros(1, dtype=np.int64)
     per_slot = round(law.slot / TICK)
     for k in range(ticks):
         reading = rig.reading

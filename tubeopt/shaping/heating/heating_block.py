@@ -12,7 +12,7 @@ import numpy as np
 from ...arguments import typed
 from ...block.composed import as_program
 from ...block.inputs import symbolic
-from ...errors import InputError, choice, nearest, without_unit_warnings
+from ...errors import InputError, choice, nearest, whole, without_unit_warnings
 from ...physics import heat
 from ...robots.tubes import Tube
 from ...solvers.settings import Ipopt
@@ -21,7 +21,17 @@ from .optimal_control import COLD, IPOPT, MUMPS, Structure
 from .optimal_schedule import WEIGHTS, CourseNumbers, first_guess, ideal_of, task_of
 from .plan import HeatingPlan
 from .rig import Rig
-from .rig_course import LIMIT_RANGES, RIG_PARAMETERS, SCALE, TASK, VENTS, RigCourse, rig_parameters
+from .rig_course import (
+    LIMIT_RANGES,
+    RIG_PARAMETERS,
+    SCALE,
+    TASK,
+    TIME_MESH,
+    VENTS,
+    RigCourse,
+    grid_places,
+    rig_parameters,
+)
 from .schedule import RAMP_RESERVE, realised_schedule
 from .spec import OBJECTIVES, HeatingSpec
 from .thermal import PROGRAM, thermal_data, vent_profile
@@ -46,6 +56,7 @@ class HeatingBlock(RigCourse):
         parameters: parameters of the rig by name, numbers or expressions: any of `clearance`, `lead`, `gap` (uniform
             gap to the groove), `clamp_mass`, `clamp_area`, `mold_thickness`, `mold_conductivity`, SI. Those that are
             omitted stay. Start your own variables at the numbers of `rig`.
+        refinement: number of times that the intervals of time are halved; K is 24 times 2 to this power.
         name: name of the block in messages.
 
     Attributes:
@@ -71,7 +82,7 @@ class HeatingBlock(RigCourse):
         True
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913
         self,
         opti: Any,
         rig: Rig,
@@ -81,6 +92,7 @@ class HeatingBlock(RigCourse):
         heating_time: Any = None,
         duty: Any = None,
         parameters: Mapping[str, Any] | None = None,
+        refinement: int = 0,
         name: str = "heating",
     ) -> None:
         heated = rig.tube if tube is None else tube
@@ -96,7 +108,9 @@ class HeatingBlock(RigCourse):
                     f"parameters has the key {key!r}; allowed keys are {', '.join(RIG_PARAMETERS)}"
                     f"{nearest(str(key), RIG_PARAMETERS)}"
                 )
-        s = self._structure = Structure(PROGRAM)
+        factor = 2 ** whole("refinement", refinement)
+        mesh = replace(TIME_MESH, heating=factor * TIME_MESH.heating, hold=factor * TIME_MESH.hold)
+        s = self._structure = Structure(PROGRAM, mesh)
         start = self._start(duty, heating_time)
         z = self._variable("states", s.states, s.points, start.z)
         circuit = self._variable("circuit", 2, s.points, start.circuit)
@@ -116,7 +130,7 @@ class HeatingBlock(RigCourse):
         column = ca.MX(rig_parameters(self.tube, rig, PROGRAM, self.rig_values))
         if duty is None:
             I_sq = self._variable("mean square current", 1, s.mesh.intervals + 1, start.I_sq)
-            self.program.subject_to(self.label + "mean square current", ca.vec(I_sq))
+            self.program.subject_to(self.label + "current is not negative", ca.vec(I_sq))
         else:
             I_sq = self._duty_nodes(duty) * self._current_nodes(circuit, column) ** 2 / SCALE.I_sq
         super().__init__(
@@ -129,6 +143,7 @@ class HeatingBlock(RigCourse):
             hold=self.spec.covered_time,
             designs=ca.repmat(self.design, 1, s.points),
             column=column,
+            grid=grid_places(self.tube, rig, PROGRAM, fixed=not {"lead", "clearance"} & set(self.rig_values)),
         )
         self.program.subject_to(self.label + "heat balance and circuit", ca.vec(self.equations), upper=0.0)
         if duty is None:

@@ -22,7 +22,18 @@ from ...block.transcription.tableau import tableau
 from ...physics.heat import Resolution
 from ...solvers.settings import Ipopt
 from ...typing import Array
-from .rig_course import SCALE, TASK, TIME_MESH, VENTS, RigCourse, TimeMesh, instant, parameter_count
+from .rig_course import (
+    NO_PLACES,
+    SCALE,
+    TASK,
+    TIME_MESH,
+    VENTS,
+    GridPlaces,
+    RigCourse,
+    TimeMesh,
+    instant,
+    parameter_count,
+)
 
 OWN, PARAMETERS = (0, 2, 3, 4), 5
 """Inputs of `instant`: those that are unknowns of the instant other than rates, and the parameters of tube and rig."""
@@ -263,6 +274,8 @@ class OwnTerms:
     """Functions that return expressions whose entries must be at least 0, scaled."""
     objective: Callable[[RigCourse], Any] | None = None
     """Function that returns what is minimised in place of time and energy, scaled."""
+    grid: GridPlaces = NO_PLACES
+    """Places of the cells of the rig."""
 
 
 NO_TERMS = OwnTerms()
@@ -285,6 +298,7 @@ def program(s: Structure, own: OwnTerms = NO_TERMS) -> Program:
         hold=w["hold"],
         designs=x.designs(s),
         column=p,
+        grid=own.grid,
     )
     limits = course.limits(w, x.misses)
     limits["limit"] = limits["limit"][:, : s.soft_limit * s.points]

@@ -154,9 +154,7 @@ class Shift:
         fine = np.array([np.interp(coarse.position, model.position, row) for row in at_time])
         first = len(ideal.time) - len(ideal.hold)
         edge = np.array([[np.interp(curve_start(model), model.position, row)] for row in at_time[first:]])
-        return cls(
-            np.hstack([edge, fine[first:][:, coarse.curved]]) - ideal.hold, fine - ideal.tube, np.zeros(len(ideal.own))
-        )
+        return cls(np.hstack([edge, fine[first:][:, coarse.curved]]) - ideal.hold, fine - ideal.tube, own - ideal.own)
 
 
 def solve_ideal(  # noqa: PLR0913
@@ -355,16 +353,17 @@ def _ideal(
     if "vents" in spec.free:
         mold = replace(mold, vents=tuple(np.clip(design[2:, 0], 0.0, 0.5).tolist()))
     numbers = CourseNumbers(Z.T, circuit.T, I_sq.ravel(), np.full(s.mesh.heating, float(duration[0, 0])))
-    # The copies of the design, and their constraints, are the last ones; own constraints come after them.
+    # The copies of the design, and their constraints, are the last ones before own constraints.
     count = nlp.sizes["own"]
-    own = [len(solution[name]) - s.copies for name in ("x", "lam_x")] + [len(solution["lam_g"]) - count - s.copies]
+    kept = len(solution["lam_g"]) - count - s.copies
+    constraints = np.concatenate([solution["lam_g"][:kept], solution["lam_g"][kept + s.copies :]])
     return replace(
         ideal_of(s, tube, replace(rig, clamps=clamps, mold=mold), spec, numbers),
         miss=float(miss[0, 0]),
         iterations=int(stats["iter_count"]),
         objective=float(solution["f"][0]),
-        x=solution["x"][: own[0]],
-        multipliers=Multipliers(solution["lam_x"][: own[1]], solution["lam_g"][: own[2]]),
+        x=solution["x"][: len(solution["x"]) - s.copies],
+        multipliers=Multipliers(solution["lam_x"][: len(solution["x"]) - s.copies], constraints),
         own=solution["g"][len(solution["g"]) - count :],
     )
 

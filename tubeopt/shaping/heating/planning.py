@@ -20,7 +20,7 @@ from .optimal_schedule import Ideal, solve_ideal
 from .outcome import Outcome, broken, hold_slots
 from .plan import MIN_GAIN, Cure, HeatingPlan
 from .rig import Rig
-from .rig_course import RigCourse
+from .rig_course import GridPlaces, RigCourse, grid_places
 from .robust import design_feedback
 from .schedule import Programmed, Schedule, best_schedule, minimum_time_outcome, programmed, realised_outcome
 from .sensors import Sensor
@@ -85,7 +85,7 @@ def plan_heating(
             f"{spec.window_degC[0]:g} degC"
         )
     thermal_model(tube, rig, PROGRAM)  # raises InputError where tube and mold do not fit
-    own = _own_terms(requirements, objective)
+    own = _own_terms(requirements, objective, grid_places(tube, rig, PROGRAM, fixed=not spec.free))
     schedule = best_schedule(tube, rig, spec, own)
     changes = find_cures(tube, rig, spec, schedule) if cures and own is NO_TERMS and not schedule.feasible else ()
     iterations = 0 if schedule.program is None else schedule.program.ideal.iterations
@@ -93,7 +93,7 @@ def plan_heating(
     return plan if sensor is None else replace(plan, feedback=design_feedback(plan, sensor))
 
 
-def _own_terms(requirements: Sequence[Any], objective: Any) -> OwnTerms:
+def _own_terms(requirements: Sequence[Any], objective: Any, grid: GridPlaces) -> OwnTerms:
     """Own requirements and objective as functions of the course, scaled."""
     if not requirements and objective is None:
         return NO_TERMS
@@ -119,7 +119,7 @@ def _own_terms(requirements: Sequence[Any], objective: Any) -> OwnTerms:
         def minimised(course: RigCourse) -> Any:
             return factor * objective.expression(course)
 
-    return OwnTerms(tuple(requirement(value) for value in requirements), minimised)
+    return OwnTerms(tuple(requirement(value) for value in requirements), minimised, grid)
 
 
 # --- changes that would help ------------------------------------------------------------------------------------------

@@ -28,6 +28,7 @@ from ...typing import Array
 from .rig import Rig
 from .thermal import (
     cell_fractions,
+    cell_widths,
     check_mold,
     contact_decay,
     covered_fraction,
@@ -254,6 +255,25 @@ def interpolation(mesh: TimeMesh) -> Array:
     return mix
 
 
+@dataclass(frozen=True, eq=False)
+class GridPlaces:
+    """Places of the cells of a rig in numbers."""
+
+    places: Array
+    """(n,) distances from the middle of the tube, decreasing, m."""
+    fixed: bool
+    """False if clearance or lead are unknown: then only the places in the curved part are these."""
+
+
+NO_PLACES = GridPlaces(np.zeros(0), fixed=False)
+
+
+def grid_places(tube: Tube, rig: Rig, resolution: Resolution, *, fixed: bool) -> GridPlaces:
+    """Places of the cells of a rig."""
+    width = cell_widths(tube, rig, resolution)
+    return GridPlaces(float(width.sum()) - np.cumsum(width) + 0.5 * width, fixed)
+
+
 class RigCourse:
     """A rig over heating and hold, in expressions of the unknowns at N collocation points, SI.
 
@@ -267,6 +287,7 @@ class RigCourse:
         durations: (1, intervals of heating) copies of the scaled heating time. hold: its duration, s.
         designs: (2 + VENTS, N) scaled clearance and lead, and vents, at every point.
         column: parameters of tube and rig (`rig_parameters`).
+        grid: places of the cells, for temperatures at a position.
 
     Attributes:
         length: (1, N) length of the interval of every point, s.
@@ -286,8 +307,9 @@ class RigCourse:
         hold: Any,
         designs: Any,
         column: Any,
+        grid: GridPlaces = NO_PLACES,
     ) -> None:
-        self.resolution, self.mesh, self.hold_time = resolution, mesh, hold
+        self.resolution, self.mesh, self.hold_time, self.grid = resolution, mesh, hold, grid
         self.z, self.circuit, self.I_sq_nodes, self.designs = z, circuit, I_sq_nodes, designs
         self.durations = durations
         self.parameters = Parameters.of(column, resolution)
@@ -381,14 +403,22 @@ class RigCourse:
             position: m, to either side; linear between the middles of cells.
             time: s, a number or an expression, from 0 to the end of the hold; by the collocation polynomial.
         """
-        T, x = self.tube_temperature, self.places
-        at, n = ca.fmin(ca.fmax(abs(position), x[-1]), x[0]), self.resolution.cells
-        # Weight of each cell: 1 at its middle, 0 at those of its neighbours.
-        rise, fall = (at - x[1:]) / (x[:-1] - x[1:]), (x[:-1] - at) / (x[:-1] - x[1:])
-        inside = [ca.vertcat(1, fall), ca.vertcat(rise, 1)]
-        weights = ca.fmax(ca.fmin(inside[0], inside[1]), 0)
-        row = ca.mtimes(ca.reshape(weights, 1, n), T)
+        row = ca.mtimes(self._weights(abs(position)), self.tube_temperature)
         return row if time is None else self.at_time(row, self.T_amb, time)
+
+    def _weights(self, distance: float) -> Any:
+        """(1, n) weights of the cells at a distance from the middle: of two neighbours, where their place is known."""
+        at, n = self.grid.places, self.resolution.cells
+        k = int(np.clip(np.searchsorted(-at, -distance) - 1, 0, n - 2))
+        if self.grid.fixed or k >= n - self.resolution.curved:
+            # Places in the curved part do not depend on clearance and lead.
+            outer = float(np.clip((distance - at[k + 1]) / (at[k] - at[k + 1]), 0.0, 1.0))
+            return ca.DM.triplet([0, 0], [k, k + 1], ca.DM([outer, 1 - outer]), 1, n)
+        x = self.places
+        here = ca.fmin(ca.fmax(distance, x[-1]), x[0])
+        # Weight of each cell: 1 at its middle, 0 at those of its neighbours.
+        rise, fall = (here - x[1:]) / (x[:-1] - x[1:]), (x[:-1] - here) / (x[:-1] - x[1:])
+        return ca.fmax(ca.fmin(ca.vertcat(1, fall), ca.vertcat(rise, 1)), 0).T
 
     def at_time(self, row: Any, start: Any, time: Any) -> Any:
         """Value at a time (s) of a quantity (1, N) that begins at `start`, by the collocation polynomial."""

@@ -474,8 +474,10 @@ def _corrected(
             if ideal.miss > (SETTLED if round_ else 10 * HOPELESS):
                 break
             rounding = _rounding_loss(schedule, spec)
-        # A violation counts twice, since whole counts differ from round to round.
-        values = ideal.own if schedule is None else schedule.own + np.minimum(schedule.own, 0.0)
+        values = ideal.own if schedule is None else schedule.own
+        if own.requirements and shift is not None:
+            # Whole counts differ from round to round: the worst difference so far is corrected.
+            values = np.minimum(values, ideal.own + shift.own)
         slots = heated_slots(ideal, spec)
         previous, shift = shift, Shift.between(ideal, tube, run.model, run.history, slots, values)
         settled = schedule is None or not schedule.own_miss
