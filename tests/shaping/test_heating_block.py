@@ -220,7 +220,7 @@ def test_wrong_arguments_are_refused() -> None:
         HeatingBlock(opti, thesis_rig(), tube=TUBE, parameters={"leed": 1.0})
     with pytest.raises(InputError, match=r"duty has 3 entries"):
         HeatingBlock(opti, thesis_rig(), tube=TUBE, duty=[0.1, 0.1, 0.1])
-    with pytest.raises(InputError, match=r"tube is None"):
+    with pytest.raises(InputError, match=r"tube is missing"):
         HeatingBlock(opti, replace(thesis_rig(), tube=None))
     with pytest.raises(InputError, match=r"requirements has 3\.0"):
         plan_heating(TUBE, thesis_rig(), requirements=[wrong])  # type: ignore[list-item]

@@ -97,7 +97,7 @@ class HeatingBlock(RigCourse):
     ) -> None:
         heated = rig.tube if tube is None else tube
         if heated is None:
-            raise InputError("tube is None, and the rig has no tube; one of them must be given")
+            raise InputError("tube is missing; the rig has no tube, so it must be given")
         self.program, self.rig, self.tube, self.label = as_program(opti), rig, heated, f"{name}: "
         self.spec = HeatingSpec() if spec is None else spec
         thermal_data(self.tube)
@@ -180,7 +180,7 @@ class HeatingBlock(RigCourse):
 
     @staticmethod
     def solver_options(tolerance: float = 1e-8) -> dict[str, Any]:
-        """Options of IPOPT for `opti.solver("ipopt", options)`, with which such programs need 20 to 60 iterations.
+        """Options of IPOPT for `opti.solver("ipopt", options)`; such programs then need 20 to 60 iterations.
 
         With its default settings, MUMPS loses the inertia of the steps to round-off: every step is tried several times.
         """

@@ -117,7 +117,7 @@ def _own_terms(requirements: Sequence[Any], objective: Any, grid: GridPlaces) ->
         factor = objective.sign * objective.weight
 
         def minimised(course: RigCourse) -> Any:
-            return factor * objective.expression(course)
+            return factor * objective.expression(course)  # type: ignore[arg-type]
 
     return OwnTerms(tuple(requirement(value) for value in requirements), minimised, grid)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass, field, replace
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -280,7 +280,8 @@ class MoldBed:
     @property
     def radius(self) -> float:
         """Radius of the cylinder with the cross-section of the plates, m."""
-        return (self.width * self.thickness / math.pi) ** 0.5
+        square: Any = self.width * self.thickness / math.pi
+        return square**0.5  # type: ignore[no-any-return]  # also of expressions
 
 
 @dataclass(frozen=True)
