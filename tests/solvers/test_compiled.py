@@ -9,7 +9,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -82,9 +81,9 @@ def check_same(one: Equilibrium, other: Equilibrium) -> None:
     assert one.statistics.elements == other.statistics.elements
 
 
-def _with_kernel(robot: Robot, kernel: building.Kernel) -> tuple[building.Kernel, Any, int]:
-    own = binding._tubes(robot, 0)
-    return kernel, own, binding.address(own[0])
+def _with_kernel(robot: Robot, kernel: building.Kernel) -> binding.Prepared:
+    tubes = binding._tubes(robot, 0)
+    return binding.Prepared(kernel, tubes, binding.address(tubes[0]))
 
 
 def joints_of(robot: Robot, random: np.random.Generator) -> tuple[Array, Array]:
@@ -183,7 +182,7 @@ def test_many_tubes_that_overlap() -> None:
     alpha, shift = np.array([0.3, -0.8, 1.4, 0.1, -1.9, 0.7]), np.linspace(0.01, 0.0, 6)
     answer = binding.solve_compiled(robot, alpha, shift)
     assert answer is not None
-    assert len(answer.found.points.point) == 54
+    assert len(answer.solution.points.point) == 54
     check_same(forward_kinematics(robot, alpha, shift), general(robot, alpha, shift))
 
 
@@ -457,7 +456,7 @@ def test_derivatives_are_the_general_ones_of_every_robot() -> None:
             of = derivatives_of(at, side=side)
             assert told is not None
             # Of pieces some arms are solved on a finer mesh, and the mesh hardly resolves a margin this close to 1.
-            if is_general(robot) and (not np.isfinite(told.off) or at.margin > 0.999):
+            if is_general(robot) and (not np.isfinite(told.deviation) or at.margin > 0.999):
                 continue
             assert told.along is not None
             # A margin close to 1 is that of a mode that the mesh resolves to some digits only.

@@ -107,7 +107,7 @@ def test_without_a_compiler_the_kernel_of_the_package_answers(
     )
     answer = binding.solve_compiled(TWO_TUBE, np.array([0.0, 1.0]), TWO_TUBE.home_translations)
     assert answer is not None
-    assert answer.found.arm.position[-1] == pytest.approx(expected.tip_position, abs=1e-12)
+    assert answer.solution.arm.position[-1] == pytest.approx(expected.tip_position, abs=1e-12)
 
 
 def test_where_there_is_no_kernel_it_is_said_once(

@@ -37,7 +37,7 @@ from ..robots.order import SAME_END
 from ..robots.robot import Robot, is_general
 from ..solvers.compiled.binding import piece_sizes, piece_tables, tube_rows
 from ..solvers.compiled.constants import piece_constants
-from ..solvers.compiled.library import MOST_CUTS, MOST_TUBES, ROOM, Room, kernel_text
+from ..solvers.compiled.library import CAPACITY, MOST_CUTS, MOST_TUBES, Capacity, kernel_text
 from ..solvers.compiled.loaded import MOST_PIECES, loaded_text
 from ..solvers.compiled.text import HERE, c_tables, defined, numbers, with_included
 from ..solvers.settings import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST, SOFT_TWIST
@@ -179,13 +179,15 @@ def library_text(name: str, kernel: str, numbers: str) -> str:
     return "".join(parts)
 
 
-def _room(space: JointSpace) -> Room:
+def _room(space: JointSpace) -> Capacity:
     """What the meshes of a robot need, with some to spare: those of pieces that vary quickly are fine."""
     if not is_general(space.robot):
-        return ROOM
+        return CAPACITY
     problems = [reduced_problem(space.robot, tuple(s.tolist()), DEFAULT_DISCRETISATION) for s in _shifts(space)]
     pieces, unknowns = max(len(p.mesh.length) for p in problems), max(p.size for p in problems)
-    return Room(max(ROOM.pieces, ceil(SPARE * pieces)), max(ROOM.unknowns, 4 * ceil(SPARE * unknowns / 4) + 4))
+    return Capacity(
+        max(CAPACITY.pieces, ceil(SPARE * pieces)), max(CAPACITY.unknowns, 4 * ceil(SPARE * unknowns / 4) + 4)
+    )
 
 
 def _shifts(space: JointSpace) -> list[Array]:

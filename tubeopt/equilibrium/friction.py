@@ -36,7 +36,7 @@ from ..robots.concentric import Friction, check_friction
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.compiled.rubbing import Rubbed, rub_compiled
+from ..solvers.compiled.rubbing import FrictionStart, Rubbed, rub_compiled
 from ..solvers.friction_increment import FRICTION_TOLERANCE, Increment, held_margin, imbalance, increment
 from ..solvers.newton import full_steps
 from ..solvers.settings import LEAST_STIFFNESS, NEWTON, ONWARD
@@ -426,9 +426,9 @@ def sweep(
         behind: (S,) distances of stations behind the tip at which the shape is returned, m.
         margins: whether to compute the margins.
     """
-    state = current.found.state.x, current.found.torque, current.found.signs
+    start = FrictionStart(current.found.state.x, current.found.torque, current.found.signs)
     steps, inputs = steps_along(robot, joints)
-    many = rub_compiled(robot, current.contact.friction, steps, state, behind, margins=margins)
+    many = rub_compiled(robot, current.contact.friction, steps, start, behind, margins=margins)
     if many is None or len(steps) == len(joints):
         return many
     # Of the finer steps only the requested rows are reported.

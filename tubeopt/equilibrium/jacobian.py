@@ -75,7 +75,7 @@ def _by_kernel(
         return None
     n = equilibrium.robot.n_tubes
     result = compiled_slopes(equilibrium, (side,) * n, carriages, either=False)
-    if result is None or result.off > SAME_ARM:
+    if result is None or result.deviation > SAME_ARM:
         return None
     tables = result.position, result.turn, result.tip_rotations, result.margin, result.energy
     if tuple(wrt) == JOINTS:

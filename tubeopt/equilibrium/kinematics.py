@@ -112,7 +112,7 @@ def unloaded(
         # A Newton iteration that contracts slowly may have converged to another branch.
         if start is not None and solved.contraction > LARGEST_RATIO:
             return None
-        result = solved.found
+        result = solved.solution
         length = float(result.arm.arc_length[-1])
         if largest_error(*result.errors[:2], length, even=robot.even) > request.tolerance:
             continue

@@ -1,4 +1,4 @@
-"""The compiled kernel on NumPy arrays: one configuration, or many."""
+"""Compiled kernel on NumPy arrays: one configuration, or many."""
 
 from __future__ import annotations
 
@@ -25,14 +25,16 @@ from .library import MOST_TUBES, Kernel, library
 SOLVED = 0
 
 Carriages = tuple[tuple[int, ...], ...]
-"""Tubes, from 0, that each of them moves."""
+"""Tubes, from 0, on each carriage."""
 
 
 class Moved(NamedTuple):
-    """How translations move: each tube towards its side, 1 or -1, and those of one carriage together."""
+    """Directions of translations for one-sided derivatives."""
 
     sides: tuple[int, ...]
+    """Direction of each tube, 1 or -1."""
     carriages: Carriages
+    """Tubes that move together."""
 
 
 class _Guess(ctypes.Structure):
@@ -46,60 +48,69 @@ class _Guess(ctypes.Structure):
 
 
 class Start(NamedTuple):
-    """Where to start from: rotation and torsion (n, m) of another arm at arc_length (m,), its solution at collocation
-    points (N,), (N, n), the turn (n,) to add, and its translations (n,)."""
+    """Start of a solve from another equilibrium."""
 
     arc_length: Array
+    """Arc lengths (m,) of its arm, m."""
     rotation: Array
+    """Rotations (n, m) there, rad."""
     torsion: Array
+    """Torsion (n, m) there, rad/m."""
     point: Array
+    """Arc lengths (N,) of its collocation points, m."""
     point_rotation: Array
+    """Rotations (N, n) there, rad."""
     turn: Array
+    """Rotations (n,) to add, rad."""
     translations: Array
+    """Its translations (n,), m."""
 
 
 @dataclass(eq=False)
-class _Room:
-    """Memory of one thread for one kernel: what it works in; the arrays of its answer by field, and its numbers, which
-    `answer` adds as Python's; where both are; and of which tubes, at which joint values, it still holds the solution,
-    None where of none."""
+class _Memory:
+    """Memory of one thread for one kernel."""
 
     workspace: Array
+    """Working memory of the kernel."""
     fields: dict[str, Any]
+    """Answer of the kernel by field: arrays, which the next call overwrites, and numbers, set by `answer`."""
     numbers: Any
-    at: tuple[int, int]
+    """Numbers of the answer, as a structured scalar."""
+    addresses: tuple[int, int]
+    """Addresses of workspace and answer."""
     solved: tuple[Any, bytes] | None = None
+    """Tubes and joint values of the solution in the workspace, or None."""
 
     def answer(self) -> dict[str, Any]:
-        """What the kernel has just answered, by field; arrays are overwritten by the next call."""
+        """Last answer of the kernel by field; arrays are overwritten by the next call."""
         self.fields.update(zip(self.numbers.dtype.names, self.numbers.item(), strict=True))
         return self.fields
 
     def has(self, tubes: Any, joints: bytes, start: Start) -> bool:
-        """Whether it holds that of tubes at joint values which a start is."""
+        """Return whether the workspace has the solution of `start` for tubes at joint values."""
         if self.solved is None or self.solved[0] is not tubes or self.solved[1] != joints:
             return False
         count = len(start.point)
-        mine = self.fields["point_rotation"][:count]
-        return self.fields["points"] == count and bool(mine.tobytes() == start.point_rotation.tobytes())
+        solution = self.fields["point_rotation"][:count]
+        return self.fields["points"] == count and bool(solution.tobytes() == start.point_rotation.tobytes())
 
 
-_rooms = threading.local()
+_memories = threading.local()
 
 
-def room_of(kernel: Kernel) -> _Room:
+def memory_of(kernel: Kernel) -> _Memory:
     """Memory of this thread for a kernel."""
-    rooms: dict[Any, _Room] = _rooms.__dict__
-    if kernel not in rooms:
+    memories: dict[Any, _Memory] = _memories.__dict__
+    if kernel not in memories:
         answer = np.zeros((), kernel.answer)
         names = kernel.answer.names or ()
         numbers = [name for name in names if not kernel.answer[name].shape]
         fields = {name: answer[name] for name in names if name not in numbers}
         workspace = np.zeros(kernel.workspace_size // 8 + 1)
-        rooms[kernel] = _Room(
+        memories[kernel] = _Memory(
             workspace, fields, answer[numbers] if numbers else answer, (address(workspace), address(answer))
         )
-    return rooms[kernel]
+    return memories[kernel]
 
 
 LANES = 8
@@ -116,9 +127,11 @@ class _Pieces(ctypes.Structure):
 
 
 def piece_tables(table: Lengthwise) -> dict[str, Array]:
-    """The tables of the C struct Pieces by name, in its order: breaks (n, panels + 1), coefficients (n, panels, width,
-    LANES), and so on, the last of them cuts (n, most cuts). In a plane of the tube the bend is one signed quantity,
-    whose direction is constant."""
+    """Tables of the C struct Pieces by name, in its order.
+
+    The first are breaks (n, panels + 1) and coefficients (n, panels, width, LANES); the last are cuts (n, largest
+    number of cuts). Where a tube bends in one plane, its bend is one signed quantity of constant direction.
+    """
     lanes = np.zeros((*table.direction.shape, table.coefficients.shape[-1], LANES))
     channels = lanes[..., :5]
     channels[:] = table.coefficients[:, :, [0, 1, 2, 3, 5]].swapaxes(-1, -2)
@@ -129,29 +142,32 @@ def piece_tables(table: Lengthwise) -> dict[str, Array]:
     order = np.arange(1.0, lanes.shape[2] + 1)[:, None]
     count = np.maximum(1.0, ((channels != 0) * order).max(2))
     count = np.concatenate([count, count[:, :, :4].max(-1, keepdims=True)], axis=-1)
-    cuts = np.full((table.n_tubes, max(len(own) for own in table.cuts)), np.inf)
-    for row, own in zip(cuts, table.cuts, strict=True):
-        row[: len(own)] = own
+    cuts = np.full((table.n_tubes, max(map(len, table.cuts))), np.inf)
+    for row, tube_cuts in zip(cuts, table.cuts, strict=True):
+        row[: len(tube_cuts)] = tube_cuts
     arrays = [table.breaks, lanes, count, table.direction, table.bent.astype(float), table.detail, table.twist]
     arrays += [np.ascontiguousarray(table.compliance[:, :-1]), cuts]
     return dict(zip((field[0] for field in _Pieces._fields_[3:-1]), arrays, strict=True))
 
 
-def piece_sizes(tables: Mapping[str, Array]) -> tuple[int, int, int]:
-    """Panels and coefficients per tube, and cuts per tube, of `piece_tables`."""
-    return tables["coefficients"].shape[1], tables["coefficients"].shape[2], tables["cuts"].shape[1]
+class PieceSizes(NamedTuple):
+    """Sizes of `piece_tables`."""
+
+    panels: int
+    """Panels per tube."""
+    coefficients: int
+    """Coefficients per panel."""
+    cuts: int
+    """Cuts per tube."""
 
 
-def _pieces(table: Lengthwise, refinement: int) -> Any:
-    """The C struct Pieces of a mesh that is halved `refinement` times."""
-    tables = piece_tables(table)
-    out: Any = _Pieces(*piece_sizes(tables), *(address(array) for array in tables.values()), refinement)
-    out.keep = tables  # the structure points into them
-    return out
+def piece_sizes(tables: Mapping[str, Array]) -> PieceSizes:
+    """Sizes of `piece_tables`, in the order of the C struct Pieces."""
+    return PieceSizes(*tables["coefficients"].shape[1:3], tables["cuts"].shape[1])
 
 
 def tube_rows(robot: Robot) -> Array:
-    """(5, n) numbers of the C struct Tubes of a robot; of tubes made of pieces, GJ is 0: it varies along them."""
+    """Numbers (5, n) of the C struct Tubes of a robot; GJ is 0 for tubes made of pieces, along which it varies."""
     home = robot.assembly(robot.home_translations)
     stiffness = np.zeros(robot.n_tubes) if home.general else home.torsional_stiffness
     lengths = [tube.straight_length for tube in robot.tubes], [tube.length for tube in robot.tubes]
@@ -159,8 +175,10 @@ def tube_rows(robot: Robot) -> Array:
 
 
 def _tubes(robot: Robot, refinement: int) -> tuple[Array, Any]:
-    """The C struct Tubes of a robot, and the struct Pieces to which it points."""
-    pieces = _pieces(lengthwise(robot.tubes), refinement)
+    """C struct Tubes of a robot on a mesh halved `refinement` times, and the struct Pieces to which it points."""
+    tables = piece_tables(lengthwise(robot.tubes))
+    pieces: Any = _Pieces(*piece_sizes(tables), *(address(array) for array in tables.values()), refinement)
+    pieces.keep = tables  # the structure points into them
     tubes = np.append(tube_rows(robot), [0.0, 0.0])
     tubes[-2:].view(np.int64)[:] = robot.assembly(robot.home_translations).eccentric, ctypes.addressof(pieces)
     return tubes, pieces
@@ -168,86 +186,106 @@ def _tubes(robot: Robot, refinement: int) -> tuple[Array, Any]:
 
 @lru_cache(maxsize=64)
 def kernel_of(robot: Robot) -> Kernel | None:
-    """The compiled kernel for a robot, None where there is none for it."""
+    """Compiled kernel for a robot; None if there is none."""
     if robot.n_tubes > MOST_TUBES:
         return None
     return library(robot.n_tubes, robot.assembly(robot.home_translations).eccentric)
 
 
+class Prepared(NamedTuple):
+    """Kernel with the tubes of a robot."""
+
+    kernel: Kernel
+    tubes: Any
+    """C structs of the tubes, which must live as long as their address is used."""
+    address: int
+    """Address of the C struct Tubes."""
+
+
 @lru_cache(maxsize=64)
-def with_kernel(robot: Robot, refinement: int = 0) -> tuple[Kernel, Any, int] | None:
-    """Kernel of a robot, its tubes with a mesh that is halved `refinement` times, and where these are; None where there
-    is no kernel."""
+def with_kernel(robot: Robot, refinement: int = 0) -> Prepared | None:
+    """Kernel of a robot with its tubes on a mesh halved `refinement` times; None if there is no kernel."""
     kernel = kernel_of(robot)
     if kernel is None:
         return None
-    own = _tubes(robot, refinement)
-    return kernel, own, address(own[0])
+    tubes = _tubes(robot, refinement)
+    return Prepared(kernel, tubes, address(tubes[0]))
 
 
 def address(array: NDArray[Any]) -> int:
-    """Where an array lies in memory."""
+    """Address of the data of an array."""
     return int(array.ctypes.data)
 
 
-def _place(array: Any) -> int:
-    """The same of one that may be written to and is not empty, in a third of the time."""
+def _writable_address(array: Any) -> int:
+    """Address of an array that is writable and not empty, in a third of the time of `address`."""
     return ctypes.addressof(ctypes.c_double.from_buffer(array))
 
 
-def _pack(rotations: Array, translations: Array, start: Start | None) -> tuple[Array, int, int, Any]:
-    """All that goes in, in one piece of memory, since asking NumPy for an address takes a microsecond: that memory,
-    where rotations and translations are in it, and the C struct Guess."""
+class _Inputs(NamedTuple):
+    """Arguments of a solve, in one piece of memory: each address that NumPy returns takes a microsecond."""
+
+    memory: Array
+    rotations: int
+    """Address of the rotations."""
+    translations: int
+    """Address of the translations."""
+    guess: Any
+    """Reference to the C struct Guess, or None."""
+
+
+def _inputs(rotations: Array, translations: Array, start: Start | None) -> _Inputs:
+    """Arguments of a solve at joint values (n,)."""
     parts = [rotations, translations]
     if start is not None:
         parts += [start.arc_length, start.rotation, start.torsion, start.point, start.point_rotation, start.turn]
         parts.append(start.translations)
     flat = np.concatenate(parts, axis=None)
-    places = [_place(flat)]
+    addresses = [_writable_address(flat)]
     for part in parts:
-        places.append(places[-1] + 8 * part.size)
+        addresses.append(addresses[-1] + 8 * part.size)
     if start is None:
-        return flat, places[0], places[1], None
+        return _Inputs(flat, addresses[0], addresses[1], None)
     count = len(start.arc_length)
-    guess = _Guess(count, len(start.point), count, 1, *places[2:-1])
-    return flat, places[0], places[1], ctypes.byref(guess)
+    guess = _Guess(count, len(start.point), count, 1, *addresses[2:-1])
+    return _Inputs(flat, addresses[0], addresses[1], ctypes.byref(guess))
 
 
 class Solved(NamedTuple):
-    """An equilibrium as the kernel found it, and how."""
+    """Equilibrium from the kernel."""
 
-    found: ArmSolution
+    solution: ArmSolution
     elements: int
-    """Of the mesh."""
+    """Number of elements of the mesh."""
     largest_change: float
-    """Of a twist from the start, rad."""
+    """Largest change of a twist from the start, rad."""
     contraction: float
-    """Largest ratio of successive steps."""
+    """Largest ratio of successive Newton steps."""
     loading: float
-    """Seconds in which the kernel was got ready."""
+    """Time to load the kernel, s."""
 
 
 def solve_compiled(
     robot: Robot, rotations: Array, translations: Array, start: Start | None = None, refinement: int = 0
 ) -> Solved | None:
-    """The stable equilibrium at joint values (n,).
+    """Stable equilibrium at joint values (n,), on a mesh halved `refinement` times.
 
-    None where the kernel declines or there is none, or none of a mesh that is halved `refinement` times.
+    None if the kernel does not solve it, or if there is no kernel.
     """
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     prepared = with_kernel(robot, refinement)
     if prepared is None:
         return None
-    loading = time.perf_counter() - began
+    loading = time.perf_counter() - start_time
     answer = _solve(prepared, rotations, translations, start)
     if answer is None:
         return None
     elements, change, ratio = answer["elements"], answer["largest_change"], answer["contraction"]
-    return Solved(_found(answer), elements, change, ratio, loading)
+    return Solved(_solution(answer), elements, change, ratio, loading)
 
 
-def _found(answer: dict[str, Any]) -> ArmSolution:
-    """Copies of what the kernel found."""
+def _solution(answer: dict[str, Any]) -> ArmSolution:
+    """Copy of the solution in an answer."""
     m, points = answer["pieces"] * STEPS + 1, answer["points"]
     return ArmSolution(
         ArmShape(
@@ -270,34 +308,36 @@ def _found(answer: dict[str, Any]) -> ArmSolution:
     )
 
 
-def _solve(
-    prepared: tuple[Kernel, Any, int], rotations: Array, translations: Array, start: Start | None
-) -> dict[str, Any] | None:
-    """The fields of the C struct Answer, which the next call overwrites; None where the kernel declines."""
+def _solve(prepared: Prepared, rotations: Array, translations: Array, start: Start | None) -> dict[str, Any] | None:
+    """Fields of the C struct Answer, which the next call overwrites; None if the kernel does not solve it."""
     check_time()
-    kernel, _, tubes = prepared
-    room = room_of(kernel)
-    memory, alpha, shift, guess = _pack(rotations, translations, start)
-    status = kernel.functions.solve(tubes, alpha, shift, guess, *room.at)
-    room.solved = (prepared, memory[: 2 * len(rotations)].tobytes()) if status == SOLVED else None
-    return room.answer() if status == SOLVED else None
+    memory, inputs = memory_of(prepared.kernel), _inputs(rotations, translations, start)
+    status = prepared.kernel.functions.solve(
+        prepared.address, inputs.rotations, inputs.translations, inputs.guess, *memory.addresses
+    )
+    memory.solved = (prepared, inputs.memory[: 2 * len(rotations)].tobytes()) if status == SOLVED else None
+    return memory.answer() if status == SOLVED else None
 
 
 class Slopes(NamedTuple):
-    """Derivatives of a solved arm by its Q = 2n rotations and translations: of its tip (3, Q), the turn vector of its
-    tip (3, Q), tip rotations (n, Q), margin and energy (Q,); the compliance (6, 6) of the tip at no load, None where
-    not asked for; and of the shape points (m, 3, Q) at fixed arc lengths, the last of which is the tip; None of an arm
-    with another mesh. `off` is by how much the rotations of the arm differ from those of the start, rad; infinite with
-    another mesh."""
+    """Derivatives of a solved arm by its Q = 2n rotations and translations."""
 
     position: Array
+    """Derivative (3, Q) of the tip position."""
     turn: Array
+    """Derivative (3, Q) of the rotation vector of the tip."""
     tip_rotations: Array
+    """Derivative (n, Q) of the rotations at the ends of the tubes."""
     margin: Array
+    """Derivative (Q,) of the margin."""
     energy: Array
+    """Derivative (Q,) of the elastic energy."""
     compliance: Array | None
+    """Compliance (6, 6) of the tip without load, if requested."""
     along: Array | None
-    off: float
+    """Derivatives (m, 3, Q) of shape points at fixed arc lengths, the last at the tip; None if the meshes differ."""
+    deviation: float
+    """Largest difference of the rotations from those of the start, rad; infinite if the meshes differ."""
 
 
 def slopes_compiled(
@@ -310,30 +350,40 @@ def slopes_compiled(
     compliance: bool = False,
     either: bool = True,
 ) -> Slopes | None:
-    """Derivatives of the equilibrium at joint values (n,) that is found from a start close by, where breakpoints
-    coincide those of translations as they are `moved`, and of ends of tubes that move towards the first of its sides;
-    of a margin that two modes share, by `either` of these, or NaN. None where the kernel declines or there is none; it
-    must be `differentiable`.
+    """Derivatives of the equilibrium at joint values (n,), solved from a start close to it.
+
+    None if the kernel does not solve it, or if there is no kernel; the kernel must be `differentiable`.
+
+    Args:
+        moved: directions of translations, which decide where breakpoints coincide; ends of tubes move in the first
+            one.
+        compliance: also compute the compliance of the tip.
+        either: for a margin of two modes, return the derivative by either of them; False returns NaN.
     """
     prepared = with_kernel(robot, 0)
     if prepared is None:
         return None
-    kernel, n = prepared[0], robot.n_tubes
-    room = room_of(kernel)
-    kept = room.has(prepared, rotations.tobytes() + translations.tobytes(), start)
-    if not kept and _solve(prepared, rotations, translations, start) is None:
+    kernel, n = prepared.kernel, robot.n_tubes
+    memory = memory_of(kernel)
+    solved = memory.has(prepared, rotations.tobytes() + translations.tobytes(), start)
+    if not solved and _solve(prepared, rotations, translations, start) is None:
         return None
-    points = room.fields["pieces"] * STEPS + 1
-    s = room.fields["arc_length"][:points]
-    same = kept or (points == len(start.arc_length) and bool(np.abs(s - start.arc_length).max() <= ROUND_OFF))
-    off = 0.0 if kept else float(np.abs(room.fields["rotation"][:points].T - start.rotation).max()) if same else np.inf
-    whole = 2 * n * (8 + n) + 36
-    more = whole + points * 6 * n
-    out = np.empty(more)
-    at = _place(out)
-    if not kernel.functions.differentiate(_asked(moved, compliance, either)[1], *room.at, at, at + 8 * whole):
+    points = memory.fields["pieces"] * STEPS + 1
+    s = memory.fields["arc_length"][:points]
+    same_mesh = solved or (points == len(start.arc_length) and bool(np.abs(s - start.arc_length).max() <= ROUND_OFF))
+    if solved:
+        deviation = 0.0
+    elif same_mesh:
+        deviation = float(np.abs(memory.fields["rotation"][:points].T - start.rotation).max())
+    else:
+        deviation = np.inf
+    # Output of the kernel: a table (7 + n, 2 n), compliance, derivative of the energy; then the shape points.
+    size = 2 * n * (8 + n) + 36
+    out = np.empty(size + points * 6 * n)
+    at = _writable_address(out)
+    if not kernel.functions.differentiate(_request(moved, compliance, either)[1], *memory.addresses, at, at + 8 * size):
         return None
-    end = whole - 36 - 2 * n
+    end = size - 36 - 2 * n
     table = out[:end].reshape(7 + n, 2 * n)
     return Slopes(
         position=table[:3],
@@ -341,15 +391,15 @@ def slopes_compiled(
         tip_rotations=table[6:-1],
         margin=table[-1],
         compliance=out[end : end + 36].reshape(6, 6) if compliance else None,
-        energy=out[end + 36 : whole],
-        along=out[whole:].reshape(points, 3, 2 * n) if same else None,
-        off=off,
+        energy=out[end + 36 : size],
+        along=out[size:].reshape(points, 3, 2 * n) if same_mesh else None,
+        deviation=deviation,
     )
 
 
 @lru_cache(maxsize=256)
-def _asked(moved: Moved, compliance: bool, either: bool) -> tuple[NDArray[np.int64], int]:
-    """(2 n + 2,) the C struct Asked, and where it is."""
+def _request(moved: Moved, compliance: bool, either: bool) -> tuple[NDArray[np.int64], int]:
+    """C struct Asked, (2 n + 2,), and its address."""
     n = len(moved.sides)
     out = np.zeros(2 * n + 2, dtype=np.int64)
     for k, tubes in enumerate(moved.carriages):
@@ -361,22 +411,21 @@ def _asked(moved: Moved, compliance: bool, either: bool) -> tuple[NDArray[np.int
 def solve_many_compiled(
     robot: Robot, rotations: Array, translations: Array, arms: Array | None = None, refinement: int = 0
 ) -> tuple[Array, Mask] | None:
-    """Cold solves of joint values (N, n): a row per configuration with tip position (3), tip frame by rows (9), tip
-    rotations (n), margin, residual, mesh error, tip error and energy; and (N,) bool, which were declined. `arms`
-    (N, 2, m, n) gets rotations and torsion at the m points of the arms, which all must have.
+    """Cold solves at joint values (N, n): table (N, 17 + n), and mask (N,) of unsolved rows; None without a kernel.
 
-    None where there is no kernel. The interpreter is free while it runs.
+    A row has tip position (3), tip frame by rows (9), tip rotations (n), margin, residual, mesh error, tip error and
+    energy. Rotations and torsion at the m points of the arms are written to `arms` (N, 2, m, n), if it is given; all
+    arms must have m points. Other Python threads run meanwhile.
     """
     check_time()
     prepared = with_kernel(robot, refinement)
     if prepared is None:
         return None
-    kernel, _, tubes = prepared
-    room, count = room_of(kernel), len(rotations)
-    room.solved = None
+    memory, count = memory_of(prepared.kernel), len(rotations)
+    memory.solved = None
     alpha, shift = (np.ascontiguousarray(a, dtype=float) for a in (rotations, translations))
-    table, declined = np.zeros((count, 17 + robot.n_tubes)), np.zeros(count, dtype=np.uint8)
-    places = (address(a) for a in (alpha, shift, table, declined))
-    whole = (0, None) if arms is None else (arms.shape[2], address(arms))
-    kernel.functions.solve_many(tubes, count, *places, *whole, *room.at)
-    return table, declined.astype(bool)
+    table, unsolved = np.zeros((count, 17 + robot.n_tubes)), np.zeros(count, dtype=np.uint8)
+    addresses = (address(a) for a in (alpha, shift, table, unsolved))
+    points = (0, None) if arms is None else (arms.shape[2], address(arms))
+    prepared.kernel.functions.solve_many(prepared.address, count, *addresses, *points, *memory.addresses)
+    return table, unsolved.astype(bool)

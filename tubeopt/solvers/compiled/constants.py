@@ -1,4 +1,4 @@
-"""Constants and tables of the kernels, as C."""
+"""Constants and tables of the kernels, as C text."""
 
 from __future__ import annotations
 
@@ -15,19 +15,22 @@ from ..settings import FRICTION_ITERATIONS, LARGEST_RATIO, LARGEST_TWIST, ONWARD
 from .text import c_tables, defined
 
 DEGREE, COARSE_DEGREE = 6, 3
-"""Collocation points per element of the solution, and of the descent towards it."""
+"""Collocation points per element of the solution, and of the energy descent before it."""
 
 
 def rule_constants(eccentric: bool) -> str:
-    """The two rules of the kernel, and what carries over between them: the Lagrange basis integrated once and twice, of
-    the coarse points at the fine ones, and for tubes off the centreline back."""
+    """Tables of the two rules of the kernel, and of the transfers between them.
+
+    A transfer is the Lagrange basis of the coarse points, integrated once and twice, at the fine points, and vice versa
+    for eccentric tubes.
+    """
     coarse, fine = tableau("gauss", COARSE_DEGREE), tableau("gauss", DEGREE)
     tables: dict[str, Array] = {}
     for name, rule in (("COARSE", coarse), ("FINE", fine)):
-        both = rule.matrix[:, None] * rule.matrix / rule.weights
-        own = {"nodes": rule.nodes, "weights": rule.weights, "matrix": rule.matrix}
-        own |= {"both": both, "within": both.sum(-1)}
-        tables |= {f"{name}_{part.upper()}": table for part, table in own.items()}
+        product = rule.matrix[:, None] * rule.matrix / rule.weights
+        parts = {"nodes": rule.nodes, "weights": rule.weights, "matrix": rule.matrix}
+        parts |= {"both": product, "within": product.sum(-1)}
+        tables |= {f"{name}_{part.upper()}": table for part, table in parts.items()}
     tables["TO_FINE"] = np.stack([coarse.lagrange(fine.nodes, integrals=k) for k in (1, 2)])
     if eccentric:
         tables["TO_COARSE"] = np.stack([fine.lagrange(coarse.nodes, integrals=k) for k in (1, 2)])
@@ -35,9 +38,12 @@ def rule_constants(eccentric: bool) -> str:
 
 
 def arm_constants() -> str:
-    """Numbers of `pieces.c`, of the mesh and of the arm, as C. Tables have a column for each point of a piece where the
-    shape or the check needs the tubes: the Gauss points of the Magnus steps of even tubes, or of those that vary; ENDS;
-    and the nodes of the check. The last point fills them up to a multiple of four."""
+    """Constants of `pieces.c`, of the mesh and of the arm.
+
+    Tables have a column for each point of a piece at which the shape or the check evaluates the tubes: Gauss points of
+    the Magnus steps (of even, and of varying tubes), ENDS, and nodes of the check. Copies of the last point pad them to
+    a multiple of four.
+    """
     fine, check = tableau("gauss", DEGREE), tableau("gauss", DEGREE + EXTRA_POINTS)
     numbers = {"SUBSTEPS": SUBSTEPS, "EXTRA_POINTS": EXTRA_POINTS}
     tables = {"ROUGHER": ROUGHER, "CHECK_WEIGHTS": check.weights, "CHECK_COLUMNS": check.matrix.T}
@@ -51,7 +57,7 @@ def arm_constants() -> str:
 
 
 def piece_constants() -> str:
-    """Numbers of which `pieces.c` and the mesh are made, as C."""
+    """Constants of `pieces.c` and of the mesh."""
     nodes, weights = gauss_rule()
     numbers = {
         "QUADRATURE": len(nodes),
@@ -65,8 +71,11 @@ def piece_constants() -> str:
 
 
 def slope_constants() -> str:
-    """Tables of `change.c`: at the points, the collocated equations integrated twice, and shape points with their
-    slopes; at the shape points, the Lagrange basis integrated once."""
+    """Tables of `change.c`.
+
+    They are the twice integrated collocated equations and the shape points with their slopes at the collocation points,
+    and the integrated Lagrange basis at the shape points.
+    """
     fine = tableau("gauss", DEGREE)
     return c_tables(
         {
@@ -78,7 +87,7 @@ def slope_constants() -> str:
 
 
 def rubbing_constants() -> str:
-    """Numbers and tables of `rubbing.c`."""
+    """Constants and tables of `rubbing.c`."""
     numbers = {
         "MOST_CHANGES": STICK_CHANGES,
         "HARDLY": SLIP_ROUND_OFF,

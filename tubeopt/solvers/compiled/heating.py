@@ -1,4 +1,4 @@
-"""Heat in half a tube in time, in the compiled kernel: one for all grids and rigs."""
+"""Compiled kernel of heating over time in half a tube, for all grids and rigs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .text import c_text
 
 
 def heating_source() -> str:
-    """The C text of the kernel."""
+    """C text of the kernel."""
     generator = ca.CodeGenerator("heat.c")
     for law in cell_functions():
         generator.add(law)
@@ -29,7 +29,7 @@ def heating_source() -> str:
 
 @lru_cache(maxsize=1)
 def heating_kernel() -> Any:
-    """The loaded kernel; None where it cannot be had."""
+    """Loaded kernel; None if there is none."""
     path = kernel_path((0, "heating"), heating_source)
     loaded = None if path is None else open_library(path)
     if loaded is None:
@@ -42,10 +42,11 @@ def heating_kernel() -> Any:
 
 
 def _fields(volumes: Array, resolution: Resolution) -> Array:
-    """(B, F) the coefficients (B, V) as the kernel has them: eight numbers for each of the n cells of the tube, and
-    three fields (1 + M, n) with rows for the tube and for each shell: conductances outwards and along, and capacities.
+    """Coefficients (B, V) in the order of the kernel, (B, F).
 
-    Shells of cells without a mold have capacity 1 and conduct nothing, so that all rows are alike.
+    They are eight numbers for each of the n cells of the tube, and three fields (1 + M, n) with rows for the tube and
+    each shell: conductances outwards and along, and capacities. Shells of cells without a mold have capacity 1 and
+    conduct nothing, so that all rows have the same form.
     """
     n, rows, bare = resolution.cells, 1 + resolution.shells, resolution.cells - resolution.covered
     shapes = volume_shapes(resolution)
@@ -67,24 +68,24 @@ def _fields(volumes: Array, resolution: Resolution) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """W windows of time after one another.
-
-    Attributes:
-        span: (W,) s. steps: (W,) equal ones that each is made in. duty: (W, B) of every member.
-        place: (W + 1,) rows of a course in which the states at their ends stand, with the start.
-    """
+    """W successive windows of time."""
 
     span: Array
+    """Durations (W,), s."""
     steps: NDArray[np.int64]
+    """Numbers (W,) of equal steps."""
     duty: Array
+    """Duties (W, B) of the members."""
     place: NDArray[np.int64]
+    """Rows (W + 1,) of a course with the states at the start and at the end of each window."""
 
 
 class Marcher:
-    """B rigs on a grid bound to the kernel, with what it works in: of one thread.
+    """B rigs on a grid, bound to the kernel with its memory, for one thread.
 
     Args:
-        kernel: `heating_kernel`. properties, volumes: (B, P) and (B, V), which must not be written to.
+        kernel: `heating_kernel`.
+        properties, volumes: (B, P) and (B, V), which must not change.
     """
 
     def __init__(self, kernel: Any, resolution: Resolution, properties: Array, volumes: Array) -> None:
@@ -92,7 +93,7 @@ class Marcher:
         self._grid = resolution.cells, 1 + resolution.shells
         self._numbers = np.ascontiguousarray(properties), _fields(volumes, resolution)
         memory = np.zeros(kernel.workspace_size(*self._grid))
-        # For one window, and one state, memory whose place is known: to ask NumPy for it takes longer than a step.
+        # Memory with known addresses for one window and one state: NumPy takes longer for an address than a step.
         self._course = np.empty((2, self.members, resolution.cells, 1 + resolution.shells))
         self._lumped, self._duty = np.empty((2, self.members, LUMPED)), np.empty((1, self.members))
         self._window = np.empty(1), np.empty(1, dtype=np.int64), np.arange(2)
@@ -107,8 +108,10 @@ class Marcher:
         self._seen = *self._grid, p, q, cells, lumped, spread, work
 
     def march(self, windows: Windows, cells: Array, lumped: Array) -> None:
-        """Write the states after windows of time into a course, cells (T, B, n, 1 + M) and lumped (T, B, 6), whose
-        first row in place is given. The interpreter is free while it runs."""
+        """Write the states after windows of time into a course, cells (T, B, n, 1 + M) and lumped (T, B, 6).
+
+        The course has the initial state in the first row of `windows.place`. Other Python threads run meanwhile.
+        """
         sizes = self.members, len(windows.span), *(array.shape[1] for array in self._numbers)
         duty = np.ascontiguousarray(windows.duty)
         arrays = windows.span, windows.steps, duty, windows.place, cells, lumped
@@ -116,15 +119,17 @@ class Marcher:
         self._kernel.march(*self._grid, *sizes, *self._places[:2], *places, self._places[-1])
 
     def advance(self, cells: Array, lumped: Array, duty: Array | float, span: float, steps: int) -> tuple[Array, Array]:
-        """The states, cells (B, n, 1 + M) and lumped (B, 6), after one window at duties, one number or (B,)."""
+        """States, cells (B, n, 1 + M) and lumped (B, 6), after one window at a duty, or at duties (B,)."""
         self._course[0], self._lumped[0], self._duty[0] = cells, lumped, duty
         self._window[0][0], self._window[1][0] = span, steps
         self._kernel.march(*self._one)
         return self._course[1].copy(), self._lumped[1].copy()
 
     def spread(self, cells: Array, lumped: Array) -> Array:
-        """(2 n + 1,) of the first member in a state: rates of the tube at no duty and at full duty, K/s, and the
-        current while the MOSFET conducts, A."""
+        """Heating rates (2 n + 1,) of the first member in a state.
+
+        They are rates of the tube at no duty and at full duty, K/s, and the current while the MOSFET conducts, A.
+        """
         self._course[0, 0], self._lumped[0, 0] = cells[0], lumped[0]
         self._kernel.spread(*self._seen)
         return self._spread.copy()

@@ -1,6 +1,6 @@
-"""Building and loading the compiled kernel: C of this folder with the mechanics that CasADi generates.
+"""Build and load the compiled kernel: C files of this folder with mechanics that CasADi generates.
 
-Where there is no C compiler, or it fails, `library` is None, and the general solver finds the same answers more slowly.
+If there is no C compiler, or if it fails, `library` is None, and the general solver computes the same results slower.
 """
 
 from __future__ import annotations
@@ -45,91 +45,98 @@ from .text import HERE, c_text
 PACKAGE = Path(__file__).parents[2]
 
 FLAGS = ("-O3", "-fno-math-errno", "-fno-trapping-math", "-fassociative-math", "-fno-signed-zeros")
-"""Sums may be reordered into vectors; infinities and NaN keep their meaning, since the kernel asks for them."""
+"""Sums may be reordered into vectors; infinities and NaN keep their meaning, since the kernel tests for them."""
 
 OWN_PROCESSOR = "-march=native"
-"""Uses all that the processor has. Not every compiler knows it for every processor: left out where it fails."""
+"""Flag for all instructions of this processor; it is left out where a compiler does not accept it."""
 
 MOST_CUTS = 512
-"""Breakpoints that the kernel has room for."""
+"""Largest number of breakpoints in the kernel."""
 
 MOST_PIECES, MOST_UNKNOWNS = 32, 404
-"""What the kernel has room for, four unknowns of it to fill up squares; larger arms go to the general solver."""
+"""Largest numbers of pieces and unknowns in the kernel, four unknowns of which pad matrices; the general solver solves
+larger problems."""
 
 
-class Room(NamedTuple):
-    """What a kernel of its own has room for: pieces of the mesh, and unknowns, a multiple of four."""
+class Capacity(NamedTuple):
+    """Largest mesh in a kernel."""
 
     pieces: int = MOST_PIECES
+    """Largest number of pieces."""
     unknowns: int = MOST_UNKNOWNS
+    """Largest number of unknowns, a multiple of four."""
 
 
-ROOM = Room()
-"""Of the kernels that Python calls."""
+CAPACITY = Capacity()
+"""Capacity of the kernels that Python calls."""
 
 MOST_TUBES = 6
-"""Robots of more tubes go to the general solver: their matrices ask for a blocked elimination, as LAPACK has it."""
+"""Largest number of tubes in the kernel; more tubes need the blocked elimination of LAPACK, in the general solver."""
 
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """A loaded kernel: its functions, where it is, the fields of its answer, and the bytes that it works in."""
+    """Loaded kernel."""
 
     functions: Any
+    """Shared library with the functions."""
     path: Path
+    """File of the library."""
     answer: np.dtype[np.void]
+    """C struct Answer."""
     workspace_size: int
+    """Size of the workspace, bytes."""
 
     @property
     def differentiable(self) -> bool:
-        """Whether it has derivatives: that of concentric tubes."""
+        """Kernel has derivatives, as that of concentric tubes."""
         return hasattr(self.functions, "differentiate")
 
 
 def cache_directory() -> Path:
-    """Where compiled kernels and tables are kept: TUBEOPT_CACHE, else the user's cache directory."""
-    own = os.environ.get("TUBEOPT_CACHE")
-    return Path(own) if own else platformdirs.user_cache_path("tubeopt", appauthor=False)
+    """Folder of compiled kernels and tables: TUBEOPT_CACHE, else the user's cache directory."""
+    folder = os.environ.get("TUBEOPT_CACHE")
+    return Path(folder) if folder else platformdirs.user_cache_path("tubeopt", appauthor=False)
 
 
 def source(n: int, eccentric: bool) -> str:
-    """The C text of the kernel for n tubes, concentric or off the centreline."""
+    """C text of the kernel for n concentric or eccentric tubes."""
     return kernel_text(n, eccentric) + (HERE / "entries.c").read_text()
 
 
-def kernel_text(n: int, eccentric: bool = False, room: Room = ROOM) -> str:
-    """`source` without the functions that Python calls: of it, only what CasADi makes can be seen from outside."""
+def kernel_text(n: int, eccentric: bool = False, capacity: Capacity = CAPACITY) -> str:
+    """`source` without the functions that Python calls; only CasADi's functions are visible from outside."""
     slopes = not eccentric
     generator = ca.CodeGenerator("mechanics.c")
-    concentric, own = section_functions(n, False), section_functions(n, eccentric)
+    concentric, actual = section_functions(n, False), section_functions(n, eccentric)
     generator.add(concentric["balance"])
     generator.add(coupling_rate_function(n))
-    section = own["section"]
+    section = actual["section"]
     symbols = section.sx_in()
     moment, stretch, curvature, bending = section.call(symbols)
-    for name, given, outputs in (
+    for name, inputs, outputs in (
         ("section_curvature", symbols, [curvature, stretch]),
         ("section_moment", symbols, [moment, stretch, bending]),
         ("carry", *signature(carry_function())),
     ):
-        generator.add(ca.Function(name, given, [ca.densify(out) for out in outputs], {"cse": True}))
+        generator.add(ca.Function(name, inputs, [ca.densify(out) for out in outputs], {"cse": True}))
     if slopes:
         for name in ("curvature_slope", "variation", "linear"):
             generator.add(concentric[name])
     if eccentric:
-        generator.add(ca.Function("stretched", *signature(own["balance"]), {"cse": True}))
+        generator.add(ca.Function("stretched", *signature(actual["balance"]), {"cse": True}))
     constants = {
         "ECCENTRIC": int(eccentric),
         "SLOPES": int(slopes),
-        "MOST_SECTIONS": room.pieces,
+        "MOST_SECTIONS": capacity.pieces,
         "MOST_CUTS": MOST_CUTS,
         "N": n,
         "STEPS": STEPS,
         "SHAPE_RATIO": SHAPE_RATIO,
         "COARSE_DEGREE": COARSE_DEGREE,
         "MOST_DEGREE": DEGREE,
-        "MOST_PIECES": room.pieces,
-        "MOST_UNKNOWNS": room.unknowns,
+        "MOST_PIECES": capacity.pieces,
+        "MOST_UNKNOWNS": capacity.unknowns,
         "MOST_ITERATIONS": NEWTON.descent_iterations,
         "WAVES_PER_ELEMENT": WAVES_PER_ELEMENT,
         "BEND_PER_PIECE": BEND_PER_PIECE,
@@ -144,33 +151,33 @@ def kernel_text(n: int, eccentric: bool = False, room: Room = ROOM) -> str:
 
 
 def signature(function: ca.Function) -> tuple[list[Any], list[Any]]:
-    """Symbols of a function, and its outputs."""
+    """Symbols and outputs of a function."""
     symbols = function.sx_in()
     return symbols, list(function.call(symbols))
 
 
 def compiler() -> list[str] | None:
-    """The C compiler: CC, else the usual names; None where there is none, or TUBEOPT_COMPILE is 0.
+    """C compiler: CC, else cc, gcc or clang; None if there is none, or if TUBEOPT_COMPILE is 0.
 
-    What is typed are the options of gcc and clang; those of Visual Studio are others, and it is not asked.
+    The flags are those of gcc and clang; Visual Studio has other ones, and is not searched.
     """
     if os.environ.get("TUBEOPT_COMPILE") == "0":
         return None
-    wanted = os.environ.get("CC")
-    if wanted:
-        return shlex.split(wanted)
-    found = next((path for name in ("cc", "gcc", "clang") if (path := shutil.which(name))), None)
-    return [found] if found else None
+    command = os.environ.get("CC")
+    if command:
+        return shlex.split(command)
+    path = next((path for name in ("cc", "gcc", "clang") if (path := shutil.which(name))), None)
+    return [path] if path else None
 
 
-def _found_or_built(kind: Kind, text: Callable[[], str]) -> Path | None:
-    """The shared library of a kind, by what its sources made before, else by its C text."""
-    own = compiler()
-    if own is None:
+def _cached_or_built(kind: Kind, text: Callable[[], str]) -> Path | None:
+    """Shared library of a kind, from an earlier build of the same sources, or built from its C text."""
+    command = compiler()
+    if command is None:
         return None
-    # A note names the library that the sources made: CasADi takes longer to generate the text than a command to run.
-    words = "\0".join((_sources(), *map(str, kind), *own, *_tuning()))
-    note = cache_directory() / "kernels" / f"{hashlib.sha256(words.encode()).hexdigest()[:32]}.name"
+    # A note has the name of the library of these sources: CasADi takes longer to generate the text than a command runs.
+    key = "\0".join((_sources(), *map(str, kind), *command, *_tuning()))
+    note = cache_directory() / "kernels" / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.name"
     try:
         path = note.parent / note.read_text().strip()
         if path.is_file():
@@ -179,42 +186,41 @@ def _found_or_built(kind: Kind, text: Callable[[], str]) -> Path | None:
         pass
     built = _build(text())
     if built is not None and built.parent == note.parent:
-        with contextlib.suppress(InputError):  # without a note the text is generated again
+        with contextlib.suppress(InputError):  # without a note the text is generated the next time
             write_text(note, built.name)
     return built
 
 
 SOURCES = ("block", "physics", "robots", "solvers")
-"""Packages whose source makes the C text, or numbers in it."""
-
+"""Packages on which the C text depends."""
 
 COMPILING = logging.getLogger("tubeopt.kernel")
-"""Says when a kernel is compiled."""
+"""Logger of compilations."""
 
 
 @lru_cache(maxsize=1)
 def _sources() -> str:
-    """What the sources and versions are, as a hash."""
-    found = hashlib.sha256("\0".join((ca.CasadiMeta.version(), np.__version__, scipy.__version__)).encode())
+    """Hash of the sources and of the versions of libraries."""
+    digest = hashlib.sha256("\0".join((ca.CasadiMeta.version(), np.__version__, scipy.__version__)).encode())
     for name in SOURCES:
         for path in sorted((PACKAGE / name).rglob("*.[cp]*")):
             if path.suffix in (".c", ".py"):
-                found.update(f"\0{path.relative_to(PACKAGE)}\0".encode() + path.read_bytes())
-    return found.hexdigest()
+                digest.update(f"\0{path.relative_to(PACKAGE)}\0".encode() + path.read_bytes())
+    return digest.hexdigest()
 
 
 def _tuning() -> tuple[str, ...]:
-    """What is asked of the compiler, and for which machine."""
+    """Flags of the compiler, and the machine."""
     return *FLAGS, OWN_PROCESSOR, f"{platform.machine()} {platform.system()} {processor()}"
 
 
 def _build(text: str) -> Path | None:
-    """The shared library of a C text, compiled unless it is in the cache; None where that cannot be."""
-    own = compiler()
-    if own is None:
+    """Shared library of a C text, compiled unless it is in the cache; None if it cannot be compiled."""
+    command = compiler()
+    if command is None:
         return None
-    for folder in (cache_directory, _own_folder):
-        path = kept_as(text, folder)
+    for folder in (cache_directory, _temporary_folder):
+        path = cache_path(text, folder)
         if path.exists():
             return path
         COMPILING.info("compiling for this question; it takes some seconds, once")
@@ -224,47 +230,46 @@ def _build(text: str) -> Path | None:
             except (OSError, subprocess.SubprocessError):
                 continue
             if not tuned:
-                _tell_once(
-                    f"{own[0]} cannot compile the kernel with {OWN_PROCESSOR}: it is compiled for any processor of "
-                    "this kind; answers are the same,about 2 times slower; a newer compiler, named by CC, mends that"
+                _warn_once(
+                    f"{command[0]} cannot compile the kernel with {OWN_PROCESSOR}: it is compiled for any processor of "
+                    "this kind. Results are the same, about 2 times slower. Set CC to a newer compiler"
                 )
             return path
     return None
 
 
-def kept_as(text: str, folder: Callable[[], Path] = cache_directory) -> Path:
-    """Where the shared library of a C text is kept, compiled by this machine's compiler for its processor."""
+def cache_path(text: str, folder: Callable[[], Path] = cache_directory) -> Path:
+    """Path of the shared library of a C text, as compiled by this machine's compiler for its processor."""
     name = hashlib.sha256("\0".join((text, *(compiler() or ()), *_tuning())).encode()).hexdigest()[:32]
     return folder() / "kernels" / f"{name}.so"
 
 
 def compile_to(text: str, path: Path, flags: Sequence[str]) -> None:
-    """Compile a C text to a shared library, whole or not at all; raises SubprocessError or OSError where it cannot."""
-    own = compiler()
-    if own is None:
+    """Compile a C text to a shared library, completely or not at all; raises SubprocessError or OSError on failure."""
+    compile_command = compiler()
+    if compile_command is None:
         raise OSError("there is no C compiler")
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent) as work:
         (Path(work) / "kernel.c").write_text(text)
-        command = [*own, *FLAGS, *flags, "-w", "-shared", "-o", "kernel.so", "kernel.c"]
-        # Libraries of Windows need neither, and clang refuses the first for them.
+        command = [*compile_command, *FLAGS, *flags, "-w", "-shared", "-o", "kernel.so", "kernel.c"]
+        # Libraries of Windows need neither flag, and clang refuses the first one there.
         command += [] if platform.system() == "Windows" else ["-fPIC", "-lm"]
-        subprocess.run(
-            command, cwd=work, capture_output=True, timeout=1200, check=True
-        )  # s: a busy machine needs minutes
+        # A busy machine needs minutes, so the limit is 1200 s.
+        subprocess.run(command, cwd=work, capture_output=True, timeout=1200, check=True)
         os.replace(Path(work) / "kernel.so", path)
 
 
 @lru_cache(maxsize=1)
-def _own_folder() -> Path:
-    """A folder that only this process knows, for where the cache cannot be written; removed in the end."""
+def _temporary_folder() -> Path:
+    """Folder of this process, for a cache that is not writable; it is removed at exit."""
     folder = tempfile.mkdtemp(prefix="tubeopt-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)
 
 
 def _answer(n: int) -> np.dtype[np.void]:
-    """The C struct Answer."""
+    """C struct Answer."""
     points, shape = MOST_PIECES * DEGREE, MOST_PIECES * STEPS + 1
     reals = ("margin", "residual", "mesh_error", "tip_error", "energy", "contraction", "largest_change")
     whole = ("pieces", "points", "sections", "iterations", "elements")
@@ -281,19 +286,19 @@ def _answer(n: int) -> np.dtype[np.void]:
 
 
 @lru_cache(maxsize=8)
-def _tell_once(words: str) -> None:
-    logging.getLogger("tubeopt").warning(words)
+def _warn_once(message: str) -> None:
+    logging.getLogger("tubeopt").warning(message)
 
 
 def kernel_path(kind: Kind, text: Callable[[], str]) -> Path | None:
-    """Where the kernel of a kind is, from the package or compiled here from its C text; None where it cannot be had."""
+    """Path of the kernel of a kind, from the package or compiled from its C text; None if there is none."""
     if os.environ.get("TUBEOPT_COMPILE") == "0":
         return None
-    path = packaged_kernel(kind, processor_features()) or _found_or_built(kind, text)
+    path = packaged_kernel(kind, processor_features()) or _cached_or_built(kind, text)
     if path is None:
-        own = compiler()
-        lacks = "no C compiler to make one" if own is None else f"the C compiler {own[0]} cannot make one"
-        _tell_once(
+        command = compiler()
+        lacks = "no C compiler to make one" if command is None else f"the C compiler {command[0]} cannot make one"
+        _warn_once(
             f"there is no compiled kernel and {lacks}. Results are the same, about 20 times slower. "
             "Install a C compiler (apt install gcc; xcode-select --install; winget install LLVM.LLVM) or a wheel with "
             "the kernel"
@@ -302,7 +307,7 @@ def kernel_path(kind: Kind, text: Callable[[], str]) -> Path | None:
 
 
 def open_library(path: Path) -> Any:
-    """A shared library; None in a folder from which nothing may be executed, or where the file is broken."""
+    """Shared library; None if its folder does not allow execution, or if the file is broken."""
     try:
         return ctypes.CDLL(str(path))
     except OSError:
@@ -310,7 +315,7 @@ def open_library(path: Path) -> Any:
 
 
 def load_kernel(kind: Kind, text: Callable[[], str], answer: np.dtype[np.void]) -> Kernel | None:
-    """The kernel of a kind with this answer, of no fields where it is not asked for one; None where there is none."""
+    """Kernel of a kind with this C struct Answer (without fields for none); None if there is no kernel."""
     path = kernel_path(kind, text)
     loaded = None if path is None else open_library(path)
     if path is None or loaded is None:
@@ -324,7 +329,7 @@ def load_kernel(kind: Kind, text: Callable[[], str], answer: np.dtype[np.void]) 
 
 @lru_cache(maxsize=16)
 def library(n: int, eccentric: bool) -> Kernel | None:
-    """The compiled kernel for n tubes, as `source`; None where it cannot be had."""
+    """Compiled kernel of `source` for n tubes; None if there is none."""
     kind, answer = (n, "eccentric" if eccentric else "concentric"), _answer(n)
     kernel = load_kernel(kind, lambda: source(n, eccentric), answer)
     if kernel is None:

@@ -1,7 +1,7 @@
-"""The compiled kernel of arms under load, on NumPy arrays.
+"""Compiled kernel of arms under load, on NumPy arrays.
 
-Its mechanics are the functions of the cross-section and of quaternions that CasADi generates; by hand there are only
-linear algebra, sweeps along the arm and the loops of Newton's method and of the continuation.
+CasADi generates its mechanics, the functions of cross-sections and quaternions. Linear algebra, sweeps along the arm,
+Newton's method and continuation are written in C.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import ctypes
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import accumulate
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -37,24 +37,24 @@ from ..settings import (
     SOFT_TWIST,
 )
 from ..time_limit import check_time
-from .binding import address, room_of
+from .binding import address, memory_of
 from .library import Kernel, load_kernel
 from .text import c_tables, c_text
 
 DEGREE, ROUGH_DEGREE, CHECK_DEGREE, MOST_PIECES, MOST_TUBES = 7, 3, 8, 24, 6
-"""Points per piece: of the answer, of the growing of the load, and of the check; and room of the kernel: other
-arms go to the general solver."""
+"""Points per piece of the solution, of the continuation in the load, and of the check; largest numbers of pieces and
+tubes. The general solver solves other arms."""
 
 SOLVED = 0
 
 
 def loaded_source(n: int) -> str:
-    """The C text of the kernel for n concentric tubes under load."""
+    """C text of the kernel for n concentric tubes under load."""
     return loaded_text(n, ca.CodeGenerator("mechanics.c"))
 
 
 def loaded_text(n: int, generator: ca.CodeGenerator, pieces: int = MOST_PIECES) -> str:
-    """The same with the functions that a generator has beside its own, and room for so many pieces of a mesh."""
+    """`loaded_source` for up to `pieces` pieces of a mesh, with the functions already in `generator`."""
     generator.add(section_functions(n, False)["bending"])
     generator.add(rotation_matrix_function())
     defines = {
@@ -85,23 +85,23 @@ def loaded_text(n: int, generator: ca.CodeGenerator, pieces: int = MOST_PIECES) 
 
 
 def _rules() -> str:
-    """The three rules, and what carries over between them: the Lagrange basis of one at the points of another."""
+    """Tables of the three rules, and the Lagrange basis of one rule at the points of another."""
     degrees = DEGREE, ROUGH_DEGREE, CHECK_DEGREE
-    whole, rough, check = rules = [tableau("gauss", degree) for degree in degrees]
+    fine, rough, check = rules = [tableau("gauss", degree) for degree in degrees]
     tables: dict[str, Array] = {}
     for k, rule in enumerate(rules):
-        own = {"nodes": rule.nodes, "weights": rule.weights, "matrix": rule.matrix}
-        own |= {name: rule.lagrange(ENDS, integrals=i) for i, name in enumerate(("basis", "once", "twice"))}
-        tables |= {f"RULE{k}_{name}": table for name, table in own.items()}
-    between = {"TO_ROUGH": (whole, rough), "TO_CHECK": (whole, check), "FROM_ROUGH": (rough, whole)}
-    return c_tables(tables | {name: one.lagrange(other.nodes) for name, (one, other) in between.items()})
+        parts = {"nodes": rule.nodes, "weights": rule.weights, "matrix": rule.matrix}
+        parts |= {name: rule.lagrange(ENDS, integrals=i) for i, name in enumerate(("basis", "once", "twice"))}
+        tables |= {f"RULE{k}_{name}": table for name, table in parts.items()}
+    transfers = {"TO_ROUGH": (fine, rough), "TO_CHECK": (fine, check), "FROM_ROUGH": (rough, fine)}
+    return c_tables(tables | {name: source.lagrange(to.nodes) for name, (source, to) in transfers.items()})
 
 
 _POINTERS = (*("start", "length", "bent", "felt", "held", "at", "ends", "ends_twist", "force", "base_force"),)
 
 
-_OWN = ("at", "force", "base_force")
-"""What differs from rule to rule."""
+_BY_RULE = ("at", "force", "base_force")
+"""Pointers that differ between the rules."""
 
 
 class _Problem(ctypes.Structure):
@@ -118,15 +118,18 @@ class _Rules(ctypes.Structure):
 
 @dataclass(frozen=True)
 class LoadedRules:
-    """One problem on three rules with the same pieces: that of the answer, with few points on which the load grows, and
-    with more, which tell the error."""
+    """Problem on three rules with the same pieces."""
 
     problem: LoadedProblem
+    """Rule of the solution."""
     rough: LoadedProblem
+    """Rule with fewer points, for the continuation in the load."""
     check: LoadedProblem
+    """Rule with more points, for the error estimate."""
 
 
 def _answer(n: int) -> np.dtype[np.void]:
+    """C struct Answer."""
     points, shape = MOST_PIECES * CHECK_DEGREE, MOST_PIECES * STEPS + 1
     names = ("margin", "residual", "theta_error", "tip_error", "margin_error", "energy", "work")
     fields: list[Any] = [(name, "f8") for name in names] + [("iterations", "i8")]
@@ -149,21 +152,21 @@ def _kernel(n: int) -> Kernel | None:
 
 
 def _sections(at: CrossSections) -> Array:
-    """(m, 5, n) cross-sections as an array of the C struct Sections."""
+    """Cross-sections (m, 5, n) as an array of the C struct Sections."""
     return np.stack((at.stiffness, at.moment, at.phase, 1 / at.torsional_stiffness, at.wound), axis=1)
 
 
 @lru_cache(maxsize=64)
 def _structure(rules: LoadedRules) -> Any:
-    """The C struct Rules, and the memory that it points into as `keep`."""
+    """C struct Rules, with the memory into which it points as `keep`."""
     problems, tip = (rules.problem, rules.rough, rules.check), rules.problem.tip_tube
     torsion, length = rules.problem.torsion, rules.problem.torsion.assembly.total_length
     mesh, ends = torsion.mesh, sections_at(torsion.assembly, torsion.mesh, ENDS)
     bent = torsion.unknown[mesh.section]
-    # The twist of a tube matters up to where it is bent for the last time, and to where it ends the arm.
+    # The twist of a tube matters up to its last bent piece; that of the tip tube matters up to the tip.
     felt = np.logical_or.accumulate(bent[::-1], axis=0)[::-1]
     felt[:, tip] = True
-    # What all rules share, then each rule's own.
+    # Data of all rules, then of each rule.
     shared = {
         "start": mesh.start,
         "length": mesh.length,
@@ -174,15 +177,15 @@ def _structure(rules: LoadedRules) -> Any:
         "ends_twist": ends.twist,
     }
     arrays = list(shared.values())
-    for one in problems:
-        arrays += [_sections(one.torsion.here.sections), one.force, one.base[:3]]
-    # In one piece of memory, since asking NumPy for an address takes a microsecond.
+    for problem in problems:
+        arrays += [_sections(problem.torsion.here.sections), problem.force, problem.base[:3]]
+    # One piece of memory, since each address that NumPy returns takes a microsecond.
     memory = np.concatenate(arrays, axis=None, dtype=float)
     sizes = [8 * array.size for array in arrays]
     places = accumulate(sizes[:-1], initial=address(memory))
     common = dict(zip(shared, places, strict=False))
     parts = [
-        _Problem(len(mesh.length), tip, length, **common, **dict(zip(_OWN, places, strict=False))) for _ in problems
+        _Problem(len(mesh.length), tip, length, **common, **dict(zip(_BY_RULE, places, strict=False))) for _ in problems
     ]
     out: Any = _Rules(*parts)
     out.keep = memory
@@ -190,7 +193,7 @@ def _structure(rules: LoadedRules) -> Any:
 
 
 def _usable(rules: LoadedRules) -> Kernel | None:
-    """The kernel for a problem; None where there is none."""
+    """Kernel for a problem; None if there is none."""
     problem = rules.problem
     check_time()
     n, mesh = problem.torsion.assembly.n_tubes, problem.mesh
@@ -201,18 +204,20 @@ def _usable(rules: LoadedRules) -> Kernel | None:
 def solve_loaded_compiled(
     rules: LoadedRules, joints: tuple[Array, Array], start: tuple[Array, Array | None], margin: float
 ) -> ArmSolution | None:
-    """The stable equilibrium under a dead load.
+    """Stable equilibrium under a dead load.
 
-    `joints`: rotations (n,), and their change from those of the start. `start`: rotations (N, n) and curvature (N, 2)
-    at the points of an equilibrium close by, of the `margin`; without curvature it bears no load, and the load is to
-    grow from there.
+    None if there is no kernel, or if it finds no stable equilibrium: the branch ends, or no equilibrium is close by.
 
-    None where there is no kernel, or it declines: nothing stable close by, a branch that ends.
+    Args:
+        joints: rotations (n,), and their change from those of the start.
+        start: rotations (N, n) and curvature (N, 2) at the points of an equilibrium close by; None for the curvature
+            is a start without load, from which the load grows.
+        margin: margin of the start.
     """
     problem, kernel = rules.problem, _usable(rules)
     if kernel is None:
         return None
-    room, n = room_of(kernel), problem.torsion.assembly.n_tubes
+    workspace, n = memory_of(kernel), problem.torsion.assembly.n_tubes
     theta, curvature = start
     memory = np.concatenate([*joints, theta.ravel(), *([] if curvature is None else [curvature.ravel()])])
     at = address(memory)
@@ -223,34 +228,46 @@ def solve_loaded_compiled(
         at + 16 * n,
         None if curvature is None else at + 8 * (2 * n + theta.size),
         margin,
-        *room.at,
+        *workspace.addresses,
     )
-    return _answered(room.answer(), problem) if status == SOLVED else None
+    return _solution(workspace.answer(), problem) if status == SOLVED else None
+
+
+class ManySolved(NamedTuple):
+    """Equilibria under load at M rotations."""
+
+    table: Array
+    """Rows (M, 18 + n) with tip position (3), tip frame by rows (9), tip rotations (n), margin, residual, error of
+    theta, error of the tip, energy, and error of the margin."""
+    compliance: Array
+    """Compliances (M, 6, 6) of the tip."""
+    unsolved: Mask
+    """Rows (M,) that the kernel did not solve."""
 
 
 def solve_many_loaded_compiled(
     rules: LoadedRules, rotations: Array, starts: tuple[Array, Array], ends: NDArray[np.int64]
-) -> tuple[Array, Array, Mask] | None:
-    """Stable equilibria at rotations (M, n) under a dead load that grows from nothing.
+) -> ManySolved | None:
+    """Stable equilibria at rotations (M, n) under a dead load that grows from 0; None if there is no kernel.
 
-    `starts`: rotations (M, N, n) without load at the points, and margins (M,). `ends`: (n,) where tubes end among the
-    points of the arm. A row for each with tip position (3), tip frame by rows (9), tip rotations (n), margin, residual,
-    errors of theta and of the tip, energy and error of the margin; the compliances (M, 6, 6); (M,) which were declined.
-    None where there is no kernel.
+    Args:
+        starts: rotations (M, N, n) without load at the points, and margins (M,).
+        ends: numbers (n,) of the points of the arm at which tubes end.
     """
     kernel, count = _usable(rules), len(rotations)
     if kernel is None:
         return None
-    room = room_of(kernel)
-    given = [np.ascontiguousarray(a, dtype=float) for a in (rotations, *starts)]
-    summary, compliance = np.zeros((count, 18 + rotations.shape[1])), np.zeros((count, 6, 6))
-    declined = np.zeros(count, dtype=np.uint8)
-    places = (address(a) for a in (*given, ends, summary, compliance, declined))
-    kernel.functions.solve_many_loaded(ctypes.byref(_structure(rules)), count, *places, *room.at)
-    return summary, compliance, declined.astype(bool)
+    inputs = [np.ascontiguousarray(a, dtype=float) for a in (rotations, *starts)]
+    table, compliance = np.zeros((count, 18 + rotations.shape[1])), np.zeros((count, 6, 6))
+    unsolved = np.zeros(count, dtype=np.uint8)
+    addresses = (address(a) for a in (*inputs, ends, table, compliance, unsolved))
+    workspace = memory_of(kernel).addresses
+    kernel.functions.solve_many_loaded(ctypes.byref(_structure(rules)), count, *addresses, *workspace)
+    return ManySolved(table, compliance, unsolved.astype(bool))
 
 
-def _answered(answer: dict[str, Any], problem: LoadedProblem) -> ArmSolution:
+def _solution(answer: dict[str, Any], problem: LoadedProblem) -> ArmSolution:
+    """Copy of the solution in an answer."""
     torsion, points, m = problem.torsion, len(problem.torsion.weight), STEPS * len(problem.mesh.length) + 1
     arm = ArmShape(
         arc_length=answer["arc_length"][:m].copy(),

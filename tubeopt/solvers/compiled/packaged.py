@@ -1,4 +1,4 @@
-"""Kernels that come with the package, compiled when its wheel was built, for several generations of processors."""
+"""Kernels in the package, compiled when its wheel was built, for several generations of processors."""
 
 from __future__ import annotations
 
@@ -9,24 +9,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 Kind = tuple[int, str]
-"""Of a kernel: for how many tubes, and what: "concentric", "eccentric", "loaded" or
-"rubbing"; 0 and "heating" or "quadratic" are those of
-heat and of small least squares, for all robots."""
+"""Kind of a kernel: number of tubes, and "concentric", "eccentric", "loaded" or "rubbing"; (0, "heating") and
+(0, "quadratic") are those of heat and of small least squares, for all robots."""
 
 FOLDER = Path(__file__).parent / "kernels"
-"""Where a wheel has them."""
+"""Folder of the kernels in a wheel."""
 
 
 @dataclass(frozen=True)
 class Generation:
-    """Processors that have certain instructions: what a compiler is told, and what the processor must say of itself."""
+    """Processors with certain instructions: flags of the compiler, and features that the processor `needs`."""
 
     name: str
     flags: tuple[str, ...] = ()
     needs: frozenset[str] = field(default_factory=frozenset)
 
     def kernel(self, folder: Path, kind: Kind) -> Path:
-        """Path of the kernel of a kind of robot."""
+        """Path of the kernel of a kind."""
         n, what = kind
         return folder / f"{what}-{n}-{self.name}.so"
 
@@ -40,18 +39,17 @@ _X86 = (
 
 
 def generations() -> tuple[Generation, ...]:
-    """The generations of this machine's kind of processor, the best first; the last runs on all of them."""
+    """Generations of this machine's kind of processor, the newest first; the last one runs on all of them."""
     return _X86 if platform.machine() in ("x86_64", "AMD64") else (Generation("any"),)
 
 
 def processor_features() -> frozenset[str]:
-    """What the processor can do, in words."""
+    """Features of the processor, such as "avx2"."""
     return frozenset(processor().split())
 
 
 def processor() -> str:
-    """What the processor can do, for which the kernel is tuned: Linux calls it flags, on ARM features; elsewhere NumPy
-    has asked the processor."""
+    """Features of the processor as one text: the flags of Linux (features on ARM), elsewhere those known to NumPy."""
     info = Path("/proc/cpuinfo")
     if not info.exists():
         return " ".join((platform.processor(), *sorted(_features_by_numpy())))
@@ -59,17 +57,17 @@ def processor() -> str:
 
 
 def _features_by_numpy() -> frozenset[str]:
-    """What NumPy found the processor to have, in the words of Linux; before NumPy 2.4 not all of it."""
+    """Features of the processor that NumPy detected, by their names in Linux; incomplete before NumPy 2.4."""
     try:
-        found = importlib.import_module("numpy._core._multiarray_umath").__cpu_features__
+        features = importlib.import_module("numpy._core._multiarray_umath").__cpu_features__
     except (ImportError, AttributeError):
         return frozenset()
-    words = {"BMI": "bmi1", "FMA3": "fma", "LZCNT": "abm"}
-    return frozenset(words.get(name, name.lower()) for name, there in found.items() if there)
+    linux_names = {"BMI": "bmi1", "FMA3": "fma", "LZCNT": "abm"}
+    return frozenset(linux_names.get(name, name.lower()) for name, present in features.items() if present)
 
 
 def packaged_kernel(kind: Kind, features: Iterable[str]) -> Path | None:
-    """The best kernel of this package for a processor with these features; None where there is none."""
-    have = frozenset(features)
-    paths = (g.kernel(FOLDER, kind) for g in generations() if g.needs <= have)
+    """Path of the newest kernel of this package for a processor with these features; None if there is none."""
+    available = frozenset(features)
+    paths = (g.kernel(FOLDER, kind) for g in generations() if g.needs <= available)
     return next((path for path in paths if path.exists()), None)

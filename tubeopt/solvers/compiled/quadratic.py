@@ -1,4 +1,4 @@
-"""Small least squares with linear inequalities, compiled: one kernel for all robots."""
+"""Compiled kernel of small least-squares problems with linear inequalities, for all robots."""
 
 from __future__ import annotations
 
@@ -15,43 +15,45 @@ from .library import MOST_TUBES, kernel_path, open_library
 from .text import c_text
 
 MOST_VARIABLES = 4 * MOST_TUBES
-"""Twice the joints of the largest robot that has a kernel; more go to SciPy."""
+"""Largest number of variables, twice the joints of the largest robot with a kernel; SciPy solves larger problems."""
 
 
 def quadratic_source() -> str:
-    """The C text of the kernel."""
+    """C text of the kernel."""
     return c_text({"N": MOST_VARIABLES // 2}, ca.CodeGenerator("program.c"), "program.c")
 
 
 class CompiledLeastSquares:
-    """The function of the kernel with its memory: of one thread."""
+    """Function of the kernel with its memory, for one thread."""
 
     def __init__(self, solve: Any) -> None:
         self._solve = solve
-        self._room(1024)
+        self._allocate(1024)
 
-    def _room(self, size: int) -> None:
-        """Memory whose place is known: to ask NumPy for it takes as long as a solve."""
+    def _allocate(self, size: int) -> None:
+        """Allocate memory with a known address: NumPy takes as long for an address as a solve."""
         self._memory, self._numbers = np.zeros(size), np.zeros(MOST_VARIABLES, dtype=np.int64)
-        self._places = self._memory.ctypes.data, self._numbers.ctypes.data
+        self._addresses = self._memory.ctypes.data, self._numbers.ctypes.data
 
     def __call__(self, matrix: Array, right: Array, rows: Array, bounds: Array) -> tuple[Array, Index] | None:
-        """The minimiser (n,) of |matrix x - right| with rows x >= bounds, and the numbers of the rows that hold it;
-        None where no x keeps them. Of a matrix (r, n) of full rank, n at most MOST_VARIABLES."""
+        """Minimiser x (n,) of |matrix x - right| with rows x >= bounds, and the numbers of the active rows.
+
+        None if no x satisfies the rows. The matrix (r, n) must have full rank, with n at most MOST_VARIABLES.
+        """
         count, n = matrix.shape
         k = len(bounds)
         used = n + count * (n + 1) + k * (n + 1)
         if len(self._memory) < used + k:
-            self._room(2 * (used + k))
+            self._allocate(2 * (used + k))
         np.concatenate([matrix.ravel(), right, rows.ravel(), bounds], out=self._memory[n:used])
-        place, numbers = self._places
-        held = self._solve(n, count, k, place + 8 * n, place, numbers)
-        return None if held < 0 else (self._memory[:n].copy(), self._numbers[:held].copy())
+        memory, numbers = self._addresses
+        active = self._solve(n, count, k, memory + 8 * n, memory, numbers)
+        return None if active < 0 else (self._memory[:n].copy(), self._numbers[:active].copy())
 
 
 @lru_cache(maxsize=1)
 def _kernel() -> Any:
-    """The loaded function; None where there is no kernel."""
+    """Loaded function; None if there is no kernel."""
     path = kernel_path((0, "quadratic"), quadratic_source)
     loaded = None if path is None else open_library(path)
     if loaded is None:
@@ -60,13 +62,13 @@ def _kernel() -> Any:
     return loaded.constrained
 
 
-_own = threading.local()
+_of_thread = threading.local()
 
 
 def compiled_least_squares() -> CompiledLeastSquares | None:
-    """That of this thread; None where there is no kernel."""
-    if "solve" not in _own.__dict__:
+    """Function of this thread; None if there is no kernel."""
+    if "solve" not in _of_thread.__dict__:
         kernel = _kernel()
-        _own.solve = None if kernel is None else CompiledLeastSquares(kernel)
-    found: CompiledLeastSquares | None = _own.solve
-    return found
+        _of_thread.solve = None if kernel is None else CompiledLeastSquares(kernel)
+    solve: CompiledLeastSquares | None = _of_thread.solve
+    return solve

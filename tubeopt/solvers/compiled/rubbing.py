@@ -1,10 +1,11 @@
-"""Motions of tubes that rub, in the compiled kernel."""
+"""Motions of tubes with friction, in the compiled kernel."""
 
 from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from ...robots.robot import Robot, is_general
 from ...typing import Array
 from ..friction_increment import Signs
 from ..time_limit import check_time
-from .binding import address, room_of, with_kernel
+from .binding import address, memory_of, with_kernel
 from .constants import rubbing_constants
 from .library import MOST_TUBES, MOST_UNKNOWNS, Kernel, kernel_text, load_kernel
 from .text import HERE, with_included
@@ -22,30 +23,43 @@ from .text import HERE, with_included
 
 @dataclass(frozen=True, eq=False)
 class Rubbed:
-    """Where a motion is after K increments of rows.
-
-    Attributes:
-        stations: (K, S, 3) m.   frame: (K, 3, 3) of the tip.   rotation: (K, n) of the tubes there, rad.
-        margin: (K,) without friction, to 1e-5, NaN if not asked for.   length: (K,) of the arm, m.
-        heat: (K,) that friction took since the first row, J.
-        violation: (K,) of what friction demands, as a slip (rad) or a part of the capacity.
-        unknowns, torque, signs: (K, M) of the states and of their contacts' rows, filled up.
-    """
+    """States after K increments of a motion with friction."""
 
     stations: Array
+    """Positions (K, S, 3) of the stations, m."""
     frame: Array
+    """Frames (K, 3, 3) of the tip."""
     rotation: Array
+    """Rotations (K, n) of the tubes at the tip, rad."""
     margin: Array
+    """Margins (K,) without friction, to 1e-5; NaN if not requested."""
     length: Array
+    """Lengths (K,) of the arm, m."""
     heat: Array
+    """Energy (K,) dissipated by friction since the first row, J."""
     violation: Array
+    """Violations (K,) of the friction conditions, as a slip (rad) or a fraction of the capacity."""
     unknowns: Array
+    """Unknowns (K, M) of the states, padded."""
     torque: Array
+    """Torques (K, M) of the friction rows, padded."""
     signs: Signs
+    """Signs of slip (K, M) of the friction rows, padded."""
+
+
+class FrictionStart(NamedTuple):
+    """State from which a motion with friction starts."""
+
+    unknowns: Array
+    """Unknowns (U,) of its contact."""
+    torque: Array
+    """Torques (R,) of its friction rows, N m."""
+    signs: Signs
+    """Signs of slip (R,) of its friction rows."""
 
 
 def rubbing_source(n: int) -> str:
-    """The C text of the kernel for n concentric tubes that rub."""
+    """C text of the kernel for n concentric tubes with friction."""
     return kernel_text(n) + rubbing_constants() + with_included(HERE / "rubbing.c")
 
 
@@ -60,7 +74,7 @@ def _kernel(n: int) -> Kernel | None:
 
 
 def simple(friction: Friction) -> bool:
-    """Whether friction is along the tubes and against their turns alone, as the kernel knows it."""
+    """Return whether friction is distributed and torsional only, as in the kernel."""
     return not (friction.sliding or any(any(friction.of(name)) for name in ("plate", "jumps", "ends")))
 
 
@@ -68,24 +82,27 @@ def rub_compiled(
     robot: Robot,
     friction: Friction,
     joints: Array,
-    state: tuple[Array, Array, Signs],
+    start: FrictionStart,
     behind: Array,
     *,
     margins: bool = True,
 ) -> Rubbed | None:
-    """Increments along rows of joint values (T, 2n) from the state of row 0: unknowns (U,), torques (R,) and signs (R,)
-    of its contact; with stations `behind` (S,) the tip, m, and, where asked for, `margins`, a quarter of the time.
+    """Increments along rows of joint values (T, 2n), one step per row, from a state at row 0.
 
-    Each row is one step. As many as go well: where a step asks for more care, they end before it. None where there is
-    no kernel for this robot and this friction, or no room in it.
+    They end before the first step that fails in the kernel. None if there is no kernel for this robot and friction, or
+    if the problem is too large for it.
+
+    Args:
+        behind: distances (S,) of the stations from the tip, m.
+        margins: also compute margins, for a quarter of the time.
     """
     check_time()
-    n, (unknowns, torque, signs) = robot.n_tubes, state
+    n, unknowns, torque, signs = robot.n_tubes, start.unknowns, start.torque, start.signs
     if is_general(robot) or not simple(friction) or max(len(unknowns), len(torque)) > MOST_UNKNOWNS:
         return None
-    plain = with_kernel(robot)
-    kernel = None if plain is None else _kernel(n)
-    if plain is None or kernel is None:
+    prepared = with_kernel(robot)
+    kernel = None if prepared is None else _kernel(n)
+    if prepared is None or kernel is None:
         return None
     alpha, shift = (np.ascontiguousarray(part) for part in (joints[:, :n], joints[:, n:]))
     capacity = np.array(friction.per_pair("torque", n - 1))
@@ -95,18 +112,18 @@ def rub_compiled(
     slips = np.zeros((len(joints), MOST_UNKNOWNS), dtype=np.int8)
     slips[0, : len(signs)] = signs
     out, behind = np.zeros((len(joints), 3 * len(behind) + 13 + n)), np.ascontiguousarray(behind)
-    places = [address(array) for array in (alpha, shift, sizes, states[0], states[1], slips, behind, out)]
+    arrays = [address(array) for array in (alpha, shift, sizes, states[0], states[1], slips, behind, out)]
     pieces = PIECES * 2.0**friction.refinement
-    given = plain[2], address(capacity), pieces, len(joints)
-    count = kernel.functions.rub(*given, *places, room_of(kernel).at[0])
+    scalars = prepared.address, address(capacity), pieces, len(joints)
+    count = kernel.functions.rub(*scalars, *arrays, memory_of(kernel).addresses[0])
     if count < 0:
         return None
     parts = np.split(out[1:count], np.cumsum([3 * len(behind), 9, n, 1, 1, 1]), axis=1)
-    at, frame, turned, margin, length, heat, violation = parts
+    stations, frame, rotation, margin, length, heat, violation = parts
     return Rubbed(
-        stations=at.reshape(len(at), len(behind), 3),
+        stations=stations.reshape(len(stations), len(behind), 3),
         frame=frame.reshape(-1, 3, 3),
-        rotation=turned,
+        rotation=rotation,
         margin=margin[:, 0] if margins else np.full(len(margin), np.nan),
         length=length[:, 0],
         heat=heat[:, 0],

@@ -1,4 +1,4 @@
-"""C texts: constants, tables, what CasADi generates, and files of this folder."""
+"""C texts of constants, tables, CasADi functions and files of this folder."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ HERE = Path(__file__).parent
 
 
 def c_text(constants: Mapping[str, float], generator: ca.CodeGenerator, file: str) -> str:
-    """A kernel as one C text: constants, what CasADi generates, a file of this folder and those that it includes."""
-    begin = defined(constants) + (HERE / "elementary.c").read_text()
-    return f"{begin}\n{generator.dump()}\n{with_included(HERE / file)}"
+    """C text of a kernel: constants, generated functions, a file of this folder and the files that it includes."""
+    head = defined(constants) + (HERE / "elementary.c").read_text()
+    return f"{head}\n{generator.dump()}\n{with_included(HERE / file)}"
 
 
 def defined(constants: Mapping[str, float]) -> str:
-    """Numbers as constants of C."""
+    """C text of constants by name."""
     return "".join(f"#define {name} {value!r}\n" for name, value in constants.items())
 
 
 def with_included(file: Path) -> str:
-    """A C text with those that it includes from its folder in it."""
+    """Text of a C file, with the files that it includes from its folder inserted."""
     text = file.read_text()
     while part := re.search(r'#include "(\w+\.c)"\n', text):
         text = text.replace(part[0], (file.parent / part[1]).read_text())
@@ -33,7 +33,7 @@ def with_included(file: Path) -> str:
 
 
 def numbers(values: ArrayLike) -> str:
-    """Literals of C, by rows, that are read back to the last bit."""
+    """C literals of an array by rows, exact to the last bit."""
 
     def literal(value: float) -> str:
         return repr(value) if np.isfinite(value) else "-INFINITY" if value < 0 else "INFINITY"
@@ -42,10 +42,10 @@ def numbers(values: ArrayLike) -> str:
 
 
 def static_table(name: str, values: ArrayLike) -> str:
-    """A constant of C."""
+    """C text of one constant array."""
     return f"static const double {name}[] = {{{numbers(values)}}};"
 
 
 def c_tables(tables: Mapping[str, ArrayLike]) -> str:
-    """Tables as constants of C."""
+    """C text of constant arrays by name."""
     return "".join(f"{static_table(name, table)}\n" for name, table in tables.items())

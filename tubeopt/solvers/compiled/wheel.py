@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from .heating import heating_source
-from .library import MOST_TUBES, compile_to, compiler, kept_as, source
+from .library import MOST_TUBES, cache_path, compile_to, compiler, source
 from .loaded import loaded_source
 from .packaged import Generation, Kind, generations, processor_features
 from .quadratic import quadratic_source
@@ -19,20 +19,22 @@ from .rubbing import rubbing_source
 
 
 def package_kernels(folder: Path, *, everywhere: bool) -> list[Path]:
-    """Compile all kernels for a wheel: for this processor, or `everywhere` for every generation of its
-    kind; none where there is no compiler. Raises SubprocessError or OSError where the compiler fails."""
+    """Compile all kernels for a wheel, for this processor, or `everywhere` for every generation of its kind.
+
+    Without a compiler there are none. Raises SubprocessError or OSError if the compiler fails.
+    """
     if compiler() is None:
         return []
-    here = processor_features()
-    all_known = known(generations())
-    chosen = all_known if everywhere else [one for one in all_known if one.needs <= here][:1]
+    features = processor_features()
+    supported = known(generations())
+    chosen = supported if everywhere else [generation for generation in supported if generation.needs <= features][:1]
     if not chosen:
-        raise subprocess.SubprocessError("it compiles not even a line")
+        raise subprocess.SubprocessError("the compiler cannot compile a text of one line")
     return build_kernels(texts(), folder, chosen)
 
 
 def known(among: Sequence[Generation]) -> list[Generation]:
-    """Those generations whose flags the compiler knows, found by a text of one line."""
+    """Generations whose flags the compiler accepts, tested by a text of one line."""
     with tempfile.TemporaryDirectory() as scratch:
 
         def compiles(generation: Generation) -> bool:
@@ -46,8 +48,10 @@ def known(among: Sequence[Generation]) -> list[Generation]:
 
 
 def build_kernels(sources: Mapping[Kind, str], folder: Path, chosen: Sequence[Generation]) -> list[Path]:
-    """Compile the C texts of kernels, by kind, for some generations; return the paths. Raises OSError or
-    SubprocessError where the compiler cannot: a wheel that lacks one of its kernels would be noticed by nobody."""
+    """Compile the C texts of kernels, by kind, for some generations, and return the paths.
+
+    Raises OSError or SubprocessError if one cannot be compiled: nobody would notice a missing kernel in a wheel.
+    """
     folder.mkdir(parents=True, exist_ok=True)
 
     def build(job: tuple[Kind, Generation]) -> Path:
@@ -61,29 +65,31 @@ def build_kernels(sources: Mapping[Kind, str], folder: Path, chosen: Sequence[Ge
 
 
 def texts() -> dict[Kind, str]:
-    """The C texts of all kernels."""
-    found: dict[Kind, str] = {(0, "heating"): heating_source(), (0, "quadratic"): quadratic_source()}
+    """C texts of all kernels, by kind."""
+    result: dict[Kind, str] = {(0, "heating"): heating_source(), (0, "quadratic"): quadratic_source()}
     for n in range(1, MOST_TUBES + 1):
-        found |= {
+        result |= {
             (n, "concentric"): source(n, False),
             (n, "eccentric"): source(n, True),
             (n, "loaded"): loaded_source(n),
             (n, "rubbing"): rubbing_source(n),
         }
-    return found
+    return result
 
 
 def keep(folder: Path) -> int:
-    """Put the kernels of a wheel, unpacked into a folder, where those of this machine are kept, so that who runs the
-    source compiles none again; their number."""
+    """Copy the kernels of an unpacked wheel into the cache of this machine, and return their number.
+
+    The source then runs without compiling them again.
+    """
     count = 0
     for kind, text in texts().items():
         for generation in generations():
             path = generation.kernel(folder, kind)
-            kept = kept_as(text)
-            if path.exists() and generation.needs <= processor_features() and not kept.exists():
-                kept.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copy(path, kept)
+            cached = cache_path(text)
+            if path.exists() and generation.needs <= processor_features() and not cached.exists():
+                cached.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy(path, cached)
                 count += 1
     return count
 
