@@ -30,19 +30,19 @@ from ..typing import Array, Delegate, StatusEnum
 from .arm_surface import ArmSurface
 
 OBJECTIVES = ("nearest", "margin", "curvature")
-"""What is best: joint values near a reference, the largest margin, the least int |u|^2 ds."""
+"""Objectives: joint values nearest to a reference, largest margin, smallest int |u|^2 ds."""
 
 METHODS = ("auto", "gauss_newton", "nlp")
-"""How to solve: the fast path and the nonlinear program where it stalls, or one of them alone."""
+"""Solvers: the fast Gauss-Newton search with the nonlinear program as fallback, or one of them alone."""
 
 TIME_LIMIT = 60.0
-"""s, for one target: three times what `tubeopt ik` gives one by default."""
+"""Default time limit per target, s: three times that of `tubeopt ik`."""
 
 
 @typed
 @dataclass(frozen=True)
 class InverseOptions(Displayed):
-    """Details of the question and of the search.
+    """Options of inverse kinematics.
 
     Raises:
         InputError: a value that is not allowed.
@@ -54,38 +54,38 @@ class InverseOptions(Displayed):
         "objective: nearest (to the start or reference), margin or curvature; "
         "default nearest with a start or reference, otherwise any answer",
     ] = None
-    """Among the answers: "nearest" (to the reference), "margin" (largest), "curvature" (least int |u|^2 ds), or None:
-    "nearest" where a start or a reference is given, else any answer."""
+    """Objective among the solutions: "nearest" (to the reference), "margin" (largest), "curvature" (smallest
+    int |u|^2 ds). None is "nearest" with a start or a reference, else any solution."""
     direction_weight: Annotated[
         float | None,
         POSITIVE,
         "factor on half the squared difference of the unit vectors in the cost; by default the direction is exact",
     ] = None
-    """None makes the direction a constraint. A number adds half the squared difference of the unit vectors to the
-    objective, with that weight.
+    """Weight of half the squared difference of the unit vectors in the objective; None makes the direction a
+    constraint.
     """
     clearance: Annotated[
         float, unit("mm"), NOT_NEGATIVE, Typical(1e-5, 0.1), "smallest allowed distance between arm and obstacles"
     ] = 0.0
     """Smallest allowed distance between the surface of the arm and obstacles, m."""
     carriage_gap: float = 0.0
-    """Least distance of neighbouring carriages, m."""
+    """Smallest allowed distance of neighbouring carriages, m."""
     section_length: float = 0.0
-    """Smallest length that a tube protrudes from the next outer one, m."""
+    """Smallest allowed length that a tube protrudes from the next outer one, m."""
     method: Annotated[str, OneOf(METHODS), "solver: auto, gauss_newton or nlp"] = "auto"
-    """"auto" (the fast path, and the nonlinear program where that stalls), "gauss_newton" or "nlp" alone."""
+    """Solver: "auto" (Gauss-Newton, and the nonlinear program if it stalls), "gauss_newton" or "nlp"."""
     starts: Annotated[int, Range(least=1), "largest number of starting configurations"] = 48
     steps: int = 30
-    """Maximum number of steps from one start to the target; fewer give up sooner on targets out of reach."""
+    """Maximum number of steps from one start to the target; fewer stop sooner for targets out of reach."""
     distinct: float = 0.05
-    """Answers of `all_solutions` differ somewhere along the arm by this share of its length."""
+    """Smallest difference of solutions of `all_solutions`, at some point of the arm, as a fraction of its length."""
     time_limit: float = TIME_LIMIT
-    """Time limit of the whole call for any method, s; computations in progress end early. `math.inf` sets none."""
+    """Time limit of the whole call for any solver, s; computations in progress end early. `math.inf` sets none."""
     extra_cost: CustomObjective | None = None
-    """Custom objective that is added to `objective`: an expression of the quantities of the pose, `q.poses[0]`, times
-    its weight. Only the fast path supports it."""
+    """Custom objective, added to `objective`: a weighted expression of the quantities of the pose, `q.poses[0]`. Only
+    Gauss-Newton supports it."""
     extra_constraints: tuple[CustomRequirement, ...] = ()
-    """Custom requirements that every solution satisfies. Only the fast path supports them."""
+    """Custom requirements that every solution satisfies. Only Gauss-Newton supports them."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -120,32 +120,32 @@ class InverseStatus(StatusEnum):
 
 @dataclass(frozen=True)
 class InverseStatistics:
-    """How an answer was found."""
+    """Statistics of a search."""
 
     method: str
-    """"gauss_newton" or "nlp"."""
+    """Solver of the solution: "gauss_newton" or "nlp"."""
     start: str
-    """"seed", "reference" or "table"."""
+    """Start of the solution: "seed", "reference" or "table"."""
     tries: int
-    """Starts tried."""
+    """Number of starts tried."""
     iterations: int
-    """Of all searches."""
+    """Number of iterations of all searches."""
     solves: int
-    """Equilibria that were solved."""
+    """Number of solved equilibria."""
     seconds: float
-    """Since the question was asked."""
+    """Time of the call, s."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointPath:
-    """Joint values on which the robot does not snap: slowly through W waypoints, straight from one to the next."""
+    """Snap-free quasi-static joint path: straight segments between W waypoints."""
 
     origin: Annotated[str, key("from"), "start of the path"]
-    """ "seed", "home", or "last target"."""
+    """Start of the path: "seed", "home", or "last target"."""
     rotations: Annotated[Array, unit("deg"), "rotations at its waypoints"]
-    """Shape (W, n); the last are those of the solution."""
+    """Rotations (W, n), rad; the last row is that of the solution."""
     translations: Annotated[Array, unit("mm"), "translations at its waypoints"]
-    """Shape (W, n)."""
+    """Translations (W, n), m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,16 +155,16 @@ class InverseSolution(Displayed):
     _brief = ("robot", "rotations", "translations", "position_error", "margin", "status")
 
     target_position: Annotated[Array, key("target_mm"), form(".6g", label="target"), "target position of the tip"]
-    """Shape (3,)."""
+    """Target position (3,) of the tip, m."""
     target_direction: Annotated[Array | None, "target direction of the tip"]
-    """Unit vector, shape (3,), or None."""
+    """Target direction of the tip as a unit vector (3,), or None."""
     equilibrium: Equilibrium
-    """Stable; `forward_kinematics(robot, rotations, translations, start=equilibrium)` agrees."""
+    """Stable equilibrium; `forward_kinematics(robot, rotations, translations, start=equilibrium)` agrees."""
     position_error: Annotated[float, unit("mm"), "distance of the tip from its target"]
     direction_error: float
-    """Angle, rad; NaN without a direction."""
+    """Angle between tip and target direction, rad; NaN without a target direction."""
     scene: Scene
-    """The obstacles."""
+    """Obstacles of the search."""
     cold_start_agrees: Annotated[bool | None, "true if a cold start gives the same equilibrium"]
     """None if it was not checked, as in a servo step."""
     straight_from_seed: Annotated[
@@ -172,7 +172,7 @@ class InverseSolution(Displayed):
     ]
     """False if it snaps, or comes too close to a snap for a quick check. None without a seed."""
     active: Annotated[tuple[str, ...], "active constraints"]
-    """Ends of ranges, tubes in contact, margin, obstacles."""
+    """Descriptions of active ranges, contacts of tubes, margin and obstacles."""
     status: InverseStatus
     """Result of the search."""
     statistics: InverseStatistics
@@ -190,17 +190,17 @@ class InverseSolution(Displayed):
 
     robot = Delegate[Robot]("equilibrium")
     rotations, translations = Delegate[Array]("equilibrium"), Delegate[Array]("equilibrium")
-    """(n,) rad and (n,) m, not wrapped."""
+    """Joint values (n,), rad and m, not wrapped."""
     margin = Delegate[float]("equilibrium")
 
     @cached_property
     def clearance(self) -> float:
-        """Least distance of the surface of the arm from any obstacle, m; infinite without."""
+        """Smallest distance between the surface of the arm and obstacles, m; infinite without obstacles."""
         return ArmSurface(self.equilibrium).clearance(self.scene)
 
     @property
     def value(self) -> tuple[Array, Array]:
-        """The joint values: rotations (n,), rad, and translations (n,), m."""
+        """Joint values: rotations (n,), rad, and translations (n,), m."""
         return self.rotations, self.translations
 
     @property
