@@ -251,7 +251,7 @@ def test_a_compiler_that_does_not_know_the_processor_is_told_once(
     own.chmod(0o755)
     monkeypatch.setenv("TUBEOPT_CACHE", str(tmp_path))
     monkeypatch.setenv("CC", str(own))
-    building._tell_once.cache_clear()
+    building._warn_once.cache_clear()
     for text in ("int one(void) { return 1; }", "int two(void) { return 2; }"):
         assert building._build(text) is not None
     (record,) = caplog.records

@@ -332,7 +332,7 @@ def _solve_loaded(
     first = solve_compiled(robot, rotations[0], translations) if load.has_energy else None
     if first is None:
         return None
-    s = first.found.arm.arc_length
+    s = first.solution.arm.arc_length
     arms = np.zeros((len(rotations), 2, len(s), robot.n_tubes))
     unloaded = solve_many_compiled(robot, rotations, np.tile(translations, (len(rotations), 1)), arms)
     assert unloaded is not None

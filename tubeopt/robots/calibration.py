@@ -1,4 +1,4 @@
-"""What was found out about a robot's drives: how joint readings become the joint values of the model."""
+"""Calibration of drives: conversion between joint readings and the joint values of the model."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from .limits import JointLimits, default_limits
 from .tubes import Tube
 
 Numbers = tuple[float, ...]
-"""A number for every tube."""
+"""Numbers of the tubes, inner to outer."""
 
 Vector = tuple[float, ...]
-"""Components along the axes x, y and, where there are three, z."""
+"""Components along x, y and, of three, z."""
 
 LEFT_OUT = Absent(None)
 
@@ -124,9 +124,9 @@ class Calibration(Displayed):
 
     @classmethod
     def none(cls, n_tubes: int) -> Calibration:
-        """Drives that read true."""
-        zero, one = (0.0,) * n_tubes, (1.0,) * n_tubes
-        return cls(zero, zero, one, one, zero)
+        """Calibration of drives whose readings are the joint values of the model."""
+        zeros, ones = (0.0,) * n_tubes, (1.0,) * n_tubes
+        return cls(zeros, zeros, ones, ones, zeros)
 
     @property
     def n_tubes(self) -> int:
@@ -147,28 +147,28 @@ class Calibration(Displayed):
 
     @property
     def rotation_zeros(self) -> Array:
-        """(n,) readings about which gains of rotations act, rad: full turns."""
-        turn = 2 * math.pi
-        return turn * np.round(np.array(self.rotation_middles) / turn)
+        """Readings (n,) at which the gains of rotations have no effect, rad: full turns."""
+        full_turn = 2 * math.pi
+        return full_turn * np.round(np.array(self.rotation_middles) / full_turn)
 
     def to_model(self, rotations: ArrayLike, translations: ArrayLike) -> tuple[Array, Array]:
-        """Joint values (..., n) of the model, rad and m, at readings (..., n), where no carriage yields."""
+        """Joint values (..., n) of the model, rad and m, at readings (..., n), with rigid carriages."""
         zero = self.rotation_zeros
         alpha = zero + (np.asarray(rotations, dtype=float) - zero) * self.rotation_gains + self.rotation_offsets
         shift = np.asarray(translations, dtype=float) * self.translation_gains + self.translation_offsets
         return alpha, shift
 
     def to_readings(self, rotations: ArrayLike, translations: ArrayLike) -> tuple[Array, Array]:
-        """Readings (..., n) at which the model has these joint values (..., n), rad and m, where no carriage yields."""
+        """Readings (..., n) at joint values (..., n) of the model, rad and m, with rigid carriages."""
         zero = self.rotation_zeros
         alpha = zero + (np.asarray(rotations, dtype=float) - self.rotation_offsets - zero) / self.rotation_gains
         shift = (np.asarray(translations, dtype=float) - self.translation_offsets) / self.translation_gains
         return alpha, shift
 
     def limits_of_model(self, limits: JointLimits) -> JointLimits:
-        """Limits of the readings as limits of the model's joint values."""
+        """Limits of the joint values of the model, from limits of the readings."""
         tables = (limits.rotations, limits.translations)
-        # Gains are positive, so that the least reading gives the least joint value.
+        # Gains are positive, so that the smallest reading gives the smallest joint value.
         low = self.to_model(*(np.array([pair[0] for pair in table]) for table in tables))
         high = self.to_model(*(np.array([pair[1] for pair in table]) for table in tables))
         rotations, translations = (
@@ -177,23 +177,22 @@ class Calibration(Displayed):
         return JointLimits(rotations=rotations, translations=translations)
 
 
-# Names of what a calibration holds for every tube.
+# Names of the fields with a number for every tube.
 TABLES = tuple(field.name for field in fields(Calibration) if str(field.type).startswith("Annotated[Numbers"))
 
-
-# Those that are 0 where they are not given.
+# Fields that are 0 by default.
 LATER = ("translation_play", "translation_compliance", "rotation_middles")
 
 
 def _number(name: str, tube: int, value: float) -> float:
-    what = f"{name} of tube {tube + 1}"
+    label = f"{name} of tube {tube + 1}"
     if name.endswith("_gains"):
-        return positive(what, value)
-    return finite(what, value) if name.endswith(("_offsets", "_middles")) else positive(what, value, zero=True)
+        return positive(label, value)
+    return finite(label, value) if name.endswith(("_offsets", "_middles")) else positive(label, value, zero=True)
 
 
 def check_calibration(calibration: Calibration | None, n_tubes: int, *, yields: bool = False) -> None:
-    """Raise InputError where a calibration is for another number of tubes, or for carriages that yield and do not."""
+    """Raise InputError if a calibration is for another number of tubes, or for compliant carriages that are rigid."""
     if calibration is None:
         return
     if calibration.n_tubes != n_tubes:
@@ -202,8 +201,8 @@ def check_calibration(calibration: Calibration | None, n_tubes: int, *, yields: 
         raise InputError("calibration has a translation_compliance; only carriages of concentric robots can have one")
 
 
-def limits_of(given: JointLimits | None, calibration: Calibration | None, tubes: Sequence[Tube]) -> JointLimits:
-    """Limits of the joint values: those given of the readings, or what the lengths allow."""
-    if given is None:
+def limits_of(readings: JointLimits | None, calibration: Calibration | None, tubes: Sequence[Tube]) -> JointLimits:
+    """Limits of the joint values, from limits of the readings, or by default from the lengths of the tubes."""
+    if readings is None:
         return default_limits(tubes)
-    return given if calibration is None else calibration.limits_of_model(given)
+    return readings if calibration is None else calibration.limits_of_model(readings)

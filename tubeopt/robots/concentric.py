@@ -89,12 +89,12 @@ class Friction(Displayed):
             raise InputError(f"refinement of friction is {self.refinement!r}; it must be a whole number from -2 to 4")
 
     def of(self, name: str) -> tuple[float, ...]:
-        """The numbers of one of PAIRWISE, as given."""
+        """Values of a field of PAIRWISE: one for all pairs, or one for each."""
         values: tuple[float, ...] = getattr(self, name)
         return values
 
     def per_pair(self, name: str, pairs: int) -> tuple[float, ...]:
-        """The numbers of one of PAIRWISE for every pair."""
+        """Values of a field of PAIRWISE, one for each pair."""
         values = self.of(name)
         return values * pairs if len(values) == 1 else values
 
@@ -104,9 +104,9 @@ class Friction(Displayed):
         return not any(any(self.of(name)) for name in PAIRWISE)
 
 
-def per_pair(name: str, given: Sequence[float] | float, n_tubes: int) -> tuple[float, ...]:
-    """A number, 0 or more, for every pair of neighbours, of one for each or one for all; raises InputError."""
-    values = tuple(positive(name, x, zero=True) for x in numbers(name, given))
+def per_pair(name: str, entry: Sequence[float] | float, n_tubes: int) -> tuple[float, ...]:
+    """Values, 0 or more, of the pairs of neighbours, from one for each or one for all; raises InputError."""
+    values = tuple(positive(name, x, zero=True) for x in numbers(name, entry))
     if len(values) not in (1, n_tubes - 1):
         raise InputError(
             f"{name} is {len(values)} numbers; the robot has {n_tubes} tubes, so it must be {n_tubes - 1}, one for "
@@ -115,15 +115,15 @@ def per_pair(name: str, given: Sequence[float] | float, n_tubes: int) -> tuple[f
     return values * (n_tubes - 1) if len(values) == 1 else values
 
 
-def clearances(given: Sequence[float] | float, n_tubes: int) -> tuple[float, ...]:
-    """(n - 1,) the radial room, m, of every tube in the next one, of one for each or one for all; raises InputError."""
-    room = per_pair("clearance", given, n_tubes)
-    check_size("clearance", room, TYPICAL_TUBE_CLEARANCE, "mm")
-    return room
+def clearances(entry: Sequence[float] | float, n_tubes: int) -> tuple[float, ...]:
+    """Radial clearances (n - 1,) of neighbouring tubes, m, from one for each or one for all; raises InputError."""
+    values = per_pair("clearance", entry, n_tubes)
+    check_size("clearance", values, TYPICAL_TUBE_CLEARANCE, "mm")
+    return values
 
 
 def check_friction(friction: Friction | None, n_tubes: int) -> None:
-    """Raise InputError where a friction is for another number of tubes."""
+    """Raise InputError if a friction is for another number of tubes."""
     if friction is None:
         return
     for name in PAIRWISE:
@@ -142,7 +142,7 @@ class ConcentricRobot(Robot):
     """
 
     tubes: tuple[Tube, ...]
-    """Inner to outer; each fits into the next, and none is shorter than the next."""
+    """Tubes, inner to outer; each fits into the next, and none is shorter than the next."""
     name: str = ""
     """Name in tables and figures."""
     joint_limits: JointLimits | None = None
@@ -152,8 +152,7 @@ class ConcentricRobot(Robot):
     friction: Friction | None = None
     """Friction between neighbouring tubes, for motions with friction; None if unknown."""
     clearance: tuple[float, ...] | None = None
-    """(n - 1,) m, radial, of every tube in the next one, for those who ask how far it lets the arm tilt; None: it does
-    not count."""
+    """Radial clearances (n - 1,) of neighbouring tubes, m, for the tilt of the arm in them; None neglects them."""
 
     def __post_init__(self) -> None:
         tubes = items("tubes", self.tubes, Tube, "tubes, inner to outer")
@@ -179,19 +178,19 @@ class ConcentricRobot(Robot):
 
     @property
     def moving_together(self) -> tuple[tuple[int, ...], ...]:
-        """Every tube has a carriage of its own."""
+        """Tubes of each carriage: one per carriage."""
         return tuple((i,) for i in range(self.n_tubes))
 
     @property
     def nested_pairs(self) -> tuple[tuple[int, int], ...]:
-        """Every tube inside the next."""
+        """Pairs of nested tubes: each tube and the next outer one."""
         return tuple(pairwise(range(self.n_tubes)))
 
     def assembly(self, translations: Array) -> Assembly:
-        """Sections at `translations` (n,), m; raises InputError where a tube leaves its actuator."""
+        """Sections at `translations` (n,), m; raises InputError if a tube leaves its actuator."""
         return assemble(self.tubes, translations)
 
 
 def friction_of(robot: Robot) -> Friction | None:
-    """The friction that a robot is known to have; None where none is known."""
+    """Friction of a robot; None if it is unknown."""
     return robot.friction if isinstance(robot, ConcentricRobot) else None

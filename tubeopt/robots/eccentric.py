@@ -64,17 +64,21 @@ class SheathedRobot(Robot):
 
     @cached_property
     def moving_together(self) -> tuple[tuple[int, ...], ...]:
-        """The three tubes of each segment."""
+        """Tubes of each carriage: the three tubes of a segment."""
         return tuple((3 * k, 3 * k + 1, 3 * k + 2) for k in range(len(self.held)))
 
     @property
     def nested_pairs(self) -> tuple[tuple[int, int], ...]:
-        """Every tube inside the one of the next segment at its place."""
+        """Pairs of nested tubes: each tube and the tube of the next segment around it."""
         return tuple((i, i + 3) for i in range(3 * len(self.held) - 3))
 
     def assembly(self, translations: Array) -> Assembly:
-        """Sections at `translations` (3 k,), m; raises InputError where tubes of one segment are moved apart, a tube
-        leaves its actuator, or curved parts overlap."""
+        """Sections at `translations` (3 k,), m.
+
+        Raises:
+            InputError: the tubes of a segment have different translations, a tube leaves its actuator, or curved parts
+                overlap.
+        """
         count = len(self.held)
         for k, row in enumerate(np.reshape(translations, (-1, 3))):
             if np.ptp(row) > ROUND_OFF:
@@ -85,12 +89,12 @@ class SheathedRobot(Robot):
                 )
         offset, angle = np.full(3 * count, self.distance), np.tile(PLACES, count)
         bundle = assemble(self.tubes, translations, offset=offset, offset_angle=angle)
-        begin, end = bundle.transition[::3], bundle.end[::3]
+        transition, end = bundle.transition[::3], bundle.end[::3]
         for inner, outer in pairwise(k for k in range(count) if end[k] > 0):
-            if begin[inner] < end[outer] - 1e-9:
+            if transition[inner] < end[outer] - 1e-9:
                 raise InputError(
-                    f"segment {inner + 1} begins to curve at {begin[inner]:g} m, before segment {outer + 1} ends at "
-                    f"{end[outer]:g} m; curved parts must not overlap"
+                    f"segment {inner + 1} begins to curve at {transition[inner]:g} m, before segment {outer + 1} ends "
+                    f"at {end[outer]:g} m; curved parts must not overlap"
                 )
         return bundle
 
@@ -109,16 +113,17 @@ class EccentricRobot(SheathedRobot):
     """
 
     tube: Tube
-    """Each of the three."""
+    """Design of the three equal tubes."""
     offset: Annotated[
         float | None,
         unit("mm"),
         NOT_NEGATIVE,
         "distance of the tube axes from the centreline; by default the tubes touch",
     ] = None
-    """m; None is OD / sqrt(3); 0 is the equivalent concentric robot, which no hand can build."""
+    """Distance of the tube axes from the centreline, m; None is OD / sqrt(3). 0 is the equivalent concentric robot,
+    which cannot be built."""
     transmission_length: Annotated[float, unit("mm"), NOT_NEGATIVE, "straight length behind the base plate"] = 0.0
-    """m, between where a tube is held and its straight_length."""
+    """Straight length of each tube between its held end and its `straight_length`, m."""
     name: str = ""
     """Name in tables and figures."""
     joint_limits: JointLimits | None = None

@@ -1,4 +1,4 @@
-"""What pushes on a robot: forces and a moment at its tip, along its arm, and its weight (SI)."""
+"""External loads on a robot: forces and moments at its tip and along its arm, and its weight (SI)."""
 
 from __future__ import annotations
 
@@ -60,29 +60,28 @@ class Load(Displayed):
     """
 
     force: Annotated[Vector, key("tip_force_mN"), "force on the tip in the base frame"] = ZERO
-    """(3,) force on the tip, N."""
+    """Force (3,) on the tip, N."""
     moment: Annotated[Vector, key("tip_moment_mN_m"), "moment on the tip in the base frame"] = ZERO
-    """N m; its part along the tip turns the tube that ends last, of several the innermost: it holds the tool."""
+    """Moment (3,) on the tip, N m; its axial part twists the tube that ends last, of several the innermost."""
     _: KW_ONLY
     frame: Annotated[
         str, OneOf(FRAMES), "frame of tip force and moment: world (constant direction) or tip (they turn with the tip)"
     ] = "world"
-    """Dead loads are those of the "world"; following ones turn with the Bishop frame of the tip, the `tip_rotation` of
-    an equilibrium."""
+    """Frame of tip force and moment: "world" for dead loads, "tip" for loads that turn with the Bishop frame of the
+    tip, the `tip_rotation` of an equilibrium."""
     distributed: Vector | Callable[[float], ArrayLike] | tuple[Stretch, ...] | None = None
     """Load per length in world axes: a force (3,), N/m, along the whole arm, a function, or stretches. A function of
     arc length (m from the plate) returns (3,), or (6,) with a moment, N. A stretch is (start, end, force (3,)) or
-    (start, end, force (3,), moment (3,)) and constant. The part of a moment along the arm turns the outermost tube
-    there.
+    (start, end, force (3,), moment (3,)) and constant. The axial part of a moment twists the outermost tube there.
     """
     points: Annotated[tuple[PointLoad, ...], "forces and moments at points of the arm, in the base frame"] = ()
-    """Loads at points: (arc length, force (3,)) or (arc length, force (3,), moment (3,)) each, m, N and N m. The part
-    of a moment along the arm turns the outermost tube there; at the arm's end, the tube that a tip moment turns.
+    """Loads at points: (arc length, force (3,)) or (arc length, force (3,), moment (3,)) each, m, N and N m. The
+    axial part of a moment twists the outermost tube there; at the end of the arm, the tube of a tip moment.
     """
     gravity: Annotated[
         Vector | None, unit("m_per_s2"), "gravity vector in the base frame; acts on the mass of the tubes"
     ] = None
-    """m/s^2; the tubes are those in front of the plate."""
+    """Gravity (3,), m/s^2, on the tubes in front of the plate, or None."""
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
@@ -98,13 +97,13 @@ class Load(Displayed):
 
     @property
     def has_energy(self) -> bool:
-        """True if all forces keep their direction and there are no moments: equilibria are then minima of an energy."""
-        turning = any(any(part.moment) for part in self.acting) or _has_moment(self.distributed)
-        return not turning and (self.frame == "world" or not any(self.force))
+        """True for forces of constant direction without moments: stable equilibria are then minima of an energy."""
+        has_moment = any(any(part.moment) for part in self.acting) or _has_moment(self.distributed)
+        return not has_moment and (self.frame == "world" or not any(self.force))
 
     @property
     def acting(self) -> tuple[PointLoad, ...]:
-        """Forces and moments at points, the last at the tip, in its frame: its arc length is infinite."""
+        """Forces and moments at points; the last one is that at the tip, in its frame, at infinite arc length."""
         return *self.points, PointLoad(np.inf, self.force, self.moment)
 
     def require_energy(self, untold: str) -> None:
@@ -150,13 +149,13 @@ class Load(Displayed):
         return np.array(places, dtype=float)
 
     def per_length(self, arc_length: Array) -> Array:
-        """(..., 6) `distributed` at arc lengths (...): force, N/m, and moment, N."""
+        """Distributed load (..., 6) at arc lengths (...): force, N/m, and moment, N."""
         out = np.zeros((*arc_length.shape, 6))
         along = self.distributed
         if along is None:
             return out
         if callable(along):
-            # As many everywhere as at the plate: by them it is known whether there are moments.
+            # The function returns as many numbers everywhere as at the plate.
             size = 6 if _has_moment(along) else 3
             for index in np.ndindex(arc_length.shape):
                 s = float(arc_length[index])
@@ -172,7 +171,7 @@ class Load(Displayed):
 
 @dataclass(frozen=True)
 class Scaled:
-    """A function of arc length times a factor."""
+    """Function of arc length times a factor."""
 
     function: Callable[[float], ArrayLike]
     factor: float
@@ -183,44 +182,47 @@ class Scaled:
 
 @dataclass(frozen=True)
 class Sum:
-    """Of the distributed parts of two loads."""
+    """Sum of the distributed parts of two loads, as a function of arc length."""
 
-    one: Load
-    other: Load
+    first: Load
+    second: Load
 
     def __call__(self, arc_length: float) -> Array:
         at = np.array(arc_length)
-        total = self.one.per_length(at) + self.other.per_length(at)
-        return total if _has_moment(self.one.distributed) or _has_moment(self.other.distributed) else total[FORCE]
+        total = self.first.per_length(at) + self.second.per_length(at)
+        return total if _has_moment(self.first.distributed) or _has_moment(self.second.distributed) else total[FORCE]
 
 
 def between(start: Load, end: Load, t: float) -> Load:
-    """(1 - t) times one load and t times another; raises InputError where their frames differ."""
+    """Interpolate linearly between loads, from `start` at t = 0 to `end` at t = 1.
+
+    Raises:
+        InputError: their frames differ.
+    """
     if start.frame != end.frame and not (start.has_energy and not any(start.force)):
         raise InputError(
             f"the load of the start has the frame {start.frame!r}, the target load {end.frame!r}; they must be the same"
         )
-    one, other = start.scaled(1 - t), end.scaled(t)
+    first, second = start.scaled(1 - t), end.scaled(t)
 
-    def added(a: Vector | None, b: Vector | None) -> Vector:
+    def total(a: Vector | None, b: Vector | None) -> Vector:
         return triple("sum", np.add(a or (0, 0, 0), b or (0, 0, 0)))
 
-    along: Any = None
-    if one.distributed is not None or other.distributed is not None:
-        along = Sum(one, other)
-    gravity = None if one.gravity is None and other.gravity is None else added(one.gravity, other.gravity)
+    distributed: Any = None
+    if first.distributed is not None or second.distributed is not None:
+        distributed = Sum(first, second)
     return Load(
-        added(one.force, other.force),
-        added(one.moment, other.moment),
+        total(first.force, second.force),
+        total(first.moment, second.moment),
         frame=end.frame,
-        distributed=along,
-        points=(*one.points, *other.points),
-        gravity=gravity,
+        distributed=distributed,
+        points=(*first.points, *second.points),
+        gravity=None if first.gravity is None and second.gravity is None else total(first.gravity, second.gravity),
     )
 
 
 def masses(tubes: Sequence[Tube], load: Load) -> Array:
-    """(n,) mass per length of tubes, kg/m; zeros where the load has no gravity."""
+    """Masses (n,) per length of tubes, kg/m; zeros if the load has no gravity."""
     if load.gravity is None or not any(load.gravity):
         return np.zeros(len(tubes))
     known = [mass_per_length(tube) for tube in tubes]
@@ -233,7 +235,7 @@ def masses(tubes: Sequence[Tube], load: Load) -> Array:
 
 
 def _has_moment(along: Any) -> bool:
-    """Whether a distributed load has moments, as a function has that returns six numbers."""
+    """Return whether a distributed load has moments; a function with moments returns six numbers."""
     if callable(along):
         return bool(np.size(call_user_function("distributed", along, 0.0)) == 6)
     return _stretches(along) and any(any(part.moment) for part in along)
@@ -256,10 +258,10 @@ POINT = "(arc length, force (x, y, z)), or with a moment (arc length, force, mom
 def _stretch(k: int, entry: Any) -> Stretch:
     name = f"distributed[{k}]"
     start, end, *loads = _parts(name, entry, 2, STRETCH)
-    begin, stop = positive(f"start of {name}", start, zero=True), finite(f"end of {name}", end)
-    if stop <= begin:
-        raise InputError(f"end of {name} is {stop:g} m; it must be greater than its start, {begin:g} m")
-    return Stretch(begin, stop, *_wrench(name, loads))
+    start, end = positive(f"start of {name}", start, zero=True), finite(f"end of {name}", end)
+    if end <= start:
+        raise InputError(f"end of {name} is {end:g} m; it must be greater than its start, {start:g} m")
+    return Stretch(start, end, *_wrench(name, loads))
 
 
 def _point(k: int, entry: Any) -> PointLoad:
@@ -269,7 +271,7 @@ def _point(k: int, entry: Any) -> PointLoad:
 
 
 def _parts(name: str, entry: Any, places: int, allowed: str) -> tuple[Any, ...]:
-    """Arc lengths, force and perhaps moment of an entry."""
+    """Arc lengths, force and optional moment of an entry."""
     if isinstance(entry, Stretch | PointLoad):
         return tuple(getattr(entry, field.name) for field in fields(entry))
     try:
@@ -282,5 +284,5 @@ def _parts(name: str, entry: Any, places: int, allowed: str) -> tuple[Any, ...]:
 
 
 def _wrench(name: str, loads: Sequence[Any]) -> list[Vector]:
-    """Force, and moment where one is given, of what is called `name`."""
+    """Force and optional moment of an entry `name`."""
     return [triple(f"{what} of {name}", value) for what, value in zip(("force", "moment"), loads, strict=False)]

@@ -68,7 +68,7 @@ THERMAL_DATA = {
         emissivity=0.5,
     ),
 }
-"""Of metals, by names that a material in a file may give in place of its own data.
+"""Thermal data of metals, by names that a material in a file may use instead of its own data.
 
 Nitinol (austenite): density, conductivity and expansion from SMA Inc., Selected Properties of NiTi. Resistivity:
 suppliers give 0.82 (austenite, the usual data sheet) to 1.0 micro-ohm m (SMA Inc.); the slope is assumed, calibrate:
@@ -132,12 +132,12 @@ class Material(Displayed):
 
     @property
     def poisson_ratio(self) -> float:
-        """nu = E / (2 G) - 1."""
+        """Poisson's ratio nu = E / (2 G) - 1."""
         return self.youngs_modulus / (2.0 * self.shear_modulus) - 1.0
 
     @classmethod
     def from_poisson_ratio(cls, name: str, youngs_modulus: float, poisson_ratio: float) -> Material:
-        """The material with shear modulus E / (2 (1 + nu)); raises InputError as the constructor does."""
+        """Material with shear modulus E / (2 (1 + nu)); raises InputError as the constructor does."""
         if not 0.0 <= poisson_ratio < 0.5:
             raise InputError(f"poisson_ratio of material {name!r} is {poisson_ratio:g}; it must lie in [0, 0.5)")
         return cls(name, youngs_modulus, youngs_modulus / (2.0 * (1.0 + poisson_ratio)))
@@ -160,10 +160,10 @@ MATERIALS = {NITINOL.name: NITINOL}
 
 
 def modulus_doubts(material: Material) -> Iterator[str]:
-    """A sentence on a Young's modulus that no metal of the material's name has, or no solid."""
-    least, most = next((bounds for name, bounds in USUAL_MODULUS.items() if name in material.name.lower()), SOLID)
+    """Warning of a Young's modulus that no metal of the material's name has, or no solid."""
+    lower, upper = next((bounds for name, bounds in USUAL_MODULUS.items() if name in material.name.lower()), SOLID)
     modulus = material.youngs_modulus
-    if not least <= modulus <= most:
-        bounds = f"{least:g} to {most:g}" if most < math.inf else f"at least {least:g}"
-        words = f": was {modulus:g} GPa meant?" if least <= 1e9 * modulus <= most else ""
-        yield (f"youngs_modulus of material {material.name!r} is {modulus:g} Pa; usual is {bounds} Pa{words}")
+    if not lower <= modulus <= upper:
+        bounds = f"{lower:g} to {upper:g}" if upper < math.inf else f"at least {lower:g}"
+        guess = f": was {modulus:g} GPa meant?" if lower <= 1e9 * modulus <= upper else ""
+        yield (f"youngs_modulus of material {material.name!r} is {modulus:g} Pa; usual is {bounds} Pa{guess}")

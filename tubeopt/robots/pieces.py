@@ -79,7 +79,7 @@ class Series:
         return self.breaks[-1]
 
     def __call__(self, arc_length: ArrayLike) -> Array:
-        """Values at arc lengths (any shape), m; those outside are of the nearest end."""
+        """Values at arc lengths (any shape), m; outside, the value at the nearest end."""
         shape = np.shape(arc_length)
         s = np.clip(np.asarray(arc_length, dtype=float).ravel(), 0.0, self.length)
         breaks, table = self._arrays
@@ -89,43 +89,46 @@ class Series:
         return np.asarray((table[panel] * chebyshev.chebvander(x, table.shape[1] - 1)).sum(-1).reshape(shape))
 
     def value(self, s: float) -> float:
-        """Its value at one arc length, m, by Clenshaw's recurrence: a tenth of the time of a call."""
+        """Value at one arc length, m, by Clenshaw's recurrence, in a tenth of the time of a call."""
         s = min(max(s, 0.0), self.length)
         panel = min(bisect_right(self.breaks, s), len(self.coefficients)) - 1
         low, high = self.breaks[panel], self.breaks[panel + 1]
-        # Twice the place on the panel, since b_k = c_k + 2 x b_(k+1) - b_(k+2).
+        # Twice the coordinate on the panel, since b_k = c_k + 2 x b_(k+1) - b_(k+2).
         x = 2 * (2 * s - low - high) / (high - low)
-        first, *rest = self.coefficients[panel]
-        one = other = 0.0
-        for c in reversed(rest):
-            one, other = c + x * one - other, one
-        return first + x / 2 * one - other
+        c_0, *higher = self.coefficients[panel]
+        b = b_next = 0.0
+        for c in reversed(higher):
+            b, b_next = c + x * b - b_next, b
+        return c_0 + x / 2 * b - b_next
 
     def stretched(self, factor: float) -> Series:
-        """The same quantity along a stretch that is `factor` times as long."""
+        """Series stretched to `factor` times its length."""
         return Series(tuple(s * factor for s in self.breaks), self.coefficients)
 
     def times(self, factor: float) -> Series:
-        """The quantity multiplied by a number."""
+        """Series multiplied by a number."""
         return Series(self.breaks, tuple(tuple(factor * c for c in panel) for panel in self.coefficients))
 
 
 Quantity = float | Series
-"""A quantity that is constant along its stretch, or a series of it."""
+"""Quantity along a stretch: a constant, or a series of arc length."""
+
+Precurvature = tuple[Quantity, Quantity, Quantity]
+"""Components u*_x, u*_y, 1/m, and u*_z, rad/m."""
 
 
 def vary(quantities: Iterable[Any]) -> bool:
-    """Whether any of these is a series."""
+    """Return whether any quantity is a series."""
     return any(isinstance(quantity, Series) for quantity in quantities)
 
 
 def values(quantity: Quantity, s: Array) -> Array:
-    """(N,) values of a quantity at arc lengths (N,), m."""
+    """Values (N,) of a quantity at arc lengths (N,), m."""
     return quantity(s) if isinstance(quantity, Series) else np.full(len(s), quantity)
 
 
 def at(quantity: Quantity, s: float) -> float:
-    """Its value at one arc length, m."""
+    """Value of a quantity at one arc length, m."""
     return quantity.value(s) if isinstance(quantity, Series) else quantity
 
 
@@ -188,7 +191,7 @@ def on_panels(quantity: Quantity, breaks: Array) -> list[Array]:
 
 
 def part_of(coefficients: Array, ends: Array) -> Array:
-    """Coefficients (D, ...) of the polynomials that a series has between two places (2,) of -1 .. 1."""
+    """Coefficients (D, ...) of polynomials on the part of -1 .. 1 between two `ends` (2,)."""
     middle, half = ends.mean(), (ends[1] - ends[0]) / 2
     return np.asarray(
         chebyshev.chebinterpolate(lambda x: chebyshev.chebval(middle + half * x, coefficients).T, len(coefficients) - 1)
@@ -196,8 +199,12 @@ def part_of(coefficients: Array, ends: Array) -> Array:
 
 
 def zeros(coefficients: Array, imaginary: float, least: float | None = None) -> Array:
-    """Where in -1 .. 1, ends left out, a series of Chebyshev polynomials is 0, of roots with less than an `imaginary`
-    part; coefficients up to `least`, by default 1e-14 of the largest, are round-off."""
+    """Real roots of a Chebyshev series inside -1 .. 1.
+
+    Args:
+        imaginary: largest imaginary part of a root that counts as real.
+        least: size of coefficients that are round-off, by default 1e-14 of the largest.
+    """
     size = 1e-14 * float(np.abs(coefficients).max()) if least is None else least
     trimmed = chebyshev.chebtrim(coefficients, size)
     roots = chebyshev.chebroots(trimmed) if len(trimmed) > 1 else np.zeros(0)
@@ -205,49 +212,51 @@ def zeros(coefficients: Array, imaginary: float, least: float | None = None) -> 
 
 
 def extremes(quantities: Sequence[Quantity], length: float) -> tuple[float, float]:
-    """Least and greatest root of the sum of squares of quantities along a stretch; of one quantity, of its values."""
-    found: list[float] = []
+    """Smallest and largest norm of quantities along a stretch; smallest and largest value of a single quantity."""
+    extrema: list[float] = []
     breaks = breaks_of(quantities, length)
     for panels in zip(*(on_panels(q, breaks) for q in quantities), strict=True):
         total = panels[0] if len(panels) == 1 else reduce(chebyshev.chebadd, (chebyshev.chebmul(p, p) for p in panels))
         inside = zeros(chebyshev.chebder(total), 1e-4, 1e-14 * float(np.abs(total).max()))
-        found += np.atleast_1d(chebyshev.chebval(np.array([-1.0, 1.0, *inside]), total)).tolist()
+        extrema += np.atleast_1d(chebyshev.chebval(np.array([-1.0, 1.0, *inside]), total)).tolist()
     if len(quantities) == 1:
-        return min(found), max(found)
-    return max(min(found), 0.0) ** 0.5, max(max(found), 0.0) ** 0.5
+        return min(extrema), max(extrema)
+    return max(min(extrema), 0.0) ** 0.5, max(max(extrema), 0.0) ** 0.5
 
 
 def spline(arc_length: Array, values: Array) -> Series:
-    """The spline of degree 5 through values (k,) at rising arc lengths (k,) from 0, four times continuously
-    differentiable, without knots at the two points next to either end; the polynomial through six points or fewer."""
+    """Interpolating spline of degree 5 through values (k,) at rising arc lengths (k,) from 0.
+
+    It is four times continuously differentiable, without knots at the two points next to either end. Through six points
+    or fewer it is a polynomial.
+    """
     degree = min(5, len(arc_length) - 1)
-    through = scipy.interpolate.PPoly.from_spline(scipy.interpolate.make_interp_spline(arc_length, values, k=degree))
-    # The knots outside, and those that are there several times, make pieces without length.
-    inside = np.flatnonzero((np.diff(through.x) > 0) & (through.x[:-1] >= arc_length[0]))
-    return _of_polynomials(scipy.interpolate.PPoly(through.c[:, inside], through.x[[*inside, inside[-1] + 1]]))
+    polynomials = scipy.interpolate.PPoly.from_spline(
+        scipy.interpolate.make_interp_spline(arc_length, values, k=degree)
+    )
+    # Knots outside, and repeated knots, bound pieces of no length.
+    inside = np.flatnonzero((np.diff(polynomials.x) > 0) & (polynomials.x[:-1] >= arc_length[0]))
+    coefficients, breaks = polynomials.c[:, inside], polynomials.x[[*inside, inside[-1] + 1]]
 
+    def on_panels(x: Array) -> Any:
+        return np.polyval(coefficients, (x[:, None] + 1) / 2 * np.diff(breaks))
 
-def _of_polynomials(polynomials: Any) -> Series:
-    """Exactly the same polynomials in Chebyshev's."""
-
-    def values(x: Array) -> Any:
-        return np.polyval(polynomials.c, (x[:, None] + 1) / 2 * np.diff(polynomials.x))
-
-    table = chebyshev.chebinterpolate(values, len(polynomials.c) - 1).T
-    return Series(tuple(polynomials.x.tolist()), tuple(map(tuple, table.tolist())))
+    # The same polynomials in the Chebyshev basis.
+    table = chebyshev.chebinterpolate(on_panels, len(coefficients) - 1).T
+    return Series(tuple(breaks.tolist()), tuple(map(tuple, table.tolist())))
 
 
 def expand(function: Callable[[float], ArrayLike], length: float, name: str, size: int) -> tuple[Quantity, ...]:
-    """`size` components of a function of arc length 0 .. `length` (m) as quantities, constants where they are constant.
+    """Expand the `size` components of a function of arc length 0 .. `length` (m) as constants or series.
 
     Raises:
-        InputError: it does not return `size` finite numbers, or is not smooth: the sentence says where.
+        InputError: the function does not return `size` finite numbers, or is not smooth; the message has the place.
     """
 
     def sample(low: float, high: float, x: Array) -> Array:
         return np.array([_values(function, (low + high) / 2 + t * (high - low) / 2, name, size) for t in x])
 
-    # Places that are no nodes, where the expansion is compared with the function.
+    # Points between the nodes, at which the expansion is compared with the function.
     ends = np.array([-1.0, -0.6, 0.1, 1.0])
     scale = np.maximum(np.abs(sample(0.0, length, np.concatenate([ends, _NODES]))).max(0), 1e-300)
     # Round-off of the function scales with its largest component. Smaller ones are not resolved beyond a thousandth of
@@ -259,10 +268,10 @@ def expand(function: Callable[[float], ArrayLike], length: float, name: str, siz
         low, high, depth = stack.pop()
         values = sample(low, high, _NODES)
         coefficients = _FIT @ values
-        # What is constant is so to the last bit.
-        still = np.ptp(values, axis=0) == 0
-        coefficients[:, still] = np.eye(POINTS)[:, :1] * values[0, still]
-        # Between the points the function must be what its expansion says, or a spike would pass unseen.
+        # A constant component stays exact.
+        constant = np.ptp(values, axis=0) == 0
+        coefficients[:, constant] = np.eye(POINTS)[:, :1] * values[0, constant]
+        # Between the nodes the function must agree with its expansion, or a spike would not be noticed.
         between = np.abs(sample(low, high, ends) - chebyshev.chebval(ends, coefficients).T)
         # Three in a row, since every other coefficient of an even or odd function is 0.
         if (np.abs(coefficients[-3:]) <= TOLERANCE * scale).all() and (between <= 1e-11 * scale).all():
@@ -274,7 +283,7 @@ def expand(function: Callable[[float], ArrayLike], length: float, name: str, siz
                 "where two pieces meet"
             )
         middle = (low + high) / 2
-        # The left half is taken first, so that panels come in order.
+        # The left half is on top of the stack, so that panels are in order.
         stack += [(middle, high, depth + 1), (low, middle, depth + 1)]
     _must_join(panels, scale, name)
     return tuple(_trimmed(panels, k, scale[k]) for k in range(size))
@@ -285,13 +294,13 @@ def _values(function: Callable[[float], ArrayLike], s: float, name: str, size: i
         f"{name} of a piece", lambda s: np.asarray(function(s), dtype=float).reshape(-1), float(s)
     )
     if values.shape != (size,) or not np.isfinite(values).all():
-        wanted = "a finite number" if size == 1 else f"{size} finite numbers"
-        raise InputError(f"{name} at {s * 1e3:.4g} mm of its piece is {values.tolist()}; it must be {wanted}")
+        allowed = "a finite number" if size == 1 else f"{size} finite numbers"
+        raise InputError(f"{name} at {s * 1e3:.4g} mm of its piece is {values.tolist()}; it must be {allowed}")
     return values
 
 
 def _must_join(panels: list[tuple[float, float, Array]], scale: Array, name: str) -> None:
-    """Refuse jumps and corners that happen to lie where panels meet."""
+    """Raise InputError for jumps and corners between panels."""
     for (low, middle, left), (_, high, right) in pairwise(panels):
         jump = np.abs(chebyshev.chebval(1.0, left) - chebyshev.chebval(-1.0, right))
         slopes = [
@@ -308,7 +317,7 @@ def _must_join(panels: list[tuple[float, float, Array]], scale: Array, name: str
 
 
 def _trimmed(panels: list[tuple[float, float, Array]], column: int, scale: float) -> Quantity:
-    """One component without the coefficients that are round-off; a number where nothing else is left."""
+    """Component without coefficients of round-off size; a number if only a constant is left."""
     table = [chebyshev.chebtrim(c[:, column], TOLERANCE * scale / 10) for *_, c in panels]
     first = float(table[0][0])
     if all(len(c) == 1 and abs(c[0] - first) <= TOLERANCE * scale for c in table):
@@ -318,7 +327,7 @@ def _trimmed(panels: list[tuple[float, float, Array]], column: int, scale: float
 
 
 Along = float | Series | Callable[[float], float]
-"""What may be given for a stiffness: a number, a series, or a function of the piece's own arc length."""
+"""Stiffness of a piece: a number, a series, or a function of the arc length of the piece."""
 
 # Of a piece, m; its curvature, 1/m, and its natural twist, rad/m: a turn in 6 mm.
 LENGTH, BEND, TWIST = Typical(3e-4, 10.0), Typical(0.1, 2000.0), Typical(0.0, 1000.0)
@@ -373,25 +382,25 @@ class Piece(Displayed):
     def __post_init__(self) -> None:
         set_field = object.__setattr__
         slots: Any = self.slots
-        if isinstance(slots, Mapping) and set(slots) <= {one.name for one in fields(Slots)}:  # as JSON has them
+        if isinstance(slots, Mapping) and set(slots) <= {field.name for field in fields(Slots)}:  # as JSON has them
             set_field(self, "slots", Slots(**slots))
         instance("slots", self.slots, Slots, optional=True)
         set_field(self, "length", positive("length of a piece", self.length))
         set_field(self, "precurvature", _precurvature(self.precurvature, self.length))
         for field in ("bending_stiffness", "torsional_stiffness"):
-            given = getattr(self, field)
-            if given is not None:
-                set_field(self, field, _stiffness(field, given, self.length))
+            stiffness = getattr(self, field)
+            if stiffness is not None:
+                set_field(self, field, _stiffness(field, stiffness, self.length))
 
     @classmethod
     def helix(cls, length: float, radius: float, pitch: float, *, left: bool = False, **stiffness: Any) -> Piece:
-        """A helix of a radius and a pitch (m), wound like a right-handed screw unless `left`.
+        """Helix of a radius and a pitch (m), wound like a right-handed screw unless `left`.
 
-        Curvature R / (R^2 + (p / 2 pi)^2), torsion p / 2 pi over the same.
+        Its curvature is R / (R^2 + h^2) and its torsion h / (R^2 + h^2), with h = p / 2 pi.
         """
-        lead = positive("pitch", pitch, zero=True) / (2 * math.pi)
-        size = positive("radius", radius) ** 2 + lead**2
-        return cls(length, (radius / size, 0.0, (-lead if left else lead) / size), **stiffness)
+        h = positive("pitch", pitch, zero=True) / (2 * math.pi)
+        square = positive("radius", radius) ** 2 + h**2
+        return cls(length, (radius / square, 0.0, (-h if left else h) / square), **stiffness)
 
     @classmethod
     def table(cls, arc_length: ArrayLike, precurvature: ArrayLike, **stiffness: Any) -> Piece:
@@ -407,18 +416,18 @@ class Piece(Displayed):
 
     @property
     def largest_curvature(self) -> float:
-        """Largest |u*_xy| along it, 1/m."""
+        """Largest |u*_xy| along the piece, 1/m."""
         return _largest(self.precurvature, self.length)
 
     @property
     def plain(self) -> bool:
         """True for an arc about x, or a straight piece, with the tube's own stiffnesses and no slots."""
-        x, *rest = self.precurvature
-        own = self.bending_stiffness is None and self.torsional_stiffness is None and self.slots is None
-        return own and not isinstance(x, Series) and tuple(rest) == (0.0, 0.0)
+        x, y, z = self.precurvature
+        as_tube = self.bending_stiffness is None and self.torsional_stiffness is None and self.slots is None
+        return as_tube and not isinstance(x, Series) and (y, z) == (0.0, 0.0)
 
     def bending_factor(self, whole: float) -> float:
-        """The least of its bending stiffness along it, of that of the whole tube, N m^2; at most 1."""
+        """Smallest bending stiffness along the piece over that of the whole tube, N m^2, at most 1."""
         own = whole if self.bending_stiffness is None else extremes([self.bending_stiffness], self.length)[0]
         return min(1.0, float(own) / whole)
 
@@ -427,7 +436,7 @@ class Piece(Displayed):
         return 1.0 if self.slots is None else float(self.slots.strain_ratio(self.bending_factor(whole)))
 
     def stretched(self, factor: float) -> Piece:
-        """The piece `factor` times as long; what varies along it is stretched."""
+        """Piece `factor` times as long, with series stretched along it."""
         return replace(
             self,
             length=self.length * factor,
@@ -437,16 +446,17 @@ class Piece(Displayed):
         )
 
     def stiffened(self, factor: float, torsional_factor: float | None = None) -> Piece:
-        """The piece with what stiffnesses of its own it has `factor` times as large, in torsion by a factor of its own
-        where one is given."""
+        """Piece with its own stiffnesses multiplied by `factor`, or in torsion by `torsional_factor`."""
         factors = factor, factor if torsional_factor is None else torsional_factor
         own = self.bending_stiffness, self.torsional_stiffness
         bending, torsional = (None if a is None else times(a, b) for a, b in zip(own, factors, strict=True))
         return replace(self, bending_stiffness=bending, torsional_stiffness=torsional)
 
     def bent(self, change: float) -> Piece:
-        """The piece with `change` (1/m) added to its precurvature, about the axis that it is bent about on the whole;
-        about x where it is straight or bent to all sides alike."""
+        """Piece with `change` (1/m) added to its precurvature, about its mean bending axis.
+
+        A piece without a mean direction, as a straight one or a helix of full turns, is bent about x.
+        """
         x, y, z = self.precurvature
         s = np.linspace(0.0, self.length, POINTS)
         mean = complex(*(float(np.mean(values(q, s))) for q in (x, y)))
@@ -455,7 +465,7 @@ class Piece(Displayed):
         return replace(self, precurvature=(plus(x, change * axis.real), plus(y, change * axis.imag), z))
 
     def scaled(self, factor: float) -> Piece:
-        """The piece bent `factor` times as much, with the same natural twist."""
+        """Piece with `factor` times the curvature and the same natural twist."""
         x, y, z = self.precurvature
         return replace(self, precurvature=(times(x, factor), times(y, factor), z))
 
@@ -477,15 +487,15 @@ def check_table(s: Array, u: Array, name: str, unit: float) -> None:
         )
 
 
-def _precurvature(given: Any, length: float) -> tuple[Quantity, Quantity, Quantity]:
-    """u* as three quantities."""
-    if callable(given) and not isinstance(given, Series):
-        x, y, z = expand(lambda s: _vector(given(s)), length, "precurvature", 3)
+def _precurvature(entry: Any, length: float) -> Precurvature:
+    """Precurvature from a number (about x), three components, or a function of arc length."""
+    if callable(entry) and not isinstance(entry, Series):
+        x, y, z = expand(lambda s: _vector(entry(s)), length, "precurvature", 3)
         return x, y, z
-    if isinstance(given, str):
-        raise InputError(f"precurvature is {given!r}; it must be a number, three numbers, or a function")
-    several = isinstance(given, list | tuple) or (isinstance(given, np.ndarray) and given.ndim > 0)
-    parts = tuple(given) if several else (given, 0.0, 0.0)
+    if isinstance(entry, str):
+        raise InputError(f"precurvature is {entry!r}; it must be a number, three numbers, or a function")
+    several = isinstance(entry, list | tuple) or (isinstance(entry, np.ndarray) and entry.ndim > 0)
+    parts = tuple(entry) if several else (entry, 0.0, 0.0)
     if len(parts) != 3:
         raise InputError(f"precurvature has {len(parts)} components; it must have three, about x, y and z")
     x, y, z = (_quantity("precurvature", part, length) for part in parts)
@@ -500,29 +510,29 @@ def _vector(value: ArrayLike) -> Array:
     return np.array([out[0], 0.0, 0.0]) if len(out) == 1 else out
 
 
-def _quantity(name: str, given: Any, length: float) -> Quantity:
-    if isinstance(given, Mapping):  # a series, as JSON has it
-        if set(given) != {one.name for one in fields(Series)}:
-            raise InputError(f"{name} is {given!r}; it must be a number or a function of the arc length")
-        given = Series(**given)
-    if not isinstance(given, Series):
-        return finite(name, given)
-    if abs(given.length - length) > 1e-12 * length:
-        raise InputError(f"{name} is given for {given.length:g} m; it must cover the whole piece, {length:g} m")
-    return given
+def _quantity(name: str, entry: Any, length: float) -> Quantity:
+    if isinstance(entry, Mapping):  # a series in JSON
+        if set(entry) != {field.name for field in fields(Series)}:
+            raise InputError(f"{name} is {entry!r}; it must be a number or a function of the arc length")
+        entry = Series(**entry)
+    if not isinstance(entry, Series):
+        return finite(name, entry)
+    if abs(entry.length - length) > 1e-12 * length:
+        raise InputError(f"{name} is given for {entry.length:g} m; it must cover the whole piece, {length:g} m")
+    return entry
 
 
-def _stiffness(name: str, given: Any, length: float) -> Quantity:
-    series = callable(given) and not isinstance(given, Series)
-    quantity = expand(given, length, name, 1)[0] if series else _quantity(name, given, length)
-    least = extremes([quantity], length)[0]
-    if least <= 0:
-        raise InputError(f"{name} of a piece is {least:g} N m^2; it must be greater than 0")
+def _stiffness(name: str, entry: Any, length: float) -> Quantity:
+    function = callable(entry) and not isinstance(entry, Series)
+    quantity = expand(entry, length, name, 1)[0] if function else _quantity(name, entry, length)
+    smallest = extremes([quantity], length)[0]
+    if smallest <= 0:
+        raise InputError(f"{name} of a piece is {smallest:g} N m^2; it must be greater than 0")
     return quantity
 
 
 @lru_cache(maxsize=1024)
-def _largest(precurvature: tuple[Quantity, Quantity, Quantity], length: float) -> float:
+def _largest(precurvature: Precurvature, length: float) -> float:
     x, y, _ = precurvature
     if not isinstance(x, Series) and not isinstance(y, Series):
         return math.hypot(x, y)

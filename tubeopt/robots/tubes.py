@@ -225,12 +225,12 @@ class Tube(Displayed):
 
     @property
     def arc(self) -> Any:
-        """The curvature about x where its curved part begins, 1/m: of an even tube that of all of it, with its sign."""
+        """Signed curvature about x at the start of the curved part, 1/m, constant along an even tube."""
         return self.pieces[0].precurvature[0] if self.pieces else self.curvature
 
     @property
     def chain(self) -> tuple[Piece, ...]:
-        """Its pieces; the one piece that its curved part is where it is not made of any."""
+        """Pieces of the tube; for a tube of one curvature a single piece, its curved part."""
         if self.pieces or self.curved_length == 0:
             return self.pieces
         return (Piece(self.curved_length, self.curvature),)
@@ -247,12 +247,12 @@ class Tube(Displayed):
 
     @property
     def second_moment(self) -> float:
-        """I = pi/64 (OD^4 - ID^4), m^4."""
+        """Second moment of area I = pi/64 (OD^4 - ID^4), m^4."""
         return float(second_moment(self.outer_diameter, self.inner_diameter))
 
     @property
     def polar_moment(self) -> float:
-        """J = 2 I, m^4."""
+        """Polar moment of area J = 2 I, m^4."""
         return 2 * self.second_moment
 
     @property
@@ -276,49 +276,50 @@ MOST_STRAIN = 0.10
 
 
 def warn_of_units(tube: Tube) -> None:
-    """Warn of numbers that are not usual by what their fields say, as mm and 1/mm that are taken for m and 1/m, and of
-    what `material_doubts` says. Where stiffnesses are given, or the modulus is a model's, so may the rest be.
+    """Warn of numbers outside the typical ranges of their fields, such as mm for m, and of `material_doubts`.
+
+    A tube with its own stiffness, or with the modulus of no solid, may be a model in other units: it is not checked.
     """
-    if not _given(tube):
+    if not _is_model(tube):
         check_typical(tube)
         for k, piece in enumerate(tube.pieces, start=1):
             check_size(f"twist of piece {k}", extremes([piece.precurvature[2]], piece.length), TWIST, "rad_per_m")
-    for words in material_doubts(tube):
-        warn_implausible(words)
+    for doubt in material_doubts(tube):
+        warn_implausible(doubt)
 
 
-def _given(tube: Tube) -> bool:
+def _is_model(tube: Tube) -> bool:
     return not isinstance(tube.bending_stiffness, OfCrossSection) or tube.material.youngs_modulus > HARDEST
 
 
 def material_doubts(tube: Tube) -> Iterator[str]:
-    """Sentences on a modulus that the metal does not have, and a strain that the material does not recover."""
-    if _given(tube):
+    """Warnings of a modulus that the metal does not have, and of a strain that the material does not recover."""
+    if _is_model(tube):
         return
     yield from modulus_doubts(tube.material)
     strain = 0.0 if tube.pieces else tube.straightened_strain
-    most = max(MOST_STRAIN, tube.material.superelastic_strain)
-    if strain > most:
+    max_strain = max(MOST_STRAIN, tube.material.superelastic_strain)
+    if strain > max_strain:
         yield (
             f"curvature is {tube.curvature:g} per m, which strains the tube by {100 * strain:.3g} % when it is held "
-            f"straight; {tube.material.name} springs back from at most {100 * most:g} %"
+            f"straight; {tube.material.name} springs back from at most {100 * max_strain:g} %"
         )
 
 
 def piece_strain(tube: Tube, piece: Piece) -> float:
-    """Largest surface strain of a piece of a tube that is held straight, slots included where they are told."""
-    bend = piece.largest_curvature
-    whole = surface_strain(tube.outer_diameter / 2, bend, bend)
-    return piece.strain_ratio(float(tube.bending_stiffness)) * float(whole)
+    """Largest surface strain of a piece of a tube that is held straight, with its `slots` if they are defined."""
+    curvature = piece.largest_curvature
+    strain = surface_strain(tube.outer_diameter / 2, curvature, curvature)
+    return piece.strain_ratio(float(tube.bending_stiffness)) * float(strain)
 
 
 def slots_unknown(tube: Tube, piece: Piece) -> bool:
-    """Whether a piece has less bending stiffness than its tube, as slots make it, and does not say where they are."""
+    """Return whether a piece is softer in bending than its tube, as by slots, but does not define them."""
     return piece.slots is None and piece.bending_factor(float(tube.bending_stiffness)) < 1 - 1e-9
 
 
 def must_be_plain(tubes: Iterable[Tube], what: str) -> None:
-    """Raise InputError where a tube is made of pieces; `what` says for whom that is too much."""
+    """Raise InputError if a tube is made of pieces, which `what` does not support."""
     for i, tube in enumerate(tubes, start=1):
         if tube.general:
             raise InputError(f"tube {i} is made of pieces; {what} supports tubes of one constant curvature only")
@@ -338,7 +339,7 @@ def stretches(tube: Tube) -> list[tuple[float, tuple[Quantity, Quantity, Quantit
 
 
 def mass_per_length(tube: Tube) -> float | None:
-    """Mass per length of a tube, kg/m: as given, else by the density of its material; None where neither is known."""
+    """Mass per length of a tube, kg/m: its own, else by the density of its material; None if both are unknown."""
     thermal = tube.material.thermal
     if tube.mass_per_length is not None or thermal is None:
         return tube.mass_per_length

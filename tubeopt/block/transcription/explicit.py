@@ -402,7 +402,7 @@ class _Section(NamedTuple):
 def _sections_of(ends: Any) -> Iterator[_Section]:
     """Sections of tubes whose C stretches end at arc lengths `ends` (n, C)."""
     n, count = ends.shape
-    breakpoints = [ca.fmax(end, 0) for end in ca.vertsplit(ca.vec(ends))]
+    breakpoints: list[Any] = [ca.fmax(end, 0) for end in ca.vertsplit(ca.vec(ends))]
     # Bubble sort by minima and maxima, which CasADi differentiates whatever the order.
     for last in range(len(breakpoints) - 1, 0, -1):
         for k in range(last):

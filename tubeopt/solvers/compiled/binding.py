@@ -163,7 +163,8 @@ class PieceSizes(NamedTuple):
 
 def piece_sizes(tables: Mapping[str, Array]) -> PieceSizes:
     """Sizes of `piece_tables`, in the order of the C struct Pieces."""
-    return PieceSizes(*tables["coefficients"].shape[1:3], tables["cuts"].shape[1])
+    _, panels, coefficients, _ = tables["coefficients"].shape
+    return PieceSizes(panels, coefficients, tables["cuts"].shape[1])
 
 
 def tube_rows(robot: Robot) -> Array:
