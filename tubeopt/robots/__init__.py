@@ -1,1 +1,1 @@
-"""What a robot is: tubes, how they are held, and the sections that they form. Nothing symbolic."""
+"""Robots as plain data: tubes, drives, limits and loads, and the sections that the tubes form."""

@@ -1,7 +1,7 @@
-"""Robots as YAML and waypoints of joint values as CSV: their keys, reading and writing.
+"""Robot files (YAML) and waypoint files of joint values (CSV): keys, reading and writing.
 
-Keys carry their unit; the library behind is in SI. What the parts of a robot demand of each other is checked by the
-dataclasses themselves, whose messages are passed on with the file and the path of the part.
+Keys carry their unit; the library is in SI. The dataclasses check conditions between the parts of a robot, and their
+messages are shown with the file and the path of the part.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from .concentric import ConcentricRobot, Friction
 from .eccentric import EccentricRobot, SegmentedEccentricRobot
 from .limits import JointLimits, reading_fault
 from .materials import MATERIALS, NITINOL, Material
-from .pieces import BEND, LENGTH, Piece, Quantity, Series, Slots, check_table, extremes, turned
+from .pieces import BEND, LENGTH, Piece, Precurvature, Quantity, Series, Slots, check_table, extremes, turned
 from .robot import Robot
 from .tubes import OfCrossSection, Tube, material_doubts
 
 DEG_PER_MM, N_MM2 = UNITS["deg_per_mm"], UNITS["N_mm2"]
 
-# Of a piece or a helix, and what a helix advances per turn, m.
+# Typical radius and pitch of a piece or a helix, m.
 RADIUS = PITCH = Typical(5e-4, 10.0)
 
 # A stiffness outside these multiples of that of the cross-section has a wrong unit.
@@ -103,7 +103,7 @@ class PatternEntry(Entry):
 
 
 def _load_table(path: str | PathLike[str]) -> tuple[Array, Array]:
-    """Arc lengths (k,), m, and u* (k, 3), 1/m, of a table in a CSV file."""
+    """Arc lengths (k,), m, and precurvature (k, 3), 1/m, of a table in a CSV file."""
     table = read_csv(path, (*COLUMNS, TWIST))
     table.expect(COLUMNS, [TWIST])
     s = table.numbers(COLUMNS[:1], MM)[:, 0]
@@ -113,8 +113,8 @@ def _load_table(path: str | PathLike[str]) -> tuple[Array, Array]:
         u[:, 2] = table.numbers([TWIST], DEG_PER_MM)[:, 0]
     table.check()
     end = in_unit(float(s[-1]), MM) if len(s) else 0
-    for words in unusual("the last arc_length_mm", "mm", Decimal(repr(end)), LENGTH):
-        LOGGER.warning(f"{path}: {words}")
+    for warning in unusual("the last arc_length_mm", "mm", Decimal(repr(end)), LENGTH):
+        LOGGER.warning(f"{path}: {warning}")
     try:
         check_table(s, u, "arc_length_mm", 1e-3)
     except InputError as error:
@@ -153,18 +153,18 @@ class PieceEntry(Entry):
     )
 
     def build(self, tube: Tube) -> Piece:
-        """The piece in SI, of a tube with these diameters and stiffnesses."""
+        """Piece in SI, of a tube with these diameters and stiffnesses."""
         length = self._length()
         x, y, z = self._precurvature()
         if self.helix is not None:
             _check_pitch(self.helix, length, tube.outer_diameter)
         if self.plane_deg is not None:
             x, y = turned(x, y, to_si(self.plane_deg, DEG))
-        own = float(tube.bending_stiffness), float(tube.torsional_stiffness)
-        bending, torsional = self._stiffness(own)
-        for name, part, whole in (("bending", bending, own[0]), ("torsional", torsional, own[1])):
-            for value in () if part is None else extremes([part], length):
-                check_stiffness(f"{name}_stiffness_N_mm2", value, whole)
+        kb, kt = float(tube.bending_stiffness), float(tube.torsional_stiffness)
+        bending, torsional = self._stiffness(kb, kt)
+        for name, stiffness, of_section in (("bending", bending, kb), ("torsional", torsional, kt)):
+            for value in () if stiffness is None else extremes([stiffness], length):
+                check_stiffness(f"{name}_stiffness_N_mm2", value, of_section)
         slots = None if self.slots is None else self.slots.build()
         return Piece(length, (x, y, z), bending_stiffness=bending, torsional_stiffness=torsional, slots=slots)
 
@@ -180,13 +180,13 @@ class PieceEntry(Entry):
             )
         return measured
 
-    def _precurvature(self) -> tuple[Quantity, Quantity, Quantity]:
-        ways = ("radius_mm", "curvature_per_m", "helix", "table")
-        given = [name for name in ways if getattr(self, name) is not None]
-        if len(given) > 1:
-            raise InputError(f"{given[0]} and {given[1]} are both given; a piece has one of {', '.join(ways)}")
-        if self.twist_deg_per_mm is not None and given and given[0] in ("helix", "table"):
-            raise InputError(f"twist_deg_per_mm and {given[0]} are both given; a {given[0]} already defines the twist")
+    def _precurvature(self) -> Precurvature:
+        forms = ("radius_mm", "curvature_per_m", "helix", "table")
+        used = [name for name in forms if getattr(self, name) is not None]
+        if len(used) > 1:
+            raise InputError(f"{used[0]} and {used[1]} are both given; a piece has one of {', '.join(forms)}")
+        if self.twist_deg_per_mm is not None and used and used[0] in ("helix", "table"):
+            raise InputError(f"twist_deg_per_mm and {used[0]} are both given; a {used[0]} already defines the twist")
         if self.helix is not None:
             radius, pitch = to_si(self.helix.radius_mm, MM), to_si(self.helix.pitch_mm, MM)
             x, y, z = Piece.helix(1.0, radius, pitch, left=self.helix.handed == "left").precurvature
@@ -197,26 +197,27 @@ class PieceEntry(Entry):
         twist = _quantity(self.twist_deg_per_mm, DEG_PER_MM) if self.twist_deg_per_mm is not None else 0.0
         if self.radius_mm is not None:
             return float(1 / (self.radius_mm * MM)), 0.0, twist
-        bend = self.curvature_per_m
-        if bend is None:
+        curvature = self.curvature_per_m
+        if curvature is None:
             return 0.0, 0.0, twist
-        parts = bend if isinstance(bend, list) else [bend, Decimal(0)]
+        parts = curvature if isinstance(curvature, list) else [curvature, Decimal(0)]
         return _quantity(parts[0], PER_M), _quantity(parts[1], PER_M), twist
 
-    def _stiffness(self, own: tuple[float, float]) -> tuple[Quantity | None, Quantity | None]:
-        named = (self.bending_stiffness_N_mm2, self.torsional_stiffness_N_mm2)
+    def _stiffness(self, kb: float, kt: float) -> tuple[Quantity | None, Quantity | None]:
+        """Stiffnesses of the piece in a tube with kb and kt; None is that of the tube."""
+        entries = (self.bending_stiffness_N_mm2, self.torsional_stiffness_N_mm2)
         if self.pattern is None:
-            bending, torsional = (None if part is None else _quantity(part, N_MM2) for part in named)
+            bending, torsional = (None if entry is None else _quantity(entry, N_MM2) for entry in entries)
             return bending, torsional
-        if named != (None, None):
+        if entries != (None, None):
             raise InputError("pattern and a stiffness are both given; a piece has one or the other")
-        return own[0] * float(self.pattern.bending_factor), own[1] * float(self.pattern.torsion_factor)
+        return kb * float(self.pattern.bending_factor), kt * float(self.pattern.torsion_factor)
 
 
 def _check_pitch(helix: HelixEntry, length: float, diameter: float) -> None:
-    """Raise InputError where turns of a helix would run through each other."""
+    """Raise InputError if turns of a helix would intersect."""
     pitch = to_si(helix.pitch_mm, MM)
-    # A turn is hypot(2 pi R, p) long; a shorter helix has no second turn to meet.
+    # A turn is hypot(2 pi R, p) long; a shorter helix has no second turn.
     if pitch <= diameter and length > np.hypot(2 * np.pi * to_si(helix.radius_mm, MM), pitch):
         raise InputError(
             f"helix.pitch_mm is {helix.pitch_mm}; it must exceed the tube's diameter, {diameter * 1e3:g} mm"
@@ -228,7 +229,7 @@ def _quantity(entry: Decimal | SeriesEntry, unit: Decimal) -> Quantity:
 
 
 def check_stiffness(name: str, value: float, of_section: float) -> None:
-    """Raise InputError where a stiffness (N m^2) can be none of a tube whose cross-section has another."""
+    """Raise InputError if a stiffness is implausible for a cross-section of stiffness `of_section`, both N m^2."""
     if not MIN_STIFFNESS_RATIO * of_section <= value <= MAX_STIFFNESS_RATIO * of_section:
         raise InputError(
             f"{name} is {value * 1e6:.10g}; the cross-section and material give {of_section * 1e6:.4g}, and it must be "
@@ -237,7 +238,7 @@ def check_stiffness(name: str, value: float, of_section: float) -> None:
 
 
 def piece_to_dict(piece: Piece) -> dict[str, Any]:
-    """A piece with the keys and units of a robot file."""
+    """Convert a piece to the keys and units of a robot file."""
     x, y, z = piece.precurvature
     data: dict[str, Any] = {
         "length_mm": in_unit(piece.length, MM),
@@ -246,9 +247,9 @@ def piece_to_dict(piece: Piece) -> dict[str, Any]:
     if z != 0.0:
         data["twist_deg_per_mm"] = _written(z, DEG_PER_MM)
     for name in ("bending_stiffness", "torsional_stiffness"):
-        own = getattr(piece, name)
-        if own is not None:
-            data[f"{name}_N_mm2"] = _written(own, N_MM2)
+        stiffness = getattr(piece, name)
+        if stiffness is not None:
+            data[f"{name}_N_mm2"] = _written(stiffness, N_MM2)
     if piece.slots is not None:
         data["slots"] = to_data(piece.slots)
     return data
@@ -280,15 +281,15 @@ class MaterialEntry(Part):
     poisson_ratio: NotNegative | None = None
 
     def build(self) -> Material:
-        """The material in SI."""
-        given = values(Material, self)
-        if ("shear_modulus" in given) == (self.poisson_ratio is not None):
+        """Material in SI."""
+        data = values(Material, self)
+        if ("shear_modulus" in data) == (self.poisson_ratio is not None):
             raise ValueError(_one_of("shear_modulus_GPa", "poisson_ratio", both=self.poisson_ratio is not None))
         if self.poisson_ratio is not None:
-            isotropic = Material.from_poisson_ratio(given["name"], given["youngs_modulus"], float(self.poisson_ratio))
-            given["shear_modulus"] = isotropic.shear_modulus
-        material = Material(**given)
-        # Nitinol by its constants is the nitinol that has a name.
+            isotropic = Material.from_poisson_ratio(data["name"], data["youngs_modulus"], float(self.poisson_ratio))
+            data["shear_modulus"] = isotropic.shear_modulus
+        material = Material(**data)
+        # A material with the constants of NITINOL also gets its thermal data.
         return NITINOL if material == replace(NITINOL, thermal=None) else material
 
 
@@ -299,7 +300,7 @@ else:
 
 
 def material_of(choice: MaterialChoice) -> Material:
-    """The material that was chosen."""
+    """Material of a name or an entry."""
     return MATERIALS[choice] if isinstance(choice, str) else choice.build()
 
 
@@ -321,7 +322,7 @@ class TubeEntry(Part):
 
     @field_validator("curved_length_mm")
     @classmethod
-    def _told(cls, value: Decimal | None, info: ValidationInfo) -> Decimal | None:
+    def _curved_length_present(cls, value: Decimal | None, info: ValidationInfo) -> Decimal | None:
         if value is None and info.data.get("pieces", 0) is None:
             raise PydanticCustomError("missing", "Field required")
         return value
@@ -335,13 +336,13 @@ class TubeEntry(Part):
         return value
 
     def build(self) -> Tube:
-        """The tube in SI."""
-        given = values(Tube, self) | {"material": material_of(self.material)}
+        """Tube in SI."""
+        data = values(Tube, self) | {"material": material_of(self.material)}
         if self.pieces is None:
-            given["curvature"] = self._curvature()
-        stiffness = {name: given.pop(name) for name in STIFFNESSES if name in given}
+            data["curvature"] = self._curvature()
+        stiffness = {name: data.pop(name) for name in STIFFNESSES if name in data}
         # Pieces replace length and curvature below. Any valid tube gives the stiffness of the cross-section.
-        plain = Tube(**{"curved_length": 0.0 if self.curved_length_mm == 0 else 1e-3, "curvature": 0.0} | given)
+        plain = Tube(**{"curved_length": 0.0 if self.curved_length_mm == 0 else 1e-3, "curvature": 0.0} | data)
         for name, value in stiffness.items():
             check_stiffness(f"{name}_N_mm2", value, getattr(plain, name))
         tube = replace(plain, **stiffness)
@@ -353,7 +354,7 @@ class TubeEntry(Part):
         return float(1 / (self.radius_mm * MM) if self.radius_mm is not None else self.curvature_per_m or 0)
 
     def _of_pieces(self, tube: Tube, entries: list[PieceEntry]) -> Tube:
-        """A tube like `tube`, made of pieces."""
+        """Tube of pieces with the cross-section, material and stiffnesses of `tube`."""
         for name in ("curvature_per_m", "radius_mm"):
             if getattr(self, name) is not None:
                 raise InputError(f"{name} and pieces are both given; give the curvature of each piece instead")
@@ -368,13 +369,13 @@ class TubeEntry(Part):
             raise InputError(
                 f"curved_length_mm is {self.curved_length_mm}; the lengths of the pieces add up to {total * 1e3:g}"
             )
-        alike = ("straight_length", "material", *STIFFNESSES, "mass_per_length")
-        own = {name: getattr(tube, name) for name in alike}
-        return Tube.of_pieces(tube.outer_diameter, tube.inner_diameter, pieces, **own)
+        names = ("straight_length", "material", *STIFFNESSES, "mass_per_length")
+        common = {name: getattr(tube, name) for name in names}
+        return Tube.of_pieces(tube.outer_diameter, tube.inner_diameter, pieces, **common)
 
 
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
-"""Least and greatest value."""
+"""Smallest and largest value."""
 
 
 @keys_from(Calibration)
@@ -382,14 +383,14 @@ class CalibrationEntry(Part):
     """Conversion of joint readings to joint values: gain times reading plus offset, one number per tube."""
 
     def build(self) -> Calibration:
-        """The calibration in SI; tables that are left out are those of drives that read true."""
-        given = values(Calibration, self)
-        none = Calibration.none(max((len(given[name]) for name in TABLES if name in given), default=0))
-        return Calibration(**{name: getattr(none, name) for name in TABLES} | given)
+        """Calibration in SI; omitted tables are those of `Calibration.none`."""
+        data = values(Calibration, self)
+        none = Calibration.none(max((len(data[name]) for name in TABLES if name in data), default=0))
+        return Calibration(**{name: getattr(none, name) for name in TABLES} | data)
 
 
 class RobotEntry(Part):
-    """What all kinds of robot have in common."""
+    """Keys of all kinds of robot."""
 
     kind: str
     name: str = ""
@@ -419,7 +420,7 @@ class ConcentricEntry(RobotEntry):
     )
 
     def build(self) -> ConcentricRobot:
-        """The robot in SI."""
+        """Robot in SI."""
         friction = self.friction.build() if self.friction else None
         tubes = tuple(tube.build() for tube in self.tubes)
         return ConcentricRobot(tubes, **self.common(), friction=friction, clearance=self.si("clearance_mm"))
@@ -433,7 +434,7 @@ class EccentricEntry(RobotEntry):
     tube: TubeEntry
 
     def build(self) -> EccentricRobot:
-        """The robot in SI."""
+        """Robot in SI."""
         return EccentricRobot(self.tube.build(), **values(EccentricRobot, self), **self.common())
 
 
@@ -445,15 +446,15 @@ class SegmentedEccentricEntry(RobotEntry):
     segments: list[TubeEntry] = Field(min_length=1)
 
     def build(self) -> SegmentedEccentricRobot:
-        """The robot in SI."""
+        """Robot in SI."""
         segments = tuple(tube.build() for tube in self.segments)
         return SegmentedEccentricRobot(segments, **values(SegmentedEccentricRobot, self), **self.common())
 
 
 AnyRobot = ConcentricRobot | EccentricRobot | SegmentedEccentricRobot
-"""Every robot that a file can describe."""
+"""Robots of robot files."""
 
-# What the key `kind` of a robot file may say.
+# Models of a robot file by its key `kind`.
 ROBOT_KINDS: dict[str, type[ConcentricEntry] | type[EccentricEntry] | type[SegmentedEccentricEntry]] = {
     "concentric": ConcentricEntry,
     "eccentric": EccentricEntry,
@@ -463,9 +464,9 @@ ROBOT_KINDS: dict[str, type[ConcentricEntry] | type[EccentricEntry] | type[Segme
 
 @typed
 def load_robot(path: str | PathLike[str]) -> AnyRobot:
-    """The robot in a YAML file, or the one of this name that comes with tubeopt (`tubeopt robot list` shows them).
+    """Robot in a YAML file, or the built-in robot of this name (`tubeopt robot list` shows them).
 
-    A file of exactly this path goes first.
+    A file of exactly this path is preferred.
 
     Raises:
         InputError: no such file or name, not YAML, or keys or values that make no robot: one line for every problem.
@@ -500,29 +501,29 @@ def save_robot(robot: Robot, path: str | PathLike[str]) -> None:
 
 
 def robot_to_yaml(robot: Robot) -> str:
-    """The text of such a file."""
+    """Text of the robot file of `robot`."""
     return to_yaml(robot_to_dict(robot), "A robot for tubeopt.")
 
 
 def robot_from_dict(data: object, where: str | PathLike[str] = "") -> AnyRobot:
-    """The robot that `data`, with the keys of a robot file, describes.
+    """Robot from `data` with the keys of a robot file.
 
     Args:
-        where: what the messages begin with.
+        where: file name at the start of messages.
 
     Raises:
         InputError: one line for every problem.
     """
     with without_unit_warnings():
         robot: AnyRobot = check_kind(ROBOT_KINDS, data, where).build()
-    # In SI units; what the reader says is of single keys, whatever the material is.
-    for words in dict.fromkeys(words for tube in robot.tubes for words in material_doubts(tube)):
-        LOGGER.warning(f"{where}: {words}" if str(where) else words)
+    # The reader has checked single keys only; these warnings depend on the material.
+    for warning in dict.fromkeys(doubt for tube in robot.tubes for doubt in material_doubts(tube)):
+        LOGGER.warning(f"{where}: {warning}" if str(where) else warning)
     return robot
 
 
 def robot_to_dict(robot: Robot) -> dict[str, Any]:
-    """`robot` with the keys and units of a robot file.
+    """Convert a robot to the keys and units of a robot file.
 
     Numbers are int or float, or `Decimal` where a float in the file's unit would lose the last bit.
     """
@@ -541,15 +542,15 @@ def robot_to_dict(robot: Robot) -> dict[str, Any]:
     if robot.calibration is not None:
         data["calibration"] = calibration_to_dict(robot.calibration)
     if isinstance(robot, ConcentricRobot) and robot.friction is not None:
-        none, own = to_data(Friction()), to_data(robot.friction)
-        data["friction"] = {key: value for key, value in own.items() if value not in (none[key], [none[key]])}
+        none, friction = to_data(Friction()), to_data(robot.friction)
+        data["friction"] = {key: value for key, value in friction.items() if value not in (none[key], [none[key]])}
     if isinstance(robot, ConcentricRobot) and robot.clearance is not None:
         data["clearance_mm"] = [in_unit(x, MM) for x in robot.clearance]
     return data
 
 
 def tube_to_dict(tube: Tube) -> dict[str, Any]:
-    """`tube` with the keys and units of a robot file."""
+    """Convert a tube to the keys and units of a robot file."""
     derived = [name for name in STIFFNESSES if isinstance(getattr(tube, name), OfCrossSection)]
     if tube.pieces:
         data = to_data(tube, [*derived, "curved_length", "curvature"])
@@ -561,20 +562,20 @@ def tube_to_dict(tube: Tube) -> dict[str, Any]:
 
 
 def calibration_to_dict(calibration: Calibration) -> dict[str, Any]:
-    """A calibration with the keys and units of a robot file; what reads true is left out."""
+    """Convert a calibration to the keys and units of a robot file, without tables of `Calibration.none`."""
     none, data = to_data(Calibration.none(calibration.n_tubes)), to_data(calibration)
-    # One table stays, to tell how many tubes there are.
+    # One table stays, for the number of tubes.
     return {key: value for key, value in data.items() if value != none.get(key) or key == "rotation_offsets_deg"}
 
 
 @dataclass(frozen=True, eq=False)
 class Waypoints:
-    """T waypoints."""
+    """Joint values at T waypoints."""
 
     rotations: Array
-    """(T, n) rad."""
+    """Rotations (T, n), rad."""
     translations: Array
-    """(T, n) m."""
+    """Translations (T, n), m."""
 
 
 def joint_columns(n_tubes: int) -> tuple[list[str], list[str]]:
@@ -584,12 +585,12 @@ def joint_columns(n_tubes: int) -> tuple[list[str], list[str]]:
 
 
 def joint_cells(rotations: Array, translations: Array) -> list[object]:
-    """What is in these columns: rotations (n,) rad, translations (n,) m, in as many digits as tell them exactly."""
+    """Cells of `joint_columns`, exact to the last bit: rotations (n,) in deg, translations (n,) in mm."""
     return [*(in_unit(float(x), DEG) for x in rotations), *(in_unit(float(x), MM) for x in translations)]
 
 
 def check_joints(table: CsvTable, robot: Robot) -> None:
-    """Complain of cells in `joint_columns` that no tube can have; readings of calibrated drives are not looked at."""
+    """Report cells in `joint_columns` that are impossible for the tubes; readings of calibrated drives are skipped."""
     if robot.calibration is not None:
         return
     for columns in joint_columns(robot.n_tubes):
@@ -601,25 +602,25 @@ def check_joints(table: CsvTable, robot: Robot) -> None:
 
 
 def waypoints_csv(rotations: Array, translations: Array) -> str:
-    """The text of a file that `load_waypoints` reads: rotations (T, n) rad, translations (T, n) m."""
-    turns, shifts = joint_columns(rotations.shape[1])
-    return to_csv([*turns, *shifts], map(joint_cells, rotations, translations))
+    """Text of a waypoint file with rotations (T, n), rad, and translations (T, n), m."""
+    rotation_columns, translation_columns = joint_columns(rotations.shape[1])
+    return to_csv([*rotation_columns, *translation_columns], map(joint_cells, rotations, translations))
 
 
 def load_waypoints(path: str | PathLike[str], robot: Robot) -> Waypoints:
-    """The waypoints in a CSV file with the columns `joint_columns`; without those of translations, at home.
+    """Waypoints in a CSV file with the columns `joint_columns`; without translations the tubes are at home.
 
     Raises:
         InputError: no such file, a column that is unknown or missing, a cell that is no number: one line for each
             problem.
     """
-    turns, shifts = joint_columns(robot.n_tubes)
-    table = read_csv(path, (*turns, *shifts))
-    listed = f"{turns[0]} to {turns[-1]} and {shifts[0]} to {shifts[-1]}"
-    moved = table.expect(turns, together=shifts, shown=listed)
-    rotations = table.numbers(turns, DEG)
+    rotation_columns, shift_columns = joint_columns(robot.n_tubes)
+    table = read_csv(path, (*rotation_columns, *shift_columns))
+    shown = f"{rotation_columns[0]} to {rotation_columns[-1]} and {shift_columns[0]} to {shift_columns[-1]}"
+    has_translations = table.expect(rotation_columns, together=shift_columns, shown=shown)
+    rotations = table.numbers(rotation_columns, DEG)
     home = np.tile(robot.home_readings, (len(table.rows), 1))
-    translations = table.numbers(shifts, MM) if moved else home
+    translations = table.numbers(shift_columns, MM) if has_translations else home
     check_joints(table, robot)
     table.check()
     return Waypoints(rotations, translations)

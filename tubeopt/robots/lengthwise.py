@@ -517,7 +517,7 @@ def steps_of(tubes: Sequence[Tube]) -> Steps:
     for tube in map(_in_steps, tubes):
         chain = stretches(tube)
         if tube.straight_length == 0:
-            chain = [(0.0, (0.0, 0.0, 0.0), *chain[0][2:]), *chain]
+            chain = [chain[0]._replace(length=0.0, precurvature=(0.0, 0.0, 0.0)), *chain]
         rows.append([(length, *u, bending, torsional) for length, u, bending, torsional in chain])
     most = max(2, *(len(row) for row in rows))
     table = np.array([[*row, *[(0.0, *row[-1][1:])] * (most - len(row))] for row in rows], dtype=float)

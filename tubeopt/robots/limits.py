@@ -18,7 +18,7 @@ from ..typing import Array
 from .tubes import Tube
 
 Ranges = tuple[tuple[float, float], ...]
-"""Least and greatest value, one pair per tube."""
+"""Smallest and largest value, one pair per tube."""
 
 
 # Lengths of itself by which no tube is withdrawn, and of the longest tube beyond which no target lies: a number in mm
@@ -103,7 +103,7 @@ def _warn_of_degrees(rotations: Array) -> None:
 
 
 def check_reach(tubes: Sequence[Tube], translations: Sequence[float]) -> None:
-    """Raise InputError where translations (n,), m, draw a tube back by FAR of its lengths: they were in mm."""
+    """Raise InputError if translations (n,), m, retract a tube by FAR of its lengths: they were in mm."""
     if min(translations) >= 0:
         return
     for i, (tube, shift) in enumerate(zip(tubes, translations, strict=True)):

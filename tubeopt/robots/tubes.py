@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from ..errors import InputError, finite, instance, items, positive, warn_implaus
 from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, Typical, check_size, check_typical, unit
 from ..physics.strain import surface_strain
 from .materials import NITINOL, Material, modulus_doubts
-from .pieces import TWIST, Piece, Quantity, Series, extremes
+from .pieces import TWIST, Piece, Precurvature, Quantity, Series, extremes
 
 # m: no tube is so thick, and the fourth power of one that is may be no number.
 LARGEST = 1e6
@@ -325,16 +325,27 @@ def must_be_plain(tubes: Iterable[Tube], what: str) -> None:
             raise InputError(f"tube {i} is made of pieces; {what} supports tubes of one constant curvature only")
 
 
-def stretches(tube: Tube) -> list[tuple[float, tuple[Quantity, Quantity, Quantity], Quantity, Quantity]]:
-    """Length, u*, EI and GJ of every stretch of a tube from its held end, the straight part first."""
-    own = float(tube.bending_stiffness), float(tube.torsional_stiffness)
-    out: list[tuple[float, tuple[Quantity, Quantity, Quantity], Quantity, Quantity]] = []
-    if tube.straight_length > 0:
-        out.append((tube.straight_length, (0.0, 0.0, 0.0), *own))
+class TubeStretch(NamedTuple):
+    """Straight part or piece of a tube."""
+
+    length: float
+    """Arc length, m."""
+    precurvature: Precurvature
+    """Components in the frame of the tube."""
+    bending_stiffness: Quantity
+    """EI, N m^2."""
+    torsional_stiffness: Quantity
+    """GJ, N m^2."""
+
+
+def stretches(tube: Tube) -> list[TubeStretch]:
+    """Stretches of a tube from its held end, the straight part first."""
+    kb, kt = float(tube.bending_stiffness), float(tube.torsional_stiffness)
+    out = [TubeStretch(tube.straight_length, (0.0, 0.0, 0.0), kb, kt)] if tube.straight_length > 0 else []
     for piece in tube.chain:
-        stiffness = (piece.bending_stiffness, piece.torsional_stiffness)
-        bending, torsional = (b if a is None else a for a, b in zip(stiffness, own, strict=True))
-        out.append((piece.length, piece.precurvature, bending, torsional))
+        bending = kb if piece.bending_stiffness is None else piece.bending_stiffness
+        torsional = kt if piece.torsional_stiffness is None else piece.torsional_stiffness
+        out.append(TubeStretch(piece.length, piece.precurvature, bending, torsional))
     return out
 
 

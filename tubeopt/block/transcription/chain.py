@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...robots.lengthwise import CrossSections
 from ...robots.pieces import Piece, Quantity, Series, breaks_of, extremes, on_panels
-from ...robots.tubes import Tube, stretches
+from ...robots.tubes import Tube, TubeStretch, stretches
 from ...typing import Array
 
 # --- Tubes along a piece of the mesh ----------------------------------------------------------------------------------
@@ -201,7 +201,7 @@ def chain_of(tubes: tuple[Tube, ...]) -> Chain:
         parts = stretches(tube)
         if tube.straight_length == 0:
             stiffnesses = float(tube.bending_stiffness), float(tube.torsional_stiffness)
-            parts = [(0.0, (0.0, 0.0, 0.0), *stiffnesses), *parts]
+            parts = [TubeStretch(0.0, (0.0, 0.0, 0.0), *stiffnesses), *parts]
         for number, (length, (x, y, z), bending, torsional) in enumerate(parts):
             size, (a, b) = bend_of((x, y), length)
             quantities: tuple[Quantity, ...] = (bending, torsional, a, b, z)
