@@ -18,11 +18,11 @@ FINE = 400
 """Points along the arm at which its distance from bodies is measured."""
 
 EVENLY = np.linspace(0.0, 1.0, FINE)
-"""Where these are, as shares of it."""
+"""Arc lengths of these points as fractions of the arm."""
 
-# Every sixteenth point tells on which stretches the arm can be closest at all.
+# Every sixteenth point bounds the distance of the stretches between: most cannot be closest.
 STRIDES = (16, 4, 1)
-"""Of these points every so many-th is looked at first, then more where the distance may be the least."""
+"""Strides over these points: coarse first, then finer where the distance may be smallest."""
 
 # One call for all of them, where golden-section search would take as many calls one after the other.
 FINER = 17

@@ -234,7 +234,7 @@ def nearest_starts(
 
 
 def spread_starts(space: JointSpace, q: Array, count: int, *, first: int) -> Iterator[Array]:
-    """At most `count` of joint values (k, m) sorted by promise, by the farthest-point method (Gonzalez 1985).
+    """Select up to `count` of joint values (k, m), sorted by promise, by the farthest-point method (Gonzalez 1985).
 
     The `first` of them are returned in order, then those that differ most from all before, among the `POOL` most
     promising.
@@ -471,7 +471,7 @@ class Multistart:
                 yield answer
 
     def _starts(self, count: int) -> Iterator[Posture]:
-        """At most `count` stable postures of the table, the most promising first; they may be in an obstacle."""
+        """Stable postures of the table, at most `count`, the most promising first; they may be in an obstacle."""
         goal = self.goal
         reference = goal.reference if goal.named else None
         target = (goal.position, goal.direction)

@@ -175,7 +175,7 @@ def _aside(direction: Any, target: Any) -> Any:
 
 @lru_cache(maxsize=8)  # not more: what is cached keeps its body, which may be a table of 100 MB
 def has_formula(obstacle: Obstacle) -> bool:
-    """Whether an obstacle's distance can be written with symbols."""
+    """Return whether the distance to an obstacle has a symbolic expression."""
     point = ca.SX.sym("p", 3)
     try:
         obstacle.distance(point[0], point[1], point[2])
@@ -192,20 +192,33 @@ def _soft_distance(obstacle: Obstacle, count: int, length: float) -> ca.Function
     return ca.Function("soft", [points, radius], [-ca.logsumexp(-sharp * ca.vertcat(*distance)) / sharp])
 
 
-def _shape(arm: TorsionModel) -> tuple[Any, Any, Any, Any]:
-    """Frame and position of the tip, points along the arm (3, 1 + 2 STEPS P), and int |u|^2 ds."""
-    frame, position, bend = ca.MX(ca.DM.eye(3)), ca.MX(ca.DM.zeros(3)), ca.MX(0)
+class _Shape(NamedTuple):
+    """Shape of an arm as expressions."""
+
+    frame: Any
+    """Frame (3, 3) of the tip."""
+    position: Any
+    """Position (3,) of the tip, m."""
+    points: Any
+    """Points (3, 1 + 2 STEPS P) along the arm, m."""
+    bending: Any
+    """Integral of |u|^2 ds, 1/m."""
+
+
+def _shape(arm: TorsionModel) -> _Shape:
+    """Shape of an arm by Magnus steps over its P pieces."""
+    frame, position, bending = ca.MX(ca.DM.eye(3)), ca.MX(ca.DM.zeros(3)), ca.MX(0)
     points = [position]
     for k in range(arm.n_pieces):
         frame, position, inside, part = _piece_shape(arm.grid)(frame, position, *arm.piece(k))
         points.append(inside)
-        bend = bend + part
-    return frame, position, ca.horzcat(*points), bend
+        bending = bending + part
+    return _Shape(frame, position, ca.horzcat(*points), bending)
 
 
 @lru_cache(maxsize=16)
 def _piece_shape(grid: Grid) -> ca.Function:
-    """(R, p, arguments of a piece) -> R, p where it ends, points (3, 2 STEPS) in it, and its int |u|^2 ds."""
+    """Function (R, p, arguments of a piece) -> R, p at its end, points (3, 2 STEPS) in it, and its int |u|^2 ds."""
     torsion = torsion_of(symbolic_piece(grid))
     frame, begin = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3)
     h, points, before, ahead = torsion.piece.length / STEPS, [], begin, frame[:, 2]
