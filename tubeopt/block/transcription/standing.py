@@ -414,6 +414,7 @@ class ArmState:
         if self.twist_slopes is not None:
             # Torsion has the energy t phi' / 2, and phi' depends on theta, kb and m through g.
             rotation_rate = self.data_slopes.rotation_rate
+            assert rotation_rate is not None
             out[..., : 3 * self.n] += (self.torque[..., None, :] @ rotation_rate)[..., 0, :] / 2
         return out
 
