@@ -124,7 +124,7 @@ class Calibration(Displayed):
 
     @classmethod
     def none(cls, n_tubes: int) -> Calibration:
-        """Calibration of drives whose readings are the joint values of the model."""
+        """Calibration of ideal drives: readings equal the joint values of the model."""
         zeros, ones = (0.0,) * n_tubes, (1.0,) * n_tubes
         return cls(zeros, zeros, ones, ones, zeros)
 
