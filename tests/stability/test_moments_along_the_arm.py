@@ -26,7 +26,7 @@ from tubeopt import (
 )
 from tubeopt.block.transcription.orientation import tangents
 from tubeopt.equilibrium.answer import point_of
-from tubeopt.equilibrium.jacobian import beside, unit_of
+from tubeopt.equilibrium.jacobian import shifted, unit_of
 from tubeopt.stability.folds import fall
 from tubeopt.stability.load_limit import find_loss
 from tubeopt.typing import Array
@@ -280,7 +280,7 @@ def test_the_margin_under_moments_changes_as_differences_say(load: Load, thesis:
     found, true = e.margin_slopes(wrt=names), []
     for name, tube in ((name, tube) for name in names for tube in range(3)):
         step = 1e-4 * unit_of(e, name, tube)
-        sides = (beside(e, name, tube, sign * step) for sign in (1, -1))
+        sides = (shifted(e, name, tube, sign * step) for sign in (1, -1))
         one, other = (forward_kinematics(*side, load=load).margin for side in sides)
         true.append((one - other) / (2 * step))
     sizes = np.abs(true).reshape(5, 3).max(1).repeat(3)

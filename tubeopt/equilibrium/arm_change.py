@@ -41,11 +41,14 @@ AHEAD = 100 * SAME_END
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """u (2,) at a place of the arm, and the changes of theta, kb and m (3 n, Q) and of u (2, Q) while it moves."""
+    """Cross-section at a place of the arm, with its changes while the place moves."""
 
     curvature: Array
+    """Curvature u (2,), 1/m."""
     by_tubes: Array
+    """Changes (3 n, Q) of theta, kb and m."""
     by_curvature: Array
+    """Changes (2, Q) of u."""
 
 
 class ArmChange(Directions):
@@ -281,7 +284,7 @@ class ArmChange(Directions):
         """(Q,) of the elastic energy, J."""
         arm, forcing, n = self.arm, self.forcing, self.n
         moved, weights, size = self.response, arm.weights.ravel(), self.size
-        by = weights[:, None] * arm.energy_slopes.reshape(len(weights), -1)
+        by = weights[:, None] * arm.energy_slopes.reshape(len(weights), 3 * n + 2)
         out = by[:, :n].ravel() @ moved.phi.reshape(-1, size)
         out += by[:, 3 * n :].ravel() @ moved.bending_moment.reshape(-1, size)
         if forcing.data.any():

@@ -99,7 +99,7 @@ class Strip(NamedTuple):
     """Stretch of the arm between two shifted positions of coinciding breakpoints."""
 
     group: tuple[int, ...]
-    """Breakpoints that coincide."""
+    """Coinciding breakpoints."""
     past: tuple[int, ...]
     """Breakpoints that have moved beyond the strip."""
     plate_side: bool

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -31,7 +31,7 @@ JOINTS = ("rotations", "translations")
 """Default parameters of a Jacobian."""
 
 SAME_ARM = 1e-9
-"""Rotations that differ by less, rad, are of one arm."""
+"""Largest difference of rotations of one equilibrium, rad."""
 
 
 def derivatives_of(
@@ -41,8 +41,7 @@ def derivatives_of(
     side: int = 1,
     carriages: Carriages | None = None,
 ) -> Linearised:
-    """Derivatives of an equilibrium, computed where they are asked for; its `carriages` are by default those of the
-    robot."""
+    """Derivatives of an equilibrium, computed when they are read; by default with the `carriages` of the robot."""
     carriages = equilibrium.robot.moving_together if carriages is None else carriages
     return linearise(equilibrium, wrt, side, along=sharing(carriages, tuple(wrt)))
 
@@ -69,8 +68,10 @@ def compiled_slopes(
 def _by_kernel(
     equilibrium: Equilibrium, wrt: Sequence[str], side: int, carriages: Carriages | None = None
 ) -> Jacobian | None:
-    """The Jacobian of a stable equilibrium of concentric tubes, from the compiled kernel; None where that has none, as
-    under a load, or what it finds from here is not this equilibrium to the last digits."""
+    """Jacobian of a stable equilibrium of concentric tubes, from the compiled kernel.
+
+    None where the kernel has none, as under a load, or where it converges to another equilibrium.
+    """
     if equilibrium.load is not None or not set(wrt) <= set(JOINTS) or side not in (1, -1):
         return None
     n = equilibrium.robot.n_tubes
@@ -145,8 +146,25 @@ STEP = 1e-5
 APART = 1e-6
 """Distance of two eigenvalues, and cosine of a left and a right eigenvector, below which there is no derivative."""
 
-Side = tuple[Robot, Array, tuple[float, ...]]
-"""Robot, rotations (n,) and translations (n,)."""
+
+class Posed(NamedTuple):
+    """Robot at joint values."""
+
+    robot: Robot
+    """Robot, with one dimension changed or none."""
+    rotations: Array
+    """Rotations (n,), rad."""
+    translations: tuple[float, ...]
+    """Translations (n,), m."""
+
+
+class Difference(NamedTuple):
+    """Central difference by one parameter."""
+
+    step: float
+    """Step to either side, in the unit of the parameter."""
+    sides: list[Posed]
+    """Robot a step further, then a step back; empty where one of them does not exist."""
 
 
 def unit_of(e: Equilibrium, name: str, tube: int) -> float:
@@ -163,26 +181,28 @@ def unit_of(e: Equilibrium, name: str, tube: int) -> float:
             return float(getattr(e.robot.tubes[tube], name))
 
 
-def beside(e: Equilibrium, name: str, tube: int, step: float) -> Side:
-    """The robot and joint values of an equilibrium with a parameter of a tube a step further; raises InputError where
-    there is none."""
+def shifted(e: Equilibrium, name: str, tube: int, step: float) -> Posed:
+    """Robot and joint values of an equilibrium with a parameter of a tube a step further.
+
+    Raises:
+        InputError: no such robot exists.
+    """
     joints = {"rotations": e.rotations.copy(), "translations": e.translations.copy()}
     robot: Any = e.robot
     if name in joints:
         joints[name][tube] += step
     else:
         robot = resized(robot, tube, name, getattr(robot.tubes[tube], name) + step)
-    return robot, joints["rotations"], tuple(joints["translations"].tolist())
+    return Posed(robot, joints["rotations"], tuple(joints["translations"].tolist()))
 
 
-def sides_of(e: Equilibrium, name: str, tube: int) -> tuple[float, list[Side]]:
-    """A step of a parameter of a tube, and what is a step further and a step back from an equilibrium; empty where one
-    of them does not exist."""
+def difference_of(e: Equilibrium, name: str, tube: int) -> Difference:
+    """Central difference by a parameter of a tube."""
     step = STEP * unit_of(e, name, tube)
     try:
-        return step, [beside(e, name, tube, sign * step) for sign in (1, -1)]
+        return Difference(step, [shifted(e, name, tube, sign * step) for sign in (1, -1)])
     except InputError:
-        return step, []
+        return Difference(step, [])
 
 
 def margin_slopes(
@@ -196,14 +216,14 @@ def margin_slopes(
         SolveError: the equilibrium is a fold.
     """
     point: LoadedPoint = point_of(e)
-    shift, sides = point.member.translations, list[tuple[float, list[Side]]]()
-    sides += [sides_of(e, name, tube) for name in wrt for tube in range(len(e.rotations))]
-    sides += [(step, [(robot, e.rotations, shift) for robot in robots]) for step, robots in varied]
+    shift = point.member.translations
+    differences = [difference_of(e, name, tube) for name in wrt for tube in range(len(e.rotations))]
+    differences += [Difference(step, [Posed(robot, e.rotations, shift) for robot in pair]) for step, pair in varied]
     matrix = symmetric_part(point.member.problem, point.state) if sure else point.state.hessian
     result = _modes(matrix, symmetric=sure)
     if result is None:
-        return np.full(len(sides), np.nan)
-    return np.array([_slope(point, result, each, sure=sure) for each in sides])
+        return np.full(len(differences), np.nan)
+    return np.array([_slope(point, result, difference, sure=sure) for difference in differences])
 
 
 def margin_slopes_of(e: Equilibrium, wrt: Sequence[str]) -> Array:
@@ -216,34 +236,36 @@ def margin_slopes_of(e: Equilibrium, wrt: Sequence[str]) -> Array:
 
 
 def _modes(matrix: Array, *, symmetric: bool) -> tuple[Array, Array] | None:
-    """Left and right eigenvectors of the eigenvalue of least real part, of a pair one; None where others are as small,
-    or it is defective."""
+    """Left and right eigenvectors of the eigenvalue of smallest real part, for a complex pair of one of them.
+
+    None where another eigenvalue has the same real part, or where it is defective.
+    """
     if symmetric:
         values, right = np.linalg.eigh(matrix)
         left = right
     else:
         values, left, right = scipy.linalg.eig(matrix, left=True)
     order = np.lexsort((-values.imag, values.real))
-    k, others = order[0], order[1 + (abs(values[order[0]].imag) > 0) :]
+    k, larger = order[0], order[1 + (abs(values[order[0]].imag) > 0) :]
     w, v = left[:, k], right[:, k]
-    double = len(others) > 0 and values[others[0]].real - values[k].real < APART
+    double = len(larger) > 0 and values[larger[0]].real - values[k].real < APART
     return None if double or abs(np.vdot(w, v)) < APART else (w, v)
 
 
-def _slope(point: LoadedPoint, modes: tuple[Array, Array], sides: tuple[float, list[Side]], *, sure: bool) -> float:
-    """The derivative by what differs by two steps between two robots."""
-    (step, both), (left, right), member = sides, modes, point.member
-    here, x = member.problem, point.state.x
-    pieces = tuple(np.bincount(here.mesh.section, minlength=here.torsion.assembly.n_sections).tolist())
-    cut = [_cut(loading_of(robot, shift, here.load)[0]) for robot, _, shift in both]
-    if cut != 2 * [_cut(here.torsion.assembly)]:
+def _slope(point: LoadedPoint, modes: tuple[Array, Array], difference: Difference, *, sure: bool) -> float:
+    """Derivative of the margin by a central difference, from the left and right mode."""
+    (step, sides), (left, right), member = difference, modes, point.member
+    problem, x = member.problem, point.state.x
+    pieces = tuple(np.bincount(problem.mesh.section, minlength=problem.torsion.assembly.n_sections).tolist())
+    cut = [_cut(loading_of(robot, shift, problem.load)[0]) for robot, _, shift in sides]
+    if cut != 2 * [_cut(problem.torsion.assembly)]:
         return float("nan")
-    problems = [loaded_problem(robot, shift, here.load, member.discretisation, pieces) for robot, _, shift in both]
-    turned = [alpha for _, alpha, _ in both]
-    one, other = (evaluate(each, alpha, x).gradient for each, alpha in zip(problems, turned, strict=True))
-    change = -np.linalg.solve(point.state.hessian, one - other) / 2
+    problems = [loaded_problem(robot, shift, problem.load, member.discretisation, pieces) for robot, _, shift in sides]
+    alphas = [alpha for _, alpha, _ in sides]
+    ahead, behind = (evaluate(each, alpha, x).gradient for each, alpha in zip(problems, alphas, strict=True))
+    change = -np.linalg.solve(point.state.hessian, ahead - behind) / 2
     result = [
-        evaluate(each, alpha, x + sign * change) for each, alpha, sign in zip(problems, turned, (1, -1), strict=True)
+        evaluate(each, alpha, x + sign * change) for each, alpha, sign in zip(problems, alphas, (1, -1), strict=True)
     ]
     further, back = (
         symmetric_part(each, state) if sure else state.hessian for each, state in zip(problems, result, strict=True)
@@ -252,7 +274,7 @@ def _slope(point: LoadedPoint, modes: tuple[Array, Array], sides: tuple[float, l
 
 
 def _cut(assembly: Assembly) -> tuple[int, int]:
-    """Sections of an arm, and those that have a length."""
+    """Numbers of sections of an arm, and of those that have a length."""
     return assembly.n_sections, int((assembly.length > ROUND_OFF).sum())
 
 
@@ -260,34 +282,34 @@ def _cut(assembly: Assembly) -> tuple[int, int]:
 
 
 def compliance_of(equilibrium: Equilibrium) -> Array:
-    """(6, 6) change of the tip by a small dead wrench there; see `Equilibrium.compliance`."""
+    """Compliance (6, 6) of the tip; see `Equilibrium.compliance`."""
     point = point_of(equilibrium, Load())
     return compliance(point.member.problem, point.state)
 
 
 def compliance_at(equilibrium: Equilibrium, arc_length: float, tube: int | None) -> Array:
-    """(6, 6) change of a place of the arm by a small dead wrench there; see `Equilibrium.compliance_at`."""
+    """Compliance (6, 6) of a point of the arm; see `Equilibrium.compliance_at`."""
     if equilibrium.load is not None and not equilibrium.load.has_energy:
         raise InputError("the load has a moment or turns with the tip; compliance is then available at the tip only")
     point = point_of(equilibrium, Load())
     assembly, length = point.member.problem.torsion.assembly, float(equilibrium.arc_length[-1])
     if not 0 <= finite("arc_length", arc_length) <= length * (1 + 1e-12):
         raise InputError(f"arc_length is {arc_length:g} m; it must be on the arm, between 0 and {length:g} m")
-    here = np.flatnonzero(assembly.end >= arc_length - SAME_END)
+    present = np.flatnonzero(assembly.end >= arc_length - SAME_END)
     chosen = int(twisted_tube(assembly.end, arc_length)) if tube is None else tube
-    if chosen not in here:
-        raise InputError(f"tube is {tube}; tubes {', '.join(map(str, here))} are at {arc_length:g} m")
+    if chosen not in present:
+        raise InputError(f"tube is {tube}; tubes {', '.join(map(str, present))} are at {arc_length:g} m")
     # Where a wrench acts the curvature jumps: elements end there.
     load = equilibrium.load or Load()
     cut = replace(load, points=(*load.points, PointLoad(min(arc_length, length))))
-    there = Loaded.of(equilibrium.robot, point.member.rotations, point.member.translations, cut)
+    with_end = Loaded.of(equilibrium.robot, point.member.rotations, point.member.translations, cut)
     failure = "the equilibrium is a fold (margin 0), where the compliance is infinite"
-    result: LoadedPoint = point.onto(there, failure)
-    return compliance_along(there.problem, result.state, min(arc_length, length), chosen)
+    result: LoadedPoint = point.onto(with_end, failure)
+    return compliance_along(with_end.problem, result.state, min(arc_length, length), chosen)
 
 
 def base_wrench_of(equilibrium: Equilibrium) -> Array:
-    """(6,) what the load puts on the plate; see `Equilibrium.base_wrench`."""
+    """Wrench (6,) of the load on the plate; see `Equilibrium.base_wrench`."""
     if equilibrium.load is None:
         return np.zeros(6)
     point = point_of(equilibrium)

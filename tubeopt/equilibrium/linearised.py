@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,38 +55,62 @@ from .result import Equilibrium, refuse_friction
 
 
 def offset_change(of: ArmChange) -> Array:
-    """(Q,) change of the margin; NaN where it is a double eigenvalue."""
+    """Derivative (Q,) of the margin of tubes off the centreline; NaN where it is a double eigenvalue."""
     arm, problem, forcing, n = of.arm, of.problem, of.forcing, of.n
-    there = arm.mesh.collocated
-    theta, torque = (table[there].reshape(-1, n) for table in (arm.theta, arm.torque))
+    solved = arm.mesh.collocated
+    theta, torque = (table[solved].reshape(-1, n) for table in (arm.theta, arm.torque))
     mode = worst_mode(problem, theta)
     if mode is None:
         return np.zeros(of.size)
     if not np.isfinite(mode.pairing):
         return np.full(of.size, np.nan)
-    wave, count = _Wave(problem, theta, mode), len(theta)
+    along_arm, count = _ModeAlongArm(problem, theta, mode), len(theta)
 
     def at_points(table: Array) -> Array:
         """(N, r, Q) of what the parameters change at all points."""
-        return table[there].reshape(count, -1, of.size)
+        return table[solved].reshape(count, -1, of.size)
 
     changed = np.concatenate([at_points(of.response.phi), at_points(forcing.data)[:, n:]], axis=1)
     function = section_function("mode", count, n, True)
-    slope = function(theta, problem.stiffness, problem.moment, *arm.offsets, *wave.weights)[1].reshape(count, 3 * n)
+    slope = function(theta, problem.stiffness, problem.moment, *arm.offsets, *along_arm.weights)[1].reshape(
+        count, 3 * n
+    )
     out = np.einsum("a,ac,acq->q", problem.weight, slope, changed)
     softer, kappa = at_points(forcing.compliance), mode.value
     twisted = at_points(of.response.torque) / problem.assembly.torsional_stiffness[:, None] + softer * torque[..., None]
-    out -= kappa * np.einsum("a,ai,aiq->q", problem.weight, wave.a * wave.stretched, twisted)
-    out -= np.einsum("a,ai,aiq->q", problem.weight, wave.a * wave.g * wave.tau, softer)
-    for p in np.flatnonzero(~there):
-        a, tau = wave.beyond(arm.mesh.start[p])
+    out -= kappa * np.einsum("a,ai,aiq->q", problem.weight, along_arm.a * along_arm.stretched, twisted)
+    out -= np.einsum("a,ai,aiq->q", problem.weight, along_arm.a * along_arm.g * along_arm.tau, softer)
+    for p in np.flatnonzero(~solved):
+        a, tau = along_arm.beyond(arm.mesh.start[p])
         out -= (a * tau) @ np.tensordot(arm.weights[p], forcing.compliance[p], 1)
-    out -= (wave.a_start * wave.tau_start) @ forcing.transmission
-    return np.asarray((out + wave.gains(of) @ of.widths) / mode.pairing)
+    out -= (along_arm.a_start * along_arm.tau_start) @ forcing.transmission
+    return np.asarray((out + along_arm.gains(of) @ of.widths) / mode.pairing)
 
 
-class _Wave:
-    """A mode along the arm: y, tau, a, b, t / kt and g' y at the points (N, n), and what it is at breakpoints."""
+class _ModeWeights(NamedTuple):
+    """Weights (N, n) of the section function `mode`."""
+
+    y: Array
+    """Rotations of the mode."""
+    moment_slope: Array
+    """Weight of dM/dtheta."""
+    stretch_slope: Array
+    """Weight of dg/dtheta."""
+    stretch: Array
+    """Weight of g."""
+
+
+class _ModePoint(NamedTuple):
+    """Mode at a breakpoint, (n,) each; symbols as above."""
+
+    y: Array
+    tau: Array
+    a: Array
+    b: Array
+
+
+class _ModeAlongArm:
+    """Mode along the arm: y, tau, a, b, t / kt and g' y at the points (N, n), and at breakpoints."""
 
     def __init__(self, problem: ReducedProblem, theta: Array, mode: Mode) -> None:
         assembly, count = problem.assembly, len(problem.weight)
@@ -101,9 +126,9 @@ class _Wave:
         turned, slope_g = (part.reshape(count, n, n).swapaxes(1, 2) for part in (turned, stretched))
         self.twist = -(beyond @ moment) / kt
         self.stretched = np.einsum("aij,aj->ai", slope_g, mode.y)
-        self.pull = np.einsum("aij,aj->ai", turned, mode.y)
+        self.tau_rate = np.einsum("aij,aj->ai", turned, mode.y)
         # tau' = M' y and tau = 0 at the tip: the torque of the mode, as w is that of the state.
-        self.tau, self.tau_start = -(beyond @ self.pull), -(weight * self.pull).sum(0)
+        self.tau, self.tau_start = -(beyond @ self.tau_rate), -(weight * self.tau_rate).sum(0)
         # The transpose of P sums over the points from a place to the tip.
         self.a, self.a_start = (up_to.T @ mode.zeta) / weight, mode.zeta.sum(0)
         self.b = np.zeros_like(theta)
@@ -113,10 +138,10 @@ class _Wave:
             self.b[inside] = np.einsum("iab,ai->bi", whole, mode.zeta[inside]) / weight[block.points]
 
     @property
-    def weights(self) -> tuple[Array, Array, Array, Array]:
-        """Weights of the section function `mode`, (N, n) each."""
+    def weights(self) -> _ModeWeights:
+        """Weights of the section function `mode` at the points."""
         kt = self.problem.assembly.torsional_stiffness
-        return self.mode.y, self.b, -self.mode.value * self.a * self.twist, -self.a * self.tau / kt
+        return _ModeWeights(self.mode.y, self.b, -self.mode.value * self.a * self.twist, -self.a * self.tau / kt)
 
     def gains(self, of: ArmChange) -> Array:
         """(T,) change of the equation by the strips that breakpoints uncover, per width."""
@@ -127,18 +152,18 @@ class _Wave:
         places = [self._at(s) for s in of.cuts[index]]
         y, tau, a, b = (np.array(part * 2) for part in zip(*places, strict=True))
         twist = np.concatenate([of.arm.torque_tip_side[index]] * 2) / kt
-        weights = (y, b, -kappa * a * twist, -a * tau / kt)
+        weights = _ModeWeights(y, b, -kappa * a * twist, -a * tau / kt)
         function = section_function("mode", 2 * count, of.n, True)
         values = function(*of.strip_inputs[:3], *of.arm.offsets, *weights)[0].reshape(2, -1)
         return np.asarray(of.side * (strips.signs * values).sum(0))
 
     def beyond(self, s: float) -> tuple[Array, Array]:
-        """a and tau (n,) at an arc length between whole elements."""
-        there = self.problem.arc_length > s
-        return self.mode.zeta[there].sum(0), -(self.problem.weight[:, None] * self.pull)[there].sum(0)
+        """Values a and tau (n,) at an arc length between whole elements."""
+        beyond = self.problem.arc_length > s
+        return self.mode.zeta[beyond].sum(0), -(self.problem.weight[:, None] * self.tau_rate)[beyond].sum(0)
 
-    def _at(self, s: float) -> tuple[Array, Array, Array, Array]:
-        """y, tau, a, b (n,) at a breakpoint: whole elements lie on either side of it."""
+    def _at(self, s: float) -> _ModePoint:
+        """Mode at a breakpoint: whole elements lie on either side of it."""
         problem, mode = self.problem, self.mode
         kt, transmission = problem.assembly.torsional_stiffness, problem.assembly.transmission
         before, weight = problem.arc_length < s, problem.weight[:, None]
@@ -151,30 +176,41 @@ class _Wave:
             y = y + mesh.length[p] * tau / (mode.value * kt)
             b = b + mesh.length[p] * a
         a, tau = self.beyond(s)
-        return y, tau, a, b / kt
+        return _ModePoint(y, tau, a, b / kt)
 
 
 FLAT = 1 - 1e-9
-"""Margin above which nothing softens: the greatest value, 1, which does not change."""
+"""Margin that counts as its largest value 1, which does not change."""
 
 SOLVED = 1e-6
-"""Rotations (rad) at the points are off by less than this from what their torques make of those at the plate."""
+"""Largest difference of solved rotations from those that follow from the torques, rad."""
 
 APART = 1e-7
-"""Margins of either sign smaller than this are those of a fold."""
+"""Absolute margin below which an equilibrium is a fold."""
+
+
+class _Form(NamedTuple):
+    """Second variation of a mode per length at X points."""
+
+    value: Array
+    """Values (X,)."""
+    slopes: Array
+    """Gradient (X, n + 4) by theta, b and g."""
+    by_data: Array
+    """Gradient (X, 2 n) by kb and m."""
 
 
 class Linearised(ArmChange):
-    """Derivatives of an equilibrium by directions, computed where they are asked for; see `Directions`."""
+    """Derivatives of an equilibrium in Q directions, computed when they are read; see `Directions`."""
 
     @cached_property
     def margin(self) -> Array:
-        """(Q,) of the margin; NaN where it is a double eigenvalue, and for loads without an energy."""
+        """Derivative (Q,) of the margin; NaN where it is a double eigenvalue, and for loads without an energy."""
         return self._margin(one_of_two=False)
 
     @cached_property
     def one_margin(self) -> Array:
-        """(Q,) of the margin; that of one of its modes where it is a double eigenvalue."""
+        """Derivative (Q,) of the margin; for one of its modes where it is a double eigenvalue."""
         return self._margin(one_of_two=True)
 
     def _margin(self, *, one_of_two: bool) -> Array:
@@ -190,7 +226,7 @@ class Linearised(ArmChange):
         return np.full(self.size, np.nan) if mode is None else self._quotient(*mode)
 
     def certificate(self, value: float, y: Array) -> Array:
-        """(Q,) of the certificate that is `value` at its mode y (N, n), `stability.certificate.worst_case`."""
+        """Derivative (Q,) of the certificate `value` with mode y (N, n), of `stability.certificate.worst_case`."""
         arm, n, solved = self.arm, self.n, self.arm.mesh.collocated
         if value >= FLAT:
             return np.zeros(self.size)
@@ -202,8 +238,10 @@ class Linearised(ArmChange):
 
     @property
     def _softened(self) -> Array:
-        """(Q,) by how much the margin of an arm of length zero falls with what leaves the plate: the largest eigenvalue
-        of -dM/dtheta over the stiffness of the transmissions, which alone twist there, or 0."""
+        """Decrease (Q,) of the margin of an arm of length zero with the tubes that leave the plate.
+
+        It is the largest eigenvalue of -dM/dtheta over the stiffness of the transmissions, which alone twist, or 0.
+        """
         root, slopes = np.sqrt(self.arm.transmission), sections_of(self.strip_inputs, self.arm.offsets).slopes
         slopes = np.einsum("bt,btij->tij", self.strips.signs, slopes.reshape(2, -1, *slopes.shape[1:]))
         # Symmetric as the second variation, and with the same eigenvalues as -dM/dtheta times compliance.
@@ -211,48 +249,47 @@ class Linearised(ArmChange):
         symmetric = (second + second.swapaxes(1, 2)) / 2
         return np.asarray(np.linalg.eigvalsh(np.tensordot(self.widths.T, symmetric, 1)).max(1, initial=0.0))
 
-    def _form(
-        self, inputs: Sequence[Array], softness: float, *, worst: bool, data: bool = False
-    ) -> tuple[Array, Array, Array]:
-        """Second variation of a mode per length (X,) at theta, kb, m, b, with g and y, and its gradients.
+    def _form(self, inputs: Sequence[Array], softness: float, *, worst: bool, data: bool = False) -> _Form:
+        """Second variation of a mode per length at theta, kb, m, b, with g and y, and its gradients.
 
-        Gradients are (X, n + 4) with respect to theta, b, g, and with `data` (X, 2 n) with respect to kb and m. At the
-        equilibrium, or at the `worst` rotations.
+        It is taken at the equilibrium, or at the `worst` rotations; without `data` the gradient by kb and m is 0.
         """
         count, n = inputs[0].shape
         if worst:
             _, form, slope, _ = mapped(worst_function(n), count)(inputs[1], inputs[2], inputs[5])
-            return form[:, 0].copy(), np.zeros((count, n + 4)), slope.reshape(count, 2 * n).copy()
+            return _Form(form[:, 0].copy(), np.zeros((count, n + 4)), slope.reshape(count, 2 * n).copy())
         form, slope = (part.copy() for part in bent_function("mode", count, n)(*inputs, softness))
-        own = bent_function("mode_data", count, n)(*inputs, softness)[0].copy() if data else np.zeros((count, 2 * n))
-        return form[:, 0], slope.reshape(count, -1), own.reshape(count, -1)
+        by_data = (
+            bent_function("mode_data", count, n)(*inputs, softness)[0].copy() if data else np.zeros((count, 2 * n))
+        )
+        return _Form(form[:, 0], slope.reshape(count, -1), by_data.reshape(count, -1))
 
     def _quotient(self, mode: Response, softness: float, *, worst: bool = False) -> Array:
-        """(Q,) of a least eigenvalue of the second variation, from its mode."""
+        """Derivative (Q,) of the smallest eigenvalue of the second variation, from its mode."""
         arm, forcing, n, size = self.arm, self.forcing, self.n, self.size
         weights, torque = arm.weights, mode.torque[..., 0]
-        y, felt = mode.phi[..., 0], mode.bending_moment[..., 0]
+        y, g = mode.phi[..., 0], mode.bending_moment[..., 0]
         count, data = len(weights.ravel()), bool(forcing.data.any())
-        flat = (arm.theta, arm.stiffness, arm.natural_moment, arm.bending_moment, felt, y)
+        flat = (arm.theta, arm.stiffness, arm.natural_moment, arm.bending_moment, g, y)
         tables = [table.reshape(count, -1) for table in flat]
-        _, slope, own = self._form(tables, softness, worst=worst, data=data)
+        _, slope, by_data = self._form(tables, softness, worst=worst, data=data)
         by = weights.ravel()[:, None] * slope
         out = np.zeros(size) if worst else by[:, :n].ravel() @ self.response.phi.reshape(-1, size)
         if data:
-            whole = np.concatenate([by[:, :n], weights.ravel()[:, None] * own], axis=1)
+            whole = np.concatenate([by[:, :n], weights.ravel()[:, None] * by_data], axis=1)
             out += whole.ravel() @ forcing.data.reshape(-1, size)
         if arm.load is not None:
-            out += self._carried(mode, by)
+            out += self._load_change(mode, by)
         # int v^2 d(1 / kt): a softer tube lowers the margin where the mode twists it.
         out -= softness * (weights[..., None] * torque**2).ravel() @ forcing.compliance.reshape(-1, size)
-        held = mode.state[0, n + 3 : 2 * n + 3, 0]
-        out -= softness * held**2 @ forcing.transmission
+        plate_torque = mode.state[0, n + 3 : 2 * n + 3, 0]
+        out -= softness * plate_torque**2 @ forcing.transmission
         out += self._mode_gains(mode, softness, worst=worst) @ self.widths
         # The mode is stationary for Q / T: only the explicit change of Q - mu T counts, over T.
         return np.asarray(out / arm.elastic(mode, softness))
 
-    def _carried(self, mode: Response, by: Array) -> Array:
-        """(Q,) what the change of forces, moments and of the frame adds to it, with the gradient (X, n + 4)."""
+    def _load_change(self, mode: Response, by: Array) -> Array:
+        """Part (Q,) of the change of Q - mu T by forces, moments and the frame; `by` is the gradient (X, n + 4)."""
         arm, moved, n, size = self.arm, self.response, self.n, self.size
         psi, moment = mode.psi[..., 0], mode.moment[..., 0]
         out = by[:, n : n + 2].ravel() @ moved.bending_moment.reshape(-1, size)
@@ -267,7 +304,7 @@ class Linearised(ArmChange):
         return np.asarray(out - (twice @ arm.axis[..., None]).ravel() @ self.forcing.force.reshape(-1, size))
 
     def _mode_gains(self, mode: Response, softness: float, *, worst: bool) -> Array:
-        """(T,) what the margin gains per width of a strip."""
+        """Change (T,) of Q - mu T per width of a strip."""
         arm, strips, n = self.arm, self.strips, self.n
         index = strips.index
         if not len(index):
@@ -277,10 +314,10 @@ class Linearised(ArmChange):
         # hat(psi) b = psi x b: the turn of the frame by the mode.
         turns, bends = hat(psi), (arm.moment_plate_side if self.side < 0 else arm.moment_tip_side)[index]
         whole = moment - (turns @ bends[..., None])[..., 0]
-        felt = (frame[..., :2].swapaxes(1, 2) @ whole[..., None])[..., 0]
-        form = self._form(
-            [*self.strip_inputs, np.concatenate([felt, felt]), np.concatenate([y, y])], softness, worst=worst
-        )[0]
+        g = (frame[..., :2].swapaxes(1, 2) @ whole[..., None])[..., 0]
+        form = self._form([*self.strip_inputs, np.concatenate([g, g]), np.concatenate([y, y])], softness, worst=worst)[
+            0
+        ]
         # Work of the force on the cross-section, n.(psi x (psi x e)).
         work = (self._strip_force * (turns @ turns @ frame[..., 2:])[..., 0]).sum(1)
         twist = softness * (strips.compliance * torque**2).sum(2)
@@ -289,7 +326,7 @@ class Linearised(ArmChange):
 
 @lru_cache(maxsize=8)
 def mode_of(arm: LinearisedArm, margin: float, one_of_two: bool) -> tuple[Response, float] | None:
-    """See `LinearisedArm.mode`."""
+    """Buckling mode of an arm, kept for further directions; see `LinearisedArm.mode`."""
     return arm.mode(margin, one_of_two=one_of_two)
 
 
@@ -315,8 +352,10 @@ def linearise(
 
 @lru_cache(maxsize=64)
 def sharing(carriages: tuple[tuple[int, ...], ...], wrt: tuple[str, ...]) -> Array | None:
-    """(L, L) directions in which tubes of a carriage move together, equal parts of the motion each; None where every
-    tube has a carriage of its own. The chain rule holds for every motion that is possible."""
+    """Directions (L, L) in which tubes of a carriage move together, with equal parts of its motion.
+
+    None where every tube has a carriage of its own. The chain rule holds for every possible motion.
+    """
     if "translations" not in wrt or all(len(tubes) == 1 for tubes in carriages):
         return None
     n = sum(len(tubes) for tubes in carriages)
@@ -330,20 +369,24 @@ def sharing(carriages: tuple[tuple[int, ...], ...], wrt: tuple[str, ...]) -> Arr
 
 @lru_cache(maxsize=8)
 def standing_of(equilibrium: Equilibrium, straight: bool = True) -> LinearisedArm:
-    """The arm of an equilibrium of concentric tubes, on the mesh on which it was solved; `straight` as there. Raises
-    InputError where friction acts on it, and SolveError where it was not solved."""
+    """Arm of an equilibrium of concentric tubes, on the mesh on which it was solved; `straight` as in `ArmState`.
+
+    Raises:
+        InputError: friction acts on it.
+        SolveError: it was not solved.
+    """
     refuse_friction(equilibrium)
     robot, shift = equilibrium.robot, tuple(equilibrium.translations.tolist())
     if equilibrium.load is None:
-        problem, burden = reduced_problem(robot, shift, discretisation_of(equilibrium)), None
+        problem, loaded = reduced_problem(robot, shift, discretisation_of(equilibrium)), None
     else:
-        burden = loaded_problem(robot, shift, equilibrium.load, discretisation_of(equilibrium))
-        problem = burden.torsion
+        loaded = loaded_problem(robot, shift, equilibrium.load, discretisation_of(equilibrium))
+        problem = loaded.torsion
     solved = sample_rotation(equilibrium, problem.arc_length)
-    arm = LinearisedArm(problem, equilibrium.rotations, solved, equilibrium.arm, loaded=burden, straight=straight)
-    # From the moments the rotations follow anew: a state that was not solved gives others.
-    unlike = arm.phi[arm.mesh.collocated].ravel() - solved.ravel()
-    off = float(np.abs(unlike[problem.flat]).max(initial=0.0))
+    arm = LinearisedArm(problem, equilibrium.rotations, solved, equilibrium.arm, loaded=loaded, straight=straight)
+    # Rotations follow from the torques: those of a state that was not solved differ.
+    residual = arm.phi[arm.mesh.collocated].ravel() - solved.ravel()
+    off = float(np.abs(residual[problem.flat]).max(initial=0.0))
     if off > SOLVED:
         raise SolveError(f"the equilibrium is a fold or was not solved: its rotations are off by {off:.1e} rad")
     return arm
@@ -353,7 +396,7 @@ def standing_of(equilibrium: Equilibrium, straight: bool = True) -> LinearisedAr
 
 
 def place_at(of: Linearised, fraction: float) -> Array:
-    """(3,) position at a fraction of the arm's length in front of the plate, m."""
+    """Position (3,) at a fraction of the arm's length in front of the plate, m."""
     table = of.shape.position
     if len(of.cuts) < 2:
         return np.asarray(table[-1])
@@ -362,7 +405,7 @@ def place_at(of: Linearised, fraction: float) -> Array:
 
 
 def position_at(of: Linearised, fraction: float) -> tuple[Array, Array]:
-    """(3,) position at a fraction of the arm's length in front of the plate, m, and its change (3, Q)."""
+    """Position (3,) at a fraction of the arm's length in front of the plate, m, and its change (3, Q)."""
     table = of.shape.position
     change = of.position.copy()
     if len(of.cuts) < 2:
@@ -376,7 +419,7 @@ def position_at(of: Linearised, fraction: float) -> tuple[Array, Array]:
 
 
 def curvature_at(of: Linearised, fraction: float) -> tuple[Array, Array]:
-    """(2,) curvature in the Bishop frame at a fraction of the arm's length, 1/m, and its change (2, Q)."""
+    """Curvature (2,) in the Bishop frame at a fraction of the arm's length, 1/m, and its change (2, Q)."""
     if len(of.cuts) < 2:
         return np.zeros(2), np.zeros((2, of.size))
     k, x = _place(of, fraction)
@@ -395,12 +438,21 @@ def _place(of: Linearised, fraction: float) -> tuple[int, float]:
     return int(k), float(x)
 
 
-def _weights(of: Linearised, fraction: float) -> tuple[int, Array, Array]:
-    """Piece at a fraction of the length, and weights (5,) of its shape points for value and derivative per m.
+class _ShapeWeights(NamedTuple):
+    """Weights of the polynomial through the shape points of a piece."""
 
-    They are those of the polynomial through the points.
-    """
+    piece: int
+    """Number of the piece."""
+    value: Array
+    """Weights (5,) of the value."""
+    rate: Array
+    """Weights (5,) of the derivative, 1/m."""
+
+
+def _weights(of: Linearised, fraction: float) -> _ShapeWeights:
+    """Weights of the shape points at a fraction of the length."""
     k, x = _place(of, fraction)
     powers = np.arange(len(ENDS))
     rates = powers * np.power(x, np.maximum(powers - 1, 0))
-    return k, np.power(x, powers) @ THROUGH_ENDS, rates @ THROUGH_ENDS / (of.cuts[k + 1] - of.cuts[k])
+    step = of.cuts[k + 1] - of.cuts[k]
+    return _ShapeWeights(k, np.power(x, powers) @ THROUGH_ENDS, rates @ THROUGH_ENDS / step)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..block.transcription.loaded import LoadedProblem, evaluate
 from ..block.transcription.mesh import section_needs
-from ..equilibrium.jacobian import STEP, Side, sides_of
+from ..equilibrium.jacobian import STEP, Posed, difference_of
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.problem import LOADED_DISCRETISATION, loaded_problem
 from ..equilibrium.result import Equilibrium
@@ -132,7 +132,7 @@ def stroke_slopes(
     tip_turns = first.jacobian(wrt=wrt).rotation
     slopes = []
     for k, (name, tube) in enumerate((name, i) for name in wrt for i in range(len(first.rotations))):
-        step, robots = sides_of(first, name, tube)
+        step, robots = difference_of(first, name, tube)
         try:
             sides = _pushed(robots, loss.t, force, step * np.cross(tip_turns[:, k], force))
         except InputError:  # the arm does not exist on one side
@@ -144,7 +144,7 @@ def stroke_slopes(
             )
         slopes.append(-_rate(loss, sides, step) / rate_by_force)
     for parameter in varied:
-        robots = [(robot, first.rotations, tuple(first.translations.tolist())) for robot in parameter.robots]
+        robots = [Posed(robot, first.rotations, tuple(first.translations.tolist())) for robot in parameter.robots]
         sides = _pushed(robots, loss.t, force, parameter.step * np.cross(parameter.turn, force))
         slopes.append(-_rate(loss, sides, parameter.step) / rate_by_force)
     return value, np.array(slopes)
@@ -159,7 +159,7 @@ class _Side(NamedTuple):
     """Factor on the load."""
 
 
-def _pushed(robots: Sequence[Side], factor: float, force: Array, change: Array) -> list[_Side]:
+def _pushed(robots: Sequence[Posed], factor: float, force: Array, change: Array) -> list[_Side]:
     """Problems at plus and minus one step, under a force that changes with the step.
 
     Raises:

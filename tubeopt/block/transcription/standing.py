@@ -399,18 +399,18 @@ class ArmState:
         """Derivatives of cross-sections by phase, kb and m."""
         n, points = self.n, (self.pieces, self.degree)
         by_data, by_phase = data_slopes_of(self.section_inputs, self.offsets), self.at.slopes[..., :n]
-        torque = np.concatenate([by_phase[:, :n], by_data.torque], axis=2).reshape(*points, n, -1)
-        curvature = np.concatenate([by_phase[:, n:], by_data.curvature], axis=2).reshape(*points, 2, -1)
+        torque = np.concatenate([by_phase[:, :n], by_data.torque], axis=2).reshape(*points, n, 3 * n)
+        curvature = np.concatenate([by_phase[:, n:], by_data.curvature], axis=2).reshape(*points, 2, 3 * n)
         if self.twist_slopes is None:
             return DataSlopes(torque, curvature, None)
         assert by_data.stretch is not None
-        twist = (self.compliance * self.torque)[..., None] * by_data.stretch.reshape(*points, n, -1)
+        twist = (self.compliance * self.torque)[..., None] * by_data.stretch.reshape(*points, n, 2 * n)
         return DataSlopes(torque, curvature, np.concatenate([self.twist_slopes, twist], axis=3))
 
     @cached_property
     def energy_slopes(self) -> Array:
         """Derivative (P, K, 3 n + 2) of the elastic energy per length by theta, kb, m and b at fixed torques."""
-        out = energy_of(self.section_inputs, self.offsets).slopes.reshape(self.pieces, self.degree, -1)
+        out = energy_of(self.section_inputs, self.offsets).slopes.reshape(self.pieces, self.degree, 3 * self.n + 2)
         if self.twist_slopes is not None:
             # Torsion has the energy t phi' / 2, and phi' depends on theta, kb and m through g.
             rotation_rate = self.data_slopes.rotation_rate
