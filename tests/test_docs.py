@@ -34,7 +34,7 @@ def test_the_reference_shows_the_marks_of_a_field() -> None:
     extensions = griffe.load_extensions(str(ROOT / ".ci" / "field_marks.py"))
     jump = griffe.load("tubeopt.stability.load_limit", extensions=extensions)["LoadLimit.tip_jump"]
     assert str(jump.annotation) == "float"
-    assert jump.docstring.value.startswith("Distance that the tip jumps, m. At the load")
+    assert jump.docstring.value.startswith("Distance that the tip jumps, m. Distance at the load")
 
 
 def test_robot_files_of_the_page_load(tmp_path: Path) -> None:

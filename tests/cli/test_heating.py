@@ -105,7 +105,7 @@ def test_refused_value_is_reported_by_flag_and_unit(run: Run, flags: tuple[str, 
 
 def test_robot_file_in_place_of_rig_is_reported(run: Run) -> None:
     (line,) = refused(run("heat", "plan", ROBOT))
-    assert line.endswith("kind is 'eccentric'; it must be rig; this is a robot file, and a rig file is wanted")
+    assert line.endswith("kind is 'eccentric'; it must be rig; this is a robot file, and a rig file is required")
 
 
 @pytest.mark.parametrize(

@@ -150,8 +150,8 @@ def test_the_guard_makes_no_step_towards_a_body() -> None:
     asked = np.zeros(len(guard.here.q))
     asked[0] = 2 * DEG
     for _ in range(12):
-        free.go(asked, Why(0))
-        _, why = guard.go(asked, Why(0))
+        free.go(asked, Why(0), 1e-3)
+        _, why = guard.go(asked, Why(0), 1e-3)
     assert Why.HELD in why
     radius = 1e-3 + THESIS.tubes[0].outer_diameter / 2
     gap = np.linalg.norm(guard.here.tip - there) - radius
@@ -166,7 +166,7 @@ def test_the_guard_keeps_the_floor_of_the_margin() -> None:
     asked = np.zeros(len(guard.here.q))
     asked[0] = 4 * DEG
     for _ in range(60):
-        _, why = guard.go(asked, Why(0))
+        _, why = guard.go(asked, Why(0), 1e-3)
     assert Why.HELD in why
     assert floor <= guard.here.margin < floor + 0.05
 

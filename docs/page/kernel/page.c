@@ -70,6 +70,7 @@ ASKED(servo) int servo(void) {
     tubeopt_pose pose;
     tubeopt_report report = {0};
     memcpy(&command, INPUT, sizeof command);
+    command.turn_acceleration = command.shift_acceleration = 0; /* a page has no drives */
     int status = pose_out(tubeopt_servo(arm, &command, &pose, &report), &pose);
     double *more = OUTPUT + sizeof pose / sizeof(double);
     more[0] = report.distance;

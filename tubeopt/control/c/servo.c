@@ -318,7 +318,7 @@ static tubeopt_status servo_step(tubeopt_memory *m, tubeopt_memory *robot, const
 /* The robot follows its stop point s, where it would rest if it braked from now on: s = q + v |v| / (2 a). The step above is one
    of s, within what a changes v by in a cycle; then v = sgn(d) (sqrt((a T)^2 + 2 a |d|) - a T), d = s - q, ends in s again. So the
    robot can always brake before what s keeps clear of: ranges, order, and the floor of the margin. */
-static tubeopt_status servo(tubeopt_memory *m, const tubeopt_command *c, const tubeopt_joints *goal, Bodies *bodies, tubeopt_pose *pose,
+static tubeopt_status servo_towards(tubeopt_memory *m, const tubeopt_command *c, const tubeopt_joints *goal, Bodies *bodies, tubeopt_pose *pose,
                             tubeopt_report *report) {
     tubeopt_memory *stop = m;
     tubeopt_joints next;
@@ -362,14 +362,14 @@ static tubeopt_status servo(tubeopt_memory *m, const tubeopt_command *c, const t
 
 tubeopt_status tubeopt_servo(tubeopt_memory *m, const tubeopt_command *c, tubeopt_pose *pose, tubeopt_report *report) {
     Bodies none = {0};
-    return servo(m, c, NULL, &none, pose, report);
+    return servo_towards(m, c, NULL, &none, pose, report);
 }
 
 tubeopt_status tubeopt_servo_joints(tubeopt_memory *m, const tubeopt_command *c, const tubeopt_joints *goal, tubeopt_pose *pose,
                                     tubeopt_report *report) {
     Bodies none = {0};
     tubeopt_status not_taken = refused(goal);
-    return not_taken ? not_taken : servo(m, c, goal, &none, pose, report);
+    return not_taken ? not_taken : servo_towards(m, c, goal, &none, pose, report);
 }
 
 #if TUBEOPT_BODIES
@@ -387,6 +387,6 @@ tubeopt_status tubeopt_servo_among(tubeopt_memory *m, const tubeopt_command *c, 
         double all[5] = {at->arc_length, at->normal[0], at->normal[1], at->normal[2], at->distance};
         not_taken = bounded(all, 5, TUBEOPT_MOST_NUMBER);
     }
-    return not_taken ? not_taken : servo(m, c, NULL, &bodies, pose, report);
+    return not_taken ? not_taken : servo_towards(m, c, NULL, &bodies, pose, report);
 }
 #endif
