@@ -9,8 +9,13 @@ import pytest
 from scipy.optimize import minimize
 
 from tubeopt.solvers import quadratic
-from tubeopt.solvers.compiled.quadratic import MOST_VARIABLES, compiled_least_squares
-from tubeopt.solvers.quadratic import LeastSquares, by_least_distance, constrained_least_squares
+from tubeopt.solvers.quadratic import (
+    MOST_VARIABLES,
+    LeastSquares,
+    by_least_distance,
+    compiled_least_squares,
+    constrained_least_squares,
+)
 from tubeopt.typing import Array
 
 Solve = Callable[[Array, Array, Array, Array], LeastSquares | None]

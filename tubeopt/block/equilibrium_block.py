@@ -39,7 +39,7 @@ from .transcription.model import (
     order_labels,
     swapped,
 )
-from .violation import Violation, violations_of, worst
+from .transcription.program import Violation, violations_of, worst
 
 # --- From the solution of a program back to an equilibrium ------------------------------------------------------------
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..block.violation import Violation, violations_of, worst
+from ..block.transcription.program import Violation, violations_of, worst
 from ..display import Displayed
 from ..errors import InputError, instance, nearest
 from ..files.field_metadata import form

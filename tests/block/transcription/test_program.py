@@ -9,9 +9,15 @@ from tests.examples import CRL, MM, THESIS, eccentric_assembly, nested, newton
 from tubeopt import ConcentricRobot, Problem, ProblemSolution, ProblemStatus, forward_kinematics
 from tubeopt.block.transcription import arm as arms
 from tubeopt.block.transcription.mesh import make_mesh
-from tubeopt.block.transcription.program import add_torsion, structure_of, torsion_guess, torsion_numbers
+from tubeopt.block.transcription.program import (
+    add_torsion,
+    structure_of,
+    torsion_guess,
+    torsion_numbers,
+    violations_of,
+    worst,
+)
 from tubeopt.block.transcription.reduced import ReducedProblem, reduce
-from tubeopt.block.violation import violations_of, worst
 from tubeopt.equilibrium.problem import Discretisation, reduced_problem
 from tubeopt.solvers.ipopt import EQUILIBRIUM, inside_points
 from tubeopt.typing import Array
