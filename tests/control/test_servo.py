@@ -25,7 +25,7 @@ from tubeopt.control.servo import Servo
 from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.joints import joint_space
 from tubeopt.solvers.compiled.binding import kernel_of
-from tubeopt.solvers.quadratic import constrained_least_squares
+from tubeopt.solvers.compiled.quadratic import constrained_least_squares
 
 SEED = ([0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
 DT = 1e-3

@@ -13,7 +13,7 @@ from tests.examples import THESIS
 from tubeopt import IkSession, Load, assess_snapping, find_load_limit, forward_kinematics, stability_map, worst_margin
 from tubeopt.inverse import gauss_newton
 from tubeopt.solvers.blas import _libraries, small
-from tubeopt.solvers.quadratic import LeastSquares
+from tubeopt.solvers.compiled.quadratic import LeastSquares
 
 
 def counts() -> set[int]:

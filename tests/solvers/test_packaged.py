@@ -17,8 +17,8 @@ from tubeopt.solvers.compiled import binding, packaged, wheel
 from tubeopt.solvers.compiled import library as building
 from tubeopt.solvers.compiled.heating import heating_source
 from tubeopt.solvers.compiled.loaded import loaded_source
+from tubeopt.solvers.compiled.quadratic import quadratic_source
 from tubeopt.solvers.compiled.rubbing import rubbing_source
-from tubeopt.solvers.quadratic import quadratic_source
 
 CONCENTRIC = (3, "concentric")
 

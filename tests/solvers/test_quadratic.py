@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize
 
 from tubeopt.solvers import quadratic
-from tubeopt.solvers.quadratic import (
+from tubeopt.solvers.compiled.quadratic import (
     MOST_VARIABLES,
     LeastSquares,
     by_least_distance,

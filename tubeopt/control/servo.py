@@ -24,7 +24,7 @@ from ..inverse.posture import Posture, start_posture
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.blas import small
-from ..solvers.quadratic import constrained_least_squares
+from ..solvers.compiled.quadratic import constrained_least_squares
 from ..typing import Array, Index
 from .command import Command, ServoOptions, ServoStep, Why, at_most, check_places, time_step
 

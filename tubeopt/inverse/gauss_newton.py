@@ -22,7 +22,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ..solvers.quadratic import LeastSquares, constrained_least_squares
+from ..solvers.compiled.quadratic import LeastSquares, constrained_least_squares
 from ..typing import Array, Index
 from .breakpoint_order import SHORT_SECTION, Order, breakpoint_order, crossings
 from .goal import Goal

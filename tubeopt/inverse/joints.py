@@ -16,7 +16,7 @@ from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.limits import JointLimits, check_turn
 from ..robots.order import Demand, carriage_name, demands, in_order, translation_ranges
 from ..robots.robot import Robot
-from ..solvers.quadratic import constrained_least_squares
+from ..solvers.compiled.quadratic import constrained_least_squares
 from ..solvers.sampling import sobol
 from ..typing import Array, Mask
 

@@ -36,7 +36,7 @@ from ..inverse.posture import start_at
 from ..robots.limits import check_target
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.quadratic import constrained_least_squares
+from ..solvers.compiled.quadratic import constrained_least_squares
 from ..stability.equilibria import find_equilibria
 from ..typing import Array
 from .question import PlanTask

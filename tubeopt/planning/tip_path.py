@@ -29,7 +29,7 @@ from ..robots.limits import JointLimits, check_target
 from ..robots.order import last_tube
 from ..robots.robot import Robot
 from ..solvers.blas import small
-from ..solvers.quadratic import constrained_least_squares
+from ..solvers.compiled.quadratic import constrained_least_squares
 from ..typing import Array
 from .goals import (
     check_goal,

@@ -10,11 +10,11 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from ..quadratic import quadratic_source
 from .heating import heating_source
 from .library import MOST_TUBES, cache_path, compile_to, compiler, source
 from .loaded import loaded_source
 from .packaged import Generation, Kind, generations, processor_features
+from .quadratic import quadratic_source
 from .rubbing import rubbing_source
 
 

@@ -1,6 +1,6 @@
 """Least squares with linear inequalities, small and dense: the quadratic program behind every constrained step.
 
-The compiled kernel solves it by the dual method of Goldfarb and Idnani (`compiled/quadratic.c`), which the C library of
+The compiled kernel solves it by the dual method of Goldfarb and Idnani (`quadratic.c`), which the C library of
 a servo includes too. Without a kernel, and for more variables than it has room for, it is a problem of least distance
 for SciPy's non-negative least squares.
 """
@@ -18,9 +18,9 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from ..typing import Array, Index
-from .compiled.library import MOST_TUBES, kernel_path, open_library
-from .compiled.text import c_text
+from ...typing import Array, Index
+from .library import MOST_TUBES, kernel_path, open_library
+from .text import c_text
 
 MOST_VARIABLES = 4 * MOST_TUBES
 """Largest number of variables, twice the joints of the largest robot with a kernel; SciPy solves larger problems."""
