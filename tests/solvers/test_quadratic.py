@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from tubeopt.solvers import quadratic
+from tubeopt.solvers.compiled import quadratic
 from tubeopt.solvers.compiled.quadratic import (
     MOST_VARIABLES,
     LeastSquares,
