@@ -64,7 +64,7 @@ def measure(rigs: int, seed: int) -> list[Pair]:
     rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=BOARDS["uno"].frequencies[0]))
     plan = plan_heating(rig.tube, rig, HeatingSpec(objective="margin"))
     led = design_feedback(plan, Thermocouple(), samples=20)
-    fleet = Uncertainty.of_a_workshop().ensemble(plan.tube, plan.rig, rigs - 1, seed=seed).model
+    fleet = Uncertainty.of_a_workshop().ensemble(plan.tube, plan.rig, rigs - 1, seed=seed)
     tables, model, found = schedules(plan, led), fleet.model, []
     with tempfile.TemporaryDirectory() as directory:
         write_sketch(plan, led, Wiring(), Path(directory), host=True)

@@ -135,14 +135,19 @@ def test_objective_is_that_of_the_built_in_schedule(name: str) -> None:
     assert solution.value(block.hold_start) == pytest.approx(ideal.heating, abs=1e-3)
 
 
-def test_problem_names_what_is_violated() -> None:
+def test_problem_solves_a_block_and_names_its_violations() -> None:
     problem = tubeopt.Problem("rig")
     block = HeatingBlock(problem, thesis_rig(), tube=TUBE, spec=SPEC, heating_time=40.0)
     block.keep_limits()
-    problem.subject_to("cold clamp", 299.0 - block.clamp_temperature)
     problem.minimize(block.objective("energy"))
-    with pytest.raises(tubeopt.SolveError, match=r"cold clamp"):
-        problem.solve(tubeopt.Ipopt(tolerance=1e-6, iterations=40, expand=True))
+    settings = tubeopt.Ipopt(tolerance=1e-6, iterations=150, expand=True)
+    solution = problem.solve(settings)
+    assert float(solution.value(block.hold_temperatures).min()) >= 500 + ZERO_CELSIUS - 1e-3
+    problem.subject_to("cold clamp", 299.0 - block.clamp_temperature)
+    with pytest.raises(tubeopt.SolveError, match=r"heating: |cold clamp") as failure:
+        problem.solve(replace(settings, iterations=20))
+    names = {each.name.split(",")[0].split(":")[0] for each in failure.value.solution.violations}
+    assert names <= {"heating", "cold clamp"}
 
 
 def test_plan_of_a_block_is_simulated() -> None:
