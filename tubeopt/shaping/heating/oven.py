@@ -44,9 +44,9 @@ from ...files.field_metadata import (
 from ...robots.file import TubeEntry, tube_to_dict
 from ...robots.tubes import Tube
 from ...typing import Array, StatusEnum
-from .plan import AGEING_DEGC, AIR, QUENCHED_DEGC, SHORTEST_AGEING, WATER
-from .rig import HOT, MoldBed, air_conductivity, gap_conductance
-from .thermal import SURFACE_TRANSFER, GrooveAir, thermal_data, uniform_gap
+from .plan import AGEING_DEGC, AIR, QUENCHED_DEGC, SHORTEST_AGEING, WATER, cooling_rate
+from .rig import MoldBed, Rig
+from .thermal import SURFACE_TRANSFER, gap_transfer, thermal_data
 
 METHODS = ("oven", "furnace", "salt_bath")
 QUENCHES = ("water", "water_in_mold", "air")
@@ -385,15 +385,8 @@ def mold_length(oven: Oven, tube: Tube) -> float:
 
 def tube_lag(tube: Tube, oven: Oven) -> float:
     """Time constant, s, with which the tube follows the wall of its groove through the air between."""
-    data, bed = thermal_data(tube), oven.mold
-    side = tube.outer_diameter + 2 * bed.play
-    ratio = bed.material.conductivity / air_conductivity(oven.ambient + 0.5 * HOT)
-    gap = (
-        uniform_gap(tube.outer_diameter, GrooveAir.tube_on_floor_and_wall(tube.outer_diameter, side, side), ratio)
-        if bed.gap is None
-        else bed.gap
-    )
-    per_length = gap_conductance(gap, oven.ambient) * math.pi * tube.outer_diameter
+    data, groove = thermal_data(tube), Rig(mold=oven.mold, ambient=oven.ambient)
+    per_length = gap_transfer(tube, groove) * math.pi * tube.outer_diameter
     return data.density * data.heat_capacity * tube.cross_section / per_length
 
 
@@ -581,13 +574,10 @@ def cool(block: MoldBlock, oven: Oven, tube: Tube, state: Array) -> Cooling:
     moved = states[-1][-1]
     begin = float(times[-1][-1])
     if oven.quench == "water":
-        # Out of the mold the tube is a lump of metal in water: T - T_water falls as exp(-t / tau).
-        data, wall = thermal_data(tube), (tube.outer_diameter**2 - tube.inner_diameter**2) / (4 * tube.outer_diameter)
-        tau = data.density * data.heat_capacity * wall / WATER
-        hottest = float(moved[cells:].max())
-        last = 0.0 if hottest <= goal else tau * math.log((hottest - oven.ambient) / (goal - oven.ambient))
+        rate, hottest = cooling_rate(tube, WATER), float(moved[cells:].max())
+        last = 0.0 if hottest <= goal else math.log((hottest - oven.ambient) / (goal - oven.ambient)) / rate
         time = np.linspace(0.0, max(last, 1e-3), 50)[1:]
-        points = oven.ambient + (moved[cells:] - oven.ambient) * np.exp(-time[:, None] / tau)
+        points = oven.ambient + (moved[cells:] - oven.ambient) * np.exp(-rate * time[:, None])
         course = np.concatenate([np.tile(moved[:cells], (len(time), 1)), points], axis=1)
         surroundings = oven.ambient
     else:

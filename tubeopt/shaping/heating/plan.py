@@ -321,12 +321,20 @@ def _mirrored(half: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate([half, half[..., ::-1]], axis=-1)
 
 
+def cooling_rate(tube: Tube, transfer: float) -> float:
+    """Rate (1/s) at which a tube out of the mold approaches the medium around it, as a lump of metal.
+
+    Args:
+        transfer: heat transfer coefficient, W/(m^2 K).
+    """
+    data = thermal_data(tube)
+    wall = (tube.outer_diameter**2 - tube.inner_diameter**2) / (4 * tube.outer_diameter)
+    return transfer / (data.density * data.heat_capacity * wall)
+
+
 def quench_time(tube: Tube, spec: HeatingSpec, T_hot: float) -> float:
     """Time (s) in which the hottest point cools from T_hot (K) to 100 degC out of the mold, as a lump of metal."""
-    data = thermal_data(tube)
-    h = WATER if spec.quench == "water" else AIR
-    wall = (tube.outer_diameter**2 - tube.inner_diameter**2) / (4 * tube.outer_diameter)
-    rate = h / (data.density * data.heat_capacity * wall)
+    rate = cooling_rate(tube, WATER if spec.quench == "water" else AIR)
     T_medium, T_cold = 20.0 + ZERO_CELSIUS, QUENCHED_DEGC + ZERO_CELSIUS
     return 0.0 if T_hot <= T_cold else max(0.0, math.log((T_hot - T_medium) / (T_cold - T_medium)) / rate)
 
