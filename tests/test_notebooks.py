@@ -15,7 +15,7 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 SMALL = """
 from tubeopt.show.plots import figure, layout
 figure.SCREEN_DPI, layout.MAX_PASSES = 30, 1
-del figure, style
+del figure, layout
 """
 """What is compared is text: pictures are small, and laid out once."""
 

@@ -102,9 +102,9 @@ def test_without_a_compiler_the_kernel_of_the_package_answers(
     kernel = building.library.__wrapped__(2, False)
     assert kernel is not None
     assert kernel.path.parent == tmp_path
-    monkeypatch.setattr(
-        binding, "with_kernel", lambda robot, n: (kernel, own := binding._tubes(robot, n), binding.address(own[0]))
-    )
+    tubes = binding._tubes(TWO_TUBE, 0)
+    prepared = binding.Prepared(kernel, tubes, binding.address(tubes[0]))
+    monkeypatch.setattr(binding, "with_kernel", lambda robot, n: prepared)
     answer = binding.solve_compiled(TWO_TUBE, np.array([0.0, 1.0]), TWO_TUBE.home_translations)
     assert answer is not None
     assert answer.solution.arm.position[-1] == pytest.approx(expected.tip_position, abs=1e-12)
