@@ -32,7 +32,7 @@ class Check(NamedTuple):
     expected: str
     """Description of allowed values, as "a number"."""
     late: bool = False
-    """True for lists, whose check takes long."""
+    """True for lists: their check takes long."""
 
 
 def typed(target: T) -> T:

@@ -18,7 +18,7 @@ MAX_LENGTH = 160
 """Approximate length of a line; further fields are omitted."""
 
 MAX_MEMBERS = 6
-"""Longest array or list whose members are shown."""
+"""Largest length of an array or list for which the members are shown."""
 
 
 class Displayed:

@@ -23,7 +23,7 @@ class ImplausibleWarning(UserWarning):
 
 
 class InputError(ValueError):
-    """Invalid input; the message has the field, its value, and what is allowed."""
+    """Error for invalid input; the message has the field, its value and the allowed values."""
 
 
 FAULTS = (ArithmeticError, AttributeError, LookupError, NameError, TypeError, ValueError)
@@ -47,7 +47,7 @@ class MissingExtraError(InputError):
 
 
 class SolveError(RuntimeError):
-    """No acceptable solution was found; the message has the violated conditions.
+    """Error without an acceptable solution; the message has the violated conditions.
 
     ``solution`` is the best solution found, or None.
     """

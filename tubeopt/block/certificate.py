@@ -256,7 +256,7 @@ def _tighter_pairs(model: Model, force: float) -> tuple[float, float]:
 
 
 def eigenpair(model: Model, force: float, pairs: tuple[float, float]) -> tuple[float, Array]:
-    """Eigenvalue of an arm in numbers, and its states (2 n + 2, P + 1) where pieces begin and at the tip."""
+    """Eigenvalue of an arm in numbers, and its states (2 n + 2, P + 1) at the starts of pieces and at the tip."""
     sections, tubes = _sections_and_tubes(model)
     value, tip = largest_eigenvalue(force, sections, tubes, pairs)
     crossing, n = crossing_function(len(tubes[0]), 1, *ONCE), len(tubes[0])

@@ -146,7 +146,7 @@ class ComposedBlock(Generic[N]):
         self._add_equations()
 
     def _set_up(self, load: Load | None) -> None:
-        """Set what does not depend on the sections of the arm."""
+        """Set all quantities that are independent of the sections of the arm."""
         self._bundle = assembly_at(self.robot, self.robot.assembly(self.initial.translations), self._inputs.start)
         self.chain, self.load = self._inputs.chain, load
         modelled = block_load(self.initial, self._bundle, load)

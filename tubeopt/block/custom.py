@@ -1,4 +1,4 @@
-"""Custom requirements and objectives: written outside of the library, and treated like the built-in ones."""
+"""Custom requirements and objectives, defined by the user and treated like the built-in ones."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Custom(ABC):
     words: str = ""
     """Description of the quantity, for messages and tables."""
     unit: str = ""
-    """Unit in which it is shown."""
+    """Unit of the displayed value."""
     factor: float = 1.0
     """Factor from SI to that unit."""
 
@@ -51,7 +51,7 @@ class CustomRequirement(Custom):
     """
 
     limit: float = 0.0
-    """Number with which the expression compares its quantity, SI; a field of the dataclass if it may be relaxed."""
+    """Bound on the quantity in SI, compared by the expression; a field of the dataclass if it may be relaxed."""
     is_upper_bound: bool = False
     """True if relaxing the requirement increases `limit`."""
     size: float = 1.0

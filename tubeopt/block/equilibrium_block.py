@@ -244,7 +244,7 @@ class OrderWarning(UserWarning):
 
 @typed
 class EquilibriumBlock(ComposedBlock[N]):
-    """One equilibrium of a robot in a nonlinear program.
+    """Equilibrium of a robot in a nonlinear program.
 
     Args:
         opti: a `casadi.Opti` or a `tubeopt.Problem`; receives the unknowns and equations.

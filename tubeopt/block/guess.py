@@ -29,7 +29,7 @@ class InitialEquilibrium(Protocol):
 
     @property
     def robot(self) -> Robot:
-        """Robot at whose joint values the equilibrium holds."""
+        """Robot of the equilibrium."""
 
     @property
     def rotations(self) -> Array:
@@ -60,7 +60,7 @@ class InitialEquilibrium(Protocol):
         """Stability margin."""
 
     def collocated(self) -> tuple[ReducedProblem, Profile]:
-        """Collocated problem of which this is a solution, and the torsion along the arm."""
+        """Collocated problem, and the torsion along the arm that solves it."""
 
     def at(
         self,
@@ -88,7 +88,7 @@ N = TypeVar("N", bound=InitialEquilibrium)
 
 
 class StartValues(NamedTuple):
-    """Torsion and bending of an arm on P pieces with K points, at which a solve starts."""
+    """Start values of a solve: torsion and bending of an arm on P pieces with K points."""
 
     rotation: Array
     """theta (n, P) where pieces begin, rad."""

@@ -30,7 +30,7 @@ class BlockInputs:
     values: dict[str, Any]
     """Expressions or numbers."""
     start: dict[str, Array]
-    """Numbers at which a solve starts."""
+    """Start values of a solve, by name."""
     chain: Chain | None
     """Panels of tubes made of pieces, else None."""
 

@@ -50,7 +50,7 @@ SIZES = {
 
 
 PoseNumber = int | tuple[int, float]
-"""Pose by its number from 0, or with the fraction of its length to which its arm is retracted."""
+"""Number of a pose from 0, or a pair of this number and the fraction of its length that the retracted arm has."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,11 @@ class Quantity:
     pose: PoseNumber | None = None
     """Pose of the quantity; None for tubes and certificates."""
     at: tuple[Any, ...] = ()
-    """Arguments: fraction of the arm, translations (n,) of a certificate, tube of a strain (and piece if it is
-    straightened), body of a clearance, load of a deflection."""
+    """Arguments of the quantity, by its kind.
+
+    Fraction of the arm; translations (n,) of a certificate; tube of a strain, and piece if it is straightened; body of
+    a clearance; load of a deflection.
+    """
 
     def size(self, n: int) -> int:
         """Number of entries for n tubes."""

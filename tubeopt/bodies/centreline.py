@@ -94,7 +94,7 @@ def centreline(field: DistanceField, start: ArrayLike, end: ArrayLike, *, spacin
 
 
 def _steps(free: Mask, number: Index, distance: Array, spacing: Array) -> scipy.sparse.csr_array:
-    """Costs of the steps between free nodes and their 26 neighbours; `distance` is that of the nodes from the wall."""
+    """Costs of the steps between free nodes and their 26 neighbours; `distance` from each node to the wall."""
     rows, columns, costs = [], [], []
     for offset in np.ndindex(3, 3, 3):
         shift = np.array(offset) - 1

@@ -40,7 +40,7 @@ AROUND = 0.25
 
 @dataclass(frozen=True)
 class Corridor(Displayed):
-    """Vessel in which the arm must stay: the outside of a tube of `radius` around a polyline.
+    """Vessel that the arm must stay in: the outside of a tube of `radius` around a polyline.
 
     Radii at the points are interpolated linearly, and the vessel is the union of the balls. Half balls close both ends:
     the centreline should start behind the base plate and continue beyond the target. Inside, the distance is the

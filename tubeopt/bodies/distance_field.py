@@ -41,7 +41,7 @@ CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 
 
 class Source(Protocol):
-    """Body from which a table was computed."""
+    """Source body of a table of distances."""
 
     def gradient(self, points: Array) -> Array:
         """Gradients (N, 3) of the distance at points (N, 3), m from the first node in the axes of the lattice."""
@@ -56,14 +56,14 @@ class DistanceField:
     spacing: Array
     """Spacing of the nodes along the axes of the lattice (3,), m."""
     frame: Frame = field(default_factory=Frame, repr=False)
-    """Frame of the lattice in that of the plate; its origin is the first node."""
+    """Frame of the lattice in the frame of the plate; its origin is the first node."""
     node_error: float = 0.0
     """Largest error of the values, m; they are never too large."""
     bounded: bool = False
     """True if the body lies within the lattice; else it continues beyond."""
     name: str = "anatomy"
     source: Source | None = field(default=None, repr=False)
-    """Source of exact gradients; None if there is only the table."""
+    """Source of exact gradients; None for a table alone."""
     stands_for: str = ""
     """Reference of the distance for points or an open surface, as text; empty for a solid."""
 

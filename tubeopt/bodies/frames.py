@@ -108,7 +108,7 @@ def base_frame(position: ArrayLike, direction: ArrayLike, roll: float = 0.0) -> 
 
 
 def roll_of(frame: Frame) -> float:
-    """Roll, rad, with which `base_frame` returns a frame for its origin and its z."""
+    """Roll, rad, that makes `base_frame` return a frame for its origin and its z."""
     plain = base_frame(frame.origin, frame.axes[:, 2]).axes
     return float(np.arctan2(plain[:, 1] @ frame.axes[:, 0], plain[:, 0] @ frame.axes[:, 0]))
 
@@ -232,7 +232,7 @@ class RegistrationError:
     mirrored: float | None = None
     """RMS distance to the best mirror image, m, if that is clearly smaller; otherwise None."""
     doubtful: float = 1.0
-    """Factor by which the standard errors may be larger (95 %), since few residuals determine them."""
+    """Largest factor (95 %) on the standard errors: few residuals determine them."""
 
     @property
     def too_large(self) -> bool:

@@ -139,7 +139,7 @@ class Scene:
     bodies: tuple[Any, ...]
 
     def pairs(self, points: Array, reach: float | Array) -> tuple[Index, Index]:
-        """Numbers of bodies and rows of points (N, 3) that are closer than `reach`, one number or (N,); maybe others.
+        """Indices of bodies and of points (N, 3) closer than `reach`, one number or (N,); possibly with others.
 
         No pair within the distance is missing.
         """
@@ -525,7 +525,7 @@ class Sphere(TwoBallHull):
     CALLED = "sphere"
 
     ROUND = True
-    """True if the ball that covers the body is the body."""
+    """True if the ball that covers the body is the body itself."""
 
     def ends(self) -> Ends:
         """Two equal balls."""

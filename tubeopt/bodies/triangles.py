@@ -63,7 +63,7 @@ class Sides(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """Surface with the corners (f, 3, 3) of its triangles, m, in axes whose third is along parallel rays."""
+    """Surface with the corners (f, 3, 3) of its triangles, m, in axes with the third along parallel rays."""
 
     corners: Array
 
@@ -275,7 +275,7 @@ class Triangles:
 
     @cached_property
     def _normals(self) -> Array:
-        """Unit normals (f, 3); 0 for a triangle without area, whose disc then has any orientation."""
+        """Unit normals (f, 3); 0 for a triangle without area, which may have a disc of any orientation."""
         a, b, c = (self._cut[:, k] for k in range(3))
         normal: Array = np.cross(b - a, c - a)
         return np.where(self._flat[:, None], unit_vectors(normal, np.zeros(3)), 0.0)

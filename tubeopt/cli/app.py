@@ -27,7 +27,7 @@ from .messages import INTERRUPTED, LEVELS, failure, listening, log_level, print_
 
 
 class LazyCommand(TyperCommand):
-    """Command whose function is built or imported when it runs.
+    """Command with a function that is built or imported when it runs.
 
     Args:
         name: last word of the command.

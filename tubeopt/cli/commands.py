@@ -24,9 +24,9 @@ class StudyCommand:
     arguments: Mapping[str, tuple[str, str]] | None = None
     """Keys that are arguments, in order -> (metavar, help); by default the robot file."""
     flags: Mapping[str, str] = field(default_factory=dict)
-    """Keys whose flag is not their name -> flag, or several flags separated by "/" or ","."""
+    """Keys with a flag of another name -> flag, or several flags separated by "/" or ","."""
     defaults: Mapping[str, str] = field(default_factory=dict)
-    """Keys whose default on the command line differs from that in a study, as text."""
+    """Keys with another default on the command line than in a study -> this default, as text."""
     from_file: bool = False
     """True if the study is read from a file; flags override its keys."""
     pictures: bool = True
@@ -49,7 +49,7 @@ LOG = "Log: columns time_s, duty and any of temperature_degC, voltage_V, current
 TRAJECTORY = "Trajectory: columns time_s, rotation_1_deg, ... and, if tubes translate, translation_1_mm, ..."
 
 CHARGES = "100,90,80,70,60"
-"""States of charge, percent, for which a command writes tables."""
+"""States of charge, percent, for the tables of a command."""
 
 COMMANDS: dict[str, StudyCommand | str] = {
     "fk": StudyCommand(

@@ -1,4 +1,4 @@
-"""Commands whose flags are the keys of a study.
+"""Commands with the keys of a study as their flags.
 
     @study_command(SnapStudy, example="tubeopt snap thesis_ctr --to-deg 360,0,0 --out results")
     def snap(study: SnapStudy, output: Output) -> None:
@@ -287,7 +287,7 @@ class _Keys:
         }
 
     def names_of(self, values: Mapping[str, Any]) -> dict[str, str]:
-        """Names of all keys in messages. Data in place of a file have no file name, so that the flag is used."""
+        """Names of all keys in messages; for data without a file, the flag."""
         inline = {
             key: _first(self.flags[key])
             for key, value in values.items()
@@ -440,7 +440,7 @@ FOLDERS = {
     "measurements": "experiments",
     "log": "experiments",
 }
-"""Keys whose built-in files are in a folder of another name."""
+"""Keys with built-in files in a folder of another name -> folder."""
 
 
 def words(choices: Sequence[str]) -> Completion:

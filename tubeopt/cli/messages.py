@@ -96,7 +96,7 @@ def log_level(value: str) -> str:
 
 
 def warnings() -> list[str]:
-    """Warnings of the running command so far."""
+    """Warnings of the running command up to now."""
     messages: Any = next((handler for handler in LIBRARY.handlers if isinstance(handler, Messages)), None)
     return [] if messages is None else list(messages.warnings)
 
@@ -150,7 +150,7 @@ def _usage_message(error: Any) -> str:
 
 
 def _similar_flags(flag: str, known: list[str]) -> str:
-    """Hint with flags of similar names, whatever their unit; without any, with those of the same unit."""
+    """Hint with flags of similar names, whatever their unit; otherwise with flags of the same unit."""
     units = {name: unit_of(name.strip("-").replace("-", "_")) for name in (flag, *known)}
     # --tip-mm and --tip-deg are similar: names are compared without units.
     stems = {name: name.strip("-")[: -len(unit) or None].rstrip("-") for name, unit in units.items()}
@@ -208,7 +208,7 @@ def _in_flags(line: str, flags: Mapping[str, str]) -> str:
 
 
 def _with_flag(line: str, flags: Mapping[str, str]) -> str:
-    """Put the flag into a line such as "slot is 0.03 s; ..." whose subject contains the words of one key."""
+    """Line such as "slot is 0.03 s; ..." with the flag inserted; its subject contains the words of one key."""
     subject, verb, predicate = re.match("(.*?)( is | has |$)(.*)", line).groups()  # type: ignore[union-attr]
     if not verb or ":" in subject or subject.startswith("-"):
         return line

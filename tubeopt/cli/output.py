@@ -131,7 +131,7 @@ def _saved_as(output: Output, picture: str) -> Iterator[None]:
 
 
 def present(answer: Report[Any], output: Output, *, written: Iterable[Path] = ()) -> None:
-    """Save and print an answer, and raise the error with which it ends.
+    """Save and print an answer, and raise its error for an unsuccessful status.
 
     With `plot` and without `out`, pictures are saved in the current directory. They are opened if there is a display.
     An answer that cannot be saved is still printed. Files `written` before are listed with its own.
@@ -207,7 +207,7 @@ def _print_json(answer: Report[Any], files: list[Path], ending: Exception | None
 
 
 def check_formats(output: Output, command: str) -> None:
-    """Raise InputError for a format in which a command saves nothing."""
+    """Raise InputError for a format that a command does not save."""
     if output.formats == PICTURE_FORMATS[0]:
         return
     known = formats_of(command)

@@ -52,7 +52,7 @@ class Rows:
     """Vectors (K, 3) if their lengths are limited, and their derivatives (K, 3, X). From far away least squares reach 0
     faster with the vectors than with their lengths."""
     slack: tuple[float, int] | None = None
-    """Steps by which the limit is relaxed, and the column of this slack."""
+    """Steps that relax the limit per unit of slack, and the column of this slack."""
     always: bool = False
     """True if the rows stay where their derivatives are 0."""
 
@@ -148,7 +148,7 @@ def fixed_rows(program: Program, state: State) -> tuple[Array, Array]:
 
 
 def squared(group: Rows) -> Rows:
-    """Limits on the length of a vector, as limits on its square; others as they are.
+    """Limits on the length of a vector, replaced by limits on its square; others unchanged.
 
     The square has constant curvature, and the same first order where the limit is active. Limits with slack stay."""
     if group.vector is None or group.slack is not None:
@@ -221,7 +221,7 @@ class Evaluated:
         return max(worst)
 
     def note(self) -> None:
-        """Store the design if it is the best so far, as the result in case the time limit ends the search."""
+        """Store the design if it is the best up to now, as the result in case the time limit ends the search."""
         # Feasible designs are ranked by objective, all others by violation alone.
         short, words = self.violation
         if short <= FEASIBLE:
@@ -263,7 +263,7 @@ def evaluated_at(program: Program, x: Array) -> Evaluated:
 
 
 def state_at(program: Program, x: Array) -> State:
-    """State at x, SI; poses start near the last ones solved."""
+    """State at x, SI; the solve of each pose starts at its last solution."""
     known = program.lately.state
     # Solvers ask for value and derivatives at the same x one after the other: poses are solved once.
     if known is None or not np.array_equal(known.x, x):

@@ -57,7 +57,7 @@ class Motion:
     equilibria: Sequence[Equilibrium]
     """Equilibria (W,) at these fractions."""
     snap: float | None
-    """Fraction at which the robot snaps; None if it does not."""
+    """Fraction of the path before the robot snaps; None without a snap."""
 
 
 def motions(program: Program, robot: ConcentricRobot, x: Array) -> list[Motion]:
@@ -88,7 +88,7 @@ def worst_in_box(robot: ConcentricRobot, box: Box) -> tuple[float, tuple[float, 
 
 
 def certified_at(program: Program, robot: ConcentricRobot) -> tuple[tuple[float, ...], ...]:
-    """Translations at which a design is certified: those of the program, and the worst ones of each box."""
+    """Translations of the certificates of a design: those of the program, and the worst ones of each box."""
     boxes = [each.box for each in of_kind(program.task.requirements, SnapFree) if each.box is not None]
     return tuple(dict.fromkeys([*program.layout.certified, *(worst_in_box(robot, box)[1] for box in boxes)]))
 
@@ -99,7 +99,7 @@ class WorstCases(NamedTuple):
     added: Added
     """Cases of its program, and the violated ones."""
     description: str
-    """Which cases are violated; "" if none is."""
+    """Description of the violated cases; "" without any."""
 
 
 def worst_cases(program: Program, x: Array) -> WorstCases:
@@ -134,7 +134,7 @@ def worst_cases(program: Program, x: Array) -> WorstCases:
 
 
 def _weak_points(program: Program, robot: ConcentricRobot, x: Array, min_margin: float) -> list[Via]:
-    """The worst point of each joint path on which the margin falls below `min_margin`.
+    """Worst point of each joint path with a margin below `min_margin`.
 
     The pose that this point becomes starts from the equilibrium found there.
     """
@@ -188,7 +188,7 @@ def _missed(program: Program, x: Array, box: Coverage) -> list[tuple[float, ...]
 
 
 def reachable(program: Program, x: Array, point: tuple[float, ...], tolerance: float, *, seed: int = 0) -> float:
-    """Smallest violation, in steps of the limits, with which the robot at x reaches a point.
+    """Smallest violation, in steps of the limits, of any configuration of the robot at x that reaches a point.
 
     All requirements that apply to any pose count.
     """

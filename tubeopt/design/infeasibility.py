@@ -49,7 +49,10 @@ def shown_infeasible(program: Program) -> str:
 
 
 def _dimensions(program: Program) -> Iterator[str]:
-    """Smallest violation t, in steps, of all rows a x + b + t >= 0 that are linear in the dimensions x."""
+    """Smallest violation t, in steps, of all rows that are linear in the dimensions x.
+
+    A row requires a x + b + t >= 0.
+    """
     space = program.layout.space
     rows: list[tuple[Limit, Array, float]] = []
     for statement in (each for stated in program.stated for each in stated):
@@ -195,7 +198,7 @@ class Relaxation:
 
 
 class DesignNotFoundError(SolveError):
-    """No design was found that satisfies all requirements; this is no proof that there is none.
+    """Error after a search without a design that satisfies all requirements; it is no proof of infeasibility.
 
     The message names the limits that were violated most, and limits with which a design was found.
 
@@ -209,7 +212,8 @@ class DesignNotFoundError(SolveError):
 
 
 class InfeasibleDesignError(DesignNotFoundError):
-    """No design satisfies all requirements, which is proved (`design.infeasibility`); the message has the reason."""
+    """Error after a proof (`design.infeasibility`) that no design satisfies all requirements; its message has the
+    reason."""
 
 
 def best_of(ranking: Ranking) -> Attempt:

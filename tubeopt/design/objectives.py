@@ -79,7 +79,7 @@ SLIGHT = 1e-7
 
 @dataclass(frozen=True)
 class Objective(Displayed):
-    """One objective of a design.
+    """Objective of a design.
 
     kind:
         "tip_curvature": curvature of the arm at its tip at `translations`, all tubes bending to one side; maximised.

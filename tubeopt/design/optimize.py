@@ -44,7 +44,7 @@ class DesignStatus(StatusEnum):
 
 @dataclass(frozen=True)
 class DesignStatistics:
-    """Starts, rounds in which worst cases were added, and run time in seconds."""
+    """Number of starts, number of rounds that added worst cases, and run time in seconds."""
 
     starts: int
     rounds: int
@@ -62,13 +62,13 @@ class DesignSolution(Displayed):
     robot: ConcentricRobot
     """Robot with the designed tubes."""
     certificate: Annotated[float, "lower bound on the margin at all rotations"]
-    """Smallest over the translations and the box for which the task requires a certificate, otherwise at home."""
+    """Smallest certificate over the translations and the box of the certificate requirements; at home without any."""
     equilibria: Annotated[tuple[Equilibrium, ...], key("poses"), "the task poses"]
     """Equilibria, solved again by forward kinematics, in the order of the requirements."""
     objective: float
     """Value in its own sign, SI; with several objectives their weighted sum as minimised."""
     objectives: dict[str, float]
-    """Value of each, by kind (own ones by their words), SI."""
+    """Value of each objective, by kind (custom ones by description), SI."""
     dimensions: Annotated[tuple[Dimension, ...], "free dimensions"]
     sensitivities: Annotated[tuple[Sensitivity, ...], key("binding"), "active requirements"]
     """Gain from relaxing each, the largest first."""
@@ -242,10 +242,10 @@ class _ForceDesign(NamedTuple):
     """Design that withstands the force of its task."""
 
     task: DesignTask
-    """Task with a larger certificate in place of the force."""
+    """Task that requires a larger certificate instead of the force."""
     ranking: Ranking
     check: Check
-    """Certificate under the force."""
+    """Certificate under the force, N."""
     late: bool
     """True if the time limit ended the search."""
 

@@ -285,7 +285,7 @@ def _piece_rates(
 
 
 def _compliance_change(directions: Directions, tube: int, ends: tuple[float, float], relative: Any) -> float:
-    """Change of int ds / GJ from the clamped end to the plate, for a relative change of GJ between two places."""
+    """Change of int ds / GJ from the clamped end to the plate, for a relative change of GJ between two arc lengths."""
     if not np.any(relative):
         return 0.0
     clamped = directions.assembly.transmission
@@ -361,9 +361,8 @@ class Free(Displayed):
     coefficients: int = 1
     """Number of coefficients of a shape."""
     torsion_share: float | None = None
-    """Measured ratio for slotted tubes: bending factor b gives the torsion factor 1 - torsion_share (1 - b). None
-    leaves the torsional stiffness as it is.
-    """
+    """Measured ratio for slotted tubes: bending factor b gives the torsion factor 1 - torsion_share (1 - b). With None
+    the torsional stiffness does not change."""
     slots: Slots | None = None
     """Geometry of the slots that produce a bending factor, for the strain; None takes the slots of the pieces."""
 

@@ -49,10 +49,10 @@ def _cubic(x: Array) -> tuple[Array, Array]:
 
 
 class _Segments(NamedTuple):
-    """Cubic segments between shape points, with K places on them."""
+    """Cubic segments between shape points, with K points on them."""
 
     k: Index
-    """Shape point (K,) before each place."""
+    """Index (K,) of the shape point before each point."""
     h: Array
     """Length (K,) of the segment, m."""
     x: Array
@@ -146,7 +146,7 @@ class Twist:
 
 
 class _Draft(ConcentricRobot):
-    """Robot of a trial design, whose tubes need not nest."""
+    """Robot of a trial design; its tubes need not nest."""
 
     def __post_init__(self) -> None:
         pass

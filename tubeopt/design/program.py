@@ -106,7 +106,7 @@ class Program:
     scale: Array
     """Typical changes (X,), SI."""
     elastic: bool = False
-    """True if every group of rows has a slack; the sum of slacks is minimised in place of the objective."""
+    """True if every group of rows has a slack; the sum of slacks then replaces the objective."""
     guesses: dict[PoseNumber, Twist] = field(default_factory=dict)
     lately: Lately = field(default_factory=Lately, init=False, repr=False)
 

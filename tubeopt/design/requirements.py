@@ -32,7 +32,7 @@ ALONG = (0.5, 0.75, 1.0)
 
 
 class Retracted(NamedTuple):
-    """An arm whose tubes are withdrawn so that it has a fraction of its length."""
+    """Arm with withdrawn tubes, so that it has a fraction of its length."""
 
     translations: Array
     """Translations (n,), m."""
@@ -64,7 +64,7 @@ def _rows(name: str, values: Any) -> Rows:
 
 @dataclass(frozen=True)
 class SnapFree(Displayed):
-    """No snap at any rotation: certificate mu_cert >= margin.
+    """Requirement of no snap at any rotation: certificate mu_cert >= margin.
 
     Over a box the worst case counts, found by exchange.
     """
@@ -134,13 +134,13 @@ class SnapFree(Displayed):
         return 1 - (1 - self.margin) / self.growth
 
     def eased(self, amount: float) -> SnapFree:
-        """Requirement with its floor lowered by `amount`."""
+        """Requirement with its minimum margin lowered by `amount`."""
         return replace(self, margin=1 - (1 - self.floor + amount) * self.growth)
 
 
 @dataclass(frozen=True)
 class SnapFreeInUse:
-    """No snap at every task pose and, with `paths`, on the straight paths between them."""
+    """Requirement of no snap at every task pose and, with `paths`, on the straight paths between them."""
 
     margin: Annotated[float, POSITIVE, "smallest allowed margin at poses and on paths"] = 0.05
     paths: Annotated[bool, "check the straight joint path from each pose to the next"] = True
@@ -232,7 +232,7 @@ class Stroke(Checked):
 
 @dataclass(frozen=True)
 class StrokeForce:
-    """Smallest force along the tip, N, at which the arm buckles or snaps in a task pose with given joint values."""
+    """Smallest force along the tip, N, that makes the arm buckle or snap in a task pose with given joint values."""
 
     limit: Annotated[float, key("stroke_force_mN"), POSITIVE, "smallest axial tip force that every pose must withstand"]
 
@@ -273,7 +273,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Reach:
-    """The tip reaches every target; each is a task pose whose joint values are free."""
+    """Requirement that the tip reaches every target; each is a task pose with free joint values."""
 
     targets: tuple[Target, ...]
 

@@ -1,4 +1,4 @@
-"""Design for goals without derivatives, such as the reachable share of a region, of one robot or two.
+"""Design for goals without derivatives, such as the reachable fraction of a region, for one robot or two.
 
 Simplex searches over the free dimensions (Nelder and Mead 1965) from several starts, within the requirements of a task.
 """
@@ -46,14 +46,14 @@ class _Score(Protocol):
 
     @property
     def ranges(self) -> Array:
-        """Ranges (k, 2) of further unknowns, such as the place of a base plate, SI."""
+        """Ranges (k, 2) of further unknowns, such as the position of a base plate, SI."""
 
 
 class Wanted(_Score, Protocol):
     """Goal for one robot and k further unknowns, which start at 0."""
 
     def __call__(self, robot: ConcentricRobot, own: Array) -> tuple[float, float]:
-        """Score from 0 (best) to 1, which must differ between neighbours, and the value, of which more is better.
+        """Score from 0 (best) to 1, which must differ between neighbours, and the value; larger values are better.
 
         Raises:
             InputError, SolveError: the robot cannot be evaluated. It counts as the worst.
@@ -121,7 +121,7 @@ class SearchedPair(Searched):
 
     @property
     def status(self) -> DesignStatus:
-        """Result of the final check of both robots; the status of the one that fails, if any."""
+        """Status of the final check of both robots; of the one that fails, otherwise success."""
         first, second = (solution.status for solution in self.solutions)
         return first if second is DesignStatus.KEPT else second
 
@@ -147,12 +147,12 @@ class _SimplexSearch:
     goal: Any
     progress: Progress | None = None
     until: float = 0.0
-    """Clock time at which the current search ends, s."""
+    """End of the current search on the clock, s."""
     tried: int = 0
     score: float = np.inf
     value: float = np.nan
     best: _Designs | None = None
-    """Designs with the smallest score so far."""
+    """Designs with the smallest score up to now."""
 
     @property
     def ranges(self) -> Array:

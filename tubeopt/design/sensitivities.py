@@ -149,7 +149,7 @@ def remarks(robot: ConcentricRobot, dimensions: Sequence[Dimension]) -> tuple[st
 
 
 def _without_effect(robot: ConcentricRobot) -> Iterator[str]:
-    """Remarks on tubes whose bend moves the arm at home less than the sag of the stiffest tube under its own weight.
+    """Remarks on tubes that move the arm at home less by their bend than the stiffest tube sags under its own weight.
 
     The bend has the curvature kb kappa / sum kb over the tubes at each place, the sag is w L^4 / (8 kb).
     """
@@ -171,7 +171,7 @@ def _without_effect(robot: ConcentricRobot) -> Iterator[str]:
 
 
 def _bend_of(tube: Tube, end: float, ends: Array, kb: Array) -> float:
-    """Displacement, m, of the end (m from the plate) of a tube by its bend; kb and `ends` are those of all tubes."""
+    """Displacement, m, of the end (m from the plate) of a tube by its bend; kb and `ends` of all tubes."""
     start = end - tube.curved_length
     cuts = np.unique(np.clip([start, *ends, end], start, end))
     present = ends > 0.5 * (cuts[1:] + cuts[:-1])[:, None]

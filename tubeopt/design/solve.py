@@ -437,7 +437,7 @@ class SectionEnds(NamedTuple):
 
 
 class Sections(NamedTuple):
-    """Sections of a cell whose lengths depend on unknowns."""
+    """Sections of a cell with lengths that depend on unknowns."""
 
     lengths: Array
     """Lengths (K,) in steps of 10 mm, >= 0 in the cell."""
@@ -546,7 +546,7 @@ class Ranking:
     late: int = 0
     """Number of starts that a time limit ended."""
     rounds: int = 0
-    """Rounds in which worst cases were added to the best design."""
+    """Number of rounds that added worst cases to the best design."""
 
     @property
     def starts(self) -> int:
@@ -555,7 +555,7 @@ class Ranking:
 
 
 def solve_from(program: Program, start: Array, report: Report | None = None, *, keep: bool = False) -> Attempt:
-    """Best design from a start, or the best one so far if a time limit ends the search.
+    """Best design from a start, or the best one up to now if a time limit ends the search.
 
     With poses of other starts as guesses, a design would depend on the order of starts: it is solved without them
     unless `keep` is set.

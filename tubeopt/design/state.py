@@ -36,7 +36,7 @@ from .requirements import retracted
 
 @dataclass(frozen=True)
 class FreePose:
-    """A task pose whose joint values are unknowns: rotations, then beta of every tube."""
+    """Task pose with unknown joint values: rotations, then beta of every tube."""
 
     index: int
 
@@ -84,7 +84,7 @@ class Layout:
 
     @property
     def free_poses(self) -> int:
-        """Number of poses whose joint values are unknown."""
+        """Number of poses with unknown joint values."""
         return sum(isinstance(pose, FreePose) for pose in self.poses)
 
     @property
@@ -221,7 +221,7 @@ class State:
         return np.concatenate([*self.resized.values(), np.eye(self.layout.size)[self.free_pieces]])
 
     def chain(self, index: PoseNumber) -> Array:
-        """Selection (Q, X) of the unknowns along which a pose is differentiated."""
+        """Selection (Q, X) of the unknowns that a pose depends on."""
         self.pose(index)
         return self._chains[index]
 
@@ -304,7 +304,7 @@ def _row(number: tuple[float, Array]) -> tuple[Array, Array]:
 
 
 def _of_pose(pose: Pose, quantity: Quantity) -> tuple[Array, Array]:
-    """Value and derivative (.., Q) along the directions in which a pose is differentiated."""
+    """Value and derivative (.., Q) along the directions of differentiation of a pose."""
     of = pose.derivatives
     match quantity.name:
         case "tip_position":
@@ -512,7 +512,7 @@ def pose_strain(state: State, index: PoseNumber, tube: int) -> tuple[float, Arra
 
 
 def _pieces_at(shape: Tube, place: Array) -> Array:
-    """Pieces (P,) of a tube at places along it, m; -1 for the straight part and for a tube of one curvature."""
+    """Pieces (P,) of a tube at arc lengths along it, m; -1 for the straight part and for a tube of one curvature."""
     joints = shape.straight_length + np.cumsum([0.0, *(piece.length for piece in shape.pieces)])
     # A place beyond the last piece by round-off belongs to that piece.
     return np.minimum(np.searchsorted(joints, place, side="right") - 1, len(shape.pieces) - 1)

@@ -1,4 +1,4 @@
-"""Tubes from a stock list: which sizes for which tube, by enumeration with bounds and a design for each candidate."""
+"""Choice of tubes from a stock list, by enumeration with bounds and a design for each candidate."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class StockTube:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One choice of sizes, inner to outer."""
+    """Choice of tube sizes, inner to outer."""
 
     sizes: tuple[StockTube, ...]
     bound: float
@@ -82,7 +82,7 @@ class StockChoice:
 
     @property
     def best(self) -> Candidate | None:
-        """Best design; None if there is none."""
+        """Best design; None without any."""
         first = self.candidates[0] if self.candidates else None
         return first if first is not None and first.robot is not None else None
 

@@ -37,7 +37,7 @@ ORDER_SLACK = 1e-10
 
 @dataclass(frozen=True)
 class Place:
-    """Translations at which the order of tubes must hold: description, smallest and largest translations (n,), m."""
+    """Translations that require an order of the tubes: description, smallest and largest translations (n,), m."""
 
     words: str
     low: tuple[float, ...]
@@ -47,7 +47,8 @@ class Place:
 def ordered_places(
     n_tubes: int, requirements: Sequence[Requirement], objectives: Sequence[AnyObjective]
 ) -> tuple[Place, ...]:
-    """Translations at which tubes must be in order: 0, which is then home, and those of requirements and objectives."""
+    """Translations that require an order of the tubes: 0, which is then home, and those of requirements and
+    objectives."""
     zero = (0.0,) * n_tubes
     places = [Place("at translations 0", zero, zero)]
     for requirement in requirements:
@@ -83,14 +84,14 @@ def tube_distances(tubes: Sequence[Tube], low: Sequence[float] | Array, high: Se
 
 
 def worst_order(tubes: Sequence[Tube], places: Sequence[Place]) -> tuple[float, str]:
-    """Smallest distance of the order at places, m, and a clause with place and tubes."""
+    """Smallest distance of the order over sets of translations, m, and a clause with the set and the tubes."""
     return min(
         (_worst(tube_distances(tubes, place.low, place.high), place) for place in places), key=lambda pair: pair[0]
     )
 
 
 def check_order(places: Sequence[Place], shortest: dict[str, Array], longest: dict[str, Array]) -> None:
-    """Raise InputError if no lengths within their bounds (n,) satisfy the order at places."""
+    """Raise InputError if no lengths within their bounds (n,) satisfy the order at all sets of translations."""
     for place in places:
         lows = order_distances(
             longest["straight_length"], longest["curved_length"], np.array(place.low), np.array(place.high)
@@ -125,7 +126,7 @@ def _worst(distances: Array, place: Place) -> tuple[float, str]:
 
 
 def pose_places(translations: Sequence[Array]) -> tuple[Place, ...]:
-    """Translations of task poses as places."""
+    """Translations of the task poses with their descriptions, for the order of the tubes."""
     rows = [tuple(row.tolist()) for row in translations]
     return tuple(Place(f"at task pose {k}", row, row) for k, row in enumerate(rows, start=1))
 
@@ -216,7 +217,7 @@ class DesignTask(Displayed):
 
     @property
     def places(self) -> tuple[Place, ...]:
-        """Translations at which the tubes must be in order."""
+        """Translations that require an order of the tubes."""
         return ordered_places(self.robot.n_tubes, self.requirements, self.objectives) if self.ordered else ()
 
     @property

@@ -78,7 +78,7 @@ class Verification:
     """Checks of all requirements of a design."""
 
     checks: tuple[Check, ...]
-    """One or more for each requirement."""
+    """Check results, one or more for each requirement."""
 
     @property
     def kept(self) -> bool:
@@ -206,7 +206,7 @@ def _check_certificate(program: Program, robot: ConcentricRobot, requirement: Sn
 
 
 def _smallest_with_errors(robot: ConcentricRobot, requirement: SnapFree, translations: list[Array]) -> float:
-    """Smallest certificate of robots whose tubes deviate by the allowed errors, each up or down at random."""
+    """Smallest certificate of robots with tubes that deviate by the allowed errors, each up or down at random."""
     random, smallest = np.random.default_rng(0), np.inf
     error = np.array([[requirement.curvature_error], [requirement.stiffness_error], [requirement.stiffness_error]])
     for _ in range(PERTURBED_ROBOTS):
@@ -307,14 +307,14 @@ def count_snaps(
 
 
 class _TubeSections(NamedTuple):
-    """Properties of one tube at m places."""
+    """Properties of one tube at m arc lengths."""
 
     precurvature: Array
     """Curvature x + j y (m,) in the frame of the tube, 1/m."""
     stiffness: Array
     """Bending stiffness (m,), N m^2."""
     strain_ratio: Array
-    """Strain (m,) relative to that of a tube without slots."""
+    """Strain (m,) relative to the strain of a tube without slots."""
 
 
 def _sections_at(tube: Tube, s: Array) -> _TubeSections:

@@ -32,7 +32,7 @@ from .result import Accuracy, Equilibrium, Statistics, Status, refuse_friction, 
 
 # The error of the shape is a fraction of the length of a piece of a tube, not of the arm.
 SHORT = 0.01
-"""Length (m) to which the tip error of tubes made of pieces is relative: 1e-10 m at the default tolerance."""
+"""Reference length (m) of the tip error of tubes made of pieces: 1e-10 m at the default tolerance."""
 
 FOLDED = "the equilibrium is a fold (margin 0): it has no solution close by that Newton can find"
 
@@ -158,7 +158,7 @@ def unsolved(
 
 
 def _loaded_problem_of(equilibrium: Equilibrium) -> LoadedProblem:
-    """Problem of a loaded equilibrium on its own mesh, which may be that of a larger load."""
+    """Problem of a loaded equilibrium on its own mesh, possibly refined for a larger load."""
     robot, shift, load = equilibrium.robot, tuple(equilibrium.translations.tolist()), equilibrium.load
     assert load is not None
     start, d = loading_of(robot, shift, load)[0].start, discretisation_of(equilibrium)
@@ -208,7 +208,7 @@ def at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array 
 
 
 def discretisation_of(equilibrium: Equilibrium) -> Discretisation:
-    """Discretisation on which an equilibrium was solved."""
+    """Discretisation that an equilibrium was solved on."""
     statistics = equilibrium.statistics
     return _discretisation(statistics.family, statistics.degree, statistics.refinement)
 

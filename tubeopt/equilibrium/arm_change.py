@@ -30,10 +30,10 @@ from ..typing import Array
 from .directions import Directions
 
 PLACES = tuple(ENDS.tolist())
-"""Fractions of a piece at which its shape points lie."""
+"""Shape points of a piece as fractions of its length."""
 
 TIP = 1e-9
-"""Distance (m) from the tip up to which a force acts at it."""
+"""Largest distance (m) from the tip of a force that counts as a tip force."""
 
 AHEAD = 100 * SAME_END
 """Motion (m) of the fastest end, to test whether a moment passes from one tube to another."""
@@ -41,7 +41,7 @@ AHEAD = 100 * SAME_END
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """Cross-section at a place of the arm, with its changes while the place moves."""
+    """Cross-section at a point of the arm, with its changes while the point moves."""
 
     curvature: Array
     """Curvature u (2,), 1/m."""
@@ -94,7 +94,7 @@ class ArmChange(Directions):
 
     @cached_property
     def _strip_force(self) -> Array:
-        """(T, 3) force on the cross-section at the strips, on the side to which they lie."""
+        """(T, 3) force on the cross-section at the strips, on the side of the strip."""
         arm, index = self.arm, self.strips.index
         if self.side < 0:
             return np.asarray(arm.tableau.basis((1.0,), 0)[0] @ arm.force[index - 1])
@@ -176,7 +176,7 @@ class ArmChange(Directions):
 
     @cached_property
     def tip_position(self) -> Array:
-        """(3, Q) of the tip, m."""
+        """(3, Q) change of the tip position, m."""
         arm = self.arm
         # The tip moves by int psi x e ds = -int e x psi ds, and by what it is pushed out.
         moved = arm.weights.ravel() @ (arm.about_axis @ self.response.psi).reshape(-1, 3 * self.size)
@@ -189,19 +189,21 @@ class ArmChange(Directions):
 
     @property
     def tip_rotations(self) -> Array:
-        """(n, Q) of theta at each tube's own end."""
+        """(n, Q) change of theta at each tube's own end."""
         ends = np.clip(self.assembly.end, 0.0, self.cuts[-1])
         index = np.abs(self.cuts - ends[:, None]).argmin(1)
         return np.asarray(self.response.state[index, np.arange(self.n)] + self.entered.wound)
 
     @cached_property
     def moved(self) -> Array:
-        """(m, Q) motion of the shape points along the arm, if they keep their places in the pieces of the mesh."""
+        """(m, Q) motion of the shape points along the arm, at fixed fractions of the pieces of the mesh."""
         return self._moved(self.shape.arc_length)
 
     def _moved(self, s: Array) -> Array:
-        """(len(s), Q) motion of places that divide the stretches between breakpoints as they do; of those that coincide
-        the foremost counts."""
+        """(len(s), Q) motion of points at fixed fractions of the stretches between breakpoints.
+
+        Of breakpoints that coincide the foremost counts.
+        """
         points, pace = self.breakpoints, self.side * self.entered.speed
         each = [own for own in points.groups if points.index[own[0]] > 0]
         knots = np.concatenate([[0.0], self.cuts[points.index[[own[0] for own in each]]]]) if each else np.zeros(1)
@@ -239,7 +241,7 @@ class ArmChange(Directions):
         return at[..., : 3 * n], result.curvature.reshape(*at.shape[:2], 2)
 
     def section(self, k: int, x: float, moves: Array) -> Section:
-        """The cross-section at a fraction x of piece k, while the place moves along the arm by (Q,)."""
+        """Cross-section at a fraction x of piece k, while the point moves along the arm by (Q,)."""
         arm, n, (rate, table) = self.arm, self.n, self._sections_along
         h, response, forcing = arm.length[k], self.response, self.forcing
         inside, whole, slope = (arm.tableau.basis((x,), times)[0] for times in (0, 1, -1))
@@ -259,7 +261,7 @@ class ArmChange(Directions):
 
     @cached_property
     def position(self) -> Array:
-        """(m, 3, Q) of the shape points at fixed arc lengths; the last one is the tip, which moves along."""
+        """(m, 3, Q) change of the shape points at fixed arc lengths; the last one is the tip, which moves along."""
         arm = self.arm
         out = cumulate(arm.tableau, arm.h[..., None] * (-arm.about_axis @ self.response.psi))
         out[-1] += self.pushed
@@ -272,7 +274,7 @@ class ArmChange(Directions):
 
     @cached_property
     def bend(self) -> Array:
-        """(Q,) of int |u|^2 ds, 1/m."""
+        """(Q,) change of int |u|^2 ds, 1/m."""
         arm, u = self.arm, self.arm.at.curvature
         # d(int |u|^2 ds) = int 2 u . du ds, and the jump of |u|^2 where breakpoints move.
         pull = (2 * arm.weights.ravel()[:, None] * u).ravel()
@@ -281,7 +283,7 @@ class ArmChange(Directions):
 
     @cached_property
     def energy(self) -> Array:
-        """(Q,) of the elastic energy, J."""
+        """(Q,) change of the elastic energy, J."""
         arm, forcing, n = self.arm, self.forcing, self.n
         moved, weights, size = self.response, arm.weights.ravel(), self.size
         by = weights[:, None] * arm.energy_slopes.reshape(len(weights), 3 * n + 2)
@@ -308,5 +310,5 @@ def _parts(table: Array) -> SectionInputs:
 
 
 def _at(weights: Array, values: Array) -> Array:
-    """(r, Q) at a place, by weights (K,) of what is at the points (K, r, Q)."""
+    """Interpolated value (r, Q), by weights (K,) of values at the points (K, r, Q)."""
     return np.asarray(weights @ values.reshape(len(values), -1)).reshape(values.shape[1:])

@@ -78,9 +78,9 @@ class EquilibriumBatch(Displayed):
     converged: Mask
     """(N,) True where a stable equilibrium was found to the tolerance; any equilibrium under loads without a margin."""
     failures: tuple[tuple[int, str], ...] = ()
-    """(row, reason) of all others."""
+    """Pairs (row, reason) of all unsolved rows."""
     compliance: Array = field(default_factory=lambda: np.zeros((0, 6, 6)))
-    """(N, 6, 6) compliance of the tip, m and rad per N and N m, under a load; (0, 6, 6) without one."""
+    """(N, 6, 6) compliance of the tip under a load, m and rad per N and N m; (0, 6, 6) without a load."""
 
     def __len__(self) -> int:
         return len(self.rotations)
@@ -209,7 +209,7 @@ def solved_batch(
 
 
 def joint_arrays(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
-    """Rotations and translations as finite (N, n) arrays; raises InputError naming what is wrong."""
+    """Rotations and translations as finite (N, n) arrays; raises InputError naming an invalid value."""
     check_robot(robot)
     n = robot.n_tubes
     alpha = _table("rotations", rotations)
@@ -239,7 +239,7 @@ def _table(name: str, values: ArrayLike) -> Array:
 
 
 def _admissible(robot: Robot, shift: Array) -> None:
-    """Raise InputError naming the first row of translations (N, n) at which the robot cannot be."""
+    """Raise InputError naming the first row of translations (N, n) that the robot cannot have."""
     straight = np.array([tube.straight_length for tube in robot.tubes])
     out = np.argwhere(shift - straight > ROUND_OFF)
     if len(out):
@@ -318,7 +318,7 @@ class _LoadedRows(NamedTuple):
     table: Array
     """Rows of tip position (3), frame (9), tip rotations (n), margin, residual, errors of theta and tip, energy."""
     compliance: Array
-    """(M, 6, 6) of the tip."""
+    """(M, 6, 6) compliance of the tip."""
     solved: Mask
     """(M,) True where a stable equilibrium grew from the unloaded one, on a mesh that is fine enough."""
 

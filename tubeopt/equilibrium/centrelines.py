@@ -19,7 +19,9 @@ from .result import Equilibrium
 
 
 def tube_centrelines(equilibrium: Equilibrium) -> Array:
-    """(n, m, 3) centreline of every tube, p + R (d cos phi, d sin phi, 0), m, at the m arc lengths of the arm.
+    """(n, m, 3) centreline of every tube, m, at the m arc lengths of the arm.
+
+    It is p + R (d cos phi, d sin phi, 0).
 
     NaN beyond a tube's own end, and everywhere for a tube that does not reach past the plate.
     """
@@ -66,7 +68,7 @@ class SegmentChain:
     segments: tuple[Equilibrium, ...]
     """Equilibrium of every segment in front of the plate in its own frame, base to tip."""
     start: Array
-    """(len(segments),) arc lengths at which the segments begin to curve, m."""
+    """(len(segments),) arc lengths of the starts of the curved segments, m."""
     arc_length: Array
     """(m,) arc lengths of the points, m."""
     position: Array
@@ -90,7 +92,7 @@ class SegmentChain:
         return forward_kinematics(self.robot, self.rotations, self.translations, start=guess)
 
     def deviation(self, equilibrium: Equilibrium) -> tuple[float, float]:
-        """Distance (m) of the chain's tip from that of `equilibrium`, and the same as a part of the arm's length.
+        """Distance of the chain's tip from the tip of `equilibrium`, in m and as a fraction of the arm's length.
 
         With long transmissions a robot has several stable equilibria: compare with the one of `full_model`.
         """

@@ -1,4 +1,4 @@
-"""Correction for the clearance between tubes: at the end of a tube the inner ones leave it off its axis, and tilted.
+"""Correction for the clearance between tubes: inner tubes leave the end of an outer one off its axis and tilted.
 
 Let y be the lateral displacement of the inner tubes in the outer one, |y| <= delta, and rho the difference of the
 curvatures that both would have alone. Both bend, so the energy beyond that of tubes on one centreline is, with bending
@@ -75,7 +75,7 @@ class ClearanceCorrection(Displayed):
     equilibrium: Equilibrium
     """Equilibrium of tubes on one centreline."""
     leavings: tuple[Leaving, ...]
-    """Points at which tubes end inside others, from base to tip."""
+    """Ends of tubes inside others, from base to tip."""
     position: Array
     """(M, 3) corrected points of the arm, m."""
     turn: Array
@@ -181,7 +181,7 @@ def _leaving(e: Equilibrium, outer: int, delta: float) -> Leaving | None:
 
 
 def _mismatch(assembly: Assembly, e: Equilibrium, outer: int, at: Array) -> tuple[Array, Array]:
-    """(X, 2) rho, 1/m, in the arm's frame at arc lengths up to the end of the outer tube, and stiffnesses (2,), N m^2.
+    """(X, 2) rho, 1/m, in the arm's frame up to the end of the outer tube, and stiffnesses (2,), N m^2.
 
     rho is the difference of the curvatures that the inner tubes and the outer one would have alone. The stiffnesses are
     those of the inner tubes and of the outer one at its end.

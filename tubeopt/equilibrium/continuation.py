@@ -28,7 +28,7 @@ P = TypeVar("P", bound=Place)
 # A translation is compared with the length of the arm. Without this lower bound an arm of length zero, as at full
 # retraction, could not move at all.
 SHORT_ARM = 0.1
-"""Length of an arm over that of the longest tube below which tubes hardly couple."""
+"""Smallest length of an arm, over the longest tube's, for which tubes couple noticeably."""
 
 
 # Close to a fold the state moves by the square root of the distance to it: a fold is known to 1e-4 rad here.
@@ -36,7 +36,7 @@ SHORTEST_STEP = 1e-8
 """Fraction of a path or a load below which a failing step means that the branch has ended."""
 
 SHARPEST_STEP = 1e-11
-"""Fraction below which it has ended where there is no fold and no bifurcation: the branch may only bend sharply."""
+"""Smallest step fraction before the branch counts as ended without a fold or bifurcation: it may only bend sharply."""
 
 # The margin (or its square) falls linearly only close to the end: a step of the whole distance often fails, and a
 # failed step costs as much as a good one. With 0.8 five steps leave 0.03 % of the distance.
@@ -59,7 +59,7 @@ def largest_twist(margin: float) -> float:
 
 @lru_cache(maxsize=64)
 def shortest_arm(robot: Robot) -> float:
-    """Length (m) of an arm to which translations are compared in shorter arms, down to length 0."""
+    """Smallest reference length (m) for translations: arms may be shorter, down to length 0."""
     return SHORT_ARM * max(tube.length for tube in robot.tubes)
 
 
@@ -120,7 +120,8 @@ class JointPath:
         return rows
 
     def events(self) -> list[float]:
-        """Fractions at which two breakpoints, or one and the plate, meet and may change their order; the last is 1."""
+        """Fractions of the path with coinciding breakpoints, or one at the plate; their order may change there. The
+        last is 1."""
         if not self.slides:
             return [1.0]
         n = len(self.start) // 2
@@ -199,7 +200,7 @@ class Family:
         return Loaded.of(self.path.robot, rotations, shift, load, self.path.discretisation, factor)
 
     def like(self, known: Member[Any], t: float) -> Member[Any] | None:
-        """Problem at t with the same unknowns as `known`; None where it has other ones.
+        """Problem at t with the same unknowns as `known`; None if its unknowns differ.
 
         None also beyond the ends of a path on which tubes translate: one may be out of its actuator there.
         """
@@ -312,7 +313,9 @@ def reach(
 
 
 def bifurcates(family: Family, last: Place) -> bool:
-    """True if the branch ends in a bifurcation: w . g_t = 0 with the left null vector w, at its last point.
+    """True if the branch ends in a bifurcation: w . g_t = 0 at its last point.
+
+    w is the left null vector.
 
     At a fold w . g_t is not 0: the change of the equations pushes the robot along its softest direction.
     """

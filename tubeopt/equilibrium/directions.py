@@ -39,7 +39,7 @@ class Breakpoints:
     tube: Index
     """(J,) tube of each breakpoint."""
     end: Mask
-    """(J,) True where it is the end of the tube."""
+    """(J,) True for the end of a tube."""
     index: Index
     """(J,) piece of the mesh that begins there."""
     in_front: Mask
@@ -54,7 +54,7 @@ class Breakpoints:
 def breakpoints_of(
     n: int, tube: tuple[int, ...], end: tuple[bool, ...], index: tuple[int, ...], in_front: tuple[bool, ...]
 ) -> Breakpoints:
-    """Breakpoints of n tubes: arms whose breakpoints have the same order share one object; see `Breakpoints`."""
+    """Breakpoints of n tubes; arms with the same order of breakpoints share one object."""
     groups: dict[int, list[int]] = {}
     for j, k in enumerate(index):
         groups.setdefault(k, []).append(j)
@@ -255,17 +255,17 @@ class Change:
     """Derivatives of the tubes at fixed arc lengths with respect to one parameter; (P, K, n) at the points."""
 
     transmission: Array
-    """(n,) of int ds / kt up to the plate."""
+    """(n,) change of int ds / kt up to the plate."""
     rate: Array
-    """(P, K, n) of 1 / kt."""
+    """(P, K, n) change of 1 / kt."""
     stiffness: Array
-    """(P, K, n) of kb."""
+    """(P, K, n) change of the bending stiffness kb."""
     moment: Array
-    """(P, K, n) of m."""
+    """(P, K, n) change of the moment m."""
     phase: Array
-    """(P, K, n) of the phase of the precurvature."""
+    """(P, K, n) change of the phase of the precurvature."""
     wound: Array
-    """(n,) of the natural twist up to the ends of the tubes."""
+    """(n,) change of the natural twist up to the ends of the tubes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -361,7 +361,7 @@ class Directions:
 
     @property
     def widths(self) -> Array:
-        """(T, Q) of the strips."""
+        """(T, Q) changes of the widths of the strips."""
         return self.strips.widths
 
     @cached_property
@@ -375,7 +375,7 @@ class Directions:
         return self.placed.breakpoints
 
     def _enter(self, entered: Entered, first: int, name: str) -> None:
-        """Enter what a parameter of the tubes changes into n columns from the first one on."""
+        """Enter the changes by a parameter of the tubes into n columns from the first one on."""
         arm, into, own = self.arm, entered.forcing, slice(first, first + self.n)
         if name == "rotations":
             into.alpha[:, own] = np.eye(self.n)
@@ -411,8 +411,10 @@ class Directions:
                 self._advance(entered, first, name, k)
 
     def _advance(self, entered: Entered, first: int, name: str, i: int) -> None:
-        """A tube moves forward with all that it is; or its curved part becomes longer, all its pieces in proportion: a
-        place x of the tube moves by (x - l) / L behind the straight part, l, for each unit of length, L."""
+        """Enter the changes by advancing a tube, or by a longer curved part with all its pieces in proportion.
+
+        A point x of the tube behind the straight part, l, moves by (x - l) / L for each unit of the length L.
+        """
         arm, into, n, own, points = self.arm, entered.forcing, self.n, self.tubes[i], self.breakpoints
         column = first + i
         held, mine, table = float(self.assembly.transmission[i]), points.tube == i, self.assembly.lengthwise
@@ -456,7 +458,7 @@ class Directions:
 
     @cached_property
     def _arc_length(self) -> Array:
-        """(P, K) of the points, m."""
+        """(P, K) changes of the arc lengths of the points, m."""
         return np.asarray(self.arm.mesh.start[:, None] + self.arm.length[:, None] * self.arm.tableau.nodes)
 
     @cached_property
@@ -471,12 +473,12 @@ class Directions:
         return np.array((0.0, 0.0, 0.0) if load is None or load.gravity is None else load.gravity)
 
     def _bendable(self, i: int) -> Array:
-        """(P, K) where a straight tube would be curved if it had a curvature; straight pieces stay straight."""
+        """(P, K) True at points of the curved part of a tube with one curvature."""
         own, place = self.tubes[i], self._arc_length + self.assembly.transmission[i]
         return np.asarray((place > own.straight_length) & (not own.general))
 
     def _softness(self, i: int) -> float:
-        """1 / kt of a tube at the plate, on the side from which it moves, 1/(N m^2)."""
+        """Compliance 1 / kt of a tube at the plate, on the side from which it moves, 1/(N m^2)."""
         return float(_held(self.assembly, self.side)[i])
 
     @property
@@ -511,7 +513,10 @@ def _combined(columns: Array, along: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _held(assembly: Assembly, side: int) -> Array:
-    """(n,) 1 / kt of the tubes at the plate, on the side from which they move; with `side` 0 where they are held."""
+    """(n,) 1 / kt of the tubes at the plate, on the side from which they move.
+
+    With `side` 0, at their clamps.
+    """
     table = assembly.lengthwise
     if table is None:
         return np.asarray(1 / assembly.torsional_stiffness)

@@ -28,7 +28,7 @@ LOAD_FIELDS = ("load", "work", "point_curvature", "friction")
 """Fields that a file written without loads and friction does not have."""
 
 PARTS = {"arm": ArmShape, "points": CollocationPoints, "accuracy": Accuracy}
-"""Parts of an equilibrium whose fields a file has one by one."""
+"""Parts of an equilibrium with fields that a file stores separately."""
 
 ALONG_THE_ARM = tuple(field.name for field in dataclasses.fields(ArmShape))
 """Arrays with a value per point; all others are short enough to be read in `result.json`."""

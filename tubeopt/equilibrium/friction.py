@@ -62,7 +62,7 @@ class FrictionEquilibrium:
     translations: Array
     """(n,) joint translations, m."""
     found: Increment
-    """Solution of the increment that led to the state."""
+    """Solution of the increment that ended in this state."""
     heat: float
     """Heat of friction since the start of the history, J."""
     tangent: tuple[Array, Array] | None = None
@@ -80,7 +80,7 @@ class FrictionEquilibrium:
 
     @cached_property
     def held_margin(self) -> float:
-        """Smallest eigenvalue over the motions in which sticking contacts stay stuck, between the margin and 1."""
+        """Smallest eigenvalue over the motions that keep sticking contacts stuck, between the margin and 1."""
         if self.found.signs.all() or self.margin > 1 - ROUND_OFF:
             return self.margin
         return held_margin(self.contact, self.found.state, self.found.signs)
@@ -398,7 +398,7 @@ def _front_error(current: FrictionEquilibrium) -> float:
 
 @lru_cache(maxsize=8)
 def _fronts(contact: Contact) -> list[tuple[Index, Array]]:
-    """Rows (K,) of every pair along the arm, and the error (K - 1,) rad by a slip zone that ends between two rows.
+    """Rows (K,) of every pair along the arm, and the error (K - 1,) rad of a slip zone between two rows.
 
     The end is off by at most half a spacing, over which the full torque makes the rotation a parabola.
     """

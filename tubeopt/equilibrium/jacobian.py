@@ -110,7 +110,7 @@ def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int
 
 @lru_cache(maxsize=8)
 def _kept(equilibrium: Equilibrium, wrt: tuple[str, ...], side: int) -> Linearised:
-    """`derivatives_of`, kept for what is read later of a Jacobian."""
+    """`derivatives_of`, cached for later reads of a Jacobian."""
     return derivatives_of(equilibrium, wrt, side=side)
 
 
@@ -208,9 +208,10 @@ def difference_of(e: Equilibrium, name: str, tube: int) -> Difference:
 def margin_slopes(
     e: Equilibrium, wrt: Sequence[str], varied: Sequence[tuple[float, tuple[Robot, Robot]]] = (), *, sure: bool = False
 ) -> Array:
-    """(Q,) derivatives of the margin under a load without an energy, or of the `sure_margin`, by joint values and
-    dimensions, n for each name of `wrt`, then per step by robots a step further and a step back. NaN where it is a
-    double eigenvalue, or breakpoints meet that part with what changes.
+    """(Q,) derivatives of the margin under a load without an energy, or of the `sure_margin`.
+
+    First by joint values and dimensions, n for each name of `wrt`; then, per step, by robots a step further and a step
+    back. NaN at a double eigenvalue, and at breakpoints that coincide and that the change separates.
 
     Raises:
         SolveError: the equilibrium is a fold.
@@ -227,7 +228,7 @@ def margin_slopes(
 
 
 def margin_slopes_of(e: Equilibrium, wrt: Sequence[str]) -> Array:
-    """(Q,) of the margin of any equilibrium; tubes of a carriage share theirs in equal parts."""
+    """(Q,) derivatives of the margin of any equilibrium; tubes of a carriage share the derivative equally."""
     if e.load is None or e.load.has_energy:
         return jacobian(e, wrt=wrt).margin
     check_wrt(wrt, 1)

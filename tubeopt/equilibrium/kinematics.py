@@ -324,7 +324,7 @@ def under_load(equilibrium: Equilibrium, load: Load | None) -> Equilibrium:
 
 
 def _to_tolerance(point: Place, start: str, request: SolveRequest) -> Equilibrium:
-    """Equilibrium of a solved point on the first mesh whose estimated error is within the tolerance.
+    """Equilibrium of a solved point on the first mesh with an estimated error within the tolerance.
 
     Args:
         start: what the point was solved from, for the statistics.
@@ -354,7 +354,7 @@ def _to_tolerance(point: Place, start: str, request: SolveRequest) -> Equilibriu
 
 @small
 def _descend(member: Unloaded, solver: Method) -> tuple[Place, str]:
-    """Stable equilibrium by energy descent, and what it was found from."""
+    """Stable equilibrium by energy descent, and a description of its start."""
     failure = ""
     try:
         point = _solve(member, np.zeros(member.problem.size), solver)

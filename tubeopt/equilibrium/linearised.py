@@ -55,7 +55,7 @@ from .result import Equilibrium, refuse_friction
 
 
 def offset_change(of: ArmChange) -> Array:
-    """Derivative (Q,) of the margin of tubes off the centreline; NaN where it is a double eigenvalue."""
+    """Derivative (Q,) of the margin of tubes off the centreline; NaN at a double eigenvalue."""
     arm, problem, forcing, n = of.arm, of.problem, of.forcing, of.n
     solved = arm.mesh.collocated
     theta, torque = (table[solved].reshape(-1, n) for table in (arm.theta, arm.torque))
@@ -67,7 +67,7 @@ def offset_change(of: ArmChange) -> Array:
     along_arm, count = _ModeAlongArm(problem, theta, mode), len(theta)
 
     def at_points(table: Array) -> Array:
-        """(N, r, Q) of what the parameters change at all points."""
+        """(N, r, Q) changes by the parameters at all points."""
         return table[solved].reshape(count, -1, of.size)
 
     changed = np.concatenate([at_points(of.response.phi), at_points(forcing.data)[:, n:]], axis=1)
@@ -205,12 +205,12 @@ class Linearised(ArmChange):
 
     @cached_property
     def margin(self) -> Array:
-        """Derivative (Q,) of the margin; NaN where it is a double eigenvalue, and for loads without an energy."""
+        """Derivative (Q,) of the margin; NaN at a double eigenvalue, and for loads without an energy."""
         return self._margin(one_of_two=False)
 
     @cached_property
     def one_margin(self) -> Array:
-        """Derivative (Q,) of the margin; for one of its modes where it is a double eigenvalue."""
+        """Derivative (Q,) of the margin; at a double eigenvalue, of one of its modes."""
         return self._margin(one_of_two=True)
 
     def _margin(self, *, one_of_two: bool) -> Array:
@@ -289,7 +289,10 @@ class Linearised(ArmChange):
         return np.asarray(out / arm.elastic(mode, softness))
 
     def _load_change(self, mode: Response, by: Array) -> Array:
-        """Part (Q,) of the change of Q - mu T by forces, moments and the frame; `by` is the gradient (X, n + 4)."""
+        """Part (Q,) of the change of Q - mu T by forces, moments and the frame.
+
+        `by` is the gradient (X, n + 4).
+        """
         arm, moved, n, size = self.arm, self.response, self.n, self.size
         psi, moment = mode.psi[..., 0], mode.moment[..., 0]
         out = by[:, n : n + 2].ravel() @ moved.bending_moment.reshape(-1, size)
@@ -352,7 +355,7 @@ def linearise(
 
 @lru_cache(maxsize=64)
 def sharing(carriages: tuple[tuple[int, ...], ...], wrt: tuple[str, ...]) -> Array | None:
-    """Directions (L, L) in which tubes of a carriage move together, with equal parts of its motion.
+    """Directions (L, L) that move the tubes of a carriage together, with equal parts of its motion.
 
     None where every tube has a carriage of its own. The chain rule holds for every possible motion.
     """
@@ -369,7 +372,7 @@ def sharing(carriages: tuple[tuple[int, ...], ...], wrt: tuple[str, ...]) -> Arr
 
 @lru_cache(maxsize=8)
 def standing_of(equilibrium: Equilibrium, straight: bool = True) -> LinearisedArm:
-    """Arm of an equilibrium of concentric tubes, on the mesh on which it was solved; `straight` as in `ArmState`.
+    """Arm of an equilibrium of concentric tubes, on the mesh of its solve; `straight` as in `ArmState`.
 
     Raises:
         InputError: friction acts on it.

@@ -272,7 +272,7 @@ HOME_TURN = math.pi / 8
 
 @dataclass(frozen=True, eq=False)
 class Unloaded(Member[Evaluation]):
-    """Equations without a load; the unknowns are those of the torsion."""
+    """Equations without a load; the unknowns are the torsion's."""
 
     problem: ReducedProblem
     discretisation: Discretisation = DEFAULT_DISCRETISATION
@@ -407,7 +407,7 @@ class Unloaded(Member[Evaluation]):
         return self.unknowns(self.rotations + twist)
 
     def distance(self, point: Place, state: Evaluation) -> float:
-        """Largest difference (rad) of the twist of coupled tubes, the only ones solved for."""
+        """Largest difference (rad) of the twist of coupled tubes; the twist of others is no unknown."""
         return torsional_turn(self.problem, state.x - self.transfer(point))
 
     def round_off(self, state: Evaluation) -> float:

@@ -114,7 +114,7 @@ MAX_TURN = 30.0
 
 
 def _check_size(robot: Robot, load: Load, length: float) -> None:
-    """Raise InputError for forces and moments too large for these tubes; warn of unusual ones.
+    """Raise InputError for forces and moments too large for these tubes; warn of unusually large values.
 
     They were probably meant in mN and mN m.
     """
@@ -274,7 +274,7 @@ TOLERANCE = 1e-8
 
 @dataclass(frozen=True)
 class Method:
-    """One of METHODS with the settings of its solver."""
+    """Name of a method, one of METHODS, with the settings of its solver."""
 
     name: str
     newton: Newton = NEWTON

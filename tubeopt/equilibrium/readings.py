@@ -22,7 +22,7 @@ STEP = 1e-5
 """Step of the differences of the energy, m."""
 
 SOLVED = 1e-12
-"""Error of a translation at which it is solved, m."""
+"""Largest error of a solved translation, m."""
 
 FORCE_ERROR = 1e-9
 """Error of the force by the differences, N; times the compliance it adds to SOLVED."""

@@ -69,15 +69,15 @@ class Verification(Displayed):
     tip_rotation: Annotated[float, unit("rad"), form(".6g"), "angle between the tip frames"]
     rotation: Annotated[float, unit("rad"), form(".6g"), "largest difference of a tube's rotation"]
     end_torsion: Annotated[float, unit("rad_per_m"), form(".6g"), "largest remaining torsion at the end of a tube"]
-    """Beyond that of a moment on the tip; it should be 0."""
+    """Torsion at the tip beyond that of an applied moment; it should be 0."""
     base_rotation: Annotated[float, unit("rad"), form(".6g"), "largest difference from an imposed rotation at the base"]
     end_curvature: Annotated[float, unit("per_m"), form(".6g"), "curvature at the tip without a moment"] = 0.0
-    """Beyond that of a moment on the tip; it should be 0."""
+    """Curvature at the tip beyond that of an applied moment; it should be 0."""
 
 
 @dataclass(frozen=True)
 class FrictionState:
-    """Friction torques of an equilibrium at R contacts, of which the last may be concentrated."""
+    """Friction torques of an equilibrium at R contacts; the last ones may be concentrated."""
 
     friction: Friction
     """Friction law of the tubes."""
@@ -90,7 +90,7 @@ class FrictionState:
     capacity: tuple[float, ...]
     """(R,) largest possible torques, N m."""
     held_margin: Annotated[float, "margin with friction; absent without friction"]
-    """Smallest eigenvalue of the second variation over motions in which sticking contacts stay stuck.
+    """Smallest eigenvalue of the second variation over motions that keep sticking contacts stuck.
 
     Stability of the equilibrium without vibration.
     """
@@ -241,8 +241,10 @@ class Equilibrium(Displayed):
     load: Load | None = None
     """External load, or None."""
     work: float = 0.0
-    """int n.t ds of the force n on the cross-sections, what dead loads do on the arm, J; 0 without load, NaN for loads
-    that have no energy."""
+    """Work of dead loads, int n.t ds of the force n on the cross-sections, J.
+
+    0 without a load, NaN for loads without an energy.
+    """
     friction: FrictionState | None = None
     """State of the friction, needed to continue a motion with friction; None without friction."""
 
@@ -292,7 +294,7 @@ class Equilibrium(Displayed):
 
     @property
     def potential(self) -> float:
-        """Elastic energy less the work of dead loads, J: what a stable equilibrium makes least."""
+        """Potential: elastic energy less the work of dead loads, J; a stable equilibrium is its local minimum."""
         return self.energy - self.work
 
     @cached_property
@@ -303,9 +305,11 @@ class Equilibrium(Displayed):
 
     @cached_property
     def compliance(self) -> Array:
-        """(6, 6) translation (m) and rotation (rad) of the tip by a small dead force (N) and moment (N m) there, in
-        world axes; with or without load, concentric tubes only. The rotation is that of the tube that ends last, of
-        several the innermost."""
+        """(6, 6) compliance of the tip: force (N) and moment (N m) -> translation (m) and rotation (rad), world axes.
+
+        For small dead forces and moments, with or without load, concentric tubes only. The rotation is that of the tube
+        that ends last, of several the innermost.
+        """
         result: Array = lazy_import("tubeopt.equilibrium.jacobian.compliance_of")(self)
         return result
 
@@ -337,8 +341,10 @@ class Equilibrium(Displayed):
         return result
 
     def margin_slopes(self, *, wrt: Sequence[str] = ("rotations", "translations")) -> Array:
-        """(Q,) derivatives of the margin as those of `jacobian`, also under a load without an energy, where `jacobian`
-        has NaN: they take a hundred times as long there. NaN where breakpoints meet, too."""
+        """(Q,) derivatives of the margin as in `jacobian`, also under a load without an energy.
+
+        `jacobian` has NaN there, since they take a hundred times as long. NaN where breakpoints meet.
+        """
         result: Array = lazy_import("tubeopt.equilibrium.jacobian.margin_slopes_of")(self, wrt)
         return result
 

@@ -36,7 +36,7 @@ ROUND_OFF = 4e-16
 """Relative change of a curvature by round-off."""
 
 SAME_PLACE = 1e-12
-"""Distance (m) up to which two positions are equal: round-off of a length."""
+"""Largest distance (m) of two positions that count as equal: round-off of a length."""
 
 
 def verify_equilibrium(equilibrium: Equilibrium) -> Equilibrium:
@@ -128,7 +128,7 @@ def _past_points(equilibrium: Equilibrium, assembly: Assembly, s: float, state: 
 
 
 Stretch = tuple[float, float, tuple[Quantity, ...]]
-"""(start, end) from the clamped end of its tube, m; kb, kt and u* (3) along it."""
+"""Stretch (start, end) from the clamped end of its tube, m, with kb, kt and u* (3) along it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +236,7 @@ class _Curvature(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Section:
-    """One section of B arms, `rows`, between arc lengths `start` and `stop` (B,), m. Positions x are fractions of it.
+    """Section of B arms, `rows`, between arc lengths `start` and `stop` (B,), m. Positions x are fractions of it.
 
     `mass` (B,) is per length, kg/m. `parts` has for each arm and tube the start of its stretch and kb, kt and u* along
     it, None where the tube has ended.
@@ -258,7 +258,7 @@ class _Section:
 
     @cached_property
     def loaded(self) -> bool:
-        """True if there is an external load."""
+        """True with an external load."""
         return self.load != Load()
 
     def places(self, x: float) -> Array:

@@ -197,7 +197,7 @@ def _in_si(value: Any, unit: str) -> Any:
 def in_file(
     read: Callable[..., Any], what: str, *, kind: Any = None, of: str = "", named: bool = False
 ) -> PlainValidator:
-    """Mark a key as the path of a file, relative to the file with the key, or as the name of a built-in file.
+    """Mark a key as the path of a file, relative to the file with the key, or as a built-in name.
 
     The value of the key is the content of the file.
 
@@ -271,7 +271,7 @@ def check(
 
 
 ROBOT_FILE_KINDS = ("concentric", "eccentric", "segmented_eccentric")
-"""Kinds of robot files, which are often given in place of a study."""
+"""Kinds of robot files, a common mistake for a study file."""
 
 
 def check_kind(

@@ -38,7 +38,7 @@ class CsvTable:
     """Problems with cells, for `check`."""
 
     def cell(self, row: int, column: str) -> str:
-        """Text of a cell, "" if there is no such column; rows from 0."""
+        """Text of a cell, "" for a missing column; rows from 0."""
         return self.rows[row][self.columns.index(column)] if column in self.columns else ""
 
     def complain(self, row: int, column: str, problem: str) -> None:
@@ -106,7 +106,7 @@ class CsvTable:
 
 
 def refuse(path: str | PathLike[str], problems: Sequence[str]) -> None:
-    """Raise InputError with one line for each problem of a file, if there are any."""
+    """Raise InputError with one line for each problem of a file."""
     if not problems:
         return
     more = len(problems) - MAX_PROBLEMS
@@ -115,7 +115,7 @@ def refuse(path: str | PathLike[str], problems: Sequence[str]) -> None:
 
 
 def read_csv(path: str | PathLike[str], known: Collection[str] = ()) -> CsvTable:
-    """Read the table of a text file, whose first line has the names of the columns.
+    """Table of a text file; its first line has the names of the columns.
 
     Cells are separated by commas, semicolons, tabs or blanks; numbers may have decimal commas unless commas separate
     cells. Text is UTF-8, UTF-16 or Latin-1, with any line ends. Empty lines, lines that begin with #, and empty

@@ -131,13 +131,13 @@ class OneOf:
 
 @dataclass(frozen=True)
 class Absent:
-    """Default in SI of a key in a file, in place of the default of the field."""
+    """Default in SI of a key in a file, if it differs from the default of the field."""
 
     value: Any
 
 
 REQUIRED = Absent(MISSING)
-"""Mark of a required key whose field has a default."""
+"""Mark of a required key; its field has a default."""
 
 
 @dataclass(frozen=True)

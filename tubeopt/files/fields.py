@@ -49,7 +49,7 @@ class Part(Entry):
     """Entry that describes an object of the library; it is valid if the object can be built."""
 
     of: ClassVar[type[Any]]
-    """Dataclass whose fields are keys of the entry."""
+    """Dataclass with the keys of the entry as its fields."""
 
     def build(self) -> Any:
         """Build the object in SI."""

@@ -39,7 +39,7 @@ MIN_SIMILARITY = 0.5
 
 @lru_cache(maxsize=16)
 def shipped(folder: str = "*") -> Mapping[str, Path]:
-    """Built-in files, or those of a folder such as "robots", "rigs" or "studies": name -> path."""
+    """Built-in files, or the files of a folder such as "robots", "rigs" or "studies": name -> path."""
     files = sorted(path for ending in ENDINGS for path in FOLDER.glob(f"{folder}/*{ending}"))
     return {path.stem: path for path in files}
 

@@ -184,7 +184,7 @@ def to_si(number: Decimal, unit: Decimal) -> float:
 
 
 def in_unit(value: float, unit: Decimal) -> int | float | Decimal:
-    """Convert a value from SI to a unit, with the fewest digits from which `to_si` restores the same float.
+    """Convert a value from SI to a unit, with the fewest digits that `to_si` converts back to the same float.
 
     The result is an int or a float if that has the digits, otherwise a `Decimal`.
     """

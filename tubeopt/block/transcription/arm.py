@@ -191,7 +191,7 @@ class ArmShape:
 
 @dataclass(frozen=True, eq=False)
 class CollocationPoints:
-    """The N collocation points of an equilibrium, from which a warm start begins."""
+    """The N collocation points of an equilibrium, the start of a warm solve."""
 
     point: Array
     """Arc lengths (N,), m."""
@@ -346,7 +346,7 @@ SUBSTEPS = 2
 
 
 def gauss_fractions(steps: int) -> Array:
-    """Fractions (3 steps,) of a piece at which its Magnus steps need the curvature, 0 to 1."""
+    """Gauss points of the Magnus steps in a piece, as fractions (3 steps,) of its length, 0 to 1."""
     return np.asarray(((np.arange(steps)[:, None] + GAUSS_POINTS) / steps).ravel())
 
 
@@ -397,7 +397,7 @@ def evaluate_arm(problem: ReducedProblem, rotations: Array, state: Evaluation, t
 
 
 def _torsion(problem: ReducedProblem, torsion: Profile) -> float:
-    """Torsional energy int g t^2 / (2 kt), J, with that of the transmissions."""
+    """Torsional energy int g t^2 / (2 kt), J, transmissions included."""
     mesh = problem.mesh
     torque = torsion.torque[:, None, :] + mesh.length[:, None, None] * (mesh.tableau.matrix @ torsion.moment)
     slope = torsion.compliance[:, None] * torque + torsion.extra
@@ -413,19 +413,20 @@ def _steps(problem: ReducedProblem) -> NDArray[np.intp]:
 
 
 def _finer(mesh: Mesh) -> Tableau:
-    """Finer quadrature, which checks that of the mesh."""
+    """Finer quadrature, a check on the quadrature of the mesh."""
     return tableau("gauss", mesh.tableau.degree + EXTRA_POINTS)
 
 
 def _sections(problem: ReducedProblem, torsion: Profile, steps: NDArray[np.intp]) -> list[Sections]:
-    """Cross-sections at ENDS, at the points of the finer quadrature, and at those of each number of Magnus steps."""
+    """Cross-sections at ENDS, at the points of the finer quadrature, and at the points of each number of Magnus
+    steps."""
     places = [ENDS, _finer(problem.mesh).nodes, *(gauss_fractions(k) for k in sorted(set(steps.tolist())))]
     whole = sections_along(problem, torsion, tuple(np.concatenate(places).tolist()))
     return [whole.part(b - len(x), b) for x, b in zip(places, accumulate(map(len, places)), strict=True)]
 
 
 def _poses(u: Array, lengths: Array) -> tuple[Array, Array]:
-    """Frames (S + 1, 3, 3) and positions (S + 1, 3) between steps of lengths (S,) with u (S, 3, 2) at their points."""
+    """Frames (S + 1, 3, 3) and positions (S + 1, 3) between steps of lengths (S,), for u (S, 3, 2) inside the steps."""
     poses = chained(carry_function(), len(lengths))(_HOME, u.reshape(-1, 6), lengths[:, None])[0]
     poses = np.concatenate([_HOME[None], poses])
     return poses[:, :9].reshape(-1, 3, 3).swapaxes(1, 2), poses[:, 9:]

@@ -42,7 +42,7 @@ class Buffered:
 
 
 class Empty:
-    """Function mapped over no points, as on an arm of length zero, for which CasADi has no map: outputs are empty."""
+    """Function mapped over no points, for an arm of length zero: CasADi has no map of size 0. Its outputs are empty."""
 
     def __init__(self, function: ca.Function) -> None:
         self.inputs = [np.zeros((0, function.size1_in(i))) for i in range(function.n_in())]

@@ -187,7 +187,7 @@ class Chain:
 
     @property
     def before(self) -> Array:
-        """1 where the panel of a column is on the same tube, closer to the clamp than that of the row, (B, B)."""
+        """(B, B) 1 if the column's panel is on the same tube as the row's and closer to the clamp, else 0."""
         return np.asarray(np.tril(self.tube[:, None] == self.tube, -1), dtype=float)
 
 
@@ -295,7 +295,7 @@ def panels(chain: Chain, inputs: Mapping[str, Any]) -> Panels:
 
 
 def _stiffness(chain: Chain, coefficients: Array) -> Array:
-    """Stiffness (B,) of the tube of every panel: that of its straight part."""
+    """Stiffness (B,) of each panel's tube, taken from its straight part."""
     return np.array([coefficients[(chain.tube == i) & (chain.piece < 0)][0, 0] for i in chain.tube])
 
 

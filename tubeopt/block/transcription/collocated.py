@@ -1,4 +1,4 @@
-"""One piece of an arm as CasADi expressions: collocated torsion, change of pose, elastic energy.
+"""Piece of an arm as CasADi expressions: collocated torsion, change of pose, elastic energy.
 
 On a piece of length h that begins at rotations theta and torsions w (per length of the tube), with Runge-Kutta matrix
 A, weights b, and A~ the adjoint of A (itself for Gauss points),
@@ -26,10 +26,10 @@ from .chain import LocalTubes, column_length, local_tubes
 from .tableau import Tableau, tableau
 
 STEPS = 4
-"""Steps of the shape per piece, as those of `forward_kinematics`."""
+"""Steps of the shape per piece, as many as in `forward_kinematics`."""
 
 ENDS = np.arange(STEPS + 1) / STEPS
-"""Fractions of a piece at which its shape points lie, its start included."""
+"""Shape points of a piece as fractions of its length, its start included."""
 
 THROUGH_ENDS = np.linalg.inv(np.vander(ENDS, increasing=True))
 """Matrix (5, 5): powers of a fraction times it are the weights of the values at ENDS, in their polynomial."""
@@ -82,7 +82,7 @@ class Piece:
 
     @property
     def data(self) -> list[Any]:
-        """Constants of the piece, in the order in which functions take them."""
+        """Constants of the piece in the argument order of the functions."""
         if self.along is not None:
             return [self.torsional_stiffness, self.length, self.along]
         return [self.stiffness, self.moment, self.torsional_stiffness, self.length, *self.offsets]
@@ -149,7 +149,7 @@ class LoadedPiece(Piece):
 
 
 def symbolic_piece(grid: Grid) -> Piece:
-    """A piece whose fields are symbols."""
+    """Piece with symbols for all fields."""
     n = grid.n_tubes
     theta, twist, kb, m, kt, d, phi = (ca.SX.sym(s, n) for s in ("theta", "w", "kb", "m", "kt", "d", "phi"))
     offsets = (d, phi) if grid.eccentric else ()
@@ -268,7 +268,10 @@ def loaded_points(torsion: Torsion) -> list[LoadedPoint]:
 
 
 def energy_of(torsion: Torsion) -> Any:
-    """Elastic energy of the piece, J: int kt g c w^2 / 2 + bending, g c w^2 = w (w + (g c - 1) w)."""
+    """Elastic energy of the piece, J: int kt g c w^2 / 2 + bending.
+
+    It uses g c w^2 = w (w + (g c - 1) w).
+    """
     piece, t = torsion.piece, torsion.piece.grid.tableau
     total: Any = 0.0
     for k, b in enumerate(t.weights.tolist()):
@@ -279,7 +282,7 @@ def energy_of(torsion: Torsion) -> Any:
 
 
 class ControlledTorsion(NamedTuple):
-    """A piece whose torsion is a control."""
+    """Piece with its torsion as a control."""
 
     defect: Any
     """Defect (n, K) of theta' = c w."""

@@ -43,10 +43,10 @@ NEGLIGIBLE_COMPLIANCE = 1e-11
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """R rows of friction, linear in X unknowns x = (z, q, y), the last Y of which rotate tubes at M places."""
+    """R rows of friction, linear in X unknowns x = (z, q, y); the last Y unknowns rotate tubes at M points."""
 
     problem: ReducedProblem
-    """Torsion, in which the rotation of every tube with friction is unknown."""
+    """Torsion problem with the rotation of every tube with friction as an unknown."""
     friction: Friction
     """Friction between neighbouring tubes."""
     loading: Loading | None
@@ -68,9 +68,9 @@ class Contact:
     tube: Index
     """Tubes (M,) that concentrated friction acts on."""
     place_by_z: Array
-    """Rotations (M, U) at these places by z."""
+    """Derivatives (M, U) of the rotations at these points by z."""
     place_by_y: Array
-    """Rotations (M, Y) at these places by y."""
+    """Derivatives (M, Y) of the rotations at these points by y."""
 
     @property
     def elastic_size(self) -> int:
@@ -93,7 +93,7 @@ class Contact:
 
 
 class _Concentrated(NamedTuple):
-    """Friction of a pair of tubes at one place."""
+    """Concentrated friction of a pair of tubes at one arc length."""
 
     arc_length: float
     pair: int
@@ -163,7 +163,7 @@ def _problem(
 
 
 def _concentrated(assembly: Assembly, capacities: dict[str, Array]) -> list[_Concentrated]:
-    """Concentrated friction of all pairs; capacities at one place are added."""
+    """Concentrated friction of all pairs; capacities at the same arc length are added."""
     total: dict[tuple[float, int], float] = {}
 
     def add(s: float, pair: int, capacity: float) -> None:
@@ -271,7 +271,7 @@ def contact_profile(contact: Contact, rotations: Array, state: ContactState, tor
 def unknowns_of(
     contact: Contact, rotations: Array, points: Array, places: Array, bending: Array | None = None
 ) -> Array:
-    """Unknowns x (X,) at elastic rotations at the collocation points (N, n) and at the M places between them.
+    """Unknowns x (X,) for elastic rotations at the collocation points (N, n) and at the M points between them.
 
     Under a load `bending` (N, 2) is the curvature at the points less that without load, 1/m.
     """

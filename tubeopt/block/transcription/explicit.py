@@ -184,10 +184,10 @@ STEPS = 4
 """Steps per section: joint rotations of the thesis' robot to about 1e-5 rad."""
 
 MAX_HELIX_TURN = 1.5
-"""Natural turn (rad) of a helix in a section up to which STEPS are as accurate as for an arc."""
+"""Largest natural turn (rad) of a helix in a section for which STEPS are as accurate as for an arc."""
 
 MAX_EXPANDED_SIZE = 200_000
-"""Operations up to which all steps are expanded: a tenth faster than calls, but building takes seconds beyond it."""
+"""Largest number of operations for which all steps are expanded. It is a tenth faster than calls, but slow to build."""
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ class Kind:
     n: int
     """Number of tubes."""
     eccentric: bool = False
-    """Tubes run beside the centreline."""
+    """True if tubes run off the centreline."""
     stretches: int = 0
     """Largest number of arcs and helices of a tube made of pieces; 0 for tubes of one curvature."""
     steps: int = STEPS
@@ -400,7 +400,7 @@ class _Section(NamedTuple):
 
 
 def _sections_of(ends: Any) -> Iterator[_Section]:
-    """Sections of tubes whose C stretches end at arc lengths `ends` (n, C)."""
+    """Sections of tubes with C stretches each, which end at arc lengths `ends` (n, C)."""
     n, count = ends.shape
     breakpoints: list[Any] = [ca.fmax(end, 0) for end in ca.vertsplit(ca.vec(ends))]
     # Bubble sort by minima and maxima, which CasADi differentiates whatever the order.
@@ -488,7 +488,10 @@ def _nystrom(
 def _runge_kutta(
     balance: Any, state: tuple[Any, ...], inputs: tuple[Any, ...], kt: tuple[Any, Any], h: Any
 ) -> list[Any]:
-    """Step of order 4 of theta' = g w, w' = M / kt and of the Jacobi fields of softened tubes; see `_nystrom`."""
+    """Step of order 4 of theta' = g w, w' = M / kt.
+
+    It also steps the Jacobi fields of softened tubes; see `_nystrom`.
+    """
 
     def rates(state: State, _: int) -> State:
         theta, w, y, v = state

@@ -39,7 +39,7 @@ class BlockLoad:
     weight: Array
     """Weight (n, 3) per length of each tube, N/m."""
     tip_tube: int
-    """Tube that ends last, on which the axial moment acts."""
+    """Tube that ends last; the axial moment acts on it."""
     stiffness: float
     """Typical bending stiffness, N m^2, which scales the moments."""
 
@@ -57,7 +57,7 @@ class LoadedModel(Model):
     tip_moment: Any
     """Moment (3,) at the tip in its own frame, N m."""
     on_tip_tube: Any
-    """1 for the tube on which the axial moment at the tip acts, else 0, (n,)."""
+    """(n,) 1 for the tube that carries the axial moment at the tip, else 0."""
     bending_stiffness: float = 1.0
     """Typical bending stiffness, N m^2, which scales the moments."""
 

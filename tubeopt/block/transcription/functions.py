@@ -57,7 +57,10 @@ def field_rows(grid: Grid) -> int:
 
 
 def field_rates(torsion: Torsion, margin: Any, typical: Any) -> Any:
-    """Matrices (2 N, 2 N K) of the linear equations of (y, phi, y', g / (1 - margin) / typical) at the points."""
+    """Matrices (2 N, 2 N K) of the linear equations of (y, phi, y', g) at the points.
+
+    The column of g is scaled by 1 / (1 - margin) / typical.
+    """
     piece, n = torsion.piece, torsion.piece.grid.n_tubes
     assert isinstance(piece, LoadedPiece)
     kt, soft, e3 = ca.diag(1 / piece.torsional_stiffness), 1 / (1 - margin), ca.SX([0, 0, 1])
@@ -140,7 +143,9 @@ def positions_function(grid: Grid) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def inside_function(grid: Grid) -> ca.Function:
-    """Function (q, p, x, arguments of a piece) -> q (4,), p (3,), theta (n,), w (n,), u (2,) at the fraction x of it.
+    """Function (q, p, x, arguments of a piece) -> pose and torsion at the fraction x of the piece.
+
+    The results are q (4,), p (3,), theta (n,), w (n,) and u (2,).
 
     Of tubes made of pieces also natural turn, natural twist and compliance ratio (n,).
     """

@@ -67,7 +67,7 @@ class Couples:
     point: Index
     """Collocation points (C - J,)."""
     tube: Index
-    """Tubes (C,) on which the moments act."""
+    """Tubes (C,) that the moments act on."""
     row: Array
     """Rotations (C, U) of the tubes where the moments act, by z."""
     following: bool
@@ -87,7 +87,7 @@ class Couples:
         return np.asarray(out)
 
     def torque_slopes(self, orientation: Orientation, curvature_slope: Array) -> Array:
-        """Derivative (C, U + 2 N) of the torques by x, from that of the curvature (2 N, U + 2 N)."""
+        """Derivative (C, U + 2 N) of the torques by x, from the slope of the curvature (2 N, U + 2 N)."""
         slope = np.concatenate([orientation.start_slope[self.joint], orientation.stage_slope[self.point]])
         by_quaternion = (self.moment[:, None] @ tangent_slopes(self.quaternions(orientation)))[:, 0]
         # A moment that turns with the tip has a constant torque.
@@ -135,7 +135,7 @@ class LoadedProblem:
     """Data of one robot under one load on one mesh, for any rotations; N points, U unknown rotations."""
 
     torsion: ReducedProblem
-    """Problem of the rotations, on a mesh all pieces of which have collocation points."""
+    """Problem of the rotations, on a mesh with collocation points in every piece."""
     load: Load
     """External load."""
     ahead: Array
@@ -211,7 +211,10 @@ class LoadedState:
     energy: float
     """Elastic energy, J; under moments without the torsion that z does not determine."""
     work: float
-    """Work int n.t ds of the load from all points of the arm at the plate, J; NaN for a load without an energy."""
+    """Work int n.t ds of the load, J; NaN for a load without an energy.
+
+    It counts from an arm with all points at the plate.
+    """
     gradient: Array
     """Gradient of energy less work by x, or the equations for loads without an energy."""
     hessian: Array
@@ -239,7 +242,7 @@ class LoadedState:
 
 @dataclass(frozen=True, eq=False)
 class Loading:
-    """Load on an assembly, the sections of which end where the load jumps."""
+    """Load on an assembly with breakpoints at the jumps of the load."""
 
     load: Load
     """External load."""
@@ -429,7 +432,7 @@ def _tip(problem: LoadedProblem, orientation: Orientation, curvature_slope: Arra
 
 
 def tip_slopes(problem: LoadedProblem, state: LoadedState) -> Array:
-    """Derivative (6, U + 2 N) by x of the tip position, and of the rotation of the tip tube about world axes."""
+    """Derivative (6, U + 2 N) of the tip pose by x: position, and rotation of the tip tube about world axes."""
     reach, turn = _tip(problem, state.orientation, state.curvature_slope)
     turn[:, : len(problem.tip_row)] += np.outer(tip_frame(state.orientation)[:, 2], problem.tip_row)
     return np.concatenate([reach, turn])
@@ -597,7 +600,7 @@ def compliance_along(problem: LoadedProblem, state: LoadedState, s: float, tube:
 
 
 def _twist(problem: LoadedProblem, weight: Array, tube: int) -> tuple[Array, float]:
-    """Rotation (U,) of a tube at a place by z, and its compliance there less the part through z, rad/(N m).
+    """Rotation (U,) of a tube at an arc length by z, and its compliance there less the part through z, rad/(N m).
 
     `weight` (N,) are the quadrature weights from the plate to the place.
     """

@@ -42,7 +42,7 @@ KNOWN = 2.0
 
 # Gauss points lie inside the section: at its ends the tubes of two sections meet.
 SAMPLES = (np.polynomial.legendre.leggauss(8)[0] + 1) / 2
-"""Fractions of a section at which coupling and curvature of tubes made of pieces are evaluated."""
+"""Samples in a section of coupling and curvature of tubes made of pieces, as fractions of its length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,8 @@ class Mesh:
     collocated: Mask
 
     def places(self, arc_length: Array) -> tuple[Index, Array]:
-        """Pieces in which arc lengths lie, and fractions inside each, 0 to 1; beyond the ends of the nearest point."""
+        """Pieces that contain arc lengths, and fractions inside each, 0 to 1; beyond the ends those of the nearest
+        point."""
         piece = np.clip(np.searchsorted(self.start, arc_length, side="right") - 1, 0, len(self.start) - 1)
         return piece, np.clip((arc_length - self.start[piece]) / self.length[piece], 0.0, 1.0)
 
@@ -214,7 +215,7 @@ def _mesh(assembly: Assembly, counts: NDArray[np.intp], collocated: Mask, rule: 
 # --- Torsional compliance: rotations at one point by a couple at another, collocated ----------------------------------
 
 INWARDS = 1e-6
-"""Offset, relative to half a piece, at which the cross-section at the end of a piece is read: it may jump there."""
+"""Offset, relative to half a piece, of the cross-section read for the end of a piece: properties may jump there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,7 +250,7 @@ def sections_at(assembly: Assembly, mesh: Mesh, x: Array) -> CrossSections:
 
 
 def reach(mesh: Mesh, here: Compliant) -> Array:
-    """int ds / kt (P + 1, n) from the clamp of each tube to the start of every piece, and to the tip."""
+    """(P + 1, n) int ds / kt from the clamp of each tube to the start of every piece, and to the tip."""
     gain = mesh.length[:, None] * np.einsum("k,pki->pi", mesh.tableau.weights, here.rate)
     return np.concatenate([np.zeros((1, gain.shape[1])), np.cumsum(gain, axis=0)]) + here.transmission
 

@@ -52,7 +52,7 @@ class Layout:
     present: Array
     """1 where a tube is present on a piece, else 0, (n, P)."""
     curved: Array
-    """1 where a tube is curved on a piece, else 0, (n, P); of tubes made of pieces the panel of each tube, (B, P)."""
+    """(n, P) 1 for a curved tube on a piece, else 0; (B, P) panel of each tube for tubes made of pieces."""
 
     @property
     def n_pieces(self) -> int:
@@ -102,7 +102,7 @@ def layout(
 
 
 def _selected_panels(order: Order, assembly: Assembly) -> Array:
-    """1 for the panel of each tube in which a section lies, else 0, (m, B).
+    """(m, B) 1 for the panel of each tube that contains a section, else 0.
 
     B panels, tube by tube, the straight part first; beyond the end of a tube its last panel is selected.
     """
@@ -149,7 +149,7 @@ def order_labels(order: Order) -> list[str]:
 
 
 def neighbours(order: Order, row: int) -> tuple[Breakpoint, ...]:
-    """Breakpoints whose distance a row of `Layout.distance` is; one if it is the distance from the plate."""
+    """Breakpoints at both ends of a row of `Layout.distance`; one if the row is the distance from the plate."""
     front = len(order.front)
     if row >= front:
         return (order.behind[row - front],)
@@ -277,7 +277,7 @@ class TorsionModel:
         return arm + ca.dot(self.torsional_stiffness[:, 0] * self.transmission, self.twist[:, 0] ** 2) / 2
 
     def torsion_equations(self, rotations: Any, reach: float, sections: Sequence[int] | None = None) -> list[Equation]:
-        """Equations of an equilibrium whose tubes are clamped at `rotations` (n,), rad.
+        """Equations of an equilibrium of tubes clamped at `rotations` (n,), rad.
 
         Args:
             reach: typical length, m.

@@ -82,7 +82,7 @@ class Program(Protocol):
         """Set the labels of the rows of a constraint."""
 
     def enter(self, block: Any) -> str:
-        """Register a block, whose breakpoints the program may reorder; returns its default name."""
+        """Default name of a block after its registration; the program may reorder its breakpoints."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Structure:
     section: tuple[int, ...]
     """Section of each piece, from 0."""
     coupled: tuple[bool, ...]
-    """True for pieces whose torsion is more than linear."""
+    """True for pieces with nonlinear torsion."""
 
     @property
     def shapes(self) -> dict[str, tuple[int, int]]:
@@ -147,7 +147,7 @@ def torsion_constants(program: Program, structure: Structure, expressions: Mappi
 
 
 def add_torsion(program: Program, structure: Structure, rotations: Any, expressions: Mapping[str, Any]) -> TorsionModel:
-    """Add the torsion of an arm whose tubes are clamped at `rotations` (n,): as many equations as unknowns.
+    """Add the torsion of an arm with tubes clamped at `rotations` (n,): as many equations as unknowns.
 
     Args:
         expressions: constants of the arm that are expressions of the program, by name; the others become parameters.

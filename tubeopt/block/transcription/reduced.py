@@ -92,7 +92,7 @@ def blocks_of(assembly: Assembly, green: Array, section: Index, integrals: tuple
 
 
 LARGE = 60
-"""Number of unknowns from which it saves time to skip the zeros of L."""
+"""Smallest number of unknowns for which skipping the zeros of L saves time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +109,7 @@ class _Pairs:
 
 @dataclass(frozen=True, eq=False)
 class ReducedProblem:
-    """One assembly on one mesh, for any rotations; N collocation points, U unknowns.
+    """Torsion problem of one assembly on one mesh, for any rotations; N collocation points, U unknowns.
 
     Properties are computed on first use: the compiled kernels need few of them.
 
@@ -256,7 +256,7 @@ class ReducedProblem:
 
     @cached_property
     def tip_tube(self) -> int:
-        """Tube on which a moment at the tip acts: that which ends last, of several the innermost."""
+        """Tube that carries a moment at the tip: the one that ends last, of several the innermost."""
         return int(last_tube(self.assembly.end))
 
     @cached_property
@@ -267,7 +267,10 @@ class ReducedProblem:
 
     @cached_property
     def softness(self) -> tuple[Array, Array]:
-        """int ds / kt from the clamp of each tube to the points (N, n), and to the ends of pieces (P + 1, n)."""
+        """int ds / kt from the clamp of each tube to the points (N, n), and to the ends of pieces.
+
+        The second array is (P + 1, n).
+        """
         return ahead(self.mesh, self.here), reach(self.mesh, self.here)
 
     @cached_property

@@ -42,7 +42,7 @@ class Forcing:
     jumps: Array
     """Jump (P + 1, 2 n + 6, Q) of the state at the ends of the pieces."""
     side: int
-    """Side of the moments at joints on which the jumps are: -1 towards the plate, 1 towards the tip."""
+    """Side of the joints at which the moments jump: -1 towards the plate, 1 towards the tip."""
 
 
 class Forced(NamedTuple):
@@ -70,7 +70,10 @@ class PointChanges(NamedTuple):
 
 
 class Maps(NamedTuple):
-    """Linear maps of P pieces with r = K (n + 2) unknowns each, phi and u at the points; without a load r = K n."""
+    """Linear maps of P pieces from r = K (n + 2) unknowns each: phi and u at the points.
+
+    Without a load r = K n.
+    """
 
     matrix: Array
     """Equations (P, r, r) of the unknowns."""
@@ -188,7 +191,10 @@ class LinearisedArm(ArmState):
         return self.at.slopes.reshape(self.pieces, self.degree, self.n + 2, self.n + 2)
 
     def _bending_slopes(self, softness: float) -> Array:
-        """Derivative of t' and u at the points by phi (P, K, n + 2, n), or by (phi, psi, m) (P, K, n + 2, n + 6)."""
+        """Derivatives of t' and u at the points.
+
+        By phi (P, K, n + 2, n), or by (phi, psi, m) (P, K, n + 2, n + 6).
+        """
         n = self.n
         if self.load is None:
             return self._slopes[..., :n]
@@ -209,7 +215,7 @@ class LinearisedArm(ArmState):
         return np.asarray(out.reshape(rates.shape))
 
     def _point_changes(self, q: Array, starts: Array, forced: Forced | None, softness: float = 1.0) -> PointChanges:
-        """Changes at the points by those of (phi, psi) there, without a load of phi.
+        """Changes at the points for given changes of (phi, psi) there, without a load of phi alone.
 
         Args:
             q: changes (P, K, half, C) at the points.
@@ -239,7 +245,10 @@ class LinearisedArm(ArmState):
         return PointChanges(torque, moment, bending, moment_rate, twist)
 
     def _integrals(self, changes: PointChanges, softness: float) -> tuple[Array, Array]:
-        """Integrals of phi' up to the points, above u there (P, r, C), and of the rates of the state (P, 2 half, C)."""
+        """Integrals up to the points, (P, r, C), and of the rates of the state, (P, 2 half, C).
+
+        The first integrates phi', and contains u after it.
+        """
         n, half, k, count = self.n, self.half, self.degree, changes.torque.shape[-1]
         rates = np.empty((self.pieces, k, 2 * half, count))
         np.multiply((softness * self.twist_compliance)[..., None], changes.torque, out=rates[..., :n, :])
@@ -395,7 +404,7 @@ class LinearisedArm(ArmState):
         return self._response(state, q, all_forced, 1.0)
 
     def _response_without_arm(self, jumps: Array, turn: Array) -> Response:
-        """Response of an arm of length zero, whose plate turns the tubes by `turn` (n, Q)."""
+        """Response of an arm of length zero with tubes turned by `turn` (n, Q) at the plate."""
         n, count = self.n, turn.shape[1]
         phi, vector, bending = (np.zeros((0, self.degree, rows, count)) for rows in (n, 3, n + 2))
         # Torques at the plate twist the transmissions.
@@ -415,7 +424,10 @@ class LinearisedArm(ArmState):
         return state
 
     def _full_states(self, state: Array) -> Array:
-        """States (P + 1, 2 n + 6, Q) from those in the chain (P + 1, 2 half, Q): without a load psi and m are 0."""
+        """States (P + 1, 2 n + 6, Q) from the states of the chain (P + 1, 2 half, Q).
+
+        Without a load psi and m are 0.
+        """
         out = np.zeros((len(state), self.size, state.shape[2]))
         out[:, self.chain_rows] = state
         return out
@@ -552,7 +564,7 @@ SAME_MODE = 1e-6
 """Largest difference of the quotient of a mode from the margin."""
 
 SHIFT = 1e-12
-"""Distance from the margin at which a mode is computed: more than round-off of the matrix, and far less than DOUBLE."""
+"""Offset from the margin for the computation of a mode: more than round-off of the matrix, and far less than DOUBLE."""
 
 DOUBLE = 1e-9
 """Distance of eigenvalues below which they count as double, without a unique mode and derivative."""
@@ -560,7 +572,10 @@ DOUBLE = 1e-9
 
 @lru_cache(maxsize=64)
 def _units_at_points(n: int, degree: int, half: int) -> Array:
-    """Read-only (K, half, r + 2 half): phi and psi at the points by phi there, and by the state at the start."""
+    """Read-only (K, half, r + 2 half) derivatives of phi and psi at the points.
+
+    By phi at the points, and by the state at the start.
+    """
     r = degree * (n if half == n else n + 2)
     out = np.zeros((degree, half, r + 2 * half))
     out[:, :n, : degree * n] = np.eye(degree * n).reshape(degree, n, -1)

@@ -320,7 +320,10 @@ class ArmState:
         self.bending_moment = (self.across @ self.moment[..., None])[..., 0]
 
     def _set_torques(self, torque_rate: Array, stretch: Array) -> None:
-        """Set torques t and rotations phi, at the points and at the ends of the pieces, from M and g (P K, n)."""
+        """Set torques t and rotations phi at the points and at the ends of the pieces.
+
+        They follow from M and g (P K, n).
+        """
         points = self.compliance.shape
         self.twist_compliance = self.compliance * stretch.reshape(points)
         """Derivative g / kt (P, K, n) of phi' by the torque."""
