@@ -36,7 +36,7 @@ METHODS = ("auto", "gauss_newton", "nlp")
 """Solvers: the fast Gauss-Newton search with the nonlinear program as fallback, or one of them alone."""
 
 TIME_LIMIT = 60.0
-"""Default time limit per target, s: three times that of `tubeopt ik`."""
+"""Default time limit per target, s: three times the default of `tubeopt ik`."""
 
 
 @typed
@@ -170,7 +170,7 @@ class InverseSolution(Displayed):
     straight_from_seed: Annotated[
         bool | None, key("straight_from_start"), "true if the straight path from the start arrives without a snap"
     ]
-    """False if it snaps, or comes too close to a snap for a quick check. None without a seed."""
+    """False if the path snaps, or if its margin is too small for a quick check. None without a seed."""
     active: Annotated[tuple[str, ...], "active constraints"]
     """Descriptions of active ranges, contacts of tubes, margin and obstacles."""
     status: InverseStatus

@@ -1,4 +1,4 @@
-"""The surface of an arm, and how far it is from bodies: where it is the least, and where it comes close to each."""
+"""Surface of an arm: its smallest distance from bodies, and its closest points to each."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..typing import Array, Index, Mask
 
 # Half a millimetre on an arm of 200 mm; what lies between two points is bounded by the arm's bend, see `_at_least`.
 FINE = 400
-"""Points along the arm at which its distance from bodies is measured."""
+"""Number of points along the arm at which its distance from bodies is computed."""
 
 EVENLY = np.linspace(0.0, 1.0, FINE)
 """Arc lengths of these points as fractions of the arm."""
@@ -26,14 +26,14 @@ STRIDES = (16, 4, 1)
 
 # One call for all of them, where golden-section search would take as many calls one after the other.
 FINER = 17
-"""Points between the two neighbours of one at which it is closest."""
+"""Number of points between the two neighbours of a closest point."""
 
 # Every contact is a row of a quadratic program.
 MAX_CONTACTS = 6
 """Maximum number of contacts with one body."""
 
 AHEAD, BEYOND = 5e-3, 1e-9
-"""Additional distances up to which distances are computed, beyond those that decide, m."""
+"""Distances, m, beyond the decisive ones that are computed too."""
 
 PARTS = 4
 """Number of pieces of the centreline between two shape points for the coarse search."""
@@ -54,14 +54,14 @@ BETWEEN = cubic(_UNIT[0], _UNIT[1], _UNIT[2], _UNIT[3], np.arange(1, PARTS)[:, N
 
 @lru_cache(maxsize=64)
 def outer_radius(robot: Robot) -> Array:
-    """Radius (n,) of the arm where tube i is the outermost, m; for eccentric tubes that of the sheath."""
+    """Radius (n,) of the arm where tube i is the outermost, m; for eccentric tubes the sheath's."""
     offset = robot.assembly(np.array(robot.home_translations)).offset
     return np.array([tube.outer_diameter / 2 for tube in robot.tubes]) + offset
 
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """Places where an arm comes closest to bodies."""
+    """Points of the arm closest to bodies."""
 
     body: Index
     """Numbers (c,) of the bodies."""
@@ -78,7 +78,7 @@ class Contacts:
 
     @property
     def rank(self) -> Index:
-        """Index (c,) of each contact among those of its body, from 0; contacts are sorted by body."""
+        """Index (c,) of each contact among the contacts of its body, from 0; contacts are sorted by body."""
         return np.arange(len(self.body)) - np.searchsorted(self.body, self.body)
 
 
@@ -87,7 +87,7 @@ class _Near:
     """Contacts within a distance."""
 
     within: float
-    """Distance, m."""
+    """Distance within which contacts were computed, m."""
     contacts: Contacts
     row: Index
     """Rows (r,) of the grid near which bodies come that close."""
@@ -145,7 +145,7 @@ class ArmSurface:
 
     @cached_property
     def _steps(self) -> tuple[Array, Array]:
-        """Arc lengths (n,) at which tubes end, in order, and the radius of the arm (n + 1,) up to each and beyond."""
+        """Arc lengths (n,) of the tube ends in order, and the radius of the arm (n + 1,) between and beyond them."""
         ends = self.equilibrium.tube_end
         order = np.argsort(ends)
         radius = np.append(outer_radius(self.equilibrium.robot)[order], 0.0)
@@ -182,7 +182,7 @@ class ArmSurface:
 
     @cached_property
     def _few(self) -> Index:
-        """Rows of the coarse grid, with those at which the radius falls."""
+        """Rows of the coarse grid, and rows at the ends of tubes."""
         few, last = np.zeros(len(self.grid), dtype=bool), len(self.grid) - 1
         few[:: STRIDES[0]] = few[last] = True
         few[np.minimum(np.searchsorted(self.grid, self.equilibrium.tube_end), last)] = True
@@ -236,7 +236,7 @@ class ArmSurface:
 
     @cached_property
     def bend(self) -> float:
-        """Upper bound of the curvature of the arm, 1/m, with a reserve for the places between its points."""
+        """Upper bound on the curvature of the arm, 1/m, with a reserve for curvature between its points."""
         return 1.2 * float(np.linalg.norm(self.equilibrium.curvature, axis=1).max(initial=0.0))
 
     def _between(self, scene: Scene, rows: Index) -> float:
@@ -346,7 +346,7 @@ class ArmSurface:
 
 
 def _farthest(body: Index, distance: Array, count: int) -> float:
-    """Distance within which there are `count` bodies, from pairs (k,); infinite if there are fewer."""
+    """Distance that includes `count` bodies, from pairs (k,); infinite for fewer bodies."""
     least = np.full(body.max(initial=-1) + 1, np.inf)
     np.minimum.at(least, body, distance)
     return float(np.partition(least, count - 1)[count - 1]) if len(least) >= count else np.inf

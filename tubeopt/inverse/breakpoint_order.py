@@ -28,7 +28,7 @@ SHORT_SECTION = 1e-4
 # More than CLOSED_SECTION (2 um against 0.1 um on an arm of 200 mm), or the first step beyond a change of order would
 # close the section again and lead back.
 MOVED_PAST = 1e-5
-"""Distance by which breakpoints are moved past each other, relative to the robot's length."""
+"""Distance that breakpoints are moved past each other, relative to the robot's length."""
 
 
 @dataclass(frozen=True, eq=False)

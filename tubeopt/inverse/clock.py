@@ -20,7 +20,7 @@ class Clock:
     within: Clock | None = None
     """Enclosing clock, which ends this one too."""
     now: Callable[[], float] = time.perf_counter
-    """Current time, s: of the wall clock, or of counted work, which is the same on every machine under any load."""
+    """Current time, s: wall clock, or counted work. Counted work is equal on every machine and under any load."""
     began: float = field(init=False)
     """Start, s of `now`."""
     worked: float = field(default_factory=time.process_time, init=False)

@@ -31,8 +31,10 @@ MIN_APPROACH = 1e-8
 # The first is ten times MIN_APPROACH, since two descents to one minimum end up to that far apart. The second compares
 # searches that were not polished: 4 um on an arm of 200 mm.
 GAIN, SAME_MISS = 1e-7, 2e-5
-"""Approach by which a later end replaces an earlier one, and largest difference of distances from the target that count
-as equal; both relative to the robot's length."""
+"""Approach at which a later end replaces an earlier one, and largest difference of equal distances from the target.
+
+Both are relative to the robot's length.
+"""
 
 # Newton steps on the constraints: each about doubles the digits where they converge.
 RESTORATIONS = 12
@@ -48,7 +50,7 @@ SAME_END = 1e-3
 # A minimum to which four further ends lead is most likely the global one. That is evidence, not a proof, and the
 # message says no more than that the search ended.
 AGREEING = 4
-"""Number of further ends at the same distance after which no closer one is searched for."""
+"""Number of further ends at the same distance that stop the search for a closer one."""
 
 
 def approach(goal: Goal, start: Posture) -> Search | None:

@@ -42,8 +42,10 @@ SHORTEST_STEP = 1e-5
 # Those of trust-region methods: Nocedal and Wright, Numerical Optimization (2006), algorithm 4.1, have 0 to 1/4, 3/4
 # and 1/4.
 ACCEPTED, FAITHFUL, SHRINK = 0.05, 0.7, 0.35
-"""Ratios of the actual to the predicted decrease from which a step is accepted, and from which the trust region is
-doubled; factor on the trust region after a rejected step."""
+"""Smallest accepted ratio of actual to predicted decrease, ratio that doubles the trust region, and shrink factor.
+
+The factor applies to the trust region after a rejected step.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,8 +225,10 @@ def _step_across(problem: Problem, here: Posture, value: float) -> tuple[Step | 
 # --- to the target ----------------------------------------------------------------------------------------------------
 
 ON_TARGET = 1e-10
-"""Distance (m) and angle (rad) at which the descent stops: a hundredth of the tolerance of a solution, so that it stays
-a solution when it is solved again on a finer mesh."""
+"""Distance (m) and angle (rad) that end the descent: a hundredth of the tolerance of a solution.
+
+So the result remains a solution on a finer mesh.
+"""
 
 MIN_DECREASE = 1e-7
 """Relative decrease of the residual that a step must promise."""
@@ -256,7 +260,7 @@ class _TargetProblem:
         return 2 * MIN_DECREASE * value
 
     def converged(self, at: Posture, values: Sequence[float]) -> bool:
-        """On target, or stagnant over the last steps."""
+        """True if on target, or stagnant over the last steps."""
         # Values are half the squares of distances.
         if len(values) > PATIENCE and values[-1] > STAGNANT**2 * values[-1 - PATIENCE]:
             return True

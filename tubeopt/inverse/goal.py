@@ -1,4 +1,4 @@
-"""The question: target of the tip, constraints, costs, and custom ones of them."""
+"""Goal of inverse kinematics: target of the tip, constraints and costs, built-in or custom."""
 
 from __future__ import annotations
 
@@ -154,11 +154,14 @@ def linear(at: Posture) -> Callable[[Quantity], tuple[Array, Array]]:
 
 # The rotations of an equilibrium are solved for to 1e-8 rad, which moves the tip of an arm of 200 mm by 2e-9 m.
 POSITION_TOLERANCE, DIRECTION_TOLERANCE = 1e-8, 1e-7
-"""Distance, m, and angle, rad, at which a solution counts as on target: the accuracy of forward kinematics."""
+"""Tolerances of a target, m and rad: the accuracy of forward kinematics."""
 
 EXTRA_MARGIN, EXTRA_CLEARANCE = 1e-6, 1e-5
-"""Margin, and clearance (m), that a search keeps beyond what is required: a finer mesh changes the margin by less than
-the first, and the arm leaves the line between its sample points by less than the second."""
+"""Extra margin, and extra clearance (m), that a search keeps beyond the required values.
+
+A finer mesh changes the margin by less than the first. The arm leaves the line between its sample points by less than
+the second.
+"""
 
 # More distant bodies would only make the quadratic program larger. A step that meets one anyway is shortened, and the
 # body is known from then on (`touched`).
@@ -168,7 +171,8 @@ BODY_REACH = 0.1
 # Every body adds up to MAX_CONTACTS rows, and the time of the quadratic program grows with the rows. Others count as
 # soon as a step comes too close to one of them (`Goal.touched`).
 BODIES_PER_STEP = 30
-"""Number of nearest obstacles that always constrain a step; others are added when a step comes too close to them."""
+"""Number of nearest obstacles that always constrain a step; others are added for a step that approaches them too
+closely."""
 
 
 class LinearConstraints(NamedTuple):
@@ -226,7 +230,7 @@ class Goal:
 
     @property
     def hindered(self) -> bool:
-        """True if there are obstacles or custom constraints."""
+        """True with obstacles or custom constraints."""
         return bool(self.scene.bodies) or bool(self.extras.constraints)
 
     @property

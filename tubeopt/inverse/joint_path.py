@@ -31,9 +31,11 @@ margin kept on it; half of the margin at its ends if that is less."""
 
 # Near the axis, and near straight arms, joints turn far although nothing jumps.
 TURN_PER_MOVE, SHIFT_PER_MOVE = 20.0, 8.0
-"""Motion of a rotation, rad, and of a translation, in units of its scale, that is no jump: per motion of the tip in
-robot's lengths and, where it is pointed, rad. A carriage that moves more than four times as far as the tip changes the
-configuration."""
+"""Largest changes of a rotation, rad, and of a translation, in units of its scale, that are no jump.
+
+They are per motion of the tip in robot's lengths and, for a target with direction, rad. A carriage that moves more than
+four times as far as the tip changes the configuration.
+"""
 
 # A tip that moves around the axis turns all tubes with it by its azimuth, however close to the axis it is.
 TURN_PER_AZIMUTH = 2.0
@@ -90,7 +92,7 @@ def snap_free_path(
 
 
 def _joints(task: Task, points: Array, parts: int) -> Array:
-    """Joint values (W, m) along the straight motions between points of the chart."""
+    """Joint values (W, m) along straight motions between points in tip coordinates."""
     rows = [points[:1]]
     for a, b in pairwise(points):
         marks = task.line(a, b)

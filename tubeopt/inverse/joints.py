@@ -27,7 +27,10 @@ SLACK = 1e-9
 """Allowed violation of ranges and order by round-off, relative to the joint's scale and the longest tube."""
 
 SAME_PLACE = 1e-9
-"""Play (m) that counts as none, and distance of carriages at the same place: below a drive's, above that of files."""
+"""Largest play (m) that counts as none, and largest distance of coinciding carriages.
+
+It is below the resolution of a drive, and above that of files.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +117,7 @@ class JointSpace:
         return q
 
     def _independent(self, rotations: Array, translations: Array) -> Array:
-        """Joint values (m,) at which the first tube of every carriage has its translation."""
+        """Joint values (m,), with the translation of the first tube of every carriage."""
         own = np.asarray(translations) - self.offset[self.robot.n_tubes :]
         return np.concatenate([rotations, own[[tubes[0] for tubes in self.carriages]]])
 
@@ -184,7 +187,7 @@ class JointSpace:
         return np.concatenate([self.lower, -self.upper, self.least])
 
     def free_sides(self, bounds: Array) -> tuple[int, ...]:
-        """Sides (n,) to which translations can move: -1 if a translation can shrink but not grow, else 1.
+        """Sides (n,) that translations can move to: -1 if a translation can shrink but not grow, else 1.
 
         `bounds` (2m + k,) are those of `inequalities`; range and order count.
         """
@@ -296,7 +299,7 @@ class JointSpace:
         )
 
     def inside(self) -> Array:
-        """Joint values (m,) in the middle of ranges and order; raises InputError if there are none."""
+        """Joint values (m,) in the middle of ranges and order; raises InputError without any."""
         n = self.robot.n_tubes
         return self._placed((self.lower + self.upper)[:n] / 2, lambda bottom, top: (bottom + top) / 2)
 
@@ -444,7 +447,7 @@ def joints_of(space: JointSpace, name: str, value: Configuration) -> tuple[Array
 
 
 def shift_of(robot: Robot, *places: Any) -> list[Array]:
-    """Translations (n,), m, of each place that is a configuration; tip poses and invalid values are skipped."""
+    """Translations (n,), m, of each start that is a configuration; tip poses and invalid values are skipped."""
     rows = []
     for place in places:
         if isinstance(place, tuple | list) and len(place) == 2:

@@ -30,7 +30,7 @@ ASSIGNMENTS = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
 """The six permutations of the middle tube, the tube ahead and the tube behind."""
 
 STRAIGHT = 2 * math.pi / 3
-"""Separation at which the arm is straight, rad."""
+"""Separation of the tubes for a straight arm, rad."""
 
 
 def mirror_rotations(direction: float, separation: float, assignment: Sequence[int] = (0, 1, 2)) -> Array:
@@ -62,7 +62,9 @@ def mirror_separation(fraction: float) -> float:
 
 
 def arc_curvature(equilibrium: Equilibrium) -> Array:
-    """Curvature (2,) of the arc from plate to tip, 1/m, as a vector towards the tip in x and y of the plate.
+    """Curvature (2,) of the arc from plate to tip, 1/m, as a vector along x and y of the plate.
+
+    It points towards the tip.
 
     The arc is tangent to the axis where the tubes start to curve. Its curvature vector is 2 (x, y) / |p|^2. For an arm
     of varying curvature, a camera sees this arc.
@@ -76,7 +78,7 @@ def arc_curvature(equilibrium: Equilibrium) -> Array:
 def permuted_tips(
     robot: EccentricRobot, direction: float, separation: float, *, translations: ArrayLike | None = None
 ) -> tuple[Array, Array]:
-    """Tips (6, 3) with the `ASSIGNMENTS` of one mirror actuation, and the tip (3,) of the same robot at d = 0, m.
+    """Tips (6, 3) for the `ASSIGNMENTS` of one mirror actuation, and the tip (3,) at d = 0, m.
 
     On the centreline equal tubes are interchangeable, so that all six tips are one.
 
@@ -236,7 +238,7 @@ def mirror_pose(robot: EccentricRobot, position: ArrayLike, *, assignment: Seque
 def _aimed(
     robot: EccentricRobot, position: ArrayLike, translations: ArrayLike | None, assignment: Sequence[int]
 ) -> tuple[_Arm, Array]:
-    """Robot whose arm bends towards a position, and the checked position."""
+    """Robot with an arm that bends towards a position, and the checked position."""
     target = vector("position", position, 3, "x, y, z in m")
     return _Arm(robot, translations, tuple(assignment), math.atan2(target[1], target[0])), target
 

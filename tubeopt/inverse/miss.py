@@ -1,4 +1,4 @@
-"""Messages on a target that was missed: by how much, which constraints are active, and which one is the cause."""
+"""Messages on a missed target: its distance, the active constraints, and the limiting one."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ SMALL_MARGIN = 0.01
 """Bound on the margin below which a smaller one is not advised."""
 
 ACTIVE = 1e-5
-"""Distance from a constraint, in units of the joints' scales, up to which it counts as active."""
+"""Largest distance from an active constraint, in units of the joints' scales."""
 
 MIN_MULTIPLIER = 0.05
-"""Multiplier, relative to the gradient of the residual, from which a constraint counts as the cause of a miss."""
+"""Smallest multiplier, relative to the gradient of the residual, of a constraint that causes a miss."""
 
 
 def limiting_constraint(goal: Goal, at: Posture) -> tuple[str, str]:

@@ -54,8 +54,10 @@ POOL = 400
 # A direction error of 60 deg weighs as much as a miss of a third of the length. Nearness only orders starts that are
 # otherwise alike.
 DIRECTION_WEIGHT, NEARNESS_WEIGHT = 0.35, 0.02
-"""Weights, in the ranking of starts, of the direction error and of the distance from a reference (in units of the
-joints' scales), relative to the position error over the robot's length."""
+"""Weights of the direction error and of the distance from a reference, in the ranking of starts.
+
+They are relative to the position error over the robot's length; the distance is in units of the joints' scales.
+"""
 
 MIN_MARGIN = 0.01
 """Smallest margin of a configuration in the table."""
@@ -87,7 +89,7 @@ class StartTable:
 def build_table(
     space: JointSpace, size: int, clock: Clock | None = None, partial: StartTable | None = None
 ) -> StartTable:
-    """Table of the stable ones of `size` configurations spread over the joint limits.
+    """Table of the stable equilibria of `size` configurations spread over the joint limits.
 
     It continues a `partial` table, and is partial itself if the time runs out.
     """
@@ -176,7 +178,7 @@ def _key(space: JointSpace, size: int) -> str:
 
 
 def _read(path: Path, joints: int, size: int) -> StartTable | None:
-    """Table in a file, possibly partial; None if there is no file or it is damaged."""
+    """Table in a file, possibly partial; None for a missing or damaged file."""
     try:
         # The content, not the path: of a damaged file numpy would leave the handle open.
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
@@ -284,7 +286,7 @@ def _turned(vectors: Array, angle: Array) -> Array:
 # Where the target is easy one of the first reaches it. Spread starts come next, since the nearest ones are often of
 # one posture, which an obstacle may block as a whole.
 NEAREST = 12
-"""Number of most promising starts that are tried first; later ones are spread over all postures."""
+"""Number of most promising starts that are tried first; later starts are spread over all postures."""
 
 # Finding a clear one takes up to 400 forward kinematics, so that these come last.
 CLEAR_STARTS = 8
@@ -292,7 +294,7 @@ CLEAR_STARTS = 8
 
 # Each further one costs another search.
 COMPARED = 3
-"""Number of solutions that are compared if there is an objective and no start."""
+"""Number of solutions compared for an objective without a start."""
 
 # An answer that a cold start does not find is of another branch at the same joint values: correct, but harder to use.
 DOUBTED = 4
@@ -300,7 +302,7 @@ DOUBTED = 4
 
 # Out of reach all descents end at the same closest pose, and need not be made from all starts.
 UNANIMOUS = 10
-"""Number of starts that end at the same distance, after which the target counts as out of reach."""
+"""Number of starts that end at the same distance before the target counts as out of reach."""
 
 # Half of the default number of starts, none of which came within 4 mm on an arm of 200 mm.
 HOPELESS, FAR = 24, 0.02
@@ -309,7 +311,7 @@ counts as out of reach."""
 
 # Round-off must not choose among mirror images, which cost the same.
 SAME_COST = 1e-7
-"""Relative improvement of the cost by which a later solution replaces an earlier one."""
+"""Smallest relative improvement of the cost of a later solution that replaces an earlier one."""
 
 # A program takes far longer than a descent, and only starts that stall there get one.
 PROGRAM_STARTS = 4
@@ -363,12 +365,13 @@ class Multistart:
     everywhere: bool = False
     """True if starts are spread over all postures from the first on."""
     ends: list[list[Posture]] = field(default_factory=list)
-    """Postures in which searches ended off target, in order, a list for each stage."""
+    """Final postures of searches off target, in order, a list for each stage."""
     stalled: list[Posture] = field(default_factory=list)
-    """Starts from which Gauss-Newton did not reach the target."""
+    """Starts with a Gauss-Newton search that did not reach the target."""
 
     def one(self) -> list[InverseSolution]:
-        """Solution from the start, or else the best of the first ones that forward kinematics without a start finds.
+        """Solution from the start, or else the best of the first solutions that forward kinematics without a start
+        confirms.
 
         Without a cost the first one counts, with a cost several are compared.
         """

@@ -45,11 +45,11 @@ class _Slopes(NamedTuple):
 
 # Round-off of arc lengths, which are sums of lengths of pieces.
 EDGE = 1e-9
-"""Distance (m) along the arm from the end of a tube up to which a contact is at it."""
+"""Largest distance (m) along the arm from the end of a tube for a contact at this end."""
 
 # Ten times the distance at which a target counts as met.
 SAME_TIP = 1e-7
-"""Distance (m) of two tips at the same joint values that are one equilibrium."""
+"""Largest distance (m) of two tips at the same joint values for one equilibrium."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ class Posture:
 
     @cached_property
     def _free(self) -> _Slopes:
-        """Derivatives towards the side to which each joint can move."""
+        """Derivatives towards the free side of each joint."""
         return self._slopes(self.space.free_sides(self.step_bounds))
 
     def _slopes(self, sides: tuple[int, ...]) -> _Slopes:
@@ -227,7 +227,7 @@ def posture_of(space: JointSpace, equilibrium: Equilibrium, name: str = "") -> P
 
 
 def start_posture(space: JointSpace, start: Configuration) -> Posture:
-    """Posture of a start: its equilibrium, or that of forward kinematics at its joint values."""
+    """Posture of a start: its equilibrium, or forward kinematics at its joint values."""
     q = configuration(space, "start", start)
     known = start if isinstance(start, Equilibrium) else getattr(start, "equilibrium", None)
     if isinstance(known, Equilibrium) and known.robot == space.robot:

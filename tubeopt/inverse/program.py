@@ -1,4 +1,4 @@
-"""Inverse kinematics as one nonlinear program: the torsion of an arm whose joint values are free.
+"""Inverse kinematics as one nonlinear program: torsion of an arm with free joint values.
 
 Beside the unknowns and equations of the torsion there are the joint values, in which base rotations, transmissions and
 the lengths of the pieces are linear as long as the breakpoints keep their order; the pose of the tip, integrated along
@@ -94,7 +94,7 @@ class Question:
 
 
 def inverse_program(question: Question, thread: int) -> Problem:
-    """The program of a question, built once as long as it is among the last ones; each `thread` has its own numbers.
+    """Program of a question, cached while it is among the last ones; each `thread` has its own numbers.
 
     Variables: `rotations` (n,), `translations` (G,) of the carriages, `margin` where it is maximised, and the torsion.
     Parameters beside those of the torsion: `lengths at 0` (P,), `lengths per translation` (P, G), `transmission at 0`
@@ -159,7 +159,7 @@ def _program(question: Question, _thread: int) -> Problem:
 _in_free_space = lru_cache(maxsize=64)(_program)
 
 _among_bodies = lru_cache(maxsize=8)(_program)
-"""Distances from the segments of a way, written out for points along an arm, take 60 MB."""
+"""Cached programs among obstacles: distances from the segments of a path, for points along an arm, take 60 MB."""
 
 
 def _aside(direction: Any, target: Any) -> Any:
@@ -218,7 +218,7 @@ def _shape(arm: TorsionModel) -> _Shape:
 
 @lru_cache(maxsize=16)
 def _piece_shape(grid: Grid) -> ca.Function:
-    """Function (R, p, arguments of a piece) -> R, p at its end, points (3, 2 STEPS) in it, and its int |u|^2 ds."""
+    """Function (R, p, arguments of a piece) -> pose at its end, points (3, 2 STEPS) in it, int |u|^2 ds."""
     torsion = torsion_of(symbolic_piece(grid))
     frame, begin = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3)
     h, points, before, ahead = torsion.piece.length / STEPS, [], begin, frame[:, 2]
@@ -253,7 +253,7 @@ def _jacobi(arm: TorsionModel, coupled: tuple[bool, ...], margin: Any) -> Any:
 
 @lru_cache(maxsize=16)
 def _piece_fields(grid: Grid) -> ca.Function:
-    """(fields (2n, n) where a piece ends, margin, its arguments) -> fields where it begins."""
+    """Function (fields (2n, n) at the end of a piece, margin, its arguments) -> fields at its start."""
     torsion, n = torsion_of(symbolic_piece(grid)), grid.n_tubes
     fields, margin = ca.SX.sym("fields", 2 * n, n), ca.SX.sym("margin")
     marched = marched_fields(torsion, fields, margin)
@@ -261,11 +261,11 @@ def _piece_fields(grid: Grid) -> ca.Function:
 
 
 ORDERS = 6
-"""Changes of the order of breakpoints that a solution goes through at most."""
+"""Largest number of changes of the order of breakpoints in a solution."""
 
 # Distances are written out for every point along the arm.
 MAX_BODIES = 16
-"""Obstacles for which a program is built: every one costs as much as all of the arm."""
+"""Largest number of obstacles in a program: each one costs as much as the arm."""
 
 # CasADi's construction cannot be interrupted. A program is begun only where more time than this is left, so that a
 # time limit is kept.
@@ -325,15 +325,18 @@ USABLE = (
     ProblemStatus.OUT_OF_TIME,
     ProblemStatus.INFEASIBLE,
 )
-"""Stopped short of the optimum, an iterate may still be a better answer than none, and where this order of breakpoints
-does not reach the target, the next may: what follows checks."""
+"""Statuses with a usable result, which is checked afterwards.
+
+An iterate that stopped before the optimum may be good enough. If this order of breakpoints does not reach the target,
+the next one may.
+"""
 
 
 class _OrderSolution(NamedTuple):
     """Solution within one order of breakpoints."""
 
     posture: Posture | None
-    """None if there is no usable solution."""
+    """Posture of the solution; None if it is not usable."""
     iterations: int
     active_sections: list[tuple[Array, float]]
     """Rows and bounds of closed sections with multipliers: beyond them the cost decreases."""

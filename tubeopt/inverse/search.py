@@ -36,7 +36,7 @@ DETOUR_SECONDS, DETOUR_FRACTION = 6.0, 0.3
 
 # Measured for two and three tubes: 22 and 16.
 CERTIFICATE_STATES = 20
-"""Work of a certificate, in equilibria of the chart."""
+"""Work of a certificate, in evaluations of an equilibrium from tip coordinates."""
 
 # Each is tried at four points from either end: 1280 candidates.
 DETOUR_SAMPLES, MAX_DETOURS = 160, 24
@@ -44,11 +44,13 @@ DETOUR_SAMPLES, MAX_DETOURS = 160, 24
 
 # Longer ones mostly fail, and their check is wasted; shorter ones make trees that grow slowly in free space.
 LONG_MOTION = 1.2
-"""Longest motion that RRT-Connect tries at once, in units of the joints' scales; short ones have a quarter of it."""
+"""Longest motion that RRT-Connect tries at once, in units of the joints' scales; in the second stage a quarter of
+it."""
 
 # Where an obstruction is known the search is most likely in vain, and ends early.
 LONG_FRACTION, REASON_FRACTION = 0.5, 0.3
-"""Fraction of the remaining time for long motions; short ones get the rest. The second if an obstruction is known."""
+"""Fraction of the remaining time for long motions, and the same with a known obstruction; short motions get the
+rest."""
 
 POCKET_FRACTION = 0.3
 """Fraction of the time after long motions for the test of whether start or goal lie in a closed region."""
@@ -56,7 +58,7 @@ POCKET_FRACTION = 0.3
 
 @dataclass(frozen=True, eq=False)
 class FoundPath:
-    """Result of a path search between points of the chart."""
+    """Result of a path search between points in tip coordinates."""
 
     points: Array | None
     """Waypoints (k, m) with valid straight motions between them; None without a path."""
@@ -65,7 +67,7 @@ class FoundPath:
     motions: int
     """Number of motions checked."""
     closest: Array | None = None
-    """Without a path, the waypoints (k, m) that came closest to the goal."""
+    """Waypoints (k, m) closest to the goal, without a path."""
     why: str = ""
     """Without a path, the reason."""
     impossible: bool = False
@@ -124,7 +126,8 @@ def _improved(
 
 
 def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) -> Iterator[Array]:
-    """Translations (G,) of the carriages whose certificate is the required margin, nearest to start and goal first.
+    """Translations (G,) of the carriages with a certificate equal to the required margin, nearest to start and goal
+    first.
 
     They are computed one by one, since a certificate takes as long as the check of a motion.
     """
@@ -239,7 +242,7 @@ def _ompl_problem(
 
 
 def closed_off(task: Task, start: Array, goals: Sequence[Array], clock: Clock, *, seed: int = 0) -> str:
-    """Text of the end of a plan that no motion was found to leave; empty if both are open, or the time is over."""
+    """Text of the end of a plan that no motion leaves; empty if both ends are open, or the time is over."""
     for name, points in (("goal", goals), ("start", [start])):
         states = 0
         for point in points:
@@ -264,7 +267,7 @@ def _state(space: Any, values: Array) -> Any:
 
 
 def _ompl_path(problem: Any, scale: Array, start: Array, goals: Sequence[Array], motions: int) -> FoundPath:
-    """Path found by OMPL, or the points that came closest to a goal."""
+    """Path found by OMPL, or the points closest to a goal."""
     if not problem.hasSolution():
         return FoundPath(None, "search", motions)
     states = problem.getSolutionPath().getStates()
@@ -331,14 +334,14 @@ GRID_STATES = 20_000
 """Maximum number of grid states; larger sections are not decided."""
 
 DOUBT = 2e-3
-"""Missing margin from which a state counts as not allowed: more than the error of the integration."""
+"""Smallest missing margin of a forbidden state: more than the error of the integration."""
 
 POCKET_STATES, POCKET_DISTANCE = 60, 0.02
-"""Number of states at which a region counts as open, and distance of two states in units of the joints' scales."""
+"""Number of states of an open region, and distance of two states in units of the joints' scales."""
 
 # Of directions in six dimensions, so many random ones find an opening of a tenth of a per cent with 78 %.
 FAILED_MOTIONS = 1500
-"""Successive failed motions at which a region counts as closed."""
+"""Number of successive failed motions in a region that counts as closed."""
 
 
 @dataclass(frozen=True)
@@ -358,7 +361,7 @@ class _Section:
     base: Array
     """State (m,) of the section."""
     free: Array
-    """Axes (k, m) along which states differ."""
+    """Axes (k, m) of the section."""
     low: Array
     """Lower ends (k,) along the axes."""
     high: Array

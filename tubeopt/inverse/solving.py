@@ -1,4 +1,4 @@
-"""Inverse kinematics: joint values whose equilibrium has its tip at a target and a sufficient margin.
+"""Inverse kinematics: joint values of an equilibrium with its tip at a target and a sufficient margin.
 
 Under a load the target of the unloaded robot is shifted until the tip of the loaded robot arrives. The displacement by
 a load changes little from one posture to the next, so that the iteration converges like a geometric series. Each
@@ -46,8 +46,7 @@ MAX_SHOTS = 40
 
 # A fifth of the tolerance of a solution.
 AIM_TOLERANCE, STALLED = 2e-9, 1e-7
-"""Distance, m, and angle, rad, at which the iteration ends; and the miss, relative to the arm or as an angle, below
-which round-off ends it."""
+"""Tolerance of the iteration, m and rad, and miss, relative to the arm or as an angle, of round-off."""
 
 # With larger ratios 40 shots gain less than two digits.
 AIM_GAIN, POOR_SHOTS = 0.9, 4
@@ -198,7 +197,7 @@ def answers_of(
 
 
 def _under_load(goal: Goal, start: Configuration | None, load: Load, *, fixed: bool) -> InverseSolution:
-    """Solution whose loaded equilibrium is on target, with margin and clearance under the load.
+    """Solution with its loaded equilibrium on target, and margin and clearance under the load.
 
     It stays near the start, or near the reference of the goal if that is `fixed`. If the loaded arm lacks margin or
     clearance, that of the unloaded arm is raised by the missing amount.
@@ -238,7 +237,7 @@ def _without_load(start: Configuration | None) -> Configuration | None:
 
 
 def _aim(goal: Goal, last: Configuration | None, load: Load, *, fixed: bool) -> tuple[InverseSolution, Equilibrium]:
-    """Solution without load whose loaded equilibrium is on target, by Broyden's method in the unloaded target.
+    """Solution without load that is on target after loading, by Broyden's method in the unloaded target.
 
     Unknowns are the position and, if it is required, the direction.
     """
@@ -302,7 +301,7 @@ def _loaded_answer(unloaded: InverseSolution, e: Equilibrium, goal: Goal) -> Inv
 
 # A fifth of the tolerance of a solution.
 STEP_TOLERANCE = 2e-9
-"""Distance, m, and angle, rad, at which a step ends."""
+"""Tolerance of a step, m and rad."""
 
 # Derivatives of the last target are used for a whole step, so that its error grows with the square of the step.
 MAX_MOVE = 0.02
@@ -311,11 +310,11 @@ line."""
 
 # Four halvings. Where the robot jumps even then, the branch most likely ends there.
 MIN_PART = 1 / 16
-"""Smallest part, relative to the longest, into which a step is divided to avoid a jump."""
+"""Smallest part of a step that is divided to avoid a jump, relative to the longest part."""
 
 # The motion in the null space stays below that towards the target, for which the linear model is trusted.
 NULL_SPACE_STEP = 0.5
-"""Length of the motion towards larger margin, relative to that of the motion towards the target."""
+"""Length of the motion towards larger margin, relative to the motion towards the target."""
 
 # Near a fold the margin falls like a square root, so that derivatives of earlier steps predict it too large.
 CAREFUL = 0.15
@@ -323,7 +322,7 @@ CAREFUL = 0.15
 
 # A point of the arm can move farther than the tip, which may only turn.
 CLEARANCE_PER_MOVE, MIN_CLEARANCE = 4.0, 2e-4
-"""Clearance from which a step ignores obstacles: per distance that the tip moves, and an additional constant, m."""
+"""Clearance above which a step ignores obstacles: per distance that the tip moves, and an additional constant, m."""
 
 STALE_SOLVES, STALE_STEPS = 4, 8
 """Equilibria of a step, and steps, after which derivatives are computed anew."""
@@ -537,7 +536,7 @@ def _summed(parts: Sequence[InverseStatistics]) -> InverseStatistics:
 
 
 def _parts(goal: Goal, here: Posture) -> int:
-    """Number of parts in which a target is approached on a straight line."""
+    """Number of parts of a straight approach to a target."""
     count = int(np.ceil(float(np.linalg.norm(goal.position - here.tip)) / (MAX_MOVE * goal.space.length)))
     turned = goal.direction_error(here) if goal.pointed else 0.0
     return max(1, count, int(np.ceil(turned / (10 * MAX_MOVE))))

@@ -42,7 +42,7 @@ BATCH = 8
 """Equilibria integrated per call: enough to hide the cost of calling, few enough to stop early where a motion fails."""
 
 FINE = 128
-"""Points along the arm at which clearance is measured during the search."""
+"""Number of points along the arm that clearance is measured at during the search."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +134,7 @@ class TipCoordinates:
         return self.space.joint(z)[:, self.space.robot.n_tubes :]
 
     def joints(self, z: Array, arms: Arms | None = None) -> Array:
-        """Independent joint values (N, m) of points, whose arms may be known."""
+        """Independent joint values (N, m) of points; `arms` are their arms if known."""
         rotations = self.rotations(z) if arms is None else arms.rotations
         return np.concatenate([rotations, z[:, self.space.robot.n_tubes :]], axis=1)
 
@@ -180,8 +180,10 @@ class TipCoordinates:
 # Between two points the arm deviates from the chord by the square of their distance: half the steps take twice the time
 # for a quarter of the error, which `margin_room` and `clearance_room` cover.
 STEP_TURN, STEP_JOINT, STEP_SHIFT = 0.15, 0.35, 0.02
-"""Largest changes between two checked points of a motion: of a tip rotation and of a joint rotation, rad, and of a
-translation, relative to the longest tube."""
+"""Largest changes between two checked points of a motion.
+
+A tip rotation and a joint rotation, rad, and a translation, relative to the longest tube.
+"""
 
 # Sixteen times as many points: a motion that needs more touches its bound.
 HALVINGS = 4
@@ -190,8 +192,10 @@ HALVINGS = 4
 # Next to an end, which other code allows without reserve, no reserve can be required. It grows with the distance from
 # there, as the error between points does.
 CLEARANCE_SLOPE, MARGIN_SLOPE = 3e-4, 0.02
-"""Required reserves of the clearance, m, and of the margin, per distance from an end in units of the joints' scales, up
-to those of full steps. No reserve is needed at the end itself."""
+"""Required reserves of the clearance, m, and of the margin, per distance from an end of the motion.
+
+The distance is in units of the joints' scales, up to full steps. No reserve is needed at the end itself.
+"""
 
 # An arm is closest to bodies in few places; windows lie around the smallest distances.
 WINDOWS, WINDOW_POINTS = 12, 9
@@ -240,7 +244,7 @@ class Task:
     floor: float = 3e-5
     """Smallest reserve of clearance (m), except next to `ends`."""
     ends: Array | None = None
-    """Points (k, m) of the chart that other code allows."""
+    """Points (k, m) in tip coordinates that other code has checked."""
     clock: Clock = field(default_factory=lambda: Clock(math.inf))
     """Time limit: after it, evaluating points raises LateError, and further motions count as invalid."""
     work: Work = field(default_factory=Work)

@@ -57,7 +57,10 @@ def pair_couplings(stiffness: Any, moment: Any) -> Any:
 
 
 def laplacian(stiffness: Any, moment: Any) -> Any:
-    """Matrix C (n, n) with y' C y = sum_pairs |c_ij| (y_i - y_j)^2: -V'' at rotations that are worst for every pair."""
+    """Matrix C (n, n) with y' C y = sum_pairs |c_ij| (y_i - y_j)^2.
+
+    It is -V'' at the worst rotations of every pair.
+    """
     pairs = pair_couplings(stiffness, moment)
     return ca.diag(ca.sum2(pairs)) - pairs
 
@@ -90,7 +93,10 @@ def coupling_rate_function(n: int) -> ca.Function:
 
 @lru_cache(maxsize=16)
 def worst_function(n: int) -> ca.Function:
-    """Function (kb, m, y) -> -C (n, n), -y' C y, its gradient with respect to kb and m (2 n), |c_ij| (n, n)."""
+    """Function (kb, m, y) -> -C (n, n), -y' C y, its gradient (2 n), |c_ij| (n, n).
+
+    The gradient is by kb and m.
+    """
     stiffness, moment, y = (ca.SX.sym(s, n) for s in ("kb", "m", "y"))
     worst = -laplacian(stiffness, moment)
     form = ca.bilin(worst, y, y)
@@ -160,7 +166,10 @@ def _plate_function(n: int, sections: int) -> ca.Function:
 
 
 def plate_conditions(state: Any, kt: Any, held: Any) -> Any:
-    """Residuals (n + 1, ...) of Y = |beta| Y' and phi = 0 at the plate, for states (2 n + 2, ...) there."""
+    """Residuals (n + 1, ...) of Y = |beta| Y' and phi = 0 at the plate.
+
+    The states are (2 n + 2, ...) there.
+    """
     n = kt.shape[0]
     # The straight part below the plate is a spring kt / |beta|, and Y' = P / kt.
     springs = state[:n, :] - ca.repmat(held / kt, 1, state.shape[1]) * state[n + 1 : 2 * n + 1, :]
@@ -170,7 +179,9 @@ def plate_conditions(state: Any, kt: Any, held: Any) -> Any:
 def largest_eigenvalue(
     force: float, sections: tuple[Array, Array, Array], tubes: tuple[Array, Array], pairs: tuple[float, float] = OPPOSED
 ) -> tuple[float, Array]:
-    """Largest eigenvalue lambda of N relative to T, and its Y and phi (n + 1,) at the tip, scaled to a maximum of 1.
+    """Largest eigenvalue lambda of N relative to T, and its Y and phi (n + 1,) at the tip.
+
+    The mode is scaled to a maximum of 1.
 
     The determinant of the residuals at the plate, as a function of mu, has real roots only, the reciprocals of the
     eigenvalues. It is an entire function of order 1/2, hence the product of 1 - mu lambda_k. Newton's method from
@@ -249,7 +260,7 @@ Pattern = tuple[tuple[int, ...], Rows, Rows]
 
 @lru_cache(maxsize=128)
 def determinant_function(pattern: Pattern) -> Any:
-    """Function (lambda, PARAMETERS...) -> D(lambda), of which 1 - mu_cert is the largest root.
+    """Function (lambda, PARAMETERS...) -> D(lambda); 1 - mu_cert is the largest root of D.
 
     `pattern` fixes the order of breakpoints: the breakpoint at the end of each section (2 i for the transition of tube
     i, 2 i + 1 for its end), and which tubes are present and curved on it.

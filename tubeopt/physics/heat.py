@@ -43,7 +43,7 @@ class Properties:
     c_slope: Any
     """Relative slope of the heat capacity, 1/K."""
     T_ref: Any
-    """Temperature at which the material data of the tube hold, K."""
+    """Reference temperature of the material data of the tube, K."""
     kA: Any
     """Conductivity times cross-section of the tube at T_ref, W m/K."""
     k_slope: Any
@@ -109,7 +109,7 @@ class Properties:
 
 
 PROPERTIES = tuple(item.name for item in fields(Properties))
-"""Names of the properties in the order in which columns hold them."""
+"""Names of the properties in the order of their columns."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class Shells(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Volumes:
-    """Coefficients of the finite volumes: n cells of the tube, of which the last c are in the mold, and M shells."""
+    """Coefficients of the finite volumes: n cells of the tube, the last c of them in the mold, and M shells."""
 
     C_tube: Any
     """(n,) heat capacities of the cells at T_ref, J/K."""
@@ -321,7 +321,7 @@ class HeatFlows(NamedTuple):
     mold: Any
     """(c, M) shells."""
     clamp: Any
-    """One clamp."""
+    """Heat flow into one clamp, W."""
     surroundings: Any
     """Air around half the rig."""
 
@@ -357,9 +357,9 @@ class CellFlows(NamedTuple):
     net: Any
     """Net flow into the cell."""
     clamp: Any
-    """From the cell into the clamp."""
+    """Heat flow from the cell into the clamp, W."""
     air: Any
-    """From the cell to the air."""
+    """Heat flow from the cell to the air, W."""
 
 
 def cell_balance(T: Any, T_clamp: Any, drive: Drive, v: Volumes, p: Properties) -> CellFlows:
@@ -399,7 +399,7 @@ def contact_heat(drive: Drive, p: Properties) -> Any:
 
 
 def leak_heat(drive: Drive, mold_fraction: Any, p: Properties) -> Any:
-    """Joule heat of the current beside the tube in parts of the mold, W."""
+    """Joule heat, W, of the current that flows through parts of the mold in parallel to the tube."""
     # Half the mold carries the current (1 - f) I at the voltage f I R_half of half the tube.
     f = tube_fraction(drive.R_half, p)
     return drive.I_sq * (1 - f) * f * drive.R_half * mold_fraction
@@ -413,7 +413,7 @@ class ClampFlows(NamedTuple):
 
 
 def clamp_balance(T_clamp: Any, q_clamp: Any, q_loss: Any, drive: Drive, p: Properties) -> ClampFlows:
-    """Net heat of one clamp and of the air, for the heat from the tube into the clamp and the losses to air, W."""
+    """Net heat of one clamp and of the air, W, for the heat into the clamp and the losses."""
     # Free convection of the clamp.
     q_cooling = p.G_clamp_air * (T_clamp - p.T_amb)
     return ClampFlows(q_clamp + contact_heat(drive, p) - q_cooling, q_loss + q_cooling)
@@ -449,7 +449,7 @@ def state_rates(x: RigState, q: HeatFlows, drive: Drive, v: Volumes, p: Properti
 
 
 def tube_capacity(T: Any, v: Volumes, p: Properties) -> Any:
-    """(n,) heat capacities of the cells at temperatures (n,), J/K; those of the shells are constant."""
+    """(n,) heat capacities of the cells at temperatures (n,), J/K; the capacities of the shells are constant."""
     return v.C_tube * (1 + p.c_slope * (T - p.T_ref))
 
 
@@ -465,11 +465,11 @@ class FrozenJacobian(NamedTuple):
     """Entries of the Jacobian of the heat flows into cells and shells (1 + M, n), W/K."""
 
     own: Any
-    """(1 + M, n) by the own temperature."""
+    """(1 + M, n) derivatives by the cell's own temperature."""
     outward: Any
-    """(1 + M, n) by that of the next shell of the same cell, 0 in the last row."""
+    """(1 + M, n) derivatives by the temperature of the next shell of the same cell, 0 in the last row."""
     along: Any
-    """(1 + M, n-1) by that of the next cell."""
+    """(1 + M, n-1) derivatives by the temperature of the next cell."""
 
 
 def frozen_jacobian(T: Temperatures, cells: Any, v: Volumes, p: Properties) -> FrozenJacobian:
@@ -496,6 +496,6 @@ def _diagonal(matrix: Any, offset: int) -> Any:
 
 
 def by_cell(tube: Any, mold: Any, bare: float = 0.0) -> Any:
-    """(1 + M, n) values of the tube (first row) and the shells around it, `bare` where there is no mold."""
+    """(1 + M, n) values of the tube (first row) and the shells around it, `bare` outside the mold."""
     outside = bare * ca.DM.ones(mold.size2(), tube.numel() - mold.size1())
     return ca.densify(ca.vertcat(tube.T, ca.horzcat(outside, mold.T)))

@@ -14,8 +14,10 @@ from . import heat
 from .heat import PROPERTIES, Properties, Resolution, Shells
 
 CLAMP, CHARGE, SAG, DRAWN, CIRCUIT, LOST = range(6)
-"""Entries of the lumped state: clamp temperature (K), charge drawn (fraction), sag (V), and energies of the rig (J):
-drawn from the battery's chemistry, turned to heat in battery, cables and MOSFET, lost to the air."""
+"""Entries of the lumped state: clamp temperature (K), charge drawn (fraction), sag (V), and energies of the rig (J).
+
+The energies are drawn from the battery's chemistry, turned to heat in battery, cables and MOSFET, and lost to the air.
+"""
 
 LUMPED = 6
 
@@ -26,7 +28,7 @@ most a sixth too small."""
 
 
 OF_A_CELL = ("C_tube", "R_tube", "G_clamp", "G_air", "G_rad", "clamp_fraction")
-"""Entries of `Volumes` that belong to one cell of the tube, in the order in which laws and kernel take them."""
+"""Entries of `Volumes` for one cell of the tube, in the argument order of laws and kernel."""
 
 
 @lru_cache(maxsize=16)
@@ -113,7 +115,7 @@ def _lumped_rates(
     lumped: ca.SX,
     p: Properties,
 ) -> ca.SX:
-    """Rates of the lumped state, from those of clamp (K/s) and battery and the heat flow into the air, W."""
+    """Rates of the lumped state, from the rates of clamp (K/s) and battery and the heat flow into the air, W."""
     # The contacts' heat goes into tube and clamps, not into cables.
     R_circuit = p.R_internal + p.R_series - p.R_contact
     return ca.vertcat(
@@ -130,7 +132,7 @@ def _lumped_rates(
 
 @lru_cache(maxsize=1)
 def cell_functions() -> tuple[ca.Function, ...]:
-    """Laws of one cell, of which the compiled kernel makes the same step as `step_function` on grids of any size.
+    """Laws of one cell: the compiled kernel makes the step of `step_function` from them, on grids of any size.
 
     ohm: resistance of a cell. load: `Drive` at a duty, with the current while the MOSFET conducts. cell: net heat flow
     of a cell by itself, heat of its part of the mold by the current beside the tube, heat flows into the clamp and to

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 SERIES_TERMS = 9
-"""Terms of the series of the exponential: for a rotation of 2 rad the first omitted term is 4^9 / 20! = 1e-13."""
+"""Terms of the exponential series: for a rotation of 2 rad the first omitted one is 4^9 / 20! = 1e-13."""
 
 GAUSS_POINTS = np.array([0.5 - np.sqrt(15) / 10, 0.5, 0.5 + np.sqrt(15) / 10])
-"""Nodes of a step of length 1, at which it needs the curvature."""
+"""Gauss points of a step of length 1."""
 
 
 def _bracket(a: tuple[Any, Any], b: tuple[Any, Any]) -> tuple[Any, Any]:
@@ -75,7 +75,7 @@ def magnus_step(rotation: Any, position: Any, curvature: Any, length: Any) -> tu
 
 
 def magnus_quaternion(quaternion: Any, position: Any, curvature: Any, length: Any) -> tuple[Any, Any]:
-    """`magnus_step` of a pose with a unit quaternion (4,), scalar first, the norm of which is preserved.
+    """`magnus_step` of a pose with a unit quaternion (4,), scalar first; the step preserves its norm.
 
     The state has 7 numbers instead of 12. The arguments are `SX` symbols, since a cached function is expanded.
     """
@@ -109,7 +109,10 @@ def rotation_matrix(quaternion: Any) -> Any:
 
 @lru_cache(maxsize=1)
 def quaternion_rates() -> NDArray[np.float64]:
-    """Matrices Omega (2, 4, 4): Q' = (u_x Omega_x + u_y Omega_y) Q / 2 for the quaternion Q of the Bishop frame."""
+    """Matrices Omega (2, 4, 4) of the rate of the quaternion Q of the Bishop frame.
+
+    Q' = (u_x Omega_x + u_y Omega_y) Q / 2.
+    """
     q, u = ca.SX.sym("q", 4), ca.SX.sym("u", 2)
     # u has components in the moving frame, so it multiplies from the right: Q' = Q (0, u) / 2.
     product = quaternion_product(q, ca.vertcat(0, u, 0))

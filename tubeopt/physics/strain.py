@@ -28,7 +28,7 @@ def surface_strain(radius: Any, bend: Any, natural: Any) -> Any:
 
 
 def slotted_strain_ratio(bending_factor: Any, share: Any, *, symmetric: bool = True) -> Any:
-    """Ratio of the largest strain of a slotted piece to that of a tube without slots, at the same change of curvature.
+    """Ratio of the largest strains of a slotted piece and of a tube without slots, at the same change of curvature.
 
     First order in radius times curvature. Times r Delta kappa it is a bound for pieces in which equal slotted stretches
     and whole rings alternate and bend as beams under one moment. With the bending factor b of the piece and slots along

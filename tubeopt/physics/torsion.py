@@ -21,7 +21,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 CURVATURE_NEWTON_STEPS = 3
-"""Newton steps on the two equations for u when d > 0: the start is off by (d |u|)^3 < 1/64, squared at each step."""
+"""Newton steps on the two equations for u when d > 0.
+
+The start is off by (d |u|)^3 < 1/64, squared at each step.
+"""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Trajectories that never snap: on one stable branch all the way, around obstacles, within rates, and proved."""
+"""Trajectories that never snap: on one stable branch, around obstacles, within rates, and proved."""
 
 from .arms import ArmsProof, PairProof, PlacedRobot, verify_arms
 from .arms_plan import ArmsPlan, plan_arms

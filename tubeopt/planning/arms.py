@@ -64,7 +64,7 @@ MOST_ROUNDS = 12
 
 # Round-off of breakpoints that coincide.
 SHORT = 1e-12
-"""Length (m) up to which a section counts as none."""
+"""Largest length (m) of a section that counts as none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +239,7 @@ class PairProof(Displayed):
 def apart(
     arms: tuple[int, int], tracks: tuple[Track, Track], target: ClearanceTarget, max_distance: float = np.inf
 ) -> PairProof:
-    """Lower bound on the distance between the surfaces of two arms, sharp where it is smallest.
+    """Lower bound on the distance between the surfaces of two arms, sharp at the smallest distance.
 
     `most`: distance of parts that do not move, m, which no bound exceeds.
     """
@@ -316,7 +316,7 @@ def _bounds(tracks: tuple[Track, Track], times: Array, target: ClearanceTarget, 
 
 
 def _first(tracks: tuple[Track, Track], t: Array, links: Sequence[Index]) -> PairCells:
-    """One cell for every interval of time and every two sections with a length; for an arm without, its point."""
+    """Cells for every interval of time and every two sections with a length; an arm without length is one point."""
     exists = []
     for track, link in zip(tracks, links, strict=True):
         long = np.maximum(*track.intervals.length)[link] > SHORT
@@ -370,7 +370,7 @@ class PlacedRobot(Displayed):
 
     @property
     def called(self) -> str:
-        """Name in messages: `name`, else that of the robot."""
+        """Name in messages: `name`, else the robot's."""
         return self.name or self.robot.name or "robot"
 
 
@@ -392,9 +392,9 @@ class ArmsProof(Displayed):
     """Proofs of the motions of several arms: of each arm, of each pair, and the faults as text."""
 
     proofs: tuple[Proof, ...]
-    """One for each arm."""
+    """Proof of each arm."""
     pairs: tuple[PairProof, ...]
-    """One for each two arms."""
+    """Proof of the distance between each two arms."""
     faults: tuple[str, ...]
     """Violated or unproved requirements, as text; empty if everything is proved."""
 
@@ -457,7 +457,7 @@ def between_plates(first: PlacedRobot, second: PlacedRobot) -> float:
 
 @contextmanager
 def of_arm(arms: Sequence[PlacedRobot], k: int) -> Iterator[None]:
-    """Context in which the messages of InputErrors begin with the name of an arm."""
+    """Context that prefixes the messages of InputErrors with the name of an arm."""
     try:
         yield
     except InputError as error:
@@ -635,6 +635,6 @@ class Lines(Table):
         return Lines(points, radius, times)
 
     def distances(self, other: Lines) -> Array:
-        """(T,) distances between the surfaces of two arms at the same instants, m."""
+        """(T,) distances between the surfaces of two arms at equal times, m."""
         pairs = zip(self.points, self.radius, other.points, other.radius, strict=True)
         return np.array([(scipy.spatial.distance.cdist(a, b) - r[:, None] - q).min() for a, r, b, q in pairs])

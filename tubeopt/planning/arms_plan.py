@@ -49,7 +49,7 @@ from .trajectory import Trajectory
 
 # Steps of a fortieth of the longest wait.
 DELAYS = 41
-"""Number of delays tried for a motion, from none to the end of all earlier ones."""
+"""Number of delays tried for a motion, from none to the end of all earlier motions."""
 
 # Between two instants, RESERVE covers the error; in the end the proof decides.
 INSTANTS, POINTS = 80, 64
@@ -61,7 +61,7 @@ RESERVE = 3e-4
 
 # A capsule is thicker than the arm by its sagitta: 10 um for a curvature of 20 per m.
 REST_CHORD = 2e-3
-"""Longest straight piece in place of an arm at rest, m."""
+"""Longest straight segment that replaces an arm at rest, m."""
 
 
 class Move(NamedTuple):
@@ -228,20 +228,22 @@ def _check_starts(arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], cle
 
 
 def _orders(n: int) -> list[tuple[int, ...]]:
-    """Orders of n arms: cyclic ones, in which each is first, then others; at least six if there are as many."""
+    """Orders of n arms: cyclic orders, with each arm first, then others; at least six if there are as many."""
     cyclic = [tuple((k + j) % n for j in range(n)) for k in range(n)]
     return list(dict.fromkeys([*cyclic, *islice(permutations(range(n)), 6)]))[: max(n, 6)]
 
 
 Planned = Callable[[int, Sequence[Equilibrium], float, bool], Trajectory]
-"""Plans the motion of an arm, from the equilibria at which all arms rest, to its goal or until it is retracted:
-(arm, equilibria, time limit in s, retract)."""
+"""Function that plans the motion of an arm to its goal or until it is retracted.
+
+Its arguments are (arm, equilibria of all arms at rest, time limit in s, retract).
+"""
 
 
 def _one_by_one(
     arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], planned: Planned, clock: Clock
 ) -> tuple[tuple[int, ...], list[Move]]:
-    """First order in which each arm can move past the others at rest, and its moves.
+    """First order that lets each arm move past the others at rest, and its moves.
 
     If there is none, later arms are retracted first.
     """
@@ -335,7 +337,7 @@ def _clear(line: Lines, lines: Sequence[Lines], since: float, distance: float) -
 
 
 def _joined(parts: Sequence[Trajectory]) -> Trajectory:
-    """One motion from consecutive motions of a robot, with rests in between."""
+    """Motion composed of consecutive motions of a robot, with rests in between."""
     whole = parts[0]
     for part in parts[1:]:
         rests = part.time[0] > whole.time[-1]

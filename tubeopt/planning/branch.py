@@ -50,8 +50,8 @@ class Branch:
     """(B, K) bound, m, on the distance of a point of a section from the straight line between its positions at both
     ends."""
     rotation_bounded: Mask
-    """(B,) True where the rotation of the tubes is bounded between samples along the arm; where it is not, shorter
-    intervals hardly help."""
+    """(B,) True if the rotation of the tubes is bounded between samples along the arm; otherwise shorter intervals
+    hardly help."""
     rates: Array
     """(2, B) bounds on the second and third derivative of the tip by time, m; infinite without a proved branch."""
 
@@ -91,7 +91,7 @@ def tip_derivatives(sections: DerivativeBounds) -> Array:
 
 
 def _at_ends(gain: Array) -> Array:
-    """(2, B, K) running total over sections at both ends of every section; `gain` (B, K) is what each adds."""
+    """(2, B, K) running total over sections at both ends of every section, for increments `gain` (B, K)."""
     total = np.cumsum(gain, axis=1)
     return np.stack([total - gain, total])
 
@@ -178,7 +178,10 @@ class _Bounds:
         return start, DerivativeBounds(start.v - gain.v, start.d - gain.d, start.dd - gain.dd, third)
 
     def rotation(self, moment: DerivativeBounds, stretch: DerivativeBounds) -> DerivativeBounds:
-        """|beta| w(0) + int h (1 + stretch) w (B, K, n) up to the end of every section, which bounds all of it."""
+        """Bound (B, K, n) on the rotation of the tubes up to the end of every section, rad.
+
+        It is |beta| w(0) + int h (1 + stretch) w, which bounds the rotation in all of the section.
+        """
         start, end = self.torques(moment)
         mean = (start + end).map(lambda bound: bound / 2)
         g = replace(stretch, v=1 + stretch.v)
@@ -187,7 +190,7 @@ class _Bounds:
         return along + base.map(lambda bound: bound[:, None])
 
     def _stretch(self, u: Array) -> Array:
-        """(B, K, n) bound on |g - 1| = |d u.a| of tubes beside the centreline."""
+        """(B, K, n) bound on |g - 1| = |d u.a| of tubes off the centreline."""
         return np.asarray(self.offset * u[..., None])
 
     def energy(self, dtheta: AngleChange) -> Array:
@@ -218,7 +221,7 @@ class _Bounds:
         return np.asarray(np.maximum(own, pair))
 
     def angle_change(self) -> tuple[AngleChange, Mask]:
-        """Bound on the difference of theta between both ends, all along the arm, and (B,) True where it is valid.
+        """Bound on the difference of theta between both ends, all along the arm, and (B,) True for valid bounds.
 
         It is sampled; in between, a function differs from its chord by at most h^2 / 8 times its second derivative.
         """
@@ -234,7 +237,10 @@ class _Bounds:
         return wide, np.asarray(valid)
 
     def _between_samples(self, dtheta: AngleChange) -> Array:
-        """(B, K, n) h^2 / 8, h the sample distance, times the change of d^2 theta / dx^2 = h d (h g w) / ds."""
+        """Bound (B, K, n) on theta between samples, rad: h^2 / 8 for the sample distance h.
+
+        Times the change of d^2 theta / dx^2 = h d (h g w) / ds.
+        """
         h, (moment, _) = self.steps(), self.cross_sections(self.chord(dtheta))
         u, du = self.bending.max_u, self.bending.change(dtheta[0])
         g = DerivativeBounds(1 + self._stretch(u), self._stretch(du), self.zero)

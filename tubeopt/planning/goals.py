@@ -43,15 +43,14 @@ from .question import PlanTask
 
 # The test ends at the first start that comes near, so it costs little where a place is reachable.
 STARTS, STEPS = 8, 20
-"""Starts of the test for unreachable places, half of them nearest in the table, half spread; and Gauss-Newton steps
-from each."""
+"""Starts of the reachability test, half of them nearest in the table, half spread; and Gauss-Newton steps from each."""
 
 LONGEST_STEP = 0.4
 """Largest change of a coordinate, in units of the joints' scales."""
 
 # At this distance the margin or the ranges may decide, which this test omits.
 NEAR = 0.02
-"""Distance from a place, relative to the robot's length, below which inverse kinematics decides."""
+"""Distance from a target, relative to the robot's length, below which inverse kinematics decides."""
 
 DIFFERENCE = 1e-5
 """Step of finite differences, in units of the scales."""
@@ -85,7 +84,9 @@ def check_place(task: PlanTask, position: Array) -> None:
 
 
 def path_around(box: Box, position: Array) -> float:
-    """Lower bound on the length (m) of a path from the plate to a position (3,) around a box; 0 if it is not between.
+    """Lower bound on the length (m) of a path from the plate around a box to a position (3,).
+
+    0 if the box is not between them.
 
     Where plate and position are on opposite sides of the box along an axis, a path passes the plane in the middle of
     the box beyond one of its four sides: at best on the edge of that side, unfolded about it.
@@ -142,7 +143,7 @@ def _closest(task: PlanTask, start: Array, position: Array) -> float:
 
 
 def tips_about(task: PlanTask, z: Array) -> Array:
-    """(m + 1, 3) tips at a point (m,) of the chart, and a DIFFERENCE farther along each coordinate, m."""
+    """(m + 1, 3) tips at tip coordinates z (m,), and a DIFFERENCE farther along each coordinate, m."""
     return task.chart.arms(z + np.vstack([np.zeros(len(z)), DIFFERENCE * np.diag(task.scale)]), 0.0).tip
 
 
@@ -192,7 +193,7 @@ LEAST_SECONDS = 1e-3
 
 
 MOST_ENDS = 12
-"""Maximum number of equilibria at which a plan may end, nearest to the start first."""
+"""Largest number of final equilibria of a plan, nearest to the start first."""
 
 # Turns farther from the start only make paths longer.
 MOST_TURNS = 3
@@ -200,7 +201,7 @@ MOST_TURNS = 3
 
 # The first point of a region and the one farthest from it.
 PLACES = 2
-"""Number of points of a region for which other configurations are searched."""
+"""Number of points of a region with a search for other configurations."""
 
 # Far above the accuracy of inverse kinematics, far below the distance of two configurations.
 SAME_END = 1e-3
@@ -208,8 +209,10 @@ SAME_END = 1e-3
 
 # The grid of tip rotations grows exponentially with the tubes.
 SEARCHED_TUBES, SEARCH_SECONDS = 3, 30.0
-"""Largest number of tubes for which all equilibria at joint values are always searched. The search cannot be
-interrupted, so for more tubes it needs this remaining time, s; otherwise only forward kinematics is tried."""
+"""Largest number of tubes with a search for all equilibria at joint values, and remaining time, s, required otherwise.
+
+The search cannot be interrupted. With less time, only forward kinematics is tried.
+"""
 
 # A second end shortens short paths by a tenth.
 NEAR_POINTS, ENOUGH_ENDS = 8, 2
@@ -240,7 +243,7 @@ class TipGoal(Displayed):
     """
 
     position: Array
-    """(3,) position of the tip, m. A table (N, 3) is a region: any row meets the goal, and they are tried in order."""
+    """(3,) position of the tip, m. A table (N, 3) is a region: any row meets the goal; rows are tried in order."""
     direction: Array | None = None
     """(3,) direction of the tip; None if free."""
 
@@ -272,10 +275,10 @@ class TipGoal(Displayed):
 
 @dataclass(frozen=True, eq=False)
 class End:
-    """An equilibrium at which a plan may end."""
+    """Possible final equilibrium of a plan."""
 
     point: Array
-    """(m,) point in the chart."""
+    """(m,) tip coordinates."""
     joints: Array
     """(m,) joint values."""
     turns: tuple[int, ...]
@@ -283,7 +286,7 @@ class End:
 
 
 def start_equilibrium(space: JointSpace, start: Any, load: Load | None = None, name: str = "start") -> Equilibrium:
-    """Equilibrium at the start of a plan, under the load; raises InputError or SolveError if there is none."""
+    """Equilibrium at the start of a plan, under the load; raises InputError or SolveError if it does not exist."""
     known = start.equilibrium if isinstance(start, InverseSolution) else start
     if not isinstance(known, Equilibrium):
         rotations, shift = joints_of(space, name, start)
@@ -341,7 +344,7 @@ def ends(
 
 
 def asked_ends(task: PlanTask, start: Equilibrium, goal: Any, enough: int) -> list[End]:
-    """Equilibria at a goal with the options of the task; for a tip goal up to `enough` from the roadmap, if any."""
+    """Equilibria at a goal with the options of the task; for a tip goal up to `enough` from a given roadmap."""
     known = task.options.roadmap
     near = None if known is None else partial(known.near, task, count=NEAR_POINTS)
     clock = Clock(GOALS_SHARE * task.clock.left)
@@ -356,7 +359,7 @@ def _nearest(task: PlanTask, start: Equilibrium, candidates: list[End]) -> list[
 
 
 def loaded(equilibria: Sequence[Equilibrium], load: Load) -> tuple[list[Equilibrium], list[str]]:
-    """Equilibria under a load, and the reasons where there is none."""
+    """Equilibria under a load, and the reasons for missing ones."""
     good, reasons = [], []
     for e in equilibria:
         try:
@@ -407,7 +410,7 @@ def of_the_tip(goal: Any) -> bool:
 
 
 def goal_seen(goal: Any, frame: Frame) -> Any:
-    """Goal in the frame of a plate: a tip goal is transformed, any other is returned as it is."""
+    """Goal in the frame of a plate: a tip goal is transformed, any other goal is returned unchanged."""
     tip_goal = _tip_goal(goal)
     if tip_goal is None:
         return goal

@@ -39,7 +39,10 @@ from .sections import PARTS, DerivativeBounds, linear, pair_differences, unit_ve
 # f - chord = -int G f'' with Green's function G: for |f''| <= T, T linear in time, at most T / 6 at each time, which is
 # approached at an end where T vanishes (for constant T: T / 8).
 CHORD_ERROR = 1 / 6
-"""Distance of a function of time from its chord, relative to T, where |f''| <= T and T is linear in time, T >= 0."""
+"""Largest distance of a function f of time from its chord, relative to T, for |f''| <= T.
+
+T is linear in time, T >= 0.
+"""
 
 # Two rounds spread a change to all tubes, torques and moments of a section; six make the series small, see `_changes`.
 ROUNDS = 2, 6
@@ -106,7 +109,7 @@ class _Chord:
     theta: DerivativeBounds
     """(B, K, n) rotations of the tubes."""
     pair: DerivativeBounds
-    """(B, K, n, n) of theta_i - theta_j."""
+    """Bounds (B, K, n, n) on theta_i - theta_j."""
     tangent: DerivativeBounds
     """(B, K) unit tangents of the centreline."""
     torque: DerivativeBounds
@@ -263,7 +266,7 @@ class _Bounds:
         return np.asarray(np.sqrt((self.long.v * inside).sum(1) + transmissions))
 
     def _chord(self, c: _Changes, torque: Array) -> _Chord:
-        """Bounds along the chord, whose torques are at most `torque` (B, K, n) and which changes by `c`."""
+        """Bounds along a chord with torques of at most `torque` (B, K, n) and the change `c`."""
         twist_tt = self._twist(DerivativeBounds(torque, c.torque, np.zeros_like(c.torque))).dd
         # A parabola is steeper than its chord by at most half of its second derivative.
         theta = DerivativeBounds(np.ones_like(twist_tt), c.angle[0] + twist_tt / 2, twist_tt)
@@ -320,7 +323,7 @@ class _Bounds:
         return rotating_tangent(*y.frame[1:])
 
     def _add_order(self, y: _TimeDerivatives, order: int, convexity: Array) -> None:
-        """Add bounds of an order to `y`, where all lower ones are known.
+        """Add bounds of an order to `y`; all lower orders must be known.
 
         First without torques and moments of this order; the residual, over the convexity, bounds these.
         """
@@ -378,7 +381,7 @@ class _Bounds:
         return np.asarray(by_tubes + by_load + by_turns + by_force.sum(1) + by_moments.sum((1, 2)))
 
     def hessian_chord_error(self) -> Array:
-        """(B,) bound on the amount by which the second variation along the chord is below the one linear in time.
+        """(B,) bound on the deficit of the second variation along the chord, relative to the one linear in time.
 
         It is `CHORD_ERROR` times a bound on its second time derivative, at fixed torques and moments, relative to T.
         Infinite where tubes vary, since T is then not linear in time. See "Between loaded equilibria" in

@@ -111,7 +111,7 @@ class LoadedArms(Arms):
 
     @property
     def places(self) -> Array:
-        """(F,) places of the load, m."""
+        """(F,) arc lengths at which the load acts, m."""
         return self.pull.places
 
     @cached_property
@@ -186,7 +186,10 @@ class LoadedArms(Arms):
 
     @cached_property
     def slopes(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """d torque / ds (P, n) and d moment / ds (P, 2), each on the side of the tip and of the plate."""
+        """Slopes d torque / ds (P, n) and d moment / ds (P, 2), one-sided.
+
+        Each on the side of the tip and of the plate.
+        """
         sides = []
         for k, values in enumerate(self._values):
             pulls, stiffness = self._pulls(values)

@@ -72,7 +72,7 @@ obstacles, where it takes twice as long."""
 
 # Lengths are sums over samples, which cut corners.
 SAME_LENGTH = 2e-3
-"""Relative difference up to which lengths and durations are equal."""
+"""Largest relative difference of lengths and durations that count as equal."""
 
 # Forward kinematics follows every spacing from end to end.
 ROUNDING_SECONDS, ROUNDING_SHARE = 5.0, 0.3
@@ -234,7 +234,7 @@ def build(
 def passing(
     task: PlanTask, first: Equilibrium, q: Array, last: Array, how: str, motions: int = 0
 ) -> Trajectory | Faults:
-    """Time-optimal motion through joint values (k, m), from an equilibrium to the point `last` (m,) of the chart.
+    """Time-optimal motion through joint values (k, m), from an equilibrium to the tip coordinates `last` (m,).
 
     `how` and `motions`: method of the search and number of motions that it checked.
     """
@@ -367,7 +367,7 @@ def _between(task: PlanTask, first: Equilibrium, goals: Sequence[End]) -> PlanTa
 
 
 class _Search(NamedTuple):
-    """Result of a search, with the goals and the task for which it holds."""
+    """Result of a search, with its goals and its task."""
 
     task: PlanTask
     goals: list[End]
@@ -375,7 +375,7 @@ class _Search(NamedTuple):
 
 
 def _search(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], seed: int) -> _Search:
-    """Path to one of the goals; if there is none to a tip goal, to other configurations with that tip."""
+    """Path to one of the goals; without any to a tip goal, a path to other configurations with that tip."""
     options, clock = task.options, task.clock
     until = options.time_limit - min(REPORT_SECONDS, REPORT_SHARE * options.time_limit)
     left = max(0.0, min(SEARCH_SHARE * options.time_limit, until) - clock.seconds)
@@ -409,7 +409,7 @@ def _search(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], see
 
 
 def _smooth_and_prove(task: PlanTask, first: Equilibrium, end: End, path: FoundPath) -> Trajectory | Faults:
-    """Trajectory along a path: the first provable motion of `motions_near`; the faults of the last if there is none."""
+    """Trajectory along a path: the first provable motion of `motions_near`; without any, the faults of the last one."""
     assert path.points is not None
     clock = task.clock
     searched = clock.seconds
@@ -437,7 +437,7 @@ def _smooth_and_prove(task: PlanTask, first: Equilibrium, end: End, path: FoundP
 
 
 def _search_error(task: PlanTask, first: Equilibrium, goals: Sequence[End], path: FoundPath) -> SolveError:
-    """Error after a search without a path, with the partial trajectory that comes closest to the goal."""
+    """Error after a search without a path, with the partial trajectory that ends closest to the goal."""
     clock = task.clock
     if path.impossible:
         return SolveError(f"no plan exists: {path.why}")
@@ -459,7 +459,7 @@ def _search_error(task: PlanTask, first: Equilibrium, goals: Sequence[End], path
 
 
 def _affordable(task: PlanTask, points: Array, limits: Limits, left: float) -> tuple[Array, JointMotion | None]:
-    """Longest first part of a path whose proof should take no longer than `left` seconds, as a motion with stops."""
+    """Longest first part of a path that should be provable within `left` seconds, as a motion with stops."""
     while len(points) > 1:
         motion = stopping_at(joint_curves(task, points), limits)
         samples = len(motion.sampled(task.scale)[0])
@@ -496,7 +496,7 @@ class EntryRegion(Displayed):
     box: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Half extents along x, y and z, m."""
     places: Array | None = field(default=None, repr=False)
-    """(N, 3) points in place of a disc or box, m."""
+    """(N, 3) points instead of a disc or box, m."""
     cone: float = 0.0
     """Half angle of the cone about z, rad, below a right one."""
 

@@ -63,14 +63,17 @@ TIGHT = 0.029
 
 # The largest integral of the Peano kernel of that derivative.
 HERMITE = 0.03231
-"""Factor of h^2 |f'''| in the bound on |f' - c'|, where the cubic c has the values and slopes of f at both ends."""
+"""Factor of h^2 |f'''| in the bound on |f' - c'| of a cubic Hermite interpolant c.
+
+c has the values and slopes of f at both ends.
+"""
 
 # Between the samples the speed grows by at most 12 |bow| / (8 SAMPLES^2), 2 % of it.
 SAMPLES = 8
 """Number of parts of a link between samples of the speed along that cubic."""
 
 STEADY = 1e-9
-"""Largest difference of joint rates, relative to the fastest joint, at which directions of motion are the same."""
+"""Largest difference of joint rates, relative to the fastest joint, of equal directions of motion."""
 
 # More at once would bisect links that the first bisection had already made sharp.
 MOST_HALVINGS = 2
@@ -81,7 +84,7 @@ FINEST = 12
 """Maximum number of rounds."""
 
 Slopes = dict[tuple[Equilibrium, Carriages, int], Array]
-"""Jacobians (3, 2n) of the tip at equilibria, by the carriages on which tubes move together, and the side."""
+"""Jacobians (3, 2n) of the tip at equilibria, by the carriages that move tubes together, and the side."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +149,7 @@ class _Row:
     links: list[Link]
     span: float
     slopes: Slopes
-    """Jacobians computed so far."""
+    """Cache of Jacobians."""
 
     @cached_property
     def passed(self) -> Array:
@@ -189,7 +192,7 @@ class _Row:
 
     @cached_property
     def alike(self) -> Mask:
-        """(B - 1,) True where joints continue along the same straight line at an inner step, and sections in order."""
+        """(B - 1,) True for inner steps with joints on one straight line and the same order of sections."""
         n, along = self.verifier.robot.n_tubes, self.rate / self.pace[:, None]
         same = (np.abs(np.diff(along, axis=0)) <= STEADY).all(1)
         if not self.rate[:, n:].any():
@@ -200,12 +203,14 @@ class _Row:
         return np.asarray(same & ~((distance[:-2] > ROUND_OFF) & (distance[2:] < -ROUND_OFF)).any((1, 2)))
 
     def _distances(self, translations: Array) -> Array:
-        """(S, P, P) between breakpoints, the plate and places of the load, at translations (S, n), with sign, m."""
+        """(S, P, P) signed distances between breakpoints, plate and load points at translations (S, n), m."""
         points = self.verifier.cuts(translations)
         return np.asarray(points[:, :, None] - points[:, None, :])
 
     def velocity(self, step: int, link: int) -> Array | None:
-        """(3,) velocity of the tip at a step of a link, m/s, as the limit from inside the link; None at a fold.
+        """(3,) velocity of the tip at a step of a link, m/s; None at a fold.
+
+        It is the limit from inside the link.
 
         It is J q'. But where breakpoints meet, each column of J has another order of the sections, and columns do not
         add up. There q' is a sum of parts that keep the order of the sections in the link: all moving tubes together at
@@ -230,7 +235,7 @@ class _Row:
         return np.asarray(inwards * velocity)
 
     def _meeting(self, step: int, shift: Array) -> bool:
-        """True if breakpoints of tubes with rates `shift` (n,) meet others, the plate or a place of the load."""
+        """True if breakpoints of tubes with rates `shift` (n,) meet others, the plate or a load point."""
         n, ended = self.verifier.robot.n_tubes, self.verifier.constants.ended
         meet = np.abs(self._distances(self.steps[step].joints[None, n:])[0]) <= ROUND_OFF
         owner = np.full(len(meet), -1)
@@ -574,7 +579,7 @@ def _force_faults(forced: ForceBound, min_margin: float) -> list[str]:
 
 
 def _tip_faults(pace: Pace, limit: float, *, pushed: bool) -> list[str]:
-    """Faults of the bound on the speed of the tip, where it is limited."""
+    """Faults of the bound on the speed of the tip, if it is limited."""
     allowed = f"it must be at most {limit * 1e3:.4g} mm/s"
     if limit == math.inf or pace.measured > limit * (1 + SLACK):
         return []

@@ -1,4 +1,4 @@
-"""Question of a plan: options, requirements and the chart, also of a robot under a load."""
+"""Question of a plan: options, requirements and tip coordinates, also of a robot under a load."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class LoadedChart(TipCoordinates):
     """Tip coordinates of a robot under a load: points are equilibria without it, arms those after it has grown."""
 
     def of(self, equilibrium: Equilibrium) -> Array:
-        """Point of an equilibrium: that of its shape after the load is removed.
+        """Tip coordinates of an equilibrium, after its load is removed.
 
         Raises:
             SolveError: it snaps as the load is removed.
@@ -110,10 +110,10 @@ class PathSource(Protocol):
     """Source of known paths among obstacles, such as a `Roadmap`."""
 
     def shortest_path(self, task: PlanTask, start: Array, goals: Sequence[Array], clock: Clock) -> FoundPath:
-        """Shortest known path from a point to one of the goals; without points if there is none."""
+        """Shortest known path from a point to one of the goals; without points if none is known."""
 
     def near(self, task: PlanTask, place: Array, count: int) -> Array:
-        """Points with tips nearest to a place, at most `count`."""
+        """Points with tips nearest to a position, at most `count`."""
 
 
 @dataclass(frozen=True)

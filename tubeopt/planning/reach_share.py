@@ -48,10 +48,10 @@ STEPS = 15
 
 # Beyond this, the distance from a target does not distinguish designs.
 FAR_MISS = 0.01
-"""Distance from a target, m, from which on it does not contribute to the score of a region."""
+"""Distance from a target, m, beyond which it does not contribute to the score of a region."""
 
 SAME = 0.05
-"""Difference of tip rotations (rad) up to which equilibria at the same joint values are equal."""
+"""Largest difference of tip rotations (rad) of equal equilibria at the same joint values."""
 
 SHORTER = 0.5 ** np.arange(5)
 """Fractions of a step that are tried."""
@@ -87,7 +87,7 @@ class ReachShare(Displayed):
         return float(self.reached.mean())
 
     def arm(self, robot: Robot, k: int) -> Equilibrium | None:
-        """Equilibrium in which a robot reaches target k; None if none has these joint values and this tip."""
+        """Equilibrium of a robot that reaches target k; None if no equilibrium has these joint values and this tip."""
         joints, tips = (self.rotations[k], self.translations[k]), self.tip_rotations[k]
         with suppress(SolveError):
             equilibria = [forward_kinematics(robot, *joints)]
@@ -166,14 +166,14 @@ class _Search:
     task: PlanTask
     roadmap: Roadmap
     start: Array
-    """(m,) point of the chart."""
+    """(m,) tip coordinates of the start."""
     tips: Array
     """(N, 3) tips of the points of the roadmap, m."""
     reachable: dict[int, bool] = field(default_factory=dict)
     """Results for points of the roadmap."""
 
     def reaches(self, z: Array) -> bool:
-        """True if there is a path to a point (m,)."""
+        """True if a path leads to a point (m,)."""
         return self.roadmap.shortest_path(self.task, self.start, [z], self.task.clock).points is not None
 
     def approach(self, place: Array, tolerance: float) -> list[tuple[float, Array]]:
@@ -262,7 +262,7 @@ class RegionReach(Displayed):
 
     @property
     def ranges(self) -> Array:
-        """(k, 2) ranges of the motion of the plate: along x, y and z, m, then about x and y, rad; only free ones."""
+        """(k, 2) ranges of the free motions of the plate: along x, y, z, m, then about x and y, rad."""
         bounds = np.array([self.shift] * 3 * bool(self.shift) + [self.tilt] * 2 * bool(self.tilt))
         return np.column_stack([-bounds, bounds])
 
@@ -326,8 +326,10 @@ class PairShare(Displayed):
     reached: tuple[ReachShare, ReachShare]
     """Targets that each robot reaches by itself."""
     apart: Array = field(repr=False)
-    """(N, N) lower bound on the distance of the arms at rest, with the first tip at target i and the second at j, m;
-    NaN where one is not reached."""
+    """(N, N) lower bound on the distance of the arms at rest, m; NaN for unreached targets.
+
+    The first tip is at target i, the second at j.
+    """
     clearance: float
     """Required distance of the arms, m."""
 
@@ -404,7 +406,7 @@ class PairReach(Displayed):
 
     @property
     def ranges(self) -> Array:
-        """(k, 2) ranges of the motions of the plates: those of `RegionReach` for the first, then for the second."""
+        """(k, 2) ranges of the motions of the plates: of the first as in `RegionReach`, then of the second."""
         return np.concatenate([side.ranges for side in self.sides])
 
     def plates(self, own: Array) -> tuple[Frame, Frame]:

@@ -1,4 +1,4 @@
-"""Roadmap for many plans of one robot among the same bodies (lazy PRM, Bohlin and Kavraki 2000).
+"""Roadmap for many plans of one robot among the same obstacles (lazy PRM, Bohlin and Kavraki 2000).
 
 Its nodes are equilibria in the space of tip rotations and translations, in which a straight line is a motion without a
 snap as long as it is stable. An edge is checked only when a path uses it, and the result is stored for the next query.
@@ -39,7 +39,7 @@ DRAWN = 512
 
 @dataclass(eq=False)
 class Roadmap(Displayed):
-    """Valid points in the chart of a robot, and edges between them."""
+    """Valid points in the tip coordinates of a robot, and edges between them."""
 
     points: Array
     """(N, m) points in the coordinates of the robot."""
@@ -50,7 +50,7 @@ class Roadmap(Displayed):
     known: dict[tuple[int, int], bool] = field(default_factory=dict, repr=False)
     """Result of the check of each edge, for the last query."""
     asked_with: tuple[Any, ...] = field(default=(), repr=False)
-    """Requirements of the last query, for which `known` is valid."""
+    """Requirements of the last query; `known` is valid for them."""
     tips: Array | None = field(default=None, repr=False)
     """(N, 3) tips of the points, m; computed when first needed."""
 
@@ -100,7 +100,7 @@ class Roadmap(Displayed):
         return FoundPath(None, "roadmap", tried, why="the time for the roadmap was over")
 
     def near(self, task: PlanTask, place: Array, count: int) -> Array:
-        """(k, m) points of the map, at most `count`, with tips nearest to a place (3,); the nearest first."""
+        """(k, m) points of the roadmap with tips nearest to a position (3,), at most `count`; the nearest first."""
         self._match(task)
         if self.tips is None:
             self.tips = task.chart.arms(self.points, 0.0).tip

@@ -78,7 +78,7 @@ def pair_differences(own: Array) -> Array:
 
 
 def inverse(size: DerivativeBounds) -> DerivativeBounds:
-    """Bounds for 1 / f, where f is at least `size.v` and the others bound its derivatives."""
+    """Bounds for 1 / f, for f of at least `size.v` and derivatives bounded by the other fields."""
     # (1/f)'' = 2 f'^2 / f^3 - f'' / f^2, and (1/f)''' = -6 f'^3 / f^4 + 6 f' f'' / f^3 - f''' / f^2.
     first, two = size.d / size.v, size.dd / size.v
     third = None if size.ddd is None else (size.ddd / size.v + 6 * first * two + 6 * first**3) / size.v
@@ -298,7 +298,7 @@ class TransportBounds:
 
 # Breakpoints are sums of lengths, exact to round-off of these.
 SWAPPED = 1e-9
-"""Round-off (m) by which breakpoints may be out of order at the ends of an interval."""
+"""Largest round-off (m) of the order of breakpoints at the ends of an interval."""
 
 # Stiffness and torsion jump where a piece of a tube ends.
 JUMP = 1e-9
@@ -309,18 +309,21 @@ PARTS = 4
 
 # Torques jump at the ends of sections where moments act.
 EDGE = 1e-6
-"""Distance of the samples at the ends of a section from these ends, as a fraction of it; less than half a stretch."""
+"""Distance of the end samples of a section from its ends, as a fraction of it; below half a stretch."""
 
 # Integrals of the Peano kernels of the interpolation.
 SHAPE_ERROR = 1 / 96, 1 / 384
 """Factors of h^3 |p'''| and of h^4 |p''''| in two bounds on the error of cubic Hermite interpolation, step h."""
 
 WITHIN = 1 / 6
-"""Factor of x^2 (1 - x)^2 h^3 |p'''| in the same bound at a fraction x of the step; in the middle it is 1 / 96."""
+"""Factor of x^2 (1 - x)^2 h^3 |p'''| in the bound at a fraction x of the step.
+
+In the middle it is 1 / 96.
+"""
 
 
 class _Steps(NamedTuple):
-    """Steps between neighbouring points of a solution, and places (...) in them."""
+    """Steps between neighbouring points of a solution, and points (...) in them."""
 
     first: Index
     """(...) point at the start of the step."""
@@ -329,7 +332,7 @@ class _Steps(NamedTuple):
     length: Array
     """(...) lengths of the steps, m."""
     fraction: Array
-    """(...) of the step, 0 to 1."""
+    """(...) fractions of the step, 0 to 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -379,7 +382,7 @@ class Arms:
 
     @property
     def places(self) -> Array:
-        """(F,) further arc lengths at which sections end, m, clipped to the length of each arm."""
+        """(F,) further arc lengths of section ends, m, clipped to the length of each arm."""
         return np.zeros(0)
 
     @property
@@ -405,7 +408,7 @@ class Arms:
 
     @cached_property
     def _onwards(self) -> Array:
-        """(P, n) theta' at the points as seen from the tip; it jumps where a piece of a tube ends or a moment acts."""
+        """(P, n) theta' at the points, one-sided from the tip; it jumps at ends of pieces and at applied moments."""
         c, cuts = self.constants, self.breakpoints[self.owner]
         before, after = (c.stretch(self.arc_length + side * JUMP, cuts) for side in (-1, 1))
         jumps = (before != after) & (self.arc_length > JUMP)[:, None]
@@ -554,7 +557,7 @@ class Intervals:
     stretch: Index
     """(B, K, n) stretch of each tube in each section."""
     ordered: Mask
-    """(B,) True where no breakpoints pass each other, the plate, or a place of the load."""
+    """(B,) True for intervals in which no breakpoints pass each other, the plate, or a load point."""
 
     @classmethod
     def of(cls, arms: Arms, start: Index, end: Index) -> Self:
@@ -588,7 +591,7 @@ class Intervals:
 
     @cached_property
     def moved(self) -> Array:
-        """(B, K, n) bound on the motion of a place along each tube during the interval, m."""
+        """(B, K, n) bound on the motion of a point along each tube during the interval, m."""
         c, shift = self.arms.constants, self.arms.translations
         held = c.held(shift[self.end]) - c.held(shift[self.start])
         ends = np.abs((self.end_cuts - self.start_cuts)[:, :, None] - held[:, None])

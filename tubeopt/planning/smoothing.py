@@ -47,7 +47,7 @@ SHARPNESS = 400.0
 
 # Where joints hardly move the tips may: without a weight they would drift.
 TIP_WEIGHT = 0.05
-"""Weight of the motion of the tip rotations relative to that of the joints, in the length."""
+"""Weight of the motion of the tip rotations in the length, relative to the motion of the joints."""
 
 OPTIONS: dict[str, Any] = {
     **NO_SENSITIVITIES,
@@ -126,7 +126,7 @@ class PathProgram:
 
 
 def path_program(question: PathQuestion) -> PathProgram:
-    """Program of a structure, from a cache of recent ones."""
+    """Program of a structure, from a cache of the last programs."""
     return (_among_bodies if question.obstacles else _in_free_space)(question)
 
 
@@ -294,7 +294,7 @@ TWIST = 0.3
 
 # Between knots the margin is lower, by the square of their distance; after a failure 1.5 times the shortfall is added.
 MARGIN_RESERVE = 3e-3
-"""First reserve of the margin at knots beyond that of the search."""
+"""First reserve of the margin at knots, added to the reserve of the search."""
 
 # The smoothed motion stays close to the path, and every body adds rows for all knots.
 BODY_REACH = 0.1
@@ -302,11 +302,13 @@ BODY_REACH = 0.1
 
 # Every column of a knot's Jacobian costs about as much as the arm.
 MOST_OPERATIONS = 150_000
-"""Number of operations of one equilibrium, about that of six tubes, beyond which derivatives take too long."""
+"""Largest number of operations of one equilibrium, about six tubes; beyond it derivatives take too long."""
 
 BUILD_PER_OPERATION, BUILD_PER_BODY, BUILD_PER_NODE = 5e-5, 5e-2, 1e-6
-"""Time to build the program, which cannot be interrupted, and to start its solution on a slow machine, s: per
-operation of an equilibrium, per obstacle, and per node of a table of distances."""
+"""Build and start-up time of the program on a slow machine, s.
+
+Per operation of an equilibrium, per obstacle, and per node of a table of distances. The build cannot be interrupted.
+"""
 
 # A determinant of 0 is the fold itself, where IPOPT would converge to equilibria beyond it.
 LEAST_FIELDS = 1e-3
@@ -322,7 +324,7 @@ class Smoothed:
 
     motion: JointMotion
     points: Array
-    """(K, m) knots in the chart."""
+    """(K, m) knots in tip coordinates."""
     iterations: int
     """Number of iterations of IPOPT."""
 
@@ -395,7 +397,7 @@ def _near(task: PlanTask, arms: Arms) -> PlanTask:
 def _solve(
     task: PlanTask, knots: tuple[Array, Arms], step: Array, limits: Limits, objective: str, reserve: Array, clock: Clock
 ) -> Smoothed | None:
-    """Solution of the program from knots (K, m) in the chart and their arms; None if IPOPT fails.
+    """Solution of the program from knots (K, m) in tip coordinates and their arms; None if IPOPT fails.
 
     `step`: durations of the intervals, as fractions of the time; `reserve` (2,) of margin and clearance (m) at knots.
     """

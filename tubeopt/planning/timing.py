@@ -42,12 +42,17 @@ CELLS, FINE_CELLS = 100, 500
 
 # `motion.too_fast` allows rates 1e-6 and accelerations 1e-3 beyond their limits. The price is 0.05 % of the duration.
 RATE_SAFETY_FACTOR = 0.9995
-"""Safety factor on the rate limits: tip speed is only checked on a grid, and the ends of a motion are made exact."""
+"""Safety factor on the rate limits.
+
+The tip speed is only checked on a grid, and the ends of a motion are made exact.
+"""
 
 # Near a fold joint values change fast along a straight motion in tip rotations.
 MOST_HALVINGS, MOST_BEND = 4, 0.02
-"""Maximum number of times that the points of a path are doubled; second difference of joint values, in units of their
-scales, at which rounded curves are close enough to the points."""
+"""Largest number of doublings of the points of a path, and largest second difference of a sufficiently fine path.
+
+The difference is of joint values, in units of their scales; below it, rounded curves are close enough to the points.
+"""
 
 # Larger than the error between samples, and falling with the square of their distance as the error does.
 RESERVE = 1e-5
@@ -55,7 +60,7 @@ RESERVE = 1e-5
 
 # Samples are up to 0.04 apart.
 OTHER_BRANCH = 0.1
-"""Distance from a point of the chart, in units of the scales, beyond which an equilibrium is on another branch."""
+"""Distance in tip coordinates, in units of the scales, of an equilibrium on another branch."""
 
 SAME = 1e-9
 """Distance of grid points, relative to the curve, below which they are one."""
@@ -66,8 +71,8 @@ FAR = 1e100
 """Larger than any x."""
 
 SHORTEST = 1e-3
-"""Shortest duration of a motion, s: the cycle of a usual control loop. Over shorter times the round-off of joint values
-looks like an acceleration."""
+"""Shortest duration of a motion, s: the cycle of a usual control loop. Below it, round-off of joint values resembles an
+acceleration."""
 
 Tips = Callable[[Array], Array]
 """Tip positions (k, 3), m, at joint values (k, m)."""
@@ -181,7 +186,10 @@ def _coefficients(curve: PPoly, s: Array) -> list[Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Program:
-    """Linear program of the path speed on N cells: |a u + b x| <= 1 with x at the start of each cell, x <= x_max."""
+    """Linear program of the path speed on N cells: |a u + b x| <= 1, x <= x_max.
+
+    x is taken at the start of each cell.
+    """
 
     h: Array
     """(N,) lengths of the cells."""
@@ -194,7 +202,10 @@ class _Program:
 
     @staticmethod
     def of(curve: PPoly, s: Array, limits: Limits, tip: Array | None) -> _Program:
-        """Program of a curve on a grid s (N + 1,); `tip` (N + 1, 3): tip positions, if their speed is limited."""
+        """Program of a curve on a grid s (N + 1,).
+
+        `tip` (N + 1, 3): tip positions, if their speed is limited.
+        """
         h = np.diff(s)
         c1, c2, c3 = _coefficients(curve, s)
         long, acceleration = h[:, None], RATE_SAFETY_FACTOR * limits.acceleration
@@ -277,7 +288,10 @@ def _largest_below(x_max: Array, slope: Array, intercept: Array) -> Array:
 
 
 def _largest_feasible(v: Array, w: Array, growth: Array) -> Array:
-    """(N,) largest x for which some u satisfies |u + v x| <= w (N, r) and the next x is not negative."""
+    """(N,) largest x for which some u satisfies |u + v x| <= w (N, r).
+
+    The next x must not be negative.
+    """
     x = np.full(len(v), np.inf)
     for k in range(v.shape[1]):
         # The intervals of u of rows j and k intersect if |v_j - v_k| x <= w_j + w_k; the next x is not negative if

@@ -58,7 +58,7 @@ SPACING, REFINEMENTS = 0.008, 3
 
 # The error of the polyline is then 1 / 1600 of that of one through the points.
 DENSE = 40
-"""Points per piece of a spline at which it is sampled."""
+"""Number of samples per piece of a spline."""
 
 # Different configurations reach different parts of a curve.
 STARTS, STARTS_SHARE = 8, 0.3
@@ -194,7 +194,8 @@ def _starts(task: PlanTask, curve: Array, start: Any, tolerance: float) -> Itera
 
 
 def _solve_along(task: PlanTask, first: Equilibrium, places: Array) -> tuple[list[Equilibrium], str]:
-    """Equilibria with tips at places (P, 3), each solved from the one before; and why they end early, or ""."""
+    """Equilibria with tips at positions (P, 3), each solved from the one before; and the reason for an early end, or
+    ""."""
     out: list[Equilibrium] = []
     floor = min(task.min_margin + task.margin_room, max(first.margin - 1e-4, task.min_margin))
     try:
@@ -225,7 +226,7 @@ def distance_from(curve: Array, points: Array) -> Array:
 
 # The length changes by 1 / 75 from one to the next, so that the last fit is a good start of the next.
 LENGTHS = 60
-"""Number of arm lengths at which the arm is fitted to the one at the goal."""
+"""Number of arm lengths for the fit of the arm to the one at the goal."""
 
 # Each fit starts at the one before.
 ITERATIONS, LAST_STEP = 6, 1e-3
@@ -255,7 +256,7 @@ def follow_the_leader(
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,
 ) -> Trajectory:
-    """Plan a deployment to a goal in which the arm remains close to the path of its own tip.
+    """Plan a deployment that keeps the arm close to the path of its own tip.
 
     Args:
         goal: as for `plan_trajectory`; of several equilibria, the one with the largest margin.
@@ -316,7 +317,7 @@ def _goal(task: PlanTask, goal: Any) -> Equilibrium:
 
 
 def _fit(task: PlanTask, z: Array, last: Equilibrium, length: float) -> Array:
-    """Point of the chart whose arm, of a given length (m), is closest to the arm `last`; the start is `z` (m,)."""
+    """Tip coordinates of the arm of a given length (m) closest to the arm `last`; the start is `z` (m,)."""
     space = task.chart.space
     m = len(z)
     z = _retracted(task, z, length)

@@ -48,7 +48,7 @@ class PlanStatistics:
     raw_length: float
     """Length of the searched path in joint space, in units of the joints' scales (1 rad, half the longest tube)."""
     length: float
-    """Length of the final path, in the same units."""
+    """Length of the final path, in the units of the search."""
     iterations: int
     """Number of iterations of the smoothing."""
     knots: int
@@ -102,7 +102,7 @@ class Trajectory(Displayed):
     rate_limits: RateLimits
     """Limits on speeds and accelerations."""
     proof: Annotated[Proof, "the proof"]
-    """Proof by independent code; `.proved` states whether it finished in time, `.status` the same as a sentence."""
+    """Proof by independent code: `.proved` is True if it finished in time, `.status` is a sentence."""
     statistics: PlanStatistics
     """Effort of the search."""
     deviation: Array | None = None
@@ -111,7 +111,7 @@ class Trajectory(Displayed):
     entry: Annotated[Entry | None, "chosen position of the plate; null if it was not free"] = None
     """Result of `plan_from_region`; None if the plate was not moved."""
     cut: Plane | None = None
-    """Plane along which pictures cut bodies open, in the frame of the plate."""
+    """Plane in the frame of the plate that cuts bodies open in pictures."""
 
     @property
     def end(self) -> Equilibrium:
@@ -183,11 +183,10 @@ class TimedJoints:
     translations: Array
     """(T, n) translations, m."""
     start_tips: Array | None
-    """(n,) tip rotations at the start, rad, where the file tells them."""
+    """(n,) tip rotations at the start, rad; None if the file has none."""
 
     def start(self, load: Load | None = None) -> Equilibrium | None:
-        """The equilibrium at the first sample, under a load, with the tip rotations of the file; None where it tells
-        none.
+        """Equilibrium at the first sample, under a load, with the tip rotations of the file; None without these.
 
         Raises:
             InputError: no equilibrium there has these tip rotations.

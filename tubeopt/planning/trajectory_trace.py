@@ -83,7 +83,7 @@ class Table:
 
     @classmethod
     def concatenated(cls, parts: Sequence[Self]) -> Self:
-        """One table with the rows of several."""
+        """Table with the rows of several tables."""
         columns = ([getattr(part, field.name) for part in parts] for field in fields(cls))
         return cls(
             *(each[0].concatenated(each) if isinstance(each[0], Table) else np.concatenate(each) for each in columns)
@@ -145,7 +145,7 @@ class Sizes(Table):
         return distance_on_patch(distance, self.variance) - self.sagitta - self.radius - self.chord_error
 
     def needed(self, threshold: float) -> float:
-        """Distance of the corners at which all cells reach a threshold, m: `bound` solved for it."""
+        """Distance of the corners for which all cells reach a threshold, m: `bound` solved for it."""
         distance = np.maximum(threshold + self.sagitta + self.radius + self.chord_error, 0.0)
         return float(np.sqrt(distance**2 + self.variance).max(initial=0.0))
 
@@ -173,7 +173,7 @@ def distance_on_patch(distance: Array, variance: Array) -> Array:
 def clearance_bounds(
     intervals: Intervals, chord_error: Array, scene: Scene, target: ClearanceTarget, closest: float
 ) -> tuple[Array, float]:
-    """Lower bounds (B,) on the clearance in intervals, sharp where it is smallest; and the smallest measured one, m.
+    """Lower bounds (B,) on the clearance in intervals, sharp at the smallest; and the smallest measured clearance, m.
 
     Args:
         chord_error: (B, K) distance of the arm from the straight line between both ends, m, from `branch`.
@@ -293,27 +293,27 @@ class Link:
     rates: Array = field(default_factory=lambda: np.full(2, np.inf))
     """(2,) bounds on the second and third derivative of the tip by the fraction of the link, m."""
     fastest: float = math.inf
-    """Bound on the speed of the tip in the link of which this is a part, m/s."""
+    """Bound on the speed of the tip in the link that this is a part of, m/s."""
 
 
 class Proved(NamedTuple):
-    """Links in order of time, and what is not proved."""
+    """Links in order of time, and unproved intervals."""
 
     links: list[Link]
     unproved: list[Times]
-    """Intervals in which no stable branch is proved."""
+    """Intervals without a proved stable branch."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryTrace:
-    """Equilibria along a trajectory, and what is proved between them."""
+    """Equilibria along a trajectory, and the proof between them."""
 
     steps: tuple[Step, ...]
     """Equilibria in order of time."""
     snap: float | None
-    """Fraction of the time at which the branch ends."""
+    """Fraction of the time at the end of the branch; None without a snap."""
     unproved: tuple[Times, ...]
-    """Intervals in which no stable branch is proved to join the equilibria."""
+    """Intervals without a proved stable branch between the equilibria."""
     margin: float
     """Smallest margin at all times, found numerically."""
     clearance: float
@@ -342,7 +342,7 @@ class TrajectoryVerifier:
     clock: Clock
     load: Load | None = None
     count: int = 0
-    """Number of equilibria so far."""
+    """Number of computed equilibria."""
     flutters: bool = False
     """True if the branch ends by flutter, which occurs under loads without an energy."""
     _known: dict[int, tuple[Equilibrium, float]] = field(default_factory=dict, repr=False)
@@ -359,7 +359,7 @@ class TrajectoryVerifier:
         return Constants.of(self.robot)
 
     def cuts(self, translations: Array) -> Array:
-        """(..., 1 + C n + F) the plate, breakpoints of tubes at translations (..., n), and places of the load, m."""
+        """(..., 1 + C n + F) arc lengths of plate, breakpoints at translations (..., n), and load points, m."""
         moving = self.constants.breakpoints(translations)
         places = np.zeros(0) if self.load is None else np.unique(self.load.cuts())
         fixed = np.broadcast_to(places, (*moving.shape[:-1], len(places)))
@@ -382,7 +382,7 @@ class TrajectoryVerifier:
         return self.count >= MOST_EQUILIBRIA or self.clock.over
 
     def step(self, start: Step, at: float, joints: Array) -> Step | None:
-        """Stable equilibrium at joint values (2n,), solved from that of a step; None if there is none."""
+        """Stable equilibrium at joint values (2n,), solved from another step; None without any."""
         self.count += 1
         try:
             e = forward_kinematics(self.robot, *np.split(joints, 2), load=self.load, start=start.equilibrium)
@@ -518,7 +518,7 @@ def _take_steps(verifier: TrajectoryVerifier, origin: Step, t: Array, joints: Ar
 
 
 def _meetings(points: Array) -> dict[int, Array]:
-    """Fractions of the path between waypoints at which some of P points (T, P) meet, by the number of the waypoint.
+    """Fractions between waypoints at which some of P points (T, P) meet, by the number of the waypoint.
 
     There the order of the sections changes, and with it the motion of the arm. Points closer than ROUND_OFF are one to
     the solver; meetings at the same time, except for round-off, are one fraction.
@@ -592,7 +592,7 @@ class _Cleared(NamedTuple):
 
     links: list[Link]
     unproved: list[Times]
-    """Intervals in which no branch is proved."""
+    """Intervals without a proved branch."""
     measured: float
     """Smallest measured clearance, m."""
 

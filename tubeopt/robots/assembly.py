@@ -42,9 +42,9 @@ class Assembly:
     curvature: Array
     """(n,) precurvature of the curved parts, 1/m."""
     offset: Array
-    """(n,) of each tube from the centreline, m; 0 for concentric ones."""
+    """(n,) offset of each tube from the centreline, m; 0 for concentric ones."""
     offset_angle: Array
-    """(n,) where that is, about the centreline, rad."""
+    """(n,) angle of each tube's offset about the centreline, rad."""
     transmission: Array
     """(n,) |beta_i|, the length from where tube i is held to the plate, m."""
     transition: Array
@@ -54,7 +54,7 @@ class Assembly:
     start: Array
     """(m,) arc length where each section begins, m."""
     length: Array
-    """(m,) of each section, m."""
+    """(m,) length of each section, m."""
     present: Mask
     """(m, n) whether tube i is there."""
     curved: Mask
@@ -93,7 +93,7 @@ class Assembly:
         return np.asarray(self.lengthwise.values(arc_length[:, None] + self.transmission)[5])
 
     def steady(self, low: Array, high: Array) -> Mask:
-        """Mask (P,) of the intervals from `low` to `high` (P,), m, inside sections, along which no tube varies."""
+        """Mask (P,) of the intervals from `low` to `high` (P,), m, inside sections, without a tube that varies."""
         if self.even:
             return np.ones(len(low), dtype=bool)
         assert self.lengthwise is not None
@@ -121,7 +121,7 @@ class Assembly:
 
     @property
     def breakpoints(self) -> list[float]:
-        """Arc lengths (some behind the plate) of all transitions, ends, and places where pieces meet, m."""
+        """Arc lengths (some behind the plate) of all transitions, ends, and joins of pieces, m."""
         return _breakpoints(self.transition, self.end, self.lengthwise, -self.transmission)
 
     @property
@@ -257,7 +257,7 @@ class _OfPieces:
 
 
 def _numbers(tubes: Sequence[Tube], name: str) -> Array:
-    """One number (n,) per tube; a placeholder that raises on use if a tube is not even."""
+    """Numbers (n,), one per tube; a placeholder that raises on use if a tube is not even."""
     uneven = next((i for i, tube in enumerate(tubes, start=1) if not tube.even), 0)
     if uneven:
         return cast(Array, _OfPieces("curvature" if name == "arc" else name, uneven))

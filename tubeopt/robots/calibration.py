@@ -84,9 +84,8 @@ class Calibration(Displayed):
     translation_compliance: Annotated[
         Numbers, unit("mm_per_N"), LEFT_OUT, "compliance of the carriages along the tubes"
     ] = ()
-    """Concentric robots only. The force is that of the tubes at the equilibrium, so `tubeopt.equilibrium.readings`
-    applies it, and `to_model` omits it.
-    """
+    """Compliance of the carriages, concentric robots only. `tubeopt.equilibrium.readings` applies it with the forces of
+    the tubes at the equilibrium; `to_model` omits it."""
 
     rotation_middles: Annotated[
         Numbers,
@@ -147,7 +146,7 @@ class Calibration(Displayed):
 
     @property
     def rotation_zeros(self) -> Array:
-        """Readings (n,) at which the gains of rotations have no effect, rad: full turns."""
+        """Readings (n,) without an effect of the rotation gains, rad: full turns."""
         full_turn = 2 * math.pi
         return full_turn * np.round(np.array(self.rotation_middles) / full_turn)
 

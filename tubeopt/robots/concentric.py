@@ -25,7 +25,7 @@ PAIRWISE = ("torque", "plate", "jumps", "ends")
 @typed
 @dataclass(frozen=True)
 class Friction(Displayed):
-    """Coulomb friction of every tube in the next one, inner to outer: n - 1 numbers each, or one number for all pairs.
+    """Coulomb friction of every tube in the next one, inner to outer: n - 1 numbers, or one for all pairs.
 
     The torque about the tubes' axis is limited by the capacities here: N m per m of length, and N m at points. A
     slipping contact has the same torque at any speed.
@@ -100,7 +100,7 @@ class Friction(Displayed):
 
     @property
     def trivial(self) -> bool:
-        """True if there is no friction."""
+        """True without friction."""
         return not any(any(self.of(name)) for name in PAIRWISE)
 
 
@@ -146,7 +146,7 @@ class ConcentricRobot(Robot):
     name: str = ""
     """Name in tables and figures."""
     joint_limits: JointLimits | None = None
-    """Limits of the actuators, in readings; None allows what the lengths allow (see `limits`)."""
+    """Limits of the actuators, in readings; with None the lengths of the tubes decide (see `limits`)."""
     calibration: Calibration | None = None
     """Conversion of drive readings to joint values; None if they are equal."""
     friction: Friction | None = None

@@ -40,7 +40,7 @@ class SheathedRobot(Robot):
     @property
     @abstractmethod
     def held(self) -> tuple[Tube, ...]:
-        """The tube of every segment, inner to outer, straight from where it is held."""
+        """Tube of every segment, inner to outer, straight from its clamp."""
 
     @property
     def distance(self) -> float:
@@ -127,7 +127,7 @@ class EccentricRobot(SheathedRobot):
     name: str = ""
     """Name in tables and figures."""
     joint_limits: JointLimits | None = None
-    """Limits of the actuators, in readings; None allows what the lengths allow."""
+    """Limits of the actuators, in readings; with None the lengths of the tubes decide."""
     calibration: Calibration | None = None
     """Conversion of drive readings to joint values; None if they are equal."""
 
@@ -183,9 +183,7 @@ class SegmentedEccentricRobot(SheathedRobot):
     name: str = ""
     """Name in tables and figures."""
     joint_limits: JointLimits | None = None
-    """Limits of the actuators of the 3 k tubes, in readings, in the order of `tubes`; None allows what the lengths
-    allow.
-    """
+    """Limits of the actuators of the 3 k tubes, in readings, in the order of `tubes`; with None the lengths decide."""
     calibration: Calibration | None = None
     """Conversion of drive readings to joint values; None if they are equal."""
 

@@ -204,7 +204,7 @@ class PieceEntry(Entry):
         return _quantity(parts[0], PER_M), _quantity(parts[1], PER_M), twist
 
     def _stiffness(self, kb: float, kt: float) -> tuple[Quantity | None, Quantity | None]:
-        """Stiffnesses of the piece in a tube with kb and kt; None is that of the tube."""
+        """Stiffnesses of a piece in a tube with kb and kt; None for those of the tube."""
         entries = (self.bending_stiffness_N_mm2, self.torsional_stiffness_N_mm2)
         if self.pattern is None:
             bending, torsional = (None if entry is None else _quantity(entry, N_MM2) for entry in entries)
@@ -383,7 +383,7 @@ class CalibrationEntry(Part):
     """Conversion of joint readings to joint values: gain times reading plus offset, one number per tube."""
 
     def build(self) -> Calibration:
-        """Calibration in SI; omitted tables are those of `Calibration.none`."""
+        """Calibration in SI; omitted tables are taken from `Calibration.none`."""
         data = values(Calibration, self)
         none = Calibration.none(max((len(data[name]) for name in TABLES if name in data), default=0))
         return Calibration(**{name: getattr(none, name) for name in TABLES} | data)

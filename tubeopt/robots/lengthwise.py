@@ -39,9 +39,11 @@ DETAIL = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class CrossSections:
-    """n tubes at X points of a bundle, (X, n) each: EI of the tubes present, m = EI |u*_xy|, the direction `phase` of
-    their pull from where they are turned to without elastic torsion, GJ, and the natural twist u*_z with its integral
-    `wound` from the held end. Where a tube is not present stiffness and moment are 0."""
+    """Cross-sections of n tubes at X arc lengths of an arm, (X, n) each; stiffness and moment are 0 without a tube.
+
+    EI, m = EI |u*_xy|, the direction `phase` of the natural moment for a tube without elastic torsion, GJ, and the
+    natural twist u*_z with its integral `wound` from the clamped end.
+    """
 
     stiffness: Array
     moment: Array
@@ -99,11 +101,11 @@ class Lengthwise:
 
     @cached_property
     def _varied(self) -> Mask:
-        """Mask (n, B) of the panels along which a quantity varies, the natural rotation included."""
+        """Mask (n, B) of the panels with a varying quantity, the natural rotation included."""
         return np.asarray(self.coefficients[..., 1:].any((2, 3)))
 
     def steady(self, low: Array, high: Array) -> Mask:
-        """Mask (P,) of the intervals `low` to `high` (P, n), m from the clamped ends, along which no tube varies."""
+        """Mask (P,) of the intervals `low` to `high` (P, n), m from the clamped ends, without a tube that varies."""
         panel, tube = self.panel(low), np.arange(self.n_tubes)
         return np.asarray(((panel == self.panel(high)) & ~self._varied[tube, panel]).all(1))
 
@@ -115,7 +117,7 @@ class Lengthwise:
         return np.asarray(np.minimum(found, last))
 
     def _panels_at(self, place: Array, inside: Array) -> _PanelPoints:
-        """Panels that contain `inside` (X, n), at `place` (X, n)."""
+        """Panels that contain `inside` (X, n), evaluated at `place` (X, n)."""
         panel, tube = self.panel(inside), np.arange(self.n_tubes)
         low, high = self.breaks[tube, panel], self.breaks[tube, panel + 1]
         # The panel becomes the interval -1 to 1 of the Chebyshev polynomials. Outside, T_k grows like (2 x)^k:
@@ -189,8 +191,10 @@ def gauss_rule() -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class _Panel:
-    """A stretch of a tube between two arc lengths from its held end, m, with the coefficients of QUANTITIES, and with
-    direction, detail and twist as of `Lengthwise`; int ds / GJ along it; and where its bend changes sides, m."""
+    """Stretch of a tube between two arc lengths from its clamped end, m, with the coefficients of QUANTITIES.
+
+    Direction, detail and twist are as in `Lengthwise`. It also has int ds / GJ, and the sign changes of its bend, m.
+    """
 
     low: float
     high: float
@@ -226,7 +230,7 @@ def lengthwise(tubes: tuple[Tube, ...]) -> Lengthwise:
 
 
 def _direction(x: Array, y: Array) -> float:
-    """The direction of (x, y) whose coefficients are in proportion, -pi/2 to pi/2; inf where they are not."""
+    """Direction of (x, y) for proportional coefficients, -pi/2 to pi/2; otherwise inf."""
     if not np.any(y):
         return 0.0
     size = max(len(x), len(y))
@@ -240,7 +244,7 @@ def _direction(x: Array, y: Array) -> float:
 
 
 def _zeros(x: Array, y: Array) -> list[float]:
-    """Places in (-1, 1) at which a bend in one plane changes its sign."""
+    """Sign changes in (-1, 1) of a bend in one plane."""
     angle = _direction(x, y)
     if not np.isfinite(angle) or not (np.any(x) or np.any(y)):
         return []
@@ -275,7 +279,7 @@ def _panels(tube: Tube) -> list[_Panel]:
 
 
 def _constant(start: float, length: float, numbers: list[float], wound: float) -> _Panel:
-    """Panel of constant quantities; the natural rotation is `wound` at its start."""
+    """Panel of constant quantities, with the natural rotation `wound` at its start."""
     _, torsional, x, y, z = numbers
     half = z * length / 2
     # wound + z s with s = (x + 1) length / 2.
@@ -292,7 +296,7 @@ def _constant(start: float, length: float, numbers: list[float], wound: float) -
 
 
 def _varying(start: float, breaks: Array, quantities: Sequence[Quantity], wound: float) -> list[_Panel]:
-    """Panels of varying quantities between breaks; the natural rotation is `wound` at the start."""
+    """Panels of varying quantities between breaks, with the natural rotation `wound` at the start."""
     out, (nodes, weights) = [], gauss_rule()
     for k, channels in enumerate(zip(*(on_panels(q, breaks) for q in quantities), strict=True)):
         low, length = start + breaks[k], breaks[k + 1] - breaks[k]
@@ -347,7 +351,9 @@ BOUNDS = 17
 
 @dataclass(frozen=True, eq=False)
 class Variation:
-    """Bounds on the cells of n tubes; a piece along which nothing varies is one. (n, C + 1), the last behind the end.
+    """Bounds on the cells of n tubes, (n, C + 1); a piece without variation is one cell.
+
+    The last cell is behind the end.
 
     a is kb u*_xy in the tube's own frame, and ' the derivative by arc length along the tube. Behind the end kt is what
     it was, and all else is 0.
@@ -418,7 +424,7 @@ def _count(quantities: tuple[Quantity, ...], length: float) -> int:
 
 
 def _bounds(table: Lengthwise, tube: int, low: float, high: float) -> Array:
-    """(BOUNDS,) of a tube from one arc length to another."""
+    """Bounds (BOUNDS,) of a tube from one arc length to another."""
     breaks = table.breaks[tube][np.isfinite(table.breaks[tube])]
     found = []
     for panel, (first, last) in enumerate(pairwise(breaks)):
@@ -435,7 +441,7 @@ def _bounds(table: Lengthwise, tube: int, low: float, high: float) -> Array:
 
 
 def _parts(coefficients: Array, ends: Array, length: float, halvings: int) -> list[Array]:
-    """Bounds of quantities (5, D) on parts of what lies between two places (2,) of -1 to 1 on a panel of a length."""
+    """Bounds of quantities (5, D) on parts of an interval (2,) within -1 to 1 of a panel."""
     middle, half = ends.mean(), (ends[1] - ends[0]) / 2
     own = part_of(coefficients.T, ends).T
     values = chebyshev.chebval(chebyshev.chebpts1(coefficients.shape[1]), own.T)
@@ -452,7 +458,7 @@ def _parts(coefficients: Array, ends: Array, length: float, halvings: int) -> li
 
 
 def _bound(coefficients: Array, half: float) -> Array:
-    """(BOUNDS,) of kb, kt, x, y and z (5, D) on -1 to 1, which is a stretch of twice `half`, m."""
+    """Bounds (BOUNDS,) of kb, kt, x, y and z (5, D) on -1 to 1, a stretch of twice `half`, m."""
     kb, kt, x, y, z = coefficients
     # |a|^2 = a_x^2 + a_y^2 is one polynomial. Its bound is closer than the bounds of both parts together.
     pull = [chebyshev.chebmul(kb, each) for each in (x, y)]

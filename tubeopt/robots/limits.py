@@ -119,7 +119,7 @@ ROUNDED = 1e-9
 
 
 def reading_fault(tube: Tube, key: str, value: float) -> str:
-    """Text of the allowed values of a joint, in the unit of its key or column, deg or mm; empty if it is one."""
+    """Text of the allowed values of a joint, in deg or mm as its key or column; empty if it is valid."""
     most = round(math.degrees(MOST_TURN))
     if key.endswith("_deg") and abs(value) > most:
         return f"at most {most} ({MOST_TURN / math.tau:.0f} turns) to either side"
@@ -136,7 +136,7 @@ MOST_BEND = 20.0
 
 
 def check_force(tubes: Sequence[Tube], name: str, force: float, length: float) -> None:
-    """Warn of a force, N, that is too large for an arm of these tubes and length, m: it was probably meant in mN."""
+    """Warn of a force, N, too large for an arm of these tubes and length, m, and probably meant in mN."""
     if not length:
         return
     usual = MOST_BEND * sum(float(tube.bending_stiffness) for tube in tubes) / length**2
@@ -147,8 +147,10 @@ def check_force(tubes: Sequence[Tube], name: str, force: float, length: float) -
 
 
 def check_target(tubes: Sequence[Tube], name: str, places: Array) -> None:
-    """Raise InputError naming a place (3,) or one of places (N, 3), m, that is farther from the plate than FAR times
-    the longest tube: it was in mm."""
+    """Raise InputError naming a position (3,), or a row of positions (N, 3), m, that is too far from the plate.
+
+    Farther than FAR times the longest tube, it was probably in mm.
+    """
     longest = max(tube.length for tube in tubes)
     if places.ndim == 1 and math.hypot(*places.tolist()) <= FAR * longest:
         return

@@ -53,7 +53,7 @@ class PointLoad:
 
 @dataclass(frozen=True)
 class Load(Displayed):
-    """External forces and moments on a robot; world axes are those of the plate.
+    """External forces and moments on a robot; world axes are the axes of the plate.
 
     Raises:
         InputError: a vector that is not three finite numbers, an unknown frame, a stretch or point behind the plate.
@@ -67,8 +67,10 @@ class Load(Displayed):
     frame: Annotated[
         str, OneOf(FRAMES), "frame of tip force and moment: world (constant direction) or tip (they turn with the tip)"
     ] = "world"
-    """Frame of tip force and moment: "world" for dead loads, "tip" for loads that turn with the Bishop frame of the
-    tip, the `tip_rotation` of an equilibrium."""
+    """Frame of tip force and moment: "world" for dead loads, "tip" for loads that turn with the tip.
+
+    The frame of the tip is its Bishop frame, `tip_rotation` of an equilibrium.
+    """
     distributed: Vector | Callable[[float], ArrayLike] | tuple[Stretch, ...] | None = None
     """Load per length in world axes: a force (3,), N/m, along the whole arm, a function, or stretches. A function of
     arc length (m from the plate) returns (3,), or (6,) with a moment, N. A stretch is (start, end, force (3,)) or
@@ -107,7 +109,7 @@ class Load(Displayed):
         return *self.points, PointLoad(np.inf, self.force, self.moment)
 
     def require_energy(self, untold: str) -> None:
-        """Raise InputError, which ends with what is therefore `untold`, where the load has no energy."""
+        """Raise InputError for a load without an energy; its message ends with the quantity `untold`."""
         if not self.has_energy:
             raise InputError(f"load has a moment or turns with the tip; it has no energy, so {untold}")
 

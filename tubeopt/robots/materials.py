@@ -1,4 +1,4 @@
-"""Linear-elastic tube materials, and what their heating is computed from (SI)."""
+"""Linear-elastic tube materials, and their thermal data for heating (SI)."""
 
 from __future__ import annotations
 

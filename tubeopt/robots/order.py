@@ -21,7 +21,7 @@ SAME_END = 1e-9
 
 
 class Nested(Protocol):
-    """Properties of a `Robot` on which the order of tubes depends."""
+    """Properties of a `Robot` that determine the order of tubes."""
 
     nested_curves: bool
 
@@ -108,7 +108,7 @@ def demands(
 
 
 def out_of_order(robot: Nested, translations: Array) -> list[tuple[Demand, float]]:
-    """Constraints on carriages and curves that translations (n,), m, violate, and by how much, m."""
+    """Constraints on carriages and curves that translations (n,), m, violate, and their violations, m."""
     missing = [
         (each, float(each.least - translations[each.ahead] + translations[each.behind]))
         for each in demands(robot)

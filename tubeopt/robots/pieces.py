@@ -47,7 +47,7 @@ class Series:
     """A polynomial on each of several panels."""
 
     breaks: tuple[float, ...]
-    """(k + 1) arc lengths at which the panels meet, from 0, m."""
+    """(k + 1) arc lengths of the ends of the panels, from 0, m."""
     coefficients: tuple[tuple[float, ...], ...]
     """Per panel, of the Chebyshev polynomials in x = -1 .. 1 along it."""
 
@@ -151,7 +151,7 @@ def turned(x: Quantity, y: Quantity, angle: float) -> tuple[Quantity, Quantity]:
 
 
 def plus(a: Quantity, b: Quantity) -> Quantity:
-    """The sum of two quantities; of two series on the same panels."""
+    """Sum of two quantities; of two series on the same panels."""
     if not isinstance(a, Series):
         a, b = b, a
     if not isinstance(a, Series):
@@ -167,7 +167,7 @@ def plus(a: Quantity, b: Quantity) -> Quantity:
 
 
 def breaks_of(quantities: Sequence[Quantity], length: float) -> Array:
-    """Arc lengths at which any of the quantities along a stretch begins another panel, with both ends, m."""
+    """Arc lengths of all panel ends of the quantities along a stretch, with both of its ends, m."""
     inner = {s for q in quantities if isinstance(q, Series) for s in q.breaks if 0 < s < length}
     return np.array([0.0, *sorted(inner), length])
 
@@ -373,7 +373,7 @@ class Piece(Displayed):
     be smooth: it is converted to polynomials at once. Jumps belong between two pieces.
     """
     bending_stiffness: Any = None
-    """N m^2, a number or such a function; None is that of the tube."""
+    """Bending stiffness, N m^2: a number, a function of arc length, or None for that of the tube."""
     torsional_stiffness: Any = None
     """Torsional stiffness, N m^2: a number, a function of arc length, or None for that of the tube."""
     slots: Slots | None = None

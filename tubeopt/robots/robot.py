@@ -117,7 +117,7 @@ class Robot(Displayed, ABC):
 
     @cached_property
     def limits(self) -> JointLimits:
-        """Range of every joint value; by default a turn to either side, and what the lengths of the tubes allow."""
+        """Range of every joint value; by default a turn to either side, and the range that the tube lengths allow."""
         return limits_of(self.joint_limits, self.calibration, self.tubes)
 
     def save(self, path: str | PathLike[str]) -> None:
@@ -245,12 +245,12 @@ LOOSE_MM = 0.1
 
 
 def clearances(robot: Robot) -> dict[int, tuple[int, float]]:
-    """For each nested tube, from 0, the tube around it and the radial clearance between them, mm."""
+    """For each nested tube, from 0, the tube around it and the radial clearance, mm."""
     return {i: (o, round(_clearance(robot.tubes[i], robot.tubes[o]) * TO_MM, 9)) for i, o in robot.nested_pairs}
 
 
 def drawn_clearance(tubes: Sequence[Tube]) -> tuple[float, ...]:
-    """Radial clearances (n - 1,) of the tubes in the next ones, from their diameters, m."""
+    """Radial clearances (n - 1,) of the tubes in the next tubes, from their diameters, m."""
     return tuple(_clearance(inner, outer) for inner, outer in pairwise(tubes))
 
 

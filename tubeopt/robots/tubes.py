@@ -1,4 +1,4 @@
-"""One pre-curved tube: a straight part, then a part of constant precurvature, or a chain of pieces (SI)."""
+"""Pre-curved tube: a straight part, then a part of constant precurvature, or a chain of pieces (SI)."""
 
 from __future__ import annotations
 

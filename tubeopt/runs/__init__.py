@@ -1,1 +1,1 @@
-"""Studies: a file, the question that it asks, and its answer; sweeps of them."""
+"""Studies: a file, its question, and its answer; sweeps of them."""

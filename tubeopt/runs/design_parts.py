@@ -57,7 +57,7 @@ from .robot_keys import RobotPath
 from .surroundings_file import AnatomyKey, Bodies
 
 Row = Annotated[list[Number], Field(min_length=1)]
-"""One number per tube."""
+"""Numbers, one per tube."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ RANGES = {
 
 @with_keys({key: (Range | None, Field(None, description=free.about or None)) for key, free in RANGES.items()})
 class FreeEntry(Part):
-    """One free dimension of some tubes; the value of its key is the allowed range."""
+    """Free dimension of some tubes; the value of its key is the allowed range."""
 
     tubes: Annotated[list[Whole], Field(min_length=1)] = Field(description="numbers of the tubes, 1 for the innermost")
     equal: bool = Field(False, description="one common value for all these tubes or pieces, instead of one each")
@@ -168,7 +168,7 @@ DEPLOYED = "also for the arm during deployment to each pose, with its tubes retr
 
 @keys_from(Corridor)
 class CorridorRequirementEntry(Part):
-    """A tube around a polyline in which the whole arm must stay."""
+    """Tube around a polyline that the whole arm must stay in."""
 
     deployed: bool = Field(False, description=DEPLOYED)
 
@@ -305,13 +305,13 @@ REACH_TIME = 120.0
 """Time limit for all points of one robot, s."""
 
 PLANNED_POINTS = 6
-"""Number of reached points to which plans are made and proved."""
+"""Number of reached points with planned and proved motions."""
 
 PLAN_TIME = 20.0
 """Time limit of each of these plans, s."""
 
 SEED_OFFSET = 100
-"""Added to the seed of the roadmaps that evaluate a design: they must differ from those of the search."""
+"""Offset of the seed of the roadmaps that evaluate a design, so that they differ from the search's."""
 
 ReachProblem = TypeVar("ReachProblem", RegionReach, PairReach)
 
@@ -378,7 +378,7 @@ class SearchPart(Entry):
     seconds: Positive = Field(Decimal(180), description="time limit of the search")
 
     def sample_target(self, target: Array | None, seed: int) -> Array:
-        """Draw random voxels of a target, (places + judged, 3), m; raises ValueError if it has too few, or is None."""
+        """Random voxels of a target, (places + judged, 3), m; raises ValueError if it has too few, or is None."""
         if target is None:
             raise ValueError("has an anatomy without a target; the objective needs a target")
         count = self.places + self.judged
@@ -404,7 +404,7 @@ class SearchPart(Entry):
 
 
 def with_plan_time(evaluation: ReachProblem) -> ReachProblem:
-    """Problem with the time limit of one plan, instead of that of a whole region."""
+    """Problem with the time limit of one plan instead of the limit of a whole region."""
     return replace(evaluation, options=replace(evaluation.options, time_limit=PLAN_TIME))
 
 

@@ -75,7 +75,7 @@ Aims = Annotated[
     | Annotated[list[EntryOf[Objective]], Field(min_length=1), Tag("<several>")],
     Discriminator(_objective_form),
 ]
-"""One objective, several, or the reached fraction of a region."""
+"""Objectives, or the reached fraction of a region."""
 
 
 class StockStudy(Entry):
@@ -184,7 +184,7 @@ class DesignStudy(DesignedRobot, Multistart, Timed):
 # --- two robots -------------------------------------------------------------------------------------------------------
 
 PLANNED_PAIRS = 4
-"""Number of reached pairs of points to which motions of both arms are planned and proved."""
+"""Number of reached pairs of points with planned and proved motions of both arms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +218,7 @@ class PairAnswer(Displayed):
 
 
 class PairPart(DesignedRobot, PlacedPart):
-    """One of the two robots: base, start, free dimensions and requirements."""
+    """Robot of a pair: base, start, free dimensions and requirements."""
 
     name: str = Field("", description="name in messages and plots; default the name of the robot")
     base: BasePart = Field(description="base plate in the common frame")

@@ -184,7 +184,7 @@ class TubeOnRig(Timed):
         return self
 
     def heated_tube(self) -> Tube:
-        """Heated tube, of the robot or of the rig file; raises ValueError if there is none."""
+        """Heated tube, of the robot or of the rig file; raises ValueError without any."""
         if self.robot is None:
             if self.rig.tube is None:
                 raise ValueError("robot is missing; the rig file has no tube")

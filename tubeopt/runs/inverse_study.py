@@ -69,7 +69,7 @@ def load_targets(path: str | PathLike[str]) -> Targets:
 
 
 class JointsFile(Entry):
-    """One configuration of a robot."""
+    """Configuration of a robot from a file."""
 
     rotations_deg: list[Number] = Field(description="rotation of every tube, inner to outer")
     translations_mm: list[Number] | None = Field(

@@ -61,7 +61,7 @@ MAX_PERIOD = 1.0
 
 # On a path, a step is a small fraction of the range; in random order it is a third of it on average.
 PATH_STEP, PATH_ROWS = 0.1, 20
-"""Rows are a path if there are at least PATH_ROWS and the median step is below PATH_STEP of the range."""
+"""Criterion of a path: at least PATH_ROWS rows with a median step below PATH_STEP of the range."""
 
 
 def _number_or_name(value: object) -> object:
@@ -364,7 +364,7 @@ def _doubts_of_sensors(measurements: Measurements, robot: Robot) -> list[str]:
 
 
 def _doubts_of_clock(measurements: Measurements) -> list[str]:
-    """Remarks on repeated times, and on decreasing ones if joint readings are interpolated by them."""
+    """Remarks on repeated times, and on decreasing times if joint readings are interpolated by them."""
     if measurements.time is None:
         return []
     time, remarks = measurements.time, []

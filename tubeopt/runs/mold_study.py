@@ -89,7 +89,7 @@ class MoldStudy(Study):
         return self
 
     def _spec(self) -> MoldSpec:
-        """Specification of the mold file, with the keys of the study in place of its own."""
+        """Specification of the mold file, with the keys of the study replacing its own."""
         material = None if self.material is None else mold_material(self.material)
         own = {"material": material, **self.in_si("springback", "cold_length_mm")}
         return replace(self.mold or MoldSpec(), **{name: value for name, value in own.items() if value is not None})

@@ -46,7 +46,7 @@ RatesEntry = EntryOf[RateLimits]
 
 
 def check_rates(rates: RatesEntry | None, *robots: Robot) -> None:
-    """Raise ValueError for rates whose number is not that of the robot's tubes."""
+    """Raise ValueError unless there is one rate per tube of the robot."""
     for key, value in rates or ():
         for robot in robots:
             if isinstance(value, list) and len(value) not in (1, robot.n_tubes):
@@ -201,7 +201,7 @@ class PlanStudy(Aimed, Surrounded, Loaded, Study):
         return self
 
     def run(self, progress: Progress | None = None) -> Trajectory:
-        """Plan the trajectory; raises SolveError if there is none, or none was found in time."""
+        """Plan the trajectory; raises SolveError if there is none, or none is found in time."""
         with rewording_joints(start=("start_deg", "start_mm"), goal=("goal_deg", "goal_mm")):
             plan = self._plan(progress)
         if self.cut is None:
@@ -241,7 +241,7 @@ class PlanStudy(Aimed, Surrounded, Loaded, Study):
 
 
 class PlacedPart(Started):
-    """One of several robots, with base pose and start."""
+    """Robot with base pose and start, in a plan of several."""
 
     name: str = Field("", description="name in messages and plots; default the name of the robot")
     base: BasePart | None = Field(None, description="base plate in the common frame")
@@ -262,7 +262,7 @@ def shared(anatomy: Anatomy | None) -> Anatomy:
 
 
 class ArmPart(Aimed, PlacedPart):
-    """One of several robots, with its goal; without a goal it does not move."""
+    """Robot with its goal, in a plan of several; without a goal it does not move."""
 
     tip_mm: Place | None = Field(None, description="goal position of the tip in the common frame")
 
@@ -305,7 +305,7 @@ class ArmsStudy(Surrounded, Study):
         return self
 
     def run(self, progress: Progress | None = None) -> ArmsPlan:
-        """Plan the motions; raises SolveError if there are none, or none were found in time."""
+        """Plan the motions; raises SolveError if there are none, or none are found in time."""
         return plan_arms(
             [arm.placed(self.around) for arm in self.arms],
             [arm.start for arm in self.arms],
@@ -385,7 +385,7 @@ class VerifyStudy(Surrounded, Loaded, Timed):
         return self
 
     def _requirements(self) -> VerifyStudy | PlanStudy:
-        """Study with the requirements: the plan study, if given, with the keys given here in place of its own."""
+        """Study with the requirements: the plan study, if given, with the keys of this study replacing its own."""
         if self.study is None:
             return self
         # Kind and robot are those of the trajectory.

@@ -150,7 +150,7 @@ def _ndi_name(titles: Sequence[str], rows: Sequence[Sequence[str]], header: Sequ
 
 
 def _quaternion_of(angles: dict[str, str], degrees: bool) -> list[str]:
-    """Convert Euler angles to a quaternion; a cell that is no number is returned in its place."""
+    """Quaternion of Euler angles; a cell that is no number is returned unchanged."""
     try:
         # Capital letters are rotations about moving axes: R = Rz Ry Rx.
         rotation = Rotation.from_euler("ZYX", [float(angles[name]) for name in EULER], degrees=degrees)
@@ -178,7 +178,7 @@ def _is_pose(cells: Sequence[str]) -> bool:
 
 
 def _before(header: Sequence[str], k: int, names: Sequence[str]) -> int | None:
-    """Nearest column with one of these names before column k, of the same tool."""
+    """Nearest column before column k with one of these names, for the same tool."""
     # A tool has at most nine columns, so that the search does not reach the previous tool.
     return next((j for j in range(k - 1, max(k - 9, -1), -1) if header[j] in names), None)
 
@@ -290,10 +290,10 @@ class Columns:
     known: Mapping[str, tuple[str, Decimal]]
     """Meaning -> name of the column, and its unit in SI, negative for a reversed sign."""
     reference: int | None = None
-    """Number of the reference sensor, whose frame is used in every row; None for the device frame."""
+    """Number of the reference sensor; its frame is used in every row. None for the device frame."""
 
     def has(self, *meanings: str) -> bool:
-        """True if there is a column for each of these meanings."""
+        """True if every one of these meanings has a column."""
         return all(meaning in self.known for meaning in meanings)
 
     def numbers(self, meanings: Sequence[str], *, missing: bool = False) -> Array:
@@ -306,7 +306,7 @@ class Columns:
         return self.numbers(["time"])[:, 0] if self.has("time") else None
 
     def translations(self, home: Array) -> Array:
-        """Translations (rows, n), m; those of `home` (n,) for tubes without a column."""
+        """Translations (rows, n), m; tubes without a column have those of `home` (n,)."""
         translations = np.tile(home, (len(self.table.rows), 1))
         for i in range(len(home)):
             if self.has(f"translation_{i + 1}"):
@@ -343,7 +343,7 @@ class Columns:
         return np.asarray(np.swapaxes(R, 1, 2) @ R_sensor)
 
     def has_orientation(self, sensor: int) -> bool:
-        """True if there are columns for the orientation of a sensor."""
+        """True if a sensor has columns for its orientation."""
         return self._orientation(sensor) is not None
 
     def _reference_pose(self, reference: int) -> tuple[Array, Array]:
@@ -426,7 +426,10 @@ def _from_rows(table: Array) -> Rotation:
 
 
 def _frames_of_axes(z: Array, x: Array | None) -> Array:
-    """Frames with the z axis `z` and the x axis in the plane of z and x; any x axis if `x` is None."""
+    """Frames with the z axis `z` and the x axis in the plane of z and x.
+
+    Any x axis if `x` is None.
+    """
     visible = np.isfinite(z).all(1) & (np.linalg.norm(np.nan_to_num(z), axis=1) > 0)
     if x is not None:
         visible &= np.isfinite(x).all(1)

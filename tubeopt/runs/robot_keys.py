@@ -50,7 +50,7 @@ def _one_per_tube(values: list[Decimal], info: ValidationInfo) -> list[Decimal]:
 
 
 OnePerTube = Annotated[list[Number], AfterValidator(_one_per_tube)]
-"""One number per tube of the study's robot, inner to outer."""
+"""Numbers, one per tube of the study's robot, inner to outer."""
 
 
 HOME = "home (0, or the nearest value that limits and tube order allow)"

@@ -199,7 +199,7 @@ TITLES = {
 """Heading of every model on the page."""
 
 SHARED = 3
-"""Number of tables with an equal row from which on it moves into a table of shared keys."""
+"""Smallest number of tables with an equal row that moves it into a table of shared keys."""
 
 
 def page() -> str:

@@ -283,7 +283,7 @@ def map_stability(
 
 # With a load of 1 mN the load factor of the report is the force in mN.
 UNIT_FORCE = 1e-3
-"""Axial load of which a stroke force is a multiple, N."""
+"""Unit of a stroke force: axial load, N, for a load factor of 1."""
 
 # Most robots lose stability below a factor of 10; each search stops at its bound.
 SEARCH_BOUNDS = (10.0, 100.0, 1000.0)
@@ -300,13 +300,13 @@ class LoadLimitResult(Displayed):
     translations: Array
     """Shape (n,), m."""
     load: Load
-    """Load whose factor is searched."""
+    """Load that the factor multiplies."""
     limit: Annotated[LoadLimit | None, "the load limit; null if stability is not lost"]
     up_to: Annotated[float, "largest load factor searched"]
 
 
 class LoadLimitStudy(Posed, Loaded, Timed):
-    """Load factor at which a robot loses stability."""
+    """Load factor that makes a robot lose stability."""
 
     doing = "putting the load on"
 

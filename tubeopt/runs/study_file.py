@@ -48,7 +48,7 @@ class Study(Entry):
     """Label of the progress bar."""
 
     keeps: ClassVar[str] = ""
-    """Message on interruption: what `run_in` has saved in {out} by then."""
+    """Message on interruption: results that `run_in` has saved in {out}."""
 
     either: ClassVar[tuple[frozenset[str], ...]] = ()
     """Alternative sets of keys: a flag of one set replaces the keys of the other sets in a study file."""
@@ -130,7 +130,7 @@ PASSED_BY_COMMAND = ("progress", "out")
 
 @dataclass(frozen=True)
 class Question:
-    """Function whose parameters are the keys of a study, as `question` returns it."""
+    """Function with the keys of a study as parameters, as returned by `question`."""
 
     function: Callable[..., Any]
     doing: str

@@ -1,4 +1,4 @@
-"""Obstacles and anatomies as YAML: bodies, images, meshes and landmarks around a robot, and where it stands."""
+"""Obstacles and anatomies as YAML: bodies, images, meshes and landmarks, and the pose of the base plate."""
 
 from __future__ import annotations
 
@@ -474,9 +474,8 @@ TipPlace = Annotated[Place, AfterValidator(_near_the_robot)]
 
 
 class MeshEntry(Part):
-    """Surface from a mesh file, in mm and plate axes. A closed surface bounds a body; of an open one the arm avoids the
-    triangles. For a file with SPACE=LPS, as 3D Slicer writes it, x and y change sign.
-    """
+    """Surface from a mesh file, in mm and plate axes. A closed surface bounds a body. The arm avoids the
+    triangles of an open one. For a file with SPACE=LPS, as 3D Slicer writes it, x and y change sign."""
 
     kind: Literal["mesh"]
     file: Annotated[MeshObstacle, in_file(load_mesh, "a mesh file in mm")] = Field(
@@ -508,7 +507,7 @@ BODIES: dict[str, type[Any]] = {
     "box": Box,
     "corridor": Corridor,
 }
-"""Bodies whose keys follow from their fields."""
+"""Bodies with keys that follow from their fields."""
 
 ENTRIES: dict[str, Any] = {
     kind: entry_of(body, extra={"kind": (Literal[kind], kind)}) for kind, body in BODIES.items()

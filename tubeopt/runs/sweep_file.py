@@ -42,7 +42,7 @@ FILES: dict[str, Callable[[object, str], Any]] = {
     "rig": rig_from_dict,
     "mold": mold_spec_from_dict,
 }
-"""Keys of studies with files whose own keys can vary -> function that builds the object from its data."""
+"""Keys of studies that name a file with variable keys -> function that builds the object from its data."""
 
 
 def _as_value(value: object) -> Value:
@@ -52,7 +52,7 @@ def _as_value(value: object) -> Value:
 
 
 class VaryEntry(Entry):
-    """One or several keys with common values: a list or a range."""
+    """Keys with common values: a list or a range."""
 
     key: str | list[str] = Field(
         description="path of the key, such as rotations_deg[0], or a list of keys with equal values"

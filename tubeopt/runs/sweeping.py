@@ -211,7 +211,7 @@ def _cell(value: Any) -> str:
 
 
 def _array(values: Sequence[Any]) -> np.ndarray:
-    """Column of numbers, with NaN for missing ones, or of text."""
+    """Column of numbers, with NaN for missing values, or of text."""
     # JSON has no NaN: the journal has such numbers as text.
     known = [value for value in values if value is not None and value not in ("NaN", "Infinity", "-Infinity")]
     if all(isinstance(value, (bool, int, float)) for value in known):
@@ -228,7 +228,7 @@ Answer = Mapping[str, Any]
 
 
 class Progress(Protocol):
-    """Callback with the number of finished points, of all points, and of failed ones."""
+    """Callback with the numbers of finished, of all, and of failed points."""
 
     def __call__(self, done: int, total: int, failed: int) -> object: ...
 

@@ -106,7 +106,7 @@ OVEN_KINDS: dict[str, type[Part]] = {"oven": OvenEntry}
 
 @typed
 def load_oven(path: str | PathLike[str]) -> Oven:
-    """Oven in a YAML file, or the built-in oven of this name; a file of exactly this path goes first.
+    """Oven in a YAML file, or the built-in oven of this name; an existing file of this path has priority.
 
     Raises:
         InputError: no such file or name, not YAML, or wrong keys or values: one line for every problem.

@@ -1,4 +1,4 @@
-"""How the tubes of a robot are made: molds, heating."""
+"""Fabrication of the tubes of a robot: molds, heating."""
 
 from .materials import CALCIUM_SILICATE, GLASS_MICA, MDF, MOLD_MATERIALS, STEEL, MoldMaterial, mold_material
 from .mold.checks import Check

@@ -1,4 +1,4 @@
-"""Materials of molds, each constant with its source (SI), and recipes by which heat sets the shape of a tube."""
+"""Materials of molds, each constant with its source (SI), and recipes for setting the shape of a tube by heat."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from ..files.field_metadata import POSITIVE, Absent, OneOf, Range, check_fields,
 from ..robots.materials import Material
 
 INSULATING_RESISTIVITY = 1e3
-"""Resistivity (ohm m) from which a mold counts as an electrical insulator: beside a tube of 1e-6 ohm m whose section is
-a thousandth of the mold's, less than 1e-6 of the current goes astray."""
+"""Smallest resistivity (ohm m) of an electrical insulator.
+
+Next to a tube of 1e-6 ohm m with a thousandth of the mold's section, less than 1e-6 of the current leaks into the mold.
+"""
 
 AMBIENT_RANGE = Range(least=ZERO_CELSIUS - 40.0, most=ZERO_CELSIUS + 60.0)
-"""Temperatures of surroundings in which a tube is set, K."""
+"""Allowed ambient temperatures, K."""
 
 PRICE_CLASSES = ("low", "moderate", "high")
 
@@ -68,7 +70,7 @@ class MoldMaterial:
 
     @property
     def electrically_insulating(self) -> bool:
-        """Whether practically no current leaves the tube through the mold."""
+        """True if practically no current leaves the tube through the mold."""
         return self.resistivity >= INSULATING_RESISTIVITY
 
 
@@ -171,15 +173,15 @@ METAL = 10e9
 
 @dataclass(frozen=True)
 class Recipe:
-    """Temperatures, degC, at which a metal is set."""
+    """Temperatures for setting the shape of a metal, degC."""
 
     metal: str
     usual: tuple[float, float]
     """Between which it is set: beyond, it takes the shape badly, or loses its elasticity within a minute."""
     most: float
-    """From which on it cannot be set, whatever the time."""
+    """Temperature, degC, above which the shape cannot be set, whatever the time."""
     lost: str
-    """What becomes of it there."""
+    """Damage to the metal above this temperature, as text."""
 
 
 NITINOL_RECIPE = Recipe("nitinol", (400.0, 600.0), 700.0, "it is annealed there and springs back no more")
@@ -188,7 +190,7 @@ NITINOL_RECIPE = Recipe("nitinol", (400.0, 600.0), 700.0, "it is annealed there 
 
 
 def recipe_for(material: Material) -> Recipe:
-    """The recipe for a material; raises InputError with what is needed instead where there is none."""
+    """Recipe for a material; raises InputError with the required input if there is none."""
     name, stiffness, thermal = material.name, material.youngs_modulus, material.thermal
     if stiffness < METAL:
         raise InputError(
@@ -234,7 +236,7 @@ def check_temperatures(material: Material, name: str, low: float, high: float) -
 
 
 def warn_of_limit(material: Material, limit: float) -> None:
-    """Warn of a limit of the temperature, degC, at which a metal is no longer what it is to be."""
+    """Warn of a temperature limit, degC, that damages a metal."""
     recipe = recipe_for(material)
     if limit > recipe.most:
         LOGGER.warning(
@@ -243,8 +245,10 @@ def warn_of_limit(material: Material, limit: float) -> None:
 
 
 def mold_remarks(material: Material, temperature: float) -> tuple[str, ...]:
-    """What to keep in mind of a mold in which a tube is set at a temperature, K: why there is no recipe for its
-    material; raises InputError where there is one, and the temperature is too high for it."""
+    """Remarks on a mold for setting a tube at a temperature, K: the reason for a missing recipe.
+
+    Raises InputError if there is a recipe and the temperature is too high for it.
+    """
     try:
         recipe_for(material)
     except InputError as error:

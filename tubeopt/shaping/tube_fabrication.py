@@ -43,7 +43,7 @@ LEAD_RESERVE = 1e-3
 
 # The next plate rounds lengths, which changes the resistance by up to a percent or two.
 PEAK_FRACTION = 0.98
-"""Fraction of the circuit's peak current for which leads are lengthened, where a shorter tube would draw more."""
+"""Fraction of the circuit's peak current for lengthened leads; a shorter tube would draw more."""
 
 VENT_POINTS = 41
 """Number of points from the end of the mold to its middle of the vent profile as drawn."""
@@ -87,7 +87,7 @@ class TubeFabrication:
 
     @property
     def agreed(self) -> bool:
-        """True if mold and heating are for one rig, and the mold has what the heating needs."""
+        """True if mold and heating are for one rig, and the mold meets the needs of the heating."""
         return not self.disagreement
 
 
@@ -194,7 +194,7 @@ def lid_profile(rig: Rig, tube: Tube) -> tuple[float, ...]:
 
 @without_unit_warnings()
 def rig_as_drawn(rig: Rig, mold: Mold) -> Rig:
-    """Rig with a mold of one groove: its leads, clamps, gap, plates and vents are those of the drawing."""
+    """Rig with a mold of one groove: leads, clamps, gap, plates and vents as drawn."""
     groove, plate = mold.grooves[0], mold.spec.plate
     curve = groove.centreline
     gap = groove_gap(groove.tube, rig, groove.width, groove.depth)
@@ -230,7 +230,7 @@ def drawn_vents(groove: Groove, spec: MoldSpec) -> tuple[float, ...]:
 
 
 def _with_thermal_data(tube: Tube) -> tuple[Tube, tuple[str, ...]]:
-    """Tube with thermal data, and a remark if they are those of nitinol."""
+    """Tube with thermal data, and a remark if they are taken from nitinol."""
     recipe_for(tube.material)
     if tube.material.thermal is not None:
         return tube, ()
@@ -239,7 +239,7 @@ def _with_thermal_data(tube: Tube) -> tuple[Tube, tuple[str, ...]]:
 
 
 def _gap_remarks(tube: Tube, rig: Rig) -> tuple[str, ...]:
-    """Remark on a gap of the rig's file that is not that of its groove."""
+    """Remark on a gap in the rig file that differs from the gap of its groove."""
     gap, computed = uniform_gap_of(tube, rig), square_groove_gap(tube, rig)
     if abs(gap / computed - 1) < 0.25:
         return ()
@@ -265,7 +265,7 @@ def _heating_feedback(groove: Groove, plan: HeatingPlan, spec: HeatingSpec) -> H
 
 
 def _length_for_peak(plan: HeatingPlan, spec: HeatingSpec) -> float:
-    """Length (m) from clamp to bend with which the cold tube draws the allowed peak current; 0 if it is too long.
+    """Length (m) from clamp to bend for a cold tube that draws the allowed peak current; 0 if it is too long.
 
     The current is greatest through the cold tube at rest, whose resistance is proportional to its length.
     """

@@ -253,7 +253,7 @@ class CertificationReport(Report[Certification]):
     drawn = (("snap", "path.plot_snap", "verdict.snap"),)
 
     def table(self) -> Group:
-        """The verdict in words; what limits it; the gradient; the command that repeats it."""
+        """Table with the verdict in words, the limiting quantity, the gradient, and the command that repeats it."""
         a = self.answer
         parts: list[RenderableType] = [Text(f"{a.robot.name or 'the robot'} {sentence(a)}", style="bold")]
         parts += [Text(note) for note in self._notes()]

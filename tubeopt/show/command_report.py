@@ -72,7 +72,7 @@ class Doctor:
 
 
 def _extras_text(a: Doctor) -> str:
-    """Installed extras, and what the others lack."""
+    """Installed extras, and the functions that missing extras would add."""
     installed = ", ".join(name for name, lacks in a.missing.items() if not lacks)
     absent = (
         f"{name} lacks {', '.join(lacks)} (pip install 'tubeopt[{name}]')" for name, lacks in a.missing.items() if lacks

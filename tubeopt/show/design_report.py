@@ -259,7 +259,7 @@ class DesignReport(Report[DesignAnswer]):
         return parts
 
     def from_stock(self) -> tuple[list[str], list[list[str]]]:
-        """Heads and rows of the choices, best first, and the numbers of further ones by status."""
+        """Heads and rows of the choices, best first, and the numbers of further choices by status."""
         choices = _choices(self.answer) or []
         heads, rows = columns(choices[:STOCK_ROWS], CHOICE)
         counts = {
@@ -352,7 +352,7 @@ def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class _Arm:
-    """One robot of a pair."""
+    """Robot of a pair."""
 
     number: int
     """Number of the arm, from 1."""
@@ -377,7 +377,7 @@ def _percent(fraction: float) -> str:
 
 
 def _reach_text(a: PairAnswer) -> str:
-    """Fractions of places that each arm reaches alone, as text."""
+    """Fractions of targets that each arm reaches alone, as text."""
     return "; ".join(
         f"{arm.name} {_percent(arm.before.share)} before, {_percent(arm.after.share)} after" for arm in _arms(a)
     )
@@ -431,7 +431,8 @@ PAIR = described(
 
 
 def pairs_of_places(reach: PairShare, places: Sequence[Array]) -> str:
-    """CSV of all pairs of places: both places, lower bound on the distance between the arms, 1 if they reach the pair.
+    """CSV of all pairs of targets: both positions, lower bound on the distance between the arms, 1 if they reach the
+    pair.
 
     places: positions (3,) in the frame that both share, mm.
     """
@@ -461,7 +462,7 @@ class PairReport(Report[PairAnswer]):
         return [*parts, *(Text(f"  {remark}") for remark in self.answer.remarks)]
 
     def save(self, directory: Path) -> list[Path]:
-        """Write arm_1/robot.yaml and arm_2/robot.yaml, the pairs of places, and design_pair.json."""
+        """Write arm_1/robot.yaml and arm_2/robot.yaml, the pairs of targets, and design_pair.json."""
         a, paths = self.answer, list[Path]()
         for arm in _arms(a):
             paths.append(directory / f"arm_{arm.number}" / "robot.yaml")
@@ -473,7 +474,7 @@ class PairReport(Report[PairAnswer]):
         return [*paths, self.save_record(directory)]
 
     def pictures(self) -> dict[str, Drawing]:
-        """Pictures of the satisfied pairs before and after, their places, and the shapes of each arm."""
+        """Pictures of the satisfied pairs before and after, their positions, and the shapes of each arm."""
         a = self.answer
         shares, places = (a.before, a.after), a.plates[0].placed(a.after.reached[0].targets)
         pictures: dict[str, Drawing] = {

@@ -115,7 +115,7 @@ def _cell(value: float | str | None) -> str:
 
 
 NOTICED = 1e-3
-"""Loading time of a kernel, s, from which it is reported: a process that has it needs less."""
+"""Smallest reported loading time of a kernel, s; a process with a loaded kernel needs less."""
 
 VERIFICATION = described(Verification, "tip_position tip_rotation rotation end_torsion end_curvature base_rotation")
 
@@ -164,7 +164,7 @@ EQUILIBRIUM = described(
 
 
 def by_history(e: Equilibrium) -> Array | None:
-    """(3,) half-widths (m) of the range in which friction can hold the tip, to first order; None without friction."""
+    """(3,) half-widths (m) of the range of tip positions under friction, to first order; None without friction."""
     friction = friction_of(e.robot)
     # A state from a path with friction has a known history; the range is for unknown histories.
     if friction is None or e.friction is not None or not e.stable:
@@ -192,7 +192,7 @@ def _snap_distance_in_words(e: Equilibrium) -> str | None:
 
 
 def _history_text(e: Equilibrium) -> str | None:
-    """Range in which friction can hold the tip, as text."""
+    """Range of tip positions under friction, as text."""
     half = by_history(e)
     return None if half is None else f"within ± {millimetres(half, '.3f')} along x, y, z, to first order"
 

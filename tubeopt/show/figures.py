@@ -41,7 +41,7 @@ JOURNALS = {
 
 @dataclass(frozen=True)
 class Figures:
-    """Result whose pictures are for a paper."""
+    """Result with pictures for a paper."""
 
     shown: Report[Any]
     """Report on the result."""
@@ -59,7 +59,7 @@ class FigureReport(Report[Figures]):
         return self.answer.shown.table()
 
     def save(self, directory: Path) -> list[Path]:
-        """Write what the command of the study writes, the centrelines of its arms (CSV), and command.txt."""
+        """Write the files of the study's command, the centrelines of its arms (CSV), and command.txt."""
         from .plots.style import families
 
         paths = self.answer.shown.save(directory)

@@ -43,7 +43,7 @@ def released(energy: float, template: str) -> str:
 
 
 def ends_in_words(inside: Sequence[EndInside]) -> str:
-    """Tubes that end inside outer ones, as text; "" if none does."""
+    """Tubes that end inside outer tubes, as text; "" without any."""
     return "; ".join(
         f"tube {end.tube + 1} ends {end.depth * TO_MM:.4g} mm inside tube {end.around + 1}" for end in inside
     )
@@ -100,7 +100,7 @@ def flag(values: Array) -> str:
 
 
 def counted(count: int, singular: str, plural: str = "", *, none: str = "") -> str:
-    """Count with its noun: "1 snap", "2 snaps"; `none` in place of 0."""
+    """Count with its noun: "1 snap", "2 snaps"; `none` for 0."""
     if count == 0 and none:
         return none
     return f"1 {singular}" if count == 1 else f"{count} {plural or singular + 's'}"

@@ -65,7 +65,7 @@ def _cold_end_text(plan: HeatingPlan) -> str:
 
 
 def _free_text(plan: HeatingPlan) -> str | None:
-    """Optimised dimensions of the rig, as text; None if there are none."""
+    """Optimised dimensions of the rig, as text; None without any."""
     vents = ", ".join(f"{100 * part:.0f}" for part in plan.rig.mold.vents)
     texts = {
         "clearance": f"clearance {plan.rig.clamps.clearance * TO_MM:.1f} mm",

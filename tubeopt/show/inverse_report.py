@@ -26,7 +26,7 @@ from .quantities import Quantity, described, line, of_field, readings, rows, wit
 from .report import Drawing, Report, drawing, grid, two_columns
 
 NOTES = 10
-"""Largest number of notes on targets; further ones are counted."""
+"""Largest number of listed notes on targets; further notes are counted."""
 
 ROUND_OFF = 1e-2
 """Error (mm or deg) below which a solve has converged: targets are reached to 1e-6 mm, and misses are larger."""
@@ -197,7 +197,7 @@ TARGETS = described(
 
 
 def _requested(a: TargetTable) -> list[Row]:
-    """Rows of the targets in the table, without inserted ones."""
+    """Rows of the targets in the table, without inserted targets."""
     return [r for r in a.rows if not r.inserted]
 
 
@@ -207,13 +207,13 @@ def _reached(a: TargetTable) -> list[InverseSolution]:
 
 
 def _of_reached(a: TargetTable, text: Callable[[list[InverseSolution]], str]) -> str | None:
-    """Text on the reached targets; None if there are none."""
+    """Text on the reached targets; None without any."""
     reached = _reached(a)
     return text(reached) if reached else None
 
 
 def _inserted_text(a: TargetTable) -> str | None:
-    """Number of inserted targets, as text; None if there are none."""
+    """Number of inserted targets, as text; None without any."""
     count = len(a.rows) - len(_requested(a))
     return f"{count} targets, so that the robot does not jump" if a.followed and count else None
 
@@ -247,7 +247,7 @@ class TargetTableReport(Report[TargetTable]):
         return [*(Text(f"target {r.number:g}: {note}") for r, note in notes[:NOTES]), *more]
 
     def save(self, directory: Path) -> list[Path]:
-        """Write solutions.csv: a row per target, empty cells where there is no answer."""
+        """Write solutions.csv: a row per target, with empty cells for missing answers."""
         turns, shifts = joint_columns(self.answer.robot.n_tubes)
         tips = [f"tip_{name}" for name in POSITION]
         columns = ["target", *POSITION, *DIRECTION, *turns, *shifts, *tips]

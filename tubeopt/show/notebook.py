@@ -77,7 +77,7 @@ def _drawn(draw: Drawing | None) -> bytes | None:
 
 
 def _html(table: RenderableType, picture: bytes | None, name: str) -> str:
-    """HTML of a table, with a picture below if there is one."""
+    """HTML of a table, with an optional picture below."""
     console = Console(record=True, file=io.StringIO(), width=WIDTH, force_jupyter=False)
     # Cropped at the width of a terminal, long rows would lose their end; the page scrolls.
     console.print(table, crop=False)
@@ -123,7 +123,7 @@ def _at_home(robot: Any) -> Drawing | None:
 
 GHOST_OPACITY = 0.3
 DIGITS = 3
-"""Decimals of the coordinates, in mm: what is kept in a notebook is small."""
+"""Decimals of the coordinates, in mm: drawings in a notebook are small."""
 
 
 def show_in_3d(

@@ -29,7 +29,7 @@ FONTS: ContextVar[tuple[str, ...]] = ContextVar("FONTS", default=())
 """Font families in order of preference; those not installed are skipped."""
 
 SCALE = "scale"
-"""`gid` of the numbers along the edges of a scene, some of which may be hidden."""
+"""`gid` of the numbers along the edges of a scene; some of them may be hidden."""
 
 INK = "#222222"
 FAINT = "#8A8A8A"

@@ -34,7 +34,7 @@ from .report import Drawing, Report, drawing, two_columns
 BEYOND = "assuming no other load and no friction"
 
 FRICTION_SAMPLES = 25
-"""Samples of the motion at which the effect of friction on the tip is computed."""
+"""Number of samples of the motion for the effect of friction on the tip."""
 
 METHODS = {
     "straight": "straight",
@@ -207,11 +207,11 @@ SEARCH: tuple[Quantity[Trajectory], ...] = (
     line("found", lambda t: _search_text(t)),
     line("smoothed", _smoothing_text),
 )
-"""Quantities below those of the motion."""
+"""Quantities shown below those of the motion."""
 
 
 def largest_by_history(t: Trajectory) -> Array | None:
-    """(3,) largest half-widths of the range in which friction can hold the tip, m; None without friction."""
+    """(3,) largest half-widths of the range of tip positions under friction, m; None without friction."""
     chosen = np.unique(np.linspace(0, len(t.arms) - 1, FRICTION_SAMPLES).round().astype(int)).tolist()
     half_widths = [half for k in chosen if (half := by_history(t.arms[k])) is not None]
     # Per axis: the largest along x and along y may be at different instants.
@@ -321,7 +321,7 @@ INSTANTS = 200
 
 
 class _Arm(NamedTuple):
-    """One of several robots of a plan."""
+    """Robot of a plan with several."""
 
     number: int
     """Number of the arm, from 1."""

@@ -23,7 +23,7 @@ STAGES = {"feasibility": "towards feasibility, largest violation", "optimum": "t
 """Stage of a solve -> its description and measure."""
 
 MANY = 100
-"""Number of steps from which their rate is shown."""
+"""Smallest number of steps for a display of their rate."""
 
 
 class Bar:

@@ -1,4 +1,4 @@
-"""Quantities of an answer: its `--json` (with it the columns of a sweep), the rows of its table, its part of the docs.
+"""Quantities of an answer: its `--json`, the columns of a sweep, the rows of its table, its docs.
 
 A quantity has a key that ends in its unit, a description, and a way to get its value (in SI) from the answer. A field
 of an answer with marks (`files.field_metadata`) is a quantity by its marks; `described` lists those of a class.
@@ -33,7 +33,7 @@ B = TypeVar("B")
 
 @dataclass(frozen=True)
 class Quantity(Generic[A]):
-    """One entry of an answer."""
+    """Entry of an answer."""
 
     key: str
     """Name in JSON, with its unit as suffix (see `files.units.UNITS`); "" for a row of the table alone."""
@@ -45,16 +45,18 @@ class Quantity(Generic[A]):
     form: str = ""
     """Format of the number or numbers in the table, which the unit follows; "" for no row."""
     words: str | Callable[[A], str | None] | None = None
-    """Row of the table in place of the number: a template that names keys of the record, as in "{tip_error_mm:.1e} mm",
-    or a function of the answer that may give None for no row."""
+    """Row of the table instead of the number: a template, or a function of the answer; None for no row.
+
+    A template names keys of the record, as in "{tip_error_mm:.1e} mm".
+    """
     of: Sequence[Quantity[Any]] | None = None
     """Quantities of a part of the answer, or of each of several; `get` returns the part, a list of parts, or None."""
     label: str | None = None
     """Name of the row where that is not `about`."""
     digits: int | None = None
-    """Decimals to which the number is rounded in its unit, against round-off of the conversion from SI."""
+    """Decimals of the number in its unit, against round-off of the conversion from SI."""
     optional: bool = False
-    """The key is left out, not null, where there is no value."""
+    """True if the key is left out, not null, without a value."""
 
     @functools.cached_property
     def unit(self) -> str:
@@ -204,7 +206,7 @@ def rows(answer: A, quantities: Sequence[Quantity[A]]) -> list[tuple[str, str]]:
 
 
 def columns(parts: Iterable[B], quantities: Sequence[Quantity[B]]) -> tuple[list[str], list[list[str]]]:
-    """Parts of an answer for a person: names of the quantities that have words or a format, and a row for each part."""
+    """Parts of an answer for a person: names of the quantities with words or a format, and their rows."""
     shown = [quantity for quantity in quantities if quantity.words or quantity.form]
     known = ((part, record(part, quantities)) for part in parts)
     return [q.name for q in shown], [[q.text(part, values) or "" for q in shown] for part, values in known]
@@ -214,7 +216,7 @@ _AS_IT_IS = frozenset([bool, str, dict, type(None)])
 
 
 def in_units(value: Any, unit: str) -> Any:
-    """A value in SI, plain and in a unit: numbers and arrays are converted, all else is left as it is."""
+    """Value converted from SI to a unit, for numbers and arrays; anything else is unchanged."""
     kind = type(value)
     # The most frequent kinds first: a sweep converts millions of numbers.
     if kind is float:
@@ -249,7 +251,7 @@ def _parts(value: Any, quantities: Sequence[Quantity[Any]]) -> Any:
 
 
 class _Template(string.Formatter):
-    """Format strings in which a list is shown as its numbers with commas between them, and None as a dash."""
+    """Format strings that show a list as its numbers with commas between them, and None as a dash."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         if isinstance(value, list):
@@ -329,7 +331,7 @@ def _words(joints: tuple[Array, Array], form: str) -> str:
 
 
 def joints_in_words(e: Equilibrium) -> str:
-    """Joint values of an answer, and what the drives of a calibrated robot read there."""
+    """Joint values of an answer, and the drive readings of a calibrated robot there."""
     words = f"rotations {degrees(e.rotations, '.4g')}, translations {millimetres(e.translations, '.4g')}"
     read = _read(e)
     return words if read is None else f"{words}; the drives read {_words(read, '.4g')}"

@@ -36,7 +36,7 @@ TABLE_FORMATS = ("parquet", "mat")
 SOLID_FORMATS = ("stl", "glb", "urdf", "mjcf")
 
 FORMATS: ContextVar[tuple[str, ...]] = ContextVar("FORMATS", default=("png",))
-"""File formats of reports: one of `PICTURE_FORMATS`, and any of the others for tables and arms."""
+"""File formats of reports: one of `PICTURE_FORMATS`, and any table and arm formats."""
 
 
 def file_name(picture: str) -> str:
@@ -46,7 +46,7 @@ def file_name(picture: str) -> str:
 
 
 def drawing(plot: str, what: Any, **options: Any) -> Drawing:
-    """Function that draws `what`, and takes only the path to save the picture in.
+    """Function that draws `what`, with the path of the picture as its only argument.
 
     Args:
         plot: the function of `show.plots` that draws it, as "mold.plot_mold", loaded with Matplotlib when it is wanted:
@@ -71,11 +71,13 @@ class Report(Generic[A]):
     """Quantities for `--json` and for the rows of the table."""
 
     file: ClassVar[str] = ""
-    """Name under which the record is saved; "" where it is not."""
+    """File name of the record; "" if it is not saved."""
 
     drawn: ClassVar[tuple[tuple[str, ...], ...]] = ()
-    """Pictures: name, the function that draws it, as `drawing` takes it, and of which attribute of the answer, no
-    picture where that is None; without one of the answer itself."""
+    """Pictures: name, drawing function as for `drawing`, and attribute of the answer that it draws.
+
+    No picture if the attribute is None; without an attribute, the answer itself is drawn.
+    """
 
     def __init_subclass__(cls) -> None:
         """Register the class for the type of answers in its brackets."""
@@ -115,7 +117,7 @@ class Report(Generic[A]):
         return directory / self.file
 
     def pictures(self) -> dict[str, Drawing]:
-        """Name of every picture -> function that draws it; a name without a suffix gets that of the format."""
+        """Name of every picture -> drawing function; a name without a suffix gets the suffix of the format."""
         parts = [
             (name, plot, attrgetter(*part)(self.answer) if part else self.answer) for name, plot, *part in self.drawn
         ]
@@ -141,7 +143,7 @@ class Report(Generic[A]):
         return {}
 
     def convert(self, directory: Path) -> list[Path]:
-        """Write films, tables and arms into `directory` in those of `FORMATS` that are theirs; return the paths."""
+        """Write films, tables and arms into `directory` in their formats among `FORMATS`; return the paths."""
         # What they are converted with is loaded only where it is asked for.
         formats, paths = FORMATS.get(), list[Path]()
         for form in (form for form in FILM_FORMATS if form in formats):
@@ -187,7 +189,10 @@ def two_columns(title: str, rows: Sequence[tuple[str, str]]) -> Group:
 
 
 def grid(columns: Sequence[str], rows: Iterable[Sequence[str]], *, title: str = "", key: bool = False) -> Group:
-    """A table with a heading for every column, to the right where that ends in " >"; `key`: the first is in bold."""
+    """Table with a heading for every column, right-aligned for a heading that ends in " >".
+
+    `key`: the first column is bold.
+    """
     table = Table(box=None, padding=(0, 2, 0, 0))
     for k, name in enumerate(columns):
         bold = key and k == 0

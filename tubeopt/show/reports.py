@@ -143,7 +143,7 @@ def reports() -> dict[str, type[Report[Any]]]:
 
 
 def formats_of(command: str) -> tuple[str, ...]:
-    """Formats in which the answer of a command can be saved besides JSON and CSV, with any of its flags."""
+    """Formats of the answer of a command in addition to JSON and CSV, with any of its flags."""
     named = f'command = "{command}'
     for module in MODULES:  # those alone that say so: all of them take seconds
         if named in (Path(__file__).parent / f"{module}.py").read_text(encoding="utf-8"):
@@ -160,7 +160,7 @@ def formats_of(command: str) -> tuple[str, ...]:
 
 
 Signature = tuple[Any, ...]
-"""Key and meaning of a quantity, with those of its parts: equal for quantities that a reader need read once only."""
+"""Key and meaning of a quantity and its parts; equal for quantities that a reader needs to read only once."""
 
 
 def page() -> str:

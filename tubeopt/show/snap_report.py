@@ -244,7 +244,7 @@ def _nearest(a: RobotMap) -> Array | None:
 
 
 def _min_margin_before_snap(a: RobotMap) -> float | None:
-    """Smallest margin of the points reached without a snap; None if there are none."""
+    """Smallest margin of the points reached without a snap; None without any."""
     snapped = a.map.snaps > 0
     return None if snapped.all() else float(a.map.margin[~snapped].min())
 

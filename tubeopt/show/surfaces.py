@@ -49,8 +49,10 @@ class Surface:
 
 @lru_cache(maxsize=64)
 def grid_faces(rows: int, columns: int) -> Faces:
-    """Triangles between neighbours of a grid of vertices, whose last column is next to the first: two and two of four
-    corners."""
+    """Triangles between neighbours of a closed grid of vertices, two for four corners.
+
+    The last column is next to the first.
+    """
     # Vertex (k, j) has the number k columns + j. Modulo closes each ring, so that no seam is left open.
     k, j = np.meshgrid(np.arange(rows - 1), np.arange(columns), indexing="ij")
     ahead = (j + 1) % columns
@@ -72,7 +74,8 @@ def join(surfaces: list[Surface]) -> Surface:
 
 
 def obstacle_surface(obstacle: Obstacle, reach: float, *, sides: int = SIDES) -> Surface:
-    """A body as triangles; of one without end, what lies within `reach` (m) of the plate; of a vessel, its wall.
+    """Surface of a body as triangles; of an unbounded body, its part within `reach` (m) of the plate; of a vessel, its
+    wall.
 
     Raises:
         InputError: a body of unknown kind.
@@ -155,7 +158,7 @@ def _plane(point: Array, normal: Array, reach: float) -> Surface:
 
 
 def axes_about(z: Array) -> Array:
-    """(3, 3) rows of a right-handed frame whose third axis is `z`."""
+    """(3, 3) rows of a right-handed frame with `z` as the third axis."""
     # The coordinate axis farthest from z: the cross product is at least sqrt(2/3) long, so no digits are lost.
     x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
     x /= np.linalg.norm(x)
@@ -213,7 +216,7 @@ class Centreline:
         return CrossSection(across, np.cross(tangent, across), tangent)
 
     def ring(self, s: Array, sides: int) -> tuple[Array, Array]:
-        """Across the line at `s` (k,): (k, sides, 3) unit vectors all around, and (k, 2, 3) those of the section."""
+        """Unit vectors around the line at `s` (k,), (k, sides, 3), and the two axes of the section, (k, 2, 3)."""
         x, y, _ = self.axes(s)
         angle = np.arange(sides) * 2 * np.pi / sides
         return np.cos(angle)[:, None] * x[:, None] + np.sin(angle)[:, None] * y[:, None], np.stack([x, y], axis=1)
@@ -262,7 +265,7 @@ class SlottedStretch(NamedTuple):
     end: float
     """Last arc length, m."""
     stiffness: float
-    """Bending stiffness over that of the whole tube, at most 1."""
+    """Bending stiffness over the stiffness of the whole tube, at most 1."""
 
 
 def slotted(tube: Tube, held: float, first: float, last: float) -> list[SlottedStretch]:
@@ -295,7 +298,7 @@ def shade(part: float) -> float:
 
 @dataclass(frozen=True)
 class Bundle:
-    """Tubes side by side, visible between the same arc lengths."""
+    """Tubes side by side, visible between common arc lengths."""
 
     tubes: tuple[int, ...]
     """Indices of the tubes, from 0."""
@@ -308,7 +311,7 @@ class Bundle:
 
 
 def bundles(equilibrium: Equilibrium) -> list[Bundle]:
-    """Visible tubes, those of a segment together; of a concentric robot each by itself."""
+    """Visible tubes: all tubes of a segment together, tubes of a concentric robot separately."""
     groups: dict[tuple[float, float], list[int]] = {}
     for each in visible(equilibrium):
         groups.setdefault((each.start, each.end), []).append(each.tube)
@@ -320,7 +323,7 @@ def bundles(equilibrium: Equilibrium) -> list[Bundle]:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Surface with its look."""
+    """Surface with its appearance."""
 
     name: str
     """Name in a scene."""
@@ -329,7 +332,7 @@ class Part:
     colour: Colour
     """Red, green, blue, 0 to 255."""
     opacity: float = 1.0
-    """1 hides what is behind."""
+    """Opacity from 0 to 1; 1 hides everything behind."""
     lift: float = 0.0
     """Shift along the normal for sorting by depth, m: an outer surface stays in front of one that it touches."""
 
@@ -424,14 +427,14 @@ def ring_surface(line: Centreline, s: float, radii: tuple[float, float], offset:
 
 
 def plate_radius(equilibrium: Equilibrium) -> float:
-    """Radius at which to draw the base plate, m: in proportion to the arm, and well beyond its tubes."""
+    """Radius of the drawn base plate, m: in proportion to the arm, and well beyond its tubes."""
     # With all tubes withdrawn the arm is short, and 7 % of it could be thinner than a tube.
     thickest = max(tube.outer_diameter for tube in equilibrium.robot.tubes)
     return max(0.07 * float(equilibrium.arc_length[-1]), 4 * thickest)
 
 
 def plate_part(radius: float, *, rings: int = 1, sides: int = 64) -> Part:
-    """The base plate, its upper face at z = 0; cut into rings where it is sorted by depth."""
+    """Base plate with its upper face at z = 0; cut into rings for sorting by depth."""
     # Painters sort facets by the depth of their middle: large facets of one ring would hide what is in front.
     radii, low = np.linspace(0.0, radius, rings + 1), -0.25 * radius
     profile = [(r, 0.0) for r in radii] + [(radius, 0.0), (radius, low)] + [(r, low) for r in radii[::-1]]
@@ -523,7 +526,7 @@ class Piece(NamedTuple):
 
 
 def pieces(equilibrium: Equilibrium) -> Iterator[Piece]:
-    """The arm as straight pieces, whose ends lie on the axes of the tubes."""
+    """Arm as straight pieces with ends on the axes of the tubes."""
     line = Centreline(equilibrium)
     # A straight arm has curvature 0; 1e-9 per m then gives one piece.
     tightest = max(float(np.linalg.norm(equilibrium.curvature, axis=1).max()), 1e-9)
@@ -607,4 +610,4 @@ WRITERS: dict[str, Callable[[Equilibrium, Path], None]] = {
     ".urdf": _write_urdf,
     ".xml": _write_mjcf,
 }
-"""Ending of a file -> what writes it."""
+"""Suffix of a file -> function that writes it."""

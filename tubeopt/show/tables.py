@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     import xarray
 
 SI = {"mm": "m", "deg": "rad", "mJ": "J"}
-"""Unit of a column -> that of the variable in SI, where they differ."""
+"""Unit of a column -> different unit of the variable in SI."""
 
 FORMATS = ("csv", "parquet", "mat")
 
@@ -43,7 +43,7 @@ LONGEST_NAME = 63
 
 
 class Variable(NamedTuple):
-    """One variable of an answer.
+    """Variable of an answer.
 
     Args:
         name: of the variable, and by default of the attribute that holds it.
@@ -108,7 +108,7 @@ TABLES: Mapping[type, tuple[str, tuple[Variable, ...]]] = {
         ),
     ),
 }
-"""Kind of answer -> what a row is, and its variables."""
+"""Kind of answer -> meaning of a row, and its variables."""
 
 INNER: Mapping[str, Callable[[int], list[Any]]] = {
     "tube": lambda count: list(range(1, count + 1)),
@@ -242,7 +242,7 @@ def matlab_names(columns: Iterable[str]) -> list[str]:
 
 
 def _matlab(values: Array) -> Array:
-    """Numbers and truths as they are, anything else as texts."""
+    """Numbers and truth values unchanged, anything else as text."""
     # savemat writes an array of objects as a cell array.
     return values if values.dtype.kind in "biuf" else np.array([str(value) for value in values], dtype=object)
 

@@ -296,7 +296,7 @@ class EffectsReport(Report[Comparison]):
         return self.answer.fit.robot.name if self.answer.fit else "no effect pays"
 
     def below(self) -> list[RenderableType]:
-        """Effects in the order in which they pay, those that do not, and the fit."""
+        """Effects in order of their gain, effects without gain, and the fit."""
         c = self.answer
         cells = [("as given", *_held_out(c.start, c.start_axis), "", "")]
         for word, steps in (("", c.steps), ("does not pay", c.refused)):

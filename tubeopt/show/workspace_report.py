@@ -131,7 +131,7 @@ class WorkspaceReport(Report[Findings]):
         return f"{self.answer.workspace.robot.name or 'robot'}: workspace"
 
     def save(self, directory: Path) -> list[Path]:
-        """Write voxels.npz, in SI, beside the samples, which are there already where they were streamed."""
+        """Write voxels.npz, in SI, next to the samples; streamed samples are already there."""
         samples = save_workspace(self.answer.workspace, directory)
         a = self.answer
         fields = {name: getattr(a.voxels, name) for name in ("size", "index", "count", "dexterity", "margin")}
@@ -148,7 +148,7 @@ class WorkspaceReport(Report[Findings]):
 
 
 SHOWN = 3
-"""Failures that are told; the table has all."""
+"""Number of listed failures; the table has all."""
 
 FAILURE: tuple[Quantity[tuple[int, str]], ...] = (
     Quantity("point", "number of the point, from 1", lambda failed: failed[0] + 1),
@@ -170,7 +170,7 @@ SWEEP = described(
 
 
 def _kept(a: Sweep, path: Path) -> str | None:
-    """The path of what is kept."""
+    """Path of the stored samples."""
     return str(path) if a.rows is None else None
 
 

@@ -24,7 +24,7 @@ except ImportError as error:
 Client: Any = _Client  # without types of its own
 
 TIMEOUT = 10.0
-"""Time (s) in which a scheduler must answer and have a worker."""
+"""Time limit (s) for the answer of a scheduler with a worker."""
 
 
 class _Common(WorkerPlugin):

@@ -42,7 +42,7 @@ def common_data() -> Any:
 
 @contextmanager
 def using(common: object) -> Iterator[None]:
-    """Context in which `common` is the common data of this thread; for executors."""
+    """Context that sets `common` as the common data of this thread; for executors."""
     token = COMMON.set(common)
     try:
         yield

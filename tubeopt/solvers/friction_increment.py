@@ -1,4 +1,4 @@
-"""One increment of a robot with friction between its tubes: minimum of its energy and of the heat of friction.
+"""Increment of a robot with friction between its tubes: minimum of its energy and the heat of friction.
 
     x = argmin  E(x) + sum_r D_r |phi_r(x) - phi_r,before|
     <=>  grad E + P' lam = 0,   |lam| <= D,   lam = D sign(slip) where a row slips, no slip where it sticks
@@ -179,7 +179,7 @@ def model_of(rows: Array, gradient: Array, hessian: Array) -> Model | None:
 
 
 def choose(model: Model, free: Array, capacity: Array, signs: Signs | None) -> tuple[Array, Signs] | None:
-    """Torques and signs of the rows for a model, from slips without friction (R,); None if there is no minimum."""
+    """Torques and signs of the rows for a model, from slips without friction (R,); None without a minimum."""
     first = np.sign(free).astype(np.int8) if signs is None else signs
     result = stick_or_slip(model.compliance, free, capacity, first, convex=not model.negative)
     if result is None or not model.negative:
@@ -252,7 +252,7 @@ def increment(
     signs: Signs | None = None,
     slid: Array | None = None,
 ) -> Increment | None:
-    """State at base rotations (n,) near x, from relative rotations `before` (R,); None if there is none nearby.
+    """State at base rotations (n,) near x, from relative rotations `before` (R,); None without one nearby.
 
     Args:
         signs: first signs of the slips; by default those of the energy's model without friction.
@@ -311,7 +311,7 @@ def held_margin(contact: Contact, state: ContactState, signs: Signs) -> float:
 
 
 def _free(contact: Contact, signs: Signs) -> Array:
-    """Orthonormal directions (X, F) in which the sticking rows do not slip."""
+    """Orthonormal directions (X, F) without slip of the sticking rows."""
     stuck = contact.rows[signs == 0]
     if not len(stuck):
         return np.eye(stuck.shape[1])
@@ -332,7 +332,7 @@ def softest(contact: Contact, state: ContactState, signs: Signs) -> Array:
 def slide(
     contact: Contact, rotations: Array, x: Array, before: Array, push: Array | None = None
 ) -> tuple[Increment, float] | None:
-    """State at which the flow of energy with friction comes to rest, and the heat (J); None if it is not found.
+    """State of rest of the energy flow with friction, and the heat (J); None if it is not found.
 
     The flow starts at x, or at the lower of x +- `push` (X,). Linearly implicit Euler steps in the norm of the
     torsional energy, each with exact friction from the last state, grow into Newton steps as the flow comes to rest.

@@ -240,7 +240,7 @@ class Optimum:
     values: Values
     """Functions at x."""
     multipliers: Array
-    """Multipliers (G,) of the constraints, positive for active ones."""
+    """Multipliers (G,) of the constraints, positive for active constraints."""
     bound_multipliers: Array
     """Multipliers (X,) of the bounds."""
     success: bool

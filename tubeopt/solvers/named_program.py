@@ -77,7 +77,7 @@ class ProblemStatistics:
     reorderings: int = 0
     """Number of swaps of breakpoints."""
     solves: int = 1
-    """Number of solves; swaps of breakpoints need further ones."""
+    """Number of solves; swaps of breakpoints need further solves."""
     gained: float = 0.0
     """Decrease of the objective by swaps of breakpoints."""
 
@@ -238,7 +238,7 @@ def _plain(value: Array) -> Any:
 
 
 DIRECTIONS = 8
-"""Number of directions in which CasADi differentiates at once, instead of 64.
+"""Number of directions that CasADi differentiates along at once, instead of 64.
 
 Derivatives are evaluated as fast, and are built in a fraction of the time for cross-sections of many tubes.
 """
@@ -313,7 +313,7 @@ def _parted(column: Any, symbols: list[Any]) -> list[Any]:
 
 @contextmanager
 def few_directions() -> Iterator[None]:
-    """Context in which CasADi differentiates in `DIRECTIONS` at once, also for a `casadi.Opti` that is solved in it."""
+    """Context with CasADi differentiating along `DIRECTIONS` at once, also for a `casadi.Opti` solved in it."""
     before = ca.GlobalOptions.getMaxNumDir()
     ca.GlobalOptions.setMaxNumDir(DIRECTIONS)
     try:
@@ -579,7 +579,7 @@ class NamedProgram:
     # --- internal -----------------------------------------------------------------------------------------------------
 
     def _changed(self) -> None:
-        """Drop solvers and functions, which are those of an earlier program."""
+        """Drop solvers and functions of an earlier program."""
         self._solvers.clear()
         self._functions.clear()
 

@@ -198,7 +198,7 @@ def flow(
     moved: Callable[[S, Array], S | None],
     solved: Callable[[S], NewtonResult[S]],
 ) -> NewtonResult[S]:
-    """State at which the gradient flow from another comes to rest, and the number of steps.
+    """State of rest of the gradient flow from another state, and the number of steps.
 
     Args:
         step: returns the change of a state in a time, its largest turn (rad), and True if its matrix is not positive.
@@ -226,7 +226,7 @@ def flow(
 
 
 def downhill(x: Array, push: Array, gradient: Callable[[Array], Array]) -> list[Array]:
-    """Points (U,) at x +- `push` from which the energy falls away from x; both if there is none."""
+    """Points (U,) at x +- `push` with energy decreasing away from x; both points if neither has."""
     down = [side for side in (push, -push) if float(gradient(x + side) @ side) < 0]
     return [x + side for side in down or (push, -push)]
 

@@ -170,7 +170,7 @@ def each(
     workers: int = 0,
     scheduler: str | None = None,
 ) -> Iterator[Outcome[B]]:
-    """Results of `function` for all items, in the order in which they are ready; a failure affects its own item only.
+    """Results of `function` for all items, in order of completion; a failure affects its own item only.
 
     The function is sent to every worker once, with its bound arguments: `functools.partial(function, robot)`, or an
     object with `__call__`. Items are taken from the iterable as workers become free, so that it may be infinite. An
@@ -201,7 +201,7 @@ def each(
 
 
 class _Run(Generic[A, B]):
-    """Items in an executor, at most `limit` at a time; `lost` are those whose processes died."""
+    """Items in an executor, at most `limit` at a time; the processes of `lost` items died."""
 
     def __init__(self, pool: Executor, limit: int) -> None:
         self.pool, self.limit = pool, limit
@@ -250,7 +250,7 @@ class _Run(Generic[A, B]):
 
 
 def _alone(function: Callable[[A], B], numbered: tuple[int, A]) -> Outcome[B]:
-    """Outcome of an item in a process of its own, whose death is a failure of the item."""
+    """Outcome of an item in a process of its own; the death of the process is a failure of the item."""
     with _processes(1, timed(function)) as pool:
         run: _Run[A, B] = _Run(pool, 1)
         for outcome in run.all(iter([numbered])):

@@ -1,4 +1,4 @@
-"""Weighted, robust nonlinear least squares of observations, in steps that never leave what can be solved.
+"""Weighted, robust nonlinear least squares of observations, with steps that stay where the model is solvable.
 
     minimise  sum_v w_v rho(|r_v(x)|^2 / sigma_v^2)  +  sum_p ((x_p - start_p) / prior_p)^2
 
@@ -29,9 +29,9 @@ class LeastSquaresSolver(Settings):
     iterations: int = 50
     """Maximum number of iterations."""
     settled: float = 1e-7
-    """Relative decrease of the cost at which a fit ends: small compared with the effect of noise."""
+    """Relative decrease of the cost that ends a fit: small compared with the effect of noise."""
     round_off: float = 1e-14
-    """Decrease of the cost per observation at which an exact fit ends, in squared standard deviations."""
+    """Decrease of the cost per observation that ends an exact fit, in squared standard deviations."""
     first_damping: float = 1e-6
     """Damping of the first step, relative to the diagonal of the normal equations."""
 
@@ -41,14 +41,14 @@ DEFAULT_SOLVER = LeastSquaresSolver()
 # A few hundredths of a standard error of the parameters. Along a path with friction there are kinks where the rows that
 # stick change. Steps there gain less than predicted, so that a fit to 1e-7 never ends.
 NEARLY_SETTLED = 1e-5
-"""Relative decrease at which a fit ends whose steps are costly, or one of many similar fits."""
+"""Relative decrease that ends a fit with costly steps, or one of many similar fits."""
 
 # Below this the Jacobian has changed so much that a new one saves more steps than it costs.
 FAITHFUL = 0.7
 """Achieved fraction of the predicted decrease above which a costly Jacobian serves another step."""
 
 MAX_DAMPING = 1e12
-"""Damping at which a step is of round-off."""
+"""Damping of a step as small as round-off."""
 
 
 class Point(Protocol):
@@ -81,7 +81,7 @@ class Observed(Protocol[P]):
         """Number F of further quantities that a step moves."""
 
     def residuals(self, state: P) -> Array:
-        """Predictions less observations (V, k); raises SolveError or InputError if there is no prediction."""
+        """Predictions less observations (V, k); raises SolveError or InputError without a prediction."""
 
     def jacobian(self, state: P) -> Array:
         """Derivatives (V, k, P + F) of the residuals by a step."""
@@ -103,7 +103,7 @@ class Weights:
     loss: str = "linear"
     """Loss of large errors: "linear" (least squares), "huber" or "soft_l1"."""
     robust_from: float = 3.0
-    """Error, in standard deviations, from which the loss grows linearly."""
+    """Error, in standard deviations, above which the loss grows linearly."""
 
     def losses(self, residuals: Array) -> Array:
         """Loss (V,) of each observation, in squares of its standard deviation."""
@@ -176,7 +176,7 @@ def descend(
     first: Array | None = None,
     solver: LeastSquaresSolver = DEFAULT_SOLVER,
 ) -> Descent[P]:
-    """Minimum of the cost near a start at which all predictions exist.
+    """Minimum of the cost near a start with a prediction for every observation.
 
     Args:
         jacobian: derivatives for all steps, if the start is close to the solution. None computes them at every state;
@@ -234,7 +234,7 @@ def cost_of(model: Observed[P], weights: Weights, state: P, residuals: Array) ->
 
 
 def _step(square: Array, slope: Array, damping: float, x: Array, bounds: Array) -> Array:
-    """Damped step within the bounds (2, P); parameters at a bound are fixed, and the others are solved for again."""
+    """Damped step within the bounds (2, P); parameters at a bound are fixed, and all others are solved for again."""
     size, count = len(slope), len(x)
     at_bound = np.zeros(size, dtype=bool)
     step = np.zeros(size)

@@ -40,7 +40,7 @@ LAST_STEP = 1e-6
 """Newton step (rad) after which an iteration ends, if the residual is of round-off."""
 
 ROUND_OFF = 1e-12
-"""Residual or step (rad) close to round-off; smaller ones are no sign of divergence."""
+"""Residual or step (rad) close to round-off; smaller values are no sign of divergence."""
 
 # The coupling energy has the period 2 pi: within 1 rad its second-order model still has the right sign of curvature.
 LONGEST_STEP = 1.0
@@ -49,7 +49,7 @@ LONGEST_STEP = 1.0
 # Newton's steps shrink as their squares near a solution of the same branch, and by a constant factor close to a fold,
 # where the two solutions are the same. Friction paths depend on it: see `TOWARDS_FRICTION_FOLD`.
 LARGEST_RATIO = 0.3
-"""Largest ratio of successive Newton steps for which a solution counts as on the same branch."""
+"""Largest ratio of successive Newton steps of a solution on the same branch."""
 
 LARGEST_TWIST = 0.6
 """Largest change (rad) of the twist theta - alpha at a point in one step along a branch."""
@@ -67,7 +67,7 @@ LARGEST_SHIFT = 0.05
 
 # An error is divided by the margin, which vanishes at a fold; without this bound no fold would have an error estimate.
 LEAST_STIFFNESS = 1e-6
-"""Smallest margin by which an error estimate is divided."""
+"""Smallest margin used as a divisor of an error estimate."""
 
 # Only for arms that a load hardly softens is the margin less accurate than the shape.
 HARDLY_SOFTENED = 0.99
@@ -115,7 +115,7 @@ class Ipopt(Displayed):
     time_limit: float = TIME_LIMIT
     """Time limit of one solve, s; IPOPT then stops at its current point."""
     linear_solver: str = "mumps"
-    """Linear solver of the Newton steps; "mumps" comes with CasADi."""
+    """Linear solver of the Newton steps; "mumps" is included in CasADi."""
     expand: bool = False
     """Expand the program to scalar operations: solves are faster, building slower. For one to three blocks."""
     hessian: str = "exact"

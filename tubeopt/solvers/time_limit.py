@@ -27,7 +27,7 @@ LEAST_SECONDS = 1e-3
 """Smallest limit of a solver, s: IPOPT accepts no limit of 0."""
 
 _UNTIL: ContextVar[float] = ContextVar("until", default=math.inf)
-"""Moment (of `time.time`, which processes share) at which the nearest limit is reached."""
+"""Time of the earliest limit, by `time.time`, which processes share."""
 
 
 class LateError(Exception):

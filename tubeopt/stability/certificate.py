@@ -60,7 +60,7 @@ class Bundle:
     """Properties of an arm of n tubes in m sections, plate to tip, that enter the bounds."""
 
     start: Array
-    """(m,) arc length at which each section begins, m."""
+    """(m,) arc length of the start of each section, m."""
     length: Array
     """(m,) length of each section, m."""
     stiffness: Array
@@ -87,7 +87,7 @@ class Bundle:
 
 
 def bundle_of(robot: Robot, near: Array, far: Array | None = None) -> Bundle:
-    """Arm of concentric tubes at translations (n,), or one whose bounds hold at all translations from `near` to `far`.
+    """Arm of concentric tubes at translations (n,), or with bounds for all translations from `near` to `far`.
 
     In a section every tube has the largest precurvature, the smallest bending and the smallest torsional stiffness
     that it may have there; arm and transmissions are as long as they may be. Fields Y, phi, r of an arm in between,
@@ -178,7 +178,7 @@ class Certificate(Displayed):
     None without coupling, and for eccentric tubes, where three act together.
     """
     section: tuple[float, float] | None
-    """(start, end) of the section where the coupling reduces the margin most, m."""
+    """Section (start, end) with the largest reduction of the margin by the coupling, m."""
     share: Array
     """(n, n) fraction of 1 - margin due to each pair; sums to 1 above the diagonal."""
 
@@ -293,7 +293,7 @@ def estimated_certificate(robot: Robot, shift: Array) -> float:
 
 
 def _problem(robot: Robot, shift: Array, refinement: int = DEFAULT_DISCRETISATION.refinement) -> ReducedProblem:
-    """Unloaded problem on a mesh whose pieces are halved `refinement` times."""
+    """Unloaded problem on a mesh with pieces halved `refinement` times."""
     return reduced_problem(robot, tuple(shift.tolist()), replace(DEFAULT_DISCRETISATION, refinement=refinement))
 
 
@@ -392,7 +392,7 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
 
 
 def _of_segments(robot: Robot, shift: Array) -> Certificate:
-    """Certificate of eccentric tubes, whose three tubes per segment reduce the margin equally."""
+    """Certificate of eccentric tubes; the three tubes of a segment reduce the margin equally."""
     margin, segment = proof(robot.assembly(shift))
     gradient = proof_gradient(robot, shift)
     fraction = np.zeros((robot.n_tubes, robot.n_tubes))
@@ -403,7 +403,8 @@ def _of_segments(robot: Robot, shift: Array) -> Certificate:
 
 
 def breakpoint_pattern(assembly: Assembly) -> Pattern:
-    """Order of breakpoints for `physics.certificate.determinant_function`; coinciding ones count for the first tube."""
+    """Order of breakpoints for `physics.certificate.determinant_function`; breakpoints that coincide count for the
+    first tube."""
     breakpoints = np.stack([assembly.transition, assembly.end], axis=1).ravel()
     ends = [int(np.argmax(np.abs(breakpoints - stop) <= 2 * ROUND_OFF)) for stop in assembly.start + assembly.length]
     present, curved = (tuple(map(tuple, mask.astype(int).tolist())) for mask in (assembly.present, assembly.curved))

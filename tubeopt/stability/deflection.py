@@ -42,7 +42,7 @@ GAUSS = np.polynomial.legendre.leggauss(3)
 """Exact for the polynomials of degree 4 that are integrated on every section."""
 
 BOX = 2e-3
-"""Length (m) of the boxes of translations that cover a path: longer ones make a weaker bound."""
+"""Length (m) of the boxes of translations that cover a path: longer boxes give a weaker bound."""
 
 MAX_BOXES = 16
 """Maximum number of boxes; on longer paths boxes are longer."""
@@ -86,7 +86,7 @@ def deflection_bound(
 
 
 def _moved(bundle: Bundle, margin: float, force: float, points: Array) -> Array:
-    """(S,) bounds F kappa(L) kappa(s) / mu on the deflection of points at s, m; that of the tip is the largest."""
+    """(S,) bounds F kappa(L) kappa(s) / mu on the deflection of points at s, m; largest at the tip."""
     if not force or not bundle.total_length:
         return np.zeros(len(points))
     if margin <= 0:

@@ -84,13 +84,13 @@ BASIS = np.column_stack([np.array([2.0, -1.0, -1.0]) / np.sqrt(6), np.array([0.0
 """(3, 2) range of P: rotations of the tubes against one another."""
 
 GRID = 24
-"""Rotations per turn and tube at which the slope of phi is maximised: every 15 deg."""
+"""Number of rotations per turn and tube for the maximum slope of phi: every 15 deg."""
 
 GRID_ALLOWANCE = (1e-4, 4e-3)
-"""Fraction by which the slope is raised, and the same per delta: at least twice the error of the grid of rotations."""
+"""Relative increase of the slope, and the same per delta: at least twice the error of the grid of rotations."""
 
 TABLE_ALLOWANCE = 5e-5
-"""Amount by which x of the table is lowered: bound on the error of linear interpolation in delta and phi."""
+"""Reduction of x in the table: bound on the error of linear interpolation in delta and phi."""
 
 STEPS = 1600
 """Number of steps of x up to pi / 2."""
@@ -178,7 +178,7 @@ def all_rotations() -> Array:
 
 
 def length_curve(delta: float, steps: int = STEPS) -> Array:
-    """(65,) lower bounds on the x at which phi reaches ANGLES, for one delta."""
+    """(65,) lower bounds on the x with phi equal to ANGLES, for one delta."""
     if delta == 0.0:
         return ANGLES.copy()
     # Turning all by 120 deg and renaming the tubes turns the polygon by four corners: a third of them is enough.
@@ -204,7 +204,7 @@ def table() -> Array:
 
 
 def longest(delta: float, angle: float) -> float:
-    """Length x up to which phi stays below `angle` (rad, at most pi / 2): a shorter segment cannot snap."""
+    """Largest length x with phi below `angle` (rad, at most pi / 2): a shorter segment cannot snap."""
     if not 0 <= delta <= DELTAS[-1]:
         raise InputError(f"delta is {delta:g}; the bound holds from 0 to {DELTAS[-1]:g}")
     i = min(int(np.searchsorted(DELTAS, delta, side="right")) - 1, len(DELTAS) - 2)
@@ -223,7 +223,7 @@ SHORT = 2e-9
 """Length (m) below which a section is a tolerance of lengths: its effect is far below TABLE_ALLOWANCE."""
 
 EQUAL = 1e-9
-"""Relative difference up to which properties of tubes are equal."""
+"""Largest relative difference of tube properties that count as equal."""
 
 # Some intervals of the table are wider than this: the derivative is that of the interpolation.
 STEP = 1e-4
@@ -240,7 +240,7 @@ class Segment:
     tubes: tuple[int, int, int]
     """Numbers of the tubes, in the order of PLACES."""
     section: tuple[float, float]
-    """(start, end) of the section, m."""
+    """Arc lengths (start, end) of the section, m."""
     rate: float
     """omega, 1/m."""
     delta: float
@@ -250,7 +250,7 @@ class Segment:
     transmission: float
     """omega times the mean length from the clamped ends to the section."""
     outer: tuple[tuple[float, float], ...] = ()
-    """(delta, omega L) of all outer segments, with omega of this one."""
+    """Pairs (delta, omega L) of all outer segments, with omega of this one."""
 
     @property
     def spread(self) -> float:
@@ -276,7 +276,7 @@ def segments_of(assembly: Assembly) -> tuple[Segment, ...] | None:
 
 
 def _segment(assembly: Assembly, k: int) -> Segment | None:
-    """Segment that is curved on section k: three equal tubes, and equal straight ones inside them; None otherwise."""
+    """Segment that is curved on section k: three equal tubes, with equal straight tubes inside; None otherwise."""
     tubes = np.flatnonzero(assembly.curved[k])
     if len(tubes) != 3:
         return None
@@ -311,7 +311,8 @@ def _segment(assembly: Assembly, k: int) -> Segment | None:
 
 
 def proved_margin(segment: Segment) -> float:
-    """Fraction of torsional stiffness that the tubes may lose before the proof fails; above 0 it holds as they are.
+    """Fraction of torsional stiffness that the tubes may lose before the proof fails; above 0 it is valid for these
+    tubes.
 
     A stiffness lower by 1 - 1 / soft^2 multiplies omega by `soft`: the root of the condition in `soft` is the answer.
     """

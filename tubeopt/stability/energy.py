@@ -102,7 +102,7 @@ def energy_map(
 
 
 def _window(tips: Array, window: ArrayLike | None) -> Array:
-    """(2, 2) ranges of two tip angles: those of the argument `window`, or around `tips` (k, 2)."""
+    """(2, 2) ranges of two tip angles: the argument `window`, or ranges around `tips` (k, 2)."""
     if window is not None:
         ranges = finite_array("window", window, 2)
         if ranges.shape != (2, 2) or not np.isfinite(ranges).all() or not (ranges[:, 0] < ranges[:, 1]).all():

@@ -175,16 +175,16 @@ GRIDS = ((1024, 4096, 16384), (160, 320, 640), (80, 120, 180))
 """Points per turn of the successive grids for one, two and three relative tip angles."""
 
 FIRST_STARTS = 1024
-"""Points of the Sobol sequence in the first round where there is no table; doubled in every round."""
+"""Points of the Sobol sequence in the first round without a table; doubled in every round."""
 
 COARSE_TOLERANCE = 1e-3
-"""Residual (rad) at which Newton's method on the coarse integration ends: ten times the error of the integration."""
+"""Tolerance (rad) of Newton's method on the coarse integration: ten times the error of the integration."""
 
 CLOSE = 1e-2
-"""Residual (rad) up to which a point without convergence is kept: next to a fold Newton's method stalls."""
+"""Largest residual (rad) of a kept point without convergence: next to a fold Newton's method stalls."""
 
 SOLVED = 1e-8
-"""Residual (rad) at which Newton's method on the fine integration ends; the error of the integration is 1e-6 rad."""
+"""Tolerance (rad) of Newton's method on the fine integration; the error of the integration is 1e-6 rad."""
 
 # Next to a fold the Jacobian is nearly singular: a free step may lead anywhere.
 LONGEST_TIP_STEP = 0.5
@@ -251,7 +251,9 @@ def _tails(values: Array) -> list[float]:
 
 
 def starts(table: Table, transmission: Array, target: Array, size: int) -> Array:
-    """(B, k) tip angles in the middle of every cell of a grid that may contain a solution for the joints `target` (k,).
+    """(B, k) tip angles in the middle of every cell of a grid that may contain a solution.
+
+    The solution is for the joints `target` (k,).
 
     The grid has at least `size` points per turn of the relative angles.
     """
@@ -275,7 +277,9 @@ def starts(table: Table, transmission: Array, target: Array, size: int) -> Array
 
 
 def _may_be_whole(values: Array, rising_axis: int) -> NDArray[np.bool_]:
-    """Cells of a grid in which a function (in turns) may be a whole number; it rises by 1 along one axis per turn.
+    """Cells of a grid in which a function (in turns) may be a whole number.
+
+    It rises by 1 along one axis per turn.
 
     Inside a cell it lies between the values at the corners, widened by twice the bound from its second differences.
     """
@@ -310,7 +314,7 @@ class Preimage:
     travel: Array
     """(S, m) length of every tube of the bundle, m."""
     complete: bool
-    """Whether the last grid added nothing and the degree is 1."""
+    """True if the last grid added nothing and the degree is 1."""
 
 
 def preimage(

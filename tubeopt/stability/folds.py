@@ -1,4 +1,4 @@
-"""Ends of a stable branch of equilibria, and the equilibrium in which a robot lands that follows it.
+"""Ends of a stable branch of equilibria, and the equilibrium that the robot reaches after them.
 
 A stable branch ends in a fold, which `turning_point` solves for as a root of the bordered determinant, or becomes
 unstable at a bifurcation, a root of the margin on the branch. From there the robot follows the gradient flow of its
@@ -59,7 +59,7 @@ class Equations(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class TurningPoint:
-    """Point at which a branch turns back."""
+    """Turning point of a branch."""
 
     t: float
     x: Array
@@ -127,7 +127,7 @@ class Loss:
     """End of a stable branch."""
 
     point: Place
-    """Equilibrium at which stability is lost, with margin 0."""
+    """Equilibrium at the loss of stability, with margin 0."""
     kind: str
     """"fold", "bifurcation" or "flutter"."""
     direction: Array
@@ -137,7 +137,7 @@ class Loss:
 
 
 def branch_end(family: Family, last: Place, goal: float) -> Loss | None:
-    """End of the stable branch just beyond its last stable point found; None where there is neither kind close by.
+    """End of the stable branch just beyond its last stable point; None without a fold or bifurcation close by.
 
     The sign of the slope at `last` predicts the kind that is tried first (see `bifurcates`).
     """
@@ -200,7 +200,7 @@ def bifurcation(family: Family, point: Place, goal: float) -> Loss | None:
 
 
 def _margin_root(solved: Callable[[float], Place | None], low: float, high: float) -> Place | None:
-    """Point between t = `low` and `high` at which the margin vanishes."""
+    """Point between t = `low` and `high` with margin 0."""
 
     def margin(t: float) -> float:
         point = solved(t)
@@ -217,7 +217,7 @@ def _margin_root(solved: Callable[[float], Place | None], low: float, high: floa
 
 
 def fall(lost: Place, direction: Array) -> Place | None:
-    """Equilibrium to which potential energy falls from a point after a push along `direction` (U,); None without one.
+    """Equilibrium that the robot falls to from a point after a push along `direction` (U,); None without one.
 
     Joint values and load stay. Of the two signs of the direction the one that leads down is taken; if both do, the one
     that ends lower. The path is that of steepest descent in the norm of the torsional and bending energy. For tubes off
@@ -241,7 +241,7 @@ def fall(lost: Place, direction: Array) -> Place | None:
 
 
 def slide(member: Member[Any], x: Array) -> NewtonResult[Any]:
-    """Follow the gradient flow of the potential energy from x (U,) to the minimum at which it ends."""
+    """Minimum at the end of the gradient flow of the potential energy from x (U,)."""
     start = member.at(x)
     round_off = 1e-13 * member.round_off(start)
 

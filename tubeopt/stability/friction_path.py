@@ -1,4 +1,4 @@
-"""Motion along waypoints with dry friction between the tubes, and bounds on what friction can do.
+"""Motion along waypoints with dry friction between the tubes, and bounds on the effect of friction.
 
 Each increment goes to the nearest minimum of energy and friction work together. Where that minimum vanishes the robot
 snaps: it flows downhill, against friction, until it comes to rest.
@@ -50,7 +50,7 @@ SHORTEST = 1e-11
 """Shortest step: rotation of a joint (rad), or translation over the longest tube. If it fails, the state vanishes."""
 
 MIN_MARGIN = 1e-9
-"""Margin whose square is round-off, so that it predicts no fold."""
+"""Smallest margin that predicts a fold; the square of a smaller one is round-off."""
 
 # The state moves by the square root of the distance to a fold. Newton's method shrinks its steps enough
 # (`LARGEST_RATIO`) over up to 0.75 of that distance.
@@ -58,7 +58,7 @@ TOWARDS_FRICTION_FOLD = 0.72
 """Fraction of the distance to a fold with friction that one step covers."""
 
 PAST_LAST = 1e4
-"""Distance, in shortest steps, from the last state before a snap to the joint values at which the robot flows on."""
+"""Distance, in shortest steps, from the last state before a snap to the joint values of the flow after it."""
 
 LANDED_STEP = 1e-3
 """First step after a snap, as a fraction of the longest step, also where that is longer than the path."""
@@ -160,7 +160,7 @@ def segments_with_friction(
 def start_with_friction(
     robot: Robot, joints: Array, friction: Friction, start: Equilibrium | None = None, load: Load | None = None
 ) -> FrictionEquilibrium:
-    """Start state of a motion with friction: that of `start`, or by default of the equilibrium at joint values (2n,).
+    """Start state of a motion with friction, from `start` or by default from the equilibrium at joint values (2n,).
 
     Raises:
         InputError: an unstable start, a load without an energy, friction for another robot.
@@ -257,7 +257,7 @@ def _distance(a: FrictionEquilibrium, b: FrictionEquilibrium) -> float:
 
 
 def _flow(family: Family, current: FrictionEquilibrium, t: float, *, pushed: bool) -> FrictionEquilibrium | None:
-    """State to which the robot flows at fraction t by itself, or after a push along the softest direction.
+    """State after the flow at fraction t, by itself or after a push along the softest direction.
 
     None where the flow does not end in a state.
     """

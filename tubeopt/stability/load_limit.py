@@ -1,4 +1,4 @@
-"""Load limit: the fold or bifurcation at which a growing load ends the stable branch of an equilibrium."""
+"""Load limit: fold or bifurcation at the end of the stable branch of an equilibrium under a growing load."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def find_load_limit(
     up_to: float = 10.0,
     time_limit: float = TIME_LIMIT,
 ) -> LoadLimit | None:
-    """Load factor at which a robot loses stability at fixed joint values; None if it withstands `up_to`.
+    """Load factor that makes a robot lose stability at fixed joint values; None if it withstands `up_to`.
 
     Folds are roots of a bordered determinant. Bifurcations are roots of the smallest eigenvalue on the branch, which
     continues.

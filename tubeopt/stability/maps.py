@@ -1,4 +1,4 @@
-"""Stability map: margin over two relative rotations, and the boundary at which straight paths from home first snap."""
+"""Stability map: margin over two relative rotations, and the boundary of the first snap on straight paths from home."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ HALVINGS = 7
 
 # The margin falls to 0 within less than two points of the map.
 APPROACH = np.array([0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025])
-"""Distances (rad) before the first snap at which the margin is computed."""
+"""Distances (rad) before the first snap for samples of the margin."""
 
 MIRRORED = np.append([-1.0, -1.0], np.ones(len(APPROACH)))
 """Signs of a row of the boundary (2 + A,) in the opposite direction, for a robot with mirror symmetry."""
 
 JUMP = 0.1
-"""Difference (rad) of the distances from home in neighbouring directions up to which the boundary is one curve."""
+"""Largest difference (rad) of distances from home in neighbouring directions along one boundary curve."""
 
 EDGE_ON = 3.0
-"""Slope of the boundary in polar coordinates up to which it is one curve."""
+"""Largest slope, in polar coordinates, of one boundary curve."""
 
 
 class MapStatus(StatusEnum):
@@ -179,13 +179,13 @@ def stability_map(
 
 
 def rim(directions: Array) -> Array:
-    """(D, 2) rotations at which rays from home in directions (D,) leave the map, rad."""
+    """(D, 2) rotations at the edge of the map on rays from home in directions (D,), rad."""
     ray = np.column_stack([np.cos(directions), np.sin(directions)])
     return np.asarray(ray * (np.pi / np.abs(ray).max(1, keepdims=True)))
 
 
 class _Job(NamedTuple):
-    """Straight paths from an equilibrium at home on which two tubes turn."""
+    """Straight paths from an equilibrium at home that turn two tubes."""
 
     origin: Equilibrium
     tubes: tuple[int, int]
@@ -290,7 +290,7 @@ def _torn(directions: Array, after: Array, boundary: Array) -> Mask:
 
 
 class BoundaryCurve(NamedTuple):
-    """One connected curve of the boundary."""
+    """Connected curve of the boundary."""
 
     directions: Array
     """(k,) increasing angles, rad."""

@@ -75,7 +75,7 @@ class Snap(Displayed):
 # Next to a bifurcation the new branch is reached within `PAST` of the path, where it is about 0.01 rad away. The
 # smallest snaps, at the cusp where a hysteresis begins, have the same size: a smaller jump cannot be told from no snap.
 SMOOTH_TURN = 0.05
-"""Largest rotation (rad) of a point by which a robot changes smoothly to a neighbouring branch at a bifurcation."""
+"""Largest rotation (rad) of a point in a smooth change to a neighbouring branch at a bifurcation."""
 
 MIN_JUMP = 1e-3
 """Rotation (rad) of a point above which the equilibrium after a fall differs from the one that was lost."""
@@ -83,10 +83,10 @@ MIN_JUMP = 1e-3
 # A fold close ahead of the point where the kernel declines is the reason, and `fold_ahead` finds it. Otherwise a few
 # steps of the general continuation pass the difficult part.
 HANDOVER = 0.1
-"""Distance (rad) that the general continuation goes before the kernel is tried again."""
+"""Distance (rad) of general continuation before the kernel is tried again."""
 
 FOLD_RANGE = 0.02
-"""Distance (rad) ahead of the point where the kernel declines in which a fold is searched first."""
+"""Distance (rad) ahead of the kernel's last point that is searched for a fold first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,9 +94,9 @@ class Event:
     """Snap of a family of problems."""
 
     lost: Place
-    """Point at which the branch ends."""
+    """Point at the end of the branch."""
     landed: Place
-    """Stable point in which the robot lands."""
+    """Stable point after the snap."""
 
     @cached_property
     def before(self) -> Equilibrium:
@@ -105,7 +105,7 @@ class Event:
 
     @cached_property
     def after(self) -> Equilibrium:
-        """Equilibrium in which the robot lands."""
+        """Equilibrium after the snap."""
         return to_equilibrium(self.landed, "energy descent")
 
     def snap(self, index: int) -> Snap:

@@ -39,7 +39,7 @@ from ..physics.certificate import bend_rate_function
 from ..typing import Array
 
 TOLERANCE = 1e-7
-"""Distance of the bound below the smallest margin, as a fraction of 1 - margin, at which intervals are not halved."""
+"""Distance of the bound below the smallest margin, as a fraction of 1 - margin, that ends the halving of intervals."""
 
 FIRST_INTERVALS = 32
 """Number of intervals of the first grid over a turn."""
@@ -54,7 +54,7 @@ MAX_NEWTON = 12
 """Maximum number of Newton steps after the sweeps."""
 
 SOLVED = 1e-12
-"""Change (rad) at which the collocated equations are solved."""
+"""Change (rad) that ends the solve of the collocated equations."""
 
 MAX_TURN = 0.3
 """Largest change (rad) of a rotation, at a point or at the plate, in one step towards a fold."""
@@ -90,7 +90,7 @@ class PairMinimum:
     tip: float
     """Difference x of the tip angles there, rad."""
     opposition: Array
-    """(N,) cos(D + psi) there; the coupling reduces the margin where it is negative."""
+    """(N,) cos(D + psi) at the minimum; the coupling reduces the margin at negative values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ class PairFold:
     direction: Array
     """(U,) null vector of the second variation."""
     beyond: Array | None
-    """(U,) unknowns of the equilibrium on the other branch; None from a full turn on, where there are several."""
+    """(U,) unknowns of the equilibrium on the other branch; None from a full turn on, with several branches."""
 
 
 def pair_of(problem: ReducedProblem) -> Pair | None:

@@ -28,14 +28,16 @@ STEPS = 8
 """Steps of the integration per piece of the mesh: errors near 1e-6 rad, so that Newton's method finishes the work."""
 
 State = tuple[Array, ...]
-"""theta, torque and length of every tube so far, (B, n) each; with `slopes` also the derivatives (B, n, n) of theta and
-of the torque with respect to the tip angles."""
+"""State (theta, torque, length) of every tube at an arc length, (B, n) each.
+
+With `slopes` also the derivatives (B, n, n) of theta and of the torque by the tip angles.
+"""
 
 Grid = tuple[Array, Array]
 """theta and theta' (B, K, n) at points from the tip side of a piece to its base side."""
 
 GRID = np.arange(2 * STEPS + 1) / (2 * STEPS)
-"""Fractions of a piece at which the steps evaluate its cross-sections."""
+"""Fractions of a piece for the cross-sections of the steps."""
 
 
 @lru_cache(maxsize=16)
@@ -74,7 +76,7 @@ class Bundle:
 
     @property
     def varying(self) -> bool:
-        """True if there are tubes made of pieces."""
+        """True with tubes made of pieces."""
         return self.sections[0].ndim == 3
 
     @property
@@ -116,7 +118,7 @@ def gain_of(problem: ReducedProblem) -> Array:
 
 
 def shoot(bundle: Bundle, tips: Array, *, steps: int = STEPS, slopes: bool = False) -> Shot:
-    """Joint rotations for tip angles (B, k) of the first k tubes, those of the others 0; lengths are of all tubes.
+    """Joint rotations for tip angles (B, k) of the first k tubes and 0 for all others; lengths are of all tubes.
 
     Args:
         steps: integration steps per piece.   slopes: whether to integrate the derivatives.

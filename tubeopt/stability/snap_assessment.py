@@ -1,4 +1,4 @@
-"""Snap assessment of a robot: a proof that it cannot snap, or a path on which it does.
+"""Snap assessment of a robot: a proof that it cannot snap, or a path with a snap.
 
 The certificate is the proof. Where it is not above 0, a snap is searched: of two coupled tubes at their exact fold,
 otherwise across the folds that bound the stable equilibria around the relaxed pose, then on random paths.
@@ -49,7 +49,7 @@ GRID = (256, 64, 16, 8, 5)
 """Nodes per turn for one, two, .. relative tip angles; the last number for all larger counts."""
 
 MAX_TURNS = 3
-"""Maximum number of turns of the tips around the relaxed pose in which folds are searched; joints may turn farther."""
+"""Largest number of turns of the tips around the relaxed pose in the search for folds; joints may turn farther."""
 
 MAX_NODES = 1_000_000
 """Maximum number of nodes of all turns together: 8 MB for each component."""
@@ -157,7 +157,7 @@ class SnapOnPath:
 
 @dataclass
 class Search:
-    """Search for a snap at fixed translations, with the paths tried so far."""
+    """Search for a snap at fixed translations, with the paths already tried."""
 
     robot: Robot
     translations: Array
@@ -166,7 +166,7 @@ class Search:
     paths: int = 0
     """Number of paths that were followed."""
     failed: int = 0
-    """Number of these paths on which the equilibrium was lost."""
+    """Number of these paths with a lost equilibrium."""
 
     def __post_init__(self) -> None:
         self.problem = reduced_problem(self.robot, tuple(self.translations.tolist()), DEFAULT_DISCRETISATION)
@@ -187,7 +187,7 @@ class Search:
         return None if snap is None else SnapOnPath(path, snap)
 
     def relaxed(self) -> list[Array]:
-        """(n,) rotations nearest to home at which all tubes curve to one side, so that none is twisted.
+        """(n,) rotations nearest to home with all tubes curved to one side, so that none is twisted.
 
         A tube with a curvature opposite to that of the outermost coupled one is turned by half a turn, in one or the
         other direction: two poses, mirror images. Those inside the joint limits come first.
@@ -205,7 +205,7 @@ class Search:
         return np.asarray(high.min(-1) - low.max(-1) >= -1e-9)
 
     def within(self, rotations: Array) -> bool:
-        """True if rotations (n,) are inside the joint limits as they are."""
+        """True if rotations (n,) are inside the joint limits, without full turns added."""
         return bool(((rotations >= self.low) & (rotations <= self.high)).all())
 
     def clipped(self, start: Array, end: Array) -> Array:
@@ -244,7 +244,7 @@ def search_snap(
     random_paths: int = DEFAULT_SEARCH.random_paths,
     progress: Callable[[int, int], object] | None = None,
 ) -> tuple[SnapOnPath | None, Search]:
-    """Search a path from the relaxed pose on which a robot of concentric tubes snaps.
+    """Path from the relaxed pose on which a robot of concentric tubes snaps, found by a search.
 
     Two coupled tubes are decided: the snap is found if one exists, however far away; for tubes made of pieces, unless
     it is too shallow to be followed. More tubes are turned inside the joint limits: a full turn of every tube; across
@@ -407,7 +407,7 @@ class SnapAssessmentStatistics:
     paths: int
     """Number of paths followed."""
     failed: int
-    """Number of these paths on which the equilibrium was lost."""
+    """Number of these paths with a lost equilibrium."""
 
 
 @dataclass(frozen=True, eq=False)

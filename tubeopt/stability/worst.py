@@ -151,7 +151,7 @@ class WorstMargin(Displayed):
     """Equilibrium with the smallest margin found, with its joint values."""
     searches: Annotated[int, form("d"), "local searches"]
     unstable: Array
-    """(B, n) tip angles of the unstable equilibria at which local searches ended, rad."""
+    """(B, n) tip angles of the unstable equilibria at the ends of local searches, rad."""
 
     margin = Delegate[float]("equilibrium")
 
@@ -223,7 +223,7 @@ def _subspaces(problem: ReducedProblem) -> list[tuple[Array, Index]]:
 
 
 def _search_tips(problem: ReducedProblem, base: Array, turning: Index, effort: SnapSearch) -> list[tuple[Array, float]]:
-    """Tip angles (n,) and margins at which local searches over the tubes `turning` end, all others as in `base`."""
+    """Tip angles (n,) and margins at the ends of local searches over the tubes `turning`, all others as in `base`."""
     eccentric = problem.assembly.eccentric
     unit = sobol(len(turning), SEGMENT_SAMPLES if eccentric else effort.samples)
     samples = _turned(base, turning, 2 * np.pi * unit)
@@ -338,7 +338,7 @@ def worst_certificate(
 
 
 def _moving(robot: Robot, low: Array, high: Array) -> list[tuple[int, ...]]:
-    """Carriages whose translation differs between the corners of a box."""
+    """Carriages with different translations at the corners of a box."""
     for name, bound in (("lower", low), ("upper", high)):
         for group in robot.moving_together:
             if np.ptp(bound[list(group)]) > 1e-12:

@@ -1,4 +1,4 @@
-"""The model against measured tips: frames registered, errors told, the effects found that part robot and drawing."""
+"""Comparison of the model with measured tips: registration of frames, errors, and effects that explain them."""
 
 from ..bodies.frames import RegistrationError
 from .comparison import ErrorGroup, ErrorSummary, ErrorTable, Validation, group_errors, validate

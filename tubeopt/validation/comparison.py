@@ -55,7 +55,7 @@ class ErrorGroup:
 
 
 def _errors(errors: Array) -> Array:
-    """(N,) errors as floats, NaN where there is none."""
+    """(N,) errors as floats, NaN for missing errors."""
     try:
         return np.asarray(errors, dtype=float)
     except (TypeError, ValueError):
@@ -131,7 +131,7 @@ class Validation(Displayed):
     registration_error: Annotated[RegistrationError | None, "standard errors of a registration by least squares"]
     """None of a registration that was given."""
     left_out: tuple[tuple[int, str], ...] = ()
-    """(row, reason in words) of rows without a stable shape."""
+    """Pairs (row, reason in words) of rows without a stable shape."""
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -229,7 +229,7 @@ def check_tubes(robot: Robot, measurements: Measurements) -> None:
 
 
 def compare_at(model: ArmModel, state: State, robot: Robot) -> Validation:
-    """Measured beside predicted at a state of a model, whose robot this is."""
+    """Measured and predicted values at a state of a model with this robot."""
     m, motion = model.measurements, state.registration
     poses = model.poses(model.setup(state.x), margins=True)
     predicted = model.predicted(state)
@@ -256,7 +256,7 @@ def compare_at(model: ArmModel, state: State, robot: Robot) -> Validation:
 
 
 def distances(model: ArmModel, residuals: Array) -> tuple[Array, Array | None]:
-    """(N, K) lengths of the residuals (V, 3) of positions, m, and (N,) angles of those of directions, rad."""
+    """(N, K) lengths of the residuals (V, 3) of positions, m, and (N,) angles of the residuals of directions, rad."""
     size = np.linalg.norm(residuals, axis=1)
     along = np.full((len(model.measurements), len(model.stations)), np.nan)
     a = model.directed

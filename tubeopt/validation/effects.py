@@ -1,4 +1,4 @@
-"""Effects that may part a robot from its drawing: one table of what they are called, mean, and change.
+"""Effects that explain a difference between a robot and its drawing: table of names, meanings and functions.
 
 All numbers on which a prediction depends are in `Setup`: drives, tubes, plate and sensor. A new effect is an entry of
 `EFFECTS`, and, where it changes what no other does, a number in `Setup`.
@@ -30,7 +30,7 @@ CommonRobot = ConcentricRobot | EccentricRobot | SegmentedEccentricRobot
 
 @dataclass(eq=False)
 class Setup:
-    """The numbers of a robot with n tubes of m kinds, as measured; effects change them in place. SI units.
+    """Numbers of a robot with n tubes of m kinds, as measured; effects change them in place. SI units.
 
     The robot is described by m tubes, one per segment of an eccentric one.
     """
@@ -53,7 +53,7 @@ class Setup:
     piece_curvature: Array
     """(p,) 1/m added to the precurvature of `pieces`."""
     plate_shift: Array
-    """(3,) m by which the plate stands off where the registration puts it."""
+    """(3,) offset of the plate from its registered position, m."""
     plate_tilt: Array
     """(2,) rad about x and y, of the same."""
     sensor_offset: Array
@@ -88,7 +88,7 @@ class Setup:
 
     @property
     def plate_turn(self) -> Array:
-        """(3, 3) by which the plate is tilted from where the registration puts it."""
+        """(3, 3) rotation of the plate from its registered orientation."""
         return np.asarray(scipy.spatial.transform.Rotation.from_rotvec([*self.plate_tilt, 0.0]).as_matrix())
 
     def copy(self) -> Setup:
@@ -101,7 +101,7 @@ class Setup:
 
     @without_unit_warnings()
     def robot(self, base: Robot, found_by: str = "") -> CommonRobot:
-        """The robot with these numbers; raises InputError where there is none."""
+        """Robot with these numbers; raises InputError if it does not exist."""
         first = Setup.of(base)
         if self.same_tubes(first):
             tubes = members(base)
@@ -193,7 +193,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Context:
-    """Data from which the range of an effect follows."""
+    """Data that determine the range of an effect."""
 
     robot: Robot
     measurements: Measurements
@@ -214,29 +214,34 @@ Change = Callable[[Setup, Setup, Sequence[int], float, bool], None]
 
 @dataclass(frozen=True)
 class Effect:
-    """One kind of deviation from the drawing."""
+    """Kind of deviation from the drawing."""
 
     meaning: str
     """Description, with I for the number."""
     unit: str
-    """One of "", "1/m", "rad", "m", "s", "N" and "m/N"."""
+    """Unit: "", "1/m", "rad", "m", "s", "N" or "m/N"."""
     each: str
-    """Object that numbers its parameters: "tube", "kind" of tube (tubes of a concentric robot, segments of an
-    eccentric one), "piece" of a tube of two or more, "carriage", "spring" (a carriage of a concentric robot), "pair" of
-    tubes that rub, "xyz", "xy", or "" for a single parameter."""
+    """Object that numbers the parameters of the effect; "" for a single parameter.
+
+    "tube", "kind" of tube (tubes of a concentric robot, segments of an eccentric one), "piece" of a tube of two or
+    more, "carriage", "spring" (a carriage of a concentric robot), "pair" of tubes with friction, "xyz" or "xy".
+    """
     span: Range
     """Range of the parameter."""
     change: Change
     """Function that sets the parameter."""
     common: bool = False
-    """True if there is also a parameter without a number, for all at once."""
+    """True if one more parameter without a number applies to all at once."""
     first: int = 1
     """The lowest number that there is."""
     needs: str = ""
-    """Requirement on the data: "time", "way" (rows in order of time), "orientation", "plate" (a registration that does
-    not fit the plate's pose itself), or ""."""
+    """Requirement on the data, or "".
+
+    "time", "way" (rows in order of time), "orientation", or "plate" (a registration that does not fit the plate's pose
+    itself).
+    """
     sets: tuple[str, ...] = ()
-    """Names of what it sets, by which effects contradict each other."""
+    """Names of the quantities that the effect sets; effects with a common name exclude each other."""
     history: bool = False
     """True if the tip depends on the path to its configuration."""
     compared: str = "always"
@@ -244,11 +249,11 @@ class Effect:
     drives: bool = False
     """True if it changes only joint values."""
     idle: Callable[[Context, int | None], str] = lambda _, __: ""
-    """Why the parameter with an index has no influence on this robot's tips; "" where it may have one."""
+    """Reason why the parameter with an index has no influence on this robot's tips; "" where it may have one."""
 
 
 def _put(name: str, how: Callable[[float, Array], Array | float] = lambda value, _: value) -> Change:
-    """The value itself, or what becomes of it with what there was: added, or as a factor."""
+    """Change that sets a value, or combines it with the earlier value by `how`."""
 
     def change(setup: Setup, first: Setup, which: Sequence[int], value: float, _: bool) -> None:
         i = list(which)
@@ -273,7 +278,7 @@ def _curvature(setup: Setup, first: Setup, which: Sequence[int], value: float, c
 
 
 def _ratio(setup: Setup, first: Setup, which: Sequence[int], value: float, _: bool) -> None:
-    """Bending stiffness over that of the first tube, Poisson's ratio kept."""
+    """Set the bending stiffness to a multiple of the first tube's, with the same Poisson's ratio."""
     i = list(which)
     setup.bending_stiffness[i] = value * first.bending_stiffness[0]
     setup.torsional_stiffness[i] = setup.bending_stiffness[i] * (first.torsional_stiffness / first.bending_stiffness)[i]
@@ -371,7 +376,7 @@ def _curved_span(context: Context, index: int | None) -> Span:
 
 
 def _together(context: Context, pair: int) -> float:
-    """Greatest length in front of the plate along which tube `pair` (from 0) and the next one are, m."""
+    """Greatest common length of tube `pair` (from 0) and the next one in front of the plate, m."""
     tubes = context.robot.tubes
     return min(_furthest(context, i) + tubes[i].curved_length for i in (pair, pair + 1))
 
@@ -397,7 +402,8 @@ def _no_curve(context: Context, index: int | None) -> str:
 
 
 def _clearance_span(context: Context, index: int | None) -> Span:
-    """Range of a clearance around its nominal value. A tilt grows with its root, whose slope at 0 is infinite."""
+    """Range of a clearance around its nominal value. A tilt grows with the square root of it, with infinite slope at
+    0."""
     drawn = max(drawn_clearance(context.robot.tubes)[index or 0], 5e-6)
     start = float(context.setup.clearance[index or 0]) or drawn
     return Span(start, 0.0, 5 * max(start, drawn), drawn, 0.5 * drawn)

@@ -71,8 +71,9 @@ DRAWS = 400
 
 
 def hold_out(model: ArmModel, weights: Weights, fit: Descent[State], fold: Index) -> Array:
-    """(V, 3) residuals of every observation by fits to the other folds, with the slopes of the fit to all; `fold` (N,)
-    is that of each row.
+    """(V, 3) residuals of every observation by fits to the other folds, with the slopes of the fit to all.
+
+    `fold` (N,) is the fold of each row.
 
     A fold without which the parameters leave the allowed robots keeps those of the whole fit.
     """
@@ -151,7 +152,7 @@ class FitOptions:
     confidence: float = 0.95
     """Confidence of the intervals, between 0 and 1."""
     loss: Annotated[str, OneOf(tuple(LOSSES)), "loss function of the residuals: linear, huber or soft_l1"] = "linear"
-    """Linear is that of least squares."""
+    """Loss function; linear is least squares."""
     priors: Annotated[
         bool, "penalise deviations from the robot file, relative to a typical error of each parameter"
     ] = False
@@ -174,7 +175,7 @@ class Estimate:
 
     name: str
     unit: str
-    """One of "", "1/m", "rad", "m", "s", "N" and "m/N"."""
+    """Unit: "", "1/m", "rad", "m", "s", "N" or "m/N"."""
     start: float
     value: float
     standard_error: float
@@ -184,7 +185,7 @@ class Estimate:
     held: bool
     """True if the data do not determine it: its value is the start, and its interval is infinite."""
     block_error: float
-    """Standard error from blocks of rows drawn again, to be believed where it is larger; so are the next two."""
+    """Standard error from blocks of rows drawn again; trust it if it is larger. The next two are its interval."""
     block_low: float
     block_high: float
 
@@ -209,9 +210,9 @@ class Fit(Displayed):
     """A robot calibrated to measurements."""
 
     robot: Robot
-    """Robot with the estimated parameters, those of its drives as its `calibration`; save it as YAML."""
+    """Robot with the estimated parameters; those of its drives are its `calibration`. Save it as YAML."""
     estimates: tuple[Estimate, ...]
-    """One for every chosen parameter."""
+    """Estimate of every chosen parameter."""
     correlation: Annotated[Array, "correlation of the estimates"]
     """Shape (P, P); NaN for fixed parameters."""
     confidence: Annotated[float, "confidence of the intervals"]
@@ -290,7 +291,7 @@ def fit(
 
 
 def check_counts(measurements: Measurements, unknowns: int, folds: int) -> None:
-    """Raise InputError where there are fewer numbers than unknowns, or more folds than rows."""
+    """Raise InputError for fewer numbers than unknowns, or more folds than rows."""
     count = int(np.isfinite(measurements.sensors[..., 0]).any(1).sum())
     if 3 * count <= unknowns:
         raise InputError(
@@ -350,8 +351,10 @@ class FitProblem:
         return weigh(self.model, self.options, self.sigma)
 
     def _settle(self, start: State, slopes: Array) -> Descent[State]:
-        """Descend from a start with its slopes, and estimate the noise, until it settles; with nothing but least
-        squares of positions it does not matter what it is."""
+        """Minimum from a start with its slopes, iterated with the estimated noise until both settle.
+
+        With least squares of positions alone the noise has no effect.
+        """
         descent = descend(self.model, self.weights(), start, first=slopes, solver=FITTING)
         for _ in range(NOISE_ROUNDS):
             last, self.sigma = self.sigma, self._noise(descent)
@@ -400,14 +403,14 @@ class FitProblem:
 
     @property
     def values(self) -> Array:
-        """(P,) of all chosen parameters."""
+        """(P,) values of all chosen parameters."""
         out = np.array([p.start for p in self.chosen])
         out[self.free] = self.fit.state.x
         return out
 
     @cached_property
     def covariance(self) -> Array:
-        """(P', P') of the parameters that are not held."""
+        """(P', P') covariance of the parameters that are not fixed."""
         square, _ = normal_equations(self.model, self.weights(), self.fit.state, self.fit.residuals, self.fit.jacobian)
         # Scaled to ones on the diagonal: of parameters in m and in rad the pseudoinverse would drop the smaller.
         scale = np.sqrt(np.maximum(np.diag(square), 1e-300))
@@ -415,7 +418,7 @@ class FitProblem:
         return np.asarray(inverse[: len(self.free), : len(self.free)])
 
     def answer(self, measurements: Measurements, report: Progress) -> Fit:
-        """Everything that is said about the fit."""
+        """Result of the fit with its statistics."""
         model, options, state = self.model, self.options, self.fit.state
         known = registration_error(model, state)
         check_registration(known, model.method)
@@ -455,7 +458,7 @@ class FitProblem:
         )
 
     def _calibrated(self, measurements: Measurements) -> Robot:
-        """The robot with all that was fitted: its own numbers, and those of this recording in its calibration."""
+        """Robot with all fitted numbers: its own, and those of this recording in its calibration."""
         model, state = self.model, self.fit.state
         found_by = f"{len(measurements)} rows of {measurements.source or 'measurements'}"
         setup = model.setup(state.x)

@@ -73,10 +73,10 @@ class ForceEstimate(Displayed):
     force: Annotated[Array, unit("mN"), form(".3f", label="force at the tip"), "force on the tip in the base frame"]
     """(3,) force, N."""
     covariance: Array
-    """(3, 3) covariance from the measurement noise, to second order, N^2; inf along directions that the measurement
-    does not bound. Its ellipsoid is an approximation. If a standard error is several hundredths of a newton, it may
-    contain the force less often than stated: `coverage` computes how often. `contains` is a region with the stated
-    confidence.
+    """(3, 3) covariance from the measurement noise, to second order, N^2; inf along undetermined directions.
+
+    Its ellipsoid is an approximation. If a standard error is several hundredths of a newton, it may contain the force
+    less often than stated: `coverage` computes the actual fraction. `contains` is a region with the stated confidence.
     """
     directions: Annotated[Array, "unit vectors, from the best to the worst determined"]
     """(3, 3) unit vectors by row."""
@@ -123,7 +123,7 @@ class ForceEstimate(Displayed):
     def coverage(
         self, confidence: float = 0.95, *, draws: int = 100, seed: int = 0, time_limit: float = TIME_LIMIT
     ) -> float:
-        """Fraction of simulated measurements with this noise for which the ellipsoid contains the force.
+        """Fraction of simulated measurements with this noise and an ellipsoid that contains the force.
 
         A parametric bootstrap: the estimated force is taken for the true one and estimated again from every draw. The
         standard error of the fraction p is sqrt(p (1 - p) / draws). A draw that no force fits counts as outside.
@@ -169,7 +169,7 @@ class ForceEstimate(Displayed):
 
     @property
     def undetermined(self) -> str:
-        """Directions in which the force cannot be distinguished from zero, as a sentence."""
+        """Directions without a measurable force, as a sentence."""
         parts = []
         for direction, error in zip(self.directions, self.errors, strict=True):
             along = abs(float(direction @ self.force))
@@ -197,7 +197,7 @@ class ForceRecord(Displayed):
     estimates: tuple[ForceEstimate | None, ...]
     """Estimates, one per row; None for rows without one."""
     failures: tuple[tuple[int, str], ...]
-    """(row, reason) of rows without an estimate."""
+    """Pairs (row, reason) of rows without an estimate."""
 
     @property
     def force(self) -> Array:

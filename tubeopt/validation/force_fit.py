@@ -97,7 +97,7 @@ class Trial:
 
 
 def fit(trial: Trial, base: Load, measured: Measured, effort: Effort, axes: Array = EVERYWHERE) -> tuple[Trial, int]:
-    """Least-squares fit of a force that differs from that of a trial only along orthonormal axes (3, m).
+    """Least-squares fit of a force that differs from a trial's only along orthonormal axes (3, m).
 
     Returns:
         The trial at the fit, and the number of forces tried.
@@ -129,7 +129,7 @@ class _Force:
 
     @cached_property
     def trial(self) -> Trial:
-        """Trial at the force; raises SolveError if there is none, or beyond the range of the linearisation."""
+        """Trial at the force; raises SolveError if it does not exist, or lies beyond the range of the linearisation."""
         return self._near if self is self._model.start else self._model.tried_at(self.x, self._near)
 
     def moved(self, step: Array) -> _Force:
@@ -150,7 +150,7 @@ class _Pushed:
         self.start = _Force(self, axes.T @ start.force, start)
 
     def tried_at(self, x: Array, near: Trial) -> Trial:
-        """Trial at components x (m,); raises SolveError if there is none."""
+        """Trial at components x (m,); raises SolveError if it does not exist."""
         force = self._held + self._axes @ x
         self.tried += 1
         if self.tried > self._most_steps:
@@ -169,7 +169,7 @@ class _Pushed:
         return -state.trial.residual[:, None]
 
     def jacobian(self, state: _Force) -> Array:
-        """(3 P, 1, m) by the force along the axes."""
+        """(3 P, 1, m) derivatives by the force along the axes."""
         return (state.trial.jacobian @ self._axes)[:, None]
 
     def costly(self, state: _Force) -> bool:
@@ -288,7 +288,10 @@ def covariance_of(trial: Trial, base: Load, measured: Measured, axes: Array) -> 
 
 
 def _second_moment(linear: Array, bent: Array) -> Array:
-    """(3, 3) mean of F F' of F = sum_k a_k z_k + b_k z_k^2 / 2, rows a_k and b_k, z normal."""
+    """(3, 3) mean of F F' for F = sum_k a_k z_k + b_k z_k^2 / 2.
+
+    a_k and b_k are rows, z is normal.
+    """
     # E z^4 = 3 and E z_j^2 z_k^2 = 1: squares leave b_k b_k' / 2, and the mean of F adds its own square.
     total = bent.sum(0)
     return np.asarray(linear.T @ linear + bent.T @ bent / 2 + np.outer(total, total) / 4)

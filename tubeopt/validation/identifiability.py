@@ -79,7 +79,7 @@ def left_out(parameter: Parameter) -> str:
 
 
 def beside_registration(jacobian: Array, count: int) -> Array:
-    """(3V, P) columns of the parameters of a Jacobian (V, 3, P + F), less what the registration would undo."""
+    """(3V, P) columns of a Jacobian (V, 3, P + F) by parameters, after removing the effect of the registration."""
     flat = jacobian.reshape(3 * len(jacobian), jacobian.shape[2])
     # What is orthogonal to the columns of the registration is all that it cannot undo.
     q, _ = np.linalg.qr(flat[:, count:])
@@ -211,7 +211,7 @@ class Placement(Displayed):
     robot: Robot
     """Robot to measure."""
     rotations: Annotated[Array, unit("deg"), "rotations of the drives at the waypoints"]
-    """Shape (N, n), readings; home where a segment goes round a snap."""
+    """Readings (N, n); home at segments of the path around a snap."""
     translations: Annotated[Array, unit("mm"), "translations of the drives at the waypoints"]
     """Shape (N, n), readings."""
     measured: Annotated[Mask, "true for waypoints that are measured"]
@@ -225,7 +225,7 @@ class Placement(Displayed):
     standard_errors: Array
     """(P,) expected at `noise`."""
     random: Array
-    """(P,) of as many random configurations, the median."""
+    """(P,) median of the standard errors with as many random configurations."""
     noise: Annotated[
         float,
         unit("mm"),
@@ -248,7 +248,7 @@ def where_to_measure(
     seed: Annotated[int, Range(least=0)] = 0,
     time_limit: float = TIME_LIMIT,
 ) -> Placement:
-    """Configurations within the joint limits whose tips determine parameters best.
+    """Configurations within the joint limits with tips that determine parameters best.
 
     Each has at least the margin `min_margin`, and is reached from home by a straight motion of the joints on which the
     robot was followed without a snap, so that every leg of the way can at worst go through home.
@@ -298,7 +298,7 @@ def where_to_measure(
 def _asked(
     robot: Robot, data: Measurements, names: Sequence[str], registration: str, count: int
 ) -> tuple[tuple[Parameter, ...], ArmModel]:
-    """The parameters that are to be found, and the model of what is seen; raises as `where_to_measure`."""
+    """Parameters to be determined, and the model of the observations; raises as `where_to_measure`."""
     for name in names:
         if name.startswith(tuple(kind for kind, effect in EFFECTS.items() if effect.history)):
             raise InputError(
@@ -408,7 +408,7 @@ def _exchange(slopes: Array, parameters: int, count: int, usable: Mask) -> list[
 
 
 def _gain(information: Array, slopes: Array) -> Array:
-    """(C,) by which each candidate raises log det of the information."""
+    """(C,) increase of log det of the information by each candidate."""
     # det(M + J^T J) = det M det(1 + J M^-1 J^T), a determinant of three rows in place of Q.
     gained = slopes @ np.linalg.inv(information) @ slopes.transpose(0, 2, 1)
     return np.asarray(np.linalg.slogdet(np.eye(3) + gained)[1])
@@ -435,7 +435,7 @@ def _leg(robot: Robot, start: tuple[Array, Array], end: tuple[Array, Array], tip
 
 
 def _way(robot: Robot, rotations: Array, translations: Array) -> tuple[Array, tuple[Array, Array]]:
-    """Rows of a way from home, each time to the nearest that is left, -1 for home, and its joint values."""
+    """Rows of a path from home, each time to the nearest remaining one, -1 for home, and its joint values."""
     home = _home(robot)
     place = np.hstack([rotations, 20.0 * translations])  # an arm bends by about 20 rad per m
     left, position, order = list(range(len(place))), np.append(home[0], 20.0 * home[1]), [-1]

@@ -78,12 +78,14 @@ class Measurements(Displayed):
     translations: Array
     """(N, n) joint readings from home, m."""
     sensors: Array
-    """(N, S, 3) positions in the frame of the measuring device, m; (N, 3) is one sensor. NaN where a sensor was not
-    seen; every row needs one that was."""
+    """(N, S, 3) positions in the frame of the measuring device, m; (N, 3) is one sensor.
+
+    NaN for a sensor that was not seen; every row needs one that was.
+    """
     direction: Array | None = None
     """(N,) direction of the mirror actuation, rad, or None; the rotations follow from it."""
     separation: Array | None = None
-    """(N,) of the same, rad."""
+    """(N,) measured separation of the tubes, rad."""
     source: str = ""
     """Origin of the data, for messages and figures."""
     time: Array | None = None
@@ -161,7 +163,7 @@ class Measurements(Displayed):
 
     @property
     def stations(self) -> Array:
-        """(K,) distances behind the tip at which there are sensors, m, the foremost first."""
+        """(K,) distances of the sensors behind the tip, m, the foremost first."""
         return np.unique(np.round(self._behind / SAME_PLACE)) * SAME_PLACE
 
     @property
@@ -210,7 +212,7 @@ BY_ROW = ("rotations", "translations", "sensors", "direction", "separation", "ti
 
 
 def _sensors(value: ArrayLike, count: int) -> Array:
-    """(N, S, 3) with NaN where a sensor was not seen."""
+    """(N, S, 3) positions with NaN for sensors that were not seen."""
     try:
         sensors = np.array(value, dtype=float)
     except (TypeError, ValueError):
@@ -238,7 +240,7 @@ TURN = 2 * math.pi
 
 
 def runs_of(time: Array) -> list[Index]:
-    """Indices of every run: rows on end whose times ascend without a gap."""
+    """Indices of every run: consecutive rows with ascending times without a gap."""
     step = np.diff(time)
     forward = step[step > 0]
     usual = float(np.median(forward)) if len(forward) else 0.0
@@ -257,7 +259,7 @@ class Timeline:
     measurements: Measurements
     runs: tuple[Index, ...]
     source: tuple[tuple[Array, Array], ...]
-    """Times and joints (M, 2 n) of every run of what was recorded of the joints."""
+    """Times and joints (M, 2 n) of every run of the recorded joints."""
 
     @classmethod
     def of(cls, measurements: Measurements) -> Timeline:
@@ -291,8 +293,10 @@ class Timeline:
         return joints[:, : m.n_tubes], joints[:, m.n_tubes :]
 
     def driven(self, drives: Calibration, turns: Array) -> tuple[Array, Array]:
-        """(N, n) joint values of the model, rad and m, at the readings less full `turns` (n,), through latency and play
-        of the drives; those of carriages that do not yield."""
+        """(N, n) joint values of the model, rad and m, at the readings less full `turns` (n,), for rigid carriages.
+
+        Latency and play of the drives are included.
+        """
         read, moved = self.readings(drives.latency)
         alpha, shift = drives.to_model(read - TURN * turns, moved)
         return (
@@ -331,7 +335,7 @@ def _between(time: Array, values: Array, instants: Array) -> Array:
 
 
 def middles_of(drives: Calibration, measurements: Measurements) -> tuple[Calibration, Array]:
-    """Drives whose gains act about the turn in which the recording lies, and (n,) turns from there to its median.
+    """Drives with gains about the turn that contains the recording, and (n,) turns from there to its median.
 
     A drive of gain 1 has no turn yet: its own begins next to the median of the recording.
     """
@@ -348,16 +352,16 @@ STILL = 2e-4
 
 @dataclass(frozen=True, eq=False)
 class Passes:
-    """Rows of a way, and the places that they are at."""
+    """Rows of a path, and the configuration of each."""
 
     place: Index
-    """(N,) the row that first came by, its own index where the way was new."""
+    """(N,) first row at the configuration of each row; its own index for a new configuration."""
     pairs: Index
-    """(M, 2) rows at one place that were passed in opposite directions, a row in at most one pair."""
+    """(M, 2) rows at one configuration passed in opposite directions, a row in at most one pair."""
 
 
 def passes(measurements: Measurements) -> Passes:
-    """Rows at which a path retraces itself; rows without times belong together only if their joint values are equal."""
+    """Rows of a path that retraces itself; rows without times belong together only for equal joint values."""
     m = measurements
     joints = np.hstack([m.rotations, 20.0 * m.translations])  # rad per m: an arm bends by about as much on its length
     count = len(joints)
@@ -416,7 +420,7 @@ def _equal(joints: Array) -> Index:
 
 
 def deal(measurements: Measurements, folds: int, place: Index | None = None) -> Index:
-    """(N,) the fold of each row: blocks of a way by places, or places in a fixed, shuffled order where there is no way.
+    """(N,) fold of each row: blocks of a path, or configurations in a fixed, shuffled order without a path.
 
     All rows at one place are in one fold. There are fewer folds than asked for where there are fewer places.
     """
@@ -432,7 +436,7 @@ def deal(measurements: Measurements, folds: int, place: Index | None = None) -> 
 
 @dataclass(frozen=True)
 class Parity:
-    """Residuals of places that were passed both ways, root mean squares, m; noise is in all alike."""
+    """Root mean square residuals, m, of configurations passed in both directions; all contain the noise."""
 
     pairs: Annotated[int, "places that were passed in both directions"]
     history: Annotated[float, unit("mm"), "RMS of half the difference of the errors in both directions"]

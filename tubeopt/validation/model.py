@@ -1,4 +1,4 @@
-"""Predicted shapes at many joint values, and what the sensors should see of a robot with given parameters."""
+"""Predicted shapes at many joint values, and predicted sensor positions for a robot with given parameters."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ class Poses:
     """Stable equilibria of N configurations, each found on its own; NaN where none was. Plate frame, SI."""
 
     position: Array
-    """(N, K, 3) of K stations, the foremost first."""
+    """(N, K, 3) positions of K stations, the foremost first."""
     frame: Array
-    """(N, 3, 3) of the tip of the tube that ends last: its own axes, turned with it."""
+    """(N, 3, 3) frame at the tip of the tube that ends last: its own axes, turned with it."""
     margin: Array
-    """(N,), NaN too where it was not asked for."""
+    """(N,) margins, NaN if not requested."""
     length: Array
-    """(N,) of the arm in front of the plate, m."""
+    """(N,) length of the arm in front of the plate, m."""
     failures: tuple[tuple[int, str], ...]
     """(row, reason in words)."""
 
@@ -102,7 +102,7 @@ def rubbed_poses(
     *,
     margins: bool = True,
 ) -> Poses:
-    """Poses at joint values (N, n) of the model along `runs` of rows, of which each begins without a history.
+    """Poses at joint values (N, n) of the model along `runs` of rows; each run begins without a history.
 
     Rows of a run behind one at which the motion is lost have none; `margins` are not known of all where not asked for.
 
@@ -174,7 +174,7 @@ def loose(robot: Robot) -> bool:
 
 
 def tilt(poses: Poses, row: int, shape: Equilibrium, stations: Array) -> None:
-    """Put a row where the room between the tubes lets the arm tilt to."""
+    """Tilt the arm in a row as far as the clearance between the tubes allows."""
     tilted = clearance_correction(shape)
     moved, at = tilted.position - shape.position, np.maximum(shape.arc_length[-1] - stations, 0.0)
     poses.position[row] += np.column_stack([np.interp(at, shape.arc_length, along) for along in moved.T])
@@ -182,7 +182,7 @@ def tilt(poses: Poses, row: int, shape: Equilibrium, stations: Array) -> None:
 
 
 def _followed(robot: Robot, batch: EquilibriumBatch, run: Index) -> Iterator[tuple[int, Equilibrium]]:
-    """Rows of a run at which the branch of the rows before goes on, where the row on its own leads elsewhere."""
+    """Rows of a run on the branch of the rows before, where a cold solve ends on another branch."""
     # Twist of every tube between its drive and its tip: a snap is a jump of it.
     own = batch.tip_rotations[run] - batch.rotations[run]
     driven = np.abs(np.diff(batch.rotations[run], axis=0)).max(1, initial=0.0)
@@ -261,7 +261,7 @@ AXES = np.vstack([np.eye(3), -np.eye(3)])
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Parameters x (P,) and where the device stands."""
+    """Parameters x (P,) and pose of the measuring device."""
 
     x: Array
     registration: Registration
@@ -317,7 +317,7 @@ class ArmModel:
         self._observe(poses)
 
     def _count_turns(self) -> None:
-        """Choose from which turn each rotation counts, where a gain of its drive makes that matter.
+        """Choose the turn that each rotation is counted from, if the gain of its drive depends on it.
 
         The recording of the calibration counts as it did there. In others a counter stands as it was read, unless
         another turn halves the errors: then it was set to zero elsewhere. Wrapped angles take the turn that fits
@@ -355,8 +355,10 @@ class ArmModel:
             self.measurements = replace(m, remarks=(*m.remarks, remark))
 
     def _misfit(self, turns: Array) -> float:
-        """Root mean square distance (m) of the positions from those without friction, where rotations count from
-        `turns` (n,); infinite where there is none."""
+        """Root mean square distance (m) of the positions without friction, for rotations counted from `turns` (n,).
+
+        Infinite without an equilibrium.
+        """
         self.turns, setup = turns, self.first.copy()
         # Without friction every row is solved on its own, which is enough to recognise a full turn.
         setup.friction[:] = 0.0
@@ -370,7 +372,7 @@ class ArmModel:
         return float(np.sqrt((apart[~self.directed] ** 2).sum(1).mean()))
 
     def _observe(self, poses: Poses) -> None:
-        """Lay out what was measured."""
+        """Arrange the measured values as observations."""
         positions = self.measurements.station_position
         observed = np.isfinite(positions[..., 0]) & poses.found[:, None] & np.isfinite(poses.position[..., 0])
         rows, stations = np.nonzero(observed)
@@ -391,7 +393,7 @@ class ArmModel:
         self.start = State(np.array([p.start for p in self.parameters]), registration)
 
     def _register(self, measured: Array, predicted: Array, directions: Directions | None = None) -> Registration:
-        """The registration by closed form, or that of the calibration."""
+        """Registration by closed form, or the registration of the calibration."""
         if self.method != "saved":
             return register(measured, predicted, self.method, base=self.base, directions=directions)
         saved = self.first.drives.registration
@@ -411,7 +413,7 @@ class ArmModel:
 
     @property
     def directed(self) -> Mask:
-        """(V,) which observations are directions."""
+        """(V,) True for observations that are directions."""
         return np.asarray(self.station < 0)
 
     def _sensor_axis(self, poses: Poses, pointing: Array, registration: Registration) -> Array | None:
@@ -453,7 +455,7 @@ class ArmModel:
         return alpha, self._yielded(setup, alpha, shift)
 
     def _yielded(self, setup: Setup, alpha: Array, shift: Array) -> Array:
-        """(N, n) translations of carriages that yield, remembered for the last setups, of which the first is the start.
+        """(N, n) translations of compliant carriages, cached for the last setups and for the start.
 
         Tubes that rub carry the friction among themselves; to the carriages they are tubes that do not.
         """
@@ -505,7 +507,7 @@ class ArmModel:
         return stations @ turn.T + setup.plate_shift, direction @ turn.T
 
     def predicted(self, state: State) -> Array:
-        """(V, 3) of what the device should see.
+        """(V, 3) predicted sensor values.
 
         Raises:
             InputError: there is no such robot.
@@ -571,7 +573,8 @@ class ArmModel:
         return bool(self.setup(state.x).friction.any()) and bool(self.timeline.runs)
 
     def _joint_slopes(self, setup: Setup, motion: Registration, predicted: Array) -> Array:
-        """(V, 3, 2 n) of what is seen by the joint values of its row; tubes of one carriage share theirs equally."""
+        """(V, 3, 2 n) derivatives of the observations by the joint values of their row; tubes of one carriage share
+        equally."""
         alpha, shift = self.joints(setup)
         n = alpha.shape[1]
         out = np.zeros((*predicted.shape, 2 * n))
@@ -590,7 +593,7 @@ class ArmModel:
         return out
 
     def _registration_slope(self, state: State, predicted: Array) -> Array:
-        """(V, 3, F) of what is predicted by the registration's freedoms."""
+        """(V, 3, F) derivatives of the predictions by the registration's freedoms."""
         out = np.zeros((*predicted.shape, self.freedoms))
         for k in range(self.freedoms):
             turn, shift = state.registration.rates(k)

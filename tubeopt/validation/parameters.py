@@ -75,7 +75,7 @@ def _contradict(a: Parameter, b: Parameter) -> None:
 
 
 def _spelled_out(context: Context, name: str) -> list[str]:
-    """The names of a group such as "rotation_all", or the name itself."""
+    """Names of a group such as "rotation_all", or the name itself."""
     kind = name.removesuffix("_all")
     if kind == name or kind not in EFFECTS or not EFFECTS[kind].each:
         return [name]
@@ -173,8 +173,10 @@ def lacking(measurements: Measurements, effect: Effect, registration: str) -> st
 def groups(
     robot: Robot, measurements: Measurements, registration: str = "rigid", asked: Sequence[str] = ()
 ) -> dict[str, tuple[str, ...]]:
-    """Effects that these data of this robot can speak of, and that are always compared or `asked` for, each with the
-    names of its parameters."""
+    """Effects that these data of this robot can determine, each with the names of its parameters.
+
+    Effects that are always compared, or `asked` for.
+    """
     context = Context(robot, measurements, Setup.of(robot))
     by_kind: dict[str, tuple[str, ...]] = {}
     for kind, effect in EFFECTS.items():

@@ -114,8 +114,10 @@ class Registration:
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Directions of the tip's sensor (D, 3), measured in the device's frame and predicted in the plate's; unit vectors,
-    weighed by the noise of positions (m) and of directions (rad), None where it is estimated."""
+    """Directions of the tip's sensor (D, 3), measured in the device's frame and predicted in the plate's.
+
+    Unit vectors, weighted by the noise of positions (m) and of directions (rad); None for an estimated noise.
+    """
 
     measured: Array
     predicted: Array
@@ -167,7 +169,7 @@ def register(
 
 
 def _noise_ratio(registration: Registration, m: Array, p: Array, d: Directions) -> float:
-    """Noise of positions over that of directions, m: known, or from the residuals of a registration."""
+    """Noise of positions over noise of directions, m: known, or from the residuals of a registration."""
     left = registration.apply(m) - p, d.measured @ registration.rotation.T - d.predicted
     # A position has three degrees of freedom, a direction two.
     each = [math.sqrt((r**2).sum() / (k * len(r))) for k, r in zip((3, 2), left, strict=True)]

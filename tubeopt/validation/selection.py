@@ -67,7 +67,7 @@ CROOKED = 30.0
 
 @dataclass(frozen=True)
 class Step:
-    """One effect of a comparison, at the state to which it was added, or would be next."""
+    """Effect of a comparison, at the state before it was added, or would be added next."""
 
     effect: str
     """Kind of the effect."""
@@ -76,7 +76,7 @@ class Step:
     kept: bool
     """True if its gain exceeds its cost."""
     gain: float
-    """Part by which the held-out error falls."""
+    """Relative decrease of the held-out error."""
     certainty: float
     """Gain over its standard error between folds."""
     held_out: ErrorSummary
@@ -84,12 +84,12 @@ class Step:
     held_out_axis: float | None
     """Root mean square of the angles, rad, or None."""
     rivals: tuple[str, ...] = ()
-    """Effects that would have predicted as well in its place: these data do not tell which of them it is."""
+    """Effects that predict as well as this one: the data do not distinguish them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison(Displayed):
-    """Effects in the order in which they pay."""
+    """Selected effects in order of their gain."""
 
     start: ErrorSummary
     """Held-out tip errors of the robot as given, only registered."""
@@ -97,15 +97,16 @@ class Comparison(Displayed):
     steps: tuple[Step, ...]
     """The effects that were kept, in order."""
     dropped: Annotated[tuple[str, ...], "effects made useless by later ones"]
-    """`refused` has what they would bring."""
+    """Effects made useless by later ones; `refused` has their gain."""
     refused: tuple[Step, ...]
-    """Effects that do not improve the prediction of the kept ones, best first."""
+    """Effects that do not improve the prediction of the kept effects, best first."""
     fit: Annotated[Fit | None, "the fit with the chosen effects"]
-    """None where no effect reduces the errors. Its held-out errors, like those of the steps, are of rows that took
-    part in the choice of effects."""
+    """None if no effect reduces the errors. The choice of effects has seen all rows, also the held-out ones."""
     chosen_anew: ErrorSummary
-    """Held-out tip errors that include the choice: each fold is predicted by the effects that the others choose, to
-    first order around the fit, m."""
+    """Held-out tip errors that include the choice of effects, to first order around the fit, m.
+
+    Each fold is predicted by the effects chosen by all other folds.
+    """
     folds: Annotated[int, "number of held-out blocks"]
     remarks: Annotated[tuple[str, ...], "remarks on the file"]
 
@@ -127,7 +128,7 @@ def compare_effects(
     progress: Progress | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> Comparison:
-    """The set of effects that predicts what no fit has seen by no more parameters than it must.
+    """Set of effects that best predicts held-out data, with as few parameters as possible.
 
     Args:
         effects: kinds out of `effects.EFFECTS` to choose from; none for all that these data can speak of but
@@ -211,7 +212,7 @@ class _Search:
         self._stand(self._fitted(trial.effects, trial.fit.state, trial.sigma) if long else trial)
 
     def _stand(self, trial: _Trial) -> None:
-        """A fit, and what is told of all others around it."""
+        """Fit of the current set, and first-order predictions for all other sets around it."""
         self.now = trial
         self.slopes = self._slopes(trial, self.known)
         self.sets = self._sets(self.slopes)
@@ -219,7 +220,7 @@ class _Search:
         self.fits: dict[Effects, _Trial | None] = {Effects(): self.begun, Effects(trial.effects): trial}
 
     def _better(self) -> _Trial | None:
-        """The first of the sets that promise most, or nearly, which is better than that of now; None where none is."""
+        """First of the most promising sets that is better than the current one; None without any."""
         sets, cost = self.sets, self._cost(self.now)
         near = sets.cost(sets.there) + CROOKED * sets.inflation
         best = [effects for effects in sets.explore() if effects != sets.there and sets.cost(effects) <= near]
@@ -230,8 +231,10 @@ class _Search:
         return None
 
     def _earlier(self) -> _Trial | None:
-        """A set with an effect of the table in the place of one behind it, where the data do not speak strongly against
-        it; what is held out at few places, and charged for parameters, is no such evidence."""
+        """Set with an effect replaced by an earlier one of the table, unless the data clearly contradict it.
+
+        Held-out errors at few configurations, and penalties for parameters, are no such evidence.
+        """
         order = list(self.known)
         for kind in reversed(self.now.effects):
             for earlier in order[: order.index(kind)]:
@@ -241,7 +244,7 @@ class _Search:
         return None
 
     def _in_place(self, other: str, kind: str) -> _Trial | None:
-        """The set with another effect in the place of one of now; None where the data speak strongly against it."""
+        """Set with an effect of the current one replaced by another; None if the data clearly contradict it."""
         sets, now = self.sets, Effects(self.now.effects)
         fewer, threshold = now - {kind}, STRONG_EVIDENCE * sets.inflation
         changed = fewer | {other}
@@ -282,7 +285,7 @@ class _Search:
     # --- fits ---------------------------------------------------------------------------------------------------------
 
     def _tried(self, effects: Effects) -> _Trial | None:
-        """The fit of a set, from the values of now, once; None where there is no such robot."""
+        """Fit of a set from the current values, cached; None if such a robot does not exist."""
         if effects not in self.fits:
             kinds = tuple(kind for kind in self.known if kind in effects)
             try:
@@ -292,7 +295,7 @@ class _Search:
         return self.fits[effects]
 
     def _some(self, kinds: tuple[str, ...]) -> _Trial:
-        """A fit from the values of now: in full, or, where it is costly, with the slopes that are known."""
+        """Fit from the current values: complete, or, if costly, with known slopes."""
         now = self.now.fit.state
         known = dict(zip((p.name for p in self.now.model.parameters), now.x, strict=True))
         chosen = [p for kind in kinds for p in self.parameters[kind]]
@@ -403,11 +406,11 @@ class _Search:
         )
 
     def _rivals(self, kind: str) -> tuple[str, ...]:
-        """Effects that predict as well in place of a kept one."""
+        """Effects that predict as well as a kept one."""
         return tuple(rival for rival in self.known if self._in_place(rival, kind) is not None)
 
     def _gain(self, before: Array, after: Array) -> tuple[float, float]:
-        """Part by which the held-out error falls, and that over its standard error between blocks."""
+        """Relative decrease of the held-out error, and the same over its standard error between blocks."""
         own, scale = self.block[self.model.row], weigh(self.model, self.options, self.begun.sigma)
         first, then = scale.losses(before), scale.losses(after)
         differences = np.array([(first - then)[own == k].sum() for k in np.unique(own)])
@@ -448,7 +451,7 @@ class HeldOutSets:
     slopes: Array
     """(V, 3, P + F)."""
     weights: Array
-    """(V,) of the squares of residuals."""
+    """(V,) weights of the squares of residuals."""
     fold: Index
     """(V,) fold of each row."""
     numbers: int
@@ -458,9 +461,9 @@ class HeldOutSets:
     there: Effects
     """Effects that are part of the state."""
     absent: Array
-    """(P,) what to add to each to be without it."""
+    """(P,) change of each parameter that removes its effect."""
     drawn: Array
-    """(P,) what to add to be as drawn."""
+    """(P,) change of each parameter to its value in the drawing."""
     prior: Array
     """(P,) standard deviation around that."""
     low: Array
@@ -468,7 +471,7 @@ class HeldOutSets:
     high: Array
     """(P,) largest change of the parameters."""
     jumps: Mapping[str, Array]
-    """(V, 3) residuals that an effect brings at once, where parameters alone do not say what it is to be without it."""
+    """(V, 3) jump of the residuals by an effect, if its parameters alone do not define its absence."""
 
     def __post_init__(self) -> None:
         self.names, self.count, v = tuple(dict.fromkeys(self.kinds)), len(self.kinds), len(self.residuals)
@@ -550,8 +553,10 @@ class HeldOutSets:
         step[at] = -np.linalg.solve(matrix, slope)
 
     def explore(self, starts: Sequence[Effects] = ()) -> list[Effects]:
-        """Sets in the order of their costs: all beside the way of single changes that leads down from each start, by
-        default from the set that is there, from none and from all."""
+        """Sets in the order of their costs: all neighbours on the descent by single changes from each start.
+
+        The default starts are the current set, no effects, and all effects.
+        """
         for start in starts or (self.there, Effects(), Effects(self.names)):
             best = start
             while (best_neighbour := min([best, *self.around(best)], key=self.cost)) != best:
@@ -574,7 +579,7 @@ class HeldOutSets:
         return out
 
     def around(self, effects: Effects) -> list[Effects]:
-        """Sets with one effect more, one less, or one in the place of another."""
+        """Sets with one effect more, one less, or one replaced by another."""
         more = [kind for kind in self.names if kind not in effects]
         less = [effects - {kind} for kind in sorted(effects)]
         return [effects | {kind} for kind in more] + less + [some | {kind} for some in less for kind in more]
@@ -591,7 +596,7 @@ class Slopes:
     there: Effects
     """Effects of the fit."""
     residuals: Array
-    """(V, 3) of the fit."""
+    """(V, 3) residuals of the fit."""
     table: Array
     """(V, 3, P + F) derivatives."""
     jumps: Mapping[str, Array]
@@ -635,7 +640,7 @@ class Slopes:
 
 
 def slopes_around(model: ArmModel, fit: Descent[State], others: Sequence[Sequence[Parameter]]) -> Slopes:
-    """Slopes around a fit of the parameters of a model, and by those of other effects at their starts.
+    """Slopes around a fit by the parameters of a model, and by those of other effects at their starts.
 
     An effect that cannot begin, since there is no such robot, is left out.
     """

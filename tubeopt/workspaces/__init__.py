@@ -1,4 +1,4 @@
-"""Where a robot can reach: tips of many joint values, the volume they fill, from how many sides, and what snaps."""
+"""Reach of a robot: tips of many joint values, their volume and directions, and the part lost to snapping."""
 
 from __future__ import annotations
 

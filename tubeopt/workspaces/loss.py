@@ -1,4 +1,4 @@
-"""Part of a workspace that is lost to snapping: positions with equilibria of which none is stable."""
+"""Part of a workspace that is lost to snapping: positions with unstable equilibria only."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .voxels import Keys, Store, default_size, size_for
 
 # Fewer prove little, since many voxels have both kinds: if half were stable, five would all be unstable in 1 of 32.
 SURE = 5
-"""Number of unstable equilibria in a voxel without a stable one from which on it is lost."""
+"""Smallest number of unstable equilibria in a lost voxel without a stable one."""
 
 CONFIDENCE = 0.95
 """Confidence of the interval of the lost fraction."""

@@ -50,7 +50,7 @@ class Workspace(Displayed):
     table: Array
     """(N, 2 n + 7) rotations, translations, tip position, tip direction, margin; rad and m."""
     failures: tuple[tuple[int, str], ...] = ()
-    """(row, reason) of configurations without an equilibrium."""
+    """Pairs (row, reason) of configurations without an equilibrium."""
 
     def __len__(self) -> int:
         return len(self.table)
@@ -112,7 +112,7 @@ class Workspace(Displayed):
             yield first, part
 
     def some(self, most: int) -> Array:
-        """Random rows, at most `most`, the same each time; every k-th row of a sequence would be biased."""
+        """Random rows, at most `most`, reproducible; every k-th row of a sequence would be biased."""
         random = np.random.default_rng(len(self))
         chosen = np.sort(random.choice(len(self), min(most, len(self)), replace=False))
         rows = [part[chosen[(chosen >= first) & (chosen < first + len(part))] - first] for first, part in self.chunks()]
@@ -152,11 +152,11 @@ class Box:
     high: Array
     back: Array
     periodic: np.ndarray
-    """(m,) whether an end of the range is the same joint value as the other one."""
+    """(m,) True for joints with equal joint values at both ends of the range."""
 
     @property
     def free(self) -> np.ndarray:
-        """(k,) coordinates whose range has a width."""
+        """(k,) coordinates with a range of positive width."""
         return np.flatnonzero(self.high - self.low > ROUND_OFF)
 
 
@@ -386,7 +386,7 @@ def _after(blocks: Iterator[tuple[Array, Array]], done: int) -> Iterator[tuple[A
 
 
 def _mark(robot: Robot) -> str:
-    """Hash of all data of a robot on which joint values and equilibria depend."""
+    """Hash of all data of a robot that determine joint values and equilibria."""
     return hashlib.sha256(in_full((type(robot).__name__, robot)).encode()).hexdigest()
 
 
@@ -454,7 +454,7 @@ class _Disk:
             raise
 
     def _cut_to_whole_rows(self) -> int:
-        """Rows that are there, after a torn one is cut off; the head of the file is written where it is missing."""
+        """Number of complete rows, after a torn one is cut off; a missing head of the file is written."""
         size = self._file.seek(0, os.SEEK_END)
         self._file.seek(0)
         try:

@@ -40,7 +40,7 @@ class Volume:
 
 @typed
 def voxel_volume(workspace: Workspace, size: float | None = None, *, min_margin: float = 0.0) -> Volume:
-    """Volume of all voxels with a tip, less half of those on the surface, half of which is outside.
+    """Volume of all voxels with a tip, less half of the voxels on the surface, which lie half outside.
 
     Args:
         size, min_margin: as for `voxels`.

@@ -51,7 +51,7 @@ class Voxels:
     early: Keys
     """(V,) numbers of tips from the first half of the samples; of a grid, from a random half."""
     directions: Keys
-    """(V,) numbers of patches of the sphere of directions, out of `PATCHES`, in which tips point."""
+    """(V,) numbers of patches of the sphere of tip directions, out of `PATCHES`."""
     margin: Array
     """(V,) largest stability margin of a tip."""
 
@@ -65,7 +65,7 @@ class Voxels:
 
     @property
     def dexterity(self) -> Array:
-        """(V,) fraction of all directions in which tips point: the service sphere of Kumar and Waldron (1981).
+        """(V,) fraction of all directions of the tip: the service sphere of Kumar and Waldron (1981).
 
         A lower bound, since a voxel of few samples cannot show many directions.
         """
@@ -107,7 +107,7 @@ def voxels(workspace: Workspace, size: float | None = None, *, min_margin: float
 
 
 def in_first_half(workspace: Workspace, first: int, count: int) -> Mask:
-    """(count,) True for rows from `first` on that are in the first half of the samples; of a grid, in a random half."""
+    """(count,) True for rows from `first` on in the first half of the samples; of a grid, in a random half."""
     if workspace.method == "grid":  # whose first half is on one side
         # Seeded by the row, so that every pass over the table draws the same half.
         return np.asarray(np.random.default_rng(first).random(count) < 0.5)
@@ -115,7 +115,7 @@ def in_first_half(workspace: Workspace, first: int, count: int) -> Mask:
 
 
 def default_size(workspace: Workspace) -> float:
-    """Edge (m) at which the voxels of the bounding box have about `PER_VOXEL` samples each."""
+    """Edge (m) of voxels that give about `PER_VOXEL` samples each in the bounding box."""
     low, high, count = np.full(3, np.inf), np.full(3, -np.inf), 0
     for _, table in workspace.chunks():
         tips = table[has_margin(table, -np.inf), -7:-4]
@@ -140,7 +140,7 @@ def size_for(extent: Array, count: int) -> float:
 
 
 class Store:
-    """Voxels to which tips are added in chunks."""
+    """Voxels that collect tips in chunks."""
 
     def __init__(self, size: float) -> None:
         self.size = size

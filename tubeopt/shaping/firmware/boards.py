@@ -14,11 +14,13 @@ from ..heating.plan import HeatingPlan
 from ..heating.rig import COUNTS, Battery, Circuit, Rig
 
 CONVERTERS = {"max31855": 125, "max6675": 250, "analog": 20}
-"""Converter of a thermocouple, or an analog line such as a camera's, and the smallest time between two readings, ms:
-data sheets of Maxim, 100 and 220 ms at most, with a reserve."""
+"""Converter of a thermocouple, or an analog line such as a camera's, and the smallest time between readings, ms.
+
+Data sheets of Maxim: 100 and 220 ms at most; with a reserve.
+"""
 
 READS = {"thermocouple": ("max31855", "max6675"), "camera": ("analog",)}
-"""Converters with which the sketch reads each sensor, the default first. It reads no temperature from resistance."""
+"""Converters in the sketch for each sensor, the default first. It reads no temperature from resistance."""
 
 LOWER = 10e3
 """Resistor of the divider from the pin to ground, ohm. With any upper resistor the source resistance is below the
@@ -32,7 +34,7 @@ HALL = (0.04, 0.02, 0.01, 0.008, 0.005, 0.004, 0.002)
 """Sensitivities of common Hall sensors for 100 to 2000 A with a span of 4 V, V/A."""
 
 CURRENT_RANGE = 1.2
-"""Smallest range of the current measurement, as a multiple of the current at which the sketch stops."""
+"""Smallest range of the current measurement, as a multiple of the current that stops the sketch."""
 
 E24 = (
     1.0, 1.1, 1.2, 1.3, 1.5, 1.6, 1.8, 2.0, 2.2, 2.4, 2.7, 3.0, 3.3, 3.6, 3.9, 4.3, 4.7, 5.1, 5.6, 6.2, 6.8, 7.5, 8.2,
@@ -106,7 +108,7 @@ class Wiring:
 
 
 def converter_for(sensor: str, requested: str | None = None) -> str:
-    """Converter with which the sketch reads a sensor: the requested or the default one.
+    """Converter in the sketch for a sensor: the requested or the default one.
 
     Raises:
         InputError: the sketch does not read such a sensor, or not by the requested converter.
@@ -133,7 +135,7 @@ def divider(wiring: Wiring, battery: Battery) -> float:
 
 
 def hall_slope(wiring: Wiring, circuit: Circuit) -> float:
-    """Sensitivity of the Hall sensor, V/A: as wired, or the largest of `HALL` whose range includes the peak limit.
+    """Sensitivity of the Hall sensor, V/A: as wired, or the largest of `HALL` with a range above the peak limit.
 
     Raises:
         InputError: the range does not include the limit.
@@ -180,8 +182,10 @@ FUSES = (5, 10, 15, 20, 25, 30, 40, 50, 60, 70, 80, 100, 125, 150, 175, 200)
 """Ratings of blade and bolt fuses (ISO 8820), A."""
 
 CURRENT_DENSITY = 6.0
-"""Largest continuous current of copper in free air, A/mm2 rms, for cables of some metres: assumed, on the safe side of
-IEC 60364-5-52 for single cores up to 25 mm2."""
+"""Largest continuous current of copper cables of some metres in free air, A/mm2 rms.
+
+Assumed, on the safe side of IEC 60364-5-52 for single cores up to 25 mm2.
+"""
 
 CABLES = (1.5, 2.5, 4, 6, 10, 16, 25, 35, 50)
 """Sections of stranded cables (IEC 60228), mm2."""
@@ -200,14 +204,14 @@ class Part:
 
 
 def root_mean_square(plan: HeatingPlan) -> float:
-    """Largest root mean square current over 10 s, A: what heats cables and fuses."""
+    """Largest root mean square current over 10 s, A: it heats cables and fuses."""
     square = plan.duty / COUNTS * plan.current**2
     window = max(round(10.0 / plan.spec.slot), 1)
     return float(math.sqrt(np.convolve(square, np.ones(window) / window, mode="valid").max()))
 
 
 def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
-    """Parts between battery and tube, rated for the plan's currents, and those of the board."""
+    """Parts between battery and tube, rated for the plan's currents, and the parts of the board."""
     rms, peak, rest = root_mean_square(plan), plan.peak_current, plan.rig.battery.voltage
     fuse = next((size for size in FUSES if size >= SAFETY * rms), FUSES[-1])
     # A cable must outlive its fuse.

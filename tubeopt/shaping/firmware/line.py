@@ -53,7 +53,7 @@ class SerialLine:
             self._port.write((json.dumps({"do": do, **arguments}, separators=(",", ":")) + "\n").encode())
 
     def receive(self) -> dict[str, Any] | None:
-        """Next report, {} for an invalid one, None if nothing came within a second; errors as `send`."""
+        """Next report, {} for an invalid one, None without one within a second; errors as `send`."""
         with _port_errors():
             self._buffer += self._port.readline()
         if not self._buffer.endswith(b"\n"):
@@ -79,7 +79,7 @@ class SimulatedRig:
     bias: float = 0.0
     """Bias of the sensor at the temperature `hot`, K."""
     hot: float = 550.0
-    """Temperature at which the bias is reached, degC."""
+    """Temperature with the given bias, degC."""
     seed: int = 0
     """Seed of the sensor's noise."""
     time: float = field(default=0.0, init=False)

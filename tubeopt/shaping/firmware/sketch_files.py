@@ -37,17 +37,19 @@ TICK = 0.1
 """Longest time between two checks of the safety limits, s."""
 
 OVERSHOOT = 8.0
-"""Reading above the limit, K, at which the firmware stops."""
+"""Reading above the limit, K, that stops the firmware."""
 
 LEAKING, LEAKING_STEPS = 4.0, 3
 """Current between pulses above which the switch counts as stuck, A; at least so many steps of the converter."""
 
 STUCK_RISE, STUCK_MS = 3.0, 300
-"""A thermometer counts as detached if its reading is constant while the schedule rises by so much, K, for so long, ms:
-more than the resolution of a converter, and longer than a conversion."""
+"""Rise of the schedule, K, and time, ms, after which a thermometer with a constant reading counts as detached.
+
+More than the resolution of a converter, and longer than a conversion.
+"""
 
 CHARGES = (1.0, 0.8, 0.6)
-"""States of charge for which the sketch has a schedule; between them the feedback corrects."""
+"""States of charge with a schedule in the sketch; between them the feedback corrects."""
 
 
 def tabled(law: HeatingLaw) -> HeatingLaw:

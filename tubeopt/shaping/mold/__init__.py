@@ -1,1 +1,1 @@
-"""The mold in which tubes are shape-set: grooves, plates, files, materials."""
+"""Mold for setting the shape of tubes: grooves, plates, files, materials."""

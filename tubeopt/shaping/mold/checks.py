@@ -17,7 +17,7 @@ OVERRUN = 1e-3
 """Distance of the cutter's edge from the plate before it plunges or retracts, m."""
 
 HOLDER = 5e-3
-"""Space beside a tool for its holder, m."""
+"""Space next to a tool for its holder, m."""
 
 THROUGH = 0.5e-3
 """Depth of cuts through a plate into the board below, m."""
@@ -25,7 +25,7 @@ THROUGH = 0.5e-3
 
 @dataclass(frozen=True)
 class Check:
-    """One condition on a mold."""
+    """Condition on a mold."""
 
     name: str
     """Checked quantity, in words."""
@@ -48,7 +48,7 @@ class Check:
 
 
 def refuse_failed(checks: Iterable[Check]) -> None:
-    """Raise InputError with a line for every failed check, if there is any."""
+    """Raise InputError with a line for every failed check."""
     failures = [check.failure for check in checks if not check.passed]
     if failures:
         raise InputError("\n".join(failures))
@@ -186,7 +186,7 @@ def springback_remarks(spec: MoldSpec) -> list[str]:
 
 
 def stiffness_remarks(tube: Tube) -> list[str]:
-    """Remarks on a tube whose pieces have stiffnesses of their own."""
+    """Remarks on a tube with pieces of their own stiffness."""
     if not any(piece.bending_stiffness or piece.torsional_stiffness for piece in tube.pieces):
         return []
     return ["the stiffnesses of its pieces are given, not derived: the slots that make them are not drawn"]

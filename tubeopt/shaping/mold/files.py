@@ -102,7 +102,7 @@ def _texts(mold: Mold, part: str) -> list[tuple[Point, str]]:
 
 
 def rectangle(width: float, height: float) -> tuple[Arc, ...]:
-    """Outline of a plate whose lower left corner is the origin."""
+    """Outline of a plate with its lower left corner at the origin."""
     return tuple(_around(np.array([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])))
 
 
@@ -129,7 +129,7 @@ COLOURS = {
 MARGIN_MM = 25.0
 
 TOLERANCE = 1e-6
-"""Largest distance of the centreline in a DXF file from that of the mold, m."""
+"""Largest distance of the centreline in a DXF file from the centreline of the mold, m."""
 
 # A polygon of n corners has less area than its circle by a fraction of (2 pi / n)^2 / 6: 0.02 %. With half of them it
 # is 0.07 %, close to the tolerance of the volume, 0.1 %.
@@ -192,7 +192,10 @@ def write_mold(mold: Mold, directory: str | Path) -> list[Path]:
 
 
 def plate_part(mold: Mold, name: str) -> Part:
-    """Plate of a mold, "base" or "lid", as a part; the upper face of the base is at z = 0, the lid on it."""
+    """Plate of a mold, "base" or "lid", as a part.
+
+    The upper face of the base is at z = 0, the lid on it.
+    """
     return Part(
         name=name,
         solid=partial(_plate_solid, mold, name),
@@ -333,7 +336,7 @@ def write_solid(part: Part, path: Path) -> Path:
 
 
 def volume_fault(mold: Mold, part: str, mesh: Any) -> str:
-    """Message for a mesh (mm) of a plate whose volume deviates by more than 0.1 %; otherwise ""."""
+    """Message for a mesh (mm) of a plate with a volume that deviates by more than 0.1 %; otherwise ""."""
     error = float(mesh.volume) / TO_MM**3 / (mold.base_volume if part == "base" else mold.lid_volume) - 1
     return f"the volume of the {part} is off by {error * 100:.3g} %" if abs(error) > 1e-3 else ""
 

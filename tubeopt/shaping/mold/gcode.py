@@ -122,7 +122,7 @@ def programs(mold: Mold, part: str) -> list[Program]:
 
 
 def check_duration(file: str, time: float) -> None:
-    """Raise InputError for a program whose moves take more than `MAX_DURATION`; time: duration, s."""
+    """Raise InputError for a program that takes more than `MAX_DURATION`; time: duration, s."""
     if time > MAX_DURATION:
         raise InputError(
             f"the program {file} takes {time / 86400:.3g} days; it must take at most "
@@ -236,7 +236,7 @@ def _tabs(start: Point, end: Point, spec: MoldSpec) -> Iterator[Arc]:
 
 
 def _approach(point: Point, spec: MoldSpec) -> Iterator[str]:
-    """Rapid moves to a place just above a point of the plate."""
+    """Rapid moves to a point just above the plate."""
     yield f"G0 Z{_mm(spec.milling.safe_height)}"
     yield f"G0 X{_mm(point[0])} Y{_mm(point[1])}"
     yield f"G0 Z{_mm(NEAR)}"
@@ -378,7 +378,7 @@ class _Machine:
     cycle_depth: float = 0.0
     """Height of the bottom of drill cycles, m."""
     cycle_start: float = 0.0
-    """Height at which drill cycles begin, m."""
+    """Start height of drill cycles, m."""
 
 
 def read_gcode(text: str) -> tuple[Motion, ...]:

@@ -328,7 +328,7 @@ ARC_TURN = 0.5
 
 # Few milling machines take an arc with a radius of kilometres.
 FLAT = 1e-9
-"""Rise above the chord, m, up to which an arc becomes a line."""
+"""Largest rise above the chord, m, of an arc that is replaced by a line."""
 
 _GAUSS = np.polynomial.legendre.leggauss(16)
 
@@ -373,7 +373,7 @@ def _turn(panel: Panel) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Stretch of a bend on which the curvature is one polynomial of the arc length."""
+    """Stretch of a bend with a curvature polynomial in the arc length."""
 
     length: float
     """Arc length, m."""

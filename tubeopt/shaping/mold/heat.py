@@ -126,7 +126,7 @@ def heat_drawn(diameter: float, material: MoldMaterial, heat: HeatSpec, times: A
 
 
 def cold_end(tube: Tube, material: MoldMaterial, heat: HeatSpec) -> ColdEnd:
-    """Cold end of the tube beside a clamp at the end of the hold, by the fin equation.
+    """Cold end of the tube next to a clamp at the end of the hold, by the fin equation.
 
     The fin is steady, with uniform Joule heat for the set temperature far from the clamps and loss proportional to the
     temperature. This is valid after decay_length^2 / diffusivity of the tube, about 10 s.
@@ -156,7 +156,7 @@ def thermal_growth(tube: Tube, heat: HeatSpec, decay_length: float, length: floa
 
 
 def thermal_data(tube: Tube) -> ThermalData:
-    """Thermal constants of the tube's material; those of nitinol if it has none."""
+    """Thermal constants of the tube's material; of nitinol if it has none."""
     data = tube.material.thermal or NITINOL.thermal
     assert data is not None
     return data

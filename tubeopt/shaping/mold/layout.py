@@ -91,7 +91,7 @@ class Layout:
 
 
 def nest(blanks: Sequence[Blank], spec: MoldSpec) -> Layout:
-    """Arrange grooves on the smallest plate on which all reach the edge and none meets another.
+    """Arrange grooves on the smallest plate on which all grooves reach the edge without meeting.
 
     Raises:
         InputError: a groove crosses itself or does not fit on the plate, or grooves cross in every arrangement.

@@ -74,7 +74,7 @@ class Winding:
     tangents: Array
     """(N, 3) unit tangents."""
     bend: slice
-    """Indices of the points of the bend; the others are of the leads."""
+    """Indices of the points of the bend; all others belong to the leads."""
 
     def moved(self, rotation: Array, shift: Array) -> Winding:
         """Curve rotated by a matrix (3, 3), then moved by `shift` (3,), m."""
@@ -86,7 +86,7 @@ class Winding:
         return self.with_leads(extra - s[0], extra + s[-1] - s[self.bend][-1], step)
 
     def with_leads(self, before: float, after: float, step: float = 1e-3) -> Winding:
-        """Bend with straight tangent leads of lengths `before` and `after` (m) in place of its own."""
+        """Bend with straight tangent leads of lengths `before` and `after` (m) instead of its own."""
         s, p, t = (field[self.bend] for field in (self.arc_length, self.points, self.tangents))
         counts = [max(2, math.ceil(length / step)) for length in (before, after)]
         lead_in, lead_out = np.linspace(-before, 0.0, counts[0])[:-1], np.linspace(0.0, after, counts[1])[1:]
@@ -337,7 +337,7 @@ def _wall_checks(
 
 
 def _block(number: int, held: Tube, lead: float, width: float, spec: MoldSpec) -> tuple[Block, Winding]:
-    """Smallest block, over the open sides from which the whole groove is accessible."""
+    """Smallest block, over the open sides that make the whole groove accessible."""
     bend = bend_in_space(held).with_leads(lead, lead)
     best: tuple[float, Block, Winding] | None = None
     for up in _sides(bend.points, BLOCK_SIDES):
@@ -516,7 +516,7 @@ def _off_curve(mandrel: Mandrel, points: Array, distance: float = 0.0) -> str:
 
 
 def solid_off_curve(mandrel: Mandrel, mesh: Any) -> str:
-    """Message for a mesh (mm) whose groove's bottom is not half a width from the bend everywhere; otherwise ""."""
+    """Message for a mesh (mm) with a groove bottom that is not half a width from the bend everywhere; otherwise ""."""
     return _off_curve(mandrel, np.asarray(mesh.vertices) / TO_MM, mandrel.width / 2)
 
 

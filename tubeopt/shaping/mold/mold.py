@@ -46,7 +46,7 @@ PARTS = ("base", "lid")
 """Names of the two plates of a mold."""
 
 TRAVEL_STEP = 0.5e-3
-"""Step to which the travel of the sliding clamp is rounded up, m."""
+"""Step for rounding up the travel of the sliding clamp, m."""
 
 CLAMP_CLEARANCE = 1e-3
 """Smallest distance of a clamp's corner from the plate along the tube, m."""
@@ -415,7 +415,7 @@ class RobotMold(Displayed):
 
 
 def plan_robot_mold(robot: Robot, spec: MoldSpec | None = None, tubes: Sequence[int] | None = None) -> RobotMold:
-    """One mold for the tubes of a robot.
+    """Mold for the tubes of a robot.
 
     Args:
         tubes: their numbers, from 1; by default every curved tube that is not equal to an earlier one.

@@ -25,7 +25,7 @@ MAX_LEAK = 0.01
 """Largest fraction of the current that may bypass the tube through the mold."""
 
 SECTION_WIDTH = 50e-3
-"""Width of plates of free size that conducts beside the tube, m: that of the plate for the thesis' eccentric tube."""
+"""Width of plates of free size that conducts next to the tube, m: as on the plate for the thesis' eccentric tube."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def rank_mold_materials(
     rig: Rig | None = None,
     time_limit: float = TIME_LIMIT,
 ) -> tuple[MaterialRating, ...]:
-    """Mold materials for a tube, best first: suitable ones by energy, then the others.
+    """Mold materials for a tube, best first: suitable materials by energy, then the others.
 
     The energy is that from the battery of the rig; materials with which the rig misses the window are last, by their
     miss. Without a rig, it is the heat of tube and mold.

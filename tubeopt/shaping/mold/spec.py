@@ -108,7 +108,7 @@ class EndMill:
 
     @property
     def reach(self) -> float:
-        """Depth to which it cuts, m."""
+        """Cutting depth, m."""
         return 3 * self.diameter if self.flute_length is None else self.flute_length
 
 

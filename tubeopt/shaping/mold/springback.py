@@ -263,7 +263,7 @@ def _changed(tube: Tube, curve: Callable[[float], float], factor: float, *, even
 
 
 def _changed_piece(piece: Piece, curve: Callable[[float], float], factor: float, *, even: bool) -> Piece:
-    """Piece with its curvature mapped by `curve`, `factor` times as long; the arguments are those of `_changed`."""
+    """Piece with its curvature mapped by `curve`, `factor` times as long; arguments as in `_changed`."""
     x, y, z = piece.precurvature
 
     def gain(size: float) -> float:
@@ -315,7 +315,7 @@ def _interpolated(function: Callable[[Array], Array], breaks: list[float]) -> Se
 
 
 def bend_direction(tube: Tube) -> tuple[float, float] | None:
-    """Unit vector (2,) of the cross-section along which all precurvature lies, with x >= 0; None for a space curve."""
+    """Unit vector (2,) of the cross-section along all of the precurvature, with x >= 0; None for a space curve."""
     if tube.curvature == 0 or tube.curved_length == 0:
         return 1.0, 0.0
     u = np.vstack([_sampled(piece) for piece in tube.chain])
@@ -338,7 +338,7 @@ def _sampled(piece: Piece) -> Array:
 
 
 class Panel(NamedTuple):
-    """Stretch of a planar tube on which the curvature is one polynomial."""
+    """Stretch of a planar tube with a curvature polynomial."""
 
     length: float
     """Arc length, m."""

@@ -61,7 +61,7 @@ class DrawnPoint(NamedTuple):
     x: float
     y: float
     value: float | str
-    """Value that a colour shows, or the length of a bar; "" where there is none."""
+    """Value of a colour, or the length of a bar; "" without any."""
 
 
 def drawn_data(figure: Any) -> Iterator[DrawnPoint]:

@@ -173,7 +173,7 @@ def plot_rig_fit(fit: RigFit) -> Figure:
 
 @picture
 def plot_feedback(answer: ClosedLoopHeating) -> Figure:
-    """Picture of a controlled heating: curved parts of uncertain rigs over time, and what moves them."""
+    """Picture of a controlled heating: curved parts of uncertain rigs over time, and the sources of their spread."""
     feedback = answer.feedback
     figure = new_figure(9.4, 5.2)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0))
@@ -239,7 +239,10 @@ CURRENT: tuple[Path, ...] = (
     ((0.84, 0.33), (0.84, 0.28), (0.2, 0.28), (0.2, 0.51), (0.17, 0.51)),
     ((0.54, 0.72), (0.54, 0.87), (0.81, 0.87), (0.81, 0.72)),
 )
-"""Wires of the tube's current; the last but one is the ground, the last the path through the diode when it is off."""
+"""Wires of the tube's current; the last but one is the ground.
+
+The last is the path through the diode when the transistor is off.
+"""
 
 GROUND: tuple[Path, ...] = (((0.64, 0.37), (0.64, 0.28)), ((0.68, 0.16), (0.68, 0.28)))
 """Wires from the gate driver and the board to the ground."""
@@ -253,7 +256,7 @@ TERMINALS = {
     "GND": (0.68, 0.14),
 }
 DIODE, DIODE_SIZE = (0.675, 0.87), 0.022
-"""Centre and half width of its symbol, whose bar is towards the battery's plus."""
+"""Centre and half width of the diode symbol; its bar is towards the battery's plus."""
 
 
 @picture

@@ -1,4 +1,4 @@
-"""Labels of panels: names beside points and above panels, arrows, and legends.
+"""Labels of panels: names next to points and above panels, arrows, and legends.
 
 Names beside points are moved off one another by `texts.separate`.
 """
@@ -29,7 +29,7 @@ def note(
     colour: str = INK,
     level: bool = False,
 ) -> Annotation:
-    """Annotation whose edge nearest to the point `at` (2,) lies `shift` (2,) points off it; `separate` may move it.
+    """Annotation with its edge nearest to the point `at` (2,) `shift` (2,) points off it; `separate` may move it.
 
     level: the middle of the text is `shift` off the point, instead of its lower or upper edge.
     """
@@ -88,7 +88,7 @@ def rules_at(panels: Iterable[Axes], places: Iterable[float]) -> None:
 
 
 def names_above(axes: Axes, names: Mapping[float, str], *, panel_width: float) -> int:
-    """Number of rows of names above a panel: each stands at its x, in the lowest row where it is free.
+    """Number of rows of names above a panel: each name is at its x, in the lowest free row.
 
     Args:
         names: x in the units of the panel, whose limits are set -> name, of one line or of several.

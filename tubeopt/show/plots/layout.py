@@ -27,19 +27,19 @@ STILL = 1e-3
 """Largest move of a panel, over the size of the picture, after which no further pass is made."""
 
 ATTEMPTS = tuple((letters, stacked) for letters in (1.0, 0.8, 0.65, 0.5, 0.4) for stacked in (True, False))
-"""Attempts to fit a page: size of the letters, and whether columns stand below each other."""
+"""Attempts to fit a page: size of the letters, and True for columns below each other."""
 
 # Below 0.25 of the page panels look lost between their texts. Panels of fixed aspect, such as tall scenes, stop
 # growing at about 0.18; letters are then made smaller only for a gain of 10 %.
 ROOMY = 0.25
-"""Fraction of a page filled by panels from which smaller letters are not tried."""
+"""Fraction of a page filled by panels above which smaller letters are not tried."""
 
 FAIR, GAIN = 0.18, 1.1
 """Fraction that suffices where smaller letters do not let panels grow by this factor."""
 
 
 def finish(figure: Figure) -> None:
-    """Lay a figure out for the width of the page, or as it is."""
+    """Lay a figure out for the width of the page, or for its own width."""
     if WIDTH.get() is not None:
         arrange(figure, stacked=narrow())
     else:
@@ -119,7 +119,7 @@ MAX_PANEL_ASPECT = 0.85
 """Largest height of a single panel over its width."""
 
 SLIM = 0.12
-"""Fraction of the width below which a column is that of a scale of colours, which stays beside its panel."""
+"""Largest fraction of the width of a column that is a scale of colours, and that stays next to its panel."""
 
 
 def _stack(figure: NotebookFigure) -> None:
@@ -237,7 +237,7 @@ def _legend_again(axes: Axes, **changes: Any) -> Legend:
 
 
 def _uncover(axes: Axes) -> bool:
-    """Move the legend of a panel off its data: above the panel, or beside it where there is a title.
+    """Move the legend of a panel off its data: above the panel, or next to it below a title.
 
     False where it covers nothing.
     """
@@ -259,11 +259,11 @@ def _uncover(axes: Axes) -> bool:
 
 
 SHADE = 0.4
-"""Opacity up to which a surface is a shade, on which a legend can be read."""
+"""Largest opacity of a shaded surface; a legend on it is readable."""
 
 
 def _drawn_in(artist: Any, box: Bbox) -> bool:
-    """Whether a part of a line, of points, of a surface that is no shade, or of a text lies in a box of pixels."""
+    """True if a line, points, a text or an opaque surface lies partly in a box of pixels."""
     if not artist.get_visible():
         return False
     if isinstance(artist, Text):

@@ -45,7 +45,7 @@ HATCH_COLOUR = INK
 ENERGY_LEVELS = 24
 MAX_MAPS = 4
 FINE = 361
-"""Points per axis of a map as it is drawn: one per degree."""
+"""Points per axis of a drawn map: one per degree."""
 
 BETWEEN = 8
 """Drawn points of the boundary for each computed one."""

@@ -194,7 +194,7 @@ BODY = "#D9D4C5"
 
 @picture
 def plot_mandrel(mandrel: Mandrel) -> Figure:
-    """Picture of the mandrel in space, and beside it rotation over feed, or the groove from above."""
+    """Picture of the mandrel in space, and next to it rotation over feed, or the groove from above."""
     figure = new_figure(8.6, 4.0)
     space = figure.add_subplot(1, 2, 1, projection="3d")
     side = figure.add_subplot(1, 2, 2)

@@ -30,7 +30,7 @@ class Scale(NamedTuple):
     high: float | None = None
     """Upper end, in the unit; above it only where values are. None: from the values."""
     min_span: float = 0.0
-    """Smallest height, in the unit: round-off about a constant does not look like a signal."""
+    """Smallest height, in the unit, so that round-off about a constant does not resemble a signal."""
 
 
 MARGIN = Scale("margin", low=-0.02, high=1.05)

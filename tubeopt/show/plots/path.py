@@ -43,7 +43,7 @@ COORDINATES = (("x", "#D55E00"), ("y", "#009E73"), ("z", "#0072B2"))
 TIP = Scale("tip position (mm)", TO_MM)
 
 MAX_NAMES = 12
-"""Largest number of snaps whose names fit above the panel."""
+"""Largest number of named snaps that fit above the panel."""
 
 
 @picture
@@ -83,7 +83,7 @@ def _coordinate(axis: int, equilibrium: Equilibrium) -> float:
 
 
 REST_FRAMES = 8
-"""Frames for which the arm rests on both sides of a snap."""
+"""Number of frames that the arm rests before and after a snap."""
 
 SNAPPED = COORDINATES[0][1]
 
@@ -97,7 +97,7 @@ def animate_path(
     name: str = "waypoint",
     view: tuple[float, float] | None = None,
 ) -> FilePath:
-    """Path of a film of the arm at each waypoint, with the margin beside it: GIF, or MP4 if ffmpeg is installed.
+    """Path of a film of the arm at each waypoint, with the margin next to it: GIF, or MP4 if ffmpeg is installed.
 
     At a snap the film rests: before it, and after it with the lost shape as a ghost and the jump of the tip.
 

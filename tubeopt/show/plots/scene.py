@@ -77,7 +77,7 @@ class Target(NamedTuple):
     direction: Array | None
     """(3,) required unit tangent of the tip; None: any."""
     tip: Array | None
-    """(3,) m, tip that misses the target; None where it is reached."""
+    """(3,) m, tip that misses the target; None for a reached target."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,10 +92,10 @@ class Scene:
     plate: bool = False
     """Draw the base plate, and the shadows of the arms on the floor."""
     named: Equilibrium | None = None
-    """Arm whose tubes, tip and loads are labelled."""
+    """Arm with labels on its tubes, tip and loads."""
 
     def view(self, angles: tuple[float, float] | None) -> View:
-        """View of given elevation and azimuth, deg; None looks across the widest side of arms and paths."""
+        """View of given elevation and azimuth, deg; with None across the widest side of arms and paths."""
         return View(*angles) if angles is not None else widest_view(self._points())
 
     def extent(self) -> Array:
@@ -150,7 +150,7 @@ def robot_mesh(
     window: tuple[float, float] | None = None,
     detail: Detail = PRINTED,
 ) -> Mesh:
-    """Surfaces of all tubes, m, between the arc lengths of a window, m, if there is one."""
+    """Surfaces of all tubes, m, between the arc lengths of an optional window, m."""
     return mesh_of(robot_parts(equilibrium, detail, window), opacity)
 
 
@@ -174,7 +174,7 @@ def draw_lines(
     widths: tuple[float, float],
     opacity: float = 1.0,
 ) -> None:
-    """Draw every tube where it shows as a line, for pictures in which a tube of its true width would be too thin.
+    """Draw every visible tube as a line, for pictures in which its true width would be too thin.
 
     Args:
         project: (k, 3) m -> (k, 2) or more, in the units of the panel.
@@ -240,7 +240,7 @@ def _draw_target(axes: Axes, target: Target, view: View) -> None:
 FORCE, MOMENT = "#7A3E9D", "#9C5A00"
 
 FORCE_LENGTH = 0.2
-"""Length of the arrow of the largest force, over that of the arm."""
+"""Length of the arrow of the largest force, over the length of the arm."""
 
 DISTRIBUTED_ARROWS = 10
 """Number of arrows of a load per length."""
@@ -301,7 +301,7 @@ def load_arrows(equilibrium: Equilibrium) -> list[LoadArrow]:
 
 
 def _draw_loads(axes: Axes, equilibrium: Equilibrium, view: View) -> None:
-    """Draw an arrow where each force and moment acts, with its size; that of a moment has two heads."""
+    """Draw an arrow at the point of each force and moment, with its size; arrows of moments have two heads."""
     for load in load_arrows(equilibrium):
         start, end = view.project(np.array([load.start, load.end]))[:, :2]
         ends = [end, start + SECOND_HEAD * (end - start)] if load.unit.startswith("mN m") else [end]

@@ -63,8 +63,9 @@ def plot_shape(
 
 @picture
 def plot_equilibria(equilibria: Sequence[Equilibrium], *, view: tuple[float, float] | None = None) -> Figure:
-    """Picture of all equilibria at the same joint values: the first solid, the others translucent, unstable ones with a
-    dashed line along them; each numbered at its tip, with margin and energy below.
+    """Picture of all equilibria at the same joint values, the first solid, the others translucent.
+
+    Unstable ones have a dashed line along them. Each has its number at the tip, with margin and energy below.
 
     Args:
         equilibria: of `find_equilibria`, the lowest energy first.
@@ -180,7 +181,7 @@ def draw_scenes(
 
 
 def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Bundle, view: View) -> None:
-    """Draw the end of a tube or segment, seen from the same side, in a circle that is drawn in the scene too."""
+    """Draw a close-up of the end of a tube or segment in a circle, and the circle in the scene."""
     from matplotlib.patches import ConnectionPatch, PathPatch
     from matplotlib.path import Path
 

@@ -214,7 +214,7 @@ QUARTERS = (0.25, 0.5, 0.75)
 
 @picture
 def plot_fabrication_sheet(fabrication: TubeFabrication, *, title: str = "", success: str = "") -> Figure:
-    """Heating sheet for the operator: one page A4, whose first line is the probability of success."""
+    """Heating sheet for the operator: one page A4 that begins with the probability of success."""
     plan = fabrication.heating
     figure = _new_sheet(f"Heating sheet: {title or f'tube {fabrication.groove.number}'}")
     left, wide, top = 0.09, 0.37, 0.47 * A4[1]

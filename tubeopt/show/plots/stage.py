@@ -29,7 +29,7 @@ FLOOR = "#F6F7F8"
 
 @dataclass(frozen=True)
 class View:
-    """Direction from which a scene is seen: elevation above the plate and azimuth about its axis, deg."""
+    """Viewing direction of a scene: elevation above the plate and azimuth about its axis, deg."""
 
     elevation: float
     azimuth: float
@@ -63,7 +63,7 @@ class View:
 
 
 def widest_view(points: Array) -> View:
-    """View in which points (k, 3) spread to the right and a little forwards, off the axes of the plate."""
+    """View with points (k, 3) spread to the right and a little forwards, off the axes of the plate."""
     # First right singular vector: the horizontal direction in which points lie farthest from the plate's axis.
     # Points are not centred, since the plate is in the picture too.
     _, _, directions = np.linalg.svd(points[:, :2])
@@ -232,7 +232,7 @@ class Mesh(NamedTuple):
         return depth + self.lift * (self.normals @ towards_viewer)
 
     def placed(self, frame: Frame) -> Mesh:
-        """Facets in the coordinates in which `frame` is given, from those of the frame."""
+        """Facets in the parent frame of `frame`, from facets in `frame`."""
         return Mesh(frame.placed(self.corners), self.normals @ frame.axes.T, self.colours, self.lift)
 
     def only(self, selected: Mask) -> Mesh:

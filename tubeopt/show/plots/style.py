@@ -1,4 +1,4 @@
-"""Common look of pictures: colours, type, headings, and how a picture is laid out and saved."""
+"""Common style of pictures: colours, type, headings, layout and saving."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ HEIGHT_POWER = 0.35
 
 
 def styled(draw: Callable[P, T]) -> Callable[P, T]:
-    """Give `draw` the look of this module, whatever the caller's settings of Matplotlib are."""
+    """Give `draw` the style of this module, whatever the caller's settings of Matplotlib are."""
 
     @wraps(draw)
     def wrapper(*args: P.args, **kwargs: P.kwargs) -> T:
@@ -118,7 +118,7 @@ class Picture(Protocol[D, P]):
 
 
 def picture(draw: Callable[Concatenate[D, P], Figure]) -> Picture[D, P]:
-    """Decorate a function that draws data: the result has the common look, is laid out, and can be saved.
+    """Decorate a function that draws data: the result has the common style, is laid out, and can be saved.
 
     The decorated function takes a further argument `path` after the data: file to save the picture in, whose ending
     selects PNG, TIFF, PDF, SVG or EPS (InputError for another); None, the default, saves nothing.
@@ -168,7 +168,7 @@ def headed(figure: Figure, heading: str) -> Figure:
 
 
 def _shown(heading: str) -> bool:
-    """Whether pictures have headings; if not, this one is collected for their captions."""
+    """True if pictures have headings; otherwise the heading is collected for their captions."""
     headings = HEADINGS.get()
     if headings is not None and not TITLED.get():
         headings.append(heading)

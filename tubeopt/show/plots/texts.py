@@ -17,10 +17,10 @@ from ...typing import Array, Mask
 from ..page import SCALE
 
 TOLERANCE = (1.0, 1.5)
-"""Points by which two texts may overlap across and upwards: letters fill less than the box of their text."""
+"""Allowed overlap of two texts across and upwards, points: letters fill less than the box of their text."""
 
 EDGE_TOLERANCE = 0.5
-"""Points by which a text may leave the page: edges of letters are smoothed."""
+"""Allowed overhang of a text over the edge of the page, points: edges of letters are smoothed."""
 
 MAX_ASPECT = 1.2
 """Largest height of a picture for a page, over its width."""
@@ -54,7 +54,7 @@ class PlacedText(NamedTuple):
     axes: Axes | None
     """Its panel; None for texts of the whole figure."""
     axis: Axis | None
-    """Axis whose tick it labels."""
+    """Axis of a tick label, else None."""
 
 
 def faults(figure: Figure) -> list[Fault]:
@@ -76,7 +76,7 @@ def faults(figure: Figure) -> list[Fault]:
 
 
 def crowded(figure: Figure) -> bool:
-    """True if texts overlap others or lie in other panels; without legends, whose texts have no positions yet.
+    """True if texts overlap others or lie in other panels; texts of legends have no positions yet.
 
     After the layout it needs no drawing, which would take a quarter of the time of a picture.
     """
@@ -114,7 +114,7 @@ def separate(figure: Figure) -> None:
 
 
 def _resolve(figure: Figure, texts: Sequence[PlacedText], boxes: Array, crowded: Sequence[int]) -> None:
-    """Of texts that overlap, hide the number of a scale or move a name."""
+    """Hide the number of a scale, or move a name, of texts that overlap."""
     for k in crowded:
         # A reader can infer a number of a scale from its neighbours, but not a name.
         if texts[k].axis is not None or texts[k].text.get_gid() == SCALE:
@@ -155,7 +155,7 @@ def too_wide(figure: Figure) -> Iterator[tuple[Text, float]]:
 
 
 def drawn_texts(figure: Figure, *, legends: bool = True) -> Iterator[PlacedText]:
-    """Every text that is drawn, with or without those of legends."""
+    """Every text that is drawn, with or without texts of legends."""
     shown = figure.legends if legends else []
     whole = [*figure.texts, *(text for legend in shown for text in (*legend.get_texts(), legend.get_title()))]
     panels = [each for axes in figure.axes if axes.get_visible() for each in _texts_of(axes, legends=legends)]
@@ -203,7 +203,7 @@ def _overlap(figure: Figure, boxes: Array, neighbours: Array) -> Mask:
 
 
 def _foreign_panels(figure: Figure, axes: Axes | None) -> Iterator[Axes]:
-    """Panels beside that of a text; a panel within another one, as a scale of colours, is not beside it."""
+    """Panels other than that of a text; a panel within another one, as a scale of colours, is not included."""
     for panel in figure.axes if axes is not None else ():
         if panel is axes or not panel.get_visible():
             continue

@@ -1,4 +1,4 @@
-"""Pictures of trajectories: the arm as it sweeps, joint values and margin over time; the same as a film."""
+"""Pictures and films of trajectories: the arm as it sweeps, joint values and margin over time."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ FRAMES = 48
 """Frames of the film."""
 
 CHECK_SAMPLES = 150
-"""Instants at which the arm of a checked trajectory is computed, besides its samples."""
+"""Number of instants with a computed arm of a checked trajectory, in addition to its samples."""
 
 START_OPACITY, BETWEEN_OPACITY = 0.45, 0.2
 """Opacity of the arm at the start, and between start and end, where arms overlap."""
@@ -218,7 +218,7 @@ def save_film(
 
 
 def some_of(arms: Sequence[Equilibrium], count: int = SHOWN) -> list[Equilibrium]:
-    """At most `count` of the equilibria along a motion, evenly, with the first and the last."""
+    """Equilibria along a motion, evenly spaced, at most `count`, with the first and the last."""
     # Unique, as a short motion has fewer arms.
     return [arms[k] for k in np.unique(np.linspace(0, len(arms) - 1, count).round().astype(int))]
 
@@ -251,7 +251,7 @@ def swept_arms(arms: Sequence[Equilibrium], base: Frame = ROBOT_FRAME) -> list[A
 
 
 def beside_scene(figure: Figure, count: int, scene: Scene, view: tuple[float, float] | None) -> list[Axes]:
-    """Draw a scene, and return `count` empty panels beside it, the second with a legend of the scene."""
+    """Draw a scene, and return `count` empty panels next to it, the second with a legend of the scene."""
     grid = figure.add_gridspec(count, 2, width_ratios=(1.15, 1.0))
     left, first = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
     panels = [first, *(figure.add_subplot(grid[k, 1], sharex=first) for k in range(1, count))]
@@ -261,7 +261,7 @@ def beside_scene(figure: Figure, count: int, scene: Scene, view: tuple[float, fl
 
 
 CELLS = 300
-"""Points along a side of the picture at which the distance of bodies is computed."""
+"""Grid points along a side of the picture for the distance of bodies."""
 
 BORDER = 0.012
 """Width of the region shown around the arm, m."""
@@ -332,7 +332,7 @@ def plot_section(trajectory: Trajectory, *, plane: Plane | None = None, title: s
 
 
 ARMS_SHOWN = 6
-"""Instants at which the arms are drawn in the picture."""
+"""Number of instants with a drawn arm."""
 
 ARMS_FRAMES = 24
 """Frames of the film of several arms."""

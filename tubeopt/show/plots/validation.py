@@ -25,7 +25,7 @@ ARROW_LENGTH = 0.16
 
 @picture
 def plot_residuals(validation: Validation, *, when: str = "") -> Figure:
-    """Figure of predicted tips with arrows to the measured ones, along the plate's axis and from the side.
+    """Figure of predicted tips with arrows to the measured tips, along the plate's axis and from the side.
 
     Arrows are to scale, or lengthened by the factor in the heading.
 

@@ -1,4 +1,4 @@
-"""Pictures of what a robot reaches: targets of inverse kinematics, and workspaces."""
+"""Pictures of reach: targets of inverse kinematics, and workspaces."""
 
 from __future__ import annotations
 
@@ -193,13 +193,13 @@ class _Section:
     size: float
     first: Keys
     margin: Array
-    """(I, J) smallest margin of the samples in a cell and those next to it; NaN where no sample is in the cell."""
+    """(I, J) smallest margin of the samples in and next to a cell; NaN for cells without samples."""
     dexterity: Array
-    """(I, J) fraction of directions of the same samples; NaN likewise."""
+    """(I, J) fraction of directions of the same samples; NaN for cells without samples."""
 
 
 def _section(workspace: Workspace, size: float | None) -> _Section:
-    """Cells of a half-plane into which all tips are turned about z, with their directions."""
+    """Cells of a half-plane with all tips turned into it about z, and their directions."""
     from scipy.ndimage import minimum_filter
 
     edge = _cell_size(workspace) if size is None else positive("size", size)

@@ -1,4 +1,4 @@
-"""The interactive viewer: a robot under somebody's hands, in a browser.
+"""Interactive viewer: a robot that the user moves in a browser.
 
 `session` holds what the robot does and how it came there, as plain data; the modules that know viser only show it.
 """

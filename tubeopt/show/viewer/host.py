@@ -35,7 +35,7 @@ UNTITLED = b"<title>Viser</title>"
 
 LOCAL = "127.0.0.1"
 LOCAL_NAMES = ("127.0.0.1", "localhost", "::1")
-"""Under what a browser on this machine may ask for the page."""
+"""Names of this machine in requests of a local browser."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def _bind(host: str, port: int) -> None:
 
 @contextmanager
 def _own_page_alone(host: str, title: str, added: Added | None) -> Iterator[None]:
-    """Have the server that is made meanwhile refuse requests that other pages in the same browser make."""
+    """Context that makes the new server refuse requests of other pages in the same browser."""
     import websockets.asyncio.server as library
     from websockets.exceptions import ConnectionClosed
 
@@ -142,8 +142,8 @@ def _own_page_alone(host: str, title: str, added: Added | None) -> Iterator[None
 
 
 def titled(response: Any, title: str, head: str = "") -> Any:
-    """A response of the server with the page's title in place of viser's, and more in its head; None, for a websocket,
-    stays None."""
+    """Response of the server with the page's title instead of viser's, and more in its head; None, for a websocket, is
+    returned."""
     if response is not None and UNTITLED in response.body:
         page = titled_page(response.body.decode(), title)
         response.body = page.replace("</head>", f"{head}</head>", 1).encode()
@@ -181,7 +181,7 @@ def joints_yaml(session: Session) -> str:
 
 
 def recording_csv(session: Session) -> str:
-    """The recorded joint values with times, and with the branch on which they begin, as `load_trajectory` reads them.
+    """Recorded joint values with times and the branch at the start, in the format of `load_trajectory`.
 
     The robot passes them at constant speed of its fastest tube: the times at which a hand moved sliders mean nothing.
 
@@ -212,7 +212,7 @@ FRAMES = 48
 """Pictures of the motion of several robots."""
 
 REST = 1.0
-"""Seconds for which the ends of that motion stand still."""
+"""Time, s, that the ends of that motion are shown."""
 
 
 def page_title(session: Session) -> str:
@@ -235,8 +235,11 @@ def scene_html(session: Session, layers: Mapping[str, Sequence[Part]], *, trail:
 
 
 def arms_page(plan: ArmsPlan) -> str:
-    """The motions of a plan as a page that plays by itself, without any server or network, to be turned and zoomed: all
-    arms and bodies in the frame that they share. Raises InputError where viser is not installed."""
+    """Motions of a plan as a page that plays by itself, without server or network.
+
+    The view can be turned and zoomed; it shows all arms and bodies in their common frame. Raises InputError without
+    viser.
+    """
     names = " and ".join(arm.called for arm in plan.arms)
     with quiet_server("127.0.0.1", 0) as server:
         # All arms must be in sight.
@@ -280,7 +283,7 @@ def exported(what: str, session: Session, scene: Scene, client: Any, *, trail: b
 
 
 def saved(what: str, session: Session, scene: Scene, client: Any, *, trail: bool, out: Path | None) -> str:
-    """Send an export to the browser, and save it into a directory if there is one; what is to be said of it.
+    """Message after sending an export to the browser, and saving it into an optional directory.
 
     Raises:
         InputError, RuntimeError, OSError: it cannot be made, or not be saved.

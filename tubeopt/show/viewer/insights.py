@@ -36,7 +36,7 @@ CACHED_CURVES = 16
 
 
 class MapKey(NamedTuple):
-    """Values on which certificate and stability map depend."""
+    """Values that determine certificate and stability map."""
 
     robot: Robot
     translations: tuple[float, ...]
@@ -44,7 +44,7 @@ class MapKey(NamedTuple):
 
 
 class CurveKey(NamedTuple):
-    """Values on which an S-curve depends."""
+    """Values that determine an S-curve."""
 
     place: MapKey
     tube: int
@@ -196,7 +196,7 @@ class Worker:
         threading.Thread(target=self._run, name="tubeopt-view", daemon=True).start()
 
     def post(self, job: Job, *, key: str | None = None) -> None:
-        """Queue a job; it replaces a waiting job with the same key, if it has one."""
+        """Queue a job; it replaces a waiting job with the same key."""
         with self._change:
             # Of the positions of a slider only the latest matters: with all of them the robot would lag behind.
             if key is not None:
@@ -367,7 +367,7 @@ def s_curve_plot(branch: Branch, equilibrium: Equilibrium, tube: int) -> str:
 
 
 def map_plot(chart: StabilityMap, equilibrium: Equilibrium) -> str:
-    """Margin over two relative rotations, paler where the way there from home snaps, and where the robot is.
+    """Map of the margin over two relative rotations, paler where the path from home snaps, with the current position.
 
     The place is hollow where whole turns were taken off: the map does not know of them.
     """

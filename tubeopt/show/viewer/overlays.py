@@ -22,7 +22,7 @@ from .session import Session, move, open_session, strides
 from .view import Playback, snaps_between, state_at
 
 CELLS = 200
-"""Cells of the filled section along the longer side of what is cut."""
+"""Number of cells of the filled section along its longer side."""
 
 ACROSS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 """Normals of planes across the axes of the plate."""
@@ -69,7 +69,7 @@ def cut_surface(surface: Surface, plane: Plane) -> Surface:
 
 
 def section(obstacles: Sequence[Obstacle], plane: Plane, low: Array, high: Array) -> Surface:
-    """Section of bodies by a plane within a box: squares whose middles lie in a body."""
+    """Section of bodies by a plane within a box: squares with their middle in a body."""
     corners = np.array([[(low, high)[k][i] for i, k in enumerate(each)] for each in np.ndindex(2, 2, 2)])
     side, frame = plane.height(corners), plane.frame
     # All corners on one side: by convexity the plane misses the whole box.
@@ -94,7 +94,7 @@ def _squares(corners: Array) -> Surface:
 
 
 STEP = np.radians(20.0)
-"""Largest turn of a tube between shapes whose common hull is taken."""
+"""Largest turn of a tube between shapes with a common hull."""
 
 SLIDE = 0.008
 """Largest translation likewise, m."""
@@ -111,7 +111,7 @@ COLOUR, OPACITY = (120, 90, 200), 0.25
 
 @dataclass(frozen=True, eq=False)
 class Swept:
-    """The surface of what is swept, its volume (m^3), and how many shapes were joined."""
+    """Surface of the swept space, its volume (m^3), and the number of joined shapes."""
 
     surface: Surface
     volume: float
@@ -182,7 +182,7 @@ PLACE = "/beside"
 
 
 def comparison_session(robot: Robot, first: Session) -> Session:
-    """Session of a robot to be compared with that of `first`, at home.
+    """Session at home of a robot to be compared with the robot of `first`.
 
     Raises:
         InputError: another number of tubes.
@@ -198,7 +198,7 @@ def comparison_session(robot: Robot, first: Session) -> Session:
 
 
 class Comparison:
-    """Robot beside the first one that follows its joint values, with a label on its state."""
+    """Second robot next to the first one; it follows the joint values, with a label on its state."""
 
     def __init__(self, api: Any, session: Session, first: Session) -> None:
         self.session = session

@@ -1,4 +1,4 @@
-"""The panel of controls beside the scene: joints, targets, loads, designs."""
+"""Panel of controls next to the scene: joints, targets, loads, designs."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ class PushPanel:
 
 
 class ForceArrow:
-    """Force on the tip of a robot as an arrow, which can be dragged if there are `controls`."""
+    """Arrow of a force on the tip of a robot; the user can drag it if it has `controls`."""
 
     def __init__(self, api: Any, scene: Scene, controls: PushPanel | None, view: View) -> None:
         self._scene, self._controls, self._view = scene, controls, view

@@ -1,4 +1,4 @@
-"""The picture of a session in the browser: what is drawn, and what of it changes with a motion.
+"""Picture of a session in the browser: its objects, and their changes with a motion.
 
 Lengths are drawn `SCALE` times as large, since the viewer's camera is made for things of the size of a person.
 """
@@ -102,7 +102,7 @@ class Scene:
                 handle.visible = False
 
     def show_trail(self, session: Session, visible: bool) -> None:
-        """The way of the tip so far, coloured by margin; jumps of snaps are straight."""
+        """Draw the path of the tip up to now, coloured by margin; jumps of snaps are straight."""
         trail = session.trail
         if not visible or trail is None or len(trail) < 2:
             if self._trail is not None:
@@ -162,7 +162,7 @@ class Scene:
             self._draw(FORCE, Part("force", arrow_surface(tip, head), FORCE_COLOUR))
 
     def _draw(self, name: str, part: Part) -> None:
-        """Draw a part; what stands there with as many vertices is changed, and not made anew."""
+        """Draw a part; an earlier drawing with equally many vertices is updated instead of replaced."""
         vertices = (part.surface.vertices * SCALE).astype(np.float32)
         handle = self._parts.get(name)
         # New vertices of an old mesh are sent without faces, and the browser builds nothing anew.
@@ -190,8 +190,10 @@ class Scene:
 
 
 class Mark:
-    """Arrows that may be put somewhere in the scene of a browser; `dragged` is told where the hand has them, m, and
-    whether they were let go."""
+    """Arrows for dragging in the scene of a browser.
+
+    The callback `dragged` gets their position, m, and True at the end of the drag.
+    """
 
     def __init__(self, api: Any, name: str, dragged: Callable[[Array, bool], None]) -> None:
         self._api, self._name, self._dragged = api, name, dragged
@@ -203,7 +205,7 @@ class Mark:
         return self._arrows is not None
 
     def put(self, place: Array, robot: Robot, on: bool) -> None:
-        """Put them at a place, m, as large as suits the robot, or take them away."""
+        """Show the arrows at a position, m, scaled to the robot, or hide them."""
         if self._arrows is not None:
             self._arrows.remove()
             self._arrows = None
@@ -215,7 +217,7 @@ class Mark:
             self._arrows.on_update(self._drawn)
 
     def follow(self, place: Array) -> None:
-        """Move them to a place, m, where they are in the scene."""
+        """Move visible arrows to a position, m."""
         if self._arrows is not None:
             self._arrows.position = tuple(place * SCALE)
 
@@ -226,7 +228,7 @@ class Mark:
 
 
 def ghost_parts(ghosts: Sequence[Equilibrium]) -> list[Part]:
-    """Other equilibria, translucent; stable ones blue, unstable ones red."""
+    """Other equilibria, translucent; stable equilibria blue, unstable equilibria red."""
     out = []
     for k, each in enumerate(ghosts):
         surfaces = [part.surface for part in robot_parts(each)]
@@ -289,7 +291,7 @@ def arrow_surface(start: Array, end: Array) -> Surface:
 
 
 def between(before: Equilibrium, after: Equilibrium, count: int) -> list[Equilibrium]:
-    """Shapes between two of one robot at the same joint values, for a moving picture of a snap.
+    """Shapes between two equilibria of one robot at the same joint values, for a moving picture of a snap.
 
     Their curvature goes evenly from one to the other, and the arm keeps its length. They are no equilibria: how a snap
     runs in time is not in the model.

@@ -495,7 +495,7 @@ def serve(
 
 
 def head() -> str:
-    """Style and scripts of the page besides those of viser."""
+    """Style and scripts of the page in addition to those of viser."""
     files = resources.files(__package__)
     style, script = (files.joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "hand.js"))
     return f"<style>{style}</style><script>{script}</script>"
@@ -503,7 +503,7 @@ def head() -> str:
 
 @contextmanager
 def _signals(stop: threading.Event) -> Iterator[None]:
-    """Context in which Ctrl-C and SIGTERM set `stop`; only the main thread may handle signals."""
+    """Context that sets `stop` on Ctrl-C and SIGTERM; only the main thread may handle signals."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

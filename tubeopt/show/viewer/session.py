@@ -1,4 +1,4 @@
-"""One robot under somebody's hands: where it is, how it came there, and what happened on the way.
+"""Interactive session with one robot: current equilibrium, path up to it, and log of events.
 
 A session is data; every verb returns a new one. Motion is quasi-static and follows the branch of equilibria, so that
 what the robot does depends on its history, as it does on a bench.
@@ -29,7 +29,10 @@ from ...typing import Array
 from ..formatting import degrees, millimetres, released, row
 
 CLOSE = 0.25
-"""Margin below which a stable robot is said to be close to a snap: for the robot of the thesis that is 1 deg before."""
+"""Largest margin of a stable robot that is reported as close to a snap.
+
+For the robot of the thesis that is 1 deg before it.
+"""
 
 TRAIL = 600
 """Most tip positions that are remembered."""
@@ -38,7 +41,7 @@ TRAIL_TURN, TRAIL_SLIDE = np.radians(15.0), 0.005
 """Longer motions (rad, m) are remembered in parts."""
 
 SAME_TIP = np.radians(0.1)
-"""Equilibria whose tip rotations differ by less (rad) are the same one, found twice."""
+"""Largest difference of tip rotations (rad) of equal equilibria."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,14 +132,14 @@ def check(
 
 
 class Limit(NamedTuple):
-    """End of the range of a joint, rad or m, and the name of what limits it."""
+    """End of the range of a joint, rad or m, and the name of the limiting constraint."""
 
     value: float
     name: str
 
 
 def allowed(robot: Robot, q: Array, joint: int) -> tuple[Limit, Limit]:
-    """Smallest and largest value of one joint if the others stay at q, each with the name of its limit.
+    """Smallest and largest value of one joint with all others fixed at q, each with the name of its limit.
 
     If q violates the order itself, the joint may stay, but not increase the violation.
     """
@@ -151,7 +154,7 @@ def allowed(robot: Robot, q: Array, joint: int) -> tuple[Limit, Limit]:
 
 
 def move(session: Session, rotations: ArrayLike, translations: ArrayLike) -> Session:
-    """Move slowly and straight to other joint values, following the branch; snaps on the way go into the log.
+    """Session after a slow, straight motion to other joint values along the branch; the log has the snaps.
 
     Args:
         rotations, translations: (n,) rad and m.
@@ -186,7 +189,7 @@ def strides(rotations: Array, translations: Array, *, turn: float, slide: float)
 
 
 def move_joint(session: Session, joint: int, value: float) -> tuple[Session, str]:
-    """Move one of the independent joints as far towards `value`, rad or m, as the other joints allow.
+    """Session after a motion of one independent joint as far towards `value`, rad or m, as the other joints allow.
 
     Returns:
         The session, and a message if the joint was stopped before, else "".
@@ -359,7 +362,7 @@ def bare(equilibrium: Equilibrium) -> Equilibrium:
 
 
 def without_load(equilibrium: Equilibrium) -> Equilibrium | None:
-    """Equilibrium after removing the load; None if the robot snaps on the way."""
+    """Equilibrium after removing the load; None if the robot snaps before."""
     if equilibrium.load is None:
         return equilibrium
     path = push(equilibrium, Load())

@@ -1,4 +1,4 @@
-"""Motion of the tip by keys, a gamepad or a 3-D mouse: messages of the page, and the servo that moves the robot.
+"""Motion of the tip by keys, a gamepad or a 3-D mouse: messages of the page, and the servo.
 
 Over a socket of the same server, `/hand`, the page sends JSON objects {"tab": ..., "velocity": [x, y, z]}: the token of
 a robot, which only its own page has, and the velocity of the tip along the axes of the plate over `SPEED`. A message
@@ -64,7 +64,7 @@ class Channel:
         self._drives.pop(token, None)
 
     async def receive(self, messages: AsyncIterable[str | bytes]) -> None:
-        """Execute the messages of a socket; invalid ones are ignored."""
+        """Execute the messages of a socket; invalid messages are ignored."""
         async for message in messages:
             try:
                 token, velocity = read(message)
@@ -132,7 +132,7 @@ PART_LENGTH = 0.05
 """Length of the parts of a straight motion of the tip, over the length of the longest tube."""
 
 CLOSE_ENOUGH = 1e-6
-"""Distance (m) at which a target counts as reached."""
+"""Largest distance (m) from a reached target."""
 
 # While the user drags the target, each step is soon followed by another one.
 QUICK = InverseOptions(steps=20)

@@ -53,7 +53,7 @@ class Waypoints:
 
 @dataclass(frozen=True, eq=False)
 class Playback:
-    """Waypoints and what the robot does along them."""
+    """Waypoints, and the motion of the robot along them."""
 
     waypoints: Waypoints
     path: JointPath
@@ -258,7 +258,7 @@ class View:
     load: Load | None = None
     """Force on the tip and gravity at the start."""
     out: Path | None = None
-    """Directory into which exports are saved besides being sent to the browser."""
+    """Optional directory of exports, which are always sent to the browser."""
 
     def session(self) -> Session:
         """A new session; raises InputError and SolveError as `open_session` and `push_on` do."""

@@ -16,7 +16,7 @@ from ..quantities import Quantity, record
 from .session import Event, Session
 
 SHOWN_EVENTS = 12
-"""Number of events in the log; earlier ones are counted."""
+"""Number of events in the log; earlier events are counted."""
 
 BOX = "font:12px/1.45 sans-serif;padding:2px 10px 6px"
 BADGE = {"stable": "#009660", "close to a snap": "#b8860b", "snapped": "#c81e1e"}
@@ -93,7 +93,8 @@ def log_words(log: Sequence[Event]) -> str:
 
 
 def message_words(text: str, *, bad: bool = False) -> str:
-    """Message to the user, a line for each sentence; `bad` ones stay visible while the panel scrolls (`page.css`)."""
+    """Message to the user, a line for each sentence; `bad` messages stay visible while the panel scrolls
+    (`page.css`)."""
     if not text:
         return '<div data-testid="message"></div>'
     role, colour = ("alert", "#c81e1e") if bad else ("status", "#3b6fb5")

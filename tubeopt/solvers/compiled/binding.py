@@ -168,7 +168,10 @@ def piece_sizes(tables: Mapping[str, Array]) -> PieceSizes:
 
 
 def tube_rows(robot: Robot) -> Array:
-    """Numbers (5, n) of the C struct Tubes of a robot; GJ is 0 for tubes made of pieces, along which it varies."""
+    """Numbers (5, n) of the C struct Tubes of a robot.
+
+    GJ is 0 for tubes made of pieces, since it varies along them.
+    """
     home = robot.assembly(robot.home_translations)
     stiffness = np.zeros(robot.n_tubes) if home.general else home.torsional_stiffness
     lengths = [tube.straight_length for tube in robot.tubes], [tube.length for tube in robot.tubes]
@@ -176,7 +179,7 @@ def tube_rows(robot: Robot) -> Array:
 
 
 def _tubes(robot: Robot, refinement: int) -> tuple[Array, Any]:
-    """C struct Tubes of a robot on a mesh halved `refinement` times, and the struct Pieces to which it points."""
+    """C struct Tubes of a robot on a mesh halved `refinement` times, and its struct Pieces."""
     tables = piece_tables(lengthwise(robot.tubes))
     pieces: Any = _Pieces(*piece_sizes(tables), *(address(array) for array in tables.values()), refinement)
     pieces.keep = tables  # the structure points into them
@@ -187,7 +190,7 @@ def _tubes(robot: Robot, refinement: int) -> tuple[Array, Any]:
 
 @lru_cache(maxsize=64)
 def kernel_of(robot: Robot) -> Kernel | None:
-    """Compiled kernel for a robot; None if there is none."""
+    """Compiled kernel for a robot; None if it does not exist."""
     if robot.n_tubes > MOST_TUBES:
         return None
     return library(robot.n_tubes, robot.assembly(robot.home_translations).eccentric)
@@ -205,7 +208,7 @@ class Prepared(NamedTuple):
 
 @lru_cache(maxsize=64)
 def with_kernel(robot: Robot, refinement: int = 0) -> Prepared | None:
-    """Kernel of a robot with its tubes on a mesh halved `refinement` times; None if there is no kernel."""
+    """Kernel of a robot with its tubes on a mesh halved `refinement` times; None without a kernel."""
     kernel = kernel_of(robot)
     if kernel is None:
         return None
@@ -338,7 +341,7 @@ class Slopes(NamedTuple):
     along: Array | None
     """Derivatives (m, 3, Q) of shape points at fixed arc lengths, the last at the tip; None if the meshes differ."""
     deviation: float
-    """Largest difference of the rotations from those of the start, rad; infinite if the meshes differ."""
+    """Largest difference of the rotations from the start's, rad; infinite if the meshes differ."""
 
 
 def slopes_compiled(

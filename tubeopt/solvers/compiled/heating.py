@@ -29,7 +29,7 @@ def heating_source() -> str:
 
 @lru_cache(maxsize=1)
 def heating_kernel() -> Any:
-    """Loaded kernel; None if there is none."""
+    """Loaded kernel; None if it does not exist."""
     path = kernel_path((0, "heating"), heating_source)
     loaded = None if path is None else open_library(path)
     if loaded is None:

@@ -54,8 +54,10 @@ MOST_CUTS = 512
 """Largest number of breakpoints in the kernel."""
 
 MOST_PIECES, MOST_UNKNOWNS = 32, 404
-"""Largest numbers of pieces and unknowns in the kernel, four unknowns of which pad matrices; the general solver solves
-larger problems."""
+"""Largest numbers of pieces and unknowns in the kernel, with four unknowns as padding of matrices.
+
+The general solver solves larger problems.
+"""
 
 
 class Capacity(NamedTuple):
@@ -89,7 +91,7 @@ class Kernel:
 
     @property
     def differentiable(self) -> bool:
-        """Kernel has derivatives, as that of concentric tubes."""
+        """True if the kernel has derivatives, as for concentric tubes."""
         return hasattr(self.functions, "differentiate")
 
 
@@ -157,7 +159,7 @@ def signature(function: ca.Function) -> tuple[list[Any], list[Any]]:
 
 
 def compiler() -> list[str] | None:
-    """C compiler: CC, else cc, gcc or clang; None if there is none, or if TUBEOPT_COMPILE is 0.
+    """C compiler: CC, else cc, gcc or clang; None without any, or if TUBEOPT_COMPILE is 0.
 
     The flags are those of gcc and clang; Visual Studio has other ones, and is not searched.
     """
@@ -192,7 +194,7 @@ def _cached_or_built(kind: Kind, text: Callable[[], str]) -> Path | None:
 
 
 SOURCES = ("block", "physics", "robots", "solvers")
-"""Packages on which the C text depends."""
+"""Packages that the C text depends on."""
 
 COMPILING = logging.getLogger("tubeopt.kernel")
 """Logger of compilations."""
@@ -291,7 +293,7 @@ def _warn_once(message: str) -> None:
 
 
 def kernel_path(kind: Kind, text: Callable[[], str]) -> Path | None:
-    """Path of the kernel of a kind, from the package or compiled from its C text; None if there is none."""
+    """Path of the kernel of a kind, from the package or compiled from its C text; None without a kernel."""
     if os.environ.get("TUBEOPT_COMPILE") == "0":
         return None
     path = packaged_kernel(kind, processor_features()) or _cached_or_built(kind, text)
@@ -315,7 +317,7 @@ def open_library(path: Path) -> Any:
 
 
 def load_kernel(kind: Kind, text: Callable[[], str], answer: np.dtype[np.void]) -> Kernel | None:
-    """Kernel of a kind with this C struct Answer (without fields for none); None if there is no kernel."""
+    """Kernel of a kind with this C struct Answer (without fields for none); None without a kernel."""
     path = kernel_path(kind, text)
     loaded = None if path is None else open_library(path)
     if path is None or loaded is None:
@@ -329,7 +331,7 @@ def load_kernel(kind: Kind, text: Callable[[], str], answer: np.dtype[np.void]) 
 
 @lru_cache(maxsize=16)
 def library(n: int, eccentric: bool) -> Kernel | None:
-    """Compiled kernel of `source` for n tubes; None if there is none."""
+    """Compiled kernel of `source` for n tubes; None without a kernel."""
     kind, answer = (n, "eccentric" if eccentric else "concentric"), _answer(n)
     kernel = load_kernel(kind, lambda: source(n, eccentric), answer)
     if kernel is None:

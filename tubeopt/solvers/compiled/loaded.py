@@ -118,7 +118,7 @@ class _Rules(ctypes.Structure):
 
 @dataclass(frozen=True)
 class LoadedRules:
-    """Problem on three rules with the same pieces."""
+    """Problem on three quadrature rules with equal pieces."""
 
     problem: LoadedProblem
     """Rule of the solution."""
@@ -158,7 +158,7 @@ def _sections(at: CrossSections) -> Array:
 
 @lru_cache(maxsize=64)
 def _structure(rules: LoadedRules) -> Any:
-    """C struct Rules, with the memory into which it points as `keep`."""
+    """C struct Rules; `keep` holds the memory that it points into."""
     problems, tip = (rules.problem, rules.rough, rules.check), rules.problem.tip_tube
     torsion, length = rules.problem.torsion, rules.problem.torsion.assembly.total_length
     mesh, ends = torsion.mesh, sections_at(torsion.assembly, torsion.mesh, ENDS)
@@ -193,7 +193,7 @@ def _structure(rules: LoadedRules) -> Any:
 
 
 def _usable(rules: LoadedRules) -> Kernel | None:
-    """Kernel for a problem; None if there is none."""
+    """Kernel for a problem; None without a kernel."""
     problem = rules.problem
     check_time()
     n, mesh = problem.torsion.assembly.n_tubes, problem.mesh
@@ -237,8 +237,10 @@ class ManySolved(NamedTuple):
     """Equilibria under load at M rotations."""
 
     table: Array
-    """Rows (M, 18 + n) with tip position (3), tip frame by rows (9), tip rotations (n), margin, residual, error of
-    theta, error of the tip, energy, and error of the margin."""
+    """Rows (M, 18 + n) of tip position (3), tip frame by rows (9), tip rotations (n), and six numbers.
+
+    The numbers are margin, residual, error of theta, error of the tip, energy, and error of the margin.
+    """
     compliance: Array
     """Compliances (M, 6, 6) of the tip."""
     unsolved: Mask
@@ -248,7 +250,7 @@ class ManySolved(NamedTuple):
 def solve_many_loaded_compiled(
     rules: LoadedRules, rotations: Array, starts: tuple[Array, Array], ends: NDArray[np.int64]
 ) -> ManySolved | None:
-    """Stable equilibria at rotations (M, n) under a dead load that grows from 0; None if there is no kernel.
+    """Stable equilibria at rotations (M, n) under a dead load that grows from 0; None without a kernel.
 
     Args:
         starts: rotations (M, N, n) without load at the points, and margins (M,).

@@ -9,8 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 Kind = tuple[int, str]
-"""Kind of a kernel: number of tubes, and "concentric", "eccentric", "loaded" or "rubbing"; (0, "heating") and
-(0, "quadratic") are those of heat and of small least squares, for all robots."""
+"""Kind of a kernel: number of tubes, and "concentric", "eccentric", "loaded" or "rubbing".
+
+(0, "heating") and (0, "quadratic") are the kernels of heat and of small least squares, for all robots.
+"""
 
 FOLDER = Path(__file__).parent / "kernels"
 """Folder of the kernels in a wheel."""
@@ -67,7 +69,7 @@ def _features_by_numpy() -> frozenset[str]:
 
 
 def packaged_kernel(kind: Kind, features: Iterable[str]) -> Path | None:
-    """Path of the newest kernel of this package for a processor with these features; None if there is none."""
+    """Path of the newest kernel of this package for a processor with these features; None without any."""
     available = frozenset(features)
     paths = (g.kernel(FOLDER, kind) for g in generations() if g.needs <= available)
     return next((path for path in paths if path.exists()), None)

@@ -26,10 +26,10 @@ MOST_VARIABLES = 4 * MOST_TUBES
 """Largest number of variables, twice the joints of the largest robot with a kernel; SciPy solves larger problems."""
 
 FEASIBLE = 1e-9
-"""Share of the right-hand side by which an inequality may be missed before it counts as violated."""
+"""Allowed violation of an inequality as a fraction of its right-hand side."""
 
 ROUNDED = 1e-5
-"""Share of the answer's distance from the free minimum by which it may miss an inequality."""
+"""Allowed violation of an inequality as a fraction of the solution's distance from the free minimum."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ class CompiledLeastSquares:
 
 @lru_cache(maxsize=1)
 def _kernel() -> Any:
-    """Loaded function; None if there is no kernel."""
+    """Loaded function; None without a kernel."""
     path = kernel_path((0, "quadratic"), quadratic_source)
     loaded = None if path is None else open_library(path)
     if loaded is None:
@@ -138,7 +138,7 @@ _of_thread = threading.local()
 
 
 def compiled_least_squares() -> CompiledLeastSquares | None:
-    """Function of this thread; None if there is no kernel."""
+    """Function of this thread; None without a kernel."""
     if "solve" not in _of_thread.__dict__:
         kernel = _kernel()
         _of_thread.solve = None if kernel is None else CompiledLeastSquares(kernel)

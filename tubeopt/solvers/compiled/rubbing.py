@@ -48,7 +48,7 @@ class Rubbed:
 
 
 class FrictionStart(NamedTuple):
-    """State from which a motion with friction starts."""
+    """Start state of a motion with friction."""
 
     unknowns: Array
     """Unknowns (U,) of its contact."""

@@ -34,7 +34,7 @@ def package_kernels(folder: Path, *, everywhere: bool) -> list[Path]:
 
 
 def known(among: Sequence[Generation]) -> list[Generation]:
-    """Generations whose flags the compiler accepts, tested by a text of one line."""
+    """Generations with flags that the compiler accepts, tested by a text of one line."""
     with tempfile.TemporaryDirectory() as scratch:
 
         def compiles(generation: Generation) -> bool:
