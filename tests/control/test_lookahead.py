@@ -65,22 +65,22 @@ def test_a_body_in_the_way_is_gone_around() -> None:
 @pytest.mark.parametrize("robot", [THESIS, PAIR], ids=["arcs", "pieces"])
 def test_knots_are_what_forward_kinematics_finds_and_change_as_differences_say(robot: object) -> None:
     assert robot in (THESIS, PAIR)
-    chart = TipCoordinates(joint_space(THESIS if robot is THESIS else PAIR))
-    space = chart.space
+    coordinates = TipCoordinates(joint_space(THESIS if robot is THESIS else PAIR))
+    space = coordinates.space
     random, n = np.random.default_rng(0), space.robot.n_tubes
     z = np.array([space.nearest(space.inside() + 0.1 * space.scale * random.normal(size=len(space.scale)))] * 3)
     z[1:, :n] += random.normal(size=(2, n))
-    knots = Knots.at(chart, z, 0.1)
-    arms = chart.arms(z, 0.1)
-    np.testing.assert_allclose(knots.joints, chart.joints(z, arms), atol=1e-12)
+    knots = Knots.at(coordinates, z, 0.1)
+    arms = coordinates.arms(z, 0.1)
+    np.testing.assert_allclose(knots.joints, coordinates.joints(z, arms), atol=1e-12)
     np.testing.assert_allclose(knots.tip, arms.tip, atol=1e-12)
     found = forward_kinematics(space.robot, *space.split(knots.joints[0]))
-    if np.abs(chart.of(found) - z[0]).max() < 1e-3:
+    if np.abs(coordinates.of(found) - z[0]).max() < 1e-3:
         np.testing.assert_allclose(knots.tip[0], found.tip_position, atol=2e-5)
     for k in range(z.shape[1]):
         step = np.zeros(z.shape[1])
         step[k] = 1e-6 * space.scale[k]
-        up, down = Knots.at(chart, z + step, 0.1), Knots.at(chart, z - step, 0.1)
+        up, down = Knots.at(coordinates, z + step, 0.1), Knots.at(coordinates, z - step, 0.1)
         for name, slope in zip(("joints", "fields", "points", "direction"), knots.slopes, strict=True):
             difference = (getattr(up, name) - getattr(down, name)) / 2e-6
             np.testing.assert_allclose(slope[..., k], difference, atol=1e-5 * max(1.0, np.abs(difference).max()))

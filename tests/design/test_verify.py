@@ -87,7 +87,9 @@ def test_a_certificate_is_kept_at_its_floor_where_tubes_may_be_off(monkeypatch: 
     monkeypatch.setattr(verify, "count_snaps", lambda *_: (0, 0))
     monkeypatch.setattr(verify, "PERTURBED_ROBOTS", 0)
     for short, kept in ((1.0e-4, True), (1.02e-4, False)):
-        monkeypatch.setattr(verify, "snap_free_certificate", lambda robot, row, short=short: one.floor - short)
+        monkeypatch.setattr(
+            verify, "snap_free_certificate", lambda robot, row, short=short: one.required_margin - short
+        )
         assert checks_of(one)[0].kept == kept
 
 
@@ -108,7 +110,7 @@ def test_errors_of_three_tubes_take_as_much_from_a_certificate_as_is_allowed_for
     nominal = softened(1.0, 1.0, 1.0, 1.0)
     worst = softened(1.1, 1.2, 0.8, 0.8) / nominal
     assert 0.999 * one.growth <= worst <= one.growth * (1 + 1e-9)
-    assert one.floor == pytest.approx(1 - 0.8 / one.growth, rel=1e-12)
+    assert one.required_margin == pytest.approx(1 - 0.8 / one.growth, rel=1e-12)
 
 
 def test_tubes_that_are_off_are_tried_at_the_corners_of_their_errors(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -232,7 +234,7 @@ def test_translations_of_a_box_are_added_where_less_than_the_floor_or_the_promis
     program: Any = SimpleNamespace(added=Added(), layout=layout, task=SimpleNamespace(requirements=(one,)))
     monkeypatch.setattr(exchange, "robot_at", lambda *_: ROBOT)
     for short, added in ((0.9e-4, ()), (1.1e-4, ((0.01, 0.0),))):
-        least = max(one.floor, promised or 0.0) - short
+        least = max(one.required_margin, promised or 0.0) - short
         monkeypatch.setattr(exchange, "worst_in_box", lambda *_, least=least: (least, (0.01, 0.0)))
         assert exchange.worst_cases(program, np.array([promised or 0.0])).added.translations == added
 

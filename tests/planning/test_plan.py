@@ -292,11 +292,11 @@ def test_a_place_out_of_reach_is_told_before_inverse_kinematics(
 def test_tips_that_exist_are_not_refused(robot: Robot) -> None:
     """Also those of joint values at the ends of their ranges, where few starts are near."""
     task = PlanTask(TipCoordinates(joint_space(robot)), (), 0.0, 0.0)
-    space, n, random = task.chart.space, robot.n_tubes, np.random.default_rng(3)
+    space, n, random = task.coordinates.space, robot.n_tubes, np.random.default_rng(3)
     for _ in range(12):
         q = np.where(random.random(len(space.lower)) < 0.5, space.lower, space.upper)
         q[:n] = random.uniform(-np.pi, np.pi, n)
-        assert least_miss(task, task.chart.arms(space.nearest(q)[None], 0.0).tip[0]) == 0.0
+        assert least_miss(task, task.coordinates.arms(space.nearest(q)[None], 0.0).tip[0]) == 0.0
 
 
 def test_an_optimal_search_is_no_longer_than_what_it_begins_with() -> None:
@@ -319,10 +319,10 @@ def test_of_wide_ranges_the_nearest_turns_are_tried() -> None:
 def test_an_arm_can_be_withdrawn_where_two_tubes_end_together() -> None:
     """Tubes 1 and 2 end at the same place but for round-off on the way."""
     z = np.array([[0.0, 0.0, 0.0, -0.0574900243, -0.00749002431, 0.0168773203]])
-    chart = TipCoordinates(joint_space(THESIS))
+    coordinates = TipCoordinates(joint_space(THESIS))
     for gap in (0.0, 1e-17, -1e-17, 3e-17, 1e-16):
         z[0, 4] = z[0, 3] + 0.05 + gap
-        assert np.isfinite(chart.arms(z, 0.0).tip).all()
+        assert np.isfinite(coordinates.arms(z, 0.0).tip).all()
 
 
 def test_a_curve_is_passed_as_fast_as_limits_allow() -> None:
@@ -349,7 +349,7 @@ def test_curves_of_joint_values_keep_to_motions_that_bend() -> None:
     begin = np.zeros(len(task.scale))
     end = begin + [6.0, 0.0, -6.0, 0.0, 0.0, 0.0][: len(begin)]
     fine = begin + np.linspace(0, 1, 4_001)[:, None] * (end - begin)
-    exact = task.chart.joints(fine, task.arms(fine)) / task.scale
+    exact = task.coordinates.joints(fine, task.arms(fine)) / task.scale
     (table,) = joint_curves(task, np.stack([begin, end]))
     curve = rounded(table)(np.linspace(0, 1, 400)) / task.scale
     off = scipy.spatial.cKDTree(exact).query(curve)[0]
@@ -389,7 +389,7 @@ def test_a_motion_to_the_right_joint_values_on_another_branch_is_told() -> None:
     ends = [each for each in find_equilibria(TWO_TUBE, [180 * DEG, 0.0]) if each.stable]
     assert len(ends) == 2
     for end in ends:
-        places = motion.time[-1:], task.chart.of(end)[None]
+        places = motion.time[-1:], task.coordinates.of(end)[None]
         same = np.allclose(end.tip_position, led.tip_position, atol=1e-6)
         assert violated(task, start, motion, task.clock, places).intervals.any() == (not same)
 

@@ -98,7 +98,7 @@ def test_a_place_of_the_tip_is_planned_for_from_the_map_alone(monkeypatch: pytes
 
 def test_a_way_does_without_corners_that_it_can_pass_straight() -> None:
     task = plan_task(ROBOT, [], 0.05, DEFAULT_RATES, None, PlanOptions())
-    first = task.chart.space.join(np.zeros(3), np.array([-0.02, -0.08, -0.09]))
+    first = task.coordinates.space.join(np.zeros(3), np.array([-0.02, -0.08, -0.09]))
     last = first + task.scale * [0.1, 0.1, 0.1, 0.0, 0.0, 0.0]
     corner = (first + last) / 2 + task.scale * [0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
     assert np.array_equal(without_corners(task, np.stack([first, corner, last])), [first, last])

@@ -163,17 +163,17 @@ def test_a_design_that_touches_its_corridor_is_deployed_into_it() -> None:
 def test_the_arm_between_points_of_the_chart_is_the_arm() -> None:
     """Its clearance, too, is that of forward kinematics, from bodies much smaller than the points are apart."""
     space, random = joint_space(THESIS), np.random.default_rng(1)
-    chart = TipCoordinates(space)
+    coordinates = TipCoordinates(space)
     for q in space.sample(12):
         e = forward_kinematics(THESIS, *space.split(q))
-        arms = chart.arms(chart.of(e)[None], 0.0)
+        arms = coordinates.arms(coordinates.of(e)[None], 0.0)
         s, line = arms.fine()
         posture = posture_of(space, e)
         np.testing.assert_allclose(line[0], posture.outline.at(s[0])[0], atol=2e-6)
         place = line[0, random.integers(20, 120)] + random.normal(size=3) * 5e-3
         body = Sphere(tuple(place.tolist()), 2e-4)
         least = posture.outline.clearance(Scene((body,)))
-        own = float(Task(chart, (body,), 0.0, max(least, 0.0)).clearances(arms)[0])
+        own = float(Task(coordinates, (body,), 0.0, max(least, 0.0)).clearances(arms)[0])
         assert own == pytest.approx(least, abs=3e-6 if least > 5e-4 else 5e-5)
 
 
@@ -365,9 +365,9 @@ def test_a_closed_pocket_is_told_from_an_open_place() -> None:
 
 @pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE], ids=lambda robot: robot.name)
 def test_steps_towards_a_place_are_those_that_end_within_ranges_and_order(robot: Robot) -> None:
-    """Against the joint space itself; rotations have no range in the chart."""
+    """Against the joint space itself; rotations have no range in tip coordinates."""
     task, random = plan_task(robot, ()), np.random.default_rng(0)
-    space, n, longest = task.chart.space, robot.n_tubes, 0.3
+    space, n, longest = task.coordinates.space, robot.n_tubes, 0.3
     seen = set()
     for q in space.sample(8):
         rows, bounds = step_constraints(task, q, longest)

@@ -46,7 +46,7 @@ class MarginBound(NamedTuple):
 
     fields: tuple[Any, ...]
     """Unknown Jacobi fields, as columns in the order of `JacobiFields`."""
-    floor: Any
+    min_margin: Any
 
 
 def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
@@ -62,7 +62,7 @@ def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
     """
     if block.load is not None:
         block.load.require_energy("the arm has no margin")
-    floor, model = checked_margin(margin), block.model
+    min_margin, model = checked_margin(margin), block.model
     n, rows = functions.field_size(model.grid), functions.field_rows(model.grid)
     pieces, reach, degree = model.n_pieces, block.reach, model.grid.degree
     inside = np.tile(np.where(np.arange(rows) < n, 1.0, 1 / reach), n * degree * pieces)
@@ -76,12 +76,12 @@ def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
             (" ahead", n * n * (pieces + 1), 1.0),
         )
     ]
-    start = float(floor) if not symbolic(margin) else min(max(block.initial.margin - 0.1, 0.0), 0.9)
+    start = float(min_margin) if not symbolic(margin) else min(max(block.initial.margin - 0.1, 0.0), 0.9)
     for column, value in zip(columns, jacobi_fields(block.begin, start), strict=True):
         block.program.set_guess(column, value)
     ratio, points, matrices = (ca.reshape(each, size, -1) for each, size in zip(columns, (n, rows, n), strict=True))
     after = ca.vertcat(ca.repmat(ca.DM.eye(n), 1, pieces), ca.horzcat(ratio, ca.DM.zeros(n, n)))
-    before, defect = model.mapped("fields")(after, points, model.lengths.T, *model.softness(floor))
+    before, defect = model.mapped("fields")(after, points, model.lengths.T, *model.softness(min_margin))
     y, v = before[:n, :], ca.horzsplit(before[n:, :], n)
     plate = y[:, :n] - ca.repmat(model.plate_compliance, 1, n) * v[0]
     begins = ca.horzsplit(matrices, n)
@@ -103,14 +103,14 @@ def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
     det = functions.determinant_function(n)
     labels = [f"margin, on the arm from piece {k + 1} on" for k in range(pieces)] + ["margin"]
     block.demand(f"margin{count}", ca.vertcat(*(det(matrix) for matrix in begins)), entries=labels)
-    block.margins.append(MarginBound(tuple(columns), floor))
+    block.margins.append(MarginBound(tuple(columns), min_margin))
 
 
 @dataclass(frozen=True, eq=False)
 class CertificateBound:
     """A lower bound on a certificate of a block, under forces of at most `force`, N."""
 
-    floor: Any
+    min_margin: Any
     force: float
     pairs: tuple[float, float]
     """Pairs of the bound that is constrained: of `loaded_worst_case`, the larger one at the start."""
@@ -141,19 +141,19 @@ class CertificateBound:
 
 def add_certificate(block: ComposedBlock[Any], margin: Any, max_force: float = 0.0) -> None:
     """Constrain the certificate to at least `margin`, for all rotations and all tip forces up to `max_force`, N."""
-    floor, force = checked_margin(margin), positive("max_force", max_force, zero=True)
+    min_margin, force = checked_margin(margin), positive("max_force", max_force, zero=True)
     if block.model.offsets:
         raise InputError("the robot is eccentric; this certificate is valid for concentric tubes only")
     if block.load is not None:
         _check_covered(block.load, force)
     if not force:
-        block.demand("certificate", _without_force(block, 1 - floor))
+        block.demand("certificate", _without_force(block, 1 - min_margin))
         # A determinant has the same sign beyond the second eigenvalue, so `equilibrium` computes the certificate again.
-        block.bounds.append(CertificateBound(floor, 0.0, TURNED))
+        block.bounds.append(CertificateBound(min_margin, 0.0, TURNED))
         return
     if block.model.along is not None:
         raise InputError(f"max_force is {force:g} N; for tubes made of pieces it must be 0 in a block")
-    _add_under_force(block, floor, force)
+    _add_under_force(block, min_margin, force)
 
 
 def _check_covered(load: Load, force: float) -> None:
@@ -188,7 +188,7 @@ def _without_force(block: ComposedBlock[Any], eigenvalue: Any) -> Any:
     )
 
 
-def _add_under_force(block: ComposedBlock[Any], floor: Any, force: float) -> None:
+def _add_under_force(block: ComposedBlock[Any], min_margin: Any, force: float) -> None:
     """Add the largest eigenvalue of `physics.certificate` and its eigenfunction where pieces begin as unknowns.
 
     The largest eigenvalue is simple, hence smooth, and only its eigenfunction has one sign (Krein and Rutman), which is
@@ -205,7 +205,7 @@ def _add_under_force(block: ComposedBlock[Any], floor: Any, force: float) -> Non
     eigenvalue = program.variable(f"{tag}: eigenvalue", 1, scale=value, guess=value)
     flat = program.variable(f"{tag}: states", begin.size, scale=scale, guess=begin.ravel(order="F"))
     states = ca.reshape(flat, *begin.shape)
-    block.bounds.append(CertificateBound(floor, force, pairs, eigenvalue, flat))
+    block.bounds.append(CertificateBound(min_margin, force, pairs, eigenvalue, flat))
     # Lever of the force: arc length from the end of each piece to the tip.
     lever = ca.DM(np.triu(np.ones((pieces, pieces)), 1)) @ model.lengths
     inputs = [ca.repmat(ca.DM(part), 1, pieces) for part in (np.array(pairs), force)]
@@ -230,10 +230,10 @@ def _add_under_force(block: ComposedBlock[Any], floor: Any, force: float) -> Non
     sign = ca.vec(states[curved, 1:] / ca.repmat(typical[curved, 0], 1, pieces))
     block.demand(f"{name}: one sign", sign, entries=[f"{name}: one sign"] * sign.numel())
     if pairs == APART:
-        block.demand(name, _without_force(block, 1 - floor - eigenvalue))
-        block.demand(f"{name}: remainder under the force", 1 - floor - eigenvalue)
+        block.demand(name, _without_force(block, 1 - min_margin - eigenvalue))
+        block.demand(f"{name}: remainder under the force", 1 - min_margin - eigenvalue)
     else:
-        block.demand(name, 1 - eigenvalue - floor)
+        block.demand(name, 1 - eigenvalue - min_margin)
 
 
 def _sections_and_tubes(

@@ -85,19 +85,19 @@ def verified_equilibrium(block: ComposedBlock[N], value: Callable[[Any], Any]) -
             result,
         )
     for bound in block.margins:
-        floor = float(np.array(value(bound.floor)).item())
-        if result.margin < floor - MARGIN_TOLERANCE:
+        min_margin = float(np.array(value(bound.min_margin)).item())
+        if result.margin < min_margin - MARGIN_TOLERANCE:
             raise SolveError(
-                f"the margin is {result.margin:.4g}; it must be at least {floor:.4g}: the "
+                f"the margin is {result.margin:.4g}; it must be at least {min_margin:.4g}: the "
                 "program has left the branch where its margin constraint is valid; start it "
                 "closer to its solution",
                 result,
             )
     for bound in block.bounds:
-        floor, certificate = float(np.array(value(bound.floor)).item()), bound.value(model, block.chain)
-        if certificate < floor - CERTIFICATE_TOLERANCE:
+        min_margin, certificate = float(np.array(value(bound.min_margin)).item()), bound.value(model, block.chain)
+        if certificate < min_margin - CERTIFICATE_TOLERANCE:
             raise SolveError(
-                f"the {bound.name} is {certificate:.4g}; it must be at least {floor:.4g}: "
+                f"the {bound.name} is {certificate:.4g}; it must be at least {min_margin:.4g}: "
                 "the program has left the branch of the largest eigenvalue; start it closer "
                 "to its solution",
                 result,
@@ -423,14 +423,14 @@ class EquilibriumBlock(ComposedBlock[N]):
         order = swapped(self.layout.order, rows[0] if row is None else row)
         self.restore(layout(assembly_at(self.robot, self._bundle, numbers), order, pieces=self.layout.n_pieces))
         begin = self._start_model(numbers)
-        floors = [float(np.array(solution.value(bound.floor)).item()) for bound in self.margins]
+        min_margins = [float(np.array(solution.value(bound.min_margin)).item()) for bound in self.margins]
         if self.load is not None:
             values = start_values(verified_equilibrium(self, solution.value), begin)
         else:
             start, inside = collocation_points(begin)
             at_start = sample(solved, start)
             values = StartValues(at_start.rotation, at_start.torsion, sample(solved, inside).rotation)
-        self._begin_with(begin, values, floors)
+        self._begin_with(begin, values, min_margins)
 
     def start(self, equilibrium: InitialEquilibrium) -> None:
         """Start the next solve at another equilibrium of the robot; its dimensions may differ.
@@ -448,8 +448,10 @@ class EquilibriumBlock(ComposedBlock[N]):
                 raise InputError("no tube is in front of the base plate; an arm without length has no equilibrium")
             self.restore(layout(bundle, order, pieces=self.layout.n_pieces))
         begin = self._start_model(numbers)
-        floors = [equilibrium.margin - 0.1 if symbolic(b.floor) else float(b.floor) for b in self.margins]
-        self._begin_with(begin, start_values(equilibrium, begin), floors)
+        min_margins = [
+            equilibrium.margin - 0.1 if symbolic(b.min_margin) else float(b.min_margin) for b in self.margins
+        ]
+        self._begin_with(begin, start_values(equilibrium, begin), min_margins)
 
     def start_at(self, value: Callable[[Any], Any]) -> None:
         """Start the next solve at the equilibrium of given joint values and dimensions.
@@ -469,11 +471,11 @@ class EquilibriumBlock(ComposedBlock[N]):
         """True if the variable with this name belongs to the block."""
         return bool(self.label) and name.startswith(self.label)
 
-    def _begin_with(self, begin: Model, values: StartValues, floors: Sequence[float]) -> None:
+    def _begin_with(self, begin: Model, values: StartValues, min_margins: Sequence[float]) -> None:
         """Set the start of all unknowns of the block."""
         self._set_guess(begin, values)
-        for margin, floor in zip(self.margins, floors, strict=True):
-            for column, value in zip(margin.fields, jacobi_fields(self.begin, min(floor, 0.9)), strict=True):
+        for margin, min_margin in zip(self.margins, min_margins, strict=True):
+            for column, value in zip(margin.fields, jacobi_fields(self.begin, min(min_margin, 0.9)), strict=True):
                 self.program.set_guess(column, value)
         for bound in self.bounds:
             bound.start(self)

@@ -1,6 +1,6 @@
 """A servo that looks ahead: for goals behind a valley of the margin, or a body, at which one step after another ends.
 
-The path to the target is kept as knots. A knot is a point of the chart (tip rotations and translations), in which the
+The path to the target is kept as knots. A knot is a point in tip coordinates (rotations and translations), in which the
 equilibrium block is explicit: joint values, tip, shape and the Jacobi fields that state the margin are functions of it,
 and there is no snap at which their derivatives end. Linearised at N knots, the shortest path through all of them to the
 target is one quadratic program:
@@ -101,9 +101,9 @@ def _linearised(kind: Kind, knots: int, thread: int) -> Buffered:
 
 @dataclass(frozen=True, eq=False)
 class Knots:
-    """K knots of a chart."""
+    """K knots in tip coordinates."""
 
-    chart: TipCoordinates
+    coordinates: TipCoordinates
     z: Array
     """(K, m)."""
     joints: Array
@@ -120,16 +120,16 @@ class Knots:
     """Of joints, fields, points and direction by z over the scales, with m columns behind."""
 
     @staticmethod
-    def at(chart: TipCoordinates, z: Array, floor: float) -> Knots:
+    def at(coordinates: TipCoordinates, z: Array, floor: float) -> Knots:
         """Those of points (K, m), with a floor of the margin."""
-        n, (count, m) = chart.space.robot.n_tubes, z.shape
-        function = _linearised(chart.kind, count, threading.get_ident())
-        values, slopes, along = function(z[:, :n], chart.translations(z), floor, chart.parameters)
-        first, last = n + explicit_arm(chart.kind).numel_out(1), values.shape[1] - 3
-        spread = np.concatenate([np.eye(n, m), chart.space.spread[n:]]) * chart.space.scale
+        n, (count, m) = coordinates.space.robot.n_tubes, z.shape
+        function = _linearised(coordinates.kind, count, threading.get_ident())
+        values, slopes, along = function(z[:, :n], coordinates.translations(z), floor, coordinates.parameters)
+        first, last = n + explicit_arm(coordinates.kind).numel_out(1), values.shape[1] - 3
+        spread = np.concatenate([np.eye(n, m), coordinates.space.spread[n:]]) * coordinates.space.scale
         # In memory one column follows the other: (K, 2n, rows).
         by_z = slopes.reshape(count, 2 * n, -1).transpose(0, 2, 1) @ spread
-        slide = np.tile(np.diag(chart.space.scale)[n:], (count, 1, 1))
+        slide = np.tile(np.diag(coordinates.space.scale)[n:], (count, 1, 1))
         parts = (
             np.concatenate([by_z[:, :n], slide], axis=1),
             by_z[:, n:first],
@@ -138,7 +138,9 @@ class Knots:
         )
         joints = np.concatenate([values[:, :n], z[:, n:]], axis=1)
         points = values[:, first:last].reshape(count, -1, 3).copy()
-        return Knots(chart, z, joints, values[:, n:first].copy(), points, values[:, last:].copy(), along.copy(), parts)
+        return Knots(
+            coordinates, z, joints, values[:, n:first].copy(), points, values[:, last:].copy(), along.copy(), parts
+        )
 
     @property
     def tip(self) -> Array:
@@ -148,14 +150,14 @@ class Knots:
     def contacts(self, scene: Scene, clearance: float) -> tuple[Array, Array]:
         """(K, C) how much farther from bodies than the clearance (m) arms are where they come closest, infinite
         where there are none, and (K, C, m) its derivatives."""
-        space, (count, m) = self.chart.space, self.z.shape
+        space, (count, m) = self.coordinates.space, self.z.shape
         most = MAX_CONTACTS
         gap, slope = np.full((count, most), np.inf), np.zeros((count, most, m))
         x = np.arange(PLACES_PER_STEP) / PLACES_PER_STEP
         fine, along, moved = (_between(table, x) for table in (self.points, self.along, self.slopes[2]))
-        end = self.chart.translations(self.z) + [tube.length - tube.straight_length for tube in space.robot.tubes]
+        end = self.coordinates.translations(self.z) + [tube.length - tube.straight_length for tube in space.robot.tubes]
         for k in range(count):
-            radius = np.where(along[k, :, None] <= end[k] + 1e-12, self.chart.radius, 0.0).max(1)
+            radius = np.where(along[k, :, None] <= end[k] + 1e-12, self.coordinates.radius, 0.0).max(1)
             bodies = scene.close(fine[k], clearance + BODY_REACH * space.length + float(radius.max()))
             if not bodies:
                 continue
@@ -215,7 +217,7 @@ def improvement(knots: Knots, aim: Aim, contacts: tuple[Array, Array], trust: fl
 def _way(knots: Knots, aim: Aim) -> tuple[Array, Array]:
     """Rows and right-hand sides in least squares, over the scales: the way from knot to knot, and the tip's distance
     from its aim."""
-    space, (count, m) = knots.chart.space, knots.z.shape
+    space, (count, m) = knots.coordinates.space, knots.z.shape
     tubes, n, weight = space.robot.n_tubes, count - 1, np.sqrt(count - 1.0)
     turned = np.tile(TURN_WEIGHT * np.eye(tubes, m), (count, 1, 1))
     slope = np.concatenate([knots.slopes[0] / space.scale[:, None], turned], 1)
@@ -237,7 +239,7 @@ def _way(knots: Knots, aim: Aim) -> tuple[Array, Array]:
 def _rows(knots: Knots, contacts: tuple[Array, Array]) -> tuple[Array, Array]:
     """(N, r, m + 1) and (N, r): rows of every knot but the first over the scales and its slack, and what they are at
     least: ranges and order of the joints, margin, clearance."""
-    space, joints, slope = knots.chart.space, knots.joints, knots.slopes[0]
+    space, joints, slope = knots.coordinates.space, knots.joints, knots.slopes[0]
     n = space.robot.n_tubes
     turn, order = slope[:, :n], space.rows @ slope / space.length
     gap, toward = contacts
@@ -259,7 +261,7 @@ def _rows(knots: Knots, contacts: tuple[Array, Array]) -> tuple[Array, Array]:
 
 def _range(knots: Knots, trust: float) -> tuple[Array, Array]:
     """(N, m) least and largest change of every knot but the first, over the scales."""
-    space, z = knots.chart.space, knots.z[1:]
+    space, z = knots.coordinates.space, knots.z[1:]
     slides = np.arange(z.shape[1]) >= space.robot.n_tubes
     low, high = ((end - z) / space.scale for end in (space.lower, space.upper))
     return (
@@ -333,7 +335,7 @@ class PredictiveServo:
         self._bodies, self._limits = tuple(obstacles), limits
         self._floor = self.options.min_margin + MARGIN_RESERVE
         self._clearance = self.options.clearance + CLEARANCE_RESERVE
-        self._chart = TipCoordinates(self._guard.space)
+        self._coordinates = TipCoordinates(self._guard.space)
         self._count = knots
         self._way: Array | None = None
         self._aim: Aim | None = None
@@ -411,7 +413,7 @@ class PredictiveServo:
     def _knots(self, aim: Aim) -> Knots | None:
         """The way to an aim as it is; None where no joint values are known for it."""
         here = self._guard.here
-        begin, floor = self._chart.of(here.equilibrium), min(self._floor, here.margin)
+        begin, floor = self._coordinates.of(here.equilibrium), min(self._floor, here.margin)
         if self._new(aim):
             self._aim, end = aim, self._goal(aim)
             self._way = None
@@ -423,7 +425,7 @@ class PredictiveServo:
         if self._way is None:
             return None
         self._aim = aim
-        return Knots.at(self._chart, np.concatenate([begin[None], self._way[1:]]), floor)
+        return Knots.at(self._coordinates, np.concatenate([begin[None], self._way[1:]]), floor)
 
     def _new(self, aim: Aim) -> bool:
         """Whether no way was looked for, or one to another aim."""
@@ -435,7 +437,7 @@ class PredictiveServo:
         return moved > ELSEWHERE or (aim.direction is None) != (self._aim.direction is None)
 
     def _goal(self, aim: Aim) -> Array | None:
-        """The point of the chart of joint values that meet an aim, near the robot; None where none are known."""
+        """Tip coordinates of joint values that meet an aim, near the robot; None where none are known."""
         try:
             found = inverse_kinematics(
                 self._guard.space.robot,
@@ -449,7 +451,7 @@ class PredictiveServo:
             )
         except SolveError:
             return None
-        return self._chart.of(found.equilibrium)
+        return self._coordinates.of(found.equilibrium)
 
     def _along(self, knots: Knots, dt: float) -> tuple[Array, float]:
         """The change of the joints (m,) that goes along the knots for `dt` seconds as fast as joints and tip may; and
@@ -461,7 +463,7 @@ class PredictiveServo:
         time = np.concatenate([[0.0], np.cumsum(np.maximum(turned.max(1), moved))])
         passed = float(np.interp(dt, time, np.arange(len(time))))
         at = _places(knots.z, np.array([passed]))
-        change = np.clip(self._chart.joints(at)[0], space.lower, space.upper) - here.q
+        change = np.clip(self._coordinates.joints(at)[0], space.lower, space.upper) - here.q
         share = float((np.abs(change) / np.maximum(rate * dt, 1e-300)).max())
         return np.clip(change / max(share, 1.0), *self._guard.ends(dt)), passed
 

@@ -114,7 +114,7 @@ def _stated(requirement: Requirement, n: int, poses: Poses, points: Points) -> S
                 movable,
             )
             yield limit, requirement.expression, None
-        case SnapFree(floor=lower):
+        case SnapFree(required_margin=lower):
             limit = Limit("certified margin", lower, False, "", 1.0, 0.1)
             yield limit, lambda q: ca.vertcat(*(q.certificate(row) for row in points)) - lower, None
         case Nesting(clearance=lower) if n > 1:

@@ -111,7 +111,7 @@ def worst_cases(program: Program, x: Array) -> WorstCases:
     for certificate in of_kind(program.task.requirements, SnapFree):
         if certificate.box is not None:
             margin, row = worst_in_box(robot, certificate.box)
-            if margin < max(certificate.floor, claimed) - certificate.tolerance:
+            if margin < max(certificate.required_margin, claimed) - certificate.tolerance:
                 added = replace(added, translations=(*added.translations, row))
                 descriptions.append(f"certificate {margin:.4f} in the box")
     for use in of_kind(program.task.requirements, SnapFreeInUse):

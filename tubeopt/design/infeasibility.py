@@ -155,10 +155,12 @@ def _certificates(program: Program) -> Iterator[str]:
     for requirement in of_kind(program.task.requirements, SnapFree):
         for row in program.layout.certified:
             largest = snap_free_certificate(robot, np.array(row))
-            if largest < requirement.floor - max(SURELY, requirement.tolerance if requirement.box is not None else 0.0):
+            if largest < requirement.required_margin - max(
+                SURELY, requirement.tolerance if requirement.box is not None else 0.0
+            ):
                 yield (
                     f"the certified margin is at most {largest:.4g} in the ranges of the curvatures, and "
-                    f"{requirement.floor:.4g} is demanded"
+                    f"{requirement.required_margin:.4g} is demanded"
                 )
 
 

@@ -124,7 +124,7 @@ SEARCH_SHARE = 0.8
 ROUNDS = 12
 
 # Designs tried for one that withstands a force: bisection of (0, 1) to FORCE_ACCURACY takes 9, and the secant steps
-# before a floor that suffices is known a few more.
+# before a sufficient required margin is known a few more.
 FORCE_ROUNDS = 16
 
 # Of the required certificate without force. Half of it takes one design more, each as long as the whole search
@@ -256,26 +256,28 @@ def _search_under_force(
     """Design for a certificate under force, by bisection of the required certificate without force.
 
     The certificate under force is at most the one without force, and falls with it. So the required certificate without
-    force (`floor`) is raised until the best design above it satisfies the requirement under force, which is computed
-    anew for every such design (see `loaded_worst_case`). The result is the best design with that certificate
+    force (`required_margin`) is raised until the best design above it satisfies the requirement under force. That
+    is computed anew for every such design (see `loaded_worst_case`). The result is the best design with that certificate
     without force; a design with a smaller one may withstand the force too.
     """
     force = f"{requirement.max_force * 1e3:g} mN"
-    low = floor = requirement.margin
+    low = required_margin = requirement.margin
     best: _ForceDesign | None = None
-    high = 1.0  # smallest floor whose design withstands the force; no certificate exceeds 1
+    high = 1.0  # smallest required margin of a design that withstands the force; no certificate exceeds 1
     late = False
     try:
         with within(search_time):
             for _ in range(FORCE_ROUNDS):
-                unloaded = replace(requirement, margin=floor, max_force=0.0)
+                unloaded = replace(requirement, margin=required_margin, max_force=0.0)
                 requirements = tuple(unloaded if each is requirement else each for each in task.requirements)
                 unloaded_task = replace(task, requirements=requirements)
                 try:
                     ranking = search(unloaded_task)
                 except DesignNotFoundError as error:
                     head = f"no design was found that withstands {force}"
-                    raise SolveError(f"{head}; its certificate without force must be {floor:.4f}: {error}") from error
+                    raise SolveError(
+                        f"{head}; its certificate without force must be {required_margin:.4f}: {error}"
+                    ) from error
                 check_time()
                 design = ranking.designs[0]
                 certificate = min(
@@ -286,14 +288,14 @@ def _search_under_force(
                 if shortfall <= 0:
                     words = f"certificate under forces on the tip of up to {force}"
                     best = _ForceDesign(unloaded_task, ranking, Check(words, f"{certificate:.5f}", True), False)
-                    high = floor
+                    high = required_margin
                     if high - low <= FORCE_ACCURACY:
                         break
                     # Uses 90 % of the surplus: the two certificates fall at different rates.
-                    floor = max((low + high) / 2, high + 0.9 * shortfall)
+                    required_margin = max((low + high) / 2, high + 0.9 * shortfall)
                 else:
-                    low = floor
-                    floor = min(floor + 1.1 * shortfall + FORCE_ACCURACY / 2, (low + high) / 2)
+                    low = required_margin
+                    required_margin = min(required_margin + 1.1 * shortfall + FORCE_ACCURACY / 2, (low + high) / 2)
     except LateError:
         if best is None:
             raise

@@ -129,13 +129,13 @@ class SnapFree(Displayed):
         return ((1 + c) * (1 + s) / (1 - s)) ** 2
 
     @property
-    def floor(self) -> float:
+    def required_margin(self) -> float:
         """Certificate that the nominal tubes need so that all tubes within the errors keep the margin."""
         return 1 - (1 - self.margin) / self.growth
 
     def eased(self, amount: float) -> SnapFree:
         """Requirement with its minimum margin lowered by `amount`."""
-        return replace(self, margin=1 - (1 - self.floor + amount) * self.growth)
+        return replace(self, margin=1 - (1 - self.required_margin + amount) * self.growth)
 
 
 @dataclass(frozen=True)

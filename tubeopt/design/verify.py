@@ -181,7 +181,7 @@ def _check_certificate(program: Program, robot: ConcentricRobot, requirement: Sn
     """Checks of a certificate: its value, with tube errors, by a search for smaller margins, and by full turns."""
     translations = [np.array(row) for row in certified_at(program, robot)]
     certificates = [snap_free_certificate(robot, row) for row in translations]
-    lowest = requirement.floor - requirement.tolerance - TOLERANCE
+    lowest = requirement.required_margin - requirement.tolerance - TOLERANCE
     yield Check("certificate", f"{min(certificates):.5f}", min(certificates) >= lowest)
     # Growth 1 means no errors; a tube that is not even has no single curvature to change.
     if requirement.growth > 1 and all(tube.even for tube in robot.tubes):

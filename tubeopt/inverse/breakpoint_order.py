@@ -138,5 +138,5 @@ def cross_breakpoints(goal: Goal, at: Posture, sections: Sequence[tuple[Array, f
         if not space.admissible(q):
             continue
         moved = at.to(q)
-        if moved is not None and moved.margin >= goal.floor:
+        if moved is not None and moved.margin >= goal.kept_margin:
             yield moved

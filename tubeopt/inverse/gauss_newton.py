@@ -275,7 +275,7 @@ class _TargetProblem:
     def after(self, here: Posture, x: Array) -> Restored:
         """Posture after a motion; None if it violates a constraint: the step is too long then."""
         at = here.to(self.goal.space.clip(here.q + x))
-        if at is None or at.margin < min(self.goal.floor, here.margin):
+        if at is None or at.margin < min(self.goal.kept_margin, here.margin):
             return Restored(None, 1)
         deeper = self.goal.violation(at) > self.goal.violation(here) + SLACK
         return Restored(None if deeper else at, 1)

@@ -243,7 +243,7 @@ class Goal:
         return self.reached(at, POSITION_TOLERANCE, DIRECTION_TOLERANCE)
 
     @property
-    def floor(self) -> float:
+    def kept_margin(self) -> float:
         """Smallest margin that a search allows."""
         return self.min_margin + EXTRA_MARGIN
 
@@ -289,7 +289,7 @@ class Goal:
 
     def allowed(self, at: Posture, slack: float = 0.0) -> bool:
         """True if joints, order, margin and clearance satisfy the constraints; `slack` (m) is allowed on clearance."""
-        return at.admissible and at.margin >= self.floor and self.violation(at) <= slack
+        return at.admissible and at.margin >= self.kept_margin and self.violation(at) <= slack
 
     def violation(self, at: Posture) -> float:
         """Largest violation of clearance, m, or of a custom constraint, in steps times the robot's length."""
@@ -326,7 +326,7 @@ class Goal:
         rows, bounds = self.space.inequalities(at.q)
         slope = at.margin_slope()
         rows = np.vstack([rows, slope])
-        bounds = np.append(bounds, self.floor + 1e-9 - at.margin if slope.any() else -np.inf)
+        bounds = np.append(bounds, self.kept_margin + 1e-9 - at.margin if slope.any() else -np.inf)
         if self.extras.constraints:
             rows = np.vstack([rows, self.extras.slopes(at)])
             bounds = np.concatenate([bounds, -self.extras.excess(at)])
@@ -405,9 +405,9 @@ def pose_question(  # noqa: PLR0913
     bodies = checked_obstacles(obstacles)
     target = vector("position", position, 3, "x, y, z in m")
     check_target(robot.tubes, "position", target)
-    floor = finite("min_margin", min_margin)
-    if not 0 <= floor < 1:
-        raise InputError(f"min_margin is {floor:g}; it must be at least 0 and less than 1")
+    margin = finite("min_margin", min_margin)
+    if not 0 <= margin < 1:
+        raise InputError(f"min_margin is {margin:g}; it must be at least 0 and less than 1")
     space = joint_space(robot, limits, options.carriage_gap, options.section_length)
     space = space.holding(*shift_of(robot, start, reference))
     centre = space.middle()
@@ -418,7 +418,7 @@ def pose_question(  # noqa: PLR0913
         space=space,
         position=target,
         direction=None if direction is None else unit_vector("direction", direction),
-        min_margin=floor,
+        min_margin=margin,
         scene=scene_of(bodies),
         objective=options.objective or ("nearest" if named else None),
         named=named,

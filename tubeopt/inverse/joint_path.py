@@ -71,11 +71,11 @@ def snap_free_path(
     if straight is not None:
         return straight
     # With an end's own margin as the bound nothing around that end would be allowed.
-    floor = min(least_margin, 0.5 * start.margin, 0.5 * goal.margin)
-    task = Task(TipCoordinates(space), (), 0.0, 0.0, margin_room=floor)
+    reserve = min(least_margin, 0.5 * start.margin, 0.5 * goal.margin)
+    task = Task(TipCoordinates(space), (), 0.0, 0.0, margin_reserve=reserve)
     budget = Clock(PATH_WORK, clock, lambda: task.work.seconds)
     try:
-        path = find_path(task, task.chart.of(start), [task.chart.of(goal)], budget)
+        path = find_path(task, task.coordinates.of(start), [task.coordinates.of(goal)], budget)
     except InputError:  # no OMPL
         return None
     if path.points is None:
@@ -99,7 +99,7 @@ def _joints(task: Task, points: Array, parts: int) -> Array:
         steps = np.arange(1, parts + 1)[:, None, None] / parts
         rows.append((marks[:-1] + steps * np.diff(marks, axis=0)).transpose(1, 0, 2).reshape(-1, len(a)))
     line = np.concatenate(rows)
-    return task.chart.joints(line)
+    return task.coordinates.joints(line)
 
 
 def _thinned(table: Array, start: Posture) -> Array | None:
@@ -201,7 +201,7 @@ def jump_between(goal: Goal, before: Posture, after: Posture) -> tuple[str, bool
             violation = max(violation, goal.violation(here) if goal.hindered else 0.0)
     if deviation > DEVIATION * float(np.linalg.norm(after.tip - before.tip)) + MIN_DEVIATION:
         words.append(f"the tip leaves the line between the targets by {deviation * 1e3:.3g} mm")
-    if margin < min(goal.floor, before.margin, after.margin) - EXTRA_MARGIN:
+    if margin < min(goal.kept_margin, before.margin, after.margin) - EXTRA_MARGIN:
         words.append(f"the margin falls to {margin:.4g}")
     if violation > SLACK + max(goal.kept_clearance - goal.clearance, 0.0):
         words.append(

@@ -70,7 +70,7 @@ def miss_text(goal: Goal, at: Posture) -> str:
 def active_constraints(goal: Goal, at: Posture) -> list[str]:
     """Texts of the constraints that are active at the end of a search."""
     words = goal.space.active(at.q)
-    if at.margin - goal.floor < 1e-3:
+    if at.margin - goal.kept_margin < 1e-3:
         words.append(f"margin at its bound ({goal.min_margin:g})")
     for k in np.unique(goal.contacts(at, goal.kept_clearance + 1e-5).body).tolist():
         words.append(f"arm at obstacle {k + 1} ({type(goal.scene.bodies[k]).__name__.lower()})")

@@ -479,10 +479,10 @@ class Multistart:
         reference = goal.reference if goal.named else None
         target = (goal.position, goal.direction)
         known = known_starts(goal.space, goal.clock)
-        near = nearest_starts(goal.space, known, target, min_margin=goal.floor, reference=reference)
+        near = nearest_starts(goal.space, known, target, min_margin=goal.kept_margin, reference=reference)
         for q in spread_starts(goal.space, near, count, first=0 if self.everywhere else NEAREST):
             start = start_at(goal.space, q)
-            if start is not None and start.margin >= goal.floor:
+            if start is not None and start.margin >= goal.kept_margin:
                 yield start
 
     def _from(self, start: Posture, name: str) -> InverseSolution | None:
@@ -490,7 +490,7 @@ class Multistart:
         goal, space = self.goal, self.goal.space
         if not start.admissible:
             start = start.to(space.nearest(start.q)) or start
-        if start.margin < goal.floor or not start.admissible:
+        if start.margin < goal.kept_margin or not start.admissible:
             return None
         self.tries += 1
         if goal.options.method == "nlp":
@@ -629,7 +629,7 @@ class Multistart:
             float(known_starts(goal.space).margin.max(initial=-np.inf)),
             -np.inf if self.first is None else self.first.margin,
         )
-        if best < goal.floor:
+        if best < goal.kept_margin:
             return (
                 f"no start was found: no known configuration has a margin of at least {goal.min_margin:g}, "
                 f"the largest is {best:.4g}"

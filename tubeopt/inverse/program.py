@@ -115,11 +115,11 @@ def _program(question: Question, _thread: int) -> Problem:
         return ca.reshape(problem.parameter(name, np.zeros(rows * columns)), rows, columns)
 
     turn, shift = problem.variable("rotations", n), problem.variable("translations", groups, scale=length / 2)
-    floor = least = given("least margin")
+    margin = least = given("least margin")
     if question.objective == "margin":
-        floor = problem.variable("margin", lower=0.0, upper=0.999)
-        problem.subject_to("margin above its bound", floor - least)
-        problem.maximize(floor)
+        margin = problem.variable("margin", lower=0.0, upper=0.999)
+        problem.subject_to("margin above its bound", margin - least)
+        problem.maximize(margin)
     moved = ca.vertcat(*(shift[k] for i in range(n) for k, tubes in enumerate(question.carriages) if i in tubes))
     own = {
         "transmission": given("transmission at 0", n) - moved,
@@ -138,7 +138,7 @@ def _program(question: Question, _thread: int) -> Problem:
     if question.pointed:
         problem.subject_to("tip direction", _aside(direction, wanted), upper=0.0)
         problem.subject_to("tip direction, sense", ca.dot(direction, wanted))
-    fields = _jacobi(arm, structure.coupled, floor)
+    fields = _jacobi(arm, structure.coupled, margin)
     names = [f"margin, Jacobi fields at piece {k + 1}" for k in range(pieces - 1)] + ["margin"]
     problem.subject_to("Jacobi fields", fields, entries=names)
     order, bound = given("order", question.closings, groups), given("bound", question.closings)
@@ -151,7 +151,7 @@ def _program(question: Question, _thread: int) -> Problem:
         clear = far(points, ca.horzcat(radius[0], thick))
         problem.subject_to(f"clearance of obstacle {k + 1}", clear - clearance, scale=length)
     off = given("weights", n + groups) * (ca.vertcat(turn, shift) - given("reference", n + groups))
-    cost = {"nearest": ca.sumsqr(off) / 2, "margin": -floor, "curvature": bend * length / 2}[question.objective]
+    cost = {"nearest": ca.sumsqr(off) / 2, "margin": -margin, "curvature": bend * length / 2}[question.objective]
     problem.minimize(cost + weight * ca.sumsqr(direction - wanted) / 2 if question.aimed else cost)
     return problem
 
@@ -419,7 +419,7 @@ def posed(goal: Goal, at: Posture, order: Order) -> Problem:
         program.set_guess(name, at.q[part])
         program.set_bounds(name, space.lower[part], space.upper[part])
     if goal.objective == "margin":
-        program.set_guess("margin", min(max(at.margin - 0.01, goal.floor), 0.998))
+        program.set_guess("margin", min(max(at.margin - 0.01, goal.kept_margin), 0.998))
     return program
 
 

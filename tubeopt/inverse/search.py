@@ -90,7 +90,7 @@ def find_path(
         how: method, one of SEARCHES.
         improving: time, s, for which "optimal" shortens the path.
     """
-    tried, n = 0, task.chart.space.robot.n_tubes
+    tried, n = 0, task.coordinates.space.robot.n_tubes
     for goal in goals:
         tried += 1
         if task.motion(start, goal):
@@ -131,7 +131,7 @@ def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) 
 
     They are computed one by one, since a certificate takes as long as the check of a motion.
     """
-    space = task.chart.space
+    space = task.coordinates.space
     n = space.robot.n_tubes
     ends = start[n:], goal[n:]
     drawn = space.sample(DETOUR_SAMPLES)[:, n:]
@@ -146,7 +146,7 @@ def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) 
             continue
         translations = space.split(np.append(np.zeros(n), shift))[1]
         task.count(CERTIFICATE_STATES)  # counted where it is known, too: the count must not depend on the cache
-        if _certificate_at(space.robot, translations) >= task.min_margin + task.margin_room:
+        if _certificate_at(space.robot, translations) >= task.min_margin + task.margin_reserve:
             found.append(shift)
             yield shift
 
@@ -283,7 +283,7 @@ def _ompl_path(problem: Any, scale: Array, start: Array, goals: Sequence[Array],
 
 def _bounds(task: Task, ends: Sequence[Array]) -> tuple[Array, Array]:
     """Box of the search, in units of the scales: half a turn about the ends' tip rotations, all translations."""
-    space = task.chart.space
+    space = task.coordinates.space
     n = space.robot.n_tubes
     low, high = np.min(ends, axis=0), np.max(ends, axis=0)
     low[:n], high[:n] = low[:n] - np.pi, high[:n] + np.pi
@@ -387,13 +387,15 @@ def wall(task: Task, start: Array, goals: Sequence[Array], clock: Clock, *, seed
 
     With several goals it is the weakest one: not proved if any of them is not.
     """
-    margin, space = task.min_margin - DOUBT, task.chart.space
+    margin, space = task.min_margin - DOUBT, task.coordinates.space
     if not task.obstacles:  # turning the whole robot changes nothing: its rotations may have any value
         lower, upper, n = space.lower.copy(), space.upper.copy(), space.robot.n_tubes
         lower[:n], upper[:n] = -np.inf, np.inf
         space = replace(space, lower=lower, upper=upper)
-    chart = replace(task.chart, space=space)
-    bare = replace(task, chart=chart, min_margin=margin, margin_room=0.0, floor=0.0, ends=None)
+    coordinates = replace(task.coordinates, space=space)
+    bare = replace(
+        task, coordinates=coordinates, min_margin=margin, margin_reserve=0.0, min_clearance_reserve=0.0, ends=None
+    )
     random = np.random.default_rng(seed)
     walls = []
     for goal in goals:
@@ -418,7 +420,7 @@ def _walls(task: Task, start: Array, goal: Array, clock: Clock, random: np.rando
         what = "margin and clearance" if task.obstacles else "the margin"
         if k == 0:
             words = f"every path passes {section.name}, where {what} cannot be kept"
-            yield Wall(words, not task.chart.eccentric)
+            yield Wall(words, not task.coordinates.eccentric)
         else:
             words = f"{what} are kept at none" if task.obstacles else "the margin is kept at none"
             words = f"every path passes {section.name}, where {words} of {len(grid)} states on a grid"
@@ -433,7 +435,7 @@ def _any(task: Task, z: Array, clock: Clock) -> bool:
 
 def _sections(task: Task, start: Array, goal: Array) -> Iterator[_Section]:
     """Sections between two points, the middle ones first."""
-    space = task.chart.space
+    space = task.coordinates.space
     n, m = space.robot.n_tubes, len(start)
     unit = np.eye(m)
     rows = [
@@ -467,7 +469,7 @@ def _sections(task: Task, start: Array, goal: Array) -> Iterator[_Section]:
 
 def _section(name: str, base: Array, free: Array, lower: Array, upper: Array, task: Task) -> _Section:
     """Section through a state, with axes limited to a box (m,)."""
-    n = task.chart.space.robot.n_tubes
+    n = task.coordinates.space.robot.n_tubes
     low, high, step = [], [], []
     for axis in free:
         i = int(np.argmax(axis != 0))
@@ -476,7 +478,7 @@ def _section(name: str, base: Array, free: Array, lower: Array, upper: Array, ta
         whole = turns and not task.obstacles
         low.append(0.0 if whole else lower[i] - base[i])
         high.append(2 * np.pi if whole else upper[i] - base[i])
-        step.append(STEP_TURN if turns else STEP_SHIFT * task.chart.space.length)
+        step.append(STEP_TURN if turns else STEP_SHIFT * task.coordinates.space.length)
     return _Section(name, base, free, np.array(low), np.array(high), np.array(step))
 
 

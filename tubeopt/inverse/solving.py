@@ -501,7 +501,7 @@ class IkSession:
         """Start of the session; raises InputError if it is out of range or has too little margin."""
         if words := self._goal.space.outside(start.q):
             raise InputError(f"start is out of range: {words}")
-        if start.margin < self._goal.floor:
+        if start.margin < self._goal.kept_margin:
             raise InputError(
                 f"start has margin {start.margin:.3g}; it must have more than min_margin, {self._goal.min_margin:g}"
             )
@@ -510,7 +510,7 @@ class IkSession:
     def _step(self, goal: Goal, last: Goal, here: Posture) -> _SessionStep:
         """Step to a goal on the line to the `last` one; raises SolveError if the branch does not reach it."""
         near = self._near
-        if here.margin < goal.floor + CAREFUL or (near is not None and near.age >= STALE_STEPS):
+        if here.margin < goal.kept_margin + CAREFUL or (near is not None and near.age >= STALE_STEPS):
             near = None
         solves = 0
         for attempt in _attempts(goal, here, near):
@@ -617,7 +617,7 @@ def _null_space_step(goal: Goal, attempt: _Attempt) -> _StepEnd:
     if goal.reached(here, STEP_TOLERANCE, STEP_TOLERANCE):
         return _StepEnd(here, near, 0)
     rows, bounds = goal.space.inequalities(here.q)
-    if here.margin < goal.floor + CAREFUL or (guarded and goal.hindered):
+    if here.margin < goal.kept_margin + CAREFUL or (guarded and goal.hindered):
         rows, bounds = goal.inequalities(here)
     if order is not None:
         rows, bounds = order.constrain(here.q, rows, bounds)

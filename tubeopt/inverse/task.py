@@ -156,12 +156,12 @@ class TipCoordinates:
         """
         n = self.space.robot.n_tubes
         shift = self.translations(z)
-        floor = np.broadcast_to(margin, len(z))
+        required = np.broadcast_to(margin, len(z))
         parts = []
         for k in range(0, len(z), BATCH):
             if clock is not None and clock.over:
                 raise LateError
-            parts.append(self._batch(z[k : k + BATCH, :n], shift[k : k + BATCH], floor[k : k + BATCH, None]))
+            parts.append(self._batch(z[k : k + BATCH, :n], shift[k : k + BATCH], required[k : k + BATCH, None]))
         rotations, fields, points, tangents, s = (np.concatenate(part) for part in zip(*parts, strict=True))
         tubes = self.space.robot.tubes
         end = shift + np.array([tube.length - tube.straight_length for tube in tubes])
@@ -178,7 +178,7 @@ class TipCoordinates:
 
 
 # Between two points the arm deviates from the chord by the square of their distance: half the steps take twice the time
-# for a quarter of the error, which `margin_room` and `clearance_room` cover.
+# for a quarter of the error, which `margin_reserve` and `clearance_reserve` cover.
 STEP_TURN, STEP_JOINT, STEP_SHIFT = 0.15, 0.35, 0.02
 """Largest changes between two checked points of a motion.
 
@@ -228,20 +228,20 @@ class Task:
     """Required margin and clearance of a path search, and reserves for the states between its points.
 
     Between two checked points the arm deviates from the chord by the square of their distance. So the reserve of a
-    point decides how close its neighbours must be. It must be one `margin_room` and one `clearance_room` at the longest
+    point decides how close its neighbours must be: one `margin_reserve` and one `clearance_reserve` at the longest
     steps, and a quarter of these at half the steps.
     """
 
-    chart: TipCoordinates
+    coordinates: TipCoordinates
     """Space that is searched."""
     obstacles: tuple[Obstacle, ...]
     min_margin: float
     clearance: float
     """Required clearance, m."""
-    margin_room: float = 2e-3
-    clearance_room: float = 3e-4
+    margin_reserve: float = 2e-3
+    clearance_reserve: float = 3e-4
     """Reserve of clearance at the longest steps, m."""
-    floor: float = 3e-5
+    min_clearance_reserve: float = 3e-5
     """Smallest reserve of clearance (m), except next to `ends`."""
     ends: Array | None = None
     """Points (k, m) in tip coordinates that other code has checked."""
@@ -260,23 +260,23 @@ class Task:
     @property
     def scale(self) -> Array:
         """Unit (m,) of each coordinate."""
-        return self.chart.space.scale
+        return self.coordinates.space.scale
 
     def from_to(self, start: Array, *goals: Array) -> Self:
         """Task with the start (m,) and the possible goals of a plan as `ends`."""
         ends = np.stack([start, *goals])
         left = self.clearances(self.arms(ends)) - self.clearance
         # Where the plate itself is this close to an obstacle, no arm has a larger reserve.
-        floor = min(self.floor, max(0.0, float(min(left[0], left[1:].max()) / 2)))
-        return replace(self, ends=ends, floor=floor)
+        min_clearance_reserve = min(self.min_clearance_reserve, max(0.0, float(min(left[0], left[1:].max()) / 2)))
+        return replace(self, ends=ends, min_clearance_reserve=min_clearance_reserve)
 
-    def roomier(self) -> Self:
+    def with_larger_reserves(self) -> Self:
         """Task with larger reserves between checked points."""
         return replace(
             self,
-            margin_room=3 * self.margin_room,
-            clearance_room=2 * self.clearance_room,
-            floor=4 * self.floor,
+            margin_reserve=3 * self.margin_reserve,
+            clearance_reserve=2 * self.clearance_reserve,
+            min_clearance_reserve=4 * self.min_clearance_reserve,
         )
 
     def clearances(self, arms: Arms, enough: float = np.inf) -> Array:
@@ -290,11 +290,15 @@ class Task:
         s, points = arms.fine()
         # A distance changes by no more than its point moves.
         step = s[:, 1]
-        within = max(enough, self.clearance + self.clearance_room) + float(step.max()) + float(self.chart.radius.max())
+        within = (
+            max(enough, self.clearance + self.clearance_reserve)
+            + float(step.max())
+            + float(self.coordinates.radius.max())
+        )
         distance = self._surface_distance(arms, s, points, np.arange(len(s)), within)
         smallest = distance.min(1)
         missed = smallest < (self.clearance if enough < np.inf else -np.inf)
-        rows = np.flatnonzero(~missed & (smallest - step / 2 < self.clearance + self.clearance_room))
+        rows = np.flatnonzero(~missed & (smallest - step / 2 < self.clearance + self.clearance_reserve))
         if not len(rows):
             return np.asarray(smallest)
         step = step[rows, None, None]
@@ -316,19 +320,19 @@ class Task:
         Distances of the centreline above `within` (m) count as `within`.
         """
         present = s[:, :, None] <= arms.tube_end[rows][:, None, :] + 1e-12
-        radius = np.where(present, self.chart.radius, 0.0).max(2)
+        radius = np.where(present, self.coordinates.radius, 0.0).max(2)
         distance = self.scene.nearest(points.reshape(-1, 3), within).reshape(points.shape[:-1])
         return np.asarray(distance - radius)
 
     def arms(self, z: Array) -> Arms:
         """Arms of points (N, m), stable with the required margin and its reserve."""
         self.count(len(z))
-        floor = self.min_margin + np.minimum(self.margin_room, MARGIN_SLOPE * self._away(z))
-        return self.chart.arms(z, floor, self.clock)
+        required = self.min_margin + np.minimum(self.margin_reserve, MARGIN_SLOPE * self._away(z))
+        return self.coordinates.arms(z, required, self.clock)
 
     def count(self, states: int) -> None:
         """Count the work of `states` equilibria."""
-        self.work.operations += states * self.chart.size
+        self.work.operations += states * self.coordinates.size
 
     def _away(self, z: Array) -> Array:
         """Distance (N,) of points from the nearest end, in units of the scales; infinite without ends."""
@@ -338,7 +342,7 @@ class Task:
 
     def needed(self, z: Array) -> Array:
         """Required reserve (N,) of clearance of points, m."""
-        return np.minimum(self.floor, CLEARANCE_SLOPE * self._away(z))
+        return np.minimum(self.min_clearance_reserve, CLEARANCE_SLOPE * self._away(z))
 
     def reserves(self, z: Array, *, arms: Arms | None = None) -> Array:
         """Reserve (N,) of margin and clearance of points, relative to that at the longest steps.
@@ -346,19 +350,19 @@ class Task:
         Negative if a point violates margin, clearance, joint limits or order.
         """
         arms = self.arms(z) if arms is None else arms
-        space = self.chart.space
-        q = self.chart.joints(z, arms)
+        space = self.coordinates.space
+        q = self.coordinates.joints(z, arms)
         slack = 1e-6 * space.scale
         inside = ((q >= space.lower - slack) & (q <= space.upper + slack)).all(1) & space.ordered(q)
         away = self._away(z)
         known = away < SAME
         allowed = inside & (arms.stable | known)
-        reserve = np.minimum(1.0, MARGIN_SLOPE * away / self.margin_room)
+        reserve = np.minimum(1.0, MARGIN_SLOPE * away / self.margin_reserve)
         if self.obstacles and allowed.any():
             rows = np.flatnonzero(allowed)
-            left = self.clearances(arms.some(rows), self.clearance + self.clearance_room) - self.clearance
+            left = self.clearances(arms.some(rows), self.clearance + self.clearance_reserve) - self.clearance
             allowed[rows] = (left >= self.needed(z[rows])) | known[rows]
-            reserve[rows] = np.minimum(reserve[rows], np.maximum(left, 0.0) / self.clearance_room)
+            reserve[rows] = np.minimum(reserve[rows], np.maximum(left, 0.0) / self.clearance_reserve)
         return np.where(allowed, reserve, -1.0)
 
     def holds(self, z: Array) -> Mask:
@@ -412,11 +416,11 @@ class Task:
 
     def line(self, start: Array, end: Array, rotations: Array | None = None) -> Array:
         """Points (k, m) of a motion to check, from end to end; joint rotations (2, n) of the ends may be known."""
-        n = self.chart.space.robot.n_tubes
+        n = self.coordinates.space.robot.n_tubes
         change = np.abs(end - start)
-        turned = self.chart.rotations(np.stack([start, end])) if rotations is None else rotations
+        turned = self.coordinates.rotations(np.stack([start, end])) if rotations is None else rotations
         joint = np.abs(turned[1] - turned[0]).max()
-        shift = change[n:].max(initial=0.0) / (STEP_SHIFT * self.chart.space.length)
+        shift = change[n:].max(initial=0.0) / (STEP_SHIFT * self.coordinates.space.length)
         # Tips and joints both count: near a fold joints turn far while tips hardly do, or the reverse.
         count = int(np.ceil(max(change[:n].max() / STEP_TURN, joint / STEP_JOINT, shift, 1.0)))
         x = np.arange(1, count)[:, None] / count
@@ -430,6 +434,6 @@ class Task:
         """Length of a path in joint space, in the metric of the joints' scales, curved as its motions are there."""
         total = 0.0
         for a, b in pairwise(points):
-            q = self.chart.joints(self.line(a, b)) / self.scale
+            q = self.coordinates.joints(self.line(a, b)) / self.scale
             total += float(np.linalg.norm(np.diff(q, axis=0), axis=1).sum())
         return total

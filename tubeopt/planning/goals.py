@@ -60,14 +60,14 @@ def check_place(task: PlanTask, position: Array) -> None:
     """Raise SolveError if the tip cannot be at a position (3,): in an obstacle, too far, or behind a box."""
     for k, obstacle in enumerate(task.obstacles):
         # No arm is thinner at its tip than the thinnest tube.
-        clear = float(obstacle.signed_distance(position[None])[0] - task.chart.radius.min())
+        clear = float(obstacle.signed_distance(position[None])[0] - task.coordinates.radius.min())
         if clear < task.clearance:
             raise SolveError(
                 "no plan exists: with its tip at the goal, the clearance of the arm from "
                 f"obstacle {k + 1} ({type(obstacle).__name__}) is at most {clear * 1e3:.4g} "
                 f"mm; it must be at least {task.clearance * 1e3:g} mm"
             )
-    longest, far = task.chart.space.longest, float(np.linalg.norm(position))
+    longest, far = task.coordinates.space.longest, float(np.linalg.norm(position))
     if far > longest:
         raise SolveError(
             f"no plan exists: the goal is {far * 1e3:.4g} mm from the base plate; the "
@@ -111,7 +111,7 @@ def path_around(box: Box, position: Array) -> float:
 
 def least_miss(task: PlanTask, position: Array, clock: Clock | None = None) -> float:
     """Distance (m) of the tip from a position (3,) after the best of some searches; 0 if near, or without time."""
-    space = task.chart.space
+    space = task.coordinates.space
     target = (position, None)
     known = nearest_starts(space, known_starts(space, clock), target, min_margin=0.0, reference=None)
     smallest = np.inf
@@ -126,7 +126,7 @@ def least_miss(task: PlanTask, position: Array, clock: Clock | None = None) -> f
 
 def _closest(task: PlanTask, start: Array, position: Array) -> float:
     """Distance of the tip after Gauss-Newton from joint values (m,), used as tip rotations, m."""
-    length, z = task.chart.space.length, start
+    length, z = task.coordinates.space.length, start
     miss = np.inf
     for _ in range(STEPS):
         tips = tips_about(task, z)
@@ -144,12 +144,12 @@ def _closest(task: PlanTask, start: Array, position: Array) -> float:
 
 def tips_about(task: PlanTask, z: Array) -> Array:
     """(m + 1, 3) tips at tip coordinates z (m,), and a DIFFERENCE farther along each coordinate, m."""
-    return task.chart.arms(z + np.vstack([np.zeros(len(z)), DIFFERENCE * np.diag(task.scale)]), 0.0).tip
+    return task.coordinates.arms(z + np.vstack([np.zeros(len(z)), DIFFERENCE * np.diag(task.scale)]), 0.0).tip
 
 
 def step_towards(task: PlanTask, z: Array, tips: Array, position: Array) -> Array | None:
     """(m,) damped Gauss-Newton step of a point towards a tip position, from its `tips_about`; None if infeasible."""
-    residual = (tips - position) / task.chart.space.length
+    residual = (tips - position) / task.coordinates.space.length
     constraints = step_constraints(task, z, LONGEST_STEP)
     step = damped_step(residual, DIFFERENCE, 1e-3, constraints)
     return None if step is None else np.asarray(step * task.scale)
@@ -169,7 +169,7 @@ def damped_step(residuals: Array, difference: float, damping: float, constraints
 
 def step_constraints(task: PlanTask, z: Array, longest: float) -> tuple[Array, Array]:
     """Constraints, rows d >= bounds, of a step d in units of the scales: ranges of translations, order, step size."""
-    space = task.chart.space
+    space = task.coordinates.space
     n, m = space.robot.n_tubes, len(z)
     unit = np.eye(m)
     rows = [unit[n:], -unit[n:], space.rows * space.scale, unit, -unit]
@@ -298,7 +298,7 @@ def start_equilibrium(space: JointSpace, start: Any, load: Load | None = None, n
 
 def check_start(task: PlanTask, start: Equilibrium) -> None:
     """Raise if a plan cannot begin: out of range (InputError); margin or clearance too small (SolveError)."""
-    _in_range(task.chart.space, "start", start.rotations, start.translations)
+    _in_range(task.coordinates.space, "start", start.rotations, start.translations)
     if fault := _fault(task, "start", start):
         raise SolveError(fault, start)
 
@@ -317,7 +317,7 @@ def ends(
 
     Args:
         clock: time for the search of joint values with the tip at a goal.
-        near: points (k, m) of the chart with tips near a position (3,), from which a tip goal is solved first, up to
+        near: tip coordinates (k, m) with tips near a position (3,), from which a tip goal is solved first, up to
             `enough` equilibria; if that fails, it is solved from the start.
 
     Raises:
@@ -329,8 +329,8 @@ def ends(
     if not equilibria:
         equilibria, complete = _equilibria(task, start, goal, clock)
     reasons: list[str] = []
-    if task.chart.load is not None:
-        equilibria, reasons = loaded(equilibria, task.chart.load)
+    if task.coordinates.load is not None:
+        equilibria, reasons = loaded(equilibria, task.coordinates.load)
     faults = [_fault(task, "goal", e) for e in equilibria]
     good = [e for e, fault in zip(equilibria, faults, strict=True) if not fault]
     if not good:
@@ -353,7 +353,7 @@ def asked_ends(task: PlanTask, start: Equilibrium, goal: Any, enough: int) -> li
 
 def _nearest(task: PlanTask, start: Equilibrium, candidates: list[End]) -> list[End]:
     """Ends nearest to the start, at most MOST_ENDS."""
-    origin = task.chart.of(start)
+    origin = task.coordinates.of(start)
     by_distance = sorted(candidates, key=lambda end: float(np.linalg.norm((end.point - origin) / task.scale)))
     return by_distance[:MOST_ENDS]
 
@@ -380,13 +380,15 @@ def other_ends(
 ) -> list[End]:
     """Equilibria at a tip goal in other configurations than the known ones, nearest first; none for other goals."""
     tip_goal = _tip_goal(goal)
-    if tip_goal is None or task.chart.load is not None:
+    if tip_goal is None or task.coordinates.load is not None:
         return []
     postures: list[Equilibrium] = []
     for target in tip_goal.places()[:PLACES]:
         arguments = _inverse_arguments(task, start, target, clock)
         with suppress(SolveError):  # none in so short a time
-            solutions = inverse_kinematics(task.chart.space.robot, target.position, all_solutions=True, **arguments)
+            solutions = inverse_kinematics(
+                task.coordinates.space.robot, target.position, all_solutions=True, **arguments
+            )
             postures += [solution.equilibrium for solution in solutions]
     good = [e for e in postures if not _fault(task, "goal", e)]
     fresh = [
@@ -430,7 +432,7 @@ def _tip_goal(goal: Any) -> TipGoal | None:
 
 def _equilibria(task: PlanTask, start: Equilibrium, goal: Any, clock: Clock) -> tuple[list[Equilibrium], bool]:
     """Equilibria that may meet a goal, and True if a systematic search proves that there are no others."""
-    space = task.chart.space
+    space = task.coordinates.space
     if isinstance(goal, InverseSolution):
         goal = goal.equilibrium
     if isinstance(goal, Equilibrium):
@@ -442,10 +444,10 @@ def _equilibria(task: PlanTask, start: Equilibrium, goal: Any, clock: Clock) -> 
         return _first_reachable(task, start, tip_goal.places(), clock), False
     rotations, shift = joints_of(space, "goal", goal)
     equilibria: list[Equilibrium] = []
-    if task.chart.eccentric or space.robot.n_tubes <= SEARCHED_TUBES or clock.left > SEARCH_SECONDS:
+    if task.coordinates.eccentric or space.robot.n_tubes <= SEARCHED_TUBES or clock.left > SEARCH_SECONDS:
         with suppress(SolveError):
             equilibria = [e for e in find_equilibria(space.robot, rotations, shift) if e.stable]
-    complete = bool(equilibria) and (task.chart.eccentric or space.robot.n_tubes <= SEARCHED_TUBES)
+    complete = bool(equilibria) and (task.coordinates.eccentric or space.robot.n_tubes <= SEARCHED_TUBES)
     if not equilibria:
         equilibria = [forward_kinematics(space.robot, rotations, shift)]
     # A large margin is the best sign of a branch that the robot can reach.
@@ -460,9 +462,9 @@ def _near_equilibria(
     Any valid ones, in a fraction of the time that the one nearest to the start takes.
     """
     tip_goal = _tip_goal(goal)
-    if near is None or tip_goal is None or task.chart.load is not None:
+    if near is None or tip_goal is None or task.coordinates.load is not None:
         return []
-    space, equilibria = task.chart.space, list[Equilibrium]()
+    space, equilibria = task.coordinates.space, list[Equilibrium]()
     options, weights = _options(task, clock.left), 1 / space.scale
     for target in tip_goal.places():
         # Twice the tolerance of `_fault`, which must not reject a solution for round-off.
@@ -480,9 +482,9 @@ def _near_equilibria(
             clock=clock,
         )
         points = near(question.position)
-        for q in task.chart.joints(points):
+        for q in task.coordinates.joints(points):
             start = start_at(space, q)
-            if start is None or start.margin < question.floor or not start.admissible:
+            if start is None or start.margin < question.kept_margin or not start.admissible:
                 continue
             search = reach(question, start)
             if search.reached and not _fault(task, "goal", search.posture.equilibrium):
@@ -511,7 +513,7 @@ def _solve_tip(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) 
     """Equilibrium near the start with its tip at a goal, by inverse kinematics."""
     position = goal.position
     check_place(task, position)
-    miss = 0.0 if task.chart.load is not None else least_miss(task, position, clock)
+    miss = 0.0 if task.coordinates.load is not None else least_miss(task, position, clock)
     if miss > 0:
         raise SolveError(
             "no plan was found: the searches did not reach the goal; the smallest distance "
@@ -519,7 +521,7 @@ def _solve_tip(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) 
         )
     try:
         arguments = _inverse_arguments(task, start, goal, clock)
-        solution = inverse_kinematics(task.chart.space.robot, position, **arguments)
+        solution = inverse_kinematics(task.coordinates.space.robot, position, **arguments)
     except SolveError as error:
         raise SolveError(f"no plan was found: inverse kinematics found no joint values for the goal: {error}") from None
     return [solution.equilibrium]
@@ -528,18 +530,23 @@ def _solve_tip(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) 
 def _inverse_arguments(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) -> dict[str, Any]:
     """Arguments of inverse kinematics for a tip goal, except for its position."""
     constraints = inverse_constraints(task, task.min_margin + 2 * FINISHED, clock.left)
-    return {"load": task.chart.load, "direction": goal.direction, "start": start, **constraints}
+    return {"load": task.coordinates.load, "direction": goal.direction, "start": start, **constraints}
 
 
-def inverse_constraints(task: PlanTask, floor: float, seconds: float) -> dict[str, Any]:
-    """Constraints and time limit of inverse kinematics for a task, with margins of at least `floor`."""
+def inverse_constraints(task: PlanTask, margin: float, seconds: float) -> dict[str, Any]:
+    """Constraints and time limit of inverse kinematics for a task, with margins of at least `kept_margin`."""
     options = _options(task, seconds)
-    return {"min_margin": floor, "limits": task.chart.space.limits, "obstacles": task.obstacles, "options": options}
+    return {
+        "min_margin": margin,
+        "limits": task.coordinates.space.limits,
+        "obstacles": task.obstacles,
+        "options": options,
+    }
 
 
 def _options(task: PlanTask, seconds: float) -> InverseOptions:
     """Options of inverse kinematics with a time limit, s."""
-    space = task.chart.space
+    space = task.coordinates.space
     return InverseOptions(
         clearance=task.clearance,
         carriage_gap=space.carriage_gap,
@@ -570,7 +577,7 @@ def _turned(task: PlanTask, e: Equilibrium, start: Array, modulo: bool) -> list[
 
     `start` (n,): rotations at the start, to which the turns are close.
     """
-    space, n = task.chart.space, task.chart.space.robot.n_tubes
+    space, n = task.coordinates.space, task.coordinates.space.robot.n_tubes
     if not modulo:
         _in_range(space, "goal", e.rotations, e.translations)
         return [_end(task, e, (0,) * n)]
@@ -590,6 +597,6 @@ def _turned(task: PlanTask, e: Equilibrium, start: Array, modulo: bool) -> list[
 
 
 def _end(task: PlanTask, e: Equilibrium, turns: Sequence[int]) -> End:
-    q = task.chart.space.join(e.rotations, e.translations)
+    q = task.coordinates.space.join(e.rotations, e.translations)
     whole = 2 * np.pi * np.pad(turns, (0, len(q) - len(turns)))
-    return End(task.chart.of(e) + whole, q + whole, tuple(turns))
+    return End(task.coordinates.of(e) + whole, q + whole, tuple(turns))

@@ -140,7 +140,7 @@ class Motion:
         self.opti, self.program, self.robot, self.name = opti, as_program(opti), robot, name
         self.times = _knot_times(knots)
         self._limits, self._space = limits, joint_space(robot, limits)
-        self._chart = TipCoordinates(self._space)
+        self._coordinates = TipCoordinates(self._space)
         self._rates, self._bodies, self._clearance = ANY_RATES, tuple[Obstacle, ...](), 0.0
         self._first: Equilibrium | None = None
         self._last: Array | None = None
@@ -175,10 +175,10 @@ class Motion:
         self.rotation_rates, self.translation_rates = ca.vertsplit(spread @ self._slopes / self.duration, n)
         q = self._at_stations()
         rotations, self._shifts = self._per_tube(q)
-        numbers = ca.repmat(ca.DM(self._chart.parameters), 1, stations)
+        numbers = ca.repmat(ca.DM(self._coordinates.parameters), 1, stations)
         reserves = ca.reshape(self._reserve, 2, stations)
         floor = ca.repmat(ca.MX(min_margin), 1, stations) + reserves[0, :]
-        arm = explicit_arm(self._chart.kind)
+        arm = explicit_arm(self._coordinates.kind)
         alpha, fields, *self._arms = arm.map(stations)(self._tips, self._shifts, floor, numbers)
         self.tip_rotations = self._tips[:, :: self._stride]
         tips = [arm.size2_out(2) * (k + 1) - 1 for k in range(0, stations, self._stride)]
@@ -205,12 +205,14 @@ class Motion:
             raise InputError("the start has a load; the equilibria of a Motion are explicit, which a load prevents")
         if not isinstance(self._margin, ca.MX) and e.margin < float(self._margin):
             raise InputError(f"the start has margin {e.margin:.3g}; it must be at least {float(self._margin):g}")
-        q, point = space.join(e.rotations, e.translations, "start"), self._chart.of(e)
+        q, point = space.join(e.rotations, e.translations, "start"), self._coordinates.of(e)
         if fault := space.outside(q):
             raise InputError(f"start: {fault}")
         self._first = e
         self._begin_clear()
-        self.program.set_value(self._offset, self._chart.joints(point[None])[0, : self.robot.n_tubes] - e.rotations)
+        self.program.set_value(
+            self._offset, self._coordinates.joints(point[None])[0, : self.robot.n_tubes] - e.rotations
+        )
         self._fix("start", 0, point)
         if rest:
             self._rest(0)
@@ -239,13 +241,13 @@ class Motion:
             raise InputError("the motion has no start; call start before goal")
         space, n, near = self._space, self.robot.n_tubes, self._first
         if equilibrium is not None:
-            self._last = self._chart.of(equilibrium)
+            self._last = self._coordinates.of(equilibrium)
             self._fix("goal", -1, self._last)
         elif rotations is not None or translations is not None:
             alpha = near.rotations if rotations is None else vector("rotations", rotations, n)
             shift = near.translations if translations is None else vector("translations", translations, n)
             q = space.join(alpha, shift, "goal")
-            self._last = self._chart.of(forward_kinematics(self.robot, alpha, tuple(shift)))
+            self._last = self._coordinates.of(forward_kinematics(self.robot, alpha, tuple(shift)))
             rows = [*range(n)] * (rotations is not None) + [*range(n, len(q))] * (translations is not None)
             error = (self._joints[rows, -1] - ca.DM(q[rows])) / ca.DM(space.scale[rows])
             self._demand("joint values of the goal", error, upper=0.0)
@@ -256,7 +258,7 @@ class Motion:
             direction = None if tip_direction is None else unit_vector("tip_direction", tip_direction)
             if self._last is None:
                 reached = inverse_kinematics(self.robot, place, direction=direction, start=near, limits=self._limits)
-                self._last = self._chart.of(reached.equilibrium)
+                self._last = self._coordinates.of(reached.equilibrium)
             self._demand("tip of the goal", (self.tip_position[:, -1] - ca.DM(place)) / space.length, upper=0.0)
         if tip_direction is not None:
             axis = unit_vector("tip_direction", tip_direction)
@@ -327,10 +329,12 @@ class Motion:
 
     def distances(self, bodies: Sequence[Obstacle]) -> Any:
         """(a, bodies) distances of points of the surface from bodies, one equilibrium after the other, m."""
-        kind, count = self._chart.kind, len(self._stations)
+        kind, count = self._coordinates.kind, len(self._stations)
         points, tangents, s = self._arms
         size = points.shape[1] // count
-        constants = [ca.repmat(ca.DM(part), 1, count) for part in (self._chart.parameters, self._chart.radius)]
+        constants = [
+            ca.repmat(ca.DM(part), 1, count) for part in (self._coordinates.parameters, self._coordinates.radius)
+        ]
         function = body_distances(kind, size, bodies).map(count)
         table = function(points, tangents, ca.reshape(s, size, count), self._shifts, *constants)
         return ca.vertcat(*ca.horzsplit(table, len(bodies)))
@@ -369,7 +373,7 @@ class Motion:
     def warm_start(self, trajectory: Trajectory) -> None:
         """Start the program at a trajectory of the same robot."""
         t = (trajectory.time - trajectory.time[0]) / max(float(np.ptp(trajectory.time)), 1e-9)
-        points = np.array([self._chart.of(e) for e in trajectory.arms])
+        points = np.array([self._coordinates.of(e) for e in trajectory.arms])
         z = np.column_stack([np.interp(self._stations, t, column) for column in points.T])
         self._set_guess(z, float(np.ptp(trajectory.time)))
 
@@ -482,7 +486,7 @@ class Motion:
             self._demand("order of the tubes", excess / space.length + ROUND_OFF)
 
     def _fix(self, name: str, knot: int, point: Array) -> None:
-        """Constrain a knot to a point (m,) of the chart, which determines its joint rotations."""
+        """Constrain a knot to tip coordinates (m,), which determine its joint rotations."""
         n = self.robot.n_tubes
         self._demand(f"tip rotations of the {name}", self.tip_rotations[:, knot] - ca.DM(point[:n]), upper=0.0)
         shift = (self._joints[n:, knot] - ca.DM(point[n:])) / ca.DM(self._space.scale[n:])
@@ -508,17 +512,17 @@ class Motion:
             )
 
     def _guess(self) -> None:
-        """Start on the straight line from start to goal in the chart, from rest to rest."""
+        """Start on the straight line from start to goal in tip coordinates, from rest to rest."""
         if self._first is None:
             return
-        begin = self._chart.of(self._first)
+        begin = self._coordinates.of(self._first)
         end = begin if self._last is None else self._last
         x = self._stations[:, None]
         self._set_guess(begin + (end - begin) * x * x * (3 - 2 * x), None)
 
     def _set_guess(self, z: Array, duration: float | None) -> None:
-        """Start at points z (stations, m) of the chart; without a duration, at an ample one."""
-        q, n, program = self._chart.joints(z[:: self._stride]), self.robot.n_tubes, self.program
+        """Start at tip coordinates z (stations, m); without a duration, at an ample one."""
+        q, n, program = self._coordinates.joints(z[:: self._stride]), self.robot.n_tubes, self.program
         rates = self._rates if self._rates is not ANY_RATES else DEFAULT_RATES
         if duration is None:
             duration = ample_duration(q, self.times, *rates.of(self._space))
@@ -554,7 +558,7 @@ class Motion:
         return np.asarray(solution.value(expression), dtype=float).reshape(expression.shape)
 
     def _points(self, solution: Any) -> Array:
-        """(K, m) points of the chart at the knots."""
+        """(K, m) tip coordinates at the knots."""
         tips, q = (self._value(solution, part).T for part in (self.tip_rotations, self._joints))
         return np.column_stack([tips, q[:, self.robot.n_tubes :]])
 
@@ -581,7 +585,7 @@ class Motion:
         margin = float(self._value(solution, ca.MX(self._margin)).item())
         options = PlanOptions(clearance=self._clearance, time_limit=TIME_LIMIT)
         task = plan_task(self.robot, self._bodies, max(margin, 0.0), self._rates, self._limits, options)
-        return replace(task, chart=self._chart)
+        return replace(task, coordinates=self._coordinates)
 
 
 def _knot_times(knots: int | ArrayLike) -> Array:

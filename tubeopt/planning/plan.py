@@ -151,7 +151,7 @@ def _worth_smoothing(task: PlanTask, curves: Sequence[Array]) -> bool:
     Among bodies smoothing takes twice as long; its equations are without a load.
     """
     options = task.options
-    if task.chart.load is not None:
+    if task.coordinates.load is not None:
         return False
     length = sum(float(np.linalg.norm(np.diff(q / task.scale, axis=0), axis=1).sum()) for q in curves)
     if length < SHORT or options.objective != "length" or options.extra_cost is not None:
@@ -165,7 +165,7 @@ def _rounded(
 ) -> JointMotion | None:
     """Time-optimal motion close to joint values (k, m), with the roundest valid corners; None if none is valid in time.
 
-    `end` (m,): point of the chart at the end.
+    `end` (m,): tip coordinates at the end.
     """
     for spacing in SPACINGS:
         if clock.over:
@@ -183,7 +183,7 @@ def build(
 
     `statistics` of the search are completed by length and duration of the proof.
     """
-    rates, clock, space = task.rates, task.clock, task.chart.space
+    rates, clock, space = task.rates, task.clock, task.coordinates.space
     t, q = motion.sampled(task.scale)
     start = space.join(first.rotations, first.translations)
     last = q[-1] if end is None else end.joints
@@ -209,7 +209,7 @@ def build(
     arms = (*proof.samples, *track(task, proof.samples[-1], q[len(proof.samples) :], late))
     if len(arms) < len(q):
         return (no_time(clock),)
-    if end is not None and float(np.abs(task.chart.of(arms[-1]) - end.point).max()) > 1e-3:
+    if end is not None and float(np.abs(task.coordinates.of(arms[-1]) - end.point).max()) > 1e-3:
         return (*proof.faults, "the motion ends on another branch than that of the goal")
     length = float(np.linalg.norm(np.diff(q / task.scale, axis=0), axis=1).sum())
     seconds = clock.seconds
@@ -335,14 +335,14 @@ def plan_trajectory(  # noqa: PLR0913
 
 def _planned(task: PlanTask, start: Any, goal: Any) -> Trajectory:
     """Plan of a task; raises as `plan_trajectory`, and LateError."""
-    chart, options = task.chart, task.options
-    first = start_equilibrium(chart.space, start, chart.load)
+    coordinates, options = task.coordinates, task.options
+    first = start_equilibrium(coordinates.space, start, coordinates.load)
     task = reserve_deflection(task, first.translations)
     check_start(task, first)
     quick = options.roadmap is not None and options.objective == "none" and of_the_tip(goal)
     goals = asked_ends(task, first, goal, 1 if quick else ENOUGH_ENDS)
     n = len(first.translations)
-    task = reserve_deflection(task, first.translations, *(chart.space.joint(end.joints)[n:] for end in goals))
+    task = reserve_deflection(task, first.translations, *(coordinates.space.joint(end.joints)[n:] for end in goals))
     task = _between(task, first, goals)
     faults: Faults = ()
     for attempt in range(ATTEMPTS):
@@ -358,12 +358,12 @@ def _planned(task: PlanTask, start: Any, goal: Any) -> Trajectory:
         faults = result
         if task.clock.over:
             break
-        task = _between(task.roomier(), first, goals)
+        task = _between(task.with_larger_reserves(), first, goals)
     raise SolveError(f"no provable trajectory was found: {'; '.join(faults)}")
 
 
 def _between(task: PlanTask, first: Equilibrium, goals: Sequence[End]) -> PlanTask:
-    return task.from_to(task.chart.of(first), *(end.point for end in goals))
+    return task.from_to(task.coordinates.of(first), *(end.point for end in goals))
 
 
 class _Search(NamedTuple):
@@ -380,7 +380,7 @@ def _search(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], see
     until = options.time_limit - min(REPORT_SECONDS, REPORT_SHARE * options.time_limit)
     left = max(0.0, min(SEARCH_SHARE * options.time_limit, until) - clock.seconds)
     postures = of_the_tip(goal) and left > POSTURES_SECONDS
-    start = task.chart.of(first)
+    start = task.coordinates.of(first)
     if options.roadmap is not None:
         path = options.roadmap.shortest_path(task, start, [end.point for end in goals], Clock(ROADMAP_SHARE * left))
         if path.points is None and len(goals) < ENOUGH_ENDS and of_the_tip(goal):
@@ -394,7 +394,7 @@ def _search(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], see
     search = Clock(NEAREST_SHARE * left if postures else left)
     find = partial(find_path, how=options.search, improving=options.search_seconds)
     path = find(task, start, [end.point for end in goals], search, seed=seed)
-    if path.impossible and (of_the_tip(goal) or len(goals) == MOST_ENDS or task.chart.load is not None):
+    if path.impossible and (of_the_tip(goal) or len(goals) == MOST_ENDS or task.coordinates.load is not None):
         path = replace(
             path, impossible=False, why=f"{path.why} (for the tried configurations; others may meet the goal)"
         )
@@ -592,7 +592,7 @@ def plan_from_region(
     instance("region", region, EntryRegion)
     check_goal(robot, goal)
     task = plan_task(robot, obstacles, options=options, places=(start, goal), **given)
-    first = start_equilibrium(task.chart.space, start)
+    first = start_equilibrium(task.coordinates.space, start)
     frames = region.frames(count, options.seed)
     if progress is not None:
         progress(0, len(frames))
@@ -641,7 +641,11 @@ def _scores(task: PlanTask, first: Equilibrium, goal: Any, frames: Sequence[Fram
     """
     of_tip = of_the_tip(goal)
     at_start = Lines.of([first], POINTS)
-    arms = _random_arms(task) if of_tip else Lines.of([start_equilibrium(task.chart.space, goal, name="goal")], POINTS)
+    arms = (
+        _random_arms(task)
+        if of_tip
+        else Lines.of([start_equilibrium(task.coordinates.space, goal, name="goal")], POINTS)
+    )
     # The ranking must leave time for the plans.
     half, scores = task.clock.part(0.5), list[float]()
     for frame in frames:
@@ -658,12 +662,12 @@ def _scores(task: PlanTask, first: Equilibrium, goal: Any, frames: Sequence[Fram
 
 def _random_arms(task: PlanTask) -> Lines:
     """Stable arms with random joint values."""
-    chart = task.chart
-    arms = chart.arms(chart.space.sample(ARMS), task.min_margin)
+    coordinates = task.coordinates
+    arms = coordinates.arms(coordinates.space.sample(ARMS), task.min_margin)
     stable = np.flatnonzero(arms.stable)
     s = np.linspace(0.0, 1.0, POINTS) * arms.arc_length[stable, -1:]
     exists = s[:, :, None] <= arms.tube_end[stable][:, None, :] + 1e-12
-    return Lines(arms.at(s, stable), np.where(exists, chart.radius, 0.0).max(2))
+    return Lines(arms.at(s, stable), np.where(exists, coordinates.radius, 0.0).max(2))
 
 
 def _clearance(task: PlanTask, arms: Lines) -> Array:

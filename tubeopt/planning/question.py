@@ -53,14 +53,14 @@ class LoadedChart(TipCoordinates):
     def arms(self, z: Array, margin: float | Array, clock: Clock | None = None) -> Arms:
         """Arms of points (k, m) under the load, with margins above `margin`."""
         plain, shift = super().arms(z, 0.0, clock), self.translations(z)
-        floor, loaded = np.broadcast_to(margin, len(z)), dict[int, Equilibrium]()
+        required, loaded = np.broadcast_to(margin, len(z)), dict[int, Equilibrium]()
         for k in np.flatnonzero(plain.stable).tolist():
             if clock is not None and clock.over:
                 raise LateError
             e = self._loaded(z[k, : shift.shape[1]], plain.rotations[k], shift[k])
             if e is not None:
                 loaded[k] = e
-        stable = np.array([k in loaded and loaded[k].margin > floor[k] for k in range(len(z))], dtype=bool)
+        stable = np.array([k in loaded and loaded[k].margin > required[k] for k in range(len(z))], dtype=bool)
         width = max((len(e.arc_length) for e in loaded.values()), default=plain.points.shape[1])
         points, tangents, s = (_widened(table, width) for table in (plain.points, plain.tangents, plain.arc_length))
         for k, e in loaded.items():
@@ -232,19 +232,19 @@ def plan_task(
     bodies = checked_obstacles(obstacles)
     extra = options.extra_cost
     cost = None if extra is None else (path_cost(extra, robot.n_tubes), extra.sign * extra.weight)
-    floor = finite("min_margin", min_margin)
-    if not 0 <= floor < 1:
-        raise InputError(f"min_margin is {floor:g}; it must be at least 0 and less than 1")
+    required = finite("min_margin", min_margin)
+    if not 0 <= required < 1:
+        raise InputError(f"min_margin is {required:g}; it must be at least 0 and less than 1")
     space = joint_space(robot, limits, options.carriage_gap, options.section_length)
     space = space.holding(*shift_of(robot, *places))
     rate_limits.of(space)
     if options.max_force and rate_limits.tip is not None:
         raise InputError("rate_limits.tip and max_force are both given; there is no bound on the tip speed under force")
-    chart = TipCoordinates(space) if load is None else _loaded(space, load, options)
+    coordinates = TipCoordinates(space) if load is None else _loaded(space, load, options)
     return PlanTask(
-        chart,
+        coordinates,
         bodies,
-        floor,
+        required,
         options.clearance,
         clock=clock,
         max_force=options.max_force,
@@ -274,9 +274,9 @@ def reserve_deflection(task: PlanTask, *translations: Array) -> PlanTask:
     """
     if not task.max_force:
         return task
-    robot, deflections = task.chart.space.robot, []
+    robot, deflections = task.coordinates.space.robot, []
     for each in translations:
-        bound = under_any_force(robot, each, task.max_force, task.chart.load)
+        bound = under_any_force(robot, each, task.max_force, task.coordinates.load)
         if bound.margin <= 0 or bound.margin < task.min_margin:
             where = ", ".join(f"{x * 1e3:.4g}" for x in each)
             raise SolveError(
@@ -285,7 +285,7 @@ def reserve_deflection(task: PlanTask, *translations: Array) -> PlanTask:
                 f"it must be at least {max(task.min_margin, 0.0):g}"
             )
         deflections.append(bound.deflection)
-    between = under_any_force(robot, np.array(translations), task.max_force, task.chart.load).deflection
+    between = under_any_force(robot, np.array(translations), task.max_force, task.coordinates.load).deflection
     reserve = DEFLECTION_FACTOR * (between if np.isfinite(between) else max(deflections))
     return replace(task, clearance=task.clearance - task.reserve + reserve, reserve=reserve)
 

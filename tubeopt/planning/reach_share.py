@@ -139,9 +139,9 @@ def evaluate_reach(
     check_target(robot.tubes, "targets", places)
     tolerance = typical_length("tolerance", tolerance, TYPICAL_TIP_ERROR)
     task = plan_task(robot, obstacles, min_margin, DEFAULT_RATES, None, options, places=(start,))
-    first = start_equilibrium(task.chart.space, start)
+    first = start_equilibrium(task.coordinates.space, start)
     check_start(task, first)
-    first_point, n = task.chart.of(first), robot.n_tubes
+    first_point, n = task.coordinates.of(first), robot.n_tubes
     miss = np.linalg.norm(first.tip_position - places, axis=1)
     joints, tips = np.full((len(places), len(first_point)), np.nan), np.full((len(places), n), np.nan)
     examined = 0
@@ -154,8 +154,8 @@ def evaluate_reach(
                 if distance >= miss[k] or task.clock.over:
                     break
                 if search.reaches(z):
-                    miss[k], joints[k], tips[k] = distance, task.chart.joints(z[None])[0], z[:n]
-    whole = np.array([task.chart.space.joint(q) for q in joints])
+                    miss[k], joints[k], tips[k] = distance, task.coordinates.joints(z[None])[0], z[:n]
+    whole = np.array([task.coordinates.space.joint(q) for q in joints])
     return ReachShare(places, miss, tolerance, whole[:, :n], whole[:, n:], tips, examined)
 
 

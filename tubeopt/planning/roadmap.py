@@ -103,20 +103,20 @@ class Roadmap(Displayed):
         """(k, m) points of the roadmap with tips nearest to a position (3,), at most `count`; the nearest first."""
         self._match(task)
         if self.tips is None:
-            self.tips = task.chart.arms(self.points, 0.0).tip
+            self.tips = task.coordinates.arms(self.points, 0.0).tip
         far = np.linalg.norm(self.tips - place, axis=1)
         return np.asarray(self.points[np.argsort(far, kind="stable")[:count]])
 
     def _match(self, task: PlanTask) -> None:
         """Delete the results of edges if the requirements differ; raise InputError for another robot."""
-        if not np.array_equal(task.chart.parameters, self.parameters):
+        if not np.array_equal(task.coordinates.parameters, self.parameters):
             raise InputError("the roadmap is of another robot")
         if self.points.shape[1] != len(task.scale):
             raise InputError(
                 "start or goal separates carriages that move together in the roadmap; plan without the roadmap"
             )
-        rooms = task.margin_room, task.clearance_room
-        requirements = (Same(task.obstacles), task.min_margin, task.clearance, task.floor, *rooms)
+        reserves = task.margin_reserve, task.clearance_reserve
+        requirements = (Same(task.obstacles), task.min_margin, task.clearance, task.min_clearance_reserve, *reserves)
         if requirements != self.asked_with:
             self.known.clear()
         self.asked_with = requirements
@@ -170,9 +170,9 @@ def build_roadmap(
 
 def roadmap_of(task: PlanTask, count: int) -> Roadmap:
     """Roadmap of `count` valid points, or of fewer if the clock ends; raises SolveError for fewer than two."""
-    options, n = task.options, task.chart.space.robot.n_tubes
+    options, n = task.options, task.coordinates.space.robot.n_tubes
     random = np.random.default_rng(options.seed)
-    space, valid, total = task.chart.space, list[Array](), 0
+    space, valid, total = task.coordinates.space, list[Array](), 0
     shifts = space.sample(16 * DRAWN)[:, n:]
     while total < count and not task.clock.over:
         z = np.column_stack([random.uniform(-np.pi, np.pi, (DRAWN, n)), random.choice(shifts, DRAWN)])
@@ -189,7 +189,7 @@ def roadmap_of(task: PlanTask, count: int) -> Roadmap:
     places = points / task.scale
     _, near = scipy.spatial.cKDTree(places).query(places, k=min(NEIGHBOURS + 1, len(points)))
     edges = np.column_stack([np.repeat(np.arange(len(points)), near.shape[1] - 1), near[:, 1:].ravel()])
-    return Roadmap(points, task.chart.parameters, np.unique(np.sort(edges, axis=1), axis=0))
+    return Roadmap(points, task.coordinates.parameters, np.unique(np.sort(edges, axis=1), axis=0))
 
 
 @typed

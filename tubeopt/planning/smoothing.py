@@ -332,13 +332,13 @@ class Smoothed:
 def building(task: PlanTask) -> float:
     """Time that building the program of a task and starting its solution may take, s."""
     nodes = sum(min(body.lattice.values.size, MAX_NODES) for body in task.obstacles if isinstance(body, TABLES))
-    return BUILD_PER_OPERATION * task.chart.size + BUILD_PER_BODY * len(task.obstacles) + BUILD_PER_NODE * nodes
+    return BUILD_PER_OPERATION * task.coordinates.size + BUILD_PER_BODY * len(task.obstacles) + BUILD_PER_NODE * nodes
 
 
 def resample(task: PlanTask, points: Array, count: int) -> Array:
     """(count, m) points of a path, evenly spaced by the length of joint motion."""
     z = np.concatenate([points[:1], *(task.line(a, b)[1:] for a, b in pairwise(points))])
-    q = task.chart.joints(z) / task.scale
+    q = task.coordinates.joints(z) / task.scale
     # Both metrics count: where the joints hardly move, the arm may.
     step = np.linalg.norm(np.diff(q, axis=0), axis=1) + 0.3 * np.linalg.norm(np.diff(z / task.scale, axis=0), axis=1)
     mark = np.concatenate([[0.0], np.cumsum(step)])
@@ -357,11 +357,11 @@ def smooth(
     """
     intervals, iterations = task.options.smoothing_intervals, 0
     z, step = resample(task, points, intervals + 1), np.full(intervals, 1 / intervals)
-    reserve = np.array([task.margin_room + MARGIN_RESERVE, task.clearance_room])
-    if task.chart.size > MOST_OPERATIONS:
+    reserve = np.array([task.margin_reserve + MARGIN_RESERVE, task.clearance_reserve])
+    if task.coordinates.size > MOST_OPERATIONS:
         return None
     for _ in range(REFINEMENTS + 1):
-        arms = task.chart.arms(z, 0.0)
+        arms = task.coordinates.arms(z, 0.0)
         near = _near(task, arms)
         if clock.left < clock.parallel_slowdown * building(near):
             return None
@@ -388,7 +388,7 @@ def _near(task: PlanTask, arms: Arms) -> PlanTask:
     """Task with only those bodies that the arm may meet near knots."""
     if not task.obstacles:
         return task
-    reach = BODY_REACH * task.chart.space.length + task.clearance + float(task.chart.radius.max())
+    reach = BODY_REACH * task.coordinates.space.length + task.clearance + float(task.coordinates.radius.max())
     points = arms.fine()[1]
     near = task.scene.close(points.reshape(-1, 3), reach)
     return replace(task, obstacles=tuple(task.obstacles[k] for k in near))
@@ -402,10 +402,10 @@ def _solve(
     `step`: durations of the intervals, as fractions of the time; `reserve` (2,) of margin and clearance (m) at knots.
     """
     z = knots[0]
-    space, n = task.chart.space, task.chart.space.robot.n_tubes
+    space, n = task.coordinates.space, task.coordinates.space.robot.n_tubes
     scale, rate, acceleration = task.scale, limits.rate, limits.acceleration
     question = PathQuestion(
-        task.chart.kind,
+        task.coordinates.kind,
         space.carriages,
         len(step),
         len(space.least),
@@ -414,13 +414,13 @@ def _solve(
         task.cost,
     )
     program = path_program(question)
-    q = task.chart.joints(z)
+    q = task.coordinates.joints(z)
     time = np.concatenate([[0.0], np.cumsum(step)])
     unit = ample_duration(q, time, rate, acceleration)
     length = max(float(np.linalg.norm(np.diff(q / scale, axis=0), axis=1).sum()), 1e-9)
     weights = np.array(WEIGHTS[objective]) * [length**-2, 1.0, length**-2, 1.0]
     p = program.values(
-        robot=task.chart.parameters,
+        robot=task.coordinates.parameters,
         offset=space.offset[n:],
         scale=scale,
         rate=rate / scale * unit,
@@ -429,14 +429,14 @@ def _solve(
         order=space.rows,
         step=step,
         twist=np.maximum(TWIST, 1.3 * np.abs(np.diff(z[:, :n], axis=0)).max(1)),
-        radius=task.chart.radius,
+        radius=task.coordinates.radius,
     )
     # No margin is above 1: bounds need an interior below it.
-    floor = min(task.min_margin + float(reserve[0]), 0.998)
-    x = np.concatenate([(q / scale).ravel(), (differences(q, time) / scale).ravel(), z[:, :n].ravel(), [1.0, floor]])
+    required = min(task.min_margin + float(reserve[0]), 0.998)
+    x = np.concatenate([(q / scale).ravel(), (differences(q, time) / scale).ravel(), z[:, :n].ravel(), [1.0, required]])
     solver = program.solver(clock.left)
     least = _required(task, program, np.asarray(program.least(x, p)), knots, float(reserve[1]))
-    result = solver(x0=x, p=p, **_bounds(task, program, (q, z, least), objective, floor))
+    result = solver(x0=x, p=p, **_bounds(task, program, (q, z, least), objective, required))
     stats = solver.stats()
     # After the last step or second the motion may still be valid, which `violated` decides.
     if not (stats["success"] or stats["return_status"] in UNFINISHED):
@@ -469,13 +469,13 @@ def _required(task: PlanTask, program: PathProgram, least: Array, knots: tuple[A
 
 
 def _bounds(
-    task: PlanTask, program: PathProgram, start: tuple[Array, Array, Array], objective: str, floor: float
+    task: PlanTask, program: PathProgram, start: tuple[Array, Array, Array], objective: str, required: float
 ) -> dict[str, Array]:
     """Bounds of unknowns and constraints; both ends, which were checked before, are fixed.
 
-    `start`: joint values and points of the chart at knots, and required smooth distances, m.
+    `start`: joint values and tip coordinates at knots, and required smooth distances, m.
     """
-    (q, z, least), space, inf = start, task.chart.space, np.inf
+    (q, z, least), space, inf = start, task.coordinates.space, np.inf
     n, (knots, m) = space.robot.n_tubes, q.shape
     low, high = (np.tile(value / task.scale, (knots, 1)) for value in (space.lower, space.upper))
     low[[0, -1]] = high[[0, -1]] = (q / task.scale)[[0, -1]]
@@ -483,7 +483,7 @@ def _bounds(
     rate[[0, -1]] = 0.0
     lowest = -tip
     lowest[[0, -1]] = tip[[0, -1]] = z[[0, -1], :n]
-    most = 0.999 if objective == "margin" else floor
+    most = 0.999 if objective == "margin" else required
     rows = program.rows
     lower = {name: np.full(size, -inf) for name, size in rows.items()}
     upper = {name: np.full(size, inf) for name, size in rows.items()}
@@ -502,7 +502,7 @@ def _bounds(
     free = np.where(inside, 0.0, np.full((knots, n), inf)).ravel()
     lower["equilibrium"], upper["equilibrium"] = -free, free
     return {
-        "lbx": np.concatenate([low.ravel(), -rate.ravel(), lowest.ravel(), [1e-6, floor]]),
+        "lbx": np.concatenate([low.ravel(), -rate.ravel(), lowest.ravel(), [1e-6, required]]),
         # S is at most 4: a motion may take twice as long as the start.
         "ubx": np.concatenate([high.ravel(), rate.ravel(), tip.ravel(), [4.0, most]]),
         "lbg": np.concatenate([lower[name] for name in rows]),

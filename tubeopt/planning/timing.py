@@ -313,7 +313,7 @@ def joint_curves(task: PlanTask, points: Array) -> list[Array]:
     for a, b in pairwise(points):
         pieces = (len(task.line(a, b)) - 1) * 2 ** (task.fineness(a, b) or 0)
         for halvings in range(MOST_HALVINGS + 1):
-            q = task.chart.joints(a + np.linspace(0, 1, 2**halvings * pieces + 1)[:, None] * (b - a))
+            q = task.coordinates.joints(a + np.linspace(0, 1, 2**halvings * pieces + 1)[:, None] * (b - a))
             if np.abs(np.diff(q / task.scale, 2, axis=0)).max(initial=0.0) <= MOST_BEND:
                 break
         out.append(q)
@@ -330,17 +330,17 @@ def actuators(task: PlanTask, first: Equilibrium) -> Limits:
         return np.concatenate([positions, np.repeat(positions[-1:], len(q) - len(positions), axis=0)])
 
     tip = None if rates.tip is None else (rates.tip, tips)
-    return Limits(*rates.of(task.chart.space), tip)
+    return Limits(*rates.of(task.coordinates.space), tip)
 
 
 def track(task: PlanTask, start: Equilibrium, q: Array, clock: Clock | None = None) -> tuple[Equilibrium, ...]:
     """Equilibria at joint values q (T, m) on the branch of `start`: fewer than T where it, or the time, ends."""
-    space, e, equilibria = task.chart.space, start, list[Equilibrium]()
+    space, e, equilibria = task.coordinates.space, start, list[Equilibrium]()
     for row in q:
         rotations, shift = space.split(row)
         try:
             # Each from the last one, which keeps the branch: a cold start may find another equilibrium.
-            e = forward_kinematics(space.robot, rotations, shift, load=task.chart.load, start=e)
+            e = forward_kinematics(space.robot, rotations, shift, load=task.coordinates.load, start=e)
         except SolveError:
             break
         if not e.stable or (clock is not None and clock.over):
@@ -364,7 +364,7 @@ def violated(
 ) -> Violations:
     """Violations along a motion.
 
-    `checkpoints`: times (P,) at which it has to be at points (P, m) of the chart. The same joint values may be reached
+    `checkpoints`: times (P,) at which it has to be at tip coordinates (P, m). The same joint values may be reached
     on several branches, by paths around a fold on one side and on the other.
     """
     time, q = motion.sampled(task.scale)
@@ -383,7 +383,7 @@ def violated(
 
 def _shortfall(task: PlanTask, equilibria: Sequence[Equilibrium]) -> Array:
     """(2, T) shortfall of margin and clearance (m) from the requirement with its reserve; at most 0 if satisfied."""
-    joints = [task.chart.space.join(e.rotations, e.translations) for e in equilibria]
+    joints = [task.coordinates.space.join(e.rotations, e.translations) for e in equilibria]
     q = np.reshape(joints, (-1, len(task.scale))) / task.scale
     step = np.append(np.abs(np.diff(q, axis=0)).max(1), 0.0)[: len(q)]
     reserve = RESERVE * np.minimum(1.0, np.maximum(step, np.roll(step, 1)) / SAMPLE_STEP) ** 2
@@ -400,6 +400,6 @@ def _on_other_branch(
     task: PlanTask, time: Array, equilibria: Sequence[Equilibrium], checkpoints: tuple[Array, Array]
 ) -> Mask:
     """(P,) True at checkpoints where the equilibria at times (T,) are on another branch."""
-    points = np.array([task.chart.of(each) for each in equilibria])
+    points = np.array([task.coordinates.of(each) for each in equilibria])
     reached = np.column_stack([np.interp(checkpoints[0], time, column) for column in points.T])
     return np.asarray((np.abs(reached - checkpoints[1]) / task.scale).max(1) > OTHER_BRANCH)

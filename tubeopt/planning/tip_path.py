@@ -118,7 +118,7 @@ def follow_tip_path(  # noqa: PLR0913
         )
     furthest, reason = 0.0, "the first point is out of reach"
     for first in _starts(task, curve, start, tolerance):
-        spacing = SPACING * task.chart.space.length
+        spacing = SPACING * task.coordinates.space.length
         for _ in range(REFINEMENTS + 1):
             places = _spaced(curve, spacing)
             equilibria, why = _solve_along(task, first, places)
@@ -127,8 +127,8 @@ def follow_tip_path(  # noqa: PLR0913
                 if fraction >= furthest:
                     furthest, reason = fraction, why
                 break
-            q = np.array([task.chart.space.join(e.rotations, e.translations) for e in equilibria])
-            result = passing(task, first, q, task.chart.of(equilibria[-1]), "tip path", len(q))
+            q = np.array([task.coordinates.space.join(e.rotations, e.translations) for e in equilibria])
+            result = passing(task, first, q, task.coordinates.of(equilibria[-1]), "tip path", len(q))
             if isinstance(result, Trajectory):
                 deviation = distance_from(curve, result.tip_position)
                 if deviation.max() <= tolerance:
@@ -171,7 +171,7 @@ def _spaced(curve: Array, spacing: float) -> Array:
 
 def _starts(task: PlanTask, curve: Array, start: Any, tolerance: float) -> Iterator[Equilibrium]:
     if start is not None:
-        first = start_equilibrium(task.chart.space, start)
+        first = start_equilibrium(task.coordinates.space, start)
         check_start(task, first)
         distance = float(np.linalg.norm(first.tip_position - curve[0]))
         if distance > tolerance:
@@ -189,7 +189,9 @@ def _starts(task: PlanTask, curve: Array, start: Any, tolerance: float) -> Itera
             f"point; the smallest distance of the tip is {miss * 1e3:.4g} mm"
         )
     constraints = inverse_constraints(task, task.min_margin, STARTS_SHARE * task.clock.left)
-    for solution in inverse_kinematics(task.chart.space.robot, curve[0], all_solutions=True, **constraints)[:STARTS]:
+    for solution in inverse_kinematics(task.coordinates.space.robot, curve[0], all_solutions=True, **constraints)[
+        :STARTS
+    ]:
         yield solution.equilibrium
 
 
@@ -197,9 +199,9 @@ def _solve_along(task: PlanTask, first: Equilibrium, places: Array) -> tuple[lis
     """Equilibria with tips at positions (P, 3), each solved from the one before; and the reason for an early end, or
     ""."""
     out: list[Equilibrium] = []
-    floor = min(task.min_margin + task.margin_room, max(first.margin - 1e-4, task.min_margin))
+    required = min(task.min_margin + task.margin_reserve, max(first.margin - 1e-4, task.min_margin))
     try:
-        session = IkSession(first.robot, start=first, **inverse_constraints(task, floor, math.inf))
+        session = IkSession(first.robot, start=first, **inverse_constraints(task, required, math.inf))
         out.append(first)
         for place in places[1:]:
             if task.clock.over:
@@ -285,11 +287,11 @@ def follow_the_leader(
         last = _goal(task, goal)
         if not float(last.arc_length[-1]) > 0:
             raise InputError("goal has no tube in front of the plate; deployment needs an arm there")
-        path = [task.chart.of(last)]
+        path = [task.coordinates.of(last)]
         for fraction in np.linspace(1.0, begin, LENGTHS + 1)[1:]:
             path.append(_fit(task, path[-1], last, fraction * float(last.arc_length[-1])))
-        q = task.chart.joints(np.array(path))
-    q[0] = task.chart.space.join(last.rotations, last.translations)
+        q = task.coordinates.joints(np.array(path))
+    q[0] = task.coordinates.space.join(last.rotations, last.translations)
     retraction = track(task, last, q)
     if len(retraction) < len(q):
         raise SolveError("the arm snaps during retraction")
@@ -303,7 +305,7 @@ def follow_the_leader(
 
 def _goal(task: PlanTask, goal: Any) -> Equilibrium:
     """Equilibrium at a goal; raises InputError if the goal has several."""
-    space = task.chart.space
+    space = task.coordinates.space
     check_goal(space.robot, goal)
     if isinstance(goal, Equilibrium):
         ends(task, goal, goal)
@@ -311,14 +313,14 @@ def _goal(task: PlanTask, goal: Any) -> Equilibrium:
     home = start_equilibrium(space, space.split(space.middle()))
     end = ends(task, home, goal)[0]
     equilibrium = forward_kinematics(space.robot, *space.split(end.joints))
-    if np.abs(task.chart.of(equilibrium) - end.point).max() > 1e-6:
+    if np.abs(task.coordinates.of(equilibrium) - end.point).max() > 1e-6:
         raise InputError("goal has several equilibria; give an Equilibrium")
     return equilibrium
 
 
 def _fit(task: PlanTask, z: Array, last: Equilibrium, length: float) -> Array:
     """Tip coordinates of the arm of a given length (m) closest to the arm `last`; the start is `z` (m,)."""
-    space = task.chart.space
+    space = task.coordinates.space
     m = len(z)
     z = _retracted(task, z, length)
     for _ in range(ITERATIONS):
@@ -345,15 +347,15 @@ def _fit(task: PlanTask, z: Array, last: Equilibrium, length: float) -> Array:
 
 def _foremost(task: PlanTask, z: Array) -> tuple[int, int]:
     """Number of the tube at the tip, and of its carriage."""
-    space = task.chart.space
+    space = task.coordinates.space
     curved = np.array([tube.curved_length for tube in space.robot.tubes])
-    tube = int(last_tube(task.chart.translations(z[None])[0] + curved))
+    tube = int(last_tube(task.coordinates.translations(z[None])[0] + curved))
     return tube, next(k for k, tubes in enumerate(space.carriages) if tube in tubes)
 
 
 def _retracted(task: PlanTask, z: Array, length: float) -> Array:
     """Point with the foremost carriage moved to a length of the arm, m, and others moved with it where necessary."""
-    space, n, m = task.chart.space, task.chart.space.robot.n_tubes, len(z)
+    space, n, m = task.coordinates.space, task.coordinates.space.robot.n_tubes, len(z)
     out, (tube, k) = z.copy(), _foremost(task, z)
     fixed, position = np.eye(m)[n + k], length - space.robot.tubes[tube].curved_length - space.offset[n + tube]
     out[n + k] = np.clip(position, space.lower[n + k], space.upper[n + k])
@@ -368,7 +370,7 @@ def _retracted(task: PlanTask, z: Array, length: float) -> Array:
 
 def _constraints(task: PlanTask, z: Array, rotations: Array, slope: Array, longest: float) -> tuple[Array, Array]:
     """Constraints, rows d >= bounds, of a step d in units of the scales: ranges, order, arm length, step size."""
-    space, n = task.chart.space, task.chart.space.robot.n_tubes
+    space, n = task.coordinates.space, task.coordinates.space.robot.n_tubes
     rows, bounds = step_constraints(task, z, longest)
     fixed = np.eye(len(z))[n + _foremost(task, z)[1]]
     low, high = np.minimum(space.lower[:n] - rotations, 0.0), np.minimum(rotations - space.upper[:n], 0.0)
