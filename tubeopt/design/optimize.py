@@ -257,8 +257,8 @@ def _search_under_force(
 
     The certificate under force is at most the one without force, and falls with it. So the required certificate without
     force (`required_margin`) is raised until the best design above it satisfies the requirement under force. That
-    is computed anew for every such design (see `loaded_worst_case`). The result is the best design with that certificate
-    without force; a design with a smaller one may withstand the force too.
+    is computed anew for every such design (see `loaded_worst_case`). The result is the best design with that
+    certificate without force; a design with a smaller one may withstand the force too.
     """
     force = f"{requirement.max_force * 1e3:g} mN"
     low = required_margin = requirement.margin
