@@ -37,10 +37,10 @@ MAX_COLDER = 4.0
 WATCHED = 10.0
 """Time of the hold for which every count is checked, s: later no duty comes near the ramp."""
 
-# The rate beside the counts is that of steps of 0.25 s, the check uses 0.1 s. Twice delays the hold by half a second;
-# with half of it other counts are chosen, and glass mica misses by 0.5 K more.
+# Between two instants that are checked the rate may be greater. Twice delays the hold by half a second; with half of it
+# other counts are chosen, and glass mica misses by 0.5 K more.
 RAMP_MARGIN = 0.005
-"""Fraction of the ramp that counts leave unused, for the error of the quick simulation with which they are chosen."""
+"""Fraction of the ramp that counts leave unused."""
 
 # One count warms a tube by 4.6 K in 0.5 s. Half of it changes no plan; with twice the window of 10 K is reached 1.5 s
 # later, and glass mica misses by 0.4 K more.
@@ -141,7 +141,9 @@ def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array
         now = sustained(model, before, limits, float(min(max(due, 0), int(before.max_count))), spec.slot)
         more = now.count + 1
         if hurried and more <= before.max_by_current and now.count < sums[k] - total - max_owed - 1e-9:
-            now = Instant.of(model, advance(model, before.state, more / COUNTS, spec.slot), limits, more)
+            steps = math.ceil(spec.slot / FINE_STEP - 1e-9)
+            state = advance(model, before.state, more / COUNTS, spec.slot, steps)
+            now = Instant.of(model, state, limits, more)
         counts[k] = int(now.count)
         total += now.count
         if not hurried:
@@ -226,9 +228,11 @@ def sustained(
 
 def _followed(model: ThermalModel, now: Instant, limits: Limits, count: float, span: float) -> list[Instant]:
     """Instants under a count, at the end of `span` s and before as often as ramp and mean current require."""
-    parts, course = math.ceil(span / FINE_STEP - 1e-9) if count > now.max_calm else 1, [now]
+    # Steps as those of the check: the rates after the first counts of a fast ramp depend on them by a hundredth.
+    steps, course = math.ceil(span / FINE_STEP - 1e-9), [now]
+    parts = steps if count > now.max_calm else 1
     for _ in range(parts):
-        state = advance(model, course[-1].state, count / COUNTS, span / parts)
+        state = advance(model, course[-1].state, count / COUNTS, span / parts, steps // parts)
         course.append(Instant.of(model, state, limits, count))
     return course[1:]
 

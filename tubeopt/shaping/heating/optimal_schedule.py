@@ -20,7 +20,7 @@ from .counts import count_rate, full_current
 from .optimal_control import NO_TERMS, OwnTerms, Program, Structure, program
 from .rig import COUNTS, Rig
 from .rig_course import LIMIT_RANGES, SCALE, TASK, VENTS, rig_parameters
-from .simulation import History, State, simulate, simulate_feedback, warming_span
+from .simulation import FINE_STEP, History, State, advance, at_rest, simulate, simulate_feedback, warming, warming_span
 from .spec import HeatingSpec
 from .thermal import PROGRAM, ThermalModel, curve_start, curved_temperatures, thermal_model, vent_profile
 
@@ -262,8 +262,24 @@ class OwnRun(NamedTuple):
 def planned_ramp(tube: Tube, rig: Rig, spec: HeatingSpec, reserve: float) -> float:
     """Ramp less the reserves for the fine grid and for `reserve` counts, K/s."""
     ramp, count = (1 - RAMP_RESERVE) * spec.ramp, count_rate(tube, rig)
-    # Rounded to the nearest count a duty is up to half a count greater. Where one count is too much no reserve helps.
-    return max(ramp - reserve * count, MIN_RAMP * spec.ramp) if count < ramp else ramp
+    if count >= ramp:
+        # No reserve helps where one count is too much.
+        return ramp
+    # Rounded to the nearest count a duty is up to half a count greater, and whole counts are half of one below a limit.
+    of_counts = _part_of_slots(tube, rig, spec.slot) * (spec.ramp - 0.5 * count)
+    return max(min(ramp - reserve * count, of_counts), MIN_RAMP * spec.ramp)
+
+
+def _part_of_slots(tube: Tube, rig: Rig, slot: float) -> float:
+    """Mean heating rate of a slot from rest with a constant count, as a fraction of that at its start.
+
+    The tube warms ever more slowly in a slot. Counts fall behind a schedule that keeps to the ramp all the time.
+    """
+    model = thermal_model(tube, rig)
+    rest, free, duty = at_rest(model), model.zone > GRIP, 1 / COUNTS + rig.circuit.lost_share
+    first = warming(model, rest.cells, rest.lumped, duty)[0, free, 0].max()
+    warmed = advance(model, rest, duty, slot, math.ceil(slot / FINE_STEP - 1e-9)).cells - rest.cells
+    return min(float(warmed[0, free, 0].max() / (slot * first)), 1.0)
 
 
 def task_of(
