@@ -114,10 +114,10 @@ def served() -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]]]:
     with started(["serve", THESIS, "--port", "0", "--translations-mm=-50,-30,-20", "--json"]) as process:
         try:
             assert process.stdout is not None
-            lines = [process.stdout.readline()]
-            while lines[-1] and lines[-1] != "}\n":
-                lines.append(process.stdout.readline())
-            yield process, json.loads("".join(lines))
+            assert json.loads(process.stdout.readline())["event"] == "compiling"
+            known = json.loads(process.stdout.readline())
+            assert known["event"] == "serving"
+            yield process, known
         finally:
             process.kill()
 

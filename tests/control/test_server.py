@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from tests.examples import THESIS
-from tubeopt import InputError, SolveError, forward_kinematics
+from tubeopt import InputError, SolveError, find_snap, forward_kinematics
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.c_binding import CServo, servo_of
 from tubeopt.control.command import ServoOptions
@@ -174,7 +174,7 @@ def test_what_makes_no_sense_changes_nothing() -> None:
         ({"op": "move_jp", **joints, "translations": [-0.05, -50, 0]},
          r"translations of tube 2 is -50 m; it must lie between -0\.15 and 0\.15 m"),
         ({"op": "servo_jp", **joints, "rotations": [0, 57, 0]}, r"rotations of tube 2 is 57 rad; .* between -6\.28"),
-        ({"op": "move_cp", "positon": [0, 0, 0.1]}, "'positon' is not a key of move_cp; .*did you mean 'position'"),
+        ({"op": "move_cp", "positin": [0, 0, 0.1]}, "'positin' is not a key of move_cp; .*did you mean 'position'"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=words):
             arm.command(message, 0.0)
@@ -443,7 +443,7 @@ def test_a_client_that_leaves_before_it_is_welcome_leaves_room_for_a_commander()
 
 def test_a_role_that_does_not_exist_is_refused_with_those_that_do() -> None:
     async def talk(server: RobotServer) -> None:
-        for role in ("comander", None, ["watcher"]):
+        for role in ("commandar", None, ["watcher"]):
             socket = await websockets.connect(f"ws://127.0.0.1:{server.port}", compression=None)
             CONNECTED.append(socket)
             await socket.send(json.dumps({"op": "hello", "token": server.token, "role": role}))
@@ -476,3 +476,75 @@ def test_joint_values_out_of_order_are_refused_where_they_are_commanded(kind: st
     assert not arm.busy
     tick(arm, 0.001)
     assert np.array_equal(tip(arm), before)
+
+
+@pytest.mark.parametrize(
+    ("origin", "allowed"),
+    [
+        (None, True),
+        ("http://localhost:8000", True),
+        ("http://127.0.0.1", True),
+        ("https://example.org", False),
+        ("http://localhost.example.org", False),
+        ("null", False),
+    ],
+)
+def test_a_page_of_another_machine_cannot_connect(origin: str | None, allowed: bool) -> None:
+    async def talk(server: RobotServer) -> None:
+        socket = await websockets.connect(f"ws://127.0.0.1:{server.port}", compression=None, origin=origin)
+        await socket.close()
+
+    if allowed:
+        run(talk)
+    else:
+        with pytest.raises(websockets.InvalidStatus, match="403"):
+            run(talk)
+
+
+@pytest.mark.parametrize("kind", ["python", "c"])
+def test_a_robot_goes_on_from_where_its_drives_are(kind: str) -> None:
+    if kind == "c" and compiler() is None:
+        pytest.skip("no C compiler")
+    made = Servo(THESIS, SEED) if kind == "python" else servo_of(THESIS, (SEED.rotations, SEED.translations))
+    assert isinstance(made, Servo) == (kind == "python")
+    arm, clock = CrtkRobot(made), iter(np.arange(10_000) * 5e-4)
+    there = {
+        "rotations": (SEED.rotations + np.array([0.4, 0.1, -0.2])).tolist(),
+        "translations": SEED.translations.tolist(),
+    }
+    known = forward_kinematics(THESIS, there["rotations"], SEED.translations, start=SEED)
+    arm.command({"op": "set_js", **there}, 0.0)
+    assert arm.servo.equilibrium.rotations == pytest.approx(there["rotations"], abs=1e-12)
+    assert tip(arm) == pytest.approx(known.tip_position, abs=1e-9)
+    for rotations, words in (([1.0, 2.0], "rotations has 2"), ([9.0, 0.0, 0.0], "rotations of tube 1 is 9 rad")):
+        with pytest.raises(InputError, match=words):
+            arm.command({"op": "set_js", "rotations": rotations, "translations": there["translations"]}, 0.0)
+    assert tip(arm) == pytest.approx(known.tip_position, abs=1e-9)
+    arm.command({"op": "state_command", "command": "enable"}, 0.0)
+    with pytest.raises(InputError, match="set_js is rejected: the robot is ENABLED; disable it first"):
+        arm.command({"op": "set_js", **there}, 0.0)
+    goal = tip(arm) + np.array([1e-3, 0.0, 0.0])
+    arm.command({"op": "move_cp", "position": goal.tolist()}, 0.0)
+    for _ in range(300):
+        arm.tick(lambda: float(next(clock)), 1e-3)
+    assert tip(arm) == pytest.approx(goal, abs=1e-6)
+
+
+def test_set_js_beyond_a_snap_is_refused() -> None:
+    """A straight motion that snaps does not tell where the tubes are."""
+    start, beyond = ([0.0, 0.0, 0.0], THESIS.home_translations), ([6.2, 0.0, 0.0], THESIS.home_translations)
+    assert find_snap(THESIS, start, beyond) is not None
+    arm = CrtkRobot(Servo(THESIS, start))
+    with pytest.raises(InputError, match="set_js is rejected"):
+        arm.command({"op": "set_js", "rotations": beyond[0], "translations": list(beyond[1])}, 0.0)
+    assert arm.servo.equilibrium.rotations == pytest.approx([0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("word", [None, 1, ["enable"], {"enable": True}, "ENABLE", float("nan")])
+def test_a_state_command_of_a_wrong_type_is_answered(word: Any) -> None:
+    async def talk(server: RobotServer) -> None:
+        commander = await client(server)
+        await commander.send(json.dumps({"op": "state_command", "command": word}))
+        assert "command is" in (await told(commander, "error"))["words"]
+
+    assert run(talk).robot.state == "DISABLED"

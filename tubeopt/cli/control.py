@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import signal
 import sys
 import threading
@@ -18,7 +19,7 @@ from ..control.c_binding import servo_of
 from ..control.c_library import c_library, save_c_library
 from ..control.command import ServoOptions
 from ..control.crtk import CrtkRobot
-from ..control.server import HOST, RobotServer, ServerOptions, check_websockets
+from ..control.server import HOST, RobotServer, ServerOptions, check_installed
 from ..files.checked import Entry, Positive
 from ..files.field_metadata import Typical
 from ..files.fields import keys_from, values
@@ -75,7 +76,7 @@ SERVO = (
 )
 """Fields of `ServoOptions` with a flag."""
 
-SERVER = ("port", "period", "publish")
+SERVER = ("port", "period", "publish", "slicer_port")
 """Fields of `ServerOptions` with a flag; the token has its own."""
 
 
@@ -110,34 +111,41 @@ def serve(study: ServeEntry, output: Output) -> None:
     """Serve the robot over WebSocket on this machine, with CRTK commands (servo_cp, move_cp, servo_jp, ...).
 
     One commander moves the robot, any number of watchers see it, and a guard prevents snaps. All clients need the
-    token. The robot stops if commands stop. Ctrl-C ends the server (exit code 0). --json prints one object with
-    address and token. It needs the extra `control`.
+    token. The robot stops if commands stop. With --slicer-port 3D Slicer shows and moves it by OpenIGTLink. Ctrl-C ends
+    the server (exit code 0). --json prints an object in one line for each event: compiling, serving with address and
+    token, commander, held, stopped. It needs the extra `control`.
     """
-    check_websockets()
-    robot = study.robot
+    robot, how = study.robot, ServerOptions(token=study.token or "", **values(ServerOptions, study, *SERVER))
+    check_installed(slicer=how.slicer_port is not None)
+
+    def _tell(event: str, words: str, **more: float) -> None:
+        if output.as_json:
+            print(json.dumps({"event": event, "words": words} | more), flush=True)
+        elif not output.quiet and event in ("compiling", "stopped"):
+            print(words, file=sys.stderr, flush=True)
+
+    _tell("compiling", f"compiling {robot.name or 'the robot'} for this machine, unless it was served before")
     options = ServoOptions(**values(ServoOptions, study, *SERVO))
     with rewording_joints(start=("--rotations-deg", "--translations-mm")):
         servo = servo_of(robot, study.joints, obstacles=study.obstacles, options=options)
-    server = RobotServer(
-        CrtkRobot(servo, watchdog=study.si("watchdog_s")),
-        ServerOptions(token=study.token or "", **values(ServerOptions, study, *SERVER)),
-    )
+    server = RobotServer(CrtkRobot(servo, watchdog=study.si("watchdog_s")), how, tell=_tell)
 
     def _ready() -> None:
         address = f"ws://{HOST}:{server.port}"
-        print_address(Served(robot, address, robot.name or "robot", server.token), output)
+        print_address(Served(robot, address, robot.name or "robot", server.token), output, event="serving")
 
     # Ctrl-C is the usual end of a server: exit code 0.
     with handling_interruption(), suppress(KeyboardInterrupt):
         asyncio.run(_until_interrupted(server, _ready))
-    if not (output.as_json or output.quiet):
-        pace, (took, _) = server.pace, server.pace.quantiles(0.999)
-        missed = pace.missed / max(pace.steps + pace.missed, 1)
-        print(
-            f"stopped after {pace.steps} steps: {missed:.2%} of the periods missed, "
-            f"{took * 1e3:.2g} ms of the processor at 99.9 %",
-            file=sys.stderr,
-        )
+    pace, (took, _) = server.pace, server.pace.quantiles(0.999)
+    missed = pace.missed / max(pace.steps + pace.missed, 1)
+    _tell(
+        "stopped",
+        f"stopped after {pace.steps} steps: {missed:.2%} of the periods missed, "
+        f"{took * 1e3:.2g} ms of the processor at 99.9 %",
+        steps=pace.steps,
+        missed_periods=pace.missed,
+    )
 
 
 async def _until_interrupted(server: RobotServer, ready: Callable[[], object]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import tempfile
@@ -172,10 +173,12 @@ def _write(answer: Report[Any], output: Output, files: list[Path], pictures: lis
             pictures += answer.draw(output.out or Path())
 
 
-def print_address(answer: object, output: Output) -> None:
-    """Print the address of a server, also with --quiet."""
+def print_address(answer: object, output: Output, *, event: str = "") -> None:
+    """Print the address of a server, also with --quiet; as JSON with an event, in one line."""
     shown = report(answer)
-    if output.as_json:
+    if output.as_json and event:
+        print(json.dumps({"event": event} | json.loads(to_text(shown.record()))))
+    elif output.as_json:
         _print_json(shown, [], None)
     else:
         _print_table(shown, [])

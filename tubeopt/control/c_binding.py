@@ -325,6 +325,18 @@ class CServo:
             self._robot.undo()
             self.equilibrium = self._before
 
+    def resume(self, joints: Configuration) -> None:
+        """Continue at rest at joint values that the robot has reached otherwise, as `Servo.resume`."""
+        q, least = configuration(self.space, "joints", joints), self.options.min_margin
+        if words := self.space.outside(q):
+            raise InputError(f"joints are out of range: {words}")
+        rotations, shift = self.space.split(q)
+        there = self._robot.follow(rotations, np.array(shift))
+        if there.margin < least:
+            self._robot.undo()
+            raise InputError(f"joints have margin {there.margin:.3g}; it must be min_margin, {least:g}, or more")
+        self.equilibrium = self._before = there
+
     def _straight(self, rotations: Array, translations: Array, dt: float) -> ServoStep[CPose]:
         """A step straight to joint values, as far as rates allow; none where the margin would fall below its floor."""
         here, o = self.equilibrium, self.options

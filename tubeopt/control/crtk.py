@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..arguments import typed
-from ..errors import InputError, finite, nearest, vector
+from ..errors import InputError, SolveError, finite, nearest, vector
 from ..files.units import TO_MM
 from ..inverse.joints import configuration
 from ..typing import Array
@@ -54,6 +54,7 @@ KEYS = {
     "move_cp": ("position", "direction"),
     "move_jp": ("rotations", "translations"),
     "move_jr": ("rotations", "translations"),
+    "set_js": ("rotations", "translations"),
     "hold": (),
     "state_command": ("command",),
 }
@@ -130,6 +131,8 @@ class CrtkRobot:
             self._change(message.get("command"))
         elif name == "hold":
             self.hold("held by command")
+        elif name == "set_js":
+            self._resume(self._joints(message))
         else:
             read = {"cp": self._pose, "cv": _twist, "jp": self._joints, "jr": self._relative}[name[-2:]]
             wanted = read(message)
@@ -225,6 +228,20 @@ class CrtkRobot:
         if wanted == "pause" and self.state != "ENABLED":
             raise InputError(f"pause is rejected: the robot is {self.state}")
         self._goal, self.state = None, TRANSITIONS[wanted]
+
+    def _resume(self, at: Command) -> None:
+        """Resume at the joint values of drives that have moved by themselves.
+
+        Raises:
+            InputError: the robot is enabled or brakes, or cannot be there.
+        """
+        if self.state == "ENABLED" or self.servo.moving:
+            raise InputError("set_js is rejected: the robot is ENABLED; disable it first")
+        try:
+            self.servo.resume(at.joints)
+        except SolveError as error:
+            raise InputError(f"set_js is rejected: {error}") from None
+        self._goal, self._before, self._words = None, self.servo.equilibrium, ""
 
     def _relative(self, message: Mapping[str, Any]) -> Command:
         """The command of joint values relative to those of now."""

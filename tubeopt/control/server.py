@@ -1,9 +1,13 @@
-"""A robot over WebSocket on this machine: one commander, many watchers, a token, and limits for all.
+"""A robot over WebSocket and OpenIGTLink on this machine: one commander, many watchers, a token, and limits for all.
 
 Messages are JSON objects with "op". The first of every client is {"op": "hello", "token": ..., "role": "commander" or
 "watcher"}; then a commander sends what `CrtkRobot.command` knows. Everybody gets {"op": "state", ...} at the rate of
 publishing, the newest one only: who reads slowly misses some, and costs no memory. Whatever goes wrong holds the robot
 and is reported as {"op": "error", "words": ...}; the next command is served.
+
+OpenIGTLink is the language of 3D Slicer; it has no token. A client gets the pose of the tip (TRANSFORM TipToPlate),
+the centreline (POINT Centreline) and a STATUS, in mm. What it sends is a command: a TRANSFORM or the first of POINT is
+where the tip is to go, a STRING one of `state_command`, or hold.
 """
 
 from __future__ import annotations
@@ -13,20 +17,26 @@ import hmac
 import json
 import logging
 import secrets
+import struct
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AsyncExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from http import HTTPStatus
 from importlib.util import find_spec
 from typing import Annotated, Any
+from urllib.parse import urlsplit
 
 import numpy as np
 
 from ..arguments import typed
 from ..errors import InputError, SolveError, finite, instance, whole
 from ..files.field_metadata import POSITIVE, Range, Typical, unit
+from ..files.units import TO_MM
+from .command import Why
 from .crtk import CrtkRobot
 
 LOGGER = logging.getLogger("tubeopt")
@@ -52,6 +62,10 @@ MOST_CLIENTS = 256
 # Seconds that a client has to close its connection once the server ends.
 CLOSING = 1.0
 
+# Hosts of pages that may control the robot: a browser sends the page's own with every request, and without this check
+# any page that is open on this machine could try.
+LOCAL = ("127.0.0.1", "localhost", "::1")
+
 # What a client may be.
 ROLES = ("commander", "watcher")
 
@@ -73,14 +87,19 @@ class ServerOptions:
         float, unit("s"), Range(above=0.0, most=1.0), Typical(1e-5, 0.2), "period of the control loop"
     ] = 1e-3
     publish: Annotated[float, unit("Hz"), POSITIVE, "rate of published states"] = 40.0
+    slicer_port: Annotated[
+        int | None, Range(least=0, most=65535), "TCP port for 3D Slicer by OpenIGTLink; default none"
+    ] = None
 
     def __post_init__(self) -> None:
         for name in ("period", "publish"):
             if not 0 < finite(name, getattr(self, name)) < 1e6:
                 raise InputError(f"{name} is {getattr(self, name):g}; it must be more than 0 and less than 1e6")
         instance("token", self.token, str)
-        if not 0 <= whole("port", self.port) < 65536:
-            raise InputError(f"port is {self.port}; it must be 0 to 65535")
+        for name in ("port", "slicer_port"):
+            port = getattr(self, name)
+            if port is not None and not 0 <= whole(name, port) < 65536:
+                raise InputError(f"{name} is {port}; it must be 0 to 65535")
 
 
 @dataclass(eq=False)
@@ -127,10 +146,11 @@ def _turns(seconds: float) -> Iterator[None]:
         sys.setswitchinterval(before)
 
 
-def check_websockets() -> None:
-    """Raise InputError where `websockets` is not installed, before anything that takes long."""
-    if find_spec("websockets") is None:
-        raise InputError("websockets is missing; pip install 'tubeopt[control]' brings it")
+def check_installed(*, slicer: bool = False) -> None:
+    """Raise InputError where `websockets`, or `pyigtl` for Slicer, is missing, before anything that takes long."""
+    for name, needed in (("websockets", True), ("pyigtl", slicer)):
+        if needed and find_spec(name) is None:
+            raise InputError(f"{name} is missing; pip install 'tubeopt[control]' brings it")
 
 
 @typed
@@ -139,18 +159,25 @@ class RobotServer:
 
     Args:
         robot: what is commanded.   options: see `ServerOptions`.
-        clock: seconds that never go back.
+        clock: seconds that never go back.   tell: called with an event and its words, such as "held" and why.
     """
 
     def __init__(
-        self, robot: CrtkRobot, options: ServerOptions | None = None, *, clock: Callable[[], float] = time.monotonic
+        self,
+        robot: CrtkRobot,
+        options: ServerOptions | None = None,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        tell: Callable[[str, str], object] = lambda event, words: None,
     ) -> None:
         self.robot, self.options, self._clock = robot, options or ServerOptions(), clock
+        self._say = tell
         self.token = self.options.token or secrets.token_urlsafe(16)
-        self.port = self.options.port
+        self.port, self.slicer_port = self.options.port, self.options.slicer_port
         self.pace = Pace()
         self._clients: set[_Client] = set()
         self._commander: _Client | None = None
+        self._told: dict[str, Any] = {}
         self._state = self._failure = ""
         self._logged = ""
         self._robot_in_hand = threading.Lock()
@@ -160,26 +187,27 @@ class RobotServer:
         """Serve until cancelled; `ready` is called when clients can come.
 
         Raises:
-            InputError: the port is taken, or `websockets` is not installed.
+            InputError: a port is taken, or `websockets` or `pyigtl` is not installed.
         """
-        check_websockets()
+        options = self.options
+        check_installed(slicer=options.slicer_port is not None)
         from websockets.asyncio.server import serve
 
-        options = self.options
-        place = HOST, options.port
-        try:
-            listening = await serve(
-                self._welcome,
-                *place,
-                max_size=LONGEST_MESSAGE,
-                max_queue=16,
-                compression=None,
-                close_timeout=CLOSING,
-            )
-        except OSError as error:
-            raise InputError(f"port {options.port} cannot be used: {error.strerror or error}") from None
-        async with listening:
-            self.port = next(iter(listening.sockets)).getsockname()[1]
+        web = serve(
+            self._welcome,
+            HOST,
+            options.port,
+            process_request=_refuse_foreign_page,
+            max_size=LONGEST_MESSAGE,
+            max_queue=16,
+            compression=None,
+            close_timeout=CLOSING,
+        )
+        async with AsyncExitStack() as stack:
+            self.port = await _listening(stack, web, options.port)
+            if options.slicer_port is not None:
+                slicer = asyncio.start_server(self._welcome_slicer, HOST, options.slicer_port, limit=LONGEST_MESSAGE)
+                self.slicer_port = await _listening(stack, slicer, options.slicer_port)
             self._ended.clear()
             # In a thread of its own: to wait for a socket takes whole milliseconds, and many messages take longer.
             tasks = [asyncio.create_task(asyncio.to_thread(self._loop)), asyncio.create_task(self._publish())]
@@ -216,6 +244,7 @@ class RobotServer:
         if words != self._logged:
             known = isinstance(error, InputError | SolveError)
             LOGGER.warning(words, exc_info=None if known else error)
+            self._say("held", words)
             self._logged = words
         return words
 
@@ -229,7 +258,7 @@ class RobotServer:
                 with self._robot_in_hand:
                     told = self.robot.report(self._clock())
                 told |= {"steps": self.pace.steps, "missed_periods": self.pace.missed}
-                self._state = json.dumps(told, allow_nan=False)
+                self._told, self._state = told, json.dumps(told, allow_nan=False)
             except Exception as error:  # any error of a report holds the robot, and the server goes on
                 failure = failure or self._held(error)
             for client in self._clients:
@@ -265,7 +294,8 @@ class RobotServer:
                 self._clients.add(client)
                 telling = asyncio.create_task(self._tell(client))
                 async for message in socket:
-                    await self._hear(client, message)
+                    if words := await self._hear(client, partial(_read, message)):
+                        await socket.send(_error(words))
             finally:
                 if telling is not None:
                     telling.cancel()
@@ -285,9 +315,15 @@ class RobotServer:
         if role not in ROLES:
             raise InputError(f"role is {role!r}; it must be {' or '.join(ROLES)}")
         if role == "commander":
-            if self._commander is not None:
-                raise InputError("another client already controls the robot")
+            self._command_by(client)
+
+    def _command_by(self, client: _Client) -> None:
+        """Make a client the commander; raises InputError where there is another one."""
+        if self._commander not in (None, client):
+            raise InputError("another client already controls the robot")
+        if not client.commander:
             self._commander, client.commander = client, True
+            self._say("commander", "has come")
 
     def _leave(self, client: _Client) -> None:
         self._clients.discard(client)
@@ -295,9 +331,10 @@ class RobotServer:
             self._commander = None
             with self._robot_in_hand:
                 self.robot.release()
+            self._say("commander", "has gone")
 
-    async def _hear(self, client: _Client, message: str | bytes) -> None:
-        """A message of a client; what makes no sense is answered."""
+    async def _hear(self, client: _Client, read: Callable[[], dict[str, Any]]) -> str:
+        """Take a command of a client, as `read` reads it; returns what is wrong with it, "" where nothing is."""
         now, rate = self._clock(), MESSAGE_RATE
         client.left = min(rate, client.left + max(now - client.since, 0.0) * rate)
         client.since = now
@@ -307,13 +344,164 @@ class RobotServer:
         try:
             if not client.commander:
                 raise InputError("this client is a watcher; it cannot send commands")
-            told = _read(message)
+            told = read()
             with self._robot_in_hand:
                 self.robot.command(told, self._clock())
         except InputError as error:
-            await client.socket.send(_error(str(error)))
+            return str(error)
         except Exception as error:  # any error of one command holds the robot, and the server goes on for all clients
-            await client.socket.send(_error(self._held(error)))
+            return self._held(error)
+        return ""
+
+    async def _welcome_slicer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """One client by OpenIGTLink, from its connection to its end."""
+        client = _Client(writer, MESSAGE_RATE, self._clock())
+        telling = asyncio.create_task(self._tell_slicer(client))
+        try:
+            if len(self._clients) >= MOST_CLIENTS:
+                return
+            self._clients.add(client)
+            with suppress(asyncio.IncompleteReadError, ConnectionError):
+                while True:
+                    read = await _slicer_message(reader)
+                    if read is None:
+                        continue
+                    try:
+                        self._command_by(client)
+                        client.failure = await self._hear(client, read)
+                    except InputError as error:
+                        client.failure = str(error)
+        except (InputError, ValueError, struct.error) as error:
+            LOGGER.warning("a client by OpenIGTLink is sent away: %s", error)
+        finally:
+            telling.cancel()
+            self._leave(client)
+            writer.close()
+
+    async def _tell_slicer(self, client: _Client) -> None:
+        """The newest state, again and again, as fast as the client reads; an error stays in STATUS for one state."""
+        with suppress(ConnectionError):
+            while True:
+                await client.news.wait()
+                client.news.clear()
+                words, client.failure = client.failure, ""
+                for message in _slicer_state(self._told, words) if self._told else ():
+                    client.socket.write(message.pack())
+                await client.socket.drain()
+
+
+async def _listening(stack: AsyncExitStack, server: Any, port: int) -> int:
+    """The port on which a server listens until the end of a stack; raises InputError where it cannot."""
+    try:
+        listens = await stack.enter_async_context(await server)
+    except OSError as error:
+        raise InputError(f"port {port} cannot be used: {error.strerror or error}") from None
+    return int(next(iter(listens.sockets)).getsockname()[1])
+
+
+def _refuse_foreign_page(connection: Any, request: Any) -> Any:
+    """The answer 403 to a page of another machine, None to all others; programs send no origin."""
+    origins = request.headers.get_all("Origin")
+    if all(urlsplit(origin).hostname in LOCAL for origin in origins):
+        return None
+    return connection.respond(HTTPStatus.FORBIDDEN, "pages of other machines must not control this robot\n")
+
+
+# --- OpenIGTLink ------------------------------------------------------------------------------------------------------
+
+# Bytes of a header, and points of the centreline: Slicer draws each as a point that can be dragged.
+HEADER, CENTRELINE = 58, 20
+
+# Codes of a STATUS.
+STATUS_OK, UNREACHABLE, UNKNOWN, NOT_READY, MANUAL, IS_DISABLED = 1, 8, 12, 13, 14, 15
+
+
+@lru_cache(maxsize=1)
+def _status_class() -> Any:
+    """STATUS, which pyigtl does not know, as one of its messages; from now on it reads them as well."""
+    from pyigtl import messages
+
+    class StatusMessage(messages.MessageBase):  # type: ignore[misc]
+        """A state: a code, the name of an error, and words."""
+
+        def __init__(
+            self, code: int = STATUS_OK, name: str = "", words: str = "", device_name: str | None = None
+        ) -> None:
+            super().__init__(device_name=device_name)
+            self.code, self.name, self.words = code, name, words
+            self._message_type, self._valid_message = "STATUS", True
+
+        def _pack_content(self) -> bytes:
+            return struct.pack("> H q 20s", self.code, 0, self.name.encode()[:20]) + self.words.encode() + b"\0"
+
+        def _unpack_content(self, content: bytes) -> None:
+            self.code, _, name = struct.unpack("> H q 20s", content[:30])
+            self.name, self.words = (part.rstrip(b"\0").decode() for part in (name, content[30:]))
+
+    messages.message_type_to_class_constructor["STATUS"] = StatusMessage
+    return StatusMessage
+
+
+def _slicer_state(told: dict[str, Any], failure: str) -> list[Any]:
+    """Messages of a state, in mm; a failure is what STATUS says."""
+    from pyigtl.messages import PointMessage, TransformMessage
+
+    pose, shape = np.eye(4), TO_MM * np.array(told["shape"])
+    pose[:3, :3], pose[:3, 3] = told["setpoint_cp"]["rotation"], TO_MM * np.array(told["setpoint_cp"]["position"])
+    few = shape[np.linspace(0, len(shape) - 1, CENTRELINE).round().astype(int)]
+    state, why = told["operating_state"], failure or told["why"]
+    code = {"DISABLED": IS_DISABLED, "PAUSED": MANUAL}.get(state["state"], STATUS_OK)
+    if failure:
+        code = UNKNOWN
+    elif not state["is_homed"]:
+        code = NOT_READY
+    elif code == STATUS_OK and Why.NO_CLOSER.words in why:
+        code = UNREACHABLE
+    words = f"{state['state']}, margin {told['margin']:.3f}" + (f": {why}" if why else "")
+    names = [f"{k}" for k in range(CENTRELINE)]
+    return [
+        TransformMessage(pose, device_name="TipToPlate"),
+        PointMessage(few.tolist(), names=names, device_name="Centreline"),
+        _status_class()(code, state["state"], words),
+    ]
+
+
+async def _slicer_message(reader: asyncio.StreamReader) -> Callable[[], dict[str, Any]] | None:
+    """The next message as a command that is to be read; None for one that is no command.
+
+    Raises:
+        InputError, ValueError, struct.error: it is no message of OpenIGTLink.
+    """
+    from pyigtl.messages import CRC64, MessageBase
+
+    _status_class()
+    header = await reader.readexactly(HEADER)
+    fields, (check,) = MessageBase.parse_header(header), struct.unpack("> Q", header[-8:])
+    if fields["body_size"] > LONGEST_MESSAGE:
+        raise InputError(f"a message has {fields['body_size']} bytes; it must have at most {LONGEST_MESSAGE}")
+    body = await reader.readexactly(fields["body_size"])
+    if check not in (0, CRC64(body)):
+        raise InputError("a message is broken: its check sum differs")
+    if fields["message_type"] not in ("TRANSFORM", "POINT", "STRING"):
+        return None
+
+    def read() -> dict[str, Any]:
+        message = MessageBase.create_message(fields["message_type"])
+        try:
+            message.unpack(fields, body)
+        except (ValueError, TypeError, struct.error, IndexError):
+            raise InputError(f"{fields['message_type']} cannot be read") from None
+        if fields["message_type"] == "STRING":
+            word = message.string.strip()
+            return {"op": "hold"} if word == "hold" else {"op": "state_command", "command": word}
+        if fields["message_type"] == "POINT":
+            if not message.positions:
+                raise InputError("POINT has no point; its first one is where the tip is to go")
+            return {"op": "move_cp", "position": [x / TO_MM for x in message.positions[0]]}
+        pose = message.matrix
+        return {"op": "move_cp", "position": (pose[:3, 3] / TO_MM).tolist(), "direction": pose[:3, 2].tolist()}
+
+    return read
 
 
 def _error(words: str) -> str:

@@ -7,6 +7,7 @@ farther than a small motion twists them, where margin or clearance fall short, t
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from math import dist, hypot
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ import numpy as np
 from ..arguments import typed
 from ..bodies.obstacles import ClearanceMonitor, Obstacle, Scene, checked_obstacles, scene_of
 from ..equilibrium.jacobian import compiled_slopes
-from ..equilibrium.kinematics import one_step
+from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..inverse.goal import BODY_REACH, angle
@@ -57,13 +58,14 @@ class Guard:
         self.space: JointSpace = joint_space(robot, limits).holding(*shift_of(robot, start))
         self.scene: Scene = scene_of(checked_obstacles(obstacles))
         self._monitor = ClearanceMonitor(self.scene)
-        self.here = start_posture(self.space, start)
+        self.here: Posture
         """Where the robot would come to rest if it braked from now on; without accelerations, where it is."""
-        self.arm = self.here.equilibrium
+        self.arm: Equilibrium
         """Where the robot is."""
-        self.speed: Array = np.zeros(len(self.here.q))
+        self.speed: Array
         """(m,) of the joints after the last step, rad/s and m/s."""
-        self.before = Place(self.here, self.arm, self.speed)
+        self.before: Place
+        self.begin(start)
         rotation = np.arange(len(self.here.q)) < robot.n_tubes
         accelerations = [getattr(options, f"{name}_acceleration") or np.inf for name in ("turn", "shift")]
         self.acceleration: Array = np.where(rotation, *accelerations)
@@ -71,12 +73,16 @@ class Guard:
         self.limited = bool(np.isfinite(self.acceleration).any())
         self.sight = 0.0
         """Distance (m) up to which bodies are looked at where a step leads: once for the guard and the next step."""
-        if words := self.space.outside(self.here.q):
+
+    def begin(self, start: Configuration) -> None:
+        """Rest at a start; errors as of `Servo`."""
+        here, least = start_posture(self.space, start), self.options.min_margin
+        if words := self.space.outside(here.q):
             raise InputError(f"start is out of range: {words}")
-        if self.here.margin < options.min_margin:
-            raise InputError(
-                f"start has margin {self.here.margin:.3g}; it must be min_margin, {options.min_margin:g}, or more"
-            )
+        if here.margin < least:
+            raise InputError(f"start has margin {here.margin:.3g}; it must be min_margin, {least:g}, or more")
+        self.here, self.arm, self.speed = here, here.equilibrium, np.zeros(len(here.q))
+        self.keep()
 
     def keep(self) -> None:
         """Remember the place, to which `undo` returns."""
@@ -115,19 +121,22 @@ class Guard:
         floor, guarded, passed = min(self.options.min_margin, here.margin), False, False
         for halving in range(HALVINGS + 1):
             q = here.q + change / 2**halving
-            posture = self._passes(q, floor, dt)
+            posture = self._passes(q, floor)
             if posture is None:
                 guarded = True
             elif closer(posture, 1 / 2**halving):
-                self.here, passed = posture, True
-                break
+                reserve = min(floor + ROOM / 2, posture.margin, self.arm.margin)
+                if not self.limited or self._can_brake(posture, reserve, dt):
+                    self.here, passed = posture, True
+                    break
+                guarded = True
         if passed:
             why |= Why.SHORTENED if guarded else Why(0)
         else:
             why = Why.HELD if guarded else why & ~Why.RATE | Why.NO_CLOSER
         return self._follow(dt), why
 
-    def _passes(self, q: Array, floor: float, dt: float) -> Posture | None:
+    def _passes(self, q: Array, floor: float) -> Posture | None:
         """The posture at joint values q (m,) of a stop point; None where it, or the way to it, may not be."""
         rotations, shift = self.space.split(q)
         try:
@@ -141,23 +150,33 @@ class Guard:
             posture.outline.look_around(self._monitor, self.sight)
             if (missing := self._missing(posture)) > 0 and missing > self._missing(self.here):
                 return None
-        reserve = min(floor + ROOM / 2, there.margin)
-        return posture if not self.limited or self._can_brake(q, reserve, dt) else None
+        return posture
 
-    def _can_brake(self, stop: Array, floor: float, dt: float) -> bool:
-        """Whether the robot keeps a margin at its next place, and at some places where it brakes from there."""
-        q, speed = self._next(stop, dt)
+    def _can_brake(self, rest: Posture, floor: float, dt: float) -> bool:
+        """Whether the robot keeps a margin at its next place, and at some places where it brakes from there to rest.
+
+        Where the least margin is close to the floor, there are two more places about it.
+        """
+        q, speed = self._next(rest.q, dt)
         longest = float((np.abs(speed) / self.acceleration).max())
-        for part in range(BRAKING):
-            left = np.maximum(0.0, 1 - longest * part / BRAKING * self.acceleration / np.maximum(np.abs(speed), 1e-300))
-            at = stop - (stop - q) * np.where(speed == 0, 1.0, left**2)
+
+        def margin(time: float) -> float:
+            left = np.maximum(0.0, 1 - time * longest * self.acceleration / np.maximum(np.abs(speed), 1e-300))
+            at = rest.q - (rest.q - q) * np.where(speed == 0, 1.0, left**2)
             try:
                 there = one_step(self.space.robot, self.arm, *self.space.split(at))
             except (SolveError, InputError):
+                return -1.0
+            return -1.0 if there is None else there.margin
+
+        least, at = rest.margin, len(BRAKING) - 1
+        for k, time in enumerate(BRAKING[:-1]):
+            found = margin(time)
+            if found < floor:
                 return False
-            if there is None or there.margin < floor:
-                return False
-        return True
+            least, at = min((least, at), (found, k))
+        near = BRAKING[max(at - 1, 0) : at + 2] if least < floor + 2 * ROOM else ()
+        return all(margin((one + two) / 2) >= floor for one, two in pairwise(near))
 
     def _next(self, stop: Array, dt: float) -> tuple[Array, Array]:
         """(m,) joint values after a cycle and speeds v = sgn(d) (sqrt((a dt)^2 + 2 a |d|) - a dt), of d = s - q: from
@@ -222,8 +241,8 @@ TURN, SHIFT = 0.3, 0.05
 # Speed (rad/s, m/s) below which a joint rests.
 RESTS = 1e-9
 
-# Places at which the margin of a braking robot is looked at.
-BRAKING = 4
+# Times at which the margin of a braking robot is looked at, as parts of the whole: closer where it is fast.
+BRAKING = 0.0, 0.13, 0.3, 0.5, 0.75, 1.0
 
 # Distance (m) and angle (rad) at which a target is met.
 MET = 1e-6
@@ -381,6 +400,17 @@ class Servo:
     def undo(self) -> None:
         """Take the last step back, which was not sent."""
         self.guard.undo()
+
+    def resume(self, joints: Configuration) -> None:
+        """Continue at rest at joint values that the robot has reached otherwise, on the branch of a straight motion.
+
+        Raises:
+            InputError: they are out of range, or the margin there is below the smallest allowed one.
+            SolveError: that motion snaps.
+        """
+        rotations, translations = self.space.split(configuration(self.space, "joints", joints))
+        self.guard.begin(forward_kinematics(self.space.robot, rotations, translations, start=self.equilibrium))
+        self._damping, self._goal = 0.0, None
 
     def _note_target(self, command: Command, dt: float) -> None:
         """Forget the damping where the target jumps."""

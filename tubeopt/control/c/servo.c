@@ -8,10 +8,12 @@
 #define RISE 0.3   /* share of what joints could do for margin or clearance that a step must do at most */
 #define NEAR 1e-6  /* m and rad, at which a target is met */
 #define DESCENT 0.25 /* fraction of the predicted decrease of the distance that a step must have: zigzags have none */
-#define BRAKING 4  /* places on the way on which a robot brakes that are looked at */
+#define BRAKINGS 5 /* times, as parts of the whole, at which the margin of a braking robot is looked at */
 #define MOST_CURVED 4. /* curvature of a distance over the scales: kinks, where breakpoints coincide, look larger */
 #define MOST_STIFF 1e6
 #define DEAD 1e-7  /* of a joint's scale: a shorter whole step leaves the robot at rest */
+
+static const double BRAKING[BRAKINGS + 1] = {0, 0.13, 0.3, 0.5, 0.75, 1};
 
 typedef struct {
     double task[6][JOINTS], missing[6], clipped; /* by independent joints over their scale; part of a step's speed */
@@ -195,23 +197,36 @@ static void follow_stop(const tubeopt_command *c, const double *s, double T, dou
     }
 }
 
-/* Whether a robot can follow a stop point s: where it is next, and some places on the way on which it brakes to s, keep a
-   margin. */
-static int can_brake(tubeopt_memory *robot, const tubeopt_command *c, const double *s, double floor) {
-    double q[JOINTS], at[JOINTS], speed[JOINTS], longest = 0;
+/* The margin of a robot at a time, as part of that for which it brakes, from q and its speed to a stop point s; -1 where none is
+   found. */
+static double braking_margin(tubeopt_memory *robot, const tubeopt_command *c, const double *s, const double *q, const double *speed, double time) {
+    double at[JOINTS], longest = 0;
     tubeopt_joints next;
+    for (int k = 0; k < JOINTS; k++) longest = fmax(longest, fabs(speed[k]) / (k < N ? c->turn_acceleration : c->shift_acceleration));
+    for (int k = 0; k < JOINTS; k++) {
+        double left = fmax(0, 1 - time * longest * (k < N ? c->turn_acceleration : c->shift_acceleration) / fabs(speed[k]));
+        at[k] = time && speed[k] ? s[k] - (s[k] - q[k]) * left * left : q[k];
+    }
+    dependent(at, &next);
+    return step_to(robot, &next) || bear_to(robot, &next, 1) ? -1 : margin_told(robot, 1);
+}
+
+/* Whether a robot can follow a stop point s: where it is next, and some places on the way on which it brakes to s, keep a margin.
+   Where the least of them, or that at `rest`, is close to the floor, there are two more places about it. */
+static int can_brake(tubeopt_memory *robot, const tubeopt_command *c, const double *s, double floor, double rest) {
+    double q[JOINTS], speed[JOINTS], least = rest;
+    int at = BRAKINGS;
     independent(&robot->joints, q);
     follow_stop(c, s, c->step, q, speed);
-    for (int k = 0; k < JOINTS; k++) longest = fmax(longest, fabs(speed[k]) / (k < N ? c->turn_acceleration : c->shift_acceleration));
-    for (int part = 0; part < BRAKING; part++) {
-        for (int k = 0; k < JOINTS; k++) {
-            double left = fmax(0, 1 - longest * part / BRAKING * (k < N ? c->turn_acceleration : c->shift_acceleration) / fabs(speed[k]));
-            at[k] = part && speed[k] ? s[k] - (s[k] - q[k]) * left * left : q[k];
-        }
-        dependent(at, &next);
-        if (step_to(robot, &next) || bear_to(robot, &next, 1) || margin_told(robot, 1) < floor) return 0;
+    for (int k = 0; k < BRAKINGS; k++) {
+        double found = braking_margin(robot, c, s, q, speed, BRAKING[k]);
+        if (found < floor) return 0;
+        if (found < least) at = k;
+        least = fmin(least, found);
     }
-    return 1;
+    if (least >= floor + 2 * ROOM) return 1;
+    return (at == 0 || braking_margin(robot, c, s, q, speed, (BRAKING[at - 1] + BRAKING[at]) / 2) >= floor) &&
+           (at == BRAKINGS || braking_margin(robot, c, s, q, speed, (BRAKING[at] + BRAKING[at + 1]) / 2) >= floor);
 }
 
 /* Take so much of a step (n) over the joints' scale as the guard lets pass and brings the tip closer; returns why it is not all.
@@ -236,8 +251,7 @@ static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command 
             there[k] = fmin(fmax(q[k] + share * SCALE[k] * step[k], fmin(q[k], LOWER[k])), fmax(q[k], UPPER[k]));
         dependent(there, &next);
         report->solves++;
-        if (step_to(m, &next) || bear_to(m, &next, 1) || margin_told(m, 1) < floor || too_close(m, bodies) ||
-            (robot != m && !can_brake(robot, c, there, fmin(floor + ROOM / 2, margin_told(m, 1))))) {
+        if (step_to(m, &next) || bear_to(m, &next, 1) || margin_told(m, 1) < floor || too_close(m, bodies)) {
             guarded = 1;
             continue;
         }
@@ -251,6 +265,10 @@ static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command 
         if (!closer || back || (m->damping && curved > m->damping)) m->damping = fmax(fmax(curved, fmin(4 * m->damping * (!closer || back), MOST_CURVED)), DAMPING * DAMPING);
         else if (m->damping && share == 1) m->damping = m->damping > 2 * DAMPING * DAMPING ? fmax(curved, m->damping / 2) : 0;
         if (!closer) continue;
+        if (robot != m && !can_brake(robot, c, there, fmin(fmin(floor + ROOM / 2, margin_told(robot, 0)), margin_told(m, 1)), margin_told(m, 1))) {
+            guarded = 1;
+            continue;
+        }
         if (m->damping && share < 1 && ++m->damped >= m->patience) { /* far from rest: perhaps it does without again */
             m->damping = m->damped = 0;
             m->patience *= 2;
