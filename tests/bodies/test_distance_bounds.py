@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tubeopt.bodies.corridors import MeshObstacle
-from tubeopt.bodies.distance_field import ROUND_OFF, DistanceField
+from tubeopt.bodies.distance_field import TABLE_ROUND_OFF, DistanceField
 from tubeopt.bodies.solids import (
     SAMPLING,
     _bounds,
@@ -24,7 +24,7 @@ NODES = np.moveaxis(np.indices((2, 2, 2)), 0, -1) * CELL
 
 MIDDLE = CELL / 2
 
-CLOSE = 5 * ROUND_OFF
+CLOSE = 5 * TABLE_ROUND_OFF
 
 
 def away(points: Array, place: Array) -> Array:

@@ -8,7 +8,7 @@ from hypothesis import given
 
 from tests.examples import CRL, MM, THESIS, eccentric_assembly, nested, poses
 from tubeopt import ConcentricRobot, InputError, Tube
-from tubeopt.robots.assembly import ROUND_OFF, Assembly, assemble, without_offsets
+from tubeopt.robots.assembly import LENGTH_ROUND_OFF, Assembly, assemble, without_offsets
 from tubeopt.typing import Array
 
 
@@ -138,10 +138,10 @@ def test_sections_tell_the_truth_about_every_tube(pose: tuple[ConcentricRobot, A
     n, ends = robot.n_tubes, shift + [tube.curved_length for tube in robot.tubes]
     # At most two breakpoints per tube; sections follow each other and reach to the farthest tip.
     assert assembly.n_sections <= 2 * n
-    assert (assembly.length > ROUND_OFF).all()
+    assert (assembly.length > LENGTH_ROUND_OFF).all()
     assert assembly.start[1:] == pytest.approx(assembly.start[:-1] + assembly.length[:-1], abs=1e-15)
     assert assembly.total_length == pytest.approx(max(0.0, ends.max()), abs=1e-15)
-    assert assembly.length.sum() == pytest.approx(assembly.total_length, abs=2 * n * ROUND_OFF)
+    assert assembly.length.sum() == pytest.approx(assembly.total_length, abs=2 * n * LENGTH_ROUND_OFF)
     assert (assembly.present | ~assembly.curved).all()
     assert assembly.present.any(axis=1).all()
     # In front of the plate lies of each tube what its length leaves, and of that the curved part and no more.

@@ -29,7 +29,7 @@ from .frames import Frame
 from .obstacles import as_points, distance_of_numbers, unit_vectors
 
 # Length (m) subtracted from the table, for the rounding of its numbers.
-ROUND_OFF = 1e-9
+TABLE_ROUND_OFF = 1e-9
 
 # Distance from the surface, in cells, below which gradients are differences of distances, above it of their squares:
 # near the surface a square has no slope, far away it is smoother.
@@ -72,14 +72,16 @@ class DistanceField:
         if len(shape) != 3 or min(shape) < 2:
             raise InputError(f"values of the distance field have shape {shape}; it must be a table of 2 nodes at least")
         # Rounded down, so that the table remains a lower bound.
-        lowered = np.nextafter(np.asarray(self.values, dtype=np.float32) - np.float32(ROUND_OFF), np.float32(-np.inf))
+        lowered = np.nextafter(
+            np.asarray(self.values, dtype=np.float32) - np.float32(TABLE_ROUND_OFF), np.float32(-np.inf)
+        )
         object.__setattr__(self, "values", lowered)
         object.__setattr__(self, "spacing", np.asarray(self.spacing, dtype=float))
 
     @property
     def error(self) -> float:
         """Largest error of `signed_distance`, m; it is never larger than the distance from the body."""
-        return self.node_error + float(np.linalg.norm(self.spacing)) + 4 * ROUND_OFF
+        return self.node_error + float(np.linalg.norm(self.spacing)) + 4 * TABLE_ROUND_OFF
 
     @property
     def diagonal(self) -> float:
@@ -140,7 +142,7 @@ class DistanceField:
         """Upper bounds (N,) of the distance of points (N, 3) from the body, m."""
         at, beyond = self._clipped(points)
         linear = scipy.ndimage.map_coordinates(self.values, at, order=1, output=float)
-        return np.asarray(linear + np.sqrt(self._variance(at)) + self.node_error + 4 * ROUND_OFF + beyond)
+        return np.asarray(linear + np.sqrt(self._variance(at)) + self.node_error + 4 * TABLE_ROUND_OFF + beyond)
 
     def gradient(self, points: ArrayLike) -> Array:
         """Gradients (..., 3) of the distance at points (..., 3), unit vectors.
@@ -181,7 +183,7 @@ class DistanceField:
             slopes[0, :, axis] = (weight * (a - b) / step).sum(1)
             slopes[1, :, axis] = (weight * (a * np.abs(a) - b * np.abs(b)) / step).sum(1)
         plain, squared = np.linalg.norm(slopes, axis=2)
-        root = 2 * np.sqrt(np.maximum(np.abs(square), ROUND_OFF**2))
+        root = 2 * np.sqrt(np.maximum(np.abs(square), TABLE_ROUND_OFF**2))
         close = np.abs(linear) < NEAR * self.spacing.max()
         close |= np.abs(plain - 1) <= np.abs(squared / root - 1)
         out = unit_vectors(np.where(close[:, None], *slopes) @ self.frame.axes.T, UP)

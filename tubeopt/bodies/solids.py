@@ -49,7 +49,7 @@ BAND = 2.0
 SAMPLING = ((1.0, 8.0), (0.5, 0.0))
 
 # Error of the surface of a union over the size of the bodies; distances are reduced by it.
-ROUND_OFF = 1e-9
+UNION_ROUND_OFF = 1e-9
 
 # Largest number of samples of a surface.
 MAX_SAMPLES = 2_000_000
@@ -81,7 +81,7 @@ def field_of_mesh(
     surface = Triangles(corners, mesh.closed, hollow=keep == "in")
     return _field(
         surface,
-        0.0 if inner is None else ROUND_OFF * surface.size,
+        0.0 if inner is None else UNION_ROUND_OFF * surface.size,
         BORDER[keep],
         cell,
         name=name,

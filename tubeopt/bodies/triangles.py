@@ -29,7 +29,7 @@ _ANGLES = [0.7, 0.4, 1.1], [2.3, 0.5, 0.2], [1.2, 2.9, 0.8]
 DIRECTIONS = scipy.spatial.transform.Rotation.from_euler("xyz", _ANGLES).as_matrix()
 
 # Area over the squared size of the surface below which round-off may decide on which side of an edge a ray passes.
-ROUND_OFF = 1e-13
+AREA_ROUND_OFF = 1e-13
 
 # Largest number of columns of the lookup table along each side: a ray then meets a few triangles, and the table has at
 # most 260,000 entries.
@@ -114,7 +114,7 @@ class Rays:
         left = np.where(area >= 0, sense, -sense)  # a ray through a side counts as left of it
         hit = np.abs(left.sum(1)) == 3
         size = float(np.ptp(self.corners.reshape(-1, 3), axis=0).max())
-        doubtful = (np.abs(area) <= ROUND_OFF * size**2).any(1)
+        doubtful = (np.abs(area) <= AREA_ROUND_OFF * size**2).any(1)
         row_doubtful = np.bincount(row[doubtful], minlength=len(points)) > 0
         row, face, weight = row[hit], face[hit], np.roll((sense * area)[hit], -1, axis=1)
         height = (weight * self.corners[face, :, 2]).sum(1) / weight.sum(1)

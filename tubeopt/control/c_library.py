@@ -29,7 +29,7 @@ from ..errors import InputError, SolveError
 from ..files.files import write_text
 from ..inverse.joints import JointSpace, joint_space
 from ..physics.certificate import coupling_rate_function
-from ..robots.assembly import ROUND_OFF
+from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.lengthwise import lengthwise
 from ..robots.limits import FAR, MOST_TURN
 from ..robots.load import Load, masses
@@ -300,7 +300,7 @@ def loads_text(name: str, n: int, data: str, pieces: int = MOST_PIECES) -> str:
         "ECCENTRIC": 0,
         "MOST_SECTIONS": pieces,
         "MOST_CUTS": MOST_CUTS,
-        "ROUND_OFF_LENGTH": ROUND_OFF,
+        "ROUND_OFF_LENGTH": LENGTH_ROUND_OFF,
         "SAME_END": SAME_END,
         "WAVES_PER_ELEMENT": 1,  # of what is not loaded: not asked for
         "LOADED_WAVES": LOADED_WAVES,
@@ -327,8 +327,10 @@ def _pieces_room(robot: Robot, shifts: Sequence[Array]) -> int:
     for shift in shifts:
         assembly = robot.assembly(shift)
         length = assembly.total_length
-        tip = np.array([length * (1 - ROUND_OFF)])
-        bearable = BEARABLE * float(assembly.cross_sections(tip, tip).stiffness.sum()) / max(length, ROUND_OFF) ** 2
+        tip = np.array([length * (1 - LENGTH_ROUND_OFF)])
+        bearable = (
+            BEARABLE * float(assembly.cross_sections(tip, tip).stiffness.sum()) / max(length, LENGTH_ROUND_OFF) ** 2
+        )
         most = max(most, ceil(SPARE * loaded_counts(assembly, bearable, 0.0).sum()))
     return most
 

@@ -16,7 +16,7 @@ from ..display import Displayed
 from ..errors import InputError, numbers, vector
 from ..files.field_metadata import POSITIVE, OneOf, check_fields, unit
 from ..physics.torsion import cross_section
-from ..robots.assembly import ROUND_OFF
+from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.load import ZERO, Load
 from ..typing import Delegate
 from .requirements import ROUNDED, Rows, deviations
@@ -278,6 +278,6 @@ def _tip_curvature(objective: Objective, q: Quantities) -> Any:
     """Curvature of the section at the tip, 1/m, with all tubes bending to one side."""
     shift = ca.DM.zeros(q.n_tubes) if objective.translations is None else ca.DM(objective.translations)
     kb, end = q.tubes["bending_stiffness"], shift + q.tubes["curved_length"]
-    stiffness = kb * (end >= ca.mmax(end) - ROUND_OFF)
+    stiffness = kb * (end >= ca.mmax(end) - LENGTH_ROUND_OFF)
     bent = stiffness * ca.fabs(q.tubes["curvature"]) * (q.tubes["curved_length"] > 0)
     return cross_section(ca.DM.zeros(q.n_tubes), stiffness, bent).curvature[0]

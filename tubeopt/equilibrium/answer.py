@@ -10,10 +10,10 @@ import numpy as np
 
 from ..block.transcription import arm as arms
 from ..block.transcription.arm import ArmSolution, between
-from ..block.transcription.collocated import STEPS, THROUGH_ENDS
+from ..block.transcription.collocated import SHAPE_STEPS, THROUGH_ENDS
 from ..block.transcription.loaded import LoadedProblem, monotonicity
 from ..block.transcription.reduced import ReducedProblem
-from ..robots.assembly import ROUND_OFF
+from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.settings import LARGEST_SHIFT
@@ -222,7 +222,7 @@ def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
     As solved at its own collocation points, interpolated by cubic Hermite polynomials elsewhere.
     """
     points, robot, shift = equilibrium.point, equilibrium.robot, equilibrium.translations
-    if len(points) != len(arc_length) or np.abs(points - arc_length).max(initial=0.0) > ROUND_OFF:
+    if len(points) != len(arc_length) or np.abs(points - arc_length).max(initial=0.0) > LENGTH_ROUND_OFF:
         arm = np.stack([equilibrium.rotation.T, equilibrium.torsion.T])
         return sample_arms(robot, shift, equilibrium.arc_length, arm, arc_length)
     theta = equilibrium.point_rotation
@@ -238,9 +238,9 @@ def sample_arms(robot: Robot, translations: Array, s: Array, arms: Array, arc_le
         return np.repeat(phi, len(arc_length), axis=-2)
     if not even:
         # The polynomial through the shape points of each piece: the torsion jumps between pieces.
-        piece, _, x = between(s[::STEPS], arc_length)
-        basis = np.vander(np.clip(x, 0.0, 1.0), STEPS + 1, increasing=True) @ THROUGH_ENDS
-        around = phi[..., piece[:, None] * STEPS + np.arange(STEPS + 1), :]
+        piece, _, x = between(s[::SHAPE_STEPS], arc_length)
+        basis = np.vander(np.clip(x, 0.0, 1.0), SHAPE_STEPS + 1, increasing=True) @ THROUGH_ENDS
+        around = phi[..., piece[:, None] * SHAPE_STEPS + np.arange(SHAPE_STEPS + 1), :]
         return np.asarray(np.einsum("ak,...aki->...ai", basis, around))
     k, length, fraction = between(s, arc_length)
     h, x = length[:, None], np.clip(fraction, 0.0, 1.0)[:, None]

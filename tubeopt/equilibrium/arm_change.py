@@ -23,7 +23,7 @@ from ..block.transcription.standing import (
     values_of,
 )
 from ..errors import InputError, SolveError
-from ..robots.assembly import ROUND_OFF
+from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.load import FORCE, MOMENT
 from ..robots.order import SAME_END, twisted_tube
 from ..typing import Array
@@ -117,7 +117,7 @@ class ArmChange(Directions):
         axis = frame[..., 2]
         rates[..., 2 * n + 3 :] = -cross(axis, self._strip_force)
         if arm.load.distributed is not None:
-            density = arm.load.per_length(self.cuts[strips.index] + self.side * ROUND_OFF)[:, MOMENT]
+            density = arm.load.per_length(self.cuts[strips.index] + self.side * LENGTH_ROUND_OFF)[:, MOMENT]
             rates[..., 2 * n + 3 :] -= density
             rates[[[0], [1]], np.arange(count), n + 3 + strips.outermost] -= (density * axis).sum(1)
         return rates
@@ -137,7 +137,7 @@ class ArmChange(Directions):
         if load is not None:
             self._must_stay()
             if load.distributed is not None:
-                force = load.per_length(self.cuts[-1:] + self.side * ROUND_OFF)[0, FORCE]
+                force = load.per_length(self.cuts[-1:] + self.side * LENGTH_ROUND_OFF)[0, FORCE]
                 forcing.force[:] += np.outer(force, self._longer)
         return arm.respond(forcing)
 
@@ -154,7 +154,7 @@ class ArmChange(Directions):
         acts = [self.cuts[k] for k, *_ in arm.joint_moments] + [np.inf] * any(arm.load.moment)
         if not acts:
             return
-        at_end, pace = np.abs(self.placed.place - ends[points.tube]) <= ROUND_OFF, np.zeros((self.n, self.size))
+        at_end, pace = np.abs(self.placed.place - ends[points.tube]) <= LENGTH_ROUND_OFF, np.zeros((self.n, self.size))
         pace[points.tube[at_end]] = self.side * self.entered.speed[at_end]
         moved = ends + AHEAD * pace.T / np.maximum(np.abs(pace).max(0), 1e-300)[:, None]
         left = (twisted_tube(moved[:, None], acts) != twisted_tube(ends, acts)).any(1)

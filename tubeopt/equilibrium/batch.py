@@ -15,7 +15,7 @@ from ..arguments import typed
 from ..block.transcription.arm import arc_lengths
 from ..display import Displayed
 from ..errors import InputError, SolveError, choice, positive
-from ..robots.assembly import ROUND_OFF
+from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.limits import check_reach, check_turn
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
@@ -241,7 +241,7 @@ def _table(name: str, values: ArrayLike) -> Array:
 def _admissible(robot: Robot, shift: Array) -> None:
     """Raise InputError naming the first row of translations (N, n) that the robot cannot have."""
     straight = np.array([tube.straight_length for tube in robot.tubes])
-    out = np.argwhere(shift - straight > ROUND_OFF)
+    out = np.argwhere(shift - straight > LENGTH_ROUND_OFF)
     if len(out):
         row, tube = (int(k) for k in out[0])
         raise InputError(

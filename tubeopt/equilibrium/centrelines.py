@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ..block.transcription.buffered import section_function
 from ..errors import SolveError
-from ..robots.assembly import ROUND_OFF
+from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.eccentric import SegmentedEccentricRobot
 from ..robots.robot import joint_values
 from ..typing import Array
@@ -21,13 +21,13 @@ from .result import Equilibrium
 def tube_centrelines(equilibrium: Equilibrium) -> Array:
     """(n, m, 3) centreline of every tube, m, at the m arc lengths of the arm.
 
-    It is p + R (d cos phi, d sin phi, 0).
+    It is p + R (d cos gamma, d sin gamma, 0).
 
     NaN beyond a tube's own end, and everywhere for a tube that does not reach past the plate.
     """
     assembly = equilibrium.robot.assembly(equilibrium.translations)
     lines = equilibrium.position + np.einsum("mab,nb->nma", equilibrium.frame[:, :, :2], assembly.across)
-    lines[equilibrium.arc_length > assembly.end[:, None] + ROUND_OFF] = np.nan
+    lines[equilibrium.arc_length > assembly.end[:, None] + LENGTH_ROUND_OFF] = np.nan
     return np.asarray(lines)
 
 
@@ -124,7 +124,7 @@ def chained_approximation(
     segments, starts, lines, lengths = [], [], [np.zeros((1, 3))], [np.zeros(1)]
     position, frame, reached = np.zeros(3), np.eye(3), 0.0
     for k in reversed(range(len(robot.segments))):
-        if end[k] <= ROUND_OFF:
+        if end[k] <= LENGTH_ROUND_OFF:
             continue
         start = max(float(transition[k]), 0.0)
         position = position + frame[:, 2] * (start - reached)

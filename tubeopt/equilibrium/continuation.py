@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ..robots.assembly import ROUND_OFF
+from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.load import Load, between
 from ..robots.robot import Robot
 from ..solvers.settings import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST, SOFT_TWIST
@@ -132,7 +132,7 @@ class JointPath:
         # Points p + v t and q + w t meet at t = (p - q) / (w - v); the plate is a point at rest.
         # Tubes that move with equal speed never meet.
         distance, closing = points[:, None] - points, speeds - speeds[:, None]
-        moving = np.abs(closing) > ROUND_OFF
+        moving = np.abs(closing) > LENGTH_ROUND_OFF
         times = distance[moving] / closing[moving]
         return [*sorted({round(float(t), 12) for t in times if 1e-9 < t < 1 - 1e-9}), 1.0]
 

@@ -17,7 +17,7 @@ from ..block.transcription.mesh import INWARDS
 from ..block.transcription.reduced import ReducedProblem
 from ..block.transcription.responsive import Forcing, LinearisedArm
 from ..errors import InputError
-from ..robots.assembly import DIMENSIONS, ROUND_OFF, Assembly
+from ..robots.assembly import DIMENSIONS, LENGTH_ROUND_OFF, Assembly
 from ..robots.lengthwise import CrossSections, Lengthwise
 from ..robots.load import masses
 from ..robots.order import outermost
@@ -83,14 +83,14 @@ def placed_breakpoints(assembly: Assembly, between: bytes) -> Placed:
     """Breakpoints of all tubes of an arm; `between` are the bytes of the arc lengths (P + 1,) between the pieces."""
     rows = [_places(assembly, i) for i in range(assembly.n_tubes)]
     # Breakpoints behind the plate are out of the arm; one at the plate may move into it.
-    own = [(i, s, k == len(row) - 1) for i, row in enumerate(rows) for k, s in enumerate(row) if s > -ROUND_OFF]
+    own = [(i, s, k == len(row) - 1) for i, row in enumerate(rows) for k, s in enumerate(row) if s > -LENGTH_ROUND_OFF]
     place = np.array([s for _, s, _ in own])
     breakpoints = breakpoints_of(
         assembly.n_tubes,
         tube=tuple(i for i, _, _ in own),
         end=tuple(end for _, _, end in own),
-        index=tuple(np.frombuffer(between).searchsorted(place - 2 * ROUND_OFF).tolist()),
-        in_front=tuple((place > ROUND_OFF).tolist()),
+        index=tuple(np.frombuffer(between).searchsorted(place - 2 * LENGTH_ROUND_OFF).tolist()),
+        in_front=tuple((place > LENGTH_ROUND_OFF).tolist()),
     )
     return Placed(breakpoints, place)
 
@@ -197,11 +197,11 @@ def uncovered_by(assembly: Assembly, placed: Placed, strips: Strips) -> Uncovere
     """Cross-sections in the strips of an arm."""
     place = placed.place[strips.first]
     place = np.concatenate([place, place])
-    side = place[:, None] + ROUND_OFF
+    side = place[:, None] + LENGTH_ROUND_OFF
     # A tube whose breakpoint moved beyond continues as before the breakpoint: it is evaluated on the plate's side.
-    present = side - 2 * ROUND_OFF * strips.past < assembly.end
+    present = side - 2 * LENGTH_ROUND_OFF * strips.past < assembly.end
     # Where a curved part begins to grow its end moves alone.
-    near = side - 2 * ROUND_OFF * strips.past_inside
+    near = side - 2 * LENGTH_ROUND_OFF * strips.past_inside
     return Uncovered(
         index=placed.breakpoints.index[strips.first],
         widths=strips.widths,
@@ -219,7 +219,7 @@ def _places(assembly: Assembly, tube: int) -> list[float]:
     if assembly.lengthwise is None:
         return [float(assembly.transition[tube]), float(assembly.end[tube])]
     own = sorted(cut - float(assembly.transmission[tube]) for cut in assembly.lengthwise.cuts[tube])
-    return [s for k, s in enumerate(own) if not k or s - own[k - 1] > ROUND_OFF]
+    return [s for k, s in enumerate(own) if not k or s - own[k - 1] > LENGTH_ROUND_OFF]
 
 
 def _sections(assembly: Assembly, s: Array, near: Array, present: Mask) -> CrossSections:
@@ -430,7 +430,7 @@ class Directions:
         entered.speed[mine, column] += pace
         into.transmission[i, column] -= float(moves(np.array(held))) * self._softness(i)
         end = float(self.assembly.end[i])
-        if self._density[i] and end > -self.side * ROUND_OFF:
+        if self._density[i] and end > -self.side * LENGTH_ROUND_OFF:
             # The tube's weight moves beyond all points before its end, by the density per unit of motion.
             into.force[..., column] += (self._arc_length < end)[..., None] * (self._density[i] * self._gravity)
         stretches = name == "curved_length" and own.curved_length > 0
@@ -521,7 +521,7 @@ def _held(assembly: Assembly, side: int) -> Array:
     if table is None:
         return np.asarray(1 / assembly.torsional_stiffness)
     at = assembly.transmission[None] * abs(side)
-    return np.asarray(1 / table.values(at, at - side * ROUND_OFF)[1, 0])
+    return np.asarray(1 / table.values(at, at - side * LENGTH_ROUND_OFF)[1, 0])
 
 
 @lru_cache(maxsize=64)

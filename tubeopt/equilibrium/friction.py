@@ -15,7 +15,7 @@ import numpy as np
 
 from ..block.transcription import arm as arms
 from ..block.transcription import loaded
-from ..block.transcription.arm import EXTRA_POINTS, ArmSolution, CollocationPoints
+from ..block.transcription.arm import EXTRA_QUADRATURE_POINTS, ArmSolution, CollocationPoints
 from ..block.transcription.buffered import section_function
 from ..block.transcription.contact import (
     DEGREE,
@@ -47,7 +47,7 @@ from .member import Errors, Loaded, Point, Unloaded, lever
 from .problem import Discretisation, check_load, loading_of
 from .result import Equilibrium, FrictionState, Status
 
-ROUND_OFF = 1e-13
+EIGENVALUE_ROUND_OFF = 1e-13
 """Round-off of a smallest eigenvalue."""
 
 
@@ -81,7 +81,7 @@ class FrictionEquilibrium:
     @cached_property
     def held_margin(self) -> float:
         """Smallest eigenvalue over the motions that keep sticking contacts stuck, between the margin and 1."""
-        if self.found.signs.all() or self.margin > 1 - ROUND_OFF:
+        if self.found.signs.all() or self.margin > 1 - EIGENVALUE_ROUND_OFF:
             return self.margin
         return held_margin(self.contact, self.found.state, self.found.signs)
 
@@ -330,12 +330,12 @@ def _bending_error(current: FrictionEquilibrium) -> float:
 
 @lru_cache(maxsize=8)
 def _finer(contact: Contact) -> LoadedProblem:
-    """Loaded problem of a contact with EXTRA_POINTS more points on each piece."""
+    """Loaded problem of a contact with EXTRA_QUADRATURE_POINTS more points on each piece."""
     torsion, mesh, loading = contact.problem, contact.problem.mesh, contact.loading
     assert loading is not None
     unknown = np.zeros((torsion.assembly.n_sections, torsion.assembly.n_tubes), dtype=bool)
     unknown[mesh.section[torsion.point // mesh.tableau.degree], torsion.tube] = True
-    rule = replace(mesh, tableau=tableau(mesh.tableau.family, mesh.tableau.degree + EXTRA_POINTS))
+    rule = replace(mesh, tableau=tableau(mesh.tableau.family, mesh.tableau.degree + EXTRA_QUADRATURE_POINTS))
     return load_problem(reduce(torsion.assembly, rule, unknown), loading.load, loading.density)
 
 
@@ -377,7 +377,7 @@ class _FinerPoints(NamedTuple):
 def _finer_points(contact: Contact) -> _FinerPoints:
     problem = contact.problem
     mesh, t = problem.mesh, problem.mesh.tableau
-    nodes = tableau("gauss", t.degree + EXTRA_POINTS).nodes
+    nodes = tableau("gauss", t.degree + EXTRA_QUADRATURE_POINTS).nodes
     sections, collocated = sections_at(problem.assembly, mesh, nodes), np.repeat(mesh.collocated, len(nodes))
     lever = problem.assembly.transmission + (mesh.start + mesh.length)[mesh.collocated, None]
     return _FinerPoints(

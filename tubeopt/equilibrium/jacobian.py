@@ -13,7 +13,7 @@ import scipy
 from ..arguments import typed
 from ..block.transcription.loaded import base_wrench, compliance, compliance_along, evaluate, symmetric_part
 from ..errors import InputError, finite
-from ..robots.assembly import ROUND_OFF, Assembly
+from ..robots.assembly import LENGTH_ROUND_OFF, Assembly
 from ..robots.load import Load, PointLoad
 from ..robots.order import SAME_END, twisted_tube
 from ..robots.robot import Robot, resized
@@ -276,7 +276,7 @@ def _slope(point: LoadedPoint, modes: tuple[Array, Array], difference: Differenc
 
 def _cut(assembly: Assembly) -> tuple[int, int]:
     """Numbers of sections of an arm, and of those that have a length."""
-    return assembly.n_sections, int((assembly.length > ROUND_OFF).sum())
+    return assembly.n_sections, int((assembly.length > LENGTH_ROUND_OFF).sum())
 
 
 # --- Compliance -------------------------------------------------------------------------------------------------------

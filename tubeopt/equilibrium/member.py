@@ -50,7 +50,7 @@ from ..solvers.settings import HARDLY_SOFTENED, LEAST_STIFFNESS, NEWTON, Newton
 from ..typing import Array, Index
 from .problem import (
     DEFAULT_DISCRETISATION,
-    EXTRA_POINTS,
+    EXTRA_COLLOCATION_POINTS,
     LOADED_DISCRETISATION,
     Discretisation,
     loaded_problem,
@@ -539,7 +539,7 @@ class Loaded(Member[LoadedState]):
 
     def _errors(self, point: LoadedPoint) -> Errors:
         """Estimated errors: the change by one Newton step on a mesh with more points per piece."""
-        finer = self.on(degree=self.discretisation.degree + EXTRA_POINTS)
+        finer = self.on(degree=self.discretisation.degree + EXTRA_COLLOCATION_POINTS)
         problem, state = finer.problem, finer.at(finer.transfer(point))
         # At a fold the step along the softest direction is unbounded: its stiffness counts as at least this.
         shift = LEAST_STIFFNESS if abs(point.margin) < LEAST_STIFFNESS else 0.0

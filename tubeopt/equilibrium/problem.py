@@ -63,7 +63,7 @@ LOADED_DISCRETISATION = Discretisation(degree=7)
 KEPT = 128
 """Number of problems in a cache."""
 
-EXTRA_POINTS = 1
+EXTRA_COLLOCATION_POINTS = 1
 """Number of collocation points per piece that the check of the mesh has more than the solution."""
 
 
@@ -233,7 +233,7 @@ def loaded_rules(robot: Robot, translations: tuple[float, ...], load: Load, refi
     family, degree = LOADED_DISCRETISATION.family, LOADED_DISCRETISATION.degree
     problem = loaded_problem(robot, translations, load, Discretisation(family, degree, refinement))
     # Only the kernel uses the two other rules: they are not cached on their own.
-    rough_and_fine = (Discretisation(family, k, refinement) for k in (ROUGH_DEGREE, degree + EXTRA_POINTS))
+    rough_and_fine = (Discretisation(family, k, refinement) for k in (ROUGH_DEGREE, degree + EXTRA_COLLOCATION_POINTS))
     return LoadedRules(problem, *(_problem(robot, translations, load, d) for d in rough_and_fine))
 
 

@@ -32,7 +32,7 @@ from .result import Equilibrium, Verification, refuse_friction, small_turn
 # Four orders below the accuracy of an equilibrium, 1e-8: differences are then errors of the solver, not of the check.
 TOLERANCE = 1e-12
 
-ROUND_OFF = 4e-16
+CURVATURE_ROUND_OFF = 4e-16
 """Relative change of a curvature by round-off."""
 
 SAME_PLACE = 1e-12
@@ -288,7 +288,7 @@ class _Section:
         for _ in range(60 if assembly.eccentric else 0):
             g = 1 + assembly.offset * (u.real[:, None] * sin - u.imag[:, None] * cos)
             u, before = total / (kb / g).sum(1), u
-            if (np.abs(u - before) <= ROUND_OFF * np.abs(u)).all():
+            if (np.abs(u - before) <= CURVATURE_ROUND_OFF * np.abs(u)).all():
                 break
         return _Curvature(u, moments, g)
 

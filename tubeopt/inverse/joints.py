@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import InputError, vector
 from ..files.units import TO_MM
-from ..robots.assembly import ROUND_OFF, Assembly
+from ..robots.assembly import LENGTH_ROUND_OFF, Assembly
 from ..robots.limits import JointLimits, check_turn
 from ..robots.order import Demand, carriage_name, demands, in_order, translation_ranges
 from ..robots.robot import Robot
@@ -359,7 +359,7 @@ def _joint_space(
     turn = np.array(allowed.rotations).reshape(n, 2)
     lower = np.array([*turn[:, 0], *((low - offset)[list(group)].max() for group in carriages)])
     upper = np.array([*turn[:, 1], *((high - offset)[list(group)].min() for group in carriages)])
-    upper = np.where((upper - lower <= ROUND_OFF) & (lower - upper <= SAME_PLACE), lower, upper)
+    upper = np.where((upper - lower <= LENGTH_ROUND_OFF) & (lower - upper <= SAME_PLACE), lower, upper)
     rows = np.array([spread[n + demand.ahead] - spread[n + demand.behind] for demand in order])
     least = np.array([demand.least - offset[demand.ahead] + offset[demand.behind] for demand in order])
     variable = np.array([bool(row.any()) for row in rows], dtype=bool)
@@ -393,7 +393,7 @@ def _tied(robot: Robot, order: Sequence[Demand]) -> tuple[Array, tuple[tuple[int
         i, j = demand.ahead, demand.behind
         upper = min((-each.least for each in order if (each.ahead, each.behind) == (j, i)), default=np.inf)
         first, second = (next(group for group in groups if k in group) for k in (i, j))
-        if not -ROUND_OFF <= upper - demand.least <= SAME_PLACE or first is second:
+        if not -LENGTH_ROUND_OFF <= upper - demand.least <= SAME_PLACE or first is second:
             continue
         # q_i + offset_i - q_j - offset_j is in the middle of the remaining play, with q_i = q_j from now on.
         shift = (demand.least + upper) / 2 - offset[i] + offset[j]

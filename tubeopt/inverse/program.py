@@ -62,7 +62,7 @@ from .goal import Goal
 from .posture import Posture
 
 # The program only needs the right basin: Newton's method on the fine mesh finishes its answer.
-STEPS = 2
+SHAPE_STEPS = 2
 """Steps of the shape per piece: the fast path, and forward kinematics after it, integrate more finely."""
 
 SHARPNESS = 30.0
@@ -147,7 +147,7 @@ def _program(question: Question, _thread: int) -> Problem:
     clearance, radius = given("clearance"), given("radius", pieces)
     for k, obstacle in enumerate(question.obstacles):
         far = _soft_distance(obstacle, points.shape[1], length)
-        thick = ca.reshape(ca.repmat(radius.T, 2 * STEPS, 1), 1, -1)
+        thick = ca.reshape(ca.repmat(radius.T, 2 * SHAPE_STEPS, 1), 1, -1)
         clear = far(points, ca.horzcat(radius[0], thick))
         problem.subject_to(f"clearance of obstacle {k + 1}", clear - clearance, scale=length)
     off = given("weights", n + groups) * (ca.vertcat(turn, shift) - given("reference", n + groups))
@@ -200,7 +200,7 @@ class _Shape(NamedTuple):
     position: Any
     """Position (3,) of the tip, m."""
     points: Any
-    """Points (3, 1 + 2 STEPS P) along the arm, m."""
+    """Points (3, 1 + 2 SHAPE_STEPS P) along the arm, m."""
     bending: Any
     """Integral of |u|^2 ds, 1/m."""
 
@@ -218,17 +218,17 @@ def _shape(arm: TorsionModel) -> _Shape:
 
 @lru_cache(maxsize=16)
 def _piece_shape(grid: Grid) -> ca.Function:
-    """Function (R, p, arguments of a piece) -> pose at its end, points (3, 2 STEPS) in it, int |u|^2 ds."""
+    """Function (R, p, arguments of a piece) -> pose at its end, points (3, 2 SHAPE_STEPS) in it, int |u|^2 ds."""
     torsion = torsion_of(symbolic_piece(grid))
     frame, begin = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3)
-    h, points, before, ahead = torsion.piece.length / STEPS, [], begin, frame[:, 2]
-    for turn, shift, _ in shape_of(torsion, steps=STEPS):
+    h, points, before, ahead = torsion.piece.length / SHAPE_STEPS, [], begin, frame[:, 2]
+    for turn, shift, _ in shape_of(torsion, steps=SHAPE_STEPS):
         position, turned = begin + frame @ shift, frame @ rotation_matrix(turn)
         # Halfway on the cubic with the tangents at both ends.
         points += [(before + position) / 2 + h * (ahead - turned[:, 2]) / 8, position]
         before, ahead = position, turned[:, 2]
-    u = torsion.curvature(((np.arange(STEPS)[:, None] + GAUSS_POINTS) / STEPS).ravel())
-    bend = h * ca.dot(ca.repmat(ca.DM([5, 8, 5]) / 18, STEPS, 1), ca.sum1(u**2).T)
+    u = torsion.curvature(((np.arange(SHAPE_STEPS)[:, None] + GAUSS_POINTS) / SHAPE_STEPS).ravel())
+    bend = h * ca.dot(ca.repmat(ca.DM([5, 8, 5]) / 18, SHAPE_STEPS, 1), ca.sum1(u**2).T)
     outputs = [turned, position, ca.horzcat(*points), bend]
     return ca.Function("shape", [frame, begin, *torsion.piece.arguments], outputs, {"cse": True})
 

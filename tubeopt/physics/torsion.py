@@ -1,9 +1,9 @@
 """Torsion of a bundle of tubes at one cross-section: curvature, moments, energy, second variation.
 
-The general assembly: tube i runs beside the centreline at offset d_i in direction phi_i, and s is the arc length of the
-centreline. With m_i = kb_i kappa_i on the curved part and 0 elsewhere,
+The general assembly: tube i runs at an offset d_i from the centreline, in direction gamma_i, and s is the arc length
+of the centreline. With m_i = kb_i kappa_i on the curved part and 0 elsewhere,
 
-    g_i = ds_i/ds = 1 + d_i (u_x sin phi_i - u_y cos phi_i)
+    g_i = ds_i/ds = 1 + d_i (u_x sin gamma_i - u_y cos gamma_i)
     u sum_i kb_i / g_i = sum_i m_i (cos theta_i, sin theta_i)
     theta_i' = g_i w_i,   kt_i w_i' = m_i (u_x sin theta_i - u_y cos theta_i) =: M_i(theta)
 
@@ -47,7 +47,7 @@ def cross_section(
         stiffness: (n,) kb_i of the tubes present, 0 for the others, N m^2.
         moment: (n,) m_i = kb_i kappa_i of the tubes curved here, 0 for the others, N m; or (n, 2), kb_i times the
             precurvature about both axes of the tube.
-        offset, angle: (n,) d_i (m), phi_i (rad); None where all tubes are concentric.
+        offset, angle: (n,) d_i (m), gamma_i (rad); None where all tubes are concentric.
         load: (2,) bending moment that forces put on concentric tubes here, N m.
 
     Returns:
@@ -145,7 +145,7 @@ def symbolic_section(theta: Any, stiffness: Any, moment: Any, *offsets: Any, loa
 
 @lru_cache(maxsize=32)
 def _section_function(n: int, moments: int, eccentric: bool, loaded: bool) -> ca.Function:
-    theta, stiffness, offset, angle = (ca.SX.sym(s, n) for s in ("theta", "kb", "d", "phi"))
+    theta, stiffness, offset, angle = (ca.SX.sym(s, n) for s in ("theta", "kb", "d", "gamma"))
     moment, load = ca.SX.sym("m", n, moments), ca.SX.sym("load", 2)
     inputs = [theta, stiffness, moment, *([offset, angle] if eccentric else [])]
     section = cross_section(*inputs, load=load if loaded else 0.0)
@@ -166,7 +166,7 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
     diagonals d2u/dtheta_i^2 (2, n) of its second derivatives, which have nothing else: what tubes under load need,
     whose curvature is not u.
     """
-    theta, stiffness, moment, offset, angle = (ca.SX.sym(s, n) for s in ("theta", "kb", "m", "d", "phi"))
+    theta, stiffness, moment, offset, angle = (ca.SX.sym(s, n) for s in ("theta", "kb", "m", "d", "gamma"))
     inputs = [theta, stiffness, moment] + ([offset, angle] if eccentric else [])
     section = cross_section(*inputs)
     data = ca.vertcat(theta, stiffness, moment)

@@ -42,7 +42,7 @@ from ..typing import Array
 from .question import PlanTask
 
 # The test ends at the first start that comes near, so it costs little where a place is reachable.
-STARTS, STEPS = 8, 20
+STARTS, GAUSS_NEWTON_STEPS = 8, 20
 """Starts of the reachability test, half of them nearest in the table, half spread; and Gauss-Newton steps from each."""
 
 LONGEST_STEP = 0.4
@@ -128,7 +128,7 @@ def _closest(task: PlanTask, start: Array, position: Array) -> float:
     """Distance of the tip after Gauss-Newton from joint values (m,), used as tip rotations, m."""
     length, z = task.coordinates.space.length, start
     miss = np.inf
-    for _ in range(STEPS):
+    for _ in range(GAUSS_NEWTON_STEPS):
         tips = tips_about(task, z)
         distance = float(np.linalg.norm(tips[0] - position))
         # A step that gains less than a thousandth is at a local minimum, or at a limit.

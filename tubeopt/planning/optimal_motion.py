@@ -43,7 +43,7 @@ from .knots import Cubics, ample_duration, body_distances, differences
 from .motion import ANY_RATES, DEFAULT_RATES, JointMotion, RateLimits
 from .plan import build
 from .question import PlanOptions, PlanTask, plan_task
-from .smoothing import LEAST_FIELDS, MARGIN_RESERVE, ROUND_OFF, TWIST
+from .smoothing import JOINT_ROUND_OFF, LEAST_FIELDS, MARGIN_RESERVE, TWIST
 from .timing import violated
 from .trajectory import PlanStatistics, Trajectory
 
@@ -479,11 +479,11 @@ class Motion:
         inner = self._path.inner / ca.repmat(ca.DM(space.scale), 1, count)
         for name, sign, end in (("lower", 1.0, space.lower), ("upper", -1.0, space.upper)):
             rows = np.flatnonzero(np.isfinite(end)).tolist()
-            bound = ca.DM(end[rows] / space.scale[rows] - sign * ROUND_OFF)
+            bound = ca.DM(end[rows] / space.scale[rows] - sign * JOINT_ROUND_OFF)
             self._demand(f"{name} end of the ranges", sign * (inner[rows, :] - ca.repmat(bound, 1, count)))
         if len(space.least):
             excess = ca.DM(space.rows) @ self._path.inner - ca.repmat(ca.DM(space.least), 1, count)
-            self._demand("order of the tubes", excess / space.length + ROUND_OFF)
+            self._demand("order of the tubes", excess / space.length + JOINT_ROUND_OFF)
 
     def _fix(self, name: str, knot: int, point: Array) -> None:
         """Constrain a knot to tip coordinates (m,), which determine its joint rotations."""

@@ -35,7 +35,7 @@ from ..equilibrium.verification import verifications
 from ..errors import InputError, SolveError, finite, instance, positive
 from ..files.field_metadata import TYPICAL_CLEARANCE, form, key, typical_length, unit
 from ..inverse.clock import Clock
-from ..robots.assembly import ROUND_OFF
+from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
@@ -200,7 +200,7 @@ class _Row:
         # A distance that changes its sign over two links: breakpoints pass each other. One sign is enough, since the
         # table is antisymmetric.
         distance = self._distances(np.array([step.joints[n:] for step in self.steps]))
-        return np.asarray(same & ~((distance[:-2] > ROUND_OFF) & (distance[2:] < -ROUND_OFF)).any((1, 2)))
+        return np.asarray(same & ~((distance[:-2] > LENGTH_ROUND_OFF) & (distance[2:] < -LENGTH_ROUND_OFF)).any((1, 2)))
 
     def _distances(self, translations: Array) -> Array:
         """(S, P, P) signed distances between breakpoints, plate and load points at translations (S, n), m."""
@@ -237,7 +237,7 @@ class _Row:
     def _meeting(self, step: int, shift: Array) -> bool:
         """True if breakpoints of tubes with rates `shift` (n,) meet others, the plate or a load point."""
         n, ended = self.verifier.robot.n_tubes, self.verifier.constants.ended
-        meet = np.abs(self._distances(self.steps[step].joints[None, n:])[0]) <= ROUND_OFF
+        meet = np.abs(self._distances(self.steps[step].joints[None, n:])[0]) <= LENGTH_ROUND_OFF
         owner = np.full(len(meet), -1)
         # Points are the plate, the breakpoints of all tubes, then places of the load; only those of tubes move.
         owner[1 : 1 + n * ended] = np.tile(np.arange(n), ended)

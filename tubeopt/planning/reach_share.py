@@ -43,7 +43,7 @@ from .roadmap import Roadmap, roadmap_of
 POINTS, CONNECTED_POINTS = 30, 4
 """Number of roadmap nodes, nearest tip first, considered per target; and of reachable ones that start the approach."""
 
-STEPS = 15
+GAUSS_NEWTON_STEPS = 15
 """Maximum number of Gauss-Newton steps from each of these."""
 
 # Beyond this, the distance from a target does not distinguish designs.
@@ -195,7 +195,7 @@ def _approach(task: PlanTask, start: Array, place: Array, enough: float) -> tupl
     """Distance from a target (m) after Gauss-Newton over valid points, and the last point."""
     z, tips = start, tips_about(task, start)
     miss = float(np.linalg.norm(tips[0] - place))
-    for _ in range(STEPS):
+    for _ in range(GAUSS_NEWTON_STEPS):
         step = None if miss <= enough else step_towards(task, z, tips, place)
         if step is None:
             break

@@ -314,7 +314,7 @@ Per operation of an equilibrium, per obstacle, and per node of a table of distan
 LEAST_FIELDS = 1e-3
 """Smallest determinant of the Jacobi fields, which is 1 at the tip."""
 
-ROUND_OFF = 1e-9
+JOINT_ROUND_OFF = 1e-9
 """Round-off in joint ranges, in units of the scales."""
 
 
@@ -490,10 +490,10 @@ def _bounds(
     for name in ("speed", "force", "twist"):
         upper[name][:] = 0.0
     inside = ((np.arange(knots) > 0) & (np.arange(knots) < knots - 1))[:, None]
-    lower["order"] = np.tile(space.least / space.length - ROUND_OFF, 2 * (knots - 1))
+    lower["order"] = np.tile(space.least / space.length - JOINT_ROUND_OFF, 2 * (knots - 1))
     ends = q[[0, -1]] / task.scale
-    lower["ranges"] = np.tile(np.minimum(space.lower / task.scale, ends.min(0)) - ROUND_OFF, 2 * (knots - 1))
-    upper["ranges"] = np.tile(np.maximum(space.upper / task.scale, ends.max(0)) + ROUND_OFF, 2 * (knots - 1))
+    lower["ranges"] = np.tile(np.minimum(space.lower / task.scale, ends.min(0)) - JOINT_ROUND_OFF, 2 * (knots - 1))
+    upper["ranges"] = np.tile(np.maximum(space.upper / task.scale, ends.max(0)) + JOINT_ROUND_OFF, 2 * (knots - 1))
     limits: dict[str, float | Array] = {"fields": LEAST_FIELDS, "clearance": least / space.length}
     for name, value in limits.items():
         if rows.get(name):

@@ -32,7 +32,7 @@ from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..inverse.clock import Clock
-from ..robots.assembly import ROUND_OFF
+from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..stability.following import find_snap
@@ -526,11 +526,11 @@ def _meetings(points: Array) -> dict[int, Array]:
     difference = points[:, :, None] - points[:, None, :]
     before, after = difference[:-1], difference[1:]
     meetings: dict[int, Array] = {}
-    crossed = (before > ROUND_OFF) & (after < -ROUND_OFF)
+    crossed = (before > LENGTH_ROUND_OFF) & (after < -LENGTH_ROUND_OFF)
     for k in np.flatnonzero(crossed.any((1, 2))):
         a, passed = before[k][crossed[k]], (before - after)[k][crossed[k]]
         order, distinct = np.argsort(a / passed), list[float]()
-        for x, same in zip((a / passed)[order].tolist(), (ROUND_OFF / passed)[order].tolist(), strict=True):
+        for x, same in zip((a / passed)[order].tolist(), (LENGTH_ROUND_OFF / passed)[order].tolist(), strict=True):
             if not distinct or x - distinct[-1] > same:
                 distinct.append(x)
         meetings[int(k)] = np.array(distinct)

@@ -21,7 +21,7 @@ from .limits import check_reach
 from .tubes import Tube
 
 # Breakpoints closer than this (m) are one: far below any tolerance of a tube, far above round-off of a length.
-ROUND_OFF = 1e-12
+LENGTH_ROUND_OFF = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +138,7 @@ class Assembly:
 
     @property
     def total_length(self) -> float:
-        """Arc length of the tip, m; 0 if no tube reaches beyond the plate by more than ROUND_OFF."""
+        """Arc length of the tip, m; 0 if no tube reaches beyond the plate by more than LENGTH_ROUND_OFF."""
         return float(self.end.max()) if self.n_sections else 0.0
 
     @cached_property
@@ -153,7 +153,7 @@ class Assembly:
 
     @property
     def across(self) -> Array:
-        """Offsets (n, 2) of the tubes from the centreline, d (cos phi, sin phi), m."""
+        """Offsets (n, 2) of the tubes from the centreline, d (cos gamma, sin gamma), m."""
         angle = self.offset_angle
         return np.asarray(self.offset[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
 
@@ -187,7 +187,7 @@ def assemble(
     straight = np.array([tube.straight_length for tube in tubes])
     beta = translations - straight
     for i in range(n):
-        if beta[i] > ROUND_OFF:
+        if beta[i] > LENGTH_ROUND_OFF:
             raise InputError(
                 f"{name} of tube {i + 1} is {translations[i]:g} m and moves it out of its "
                 f"carriage; it must be at most its straight_length, {straight[i]:g} m"
@@ -271,10 +271,10 @@ def where(transition: Array, end: Array, curvature: Array, s: Array | float) -> 
 
 
 def merge(points: Iterable[float]) -> Array:
-    """Sorted points without those closer than ROUND_OFF to the one before."""
+    """Sorted points without those closer than LENGTH_ROUND_OFF to the one before."""
     distinct: list[float] = []
     for point in sorted(points):
-        if not distinct or point - distinct[-1] > ROUND_OFF:
+        if not distinct or point - distinct[-1] > LENGTH_ROUND_OFF:
             distinct.append(point)
     return np.array(distinct)
 
@@ -282,7 +282,7 @@ def merge(points: Iterable[float]) -> Array:
 def cut(assembly: Assembly, at: Array) -> Assembly:
     """Bundle with further breakpoints at arc lengths `at` (m) between the plate and the tip."""
     total = assembly.total_length
-    inside = at[(at > ROUND_OFF) & (at < total - ROUND_OFF)]
+    inside = at[(at > LENGTH_ROUND_OFF) & (at < total - LENGTH_ROUND_OFF)]
     start = merge(np.concatenate([assembly.start, inside]))
     length = np.diff(np.append(start, total))
     # New breakpoints only divide sections, so that the middle of a part lies in one old section.
@@ -356,7 +356,7 @@ def joints_of(assembly: Assembly) -> list[Array]:
     if table is None:
         return [np.zeros(0)] * assembly.n_tubes
     places = table.breaks - assembly.transmission[:, None]
-    first, last = assembly.transition + ROUND_OFF, assembly.end - ROUND_OFF
+    first, last = assembly.transition + LENGTH_ROUND_OFF, assembly.end - LENGTH_ROUND_OFF
     return [own[(own > a) & (own < b)] for own, a, b in zip(places, first, last, strict=True)]
 
 

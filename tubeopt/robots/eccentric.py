@@ -15,7 +15,7 @@ from ..arguments import typed
 from ..errors import InputError
 from ..files.field_metadata import NOT_NEGATIVE, check_fields, unit
 from ..typing import Array
-from .assembly import ROUND_OFF, Assembly, assemble
+from .assembly import LENGTH_ROUND_OFF, Assembly, assemble
 from .calibration import Calibration
 from .limits import JointLimits
 from .robot import Robot, keeps_hash
@@ -81,7 +81,7 @@ class SheathedRobot(Robot):
         """
         count = len(self.held)
         for k, row in enumerate(np.reshape(translations, (-1, 3))):
-            if np.ptp(row) > ROUND_OFF:
+            if np.ptp(row) > LENGTH_ROUND_OFF:
                 which = f" of segment {k + 1}" if count > 1 else ""
                 raise InputError(
                     f"translations{which} are {row.tolist()} m; the three tubes of a segment share a sheath, so they "
@@ -200,7 +200,7 @@ class SegmentedEccentricRobot(SheathedRobot):
                     f"segments {i + 1} and {i + 2} do not nest: outer_diameter {inner.outer_diameter:g} m must be at "
                     f"most inner_diameter {outer.inner_diameter:g} m"
                 )
-            if inner.straight_length < outer.length - ROUND_OFF:
+            if inner.straight_length < outer.length - LENGTH_ROUND_OFF:
                 raise InputError(
                     f"straight_length of segment {i + 1} is {inner.straight_length:g} m; it must be at least the "
                     f"length of segment {i + 2}, {outer.length:g} m, or their curved parts would overlap at home"

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import InputError
 from ..typing import Array, Index, Mask
-from .assembly import ROUND_OFF
+from .assembly import LENGTH_ROUND_OFF
 from .limits import JointLimits, default_limits
 from .tubes import Tube
 
@@ -161,7 +161,7 @@ def in_order(
         bottom, top = float(ranges[0][list(tubes)].max()), float(ranges[1][list(tubes)].min())
         if k:
             bottom, top = max(bottom, interval[-1][0] - most[k - 1]), min(top, interval[-1][1] - least[k - 1])
-        if bottom > top + ROUND_OFF or least[k] > most[k] + ROUND_OFF:
+        if bottom > top + LENGTH_ROUND_OFF or least[k] > most[k] + LENGTH_ROUND_OFF:
             return None
         interval.append((bottom, top))
     # Back from the outermost, every choice in its interval can be continued: no choice is ever undone.

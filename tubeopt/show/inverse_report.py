@@ -28,7 +28,7 @@ from .report import Drawing, Report, drawing, grid, two_columns
 NOTES = 10
 """Largest number of listed notes on targets; further notes are counted."""
 
-ROUND_OFF = 1e-2
+CONVERGED_ERROR = 1e-2
 """Error (mm or deg) below which a solve has converged: targets are reached to 1e-6 mm, and misses are larger."""
 
 SOLUTION = described(
@@ -71,7 +71,7 @@ SOLUTION = described(
 
 def _error(value: float) -> str:
     """An error in mm or deg: round-off by its magnitude, a miss by its digits."""
-    return f"{value:.4f}" if value >= ROUND_OFF else f"{value:.1e}"
+    return f"{value:.4f}" if value >= CONVERGED_ERROR else f"{value:.1e}"
 
 
 def _path_text(s: InverseSolution) -> str:

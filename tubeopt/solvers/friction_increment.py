@@ -21,7 +21,7 @@ from ..block.transcription.contact import Contact, ContactState, evaluate_contac
 from ..block.transcription.second_variation import least
 from ..typing import Array
 from .newton import FLOW_STEPS, STRIDE, grown, shortened
-from .settings import FRICTION_ITERATIONS, LAST_STEP, ROUND_OFF, STICK_CHANGES
+from .settings import FRICTION_ITERATIONS, LAST_STEP, NEWTON_ROUND_OFF, STICK_CHANGES
 
 # --- Sticking and slipping --------------------------------------------------------------------------------------------
 
@@ -283,8 +283,8 @@ def increment(
             slip = state.relative_rotations - before
             forces = sliding.all_rows(torque, current, slip)
             # After a step of round-off, torques of rows with a small slide may still change.
-            tiny = size <= ROUND_OFF and not sliding.any
-            if tiny or imbalance(contact, state, forces.torque) <= ROUND_OFF:
+            tiny = size <= NEWTON_ROUND_OFF and not sliding.any
+            if tiny or imbalance(contact, state, forces.torque) <= NEWTON_ROUND_OFF:
                 wrong = np.where(forces.signs == 0, np.abs(slip), np.maximum(0.0, -slip * forces.signs))
                 if slid is not None:
                     # lam sqrt(v^2 + zeta^2) = D v for rows that slide along the axis.

@@ -15,7 +15,7 @@ import scipy
 
 from ..block.transcription.reduced import Evaluation, ReducedProblem
 from ..typing import Array
-from .settings import LAST_STEP, LONGEST_STEP, NEWTON, ROUND_OFF, Newton
+from .settings import LAST_STEP, LONGEST_STEP, NEWTON, NEWTON_ROUND_OFF, Newton
 from .time_limit import check_time
 
 S = TypeVar("S")
@@ -73,7 +73,7 @@ def full_steps(
         if not size <= LONGEST or (size > 2 * last and size > np.pi):
             return NewtonResult(state, False, iteration, np.inf)
         state = moved(state, change)
-        if size <= LAST_STEP and (size <= ROUND_OFF or residual(state) <= ROUND_OFF):
+        if size <= LAST_STEP and (size <= NEWTON_ROUND_OFF or residual(state) <= NEWTON_ROUND_OFF):
             return NewtonResult(state, True, iteration, contraction)
         # The ratio of smaller steps is round-off.
         if size > LAST_STEP:

@@ -39,7 +39,7 @@ NEWTON = Newton()
 LAST_STEP = 1e-6
 """Newton step (rad) after which an iteration ends, if the residual is of round-off."""
 
-ROUND_OFF = 1e-12
+NEWTON_ROUND_OFF = 1e-12
 """Residual or step (rad) close to round-off; smaller values are no sign of divergence."""
 
 # The coupling energy has the period 2 pi: within 1 rad its second-order model still has the right sign of curvature.

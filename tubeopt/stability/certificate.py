@@ -26,7 +26,7 @@ from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_assembly, redu
 from ..errors import InputError, positive
 from ..files.field_metadata import form, unit
 from ..physics.certificate import APART, OPPOSED, PARAMETERS, Pattern, largest_eigenvalue, worst_function
-from ..robots.assembly import ROUND_OFF, Assembly, merge
+from ..robots.assembly import LENGTH_ROUND_OFF, Assembly, merge
 from ..robots.lengthwise import variation
 from ..robots.limits import check_force
 from ..robots.robot import Robot, shifts
@@ -406,7 +406,9 @@ def breakpoint_pattern(assembly: Assembly) -> Pattern:
     """Order of breakpoints for `physics.certificate.determinant_function`; breakpoints that coincide count for the
     first tube."""
     breakpoints = np.stack([assembly.transition, assembly.end], axis=1).ravel()
-    ends = [int(np.argmax(np.abs(breakpoints - stop) <= 2 * ROUND_OFF)) for stop in assembly.start + assembly.length]
+    ends = [
+        int(np.argmax(np.abs(breakpoints - stop) <= 2 * LENGTH_ROUND_OFF)) for stop in assembly.start + assembly.length
+    ]
     present, curved = (tuple(map(tuple, mask.astype(int).tolist())) for mask in (assembly.present, assembly.curved))
     return tuple(ends), present, curved
 

@@ -29,7 +29,7 @@ import scipy
 from ..block.transcription.buffered import section_function
 from ..errors import InputError
 from ..physics.certificate import PARAMETERS
-from ..robots.assembly import ROUND_OFF, Assembly, assemble
+from ..robots.assembly import LENGTH_ROUND_OFF, Assembly, assemble
 from ..robots.eccentric import PLACES
 from ..robots.robot import Robot
 from ..typing import Array
@@ -92,7 +92,7 @@ GRID_ALLOWANCE = (1e-4, 4e-3)
 TABLE_ALLOWANCE = 5e-5
 """Reduction of x in the table: bound on the error of linear interpolation in delta and phi."""
 
-STEPS = 1600
+ARC_STEPS = 1600
 """Number of steps of x up to pi / 2."""
 
 
@@ -177,7 +177,7 @@ def all_rotations() -> Array:
     return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def length_curve(delta: float, steps: int = STEPS) -> Array:
+def length_curve(delta: float, steps: int = ARC_STEPS) -> Array:
     """(65,) lower bounds on the x with phi equal to ANGLES, for one delta."""
     if delta == 0.0:
         return ANGLES.copy()
@@ -282,7 +282,7 @@ def _segment(assembly: Assembly, k: int) -> Segment | None:
         return None
     same = ("bending_stiffness", "torsional_stiffness", "curvature", "offset", "transmission")
     table = np.array([getattr(assembly, name)[tubes] for name in same])
-    if (np.ptp(table, axis=1) > EQUAL * np.abs(table).max(1) + np.array([0, 0, 0, 0, ROUND_OFF])).any():
+    if (np.ptp(table, axis=1) > EQUAL * np.abs(table).max(1) + np.array([0, 0, 0, 0, LENGTH_ROUND_OFF])).any():
         return None
     kb, kt, curvature, offset, transmission = table[:, 0]
     turn = (assembly.offset_angle - assembly.offset_angle[tubes[0]]) / (2 * np.pi / 3)

@@ -32,7 +32,7 @@ from .motion import Event, Snap, family_between, motion, segment
 
 T = TypeVar("T")
 
-STEPS = 4
+STEPS_PER_WAYPOINT = 4
 """Steps of a dense path from one waypoint to the next."""
 
 STEPS_TO_SNAP = 16
@@ -156,7 +156,7 @@ def _refined(part: Stretch, *, ends_in_snap: bool) -> Stretch:
     at, equilibria = [float(part.at[0])], [part.equilibria[0]]
     for (first, start), (last, end) in pairwise(zip(part.at.tolist(), part.equilibria, strict=True)):
         to_fold = ends_in_snap and end is part.equilibria[-1]
-        steps = STEPS_TO_SNAP if to_fold else STEPS
+        steps = STEPS_TO_SNAP if to_fold else STEPS_PER_WAYPOINT
         fraction = np.arange(1, steps) / steps
         # With t = 1 - x^2 the margin, a square root of the distance to the snap, falls linearly in x.
         fraction = 1 - (1 - fraction) ** 2 if to_fold else fraction

@@ -24,7 +24,7 @@ from ..typing import Array, Index, Mask
 CHUNKS = (512, 64, 8)
 """Numbers of tip angles integrated at once; the largest that needs at most half padding is used."""
 
-STEPS = 8
+STEPS_PER_PIECE = 8
 """Steps of the integration per piece of the mesh: errors near 1e-6 rad, so that Newton's method finishes the work."""
 
 State = tuple[Array, ...]
@@ -36,7 +36,7 @@ With `slopes` also the derivatives (B, n, n) of theta and of the torque by the t
 Grid = tuple[Array, Array]
 """theta and theta' (B, K, n) at points from the tip side of a piece to its base side."""
 
-GRID = np.arange(2 * STEPS + 1) / (2 * STEPS)
+GRID = np.arange(2 * STEPS_PER_PIECE + 1) / (2 * STEPS_PER_PIECE)
 """Fractions of a piece for the cross-sections of the steps."""
 
 
@@ -117,7 +117,7 @@ def gain_of(problem: ReducedProblem) -> Array:
     return np.diff(reach(problem.mesh, problem.here), axis=0)
 
 
-def shoot(bundle: Bundle, tips: Array, *, steps: int = STEPS, slopes: bool = False) -> Shot:
+def shoot(bundle: Bundle, tips: Array, *, steps: int = STEPS_PER_PIECE, slopes: bool = False) -> Shot:
     """Joint rotations for tip angles (B, k) of the first k tubes and 0 for all others; lengths are of all tubes.
 
     Args:
@@ -184,10 +184,10 @@ def _profiles(problem: ReducedProblem, bundle: Bundle, tips: Array) -> Array:
     at = len(problem.weight)
     state = _at_tip(tips, False)
     for piece in reversed(range(len(mesh.length))):
-        state, grid = _over(bundle, piece, STEPS, state)
+        state, grid = _over(bundle, piece, STEPS_PER_PIECE, state)
         if mesh.collocated[piece]:
             at -= degree
-            out[:, at : at + degree] = _hermite(grid, nodes, mesh.length[piece] / STEPS)
+            out[:, at : at + degree] = _hermite(grid, nodes, mesh.length[piece] / STEPS_PER_PIECE)
     return out
 
 
@@ -206,7 +206,9 @@ def _over(bundle: Bundle, piece: int, steps: int, state: State) -> tuple[State, 
     march = mapped(march_function(n, bool(bundle.place), len(state) > 3, steps, bundle.varying), count)
     # CasADi stores matrices by columns: derivatives (B, n, n) are (B n, n) there, one row per tip.
     columns = [part.swapaxes(1, 2).reshape(-1, n) for part in state[3:]]
-    sections = [part[piece, :: STEPS // steps].ravel() if bundle.varying else part[piece] for part in bundle.sections]
+    sections = [
+        part[piece, :: STEPS_PER_PIECE // steps].ravel() if bundle.varying else part[piece] for part in bundle.sections
+    ]
     *after, values, slopes = march(*state[:3], *columns, bundle.length[piece] / steps, *sections, *bundle.place)
     moved = [part.copy() for part in after[:3]]
     moved += [part.reshape(count, n, n).swapaxes(1, 2).copy() for part in after[3:]]

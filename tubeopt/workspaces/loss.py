@@ -30,7 +30,7 @@ SURE = 5
 CONFIDENCE = 0.95
 """Confidence of the interval of the lost fraction."""
 
-STEPS = 6
+STEPS_PER_SECTION = 6
 """Integration steps per section of the arm: errors of tips are about 1e-6 of the length."""
 
 CHUNK = 256
@@ -236,7 +236,7 @@ def from_tips(robot: Robot, tips: Array, translations: Array) -> Equilibria:
     """
     count = len(tips)
     parts: list[list[Array]] = [[], [], [], []]
-    march = _march(explicit_kind(robot, steps=STEPS), threading.get_ident())
+    march = _march(explicit_kind(robot, steps=STEPS_PER_SECTION), threading.get_ident())
     known = explicit_parameters(robot)
     for first in range(0, count, CHUNK):
         size = min(CHUNK, count - first)

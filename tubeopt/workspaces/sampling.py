@@ -22,7 +22,7 @@ from ..errors import InputError, choice, whole
 from ..files.field_metadata import OneOf, Range
 from ..files.files import atomic_write, lock, read_bytes, write_text
 from ..inverse.joints import JointSpace, joint_space
-from ..robots.assembly import ROUND_OFF
+from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.robot import Robot
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Mask, Progress
@@ -157,7 +157,7 @@ class Box:
     @property
     def free(self) -> np.ndarray:
         """(k,) coordinates with a range of positive width."""
-        return np.flatnonzero(self.high - self.low > ROUND_OFF)
+        return np.flatnonzero(self.high - self.low > LENGTH_ROUND_OFF)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from ...robots.lengthwise import CrossSections
 from ...typing import Array, Index
 from . import mesh as meshes
 from .buffered import chained, section_function
-from .collocated import ENDS, STEPS
+from .collocated import ENDS, SHAPE_STEPS
 from .mesh import INWARDS, Mesh, reach
 from .reduced import Evaluation, ReducedProblem
 from .tableau import Tableau, tableau
@@ -173,7 +173,7 @@ def sections_at(problem: ReducedProblem, x: tuple[float, ...]) -> CrossSections:
 
 @dataclass(frozen=True, eq=False)
 class ArmShape:
-    """Shape of an arm at its m = 1 + STEPS x P shape points."""
+    """Shape of an arm at its m = 1 + SHAPE_STEPS x P shape points."""
 
     arc_length: Array
     """Arc lengths (m,), m."""
@@ -335,10 +335,10 @@ def cumulate(t: Tableau, values: Array) -> Array:
 
 # --- Whole arm: shape, energy, error of the mesh ----------------------------------------------------------------------
 
-COARSE_STEPS = STEPS // 2
+COARSE_STEPS = SHAPE_STEPS // 2
 """Steps per piece of the coarser integration of the shape, which estimates the error."""
 
-EXTRA_POINTS = 3
+EXTRA_QUADRATURE_POINTS = 3
 """Number of additional collocation points in the check of the mesh."""
 
 SUBSTEPS = 2
@@ -353,7 +353,7 @@ def gauss_fractions(steps: int) -> Array:
 ROUGHER = np.vander(GAUSS_POINTS, 6) @ np.linalg.inv(np.vander(gauss_fractions(2)))
 """Matrix (3, 6) from the curvature at the points of two steps to that at the points of one step over both."""
 
-SHAPE_RATIO = (STEPS // COARSE_STEPS) ** 6 - 1
+SHAPE_RATIO = (SHAPE_STEPS // COARSE_STEPS) ** 6 - 1
 """Ratio of the difference of both integrations, of order 6, to the error of the finer one."""
 
 _HOME = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
@@ -377,7 +377,7 @@ def evaluate_arm(problem: ReducedProblem, rotations: Array, state: Evaluation, t
     # One step for two from the same curvatures: no further cross-sections, and an estimate of the error.
     rough = _poses(ROUGHER @ u.reshape(-1, 2 * len(GAUSS_POINTS), 2), 2 * length[::2])[1][-1]
     first = np.cumsum(steps) - steps
-    ends = np.append(0, (first[:, None] + steps[:, None] // STEPS * np.arange(1, STEPS + 1)).ravel())
+    ends = np.append(0, (first[:, None] + steps[:, None] // SHAPE_STEPS * np.arange(1, SHAPE_STEPS + 1)).ravel())
     # The state has the energy of the collocated pieces.
     energy = state.energy + float((mesh.length * (finer.bending @ _finer(mesh).weights))[~mesh.collocated].sum())
     if problem.assembly.eccentric:
@@ -409,12 +409,12 @@ def _steps(problem: ReducedProblem) -> NDArray[np.intp]:
     """Number of Magnus steps (P,) on every piece."""
     mesh = problem.mesh
     steady = problem.assembly.steady(*(mesh.start + mesh.length * x for x in (INWARDS / 2, 1 - INWARDS / 2)))
-    return np.where(steady, STEPS, SUBSTEPS * STEPS)
+    return np.where(steady, SHAPE_STEPS, SUBSTEPS * SHAPE_STEPS)
 
 
 def _finer(mesh: Mesh) -> Tableau:
     """Finer quadrature, a check on the quadrature of the mesh."""
-    return tableau("gauss", mesh.tableau.degree + EXTRA_POINTS)
+    return tableau("gauss", mesh.tableau.degree + EXTRA_QUADRATURE_POINTS)
 
 
 def _sections(problem: ReducedProblem, torsion: Profile, steps: NDArray[np.intp]) -> list[Sections]:
@@ -433,7 +433,7 @@ def _poses(u: Array, lengths: Array) -> tuple[Array, Array]:
 
 
 def _defect(problem: ReducedProblem, torsion: Profile, here: Sections) -> float:
-    """Error of theta by a quadrature with EXTRA_POINTS more points, at cross-sections `here`, rad.
+    """Error of theta by a quadrature with EXTRA_QUADRATURE_POINTS more points, at cross-sections `here`, rad.
 
     It has a part inside each piece, and one by the error of the torque, which twists the tube up to there.
     """

@@ -25,10 +25,10 @@ from ...physics.torsion import CrossSection, bent_anyhow, section_functions, sym
 from .chain import LocalTubes, column_length, local_tubes
 from .tableau import Tableau, tableau
 
-STEPS = 4
+SHAPE_STEPS = 4
 """Steps of the shape per piece, as many as in `forward_kinematics`."""
 
-ENDS = np.arange(STEPS + 1) / STEPS
+ENDS = np.arange(SHAPE_STEPS + 1) / SHAPE_STEPS
 """Shape points of a piece as fractions of its length, its start included."""
 
 THROUGH_ENDS = np.linalg.inv(np.vander(ENDS, increasing=True))
@@ -151,8 +151,8 @@ class LoadedPiece(Piece):
 def symbolic_piece(grid: Grid) -> Piece:
     """Piece with symbols for all fields."""
     n = grid.n_tubes
-    theta, twist, kb, m, kt, d, phi = (ca.SX.sym(s, n) for s in ("theta", "w", "kb", "m", "kt", "d", "phi"))
-    offsets = (d, phi) if grid.eccentric else ()
+    theta, twist, kb, m, kt, d, gamma = (ca.SX.sym(s, n) for s in ("theta", "w", "kb", "m", "kt", "d", "gamma"))
+    offsets = (d, gamma) if grid.eccentric else ()
     inner = ca.SX.sym("inner", n, grid.degree)
     along = ca.SX.sym("along", column_length(n, grid.detail)) if grid.detail else None
     fields = grid, theta, twist, inner, kb, m, kt, ca.SX.sym("h"), offsets, along
@@ -314,7 +314,7 @@ class RelativePose(NamedTuple):
     fraction: Any
 
 
-def shape_of(torsion: Torsion, fraction: Any = 1.0, *, steps: int = STEPS) -> list[RelativePose]:
+def shape_of(torsion: Torsion, fraction: Any = 1.0, *, steps: int = SHAPE_STEPS) -> list[RelativePose]:
     """Poses after each of `steps` Magnus steps from the start of a piece to `fraction` of it, a number or symbol."""
     turn, shift = ca.SX([1, 0, 0, 0]), ca.SX.zeros(3)
     out = []

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from ...robots.assembly import ROUND_OFF, Assembly
+from ...robots.assembly import LENGTH_ROUND_OFF, Assembly
 from ...robots.concentric import PAIRWISE, Friction
 from ...robots.load import Load
 from ...typing import Array, Index, Mask
@@ -172,11 +172,11 @@ def _concentrated(assembly: Assembly, capacities: dict[str, Array]) -> list[_Con
 
     for i in range(assembly.n_tubes - 1):
         end = float(assembly.end[i + 1])
-        if end <= ROUND_OFF:
+        if end <= LENGTH_ROUND_OFF:
             continue
         add(0.0, i, capacities["plate"][i])
         cuts = zip(assembly.breakpoints, assembly.breakpoint_tubes, strict=True)
-        for s in {s for s, j in cuts if j in (i, i + 1) and ROUND_OFF < s < end - ROUND_OFF}:
+        for s in {s for s, j in cuts if j in (i, i + 1) and LENGTH_ROUND_OFF < s < end - LENGTH_ROUND_OFF}:
             add(_nearest(assembly, s), i, capacities["jumps"][i])
         add(_nearest(assembly, end), i, capacities["ends"][i])
     return [_Concentrated(s, pair, capacity) for (s, pair), capacity in total.items()]

@@ -5,7 +5,7 @@ problem from tip to plate, which has exactly one solution. So equilibria, stable
 translations) correspond one to one. Such points distinguish equilibria at the same joint values, and a continuous path
 of points is a branch.
 
-The integrator takes `STEPS` steps of order 4 per section. Two-piece tubes have 2 n sections, some of length 0; general
+The integrator takes `STEPS_PER_SECTION` steps of order 4. Two-piece tubes have 2 n sections, some of length 0; general
 tubes have more, as chains of arcs and helices (`robots.lengthwise.steps_of`). Breakpoints are sorted by minima and
 maxima, so that one function serves every translation. One step is a CasADi function, called for all steps: the
 expression stays small. Determinants of the Jacobi fields of softened tubes give the margin, as in `inverse.program`;
@@ -180,11 +180,11 @@ def _field_rate(piece: Piece, x: float, theta: Any, w: Any, margin: Any) -> Call
 
 # --- Explicit map from tip rotations to the equilibrium ---------------------------------------------------------------
 
-STEPS = 4
+STEPS_PER_SECTION = 4
 """Steps per section: joint rotations of the thesis' robot to about 1e-5 rad."""
 
 MAX_HELIX_TURN = 1.5
-"""Largest natural turn (rad) of a helix in a section for which STEPS are as accurate as for an arc."""
+"""Largest natural turn (rad) of a helix in a section for which these steps are as accurate as for an arc."""
 
 MAX_EXPANDED_SIZE = 200_000
 """Largest number of operations for which all steps are expanded. It is a tenth faster than calls, but slow to build."""
@@ -200,7 +200,7 @@ class Kind:
     """True if tubes run off the centreline."""
     stretches: int = 0
     """Largest number of arcs and helices of a tube made of pieces; 0 for tubes of one curvature."""
-    steps: int = STEPS
+    steps: int = STEPS_PER_SECTION
     """Steps per section."""
 
     @property
@@ -222,7 +222,7 @@ class Kind:
         return cuts[:, -1] - cuts[:, 0]
 
 
-def explicit_kind(robot: Robot, *, steps: int = STEPS) -> Kind:
+def explicit_kind(robot: Robot, *, steps: int = STEPS_PER_SECTION) -> Kind:
     """Kind of a robot, with `steps` per section, half as many for tubes that vary along a piece.
 
     Such pieces are already cut into short stretches.
@@ -434,7 +434,7 @@ def _step(n: int, eccentric: bool, twisted: bool = False) -> ca.Function:
     """
     theta, w, h, kb, m, kt, softening, *place = (
         ca.SX.sym(k, 1 if k in ("h", "softening") else n)
-        for k in ("theta", "w", "h", "kb", "m", "kt", "softening", "d", "phi")
+        for k in ("theta", "w", "h", "kb", "m", "kt", "softening", "d", "gamma")
     )
     y, v = ca.SX.sym("y", n, n), ca.SX.sym("v", n, n)
     params = (kb, m, *(place if eccentric else ()))

@@ -20,7 +20,7 @@ import numpy as np
 from ...typing import Array, Index
 from .arm import ArmShape, frames_at_points
 from .buffered import bent_function, section_function
-from .collocated import STEPS
+from .collocated import SHAPE_STEPS
 from .loaded import LoadedProblem
 from .reduced import ReducedProblem
 
@@ -241,7 +241,7 @@ class ArmState:
         self.offsets: Offsets = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
         self.h = self.length[:, None, None]
         self.weights = self.length[:, None] * self.tableau.weights
-        self.frame, self.end_frame = frames_at_points(self.tableau, self.length, shape), shape.frame[::STEPS]
+        self.frame, self.end_frame = frames_at_points(self.tableau, self.length, shape), shape.frame[::SHAPE_STEPS]
         self.axis = self.frame[..., 2]
         self.across, self.about_axis = self.frame[..., :2].swapaxes(2, 3), hat(self.axis)
         """Matrices of a -> (R'a)_xy (P, K, 2, 3) and a -> e x a (P, K, 3, 3)."""

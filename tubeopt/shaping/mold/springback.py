@@ -24,7 +24,7 @@ from ...robots.tubes import Tube
 from ...typing import Array
 
 MODELS = ("auto", "constant", "linear")
-ROUND_OFF = 1e-9
+SLOPE_ROUND_OFF = 1e-9
 """Change of the fraction over the trials below which a slope is round-off, whatever the statistics say."""
 
 
@@ -151,7 +151,7 @@ def calibrate_springback(
     if model == "auto" and distinct >= 2 and len(molds) >= 4:
         line, ends, about = _least_squares(kappa, lost, 2)
         # The interval excludes 0 if both ends have one sign. A range of round-off shows no slope.
-        if ends and ends[1][0] * ends[1][1] > 0 and abs(line[1]) * np.ptp(kappa) > ROUND_OFF:
+        if ends and ends[1][0] * ends[1][1] > 0 and abs(line[1]) * np.ptp(kappa) > SLOPE_ROUND_OFF:
             values, intervals, noise = line, ends, about
     slope = float(values[1]) if len(values) == 2 else 0.0
     back = Springback(float(values[0]), slope, curvature_range=(float(kappa.min()), float(kappa.max())))

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...block.transcription.arm import ArmShape, ArmSolution, CollocationPoints
-from ...block.transcription.collocated import STEPS
-from ...robots.assembly import ROUND_OFF
+from ...block.transcription.collocated import SHAPE_STEPS
+from ...robots.assembly import LENGTH_ROUND_OFF
 from ...robots.lengthwise import Lengthwise, lengthwise
 from ...robots.robot import Robot
 from ...typing import Array, Mask
@@ -290,7 +290,7 @@ def solve_compiled(
 
 def _solution(answer: dict[str, Any]) -> ArmSolution:
     """Copy of the solution in an answer."""
-    m, points = answer["pieces"] * STEPS + 1, answer["points"]
+    m, points = answer["pieces"] * SHAPE_STEPS + 1, answer["points"]
     return ArmSolution(
         ArmShape(
             arc_length=answer["arc_length"][:m].copy(),
@@ -372,9 +372,11 @@ def slopes_compiled(
     solved = memory.has(prepared, rotations.tobytes() + translations.tobytes(), start)
     if not solved and _solve(prepared, rotations, translations, start) is None:
         return None
-    points = memory.fields["pieces"] * STEPS + 1
+    points = memory.fields["pieces"] * SHAPE_STEPS + 1
     s = memory.fields["arc_length"][:points]
-    same_mesh = solved or (points == len(start.arc_length) and bool(np.abs(s - start.arc_length).max() <= ROUND_OFF))
+    same_mesh = solved or (
+        points == len(start.arc_length) and bool(np.abs(s - start.arc_length).max() <= LENGTH_ROUND_OFF)
+    )
     if solved:
         deviation = 0.0
     elif same_mesh:

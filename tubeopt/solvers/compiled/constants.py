@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...block.transcription.arm import EXTRA_POINTS, ROUGHER, SUBSTEPS, gauss_fractions, hermite
-from ...block.transcription.collocated import ENDS, STEPS
+from ...block.transcription.arm import EXTRA_QUADRATURE_POINTS, ROUGHER, SUBSTEPS, gauss_fractions, hermite
+from ...block.transcription.collocated import ENDS, SHAPE_STEPS
 from ...block.transcription.mesh import DETAIL_PER_PIECE, INWARDS, KNOWN, SAMPLES, TWIST_PER_PIECE
 from ...block.transcription.tableau import tableau
 from ...robots.lengthwise import gauss_rule
@@ -44,10 +44,10 @@ def arm_constants() -> str:
     the Magnus steps (of even, and of varying tubes), ENDS, and nodes of the check. Copies of the last point pad them to
     a multiple of four.
     """
-    fine, check = tableau("gauss", DEGREE), tableau("gauss", DEGREE + EXTRA_POINTS)
-    numbers = {"SUBSTEPS": SUBSTEPS, "EXTRA_POINTS": EXTRA_POINTS}
+    fine, check = tableau("gauss", DEGREE), tableau("gauss", DEGREE + EXTRA_QUADRATURE_POINTS)
+    numbers = {"SUBSTEPS": SUBSTEPS, "EXTRA_POINTS": EXTRA_QUADRATURE_POINTS}
     tables = {"ROUGHER": ROUGHER, "CHECK_WEIGHTS": check.weights, "CHECK_COLUMNS": check.matrix.T}
-    for name, inside in (("EVEN", gauss_fractions(STEPS)), ("VARIED", gauss_fractions(SUBSTEPS * STEPS))):
+    for name, inside in (("EVEN", gauss_fractions(SHAPE_STEPS)), ("VARIED", gauss_fractions(SUBSTEPS * SHAPE_STEPS))):
         x = np.concatenate([inside, ENDS, check.nodes])
         x = np.pad(x, (0, -len(x) % 4), "edge")
         numbers[f"{name}_COUNT"] = len(x)

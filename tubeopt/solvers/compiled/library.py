@@ -28,16 +28,16 @@ import platformdirs
 import scipy
 
 from ...block.transcription.arm import SHAPE_RATIO
-from ...block.transcription.collocated import STEPS
+from ...block.transcription.collocated import SHAPE_STEPS
 from ...block.transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT
 from ...errors import InputError
 from ...files.files import write_text
 from ...physics.certificate import coupling_rate_function
 from ...physics.shape import carry_function
 from ...physics.torsion import section_functions
-from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
+from ...robots.assembly import LENGTH_ROUND_OFF as ROUND_OFF_LENGTH
 from ...robots.order import SAME_END
-from ..settings import LAST_STEP, LONGEST_STEP, NEWTON, ROUND_OFF
+from ..settings import LAST_STEP, LONGEST_STEP, NEWTON, NEWTON_ROUND_OFF
 from .constants import COARSE_DEGREE, DEGREE, arm_constants, rule_constants, slope_constants
 from .packaged import Kind, packaged_kernel, processor, processor_features
 from .text import HERE, c_text
@@ -133,7 +133,7 @@ def kernel_text(n: int, eccentric: bool = False, capacity: Capacity = CAPACITY) 
         "MOST_SECTIONS": capacity.pieces,
         "MOST_CUTS": MOST_CUTS,
         "N": n,
-        "STEPS": STEPS,
+        "STEPS": SHAPE_STEPS,
         "SHAPE_RATIO": SHAPE_RATIO,
         "COARSE_DEGREE": COARSE_DEGREE,
         "MOST_DEGREE": DEGREE,
@@ -144,7 +144,7 @@ def kernel_text(n: int, eccentric: bool = False, capacity: Capacity = CAPACITY) 
         "BEND_PER_PIECE": BEND_PER_PIECE,
         "ROUND_OFF_LENGTH": ROUND_OFF_LENGTH,
         "SAME_END": SAME_END,
-        "ROUND_OFF": ROUND_OFF,
+        "ROUND_OFF": NEWTON_ROUND_OFF,
         "LAST_STEP": LAST_STEP,
         "LONGEST_STEP": LONGEST_STEP,
     }
@@ -272,7 +272,7 @@ def _temporary_folder() -> Path:
 
 def _answer(n: int) -> np.dtype[np.void]:
     """C struct Answer."""
-    points, shape = MOST_PIECES * DEGREE, MOST_PIECES * STEPS + 1
+    points, shape = MOST_PIECES * DEGREE, MOST_PIECES * SHAPE_STEPS + 1
     reals = ("margin", "residual", "mesh_error", "tip_error", "energy", "contraction", "largest_change")
     whole = ("pieces", "points", "sections", "iterations", "elements")
     fields: list[Any] = [(name, "f8") for name in reals] + [(name, "i8") for name in whole]

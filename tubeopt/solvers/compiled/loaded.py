@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...block.transcription.arm import ArmShape, ArmSolution, CollocationPoints
-from ...block.transcription.collocated import ENDS, STEPS
+from ...block.transcription.collocated import ENDS, SHAPE_STEPS
 from ...block.transcription.loaded import LoadedProblem
 from ...block.transcription.mesh import sections_at
 from ...block.transcription.tableau import tableau
@@ -32,7 +32,7 @@ from ..settings import (
     LAST_STEP,
     LEAST_STIFFNESS,
     NEWTON,
-    ROUND_OFF,
+    NEWTON_ROUND_OFF,
     SHORTEST_LOAD_STEP,
     SOFT_TWIST,
 )
@@ -64,8 +64,8 @@ def loaded_text(n: int, generator: ca.CodeGenerator, pieces: int = MOST_PIECES) 
         "CHECK_DEGREE": CHECK_DEGREE,
         "MOST_DEGREE": CHECK_DEGREE,
         "MOST_PIECES": pieces,
-        "STEPS": STEPS,
-        "ROUND_OFF": ROUND_OFF,
+        "STEPS": SHAPE_STEPS,
+        "ROUND_OFF": NEWTON_ROUND_OFF,
         "LAST_STEP": LAST_STEP,
         "MOST_ITERATIONS": NEWTON.iterations,
         "LARGEST_RATIO": LARGEST_RATIO,
@@ -130,7 +130,7 @@ class LoadedRules:
 
 def _answer(n: int) -> np.dtype[np.void]:
     """C struct Answer."""
-    points, shape = MOST_PIECES * CHECK_DEGREE, MOST_PIECES * STEPS + 1
+    points, shape = MOST_PIECES * CHECK_DEGREE, MOST_PIECES * SHAPE_STEPS + 1
     names = ("margin", "residual", "theta_error", "tip_error", "margin_error", "energy", "work")
     fields: list[Any] = [(name, "f8") for name in names] + [("iterations", "i8")]
     fields += [("theta", "f8", (points, n)), ("curvature", "f8", (points, 2))]
@@ -270,7 +270,7 @@ def solve_many_loaded_compiled(
 
 def _solution(answer: dict[str, Any], problem: LoadedProblem) -> ArmSolution:
     """Copy of the solution in an answer."""
-    torsion, points, m = problem.torsion, len(problem.torsion.weight), STEPS * len(problem.mesh.length) + 1
+    torsion, points, m = problem.torsion, len(problem.torsion.weight), SHAPE_STEPS * len(problem.mesh.length) + 1
     arm = ArmShape(
         arc_length=answer["arc_length"][:m].copy(),
         rotation=answer["rotation"][:m].T.copy(),
