@@ -37,7 +37,7 @@ def test_what_bends_a_turn_between_samples_changes_as_the_product_of_what_does()
     """h^2 (g M / kt + t (1 / kt)' + twist') + h w d u_x by time, of one tube in one section, all of which grow."""
     random, offset, turn, tangent_stiffness, bow = np.random.default_rng(5), 0.3, 0.4, 0.7, 0.2
     (h, length), (moment, m) = growing(random, 1), growing(random, 1, 1)
-    (ease, e), (compliance_slope, ee), (twist_slope, ww) = (growing(random, 1, 1) for _ in range(3))
+    (compliance, e), (compliance_slope, ee), (twist_slope, ww) = (growing(random, 1, 1) for _ in range(3))
     transport = SimpleNamespace(still=False, compliance_slope=compliance_slope, twist_slope=twist_slope)
     most = np.array([[0.6]])
     bending = SimpleNamespace(
@@ -45,7 +45,9 @@ def test_what_bends_a_turn_between_samples_changes_as_the_product_of_what_does()
         change=lambda by: tangent_stiffness * by.sum(-1),
         second=lambda one, other: bow * (one * other).sum(-1),
     )
-    bounds = bare(long=h, ease=ease, transport=transport, bending=bending, offset=np.array([offset]), zero=NONE)
+    bounds = bare(
+        length=h, compliance=compliance, transport=transport, bending=bending, offset=np.array([offset]), zero=NONE
+    )
     bounds.chord = lambda by: None
     bounds.cross_sections = lambda course: (moment, None)
 
@@ -65,12 +67,14 @@ def test_what_bends_a_turn_between_samples_changes_as_the_product_of_what_does()
 def test_what_the_linearised_equations_make_of_a_turn_changes_as_the_product_of_what_does(moving: bool) -> None:
     """|beta| v(0) + int h (g v + g' w), v and w of moments that change, by time; at rest with fixed sections."""
     random, offset, count = np.random.default_rng(6), np.array([0.3, 0.2]), 3
-    (h, length), (spring, held), (ease, e) = growing(random, count), growing(random, 2), growing(random, 2)
+    (h, length), (spring, held), (compliance, e) = growing(random, count), growing(random, 2), growing(random, 2)
     (varied, v), (gained, g) = growing(random, count, 2), growing(random, count, 2)
     most, change = random.uniform(0.1, 0.2, (2, count))
     torque, more = random.uniform(1, 2, (2, count, 2))
     bending = SimpleNamespace(max_u=most[None], change=lambda by: change[None])
-    bounds = bare(long=h, transmission=spring, ease=ease, bending=bending, offset=offset, torque=torque[None])
+    bounds = bare(
+        length=h, transmission=spring, compliance=compliance, bending=bending, offset=offset, torque=torque[None]
+    )
     bounds.zero, bounds.torque_change = np.zeros((1, count, 2)), lambda by: more[None]
 
     def made(t: float) -> Array:
@@ -119,7 +123,7 @@ def test_the_ball_takes_what_changes_the_linearised_equations_by_time_and_by_tur
 
 def test_the_natural_turn_of_tubes_is_part_of_their_course() -> None:
     bow = np.array([[[0.3, 0.5]]])
-    still: Any = SimpleNamespace(transport=SimpleNamespace(bow=DerivativeBounds(0 * bow, 0 * bow, bow)))
+    still: Any = SimpleNamespace(transport=SimpleNamespace(twist_deviation=DerivativeBounds(0 * bow, 0 * bow, bow)))
     turn = np.ones((1, 1, 2)), np.ones((1, 1, 2, 2))
     own, pair = branch._Bounds.chord(still, turn)
     assert (own.d.tolist(), own.dd.tolist()) == (turn[0].tolist(), bow.tolist())
@@ -135,7 +139,7 @@ def test_a_course_has_the_derivatives_of_the_implicit_function_theorem() -> None
     ball = branch._Ball(*(np.array([each]) for each in (0.0, 2 * grown[1], 0.0, slope)))
     still: Any = SimpleNamespace(
         weight=(NONE + 1, NONE[..., None] + 2),
-        transport=SimpleNamespace(bow=DerivativeBounds(NONE, NONE, NONE + natural[0], NONE + natural[1])),
+        transport=SimpleNamespace(twist_deviation=DerivativeBounds(NONE, NONE, NONE + natural[0], NONE + natural[1])),
         cross_sections=lambda course: (course[0] * course[0] * time, course[0]),
         rotation=lambda moment, stretch: moment,
         response=lambda turn: turn,
@@ -181,7 +185,7 @@ def whirl_by_sums(bent: Array) -> tuple[Array, Array, Array]:
 def test_a_tangent_changes_as_what_bends_the_arm_before_it_is_summed() -> None:
     bent, long = np.random.default_rng(7).uniform(0.02, 0.06, (3, 12)), np.full((1, 12), 0.5)
     jet = DerivativeBounds(long, *(each[None] / 0.5 for each in bent))
-    bounds = bare(long=DerivativeBounds(long, 0 * long, 0 * long, 0 * long))
+    bounds = bare(length=DerivativeBounds(long, 0 * long, 0 * long, 0 * long))
     bounds.solution_derivatives, bounds.cross_sections = lambda turn, ball: None, lambda course: (None, jet)
     found = bounds.tangent_derivatives(None, None)
     for bound, true in zip((found.d, found.dd, found.ddd), whirl_by_sums(bent), strict=True):
@@ -195,7 +199,7 @@ def test_a_point_is_off_its_chord_by_the_sum_of_what_turns_and_lengthens_the_arm
     first, second = np.random.default_rng(8).uniform(0.02, 0.06, (2, 12))
     long, more = np.random.default_rng(9).uniform(0.5, 1.0, (2, 1, 12))
     jet = DerivativeBounds(0 * long, first[None] / long, second[None] / long)
-    bounds = bare(long=DerivativeBounds(long, more, 0 * more))
+    bounds = bare(length=DerivativeBounds(long, more, 0 * more))
     bounds.chord, bounds.cross_sections = lambda turn: None, lambda course: (None, jet)
     bounds.bending = SimpleNamespace(change=lambda error: 0 * long)
     w, second_of, _ = whirl_by_sums(np.array([first, second + 2 * more[0] * first / long[0], 0 * first]))

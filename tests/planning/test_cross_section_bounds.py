@@ -125,7 +125,7 @@ def varying(move: Array) -> tuple[Constants, Callable[[float], tuple[Array, Arra
     moves along them by `move` in the time."""
     a, r = np.array([0.7, 0.4]), np.array([1.1, 0.6])
     kb, p = np.array([2.0, 1.5]), np.array([0.5, 0.9])
-    ease, q = np.array([0.3, 0.8]), np.array([0.7, 1.3])
+    compliance, q = np.array([0.3, 0.8]), np.array([0.7, 1.3])
     twist, w = np.array([0.2, 0.6]), np.array([0.8, 0.5])
 
     def table(*rows: Array) -> Array:
@@ -134,16 +134,16 @@ def varying(move: Array) -> tuple[Constants, Callable[[float], tuple[Array, Arra
     bounds = Variation(
         cuts=np.zeros((2, 1)),
         bending=table(kb, *(kb * p**k for k in (1, 2, 3))),
-        torsional=table(1 / ease)[0],
-        ease=table(*(ease * q**k for k in (1, 2, 3))),
+        torsional=table(1 / compliance)[0],
+        compliance=table(*(compliance * q**k for k in (1, 2, 3))),
         pull=table(*(a * r**k for k in range(4))),
         twist=table(*(twist * w**k for k in range(3))),
-        stiffest=table(kb, 1 / ease),
+        stiffest=table(kb, 1 / compliance),
     )
 
     def at(t: float) -> tuple[Array, Array, Array, Array]:
         s = move * t
-        return a * np.exp(r * s), kb * (2 - np.exp(p * s)), ease * np.exp(q * s), twist * np.exp(w * s)
+        return a * np.exp(r * s), kb * (2 - np.exp(p * s)), compliance * np.exp(q * s), twist * np.exp(w * s)
 
     return Constants(NONE, bounds, np.zeros(2), np.zeros((2, 2)), np.ones(2)), at  # type: ignore[arg-type]
 
@@ -157,7 +157,7 @@ def test_what_moving_along_tubes_that_vary_adds_has_their_derivatives() -> None:
         (transport.pulls, lambda t: at(t)[0] / at(t)[1].sum()),
         (transport.pairs, lambda t: at(t)[0][:, None] * at(t)[0] / at(t)[1].sum() * length),
         (transport.bending_compliance, lambda t: 1 / at(t)[1].sum()),
-        (transport.ease, lambda t: at(t)[2]),
+        (transport.compliance, lambda t: at(t)[2]),
     ):
         for found, true in zip(parts(jet), derivatives(function, 0.02), strict=True):
             assert found == pytest.approx(true, rel=1e-5, abs=1e-12)
@@ -169,9 +169,9 @@ def test_what_moving_along_tubes_that_vary_adds_has_their_derivatives() -> None:
     assert transport.twist_slope.v == pytest.approx(twist[1] / move, rel=1e-6)
     assert transport.twist_slope.d == pytest.approx(twist[2] / move, rel=1e-6)
     # The natural turn is the integral of the twist; what it is off a straight line is steepest where time ends.
-    assert transport.bow.d == pytest.approx(move * twist[1] / 2, rel=1e-6)
-    assert transport.bow.dd == pytest.approx(move * twist[1], rel=1e-6)
-    assert transport.bow.ddd == pytest.approx(move * twist[2], rel=1e-6)
+    assert transport.twist_deviation.d == pytest.approx(move * twist[1] / 2, rel=1e-6)
+    assert transport.twist_deviation.dd == pytest.approx(move * twist[1], rel=1e-6)
+    assert transport.twist_deviation.ddd == pytest.approx(move * twist[2], rel=1e-6)
 
 
 @pytest.mark.parametrize("order", [[0, 1], [1, 0]])
@@ -179,7 +179,12 @@ def test_bounds_of_several_stretches_hold_in_each_of_them(order: list[int]) -> N
     """Of two stretches with other moments and stiffnesses: the most of the one, the least of the other."""
     constants, _ = varying(np.ones(2))
     bounds, stretches = constants.bounds, [np.full(2, k) for k in order]
-    for table, change in ((bounds.pull, 3.0), (bounds.bending, 0.5), (bounds.torsional, 0.25), (bounds.ease, 2.0)):
+    for table, change in (
+        (bounds.pull, 3.0),
+        (bounds.bending, 0.5),
+        (bounds.torsional, 0.25),
+        (bounds.compliance, 2.0),
+    ):
         table[..., 1] *= change
     bending, transport = (
         CurvatureBounds.of(constants, *stretches),
@@ -187,13 +192,13 @@ def test_bounds_of_several_stretches_hold_in_each_of_them(order: list[int]) -> N
     )
     assert bending.moment == pytest.approx(3 * np.array([0.7, 0.4]))
     assert bending.stiffness == pytest.approx(0.5 * 3.5)
-    assert transport.ease.v == pytest.approx(4 * np.array([0.3, 0.8]))
-    assert transport.ease.d == pytest.approx(2 * np.array([0.3 * 0.7, 0.8 * 1.3]))
-    for rates in (bounds.bending[1:], bounds.pull[1:], bounds.twist[1:], bounds.ease):
+    assert transport.compliance.v == pytest.approx(4 * np.array([0.3, 0.8]))
+    assert transport.compliance.d == pytest.approx(2 * np.array([0.3 * 0.7, 0.8 * 1.3]))
+    for rates in (bounds.bending[1:], bounds.pull[1:], bounds.twist[1:], bounds.compliance):
         rates[...] = 0.0
     still = TransportBounds.of(replace(constants), np.ones(2), *stretches)
     assert still.still
-    assert still.ease.v == pytest.approx(4 * np.array([0.3, 0.8]))
+    assert still.compliance.v == pytest.approx(4 * np.array([0.3, 0.8]))
 
 
 def test_moving_along_tubes_changes_a_moment_by_the_sine_of_what_turns_them_apart() -> None:

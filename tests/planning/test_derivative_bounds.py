@@ -151,7 +151,7 @@ def test_what_lies_between_samples_is_sure_as_far_as_its_series_is_bounded(share
     ends: Any = SimpleNamespace(changes=(np.array([[[0.7]]]), np.full((1, 1, 1, 1), 0.7)))
     still: Any = SimpleNamespace(
         intervals=ends,
-        transport=SimpleNamespace(bow=SimpleNamespace(d=np.zeros((1, 1, 1)))),
+        transport=SimpleNamespace(twist_deviation=SimpleNamespace(d=np.zeros((1, 1, 1)))),
         _between_samples=lambda turn: share * turn[0],
     )
     (wide, both), sure = branch._Bounds.angle_change(still)
@@ -164,7 +164,7 @@ def test_what_lies_between_samples_is_sure_as_far_as_its_series_is_bounded(share
 def test_what_turns_between_samples_is_as_steep_as_the_natural_turn() -> None:
     """Of tubes whose turn is off a straight line in time with rate 0.05."""
     ends: Any = SimpleNamespace(changes=(np.full((1, 1, 1), 0.7), np.full((1, 1, 1, 1), 0.9)))
-    transport = SimpleNamespace(bow=SimpleNamespace(d=np.full((1, 1, 1), 0.05)))
+    transport = SimpleNamespace(twist_deviation=SimpleNamespace(d=np.full((1, 1, 1), 0.05)))
     still: Any = SimpleNamespace(intervals=ends, transport=transport, _between_samples=lambda turn: 0.0 * turn[0])
     (own, pair), _ = branch._Bounds.angle_change(still)
     assert (own.item(), pair.item()) == pytest.approx((0.75, 0.9 + 2 * 0.05))

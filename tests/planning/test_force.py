@@ -26,7 +26,7 @@ from tubeopt.block.transcription.loaded import evaluate
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.design.parameters import as_pieces
 from tubeopt.equilibrium.problem import loaded_problem
-from tubeopt.stability.certificate import bundle_of
+from tubeopt.stability.certificate import arm_sections
 from tubeopt.stability.deflection import max_section_force, under_any_force
 from tubeopt.typing import Array
 
@@ -190,7 +190,7 @@ def test_tubes_of_pieces_keep_what_is_shown_under_any_force() -> None:
     outer = Tube.of_pieces(1.5e-3, 1.2e-3, [Piece.helix(0.03, 2e-3, 0.05)], straight_length=0.02)
     robot, low, high = ConcentricRobot((inner, outer)), np.array([-0.006, -0.004]), np.array([-0.004, -0.002])
     random, force = np.random.default_rng(3), 0.05
-    bundle = bundle_of(robot, low, high)
+    bundle = arm_sections(robot, low, high)
     for share in np.linspace(0, 1, 5):
         arm = robot.assembly(low + share * (high - low))
         s = np.linspace(1e-6, arm.total_length - 1e-6, 400)

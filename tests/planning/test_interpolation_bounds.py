@@ -18,11 +18,11 @@ from tubeopt import EccentricRobot, Tube, forward_kinematics
 from tubeopt.planning.loaded_sections import LoadedArms
 from tubeopt.planning.sections import (
     SHAPE_ERROR,
-    Arms,
     Constants,
     CurvatureBounds,
     DerivativeBounds,
     Intervals,
+    SolvedArms,
     TransportBounds,
 )
 
@@ -92,13 +92,13 @@ def drift_of(still: bool) -> Any:
     flat = DerivativeBounds(none, none, none, none)
     if still:
         return SimpleNamespace(
-            ease=DerivativeBounds(np.full((1, 2), EASE[0]), none, none),
+            compliance=DerivativeBounds(np.full((1, 2), EASE[0]), none, none),
             twist_slope=flat,
             moment=lambda *_: (none, none),
             bend=lambda *_: (none, none),
         )
     return SimpleNamespace(
-        ease=jet(*EASE),
+        compliance=jet(*EASE),
         twist_slope=jet(*WOUND),
         moment=lambda pair, bow: (np.full((1, 2), DRIFTED), None),
         bend=lambda turn, bow: (FIRST, SECOND),
@@ -120,7 +120,7 @@ def test_interpolation_along_tubes_that_vary_is_off_by_derivatives_of_what_turns
     """theta' = t / kt + u*_z with t' = M and M' what turns the tubes against each other; u by turns and places."""
     monkeypatch.setattr(CurvatureBounds, "of", lambda *_: BEND)
     monkeypatch.setattr(TransportBounds, "of", lambda *_: drift_of(False))
-    shape, turned = found_by(Arms, "_errors", stub(0.0, False, h))
+    shape, turned = found_by(SolvedArms, "_errors", stub(0.0, False, h))
     torque = 0.45 + h * PAIRS
     winding = PAIRS * EASE[0] + torque * EASE[1] + WOUND[0]
     speed = 1.1 + h * winding
@@ -144,7 +144,7 @@ def test_interpolation_along_tubes_beside_the_centreline_is_off_by_how_they_are_
     offset = 0.2
     monkeypatch.setattr(CurvatureBounds, "of", lambda *_: BEND)
     monkeypatch.setattr(TransportBounds, "of", lambda *_: drift_of(True))
-    shape, turned = found_by(Arms, "_errors", stub(offset, True, h))
+    shape, turned = found_by(SolvedArms, "_errors", stub(offset, True, h))
     speed = 1.1 + h * PAIRS * EASE[0]
     bent = 2 * YIELD * speed
     winding = (1 + offset * U) * PAIRS * EASE[0] + speed * offset * bent / (1 - offset * U)
@@ -162,7 +162,7 @@ def test_nothing_bounds_interpolation_across_too_many_stretches(monkeypatch: pyt
     monkeypatch.setattr(CurvatureBounds, "of", lambda *_: BEND)
     monkeypatch.setattr(TransportBounds, "of", lambda *_: drift_of(False))
     for found in (
-        found_by(Arms, "_errors", stub(0.0, False, 0.01, wide=True)),
+        found_by(SolvedArms, "_errors", stub(0.0, False, 0.01, wide=True)),
         found_by(LoadedArms, "_wrong", loaded_stub(0.01, wide=True)),
     ):
         assert all(np.isinf(each[0]).all() for each in found)
@@ -195,7 +195,7 @@ def test_interpolation_along_loaded_arms_is_off_by_derivatives_of_torques_and_mo
     shape, turned, twisted, lifted = found_by(LoadedArms, "_wrong", arms)
     u = U + LEVER / 2.0
     torque = 0.45 + h * (u * 0.9 + COUPLE)
-    pull, slope, bending_compliance, ease = (
+    pull, slope, bending_compliance, compliance = (
         series(*each) for each in ((0.9, 0.5, 0.4), (0.45, 0.25, 0.2), (0.5, 0.15, 0.11), EASE)
     )
     twist = series(0.31, *WOUND)
@@ -209,7 +209,7 @@ def test_interpolation_along_loaded_arms_is_off_by_derivatives_of_torques_and_mo
         return [
             bent * pull(s) * np.exp(theta) + acts,
             n + bent * 2 * t + acts,
-            t * ease(s) + twist(s),
+            t * compliance(s) + twist(s),
             along + n * bent,
         ]
 
@@ -231,7 +231,7 @@ def test_interpolation_along_loaded_arms_is_off_by_derivatives_of_torques_and_mo
 
 
 @pytest.mark.parametrize("steps", [(0.01, 0.005), (0.005, 0.01)])
-@pytest.mark.parametrize(("kind", "name"), [(Arms, "_errors"), (LoadedArms, "_wrong")])
+@pytest.mark.parametrize(("kind", "name"), [(SolvedArms, "_errors"), (LoadedArms, "_wrong")])
 def test_an_arm_is_as_far_off_as_in_its_longest_step(
     kind: type, name: str, steps: tuple[float, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -256,7 +256,7 @@ def test_an_arm_is_as_far_off_as_in_its_longest_step(
 def test_a_cubic_is_off_by_what_the_third_derivative_makes_at_that_place_of_the_step(x: float) -> None:
     """The integral of the size of Peano's kernel is attained in the middle, and 1/8 less at the ends. Steps of 2 and 3,
     of which the second has twice the third derivative."""
-    arms: Any = Arms.__new__(Arms)
+    arms: Any = SolvedArms.__new__(SolvedArms)
     vars(arms).update(first=np.array([0, 3]), arc_length=np.array([0.0, 2.0, 5.0]), owner=np.zeros(3, dtype=int))
     third = np.array([[8.0], [54.0], [0.0]])
     s = np.linspace(0, 1, 20001)
@@ -274,7 +274,7 @@ def test_a_cubic_is_off_by_what_the_third_derivative_makes_at_that_place_of_the_
 
 
 def test_what_nothing_bounds_is_exact_at_points_alone() -> None:
-    arms: Any = Arms.__new__(Arms)
+    arms: Any = SolvedArms.__new__(SolvedArms)
     vars(arms).update(first=np.array([0, 2]), arc_length=np.array([0.0, 2.0]), owner=np.zeros(2, dtype=int))
     found = arms.hermite_error(np.zeros(3, dtype=int), np.array([0.0, 1.0, 2.0]), np.array([[np.inf], [0.0]]))
     assert found.ravel().tolist() == [0.0, np.inf, 0.0]
@@ -295,7 +295,7 @@ def test_the_torque_along_a_step_is_the_larger_of_its_ends_and_what_it_gains() -
     stiff, natural = np.array([[2.0, 3.0]]), np.array([[0.1, 0.2]])
     arms = stub(0.0, False, 0.1)
     arms.along = lambda side, rows: (None, stiff, None, None, natural, None)
-    found = Arms._torque(arms, np.array([[0.01, 0.02]]))
+    found = SolvedArms._torque(arms, np.array([[0.01, 0.02]]))
     assert found == pytest.approx(np.array([[2 * 1.0 + 0.01, 3 * 0.9 + 0.02]]))
 
 
@@ -400,4 +400,4 @@ def test_a_step_across_two_changes_of_a_tube_counts_all_three_stretches() -> Non
         owner=np.array([0, 0]),
         inner=np.array([0]),
     )
-    assert [each.item() for each in found_by(Arms, "crossed", arms)] == [0, 1, 2]
+    assert [each.item() for each in found_by(SolvedArms, "crossed", arms)] == [0, 1, 2]

@@ -77,7 +77,7 @@ def grown(seed: int) -> SimpleNamespace:
     parts = {
         "h": Grows(random, K, orders=2),
         "spring": Grows(random, N, orders=2),
-        "ease": Grows(random, K, N),
+        "compliance": Grows(random, K, N),
         "pull": Grows(random, K, N),
         "pairing": Grows(random, K, N, N),
         "bending_compliance": Grows(random, K),
@@ -102,13 +102,13 @@ def falling(random: Any) -> Grows:
 
 def bounds_of(g: SimpleNamespace) -> Any:
     transport = SimpleNamespace(
-        ease=g.ease.jet,
+        compliance=g.compliance.jet,
         bending_compliance=g.bending_compliance.jet,
         still=False,
-        bow=DerivativeBounds(*np.zeros((4, 1, K, N))),
+        twist_deviation=DerivativeBounds(*np.zeros((4, 1, K, N))),
     )
     return bare(
-        long=g.h.jet,
+        length=g.h.jet,
         spring=g.spring.jet,
         force=g.force.jet,
         pull=g.pull.jet,
@@ -116,7 +116,7 @@ def bounds_of(g: SimpleNamespace) -> Any:
         pairing=g.pairing.jet,
         pairs=g.pairing.jet.v,
         transport=transport,
-        kt=1 / g.ease.jet.v,
+        kt=1 / g.compliance.jet.v,
         stiffness=1 / g.bending_compliance.jet.v,
         u=np.full((1, K), 0.7),
         couple=g.couple.jet,
@@ -153,10 +153,10 @@ def test_a_bend_and_a_twist_change_as_the_products_of_what_does() -> None:
         lambda t: g.h(t) * ((g.pull(t) * np.exp(g.theta(t))).sum(1) + g.moment(t) * g.bending_compliance(t)),
         *range(4),
     )
-    bounds.transport.bow = bow.jet
+    bounds.transport.twist_deviation = bow.jet
 
     def twist(t: float) -> Array:
-        along = np.cumsum(g.h(t)[:, None] * torque(t) * g.ease(t), axis=0)
+        along = np.cumsum(g.h(t)[:, None] * torque(t) * g.compliance(t), axis=0)
         return np.asarray(g.spring(t) * torque(t)[0] + along + bow(t))
 
     compare(bounds._twist(torque.jet), twist, 1, 2, 3)
@@ -175,7 +175,7 @@ def test_what_differs_between_samples_is_half_their_distance_times_the_change_of
     turn = g.theta.table[1], g.pair.table[1]
     bounds.torque, bounds.lever = torque.jet.v, lever.jet.v
     bounds.transport = SimpleNamespace(
-        ease=g.ease.jet,
+        compliance=g.compliance.jet,
         bending_compliance=g.bending_compliance.jet,
         twist_slope=DerivativeBounds(twist_slope, twist_slope, twist_slope),
         gain=lambda ones: g.pairing.jet.d.sum(3),
@@ -196,7 +196,7 @@ def test_what_differs_between_samples_is_half_their_distance_times_the_change_of
     def slopes(t: float) -> tuple[Array, Array, Array]:
         turned = 1 + frame(t) - frame(0.0)
         h, load = g.h(t), (g.force(t) + g.along.sum(1)) * turned
-        turning = h[:, None] * (torque(t) * g.ease(t) + twist + t * twist_slope[0] * moved)
+        turning = h[:, None] * (torque(t) * g.compliance(t) + twist + t * twist_slope[0] * moved)
         each = g.pull(t) * lever(t)[:, None] * np.exp(g.theta(t)) + (g.pairing(t) * np.exp(g.pair(t))).sum(2)
         each += g.along * turned[:, None]
         return turning, h[:, None] * each, h * (bend(t) * torque(t).sum(1) + load)
@@ -451,7 +451,7 @@ def test_the_second_variation_curves_as_the_products_of_what_it_is_made_of() -> 
     none = DerivativeBounds(*np.zeros((4,)))
     transport = SimpleNamespace(still=True)
     bounds = bare(
-        long=h.jet,
+        length=h.jet,
         spring=spring.jet,
         force=force.jet,
         transport=transport,
@@ -496,7 +496,7 @@ def test_the_second_variation_curves_as_the_products_of_what_it_is_made_of() -> 
 
 def test_roots_of_what_changes_are_as_far_from_the_nearer_end_as_half_of_the_time() -> None:
     """Of 1 / kt and 1 / K that change at one rate, from where they are least; and of a transmission off its chord."""
-    kt, ease, bending_compliance = 4.0, 0.01, 0.02
+    kt, compliance, bending_compliance = 4.0, 0.01, 0.02
     one = np.ones((1, 1, 1))
     stiffest = SimpleNamespace(stiffest=(None, None))
     values = iter((one * 3.0, one * kt))
@@ -504,12 +504,12 @@ def test_roots_of_what_changes_are_as_far_from_the_nearer_end_as_half_of_the_tim
     intervals = SimpleNamespace(arms=SimpleNamespace(constants=constants), stretch=None)
     transport = SimpleNamespace(
         still=False,
-        ease=DerivativeBounds(one, one * ease, one),
+        compliance=DerivativeBounds(one, one * compliance, one),
         bending_compliance=DerivativeBounds(one, one[..., 0] * bending_compliance, one),
     )
     bounds = bare(intervals=intervals, transport=transport)
     twisting, bending = bounds._compliance_change()
-    for found, stiff, rate in ((twisting, kt, ease), (bending, 3.0, bending_compliance)):
+    for found, stiff, rate in ((twisting, kt, compliance), (bending, 3.0, bending_compliance)):
         true = np.sqrt(1 / stiff + rate / 2) - np.sqrt(1 / stiff)
         assert true <= found.item() <= true * (1 + rate * stiff / 4)
 
@@ -520,7 +520,7 @@ def test_what_sections_are_worth_at_the_nearer_end_sums_lengths_compliances_and_
     bounds = bare(
         intervals=SimpleNamespace(length=(length, later)),
         spring=DerivativeBounds(np.array([[0.03]]), np.array([[0.01]]), np.array([[bow]])),
-        long=DerivativeBounds(later, later - length, 0 * length),
+        length=DerivativeBounds(later, later - length, 0 * length),
         force=DerivativeBounds(length, np.array([[0.3, 0.5]]), length),
         kt=np.full((1, 2, 1), 2.0),
         stiffness=np.full((1, 2), 5.0),
@@ -554,7 +554,7 @@ def test_the_ball_of_loaded_arms_is_that_of_newton_and_kantorovich(linear: bool)
             tangent=DerivativeBounds(flat, 0.8 * flat, flat),
             moment=DerivativeBounds(flat, 1.4 * flat, flat),
         ),
-        long=DerivativeBounds(2 * flat, flat, flat),
+        length=DerivativeBounds(2 * flat, flat, flat),
         force=DerivativeBounds(3 * flat, flat, flat),
         couple=DerivativeBounds(flat, 0.4 * flat, 0 * flat),
         weight=(7 * one, 11 * one[..., None]),
@@ -577,7 +577,7 @@ def test_a_point_of_loaded_arms_is_off_its_chord_by_the_sum_of_what_turns_and_le
     """An eighth of int 2 |h_t| |t_t| + h |t_tt|, and the lever of what is in the ball."""
     h, more, rate, bend, swing = np.random.default_rng(13).uniform(1, 2, (5, 1, K))
     bounds = bare(
-        long=DerivativeBounds(h, more, 0 * h),
+        length=DerivativeBounds(h, more, 0 * h),
         chord=SimpleNamespace(tangent=DerivativeBounds(0 * h, rate, bend)),
         swing=swing,
     )

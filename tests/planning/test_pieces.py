@@ -24,7 +24,7 @@ from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.planning.branch import Branch, branch
 from tubeopt.planning.loaded_branch import loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
-from tubeopt.planning.sections import Arms, Constants, Intervals
+from tubeopt.planning.sections import Constants, Intervals, SolvedArms
 from tubeopt.robots.lengthwise import lengthwise, variation
 from tubeopt.workspaces import snapping_loss
 
@@ -133,12 +133,12 @@ def test_the_bound_knows_that_coefficients_move_along_the_tubes(soft: bool, load
         assert max(used) > (0.6 if shift else 0.1) / (1 if load is None else 2)
 
 
-def between(chain: list[Equilibrium], load: Load | None) -> tuple[Arms, Intervals, Branch]:
+def between(chain: list[Equilibrium], load: Load | None) -> tuple[SolvedArms, Intervals, Branch]:
     """Of the first two of some equilibria."""
     ends, constants = (np.array([0]), np.array([1])), Constants.of(chain[0].robot)
     margins = np.array([min(e.margin, 1.0) for e in chain])
     if load is None:
-        arms = Arms.of(constants, chain)
+        arms = SolvedArms.of(constants, chain)
         intervals = Intervals.of(arms, *ends)
         return arms, intervals, branch(intervals, margins)
     loaded = LoadedArms.of(constants, chain, pull=Pull.of(chain[0].robot, load))
@@ -160,7 +160,7 @@ def test_bounds_of_what_varies_hold() -> None:
             kb, kt, x, y, z = rows[:, :5].transpose(1, 0, 2)
             for true, most in (
                 (kb, np.array([-1, *bounds.bending[1:, i, c + 1]])),
-                (1 / kt, np.array([1 / bounds.torsional[i, c + 1], *bounds.ease[:, i, c + 1]])),
+                (1 / kt, np.array([1 / bounds.torsional[i, c + 1], *bounds.compliance[:, i, c + 1]])),
                 (kb * (x + 1j * y), bounds.pull[:, i, c + 1]),
                 (z, bounds.twist[:, i, c + 1]),
             ):

@@ -16,7 +16,7 @@ from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.joints import joint_space
 from tubeopt.planning import trajectory_trace
 from tubeopt.planning.branch import branch
-from tubeopt.planning.sections import Arms, Constants, Intervals
+from tubeopt.planning.sections import Constants, Intervals, SolvedArms
 from tubeopt.robots.eccentric import SegmentedEccentricRobot
 from tubeopt.robots.robot import Robot
 from tubeopt.robots.tubes import Tube
@@ -40,7 +40,7 @@ def surface(e: Equilibrium, step: float) -> tuple[Array, Array]:
     """Points of the centreline at most `step` apart, the ends of tubes among them, and the radius there."""
     s = np.linspace(0.0, e.arc_length[-1], int(e.arc_length[-1] / step) + 2)
     s = np.union1d(s, e.tube_end[(e.tube_end > 0) & (e.tube_end < s[-1])])
-    arms = Arms.of(Constants.of(e.robot), [e])
+    arms = SolvedArms.of(Constants.of(e.robot), [e])
     return arms.points(np.zeros(len(s), dtype=np.intp), s), ArmSurface(e).radius(s)
 
 
@@ -54,7 +54,7 @@ def test_arms_between_two_equilibria_are_where_the_bound_says(robot: Robot) -> N
     first = forward_kinematics(robot, np.linspace(0.4, -0.8, n), robot.home_translations + shift)
     last = between(robot, first, forward_kinematics(robot, first.rotations + moved, first.translations + 0.004), 1)
     chain = [between(robot, first, last, share) for share in np.linspace(0, 1, 17)]
-    arms = Arms.of(Constants.of(robot), chain)
+    arms = SolvedArms.of(Constants.of(robot), chain)
     one = np.arange(16)
     intervals = Intervals.of(arms, one, one + 1)
     stiffness = np.array([min(e.margin, 1.0) for e in chain]) * (0.9 if arms.constants.offset.any() else 1.0)
@@ -65,7 +65,7 @@ def test_arms_between_two_equilibria_are_where_the_bound_says(robot: Robot) -> N
     for k in (0, 7, 15):
         for share in (0.25, 0.5):
             e = between(robot, chain[k], chain[k + 1], share)
-            true = Arms.of(arms.constants, [e])
+            true = SolvedArms.of(arms.constants, [e])
             for section in np.flatnonzero(np.maximum(*intervals.length)[k] > 0):
                 cut = (1 - share) * intervals.start_cuts[k] + share * intervals.end_cuts[k]
                 s = cut[section] + x * (cut[section + 1] - cut[section])
@@ -81,7 +81,7 @@ def test_arms_between_two_equilibria_are_where_the_bound_says(robot: Robot) -> N
 @pytest.mark.parametrize("robot", [THESIS, PIECES], ids=lambda r: r.name)
 def test_the_error_of_interpolation_along_the_arm_is_bounded(robot: Robot) -> None:
     e = forward_kinematics(robot, [2.0, 0.5, -1.0])
-    arms = Arms.of(Constants.of(robot), [e])
+    arms = SolvedArms.of(Constants.of(robot), [e])
     finer = forward_kinematics(robot, [2.0, 0.5, -1.0], tolerance=1e-12)
     assert len(finer.arc_length) > 1.5 * len(e.arc_length)
     off = arms.points(np.zeros(len(finer.arc_length), dtype=np.intp), finer.arc_length) - finer.position

@@ -17,7 +17,7 @@ from tubeopt.inverse.clock import Clock
 from tubeopt.planning import arms as several_arms
 from tubeopt.planning import branch, loaded_branch, reach_share, trajectory_trace
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
-from tubeopt.planning.sections import PARTS, Arms, Constants, DerivativeBounds, Intervals, linear
+from tubeopt.planning.sections import PARTS, Constants, DerivativeBounds, Intervals, SolvedArms, linear
 from tubeopt.planning.trajectory_trace import Cells, ClearanceTarget, Sizes, clearance_bounds
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
@@ -30,7 +30,7 @@ STEPPED = nested((0.04, 0.05, 4.0), (0.02, 0.03, 3.0))
 
 def between(robot: Robot, *joints: tuple[Any, Any]) -> Intervals:
     """The interval between the equilibria at two joint values."""
-    arms = Arms.of(Constants.of(robot), [forward_kinematics(robot, *each) for each in joints])
+    arms = SolvedArms.of(Constants.of(robot), [forward_kinematics(robot, *each) for each in joints])
     return Intervals.of(arms, np.array([0]), np.array([1]))
 
 
@@ -44,7 +44,7 @@ def rate_of_what_is_off(ball: branch._Ball) -> float:
     flat = DerivativeBounds(NONE, NONE, NONE, NONE)
     still: Any = SimpleNamespace(
         weight=(NONE + 1, NONE[..., None]),
-        transport=SimpleNamespace(bow=flat),
+        transport=SimpleNamespace(twist_deviation=flat),
         cross_sections=lambda course: (flat, flat),
         rotation=lambda moment, stretch: flat,
         response=lambda turn: turn,
@@ -81,7 +81,7 @@ def test_what_has_a_constant_second_derivative_is_off_its_chord_by_an_eighth_of_
     moment, stiffness, long = random.uniform(1, 2, (3, 1, 3))
     spring = random.uniform(1, 2, (1, 2))
     bounds: Any = SimpleNamespace(
-        kt=kt, stiffness=stiffness, long=SimpleNamespace(v=long), spring=SimpleNamespace(v=spring)
+        kt=kt, stiffness=stiffness, length=SimpleNamespace(v=long), spring=SimpleNamespace(v=spring)
     )
     bounds.chord = SimpleNamespace(
         torque=DerivativeBounds(NONE, NONE, torque), moment=DerivativeBounds(NONE, NONE, moment)
@@ -354,15 +354,15 @@ def test_what_moments_twist_by_is_bounded_by_its_own_derivatives() -> None:
     """|beta| w(0) + int h g w of moments that are constant in every section, while all of it grows with time: the
     bound is what it is at the end, and its derivatives there."""
     random = np.random.default_rng(2)
-    (h, more), (held, longer), (ease,) = (
+    (h, more), (held, longer), (compliance,) = (
         random.uniform(1, 2, (k, *each)) for k, each in ((2, (4, 1)), (2, (2,)), (1, (2,)))
     )
     m, g = random.uniform(1, 2, (3, 4, 2)), random.uniform(1, 2, (3, 4, 2))
     bounds: Any = branch._Bounds.__new__(branch._Bounds)
-    bounds.long = linear(h[None, :, 0], (h + more)[None, :, 0])
-    bounds.transmission, bounds.ease = (
+    bounds.length = linear(h[None, :, 0], (h + more)[None, :, 0])
+    bounds.transmission, bounds.compliance = (
         linear(held[None], (held + longer)[None]),
-        DerivativeBounds(ease, NONE, NONE, NONE),
+        DerivativeBounds(compliance, NONE, NONE, NONE),
     )
 
     def twist(t: float) -> Array:
@@ -370,7 +370,7 @@ def test_what_moments_twist_by_is_bounded_by_its_own_derivatives() -> None:
         gain = (h + t * more) * moment
         mean = np.cumsum(gain[::-1], axis=0)[::-1] - gain / 2
         return np.asarray(
-            (held + t * longer) * gain.sum(0) + np.cumsum((h + t * more) * (1 + stretch) * mean * ease, axis=0)
+            (held + t * longer) * gain.sum(0) + np.cumsum((h + t * more) * (1 + stretch) * mean * compliance, axis=0)
         )
 
     found, step = bounds.rotation(DerivativeBounds(*m[:, None]), DerivativeBounds(*g[:, None])), 1e-3
@@ -389,7 +389,7 @@ def test_the_norm_of_a_change_is_the_torsional_energy_of_what_its_moments_twist(
     moment, grown, more = random.uniform(1, 2, (3, *count))
     bounds.torque_change = lambda turn: moment  # type: ignore[method-assign]
     bounds._stretch = lambda u: grown if u is bounds.bending.max_u else more  # type: ignore[method-assign]
-    h, kt = bounds.long.v[0], np.array([tube.torsional_stiffness for tube in STEPPED.tubes])
+    h, kt = bounds.length.v[0], np.array([tube.torsional_stiffness for tube in STEPPED.tubes])
     total = np.array([0.06, 0.03]) / kt * (h[:, None] * moment[0]).sum(0) ** 2
     ahead = np.zeros((2, 2))
     for k in reversed(range(len(h))):
@@ -410,7 +410,7 @@ def test_what_a_rotation_calls_forth_is_its_energy_over_the_margin(stiffness: fl
     weight = np.array([[[2.0, 3.0], [4.0, 5.0], [1.0, 1.0]]])
     both = np.array([2.0, 4.0, 9.0])[:, None, None] + np.zeros((1, 1, 2, 2))
     bounds: Any = branch._Bounds.__new__(branch._Bounds)
-    bounds.weight, bounds.stiffness, bounds.long = (
+    bounds.weight, bounds.stiffness, bounds.length = (
         (weight, both),
         np.array([stiffness]),
         DerivativeBounds(np.array([[1.0, 2.0, 0.0]]), NONE, NONE),

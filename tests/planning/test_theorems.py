@@ -17,7 +17,7 @@ from tubeopt.control.command import ServoOptions, Why
 from tubeopt.control.servo import Guard
 from tubeopt.planning.branch import branch, least_root, rotating_tangent
 from tubeopt.planning.loaded_branch import CHORD_ERROR
-from tubeopt.planning.sections import Arms, Constants, Intervals
+from tubeopt.planning.sections import Constants, Intervals, SolvedArms
 from tubeopt.planning.trajectory_trace import Sizes
 
 
@@ -41,7 +41,7 @@ def test_sagitta_of_an_arc_is_an_eighth_of_curvature_times_length_squared() -> N
     """Two tubes that are bent alike form a circle: the sagitta of a short arc is known."""
     robot = nested((0.0, 0.1, 8.0), (0.0, 0.1, 8.0))
     arm = forward_kinematics(robot, [0.0, 0.0])
-    intervals = Intervals.of(Arms.of(Constants.of(robot), [arm, arm]), np.array([0]), np.array([1]))
+    intervals = Intervals.of(SolvedArms.of(Constants.of(robot), [arm, arm]), np.array([0]), np.array([1]))
     section = int(np.argmax(intervals.length[0][0]))
     x = np.array([[0.0, 0.1], [0.2, 0.7]])
     found = intervals.sagitta(np.zeros(2, int), np.full(2, section), x)
@@ -55,7 +55,7 @@ def test_an_arm_that_turns_as_one_is_off_its_chord_by_the_sagitta_of_its_circle(
     curvature, length, turn = 8.0, 0.02, 0.1
     robot = nested((0.0, length, curvature), (0.0, length, curvature))
     arms = [forward_kinematics(robot, [angle, angle]) for angle in (0.3, 0.3 + turn)]
-    found = branch(Intervals.of(Arms.of(Constants.of(robot), arms), np.array([0]), np.array([1])), np.ones(2))
+    found = branch(Intervals.of(SolvedArms.of(Constants.of(robot), arms), np.array([0]), np.array([1])), np.ones(2))
     radius = (1 - np.cos(curvature * length)) / curvature
     sagitta = radius * (1 - np.cos(turn / 2))
     assert found.unbroken.all()

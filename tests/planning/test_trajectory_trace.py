@@ -14,7 +14,7 @@ from tubeopt.bodies.obstacles import Sphere, scene_of
 from tubeopt.equilibrium.answer import linearised
 from tubeopt.inverse.clock import Clock
 from tubeopt.planning import proof, trajectory_trace
-from tubeopt.planning.sections import Arms
+from tubeopt.planning.sections import SolvedArms
 from tubeopt.planning.trajectory_trace import (
     BranchEndsError,
     ClearanceTarget,
@@ -40,7 +40,7 @@ def test_the_stiffness_of_two_opposed_tubes_is_that_of_a_column() -> None:
     one, other = ((tube.bending_stiffness, tube.torsional_stiffness) for tube in robot.tubes)
     pulled = curvature**2 * one[0] * other[0] / (one[0] + other[0]) * (1 / one[1] + 1 / other[1])
     verifier = verifier_of(robot)
-    arms = Arms.of(verifier.constants, [forward_kinematics(robot, [np.pi, 0.0])])
+    arms = SolvedArms.of(verifier.constants, [forward_kinematics(robot, [np.pi, 0.0])])
     assert verifier._stiffness(arms) == pytest.approx([1 - pulled * (2 * length / np.pi) ** 2], rel=1e-6)
 
 
@@ -49,7 +49,7 @@ def test_the_stiffness_of_an_eccentric_arm_is_the_least_that_its_equations_make_
     """|H y| >= stiffness |y| for all y, and one y attains it."""
     robot = eccentric_robot()
     verifier, arm = verifier_of(robot), forward_kinematics(robot, np.array([1.0, -0.5, -0.5]) * turn)
-    found, equations = verifier._stiffness(Arms.of(verifier.constants, [arm])), linearised(arm)
+    found, equations = verifier._stiffness(SolvedArms.of(verifier.constants, [arm])), linearised(arm)
     assert found == pytest.approx([1 / np.linalg.norm(np.linalg.inv(equations), 2)], rel=1e-9)
     random = np.random.default_rng(0).normal(size=(len(equations), 100))
     assert (np.linalg.norm(equations @ random, axis=0) >= found * np.linalg.norm(random, axis=0)).all()

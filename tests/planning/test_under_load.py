@@ -165,7 +165,7 @@ def test_the_second_variation_changes_by_the_moment_of_the_load_about_the_own_be
     load = Load(force=(force, 0, 0))
     arm = forward_kinematics(robot, [np.pi / 2], load=load)
     bounds = _Bounds(intervals_of([arm, arm], load)[0])
-    sections = bounds.long.v.shape
+    sections = bounds.length.v.shape
     none = np.zeros(sections)
     turned = _Displacement((np.full((*sections, 1), turn), np.zeros((*sections, 1, 1))), none, none)
     compliance = transmission / robot.tubes[0].torsional_stiffness
@@ -180,7 +180,7 @@ def test_the_second_variation_of_a_longer_column_is_lower_by_what_the_square_of_
     load = Load(force=(0.0, 0.0, -force))
     arms = [forward_kinematics(robot, [0.0], [shift], load=load) for shift in withdrawn]
     bounds = _Bounds(intervals_of(arms, load)[0])
-    none = np.zeros(bounds.long.v.shape)
+    none = np.zeros(bounds.length.v.shape)
     still = _Displacement((none[..., None], none[..., None, None]), none, none)
     first, last = 0.05 + withdrawn
     change = 4 * force / (np.pi**2 * robot.tubes[0].bending_stiffness)

@@ -119,8 +119,8 @@ def test_the_form_of_a_bent_rod_changes_no_more_than_is_said() -> None:
     load = Load(moment=(moment, 0, 0))
     arm = forward_kinematics(straight, [0.0], load=load)
     bounds = _Bounds(intervals_of(arm, arm))
-    none = np.zeros((*bounds.long.v.shape, 1))
-    moved = _Displacement((none, none[..., None]), np.full(bounds.long.v.shape, angle), none[..., 0])
+    none = np.zeros((*bounds.length.v.shape, 1))
+    moved = _Displacement((none, none[..., None]), np.full(bounds.length.v.shape, angle), none[..., 0])
     other = forward_kinematics(arc, [0.0], load=load)
     assert abs(sure_margin(other) - sure_margin(arm)) <= bounds.hessian_change(moved, stretched=False)[0] * 1.01
 

@@ -17,7 +17,7 @@ from tubeopt.show.plots.eccentric import Curve, Permutations, arm_curve, plot_pe
 from tubeopt.show.plots.scene import robot_mesh
 from tubeopt.show.plots.shape import CLOSE_UP
 from tubeopt.show.plots.stage import View, facets
-from tubeopt.show.surfaces import SHEATH_COLOUR, SHEATH_OPACITY, bundles
+from tubeopt.show.surfaces import SHEATH_COLOUR, SHEATH_OPACITY, tube_groups
 
 ETR = load_robot(CONFIGS / "thesis_etr.yaml")
 THREE = load_robot(CONFIGS / "example_three_segment_etr.yaml")
@@ -36,18 +36,18 @@ def three() -> Equilibrium:
 
 
 def test_tubes_of_a_segment_stand_together(bent: Equilibrium, three: Equilibrium) -> None:
-    (one,) = bundles(bent)
+    (one,) = tube_groups(bent)
     assert one.tubes == (0, 1, 2)
     assert (one.start, one.end) == pytest.approx((0.0, 94 * MM))
     assert one.radius == pytest.approx(ETR.sheath_inner_diameter / 2)
-    assert [bundle.tubes for bundle in bundles(three)] == [(6, 7, 8), (3, 4, 5), (0, 1, 2)]
-    assert [bundle.end for bundle in bundles(three)] == pytest.approx([50 * MM, 90 * MM, 120 * MM])
+    assert [bundle.tubes for bundle in tube_groups(three)] == [(6, 7, 8), (3, 4, 5), (0, 1, 2)]
+    assert [bundle.end for bundle in tube_groups(three)] == pytest.approx([50 * MM, 90 * MM, 120 * MM])
 
 
 def test_concentric_tubes_stand_alone() -> None:
     home = forward_kinematics(THESIS, (0.0, 0.0, 0.0))
-    assert [bundle.tubes for bundle in bundles(home)] == [(2,), (1,), (0,)]
-    assert [bundle.radius for bundle in bundles(home)] == pytest.approx([0.7 * MM, 0.6 * MM, 0.5 * MM])
+    assert [bundle.tubes for bundle in tube_groups(home)] == [(2,), (1,), (0,)]
+    assert [bundle.radius for bundle in tube_groups(home)] == pytest.approx([0.7 * MM, 0.6 * MM, 0.5 * MM])
 
 
 def test_tubes_are_drawn_at_their_places(bent: Equilibrium) -> None:

@@ -32,7 +32,7 @@ from tubeopt.block.transcription.loaded import LoadedProblem, evaluate
 from tubeopt.equilibrium.answer import point_of
 from tubeopt.equilibrium.continuation import Family, reach
 from tubeopt.equilibrium.member import Loaded
-from tubeopt.stability.certificate import Bundle, bundle_of
+from tubeopt.stability.certificate import ArmSections, arm_sections
 from tubeopt.stability.folds import slide
 from tubeopt.stability.stroke import stroke_slopes
 from tubeopt.typing import Array
@@ -181,7 +181,7 @@ def test_certificate_of_a_column_counts_three_halves_of_eulers_load() -> None:
         assert bound == pytest.approx(exact, abs=1e-12)
 
 
-def in_parts(bundle: Bundle, count: int) -> Bundle:
+def in_parts(bundle: ArmSections, count: int) -> ArmSections:
     """The same arm, every section in so many parts."""
     length = np.repeat(bundle.length / count, count)
     return replace(
@@ -195,7 +195,7 @@ def in_parts(bundle: Bundle, count: int) -> Bundle:
 
 def test_certificate_does_not_depend_on_parts_of_sections() -> None:
     for robot, force in ((slender(0.4), 0.01), (THESIS, 0.02), (THESIS, 1.0)):
-        bundle = bundle_of(robot, np.zeros(3))
+        bundle = arm_sections(robot, np.zeros(3))
         for pairs in (True, False):
             whole = bundle.softening(force, pairs=pairs)
             assert in_parts(bundle, 3).softening(force, pairs=pairs) == pytest.approx(whole, rel=1e-12)
@@ -220,7 +220,7 @@ def test_certificate_is_below_every_loaded_margin() -> None:
 
 def test_eigenvalue_of_the_certificate_is_that_of_a_fine_ritz_method() -> None:
     robot, force = slender(0.5), 0.01
-    bundle = bundle_of(robot, np.zeros(3))
+    bundle = arm_sections(robot, np.zeros(3))
     fine = in_parts(bundle, 24)
     # Y and the integral of r, linear on each cell: a lower bound of the eigenvalue.
     n, count, h = 3, len(fine.length), fine.length

@@ -12,7 +12,7 @@ from tests.examples import CRL, nested
 from tests.physics.test_loaded_certificate import ritz
 from tubeopt import ConcentricRobot, EccentricRobot, Piece, Tube, certify, deflection_bound, snap_free_certificate
 from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
-from tubeopt.stability.certificate import bundle_of, convexity, loaded_worst_case, worst_case
+from tubeopt.stability.certificate import arm_sections, convexity, loaded_worst_case, worst_case
 from tubeopt.stability.deflection import under_any_force
 from tubeopt.stability.eccentric_certificate import Segment, cross_sections, longest, proved_margin
 
@@ -44,7 +44,7 @@ def test_a_curved_tube_moves_by_what_bends_and_by_what_twists_it() -> None:
 def test_what_bends_and_twists_an_arm_is_summed_as_by_brute_force() -> None:
     """kappa(s)^2 by sums over many points, sections and tubes at once."""
     shift, force = np.array([-0.02, 0.0, 0.0]), 1e-3
-    bundle = bundle_of(CRL, shift)
+    bundle = arm_sections(CRL, shift)
     length = bundle.total_length
 
     def kappa(s: float) -> float:
@@ -168,7 +168,7 @@ def test_a_bundle_for_a_box_of_translations_is_as_soft_as_its_softest_arm() -> N
     """In torsion as where a tube is softest, with the longest transmission, the longest arm, and every curved part."""
     soft, stiff = (Piece(0.03, 8.0, torsional_stiffness=kt) for kt in (1e-3, 2e-3))
     robot = ConcentricRobot((Tube.of_pieces(1.0e-3, 0.8e-3, [stiff, soft], straight_length=0.04),))
-    bundle = bundle_of(robot, np.array([-0.02]), np.array([-0.01]))
+    bundle = arm_sections(robot, np.array([-0.02]), np.array([-0.01]))
     assert bundle.torsional == pytest.approx([1e-3])
     assert bundle.transmission == pytest.approx([0.06])
     assert bundle.total_length == pytest.approx(0.05)
@@ -186,7 +186,7 @@ def test_a_bundle_for_a_box_of_translations_is_as_soft_and_as_curved_as_any_arm_
     """Stiffness and pull at every place, of two tubes that move by themselves, by all arms of a grid."""
     robot = nested((0.02, 0.05, 4.0), (0.01, 0.03, 3.0))
     near, far = np.array([0.005, 0.002]), np.array([0.012, 0.006])
-    bundle = bundle_of(robot, near, far)
+    bundle = arm_sections(robot, near, far)
     places = bundle.start + bundle.length / 2
     softest, pulls = np.full(len(places), np.inf), np.zeros((len(places), 2))
     kb, kappa = np.array([[tube.bending_stiffness, tube.curvature] for tube in robot.tubes]).T
@@ -204,7 +204,7 @@ def test_a_force_leaves_the_larger_of_two_bounds(tubes: int, force: float) -> No
     """Of pairs and force at once, and of what the force takes alone from the margin without it."""
     robot = nested((0.03, 0.05, 12.0), (0.02, 0.05, 12.0), (0.01, 0.05, 12.0))
     robot = ConcentricRobot(robot.tubes[3 - tubes :])
-    unloaded, bundle = snap_free_certificate(robot), bundle_of(robot, np.zeros(tubes))
+    unloaded, bundle = snap_free_certificate(robot), arm_sections(robot, np.zeros(tubes))
     sections = (bundle.length, bundle.stiffness, bundle.natural_moment)
     torsion = (bundle.torsional, bundle.transmission)
     together, apart = (ritz(force, sections, torsion, pairs) for pairs in ((1, 1), (0, 0)))

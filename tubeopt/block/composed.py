@@ -138,7 +138,7 @@ class ComposedBlock(Generic[N]):
         # Prefix of the names of its variables and constraints.
         self.label = f"{self.name}: " if self.name else ""
         self._constraints: dict[str, _Constraint] = {}
-        # `MarginBound`, `CertificateBound` and `TipJacobian` of each such expression; they start anew with the block.
+        # `MarginBound`, `CertificateBound`, `TipSensitivities` of each such expression; they start anew with the block.
         self.margins: list[Any] = []
         self.bounds: list[Any] = []
         self.jacobians: list[Any] = []

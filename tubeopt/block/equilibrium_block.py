@@ -138,7 +138,7 @@ def rebuilt(robot: Robot, numbers: dict[str, Any]) -> Robot:
 
 
 @dataclass(frozen=True, eq=False)
-class TipJacobian:
+class TipSensitivities:
     """Linear equations F_x dx + F_a da = 0 of a block, whose sensitivities dx are unknowns of the program."""
 
     unknown: Any
@@ -176,7 +176,7 @@ def add_jacobian(block: ComposedBlock[Any], wrt: Sequence[str]) -> Any:
     per = np.concatenate([np.full(_columns(block, name).shape[1], 1 / _typical(block, name)) for name in names])
     total = np.outer(unit, per)
     flat = block.program.variable(block.label + "sensitivities", total.size, scale=total.ravel(order="F"))
-    jacobian = TipJacobian(flat, equations, seeds)
+    jacobian = TipSensitivities(flat, equations, seeds)
     block.program.set_guess(flat, jacobian.start(block))
     block.jacobians.append(jacobian)
     # The layout is a parameter; it changes with no input.

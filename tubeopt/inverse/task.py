@@ -46,7 +46,7 @@ FINE = 128
 
 
 @dataclass(frozen=True, eq=False)
-class Arms:
+class ArmBatch:
     """Arms of N equilibria, with p points each."""
 
     rotations: Array
@@ -67,9 +67,9 @@ class Arms:
         """Tip positions (N, 3), m."""
         return self.points[:, -1]
 
-    def some(self, rows: NDArray[np.intp]) -> Arms:
+    def some(self, rows: NDArray[np.intp]) -> ArmBatch:
         """Arms in some rows (r,)."""
-        return Arms(*(getattr(self, field.name)[rows] for field in fields(self)))
+        return ArmBatch(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def fine(self) -> tuple[Array, Array]:
         """Arc lengths (N, FINE) and centreline (N, FINE, 3) at evenly spaced points."""
@@ -133,7 +133,7 @@ class TipCoordinates:
         """Translations (N, n) of points (N, m)."""
         return self.space.joint(z)[:, self.space.robot.n_tubes :]
 
-    def joints(self, z: Array, arms: Arms | None = None) -> Array:
+    def joints(self, z: Array, arms: ArmBatch | None = None) -> Array:
         """Independent joint values (N, m) of points; `arms` are their arms if known."""
         rotations = self.rotations(z) if arms is None else arms.rotations
         return np.concatenate([rotations, z[:, self.space.robot.n_tubes :]], axis=1)
@@ -148,7 +148,7 @@ class TipCoordinates:
             out[rows] = function(tip[rows], shift[rows], self.parameters)[0]
         return out
 
-    def arms(self, z: Array, margin: float | Array, clock: Clock | None = None) -> Arms:
+    def arms(self, z: Array, margin: float | Array, clock: Clock | None = None) -> ArmBatch:
         """Arms of points z (N, m); stable are those with at least `margin`, one number or (N,).
 
         Raises:
@@ -165,7 +165,7 @@ class TipCoordinates:
         rotations, fields, points, tangents, s = (np.concatenate(part) for part in zip(*parts, strict=True))
         tubes = self.space.robot.tubes
         end = shift + np.array([tube.length - tube.straight_length for tube in tubes])
-        return Arms(rotations, np.asarray((fields > 0).all(1)), points, tangents, s, end)
+        return ArmBatch(rotations, np.asarray((fields > 0).all(1)), points, tangents, s, end)
 
     def _batch(self, tip: Array, shift: Array, margin: Array) -> list[Array]:
         count = len(tip)
@@ -279,7 +279,7 @@ class Task:
             min_clearance_reserve=4 * self.min_clearance_reserve,
         )
 
-    def clearances(self, arms: Arms, enough: float = np.inf) -> Array:
+    def clearances(self, arms: ArmBatch, enough: float = np.inf) -> Array:
         """Smallest distance (N,) of the arms' surfaces from obstacles, m; infinite without obstacles.
 
         Above `enough`, and below the required clearance, the value is a bound only. Arms that may come closer between
@@ -313,7 +313,7 @@ class Task:
         return np.asarray(smallest)
 
     def _surface_distance(
-        self, arms: Arms, s: Array, points: Array, rows: NDArray[np.intp], within: float = np.inf
+        self, arms: ArmBatch, s: Array, points: Array, rows: NDArray[np.intp], within: float = np.inf
     ) -> Array:
         """Distances (r, p) of the surface from obstacles at arc lengths s (r, p) with centreline `points`, m.
 
@@ -324,7 +324,7 @@ class Task:
         distance = self.scene.nearest(points.reshape(-1, 3), within).reshape(points.shape[:-1])
         return np.asarray(distance - radius)
 
-    def arms(self, z: Array) -> Arms:
+    def arms(self, z: Array) -> ArmBatch:
         """Arms of points (N, m), stable with the required margin and its reserve."""
         self.count(len(z))
         required = self.min_margin + np.minimum(self.margin_reserve, MARGIN_SLOPE * self._away(z))
@@ -344,7 +344,7 @@ class Task:
         """Required reserve (N,) of clearance of points, m."""
         return np.minimum(self.min_clearance_reserve, CLEARANCE_SLOPE * self._away(z))
 
-    def reserves(self, z: Array, *, arms: Arms | None = None) -> Array:
+    def reserves(self, z: Array, *, arms: ArmBatch | None = None) -> Array:
         """Reserve (N,) of margin and clearance of points, relative to that at the longest steps.
 
         Negative if a point violates margin, clearance, joint limits or order.

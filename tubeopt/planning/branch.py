@@ -64,7 +64,7 @@ def branch(intervals: Intervals, stiffness: Array) -> Branch:
         ball, contracts = bounds.ball(dtheta)
         unbroken = bounded & contracts & intervals.ordered
         error = bounds.chord_error(dtheta, ball.radius[:, None, None] * bounds.weight[0])
-        rates = tip_derivatives(bounds.long * bounds.tangent_derivatives(dtheta, ball))
+        rates = tip_derivatives(bounds.length * bounds.tangent_derivatives(dtheta, ball))
     proved = np.asarray(unbroken & np.isfinite(error).all(1))
     return Branch(proved, np.where(unbroken[:, None], error, np.inf), bounded, rates)
 
@@ -120,12 +120,12 @@ class _Bounds:
     def __init__(self, intervals: Intervals, stiffness: Array) -> None:
         self.intervals, self.bending, self.stiffness = intervals, intervals.bending, stiffness
         self.transport, self.offset = intervals.transport, intervals.arms.constants.offset
-        self.ease, self.long = self.transport.ease, linear(*intervals.length)
+        self.compliance, self.length = self.transport.compliance, linear(*intervals.length)
         """1 / kt (B, K, n); section lengths h (B, K)."""
         self.transmission = intervals.transmission
         # Cauchy-Schwarz: y_i(s) = int y_i' <= sqrt(int 1 / kt_i) sqrt(int kt_i y_i'^2). The energies of two tubes add,
         # so their bounds add as squares.
-        flexibility = [np.cumsum(length[..., None] * self.ease.v, axis=1) for length in intervals.length]
+        flexibility = [np.cumsum(length[..., None] * self.compliance.v, axis=1) for length in intervals.length]
         own = np.sqrt(np.maximum(*flexibility) + self.transmission.v[:, None])
         self.weight: AngleChange = own, np.hypot(own[..., :, None], own[..., None, :])
         """|y_i| <= sqrt((|beta_i| + s) / kt_i), and the same of y_i - y_j, for |y| = 1 in the energy norm."""
@@ -138,7 +138,7 @@ class _Bounds:
 
     def steps(self) -> DerivativeBounds:
         """(B, K, 1) section lengths."""
-        return self.long.map(lambda bound: bound[..., None])
+        return self.length.map(lambda bound: bound[..., None])
 
     def torque_change(self, dtheta: AngleChange) -> Array:
         """(B, K, n) bound on the change of the moments M_i when theta changes by `dtheta`."""
@@ -159,7 +159,7 @@ class _Bounds:
 
     def chord(self, dtheta: AngleChange) -> AngleDerivatives:
         """Time derivatives of the chord theta~: only the natural twist of tubes that vary is not linear in time."""
-        twist_tt = self.transport.bow.dd
+        twist_tt = self.transport.twist_deviation.dd
         own = DerivativeBounds(dtheta[0], dtheta[0], twist_tt)
         return own, DerivativeBounds(dtheta[1], dtheta[1], pair_differences(twist_tt))
 
@@ -185,7 +185,7 @@ class _Bounds:
         start, end = self.torques(moment)
         mean = (start + end).map(lambda bound: bound / 2)
         g = replace(stretch, v=1 + stretch.v)
-        along = (self.steps() * (g * mean * self.ease)).map(lambda bound: np.cumsum(bound, axis=1))
+        along = (self.steps() * (g * mean * self.compliance)).map(lambda bound: np.cumsum(bound, axis=1))
         base = self.transmission * start.map(lambda bound: bound[:, 0])
         return along + base.map(lambda bound: bound[:, None])
 
@@ -202,7 +202,7 @@ class _Bounds:
         dg = self._stretch(self.bending.change(dtheta[0])) * whole
         a, b = g * start.v + dg, g * end.v + dg
         # The torque is linear from a to b along a section: int (a + (b - a) x)^2 dx = (a^2 + a b + b^2) / 3.
-        along = (self.long.v[..., None] * self.ease.v * (a**2 + a * b + b**2) / 3).sum((1, 2))
+        along = (self.length.v[..., None] * self.compliance.v * (a**2 + a * b + b**2) / 3).sum((1, 2))
         transmissions = (self.transmission.v * start.v[:, 0] ** 2).sum(1)
         return np.asarray(np.sqrt(along + transmissions))
 
@@ -214,7 +214,7 @@ class _Bounds:
 
     def norm(self, dtheta: AngleChange) -> Array:
         """(B,) least factor of `weight` that bounds `dtheta` in all sections of positive length."""
-        exists = self.long.v[..., None] > 0
+        exists = self.length.v[..., None] > 0
         own = np.where(exists & (dtheta[0] > 0), dtheta[0] / self.weight[0], 0.0).max((1, 2), initial=0.0)
         ratio = dtheta[1] / self.weight[1]
         pair = np.where(exists[..., None] & (dtheta[1] > 0), ratio, 0.0).max((1, 2, 3), initial=0.0)
@@ -227,7 +227,7 @@ class _Bounds:
         """
         own, pair = self.intervals.changes
         # The natural twist is not quite linear in time.
-        twist = _with_pairs(self.transport.bow.d)
+        twist = _with_pairs(self.transport.twist_deviation.d)
         own, pair = own + twist[0], pair + twist[1]
         error = self._between_samples((own, pair))
         wide = own + 2 * error, pair + 2 * pair_differences(error)
@@ -244,12 +244,12 @@ class _Bounds:
         h, (moment, _) = self.steps(), self.cross_sections(self.chord(dtheta))
         u, du = self.bending.max_u, self.bending.change(dtheta[0])
         g = DerivativeBounds(1 + self._stretch(u), self._stretch(du), self.zero)
-        second = h * h * g * moment * self.ease
+        second = h * h * g * moment * self.compliance
         if not self.transport.still:
             twist = self.torques(moment)[0] * self.transport.compliance_slope + self.transport.twist_slope
             second = second + h * h * twist
         if self.offset.any():
-            w = self.torques(moment)[0] * self.ease
+            w = self.torques(moment)[0] * self.compliance
             theta_x, zero = h * g * w, np.zeros_like(u)
             # u changes along the arm as theta does; its change with time comes from both factors.
             u_xt = self.bending.second(dtheta[0], theta_x.v) + self.bending.change(theta_x.d)
@@ -288,7 +288,7 @@ class _Bounds:
         own = self.weight[0]
         # A function that is 0 at both ends has a slope of at most half of its largest second derivative.
         e_t = ((ball.residual_tt / 2 + ball.jacobian_t * ball.radius) / ball.contraction)[:, None, None]
-        twist = self.transport.bow
+        twist = self.transport.twist_deviation
         orders = [dtheta[0] + e_t * own, twist.order(2), twist.order(3)]
         pairs = [dtheta[1] + e_t[..., None] * self.weight[1], *(pair_differences(each) for each in orders[1:])]
         for order in (1, 2):
@@ -301,7 +301,7 @@ class _Bounds:
 
     def tangent_derivatives(self, dtheta: AngleChange, ball: _Ball) -> DerivativeBounds:
         """(B, K) time derivatives of the tangent along the solution, to the third, as means over each section."""
-        u = self.long * self.cross_sections(self.solution_derivatives(dtheta, ball))[1]
+        u = self.length * self.cross_sections(self.solution_derivatives(dtheta, ball))[1]
         # The angular velocity phi of the frame has phi_s = R u_t. Its bounds are convex along a section, so that their
         # mean there is no more than the mean of both ends.
         w = _at_ends(u.d)
@@ -321,16 +321,16 @@ class _Bounds:
         change = bounds.rotation(moments, g).d
         if self.offset.any():
             torque = bounds.torques(DerivativeBounds(self.torque, self.torque_change(direction), self.zero))[0]
-            along = bounds.steps() * stretch * (torque * bounds.ease)
+            along = bounds.steps() * stretch * (torque * bounds.compliance)
             change = change + along.map(lambda bound: np.cumsum(bound, axis=1)).d
         return np.asarray(change)
 
     def _at_rest(self) -> _Bounds:
         """Bounds with sections, transmissions and compliances that do not change with time."""
         resting = copy(self)
-        resting.long, resting.transmission, resting.ease = (
+        resting.length, resting.transmission, resting.compliance = (
             DerivativeBounds(bounds.v, np.zeros_like(bounds.v), np.zeros_like(bounds.v))
-            for bounds in (self.long, self.transmission, self.ease)
+            for bounds in (self.length, self.transmission, self.compliance)
         )
         return resting
 
@@ -341,7 +341,7 @@ class _Bounds:
         bounds |phi| and Phi its derivative; an eighth of it is the distance from the line. The curvature due to
         `error` (B, K, n), the bound on |theta - theta~|, acts on the lever ahead of it.
         """
-        b, h = self.bending, self.long
+        b, h = self.bending, self.length
         u = h * self.cross_sections(self.chord(dtheta))[1]
         w = np.cumsum(u.d, axis=1)
         w0 = w - u.d

@@ -55,7 +55,7 @@ def loaded_branch(intervals: LoadedIntervals, margins: Array) -> Branch:
         bounds = _Bounds(intervals)
         ball = bounds.ball(np.minimum(margins[intervals.start], margins[intervals.end]))
         error = bounds.chord_error(ball.radius)
-        rates = tip_derivatives(bounds.long * bounds.tangent_derivatives(ball.radius, ball.convexity))
+        rates = tip_derivatives(bounds.length * bounds.tangent_derivatives(ball.radius, ball.convexity))
     bounded = bounds.changes.valid
     unbroken = bounded & ball.exists & intervals.ordered & np.isfinite(error).all(1)
     return Branch(np.asarray(unbroken), np.where(unbroken[:, None], error, np.inf), bounded, rates)
@@ -153,11 +153,11 @@ class _Bounds:
         self.pairing = replace(self.transport.pairs, v=self.pairs)
         self.pull = replace(self.transport.pulls, v=self.slope)
         """`pairs` and `slope` with their changes along tubes that vary."""
-        self.long, self.spring = linear(*intervals.length), intervals.transmission
+        self.length, self.spring = linear(*intervals.length), intervals.transmission
         self.lever, self.u = intervals.lever, b.max_u
         self.couple, (self.kick, self.along) = intervals.couple, intervals.twisting
         """|m_c| (B, K); moments that twist a tube, at the ends of sections and per length (B, K, n)."""
-        compliance = self.long.v[..., None] / self.kt
+        compliance = self.length.v[..., None] / self.kt
         # Cauchy-Schwarz, as in `branch`: |y_i| <= sqrt(int 1 / kt_i) where T = 1.
         own = np.sqrt(np.cumsum(compliance, axis=1) + self.spring.v[:, None])
         self.weight: AngleChange = own, np.hypot(own[..., :, None], own[..., None, :])
@@ -167,7 +167,7 @@ class _Bounds:
         loads = intervals.loads
         slope = self.pairs.sum(3) + self.slope * self.lever[..., None] + self.along
         # Half of the sample distance times a bound on the slope of the torque.
-        self.torque = loads.torque + self.long.v[..., None] * slope / (2 * PARTS)
+        self.torque = loads.torque + self.length.v[..., None] * slope / (2 * PARTS)
         self.changes = self._changes(loads.torque_change, loads.moment_change)
         self.chord = self._chord(self.changes, self.torque)
 
@@ -177,12 +177,12 @@ class _Bounds:
         By Cauchy-Schwarz its square is int m_i^2 / kt_i + int 1 / K, where m_i, the integral of A_i from a point to
         that end, is linear in every section. `compliance` (B, K, n): h / kt.
         """
-        to_end = np.cumsum(self.long.v[..., None] * self.slope, axis=1)
+        to_end = np.cumsum(self.length.v[..., None] * self.slope, axis=1)
         to_start = np.concatenate([np.zeros_like(to_end[:, :1]), to_end[:, :-1]], axis=1)
         high, low = (np.maximum(to_end[:, :, None] - each[:, None], 0.0) for each in (to_start, to_end))
         inside = compliance[:, None] * (high**2 + high * low + low**2) / 3
         transmissions = self.spring.v[:, None] * to_end**2
-        bending = np.cumsum(self.long.v / self.stiffness, axis=1)
+        bending = np.cumsum(self.length.v / self.stiffness, axis=1)
         return np.asarray(np.sqrt((inside.sum(2) + transmissions).sum(2) + bending))
 
     def _changes(self, torque: Array, moment: Array) -> _Changes:
@@ -209,23 +209,27 @@ class _Bounds:
 
     def _between_samples(self, c: _Changes) -> _Samples:
         """Half of the sample distance times bounds on the slopes of the differences `c` along the arm."""
-        h, dh, lever, du = self.long.v[..., None], self.long.d[..., None], self.lever, self._curvature_change(c)
+        h, dh, lever, du = self.length.v[..., None], self.length.d[..., None], self.lever, self._curvature_change(c)
         constants = self.intervals.arms.constants
         twist = constants.largest(constants.bounds.twist[0], self.intervals.stretch)
         # theta' = t / kt + u*_z.
         theta = dh * (self.torque / self.kt + twist) + h * c.torque / self.kt
-        theta = theta + h * (self.torque * self.transport.ease.d + self.transport.twist_slope.v * self.intervals.moved)
+        theta = theta + h * (
+            self.torque * self.transport.compliance.d + self.transport.twist_slope.v * self.intervals.moved
+        )
         # t_i' = u x a_i: of the other tubes, of the load, and of moments per length.
         torque_slope = self.pairs.sum(3) + self.slope * lever[..., None] + self.along
         change = (self.pairs * c.angle[1]).sum(3)
         change += self.slope * (c.moment[..., None] + lever[..., None] * c.angle[0])
         change += self.transport.gain(np.ones_like(self.pairs)) + self.pull.d * lever[..., None]
-        frame = np.cumsum(self.long.d * self.u + self.long.v * du, axis=1)
+        frame = np.cumsum(self.length.d * self.u + self.length.v * du, axis=1)
         change += self.along * frame[..., None]
         # m' = u x t + n, with moments per length.
         torsion, torsion_change, along = self.torque.sum(2), c.torque.sum(2), self.along.sum(2)
-        moment = self.long.d * (self.u * torsion + self.force.v + along)
-        moment += self.long.v * (du * torsion + self.u * torsion_change + self.force.d + (self.force.v + along) * frame)
+        moment = self.length.d * (self.u * torsion + self.force.v + along)
+        moment += self.length.v * (
+            du * torsion + self.u * torsion_change + self.force.d + (self.force.v + along) * frame
+        )
         half = 1 / (2 * PARTS)
         return _Samples(half * theta, half * (dh * torque_slope + h * change), half * moment)
 
@@ -237,14 +241,14 @@ class _Bounds:
     def _twist(self, torque: DerivativeBounds) -> DerivativeBounds:
         """(B, K, n) time derivatives of theta, as torques twist the tubes."""
         base = self.spring * torque.map(lambda bound: bound[:, 0])
-        along = self.long.map(lambda bound: bound[..., None]) * torque * self.transport.ease
+        along = self.length.map(lambda bound: bound[..., None]) * torque * self.transport.compliance
         along = along.map(lambda bound: np.cumsum(bound, axis=1))
-        return base.map(lambda bound: bound[:, None]) + along + self.transport.bow
+        return base.map(lambda bound: bound[:, None]) + along + self.transport.twist_deviation
 
     def _bend(self, theta: DerivativeBounds, moment: DerivativeBounds) -> DerivativeBounds:
         """(B, K) h u."""
         by_tubes = (self.pull * unit_vector(theta)).map(lambda bound: bound.sum(2))
-        return self.long * replace(by_tubes + moment * self.transport.bending_compliance, v=self.u)
+        return self.length * replace(by_tubes + moment * self.transport.bending_compliance, v=self.u)
 
     def _balance(
         self, theta: DerivativeBounds, pair: DerivativeBounds, tangent: DerivativeBounds
@@ -252,18 +256,18 @@ class _Bounds:
         """T_i (B, K, n) and M (B, K) that balance the load, where the angles and tangents have these derivatives."""
         # M(s) = int_s^L (R't) x (R'n) with R of s: derivatives of t relative to R, and of R relative to n, add up to
         # those of t.
-        moment = (self.long * tangent * self.force).map(_to_tip) + tangent * self.couple
+        moment = (self.length * tangent * self.force).map(_to_tip) + tangent * self.couple
         by_load = unit_vector(theta) * moment.map(lambda bound: bound[..., None])
         by_tubes = (self.pairing * unit_vector(pair)).map(lambda bound: bound.sum(3))
         by_moments = tangent.map(lambda bound: bound[..., None] * self.along)
-        each = self.long.map(lambda bound: bound[..., None]) * (self.pull * by_load + by_tubes + by_moments)
+        each = self.length.map(lambda bound: bound[..., None]) * (self.pull * by_load + by_tubes + by_moments)
         return (each + tangent.map(lambda bound: bound[..., None] * self.kick)).map(_to_tip), moment
 
     def _size(self, torque: Array, moment: Array) -> Array:
         """(B,) sqrt(T) of torques (B, K, n) and moments (B, K)."""
         inside = (torque**2 / self.kt).sum(2) + moment**2 / self.stiffness
         transmissions = (self.spring.v * torque[:, 0] ** 2).sum(1)
-        return np.asarray(np.sqrt((self.long.v * inside).sum(1) + transmissions))
+        return np.asarray(np.sqrt((self.length.v * inside).sum(1) + transmissions))
 
     def _chord(self, c: _Changes, torque: Array) -> _Chord:
         """Bounds along a chord with torques of at most `torque` (B, K, n) and the change `c`."""
@@ -283,7 +287,7 @@ class _Bounds:
 
     def _response(self, size: Array) -> _Changes:
         """Rotations due to torques and moments with sqrt(T) = `size` (B,), and the changes of T_i and M by these."""
-        own, pair, h = self.weight[0] * size[:, None, None], self.weight[1] * size[:, None, None, None], self.long.v
+        own, pair, h = self.weight[0] * size[:, None, None], self.weight[1] * size[:, None, None, None], self.length.v
         frame = self.swing * size[:, None]
         moment = _to_tip(h * frame * self.force.v) + frame * self.couple.v
         by_load = self.slope * (own * self.lever[..., None] + moment[..., None])
@@ -347,7 +351,7 @@ class _Bounds:
 
         `stretched`: also from the chord to the sections, transmissions and load of the nearer end.
         """
-        h, w, lever = self.long.v, self.weight, self.lever
+        h, w, lever = self.length.v, self.weight, self.lever
         if stretched:
             geometry, dc, da = self._geometry_change(), self.pairing.d / 2, self.pull.d / 2
         else:
@@ -389,7 +393,7 @@ class _Bounds:
         """
         if not self.transport.still:
             return np.full(len(self.lever), np.inf)
-        h, zero, chord = self.long, np.zeros_like(self.long.v), self.chord
+        h, zero, chord = self.length, np.zeros_like(self.length.v), self.chord
         start, end = self.intervals.length
         # Squares of the changes of y, of int h r and of the transmissions, where T = 1.
         grown = _square_over(h.d, np.minimum(start, end))
@@ -421,11 +425,11 @@ class _Bounds:
         """Differences between the chord and its nearer end, at most half of the time away."""
         root, spring = _root_change(*self.intervals.length), self.spring
         twisting, bending = self._compliance_change()
-        tube = root[..., None] / np.sqrt(self.kt) + np.sqrt(self.long.v)[..., None] * twisting
+        tube = root[..., None] / np.sqrt(self.kt) + np.sqrt(self.length.v)[..., None] * twisting
         base = _root_change(np.maximum(spring.v - spring.d, 0.0), spring.v) + np.sqrt(spring.dd / 8)
-        bundle = root / np.sqrt(self.stiffness) + np.sqrt(self.long.v) * bending
+        bundle = root / np.sqrt(self.stiffness) + np.sqrt(self.length.v) * bending
         return _GeometryChange(
-            h=self.long.d / 2,
+            h=self.length.d / 2,
             y=np.sqrt(np.cumsum(tube**2, axis=1) + base[:, None] ** 2),
             bending=np.sqrt(np.cumsum(bundle**2, axis=1)),
             force=self.force.d / 2,
@@ -439,17 +443,17 @@ class _Bounds:
         kb, kt = (c.largest(stiffness, stretch) for stiffness in c.bounds.stiffest)
         # Half of the time; and d sqrt(f) = df / (2 sqrt(f)), with the smallest f.
         bending = self.transport.bending_compliance.d * np.sqrt(kb.sum(-1)) / 4
-        return self.transport.ease.d * np.sqrt(kt) / 4, bending
+        return self.transport.compliance.d * np.sqrt(kt) / 4, bending
 
     def ball(self, margin: Array) -> _Ball:
         """Ball around the chord that contains the equilibria, from the smaller `margin` (B,) of both ends."""
         chord = self.chord
-        forces = (self.long * chord.tangent * self.force).map(_to_tip)
+        forces = (self.length * chord.tangent * self.force).map(_to_tip)
         # From the chord to its nearer end; and per unit of radius from the centre of the ball.
         by_time = _Displacement(
             (chord.theta.d / 2, chord.pair.d / 2), chord.tangent.d / 2, (forces.d + self.couple.d) / 2
         )
-        by_radius = _Displacement(self.weight, self.swing, _to_tip(self.long.v * self.force.v * self.swing))
+        by_radius = _Displacement(self.weight, self.swing, _to_tip(self.length.v * self.force.v * self.swing))
         q_0 = np.fmin(self.hessian_change(by_time, stretched=True), self.hessian_chord_error())
         q_1 = self.hessian_change(by_radius, stretched=False)
         contraction = margin - q_0
@@ -460,8 +464,8 @@ class _Bounds:
         """(B, K) bound on the distance of a point from the straight line between its positions at both ends, m."""
         tangent = self.chord.tangent
         # P_tt = int 2 h_t t_t + h t_tt, an eighth of it is the distance; the ball adds its rotations times the length.
-        second = 2 * self.long.d * tangent.d + self.long.v * tangent.dd
-        lever = self.long.v * self.swing * radius[:, None]
+        second = 2 * self.length.d * tangent.d + self.length.v * tangent.dd
+        lever = self.length.v * self.swing * radius[:, None]
         return np.asarray(np.cumsum(second / 8 + lever, axis=1))
 
 

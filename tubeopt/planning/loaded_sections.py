@@ -15,10 +15,10 @@ from ..typing import Array, Index, Mask
 from .sections import (
     JUMP,
     SHAPE_ERROR,
-    Arms,
     CurvatureBounds,
     DerivativeBounds,
     Intervals,
+    SolvedArms,
     TransportBounds,
     unit_vector,
 )
@@ -99,7 +99,7 @@ def _on_outermost(size: Array, exists: Mask) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class LoadedArms(Arms):
+class LoadedArms(SolvedArms):
     """Arrays of equilibria under a load."""
 
     pull: Pull
@@ -252,9 +252,9 @@ class LoadedArms(Arms):
         u = bend.max_u + moment / bend.stiffness
         grows = u[:, None] * bend.moment + couple
         torque = np.maximum(np.abs(self.borne[0][0][inner]), np.abs(self.torque[inner + 1])) + h[:, None] * grows
-        ease, twist_slope = transport.ease, transport.twist_slope
-        turn = torque * ease.v + c.largest(c.bounds.twist[0], *self.crossed)
-        turning = grows * ease.v + torque * ease.d + twist_slope.v
+        compliance, twist_slope = transport.compliance, transport.twist_slope
+        turn = torque * compliance.v + c.largest(c.bounds.twist[0], *self.crossed)
+        turning = grows * compliance.v + torque * compliance.d + twist_slope.v
         swing = unit_vector(DerivativeBounds(turn, turn, turning))
         whole, growing = torque.sum(1), grows.sum(1)
         bending = force + u * whole + couple
@@ -262,7 +262,7 @@ class LoadedArms(Arms):
         du = bending / bend.stiffness + moment * transport.bending_compliance.d + by_tubes.d.sum(1)
         a = DerivativeBounds(*pull[:3]) * swing
         grown = du[:, None] * a.v + u[:, None] * a.d + couple * u[:, None]
-        turned_on = grown * ease.v + 2 * grows * ease.d + torque * ease.dd + twist_slope.d
+        turned_on = grown * compliance.v + 2 * grows * compliance.d + torque * compliance.dd + twist_slope.d
         bent = force * u + along + du * whole + u * growing + couple * u
         ddu = (
             bent / bend.stiffness
@@ -312,7 +312,7 @@ class LoadedIntervals(Intervals):
     arms: LoadedArms
 
     @classmethod
-    def of(cls, arms: Arms, start: Index, end: Index) -> Self:
+    def of(cls, arms: SolvedArms, start: Index, end: Index) -> Self:
         """Intervals between equilibria (B,) and (B,); not `ordered` where a moment passes to another tube."""
         intervals = super().of(arms, start, end)
         assert isinstance(arms, LoadedArms)

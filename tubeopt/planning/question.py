@@ -21,7 +21,7 @@ from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, OneOf, Typical, check
 from ..inverse.clock import Clock, LateError
 from ..inverse.joints import JointSpace, joint_space, shift_of
 from ..inverse.search import SEARCHES, FoundPath
-from ..inverse.task import Arms, Task, TipCoordinates
+from ..inverse.task import ArmBatch, Task, TipCoordinates
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
@@ -50,7 +50,7 @@ class LoadedChart(TipCoordinates):
             e = forward_kinematics(e.robot, e.rotations, e.translations, load=Load(), start=e)
         return super().of(e)
 
-    def arms(self, z: Array, margin: float | Array, clock: Clock | None = None) -> Arms:
+    def arms(self, z: Array, margin: float | Array, clock: Clock | None = None) -> ArmBatch:
         """Arms of points (k, m) under the load, with margins above `margin`."""
         plain, shift = super().arms(z, 0.0, clock), self.translations(z)
         required, loaded = np.broadcast_to(margin, len(z)), dict[int, Equilibrium]()
@@ -66,7 +66,7 @@ class LoadedChart(TipCoordinates):
         for k, e in loaded.items():
             own = e.position, e.frame[:, :, 2], e.arc_length
             points[k], tangents[k], s[k] = (_widened(table[None], width)[0] for table in own)
-        return Arms(plain.rotations, stable, points, tangents, s, plain.tube_end)
+        return ArmBatch(plain.rotations, stable, points, tangents, s, plain.tube_end)
 
     def _loaded(self, tips: Array, rotations: Array, translations: Array) -> Equilibrium | None:
         """Equilibrium under the load at joint values, from the one without it that has these tip rotations."""

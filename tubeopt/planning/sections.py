@@ -236,13 +236,13 @@ class TransportBounds:
     """(..., n) a_i / k, with a_i = kb_i u*_xy in the tube's own frame."""
     pairs: DerivativeBounds
     """(..., n, n) a_i a_j / k, 0 for i = j."""
-    ease: DerivativeBounds
+    compliance: DerivativeBounds
     """(..., n) 1 / kt."""
     compliance_slope: DerivativeBounds
     """(..., n) d(1 / kt) / ds."""
     twist_slope: DerivativeBounds
     """(..., n) d u*_z / ds, with one time derivative."""
-    bow: DerivativeBounds
+    twist_deviation: DerivativeBounds
     """(..., n) difference of the natural twist from a linear function of time; derivatives only."""
     bending_compliance: DerivativeBounds
     """(...) 1 / k."""
@@ -258,8 +258,8 @@ class TransportBounds:
                 DerivativeBounds(none, none, none, none),
                 DerivativeBounds(1 / kb.sum(-1), none, none, none),
             )
-            ease = DerivativeBounds(1 / c.smallest(b.torsional, *stretches), none, none, none)
-            return TransportBounds(True, nothing, nothing, ease, nothing, nothing, nothing, bending_compliance)
+            compliance = DerivativeBounds(1 / c.smallest(b.torsional, *stretches), none, none, none)
+            return TransportBounds(True, nothing, nothing, compliance, nothing, nothing, nothing, bending_compliance)
 
         def by_time(value: Array, *rates: Array) -> DerivativeBounds:
             # d/dt = move d/ds, for every order.
@@ -271,25 +271,35 @@ class TransportBounds:
         pulls = pull * bending_compliance.map(lambda part: part[..., None])
         pairs = pulls.map(lambda part: part[..., :, None]) * pull.map(lambda part: part[..., None, :])
         pairs = pairs.map(lambda part: part * (1 - np.eye(part.shape[-1])))
-        ease = by_time(1 / c.smallest(b.torsional, *stretches), *b.ease)
-        slope, bend, third = (c.largest(rate, *stretches) for rate in b.ease)
+        compliance = by_time(1 / c.smallest(b.torsional, *stretches), *b.compliance)
+        slope, bend, third = (c.largest(rate, *stretches) for rate in b.compliance)
         compliance_slope = DerivativeBounds(slope, bend * move, third * move**2)
         twist_slope = by_time(c.largest(b.twist[1], *stretches), b.twist[2])
-        bow = DerivativeBounds(
+        twist_deviation = DerivativeBounds(
             np.zeros_like(move), twist_slope.v * move**2 / 2, twist_slope.v * move**2, twist_slope.d * move**2
         )
-        return TransportBounds(False, pulls, pairs, ease, compliance_slope, twist_slope, bow, bending_compliance)
+        return TransportBounds(
+            False, pulls, pairs, compliance, compliance_slope, twist_slope, twist_deviation, bending_compliance
+        )
 
-    def bend(self, turn: Array, bow: Array) -> tuple[Array, Array]:
-        """(...) additions to the first and second derivative of u, where |theta'| <= `turn`, |theta''| <= `bow`."""
+    def bend(self, turn: Array, second_derivative: Array) -> tuple[Array, Array]:
+        """(...) additions to the derivatives u_t, u_tt; `turn` bounds |theta_t|, `second_derivative` |theta_tt|."""
         # (a e)'' without a theta'^2, which is there for tubes that do not vary as well.
         a = self.pulls
-        return (a.d, a.dd) if self.still else (a.d.sum(-1), np.asarray((2 * a.d * turn + a.dd + a.v * bow).sum(-1)))
+        return (
+            (a.d, a.dd)
+            if self.still
+            else (a.d.sum(-1), np.asarray((2 * a.d * turn + a.dd + a.v * second_derivative).sum(-1)))
+        )
 
-    def moment(self, pair: Array, bow: Array) -> tuple[Array, Array]:
-        """(..., n) additions to those of the moments; `pair` and `bow` bound derivatives of theta_i - theta_j."""
+    def moment(self, pair: Array, second_derivative: Array) -> tuple[Array, Array]:
+        """(..., n) additions to those of the moments; the arguments bound derivatives of theta_i - theta_j."""
         a = self.pairs
-        return (a.d, a.dd) if self.still else (a.d.sum(-1), np.asarray((2 * a.d * pair + a.dd + a.v * bow).sum(-1)))
+        return (
+            (a.d, a.dd)
+            if self.still
+            else (a.d.sum(-1), np.asarray((2 * a.d * pair + a.dd + a.v * second_derivative).sum(-1)))
+        )
 
     def gain(self, pair: Array) -> Array:
         """(..., n) time derivative of a_i a_j sin(theta_i - theta_j) / k, where the angle is at most `pair`."""
@@ -336,7 +346,7 @@ class _Steps(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Arms:
+class SolvedArms:
     """Arrays of E equilibria, with their P points along the arm in one row."""
 
     constants: Constants
@@ -492,12 +502,12 @@ class Arms:
         bend, transport = CurvatureBounds.of(c, *self.crossed), TransportBounds.of(c, np.array(1.0), *self.crossed)
         largest, kt = bend.pairs.sum(2), c.smallest(c.bounds.torsional, *self.crossed)
         torque = self._torque(h[:, None] * largest)
-        gain = largest / kt + torque * transport.ease.d + transport.twist_slope.v
+        gain = largest / kt + torque * transport.compliance.d + transport.twist_slope.v
         speed = np.maximum(np.abs(self._onwards[self.inner]), np.abs(self.torsion[self.inner + 1])) + h[:, None] * gain
         pair = speed[:, :, None] + speed[:, None, :]
         faster = ((bend.pairs * pair).sum(2) + transport.moment(pair, np.zeros(()))[0]) / kt
         if not c.still:
-            faster += 2 * largest * transport.ease.d + torque * transport.ease.dd + transport.twist_slope.d
+            faster += 2 * largest * transport.compliance.d + torque * transport.compliance.dd + transport.twist_slope.d
         # Tubes off the centreline: theta' = g w, whose change along the arm has that of g as well.
         twist_slope, gain = gain, gain * (1 + c.offset * bend.max_u[:, None])
         u, (first, second) = bend.max_u, transport.bend(speed, np.zeros(()))
@@ -545,7 +555,7 @@ class Intervals:
     A place of an interval is a section with a fraction x of it: its arc length changes linearly with time.
     """
 
-    arms: Arms
+    arms: SolvedArms
     start: Index
     """(B,) equilibrium at the start."""
     end: Index
@@ -560,7 +570,7 @@ class Intervals:
     """(B,) True for intervals in which no breakpoints pass each other, the plate, or a load point."""
 
     @classmethod
-    def of(cls, arms: Arms, start: Index, end: Index) -> Self:
+    def of(cls, arms: SolvedArms, start: Index, end: Index) -> Self:
         """Intervals between equilibria (B,) and (B,)."""
         tubes = [arms.breakpoints[e] for e in (start, end)]
         tips = np.stack(tubes).max(2, keepdims=True)

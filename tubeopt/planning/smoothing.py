@@ -32,7 +32,7 @@ from ..block.transcription.explicit import Kind, explicit_arm, explicit_joints
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
 from ..inverse.clock import Clock
-from ..inverse.task import Arms
+from ..inverse.task import ArmBatch
 from ..solvers.settings import NO_SENSITIVITIES
 from ..typing import Array
 from .knots import MAX_NODES, SPLITS, TABLES, Cubics, ample_duration, body_distances, differences
@@ -384,7 +384,7 @@ def smooth(
     return None
 
 
-def _near(task: PlanTask, arms: Arms) -> PlanTask:
+def _near(task: PlanTask, arms: ArmBatch) -> PlanTask:
     """Task with only those bodies that the arm may meet near knots."""
     if not task.obstacles:
         return task
@@ -395,7 +395,13 @@ def _near(task: PlanTask, arms: Arms) -> PlanTask:
 
 
 def _solve(
-    task: PlanTask, knots: tuple[Array, Arms], step: Array, limits: Limits, objective: str, reserve: Array, clock: Clock
+    task: PlanTask,
+    knots: tuple[Array, ArmBatch],
+    step: Array,
+    limits: Limits,
+    objective: str,
+    reserve: Array,
+    clock: Clock,
 ) -> Smoothed | None:
     """Solution of the program from knots (K, m) in tip coordinates and their arms; None if IPOPT fails.
 
@@ -449,7 +455,9 @@ def _solve(
     return Smoothed(motion, np.column_stack([tips.reshape(-1, n), joints[:, n:]]), int(stats["iter_count"]))
 
 
-def _required(task: PlanTask, program: PathProgram, least: Array, knots: tuple[Array, Arms], reserve: float) -> Array:
+def _required(
+    task: PlanTask, program: PathProgram, least: Array, knots: tuple[Array, ArmBatch], reserve: float
+) -> Array:
     """(K, rows) required values of the smooth minimum distances, m, at knots (K, m) and their arms.
 
     The exact distance from an obstacle may decrease to `reserve` above the required clearance; a knot with less may not

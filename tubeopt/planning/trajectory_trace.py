@@ -40,7 +40,7 @@ from ..typing import Array, Index, Mask
 from .branch import Branch, branch
 from .loaded_branch import loaded_branch
 from .loaded_sections import LoadedArms, LoadedIntervals, Pull, uncovered
-from .sections import PARTS, Arms, Constants, Intervals
+from .sections import PARTS, Constants, Intervals, SolvedArms
 
 # Halving cells in space costs no equilibrium, halving intervals in time costs one: the larger part is left to time.
 SHARE = 1 / 3
@@ -420,7 +420,7 @@ class TrajectoryVerifier:
     def intervals(self, equilibria: Sequence[Equilibrium], start: Index, end: Index) -> Intervals:
         """Intervals between pairs of a list of equilibria."""
         if self.load is None or self.unprovable:
-            return Intervals.of(Arms.of(self.constants, equilibria), start, end)
+            return Intervals.of(SolvedArms.of(self.constants, equilibria), start, end)
         arms = LoadedArms.of(self.constants, equilibria, pull=Pull.of(self.robot, self.load))
         return LoadedIntervals.of(arms, start, end)
 
@@ -437,7 +437,7 @@ class TrajectoryVerifier:
             return Branch(none, np.full(intervals.length[0].shape, np.inf), none, np.full((2, len(none)), np.inf))
         return branch(intervals, self._stiffness(intervals.arms))
 
-    def _stiffness(self, arms: Arms) -> Array:
+    def _stiffness(self, arms: SolvedArms) -> Array:
         """(E,) least singular values of the linearised equations; the margins, if all tubes are on the centreline."""
         if not arms.constants.offset.any():
             return np.array([min(e.margin, 1.0) for e in arms.equilibria])

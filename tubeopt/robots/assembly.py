@@ -280,7 +280,7 @@ def merge(points: Iterable[float]) -> Array:
 
 
 def cut(assembly: Assembly, at: Array) -> Assembly:
-    """Bundle with further breakpoints at arc lengths `at` (m) between the plate and the tip."""
+    """Assembly with further breakpoints at arc lengths `at` (m) between the plate and the tip."""
     total = assembly.total_length
     inside = at[(at > LENGTH_ROUND_OFF) & (at < total - LENGTH_ROUND_OFF)]
     start = merge(np.concatenate([assembly.start, inside]))
@@ -293,7 +293,7 @@ def cut(assembly: Assembly, at: Array) -> Assembly:
 
 
 def without_offsets(assembly: Assembly) -> Assembly:
-    """Bundle with all tubes on the centreline."""
+    """Assembly with all tubes on the centreline."""
     zero = np.zeros(assembly.n_tubes)
     return replace(assembly, offset=zero, offset_angle=zero)
 

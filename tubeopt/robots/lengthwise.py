@@ -371,7 +371,7 @@ class Variation:
     cuts: Array
     bending: Array
     torsional: Array
-    ease: Array
+    compliance: Array
     pull: Array
     twist: Array
     stiffest: Array
@@ -379,7 +379,7 @@ class Variation:
     @property
     def still(self) -> bool:
         """True if no quantity varies along a cell."""
-        return not any(rates.any() for rates in (self.bending[1:], self.ease, self.pull[1:], self.twist[1:]))
+        return not any(rates.any() for rates in (self.bending[1:], self.compliance, self.pull[1:], self.twist[1:]))
 
 
 @lru_cache(maxsize=128)
@@ -470,11 +470,11 @@ def _bound(coefficients: Array, half: float) -> Array:
     # (1 / k)' = -k' / k^2. (1 / k)'' = 2 k'^2 / k^3 - k'' / k^2. (1 / k)''' = 6 k' k'' / k^3 - 6 k'^3 / k^4 - k''' /
     # k^2. Signs are dropped and k is its lower bound, so that each sum is an upper bound.
     one, two, three = kt1 / low[1], kt2 / low[1], kt3 / low[1]
-    ease = np.array([one, two + 2 * one**2, three + 6 * one * two + 6 * one**3]) / low[1]
+    compliance = np.array([one, two + 2 * one**2, three + 6 * one * two + 6 * one**3]) / low[1]
     return np.array(
         [
             *(low[0], *bending),
-            *(low[1], *ease),
+            *(low[1], *compliance),
             *(np.abs(square).sum() ** 0.5, *np.hypot(*sides)[1:]),
             *twist[:3],
             *(np.abs(each).sum() for each in (kb, kt)),

@@ -297,7 +297,7 @@ def shade(part: float) -> float:
 
 
 @dataclass(frozen=True)
-class Bundle:
+class TubeGroup:
     """Tubes side by side, visible between common arc lengths."""
 
     tubes: tuple[int, ...]
@@ -310,14 +310,15 @@ class Bundle:
     """Radius around all tubes, m."""
 
 
-def bundles(equilibrium: Equilibrium) -> list[Bundle]:
+def tube_groups(equilibrium: Equilibrium) -> list[TubeGroup]:
     """Visible tubes: all tubes of a segment together, tubes of a concentric robot separately."""
     groups: dict[tuple[float, float], list[int]] = {}
     for each in visible(equilibrium):
         groups.setdefault((each.start, each.end), []).append(each.tube)
     radius = outer_radius(equilibrium.robot)
     return [
-        Bundle(tuple(sorted(tubes)), start, end, float(radius[tubes].max())) for (start, end), tubes in groups.items()
+        TubeGroup(tuple(sorted(tubes)), start, end, float(radius[tubes].max()))
+        for (start, end), tubes in groups.items()
     ]
 
 
@@ -402,7 +403,7 @@ def robot_parts(
 
 def _sheaths(equilibrium: Equilibrium, line: Centreline, detail: Detail, window: tuple[float, float]) -> Iterator[Part]:
     """Sheaths of the segments, as wide as the tubes in them need."""
-    for k, bundle in enumerate(bundles(equilibrium), start=1):
+    for k, bundle in enumerate(tube_groups(equilibrium), start=1):
         first, last = max(bundle.start, window[0]), min(bundle.end, window[1])
         if last > first:
             s = detail.along(first, last, window[1] - window[0])

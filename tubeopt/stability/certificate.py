@@ -56,7 +56,7 @@ from .shooting import profiles, to_base
 
 
 @dataclass(frozen=True, eq=False)
-class Bundle:
+class ArmSections:
     """Properties of an arm of n tubes in m sections, plate to tip, that enter the bounds."""
 
     start: Array
@@ -86,7 +86,7 @@ class Bundle:
         return largest_eigenvalue(force, sections, tubes, OPPOSED if pairs else APART)[0]
 
 
-def bundle_of(robot: Robot, near: Array, far: Array | None = None) -> Bundle:
+def arm_sections(robot: Robot, near: Array, far: Array | None = None) -> ArmSections:
     """Arm of concentric tubes at translations (n,), or with bounds for all translations from `near` to `far`.
 
     In a section every tube has the largest precurvature, the smallest bending and the smallest torsional stiffness
@@ -107,7 +107,7 @@ def bundle_of(robot: Robot, near: Array, far: Array | None = None) -> Bundle:
     certain_kb = np.where(possible, np.where(behind, 0.0, kb), np.inf).min(2)
     # Beyond the last end that is certain some tube is present, since there is an arm: at least the softest possible.
     softest_kb = np.where(possible & ~behind, kb, np.inf).min((1, 2))
-    return Bundle(
+    return ArmSections(
         start=start,
         length=length,
         stiffness=np.maximum(certain_kb.sum(1), softest_kb),
@@ -124,7 +124,7 @@ def loaded_worst_case(robot: Robot, translations: Array, unloaded: float, force:
     (the smallest value of a sum is at least the sum of the smallest values). The second is the sharper one for weak
     forces on three or more tubes, which cannot all oppose one another as N assumes.
     """
-    bundle = bundle_of(robot, translations)
+    bundle = arm_sections(robot, translations)
     if not force or not bundle.total_length:
         return unloaded
     separate = unloaded - bundle.softening(force, pairs=False)

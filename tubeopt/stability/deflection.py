@@ -36,7 +36,7 @@ from ..files.field_metadata import unit
 from ..robots.load import ZERO, Load, Stretch, masses
 from ..robots.robot import Robot, shifts
 from ..typing import Array
-from .certificate import Bundle, bundle_of, snap_free_certificate
+from .certificate import ArmSections, arm_sections, snap_free_certificate
 
 GAUSS = np.polynomial.legendre.leggauss(3)
 """Exact for the polynomials of degree 4 that are integrated on every section."""
@@ -82,10 +82,10 @@ def deflection_bound(
     points = finite_array("arc_length", inputs, 1)
     if not np.isfinite(points).all() or points.min(initial=0.0) < 0 or points.max(initial=0.0) > length * (1 + 1e-12):
         raise InputError(f"arc_length is {points.tolist()} m; points must lie on the arm, between 0 and {length:g} m")
-    return _moved(bundle_of(robot, shift), certificate, max_force, points)
+    return _moved(arm_sections(robot, shift), certificate, max_force, points)
 
 
-def _moved(bundle: Bundle, margin: float, force: float, points: Array) -> Array:
+def _moved(bundle: ArmSections, margin: float, force: float, points: Array) -> Array:
     """(S,) bounds F kappa(L) kappa(s) / mu on the deflection of points at s, m; largest at the tip."""
     if not force or not bundle.total_length:
         return np.zeros(len(points))
@@ -94,7 +94,7 @@ def _moved(bundle: Bundle, margin: float, force: float, points: Array) -> Array:
     return force * _kappa(bundle, bundle.total_length) * np.array([_kappa(bundle, s) for s in points]) / margin
 
 
-def _kappa(bundle: Bundle, s: float) -> float:
+def _kappa(bundle: ArmSections, s: float) -> float:
     """kappa(s), m / sqrt(J)."""
     slope = bundle.natural_moment / bundle.stiffness[:, None]
     section_start = np.minimum(bundle.start, s)
@@ -136,7 +136,7 @@ def under_any_force(robot: Robot, translations: ArrayLike, max_force: float, loa
     total_force = max_force + (0.0 if load is None else max_section_force(robot, path, load))
     first, bounds = snap_free_certificate(robot, path[0], max_force=total_force), []
     for near, far in _boxes(path):
-        bundle, margin = bundle_of(robot, near, far), first
+        bundle, margin = arm_sections(robot, near, far), first
         if not np.array_equal(near, far):
             margin = 1 - bundle.softening(total_force, pairs=True) if bundle.total_length else 1.0
         tip = np.array([bundle.total_length])

@@ -32,7 +32,7 @@ from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array, Index
 from .certificate import snap_free_certificate, worst_case
 from .folds import NUDGE, slide
-from .shooting import STEPS_PER_PIECE, Bundle, gain_of, profiles, sections_of, shoot
+from .shooting import STEPS_PER_PIECE, ShootingArm, gain_of, profiles, sections_of, shoot
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Group:
 
     tubes: Index
     """(k,) numbers of the tubes among the n of the robot."""
-    bundle: Bundle
+    bundle: ShootingArm
     """These tubes first, then a straight tube at each offset that has none of them.
 
     Each offset has the stiffness of all tubes there. Transmissions are those on the centreline.
@@ -124,7 +124,7 @@ def _group(problem: ReducedProblem, tubes: Index, sections: Index) -> Group:
     stiffness[..., len(tubes) :] = moment[..., len(tubes) :] = 0.0
     for i in np.setdiff1d(np.arange(assembly.n_tubes), tubes):
         stiffness[..., seat[i]] += all_tubes[1][..., i]
-    bundle = Bundle(
+    bundle = ShootingArm(
         length=mesh.length[pieces],
         bent=mesh.collocated[pieces],
         gain=gain_of(problem)[np.ix_(pieces, members)],
@@ -210,7 +210,7 @@ class Table:
 
 
 @lru_cache(maxsize=16)
-def table_of(bundle: Bundle, k: int) -> Table:
+def table_of(bundle: ShootingArm, k: int) -> Table:
     """Table of the first k tubes of a bundle, refined until its Fourier series is resolved."""
     size = (RELATIVE,) * (k - 1) + ((COMMON,) if bundle.place else ())
     while True:
@@ -318,7 +318,7 @@ class Preimage:
 
 
 def preimage(
-    bundle: Bundle, transmission: Array, rotations: Array, most_starts: int = DEFAULT_EQUILIBRIA_SEARCH.most_starts
+    bundle: ShootingArm, transmission: Array, rotations: Array, most_starts: int = DEFAULT_EQUILIBRIA_SEARCH.most_starts
 ) -> Preimage:
     """Tip angles for joint rotations (k,) of the first k tubes of a bundle, with transmissions (n,), 1/(N m).
 
@@ -337,7 +337,7 @@ def preimage(
     return replace(result, complete=False)
 
 
-def _tip_starts(bundle: Bundle, transmission: Array, target: Array, max_starts: int) -> Iterator[Array]:
+def _tip_starts(bundle: ShootingArm, transmission: Array, target: Array, max_starts: int) -> Iterator[Array]:
     """(B, k) tip angles to solve from, from ever finer grids."""
     k = len(target)
     if k <= 3:
@@ -355,7 +355,7 @@ def _tip_starts(bundle: Bundle, transmission: Array, target: Array, max_starts: 
 
 
 def _newton(
-    bundle: Bundle, target: Array, tips: Array, steps: int, iterations: int, tolerance: float
+    bundle: ShootingArm, target: Array, tips: Array, steps: int, iterations: int, tolerance: float
 ) -> tuple[Array, Array]:
     """(B, k) tip angles with the smallest residual of Newton's method, and this residual (B,), rad, up to full turns.
 
@@ -381,7 +381,7 @@ def _newton(
     return best, smallest
 
 
-def _approach(bundle: Bundle, target: Array, starts: Array) -> Array:
+def _approach(bundle: ShootingArm, target: Array, starts: Array) -> Array:
     """Tip angles close to solutions, on the coarse integration, without duplicates."""
     tips = starts
     # After three steps most starts coincide; only distinct ones are continued.
@@ -393,7 +393,7 @@ def _approach(bundle: Bundle, target: Array, starts: Array) -> Array:
     return np.asarray(tips[residual < CLOSE])
 
 
-def _finish(bundle: Bundle, target: Array, starts: Array) -> Preimage:
+def _finish(bundle: ShootingArm, target: Array, starts: Array) -> Preimage:
     """Distinct solutions from starts close to them; tip angles such that the joints have no full turns too many."""
     tips, residual = _newton(bundle, target, starts, STEPS_PER_PIECE, 12, SOLVED)
     tips = tips[residual < SOLVED]

@@ -55,7 +55,7 @@ def sections_of(problem: ReducedProblem) -> tuple[Array, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Bundle:
+class ShootingArm:
     """Tubes that are integrated together, on P pieces, base to tip.
 
     For tubes with a natural twist theta is the elastic rotation phi.
@@ -99,10 +99,10 @@ class Shot:
     """(B, n) length of every tube along the pieces, m."""
 
 
-def all_tubes(problem: ReducedProblem) -> Bundle:
-    """Bundle of all tubes of a problem on all pieces of its mesh."""
+def all_tubes(problem: ReducedProblem) -> ShootingArm:
+    """Tubes of a problem on all pieces of its mesh."""
     assembly, mesh = problem.assembly, problem.mesh
-    return Bundle(
+    return ShootingArm(
         length=mesh.length,
         bent=mesh.collocated,
         gain=gain_of(problem),
@@ -117,7 +117,7 @@ def gain_of(problem: ReducedProblem) -> Array:
     return np.diff(reach(problem.mesh, problem.here), axis=0)
 
 
-def shoot(bundle: Bundle, tips: Array, *, steps: int = STEPS_PER_PIECE, slopes: bool = False) -> Shot:
+def shoot(bundle: ShootingArm, tips: Array, *, steps: int = STEPS_PER_PIECE, slopes: bool = False) -> Shot:
     """Joint rotations for tip angles (B, k) of the first k tubes and 0 for all others; lengths are of all tubes.
 
     Args:
@@ -164,7 +164,7 @@ def _chunks(tips: Array) -> list[Array]:
     return np.split(padded, len(padded) // size)
 
 
-def _shoot(bundle: Bundle, tips: Array, steps: int, slopes: bool) -> State:
+def _shoot(bundle: ShootingArm, tips: Array, steps: int, slopes: bool) -> State:
     """Rotations, torque, travel and, with `slopes`, the derivatives of the rotations, at the clamped ends."""
     check_time()
     state = _at_tip(tips, slopes)
@@ -176,7 +176,7 @@ def _shoot(bundle: Bundle, tips: Array, steps: int, slopes: bool) -> State:
     return (*shot, state[3] - gain[:, None] * state[4]) if slopes else shot
 
 
-def _profiles(problem: ReducedProblem, bundle: Bundle, tips: Array) -> Array:
+def _profiles(problem: ReducedProblem, bundle: ShootingArm, tips: Array) -> Array:
     """(B, N, n) theta at the collocation points, for one chunk of tip angles."""
     mesh = problem.mesh
     nodes, degree = mesh.tableau.nodes, mesh.tableau.degree
@@ -198,7 +198,7 @@ def _at_tip(tips: Array, slopes: bool) -> State:
     return (*state, np.tile(np.eye(n), (count, 1, 1)), np.zeros((count, n, n))) if slopes else state
 
 
-def _over(bundle: Bundle, piece: int, steps: int, state: State) -> tuple[State, Grid]:
+def _over(bundle: ShootingArm, piece: int, steps: int, state: State) -> tuple[State, Grid]:
     """State at the base side of a piece, and theta and theta' at the ends of its steps."""
     if not bundle.bent[piece]:
         return _straight(bundle, piece, state)
@@ -215,7 +215,7 @@ def _over(bundle: Bundle, piece: int, steps: int, state: State) -> tuple[State, 
     return tuple(moved), (values.reshape(count, -1, n), slopes.reshape(count, -1, n))
 
 
-def _straight(bundle: Bundle, piece: int, state: State) -> tuple[State, Grid]:
+def _straight(bundle: ShootingArm, piece: int, state: State) -> tuple[State, Grid]:
     """State at the base side of a piece with constant torque, and theta and theta' at both ends."""
     theta, torque, travel, *slopes = state
     gain, length = bundle.gain[piece], bundle.length[piece]

@@ -21,12 +21,12 @@ from ..page import tube_colour
 from ..surfaces import (
     Centreline,
     Detail,
-    bundles,
     obstacle_surface,
     plate_part,
     plate_radius,
     robot_parts,
     swept,
+    tube_groups,
     visible,
 )
 from .labels import arrow, note
@@ -319,7 +319,7 @@ NAME_DISTANCE = 10.0
 def _name_tubes(axes: Axes, equilibrium: Equilibrium, view: View) -> None:
     """Name each tube to the lower right of the middle of where it shows, and the tip to its upper left."""
     line = Centreline(equilibrium)
-    for bundle in bundles(equilibrium):
+    for bundle in tube_groups(equilibrium):
         middle = (bundle.start + bundle.end) / 2
         right = _right_of(line, middle, view)
         at = view.project(line.position([middle])[0])[:2] + bundle.radius * TO_MM * right

@@ -15,7 +15,7 @@ from ...errors import InputError
 from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array
 from ..page import tube_colour
-from ..surfaces import Bundle, Centreline, Detail, bundles
+from ..surfaces import Centreline, Detail, TubeGroup, tube_groups
 from .labels import names_above, note, rules_at
 from .panels import ROTATION, Scale, draw_over
 from .scene import PRINTED, Arm, Scene, Target, close_up_radius, draw_scene, robot_mesh
@@ -162,7 +162,7 @@ def draw_scenes(
     everyone = Scene([arm for scene in scenes for arm in scene.arms])
     seen, box = everyone.view(view), Box.around(np.concatenate([scene.extent() for scene in scenes]))
     last = equilibria[-1]
-    ends = bundles(last) if close_ups else []
+    ends = tube_groups(last) if close_ups else []
     widths = [3.6 if len(equilibria) == 1 else 2.4] * len(equilibria) + [1.0] * close_ups
     grid = figure.add_gridspec(max(len(ends), 3) if close_ups else 1, len(widths), width_ratios=widths)
     panels = [figure.add_subplot(grid[:, column]) for column in range(len(equilibria))]
@@ -180,7 +180,7 @@ def draw_scenes(
     return Scenes(panels, seen)
 
 
-def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Bundle, view: View) -> None:
+def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: TubeGroup, view: View) -> None:
     """Draw a close-up of the end of a tube or segment in a circle, and the circle in the scene."""
     from matplotlib.patches import ConnectionPatch, PathPatch
     from matplotlib.path import Path
