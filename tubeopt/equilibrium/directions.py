@@ -451,7 +451,7 @@ class Directions:
             into.transmission[i, column] += max(float(up_to), 0.0) / own.curved_length
             ends = np.array([tube.length for tube in self.tubes])
             begun, ended = table.values(np.stack([straight, ends]))[5][:, i]
-            turned = arm.problem.here.sections.wound.reshape(arm.phase.shape)[..., i] - begun
+            turned = arm.problem.compliant.sections.wound.reshape(arm.phase.shape)[..., i] - begun
             # The twist is per length, so that a longer curved part winds more, in proportion.
             into.data[..., i, column] += np.where(moved != 0, turned, 0.0) / own.curved_length
             entered.wound[i, column] += (ended - begun) / own.curved_length
@@ -527,7 +527,7 @@ def _held(assembly: Assembly, side: int) -> Array:
 @lru_cache(maxsize=64)
 def passing(problem: ReducedProblem) -> tuple[Array, ...]:
     """(P, K, n) rates of phase, kb, m and 1 / kt along tubes made of pieces, at the points."""
-    table, mesh, shape = problem.assembly.lengthwise, problem.mesh, problem.here.rate.shape
+    table, mesh, shape = problem.assembly.lengthwise, problem.mesh, problem.compliant.rate.shape
     assert table is not None
     nodes = mesh.tableau.nodes
     s, inside = (
@@ -536,7 +536,7 @@ def passing(problem: ReducedProblem) -> tuple[Array, ...]:
     )
     kb, kt, x, y, z, _ = (part.reshape(shape) for part in table.values(s, inside))
     dkb, dkt, dx, dy, _, _ = (part.reshape(shape) for part in table.rates(s, inside))
-    there, size = problem.here.sections.stiffness.reshape(shape) > 0, np.hypot(x, y)
+    there, size = problem.compliant.sections.stiffness.reshape(shape) > 0, np.hypot(x, y)
     solid = np.where(size > 0, size, 1.0)
     turning, growing = (x * dy - y * dx) / solid**2, (x * dx + y * dy) / solid
     return z + turning, dkb * there, (dkb * size + kb * growing) * there, -dkt / kt**2

@@ -61,7 +61,7 @@ class FrictionEquilibrium:
     """(n,) joint rotations, rad."""
     translations: Array
     """(n,) joint translations, m."""
-    found: Increment
+    increment: Increment
     """Solution of the increment that ended in this state."""
     heat: float
     """Heat of friction since the start of the history, J."""
@@ -71,19 +71,19 @@ class FrictionEquilibrium:
     @cached_property
     def profile(self) -> arms.Profile:
         """Torsion along the arm."""
-        return contact_profile(self.contact, self.rotations, self.found.state, self.found.torque)
+        return contact_profile(self.contact, self.rotations, self.increment.state, self.increment.torque)
 
     @cached_property
     def margin(self) -> float:
         """Margin without friction: smallest eigenvalue of the second variation."""
-        return least(self.found.state.hessian)
+        return least(self.increment.state.hessian)
 
     @cached_property
     def held_margin(self) -> float:
         """Smallest eigenvalue over the motions that keep sticking contacts stuck, between the margin and 1."""
-        if self.found.signs.all() or self.margin > 1 - EIGENVALUE_ROUND_OFF:
+        if self.increment.signs.all() or self.margin > 1 - EIGENVALUE_ROUND_OFF:
             return self.margin
-        return held_margin(self.contact, self.found.state, self.found.signs)
+        return held_margin(self.contact, self.increment.state, self.increment.signs)
 
     def theta(self, arc_length: Array) -> Array:
         """(X, n) elastic rotations at arc lengths (X,), m; behind the plate by the twist of the transmission."""
@@ -95,7 +95,7 @@ class FrictionEquilibrium:
         if behind.any():
             # Behind the plate the torque is constant: theta falls by it times the compliance up to the plate.
             position = np.maximum(problem.assembly.transmission + behind[:, None], 0.0)
-            compliance = problem.assembly.compliant(position) - problem.here.transmission
+            compliance = problem.assembly.compliant(position) - problem.compliant.transmission
             inside += compliance * self.profile.torque[0]
         return inside
 
@@ -196,7 +196,7 @@ def step(
     sliding, guess, signs = None, x, None
     if same_contact:
         # The same rows stick or slip as before. If the joints turn on in the same direction, x changes as it did.
-        signs = current.found.signs
+        signs = current.increment.signs
         if current.tangent is not None:
             last_turn, last_change = current.tangent
             along, size = float(turn @ last_turn), float(last_turn @ last_turn)
@@ -232,7 +232,7 @@ def start_increment(
     """Start of an increment from a state to other joint values (n,) and another load."""
     moved = translations - current.translations
     if not moved.any() and load == current.contact.load:
-        return IncrementStart(current.contact, current.found.state.relative_rotations, current.found.state.x)
+        return IncrementStart(current.contact, current.increment.state.relative_rotations, current.increment.state.x)
     contact = contact_of(robot, tuple(translations.tolist()), current.contact.friction, load)
     pair, s, points = contact.pair, contact.arc_length, contact.problem.arc_length
     # The material at s was at s - dz_i on tube i.
@@ -249,7 +249,7 @@ def start_increment(
 
 def bent_at(current: FrictionEquilibrium, contact: Contact) -> Array | None:
     """(N, 2) bending of a state, 1/m, at the points of a contact; None for one without a load."""
-    bending = bending_of(current.contact, current.found.state.x)
+    bending = bending_of(current.contact, current.increment.state.x)
     if contact.loaded is None or current.contact is contact:
         return bending if contact.loaded is not None else None
     if bending is None or current.contact.loaded is None:
@@ -259,13 +259,13 @@ def bent_at(current: FrictionEquilibrium, contact: Contact) -> Array | None:
 
 def to_held_equilibrium(robot: Robot, current: FrictionEquilibrium, start: str) -> Equilibrium:
     """Equilibrium of a state with friction, with shape, energy and error estimates."""
-    contact, state, problem = current.contact, current.found.state, current.contact.problem
+    contact, state, problem = current.contact, current.increment.state, current.contact.problem
     shift, error = tuple(current.translations.tolist()), _smooth_error(current) + _front_error(current)
     if isinstance(state.elastic, LoadedState):
         plain = _under_load(robot, current, state.elastic, start, error)
     else:
         # Friction torques are part of the balance: the residual is the gradient with them.
-        balance = (state.gradient + contact.rows.T @ current.found.torque)[: problem.size]
+        balance = (state.gradient + contact.rows.T @ current.increment.torque)[: problem.size]
         torsion = replace(state.elastic, gradient=balance, energy=state.energy)
         member = Unloaded(robot, problem, current.rotations, shift, Discretisation(degree=DEGREE))
         shape = member.solution(Point(0.0, member, torsion, current.margin), current.profile, error)
@@ -274,11 +274,11 @@ def to_held_equilibrium(robot: Robot, current: FrictionEquilibrium, start: str) 
         friction=contact.friction,
         arc_length=tuple(contact.arc_length.tolist()),
         pair=tuple(contact.pair.tolist()),
-        torque=tuple(current.found.torque.tolist()),
+        torque=tuple(current.increment.torque.tolist()),
         capacity=tuple(contact.capacity.tolist()),
         held_margin=current.held_margin,
         heat=current.heat,
-        violation=current.found.violation,
+        violation=current.increment.violation,
     )
     status = Status.STABLE if current.margin > 0 else (Status.HELD if current.held_margin > 0 else Status.UNSTABLE)
     result = replace(plain, status=status, friction=friction)
@@ -300,11 +300,11 @@ def _under_load(robot: Robot, held: FrictionEquilibrium, state: LoadedState, sta
         problem.torsion.assembly,
         points=CollocationPoints(s, state.theta + problem.wound, state.curvature),
         margin=held.margin,
-        energy=held.found.state.energy + state.work,
-        residual=imbalance(held.contact, held.found.state, held.found.torque),
+        energy=held.increment.state.energy + state.work,
+        residual=imbalance(held.contact, held.increment.state, held.increment.torque),
         errors=Errors(theta_error, theta_error * lever(problem.torsion) + _bending_error(held), float("nan")),
         iterations=0,
-        index=0 if held.margin > 0 else int((np.linalg.eigvalsh(held.found.state.hessian) < 0).sum()),
+        index=0 if held.margin > 0 else int((np.linalg.eigvalsh(held.increment.state.hessian) < 0).sum()),
         work=state.work,
         base_wrench=base_wrench(problem, state),
     )
@@ -316,7 +316,7 @@ def _under_load(robot: Robot, held: FrictionEquilibrium, state: LoadedState, sta
 def _bending_error(current: FrictionEquilibrium) -> float:
     """Error of the tip, m, by the residual of the bending equations at the points of a finer rule."""
     contact, finer = current.contact, _finer(current.contact)
-    bending = bending_of(contact, current.found.state.x)
+    bending = bending_of(contact, current.increment.state.x)
     assert bending is not None
     assert contact.loaded is not None
     s = finer.torsion.arc_length
@@ -350,14 +350,14 @@ def _smooth_error(current: FrictionEquilibrium) -> float:
     direction = theta.reshape(-1, n) + finer.phase
     sections = finer.stiffness, finer.moment
     moment = section_function("moment", len(direction), n, False)(direction, *sections)[0].copy()
-    bending = bending_of(current.contact, current.found.state.x)
+    bending = bending_of(current.contact, current.increment.state.x)
     if (
         bending is not None
     ):  # M_i = m_i (u_x sin theta_i - u_y cos theta_i), with the natural curvature and bending in u
         x, y = (t.basis(finer.nodes, 0) @ bending.reshape(-1, t.degree, 2)).reshape(-1, 2).T[:, :, None]
         moment += finer.moment * (x * np.sin(direction) - y * np.cos(direction))
     moment = moment.reshape(theta.shape)
-    collocated = current.found.state.elastic.torque.reshape(-1, t.degree, n)
+    collocated = current.increment.state.elastic.torque.reshape(-1, t.degree, n)
     return float((np.abs(moment - t.basis(finer.nodes, 0) @ collocated).max(1) * finer.turn).sum(0).max())
 
 
@@ -392,7 +392,7 @@ def _finer_points(contact: Contact) -> _FinerPoints:
 
 def _front_error(current: FrictionEquilibrium) -> float:
     """Upper bound on the error of theta, rad, by slip zones that end between two points."""
-    signs = current.found.signs
+    signs = current.increment.signs
     return float(sum(errors[np.diff(signs[rows]) != 0].sum() for rows, errors in _fronts(current.contact)))
 
 
@@ -403,7 +403,7 @@ def _fronts(contact: Contact) -> list[tuple[Index, Array]]:
     The end is off by at most half a spacing, over which the full torque makes the rotation a parabola.
     """
     problem, out = contact.problem, []
-    soft = problem.here.rate.max((0, 1), initial=0.0)
+    soft = problem.compliant.rate.max((0, 1), initial=0.0)
     for pair in np.unique(contact.pair):
         rows = np.flatnonzero((contact.pair == pair) & (contact.point >= 0))
         spacing = problem.weight[contact.point[rows]]
@@ -426,7 +426,7 @@ def sweep(
         behind: (S,) distances of stations behind the tip at which the shape is returned, m.
         margins: whether to compute the margins.
     """
-    start = FrictionStart(current.found.state.x, current.found.torque, current.found.signs)
+    start = FrictionStart(current.increment.state.x, current.increment.torque, current.increment.signs)
     steps, inputs = steps_along(robot, joints)
     many = rub_compiled(robot, current.contact.friction, steps, start, behind, margins=margins)
     if many is None or len(steps) == len(joints):

@@ -274,8 +274,8 @@ class _Section:
             [ended if part is None else [at(q, s - part[0]) for q in part[1]] for part in row]
             for row, s in zip(self.parts, self.places(x).tolist(), strict=True)
         ]
-        kb, kt, bend, aside, twist = np.moveaxis(np.array(table), 2, 0)
-        return kb, kt, bend + 1j * aside, twist
+        kb, kt, bend, bend_y, twist = np.moveaxis(np.array(table), 2, 0)
+        return kb, kt, bend + 1j * bend_y, twist
 
     def curvature(self, tubes: tuple[Array, ...], state: Array) -> _Curvature:
         """Curvature by fixed-point iteration on u sum kb / g(u) = m + sum kb u* e^(j theta)."""

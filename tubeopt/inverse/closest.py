@@ -183,8 +183,8 @@ class _MissProblem:
         B = B - np.outer(Bs, Bs) / sBs + np.outer(y, y) / sy
         return np.asarray(B + CURVATURE * np.eye(len(B)))
 
-    def after(self, here: Posture, x: Array) -> Restored:
-        at = here.to(self.goal.space.clip(here.q + x))
+    def after(self, current: Posture, x: Array) -> Restored:
+        at = current.to(self.goal.space.clip(current.q + x))
         return Restored(None if at is None else restored(self.goal, at, max_steps=4), 1)
 
     def after_crossing(self, crossed: Posture) -> Posture | None:

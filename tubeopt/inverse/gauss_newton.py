@@ -127,7 +127,7 @@ class Problem(Protocol):
     def model(self, at: Posture, side: int, last: Step | None) -> Model:
         """Model near a posture, for translations that grow (side 1) or shrink (-1); `last` is the step before it."""
 
-    def after(self, here: Posture, x: Array) -> Restored:
+    def after(self, current: Posture, x: Array) -> Restored:
         """Posture after a motion, restored to the constraints."""
 
     def after_crossing(self, crossed: Posture) -> Posture | None:
@@ -158,43 +158,43 @@ class Descent(NamedTuple):
 
 def descend(problem: Problem, start: Posture, *, size: float, max_steps: int, max_solves: float = np.inf) -> Descent:
     """Minimise the objective of a problem from a start; `size` is the first trust region."""
-    here, side, steps, solves = start, 1, 0, 0
+    current, side, steps, solves = start, 1, 0, 0
     last: Step | None = None
-    values = [problem.value(here)]
+    values = [problem.value(current)]
     while steps < max_steps and solves < max_solves and not problem.goal.clock.over:
-        if problem.converged(here, values):
+        if problem.converged(current, values):
             break
-        step, count = _trust_region_step(problem, here, values[-1], size, side=side, last=last)
+        step, count = _trust_region_step(problem, current, values[-1], size, side=side, last=last)
         solves += count
-        if step is None and side > 0 and here.two_sided:
+        if step is None and side > 0 and current.two_sided:
             # Where a section is closed, derivatives differ to either side: the other side may still descend.
             side, size, last = -1, 0.5 * FIRST_STEP, None
             continue
         # A model of the other side does not continue that of this one.
         last = step if side > 0 else None
         if step is None:
-            step, count = _step_across(problem, here, values[-1])
+            step, count = _step_across(problem, current, values[-1])
             solves += count
         if step is None:
             break
-        here, size, side = step.posture, step.size, 1
+        current, size, side = step.posture, step.size, 1
         values.append(step.value)
         steps += 1
-    return Descent(here, steps, solves)
+    return Descent(current, steps, solves)
 
 
 def _trust_region_step(
-    problem: Problem, here: Posture, value: float, size: float, *, side: int = 1, last: Step | None = None
+    problem: Problem, current: Posture, value: float, size: float, *, side: int = 1, last: Step | None = None
 ) -> tuple[Step | None, int]:
     """Largest step tried that decreases the objective enough, None without one, and the equilibria solved."""
     goal, solves = problem.goal, 0
-    model, known_bodies = problem.model(here, side, last), len(goal.touched)
+    model, known_bodies = problem.model(current, side, last), len(goal.touched)
     while size > SHORTEST_STEP and not goal.clock.over:
         chosen = model.step(goal, size)
         predicted = 0.0 if chosen is None else model.decrease(chosen.x)
         if chosen is None or predicted <= problem.min_decrease(value):
             break
-        trial = problem.after(here, chosen.x)
+        trial = problem.after(current, chosen.x)
         solves += trial.solves
         trial_value = np.inf if trial.posture is None else problem.value(trial.posture)
         if trial.posture is not None and value - trial_value >= ACCEPTED * predicted:
@@ -203,14 +203,14 @@ def _trust_region_step(
             return Step(model, chosen.x, chosen.active, trial.posture, trial_value, size), solves
         size = SHRINK * min(size, float(np.abs(chosen.x / goal.space.scale).max()))
         if len(goal.touched) > known_bodies:  # obstacles that the model did not know
-            model, known_bodies = problem.model(here, side, last), len(goal.touched)
+            model, known_bodies = problem.model(current, side, last), len(goal.touched)
     return None, solves
 
 
-def _step_across(problem: Problem, here: Posture, value: float) -> tuple[Step | None, int]:
+def _step_across(problem: Problem, current: Posture, value: float) -> tuple[Step | None, int]:
     """Step from beyond a change of the order of breakpoints to a smaller objective, and the equilibria solved."""
     solves = 0
-    for crossed in crossings(problem.goal, here, SHORT_SECTION * problem.goal.space.length):
+    for crossed in crossings(problem.goal, current, SHORT_SECTION * problem.goal.space.length):
         start = problem.after_crossing(crossed)
         if start is None:
             continue
@@ -272,12 +272,12 @@ class _TargetProblem:
         jacobian = np.vstack([self.goal.slope(at, side=side), collision_slope])
         return Model(jacobian, -residual, *damping(self.goal, residual), *self.goal.inequalities(at))
 
-    def after(self, here: Posture, x: Array) -> Restored:
+    def after(self, current: Posture, x: Array) -> Restored:
         """Posture after a motion; None if it violates a constraint: the step is too long then."""
-        at = here.to(self.goal.space.clip(here.q + x))
-        if at is None or at.margin < min(self.goal.kept_margin, here.margin):
+        at = current.to(self.goal.space.clip(current.q + x))
+        if at is None or at.margin < min(self.goal.kept_margin, current.margin):
             return Restored(None, 1)
-        deeper = self.goal.violation(at) > self.goal.violation(here) + SLACK
+        deeper = self.goal.violation(at) > self.goal.violation(current) + SLACK
         return Restored(None if deeper else at, 1)
 
     def after_crossing(self, crossed: Posture) -> Posture | None:
@@ -342,9 +342,9 @@ class _CostProblem:
         target = on_target(goal.slope(at, side=side), goal.residual(at))
         return Model(cost, right, *target, *breakpoint_order(goal, at).constrain(at.q, *goal.inequalities(at)))
 
-    def after(self, here: Posture, x: Array) -> Restored:
-        order = breakpoint_order(self.goal, here)
-        return moved(self.goal, here, x, self.goal.slope(here), tolerance=ON_TARGET, order=order)
+    def after(self, current: Posture, x: Array) -> Restored:
+        order = breakpoint_order(self.goal, current)
+        return moved(self.goal, current, x, self.goal.slope(current), tolerance=ON_TARGET, order=order)
 
     def after_crossing(self, crossed: Posture) -> Posture | None:
         return correct(self.goal, crossed, self.goal.slope(crossed), tolerance=ON_TARGET).posture
@@ -365,7 +365,7 @@ class Correction(Restored):
 
 def moved(
     goal: Goal,
-    here: Posture,
+    current: Posture,
     x: Array,
     slope: Array,
     *,
@@ -374,10 +374,10 @@ def moved(
     order: Order | None = None,
 ) -> Correction:
     """Posture after a motion, brought back onto the target."""
-    at = here.to(goal.space.clip(here.q + x))
+    at = current.to(goal.space.clip(current.q + x))
     if at is None:
         return Correction(None, 1, slope)
-    slope = broyden(slope, at.q - here.q, goal.residual(at) - goal.residual(here), goal.space.scale)
+    slope = broyden(slope, at.q - current.q, goal.residual(at) - goal.residual(current), goal.space.scale)
     corrected = correct(goal, at, slope, tolerance=tolerance, max_steps=max_steps, order=order)
     return replace(corrected, solves=1 + corrected.solves)
 

@@ -113,14 +113,14 @@ def _thinned(table: Array, start: Posture) -> Array | None:
         if following is None:
             return None
         branch.append(following)
-    thinned, here = [table[0]], 0
-    while here < len(table) - 1:
-        step = len(table) - 1 - here
+    thinned, current = [table[0]], 0
+    while current < len(table) - 1:
+        step = len(table) - 1 - current
         # Bisection: the longest step found whose straight motion ends on the same branch.
-        while step > 1 and not same_place(branch[here].to(table[here + step]), branch[here + step]):
+        while step > 1 and not same_place(branch[current].to(table[current + step]), branch[current + step]):
             step = (step + 1) // 2
-        here += step
-        thinned.append(table[here])
+        current += step
+        thinned.append(table[current])
     return np.stack(thinned)
 
 
@@ -189,16 +189,16 @@ def jump_between(goal: Goal, before: Posture, after: Posture) -> tuple[str, bool
     """
     words = _large_motion(goal, before, after)
     count = 1 + int(np.ceil(float(np.abs((after.q - before.q) / goal.space.scale).max()) / CHECKED_EVERY))
-    deviation, margin, violation, here = 0.0, np.inf, 0.0, before
+    deviation, margin, violation, current = 0.0, np.inf, 0.0, before
     for k in range(1, count + 1):
-        following = here.to(before.q + (after.q - before.q) * (k / count) if k < count else after.q)
+        following = current.to(before.q + (after.q - before.q) * (k / count) if k < count else after.q)
         if following is None or (k == count and not same_place(following, after)):
             return ", ".join([*words, "the robot snaps on the straight path, or comes close to a snap"]), False
-        here = following
+        current = following
         if k < count:
-            deviation = max(deviation, _distance_from_line(here.tip, before.tip, after.tip))
-            margin = min(margin, here.margin)
-            violation = max(violation, goal.violation(here) if goal.hindered else 0.0)
+            deviation = max(deviation, _distance_from_line(current.tip, before.tip, after.tip))
+            margin = min(margin, current.margin)
+            violation = max(violation, goal.violation(current) if goal.hindered else 0.0)
     if deviation > DEVIATION * float(np.linalg.norm(after.tip - before.tip)) + MIN_DEVIATION:
         words.append(f"the tip leaves the line between the targets by {deviation * 1e3:.3g} mm")
     if margin < min(goal.kept_margin, before.margin, after.margin) - EXTRA_MARGIN:

@@ -182,20 +182,20 @@ class Posture:
 
         None if the robot snaps, or is too close to a snap for steps of ordinary length.
         """
-        here, moved = self.equilibrium, np.abs(q - self.q)
-        longest = LARGEST_SHIFT * max(float(here.arc_length[-1]), shortest_arm(self.space.robot))
+        current, moved = self.equilibrium, np.abs(q - self.q)
+        longest = LARGEST_SHIFT * max(float(current.arc_length[-1]), shortest_arm(self.space.robot))
         turn, shift = moved[: self.space.robot.n_tubes].max(), moved[self.space.robot.n_tubes :].max(initial=0.0)
         steps = max(1, ceil(max(turn / LARGEST_TURN, shift / longest) - 1e-9))
         try:
             for k in range(1, steps + 1):
                 rotations, shift = self.space.split(self.q + (q - self.q) * (k / steps) if k < steps else q)
-                following = one_step(self.space.robot, here, rotations, shift)
+                following = one_step(self.space.robot, current, rotations, shift)
                 if following is None or not following.stable:
                     return None
-                here = following
+                current = following
         except (SolveError, InputError):
             return None
-        return Posture(self.space, q, here)
+        return Posture(self.space, q, current)
 
 
 def _interpolated(s: Array, table: Array, at: Array) -> Array:

@@ -111,46 +111,48 @@ def _program(question: Question, _thread: int) -> Problem:
     n, groups, pieces = structure.grid.n_tubes, len(question.carriages), len(structure.section)
     problem = Problem("inverse kinematics")
 
-    def given(name: str, rows: int = 1, columns: int = 1) -> Any:
+    def parameter(name: str, rows: int = 1, columns: int = 1) -> Any:
         return ca.reshape(problem.parameter(name, np.zeros(rows * columns)), rows, columns)
 
     turn, shift = problem.variable("rotations", n), problem.variable("translations", groups, scale=length / 2)
-    margin = least = given("least margin")
+    margin = least = parameter("least margin")
     if question.objective == "margin":
         margin = problem.variable("margin", lower=0.0, upper=0.999)
         problem.subject_to("margin above its bound", margin - least)
         problem.maximize(margin)
     moved = ca.vertcat(*(shift[k] for i in range(n) for k, tubes in enumerate(question.carriages) if i in tubes))
     own = {
-        "transmission": given("transmission at 0", n) - moved,
-        "lengths": given("lengths at 0", pieces) + given("lengths per translation", pieces, groups) @ shift,
+        "transmission": parameter("transmission at 0", n) - moved,
+        "lengths": parameter("lengths at 0", pieces) + parameter("lengths per translation", pieces, groups) @ shift,
     }
     if structure.grid.detail:
-        own["transmission"] += (1 - given("compliance ratio", n)) * moved
-        passed = ca.vertcat(0, ca.cumsum(own["lengths"])) - given("cuts", pieces + 1)
-        out = moved - given("translations of the mesh", n)
-        table = given("along", *structure.shapes["along"])
-        own["along"] = shifted_columns(table, structure.grid.detail, given("lengths of the mesh", pieces), passed, out)
+        own["transmission"] += (1 - parameter("compliance ratio", n)) * moved
+        passed = ca.vertcat(0, ca.cumsum(own["lengths"])) - parameter("cuts", pieces + 1)
+        out = moved - parameter("translations of the mesh", n)
+        table = parameter("along", *structure.shapes["along"])
+        own["along"] = shifted_columns(
+            table, structure.grid.detail, parameter("lengths of the mesh", pieces), passed, out
+        )
     arm = add_torsion(problem, structure, turn, own)
     frame, tip, points, bend = _shape(arm)
-    direction, wanted, weight = frame[:, 2], given("direction", 3), given("direction weight")
-    problem.subject_to("tip position", tip - given("position", 3), upper=0.0, scale=length)
+    direction, wanted, weight = frame[:, 2], parameter("direction", 3), parameter("direction weight")
+    problem.subject_to("tip position", tip - parameter("position", 3), upper=0.0, scale=length)
     if question.pointed:
-        problem.subject_to("tip direction", _aside(direction, wanted), upper=0.0)
+        problem.subject_to("tip direction", _lateral_deviation(direction, wanted), upper=0.0)
         problem.subject_to("tip direction, sense", ca.dot(direction, wanted))
     fields = _jacobi(arm, structure.coupled, margin)
     names = [f"margin, Jacobi fields at piece {k + 1}" for k in range(pieces - 1)] + ["margin"]
     problem.subject_to("Jacobi fields", fields, entries=names)
-    order, bound = given("order", question.closings, groups), given("bound", question.closings)
+    order, bound = parameter("order", question.closings, groups), parameter("bound", question.closings)
     if question.closings:
         problem.subject_to("order of breakpoints", order @ shift - bound, scale=length)
-    clearance, radius = given("clearance"), given("radius", pieces)
+    clearance, radius = parameter("clearance"), parameter("radius", pieces)
     for k, obstacle in enumerate(question.obstacles):
         far = _soft_distance(obstacle, points.shape[1], length)
         thick = ca.reshape(ca.repmat(radius.T, 2 * SHAPE_STEPS, 1), 1, -1)
         clear = far(points, ca.horzcat(radius[0], thick))
         problem.subject_to(f"clearance of obstacle {k + 1}", clear - clearance, scale=length)
-    off = given("weights", n + groups) * (ca.vertcat(turn, shift) - given("reference", n + groups))
+    off = parameter("weights", n + groups) * (ca.vertcat(turn, shift) - parameter("reference", n + groups))
     cost = {"nearest": ca.sumsqr(off) / 2, "margin": -margin, "curvature": bend * length / 2}[question.objective]
     problem.minimize(cost + weight * ca.sumsqr(direction - wanted) / 2 if question.aimed else cost)
     return problem
@@ -162,7 +164,7 @@ _among_bodies = lru_cache(maxsize=8)(_program)
 """Cached programs among obstacles: distances from the segments of a path, for points along an arm, take 60 MB."""
 
 
-def _aside(direction: Any, target: Any) -> Any:
+def _lateral_deviation(direction: Any, target: Any) -> Any:
     """(2,) components of a direction square to the target, in the basis of Duff et al. (JCGT 6(1), 2017)."""
     x, y, z = target[0], target[1], target[2]
     sign = ca.if_else(z >= 0, 1.0, -1.0)
@@ -288,12 +290,12 @@ def programmable(goal: Goal) -> bool:
 
 def solve_program(goal: Goal, start: Posture) -> Search:
     """Solution of the program from an allowed posture, on target or not, with changes of the order of breakpoints."""
-    here, iterations = separate_breakpoints(goal, start), 0
-    best, best_score = here, (np.inf, np.inf)
+    current, iterations = separate_breakpoints(goal, start), 0
+    best, best_score = current, (np.inf, np.inf)
     for _ in range(ORDERS + 1):
         if goal.clock.left < building(goal):
             break
-        solution = _solve_order(goal, here)
+        solution = _solve_order(goal, current)
         iterations += solution.iterations
         if solution.posture is None:
             break
@@ -304,7 +306,7 @@ def solve_program(goal: Goal, start: Posture) -> Search:
         crossed = next(cross_breakpoints(goal, best, solution.active_sections), None)
         if crossed is None:
             break
-        here = crossed
+        current = crossed
     return Search(best, goal.reached(best, 1e-8, 1e-8) and goal.allowed(best, 1e-9), iterations, 0)
 
 

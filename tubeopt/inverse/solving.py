@@ -57,7 +57,7 @@ AIM_EXCESS = 1e-3
 """Margin, and clearance relative to the arm's length, that are required beyond the amount that was missing."""
 
 
-class Asked(TypedDict, total=False):
+class InverseArguments(TypedDict, total=False):
     """Options of `inverse_kinematics`, with one solution or all."""
 
     direction: ArrayLike | None
@@ -75,13 +75,13 @@ class Asked(TypedDict, total=False):
 
 @overload
 def inverse_kinematics(
-    robot: Robot, position: ArrayLike, *, all_solutions: Literal[False] = ..., **asked: Unpack[Asked]
+    robot: Robot, position: ArrayLike, *, all_solutions: Literal[False] = ..., **arguments: Unpack[InverseArguments]
 ) -> InverseSolution: ...
 
 
 @overload
 def inverse_kinematics(
-    robot: Robot, position: ArrayLike, *, all_solutions: Literal[True], **asked: Unpack[Asked]
+    robot: Robot, position: ArrayLike, *, all_solutions: Literal[True], **arguments: Unpack[InverseArguments]
 ) -> list[InverseSolution]: ...
 
 
@@ -453,19 +453,19 @@ class IkSession:
         """Solutions along the line from a posture to a goal, in parts that are halved where the robot would jump."""
         answers: list[InverseSolution] = []
         longest = 1 / _parts(goal, first)
-        done, part, here = 0.0, longest, first
+        done, part, current = 0.0, longest, first
         while done < 1:
             part = min(part, 1 - done)
             end = done + part if done + part < 1 - 1e-9 else 1.0
             start_time = time.perf_counter()
             if goal.clock.over:
-                raise SolveError(_stalled(goal, here))
+                raise SolveError(_stalled(goal, current))
             target = goal if end == 1 else _between(goal, first, end)
-            step = self._step(target, goal, here)
-            reason, safe = jump_between(goal, here, step.posture)
+            step = self._step(target, goal, current)
+            reason, safe = jump_between(goal, current, step.posture)
             if reason and part > longest * MIN_PART:
                 try:
-                    self._step(_between(goal, first, done + part / 2), goal, here)
+                    self._step(_between(goal, first, done + part / 2), goal, current)
                 except SolveError:
                     pass  # a jump is better than no solution
                 else:
@@ -479,20 +479,20 @@ class IkSession:
                 cold_start_agrees=None,
                 straight_from_seed=safe,
                 reachable=True if safe else None,
-                path=joint_path_of(LAST, goal.space, [here.q, step.posture.q]) if safe else None,
+                path=joint_path_of(LAST, goal.space, [current.q, step.posture.q]) if safe else None,
                 jump=reason,
             )
             answers.append(answer)
             self._here, self._near, self._solution = step.posture, step.slopes, answer
-            done, part, here = end, min(2 * part, longest), step.posture
+            done, part, current = end, min(2 * part, longest), step.posture
         if len(answers) == 1:
             return answers
         # The last solution alone if the straight path to it does not jump; small steps may end on another
         # branch.
-        reason, safe = jump_between(goal, first, here)
+        reason, safe = jump_between(goal, first, current)
         if reason:
             return answers
-        path = joint_path_of(LAST, goal.space, [first.q, here.q])
+        path = joint_path_of(LAST, goal.space, [first.q, current.q])
         statistics = _summed([each.statistics for each in answers])
         self._solution = replace(answers[-1], path=path, straight_from_seed=safe, jump="", statistics=statistics)
         return [self._solution]
@@ -507,24 +507,24 @@ class IkSession:
             )
         return start
 
-    def _step(self, goal: Goal, last: Goal, here: Posture) -> _SessionStep:
+    def _step(self, goal: Goal, last: Goal, current: Posture) -> _SessionStep:
         """Step to a goal on the line to the `last` one; raises SolveError if the branch does not reach it."""
         near = self._near
-        if here.margin < goal.kept_margin + CAREFUL or (near is not None and near.age >= STALE_STEPS):
+        if current.margin < goal.kept_margin + CAREFUL or (near is not None and near.age >= STALE_STEPS):
             near = None
         solves = 0
-        for attempt in _attempts(goal, here, near):
+        for attempt in _attempts(goal, current, near):
             end = _null_space_step(goal, attempt)
             solves += end.solves
             if end.posture is not None:
                 return _SessionStep(end.posture, end.slopes if end.solves <= STALE_SOLVES else None, solves)
-        search = reach(goal, here)
+        search = reach(goal, current)
         if search.reached:
             return _SessionStep(search.posture, None, solves + search.solves)
         if not programmable(goal):
             raise SolveError(_stalled(last, search.posture))
-        program = solve_program(replace(goal, objective="nearest", reference=here.q), here)
-        if not program.reached or not same_place(here.to(program.posture.q), program.posture):
+        program = solve_program(replace(goal, objective="nearest", reference=current.q), current)
+        if not program.reached or not same_place(current.to(program.posture.q), program.posture):
             raise SolveError(_stalled(last, search.posture))
         return _SessionStep(program.posture, None, solves + search.solves + program.solves)
 
@@ -535,10 +535,10 @@ def _summed(parts: Sequence[InverseStatistics]) -> InverseStatistics:
     return replace(parts[-1], iterations=iterations, solves=solves, seconds=sum(each.seconds for each in parts))
 
 
-def _parts(goal: Goal, here: Posture) -> int:
+def _parts(goal: Goal, current: Posture) -> int:
     """Number of parts of a straight approach to a target."""
-    count = int(np.ceil(float(np.linalg.norm(goal.position - here.tip)) / (MAX_MOVE * goal.space.length)))
-    turned = goal.direction_error(here) if goal.pointed else 0.0
+    count = int(np.ceil(float(np.linalg.norm(goal.position - current.tip)) / (MAX_MOVE * goal.space.length)))
+    turned = goal.direction_error(current) if goal.pointed else 0.0
     return max(1, count, int(np.ceil(turned / (10 * MAX_MOVE))))
 
 
@@ -571,32 +571,32 @@ class _Attempt(NamedTuple):
     """True if obstacles and custom constraints limit the step."""
 
 
-def _attempts(goal: Goal, here: Posture, near: _Slopes | None) -> Iterator[_Attempt]:
+def _attempts(goal: Goal, current: Posture, near: _Slopes | None) -> Iterator[_Attempt]:
     """Settings of a step, the fastest first.
 
     With derivatives of earlier steps, unguarded; with new ones, then guarded. Derivatives change with the order of
     breakpoints: so the last ones keep the order, from here and from beyond each near change.
     """
-    clear = _is_clear(goal, here)
+    clear = _is_clear(goal, current)
     if near is not None and clear:
-        yield _Attempt(here, near, None, False)
-    fresh = _Slopes(goal.slope(here), here.margin_slope(), 0)
+        yield _Attempt(current, near, None, False)
+    fresh = _Slopes(goal.slope(current), current.margin_slope(), 0)
     if clear:
-        yield _Attempt(here, fresh, None, False)
+        yield _Attempt(current, fresh, None, False)
     if goal.hindered:
-        yield _Attempt(here, fresh, None, True)
-    yield _Attempt(here, fresh, breakpoint_order(goal, here), True)
-    for crossed in crossings(goal, here, CLOSING_SECTION):
+        yield _Attempt(current, fresh, None, True)
+    yield _Attempt(current, fresh, breakpoint_order(goal, current), True)
+    for crossed in crossings(goal, current, CLOSING_SECTION):
         slopes = _Slopes(goal.slope(crossed), crossed.margin_slope(), 0)
         yield _Attempt(crossed, slopes, breakpoint_order(goal, crossed), True)
 
 
-def _is_clear(goal: Goal, here: Posture) -> bool:
+def _is_clear(goal: Goal, current: Posture) -> bool:
     """True if a step to the target is short compared with the distance from obstacles."""
     if goal.extras.constraints:
         return False
-    enough = goal.kept_clearance + MIN_CLEARANCE + CLEARANCE_PER_MOVE * goal.position_error(here)
-    return here.outline.clearance(goal.scene, enough) >= enough
+    enough = goal.kept_clearance + MIN_CLEARANCE + CLEARANCE_PER_MOVE * goal.position_error(current)
+    return current.outline.clearance(goal.scene, enough) >= enough
 
 
 class _StepEnd(NamedTuple):
@@ -612,19 +612,19 @@ class _StepEnd(NamedTuple):
 
 def _null_space_step(goal: Goal, attempt: _Attempt) -> _StepEnd:
     """Step to the target and, in the null space, towards larger margin, then corrections."""
-    here, near, order, guarded = attempt
-    residual = goal.residual(here)
-    if goal.reached(here, STEP_TOLERANCE, STEP_TOLERANCE):
-        return _StepEnd(here, near, 0)
-    rows, bounds = goal.space.inequalities(here.q)
-    if here.margin < goal.kept_margin + CAREFUL or (guarded and goal.hindered):
-        rows, bounds = goal.inequalities(here)
+    current, near, order, guarded = attempt
+    residual = goal.residual(current)
+    if goal.reached(current, STEP_TOLERANCE, STEP_TOLERANCE):
+        return _StepEnd(current, near, 0)
+    rows, bounds = goal.space.inequalities(current.q)
+    if current.margin < goal.kept_margin + CAREFUL or (guarded and goal.hindered):
+        rows, bounds = goal.inequalities(current)
     if order is not None:
-        rows, bounds = order.constrain(here.q, rows, bounds)
+        rows, bounds = order.constrain(current.q, rows, bounds)
     scale = goal.space.scale
     # The length of the shortest motion to the target limits that in the null space.
     size = float(np.linalg.norm(np.linalg.pinv(near.target * scale) @ residual))
-    ascent = near.margin * scale if here.margin < 1 - 1e-6 else np.zeros(len(scale))
+    ascent = near.margin * scale if current.margin < 1 - 1e-6 else np.zeros(len(scale))
     steepness = float(np.linalg.norm(ascent))
     if steepness > 0:
         ascent = ascent * (NULL_SPACE_STEP * size * min(1.0, 1.0 / steepness))
@@ -633,7 +633,7 @@ def _null_space_step(goal: Goal, attempt: _Attempt) -> _StepEnd:
     if chosen is None:
         return _StepEnd(None, near, 1)
     max_steps = 4 if order is None else 8
-    end = moved(goal, here, chosen.x, near.target, tolerance=STEP_TOLERANCE, max_steps=max_steps, order=order)
+    end = moved(goal, current, chosen.x, near.target, tolerance=STEP_TOLERANCE, max_steps=max_steps, order=order)
     return _StepEnd(end.posture, _Slopes(end.slope, near.margin, near.age + 1), end.solves)
 
 

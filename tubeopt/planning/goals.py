@@ -343,7 +343,7 @@ def ends(
     return _nearest(task, start, out)
 
 
-def asked_ends(task: PlanTask, start: Equilibrium, goal: Any, enough: int) -> list[End]:
+def requested_ends(task: PlanTask, start: Equilibrium, goal: Any, enough: int) -> list[End]:
     """Equilibria at a goal with the options of the task; for a tip goal up to `enough` from a given roadmap."""
     known = task.options.roadmap
     near = None if known is None else partial(known.near, task, count=NEAR_POINTS)

@@ -39,7 +39,7 @@ from .goals import (
     MOST_ENDS,
     End,
     TipGoal,
-    asked_ends,
+    requested_ends,
     check_goal,
     check_start,
     checked_places,
@@ -340,7 +340,7 @@ def _planned(task: PlanTask, start: Any, goal: Any) -> Trajectory:
     task = reserve_deflection(task, first.translations)
     check_start(task, first)
     quick = options.roadmap is not None and options.objective == "none" and of_the_tip(goal)
-    goals = asked_ends(task, first, goal, 1 if quick else ENOUGH_ENDS)
+    goals = requested_ends(task, first, goal, 1 if quick else ENOUGH_ENDS)
     n = len(first.translations)
     task = reserve_deflection(task, first.translations, *(coordinates.space.joint(end.joints)[n:] for end in goals))
     task = _between(task, first, goals)
@@ -384,7 +384,7 @@ def _search(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], see
     if options.roadmap is not None:
         path = options.roadmap.shortest_path(task, start, [end.point for end in goals], Clock(ROADMAP_SHARE * left))
         if path.points is None and len(goals) < ENOUGH_ENDS and of_the_tip(goal):
-            goals = asked_ends(task, first, goal, ENOUGH_ENDS)
+            goals = requested_ends(task, first, goal, ENOUGH_ENDS)
             task = _between(task, first, goals)
             remaining = Clock(ROADMAP_SHARE * max(0.0, left - clock.seconds))
             path = options.roadmap.shortest_path(task, start, [end.point for end in goals], remaining)

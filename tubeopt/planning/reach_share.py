@@ -210,7 +210,7 @@ def _approach(task: PlanTask, start: Array, place: Array, enough: float) -> tupl
     return miss, z
 
 
-def check_asked(tolerance: float, min_margin: float, options: PlanOptions, count: int) -> None:
+def check_reach_arguments(tolerance: float, min_margin: float, options: PlanOptions, count: int) -> None:
     """Raise InputError for arguments that `evaluate_reach` does not accept."""
     typical_length("tolerance", tolerance, TYPICAL_TIP_ERROR)
     if not 0 <= finite("min_margin", min_margin) < 1:
@@ -256,7 +256,7 @@ class RegionReach(Displayed):
         items("start", self.start, object, "rotations and translations")
         object.__setattr__(self, "targets", checked_places(self.targets))
         object.__setattr__(self, "obstacles", checked_obstacles(self.obstacles))
-        check_asked(self.tolerance, self.min_margin, self.options, self.count)
+        check_reach_arguments(self.tolerance, self.min_margin, self.options, self.count)
         positive("shift of the plate", self.shift, zero=True)
         positive("tilt of the plate", self.tilt, zero=True)
 
@@ -385,7 +385,7 @@ class PairReach(Displayed):
     def __post_init__(self) -> None:
         object.__setattr__(self, "targets", checked_places(self.targets))
         object.__setattr__(self, "obstacles", checked_obstacles(self.obstacles))
-        check_asked(self.tolerance, self.min_margin, self.options, self.count)
+        check_reach_arguments(self.tolerance, self.min_margin, self.options, self.count)
         if len(self.targets) < 2:
             raise InputError("targets is 1 point; two tips need at least 2")
         for name in ("starts", "bases"):

@@ -49,7 +49,7 @@ class Roadmap(Displayed):
     """(E, 2) numbers of the points of every edge."""
     known: dict[tuple[int, int], bool] = field(default_factory=dict, repr=False)
     """Result of the check of each edge, for the last query."""
-    asked_with: tuple[Any, ...] = field(default=(), repr=False)
+    last_requirements: tuple[Any, ...] = field(default=(), repr=False)
     """Requirements of the last query; `known` is valid for them."""
     tips: Array | None = field(default=None, repr=False)
     """(N, 3) tips of the points, m; computed when first needed."""
@@ -117,9 +117,9 @@ class Roadmap(Displayed):
             )
         reserves = task.margin_reserve, task.clearance_reserve
         requirements = (Same(task.obstacles), task.min_margin, task.clearance, task.min_clearance_reserve, *reserves)
-        if requirements != self.asked_with:
+        if requirements != self.last_requirements:
             self.known.clear()
-        self.asked_with = requirements
+        self.last_requirements = requirements
 
     def save(self, path: str | PathLike[str]) -> None:
         """Save points and edges as .npz, without the results of edges, which depend on the bodies."""

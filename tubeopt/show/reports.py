@@ -201,17 +201,17 @@ def _keys(
             yield f"{path}*", f"the keys of {known[longest]}"
             i += len(longest)
             continue
-        quantity, here = shown[i], f"{path}{shown[i].key}"
+        quantity, key_path = shown[i], f"{path}{shown[i].key}"
         i += 1
         parts = _signatures(quantity.of or ())
         if parts and parts in known:
-            yield here, f"{quantity.about}; keys of {known[parts]}"
+            yield key_path, f"{quantity.about}; keys of {known[parts]}"
             continue
-        yield here, quantity.about
+        yield key_path, quantity.about
         if quantity.of is not None:
-            yield from _keys(quantity.of, f"{here}.", command, known, new)
-            new.setdefault(parts, f"`{here}` in {_link(command)}")
-            known.setdefault(parts, f"`{here}` in {_link(command)}")
+            yield from _keys(quantity.of, f"{key_path}.", command, known, new)
+            new.setdefault(parts, f"`{key_path}` in {_link(command)}")
+            known.setdefault(parts, f"`{key_path}` in {_link(command)}")
 
 
 if __name__ == "__main__":

@@ -129,7 +129,7 @@ def _group(problem: ReducedProblem, tubes: Index, sections: Index) -> Group:
         bent=mesh.collocated[pieces],
         gain=gain_of(problem)[np.ix_(pieces, members)],
         sections=(torsion, stiffness, moment, *phase),
-        transmission=reach(mesh, problem.here)[pieces[0], members],
+        transmission=reach(mesh, problem.compliant)[pieces[0], members],
         place=tuple(part[members] for part in assembly.place),
     )
     return Group(tubes, bundle, seat)

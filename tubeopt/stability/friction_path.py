@@ -235,7 +235,7 @@ def _along(family: Family, current: FrictionEquilibrium) -> Iterator[FrictionEqu
 def _next_state(family: Family, current: FrictionEquilibrium, t: float) -> FrictionEquilibrium | None:
     """State at fraction t close to the current one; None where the step is too long, or the state vanishes."""
     state = step(family.path.robot, current, *family.path.at(t), family.load_at(t))
-    if state is None or state.found.contraction > LARGEST_RATIO:
+    if state is None or state.increment.contraction > LARGEST_RATIO:
         return None
     distance = _distance(current, state)
     # The margin is only computed where the limit for the softest state is exceeded.
@@ -248,8 +248,8 @@ def _distance(a: FrictionEquilibrium, b: FrictionEquilibrium) -> float:
     Bending counts by the rotation of the arm if its curvature changed by as much all along.
     """
     problem = b.contact.problem
-    theta_a = a.found.state.elastic.theta if a.contact is b.contact else a.theta(problem.arc_length)
-    change = ((b.found.state.elastic.theta - b.rotations) - (theta_a - a.rotations)).ravel()[problem.flat]
+    theta_a = a.increment.state.elastic.theta if a.contact is b.contact else a.theta(problem.arc_length)
+    change = ((b.increment.state.elastic.theta - b.rotations) - (theta_a - a.rotations)).ravel()[problem.flat]
     bending_b, bending_a = bent_at(b, b.contact), bent_at(a, b.contact)
     if bending_b is not None and bending_a is not None:
         change = np.append(change, problem.assembly.total_length * (bending_b - bending_a))
@@ -265,7 +265,7 @@ def _flow(family: Family, current: FrictionEquilibrium, t: float, *, pushed: boo
     contact, before, x = start_increment(family.path.robot, current, rotations, translations, load)
     push = None
     if pushed and contact is current.contact:
-        push = NUDGE * softest(contact, current.found.state, current.found.signs)
+        push = NUDGE * softest(contact, current.increment.state, current.increment.signs)
     elif pushed:  # on another mesh the softest direction is that of the state carried over
         state = evaluate_contact(contact, rotations, x)
         push = NUDGE * softest(contact, state, np.ones(len(before), dtype=np.int8))
@@ -344,7 +344,7 @@ def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
     load.require_energy("there is no least energy around which friction could be bounded")
     assembly, loading = loading_of(robot, shift, load)
     current = shaken(make_contact(assembly, friction, loading), equilibrium)
-    contact, state, problem = current.contact, current.found.state, current.contact.loaded
+    contact, state, problem = current.contact, current.increment.state, current.contact.loaded
     assert problem is not None
     assert isinstance(state.elastic, LoadedState)
     torsion = problem.torsion

@@ -48,7 +48,7 @@ def sections_of(problem: ReducedProblem) -> tuple[Array, ...]:
     """
     mesh, n = problem.mesh, problem.assembly.n_tubes
     if problem.assembly.even:
-        return problem.here.rate[:, 0], *problem.on_pieces
+        return problem.compliant.rate[:, 0], *problem.on_pieces
     at = sections_at(problem.assembly, mesh, GRID)
     table = 1 / at.torsional_stiffness, at.stiffness, at.moment, at.phase
     return tuple(part.reshape(len(mesh.length), len(GRID), n) for part in table)
@@ -107,14 +107,14 @@ def all_tubes(problem: ReducedProblem) -> ShootingArm:
         bent=mesh.collocated,
         gain=gain_of(problem),
         sections=sections_of(problem),
-        transmission=problem.here.transmission,
+        transmission=problem.compliant.transmission,
         place=assembly.place,
     )
 
 
 def gain_of(problem: ReducedProblem) -> Array:
     """(P, n) int ds / kt of the tubes along each piece, 1/(N m)."""
-    return np.diff(reach(problem.mesh, problem.here), axis=0)
+    return np.diff(reach(problem.mesh, problem.compliant), axis=0)
 
 
 def shoot(bundle: ShootingArm, tips: Array, *, steps: int = STEPS_PER_PIECE, slopes: bool = False) -> Shot:

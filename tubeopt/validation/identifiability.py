@@ -163,8 +163,8 @@ def entangled_history(model: ArmModel, fit: Descent[State]) -> list[str]:
         if p.name not in fitted:
             continue
         rivals = [j for j, q in enumerate(every) if q.kind != p.kind and q.effect.history]
-        left = _beside(flat[:, k], flat[:, usual])
-        parted = _beside(left, np.column_stack([_beside(flat[:, j], flat[:, usual]) for j in rivals]))
+        left = _unexplained(flat[:, k], flat[:, usual])
+        parted = _unexplained(left, np.column_stack([_unexplained(flat[:, j], flat[:, usual]) for j in rivals]))
         ratio = float(np.linalg.norm(parted)) / max(float(np.linalg.norm(left)), 1e-300)
         if ratio < 0.3:  # of it, the others of its kind cannot imitate
             kinds = " and ".join(sorted({every[j].kind for j in rivals}))
@@ -176,7 +176,7 @@ def entangled_history(model: ArmModel, fit: Descent[State]) -> list[str]:
     return remarks
 
 
-def _beside(column: Array, columns: Array) -> Array:
+def _unexplained(column: Array, columns: Array) -> Array:
     """Residual of a column after a least-squares fit of the other columns."""
     if not columns.shape[1]:
         return column
@@ -272,7 +272,7 @@ def where_to_measure(
         raise InputError(f"min_margin is {min_margin:g}; it must be at least 0 and less than 1")
     alpha, shift, tips = _candidates(robot, min_margin, seed)
     data = Measurements(*to_readings(robot, alpha, shift), tips, source="where to measure")
-    chosen, model = _asked(robot, data, parameters, registration, count)
+    chosen, model = _checked_question(robot, data, parameters, registration, count)
     slopes = _scaled(model, chosen, noise)
     best = _reachable(lambda usable: _exchange(slopes, len(chosen), count, usable), robot, (alpha, shift), tips)
     scale = np.array([p.scale for p in chosen])
@@ -280,7 +280,7 @@ def where_to_measure(
     random_errors = [
         _errors(slopes[random.choice(len(data), count, replace=False)], len(chosen)) for _ in range(COMPARED)
     ]
-    rows, joints = _way(robot, alpha[best], shift[best])
+    rows, joints = _measuring_path(robot, alpha[best], shift[best])
     margin = solve_poses(robot, *joints, model.stations).margin
     return Placement(
         robot,
@@ -295,7 +295,7 @@ def where_to_measure(
     )
 
 
-def _asked(
+def _checked_question(
     robot: Robot, data: Measurements, names: Sequence[str], registration: str, count: int
 ) -> tuple[tuple[Parameter, ...], ArmModel]:
     """Parameters to be determined, and the model of the observations; raises as `where_to_measure`."""
@@ -326,8 +326,8 @@ def _reachable(
     (alpha, shift), usable = joints, np.ones(len(joints[0]), dtype=bool)
     while True:
         best = choose(usable)
-        legs = {k: (_home(robot), (alpha[k], shift[k]), tips[k]) for k in best}
-        blocked = [k for k, leg in legs.items() if not _leg(robot, *leg)]
+        segments = {k: (_home(robot), (alpha[k], shift[k]), tips[k]) for k in best}
+        blocked = [k for k, segment in segments.items() if not _segment(robot, *segment)]
         if not blocked:
             return best
         usable[blocked] = False
@@ -424,7 +424,7 @@ def _home(robot: Robot) -> tuple[Array, Array]:
     return robot.home_rotations, robot.home_translations
 
 
-def _leg(robot: Robot, start: tuple[Array, Array], end: tuple[Array, Array], tip: Array | None = None) -> bool:
+def _segment(robot: Robot, start: tuple[Array, Array], end: tuple[Array, Array], tip: Array | None = None) -> bool:
     """True if a straight motion does not snap, and ends at the equilibrium with tip rotations `tip`, if given."""
     try:
         path = follow(robot, [start[0], end[0]], [start[1], end[1]])
@@ -434,7 +434,7 @@ def _leg(robot: Robot, start: tuple[Array, Array], end: tuple[Array, Array], tip
     return not path.snaps and (tip is None or float(np.linalg.norm(arrived.tip_position - tip)) < 1e-6)
 
 
-def _way(robot: Robot, rotations: Array, translations: Array) -> tuple[Array, tuple[Array, Array]]:
+def _measuring_path(robot: Robot, rotations: Array, translations: Array) -> tuple[Array, tuple[Array, Array]]:
     """Rows of a path from home, each time to the nearest remaining one, -1 for home, and its joint values."""
     home = _home(robot)
     place = np.hstack([rotations, 20.0 * translations])  # an arm bends by about 20 rad per m
@@ -447,7 +447,7 @@ def _way(robot: Robot, rotations: Array, translations: Array) -> tuple[Array, tu
     joints = [home if k < 0 else (rotations[k], translations[k]) for k in order]
     rows, out = [-1], [home]
     for (_, start), (k, end) in pairwise(zip(order, joints, strict=True)):
-        if k >= 0 and start is not home and not _leg(robot, start, end):
+        if k >= 0 and start is not home and not _segment(robot, start, end):
             rows.append(-1)
             out.append(home)
         rows.append(k)

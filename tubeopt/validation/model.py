@@ -150,7 +150,7 @@ class _Seen:
     def put(self, row: int, held: FrictionEquilibrium) -> None:
         """Set one row from an equilibrium with friction."""
         problem, poses = held.contact.problem, self.poses
-        arm = evaluate_arm(problem, held.rotations, held.found.state.torsion, held.profile)
+        arm = evaluate_arm(problem, held.rotations, held.increment.state.torsion, held.profile)
         poses.length[row], poses.margin[row] = arm.arc_length[-1], held.margin
         poses.position[row] = stations_of(arm, self.stations) if self.stations.any() else arm.position[-1]
         poses.frame[row] = arm.frame[-1] @ about_z(arm.rotation[self._last(held.translations), -1])

@@ -56,20 +56,20 @@ def integrate(problem: ReducedProblem, base: Array, moment: Array, extra_twist: 
         base: rotations (n,) at the clamps, rad.  moment: M (N, n) at the points, N.
         extra_twist: (g - 1) w (N, n) of eccentric tubes at the points, rad/m.
     """
-    mesh, here = problem.mesh, problem.here
+    mesh, points = problem.mesh, problem.compliant
     t, h = mesh.tableau, mesh.length[:, None]
     inner = np.zeros((len(h), t.degree, len(base)))
     inner[mesh.collocated] = moment.reshape(-1, *inner.shape[1:])
     gain = h * (t.weights @ inner)
     # t = 0 at the tip and t' = M: t where a piece begins is minus the integral of M from there to the tip.
     torque = -np.cumsum(gain[::-1], axis=0)[::-1]
-    mean = np.asarray(t.weights @ here.rate)
-    extra = (torque[:, None] + h[..., None] * (t.adjoint @ inner)) * (here.rate - mean[:, None])
+    mean = np.asarray(t.weights @ points.rate)
+    extra = (torque[:, None] + h[..., None] * (t.adjoint @ inner)) * (points.rate - mean[:, None])
     if extra_twist is not None:
         extra[mesh.collocated] += extra_twist.reshape(-1, *inner.shape[1:])
     # Integrated twice, int_0^1 (1 - x) M dx: a moment at x twists only the part beyond it.
     turn = mean * (h * torque + h**2 * ((t.weights * (1 - t.nodes)) @ inner)) + h * (t.weights @ extra)
-    start = base + here.transmission * (torque[0] if len(torque) else 0.0)
+    start = base + points.transmission * (torque[0] if len(torque) else 0.0)
     return Profile(start + np.cumsum(turn, axis=0) - turn, torque, inner, mean, extra)
 
 
@@ -81,7 +81,7 @@ def pushed(problem: ReducedProblem, arm: Profile, end: Index, tube: Index, torqu
         # A torque turns every point by int ds / kt up to the nearer of the point and where it acts.
         rotation[:, i] += push * np.minimum(soft[:-1, i], soft[e, i])
         twisted[:e, i] += push
-        extra[:e, :, i] += push * (problem.here.rate[:e, :, i] - arm.compliance[:e, None, i])
+        extra[:e, :, i] += push * (problem.compliant.rate[:e, :, i] - arm.compliance[:e, None, i])
     return replace(arm, rotation=rotation, torque=twisted, extra=extra)
 
 
@@ -149,15 +149,15 @@ class Sections:
 
 def sections_along(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) -> Sections:
     """Cross-sections at fractions x of every piece."""
-    assembly, theta, here = problem.assembly, rotations_at(problem, arm, x), sections_at(problem, x)
-    function = section_function("section", len(here.phase), assembly.n_tubes, assembly.eccentric)
-    inputs = theta.reshape(here.phase.shape) + here.phase, here.stiffness, here.moment, *assembly.place
+    assembly, theta, points = problem.assembly, rotations_at(problem, arm, x), sections_at(problem, x)
+    function = section_function("section", len(points.phase), assembly.n_tubes, assembly.eccentric)
+    inputs = theta.reshape(points.phase.shape) + points.phase, points.stiffness, points.moment, *assembly.place
     moment, stretch, curvature, bending = (part.copy() for part in function(*inputs))
-    rate = (stretch / here.torsional_stiffness).reshape(theta.shape)
+    rate = (stretch / points.torsional_stiffness).reshape(theta.shape)
     return Sections(
         elastic=theta,
-        rotation=theta + here.wound.reshape(theta.shape),
-        torsion=rate * torques_at(problem, arm, x) + here.twist.reshape(theta.shape),
+        rotation=theta + points.wound.reshape(theta.shape),
+        torsion=rate * torques_at(problem, arm, x) + points.twist.reshape(theta.shape),
         rate=rate,
         moment=moment.reshape(theta.shape),
         curvature=curvature.reshape(*theta.shape[:2], 2),
@@ -402,7 +402,7 @@ def _torsion(problem: ReducedProblem, torsion: Profile) -> float:
     torque = torsion.torque[:, None, :] + mesh.length[:, None, None] * (mesh.tableau.matrix @ torsion.moment)
     slope = torsion.compliance[:, None] * torque + torsion.extra
     inside = np.einsum("p,k,pki,pki->", mesh.length, mesh.tableau.weights, torque, slope)
-    return 0.5 * float(inside + problem.here.transmission @ torsion.torque[0] ** 2)
+    return 0.5 * float(inside + problem.compliant.transmission @ torsion.torque[0] ** 2)
 
 
 def _steps(problem: ReducedProblem) -> NDArray[np.intp]:
@@ -432,16 +432,16 @@ def _poses(u: Array, lengths: Array) -> tuple[Array, Array]:
     return poses[:, :9].reshape(-1, 3, 3).swapaxes(1, 2), poses[:, 9:]
 
 
-def _defect(problem: ReducedProblem, torsion: Profile, here: Sections) -> float:
-    """Error of theta by a quadrature with EXTRA_QUADRATURE_POINTS more points, at cross-sections `here`, rad.
+def _defect(problem: ReducedProblem, torsion: Profile, points: Sections) -> float:
+    """Error of theta by a quadrature with EXTRA_QUADRATURE_POINTS more points, at cross-sections `points`, rad.
 
     It has a part inside each piece, and one by the error of the torque, which twists the tube up to there.
     """
     mesh, finer = problem.mesh, _finer(problem.mesh)
     h = mesh.length[:, None, None]
-    gain = h * here.moment
+    gain = h * points.moment
     torque = torsion.torque[:, None] + finer.matrix @ gain
-    inner = np.abs(torsion.rotation[:, None] + h * (finer.matrix @ (here.rate * torque)) - here.elastic).max(1)
+    inner = np.abs(torsion.rotation[:, None] + h * (finer.matrix @ (points.rate * torque)) - points.elastic).max(1)
     # An error of the torque twists its tube from the clamp to that piece.
     gained = np.abs(finer.weights @ gain - h[:, 0] * (mesh.tableau.weights @ torsion.moment))
-    return float((inner + gained * reach(mesh, problem.here)[1:]).sum(0).max(initial=0.0))
+    return float((inner + gained * reach(mesh, problem.compliant)[1:]).sum(0).max(initial=0.0))

@@ -527,11 +527,11 @@ def elastic_energy(problem: LoadedProblem, profile: Profile, state: LoadedState)
     Moments twist tubes beyond z, so torsion is integrated: half of int t^2 / kt replaces z'z / 2.
     """
     torsion, mesh = problem.torsion, problem.mesh
-    t, rate = mesh.tableau, torsion.here.rate
+    t, rate = mesh.tableau, torsion.compliant.rate
     torque = profile.torque[:, None] + mesh.length[:, None, None] * (t.adjoint @ profile.moment)
     twice_torsional = np.einsum("p,k,pki->", mesh.length, t.weights, rate * torque**2)
     z = state.x[: torsion.size]
-    return state.energy + float(twice_torsional + torsion.here.transmission @ profile.torque[0] ** 2 - z @ z) / 2
+    return state.energy + float(twice_torsional + torsion.compliant.transmission @ profile.torque[0] ** 2 - z @ z) / 2
 
 
 def loaded_arm(problem: LoadedProblem, profile: Profile, state: LoadedState) -> ArmShape:
@@ -605,7 +605,7 @@ def _twist(problem: LoadedProblem, weight: Array, tube: int) -> tuple[Array, flo
     `weight` (N,) are the quadrature weights from the plate to the place.
     """
     torsion, mesh = problem.torsion, problem.mesh
-    rate, behind, t = torsion.here.rate[:, :, tube].ravel(), torsion.here.transmission[tube], mesh.tableau
+    rate, behind, t = torsion.compliant.rate[:, :, tube].ravel(), torsion.compliant.transmission[tube], mesh.tableau
     piece = np.repeat(np.arange(len(mesh.length)), t.degree)
     pieces_before = np.where(piece < piece[:, None], torsion.weight, 0.0)
     within_piece = np.kron(np.diag(mesh.length), t.matrix)

@@ -249,17 +249,17 @@ def sections_at(assembly: Assembly, mesh: Mesh, x: Array) -> CrossSections:
     return assembly.cross_sections(s.ravel(), inside.ravel())
 
 
-def reach(mesh: Mesh, here: Compliant) -> Array:
+def reach(mesh: Mesh, compliance: Compliant) -> Array:
     """(P + 1, n) int ds / kt from the clamp of each tube to the start of every piece, and to the tip."""
-    gain = mesh.length[:, None] * np.einsum("k,pki->pi", mesh.tableau.weights, here.rate)
-    return np.concatenate([np.zeros((1, gain.shape[1])), np.cumsum(gain, axis=0)]) + here.transmission
+    gain = mesh.length[:, None] * np.einsum("k,pki->pi", mesh.tableau.weights, compliance.rate)
+    return np.concatenate([np.zeros((1, gain.shape[1])), np.cumsum(gain, axis=0)]) + compliance.transmission
 
 
-def ahead(mesh: Mesh, here: Compliant) -> Array:
+def ahead(mesh: Mesh, compliance: Compliant) -> Array:
     """int ds / kt (N, n) from the clamp of each tube to the collocation points, collocated."""
     chosen = mesh.collocated
-    inside = mesh.tableau.matrix @ (mesh.length[chosen, None, None] * here.rate[chosen])
-    out = reach(mesh, here)[:-1][chosen][:, None] + inside
+    inside = mesh.tableau.matrix @ (mesh.length[chosen, None, None] * compliance.rate[chosen])
+    out = reach(mesh, compliance)[:-1][chosen][:, None] + inside
     return np.asarray(out.reshape(-1, out.shape[-1]))
 
 

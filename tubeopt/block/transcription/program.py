@@ -120,10 +120,10 @@ def torsion_numbers(problem: ReducedProblem) -> dict[str, Array]:
     if assembly.general:
         kt = assembly.held_stiffness
         return {
-            "transmission": problem.here.transmission * kt,
+            "transmission": problem.compliant.transmission * kt,
             "lengths": mesh.length,
             "torsional_stiffness": np.tile(kt, len(mesh.length)),
-            "along": interpolated_columns(problem.here.sections, mesh.tableau.nodes),
+            "along": interpolated_columns(problem.compliant.sections, mesh.tableau.nodes),
         }
     offsets = {"offset": assembly.offset, "angle": assembly.offset_angle} if assembly.eccentric else {}
     stiffness, moment = problem.on_pieces

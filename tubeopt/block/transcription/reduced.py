@@ -122,7 +122,7 @@ class ReducedProblem:
     assembly: Assembly
     mesh: Mesh
     unknown: Mask
-    here: Compliant
+    compliant: Compliant
 
     @cached_property
     def elements(self) -> Index:
@@ -144,17 +144,17 @@ class ReducedProblem:
     @cached_property
     def stiffness(self) -> Array:
         """kb (N, n) of the tubes present at the points."""
-        return self._chosen(self.here.sections.stiffness)
+        return self._chosen(self.compliant.sections.stiffness)
 
     @cached_property
     def moment(self) -> Array:
         """m (N, n) of the tubes curved at the points."""
-        return self._chosen(self.here.sections.moment)
+        return self._chosen(self.compliant.sections.moment)
 
     @cached_property
     def phase(self) -> Array:
         """Angle (N, n) from the elastic rotation to the direction of the precurvature, rad."""
-        return self._chosen(self.here.sections.phase)
+        return self._chosen(self.compliant.sections.phase)
 
     @cached_property
     def arc_length(self) -> Array:
@@ -185,7 +185,7 @@ class ReducedProblem:
     @cached_property
     def factor(self) -> Array:
         """Factor L (U, U), rad per sqrt(J)."""
-        return _factor(self.mesh, self.here, self._place)
+        return _factor(self.mesh, self.compliant, self._place)
 
     @cached_property
     def flat(self) -> Index:
@@ -262,8 +262,8 @@ class ReducedProblem:
     @cached_property
     def on_pieces(self) -> tuple[Array, Array]:
         """kb and m (P, n) on each piece; raises InputError for tubes made of pieces, which vary along it."""
-        here = self.assembly.of_sections(self.mesh.section)
-        return here.stiffness, here.moment
+        sections = self.assembly.of_sections(self.mesh.section)
+        return sections.stiffness, sections.moment
 
     @cached_property
     def softness(self) -> tuple[Array, Array]:
@@ -271,7 +271,7 @@ class ReducedProblem:
 
         The second array is (P + 1, n).
         """
-        return ahead(self.mesh, self.here), reach(self.mesh, self.here)
+        return ahead(self.mesh, self.compliant), reach(self.mesh, self.compliant)
 
     @cached_property
     def energy_parts(self) -> float:
@@ -327,13 +327,13 @@ def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> Reduc
     return ReducedProblem(assembly, mesh, unknown, compliant(assembly, mesh))
 
 
-def _factor(mesh: Mesh, here: Compliant, unknowns: tuple[Index, Index]) -> Array:
+def _factor(mesh: Mesh, compliant: Compliant, unknowns: tuple[Index, Index]) -> Array:
     """Factor L (U, U): Cholesky factors of the compliances of the tubes; `unknowns` are their points and tubes (U,)."""
     # With theta = L z the torsional energy is |z|^2 / 2. The Hessian in z is the identity plus the coupling, so that
     # its smallest eigenvalue is the margin, and Newton's method needs no scaling.
     (point, tube), elements = unknowns, np.flatnonzero(mesh.collocated)
-    factor, begin = np.zeros((len(point), len(point))), reach(mesh, here)[elements].T
-    green = green_of(mesh.tableau, begin, mesh.length[elements], here.rate[elements].transpose(2, 0, 1))
+    factor, begin = np.zeros((len(point), len(point))), reach(mesh, compliant)[elements].T
+    green = green_of(mesh.tableau, begin, mesh.length[elements], compliant.rate[elements].transpose(2, 0, 1))
     ends = np.searchsorted(tube, np.arange(len(begin) + 1)).tolist()  # the unknowns are sorted by tube
     for own, (first, last) in zip(green, pairwise(ends), strict=True):
         if first < last:
@@ -430,7 +430,7 @@ def _stretch_terms(problem: ReducedProblem, moment: Array, stiffness: Array, str
 
 def pull_rate(problem: ReducedProblem) -> Array:
     """Largest change (P,) of curvature per turn of all tubes on each piece, 1/m; see `bend_rate_function`."""
-    stiffness, moment = problem.here.sections.stiffness, problem.here.sections.moment
+    stiffness, moment = problem.compliant.sections.stiffness, problem.compliant.sections.moment
     each = mapped(bend_rate_function(moment.shape[1]), len(moment))(stiffness, moment)[0].sum(1)
     return np.asarray(each.reshape(-1, problem.mesh.tableau.degree).max(1, initial=0.0))
 

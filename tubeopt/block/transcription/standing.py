@@ -231,11 +231,11 @@ class ArmState:
         self.n = problem.assembly.n_tubes
         self.pieces, self.degree = len(self.length), self.tableau.degree
         self.cuts, self.tip_tube = problem.cuts, problem.tip_tube
-        points, sections = (self.pieces, self.degree), problem.here.sections
+        points, sections = (self.pieces, self.degree), problem.compliant.sections
         self.phase, self.stiffness, self.natural_moment = (
             part.reshape(*points, self.n) for part in (sections.phase, sections.stiffness, sections.moment)
         )
-        self.compliance, self.transmission = problem.here.rate, problem.here.transmission
+        self.compliance, self.transmission = problem.compliant.rate, problem.compliant.transmission
         """1 / kt (P, K, n), and int ds / kt (n,) from clamp to plate."""
         assembly = problem.assembly
         self.offsets: Offsets = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()

@@ -172,13 +172,13 @@ def _structure(rules: LoadedRules) -> Any:
         "length": mesh.length,
         "bent": bent,
         "felt": felt,
-        "held": torsion.here.transmission,
+        "held": torsion.compliant.transmission,
         "ends": _sections(ends),
         "ends_twist": ends.twist,
     }
     arrays = list(shared.values())
     for problem in problems:
-        arrays += [_sections(problem.torsion.here.sections), problem.force, problem.base[:3]]
+        arrays += [_sections(problem.torsion.compliant.sections), problem.force, problem.base[:3]]
     # One piece of memory, since each address that NumPy returns takes a microsecond.
     memory = np.concatenate(arrays, axis=None, dtype=float)
     sizes = [8 * array.size for array in arrays]
