@@ -39,13 +39,13 @@ from .goals import (
     MOST_ENDS,
     End,
     TipGoal,
-    requested_ends,
     check_goal,
     check_start,
     checked_places,
     goal_seen,
     of_the_tip,
     other_ends,
+    requested_ends,
     start_equilibrium,
 )
 from .motion import DEFAULT_RATES, JointMotion, RateLimits
