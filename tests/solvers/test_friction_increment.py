@@ -83,7 +83,7 @@ def test_laws_of_friction_hold_in_the_kernel() -> None:
         assert found is not None
         assert len(found.margin) == 1
         there = swept(robot(), held, rows[k - 1 : k + 1], found, 1)
-        slip, own = there.increment.state.relative_rotations - held.increment.state.relative_rotations, there.found
+        slip, own = there.increment.state.relative_rotations - held.increment.state.relative_rotations, there.increment
         stuck = own.signs == 0
         wrong = np.concatenate(
             [np.abs(slip[stuck]), -(slip * own.signs)[~stuck], np.abs(own.torque) / there.contact.capacity - 1, [0.0]]
