@@ -7,11 +7,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 import tubeopt
 from tubeopt import InputError, Motion, Problem, RateLimits, SolveError, Trajectory
-from tubeopt.planning.knots import Cubics
+from tubeopt.planning.knots import Cubics, KnotFunction
 
 ROBOT = tubeopt.load_robot("two_tube")
 START = tubeopt.forward_kinematics(ROBOT, [0.0, 0.0], [-0.02, -0.02])
@@ -54,6 +54,39 @@ def test_cubics_are_those_of_hermite() -> None:
     fine = np.linspace(0.0, 1.0, 200_001)
     for order, value in ((1, cubics.length), (2, cubics.effort)):
         assert float(value) == pytest.approx(np.trapezoid((spline(fine, order) ** 2).sum(1), fine), rel=1e-4)
+
+
+@pytest.mark.parametrize("directions", [1, 64])
+def test_derivatives_knot_by_knot_are_those_of_casadi(directions: int) -> None:
+    x, p = ca.SX.sym("x", 3), ca.SX.sym("p", 2)
+    y = ca.vertcat(x[0] * x[1] * p[0] * ca.sin(x[2]), x[0] ** 2 + p[1] * x[2] ** 3, x[1] * x[0] * x[2], ca.exp(x[1]))
+    one, count = ca.Function("one", [x, p], [y]), 5
+    z, weight = ca.MX.sym("z", 3 * count), ca.MX.sym("weight", 4 * count)
+    numbers = ca.DM([2.0, 3.0])
+    table = ca.reshape(z, 3, count)
+    rng = np.random.default_rng(0)
+    at = rng.normal(size=3 * count), rng.normal(size=4 * count)
+    before = ca.GlobalOptions.getMaxNumDir()
+    ca.GlobalOptions.setMaxNumDir(directions)
+    try:
+        answers = []
+        own = ca.vec(KnotFunction.of(one).at(count)(table, numbers))
+        for column in (own, ca.vec(one.map(count)(table, ca.repmat(numbers, 1, count)))):
+            # Weights that depend on the unknowns as well.
+            bent = ca.hessian(ca.dot(weight, column**2 + ca.sin(column)), z)[0]
+            slope, gradient = ca.jacobian(column, z), ca.gradient(ca.dot(weight, column), z)
+            function = ca.Function("derivatives", [z, weight], [column, slope, gradient, bent])
+            answers.append([np.array(part) for part in function(*at)])
+    finally:
+        ca.GlobalOptions.setMaxNumDir(before)
+    for mine, theirs in zip(*answers, strict=True):
+        assert np.abs(mine - theirs).max() < 1e-12 * np.abs(theirs).max()
+    # Second derivatives of the first row only.
+    part = KnotFunction.of(one, 1).at(count)(table, numbers)
+    bent = ca.Function("bent", [z, weight], [ca.hessian(ca.dot(weight, ca.vec(part)), z)[0]])
+    first = np.array(at[1]).reshape(count, 4) * [1.0, 0.0, 0.0, 0.0]
+    whole = ca.Function("bent", [z, weight], [ca.hessian(ca.dot(weight, own), z)[0]])
+    assert np.allclose(np.array(bent(*at)), np.array(whole(at[0], first.ravel())), atol=1e-12)
 
 
 # With 8 equal intervals the switches of the closed forms are at knots.
@@ -138,14 +171,45 @@ def test_clearance_holds_between_knots_and_costs_time() -> None:
     assert trajectory.time[-1] >= free.time[-1] * (1 - 1e-5)
 
 
+def test_a_body_on_the_way_is_passed_within_all_limits() -> None:
+    goal = tubeopt.forward_kinematics(ROBOT, [2.5, 2.5], START.translations).tip_position
+    middle = tubeopt.forward_kinematics(ROBOT, [1.25, 1.25], START.translations).tip_position
+    body, rates = tubeopt.Sphere(tuple(middle.tolist()), 4e-3), RateLimits()
+    problem = Problem()
+    motion = Motion(problem, ROBOT, 9, min_margin=0.3)
+    motion.start(START)
+    motion.goal(tip_position=goal)
+    motion.limit(rates)
+    motion.keep_clear(body, 1e-3)
+    problem.minimize(motion.duration)
+    trajectory = motion.solve()
+    assert np.linalg.norm(trajectory.end.tip_position - goal) < 1e-6
+    # The verifier has its own equations, and samples between ours.
+    time = np.linspace(0.0, trajectory.time[-1], 400)
+    curves = CubicSpline(trajectory.time, np.column_stack([trajectory.rotations, trajectory.translations]))
+    proof = tubeopt.verify_trajectory(
+        ROBOT,
+        trajectory.time,
+        trajectory.rotations,
+        trajectory.translations,
+        start=START,
+        obstacles=[body],
+        clearance=1e-3,
+        min_margin=0.3,
+        rate_limits=rates,
+    )
+    assert proof.holds
+    most = [rates.rotation] * 2 + [rates.translation] * 2
+    assert (np.abs(curves(time, 1)) <= 1.01 * np.array(most)).all()
+
+
 def test_warm_start_ends_at_the_same_optimum() -> None:
     goal = {"rotations": [1.0, 0.4], "translations": START.translations}
     first = fastest(**goal)
     problem = Problem()
     motion = motion_to(problem, **goal)
-    motion.warm_start(first)
     problem.minimize(motion.duration)
-    assert motion.solve().time[-1] == pytest.approx(first.time[-1], rel=1e-5)
+    assert motion.solve(start=first).time[-1] == pytest.approx(first.time[-1], rel=1e-5)
 
 
 def test_equilibria_between_knots_change_no_optimum_without_bodies() -> None:

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from ..block.transcription.explicit import Kind
+from ..block.transcription.explicit import MAX_EXPANDED_SIZE, Kind, explicit_arm, explicit_joints, explicit_size
 from ..bodies.corridors import MeshObstacle
 from ..bodies.distance_field import DistanceField
 from ..bodies.obstacles import Obstacle
@@ -96,6 +96,77 @@ def ample_duration(q: Array, time: Array, rate: Array, acceleration: Array) -> f
     return float(max(2.0 * speed, 1.5 * np.sqrt(hard), 1e-2))
 
 
+# --- Functions of knots -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class KnotFunction:
+    """Function (x (a,), p (r,)) -> (b,) of one knot, with its derivatives by x."""
+
+    value: ca.Function
+    slope: ca.Function
+    """(x, p) -> Jacobian (b, a)."""
+    gradient: ca.Function
+    """(x, p, weight (b,)) -> gradient (a,) of the weighted sum."""
+    hessian: ca.Function
+    """(x, p, weight) -> Hessian (a, a) of the weighted sum, or of its first rows."""
+
+    @staticmethod
+    def of(value: ca.Function, curved: int | None = None) -> KnotFunction:
+        """Function with derivatives; second ones only of the first `curved` rows, by default of all."""
+        inputs: list[Any] = [*(value.sx_in() if value.is_a("SXFunction") else value.mx_in())]
+        x, p = inputs
+        y: Any = value(x, p)
+        weight: Any = type(x).sym("weight", y.numel())
+        gradient, hessian = ca.gradient(ca.dot(weight, y), x), ca.hessian(ca.dot(weight[:curved], y[:curved]), x)[0]
+        return KnotFunction(
+            value,
+            ca.Function("slope", [x, p], [ca.jacobian(y, x)]),
+            ca.Function("gradient", [x, p, weight], [ca.densify(gradient)]),
+            ca.Function("hessian", [x, p, weight], [hessian]),
+        )
+
+    def at(self, count: int) -> ca.Function:
+        """Function (x (a, count), p) -> (b, count), knot by knot; p is no unknown.
+
+        Its derivatives are one small block for every knot. CasADi's own would pass through all knots once for every
+        group of unknowns without a common row of the program, several times as often.
+        """
+        (a, r), b = (self.value.size1_in(k) for k in range(2)), self.value.size1_out(0)
+        sizes = {"x": (a, count), "p": (r, 1), "out_y": (b, count), "adj_y": (b, count)}
+        at: dict[str, Any] = {name: ca.MX.sym(name, *size) for name, size in sizes.items()}
+        more: dict[str, Any] = {"out_adj_x": ca.MX.sym("out_adj_x", a, count), "out_adj_p": ca.MX.sym("out_adj_p", r)}
+        numbers = ca.repmat(at["p"], 1, count)
+        mapped, slope, gradient, hessian = (
+            function.map(count)(at["x"], numbers, *[at["adj_y"]] * (function.n_in() - 2))
+            for function in (self.value, self.slope, self.gradient, self.hessian)
+        )
+        by_x: Any = ca.diagcat(*ca.horzsplit(slope, a))
+        second: Any = ca.diagcat(*ca.horzsplit(hessian, a))
+        # CasADi looks up derivatives by their names in the cache of a function before it makes them. Those that are
+        # inlined are not evaluated where a program does not need them.
+        name = f"knotwise_{self.value.name()}"
+        inline: dict[str, Any] = {"always_inline": True}
+        first = list(at)[:3]
+        jacobian = ca.Function(
+            f"jac_{name}", [at[k] for k in first], [by_x, ca.MX(b * count, r)], first, ["jac_y_x", "jac_y_p"], inline
+        )
+        rows: dict[str, list[Any]] = {"adj_x": [second, ca.MX(a * count, r), ca.MX(a * count, b * count), by_x.T]}
+        rows["adj_p"] = [ca.MX(r, part.shape[1]) for part in rows["adj_x"]]
+        names = [f"jac_{row}_{column}" for row in rows for column in at]
+        inputs = {**at, **more}
+        curvature = ca.Function(
+            f"jac_adj1_{name}", list(inputs.values()), rows["adj_x"] + rows["adj_p"], list(inputs), names, inline
+        )
+        # Forward derivatives are products with the Jacobian, backward ones are not.
+        options: dict[str, Any] = {"never_inline": True, "enable_forward": False, "jac_penalty": -1}
+        cached = {**options, "cache": {curvature.name(): curvature}}
+        out = [gradient, ca.MX.zeros(r, 1)]
+        backward = ca.Function(f"adj1_{name}", list(at.values()), out, list(at), ["adj_x", "adj_p"], cached)
+        cached = {**options, "cache": {jacobian.name(): jacobian, backward.name(): backward}}
+        return ca.Function(name, [at["x"], at["p"]], [mapped], ["x", "p"], ["y"], cached)
+
+
 # --- Arms and bodies --------------------------------------------------------------------------------------------------
 
 
@@ -111,6 +182,34 @@ BLUR = 1.5
 
 TABLES = (MeshObstacle, DistanceField)
 """Bodies without a formula for their distance."""
+
+
+@lru_cache(maxsize=8)
+def arm_at_knot(kind: Kind, what: str, bodies: tuple[Obstacle, ...] = ()) -> KnotFunction:
+    """Function (x (2n + 1,), p) of an equilibrium at a knot.
+
+    `x`: tip rotations, translations, margin; `p`: robot, radius of the arm (n,). Its value is "balance": joint
+    rotations and determinants of the Jacobi fields; "tip": position, m, and direction; "points": (3 p,), m; or
+    "distances" of points of the arm from bodies, one body after the other, m. Second derivatives of determinants and
+    distances take four times as long as all others, and save a third of the iterations: they are 0.
+    """
+    n = kind.n
+    x, p = ca.MX.sym("x", 2 * n + 1), ca.MX.sym("p", kind.size + n)
+    at = [*ca.vertsplit(x, [0, n, 2 * n, 2 * n + 1]), p[: kind.size]]
+    if what == "balance":
+        out: Any = ca.vertcat(*explicit_joints(kind)(*at))
+    else:
+        points, tangents, s = explicit_arm(kind)(*at)[2:]
+        if what == "tip":
+            out = ca.vertcat(points[:, -1], tangents[:, -1])
+        elif what == "points":
+            out = ca.vec(points)
+        else:
+            distances = body_distances(kind, points.shape[1], bodies)
+            out = ca.vec(distances(points, tangents, s, at[1], at[3], p[kind.size :]))
+    value = ca.Function(what, [x, p], [ca.densify(out)])
+    short = explicit_size(kind) < MAX_EXPANDED_SIZE and not any(isinstance(body, TABLES) for body in bodies)
+    return KnotFunction.of(value.expand() if short else value, {"balance": n, "distances": 0}.get(what))
 
 
 def body_distances(kind: Kind, count: int, bodies: Sequence[Obstacle]) -> ca.Function:

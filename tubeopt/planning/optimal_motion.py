@@ -16,6 +16,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -25,26 +26,29 @@ from scipy.interpolate import CubicHermiteSpline
 
 from ..arguments import typed
 from ..block.composed import as_program
-from ..block.transcription.explicit import explicit_arm
 from ..bodies.obstacles import Obstacle, checked_obstacles, scene_of
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance, positive, vector, whole
 from ..files.field_metadata import TYPICAL_CLEARANCE, typical_length
-from ..inverse import inverse_kinematics
+from ..inverse import InverseOptions, inverse_kinematics
 from ..inverse.arm_surface import ArmSurface
+from ..inverse.clock import Clock, LateError
 from ..inverse.goal import unit_vector
 from ..inverse.joints import joint_space
+from ..inverse.search import find_path, shorten
 from ..inverse.task import TipCoordinates
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot, check_robot
+from ..solvers.named_program import MANY_DIRECTIONS, NamedProgram, ProblemSolution
+from ..solvers.settings import Ipopt
 from ..typing import Array
-from .knots import Cubics, ample_duration, body_distances, differences
+from .knots import Cubics, arm_at_knot
 from .motion import ANY_RATES, DEFAULT_RATES, JointMotion, RateLimits
-from .plan import build
+from .plan import Faults, build
 from .question import PlanOptions, PlanTask, plan_task
 from .smoothing import JOINT_ROUND_OFF, LEAST_FIELDS, MARGIN_RESERVE, TWIST
-from .timing import violated
+from .timing import SHORTEST, Limits, joint_curves, through, violated
 from .trajectory import PlanStatistics, Trajectory
 
 # Joint values alone could jump to another branch. The fastest interval of a motion from rest to rest is about twice as
@@ -55,8 +59,18 @@ LONGEST_TWIST = 4.0
 FIRST_RESERVES = (MARGIN_RESERVE, 5e-5)
 """First reserves of the margin and of the clearance, m, at knots."""
 
+ROOM = 3e-5
+"""Reserve of margin and clearance, m, where the proof finds less between samples than at them."""
+
 REPETITIONS = 4
 """Maximum number of solves with a larger reserve."""
+
+SEARCH_SECONDS = 3.0
+"""Time limit of the search for a first path among bodies, s."""
+
+# The start is nearly a motion; a larger barrier would move it away from its path, and takes twice as many iterations.
+SOLVERS = Ipopt(tolerance=1e-8, barrier=1e-4, push=1e-5), Ipopt(tolerance=1e-8, barrier=1e-2)
+"""Settings for a `Problem`, and those after they failed."""
 
 TIME_LIMIT = 600.0
 """Time limit of the check between knots and of the proof, s."""
@@ -138,12 +152,18 @@ class Motion:
         instance("limits", limits, JointLimits, optional=True)
         instance("name", name, str)
         self.opti, self.program, self.robot, self.name = opti, as_program(opti), robot, name
+        if isinstance(opti, NamedProgram):
+            # Functions of all knots are differentiated in all directions at once, by their Jacobians.
+            opti.directions = MANY_DIRECTIONS
         self.times = _knot_times(knots)
         self._limits, self._space = limits, joint_space(robot, limits)
         self._coordinates = TipCoordinates(self._space)
         self._rates, self._bodies, self._clearance = ANY_RATES, tuple[Obstacle, ...](), 0.0
         self._first: Equilibrium | None = None
         self._last: Array | None = None
+        self._goal_given = False
+        self._target: tuple[Array, Array | None] | None = None
+        self._paths: dict[tuple[Any, ...], Array] = {}
         space, n, m, count = self._space, robot.n_tubes, len(self._space.scale), len(self.times)
         # Times of all equilibria; every `_stride`th is at a knot.
         self._stride = whole("between", between, 0) + 1
@@ -175,14 +195,10 @@ class Motion:
         self.rotation_rates, self.translation_rates = ca.vertsplit(spread @ self._slopes / self.duration, n)
         q = self._at_stations()
         rotations, self._shifts = self._per_tube(q)
-        numbers = ca.repmat(ca.DM(self._coordinates.parameters), 1, stations)
         reserves = ca.reshape(self._reserve, 2, stations)
-        floor = ca.repmat(ca.MX(min_margin), 1, stations) + reserves[0, :]
-        arm = explicit_arm(self._coordinates.kind)
-        alpha, fields, *self._arms = arm.map(stations)(self._tips, self._shifts, floor, numbers)
+        self._floor = ca.repmat(ca.MX(min_margin), 1, stations) + reserves[0, :]
+        alpha, fields = ca.vertsplit(self._arms("balance", slice(None)), [0, n, n + self._coordinates.kind.sections])
         self.tip_rotations = self._tips[:, :: self._stride]
-        tips = [arm.size2_out(2) * (k + 1) - 1 for k in range(0, stations, self._stride)]
-        self.tip_position, self.tip_direction = (part[:, tips] for part in self._arms[:2])
         shift = ca.horzcat(self._offset, ca.DM.zeros(n, stations - 1))
         self._demand("equilibrium", alpha - rotations - shift, upper=0.0)
         # Start and goal may be given: the start is not required to have the reserve.
@@ -241,7 +257,7 @@ class Motion:
             raise InputError("the motion has no start; call start before goal")
         space, n, near = self._space, self.robot.n_tubes, self._first
         if equilibrium is not None:
-            self._last = self._coordinates.of(equilibrium)
+            self._goal_given, self._last = True, self._coordinates.of(equilibrium)
             self._fix("goal", -1, self._last)
         elif rotations is not None or translations is not None:
             alpha = near.rotations if rotations is None else vector("rotations", rotations, n)
@@ -257,14 +273,15 @@ class Motion:
             place = vector("tip_position", tip_position, 3)
             direction = None if tip_direction is None else unit_vector("tip_direction", tip_direction)
             if self._last is None:
+                self._target = place, direction
                 reached = inverse_kinematics(self.robot, place, direction=direction, start=near, limits=self._limits)
                 self._last = self._coordinates.of(reached.equilibrium)
-            self._demand("tip of the goal", (self.tip_position[:, -1] - ca.DM(place)) / space.length, upper=0.0)
+            self._demand("tip of the goal", (self._goal_tip[:3] - ca.DM(place)) / space.length, upper=0.0)
         if tip_direction is not None:
             axis = unit_vector("tip_direction", tip_direction)
             across = np.linalg.svd(axis[None])[2][1:]
-            self._demand("tip direction of the goal", ca.DM(across) @ self.tip_direction[:, -1], upper=0.0)
-            self._demand("side of the tip direction", ca.dot(ca.DM(axis), self.tip_direction[:, -1]))
+            self._demand("tip direction of the goal", ca.DM(across) @ self._goal_tip[3:], upper=0.0)
+            self._demand("side of the tip direction", ca.dot(ca.DM(axis), self._goal_tip[3:]))
         if rest:
             self._rest(-1)
         self._guess()
@@ -326,24 +343,44 @@ class Motion:
         reserves = ca.reshape(self._reserve, 2, len(self._stations))[1, :]
         distances -= ca.repmat(ca.vec(ca.repmat(reserves, rows, 1)), 1, len(self._bodies))
         self._demand("clearance", distances[rows:, :] / self._space.length)
+        self._guess()
 
     def distances(self, bodies: Sequence[Obstacle]) -> Any:
         """(a, bodies) distances of points of the surface from bodies, one equilibrium after the other, m."""
-        kind, count = self._coordinates.kind, len(self._stations)
-        points, tangents, s = self._arms
-        size = points.shape[1] // count
-        constants = [
-            ca.repmat(ca.DM(part), 1, count) for part in (self._coordinates.parameters, self._coordinates.radius)
-        ]
-        function = body_distances(kind, size, bodies).map(count)
-        table = function(points, tangents, ca.reshape(s, size, count), self._shifts, *constants)
-        return ca.vertcat(*ca.horzsplit(table, len(bodies)))
+        table = self._arms("distances", slice(None), *bodies)
+        return ca.horzcat(*(ca.vec(part) for part in ca.vertsplit(table, table.shape[0] // len(bodies))))
+
+    @cached_property
+    def tip_position(self) -> Any:
+        """(3, K) positions of the tip at the knots, m."""
+        return self._tip[:3, :]
+
+    @cached_property
+    def tip_direction(self) -> Any:
+        """(3, K) directions of the tip at the knots."""
+        return self._tip[3:, :]
+
+    @cached_property
+    def _tip(self) -> Any:
+        return self._arms("tip", slice(None, None, self._stride))
+
+    @cached_property
+    def _goal_tip(self) -> Any:
+        return self._arms("tip", slice(-1, None))
+
+    @cached_property
+    def _shapes(self) -> Any:
+        return self._arms("points", slice(None, None, self._stride))
 
     def points(self, knot: int) -> Any:
         """(3, p) points of the arm at a knot, plate to tip, m."""
-        size = self._arms[0].shape[1] // len(self._stations)
-        first = range(len(self.times))[knot] * self._stride * size
-        return self._arms[0][:, first : first + size]
+        return ca.reshape(self._shapes[:, range(len(self.times))[knot]], 3, -1)
+
+    def _arms(self, what: str, stations: slice, *bodies: Obstacle) -> Any:
+        """Columns of equilibria, see `arm_at_knot`."""
+        x = ca.vertcat(self._tips, self._shifts, self._floor)[:, stations]
+        numbers = np.concatenate([self._coordinates.parameters, self._coordinates.radius])
+        return arm_at_knot(self._coordinates.kind, what, bodies).at(x.shape[1])(x, ca.DM(numbers))
 
     # --- costs --------------------------------------------------------------------------------------------------------
 
@@ -372,29 +409,43 @@ class Motion:
 
     def warm_start(self, trajectory: Trajectory) -> None:
         """Start the program at a trajectory of the same robot."""
-        t = (trajectory.time - trajectory.time[0]) / max(float(np.ptp(trajectory.time)), 1e-9)
-        points = np.array([self._coordinates.of(e) for e in trajectory.arms])
-        z = np.column_stack([np.interp(self._stations, t, column) for column in points.T])
-        self._set_guess(z, float(np.ptp(trajectory.time)))
+        duration = max(float(np.ptp(trajectory.time)), SHORTEST)
+        t = (trajectory.time - trajectory.time[0]) / duration
+        z = np.array([self._coordinates.of(e) for e in trajectory.arms])
+        v = np.gradient(self._coordinates.joints(z), t, axis=0)
+        z, v = (
+            np.column_stack([np.interp(at, t, each) for each in part.T])
+            for at, part in ((self._stations, z), (self.times, v))
+        )
+        self._set_guess(z, v, duration)
 
-    def solve(self, **settings: Any) -> Trajectory:
+    def solve(self, *, start: Trajectory | ProblemSolution | None = None, **settings: Any) -> Trajectory:
         """Solve the program and check the motion between knots; repeat with larger reserves at knots where it fails.
 
-        `settings` are those of `Problem.solve`. An Opti needs a solver and an objective before.
+        Args:
+            start: start values; by default the least time along a path that is clear of the bodies.
+            settings: those of `Problem.solve`. An Opti needs a solver and an objective before.
 
         Raises:
             SolveError: no optimum was found, or knots are too far apart.
         """
-        reserve = np.tile(FIRST_RESERVES, (len(self._stations), 1))
+        if isinstance(start, Trajectory):
+            self.warm_start(start)
+        elif start is not None:
+            settings["start"] = start
+        reserve, room = np.tile(FIRST_RESERVES, (len(self._stations), 1)), 0.0
         for last in [False] * REPETITIONS + [True]:
             self.program.set_value(self._reserve, reserve.ravel())
-            try:
-                solution = self.opti.solve(**settings)
-            except RuntimeError as error:
-                raise SolveError(f"{self.name}: {error}") from None
-            missing = self.violations(solution)
+            solution = self._solution(settings)
+            missing = self._missing(solution, room)
             if missing is None:
-                return self.trajectory(solution)
+                result = self._built(solution)
+                if isinstance(result, Trajectory):
+                    return result
+                room = ROOM
+                missing = self._missing(solution, room)
+                if missing is None:
+                    raise SolveError(f"{self.name}: {'; '.join(result)}")
             if last or not (missing.margin or missing.clearance):
                 raise SolveError(f"{self.name}: {missing}")
             beside = {k * self._stride + i for k in missing.intervals for i in range(self._stride + 1)}
@@ -403,17 +454,20 @@ class Motion:
             self._restart(solution)
         raise AssertionError
 
+    def _solution(self, settings: dict[str, Any]) -> Any:
+        """Solution of the program; a `Problem` without other settings is solved by the second of SOLVERS if need be."""
+        own = not isinstance(self.opti, ca.Opti) and "solver" not in settings
+        for solver in SOLVERS if own else SOLVERS[-1:]:
+            try:
+                return self.opti.solve(**({"solver": solver} if own else {}), **settings)
+            except RuntimeError as error:
+                if solver is SOLVERS[-1]:
+                    raise SolveError(f"{self.name}: {error}") from None
+        raise AssertionError
+
     def violations(self, solution: Any) -> Between | None:
         """Violations of margin, clearance and branch between the knots of a solution; None without any."""
-        task, motion, points = self._task(solution), self._curve(solution), self._points(solution)
-        first = self._begin()
-        violations = violated(task, first, motion, task.clock, (motion.time, points))
-        bad = np.flatnonzero(violations.intervals).tolist()
-        if not bad:
-            return None
-        margin, clearance = violations.shortfall.tolist()
-        times = [(float(motion.time[k]), float(motion.time[k + 1])) for k in bad]
-        return Between(tuple(bad), margin, clearance, tuple(times))
+        return self._missing(solution, 0.0)
 
     def trajectory(self, solution: Any) -> Trajectory:
         """Trajectory of a solution, with its proof.
@@ -424,12 +478,28 @@ class Motion:
         missing = self.violations(solution)
         if missing is not None:
             raise SolveError(f"{self.name}: {missing}")
-        task, motion = self._task(solution), self._curve(solution)
-        statistics = PlanStatistics("program", "", 0, 0.0, 0.0, 0, len(self.times), 0.0)
-        result = build(task, self._begin(), None, motion, statistics)
+        result = self._built(solution)
         if not isinstance(result, Trajectory):
             raise SolveError(f"{self.name}: {'; '.join(result)}")
         return result
+
+    def _built(self, solution: Any) -> Trajectory | Faults:
+        task, motion = self._task(self._margin_of(solution)), self._curve(solution)
+        statistics = PlanStatistics("program", "", 0, 0.0, 0.0, 0, len(self.times), 0.0)
+        return build(task, self._begin(), None, motion, statistics)
+
+    def _missing(self, solution: Any, room: float) -> Between | None:
+        """Violations between knots, of margin and clearance (m) with a reserve."""
+        task, motion, points = self._task(self._margin_of(solution)), self._curve(solution), self._points(solution)
+        task = replace(task, min_margin=task.min_margin + room, clearance=task.clearance + room)
+        checkpoints = motion.time, points
+        violations = violated(task, self._begin(), motion, task.clock, checkpoints, given_goal=self._goal_given)
+        bad = np.flatnonzero(violations.intervals).tolist()
+        if not bad:
+            return None
+        margin, clearance = violations.shortfall.tolist()
+        times = [(float(motion.time[k]), float(motion.time[k + 1])) for k in bad]
+        return Between(tuple(bad), margin, clearance, tuple(times))
 
     # --- internal -----------------------------------------------------------------------------------------------------
 
@@ -512,25 +582,74 @@ class Motion:
             )
 
     def _guess(self) -> None:
-        """Start on the straight line from start to goal in tip coordinates, from rest to rest."""
+        """Start on a path from start to goal that is clear of the bodies, in the least time along it."""
         if self._first is None:
             return
         begin = self._coordinates.of(self._first)
-        end = begin if self._last is None else self._last
-        x = self._stations[:, None]
-        self._set_guess(begin + (end - begin) * x * x * (3 - 2 * x), None)
+        task = self._task(0.05 if isinstance(self._margin, ca.MX) else float(self._margin))
+        points = self._waypoints(task, begin, self._end(task))
+        curves = joint_curves(task, points)
+        z = [
+            a + np.linspace(0, 1, len(q))[:, None] * (b - a) for (a, b), q in zip(pairwise(points), curves, strict=True)
+        ]
+        rates = self._rates if self._rates is not ANY_RATES else DEFAULT_RATES
+        motion = through(np.concatenate(curves), task.scale, Limits(*rates.of(self._space)))
+        # Corners are rounded, so lengths along the path are relative.
+        fine = np.linspace(0, motion.duration, 50 * len(self._stations))
+        place = np.interp(self._stations * motion.duration, fine, _length(motion.curve(fine) / task.scale))
+        along = _length(np.concatenate(curves) / task.scale)
+        at = np.column_stack([np.interp(place, along, column) for column in np.concatenate(z).T])
+        self._set_guess(at, motion.curve(self.times * motion.duration, 1) * motion.duration, motion.duration)
 
-    def _set_guess(self, z: Array, duration: float | None) -> None:
-        """Start at tip coordinates z (stations, m); without a duration, at an ample one."""
+    def _waypoints(self, task: PlanTask, begin: Array, end: Array) -> Array:
+        """(k, m) points of a path, straight if none is found that is clear of the bodies."""
+        key = begin.tobytes(), end.tobytes(), self._bodies, self._clearance
+        if key not in self._paths:
+            clock = Clock(SEARCH_SECONDS)
+            task = replace(task.from_to(begin, end), clock=clock)
+            try:
+                points = find_path(task, begin, [end], clock).points
+                points = None if points is None else shorten(task, points, clock)
+            except LateError:
+                points = None
+            self._paths[key] = np.stack([begin, end]) if points is None else points
+        return self._paths[key]
+
+    def _end(self, task: PlanTask) -> Array:
+        """(m,) end of the start values; another configuration of the tip if the nearest one violates a requirement."""
+        assert self._first is not None
+        if self._last is None:
+            return self._coordinates.of(self._first)
+        if self._target and not task.holds(self._last[None])[0]:
+            place, direction = self._target
+            reached = inverse_kinematics(
+                self.robot,
+                place,
+                direction=direction,
+                start=self._first,
+                limits=self._limits,
+                min_margin=task.min_margin,
+                obstacles=self._bodies,
+                on_failure="return",
+                options=InverseOptions(clearance=self._clearance),
+            )
+            if reached.equilibrium is not None:
+                self._last = self._coordinates.of(reached.equilibrium)
+        return self._last
+
+    def _set_guess(self, z: Array, v: Array, duration: float) -> None:
+        """Start at tip coordinates z (stations, m), rates v (K, m) by a time from 0 to 1, and a duration, s."""
         q, n, program = self._coordinates.joints(z[:: self._stride]), self.robot.n_tubes, self.program
         rates = self._rates if self._rates is not ANY_RATES else DEFAULT_RATES
-        if duration is None:
-            duration = ample_duration(q, self.times, *rates.of(self._space))
+        if self._free:
+            # Cubics through the knots are faster than the motion itself.
+            curve = JointMotion(CubicHermiteSpline(self.times * duration, q, v / duration))
+            duration *= _excess(curve, *rates.of(self._space))
         mean = np.abs(z[-1, :n] - z[0, :n]).max() * float(np.diff(self._stations).max())
         step = float(np.abs(np.diff(z[:, :n], axis=0)).max())
         program.set_value(self._twist, [max(TWIST, LONGEST_TWIST * mean, 1.3 * step)])
         self._put("joint values", self._joints, q)
-        self._put("rates", self._slopes, differences(q, self.times))
+        self._put("rates", self._slopes, v)
         self._put("tip rotations", self._tips, z[:, :n])
         if self._stride > 1:
             inner = np.concatenate([z[x :: self._stride, n:] for x in range(1, self._stride)])
@@ -562,27 +681,18 @@ class Motion:
         tips, q = (self._value(solution, part).T for part in (self.tip_rotations, self._joints))
         return np.column_stack([tips, q[:, self.robot.n_tubes :]])
 
+    def _margin_of(self, solution: Any) -> float:
+        return float(self._value(solution, ca.MX(self._margin)).item())
+
     def _curve(self, solution: Any) -> JointMotion:
         """Joint values over time."""
         q, v = (self._value(solution, part).T for part in (self._joints, self._slopes))
         duration = float(self._value(solution, self.duration).item())
         motion = JointMotion(CubicHermiteSpline(self.times * duration, q, v / duration))
-        return motion.slower(self._excess(motion))
+        return motion.slower(max(1.0, _excess(motion, *self._rates.of(self._space))))
 
-    def _excess(self, motion: JointMotion) -> float:
-        """Factor on the duration, at least 1, after which rates and accelerations exceed no limit by round-off."""
-        rate, acceleration = self._rates.of(self._space)
-        h = np.diff(motion.time)[:, None]
-        c = motion.curve.c
-        # Bezier coefficients of q' and end values of q'' of c_0 x^3 + c_1 x^2 + c_2 x + c_3.
-        slopes = np.array([c[2], c[2] + c[1] * h, c[2] + 2 * c[1] * h + 3 * c[0] * h**2])
-        bends = np.array([2 * c[1], 2 * c[1] + 6 * c[0] * h])
-        fastest = float((np.abs(slopes) / rate).max()), float((np.abs(bends) / acceleration).max())
-        return max(1.0, fastest[0], math.sqrt(fastest[1]))
-
-    def _task(self, solution: Any) -> PlanTask:
+    def _task(self, margin: float) -> PlanTask:
         """Requirements on the motion, as those of a plan."""
-        margin = float(self._value(solution, ca.MX(self._margin)).item())
         options = PlanOptions(clearance=self._clearance, time_limit=TIME_LIMIT)
         task = plan_task(self.robot, self._bodies, max(margin, 0.0), self._rates, self._limits, options)
         return replace(task, coordinates=self._coordinates)
@@ -596,3 +706,18 @@ def _knot_times(knots: int | ArrayLike) -> Array:
     if len(times) < 3 or times[0] != 0.0 or times[-1] != 1.0 or (np.diff(times) <= 0).any():
         raise InputError(f"knots are {times.tolist()}; they must increase from 0 to 1, at least 3")
     return times
+
+
+def _length(points: Array) -> Array:
+    """(N,) length of a polyline (N, m) up to each of its points."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+
+
+def _excess(motion: JointMotion, rate: Array, acceleration: Array) -> float:
+    """Factor on the duration of cubics after which rates and accelerations (m,) are just at their limits."""
+    h = np.diff(motion.time)[:, None]
+    c = motion.curve.c
+    # Bezier coefficients of q' and end values of q'' of c_0 x^3 + c_1 x^2 + c_2 x + c_3.
+    slopes = np.array([c[2], c[2] + c[1] * h, c[2] + 2 * c[1] * h + 3 * c[0] * h**2])
+    bends = np.array([2 * c[1], 2 * c[1] + 6 * c[0] * h])
+    return max(float((np.abs(slopes) / rate).max()), math.sqrt(float((np.abs(bends) / acceleration).max())))

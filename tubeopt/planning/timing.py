@@ -360,9 +360,15 @@ class Violations:
 
 
 def violated(
-    task: PlanTask, start: Equilibrium, motion: JointMotion, clock: Clock, checkpoints: tuple[Array, Array]
+    task: PlanTask,
+    start: Equilibrium,
+    motion: JointMotion,
+    clock: Clock,
+    checkpoints: tuple[Array, Array],
+    *,
+    given_goal: bool = True,
 ) -> Violations:
-    """Violations along a motion.
+    """Violations along a motion; its start and a given goal may violate margin and clearance.
 
     `checkpoints`: times (P,) at which it has to be at tip coordinates (P, m). The same joint values may be reached
     on several branches, by paths around a fold on one side and on the other.
@@ -370,7 +376,7 @@ def violated(
     time, q = motion.sampled(task.scale)
     equilibria = track(task, start, q, clock)
     bad = np.zeros(len(motion.time) - 1, dtype=bool)
-    shortfall = _shortfall(task, equilibria)
+    shortfall = _shortfall(task, equilibria, len(q) - 1 if given_goal else None)
     wrong = time[: len(equilibria)][(shortfall > 0).any(0)]
     if len(equilibria) < len(q):
         wrong = np.append(wrong, time[len(equilibria)])
@@ -381,7 +387,7 @@ def violated(
     return Violations(bad, np.maximum(shortfall.max(1, initial=0.0), 0.0))
 
 
-def _shortfall(task: PlanTask, equilibria: Sequence[Equilibrium]) -> Array:
+def _shortfall(task: PlanTask, equilibria: Sequence[Equilibrium], goal: int | None) -> Array:
     """(2, T) shortfall of margin and clearance (m) from the requirement with its reserve; at most 0 if satisfied."""
     joints = [task.coordinates.space.join(e.rotations, e.translations) for e in equilibria]
     q = np.reshape(joints, (-1, len(task.scale))) / task.scale
@@ -390,9 +396,8 @@ def _shortfall(task: PlanTask, equilibria: Sequence[Equilibrium]) -> Array:
     margin = np.array([e.margin for e in equilibria])
     clear = np.array([ArmSurface(e).clearance(task.scene, task.clearance + RESERVE) for e in equilibria])
     out = np.array([task.min_margin + reserve - margin, task.clearance + reserve - clear])
-    # Start and goal are given.
-    for end in {0, len(q) - 1} if len(q) else ():
-        out[:, end] = np.minimum(out[:, end], 0.0)
+    given = [end for end in {0, goal} if end is not None and end < len(q)]
+    out[:, given] = np.minimum(out[:, given], 0.0)
     return out
 
 

@@ -237,10 +237,11 @@ def _plain(value: Array) -> Any:
 # --- Program as one function of IPOPT ---------------------------------------------------------------------------------
 
 
-DIRECTIONS = 8
-"""Number of directions that CasADi differentiates along at once, instead of 64.
+DIRECTIONS, MANY_DIRECTIONS = 8, 64
+"""Numbers of directions that CasADi differentiates along at once; its own is the second.
 
-Derivatives are evaluated as fast, and are built in a fraction of the time for cross-sections of many tubes.
+With few, derivatives are evaluated as fast, and are built in a fraction of the time for cross-sections of many tubes.
+Functions with a Jacobian of their own evaluate it once for that many.
 """
 
 
@@ -263,12 +264,14 @@ def ipopt_function(
     *,
     warm: bool,
     derivatives: ca.Function | None = None,
+    directions: int = DIRECTIONS,
 ) -> ca.Function:
     """Solver (x0, p, bounds) -> x, f, g, multipliers of the scaled program.
 
     Args:
         warm: True for a start with multipliers.
         derivatives: another solver of the same program and settings, the derivatives of which are used again.
+        directions: number of directions that CasADi differentiates along at once.
     """
     symbols = [each.symbol for each in variables]
     whole = function_of(
@@ -280,7 +283,7 @@ def ipopt_function(
     parts = _parted(ca.DM(scale) * x, symbols) + _parted(p, parameters)
     f, *rows = whole.call(parts, True, False)
     options = settings.options(warm=warm)
-    with few_directions():
+    with few_directions(directions):
         if settings.expand:
             flat = ca.Function("flat", [x, p], [f, *rows]).expand()
             x, p = flat.sx_in()
@@ -312,10 +315,10 @@ def _parted(column: Any, symbols: list[Any]) -> list[Any]:
 
 
 @contextmanager
-def few_directions() -> Iterator[None]:
-    """Context with CasADi differentiating along `DIRECTIONS` at once, also for a `casadi.Opti` solved in it."""
+def few_directions(count: int = DIRECTIONS) -> Iterator[None]:
+    """Context with CasADi differentiating along few directions at once, also for a `casadi.Opti` solved in it."""
     before = ca.GlobalOptions.getMaxNumDir()
-    ca.GlobalOptions.setMaxNumDir(DIRECTIONS)
+    ca.GlobalOptions.setMaxNumDir(count)
     try:
         yield
     finally:
@@ -357,6 +360,7 @@ class NamedProgram:
         instance("name", name, str)
         self.name = name
         self.blocks: list[Any] = []
+        self.directions = DIRECTIONS
         self.variables: dict[str, _Variable] = {}
         self._constraints: dict[str, _Constraint] = {}
         self._parameters: dict[str, tuple[Any, Array]] = {}
@@ -627,6 +631,7 @@ class NamedProgram:
                 solver,
                 warm=warm,
                 derivatives=self._solvers.get((solver, not warm)),
+                directions=self.directions,
             )
             while len(self._solvers) > MAX_SOLVERS:
                 self._solvers.pop(next(iter(self._solvers)), None)

@@ -122,6 +122,8 @@ class Ipopt(Displayed):
     """Second derivatives: "exact", or "limited-memory"."""
     barrier: float = 0.1
     """Initial barrier parameter of a cold start."""
+    push: float = 1e-2
+    """Least distance of a cold start from its bounds, in scaled units and relative to their distance."""
     print_level: int = 0
     """Output of IPOPT: 0 silent, 5 a line for every iteration."""
 
@@ -130,6 +132,7 @@ class Ipopt(Displayed):
         if self.constraint_tolerance is not None:
             positive("constraint_tolerance", self.constraint_tolerance)
         positive("barrier", self.barrier)
+        positive("push", self.push)
         if self.time_limit != math.inf:
             positive("time_limit", self.time_limit)
         choice("hessian", self.hessian, HESSIANS)
@@ -154,11 +157,12 @@ class Ipopt(Displayed):
         }
         if self.time_limit < math.inf:
             ipopt["max_wall_time"] = self.time_limit
+        pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
+        ipopt |= dict.fromkeys(pushes, self.push)
         if warm:
             # The start may lie this close to its bounds: IPOPT would move it away from them otherwise.
-            pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
             ipopt |= {"warm_start_init_point": "yes", "mu_init": 1e-9}
-            ipopt |= dict.fromkeys((f"warm_start_{push}" for push in pushes), 1e-9)
+            ipopt |= dict.fromkeys((f"warm_start_{push}" for push in (*pushes, "mult_bound_push")), 1e-9)
         return {
             "print_time": False,
             "show_eval_warnings": False,
