@@ -5,7 +5,7 @@
 //     setInterval(() => robot.servoCp([0.05, 0, 0.15]), 20);
 
 export class Robot {
-  static connect(token, { port = 8765, role = "commander", onState = () => {}, onError = console.error } = {}) {
+  static connect(token, { port = 8765, role = "commander", onState = () => {}, onError = console.error, onEvent = () => {} } = {}) {
     return new Promise((resolve, reject) => {
       const socket = new WebSocket(`ws://127.0.0.1:${port}`);
       const robot = new Robot(socket);
@@ -15,7 +15,8 @@ export class Robot {
         const told = JSON.parse(event.data);
         if (told.op === "welcome") resolve(robot);
         else if (told.op === "state") onState(told, robot);
-        else onError(told.words);
+        else if (told.op === "error") onError(told.words);
+        else onEvent(told.op, told.words); // "warning" or "status"
       };
     });
   }

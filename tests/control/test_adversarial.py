@@ -135,10 +135,12 @@ def attack_messages(arm: CrtkRobot, random: np.random.Generator, count: int) -> 
             {"op": "state_command", "command": random.choice(["enable", "enable", "disable", "pause", "resume"])},
             {"op": "servo_cp", "position": (place + 1e-3 * random.normal(size=3)).tolist()},
             {"op": "servo_cv", "linear": random.normal(size=3).tolist()},
-            {"op": "servo_jp", **joints},
+            {"op": random.choice(["servo_jp", "servo_jv", "move_jr"]), **joints},
+            {"op": "servo_cv", "linear": random.normal(size=3).tolist(), "angular": random.normal(size=3).tolist()},
+            {"op": "move_cr", "translation": [1e-3, 0, 0], "turn": (0.1 * random.normal(size=3)).tolist()},
             {"op": "move_jp", **joints},
             {"op": "move_cp", "position": (place + 0.01 * random.normal(size=3)).tolist(), "direction": [0, 0, 1]},
-        ][random.integers(6)]
+        ][random.integers(8)]
         if random.random() < 0.4:
             key = random.choice([*message, "rotations", "nonsense"])
             bad = BAD[random.integers(len(BAD))]
@@ -162,7 +164,7 @@ def attack_messages(arm: CrtkRobot, random: np.random.Generator, count: int) -> 
         assert np.isfinite(told["setpoint_js"]["position"]).all()
         assert (np.abs(told["setpoint_js"]["velocity"][:n]) <= options.turn_rate * (1 + 1e-9)).all()
         if random.random() < 0.05:
-            arm.command({"op": "state_command", "command": "enable"}, now)
+            arm.command({"op": "state_command", "command": "resume" if arm.state == "PAUSED" else "enable"}, now)
     return refused
 
 

@@ -1,6 +1,6 @@
 """In the loop at 1 kHz: a servo, its snap guard, an observer, and the ways in which a controller reaches them."""
 
-from .c_library import CLibrary, c_library, save_c_library
+from .c_library import CLibrary, c_library, robot_description, save_c_library
 from .command import Command, ServoOptions, ServoStep, Why
 from .lookahead import PredictiveServo
 from .observer import Correction, Observer, ObserverOptions
@@ -18,5 +18,6 @@ __all__ = [
     "ServoStep",
     "Why",
     "c_library",
+    "robot_description",
     "save_c_library",
 ]

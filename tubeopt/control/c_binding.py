@@ -270,9 +270,9 @@ class CServo:
         self.equilibrium = self._before = self._robot.solve(*start)
 
     @property
-    def compliance(self) -> Array | None:
-        """(6, 6) of the tip: a small force and moment -> its translation and turn; None where the library has none."""
-        return self._robot.slopes().compliance
+    def slopes(self) -> CSlopes:
+        """Derivatives at the equilibrium."""
+        return self._robot.slopes()
 
     def step(self, command: Command, dt: float) -> ServoStep[CPose]:
         """One step of `dt` seconds, as `Servo.step`; raises InputError for what the library does not know."""

@@ -1,7 +1,8 @@
 """A robot as a C library of its own: the compiled kernel and a loop at 1 kHz around it, with the numbers of the robot.
 
 It is the kernel that Python calls, the same text; `control/c` adds the memory that a caller gives, the motion along a
-branch, the quadratic program of a servo step, and its guard. With loads, it has the kernel of loaded arms too.
+branch, the quadratic program of a servo step, and its guard. With loads, it has the kernel of loaded arms too. Beside
+it is the robot as URDF, for ROS.
 """
 
 from __future__ import annotations
@@ -9,14 +10,16 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, pairwise
 from math import ceil
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, NamedTuple
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .. import __version__
 from ..arguments import typed
@@ -42,7 +45,7 @@ from ..solvers.compiled.loaded import MOST_PIECES, loaded_text
 from ..solvers.compiled.text import HERE, c_tables, defined, numbers, with_included
 from ..solvers.settings import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST, SOFT_TWIST
 from ..typing import Array
-from .command import MOST_NUMBER
+from .command import MOST_NUMBER, ServoOptions
 
 C_FOLDER = Path(__file__).parent / "c"
 
@@ -120,6 +123,7 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
         "test.c": _filled("test.c", CASES=_rows(cases), LOADED=_rows(loaded_cases(robot, cases[:8]) if loads else ())),
     }
     files = {file.replace("tubeopt", prefix): _renamed(text, prefix) for file, text in (texts | extra).items()}
+    files[f"{prefix}_robot.urdf"] = robot_description(robot)
     return CLibrary(robot, name, prefix, files, loads)
 
 
@@ -353,3 +357,111 @@ def loaded_cases(robot: Robot, cases: Sequence[Array]) -> list[Array]:
             continue
         found.append(np.concatenate([rotations, translations, push, down, pose.tip_position, [pose.margin]]))
     return found
+
+
+# --- the robot that moves, as URDF for ROS ------------------------------------------------------------------------
+
+
+LINK = 8e-3
+"""Length of a rigid link of a tube, m: the chord of an arc of 50 mm radius leaves it by 0.16 mm."""
+
+
+class TubeLink(NamedTuple):
+    """Rigid part of a tube: number of the tube, from 0, name, its own arc length at both ends from where the tube is
+    fixed, m, and radius, m."""
+
+    tube: int
+    name: str
+    start: float
+    end: float
+    radius: float
+
+
+def tube_links(robot: Robot) -> list[TubeLink]:
+    """The tubes of a robot as rigid links; tubes off the centreline have the radius of the bundle."""
+    offset, links = robot.assembly(robot.home_translations).offset, []
+    for i, tube in enumerate(robot.tubes):
+        cuts = np.linspace(0.0, tube.length, 1 + max(1, round(tube.length / LINK))).tolist()
+        radius = tube.outer_diameter / 2 + float(offset[i])
+        links += [TubeLink(i, f"tube_{i + 1}_{k}", *ends, radius) for k, ends in enumerate(pairwise(cuts), start=1)]
+    return links
+
+
+def along_tubes(robot: Robot, arm: Any, tubes: NDArray[np.intp], lengths: Array) -> Array:
+    """(m, 3) points of tubes (m,), from 0, at their own arc lengths (m,), m, on the centreline of an equilibrium."""
+    fixed = np.array([tube.straight_length for tube in robot.tubes])
+    s = lengths - fixed[tubes] + np.asarray(arm.translations)[tubes]
+    points = np.column_stack([np.interp(s, arm.arc_length, arm.position[:, k]) for k in range(3)])
+    points[s < 0] = np.column_stack([0 * s, 0 * s, s])[s < 0]  # straight behind the plate
+    return points
+
+
+@typed
+def robot_description(robot: Robot) -> str:
+    """URDF text of a robot that moves, for ROS.
+
+    The joints translation_1, ... and rotation_1, ... move the carriages. The links of the tubes and the tip are on
+    floating joints: whoever solves the equilibrium broadcasts their frames. The tag `ros2_control` loads the hardware
+    interface tubeopt_hardware/TubeRobot.
+    """
+    root, n, rates = Element("robot", name=(robot.name or "robot").replace(" ", "_")), robot.n_tubes, ServoOptions()
+    low, high = joint_space(robot).ranges
+    SubElement(root, "link", name="plate")
+    for i, tube in enumerate(robot.tubes):
+        base = "plate"
+        for kind, k, rate in (("translation", n + i, rates.shift_rate), ("rotation", i, rates.turn_rate)):
+            SubElement(root, "link", name=f"{kind}_{i + 1}_link")
+            joint = _joint(root, f"{kind}_{i + 1}", "revolute" if kind == "rotation" else "prismatic", base)
+            SubElement(joint, "origin", xyz=_spaced([0, 0, -tube.straight_length if k >= n else 0]), rpy="0 0 0")
+            SubElement(joint, "axis", xyz="0 0 1")
+            ends = {"lower": _spaced([low[k]]), "upper": _spaced([high[k]])}
+            SubElement(joint, "limit", ends, velocity=_spaced([rate]), effort="0")
+            base = f"{kind}_{i + 1}_link"
+    for link in tube_links(robot):
+        part = SubElement(root, "link", name=link.name)
+        for purpose in ("visual", "collision"):
+            shape = SubElement(SubElement(part, purpose), "geometry")
+            SubElement(shape, "cylinder", radius=_spaced([link.radius]), length=_spaced([link.end - link.start]))
+        grey = 0.85 - 0.6 * link.tube / n
+        material = SubElement(part[0], "material", name=f"tube_{link.tube + 1}")
+        SubElement(material, "color", rgba=_spaced([grey, grey, grey, 1.0]))
+        _joint(root, f"{link.name}_pose", "floating", "plate")
+    SubElement(root, "link", name="tip")
+    _joint(root, "tip_pose", "floating", "plate")
+    _add_ros2_control(root, robot)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _joint(root: Element, name: str, kind: str, parent: str) -> Element:
+    """A joint from a parent to the link that was added last."""
+    child = root.findall("link")[-1].get("name", "")
+    joint = SubElement(root, "joint", name=name, type=kind)
+    SubElement(joint, "parent", link=parent)
+    SubElement(joint, "child", link=child)
+    return joint
+
+
+def _add_ros2_control(root: Element, robot: Robot) -> None:
+    """The joints and the sensor of the hardware interface, which starts at home."""
+    system, o = SubElement(root, "ros2_control", name=root.get("name", ""), type="system"), ServoOptions()
+    hardware = SubElement(system, "hardware")
+    SubElement(hardware, "plugin").text = "tubeopt_hardware/TubeRobot"
+    limits = {"turn_rate": o.turn_rate, "shift_rate": o.shift_rate, "turn_acceleration": 0.0, "shift_acceleration": 0.0}
+    for name, value in (limits | {"min_margin": o.min_margin}).items():
+        SubElement(hardware, "param", name=name).text = _spaced([value])
+    for kind, values in (("rotation", robot.home_rotations), ("translation", robot.home_translations)):
+        for i, value in enumerate(values):
+            joint = SubElement(system, "joint", name=f"{kind}_{i + 1}")
+            SubElement(joint, "command_interface", name="position")
+            start = SubElement(joint, "state_interface", name="position")
+            SubElement(start, "param", name="initial_value").text = _spaced([value])
+            SubElement(joint, "state_interface", name="velocity")
+    sensor = SubElement(system, "sensor", name="arm")
+    for name in ("margin", "why", "tip.x", "tip.y", "tip.z"):
+        SubElement(sensor, "state_interface", name=name)
+
+
+def _spaced(values: Iterable[float]) -> str:
+    # Adding 0.0 turns -0 into 0. Nine digits keep 1 nm at an arm of 1 m.
+    return " ".join(f"{value + 0.0:.9g}" for value in values)

@@ -1,20 +1,22 @@
 """A robot under commands as CRTK names them: what it does with a message, and with the time that passes.
 
-Names and meanings are those of the Collaborative Robotics Toolkit (Su et al., IEEE ISMR 2020): servo_cp, servo_cv and
-servo_jp want a stream and go at once where they say; move_cp and move_jp go there and stay busy until they have
-arrived. Times are those of a monotonic clock that is given. It is asked before a step and again once the step is
-there: what a process that was put aside in between would send too late is never sent, and no joint moves farther than
-its rate allows in the time that has passed since the last step was there.
+Names, states and meanings are those of the Collaborative Robotics Toolkit (Su et al., IEEE ISMR 2020): servo commands
+are a stream and act at once; a move stays busy until it has arrived. The server and the node of ROS 2 read COMMANDS, so
+both have the same commands. Times are those of a monotonic clock that is given. It is asked before a step and again
+once the step is there: what a process that was put aside in between would send too late is never sent, and no joint
+moves farther than its rate allows in the time that has passed since the last step was there.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 
 from ..arguments import typed
 from ..errors import InputError, SolveError, finite, nearest, vector
@@ -22,7 +24,7 @@ from ..files.units import TO_MM
 from ..inverse.joints import configuration
 from ..typing import Array
 from .c_binding import CServo
-from .command import Command, Why
+from .command import Command, Why, at_most
 from .servo import Servo
 
 # Distance (m) and angle (rad) at which a move ends: far below the accuracy of drives.
@@ -45,31 +47,45 @@ ROUND_OFF = 1e-9
 # What is said where the watchdog bites.
 LATE = "no command has come in time: held"
 
-# What a message may have besides its "op".
-KEYS = {
-    "servo_cp": ("position", "direction"),
-    "servo_cv": ("linear",),
-    "servo_jp": ("rotations", "translations"),
-    "servo_jr": ("rotations", "translations"),
-    "move_cp": ("position", "direction"),
-    "move_jp": ("rotations", "translations"),
-    "move_jr": ("rotations", "translations"),
-    "set_js": ("rotations", "translations"),
+# Keys of each kind of motion: p position, v velocity, r relative to now; c of the tip, j of the joints.
+KINDS = {
+    "cp": ("position", "direction"),
+    "cr": ("translation", "turn"),
+    "cv": ("linear", "angular"),
+    "jp": ("rotations", "translations"),
+    "jr": ("rotations", "translations"),
+    "jv": ("rotations", "translations"),
+}
+
+# Every command, and its keys besides "op".
+COMMANDS: dict[str, tuple[str, ...]] = {
+    **{f"servo_{kind}": keys for kind, keys in KINDS.items()},
+    **{f"move_{kind}": keys for kind, keys in KINDS.items() if kind[1] != "v"},
+    "set_js": KINDS["jp"],
     "hold": (),
+    "free": (),
     "state_command": ("command",),
 }
 
-# What `state_command` may say, and whether the drives are homed after it. Only then the robot moves: joint values of
-# drives that are not homed mean nothing.
+# State commands that change `homed`, and its value after them. Joint values of drives that are not homed mean nothing,
+# so that only a homed robot moves.
 HOMING = {"home": True, "unhome": False}
 
-# What else it may say, and the state that follows.
+# State after a state command in a state, as the table of CRTK; pairs that are missing are rejected.
 TRANSITIONS = {
-    "enable": "ENABLED",
-    "disable": "DISABLED",
-    "pause": "PAUSED",
-    "resume": "ENABLED",
+    ("enable", "DISABLED"): "ENABLED",
+    ("enable", "ENABLED"): "ENABLED",
+    ("enable", "FAULT"): "ENABLED",
+    **{("disable", state): "DISABLED" for state in ("DISABLED", "ENABLED", "PAUSED", "FAULT")},
+    ("pause", "ENABLED"): "PAUSED",
+    ("pause", "PAUSED"): "PAUSED",
+    ("resume", "PAUSED"): "ENABLED",
 }
+
+STATE_COMMANDS = tuple(dict.fromkeys([command for command, _ in TRANSITIONS] + list(HOMING)))
+
+# Events that are kept until they are published: more at once say nothing new.
+MOST_EVENTS = 16
 
 
 AnyServo = Servo | CServo
@@ -83,6 +99,10 @@ class _Goal:
     command: Command
     since: float
     stream: bool
+    rates: Array | None = None
+    """(2n,) velocities of the joints, rad/s and m/s, in place of the command."""
+    angular: Array | None = None
+    """(3,) velocity, rad/s, at which the direction of the tip turns beside the command."""
     closest: float = math.inf
     closer: float = 0.0
 
@@ -111,6 +131,9 @@ class CrtkRobot:
         self._moved, self._took = 0.0, (0.0, 0.0)
         self.sent: float | None = None
         """By the clock, when the last step was there; None before the first."""
+        self.events: deque[tuple[str, str]] = deque(maxlen=MOST_EVENTS)
+        """Kind (error, warning or status) and words of what has happened; whoever publishes them takes them out."""
+        self._unreported = False  # a move that no report has called busy yet
 
     @property
     def busy(self) -> bool:
@@ -124,8 +147,8 @@ class CrtkRobot:
             InputError: it makes no sense, or not in this state; nothing changes.
         """
         name = message.get("op")
-        if not (isinstance(name, str) and name in KEYS):
-            raise InputError(f"op is {name!r}; it must be one of {', '.join(KEYS)}")
+        if not (isinstance(name, str) and name in COMMANDS):
+            raise InputError(f"op is {name!r}; it must be one of {', '.join(COMMANDS)}")
         _check_keys(name, message)
         if name == "state_command":
             self._change(message.get("command"))
@@ -133,14 +156,28 @@ class CrtkRobot:
             self.hold("held by command")
         elif name == "set_js":
             self._resume(self._joints(message))
+        elif name == "free":
+            self.hold("free by command: send the state command home before the next motion")
+            self.homed = False
         else:
-            read = {"cp": self._pose, "cv": _twist, "jp": self._joints, "jr": self._relative}[name[-2:]]
-            wanted = read(message)
+            goal = self._goal_of(name, message, now)
             if self.state != "ENABLED":
                 raise InputError(f"{name} is rejected: the robot is {self.state}; enable it first")
             if not self.homed:
                 raise InputError(f"{name} is rejected: the robot is not homed; send the state command home first")
-            self._goal = _Goal(wanted, now, name.startswith("servo"), closer=now)
+            self._goal, self._unreported = goal, not goal.stream
+
+    def _goal_of(self, name: str, message: Mapping[str, Any], now: float) -> _Goal:
+        """The goal of a motion command."""
+        kind, rates, angular = name[-2:], None, None
+        if kind == "jv":
+            wanted, rates = Command(), self._rates(message)
+        elif kind == "cv":
+            wanted, angular = Command(velocity=_numbers(message, "linear", "m/s")), _turn(message, "angular", "rad/s")
+        else:
+            read = {"cp": self._pose, "cr": self._pose_from_here, "jp": self._joints, "jr": self._joints_from_here}
+            wanted = read[kind](message)
+        return _Goal(wanted, now, name.startswith("servo"), rates, angular, closer=now)
 
     def release(self) -> None:
         """Whoever commanded has gone: hold."""
@@ -149,6 +186,13 @@ class CrtkRobot:
     def hold(self, words: str) -> None:
         """Hold, and say why."""
         self._goal, self._why, self._words = None, Why(0), words
+
+    def fault(self, words: str) -> None:
+        """Stop after an error that is no fault of a message: only an enable or disable ends this state."""
+        if (self.state, self._words) != ("FAULT", words):
+            self.events.append(("error", words))
+        self.hold(words)
+        self.state = "FAULT"
 
     def tick(self, clock: Callable[[], float], dt: float) -> None:
         """Go on by one step of at most `dt` seconds, and of the time that has passed since the last one where that is
@@ -160,7 +204,7 @@ class CrtkRobot:
             return
         now = clock()
         if goal is not None and goal.stale(now, self.watchdog):
-            self.hold(LATE)
+            self._late()
             if not self.servo.moving:
                 return
         brakes = self._goal is None or self.state != "ENABLED"
@@ -168,12 +212,13 @@ class CrtkRobot:
             goal = _Goal(Command(), now, True)
         if self.sent is not None and now < self.sent:  # the clock has gone back
             self.sent = now
-        why, begun = None, now
+        why, limit, begun = None, Why(0), now
         span = min(dt, self._passed(now) + SURE * min(self._took))
         while why is None and span > 0:
-            why, now = self.servo.step(goal.command, span).why, clock()
+            command, limit = self._command_of(goal, span)
+            why, now = self.servo.step(command, span).why, clock()
             if goal.stale(now, self.watchdog) and not brakes:
-                self.hold(LATE)
+                self._late()
                 if not self.servo.limited:  # else it brakes from here
                     self.servo.undo()
                     return
@@ -186,9 +231,34 @@ class CrtkRobot:
         self.sent = now
         if brakes or self._goal is None:
             return
-        self._why, self._words = why, why.words
+        self._why, self._words = why | limit, (why | limit).words
         if not goal.stream:
             self._arrive(goal, now)
+
+    def _late(self) -> None:
+        self.hold(LATE)
+        self.events.append(("warning", LATE))
+
+    def _command_of(self, goal: _Goal, span: float) -> tuple[Command, Why]:
+        """The command of a step of `span` seconds, and the limit at which it ends early."""
+        arm, space = self.servo.equilibrium, self.servo.space
+        if goal.angular is not None and goal.angular.any():
+            return replace(goal.command, direction=_turned(arm, goal.angular * span)), Why(0)
+        if goal.rates is None:
+            return goal.command, Why(0)
+        n, o = space.robot.n_tubes, self.servo.options
+        # With limited accelerations the target is where the robot stops, beyond the way of the step.
+        most = np.repeat([o.turn_acceleration or np.inf, o.shift_acceleration or np.inf], n)
+        change = goal.rates * span + goal.rates * np.abs(goal.rates) / (2 * most)
+        here = space.join(arm.rotations, arm.translations)
+        free = space.join(arm.rotations + change[:n], arm.translations + change[n:])
+        q = space.clip(free)
+        limit = Why(0) if np.array_equal(q, free) else Why.RANGE
+        if not space.ordered(q):  # all joints stop together: none is pushed by another
+            room, closing = np.maximum(space.rows @ here - space.least, 0.0), space.rows @ (here - q)
+            q, limit = here + (q - here) * np.min(room[closing > 0] / closing[closing > 0]), limit | Why.ORDER
+        rotations, shift = space.split(q)
+        return Command(joints=(rotations, np.array(shift))), limit
 
     def _passed(self, now: float) -> float:
         """Seconds since the last step was there; infinite before the first."""
@@ -207,6 +277,7 @@ class CrtkRobot:
             parts = {f"{math.degrees(turn):.3g} deg": turn, f"{shift * TO_MM:.3g} mm": shift}
             far = " and ".join(words for words, missing in parts.items() if missing >= ARRIVED)
             self._words = f"the move has ended {far} short: {self._words or 'it comes no closer'}"
+            self.events.append(("warning", self._words))
 
     def _missing(self, command: Command) -> tuple[float, float]:
         """What is left of a move, rad and m."""
@@ -218,16 +289,20 @@ class CrtkRobot:
         return turn, 0.0 if command.position is None else math.dist(command.position, arm.tip_position)
 
     def _change(self, wanted: Any) -> None:
-        if not (isinstance(wanted, str) and wanted in TRANSITIONS | HOMING):
-            raise InputError(f"command is {wanted!r}; it must be one of {', '.join(TRANSITIONS | HOMING)}")
+        if not (isinstance(wanted, str) and wanted in STATE_COMMANDS):
+            raise InputError(f"command is {wanted!r}; it must be one of {', '.join(STATE_COMMANDS)}")
+        before = self.state, self.homed
         if wanted in HOMING:
-            self._goal, self.homed = None, HOMING[wanted]
-            return
-        if wanted == "resume" and self.state != "PAUSED":
-            raise InputError(f"resume is rejected: the robot is {self.state}")
-        if wanted == "pause" and self.state != "ENABLED":
-            raise InputError(f"pause is rejected: the robot is {self.state}")
-        self._goal, self.state = None, TRANSITIONS[wanted]
+            self.homed = HOMING[wanted]
+        elif (wanted, self.state) in TRANSITIONS:
+            self.state = TRANSITIONS[wanted, self.state]
+        else:
+            allowed = [command for command, state in TRANSITIONS if state == self.state]
+            raise InputError(f"{wanted} is rejected: the robot is {self.state}, which allows {', '.join(allowed)}")
+        self._goal = None
+        if (self.state, self.homed) != before:
+            self._why, self._words = Why(0), ""
+            self.events.append(("status", f"{self.state}, {'homed' if self.homed else 'not homed'}"))
 
     def _resume(self, at: Command) -> None:
         """Resume at the joint values of drives that have moved by themselves.
@@ -243,12 +318,30 @@ class CrtkRobot:
             raise InputError(f"set_js is rejected: {error}") from None
         self._goal, self._before, self._words = None, self.servo.equilibrium, ""
 
-    def _relative(self, message: Mapping[str, Any]) -> Command:
+    def _joints_from_here(self, message: Mapping[str, Any]) -> Command:
         """The command of joint values relative to those of now."""
-        arm, n = self.servo.equilibrium, self.servo.space.robot.n_tubes
+        arm, changes = self.servo.equilibrium, self._pairs(message)
         now = {"rotations": arm.rotations, "translations": arm.translations}
-        changes = {name: vector(name, message.get(name, ()), n) for name in now}
         return self._joints({name: (now[name] + changes[name]).tolist() for name in now})
+
+    def _pairs(self, message: Mapping[str, Any]) -> dict[str, Array]:
+        """Rotations and translations (n,) of a message."""
+        n = self.servo.space.robot.n_tubes
+        return {name: vector(name, message.get(name, ()), n) for name in KINDS["jp"]}
+
+    def _rates(self, message: Mapping[str, Any]) -> Array:
+        """(2n,) velocities of the joints."""
+        arm, rates = self.servo.equilibrium, self._pairs(message)
+        turn, shift = (at_most(rates[name], name) for name in KINDS["jv"])
+        self.servo.space.join(arm.rotations + turn, arm.translations + shift, "the commanded velocities")
+        return np.concatenate([turn, shift])
+
+    def _pose_from_here(self, message: Mapping[str, Any]) -> Command:
+        """The command of a pose relative to that of now, along and about the axes of the plate."""
+        arm, turn = self.servo.equilibrium, _turn(message, "turn", "rad")
+        place = arm.tip_position + _numbers(message, "translation", "m")
+        turned = _turned(arm, turn).tolist() if turn is not None and turn.any() else None
+        return self._pose({"position": place.tolist(), "direction": turned})
 
     def _joints(self, message: Mapping[str, Any]) -> Command:
         n = self.servo.space.robot.n_tubes
@@ -289,35 +382,52 @@ class CrtkRobot:
         pose = {"position": arm.tip_position.tolist(), "rotation": arm.tip_rotation.tolist()}
         speed = (joints - last) / self._moved if self._moved else 0 * joints
         state = {"name": names, "position": joints.tolist(), "velocity": speed.tolist()}
+        busy, self._unreported = self.busy or self._unreported, False  # clients wait for a move to become busy
         return {
             "op": "state",
             "time": now,
             "setpoint_time": self.sent,
-            "operating_state": {"state": self.state, "is_homed": self.homed, "is_busy": self.busy},
+            "operating_state": {"state": self.state, "is_homed": self.homed, "is_busy": busy},
             # There is no sensor here: what is measured is what was sent.
             "setpoint_js": state,
             "measured_js": state,
             "setpoint_cp": pose,
             "measured_cp": pose,
+            "measured_cv": self._velocity(),
             "margin": arm.margin,
             "snap_warning": bool(arm.margin < floor + WARNING or Why.HELD in self._why),
             "why": self._words,
             "shape": np.round(arm.position, 7).tolist(),
         }
 
+    def _velocity(self) -> dict[str, Any]:
+        """Velocity of the tip in the last step, m/s and rad/s, in the plate frame."""
+        arm, before = self.servo.equilibrium, self._before
+        if not self._moved:
+            return {"linear": [0.0] * 3, "angular": [0.0] * 3}
+        turn = scipy.spatial.transform.Rotation.from_matrix(arm.tip_rotation @ before.tip_rotation.T).as_rotvec()
+        linear = (arm.tip_position - before.tip_position) / self._moved
+        return {"linear": linear.tolist(), "angular": (turn / self._moved).tolist()}
+
 
 def _check_keys(name: str, message: Mapping[str, Any]) -> None:
     """Raise InputError where a message has what its "op" does not know."""
     for key in message:
-        if key != "op" and key not in KEYS[name]:
-            allowed = " and ".join(KEYS[name])
+        if key != "op" and key not in COMMANDS[name]:
+            allowed = " and ".join(COMMANDS[name])
             raise InputError(
-                f"{key!r} is not a key of {name}; allowed keys are {allowed}{nearest(str(key), KEYS[name])}"
+                f"{key!r} is not a key of {name}; allowed keys are {allowed}{nearest(str(key), COMMANDS[name])}"
             )
 
 
-def _twist(message: Mapping[str, Any]) -> Command:
-    return Command(velocity=_numbers(message, "linear", "m/s"))
+def _turned(arm: Any, turn: Array) -> Array:
+    """(3,) direction of the tip after a turn (3,), rad, about axes of the plate."""
+    return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(turn).apply(arm.tip_rotation[:, 2]))
+
+
+def _turn(message: Mapping[str, Any], name: str, unit: str) -> Array | None:
+    """(3,) turn of a message; None where it leaves the direction free."""
+    return None if message.get(name) is None else at_most(_numbers(message, name, unit), name)
 
 
 def _numbers(message: Mapping[str, Any], name: str, unit: str) -> Array:

@@ -2,8 +2,9 @@
 
 Messages are JSON objects with "op". The first of every client is {"op": "hello", "token": ..., "role": "commander" or
 "watcher"}; then a commander sends what `CrtkRobot.command` knows. Everybody gets {"op": "state", ...} at the rate of
-publishing, the newest one only: who reads slowly misses some, and costs no memory. Whatever goes wrong holds the robot
-and is reported as {"op": "error", "words": ...}; the next command is served.
+publishing, the newest one only: who reads slowly misses some, and costs no memory. The events of CRTK come as {"op":
+"error", "warning" or "status", "words": ...}. A message that makes no sense is answered by an error. Any other error
+stops the robot, which is then in the state FAULT until it is enabled again.
 
 OpenIGTLink is the language of 3D Slicer; it has no token. A client gets the pose of the tip (TRANSFORM TipToPlate),
 the centreline (POINT Centreline) and a STATUS, in mm. What it sends is a command: a TRANSFORM or the first of POINT is
@@ -21,6 +22,7 @@ import struct
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AsyncExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
@@ -37,7 +39,7 @@ from ..errors import InputError, SolveError, finite, instance, whole
 from ..files.field_metadata import POSITIVE, Range, Typical, unit
 from ..files.units import TO_MM
 from .command import Why
-from .crtk import CrtkRobot
+from .crtk import MOST_EVENTS, CrtkRobot
 
 LOGGER = logging.getLogger("tubeopt")
 logging.getLogger("websockets").addHandler(logging.NullHandler())  # a traceback for each client that is none
@@ -104,13 +106,13 @@ class ServerOptions:
 
 @dataclass(eq=False)
 class _Client:
-    """A connection: how many messages it may still send, as of a time, and the error that it is to be sent."""
+    """A connection: how many messages it may still send, as of a time, and the events that it is to be sent."""
 
     socket: Any
     left: float
     since: float
     commander: bool = False
-    failure: str = ""
+    events: deque[tuple[str, str]] = field(default_factory=lambda: deque(maxlen=MOST_EVENTS))
     news: asyncio.Event = field(default_factory=asyncio.Event)
 
 
@@ -178,8 +180,7 @@ class RobotServer:
         self._clients: set[_Client] = set()
         self._commander: _Client | None = None
         self._told: dict[str, Any] = {}
-        self._state = self._failure = ""
-        self._logged = ""
+        self._state = self._logged = ""
         self._robot_in_hand = threading.Lock()
         self._ended = threading.Event()
 
@@ -229,18 +230,18 @@ class RobotServer:
             try:
                 with self._robot_in_hand:
                     self.robot.tick(self._clock, period)
-            except Exception as error:  # any error of a step holds the robot, and the loop goes on
-                self._failure = self._held(error)
+            except Exception as error:  # any error of a step stops the robot, and the loop continues
+                self._failed(error)
             self.pace.add(time.thread_time() - began, late, int(late / period))
             due = max(due + period, time.perf_counter())
             time.sleep(max(due - time.perf_counter(), 0.0))
 
-    def _held(self, error: Exception) -> str:
-        """Hold the robot after an error, and return what is reported of it: a sentence."""
+    def _failed(self, error: Exception) -> str:
+        """Stop the robot after an error, and return what is reported of it: a sentence."""
         words = str(error) if isinstance(error, InputError | SolveError) else f"{type(error).__name__}: {error}"
         words = f"the robot is held: {words}"[:LONGEST_WORDS]
         with self._robot_in_hand:
-            self.robot.hold(words)
+            self.robot.fault(words)
         if words != self._logged:
             known = isinstance(error, InputError | SolveError)
             LOGGER.warning(words, exc_info=None if known else error)
@@ -251,7 +252,6 @@ class RobotServer:
     async def _publish(self) -> None:
         while True:
             await asyncio.sleep(1 / self.options.publish)
-            failure, self._failure = self._failure, ""
             if not self._clients:
                 continue
             try:
@@ -259,20 +259,22 @@ class RobotServer:
                     told = self.robot.report(self._clock())
                 told |= {"steps": self.pace.steps, "missed_periods": self.pace.missed}
                 self._told, self._state = told, json.dumps(told, allow_nan=False)
-            except Exception as error:  # any error of a report holds the robot, and the server goes on
-                failure = failure or self._held(error)
+            except Exception as error:  # any error of a report stops the robot, and the server continues
+                self._failed(error)
+            with self._robot_in_hand:
+                events = list(self.robot.events)
+                self.robot.events.clear()
             for client in self._clients:
-                client.failure = failure or client.failure
+                client.events.extend(events)
                 client.news.set()
 
     async def _tell(self, client: _Client) -> None:
-        """The newest error and state, again and again, as fast as the client reads."""
+        """The events and the newest state, again and again, as fast as the client reads."""
         while True:
             await client.news.wait()
             client.news.clear()
-            words, client.failure = client.failure, ""
-            if words:
-                await client.socket.send(_error(words))
+            while client.events:
+                await client.socket.send(_event(*client.events.popleft()))
             if self._state:
                 await client.socket.send(self._state)
 
@@ -295,7 +297,7 @@ class RobotServer:
                 telling = asyncio.create_task(self._tell(client))
                 async for message in socket:
                     if words := await self._hear(client, partial(_read, message)):
-                        await socket.send(_error(words))
+                        await socket.send(_event("error", words))
             finally:
                 if telling is not None:
                     telling.cancel()
@@ -349,8 +351,8 @@ class RobotServer:
                 self.robot.command(told, self._clock())
         except InputError as error:
             return str(error)
-        except Exception as error:  # any error of one command holds the robot, and the server goes on for all clients
-            return self._held(error)
+        except Exception as error:  # any error of one command stops the robot, and the server continues
+            return self._failed(error)
         return ""
 
     async def _welcome_slicer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -368,9 +370,10 @@ class RobotServer:
                         continue
                     try:
                         self._command_by(client)
-                        client.failure = await self._hear(client, read)
+                        if words := await self._hear(client, read):
+                            client.events.append(("error", words))
                     except InputError as error:
-                        client.failure = str(error)
+                        client.events.append(("error", str(error)))
         except (InputError, ValueError, struct.error) as error:
             LOGGER.warning("a client by OpenIGTLink is sent away: %s", error)
         finally:
@@ -384,7 +387,8 @@ class RobotServer:
             while True:
                 await client.news.wait()
                 client.news.clear()
-                words, client.failure = client.failure, ""
+                words = next((words for kind, words in reversed(client.events) if kind == "error"), "")
+                client.events.clear()
                 for message in _slicer_state(self._told, words) if self._told else ():
                     client.socket.write(message.pack())
                 await client.socket.drain()
@@ -450,7 +454,7 @@ def _slicer_state(told: dict[str, Any], failure: str) -> list[Any]:
     pose[:3, :3], pose[:3, 3] = told["setpoint_cp"]["rotation"], TO_MM * np.array(told["setpoint_cp"]["position"])
     few = shape[np.linspace(0, len(shape) - 1, CENTRELINE).round().astype(int)]
     state, why = told["operating_state"], failure or told["why"]
-    code = {"DISABLED": IS_DISABLED, "PAUSED": MANUAL}.get(state["state"], STATUS_OK)
+    code = {"DISABLED": IS_DISABLED, "PAUSED": MANUAL, "FAULT": UNKNOWN}.get(state["state"], STATUS_OK)
     if failure:
         code = UNKNOWN
     elif not state["is_homed"]:
@@ -504,8 +508,8 @@ async def _slicer_message(reader: asyncio.StreamReader) -> Callable[[], dict[str
     return read
 
 
-def _error(words: str) -> str:
-    return json.dumps({"op": "error", "words": words[:LONGEST_WORDS]})
+def _event(kind: str, words: str) -> str:
+    return json.dumps({"op": kind, "words": words[:LONGEST_WORDS]})
 
 
 def _read(message: str | bytes) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The node: messages of ROS 2 to commands of `CrtkRobot`, and its state to messages."""
+"""The lifecycle node: messages of ROS 2 to commands of `CrtkRobot`, and its state to messages."""
 
 from __future__ import annotations
 
@@ -8,101 +8,184 @@ from functools import partial
 
 import numpy as np
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from rclpy.node import Node
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Empty, Float64, String
+from std_msgs.msg import Empty, Float64, Float64MultiArray, String
+from visualization_msgs.msg import MarkerArray
 
 import tubeopt
 from tubeopt.control.c_binding import CServo
 from tubeopt.control.c_library import c_library
-from tubeopt.control.crtk import CrtkRobot
+from tubeopt.control.command import ServoOptions
+from tubeopt.control.crtk import COMMANDS, CrtkRobot
+from tubeopt.control.server import Pace
 
-try:  # the messages of CRTK, which its clients use
-    from crtk_msgs.msg import OperatingState, StringStamped
-except ImportError:
-    OperatingState = StringStamped = None
+from .display import Display, diagnostics
+from .messages import STATE, WORD, Reader, joint_state, matrix, operating_state, pose, quaternion, stamped, twist
+
+LIMITS = ServoOptions()
+PARAMETERS = {
+    "robot": "thesis_ctr",
+    "rotations": [0.0],
+    "translations": [0.0],
+    "rate": 500.0,
+    "display_rate": 20.0,
+    "watchdog": 0.1,
+    "directions": True,
+    "autostart": True,
+    "frame_prefix": "",
+    **{name: getattr(LIMITS, name) for name in ("speed", "turn_rate", "shift_rate", "min_margin")},
+    "turn_acceleration": 0.0,
+    "shift_acceleration": 0.0,
+}
+"""Parameters and their defaults; an acceleration of 0 has no limit, a single joint value of 0 is home."""
+
+KINDS = {
+    "cp": PoseStamped,
+    "cr": PoseStamped,
+    "cv": TwistStamped,
+    "jp": JointState,
+    "jr": JointState,
+    "jv": JointState,
+    "js": JointState,
+    "hold": Empty,
+    "free": Empty,
+    "state_command": WORD,
+}
+"""Messages of the commands, by their names or the last two letters."""
+
+REPORTS = {
+    "measured_js": JointState,
+    "setpoint_js": JointState,
+    "measured_cp": PoseStamped,
+    "setpoint_cp": PoseStamped,
+    "measured_cv": TwistStamped,
+    "measured_cf": WrenchStamped,
+    "operating_state": STATE,
+    "jacobian": Float64MultiArray,
+    "error": String,
+    "warning": String,
+    "status": String,
+    "why": String,
+    "margin": Float64,
+    "shape": MarkerArray,
+    "/diagnostics": DiagnosticArray,
+}
+
+DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
-class RobotNode(Node):
-    """One robot under the names of CRTK."""
+class RobotNode(LifecycleNode):
+    """One robot under the names of CRTK. It is built when the node is configured, and moves while it is active."""
 
     def __init__(self) -> None:
         super().__init__("tubeopt_robot")
-        for name, value in (("robot", ""), ("rotations", [0.0]), ("translations", [0.0]), ("rate", 500.0)):
+        for name, value in PARAMETERS.items():
             self.declare_parameter(name, value)
-        path, rotations, translations, rate = (
-            self.get_parameter(name).value for name in ("robot", "rotations", "translations", "rate")
-        )
-        robot = tubeopt.load_robot(path)
-        self.robot = CrtkRobot(CServo(c_library(robot), (rotations, translations)))
-        self._n, self._period = robot.n_tubes, 1.0 / rate
-        for op, kind, read in (
-            ("servo_cp", PoseStamped, _pose),
-            ("move_cp", PoseStamped, _pose),
-            ("servo_cv", TwistStamped, _twist),
-            ("servo_jp", JointState, self._joints),
-            ("move_jp", JointState, self._joints),
-            ("servo_jr", JointState, self._joints),
-            ("move_jr", JointState, self._joints),
-            ("hold", Empty, _nothing),
-            ("state_command", StringStamped or String, _word),
-        ):
-            self.create_subscription(kind, op, partial(self._hear, op, read), 1)
+        self.robot = self._timer = None
+        for op in COMMANDS:
+            kind, depth = op if op in KINDS else op[-2:], 1 if op.startswith("servo") else 10
+            self.create_subscription(KINDS[kind], op, partial(self._hear, op, kind), depth)
         self.create_subscription(PoseStamped, "sensor_cp", self.feel, 1)
-        self._out = {
-            name: self.create_publisher(kind, name, 1)
-            for kind, names in (
-                (JointState, ("measured_js", "setpoint_js")),
-                (PoseStamped, ("measured_cp", "setpoint_cp")),
-                (OperatingState or String, ("operating_state",)),
-                (String, ("why",)),
-                (Float64, ("margin",)),
-                (WrenchStamped, ("measured_cf",)),
-            )
-            for name in names
-        }
-        self.create_timer(self._period, self.tick)
+        self._out = {name: self.create_lifecycle_publisher(kind, name, 10) for name, kind in REPORTS.items()}
 
-    def _hear(self, op, read, message) -> None:
+    # --- transitions ---
+
+    def on_configure(self, state) -> TransitionCallbackReturn:
+        """Build the robot; what is impossible fails with a sentence."""
+        at = {name: self.get_parameter(name).value for name in PARAMETERS}
+        try:
+            robot = tubeopt.load_robot(at["robot"])
+            rotations = robot.home_rotations if list(at["rotations"]) == [0.0] else at["rotations"]
+            translations = robot.home_translations if list(at["translations"]) == [0.0] else at["translations"]
+            for name in ("rate", "display_rate"):
+                if not 0 < at[name] < 1e5:
+                    raise tubeopt.InputError(f"{name} is {at[name]} Hz; it must be more than 0 and less than 1e5")
+            limits = {name: getattr(LIMITS, name) and at[name] for name in ("speed", "turn_rate", "shift_rate")}
+            limits |= {name: at[name] or None for name in ("turn_acceleration", "shift_acceleration")}
+            servo = CServo(
+                c_library(robot), (rotations, translations), ServoOptions(min_margin=at["min_margin"], **limits)
+            )
+            self.robot = CrtkRobot(servo, watchdog=at["watchdog"])
+        except (tubeopt.InputError, tubeopt.SolveError, OSError) as error:
+            self.get_logger().error(f"the robot cannot be configured: {error}")
+            return FAILED
+        self._name, self._period = robot.name or "robot", 1.0 / at["rate"]
+        self._every = max(1, round(at["rate"] / at["display_rate"]))
+        self._plate = f"{at['frame_prefix']}plate"
+        self._reader = Reader(robot.n_tubes, self._plate, at["directions"])
+        self._display, self._pace = Display(self, robot, at["frame_prefix"]), Pace()
+        return DONE
+
+    def on_activate(self, state) -> TransitionCallbackReturn:
+        """Start the loop; the robot is disabled until a client enables it."""
+        self._due = time.monotonic()
+        self._timer = self.create_timer(self._period, self.tick)
+        return super().on_activate(state)
+
+    def on_deactivate(self, state) -> TransitionCallbackReturn:
+        """Brake, disable the robot, and stop the loop."""
+        self._stop()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state) -> TransitionCallbackReturn:
+        """Forget the robot."""
+        self.robot = None
+        return DONE
+
+    def on_shutdown(self, state) -> TransitionCallbackReturn:
+        """Brake and stop."""
+        self._stop()
+        return DONE
+
+    def on_error(self, state) -> TransitionCallbackReturn:
+        """Brake and stop; the node can be configured again."""
+        self._stop()
+        return DONE
+
+    def _stop(self) -> None:
+        if self._timer is None:
+            return
+        self.destroy_timer(self._timer)
+        self._timer = None
+        self.robot.command({"op": "state_command", "command": "disable"}, time.monotonic())
+        while self.robot.servo.moving and self.robot.state == "DISABLED":
+            self.tick()
+            time.sleep(self._period)
+
+    # --- commands ---
+
+    def _hear(self, op, kind, message) -> None:
         with self._surviving(op):
-            self.robot.command({"op": op, **read(message)}, time.monotonic())
+            if self._timer is None:
+                raise tubeopt.InputError("the node is not active; activate it first")
+            self.robot.command({"op": op, **getattr(self._reader, kind)(message)}, time.monotonic())
 
     @contextlib.contextmanager
     def _surviving(self, op):
-        """What makes no sense is warned of; whatever else goes wrong holds the robot, and the node goes on."""
+        """What makes no sense is reported; any other error stops the robot, and the node continues."""
         try:
             yield
         except tubeopt.InputError as error:
-            self.get_logger().warning(f"{op} is refused: {error}")
-        except Exception as error:  # any error of one message holds the robot, and the node goes on
-            words = f"the robot is held: {type(error).__name__} in {op}: {error}"
-            self.robot.hold(words)
+            words = f"{op} is refused: {error}"
             self.get_logger().warning(words)
-
-    def _joints(self, message) -> dict:
-        names = [f"{kind}_{i + 1}" for kind in ("rotation", "translation") for i in range(self._n)]
-        given, position = list(message.name), [float(value) for value in message.position]
-        if given and sorted(given) != sorted(names):
-            raise tubeopt.InputError(
-                f"name is {', '.join(given)}; it must be empty or have each of {', '.join(names)} once"
-            )
-        if len(position) != len(names):
-            raise tubeopt.InputError(
-                f"position has {len(position)} numbers; it must have {len(names)}, in this order: {', '.join(names)}"
-            )
-        # Clients of CRTK name no joints: positions are then in the order of the joints.
-        at = dict(zip(given or names, position, strict=True))
-        ordered = [at[name] for name in names]
-        return {"rotations": ordered[: self._n], "translations": ordered[self._n :]}
+            self._out["error"].publish(String(data=words))
+        except Exception as error:  # any error of one message or step stops the robot, and the node continues
+            words = f"the robot is held: {type(error).__name__} in {op}: {error}"
+            self.robot.fault(words)
+            self.get_logger().error(words)
 
     def feel(self, message) -> None:
-        """Tell the force at the tip that moves it from where the model has it to where a sensor sees it."""
+        """Publish the force at the tip that moves it from where the model has it to where a sensor sees it."""
         with self._surviving("sensor_cp"):
             self._feel(message)
 
     def _feel(self, message) -> None:
-        compliance, place = self.robot.servo.compliance, _place(message)
+        if self._timer is None:
+            raise tubeopt.InputError("the node is not active; activate it first")
+        compliance, place = self.robot.servo.slopes.compliance, self._reader.place(message)
         if compliance is None:
             raise tubeopt.InputError("the C library of this robot knows no compliance")
         gap = np.array(place) - self.robot.servo.equilibrium.tip_position
@@ -110,93 +193,64 @@ class RobotNode(Node):
             raise tubeopt.InputError(f"position is {place}; every number must be finite")
         if not np.linalg.norm(gap) <= self.robot.servo.space.length:
             raise tubeopt.InputError(f"position is {np.linalg.norm(gap):g} m from the tip; it is in metres")
-        told = WrenchStamped()
-        told.header.stamp, told.header.frame_id = self.get_clock().now().to_msg(), "plate"
+        told = stamped(WrenchStamped(), self._now(), self._plate)
         force = told.wrench.force
         force.x, force.y, force.z = np.linalg.solve(compliance[:3, :3], gap).tolist()
         self._out["measured_cf"].publish(told)
 
+    # --- loop ---
+
     def tick(self) -> None:
-        """One step, and what is told of it."""
+        """One step, and its report."""
+        began, late = time.thread_time(), time.monotonic() - self._due
         with self._surviving("a step"):
             self.robot.tick(time.monotonic, self._period)
         with self._surviving("a report"):
             self._report()
+        self._pace.add(time.thread_time() - began, max(late, 0.0), max(int(late / self._period), 0))
+        self._due = max(self._due + self._period, time.monotonic())
 
     def _report(self) -> None:
-        told, stamp = self.robot.report(time.monotonic()), self.get_clock().now().to_msg()
+        told, stamp = self.robot.report(time.monotonic()), self._now()
         for name in ("measured_js", "setpoint_js"):
-            message = JointState(name=told[name]["name"], position=told[name]["position"])
-            message.velocity = told[name]["velocity"]
-            message.header.stamp = stamp
-            self._out[name].publish(message)
+            self._publish(name, stamped(joint_state(told[name]), stamp))
         for name in ("measured_cp", "setpoint_cp"):
-            message = PoseStamped()
-            message.header.stamp, message.header.frame_id = stamp, "plate"
-            place, turn = message.pose.position, message.pose.orientation
-            place.x, place.y, place.z = told[name]["position"]
-            turn.w, turn.x, turn.y, turn.z = quaternion(np.array(told[name]["rotation"]))
-            self._out[name].publish(message)
-        self._out["operating_state"].publish(_state(told["operating_state"], stamp))
-        self._out["why"].publish(String(data=told["why"]))
-        self._out["margin"].publish(Float64(data=told["margin"]))
+            turn = quaternion(np.array(told[name]["rotation"]))
+            self._publish(name, stamped(pose(told[name]["position"], turn), stamp, self._plate))
+        self._publish("measured_cv", stamped(twist(told["measured_cv"]), stamp, self._plate))
+        state = operating_state(told["operating_state"])
+        self._publish("operating_state", state if STATE is String else stamped(state, stamp))
+        while self.robot.events:
+            kind, words = self.robot.events.popleft()
+            self._publish(kind, String(data=words))
+        self._publish("why", String(data=told["why"]))
+        self._publish("margin", Float64(data=told["margin"]))
+        if self._pace.steps % self._every == 0:
+            self._show(told, stamp)
 
+    def _show(self, told, stamp) -> None:
+        """What is for eyes, and the Jacobian: less often than each step."""
+        arm, slopes = self.robot.servo.equilibrium, self.robot.servo.slopes
+        self._publish("jacobian", matrix(np.vstack([slopes.position, slopes.turn])))
+        self._display.frames(arm, stamp)
+        self._publish("shape", self._display.markers(arm, told["snap_warning"], stamp))
+        if self._pace.steps % round(1 / self._period) < self._every:  # once per second
+            self._publish("/diagnostics", stamped(diagnostics(self._name, told, self._pace), stamp))
 
-def quaternion(rotation: np.ndarray) -> tuple[float, ...]:
-    """Unit quaternion, scalar first, of a rotation matrix (3, 3): the eigenvector of Bar-Itzhack's matrix."""
-    r = rotation
-    skew = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
-    table = np.block([[np.trace(r), skew], [skew[:, None], r + r.T - np.trace(r) * np.eye(3)]])
-    vector = np.linalg.eigh(table)[1][:, -1]
-    return tuple((vector * (1 if vector[0] >= 0 else -1)).tolist())
+    def _publish(self, name, message) -> None:
+        self._out[name].publish(message)
 
-
-def _in_plate(message) -> None:
-    """Raise InputError where a message is in a frame other than that of the plate."""
-    frame = getattr(getattr(message, "header", None), "frame_id", "")
-    if frame not in ("", "plate"):
-        raise tubeopt.InputError(f"frame_id is {frame!r}; it must be empty or 'plate', in which the robot is led")
-
-
-def _place(message) -> list:
-    _in_plate(message)
-    p = message.pose.position
-    return [p.x, p.y, p.z]
-
-
-def _pose(message) -> dict:
-    place, q = _place(message), message.pose.orientation
-    ahead = [2 * (q.x * q.z + q.w * q.y), 2 * (q.y * q.z - q.w * q.x), q.w**2 + q.z**2 - q.x**2 - q.y**2]
-    return {"position": place, "direction": ahead if any(ahead) else None}
-
-
-def _twist(message) -> dict:
-    _in_plate(message)
-    v = message.twist.linear
-    return {"linear": [v.x, v.y, v.z]}
-
-
-def _word(message) -> dict:
-    return {"command": message.string if StringStamped else message.data}
-
-
-def _nothing(message) -> dict:
-    return {}
-
-
-def _state(known: dict, stamp):
-    if OperatingState is None:
-        return String(data=known["state"])
-    message = OperatingState(**known)
-    message.header.stamp = stamp
-    return message
+    def _now(self):
+        return self.get_clock().now().to_msg()
 
 
 def main() -> None:
-    """Run the node until it is stopped."""
+    """Run the node until it is stopped; with the parameter `autostart` it becomes active at once."""
     rclpy.init()
     node = RobotNode()
     try:
+        if node.get_parameter("autostart").value and node.trigger_configure() == DONE:
+            node.trigger_activate()
         rclpy.spin(node)
     except KeyboardInterrupt:
         pass
