@@ -24,6 +24,7 @@ ROLES = {
     "shaping": "molds, heating",
     "validation": "measurements, calibration",
     "workspaces": "reachable tips",
+    "gym": "environments for learning",
     "inverse": "inverse kinematics",
     "stability": "snaps, branches, certificates",
     "equilibrium": "forward kinematics",

@@ -16,7 +16,7 @@ from ..runs.study_file import load_study
 from ..runs.sweep_file import load_sweep
 from ..runs.sweeping import SWEEP_LIMIT, Sweep
 from ..runs.sweeping import sweep as run_sweep
-from ..show.figures import JOURNALS, Figures
+from ..show.command_report import JOURNALS, Figures
 from ..show.heat_report import with_live_page
 from ..show.page import FONTS
 from ..show.progress import working

@@ -43,7 +43,6 @@ from ..solvers.compiled.constants import piece_constants
 from ..solvers.compiled.library import CAPACITY, MOST_CUTS, MOST_TUBES, Capacity, kernel_text
 from ..solvers.compiled.loaded import MOST_PIECES, loaded_text
 from ..solvers.compiled.text import HERE, c_tables, defined, numbers, with_included
-from ..solvers.settings import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST, SOFT_TWIST
 from ..typing import Array
 from .command import MOST_NUMBER, ServoOptions
 
@@ -65,18 +64,6 @@ HUSHED = """/* CasADi writes for every function more than is used here; vectors 
 
 # Configurations whose answers the test of the library knows.
 CASES = 24
-
-
-# By which steps along a branch are judged, as C.
-FOLLOWING = defined(
-    {
-        "LARGEST_RATIO": LARGEST_RATIO,
-        "LARGEST_TWIST": LARGEST_TWIST,
-        "SOFT_TWIST": SOFT_TWIST,
-        "LARGEST_TURN": LARGEST_TURN,
-        "LARGEST_SHIFT": LARGEST_SHIFT,
-    }
-)
 
 
 @dataclass(frozen=True)
@@ -175,7 +162,6 @@ def library_text(name: str, kernel: str, numbers: str) -> str:
         f'#include "tubeopt_robot.h"\n\n{HUSHED}',
         kernel,
         "\n/* --- the numbers of the robot --- */\n",
-        FOLLOWING,
         numbers,
         with_included(HERE / "quadratic.c"),
         *(with_included(C_FOLDER / f"{part}.c") for part in ("robot", "servo")),

@@ -153,18 +153,10 @@ static void accept(tubeopt_memory *m, const tubeopt_joints *joints) {
 
 /* One step along the branch, without accepting it: 0, or 1 where it is not small or Newton's method is not at ease. */
 static int step_to(tubeopt_memory *m, const tubeopt_joints *joints) {
-    const Answer *last = m->answers + m->here;
-    Answer *next = m->answers + !m->here;
-    double turn[N];
     m->fresh = 0;
     m->before = NULL; /* the next answer takes its room */
-    for (int i = 0; i < N; i++) turn[i] = joints->rotations[i] - m->joints.rotations[i];
-    Guess guess = {last->pieces * STEPS + 1, last->points, 1, N, last->arc_length, last->rotation[0], last->torsion[0],
-                   last->point, last->point_rotation[0], turn, m->joints.translations};
-    if (solve(&ROBOT, joints->rotations, joints->translations, &guess, &m->work, next)) return 1;
-    /* Where a branch ends and another one begins close by, a step across the gap is told by the margin alone. */
-    if (next->margin < last->margin / 2) return 1;
-    return next->contraction > LARGEST_RATIO || next->largest_change > LONGEST_TWIST(last->margin);
+    return small_step(&ROBOT, m->answers + m->here, m->joints.rotations, m->joints.translations, joints->rotations,
+                      joints->translations, &m->work, m->answers + !m->here);
 }
 
 /* The workspace is to have the last equilibrium, solved anew where it has not; 1 where that fails. */
@@ -174,16 +166,6 @@ static int refresh(tubeopt_memory *m) {
     if (step_to(m, &same)) return 1;
     accept(m, &same);
     return 0;
-}
-
-/* Steps of ordinary length that a motion takes. */
-static double parts_of(const tubeopt_joints *from, const tubeopt_joints *to, double length) {
-    double most = 1;
-    for (int i = 0; i < N; i++) {
-        most = fmax(most, fabs(to->rotations[i] - from->rotations[i]) / LARGEST_TURN);
-        most = fmax(most, fabs(to->translations[i] - from->translations[i]) / (LARGEST_SHIFT * length));
-    }
-    return ceil(most - 1e-9);
 }
 
 /* The place at fraction t of a straight motion, its end exactly. */
@@ -261,7 +243,7 @@ tubeopt_status tubeopt_follow(tubeopt_memory *m, const tubeopt_joints *joints, t
     if (not_taken) return not_taken;
     const Answer *last = m->answers + m->here;
     double length = fmax(last->arc_length[last->pieces * STEPS], LONGEST_TUBE / 10);
-    double parts = parts_of(&m->joints, joints, length);
+    double parts = parts_of(m->joints.rotations, m->joints.translations, joints->rotations, joints->translations, length);
     if (parts > MOST_PARTS) return TUBEOPT_TOO_FAR;
     if (keep_branch(m, joints, 1 / parts)) return TUBEOPT_SNAP;
     m->moves = 0;

@@ -435,3 +435,48 @@ def solve_many_compiled(
     points = (0, None) if arms is None else (arms.shape[2], address(arms))
     prepared.kernel.functions.solve_many(prepared.address, count, *addresses, *points, *memory.addresses)
     return table, unsolved.astype(bool)
+
+
+class Branches:
+    """Equilibria of many robots of one kernel, each followed on its branch."""
+
+    def __init__(self, robot: Robot, count: int) -> None:
+        """Raises LookupError if there is no kernel."""
+        kernel = kernel_of(robot)
+        if kernel is None:
+            raise LookupError("there is no compiled kernel")
+        self._kernel = kernel
+        self._tubes = [_tubes(robot, 0)] * count
+        self._addresses = np.full(count, address(self._tubes[0][0]), dtype=np.uintp)
+        self._arms, self._spare = np.zeros(count, kernel.answer), np.zeros(2, kernel.answer)
+        self._workspace = np.zeros(kernel.workspace_size // 8 + 1)
+        self.rotations, self.translations = np.zeros((2, count, robot.n_tubes))
+        """(N, n) joint values of the equilibria, rad and m."""
+
+    def use(self, row: int, robot: Robot) -> None:
+        """Give a row another robot of the same kernel, before its cold solve."""
+        self._tubes[row] = _tubes(robot, 0)
+        self._addresses[row] = address(self._tubes[row][0])
+
+    def go(self, rotations: Array, translations: Array, cold: Mask) -> Mask:
+        """(N,) rows without an equilibrium after a straight motion to joint values (N, n), or `cold` (N,) at them.
+
+        Such a row stays as it was; after a motion it has lost its branch, as at a snap.
+        """
+        check_time()
+        to = [np.ascontiguousarray(a, dtype=float) for a in (rotations, translations)]
+        lost, asked = np.zeros(len(cold), dtype=np.uint8), np.ascontiguousarray(cold, dtype=np.uint8)
+        arrays = (self.rotations, self.translations, *to, asked, self._arms, lost, self._workspace, self._spare)
+        self._kernel.functions.follow_many(address(self._addresses), len(cold), *map(address, arrays))
+        return lost.astype(bool)
+
+    @property
+    def tips(self) -> Array:
+        """(N, 3) tip positions, m."""
+        last = self._arms["pieces"] * SHAPE_STEPS
+        return np.asarray(self._arms["position"][np.arange(len(last)), last])
+
+    @property
+    def margins(self) -> Array:
+        """(N,) stability margins."""
+        return np.asarray(self._arms["margin"])

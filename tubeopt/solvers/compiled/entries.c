@@ -23,3 +23,45 @@ CASADI_SYMBOL_EXPORT void solve_many(const Tubes *tubes, long long count, const 
         memcpy(summary + 12 + N, rest, sizeof rest);
     }
 }
+
+#define SHORTEST_PART (1 / 300.) /* of a step of ordinary length */
+
+/* Many robots, each from the last of its equilibria along a straight way to other joint values, or where `cold` from tubes
+   without torsion. `lost` (count): 1 where there is none, as at a snap; the arm then stays as it was. */
+CASADI_SYMBOL_EXPORT void follow_many(const Tubes *const *tubes, long long count, double *alpha, double *shift, const double *to_alpha,
+                                      const double *to_shift, const unsigned char *cold, Answer *arms, unsigned char *lost, Workspace *w,
+                                      Answer *spare) {
+    for (long long k = 0; k < count; k++, alpha += N, shift += N, to_alpha += N, to_shift += N) {
+        Answer *last = spare, *next = spare + 1, *other;
+        double done = 0, from_alpha[N], from_shift[N], at_alpha[N], at_shift[N], length, longest, step;
+        lost[k] = cold[k] && solve(tubes[k], to_alpha, to_shift, NULL, w, last);
+        if (!cold[k]) {
+            *last = arms[k];
+            length = fmax(last->arc_length[last->pieces * STEPS], tubes[k]->whole[0] / 10);
+            longest = step = 1 / parts_of(alpha, shift, to_alpha, to_shift, length);
+            memcpy(from_alpha, alpha, sizeof from_alpha);
+            memcpy(from_shift, shift, sizeof from_shift);
+            while (done < 1 && !lost[k]) {
+                double t = done + step >= 1 - 1e-12 ? 1 : done + step;
+                for (int i = 0; i < N; i++) {
+                    at_alpha[i] = to_alpha[i] - (1 - t) * (to_alpha[i] - alpha[i]);
+                    at_shift[i] = to_shift[i] - (1 - t) * (to_shift[i] - shift[i]);
+                }
+                if (small_step(tubes[k], last, from_alpha, from_shift, at_alpha, at_shift, w, next)) {
+                    step /= 4;
+                    lost[k] = step < longest * SHORTEST_PART;
+                    continue;
+                }
+                other = last, last = next, next = other;
+                memcpy(from_alpha, at_alpha, sizeof from_alpha);
+                memcpy(from_shift, at_shift, sizeof from_shift);
+                done = t;
+                step = fmin(2 * step, longest);
+            }
+        }
+        if (lost[k]) continue;
+        arms[k] = *last;
+        memcpy(alpha, to_alpha, sizeof from_alpha);
+        memcpy(shift, to_shift, sizeof from_shift);
+    }
+}

@@ -120,6 +120,8 @@ CASADI_SYMBOL_EXPORT int solve(const Tubes *tubes, const double *alpha, const do
     return SOLVED;
 }
 
+#include "branch.c"
+
 #if SLOPES
 #include "slopes.c"
 #endif

@@ -37,7 +37,17 @@ from ...physics.shape import carry_function
 from ...physics.torsion import section_functions
 from ...robots.assembly import LENGTH_ROUND_OFF as ROUND_OFF_LENGTH
 from ...robots.order import SAME_END
-from ..settings import LAST_STEP, LONGEST_STEP, NEWTON, NEWTON_ROUND_OFF
+from ..settings import (
+    LARGEST_RATIO,
+    LARGEST_SHIFT,
+    LARGEST_TURN,
+    LARGEST_TWIST,
+    LAST_STEP,
+    LONGEST_STEP,
+    NEWTON,
+    NEWTON_ROUND_OFF,
+    SOFT_TWIST,
+)
 from .constants import COARSE_DEGREE, DEGREE, arm_constants, rule_constants, slope_constants
 from .packaged import Kind, packaged_kernel, processor, processor_features
 from .text import HERE, c_text
@@ -147,6 +157,11 @@ def kernel_text(n: int, eccentric: bool = False, capacity: Capacity = CAPACITY) 
         "ROUND_OFF": NEWTON_ROUND_OFF,
         "LAST_STEP": LAST_STEP,
         "LONGEST_STEP": LONGEST_STEP,
+        "LARGEST_RATIO": LARGEST_RATIO,
+        "LARGEST_TWIST": LARGEST_TWIST,
+        "SOFT_TWIST": SOFT_TWIST,
+        "LARGEST_TURN": LARGEST_TURN,
+        "LARGEST_SHIFT": LARGEST_SHIFT,
     }
     tables = rule_constants(eccentric) + arm_constants() + slope_constants() * slopes
     return tables + c_text(constants, generator, "kernel.c")
@@ -339,7 +354,8 @@ def library(n: int, eccentric: bool) -> Kernel | None:
     pointer, whole, functions = ctypes.c_void_p, ctypes.c_longlong, kernel.functions
     functions.solve.argtypes = [pointer] * 6
     functions.solve_many.argtypes = [pointer, whole, *[pointer] * 4, whole, *[pointer] * 3]
-    functions.solve_many.restype = None
+    functions.follow_many.argtypes = [pointer, whole, *[pointer] * 9]
+    functions.solve_many.restype = functions.follow_many.restype = None
     if kernel.differentiable:
         functions.differentiate.argtypes = [pointer] * 5
     return kernel

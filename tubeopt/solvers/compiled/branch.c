@@ -1,0 +1,25 @@
+/* Steps along a branch of equilibria: what a small one is, and whether it stays on the branch. */
+
+/* Steps of ordinary length that a motion of rotations (n) and translations (n) takes, for an arm of a length. */
+static double parts_of(const double *alpha, const double *shift, const double *to_alpha, const double *to_shift, double length) {
+    double most = 1;
+    for (int i = 0; i < N; i++) {
+        most = fmax(most, fabs(to_alpha[i] - alpha[i]) / LARGEST_TURN);
+        most = fmax(most, fabs(to_shift[i] - shift[i]) / (LARGEST_SHIFT * length));
+    }
+    return ceil(most - 1e-9);
+}
+
+/* The equilibrium at joint values a small step from those of the last one: 0, or 1 where it is not small or Newton's method is
+   not at ease. */
+static int small_step(const Tubes *tubes, const Answer *last, const double *alpha, const double *shift, const double *to_alpha,
+                      const double *to_shift, Workspace *w, Answer *next) {
+    double turn[N];
+    for (int i = 0; i < N; i++) turn[i] = to_alpha[i] - alpha[i];
+    Guess guess = {last->pieces * STEPS + 1, last->points, 1, N, last->arc_length, last->rotation[0], last->torsion[0],
+                   last->point, last->point_rotation[0], turn, shift};
+    if (solve(tubes, to_alpha, to_shift, &guess, w, next)) return 1;
+    /* Where a branch ends and another one begins close by, a step across the gap is told by the margin alone. */
+    if (next->margin < last->margin / 2) return 1;
+    return next->contraction > LARGEST_RATIO || next->largest_change > LONGEST_TWIST(last->margin);
+}
