@@ -31,6 +31,13 @@ LONGEST = 30
 STARTS = re.compile(r"(Of|That|What|Those|Which|Whose|By|As|The same)\b")
 """How a description must not begin: the noun or the verb comes first."""
 
+OPENINGS = re.compile(
+    r"(?:\([^)]*\)(?:, \([^)]*\))* )?(of|that|what|whose|which|whether|where|why|how|who|by|those|as|it|its|so|to|from|"
+    r"with|without|in|on|at|and|but|nothing|not|their|they|between|around|beside|behind|after|before)\b",
+    re.IGNORECASE,
+)
+"""How no docstring begins, after the shape of an array: a preposition or a pronoun names nothing."""
+
 PROSE = re.compile(r"[a-z]{2,},? [a-z]{2,}")
 """What a string has that is a text, and no name or format."""
 
@@ -206,6 +213,20 @@ def _docstrings() -> Iterator[Text]:
                 yield from _documented(node, module)
 
 
+def openings() -> Iterator[str]:
+    """Docstrings of modules, classes, functions, fields and constants that begin with no noun or verb."""
+    for path in sorted((ROOT / "tubeopt").rglob("*.py")):
+        yield from _openings(path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8"))
+
+
+def _openings(module: str, code: str) -> Iterator[str]:
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            words = node.value.value.strip()
+            if found := OPENINGS.match(words):
+                yield f"{module}:{node.lineno}: begins with '{found[1]}': begin with the noun or the verb: {words[:60]}"
+
+
 def _documented(node: Any, module: str) -> Iterator[Text]:
     parts = [node, *(node.body if isinstance(node, ast.ClassDef) else ())]
     for part, after in zip(parts, [*parts[1:], None], strict=True):
@@ -276,6 +297,7 @@ def main() -> int:
     found: dict[str, list[str]] = {}
     for text in texts():
         found.setdefault(text.part, []).extend(faults(text))
+    found["openings of docstrings"] = list(openings())
     if asked.count:
         for part, each in found.items():
             print(f"{len(each):5d}  {part}")

@@ -45,6 +45,14 @@ def test_a_fault_is_found(text: str, found: str) -> None:
     assert [found in each for each in faults] == ([True] if found else [])
 
 
+@pytest.mark.parametrize("words", ["Of the tube.", "(N, 3) of the tip, m.", "Whether it moves.", "its end"])
+def test_a_docstring_that_begins_with_no_noun_is_found(words: str) -> None:
+    """Also those of fields and of functions that are not public."""
+    code = f'class A:\n    x: int\n    """{words}"""\n\n\ndef _f():\n    """{words}"""\n'
+    assert [each.split(":")[1] for each in PROSE._openings("a.py", code)] == ["3", "7"]
+    assert list(PROSE._openings("a.py", code.replace(words, "(N, 3) position of the tip, m."))) == []
+
+
 def test_every_rule_of_the_style_guide_matches_its_own_words() -> None:
     pattern, instead = PROSE.rules()
     assert len(instead) > 50

@@ -97,7 +97,7 @@ class StartValues(NamedTuple):
     rotation_inside: Array
     """theta (n, P K) at the points, rad."""
     moments: tuple[Array, ...] = ()
-    """Under load bending moments (2, P) where pieces begin, and (2 K, P) at their points, N m."""
+    """Bending moments under load (2, P) where pieces begin, and (2 K, P) at their points, N m."""
 
 
 def collocation_points(model: Model) -> tuple[Array, Array]:

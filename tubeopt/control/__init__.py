@@ -1,4 +1,4 @@
-"""In the loop at 1 kHz: a servo, its snap guard, an observer, and the ways in which a controller reaches them."""
+"""Control at 1 kHz: a servo, its snap guard, an observer, and their interfaces."""
 
 from .c_library import CLibrary, c_library, robot_description, save_c_library
 from .command import Command, ServoOptions, ServoStep, Why

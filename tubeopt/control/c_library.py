@@ -71,13 +71,13 @@ class CLibrary(Displayed):
     """Texts of a library."""
 
     robot: Robot
-    """Whose library it is."""
+    """Robot of the library."""
     name: Annotated[str, "name of the robot"]
     prefix: Annotated[str, "prefix of all names of the library"]
     files: dict[str, str]
     """Name of a file -> its text."""
     loads: bool = False
-    """Whether it has them."""
+    """True if the library includes loads."""
 
 
 @typed
@@ -170,7 +170,7 @@ def library_text(name: str, kernel: str, numbers: str) -> str:
 
 
 def _room(space: JointSpace) -> Capacity:
-    """What the meshes of a robot need, with some to spare: those of pieces that vary quickly are fine."""
+    """Capacity for the meshes of a robot, with a reserve: pieces that vary quickly need fine meshes."""
     if not is_general(space.robot):
         return CAPACITY
     problems = [reduced_problem(space.robot, tuple(s.tolist()), DEFAULT_DISCRETISATION) for s in _shifts(space)]

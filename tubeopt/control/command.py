@@ -1,4 +1,4 @@
-"""What is asked of a servo, how it shall move, and what it answers with."""
+"""Command, options and result of a servo step."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ class Command(Displayed):
     """Target of the tip for one servo step; None leaves a part free."""
 
     position: Vector | None = None
-    """(3,) of the tip, m."""
+    """(3,) target position of the tip, m."""
     velocity: Vector | None = None
-    """(3,) of the tip, m/s, in place of a position."""
+    """(3,) velocity of the tip, m/s, instead of a position."""
     direction: Vector | None = None
     """(3,) direction of the tip, of any length but 0; stored with length 1."""
     pivot: Vector | None = None
@@ -186,4 +186,4 @@ class ServoStep(Displayed, Generic[T]):
     """Angle between the tip and its target direction before the step, rad; NaN without one."""
 
     rotations, translations = Delegate[Array]("equilibrium"), Delegate[Array]("equilibrium")
-    """(n,) to be sent, rad and m."""
+    """(n,) joint values to be sent, rad and m."""

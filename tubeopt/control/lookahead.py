@@ -1,4 +1,4 @@
-"""A servo that looks ahead: for goals behind a valley of the margin, or a body, at which one step after another ends.
+"""Servo with look-ahead, for goals behind a valley of the margin or an obstacle, where single steps get stuck.
 
 The path to the target is kept as knots. A knot is a point in tip coordinates (rotations and translations), in which the
 equilibrium block is explicit: joint values, tip, shape and the Jacobi fields that state the margin are functions of it,
@@ -109,19 +109,19 @@ class Knots:
     joints: Array
     """(K, m) rad and m."""
     fields: Array
-    """(K, f) above 0 where the margin is above its floor."""
+    """(K, f) fields; positive if the margin is above its minimum."""
     points: Array
-    """(K, p, 3) of the arm, m."""
+    """(K, p, 3) points of the arm, m."""
     direction: Array
-    """(K, 3) of its tip."""
+    """(K, 3) direction of its tip."""
     along: Array
     """(K, p) arc lengths of the points, m."""
     slopes: tuple[Array, Array, Array, Array]
-    """Of joints, fields, points and direction by z over the scales, with m columns behind."""
+    """Derivatives of joints, fields, points and direction by z over the scales, with m columns last."""
 
     @staticmethod
     def at(coordinates: TipCoordinates, z: Array, floor: float) -> Knots:
-        """Those of points (K, m), with a floor of the margin."""
+        """Knots at points (K, m), with `floor` as the minimum margin."""
         n, (count, m) = coordinates.space.robot.n_tubes, z.shape
         function = _linearised(coordinates.kind, count, threading.get_ident())
         values, slopes, along = function(z[:, :n], coordinates.translations(z), floor, coordinates.parameters)
@@ -148,8 +148,8 @@ class Knots:
         return self.points[:, -1]
 
     def contacts(self, scene: Scene, clearance: float) -> tuple[Array, Array]:
-        """(K, C) how much farther from bodies than the clearance (m) arms are where they come closest, infinite
-        where there are none, and (K, C, m) its derivatives."""
+        """(K, C) distances of arms from bodies beyond the clearance, m, infinite without any, and (K, C, m)
+        derivatives."""
         space, (count, m) = self.coordinates.space, self.z.shape
         most = MAX_CONTACTS
         gap, slope = np.full((count, most), np.inf), np.zeros((count, most, m))
@@ -181,7 +181,7 @@ def _between(table: Array, x: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Aim:
-    """Where the tip shall be, m, and along which unit vector it shall point, or None."""
+    """Target position of the tip, m, and its target direction, a unit vector or None."""
 
     position: Array
     direction: Array | None
@@ -215,8 +215,8 @@ def improvement(knots: Knots, aim: Aim, contacts: tuple[Array, Array], trust: fl
 
 
 def _way(knots: Knots, aim: Aim) -> tuple[Array, Array]:
-    """Rows and right-hand sides in least squares, over the scales: the way from knot to knot, and the tip's distance
-    from its aim."""
+    """Rows and right-hand sides of the least squares, over the scales: knot spacing, and distance of the tip from its
+    aim."""
     space, (count, m) = knots.coordinates.space, knots.z.shape
     tubes, n, weight = space.robot.n_tubes, count - 1, np.sqrt(count - 1.0)
     turned = np.tile(TURN_WEIGHT * np.eye(tubes, m), (count, 1, 1))
@@ -237,8 +237,10 @@ def _way(knots: Knots, aim: Aim) -> tuple[Array, Array]:
 
 
 def _rows(knots: Knots, contacts: tuple[Array, Array]) -> tuple[Array, Array]:
-    """(N, r, m + 1) and (N, r): rows of every knot but the first over the scales and its slack, and what they are at
-    least: ranges and order of the joints, margin, clearance."""
+    """Constraint rows (N, r, m + 1) and lower bounds (N, r) of all knots but the first.
+
+    Columns are over the scales and the slack. Constraints are ranges and order of the joints, margin and clearance.
+    """
     space, joints, slope = knots.coordinates.space, knots.joints, knots.slopes[0]
     n = space.robot.n_tubes
     turn, order = slope[:, :n], space.rows @ slope / space.length
@@ -392,7 +394,7 @@ class PredictiveServo:
         return self._servo.step(command, dt)
 
     def _renew(self, knots: Knots) -> Why:
-        """Improve the way; what the knots lack as they are."""
+        """Improve the planned path; returns its violated constraints."""
         assert self._aim is not None
         contacts = knots.contacts(self._guard.scene, self._clearance)
         change = improvement(knots, self._aim, contacts, self._trust)
@@ -411,7 +413,7 @@ class PredictiveServo:
         return lacking
 
     def _knots(self, aim: Aim) -> Knots | None:
-        """The way to an aim as it is; None where no joint values are known for it."""
+        """Current path to an aim; None if no joint values are known for it."""
         here = self._guard.here
         begin, floor = self._coordinates.of(here.equilibrium), min(self._floor, here.margin)
         if self._new(aim):
@@ -428,7 +430,7 @@ class PredictiveServo:
         return Knots.at(self._coordinates, np.concatenate([begin[None], self._way[1:]]), floor)
 
     def _new(self, aim: Aim) -> bool:
-        """Whether no way was looked for, or one to another aim."""
+        """True without a planned path, or with one to another aim."""
         if self._aim is None:
             return True
         moved = float(np.linalg.norm(aim.position - self._aim.position)) / self._guard.space.length
@@ -454,8 +456,7 @@ class PredictiveServo:
         return self._coordinates.of(found.equilibrium)
 
     def _along(self, knots: Knots, dt: float) -> tuple[Array, float]:
-        """The change of the joints (m,) that goes along the knots for `dt` seconds as fast as joints and tip may; and
-        how many knots that passes."""
+        """Joint change (m,) along the knots in `dt` seconds at full speed, and the number of passed knots."""
         space, here, options = self._guard.space, self._guard.here, self.options
         rate = np.where(np.arange(len(here.q)) < space.robot.n_tubes, options.turn_rate, options.shift_rate)
         turned = np.abs(np.diff(knots.joints, axis=0)) / np.maximum(rate, 1e-300)
@@ -469,5 +470,5 @@ class PredictiveServo:
 
 
 def _places(z: Array, at: Array) -> Array:
-    """(k, m) places on a polyline (K, m), by numbers (k,) of its points."""
+    """(k, m) points on a polyline (K, m), by fractional numbers (k,) of its points."""
     return np.column_stack([np.interp(at, np.arange(len(z)), column) for column in z.T])

@@ -1,4 +1,4 @@
-"""What a sensor at the tip tells about a robot in motion: joint offsets, stiffnesses and an offset of the tip.
+"""Observer of joint offsets, stiffnesses and a tip offset, from a sensor at the tip of a moving robot.
 
 An extended Kalman filter over parameters that hardly change. A measurement is compared with the model at the joint
 values of its own time, so that a delay that is known costs nothing; where none comes, nothing is corrected. Each update
@@ -70,7 +70,7 @@ class Correction(Displayed):
     used: bool
     """True if the measurement corrected the model."""
     words: str
-    """Why it was not used; "" where it was."""
+    """Reason for an unused measurement; "" for a used one."""
     before: float
     """Distance of the measured tip from the one that was expected, m."""
     after: float
@@ -108,12 +108,12 @@ class Observer:
 
     @property
     def stiffness_factors(self) -> Array:
-        """(n,) of bending and torsional stiffness of each tube over what was given."""
+        """(n,) ratio of estimated to nominal bending and torsional stiffness of each tube."""
         return np.exp(self._x[self._n : 2 * self._n])
 
     @property
     def tip_offset(self) -> Array:
-        """(3,) estimated offset of the measured tip from that of the corrected model, m."""
+        """(3,) estimated offset of the measured tip from the tip of the corrected model, m."""
         return self._x[2 * self._n :].copy()
 
     @property
@@ -156,8 +156,10 @@ class Observer:
         return arm, arm.tip_position + self.tip_offset
 
     def shift(self, nominal: Equilibrium) -> Array:
-        """(3,) m from the tip of the robot as given to the one that would be measured: to reach p, a servo on the robot
-        as given aims at p minus this."""
+        """(3,) offset from the nominal tip to the predicted measurement, m.
+
+        To reach p, a servo on the nominal robot aims at p minus this.
+        """
         return np.asarray(self.predict(nominal.rotations, nominal.translations)[1] - nominal.tip_position)
 
     def _joints_at(self, time: float) -> tuple[Array, Array] | None:
@@ -216,7 +218,7 @@ class Observer:
         return forward_kinematics(robot, turn, shift, start=replace(self._arm, robot=robot)) if near is None else near
 
     def _slope(self, arm: Equilibrium) -> Array:
-        """(3, 2n + 3) of the measured tip by the parameters."""
+        """(3, 2n + 3) derivatives of the measured tip by the parameters."""
         turn, bending, torsional = np.split(jacobian(arm, wrt=BY).position, 3, axis=1)
         kb, kt = (np.array([float(getattr(tube, name)) for tube in arm.robot.tubes]) for name in BY[1:])
         stiffness = bending * kb + torsional * kt

@@ -80,7 +80,7 @@ TURNS = 2e-4
 
 @dataclass(frozen=True)
 class ServerOptions:
-    """How a robot is served."""
+    """Settings of a server."""
 
     port: Annotated[int, Range(least=0, most=65535), "TCP port of the server; 0 selects a free port"] = 8765
     token: str = ""
@@ -117,8 +117,7 @@ class _Client:
 
 
 class Pace:
-    """How well the loop keeps its period: `steps`, periods `missed`, and of the last REMEMBERED steps how much of the
-    processor's time they took and by how much they began late."""
+    """Timing of the loop: `steps`, periods `missed`, and load and delay of the last REMEMBERED steps."""
 
     def __init__(self) -> None:
         self.steps = self.missed = 0

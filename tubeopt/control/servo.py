@@ -34,17 +34,17 @@ HALVINGS = 4
 
 
 class Place(NamedTuple):
-    """Where a robot is."""
+    """State of a robot."""
 
     here: Posture
-    """Its stop point."""
+    """Stop point of the robot."""
     arm: Equilibrium
     speed: Array
-    """(m,) of the joints, rad/s and m/s."""
+    """(m,) speeds of the joints, rad/s and m/s."""
 
 
 class Guard:
-    """Where a robot is, and whether it may go on from there; arguments and errors as of `Servo`."""
+    """Guard with the state of a robot and its check of the next step; arguments and errors as of `Servo`."""
 
     def __init__(
         self,
@@ -59,11 +59,11 @@ class Guard:
         self.scene: Scene = scene_of(checked_obstacles(obstacles))
         self._monitor = ClearanceMonitor(self.scene)
         self.here: Posture
-        """Where the robot would come to rest if it braked from now on; without accelerations, where it is."""
+        """Posture of rest after braking from now on; without accelerations, the current one."""
         self.arm: Equilibrium
-        """Where the robot is."""
+        """Current equilibrium of the robot."""
         self.speed: Array
-        """(m,) of the joints after the last step, rad/s and m/s."""
+        """(m,) speeds of the joints after the last step, rad/s and m/s."""
         self.before: Place
         self.begin(start)
         rotation = np.arange(len(self.here.q)) < robot.n_tubes
@@ -153,7 +153,7 @@ class Guard:
         return posture
 
     def _can_brake(self, rest: Posture, floor: float, dt: float) -> bool:
-        """Whether the robot keeps a margin at its next place, and at some places where it brakes from there to rest.
+        """True if the robot keeps a margin at its next position, and at some positions while it brakes to rest.
 
         Where the least margin is close to the floor, there are two more places about it.
         """
@@ -179,8 +179,10 @@ class Guard:
         return all(margin((one + two) / 2) >= floor for one, two in pairwise(near))
 
     def _next(self, stop: Array, dt: float) -> tuple[Array, Array]:
-        """(m,) joint values after a cycle and speeds v = sgn(d) (sqrt((a dt)^2 + 2 a |d|) - a dt), of d = s - q: from
-        them the robot can brake to its stop point s, with d' = v |v| / (2 a)."""
+        """(m,) joint values after a cycle, from which the robot can brake to its stop point s.
+
+        Speeds are v = sgn(d) (sqrt((a dt)^2 + 2 a |d|) - a dt), of d = s - q, with d' = v |v| / (2 a).
+        """
         q = self._joints(self.arm)
         d = stop - q
         speed = 2 * d / (dt + np.sqrt(dt**2 + 2 * np.abs(d) / self.acceleration))
@@ -207,7 +209,7 @@ class Guard:
         return self.options.clearance - at.outline.clearance(self.scene, self.options.clearance)
 
     def left(self, command: Command) -> tuple[float, float]:
-        """Distance (m) and angle (rad) from what is commanded; NaN where nothing is."""
+        """Distance (m) and angle (rad) from the command; NaN without one."""
         arm = self.arm
         away = np.nan if command.position is None else dist(command.position, arm.tip_position)
         pointing = arm.tip_rotation[:, 2]
@@ -274,11 +276,11 @@ class Part(NamedTuple):
     rows: Array
     """Derivatives by the joints."""
     gap: Array
-    """What is missing."""
+    """Gap to the target."""
     most: float
     """Largest motion in a cycle, in the norm of the gap."""
     met: float
-    """Norm of the gap at which the target is met."""
+    """Largest norm of the gap of a target that is met."""
 
 
 class Task(NamedTuple):
@@ -355,12 +357,12 @@ class Servo:
 
     @property
     def limited(self) -> bool:
-        """Whether accelerations are limited."""
+        """True if accelerations are limited."""
         return self.guard.limited
 
     @property
     def moving(self) -> bool:
-        """Whether the robot has to brake before it rests."""
+        """True if the robot has to brake before it rests."""
         return bool((np.abs(self.guard.speed) > RESTS).any())
 
     @small
@@ -584,7 +586,7 @@ class Servo:
         return Task(matrix, np.concatenate(targets), True, tuple(parts))
 
     def _gap(self, name: str, target: Any, at: Posture) -> Array:
-        """What is missing to one part of a command: over the length of the robot, or over the scales of the joints."""
+        """Gap to one part of a command: over the length of the robot, or over the scales of the joints."""
         if name == "position":
             return np.asarray((target - at.tip) / self.space.length)
         if name == "direction":
@@ -596,8 +598,11 @@ class Servo:
         return across @ away
 
     def _foot(self, pivot: Array, at: Posture) -> tuple[tuple[int, float], Array, Array]:
-        """Of the closest point of the arm to a pivot: its place between two shape points, the two directions (2, 3)
-        across the arm over its length, and the vector (3,) from it to the pivot, m."""
+        """Closest point of the arm to a pivot: its position between two shape points, and the vector (3,) to the pivot,
+        m.
+
+        The two directions (2, 3) across the arm are over its length.
+        """
         arm = at.equilibrium
         start, chord = arm.position[:-1], np.diff(arm.position, axis=0)
         square = np.maximum((chord**2).sum(1), 1e-300)

@@ -385,7 +385,7 @@ class _UnloadedPose(NamedTuple):
     names: list[str]
     """Names of the PARAMETERS that depend on unknowns; others need no derivatives."""
     rows: Array
-    """Their derivatives by the unknowns, n rows each, X columns."""
+    """Derivatives of the rows by the unknowns, n rows each, X columns."""
 
 
 def _unloaded(state: State, index: PoseNumber) -> _UnloadedPose:

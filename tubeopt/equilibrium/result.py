@@ -268,7 +268,7 @@ class Equilibrium(Displayed):
 
     @property
     def tip_rotation(self) -> Array:
-        """(3, 3) its frame."""
+        """(3, 3) frame of the tip."""
         return np.asarray(self.frame[-1])
 
     @property

@@ -69,7 +69,7 @@ class FoundPath:
     closest: Array | None = None
     """Waypoints (k, m) closest to the goal, without a path."""
     why: str = ""
-    """Without a path, the reason."""
+    """Reason for a missing path."""
     impossible: bool = False
     """True if the reason is a proof."""
 

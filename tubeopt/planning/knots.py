@@ -69,7 +69,7 @@ class Cubics:
 
     @property
     def effort(self) -> Any:
-        """Sum over the rows of int q''^2, of which q'' is linear between knots."""
+        """Sum over the rows of int q''^2, with q'' linear between knots."""
         early, late = self.early, self.late
         return ca.sum1(ca.sum2(self.h * (early**2 + early * late + late**2) / 3))
 
@@ -171,7 +171,7 @@ class KnotFunction:
 
 
 SPLITS = 4
-"""Points per step of the arm at which its distance from bodies is measured."""
+"""Number of points per step of the arm for its distance from bodies."""
 
 MAX_NODES = 1_000_000
 """Maximum number of nodes of a distance table: its splines and their derivatives take 32 bytes for each."""

@@ -476,7 +476,7 @@ ARMS, NEAREST_ARMS, POINTS = 1024, 12, 48
 
 # A pose without a plan must not use the time of those after it.
 SPLIT = 4
-"""While more than SPLIT poses of the plate remain, each gets 1 / SPLIT of the remaining time."""
+"""Largest number of base poses that get equal parts of the time. Of more, each gets 1 / SPLIT of the remaining time."""
 
 MOST = 16384
 """Maximum number of poses of the plate."""

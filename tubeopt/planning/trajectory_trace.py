@@ -367,7 +367,7 @@ class TrajectoryVerifier:
 
     @cached_property
     def unprovable(self) -> str:
-        """Why no proof is possible for this load, or ''."""
+        """Reason why no proof is possible for this load, or ''."""
         what = "" if self.load is None else uncovered(self.load)
         return f"what lies between equilibria under {what} is not bounded" if what else ""
 

@@ -56,9 +56,9 @@ class Assembly:
     length: Array
     """(m,) length of each section, m."""
     present: Mask
-    """(m, n) whether tube i is there."""
+    """(m, n) True if tube i is present in the section."""
     curved: Mask
-    """(m, n) whether it is curved there."""
+    """(m, n) True if tube i is curved in the section."""
     lengthwise: Lengthwise | None = None
     """Precurvature and stiffness along the tubes, where one of them is written as pieces; else None."""
     even: bool = True

@@ -148,7 +148,7 @@ class EccentricRobot(SheathedRobot):
 
     @cached_property
     def held(self) -> tuple[Tube, ...]:
-        """Its tube, its straight part with the transmission."""
+        """Tube of the segment, with its straight part and transmission."""
         straight = self.tube.straight_length + self.transmission_length
         return (replace(self.tube, straight_length=straight),)
 

@@ -401,7 +401,7 @@ def variation(tubes: tuple[Tube, ...]) -> Variation:
 
 
 def _cells(tube: Tube) -> list[tuple[float, float, float]]:
-    """Between which arc lengths bounds must hold for every cell of a tube, and where it ends, m."""
+    """Arc lengths of every cell of a tube, between which its bounds hold, and of the end of the tube, m."""
     cells, start = [], 0.0
     for length, precurvature, bending, torsional in stretches(tube):
         count = _count((*precurvature, bending, torsional), length)

@@ -245,7 +245,7 @@ LOOSE_MM = 0.1
 
 
 def clearances(robot: Robot) -> dict[int, tuple[int, float]]:
-    """For each nested tube, from 0, the tube around it and the radial clearance, mm."""
+    """Tube around each nested tube, by number from 0, and the radial clearance, mm."""
     return {i: (o, round(_clearance(robot.tubes[i], robot.tubes[o]) * TO_MM, 9)) for i, o in robot.nested_pairs}
 
 

@@ -75,7 +75,7 @@ class Tube(Displayed):
         float | None, unit("g_per_m"), POSITIVE, Typical(1e-6, 1.0), "mass per length, for weight"
     ] = field(default=None, kw_only=True)
     pieces: tuple[Piece, ...] = field(default=(), kw_only=True)
-    """Behind the straight part, from there to the tip; none of a tube of one radius."""
+    """Pieces behind the straight part, up to the tip; empty for a tube of one radius."""
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__

@@ -177,7 +177,8 @@ class Recipe:
 
     metal: str
     usual: tuple[float, float]
-    """Between which it is set: beyond, it takes the shape badly, or loses its elasticity within a minute."""
+    """Usual range of the setting temperature. Outside it the metal takes the shape badly, or soon loses its
+    elasticity."""
     most: float
     """Temperature, degC, above which the shape cannot be set, whatever the time."""
     lost: str

@@ -82,7 +82,7 @@ class Group:
     tubes: Index
     """(k,) numbers of the tubes among the n of the robot."""
     bundle: ShootingArm
-    """These tubes first, then a straight tube at each offset that has none of them.
+    """Tubes of the group first, then a straight tube at each offset without one.
 
     Each offset has the stiffness of all tubes there. Transmissions are those on the centreline.
     """

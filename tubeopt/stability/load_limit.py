@@ -55,7 +55,7 @@ class LoadLimit(Displayed):
     load without an energy: the equilibrium continues, but slow oscillations about it grow (docs/loads.md).
     """
     before: Annotated[Equilibrium, "equilibrium at the limit"]
-    """Its margin is 0."""
+    """Equilibrium at the limit; its margin is 0."""
     after: Annotated[Equilibrium | None, "equilibrium after the loss of stability; null if none was found"]
     """Equilibrium after the loss of stability.
 

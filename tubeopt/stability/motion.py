@@ -41,7 +41,7 @@ class Snap(Displayed):
     fraction: Annotated[float, "fraction of the path to the snap"]
     """0 at the waypoint `index`, 1 at the next one."""
     before: Annotated[Equilibrium, "equilibrium that is lost"]
-    """Its margin is 0, at the joint values of the snap."""
+    """Equilibrium at the joint values of the snap; its margin is 0."""
     after: Annotated[Equilibrium, "equilibrium after the snap"]
 
     rotations, translations = Delegate[Array]("before"), Delegate[Array]("before")

@@ -1,4 +1,4 @@
-"""How far the tubes may turn from an equilibrium before anything can snap, proved from that one equilibrium.
+"""Bound on the rotation of the tubes without a snap, proved from one equilibrium.
 
 At every collocation point a, each pair p = (i, j) of tubes curved there has an angle psi_p = theta_i - theta_j and a
 coupling w_p = B_a m_i m_j / K > 0. With theta = alpha + L z, the incidence D (+1 at i, -1 at j) and A = D L,
@@ -89,7 +89,7 @@ FARTHEST = 2 * FULL_TURN
 
 
 class SnapDistanceStatus(StatusEnum):
-    """What is known of the distance; every value reads as a sentence."""
+    """Status of a snap distance; every value reads as a sentence."""
 
     PROVED = "within this distance nothing can snap"
     NEVER = "the tubes cannot snap by turning at these translations"
@@ -248,7 +248,7 @@ class PairForm:
 
     @staticmethod
     def of(equilibrium: Equilibrium) -> PairForm:
-        """That of an equilibrium of concentric tubes without a load."""
+        """Pair form of an equilibrium of concentric tubes without a load."""
         shift = tuple(equilibrium.translations.tolist())
         problem = reduced_problem(equilibrium.robot, shift, discretisation_of(equilibrium))
         z = to_unknowns(problem, equilibrium.rotations, sample_rotation(equilibrium, problem.arc_length))
@@ -268,7 +268,7 @@ class PairForm:
 
     @staticmethod
     def sliding(equilibrium: Equilibrium, slide: Array) -> PairForm:
-        """That of even concentric tubes, on a mesh cut at the breakpoints before and after slides (n,), m."""
+        """Pair form of even concentric tubes, on a mesh cut at the breakpoints before and after slides (n,), m."""
         robot, shift, n = equilibrium.robot, equilibrium.translations, equilibrium.robot.n_tubes
         slide = np.minimum(slide, np.array([tube.straight_length for tube in robot.tubes]) - shift)
         before, after = robot.assembly(shift), robot.assembly(shift + slide)
@@ -356,7 +356,7 @@ class PairForm:
         return low, high, np.stack([self.h(low), self.h(high), np.zeros_like(low), other])
 
     def slid(self, slides: Slides, low: Array, high: Array) -> Array:
-        """(..., 2 P) by how much slides widen the image of a box."""
+        """(..., 2 P) widening of the image of a box by slides."""
         bottom, top = _range_of_cosine(self.psi + low - np.pi / 2, self.psi + high - np.pi / 2)  # of the sine
         # Torques T = D' w' sin of the weakest or strongest coupling; turns of the bases from none to the whole one.
         least, most = (
@@ -371,7 +371,7 @@ class PairForm:
         return np.asarray(turns @ _widening(self.J).T + strips @ _widening(self.G).T)
 
     def proves(self, y: Array) -> bool:
-        """Whether every d with J d in the boxes y (S, 2 P) leads to one stable equilibrium, without a snap between."""
+        """True if every d with J d in the boxes y (S, 2 P) leads to one stable equilibrium, without a snap."""
         y = y + np.tile(self.defect, 2)
         box = self._by_newton(y) if self.slides is None else self._by_sweeps(y)
         if box is None or not (self.image(y, box) <= box).all():
@@ -433,7 +433,7 @@ class PairForm:
 
 
 def _widening(matrix: Array) -> Array:
-    """(2 P, 2 Q) by how much a box (-low, high) of Q numbers widens that of their images under a matrix (P, Q)."""
+    """(2 P, 2 Q) widening of the image under a matrix (P, Q) per widening of a box (-low, high)."""
     positive, negative = np.maximum(matrix, 0), np.maximum(-matrix, 0)
     return np.block([[positive, negative], [negative, positive]])
 

@@ -293,7 +293,7 @@ def _within(start: float, reach: float, scale: float, prior: float) -> Range:
 
 
 def _own(name: str, reach: float, scale: float, prior: float, *, positive: bool = False) -> Range:
-    """Around the value of the drives, or from 0 on."""
+    """Range around the value of the drives, or from 0 on."""
 
     def span(context: Context, index: int | None) -> Span:
         start = float(np.atleast_1d(getattr(context.setup.drives, name))[index or 0])
@@ -304,7 +304,7 @@ def _own(name: str, reach: float, scale: float, prior: float, *, positive: bool 
 
 
 def _mounted(name: str, reach: float, scale: float, prior: float) -> Range:
-    """Around where the file says that the plate or the sensor is."""
+    """Range around the pose of the plate or the sensor in the file."""
 
     def span(context: Context, index: int | None) -> Span:
         start = float(getattr(context.setup, name)[index or 0])

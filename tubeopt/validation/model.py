@@ -48,7 +48,7 @@ class Poses:
 
     @property
     def found(self) -> Mask:
-        """(N,) whether there is an equilibrium."""
+        """(N,) True for rows with an equilibrium."""
         return np.isfinite(self.frame[:, 0, 0])
 
 

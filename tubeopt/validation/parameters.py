@@ -30,13 +30,13 @@ class Parameter(Span):
     kind: str
     """Kind of its effect, such as "curvature"."""
     index: int | None
-    """Its number, from 0; None: all."""
+    """Number of the object, from 0; None for all."""
     unit: str
     """Unit of its effect; "" for a factor on all curvatures."""
     which: tuple[int, ...]
     """Places in the setup that it sets."""
     idle: str = ""
-    """Why it has no influence on the tips, in words; "" where it may have one."""
+    """Reason why the parameter has no influence on the tips, as text; "" where it may have one."""
 
     @property
     def effect(self) -> Effect:

@@ -71,8 +71,10 @@ class Registration:
         return np.asarray(points @ self.rotation.T + self.translation)
 
     def moved(self, step: Array) -> Registration:
-        """After a small step in its freedoms (F,): the plate turned (rad) about its centre, then shifted (m), as the
-        device sees it; for base-axis turned about its own axis."""
+        """Registration after a small step in its freedoms (F,), as the device sees it.
+
+        The plate turns (rad) about its centre, then shifts (m); for base-axis it turns about its own axis.
+        """
         if not len(step):
             return self
         turns = [np.array(self.rates(k)[0]) * x for k, x in enumerate(step[:3])]

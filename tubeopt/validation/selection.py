@@ -587,7 +587,7 @@ class HeldOutSets:
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Around a fit to V observations, with P parameters and F freedoms of the registration."""
+    """Slopes around a fit to V observations, with P parameters and F freedoms of the registration."""
 
     model: ArmModel
     """Model with all parameters, those of the fit first."""

@@ -36,7 +36,7 @@ class HeatingLaw:
     """Control law: planned schedule, reference and gains."""
 
     slot: float
-    """Duration of a slot, in which the count is constant, s."""
+    """Duration of a slot, with one count, s."""
     planned: Array
     """(T,) mean counts of the planned schedule in every slot, 0 to 255."""
     reference: Array
@@ -73,7 +73,7 @@ class LawState:
     owed: Array
     """(B,) counts that rounding left out."""
     waited: Array
-    """(B,) time of waiting so far, s."""
+    """(B,) time of waiting up to now, s."""
 
     @classmethod
     def start(cls, members: int) -> LawState:
@@ -148,10 +148,10 @@ class LoopHistory:
     top: Array
     """(T, B) hottest point of the tube, degC."""
     finished: NDArray[np.bool_]
-    """(B,) which rigs completed the schedule."""
+    """(B,) True for rigs that completed the schedule."""
 
     def in_hold(self, law: HeatingLaw) -> Array:
-        """(T, B) which times lie in the hold, its end included."""
+        """(T, B) True for times in the hold, its end included."""
         first, last = law.hold
         return np.asarray((self.index >= first) & (self.index <= last))
 
@@ -233,7 +233,7 @@ class Feedback(Displayed):
     uncertainty: Uncertainty
     """Uncertainty of rig and tube."""
     history: LoopHistory
-    """Simulated control loops: the nominal rig first, then the sampled ones."""
+    """Simulated control loops: the nominal rig first, then the sampled rigs."""
     lowest: Array
     """(S,) lowest temperature of the curved part in the hold, degC."""
     highest: Array
@@ -241,7 +241,7 @@ class Feedback(Displayed):
     top: Array
     """(S,) highest temperature of any point at any time, degC."""
     kept: NDArray[np.bool_]
-    """(S,) which rigs stay in the window for the whole hold, and below the limit at all times."""
+    """(S,) True for rigs that stay in the window for the whole hold, and below the limit at all times."""
     open_loop: Annotated[float, "the same fraction with the schedule alone, without sensor"]
     contributions: Annotated[tuple[Contribution, ...], "effects on the hold temperature, largest first"]
     """The entry "sensor" is the bias of the sensor."""

@@ -35,7 +35,7 @@ MAX_COLDER = 4.0
 
 # Duties fall after the hold has begun, away from the ramp. Half and twice change no plan.
 WATCHED = 10.0
-"""Time of the hold for which every count is checked, s: later no duty comes near the ramp."""
+"""Time of the hold with a check of every count, s: later no duty comes near the ramp."""
 
 # Between two instants that are checked the rate may be greater. Twice delays the hold by half a second; with half of it
 # other counts are chosen, and glass mica misses by 0.5 K more.
@@ -45,12 +45,12 @@ RAMP_MARGIN = 0.005
 # One count warms a tube by 4.6 K in 0.5 s. Half of it changes no plan; with twice the window of 10 K is reached 1.5 s
 # later, and glass mica misses by 0.4 K more.
 MIN_INTERVAL = 0.5
-"""Smallest time for which a duty of the hold is chosen, s; shorter slots share it."""
+"""Smallest time with a duty of its own in the hold, s; shorter slots share it."""
 
 # Where a mold draws ever more heat the coldest point warms ever more slowly: the search then ends after three checks
 # instead of at the longest heating. Half and twice change no plan.
 STALL, MAX_SPEED_UP = 10.0, 2.0
-"""Time between checks of the coldest point, s, and the factor by which it may warm faster later."""
+"""Time between checks of the coldest point, s, and largest factor of its warming speed later."""
 
 # Radiation and resistance bend the line a little. Half and twice move temperatures by up to 0.4 K.
 PROBE = 8.0
@@ -61,7 +61,7 @@ CLOSE = 0.05
 
 
 def sum_up_rounding(duty: ArrayLike) -> Counts:
-    """Counts (T,) whose running sum differs from that of 255 times the duty by at most a half.
+    """Counts (T,) with a running sum within a half of that of 255 times the duty.
 
     Every slot gets the count that brings the sums together again. Between two counts the schedule dithers in the right
     proportion, which the tube averages: the combinatorial integral approximation with equal slots (Sager, Math.
@@ -170,7 +170,7 @@ class Instant:
     max_count: float
     """Greatest count that the limits allow now."""
     max_calm: float
-    """Greatest count with which no cell, those in the clamps included, warms faster than the ramp.
+    """Greatest count for which no cell, those in the clamps included, warms faster than the ramp.
 
     With it none does later either: under constant power the fastest warming of all cells never grows.
     """
@@ -362,7 +362,7 @@ def _hold(model: ThermalModel, spec: HeatingSpec, rig: Rig, state: State, high: 
 
 
 def _centring_target(model: ThermalModel, state: State, middle: float) -> float:
-    """Temperature of the hottest point, degC, with which the curved part spreads evenly about `middle`."""
+    """Temperature of the hottest point, degC, that spreads the curved part evenly about `middle`."""
     coldest, hottest, peak = tube_extremes(model, state.cells[0, :, 0])
     # A bare part may be hotter than the curved one.
     return float(middle + 0.5 * (hottest - coldest) + peak - hottest)
@@ -378,7 +378,7 @@ class Rollout:
     caps: Array
     """(K,) temperature limit of all points after each duty, degC."""
     centred: NDArray[np.bool_]
-    """(K,) which duties centre the curved part about the middle of the window, as far as the cap allows."""
+    """(K,) True for duties that centre the curved part about the middle of the window, as far as the cap allows."""
     states: tuple[State, ...]
     """K + 1 states, from the start."""
 
@@ -416,7 +416,7 @@ def rollout(
 
 
 def would_centre(model: ThermalModel, spec: HeatingSpec, course: Rollout) -> NDArray[np.bool_]:
-    """(K,) which duties of a rollout would be less if they centred the curved part about the window's middle."""
+    """(K,) True for duties of a rollout that centring the curved part in the window would lower."""
     middle, peaks = 0.5 * sum(spec.window_degC), course.extremes(model)[2, 1:]
     return np.array([_centring_target(model, state, middle) for state in course.states[:-1]]) < peaks
 
@@ -427,7 +427,7 @@ def _hottest(state: State) -> float:
 
 
 def _duty_for_target(model: ThermalModel, state: State, most: float, span: float, target: float) -> float:
-    """Greatest duty, up to `most`, with which no point is above `target` (degC) after `span` s."""
+    """Greatest duty, up to `most`, that keeps all points below `target` (degC) after `span` s."""
     less = max(most - PROBE / COUNTS, 0.0)
     top, bottom = (_hottest(advance(model, state, level, span)) for level in (most, less))
     if top <= target or most <= less:

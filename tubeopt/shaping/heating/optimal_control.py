@@ -157,7 +157,7 @@ class Structure:
     resolution: Resolution
     mesh: TimeMesh = TIME_MESH
     soft_limit: bool = False
-    """Whether the limit is relaxed by the miss as the window is; otherwise it is a bound of the unknowns."""
+    """True if the miss relaxes the limit as it does the window; otherwise the limit bounds the unknowns."""
     chosen: tuple[str, ...] = ()
     """Parameters of the rig that may be chosen: every interval has a copy of them."""
 

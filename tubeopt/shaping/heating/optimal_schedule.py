@@ -57,7 +57,10 @@ WEIGHTS = {
     "margin": {"w_time": 0.3, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 1.0, "w_I_sq": 0.01},
     "own": {"w_time": 0.0, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 3.0, "w_I_sq": 0.01},
 }
-"""Weights per s / 30, J / 1e4, square of 25 K, K, and square of changes of the mean square current of 100 A^2."""
+"""Weights per s / 30, J / 1e4, square of 25 K, K, and square of changes by 100 A^2.
+
+The changes are of the mean square current.
+"""
 
 
 class CourseNumbers(NamedTuple):
@@ -128,12 +131,12 @@ class Ideal:
 
 @dataclass(frozen=True, eq=False)
 class Shift:
-    """Temperatures of a finer model less those of the program, K."""
+    """Differences between the temperatures of a finer model and of the program, K."""
 
     hold: Array
-    """(H, 1 + c) in the hold, at the start of the curved part and at its cells."""
+    """(H, 1 + c) differences in the hold, at the start of the curved part and at its cells."""
     tube: Array
-    """(N, n) at all points and cells."""
+    """(N, n) differences at all points and cells."""
     own: Array
     """Values of own requirements at the simulation less those at the solution."""
 
@@ -249,7 +252,7 @@ def own_values(tube: Tube, spec: HeatingSpec, ideal: Ideal, own: OwnTerms, run: 
 
 
 class OwnRun(NamedTuple):
-    """Simulation at which own requirements are evaluated."""
+    """Simulation for own requirements."""
 
     model: ThermalModel
     history: History

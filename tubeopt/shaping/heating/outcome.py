@@ -83,7 +83,7 @@ class Outcome:
 def outcome_of(
     model: ThermalModel, rig: Rig, spec: HeatingSpec, history: History, start: float, mesh: MeshError = NO_ERROR
 ) -> Outcome:
-    """Outcome of a history of `resimulate` whose hold starts at `start`, s."""
+    """Outcome of a history of `resimulate`, with the hold from `start`, s."""
     within = history.within
     assert within is not None
     first, last = hold_slots(spec, start)
@@ -185,7 +185,7 @@ Simulated = tuple[ThermalModel, History]
 
 
 def mesh_error(coarse: Simulated, fine: Simulated, spec: HeatingSpec, start: float) -> MeshError:
-    """Mesh error of a simulation whose hold starts at `start`, s, from one on a grid half as fine."""
+    """Mesh error of a simulation with the hold from `start`, s, from one on a grid half as fine."""
     first, last = hold_slots(spec, start)
     extremes = [np.array(tube_extremes(model, history.tube[: last + 1, 0])) for model, history in (coarse, fine)]
     # Of second order: the error of half as many cells is 4 times that of the fine grid, their difference 3 times.

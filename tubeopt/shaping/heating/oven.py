@@ -52,24 +52,33 @@ METHODS = ("oven", "furnace", "salt_bath")
 QUENCHES = ("water", "water_in_mold", "air")
 
 CONVECTION = {"oven": 20.0, "furnace": 10.0, "salt_bath": 600.0}
-"""Heat transfer to the mold without radiation, W/(m^2 K): a fan oven (forced convection of gases begins at 25), still
-air of a muffle furnace (free convection of gases: 2 to 25), stirred nitrate salt. Order of magnitude, assumed."""
+"""Heat transfer to the mold without radiation, W/(m^2 K). Order of magnitude, assumed.
+
+A fan oven (forced convection of gases begins at 25), still air of a muffle furnace (free convection of gases: 2 to 25),
+stirred nitrate salt.
+"""
 
 POROUS = 1500.0
 """Density, kg/m^3, below which a mold material is a board that soaks up salt."""
 
 CELLS = (8, 8, 13)
-"""Finite volumes along half of the length, half of the width and all of the thickness. With twice as many the soak time
-changes by less than 1 %. The last is odd: the tube then lies in the middle of a layer of cells."""
+"""Finite volumes along half of the length, half of the width and all of the thickness.
+
+With twice as many the soak time changes by less than 1 %. The last is odd: the tube then lies in the middle of a layer
+of cells.
+"""
 
 POINTS = 33
-"""Points of the curved part whose temperature is followed."""
+"""Number of points of the curved part with a computed temperature."""
 
 LONGEST = 12 * 3600.0
 """Time, s, after which a mold that is not through counts as one that never will be."""
 
 RELATIVE, KELVIN = 1e-5, 1e-3
-"""Tolerances of a step in time: relative, and in K. A tenth of them moves the soak time by less than 0.1 %."""
+"""Tolerances of a step in time: relative, and in K.
+
+A tenth of them moves the soak time by less than 0.1 %.
+"""
 
 
 @dataclass(frozen=True)
@@ -155,9 +164,9 @@ class OvenCourse:
     time: Array
     """(S,) s, from when the mold is put in."""
     coldest: Array
-    """(S,) of the curved part, degC."""
+    """(S,) coldest temperature of the curved part, degC."""
     hottest: Array
-    """(S,) of the curved part, degC."""
+    """(S,) hottest temperature of the curved part, degC."""
     surface: Array
     """(S,) mean of the mold's faces, degC."""
     medium: Array
@@ -166,7 +175,7 @@ class OvenCourse:
 
 @dataclass(frozen=True, eq=False)
 class OvenPlan(Displayed):
-    """Soak time of a tube in an oven, and what follows from it."""
+    """Soak time of a tube in an oven, with the temperatures over time."""
 
     _brief = ("status", "soak_time", "coldest", "hottest", "cold_radius")
 
@@ -180,10 +189,10 @@ class OvenPlan(Displayed):
     """Empty if the plan can be used."""
     remarks: Annotated[tuple[str, ...], "what to check"]
     soak_time: Annotated[float, unit("s"), form(".0f"), "soak time: from putting the mold in to taking it out"]
-    """With the oven colder than its setting by the uniformity. Infinite if the window is not reached."""
+    """Soak time with the oven colder than its setting by the uniformity. Infinite if the window is not reached."""
     warm_time: Annotated[float, unit("s"), form(".0f"), "time until the coldest point is in the window"]
     first_time: Annotated[float, unit("s"), form(".0f"), "time until the first point is in the window"]
-    """With the oven hotter than its setting by the uniformity."""
+    """Time with the oven hotter than its setting by the uniformity."""
     coldest: Annotated[float, unit("degC"), form(".1f"), "coldest point of the curved part at the end of the soak"]
     hottest: Annotated[float, unit("degC"), form(".1f"), "hottest point of the curved part during the soak"]
     quench_start: Annotated[float, unit("degC"), form(".1f"), "coldest point when the quench begins"]
@@ -199,12 +208,12 @@ class OvenPlan(Displayed):
 
     @property
     def feasible(self) -> bool:
-        """Whether every requirement is met."""
+        """True if every requirement is met."""
         return not self.problems
 
     @property
     def status(self) -> OvenStatus:
-        """Whether every requirement is met; `problems` names those that are not."""
+        """Status of the requirements; `problems` names the violated ones."""
         return OvenStatus.HELD if self.feasible else OvenStatus.MISSED
 
     @property
@@ -227,7 +236,7 @@ class Medium(NamedTuple):
     temperature: float
     """K."""
     transfer: float
-    """Without radiation, W/(m^2 K)."""
+    """Heat transfer without radiation, W/(m^2 K)."""
     emissivity: float
     power: float = math.inf
     """Largest heat flow into the mold, W."""
@@ -357,7 +366,10 @@ class MoldBlock:
 
 
 def arc_points(tube: Tube) -> Array:
-    """(POINTS, 2) of the curved part in the middle plane, from the middle of the plates, m: along and across."""
+    """(POINTS, 2) points of the curved part in the middle plane, from the middle of the plates, m.
+
+    Along and across.
+    """
     angle = (np.linspace(0.0, 1.0, POINTS) - 0.5) * tube.curved_length * tube.curvature
     if not tube.curvature:
         return np.stack([(np.linspace(0.0, 1.0, POINTS) - 0.5) * tube.curved_length, np.zeros(POINTS)], 1)
@@ -384,7 +396,7 @@ def mold_length(oven: Oven, tube: Tube) -> float:
 
 
 def tube_lag(tube: Tube, oven: Oven) -> float:
-    """Time constant, s, with which the tube follows the wall of its groove through the air between."""
+    """Time constant, s, of the tube behind the wall of its groove, through the air between."""
     data, groove = thermal_data(tube), Rig(mold=oven.mold, ambient=oven.ambient)
     per_length = gap_transfer(tube, groove) * math.pi * tube.outer_diameter
     return data.density * data.heat_capacity * tube.cross_section / per_length
@@ -528,7 +540,7 @@ def problems_of(oven: Oven, window: tuple[float, float], warm: float, late: floa
 
 
 def remarks_of(oven: Oven, tail: Cooling) -> tuple[str, ...]:
-    """What to check, as text."""
+    """Remarks on points to check, as text."""
     found = list[str]()
     if oven.convection is None:
         found.append(
@@ -556,7 +568,7 @@ class Cooling:
     quench_start: float
     """Coldest point as the quench begins, degC."""
     quench_time: float
-    """From there until the hottest point is below 100 degC, s."""
+    """Time from the removal until the hottest point is below 100 degC, s."""
     ageing_time: float
     """Longest time of a point between the temperatures of `AGEING_DEGC`, s."""
 

@@ -35,8 +35,10 @@ QUENCHED_DEGC = 100.0
 """Temperature below which the structure of nitinol does not change within seconds."""
 
 AGEING_DEGC, SHORTEST_AGEING = (400.0, 500.0), 120.0
-"""Temperatures around the fastest precipitation of Ti-50.8Ni wire, which changes its austenite finish, and the shortest
-published treatment, s (ASME 2nd Frontiers in Biomedical Devices, BIOMED2007, p. 89)."""
+"""Temperatures, degC, that precipitate Ti-50.8Ni wire fastest, and the shortest published treatment, s.
+
+Precipitation changes the austenite finish (ASME 2nd Frontiers in Biomedical Devices, BIOMED2007, p. 89).
+"""
 
 
 class HeatingStatus(StatusEnum):
@@ -81,7 +83,7 @@ class Course:
     position: Array
     """(X,) positions along the tube from the outer end of a clamp, m."""
     curved: NDArray[np.bool_]
-    """(X,) which positions belong to the curved part."""
+    """(X,) True for positions in the curved part."""
     zone: NDArray[np.intp]
     """(X,) 0 clamp, 1 clearance, 2 lead, 3 curved part."""
     ideal_duty: Array
@@ -225,13 +227,13 @@ class HeatingPlan(Displayed):
 
     @property
     def in_hold(self) -> NDArray[np.bool_]:
-        """(T,) which times lie in the hold, both ends included."""
+        """(T,) True for times in the hold, both ends included."""
         round_off = 1e-6
         return np.asarray((self.time >= self.hold_start - round_off) & (self.time <= self.hold_end + round_off))
 
     @property
     def rounding_error(self) -> float:
-        """Largest difference of the temperatures from those of the ideal duties, K."""
+        """Largest difference between the temperatures with rounded and with ideal duties, K."""
         return float(np.abs(self.temperature - self.ideal_temperature).max())
 
     @property
@@ -322,7 +324,7 @@ def _mirrored(half: NDArray[Any]) -> NDArray[Any]:
 
 
 def cooling_rate(tube: Tube, transfer: float) -> float:
-    """Rate (1/s) at which a tube out of the mold approaches the medium around it, as a lump of metal.
+    """Rate (1/s) of approach of a tube out of the mold to the temperature of the medium, as a lump of metal.
 
     Args:
         transfer: heat transfer coefficient, W/(m^2 K).
@@ -333,23 +335,26 @@ def cooling_rate(tube: Tube, transfer: float) -> float:
 
 
 def quench_time(tube: Tube, spec: HeatingSpec, T_hot: float) -> float:
-    """Time (s) in which the hottest point cools from T_hot (K) to 100 degC out of the mold, as a lump of metal."""
+    """Time (s) for the hottest point to cool from T_hot (K) to 100 degC out of the mold.
+
+    The tube is a lump of metal.
+    """
     rate = cooling_rate(tube, WATER if spec.quench == "water" else AIR)
     T_medium, T_cold = 20.0 + ZERO_CELSIUS, QUENCHED_DEGC + ZERO_CELSIUS
     return 0.0 if T_hot <= T_cold else max(0.0, math.log((T_hot - T_medium) / (T_cold - T_medium)) / rate)
 
 
 class Ageing(NamedTuple):
-    """Tube beside the curved part that is within `AGEING_DEGC`."""
+    """Stretches of the tube next to the curved part within `AGEING_DEGC`."""
 
     length: float
-    """Length at each end whose highest temperature is in this range, m."""
+    """Length at each end with its highest temperature in this range, m."""
     longest: float
     """Longest time of one of its points in this range, s."""
 
 
 def ageing(plan: HeatingPlan) -> Ageing:
-    """Ageing of the tube beside the curved part, where nitinol precipitates."""
+    """Ageing of the tube next to the curved part, where nitinol precipitates."""
     half = len(plan.position) // 2
     outside = np.flatnonzero(~plan.curved[:half])
     low, high = AGEING_DEGC
@@ -364,7 +369,7 @@ def ageing(plan: HeatingPlan) -> Ageing:
 
 
 def ageing_remarks(plan: HeatingPlan) -> tuple[str, ...]:
-    """Remark on the ageing beside the bend; none where no part of the tube is in this range."""
+    """Remark on the ageing next to the bend; none if no part of the tube is in this range."""
     length, longest = ageing(plan)
     if not length:
         return ()
@@ -386,7 +391,7 @@ MIN_GAIN = 0.1
 """Smallest relative change that is reported: of a miss, and of the time to the longest heating."""
 
 MIN_BLOCKED = 0.1
-"""Smallest fraction of the time to the end of the hold in which a limit must block to be named."""
+"""Smallest fraction of the time to the end of the hold that a named limit must block."""
 
 
 def reasons_of(schedule: Schedule) -> tuple[str, ...]:

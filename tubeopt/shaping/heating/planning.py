@@ -210,7 +210,9 @@ def _sorted(cures: Sequence[Cure]) -> tuple[Cure, ...]:
 
 
 def _lead_alone_is_useless(change: Change, tried: Sequence[TriedChange]) -> bool:
-    """True if a change frees only the lead, and the solution with the fixed lead shows that a longer one is no better.
+    """True if a change frees only the lead, and a longer lead is no better.
+
+    The solution with the fixed lead shows it.
 
     The solution with the lead fixed at its lower bound is then also the one with the lead free.
     """
@@ -242,7 +244,7 @@ def _by_minimum_time(change: Change, tube: Tube, despite_limits: bool) -> Cure |
 
 
 def _with_check_slot(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[HeatingSpec, ...]:
-    """The question with longer slots, if these fit the hold and half a count heats little in one; and as it is."""
+    """Question with longer slots, if these fit the hold and half a count heats little in one; and the original one."""
     longer = spec.slot * math.floor(CHECK_SLOT / spec.slot + 1e-9)
     if longer <= spec.slot or abs(spec.hold_time / longer - round(spec.hold_time / longer)) > 1e-9:
         return (spec,)

@@ -1,4 +1,4 @@
-"""Replanning the rest of a heating on a computer beside the rig, from the readings of its sensor.
+"""Replanning of the rest of a heating on a computer next to the rig, from the readings of its sensor.
 
 An observer runs a coarse thermal model in parallel with the counts of the board. Its prediction errors correct the
 temperatures of the tube and the strength of the heating relative to the model: an input disturbance, which removes
@@ -36,7 +36,7 @@ PROCESS_NOISE, MODEL_NOISE = 1.0, 2.0
 
 # Large beside round-off, small beside the half that the law may change.
 PROBE = 0.05
-"""Relative increase of a planned duty with which the response is simulated."""
+"""Relative increase of a planned duty for the simulated response."""
 
 MAX_SLOTS = 12
 """Longest override, slots: the board continues alone when it ends. The firmware accepts at most 20."""

@@ -41,14 +41,17 @@ OHMS = Typical(1e-5, 0.5)
 """Typical resistances of cables, contacts and batteries, ohm; tubes have more."""
 
 HOT = 500.0
-"""Rise over ambient, K, at which the heat transfer of tubes into air is taken; in free convection it changes with the
-sixth root of it."""
+"""Rise over ambient, K, for the heat transfer of tubes into air; in free convection it changes with the sixth root of
+it."""
 
 MOST_VOLT = 120.0
 """Largest battery voltage, V: above it, it is no low voltage, which switches and safety rules of a workshop assume."""
 
 CHARGED = 1.08
-"""Voltage of a battery that has just been charged, as a multiple of that at rest when full: up to 13.7 V of 12.7."""
+"""Voltage of a freshly charged battery, as a multiple of the rest voltage when full.
+
+Up to 13.7 V of 12.7 V.
+"""
 
 SIDE_CLEARANCE = 50e-6
 """Default side clearance, m."""
@@ -67,7 +70,7 @@ OPEN_CIRCUIT = (
     (0.9, 12.62),
     (1.0, 12.73),
 )
-"""(state of charge, V) of a rested 12 V flooded lead-acid battery: Trojan Battery Company, User's Guide."""
+"""Pairs (state of charge, V) of a rested 12 V flooded lead-acid battery: Trojan Battery Company, User's Guide."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +129,7 @@ class Battery:
 
     @property
     def voltage_slope(self) -> float:
-        """Change of the open-circuit voltage with the state of charge, below where it stands, V."""
+        """Change of the open-circuit voltage with the state of charge, just below the current state, V."""
         table = np.array(self.open_circuit)
         k = min(max(int(np.searchsorted(table[:, 0], self.state_of_charge)), 1), len(table) - 1)
         return float((table[k, 1] - table[k - 1, 1]) / (table[k, 0] - table[k - 1, 0]))
@@ -274,7 +277,7 @@ class MoldBed:
 
     @property
     def play(self) -> float:
-        """Side clearance, m; if not given, that of the default."""
+        """Side clearance, m; if not given, the default."""
         return next((x for x in (self.side_clearance, self.gap) if x is not None), SIDE_CLEARANCE)
 
     @property

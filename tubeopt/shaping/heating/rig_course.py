@@ -40,7 +40,7 @@ from .thermal import (
 
 
 class Scales(NamedTuple):
-    """Sizes by which unknowns and residuals are divided, so that IPOPT sees numbers of the order of 1."""
+    """Scales of unknowns and residuals, so that IPOPT sees numbers of the order of 1."""
 
     T: float = 500.0
     """Temperature above ambient, K."""
@@ -71,7 +71,7 @@ class Scales(NamedTuple):
 SCALE = Scales()
 
 VENTS = 6
-"""Number of points from the end of the mold to its middle at which vents may be chosen; linear between them."""
+"""Number of points from the end of the mold to its middle for possible vents; linear between them."""
 
 RIG_PARAMETERS = {
     "clearance": ("clamps", "clearance"),
@@ -216,7 +216,7 @@ class TimeMesh:
 
     @property
     def holding_points(self) -> int:
-        """Number of points of the hold, H, with the one at which it begins."""
+        """Number of points of the hold, H, its first point included."""
         return self.hold * self.degree + 1
 
     def times(self, heating: float, hold: float) -> tuple[Array, Array]:

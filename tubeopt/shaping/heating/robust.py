@@ -207,17 +207,17 @@ INSIDE = 0.25
 # With 48 rigs the fraction in the window has a standard error of 7 %, enough to order five gains; the time is
 # proportional to their number.
 RIGS = 48
-"""Number of random rigs on which gains and set-point are chosen; others test them."""
+"""Number of random rigs for the choice of gains and set-point; other rigs test them."""
 
 SHIFTS = np.linspace(-15.0, 15.0, 121)
 """Set-points among which the best is chosen, K from the plan's."""
 
 PROBE = 0.02
-"""Relative increase of the planned duties with which the response of the reading is simulated."""
+"""Relative increase of the planned duties for the simulated response of the reading."""
 
 # The first shells of the mold warm up in about this time, and the power that the tube needs falls with it.
 RESET = 8.0
-"""Time in which a lasting error costs as much as its instantaneous value, s."""
+"""Time after which a lasting error has cost as much as its instantaneous value, s."""
 
 KELVIN_GAINS = (0.002, 0.005, 0.01, 0.02, 0.04)
 """Corrections that cost as much as an error of 1 K, 1/K, from gentle to quick gains."""

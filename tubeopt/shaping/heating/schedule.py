@@ -44,11 +44,11 @@ from .thermal import COARSE, FINE, ThermalModel, curved_temperatures, thermal_mo
 
 # The default longest heating is 360 s: 800 starts keep its grid at 0.5 s. With half of them a hold begins 1.5 s later.
 MAX_STARTS = 800
-"""Number of times at which the hold may begin, at least half a second apart."""
+"""Number of possible start times of the hold, at least half a second apart."""
 
 # In geometric steps up to 360 s, each is 2.1 times the one before. Half and twice change no plan.
 BRANCHES = 9
-"""Number of times from which on the curved part is centred about the middle of the window."""
+"""Number of start times after which the curved part is centred about the middle of the window."""
 
 # The reading of the thesis' tube settles with a time constant of 2.3 s, thick tubes in metal take longer. Half and
 # twice change no plan.
@@ -57,11 +57,11 @@ SETTLING = 60.0
 
 # In longer holds the tube is no more even after a wait, but the mold is warmer.
 SHORT_HOLD = 20.0
-"""Length of a hold up to which a colder wait before it may help, s."""
+"""Longest hold that a colder wait before it may help, s."""
 
 # After a colder wait the rise takes longer than the ends need to cool; a hotter wait is the hold.
 WAIT_LEVELS = 0.6, 0.85
-"""Temperatures of the wait above ambient, as fractions of that of the limit."""
+"""Temperatures of the wait above ambient, as fractions of the limit above ambient."""
 
 # Geometric, from half of what one count changes in a slot to what the ramp of 20 K/s makes in two seconds.
 RISES, RISE_TIME = (2.0, 5.0, 10.0, 20.0, 40.0), 5.0
@@ -108,7 +108,7 @@ SETTLED = 2.0
 
 # Above it counts decide whether the window is kept, and are computed in every round. Half and twice change no plan.
 FINE_SWING = 0.5
-"""Largest ripple by the rounding of duties with which the estimate without counts is accurate enough, K."""
+"""Largest ripple by the rounding of duties for a sufficiently accurate estimate without counts, K."""
 
 # In board 0.17 % of the rise, in glass mica 1.4 %. With half of it a plan at 8 K/s is 2 K hotter, with twice a hold
 # begins half a second later.
@@ -127,7 +127,7 @@ class NearestHold:
 
     course: Rollout
     first: int
-    """Index of the duty with which the hold begins."""
+    """Index of the first duty of the hold."""
     miss: float
     """Miss of the window, K."""
 
@@ -166,7 +166,7 @@ def no_duties(model: ThermalModel, span: float) -> Rollout:
 
 
 def search_hold(model: ThermalModel, rig: Rig, spec: HeatingSpec, cap: float) -> NearestHold:
-    """Mean duties with the smallest miss of the window with which no point is hotter than `cap`, degC."""
+    """Mean duties with the smallest miss of the window and no point hotter than `cap`, degC."""
     slots = int(spec.longest_heating / spec.slot)
     slots_per_duty = max(round(MIN_INTERVAL / spec.slot), math.ceil(slots / MAX_STARTS), 1)
     span = slots_per_duty * spec.slot
@@ -257,7 +257,7 @@ class Programmed:
 
     ideal: Ideal
     shift: Shift | None
-    """Correction of the temperatures with which it was solved."""
+    """Temperature correction of the solve."""
     reserve: WindowReserve
 
 
@@ -403,7 +403,7 @@ def _minimum_time(tube: Tube, rig: Rig, spec: HeatingSpec) -> MinimumTime | None
 def _nearest_schedule(
     tube: Tube, rig: Rig, spec: HeatingSpec, nearest: NearestHold, program: Programmed | None
 ) -> Schedule:
-    """Whole counts of mean duties whose hottest point comes to just below the limit."""
+    """Whole counts of mean duties that bring the hottest point to just below the limit."""
     model, best = thermal_model(tube, rig, FINE), None
     for _ in range(CAP_TRIES):
         course, first = nearest.course, nearest.first
@@ -504,7 +504,7 @@ def _own_values_of(schedule: Schedule, tube: Tube, ideal: Ideal, own: OwnTerms) 
 
 
 def _no_worse(schedule: Schedule, best: Schedule) -> bool:
-    """True if a schedule violates own requirements and the window no more than the best so far."""
+    """True if a schedule violates own requirements and the window no more than the best one."""
     return (schedule.own_miss, schedule.outcome.shortfall) <= (best.own_miss, best.outcome.shortfall)
 
 
@@ -520,7 +520,7 @@ def _guarded(tube: Tube, spec: HeatingSpec, run: Run, scale: float, program: Pro
 
 
 def _hopeless(ideal: Ideal, run: Run, spec: HeatingSpec) -> bool:
-    """True if the window is missed by much, in a way that a correction may change."""
+    """True if the window is missed by much, but possibly correctable."""
     hottest = float(run.history.tube.max()) - ZERO_CELSIUS + run.error.hottest
     correctable = ideal.miss <= 10 * HOPELESS or hottest > spec.limit
     return ideal.miss > HOPELESS and correctable and _far(run.model, spec, run.history, run.start)

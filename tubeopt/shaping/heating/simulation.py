@@ -83,7 +83,7 @@ def rates(model: ThermalModel, cells: Array, lumped: Array, duty: Array | float)
 
 
 def warming(model: ThermalModel, cells: Array, lumped: Array, duty: Array | float) -> Array:
-    """(B, n, 2) rates of what a current heats, K/s: the tube, and the shell next to it of a conductive mold."""
+    """(B, n, 2) heating rates by a current, K/s: of the tube, and of the shell next to it of a conductive mold."""
     (rate,) = _evaluate("warming", model, cells, lumped, np.reshape(duty, (-1, 1)))
     return rate.reshape(*cells.shape[:2], 2)
 
@@ -92,9 +92,9 @@ class WarmingSpan(NamedTuple):
     """Range of heating rates of the tube of B members."""
 
     idle: Array
-    """(B, n) at no duty, K/s."""
+    """(B, n) rates without current, K/s."""
     full: Array
-    """(B, n) at full duty, K/s."""
+    """(B, n) rates at full duty, K/s."""
     I_on: Array
     """(B,) current while the MOSFET conducts, A."""
 

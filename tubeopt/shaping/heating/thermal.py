@@ -32,18 +32,18 @@ SURFACE_TRANSFER = 10.0
 radiation near room temperature, assumed; they hardly warm up."""
 
 GRADED = 12e-3
-"""Length of the curved part up to which its cells are of equal width, m; in a longer one they grow from there."""
+"""Largest length of the curved part with cells of equal width, m; in a longer one they grow."""
 
 DECAYS = 3.0
-"""Length of the clamp up to which its cells are of equal width, in decay lengths of the temperature."""
+"""Largest length of the clamp with cells of equal width, in decay lengths of the temperature."""
 
 COARSE = Resolution(grip=4)
 PROGRAM = Resolution(2, 3, 4, 6, 4)
-"""Grid of the optimal control problem, whose bounds are then shifted by the difference from the fine model."""
+"""Grid of the optimal control problem; its bounds are then shifted by the difference from the fine model."""
 
 FINE = Resolution(8, 6, 14, 18, 14)
-"""Grid of results. With half as many cells in the clamp the bare tube beside it, the hottest point in a conductive
-mold, is 4 K too hot."""
+"""Grid of results. With half as many cells in the clamp, the bare tube next to it is 4 K too hot in a conductive
+mold."""
 
 
 def cell_widths(tube: Tube, rig: Rig, resolution: Resolution) -> Array:
@@ -65,7 +65,7 @@ def cell_fractions(resolution: Resolution, lengths: Sequence[float], decay: floa
 
 
 def _graded(cells: int, slope: float) -> Array:
-    """(cells + 1,) faces from 0 to 1 whose first cells are `slope` times as wide as uniform ones."""
+    """(cells + 1,) faces from 0 to 1, with first cells `slope` times as wide as uniform ones."""
     uniform = np.linspace(0.0, 1.0, cells + 1)
     if slope > 0.999:
         return uniform
@@ -75,7 +75,7 @@ def _graded(cells: int, slope: float) -> Array:
 
 
 def contact_decay(tube: Tube, rig: Rig) -> float:
-    """Decay length of the tube's temperature towards that of a clamp, m."""
+    """Decay length of the tube's temperature towards the clamp's, m."""
     per_length = rig.clamps.contact_conductance * math.pi * tube.outer_diameter
     # A fin: k A T'' = h p (T - T_clamp) falls as exp(-x / l) with l^2 = k A / (h p).
     return math.sqrt(thermal_data(tube).conductivity * tube.cross_section / per_length)
@@ -125,7 +125,7 @@ class ThermalModel:
 
     @property
     def curved(self) -> NDArray[np.bool_]:
-        """(n,) which cells belong to the curved part."""
+        """(n,) True for cells in the curved part."""
         return np.asarray(self.zone == CURVED)
 
     @property
@@ -135,7 +135,7 @@ class ThermalModel:
 
 
 def stack(models: Sequence[ThermalModel]) -> ThermalModel:
-    """Model whose members are those of models on the same grid."""
+    """Model that combines models on the same grid as its members."""
     return replace(
         models[0],
         properties=np.vstack([m.properties for m in models]),
@@ -168,7 +168,7 @@ class ShellRadii(NamedTuple):
 
 
 def shell_radii(rig: Rig, tube: Tube, shells: int) -> ShellRadii:
-    """Radii of the shells, from the surface of the tube to that of the mold."""
+    """Radii of the shells, from the surface of the tube to the surface of the mold."""
     # The field of a hot wire is linear in log r: shells of equal ratio have equal thermal resistance.
     inner = 0.5 * tube.outer_diameter
     faces = inner * ca.exp(ca.log(rig.mold.radius / inner) * ca.DM(np.linspace(0.0, 1.0, shells + 1)))
@@ -201,7 +201,10 @@ def half_lengths(tube: Tube, rig: Rig) -> HalfLengths:
 
 
 def uniform_gap_of(tube: Tube, rig: Rig) -> float:
-    """Uniform gap (m) that conducts as much as the air in the groove: that of the rig, or of its groove as milled."""
+    """Uniform gap (m) that conducts as much as the air in the groove.
+
+    That of the rig, or of its groove as milled.
+    """
     return square_groove_gap(tube, rig) if rig.mold.gap is None else rig.mold.gap
 
 
@@ -212,7 +215,10 @@ def square_groove_gap(tube: Tube, rig: Rig) -> float:
 
 
 def groove_gap(tube: Tube, rig: Rig, width: float, depth: float) -> float:
-    """Uniform gap (m) that conducts as much as the air of a groove of this width and depth (m) in the rig's mold."""
+    """Uniform gap (m) that conducts as much as the air of a groove of given width and depth (m).
+
+    In the rig's mold.
+    """
     ratio = rig.mold.material.conductivity / air_conductivity(rig.ambient + 0.5 * HOT)
     return uniform_gap(tube.outer_diameter, GrooveAir.tube_on_floor_and_wall(tube.outer_diameter, width, depth), ratio)
 
@@ -321,7 +327,10 @@ def curve_start(model: ThermalModel) -> float:
 
 
 def curved_temperatures(model: ThermalModel, tube: Array) -> Array:
-    """(..., 1 + c) temperatures at the start of the curved part and at its cells, from those of all cells (..., n)."""
+    """(..., 1 + c) temperatures at the start of the curved part and at its cells.
+
+    From the temperatures of all cells (..., n).
+    """
     first = int(np.argmax(model.curved))
     before, after = model.width[first - 1], model.width[first]
     # Linear between the middles of two cells: weights are the distances to the middle of the other one.
@@ -341,7 +350,7 @@ class TubeExtremes(NamedTuple):
 
 
 def tube_extremes(model: ThermalModel, tube: Array) -> TubeExtremes:
-    """Extreme temperatures (...,), degC, from those of the cells (..., n), K."""
+    """Extreme temperatures (...,), degC, from the temperatures of the cells (..., n), K."""
     curved = curved_temperatures(model, tube) - ZERO_CELSIUS
     return TubeExtremes(curved.min(-1), curved.max(-1), tube.max(-1) - ZERO_CELSIUS)
 
@@ -369,7 +378,7 @@ GRADING = 3.0
 """Logarithm of the ratio of ring widths in the mold, far away to at the groove."""
 
 MIN_AIR = 1e-3
-"""Smallest air gap on any side, in tube diameters, for which the elements are fine enough."""
+"""Smallest air gap on any side, in tube diameters, for sufficiently fine elements."""
 
 
 @dataclass(frozen=True)

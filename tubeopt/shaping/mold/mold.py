@@ -88,7 +88,7 @@ class Groove:
     """Centreline from plate edge to plate edge."""
     depth: Annotated[float, unit("mm"), form(".4g", label="groove, depth"), "depth of the groove"]
     growth: Annotated[float, unit("mm"), form(".4g", label="growth when hot"), "thermal expansion of the tube"]
-    """Between the clamps; from the specification where it gives one."""
+    """Growth of the tube between the clamps; from the specification if given."""
     clamps: Annotated[tuple[Clamp, Clamp], "the two clamps"]
     """Proximal and distal clamp."""
     grip: float
@@ -411,7 +411,7 @@ class RobotMold(Displayed):
     """Planned mold; its grooves have the numbers of the robot's tubes."""
     name: Annotated[str, key("robot"), "name of the robot"]
     left_out: tuple[str, ...]
-    """Why other tubes have no groove."""
+    """Reasons why other tubes have no groove."""
 
 
 def plan_robot_mold(robot: Robot, spec: MoldSpec | None = None, tubes: Sequence[int] | None = None) -> RobotMold:

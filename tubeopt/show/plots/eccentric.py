@@ -35,7 +35,7 @@ class Curve:
     value: Array | float
     """(k,) values, or one for all points."""
     tip: bool = True
-    """Its end is a tip."""
+    """True if the end of the curve is a tip."""
 
 
 def arm_curve(equilibrium: Equilibrium, value: float) -> Curve:

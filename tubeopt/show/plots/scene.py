@@ -261,7 +261,7 @@ class LoadArrow(NamedTuple):
     unit: str
     colour: str
     labelled: bool = True
-    """Its size is printed."""
+    """True if the size of the load is printed."""
 
 
 def load_arrows(equilibrium: Equilibrium) -> list[LoadArrow]:

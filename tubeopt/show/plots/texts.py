@@ -52,7 +52,7 @@ class PlacedText(NamedTuple):
 
     text: Text
     axes: Axes | None
-    """Its panel; None for texts of the whole figure."""
+    """Panel of the text; None for texts of the whole figure."""
     axis: Axis | None
     """Axis of a tick label, else None."""
 
@@ -196,7 +196,7 @@ def _box(box: BboxBase) -> Array:
 
 
 def _overlap(figure: Figure, boxes: Array, neighbours: Array) -> Mask:
-    """(N, M) whether boxes (N, 4) and (M, 4) overlap by more than `TOLERANCE`."""
+    """(N, M) True if boxes (N, 4) and (M, 4) overlap by more than `TOLERANCE`."""
     ends = np.minimum(boxes[:, None, 2:], neighbours[None, :, 2:])
     starts = np.maximum(boxes[:, None, :2], neighbours[None, :, :2])
     return np.asarray((ends - starts > np.array(TOLERANCE) * figure.dpi / 72).all(-1))

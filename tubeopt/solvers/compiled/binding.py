@@ -63,7 +63,7 @@ class Start(NamedTuple):
     turn: Array
     """Rotations (n,) to add, rad."""
     translations: Array
-    """Its translations (n,), m."""
+    """Translations (n,) at the start, m."""
 
 
 @dataclass(eq=False)
