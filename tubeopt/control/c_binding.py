@@ -70,9 +70,9 @@ class CPose:
     residual: float
     """rad."""
     arc_length: Array
-    """(POINTS,) of points of the arm, m."""
+    """(POINTS,) arc lengths of the shape points, m."""
     position: Array
-    """(POINTS, 3) of these points, m."""
+    """(POINTS, 3) positions of the shape points, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class CSlopes:
     """Derivatives by rotations and translations."""
 
     position: Array
-    """(3, 2n) of the tip."""
+    """(3, 2n) derivatives of the tip position."""
     turn: Array
     """(3, 2n) turn vector of the tip."""
     tip_rotations: Array
@@ -88,7 +88,7 @@ class CSlopes:
     margin: Array
     """(2n,)."""
     compliance: Array | None
-    """(6, 6) of the tip; None where the library does not know it."""
+    """(6, 6) compliance of the tip; None if the library does not compute it."""
 
 
 class CRobot:
@@ -307,12 +307,12 @@ class CServo:
 
     @property
     def limited(self) -> bool:
-        """Whether accelerations are limited."""
+        """True if accelerations are limited."""
         return self.options.turn_acceleration is not None or self.options.shift_acceleration is not None
 
     @property
     def moving(self) -> bool:
-        """Whether the robot has to brake before it rests."""
+        """True if the robot has to brake before it rests."""
         here, before = self.equilibrium, self._before
         moved = max(
             np.abs(here.rotations - before.rotations).max(), np.abs(here.translations - before.translations).max()

@@ -94,7 +94,7 @@ AnyServo = Servo | CServo
 
 @dataclass
 class _Goal:
-    """What is commanded: since when, whether it is a stream, how close it came and when."""
+    """Current command: its start, whether it is a stream, and its smallest distance with the time of it."""
 
     command: Command
     since: float
@@ -107,7 +107,7 @@ class _Goal:
     closer: float = 0.0
 
     def stale(self, now: float, watchdog: float) -> bool:
-        """Whether it is a stream without news, however the clock jumps."""
+        """True for a stream without news, however the clock jumps."""
         return self.stream and not 0 <= now - self.since <= watchdog
 
 
@@ -130,14 +130,14 @@ class CrtkRobot:
         self._before = servo.equilibrium
         self._moved, self._took = 0.0, (0.0, 0.0)
         self.sent: float | None = None
-        """By the clock, when the last step was there; None before the first."""
+        """Time of the last step on the clock; None before the first."""
         self.events: deque[tuple[str, str]] = deque(maxlen=MOST_EVENTS)
         """Kind (error, warning or status) and words of what has happened; whoever publishes them takes them out."""
         self._unreported = False  # a move that no report has called busy yet
 
     @property
     def busy(self) -> bool:
-        """Whether a move is under way."""
+        """True while a move is running."""
         return self._goal is not None and not self._goal.stream
 
     def command(self, message: Mapping[str, Any], now: float) -> None:
@@ -280,7 +280,7 @@ class CrtkRobot:
             self.events.append(("warning", self._words))
 
     def _missing(self, command: Command) -> tuple[float, float]:
-        """What is left of a move, rad and m."""
+        """Remaining distance of a move, rad and m."""
         arm = self.servo.equilibrium
         if command.joints is not None:
             turn, shift = command.joints
@@ -373,7 +373,7 @@ class CrtkRobot:
         return command
 
     def report(self, now: float) -> dict[str, Any]:
-        """What watchers are told: plain data in SI units under the names of CRTK, with margin and warning beside."""
+        """State for observers: plain data in SI units under the names of CRTK, with margin and warning."""
         arm, before = self.servo.equilibrium, self._before
         n, floor = self.servo.space.robot.n_tubes, self.servo.options.min_margin
         joints = np.concatenate([arm.rotations, arm.translations])
