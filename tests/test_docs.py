@@ -52,6 +52,45 @@ def test_robot_files_of_the_page_load(tmp_path: Path) -> None:
     assert load_entry(tmp_path / "load.yaml").build().force == (0.02, 0, 0)
 
 
+NAME = re.compile(r"(?<!`)`((?:[A-Za-z_]\w*\.)*[A-Za-z_]\w*)(?:\(\))?`(?!`)")
+GENERATED = {"files", "json"}
+"""Pages that are written from the code."""
+FILE_ENDS = {"csv", "h", "json", "md", "nc", "npz", "py", "txt", "yaml"}
+FOREIGN = {"crtk_python_client", "robot_state_publisher", "move_cr", "move_jp", "move_jr", "servo_cr", "servo_cv"} | {
+    *("servo_jr", "servo_jv", "Restoration_Failed", "Search_Direction_Becomes_Too_Small", "alpha_pr", "PlateToPatient"),
+    *("domain_rand", "extension_action_limit", "goal_tolerance_parameters", "max_steps_per_episode", "n_substeps"),
+    *("rotation_action_limit", "select_systems", "_GPa", "TUBEOPT_WHEEL", "CLOCK_MONOTONIC"),
+    *("bronchialTree", "hepaticArtery", "hepaticVein", "pleuralBoundary", "portalVein"),
+}
+"""Names of other programs, of builds, and of parts of names."""
+COMPOSED = re.compile(r"^(pos|[qrxyz]|[xyz]axis|r\d\d|arms|base|lid)_[xyz\d_]+(_m|_mm|_at_least_mm)?$")
+"""Columns and files named by axes and numbers."""
+
+
+def test_pages_name_what_there_is() -> None:
+    """Public paths resolve; other identifiers and modules occur in the code, or are keys of a schema."""
+    sources = [*ROOT.glob("tubeopt/**/*.py"), *ROOT.glob("tubeopt/**/*.h"), *ROOT.glob("configs/**/*.json")]
+    sources += [*ROOT.glob("benchmarks/*.py"), ROOT / "docs" / "json.md"]
+    known = {word for path in sources for word in re.findall(r"[A-Za-z_]\w*", path.read_text(encoding="utf-8"))}
+    known |= {path.stem for path in (*ROOT.glob("benchmarks/*.py"), *ROOT.glob("configs/**/*.yaml"))}
+    missing = []
+    for page in sorted(path for path in (ROOT / "docs").glob("*.md") if path.stem not in GENERATED):
+        text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+        for module in re.findall(r"`([a-z_]+(?:/\w+)*/\w+\.py)`", text):
+            if not (ROOT / "tubeopt" / module).exists() and not (ROOT / module).exists():
+                missing.append(f"{page.name}: {module}")
+        for name in set(NAME.findall(text)):
+            if name.startswith("tubeopt."):
+                pkgutil.resolve_name(name)
+            elif re.search(r"[a-z_][A-Z_]|_", name) and name.rpartition(".")[2] not in FILE_ENDS:
+                inner = [part for part in name.split(".") if part not in known | FOREIGN and not COMPOSED.match(part)]
+                # Parameters of a fit are a kind with the number of a tube or the name of an axis.
+                missing += [
+                    f"{page.name}: {name}" for part in inner if re.sub(r"(_\d|_[xyz])+$", "", part) not in known
+                ]
+    assert missing == []
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_examples_print_what_the_page_shows(page: Path) -> None:
     if page.stem == "data":
