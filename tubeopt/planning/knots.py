@@ -184,6 +184,13 @@ TABLES = (MeshObstacle, DistanceField)
 """Bodies without a formula for their distance."""
 
 
+def knot_inputs(kind: Kind) -> tuple[Any, Any, list[Any]]:
+    """Symbols x and p of `arm_at_knot`, and their parts: tip rotations, translations, margin, robot, radius."""
+    n = kind.n
+    x, p = ca.MX.sym("x", 2 * n + 1), ca.MX.sym("p", kind.size + n)
+    return x, p, [*ca.vertsplit(x, [0, n, 2 * n, 2 * n + 1]), *ca.vertsplit(p, [0, kind.size, kind.size + n])]
+
+
 @lru_cache(maxsize=8)
 def arm_at_knot(kind: Kind, what: str, bodies: tuple[Obstacle, ...] = ()) -> KnotFunction:
     """Function (x (2n + 1,), p) of an equilibrium at a knot.
@@ -194,8 +201,7 @@ def arm_at_knot(kind: Kind, what: str, bodies: tuple[Obstacle, ...] = ()) -> Kno
     distances take four times as long as all others, and save a third of the iterations: they are 0.
     """
     n = kind.n
-    x, p = ca.MX.sym("x", 2 * n + 1), ca.MX.sym("p", kind.size + n)
-    at = [*ca.vertsplit(x, [0, n, 2 * n, 2 * n + 1]), p[: kind.size]]
+    x, p, (*at, radius) = knot_inputs(kind)
     if what == "balance":
         out: Any = ca.vertcat(*explicit_joints(kind)(*at))
     else:
@@ -206,7 +212,7 @@ def arm_at_knot(kind: Kind, what: str, bodies: tuple[Obstacle, ...] = ()) -> Kno
             out = ca.vec(points)
         else:
             distances = body_distances(kind, points.shape[1], bodies)
-            out = ca.vec(distances(points, tangents, s, at[1], at[3], p[kind.size :]))
+            out = ca.vec(distances(points, tangents, s, at[1], at[3], radius))
     value = ca.Function(what, [x, p], [ca.densify(out)])
     short = explicit_size(kind) < MAX_EXPANDED_SIZE and not any(isinstance(body, TABLES) for body in bodies)
     return KnotFunction.of(value.expand() if short else value, {"balance": n, "distances": 0}.get(what))

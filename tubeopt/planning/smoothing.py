@@ -35,7 +35,18 @@ from ..inverse.clock import Clock
 from ..inverse.task import ArmBatch
 from ..solvers.settings import NO_SENSITIVITIES
 from ..typing import Array
-from .knots import MAX_NODES, SPLITS, TABLES, Cubics, ample_duration, body_distances, differences
+from .knots import (
+    MAX_NODES,
+    SPLITS,
+    TABLES,
+    Cubics,
+    KnotFunction,
+    ample_duration,
+    arm_at_knot,
+    body_distances,
+    differences,
+    knot_inputs,
+)
 from .motion import JointMotion
 from .question import WEIGHTS, PlanTask
 from .timing import Limits, violated
@@ -95,8 +106,8 @@ class PathProgram:
     """
 
     problem: dict[str, Any]
-    hessian: ca.Function
-    jacobian: ca.Function
+    derivatives: dict[str, ca.Function]
+    """Derivatives by the names of IPOPT's options."""
     rows: dict[str, int]
     """Number of constraints of each kind, in order."""
     least: ca.Function
@@ -120,8 +131,7 @@ class PathProgram:
 
     def solver(self, seconds: float) -> ca.Function:
         """IPOPT with a time limit, s."""
-        options = {**OPTIONS, "ipopt.max_wall_time": max(seconds, 0.1)}
-        options |= {"hess_lag": self.hessian, "jac_g": self.jacobian}
+        options = {**OPTIONS, **self.derivatives, "ipopt.max_wall_time": max(seconds, 0.1)}
         return ca.nlpsol("path", "ipopt", self.problem, options)
 
 
@@ -141,10 +151,8 @@ def _program(question: PathQuestion) -> PathProgram:
     q = joints * ca.repmat(p["scale"], 1, knots)
     spread = ca.DM(np.array([[float(i in g) for g in question.carriages] for i in range(n)]))
     shift = spread @ q[n:, :] + ca.repmat(p["offset"], 1, knots)
-    at = tip, shift, ca.repmat(margin, 1, knots), ca.repmat(p["robot"], 1, knots), ca.repmat(p["radius"], 1, knots)
-    knot = _knot(question)
-    # Symbols replace the arms until everything else is differentiated.
-    arms = ca.MX.sym("arms", knot.size1_out(0), knots)
+    at, arm = ca.vertcat(tip, shift, ca.repmat(margin, 1, knots)), ca.vertcat(p["robot"], p["radius"])
+    arms = KnotFunction.of(_knot(question), 0).at(knots)(at, arm)
     rotations, fields, least = ca.vertsplit(arms, [0, n, n + question.kind.sections, arms.shape[0]])
     h = ca.repmat(p["step"].T, m, 1)
     path = Cubics(joints, rates, h)
@@ -172,51 +180,26 @@ def _program(question: PathQuestion) -> PathProgram:
     x = ca.vertcat(ca.vec(joints), ca.vec(rates), ca.vec(tip), square, margin)
     parameters = ca.vertcat(*p.values())
     problem = {"x": x, "f": objective, "p": parameters}
-    extra_hessian: Any = 0
     if question.extra is not None:
-        arm = explicit_arm(question.kind).map(knots)(*at[:4])[2:]
-        extra, extra_hessian = _extra(
-            question, {"rotations": q[:n, :], "translations": shift, "arm": arm}, p["step"], x
-        )
-        problem["f"] = objective + extra
+        tips = arm_at_knot(question.kind, "tip").at(knots)(at, arm)
+        known = {
+            "rotations": q[:n, :],
+            "translations": shift,
+            "tip_position": tips[:3, :],
+            "tip_direction": tips[3:, :],
+        }
+        expression, weight = question.extra
+        quantities = ca.vertcat(*(known[quantity.name] for quantity in expression.quantities))
+        # Trapezoidal rule.
+        weights = (ca.vertcat(p["step"], 0) + ca.vertcat(0, p["step"])) / 2
+        problem["f"] += weight * ca.dot(expression.value.map(knots)(quantities), weights.T)
+    problem["g"] = ca.vertcat(*parts.values())
+    solver = ca.nlpsol("path", "ipopt", problem, OPTIONS)
+    names = {"grad_f": "nlp_grad_f", "jac_g": "nlp_jac_g", "hess_lag": "nlp_hess_l"}
+    derivatives = {option: solver.get_function(name) for option, name in names.items()}
     rows = {name: part.numel() for name, part in parts.items()}
-    problem["g"], jacobian = _constraints(ca.vertcat(*parts.values()), arms, knot, at, x, parameters)
-    distances = ca.Function("least", [x, parameters], [ca.vec(knot.map(knots)(*at)[n + question.kind.sections :, :])])
-    hessian = _hessian({**problem, "f": objective}, rows, extra_hessian)
-    return PathProgram(problem, hessian, jacobian, rows, distances, _body_of_rows(question), tuple(sizes))
-
-
-def _knot(question: PathQuestion) -> ca.Function:
-    """Function of one knot: (tip rotations, translations, margin, robot, radius of the arm) -> column.
-
-    The column has joint rotations, determinants of the Jacobi fields, and minimum distances from bodies, m.
-    """
-    kind = question.kind
-    sizes = {"tip": kind.n, "shift": kind.n, "margin": 1, "robot": kind.size, "radius": kind.n}
-    tip, shift, margin, robot, radius = inputs = [ca.MX.sym(name, size) for name, size in sizes.items()]
-    if not question.obstacles:
-        rotations, fields = explicit_joints(kind)(tip, shift, margin, robot)
-        least: Any = ca.MX(0, 1)
-    else:
-        rotations, fields, *arm = explicit_arm(kind)(tip, shift, margin, robot)
-        least = _distance(question)(*arm, shift, robot, radius)
-    return ca.Function("knot", inputs, [ca.densify(ca.vertcat(rotations, fields, least))])
-
-
-def _constraints(g: Any, arms: Any, knot: ca.Function, at: tuple[Any, ...], x: Any, p: Any) -> tuple[Any, Any]:
-    """Constraints, and the function (x, p) -> (constraints, Jacobian).
-
-    `g` has symbols `arms` in place of the outputs of the function `knot` at arguments `at`.
-    """
-    # Chain rule: the small Jacobian of each knot, on the diagonal, times that of its arguments by the unknowns.
-    count, chain = arms.shape[1], ca.jacobian(ca.vec(ca.vertcat(*at[:3])), x)
-    one = [ca.MX.sym(knot.name_in(k), knot.sparsity_in(k)) for k in range(knot.n_in())]
-    by = ca.vertcat(*one[:3])
-    slopes = ca.Function("slopes", one, [ca.jacobian(knot(*one), by)])
-    blocks = ca.diagcat(*ca.horzsplit(slopes.map(count)(*at), by.numel()))
-    jacobian = ca.jacobian(g, x) + ca.jacobian(g, arms) @ (blocks @ chain)
-    g, jacobian = ca.graph_substitute([g, jacobian], [arms], [knot.map(count)(*at)])
-    return g, ca.Function("jac_g", [x, p], [g, jacobian], ["x", "p"], ["g", "jac_g_x"])
+    distances = ca.Function("least", [x, parameters], [ca.vec(least)])
+    return PathProgram(problem, derivatives, rows, distances, _body_of_rows(question), tuple(sizes))
 
 
 _in_free_space = lru_cache(maxsize=32)(_program)
@@ -225,37 +208,20 @@ _among_bodies = lru_cache(maxsize=4)(_program)
 """Smaller cache: its programs contain bodies, which may be tables of 100 MB."""
 
 
-def _extra(question: PathQuestion, known: dict[str, Any], step: Any, x: Any) -> tuple[Any, Any]:
-    """Weighted mean of a custom cost along the path, and its Hessian without the curvature of the arm."""
-    assert question.extra is not None
-    (expression, weight), knots = question.extra, question.intervals + 1
-    last = [known["arm"][0].shape[1] // knots * (k + 1) - 1 for k in range(knots)]
-    known = {**known, "tip_position": known["arm"][0][:, last], "tip_direction": known["arm"][1][:, last]}
-    quantities = ca.vertcat(*(known[quantity.name] for quantity in expression.quantities))
-    # Trapezoidal rule.
-    weights = (ca.vertcat(step, 0) + ca.vertcat(0, step)) / 2
-    y, factor = ca.SX.sym("y", quantities.shape[0]), ca.SX.sym("factor")
-    hessian = ca.densify(ca.hessian(factor * expression.value(y), y)[0])
-    blocks = ca.Function("hessian", [y, factor], [hessian]).map(knots)(quantities, weights.T)
-    slope = ca.jacobian(ca.vec(quantities), x)
-    mean = ca.dot(expression.value.map(knots)(quantities), weights.T)
-    return weight * mean, weight * slope.T @ ca.diagcat(*ca.horzsplit(blocks, quantities.shape[0])) @ slope
+def _knot(question: PathQuestion) -> ca.Function:
+    """Function of one knot: (tip rotations, translations, margin; robot, radius of the arm) -> column.
 
-
-def _hessian(problem: dict[str, Any], rows: dict[str, int], extra: Any) -> ca.Function:
-    """Hessian of objective, custom cost and bounds on rates, in the form of CasADi's interface to IPOPT."""
-    x, p = problem["x"], problem["p"]
-    factor, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", problem["g"].numel())
-    first = sum(size for name, size in list(rows.items())[: list(rows).index("speed")])
-    # The only nonlinear constraint of the joints has -sqrt(S), with the second derivative S^(-3/2) / 4.
-    speed_multiplier = ca.sum1(multipliers[first : first + rows["speed"]])
-    square = x[x.numel() - 2]
-    cost = factor * (ca.hessian(problem["f"], x)[0] + extra)
-    speed = ca.MX(
-        ca.Sparsity.triplet(x.numel(), x.numel(), [x.numel() - 2], [x.numel() - 2]), speed_multiplier / 4 / square**1.5
-    )
-    names = ["x", "p", "lam_f", "lam_g"]
-    return ca.Function("hess_lag", [x, p, factor, multipliers], [ca.triu(cost + speed)], names, ["hess_lag"])
+    The column has joint rotations, determinants of the Jacobi fields, and minimum distances from bodies, m.
+    """
+    kind = question.kind
+    x, p, (tip, shift, margin, robot, radius) = knot_inputs(kind)
+    if not question.obstacles:
+        rotations, fields = explicit_joints(kind)(tip, shift, margin, robot)
+        least: Any = ca.MX(0, 1)
+    else:
+        rotations, fields, *arm = explicit_arm(kind)(tip, shift, margin, robot)
+        least = _distance(question)(*arm, shift, robot, radius)
+    return ca.Function("knot", [x, p], [ca.densify(ca.vertcat(rotations, fields, least))])
 
 
 def _distance(question: PathQuestion) -> ca.Function:
