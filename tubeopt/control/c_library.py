@@ -36,7 +36,7 @@ from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.lengthwise import lengthwise
 from ..robots.limits import FAR, MOST_TURN
 from ..robots.load import Load, masses
-from ..robots.order import SAME_END
+from ..robots.order import SAME_END, demands
 from ..robots.robot import Robot, is_general
 from ..solvers.compiled.binding import piece_sizes, piece_tables, tube_rows
 from ..solvers.compiled.constants import piece_constants
@@ -419,6 +419,10 @@ def robot_description(robot: Robot) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
+HARDWARE = ("turn_rate", "shift_rate", "turn_acceleration", "shift_acceleration", "min_margin")
+"""Limits of the servo that the hardware interface keeps; an acceleration of 0 has no limit."""
+
+
 def _joint(root: Element, name: str, kind: str, parent: str) -> Element:
     """A joint from a parent to the link that was added last."""
     child = root.findall("link")[-1].get("name", "")
@@ -431,18 +435,28 @@ def _joint(root: Element, name: str, kind: str, parent: str) -> Element:
 def _add_ros2_control(root: Element, robot: Robot) -> None:
     """The joints and the sensor of the hardware interface, which starts at home."""
     system, o = SubElement(root, "ros2_control", name=root.get("name", ""), type="system"), ServoOptions()
-    hardware = SubElement(system, "hardware")
+    hardware, space, n = SubElement(system, "hardware"), joint_space(robot), robot.n_tubes
     SubElement(hardware, "plugin").text = "tubeopt_hardware/TubeRobot"
-    limits = {"turn_rate": o.turn_rate, "shift_rate": o.shift_rate, "turn_acceleration": 0.0, "shift_acceleration": 0.0}
-    for name, value in (limits | {"min_margin": o.min_margin}).items():
-        SubElement(hardware, "param", name=name).text = _spaced([value])
-    for kind, values in (("rotation", robot.home_rotations), ("translation", robot.home_translations)):
-        for i, value in enumerate(values):
-            joint = SubElement(system, "joint", name=f"{kind}_{i + 1}")
-            SubElement(joint, "command_interface", name="position")
-            start = SubElement(joint, "state_interface", name="position")
-            SubElement(start, "param", name="initial_value").text = _spaced([value])
-            SubElement(joint, "state_interface", name="velocity")
+    order = [(demand.ahead, demand.behind, demand.least) for demand in demands(robot)]
+    for first, *others in space.carriages:
+        for tube in others:
+            apart = float(space.offset[n + tube] - space.offset[n + first])
+            order += [(tube, first, apart), (first, tube, -apart)]
+    given = {name: _spaced([getattr(o, name) or 0.0]) for name in HARDWARE}
+    given["order"] = " ".join(f"{ahead + 1} {behind + 1} {least:.9g}" for ahead, behind, least in order)
+    for name, text in given.items():
+        SubElement(hardware, "param", name=name).text = text
+    starts = np.concatenate([robot.home_rotations, robot.home_translations])
+    for k, (start, low, high) in enumerate(zip(starts, *space.ranges, strict=True)):
+        joint = SubElement(system, "joint", name=f"{'rotation' if k < n else 'translation'}_{k % n + 1}")
+        for kind, name, values in (
+            ("command_interface", "position", {"min": low, "max": high}),
+            ("state_interface", "position", {"initial_value": start}),
+            ("state_interface", "velocity", {}),
+        ):
+            interface = SubElement(joint, kind, name=name)
+            for key, value in values.items():
+                SubElement(interface, "param", name=key).text = _spaced([value])
     sensor = SubElement(system, "sensor", name="arm")
     for name in ("margin", "why", "tip.x", "tip.y", "tip.z"):
         SubElement(sensor, "state_interface", name=name)

@@ -1,0 +1,4 @@
+#pragma once
+namespace rclcpp_lifecycle {
+struct State {};
+}  // namespace rclcpp_lifecycle
