@@ -604,7 +604,7 @@ class Lines(Table):
     """N arms, or one arm at N instants, as points with radii."""
 
     points: Array
-    """(N, P, 3) m."""
+    """(N, P, 3) points of the centrelines, m."""
     radius: Array
     """(N, P) radii of the arms, m."""
     time: Array = field(default_factory=lambda: np.zeros(1))

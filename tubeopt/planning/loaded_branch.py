@@ -67,9 +67,9 @@ class _Changes:
 
     angle: AngleChange
     torque: Array
-    """(B, K, n) N m."""
+    """(B, K, n) bound on the change of the torques, N m."""
     moment: Array
-    """(B, K) N m."""
+    """(B, K) bound on the change of the bending moment, N m."""
     valid: Mask
     """(B,) True where the bounds hold between samples along the arm too."""
 
@@ -95,11 +95,11 @@ class _Samples:
     """Bounds on the changes between samples along the arm."""
 
     theta: Array
-    """(B, K, n) rad."""
+    """(B, K, n) bound on the change of theta between samples, rad."""
     torque: Array
-    """(B, K, n) N m."""
+    """(B, K, n) bound on the change of the torques between samples, N m."""
     moment: Array
-    """(B, K) N m."""
+    """(B, K) bound on the change of the bending moment between samples, N m."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -387,7 +387,7 @@ class SolvedArms:
 
     @cached_property
     def breakpoints(self) -> Array:
-        """(E, C n) m."""
+        """(E, C n) arc lengths of the breakpoints, m."""
         return self.constants.breakpoints(self.translations)
 
     @property

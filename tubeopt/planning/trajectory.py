@@ -82,9 +82,9 @@ class Trajectory(Displayed):
     robot: Robot
     """Robot that moves."""
     time: Array
-    """(T,) s; evenly spaced, except for the rests of `ArmsPlan.withdrawn_first`."""
+    """(T,) times of the samples, s; evenly spaced, except for the rests of `ArmsPlan.withdrawn_first`."""
     rotations: Array
-    """(T, n) rad, not wrapped."""
+    """(T, n) rotations of the tubes, rad, not wrapped."""
     translations: Array
     """(T, n) translations, m."""
     arms: tuple[Equilibrium, ...]

@@ -339,11 +339,11 @@ class _Candidates(NamedTuple):
     """C configurations that may be measured."""
 
     rotations: Array
-    """(C, n) rad."""
+    """(C, n) rotations of the candidates, rad."""
     translations: Array
-    """(C, n) m."""
+    """(C, n) translations of the candidates, m."""
     tips: Array
-    """(C, 3) m."""
+    """(C, 3) tip positions of the candidates, m."""
 
 
 def _candidates(robot: Robot, min_margin: float, seed: int) -> _Candidates:

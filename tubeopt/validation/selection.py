@@ -449,7 +449,7 @@ class HeldOutSets:
     residuals: Array
     """(V, 3) residuals at the state."""
     slopes: Array
-    """(V, 3, P + F)."""
+    """(V, 3, P + F) derivatives of the residuals by parameters and registration."""
     weights: Array
     """(V,) weights of the squares of residuals."""
     fold: Index

@@ -186,7 +186,7 @@ class Curve(NamedTuple):
     """Drawn piece of the snap boundary, with known margins on the paths to it."""
 
     directions: Array
-    """(k,) rad."""
+    """(k,) directions of the points of the curve, rad."""
     points: Array
     """(k, 2) rotations, deg."""
     known: Array

@@ -64,7 +64,7 @@ class TipPath(NamedTuple):
     time: Array
     """(T,) s, or another increasing parameter."""
     points: Array
-    """(T, 3) m."""
+    """(T, 3) points of the path, m."""
     targets: bool = False
     """Points are targets: straight lines join them, since the path between them is unknown."""
 
@@ -73,7 +73,7 @@ class Target(NamedTuple):
     """Target of the tip of an arm."""
 
     position: Array
-    """(3,) m."""
+    """(3,) position of the target, m."""
     direction: Array | None
     """(3,) required unit tangent of the tip; None: any."""
     tip: Array | None

@@ -308,7 +308,7 @@ class TorsionCurve(NamedTuple):
     s: Array
     """(k,) arc length, m."""
     theta: Array
-    """(k,) rad."""
+    """(k,) rotations along the arm, rad."""
     slope: Array
     """(k,) theta', rad/m."""
 

@@ -217,7 +217,7 @@ class Mesh(NamedTuple):
     """k four-sided facets."""
 
     corners: Array
-    """(k, 4, 3) m."""
+    """(k, 4, 3) corners of the facets, m."""
     normals: Array
     """(k, 3) outward unit normals."""
     colours: Array

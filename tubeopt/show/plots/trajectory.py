@@ -110,7 +110,7 @@ class Followed(NamedTuple):
     """Equilibria along a trajectory that was checked."""
 
     time: Array
-    """(k,) s."""
+    """(k,) times of the arms, s."""
     arms: list[Equilibrium]
 
 

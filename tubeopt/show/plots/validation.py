@@ -99,11 +99,11 @@ class MeanErrors(NamedTuple):
     """Errors of tips over direction, for every separation."""
 
     direction: Array
-    """(D,) rad."""
+    """(D,) directions of the mirror actuation, rad."""
     separation: Array
-    """(S,) rad."""
+    """(S,) separations of the mirror actuation, rad."""
     error: Array
-    """(S, D) mm; NaN where nothing was measured."""
+    """(S, D) mean tip errors, mm; NaN where nothing was measured."""
 
 
 def _mean_errors(direction: Array, separation: Array, errors: Array) -> MeanErrors:

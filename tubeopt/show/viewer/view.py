@@ -246,9 +246,9 @@ class View:
 
     robot: Robot
     rotations: Array | None = None
-    """(n,) rad; None: as at home."""
+    """(n,) initial rotations, rad; None: as at home."""
     translations: Array | None = None
-    """(n,) m; None: home."""
+    """(n,) initial translations, m; None: home."""
     obstacles: tuple[Obstacle, ...] = ()
     """Obstacles, which motions of the tip avoid."""
     waypoints: Waypoints | None = None
