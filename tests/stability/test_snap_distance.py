@@ -23,7 +23,7 @@ from tubeopt import (
     snap_free_certificate,
 )
 from tubeopt.equilibrium.result import Equilibrium
-from tubeopt.stability.snap_distance import PairForm, SnapDistanceStatus
+from tubeopt.stability.snap_distance import PairForm, SnapDistanceStatus, least_snap_distance
 from tubeopt.typing import Array
 
 FOUR = nested((0.15, 0.05, 18.0), (0.1, 0.05, 14.0), (0.05, 0.06, 8.0), (0.0, 0.08, 6.0))
@@ -34,6 +34,12 @@ def turned(robot: ConcentricRobot, degrees: list[float]) -> Equilibrium:
     path = follow(robot, [np.zeros(robot.n_tubes), np.radians(degrees)])
     assert not path.snaps
     return path.equilibria[-1]
+
+
+def robots() -> list[tuple[str, ConcentricRobot]]:
+    names = ("thesis_ctr", "crl_ctr", "toronto_ctr", "rvim_ctr", "till_snapping_pair", "example_pieces", "thamo_ctr")
+    found = [(name, load_robot(CONFIGS / f"{name}.yaml")) for name in names]
+    return [*((name, robot) for name, robot in found if isinstance(robot, ConcentricRobot)), ("four", FOUR)]
 
 
 REFERENCE = (
@@ -54,18 +60,32 @@ REFERENCE = (
 )
 
 
+def without_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules[snap_distance.__module__], "compiled_turn", lambda *_, **__: None)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize(("degrees", "one_tube", "nearest", "ball"), REFERENCE)
 def test_the_robot_of_the_thesis_is_that_far_from_a_snap(
-    degrees: list[float], one_tube: list[list[float]], nearest: float, ball: float, monkeypatch: pytest.MonkeyPatch
+    degrees: list[float],
+    one_tube: list[list[float]],
+    nearest: float,
+    ball: float,
+    compiled: bool,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(sys.modules[snap_distance.__module__], "PRECISION", 1e-9)
+    if not compiled:
+        without_kernel(monkeypatch)
     distance = snap_distance(turned(THESIS, degrees))
     assert np.degrees(distance.turn) == pytest.approx(ball, rel=1e-6)
+    assert distance.status is SnapDistanceStatus.PROVED
+    assert distance.value == distance.turn
+    if not compiled:
+        return
     found = np.degrees(distance.one_tube)
     assert found[: len(one_tube)] == pytest.approx(np.array(one_tube), abs=2e-6)
     assert np.isnan(found[len(one_tube) :]).all()
-    assert distance.status is SnapDistanceStatus.PROVED
-    assert distance.value == distance.turn
 
 
 @pytest.mark.parametrize(("degrees", "nearest"), [(case[0], case[2]) for case in REFERENCE])
@@ -73,6 +93,28 @@ def test_the_nearest_snap_that_is_found(degrees: list[float], nearest: float) ->
     distance = snap_distance(turned(THESIS, degrees))
     assert np.degrees(distance.nearest) == pytest.approx(nearest, abs=2e-6)
     assert distance.turn < distance.nearest
+
+
+@pytest.mark.parametrize(("name", "robot"), robots(), ids=[name for name, _ in robots()])
+def test_the_kernel_proves_what_python_proves(
+    name: str, robot: ConcentricRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # By Newton's method and dense arrays in Python, by images and Aitken's method on the kernel's factors in C.
+    random = np.random.default_rng(len(name) + 1)
+    found = [forward_kinematics(robot, random.uniform(-np.pi, np.pi, robot.n_tubes)) for _ in range(3)]
+    compiled = [snap_distance(e) for e in found]
+    without_kernel(monkeypatch)
+    for e, by_kernel in zip(found, compiled, strict=True):
+        # Boxes that are larger than the least one may still be convex, so that one way may find a little more.
+        assert by_kernel.turn > snap_distance(e).turn * (1 - 2e-4)
+
+
+def test_the_smallest_distance_along_a_path() -> None:
+    path = follow(THESIS, np.radians(np.linspace([0, 0, 0], [200, -20, 10], 9)))
+    distances = [e.snap_distance for e in path.equilibria]
+    assert least_snap_distance(path.equilibria) == pytest.approx(min(distances), rel=2e-6)
+    assert least_snap_distance(path.equilibria[:1]) == distances[0]
+    assert least_snap_distance([]) == np.inf
 
 
 def test_two_tubes_are_half_their_one_fold_away() -> None:
@@ -84,12 +126,6 @@ def test_two_tubes_are_half_their_one_fold_away() -> None:
     assert distance.nearest == pytest.approx(fold / 2, rel=1e-9)
     assert distance.one_tube[0, 0] == pytest.approx(-distance.one_tube[1, 1], rel=1e-9)
     assert 0.99 * fold / 2 < distance.turn < fold / 2
-
-
-def robots() -> list[tuple[str, ConcentricRobot]]:
-    names = ("thesis_ctr", "crl_ctr", "toronto_ctr", "rvim_ctr", "till_snapping_pair", "example_pieces", "thamo_ctr")
-    found = [(name, load_robot(CONFIGS / f"{name}.yaml")) for name in names]
-    return [*((name, robot) for name, robot in found if isinstance(robot, ConcentricRobot)), ("four", FOUR)]
 
 
 @pytest.mark.parametrize(("name", "robot"), robots(), ids=[name for name, _ in robots()])
@@ -206,12 +242,14 @@ def test_what_has_no_distance_is_refused() -> None:
 
 @pytest.mark.parametrize(("at", "ball"), [([0.0, 0.0, 0.0], 70.476432), ([0.0, 1.0, 2.0], 50.566318)])
 def test_one_box_for_more_tubes_proves_less(at: list[float], ball: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    without_kernel(monkeypatch)
     monkeypatch.setattr(sys.modules[snap_distance.__module__], "SECTORS", 2)
     assert np.degrees(snap_distance(forward_kinematics(THESIS, at)).turn) == pytest.approx(ball, rel=3e-6)
 
 
 def test_a_search_that_stops_early_proves_less(monkeypatch: pytest.MonkeyPatch) -> None:
     # What Newton's method finds is only a candidate: the check that the box is mapped into itself is the proof.
+    without_kernel(monkeypatch)
     e = turned(THESIS, [150.0, -20.0, 30.0])
     whole = snap_distance(e).turn
     monkeypatch.setattr(sys.modules[snap_distance.__module__], "NEWTON_STEPS", 1)

@@ -18,20 +18,27 @@ from ..robots.load import Load, PointLoad
 from ..robots.order import SAME_END, twisted_tube
 from ..robots.robot import Robot, resized
 from ..solvers.blas import small
-from ..solvers.compiled.binding import Carriages, Moved, Slopes, Start, kernel_of, slopes_compiled
+from ..solvers.compiled.binding import (
+    SAME_ARM,
+    Carriages,
+    Moved,
+    Slopes,
+    Start,
+    Turn,
+    kernel_of,
+    slopes_compiled,
+    turn_compiled,
+)
 from ..typing import Array
-from .answer import point_of
+from .answer import discretisation_of, point_of
 from .directions import check_wrt
 from .linearised import Linearised, linearise, sharing
 from .member import Loaded, LoadedPoint
-from .problem import loaded_problem, loading_of
+from .problem import DEFAULT_DISCRETISATION, loaded_problem, loading_of
 from .result import Equilibrium, Jacobian
 
 JOINTS = ("rotations", "translations")
 """Default parameters of a Jacobian."""
-
-SAME_ARM = 1e-9
-"""Largest difference of rotations of one equilibrium, rad."""
 
 
 def derivatives_of(
@@ -57,12 +64,29 @@ def compiled_slopes(
     kernel = kernel_of(at.robot)
     if len(at.arc_length) < 2 or kernel is None or not kernel.differentiable:
         return None
-    still, sides = np.zeros(at.robot.n_tubes), sides or (1,) * at.robot.n_tubes
+    sides = sides or (1,) * at.robot.n_tubes
+    moved = Moved(sides, at.robot.moving_together if carriages is None else carriages)
+    return slopes_compiled(at.robot, at.rotations, at.translations, _start_at(at), moved, **request)
+
+
+def _start_at(at: Equilibrium) -> Start:
+    """Start of a solve at an equilibrium itself."""
     arm, points = at.arm, at.points
     along = arm.arc_length, arm.rotation, arm.torsion, points.point, points.point_rotation
-    start = Start(*along, still, at.translations)
-    moved = Moved(sides, at.robot.moving_together if carriages is None else carriages)
-    return slopes_compiled(at.robot, at.rotations, at.translations, start, moved, **request)
+    return Start(*along, np.zeros(at.robot.n_tubes), at.translations)
+
+
+def compiled_turn(at: Equilibrium, *, most: float, precision: float) -> Turn | None:
+    """Snap distance of an equilibrium without load by the compiled kernel; None where it has none.
+
+    Args:
+        most: largest turn that is searched, rad.   precision: relative precision of the turn.
+    """
+    mesh = discretisation_of(at)
+    if len(at.arc_length) < 2 or replace(mesh, refinement=0) != DEFAULT_DISCRETISATION:
+        return None
+    joints = at.rotations, at.translations
+    return turn_compiled(at.robot, *joints, _start_at(at), mesh.refinement, most=most, precision=precision)
 
 
 def _by_kernel(

@@ -28,6 +28,7 @@ from ..robots.file import check_joints, joint_cells, joint_columns, load_robot
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..stability.equilibria import find_equilibria
+from ..stability.snap_distance import least_snap_distance
 from ..typing import Array
 from .goals import loaded
 from .motion import RateLimits
@@ -127,6 +128,16 @@ class Trajectory(Displayed):
     def margin(self) -> Array:
         """(T,) margins at the samples."""
         return np.array([e.margin for e in self.arms])
+
+    @cached_property
+    def least_snap_distance(self) -> float:
+        """Smallest snap distance at the samples, rad: the turn of every tube that is proved to cause no snap; inf where
+        no turn can snap.
+
+        Raises:
+            InputError: a load, friction or eccentric tubes, for which no such distance is known.
+        """
+        return least_snap_distance(self.arms)
 
     @cached_property
     def clearance(self) -> Array:

@@ -12,7 +12,6 @@ from rich.text import Text
 from ..equilibrium.clearance import clearance_correction
 from ..equilibrium.file import save_equilibrium
 from ..equilibrium.result import Equilibrium, Verification
-from ..errors import InputError, SolveError
 from ..files.units import TO_MILLI, TO_MM
 from ..robots.concentric import ConcentricRobot, friction_of
 from ..robots.file import AnyRobot
@@ -21,7 +20,7 @@ from ..robots.robot import Robot, clearances, fit_warnings
 from ..robots.tubes import OfCrossSection, Tube
 from ..typing import Array
 from .formatting import counted, ends_in_words, margin_in_words, millimetres, order_remarks, tip_in_words, tip_number
-from .quantities import LOADED, Quantity, described, line, of_field, readings, within
+from .quantities import LOADED, SNAP_DISTANCE, Quantity, described, line, of_field, readings, within
 from .report import Report, grid, remarks
 
 
@@ -148,10 +147,7 @@ EQUILIBRIUM = described(
              label="pointing along"),
     "tip_rotations",
     of_field(Equilibrium, "margin", label="margin", words=lambda e: margin_in_words(e.margin)),
-    Quantity("snap_distance_deg",
-             "all tubes can turn by this much, each either way and in any order, without a snap: proved; null if no "
-             "turn can snap; absent if unknown, as under load", lambda e: _snap_distance(e), optional=True),
-    line("snap distance", lambda e: _snap_distance_in_words(e)),
+    *SNAP_DISTANCE,
     "energy",
     *LOADED,
     "residual mesh_error tip_error",
@@ -172,23 +168,6 @@ def by_history(e: Equilibrium) -> Array | None:
     from ..stability import friction_band  # with all of stability, which forward kinematics starts without
 
     return friction_band(e, friction).tip_half_widths
-
-
-def _snap_distance(e: Equilibrium) -> float | None:
-    """Proved snap distance, rad; None where none is known."""
-    try:
-        return e.snap_distance
-    except (InputError, SolveError):
-        return None
-
-
-def _snap_distance_in_words(e: Equilibrium) -> str | None:
-    distance = _snap_distance(e)
-    if distance is None:
-        return None
-    if distance == np.inf:
-        return "no turn of the tubes can snap at these translations (proved)"
-    return f"at least {np.degrees(distance):.1f} deg: all tubes can turn by this much, each either way (proved)"
 
 
 def _history_text(e: Equilibrium) -> str | None:

@@ -22,7 +22,7 @@ from ..inverse import InverseSolution
 from ..robots.file import joint_cells, joint_columns, waypoints_csv
 from ..runs.inverse_study import DIRECTION, POSITION, Postures, Row, TargetTable
 from .formatting import counted, degrees, millimetres, row, tip_in_words, tip_number
-from .quantities import Quantity, described, line, of_field, readings, rows, within
+from .quantities import SNAP_DISTANCE, Quantity, described, line, of_field, readings, rows, within
 from .report import Drawing, Report, drawing, grid, two_columns
 
 NOTES = 10
@@ -53,6 +53,7 @@ SOLUTION = described(
              lambda s: None if s.target_direction is None else s.direction_error, label="off the direction by",
              words=lambda s: None if s.target_direction is None else f"{_error(np.degrees(s.direction_error))} deg"),
     of_field(InverseSolution, "margin", form=".3f", label="margin"),
+    *within(SNAP_DISTANCE, lambda s: s.equilibrium),
     Quantity("clearance_mm", "distance of the arm from obstacles", label="clear of obstacles by",
              words=lambda s: f"{s.clearance * TO_MM:.4f} mm" if np.isfinite(s.clearance) else None),
     Quantity("clearance_from",

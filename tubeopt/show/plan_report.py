@@ -28,7 +28,19 @@ from ..stability.deflection import ForceBound
 from ..typing import Array
 from .equilibrium_report import by_history
 from .formatting import at_least, tip_in_words, tip_number
-from .quantities import Quantity, described, joints_in_words, line, load_in_words, of_field, readings, rows, within
+from .quantities import (
+    Quantity,
+    described,
+    distance_in_words,
+    joints_in_words,
+    known_distance,
+    line,
+    load_in_words,
+    of_field,
+    readings,
+    rows,
+    within,
+)
 from .report import Drawing, Report, drawing, two_columns
 
 BEYOND = "assuming no other load and no friction"
@@ -196,6 +208,12 @@ TRAJECTORY = described(
              "largest displacement of the tip by friction along x, y and z, over all samples, to first order; absent "
              "without friction", lambda t: largest_by_history(t), optional=True, label="friction holds it",
              words="within ± {tip_by_history_mm:.3f} mm along x, y, z, to first order"),
+    Quantity("least_snap_distance_deg",
+             "smallest snap distance at the samples: all tubes can turn by this much, each either way, without a snap: "
+             "proved; null if no turn can snap; absent if unknown, as under load",
+             lambda t: known_distance(lambda: t.least_snap_distance), optional=True),
+    line("snap distance",
+         lambda t: distance_in_words(known_distance(lambda: t.least_snap_distance), " at every sample")),
     line("plate", _entry_text),
     of_field(Trajectory, "entry", of=ENTRY, optional=True),
     of_field(Trajectory, "proof", of=PROOF),

@@ -21,6 +21,7 @@ import numpy as np
 
 from ..equilibrium.readings import to_readings
 from ..equilibrium.result import Equilibrium
+from ..errors import InputError, SolveError
 from ..files.field_metadata import Form, Key
 from ..files.units import SIGNS, TO_MILLI, TO_MM, per_si, unit_of
 from ..robots.load import Load
@@ -306,6 +307,33 @@ LOADED: tuple[Quantity[Equilibrium], ...] = within(
     lambda e: None if e.load is None else e,
 )  # fmt: skip
 """Quantities of an equilibrium under a load; none without one."""
+
+
+def known_distance(read: Callable[[], float]) -> float | None:
+    """A proved snap distance, rad; None where none is known."""
+    try:
+        return read()
+    except (InputError, SolveError):
+        return None
+
+
+def distance_in_words(distance: float | None, where: str = "") -> str | None:
+    """Snap distance (rad) with its meaning."""
+    if distance is None:
+        return None
+    if distance == np.inf:
+        return "no turn of the tubes can snap at these translations (proved)"
+    return f"at least {np.degrees(distance):.1f} deg{where}: all tubes can turn by this much, each either way (proved)"
+
+
+SNAP_DISTANCE: tuple[Quantity[Equilibrium], ...] = (
+    Quantity("snap_distance_deg",
+             "all tubes can turn by this much, each either way and in any order, without a snap: proved; null if no "
+             "turn can snap; absent if unknown, as under load",
+             lambda e: known_distance(lambda: e.snap_distance), optional=True),
+    line("snap distance", lambda e: distance_in_words(known_distance(lambda: e.snap_distance))),
+)  # fmt: skip
+"""Snap distance of an equilibrium by turns of its tubes."""
 
 
 READINGS: tuple[Quantity[tuple[Array, Array]], ...] = (

@@ -11,7 +11,7 @@ from .load_limit import LoadLimit, find_load_limit
 from .maps import StabilityMap, stability_map
 from .motion import Snap
 from .snap_assessment import ASSUMING, EccentricSnapAssessment, Finding, SnapAssessment, assess_snapping
-from .snap_distance import SnapDistance, snap_distance
+from .snap_distance import SnapDistance, least_snap_distance, snap_distance
 from .stroke import find_stroke_force
 from .worst import SnapSearch, WorstCertificate, WorstMargin, worst_certificate, worst_margin
 
@@ -43,6 +43,7 @@ __all__ = [
     "find_stroke_force",
     "follow",
     "friction_band",
+    "least_snap_distance",
     "snap_distance",
     "snap_free_certificate",
     "stability_map",

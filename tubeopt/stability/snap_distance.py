@@ -34,7 +34,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
@@ -46,6 +46,7 @@ from ..block.transcription.mesh import green_of
 from ..block.transcription.reduced import evaluate, to_unknowns
 from ..display import Displayed
 from ..equilibrium.answer import discretisation_of, sample_rotation
+from ..equilibrium.jacobian import compiled_turn
 from ..equilibrium.problem import reduced_problem
 from ..equilibrium.result import Equilibrium, refuse_friction
 from ..errors import InputError, positive
@@ -76,6 +77,9 @@ POLISH = 3
 PRECISION = 1e-6
 """Relative precision of the radius. At 1e-3 it takes half the time, and the ball is up to 0.1 % smaller."""
 
+FIRST_TURN = 0.1
+"""Turn that a search begins with, rad."""
+
 SLIDING_PRECISION = 1e-3
 """The same with slides, where a try takes 2^n times as long."""
 
@@ -102,7 +106,7 @@ class SnapDistanceStatistics:
     couplings: int
     """Number of coupled pairs, summed over the collocation points."""
     boxes: int
-    """Number of radii that were tried."""
+    """Number of radii that were tried in Python; 0 for a proof by the compiled kernel."""
     seconds: float
     """Run time, s."""
 
@@ -488,24 +492,46 @@ def snap_distance(equilibrium: Equilibrium, *, time_limit: float = TIME_LIMIT) -
         >>> round(float(np.degrees(distance.turn)), 3)
         51.908
     """
+    return _distance(equilibrium, math.pi)
+
+
+@small
+def least_snap_distance(equilibria: Iterable[Equilibrium]) -> float:
+    """Smallest snap distance of equilibria, rad; inf where no turn can snap at any of them.
+
+    From the smallest margin on, so that most need one check only: whether their distance is larger than the smallest.
+
+    Raises:
+        InputError: as `snap_distance`.
+    """
+    least = math.inf
+    for equilibrium in sorted(equilibria, key=lambda e: e.margin):
+        least = min(least, _distance(equilibrium, least).turn)
+    return least
+
+
+def _distance(equilibrium: Equilibrium, most: float) -> SnapDistance:
+    """Snap distance, or `most` (rad) where it is larger; errors as of `snap_distance`."""
     began, robot = perf_counter(), equilibrium.robot
     refuse_friction(equilibrium)
     if equilibrium.load is not None:
         raise InputError("equilibrium has a load; it must have none: the snap distance is known without load only")
     if not equilibrium.stable:
         raise InputError(f"equilibrium has a margin of {equilibrium.margin:.3g}; it must be above 0")
-    certificate = snap_free_certificate(robot, equilibrium.translations)
-    if not certificate > 0 and robot.assembly(equilibrium.translations).eccentric:
-        raise InputError(
-            f"equilibrium is of an eccentric robot with a certificate of {certificate:.3g}; it must be above 0: "
-            "a finite snap distance is known for concentric robots only"
-        )
-    couplings = boxes = 0
-    turn = math.inf
-    if not certificate > 0:
+    found = compiled_turn(equilibrium, most=most, precision=PRECISION)
+    turn, couplings, boxes = math.inf, 0, 0
+    if found is not None:
+        turn, couplings = found
+    elif not (certificate := snap_free_certificate(robot, equilibrium.translations)) > 0:
+        if robot.assembly(equilibrium.translations).eccentric:
+            raise InputError(
+                f"equilibrium is of an eccentric robot with a certificate of {certificate:.3g}; it must be above 0: "
+                "a finite snap distance is known for concentric robots only"
+            )
         form = PairForm.of(equilibrium)
         couplings = len(form.psi)
-        turn, boxes = _largest(lambda r: form.proves(form.boxes(r)), 0.1, math.pi, PRECISION)
+        first = min(FIRST_TURN, most / 2)
+        turn, boxes = _largest(lambda r: form.proves(form.boxes(r)), first, min(most, math.pi), PRECISION)
     status = SnapDistanceStatus.NEVER if turn == math.inf else SnapDistanceStatus.PROVED
     seconds = perf_counter() - began
     return SnapDistance(equilibrium, turn, status, SnapDistanceStatistics(couplings, boxes, seconds))

@@ -13,6 +13,7 @@ from tests.examples import CONFIGS, CRL, THESIS, TWO_TUBE
 from tubeopt import (
     ConcentricRobot,
     InputError,
+    Load,
     forward_kinematics,
     load_robot,
     save_robot,
@@ -140,6 +141,13 @@ def test_plots_show_the_branch_and_the_place() -> None:
 def test_ticks_are_round() -> None:
     assert insights.ticks(-360, 360, angle=True).tolist() == [-360, -180, 0, 180, 360]
     assert insights.ticks(0.0, 0.31).tolist() == pytest.approx([0, 0.1, 0.2, 0.3])
+
+
+def test_the_readout_shows_the_snap_distance() -> None:
+    e = forward_kinematics(THESIS, [0.0, 1.0, 2.0])
+    assert words.snap_words(e) == "snap distance: at least 51.9 deg<br>"
+    assert words.snap_words(e) in words.readout(open_session(THESIS, e.rotations), None)
+    assert not words.snap_words(forward_kinematics(THESIS, [0.0, 1.0, 2.0], load=Load((1e-3, 0.0, 0.0))))
 
 
 def test_words_are_escaped() -> None:

@@ -12,7 +12,7 @@ from ...bodies.frames import Plane
 from ...equilibrium.result import Equilibrium
 from ..formatting import counted
 from ..page import margin_colour, tube_colour
-from ..quantities import Quantity, record
+from ..quantities import Quantity, known_distance, record
 from .session import Event, Session
 
 SHOWN_EVENTS = 12
@@ -50,6 +50,7 @@ def readout(session: Session, certificate: float | None) -> str:
         f'<div style="{BOX}" data-testid="readout">'
         f"<b>{escape(e.robot.name or 'robot')}</b> &nbsp; {badge}<br>"
         f"{tube_colours(e.robot.n_tubes)}<br>{lines} {bar}"
+        f'<span data-testid="snap distance">{snap_words(e)}</span>'
         f'<span data-testid="certificate">{certificate_words(certificate)}</span></div>'
     )
 
@@ -77,6 +78,14 @@ def certificate_words(certificate: float | None) -> str:
         return f"certificate {certificate:.3f}: cannot snap at any rotation here, unloaded"
     shown = f"{certificate:.3f}".replace("-", "\N{MINUS SIGN}")
     return f"certificate {shown}: not proved free of snaps"
+
+
+def snap_words(e: Equilibrium) -> str:
+    """Proved snap distance, as text and a line break; "" where none is known, or where the certificate is positive."""
+    distance = known_distance(lambda: e.snap_distance)
+    return (
+        "" if distance is None or np.isinf(distance) else f"snap distance: at least {np.degrees(distance):.1f} deg<br>"
+    )
 
 
 def log_words(log: Sequence[Event]) -> str:

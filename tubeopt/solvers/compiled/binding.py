@@ -24,6 +24,9 @@ from .library import MOST_TUBES, Kernel, library
 
 SOLVED = 0
 
+SAME_ARM = 1e-9
+"""Largest difference of rotations of one equilibrium, rad."""
+
 Carriages = tuple[tuple[int, ...], ...]
 """Tubes, from 0, on each carriage."""
 
@@ -368,21 +371,10 @@ def slopes_compiled(
     if prepared is None:
         return None
     kernel, n = prepared.kernel, robot.n_tubes
-    memory = memory_of(kernel)
-    solved = memory.has(prepared, rotations.tobytes() + translations.tobytes(), start)
-    if not solved and _solve(prepared, rotations, translations, start) is None:
+    memory, deviation = memory_of(kernel), _at_hand(prepared, rotations, translations, start)
+    if deviation is None:
         return None
     points = memory.fields["pieces"] * SHAPE_STEPS + 1
-    s = memory.fields["arc_length"][:points]
-    same_mesh = solved or (
-        points == len(start.arc_length) and bool(np.abs(s - start.arc_length).max() <= LENGTH_ROUND_OFF)
-    )
-    if solved:
-        deviation = 0.0
-    elif same_mesh:
-        deviation = float(np.abs(memory.fields["rotation"][:points].T - start.rotation).max())
-    else:
-        deviation = np.inf
     # Output of the kernel: a table (7 + n, 2 n), compliance, derivative of the energy; then the shape points.
     size = 2 * n * (8 + n) + 36
     out = np.empty(size + points * 6 * n)
@@ -398,9 +390,64 @@ def slopes_compiled(
         margin=table[-1],
         compliance=out[end : end + 36].reshape(6, 6) if compliance else None,
         energy=out[end + 36 : size],
-        along=out[size:].reshape(points, 3, 2 * n) if same_mesh else None,
+        along=out[size:].reshape(points, 3, 2 * n) if deviation < np.inf else None,
         deviation=deviation,
     )
+
+
+def _at_hand(prepared: Prepared, rotations: Array, translations: Array, start: Start) -> float | None:
+    """Leave the equilibrium at joint values (n,), solved from a start close to it, in the memory of the kernel.
+
+    Largest difference of its rotations from those of the start, rad, infinite if the meshes differ; None if the kernel
+    does not solve it.
+    """
+    memory = memory_of(prepared.kernel)
+    if memory.has(prepared, rotations.tobytes() + translations.tobytes(), start):
+        return 0.0
+    if _solve(prepared, rotations, translations, start) is None:
+        return None
+    points = memory.fields["pieces"] * SHAPE_STEPS + 1
+    s, rotation = memory.fields["arc_length"][:points], memory.fields["rotation"][:points].T
+    if points != len(start.arc_length) or not np.abs(s - start.arc_length).max() <= LENGTH_ROUND_OFF:
+        return np.inf
+    return float(np.abs(rotation - start.rotation).max())
+
+
+class Turn(NamedTuple):
+    """Snap distance by the kernel."""
+
+    turn: float
+    """Largest turn of all tubes that is proved to cause no snap, rad; inf where no turn can snap."""
+    couplings: int
+    """Number of coupled pairs, summed over the collocation points."""
+
+
+def turn_compiled(
+    robot: Robot,
+    rotations: Array,
+    translations: Array,
+    start: Start,
+    refinement: int,
+    *,
+    most: float,
+    precision: float,
+) -> Turn | None:
+    """Snap distance of the equilibrium at joint values (n,), which `start` describes; None where the kernel has none.
+
+    Args:
+        most: largest turn that is searched, rad.
+        precision: relative precision of the turn.
+    """
+    prepared = with_kernel(robot, refinement)
+    if prepared is None or not prepared.kernel.differentiable:
+        return None
+    deviation = _at_hand(prepared, rotations, translations, start)
+    if deviation is None or deviation > SAME_ARM:
+        return None
+    couplings = ctypes.c_longlong()
+    workspace = memory_of(prepared.kernel).addresses[0]
+    turn = prepared.kernel.functions.snap_distance(workspace, most, precision, ctypes.byref(couplings))
+    return Turn(turn, couplings.value) if turn >= 0 else None
 
 
 @lru_cache(maxsize=256)

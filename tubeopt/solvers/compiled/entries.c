@@ -65,3 +65,13 @@ CASADI_SYMBOL_EXPORT void follow_many(const Tubes *const *tubes, long long count
         memcpy(shift, to_shift, sizeof from_shift);
     }
 }
+
+#if SLOPES
+/* The largest turn up to `most` of all tubes that is proved to cause no snap at what `solve` has just left, to a relative
+   precision; INFINITY where nothing can snap, -1 where it is not known. Into `couplings` goes their number. */
+CASADI_SYMBOL_EXPORT double snap_distance(Workspace *w, double most, double precision, long long *couplings) {
+    int known = find_couplings(&w->fine, &w->state, &w->trial, w->matrix, &w->couplings);
+    *couplings = w->couplings.count;
+    return known ? largest_turn(&w->couplings, most, precision) : -1;
+}
+#endif

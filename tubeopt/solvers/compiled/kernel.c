@@ -25,6 +25,7 @@
 #endif
 #if SLOPES
 #include "change.c"
+#include "turning.c"
 #endif
 
 typedef struct {
@@ -38,6 +39,7 @@ typedef struct {
     double matrix[MOST_UNKNOWNS * STRIDE];
 #if SLOPES
     Around around;
+    Couplings couplings;
 #endif
 } Workspace;
 

@@ -358,4 +358,6 @@ def library(n: int, eccentric: bool) -> Kernel | None:
     functions.solve_many.restype = functions.follow_many.restype = None
     if kernel.differentiable:
         functions.differentiate.argtypes = [pointer] * 5
+        functions.snap_distance.argtypes = [pointer, ctypes.c_double, ctypes.c_double, pointer]
+        functions.snap_distance.restype = ctypes.c_double
     return kernel
