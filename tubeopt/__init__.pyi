@@ -80,7 +80,7 @@ from .planning import (
 )
 from .robots.calibration import Calibration
 from .robots.concentric import ConcentricRobot, Friction
-from .robots.eccentric import EccentricRobot, SegmentedEccentricRobot
+from .robots.eccentric import BundleRobot, EccentricRobot, SegmentedEccentricRobot
 from .robots.file import load_robot, save_robot
 from .robots.limits import JointLimits
 from .robots.load import Load
@@ -156,6 +156,7 @@ __all__ = [
     "ArmsProof",
     "Box",
     "Branch",
+    "BundleRobot",
     "Calibration",
     "Camera",
     "Capsule",

@@ -14,6 +14,7 @@ from ..arguments import typed
 from ..block.transcription.loaded import base_wrench, compliance, compliance_along, evaluate, symmetric_part
 from ..errors import InputError, finite
 from ..robots.assembly import LENGTH_ROUND_OFF, Assembly
+from ..robots.eccentric import BundleRobot
 from ..robots.load import Load, PointLoad
 from ..robots.order import SAME_END, twisted_tube
 from ..robots.robot import Robot, resized
@@ -31,6 +32,7 @@ from ..solvers.compiled.binding import (
 )
 from ..typing import Array
 from .answer import discretisation_of, point_of
+from .bundle import bundle_jacobian, bundle_wrench, linearised_bundle
 from .directions import check_wrt
 from .linearised import Linearised, linearise, sharing
 from .member import Loaded, LoadedPoint
@@ -128,6 +130,8 @@ def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int
         InputError: an unknown name, or a side that is neither.
         SolveError: the equilibrium is a fold, where derivatives are infinite.
     """
+    if isinstance(equilibrium.robot, BundleRobot):
+        return bundle_jacobian(equilibrium, tuple(wrt))
     by_kernel = _by_kernel(equilibrium, wrt, side)
     return Jacobian.of(partial(_kept, equilibrium, tuple(wrt), side)) if by_kernel is None else by_kernel
 
@@ -308,6 +312,8 @@ def _cut(assembly: Assembly) -> tuple[int, int]:
 
 def compliance_of(equilibrium: Equilibrium) -> Array:
     """Compliance (6, 6) of the tip; see `Equilibrium.compliance`."""
+    if isinstance(equilibrium.robot, BundleRobot):
+        return linearised_bundle(equilibrium).compliance
     point = point_of(equilibrium, Load())
     return compliance(point.member.problem, point.state)
 
@@ -337,5 +343,7 @@ def base_wrench_of(equilibrium: Equilibrium) -> Array:
     """Wrench (6,) of the load on the plate; see `Equilibrium.base_wrench`."""
     if equilibrium.load is None:
         return np.zeros(6)
+    if isinstance(equilibrium.robot, BundleRobot):
+        return bundle_wrench(equilibrium)
     point = point_of(equilibrium)
     return base_wrench(point.member.problem, point.state)

@@ -26,6 +26,7 @@ from ..block.transcription.arm import ArmSolution, profile
 from ..block.transcription.reduced import evaluate, worst_equation
 from ..errors import InputError, SolveError, positive
 from ..files.field_metadata import POSITIVE, OneOf, unit
+from ..robots.eccentric import BundleRobot
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot, joint_values
 from ..solvers.blas import small
@@ -45,6 +46,7 @@ from .answer import (
     to_equilibrium,
     unsolved,
 )
+from .bundle import bundle_kinematics
 from .continuation import (
     SHARPEST_STEP,
     SHORTEST_STEP,
@@ -275,6 +277,12 @@ def forward_kinematics(  # noqa: PLR0913
     solver = method_of(method, load, discretisation)
     positive("tolerance", tolerance)
     guess = None if start is None else _start_of(robot, start, tolerance)
+    if isinstance(robot, BundleRobot):
+        if solver.name != "newton" or discretisation != DEFAULT_DISCRETISATION or verify:
+            raise InputError(
+                "kind is bundle; its equilibria have the method newton, the default mesh and no verification"
+            )
+        return bundle_kinematics(robot, alpha, shift, load=load, start=guess, tolerance=tolerance)
     request = SolveRequest(solver, tolerance, began)
     if load is not None:
         check_load(robot, load, translation)

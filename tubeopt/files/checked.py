@@ -270,7 +270,7 @@ def check(
     raise InputError("\n".join(sentences))
 
 
-ROBOT_FILE_KINDS = ("concentric", "eccentric", "segmented_eccentric")
+ROBOT_FILE_KINDS = ("concentric", "eccentric", "segmented_eccentric", "bundle")
 """Kinds of robot files, a common mistake for a study file."""
 
 

@@ -55,8 +55,7 @@ BETWEEN = cubic(_UNIT[0], _UNIT[1], _UNIT[2], _UNIT[3], np.arange(1, PARTS)[:, N
 @lru_cache(maxsize=64)
 def outer_radius(robot: Robot) -> Array:
     """Radius (n,) of the arm where tube i is the outermost, m; for eccentric tubes the sheath's."""
-    offset = robot.assembly(np.array(robot.home_translations)).offset
-    return np.array([tube.outer_diameter / 2 for tube in robot.tubes]) + offset
+    return np.array([tube.outer_diameter / 2 for tube in robot.tubes]) + np.hypot(*robot.axes.T)
 
 
 @dataclass(frozen=True, eq=False)

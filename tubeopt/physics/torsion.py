@@ -237,3 +237,39 @@ def bent_anyhow(n: int) -> ca.Function:
     section = cross_section(theta, stiffness, moment)
     slope = ca.densify(ca.jacobian(section.moment, theta))
     return ca.Function("balance", [theta, stiffness, moment], [section.moment, slope], {"cse": True})
+
+
+# --- Tubes of fixed own length beside the centreline ------------------------------------------------------------------
+
+# A tube at offset d in direction phi is g = h + d a.kappa long where the centreline is h long and turns by kappa = h u,
+# with a = (sin phi, -cos phi). With the turn p = h theta' over the element its energy is
+#
+#     kt p^2 / (2 g) + kb |kappa - g kappa_0 e(theta)|^2 / (2 g),
+#
+# jointly convex in (p, kappa, h) but for -m kappa.e(theta), m = kb kappa_0, as g > 0. Lengths g are linear in (kappa,
+# h): that tubes have a fixed own length is a linear condition.
+
+
+@lru_cache(maxsize=16)
+def bundle_energy(n: int) -> ca.Function:
+    """Elastic energy of n tubes of fixed own length in a sheath, over an element of the centreline, with derivatives.
+
+    Args of the function: v = (theta (n,), p (n,), kappa (2,), h), kb, kt, m, d, phi (n,), and the bending stiffness of
+    the sheath. kt and kb of absent tubes are 0.
+
+    Returns of the function: energy (J), gradient (2 n + 3), Hessian (2 n + 3, 2 n + 3), and lengths g (n,) of the
+    tubes, m.
+    """
+    theta, turn, bend, h = ca.SX.sym("theta", n), ca.SX.sym("p", n), ca.SX.sym("kappa", 2), ca.SX.sym("h")
+    kb, kt, m, d, phi = (ca.SX.sym(name, n) for name in ("kb", "kt", "m", "d", "phi"))
+    sheath = ca.SX.sym("sheath")
+    length = h * _stretch(bend / h, d, phi)
+    twisting = ca.dot(kt, turn**2 / length) / 2
+    bending = ca.sumsqr(bend) * (ca.sum1(kb / length) + sheath / h) / 2
+    natural = ca.dot(m**2 / ca.if_else(kb > 0, kb, 1), length) / 2
+    coupling = ca.dot(natural_moments(theta, m), ca.repmat(bend.T, n, 1))
+    energy = twisting + bending + natural - coupling
+    v = ca.vertcat(theta, turn, bend, h)
+    hessian, gradient = ca.hessian(energy, v)
+    outputs = [energy, ca.densify(gradient), ca.densify(hessian), length]
+    return ca.Function("bundle_energy", [v, kb, kt, m, d, phi, sheath], outputs, {"cse": True})

@@ -1,4 +1,8 @@
-"""Eccentric tube robots: equal tubes side by side in a flexible sheath, in one segment or in several."""
+"""Eccentric tube robots: tubes side by side in a flexible sheath.
+
+`EccentricRobot` and `SegmentedEccentricRobot` have the three equal tubes of the thesis, and its balance of moments.
+`BundleRobot` has any tubes at any offsets, with an energy.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +10,8 @@ import math
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
-from typing import Annotated
+from itertools import combinations, pairwise
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -31,6 +35,11 @@ def sheath_inner_diameter(outer_diameter: float) -> float:
     return (2 / math.sqrt(3) + 1) * outer_diameter
 
 
+def _axes(offset: Array, angle: Array) -> Array:
+    """Places (n, 2) at offsets (m) and angles (rad) from the centreline, m."""
+    return np.asarray(offset[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
+
+
 class SheathedRobot(Robot):
     """k telescoping segments of three equal tubes each, in a sheath at 0, 120 and -120 deg around the centreline."""
 
@@ -46,6 +55,12 @@ class SheathedRobot(Robot):
     def distance(self) -> float:
         """Distance of the tubes from the centreline, m."""
         return float(self.offset or 0.0)
+
+    @property
+    def axes(self) -> Array:
+        """Places (3 k, 2) of the tube axes in the cross-section, m."""
+        count = len(self.held)
+        return _axes(np.full(3 * count, self.distance), np.tile(PLACES, count))
 
     @cached_property
     def tubes(self) -> tuple[Tube, ...]:  # type: ignore[override]  # nobody writes to a frozen robot
@@ -214,3 +229,168 @@ class SegmentedEccentricRobot(SheathedRobot):
     def held(self) -> tuple[Tube, ...]:
         """The tubes of the segments."""
         return self.segments
+
+
+@typed
+@keeps_hash
+@dataclass(frozen=True)
+class BundleRobot(Robot):
+    """Tubes at any offsets in a flexible sheath, each with its own length, rotation and translation.
+
+    The tubes slide in frictionless channels of a sheath that neither twists nor stretches along its centreline. Its
+    equilibria are minima of an energy, which contains the axial forces of the tubes.
+
+    Raises:
+        InputError: numbers of tubes, offsets and angles that differ, tubes of pieces, tubes that overlap, or that are
+            curved more tightly than a quarter of the robot's thickness allows.
+    """
+
+    tubes: tuple[Tube, ...]
+    """Tubes (n,)."""
+    offset: Annotated[tuple[float, ...], unit("mm"), NOT_NEGATIVE, "distance of each tube axis from the centreline"]
+    """Distances (n,) of the tube axes from the centreline, m."""
+    angle: Annotated[tuple[float, ...], unit("deg"), "direction of each tube axis from the centreline"]
+    """Directions (n,) of the tube axes from the centreline, rad."""
+    sheath_stiffness: Annotated[float, unit("N_mm2"), NOT_NEGATIVE, "bending stiffness of the sheath"] = 0.0
+    """Bending stiffness of the sheath, N m^2."""
+    sheath_diameter: Annotated[float | None, unit("mm"), NOT_NEGATIVE, "inner diameter of the sheath"] = None
+    """Inner diameter of the sheath, m; None if the sheath touches the tubes."""
+    name: str = ""
+    """Name in tables and figures."""
+    joint_limits: JointLimits | None = None
+    """Limits of the actuators, in readings; None allows what the lengths allow."""
+    calibration: Calibration | None = None
+    """Conversion of drive readings to joint values; None if they are equal."""
+
+    def __post_init__(self) -> None:
+        must_be_plain(self.tubes, "a bundle robot")
+        check_fields(self)
+        n = len(self.tubes)
+        if not n:
+            raise InputError("tubes is empty; a robot needs at least one tube")
+        for name in ("offset", "angle"):
+            if len(getattr(self, name)) != n:
+                raise InputError(f"{name} has {len(getattr(self, name))} numbers; it must have {n}, one per tube")
+        for i, (tube, distance) in enumerate(zip(self.tubes, self.offset, strict=True), start=1):
+            if distance * abs(tube.curvature) >= 0.25:
+                raise InputError(
+                    f"offset of tube {i} is {distance:g} m; it must be less than a quarter of its radius of "
+                    f"precurvature, {0.25 / abs(tube.curvature):g} m"
+                )
+        self._check_fit()
+        self.check_drives()
+
+    @property
+    def axes(self) -> Array:
+        """Places (n, 2) of the tube axes in the cross-section, m."""
+        return _axes(np.array(self.offset), np.array(self.angle))
+
+    def _check_fit(self) -> None:
+        """Raise InputError for tubes that overlap, or reach beyond the sheath."""
+        radius = [tube.outer_diameter / 2 for tube in self.tubes]
+        nested = set(self.nested_pairs) | {(j, i) for i, j in self.nested_pairs}
+        for i, j in combinations(range(len(self.tubes)), 2):
+            apart = float(np.linalg.norm(self.axes[i] - self.axes[j]))
+            if apart <= SAME_AXIS and any({i, j} <= set(stack) for stack in self.stacks):
+                continue
+            if (i, j) not in nested and apart < (radius[i] + radius[j]) * (1 - 1e-9):
+                raise InputError(
+                    f"tubes {i + 1} and {j + 1} are {apart:g} m apart; their axes must be at least "
+                    f"{radius[i] + radius[j]:g} m apart, or the same with one tube inside the other"
+                )
+        widest = self.least_sheath_diameter
+        if self.sheath_diameter is not None and self.sheath_diameter < widest * (1 - 1e-9):
+            raise InputError(
+                f"sheath_diameter is {self.sheath_diameter:g} m; it must be at least {widest:g} m to contain the tubes"
+            )
+
+    @property
+    def least_sheath_diameter(self) -> float:
+        """Diameter of the smallest circle about the centreline around all tubes, m."""
+        return 2 * max(d + tube.outer_diameter / 2 for d, tube in zip(self.offset, self.tubes, strict=True))
+
+    @cached_property
+    def stacks(self) -> tuple[tuple[int, ...], ...]:
+        """Tubes on one axis, inner to outer."""
+        out: list[list[int]] = []
+        for i in sorted(range(len(self.tubes)), key=lambda i: self.tubes[i].outer_diameter):
+            same = [own for own in out if np.abs(self.axes[own[0]] - self.axes[i]).max() <= SAME_AXIS]
+            if same and self.tubes[same[0][-1]].outer_diameter <= self.tubes[i].inner_diameter:
+                same[0].append(i)
+            else:
+                out.append([i])
+        return tuple(map(tuple, out))
+
+    @property
+    def moving_together(self) -> tuple[tuple[int, ...], ...]:
+        """Tubes of each carriage: every tube has its own."""
+        return tuple((i,) for i in range(len(self.tubes)))
+
+    @cached_property
+    def nested_pairs(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of nested tubes: each tube and the next one around it on its axis."""
+        return tuple(pair for own in self.stacks for pair in pairwise(own))
+
+    def assembly(self, translations: Array) -> Assembly:
+        """Refuse: sections at fixed arc lengths are those of the balance of the thesis.
+
+        Raises:
+            InputError: always.
+        """
+        raise InputError(
+            "kind is bundle; this function supports concentric and eccentric robots only. Bundles have forward "
+            "kinematics (with forces at the tip and along the sheath), Jacobians and compliances"
+        )
+
+
+SAME_AXIS = 1e-9
+"""Distance (m) below which two axes are one."""
+
+
+class Channel(NamedTuple):
+    """Free circle along a robot."""
+
+    diameter: float
+    """Diameter, m."""
+    centre: tuple[float, float]
+    """Its centre in the cross-section, m."""
+    inside: int | None
+    """Tube, from 0, whose bore it is; None between the tubes."""
+
+
+def free_channel(robot: EccentricRobot | SegmentedEccentricRobot | BundleRobot) -> Channel:
+    """Largest circle inside the sheath that touches no tube, or the widest bore of an innermost tube.
+
+    A circle between the tubes is found by branch and bound on squares of the cross-section, to 1e-10 of the sheath.
+    """
+    centre, tubes = robot.axes, robot.tubes
+    outer = np.array([tube.outer_diameter / 2 for tube in tubes])
+    bores = [
+        Channel(tube.inner_diameter, (float(centre[i][0]), float(centre[i][1])), i)
+        for i, tube in enumerate(tubes)
+        if not any(i == around for _, around in robot.nested_pairs)
+    ]
+    widest = 2 * float((np.hypot(*centre.T) + outer).max())
+    wall = (getattr(robot, "sheath_diameter", None) or widest) / 2
+
+    def room(at: Array) -> Array:
+        """Radius (P,) of the free circle around each point (P, 2)."""
+        to_tubes = np.linalg.norm(at[:, None] - centre, axis=2) - outer
+        return np.asarray(np.minimum(to_tubes.min(1), wall - np.linalg.norm(at, axis=1)))
+
+    # A grid that is refined around its best points: the room is 1-Lipschitz, so that a cell of half-width r that could
+    # hold a better point has a room of at least best - r sqrt 2 at its centre.
+    half = wall / 16
+    axis = np.arange(-wall + half, wall, 2 * half)
+    cells = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    best = np.zeros(2)
+    while half > 1e-10 * wall:
+        free = room(cells)
+        if free.max() > room(best[None])[0]:
+            best = cells[int(free.argmax())]
+        cells = cells[free >= room(best[None])[0] - half * math.sqrt(2)]
+        half /= 2
+        corners = half * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
+        cells = (cells[:, None] + corners).reshape(-1, 2)
+    between = Channel(2 * float(room(best[None])[0]), (float(best[0]), float(best[1])), None)
+    return max([between, *bores], key=lambda one: one.diameter)

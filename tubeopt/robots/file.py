@@ -29,7 +29,7 @@ from ..files.yaml_file import load_yaml, to_yaml
 from ..typing import Array
 from .calibration import TABLES, Calibration
 from .concentric import ConcentricRobot, Friction
-from .eccentric import EccentricRobot, SegmentedEccentricRobot
+from .eccentric import BundleRobot, EccentricRobot, SegmentedEccentricRobot
 from .limits import JointLimits, reading_fault
 from .materials import MATERIALS, NITINOL, Material
 from .pieces import BEND, LENGTH, Piece, Precurvature, Quantity, Series, Slots, check_table, extremes, turned
@@ -451,14 +451,42 @@ class SegmentedEccentricEntry(RobotEntry):
         return SegmentedEccentricRobot(segments, **values(SegmentedEccentricRobot, self), **self.common())
 
 
-AnyRobot = ConcentricRobot | EccentricRobot | SegmentedEccentricRobot
+class BundleTubeEntry(TubeEntry):
+    """A tube of a bundle, with its place in the sheath."""
+
+    offset_mm: NotNegative = Field(description="distance of the tube's axis from the centreline")
+    angle_deg: Number = Field(Decimal(0), description="direction of the tube's axis from the centreline")
+
+
+@keys_from(BundleRobot, "sheath_stiffness", "sheath_diameter")
+class BundleEntry(RobotEntry):
+    """Tubes at any offsets in a sheath, each with its own length, rotation and translation."""
+
+    kind: Literal["bundle"]
+    tubes: list[BundleTubeEntry] = Field(min_length=1)
+
+    def build(self) -> BundleRobot:
+        """Robot in SI."""
+        return BundleRobot(
+            tuple(tube.build() for tube in self.tubes),
+            tuple(to_si(tube.offset_mm, MM) for tube in self.tubes),
+            tuple(to_si(tube.angle_deg, DEG) for tube in self.tubes),
+            **values(BundleRobot, self, "sheath_stiffness", "sheath_diameter"),
+            **self.common(),
+        )
+
+
+AnyRobot = ConcentricRobot | EccentricRobot | SegmentedEccentricRobot | BundleRobot
 """Robots of robot files."""
 
 # Models of a robot file by its key `kind`.
-ROBOT_KINDS: dict[str, type[ConcentricEntry] | type[EccentricEntry] | type[SegmentedEccentricEntry]] = {
+ROBOT_KINDS: dict[
+    str, type[ConcentricEntry] | type[EccentricEntry] | type[SegmentedEccentricEntry] | type[BundleEntry]
+] = {
     "concentric": ConcentricEntry,
     "eccentric": EccentricEntry,
     "segmented_eccentric": SegmentedEccentricEntry,
+    "bundle": BundleEntry,
 }
 
 
@@ -535,6 +563,13 @@ def robot_to_dict(robot: Robot) -> dict[str, Any]:
     elif isinstance(robot, SegmentedEccentricRobot):
         segments = [tube_to_dict(tube) for tube in robot.segments]
         data = {"kind": "segmented_eccentric", "name": robot.name, "segments": segments} | to_data(robot)
+    elif isinstance(robot, BundleRobot):
+        places = zip(robot.tubes, robot.offset, robot.angle, strict=True)
+        tubes = [
+            tube_to_dict(tube) | {"offset_mm": in_unit(d, MM), "angle_deg": in_unit(phi, DEG)}
+            for tube, d, phi in places
+        ]
+        data = {"kind": "bundle", "name": robot.name, "tubes": tubes} | to_data(robot, ["offset", "angle"])
     else:
         raise InputError(f"robot is a {type(robot).__name__}; it must be one of {', '.join(ROBOT_KINDS)}")
     if robot.joint_limits is not None:

@@ -78,6 +78,11 @@ class Robot(Displayed, ABC):
     def nested_pairs(self) -> tuple[tuple[int, int], ...]:
         """Tubes, from 0, that run inside another one: (inner, the next around it)."""
 
+    @property
+    def axes(self) -> Array:
+        """Places (n, 2) of the tube axes in the cross-section of the arm, m: 0 on the centreline."""
+        return np.zeros((self.n_tubes, 2))
+
     @abstractmethod
     def assembly(self, translations: Array) -> Assembly:
         """Sections at `translations` (n,), m; raises InputError where they are not admissible."""

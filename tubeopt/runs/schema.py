@@ -124,6 +124,8 @@ TITLES = {
     "SeriesEntry": "Varying curvature or stiffness",
     "Slots": "Slots: geometry",
     "TubeEntry": "Tube",
+    "BundleTubeEntry": "Tube of a bundle",
+    "BundleEntry": "Bundle robot",
     "CalibrationEntry": "Calibration of the joints",
     "ConcentricEntry": "Concentric tube robot",
     "EccentricEntry": "Eccentric tube robot, one segment",

@@ -14,6 +14,7 @@ from ..equilibrium.file import save_equilibrium
 from ..equilibrium.result import Equilibrium, Verification
 from ..files.units import TO_MILLI, TO_MM
 from ..robots.concentric import ConcentricRobot, friction_of
+from ..robots.eccentric import free_channel
 from ..robots.file import AnyRobot
 from ..robots.order import ends_inside
 from ..robots.robot import Robot, clearances, fit_warnings
@@ -62,8 +63,29 @@ ROBOT: tuple[Quantity[Robot], ...] = (
     Quantity("robot", "name of the robot", lambda robot: robot.name),
     Quantity("tubes", "the tubes, inner to outer", lambda robot: _tubes(robot), of=NESTED),
     Quantity("home_translations_mm", "translations at home", digits=9),
+    Quantity(
+        "channel_mm",
+        "diameter of the largest free circle along the robot, between its tubes or in one; absent of concentric robots",
+        lambda robot: _channel(robot),
+        digits=9,
+        optional=True,
+    ),
     Quantity("warnings", "possible problems in making and using it", lambda robot: fit_warnings(robot)),
 )
+
+
+def _channel(robot: Robot) -> float | None:
+    """Diameter of the free channel, m; None of concentric robots."""
+    return None if isinstance(robot, ConcentricRobot) else free_channel(robot).diameter  # type: ignore[arg-type]
+
+
+def _channel_in_words(robot: Robot) -> str:
+    """Free channel as text; "" of concentric robots."""
+    if isinstance(robot, ConcentricRobot):
+        return ""
+    channel = free_channel(robot)  # type: ignore[arg-type]
+    where = "between the tubes" if channel.inside is None else f"in tube {channel.inside + 1}"
+    return f"free channel: {channel.diameter * TO_MM:.4g} mm, {where}"
 
 
 def _tubes(robot: Robot) -> list[tuple[Tube, float | None]]:
@@ -93,7 +115,8 @@ class RobotReport(Report[AnyRobot]):
         lines = remarks(fit_warnings(self.answer), what="warning")
         properties = grid(("tube", *numbers), cells, title=self.title(), key=True)
         home = [Text(reason)] if (reason := _home_reason(self.answer)) else []
-        return Group(properties, *home, *(lines or [Text("no warnings", style="green")]))
+        channel = [Text(words)] if (words := _channel_in_words(self.answer)) else []
+        return Group(properties, *channel, *home, *(lines or [Text("no warnings", style="green")]))
 
 
 def _home_reason(robot: Robot) -> str:

@@ -36,6 +36,7 @@ MODULES = {
         "ConcentricRobot",
         "EccentricRobot",
         "SegmentedEccentricRobot",
+        "BundleRobot",
     ),
     "fabrication_report": (
         "Fabrication",

@@ -244,7 +244,7 @@ class Stretch(NamedTuple):
 
 def visible(equilibrium: Equilibrium) -> list[Stretch]:
     """Visible stretches of tubes, outermost first: from the end of the last tube around it to its own end."""
-    place = equilibrium.robot.assembly(equilibrium.translations).across
+    place = equilibrium.robot.axes
     shown = []
     # Tubes are numbered from the innermost, so those with larger index can be around this one.
     for i, end in reversed(list(enumerate(equilibrium.tube_end.tolist()))):
@@ -377,12 +377,13 @@ def robot_parts(
     if not shown:
         return []
     line = Centreline(equilibrium)
-    assembly = equilibrium.robot.assembly(equilibrium.translations)
+    robot = equilibrium.robot
     low, high = (0.0, line.length) if window is None else (max(window[0], 0.0), min(window[1], line.length))
     parts: list[Part] = []
     for each in shown:
-        tube, colour = equilibrium.robot.tubes[each.tube], rgb(tube_colour(each.tube))
-        held, first, last = float(assembly.transmission[each.tube]), max(each.start, low), min(each.end, high)
+        tube, colour = robot.tubes[each.tube], rgb(tube_colour(each.tube))
+        held = tube.straight_length - float(equilibrium.translations[each.tube])
+        first, last = max(each.start, low), min(each.end, high)
         for k, (start, end, stiffness) in enumerate(slotted(tube, held, first, last)):
             name = f"tube_{each.tube + 1}" + f"_{k + 1}" * bool(k)
             # Rings are distributed over the shown length: a close-up has as many as a whole arm.
@@ -393,12 +394,12 @@ def robot_parts(
     cut = [each for each in shown if low <= each.end <= high]
     bores: list[Surface] = []
     for each in cut:
-        inner, colour = equilibrium.robot.tubes[each.tube].inner_diameter / 2, rgb(tube_colour(each.tube))
+        inner, colour = robot.tubes[each.tube].inner_diameter / 2, rgb(tube_colour(each.tube))
         rim = ring_surface(line, each.end, (inner, each.radius), each.offset, sides=detail.sides)
         parts.append(Part(f"rim_{each.tube + 1}", rim, _mixed(colour, 255.0, RIM)))
         bores.append(ring_surface(line, each.end, (0.0, inner), each.offset, sides=detail.sides))
     parts += [Part("bores", join(bores), BORE_COLOUR)] if bores else []
-    return parts + (list(_sheaths(equilibrium, line, detail, (low, high))) if assembly.eccentric else [])
+    return parts + (list(_sheaths(equilibrium, line, detail, (low, high))) if robot.axes.any() else [])
 
 
 def _sheaths(equilibrium: Equilibrium, line: Centreline, detail: Detail, window: tuple[float, float]) -> Iterator[Part]:

@@ -344,5 +344,5 @@ def close_up_radius(equilibrium: Equilibrium) -> float:
     """Radius of a close-up, m: around a tube, or all that the widest sheath of an eccentric robot encloses."""
     diameter = np.array([tube.outer_diameter for tube in equilibrium.robot.tubes])
     # Twice the offset of a tube's axis, plus its diameter, is the width of the bundle around the arm's axis.
-    across = diameter + 2 * equilibrium.robot.assembly(equilibrium.translations).offset
+    across = diameter + 2 * np.hypot(*equilibrium.robot.axes.T)
     return float(max(1.7 * diameter.max(), 1.1 * across.max()))
