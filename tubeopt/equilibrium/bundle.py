@@ -37,7 +37,7 @@ from ..solvers.settings import LEAST_STIFFNESS
 from ..solvers.time_limit import check_time
 from ..typing import Array
 from .answer import build_equilibrium, largest_error
-from .problem import EXTRA_POINTS, TOLERANCE
+from .problem import EXTRA_COLLOCATION_POINTS, TOLERANCE
 from .result import Equilibrium, Jacobian, Statistics
 
 REFINEMENTS = 4
@@ -277,7 +277,7 @@ def _equilibrium(
 
 def _errors(problem: BundleProblem, rotations: Array, state: BundleState) -> tuple[float, float, float]:
     """Estimated errors of theta (rad), tip (m) and margin: the change by a Newton step with more points."""
-    finer, x = refined(problem, state, problem.tableau.degree + EXTRA_POINTS)
+    finer, x = refined(problem, state, problem.tableau.degree + EXTRA_COLLOCATION_POINTS)
     there = evaluate(finer, rotations, x)
     shift = LEAST_STIFFNESS * np.eye(finer.size)
     step = np.linalg.solve(there.hessian + shift, -there.gradient)
