@@ -217,7 +217,7 @@ def bundle_kinematics(
 
 
 def _twist(equilibrium: Equilibrium) -> Array:
-    """(n,) twist of the transmissions, rad."""
+    """Twist (n,) of the transmissions, rad."""
     return np.asarray(equilibrium.rotation[:, 0] - equilibrium.rotations)
 
 
@@ -316,27 +316,27 @@ class Columns:
 
     @property
     def tip_position(self) -> Array:
-        """(3, Q) of the tip, m."""
+        """Derivative (3, Q) of the tip position, m."""
         return self._chosen(self._of.tip_position)
 
     @property
     def tip_rotation(self) -> Array:
-        """(3, Q) turn of the tip frame, rad."""
+        """Turn (3, Q) of the tip frame, rad."""
         return self._chosen(self._of.tip_rotation)
 
     @property
     def tip_rotations(self) -> Array:
-        """(n, Q) of theta at the ends of the tubes, rad."""
+        """Derivative (n, Q) of theta at the ends of the tubes, rad."""
         return self._chosen(self._of.tip_rotations)
 
     @property
     def margin(self) -> Array:
-        """(Q,) of the margin."""
+        """Derivative (Q,) of the margin."""
         return self._chosen(self._of.margin)
 
     @property
     def energy(self) -> Array:
-        """(Q,) of the elastic energy, J."""
+        """Derivative (Q,) of the elastic energy, J."""
         return self._chosen(self._of.energy)
 
 
@@ -405,17 +405,17 @@ class BundleDerivatives:
 
     @property
     def tip_position(self) -> Array:
-        """(3, 2 n) of the tip, m."""
+        """Derivative (3, 2 n) of the tip position, m."""
         return self._tip[:3]
 
     @property
     def tip_rotation(self) -> Array:
-        """(3, 2 n) turn of the tip frame about world axes, rad."""
+        """Turn (3, 2 n) of the tip frame about world axes, rad."""
         return self._tip[3:]
 
     @cached_property
     def tip_rotations(self) -> Array:
-        """(n, 2 n) of theta at the ends of the tubes, rad."""
+        """Derivative (n, 2 n) of theta at the ends of the tubes, rad."""
         problem, n = self.problem, self._n
         out = np.eye(n, 2 * n) + problem.tip_rows @ self._response
         twist = problem.transmission_twist(self.state.x) / (2 * problem.bundle.transmission[problem.held])
@@ -424,7 +424,7 @@ class BundleDerivatives:
 
     @cached_property
     def energy(self) -> Array:
-        """(2 n,) of the elastic energy, J."""
+        """Derivative (2 n,) of the elastic energy, J."""
         problem, state = self.problem, self.state
         local = self._local + problem.local @ self._response
         held = slice(problem.split - len(problem.held), problem.split)
@@ -433,14 +433,14 @@ class BundleDerivatives:
 
     @cached_property
     def length_forces(self) -> Array:
-        """(m,) derivative lambda of the energy by the own length of tubes up to each boundary, N."""
+        """Derivative (m,) lambda of the energy by the own length of tubes up to each boundary, N."""
         problem, state = self.problem, self.state
         by_length = np.bincount(problem.point_section, problem.weight * state.by_local[:, -1], len(problem.order))
         return np.asarray((by_length - state.work_by_length) @ problem.lengths_by_boundaries)
 
     @cached_property
     def margin(self) -> Array:
-        """(2 n,) of the margin, by central differences of equilibria."""
+        """Derivative (2 n,) of the margin, by central differences of equilibria."""
         e, n = self.equilibrium, self._n
         assert isinstance(e.robot, BundleRobot)
         joints, slopes = np.concatenate([e.rotations, e.translations]), np.zeros(2 * n)
@@ -455,7 +455,7 @@ class BundleDerivatives:
 
     @cached_property
     def compliance(self) -> Array:
-        """(6, 6) compliance of the tip: force (N) and moment (N m) -> translation (m) and turn (rad), world axes."""
+        """Compliance (6, 6) of the tip: force (N) and moment (N m) -> translation (m) and turn (rad), world axes."""
         problem, ends = self.problem, self.equilibrium.tube_end
         slopes = place_slopes(problem, self.state, len(problem.order) - 1).by_x
         slopes[3:] += np.outer(self.equilibrium.tip_rotation[:, 2], problem.tip_rows[int(np.argmax(ends))])
@@ -463,7 +463,7 @@ class BundleDerivatives:
 
 
 def bundle_wrench(equilibrium: Equilibrium) -> Array:
-    """(6,) force (N) and moment about the plate's point (N m) of the load on the plate."""
+    """Force (N) and moment about the plate's point (N m) of the load on the plate."""
     out = np.zeros(6)
     for s, force in forces_of(equilibrium.load):
         at = [

@@ -353,7 +353,7 @@ class Channel(NamedTuple):
     diameter: float
     """Diameter, m."""
     centre: tuple[float, float]
-    """Its centre in the cross-section, m."""
+    """Centre in the cross-section, m."""
     inside: int | None
     """Tube, from 0, whose bore it is; None between the tubes."""
 

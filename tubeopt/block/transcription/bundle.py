@@ -179,7 +179,7 @@ class BundleProblem:
 
     @cached_property
     def present(self) -> Mask:
-        """(N, n) where a tube is there."""
+        """Mask (N, n) of the tubes that are there."""
         return np.asarray(self._of_sections[0][self.point_section])
 
     @cached_property
