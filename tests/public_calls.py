@@ -20,7 +20,7 @@ from tubeopt.bodies.frames import Frame
 from tubeopt.control.c_library import c_library
 from tubeopt.control.command import Command, ServoOptions
 from tubeopt.control.crtk import CrtkRobot
-from tubeopt.control.observer import Observer, ObserverOptions
+from tubeopt.control.estimator import EstimatorOptions, StateEstimator
 from tubeopt.control.server import RobotServer, ServerOptions
 from tubeopt.control.servo import Servo
 from tubeopt.equilibrium.jacobian import jacobian
@@ -269,7 +269,7 @@ CALLS: dict[str, Call] = {
     "plan_oven": (tubeopt.plan_oven, lambda: {"tube": ONE, "oven": tubeopt.load_oven("steel_slab")}),
     "c_library": (c_library, lambda: {"robot": PAIR}),
     "Servo": (Servo, lambda: {"robot": PAIR, "start": ([0.0, 0.2], None)}),
-    "Observer": (Observer, lambda: {"start": home()}),
+    "StateEstimator": (StateEstimator, lambda: {"start": home()}),
     "CrtkRobot": (CrtkRobot, lambda: {"servo": Servo(PAIR, ([0.0, 0.2], None))}),
     "RobotServer": (RobotServer, lambda: {"robot": CrtkRobot(Servo(PAIR, ([0.0, 0.2], None)))}),
     "EquilibriumBlock": (EquilibriumBlock, lambda: {"opti": tubeopt.Problem(), "initial": home()}),
@@ -334,7 +334,7 @@ CONSTRUCTORS: dict[Any, str] = {
 for owner, names in CONSTRUCTORS.items():
     for name in names.split():
         CALLS[name] = getattr(owner, name), lambda name=name: dict(REQUIRED.get(name, {}))
-for kind in (Command, ServoOptions, ObserverOptions, ServerOptions):
+for kind in (Command, ServoOptions, EstimatorOptions, ServerOptions):
     CALLS[kind.__name__] = kind, dict
 
 WRONG: dict[str, Any] = {

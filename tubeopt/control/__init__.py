@@ -1,21 +1,33 @@
-"""Control at 1 kHz: a servo, its snap guard, an observer, and their interfaces."""
+"""Control at 1 kHz: a servo, its snap guard, a state estimator, and their interfaces."""
 
 from .c_library import CLibrary, c_library, robot_description, save_c_library
 from .command import Command, ServoOptions, ServoStep, Why
+from .estimator import (
+    BaseReading,
+    Correction,
+    CurvatureReading,
+    Estimate,
+    EstimatorOptions,
+    StateEstimator,
+    TipReading,
+)
 from .lookahead import PredictiveServo
-from .observer import Correction, Observer, ObserverOptions
 from .servo import Servo
 
 __all__ = [
+    "BaseReading",
     "CLibrary",
     "Command",
     "Correction",
-    "Observer",
-    "ObserverOptions",
+    "CurvatureReading",
+    "Estimate",
+    "EstimatorOptions",
     "PredictiveServo",
     "Servo",
     "ServoOptions",
     "ServoStep",
+    "StateEstimator",
+    "TipReading",
     "Why",
     "c_library",
     "robot_description",

@@ -43,6 +43,8 @@ AHEAD = 100 * SAME_END
 class Section:
     """Cross-section at a point of the arm, with its changes while the point moves."""
 
+    rotation: Array
+    """Rotations theta (n,), rad."""
     curvature: Array
     """Curvature u (2,), 1/m."""
     by_tubes: Array
@@ -257,7 +259,7 @@ class ArmChange(Directions):
         inputs = _parts(at[None])
         result, by_data = sections_of(inputs, arm.offsets), data_slopes_of(inputs, arm.offsets).curvature[0]
         turned = result.slopes[0, n:] @ np.concatenate([change[:n], change[3 * n :]]) + by_data @ change[n : 3 * n]
-        return Section(result.curvature[0], change[: 3 * n], turned)
+        return Section(at[:n], result.curvature[0], change[: 3 * n], turned)
 
     @cached_property
     def position(self) -> Array:

@@ -266,6 +266,8 @@ class Change:
     """(P, K, n) change of the phase of the precurvature."""
     wound: Array
     """(n,) change of the natural twist up to the ends of the tubes."""
+    force: Array | None = None
+    """(P, K, 3) change of the force on the cross-sections; None for none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,6 +342,8 @@ class Directions:
             forcing.transmission[:, column], forcing.compliance[..., column] = change.transmission, change.rate
             forcing.data[..., column] = np.concatenate([change.phase, change.stiffness, change.moment], axis=2)
             into.wound[:, column] += change.wound
+            if change.force is not None:
+                forcing.force[..., column] = change.force
         if self._along is None:
             return into
         along = self._along

@@ -33,7 +33,7 @@ from ..errors import SolveError
 from ..physics.certificate import worst_function
 from ..typing import Array
 from .answer import discretisation_of, sample_rotation
-from .arm_change import ArmChange
+from .arm_change import PLACES, ArmChange
 from .directions import Change, Directions
 from .problem import loaded_problem, reduced_problem
 from .result import Equilibrium, refuse_friction
@@ -187,6 +187,10 @@ SOLVED = 1e-6
 
 APART = 1e-7
 """Absolute margin below which an equilibrium is a fold."""
+
+
+GAUSS = (0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3)), (0.5, 0.5)
+"""Points and weights of the mean over a short stretch, exact for cubic polynomials."""
 
 
 class _Form(NamedTuple):
@@ -428,6 +432,52 @@ def curvature_at(of: Linearised, fraction: float) -> tuple[Array, Array]:
     k, x = _place(of, fraction)
     result = of.section(k, x, fraction * _longer(of))
     return result.curvature, result.by_curvature
+
+
+def tip_forces(of: Directions) -> list[Change]:
+    """Changes by the x, y and z components of a dead force at the tip, N, for `more` of `linearise`."""
+    arm, still = of.arm, np.zeros(of.n)
+    none = np.zeros((arm.pieces, arm.degree, of.n))
+    force = np.broadcast_to(np.eye(3)[:, None, None], (3, arm.pieces, arm.degree, 3))
+    return [Change(still, none, none, none, none, still, each) for each in force]
+
+
+def base_wrench_change(of: Linearised) -> Array:
+    """Change (6, Q) of the force (N) and moment (N m) of the load on the plate, world axes."""
+    n, state = of.n, of.response.state[0]
+    force = of.forcing.force[0, 0] if of.arm.pieces else np.zeros((3, of.size))
+    # The plate lies across z: bending moments about x and y, and the torques of all tubes about z.
+    return np.concatenate([force, state[2 * n + 3 : 2 * n + 5], state[n + 3 : 2 * n + 3].sum(0)[None]])
+
+
+def curvature_in_tube(of: Linearised, tube: int, ends: tuple[float, float], moves: Array) -> tuple[Array, Array]:
+    """Mean curvature (2,) of a stretch of a tube in its own axes, 1/m, and its change (2, Q).
+
+    The stretch lies between arc lengths of the arm, m, and moves along it by (Q,) with the tube. Behind the plate tubes
+    are straight.
+    """
+    arm, (first, last) = of.arm, ends
+    value, change = np.zeros(2), np.zeros((2, of.size))
+    # A tube made of pieces has axes of its own, which its natural twist turns; theta is that of its precurvature.
+    turned = of.problem.compliant.sections.wound.reshape(arm.phase.shape) - arm.phase
+    for k in np.flatnonzero((of.cuts[1:] > first) & (of.cuts[:-1] < last)).tolist():
+        # Curvature jumps where pieces meet: each part of the stretch has points of its own, which move with its ends.
+        low, high = max(first, of.cuts[k]), min(last, of.cuts[k + 1])
+        from_, to = (
+            moves if inside else of.moved[(len(PLACES) - 1) * j]
+            for inside, j in ((low == first, k), (high == last, k + 1))
+        )
+        for x, weight in zip(*GAUSS, strict=True):
+            place = float((low + x * (high - low) - of.cuts[k]) / arm.length[k])
+            at = of.section(k, place, (1 - x) * from_ + x * to)
+            theta = float(at.rotation[tube] + arm.tableau.basis((place,), 0)[0] @ turned[k, :, tube])
+            c, s = np.cos(theta), np.sin(theta)
+            own = np.array([[c, s], [-s, c]])
+            u = own @ at.curvature
+            by = own @ at.by_curvature + np.outer([u[1], -u[0]], at.by_tubes[tube])
+            value += weight * (high - low) * u
+            change += weight * ((high - low) * by + np.outer(u, to - from_))
+    return value / (last - first), change / (last - first)
 
 
 def _longer(of: Linearised) -> Array:
