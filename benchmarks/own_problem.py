@@ -4,8 +4,8 @@
 
 A joint path of two tubes, one equilibrium block per knot, moves the tip from one position to another. In the first case
 breakpoints stay apart, so that both solve the same program once. In the second case they meet: `Opti` returns the
-optimum for the given order of breakpoints, `Problem` swaps them and returns a better optimum. Times are processor times
-of one thread for the composition and for a solve, which includes the derivatives.
+optimum for the given order of breakpoints, `Problem` swaps them on its way and returns a better optimum. Times are
+processor times of one thread for the composition and for all solves, which include the derivatives.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from tubeopt import Equilibrium, EquilibriumBlock, Ipopt, Problem, forward_kinem
 
 from .timing import ROOT, clock, dump, milliseconds, show, table
 
-MAX_RATIO = 1.2
-"""Largest time of `Problem` over that of `Opti` for one solve of the same program."""
+MAX_RATIO = 1.1
+"""Largest time of `Problem` over that of `Opti` for the same blocks, start and options."""
 
 TOLERANCE = 1e-10
 """Tolerance of IPOPT in both."""
@@ -34,12 +34,13 @@ CASES = {"apart": (-0.01, -0.03), "meeting": (0.0, 0.0)}
 
 @dataclass(frozen=True)
 class Run:
-    """One solve: seconds for composition and solve, and its result."""
+    """One solve: seconds for composition and solve, its effort and result."""
 
     compose: float
     solve: float
     iterations: int
     solves: int
+    gained: float
     objective: float
 
 
@@ -79,7 +80,7 @@ def by_opti(count: int, case: str) -> Run:
 
     composed, (opti, objective) = clock(compose)
     seconds, solution = clock(opti.solve)
-    return Run(composed, seconds, int(solution.stats()["iter_count"]), 1, float(solution.value(objective)))
+    return Run(composed, seconds, int(solution.stats()["iter_count"]), 1, 0.0, float(solution.value(objective)))
 
 
 def by_problem(count: int, case: str) -> Run:
@@ -101,7 +102,7 @@ def by_problem(count: int, case: str) -> Run:
     composed, problem = clock(compose)
     seconds, solution = clock(lambda: problem.solve(Ipopt(tolerance=TOLERANCE)))
     statistics = solution.statistics
-    return Run(composed, seconds, statistics.iterations, statistics.solves, solution.objective)
+    return Run(composed, seconds, statistics.iterations, statistics.solves, statistics.gained, solution.objective)
 
 
 def main() -> None:
@@ -113,12 +114,23 @@ def main() -> None:
     # The first blocks write out the functions of their pieces, which all later ones share.
     for case in CASES:
         by_opti(2, case)
+        by_problem(2, case)
     runs = {f"{case}, {n} knots": (by_opti(n, case), by_problem(n, case)) for case in CASES for n in options.knots}
     ratios = {name: problem.solve / opti.solve for name, (opti, problem) in runs.items()}
     if options.json:
         dump({name: {"opti": asdict(a), "problem": asdict(b), "ratio": ratios[name]} for name, (a, b) in runs.items()})
         return
-    columns = ("case", "Opti ms", "Problem ms", "ratio", "iterations", "solves", "objective Opti", "objective Problem")
+    columns = (
+        "case",
+        "Opti ms",
+        "Problem ms",
+        "ratio",
+        "iterations",
+        "solves",
+        "gained",
+        "objective Opti",
+        "objective Problem",
+    )
     rows = [
         (
             name,
@@ -127,12 +139,13 @@ def main() -> None:
             f"{ratios[name]:.2f}",
             f"{opti.iterations}, {problem.iterations}",
             f"{problem.solves}",
+            f"{problem.gained:.2g}",
             f"{opti.objective:.6g}",
             f"{problem.objective:.6g}",
         )
         for name, (opti, problem) in runs.items()
     ]
-    slow = [name for name, (_, problem) in runs.items() if problem.solves == 1 and ratios[name] > MAX_RATIO]
+    slow = [name for name, ratio in ratios.items() if ratio > MAX_RATIO]
     notes = [f"{name}: the ratio is {ratios[name]:.2f}; the target is {MAX_RATIO}" for name in slow]
     show([table("the same blocks", columns, rows)], notes or ["all targets are met"])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import pickle
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from tubeopt import (
     Problem,
     ProblemStatus,
     SolveError,
+    Sphere,
     forward_kinematics,
     load_problem_solution,
 )
@@ -89,6 +91,67 @@ def test_failure_names_the_worst_constraints() -> None:
     with pytest.raises(SolveError, match="ran out of iterations") as caught:
         problem.solve(Ipopt(iterations=2))
     assert any(each.name.startswith("equilibrium 1: ") for each in caught.value.solution.violations)
+
+
+def test_a_start_inside_a_body_names_the_clearance() -> None:
+    """The solver shares the contradiction among the equations of the arm, which are satisfied at equilibria."""
+    near = forward_kinematics(TWO_TUBE, [0.0, 1.0], [-0.01, -0.03])
+    problem = Problem("inside")
+    turn = problem.variable("turn", 2, guess=near.rotations, lower=-7.0, upper=7.0)
+    block = EquilibriumBlock(problem, near, rotations=turn, name="arm")
+    middle = near.position[len(near.position) // 2]
+    problem.subject_to("clear of the sphere", block.clearance(Sphere(tuple(middle), 0.03)), scale=1.0)
+    problem.minimize(ca.sumsqr(turn - near.rotations))
+    guesses = {name: each.guess.copy() for name, each in problem.variables.items()}
+    with pytest.raises(SolveError, match=r"clear of the sphere, entry \d+: violated by") as caught:
+        problem.solve(Ipopt(iterations=60))
+    missed = caught.value.solution
+    assert missed.violations[0].name.startswith("clear of the sphere")
+    # The amount is that of the equilibrium at the joint values of the last point.
+    at_end = forward_kinematics(TWO_TUBE, missed.values["turn"], near.translations, time_limit=100.0)
+    body = Sphere(tuple(middle), 0.03)
+    clearance = body.distance(*at_end.position.T) - TWO_TUBE.tubes[0].outer_diameter / 2
+    assert missed.violations[0].amount > 0.5 * -clearance.min() > 0
+    for name, guess in guesses.items():
+        np.testing.assert_array_equal(problem.variables[name].guess, guess)
+
+
+def test_a_swap_interrupts_the_solve_and_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+    start, goal = [0.0, -0.02], [-0.03, -0.01]
+    near = forward_kinematics(TWO_TUBE, [0.0, 1.0], start)
+
+    def composed() -> tuple[Problem, EquilibriumBlock]:
+        problem = Problem("swap")
+        shift = problem.variable("shift", 2, guess=start, scale=0.1)
+        block = EquilibriumBlock(problem, near, translations=shift)
+        problem.minimize(1e4 * ca.sumsqr(shift - ca.DM(goal)))
+        return problem, block
+
+    alone = composed()[0].solve(reorderings=0)
+    attempts = []
+    problem, block = composed()
+    attempt = problem.attempt
+    problem.attempt = lambda *args, **kw: attempts.append(attempt(*args, **kw)) or attempts[-1]  # type: ignore
+    with caplog.at_level(logging.WARNING):
+        solution = problem.solve()
+    np.testing.assert_allclose(block.equilibrium(solution).translations, goal, atol=1e-7)
+    of = solution.statistics
+    assert attempts[0].statistics.verdict == "User_Requested_Stop"
+    assert (of.solves, of.iterations) == (len(attempts), sum(each.statistics.iterations for each in attempts))
+    assert of.reorderings >= 1
+    # The first swap is made close to the optimum of the order before.
+    assert of.gained == pytest.approx(alone.objective - solution.objective, rel=0.05)
+    assert [record.message for record in caplog.records] == [
+        f"swap: breakpoints changed places, which lowered the objective by {of.gained:.3g} "
+        f"({of.solves} solves, {of.iterations} iterations)"
+    ]
+
+
+def test_any_option_of_ipopt_may_be_set() -> None:
+    problem = rectangle()
+    with pytest.raises(SolveError, match="ran out of iterations"):
+        problem.solve(Ipopt(further={"max_iter": 1}))
+    assert problem.solve(Ipopt(further={"mu_strategy": "adaptive"})).objective == pytest.approx(8e-3)
 
 
 def test_equations_of_a_block_are_named() -> None:

@@ -8,7 +8,7 @@ IPOPT has exact sparse Hessians. Joint values and dimensions of the tubes are nu
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -380,21 +380,33 @@ class EquilibriumBlock(ComposedBlock[N]):
         labels = order_labels(self.layout.order)
         return [f"{labels[row]}, and they meet" for row in self.closed(solution)]
 
+    def swappable(self) -> list[int]:
+        """Rows of `Layout.distance` with breakpoints that may be swapped."""
+        if not self._moving:
+            return []
+        order = self.layout.order
+        shifted, stretched = self._inputs.free("translations"), self._inputs.free("curved_length", "piece_length")
+        # Transitions move with the translations only; ends and joints also with the lengths.
+        moves = [
+            shifted or (stretched and any(p.end or p.joint for p in neighbours(order, row)))
+            for row in range(len(order_labels(order)))
+        ]
+        return [row for row, free in enumerate(moves) if free and may_swap(order, row)]
+
     def closed(self, solution: Any) -> list[int]:
         """Rows of `Layout.distance` that are 0 at a solution, if their breakpoints may be swapped."""
         if not self._moving:
             return []
-        order = self.layout.order
         distances = np.array(solution.value(self.model.distances)).ravel()
-        rows = np.flatnonzero(np.abs(distances) < CLOSED * self.reach).tolist()
-        shifted, stretched = self._inputs.free("translations"), self._inputs.free("curved_length", "piece_length")
-        # Transitions move with the translations only; ends and joints also with the lengths.
-        free = [shifted or (stretched and any(p.end or p.joint for p in neighbours(order, row))) for row in rows]
-        return [row for row, moves in zip(rows, free, strict=True) if moves and may_swap(order, row)]
+        return [row for row in self.swappable() if abs(distances[row]) < CLOSED * self.reach]
 
-    def pressing(self, solution: Any) -> int | None:
-        """Row of `closed` with the largest multiplier at a solution, None if no multiplier is active."""
-        rows = self.closed(solution)
+    def pressing(self, solution: Any, *, but: Collection[object] = ()) -> int | None:
+        """Row of `closed` with the largest multiplier at a solution, None if no multiplier is active.
+
+        Args:
+            but: pairs of breakpoints, as `pair` gives them, that are left out.
+        """
+        rows = [row for row in self.closed(solution) if self.pair(row) not in but]
         if not rows:
             return None
         # In the scale of the solver: at a strict optimum a multiplier is large where its distance is small.
@@ -403,6 +415,10 @@ class EquilibriumBlock(ComposedBlock[N]):
         pressed = [row for row in rows if abs(forces[row]) > max(abs(distances[row]), 1e-7)]
         return max(pressed, key=lambda row: float(abs(forces[row])), default=None)
 
+    def pair(self, row: int) -> object:
+        """Breakpoints of a row of distances, in either order; only one if the other end is the plate."""
+        return self.name, frozenset(neighbours(self.layout.order, row))
+
     def reorder(self, solution: Any, row: int | None = None) -> None:
         """Swap breakpoints that meet at a solution, and start the next solve there.
 
@@ -410,12 +426,12 @@ class EquilibriumBlock(ComposedBlock[N]):
         `opti.set_initial(solution.value_variables())` before.
 
         Args:
-            row: one of `closed`; None is the first of them.
+            row: one of `closed`, or of `swappable` near a meeting; None is the first of `closed`.
 
         Raises:
             InputError: breakpoints do not meet there, or the block has too few pieces for the new order.
         """
-        rows = self.closed(solution)
+        rows = self.closed(solution) if row is None else self.swappable()
         if not rows or (row is not None and row not in rows):
             raise InputError("no breakpoints meet at this solution that can be swapped")
         solved = self.model.at(solution.value)

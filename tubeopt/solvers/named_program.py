@@ -6,7 +6,7 @@ import io
 import json
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from os import PathLike
@@ -24,7 +24,7 @@ from ..errors import InputError, instance, nearest
 from ..files.field_metadata import form
 from ..files.files import read_bytes, read_text, save_arrays, write_text
 from ..typing import Array, StatusEnum
-from .settings import Ipopt
+from .settings import AT_SOLUTION, Ipopt, WarmStart
 from .time_limit import LEAST_SECONDS, check_time, time_left
 
 # --- Solution ---------------------------------------------------------------------------------------------------------
@@ -69,7 +69,7 @@ class ProblemStatistics:
     verdict: str
     """Return status of IPOPT."""
     iterations: int
-    """Iterations of the last solve."""
+    """Iterations of all solves."""
     seconds: float
     """Duration of all solves, s."""
     unknowns: int
@@ -255,23 +255,56 @@ class Stacked:
         self.scale, self.lower, self.upper = columns
 
 
-def ipopt_function(
+class Watch(ca.Callback):
+    """Test after every iteration of IPOPT, which may stop it there."""
+
+    STOPPED = "User_Requested_Stop"
+    """Return status of a solve that was stopped."""
+
+    def __init__(self, unknowns: int, constraints: int, parameters: int) -> None:
+        super().__init__()
+        self._sizes = {"f": 1, "x": unknowns, "lam_x": unknowns, "lam_p": parameters}
+        self._sizes |= dict.fromkeys(("g", "lam_g"), constraints)
+        self.test: Callable[[Array, Array, Array], bool] | None = None
+        """Function (x, g, multipliers of g) -> whether to stop, in the scale of the solver."""
+        self.construct("watch", {})
+
+    def get_n_in(self) -> int:
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, i: int) -> Any:
+        return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)])
+
+    def eval(self, arg: Sequence[Any]) -> list[float]:
+        """1 to stop, otherwise 0."""
+        if self.test is None:
+            return [0.0]
+        values = {ca.nlpsol_out(i): value for i, value in enumerate(arg)}
+        return [float(self.test(*(np.array(values[name]).ravel() for name in ("x", "g", "lam_g"))))]
+
+
+def ipopt_function(  # noqa: PLR0913
     variables: Sequence[Any],
     parameters: list[Any],
     objective: Any,
     constraints: Sequence[Any],
     settings: Ipopt,
     *,
-    warm: bool,
+    warm: WarmStart | None,
     derivatives: ca.Function | None = None,
     directions: int = DIRECTIONS,
+    watch: Watch | None = None,
 ) -> ca.Function:
     """Solver (x0, p, bounds) -> x, f, g, multipliers of the scaled program.
 
     Args:
-        warm: True for a start with multipliers.
+        warm: for a start with multipliers; None for a cold start.
         derivatives: another solver of the same program and settings, the derivatives of which are used again.
         directions: number of directions that CasADi differentiates along at once.
+        watch: called after every iteration.
     """
     symbols = [each.symbol for each in variables]
     whole = function_of(
@@ -283,6 +316,8 @@ def ipopt_function(
     parts = _parted(ca.DM(scale) * x, symbols) + _parted(p, parameters)
     f, *rows = whole.call(parts, True, False)
     options = settings.options(warm=warm)
+    if watch is not None:
+        options["iteration_callback"] = watch
     with few_directions(directions):
         if settings.expand:
             flat = ca.Function("flat", [x, p], [f, *rows]).expand()
@@ -325,11 +360,14 @@ def few_directions(count: int = DIRECTIONS) -> Iterator[None]:
         ca.GlobalOptions.setMaxNumDir(before)
 
 
+NAMED = 10
+"""Largest number of violations of a solution."""
+
 NAMED_VIOLATIONS = 3
 """Number of constraints that the message of a failed solve names."""
 
-MAX_SOLVERS = 2
-"""Number of solvers that a program keeps, such as one for cold and one for warm starts; each may take 60 MB."""
+MAX_SOLVERS = 3
+"""Number of solvers that a program keeps, for cold starts, warm ones, and swaps of breakpoints; each may take 60 MB."""
 
 MAX_FUNCTIONS = 256
 """Number of expressions that a program keeps as functions to evaluate them again."""
@@ -365,7 +403,7 @@ class NamedProgram:
         self._constraints: dict[str, _Constraint] = {}
         self._parameters: dict[str, tuple[Any, Array]] = {}
         self._objective: Any = ca.MX(0.0)
-        self._solvers: dict[tuple[Ipopt, bool], Any] = {}
+        self._solvers: dict[tuple[Ipopt, WarmStart | None], tuple[ca.Function, Watch | None]] = {}
         self._functions: dict[int, tuple[Any, ca.Function]] = {}
 
     # --- composition --------------------------------------------------------------------------------------------------
@@ -509,12 +547,29 @@ class NamedProgram:
         """
         return self._constraints[self._name_of(name, self._constraints, "constraint")].entries
 
+    @property
+    def constraint_sizes(self) -> dict[str, int]:
+        """Number of rows of every constraint, in the order of the program."""
+        return {name: len(each.scale) for name, each in self._constraints.items()}
+
     # --- solution -----------------------------------------------------------------------------------------------------
 
-    def attempt(self, solver: Ipopt, *, start: ProblemSolution | None = None) -> ProblemSolution:
-        """Solve once and return the result, solved or not; breakpoints keep their order."""
+    def attempt(
+        self,
+        solver: Ipopt,
+        *,
+        start: ProblemSolution | None = None,
+        warm: WarmStart = AT_SOLUTION,
+        interrupt: Callable[[Array, Array, Array], bool] | None = None,
+    ) -> ProblemSolution:
+        """Solve once and return the result, solved or not; breakpoints keep their order.
+
+        Args:
+            start: earlier solution with its multipliers; `warm` says how close it is to that of the program.
+            interrupt: function (x, g, multipliers) -> whether to stop there, in the scale of the solver.
+        """
         start_time = time.perf_counter()
-        function = self._solver(in_time(solver), warm=start is not None)
+        function, watch = self._solver(in_time(solver), warm=None if start is None else warm)
         variables, constraints = self.variables.values(), self._constraints.values()
         x, g = (Stacked(list(part)) for part in (variables, constraints))
         guess = {name: each.guess for name, each in self.variables.items()}
@@ -528,6 +583,8 @@ class NamedProgram:
         p = np.concatenate([*(numbers for _, numbers in self._parameters.values()), np.zeros(0)])
         bounds = {"lbx": x.lower, "ubx": x.upper, "lbg": g.lower, "ubg": g.upper}
         bounds = {key: value / (x if key.endswith("x") else g).scale for key, value in bounds.items()}
+        if watch is not None:
+            watch.test = interrupt
         result = function(p=p, **inputs, **bounds)
         stats = function.stats()
         solution = {key: np.array(result[key]).ravel() for key in ("x", "g", "lam_x", "lam_g")}
@@ -540,7 +597,7 @@ class NamedProgram:
             multipliers=self._split(-solution["lam_g"] / g.scale, self._constraints),
             bound_multipliers=self._split(-solution["lam_x"] / x.scale, self.variables),
             parameters={name: numbers.copy() for name, (_, numbers) in self._parameters.items()},
-            violations=worst(violations, 10),
+            violations=worst(violations, NAMED),
             statistics=ProblemStatistics(
                 verdict=stats["return_status"],
                 iterations=int(stats["iter_count"]),
@@ -550,6 +607,14 @@ class NamedProgram:
             ),
             program=self,
         )
+
+    def violated(self, names: Sequence[str], values: dict[str, Array], tolerance: float) -> tuple[Violation, ...]:
+        """Violations of the named constraints at values of the variables, worst first."""
+        parts = [self._constraints[name] for name in names]
+        g = Stacked(parts)
+        column = self.evaluate(ca.veccat(ca.MX(0, 1), *(each.expression for each in parts)), values, {}).ravel()
+        entries = [label for each in parts for label in each.entries]
+        return worst(violations_of(entries, column, (g.lower, g.upper), g.scale, tolerance), NAMED)
 
     def failure(self, solution: ProblemSolution) -> str:
         """Message of a failed solve, with its status and worst constraints."""
@@ -615,28 +680,34 @@ class NamedProgram:
         stops = np.cumsum([len(each.scale) for each in table.values()])[:-1]
         return dict(zip(table, np.split(column, stops), strict=True)) if table else {}
 
-    def _solver(self, solver: Ipopt, *, warm: bool) -> ca.Function:
+    def _solver(self, solver: Ipopt, *, warm: WarmStart | None) -> tuple[ca.Function, Watch | None]:
         key = solver, warm
         if key not in self._solvers:
             if not self.variables:
                 raise InputError(f"{self.name} has no variables")
             variables, constraints = list(self.variables.values()), list(self._constraints.values())
             parameters = [symbol for symbol, _ in self._parameters.values()]
+            watch = None
+            if any(block.swappable() for block in self.blocks):
+                unknowns, rows = (sum(len(each.scale) for each in part) for part in (variables, constraints))
+                watch = Watch(unknowns, rows, sum(symbol.numel() for symbol in parameters))
             # Cold and warm starts differ in options of IPOPT only.
-            self._solvers[key] = ipopt_function(
+            alike = next((function for (other, _), (function, _) in self._solvers.items() if other == solver), None)
+            function = ipopt_function(
                 variables,
                 parameters,
                 self._objective,
                 constraints,
                 solver,
                 warm=warm,
-                derivatives=self._solvers.get((solver, not warm)),
                 directions=self.directions,
+                derivatives=alike,
+                watch=watch,
             )
+            self._solvers[key] = function, watch
             while len(self._solvers) > MAX_SOLVERS:
                 self._solvers.pop(next(iter(self._solvers)), None)
-        function: ca.Function = self._solvers[key]
-        return function
+        return self._solvers[key]
 
 
 def in_time(solver: Ipopt) -> Ipopt:

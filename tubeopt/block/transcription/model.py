@@ -339,9 +339,13 @@ class Model(TorsionModel):
         """This arm in numbers; `value` evaluates an expression."""
         names = [name for name in self.__dataclass_fields__ if name not in ("grid", "offsets", "bending_stiffness")]
         parts = {name: getattr(self, name) for name in names}
-        numbers: dict[str, Any] = {
-            name: None if part is None else np.array(value(part)).reshape(part.shape) for name, part in parts.items()
-        }
+        present = {name: part for name, part in parts.items() if part is not None}
+        # One expression: a function is built for each that is evaluated.
+        column = np.array(value(ca.veccat(*present.values()))).ravel()
+        stops = np.cumsum([np.prod(part.shape, dtype=int) for part in present.values()])[:-1]
+        numbers: dict[str, Any] = dict.fromkeys(parts)
+        for (name, part), values in zip(present.items(), np.split(column, stops), strict=True):
+            numbers[name] = values.reshape(part.shape, order="F")
         for name in ("lengths", "distances", "transmission", "clamp_distance"):
             numbers[name] = numbers[name].ravel()
         return replace(self, **numbers)

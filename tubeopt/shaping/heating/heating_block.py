@@ -180,12 +180,18 @@ class HeatingBlock(RigCourse):
         return smooth + w["w_time"] * self.hold_start / SCALE.duration + w["w_energy"] * self.energy / SCALE.energy
 
     @staticmethod
-    def solver_options(tolerance: float = 1e-8) -> dict[str, Any]:
-        """Options of IPOPT for `opti.solver("ipopt", options)`; such programs then need 20 to 60 iterations.
+    def solver(tolerance: float = 1e-8) -> Ipopt:
+        """Settings of IPOPT for `problem.solve(block.solver())`; such programs then need 20 to 60 iterations.
 
         With its default settings, MUMPS loses the inertia of the steps to round-off: every step is tried several times.
         """
-        return {**Ipopt(tolerance=tolerance, barrier=IPOPT.barrier, expand=True).options(warm=False), **MUMPS, **COLD}
+        further = {name.removeprefix("ipopt."): value for name, value in {**MUMPS, **COLD}.items()}
+        return Ipopt(tolerance=tolerance, barrier=IPOPT.barrier, expand=True, further=further)
+
+    @classmethod
+    def solver_options(cls, tolerance: float = 1e-8) -> dict[str, Any]:
+        """Options of `opti.solver("ipopt", block.solver_options())`, with the settings of `solver`."""
+        return cls.solver(tolerance).options()
 
     # --- results ------------------------------------------------------------------------------------------------------
 

@@ -334,7 +334,7 @@ def program(s: Structure, own: OwnTerms = NO_TERMS) -> Program:
         rest={"f": smooth + linear, "g": ca.veccat(*blocks.values())},
         weights=energy,
     )
-    exact = {**IPOPT.options(warm=False), **MUMPS, **derivatives}
+    exact = {**IPOPT.options(), **MUMPS, **derivatives}
     convex = {**exact, "hess_lag": _convex_hessian(problem, smooth)}
     return Program(
         structure=s,
