@@ -260,13 +260,13 @@ PROBLEMS = [
     (
         "kind: concentric",
         "kind: conzentric",
-        "kind is 'conzentric'; it must be concentric, eccentric or segmented_eccentric; did you mean 'concentric'?",
+        "kind is 'conzentric'; it must be concentric, eccentric, segmented_eccentric or bundle; did you mean 'concentric'?",
     ),
-    ("kind: concentric\n", "", "kind is missing; it must be concentric, eccentric or segmented_eccentric"),
+    ("kind: concentric\n", "", "kind is missing; it must be concentric, eccentric, segmented_eccentric or bundle"),
     (
         "kind: concentric",
         "kind: [concentric]",
-        "kind is ['concentric']; it must be concentric, eccentric or segmented_eccentric",
+        "kind is ['concentric']; it must be concentric, eccentric, segmented_eccentric or bundle",
     ),
     ("kind: concentric", "kind: concentric\nname: 3", "name is 3; it must be text"),
     ("kind: concentric", "kind: concentric\nnmae: x", "nmae is not a known key; did you mean 'name'?"),

@@ -54,6 +54,6 @@ def test_bounds_of_cells_hold_a_little_beyond_them_and_behind_the_end() -> None:
     assert found.stiffest[1, 0, inner] == pytest.approx([kt(s + BEYOND) for s in cells[inner]], rel=1e-10)
     assert found.torsional[0, -2] == pytest.approx(2 * start, rel=1e-6)
     assert found.torsional[:, -1] == pytest.approx(found.torsional[:, -2])
-    assert not any(found.__dict__[name][..., -1].any() for name in ("bending", "ease", "pull", "twist"))
+    assert not any(found.__dict__[name][..., -1].any() for name in ("bending", "compliance", "pull", "twist"))
     assert (np.diff(found.cuts[1])[1:] == 0).all()
     assert found.pull[0, 1, 1:-1] == pytest.approx(even.bending_stiffness * even.curvature)
