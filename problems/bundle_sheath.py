@@ -22,6 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 def main(out: Path, samples: int = 24) -> list[Path]:
     """Bend and load the robot, save its picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "bundles" / "steerable_sheath.yaml")
+    assert isinstance(robot, tubeopt.BundleRobot)
     print(f"free channel: {1e3 * free_channel(robot).diameter:.3f} mm")
     rotations = np.radians([0.0, 40.0, 0.0])
     pose = robot.fk(rotations)

@@ -124,10 +124,12 @@ def serve(study: ServeEntry, output: Output) -> None:
         elif not output.quiet and event in ("compiling", "stopped"):
             print(words, file=sys.stderr, flush=True)
 
-    _tell("compiling", f"compiling {robot.name or 'the robot'} for this machine, unless it was served before")
+    def _compiling() -> None:
+        _tell("compiling", f"compiling {robot.name or 'the robot'} for this machine, unless it was served before")
+
     options = ServoOptions(**values(ServoOptions, study, *SERVO))
     with rewording_joints(start=("--rotations-deg", "--translations-mm")):
-        servo = servo_of(robot, study.joints, obstacles=study.obstacles, options=options)
+        servo = servo_of(robot, study.joints, obstacles=study.obstacles, options=options, building=_compiling)
     server = RobotServer(CrtkRobot(servo, watchdog=study.si("watchdog_s")), how, tell=_tell)
 
     def _ready() -> None:

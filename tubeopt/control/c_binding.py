@@ -7,7 +7,7 @@ import hashlib
 import logging
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -229,13 +229,28 @@ class CRobot:
 
 
 def servo_of(
-    robot: Robot, start: Configuration, *, obstacles: Sequence[Obstacle] = (), options: ServoOptions | None = None
+    robot: Robot,
+    start: Configuration,
+    *,
+    obstacles: Sequence[Obstacle] = (),
+    options: ServoOptions | None = None,
+    building: Callable[[], object] | None = None,
 ) -> Servo | CServo:
-    """The fastest servo that there is: that of the robot's C library, a tenth of a millisecond per step, or, where the
-    library cannot do what is asked or cannot be made here, `Servo`, with its errors."""
+    """Fastest servo for a robot: that of its C library, a tenth of a millisecond per step, else `Servo`.
+
+    `Servo` is used among obstacles, with options that the library lacks, and where the library cannot be built.
+
+    Args:
+        building: called once the arguments are checked, before the library is compiled.
+
+    Raises:
+        InputError, SolveError: as of `Servo`.
+    """
     servo = Servo(robot, start, obstacles=obstacles, options=options)
     if obstacles:
         return servo
+    if building is not None:
+        building()
     here = servo.equilibrium
     try:
         return CServo(c_library(robot), (here.rotations, here.translations), servo.options)

@@ -465,7 +465,7 @@ def _slicer_state(told: dict[str, Any], failure: str) -> list[Any]:
     return [
         TransformMessage(pose, device_name="TipToPlate"),
         PointMessage(few.tolist(), names=names, device_name="Centreline"),
-        _status_class()(code, state["state"], words),
+        _status_class()(code, state["state"], words, device_name="Robot"),
     ]
 
 

@@ -55,7 +55,7 @@ BETWEEN = cubic(_UNIT[0], _UNIT[1], _UNIT[2], _UNIT[3], np.arange(1, PARTS)[:, N
 @lru_cache(maxsize=64)
 def outer_radius(robot: Robot) -> Array:
     """Radius (n,) of the arm where tube i is the outermost, m; for eccentric tubes the sheath's."""
-    return np.array([tube.outer_diameter / 2 for tube in robot.tubes]) + np.hypot(*robot.axes.T)
+    return np.asarray(np.hypot(*robot.axes.T) + [tube.outer_diameter / 2 for tube in robot.tubes])
 
 
 @dataclass(frozen=True, eq=False)

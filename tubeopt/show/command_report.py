@@ -339,7 +339,7 @@ JOURNALS = {
 
 
 @dataclass(frozen=True)
-class Figures:
+class Figures(Displayed):
     """Result with pictures for a paper."""
 
     shown: Report[Any]
