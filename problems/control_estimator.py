@@ -23,7 +23,7 @@ import tubeopt
 from tubeopt.control import (
     BaseReading,
     CurvatureReading,
-    Estimate,
+    StateEstimate,
     EstimatorOptions,
     StateEstimator,
     TipReading,
@@ -50,7 +50,7 @@ class Run(NamedTuple):
     """True states (T, 9) of a run, with the estimates."""
 
     truth: Array
-    estimates: list[Estimate]
+    estimates: list[StateEstimate]
 
     @property
     def nees(self) -> Array:

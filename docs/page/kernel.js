@@ -1,7 +1,7 @@
 // The solver: the C kernel of tubeopt, compiled to WebAssembly. Numbers are SI; tubes go from the inner one outwards.
 
 export const STATUS = { done: 0, declined: 1, badInput: 2, notStarted: 3, snap: 4, tooFar: 5, tooLarge: 6 };
-export const WHY = { rate: 1, range: 2, order: 4, margin: 8, shortened: 16, held: 32 };
+export const WHY = { rate: 1, range: 2, order: 4, margin: 8, shortened: 16, held: 32, noCloser: 128 };
 
 const POINTS = 65;
 

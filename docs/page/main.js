@@ -213,7 +213,7 @@ const REASONS = [
 function explain({ short, why, stuck }) {
   if (short < 5e-4) return say("");
   const known = REASONS.filter(([bit]) => why & bit).map(([, words]) => words).join(", ");
-  const reason = known || (stuck ? "it comes no closer" : "");
+  const reason = known || (why & WHY.noCloser || stuck ? "it comes no closer" : "");
   if (reason) say(`The tip stops ${(short / MM).toFixed(1)} mm short: ${reason}.`);
 }
 

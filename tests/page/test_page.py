@@ -409,7 +409,7 @@ def test_a_hand_snaps_the_robot_pushes_it_and_shares_it(browser: Any, address: s
         page.mouse.down()
         page.mouse.move(x + 20, y + 10, steps=4)
         page.wait_for_function("() => tubeoptPage.drag.short < 1e-5")
-        page.mouse.move(x + 300, y - 400, steps=8)
+        page.mouse.move(x + 600, y, steps=8)
         page.wait_for_function("() => document.getElementById('message').textContent.includes('short')")
         page.mouse.move(x + 20, y + 10, steps=8)
         page.wait_for_function("() => tubeoptPage.drag.short < 1e-5")

@@ -276,11 +276,11 @@ def potter(x: Array, root: Array, slopes: Array, values: Array) -> tuple[Array, 
     return x, root
 
 
-# --- Estimate ---------------------------------------------------------------------------------------------------------
+# --- StateEstimate ---------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate(Displayed):
+class StateEstimate(Displayed):
     """Estimated shape, force and offsets at one time."""
 
     time: Annotated[float, unit("s"), form(".3f"), "time"]
@@ -304,6 +304,7 @@ class Estimate(Displayed):
     prior: Array
     """(K,) standard deviations without measurements."""
     states: States
+    """Places of the estimated quantities in the state."""
 
     def covariance_of(self, name: str) -> Array:
         """Covariance of "force", "rotation", "translation", "stiffness" or "tip_offset"; 0 where not estimated."""
@@ -436,8 +437,8 @@ class StateEstimator:
             words = f"the model has no equilibrium there, the robot may have snapped: {error}"
             return Correction(False, words, 0.0, 0, np.nan, np.nan)
 
-    def estimate(self, time: float | None = None) -> Estimate:
-        """Estimate at a time, s, by default that of the last joint values.
+    def estimate(self, time: float | None = None) -> StateEstimate:
+        """StateEstimate at a time, s, by default that of the last joint values.
 
         Raises:
             InputError: no joint values of the time are known.
@@ -452,7 +453,7 @@ class StateEstimator:
         states, parts = self.states, self.states.whole(x)
         arm = self.at(x, *joints)
         offsets = parts["rotation"], parts["translation"], np.exp(parts["stiffness"]), parts["tip_offset"]
-        return Estimate(time, arm, parts["force"], *offsets, x, root @ root.T, states.sigma, states)
+        return StateEstimate(time, arm, parts["force"], *offsets, x, root @ root.T, states.sigma, states)
 
     @property
     def robot(self) -> ConcentricRobot:
