@@ -23,8 +23,8 @@ import tubeopt
 from tubeopt.control import (
     BaseReading,
     CurvatureReading,
-    StateEstimate,
     EstimatorOptions,
+    StateEstimate,
     StateEstimator,
     TipReading,
 )

@@ -260,7 +260,8 @@ PROBLEMS = [
     (
         "kind: concentric",
         "kind: conzentric",
-        "kind is 'conzentric'; it must be concentric, eccentric, segmented_eccentric or bundle; did you mean 'concentric'?",
+        "kind is 'conzentric'; it must be concentric, eccentric, segmented_eccentric or bundle; "
+        "did you mean 'concentric'?",
     ),
     ("kind: concentric\n", "", "kind is missing; it must be concentric, eccentric, segmented_eccentric or bundle"),
     (

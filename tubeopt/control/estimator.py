@@ -276,7 +276,7 @@ def potter(x: Array, root: Array, slopes: Array, values: Array) -> tuple[Array, 
     return x, root
 
 
-# --- StateEstimate ---------------------------------------------------------------------------------------------------------
+# --- Estimates --------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
