@@ -20,6 +20,7 @@ from tests.conftest import draw_quickly
 
 SAMPLES = {
     "calibrate_friction": 36,
+    "control_estimator": 2,
     "design_pair": 3,
     "heating_led": 20,
     "load_snap_directions": 3,
