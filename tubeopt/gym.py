@@ -1,10 +1,10 @@
 """Gymnasium environments of tube robots: reach a point, or follow a path, without a snap.
 
-Observations and actions have the layout of CTR-Reach (Iyengar, Spurgeon, Stoyanov, IEEE Trans. Med. Robot. Bionics 6
-(2024); gym-ctr-reach). Of n tubes, inner to outer, a proximal end beta <= 0 (m behind the plate) and a rotation alpha
-(rad) are known. An observation has (cos alpha, sin alpha, beta) of each tube, the vector from tip to goal, and the
-tolerance. An action has n changes of beta, then n of alpha. The reward is -1 until the tip is within the tolerance, and
-0 there. Each robot follows its branch of equilibria; where that ends, it snaps, and the episode with it.
+Observations and actions follow the layout of CTR-Reach (gym-ctr-reach), without a comparison with its code. Of n
+tubes, inner to outer, a proximal end beta <= 0 (m behind the plate) and a rotation alpha (rad) are known. An
+observation has (cos alpha, sin alpha, beta) of each tube, the vector from tip to goal, and the tolerance. An action has
+n changes of beta, then n of alpha. The reward is -1 until the tip is within the tolerance, and 0 there. Each robot
+follows its branch of equilibria; where that ends, it snaps, and the episode with it.
 """
 
 from __future__ import annotations

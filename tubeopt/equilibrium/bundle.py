@@ -44,7 +44,7 @@ REFINEMENTS = 4
 """Maximum number of times that elements are halved."""
 
 EXCHANGES = 20
-"""Maximum number of exchanges of boundaries; 94 of 100 random robots of two to four tubes needed none, the rest one."""
+"""Maximum number of exchanges of boundaries; 94 of 100 random robots of two to four tubes needed none."""
 
 VANISHING = 1e-7
 """Length (m) of an element below which its section counts as vanishing."""
