@@ -73,8 +73,14 @@ def test_a_page_is_read_without_code() -> None:
     ]
 
 
-def test_the_catalogue_has_every_flag_with_words() -> None:
-    seen = {text.where for text in PROSE.texts() if text.part == "help"}
+@pytest.fixture(scope="module")
+def catalogue() -> list[Any]:
+    """All texts that users read."""
+    return list(PROSE.texts())
+
+
+def test_the_catalogue_has_every_flag_with_words(catalogue: list[Any]) -> None:
+    seen = {text.where for text in catalogue if text.part == "help"}
     for name, command in program().commands.items():
         for inner, one in getattr(command, "commands", {"": command}).items():
             full = f"tubeopt {name} {inner}".strip()
@@ -83,6 +89,6 @@ def test_the_catalogue_has_every_flag_with_words() -> None:
             assert missing in ([], ["help"], ["--help"]), full
 
 
-def test_messages_keys_labels_and_docstrings_are_in_the_catalogue() -> None:
-    parts = {text.part.split()[0] for text in PROSE.texts()}
+def test_messages_keys_labels_and_docstrings_are_in_the_catalogue(catalogue: list[Any]) -> None:
+    parts = {text.part.split()[0] for text in catalogue}
     assert {"help", "message", "key", "label", "docstring", "README.md"} <= parts

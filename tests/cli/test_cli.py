@@ -352,14 +352,14 @@ def test_plots_and_arms_are_saved_in_requested_formats(
         "--out",
         str(tmp_path),
         "--format",
-        "svg,pdf,urdf,mjcf,eps,tiff",
+        "svg,pdf,urdf,mjcf",
         "--width-mm",
         "88",
         "--no-title",
     )
     assert outcome.code == 0
     names = {path.name for path in tmp_path.iterdir()}
-    pictures = {f"{name}.{form}" for name in ("shape", "torsion") for form in ("svg", "pdf", "eps", "tiff")}
+    pictures = {f"{name}.{form}" for name in ("shape", "torsion") for form in ("svg", "pdf")}
     assert names == {"result.json", "arrays.npz", "arm.urdf", "arm.xml", *pictures}
     head = (tmp_path / "shape.svg").read_text(encoding="utf-8")[:2000]
     assert f'width="{88 / 25.4 * 72:.6f}pt"'[:14] in head
