@@ -18,6 +18,10 @@ from tubeopt.typing import Array
 
 COMPILER = shutil.which("g++") or shutil.which("clang++")
 TICK = 0.1
+HOLD, WATCHDOG = 0.28, 0.5
+"""Time after which ticks that end let the cut-out open, and without food for the watchdog, s."""
+DELAY = 0.03
+"""Time until the cut-out opens where the drain stays low, s: that of the thesis' rig at 122 Hz."""
 
 
 CORE = Path(__file__).parent / "arduino_core"
@@ -62,6 +66,9 @@ class Run:
     rows: list[tuple[float, ...]] = field(default_factory=list)
     lines: list[dict[str, Any]] = field(default_factory=list)
 
+    reset: bool = False
+    """The watchdog has reset it."""
+
     @property
     def columns(self) -> Array:
         """(6, T)."""
@@ -73,25 +80,37 @@ class Run:
         return str(self.lines[-1].get("reason", ""))
 
 
-def run(heater: Path, rig: SimulatedRig, fault: Fault | None = None, longest: float = 200.0) -> Run:
-    """Start the heater and go on until it has stopped."""
+def run(
+    heater: Path,
+    rig: SimulatedRig,
+    fault: Fault | None = None,
+    longest: float = 200.0,
+    start: str = '{"do":"start"}',
+) -> Run:
+    """Start the heater and go on until it has stopped, or its watchdog has."""
     fault = fault or Fault()
     found = Run()
     with subprocess.Popen([heater], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None
         assert process.stdout is not None
 
-        def answer() -> int:
+        def answer() -> tuple[int, ...]:
             while not (line := process.stdout.readline()).startswith("="):  # type: ignore[union-attr]
                 found.lines.append(json.loads(line))
-            return int(line[1:])
+            return tuple(int(word) for word in line[1:].split())
 
-        count, command, frozen = answer(), '{"do":"start"}', None
+        (count, *_), command, frozen = answer(), start, None
+        # The monostable lets go of the cut-out, and the watchdog resets the board, once they are not retriggered.
+        closed, ticked, fed, stopped_clock = False, -1e9, 0.0, 0.0
         for k in range(round(longest / TICK)):
             reading = rig.reading
-            volt, on = rig.electrics(count > 0)
-            off, button = 0.0, 0
             wrong = fault.name if rig.time >= fault.since else ""
+            shorted = wrong == "switch"
+            welded = wrong == "cut-out"
+            volt, on = rig.electrics((count > 0 or shorted) and (closed or welded))
+            off, button = on if shorted else 0.0, 0
+            if shorted and not closed:
+                volt = 0.0
             if wrong == "open":
                 reading = float("nan")
             elif wrong == "short":
@@ -105,8 +124,6 @@ def run(heater: Path, rig: SimulatedRig, fault: Fault | None = None, longest: fl
                 on = 260.0
             elif wrong == "no current":
                 on = 0.0
-            elif wrong == "switch":
-                off = 50.0
             elif wrong == "battery":
                 volt = 6.0
             elif wrong == "button":
@@ -115,16 +132,35 @@ def run(heater: Path, rig: SimulatedRig, fault: Fault | None = None, longest: fl
                 command = '{"do":"stop"}'
             elif wrong == "lead":
                 command, fault = fault.command, Fault()
-            told = f"{round(1000 * rig.time)} {reading} {volt} {on} {off} {button} {command}"
+            if wrong != "clock":
+                stopped_clock = rig.time
+            told = f"{round(1000 * stopped_clock)} {reading} {volt} {on} {off} {button} {command}"
             process.stdin.write(told + "\n")
             process.stdin.flush()
             command = ""
-            count = answer()
+            count, holds, alive = answer()
+            if not holds:
+                ticked = -1e9
+            elif not shorted and wrong != "clock":
+                ticked = rig.time
+            closed, fed = rig.time - ticked < HOLD, rig.time if alive else fed
+            if rig.time - fed > WATCHDOG:
+                found.reset = True
+                count = 0
             tube = rig.state.cells[:, :, 0]
             curved = curved_temperatures(rig.model, tube) - ZERO_CELSIUS
             found.rows.append((rig.time, count, reading, curved.min(), curved.max(), tube.max() - ZERO_CELSIUS))
-            if k and found.lines and found.lines[-1].get("state") == "stopped":
+            if found.reset or (k and found.lines and found.lines[-1].get("state") == "stopped"):
                 break
-            rig.pass_time(count, TICK)
+            # The switch conducts in pulses, or always; without the cut-out nothing flows.
+            flows = 255 if shorted else count
+            if not closed and not welded:
+                flows = 0
+            elif shorted:
+                rig.pass_time(255, DELAY)
+                rig.pass_time(0, TICK - DELAY)
+                ticked = -1e9
+                continue
+            rig.pass_time(flows, TICK)
         process.stdin.close()
     return found

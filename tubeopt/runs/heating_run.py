@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal
@@ -17,8 +18,8 @@ from ..errors import InputError, SolveError
 from ..files.checked import Positive, in_file, require_one
 from ..files.field_metadata import unit
 from ..shaping.firmware.line import Line, SerialLine, SimulatedLine, SimulatedRig
-from ..shaping.firmware.sketch_files import OVERSHOOT
 from ..shaping.heating.controller import HeatingLaw
+from ..shaping.heating.cutout import OVERSHOOT, cut_out, cutout_delay
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.replanning import Replanner, planner_for
@@ -60,6 +61,9 @@ class HeatingRun(Displayed):
     """Name of the rig."""
     window: Annotated[tuple[float, float] | None, unit("degC"), "temperature window of the hold"] = None
     """None if the rig has no window."""
+    opened: Annotated[float | None, unit("ms"), "time in which the cut-out opened, of a test"] = None
+    """None without a test of the cut-out."""
+    allowed: Annotated[float | None, unit("ms"), "longest time that the tube allows"] = None
 
     @property
     def done(self) -> bool:
@@ -111,6 +115,9 @@ class HeatingRunStudy(Study):
         "computer; by default the board's controller works alone",
     )
     dry: bool = Field(False, description="run without current")
+    test_cutout: bool = Field(
+        False, description="bench test instead of a heating: pulses flow, the cut-out must end them in time"
+    )
     speed: Positive = Field(Decimal(20), description="speed of the simulation, as a multiple of real time")
 
     @model_validator(mode="after")
@@ -142,7 +149,8 @@ class HeatingRunStudy(Study):
         simulated = SimulatedRig(thermal_model(plan.tube, plan.rig, FINE), sensor)
         # The board switches off at the same temperature.
         limit = plan.spec.limit + OVERSHOOT
-        return SimulatedLine(simulated, law, limit, self.si("speed"), plan.spec.window_degC), leader
+        opening = math.ceil(1e3 * cutout_delay(plan.rig)), math.floor(1e3 * cut_out(plan).budget)
+        return SimulatedLine(simulated, law, limit, self.si("speed"), plan.spec.window_degC, opening), leader
 
     def run_in(self, out: Path | None, progress: Progress | None = None) -> HeatingRun:
         """Run the heating, with a log in `out`."""
@@ -151,6 +159,8 @@ class HeatingRunStudy(Study):
 
     def run_on(self, out: Path | None, line: Line, leader: Replanner | None, show: Show) -> HeatingRun:
         """Run the heating over a line from `open`, with a log in `out`."""
+        if self.test_cutout:
+            return measure_cutout(line)
         log = None if out is None else out / LOG_FILE
         return run_heating(line, dry=self.dry, log=log, show=show, leader=leader)
 
@@ -168,6 +178,29 @@ def default_feedback(rig: Rig) -> FeedbackDesign:
     assert rig.tube is not None
     plan, sensor = plan_heating(rig.tube, rig, HeatingSpec(objective="margin")), Thermocouple()
     return FeedbackDesign(plan, design_feedback(plan, sensor, samples=20).law, sensor)
+
+
+def measure_cutout(line: Line) -> HeatingRun:
+    """Open the cut-out under pulses and read how long the current lasts; errors as `run_heating`."""
+    try:
+        line.send("hello")
+        hello = _next(line, "hello")
+        line.send("test")
+        while True:
+            row = _next(line, "cutout", "status", "error")
+            if row["event"] == "error":
+                raise InputError(f"the rig does not start: {row.get('text', '')}")
+            if row["event"] == "cutout":
+                opened, allowed = 1e-3 * row["opened_ms"], 1e-3 * row["allowed_ms"]
+                return HeatingRun((), "done", None, str(hello.get("firmware", "rig")), None, opened, allowed)
+            if row["state"] == "stopped" and row["reason"] not in ("", "done"):
+                return HeatingRun((row,), str(row["reason"]), None, str(hello.get("firmware", "rig")))
+    except BaseException:
+        with contextlib.suppress(SolveError):
+            line.send("stop")
+        raise
+    finally:
+        line.close()
 
 
 def run_heating(

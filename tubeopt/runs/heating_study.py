@@ -20,6 +20,7 @@ from ..robots.tubes import Tube
 from ..shaping.firmware.boards import BOARDS, CONVERTERS, READS, Wiring, converter_for, hall_slope, pwm_frequency
 from ..shaping.heating.calibration import BIAS, FACTORS, HeatingLog, RigFit, calibrate
 from ..shaping.heating.controller import Feedback, wilson
+from ..shaping.heating.cutout import stop_current
 from ..shaping.heating.oven import Oven, OvenPlan, plan_oven
 from ..shaping.heating.plan import HeatingPlan, slot_milliseconds
 from ..shaping.heating.planning import plan_heating
@@ -337,9 +338,9 @@ class ClosedLoopStudy(HeatedTube):
     @model_validator(mode="after")
     def _buildable(self) -> Self:
         self._sensor()
-        rig = self.configured_rig()
+        rig = replace(self.configured_rig(), tube=self.heated_tube())
         pwm_frequency(self._wiring(), rig, self.si("pwm_Hz"))
-        hall_slope(self._wiring(), rig.circuit)
+        hall_slope(self._wiring(), stop_current(self.heated_tube(), rig))
         return self
 
     def _sensor(self) -> Sensor:
@@ -353,7 +354,7 @@ class ClosedLoopStudy(HeatedTube):
         """Plan the heating for the board's PWM frequency, and design its controller."""
         show = progress or (lambda done, total: None)
         show(0, 2)
-        rig, wiring = self.configured_rig(), self._wiring()
+        rig, wiring = replace(self.configured_rig(), tube=self.heated_tube()), self._wiring()
         frequency = pwm_frequency(wiring, rig, self.si("pwm_Hz"))
         # Before planning: switching losses depend on the frequency.
         rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=frequency))

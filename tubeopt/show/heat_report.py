@@ -22,6 +22,7 @@ from ..shaping.firmware.boards import Part, parts_list
 from ..shaping.firmware.sketch_files import write_sketch
 from ..shaping.heating.calibration import BIAS, UNITS, RigFit, kind_of
 from ..shaping.heating.controller import Contribution, Feedback
+from ..shaping.heating.cutout import CutOut, SafeSupply, Short, cut_out, safe_supplies
 from ..shaping.heating.oven import OvenPlan, oven_csv
 from ..shaping.heating.plan import Cure, HeatingPlan, arduino_header, schedule_csv
 from ..shaping.heating.replanning import Replanner
@@ -373,6 +374,20 @@ FEEDBACK = described(
     of_field(Feedback, "contributions", of=CONTRIBUTION),
 )  # fmt: skip
 
+SHORT = described(Short)
+
+SUPPLY = described(SafeSupply)
+
+CUT_OUT = described(
+    CutOut,
+    of_field(CutOut, "shorts", of=SHORT),
+    of_field(CutOut, "peak", label="shorted switch",
+             words=lambda c: f"tube at {c.peak:.0f} degC at most: the cut-out opens after {1e3 * c.delay:.0f} ms, "
+             f"650 degC take {1e3 * c.budget:.0f} ms"),
+    "delay budget current pulse withstood",
+    Quantity("unsafe", "violated safety limits, with cures", lambda c: list(c.problems)),
+)  # fmt: skip
+
 FEEDBACK_HEATING = described(
     ClosedLoopHeating,
     Quantity("rig", "name of the rig", lambda a: a.plan.rig.name),
@@ -383,6 +398,8 @@ FEEDBACK_HEATING = described(
              words="{board}, pulses at {pwm_Hz:.1f} Hz"),
     "frequency",
     *within(FEEDBACK, lambda a: a.feedback),
+    *within(CUT_OUT, lambda a: cut_out(a.plan)),
+    Quantity("safe_supplies", "supplies that need no cut-out", lambda a: list(safe_supplies(a.plan)), of=SUPPLY),
     Quantity("parts", "list of parts", lambda a: list(parts_list(a.plan, a.wiring)), of=PART),
 )  # fmt: skip
 
@@ -397,13 +414,15 @@ class FeedbackReport(Report[ClosedLoopHeating]):
         return self.answer.plan.rig.name or "rig"
 
     def below(self) -> list[RenderableType]:
-        """Contributions to the temperature error, and the list of parts."""
-        answer = self.answer
+        """Contributions to the temperature error, the list of parts, and the safety of the circuit."""
+        answer, safety = self.answer, cut_out(self.answer.plan)
         contributions = columns(answer.feedback.contributions[:6], CONTRIBUTION)
         return [
             grid(*contributions, title="what moves the temperature (standard deviation)"),
             grid(*columns(parts_list(answer.plan, answer.wiring), PART), title="what to build it of"),
-            *remarks(answer.plan.problems, what="problem"),
+            grid(*columns(safety.shorts, SHORT), title="switch shorts: hottest point until the cut-out has opened"),
+            grid(*columns(safe_supplies(answer.plan), SUPPLY), title="safe without a cut-out"),
+            *remarks((*answer.plan.problems, *safety.problems), what="problem"),
         ]
 
     def save(self, directory: Path) -> list[Path]:
@@ -500,6 +519,10 @@ RUN = described(
     Quantity("highest_degC", "highest reading in the hold", lambda r: r.held and r.held[1]),
     Quantity("shortfall_K", "miss of the window by the readings of the hold; 0 if it is kept",
              label="in the hold", words=lambda r: _readings_text(r)),
+    of_field(HeatingRun, "opened", label="cut-out", optional=True,
+             words=lambda r: None if r.opened is None else f"opened after {1e3 * r.opened:.0f} ms; the tube allows "
+             f"{1e3 * r.allowed:.0f} ms"),
+    of_field(HeatingRun, "allowed", optional=True),
     Quantity("rows", "number of reports from the rig", lambda r: len(r.rows)),
     Quantity("log", "file with all reports", lambda r: None if r.log is None else str(r.log)),
 )  # fmt: skip
@@ -526,7 +549,12 @@ class HeatingRunReport(Report[HeatingRun]):
 
     def conclude(self) -> None:
         """Raise SolveError if the rig stopped early, or if readings of the hold missed the window."""
-        if not self.answer.done:
+        run = self.answer
+        if run.opened is not None and run.allowed is not None and run.opened > run.allowed:
+            raise SolveError(
+                f"the cut-out opened after {1e3 * run.opened:.0f} ms; it must open within {1e3 * run.allowed:.0f} ms"
+            )
+        if not run.done:
             raise SolveError(f"the rig stopped after {self.answer.time:.1f} s: {self.answer.reason}")
         if self.answer.shortfall:
             raise SolveError(f"in the hold {_readings_text(self.answer)}")

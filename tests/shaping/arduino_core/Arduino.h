@@ -22,6 +22,8 @@ void analogWriteFreq(uint32_t frequency);
 void analogWriteRange(uint32_t range);
 void analogWrite(int pin, int value);
 void analogReadResolution(int bits);
+void tone(uint8_t pin, unsigned frequency);
+void noTone(uint8_t pin);
 #endif
 
 struct SerialPort {

@@ -21,6 +21,7 @@ static float celsius = 25, volt = 12, on = 0, off = 0;
 static int button = 0, looks = 0;
 static double duty = 0;
 static long fed = 0;
+static bool ticks = false;
 static char waiting[160];
 static size_t at = 0;
 static int word = 0;
@@ -62,11 +63,15 @@ SerialPort Serial;
 #if defined(ARDUINO_ARCH_ESP32)
 static int bits_of_duty = 0;
 bool ledcAttach(uint8_t pin, uint32_t frequency, uint8_t bits) {
-  must(pin == PIN_GATE && frequency == (uint32_t)PWM_HZ, "another gate or frequency");
-  bits_of_duty = bits;
+  must(pin == PIN_TICK || (pin == PIN_GATE && frequency == (uint32_t)PWM_HZ), "another gate or frequency");
+  if (pin == PIN_GATE) bits_of_duty = bits;
   return true;
 }
 bool ledcWrite(uint8_t pin, uint32_t value) {
+  if (pin == PIN_TICK) {
+    ticks = value > 0;
+    return true;
+  }
   must(pin == PIN_GATE, "switches another pin");
   duty = value / (double)(1u << bits_of_duty);
   return true;
@@ -84,13 +89,15 @@ void analogWrite(int pin, int value) {
   duty = value / (double)range_of_duty;
 }
 void analogReadResolution(int bits) { must(1 << bits == ANALOG_STEPS, "another resolution"); }
+void tone(uint8_t pin, unsigned) { ticks = pin == PIN_TICK; }
+void noTone(uint8_t) { ticks = false; }
 void watchdog_enable(uint32_t milliseconds, bool) { must(milliseconds == 500, "another watchdog"); }
 bool watchdog_caused_reboot() { return getenv("RESET_BY_WATCHDOG") != nullptr; }
 void watchdog_update() { ++fed; }
 #endif
 
 static void answer() {
-  printf("= %ld\n", lround(255 * duty));
+  printf("= %ld %d 1\n", lround(255 * duty), (int)ticks);
   fflush(stdout);
 }
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from ...errors import InputError, choice
 from ...files.field_metadata import POSITIVE, OneOf, check_fields, form, key, unit
+from ..heating.cutout import MARGIN, MONOSTABLE_PERIODS, SHORTED_LIMIT, cut_out, short_rise, stop_current
 from ..heating.plan import HeatingPlan
-from ..heating.rig import COUNTS, Battery, Circuit, Rig
+from ..heating.rig import CHARGED, COUNTS, Battery, Rig
 
 CONVERTERS = {"max31855": 125, "max6675": 250, "analog": 20}
 """Converter of a thermocouple, or an analog line such as a camera's, and the smallest time between readings, ms.
@@ -36,6 +37,18 @@ HALL = (0.04, 0.02, 0.01, 0.008, 0.005, 0.004, 0.002)
 CURRENT_RANGE = 1.2
 """Smallest range of the current measurement, as a multiple of the current that stops the sketch."""
 
+LOOP_INDUCTANCE = 2e-6
+"""Inductance of the cables between battery and MOSFET, H: about 2 m of a pair (assumed).
+
+A diode across the tube does not clamp it.
+"""
+
+CLAMP_RESERVE = 30.0
+"""Rise of the thermal cut-out above the hottest planned clamp, K."""
+
+HOT_TUBE = 560.0
+"""Tube when the switch shorts, degC, to choose the PWM frequency: above the stop limit of a window up to 550."""
+
 E24 = (
     1.0, 1.1, 1.2, 1.3, 1.5, 1.6, 1.8, 2.0, 2.2, 2.4, 2.7, 3.0, 3.3, 3.6, 3.9, 4.3, 4.7, 5.1, 5.6, 6.2, 6.8, 7.5, 8.2,
     9.1,
@@ -56,23 +69,33 @@ class Board:
     reference: float
     """Reference voltage of the converter, V."""
     pins: dict[str, str]
-    """Pins of gate, stop button, chip select, voltage, current and analog temperature."""
+    """Pins of gate, tick of the cut-out, stop button, chip select, voltage, current and analog temperature."""
 
 
-AVR_PINS = {"gate": "9", "stop": "2", "select": "10", "voltage": "A0", "current": "A1", "temperature": "A2"}
-ATMEGA = (16e6 / 1024 / 510, 16e6 / 256 / 510)
-"""Frequencies of timer 1, phase-correct in 8 bits, Hz. A third one, 490 Hz, loses more of every pulse to inductance."""
+AVR_PINS = {
+    "gate": "9",
+    "tick": "8",
+    "stop": "2",
+    "select": "10",
+    "voltage": "A0",
+    "current": "A1",
+    "temperature": "A2",
+}
+ATMEGA = (16e6 / 1024 / 510, 16e6 / 256 / 510, 16e6 / 64 / 510)
+"""Frequencies of timer 1, phase-correct in 8 bits, Hz."""
 
 BOARDS = {
     "uno": Board("uno", "Arduino Uno", ATMEGA, 1024, 5.0, AVR_PINS),
     "nano": Board("nano", "Arduino Nano", ATMEGA, 1024, 5.0, AVR_PINS),
     "esp32": Board(
-        "esp32", "ESP32", (31.0, 122.0), 4096, 3.3,
-        {"gate": "25", "stop": "27", "select": "5", "voltage": "34", "current": "35", "temperature": "32"},
+        "esp32", "ESP32", (31.0, 122.0, 490.0), 4096, 3.3,
+        {"gate": "25", "tick": "26", "stop": "27", "select": "5", "voltage": "34", "current": "35",
+         "temperature": "32"},
     ),
     "pico": Board(
-        "pico", "Raspberry Pi Pico", (122.0,), 1024, 3.3,
-        {"gate": "15", "stop": "14", "select": "17", "voltage": "26", "current": "27", "temperature": "28"},
+        "pico", "Raspberry Pi Pico", (122.0, 490.0), 1024, 3.3,
+        {"gate": "15", "tick": "13", "stop": "14", "select": "17", "voltage": "26", "current": "27",
+         "temperature": "28"},
     ),
 }  # fmt: skip
 """Boards by name. The Pico's core has no PWM below 100 Hz."""
@@ -134,34 +157,40 @@ def divider(wiring: Wiring, battery: Battery) -> float:
     return 1 + upper_resistor(wiring, battery) / LOWER
 
 
-def hall_slope(wiring: Wiring, circuit: Circuit) -> float:
-    """Sensitivity of the Hall sensor, V/A: as wired, or the largest of `HALL` with a range above the peak limit.
+def hall_slope(wiring: Wiring, limit: float) -> float:
+    """Sensitivity of the Hall sensor, V/A: as wired, or the largest of `HALL` with a range above a limit, A.
 
     Raises:
         InputError: the range does not include the limit.
     """
-    board, limit = wiring.known, circuit.peak_limit
+    board = wiring.known
     largest = (board.reference - wiring.current_zero) / (CURRENT_RANGE * limit)
     sensors = HALL if wiring.shunt_V_per_A is None else (wiring.shunt_V_per_A,)
     slope = next((slope for slope in sensors if slope <= largest), None)
     if slope is None and wiring.measures_electrics:
         max_limit = largest * limit / sensors[-1]
         raise InputError(
-            f"peak_limit of the circuit is {limit:g} A; for the {board.title} it must be at "
+            f"the sketch stops at {limit:.0f} A; for the {board.title} this must be at "
             f"most {max_limit:.0f} A (80 % of the range of a Hall sensor of {1e3 * sensors[-1]:g} "
-            "mV/A), so that over-current is detected"
+            "mV/A), so that over-current is detected: lower peak_limit of the circuit"
         )
     return sensors[-1] if slope is None else slope
 
 
 def pwm_frequency(wiring: Wiring, rig: Rig, requested: float | None = None) -> float:
-    """PWM frequency (Hz) of the board nearest to the requested one; default the lowest, with the smallest pulse loss.
+    """PWM frequency (Hz) of the board nearest to the requested one; default the lowest that is safe.
+
+    A low frequency has the smallest pulse loss. It is safe if a shorted switch leaves the tube of the rig below 650
+    degC from 560 degC, with the cut-out of the rig.
 
     Raises:
         InputError: the board has no frequency within a factor of 2, or pulses of the rig lose a tenth of a period.
     """
     board = wiring.known
-    frequency = board.frequencies[0]
+    frequency = board.frequencies[-1]
+    if rig.tube is not None:
+        for slow in reversed(board.frequencies):
+            frequency = slow if short_rise(rig.tube, rig, slow) < SHORTED_LIMIT - HOT_TUBE else frequency
     if requested is not None:
         frequency = min(board.frequencies, key=lambda f: abs(math.log(f / requested)))
         if not 0.5 < frequency / requested < 2:
@@ -190,9 +219,6 @@ Assumed, on the safe side of IEC 60364-5-52 for single cores up to 25 mm2.
 CABLES = (1.5, 2.5, 4, 6, 10, 16, 25, 35, 50)
 """Sections of stranded cables (IEC 60228), mm2."""
 
-SAFETY = 1.25
-"""Safety factor on the currents of fuse, cable and MOSFET."""
-
 
 @dataclass(frozen=True)
 class Part:
@@ -211,37 +237,63 @@ def root_mean_square(plan: HeatingPlan) -> float:
 
 
 def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
-    """Parts between battery and tube, rated for the plan's currents, and the parts of the board."""
-    rms, peak, rest = root_mean_square(plan), plan.peak_current, plan.rig.battery.voltage
-    fuse = next((size for size in FUSES if size >= SAFETY * rms), FUSES[-1])
+    """Parts between battery and tube, rated for the plan's currents and a shorted switch, and those of the board."""
+    rig, safety = plan.rig, cut_out(plan)
+    rms, peak, rest, circuit = root_mean_square(plan), safety.current, rig.battery.voltage, rig.circuit
+    fuse = next((size for size in FUSES if size >= MARGIN * rms), FUSES[-1])
     # A cable must outlive its fuse.
-    cable = next((size for size in CABLES if CURRENT_DENSITY * size >= max(SAFETY * rms, fuse)), CABLES[-1])
-    heat = rms**2 * plan.rig.circuit.mosfet_resistance
+    cable = next((size for size in CABLES if CURRENT_DENSITY * size >= max(MARGIN * rms, fuse)), CABLES[-1])
+    heat, rated = rms**2 * circuit.mosfet_resistance, math.ceil(MARGIN * peak / 10) * 10
     current = f"{rms:.0f} A rms, {peak:.0f} A while on"
     sensor = {
         "max31855": "thermocouple type K 0.25 mm, its bead insulated, with MAX31855",
         "max6675": "thermocouple type K 0.25 mm, its bead insulated, with MAX6675",
         "analog": f"0 to {wiring.known.reference:g} V line of a camera or amplifier",
     }[wiring.converter]
-    voltage = math.ceil(2.5 * rest / 10) * 10
-    resistance = 1e3 * plan.rig.circuit.mosfet_resistance
-    reference, ratio = wiring.known.reference, divider(wiring, plan.rig.battery)
-    upper = f"{upper_resistor(wiring, plan.rig.battery) / 1e3:g}"
-    slope, limit = hall_slope(wiring, plan.rig.circuit), plan.rig.circuit.peak_limit
-    hall = f"Hall, {math.ceil(max(SAFETY * peak, CURRENT_RANGE * limit) / 50) * 50} A, {1e3 * slope:g} mV/A"
+    charged = CHARGED * rig.battery.open_circuit[-1][1]
+    voltage, standoff = math.ceil(2.5 * rest / 10) * 10, math.ceil(charged)
+    resistance = 1e3 * circuit.mosfet_resistance
+    reference, ratio = wiring.known.reference, divider(wiring, rig.battery)
+    upper = f"{upper_resistor(wiring, rig.battery) / 1e3:g}"
+    limit = stop_current(plan.tube, rig)
+    slope = hall_slope(wiring, limit)
+    hall = f"Hall, {math.ceil(max(MARGIN * peak, CURRENT_RANGE * limit) / 50) * 50} A, {1e3 * slope:g} mV/A"
+    clamp = math.ceil((plan.clamp_temperature.max() + CLAMP_RESERVE) / 10) * 10
+    pins, avalanche = wiring.known.pins, 0.5 * LOOP_INDUCTANCE * peak**2
+    monostable = 1e3 * MONOSTABLE_PERIODS / circuit.pwm_frequency
     return (
-        Part("fuse", f"{fuse} A, slow, at the battery's plus", current),
+        Part("fuse", f"{fuse} A, fast (gR), at the battery's plus; above {safety.least_melting:.0f} A2s for its "
+             f"pulses, soonest at {peak:.0f} A",
+             f"{current}; backs up the cut-out: {safety.withstood:.0f} A2s ({1e3 * safety.budget:.0f} ms of a short) "
+             "take the tube to 650 degC"),
+        Part("cut-out", f"contactor or high-side switch, normally open, {rated} A DC, opens within "
+             f"{1e3 * circuit.cutout_opening:g} ms; a Zener diode at a coil, no plain diode",
+             f"shorted switch: tube at {safety.peak:.0f} degC after {1e3 * safety.delay:.0f} ms, 650 degC after "
+             f"{1e3 * safety.budget:.0f} ms"),
+        Part("monostable", f"{monostable:.3g} ms (74HC123, +-20 %), drives the cut-out; retriggered by pin "
+             f"{pins['tick']} AND drain high (74HC132, drain by 10 kohm and a {min(reference, 4.7):g} V Zener diode)",
+             "a shorted switch holds the drain low, a dead board sends no tick: both open the cut-out"),
+        Part("pull-up", f"1 kohm, {math.ceil(charged**2 / 500) / 2:g} W, across the open cut-out",
+             "the drain is high before the cut-out closes, unless the switch is shorted"),
+        Part("thermal cut-out", f"normally closed, {clamp} degC, on the fixed clamp, in the supply of the cut-out",
+             f"clamps reach {plan.clamp_temperature.max():.0f} degC"),
+        Part("emergency stop", "normally closed, in the supply of the cut-out, second contact to the board",
+             "stops without the board too"),
         Part("cable", f"{cable:g} mm2 copper, as short as can be", current),
-        Part("MOSFET", f"{voltage} V, {math.ceil(SAFETY * peak / 10) * 10} A, logic level, at most {resistance:g} mohm",
-             f"{peak:.0f} A while on; warms by {heat:.1f} W"),
-        Part("gate driver", "2 A or more, 10 kohm from gate to source", "without signal the switch must stay off"),
+        Part("MOSFET", f"{voltage} V, {rated} A, logic level, at most {resistance:g} mohm, avalanche "
+             f"{1e3 * MARGIN * avalanche:.2g} mJ", f"{peak:.0f} A while on; warms by {heat:.1f} W"),
+        Part("TVS diode", f"{standoff} V standoff, clamps below {voltage} V, from drain to source",
+             f"cables of 2 uH hold {1e3 * avalanche:.2g} mJ"),
+        Part("gate driver", "2 A or more; 10 ohm to the gate, 10 kohm from gate to source",
+             "without signal the switch must stay off"),
         Part("diode", f"Schottky, {voltage} V, {math.ceil(peak / 10) * 10} A of pulse, across the tube",
              "the loop's inductance"),
-        Part("emergency stop", "normally closed, in the gate driver's supply, second contact to the board",
-             "stops without the board too"),
-        Part("current sensor", hall, f"{current}; the board stops at {limit:g} A"),
-        Part("divider", f"{upper} kohm to the battery, {LOWER / 1e3:g} kohm and 1 nF to ground",
+        Part("reverse polarity", "diode in the supply of cut-out and board",
+             "a reversed battery does not close the cut-out"),
+        Part("current sensor", hall, f"{current}; the board stops at {limit:.0f} A"),
+        Part("divider", f"{upper} kohm to the wire behind the cut-out, {LOWER / 1e3:g} kohm and 1 nF to ground",
              f"1 : {ratio:g}, {rest:.1f} V at rest are {rest / ratio:.2f} of {reference:g} V"),
         Part("thermometer", sensor, f"at the middle of the curved part, which is at {rest:.1f} V between pulses"),
+        Part("isolation", "USB isolator between computer and board", "the battery's minus is the board's ground"),
         Part("board", wiring.known.title, "runs the sketch"),
     )  # fmt: skip

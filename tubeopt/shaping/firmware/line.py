@@ -123,6 +123,7 @@ class SimulatedLine:
     Args:
         limit: reading at which it stops, degC.
         speed: seconds of the rig per second of the clock; infinite for as fast as possible.
+        opening: delay of the cut-out, and the longest allowed one, ms.
     """
 
     def __init__(
@@ -132,7 +133,9 @@ class SimulatedLine:
         limit: float,
         speed: float = float("inf"),
         window: tuple[float, float] | None = None,
+        opening: tuple[int, int] = (0, 0),
     ) -> None:
+        self._opening = opening
         self._rig, self._law, self._limit, self._speed, self._window = rig, law, limit, speed, window
         self._override: deque[float] = deque()
         self._law_state = LawState.start(1)
@@ -141,7 +144,7 @@ class SimulatedLine:
         self.send("hello")
 
     def send(self, do: str, **arguments: Any) -> None:
-        """Send a command: "start", "stop", "hello", "lead" or "status"."""
+        """Send a command: "start", "stop", "hello", "lead", "test" or "status"."""
         if do == "start" and not self._running:
             self._running, self._dry, self._law_state = True, bool(arguments.get("dry")), LawState.start(1)
             self._override.clear()
@@ -150,6 +153,9 @@ class SimulatedLine:
         elif do == "hello":
             report = {"event": "hello", "firmware": "simulated", "schedule": "", "slots": len(self._law.planned)}
             self._reports.append({**report, "slot_ms": round(1000 * self._law.slot), "window_degC": self._window})
+        elif do == "test":
+            self._reports.append({"event": "cutout", "opened_ms": self._opening[0], "allowed_ms": self._opening[1]})
+            self._end("done")
         elif do == "lead":
             counts = np.linspace(arguments["from"] / 100, arguments["to"] / 100, arguments["slots"])
             self._override = deque(counts.tolist())

@@ -13,10 +13,11 @@ import numpy as np
 
 from ...files.files import write_text
 from ...typing import Array
-from ..heating.controller import Feedback, HeatingLaw
+from ..heating.controller import MOST_COUNT, Feedback, HeatingLaw
 from ..heating.counts import full_current
+from ..heating.cutout import OVERSHOOT, cut_out, stop_current
 from ..heating.plan import HeatingPlan, slot_milliseconds
-from ..heating.rig import COUNTS, Rig
+from ..heating.rig import COUNTS
 from ..heating.robust import at_charge, prolonged
 from .boards import CONVERTERS, Wiring, divider, hall_slope
 
@@ -35,9 +36,6 @@ COLDEST = -50.0
 
 TICK = 0.1
 """Longest time between two checks of the safety limits, s."""
-
-OVERSHOOT = 8.0
-"""Reading above the limit, K, that stops the firmware."""
 
 LEAKING, LEAKING_STEPS = 4.0, 3
 """Current between pulses above which the switch counts as stuck, A; at least so many steps of the converter."""
@@ -96,6 +94,7 @@ def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tupl
         "PROPORTIONAL": _float(law.proportional),
         "INTEGRAL": _float(law.integral),
         "SHARE": _float(law.share),
+        "MOST_COUNT": f"{MOST_COUNT}u",
         "HOLDBACK": _float(law.holdback),
         "PATIENCE_MS": f"{round(1000 * law.patience)}ul",
         "LONGEST_MS": f"{round(1000 * law.longest)}ul",
@@ -108,8 +107,11 @@ def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tupl
         "STUCK_RISE": _float(max(STUCK_RISE, 8 * sensor.quantum)),
         "STUCK_MS": f"{STUCK_MS}ul",
         "STUCK_HOLDING_MS": "20000ul",
-        "MOST_AMPERE": _float(rig.circuit.peak_limit),
+        "MOST_AMPERE": _float(stop_current(plan.tube, rig)),
         "LEAST_AMPERE": _float(0.3 * full),
+        "TEST_COUNT": "2u",
+        "TEST_TICKS": "3u",
+        "CUTOUT_MS": f"{math.floor(1000 * cut_out(plan).budget)}u",
         "LOWEST_VOLT": _float(rig.battery.open_circuit[0][1] - sagging * full),
     }
     body = "".join(_rows(f"PLANNED_{k}", np.round(planned * CENTS)) for k, (_, planned) in enumerate(tables))
@@ -151,12 +153,12 @@ static inline float reference_at(uint16_t k) {{
 """
 
 
-def board_header(wiring: Wiring, rig: Rig) -> str:
+def board_header(wiring: Wiring, plan: HeatingPlan) -> str:
     """Text of board.h: pins, PWM frequency and measurements."""
-    board, frequency = wiring.known, rig.circuit.pwm_frequency
+    rig, board, frequency = plan.rig, wiring.known, plan.rig.circuit.pwm_frequency
     volt = board.reference / board.steps
     prescaler = min((1024, 256, 64), key=lambda p: abs(16e6 / p / 510 - frequency))
-    ampere = volt / hall_slope(wiring, rig.circuit)
+    ampere = volt / hall_slope(wiring, stop_current(plan.tube, rig))
     numbers = {
         "SENSOR": f"SENSOR_{wiring.converter.upper()}",
         "SENSOR_MS": str(CONVERTERS[wiring.converter]),
@@ -211,7 +213,7 @@ def write_sketch(
     folder = directory / NAME
     texts = {
         "schedule.h": schedule_header(plan, feedback, schedules(plan, feedback)),
-        "board.h": board_header(wiring, plan.rig),
+        "board.h": board_header(wiring, plan),
     }
     sketch = resources.files(__package__) / "sketch"
     for name in (*SOURCES, *((HOST,) if host else ())):

@@ -30,6 +30,9 @@ from .sensors import MeasuredRig, Sensor
 from .thermal import ThermalModel, TubeExtremes, tube_extremes
 from .uncertainty import Uncertainty
 
+MOST_COUNT = 249
+"""Largest count of a controlled heating: in every period a pause remains, in which the cut-out is retriggered."""
+
 
 @dataclass(frozen=True, eq=False)
 class HeatingLaw:
@@ -110,7 +113,7 @@ def decide(
     effective = np.where(running, planned * (1 + correction), 0.0)
     due = effective + state.owed
     # Half a count rounds to one; the part of a pulse that inductance takes is added first.
-    count = np.where(due > 0.5, np.clip(np.floor(due + law.lost + 0.5), 0, COUNTS), 0.0)
+    count = np.where(due > 0.5, np.clip(np.floor(due + law.lost + 0.5), 0, MOST_COUNT), 0.0)
     realised = np.maximum(count - law.lost, 0.0)
     return count.astype(np.int64), LawState(
         index=np.where(waits, state.index, state.index + 1),

@@ -171,6 +171,14 @@ class Circuit:
         "effective time lost per pulse by inductance: L/R, minus the time that current "
         "still flows through a diode across the tube",
     ] = 0.0
+    cutout_opening: Annotated[
+        float,
+        unit("ms"),
+        Range(above=0.0, most=0.5),
+        Typical(1e-4, 0.2),
+        "opening time of the cut-out in series with the MOSFET: a contactor with a Zener diode at its coil takes 10 to "
+        "15 ms, a high-side switch below 1 ms",
+    ] = 0.015
     current_limit: Annotated[float, unit("A"), Range(above=0.0, most=2000.0), "limit of the mean current"] = 40.0
     peak_limit: Annotated[
         float, unit("A"), Range(above=0.0, most=5000.0), "limit of the current while the MOSFET conducts"

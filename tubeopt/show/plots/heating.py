@@ -220,10 +220,12 @@ Path = Sequence[tuple[float, float]]
 
 BOXES = {
     "battery": (0.03, 0.44, 0.14, 0.35),
-    "fuse": (0.22, 0.67, 0.08, 0.1),
-    "current\nsensor": (0.37, 0.66, 0.12, 0.12),
-    "tube\nin its mold": (0.59, 0.65, 0.17, 0.14),
-    "stop": (0.29, 0.37, 0.1, 0.12),
+    "fuse": (0.195, 0.67, 0.07, 0.1),
+    "cut-out": (0.305, 0.66, 0.1, 0.12),
+    "current\nsensor": (0.45, 0.66, 0.11, 0.12),
+    "tube\nin its mold": (0.62, 0.65, 0.16, 0.14),
+    "stop,\nthermal": (0.22, 0.38, 0.09, 0.12),
+    "mono-\nstable": (0.36, 0.38, 0.1, 0.12),
     "gate\ndriver": (0.55, 0.37, 0.12, 0.12),
     "MOSFET": (0.76, 0.33, 0.16, 0.2),
     "board": (0.22, 0.03, 0.5, 0.13),
@@ -232,12 +234,13 @@ BOXES = {
 """Positions of the parts: left, bottom, width, height."""
 
 CURRENT: tuple[Path, ...] = (
-    ((0.17, 0.72), (0.22, 0.72)),
-    ((0.30, 0.72), (0.37, 0.72)),
-    ((0.49, 0.72), (0.59, 0.72)),
-    ((0.76, 0.72), (0.84, 0.72), (0.84, 0.53)),
+    ((0.17, 0.72), (0.195, 0.72)),
+    ((0.265, 0.72), (0.305, 0.72)),
+    ((0.405, 0.72), (0.45, 0.72)),
+    ((0.56, 0.72), (0.62, 0.72)),
+    ((0.78, 0.72), (0.84, 0.72), (0.84, 0.53)),
     ((0.84, 0.33), (0.84, 0.28), (0.2, 0.28), (0.2, 0.51), (0.17, 0.51)),
-    ((0.54, 0.72), (0.54, 0.87), (0.81, 0.87), (0.81, 0.72)),
+    ((0.59, 0.72), (0.59, 0.87), (0.81, 0.87), (0.81, 0.72)),
 )
 """Wires of the tube's current; the last but one is the ground.
 
@@ -247,7 +250,7 @@ The last is the path through the diode when the transistor is off.
 GROUND: tuple[Path, ...] = (((0.64, 0.37), (0.64, 0.28)), ((0.68, 0.16), (0.68, 0.28)))
 """Wires from the gate driver and the board to the ground."""
 
-JOINTS = ((0.335, 0.72), (0.54, 0.72), (0.81, 0.72), (0.64, 0.28), (0.68, 0.28))
+JOINTS = ((0.285, 0.72), (0.43, 0.72), (0.59, 0.72), (0.81, 0.72), (0.84, 0.6), (0.64, 0.28), (0.68, 0.28))
 TERMINALS = {
     "+": (0.15, 0.72),
     "\N{MINUS SIGN}": (0.15, 0.51),
@@ -255,7 +258,7 @@ TERMINALS = {
     "source": (0.84, 0.355),
     "GND": (0.68, 0.14),
 }
-DIODE, DIODE_SIZE = (0.675, 0.87), 0.022
+DIODE, DIODE_SIZE = (0.7, 0.87), 0.022
 """Centre and half width of the diode symbol; its bar is towards the battery's plus."""
 
 
@@ -264,8 +267,8 @@ def plot_wiring(answer: ClosedLoopHeating) -> Figure:
     """Picture of the wiring: parts, poles, pins of the board, and ratings for the plan's currents."""
     from matplotlib.patches import Polygon
 
-    figure = new_figure(9.8, 5.8)
-    grid = figure.add_gridspec(1, 2, width_ratios=(1.9, 1.0))
+    figure = new_figure(11.0, 6.6)
+    grid = figure.add_gridspec(1, 2, width_ratios=(1.5, 1.0))
     axes, text = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
     for part in (axes, text):
         part.set_axis_off()
@@ -277,7 +280,8 @@ def plot_wiring(answer: ClosedLoopHeating) -> Figure:
     axes.plot([x - half, x - half], [y - half, y + half], color=TUBE, lw=_thick(), zorder=2)
     axes.text(x, y + 1.8 * half, "diode, its bar towards plus", ha="center", fontsize=7, color=INK)
     lines = [f"{part.name}: {part.rating}" for part in parts_list(answer.plan, answer.wiring)]
-    text.text(0, 0.97, "\n\n".join(textwrap.fill(line, 46) for line in lines), fontsize=8, va="top", color=INK)
+    rows = [textwrap.fill(line, 66, subsequent_indent="    ") for line in lines]
+    text.text(0, 0.97, "\n".join(rows), fontsize=7, va="top", color=INK, linespacing=1.5)
     return headed(figure, f"{answer.plan.rig.name or 'rig'}: wiring")
 
 
@@ -313,11 +317,15 @@ def _draw_wires(axes: Axes, wiring: Wiring) -> None:
     signals: tuple[tuple[Path, str, tuple[float, float]], ...] = (
         (((0.6, 0.16), (0.6, 0.37)), f"pin {pins['gate']}", (0.607, 0.2)),
         (((0.67, 0.43), (0.76, 0.43)), "gate", (0.69, 0.44)),
-        (((0.43, 0.66), (0.43, 0.56), (0.52, 0.56), (0.52, 0.16)), f"pin {pins['current']}", (0.525, 0.2)),
-        (((0.335, 0.72), (0.335, 0.58), (0.26, 0.58), (0.26, 0.16)), f"pin {pins['voltage']},\ndivider", (0.265, 0.19)),
-        (((0.36, 0.37), (0.36, 0.16)), f"pin {pins['stop']}\nto GND", (0.367, 0.19)),
-        (((0.39, 0.43), (0.55, 0.43)), "supply", (0.405, 0.44)),
-        (((0.96, 0.16), (0.96, 0.58), (0.675, 0.58), (0.675, 0.65)), "on the tube", (0.86, 0.59)),
+        (((0.505, 0.66), (0.505, 0.16)), f"pin {pins['current']}", (0.512, 0.2)),
+        (((0.43, 0.72), (0.43, 0.6), (0.333, 0.6), (0.333, 0.16)), f"pin {pins['voltage']},\ndivider", (0.338, 0.19)),
+        (((0.25, 0.38), (0.25, 0.16)), f"pin {pins['stop']}\nto GND", (0.256, 0.19)),
+        (((0.285, 0.72), (0.285, 0.5)), "", (0.0, 0.0)),
+        (((0.31, 0.43), (0.36, 0.43)), "supply", (0.31, 0.44)),
+        (((0.39, 0.5), (0.39, 0.66)), "coil", (0.393, 0.53)),
+        (((0.42, 0.38), (0.42, 0.16)), f"pin {pins['tick']},\ntick", (0.426, 0.19)),
+        (((0.84, 0.6), (0.45, 0.6), (0.45, 0.5)), "drain high", (0.53, 0.61)),
+        (((0.96, 0.16), (0.96, 0.63), (0.7, 0.63), (0.7, 0.65)), "on the tube", (0.86, 0.64)),
         (((0.835, 0.095), (0.72, 0.095)), read, (0.732, 0.105)),
     )
     for path, label, at in signals:
@@ -325,6 +333,7 @@ def _draw_wires(axes: Axes, wiring: Wiring) -> None:
         axes.text(*at, label, fontsize=7, color=INK)
     axes.plot([], [], label="signals", **signal)
     words = (
+        "The monostable closes the cut-out while ticks meet a high drain: a shorted switch or a dead board opens it.\n"
         "There is one ground: battery, driver and board are joined at the MOSFET's source. Current sensor, divider\n"
         "and thermometer take theirs from the board. Between pulses the tube is at the battery's plus: a bead that\n"
         "touches its metal would put that on the converter. A coat of ceramic cement or a foil of mica insulates it."

@@ -12,6 +12,7 @@ import numpy as np
 from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
 from ...shaping.firmware.boards import root_mean_square
+from ...shaping.heating.cutout import cut_out
 from ...shaping.heating.plan import HeatingPlan
 from ...shaping.mold.gcode import clamp_distance
 from ...shaping.mold.mandrel import Cylinder, Mandrel
@@ -289,22 +290,29 @@ def preparation(fabrication: TubeFabrication) -> list[str]:
         f"{spec.clamps.sliding_end} one slides outwards by {plan.growth * TO_MM:.2f} mm and more.",
         f"Battery rested and disconnected: {battery.voltage:.2f} V. With another voltage take its own schedule "
         "(`tubeopt heat plan rig.yaml --battery-V`), not this one.",
-        f"Polarity: battery plus, fuse, {fixed} clamp; {spec.clamps.sliding_end} clamp, MOSFET (drain), its source to "
-        "battery minus. A diode across the tube has its ring on the side of the fuse. The tube itself has no polarity.",
+        f"Polarity: battery plus, fuse, cut-out, {fixed} clamp; {spec.clamps.sliding_end} clamp, MOSFET (drain), its "
+        "source to battery minus. A diode across the tube has its ring on the side of the fuse. The tube itself has no "
+        "polarity.",
         "Power off: the resistance from each clamp to the plates must be high if the mold insulates. From clamp to "
         "clamp a multimeter measures mainly its own leads; check the current instead.",
-        "First without power, then one pulse: the current while on must be that of the table.",
+        "With a board: test the cut-out (`tubeopt heat run --test-cutout`), then a dry run (`--dry`). Its start checks "
+        "switch, cut-out and the current of one pulse. Without a board: one pulse by hand; compare the current.",
     ]
 
 
 def safety(plan: HeatingPlan) -> list[str]:
     """Hazards, with the numbers of the plan."""
+    cut = cut_out(plan)
     reserve = 100 * (1 - plan.mean_current / plan.rig.circuit.current_limit)
     return [
         f"{plan.peak_current:.0f} A flow while on: no rings or watches, tools with insulated handles, a fuse at the "
         f"battery's plus, the stop button within reach. The mean current is {reserve:.0f} % below its limit.",
         f"The tube is at {plan.hottest:.0f} °C; clamps reach {plan.clamp_temperature.max():.0f} °C, the groove "
         f"{plan.mold_temperature.max():.0f} °C: wear gloves and goggles, and keep it away from anything that burns.",
+        f"Shorted switch: the cut-out must open within {1e3 * cut.budget:.0f} ms, or the tube passes 650 °C. By the "
+        f"rig file it takes {1e3 * cut.delay:.0f} ms: {cut.peak:.0f} °C at most. Test it every day: "
+        "`tubeopt heat run --port PORT --test-cutout`.",
+        *cut.problems,
         "Quench with the current off and the clamps open, tongs in hand; water spits.",
         "Above the limit, or where the tube does not follow the time line: stop.",
         *plan.problems,

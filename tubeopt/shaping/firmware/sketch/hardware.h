@@ -10,10 +10,13 @@ uint32_t hardware_milliseconds();
 // Duty of the MOSFET: on for count / 255 of the time. 0 is off, and off at once.
 void hardware_switch(uint8_t count);
 
+// Ticks that hold the cut-out closed, for a quarter of a second from this call; or none from now on.
+void hardware_hold(bool closed);
+
 // The tube, degC. False where the thermometer answers nothing that could be true.
 bool hardware_temperature(float *celsius);
 
-// The battery's voltage and the current while the MOSFET conducts, and the current while it does not. False where the
+// The voltage behind the cut-out and the current while the MOSFET conducts, and the current while it does not. False where the
 // board does not measure them: what they would show is then not watched.
 bool hardware_electrics(float *volt, float *ampere_on, float *ampere_off);
 

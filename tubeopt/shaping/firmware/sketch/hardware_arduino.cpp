@@ -18,12 +18,15 @@
 
 namespace {
 constexpr uint32_t STEPS = 4080; // 16 for every count: below 4096, the 12 bits that both boards have at this frequency.
+constexpr uint32_t TICK_HZ = 20000; // Several ticks in the shortest pause of the pulses.
 bool by_watchdog = false;
 } // namespace
 
 void hardware_begin() {
   pinMode(PIN_GATE, OUTPUT);
   digitalWrite(PIN_GATE, LOW);
+  pinMode(PIN_TICK, OUTPUT);
+  digitalWrite(PIN_TICK, LOW);
   pinMode(PIN_STOP, INPUT_PULLUP);
   pinMode(PIN_SELECT, OUTPUT);
   digitalWrite(PIN_SELECT, HIGH);
@@ -36,6 +39,7 @@ void hardware_begin() {
   esp_task_wdt_add(nullptr);
   ledcAttach(PIN_GATE, (uint32_t)PWM_HZ, 12);
   ledcWrite(PIN_GATE, 0);
+  ledcAttach(PIN_TICK, TICK_HZ, 8);
 #else
   by_watchdog = watchdog_caused_reboot();
   analogWriteFreq((uint32_t)PWM_HZ);
@@ -53,6 +57,18 @@ void hardware_switch(uint8_t count) {
   ledcWrite(PIN_GATE, ((uint32_t)count * 4096 + 127) / 255);
 #else
   analogWrite(PIN_GATE, (int)(count * (STEPS / 255)));
+#endif
+}
+
+// A board that hangs is reset by its watchdog within half a second: then the ticks end too.
+void hardware_hold(bool closed) {
+#if defined(ARDUINO_ARCH_ESP32)
+  ledcWrite(PIN_TICK, closed ? 128 : 0);
+#else
+  static bool ticking = false;
+  if (closed && !ticking) tone(PIN_TICK, TICK_HZ);
+  if (!closed) noTone(PIN_TICK);
+  ticking = closed;
 #endif
 }
 

@@ -1,5 +1,6 @@
 // Arduino Uno and Nano (ATmega328P, 16 MHz), by registers alone: it compiles in the Arduino IDE and with avr-gcc.
 //   pin 9  (OC1A)  gate driver of the MOSFET; PWM by timer 1, phase-correct, 8 bits: a count is 1/255 of a period
+//   pin 8          tick that retriggers the monostable of the cut-out, in every pause of the pulses
 //   pin 10 (SS)    chip select of the thermocouple's converter; 12 (MISO) its data, 13 (SCK) its clock
 //   pin 2          stop button to ground, normally closed: pressed or cut, it reads high
 //   A0, A1, A2     battery voltage, current, analog temperature
@@ -23,6 +24,10 @@ volatile uint16_t raw_volt = 0, raw_on = 0, raw_off = 0;
 enum Sample : uint8_t { NOTHING, VOLT, ON, OFF };
 volatile Sample sampling = NOTHING;
 volatile bool current_next = true;
+
+// A quarter of a second without a call of hardware_hold ends the ticks; there are two at every top of timer 1.
+constexpr uint16_t HOLD_TICKS = (uint16_t)(0.5f * PWM_HZ);
+volatile uint16_t hold_ticks = 0;
 
 constexpr uint8_t PRESCALER = PWM_PRESCALER == 1024 ? _BV(CS12) | _BV(CS10)
                               : PWM_PRESCALER == 256 ? _BV(CS12)
@@ -76,6 +81,12 @@ ISR(TIMER1_OVF_vect) {
 }
 
 ISR(TIMER1_COMPB_vect) {
+  if (hold_ticks) {
+    --hold_ticks;
+    PORTB |= _BV(PB0);
+    for (uint8_t k = 0; k < 40; ++k) __asm__ volatile("nop"); // some 10 us, for any gate
+    PORTB &= ~_BV(PB0);
+  }
   if (sampling == NOTHING) {
     sampling = OFF;
     convert(1);
@@ -86,7 +97,7 @@ ISR(ADC_vect) {
   const uint16_t value = ADC;
   if (sampling == VOLT) raw_volt = value;
   else if (sampling == ON) raw_on = value;
-  else raw_off = value;
+  else if (value > raw_off) raw_off = value;
   sampling = NOTHING;
 }
 
@@ -95,8 +106,8 @@ void hardware_begin() {
   MCUSR = 0;
   wdt_enable(WDTO_500MS);
   cli();
-  PORTB &= ~_BV(PB1);
-  DDRB |= _BV(PB1) | _BV(PB2) | _BV(PB5); // gate, chip select, clock
+  PORTB &= ~(_BV(PB0) | _BV(PB1));
+  DDRB |= _BV(PB0) | _BV(PB1) | _BV(PB2) | _BV(PB5); // tick, gate, chip select, clock
   PORTB |= _BV(PB2);
   PORTD |= _BV(PD2); // pull-up of the stop button
   // Timer 1: phase-correct, 8 bits; samples at the bottom (in the pulse) and near the top (between pulses).
@@ -136,6 +147,13 @@ void hardware_switch(uint8_t count) {
   OCR1A = count;
 }
 
+void hardware_hold(bool closed) {
+  const uint8_t status = SREG;
+  cli();
+  hold_ticks = closed ? HOLD_TICKS : 0;
+  SREG = status;
+}
+
 namespace {
 
 bool read_temperature(float *celsius) {
@@ -170,6 +188,7 @@ bool hardware_electrics(float *volt, float *ampere_on, float *ampere_off) {
   const uint8_t status = SREG;
   cli();
   const uint16_t v = raw_volt, on = raw_on, off = raw_off;
+  raw_off = 0; // The greatest since the last call: the cut-out may have ended it.
   SREG = status;
   *volt = v * VOLT_PER_STEP;
   *ampere_on = ((int16_t)on - AMPERE_ZERO) * AMPERE_PER_STEP;

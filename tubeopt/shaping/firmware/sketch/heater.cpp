@@ -11,7 +11,7 @@
 
 namespace {
 
-const char *const STATES[] = {"idle", "heating", "holding", "stopped"};
+const char *const STATES[] = {"idle", "testing", "heating", "holding", "stopped"};
 const char *const STOPS[] = {
     "",
     "done",
@@ -24,6 +24,7 @@ const char *const STOPS[] = {
     "over-current",
     "no current",
     "switch stuck",
+    "cut-out stuck",
     "low battery",
     "behind schedule",
     "maximum time",
@@ -44,7 +45,9 @@ uint32_t waited; // ms for which the schedule waited for the tube.
 uint8_t count;
 
 uint32_t started, next_tick;
-uint8_t ticks; // Of this slot.
+uint8_t ticks; // Of this slot, or of the test.
+bool bench;    // The test ends with the cut-out opened under pulses.
+uint32_t released;
 
 // What a computer wants of the next slots, in counts, and how many are left of them.
 float lead, lead_step;
@@ -56,6 +59,7 @@ float stuck_at;
 uint32_t stuck_since;
 float missed_rise; // K that the schedule rose since the reading moved.
 uint8_t bad_readings, bad_currents;
+Stop first_wrong;
 
 // --- reports ------------------------------------------------------------------------------------------------------------
 
@@ -113,8 +117,10 @@ void tell_hello() {
 void stop(Stop why) {
   count = 0;
   hardware_switch(0);
+  hardware_hold(false);
   state = STOPPED;
   reason = why;
+  released = 0;
   tell_status();
 }
 
@@ -126,23 +132,75 @@ uint8_t table_for(float rest) {
   return found;
 }
 
-void start(bool without_current) {
-  if (state == HEATING || state == HOLDING) return tell_error("it is heating");
+bool running() { return state == TESTING || state == HEATING || state == HOLDING; }
+
+// A start begins with the test of switch and cut-out.
+void start(bool without_current, bool on_bench) {
+  if (running()) return tell_error("it is heating");
   if (hardware_emergency()) return tell_error("the stop button is pressed");
   float seen = 0;
   if (!hardware_temperature(&seen) || seen <= LOWEST_READING) return tell_error("the thermometer answers nothing");
   reading = seen;
   if (reading > START_BELOW) return tell_error("the tube is still hot");
   electrics = hardware_electrics(&volt, &ampere, &leaking);
+  // The pull-up across the open cut-out shows the battery, unless the switch shorts it.
+  if (electrics && volt < LOWEST_VOLT / 2) return tell_error("no voltage: the switch is shorted, or the fuse is blown");
   if (electrics && volt < LOWEST_VOLT && !without_current) return tell_error("the battery is low");
-  table = electrics ? table_for(volt) : 0;
+  if (on_bench && !electrics) return tell_error("the board measures no current");
   dry = without_current;
+  bench = on_bench;
   place = 0, total = 0, owed = 0, waited = 0, ticks = 0, led = 0, bad_readings = 0, bad_currents = 0;
   started = stuck_since = next_tick = hardware_milliseconds();
   stuck_at = reading;
   missed_rise = 0;
   reason = NOT_STOPPED;
-  state = HEATING;
+  state = TESTING;
+}
+
+// What the parts of a start must show, one after the other, TEST_TICKS each: no current with pulses and an open cut-out;
+// none with a closed one and no pulses; that of the tube with both. A dry run has no pulses.
+Stop test() {
+  const uint8_t part = ticks / TEST_TICKS;
+  if (ticks % TEST_TICKS == 0) {
+    const bool flows = electrics && (ampere > LEAKING_AMPERE || leaking > LEAKING_AMPERE);
+    if (part == 1 && flows) return leaking > LEAKING_AMPERE ? SWITCH_STUCK : CUTOUT_STUCK;
+    if (part == 2) {
+      if (flows) return SWITCH_STUCK;
+      if (electrics && volt < LOWEST_VOLT && !dry) return LOW_BATTERY;
+      table = electrics ? table_for(volt) : 0;
+    }
+    if (part == 3) {
+      if (electrics && !dry && ampere > MOST_AMPERE) return OVER_CURRENT;
+      if (electrics && !dry && ampere < LEAST_AMPERE) return NO_CURRENT;
+      started = stuck_since = hardware_milliseconds();
+      stuck_at = reading;
+      ticks = 0;
+      if (bench) {
+        released = hardware_milliseconds() | 1; // 0: not released
+        hardware_hold(false);
+      } else state = HEATING;
+      return NOT_STOPPED;
+    }
+    count = part == 1 || dry ? 0 : TEST_COUNT;
+    hardware_switch(count);
+  }
+  ++ticks;
+  return NOT_STOPPED;
+}
+
+// The cut-out opens under pulses: the time until no current flows any more.
+void watch_cutout() {
+  electrics = hardware_electrics(&volt, &ampere, &leaking);
+  const uint32_t span = hardware_milliseconds() - released;
+  if (ampere > LEAKING_AMPERE || leaking > LEAKING_AMPERE) {
+    if (span > CUTOUT_MS) stop(CUTOUT_STUCK);
+    return;
+  }
+  char line[80];
+  snprintf(line, sizeof line, "{\"event\":\"cutout\",\"opened_ms\":%lu,\"allowed_ms\":%u}\n", (unsigned long)span,
+           CUTOUT_MS);
+  hardware_write(line);
+  stop(DONE);
 }
 
 // --- the law ------------------------------------------------------------------------------------------------------------
@@ -171,7 +229,7 @@ void decide() {
   }
   const float wanted = planned * (1 + share);
   const float due = wanted + owed;
-  count = due > 0.5f ? (uint8_t)clip(floorf(due + LOST + 0.5f), 0, 255) : 0;
+  count = due > 0.5f ? (uint8_t)clip(floorf(due + LOST + 0.5f), 0, MOST_COUNT) : 0;
   const float given = count > LOST ? count - LOST : 0;
   owed = wanted > 0 ? clip(due - given, -1 - LOST, 1) : 0;
   state = place >= HOLD_FIRST ? HOLDING : HEATING;
@@ -182,7 +240,7 @@ void decide() {
 // Whether the reading stays where it is although the tube must move it. In the ramp it must rise, also while the schedule
 // waits; in the hold nothing is seen of a thermometer that lost touch but that its reading flickers no more.
 bool stuck(float seen, uint32_t now) {
-  if (fabsf(seen - stuck_at) > STUCK_WITHIN || count == 0 || dry) {
+  if (fabsf(seen - stuck_at) > STUCK_WITHIN || count == 0 || dry || state == TESTING) {
     stuck_at = seen;
     stuck_since = now;
     missed_rise = 0;
@@ -198,8 +256,8 @@ Stop danger() {
   const bool answers = hardware_temperature(&seen);
   if (hardware_emergency()) return EMERGENCY;
   // One bad answer is a spark on the wire, three in a row are a broken thermometer.
-  bad_readings = answers && seen > LOWEST_READING && seen < HIGHEST_READING ? 0 : bad_readings + 1;
-  if (bad_readings >= 3) return THERMOMETER_BROKEN;
+  bad_readings = answers && seen > LOWEST_READING && seen < HIGHEST_READING ? 0 : bad_readings < 3 ? bad_readings + 1 : 3;
+  if (bad_readings >= 3 && running()) return THERMOMETER_BROKEN;
   const uint32_t now = hardware_milliseconds();
   if (!bad_readings) {
     reading = seen;
@@ -207,17 +265,21 @@ Stop danger() {
     if (stuck(seen, now)) return THERMOMETER_STUCK;
   }
   electrics = hardware_electrics(&volt, &ampere, &leaking);
-  if (electrics && !dry) {
+  const bool off = dry || !running();
+  if (electrics) {
     Stop wrong = NOT_STOPPED;
     if (ampere > MOST_AMPERE) wrong = OVER_CURRENT;
-    // A pulse of one count may be over before a converter has looked, and so may the pause between long ones.
-    else if (count < 250 && leaking > LEAKING_AMPERE) wrong = SWITCH_STUCK;
+    else if (leaking > LEAKING_AMPERE || (off && ampere > LEAKING_AMPERE)) wrong = SWITCH_STUCK;
+    // A pulse of one count may be over before a converter has looked. The test sees to its own currents.
+    else if (off || state == TESTING) wrong = NOT_STOPPED;
     else if (count > 1 && ampere < LEAST_AMPERE) wrong = NO_CURRENT;
     else if (volt < LOWEST_VOLT) wrong = LOW_BATTERY;
-    bad_currents = wrong == NOT_STOPPED ? 0 : bad_currents + 1;
-    if (bad_currents >= 2) return wrong;
+    // The first fault names the stop: after a short has opened the cut-out there is no current.
+    if (bad_currents == 0) first_wrong = wrong;
+    bad_currents = wrong == NOT_STOPPED ? 0 : bad_currents < 2 ? bad_currents + 1 : 2;
+    if (bad_currents >= 2) return first_wrong;
   }
-  if (now - started > LONGEST_MS) return MAXIMUM_TIME;
+  if (running() && now - started > LONGEST_MS) return MAXIMUM_TIME;
   return NOT_STOPPED;
 }
 
@@ -241,13 +303,14 @@ void follow(const char *line) {
 
 void obey(const char *line) {
   if (strstr(line, "\"stop\"")) {
-    if (state == HEATING || state == HOLDING) stop(BY_COMMAND);
+    if (running()) stop(BY_COMMAND);
     else tell_status();
   } else if (strstr(line, "\"lead\"")) follow(line);
-  else if (strstr(line, "\"start\"")) start(strstr(line, "\"dry\":true") != nullptr);
+  else if (strstr(line, "\"start\"")) start(strstr(line, "\"dry\":true") != nullptr, false);
+  else if (strstr(line, "\"test\"")) start(false, true);
   else if (strstr(line, "\"status\"")) tell_status();
   else if (strstr(line, "\"hello\"")) tell_hello();
-  else tell_error("a line is {\\\"do\\\":\\\"start\\\"}, or stop, status, hello in place of start");
+  else tell_error("a line is {\\\"do\\\":\\\"start\\\"}, or stop, status, hello, test in place of start");
 }
 
 void listen() {
@@ -267,6 +330,7 @@ void listen() {
 void heater_begin() {
   hardware_begin();
   hardware_switch(0);
+  hardware_hold(false);
   tell_hello();
   if (hardware_was_reset_by_watchdog()) {
     state = STOPPED;
@@ -276,14 +340,27 @@ void heater_begin() {
 }
 
 void heater_loop() {
-  hardware_alive();
   listen();
-  if (state != HEATING && state != HOLDING) return;
+  if (released && state == TESTING) watch_cutout();
+  const uint32_t now = hardware_milliseconds();
   // Signed, so that the clock may run over.
-  if ((int32_t)(hardware_milliseconds() - next_tick) < 0) return;
-  next_tick += TICK_MS;
+  if ((int32_t)(now - next_tick) < 0) return;
+  // Watchdog and cut-out live by progress: a clock that stands still ends both, though this loop still turns.
+  hardware_alive();
+  next_tick = running() ? next_tick + TICK_MS : now + TICK_MS;
   const Stop why = danger();
-  if (why != NOT_STOPPED) return stop(why);
+  if (why != NOT_STOPPED) {
+    if (why != reason) stop(why);
+    return;
+  }
+  if (!running() || released) return;
+  // In the first part of the test the cut-out is open.
+  if (state != TESTING || ticks >= TEST_TICKS) hardware_hold(true);
+  if (state == TESTING) {
+    const Stop wrong = test();
+    if (wrong != NOT_STOPPED) return stop(wrong);
+    if (state == TESTING) return;
+  }
   if (ticks == 0) {
     decide();
     if (state != STOPPED) tell_status();

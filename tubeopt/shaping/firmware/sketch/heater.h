@@ -5,9 +5,9 @@
 #include <stdint.h>
 
 // What the heater does; `state` of its reports.
-enum State : uint8_t { IDLE, HEATING, HOLDING, STOPPED };
+enum State : uint8_t { IDLE, TESTING, HEATING, HOLDING, STOPPED };
 
-// Why it stopped; `reason` of its reports. The MOSFET is off in every one of them.
+// Why it stopped; `reason` of its reports. MOSFET and cut-out are open in every one of them.
 enum Stop : uint8_t {
   NOT_STOPPED,
   DONE,
@@ -20,6 +20,7 @@ enum Stop : uint8_t {
   OVER_CURRENT,
   NO_CURRENT,
   SWITCH_STUCK,
+  CUTOUT_STUCK,
   LOW_BATTERY,
   BEHIND_SCHEDULE,
   MAXIMUM_TIME,
