@@ -34,7 +34,7 @@ def test_a_plan_is_printed_and_saved(run: Run, tmp_path: Path) -> None:
     assert next(iter(data)) == "success_probability"
     assert data["success_probability"] == data["band"]["probability"] < 0.5
     low, high = data["success_interval"]
-    assert 0 < low < data["success_probability"] < high < 1
+    assert 0 <= low <= data["success_probability"] < high < 1
     assert data["led_by"] == ""
     assert 500 <= data["lowest_degC"] <= data["highest_degC"] <= 550
     assert data["energy_error"] < 1e-3

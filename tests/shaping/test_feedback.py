@@ -81,14 +81,14 @@ def test_a_led_rig_does_what_an_adaptive_integrator_says_of_its_counts() -> None
 
 
 def test_resistance_alone_is_told_to_be_no_thermometer() -> None:
-    told = design_feedback(plan(), TubeResistance(), samples=20)
+    told = design_feedback(plan(), TubeResistance(), replace(Uncertainty.of_a_workshop(), board=False), samples=40)
     assert told.probability < 0.5
     assert told.contributions[0].name == "resistivity_slope"
     assert told.contributions[0].deviation > 20
 
 
 def test_the_law_without_gains_gives_what_was_planned() -> None:
-    law = replace(nominal_law(plan(), Thermocouple()), holdback=math.inf)
+    law = replace(nominal_law(plan(), Thermocouple()), holdback=math.inf, floor=-math.inf)
     state, given = LawState.start(1), []
     for _ in law.planned:
         count, state = decide(law, state, np.array([25.0]))
@@ -243,3 +243,28 @@ def test_a_wire_has_no_bore_that_could_be_another() -> None:
     unknown = Uncertainty(inner_diameter=2e-5)
     for draw in unknown.draws(4, 0):
         assert unknown.member(wire, thesis_rig(), draw)[0].inner_diameter == 0.0
+
+
+def test_the_authority_is_what_dense_boards_require() -> None:
+    """The densest board of the material's range needs 87 % more than the planned power; 30 % more leave it cold."""
+    law, sensor = led().law, Thermocouple()
+    alone = Uncertainty(0, 0, 0, board=True)
+    members = [thermal_model(*alone.member(TUBE, plan().rig, [draw]), ENSEMBLE) for draw in (-1.0, 1.0)]
+    found = run_loop(stack(members), law, sensor)
+    assert found.finished.all()
+    low, high = found.extremes(law)
+    assert 500 <= low.min() <= high.max() <= 550
+    weak = run_loop(stack(members), replace(law, share=0.3), sensor)
+    # The board that is left cold is no success: its hold does not count, and the heating ends as "too cold".
+    assert weak.finished.tolist() == [True, False]
+    assert law.share > 1
+
+
+def test_boards_are_drawn_as_wide_as_their_table() -> None:
+    material = thesis_rig().mold.material
+    light, dense = material.board(-1.0), material.board(1.0)
+    assert (light.conductivity, dense.conductivity) == pytest.approx((0.08, 0.29))
+    assert (light.density, dense.density) == pytest.approx((450.0, 1200.0))
+    assert material.board(0.0).conductivity == pytest.approx(math.sqrt(0.08 * 0.29))
+    with pytest.raises(InputError, match=r"conductivity_range of mold material 'calcium_silicate' is 0\.2 to 0\.3"):
+        replace(material, conductivity_range=(0.2, 0.3))

@@ -23,6 +23,7 @@ pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C++ compiler")
 
 SLOT_MS, TICKS, TICK_MS, HOLD_FIRST = 300, 3, 100, 6
 PROPORTIONAL, INTEGRAL, SHARE, HOLDBACK, LOST = 0.01, 0.02, 0.25, 10.0, 1.75
+HOLD_FLOOR = 40.0
 MOST_COUNT, TEST_COUNT, TEST_TICKS, CUTOUT_MS = 249, 2, 2, 150
 PATIENCE_MS, LONGEST_MS, STUCK_MS, STUCK_HOLDING_MS = 1490, 9000, 300, 1400
 TOO_HOT, LOWEST_READING, HIGHEST_READING, START_BELOW = 558.0, -20.0, 900.0, 80.0
@@ -57,6 +58,7 @@ HEADER = f"""#include <stdint.h>
 #define TEST_COUNT {TEST_COUNT}u
 #define TEST_TICKS {TEST_TICKS}u
 #define CUTOUT_MS {CUTOUT_MS}u
+#define HOLD_FLOOR ({HOLD_FLOOR}f)
 #define PATIENCE_MS {PATIENCE_MS}ul
 #define LONGEST_MS {LONGEST_MS}ul
 #define LOST ({LOST}f)
@@ -366,10 +368,11 @@ class Twin:
         if self.place >= SLOTS:
             return self.stop("done", row)
         error = REFERENCE[self.place] - self.reading
-        waits = not self.dry and error > HOLDBACK and self.place <= HOLD_FIRST
+        behind = error > HOLDBACK and self.place <= HOLD_FIRST
+        waits = not self.dry and (behind or (self.reading < HOLD_FLOOR and self.place >= HOLD_FIRST))
         self.waited += SLOT_MS if waits else 0
         if self.waited > PATIENCE_MS:
-            return self.stop("behind schedule", row)
+            return self.stop("behind schedule" if behind or self.place < HOLD_FIRST else "too cold", row)
         self.total = clip(self.total + INTEGRAL * SLOT_MS / 1000 * error, -SHARE, SHARE)
         share = clip(PROPORTIONAL * error + self.total, -SHARE, SHARE)
         planned = PLANNED[self.table][self.place]
@@ -666,6 +669,18 @@ def test_a_tube_that_falls_behind_is_waited_for_no_longer_than_patience(heater: 
         if twin.state == "stopped":
             break
     assert reason(heater, rows) == why
+
+
+def test_the_hold_waits_for_a_tube_that_is_too_cold_and_ends_so(heater: Path) -> None:
+    rows = heated(3 * SLOTS)
+    first = 3 * (HOLD_FIRST + 2)
+    # Five slots below the floor are more than its patience; four only delay the end by as much.
+    cold = [{"celsius": 39.0 + 0.3 * (k % 2)} for k in range(18)]
+    for slots, why in ((6, "too cold"), (4, "")):
+        late = rows
+        for k in range(3 * slots):
+            late = changed(late, first + k, **cold[k])
+        assert reason(heater, late) == why
 
 
 def test_it_heats_no_longer_than_the_longest_time(heater: Path) -> None:

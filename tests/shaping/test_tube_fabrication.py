@@ -81,7 +81,7 @@ def test_the_sheet_tells_what_is_seen_at_the_rig() -> None:
     assert float(current.split(" / ")[0]) == pytest.approx(plan.current.max(), abs=0.5)
     words = " ".join(preparation(made_of(plan)) + safety(plan))
     assert f"{plan.rig.battery.voltage:.2f} V" in words
-    assert "Polarity: battery plus, fuse, proximal clamp" in words
+    assert "Polarity: battery plus, fuse, cut-out, proximal clamp" in words
 
 
 def made_of(plan: HeatingPlan) -> TubeFabrication:

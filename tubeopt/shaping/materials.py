@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 from ..constants import ZERO_CELSIUS
@@ -54,9 +54,37 @@ class MoldMaterial:
     reference_temperature: Annotated[
         float, key("reference_degC"), POSITIVE, "reference temperature of the heat capacity"
     ] = 75.0 + ZERO_CELSIUS
+    conductivity_range: Annotated[
+        tuple[float, float] | None,
+        unit("W_per_m_K"),
+        "smallest and largest conductivity of boards of this name, from cold to hot; default the uncertainty alone",
+    ] = None
+    density_range: Annotated[
+        tuple[float, float] | None,
+        unit("kg_per_m3"),
+        "densities of these boards: the densest conducts best; default the density",
+    ] = None
 
     def __post_init__(self) -> None:
         check_fields(self, f"mold material {self.name!r}")
+        for name in ("conductivity", "density"):
+            span = getattr(self, f"{name}_range")
+            if span is not None and not 0 < span[0] <= getattr(self, name) <= span[1]:
+                raise InputError(
+                    f"{name}_range of mold material {self.name!r} is {span[0]:g} to {span[1]:g}; it must be above 0 "
+                    f"and include its {name}, {getattr(self, name):g}"
+                )
+
+    def board(self, draw: float) -> MoldMaterial:
+        """Board of this material: the lightest and least conductive at -1, the densest and most conductive at 1."""
+        spans = {name: getattr(self, f"{name}_range") for name in ("conductivity", "density")}
+        # Geometric: a board of twice the conductivity is as likely as one of half.
+        drawn = {
+            name: span[0] * (span[1] / span[0]) ** (0.5 * (draw + 1))
+            for name, span in spans.items()
+            if span is not None
+        }
+        return replace(self, **drawn)
 
     @property
     def limit_temperature_degC(self) -> float:
@@ -103,6 +131,7 @@ MDF = MoldMaterial(
     resistivity=1e8,
     emissivity=0.9,
     price_class="low",
+    conductivity_range=(0.12, 0.15),
     source="0.12-0.15 W/(m K): Facts about particleboard and MDF (EWPAA). 750 kg/m^3, 1700 J/(kg K): makeitfrom.com "
     "after Wood Handbook, USDA Forest Service. Limit: charring isotherm 300 degC of EN 1995-1-2. Resistivity of wood "
     "at about 8 % moisture, order of magnitude, Wood Handbook. Emissivity of wood: Incropera et al., Table A.11",
@@ -136,6 +165,8 @@ CALCIUM_SILICATE = MoldMaterial(
     emissivity=0.9,
     price_class="moderate",
     expansion=6e-6,
+    conductivity_range=(0.08, 0.29),
+    density_range=(450.0, 1200.0),
     source="Density, conductivity and heat capacity as usually quoted for Marinite I board (BNZ Materials) at 200 "
     "degC. Boards differ (0.08 to 0.29 W/(m K), 450 to 1200 kg/m^3): use the data of your board. Limit 927 degC "
     "(1700 degF) of ASTM C656. Resistivity of dry board is an order of magnitude; emissivity and expansion are "

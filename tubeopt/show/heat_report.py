@@ -366,6 +366,10 @@ FEEDBACK = described(
              words=lambda f: f"{100 * f.open_loop:.0f} % of {f.samples}; the schedule leaves the sensor room"),
     Quantity("too_cold", "fraction below the window"),
     Quantity("too_hot", "fraction above window or limit"),
+    Quantity("silent", "fraction that misses the window and ends as done", label="misses without a report",
+             words=lambda f: f"{100 * f.silent:.1f} % of them"),
+    Quantity("share", "largest correction, as a fraction of the planned duty", lambda f: f.law.share,
+             label="largest correction", words=lambda f: f"{100 * f.law.share:.0f} % of the planned duty"),
     Quantity("lowest_degC", "lowest temperature of the curved part in the hold, all rigs", lambda f: f.lowest.min()),
     Quantity("highest_degC", "highest temperature of the curved part in the hold, all rigs", lambda f: f.highest.max()),
     line("curved part, any rig", "{lowest_degC:.1f} to {highest_degC:.1f} degC in the hold"),
@@ -412,6 +416,12 @@ class FeedbackReport(Report[ClosedLoopHeating]):
 
     def title(self) -> str:
         return self.answer.plan.rig.name or "rig"
+
+    def table(self) -> Group:
+        """Table with the probability of success in closed and in open loop at its top."""
+        f = self.answer.feedback
+        success = success_text(Success(f.probability, f.samples, f.sensor.name, f.open_loop))
+        return Group(Text(success, style="bold"), super().table())
 
     def below(self) -> list[RenderableType]:
         """Contributions to the temperature error, the list of parts, and the safety of the circuit."""

@@ -170,14 +170,14 @@ class SimulatedLine:
             return None
         law, index = self._law, int(self._law_state.index[0])
         if self._dry:  # without current the tube would never reach the reference: do not wait for it
-            law = replace(law, holdback=np.inf)
+            law = replace(law, holdback=np.inf, floor=-np.inf)
         reading = self._rig.reading
         if reading > self._limit:
             self._end("over-temperature")
         elif index >= len(law.planned):
             self._end("done")
         elif self._law_state.waited[0] > law.patience:
-            self._end("behind schedule")
+            self._end("too cold" if index >= law.hold[0] else "behind schedule")
         else:
             override = self._override.popleft() if self._override else np.nan
             count, self._law_state = decide(law, self._law_state, np.array([reading]), override)

@@ -96,6 +96,7 @@ def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tupl
         "SHARE": _float(law.share),
         "MOST_COUNT": f"{MOST_COUNT}u",
         "HOLDBACK": _float(law.holdback),
+        "HOLD_FLOOR": _float(law.floor),
         "PATIENCE_MS": f"{round(1000 * law.patience)}ul",
         "LONGEST_MS": f"{round(1000 * law.longest)}ul",
         "LOST": _float(law.lost),

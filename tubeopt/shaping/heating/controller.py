@@ -5,8 +5,10 @@ The planned schedule is corrected by a fraction. In every slot, with e = referen
     fraction = proportional e + s,   s' = integral e,   duty = planned duty (1 + fraction)
 
 The fraction is bounded, and so is s: there is no windup. Losses, battery and resistance change the required power by a
-factor, so a fraction corrects them, in the ramp as in the hold. While the reading is more than `holdback` below its
-reference the schedule waits, so that the hold begins when the tube is warm; if it waits too long, the heating stops.
+factor, so a fraction corrects them, in the ramp as in the hold. The bound is what the ensemble of rigs requires: a
+thermometer that reads too little gets no more power than that. While the reading is more than `holdback` below its
+reference the schedule waits, and in the hold while it is below `floor`: only time in the window counts. If it waits too
+long, the heating stops: "behind schedule" before the hold, "too cold" in it.
 Whole counts come from error diffusion: the remainder of rounding is added in the next slot.
 
 The firmware computes the same, number by number.
@@ -53,7 +55,9 @@ class HeatingLaw:
     share: float = 0.5
     """Largest correction, as a fraction of the planned count."""
     holdback: float = 15.0
-    """Largest error below the reference without waiting, K."""
+    """Largest error below the reference without waiting, before the hold, K."""
+    floor: float = -math.inf
+    """Smallest reading in the hold without waiting, degC."""
     patience: float = 60.0
     """Longest total time of waiting, s."""
     lost: float = 0.0
@@ -98,8 +102,7 @@ def decide(
     index = np.minimum(state.index, len(law.planned) - 1)
     running = (state.index < len(law.planned)) & (state.waited <= law.patience)
     error = law.reference[index] - reading
-    # The schedule waits before the hold only: within it the time must count.
-    waits = (error > law.holdback) & (index <= law.hold[0])
+    waits = waiting(law, index, reading)
     # Both the integral and the sum are limited: after a long error it does not overshoot (windup).
     total = np.clip(state.total + law.integral * law.slot * error, -law.share, law.share)
     correction = np.clip(law.proportional * error + total, -law.share, law.share)
@@ -110,7 +113,7 @@ def decide(
     # The integral that would have given this correction: no jump when the override ends.
     total = np.where(overridden, np.clip(external - law.proportional * error, -law.share, law.share), total)
     correction = np.where(overridden, external, correction)
-    effective = np.where(running, planned * (1 + correction), 0.0)
+    effective = np.where(running, planned * np.maximum(1 + correction, 0.0), 0.0)
     due = effective + state.owed
     # Half a count rounds to one; the part of a pulse that inductance takes is added first.
     count = np.where(due > 0.5, np.clip(np.floor(due + law.lost + 0.5), 0, MOST_COUNT), 0.0)
@@ -121,6 +124,13 @@ def decide(
         owed=np.where(effective > 0, np.clip(due - realised, -1.0 - law.lost, 1.0), 0.0),
         waited=state.waited + np.where(waits, law.slot, 0.0),
     )
+
+
+def waiting(law: HeatingLaw, index: Array, reading: Array) -> NDArray[np.bool_]:
+    """True where the schedule waits at slots `index`, at these readings, degC."""
+    index = np.minimum(index, len(law.planned) - 1)
+    behind = (law.reference[index] - reading > law.holdback) & (index <= law.hold[0])
+    return np.asarray(behind | ((reading < law.floor) & (index >= law.hold[0])))
 
 
 def shifted(law: HeatingLaw, shift: float) -> HeatingLaw:
@@ -150,13 +160,15 @@ class LoopHistory:
     """(T, B) hottest point of the curved part, degC."""
     top: Array
     """(T, B) hottest point of the tube, degC."""
+    total: Array
+    """(T, B) integral part of the correction."""
     finished: NDArray[np.bool_]
     """(B,) True for rigs that completed the schedule."""
 
     def in_hold(self, law: HeatingLaw) -> Array:
-        """(T, B) True for times in the hold, its end included."""
+        """(T, B) True for times in the hold, its end included; not while the schedule waits."""
         first, last = law.hold
-        return np.asarray((self.index >= first) & (self.index <= last))
+        return np.asarray((self.index >= first) & (self.index <= last) & ~waiting(law, self.index, self.reading))
 
     def extremes(self, law: HeatingLaw) -> tuple[Array, Array]:
         """(B,) lowest and highest temperature of the curved part in the hold, degC; infinite without a hold."""
@@ -184,7 +196,7 @@ def run_loop(
     """
     rng = np.random.default_rng(seed)
     rig, state = MeasuredRig.at_rest(model, sensor), LawState.start(model.members)
-    readings, counts, indices, extremes = [], [], [], []
+    readings, counts, indices, totals, extremes = [], [], [], [], []
     ends, broken = (law.reference.min(), law.reference.max()), np.zeros(model.members, dtype=bool)
     slots = math.ceil(law.longest / law.slot)
     for k in range(slots + 1):
@@ -195,6 +207,7 @@ def run_loop(
         count = np.where(broken, 0, count)
         readings.append(reading)
         counts.append(count)
+        totals.append(state.total)
         extremes.append(tube_extremes(model, rig.state.cells[:, :, 0]))
         if (state.index > len(law.planned)).all() or k == slots:
             break
@@ -208,6 +221,7 @@ def run_loop(
         coldest=temperatures.coldest,
         hottest=temperatures.hottest,
         top=temperatures.peak,
+        total=np.array(totals),
         finished=(state.index >= len(law.planned)) & ~broken,
     )
 
@@ -267,6 +281,11 @@ class Feedback(Displayed):
     def interval(self) -> tuple[float, float]:
         """95 % confidence interval of the probability (Wilson)."""
         return wilson(int(self.kept.sum()), self.samples)
+
+    @property
+    def silent(self) -> float:
+        """Fraction that misses window or limit and ends as "done"; every other miss is reported by its stop."""
+        return float((self.history.finished[1:] & ~self.kept).mean())
 
     @property
     def too_cold(self) -> float:

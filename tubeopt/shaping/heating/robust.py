@@ -206,10 +206,13 @@ INSIDE = 0.25
 
 # With 48 rigs the fraction in the window has a standard error of 7 %, enough to order five gains; the time is
 # proportional to their number.
+WIDE, RESERVE = 4.0, 1.25
+"""Largest correction in the choice of gains, a fraction of the planned count, and factor on those that rigs require."""
+
 RIGS = 48
 """Number of random rigs for the choice of gains and set-point; other rigs test them."""
 
-SHIFTS = np.linspace(-15.0, 15.0, 121)
+SHIFTS = np.linspace(-25.0, 25.0, 201)
 """Set-points among which the best is chosen, K from the plan's."""
 
 PROBE = 0.02
@@ -300,13 +303,17 @@ def nominal_law(plan: HeatingPlan, sensor: Sensor) -> HeatingLaw:
     model = thermal_model(plan.tube, plan.rig, FINE)
     lost = COUNTS * plan.rig.circuit.lost_share
     commanded = prolonged(plan, last + delay)
+    reference = readings(model, sensor, slot, commanded / COUNTS)[: last + delay, 0]
     return HeatingLaw(
         slot=slot,
         planned=np.maximum(commanded - lost, 0.0),
-        reference=readings(model, sensor, slot, commanded / COUNTS)[: last + delay, 0],
+        reference=reference,
         hold=(planned + delay, last + delay),
         proportional=0.0,
         integral=0.0,
+        # Where the coldest point enters the window, the sensor of the nominal rig reads as much more.
+        floor=low
+        + max(float(reference[planned + delay]) - float(plan.temperature[planned + delay, plan.curved].min()), 0),
         lost=lost,
     )
 
@@ -322,17 +329,20 @@ def _tuned(plan: HeatingPlan, sensor: Sensor, uncertainty: Uncertainty, seed: in
     law = nominal_law(plan, sensor)
     plant = response(thermal_model(plan.tube, plan.rig, ENSEMBLE), sensor, law)
     rigs = uncertainty.ensemble(plan.tube, plan.rig, RIGS, sensor_bias=sensor.bias, seed=seed)
-    best: tuple[float, HeatingLaw] | None = None
+    best: tuple[float, HeatingLaw, LoopHistory] | None = None
     for correction_per_kelvin in KELVIN_GAINS:
         proportional, integral = regulator(plant, law.slot, correction_per_kelvin)
-        trial = replace(law, proportional=proportional, integral=integral)
+        trial = replace(law, proportional=proportional, integral=integral, share=WIDE)
         history = corrected(plan, trial, sensor, run_loop(rigs.model, trial, sensor, bias=rigs.bias, seed=seed))
         lowest, highest = history.extremes(trial)
         value, shift = _best_shift(plan, lowest, highest, history.top.max(0))
         if best is None or value > best[0]:
-            best = value, shifted(trial, shift)
+            best = value, shifted(trial, shift), history
     assert best is not None
-    return best[1]
+    _, law, history = best
+    # The authority that these rigs require: their lasting corrections, and the answer to an error without waiting.
+    lasting = float(np.abs(history.total[:, history.finished]).max(initial=0.0))
+    return replace(law, share=min(RESERVE * lasting + law.proportional * law.holdback, WIDE))
 
 
 def _best_shift(plan: HeatingPlan, lowest: Array, highest: Array, top: Array) -> tuple[float, float]:

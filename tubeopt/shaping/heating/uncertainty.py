@@ -59,6 +59,7 @@ class Uncertainty(Displayed):
     ] = 0.0
     gap: Annotated[float, unit("percent"), PART, "uncertainty of the uniform air gap between tube and groove"] = 0.0
     conductivity: Annotated[float, unit("percent"), PART, "uncertainty of the thermal conductivity of the mold"] = 0.0
+    board: Annotated[bool, "any board of the mold material: its ranges of conductivity and density"] = False
     heat_capacity: Annotated[
         float, unit("percent"), PART, "uncertainty of the heat capacity of the tube, latent heat included"
     ] = 0.0
@@ -85,7 +86,7 @@ class Uncertainty(Displayed):
         """Uncertainty of a rig without any measurement: assumed."""
         return cls(
             loss=0.15, contact_resistance=0.3, resistivity=0.1, resistivity_slope=0.2, gap=0.5, conductivity=0.2,
-            heat_capacity=0.06, inner_diameter=20e-6, ambient=5.0, charge=0.2, lost_on_time=10e-6,
+            board=True, heat_capacity=0.06, inner_diameter=20e-6, ambient=5.0, charge=0.2, lost_on_time=10e-6,
         )  # fmt: skip
 
     @property
@@ -118,7 +119,12 @@ class Uncertainty(Displayed):
                 f"must be less than the wall allows (diameters {1e3 * tube.inner_diameter:g} "
                 f"and {1e3 * tube.outer_diameter:g} mm)"
             )
-        material = replace(rig.mold.material, conductivity=rig.mold.material.conductivity * (1 + by["conductivity"]))
+        material = rig.mold.material
+        if self.board and material.conductivity_range is not None:
+            material = material.board(by["board"])
+        else:
+            spread = material.conductivity * (1 + by["conductivity"])
+            material = replace(material, conductivity=spread, conductivity_range=None)
         lost = rig.circuit.lost_on_time + 0.5 * (self.lost_on_time + by["lost_on_time"])
         member = replace(
             rig.with_charge(rig.battery.state_of_charge * (1 - 0.5 * (self.charge + by["charge"]))),

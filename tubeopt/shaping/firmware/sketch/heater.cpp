@@ -27,6 +27,7 @@ const char *const STOPS[] = {
     "cut-out stuck",
     "low battery",
     "behind schedule",
+    "too cold",
     "maximum time",
 };
 
@@ -212,9 +213,10 @@ void decide() {
   if (place >= SLOTS) return stop(DONE);
   const float error = reference_at(place) - reading;
   // Without current the tube would never come to where the schedule waits for it.
-  const bool waits = !dry && error > HOLDBACK && place <= HOLD_FIRST;
+  const bool behind = error > HOLDBACK && place <= HOLD_FIRST;
+  const bool waits = !dry && (behind || (reading < HOLD_FLOOR && place >= HOLD_FIRST));
   if (waits) waited += SLOT_MS;
-  if (waited > PATIENCE_MS) return stop(BEHIND_SCHEDULE);
+  if (waited > PATIENCE_MS) return stop(place >= HOLD_FIRST && !behind ? TOO_COLD : BEHIND_SCHEDULE);
   total = clip(total + INTEGRAL * (SLOT_MS / 1000.0f) * error, -SHARE, SHARE);
   float share = clip(PROPORTIONAL * error + total, -SHARE, SHARE);
   const float planned = planned_at(table, place);
@@ -227,7 +229,7 @@ void decide() {
     lead += lead_step;
     --led;
   }
-  const float wanted = planned * (1 + share);
+  const float wanted = share > -1 ? planned * (1 + share) : 0;
   const float due = wanted + owed;
   count = due > 0.5f ? (uint8_t)clip(floorf(due + LOST + 0.5f), 0, MOST_COUNT) : 0;
   const float given = count > LOST ? count - LOST : 0;

@@ -23,6 +23,7 @@ enum Stop : uint8_t {
   CUTOUT_STUCK,
   LOW_BATTERY,
   BEHIND_SCHEDULE,
+  TOO_COLD,
   MAXIMUM_TIME,
 };
 
