@@ -33,7 +33,7 @@ from ..errors import InputError, SolveError, instance, positive, vector, whole
 from ..files.field_metadata import TYPICAL_CLEARANCE, typical_length
 from ..inverse import InverseOptions, inverse_kinematics
 from ..inverse.arm_surface import ArmSurface
-from ..inverse.clock import Clock, LateError
+from ..inverse.clock import Clock
 from ..inverse.goal import unit_vector
 from ..inverse.joints import joint_space
 from ..inverse.search import find_path, shorten
@@ -65,8 +65,9 @@ ROOM = 3e-5
 REPETITIONS = 4
 """Maximum number of solves with a larger reserve."""
 
-SEARCH_SECONDS = 3.0
-"""Time limit of the search for a first path among bodies, s."""
+SEARCH_WORK, SHORTEN_WORK = 6.0, 2.0
+"""Largest work of the search for a first path among bodies, and of its shortening, in seconds of counted work
+(`task.Work`): not limited by time, so that the path does not depend on the load of the machine."""
 
 # The start is nearly a motion; a larger barrier would move it away from its path, and takes twice as many iterations.
 SOLVERS = Ipopt(tolerance=1e-8, barrier=1e-4, push=1e-5), Ipopt(tolerance=1e-8, barrier=1e-2)
@@ -605,14 +606,14 @@ class Motion:
         """(k, m) points of a path, straight if none is found that is clear of the bodies."""
         key = begin.tobytes(), end.tobytes(), self._bodies, self._clearance
         if key not in self._paths:
-            clock = Clock(SEARCH_SECONDS)
-            task = replace(task.from_to(begin, end), clock=clock)
-            try:
-                points = find_path(task, begin, [end], clock).points
-                points = None if points is None else shorten(task, points, clock)
-            except LateError:
-                points = None
-            self._paths[key] = np.stack([begin, end]) if points is None else points
+            task = task.from_to(begin, end)
+
+            def clock(most: float) -> Clock:
+                return Clock(most, task.clock, lambda: task.work.seconds)
+
+            points = find_path(task, begin, [end], clock(SEARCH_WORK)).points
+            straight = np.stack([begin, end])
+            self._paths[key] = straight if points is None else shorten(task, points, clock(SHORTEN_WORK))
         return self._paths[key]
 
     def _end(self, task: PlanTask) -> Array:
