@@ -1,27 +1,33 @@
 """Commands that make no sense, come too early or too late, or jump: whether a robot ever snaps or leaves its limits.
 
-    python -m benchmarks.adversarial [--number 1000000] [--robots thesis_ctr ...] [--seconds 60]
+    python -m benchmarks.adversarial [--number 1000000] [--robots thesis_ctr ...] [--seconds 60] [--node]
 
 Each robot has limited accelerations and stands behind the server: texts of messages go through its reader to the robot,
 at times of its own clock, which also jumps. Texts are commands, broken JSON, numbers that are none, other types, other
 frames and units. Each tick is looked at: joint values are finite, within ranges, rates and
 accelerations of the time that has passed; the margin is above its floor; `follow` goes through the same places
-without a snap. What is not refused by a sentence counts as a crash.
+without a snap. What is not refused by a sentence counts as a crash. With `--node` messages of ROS 2 go to its node, on
+the modules of the tests that stand for those of ROS.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
+import sys
 import time
 from collections import Counter
 from contextlib import suppress
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 import tubeopt
 from benchmarks.timing import show, table
+from tests.control import ros_loopback
 from tubeopt.control.c_binding import servo_of
 from tubeopt.control.command import ServoOptions
 from tubeopt.control.crtk import CrtkRobot
@@ -80,7 +86,67 @@ def text(random: np.random.Generator, tip: np.ndarray, joints: tuple[list[float]
     return out[: random.integers(len(out))] if random.random() < 0.02 else out
 
 
-def torment(name: str, number: int, seconds: float, seed: int) -> Counter[str]:
+def told_to(arm: CrtkRobot, random: np.random.Generator, joints: tuple[list[float], list[float]], now: float) -> str:
+    """Give a robot a text as the server does, perhaps late or early; returns its command."""
+    told = _read(text(random, arm.servo.equilibrium.tip_position, joints))
+    arm.command(told, now + random.choice([0.0, 0.0, 0.0, -1.0, 1e3]))
+    return str(told["op"])
+
+
+class NodeOfRos:
+    """The node of ROS 2 with a robot, on a clock of its own."""
+
+    def __init__(self, robot: CrtkRobot) -> None:
+        bus = ros_loopback.install(pytest.MonkeyPatch(), crtk=True)
+        sys.path.insert(0, "integrations/ros2/tubeopt_ros")
+        self.module: Any = importlib.import_module("tubeopt_ros.node")
+        self.now, self.bus = 0.0, bus
+        self.module.time = SimpleNamespace(monotonic=lambda: self.now, thread_time=time.thread_time, sleep=time.sleep)
+        self.node = self.module.RobotNode()
+        assert self.node.trigger_configure() == "success", self.node.logged
+        self.node.robot, self.node._period = robot, PERIOD
+        self.node.trigger_activate()
+
+    def told(self, random: np.random.Generator, joints: tuple[list[float], list[float]], now: float) -> str:
+        """Send a message, possible or not; returns its command, or raises InputError where the node refuses it."""
+        self.now, before, here = now, len(self.node.logged), self.node.robot.servo.equilibrium.tip_position
+        op = random.choice(list(self.bus.calls))
+        message, bad = self.bus.types[op](), [each for each in BAD if isinstance(each, float)]
+        odd = random.random() < 0.15
+        if hasattr(message, "header"):
+            message.header.frame_id = random.choice(["", "plate", "camera"], p=[0.45, 0.45, 0.1])
+        if op.endswith(("cp", "cr")):
+            place = (op.endswith("cp") * here + 10.0 ** random.uniform(-6, 0) * random.normal(size=3)).tolist()
+            vectors = [(message.pose.position, place), (message.pose.orientation, random.normal(size=3).tolist())]
+        elif op.endswith("cv"):
+            rates = 10.0 ** random.uniform(-3, 2) * random.normal(size=(2, 3))
+            vectors = [(message.twist.linear, rates[0].tolist()), (message.twist.angular, rates[1].tolist())]
+        else:
+            vectors = []
+        for vector, values in vectors:
+            vector.x, vector.y, vector.z = values
+            if odd:
+                vector.y = float(random.choice(bad))
+        if op[-2:] in ("jp", "jr", "js", "jv"):
+            values = [x * (1.0 if op[-2:] in ("jp", "js") else 0.05) for part in joints for x in part]
+            values = values[: random.integers(len(values))] if odd else values
+            message.position, message.velocity = values, [float(random.choice(bad))] if odd else values
+        elif op == "state_command":
+            message.string = str(random.choice([word for word in WORDS if isinstance(word, str)]))
+        self.bus.calls[op][0](message)
+        for words in self.node.logged[before:]:
+            raise (AssertionError if "the robot is held" in words else tubeopt.InputError)(words)
+        return op
+
+    def tick(self, now: float) -> None:
+        """A step at a time."""
+        self.now, before = now, len(self.node.logged)
+        self.node.tick()
+        assert len(self.node.logged) == before, self.node.logged[-1]
+        self.node.logged.clear()
+
+
+def torment(name: str, number: int, seconds: float, seed: int, *, node: bool = False) -> Counter[str]:
     """What happened to one robot under so many messages, or for so long."""
     robot, random, found = tubeopt.load_robot(name), np.random.default_rng(seed), Counter[str]()
     space, n = joint_space(robot), robot.n_tubes
@@ -89,6 +155,7 @@ def torment(name: str, number: int, seconds: float, seed: int) -> Counter[str]:
     starts = (tubeopt.forward_kinematics(robot, *space.split(q)) for q in many)
     start = next(arm for arm in starts if arm.margin > 2 * FLOOR)
     arm = CrtkRobot(servo_of(robot, (start.rotations, start.translations), options=options))
+    of_ros = NodeOfRos(arm) if node else None
     branch, now, began = start, 0.0, time.monotonic()
     rates = np.repeat([options.turn_rate, options.shift_rate], n)
     most = np.repeat([TURN, SHIFT], n)
@@ -103,9 +170,8 @@ def torment(name: str, number: int, seconds: float, seed: int) -> Counter[str]:
                 with suppress(tubeopt.InputError):
                     arm.command({"op": "state_command", "command": word}, now)
         try:
-            told = _read(text(random, arm.servo.equilibrium.tip_position, (goal.tolist(), list(shift))))
-            arm.command(told, now + random.choice([0.0, 0.0, 0.0, -1.0, 1e3]))
-            sets = told["op"] == "set_js"
+            joints = goal.tolist(), list(shift)
+            sets = (of_ros.told(random, joints, now) if of_ros else told_to(arm, random, joints, now)) == "set_js"
         except tubeopt.InputError:
             found["refused"] += 1
         except Exception as error:  # what is looked for
@@ -117,7 +183,7 @@ def torment(name: str, number: int, seconds: float, seed: int) -> Counter[str]:
         now += PERIOD * random.choice([0.2, 1.0, 1.0, 1.0, 3.0])
         sent = arm.sent
         try:
-            arm.tick(lambda: now, PERIOD)  # noqa: B023
+            of_ros.tick(now) if of_ros else arm.tick(lambda: now, PERIOD)  # noqa: B023
         except Exception as error:  # what is looked for
             found[f"crash in a step: {type(error).__name__}: {error}"] += 1
         here = arm.servo.equilibrium
@@ -151,8 +217,10 @@ def main() -> None:
     parser.add_argument("--number", type=int, default=1_000_000, help="of messages, over all robots")
     parser.add_argument("--seconds", type=float, default=np.inf, help="for each robot at most")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--node", action="store_true", help="the node of ROS 2 in place of the server")
     asked = parser.parse_args()
-    found = {name: torment(name, asked.number // len(asked.robots), asked.seconds, asked.seed) for name in asked.robots}
+    each = asked.number // len(asked.robots)
+    found = {name: torment(name, each, asked.seconds, asked.seed, node=asked.node) for name in asked.robots}
     kinds = sorted({kind for each in found.values() for kind in each})
     rows = [(kind, *(str(each[kind]) for each in found.values())) for kind in kinds]
     show([table("messages that make no sense", ("", *found), rows)], [])

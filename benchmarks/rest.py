@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -46,6 +47,9 @@ RESTS, MOVES = 1e-3, 1e-9
 REVERSALS, CLOSER = 5, 1e-4
 """Reversals that are too many, and distance (m) by which inverse kinematics must not come closer."""
 
+EVERY = 5
+"""Steps after which the way of a motion is followed."""
+
 ARRIVED = 2e-6
 """Distance (m) at which a target is met: what the robot of the server calls arrived, with rounding."""
 
@@ -66,13 +70,21 @@ class Rest:
     """From the target, m."""
     joints: tuple[Array, Array]
     """Where it rests."""
+    tip: Array
+    """(3,) its tip there, m."""
     why: str
     """What is said of it."""
+    milliseconds: float
+    """Of a step, on average."""
+    way: Array
+    """(T, 2n) joint values on the way, every EVERY-th and the last."""
 
 
 def made(robot: Robot, start: Any, asked: argparse.Namespace) -> Any:
     """A servo of the kind that is asked for."""
     limits = {} if asked.unlimited else {"turn_acceleration": TURN, "shift_acceleration": SHIFT}
+    if asked.snap_deg:
+        limits["min_snap_distance"] = np.radians(asked.snap_deg)
     options = ServoOptions(speed=0.2, shift_rate=0.2, min_margin=asked.floor, **limits)
     return Servo(robot, start, options=options) if asked.kind == "python" else CServo(c_library(robot), start, options)
 
@@ -87,7 +99,7 @@ def lead(servo: Any, target: Array, dt: float, server: bool) -> Rest:
     sent = [np.concatenate([first.rotations, first.translations])]
     n = len(first.rotations)
     rates = np.repeat([o.turn_rate, o.shift_rate], n)
-    tips, margin, rested, why = [first.tip_position], first.margin, 0, None
+    tips, margin, rested, why, began = [first.tip_position], first.margin, 0, None, time.perf_counter()
     while rested * dt < RESTED and len(sent) * dt < LONGEST:
         if server:
             clock[0] += dt
@@ -114,7 +126,10 @@ def lead(servo: Any, target: Array, dt: float, server: bool) -> Rest:
         margin,
         float(np.linalg.norm(tips[-1] - target)),
         (here.rotations, here.translations),
+        tips[-1],
         arm.report(0.0)["why"] if server else why.words,
+        (time.perf_counter() - began) / (len(sent) - 1) * 1e3,
+        np.vstack([q[:-1:EVERY], q[-1:]]),
     )
 
 
@@ -150,6 +165,9 @@ def measure(name: str, asked: argparse.Namespace, number: int) -> list[dict[str,
         servo = made(robot, (start.rotations, start.translations), asked)
         found = lead(servo, target, asked.dt, asked.kind == "server")
         row = vars(found) | {"robot": name, "case": k, "joints": [each.tolist() for each in found.joints]}
+        del row["way"], row["tip"]
+        if asked.snap_deg:
+            row["snaps"] = snaps(robot, start, found)
         k += 1
         if not asked.reach and found.distance < NEAR:
             continue
@@ -162,6 +180,12 @@ def measure(name: str, asked: argparse.Namespace, number: int) -> list[dict[str,
         if asked.verbose:
             print(row, file=sys.stderr, flush=True)
     return out
+
+
+def snaps(robot: Robot, start: tubeopt.Equilibrium, found: Rest) -> bool:
+    """Whether `follow` finds a snap on the way of a motion, or another pose at its end."""
+    passed = tubeopt.follow(robot, *np.split(found.way, 2, axis=1), start=start)
+    return bool(passed.snaps) or float(np.linalg.norm(passed.equilibria[-1].tip_position - found.tip)) > ARRIVED
 
 
 def told(name: str, rows: Sequence[dict[str, Any]]) -> list[str]:
@@ -181,6 +205,8 @@ def told(name: str, rows: Sequence[dict[str, Any]]) -> list[str]:
         sum(row["distance"] < NEAR for row in rows),
         f"{sum(each <= CLOSER for each in off)} of {len(known)}",
         sum(row["distance"] - row.get("closest from rest", np.inf) > CLOSER for row in known),
+        f"{np.median([row['milliseconds'] for row in rows]):.3f}",
+        sum(row.get("snaps", 0) for row in rows),
     )
     return [str(cell) for cell in cells]
 
@@ -193,6 +219,7 @@ def main() -> None:
     parser.add_argument("--compare", type=int, default=0, help="motions of each robot compared with ik --closest")
     parser.add_argument("--dt", type=float, default=2e-3, help="cycle, s")
     parser.add_argument("--floor", type=float, default=0.1, help="of the margin")
+    parser.add_argument("--snap-deg", type=float, default=0.0, help="least snap distance in place of the floor")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--reach", action="store_true", help="targets within reach")
     parser.add_argument("--unlimited", action="store_true", help="without limits of accelerations")
@@ -207,7 +234,7 @@ def main() -> None:
         dump({"motions": rows})
         return
     first = "", "motions", "s to rest", "most", "reverse", "a / limit", "least margin"
-    columns = *first, "no reason", "met", "as close", "closer from rest"
+    columns = *first, "no reason", "met", "as close", "closer from rest", "ms / step", "snaps"
     lines = [told(name, [row for row in rows if row["robot"] == name]) for name in asked.robots]
     show([table("motions to random targets", columns, [*lines, told("all", rows)])], [])
 

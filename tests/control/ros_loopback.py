@@ -113,6 +113,12 @@ MESSAGES = {
     ],
 }  # fmt: skip
 
+SERVICES = {
+    "std_srvs.srv": [
+        type("Trigger", (), {"Request": kind("Request"), "Response": kind("Response", success=bool, message=str)})
+    ]
+}
+
 CRTK_MESSAGES = {
     "crtk_msgs.msg": [
         kind("OperatingState", header=Header, state=str, is_homed=bool, is_busy=bool),
@@ -130,6 +136,7 @@ class Bus:
         self.types: dict[str, type[Message]] = {}
         self.last: dict[str, Any] = {}
         self.log: list[tuple[str, Any]] = []
+        self.services: dict[str, Callable[[], Any]] = {}
 
     def join(self, topic: str, of: type[Message]) -> None:
         """All who use a topic use the same type."""
@@ -195,6 +202,9 @@ class Node:
         return Publisher(self.bus, topic, lambda: self.active)
 
     create_lifecycle_publisher = create_publisher
+
+    def create_service(self, of: Any, name: str, serve: Any) -> None:
+        self.bus.services[name] = lambda: serve(of.Request(), of.Response())
 
     def create_timer(self, period: float, call: Any) -> Any:
         self.timers.append(call)
@@ -277,7 +287,7 @@ def install(patch: pytest.MonkeyPatch, *, crtk: bool) -> Bus:
     node = SimpleNamespace
     modules: dict[str, dict[str, Any]] = {
         name: {each.__name__: each for each in kinds}
-        for name, kinds in (MESSAGES | (CRTK_MESSAGES if crtk else {})).items()
+        for name, kinds in (MESSAGES | SERVICES | (CRTK_MESSAGES if crtk else {})).items()
     }
     modules |= {
         "rclpy": {

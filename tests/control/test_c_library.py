@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +30,10 @@ from tubeopt import (
     load_robot,
 )
 from tubeopt.bodies.obstacles import Obstacle, Sphere, scene_of
-from tubeopt.control.c_binding import CRobot, CServo
+from tubeopt.control.c_binding import CEstimator, CRobot, CServo
 from tubeopt.control.c_library import c_library, save_c_library
 from tubeopt.control.command import Command, ServoOptions, Why
+from tubeopt.control.estimator import BaseReading, EstimatorOptions, StateEstimator, TipReading
 from tubeopt.control.servo import Servo
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.arm_surface import ArmSurface
@@ -182,6 +184,35 @@ def test_under_load_it_has_the_answers_of_python_and_its_tip_is_led(thesis: CRob
     again = library.follow(np.radians([200, 0, 0]), np.zeros(3))
     assert again.tip_position == pytest.approx(borne.tip_position, abs=1e-9)
     library.bear()
+
+
+def test_servo_is_led_under_a_force_that_changes_each_cycle() -> None:
+    """Its poses are those of Python under the same force, it reaches its target, and keeps the margin under load."""
+    limits = {"turn_acceleration": 30.0, "shift_acceleration": 1.0}
+    servo = CServo(c_library(THESIS, loads=True), START, ServoOptions(speed=0.05, min_margin=0.4, **limits))
+    arm, target = forward_kinematics(THESIS, *START), servo.equilibrium.tip_position + np.array([4e-3, -3e-3, 1e-3])
+    joints = [np.concatenate(START)]
+    for k in range(300):
+        push = np.array([0.02 * np.sin(k / 150), 0.005 * (k > 100), 0.005])
+        servo.bear(push)
+        pose = servo.step(Command(position=target), 2e-3).equilibrium
+        joints.append(np.concatenate([pose.rotations, pose.translations]))
+        if k % 50 == 49:
+            load = Load(tuple(push.tolist()))
+            arm = forward_kinematics(THESIS, pose.rotations, pose.translations, load=load, start=arm)
+            assert pose.tip_position == pytest.approx(arm.tip_position, abs=1e-8)
+            assert pose.margin == pytest.approx(arm.margin, abs=1e-4)
+    # It lags behind the tip, which the changing force moves by 6 mm/s.
+    assert np.linalg.norm(pose.tip_position - target) < 1e-3
+    change = np.abs(np.diff(np.array(joints), 2, axis=0)) / 4e-6
+    assert (change <= np.repeat([30.0, 1.0], 3) * (1 + 1e-6) + 1e-6).all()
+    # Into a snap under a force: its margin stays above the floor, that without load is larger or smaller.
+    goal, margins = Command(joints=(np.add(START[0], [4.0, 0.0, 0.0]), START[1])), []
+    for _ in range(900):
+        servo.bear(push)
+        margins.append(servo.step(goal, 2e-3).equilibrium.margin)
+    assert min(margins) >= 0.4
+    assert margins[-1] < 0.6
 
 
 def test_tubes_made_of_pieces_bear_loads_and_have_a_compliance(pieces: CRobot) -> None:
@@ -610,3 +641,42 @@ def test_the_library_leaves_the_plate_and_comes_back(thesis: CRobot) -> None:
     for _ in range(20):
         servo.step(Command(velocity=[0, 0, 0.01]), 1e-2)
     assert servo.equilibrium.tip_position[2] == pytest.approx(2e-3, rel=0.1)
+
+
+def test_estimator_has_the_states_of_that_in_python() -> None:
+    """Tip poses that come 30 ms late, and wrenches in time, of a robot whose joints are off, under a force."""
+    random, arm = np.random.default_rng(5), forward_kinematics(THESIS, *START)
+    python, ours = StateEstimator(arm, EstimatorOptions()), CEstimator(c_library(THESIS, loads=True), START)
+    late: list[tuple[float, Any, TipReading]] = []
+    surprises = []
+    for k in range(8):
+        time, joints = 0.01 * k, (np.array(START[0]) + 0.05 * k, np.array(START[1]) + 5e-4 * k)
+        truth = forward_kinematics(
+            THESIS, joints[0] + 0.01, joints[1] - 3e-4, load=Load((0.02, -0.01, 0.01)), start=arm
+        )
+        base = BaseReading(truth.base_wrench + random.normal(size=6) * np.repeat([5e-3, 1e-3], 3))
+        tip = TipReading(truth.tip_position + random.normal(0, 3e-4, 3), direction=2 * truth.tip_rotation[:, 2])
+        late.append((time, joints, tip))
+        python.encoders(time, *joints)
+        for when, where, reading in [(time, joints, base), *late[max(0, k - 3) : k - 2]]:
+            known = python.measured(when, reading)
+            surprises.append((ours.measured(when, where, reading), known.surprise))
+    estimate, (x, covariance) = python.estimate(), ours.estimate()
+    spread = np.sqrt(np.diag(estimate.covariance))
+    # Derivatives by differences of first order in C, exact ones in Python.
+    assert x / spread == pytest.approx(estimate.state / spread, abs=2e-3)
+    assert covariance / np.outer(spread, spread) == pytest.approx(
+        estimate.covariance / np.outer(spread, spread), abs=2e-3
+    )
+    assert np.array(surprises)[:, 0] == pytest.approx(np.array(surprises)[:, 1], rel=1e-2, abs=1e-2)
+    assert x[:3] == pytest.approx([0.02, -0.01, 0.01], abs=4 * spread[:3].max())
+    far = replace(late[-1][2], position=np.array([0.1, 0.0, 0.0]))
+    before = ours.estimate()[0]
+    assert ours.measured(0.07, late[-1][1], far) == 0.0  # left out
+    assert ours.estimate()[0] == pytest.approx(before, abs=1e-12)
+    with pytest.raises(InputError, match="no rotations"):
+        ours.measured(0.08, late[-1][1], TipReading((0, 0, 0), rotation=np.eye(3)))
+    with pytest.raises(InputError, match="made without loads"):
+        CEstimator(c_library(THESIS), START)
+    with pytest.raises(InputError, match="stiffness or tip offset"):
+        CEstimator(c_library(THESIS), START, EstimatorOptions(tip_offset=1e-3))

@@ -269,6 +269,19 @@ def test_messages_of_crtk_are_used_where_installed(robot: Robot) -> None:
     robot.send("hold", robot.module.Empty())
     assert robot.robot.report(0.0)["why"] == "held by command"
     assert not robot.warned
+    # Services say what comes of a state command.
+    robot.send("move_jr", robot.module.JointState(position=turn))
+    robot.tick()
+    assert robot.told["goal_js"].position == pytest.approx(np.add(SEED, np.multiply(2, turn)), abs=1e-6)
+    assert robot.bus.services["hold"]().success
+    robot.tick()
+    assert robot.told["goal_js"].position == robot.told["setpoint_js"].position
+    assert robot.bus.services["pause"]().message == "PAUSED"
+    refused = robot.bus.services["enable"]()
+    assert not refused.success
+    assert "enable is rejected: the robot is PAUSED" in refused.message
+    robot.tick(25)  # once in 25 ticks
+    assert robot.told["snap_distance"].data > 0.1
 
 
 def test_the_node_moves_only_while_it_is_active(make: Any) -> None:

@@ -71,6 +71,7 @@ SERVO = (
     "turn_acceleration",
     "shift_acceleration",
     "min_margin",
+    "min_snap_distance",
     "clearance",
     "objective",
 )

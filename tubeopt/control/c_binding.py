@@ -24,6 +24,7 @@ from ..solvers.compiled.library import cache_directory, compile_to
 from ..typing import Array
 from .c_library import CLibrary, c_library
 from .command import MOST_NUMBER, Command, ServoOptions, ServoStep, Why, at_most, check_places, time_step
+from .estimator import BaseReading, EstimatorOptions, TipReading
 from .servo import Servo
 
 LOGGER = logging.getLogger("tubeopt")
@@ -99,23 +100,25 @@ class CRobot:
     """
 
     def __init__(self, library: CLibrary) -> None:
-        self._n, self._prefix = library.robot.n_tubes, library.prefix
+        self.n, self._prefix = library.robot.n_tubes, library.prefix
         self._library = ctypes.CDLL(str(_compiled(library)))
-        size = self._function("memory_size")
+        size = self.function("memory_size")
         size.restype = ctypes.c_size_t
         self._room = np.zeros(size() // 8 + 1)
-        start = self._function("start")
+        start = self.function("start")
         start.argtypes, start.restype = [ctypes.c_void_p], ctypes.c_void_p
-        self._memory = ctypes.c_void_p(start(self._room.ctypes.data))
+        self.memory = ctypes.c_void_p(start(self._room.ctypes.data))
         # What goes in and comes out stays where it is: to ask NumPy for an address takes as long as a step's algebra.
-        self._in, self._pose, self._report = np.zeros(max(14, 2 * self._n)), np.zeros(3 * self._n + 16), np.zeros(3)
-        self._to = np.zeros(2 * self._n)
-        self._slopes = np.full(6 * 2 * self._n + 2 * self._n**2 + 2 * self._n + 36, np.nan)
+        self._in, self._pose, self._report = np.zeros(max(18, 2 * self.n)), np.zeros(3 * self.n + 16), np.zeros(3)
+        self._to = np.zeros(2 * self.n)
+        self._slopes = np.full(6 * 2 * self.n + 2 * self.n**2 + 2 * self.n + 36, np.nan)
         self._length, self._points = np.zeros(POINTS), np.zeros((POINTS, 3))
-        self._shape = self._function("shape")
-        self._shape_at = self._memory, POINTS, *map(_at, (self._length, self._points))
+        self._shape = self.function("shape")
+        self._distance = self.function("snap_distance")
+        self._distance.argtypes, self._distance.restype = [ctypes.c_void_p, ctypes.c_double], ctypes.c_double
+        self._shape_at = self.memory, POINTS, *map(_at, (self._length, self._points))
         self._calls = {
-            name: (self._function(name), self._memory, *map(_at, arguments))
+            name: (self.function(name), self.memory, *map(_at, arguments))
             for name, arguments in (
                 ("solve", (self._in, self._pose)),
                 ("follow", (self._in, self._pose)),
@@ -127,12 +130,19 @@ class CRobot:
             )
         }
 
-    def _function(self, name: str) -> Any:
+    def function(self, name: str) -> Any:
+        """A function of the library by its name without prefix."""
         return getattr(self._library, f"{self._prefix}_{name}")
 
     def _call(self, name: str) -> None:
         function, *arguments = self._calls[name]
-        status = function(*arguments)
+        self._check(name, function(*arguments))
+
+    def call(self, name: str, *arguments: Any) -> None:
+        """Call a function that is not among those below; errors as of these."""
+        self._check(name, self.function(name)(*arguments))
+
+    def _check(self, name: str, status: int) -> None:
         if status == 2:
             raise InputError(
                 f"{name} was called with a number that is not finite, a translation that is not possible, or more than "
@@ -145,23 +155,23 @@ class CRobot:
 
     def _call_among(self, contacts: Array, clearance: float) -> None:
         try:
-            function = self._function("servo_among")
+            function = self.function("servo_among")
         except AttributeError:
             raise InputError(
                 "the C library of this robot does not support obstacles: it has no derivatives along the arm"
             ) from None
         where = _at(self._in), ctypes.c_int(len(contacts)), _at(contacts), ctypes.c_double(clearance)
-        self._calls["servo_among"] = function, self._memory, *where, _at(self._pose), _at(self._report)
+        self._calls["servo_among"] = function, self.memory, *where, _at(self._pose), _at(self._report)
         self._call("servo_among")
 
     def _go(self, name: str, rotations: ArrayLike, translations: ArrayLike) -> CPose:
-        n = self._n
+        n = self.n
         self._in[:n], self._in[n : 2 * n] = vector("rotations", rotations, n), vector("translations", translations, n)
         self._call(name)
         return self._posed()
 
     def _posed(self) -> CPose:
-        n, p = self._n, self._pose.copy()
+        n, p = self.n, self._pose.copy()
         self._shape(*self._shape_at)
         frame, (margin, energy, error, residual) = p[2 * n + 3 : 2 * n + 12].reshape(3, 3), p[3 * n + 12 :].tolist()
         tip, turned, arm = p[2 * n : 2 * n + 3], p[2 * n + 12 : 3 * n + 12], (self._length.copy(), self._points.copy())
@@ -191,10 +201,16 @@ class CRobot:
         self._call("bear")
         return self._posed()
 
+    def snap_distance(self, most: float) -> float | None:
+        """Turn of all tubes, rad, that is proved to cause no snap at the last equilibrium: at most `most`, or inf where
+        none can snap; None where it is not known."""
+        found: float = self._distance(self.memory, most)
+        return None if found < 0 else found
+
     def slopes(self) -> CSlopes:
         """Derivatives at the last equilibrium."""
         self._call("slopes_at")
-        n = self._n
+        n = self.n
         tip, turn, ends, margin, compliance = np.split(self._slopes.copy(), np.cumsum([6 * n, 6 * n, 2 * n * n, 2 * n]))
         known = None if np.isnan(compliance[0]) else compliance.reshape(6, 6)
         return CSlopes(tip.reshape(3, -1), turn.reshape(3, -1), ends.reshape(n, -1), margin, known)
@@ -202,15 +218,16 @@ class CRobot:
     def servo(
         self, command: Array, contacts: Array | None = None, clearance: float = 0.0
     ) -> tuple[CPose, float, float, Why]:
-        """One step of a command (12,) or (14,).
+        """One step of a command (12,) to (18,).
 
         A command has the step (s), position and direction (3,) each, speed, rates of rotations and of translations,
-        least margin, push, and, if limited, accelerations of rotations and of translations. Returns the pose, what is
-        left to the target (m, rad), and why.
+        least margin, push, accelerations of rotations and of translations (0: no limit), least snap distance (rad, 0:
+        the margin counts), and a velocity (3,) in place of the position (0: the position counts). Returns the pose,
+        what is left to the target (m, rad), and why.
 
         `contacts` (c, 5): arc lengths, unit vectors away from bodies, and distances (m) where the arm comes close to
         these, to keep `clearance` (m); raises InputError for too many, under load, and where the library has none."""
-        self._in[12:14] = 0.0
+        self._in[12:18] = 0.0
         self._in[: len(command)] = command
         if contacts is None:
             self._call("servo")
@@ -221,8 +238,8 @@ class CRobot:
 
     def servo_joints(self, command: Array, rotations: ArrayLike, translations: ArrayLike) -> tuple[CPose, Why]:
         """One step straight to joint values (n,), of a command as of `servo`: the pose, and why it ends short."""
-        n = self._n
-        self._in[:14] = command
+        n = self.n
+        self._in[: len(command)] = command
         self._to[:n], self._to[n:] = vector("rotations", rotations, n), vector("translations", translations, n)
         self._call("servo_joints")
         return self._posed(), Why(int(self._report[2:].view(np.int32)[0]))
@@ -259,6 +276,65 @@ def servo_of(
         return servo
 
 
+class CEstimator:
+    """The state estimator of a C library with loads: tip force, offsets of rotations and of translations.
+
+    Args:
+        start: joint values of the robot.   options: deviations and times; those of stiffness and tip must be 0.
+
+    Raises:
+        InputError: options that only the estimator in Python has; a library without loads.
+        SolveError: no stable equilibrium is found at the start.
+    """
+
+    def __init__(
+        self, library: CLibrary, start: tuple[ArrayLike, ArrayLike], options: EstimatorOptions | None = None
+    ) -> None:
+        o = options or EstimatorOptions()
+        if o.stiffness or o.tip_offset or o.known is not None:
+            raise InputError("options estimate stiffness or tip offset, or have a known load; a C library does not")
+        if not library.loads:
+            raise InputError("the C library was made without loads")
+        self._robot = CRobot(library)
+        self.start = self._robot.solve(*start)
+        n = library.robot.n_tubes
+        size = self._robot.function("estimator_size")
+        size.restype = ctypes.c_size_t
+        self._room = np.zeros(size() // 8 + 1)
+        self._in, self._out = np.zeros(2 * n + 17), np.zeros((3 + 2 * n) * (4 + 2 * n) + 3)
+        prior = np.array([o.force, o.rotation, o.translation, o.force_time, o.drift_time])
+        self._robot.call("estimator_start", _at(self._room), self._robot.memory, _at(prior))
+
+    def measured(self, time: float, joints: tuple[ArrayLike, ArrayLike], *readings: TipReading | BaseReading) -> float:
+        """Take in readings of a time, s, with the joint values at that time; returns their squared innovations over
+        their covariance.
+
+        Raises:
+            InputError: a reading with a rotation, or one that is too late.
+            SolveError: the branch of the model ends.
+        """
+        n, into = self._robot.n, self._in
+        into[:] = 0.0
+        into[0], into[1 : 2 * n + 1] = time, np.concatenate([vector("joints", each, n) for each in joints])
+        for reading in readings:
+            if isinstance(reading, TipReading):
+                if reading.rotation is not None:
+                    raise InputError("a C library takes in positions and directions of the tip, no rotations")
+                into[2 * n + 1 : 2 * n + 5] = *vector("position", reading.position, 3), reading.noise
+                if reading.direction is not None:
+                    into[2 * n + 5 : 2 * n + 9] = *vector("direction", reading.direction, 3), reading.angle_noise
+            else:
+                wrench = vector("wrench", reading.wrench, 6)
+                into[2 * n + 9 :] = *wrench[:3], reading.force_noise, *wrench[3:], reading.moment_noise
+        self._robot.call("measure", _at(self._room), self._robot.memory, _at(into), _at(self._out))
+        return float(self._out[-2])
+
+    def estimate(self) -> tuple[Array, Array]:
+        """State (K,) after the last reading, and its covariance (K, K)."""
+        k = 3 + 2 * self._robot.n
+        return self._out[1 : k + 1].copy(), self._out[k + 1 : k + 1 + k * k].reshape(k, k).copy()
+
+
 class CServo:
     """The servo of a C library with the face of `Servo`: position and direction of the tip, or a way to joint values.
 
@@ -289,6 +365,10 @@ class CServo:
         """Derivatives at the equilibrium."""
         return self._robot.slopes()
 
+    def snap_distance(self, most: float) -> float | None:
+        """Snap distance at the equilibrium, as of `Servo`."""
+        return self._robot.snap_distance(most)
+
     def step(self, command: Command, dt: float) -> ServoStep[CPose]:
         """One step of `dt` seconds, as `Servo.step`; raises InputError for what the library does not know."""
         dt = time_step(dt)
@@ -298,21 +378,17 @@ class CServo:
         here, o = self.equilibrium, self.options
         self._before = here
         place = here.tip_position if command.position is None else command.position
-        if command.velocity is not None:
-            way = command.velocity * dt
-            place = here.tip_position + way * min(1.0, self.space.length / max(float(np.linalg.norm(way)), 1e-300))
+        velocity = np.zeros(3) if command.velocity is None else command.velocity
         pointing = np.zeros(3) if command.direction is None else command.direction
         # Without a target the robot brakes.
-        asked = command.velocity is not None or command.position is not None or command.direction is not None
+        asked = velocity.any() or command.position is not None or command.direction is not None
         push = o.push if o.objective and (asked or not self.limited) else 0.0
         speed = o.speed if asked or not self.limited else 0.0
         accelerations = o.turn_acceleration or 0.0, o.shift_acceleration or 0.0
         limits = [speed, o.turn_rate, o.shift_rate, o.min_margin, push, *accelerations]
-        told = np.concatenate([[dt], place, pointing, limits])
+        told = np.concatenate([[dt], place, pointing, limits, [o.min_snap_distance or 0.0], velocity])
         if command.joints is not None:
             rotations, shift = self.space.split(at_most(configuration(self.space, "joints", command.joints), "joints"))
-            if not self.limited:
-                return self._straight(rotations, np.array(shift), dt)
             if not self.space.admissible(self.space.join(rotations, np.array(shift), "joints")):
                 return ServoStep(here, Why.HELD | Why.RANGE, np.nan, np.nan)
             self.equilibrium, why = self._robot.servo_joints(told, rotations, shift)
@@ -334,6 +410,18 @@ class CServo:
         )
         return self.limited and bool(moved > RESTS)
 
+    def bear(self, force: ArrayLike = (0, 0, 0), gravity: ArrayLike = (0, 0, 0)) -> CPose:
+        """Equilibrium under a measured force (3,) at the tip, N, and an acceleration (3,) of gravity, m/s^2.
+
+        Later steps are made under it. Call it before each step with the newest force.
+
+        Raises:
+            InputError: the library was made without loads.
+            SolveError: the branch ends at a smaller load; the last one stays.
+        """
+        self.equilibrium = self._robot.bear(force, gravity)
+        return self.equilibrium
+
     def undo(self) -> None:
         """Take the last step back, which was not sent; nothing where it made none, or was taken back already."""
         if self.equilibrium is not self._before:
@@ -351,29 +439,6 @@ class CServo:
             self._robot.undo()
             raise InputError(f"joints have margin {there.margin:.3g}; it must be min_margin, {least:g}, or more")
         self.equilibrium = self._before = there
-
-    def _straight(self, rotations: Array, translations: Array, dt: float) -> ServoStep[CPose]:
-        """A step straight to joint values, as far as rates allow; none where the margin would fall below its floor."""
-        here, o = self.equilibrium, self.options
-        self.space.join(rotations, translations, "joints")
-        turn, shift = rotations - here.rotations, translations - here.translations
-        most = max(
-            np.abs(turn).max() / max(o.turn_rate * dt, 1e-300), np.abs(shift).max() / max(o.shift_rate * dt, 1e-300)
-        )
-        share = 1 / max(float(most), 1.0)
-        why = Why.RATE if share < 1 else Why(0)
-        goal = here.rotations + share * turn, here.translations + share * shift
-        if not self.space.admissible(self.space.join(*goal)):
-            return ServoStep(here, Why.HELD | Why.RANGE, np.nan, np.nan)
-        try:
-            there = self._robot.follow(*goal)
-        except (SolveError, InputError):
-            return ServoStep(here, Why.HELD, np.nan, np.nan)
-        if there.margin < min(o.min_margin, here.margin):
-            self._robot.undo()
-            return ServoStep(here, Why.HELD | Why.MARGIN, np.nan, np.nan)
-        self.equilibrium = there
-        return ServoStep(there, why, np.nan, np.nan)
 
 
 def _at(array: Array) -> ctypes.c_void_p:

@@ -165,6 +165,7 @@ def library_text(name: str, kernel: str, numbers: str) -> str:
         numbers,
         with_included(HERE / "quadratic.c"),
         *(with_included(C_FOLDER / f"{part}.c") for part in ("robot", "servo")),
+        f"\n#if TUBEOPT_LOADS\n{(C_FOLDER / 'estimate.c').read_text()}#endif\n",
     ]
     return "".join(parts)
 
@@ -419,7 +420,7 @@ def robot_description(robot: Robot) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
-HARDWARE = ("turn_rate", "shift_rate", "turn_acceleration", "shift_acceleration", "min_margin")
+HARDWARE = ("turn_rate", "shift_rate", "turn_acceleration", "shift_acceleration", "min_margin", "min_snap_distance")
 """Limits of the servo that the hardware interface keeps; an acceleration of 0 has no limit."""
 
 

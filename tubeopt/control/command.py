@@ -122,6 +122,14 @@ class ServoOptions(Displayed):
     shift_acceleration: Annotated[
         float | None, unit("mm_per_s2"), POSITIVE, "largest acceleration of a translation; default no limit"
     ] = None
+    min_snap_distance: Annotated[
+        float | None,
+        unit("deg"),
+        Range(above=0.0, below=math.pi),
+        Typical(1e-3, 1.5),
+        "smallest turn of all tubes that must be proved to cause no snap, in place of the margin where it is known; "
+        "default the margin counts",
+    ] = None
 
     def __post_init__(self) -> None:
         for name in ("speed", "turn_rate", "shift_rate", "clearance", "push"):
@@ -131,6 +139,9 @@ class ServoOptions(Displayed):
                 object.__setattr__(self, name, at_most(positive(name, value), name))
         if not 0 < finite("min_margin", self.min_margin) < 1:
             raise InputError(f"min_margin is {self.min_margin:g}; it must be between 0 and 1")
+        least = self.min_snap_distance
+        if least is not None and not 0 < finite("min_snap_distance", least) < math.pi:
+            raise InputError(f"min_snap_distance is {least:g} rad; it must be between 0 and pi")
         named = [
             name
             for group in items("priorities", self.priorities, str, f"some of {', '.join(TASKS)}")

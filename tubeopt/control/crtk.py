@@ -37,6 +37,9 @@ STUCK, CLOSER = 0.5, 1e-4
 # Margin above its lower bound below which a snap is reported as near: the margin falls steeply towards a snap.
 WARNING = 0.1
 
+# Largest snap distance that is reported, rad: further proofs take longer.
+FAR_FROM_SNAP = 0.5
+
 # Share of the time which the quicker of the last two steps took that the next one is sure to take as well. What is
 # missing to the truth a joint does not move, so that steps need not be taken back.
 SURE = 0.8
@@ -382,6 +385,8 @@ class CrtkRobot:
         pose = {"position": arm.tip_position.tolist(), "rotation": arm.tip_rotation.tolist()}
         speed = (joints - last) / self._moved if self._moved else 0 * joints
         state = {"name": names, "position": joints.tolist(), "velocity": speed.tolist()}
+        goal = None if self._goal is None else self._goal.command.joints
+        goal_joints = joints if goal is None else np.concatenate(goal)
         busy, self._unreported = self.busy or self._unreported, False  # clients wait for a move to become busy
         return {
             "op": "state",
@@ -391,6 +396,8 @@ class CrtkRobot:
             # There is no sensor here: what is measured is what was sent.
             "setpoint_js": state,
             "measured_js": state,
+            # Of a motion of the tip no joint values are known before it is there.
+            "goal_js": {"name": names, "position": goal_joints.tolist(), "velocity": [0.0] * (2 * n)},
             "setpoint_cp": pose,
             "measured_cp": pose,
             "measured_cv": self._velocity(),
@@ -399,6 +406,11 @@ class CrtkRobot:
             "why": self._words,
             "shape": np.round(arm.position, 7).tolist(),
         }
+
+    def snap_distance(self) -> float | None:
+        """Turn of all tubes that is proved to cause no snap here, rad, up to FAR_FROM_SNAP; None where not known."""
+        turn = self.servo.snap_distance(FAR_FROM_SNAP)
+        return None if turn is None else min(turn, FAR_FROM_SNAP)
 
     def _velocity(self) -> dict[str, Any]:
         """Velocity of the tip in the last step, m/s and rad/s, in the plate frame."""

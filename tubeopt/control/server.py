@@ -255,7 +255,7 @@ class RobotServer:
                 continue
             try:
                 with self._robot_in_hand:
-                    told = self.robot.report(self._clock())
+                    told = self.robot.report(self._clock()) | {"snap_distance": self.robot.snap_distance()}
                 told |= {"steps": self.pace.steps, "missed_periods": self.pace.missed}
                 self._told, self._state = told, json.dumps(told, allow_nan=False)
             except Exception as error:  # any error of a report stops the robot, and the server continues

@@ -15,22 +15,41 @@ import numpy as np
 
 from ..arguments import typed
 from ..bodies.obstacles import ClearanceMonitor, Obstacle, Scene, checked_obstacles, scene_of
-from ..equilibrium.jacobian import compiled_slopes
+from ..equilibrium.jacobian import compiled_slopes, compiled_turn
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..inverse.goal import BODY_REACH, angle
 from ..inverse.joints import Configuration, JointSpace, configuration, joint_space, shift_of
 from ..inverse.posture import Posture, start_posture
+from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.blas import small
 from ..solvers.compiled.quadratic import constrained_least_squares
+from ..stability.snap_distance import proved_turn
 from ..typing import Array, Index
 from .command import Command, ServoOptions, ServoStep, Why, at_most, check_places, time_step
 
 # Times that a step is halved which the guard rejects: a sixteenth of a step is not worth its equilibrium.
 HALVINGS = 4
+
+
+class Ball(NamedTuple):
+    """Joint values at which turns of all tubes, each by up to `turn`, are proved to cause no snap."""
+
+    rotations: Array
+    """(n,) rad."""
+    translations: Array
+    """(n,) m."""
+    turn: float
+    """rad; 0 where nothing is proved."""
+
+    def left(self, arm: Equilibrium) -> float:
+        """Turn of all tubes that it allows at joint values, rad; -1 outside of it."""
+        if np.abs(arm.translations - self.translations).max() > LENGTH_ROUND_OFF:
+            return -1.0
+        return max(-1.0, self.turn - float(np.ptp(arm.rotations - self.rotations)) / 2)
 
 
 class Place(NamedTuple):
@@ -65,6 +84,13 @@ class Guard:
         self.speed: Array
         """(m,) speeds of the joints after the last step, rad/s and m/s."""
         self.before: Place
+        eccentric = robot.assembly(robot.home_translations).eccentric
+        self.turn: float | None = None if eccentric else options.min_snap_distance
+        """Turn (rad) that must be proved to cause no snap where the robot stops; None where the margin counts."""
+        self.ball: Ball
+        """Last proof of it."""
+        self.wall = 0.0
+        """Margin that the next step keeps in its place, since less was closer to a snap."""
         self.begin(start)
         rotation = np.arange(len(self.here.q)) < robot.n_tubes
         accelerations = [getattr(options, f"{name}_acceleration") or np.inf for name in ("turn", "shift")]
@@ -79,7 +105,15 @@ class Guard:
         here, least = start_posture(self.space, start), self.options.min_margin
         if words := self.space.outside(here.q):
             raise InputError(f"start is out of range: {words}")
-        if here.margin < least:
+        self.ball, self.wall = Ball(here.equilibrium.rotations, here.equilibrium.translations, 0.0), 0.0
+        if self.turn is not None:
+            if proved_turn(here.equilibrium, self.turn) < self.turn:
+                raise InputError(
+                    f"start has a snap distance below min_snap_distance, {np.degrees(self.turn):g} deg; "
+                    "start where no such turn of the tubes snaps"
+                )
+            self.ball = self.ball._replace(turn=self.turn)
+        elif here.margin < least:
             raise InputError(f"start has margin {here.margin:.3g}; it must be min_margin, {least:g}, or more")
         self.here, self.arm, self.speed = here, here.equilibrium, np.zeros(len(here.q))
         self.keep()
@@ -122,14 +156,16 @@ class Guard:
         for halving in range(HALVINGS + 1):
             q = here.q + change / 2**halving
             posture = self._passes(q, floor)
-            if posture is None:
+            ball = None if posture is None else self._proved(posture)
+            if posture is None or ball is None:
                 guarded = True
             elif closer(posture, 1 / 2**halving):
                 reserve = min(floor + ROOM / 2, posture.margin, self.arm.margin)
-                if not self.limited or self._can_brake(posture, reserve, dt):
-                    self.here, passed = posture, True
+                if not self.limited or ball.left(self.arm) > 0 or self._can_brake(posture, reserve, dt):
+                    self.here, self.ball, passed = posture, ball, True
                     break
                 guarded = True
+        self.wall = here.margin if guarded else self.wall if Why.MARGIN in why else 0.0
         if passed:
             why |= Why.SHORTENED if guarded else Why(0)
         else:
@@ -143,7 +179,7 @@ class Guard:
             there = one_step(self.space.robot, self.here.equilibrium, rotations, shift)
         except (SolveError, InputError):
             return None
-        if there is None or there.margin < floor:
+        if there is None or (self.turn is None and there.margin < floor):
             return None
         posture = Posture(self.space, q, there)
         if self.scene.bodies:
@@ -152,10 +188,26 @@ class Guard:
                 return None
         return posture
 
+    def _proved(self, at: Posture) -> Ball | None:
+        """The last ball, or a new one, with a turn at a posture of at least `self.turn`; None where none is proved.
+
+        While tubes only turn, a ball WIDER as large is tried first: further steps in it need no proof.
+        """
+        arm, turn = at.equilibrium, self.turn
+        if turn is None or self.ball.left(arm) >= turn:
+            return self.ball
+        turns = np.array_equal(arm.translations, self.here.equilibrium.translations)
+        wide = min(WIDER * turn, FARTHEST_TURN) if turns else turn
+        proved = proved_turn(arm, wide)
+        if proved < turn < wide:
+            proved = proved_turn(arm, turn)
+        return Ball(arm.rotations, arm.translations, proved) if proved >= turn else None
+
     def _can_brake(self, rest: Posture, floor: float, dt: float) -> bool:
         """True if the robot keeps a margin at its next position, and at some positions while it brakes to rest.
 
-        Where the least margin is close to the floor, there are two more places about it.
+        In a ball about its stop point, without slides, it does so without a check. Where the least margin is close to
+        the floor, there are two more places about it.
         """
         q, speed = self._next(rest.q, dt)
         longest = float((np.abs(speed) / self.acceleration).max())
@@ -233,6 +285,9 @@ ROOM, APART = 0.01, 1e-5
 # rows would leave no step but one, and no joint motion for the task.
 RISE = 0.3
 
+# Factor on the least snap distance that is tried first, and largest turn (rad) that is tried.
+WIDER, FARTHEST_TURN = 4.0, 3.0
+
 # Factor on the distance within which this step searched bodies: the next step searches again only beyond it.
 FARTHER = 1.2
 
@@ -242,6 +297,9 @@ TURN, SHIFT = 0.3, 0.05
 
 # Speed (rad/s, m/s) below which a joint rests.
 RESTS = 1e-9
+
+# Relative precision of a snap distance that is reported: five checks.
+TURN_PRECISION = 0.02
 
 # Times at which the margin of a braking robot is looked at, as parts of the whole: closer where it is fast.
 BRAKING = 0.0, 0.13, 0.3, 0.5, 0.75, 1.0
@@ -399,6 +457,12 @@ class Servo:
             why |= Why.NO_CLOSER
         return ServoStep(arm, why, *remaining)
 
+    def snap_distance(self, most: float) -> float | None:
+        """Turn of all tubes, rad, that is proved to cause no snap here: at most `most`, or inf where none can snap.
+        None where it is not known, or without a kernel."""
+        found = compiled_turn(self.equilibrium, most=most, precision=TURN_PRECISION)
+        return None if found is None else found.turn
+
     def undo(self) -> None:
         """Take the last step back, which was not sent."""
         self.guard.undo()
@@ -503,7 +567,8 @@ class Servo:
             rise = RISE * sum(-by * ends[m + k] if by > 0 else by * ends[k] for k, by in enumerate(up))
             kinds.append((len(bounds), Why.MARGIN))
             rows.append(slope[None])
-            more.append(np.array([min(APPROACH * (options.min_margin + ROOM - here.margin), rise)]))
+            least = options.min_margin if self.guard.turn is None else self.guard.wall
+            more.append(np.array([min(APPROACH * (least + ROOM - here.margin), rise)]))
         if self.guard.scene.bodies:
             near, least = self._body_rows(here, np.maximum(high, -low))
             kinds.append((sum(map(len, more)), Why.OBSTACLE))

@@ -510,7 +510,19 @@ def least_snap_distance(equilibria: Iterable[Equilibrium]) -> float:
     return least
 
 
-def _distance(equilibrium: Equilibrium, most: float) -> SnapDistance:
+@small
+def proved_turn(equilibrium: Equilibrium, most: float, precision: float = 1.0) -> float:
+    """Turn up to `most` (rad) that is proved to cause no snap, to a relative precision; inf where none can snap.
+
+    With precision 1 the answer is `most` or 0: one check.
+
+    Raises:
+        InputError: as `snap_distance`.
+    """
+    return _distance(equilibrium, most, precision).turn
+
+
+def _distance(equilibrium: Equilibrium, most: float, precision: float = PRECISION) -> SnapDistance:
     """Snap distance, or `most` (rad) where it is larger; errors as of `snap_distance`."""
     began, robot = perf_counter(), equilibrium.robot
     refuse_friction(equilibrium)
@@ -518,7 +530,7 @@ def _distance(equilibrium: Equilibrium, most: float) -> SnapDistance:
         raise InputError("equilibrium has a load; it must have none: the snap distance is known without load only")
     if not equilibrium.stable:
         raise InputError(f"equilibrium has a margin of {equilibrium.margin:.3g}; it must be above 0")
-    found = compiled_turn(equilibrium, most=most, precision=PRECISION)
+    found = compiled_turn(equilibrium, most=most, precision=precision)
     turn, couplings, boxes = math.inf, 0, 0
     if found is not None:
         turn, couplings = found
@@ -530,8 +542,9 @@ def _distance(equilibrium: Equilibrium, most: float) -> SnapDistance:
             )
         form = PairForm.of(equilibrium)
         couplings = len(form.psi)
-        first = min(FIRST_TURN, most / 2)
-        turn, boxes = _largest(lambda r: form.proves(form.boxes(r)), first, min(most, math.pi), PRECISION)
+        first, turn, boxes = min(FIRST_TURN, most / 2), most, 1
+        if most >= math.pi or not form.proves(form.boxes(most)):
+            turn, boxes = _largest(lambda r: form.proves(form.boxes(r)), first, min(most, math.pi), precision)
     status = SnapDistanceStatus.NEVER if turn == math.inf else SnapDistanceStatus.PROVED
     seconds = perf_counter() - began
     return SnapDistance(equilibrium, turn, status, SnapDistanceStatistics(couplings, boxes, seconds))

@@ -64,13 +64,13 @@ ASKED(bear) int bear(void) {
     return pose_out(tubeopt_bear(arm, &load, &pose), &pose);
 }
 
-/* One step of the tip towards a place: INPUT is a tubeopt_command. After the pose: distance, angle and reasons. */
+/* One step of the tip towards a place: INPUT is a tubeopt_command up to its push. After the pose: distance, angle and reasons. */
 ASKED(servo) int servo(void) {
     tubeopt_command command;
     tubeopt_pose pose;
     tubeopt_report report = {0};
-    memcpy(&command, INPUT, sizeof command);
-    command.turn_acceleration = command.shift_acceleration = 0; /* a page has no drives */
+    memset(&command, 0, sizeof command); /* no accelerations: a page has no drives */
+    memcpy(&command, INPUT, offsetof(tubeopt_command, turn_acceleration));
     int status = pose_out(tubeopt_servo(arm, &command, &pose, &report), &pose);
     double *more = OUTPUT + sizeof pose / sizeof(double);
     more[0] = report.distance;
@@ -187,6 +187,7 @@ ASKED(let_go) int let_go(int evenly) {
         draw(w, at.rotations, &w->state, next, frames++);
         there = glide(w, at.rotations);
     }
+    arm->ball.turn = 0;
     if (!there || newton(&w->fine, at.rotations, &w->state, w->matrix, MOST_ITERATIONS, &iterations, &next->contraction))
         return 0;
     judge(at.rotations, w, next);

@@ -9,6 +9,7 @@ tubeopt_status tubeopt_bear(tubeopt_memory *m, const tubeopt_load *load, tubeopt
     tubeopt_status weighed = bounded(load->gravity, 3, TUBEOPT_MOST_NUMBER);
     if (pushed || weighed) return pushed == TUBEOPT_BAD_INPUT || !weighed ? pushed : weighed;
     m->before = NULL;
+    m->ball.turn = 0;
     if (m->moves && tubeopt_bear(stop_of(m), load, pose)) return TUBEOPT_SNAP; /* there it would not be borne */
     if (size > 0 && m->bears) {
         tubeopt_joints same = m->joints;

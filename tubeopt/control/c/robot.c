@@ -5,6 +5,7 @@
 #define PATIENCE 8             /* damped servo steps far from rest, twice as many each time, before one without damping */
 #define MOST_SOLVES 256        /* of one call */
 #define SHORTEST_PART (1 / 300.) /* of a step of ordinary length */
+#define TURN_PRECISION 0.02    /* of a snap distance: five checks */
 
 #if TUBEOPT_LOADS
 size_t tubeopt_bearing_size(void);
@@ -23,6 +24,12 @@ void tubeopt_bearing_return(void *room);
 typedef tubeopt_slopes Slopes;
 #endif
 
+/* Joint values at which turns of all tubes, each by up to `turn` (rad), are proved to cause no snap; 0: nothing is proved. */
+typedef struct {
+    tubeopt_joints centre;
+    double turn;
+} Ball;
+
 struct tubeopt_memory {
     Workspace work;
     Answer answers[2], first;                           /* the last equilibrium, room for the next; where a way began */
@@ -37,6 +44,8 @@ struct tubeopt_memory {
     double low[JOINTS], high[JOINTS];                   /* ends of the next step of a servo within rates */
     double speed[JOINTS], slower[JOINTS];               /* of a robot whose accelerations are limited; before the last step */
     int moves, was_moving;                              /* its stop point, after this memory, is in use; for tubeopt_undo */
+    Ball ball;                                          /* that a servo with a least snap distance proved last */
+    double wall;                                        /* margin that such a servo keeps, since less was closer to a snap */
     double damping, ease, last[JOINTS], stiff[JOINTS], goal[3], damped, patience; /* squared, of steps that did not bring the tip closer; part of the push; last step */
 #if TUBEOPT_LOADS
     int bears;
@@ -144,6 +153,25 @@ static double margin_told(const tubeopt_memory *m, int next) {
     return fmin(own, pose.margin);
 }
 
+/* Turn of all tubes that a ball allows at joint values, rad; -1 outside of it. */
+static double turn_left(const Ball *ball, const tubeopt_joints *at) {
+    double least = INFINITY, most = -INFINITY;
+    for (int i = 0; i < N; i++) {
+        double by = at->rotations[i] - ball->centre.rotations[i];
+        if (fabs(at->translations[i] - ball->centre.translations[i]) > ROUND_OFF_LENGTH) return -1;
+        least = fmin(least, by), most = fmax(most, by);
+    }
+    return fmax(-1, ball->turn - (most - least) / 2); /* all tubes turned alike turn the arm */
+}
+
+#if SLOPES
+/* Whether couplings, from which a snap distance follows, are found in the workspace: of what was solved last. */
+static int couple(tubeopt_memory *m) {
+    Workspace *w = &m->work;
+    return !bears(m) && find_couplings(&w->fine, &w->state, &w->trial, w->matrix, &w->couplings);
+}
+#endif
+
 /* The other answer, which was solved just now, becomes the last one. */
 static void accept(tubeopt_memory *m, const tubeopt_joints *joints) {
     m->here = !m->here;
@@ -220,7 +248,7 @@ tubeopt_status tubeopt_solve(tubeopt_memory *m, const tubeopt_joints *joints, tu
     if (not_taken) return not_taken;
     m->fresh = m->moves = 0;
     m->before = NULL;
-    m->damping = 0; /* a servo begins anew */
+    m->damping = m->ball.turn = m->wall = 0; /* a servo begins anew */
     m->ease = 1;
     m->patience = PATIENCE;
     memset(m->last, 0, sizeof m->last);
@@ -246,7 +274,7 @@ tubeopt_status tubeopt_follow(tubeopt_memory *m, const tubeopt_joints *joints, t
     double parts = parts_of(m->joints.rotations, m->joints.translations, joints->rotations, joints->translations, length);
     if (parts > MOST_PARTS) return TUBEOPT_TOO_FAR;
     if (keep_branch(m, joints, 1 / parts)) return TUBEOPT_SNAP;
-    m->moves = 0;
+    m->moves = m->ball.turn = 0; /* another branch may lead back into the ball */
     tell(m, 0, pose);
     return TUBEOPT_DONE;
 }
@@ -323,6 +351,14 @@ tubeopt_status tubeopt_slopes_at(tubeopt_memory *m, tubeopt_slopes *slopes) {
     if (look_ahead(m, 1)) return TUBEOPT_DECLINED;
     memcpy(slopes, &m->slopes, sizeof *slopes); /* the kernel's begin with the same numbers */
     return TUBEOPT_DONE;
+}
+
+double tubeopt_snap_distance(tubeopt_memory *m, double most) {
+#if SLOPES
+    if (m->started && !bears(m) && !refresh(m) && couple(m)) return largest_turn(&m->work.couplings, most, TURN_PRECISION);
+#endif
+    (void)m, (void)most;
+    return -1;
 }
 
 tubeopt_status tubeopt_shape(const tubeopt_memory *m, int count, double *arc_length, double (*position)[3]) {

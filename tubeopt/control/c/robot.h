@@ -82,9 +82,12 @@ typedef struct {
     double direction[3];              /* target direction, unit vector; zeros: any direction */
     double speed;                     /* largest speed of the tip, m/s */
     double turn_rate, shift_rate;     /* largest rates of every joint, rad/s and m/s */
-    double min_margin;                /* smallest allowed margin */
+    double min_margin;                /* smallest allowed margin; not used where a snap distance is known and asked for */
     double push;                      /* fraction of the rates that increases the margin in the null space; 0: none */
     double turn_acceleration, shift_acceleration; /* largest accelerations of the joints, rad/s^2 and m/s^2; 0: no limit */
+    double min_snap_distance;         /* turn of all tubes, rad, that must be proved to cause no snap where the robot stops;
+                                         0: the margin counts. Known for up to four concentric tubes without load */
+    double velocity[3];               /* of the tip, m/s, in place of a position; zeros: the position counts */
 } tubeopt_command;
 
 typedef struct {
@@ -119,8 +122,54 @@ typedef struct {
 tubeopt_status tubeopt_bear(tubeopt_memory *memory, const tubeopt_load *load, tubeopt_pose *pose);
 #endif
 
+#if TUBEOPT_LOADS
+#define TUBEOPT_STATES (3 + 2 * TUBEOPT_TUBES) /* force at the tip, N; true less measured rotations, rad, and translations, m */
+
+/* What an estimator knows without measurements: standard deviations, and correlation times, s. */
+typedef struct {
+    double force, rotation, translation, force_time, drift_time;
+} tubeopt_prior;
+
+/* Measurements of one time. A noise is a standard deviation per axis; where it is 0 nothing was measured. */
+typedef struct {
+    double time;                          /* s */
+    tubeopt_joints joints;                /* measured or sent at that time */
+    double position[3], position_noise;   /* of the tip, m */
+    double direction[3], direction_noise; /* of the tip, of any length; rad */
+    double force[3], force_noise;         /* of the load on the plate, N */
+    double moment[3], moment_noise;       /* of the load about the centre of the plate, N m */
+} tubeopt_reading;
+
+typedef struct {
+    double time;                          /* of the last reading, s */
+    double state[TUBEOPT_STATES], covariance[TUBEOPT_STATES][TUBEOPT_STATES];
+    double surprise;                      /* squared innovations of this reading over their covariance */
+    int expected;                         /* expected value of it */
+    int left_out;                         /* readings (tip, plate) farther off than five standard deviations */
+} tubeopt_estimate;
+
+typedef struct tubeopt_estimator tubeopt_estimator;
+
+/* A Kalman filter for tip force and joint offsets, in memory of tubeopt_estimator_size() bytes. It has a robot of its own,
+   which is solved where the robot is; tubeopt_shape of that robot is the estimated shape. */
+size_t tubeopt_estimator_size(void);
+tubeopt_status tubeopt_estimator_start(tubeopt_estimator *estimator, tubeopt_memory *robot, const tubeopt_prior *prior);
+
+/* Takes in a reading, however late among the last 127 it comes: TUBEOPT_TOO_FAR beyond. TUBEOPT_SNAP where the branch of the
+   model ends; the estimate then stays. */
+tubeopt_status tubeopt_measure(tubeopt_estimator *estimator, tubeopt_memory *robot, const tubeopt_reading *reading,
+                               tubeopt_estimate *estimate);
+
+/* The estimate at a time after the last reading. */
+tubeopt_status tubeopt_estimate_at(const tubeopt_estimator *estimator, double time, tubeopt_estimate *estimate);
+#endif
+
 /* Derivatives at the last equilibrium. */
 tubeopt_status tubeopt_slopes_at(tubeopt_memory *memory, tubeopt_slopes *slopes);
+
+/* Turn of all tubes, rad, each either way and in any order, that is proved to cause no snap at the last equilibrium. At most
+   `most`, or INFINITY where no turn can snap; -1 where it is not known: under load, off the centreline, of five tubes. */
+double tubeopt_snap_distance(tubeopt_memory *memory, double most);
 
 /* `count` equally spaced points of the centreline from plate to tip: arc lengths (m) and positions. */
 tubeopt_status tubeopt_shape(const tubeopt_memory *memory, int count, double *arc_length, double (*position)[3]);
@@ -130,8 +179,8 @@ tubeopt_status tubeopt_shape(const tubeopt_memory *memory, int count, double *ar
 tubeopt_status tubeopt_servo(tubeopt_memory *memory, const tubeopt_command *command, tubeopt_pose *pose,
                              tubeopt_report *report);
 
-/* One step straight to joint values within ranges and order; of the command only step, rates, margin and accelerations are
-   used. */
+/* One step straight to joint values; TUBEOPT_BAD_INPUT outside of ranges and order. Of the command only step, rates,
+   accelerations, margin and snap distance are used. */
 tubeopt_status tubeopt_servo_joints(tubeopt_memory *memory, const tubeopt_command *command, const tubeopt_joints *goal,
                                     tubeopt_pose *pose, tubeopt_report *report);
 

@@ -8,6 +8,7 @@
 #define RISE 0.3   /* share of what joints could do for margin or clearance that a step must do at most */
 #define NEAR 1e-6  /* m and rad, at which a target is met */
 #define DESCENT 0.25 /* fraction of the predicted decrease of the distance that a step must have: zigzags have none */
+#define WIDER 4.   /* times the least snap distance, that is tried first where the tubes only turn */
 #define BRAKINGS 5 /* times, as parts of the whole, at which the margin of a braking robot is looked at */
 #define MOST_CURVED 4. /* curvature of a distance over the scales: kinks, where breakpoints coincide, look larger */
 #define MOST_STIFF 1e6
@@ -68,6 +69,9 @@ static void report_missing(const tubeopt_memory *m, const tubeopt_command *c, tu
     report->angle = 2 * asin(fmin(1, sqrt(dot(missing + 3, missing + 3, 3)) / 2));
 }
 
+/* Whether a velocity is commanded, which has no distance that steps reduce. */
+static int led(const tubeopt_command *c) { return dot(c->velocity, c->velocity, 3) > 0; }
+
 /* What is missing to the command, and how the tip answers to the joints. */
 static void aim_at(const tubeopt_memory *m, const tubeopt_command *c, Aim *aim) {
     double t[3];
@@ -107,6 +111,31 @@ static double *new_row(Quadratic *p, double bound) {
 #define shift_contacts(memory, stop, bodies)
 #endif
 
+/* Whether snap distances count in place of margins. */
+static int sees_snaps(const tubeopt_memory *m, const tubeopt_command *c) {
+    (void)m; /* which bears nothing where there are no loads */
+    return SLOPES && N <= 4 && c->min_snap_distance > 0 && !bears(m);
+}
+
+/* Whether the robot may stop at joint values, whose equilibrium was solved last: far enough from a snap, which a ball proves, or
+   with a margin above the floor. At a start closer to a snap it may also stop where the margin is not smaller. */
+static int may_stop(tubeopt_memory *m, const tubeopt_command *c, double floor, const tubeopt_joints *at, Ball *ball) {
+    double r = c->min_snap_distance;
+    *ball = m->ball;
+    if (!sees_snaps(m, c)) return margin_told(m, 1) >= floor;
+    if (turn_left(ball, at) >= r) return 1;
+#if SLOPES
+    if (couple(m)) {
+        const Couplings *now = &m->work.couplings;
+        int turns = !memcmp(at->translations, m->joints.translations, sizeof at->translations);
+        double proved = !now->count || convex_in(now, NULL) ? INFINITY : turns && proves_turn(now, WIDER * r) ? WIDER * r : proves_turn(now, r) ? r : 0;
+        if (proved > 0) *ball = (Ball){*at, proved};
+        return proved > 0 || (turn_left(&m->ball, &m->joints) < r && margin_told(m, 1) >= margin_told(m, 0));
+    }
+#endif
+    return margin_told(m, 1) >= floor;
+}
+
 /* Rows of a step over the joints' scale: rates and ranges, order, floor of the margin, which it need not raise by more
    than `rise`; where that is 0, to stay keeps them all. */
 static void hedge(const tubeopt_memory *m, const tubeopt_command *c, const Bodies *bodies, const double *q, double rise,
@@ -136,7 +165,8 @@ static void hedge(const tubeopt_memory *m, const tubeopt_command *c, const Bodie
     }
     double most = 0;
     for (int k = 0; k < JOINTS; k++) most += fmax(aim->margin[k] * aim->low[k], aim->margin[k] * aim->high[k]);
-    double raised = fmin(fmin(0.5 * (c->min_margin + ROOM - margin_told(m, 0)), RISE * most), rise);
+    double least = sees_snaps(m, c) ? m->wall : c->min_margin;
+    double raised = fmin(fmin(0.5 * (least + ROOM - margin_told(m, 0)), RISE * most), rise);
     memcpy(new_row(p, raised), aim->margin, sizeof aim->margin);
     keep_clear(m, bodies, rise, p, aim);
 }
@@ -182,7 +212,7 @@ static int step_towards(tubeopt_memory *m, const tubeopt_command *c, const Bodie
 static tubeopt_status not_commanded(const tubeopt_command *c) {
     const double *all = (const double *)c;
     int possible = c->step > 0 && c->speed >= 0 && c->turn_rate >= 0 && c->shift_rate >= 0 && c->push >= 0;
-    if (!possible || c->turn_acceleration < 0 || c->shift_acceleration < 0) return TUBEOPT_BAD_INPUT;
+    if (!possible || fmin(fmin(c->turn_acceleration, c->shift_acceleration), c->min_snap_distance) < 0) return TUBEOPT_BAD_INPUT;
     tubeopt_status found = bounded(all, sizeof *c / sizeof *all, TUBEOPT_MOST_NUMBER);
     int away = sqrt(dot(c->position, c->position, 3)) > TUBEOPT_MOST_AWAY * LONGEST_TUBE;
     return found == TUBEOPT_DONE && away ? TUBEOPT_TOO_LARGE : found;
@@ -211,11 +241,12 @@ static double braking_margin(tubeopt_memory *robot, const tubeopt_command *c, co
     return step_to(robot, &next) || bear_to(robot, &next, 1) ? -1 : margin_told(robot, 1);
 }
 
-/* Whether a robot can follow a stop point s: where it is next, and some places on the way on which it brakes to s, keep a margin.
-   Where the least of them, or that at `rest`, is close to the floor, there are two more places about it. */
-static int can_brake(tubeopt_memory *robot, const tubeopt_command *c, const double *s, double floor, double rest) {
+/* Whether a robot can follow a stop point s: in a ball about s without slides it can. Else where it is next, and some places on the
+   way on which it brakes to s, keep a margin. Where the least of them, or that at `rest`, is close to the floor, there are two more places about it. */
+static int can_brake(tubeopt_memory *robot, const tubeopt_command *c, const Ball *ball, const double *s, double floor, double rest) {
     double q[JOINTS], speed[JOINTS], least = rest;
     int at = BRAKINGS;
+    if (sees_snaps(robot, c) && turn_left(ball, &robot->joints) > 0) return 1;
     independent(&robot->joints, q);
     follow_stop(c, s, c->step, q, speed);
     for (int k = 0; k < BRAKINGS; k++) {
@@ -234,6 +265,7 @@ static int can_brake(tubeopt_memory *robot, const tubeopt_command *c, const doub
 static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command *c, const Bodies *bodies, const double *q, double *step, double floor,
                 Aim *aim, tubeopt_report *report) {
     tubeopt_joints next;
+    Ball ball;
     double share = aim->clipped, size = 0, turned = 0, there[JOINTS], left[6], expected[6], t[3];
     int guarded = 0, back = 0, far = !m->damping && part_allowed(c, aim->missing, 0) < 1;
     for (int k = 0; k < JOINTS; k++) {
@@ -246,12 +278,12 @@ static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command 
     back |= m->damping && turned < -0.5 * sqrt(dot(step, step, JOINTS) * dot(m->last, m->last, JOINTS));
     if ((m->damping && size < DEAD) || share * size < DEAD * DEAD) return aim->why & ~TUBEOPT_AT_RATE;
     for (int half = 0; half <= HALVINGS; half++, share /= 2) {
-        double ends = 0, before = dot(aim->missing, aim->missing, 6), model = 0, after, curved;
+        double ends = 0, before = led(c) ? 0 : dot(aim->missing, aim->missing, 6), model = 0, after, curved;
         for (int k = 0; k < JOINTS; k++)
             there[k] = fmin(fmax(q[k] + share * SCALE[k] * step[k], fmin(q[k], LOWER[k])), fmax(q[k], UPPER[k]));
         dependent(there, &next);
         report->solves++;
-        if (step_to(m, &next) || bear_to(m, &next, 1) || margin_told(m, 1) < floor || too_close(m, bodies)) {
+        if (step_to(m, &next) || bear_to(m, &next, 1) || too_close(m, bodies) || !may_stop(m, c, floor, &next, &ball)) {
             guarded = 1;
             continue;
         }
@@ -265,7 +297,7 @@ static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command 
         if (!closer || back || (m->damping && curved > m->damping)) m->damping = fmax(fmax(curved, fmin(4 * m->damping * (!closer || back), MOST_CURVED)), DAMPING * DAMPING);
         else if (m->damping && share == 1) m->damping = m->damping > 2 * DAMPING * DAMPING ? fmax(curved, m->damping / 2) : 0;
         if (!closer) continue;
-        if (robot != m && !can_brake(robot, c, there, fmin(fmin(floor + ROOM / 2, margin_told(robot, 0)), margin_told(m, 1)), margin_told(m, 1))) {
+        if (robot != m && !can_brake(robot, c, &ball, there, fmin(fmin(floor + ROOM / 2, margin_told(robot, 0)), margin_told(m, 1)), margin_told(m, 1))) {
             guarded = 1;
             continue;
         }
@@ -273,6 +305,8 @@ static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command 
             m->damping = m->damped = 0;
             m->patience *= 2;
         }
+        m->wall = guarded ? margin_told(m, 0) : aim->why & TUBEOPT_AT_MARGIN ? m->wall : 0;
+        m->ball = ball;
         accept(m, &next);
         accept_loaded(m);
         m->ease = fmin(1, (turned < 0 ? 0.5 : 1.2) * m->ease);
@@ -280,7 +314,7 @@ static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command 
             if (step[k]) m->last[k] = share * step[k];
         return aim->why | (guarded ? TUBEOPT_SHORTENED : 0);
     }
-    if (guarded) m->damping = 0; /* another direction may pass */
+    if (guarded) m->damping = 0, m->wall = margin_told(m, 0); /* another direction may pass */
     return guarded ? TUBEOPT_HELD : aim->why & ~TUBEOPT_AT_RATE;
 }
 
@@ -317,7 +351,7 @@ static tubeopt_status servo_step(tubeopt_memory *m, tubeopt_memory *robot, const
     if (!goal) aim_at(m, c, &aim);
     report_missing(m, c, report);
     for (int r = 0; r < 3; r++) moved += (c->position[r] - m->goal[r]) * (c->position[r] - m->goal[r]);
-    if (sqrt(moved) > 2 * c->speed * c->step) { /* another target */
+    if (led(c) || sqrt(moved) > 2 * c->speed * c->step) { /* another target */
         m->damping = m->damped = 0;
         m->patience = PATIENCE;
     }
@@ -340,6 +374,7 @@ static tubeopt_status servo_towards(tubeopt_memory *m, const tubeopt_command *c,
                             tubeopt_report *report) {
     tubeopt_memory *stop = m;
     tubeopt_joints next;
+    tubeopt_command ahead;
     double q[JOINTS], s[JOINTS], T = c->step;
     tubeopt_status not_taken = m->started ? not_commanded(c) : TUBEOPT_NOT_STARTED;
     if (not_taken) return not_taken;
@@ -360,6 +395,14 @@ static tubeopt_status servo_towards(tubeopt_memory *m, const tubeopt_command *c,
         double fast = fmin(v + more, fmax(rate, v - more)), slow = fmax(v - more, fmin(-rate, v + more));
         stop->low[k] = slow * T + inverse * slow * fabs(slow) / 2 - (s[k] - q[k]);
         stop->high[k] = fast * T + inverse * fast * fabs(fast) / 2 - (s[k] - q[k]);
+    }
+    if (led(c)) { /* the place to which a velocity leads the stop point in a cycle */
+        tubeopt_pose from;
+        double size = sqrt(dot(c->velocity, c->velocity, 3));
+        tell(stop, 0, &from);
+        ahead = *c;
+        for (int r = 0; r < 3; r++) ahead.position[r] = from.position[r] + T * fmin(1, c->speed / size) * c->velocity[r];
+        c = &ahead;
     }
     shift_contacts(m, stop, bodies);
     tubeopt_status status = servo_step(stop, m, c, goal, bodies, pose, report);
@@ -386,7 +429,13 @@ tubeopt_status tubeopt_servo(tubeopt_memory *m, const tubeopt_command *c, tubeop
 tubeopt_status tubeopt_servo_joints(tubeopt_memory *m, const tubeopt_command *c, const tubeopt_joints *goal, tubeopt_pose *pose,
                                     tubeopt_report *report) {
     Bodies none = {0};
+    double q[JOINTS];
     tubeopt_status not_taken = refused(goal);
+    independent(goal, q);
+    for (int k = 0; k < JOINTS && !not_taken; k++)
+        if (q[k] < LOWER[k] - CLOSE || q[k] > UPPER[k] + CLOSE) not_taken = TUBEOPT_BAD_INPUT;
+    for (int r = 0; r < ORDERS && !not_taken; r++)
+        if (dot(ORDER + r * JOINTS, q, JOINTS) < LEAST[r] - CLOSE) not_taken = TUBEOPT_BAD_INPUT;
     return not_taken ? not_taken : servo_towards(m, c, goal, &none, pose, report);
 }
 

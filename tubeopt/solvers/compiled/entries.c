@@ -24,6 +24,20 @@ CASADI_SYMBOL_EXPORT void solve_many(const Tubes *tubes, long long count, const 
     }
 }
 
+/* An answer without the unused room of its tables, which is most of it. */
+static void copy_answer(const Answer *from, Answer *to) {
+    size_t points = from->points, shape = from->pieces * STEPS + 1;
+    memcpy(to, from, offsetof(Answer, point));
+    memcpy(to->point, from->point, points * sizeof to->point[0]);
+    memcpy(to->point_rotation, from->point_rotation, points * sizeof to->point_rotation[0]);
+    memcpy(to->arc_length, from->arc_length, shape * sizeof to->arc_length[0]);
+    memcpy(to->rotation, from->rotation, shape * sizeof to->rotation[0]);
+    memcpy(to->torsion, from->torsion, shape * sizeof to->torsion[0]);
+    memcpy(to->curvature, from->curvature, shape * sizeof to->curvature[0]);
+    memcpy(to->position, from->position, shape * sizeof to->position[0]);
+    memcpy(to->frame, from->frame, shape * sizeof to->frame[0]);
+}
+
 #define SHORTEST_PART (1 / 300.) /* of a step of ordinary length */
 
 /* Many robots, each from the last of its equilibria along a straight way to other joint values, or where `cold` from tubes
@@ -32,11 +46,11 @@ CASADI_SYMBOL_EXPORT void follow_many(const Tubes *const *tubes, long long count
                                       const double *to_shift, const unsigned char *cold, Answer *arms, unsigned char *lost, Workspace *w,
                                       Answer *spare) {
     for (long long k = 0; k < count; k++, alpha += N, shift += N, to_alpha += N, to_shift += N) {
-        Answer *last = spare, *next = spare + 1, *other;
+        const Answer *last = cold[k] ? spare : arms + k;
+        Answer *next = spare + 1;
         double done = 0, from_alpha[N], from_shift[N], at_alpha[N], at_shift[N], length, longest, step;
-        lost[k] = cold[k] && solve(tubes[k], to_alpha, to_shift, NULL, w, last);
+        lost[k] = cold[k] && solve(tubes[k], to_alpha, to_shift, NULL, w, spare);
         if (!cold[k]) {
-            *last = arms[k];
             length = fmax(last->arc_length[last->pieces * STEPS], tubes[k]->whole[0] / 10);
             longest = step = 1 / parts_of(alpha, shift, to_alpha, to_shift, length);
             memcpy(from_alpha, alpha, sizeof from_alpha);
@@ -52,7 +66,7 @@ CASADI_SYMBOL_EXPORT void follow_many(const Tubes *const *tubes, long long count
                     lost[k] = step < longest * SHORTEST_PART;
                     continue;
                 }
-                other = last, last = next, next = other;
+                last = next, next = next == spare ? spare + 1 : spare;
                 memcpy(from_alpha, at_alpha, sizeof from_alpha);
                 memcpy(from_shift, at_shift, sizeof from_shift);
                 done = t;
@@ -60,7 +74,7 @@ CASADI_SYMBOL_EXPORT void follow_many(const Tubes *const *tubes, long long count
             }
         }
         if (lost[k]) continue;
-        arms[k] = *last;
+        copy_answer(last, arms + k);
         memcpy(alpha, to_alpha, sizeof from_alpha);
         memcpy(shift, to_shift, sizeof from_shift);
     }

@@ -5,6 +5,7 @@
    mechanics. What is not plain sailing (an arm of very many pieces, a saddle, a fold, Newton that does not converge) is
    declined, and left to the general solver. `entries.c` has what else Python calls; `control/c` what a program in C does. */
 #include <math.h>
+#include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
 

@@ -74,7 +74,8 @@ CallbackReturn TubeRobot::on_init(const hardware_interface::HardwareInfo &info) 
     const bool given = parameter("turn_rate", limits_.turn_rate) && parameter("shift_rate", limits_.shift_rate) &&
                        parameter("turn_acceleration", limits_.turn_acceleration) &&
                        parameter("shift_acceleration", limits_.shift_acceleration) &&
-                       parameter("min_margin", limits_.min_margin);
+                       parameter("min_margin", limits_.min_margin) &&
+                       parameter("min_snap_distance", limits_.min_snap_distance);
     limits_.speed = limits_.shift_rate;  // of the tip: not used by a step to joint values
     memory_.assign(tubeopt_memory_size() / sizeof(double) + 1, 0.0);
     tubeopt_start(memory_.data());

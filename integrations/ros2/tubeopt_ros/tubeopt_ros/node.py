@@ -13,13 +13,14 @@ from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, Float64, Float64MultiArray, String
+from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 import tubeopt
 from tubeopt.control.c_binding import CServo
 from tubeopt.control.c_library import c_library
 from tubeopt.control.command import ServoOptions
-from tubeopt.control.crtk import COMMANDS, CrtkRobot
+from tubeopt.control.crtk import COMMANDS, STATE_COMMANDS, CrtkRobot
 from tubeopt.control.server import Pace
 
 from .display import Display, diagnostics
@@ -39,8 +40,10 @@ PARAMETERS = {
     **{name: getattr(LIMITS, name) for name in ("speed", "turn_rate", "shift_rate", "min_margin")},
     "turn_acceleration": 0.0,
     "shift_acceleration": 0.0,
+    "min_snap_distance": 0.0,
 }
-"""Parameters and their defaults; an acceleration of 0 has no limit, a single joint value of 0 is home."""
+"""Parameters and their defaults; an acceleration of 0 has no limit, a snap distance of 0 leaves the margin,
+and a single joint value of 0 is home."""
 
 KINDS = {
     "cp": PoseStamped,
@@ -59,6 +62,7 @@ KINDS = {
 REPORTS = {
     "measured_js": JointState,
     "setpoint_js": JointState,
+    "goal_js": JointState,
     "measured_cp": PoseStamped,
     "setpoint_cp": PoseStamped,
     "measured_cv": TwistStamped,
@@ -70,6 +74,7 @@ REPORTS = {
     "status": String,
     "why": String,
     "margin": Float64,
+    "snap_distance": Float64,
     "shape": MarkerArray,
     "/diagnostics": DiagnosticArray,
 }
@@ -89,6 +94,8 @@ class RobotNode(LifecycleNode):
             kind, depth = op if op in KINDS else op[-2:], 1 if op.startswith("servo") else 10
             self.create_subscription(KINDS[kind], op, partial(self._hear, op, kind), depth)
         self.create_subscription(PoseStamped, "sensor_cp", self.feel, 1)
+        for word in (*STATE_COMMANDS, "hold"):
+            self.create_service(Trigger, word, partial(self._serve, word))
         self._out = {name: self.create_lifecycle_publisher(kind, name, 10) for name, kind in REPORTS.items()}
 
     # --- transitions ---
@@ -104,7 +111,8 @@ class RobotNode(LifecycleNode):
                 if not 0 < at[name] < 1e5:
                     raise tubeopt.InputError(f"{name} is {at[name]} Hz; it must be more than 0 and less than 1e5")
             limits = {name: getattr(LIMITS, name) and at[name] for name in ("speed", "turn_rate", "shift_rate")}
-            limits |= {name: at[name] or None for name in ("turn_acceleration", "shift_acceleration")}
+            optional = "turn_acceleration", "shift_acceleration", "min_snap_distance"
+            limits |= {name: at[name] or None for name in optional}
             servo = CServo(
                 c_library(robot), (rotations, translations), ServoOptions(min_margin=at["min_margin"], **limits)
             )
@@ -159,9 +167,23 @@ class RobotNode(LifecycleNode):
 
     def _hear(self, op, kind, message) -> None:
         with self._surviving(op):
-            if self._timer is None:
-                raise tubeopt.InputError("the node is not active; activate it first")
+            self._check_active()
             self.robot.command({"op": op, **getattr(self._reader, kind)(message)}, time.monotonic())
+
+    def _serve(self, word, request, response) -> Trigger.Response:
+        """Answer of a service: whether a state command, or hold, was accepted, with the state or the reason."""
+        try:
+            self._check_active()
+            command = {"op": "hold"} if word == "hold" else {"op": "state_command", "command": word}
+            self.robot.command(command, time.monotonic())
+            response.success, response.message = True, self.robot.state
+        except tubeopt.InputError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _check_active(self) -> None:
+        if self._timer is None:
+            raise tubeopt.InputError("the node is not active; activate it first")
 
     @contextlib.contextmanager
     def _surviving(self, op):
@@ -183,8 +205,7 @@ class RobotNode(LifecycleNode):
             self._feel(message)
 
     def _feel(self, message) -> None:
-        if self._timer is None:
-            raise tubeopt.InputError("the node is not active; activate it first")
+        self._check_active()
         compliance, place = self.robot.servo.slopes.compliance, self._reader.place(message)
         if compliance is None:
             raise tubeopt.InputError("the C library of this robot knows no compliance")
@@ -212,7 +233,7 @@ class RobotNode(LifecycleNode):
 
     def _report(self) -> None:
         told, stamp = self.robot.report(time.monotonic()), self._now()
-        for name in ("measured_js", "setpoint_js"):
+        for name in ("measured_js", "setpoint_js", "goal_js"):
             self._publish(name, stamped(joint_state(told[name]), stamp))
         for name in ("measured_cp", "setpoint_cp"):
             turn = quaternion(np.array(told[name]["rotation"]))
@@ -231,6 +252,8 @@ class RobotNode(LifecycleNode):
     def _show(self, told, stamp) -> None:
         """What is for eyes, and the Jacobian: less often than each step."""
         arm, slopes = self.robot.servo.equilibrium, self.robot.servo.slopes
+        if (turn := self.robot.snap_distance()) is not None:
+            self._publish("snap_distance", Float64(data=turn))
         self._publish("jacobian", matrix(np.vstack([slopes.position, slopes.turn])))
         self._display.frames(arm, stamp)
         self._publish("shape", self._display.markers(arm, told["snap_warning"], stamp))
