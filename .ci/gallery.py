@@ -54,10 +54,10 @@ class Problem:
     @property
     def title(self) -> str:
         """The name of the script in words."""
-        words = re.sub(r"fig_(\d+)_(\d+)", r"Figure \1.\2", self.name).replace("_", " ")
-        words = words.replace("s curve", "S-curve")
-        words = re.sub(r"\b(crl|etr|ctr)\b", lambda match: match[0].upper(), words)
-        return words[0].upper() + words[1:]
+        text = re.sub(r"fig_(\d+)_(\d+)", r"Figure \1.\2", self.name).replace("_", " ")
+        text = text.replace("s curve", "S-curve")
+        text = re.sub(r"\b(crl|etr|ctr)\b", lambda match: match[0].upper(), text)
+        return text[0].upper() + text[1:]
 
 
 def read_problem(script: Path, records: Path | None) -> Problem:
@@ -98,8 +98,8 @@ def _by_night(script: Path) -> bool:
 def _drawn(code: str) -> list[Path]:
     """Pictures in the docs under the names that a script gives to its own."""
     names = re.findall(r"[\w{}.\-]+\.(?:png|gif)", code)
-    found = [path for name in names for path in sorted(IMAGES.glob(re.sub(r"\{[^}]*\}", "*", name)))]
-    return list(dict.fromkeys(found))
+    results = [path for name in names for path in sorted(IMAGES.glob(re.sub(r"\{[^}]*\}", "*", name)))]
+    return list(dict.fromkeys(results))
 
 
 def all_problems(records: Path | None = None) -> list[Problem]:

@@ -58,9 +58,11 @@ def plans(robot: Robot, random: np.random.Generator, kinds: tuple[str, str]) -> 
     """What came of a plan between joint values of two kinds."""
     start, goal = (drawn(robot, kind, random) for kind in kinds)
     plan = tubeopt.plan_trajectory(robot, start, goal, options=PLAN)
-    for row, place in ((0, start), (-1, goal)):
-        there = np.concatenate([plan.rotations[row], plan.translations[row]])
-        assert np.abs(there - np.concatenate(place)).max() < 1e-6, f"row {row} is {there}; it was asked to be {place}"
+    for row, position in ((0, start), (-1, goal)):
+        reached = np.concatenate([plan.rotations[row], plan.translations[row]])
+        assert np.abs(reached - np.concatenate(position)).max() < 1e-6, (
+            f"row {row} is {reached}; it was asked to be {position}"
+        )
     return "planned"
 
 
@@ -68,38 +70,38 @@ def inverts(robot: Robot, random: np.random.Generator, kinds: tuple[str, str]) -
     """What came of inverse kinematics from a seed of the first kind to a tip of the second."""
     seed, other = (drawn(robot, kind, random) for kind in kinds)
     tip = tubeopt.forward_kinematics(robot, *other).tip_position
-    found = tubeopt.inverse_kinematics(robot, tip, start=seed, options=INVERSE)
-    assert found.position_error <= 1e-8
-    if found.path is not None and found.path.origin == "seed":
-        begin = np.concatenate([found.path.rotations[0], found.path.translations[0]])
-        assert np.abs(begin - np.concatenate(seed)).max() < 1e-9, f"the way begins at {begin}; the seed is {seed}"
-        assert not tubeopt.follow(robot, found.path.rotations, found.path.translations).snaps
-    if found.straight_from_seed:
-        assert tubeopt.find_snap(robot, seed, (found.rotations, found.translations)) is None
+    solution = tubeopt.inverse_kinematics(robot, tip, start=seed, options=INVERSE)
+    assert solution.position_error <= 1e-8
+    if solution.path is not None and solution.path.origin == "seed":
+        start = np.concatenate([solution.path.rotations[0], solution.path.translations[0]])
+        assert np.abs(start - np.concatenate(seed)).max() < 1e-9, f"the way begins at {start}; the seed is {seed}"
+        assert not tubeopt.follow(robot, solution.path.rotations, solution.path.translations).snaps
+    if solution.straight_from_seed:
+        assert tubeopt.find_snap(robot, seed, (solution.rotations, solution.translations)) is None
     return "reached"
 
 
 def main(count: int, seed: int) -> int:
     """Ask `count` questions, and say what came of them; 1 where one ended in anything but an answer or a sentence."""
-    random, told, wrong = np.random.default_rng(seed), Counter[str](), 0
+    random, report, wrong = np.random.default_rng(seed), Counter[str](), 0
     warnings.simplefilter("ignore")
     known = [tubeopt.load_robot(path) for path in ROBOTS]
     for number in range(count):
         robot, kinds = known[number % len(known)], (str(random.choice(KINDS)), str(random.choice(KINDS)))
         ask = plans if random.random() < 0.5 else inverts
         try:
-            told[ask(robot, random, kinds)] += 1
+            report[ask(robot, random, kinds)] += 1
         except (InputError, SolveError) as refused:
-            words = str(refused)
-            told[type(refused).__name__] += 1
-            if "\n" in words or "Error" in words or not words:
+            text = str(refused)
+            report[type(refused).__name__] += 1
+            if "\n" in text or "Error" in text or not text:
                 wrong += 1
-                print(f"{number}: {robot.name}, {ask.__name__}, {kinds}: no sentence: {words}")
+                print(f"{number}: {robot.name}, {ask.__name__}, {kinds}: no sentence: {text}")
         except Exception:  # any other kind is the fault that is looked for
             wrong += 1
             print(f"{number}: {robot.name}, {ask.__name__}, {kinds}")
             traceback.print_exc(limit=-3, file=sys.stdout)
-    print(", ".join(f"{name}: {times}" for name, times in sorted(told.items())), f"wrong: {wrong}")
+    print(", ".join(f"{name}: {times}" for name, times in sorted(report.items())), f"wrong: {wrong}")
     return int(wrong > 0)
 
 

@@ -57,8 +57,8 @@ class Mutant(NamedTuple):
     function: str
 
     def __str__(self) -> str:
-        words = (" ".join(part.split())[:60] for part in (self.old, self.new))
-        return f"{self.file}:{self.line}  {'  ->  '.join(words)}"
+        text = (" ".join(part.split())[:60] for part in (self.old, self.new))
+        return f"{self.file}:{self.line}  {'  ->  '.join(text)}"
 
 
 class Python(ast.NodeVisitor):
@@ -181,8 +181,8 @@ class Python(ast.NodeVisitor):
         self.generic_visit(node)
 
     def visit_BinOp(self, node: ast.BinOp) -> None:
-        words = (ast.JoinedStr, ast.List, ast.Tuple, ast.Starred)
-        texts = [p for p in (node.left, node.right) if isinstance(p, words) or isinstance(getattr(p, "value", 0), str)]
+        text = (ast.JoinedStr, ast.List, ast.Tuple, ast.Starred)
+        texts = [p for p in (node.left, node.right) if isinstance(p, text) or isinstance(getattr(p, "value", 0), str)]
         sign = SIGN.get(type(node.op))
         if sign and not texts:
             b, c = self.ends(node.left)[1], self.ends(node.right)[0]
@@ -255,18 +255,18 @@ def c_mutants(file: str) -> list[Mutant]:
     """All mutants of a file of C or C++: comments, texts, directives and names of states stay."""
     text = (ROOT / "tubeopt" / file).read_text(encoding="utf-8")
     blank = re.compile(r'/\*.*?\*/|//[^\n]*|"(?:\\.|[^"\\])*"|^#[^\n]*', re.DOTALL | re.MULTILINE)
-    bare = blank.sub(lambda found: re.sub(r"[^\n]", "\x01", found[0]), text)
+    bare = blank.sub(lambda results: re.sub(r"[^\n]", "\x01", results[0]), text)
     headers = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "tubeopt" / file).parent.glob("*.h"))
     states = set(re.findall(r"[A-Z_]+", " ".join(re.findall(r"enum[^{]*{([^}]*)", headers))))
-    found = []
+    results = []
     for pattern, news in C_CHANGES:
         for match in re.finditer(pattern, bare):
             if match[0] in states:
                 continue
             old, line = text[match.start() : match.end()], text.count("\n", 0, match.start()) + 1
             start = len(text[: match.start()].encode())
-            found += [Mutant(file, line, start, old, new.format(old), "") for new in news if "\x01" not in match[0]]
-    return found
+            results += [Mutant(file, line, start, old, new.format(old), "") for new in news if "\x01" not in match[0]]
+    return results
 
 
 def mutants_of(file: str) -> list[Mutant]:
@@ -283,8 +283,11 @@ def files_of(area: str, only: str) -> list[str]:
 
 def sample(area: str, only: str, count: int, random_: random.Random) -> list[Mutant]:
     """So many mutants of an area, of different places, each place as likely as any other."""
-    places: dict[tuple[str, int, str], list[Mutant]] = {}
+    positions: dict[tuple[str, int, str], list[Mutant]] = {}
     for file in files_of(area, only):
         for mutant in mutants_of(file):
-            places.setdefault((file, mutant.start, mutant.old), []).append(mutant)
-    return [random_.choice(places[place]) for place in random_.sample(sorted(places), min(count, len(places)))]
+            positions.setdefault((file, mutant.start, mutant.old), []).append(mutant)
+    return [
+        random_.choice(positions[position])
+        for position in random_.sample(sorted(positions), min(count, len(positions)))
+    ]

@@ -95,10 +95,10 @@ class Session:
         tests = self.measured()
         for area, mutants in self.chosen.items():
             for mutant in mutants:
-                began = time.monotonic()
+                start_time = time.monotonic()
                 killer = self.killer(mutant, likely(mutant, tests, self.seconds), area != "physics")
                 self.killed[area] += bool(killer)
-                word, took = "killed" if killer else "SURVIVED", time.monotonic() - began
+                word, took = "killed" if killer else "SURVIVED", time.monotonic() - start_time
                 print(f"{word:8}  {mutant}    {killer} {took:.0f} s", flush=True)
         return True
 
@@ -192,17 +192,17 @@ class Session:
         while tests:
             self.copy.write(mutant.file, broken)
             if mutant.function:
-                found = self.first_failure(tests, compiled, change)
+                result = self.first_failure(tests, compiled, change)
             elif mutant.file.endswith(".py"):
-                found = self.afresh(tests, compiled)
+                result = self.afresh(tests, compiled)
             else:
-                found = self.first_failure(tests, compiled)
+                result = self.first_failure(tests, compiled)
             self.copy.write(mutant.file, proper)
-            if found and "::" not in found:
-                return "" if self.first_failure(tests, compiled) else found
-            if not found or self.passes(found, compiled):
-                return found
-            tests = [test for test in tests if test != found]  # it fails without the mutant too
+            if result and "::" not in result:
+                return "" if self.first_failure(tests, compiled) else result
+            if not result or self.passes(result, compiled):
+                return result
+            tests = [test for test in tests if test != result]  # it fails without the mutant too
         return ""
 
     def passes(self, test: str, compiled: bool) -> bool:
@@ -284,16 +284,16 @@ def main() -> int:
     parser.add_argument("--area", action="append", choices=AREAS, help="of these areas alone")
     parser.add_argument("--only", default="*", metavar="GLOB", help="of files that match, as planning/branch.py")
     parser.add_argument("--seconds", type=float, default=60, help="of tests, as long as they take without a mutant")
-    given = parser.parse_args()
-    random_, areas = random.Random(given.seed), [area for area in given.area or AREAS if files_of(area, given.only)]
-    shares = [given.count // len(areas) + (k < given.count % len(areas)) for k in range(len(areas))]
-    chosen = {area: sample(area, given.only, share, random_) for area, share in zip(areas, shares, strict=True)}
+    args = parser.parse_args()
+    random_, areas = random.Random(args.seed), [area for area in args.area or AREAS if files_of(area, args.only)]
+    fractions = [args.count // len(areas) + (k < args.count % len(areas)) for k in range(len(areas))]
+    chosen = {area: sample(area, args.only, fraction, random_) for area, fraction in zip(areas, fractions, strict=True)}
     with tempfile.TemporaryDirectory() as folder:
         copy = Copy(Path(folder))
         os.chdir(copy.tree)
         os.environ |= {"PYTHONPATH": str(copy.tree), "TUBEOPT_CACHE": str(copy.cache), "CI": "true"}
         sys.path.insert(0, str(copy.tree))
-        session = Session(copy, chosen, given.seconds)
+        session = Session(copy, chosen, args.seconds)
         pytest.main([*ARGUMENTS, "--no-header", "--no-summary", f"--basetemp={folder}/tmp"], plugins=[session])
         os.chdir(ROOT)
     for area, mutants in chosen.items():

@@ -115,7 +115,7 @@ def mutations(text: str, random_: random.Random) -> str:
     lines = text.splitlines()
     inside = [k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
     k = random_.choice(inside)
-    ways: tuple[Callable[[], None], ...] = (
+    paths: tuple[Callable[[], None], ...] = (
         lambda: _number(lines, k, random_),
         lambda: _number(lines, k, random_),
         lambda: lines.__setitem__(k, lines[k].replace("_mm", "_m", 1).replace("_deg", "_rad", 1)),
@@ -127,16 +127,16 @@ def mutations(text: str, random_: random.Random) -> str:
         lambda: lines.__setitem__(k, lines[k] + random_.choice((" [", " }", ": x", " # é", "\t", '"', "\x00", "𝄞"))),
         lambda: lines.__delitem__(slice(k, None)),
     )
-    random_.choice(ways)()
+    random_.choice(paths)()
     return "\n".join(lines) + random_.choice(("\n", "", "\r\n", "\n\n"))
 
 
 def _number(lines: list[str], k: int, random_: random.Random) -> None:
     import re
 
-    found = list(re.finditer(r"-?\d+(\.\d+)?(e-?\d+)?", lines[k]))
-    if found:
-        one = random_.choice(found)
+    results = list(re.finditer(r"-?\d+(\.\d+)?(e-?\d+)?", lines[k]))
+    if results:
+        one = random_.choice(results)
         lines[k] = lines[k][: one.start()] + random_.choice(NUMBERS) + lines[k][one.end() :]
     else:
         head, _, _ = lines[k].partition(":")
@@ -151,9 +151,9 @@ def outcome(arguments: list[str]) -> str:
         with contextlib.redirect_stdout(written), contextlib.redirect_stderr(written), at_most(rung):
             main(arguments)
     except SystemExit as end:
-        said = written.getvalue()
+        output = written.getvalue()
         # The alarm may ring in a callback of a solver, which tells it and goes on.
-        if end.code in CODES and ("Traceback" not in said or TooLong.__name__ in said):
+        if end.code in CODES and ("Traceback" not in output or TooLong.__name__ in output):
             return ""
         return f"ended with {end.code}: {written.getvalue()[-800:]}"
     except TooLong:
@@ -197,25 +197,25 @@ def run(count: int, seed: int) -> int:
     texts += [("trials", name, end, text) for _, name, end, text in texts if "trials" in name and end == ".csv"]
     texts += [(kind, kind, end, text) for kind, (end, text) in SEEDS.items() for _ in range(4)]
     os.chdir(ROOT)
-    places: Counter[str] = Counter()
+    positions: Counter[str] = Counter()
     with tempfile.TemporaryDirectory(dir=ROOT / "configs") as folder:
         for name, text in BESIDE.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
         for number in range(count):
             kind, name, end, original = random_.choice(texts)
-            place = Path(folder) / f"mutated{end}"
+            position = Path(folder) / f"mutated{end}"
             text = mutations(original, random_)
-            place.write_text(text, encoding="utf-8", newline="")
+            position.write_text(text, encoding="utf-8", newline="")
             for command in COMMANDS[kind]:
-                wrong = outcome([part.format(place) for part in command])
+                wrong = outcome([part.format(position) for part in command])
                 if wrong:
                     last = [line for line in wrong.splitlines() if "tubeopt" in line][-1:]
-                    places["".join(last) or wrong[-200:]] += 1
+                    positions["".join(last) or wrong[-200:]] += 1
                     print(f"--- {number}: {name}: {' '.join(command)}\n{wrong}\n{text}", flush=True)
-    print(f"{count} files, {sum(places.values())} wrong endings")
-    for where, times in places.most_common():
+    print(f"{count} files, {sum(positions.values())} wrong endings")
+    for where, times in positions.most_common():
         print(f"{times:5d}  {where.strip()}")
-    return sum(places.values())
+    return sum(positions.values())
 
 
 if __name__ == "__main__":

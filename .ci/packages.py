@@ -86,10 +86,10 @@ def _box(x: float, y: float, name: str) -> list[str]:
     middle, role = x + WIDTH / 2, ROLES[name]
     box = f'<rect x="{x:g}" y="{y:g}" width="{WIDTH}" height="{HEIGHT}" rx="6" fill="#eef2f6" stroke="#546e7a"/>'
     title = f'<text x="{middle:g}" y="{y + 19:g}" text-anchor="middle" font-size="14" fill="#000000">{name}</text>'
-    words = (
+    text = (
         f'<text x="{middle:g}" y="{y + 36:g}" text-anchor="middle" font-size="9" fill="#37474f">{escape(role)}</text>'
     )
-    return [box, title, words]
+    return [box, title, text]
 
 
 if __name__ == "__main__":

@@ -42,11 +42,11 @@ MISSING = "no compiler for WebAssembly, so the page has no kernel: python -m pip
 def sources() -> dict[str, str]:
     """Name of a file -> its text."""
     numbers, last = ((KERNEL / f"{name}.c").read_text() for name in ("numbers", "page"))
-    given = "extern Pieces PIECES;\nextern Tubes ROBOT;\nextern double MASS[];\n"
+    inputs = "extern Pieces PIECES;\nextern Tubes ROBOT;\nextern double MASS[];\n"
     return {
         "tubeopt_robot.h": header_text("robot in the page", TUBES, loads=True),
         "robot.c": library_text("robot in the page", kernel_text(TUBES), numbers) + last,
-        "loads.c": loads_text("robot in the page", TUBES, given),
+        "loads.c": loads_text("robot in the page", TUBES, inputs),
     }
 
 
@@ -69,13 +69,13 @@ def compile_kernel(texts: dict[str, str], out: Path) -> None:
 def kernel() -> Path | None:
     """The compiled kernel, from the cache where its sources are as they were; None where there is no compiler."""
     texts = sources()
-    words = "\0".join((*FLAGS, *LINK, *texts.values()))
-    kept = cache_directory() / "kernels" / f"page-{hashlib.sha256(words.encode()).hexdigest()[:32]}.wasm"
-    if not kept.exists():
+    text = "\0".join((*FLAGS, *LINK, *texts.values()))
+    retained = cache_directory() / "kernels" / f"page-{hashlib.sha256(text.encode()).hexdigest()[:32]}.wasm"
+    if not retained.exists():
         if importlib.util.find_spec("ziglang") is None:
             return None
-        compile_kernel(texts, kept)
-    return kept
+        compile_kernel(texts, retained)
+    return retained
 
 
 def robots() -> dict[str, Any]:
@@ -98,11 +98,11 @@ def on_post_build(config: Any) -> None:
 def complete(folder: Path) -> bool:
     """Put kernel and robots into a page; whether there is a kernel."""
     (folder / "robots.json").write_text(json.dumps(robots()))
-    found = kernel()
-    if found is None:
+    result = kernel()
+    if result is None:
         print(MISSING, file=sys.stderr)
         return False
-    shutil.copyfile(found, folder / "kernel.wasm")
+    shutil.copyfile(result, folder / "kernel.wasm")
     return True
 
 

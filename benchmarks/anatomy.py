@@ -47,17 +47,17 @@ DEEP = 0.05
 
 def places(task: Task, count: int, seed: int) -> Array:
     """(k, m) points of the chart, with room to spare, at which the tip is deep."""
-    random, n = np.random.default_rng(seed), task.chart.space.robot.n_tubes
-    found = np.zeros((0, len(task.scale)))
+    random, n = np.random.default_rng(seed), task.coordinates.space.robot.n_tubes
+    results = np.zeros((0, len(task.scale)))
     for _ in range(DRAWS):
-        z = task.chart.space.sample(8192)[:9000].copy()
+        z = task.coordinates.space.sample(8192)[:9000].copy()
         z[:, :n] = random.uniform(-np.pi, np.pi, (len(z), n))
         arms = task.arms(z)
-        deep = np.flatnonzero((task.spare(z, arms=arms) >= 0.5) & (arms.tip[:, 2] > DEEP))
-        found = np.concatenate([found, z[random.permutation(deep)]])
-        if len(found) >= count:
+        deep = np.flatnonzero((task.reserves(z, arms=arms) >= 0.5) & (arms.tip[:, 2] > DEEP))
+        results = np.concatenate([results, z[random.permutation(deep)]])
+        if len(results) >= count:
             break
-    return found[:count]
+    return results[:count]
 
 
 def barred(plan: Trajectory, image: LabelImage, free: Mask) -> int:
@@ -84,13 +84,13 @@ def asked_for(goals: Iterable[Any], plan: Callable[[Any], Trajectory], image: La
     """Plans to goals, each looked up in the image."""
     out = []
     for goal in goals:
-        began, found = time.process_time(), None
+        start_time, result = time.process_time(), None
         try:
-            found = plan(goal)
+            result = plan(goal)
         except SolveError as error:
             print(f"  {error}")
-        seconds = time.process_time() - began
-        out.append((seconds, False, 0) if found is None else (seconds, found.proved, barred(found, image, free)))
+        seconds = time.process_time() - start_time
+        out.append((seconds, False, 0) if result is None else (seconds, result.proved, barred(result, image, free)))
         print(f"    {seconds:.2f} s, proved: {out[-1][1]}, in barred voxels: {out[-1][2]}", flush=True)
     return out
 
@@ -98,9 +98,9 @@ def asked_for(goals: Iterable[Any], plan: Callable[[Any], Trajectory], image: La
 def told(words: str, some: Told) -> None:
     """Print what became of queries."""
     seconds, proved, outside = (np.array(column) for column in zip(*some, strict=True))
-    half, most = np.quantile(seconds, [0.5, 0.9])
+    half, largest = np.quantile(seconds, [0.5, 0.9])
     print(
-        f"{words}: {proved.sum()} of {len(some)} planned and proved, {half:.2f} s (median), {most:.2f} s (90 %), ",
+        f"{words}: {proved.sum()} of {len(some)} planned and proved, {half:.2f} s (median), {largest:.2f} s (90 %), ",
         end="",
     )
     print(f"{seconds.max():.2f} s at most, {outside.sum()} points in barred voxels", flush=True)
@@ -112,28 +112,28 @@ def main() -> None:
     parser.add_argument("--voxel", type=float, default=0.6, help="mm")
     parser.add_argument("--roadmap", type=int, default=600, help="points")
     parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
+    args = parser.parse_args()
     count_work()
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
     alone: Told = []
     over: Told = []
     for k, (name, make) in enumerate(PHANTOMS.items()):
-        count = math.ceil((given.queries - len(alone)) / (len(PHANTOMS) - k))
-        image = make().image(given.voxel * 1e-3)
+        count = math.ceil((args.queries - len(alone)) / (len(PHANTOMS) - k))
+        image = make().image(args.voxel * 1e-3)
         free = image.chosen([LUMEN, TARGET])
         bodies = [field_of_image(image, lumen=free)]
         roomy = plan_task(robot, bodies, 0.06, DEFAULT_RATES, None, PlanOptions(clearance=1e-3))
-        tips = roomy.arms(places(roomy, count, given.seed)).tip
+        tips = roomy.arms(places(roomy, count, args.seed)).tip
         plan = partial(plan_trajectory, robot, WITHDRAWN, obstacles=bodies)
-        found = asked_for(tips, partial(plan, options=OPTIONS), image, free)
-        told(name, found)
-        began = time.process_time()
-        roadmap = build_roadmap(robot, obstacles=bodies, options=OPTIONS, count=given.roadmap)
-        drawn = time.process_time() - began
+        result = asked_for(tips, partial(plan, options=OPTIONS), image, free)
+        told(name, result)
+        start_time = time.process_time()
+        roadmap = build_roadmap(robot, obstacles=bodies, options=OPTIONS, count=args.roadmap)
+        drawn = time.process_time() - start_time
         quick = replace(OPTIONS, roadmap=roadmap, objective="none")
         again = asked_for(tips, partial(plan, options=quick), image, free)
         told(f"  over a roadmap of {len(roadmap)} points, drawn in {drawn:.1f} s, not smoothed", again)
-        alone, over = alone + found, over + again
+        alone, over = alone + result, over + again
     told("all", alone)
     told("all over roadmaps", over)
 

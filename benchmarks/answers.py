@@ -67,30 +67,30 @@ def numbers(*parts: Any) -> list[float]:
 
 def shapes(robot: Any, poses: list[Pose]) -> list[float]:
     """Tip, m, orientation, margin and energy, J, of every pose."""
-    found = [solved(robot, pose) for pose in poses]
-    return numbers([[*e.tip_position, *e.tip_rotation.ravel(), e.margin, e.energy] for e in found])
+    results = [solved(robot, pose) for pose in poses]
+    return numbers([[*e.tip_position, *e.tip_rotation.ravel(), e.margin, e.energy] for e in results])
 
 
 def slopes(robot: Any, poses: list[Pose]) -> list[float]:
     """Jacobian of the tip by joint values, and that of the margin."""
-    found = solved(robot, poses[0]).jacobian()
-    return numbers(found.position, found.margin)
+    result = solved(robot, poses[0]).jacobian()
+    return numbers(result.position, result.margin)
 
 
 def snap(robot: Any, poses: list[Pose]) -> list[float]:
     """Where a turn of the inner tube snaps, its energy, J, and the tip where it lands; empty without a snap."""
     start = poses[0]
     end = [start.rotations[0] + 2 * np.pi, *start.rotations[1:]]
-    found = tubeopt.find_snap(robot, (start.rotations, start.translations), (end, start.translations))
-    return [] if found is None else numbers(found.fraction, found.energy_released, found.after.tip_position)
+    snap = tubeopt.find_snap(robot, (start.rotations, start.translations), (end, start.translations))
+    return [] if snap is None else numbers(snap.fraction, snap.energy_released, snap.after.tip_position)
 
 
 def path(robot: Any, poses: list[Pose]) -> list[float]:
     """Tips and margins along a path through all poses, with the places of its snaps."""
     rows = [*poses, poses[0]]
-    found = tubeopt.follow(robot, [p.rotations for p in rows], [p.translations for p in rows])
+    result = tubeopt.follow(robot, [p.rotations for p in rows], [p.translations for p in rows])
     return numbers(
-        [[*e.tip_position, e.margin] for e in found.equilibria], [[s.index, s.fraction] for s in found.snaps]
+        [[*e.tip_position, e.margin] for e in result.equilibria], [[s.index, s.fraction] for s in result.snaps]
     )
 
 
@@ -101,23 +101,23 @@ def certificate(robot: Any, poses: list[Pose]) -> list[float]:
 
 def equilibria(robot: Any, poses: list[Pose]) -> list[float]:
     """Energies, J, and margins of all equilibria of the second pose."""
-    found = tubeopt.find_equilibria(robot, poses[1].rotations, poses[1].translations)
-    return numbers([[e.energy, e.margin] for e in found])
+    equilibria = tubeopt.find_equilibria(robot, poses[1].rotations, poses[1].translations)
+    return numbers([[e.energy, e.margin] for e in equilibria])
 
 
 def inverse(robot: Any, poses: list[Pose]) -> list[float]:
     """Joint values that bring the tip of the first pose to a point 2 mm away."""
     start = solved(robot, poses[0])
-    found = tubeopt.inverse_kinematics(robot, start.tip_position + np.array([2e-3, 0.0, -1e-3]), start=start)
-    return numbers(found.rotations, found.translations)
+    solution = tubeopt.inverse_kinematics(robot, start.tip_position + np.array([2e-3, 0.0, -1e-3]), start=start)
+    return numbers(solution.rotations, solution.translations)
 
 
 def proof(robot: Any, poses: list[Pose]) -> list[float]:
     """Least margin that is proved on a tenth of the path between two poses."""
     a, b = (np.array([*p.rotations, *p.translations]) for p in poses[:2])
     joint, n = np.linspace(a, a + 0.1 * (b - a), 3), robot.n_tubes
-    found = tubeopt.verify_trajectory(robot, [0.0, 1.0, 2.0], joint[:, :n], joint[:, n:])
-    return [found.least_margin]
+    result = tubeopt.verify_trajectory(robot, [0.0, 1.0, 2.0], joint[:, :n], joint[:, n:])
+    return [result.least_margin]
 
 
 FORCE = Load(force=(4e-3, -6e-3, 2e-3))
@@ -126,14 +126,14 @@ FORCE = Load(force=(4e-3, -6e-3, 2e-3))
 
 def loaded(robot: Any, poses: list[Pose]) -> list[float]:
     """Tip, margin and compliance under a force on the tip, and under weight where the materials have a density."""
-    found = solved(robot, poses[0], load=FORCE)
-    return numbers(found.tip_position, found.margin, found.compliance)
+    result = solved(robot, poses[0], load=FORCE)
+    return numbers(result.tip_position, result.margin, result.compliance)
 
 
 def limit(robot: Any, poses: list[Pose]) -> list[float]:
     """Factor on a force at which the branch ends; empty where there is none up to the limit of the search."""
-    found = tubeopt.find_load_limit(robot, poses[0].rotations, poses[0].translations, FORCE)
-    return [] if found is None else [found.factor]
+    limit = tubeopt.find_load_limit(robot, poses[0].rotations, poses[0].translations, FORCE)
+    return [] if limit is None else [limit.factor]
 
 
 QUESTIONS = {
@@ -181,20 +181,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.answers", description=__doc__.split("\n")[0])
     parser.add_argument("--only", nargs="+", choices=ROBOTS, default=ROBOTS, metavar="ROBOT", help="default: all")
     parser.add_argument("--write", action="store_true", help="store the answers of this checkout")
-    asked = parser.parse_args()
+    args = parser.parse_args()
     table = json.loads(TABLE.read_text()) if TABLE.exists() else {}
     faults = 0
-    for name in asked.only:
+    for name in args.only:
         stored = table.get(name, {})
-        found = dict(answered(name, [Pose(**pose) for pose in stored.get("poses", [])]))
+        results = dict(answered(name, [Pose(**pose) for pose in stored.get("poses", [])]))
         for key in QUESTIONS:
-            words = "" if asked.write else differs(key, found[key], stored.get(key, "no answer"))
-            faults += bool(words)
-            if words:
-                print(f"{name}, {key}: {words}", flush=True)
-        table[name] = found
+            text = "" if args.write else differs(key, results[key], stored.get(key, "no answer"))
+            faults += bool(text)
+            if text:
+                print(f"{name}, {key}: {text}", flush=True)
+        table[name] = results
         print(f"{name}: {len(QUESTIONS)} questions", file=sys.stderr, flush=True)
-    if asked.write:
+    if args.write:
         rows = ",\n".join(
             f'"{name}": {{\n' + ",\n".join(f' "{key}": {json.dumps(value)}' for key, value in part.items()) + "}"
             for name, part in sorted(table.items())

@@ -70,9 +70,9 @@ def measure(robot: ConcentricRobot, path: Path, solves: int, bvps: int, most: in
     many = seconds[0][1]
     rate = {}
     for workers in (1, 2):
-        began = time.perf_counter()
+        start_time = time.perf_counter()
         forward_kinematics_batch(robot, alpha, shift, workers=workers)
-        rate[workers] = solves / (time.perf_counter() - began)
+        rate[workers] = solves / (time.perf_counter() - start_time)
     chosen = np.linspace(0, solves - 1, min(200, solves)).astype(int)
     errors = []
     for k in chosen:
@@ -91,7 +91,7 @@ def measure(robot: ConcentricRobot, path: Path, solves: int, bvps: int, most: in
         least_margin=float(many.margin.min()),
         largest_error=float(np.max(errors)),
         checked=len(errors),
-        bvp={tol: summarise(s for s, _ in found).median for tol, found in runs.items()},
+        bvp={tol: summarise(s for s, _ in result).median for tol, result in runs.items()},
         memory={n: fresh_process(MEMORY.format(path=str(path), count=n), 1).median for n in counts},
     )
 

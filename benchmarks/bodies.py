@@ -66,24 +66,24 @@ class Growth:
 
 def spheres(count: int) -> list[Obstacle]:
     """Around the box in which the targets of the servo lie, by 10 mm."""
-    random, found = np.random.default_rng(0), list[Obstacle]()
-    while len(found) < count:
+    random, result = np.random.default_rng(0), list[Obstacle]()
+    while len(result) < count:
         at = random.uniform([-0.15, -0.15, 0.0], [0.15, 0.15, 0.25])
         if np.linalg.norm(at - np.clip(at, [-0.04, -0.04, 0.0], [0.1, 0.08, 0.2])) > 0.01:
-            found.append(Sphere(tuple(at.tolist()), 2e-3))
-    return found
+            result.append(Sphere(tuple(at.tolist()), 2e-3))
+    return result
 
 
 def cloud(count: int, arms: Sequence[Equilibrium]) -> list[Obstacle]:
     """About arms, which have room."""
     points = np.concatenate([ArmSurface(arm).at(np.linspace(0.0, arm.arc_length[-1], 200))[0] for arm in arms])
-    tree, random, found = cKDTree(points), np.random.default_rng(1), list[Obstacle]()
+    tree, random, result = cKDTree(points), np.random.default_rng(1), list[Obstacle]()
     thick = max(tube.outer_diameter for tube in THESIS.tubes) / 2 + 2e-3
-    while len(found) < count:
+    while len(result) < count:
         at = points[random.integers(len(points), size=1000)] + random.normal(size=(1000, 3)) * FARTHEST
         away = tree.query(at)[0] - thick
-        found += [Sphere(tuple(one), 2e-3) for one in at[(away > NEAREST) & (away < FARTHEST)].tolist()]
-    return found[:count]
+        result += [Sphere(tuple(one), 2e-3) for one in at[(away > NEAREST) & (away < FARTHEST)].tolist()]
+    return result[:count]
 
 
 def ball() -> MeshObstacle:
@@ -150,18 +150,20 @@ def measured(only: Sequence[str]) -> list[Growth]:
     """Some of the kinds: what is asked among the cloud about the way of the servo is that way, and targets among their
     own."""
     known = {"servo": servo, "session": session, "cold": cold, "plan": plan}
-    asked = {what: known[what] for what in only}
+    requested = {what: known[what] for what in only}
     scenes = [("spheres", count, spheres(count)) for count in COUNTS] + [("mesh", 1, [ball()])]
-    found = [Growth(what, among, count, ask(bodies)) for among, count, bodies in scenes for what, ask in asked.items()]
-    way, ends = led([])[1], list(reachable(THESIS, 20, seed=11))
+    results = [
+        Growth(what, among, count, ask(bodies)) for among, count, bodies in scenes for what, ask in requested.items()
+    ]
+    path, ends = led([])[1], list(reachable(THESIS, 20, seed=11))
     for count in CLOUDS:
-        about = {"servo": way, "session": way, "cold": ends}
-        found += [
-            Growth(what, "cloud", count, asked[what](cloud(count, arms)))
+        about = {"servo": path, "session": path, "cold": ends}
+        results += [
+            Growth(what, "cloud", count, requested[what](cloud(count, arms)))
             for what, arms in about.items()
-            if what in asked
+            if what in requested
         ]
-    return found
+    return results
 
 
 def picture(found: Sequence[Growth], path: Path) -> None:
@@ -204,9 +206,9 @@ def missed(found: Sequence[Growth]) -> list[str]:
             notes.append(f"{KINDS[what]}, free: {1e3 * seconds:.3g} ms")
         if count in (1, 1000) and seconds > TARGETS.get(what, np.inf) and what != "plan":
             notes.append(f"{KINDS[what]}, {count} {among}: {1e3 * seconds:.3g} ms")
-    share = known.get(("plan", "spheres", 100), 0.0) / known.get(("plan", "spheres", 0), 1.0)
-    if share > TARGETS["plan"]:
-        notes.append(f"{KINDS['plan']} among 100 spheres: {share:.2f} times the free one")
+    fraction = known.get(("plan", "spheres", 100), 0.0) / known.get(("plan", "spheres", 0), 1.0)
+    if fraction > TARGETS["plan"]:
+        notes.append(f"{KINDS['plan']} among 100 spheres: {fraction:.2f} times the free one")
     return notes or ["all targets are met"]
 
 
@@ -219,8 +221,8 @@ def beside(checkout: Path, only: Sequence[str]) -> tuple[list[Growth], list[Grow
         for folder in (checkout, ROOT, ROOT, checkout):
             rows = with_package(folder, "benchmarks.bodies", ["--only", what])["growth"]
             runs.append([Growth(**row | {"timing": Timing(**row["timing"])}) for row in rows])
-        for found, pair in zip(sides, ((runs[0], runs[3]), (runs[1], runs[2])), strict=True):
-            found += [min(both, key=lambda growth: growth.timing.median) for both in zip(*pair, strict=True)]
+        for result, pair in zip(sides, ((runs[0], runs[3]), (runs[1], runs[2])), strict=True):
+            result += [min(both, key=lambda growth: growth.timing.median) for both in zip(*pair, strict=True)]
     return sides
 
 
@@ -230,8 +232,10 @@ def compared(before: Sequence[Growth], found: Sequence[Growth]) -> Table:
     rows = []
     for g in found:
         was = old[g.what, g.among, g.count]
-        share = f"{g.timing.median / was:.2f}"
-        rows.append((f"{KINDS[g.what]}, {g.count} {g.among}", milliseconds(was), milliseconds(g.timing.median), share))
+        fraction = f"{g.timing.median / was:.2f}"
+        rows.append(
+            (f"{KINDS[g.what]}, {g.count} {g.among}", milliseconds(was), milliseconds(g.timing.median), fraction)
+        )
     return table("growth with bodies, side by side", ("", "ms there", "ms here", "here / there"), rows)
 
 
@@ -243,15 +247,15 @@ def main() -> None:
     parser.add_argument("--against", type=Path, metavar="DIRECTORY", help="another checkout, measured in turn")
     parser.add_argument("--only", nargs="+", choices=KINDS, default=list(KINDS), metavar="KIND", help=", ".join(KINDS))
     options = parser.parse_args()
-    before, found = [], []
+    before, result = [], []
     if options.against:
-        before, found = beside(options.against.resolve(), options.only)
+        before, result = beside(options.against.resolve(), options.only)
     else:
-        found = measured(options.only)
+        result = measured(options.only)
     if options.picture:
-        picture(found, options.picture)
+        picture(result, options.picture)
     if options.json:
-        dump({"targets": TARGETS, "growth": [asdict(each) for each in found], "there": [asdict(b) for b in before]})
+        dump({"targets": TARGETS, "growth": [asdict(each) for each in result], "there": [asdict(b) for b in before]})
         return
     rows = [
         (
@@ -260,12 +264,12 @@ def main() -> None:
             milliseconds(g.timing.slow),
             milliseconds(g.timing.rare),
         )
-        for g in sorted(found, key=lambda g: list(KINDS).index(g.what))
+        for g in sorted(result, key=lambda g: list(KINDS).index(g.what))
     ]
     tables = [table("growth with bodies", ("", "ms median", "ms 9th decile", "ms 99.9 %"), rows)]
     if before:
-        tables.append(compared(before, found))
-    show(tables, missed(found))
+        tables.append(compared(before, result))
+    show(tables, missed(result))
 
 
 if __name__ == "__main__":

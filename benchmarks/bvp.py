@@ -17,7 +17,7 @@ from tubeopt import ConcentricRobot
 
 from .shooting import Array, Section, sections_of
 
-MOST_NODES = 20_000
+MAX_NODES = 20_000
 """Twice what the largest mesh of a solve that ends well has; one that needs more fails, long before memory does."""
 
 
@@ -109,7 +109,7 @@ def solve(problem: Problem, guess: Guess, tolerance: float, *, jacobians: bool =
         guess.y,
         tol=tolerance,
         bc_tol=1e-10,
-        max_nodes=MOST_NODES,
+        max_nodes=MAX_NODES,
         fun_jac=(lambda x, y: _jacobian(problem, y)) if jacobians else None,
         bc_jac=(lambda start, stop: (a, b)) if jacobians else None,
     )

@@ -102,10 +102,10 @@ def joints(time: Array, last: float) -> Array:
     """(N, 6) readings at times (N,), s: there and back until 0.8 of `last`, then half as far and twice as fast."""
     turn = 0.4 * last
     slow, fast = turn - np.abs(time - turn), 2 * (0.1 * last - np.abs(time - 0.9 * last))
-    place = np.where(time < 2 * turn, slow, fast)[:, None]
+    position = np.where(time < 2 * turn, slow, fast)[:, None]
     speed = np.array([0.23, 0.31, 0.27, 0.19, 0.29, 0.37])
     phase = np.array([0.3, 1.9, 4.4, 4.0, 5.1, 0.9])
-    waves = np.sin(speed * place + phase) + 0.6 * np.sin(2.3 * speed * place + 2 * phase)
+    waves = np.sin(speed * position + phase) + 0.6 * np.sin(2.3 * speed * position + 2 * phase)
     return np.asarray(waves * [1.4, 1.6, 1.2, 14 * MM, 9 * MM, 6 * MM] - [0.0, 0.0, 0.0, 10 * MM, 15 * MM, 10 * MM])
 
 
@@ -115,8 +115,8 @@ def measure(truth: Truth, rows: int, seed: int) -> Measurements:
     read, lagging = (joints(at, time[-1]) for at in (time, time - setup.drives.latency))
     tips = followed(setup, np.hstack(setup.drives.to_model(lagging[:, :3], lagging[:, 3:])))
     random = np.random.default_rng(seed + 10_000)
-    seen = Rotation.random(rng=random).apply(tips) + random.uniform(-0.3, 0.3, 3)
-    noisy = seen + random.normal(0, NOISE, tips.shape)
+    observed = Rotation.random(rng=random).apply(tips) + random.uniform(-0.3, 0.3, 3)
+    noisy = observed + random.normal(0, NOISE, tips.shape)
     return Measurements(read[:, :3], read[:, 3:], noisy, time=time, source="no laboratory")
 
 
@@ -126,32 +126,32 @@ def followed(setup: Setup, table: Array) -> Array:
     if not setup.friction.any():
         return solve_poses(robot, table[:, :n], table[:, n:], np.zeros(1)).position[:, 0]
     held = start_with_friction(robot, table[0], Friction(tuple(setup.friction.tolist()), refinement=FINE))
-    found = sweep(robot, held, np.vstack([table[:1], table]), np.zeros(1))
-    if found is None or len(found.margin) < len(table):
+    result = sweep(robot, held, np.vstack([table[:1], table]), np.zeros(1))
+    if result is None or len(result.margin) < len(table):
         raise SystemExit("the truth cannot be followed: there is no compiled kernel, or the robot snaps on the path")
-    return found.stations[:, 0]
+    return result.stations[:, 0]
 
 
 def run(seed: int, rows: int, *, compared: bool, rubs: bool) -> Run:
     """One truth."""
     truth = draw(seed, rubs=rubs)
     data = measure(truth, rows, seed)
-    seconds, found = clock(lambda: fit(ROBOT, data, list(truth.values), FitOptions(folds=10)))
-    holds = {e.name: e.low <= truth.values[e.name] <= e.high for e in found.estimates}
-    errors = {e.name: (e.value - truth.values[e.name]) / e.standard_error for e in found.estimates}
+    seconds, result = clock(lambda: fit(ROBOT, data, list(truth.values), FitOptions(folds=10)))
+    holds = {e.name: e.low <= truth.values[e.name] <= e.high for e in result.estimates}
+    errors = {e.name: (e.value - truth.values[e.name]) / e.standard_error for e in result.estimates}
     if not compared:
         return Run(seed, holds, errors, seconds)
     effects = [kind for kind in groups(ROBOT, data) if rubs or kind != "friction"]
     longer, best = clock(lambda: compare_effects(ROBOT, data, effects, FitOptions(folds=10)))
-    kept = [step.effect for step in best.steps]
-    there = [kind for kind in TRUE if rubs or kind != "friction"]
+    retained = [step.effect for step in best.steps]
+    reached = [kind for kind in TRUE if rubs or kind != "friction"]
     return Run(
         seed,
         holds,
         errors,
         seconds,
-        wrong=tuple(kind for kind in kept if kind not in there),
-        missed=tuple(kind for kind in there if kind not in kept),
+        wrong=tuple(kind for kind in retained if kind not in reached),
+        missed=tuple(kind for kind in reached if kind not in retained),
         held_out=best.steps[-1].held_out.rms if best.steps else best.start.rms,
         compare_seconds=longer,
     )
@@ -209,12 +209,12 @@ def main() -> None:
             with options.jsonl.open("a") as file:
                 file.write(json.dumps(asdict(runs[-1])) + "\n")
         print(f"truth {seed}: {runs[-1]}", file=sys.stderr)
-    found = summary(runs)
+    result = summary(runs)
     if options.json:
-        print(json.dumps(found))
+        print(json.dumps(result))
         return
     parameters = [
-        (name, f"{100 * found['coverage_by_parameter'][name]:.0f}", f"{found['spread_by_parameter'][name]:.2f}")
+        (name, f"{100 * result['coverage_by_parameter'][name]:.0f}", f"{result['spread_by_parameter'][name]:.2f}")
         for name in runs[0].holds
     ]
     each = [
@@ -232,7 +232,7 @@ def main() -> None:
         table("intervals of 95 %", ("parameter", "hold %", "error / standard error"), parameters),
         table("runs", ("truth", "intervals hold", "fit (s)", "comparison (s)", "wrong", "missed"), each),
     ]
-    show(tables, [f"{found['runs']} truths, {100 * found['coverage']:.1f} % of all intervals hold the truth"])
+    show(tables, [f"{result['runs']} truths, {100 * result['coverage']:.1f} % of all intervals hold the truth"])
 
 
 if __name__ == "__main__":

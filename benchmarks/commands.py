@@ -60,8 +60,8 @@ def answer(checkout: Path, call: list[str]) -> tuple[int, Any]:
 
 def renamed(answer: dict[str, Any]) -> dict[str, Any]:
     """An answer with the keys and words of today."""
-    words = {RENAMED.get(key, key): value for key, value in answer.items()}
-    return {k: v.replace("of the way", "of the path") if isinstance(v, str) else v for k, v in words.items()}
+    text = {RENAMED.get(key, key): value for key, value in answer.items()}
+    return {k: v.replace("of the way", "of the path") if isinstance(v, str) else v for k, v in text.items()}
 
 
 def differences(mine: Any, other: Any, place: str = "") -> Iterator[str]:
@@ -103,17 +103,17 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--against", type=Path, required=True, help="the other checkout")
     parser.add_argument("--only", nargs="*", default=[], help="words of the calls to compare")
-    asked = parser.parse_args()
+    args = parser.parse_args()
     failed = 0
     for call in CALLS:
-        if not set(asked.only) <= set(call):
+        if not set(args.only) <= set(call):
             continue
-        (status, mine), (its, other) = answer(ROOT, call), answer(asked.against.resolve(), call)
-        found = list(differences(mine, other))
+        (status, mine), (its, other) = answer(ROOT, call), answer(args.against.resolve(), call)
+        results = list(differences(mine, other))
         if status != its:
-            found.insert(0, f"exit status {status}, there {its}")
-        failed += bool(found)
-        print(f"{'DIFFERS' if found else 'same':8}{' '.join(call)}", *found[:6], sep="\n        ", flush=True)
+            results.insert(0, f"exit status {status}, there {its}")
+        failed += bool(results)
+        print(f"{'DIFFERS' if results else 'same':8}{' '.join(call)}", *results[:6], sep="\n        ", flush=True)
     print(f"{failed} of {len(CALLS)} calls differ")
     return int(failed > 0)
 

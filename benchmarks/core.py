@@ -92,10 +92,10 @@ def warm(translate: bool) -> Iterable[Call]:
     """Steps of a path, each from the one before."""
     one, last = robot(), []
     # Checkouts before 0.1.0 call it `guess`.
-    begin = "start" if "start" in inspect.signature(forward_kinematics).parameters else "guess"
+    start = "start" if "start" in inspect.signature(forward_kinematics).parameters else "guess"
 
     def step(a: Array, d: Array) -> Equilibrium:
-        last[:] = [forward_kinematics(one, a, d, **{begin: last[0] if last else None})]
+        last[:] = [forward_kinematics(one, a, d, **{start: last[0] if last else None})]
         return last[0]
 
     return [partial(step, a, d) for a, d in path_joints(one, 300, translate=translate)]
@@ -130,9 +130,9 @@ def slopes(name: str = "thesis_ctr", load: Load | None = None, read: str = "posi
     poses = [forward_kinematics(one, a, d, load=load) for a, d in joints]
 
     def ask(pose: Equilibrium) -> Any:
-        found = pose.jacobian(**asked)
-        getattr(found, read)
-        return found
+        result = pose.jacobian(**asked)
+        getattr(result, read)
+        return result
 
     return [partial(ask, pose) for pose in poses]
 
@@ -260,15 +260,15 @@ def answer_in_turn() -> None:
 
 def beside(checkout: Path, name: str) -> tuple[str, ...]:
     """A question to the package of another checkout and to this one, call by call in turn, as a row."""
-    words = QUESTIONS[name].words
+    text = QUESTIONS[name].words
     with (
-        running(checkout, "benchmarks.core", ["--in-turn"]) as there,
-        running(ROOT, "benchmarks.core", ["--in-turn"]) as here,
+        running(checkout, "benchmarks.core", ["--in-turn"]) as reached,
+        running(ROOT, "benchmarks.core", ["--in-turn"]) as current,
     ):
-        both = there, here
+        both = reached, current
         counts = [ask_line(one, name) for one in both]
         if None in counts:
-            return (words, "none", "", "", "", "")
+            return (text, "none", "", "", "", "")
         seconds, apart = np.empty((counts[0], 2)), 0.0
         for k in range(counts[0]):
             answers = {j: ask_line(both[j], "") for j in ((0, 1) if k % 2 else (1, 0))}
@@ -277,7 +277,7 @@ def beside(checkout: Path, name: str) -> tuple[str, ...]:
             apart = max(apart, float(np.abs(one - other).max() / np.abs(one).max()))
     ratio = float(np.median(seconds[:, 1] / seconds[:, 0]))
     times = map(milliseconds, np.median(seconds, axis=0).tolist())
-    return (words, *times, f"{ratio:.2f}", f"{apart:.0e}", str(counts[0] * QUESTIONS[name].share))
+    return (text, *times, f"{ratio:.2f}", f"{apart:.0e}", str(counts[0] * QUESTIONS[name].share))
 
 
 def main() -> None:
@@ -287,24 +287,24 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="seconds of every call, and answers, as JSON")
     parser.add_argument("--in-turn", action="store_true", help="answer by lines, as the other side of --against")
     parser.add_argument("--against", type=Path, metavar="DIRECTORY", help="another checkout, measured in turn")
-    asked = parser.parse_args()
-    if asked.in_turn:
+    args = parser.parse_args()
+    if args.in_turn:
         answer_in_turn()
         return
-    if asked.against:
+    if args.against:
         columns = "", "ms there", "ms here", "here / there", "answers apart", "calls of each"
         rows = []
-        for name in asked.only:
-            rows.append(beside(asked.against.resolve(), name))
+        for name in args.only:
+            rows.append(beside(args.against.resolve(), name))
             print("; ".join(rows[-1]), file=sys.stderr)
         show([table("side by side", columns, rows)], [])
         return
-    found = {name: ask(QUESTIONS[name]) for name in asked.only}
-    if asked.json:
-        dump(found)
+    results = {name: ask(QUESTIONS[name]) for name in args.only}
+    if args.json:
+        dump(results)
         return
     rows = []
-    for name, one in found.items():
+    for name, one in results.items():
         timing, question = summarise(one["seconds"]), QUESTIONS[name]
         times = map(milliseconds, (timing.median, timing.fast, timing.slow))
         rows.append((question.words, *times, str(timing.calls * question.share)))

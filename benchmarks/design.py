@@ -55,17 +55,17 @@ def closed_forms(count: int) -> Row:
     worst = 0.0
     for overlap, transmission, margin in np.random.default_rng(1).uniform((0.05, 0, 0), (0.3, 0.3, 0.9), (count, 3)):
         program = compile_task(tightest(equal_pair(overlap, transmission), margin))
-        found = solve(program, program.layout.space.start).x[0]
-        worst = max(worst, abs(found / closed_form(overlap, transmission, margin) - 1))
+        result = solve(program, program.layout.space.start).x[0]
+        worst = max(worst, abs(result / closed_form(overlap, transmission, margin) - 1))
     return Row(f"two tubes, {count} random (L, l, m): largest relative error", f"{worst:.1e}", "1e-6", worst <= 1e-6)
 
 
 def timed(name: str) -> tuple[DesignSolution, Row]:
     """A design from one start, with its time."""
     task = task_of(name).task()
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     design = optimize_design(task)
-    seconds = time.perf_counter() - began
+    seconds = time.perf_counter() - start_time
     return design, Row(f"{name}: seconds", f"{seconds:.1f}", f"{TARGETS[name]:g}", seconds <= TARGETS[name])
 
 
@@ -94,14 +94,14 @@ def random_starts(count: int) -> Row:
     program = compile_task(task_of("design_corner").task())
     good = reported = 0
     for start in track(start_values(program, 7, count + 1)[1:], description="random starts"):
-        found = solve_from(program, start)
+        result = solve_from(program, start)
         try:
-            add_worst_cases(best_of(rank([found])))
+            add_worst_cases(best_of(rank([result])))
             good += 1
         except SolveError as error:
             reported += bool(getattr(error, "relaxations", ()))
-    words = f"{good} feasible, {reported} with a verified relaxation"
-    return Row(f"design_corner: of {count} random starts", words, f"{0.8 * count:g}", good + reported >= 0.8 * count)
+    text = f"{good} feasible, {reported} with a verified relaxation"
+    return Row(f"design_corner: of {count} random starts", text, f"{0.8 * count:g}", good + reported >= 0.8 * count)
 
 
 def as_table(rows: list[Row]) -> Table:

@@ -33,15 +33,15 @@ def nearest(p: Array, corners: Corners) -> Array:
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     foot = p - ((p - a) * normal).sum(1, keepdims=True) * normal
-    inside, best, place = np.ones(len(p), dtype=bool), np.full(len(p), np.inf), foot.copy()
+    inside, best, position = np.ones(len(p), dtype=bool), np.full(len(p), np.inf), foot.copy()
     for u, v in ((a, b), (b, c), (c, a)):
         inside &= (np.cross(v - u, foot - u) * normal).sum(1) >= 0
         along = np.clip(((p - u) * (v - u)).sum(1) / ((v - u) ** 2).sum(1), 0, 1)[:, None]
-        there = u + along * (v - u)
-        far = ((p - there) ** 2).sum(1)
-        place[far < best] = there[far < best]
+        reached = u + along * (v - u)
+        far = ((p - reached) ** 2).sum(1)
+        position[far < best] = reached[far < best]
         best = np.minimum(best, far)
-    return np.asarray(np.where(inside[:, None], foot, place))
+    return np.asarray(np.where(inside[:, None], foot, position))
 
 
 def within(p: Array, corners: Corners) -> Mask:
@@ -61,15 +61,15 @@ def exactly(p: Array, corners: Corners) -> tuple[Array, Array, Mask]:
     size = np.max([np.linalg.norm(each - middle, axis=1) for each in corners], axis=0)
     gap = np.linalg.norm(p[:, None] - middle, axis=2)
     row, face = np.nonzero(gap - size <= gap.min(1)[:, None] + 1e-5)
-    place = nearest(p[row], (corners[0][face], corners[1][face], corners[2][face]))
-    far = np.linalg.norm(p[row] - place, axis=1)
+    position = nearest(p[row], (corners[0][face], corners[1][face], corners[2][face]))
+    far = np.linalg.norm(p[row] - position, axis=1)
     order = np.lexsort((far, row))
-    row, place, far = row[order], place[order], far[order]
+    row, position, far = row[order], position[order], far[order]
     first = np.searchsorted(row, np.arange(len(p)))
-    other = np.linalg.norm(place - place[first][row], axis=1) > DISTINCT
+    other = np.linalg.norm(position - position[first][row], axis=1) > DISTINCT
     second = np.minimum.reduceat(np.where(other, far - far[first][row], np.inf), first)
     sign = np.where(within(p, corners), -1.0, 1.0)
-    gradient = (p - place[first]) / far[first, None] * sign[:, None]
+    gradient = (p - position[first]) / far[first, None] * sign[:, None]
     return sign * far[first], gradient, np.asarray(second > DISTINCT)
 
 
@@ -81,16 +81,16 @@ def main() -> None:
     corners: Corners = tuple(torus.vertices[torus.faces[:, k]].view(np.ndarray) for k in range(3))
     mesh = MeshObstacle(tuple(map(tuple, torus.vertices.tolist())), tuple(map(tuple, torus.faces.tolist())))
     field, random = field_of_mesh(mesh, keep="out", cell=5e-4), np.random.default_rng(11)
-    least, most, off, exist = np.inf, -np.inf, [], []
+    smallest, largest, off, exist = np.inf, -np.inf, [], []
     for _ in range(0, count, CHUNK):
         p = random.uniform(-0.02, 0.02, (CHUNK, 3)) * [1.0, 1.0, 0.5]
         distance, gradient, exists = exactly(p, corners)
         short = distance - field.signed_distance(p)
-        least, most = min(least, short.min()), max(most, short.max())
+        smallest, largest = min(smallest, short.min()), max(largest, short.max())
         off.append(np.linalg.norm(field.gradient(p) - gradient, axis=1))
         exist.append(exists)
     away, known = np.concatenate(off), np.concatenate(exist)
-    print(f"{len(away)} points, {len(torus.faces)} triangles: told {least * 1e3:.4f} to {most * 1e3:.4f} mm less than")
+    print(f"{len(away)} points, {len(torus.faces)} triangles: {smallest * 1e3:.4f} to {largest * 1e3:.4f} mm less than")
     print(f"their distance, where the bound is {field.error * 1e3:.4f} mm; the gradient, which exists at {known.sum()}")
     print(f"of them, is off by {away[known].max():.2g} at most, and by 1 % or more at {(away >= 0.01).sum()} of all")
 

@@ -163,15 +163,15 @@ def slopes(robot: ConcentricRobot, solved: list[Equilibrium]) -> list[Measuremen
 
 def _row(robot: ConcentricRobot, what: str, runs: list[tuple[float, Any]], tips: list[Array]) -> Measurement:
     timing = summarise(seconds for seconds, _ in runs)
-    found = [
+    results = [
         np.inf if one is None else float(np.linalg.norm(one.tip_position - tip))
         for (_, one), tip in zip(runs, tips, strict=False)
     ]
-    errors = [error for error in found if error < ASTRAY]
+    errors = [error for error in results if error < ASTRAY]
     if not errors:
-        return Measurement(robot.name, what, timing, astray=len(found))
+        return Measurement(robot.name, what, timing, astray=len(results))
     return Measurement(
-        robot.name, what, timing, float(np.median(errors)), float(np.max(errors)), len(found) - len(errors)
+        robot.name, what, timing, float(np.median(errors)), float(np.max(errors)), len(results) - len(errors)
     )
 
 
@@ -188,10 +188,10 @@ def verdicts(rows: list[Measurement]) -> list[str]:
     out = []
     for row in rows:
         if row.what in TARGETS:
-            limit, words = TARGETS[row.what]
+            limit, text = TARGETS[row.what]
             verdict = "reached" if row.timing.median <= limit else "MISSED"
             times = f"{milliseconds(row.timing.median)} ms, target {milliseconds(limit)} ms"
-            out.append(f"{row.robot}: {words}: {times}: {verdict}")
+            out.append(f"{row.robot}: {text}: {times}: {verdict}")
     for name, ratio in ratios(rows).items():
         if name.startswith("solve_bvp") and f"tol {BVP_TOLERANCES[-1]:g}" in name:
             verdict = "reached" if ratio >= RATIO else "MISSED"

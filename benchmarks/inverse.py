@@ -42,10 +42,10 @@ class Cold:
 
 def cold(robot: Robot, what: str, count: int, options: InverseOptions, *, pointed: bool = False) -> Cold:
     """Random targets, each from nothing; answers checked by forward kinematics."""
-    wanted = list(reachable(robot, count, seed=11))
-    inverse_kinematics(robot, wanted[0].tip_position)
+    desired = list(reachable(robot, count, seed=11))
+    inverse_kinematics(robot, desired[0].tip_position)
     times, errors, margins, agreeing, solved = [], [0.0], [1.0], 0, 0
-    for e in wanted:
+    for e in desired:
         direction = e.tip_rotation[:, 2] if pointed else None
         question = partial(inverse_kinematics, robot, e.tip_position, direction=direction, options=options)
         try:
@@ -57,8 +57,8 @@ def cold(robot: Robot, what: str, count: int, options: InverseOptions, *, pointe
         fresh = forward_kinematics(robot, answer.rotations, answer.translations)
         error = float(np.linalg.norm(again.tip_position - e.tip_position))
         turned = float(np.linalg.norm(again.tip_rotation[:, 2] - e.tip_rotation[:, 2])) if pointed else 0.0
-        kept = inside(robot, answer.rotations, answer.translations) and again.margin >= 0.05
-        solved += error <= 1e-7 and turned <= 1e-6 and kept
+        retained = inside(robot, answer.rotations, answer.translations) and again.margin >= 0.05
+        solved += error <= 1e-7 and turned <= 1e-6 and retained
         agreeing += bool(np.linalg.norm(fresh.tip_position - e.tip_position) <= 1e-7)
         errors.append(error)
         margins.append(again.margin)
@@ -100,12 +100,12 @@ def differences(robot: Robot, targets: Array) -> Servo:
     times, path, errors, solves = [], [start], [0.0], 0
     for target in targets[1:]:
         try:
-            seconds, (here, count) = clock(partial(damped_step, robot, path[-1], target))
+            seconds, (current, count) = clock(partial(damped_step, robot, path[-1], target))
         except SolveError:
             break  # the branch ends: this robot would snap here
         times.append(seconds)
-        path.append(here)
-        errors.append(float(np.linalg.norm(here.tip_position - target)))
+        path.append(current)
+        errors.append(float(np.linalg.norm(current.tip_position - target)))
         solves += count
     return _servo(robot, "damped, differences", (times, path, errors, solves / len(times)))
 
@@ -123,8 +123,8 @@ def damped_step(robot: Robot, here: Equilibrium, target: Array) -> tuple[Equilib
         for k in range(2 * n):
             moved = q.copy()
             moved[k] -= step * scale[k]
-            there = forward_kinematics(robot, moved[:n], moved[n:], start=here)
-            columns.append((here.tip_position - there.tip_position) / step)
+            reached = forward_kinematics(robot, moved[:n], moved[n:], start=here)
+            columns.append((here.tip_position - reached.tip_position) / step)
         slope = np.column_stack(columns)
         solves += 2 * n + 1
         q = q + scale * (slope.T @ np.linalg.solve(slope @ slope.T + 1e-8 * np.eye(3), gap))
@@ -135,9 +135,9 @@ def damped_step(robot: Robot, here: Equilibrium, target: Array) -> tuple[Equilib
 
 def _servo(robot: Robot, what: str, run: tuple[list[float], list[Equilibrium], list[float], float]) -> Servo:
     times, path, errors, solves = run
-    way = follow(robot, [e.rotations for e in path], [e.translations for e in path], start=path[0])
-    least = min(e.margin for e in path)
-    return Servo(robot.name, what, summarise(times), max(errors), least, len(way.snaps), solves, len(times))
+    motion = follow(robot, [e.rotations for e in path], [e.translations for e in path], start=path[0])
+    smallest = min(e.margin for e in path)
+    return Servo(robot.name, what, summarise(times), max(errors), smallest, len(motion.snaps), solves, len(times))
 
 
 def main() -> None:
@@ -147,12 +147,12 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=1000, help="steps of the servo path")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    found: list[Cold] = []
+    results: list[Cold] = []
     plain, program = InverseOptions(), InverseOptions(method="nlp")
     for robot in (THESIS, CRL, TWO_TUBE):
-        found.append(cold(robot, "position", options.targets, plain))
-        found.append(cold(robot, "position and direction", options.targets, plain, pointed=True))
-        found.append(cold(robot, "position, program alone", max(options.targets // 10, 1), program))
+        results.append(cold(robot, "position", options.targets, plain))
+        results.append(cold(robot, "position and direction", options.targets, plain, pointed=True))
+        results.append(cold(robot, "position, program alone", max(options.targets // 10, 1), program))
     runs: list[Servo] = []
     paths = ((THESIS, (0.055, 0.02, 0.15), 0.03), (CRL, (0.03, 0.0, 0.11), 0.015))
     methods: tuple[Callable[[Robot, Array], Servo], ...] = (servo, differences)
@@ -160,7 +160,7 @@ def main() -> None:
         for method in methods:
             runs.append(method(robot, circle(centre, radius, options.steps)))
     if options.json:
-        dump({"targets": TARGETS, "cold": [asdict(each) for each in found], "servo": [asdict(each) for each in runs]})
+        dump({"targets": TARGETS, "cold": [asdict(each) for each in results], "servo": [asdict(each) for each in runs]})
         return
     columns = (
         "robot, target",
@@ -181,7 +181,7 @@ def main() -> None:
             f"{c.least_margin:.3f}",
             f"{c.cold_agrees}",
         )
-        for c in found
+        for c in results
     ]
     names = (
         "robot, method",
@@ -206,15 +206,17 @@ def main() -> None:
         )
         for s in runs
     ]
-    show([table("from nothing", columns, rows), table(f"steps of {STEP * 1e3} mm", names, steps)], _missed(found, runs))
+    show(
+        [table("from nothing", columns, rows), table(f"steps of {STEP * 1e3} mm", names, steps)], _missed(results, runs)
+    )
 
 
 def _missed(found: list[Cold], runs: list[Servo]) -> list[str]:
     notes = []
     for c in found:
-        share = TARGETS["with direction" if "direction" in c.what else "solved cold"]
-        if c.solved < share * c.targets:
-            notes.append(f"{c.robot}, {c.what}: solves {c.solved / c.targets:.1%}, wanted {share:.1%}")
+        fraction = TARGETS["with direction" if "direction" in c.what else "solved cold"]
+        if c.solved < fraction * c.targets:
+            notes.append(f"{c.robot}, {c.what}: solves {c.solved / c.targets:.1%}, wanted {fraction:.1%}")
         if c.timing.median > TARGETS["cold"]:
             notes.append(
                 f"{c.robot}, {c.what}: takes {c.timing.median * 1e3:.0f} ms, wanted {TARGETS['cold'] * 1e3:.0f}"

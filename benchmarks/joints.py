@@ -22,9 +22,9 @@ def random_joints(robot: ConcentricRobot, count: int, seed: int = 0) -> list[tup
     """Random configurations: half a turn to either side, each tube within 20 % of its curved length from home."""
     random = np.random.default_rng(seed)
     reach = 0.2 * np.array([tube.curved_length for tube in robot.tubes])
-    most = np.array([tube.straight_length for tube in robot.tubes]) - 2 * APART
+    largest = np.array([tube.straight_length for tube in robot.tubes]) - 2 * APART
     return [
-        (random.uniform(-np.pi, np.pi, robot.n_tubes), np.minimum(random.uniform(-reach, reach), most))
+        (random.uniform(-np.pi, np.pi, robot.n_tubes), np.minimum(random.uniform(-reach, reach), largest))
         for _ in range(count)
     ]
 
@@ -53,8 +53,8 @@ def ordered_joints(robot: ConcentricRobot, count: int, seed: int = 0) -> tuple[A
     rows: list[Array] = []
     while len(rows) < count:
         shift = random.uniform(-curved, straight, (4 * count, len(curved)))
-        begin, end = shift - straight, shift + curved
-        rows.extend(shift[(np.diff(begin) >= 0).all(1) & (np.diff(end) <= 0).all(1)])
+        start, end = shift - straight, shift + curved
+        rows.extend(shift[(np.diff(start) >= 0).all(1) & (np.diff(end) <= 0).all(1)])
     return random.uniform(-2 * np.pi, 2 * np.pi, (count, len(curved))), np.array(rows[:count])
 
 

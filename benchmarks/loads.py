@@ -41,20 +41,20 @@ def measure(path: Path, solves: int) -> dict[str, Timing]:
     load = Load(tuple(FORCE))
     forward_kinematics(robot, rotations[0], load=load)
     cold = [clock(lambda a=alpha: forward_kinematics(robot, a, load=load))[0] for alpha in rotations]
-    here, turning, pushing, told = forward_kinematics(robot, rotations[0], load=load), [], [], []
+    current, turning, pushing, report = forward_kinematics(robot, rotations[0], load=load), [], [], []
     for _ in range(solves):
-        alpha = here.rotations + random.uniform(-TURN, TURN, robot.n_tubes)
-        seconds, here = clock(lambda a=alpha, e=here: forward_kinematics(robot, a, load=load, start=e))
+        alpha = current.rotations + random.uniform(-TURN, TURN, robot.n_tubes)
+        seconds, current = clock(lambda a=alpha, e=current: forward_kinematics(robot, a, load=load, start=e))
         turning.append(seconds)
     force = FORCE.copy()
     for _ in range(solves):
         force = force + random.uniform(-MOST, MOST, 3)
         other = Load(tuple(force))
-        seconds, here = clock(lambda q=other, e=here: forward_kinematics(robot, e.rotations, load=q, start=e))
+        seconds, current = clock(lambda q=other, e=current: forward_kinematics(robot, e.rotations, load=q, start=e))
         pushing.append(seconds)
-        tip = here.tip_position + random.normal(size=3) * 1e-6
-        call = lambda p=tip, e=here: estimate_force(robot, e.rotations, tip_position=p, noise=1e-4, start=e)  # noqa: E731
-        told.append(clock(call)[0])
+        tip = current.tip_position + random.normal(size=3) * 1e-6
+        call = lambda p=tip, e=current: estimate_force(robot, e.rotations, tip_position=p, noise=1e-4, start=e)  # noqa: E731
+        report.append(clock(call)[0])
     many = clock(lambda: forward_kinematics_batch(robot, rotations, load=load))[0] / solves
     limit = [clock(lambda a=a: find_load_limit(robot, a, None, load, up_to=4.0))[0] for a in rotations[:3]]
     proof = [clock(lambda: snap_free_certificate(robot, max_force=0.01))[0] for _ in range(3)]
@@ -63,7 +63,7 @@ def measure(path: Path, solves: int) -> dict[str, Timing]:
         "warm": summarise(turning),
         "warm, another force": summarise(pushing),
         "batch, per configuration": summarise([many]),
-        "force from the tip, warm": summarise(told),
+        "force from the tip, warm": summarise(report),
         "load limit, none up to 4": summarise(limit),
         "certificate": summarise(proof),
     }

@@ -59,8 +59,8 @@ def measure(browser: Any, address: str, size: tuple[int, int, int]) -> str:
     x, y = page.evaluate(TIP)
     page.mouse.move(x, y)
     page.mouse.down()
-    begun = time.perf_counter()
-    while (passed := time.perf_counter() - begun) < SECONDS:
+    start_time = time.perf_counter()
+    while (passed := time.perf_counter() - start_time) < SECONDS:
         page.mouse.move(x + 30 * math.sin(4 * passed), y + 30 * (1 - math.cos(4 * passed)))
         page.wait_for_timeout(8)
     page.mouse.up()

@@ -138,12 +138,12 @@ def matched(n: int, wanted: float) -> ConcentricRobot:
 
 def seconds(robot: ConcentricRobot, joints: tuple[Array, Array]) -> tuple[float, float]:
     """Processor time per solve, single and in a batch."""
-    began = time.process_time()
+    start_time = time.process_time()
     for alpha, shift in zip(*joints, strict=True):
         forward_kinematics(robot, alpha, shift)
     middle = time.process_time()
     forward_kinematics_batch(robot, *joints)
-    return (middle - began) / len(joints[0]), (time.process_time() - middle) / len(joints[0])
+    return (middle - start_time) / len(joints[0]), (time.process_time() - middle) / len(joints[0])
 
 
 def measure(kind: str, n: int, solves: int, rounds: int) -> list[str]:

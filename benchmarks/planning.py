@@ -37,11 +37,11 @@ def random_equilibrium(space: JointSpace, random: np.random.Generator) -> Equili
         if not space.admissible(q):
             continue
         try:
-            found = tubeopt.forward_kinematics(space.robot, *space.split(q))
+            equilibrium = tubeopt.forward_kinematics(space.robot, *space.split(q))
         except SolveError:
             continue
-        if found.margin >= MARGIN + 0.005:
-            return found
+        if equilibrium.margin >= MARGIN + 0.005:
+            return equilibrium
 
 
 def straight_snaps(start: Equilibrium, goal: Equilibrium) -> bool:
@@ -53,14 +53,14 @@ def straight_snaps(start: Equilibrium, goal: Equilibrium) -> bool:
 def queries(robot: ConcentricRobot, count: int, seed: int) -> tuple[list[tuple[Equilibrium, Equilibrium]], int]:
     """Pairs of equilibria whose straight path snaps, and how many pairs were drawn for them."""
     space, random = joint_space(robot), np.random.default_rng(seed)
-    found: list[tuple[Equilibrium, Equilibrium]] = []
+    results: list[tuple[Equilibrium, Equilibrium]] = []
     drawn = 0
-    while len(found) < count:
+    while len(results) < count:
         pair = random_equilibrium(space, random), random_equilibrium(space, random)
         drawn += 1
         if straight_snaps(*pair):
-            found.append(pair)
-    return found, drawn
+            results.append(pair)
+    return results, drawn
 
 
 def run_queries(robot: ConcentricRobot, count: int, seed: int, options: PlanOptions) -> None:
@@ -70,11 +70,11 @@ def run_queries(robot: ConcentricRobot, count: int, seed: int, options: PlanOpti
     print(f"{drawn} random pairs: the straight joint path of {safe} ({safe / drawn:.0%}) does not snap")
     plans: list[Trajectory] = []
     for k, (start, goal) in enumerate(pairs):
-        began = time.perf_counter()
+        start_time = time.perf_counter()
         try:
             plan = plan_trajectory(robot, start, goal, min_margin=MARGIN, options=options)
         except SolveError as error:
-            print(f"{k:3d} {time.perf_counter() - began:6.2f} s  {error}", flush=True)
+            print(f"{k:3d} {time.perf_counter() - start_time:6.2f} s  {error}", flush=True)
             continue
         plans.append(plan)
         s = plan.statistics
@@ -103,8 +103,8 @@ def corridor_scene(robot: ConcentricRobot, seed: int) -> tuple[Equilibrium, Equi
         if length < 0.15:
             continue
         ahead = goal.tip_position + 0.02 * goal.tip_rotation[:, 2]
-        places = np.linspace(0, length, 16)
-        line = np.column_stack([np.interp(places, goal.arc_length, goal.position[:, k]) for k in range(3)])
+        positions = np.linspace(0, length, 16)
+        line = np.column_stack([np.interp(positions, goal.arc_length, goal.position[:, k]) for k in range(3)])
         vessel = Corridor(tuple(map(tuple, np.vstack([[[0, 0, -0.03]], line, ahead[None]]).tolist())), 0.012)
         shift = -0.85 * np.array([tube.curved_length for tube in robot.tubes])
         rotations = goal.rotations + random.uniform(-0.6, 0.6, robot.n_tubes)
@@ -133,7 +133,7 @@ def surface_clearance(plan: Trajectory, vessel: Corridor) -> float:
     line = np.array(vessel.centreline)
     a, along = line[:-1], np.diff(line, axis=0)
     angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)[:, None, None]
-    least = np.inf
+    smallest = np.inf
     for e in walked.equilibria:
         s = np.linspace(0, e.arc_length[-1], 600)
         centre = np.column_stack([np.interp(s, e.arc_length, e.position[:, k]) for k in range(3)])
@@ -142,23 +142,23 @@ def surface_clearance(plan: Trajectory, vessel: Corridor) -> float:
         for tube, end in zip(plan.robot.tubes, e.tube_end, strict=True):
             size = np.where(s <= end, np.maximum(size, tube.outer_diameter / 2), size)
         points = (centre + size[:, None] * (np.cos(angle) * x + np.sin(angle) * y)).reshape(-1, 1, 3)
-        share = np.clip(((points - a) * along).sum(2) / (along**2).sum(1), 0, 1)
-        apart = np.linalg.norm(points - a - share[..., None] * along, axis=2).min(1)
-        least = min(least, vessel.radius - float(apart.max()))
-    return least
+        fraction = np.clip(((points - a) * along).sum(2) / (along**2).sum(1), 0, 1)
+        apart = np.linalg.norm(points - a - fraction[..., None] * along, axis=2).min(1)
+        smallest = min(smallest, vessel.radius - float(apart.max()))
+    return smallest
 
 
 def run_corridors(robot: ConcentricRobot, count: int, seed: int) -> None:
     """Plan into vessels, and print what came of it."""
     for k in range(count):
         start, goal, vessel = corridor_scene(robot, seed + k)
-        began = time.perf_counter()
+        start_time = time.perf_counter()
         try:
             plan = plan_trajectory(
                 robot, start, goal, obstacles=[vessel], options=PlanOptions(clearance=1e-3, time_limit=60.0)
             )
         except SolveError as error:
-            print(f"corridor {k}: {time.perf_counter() - began:.2f} s  {error}", flush=True)
+            print(f"corridor {k}: {time.perf_counter() - start_time:.2f} s  {error}", flush=True)
             continue
         s = plan.statistics
         print(
@@ -186,27 +186,27 @@ def over_least(plan: Trajectory) -> float:
     q = q[np.append(True, np.linalg.norm(np.diff(q, axis=0), axis=1) > 1e-7)]
     along = np.diff(q, axis=0) / np.linalg.norm(np.diff(q, axis=0), axis=1)[:, None]
     corners = 1 + np.flatnonzero((along[1:] * along[:-1]).sum(1) < np.cos(CORNER))
-    rate, most = (limit / space.scale for limit in plan.rate_limits.of(space))
+    rate, largest = (limit / space.scale for limit in plan.rate_limits.of(space))
     ends = pairwise([0, *corners.tolist(), len(q) - 1])
-    return float(plan.time[-1] / sum(least_time(q[a : b + 1], rate, most) for a, b in ends))
+    return float(plan.time[-1] / sum(least_time(q[a : b + 1], rate, largest) for a, b in ends))
 
 
 def spheres_beside(ends: Sequence[Equilibrium], count: int, random: np.random.Generator) -> list[Obstacle]:
     """Spheres of 3 mm, 6 mm from the centrelines at both ends."""
-    found: list[Obstacle] = []
-    while len(found) < count:
+    results: list[Obstacle] = []
+    while len(results) < count:
         centre = random.uniform([-0.12, -0.12, 0.0], [0.12, 0.12, 0.25])
         if min(np.linalg.norm(e.position - centre, axis=1).min() for e in ends) > 9e-3:
-            found.append(Sphere(tuple(centre.tolist()), 3e-3))
-    return found
+            results.append(Sphere(tuple(centre.tolist()), 3e-3))
+    return results
 
 
 def run_timed(count: int, seed: int) -> None:
     """How much longer than their own paths need plans take, by turns of robots, spheres and objectives."""
     random, failed = np.random.default_rng(seed), 0
-    shares: dict[tuple[str, int], list[float]] = {scene: [] for scene in TIMED}
+    fractions: dict[tuple[str, int], list[float]] = {scene: [] for scene in TIMED}
     robots = {name: tubeopt.load_robot(ROOT / "configs" / "robots" / f"{name}.yaml") for name, _ in TIMED}
-    while (done := sum(map(len, shares.values()))) < count:
+    while (done := sum(map(len, fractions.values()))) < count:
         name, bodies = TIMED[(done + failed) % len(TIMED)]
         space = joint_space(robots[name])
         ends = random_equilibrium(space, random), random_equilibrium(space, random)
@@ -217,11 +217,11 @@ def run_timed(count: int, seed: int) -> None:
         except SolveError:
             failed += 1
             continue
-        shares[name, bodies].append(over_least(plan))
-    for (name, bodies), found in shares.items():
-        if found:
-            print(f"{name}, {bodies} spheres: {len(found)} plans, at most {max(found):.4f} of the least time")
-    worst = max(map(max, filter(None, shares.values())))
+        fractions[name, bodies].append(over_least(plan))
+    for (name, bodies), result in fractions.items():
+        if result:
+            print(f"{name}, {bodies} spheres: {len(result)} plans, at most {max(result):.4f} of the least time")
+    worst = max(map(max, filter(None, fractions.values())))
     print(f"{count} plans, {failed} queries without one: at most {worst:.4f} of the least time, asked was 1.05")
 
 

@@ -70,41 +70,41 @@ def searched(
         return np.ones(robot.n_tubes)
     until = time.process_time() + given.seconds
     best: list[tuple[float, float, Array]] = []
-    wanted = RegionReach(WITHDRAWN, places, (body,), options=OPTIONS)
+    desired = RegionReach(WITHDRAWN, places, (body,), options=OPTIONS)
 
     def value(factors: Array) -> float:
         if time.process_time() > until:
             raise OverError
         try:
-            found, share = wanted(bent(robot, np.clip(factors, *RANGE)), np.zeros(0))
+            result, fraction = desired(bent(robot, np.clip(factors, *RANGE)), np.zeros(0))
         except (InputError, SolveError):
-            found, share = 1.0, 0.0
-        best.append((found, share, np.clip(factors, *RANGE)))
-        return found
+            result, fraction = 1.0, 0.0
+        best.append((result, fraction, np.clip(factors, *RANGE)))
+        return result
 
-    begin, n = np.ones(robot.n_tubes), robot.n_tubes
+    start, n = np.ones(robot.n_tubes), robot.n_tubes
     try:
         if solver == "simplex":
-            simplex = np.vstack([begin, begin + 0.3 * (np.eye(n) - 1 / n)])
+            simplex = np.vstack([start, start + 0.3 * (np.eye(n) - 1 / n)])
             options = {"initial_simplex": simplex, "xatol": 1e-3, "fatol": 0.0}
-            scipy.optimize.minimize(value, begin, method="Nelder-Mead", bounds=[RANGE] * n, options=options)
+            scipy.optimize.minimize(value, start, method="Nelder-Mead", bounds=[RANGE] * n, options=options)
         else:
             scipy.optimize.differential_evolution(
-                value, [RANGE] * n, x0=begin, popsize=5, rng=given.seed, polish=False, maxiter=10_000
+                value, [RANGE] * n, x0=start, popsize=5, rng=given.seed, polish=False, maxiter=10_000
             )
     except OverError:
         pass
-    found, share, factors = min(best, key=lambda one: one[0])
-    print(f"{solver}: {len(best)} designs, loss {found:.3f}, share of the {PLACES} places {share:.2f}")
+    result, fraction, factors = min(best, key=lambda one: one[0])
+    print(f"{solver}: {len(best)} designs, loss {result:.3f}, share of the {PLACES} places {fraction:.2f}")
     return factors
 
 
 def judge(robot: ConcentricRobot, body: DistanceField, places: Array, seed: int) -> tuple[ReachShare, str]:
     """What the robot reaches of places that were not searched with, and how many plans to some of them are proved."""
-    asked = RegionReach(WITHDRAWN, places, (body,), options=replace(OPTIONS, seed=seed + 100), count=500)
-    found = asked.evaluate(robot, np.zeros(0))
-    proved, planned = asked.plans_proved(robot, np.zeros(0), found, PLANNED)
-    return found, f"{found.share:.2f} of {len(places)} other places reached; {proved} of {planned} plans proved"
+    requested = RegionReach(WITHDRAWN, places, (body,), options=replace(OPTIONS, seed=seed + 100), count=500)
+    result = requested.evaluate(robot, np.zeros(0))
+    proved, planned = requested.plans_proved(robot, np.zeros(0), result, PLANNED)
+    return result, f"{result.share:.2f} of {len(places)} other places reached; {proved} of {planned} plans proved"
 
 
 NAMES = {"none": "as it is", "simplex": "simplex", "evolution": "differential evolution"}
@@ -114,13 +114,13 @@ def draw(judged: dict[str, ReachShare], path: Path) -> None:
     """The places that are reached, and those that are not, seen from the front, with the way to them."""
     figure, axes = plt.subplots(1, len(judged), figsize=(3.2 * len(judged), 3.6), layout="constrained", sharey=True)
     centres = np.array([[start, stop] for start, stop, _, _ in bronchial_tree().stretches])
-    for panel, (solver, found) in zip(np.atleast_1d(axes), judged.items(), strict=True):
+    for panel, (solver, result) in zip(np.atleast_1d(axes), judged.items(), strict=True):
         for line in centres:
             panel.plot(line[:, 0], line[:, 2], color="0.85", lw=9, solid_capstyle="round", zorder=0)
         for reached, colour in ((True, "#0072B2"), (False, "#D55E00")):
-            some = 1e3 * found.targets[found.reached == reached]
+            some = 1e3 * result.targets[result.reached == reached]
             panel.plot(some[:, 0], some[:, 2], ".", color=colour, label="reached" if reached else "not reached")
-        panel.set(title=f"{NAMES[solver]}: {100 * found.share:.0f} %", xlabel="x (mm)", aspect="equal")
+        panel.set(title=f"{NAMES[solver]}: {100 * result.share:.0f} %", xlabel="x (mm)", aspect="equal")
         panel.set(xlim=(-55, 15), ylim=(20, 108))
         panel.spines[["top", "right"]].set_visible(False)
     np.atleast_1d(axes)[0].set_ylabel("z (mm)")
@@ -135,18 +135,18 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=180.0, help="of processor time, for each search")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--picture", type=Path, default=None)
-    given = parser.parse_args()
+    args = parser.parse_args()
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
     assert isinstance(robot, ConcentricRobot)
-    body, places = region(given.seed)
+    body, positions = region(args.seed)
     judged = {}
-    for solver in given.solvers:
-        found = bent(robot, searched(robot, body, places[:PLACES], solver, given))
-        print(f"{NAMES[solver]}, curvatures (1/m):", ", ".join(f"{tube.curvature:.2f}" for tube in found.tubes))
-        judged[solver], words = judge(found, body, places[PLACES : PLACES + HELD_OUT], given.seed)
-        print(words, flush=True)
-    if given.picture is not None:
-        draw(judged, given.picture)
+    for solver in args.solvers:
+        result = bent(robot, searched(robot, body, positions[:PLACES], solver, args))
+        print(f"{NAMES[solver]}, curvatures (1/m):", ", ".join(f"{tube.curvature:.2f}" for tube in result.tubes))
+        judged[solver], text = judge(result, body, positions[PLACES : PLACES + HELD_OUT], args.seed)
+        print(text, flush=True)
+    if args.picture is not None:
+        draw(judged, args.picture)
 
 
 if __name__ == "__main__":

@@ -55,9 +55,9 @@ def sections_of(robot: ConcentricRobot, translations: Array) -> tuple[Section, .
     out = []
     for start, stop in pairwise(cuts):
         middle = (start + stop) / 2
-        there = end > middle
-        moment = np.where(there & (bend < middle), kb * kappa, 0.0)
-        stiffness = float(kb[there].sum())
+        reached = end > middle
+        moment = np.where(reached & (bend < middle), kb * kappa, 0.0)
+        stiffness = float(kb[reached].sum())
         out.append(Section(float(start), float(stop), np.outer(moment, moment) / stiffness, moment, stiffness))
     return tuple(out)
 

@@ -82,17 +82,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robots", nargs="*", default=["thesis"], help="those whose names hold one of these words")
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
-    rig, spec, found = load_rig(ROOT / "configs" / "rigs" / "thesis_calcium_silicate.yaml"), HeatingSpec(), []
-    for name, tube in tubes(asked.robots):
+    args = parser.parse_args()
+    rig, spec, results = load_rig(ROOT / "configs" / "rigs" / "thesis_calcium_silicate.yaml"), HeatingSpec(), []
+    for name, tube in tubes(args.robots):
         plan = plan_heating(tube, rig, spec)
         # A plan holds the window with the error of its mesh to spare, and so must what it is held against.
         sure = replace(spec, window_degC=(spec.window_degC[0] + plan.mesh_error, spec.window_degC[1] - plan.mesh_error))
         counts, power = soonest(tube, rig, sure, spec.slot, whole=True), soonest(tube, rig, spec, STEP, whole=False)
-        found.append(Start(name, plan.hold_start, counts, power, plan.verdict))
-        print(found[-1], file=sys.stderr, flush=True)
-    if asked.json:
-        print(json.dumps([asdict(one) for one in found]))
+        results.append(Start(name, plan.hold_start, counts, power, plan.verdict))
+        print(results[-1], file=sys.stderr, flush=True)
+    if args.json:
+        print(json.dumps([asdict(one) for one in results]))
         return
     rows = [
         (
@@ -104,7 +104,7 @@ def main() -> None:
             f"{f.power:.2f}",
             f.verdict,
         )
-        for f in found
+        for f in results
     ]
     columns = ("tube", "plan, s", "whole counts, s", "later by, %", "done later by, %", "real power, s", "verdict")
     show([table("beginning of the hold", columns, rows)], [])

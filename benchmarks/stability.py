@@ -65,15 +65,15 @@ def equilibria(robot: Robot, solves: int, random: np.random.Generator) -> Measur
         rotations = random.uniform(-np.pi, np.pi, 3)
         if k % 2:
             rotations = np.array([np.pi, 0.0, 0.0]) + random.normal(0.0, 0.3, 3)
-        seconds, found = clock(partial(find_equilibria, robot, rotations))
+        seconds, result = clock(partial(find_equilibria, robot, rotations))
         slow, tips = clock(partial(all_tips, tubes, rotations, size=GRID))
         if k:
             times.append(seconds)
             brute.append(slow)
-            same += len(tips) == len(found)
-            several += len(found) > 1
-    words = f"as many in {same} of {solves}, several in {several}"
-    return Measurement(robot.name, "all equilibria", summarise(times), summarise(brute), words)
+            same += len(tips) == len(result)
+            several += len(result) > 1
+    text = f"as many in {same} of {solves}, several in {several}"
+    return Measurement(robot.name, "all equilibria", summarise(times), summarise(brute), text)
 
 
 def first_snap(robot: Robot, solves: int, random: np.random.Generator) -> Measurement:
@@ -92,8 +92,8 @@ def first_snap(robot: Robot, solves: int, random: np.random.Generator) -> Measur
             brute.append(slow)
             assert (snap is None) == np.isnan(fraction)
             errors.append(0.0 if snap is None else abs(snap.fraction - fraction))
-    words = f"fractions to {max(errors):.0e}"
-    return Measurement(robot.name, "first snap", summarise(times), summarise(brute), words)
+    text = f"fractions to {max(errors):.0e}"
+    return Measurement(robot.name, "first snap", summarise(times), summarise(brute), text)
 
 
 def _snap_by_creeping(robot: Robot, start: Array, stop: Array) -> float:
@@ -125,8 +125,8 @@ def certificates(robot: Robot, solves: int, random: np.random.Generator) -> list
             times.append(seconds)
             brute.append(slow)
             errors.append(abs((answer if isinstance(answer, float) else answer.margin) - expected))
-        words = f"to {max(errors):.0e}"
-        out.append(Measurement(robot.name, what, summarise(times), summarise(brute), words))
+        text = f"to {max(errors):.0e}"
+        out.append(Measurement(robot.name, what, summarise(times), summarise(brute), text))
     return out
 
 
@@ -144,8 +144,8 @@ def whole_map(robot: Robot, random: np.random.Generator) -> Measurement:
         slow, (margin, snaps) = clock(partial(_creep_from_home, robot, stop))
         brute.append(slow * MAP**2 / 2)
         same += snaps == chart.snaps[i, j] and abs(min(1.0, margin) - chart.margin[i, j]) < 1e-4
-    words = f"same margin and snaps on {same} of {BRUTE_RAYS} ways; brute force for two processes, from these"
-    return Measurement(robot.name, "stability map", summarise([seconds]), summarise(brute), words)
+    text = f"same margin and snaps on {same} of {BRUTE_RAYS} ways; brute force for two processes, from these"
+    return Measurement(robot.name, "stability map", summarise([seconds]), summarise(brute), text)
 
 
 def _creep_from_home(robot: Robot, stop: Array) -> tuple[float, int]:
@@ -172,16 +172,16 @@ def gap(robots: int) -> dict[str, float]:
         if len(coupled) < 3:
             # Two tubes are exact, see the tests.
             continue
-        found = worst_margin(robot, shift).margin
-        violations += proved > found + 1e-9
-        gaps.append((found - proved) / (1 - proved))
-    middle, ninth, most = np.quantile(gaps, [0.5, 0.9, 1.0])
+        result = worst_margin(robot, shift).margin
+        violations += proved > result + 1e-9
+        gaps.append((result - proved) / (1 - proved))
+    middle, ninth, largest = np.quantile(gaps, [0.5, 0.9, 1.0])
     return {
         "robots": robots,
         "violations": violations,
         "median_gap": float(middle),
         "ninth_decile": float(ninth),
-        "largest": float(most),
+        "largest": float(largest),
     }
 
 

@@ -131,14 +131,14 @@ def start(checkout: Path, arguments: Sequence[str]) -> tuple[float, float]:
 def measure(checkouts: Sequence[Path], repeats: int) -> list[Measurement]:
     """Every start in every checkout, in turn; the first of each only fills the caches."""
     out = []
-    for what, asked in STARTS.items():
+    for what, requested in STARTS.items():
         runs: dict[Path, list[tuple[float, float]]] = {checkout: [] for checkout in checkouts}
-        for _ in range(max(1, repeats // asked.rare) + 1):
+        for _ in range(max(1, repeats // requested.rare) + 1):
             for checkout in checkouts:
-                runs[checkout].append(start(checkout, asked.arguments))
-        for checkout, found in runs.items():
-            times = summarise(seconds for seconds, _ in found[1:])
-            out.append(Measurement(str(checkout), what, times, max(memory for _, memory in found[1:])))
+                runs[checkout].append(start(checkout, requested.arguments))
+        for checkout, result in runs.items():
+            times = summarise(seconds for seconds, _ in result[1:])
+            out.append(Measurement(str(checkout), what, times, max(memory for _, memory in result[1:])))
     return out
 
 
@@ -154,10 +154,10 @@ def seconds_to_end(checkout: Path, arguments: Sequence[str]) -> float:
         time.sleep(AT_WORK)
         if process.poll() is not None:
             raise SystemExit(f"{' '.join(arguments)} ended with {process.returncode} before Ctrl-C was pressed")
-        began = time.monotonic()
+        start_time = time.monotonic()
         process.send_signal(signal.SIGINT)
         code = process.wait()
-        took = time.monotonic() - began
+        took = time.monotonic() - start_time
     if code != 130:
         raise SystemExit(f"{' '.join(arguments)} ended with {code} after Ctrl-C; it must be 130")
     return took
@@ -166,9 +166,9 @@ def seconds_to_end(checkout: Path, arguments: Sequence[str]) -> float:
 def seconds_of_tests(checkout: Path, arguments: Sequence[str]) -> float:
     """On the clock, by two processes."""
     command = [sys.executable, "-m", "pytest", "-q", "-n", "2", *arguments]
-    began = time.monotonic()
+    start_time = time.monotonic()
     subprocess.run(command, cwd=checkout, env=process_of(checkout), stdout=subprocess.DEVNULL, check=True)
-    return time.monotonic() - began
+    return time.monotonic() - start_time
 
 
 def on_the_clock(checkouts: Sequence[Path], repeats: int, tests: bool) -> list[tuple[str, str, float, float]]:
@@ -178,8 +178,8 @@ def on_the_clock(checkouts: Sequence[Path], repeats: int, tests: bool) -> list[t
         for checkout in checkouts:
             longest = max(seconds_to_end(checkout, arguments) for _ in range(max(1, repeats // 3)))
             out.append((f"Ctrl-C while {what}", str(checkout), longest, ENDS))
-    for what, (arguments, asked) in TESTS.items() if tests else ():
-        out += [(f"tests, {what}", str(each), seconds_of_tests(each, arguments), asked) for each in checkouts]
+    for what, (arguments, requested) in TESTS.items() if tests else ():
+        out += [(f"tests, {what}", str(each), seconds_of_tests(each, arguments), requested) for each in checkouts]
     return out
 
 
@@ -205,9 +205,9 @@ def wheel(python: Path, repeats: int) -> Wheel:
             ):
                 command = [str(program), "-c", SOLVES, str(ROOT / ROBOT)]
                 run = subprocess.run(command, cwd=empty, env=environment, capture_output=True, text=True, check=True)
-                found = json.loads(run.stdout)
-                took.append(found["seconds"])
-                answers.append(np.array(found["answers"]))
+                result = json.loads(run.stdout)
+                took.append(result["seconds"])
+                answers.append(np.array(result["answers"]))
     return Wheel(float(np.abs(answers[0] - answers[1]).max()), min(seconds[0]), min(seconds[1]))
 
 
@@ -229,24 +229,24 @@ def main() -> None:
     parser.add_argument("--tests", action="store_true", help="run the tests, too")
     parser.add_argument("--repeats", type=int, default=9)
     parser.add_argument("--json", action="store_true")
-    given = parser.parse_args()
-    checkouts = [ROOT] if given.against is None else [given.against.resolve(), ROOT]
-    found = measure(checkouts, given.repeats)
-    waited = on_the_clock(checkouts, given.repeats, given.tests)
-    of_wheel = None if given.wheel is None else wheel(given.wheel.absolute(), given.repeats)
-    if given.json:
-        told = {"starts": [asdict(one) for one in found], "on the clock": waited}
-        dump(told | ({"wheel": asdict(of_wheel)} if of_wheel else {}))
+    args = parser.parse_args()
+    checkouts = [ROOT] if args.against is None else [args.against.resolve(), ROOT]
+    result = measure(checkouts, args.repeats)
+    waited = on_the_clock(checkouts, args.repeats, args.tests)
+    of_wheel = None if args.wheel is None else wheel(args.wheel.absolute(), args.repeats)
+    if args.json:
+        report = {"starts": [asdict(one) for one in result], "on the clock": waited}
+        dump(report | ({"wheel": asdict(of_wheel)} if of_wheel else {}))
         return
     rows = []
-    for one in found:
+    for one in result:
         start_of = STARTS[one.what]
         limits = (start_of.seconds, "s"), (start_of.memory, "MiB")
-        asked = ", ".join(f"{most} {unit}" for most, unit in limits if most is not None)
+        requested = ", ".join(f"{largest} {unit}" for largest, unit in limits if largest is not None)
         times = (f"{seconds:.3f}" for seconds in (one.timing.fast, one.timing.median))
-        rows.append((one.what, called(one.checkout), *times, f"{one.memory:.0f}", asked))
+        rows.append((one.what, called(one.checkout), *times, f"{one.memory:.0f}", requested))
     columns = ("start", "checkout", "first decile (s)", "median (s)", "memory (MiB)", "asked")
-    clock = [(what, called(checkout), f"{took:.1f}", f"{most:g} s") for what, checkout, took, most in waited]
+    clock = [(what, called(checkout), f"{took:.1f}", f"{largest:g} s") for what, checkout, took, largest in waited]
     tables = [
         table("Starts of a process", columns, rows),
         table("On the clock", ("what", "checkout", "at most (s)", "asked"), clock),

@@ -75,7 +75,7 @@ def sweeps(points: int) -> dict[str, float]:
         question = load_sweep(path)
         runs = (("1 process", 1, "one"), ("2 processes", 2, "two"), ("complete already", 2, "two"))
         for what, workers, directory in runs:
-            began = time.perf_counter()
+            start_time = time.perf_counter()
             sweep(
                 question.function(to_dict),
                 question.points,
@@ -83,7 +83,7 @@ def sweeps(points: int) -> dict[str, float]:
                 fingerprint=question.fingerprint,
                 workers=workers,
             )
-            rates[what] = points / (time.perf_counter() - began)
+            rates[what] = points / (time.perf_counter() - start_time)
     return rates
 
 

@@ -65,9 +65,9 @@ def clock(call: Callable[[], Any]) -> tuple[float, Any]:
     On one thread of an idle machine that is the time on the clock; where others keep the machine busy it stays so,
     while the clock goes on through every pause of a call that is longer than the scheduler's patience.
     """
-    began = time.process_time()
+    start_time = time.process_time()
     result = call()
-    return time.process_time() - began, result
+    return time.process_time() - start_time, result
 
 
 def fresh_process(script: str, repeats: int) -> Timing:

@@ -40,8 +40,8 @@ class Measurement:
 def drawn(session: Session) -> int:
     """Everything that a motion changes on the page, in the form in which it is sent; returns its size in bytes."""
     size = sum(part.surface.vertices.astype(np.float32).nbytes for part in robot_parts(session.equilibrium))
-    words = readout(session, 0.0) + log_words(session.log) + torsion_plot(session.equilibrium)
-    return size + len(words.encode())
+    text = readout(session, 0.0) + log_words(session.log) + torsion_plot(session.equilibrium)
+    return size + len(text.encode())
 
 
 def slide(session: Session, degrees: float) -> Session:
@@ -71,15 +71,15 @@ def sweeps(robot: Robot, step: float, moves: int) -> list[Measurement]:
 def parts(robot: Robot, repeats: int) -> list[Measurement]:
     """What a new shape is made of, and what waits until the hand rests."""
     session = slide(open_session(robot), 100.0)
-    here = session.equilibrium
+    current = session.equilibrium
     low, high = np.zeros(robot.n_tubes), np.zeros(robot.n_tubes)
     low[0], high[0] = -2 * np.pi, 2 * np.pi
     calls: list[tuple[str, Callable[[], object]]] = [
-        ("surfaces", partial(robot_parts, here)),
-        ("plot of torsion", partial(torsion_plot, here)),
-        ("tip led by 2 mm", partial(pull, session, here.tip_position + np.array([2e-3, 0.0, 0.0]))),
-        ("certificate", partial(snap_free_certificate, robot, here.translations)),
-        ("S-curve", partial(trace_branch, robot, low, high, here.translations)),
+        ("surfaces", partial(robot_parts, current)),
+        ("plot of torsion", partial(torsion_plot, current)),
+        ("tip led by 2 mm", partial(pull, session, current.tip_position + np.array([2e-3, 0.0, 0.0]))),
+        ("certificate", partial(snap_free_certificate, robot, current.translations)),
+        ("S-curve", partial(trace_branch, robot, low, high, current.translations)),
     ]
     out = []
     for what, call in calls:

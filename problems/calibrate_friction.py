@@ -42,9 +42,9 @@ TRIED = ("latency", "rotation_play", "friction")
 def joints(time: Array, slow: float) -> Array:
     """(N, 4) readings, rad and m, at times (N,), s: a smooth path forward and back in `slow` s, then again faster."""
     phase = np.where(time < slow, time / slow, (time - slow) * FASTER / slow)
-    there = 19.0 * np.minimum(phase, 1 - phase)[:, None]
+    reached = 19.0 * np.minimum(phase, 1 - phase)[:, None]
     speed, shift = np.array([0.23, 0.31, 0.19, 0.27]), np.array([0.3, 1.9, 4.0, 5.1])
-    waves = np.sin(speed * there + shift) + 0.6 * np.sin(2.3 * speed * there + 2 * shift)
+    waves = np.sin(speed * reached + shift) + 0.6 * np.sin(2.3 * speed * reached + 2 * shift)
     return np.asarray(waves * [1.4, 1.6, 6 * MM, 4 * MM] + [0.0, 0.0, 20 * MM, -8 * MM])
 
 
@@ -60,15 +60,15 @@ def measure(samples: int) -> Measurements:
 
 def main(directory: Path, samples: int = 75) -> list[Path]:
     """Draw the part of the error that each effect explains in `samples` rows, and print the fitted values."""
-    found = compare_effects(ROBOT, measure(samples), TRIED, FitOptions(folds=2))
-    print(f"as given: {found.start.rms / MM:.2f} mm held out")
-    for step in found.steps:
+    result = compare_effects(ROBOT, measure(samples), TRIED, FitOptions(folds=2))
+    print(f"as given: {result.start.rms / MM:.2f} mm held out")
+    for step in result.steps:
         print(f"+ {step.effect}: {step.held_out.rms / MM:.2f} mm ({100 * step.gain:.0f} % less)")
-    assert found.fit is not None
-    for e in found.fit.estimates:
+    assert result.fit is not None
+    for e in result.fit.estimates:
         print(f"{e.name}: {e.low:.4g} to {e.high:.4g} {e.unit}" + (" (held)" if e.held else ""))
     path = directory / "calibrate_friction.png"
-    plot_effects(found, path)
+    plot_effects(result, path)
     return [path]
 
 

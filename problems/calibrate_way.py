@@ -56,9 +56,9 @@ TRIED = (
 
 def joints(time: Array, last: float) -> Array:
     """(N, 4) readings, rad and m, at times (N,), s, of a smooth path that turns back half of the time to `last`."""
-    there = np.minimum(time, last - time)[:, None]
+    reached = np.minimum(time, last - time)[:, None]
     speed, phase = np.array([0.23, 0.31, 0.19, 0.27]), np.array([0.3, 1.9, 4.0, 5.1])
-    waves = np.sin(speed * there + phase) + 0.6 * np.sin(2.3 * speed * there + 2 * phase)
+    waves = np.sin(speed * reached + phase) + 0.6 * np.sin(2.3 * speed * reached + 2 * phase)
     return np.asarray(waves * [1.4, 1.6, 14 * MM, 9 * MM] + [0.0, 0.0, 20 * MM, -8 * MM])
 
 
@@ -73,15 +73,15 @@ def measure(count: int = 300) -> Measurements:
 
 def main(directory: Path) -> list[Path]:
     """Draw the part of the error that each effect explains, and print the fitted values of the drives."""
-    found = compare_effects(ROBOT, measure(), TRIED, FitOptions(folds=6))
-    print(f"as given: {found.start.rms / MM:.2f} mm held out")
-    for step in found.steps:
+    result = compare_effects(ROBOT, measure(), TRIED, FitOptions(folds=6))
+    print(f"as given: {result.start.rms / MM:.2f} mm held out")
+    for step in result.steps:
         print(f"+ {step.effect}: {step.held_out.rms / MM:.2f} mm ({100 * step.gain:.0f} % less)")
-    assert found.fit is not None
-    for e in found.fit.estimates:
+    assert result.fit is not None
+    for e in result.fit.estimates:
         print(f"{e.name}: {e.low:.4g} to {e.high:.4g} {e.unit}" + (" (held)" if e.held else ""))
     path = directory / "calibrate_way.png"
-    plot_effects(found, path)
+    plot_effects(result, path)
     return [path]
 
 

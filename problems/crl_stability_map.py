@@ -21,8 +21,8 @@ def main(out: Path, samples: int = 90) -> list[Path]:
     """Compute the map with `samples` points per axis, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
     result = tubeopt.stability_map(robot, translations=np.zeros(3), samples=samples, directions=4 * samples)
-    share = 100 * np.mean(result.snaps > 0)
-    print(f"{share:.1f} % of the map is reached through a snap; the least margin on it is {result.margin.min():.3f}")
+    fraction = 100 * np.mean(result.snaps > 0)
+    print(f"{fraction:.1f} % of the map is reached through a snap; the least margin on it is {result.margin.min():.3f}")
     picture = out / "crl_stability_map.png"
     plot_stability_map(result, picture, title=f"{robot.name} at translations 0")
     return [picture]

@@ -32,11 +32,11 @@ def main(out: Path, samples: int = 60) -> list[Path]:
             f"{name}: alone they reach {alone} of the points, together {100 * one.share:.0f} % of the pairs of points"
         )
     print(f"motions of both arms to such pairs that are proved: {answer.proved} of {answer.planned}")
-    shares, names = (answer.before, answer.after), answer.names
+    fractions, names = (answer.before, answer.after), answer.names
     targets = answer.plates[0].placed(answer.after.reached[0].targets)
     paths = [out / "design_pair.png", out / "design_pair_places.png"]
-    plot_pair_shares(shares, paths[0], names=names)
-    plot_pair_places(shares, paths[1], names=names, places=targets)
+    plot_pair_shares(fractions, paths[0], names=names)
+    plot_pair_places(fractions, paths[1], names=names, places=targets)
     return paths
 
 

@@ -41,11 +41,12 @@ def robot(diameter: float, bore: float) -> ConcentricRobot:
 
 def deflection(diameter: float) -> float:
     """Displacement of the tip under the force, m: the larger one of the two poses, with the narrowest bore."""
-    here = robot(diameter, diameter + CLEARANCE)
+    current = robot(diameter, diameter + CLEARANCE)
     moved = []
     for rotations, translations in zip(POSES.rotations, POSES.translations, strict=True):
         plain, pushed = (
-            tubeopt.forward_kinematics(here, rotations, translations, load=load) for load in (None, tubeopt.Load(FORCE))
+            tubeopt.forward_kinematics(current, rotations, translations, load=load)
+            for load in (None, tubeopt.Load(FORCE))
         )
         moved.append(float(np.linalg.norm(pushed.tip_position - plain.tip_position)))
     return max(moved)

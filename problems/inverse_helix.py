@@ -32,16 +32,16 @@ def main(out: Path) -> list[Path]:
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
     session = tubeopt.IkSession(robot, min_margin=0.1)
     solutions = [session.solve(target) for target in helix()]
-    way = tubeopt.follow(
+    path = tubeopt.follow(
         robot,
         [each.rotations for each in solutions],
         [each.translations for each in solutions],
         start=solutions[0].equilibrium,
     )
     off = max(
-        np.linalg.norm(a.tip_position - b.target_position) for a, b in zip(way.equilibria, solutions, strict=True)
+        np.linalg.norm(a.tip_position - b.target_position) for a, b in zip(path.equilibria, solutions, strict=True)
     )
-    print(f"{len(solutions)} targets, {len(way.snaps)} snaps, the tip stays within {off * 1e9:.2g} nm of them")
+    print(f"{len(solutions)} targets, {len(path.snaps)} snaps, the tip stays within {off * 1e9:.2g} nm of them")
     print(f"margin at least {min(each.margin for each in solutions):.3f}")
     picture = out / "inverse_helix.png"
     plot_targets(solutions, picture, title=f"{robot.name} on a helix")

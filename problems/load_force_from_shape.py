@@ -29,25 +29,25 @@ def main(out: Path) -> list[Path]:
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
     true = tubeopt.forward_kinematics(robot, ROTATIONS, load=tubeopt.Load((FORCE[0], FORCE[1], FORCE[2])))
     random = np.random.default_rng(0)
-    places = np.linspace(0, len(true.arc_length) - 1, 7).astype(int)[1:-1]
+    positions = np.linspace(0, len(true.arc_length) - 1, 7).astype(int)[1:-1]
     estimates = {}
-    for name, points in (("the tip", ()), ("the tip and five points", places)):
-        found: list[tubeopt.ForceEstimate] = []
+    for name, points in (("the tip", ()), ("the tip and five points", positions)):
+        results: list[tubeopt.ForceEstimate] = []
         for _ in range(TRIALS):
             tip = true.tip_position + NOISE * random.normal(size=3)
-            seen = [(true.arc_length[k], true.position[k] + NOISE * random.normal(size=3)) for k in points]
-            guess = found[-1].equilibrium if found else None
-            found.append(
-                tubeopt.estimate_force(robot, ROTATIONS, tip_position=tip, points=seen, noise=NOISE, start=guess)
+            observed = [(true.arc_length[k], true.position[k] + NOISE * random.normal(size=3)) for k in points]
+            guess = results[-1].equilibrium if results else None
+            results.append(
+                tubeopt.estimate_force(robot, ROTATIONS, tip_position=tip, points=observed, noise=NOISE, start=guess)
             )
-        estimates[name] = found
-        errors = np.array([estimate.force for estimate in found]) - FORCE
-        said, were = np.sqrt(np.diag(found[0].covariance)), np.sqrt((errors**2).mean(0))
+        estimates[name] = results
+        errors = np.array([estimate.force for estimate in results]) - FORCE
+        output, were = np.sqrt(np.diag(results[0].covariance)), np.sqrt((errors**2).mean(0))
         print(
             f"from {name}: errors of {', '.join(f'{x * 1e3:.2f}' for x in were)} mN along x, y, z; "
-            f"the covariance says {', '.join(f'{x * 1e3:.2f}' for x in said)} mN"
+            f"the covariance says {', '.join(f'{x * 1e3:.2f}' for x in output)} mN"
         )
-        print(f"  {found[0].undetermined}")
+        print(f"  {results[0].undetermined}")
     picture = out / "load_force_from_shape.png"
     title = "Force on the tip, estimated from positions with noise of 0.1 mm"
     plot_force_estimates(estimates, picture, true=FORCE, title=title)

@@ -37,9 +37,9 @@ def main(out: Path) -> list[Path]:
         for size in (2e-3, 5e-3, 10e-3):
             load = tubeopt.Load(points=(PointLoad(PORT, moment=tuple(size * axis)),))
             arms.append(tubeopt.forward_kinematics(robot, ROTATIONS, load=load, verify=True))
-            way = np.linalg.norm(arms[-1].tip_position - free.tip_position)
+            path = np.linalg.norm(arms[-1].tip_position - free.tip_position)
             turn = np.degrees(arms[-1].tip_rotations[2] - free.tip_rotations[2])
-            moved = f"the tip moves by {way * 1e3:5.2f} mm, tube 3 turns by {turn:6.2f} deg"
+            moved = f"the tip moves by {path * 1e3:5.2f} mm, tube 3 turns by {turn:6.2f} deg"
             print(f"{size * 1e3:2.0f} mN m {name:6}: {moved}, margin {arms[-1].margin:.3f}")
     checks = [arm.verification.tip_position for arm in arms if arm.verification is not None]
     print(f"re-integrated, the tips differ by {1e3 * max(checks):.0e} mm at most")

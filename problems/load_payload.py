@@ -33,12 +33,12 @@ def main(out: Path) -> list[Path]:
     sag = np.linalg.norm(arms[0].tip_position - alone.tip_position)
     print(f"without any load: margin {alone.margin:.3f}; its own weight moves the tip by {sag * 1e3:.2f} mm")
     for k in (0, 5, 10, 20):
-        way = np.linalg.norm(arms[k].tip_position - arms[0].tip_position)
-        print(f"payload of {payloads[k] * 1e3:3.0f} mN: {way * 1e3:5.1f} mm more, margin {arms[k].margin:.3f}")
+        path = np.linalg.norm(arms[k].tip_position - arms[0].tip_position)
+        print(f"payload of {payloads[k] * 1e3:3.0f} mN: {path * 1e3:5.1f} mm more, margin {arms[k].margin:.3f}")
     hung = tubeopt.Load((0.0, 0.0, -1.0))
     limit = tubeopt.find_load_limit(robot, ROTATIONS, None, hung, up_to=2.0)
-    told = "none is lost up to 2 N" if limit is None else f"lost in a {limit.kind} at {limit.factor * 1e3:.1f} mN"
-    print(f"a payload alone, without the tubes' weight: {told}")
+    report = "none is lost up to 2 N" if limit is None else f"lost in a {limit.kind} at {limit.factor * 1e3:.1f} mN"
+    print(f"a payload alone, without the tubes' weight: {report}")
     picture = out / "load_payload.png"
     title = f"{robot.name} carries a payload, gravity along \N{MINUS SIGN}z"
     plot_payload(arms, picture, payloads=payloads, title=title)

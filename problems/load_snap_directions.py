@@ -26,23 +26,23 @@ MOST = 4.0
 def main(out: Path, samples: int = 36) -> list[Path]:
     """Apply forces in `samples` directions of three planes, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
-    way = np.radians([[0.0, 0.0, 0.0], [200.0, 0.0, 0.0]])
-    start = tubeopt.follow(robot, way).equilibria[-1]
+    path = np.radians([[0.0, 0.0, 0.0], [200.0, 0.0, 0.0]])
+    start = tubeopt.follow(robot, path).equilibria[-1]
     print(f"without load: margin {start.margin:.3f}")
     angles = np.linspace(0.0, 2 * np.pi, samples, endpoint=False)
     limits, kinds = {}, {}
     for plane in ("xy", "xz", "yz"):
-        found = []
+        results = []
         for angle in angles:
             force = np.zeros(3)
             force[["xyz".index(axis) for axis in plane]] = UNIT * np.cos(angle), UNIT * np.sin(angle)
             load = tubeopt.Load((force[0], force[1], force[2]))
-            found.append(tubeopt.find_load_limit(robot, start.rotations, None, load, equilibrium=start, up_to=MOST))
-        limits[plane] = np.array([UNIT * limit.factor if limit else np.nan for limit in found])
-        kinds[plane] = [limit.kind if limit else "" for limit in found]
-        least = int(np.nanargmin(limits[plane]))
+            results.append(tubeopt.find_load_limit(robot, start.rotations, None, load, equilibrium=start, up_to=MOST))
+        limits[plane] = np.array([UNIT * limit.factor if limit else np.nan for limit in results])
+        kinds[plane] = [limit.kind if limit else "" for limit in results]
+        smallest = int(np.nanargmin(limits[plane]))
         print(
-            f"in the plane {plane}: least {limits[plane][least] * 1e3:.2f} mN at {np.degrees(angles[least]):.0f} deg "
+            f"in the plane {plane}: {limits[plane][smallest] * 1e3:.2f} mN at {np.degrees(angles[smallest]):.0f} deg "
             f"from {plane[0]}; {np.isnan(limits[plane]).sum()} of {samples} directions withstand "
             f"{UNIT * MOST * 1e3:.0f} mN"
         )

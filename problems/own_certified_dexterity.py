@@ -51,27 +51,27 @@ def designs(
     """
     opti = ca.Opti()
     curvature, turn = 10 * opti.variable(2), opti.variable()  # turning both tubes turns the arm, no more
-    least = opti.variable()
+    smallest = opti.variable()
     tubes = {"curvature": curvature}
     block = tubeopt.EquilibriumBlock(opti, near, rotations=[turn, 0.0], tubes=tubes, refinement=0)
     block.margin_at_least(0.1)
     floor = opti.parameter()
     block.certificate_at_least(floor, max_force=max_force)
     jacobian = block.jacobian() @ ca.diag(ca.DM(UNITS))
-    rest = minors(jacobian @ jacobian.T - least * ca.DM.eye(3))
+    rest = minors(jacobian @ jacobian.T - smallest * ca.DM.eye(3))
     opti.subject_to(rest >= 0)
     opti.subject_to(opti.bounded(0.2, curvature / 10, 2.0))
     opti.subject_to(opti.bounded(0, turn, np.pi))
-    for symbol, value in ((curvature, START), (turn, near.rotations[0]), (least, 0.1)):
+    for symbol, value in ((curvature, START), (turn, near.rotations[0]), (smallest, 0.1)):
         opti.set_initial(symbol, value)
-    opti.minimize(-least - BARRIER * ca.log(rest[2]))
+    opti.minimize(-smallest - BARRIER * ca.log(rest[2]))
     opti.solver(
         "ipopt", {"print_time": False, "expand": True, "show_eval_warnings": False}, {"print_level": 0, "sb": "yes"}
     )
     for each in floors:
         opti.set_value(floor, each)
         solution = opti.solve()
-        yield block.equilibrium(solution), float(np.sqrt(solution.value(least)))
+        yield block.equilibrium(solution), float(np.sqrt(solution.value(smallest)))
 
 
 def main(out: Path, samples: int = 3) -> list[Path]:
@@ -83,12 +83,12 @@ def main(out: Path, samples: int = 3) -> list[Path]:
     tubes = tuple(dataclasses.replace(tube, curvature=START) for tube in robot.tubes)
     near = tubeopt.forward_kinematics(tubeopt.ConcentricRobot(tubes), [1.2, 0.0], [-0.01, -0.03])
     poses, titles = [], []
-    found = [*designs(near, [NO_FLOOR, 0.1]), *(designs(near, [0.1], PUSH) if samples > 2 else ())]
+    results = [*designs(near, [NO_FLOOR, 0.1]), *(designs(near, [0.1], PUSH) if samples > 2 else ())]
     names = ("no certificate", 0.0), ("certificate 0.1", 0.0), ("0.1 under any push of 20 mN", PUSH)
-    for (name, force), (pose, least) in zip(names, found, strict=False):
+    for (name, force), (pose, smallest) in zip(names, results, strict=False):
         certified = tubeopt.snap_free_certificate(pose.robot, pose.translations, max_force=force)
         bends = ", ".join(f"{tube.curvature:.2f}" for tube in pose.robot.tubes)
-        titles.append(f"{name}: {10 * least:.1f} mm per rad or 50 mm")
+        titles.append(f"{name}: {10 * smallest:.1f} mm per rad or 50 mm")
         print(f"{titles[-1]}; curvatures {bends} per m, margin {pose.margin:.3f}, certificate {certified:.3f}")
         poses.append(pose)
     picture = out / "own_certified_dexterity.png"

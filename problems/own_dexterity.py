@@ -42,7 +42,7 @@ def main(out: Path, samples: int = len(TRANSLATIONS)) -> list[Path]:
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "two_tube.yaml")
     problem = tubeopt.Problem("dexterity")
     curvature = problem.variable("curvature", 2, guess=12.5, lower=2.0, upper=20.0, scale=10.0)
-    least = problem.variable("least squared singular value", guess=0.01)
+    smallest = problem.variable("least squared singular value", guess=0.01)
     blocks, jacobians, inside = [], [], ca.MX(0.0)
     for k, translations in enumerate(TRANSLATIONS[:samples], start=1):
         near = tubeopt.forward_kinematics(robot, [1.2, 0.0], translations)
@@ -51,12 +51,12 @@ def main(out: Path, samples: int = len(TRANSLATIONS)) -> list[Path]:
         block = tubeopt.EquilibriumBlock(problem, near, rotations=[turn, 0.0], tubes=tubes, refinement=0)
         block.margin_at_least(0.2)
         jacobian = block.jacobian() @ ca.diag(ca.DM(UNITS))
-        rest = minors(jacobian @ jacobian.T - least * ca.DM.eye(3))
+        rest = minors(jacobian @ jacobian.T - smallest * ca.DM.eye(3))
         problem.subject_to(f"singular values {k}", rest)
         inside += ca.log(rest[2])
         blocks.append(block)
         jacobians.append(jacobian)
-    problem.maximize(least + BARRIER * inside)
+    problem.maximize(smallest + BARRIER * inside)
     solution = problem.solve(tubeopt.Ipopt(expand=True, tolerance=1e-8))
 
     poses = [block.equilibrium(solution) for block in blocks]

@@ -79,11 +79,11 @@ def turns(x: Any, alone: float, both: float) -> list[Any]:
 def deployed(x: np.ndarray, count: int) -> list[Equilibrium]:
     """The robot at `count` lengths in each phase."""
     robot = robot_of(x)
-    found: list[Equilibrium] = []
+    results: list[Equilibrium] = []
     for alone, both in ways(count):
         shift = robot.home_translations - np.array([alone + both, both])
-        found.append(forward_kinematics(robot, np.array(turns(x, alone, both)), shift))
-    return found
+        results.append(forward_kinematics(robot, np.array(turns(x, alone, both)), shift))
+    return results
 
 
 def offsets(curve: Curve, equilibrium: Equilibrium) -> np.ndarray:

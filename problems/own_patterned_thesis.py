@@ -72,8 +72,8 @@ def main(out: Path, samples: int = 30) -> list[Path]:
     assert isinstance(robot, ConcentricRobot)
     factors = least_pattern(robot)
     after = patterned(robot, factors)
-    words = ", ".join(f"{b:.3f}" for b in factors)
-    print(f"bending factors {words}; certificate {tubeopt.snap_free_certificate(after):.4f}")
+    text = ", ".join(f"{b:.3f}" for b in factors)
+    print(f"bending factors {text}; certificate {tubeopt.snap_free_certificate(after):.4f}")
     for name, one in (("before", robot), ("after", after)):
         snaps, turns = count_snaps(one, samples)
         print(f"{name}: {snaps} snaps on {turns} of {samples} random full turns forth and back")
@@ -96,10 +96,10 @@ def _draw(before: ConcentricRobot, after: ConcentricRobot, factors: np.ndarray, 
     left.set_yticks(np.linspace(0, 1, 6))
     left.legend(fontsize=8, frameon=False, loc="upper left")
     turn = np.radians(np.arange(0.0, 361.0, 3.0))
-    way = np.zeros((len(turn), n))
-    way[:, 0] = turn
+    motion = np.zeros((len(turn), n))
+    motion[:, 0] = turn
     for robot, colour, name in ((before, "#D55E00", "thesis"), (after, "#009E73", "slotted")):
-        passed = tubeopt.follow(robot, way)
+        passed = tubeopt.follow(robot, motion)
         tips = np.degrees([equilibrium.tip_rotations[0] for equilibrium in passed.equilibria])
         right.plot(np.degrees(turn), tips, ".", ms=3, color=colour, label=name)
     right.plot([0, 360], [0, 360], color="0.7", lw=0.8, zorder=0, label="without torsion")

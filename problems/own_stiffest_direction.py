@@ -58,8 +58,8 @@ def main(out: Path) -> list[Path]:
         opti.set_value(sign, which)
         solution = opti.solve()
         poses.append(block.equilibrium(solution))
-        way = 1e3 * solution.value(give)
-        titles.append(f"{name}: {way:.2f} mm/N along x")
+        path = 1e3 * solution.value(give)
+        titles.append(f"{name}: {path:.2f} mm/N along x")
         turned = np.degrees(poses[-1].rotations).round(1) + 0.0
         print(f"{titles[-1]} by bending, at rotations {turned} deg, margin {poses[-1].margin:.3f}")
     picture = out / "own_stiffest_direction.png"

@@ -45,10 +45,10 @@ def written_case(directory: Path) -> Anatomy:
     affine[:3, :3] = plate.axes @ image.frame.axes * image.spacing * 1e3
     affine[:3, 3] = plate.placed(image.frame.origin) * 1e3
     nibabel.save(nibabel.Nifti1Image(image.values, affine), directory / "lung.nii.gz")
-    places = {"mouth of the tube": (0.0, 0.0, 0.0), **phantom.landmarks}
+    positions = {"mouth of the tube": (0.0, 0.0, 0.0), **phantom.landmarks}
     rows = ["name,x_mm,y_mm,z_mm"]
-    for name, place in places.items():
-        x, y, z = plate.placed(np.array(place) * 1e-3) * 1e3
+    for name, position in positions.items():
+        x, y, z = plate.placed(np.array(position) * 1e-3) * 1e3
         rows.append(f"{name},{x:.4f},{y:.4f},{z:.4f}")
     (directory / "landmarks.csv").write_text("\n".join(rows))
     (directory / "case.yaml").write_text(CASE)

@@ -23,8 +23,8 @@ def main(out: Path) -> list[Path]:
     """Plan, print the proof, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
     inside = tubeopt.forward_kinematics(robot, [100 * DEG, 40 * DEG, 0.0], [-0.03, -0.04, -0.02])
-    places = np.linspace(0.0, inside.arc_length[-1], 14)
-    bend = np.column_stack([np.interp(places, inside.arc_length, inside.position[:, k]) for k in range(3)])
+    positions = np.linspace(0.0, inside.arc_length[-1], 14)
+    bend = np.column_stack([np.interp(positions, inside.arc_length, inside.position[:, k]) for k in range(3)])
     beyond = inside.tip_position + 0.02 * inside.tip_rotation[:, 2]
     vessel = Corridor(tuple(map(tuple, np.vstack([[0.0, 0.0, -0.03], bend, beyond]).tolist())), 0.012)
     outside = ([-80 * DEG, 0.0, 0.0], [-0.17, -0.13, -0.085])

@@ -30,7 +30,7 @@ def main(out: Path) -> list[Path]:
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
     reached = [tubeopt.workspace(robot, 4000, seed=0)] * 2
     beside = shared_workspace(reached, [base_frame([x, 0, 0], [0, 0, 1]) for x in (-0.015, 0.015)])
-    best = place_pair(reached, least_distance=0.01, most_distance=0.03, most_tilt=np.radians(30))
+    best = place_pair(reached, min_distance=0.01, max_distance=0.03, max_tilt=np.radians(30))
     apart = np.linalg.norm(best.bases[1].origin - best.bases[0].origin)
     print(f"in voxels of {best.size * 1e3:.0f} mm:")
     print(f"side by side, 30 mm apart: {100 * beside.share:.0f} % of a workspace is shared")
@@ -59,13 +59,13 @@ def swapped(robot: Robot) -> None:
         tubeopt.PlacedRobot(robot, base_frame([x, 0, 0], [0, 0, 1]), name)
         for x, name in ((-0.008, "left"), (0.008, "right"))
     ]
-    places = [np.array([0.0, y, 0.05]) for y in (0.006, -0.006)]
+    positions = [np.array([0.0, y, 0.05]) for y in (0.006, -0.006)]
     starts = [
-        tubeopt.inverse_kinematics(robot, arm.base.seen(place), start=(np.zeros(3), SHIFT))
-        for arm, place in zip(arms, places, strict=True)
+        tubeopt.inverse_kinematics(robot, arm.base.seen(position), start=(np.zeros(3), SHIFT))
+        for arm, position in zip(arms, positions, strict=True)
     ]
     options = tubeopt.PlanOptions(clearance=5e-4, objective="none")  # no path is shorter
-    plan = tubeopt.plan_arms(arms, starts, places[::-1], options=options)
+    plan = tubeopt.plan_arms(arms, starts, positions[::-1], options=options)
     names = ", ".join(arms[k].called for k in plan.withdrawn_first)
     print(f"tips change places within {plan.duration:.1f} s; {names} withdraws; proved: {plan.proved}")
 

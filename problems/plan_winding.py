@@ -46,17 +46,19 @@ def main(out: Path) -> list[Path]:
     proof = plan.proof
     print(f"planned: least margin {proof.least_margin:.3f}, {plan.time[-1]:.1f} s, proved: {proof.holds}")
     print(f"clearance at least {proof.least_clearance * 1e3:.3f} mm at all times, by {proof.equilibria} equilibria")
-    here, off, near = plan.start, 0.0, np.inf
+    current, off, near = plan.start, 0.0, np.inf
     for t in np.linspace(0.0, plan.time[-1], CHECKS):
         turn, shift = (
             np.array([np.interp(t, plan.time, joint) for joint in table.T])
             for table in (plan.rotations, plan.translations)
         )
-        here = tubeopt.forward_kinematics(robot, turn, shift, start=here, verify=True)
-        assert here.verification is not None
-        off = max(off, here.verification.tip_position)
-        thick = np.where(here.arc_length <= here.tube_end[1], *(tube.outer_diameter / 2 for tube in robot.tubes[::-1]))
-        near = min(near, float((post.signed_distance(here.position) - thick).min()))
+        current = tubeopt.forward_kinematics(robot, turn, shift, start=current, verify=True)
+        assert current.verification is not None
+        off = max(off, current.verification.tip_position)
+        thick = np.where(
+            current.arc_length <= current.tube_end[1], *(tube.outer_diameter / 2 for tube in robot.tubes[::-1])
+        )
+        near = min(near, float((post.signed_distance(current.position) - thick).min()))
     print(
         f"integrated {CHECKS} times in between: tips agree to {off * 1e9:.1g} nm, least clearance {near * 1e3:.3f} mm"
     )

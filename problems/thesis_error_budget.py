@@ -56,15 +56,15 @@ def in_sheath(share: float) -> tubeopt.EccentricRobot:
 
 def moved(name: str, size: float) -> Iterator[Array]:
     """(72,) displacement of the tips by an effect of a size, m, for every direction that it may have."""
-    here = tips(ROBOT)
+    current = tips(ROBOT)
     if name == "sheath":
-        yield np.linalg.norm(tips(in_sheath(size)) - here, axis=1)
+        yield np.linalg.norm(tips(in_sheath(size)) - current, axis=1)
     elif name == "room":  # tubes further out by the room that they have, and the tip aside by as much
         wider = tips(replace(ROBOT, offset=ROBOT.distance + size))
-        yield np.linalg.norm(wider - here, axis=1) + size
+        yield np.linalg.norm(wider - current, axis=1) + size
     else:
         for senses in product((-1.0, 0.0, 1.0), repeat=3):
-            yield np.linalg.norm(tips(ROBOT, ALL + size * np.array(senses)) - here, axis=1)
+            yield np.linalg.norm(tips(ROBOT, ALL + size * np.array(senses)) - current, axis=1)
 
 
 EFFECTS = {

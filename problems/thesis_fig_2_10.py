@@ -35,16 +35,16 @@ def main(out: Path, samples: int = SAMPLES) -> list[Path]:
     shapes = out / "thesis_ctr_workspace.png"
     title = f"{robot.name}: arms and tips at {samples:,} random rotations and translations"
     plot_reach([arm_curve(arm, arm.margin) for arm in arms], shapes, title=title, label="stability margin", opacity=0.2)
-    found = tubeopt.workspace(robot, TIPS * samples)
-    loss = tubeopt.snapping_loss(robot, TIPS * samples, size=VOXEL, reached=found)
-    volume = meridian_volume(found)
+    space = tubeopt.workspace(robot, TIPS * samples)
+    loss = tubeopt.snapping_loss(robot, TIPS * samples, size=VOXEL, reached=space)
+    volume = meridian_volume(space)
     print(
         f"{1e6 * volume.value:,.0f} cm3 as a body of revolution; "
         f"{100 * loss.unstable / loss.equilibria:.1f} % of all equilibria are unstable, "
         f"{1e6 * loss.lost_volume:.0f} cm3 are reached by no other"
     )
     tips = out / "thesis_ctr_workspace_tips.png"
-    plot_workspace(found, tips, loss=loss, size=VOXEL)
+    plot_workspace(space, tips, loss=loss, size=VOXEL)
     return [shapes, tips]
 
 

@@ -27,8 +27,8 @@ def main(out: Path, samples: int = 61) -> list[Path]:
     window = np.radians(WINDOW_DEG)
     maps = [tubeopt.energy_map(robot, np.radians([deg, 0, 0]), window=window, samples=samples) for deg in INPUTS_DEG]
     for deg, each in zip(INPUTS_DEG, maps, strict=True):
-        found = [f"{e.energy * 1e3:.3f} mJ ({'stable' if e.stable else 'unstable'})" for e in each.equilibria]
-        print(f"inner tube at {deg:g} deg: {', '.join(found)}")
+        results = [f"{e.energy * 1e3:.3f} mJ ({'stable' if e.stable else 'unstable'})" for e in each.equilibria]
+        print(f"inner tube at {deg:g} deg: {', '.join(results)}")
     picture = out / "thesis_energy_maps.png"
     titles = [f"inner tube turned by {deg:g}°" for deg in INPUTS_DEG]
     plot_energy_maps(maps, picture, titles=titles)

@@ -24,8 +24,10 @@ def main(out: Path, samples: int = SAMPLES) -> list[Path]:
     rotations = np.random.default_rng(35).uniform(0.0, 2 * np.pi, (samples, 3))
     solved = [tubeopt.forward_kinematics(robot, row) for row in rotations]
     curves = [arm_curve(each, each.margin) for each in solved]
-    least = min(solved, key=lambda each: each.margin)
-    print(f"{samples} configurations; least margin {least.margin:.3f} at {np.degrees(least.rotations).round(1)} deg")
+    smallest = min(solved, key=lambda each: each.margin)
+    print(
+        f"{samples} configurations; least margin {smallest.margin:.3f} at {np.degrees(smallest.rotations).round(1)} deg"
+    )
     picture = out / "thesis_etr_workspace.png"
     title = f"{robot.name}: arms and tips of {samples:,} random rotations of its three tubes"
     plot_reach(curves, picture, title=title, label="stability margin", opacity=0.25)

@@ -34,13 +34,13 @@ def main(out: Path, samples: int = 40) -> list[Path]:
     path = tubeopt.follow(robot, np.radians(angles)[:, None] * [1.0, 0.0, 0.0])
     distances = [tubeopt.snap_distance(e) for e in path.equilibria]
     proved = np.degrees([d.turn for d in distances])
-    found = np.degrees([np.nanmin(np.abs(d.one_tube)) / 2 for d in distances])
+    result = np.degrees([np.nanmin(np.abs(d.one_tube)) / 2 for d in distances])
     for angle, e, d in list(zip(angles, path.equilibria, proved, strict=True))[:: max(1, samples // 4)]:
         print(f"{angle:6.1f} deg: margin {e.margin:.3f}, any tubes may turn by {d:.1f} deg")
 
     picture_path = out / "thesis_snap_distance.png"
     margin = np.array([e.margin for e in path.equilibria])
-    plot_distances(Distances(angles, last, margin, proved, found), picture_path)
+    plot_distances(Distances(angles, last, margin, proved, result), picture_path)
     return [picture_path]
 
 
@@ -57,14 +57,14 @@ class Distances(NamedTuple):
 @picture
 def plot_distances(turned: Distances) -> Figure:
     """Margin above, proved distance and half of the nearest one-tube snap below, over the rotation of tube 1."""
-    angles, last, margin, proved, found = turned
+    angles, last, margin, proved, result = turned
     figure = new_figure(6.4, 4.2)
     above, below = figure.subplots(2, 1, sharex=True)
     above.plot(angles, margin, color=tube_colour(0))
     above.set(ylabel="stability margin", ylim=(0, 1.05))
     below.fill_between(angles, proved, color=tube_colour(2), alpha=0.25, linewidth=0)
     below.plot(angles, proved, color=tube_colour(2), label="no snap (proved)")
-    below.plot(angles, found, color=tube_colour(1), linestyle="--", label="half a turn of one tube that snaps")
+    below.plot(angles, result, color=tube_colour(1), linestyle="--", label="half a turn of one tube that snaps")
     below.set(xlabel="rotation of tube 1 (deg)", ylabel="turn of every tube (deg)", ylim=(0, None))
     below.legend(loc="best")
     for panel in (above, below):

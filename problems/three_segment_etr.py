@@ -28,10 +28,10 @@ def main(out: Path) -> list[Path]:
     rotations = np.concatenate([mirror_rotations(*np.radians(pair)) for pair in MIRROR_DEG])
     chain = chained_approximation(robot, rotations)
     whole = chain.full_model()
-    distance, share = chain.deviation(whole)
+    distance, fraction = chain.deviation(whole)
     print(f"tip of the full model {np.round(whole.tip_position * 1e3, 4)} mm, margin {whole.margin:.4f}")
     print(f"tip of the chain      {np.round(chain.tip_position * 1e3, 4)} mm")
-    print(f"difference {distance * 1e3:.4f} mm, {100 * share:.4f} % of the length")
+    print(f"difference {distance * 1e3:.4f} mm, {100 * fraction:.4f} % of the length")
     picture = out / "three_segment_etr.png"
     plot_shape(whole, picture, view=(18.0, -60.0))
     return [picture]

@@ -151,9 +151,9 @@ def shifts(draw: st.DrawFn, tubes: tuple[Tube, ...], *, withdrawn: bool = True) 
     """Translations of each tube: home, advanced to the end, retracted behind the plate, or withdrawn past it."""
     out = []
     for tube in tubes:
-        least = -1.2 * tube.curved_length if withdrawn else -0.9 * tube.curved_length
-        places = st.sampled_from([0.0, tube.straight_length, -tube.curved_length if withdrawn else 0.0])
-        out.append(draw(places | st.floats(least, tube.straight_length)))
+        smallest = -1.2 * tube.curved_length if withdrawn else -0.9 * tube.curved_length
+        positions = st.sampled_from([0.0, tube.straight_length, -tube.curved_length if withdrawn else 0.0])
+        out.append(draw(positions | st.floats(smallest, tube.straight_length)))
     return np.array(out)
 
 

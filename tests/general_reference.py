@@ -41,12 +41,12 @@ def straight(length: float, bending: float, torsional: float) -> Stretch:
 
 def _stretch(tube: Sequence[Stretch], place: float) -> tuple[Stretch, float]:
     """The stretch at an arc length from the held end, and where it begins."""
-    begin = 0.0
+    start = 0.0
     for stretch in tube[:-1]:
-        if place < begin + stretch[0]:
-            return stretch, begin
-        begin += stretch[0]
-    return tube[-1], begin
+        if place < start + stretch[0]:
+            return stretch, start
+        start += stretch[0]
+    return tube[-1], start
 
 
 def _cuts(bundle: Bundle, beta: Array) -> list[float]:
@@ -66,13 +66,13 @@ def _cuts(bundle: Bundle, beta: Array) -> list[float]:
 def behind_plate(tube: Sequence[Stretch], held: float) -> tuple[float, float]:
     """int ds / GJ and int u*_z from the held end to the plate."""
     compliance = wound = 0.0
-    begin = held
+    start = held
     for length, u, _, torsional in tube:
-        stop = min(begin + length, 0.0)
-        if stop > begin:
-            compliance += quad(lambda s, kt=torsional: 1 / kt(s), 0, stop - begin, epsabs=0, epsrel=1e-13, limit=200)[0]
-            wound += quad(lambda s, u=u: u(s)[2], 0, stop - begin, epsabs=1e-14, epsrel=1e-13, limit=200)[0]
-        begin += length
+        stop = min(start + length, 0.0)
+        if stop > start:
+            compliance += quad(lambda s, kt=torsional: 1 / kt(s), 0, stop - start, epsabs=0, epsrel=1e-13, limit=200)[0]
+            wound += quad(lambda s, u=u: u(s)[2], 0, stop - start, epsabs=1e-14, epsrel=1e-13, limit=200)[0]
+        start += length
     return compliance, wound
 
 
@@ -83,17 +83,17 @@ class _Section:
         middle = (low + high) / 2
         self.parts = []
         for tube, held in zip(bundle, beta, strict=True):
-            stretch, begin = _stretch(tube, middle - held)
-            there = middle - held < sum(part[0] for part in tube)
-            self.parts.append((stretch, held + begin, there))
+            stretch, start = _stretch(tube, middle - held)
+            reached = middle - held < sum(part[0] for part in tube)
+            self.parts.append((stretch, held + start, reached))
 
     def pulls(self, s: float, theta: Array) -> tuple[Array, Array, Array, Array]:
         """a_i = EI e^{j theta} (u*_x + j u*_y), EI, GJ, u*_z of each tube."""
         n = len(self.parts)
         a, kb, kt, z = np.zeros(n, dtype=complex), np.zeros(n), np.ones(n), np.zeros(n)
-        for i, ((_, u, bending, torsional), begin, there) in enumerate(self.parts):
-            if there:
-                x = s - begin
+        for i, ((_, u, bending, torsional), start, reached) in enumerate(self.parts):
+            if reached:
+                x = s - start
                 ux, uy, z[i] = u(x)
                 kb[i], kt[i] = bending(x), torsional(x)
                 a[i] = kb[i] * complex(ux, uy) * complex(math.cos(theta[i]), math.sin(theta[i]))
@@ -115,8 +115,8 @@ class _Section:
         n = len(kb)
         stiff = -np.real(np.outer(a, np.conj(a))) / kb.sum() + np.diag(np.real(np.conj(a.sum() / kb.sum()) * a))
         y, v = fields[:n], fields[n:]
-        there = np.array([part[2] for part in self.parts])
-        return np.concatenate([v / kt[:, None] * there[:, None], stiff @ y])
+        reached = np.array([part[2] for part in self.parts])
+        return np.concatenate([v / kt[:, None] * reached[:, None], stiff @ y])
 
 
 Solved = list[tuple[_Section, float, float, Callable[[float], Array]]]

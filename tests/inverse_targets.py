@@ -50,9 +50,9 @@ def reachable(robot: Robot, count: int, seed: int, *, margin: float = 0.1) -> It
         if not in_order(robot, translations):
             continue
         try:
-            found = forward_kinematics(robot, rotations, translations)
+            equilibrium = forward_kinematics(robot, rotations, translations)
         except SolveError:
             continue
-        if found.margin >= margin:
+        if equilibrium.margin >= margin:
             count -= 1
-            yield found
+            yield equilibrium

@@ -174,8 +174,8 @@ class Shooting:
 
     def _twisted(self, at: float) -> int:
         """The tube that a moment along the arm twists: at the tip the innermost that ends there, else the outermost."""
-        there = np.flatnonzero(self.end >= at - 1e-9)
-        return int(there[0] if at > self.length - 1e-9 else there[-1])
+        reached = np.flatnonzero(self.end >= at - 1e-9)
+        return int(reached[0] if at > self.length - 1e-9 else reached[-1])
 
     def _along(self, ends: tuple[float, float], y: Array, tolerance: float, count: int = 2) -> Array:
         """States (count, B, S) of several arms along a section, from those (B, S) where it begins or ends."""
@@ -211,8 +211,8 @@ class Shooting:
         for a, b in reversed(list(pairwise(self.cuts))):
             out.append(self._along((b, a), y, 1e-11, 41))
             y = out[-1][-1].copy()
-            for place, f in self.load.points:
-                if abs(place - a) < 1e-12:
+            for position, f in self.load.points:
+                if abs(position - a) < 1e-12:
                     y[:, 2 * n + 14 :] += f
         return np.concatenate(out)
 

@@ -202,13 +202,16 @@ CALLS: dict[str, Call] = {
     ),
     "place_pair": (
         workspaces.place_pair,
-        lambda: {"workspaces": [reached(), reached()], "least_distance": 0.01, "most_distance": 0.02, "size": 0.05},
+        lambda: {"workspaces": [reached(), reached()], "min_distance": 0.01, "max_distance": 0.02, "size": 0.05},
     ),
     "optimize_design": (tubeopt.optimize_design, lambda: {"task": task(), "turns": 0}),
-    "search_design": (tubeopt.search_design, lambda: {"task": task(), "wanted": wanted, "time_limit": 0.1, "turns": 0}),
+    "search_design": (
+        tubeopt.search_design,
+        lambda: {"task": task(), "objective": wanted, "time_limit": 0.1, "turns": 0},
+    ),
     "search_pair": (
         tubeopt.search_pair,
-        lambda: {"tasks": (task(), task()), "wanted": wanted_of_pair, "time_limit": 0.1, "turns": 0},
+        lambda: {"tasks": (task(), task()), "objective": wanted_of_pair, "time_limit": 0.1, "turns": 0},
     ),
     "pareto_front": (design.pareto_front, lambda: {"task": task(), "margins": [0.05]}),
     "tolerance_analysis": (

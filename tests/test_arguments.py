@@ -42,15 +42,15 @@ def _robot(*tube: Any) -> tubeopt.ConcentricRobot:
 @pytest.mark.filterwarnings("ignore")
 def test_a_wrong_type_is_refused_in_a_sentence(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)  # a text may be a path to which something is saved
-    function, given = CALLS[name]
+    function, inputs = CALLS[name]
     raw = []
     for parameter in inspect.signature(function).parameters.values():
         if parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
             continue
-        for label, value in wrong_values(parameter, given):
+        for label, value in wrong_values(parameter, inputs):
             try:
                 with within(ENOUGH):
-                    function(**{**given(), parameter.name: value})
+                    function(**{**inputs(), parameter.name: value})
             except (InputError, SolveError, LateError, OSError):
                 pass
             except Exception as error:  # any other kind is the fault that is looked for
@@ -61,11 +61,11 @@ def test_a_wrong_type_is_refused_in_a_sentence(name: str, monkeypatch: pytest.Mo
 @pytest.mark.parametrize("name", [name for names in CONSTRUCTORS.values() for name in names.split()])
 @pytest.mark.filterwarnings("ignore")
 def test_a_constructor_refuses_what_nothing_could_be_done_with(name: str) -> None:
-    function, given = CALLS[name]
+    function, inputs = CALLS[name]
     for parameter in inspect.signature(function).parameters.values():
         if parameter.kind is not parameter.VAR_KEYWORD:
             with pytest.raises(InputError):
-                function(**{**given(), parameter.name: object()})
+                function(**{**inputs(), parameter.name: object()})
 
 
 @pytest.mark.parametrize(
@@ -128,12 +128,12 @@ def test_checks_follow_from_annotations() -> None:
 
     assert asked(np.float64(2.0), [[1, 2], [3, 4]], d="x", e=np.True_) == 2.0
     assert asked(3, np.arange(3)) == 3
-    for given in ({"a": True}, {"a": "1"}, {"a": 1j}):
-        with pytest.raises(InputError, match=f"{list(given)[-1]} is .*; it must be"):
-            asked(**given)  # type: ignore[arg-type]
-    for given in ({"d": 3}, {"e": 1}):
-        with pytest.raises(InputError, match=f"{next(iter(given))} is .*; it must be"):
-            asked(1.0, **given)  # type: ignore[arg-type]
+    for inputs in ({"a": True}, {"a": "1"}, {"a": 1j}):
+        with pytest.raises(InputError, match=f"{list(inputs)[-1]} is .*; it must be"):
+            asked(**inputs)  # type: ignore[arg-type]
+    for inputs in ({"d": 3}, {"e": 1}):
+        with pytest.raises(InputError, match=f"{next(iter(inputs))} is .*; it must be"):
+            asked(1.0, **inputs)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="unexpected keyword"):
         asked(1.0, f=3)  # type: ignore[call-arg]
 
@@ -178,12 +178,12 @@ def test_a_load_in_mN_is_warned_of_or_refused() -> None:
     large = 25 * stiffness / length**2
     with pytest.warns(tubeopt.errors.ImplausibleWarning, match="tip force of the load has .* mN meant"):
         tubeopt.forward_kinematics(PAIR, [0, 0], load=tubeopt.Load((0, 0, large)))  # a pull is soon solved
-    for load, words in (
+    for load, text in (
         (tubeopt.Load((0, 1e300, 0)), r"tip force of the load has 1e\+300 N; on this arm it must be at most .* N: was"),
         (tubeopt.Load(moment=(50.0, 0, 0)), "tip moment of the load has 50 N m; .* was 50 mN m meant"),
         (tubeopt.Load(points=((0.01, (0, 0, 0), (0, 50.0, 0)),)), r"moment of points\[0\] of the load has 50 N m"),
     ):
-        with pytest.raises(InputError, match=words):
+        with pytest.raises(InputError, match=text):
             tubeopt.forward_kinematics(PAIR, [0, 0], load=load)
 
 
@@ -208,10 +208,10 @@ FAR = [50.0, 30.0, 190.0]
     ],
 )
 def test_a_place_in_mm_is_refused(call: Any, name: str) -> None:
-    words = (
+    text = (
         f"{name} is 50, 30, 190.* m, 198.[78] m from the plate, and the longest tube is 0.11 m long; .* at most 1.1 m"
     )
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=text):
         call()
 
 

@@ -27,11 +27,11 @@ def test_the_constants_are_those_of_codata() -> None:
 def test_no_other_module_writes_a_constant() -> None:
     sources = [path for path in PACKAGE.rglob("*") if path.suffix in {".py", ".c", ".cpp", ".h", ".ino", ".js"}]
     assert len(sources) > 300
-    found = {}
+    results = {}
     for path in sources:
         lines = path.read_text(encoding="utf-8").splitlines()
         # The size of a figure is no gravity.
         written = [line for line in lines if WRITTEN.search(line) and "new_figure" not in line]
         if written and path.name != "constants.py":
-            found[path.relative_to(PACKAGE).as_posix()] = written
-    assert not found
+            results[path.relative_to(PACKAGE).as_posix()] = written
+    assert not results

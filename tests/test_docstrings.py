@@ -26,5 +26,5 @@ def test_the_example_of_a_function_is_true(name: str, monkeypatch: pytest.Monkey
     text = inspect.unwrap(getattr(tubeopt, name)).__doc__ or ""
     example = doctest.DocTestParser().get_doctest(text, {}, name, None, None)
     assert example.examples
-    said: list[str] = []
-    assert doctest.DocTestRunner().run(example, out=said.append).failed == 0, "".join(said)
+    output: list[str] = []
+    assert doctest.DocTestRunner().run(example, out=output.append).failed == 0, "".join(output)

@@ -24,11 +24,11 @@ PACKAGE = ROOT / "tubeopt"
 
 def modules() -> dict[str, Path]:
     """Name without the package's own -> file."""
-    found = {}
+    results = {}
     for path in PACKAGE.rglob("*.py"):
         parts = path.relative_to(PACKAGE).with_suffix("").parts
-        found[".".join(parts).removesuffix(".__init__").removesuffix("__init__")] = path
-    return found
+        results[".".join(parts).removesuffix(".__init__").removesuffix("__init__")] = path
+    return results
 
 
 IMPORT = re.compile(r"^ *from (\.+)([\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
@@ -42,9 +42,9 @@ def tree(path: Path) -> ast.Module:
 
 def imports(name: str, path: Path) -> Iterator[tuple[str, str]]:
     """Module and name of everything that a module takes from the package, wherever in it."""
-    here = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
+    current = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
     for dots, module, names in IMPORT.findall(path.read_text(encoding="utf-8")):
-        base = here[: len(here) - len(dots) + 1] if name else []
+        base = current[: len(current) - len(dots) + 1] if name else []
         source = ".".join(part for part in (*base, module) if part)
         taken = re.sub(r"#.*|[()]", "", names).split(",")
         yield from ((source, each.split()[0]) for each in taken if each.strip())
@@ -72,8 +72,8 @@ def test_no_private_name_is_taken_from_another_module(arrows: dict[str, set[tupl
 
 def test_millimetres_are_typed_where_units_are() -> None:
     typed = re.compile(r"^(MM|MILLI|DEG|PERCENT)\b[^\n]*= *[\d.(]", re.MULTILINE)
-    found = [name for name, path in modules().items() if typed.search(path.read_text(encoding="utf-8"))]
-    assert set(found) <= {"files.units"}
+    results = [name for name, path in modules().items() if typed.search(path.read_text(encoding="utf-8"))]
+    assert set(results) <= {"files.units"}
 
 
 def test_names_are_words_of_the_field() -> None:

@@ -44,8 +44,8 @@ def test_it_prints_what_it_says(path: Path, kernel: Any) -> None:
     if "to_dataframe" in path.read_text(encoding="utf-8"):
         pytest.importorskip("pandas")
     tool = runpy.run_path(str(ROOT / ".ci" / "notebooks.py"))
-    kept = nbformat.read(path, as_version=4)
-    assert tool["printed"](tool["run"](path, kernel, SMALL)) == tool["printed"](kept)
+    retained = nbformat.read(path, as_version=4)
+    assert tool["printed"](tool["run"](path, kernel, SMALL)) == tool["printed"](retained)
 
 
 def test_there_is_one_for_each_thing_that_a_beginner_asks() -> None:

@@ -39,9 +39,9 @@ ASKED: dict[str, Callable[[], Any]] = {
 @pytest.mark.parametrize("words", ASKED)
 def test_a_number_that_was_meant_in_mm_or_mn_is_warned_of(words: str) -> None:
     with (
-        pytest.warns(ImplausibleWarning) as found,
+        pytest.warns(ImplausibleWarning) as result,
         contextlib.suppress(tubeopt.SolveError, tubeopt.InputError),
     ):
         ASKED[words]()
-    told = [str(one.message) for one in found]
-    assert any(one.startswith(words) and "meant?" in one for one in told), told
+    report = [str(one.message) for one in result]
+    assert any(one.startswith(words) and "meant?" in one for one in report), report

@@ -156,16 +156,16 @@ def test_answers_of_solvers_and_questions() -> None:
 
 def test_answers_about_stability() -> None:
     """Turned once around, the robot of the thesis snaps once; two weakly curved tubes cannot."""
-    way = follow(THESIS, np.radians([[0, 0, 0], [270, 0, 0]]))
-    answers: tuple[Result, ...] = (way, way.snaps[0], certify(TWO_TUBE, [-0.09, -0.06]), assess_snapping(TWO_TUBE))
+    path = follow(THESIS, np.radians([[0, 0, 0], [270, 0, 0]]))
+    answers: tuple[Result, ...] = (path, path.snaps[0], certify(TWO_TUBE, [-0.09, -0.06]), assess_snapping(TWO_TUBE))
     assert [str(each.status) for each in answers] == [
         "the robot reached all waypoints, with snaps",
         "the robot snapped to another equilibrium",
         "it is proved that the robot cannot snap at any rotation",
         "the robot can snap",
     ]
-    assert way.value.shape == (2, 3)
-    assert (way.statistics.waypoints, way.statistics.snaps) == (2, 1)
+    assert path.value.shape == (2, 3)
+    assert (path.statistics.waypoints, path.statistics.snaps) == (2, 1)
     assert answers[1].value == pytest.approx(214.2224 / 270, abs=1e-5)
     assert answers[2].value > 0
     assert answers[2].statistics.pairs == 1
@@ -191,11 +191,11 @@ def test_answers_for_many_joint_values_and_of_molds() -> None:
 
 
 def test_solvers_are_chosen_by_name_or_by_their_settings() -> None:
-    wanted = forward_kinematics(TWO_TUBE, [0.3, 2.0])
+    desired = forward_kinematics(TWO_TUBE, [0.3, 2.0])
     for solver in (Newton(iterations=30), Ipopt(tolerance=1e-11, iterations=50), "ipopt"):
-        found = forward_kinematics(TWO_TUBE, [0.3, 2.0], method=solver)
-        np.testing.assert_allclose(found.tip_position, wanted.tip_position, atol=1e-9)
-        assert found.statistics.method == ("newton" if isinstance(solver, Newton) else "ipopt")
+        equilibrium = forward_kinematics(TWO_TUBE, [0.3, 2.0], method=solver)
+        np.testing.assert_allclose(equilibrium.tip_position, desired.tip_position, atol=1e-9)
+        assert equilibrium.statistics.method == ("newton" if isinstance(solver, Newton) else "ipopt")
     with pytest.raises(InputError, match="descent_iterations is 0; it must be at least 1"):
         Newton(descent_iterations=0)
     with pytest.raises(InputError, match="method is 'simplex'"):

@@ -47,8 +47,8 @@ def test_questions_are_as_many_as_promised_and_speak_of_what_there_is() -> None:
     assert {one["robot"] for one in every} == set(robots())
     assert {one["scene"] for one in every} == set(scenes())
     assert {robot.n for robot in robots().values()} == {2, 3, 4}
-    words = {name.rstrip(" 0123456789") for name in scenes()}
-    assert {"free", "bronchial tree", "ventricle", "kidney"} < words
+    text = {name.rstrip(" 0123456789") for name in scenes()}
+    assert {"free", "bronchial tree", "ventricle", "kidney"} < text
 
 
 @pytest.mark.parametrize("name", ["two_tubes", "crl_ctr", "four_tubes"])
@@ -60,18 +60,18 @@ def test_the_model_that_judges_agrees_with_forward_kinematics(name: str) -> None
     shifts = beta + robot.straight_length
     solved = [tubeopt.forward_kinematics(ours, a, d) for a, d in zip(turned, shifts, strict=True)]
     z = np.array([one.tip_rotations for one in solved])
-    found = model.integrate(robot, z, beta)
-    assert np.abs(found.rotations - turned).max() < 1e-6
-    assert np.abs(found.tip - [one.tip_position for one in solved]).max() < 1e-7
-    assert found.stable.all()
+    result = model.integrate(robot, z, beta)
+    assert np.abs(result.rotations - turned).max() < 1e-6
+    assert np.abs(result.tip - [one.tip_position for one in solved]).max() < 1e-7
+    assert result.stable.all()
     assert model.margins(robot, z, beta) == pytest.approx([one.margin for one in solved], abs=2e-3)
 
 
 def test_a_snap_is_found_where_it_is_known() -> None:
     """Of the pair of closed form: 203.90356628 deg from home."""
     robot = judged(TWO_TUBE)
-    ways = [np.array([[0, 0, -0.05, -0.05], [np.radians(end), 0, -0.05, -0.05]]) for end in (360.0, 203.0)]
-    snapped, free = model.follow(robot, ways, np.zeros((2, 2)))
+    paths = [np.array([[0, 0, -0.05, -0.05], [np.radians(end), 0, -0.05, -0.05]]) for end in (360.0, 203.0)]
+    snapped, free = model.follow(robot, paths, np.zeros((2, 2)))
     assert 360 * snapped.share == pytest.approx(203.90356628, abs=0.05)
     assert free.share == 1
 
@@ -93,9 +93,9 @@ def test_a_right_answer_is_kept_and_wrong_ones_are_not() -> None:
 def test_an_arm_in_a_wall_is_told() -> None:
     robot, scene = robots()["crl_ctr"], scenes()["kidney 1"]
     beta = withdrawn(robot)[None] + 0.06
-    found = model.integrate(robot, np.zeros((1, 3)), beta)
+    result = model.integrate(robot, np.zeros((1, 3)), beta)
     answer = {
-        "rotations_deg": np.degrees(found.rotations[0]).tolist(),
+        "rotations_deg": np.degrees(result.rotations[0]).tolist(),
         "tip_rotations_deg": [0.0, 0.0, 0.0],
         "translations_mm": ((beta[0] + robot.straight_length) / MM).tolist(),
     }
@@ -118,14 +118,14 @@ def test_a_plan_is_followed_to_its_goal_and_one_that_stops_short_is_told() -> No
     question = first("plan", robot="two_tubes", scene="free")
     answer = ANSWERS["plan"](question)
     joints = {key: answer[key] for key in ("rotations_deg", "translations_mm")}
-    given = {
+    inputs = {
         "whole": joints,
         "short": {key: value[:-5] for key, value in joints.items()},
         "late": {key: value[5:] for key, value in joints.items()},
     }
-    answers = {name: {"id": name, "seconds": 1.0, **each} for name, each in given.items()}
-    told = plans(robots()["two_tubes"], [{**question, "id": name} for name in given], answers)
-    assert {one.id: one.why for one in told} == {"whole": "", "short": "goal", "late": "start"}
+    answers = {name: {"id": name, "seconds": 1.0, **each} for name, each in inputs.items()}
+    report = plans(robots()["two_tubes"], [{**question, "id": name} for name in inputs], answers)
+    assert {one.id: one.why for one in report} == {"whole": "", "short": "goal", "late": "start"}
 
 
 def test_a_design_that_snaps_is_told() -> None:

@@ -32,7 +32,7 @@ class Check(NamedTuple):
     expected: str
     """Description of allowed values, as "a number"."""
     late: bool = False
-    """True for lists: their check takes long."""
+    """True if the check is slow and runs only after an error, as for lists."""
 
 
 def typed(target: T) -> T:

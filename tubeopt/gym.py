@@ -123,15 +123,15 @@ class CtrVectorEnv(VectorEnv[Any, Any, Any]):
         n, o = self.robot.n_tubes, self.options
         longest = np.float32(max(self._space.longest, max(tube.length for tube in self.robot.tubes)) * (1 + 1e-6))
         joint = np.tile(np.array([1, 1, longest], dtype=np.float32), n)
-        most = max(o.largest_tolerance, o.tolerance)
+        largest = max(o.largest_tolerance, o.tolerance)
         low = np.concatenate([-joint, np.full(3, -2 * longest), [0.0]]).astype(np.float32)
-        high = np.concatenate([joint, np.full(3, 2 * longest), [most]]).astype(np.float32)
-        place = Box(-longest, longest, (3,), np.float32)
+        high = np.concatenate([joint, np.full(3, 2 * longest), [largest]]).astype(np.float32)
+        position = Box(-longest, longest, (3,), np.float32)
         action = self._most.astype(np.float32)
         observed: dict[str, Any] = {
             "observation": Box(low, high, dtype=np.float32),
-            "achieved_goal": place,
-            "desired_goal": place,
+            "achieved_goal": position,
+            "desired_goal": position,
         }
         return DictSpace(observed), Box(-action, action, dtype=np.float32)
 
@@ -151,8 +151,8 @@ class CtrVectorEnv(VectorEnv[Any, Any, Any]):
         begins, goes, o = self._over.copy(), ~self._over, self.options
         if begins.any():
             self._begin(begins)
-        asked = np.clip(np.asarray(actions, dtype=float), -self._most, self._most) * goes[:, None]
-        snaps: Mask = self._move(asked) & goes
+        action = np.clip(np.asarray(actions, dtype=float), -self._most, self._most) * goes[:, None]
+        snaps: Mask = self._move(action) & goes
         self._time += goes
         if o.task == "path":
             part = np.minimum(self._time / o.steps, 1.0)[:, None]
@@ -190,17 +190,17 @@ class CtrVectorEnv(VectorEnv[Any, Any, Any]):
             robot = self._drawn()
             self._arms.use(int(row), robot)
             self._goals.use(int(row), robot)
-        for arms, place in ((self._arms, self._q), (self._goals, self._to)):
+        for arms, joints in ((self._arms, self._q), (self._goals, self._to)):
             left = rows.copy()
             for _ in range(DRAWS):
                 drawn = self._known[self.np_random.integers(KNOWN, size=self.num_envs)]
                 turns = slice(self.robot.n_tubes)
-                most = np.minimum(math.pi, self._space.upper[turns])
+                largest = np.minimum(math.pi, self._space.upper[turns])
                 drawn[:, turns] = self.np_random.uniform(
-                    np.maximum(-math.pi, self._space.lower[turns]), most, (self.num_envs, most.size)
+                    np.maximum(-math.pi, self._space.lower[turns]), largest, (self.num_envs, largest.size)
                 )
-                place[left] = drawn[left]
-                solved = ~arms.go(*self._joints(np.where(left[:, None], place, self._held(arms))), left)
+                joints[left] = drawn[left]
+                solved = ~arms.go(*self._joints(np.where(left[:, None], joints, self._held(arms))), left)
                 left &= ~solved
                 if not left.any():
                     break
@@ -217,18 +217,18 @@ class CtrVectorEnv(VectorEnv[Any, Any, Any]):
         shift = np.hstack([arms.rotations, arms.translations])[:, first] - self._space.offset[first]
         return np.hstack([arms.rotations, shift])
 
-    def _move(self, asked: Array) -> Mask:
+    def _move(self, action: Array) -> Mask:
         """Move the joints by an action (N, 2n), in order and within ranges; returns which robots snap."""
         space, n = self._space, self.robot.n_tubes
         carriages = [list(tubes) for tubes in space.carriages]
-        change = np.hstack([asked[:, n:], *[asked[:, tubes].mean(1, keepdims=True) for tubes in carriages]])
+        change = np.hstack([action[:, n:], *[action[:, tubes].mean(1, keepdims=True) for tubes in carriages]])
         before, q = self._q.copy(), self._q
         for _ in range(self.options.repeats):
             q = np.clip(q + change, space.lower, space.upper)
             for _ in range(SWEEPS):
-                for row, least in zip(space.rows, space.least, strict=True):
+                for row, minimum in zip(space.rows, space.least, strict=True):
                     joint = int(np.flatnonzero(row)[0])  # the innermost tube gives way, as in CTR-Reach
-                    q[:, joint] += np.maximum(least - q @ row, 0.0) / row[joint]
+                    q[:, joint] += np.maximum(minimum - q @ row, 0.0) / row[joint]
         inside = (q >= space.lower - 1e-12) & (q <= space.upper + 1e-12)
         fits = np.hstack([q @ space.rows.T >= space.least - 1e-9, inside]).all(1, keepdims=True)
         self._q = np.where(fits, q, before)
@@ -240,9 +240,9 @@ class CtrVectorEnv(VectorEnv[Any, Any, Any]):
     def _drawn(self) -> ConcentricRobot:
         """The robot with random stiffnesses and curvatures."""
         assert isinstance(self.robot, ConcentricRobot)
-        most, tubes = self.options.randomisation, []
+        largest, tubes = self.options.randomisation, []
         for tube in self.robot.tubes:
-            bending, torsional, bent = (1 + self.np_random.uniform(-most, most, 3)).tolist()
+            bending, torsional, bent = (1 + self.np_random.uniform(-largest, largest, 3)).tolist()
             stiffness = {"bending_stiffness": tube.bending_stiffness * bending}
             stiffness["torsional_stiffness"] = tube.torsional_stiffness * torsional
             shape: dict[str, Any] = {"curvature": tube.curvature * bent}
@@ -260,8 +260,8 @@ class CtrVectorEnv(VectorEnv[Any, Any, Any]):
         tips = self._arms.tips
         goals = self._goals.tips if self._fixed is None else np.broadcast_to(self._fixed, tips.shape)
         each = np.stack([np.cos(joints[0]), np.sin(joints[0]), joints[1]], axis=2).reshape(self.num_envs, -1)
-        told = np.hstack([each, goals - tips, np.full((self.num_envs, 1), self.tolerance)])
-        parts = {"achieved_goal": tips, "desired_goal": goals, "observation": told}
+        observation = np.hstack([each, goals - tips, np.full((self.num_envs, 1), self.tolerance)])
+        parts = {"achieved_goal": tips, "desired_goal": goals, "observation": observation}
         return {name: part.astype(np.float32) for name, part in parts.items()}
 
     def _info(self) -> dict[str, Any]:

@@ -40,10 +40,10 @@ class Delegate(Generic[T]):
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
 
-    def __get__(self, whole: Any, owner: type) -> T:
-        if whole is None:
+    def __get__(self, instance: Any, owner: type) -> T:
+        if instance is None:
             return self  # type: ignore[return-value]
-        return getattr(getattr(whole, self.part), self._name)  # type: ignore[no-any-return]
+        return getattr(getattr(instance, self.part), self._name)  # type: ignore[no-any-return]
 
 
 class StatusEnum(Enum):

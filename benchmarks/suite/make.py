@@ -107,12 +107,12 @@ def arms(
             away = random.normal(size=(2, AT_ONCE, robot.n)) * np.array([0.5, 6 * MM])[:, None, None]
             tried = around[0] + away[0], around[1] + away[1]
         tried = tuple(np.round(each, 6) for each in tried)
-        found = integrate(robot, *tried)
-        room = (scene.depth(found.points) - found.radius).min(axis=1)
-        good = (robot.order(tried[1]) > 1 * MM) & found.stable & (room > 2 * CLEARANCE)
+        result = integrate(robot, *tried)
+        room = (scene.depth(result.points) - result.radius).min(axis=1)
+        good = (robot.order(tried[1]) > 1 * MM) & result.stable & (room > 2 * CLEARANCE)
         if not scene.free and around is None:
-            good &= found.tip[:, 2] > DEEP
-        good &= np.ptp(found.points, axis=1).max(axis=1) > 20 * MM
+            good &= result.tip[:, 2] > DEEP
+        good &= np.ptp(result.points, axis=1).max(axis=1) > 20 * MM
         rows = np.flatnonzero(good)
         rows = rows[margins(robot, tried[0][rows], tried[1][rows]) > 2 * MARGIN] if len(rows) else rows
         z, beta = np.concatenate([z, tried[0][rows]]), np.concatenate([beta, tried[1][rows]])
@@ -125,12 +125,12 @@ def corridor(robot: Robot, name: str, random: np.random.Generator) -> tuple[list
     """A vessel around an arm that reaches far, and that arm."""
     free = scene_of("free", [])
     z, beta = arms(robot, free, random, 100)
-    found = integrate(robot, z, beta)
-    k = int(np.argsort(found.tip[:, 2])[-20 + random.integers(15)])
-    points = found.points[k][::-1]
+    result = integrate(robot, z, beta)
+    k = int(np.argsort(result.tip[:, 2])[-20 + random.integers(15)])
+    points = result.points[k][::-1]
     far = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     line = np.column_stack([np.interp(np.linspace(0, far[-1], 8), far, column) for column in points.T])
-    line = np.vstack([[0, 0, -15 * MM], line, points[-1] + 8 * MM * found.direction[k]]) / MM
+    line = np.vstack([[0, 0, -15 * MM], line, points[-1] + 8 * MM * result.direction[k]]) / MM
     radius = float(random.choice([7.0, 9.0, 11.0]))
     rows = [[*np.round(a, 3).tolist(), *np.round(b, 3).tolist(), radius, radius] for a, b in zip(line, line[1:])]  # noqa: B905, RUF007
     return rows, (z[k], beta[k])
@@ -168,19 +168,19 @@ def written_scenes(robots: dict[str, Robot], random: np.random.Generator) -> tup
 def shares(kind: str, pairs: Places) -> Iterator[tuple[tuple[str, str], int]]:
     """How many questions of a kind every robot gets in every scene."""
     free, narrow, _ = COUNTS[kind]
-    given = {pair: free if pair[1] == "free" else narrow if pair[1].startswith("corridor") else 0 for pair in pairs}
-    rest = [pair for pair, count in given.items() if not count]
-    for k in range(WANTED[kind] - sum(given.values())):
-        given[rest[k % len(rest)]] += 1
-    yield from given.items()
+    inputs = {pair: free if pair[1] == "free" else narrow if pair[1].startswith("corridor") else 0 for pair in pairs}
+    rest = [pair for pair, count in inputs.items() if not count]
+    for k in range(WANTED[kind] - sum(inputs.values())):
+        inputs[rest[k % len(rest)]] += 1
+    yield from inputs.items()
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=2026)
     parser.add_argument("--out", type=Path, default=DATA)
-    given = parser.parse_args()
-    random = np.random.default_rng(given.seed)
+    args = parser.parse_args()
+    random = np.random.default_rng(args.seed)
     written = written_robots()
     robots = {name: robot_of(name, row) for name, row in written.items()}
     scenes, pairs = written_scenes(robots, random)
@@ -188,26 +188,26 @@ def main() -> None:
     for kind in ("inverse", "plan"):
         for (name, scene), count in shares(kind, pairs):
             z, beta = arms(robots[name], scene_of(scene, scenes[scene]), random, count, pairs[name, scene])
-            found = integrate(robots[name], z, beta)
+            result = integrate(robots[name], z, beta)
             for k in range(count):
                 one: dict[str, Any] = {"id": f"{kind} {len(files[kind]) + 1}", "robot": name, "scene": scene}
                 if kind == "plan" and scene == "free":
                     shift = beta[k] + robots[name].straight_length
-                    one["rotations_deg"] = np.degrees(found.rotations[k]).round(6).tolist()
+                    one["rotations_deg"] = np.degrees(result.rotations[k]).round(6).tolist()
                     one["translations_mm"] = (shift / MM).round(4).tolist()
                 else:
-                    one["tip_mm"] = (found.tip[k] / MM).round(4).tolist()
+                    one["tip_mm"] = (result.tip[k] / MM).round(4).tolist()
                 if kind == "inverse" and scene == "free" and k % 2:
-                    one["direction"] = found.direction[k].round(7).tolist()
+                    one["direction"] = result.direction[k].round(7).tolist()
                 files[kind].append(one)
     files["design"] = [*reaching(robots, scenes, pairs, random), *snap_free(robots)]
-    given.out.mkdir(parents=True, exist_ok=True)
+    args.out.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
         rows = content.items() if isinstance(content, dict) else content
         lines = (": ".join(map(json.dumps, row)) if isinstance(row, tuple) else json.dumps(row) for row in rows)
         opening, closing = "{}" if isinstance(content, dict) else "[]"
         text = f"{opening}\n" + ",\n".join(lines) + f"\n{closing}\n"
-        (given.out / f"{name}.json").write_text(text, encoding="utf-8")
+        (args.out / f"{name}.json").write_text(text, encoding="utf-8")
         print(f"{name}: {len(content)}")
 
 
@@ -222,8 +222,8 @@ def reaching(
     robots: dict[str, Robot], scenes: dict[str, Any], pairs: Places, random: np.random.Generator
 ) -> Iterator[dict[str, Any]]:
     """Twelve designs: the least change of curvatures with which the tip reaches places."""
-    asked = [(name, scene) for name, scene in pairs if scene == "free" or scene.startswith("corridor")]
-    for number, (name, scene) in enumerate(asked[:12]):
+    requested = [(name, scene) for name, scene in pairs if scene == "free" or scene.startswith("corridor")]
+    for number, (name, scene) in enumerate(requested[:12]):
         tips = hidden(robots[name], scene_of(scene, scenes[scene]), random, pairs[name, scene])
         yield {
             "id": f"design {number + 1}", "kind": "reach", "robot": name, "scene": scene,

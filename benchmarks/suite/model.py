@@ -28,13 +28,13 @@ BETWEEN = np.array([0.25, 0.5, 0.75])
 BISECTIONS = 14
 """By which the margin is found: to 6e-5."""
 
-MOST_TURN, MOST_SHIFT = 0.1, 3e-3
+MOST_TURN, MAX_SHIFT = 0.1, 3e-3
 """Largest change of a rotation (rad) and a translation (m) in one step along a motion."""
 
-MOST_JUMP = 0.25
+MAX_JUMP = 0.25
 """Largest distance (rad) of tip angles from what was foreseen, for a step that is taken."""
 
-LEAST_STEP = 1e-4
+MIN_STEP = 1e-4
 """Share of the longest step below which the branch counts as ended: a snap."""
 
 
@@ -114,9 +114,9 @@ class _Section:
         n = theta.shape[1]
         stiff[:, range(n), range(n)] += along
         bend = self.twist * (np.conj(u)[:, None] * a).imag
-        there = (self.twist > 0)[:, :, None]
+        reached = (self.twist > 0)[:, :, None]
         twisted = scale * self.twist[:, :, None] * (stiff @ fields)
-        out = (turn * there[:, :, 0], bend, change * there, twisted)
+        out = (turn * reached[:, :, 0], bend, change * reached, twisted)
         if not arm:
             return out
         # R' = R hat(u) with u_z = 0: the third column of hat(u) is (u_y, -u_x, 0).
@@ -128,20 +128,20 @@ class _Section:
 
 def _sections(robot: Robot, beta: Array) -> list[_Section]:
     """From the tip to the plate, some of no length."""
-    begin = np.maximum(beta + robot.straight_length, 0.0)
+    start = np.maximum(beta + robot.straight_length, 0.0)
     end = np.maximum(beta + robot.length, 0.0)
-    cuts = np.sort(np.concatenate([np.zeros((len(beta), 1)), begin, end], axis=1), axis=1)
+    cuts = np.sort(np.concatenate([np.zeros((len(beta), 1)), start, end], axis=1), axis=1)
     out = []
     for k in range(cuts.shape[1] - 1, 0, -1):
         middle = (cuts[:, k] + cuts[:, k - 1])[:, None] / 2
-        there = middle < end
-        curved = there & (middle > begin)
+        reached = middle < end
+        curved = reached & (middle > start)
         out.append(
             _Section(
                 -(cuts[:, k] - cuts[:, k - 1]) / STEPS,
-                there * robot.bending_stiffness,
+                reached * robot.bending_stiffness,
                 curved * robot.bending_stiffness * robot.curvature,
-                there / robot.torsional_stiffness,
+                reached / robot.torsional_stiffness,
             )
         )
     return out
@@ -159,9 +159,9 @@ def integrate(robot: Robot, z: Array, beta: Array, scale: Array | float = 1.0) -
         points += [*between, state[5]]
         radii += [radius] * (len(between) + 1)
     plate = _at_plate(state, stable, beta)
-    frame, place = state[4:]
-    way = np.stack(points, axis=1) - place[:, None]
-    return States(plate.rotations, plate.stable, plate.slope, way @ frame, np.stack(radii, axis=1), frame[:, 2])
+    frame, position = state[4:]
+    path = np.stack(points, axis=1) - position[:, None]
+    return States(plate.rotations, plate.stable, plate.slope, path @ frame, np.stack(radii, axis=1), frame[:, 2])
 
 
 def turned(robot: Robot, z: Array, beta: Array, scale: Array | float = 1.0) -> Turned:
@@ -244,20 +244,20 @@ def follow(robot: Robot, ways: Sequence[Array], starts: Array) -> list[Followed]
     equilibrium nearby, and halved where not; where nothing is left to halve, the branch has ended: the robot snaps.
     """
     n = robot.n
-    limit = np.array([MOST_TURN] * n + [MOST_SHIFT] * n)
-    lengths = [np.append(0.0, np.cumsum((np.abs(np.diff(way, axis=0)) / limit).max(axis=1))) for way in ways]
+    limit = np.array([MOST_TURN] * n + [MAX_SHIFT] * n)
+    lengths = [np.append(0.0, np.cumsum((np.abs(np.diff(path, axis=0)) / limit).max(axis=1))) for path in ways]
 
     def at(k: int, t: float) -> Array:
         return np.array([np.interp(t, lengths[k], column) for column in ways[k].T])
 
     t, step, alive = np.zeros(len(ways)), np.ones(len(ways)), np.ones(len(ways), dtype=bool)
     whole = np.array([each[-1] for each in lengths])
-    tracks = [([z], [way[0]], [0.0]) for z, way in zip(starts, ways, strict=True)]
+    tracks = [([z], [path[0]], [0.0]) for z, path in zip(starts, ways, strict=True)]
     while (active := np.flatnonzero(alive & (t < whole))).size:
         new = np.minimum(t[active] + step[active], whole[active])
         joints = np.array([at(k, each) for k, each in zip(active.tolist(), new.tolist(), strict=True)])
-        begun = np.array([_ahead(tracks[k], each) for k, each in zip(active.tolist(), new.tolist(), strict=True)])
-        z, good = _stepped(robot, joints, begun)
+        start_time = np.array([_ahead(tracks[k], each) for k, each in zip(active.tolist(), new.tolist(), strict=True)])
+        z, good = _stepped(robot, joints, start_time)
         for row, k in enumerate(active.tolist()):
             if good[row]:
                 t[k], step[k] = new[row], min(1.0, 1.5 * step[k])
@@ -265,9 +265,9 @@ def follow(robot: Robot, ways: Sequence[Array], starts: Array) -> list[Followed]
                     part.append(value)
             else:
                 step[k] /= 2
-                alive[k] = step[k] > LEAST_STEP
-    shares = np.where(whole > 0, t / np.maximum(whole, 1e-12), 1.0)
-    return [Followed(np.array(z), np.array(q), float(s)) for (z, q, _), s in zip(tracks, shares, strict=True)]
+                alive[k] = step[k] > MIN_STEP
+    fractions = np.where(whole > 0, t / np.maximum(whole, 1e-12), 1.0)
+    return [Followed(np.array(z), np.array(q), float(s)) for (z, q, _), s in zip(tracks, fractions, strict=True)]
 
 
 def _ahead(track: tuple[list[Array], list[Array], list[float]], t: float) -> Array:
@@ -283,12 +283,12 @@ def _stepped(robot: Robot, joints: Array, begun: Array) -> tuple[Array, Mask]:
     n, z = robot.n, begun.copy()
     good = np.zeros(len(z), dtype=bool)
     for _ in range(6):
-        found = turned(robot, z, joints[:, n:])
-        gap = found.rotations - joints[:, :n]
-        good = found.stable & (np.abs(gap).max(axis=1) < 1e-9) & (np.abs(z - begun).max(axis=1) < MOST_JUMP)
-        lost = ~found.stable | (np.abs(z - begun).max(axis=1) >= MOST_JUMP)
+        result = turned(robot, z, joints[:, n:])
+        gap = result.rotations - joints[:, :n]
+        good = result.stable & (np.abs(gap).max(axis=1) < 1e-9) & (np.abs(z - begun).max(axis=1) < MAX_JUMP)
+        lost = ~result.stable | (np.abs(z - begun).max(axis=1) >= MAX_JUMP)
         if (good | lost).all():
             break
-        step = np.linalg.solve(found.slope + 1e-14 * np.eye(n), gap[:, :, None])[:, :, 0]
+        step = np.linalg.solve(result.slope + 1e-14 * np.eye(n), gap[:, :, None])[:, :, 0]
         z = np.where((good | lost)[:, None], z, z - step)
     return z, good

@@ -51,8 +51,8 @@ def draw(files: list[Path], out: Path) -> None:
                 if not (some := groups[kind].get(scene, [])):
                     continue
                 times = np.sort([one.seconds for one in some if one.success])
-                share = np.arange(1, len(times) + 1) / len(some)
-                panel.step(times, 100 * share, dash, where="post", color=colour, label=scene)
+                fraction = np.arange(1, len(times) + 1) / len(some)
+                panel.step(times, 100 * fraction, dash, where="post", color=colour, label=scene)
     for panel, kind in zip(axes, KINDS, strict=True):
         panel.set(xscale="log", xlabel="seconds of one processor", title=TITLES[kind], ylim=(0, 103))
         panel.set_xlim(0.004, 40)
@@ -67,9 +67,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scores", type=Path, nargs="+")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images" / "benchmark.png")
-    given = parser.parse_args()
-    draw(given.scores, given.out)
-    print(f"saved {given.out}")
+    args = parser.parse_args()
+    draw(args.scores, args.out)
+    print(f"saved {args.out}")
 
 
 if __name__ == "__main__":

@@ -75,7 +75,7 @@ def read_answers(path: Path) -> Answers:
 
 
 def _first(faults: Iterable[tuple[bool, str]]) -> str:
-    return next((words for broken, words in faults if broken), "")
+    return next((text for broken, text in faults if broken), "")
 
 
 def _table(one: dict[str, Any], key: str, factor: float, n: int) -> Array:
@@ -87,8 +87,8 @@ def _table(one: dict[str, Any], key: str, factor: float, n: int) -> Array:
 
 
 def _failed(question: dict[str, Any], answer: dict[str, Any] | None, why: str) -> Score:
-    told = None if answer is None else answer.get("seconds")
-    seconds = float(told) if isinstance(told, int | float) else np.nan
+    report = None if answer is None else answer.get("seconds")
+    seconds = float(report) if isinstance(report, int | float) else np.nan
     return Score(question["id"], question["robot"], question["scene"], seconds, why)
 
 
@@ -118,12 +118,12 @@ def look(robot: Robot, arms: Sequence[tuple[Scene, Given]], least: float = MARGI
     """Arms of one robot, each in its scene, as answers give them."""
     if not arms:
         return []
-    turned, z, beta = (np.array([given[k] for _, given in arms]) for k in range(3))
-    found, margin, order = integrate(robot, z, beta), margins(robot, z, beta), robot.order(beta)
-    off = np.abs(found.rotations - turned).max(axis=1)
+    turned, z, beta = (np.array([inputs[k] for _, inputs in arms]) for k in range(3))
+    result, margin, order = integrate(robot, z, beta), margins(robot, z, beta), robot.order(beta)
+    off = np.abs(result.rotations - turned).max(axis=1)
     out = []
     for k, (scene, _) in enumerate(arms):
-        room = float((scene.depth(found.points[k]) - found.radius[k]).min())
+        room = float((scene.depth(result.points[k]) - result.radius[k]).min())
         why = _first(
             (
                 (off[k] > SAME, "tip rotations that are not of these joint values"),
@@ -132,7 +132,7 @@ def look(robot: Robot, arms: Sequence[tuple[Scene, Given]], least: float = MARGI
                 (room < CLEARANCE - LOOSE_CLEARANCE, "clearance"),
             )
         )
-        out.append(Pose(float(margin[k]), room, found.tip[k], found.direction[k], why))
+        out.append(Pose(float(margin[k]), room, result.tip[k], result.direction[k], why))
     return out
 
 
@@ -142,14 +142,14 @@ def _mm(room: float) -> float:
 
 def inverse(robot: Robot, asked: Sequence[dict[str, Any]], answers: Answers) -> list[Score]:
     """Answers of inverse kinematics of one robot."""
-    out, arms, kept = [], [], []
+    out, arms, retained = [], [], []
     for question in asked:
         try:
             arms.append((scenes()[question["scene"]], arm_of(robot, answers[question["id"]])))
-            kept.append(question)
+            retained.append(question)
         except (KeyError, TypeError, ValueError) as error:
             out.append(_failed(question, answers[question["id"]], f"no pose: {error}"))
-    for question, pose in zip(kept, look(robot, arms), strict=True):
+    for question, pose in zip(retained, look(robot, arms), strict=True):
         off = np.linalg.norm(pose.tip - np.array(question["tip_mm"]) * MM)
         heading = np.array(question.get("direction", pose.direction))
         angle = np.arccos(np.clip(pose.direction @ heading / np.linalg.norm(heading), -1, 1))
@@ -170,51 +170,51 @@ def _way(robot: Robot, answer: dict[str, Any]) -> Array:
 
 def plans(robot: Robot, asked: Sequence[dict[str, Any]], answers: Answers) -> list[Score]:
     """Answers to plans of one robot, followed beside each other."""
-    out, ways, kept = [], [], []
-    begin = np.concatenate([np.zeros(robot.n), withdrawn(robot)])
+    out, paths, retained = [], [], []
+    start = np.concatenate([np.zeros(robot.n), withdrawn(robot)])
     for question in asked:
         try:
-            way = _way(robot, answers[question["id"]])
+            path = _way(robot, answers[question["id"]])
         except (KeyError, TypeError, ValueError) as error:
             out.append(_failed(question, answers[question["id"]], f"no way: {error}"))
             continue
-        off = np.abs(way[0] - begin) / np.repeat([TURNED, TURNED / 100], robot.n)
+        off = np.abs(path[0] - start) / np.repeat([TURNED, TURNED / 100], robot.n)
         if off.max() > 1:
             out.append(_failed(question, answers[question["id"]], "start"))
             continue
-        ways.append(np.vstack([begin, way]))
-        kept.append(question)
-    followed = follow(robot, ways, np.zeros((len(ways), robot.n))) if ways else []
-    for question, each, way in zip(kept, followed, ways, strict=True):
-        out.append(_judged(robot, question, answers[question["id"]], (each.z, each.joints, each.share), way))
+        paths.append(np.vstack([start, path]))
+        retained.append(question)
+    followed = follow(robot, paths, np.zeros((len(paths), robot.n))) if paths else []
+    for question, each, path in zip(retained, followed, paths, strict=True):
+        out.append(_judged(robot, question, answers[question["id"]], (each.z, each.joints, each.share), path))
     return out
 
 
 def _judged(
     robot: Robot, question: dict[str, Any], answer: dict[str, Any], followed: tuple[Array, Array, float], way: Array
 ) -> Score:
-    z, joints, share = followed
+    z, joints, fraction = followed
     n, scene = robot.n, scenes()[question["scene"]]
-    found = integrate(robot, z, joints[:, n:])
-    room = float((scene.depth(found.points) - found.radius).min())
+    result = integrate(robot, z, joints[:, n:])
+    room = float((scene.depth(result.points) - result.radius).min())
     some = np.unique(np.linspace(0, len(z) - 1, LOOKED_AT).astype(int))
-    least = float(margins(robot, z[some], joints[some, n:]).min()) if share == 1 else 0.0
+    smallest = float(margins(robot, z[some], joints[some, n:]).min()) if fraction == 1 else 0.0
     if "tip_mm" in question:
-        off = np.linalg.norm(found.tip[-1] - np.array(question["tip_mm"]) * MM) / AT_TIP
+        off = np.linalg.norm(result.tip[-1] - np.array(question["tip_mm"]) * MM) / AT_TIP
     else:
         turns = np.abs(way[-1, :n] - np.radians(question["rotations_deg"])).max() / TURNED
         shifts = way[-1, n:] + robot.straight_length - np.array(question["translations_mm"]) * MM
         off = max(turns, np.abs(shifts).max() / (TURNED / 100))
     why = _first(
         (
-            (share < 1, "a snap"),
+            (fraction < 1, "a snap"),
             (off > 1, "goal"),
             (robot.order(way[:, n:]).min() < -1e-6, "tubes out of order"),
-            (least < MARGIN - LOOSE_MARGIN, "margin"),
+            (smallest < MARGIN - LOOSE_MARGIN, "margin"),
             (room < CLEARANCE - LOOSE_CLEARANCE, "clearance"),
         )
     )
-    return replace(_failed(question, answer, why), margin=least, clearance=_mm(room), snaps=int(share < 1))
+    return replace(_failed(question, answer, why), margin=smallest, clearance=_mm(room), snaps=int(fraction < 1))
 
 
 def designs(before: Robot, asked: Sequence[dict[str, Any]], answers: Answers) -> list[Score]:
@@ -248,26 +248,26 @@ def _reaching(question: dict[str, Any], answer: dict[str, Any], robot: Robot, be
     off = max(float(np.linalg.norm(pose.tip - tip)) for pose, tip in zip(poses, tips, strict=True))
     far = off > question["tolerance_mm"] * MM * 1.01
     why = _first(((far, "place of a tip"), *((bool(pose.why), pose.why) for pose in poses)))
-    least, room = min(pose.margin for pose in poses), min(pose.clearance for pose in poses)
-    return replace(_failed(question, answer, why), margin=least, clearance=_mm(room), objective=change)
+    smallest, room = min(pose.margin for pose in poses), min(pose.clearance for pose in poses)
+    return replace(_failed(question, answer, why), margin=smallest, clearance=_mm(room), objective=change)
 
 
 def _turning(question: dict[str, Any], answer: dict[str, Any], robot: Robot, before: Robot) -> Score:
     """The radius of the turn (m) at the tip of tubes that cannot snap, whatever their tip rotations are."""
     beta = np.array(question["translations_mm"]) * MM - robot.straight_length
     ends = beta + robot.length
-    there = (ends >= ends.max() - 1e-9) & (robot.curved_length > 0)
-    stiff = robot.bending_stiffness[there]
-    curvature = float((stiff * robot.curvature[there]).sum() / stiff.sum())
+    reached = (ends >= ends.max() - 1e-9) & (robot.curved_length > 0)
+    stiff = robot.bending_stiffness[reached]
+    curvature = float((stiff * robot.curvature[reached]).sum() / stiff.sum())
     z = np.random.default_rng(1).uniform(-np.pi, np.pi, (SPREAD, robot.n))
     rows = np.broadcast_to(beta, z.shape)
-    asked = question["margin"] - LOOSE_MARGIN
-    bad = int((~turned(robot, z, rows, 1 / (1 - asked)).stable).sum())
+    requested = question["margin"] - LOOSE_MARGIN
+    bad = int((~turned(robot, z, rows, 1 / (1 - requested)).stable).sum())
     strain = float((robot.outer_diameter * robot.curvature / 2).max())
     broken = strain > question["strain_percent"] / 100 * (1 + 1e-6)
     why = _first(((broken, "strain"), (bad > 0, "a rotation with too small a margin")))
-    least = float(margins(robot, z[:100], rows[:100]).min())
-    return replace(_failed(question, answer, why), margin=least, snaps=bad, objective=1 / curvature)
+    smallest = float(margins(robot, z[:100], rows[:100]).min())
+    return replace(_failed(question, answer, why), margin=smallest, snaps=bad, objective=1 / curvature)
 
 
 JUDGES = {"inverse": inverse, "plan": plans, "design": designs}
@@ -285,8 +285,8 @@ def score(answers: Answers, kinds: Sequence[str] = KINDS) -> list[Score]:
                 out.append(_failed(question, answer, why))
             else:
                 answered[question["robot"]].append(question)
-        for name, asked in answered.items():
-            out += JUDGES[kind](robots()[name], asked, answers)
+        for name, requested in answered.items():
+            out += JUDGES[kind](robots()[name], requested, answers)
     return out
 
 
@@ -334,16 +334,16 @@ def main() -> None:
     parser.add_argument("answers", type=Path)
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
     parser.add_argument("--out", type=Path, default=None, help="file for the score of every question")
-    given = parser.parse_args()
-    scores = score(read_answers(given.answers), given.kinds)
+    args = parser.parse_args()
+    scores = score(read_answers(args.answers), args.kinds)
     print(table(scores))
     for one in scores:
         if one.why not in ("", "no answer"):
             print(f"  {one.id} ({one.robot}, {one.scene}): {one.why}")
-    if given.out is not None:
+    if args.out is not None:
         answered = (asdict(one) for one in scores if one.why != "no answer")
         rows = [json.dumps({key: None if value != value else value for key, value in row.items()}) for row in answered]
-        given.out.write_text("[\n" + ",\n".join(rows) + "\n]\n", encoding="utf-8")
+        args.out.write_text("[\n" + ",\n".join(rows) + "\n]\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -34,13 +34,13 @@ SPARE = 0.01 * MM
 @cache
 def robot_of(name: str) -> ConcentricRobot:
     """A robot of the questions, as tubes of a material that has their stiffness."""
-    given = robots()[name]
-    second = np.pi / 64 * (given.outer_diameter**4 - given.inner_diameter**4)
+    inputs = robots()[name]
+    second = np.pi / 64 * (inputs.outer_diameter**4 - inputs.inner_diameter**4)
     tubes = []
-    for i in range(given.n):
-        young, shear = given.bending_stiffness[i] / second[i], given.torsional_stiffness[i] / (2 * second[i])
-        size = given.outer_diameter[i], given.inner_diameter[i], given.straight_length[i], given.curved_length[i]
-        tubes.append(Tube(*map(float, size), float(given.curvature[i]), Material(f"tube {i + 1}", young, shear)))
+    for i in range(inputs.n):
+        young, shear = inputs.bending_stiffness[i] / second[i], inputs.torsional_stiffness[i] / (2 * second[i])
+        size = inputs.outer_diameter[i], inputs.inner_diameter[i], inputs.straight_length[i], inputs.curved_length[i]
+        tubes.append(Tube(*map(float, size), float(inputs.curvature[i]), Material(f"tube {i + 1}", young, shear)))
     return ConcentricRobot(tuple(tubes), name=name)
 
 
@@ -55,10 +55,10 @@ def bodies_of(name: str) -> tuple[Corridor, ...]:
 
     def walk(place: Any) -> None:
         for k in (k for k, start in enumerate(starts) if start == place):
-            there, back = (place, float(scene.radii[k, 0])), (ends[k], float(scene.radii[k, 1]))
-            line.extend([there, back])
+            reached, back = (place, float(scene.radii[k, 0])), (ends[k], float(scene.radii[k, 1]))
+            line.extend([reached, back])
             walk(ends[k])
-            line.extend([back, there])
+            line.extend([back, reached])
 
     walk(starts[0])
     line = [one for k, one in enumerate(line) if not k or one != line[k - 1]]
@@ -87,18 +87,18 @@ def inverse(question: dict[str, Any], limit: float = TIME_LIMIT) -> dict[str, An
 def plan(question: dict[str, Any], limit: float = TIME_LIMIT) -> dict[str, Any]:
     """The answer to a question of planning."""
     robot, bodies = robot_of(question["robot"]), bodies_of(question["scene"])
-    begin = withdrawn(robots()[question["robot"]]) + [tube.straight_length for tube in robot.tubes]
+    start = withdrawn(robots()[question["robot"]]) + [tube.straight_length for tube in robot.tubes]
     goal: Any = np.array(question["tip_mm"]) * MM if "tip_mm" in question else None
     if goal is None:
         goal = np.radians(question["rotations_deg"]), np.array(question["translations_mm"]) * MM
     options = PlanOptions(objective="none", clearance=CLEARANCE + SPARE if bodies else 0.0, time_limit=limit)
-    found = tubeopt.plan_trajectory(
-        robot, (np.zeros(robot.n_tubes), begin), goal, obstacles=bodies, min_margin=MARGIN, options=options
+    plan = tubeopt.plan_trajectory(
+        robot, (np.zeros(robot.n_tubes), start), goal, obstacles=bodies, min_margin=MARGIN, options=options
     )
     return {
-        "rotations_deg": np.degrees(found.rotations).round(6).tolist(),
-        "translations_mm": (found.translations / MM).round(6).tolist(),
-        "proved": found.proved,
+        "rotations_deg": np.degrees(plan.rotations).round(6).tolist(),
+        "translations_mm": (plan.translations / MM).round(6).tolist(),
+        "proved": plan.proved,
     }
 
 
@@ -121,15 +121,15 @@ def _designed(question: dict[str, Any], *, paths: bool) -> dict[str, Any]:
         targets = [Target(tuple(tip), question["tolerance_mm"] * MM) for tip in np.array(question["tips_mm"]) * MM]
         requirements: list[Any] = [Reach(tuple(targets)), SnapFreeInUse(question["margin"], paths=paths)]
         requirements += [Avoid(bodies, CLEARANCE + SPARE)] if bodies else []
-        wanted = Objective("change")
+        desired = Objective("change")
     else:
         shift = tuple((np.array(question["translations_mm"]) * MM).tolist())
         requirements = [SnapFree(question["margin"], (shift,)), Strain((question["strain_percent"] / 100,))]
-        wanted = Objective("tip_curvature", translations=shift)
-    task = tubeopt.DesignTask(robot, tuple(free), tuple(requirements), wanted, ordered=False)
-    found = tubeopt.optimize_design(task, turns=0)
-    bend = [float(tube.curvature) for tube in found.robot.tubes]
-    return {"curvature_per_m": bend, "poses": [_pose(e) for e in found.equilibria]}
+        desired = Objective("tip_curvature", translations=shift)
+    task = tubeopt.DesignTask(robot, tuple(free), tuple(requirements), desired, ordered=False)
+    solution = tubeopt.optimize_design(task, turns=0)
+    bend = [float(tube.curvature) for tube in solution.robot.tubes]
+    return {"curvature_per_m": bend, "poses": [_pose(e) for e in solution.equilibria]}
 
 
 ANSWERS = {"inverse": inverse, "plan": plan, "design": design}
@@ -144,27 +144,27 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=200.0, help="of processor time, after which it stops")
     parser.add_argument("--every", type=int, default=1, help="only every so manieth question of each kind")
     parser.add_argument("--again", action="store_true", help="ask what failed once more")
-    given = parser.parse_args()
-    known = read_answers(given.answers) if given.answers.exists() else {}
-    if given.again:
+    args = parser.parse_args()
+    known = read_answers(args.answers) if args.answers.exists() else {}
+    if args.again:
         known = {name: answer for name, answer in known.items() if "failed" not in answer}
-    some = (one for kind in given.kinds for one in list(questions(kind))[:: given.every])
-    asked = [one for one in some if one["id"] not in known and one["scene"].startswith(given.scene)]
+    some = (one for kind in args.kinds for one in list(questions(kind))[:: args.every])
+    requested = [one for one in some if one["id"] not in known and one["scene"].startswith(args.scene)]
     count_work()
-    until = time.process_time() + given.seconds
-    with given.answers.open("a", encoding="utf-8") as file:
-        for question in asked:
+    until = time.process_time() + args.seconds
+    with args.answers.open("a", encoding="utf-8") as file:
+        for question in requested:
             if time.process_time() > until:
                 break
-            began = time.process_time()
+            start_time = time.process_time()
             try:
-                answer = ANSWERS[question["id"].split()[0]](question, given.limit)
+                answer = ANSWERS[question["id"].split()[0]](question, args.limit)
             except (InputError, SolveError) as error:
                 answer = {"failed": str(error)}
-            seconds = round(time.process_time() - began, 4)
+            seconds = round(time.process_time() - start_time, 4)
             file.write(json.dumps({"id": question["id"], "seconds": seconds, **answer}) + "\n")
             file.flush()
-    print(f"{len(read_answers(given.answers))} answers in {given.answers}")
+    print(f"{len(read_answers(args.answers))} answers in {args.answers}")
 
 
 if __name__ == "__main__":

@@ -68,15 +68,15 @@ def differences(solved: Equilibrium, side: int, columns: Array) -> Slopes:
     for column in columns.T:
         moved = bool(column[n:].any())
         h = SHIFT * side if moved else TURN
-        places, weights = (
+        positions, weights = (
             ((0, 1, 2), (-1.5, 2.0, -0.5)) if moved else ((-2, -1, 1, 2), (1 / 12, -2 / 3, 2 / 3, -1 / 12))
         )
         rows = []
-        for k in places:
+        for k in positions:
             joint = np.concatenate([solved.rotations, solved.translations]) + k * h * column
-            there = forward_kinematics(robot, joint[:n], joint[n:], start=solved, tolerance=1e-3, discretisation=FINE)
-            turn = Rotation.from_matrix(there.tip_rotation @ solved.tip_rotation.T).as_rotvec()
-            rows.append(np.concatenate([there.tip_position, turn, there.tip_rotations, [there.margin]]))
+            reached = forward_kinematics(robot, joint[:n], joint[n:], start=solved, tolerance=1e-3, discretisation=FINE)
+            turn = Rotation.from_matrix(reached.tip_rotation @ solved.tip_rotation.T).as_rotvec()
+            rows.append(np.concatenate([reached.tip_position, turn, reached.tip_rotations, [reached.margin]]))
         out.append(np.array(weights) @ np.array(rows) / h)
     table = np.array(out).T
     return Slopes(table[:3], table[3:6], table[6:-1], table[-1])
@@ -100,9 +100,9 @@ def turns_as_one(solved: Equilibrium, jacobian: Jacobian) -> bool:
     The frame of the tip begins unturned at the plate: the turned arm has Rz R Rz' for R.
     """
     n, z = solved.robot.n_tubes, np.array([0.0, 0.0, 1.0])
-    wanted = np.cross(z, solved.tip_position), z - solved.tip_rotation[:, 2], np.ones(n), 0.0
-    found = (getattr(jacobian, name)[..., :n].sum(-1) for name in ("position", "rotation", "tip_rotations", "margin"))
-    return all(np.allclose(a, b, atol=1e-8) for a, b in zip(found, wanted, strict=True))
+    desired = np.cross(z, solved.tip_position), z - solved.tip_rotation[:, 2], np.ones(n), 0.0
+    results = (getattr(jacobian, name)[..., :n].sum(-1) for name in ("position", "rotation", "tip_rotations", "margin"))
+    return all(np.allclose(a, b, atol=1e-8) for a, b in zip(results, desired, strict=True))
 
 
 def same(one: Jacobian, other: Jacobian) -> bool:
@@ -310,8 +310,8 @@ def test_dimensions_of_the_tubes(robot: ConcentricRobot, name: str) -> None:
         scale = getattr(robot.tubes[tube], name) if name.endswith("stiffness") else 1.0
         rows = []
         for k in (-2, -1, 1, 2):
-            there = solve(changed(robot, name, tube, k * h), solved.rotations, solved.translations)
-            rows.append([*there.tip_position, *there.tip_rotations, there.margin, there.energy])
+            reached = solve(changed(robot, name, tube, k * h), solved.rotations, solved.translations)
+            rows.append([*reached.tip_position, *reached.tip_rotations, reached.margin, reached.energy])
         slope = np.array([1 / 12, -2 / 3, 2 / 3, -1 / 12]) @ np.array(rows) / h
         for of in (exact, usual):
             columns = of.position[:, tube], of.tip_rotations[:, tube], [of.margin[tube], of.energy[tube]]

@@ -56,10 +56,10 @@ def test_square_program_is_forward_kinematics(robot: Robot, rotations: list[floa
     np.testing.assert_allclose(solution.value(block.position(part)), known.position[k], atol=1e-8)
     np.testing.assert_allclose(solution.value(block.orientation(part)), known.frame[k], atol=1e-7)
     np.testing.assert_allclose(solution.value(block.rotation(part)), known.rotation[:, k], atol=1e-7)
-    found = block.equilibrium(solution)
-    np.testing.assert_allclose(found.tip_position, known.tip_position, atol=1e-8)
-    assert found.verification is not None
-    assert found.verification.tip_position < 1e-8
+    result = block.equilibrium(solution)
+    np.testing.assert_allclose(result.tip_position, known.tip_position, atol=1e-8)
+    assert result.verification is not None
+    assert result.verification.tip_position < 1e-8
 
 
 def test_hessians_are_exact_and_newton_is_quick() -> None:
@@ -89,10 +89,10 @@ def test_largest_margin_that_can_be_demanded_is_the_margin(robot: Robot, rotatio
     near = forward_kinematics(robot, rotations, start=wound)
     assert near.margin < 0.97
     problem = Problem()
-    least = problem.variable("margin", guess=near.margin - 0.1, upper=0.999)
+    smallest = problem.variable("margin", guess=near.margin - 0.1, upper=0.999)
     block = EquilibriumBlock(problem, near, refinement=0)
-    block.margin_at_least(least)
-    problem.maximize(least)
+    block.margin_at_least(smallest)
+    problem.maximize(smallest)
     margin = problem.solve(replace(FIRST, expand=True)).value("margin")
     # `margin` of eccentric robots by the compiled kernel is good to 1e-6 and better where it is farther from 1.
     assert margin == pytest.approx(near.margin, abs=1e-6 if block.model.offsets else 1e-8)
@@ -106,9 +106,9 @@ def test_margin_keeps_a_robot_from_the_snap() -> None:
     block = EquilibriumBlock(problem, near, rotations=[turn, 0.0])
     block.margin_at_least(0.3)
     problem.maximize(turn)
-    found = block.equilibrium(problem.solve())
-    assert found.margin == pytest.approx(0.3, abs=1e-7)
-    assert found.rotations[0] < np.radians(203.9)
+    result = block.equilibrium(problem.solve())
+    assert result.margin == pytest.approx(0.3, abs=1e-7)
+    assert result.rotations[0] < np.radians(203.9)
 
 
 @pytest.mark.parametrize("robot", [TWO_TUBE, CRL])
@@ -122,8 +122,8 @@ def test_certificate_is_that_of_the_library(robot: Robot) -> None:
     block = EquilibriumBlock(problem, near, translations=ca.DM(short) + out)
     block.certificate_at_least(floor)
     problem.maximize(100 * out)
-    found = block.equilibrium(problem.solve(FIRST))
-    assert tubeopt.snap_free_certificate(robot, found.translations) == pytest.approx(floor, abs=1e-7)
+    result = block.equilibrium(problem.solve(FIRST))
+    assert tubeopt.snap_free_certificate(robot, result.translations) == pytest.approx(floor, abs=1e-7)
 
 
 @pytest.mark.parametrize("force", [0.0, 0.05])
@@ -157,7 +157,7 @@ def test_jacobian_is_that_of_differences(robot: Robot, translations: list[float]
     opti = ca.Opti()
     block = EquilibriumBlock(opti, near, rotations=rotations + 0.02, refinement=0)
     jacobian = block.jacobian(wrt)
-    found = solved(opti).value(jacobian)
+    result = solved(opti).value(jacobian)
     columns = [np.eye(robot.n_tubes)[i] * 1e-5 for i in range(robot.n_tubes)]
     moved = [np.where(np.isin(range(robot.n_tubes), tubes), 1e-6, 0.0) for tubes in robot.moving_together]
     at = rotations + 0.02, np.array(translations)
@@ -168,7 +168,7 @@ def test_jacobian_is_that_of_differences(robot: Robot, translations: list[float]
 
     slopes = [(tip(step, 0) - tip(-step, 0)) / 2e-5 for step in columns if "rotations" in wrt]
     slopes += [(tip(0, step) - tip(0, -step)) / 2e-6 for step in moved]
-    np.testing.assert_allclose(np.reshape(found, (3, -1)), np.array(slopes).T, atol=2e-7)
+    np.testing.assert_allclose(np.reshape(result, (3, -1)), np.array(slopes).T, atol=2e-7)
 
 
 def test_jacobian_by_dimensions_is_that_of_the_library() -> None:
@@ -176,8 +176,8 @@ def test_jacobian_by_dimensions_is_that_of_the_library() -> None:
     names = ("curvature", "straight_length", "curved_length", "bending_stiffness", "torsional_stiffness")
     opti = ca.Opti()
     jacobian = EquilibriumBlock(opti, near, refinement=0).jacobian(names)
-    found, wanted = np.array(solved(opti).value(jacobian)), near.jacobian(wrt=names).position
-    assert (np.abs(found - wanted) <= 1e-8 * np.abs(wanted).max(1, keepdims=True)).all()
+    results, desired = np.array(solved(opti).value(jacobian)), near.jacobian(wrt=names).position
+    assert (np.abs(results - desired) <= 1e-8 * np.abs(desired).max(1, keepdims=True)).all()
 
 
 def test_jacobian_by_pieces_is_that_of_tubes_of_one_curvature() -> None:
@@ -197,9 +197,9 @@ def test_jacobian_by_pieces_is_that_of_tubes_of_one_curvature() -> None:
     opti = ca.Opti()
     jacobian = EquilibriumBlock(opti, near, refinement=0).jacobian(("piece_curvature", "piece_length"))
     halves = np.array(solved(opti).value(jacobian)).reshape(3, 2, 2, 2)
-    found = np.concatenate([halves[:, 0].sum(2), halves[:, 1, :, 1]], axis=1)
-    wanted = forward_kinematics(TWO_TUBE, *joints).jacobian(wrt=("curvature", "curved_length")).position
-    np.testing.assert_allclose(found, wanted, atol=1e-7 * np.abs(wanted).max())
+    results = np.concatenate([halves[:, 0].sum(2), halves[:, 1, :, 1]], axis=1)
+    desired = forward_kinematics(TWO_TUBE, *joints).jacobian(wrt=("curvature", "curved_length")).position
+    np.testing.assert_allclose(results, desired, atol=1e-7 * np.abs(desired).max())
 
 
 def test_outputs_follow_an_arm_whose_lengths_are_free() -> None:
@@ -213,24 +213,24 @@ def test_outputs_follow_an_arm_whose_lengths_are_free() -> None:
     problem.minimize(1e4 * ca.sumsqr(shift - ca.DM(goal)))
     solution = problem.solve()
     assert solution.statistics.reorderings >= 3
-    found = block.equilibrium(solution)
-    np.testing.assert_allclose(found.translations, goal, atol=1e-9)
-    np.testing.assert_allclose(solution.value(block.tip_position), found.tip_position, atol=1e-9)
-    for k in range(2, len(found.arc_length), 5):
-        part = found.arc_length[k] / found.arc_length[-1]
-        np.testing.assert_allclose(solution.value(block.position(part)), found.position[k], atol=1e-8)
+    result = block.equilibrium(solution)
+    np.testing.assert_allclose(result.translations, goal, atol=1e-9)
+    np.testing.assert_allclose(solution.value(block.tip_position), result.tip_position, atol=1e-9)
+    for k in range(2, len(result.arc_length), 5):
+        part = result.arc_length[k] / result.arc_length[-1]
+        np.testing.assert_allclose(solution.value(block.position(part)), result.position[k], atol=1e-8)
     strain = solution.value(block.strain(2))
     radius, natural = THESIS.tubes[2].outer_diameter / 2, THESIS.tubes[2].curvature
-    s = found.arc_length
+    s = result.arc_length
     own = np.where(s > goal[2], natural, 0.0)
-    bend = found.curvature - (own * np.array([np.cos(found.rotation[2]), np.sin(found.rotation[2])])).T
-    there = (s < goal[2] + THESIS.tubes[2].curved_length - 1e-9) & (np.abs(s - goal[2]) > 1e-9)
-    known = (radius * np.linalg.norm(bend, axis=1) / (1 - radius * own))[there].max()
+    bend = result.curvature - (own * np.array([np.cos(result.rotation[2]), np.sin(result.rotation[2])])).T
+    reached = (s < goal[2] + THESIS.tubes[2].curved_length - 1e-9) & (np.abs(s - goal[2]) > 1e-9)
+    known = (radius * np.linalg.norm(bend, axis=1) / (1 - radius * own))[reached].max()
     assert strain.max() == pytest.approx(known, rel=0.02)
     clearance = solution.value(block.clearance(body)).min()
     thick = [tube.outer_diameter / 2 for tube in THESIS.tubes]
-    outer = np.array([max(r for r, end in zip(thick, found.tube_end, strict=True) if s <= end + 1e-9) for s in s])
-    assert clearance == pytest.approx((body.signed_distance(found.position) - outer).min(), abs=5e-4)
+    outer = np.array([max(r for r, end in zip(thick, result.tube_end, strict=True) if s <= end + 1e-9) for s in s])
+    assert clearance == pytest.approx((body.signed_distance(result.position) - outer).min(), abs=5e-4)
 
 
 def test_dimensions_are_unknowns_and_come_back_as_a_robot() -> None:
@@ -249,10 +249,10 @@ def test_dimensions_are_unknowns_and_come_back_as_a_robot() -> None:
     block = EquilibriumBlock(opti, near, tubes=tubes)
     opti.minimize(cost)
     solution = solved(opti, "exact")
-    found = block.equilibrium(solution)
+    result = block.equilibrium(solution)
     for name, value in goal.items():
-        np.testing.assert_allclose([getattr(tube, name) for tube in found.robot.tubes], value, rtol=1e-7)
-    again = forward_kinematics(found.robot, near.rotations, near.translations)
+        np.testing.assert_allclose([getattr(tube, name) for tube in result.robot.tubes], value, rtol=1e-7)
+    again = forward_kinematics(result.robot, near.rotations, near.translations)
     np.testing.assert_allclose(solution.value(block.tip_position), again.tip_position, atol=1e-8)
 
 
@@ -265,9 +265,9 @@ def test_eccentric_tubes_of_a_segment_share_an_unknown() -> None:
     problem.subject_to("bend is", bend == 8.8)
     problem.subject_to("shift is", shift == -0.01)
     solution = problem.solve(FIRST)
-    found = block.equilibrium(solution)
-    assert [tube.curvature for tube in found.robot.tubes] == pytest.approx([8.8] * 3)
-    np.testing.assert_allclose(solution.value(block.tip_position), found.tip_position, atol=1e-8)
+    result = block.equilibrium(solution)
+    assert [tube.curvature for tube in result.robot.tubes] == pytest.approx([8.8] * 3)
+    np.testing.assert_allclose(solution.value(block.tip_position), result.tip_position, atol=1e-8)
 
 
 def test_margin_itself_can_be_maximised_close_to_1() -> None:
@@ -299,8 +299,8 @@ def test_meeting_breakpoints_are_told_and_reordered_by_hand() -> None:
     assert solution.value(shift)[0] == pytest.approx(-0.02, abs=1e-6)
     opti.set_initial(solution.value_variables())
     block.reorder(solution)
-    found = block.equilibrium(opti.solve())
-    np.testing.assert_allclose(found.translations, goal, atol=1e-8)
+    result = block.equilibrium(opti.solve())
+    np.testing.assert_allclose(result.translations, goal, atol=1e-8)
 
 
 def test_many_blocks_share_their_functions() -> None:
@@ -317,8 +317,8 @@ def test_many_blocks_share_their_functions() -> None:
     assert built == [built[0]] * 4
     opti.minimize(cost)
     opti.subject_to(block.tip_position[:2] == near.tip_position[:2] + np.array([3e-3, -2e-3]))
-    found = block.equilibrium(solved(opti, "exact"))
-    np.testing.assert_allclose(found.tip_position[:2] - near.tip_position[:2], [3e-3, -2e-3], atol=1e-8)
+    result = block.equilibrium(solved(opti, "exact"))
+    np.testing.assert_allclose(result.tip_position[:2] - near.tip_position[:2], [3e-3, -2e-3], atol=1e-8)
 
 
 def test_failure_of_opti_is_told_in_words() -> None:
@@ -330,9 +330,9 @@ def test_failure_of_opti_is_told_in_words() -> None:
     opti.solver("ipopt", {"print_time": False}, {**QUIET, "max_iter": 3})
     with pytest.raises(RuntimeError, match="Maximum_Iterations"):
         opti.solve()
-    words = [str(each) for each in block.violations(opti.debug)]
-    assert words
-    assert all(word.startswith("arm: ") and "violated by" in word for word in words)
+    text = [str(each) for each in block.violations(opti.debug)]
+    assert text
+    assert all(word.startswith("arm: ") and "violated by" in word for word in text)
 
 
 def test_a_program_that_was_not_solved_is_no_equilibrium() -> None:
@@ -386,5 +386,5 @@ def test_a_length_alone_may_be_free() -> None:
     length = problem.variable("curved length", 2, guess=0.1, scale=0.1)
     block = EquilibriumBlock(problem, near, tubes={"curved_length": length})
     problem.subject_to("lengths", length == ca.DM([0.11, 0.105]), scale=0.1)
-    found = block.equilibrium(problem.solve())
-    assert [tube.curved_length for tube in found.robot.tubes] == pytest.approx([0.11, 0.105])
+    result = block.equilibrium(problem.solve())
+    assert [tube.curved_length for tube in result.robot.tubes] == pytest.approx([0.11, 0.105])

@@ -83,8 +83,8 @@ def test_jacobian_under_load_is_that_of_the_library() -> None:
     names = ("translations", "curvature")
     opti = ca.Opti()
     jacobian = EquilibriumBlock(opti, near, refinement=0).jacobian(names)
-    found, wanted = np.array(solved(opti).value(jacobian)), near.jacobian(wrt=names).position
-    np.testing.assert_allclose(found, wanted, atol=1e-6 * np.abs(wanted).max(), rtol=1e-6)
+    results, desired = np.array(solved(opti).value(jacobian)), near.jacobian(wrt=names).position
+    np.testing.assert_allclose(results, desired, atol=1e-6 * np.abs(desired).max(), rtol=1e-6)
 
 
 def test_joints_that_make_up_for_a_load() -> None:
@@ -99,8 +99,8 @@ def test_joints_that_make_up_for_a_load() -> None:
     block = EquilibriumBlock(problem, near, rotations=turn, translations=shift)
     problem.subject_to("tip", block.tip_position == free.tip_position, scale=0.1)
     problem.minimize(ca.sumsqr(turn - near.rotations) + ca.sumsqr((shift - near.translations) / 0.05))
-    found = block.equilibrium(problem.solve())
-    again = forward_kinematics(TWO_TUBE, found.rotations, found.translations, load=load)
+    result = block.equilibrium(problem.solve())
+    again = forward_kinematics(TWO_TUBE, result.rotations, result.translations, load=load)
     np.testing.assert_allclose(again.tip_position, free.tip_position, atol=1e-8)
     assert again.margin > 0.5
 
@@ -110,9 +110,9 @@ def test_largest_margin_under_load_that_can_be_demanded_is_the_margin() -> None:
     near = forward_kinematics(TWO_TUBE, [2.9, 0.0], load=Load((0.0, 0.0, -0.4), gravity=(0.0, -9.81, 0.0)))
     assert 0.6 < near.margin < 0.65
     problem = Problem()
-    least = problem.variable("margin", guess=near.margin - 0.1, upper=0.999)
-    EquilibriumBlock(problem, near, refinement=0).margin_at_least(least)
-    problem.maximize(least)
+    smallest = problem.variable("margin", guess=near.margin - 0.1, upper=0.999)
+    EquilibriumBlock(problem, near, refinement=0).margin_at_least(smallest)
+    problem.maximize(smallest)
     assert problem.solve(Ipopt(hessian="limited-memory")).value("margin") == pytest.approx(near.margin, abs=1e-7)
 
 
@@ -125,10 +125,10 @@ def test_margin_keeps_a_loaded_robot_from_the_snap() -> None:
     block = EquilibriumBlock(problem, near, rotations=[turn, 0.0], refinement=0)
     block.margin_at_least(0.3)
     problem.maximize(turn)
-    found = block.equilibrium(problem.solve())
-    again = forward_kinematics(TWO_TUBE, found.rotations, load=load, start=near)
+    result = block.equilibrium(problem.solve())
+    again = forward_kinematics(TWO_TUBE, result.rotations, load=load, start=near)
     assert again.margin == pytest.approx(0.3, abs=1e-6)
-    assert abs(forward_kinematics(TWO_TUBE, found.rotations).margin - 0.3) > 0.02
+    assert abs(forward_kinematics(TWO_TUBE, result.rotations).margin - 0.3) > 0.02
 
 
 def test_what_a_block_does_not_bear_is_refused() -> None:
@@ -167,12 +167,12 @@ def test_certificate_under_force_is_that_of_the_library_and_so_are_its_derivativ
     out = problem.variable("out", robot.n_tubes, guess=shift, scale=0.05)
     tubes = {name: ca.DM(start[name]) * factors[name] for name in names}
     block = EquilibriumBlock(problem, near, translations=out, tubes=tubes, refinement=0)
-    least = problem.variable("least", guess=0.0)
-    block.certificate_at_least(least, max_force=force)
+    smallest = problem.variable("least", guess=0.0)
+    block.certificate_at_least(smallest, max_force=force)
     for name in names:
         problem.subject_to(f"held {name}", factors[name] == np.ones(robot.n_tubes))
     problem.subject_to("held out", out == np.array(shift), scale=0.05)
-    problem.maximize(least)
+    problem.maximize(smallest)
     solution = problem.solve()
 
     def certificate(name: str, index: int, factor: float) -> float:
@@ -185,6 +185,6 @@ def test_certificate_under_force_is_that_of_the_library_and_so_are_its_derivativ
         snap_free_certificate(robot, shift, max_force=force), abs=1e-10
     )
     for name in names:
-        wanted = [(certificate(name, i, 1.0001) - certificate(name, i, 0.9999)) / 2e-4 for i in range(robot.n_tubes)]
-        found = -solution.multiplier(f"held {name}")
-        np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-6 * np.abs(wanted).max())
+        desired = [(certificate(name, i, 1.0001) - certificate(name, i, 0.9999)) / 2e-4 for i in range(robot.n_tubes)]
+        result = -solution.multiplier(f"held {name}")
+        np.testing.assert_allclose(result, desired, rtol=1e-6, atol=1e-6 * np.abs(desired).max())

@@ -74,9 +74,9 @@ def test_square_program_is_forward_kinematics() -> None:
     np.testing.assert_allclose(solution.value(block.rotation(part)), known.rotation[:, k], atol=1e-8)
     np.testing.assert_allclose(solution.value(block.torsion(part)), known.torsion[:, k], atol=1e-6)
     np.testing.assert_allclose(solution.value(block.curvature(part)), known.curvature[k], atol=1e-7)
-    found = block.equilibrium(solution)
-    assert found.verification is not None
-    assert found.verification.tip_position < 1e-9
+    result = block.equilibrium(solution)
+    assert result.verification is not None
+    assert result.verification.tip_position < 1e-9
 
 
 def test_dimensions_of_pieces_are_those_of_a_robot_made_with_them() -> None:
@@ -93,10 +93,10 @@ def test_dimensions_of_pieces_are_those_of_a_robot_made_with_them() -> None:
     solution = problem.solve(FIRST)
     np.testing.assert_allclose(solution.value(block.tip_position), known.tip_position, atol=1e-9)
     assert solution.value(block.energy) == pytest.approx(known.energy, rel=1e-7)
-    found = block.equilibrium(solution)
-    np.testing.assert_allclose(found.tip_position, known.tip_position, atol=1e-9)
-    assert found.margin == pytest.approx(known.margin, abs=1e-7)
-    for mine, by_hand in zip(found.robot.tubes, AFTER.tubes, strict=True):
+    result = block.equilibrium(solution)
+    np.testing.assert_allclose(result.tip_position, known.tip_position, atol=1e-9)
+    assert result.margin == pytest.approx(known.margin, abs=1e-7)
+    for mine, by_hand in zip(result.robot.tubes, AFTER.tubes, strict=True):
         for one, other in zip(mine.pieces, by_hand.pieces, strict=True):
             assert one.largest_curvature == pytest.approx(other.largest_curvature, rel=1e-9)
             assert one.length == pytest.approx(other.length, rel=1e-9)
@@ -120,10 +120,10 @@ def test_largest_margin_that_can_be_demanded_is_the_margin() -> None:
     near = forward_kinematics(BEFORE, np.array([2.2, 0.0]))
     assert near.margin < 0.95
     problem = Problem()
-    least = problem.variable("margin", guess=near.margin - 0.1, upper=0.999)
+    smallest = problem.variable("margin", guess=near.margin - 0.1, upper=0.999)
     block = EquilibriumBlock(problem, near, refinement=0)
-    block.margin_at_least(least)
-    problem.maximize(least)
+    block.margin_at_least(smallest)
+    problem.maximize(smallest)
     assert problem.solve(replace(FIRST, expand=True)).value("margin") == pytest.approx(near.margin, abs=1e-7)
 
 
@@ -132,12 +132,12 @@ def test_largest_certificate_that_can_be_demanded_is_the_certificate() -> None:
     near = forward_kinematics(EXAMPLE, TURNED, SHIFT)
     known = snap_free_certificate(EXAMPLE, SHIFT)
     problem = Problem()
-    least = problem.variable("certificate", guess=known - 0.3)
+    smallest = problem.variable("certificate", guess=known - 0.3)
     block = EquilibriumBlock(problem, near, refinement=0)
-    block.certificate_at_least(least)
-    problem.maximize(least)
+    block.certificate_at_least(smallest)
+    problem.maximize(smallest)
     solution = problem.solve(FIRST)
-    assert solution.value(least) == pytest.approx(known, abs=1e-6)
+    assert solution.value(smallest) == pytest.approx(known, abs=1e-6)
     # Looked at again by the largest eigenvalue in place of a determinant.
     assert block.bounds[0].value(block.model.at(solution.value), block.chain) == pytest.approx(known, abs=1e-6)
     assert block.equilibrium(solution).margin > known

@@ -28,8 +28,8 @@ def rectangle(area: float = 4e-6) -> Problem:
     """The least circumference 4 sqrt(area) of a rectangle, in m."""
     problem = Problem("rectangle")
     side = problem.variable("side", 2, guess=1e-3, lower=1e-4, scale=1e-3)
-    given = problem.parameter("area given", area)
-    problem.subject_to("area", side[0] * side[1] >= given, scale=1e-6)
+    inputs = problem.parameter("area given", area)
+    problem.subject_to("area", side[0] * side[1] >= inputs, scale=1e-6)
     problem.minimize(2 * ca.sum1(side))
     return problem
 
@@ -190,8 +190,8 @@ def test_multistart_starts_blocks_at_equilibria() -> None:
     problem.subject_to("tip", block.tip_position == goal.tip_position, scale=0.1)
     problem.minimize(ca.sumsqr(turn))
     solution = problem.multistart(["turn", "shift"], 2, seed=3)
-    found = block.equilibrium(solution)
-    np.testing.assert_allclose(found.tip_position, goal.tip_position, atol=1e-8)
+    result = block.equilibrium(solution)
+    np.testing.assert_allclose(result.tip_position, goal.tip_position, atol=1e-8)
     assert solution.attempts is not None
     assert solution.attempts.solved >= 1
 

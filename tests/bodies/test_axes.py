@@ -86,8 +86,8 @@ def test_meshes_lie_where_they_say(tmp_path: Path, name: str, key: str) -> None:
     for axes in ("RAS", "LPS"):
         write_mesh(tmp_path / name, f"3D Slicer output. SPACE={axes}")
         assert stated_axes(tmp_path / name) == axes
-        for given in ({}, {"axes": axes}):
-            (body,) = load_anatomy(written(tmp_path, {key: [part | given]})).bodies
+        for inputs in ({}, {"axes": axes}):
+            (body,) = load_anatomy(written(tmp_path, {key: [part | inputs]})).bodies
             away = np.linalg.norm(body.gradient(IN_RAS[axes] * 1e-3 + [0.02, 0, 0]) - [1, 0, 0])
             assert away < 0.1
         other = "LPS" if axes == "RAS" else "RAS"
@@ -107,10 +107,10 @@ def test_meshes_lie_where_they_say(tmp_path: Path, name: str, key: str) -> None:
 @pytest.mark.parametrize("name", ["a.vtk", "text.vtk", "new.vtk"])
 def test_vtk_has_the_surface_that_was_written(tmp_path: Path, name: str) -> None:
     write_mesh(tmp_path / name, "3D Slicer output. SPACE=RAS")
-    found, wanted = load_mesh(tmp_path / name), ball()
-    assert found.closed
-    assert np.array(found.vertices) == pytest.approx(np.asarray(wanted.vertices) * 1e-3, abs=1e-8)
-    assert np.array_equal(found.faces, wanted.faces)
+    result, desired = load_mesh(tmp_path / name), ball()
+    assert result.closed
+    assert np.array(result.vertices) == pytest.approx(np.asarray(desired.vertices) * 1e-3, abs=1e-8)
+    assert np.array_equal(result.faces, desired.faces)
     content = (tmp_path / name).read_bytes()
     for broken in (content[: len(content) // 3], b"# vtk DataFile Version 4.2\n\nASCII\nDATASET UNSTRUCTURED_GRID\n"):
         (tmp_path / name).write_bytes(broken)
@@ -185,9 +185,9 @@ def test_landmarks_lie_where_they_say(tmp_path: Path, name: str) -> None:
     write, path = LANDMARKS[name], tmp_path / name
     for axes in ("RAS", "LPS"):
         path.write_text(write(axes))
-        for given in (None, axes):
-            (found,) = load_landmarks(path, given).values()
-            assert found == pytest.approx(IN_RAS[axes] * 1e-3)
+        for inputs in (None, axes):
+            (result,) = load_landmarks(path, inputs).values()
+            assert result == pytest.approx(IN_RAS[axes] * 1e-3)
         with pytest.raises(InputError, match="but the file states"):
             load_landmarks(path, "LPS" if axes == "RAS" else "RAS")
         path.write_text(write(None))
@@ -241,8 +241,8 @@ def test_images_without_orientation_need_axes(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=f"{name}: its header does not say how the image lies in the patient"):
             read_image(tmp_path / name)
         for axes, sign in (("RAS", 1), ("LPS", -1)):
-            found = read_image(tmp_path / name, axes)
-            assert found.frame.placed(np.array([1, 1, 1]) * found.spacing) * 1e3 == pytest.approx([sign, 2 * sign, 3])
+            result = read_image(tmp_path / name, axes)
+            assert result.frame.placed(np.array([1, 1, 1]) * result.spacing) * 1e3 == pytest.approx([sign, 2 * sign, 3])
             for part in ({"image": name, "image_axes": axes, "lumen": [1]},
                          {"structures": [{"file": name, "axes": axes, "keep": "in"}]}):  # fmt: skip
                 (body,) = load_anatomy(written(tmp_path, part)).bodies

@@ -40,11 +40,11 @@ def test_the_distance_from_a_point_is_the_root_of_mean_squares_less_their_varian
     """sum w |v_k - p|^2 - V is |y - p|^2: a table of a point holds its distance, but for rounding of squares."""
     table, points = DistanceField(away(NODES, place), CELL), inside_the_cell()
     true = away(points, place)
-    found = table.signed_distance(points)
-    assert (found <= true).all()
-    assert found == pytest.approx(true, abs=2e-6)
+    result = table.signed_distance(points)
+    assert (result <= true).all()
+    assert result == pytest.approx(true, abs=2e-6)
     far = true > 1e-3
-    assert found[far] == pytest.approx(true[far], abs=1e-8)
+    assert result[far] == pytest.approx(true[far], abs=1e-8)
 
 
 @pytest.mark.parametrize("radius", [0.0, 1e-3, 0.5])
@@ -61,18 +61,18 @@ def test_the_error_of_a_table_is_attained_in_the_middle_of_a_hollow_ball(lowered
     table = DistanceField(radius - away(NODES, MIDDLE) - lowered, CELL, node_error=lowered)
     short = radius - float(table.signed_distance(MIDDLE))
     assert table.error - 2 * CLOSE <= short <= table.error
-    most = float(table.at_most(MIDDLE[None])[0])
-    assert radius <= most <= radius + CLOSE
+    largest = float(table.at_most(MIDDLE[None])[0])
+    assert radius <= largest <= radius + CLOSE
 
 
 def test_beyond_a_table_the_distance_falls_by_the_way_at_most_and_grows_by_it_at_most() -> None:
     """To a point straight ahead it falls by the way, and to one straight behind it grows by it."""
     border = np.array([CELL[0], 0.0, 0.0])
-    for share in (2.5, 0.5):
-        place = share * border
-        ahead = place[0] > border[0]
-        table, point = DistanceField(away(NODES, place), CELL), 2 * border
-        true = float(away(point, place))
+    for fraction in (2.5, 0.5):
+        position = fraction * border
+        ahead = position[0] > border[0]
+        table, point = DistanceField(away(NODES, position), CELL), 2 * border
+        true = float(away(point, position))
         low, high = float(table.signed_distance(point)), float(table.at_most(point[None])[0])
         assert low <= true <= high
         assert (true - low if ahead else high - true) < CLOSE
@@ -80,11 +80,11 @@ def test_beyond_a_table_the_distance_falls_by_the_way_at_most_and_grows_by_it_at
 
 def test_beyond_a_table_that_holds_all_of_a_body_the_way_on_is_square_at_most() -> None:
     """The body is a point of the border, and the point lies straight in front of another."""
-    place, foot = np.array([CELL[0], 0.0, 0.0]), np.array([CELL[0], CELL[1], 0.0])
-    table = DistanceField(away(NODES, place), CELL, bounded=True)
-    for way in (1e-3, 4e-3, 0.1):
-        point = foot + np.array([way, 0.0, 0.0])
-        true = np.hypot(way, CELL[1])
+    position, foot = np.array([CELL[0], 0.0, 0.0]), np.array([CELL[0], CELL[1], 0.0])
+    table = DistanceField(away(NODES, position), CELL, bounded=True)
+    for path in (1e-3, 4e-3, 0.1):
+        point = foot + np.array([path, 0.0, 0.0])
+        true = np.hypot(path, CELL[1])
         assert true - CLOSE <= table.signed_distance(point) <= true
 
 
@@ -107,9 +107,9 @@ def test_the_middle_of_an_equilateral_triangle_is_as_far_from_samples_as_is_said
     assert len(samples) == 3
     assert uncovered == pytest.approx(np.linalg.norm(samples, axis=1).min(), rel=1e-9)
     height = gap * size * (1.001 if share == 1.0 else 1.0)
-    least, most = _bounds(corners, np.array([[0.0, 0.0, height]]), size)
-    assert least == pytest.approx([height], rel=1e-9)
-    assert most == pytest.approx([np.hypot(height, side / np.sqrt(3))], rel=1e-9)
+    smallest, largest = _bounds(corners, np.array([[0.0, 0.0, height]]), size)
+    assert smallest == pytest.approx([height], rel=1e-9)
+    assert largest == pytest.approx([np.hypot(height, side / np.sqrt(3))], rel=1e-9)
     assert SAMPLING == ((1.0, 8.0), (0.5, 0.0))
 
 

@@ -59,9 +59,11 @@ def test_no_more_than_the_distance_and_short_by_less_than_said(exact: object) ->
 
 def voxels_away(points: Array, image: LabelImage, chosen: Mask) -> Array:
     """Distance of points from the cuboids of voxels, one by one."""
-    seen = image.frame.seen(points)
+    observed = image.frame.seen(points)
     centres = np.argwhere(chosen) * image.spacing
-    parts = [np.maximum(np.abs(part[:, None] - centres) - image.spacing / 2, 0.0) for part in np.array_split(seen, 10)]
+    parts = [
+        np.maximum(np.abs(part[:, None] - centres) - image.spacing / 2, 0.0) for part in np.array_split(observed, 10)
+    ]
     return np.concatenate([np.sqrt((part**2).sum(-1).min(1)) for part in parts])
 
 
@@ -88,10 +90,10 @@ def test_labels_are_cuboids_and_none_is_closer_than_told(kind: str) -> None:
     points = image.frame.placed((random.random((600, 3)) * image.shape - 0.5) * image.spacing)
     distance = voxels_away(points, image, barred)
     free = distance > 0
-    told = field.signed_distance(points)
-    assert (told[free] <= distance[free]).all()
-    assert (told[~free] <= 0).all()
-    assert (distance - told)[free].max() <= field.error + (0.0 if kind == "lumen" else 0.01)
+    report = field.signed_distance(points)
+    assert (report[free] <= distance[free]).all()
+    assert (report[~free] <= 0).all()
+    assert (distance - report)[free].max() <= field.error + (0.0 if kind == "lumen" else 0.01)
     assert free.sum() > 40
 
 
@@ -151,11 +153,11 @@ def nearest_place(mesh: MeshObstacle, points: Array) -> tuple[Array, Array]:
     one by one, by trimesh."""
     corners = np.asarray(mesh.surface.corners)
     every = np.repeat(points, len(corners), axis=0)
-    places = trimesh.triangles.closest_point(np.tile(corners, (len(points), 1, 1)), every)
-    places = places.reshape(len(points), len(corners), 3)
-    gap = np.linalg.norm(places - points[:, None], axis=2)
-    best = places[np.arange(len(points)), gap.argmin(1)]
-    elsewhere = np.where(np.linalg.norm(places - best[:, None], axis=2) > 1e-9, gap, np.inf)
+    positions = trimesh.triangles.closest_point(np.tile(corners, (len(points), 1, 1)), every)
+    positions = positions.reshape(len(points), len(corners), 3)
+    gap = np.linalg.norm(positions - points[:, None], axis=2)
+    best = positions[np.arange(len(points)), gap.argmin(1)]
+    elsewhere = np.where(np.linalg.norm(positions - best[:, None], axis=2) > 1e-9, gap, np.inf)
     return best, elsewhere.min(1) - gap.min(1)
 
 
@@ -165,8 +167,8 @@ def test_gradients_of_meshes_are_those_of_the_distance(keep: str) -> None:
     base = base_frame([0.02, 0.0, 0.01], [0.1, 0.2, 1.0], 0.7)
     field = own.in_frame(base)
     points = np.random.default_rng(5).uniform(-0.02, 0.02, (300, 3)) * [1.0, 1.0, 0.5]
-    place, apart = nearest_place(mesh, points)
-    away = points - place
+    position, apart = nearest_place(mesh, points)
+    away = points - position
     inside = trimesh.Trimesh(np.array(mesh.vertices), np.array(mesh.faces)).contains(points)
     sign = np.where(inside, -1.0, 1.0) * (1 if keep == "out" else -1)
     exact = away / np.linalg.norm(away, axis=1, keepdims=True) * sign[:, None]
@@ -200,11 +202,11 @@ def test_clouds_are_balls() -> None:
 
 def test_registration_finds_the_frame_that_made_the_landmarks() -> None:
     plate = {"a": [0.0, 0.0, 0.0], "b": [0.03, 0.0, 0.0], "c": [0.0, 0.02, 0.01], "d": [0.01, 0.01, 0.03]}
-    patient = {name: PLACE.placed(place) for name, place in plate.items()}
-    found = register(patient, plate)
-    assert np.allclose(found.frame.axes, PLACE.axes, atol=1e-12)
-    assert np.allclose(found.frame.origin, PLACE.origin, atol=1e-12)
-    assert found.rms < 1e-12
+    patient = {name: PLACE.placed(position) for name, position in plate.items()}
+    result = register(patient, plate)
+    assert np.allclose(result.frame.axes, PLACE.axes, atol=1e-12)
+    assert np.allclose(result.frame.origin, PLACE.origin, atol=1e-12)
+    assert result.rms < 1e-12
     with pytest.raises(InputError, match="lie on a line"):
         register({k: [x, 0, 0] for x, k in enumerate("abc")}, {k: [x, 0, 0] for x, k in enumerate("abc")})
     with pytest.raises(InputError, match="landmark 'e' is measured from the plate only; the patient has a, b, c, d"):
@@ -216,9 +218,9 @@ def test_a_body_seen_from_the_plate_is_the_same_body() -> None:
     field = field_of_image(image, lumen=image.chosen([1]))
     base = base_frame([0.02, 0.0, 0.01], [0.1, 0.2, 1.0], 0.7)
     points = image.frame.placed(np.argwhere(image.chosen([1]))[::9] * image.spacing)
-    seen = field.in_frame(base)
-    assert np.allclose(seen.signed_distance(base.seen(points)), field.signed_distance(points), atol=1e-12)
-    assert np.allclose(seen.gradient(base.seen(points)), field.gradient(points) @ base.axes, atol=1e-9)
+    observed = field.in_frame(base)
+    assert np.allclose(observed.signed_distance(base.seen(points)), field.signed_distance(points), atol=1e-12)
+    assert np.allclose(observed.gradient(base.seen(points)), field.gradient(points) @ base.axes, atol=1e-9)
     assert np.allclose(Frame().of(base).axes, base.axes)
 
 

@@ -38,10 +38,10 @@ def test_distance_is_that_of_the_nearest_surface_point(body: Obstacle) -> None:
     landed = POINTS - distance[:, None] * gradient
     np.testing.assert_allclose(body.signed_distance(landed), 0.0, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(gradient, axis=1), 1.0, atol=1e-12)
-    ways = np.random.default_rng(1).normal(size=(50, 3))
-    ways /= np.linalg.norm(ways, axis=1)[:, None]
-    for way in ways:
-        beside = body.signed_distance(POINTS + 0.5 * np.abs(distance)[:, None] * way)
+    paths = np.random.default_rng(1).normal(size=(50, 3))
+    paths /= np.linalg.norm(paths, axis=1)[:, None]
+    for path in paths:
+        beside = body.signed_distance(POINTS + 0.5 * np.abs(distance)[:, None] * path)
         assert (np.sign(beside) == np.sign(distance)).all()
 
 
@@ -52,8 +52,8 @@ def test_smooth_form_agrees_on_arrays_and_symbols(body: Obstacle) -> None:
     x = ca.SX.sym("x", 3)
     value = ca.Function("distance", [x], [body.distance(x[0], x[1], x[2])])
     slope = ca.Function("slope", [x], [ca.gradient(value(x), x)])
-    for point, wanted in zip(POINTS[:40], exact, strict=False):
-        assert float(value(point)) == pytest.approx(wanted, abs=5e-7)
+    for point, desired in zip(POINTS[:40], exact, strict=False):
+        assert float(value(point)) == pytest.approx(desired, abs=5e-7)
         # Away from edges and middles, where the exact distance has kinks.
         step = 1e-5 * np.eye(3)
         ahead, behind = body.gradient(point + step), body.gradient(point - step)
@@ -102,29 +102,29 @@ def test_a_scene_knows_which_bodies_are_close() -> None:
 def test_clearance_monitor_agrees_with_search_and_searches_seldom(monkeypatch: pytest.MonkeyPatch) -> None:
     random, scene = np.random.default_rng(0), scene_of(BODIES)
     points, reach = POINTS[:12] + np.array([0.1, 0.0, 0.05]), random.uniform(1e-3, 2e-2, 12)
-    asked, nearest = [0], Scene.nearest
+    requested, nearest = [0], Scene.nearest
 
     def counted(scene: Scene, points: np.ndarray, within: np.ndarray | float = np.inf) -> np.ndarray:
-        asked[0] += 1
+        requested[0] += 1
         return nearest(scene, points, within)
 
     monkeypatch.setattr(Scene, "nearest", counted)
-    monitor, told = ClearanceMonitor(scene), []
+    monitor, report = ClearanceMonitor(scene), []
     for _ in range(400):
         points = points + random.normal(size=points.shape) * 1e-4 - np.array([3e-4, 0.0, 1e-4])
-        told.append(monitor.far(points, reach))
-        assert told[-1] == bool((nearest(scene, points) > reach).all())
-    assert 50 < sum(told) < 350
-    assert asked[0] < 60
+        report.append(monitor.far(points, reach))
+        assert report[-1] == bool((nearest(scene, points) > reach).all())
+    assert 50 < sum(report) < 350
+    assert requested[0] < 60
 
 
 def test_clearance_monitor_reuses_distance_within_motion() -> None:
     """Of 5 mm, where 1 mm are asked for, a way of 4 mm straight towards a plane leaves nothing to spare."""
     wall = Scene((HalfSpace((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),))
-    for way, far in ((3.99e-3, True), (4.01e-3, False)):
+    for path, far in ((3.99e-3, True), (4.01e-3, False)):
         monitor, reach = ClearanceMonitor(wall), np.array([1e-3])
         assert monitor.far(np.array([[0.0, 0.0, 5e-3]]), reach)
-        assert monitor.far(np.array([[0.0, 0.0, 5e-3 - way]]), reach) == far
+        assert monitor.far(np.array([[0.0, 0.0, 5e-3 - path]]), reach) == far
 
 
 def test_a_scene_names_all_bodies_that_are_closer_than_a_reach() -> None:
@@ -139,8 +139,11 @@ def test_a_scene_names_all_bodies_that_are_closer_than_a_reach() -> None:
 
 def test_the_nearest_of_long_bodies_is_not_the_one_with_the_nearest_centre() -> None:
     random = np.random.default_rng(0)
-    size, places = np.array([128, 1, 1]) / 1024, np.round(random.normal(size=(40, 3)) * 100) / 1024  # without round-off
-    boxes = [Box(tuple(c.tolist()), tuple((c + size).tolist())) for c in places]
+    size, positions = (
+        np.array([128, 1, 1]) / 1024,
+        np.round(random.normal(size=(40, 3)) * 100) / 1024,
+    )  # without round-off
+    boxes = [Box(tuple(c.tolist()), tuple((c + size).tolist())) for c in positions]
     points = random.normal(size=(300, 3)) * 0.1
     true = np.min([body.signed_distance(points) for body in boxes], axis=0)
     assert boxes[0].balls()[1] == pytest.approx(np.linalg.norm(boxes[0].balls()[0] - boxes[0].low, axis=1))

@@ -32,10 +32,10 @@ def test_a_body_is_as_far_from_a_point_in_whatever_frame_both_are(body: Obstacle
     axes = scipy.spatial.transform.Rotation.from_euler("xyz", [0.4, -0.7, 1.1]).as_matrix()
     frame = Frame(axes, np.array([0.03, -0.02, 0.05]))
     points = np.random.default_rng(0).uniform(-0.05, 0.08, (300, 3))
-    seen = bodies_in_frame(frame, [body])[0]
+    observed = bodies_in_frame(frame, [body])[0]
     # What a mesh says of points far from it depends on its table.
-    one, other = (each.surface if isinstance(each, MeshObstacle) else each for each in (seen, body))
+    one, other = (each.surface if isinstance(each, MeshObstacle) else each for each in (observed, body))
     assert one.signed_distance(frame.seen(points)) == pytest.approx(other.signed_distance(points), abs=1e-9)
-    scenes = [Scene((each,)) for each in (seen, body.body if isinstance(body, TransformedBody) else body)]
+    scenes = [Scene((each,)) for each in (observed, body.body if isinstance(body, TransformedBody) else body)]
     assert scenes[0].solid == scenes[1].solid
     assert scenes[0].stands_for == scenes[1].stands_for

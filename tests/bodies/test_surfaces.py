@@ -71,12 +71,12 @@ def test_the_distance_from_an_open_surface_is_that_from_its_nearest_triangle() -
     assert body.surface.signed_distance(points + away) - true == pytest.approx(1e-7, abs=1e-9)
     fields = field_of_mesh(body, cell=2e-3), field_of_surface(body, 2e-3, cell=2e-3), body.lattice
     for field, thick in zip(fields, (0.0, 2e-3, 0.0), strict=True):
-        told = field.signed_distance(points)
+        report = field.signed_distance(points)
         outside = true > thick
-        assert (told[outside] <= (true - thick)[outside]).all()
+        assert (report[outside] <= (true - thick)[outside]).all()
         inside = (np.abs(field.frame.seen(points) / field.spacing - (np.array(field.values.shape) - 1) / 2)
                   <= (np.array(field.values.shape) - 1) / 2).all(1)  # fmt: skip
-        assert ((true - thick) - told)[inside & outside].max() <= field.error
+        assert ((true - thick) - report)[inside & outside].max() <= field.error
         assert (field.at_most(points) >= true - thick).all()
 
 
@@ -84,18 +84,18 @@ def test_nothing_slips_between_the_corners_of_a_triangle(tmp_path: Path) -> None
     """A sheet of two triangles, 80 mm wide, whose corners alone are 40 mm and more from the arm that goes through."""
     sheet = np.array([[-40, -40, 0], [40, -40, 0], [40, 40, 0], [-40, 40, 0]], dtype=float)
     mesh = trimesh.Trimesh(sheet + np.array([0, 0, 30]), [[0, 1, 2], [0, 2, 3]], process=False)
-    place = np.array([3e-3, -2e-3, 30e-3])
+    position = np.array([3e-3, -2e-3, 30e-3])
     for name in ("sheet.ply", "sheet.obj", "sheet.stl", "sheet.off"):
         mesh.export(tmp_path / name)
-        found = load_points(tmp_path / name)
-        assert isinstance(found, MeshObstacle)
-        assert found.signed_distance(place) == pytest.approx(0, abs=1e-12)
+        result = load_points(tmp_path / name)
+        assert isinstance(result, MeshObstacle)
+        assert result.signed_distance(position) == pytest.approx(0, abs=1e-12)
         written: dict[str, Any]
         for written in ({"points": [{"file": name, "radius_mm": 1, "axes": "RAS", "cell_mm": 4}]},
                         {"meshes": [{"file": name, "axes": "RAS", "cell_mm": 4}]}):  # fmt: skip
             (tmp_path / "a.yaml").write_text(yaml.safe_dump({"anatomy": written}))
             (body,) = load_anatomy(tmp_path / "a.yaml").bodies
-            assert body.signed_distance(place) <= 0
+            assert body.signed_distance(position) <= 0
             assert "open surface" in scene_of([body]).stands_for[0]
     robot = tubeopt.load_robot(CRL)
     shift = np.array([robot.home_translations * 0 + [-0.033, -0.092, -0.096], robot.home_translations])
@@ -148,14 +148,14 @@ def test_points_of_no_triangle_count_as_well(tmp_path: Path) -> None:
     text += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
     rows = "".join(" ".join(map(str, row)) + "\n" for row in vertices.tolist())
     (tmp_path / "a.ply").write_text(f"{text}{rows}3 0 1 2\n")
-    found = load_points(tmp_path / "a.ply")
-    assert isinstance(found, MeshObstacle)
-    places = np.array([[30, 0, 2], [3, 3, 2], [20, 0, 0]]) * 1e-3
-    assert found.surface.signed_distance(places) == pytest.approx([2e-3, 2e-3, 1e-2], abs=1e-9)
+    result = load_points(tmp_path / "a.ply")
+    assert isinstance(result, MeshObstacle)
+    positions = np.array([[30, 0, 2], [3, 3, 2], [20, 0, 0]]) * 1e-3
+    assert result.surface.signed_distance(positions) == pytest.approx([2e-3, 2e-3, 1e-2], abs=1e-9)
 
 
 def test_plan_of_arms_reports_reference_of_clearance() -> None:
-    proofs = [SimpleNamespace(clearance_from=words) for words in (("wall", "sheet"), ("sheet",), ())]
+    proofs = [SimpleNamespace(clearance_from=text) for text in (("wall", "sheet"), ("sheet",), ())]
     (row,) = (quantity for quantity in ARMS if quantity.name == "clearance from")
     assert row.text(SimpleNamespace(proof=SimpleNamespace(proofs=proofs)), {}) == "wall; sheet"  # type: ignore[arg-type]
     assert row.text(SimpleNamespace(proof=SimpleNamespace(proofs=proofs[2:])), {}) is None  # type: ignore[arg-type]
@@ -178,11 +178,11 @@ def test_proof_about_point_cloud_is_reported(run: Run, tmp_path: Path, caplog: p
     rows = "".join(",".join(map(str, row)) + "\n" for row in grid.tolist())
     (tmp_path / "wall.csv").write_text(f"# SPACE=RAS\nx_mm,y_mm,z_mm\n{rows}")
     (tmp_path / "a.yaml").write_text("anatomy: {points: [{file: wall.csv, radius_mm: 1}]}")
-    words = (
+    text = (
         "the 9 points of wall.csv, each a ball of 1 mm; the largest gap between neighbours is 12 mm, and nothing is "
         "proved between points"
     )
-    assert load_anatomy(tmp_path / "a.yaml").bodies[0].stands_for == words  # type: ignore[attr-defined]
+    assert load_anatomy(tmp_path / "a.yaml").bodies[0].stands_for == text  # type: ignore[attr-defined]
     assert "neighbouring points are up to 12 mm apart" in caplog.text
     caplog.clear()
     # Balls of half the gap touch, and leave holes of 2.5 mm in the middle of squares.
@@ -195,12 +195,12 @@ def test_proof_about_point_cloud_is_reported(run: Run, tmp_path: Path, caplog: p
     rows = "0,0,0,0,-33,-92,-96\n1,5,0,0,-30,-89,-93\n"
     columns = [f"{name}_{k}_{unit}" for name, unit in (("rotation", "deg"), ("translation", "mm")) for k in (1, 2, 3)]
     (tmp_path / "t.csv").write_text(f"time_s,{','.join(columns)}\n{rows}")
-    asked = "verify", str(tmp_path / "t.csv"), "--robot", CRL, "--anatomy", anatomy
-    assert json.loads(run(*asked, "--json").out)["clearance_from"] == [words]
-    table = " ".join(run(*asked).out.split())
+    requested = "verify", str(tmp_path / "t.csv"), "--robot", CRL, "--anatomy", anatomy
+    assert json.loads(run(*requested, "--json").out)["clearance_from"] == [text]
+    table = " ".join(run(*requested).out.split())
     assert "clearance from the 9 points of wall.csv" in table
     solved = run("ik", CRL, "--target-mm=0,-3,40", "--anatomy", anatomy, "--json")
-    assert json.loads(solved.out)["solutions"][0]["clearance_from"] == [words]
+    assert json.loads(solved.out)["solutions"][0]["clearance_from"] == [text]
 
 
 def test_damaged_normals_of_a_mesh_are_left_out_without_a_traceback(tmp_path: Path) -> None:
@@ -230,9 +230,9 @@ def test_bodies_that_overlap_are_one_room_to_stay_in() -> None:
     free = np.linalg.norm(foot - np.where(to[0] > to[1], apart, 0.0)[:, None] * [1, 0, 0], axis=1) > radius
     true = np.where(free, to.max(0), seam)
     inside = to.max(0) > 5e-4
-    told = field_of_mesh(both, keep="in", cell=5e-4).signed_distance(points[inside])
+    report = field_of_mesh(both, keep="in", cell=5e-4).signed_distance(points[inside])
     # A sphere of triangles is inside its ball, by 0.6 % of the radius at most, as is what is read between nodes.
-    assert (told <= true[inside] + 1e-9).all()
+    assert (report <= true[inside] + 1e-9).all()
     middle = np.abs(points[inside, 0] - apart / 2) < 1e-3
-    assert np.abs(told - true[inside])[middle].max() < 1.1e-3
-    assert (told > 0).all()
+    assert np.abs(report - true[inside])[middle].max() < 1.1e-3
+    assert (report > 0).all()

@@ -36,12 +36,12 @@ def joined(*parts: tuple[Array, Index]) -> MeshObstacle:
 def test_cavities_are_turned_against_what_is_around_them(turned: tuple[float, float, float]) -> None:
     """A ball, a cavity in it, and an island in that, of triangles that are turned as they should, all the other way, or
     now so, now so."""
-    body = joined(*(ball(radius, share) for radius, share in zip((0.05, 0.03, 0.01), turned, strict=True)))
+    body = joined(*(ball(radius, fraction) for radius, fraction in zip((0.05, 0.03, 0.01), turned, strict=True)))
     far = np.linalg.norm(POINTS, axis=1)
     true = np.minimum(np.maximum(far - 0.05, 0.03 - far), far - 0.01)
     clear = np.abs(true) > 2e-3
-    told = body.surface.signed_distance(POINTS[clear])
-    assert np.abs(told - true[clear]).max() < 1.5e-3
+    report = body.surface.signed_distance(POINTS[clear])
+    assert np.abs(report - true[clear]).max() < 1.5e-3
 
 
 def test_bodies_that_overlap_are_one_however_they_are_turned() -> None:
@@ -69,7 +69,7 @@ def test_triangles_without_area_are_the_segments_and_points_that_they_are() -> N
     a, b, c, d = 0.05 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.5, 0.0, 1.0]])
     surface = Triangles(np.array([[a, b, c], [c, d, c], [-d, -d, -d]]), closed=False)
     along = np.clip((POINTS - c) @ (d - c) / ((d - c) @ (d - c)), 0.0, 1.0)
-    point, segment = (np.linalg.norm(POINTS - place, axis=1) for place in (-d, c + along[:, None] * (d - c)))
+    point, segment = (np.linalg.norm(POINTS - position, axis=1) for position in (-d, c + along[:, None] * (d - c)))
     every = np.repeat(np.array([[a, b, c]]), len(POINTS), axis=0)
     triangle = np.linalg.norm(trimesh.triangles.closest_point(every, POINTS) - POINTS, axis=1)
     true = np.min([point, segment, triangle], axis=0)

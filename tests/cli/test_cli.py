@@ -386,13 +386,13 @@ def test_formats_that_are_not_known_are_refused(run: Run, flags: list[str], word
 
 
 def test_robot_warnings_are_reported_by_every_command(run: Run) -> None:
-    words = (
+    text = (
         "tube 2 has 0.15 mm of radial clearance in tube 3, more than 0.1 mm: its axis may lie beside the outer tube's"
     )
     outcome = run("fk", CRL)
-    assert (outcome.code, outcome.err) == (0, f"warning: {words}\n")
-    assert answer(run("fk", CRL, "--json"))["warnings"] == [words]
-    assert answer(run("robot", "show", CRL, "--json"))["warnings"] == [words]
+    assert (outcome.code, outcome.err) == (0, f"warning: {text}\n")
+    assert answer(run("fk", CRL, "--json"))["warnings"] == [text]
+    assert answer(run("robot", "show", CRL, "--json"))["warnings"] == [text]
 
 
 def test_quiet_prints_nothing_but_errors(run: Run, tmp_path: Path) -> None:

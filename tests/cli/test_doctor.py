@@ -9,11 +9,11 @@ from tubeopt.show import command_report
 
 
 def test_an_installation_that_works(run: Run) -> None:
-    found = answer(run("doctor", "--json"))
-    assert found["passed"]
-    assert 0 < found["difference_mm"] < 1e-6
-    assert found["solve_us"] < 1e6  # less than a second on any machine
-    assert {"tubeopt", "casadi", "numpy", "scipy"} <= set(found["versions"])
+    result = answer(run("doctor", "--json"))
+    assert result["passed"]
+    assert 0 < result["difference_mm"] < 1e-6
+    assert result["solve_us"] < 1e6  # less than a second on any machine
+    assert {"tubeopt", "casadi", "numpy", "scipy"} <= set(result["versions"])
 
 
 def test_what_an_extra_lacks_is_named(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -108,20 +108,20 @@ def test_data_may_replace_a_file_on_the_command_line(run: Run) -> None:
 
 
 def test_format_without_directory_is_reported(run: Run) -> None:
-    told = answer(run("fk", THESIS, "--format", "pdf", "--json"))["warnings"]
-    assert told == ["--format has no effect without --out or --plot: nothing is saved"]
+    report = answer(run("fk", THESIS, "--format", "pdf", "--json"))["warnings"]
+    assert report == ["--format has no effect without --out or --plot: nothing is saved"]
 
 
 def test_arm_without_length_is_reported(run: Run) -> None:
-    told = answer(run("fk", THESIS, "--translations-mm", "-300,-300,-300", "--json"))["warnings"]
-    assert told == ["no tube is in front of the base plate at these translations; the tip lies in the plate"]
+    report = answer(run("fk", THESIS, "--translations-mm", "-300,-300,-300", "--json"))["warnings"]
+    assert report == ["no tube is in front of the base plate at these translations; the tip lies in the plate"]
 
 
 def test_the_help_is_that_of_the_fields(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "160")
     text = " ".join(COLOUR.sub("", CliRunner().invoke(app, ["--help"]).stdout).split())
-    for words in ("Paint a robot.", "--coat-um UM Thickness of a coat. [default: 1e-8]", "How many. [default: 2]"):
-        assert words in text
+    for message in ("Paint a robot.", "--coat-um UM Thickness of a coat. [default: 1e-8]", "How many. [default: 2]"):
+        assert message in text
     assert "[default: 10,2.5]" in text
 
 
@@ -178,8 +178,8 @@ def test_flags_override_the_keys_of_a_file(run: Run, tmp_path: Path) -> None:
     shown = run("plan", "--help").out
     assert "--goal-deg" in shown
     assert "--rates" not in shown  # a mapping is not typed
-    told = refused(run("plan", str(path), "--goal-deg", "1,2", "--seed", "-1", "--min-margin", "2"))
-    assert told == [
+    report = refused(run("plan", str(path), "--goal-deg", "1,2", "--seed", "-1", "--min-margin", "2"))
+    assert report == [
         "--goal-deg has 2 numbers; it must be 3 (one per tube)",
         "--min-margin is 2; it must be less than 1",
         "--seed is -1; it must be at least 0",

@@ -32,7 +32,7 @@ def test_formats_of_commands(command: str, formats: tuple[str, ...]) -> None:
 def test_every_command_that_asks_has_a_report_of_its_name() -> None:
     """Without one all its formats would be refused."""
     known = {command.partition(" --")[0] for command in reports()}
-    assert {words for words, row in COMMANDS.items() if isinstance(row, StudyCommand)} <= known
+    assert {text for text, row in COMMANDS.items() if isinstance(row, StudyCommand)} <= known
 
 
 @pytest.mark.parametrize(

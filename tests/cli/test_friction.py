@@ -23,10 +23,10 @@ friction: {torque_mN_m_per_m: [8], plate_mN_m: [0.1]}
 
 @pytest.fixture
 def files(tmp_path: Path) -> tuple[str, str]:
-    robot, way = tmp_path / "robot.yaml", tmp_path / "way.csv"
+    robot, path = tmp_path / "robot.yaml", tmp_path / "way.csv"
     robot.write_text(ROBOT)
-    way.write_text("rotation_1_deg,rotation_2_deg\n0,0\n90,0\n60,-40\n")
-    return str(robot), str(way)
+    path.write_text("rotation_1_deg,rotation_2_deg\n0,0\n90,0\n60,-40\n")
+    return str(robot), str(path)
 
 
 def test_follow_takes_the_friction_of_the_file(run: Run, files: tuple[str, str]) -> None:
@@ -37,7 +37,7 @@ def test_follow_takes_the_friction_of_the_file(run: Run, files: tuple[str, str])
     assert "friction_heat_mJ" not in shaken[2]
     band = json.loads(run("fk", files[0], "--rotations-deg", "60,-40", "--json").out)["tip_by_history_mm"]
     off = [abs(a - b) for a, b in zip(rubbed[2]["tip_position_mm"], shaken[2]["tip_position_mm"], strict=True)]
-    assert all(0 < a < 1.1 * most for a, most in zip(off, band, strict=True))
+    assert all(0 < a < 1.1 * largest for a, largest in zip(off, band, strict=True))
 
 
 def test_follow_takes_friction_and_load_together(run: Run, files: tuple[str, str]) -> None:

@@ -28,9 +28,9 @@ def _empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_robot_is_used_as_it_is_written(run: Run, tmp_path: Path) -> None:
-    told = answer(run("init", "robot", "--json"))
-    assert told["files"] == ["robot.yaml"]
-    assert told["then"] == "tubeopt fk robot.yaml"
+    report = answer(run("init", "robot", "--json"))
+    assert report["files"] == ["robot.yaml"]
+    assert report["then"] == "tubeopt fk robot.yaml"
     pose = answer(run("fk", "robot.yaml", "--rotations-deg", "0,90", "--json"))
     assert (pose["stable"], pose["warnings"]) == (True, [])
     assert answer(run("robot", "show", "robot.yaml", "--json"))["warnings"] == []
@@ -63,10 +63,10 @@ def test_an_eccentric_robot(run: Run) -> None:
 
 
 def test_a_rig_is_used_as_it_is_written(run: Run) -> None:
-    told = answer(run("init", "rig", "--mold", "steel", "--charge-percent", "80", "--json"))
+    report = answer(run("init", "rig", "--mold", "steel", "--charge-percent", "80", "--json"))
     rig = tubeopt.load_rig("rig.yaml")
     assert (rig.mold.material.name, rig.battery.state_of_charge) == ("steel", 0.8)
-    assert told["then"] == "tubeopt heat plan rig.yaml --sensor thermocouple"
+    assert report["then"] == "tubeopt heat plan rig.yaml --sensor thermocouple"
     assert run("init", "rig", "usual.yaml").code == 0
     assert tubeopt.load_rig("usual.yaml").tube == tubeopt.load_rig("thesis_calcium_silicate").tube
 
@@ -89,8 +89,8 @@ def test_every_key_has_a_comment_and_others_may_follow(run: Run) -> None:
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("verify", "sweep")])
 def test_a_study_of_every_kind_can_be_read(run: Run, kind: str) -> None:
-    told = answer(run("init", "study", "--kind", kind, "--json"))
-    assert told["then"] == "tubeopt run study.yaml"
+    report = answer(run("init", "study", "--kind", kind, "--json"))
+    assert report["then"] == "tubeopt run study.yaml"
     assert load_study("study.yaml").kind == kind
 
 
@@ -125,8 +125,8 @@ def test_a_study_of_ones_own_robot_from_elsewhere(run: Run) -> None:
 
 
 def test_a_sweep(run: Run) -> None:
-    told = answer(run("init", "study", "--kind", "sweep", "--json"))
-    assert told["then"] == "tubeopt sweep study.yaml"
+    report = answer(run("init", "study", "--kind", "sweep", "--json"))
+    assert report["then"] == "tubeopt sweep study.yaml"
     assert len(load_sweep("study.yaml").points.keys) == 4
 
 

@@ -101,10 +101,10 @@ def started(arguments: list[str]) -> subprocess.Popen[str]:
 
 def interrupted(process: subprocess.Popen[str]) -> tuple[float, int, str, str]:
     """Seconds from Ctrl-C to the end of a process, its code, and what it printed."""
-    began = time.monotonic()
+    start_time = time.monotonic()
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=30)
-    return time.monotonic() - began, process.returncode, out, COLOUR.sub("", err)
+    return time.monotonic() - start_time, process.returncode, out, COLOUR.sub("", err)
 
 
 @contextlib.contextmanager

@@ -33,15 +33,15 @@ def test_help_has_an_example_and_the_common_flags(run: Run) -> None:
 
 
 def test_tip_reaches_target(run: Run) -> None:
-    (found,) = answer(run("ik", THESIS, *TARGET, "--json"))["solutions"]
+    (result,) = answer(run("ik", THESIS, *TARGET, "--json"))["solutions"]
     robot = load_robot(THESIS)
     tip = forward_kinematics(
-        robot, np.radians(found["rotations_deg"]), np.array(found["translations_mm"]) / 1e3
+        robot, np.radians(result["rotations_deg"]), np.array(result["translations_mm"]) / 1e3
     ).tip_position
     np.testing.assert_allclose(tip * 1e3, [50, 30, 150], atol=1e-4)
-    np.testing.assert_allclose(found["tip_position_mm"], [50, 30, 150], atol=1e-4)
-    assert found["status"] == "REACHED"
-    assert found["margin"] >= 0.05
+    np.testing.assert_allclose(result["tip_position_mm"], [50, 30, 150], atol=1e-4)
+    assert result["status"] == "REACHED"
+    assert result["margin"] >= 0.05
 
 
 def test_a_table_for_people(run: Run) -> None:
@@ -97,8 +97,8 @@ def test_a_table_of_targets_is_followed(run: Run, tmp_path: Path) -> None:
         rotations = np.radians([float(row[f"rotation_{i}_deg"]) for i in (1, 2, 3)])
         translations = np.array([float(row[f"translation_{i}_mm"]) for i in (1, 2, 3)]) / 1e3
         before = forward_kinematics(robot, rotations, translations, start=before)
-        wanted = [float(row[name]) for name in ("x_mm", "y_mm", "z_mm")]
-        np.testing.assert_allclose(before.tip_position * 1e3, wanted, atol=1e-4)
+        desired = [float(row[name]) for name in ("x_mm", "y_mm", "z_mm")]
+        np.testing.assert_allclose(before.tip_position * 1e3, desired, atol=1e-4)
 
 
 def test_far_targets_get_inserted_targets(run: Run, tmp_path: Path) -> None:
@@ -118,44 +118,44 @@ def test_far_targets_get_inserted_targets(run: Run, tmp_path: Path) -> None:
 def test_targets_out_of_reach_are_named_in_the_table(run: Run, tmp_path: Path) -> None:
     table = tmp_path / "targets.csv"
     table.write_text("x_mm,y_mm,z_mm\n0,-20,80\n0,0,200\n")
-    asked = ("ik", ETR, "--targets", str(table), "--starts", "1")
-    data = answer(run(*asked, "--json"))
+    requested = ("ik", ETR, "--targets", str(table), "--starts", "1")
+    data = answer(run(*requested, "--json"))
     assert (data["targets"], data["reached"]) == (2, 1)
     assert "short" in data["solutions"][1]["problem"]
-    data = answer(run(*asked, "--closest", "--json"))
+    data = answer(run(*requested, "--closest", "--json"))
     assert data["targets"] == 2
     assert data["solutions"][1]["status"] == "CLOSEST"
-    outcome = run(*asked, "--out", str(tmp_path / "out"))
+    outcome = run(*requested, "--out", str(tmp_path / "out"))
     assert outcome.code == 0
     assert "target 2: target not reached" in outcome.out
     rows = list(csv.DictReader((tmp_path / "out" / "solutions.csv").read_text().splitlines()))
     assert [row["status"] for row in rows] == ["REACHED", "FAILED"]
     assert "short" in rows[1]["problem"]
     table.write_text("x_mm,y_mm,z_mm\n0,0,200\n")
-    outcome = run(*asked)
+    outcome = run(*requested)
     assert outcome.code == 3
     assert "none of 1 targets was reached; the first: target not reached" in outcome.err
-    outcome = run(*asked, "--closest")
+    outcome = run(*requested, "--closest")
     assert outcome.code == 3
     assert "none of 1 targets was reached; the first: 106 mm short" in outcome.err
 
 
 def test_obstacles_are_kept_clear_of(run: Run) -> None:
     bodies = str(ROOT / "configs/obstacles/two_bodies.yaml")
-    (found,) = answer(run("ik", THESIS, *TARGET, "--obstacles", bodies, "--clearance-mm", "1", "--json"))["solutions"]
-    assert found["clearance_mm"] >= 1.0
+    (result,) = answer(run("ik", THESIS, *TARGET, "--obstacles", bodies, "--clearance-mm", "1", "--json"))["solutions"]
+    assert result["clearance_mm"] >= 1.0
 
 
 def test_target_beside_plate_ends_with_time_limit(run: Run) -> None:
     pieces = str(ROOT / "configs" / "robots" / "example_pieces.yaml")
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     outcome = run("ik", pieces, "--target-mm", "0.030,0.010,0.045", "--time-limit-s", "0.05")
-    assert time.perf_counter() - began < 10
+    assert time.perf_counter() - start_time < 10
     assert outcome.code == 3
-    words = " ".join(outcome.err.split())
-    assert "was 30, 10, 45 meant?" in words
-    assert "within 0.05 s" in words
-    assert "whether the target can be reached is not known" in words
+    text = " ".join(outcome.err.split())
+    assert "was 30, 10, 45 meant?" in text
+    assert "within 0.05 s" in text
+    assert "whether the target can be reached is not known" in text
 
 
 def test_postures_omitted_by_time_limit_are_reported(run: Run) -> None:
@@ -165,16 +165,16 @@ def test_postures_omitted_by_time_limit_are_reported(run: Run) -> None:
 
 
 def test_a_target_out_of_reach_fails_with_3(run: Run) -> None:
-    asked = ("ik", ETR, "--target-mm", "0,0,200", "--starts", "2")
-    outcome = run(*asked)
+    requested = ("ik", ETR, "--target-mm", "0,0,200", "--starts", "2")
+    outcome = run(*requested)
     assert outcome.code == 3
     assert "mm short" in outcome.err
-    outcome = run(*asked, "--closest", "--json")
+    outcome = run(*requested, "--closest", "--json")
     (message,) = answer(outcome, 3)["error"]["messages"]
     assert message.startswith("target not reached; the closest pose is shown: 106 mm short")
-    (found,) = json.loads(outcome.out)["solutions"]
-    assert found["status"] == "CLOSEST"
-    assert found["position_error_mm"] == pytest.approx(106, abs=0.5)
+    (result,) = json.loads(outcome.out)["solutions"]
+    assert result["status"] == "CLOSEST"
+    assert result["position_error_mm"] == pytest.approx(106, abs=0.5)
 
 
 @pytest.mark.parametrize(
@@ -198,9 +198,9 @@ def test_wrong_flags_are_refused(run: Run, arguments: tuple[str, ...], problem: 
 
 def test_the_example_study_runs() -> None:
     study = load_study(ROOT / "configs/studies/thesis_inverse.yaml")
-    found = study.model_copy(update={"starts": 6}).run()
-    assert found.solutions
-    assert all(each.clearance >= 1e-3 for each in found.solutions)
+    result = study.model_copy(update={"starts": 6}).run()
+    assert result.solutions
+    assert all(each.clearance >= 1e-3 for each in result.solutions)
 
 
 class TestFiles:

@@ -68,10 +68,10 @@ def test_moments_have_a_margin_and_no_energy(run: Run) -> None:
     assert data["margin"] == pytest.approx(0.905, abs=1e-3)
     assert data["stable"]
     assert "0.905, stable" in run("fk", THESIS, *moment).out
-    told = run("snap", THESIS, "--to-deg", "360,0,0", *moment).out
-    assert "snap at rotations" in told
-    assert "nan" not in told
-    assert "energy released" not in told
+    report = run("snap", THESIS, "--to-deg", "360,0,0", *moment).out
+    assert "snap at rotations" in report
+    assert "nan" not in report
+    assert "energy released" not in report
 
 
 def test_snaps_and_equilibria_under_load(run: Run, tmp_path: Path) -> None:
@@ -103,37 +103,37 @@ def test_what_makes_no_sense(run: Run) -> None:
 
 
 def test_certified_whatever_pushes(run: Run) -> None:
-    asked = ["certify", CRL, "--translations-mm=-20,0,0", "--json", "--max-tip-force-mN"]
-    strong, weak = answer(run(*asked, "1000"), 4), answer(run(*asked, "1"))
+    requested = ["certify", CRL, "--translations-mm=-20,0,0", "--json", "--max-tip-force-mN"]
+    strong, weak = answer(run(*requested, "1000"), 4), answer(run(*requested, "1"))
     assert weak["exit_code"] == 0
     assert 0 < weak["certificate_under_force"] < weak["certificate"]
     assert weak["max_tip_force_mN"] == 1
     assert strong["certificate_under_force"] < 0
     assert strong["finding"] == "OPEN"
-    plain = answer(run(*asked[:-1]))
+    plain = answer(run(*requested[:-1]))
     assert "certificate_under_force" not in plain
 
 
 def test_load_limit_of_robot(run: Run, tmp_path: Path) -> None:
-    asked = ["load-limit", THESIS, "--json"]
+    requested = ["load-limit", THESIS, "--json"]
     turned = ["--from-deg", "0,0,0", "--rotations-deg", "200,0,0", "--tip-force-mN=-10,0,0"]
-    limit = answer(run(*asked, *turned))["limit"]
+    limit = answer(run(*requested, *turned))["limit"]
     assert limit["factor"] == pytest.approx(2.1846, abs=1e-4)
     assert limit["kind"] == "fold"
     assert limit["tip_jump_mm"] > 50
     # A pose in a plane with its load: no fold, but a bifurcation.
-    limit = answer(run(*asked, "--tip-force-mN", "0,1500,-1500", "--out", str(tmp_path)))["limit"]
+    limit = answer(run(*requested, "--tip-force-mN", "0,1500,-1500", "--out", str(tmp_path)))["limit"]
     assert limit["factor"] == pytest.approx(0.0713476, abs=1e-7)
     assert limit["kind"] == "bifurcation"
     assert (tmp_path / "load_limit.png").exists()
-    assert answer(run(*asked, "--tip-force-mN", "1,0,0", "--up-to", "2"))["limit"] is None
-    assert "no load is given" in refused(run(*asked[:-1]))[0]
+    assert answer(run(*requested, "--tip-force-mN", "1,0,0", "--up-to", "2"))["limit"] is None
+    assert "no load is given" in refused(run(*requested[:-1]))[0]
 
 
 def test_how_hard_the_robot_can_push(run: Run) -> None:
-    told = answer(run("load-limit", THESIS, "--axial", "--json"))
-    assert told["limit"]["factor"] == pytest.approx(124.6476536, abs=1e-6)
-    assert told["load"].endswith("mN at the tip")
+    report = answer(run("load-limit", THESIS, "--axial", "--json"))
+    assert report["limit"]["factor"] == pytest.approx(124.6476536, abs=1e-6)
+    assert report["load"].endswith("mN at the tip")
     assert "axial and a load" in refused(run("load-limit", THESIS, "--axial", "--tip-force-mN", "1,0,0"))[0]
 
 
@@ -145,9 +145,9 @@ def test_forces_of_a_recording(run: Run, tmp_path: Path) -> None:
     data = answer(run("force", THESIS, recording, "--noise-mm", "0.1", "--json", "--out", str(tmp_path)))
     angle = 2 * np.pi * np.arange(0, 12, 3) / 12
     true = np.stack([60 * np.sin(angle), 40 * np.cos(angle), np.full(4, -20.0)], axis=1)
-    told = data["estimates"]
-    wrong = np.array([row["force_mN"] for row in told]) - true
-    errors = np.array([row["standard_error_mN"] for row in told])
+    report = data["estimates"]
+    wrong = np.array([row["force_mN"] for row in report]) - true
+    errors = np.array([row["standard_error_mN"] for row in report])
     assert data["told"] == 4
     assert np.abs(wrong / errors).max() < 3.5
     assert (errors < 10).all()
@@ -156,7 +156,7 @@ def test_forces_of_a_recording(run: Run, tmp_path: Path) -> None:
     assert len(rows) == 4
     Path(recording).write_text("\n".join([*head, rows_of[0]]) + "\n")
     (with_moment,) = answer(run("force", THESIS, recording, "--tip-moment-mN-m", "0.001,0,0", "--json"))["estimates"]
-    apart = np.array(with_moment["force_mN"]) - told[0]["force_mN"]
+    apart = np.array(with_moment["force_mN"]) - report[0]["force_mN"]
     assert 0 < np.abs(apart).max() < 0.1
 
 

@@ -25,8 +25,8 @@ def _empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_fk_by_name_draws_its_picture(run: Run, tmp_path: Path) -> None:
-    told = answer(run("fk", "thesis_ctr", "--rotations-deg", "0,90,180", "--out", "results", "--json"))
-    assert told["tip_position_mm"] == pytest.approx([70.75080462, -4.22996685, 177.38526469], abs=1e-7)
+    report = answer(run("fk", "thesis_ctr", "--rotations-deg", "0,90,180", "--out", "results", "--json"))
+    assert report["tip_position_mm"] == pytest.approx([70.75080462, -4.22996685, 177.38526469], abs=1e-7)
     assert {path.name for path in (tmp_path / "results").iterdir()} >= {"result.json", "shape.png", "torsion.png"}
 
 
@@ -51,9 +51,9 @@ def test_a_study_by_name_takes_another_robot_by_name(run: Run) -> None:
 
 
 def test_a_certificate_names_the_robot_as_typed(run: Run) -> None:
-    told = run("certify", "two_tube")
-    assert told.code == 3
-    assert "tubeopt snap two_tube --" in told.out
+    report = run("certify", "two_tube")
+    assert report.code == 3
+    assert "tubeopt snap two_tube --" in report.out
 
 
 def test_a_name_of_nothing_is_one_sentence(run: Run) -> None:
@@ -66,9 +66,9 @@ def test_a_name_of_nothing_is_one_sentence(run: Run) -> None:
 
 
 def test_lists(run: Run) -> None:
-    told = answer(run("robot", "list", "--json"))["shipped"]
-    assert [robot["name"] for robot in told] == list(shipped("robots"))
-    (thesis,) = (robot for robot in told if robot["name"] == "thesis_ctr")
+    report = answer(run("robot", "list", "--json"))["shipped"]
+    assert [robot["name"] for robot in report] == list(shipped("robots"))
+    (thesis,) = (robot for robot in report if robot["name"] == "thesis_ctr")
     assert thesis == {
         "name": "thesis_ctr",
         "folder": "robots",
@@ -78,7 +78,7 @@ def test_lists(run: Run) -> None:
     }
     lines = run("robot", "list").out.splitlines()
     assert lines[0].split() == ["name", "kind", "tubes"]
-    assert len(lines) == 1 + len(told)
+    assert len(lines) == 1 + len(report)
     assert len(answer(run("list", "--json"))["shipped"]) == len(shipped())
     assert [line.split()[0] for line in run("list", "rigs").out.splitlines()[1:]] == list(shipped("rigs"))
     (line,) = refused(run("list", "rig"))
@@ -105,9 +105,9 @@ def test_the_shell_completes_names_files_and_words(tmp_path: Path) -> None:
 
 
 def test_a_figure_has_picture_caption_data_and_command(run: Run, tmp_path: Path) -> None:
-    told = answer(run("figure", "thesis_snap", "--journal", "springer", "--out", "paper", "--json"))
-    assert told["snap"]["fraction"] == pytest.approx(0.595062, abs=1e-6)
-    assert [Path(path).name for path in told["files"]] == [
+    report = answer(run("figure", "thesis_snap", "--journal", "springer", "--out", "paper", "--json"))
+    assert report["snap"]["fraction"] == pytest.approx(0.595062, abs=1e-6)
+    assert [Path(path).name for path in report["files"]] == [
         *("snap.json", "before_centreline.csv", "after_centreline.csv", "command.txt"),
         *("snap.tiff", "captions.txt"),
     ]
@@ -121,7 +121,7 @@ def test_a_figure_has_picture_caption_data_and_command(run: Run, tmp_path: Path)
         np.loadtxt(tmp_path / "paper" / f"{when}_centreline.csv", delimiter=",", skiprows=1)
         for when in ("before", "after")
     )
-    assert np.linalg.norm(after[-1, 1:] - before[-1, 1:]) == pytest.approx(told["snap"]["tip_jump_mm"], rel=1e-9)
+    assert np.linalg.norm(after[-1, 1:] - before[-1, 1:]) == pytest.approx(report["snap"]["tip_jump_mm"], rel=1e-9)
 
 
 def test_a_figure_needs_a_directory_a_known_journal_and_plots(run: Run, tmp_path: Path) -> None:

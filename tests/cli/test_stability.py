@@ -76,13 +76,17 @@ def test_three_equilibria_of_the_inner_and_middle_tube(run: Run, tmp_path: Path)
     robot, out = tmp_path / "robot.yaml", tmp_path / "out"
     inner_and_middle().save(robot)
     data = answer(run("equilibria", str(robot), "--rotations-deg", "150,0", "--json", "--out", str(out)))
-    found = data["equilibria"]
-    apart = [np.subtract(*each["tip_rotations_deg"]) for each in found]
+    result = data["equilibria"]
+    apart = [np.subtract(*each["tip_rotations_deg"]) for each in result]
     assert sorted(apart) == pytest.approx([39.43309191, 208.31500100, 294.34122683], abs=1e-7)
-    assert {round(a): each["stable"] for a, each in zip(apart, found, strict=True)} == {39: True, 208: False, 294: True}
-    assert [each["index"] for each in found] == [0, 0, 1]
-    assert [each["margin"] > 0 for each in found] == [True, True, False]
-    energies = [each["energy_mJ"] for each in found]
+    assert {round(a): each["stable"] for a, each in zip(apart, result, strict=True)} == {
+        39: True,
+        208: False,
+        294: True,
+    }
+    assert [each["index"] for each in result] == [0, 0, 1]
+    assert [each["margin"] > 0 for each in result] == [True, True, False]
+    energies = [each["energy_mJ"] for each in result]
     assert energies == sorted(energies)
     saved(out, "equilibria.json", "equilibria.png")
     written = json.loads((out / "equilibria.json").read_text(encoding="utf-8"))
@@ -387,9 +391,9 @@ def test_stability_map(run: Run, tmp_path: Path) -> None:
         assert stored["translations"].tolist() == [0, 0, 0]
     snap = find_snap(load_robot(THESIS), ([0, 0, 0], None), (np.radians([-180, 180, 0]), None))
     assert snap is not None
-    (asked,) = np.flatnonzero(np.isclose(data["directions_deg"], 135.0))
-    assert boundary[asked] == pytest.approx(np.degrees(snap.rotations[:2]), abs=1e-6)
-    assert data["nearest_snap_deg"] == pytest.approx(boundary[asked], abs=1e-6)
+    (requested,) = np.flatnonzero(np.isclose(data["directions_deg"], 135.0))
+    assert boundary[requested] == pytest.approx(np.degrees(snap.rotations[:2]), abs=1e-6)
+    assert data["nearest_snap_deg"] == pytest.approx(boundary[requested], abs=1e-6)
     assert data["tubes"] == [1, 2]
 
 

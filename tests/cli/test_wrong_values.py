@@ -144,8 +144,8 @@ def test_rows_of_tables_name_file_line_and_column(run: Run, row: str, words: str
     before, after = ("{},", "") if command == "verify" else ("", ",1,2,3" if measured else "")
     rows = [f"{before.format(k)}{each}{after}" for k, each in enumerate(["0,0,0,0,0,0", row])]
     path.write_text("\n".join([",".join(head), *rows]) + "\n")
-    given = [str(path), "--robot", THESIS] if command == "verify" else [THESIS, str(path)]
-    assert refused(run(command, *given)) == [
+    inputs = [str(path), "--robot", THESIS] if command == "verify" else [THESIS, str(path)]
+    assert refused(run(command, *inputs)) == [
         f"{path}: row 2 (line 3), {words}" + " behind home" * words.endswith("tube")
     ]
 
@@ -206,7 +206,7 @@ def test_flags_of_a_fit_are_checked_and_never_ignored(run: Run, flags: str, word
 
 
 def test_rates_of_all_studies_name_their_key(run: Run, tmp_path: Path) -> None:
-    words = "rates.translation_mm_per_s is [10, 20]; it must be one number, or 3 (one per tube)"
+    text = "rates.translation_mm_per_s is [10, 20]; it must be one number, or 3 (one per tube)"
     rates = "rates: {translation_mm_per_s: [10, 20]}\n"
     (tmp_path / "t.csv").write_text("time_s,rotation_1_deg,rotation_2_deg,rotation_3_deg\n0,0,0,0\n5,10,0,0\n")
     (tmp_path / "v.yaml").write_text(f"kind: verify\nrobot: {THESIS}\ntrajectory: t.csv\n{rates}")
@@ -215,21 +215,21 @@ def test_rates_of_all_studies_name_their_key(run: Run, tmp_path: Path) -> None:
     arm = f"{{robot: {THESIS}, goal_deg: [1, 0, 0]}}"
     (tmp_path / "a.yaml").write_text(f"kind: plan_arms\narms: [{arm}, {arm}]\n{rates}")
     for name in "va":
-        assert refused(run("run", str(tmp_path / f"{name}.yaml"))) == [f"{tmp_path}/{name}.yaml: {words}"]
+        assert refused(run("run", str(tmp_path / f"{name}.yaml"))) == [f"{tmp_path}/{name}.yaml: {text}"]
     (message,) = refused(run("run", str(tmp_path / "u.yaml")))
-    assert message.endswith(f"{tmp_path}/p.yaml: {words}") or message.endswith(f"p.yaml: {words}")
+    assert message.endswith(f"{tmp_path}/p.yaml: {text}") or message.endswith(f"p.yaml: {text}")
 
 
 def test_programs_of_a_mold_stay_finite(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "m.yaml"
-    for keys, words in (
+    for keys, text in (
         ("milling: {step_down_mm: 0.0005}", "milling.step_down_mm is 0.0005; it must be at least 0.01"),
         ("milling: {feed_mm_per_min: 0.001}", "milling.feed_mm_per_min is 0.001; it must be at least 1.2"),
         ("workshop: {peck_mm: 0.001}", "workshop.peck_mm is 0.001; it must be at least 0.01"),
         ("workshop: {outline_step_mm: 0.001}", "workshop.outline_step_mm is 0.001; it must be at least 0.01"),
     ):
         path.write_text(f"kind: mold\n{keys}\n")
-        assert refused(run("mold", "plan", THESIS, "--mold", str(path))) == [f"{path}: {words}"]
+        assert refused(run("mold", "plan", THESIS, "--mold", str(path))) == [f"{path}: {text}"]
 
 
 @pytest.mark.parametrize(
@@ -254,9 +254,9 @@ def test_sentences_of_the_library_come_in_the_units_that_are_typed(said: str, ty
 
 
 def test_obstacles_typed_as_text_are_named_by_their_flag(run: Run) -> None:
-    for text, words in (("[{radius_mm: 3}]", "--obstacles[0] has no kind"), ("{radius_mm: 3}", "--obstacles is {")):
+    for text, message in (("[{radius_mm: 3}]", "--obstacles[0] has no kind"), ("{radius_mm: 3}", "--obstacles is {")):
         (line,) = refused(run("ik", THESIS, "--target-mm", "0,0,100", "--obstacles", text))
-        assert line.startswith(words)
+        assert line.startswith(message)
 
 
 def test_a_missing_server_package_is_reported_before_the_robot_is_compiled(

@@ -370,7 +370,7 @@ def test_the_tip_turns_into_a_direction_as_by_the_servo_of_python(thesis: CRobot
 def contacts_of(arm: Equilibrium, bodies: Sequence[Obstacle]) -> np.ndarray:
     scene = scene_of(tuple(bodies))
     found = ArmSurface(arm).contacts(scene, 4e-3)
-    return np.column_stack([found.place, scene.gradients(found.body, found.point), found.distance])
+    return np.column_stack([found.arc_length, scene.gradients(found.body, found.point), found.distance])
 
 
 @pytest.mark.parametrize("which", ["thesis", "pieces"])

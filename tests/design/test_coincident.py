@@ -39,13 +39,15 @@ def _checked(layout: Layout, x: Array, index: Any, side: int = 1) -> None:
 
     pose, chain = state.pose(index), state.chain(index)
     heading = np.cross(pose.derivatives.tip_rotation @ chain, pose.arm.frame[-1][:, 2, None], axis=0)
-    told = np.concatenate([pose.derivatives.tip_position @ chain, heading, (pose.derivatives.one_margin @ chain)[None]])
+    report = np.concatenate(
+        [pose.derivatives.tip_position @ chain, heading, (pose.derivatives.one_margin @ chain)[None]]
+    )
     for k, row in enumerate(np.eye(len(x))):
         expected = _towards(lambda step, row=row: there(x + step * row), side * 1e-4)  # type: ignore[misc]
         scale = max(1e-2, float(np.abs(expected).max()))
-        assert np.abs(told[:6, k] - expected[:6]).max() < 1e-6 * scale
+        assert np.abs(report[:6, k] - expected[:6]).max() < 1e-6 * scale
         # At a margin of almost 1 the mesh makes the difference of margins worse than the slope.
-        assert pose.margin > 0.99 or abs(told[6, k] - expected[6]) < 1e-5 * max(1.0, abs(expected[6]))
+        assert pose.margin > 0.99 or abs(report[6, k] - expected[6]) < 1e-5 * max(1.0, abs(expected[6]))
 
 
 @pytest.mark.parametrize("pieces", [False, True])

@@ -68,7 +68,7 @@ def test_wrong_files_are_refused(run: Run, tmp_path: Path) -> None:
     assert "gives 0 ranges" in refused(run("design", written(path, free="equal: true")))[0]
     assert "kind is 'curvature'" in refused(run("design", written(path, objective="curvature")))[0]
     text = Path(written(path)).read_text(encoding="utf-8")
-    for line, words in (
+    for line, label in (
         ("seed: -1", "seed is -1"),
         ("starts: 0", "starts is 0"),
         ("pareto_margins: [0.1, 1.5]", "must be less than 1"),
@@ -77,7 +77,7 @@ def test_wrong_files_are_refused(run: Run, tmp_path: Path) -> None:
     ):
         path.write_text(f"{text}{line}\n", encoding="utf-8")
         (message,) = refused(run("design", str(path)))
-        assert words in message
+        assert label in message
         assert str(path) in message
     assert "--starts is 0" in refused(run("design", str(THESIS), "--starts", "0"))[0]
     assert "there is no such file" in refused(run("design", str(tmp_path / "none.yaml")))[0]

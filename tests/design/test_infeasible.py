@@ -69,11 +69,11 @@ def test_relaxation_is_enough_and_not_more_than_needed() -> None:
     few = DesignSolver(retries=1, poses=64, iterations=40, orders=2)
     task = DesignTask(two_tubes(), free, (SnapFree(0.1), strain, target), Objective("change"), solver=few)
     error = refused(task)
-    way = error.relaxations[0]
-    assert way.words in str(error)
-    assert way.task == apply_changes(task, way.changes)
-    assert optimize_design(way.task, turns=1, start=way.attempt).verification.kept
-    less = tuple(replace(change, amount=0.5 * change.amount) for change in way.changes)
+    path = error.relaxations[0]
+    assert path.words in str(error)
+    assert path.task == apply_changes(task, path.changes)
+    assert optimize_design(path.task, turns=1, start=path.attempt).verification.kept
+    less = tuple(replace(change, amount=0.5 * change.amount) for change in path.changes)
     assert not multistart(compile_task(apply_changes(task, less)), starts=1).designs
 
 
@@ -93,10 +93,10 @@ def test_failures_are_counted_by_what_failed() -> None:
 def test_tolerance_rises_to_the_distance_of_the_target(turn: float) -> None:
     """A straight tube stays on the axis of the plate, 5 mm from the target."""
     straight = ConcentricRobot((Tube(1.0 * MM, 0.8 * MM, 0.1, 0.1, 0.0),))
-    place = (5 * MM * np.cos(np.radians(turn)), 5 * MM * np.sin(np.radians(turn)), 0.1)
+    position = (5 * MM * np.cos(np.radians(turn)), 5 * MM * np.sin(np.radians(turn)), 0.1)
     free = (Free("curved_length", (0,), 0.05, 0.15),)
     few = DesignSolver(retries=1)
-    error = refused(DesignTask(straight, free, (Reach((Target(place),)),), Objective("length"), solver=few))
+    error = refused(DesignTask(straight, free, (Reach((Target(position),)),), Objective("length"), solver=few))
     assert "tolerance of target 1 must rise from 0.1 mm to 5 mm" in str(error)
 
 
@@ -116,20 +116,20 @@ def drawn(task: DesignTask, count: int = 400) -> list[ConcentricRobot]:
     """Random robots in the ranges of a task."""
     random, space = np.random.default_rng(0), task.space
     rows = space.lower + random.random((count, len(space.lower))) * (space.upper - space.lower)
-    found = []
+    results = []
     for row in rows:
         with suppress(InputError):
-            found.append(replace(task.robot, tubes=space.tubes(row)))
-    return found
+            results.append(replace(task.robot, tubes=space.tubes(row)))
+    return results
 
 
 def test_what_is_shown_holds_for_every_robot_in_the_ranges() -> None:
     free = (Free("curvature", (0, 1), 5.0, 20.0),)
     task = DesignTask(two_tubes(), free, (SnapFree(0.999),), solver=QUICK)
-    words = shown_infeasible(compile_task(task))
+    text = shown_infeasible(compile_task(task))
     best = max(snap_free_certificate(robot) for robot in drawn(task))
-    assert words.startswith("the certified margin is at most")
-    bound = float(words.split("at most ")[1].split()[0])
+    assert text.startswith("the certified margin is at most")
+    bound = float(text.split("at most ")[1].split()[0])
     assert best <= bound <= best + 0.2
     assert not shown_infeasible(compile_task(replace(task, requirements=(SnapFree(bound - 1e-3),))))
     strained = replace(task, requirements=(Strain((0.0025,), in_poses=False),))
@@ -145,13 +145,13 @@ def test_limits_that_exclude_each_other_are_shown_together() -> None:
         Length("straight_length", 0, 0.16, least=True),
         Length("curved_length", 0, 0.1, least=True),
     )
-    words = shown_infeasible(compile_task(DesignTask(two_tubes(), free, both, ordered=False)))
+    text = shown_infeasible(compile_task(DesignTask(two_tubes(), free, both, ordered=False)))
     for each in (
         "overall length of tube 1 of at most 250 mm",
         "straight length of tube 1 of at least 160 mm",
         "curved length",
     ):
-        assert each in words
+        assert each in text
     for k in range(3):
         assert not shown_infeasible(
             compile_task(DesignTask(two_tubes(), free, both[:k] + both[k + 1 :], ordered=False))
@@ -161,8 +161,8 @@ def test_limits_that_exclude_each_other_are_shown_together() -> None:
 def test_a_target_beyond_the_longest_tube_is_shown() -> None:
     free = (Free("curved_length", (0,), 0.05, 0.1),)
     reach = Reach((Target((0.0, 0.0, 0.2205)), Target((0.0, 0.0, 0.15))))
-    words = shown_infeasible(compile_task(DesignTask(two_tubes(), free, (reach,), solver=QUICK)))
-    assert words == "target 1 is 220.5 mm from the plate, and no tube gets longer than 220 mm"
+    text = shown_infeasible(compile_task(DesignTask(two_tubes(), free, (reach,), solver=QUICK)))
+    assert text == "target 1 is 220.5 mm from the plate, and no tube gets longer than 220 mm"
     near = Reach((Target((0.0, 0.0, 0.2199)),))
     assert not shown_infeasible(compile_task(DesignTask(two_tubes(), free, (near,), solver=QUICK)))
 
@@ -170,7 +170,7 @@ def test_a_target_beyond_the_longest_tube_is_shown() -> None:
 def test_a_search_that_time_ends_says_what_it_found() -> None:
     task = snap_free_thesis(0.05)
     whole = optimize_design(task, turns=0)
-    assert whole.status is DesignStatus.KEPT
+    assert whole.status is DesignStatus.SATISFIED
     programs = compile_task(task)
     with within(1e-9):
         ranking = multistart(programs, starts=2)
@@ -199,7 +199,7 @@ def test_the_best_on_the_way_is_the_answer_where_time_ends(monkeypatch: pytest.M
     monkeypatch.setattr(solve, "evaluate", evaluated)
     ranking = multistart(compile_task(task))
     monkeypatch.undo()
-    (found,) = ranking.designs
-    assert found.late
+    (result,) = ranking.designs
+    assert result.late
     assert ranking.late == 1
-    assert snap_free_certificate(found.robot) >= 0.05 - 1e-6
+    assert snap_free_certificate(result.robot) >= 0.05 - 1e-6

@@ -31,21 +31,21 @@ from tubeopt.typing import Array
 def test_probability_of_two_tubes_is_that_of_a_product_of_normals() -> None:
     kappa = closed_form(0.1, 0.05, 0.05)
     spread = 0.05
-    found = tolerance_analysis(equal_pair(0.1, 0.05, kappa), Tolerances(curvature=spread), samples=2000)
+    result = tolerance_analysis(equal_pair(0.1, 0.05, kappa), Tolerances(curvature=spread), samples=2000)
     # snap-free while kappa_1 kappa_2 is below its value at margin 0
     limit = (closed_form(0.1, 0.05, 0.0) / kappa) ** 2
     a = np.linspace(-6, 6, 4001)
     expected = np.trapezoid(norm.pdf(a) * norm.cdf((limit / (1 + spread * a) - 1) / spread), a)
-    assert found.interval[0] - 0.01 <= expected <= found.interval[1] + 0.01
+    assert result.interval[0] - 0.01 <= expected <= result.interval[1] + 0.01
     # Wilson (1927): where the share that was seen is just within what 95 % of samples of the normal law would show
-    ends = np.array(found.interval)
-    assert found.snap_free - ends == pytest.approx(norm.ppf(0.975) * np.sqrt(ends * (1 - ends) / 2000) * [1, -1])
+    ends = np.array(result.interval)
+    assert result.snap_free - ends == pytest.approx(norm.ppf(0.975) * np.sqrt(ends * (1 - ends) / 2000) * [1, -1])
 
 
 def test_tip_spread_follows_the_derivative_for_small_errors() -> None:
     robot = two_tubes()
     joints = (np.array([0.5, 0.0]), np.array([-0.02, -0.01]))
-    found = tolerance_analysis(robot, Tolerances(curvature=1e-4), poses=[joints], samples=400)
+    result = tolerance_analysis(robot, Tolerances(curvature=1e-4), poses=[joints], samples=400)
     from dataclasses import replace
 
     tip = forward_kinematics(robot, *joints).tip_position
@@ -55,8 +55,8 @@ def test_tip_spread_follows_the_derivative_for_small_errors() -> None:
         tubes[i] = replace(tube, curvature=tube.curvature * (1 + 1e-5))
         slope = (forward_kinematics(replace(robot, tubes=tuple(tubes)), *joints).tip_position - tip) / 1e-5
         total += float(slope @ slope) * 1e-8
-    assert found.spread[0] == pytest.approx(np.sqrt(total), rel=0.1)
-    assert found.failed == 0
+    assert result.spread[0] == pytest.approx(np.sqrt(total), rel=0.1)
+    assert result.failed == 0
 
 
 def test_shares_and_spreads_are_those_of_the_samples(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -76,10 +76,10 @@ def test_shares_and_spreads_are_those_of_the_samples(monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(tolerance, "_batch", batch)
     joints = np.zeros(2), np.zeros(2)
-    found = tolerance_analysis(two_tubes(), Tolerances(), poses=[joints, joints], margin=0.2, samples=100)
-    assert (found.snap_free, found.margin_kept, found.failed) == (0.89, 0.7, 2)
-    assert found.spread_95 == pytest.approx([95.05e-3, 0.0])
-    assert found.spread == pytest.approx([np.sqrt((np.arange(1, 101) ** 2).mean()) * 1e-3, 0.0])
+    result = tolerance_analysis(two_tubes(), Tolerances(), poses=[joints, joints], margin=0.2, samples=100)
+    assert (result.snap_free, result.margin_kept, result.failed) == (0.89, 0.7, 2)
+    assert result.spread_95 == pytest.approx([95.05e-3, 0.0])
+    assert result.spread == pytest.approx([np.sqrt((np.arange(1, 101) ** 2).mean()) * 1e-3, 0.0])
 
 
 def test_uniform_errors_come_to_their_half_width_and_both_stiffnesses_err_alike() -> None:
@@ -90,17 +90,17 @@ def test_uniform_errors_come_to_their_half_width_and_both_stiffnesses_err_alike(
         np.array([getattr(each, name) for each in made]) / getattr(tube, name) - 1
         for name in ("curvature", "bending_stiffness", "torsional_stiffness")
     )
-    for off, most in ((bent, 0.01), (bending, 0.02)):
-        assert [off.min(), off.max()] == pytest.approx([-most, most], rel=1e-2)
-        assert np.abs(off).max() <= most * (1 + 1e-12)
+    for off, largest in ((bent, 0.01), (bending, 0.02)):
+        assert [off.min(), off.max()] == pytest.approx([-largest, largest], rel=1e-2)
+        assert np.abs(off).max() <= largest * (1 + 1e-12)
     assert torsional == pytest.approx(bending, abs=1e-12)
 
 
 def test_uniform_errors_stay_within_their_half_width() -> None:
-    found = tolerance_analysis(equal_pair(0.1, 0.05, 5.0), Tolerances(curvature=0.01, distribution="uniform"))
+    result = tolerance_analysis(equal_pair(0.1, 0.05, 5.0), Tolerances(curvature=0.01, distribution="uniform"))
     high = tolerance_analysis(equal_pair(0.1, 0.05, 5.0 * 1.01), Tolerances(), samples=2).certificate[0]
     low = tolerance_analysis(equal_pair(0.1, 0.05, 5.0 * 0.99), Tolerances(), samples=2).certificate[0]
-    assert high <= found.certificate.min() <= found.certificate.max() <= low
+    assert high <= result.certificate.min() <= result.certificate.max() <= low
 
 
 def stock() -> list[StockTube]:
@@ -147,8 +147,8 @@ def test_stock_is_ranked_as_without_bounds() -> None:
     choice = choose_from_stock(task, stock(), clearance=0.05e-3, keep=2)
     values = []
     for sizes in combinations(stock(), 2, 0.05e-3):
-        found = multistart(compile_task(with_sizes(task, sizes))).designs[0]
-        values.append((-found.objective, tuple(size.name for size in sizes)))
+        result = multistart(compile_task(with_sizes(task, sizes))).designs[0]
+        values.append((-result.objective, tuple(size.name for size in sizes)))
     best = sorted(values, reverse=True)[:2]
     assert len(values) == len(choice.candidates)
     assert choice.count("pruned") > 0

@@ -12,7 +12,7 @@ import pytest
 from tubeopt import ConcentricRobot, DesignTask, InputError, inverse_kinematics, optimize_design, plan_trajectory
 from tubeopt.design import DesignSolution, Free, Objective, Poses, SnapFree
 from tubeopt.design.requirements import Requirement
-from tubeopt.design.task import Place, worst_order
+from tubeopt.design.task import TranslationRange, worst_order
 
 from .tasks import three_tubes, two_tubes
 
@@ -93,8 +93,8 @@ def test_a_verified_design_is_accepted_by_inverse_kinematics_and_planning() -> N
 def test_an_order_that_no_lengths_keep_is_refused() -> None:
     short = replace(two_tubes(), tubes=(replace(two_tubes().tubes[0], curved_length=0.05), two_tubes().tubes[1]))
     free = (Free("curvature", (0,), 1.0, 20.0),)
-    words = "tube 1 ends 10 mm inside tube 2 at translations 0, whatever lengths are chosen; ordered=False "
-    with pytest.raises(InputError, match=words):
+    text = "tube 1 ends 10 mm inside tube 2 at translations 0, whatever lengths are chosen; ordered=False "
+    with pytest.raises(InputError, match=text):
         DesignTask(short, free, (SnapFree(0.1),))
     assert DesignTask(short, free, (SnapFree(0.1),), ordered=False).ordered is False
     assert DesignTask(short, (*free, Free("curved_length", (0,), 0.05, 0.06)), (SnapFree(0.1),)).ordered
@@ -105,9 +105,9 @@ def test_an_order_that_no_lengths_keep_is_refused() -> None:
 
 def test_the_worst_order_is_told() -> None:
     tubes = two_tubes().tubes
-    ahead = Place("here", (0.08, 0.0), (0.08, 0.0))
-    gap, words = worst_order(tubes, [Place("at translations 0", (0.0, 0.0), (0.0, 0.0)), ahead])
+    ahead = TranslationRange("here", (0.08, 0.0), (0.08, 0.0))
+    gap, text = worst_order(tubes, [TranslationRange("at translations 0", (0.0, 0.0), (0.0, 0.0)), ahead])
     assert gap == pytest.approx(-0.01)
-    assert words == "the carriage of tube 1 stands 10 mm before that of tube 2 here"
-    gap, words = worst_order(tubes, [Place("there", (-0.09, -0.065), (-0.09, -0.065))])
-    assert (gap, words) == (pytest.approx(-0.01), "tube 1 ends 10 mm behind the plate there")
+    assert text == "the carriage of tube 1 stands 10 mm before that of tube 2 here"
+    gap, text = worst_order(tubes, [TranslationRange("there", (-0.09, -0.065), (-0.09, -0.065))])
+    assert (gap, text) == (pytest.approx(-0.01), "tube 1 ends 10 mm behind the plate there")

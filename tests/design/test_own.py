@@ -108,7 +108,7 @@ def everything(q: Quantities) -> Any:
 def posed_task() -> DesignTask:
     """A given pose and a free one of two tubes, all dimensions free."""
     fields = {"curvature": 30.0, "straight_length": 0.2, "curved_length": 0.2}
-    free = [Free(name, (0, 1), 0.0, most) for name, most in fields.items()]
+    free = [Free(name, (0, 1), 0.0, largest) for name, largest in fields.items()]
     free += [Free("outer_diameter", (0,), 0.9 * MM, 1.05 * MM), Free("inner_diameter", (1,), 1.06 * MM, 1.2 * MM)]
     poses = Poses(((0.0, 2.0),), ((-0.01, -0.005),))
     return DesignTask(two_tubes(), tuple(free), (poses, Reach((Target((0.02, -0.03, 0.11)),))))
@@ -130,13 +130,13 @@ def test_strain_and_clearance_of_a_pose_and_their_slopes() -> None:
     value, slope = at(program, expression, x)
     state = state_at(program, x)
     robot = replace(task.robot, tubes=state.tubes)
-    found = expression(numbers_of(robot, [forward_kinematics(robot, *state.joint_values(k)) for k in range(2)]))
-    room = (value - found)[[0, 1, 3, 4]]
+    result = expression(numbers_of(robot, [forward_kinematics(robot, *state.joint_values(k)) for k in range(2)]))
+    room = (value - result)[[0, 1, 3, 4]]
     # Where tubes end their strain is left out when it is looked at again, and the arm is held off by 20 um.
     assert (room >= -1e-9).all()
     assert (room <= 0.02 * value[[0, 1, 3, 4]]).all()
-    assert ((value - found)[[2, 5]] < 0).all()
-    assert ((value - found)[[2, 5]] > -2e-4).all()
+    assert ((value - result)[[2, 5]] < 0).all()
+    assert ((value - result)[[2, 5]] > -2e-4).all()
     for j, size in enumerate(1e-6 * program.scale):
         step = size * np.eye(len(x))[j]
         change = (at(program, expression, x + step)[0] - at(program, expression, x - step)[0]) / (2 * size)
@@ -180,7 +180,7 @@ def test_a_small_number_is_minimised_as_exactly_as_any_other() -> None:
 
     @dataclass(frozen=True)
     class Metal(CustomObjective):
-        words, unit, factor = "metal of all tubes", "mm3", 1e9
+        text, unit, factor = "metal of all tubes", "mm3", 1e9
 
         def expression(self, q: Quantities) -> Any:
             od, bore, length = (q.tubes[name] for name in ("outer_diameter", "inner_diameter", "straight_length"))
@@ -234,11 +234,11 @@ def test_what_cannot_be_relaxed_is_kept_while_the_rest_is() -> None:
     task = DesignTask(pair, free, (Fixed(), Length("length", 0, 0.12)), Objective("tip_curvature"))
     with pytest.raises(InfeasibleDesignError) as caught:
         optimize_design(task)
-    (way,) = caught.value.relaxations
-    assert [change.limit.words for change in way.changes] == ["overall length of tube 1"]
-    found = optimize_design(way.task)
-    assert snap_free_certificate(found.robot) == pytest.approx(0.5, abs=1e-4)
-    assert found.objective == pytest.approx(optimize_design(tightest(pair, 0.5, 30.0), turns=0).objective, rel=1e-4)
+    (path,) = caught.value.relaxations
+    assert [change.limit.words for change in path.changes] == ["overall length of tube 1"]
+    solution = optimize_design(path.task)
+    assert snap_free_certificate(solution.robot) == pytest.approx(0.5, abs=1e-4)
+    assert solution.objective == pytest.approx(optimize_design(tightest(pair, 0.5, 30.0), turns=0).objective, rel=1e-4)
 
 
 @dataclass(frozen=True)
@@ -302,17 +302,17 @@ def test_a_design_that_a_payload_moves_least() -> None:
     poses, force = Poses(((0.0, 2.0), (0.5, -1.0)), ((-0.01, -0.005), (-0.03, -0.02))), (0.02, 0.0, -0.01)
     free = (Free("curvature", (0, 1), 1.0, 20.0), Free("curved_length", (1,), 0.05, 0.079))
     task = DesignTask(two_tubes(), free, (poses, SnapFreeInUse(0.3, paths=False)), aim_under(force))
-    found = optimize_design(task, turns=0)
-    least = farthest(found.robot, poses, force)
-    assert found.objectives["tip_deflection"] == pytest.approx(least, rel=1e-5)
-    assert least < 0.8 * farthest(task.robot, poses, force)
+    solution = optimize_design(task, turns=0)
+    smallest = farthest(solution.robot, poses, force)
+    assert solution.objectives["tip_deflection"] == pytest.approx(smallest, rel=1e-5)
+    assert smallest < 0.8 * farthest(task.robot, poses, force)
     # What binds are bounds: at each of them the price is how the objective changes with what is bounded.
-    price = next(one for one in found.sensitivities if one.limit.words == "upper bound of the curvature of tube 2")
+    price = next(one for one in solution.sensitivities if one.limit.words == "upper bound of the curvature of tube 2")
     sides = []
     for step in (0.05, -0.05):
-        tubes = list(found.robot.tubes)
+        tubes = list(solution.robot.tubes)
         tubes[1] = replace(tubes[1], curvature=tubes[1].curvature + step)
-        sides.append(farthest(replace(found.robot, tubes=tuple(tubes)), poses, force))
+        sides.append(farthest(replace(solution.robot, tubes=tuple(tubes)), poses, force))
     assert price.derivative == pytest.approx((sides[0] - sides[1]) / 0.1, rel=1e-2)
     with pytest.raises(InputError, match="objective tip_deflection needs task poses"):
         DesignTask(two_tubes(), free, (SnapFree(0.1),), aim_under(force))
@@ -339,14 +339,14 @@ def test_a_design_that_a_moment_moves_least_and_softens_no_further() -> None:
     aim = Objective("tip_deflection", tip_moment=TWISTED.moment)
     moved, sure = [], []
     for own in ((), (SureUnder(0.9),)):
-        found = optimize_design(DesignTask(two_tubes(), free, (poses, *own), aim), turns=0)
+        solution = optimize_design(DesignTask(two_tubes(), free, (poses, *own), aim), turns=0)
         plain, pushed = (
-            forward_kinematics(found.robot, poses.rotations[0], poses.translations[0], load=each)
+            forward_kinematics(solution.robot, poses.rotations[0], poses.translations[0], load=each)
             for each in (None, TWISTED)
         )
         moved.append(float(np.linalg.norm(pushed.tip_position - plain.tip_position)))
         sure.append(sure_margin(pushed))
-        assert found.objectives["tip_deflection"] == pytest.approx(moved[-1], rel=1e-5)
+        assert solution.objectives["tip_deflection"] == pytest.approx(moved[-1], rel=1e-5)
     assert sure[1] >= 0.9 - 1e-6
     assert sure[0] < 0.9 or moved[0] == pytest.approx(moved[1], rel=1e-4)
     assert moved[0] <= moved[1] * (1 + 1e-6)
@@ -368,10 +368,10 @@ class Strained(CustomRequirement):
 def test_strain_held_straight_is_a_quantity_of_own_requirements() -> None:
     """r kappa / (1 - r kappa) <= e is kappa <= e / (r (1 + e))."""
     free = Free("curvature", (0, 1), 0.5, 15.0)
-    found = optimize_design(DesignTask(two_tubes(), [free], [Strained(0.003)], Objective("change")), turns=0)
-    most = [0.003 / (tube.outer_diameter / 2 * 1.003) for tube in two_tubes().tubes]
-    assert [tube.curvature for tube in found.robot.tubes] == pytest.approx(most, rel=1e-6)
-    assert found.verification.kept
+    solution = optimize_design(DesignTask(two_tubes(), [free], [Strained(0.003)], Objective("change")), turns=0)
+    largest = [0.003 / (tube.outer_diameter / 2 * 1.003) for tube in two_tubes().tubes]
+    assert [tube.curvature for tube in solution.robot.tubes] == pytest.approx(largest, rel=1e-6)
+    assert solution.verification.kept
 
 
 def test_the_stiffness_against_a_small_force_is_that_of_the_unloaded_arm() -> None:
@@ -379,8 +379,8 @@ def test_the_stiffness_against_a_small_force_is_that_of_the_unloaded_arm() -> No
     e = forward_kinematics(robot, [0.0, 2.0], [-0.01, -0.005])
     expression = aim(Objective("tip_stiffness", tip_force=tuple(force)), (1, 1), (0,), (), None)
     assert expression is not None
-    found = expression(numbers_of(robot, [e]))[0]
-    assert found == pytest.approx(force @ force / (force @ e.compliance[:3, :3] @ force), rel=1e-2)
+    result = expression(numbers_of(robot, [e]))[0]
+    assert result == pytest.approx(force @ force / (force @ e.compliance[:3, :3] @ force), rel=1e-2)
 
 
 @pytest.mark.parametrize(

@@ -34,40 +34,40 @@ def pair(**other: Any) -> PairReach:
     bases = base_frame([-0.008, 0, 0], [0.1, 0, 1]), base_frame([0.008, 0, 0], [-0.1, 0, 1], 0.3)
     tips = [tubeopt.forward_kinematics(CRL, [a, a + 0.2, a], SHIFT).tip_position for a in (0.0, 1.2, 2.4)]
     options = PlanOptions(clearance=5e-4, time_limit=60)
-    given = {"options": options, "count": 30, **other}
-    return PairReach((WITHDRAWN, WITHDRAWN), bases, bases[0].placed(tips), **given)
+    inputs = {"options": options, "count": 30, **other}
+    return PairReach((WITHDRAWN, WITHDRAWN), bases, bases[0].placed(tips), **inputs)
 
 
 def test_arms_are_no_closer_than_is_told() -> None:
     """Surfaces sampled at 700 places of each arm come no closer than the bound, and hardly stay farther."""
-    wanted = pair()
-    found = wanted.evaluate(CRL, CRL, np.zeros(0))
-    assert found.reached[0].share == 1.0
+    desired = pair()
+    result = desired.evaluate(CRL, CRL, np.zeros(0))
+    assert result.reached[0].share == 1.0
     gaps = []
-    for i, j in np.argwhere(np.isfinite(found.apart)):
+    for i, j in np.argwhere(np.isfinite(result.apart)):
         sides = []
-        for side, base, k in zip(found.reached, wanted.bases, (i, j), strict=True):
+        for side, base, k in zip(result.reached, desired.bases, (i, j), strict=True):
             e = side.arm(CRL, k)
             assert e is not None
             line, radius = ArmSurface(e).at(np.linspace(0, e.arc_length[-1], 700))
-            assert base.placed(e.tip_position) == pytest.approx(wanted.targets[k], abs=1e-3)
+            assert base.placed(e.tip_position) == pytest.approx(desired.targets[k], abs=1e-3)
             sides.append((base.placed(line), radius))
         (one, thick), (other, thin) = sides
         measured = (scipy.spatial.distance.cdist(one, other) - thick[:, None] - thin).min()
-        gaps.append(measured - found.apart[i, j])
+        gaps.append(measured - result.apart[i, j])
     assert gaps
     assert min(gaps) > -1e-6
     assert np.median(gaps) < 4e-4
-    assert not found.held.diagonal().any()
-    assert found.share == found.held.sum() / 6
+    assert not result.held.diagonal().any()
+    assert result.share == result.held.sum() / 6
 
 
 def test_plates_that_are_moved_hold_what_moved_places_are_for_plates_that_are_not() -> None:
     moving = pair(shift=2e-3, tilt=0.1)
     own = np.array([1e-3, -2e-3, 5e-4, 0.05, -0.02, 0.0, 1e-3, -1e-3, -0.03, 0.04])
     assert moving.ranges.shape == (10, 2)
-    there = replace(moving, bases=moving.plates(own), shift=0.0, tilt=0.0)
-    one, other = moving.evaluate(CRL, CRL, own), there.evaluate(CRL, CRL, np.zeros(0))
+    reached = replace(moving, bases=moving.plates(own), shift=0.0, tilt=0.0)
+    one, other = moving.evaluate(CRL, CRL, own), reached.evaluate(CRL, CRL, np.zeros(0))
     np.testing.assert_allclose(one.apart, other.apart, atol=1e-9)
 
 
@@ -79,11 +79,11 @@ def test_arms_are_the_ones_to_which_ways_lead_not_those_that_a_robot_takes_at_on
     other = max(known, key=lambda e: float(np.linalg.norm(e.tip_position - at_once.tip_position)))
     assert np.linalg.norm(other.tip_position - at_once.tip_position) > 5e-3
     row = {"rotations": turns[None], "translations": shift[None], "tip_rotations": other.tip_rotations[None]}
-    share = ReachShare(other.tip_position[None], np.zeros(1), 5e-4, **row)
-    arm = share.arm(CRL, 0)
+    fraction = ReachShare(other.tip_position[None], np.zeros(1), 5e-4, **row)
+    arm = fraction.arm(CRL, 0)
     assert arm is not None
     np.testing.assert_allclose(arm.tip_position, other.tip_position, atol=1e-9)
-    assert replace(share, targets=share.targets + 0.01).arm(CRL, 0) is None
+    assert replace(fraction, targets=fraction.targets + 0.01).arm(CRL, 0) is None
 
 
 class Together:
@@ -102,13 +102,13 @@ def test_both_robots_and_own_numbers_are_searched_at_once() -> None:
     robot = two_tubes()
     free = (Free("curvature", (0,), 1.0, 60.0),)
     tasks = tuple(DesignTask(robot, free, some, ordered=False) for some in ((), (Strain((0.012,)),)))
-    found = search_pair((tasks[0], tasks[1]), Together(), time_limit=60)
-    one, other = found.value
+    result = search_pair((tasks[0], tasks[1]), Together(), time_limit=60)
+    one, other = result.value
     assert [one.tubes[0].curvature, other.tubes[0].curvature] == pytest.approx([30.0, 10.0], abs=0.5)
-    assert found.own == pytest.approx([20.0], abs=0.3)
-    assert found.after > found.before
-    assert found.solutions[1].verification.kept
-    assert found.status is DesignStatus.KEPT
+    assert result.own == pytest.approx([20.0], abs=0.3)
+    assert result.after > result.before
+    assert result.solutions[1].verification.kept
+    assert result.status is DesignStatus.SATISFIED
 
 
 def test_what_is_no_pair_is_refused() -> None:
@@ -147,17 +147,17 @@ def test_a_pair_is_designed_saved_and_drawn(run: Run, tmp_path: Path) -> None:
     """What is told and what is saved are of the same designs."""
     study = tmp_path / "study.yaml"
     study.write_text(json.dumps(STUDY))
-    told = answer(run("design-pair", str(study), "--out", str(tmp_path), "--plot", "--json"))
-    assert [arm["name"] for arm in told["arms"]] == ["arm A", "arm B"]
-    assert told["arms"][1]["position_mm"] == pytest.approx([12, 0, 0])
-    assert told["searched_after"] >= told["searched_before"]
+    report = answer(run("design-pair", str(study), "--out", str(tmp_path), "--plot", "--json"))
+    assert [arm["name"] for arm in report["arms"]] == ["arm A", "arm B"]
+    assert report["arms"][1]["position_mm"] == pytest.approx([12, 0, 0])
+    assert report["searched_after"] >= report["searched_before"]
     rows = np.genfromtxt(tmp_path / "pairs.csv", delimiter=",", skip_header=1)
     assert len(rows) == 2
-    assert rows[:, 7].mean() == told["after"]
+    assert rows[:, 7].mean() == report["after"]
     away = np.linalg.norm(rows[:, :6].reshape(-1, 3) - [0, 0, 60], axis=1)
     assert away.max() <= 6 + 1e-9
     first = tubeopt.load_robot(tmp_path / "arm_1" / "robot.yaml")
-    factor = told["arms"][0]["dimensions"][0]
+    factor = report["arms"][0]["dimensions"][0]
     assert first.tubes[0].curvature == pytest.approx(factor["after"] / factor["before"] * 28, rel=1e-9)
     assert (tmp_path / "pairs.png").stat().st_size > 0
     assert (tmp_path / "places.png").stat().st_size > 0
@@ -165,14 +165,14 @@ def test_a_pair_is_designed_saved_and_drawn(run: Run, tmp_path: Path) -> None:
 
 def test_the_map_of_places_has_what_the_other_arm_holds(monkeypatch: pytest.MonkeyPatch) -> None:
     draw_quickly(monkeypatch)
-    places = np.array([[0.0, 0.0, 0.05], [0.01, 0.0, 0.06], [0.0, 0.02, 0.07]])
+    positions = np.array([[0.0, 0.0, 0.05], [0.01, 0.0, 0.06], [0.0, 0.02, 0.07]])
 
     def reach(miss: list[float]) -> ReachShare:
-        return ReachShare(places, np.array(miss), 1e-3, *np.zeros((3, 3, 3)))
+        return ReachShare(positions, np.array(miss), 1e-3, *np.zeros((3, 3, 3)))
 
     apart = np.array([[0.0, 0.003, 0.001], [0.004, 0.0, 0.005], [np.nan, np.nan, np.nan]])
-    share = PairShare((reach([0.0, 0.0, 1.0]), reach([0.0, 0.0, 0.0])), apart, 0.002)
-    figure = plot_pair_places((share, share), places=places, names=("a", "b"))
+    fraction = PairShare((reach([0.0, 0.0, 1.0]), reach([0.0, 0.0, 0.0])), apart, 0.002)
+    figure = plot_pair_places((fraction, fraction), places=positions, names=("a", "b"))
     white, first, _, second = figure.axes[0].collections  # of the first arm, then of the second
     assert white.get_offsets().tolist() == [[0.0, 70.0]]
     assert first.get_offsets().tolist() == [[0.0, 50.0], [10.0, 60.0]]
@@ -180,7 +180,7 @@ def test_the_map_of_places_has_what_the_other_arm_holds(monkeypatch: pytest.Monk
     assert second.get_array().tolist() == [0.5, 0.5, 0.5]
     assert figure.axes[2].collections[1].get_offsets().tolist() == [[0.0, 0.0], [10.0, 0.0]]
     with pytest.raises(InputError, match="places has shape"):
-        plot_pair_places((share, share), places=places[:2])
+        plot_pair_places((fraction, fraction), places=positions[:2])
 
 
 @pytest.mark.parametrize(
@@ -200,5 +200,5 @@ def test_the_map_of_places_has_what_the_other_arm_holds(monkeypatch: pytest.Monk
 def test_studies_that_make_no_pair_are_refused(run: Run, tmp_path: Path, change: dict[str, Any], message: str) -> None:
     study = tmp_path / "study.yaml"
     study.write_text(json.dumps(STUDY | change))
-    told = refused(run("design-pair", str(study)))
-    assert any(message in line for line in told), told
+    report = refused(run("design-pair", str(study)))
+    assert any(message in line for line in report), report

@@ -109,32 +109,34 @@ def test_changes_are_those_of_central_differences(robot: ConcentricRobot, free: 
     fixed = int(robot is THESIS)
     layout = Layout(space, (FreePose(0), FixedPose(turned, shift))[: 1 + fixed], (shift,), ())
     random, n = np.random.default_rng(3), robot.n_tubes
-    begin = np.clip(
+    start = np.clip(
         0.9 * space.start + 0.05 * space.scale * random.standard_normal(len(space.start)),
         space.lower,
         space.upper - 0.02 * space.scale,
     )
-    beta = np.array(shift) - [tube.straight_length for tube in space.tubes(begin)]
-    x = np.concatenate([begin, turned, beta])
-    asked = [Quantity("tip_position", 0), Quantity("tip_direction", fixed)]
-    asked += [Quantity("margin", k) for k in range(1 + fixed)]
-    asked += [Quantity("certificate", at=shift), Quantity("curvature")]
-    asked += [Quantity("strain", k, (i,)) for k, i in ((0, 0), (0, 2), (fixed, 1))]
-    asked += [Quantity("straightened_strain", at=(i, 0)) for i in (0, 1)]
-    asked += [Quantity("bending_stiffness"), Quantity("clearance", 0, (NEAR,))]
-    asked += [Quantity("curvature", 0, (share,)) for share in (0.3, 1.0)]
+    beta = np.array(shift) - [tube.straight_length for tube in space.tubes(start)]
+    x = np.concatenate([start, turned, beta])
+    requested = [Quantity("tip_position", 0), Quantity("tip_direction", fixed)]
+    requested += [Quantity("margin", k) for k in range(1 + fixed)]
+    requested += [Quantity("certificate", at=shift), Quantity("curvature")]
+    requested += [Quantity("strain", k, (i,)) for k, i in ((0, 0), (0, 2), (fixed, 1))]
+    requested += [Quantity("straightened_strain", at=(i, 0)) for i in (0, 1)]
+    requested += [Quantity("bending_stiffness"), Quantity("clearance", 0, (NEAR,))]
+    requested += [Quantity("curvature", 0, (fraction,)) for fraction in (0.3, 1.0)]
 
     def look(at: Array) -> list[tuple[Array, Array]]:
-        here = State(layout, at).quantity
-        return [here(one) for one in asked]
+        current = State(layout, at).quantity
+        return [current(one) for one in requested]
 
     steps = np.concatenate([1e-5 * space.scale, np.full(n, 1e-5), np.full(n, 1e-7)])
     sides = [[look(x + sign * np.diag(steps)[k]) for sign in (1, -1)] for k in range(len(x))]
     for j, (_, slope) in enumerate(look(x)):
-        found = np.array([(up[j][0] - down[j][0]) / (2 * h) for (up, down), h in zip(sides, steps, strict=True)]).T
+        result = np.array([(up[j][0] - down[j][0]) / (2 * h) for (up, down), h in zip(sides, steps, strict=True)]).T
         # The largest curvature of a shape is looked for at 2,000 places.
-        rough = asked[j] == Quantity("curvature") or (asked[j].name == "straightened_strain" and robot is THESIS)
-        assert np.abs(slope - found).max() <= (1e-3 if rough else 1e-7) * np.abs(found).max()
+        rough = requested[j] == Quantity("curvature") or (
+            requested[j].name == "straightened_strain" and robot is THESIS
+        )
+        assert np.abs(slope - result).max() <= (1e-3 if rough else 1e-7) * np.abs(result).max()
 
 
 MOMENTS = Load(
@@ -158,9 +160,9 @@ def test_deflections_and_margins_under_a_load_change_as_equilibria_say(load: Loa
         Free("curved_length", (1,), 0.02, 0.25),
     ]
     space = design_space(robot.tubes, free)
-    begin = np.array([1.32e-3, 0.064, 11.0, 0.3, 4.0, 0.7])
-    beta = np.array([-0.033, -0.021, -0.0052]) - [tube.straight_length for tube in space.tubes(begin)]
-    x = np.concatenate([begin, [0.3, 2.5, -1.0], beta])
+    start = np.array([1.32e-3, 0.064, 11.0, 0.3, 4.0, 0.7])
+    beta = np.array([-0.033, -0.021, -0.0052]) - [tube.straight_length for tube in space.tubes(start)]
+    x = np.concatenate([start, [0.3, 2.5, -1.0], beta])
 
     def under(at: Array) -> Array:
         robot = ConcentricRobot(space.tubes(at[:6]))
@@ -174,8 +176,8 @@ def test_deflections_and_margins_under_a_load_change_as_equilibria_say(load: Loa
     )
     assert np.append(value, margin) == pytest.approx(under(x), abs=1e-8)
     steps = np.concatenate([1e-4 * space.scale, np.full(3, 1e-4), np.full(3, 1e-6)])
-    found = np.array([(under(x + d) - under(x - d)) / (2 * d.sum()) for d in np.diag(steps)]).T
-    moved, softened = found[:3], found[3]
+    result = np.array([(under(x + d) - under(x - d)) / (2 * d.sum()) for d in np.diag(steps)]).T
+    moved, softened = result[:3], result[3]
     assert np.abs(moved).max(0) == pytest.approx(np.abs(slope).max(0), rel=1e-5)
     assert (np.abs(slope - moved).max(0) <= 2e-6 * np.abs(moved).max(0)).all()
     # Differences with steps of a tenth come a hundred times as close.
@@ -192,8 +194,8 @@ def test_points_along_the_arm_move_as_differences_say() -> None:
     slope = arm_slopes(state.pose(0), FRACTIONS) @ state.chain(0)
     for k, row in enumerate(np.eye(len(x))):
         up, down = (arm_points(State(layout, x + 1e-6 * sign * row).pose(0), FRACTIONS) for sign in (1, -1))
-        found = (up - down) / 2e-6
-        assert np.abs(slope[:, :, k] - found).max() < 2e-6 * np.abs(found).max() + 1e-9
+        result = (up - down) / 2e-6
+        assert np.abs(slope[:, :, k] - result).max() < 2e-6 * np.abs(result).max() + 1e-9
 
 
 def test_the_certificate_of_an_s_in_an_arc_changes_as_differences_say() -> None:
@@ -211,8 +213,8 @@ def test_the_certificate_of_an_s_in_an_arc_changes_as_differences_say() -> None:
     assert value == pytest.approx(snap_free_certificate(robot, (-0.004, -0.001)), abs=2e-6)
     assert value > convexity(robot, np.array([-0.004, -0.001])) + 1.0
     steps = 1e-4 * space.scale
-    found = [(look(x + d)[0] - look(x - d)[0]) / (2 * h) for d, h in zip(np.diag(steps), steps, strict=True)]
-    assert np.abs(slope.ravel() - np.ravel(found)).max() < 1e-4 * np.abs(found).max()
+    results = [(look(x + d)[0] - look(x - d)[0]) / (2 * h) for d, h in zip(np.diag(steps), steps, strict=True)]
+    assert np.abs(slope.ravel() - np.ravel(results)).max() < 1e-4 * np.abs(results).max()
 
 
 def test_pieces_are_bent_into_a_corridor() -> None:
@@ -228,12 +230,12 @@ def test_pieces_are_bent_into_a_corridor() -> None:
     task = DesignTask(
         robot, [Free("piece_curvature", (0, 1), -20.0, 20.0)], [pose, Avoid((corridor,))], Objective("change")
     )
-    found = optimize_design(task, turns=0)
-    assert found.verification.kept
-    arm = forward_kinematics(found.robot, [0.0, 0.0]).position
+    solution = optimize_design(task, turns=0)
+    assert solution.verification.kept
+    arm = forward_kinematics(solution.robot, [0.0, 0.0]).position
     off = [min(_distance(point, a, b) for a, b in pairwise(line)) for point in arm]
     assert 1.75e-3 < max(off) < 2.5e-3 - 0.65e-3
-    assert abs(found.dimensions[0].after) < 9.0
+    assert abs(solution.dimensions[0].after) < 9.0
 
 
 def _distance(point: Array, a: Array, b: Array) -> float:
@@ -244,14 +246,14 @@ def _distance(point: Array, a: Array, b: Array) -> float:
 
 def test_least_pattern_that_cannot_snap() -> None:
     task = DesignTask(THESIS, [PATTERN], [SnapFree(0.05)], Objective("change"))
-    found = optimize_design(task, turns=2)
+    solution = optimize_design(task, turns=2)
     # As problems/own_patterned_thesis.py finds it by a program of its own.
-    assert [d.after for d in found.dimensions] == pytest.approx([0.37751, 0.93683, 1.0], abs=1e-4)
-    assert snap_free_certificate(found.robot) == pytest.approx(0.05, abs=1e-6)
-    for before, after in zip(THESIS.tubes, found.robot.tubes, strict=True):
+    assert [d.after for d in solution.dimensions] == pytest.approx([0.37751, 0.93683, 1.0], abs=1e-4)
+    assert snap_free_certificate(solution.robot) == pytest.approx(0.05, abs=1e-6)
+    for before, after in zip(THESIS.tubes, solution.robot.tubes, strict=True):
         assert after.curvature == before.curvature
-    assert found.verification.kept
-    assert "bending factor of piece 1 of tube 1" in found.dimensions[0].name
+    assert solution.verification.kept
+    assert "bending factor of piece 1 of tube 1" in solution.dimensions[0].name
     whole = optimize_design(
         DesignTask(THESIS, [Free("piece_curvature", (0, 1, 2), 0.5, 15.0)], [SnapFree(0.05)], Objective("change")),
         turns=0,
@@ -267,23 +269,23 @@ def test_a_shape_reaches_a_target_with_a_margin_and_a_strain() -> None:
     pose = Poses(((0.0, 0.0, 0.0),), ((0.0, 0.0, 0.0),))
     target = Reach((Target((0.01, -0.07, 0.17), 0.0005),))
     task = DesignTask(THESIS, free, [SnapFreeInUse(0.2, paths=False), pose, target, Strain((0.012,), in_poses=False)])
-    found = optimize_design(task)
-    tip = found.equilibria[-1].tip_position
-    assert found.verification.kept
-    assert min(np.linalg.norm(e.tip_position - (0.01, -0.07, 0.17)) for e in found.equilibria) < 0.0005 + 1e-6
+    solution = optimize_design(task)
+    tip = solution.equilibria[-1].tip_position
+    assert solution.verification.kept
+    assert min(np.linalg.norm(e.tip_position - (0.01, -0.07, 0.17)) for e in solution.equilibria) < 0.0005 + 1e-6
     assert np.isfinite(tip).all()
-    inner = found.robot.tubes[0]
+    inner = solution.robot.tubes[0]
     assert inner.outer_diameter / 2 * inner.curvature / (1 - inner.outer_diameter / 2 * inner.curvature) <= 0.012
 
 
 def test_lengths_of_tubes_of_pieces_are_designed_as_those_of_plain_ones() -> None:
     """The longest robot that cannot snap at home: the pieces of a tube are stretched alike, so the optimum is one."""
     free = [Free("curved_length", (0, 1, 2), 0.02, 0.3, tie="scaled")]
-    found = []
+    results = []
     for tubes in (THESIS.tubes, tuple(map(as_pieces, THESIS.tubes))):
         task = DesignTask(ConcentricRobot(tubes), free, [SnapFree(0.1)], Objective("change"))
-        found.append(optimize_design(task))
-    plain, pieces = found
+        results.append(optimize_design(task))
+    plain, pieces = results
     assert plain.verification.kept
     assert pieces.verification.kept
     assert [d.after for d in pieces.dimensions] == pytest.approx([d.after for d in plain.dimensions], rel=1e-5)
@@ -300,8 +302,8 @@ def test_diameters_of_tubes_of_pieces_are_those_that_a_search_finds() -> None:
     outer = Tube.of_pieces(1.6e-3, 1.3e-3, [Piece(0.03, 20.0), Piece(0.01, -14.0)], straight_length=0.02)
 
     def robot(diameter: float, bore: float) -> ConcentricRobot:
-        share = (diameter**4 - 0.5e-3**4) / (0.9e-3**4 - 0.5e-3**4)
-        changed = [pieces[0], replace(pieces[1], **{name: value * share for name, value in measured.items()})]
+        fraction = (diameter**4 - 0.5e-3**4) / (0.9e-3**4 - 0.5e-3**4)
+        changed = [pieces[0], replace(pieces[1], **{name: value * fraction for name, value in measured.items()})]
         tube = Tube.of_pieces(diameter, 0.5e-3, changed, straight_length=0.05)
         return ConcentricRobot((tube, replace(outer, inner_diameter=bore)))
 
@@ -314,11 +316,11 @@ def test_diameters_of_tubes_of_pieces_are_those_that_a_search_finds() -> None:
     best = minimize_scalar(change, bounds=(0.95e-3, 1.14e-3), method="bounded", options={"xatol": 1e-9})
     free = [Free("outer_diameter", (0,), 0.7e-3, 1.2e-3), Free("inner_diameter", (1,), 1.0e-3, 1.55e-3)]
     task = DesignTask(ConcentricRobot((inner, outer)), free, [SnapFree(0.4), Nesting(0.05e-3)], Objective("change"))
-    found = optimize_design(task, turns=1)
-    assert found.verification.kept
-    assert found.objective == pytest.approx(best.fun, rel=1e-6)
-    assert [d.after for d in found.dimensions] == pytest.approx([1e3 * best.x, 1e3 * bore_at(best.x)], abs=1e-4)
-    tube = found.robot.tubes[0]
+    solution = optimize_design(task, turns=1)
+    assert solution.verification.kept
+    assert solution.objective == pytest.approx(best.fun, rel=1e-6)
+    assert [d.after for d in solution.dimensions] == pytest.approx([1e3 * best.x, 1e3 * bore_at(best.x)], abs=1e-4)
+    tube = solution.robot.tubes[0]
     assert tube.pieces[1].bending_stiffness / tube.bending_stiffness == pytest.approx(1.5e-3 / inner.bending_stiffness)
     assert tube.mass_per_length / tube.cross_section == pytest.approx(0.002 / inner.cross_section)
     assert tube.pieces[0].bending_stiffness is None
@@ -326,7 +328,7 @@ def test_diameters_of_tubes_of_pieces_are_those_that_a_search_finds() -> None:
 
 def test_pieces_that_no_force_snaps_are_the_arcs_that_none_does() -> None:
     tubes = Tube(1e-3, 0.7e-3, 0.05, 0.08, 20.0), Tube(1.6e-3, 1.2e-3, 0.03, 0.05, 14.0)
-    found = []
+    results = []
     for field in ("curvature", "piece_curvature"):
         task = DesignTask(
             ConcentricRobot(tubes),
@@ -334,8 +336,8 @@ def test_pieces_that_no_force_snaps_are_the_arcs_that_none_does() -> None:
             [SnapFree(0.3, max_force=0.02)],
             Objective("change"),
         )
-        found.append(optimize_design(task, turns=0))
-    plain, pieces = found
+        results.append(optimize_design(task, turns=0))
+    plain, pieces = results
     assert pieces.verification.kept
     assert snap_free_certificate(pieces.robot, max_force=0.02) == pytest.approx(0.3, abs=2e-3)
     assert [d.after for d in pieces.dimensions] == pytest.approx([d.after for d in plain.dimensions], rel=1e-4)
@@ -350,11 +352,11 @@ def test_diameters_of_plain_tubes_are_designed_as_those_of_one_piece() -> None:
         Free("curved_length", (0, 1, 2), 0.3, 1.2, tie="scaled"),
     ]
     aims = [SnapFree(0.1), Poses(((0.0, 2.0, 1.0),), ((0.0, 0.0, 0.0),)), Strain((0.02,)), Nesting(0.02e-3)]
-    found = []
+    results = []
     for one in (tubes, tuple(map(as_pieces, tubes))):
         task = DesignTask(ConcentricRobot(one), free, aims, Objective("change"))
-        found.append(optimize_design(task, turns=0))
-    plain, pieces = found
+        results.append(optimize_design(task, turns=0))
+    plain, pieces = results
     assert plain.verification.kept
     assert pieces.verification.kept
     assert [d.after for d in pieces.dimensions] == pytest.approx([d.after for d in plain.dimensions], rel=1e-5)
@@ -376,11 +378,11 @@ def test_a_box_is_covered_by_tubes_of_pieces() -> None:
     task = DesignTask(
         ConcentricRobot(tuple(tubes)), free, [box, SnapFreeInUse(0.1, paths=False)], Objective("length"), solver=quick
     )
-    found = optimize_design(task)
-    assert found.verification.kept
+    solution = optimize_design(task)
+    assert solution.verification.kept
     inside = np.array(box.lower) + sobol(3, 4, 5) * (np.array(box.upper) - np.array(box.lower))
     for point in (*corners(box), *inside):
-        reached = inverse_kinematics(found.robot, point, min_margin=0.09, on_failure="closest")
+        reached = inverse_kinematics(solution.robot, point, min_margin=0.09, on_failure="closest")
         assert reached.position_error <= 1.001e-3
 
 
@@ -393,19 +395,19 @@ def test_the_stiffest_diameter_is_that_of_a_search() -> None:
         return ConcentricRobot((inner, outer))
 
     def deflection(diameter: float) -> float:
-        here = robot(diameter, diameter + 0.1e-3)
-        plain, pushed = (forward_kinematics(here, [0.0, 2.0], load=load) for load in (None, Load((0, 0.02, 0))))
+        current = robot(diameter, diameter + 0.1e-3)
+        plain, pushed = (forward_kinematics(current, [0.0, 2.0], load=load) for load in (None, Load((0, 0.02, 0))))
         return float(np.linalg.norm(pushed.tip_position - plain.tip_position))
 
     best = minimize_scalar(deflection, bounds=(0.9e-3, 1.3e-3), method="bounded", options={"xatol": 1e-8})
     free = [Free("outer_diameter", (0,), 0.8e-3, 1.35e-3), Free("inner_diameter", (1,), 0.9e-3, 1.45e-3)]
-    asked = Poses(((0.0, 2.0),), ((0.0, 0.0),)), SnapFree(0.05), Nesting(0.1e-3)
-    task = DesignTask(robot(0.9e-3, 1.05e-3), free, asked, Objective("tip_deflection", tip_force=(0.0, 0.02, 0.0)))
-    found = optimize_design(task, turns=1)
-    assert found.verification.kept
-    assert found.certificate > 0.05
-    assert found.objective == pytest.approx(best.fun, rel=1e-6)
-    assert found.dimensions[0].after == pytest.approx(1e3 * best.x, abs=2e-3)
+    requested = Poses(((0.0, 2.0),), ((0.0, 0.0),)), SnapFree(0.05), Nesting(0.1e-3)
+    task = DesignTask(robot(0.9e-3, 1.05e-3), free, requested, Objective("tip_deflection", tip_force=(0.0, 0.02, 0.0)))
+    solution = optimize_design(task, turns=1)
+    assert solution.verification.kept
+    assert solution.certificate > 0.05
+    assert solution.objective == pytest.approx(best.fun, rel=1e-6)
+    assert solution.dimensions[0].after == pytest.approx(1e3 * best.x, abs=2e-3)
 
 
 def test_points_of_a_box_are_tried_by_the_robot_of_the_design() -> None:
@@ -436,10 +438,10 @@ def test_an_s_is_held_as_near_as_its_margin_asks() -> None:
 
     demanded = certificate(0.15)
     task = DesignTask(robot, [Free("straight_length", (0,), 0.09, 0.3)], [SnapFree(demanded)], Objective("change"))
-    found = optimize_design(task, turns=0)
-    assert found.dimensions[0].after == pytest.approx(150.0, abs=1e-2)
-    assert found.dimensions[0].before == pytest.approx(200.0)
-    assert found.robot.tubes[0].pieces == inner.pieces
+    solution = optimize_design(task, turns=0)
+    assert solution.dimensions[0].after == pytest.approx(150.0, abs=1e-2)
+    assert solution.dimensions[0].before == pytest.approx(200.0)
+    assert solution.robot.tubes[0].pieces == inner.pieces
 
 
 @pytest.mark.parametrize(
@@ -489,15 +491,15 @@ def test_free_pieces_that_make_no_sense(given: dict[str, Any], words: str) -> No
 def test_slots_are_cut_as_far_as_strain_allows() -> None:
     """With slots along half of it the bound lets the inner tube keep no less than half of its bending stiffness."""
     slotted = replace(PATTERN, slots=Slots(0.5))
-    most = 1.5 * THESIS.tubes[0].straightened_strain
-    task = DesignTask(THESIS, [slotted], [SnapFree(0.05), Strain((most, 1.0, 1.0))], Objective("change"))
-    found = optimize_design(task, turns=2)
+    largest = 1.5 * THESIS.tubes[0].straightened_strain
+    task = DesignTask(THESIS, [slotted], [SnapFree(0.05), Strain((largest, 1.0, 1.0))], Objective("change"))
+    solution = optimize_design(task, turns=2)
     # Without the limit it keeps 0.37751.
-    assert found.dimensions[0].after == pytest.approx(0.5, abs=1e-6)
-    assert found.dimensions[1].after < 0.4
-    assert found.robot.tubes[0].straightened_strain == pytest.approx(most)
-    assert snap_free_certificate(found.robot) == pytest.approx(0.05, abs=1e-6)
-    assert found.verification.kept
+    assert solution.dimensions[0].after == pytest.approx(0.5, abs=1e-6)
+    assert solution.dimensions[1].after < 0.4
+    assert solution.robot.tubes[0].straightened_strain == pytest.approx(largest)
+    assert snap_free_certificate(solution.robot) == pytest.approx(0.05, abs=1e-6)
+    assert solution.verification.kept
 
 
 @pytest.mark.usefixtures("few_places")
@@ -507,9 +509,9 @@ def test_a_pattern_that_cannot_snap_all_over_a_box() -> None:
     outer = Tube.of_pieces(1.6e-3, 1.2e-3, [Piece(0.03, 18.0), Piece(0.03, -14.0)], straight_length=0.03)
     robot, box = ConcentricRobot((inner, outer)), ((-0.02, 0.0), (0.01, 0.0))
     task = DesignTask(robot, [PATTERN_OF_TWO], [SnapFree(0.05, box=box)], Objective("change"), ordered=False)
-    found = optimize_design(task, turns=0)
+    solution = optimize_design(task, turns=0)
     rows = [(d, 0.0) for d in np.linspace(-0.02, 0.01, 7)]
-    before, after = ([snap_free_certificate(one, row) for row in rows] for one in (robot, found.robot))
+    before, after = ([snap_free_certificate(one, row) for row in rows] for one in (robot, solution.robot))
     assert min(before) < -0.5
     assert min(after) == pytest.approx(0.05, abs=1e-4)
     assert int(np.argmin(after)) == 2
@@ -529,11 +531,11 @@ def test_opposed_tubes_hold_each_other_straight() -> None:
     opposed = forward_kinematics(robot, pose.rotations, pose.translations)
     again = largest_strain(everywhere, robot, (opposed,))
     for i, tube in enumerate(tubes):
-        told = state.quantity(Quantity("strain", 0, (i,)))[0][0]
+        report = state.quantity(Quantity("strain", 0, (i,)))[0][0]
         bend = tube.outer_diameter / 2 * math.hypot(9.0, 3.0)
-        assert told == pytest.approx(2 * (1 - 0.3 * 0.75) / 0.25 * bend / (1 - bend), rel=1e-6)
-        assert told == pytest.approx(tube.straightened_strain, rel=1e-6)
-        assert again[i] == pytest.approx(told, rel=1e-6)
+        assert report == pytest.approx(2 * (1 - 0.3 * 0.75) / 0.25 * bend / (1 - bend), rel=1e-6)
+        assert report == pytest.approx(tube.straightened_strain, rel=1e-6)
+        assert again[i] == pytest.approx(report, rel=1e-6)
 
 
 @pytest.mark.parametrize("turned", [0.0, 2.8], ids=["bifurcation", "fold"])

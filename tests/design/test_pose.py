@@ -10,7 +10,7 @@ import pytest
 from tests.examples import random_robot
 from tubeopt import forward_kinematics, snap_free_certificate
 from tubeopt.design.pose import Pose, Twist, solve_pose
-from tubeopt.equilibrium.arm_change import PLACES
+from tubeopt.equilibrium.arm_change import SHAPE_POINTS
 from tubeopt.equilibrium.directions import PARAMETERS
 from tubeopt.robots.tubes import Tube
 from tubeopt.typing import Array
@@ -89,9 +89,11 @@ def _values(pose: Pose) -> tuple[Array, ...]:
 def _section_slopes(pose: Pose) -> tuple[Array, Array]:
     """(P, 5, n, L) of theta and (P, 5, 2, L) of the curvature where each piece is divided."""
     of, n = pose.derivatives, len(pose.solved.member.rotations)
-    found = [[of.section(k, x, of.moved[4 * k + j]) for j, x in enumerate(PLACES)] for k in range(of.arm.pieces)]
+    results = [
+        [of.section(k, x, of.moved[4 * k + j]) for j, x in enumerate(SHAPE_POINTS)] for k in range(of.arm.pieces)
+    ]
     parts = (
-        [[part(one) for one in row] for row in found] for part in (lambda s: s.by_tubes[:n], lambda s: s.by_curvature)
+        [[part(one) for one in row] for row in results] for part in (lambda s: s.by_tubes[:n], lambda s: s.by_curvature)
     )
     theta, bend = (np.array(part) for part in parts)
     return theta, bend

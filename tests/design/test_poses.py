@@ -97,9 +97,9 @@ def test_derivatives_of_all_rows_are_those_of_differences() -> None:
     x = x * (1 + 1e-3 * np.random.default_rng(1).uniform(-1, 1, len(x)))
 
     def at(point: Array) -> tuple[Array, Array, float, Array]:
-        found = evaluate(program, point)
-        assert found is not None
-        return (*found.rows(), *found.objective)
+        result = evaluate(program, point)
+        assert result is not None
+        return (*result.rows(), *result.objective)
 
     _, jacobian, _, slope = at(x)
     for j, size in enumerate(1e-6 * program.scale):
@@ -135,18 +135,18 @@ def test_path_between_poses_stops_snapping() -> None:
     turn = Poses(((0.0, 0.0, 0.0), (TURN, 0.0, 0.0)), ((0.0,) * 3,) * 2)
     free = (Free("curvature", (0, 1, 2), 0.5, 15.0),)
     design = optimize_design(DesignTask(THESIS, free, (turn, SnapFreeInUse(0.05)), Objective("change")))
-    way = np.linspace(0, 1, 60)[:, None] * np.array([TURN, 0.0, 0.0])
-    assert len(follow(THESIS, way).snaps) == 1
-    walked = follow(design.robot, way)
+    path = np.linspace(0, 1, 60)[:, None] * np.array([TURN, 0.0, 0.0])
+    assert len(follow(THESIS, path).snaps) == 1
+    walked = follow(design.robot, path)
     assert not walked.snaps
     assert min(e.margin for e in walked.equilibria) >= 0.05 - 3e-3
     assert design.rounds >= 1
 
 
 def test_direction_and_stroke_are_kept() -> None:
-    wanted = np.array([0.3, -1.0, 1.0]) / np.linalg.norm([0.3, -1.0, 1.0])
+    desired = np.array([0.3, -1.0, 1.0]) / np.linalg.norm([0.3, -1.0, 1.0])
     targets = (
-        Target((0.02, -0.03, 0.11), 1e-4, tuple(wanted), np.radians(12.0)),
+        Target((0.02, -0.03, 0.11), 1e-4, tuple(desired), np.radians(12.0)),
         Target((0.02, -0.03, 0.12), 2e-4),
     )
     free = (Free("curvature", (0, 1), 5.0, 25.0),)
@@ -155,7 +155,7 @@ def test_direction_and_stroke_are_kept() -> None:
     )
     design = optimize_design(task, turns=1)
     first, second = design.equilibria
-    assert np.degrees(np.arccos(first.tip_rotation[:, 2] @ wanted)) <= 12.0 + 1e-4
+    assert np.degrees(np.arccos(first.tip_rotation[:, 2] @ desired)) <= 12.0 + 1e-4
     assert np.linalg.norm(second.tip_position - [0.02, -0.03, 0.12]) <= 2.001e-4
     assert np.abs(first.translations - second.translations).max() <= 0.02 + 1e-7
 
@@ -179,10 +179,10 @@ def test_reach_at_depth_avoids_a_sphere_and_sits_on_a_kink() -> None:
     assert ball.signed_distance(pose.position).min() >= 1e-3
     # binding: the certificate, and the strain of the outer tube
     assert {price.limit.words for price in design.sensitivities} >= {"certified margin"}
-    assert not any("the clearance is from" in words for words in design.remarks)
+    assert not any("the clearance is from" in text for text in design.remarks)
     cloud = Avoid((field_of_points(np.array([[0.0, 0.0, 0.3], [0.0, 0.0, 0.31]]), 6e-3, name="wall.csv"),))
     of_points = replace(design, task=replace(design.task, requirements=(cloud,)))
-    assert any("the clearance is from the 2 points of wall.csv" in words for words in of_points.remarks)
+    assert any("the clearance is from the 2 points of wall.csv" in text for text in of_points.remarks)
 
 
 def test_workspace_box_is_covered() -> None:
@@ -199,9 +199,9 @@ def test_balls_around_targets_are_used_to_their_rim() -> None:
     """The shortest straight arm ends a tolerance short of the target, whichever way that lies."""
     arm = ConcentricRobot((Tube(1.0 * MM, 0.8 * MM, 0.0, 0.1, 0.0),))
     free = (Free("curved_length", (0,), 0.02, 0.15),)
-    for place, least in (((0.0, 0.0, 0.1), 0.09), ((0.006, 0.0, 0.1), 0.092), ((0.0, 0.0096, 0.1), 0.0972)):
-        design = optimize_design(DesignTask(arm, free, (Reach((Target(place, 0.01),)),), Objective("length")))
-        assert design.objective == pytest.approx(least, abs=1e-6)
+    for position, smallest in (((0.0, 0.0, 0.1), 0.09), ((0.006, 0.0, 0.1), 0.092), ((0.0, 0.0096, 0.1), 0.0972)):
+        design = optimize_design(DesignTask(arm, free, (Reach((Target(position, 0.01),)),), Objective("length")))
+        assert design.objective == pytest.approx(smallest, abs=1e-6)
 
 
 def test_limits_of_the_translations_are_kept() -> None:
@@ -237,10 +237,10 @@ def test_a_stroke_force_to_be_made_large_is_that_of_the_robot_and_changes_as_tol
     task = DesignTask(THESIS, (Free("curvature", (0,), 7.5, 7.8),), (HOME,), Objective("stroke_force"))
     program = compile_task(task)
     (aim,) = program.task.objectives
-    begin, step = float(program.layout.space.start[0]), 1e-3
-    values, slopes = program.aims[aim].linear(state_at(program, np.array([begin, 0.0])).quantity)
-    low, here, high = (stroke_force_of(program, begin + change) for change in (-step, 0.0, step))
-    assert values.ravel() == pytest.approx([here], rel=1e-6)
+    start, step = float(program.layout.space.start[0]), 1e-3
+    values, slopes = program.aims[aim].linear(state_at(program, np.array([start, 0.0])).quantity)
+    low, current, high = (stroke_force_of(program, start + change) for change in (-step, 0.0, step))
+    assert values.ravel() == pytest.approx([current], rel=1e-6)
     assert high < low
     assert slopes[0, 0] == pytest.approx((high - low) / (2 * step), rel=1e-4)
 

@@ -35,13 +35,15 @@ class Bent:
 def test_a_search_ends_at_the_strain_that_is_allowed() -> None:
     robot = two_tubes()
     task = DesignTask(robot, (Free("curvature", (0, 1), 1.0, 60.0),), (Strain((0.012,)),), ordered=False)
-    found = search_design(task, Bent(), time_limit=60)
-    most = 2 * 0.012 / 1.012 / robot.tubes[0].outer_diameter  # held straight, where its inside was shorter by as much
-    assert found.value.tubes[0].curvature == pytest.approx(min(most, 60.0), rel=5e-3)
-    assert found.value.tubes[0].curvature <= most * (1 + 1e-6)
-    assert found.own == pytest.approx([0.3], abs=0.02)
-    assert found.after > found.before
-    assert found.solution.verification.kept
+    result = search_design(task, Bent(), time_limit=60)
+    largest = (
+        2 * 0.012 / 1.012 / robot.tubes[0].outer_diameter
+    )  # held straight, where its inside was shorter by as much
+    assert result.value.tubes[0].curvature == pytest.approx(min(largest, 60.0), rel=5e-3)
+    assert result.value.tubes[0].curvature <= largest * (1 + 1e-6)
+    assert result.own == pytest.approx([0.3], abs=0.02)
+    assert result.after > result.before
+    assert result.solution.verification.kept
 
 
 def test_what_a_search_does_not_take_is_refused() -> None:
@@ -49,8 +51,8 @@ def test_what_a_search_does_not_take_is_refused() -> None:
     free = (Free("curvature", (0,), 1.0, 20.0),)
     posed = DesignTask(robot, free, (Poses(((0.0, 0.0),), ((0.0, 0.0),)),), Objective("change"), ordered=False)
     boxed = DesignTask(robot, free, (SnapFree(0.05, box=((-0.01, -0.01), (0.0, 0.0))),), ordered=False)
-    for task, words in ((posed, "the task has poses"), (boxed, "snap_free has a box or a force")):
-        with pytest.raises(InputError, match=words):
+    for task, text in ((posed, "the task has poses"), (boxed, "snap_free has a box or a force")):
+        with pytest.raises(InputError, match=text):
             search_design(task, Bent(), time_limit=1)
 
 
@@ -63,27 +65,33 @@ def test_a_plate_that_is_moved_sees_all_else_moved() -> None:
     body = Sphere((0.0, 0.05, 0.06), 0.01)
     options = PlanOptions(clearance=2e-4, time_limit=60)
     plain = RegionReach(WITHDRAWN, tips, (body,), options=options, count=40)
-    here = RegionReach(WITHDRAWN, tips, (body,), options=options, count=40, shift=2e-3, tilt=0.1)
+    current = RegionReach(WITHDRAWN, tips, (body,), options=options, count=40, shift=2e-3, tilt=0.1)
     assert plain.ranges.shape == (0, 2)
     own = np.array([1e-3, -2e-3, 5e-4, 0.05, -0.02])
-    frame = here.base(own)
+    frame = current.base(own)
     assert frame.axes @ [0, 0, 1] == pytest.approx([-0.02, -0.05, 1], abs=2e-3)
-    there = RegionReach(
+    reached = RegionReach(
         WITHDRAWN, frame.placed(tips), (Sphere(tuple(frame.placed(body.centre)), 0.01),), options=options, count=40,
         shift=2e-3, tilt=0.1,
     )  # fmt: skip
-    assert there.evaluate(robot, own).miss == pytest.approx(plain.evaluate(robot, np.zeros(0)).miss, abs=1e-9)
+    assert reached.evaluate(robot, own).miss == pytest.approx(plain.evaluate(robot, np.zeros(0)).miss, abs=1e-9)
 
 
 def study(directory: Path, **objective: Any) -> Path:
     if not (directory / "anatomy.yaml").exists():
         write_case(directory)
     path = directory / "design.yaml"
-    asked = {"kind": "reach_share", "anatomy": "anatomy.yaml", "start_mm": [-33, -92, -96], "places": 2, "judged": 2}
+    requested = {
+        "kind": "reach_share",
+        "anatomy": "anatomy.yaml",
+        "start_mm": [-33, -92, -96],
+        "places": 2,
+        "judged": 2,
+    }
     content = {
         "kind": "design", "robot": str(CRL), "ordered": False, "requirements": {"strain": {"limits_percent": [3]}},
         "free": [{"tubes": [1, 2, 3], "curvature_per_m": [2, 50]}],
-        "objective": asked | {"points": 12, "seconds": 0.2, "tilt_deg": 5} | objective,
+        "objective": requested | {"points": 12, "seconds": 0.2, "tilt_deg": 5} | objective,
     }  # fmt: skip
     path.write_text(yaml.safe_dump(content))
     return path
@@ -91,8 +99,8 @@ def study(directory: Path, **objective: Any) -> Path:
 
 @pytest.mark.usefixtures("small_maps")
 def test_a_region_is_the_aim_of_a_study(run: Run, tmp_path: Path) -> None:
-    told = answer(run("design", str(study(tmp_path)), "--json", "--out", str(tmp_path / "out")))
-    region = told["region"]
+    report = answer(run("design", str(study(tmp_path)), "--json", "--out", str(tmp_path / "out")))
+    region = report["region"]
     assert region["places"] == 2
     assert region["tried"] >= 1
     assert region["searched_after"] >= region["searched_before"]
@@ -103,15 +111,15 @@ def test_a_region_is_the_aim_of_a_study(run: Run, tmp_path: Path) -> None:
     assert f"at least {before} % before, at least {after} % after, of 2 places not searched with" in page
     assert "objective | share of the region" in page
     assert "change" not in page
-    assert told["objectives"] == {"reach_share": region["after"]}
-    assert any("roadmap is too small to decide" in words for words in told["remarks"]) == (region["after"] <= 0.05)
+    assert report["objectives"] == {"reach_share": region["after"]}
+    assert any("roadmap is too small to decide" in text for text in report["remarks"]) == (region["after"] <= 0.05)
 
 
 def test_regions_that_make_no_study_are_refused(run: Run, tmp_path: Path) -> None:
-    for wrong, words in (
+    for wrong, text in (
         ({"judged": 10**6}, "objective.judged is 1000000; it must be at most 1000"),
         ({"judged": 1000}, "has a target"),
         ({"start_mm": [1, 2]}, "start_mm has 2 numbers; it must be 3"),
         ({"depth_mm": 3}, "objective.depth_mm is not a known key"),
     ):
-        assert any(words in line for line in refused(run("design", str(study(tmp_path, **wrong)))))
+        assert any(text in line for line in refused(run("design", str(study(tmp_path, **wrong)))))

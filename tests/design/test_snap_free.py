@@ -32,8 +32,8 @@ CASES = np.random.default_rng(50).uniform((0.05, 0.0, 0.0), (0.3, 0.3, 0.9), (12
 def test_two_equal_tubes_are_as_curved_as_the_closed_form_allows() -> None:
     for overlap, transmission, margin in CASES.tolist():
         program = compile_task(tightest(equal_pair(overlap, transmission), margin))
-        found = solve(program, program.layout.space.start)
-        assert found.x[0] == pytest.approx(closed_form(overlap, transmission, margin), rel=1e-6)
+        solution = solve(program, program.layout.space.start)
+        assert solution.x[0] == pytest.approx(closed_form(overlap, transmission, margin), rel=1e-6)
 
 
 @pytest.mark.filterwarnings("ignore::tubeopt.errors.ImplausibleWarning")  # the closed form bends them beyond nitinol
@@ -121,8 +121,8 @@ def test_certificate_that_is_told_is_the_least_in_the_box() -> None:
     for requirement, objective in ((SnapFree(-5.0, box=box), "tip_curvature"), (SnapFree(-5.0, box=box), "margin")):
         task = DesignTask(two_tubes(), free, (requirement,), Objective(objective), ordered=False)
         design = optimize_design(task, turns=0)
-        least = min(snap_free_certificate(design.robot, row) for row in inside)
-        assert design.certificate <= least + 1e-4
+        smallest = min(snap_free_certificate(design.robot, row) for row in inside)
+        assert design.certificate <= smallest + 1e-4
         if objective == "margin":
             assert design.objective <= design.certificate + 1.1e-4
 

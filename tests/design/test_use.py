@@ -26,7 +26,7 @@ from tubeopt.design import (
 )
 from tubeopt.design.evaluation import state_at
 from tubeopt.design.program import compile_task
-from tubeopt.design.requirements import SHARES, retracted
+from tubeopt.design.requirements import DEPLOYED_FRACTIONS, retracted
 from tubeopt.design.sensitivities import remarks
 from tubeopt.design.verify import numbers_of
 from tubeopt.typing import Array
@@ -63,9 +63,9 @@ def least_motion(robot: ConcentricRobot, rotations: Array, translations: Array) 
 
 
 def test_dexterity_is_the_least_singular_value_or_a_little_less() -> None:
-    found = optimize_design(task("dexterity"), turns=0)
-    before, after = (np.mean([least_motion(robot, *pose) for pose in posed(robot)]) for robot in (CRL, found.robot))
-    assert 3 ** (-1 / 8) * after <= found.objective <= after * (1 + 1e-6)
+    solution = optimize_design(task("dexterity"), turns=0)
+    before, after = (np.mean([least_motion(robot, *pose) for pose in posed(robot)]) for robot in (CRL, solution.robot))
+    assert 3 ** (-1 / 8) * after <= solution.objective <= after * (1 + 1e-6)
     assert after > 1.5 * before
 
 
@@ -77,8 +77,8 @@ def least_turn(robot: ConcentricRobot, rotations: Array, translations: Array) ->
         for sign in (1e-5, -1e-5):
             q = [rotations, translations]
             q[k] = q[k] + sign * step * (0.05 if k else 1.0)
-            found = forward_kinematics(robot, *q)
-            ends.append(np.append(found.tip_position, found.tip_rotation[:, 2]))
+            equilibrium = forward_kinematics(robot, *q)
+            ends.append(np.append(equilibrium.tip_position, equilibrium.tip_rotation[:, 2]))
         columns.append((ends[0] - ends[1]) / 2e-5)
     change = np.array(columns).T
     still = np.linalg.svd(change[:3])[2][3:].T  # joints that leave the place
@@ -86,9 +86,9 @@ def least_turn(robot: ConcentricRobot, rotations: Array, translations: Array) ->
 
 
 def test_orientability_is_the_least_turn_of_a_tip_that_stays_or_a_little_less() -> None:
-    found = optimize_design(task("orientability"), turns=0)
-    before, after = (np.mean([least_turn(robot, *pose) for pose in posed(robot)]) for robot in (CRL, found.robot))
-    assert 2 ** (-1 / 8) * after <= found.objective <= after * (1 + 1e-4)
+    solution = optimize_design(task("orientability"), turns=0)
+    before, after = (np.mean([least_turn(robot, *pose) for pose in posed(robot)]) for robot in (CRL, solution.robot))
+    assert 2 ** (-1 / 8) * after <= solution.objective <= after * (1 + 1e-4)
     assert after > 1.2 * before
     with pytest.raises(InputError, match="needs 3 tubes"):
         DesignTask(two_tubes(), (Free("curvature", (0, 1), 1.0, 40.0),), (), Objective("orientability"))
@@ -96,9 +96,9 @@ def test_orientability_is_the_least_turn_of_a_tip_that_stays_or_a_little_less() 
 
 @pytest.mark.parametrize("kind", ["dexterity", "orientability", "deployment", "workspace_volume"])
 def test_derivatives_agree_with_differences_and_values_with_solved_poses(kind: str) -> None:
-    asked = task(kind)
-    program = compile_task(asked)
-    expression, x = program.aims[asked.objectives[0]], program.layout.space.start
+    requested = task(kind)
+    program = compile_task(requested)
+    expression, x = program.aims[requested.objectives[0]], program.layout.space.start
     value, slope = expression.linear(state_at(program, x).quantity)
     solved = [forward_kinematics(CRL, *pose) for pose in posed(CRL)]
     assert value == pytest.approx(expression(numbers_of(CRL, solved)), rel=1e-5)
@@ -112,9 +112,9 @@ def test_the_swept_volume_is_that_of_a_solid_of_revolution() -> None:
     corners = np.column_stack([np.hypot(tips[:, 0], tips[:, 1]), tips[:, 2]])
     a, b = corners[1] - corners[0], corners[2] - corners[0]
     pappus = 2 * np.pi * corners[:, 0].mean() * abs(a[0] * b[1] - a[1] * b[0]) / 2
-    asked = task("workspace_volume")
-    program = compile_task(asked)
-    value = program.aims[asked.objectives[0]].linear(state_at(program, program.layout.space.start).quantity)[0]
+    requested = task("workspace_volume")
+    program = compile_task(requested)
+    value = program.aims[requested.objectives[0]].linear(state_at(program, program.layout.space.start).quantity)[0]
     assert value == pytest.approx(pappus, rel=1e-4)
 
 
@@ -122,17 +122,19 @@ def test_tubes_of_one_circle_deploy_along_it() -> None:
     """A bundle whose tubes end together and bend to one side follows its own tip; one that is turned does not."""
     robot = two_tubes()
     equal = replace(robot, tubes=tuple(replace(tube, curvature=8.0, curved_length=0.06) for tube in robot.tubes))
-    for rotations, most in (((0.0, 0.0), 2e-6), ((0.0, 2.0), None)):
-        asked = DesignTask(
+    for rotations, largest in (((0.0, 0.0), 2e-6), ((0.0, 2.0), None)):
+        requested = DesignTask(
             equal,
             (Free("curvature", (0,), 1.0, 20.0),),
             (Poses((rotations,), ((0.0, 0.0),)),),
             Objective("deployment"),
             ordered=False,
         )
-        program = compile_task(asked)
-        value = program.aims[asked.objectives[0]].linear(state_at(program, program.layout.space.start).quantity)[0][0]
-        assert value < most if most else value > 1e-5
+        program = compile_task(requested)
+        value = program.aims[requested.objectives[0]].linear(state_at(program, program.layout.space.start).quantity)[0][
+            0
+        ]
+        assert value < largest if largest else value > 1e-5
 
 
 def test_tubes_are_drawn_back_to_one_length() -> None:
@@ -150,13 +152,13 @@ def test_the_way_out_keeps_to_where_the_arm_will_be_and_in_its_corridor() -> Non
     pose = forward_kinematics(CRL, POSES.rotations[1], POSES.translations[1])
     line = tuple(map(tuple, np.vstack([[0, 0, -0.02], pose.position[::4], pose.position[-1:]]).tolist()))
     needs = (Poses(POSES.rotations[1:2], POSES.translations[1:2]), SnapFreeInUse(0.1, paths=False, deployed=True))
-    way = Avoid((Corridor(line, 0.004),), 2e-4, deployed=True)
-    wanted = DesignTask(CRL, FREE, (*needs, way, Deployment(3e-5)), Objective("change"), ordered=False)
-    found = optimize_design(wanted, turns=0)
-    before, after = (_off(robot) for robot in (CRL, found.robot))
+    path = Avoid((Corridor(line, 0.004),), 2e-4, deployed=True)
+    desired = DesignTask(CRL, FREE, (*needs, path, Deployment(3e-5)), Objective("change"), ordered=False)
+    solution = optimize_design(desired, turns=0)
+    before, after = (_off(robot) for robot in (CRL, solution.robot))
     assert before > 5e-5
     assert after <= 3.1e-5
-    checks = {check.what: check.kept for check in found.verification.checks}
+    checks = {check.what: check.kept for check in solution.verification.checks}
     assert checks["deviation of the deployment"]
     assert checks["margin during deployment to the task poses"]
 
@@ -165,29 +167,31 @@ def _off(robot: ConcentricRobot) -> float:
     """Largest distance of the arms on their way out to the second pose from the whole one, at the same arc length."""
     whole = forward_kinematics(robot, POSES.rotations[1], POSES.translations[1])
     worst = 0.0
-    for share in SHARES:
-        shift = retracted(robot.tubes, np.array(POSES.translations[1]), share)[0]
+    for fraction in DEPLOYED_FRACTIONS:
+        shift = retracted(robot.tubes, np.array(POSES.translations[1]), fraction)[0]
         arm = forward_kinematics(robot, POSES.rotations[1], shift)
         for s in arm.arc_length[-1] * np.array([0.5, 0.75, 1.0]):
-            places = [CubicHermiteSpline(one.arc_length, one.position, one.frame[:, :, 2])(s) for one in (arm, whole)]
-            worst = max(worst, float(np.linalg.norm(np.subtract(*places))))
+            positions = [
+                CubicHermiteSpline(one.arc_length, one.position, one.frame[:, :, 2])(s) for one in (arm, whole)
+            ]
+            worst = max(worst, float(np.linalg.norm(np.subtract(*positions))))
     return worst
 
 
 def test_tubes_that_are_off_keep_the_margin() -> None:
     robust = SnapFree(0.05, curvature_error=0.04, stiffness_error=0.03)
-    wanted = DesignTask(CRL, FREE, (robust,), Objective("change"), ordered=False)
-    found = optimize_design(wanted, turns=0)
-    plain = optimize_design(replace(wanted, requirements=(SnapFree(0.05),)), turns=0)
-    assert found.certificate > plain.certificate + 0.05
-    assert _worst(found.robot) >= 0.05 > _worst(plain.robot)
+    desired = DesignTask(CRL, FREE, (robust,), Objective("change"), ordered=False)
+    solution = optimize_design(desired, turns=0)
+    plain = optimize_design(replace(desired, requirements=(SnapFree(0.05),)), turns=0)
+    assert solution.certificate > plain.certificate + 0.05
+    assert _worst(solution.robot) >= 0.05 > _worst(plain.robot)
     with pytest.raises(InputError, match="errors"):
         SnapFree(0.05, max_force=0.01, curvature_error=0.01)
 
 
 def _worst(robot: ConcentricRobot) -> float:
     """Least certificate of robots with tubes off by 4 % of curvature and 3 % of both stiffnesses."""
-    found = []
+    results = []
     for signs in product((-1, 1), repeat=3):
         tubes = tuple(
             replace(
@@ -198,14 +202,14 @@ def _worst(robot: ConcentricRobot) -> float:
             )
             for i, tube in enumerate(robot.tubes)
         )
-        found.append(snap_free_certificate(ConcentricRobot(tubes)))
-    return min(found)
+        results.append(snap_free_certificate(ConcentricRobot(tubes)))
+    return min(results)
 
 
 def test_a_design_says_which_tubes_it_does_not_need() -> None:
-    found = optimize_design(task("workspace_volume"), turns=0)
-    assert isinstance(found, DesignSolution)
-    assert any("curvature of tube 1 lies on its lower bound, 1 1/m" in words for words in found.remarks)
+    solution = optimize_design(task("workspace_volume"), turns=0)
+    assert isinstance(solution, DesignSolution)
+    assert any("curvature of tube 1 lies on its lower bound, 1 1/m" in text for text in solution.remarks)
 
 
 def test_a_tube_that_hardly_bends_the_bundle_may_as_well_be_straight() -> None:
@@ -214,7 +218,7 @@ def test_a_tube_that_hardly_bends_the_bundle_may_as_well_be_straight() -> None:
     hidden = replace(inner, straight_length=outer.straight_length, curved_length=0.1, curvature=1.0)
     out = replace(hidden, curved_length=0.15)
     useless, needed = (
-        [words for words in remarks(ConcentricRobot((tube, outer)), ()) if "may be straight" in words]
+        [text for text in remarks(ConcentricRobot((tube, outer)), ()) if "may be straight" in text]
         for tube in (hidden, out)
     )
     assert not needed

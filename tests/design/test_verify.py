@@ -34,7 +34,7 @@ ROBOT = nested((0.0, 0.05, 3.0), (0.0, 0.05, 3.0))
 
 def program_of(*requirements: Any, ordered: bool = False) -> Any:
     """Of two poses, of which only this is known."""
-    task = SimpleNamespace(requirements=requirements, ordered=ordered, places=())
+    task = SimpleNamespace(requirements=requirements, ordered=ordered, translation_ranges=())
     return SimpleNamespace(
         task=task, task_poses=(0, 1), own=((0, 1),) * len(requirements), added=SimpleNamespace(points=())
     )
@@ -86,11 +86,11 @@ def test_a_certificate_is_kept_at_its_floor_where_tubes_may_be_off(monkeypatch: 
     monkeypatch.setattr(verify, "worst_margin", lambda robot, row: SimpleNamespace(margin=1.0))
     monkeypatch.setattr(verify, "count_snaps", lambda *_: (0, 0))
     monkeypatch.setattr(verify, "PERTURBED_ROBOTS", 0)
-    for short, kept in ((1.0e-4, True), (1.02e-4, False)):
+    for short, retained in ((1.0e-4, True), (1.02e-4, False)):
         monkeypatch.setattr(
             verify, "snap_free_certificate", lambda robot, row, short=short: one.required_margin - short
         )
-        assert checks_of(one)[0].kept == kept
+        assert checks_of(one)[0].kept == retained
 
 
 def test_errors_of_three_tubes_take_as_much_from_a_certificate_as_is_allowed_for() -> None:
@@ -130,11 +130,11 @@ def test_tubes_that_are_off_are_tried_at_the_corners_of_their_errors(monkeypatch
     monkeypatch.setattr(verify, "certified_at", lambda *_: rows)
     monkeypatch.setattr(verify, "snap_free_certificate", certificate)
     worst = 1 - (1 - certificate(ROBOT, rows[1])) * 1.1**2 * 1.2 / 0.8
-    for more, kept in ((-1e-9, True), (1e-9, False)):
-        asked = SnapFree(worst + 1e-4 + 1e-6 + more, curvature_error=0.1, stiffness_error=0.2)
-        check = checks_of(asked)[1]
+    for more, retained in ((-1e-9, True), (1e-9, False)):
+        requested = SnapFree(worst + 1e-4 + 1e-6 + more, curvature_error=0.1, stiffness_error=0.2)
+        check = checks_of(requested)[1]
         assert float(check.found) == pytest.approx(worst, abs=1e-5)
-        assert check.kept == kept
+        assert check.kept == retained
 
 
 @pytest.mark.parametrize(
@@ -150,21 +150,21 @@ def test_the_margin_in_use_is_the_least_of_poses_ways_and_deployments(
     margins: list[list[float]], snap: float | None, kept: list[bool], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     program = program_of(SnapFreeInUse(0.3, deployed=True))
-    ways = [SimpleNamespace(snap=snap if k else None, margin=np.array(each)) for k, each in enumerate(margins)]
-    monkeypatch.setattr(verify, "motions", lambda *_: ways)
+    paths = [SimpleNamespace(snap=snap if k else None, margin=np.array(each)) for k, each in enumerate(margins)]
+    monkeypatch.setattr(verify, "motions", lambda *_: paths)
     for at_pose, on_the_way in ((0.2991, 0.2991), (0.2989, 0.5), (0.5, 0.2989)):
         drawn = (arm(margin=0.9), arm(margin=on_the_way))
         monkeypatch.setattr(verify, "deployments", lambda robot, arms, drawn=drawn: drawn)
-        found = verify.verify(program, ROBOT, np.zeros(0), (arm(margin=0.9), arm(margin=at_pose)))
-        assert [check.kept for check in found.checks] == [at_pose > 0.299, on_the_way > 0.299, kept[2]]
-        assert found.kept == all(check.kept for check in found.checks)
+        result = verify.verify(program, ROBOT, np.zeros(0), (arm(margin=0.9), arm(margin=at_pose)))
+        assert [check.kept for check in result.checks] == [at_pose > 0.299, on_the_way > 0.299, kept[2]]
+        assert result.kept == all(check.kept for check in result.checks)
 
 
 def test_the_stroke_force_is_that_of_the_weakest_pose(monkeypatch: pytest.MonkeyPatch) -> None:
-    for second, kept in ((0.5 - 0.9e-6, True), (0.5 - 1.1e-6, False)):
+    for second, retained in ((0.5 - 0.9e-6, True), (0.5 - 1.1e-6, False)):
         forces = [0.9, second]
         monkeypatch.setattr(verify, "numbers_of", lambda *_, forces=forces: lambda one: np.array([forces[one.pose]]))
-        assert checks_of(StrokeForce(0.5), arm(), arm())[0].kept == kept
+        assert checks_of(StrokeForce(0.5), arm(), arm())[0].kept == retained
 
 
 def test_the_room_around_an_arm_is_the_least_of_poses_and_deployments(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -178,33 +178,33 @@ def test_the_room_around_an_arm_is_the_least_of_poses_and_deployments(monkeypatc
 def test_a_tip_is_as_near_to_its_target_as_the_worst_of_all() -> None:
     """By shares of what is allowed: 0.2 mm off is too much where 0.1 mm is, and 0.5 mm is not where 1 mm is."""
     wide, fine = Target((0.0, 0.0, 0.1), 1e-3), Target((0.0, 0.0, 0.2), 1e-4, (0.0, 0.0, 1.0), np.radians(2.0))
-    for off, turn, kept in ((1.0009e-4, 1.999, [True, True]), (2e-4, 2.001, [False, False])):
+    for off, turn, retained in ((1.0009e-4, 1.999, [True, True]), (2e-4, 2.001, [False, False])):
         axes = np.eye(3)
         axes[:, 2] = np.sin(np.radians(turn)), 0.0, np.cos(np.radians(turn))
         arms = (
             arm(tip_position=np.array([5e-4, 0.0, 0.1])),
             arm(tip_position=np.array([off, 0.0, 0.2]), tip_rotation=axes),
         )
-        assert [check.kept for check in checks_of(Reach((wide, fine)), *arms)] == kept
+        assert [check.kept for check in checks_of(Reach((wide, fine)), *arms)] == retained
 
 
 def test_tubes_are_in_order_in_the_poses_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    for gap, kept in ((0.0, True), (-1e-3, False)):
-        monkeypatch.setattr(verify, "worst_order", lambda tubes, places, gap=gap: (gap, "in words"))
+    for gap, retained in ((0.0, True), (-1e-3, False)):
+        monkeypatch.setattr(verify, "worst_order", lambda tubes, positions, gap=gap: (gap, "in words"))
         checks = verify.verify(program_of(ordered=True), ROBOT, np.zeros(0), (arm(), arm())).checks
-        assert [check.kept for check in checks] == [kept]
+        assert [check.kept for check in checks] == [retained]
 
 
 def test_snaps_are_counted_in_whole_turns_forth_and_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    ways: list[Any] = []
+    paths: list[Any] = []
 
     def follow(robot: Any, way: Any, shift: Any) -> Any:
-        ways.append(way)
-        return SimpleNamespace(snaps=[0.3, 0.6] if len(ways) != 2 else [])
+        paths.append(way)
+        return SimpleNamespace(snaps=[0.3, 0.6] if len(paths) != 2 else [])
 
     monkeypatch.setattr(verify, "follow", follow)
     assert verify.count_snaps(ROBOT, 4) == (6, 3)
-    for way in ways:
+    for way in paths:
         turn = (way[2] - way[1]) / (2 * np.pi)
         assert np.abs(turn[0]) == pytest.approx(1.0)
         assert turn[1] == 0
@@ -213,8 +213,8 @@ def test_snaps_are_counted_in_whole_turns_forth_and_back(monkeypatch: pytest.Mon
 
 def test_a_deployment_is_off_by_the_length_of_each_gap(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(requirements, "deviations", lambda *_: ca.DM([3e-3, 4e-3, 0.0, 0.0, 0.0, 7e-3]))
-    asked: Any = SimpleNamespace(poses=())
-    left = np.array(requirements.Deployment(6e-3).expression(asked)).ravel()
+    requested: Any = SimpleNamespace(poses=())
+    left = np.array(requirements.Deployment(6e-3).expression(requested)).ravel()
     assert left == pytest.approx([1e-3, -1e-3], abs=1e-9)
 
 
@@ -234,8 +234,8 @@ def test_translations_of_a_box_are_added_where_less_than_the_floor_or_the_promis
     program: Any = SimpleNamespace(added=Added(), layout=layout, task=SimpleNamespace(requirements=(one,)))
     monkeypatch.setattr(exchange, "robot_at", lambda *_: ROBOT)
     for short, added in ((0.9e-4, ()), (1.1e-4, ((0.01, 0.0),))):
-        least = max(one.required_margin, promised or 0.0) - short
-        monkeypatch.setattr(exchange, "worst_in_box", lambda *_, least=least: (least, (0.01, 0.0)))
+        smallest = max(one.required_margin, promised or 0.0) - short
+        monkeypatch.setattr(exchange, "worst_in_box", lambda *_, smallest=smallest: (smallest, (0.01, 0.0)))
         assert exchange.worst_cases(program, np.array([promised or 0.0])).added.translations == added
 
 
@@ -261,8 +261,8 @@ def arms(*translations: list[float]) -> Any:
 def test_a_promise_about_tubes_is_kept_up_to_its_limit(make: Any, limit: float, sign: int) -> None:
     """The carriages travel 30 mm and 10 mm."""
     moved = arms([0.0, 0.0], [-0.03, -0.01])
-    for beyond, kept in ((2e-5, True), (-2e-5, False)):
-        assert checks_of(make(limit * (1 + sign * beyond)), *moved, robot=UNEQUAL)[0].kept == kept
+    for beyond, retained in ((2e-5, True), (-2e-5, False)):
+        assert checks_of(make(limit * (1 + sign * beyond)), *moved, robot=UNEQUAL)[0].kept == retained
 
 
 def test_the_room_of_an_arm_is_that_of_its_closest_place_less_the_tube_that_is_there() -> None:
@@ -288,15 +288,15 @@ def test_an_own_requirement_is_kept_to_a_millionth_of_its_step(monkeypatch: pyte
     one: Any = SimpleNamespace(
         expression=None, words="own", is_upper_bound=False, limit=1.0, factor=1.0, unit="", size=2.0
     )
-    for left, kept in ((-1.9e-6, True), (-2.1e-6, False)):
+    for left, retained in ((-1.9e-6, True), (-2.1e-6, False)):
         monkeypatch.setattr(verify, "recorded", lambda *_, left=left: lambda look: np.array([0.5, left]))
-        assert verify.check_custom(one, UNEQUAL, ()).kept == kept
+        assert verify.check_custom(one, UNEQUAL, ()).kept == retained
 
 
 def test_a_stroke_force_is_that_at_which_the_arm_buckles(monkeypatch: pytest.MonkeyPatch) -> None:
     arm: Any = SimpleNamespace(rotations=None, translations=None)
-    for found, force in ((SimpleNamespace(factor=0.3), 0.3), (None, verify.STRONGEST)):
-        monkeypatch.setattr(verify, "find_stroke_force", lambda *_, found=found, **__: found)
+    for result, force in ((SimpleNamespace(factor=0.3), 0.3), (None, verify.STRONGEST)):
+        monkeypatch.setattr(verify, "find_stroke_force", lambda *_, result=result, **__: result)
         assert verify.numbers_of(UNEQUAL, [arm])(Quantity("stroke_force", 0)).tolist() == [force]
 
 

@@ -95,9 +95,11 @@ def test_right_hand_side_of_the_thesis() -> None:
     count = 100
     theta, slope = random.uniform(-np.pi, np.pi, (count, 3)), random.uniform(-30.0, 30.0, (count, 3))
     bend, nu, kb = ETR.tube.curvature, ETR.tube.material.poisson_ratio, ETR.tube.bending_stiffness
-    place = np.full(3, OFFSET), np.array([0.0, 120.0, -120.0]) * DEG
+    position = np.full(3, OFFSET), np.array([0.0, 120.0, -120.0]) * DEG
     balance = section_function("balance", count, 3, True)
-    moment, _, _, stretch, stretched = balance(theta, np.full((count, 3), kb), np.full((count, 3), kb * bend), *place)
+    moment, _, _, stretch, stretched = balance(
+        theta, np.full((count, 3), kb), np.full((count, 3), kb * bend), *position
+    )
     # theta' = g w and w' = M / GJ, so theta'' = g' w + g M / GJ with g' = dg/dtheta theta'.
     change = np.einsum("kji,kj->ki", stretched.reshape(count, 3, 3), slope)
     ours = change * slope / stretch + stretch * moment / ETR.tube.torsional_stiffness
@@ -187,8 +189,8 @@ def test_tubes_end_where_they_end() -> None:
     solved = forward_kinematics(THREE, mirrored(POSES[0]))
     lines = tube_centrelines(solved)
     for i in range(9):
-        there = ~np.isnan(lines[i, :, 0])
-        assert solved.arc_length[there].max() == pytest.approx(solved.tube_end[i])
+        reached = ~np.isnan(lines[i, :, 0])
+        assert solved.arc_length[reached].max() == pytest.approx(solved.tube_end[i])
     withdrawn = THREE.home_translations - np.repeat([50, 50, 50], 3) * MM
     hidden = forward_kinematics(THREE, mirrored(POSES[0]), withdrawn)
     assert np.isnan(tube_centrelines(hidden)[6:, 1:]).all()
@@ -210,8 +212,8 @@ def test_segments_against_shooting(gap: tuple[float, ...]) -> None:
     assert solved.tip_position == pytest.approx(answer.tip, abs=1e-10)
     assert solved.tip_rotation == pytest.approx(answer.frame, abs=1e-8)
     assert solved.rotation[:, 0] == pytest.approx(answer.rotation, abs=1e-8)
-    there = solved.tube_end > 0
-    assert solved.tip_rotations[there] == pytest.approx(answer.end_rotation[there], abs=1e-8)
+    reached = solved.tube_end > 0
+    assert solved.tip_rotations[reached] == pytest.approx(answer.end_rotation[reached], abs=1e-8)
 
 
 def test_one_segment_is_the_single_robot() -> None:
@@ -291,9 +293,9 @@ def test_chain_is_close_to_the_full_model(pose: tuple[tuple[float, float], ...])
     full = chain.full_model()
     assert full.robot == THREE
     assert full.stable
-    distance, share = chain.deviation(full)
+    distance, fraction = chain.deviation(full)
     assert distance < 0.1 * MM
-    assert share == pytest.approx(distance / (120 * MM))
+    assert fraction == pytest.approx(distance / (120 * MM))
 
 
 def test_no_rotation_of_the_example_snaps() -> None:

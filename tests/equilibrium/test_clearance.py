@@ -26,25 +26,25 @@ STEP = 0.1
 def beam_in_pipe(mismatch: Array) -> tuple[Array, Array]:
     """Slope (2,) and place (2,) at the free end of the beam that differs least from being bent by `mismatch` (N, 2)
     within a pipe of radius 1, behind which it goes on straight: an own convex program."""
-    wanted = np.vstack([np.zeros((60, 2)), mismatch])
+    desired = np.vstack([np.zeros((60, 2)), mismatch])
     program = ca.Opti()
-    y = program.variable(2, len(wanted) + 2)
+    y = program.variable(2, len(desired) + 2)
     bent = (y[:, 2:] - 2 * y[:, 1:-1] + y[:, :-2]) / STEP**2
-    program.minimize(ca.sumsqr(bent - wanted.T) * STEP)
+    program.minimize(ca.sumsqr(bent - desired.T) * STEP)
     program.subject_to(ca.sum1(y**2).T <= 1)
     program.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes", "tol": 1e-9})
-    found = np.array(program.solve().value(y)).T
-    return (found[-1] - found[-2]) / STEP, found[-1]
+    result = np.array(program.solve().value(y)).T
+    return (result[-1] - result[-2]) / STEP, result[-1]
 
 
 @pytest.mark.parametrize("length", [0.5, 1.5, 6.0, 15.0])
 def test_tilt_is_that_of_a_beam_in_a_pipe(length: float) -> None:
     mismatch = np.tile([1.0, 0.0], (round(length / STEP), 1))
-    slope, place = beam_in_pipe(mismatch)
+    slope, position = beam_in_pipe(mismatch)
     assert slope[0] == pytest.approx(min(np.sqrt(3.0), length), rel=0.06)
     assert slope[1] == pytest.approx(0, abs=1e-4)
     if length > 4:
-        assert place[0] == pytest.approx(1, abs=1e-4)
+        assert position[0] == pytest.approx(1, abs=1e-4)
 
 
 def test_no_beam_is_tilted_more_than_the_bound() -> None:
@@ -64,25 +64,25 @@ def test_no_beam_is_tilted_more_than_the_bound() -> None:
 def test_arm_is_turned_beyond_the_end_of_the_outer_tube() -> None:
     """Tubes turned alike stay in one plane: mismatch, tilt and places by hand."""
     pose = forward_kinematics(PAIR, [0.3, 0.3], [0.0, 0.0])
-    found = clearance_correction(pose)
-    (leaving,) = found.leavings
+    result = clearance_correction(pose)
+    (leaving,) = result.leavings
     inner, outer = (tube.bending_stiffness for tube in PAIR.tubes)
-    share, room = outer / (inner + outer), 0.05 * MM
+    fraction, room = outer / (inner + outer), 0.05 * MM
     assert (leaving.tube, leaving.clearance) == (1, pytest.approx(room))
     assert leaving.arc_length == pytest.approx(60 * MM)
     assert leaving.mismatch == pytest.approx(4.0)
     assert leaving.contact == pytest.approx(np.sqrt(12 * room / 4))
     # Tubes of rotation 0 bend about x, so those of 0.3 about (cos 0.3, sin 0.3), and go towards (sin 0.3, -cos 0.3).
     axis = np.array([np.cos(0.3), np.sin(0.3), 0.0])
-    np.testing.assert_allclose(leaving.turn, share * np.sqrt(3 * room * 4) * axis, atol=1e-9)
-    begin = int(np.searchsorted(pose.arc_length, 60 * MM))
-    sideways = np.cross(axis, pose.frame[begin, :, 2])
-    np.testing.assert_allclose(leaving.shift, share * room * sideways, atol=1e-9)
-    moved = np.cross(leaving.turn, pose.tip_position - pose.position[begin]) + leaving.shift
-    np.testing.assert_allclose(found.tip_position, pose.tip_position + moved, atol=1e-12)
-    np.testing.assert_array_equal(found.position[: begin + 1], pose.position[: begin + 1])
-    assert np.linalg.norm(moved) < found.tip_radius
-    bent = np.linalg.norm(found.tip_position[:2]) - np.linalg.norm(pose.tip_position[:2])
+    np.testing.assert_allclose(leaving.turn, fraction * np.sqrt(3 * room * 4) * axis, atol=1e-9)
+    start = int(np.searchsorted(pose.arc_length, 60 * MM))
+    sideways = np.cross(axis, pose.frame[start, :, 2])
+    np.testing.assert_allclose(leaving.shift, fraction * room * sideways, atol=1e-9)
+    moved = np.cross(leaving.turn, pose.tip_position - pose.position[start]) + leaving.shift
+    np.testing.assert_allclose(result.tip_position, pose.tip_position + moved, atol=1e-12)
+    np.testing.assert_array_equal(result.position[: start + 1], pose.position[: start + 1])
+    assert np.linalg.norm(moved) < result.tip_radius
+    bent = np.linalg.norm(result.tip_position[:2]) - np.linalg.norm(pose.tip_position[:2])
     assert bent > 0  # the inner tube, which is bent more, gets its way
 
 
@@ -111,9 +111,9 @@ def test_three_tubes_tilt_at_two_ends_and_none_without_room() -> None:
 
 def test_tubes_that_go_on_around_one_that_ended_stay_where_they_are() -> None:
     withdrawn = forward_kinematics(PAIR, [0.3, -0.4], [-40 * MM, 0.0])
-    found = clearance_correction(withdrawn)
-    assert not found.leavings
-    np.testing.assert_array_equal(found.position, withdrawn.position)
+    result = clearance_correction(withdrawn)
+    assert not result.leavings
+    np.testing.assert_array_equal(result.position, withdrawn.position)
 
 
 def test_file_tells_of_clearance(tmp_path: object) -> None:
@@ -133,9 +133,9 @@ def test_clearance_is_found_by_a_fit() -> None:
     ]
     data = Measurements(rotations, translations, np.array(tips) + random.normal(0, 0.02 * MM, (40, 3)))
     assert validate(true, data).summary.rms < 0.05 * MM < 0.3 * MM < validate(PAIR, data).summary.rms
-    found = fit(PAIR, data, ["clearance_1"], FitOptions(folds=0))
-    assert found.estimates[0].low < 0.03 * MM < found.estimates[0].high
-    assert found.robot.clearance == (found.estimates[0].value,)  # type: ignore[attr-defined]
+    fitted = fit(PAIR, data, ["clearance_1"], FitOptions(folds=0))
+    assert fitted.estimates[0].low < 0.03 * MM < fitted.estimates[0].high
+    assert fitted.robot.clearance == (fitted.estimates[0].value,)  # type: ignore[attr-defined]
 
 
 def test_wrong_input() -> None:

@@ -52,9 +52,9 @@ def test_shape_under_a_moment_does_not_depend_on_round_off(name: str) -> None:
     for off in NEAR:
         for tube in range(robot.n_tubes):
             moved = shift + off * np.eye(robot.n_tubes)[tube]
-            found = forward_kinematics(robot, ROTATIONS[: robot.n_tubes], moved, load=Load(moment=MOMENT))
-            check_same(found, whole)
-            assert found.margin == pytest.approx(whole.margin, abs=1e-7)
+            equilibrium = forward_kinematics(robot, ROTATIONS[: robot.n_tubes], moved, load=Load(moment=MOMENT))
+            check_same(equilibrium, whole)
+            assert equilibrium.margin == pytest.approx(whole.margin, abs=1e-7)
 
 
 @pytest.mark.parametrize("off", [0.0, 1e-15, -1e-15, 1e-11, -1e-11])
@@ -102,8 +102,8 @@ def test_compliance_does_not_depend_on_round_off(name: str) -> None:
             other = forward_kinematics(robot, ROTATIONS[: robot.n_tubes], moved, load=e.load)
             batch = forward_kinematics_batch(robot, [ROTATIONS[: robot.n_tubes]] * 2, [moved] * 2, load=e.load)
             along = other.compliance_at(float(other.arc_length[-1]))
-            for found in (other.compliance, *batch.compliance, along):
-                assert np.allclose(found, e.compliance, rtol=0, atol=1e-7 * size)
+            for result in (other.compliance, *batch.compliance, along):
+                assert np.allclose(result, e.compliance, rtol=0, atol=1e-7 * size)
 
 
 def test_a_moment_elsewhere_is_on_the_outermost_tube_and_at_the_tip_on_the_innermost() -> None:

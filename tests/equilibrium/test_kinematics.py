@@ -162,8 +162,8 @@ def test_two_tubes_in_closed_form(c: float, transmission: float, tip: float, sna
     robot = pair(c, transmission)
     home = forward_kinematics(robot, (0.0, 0.0))
     assert input_of(tip * DEG, c, transmission) / DEG == pytest.approx(snap, abs=1e-7)
-    for share in (0.1, 0.5, 0.9, 0.999):
-        apart = share * tip * DEG
+    for fraction in (0.1, 0.5, 0.9, 0.999):
+        apart = fraction * tip * DEG
         alpha = input_of(apart, c, transmission)
         solved = forward_kinematics(robot, (alpha + 0.4, 0.4), start=home, tolerance=1e-10)
         assert -np.diff(solved.tip_rotations) == pytest.approx([apart], abs=1e-7)
@@ -340,10 +340,10 @@ def test_equal_tubes_twisted_by_half_a_turn_find_a_lower_energy_if_they_can() ->
 
 
 def test_own_settings_of_newton_are_those_of_the_general_solver(monkeypatch: pytest.MonkeyPatch) -> None:
-    here = forward_kinematics(THESIS, [0.5, 0.2, 0.0])
-    usual = forward_kinematics(THESIS, [1.5, 0.2, 0.0], start=here)
+    current = forward_kinematics(THESIS, [0.5, 0.2, 0.0])
+    usual = forward_kinematics(THESIS, [1.5, 0.2, 0.0], start=current)
     monkeypatch.setattr("tubeopt.equilibrium.kinematics.solve_compiled", None)  # the kernel is not asked
-    own = forward_kinematics(THESIS, [1.5, 0.2, 0.0], start=here, method=Newton(iterations=30))
+    own = forward_kinematics(THESIS, [1.5, 0.2, 0.0], start=current, method=Newton(iterations=30))
     assert own.tip_position == pytest.approx(usual.tip_position, abs=1e-13)
 
 
@@ -591,9 +591,9 @@ def test_a_start_is_an_equilibrium_or_joint_values() -> None:
 def test_the_old_name_of_the_start_warns() -> None:
     start, old = forward_kinematics(TWO_TUBE, (0.0, 0.5)), {"guess": forward_kinematics(TWO_TUBE, (0.0, 0.5))}
     with pytest.warns(DeprecationWarning, match="guess= is now start= in forward_kinematics") as caught:
-        found = forward_kinematics(TWO_TUBE, (0.1, 0.5), **old)
+        equilibrium = forward_kinematics(TWO_TUBE, (0.1, 0.5), **old)
     assert caught[0].filename == __file__
-    assert np.array_equal(found.position, forward_kinematics(TWO_TUBE, (0.1, 0.5), start=start).position)
+    assert np.array_equal(equilibrium.position, forward_kinematics(TWO_TUBE, (0.1, 0.5), start=start).position)
     with pytest.raises(InputError, match="guess and start are the same argument"):
         forward_kinematics(TWO_TUBE, (0.1, 0.5), start=start, **old)
 

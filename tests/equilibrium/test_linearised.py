@@ -133,14 +133,14 @@ def _check(e: Equilibrium, name: str, tolerances: tuple[float, float, float, flo
     random = np.random.default_rng(len(name))
     step = _size(e, name) * random.uniform(0.5, 1.0, len(e.rotations)) * random.choice([-1, 1], len(e.rotations))
     one, two, back, twice = (_told(_moved(e, name, k * step)) for k in (1, 2, -1, -2))
-    wanted = (8 * (one - back) - (two - twice)) / 12
-    found = _columns(e, name, step)
+    desired = (8 * (one - back) - (two - twice)) / 12
+    result = _columns(e, name, step)
     n = len(e.rotations)
     for rows, size in zip(
         (slice(0, 3), slice(3, 12), slice(12, 12 + n), slice(-2, -1), slice(-1, None)), tolerances, strict=True
     ):
-        off = np.abs(found[rows] - wanted[rows])
-        assert np.isnan(found[rows]).all() or off.max() <= size, (name, rows, found[rows], wanted[rows])
+        off = np.abs(result[rows] - desired[rows])
+        assert np.isnan(result[rows]).all() or off.max() <= size, (name, rows, result[rows], desired[rows])
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
@@ -223,10 +223,10 @@ def test_curvature_inside_an_arm_off_the_centreline_changes_as_differences_say()
         step = _size(e, name) * 0.8
         of = linearise(e, (name,), along=step[:, None])
         for fraction in (0.37, 0.9):
-            told = (curvature_at(linearise(_moved(e, name, k * step)), fraction)[0] for k in (1, 2, -1, -2))
-            one, two, back, twice = told
-            wanted, found = (8 * (one - back) - (two - twice)) / 12, curvature_at(of, fraction)[1][:, 0]
-            assert np.abs(found - wanted).max() < 1e-6 * max(float(np.abs(wanted).max()), 1e-3), name
+            report = (curvature_at(linearise(_moved(e, name, k * step)), fraction)[0] for k in (1, 2, -1, -2))
+            one, two, back, twice = report
+            desired, result = (8 * (one - back) - (two - twice)) / 12, curvature_at(of, fraction)[1][:, 0]
+            assert np.abs(result - desired).max() < 1e-6 * max(float(np.abs(desired).max()), 1e-3), name
 
 
 @pytest.mark.parametrize("load", [None, "tip", "moments along", "all"])
@@ -238,10 +238,10 @@ def test_curvature_inside_the_arm_changes_as_differences_say(pieces: bool, load:
         step, of = _size(e, name) * np.array([0.9, -0.6, 0.8]), linearise(e, (name,))
         moved = [linearise(_moved(e, name, k * step)) for k in (1, 2, -1, -2)]
         for fraction in (0.37, 0.9):
-            told = (curvature_at(each, fraction)[0] for each in moved)
-            one, two, back, twice = told
-            wanted, (_, found) = (8 * (one - back) - (two - twice)) / 12, curvature_at(of, fraction)
-            assert np.abs(found @ step - wanted).max() < 1e-6 * max(float(np.abs(wanted).max()), 1e-3), name
+            report = (curvature_at(each, fraction)[0] for each in moved)
+            one, two, back, twice = report
+            desired, (_, result) = (8 * (one - back) - (two - twice)) / 12, curvature_at(of, fraction)
+            assert np.abs(result @ step - desired).max() < 1e-6 * max(float(np.abs(desired).max()), 1e-3), name
 
 
 def _one_sided(e: Equilibrium, name: str, step: Array) -> Array:
@@ -281,11 +281,11 @@ def test_where_breakpoints_meet_both_sides_are_those_of_differences(
         e = forward_kinematics(robot, ROTATIONS[:3], shift, load=load)
         for tube in range(3):
             step = side * 2e-5 * np.eye(3)[tube]
-            wanted, found = _one_sided(e, name, step), _columns(e, name, step, side)
-            assert np.abs(found - wanted)[:-2].max() < 2e-9, (pieces, tube)
-            assert abs(found[-2] - wanted[-2]) < 1e-7 * e.energy + 1e-13
-            assert np.isnan(found[-1]) == (not load.has_energy)
-            assert not load.has_energy or abs(found[-1] - wanted[-1]) < 3e-8
+            desired, result = _one_sided(e, name, step), _columns(e, name, step, side)
+            assert np.abs(result - desired)[:-2].max() < 2e-9, (pieces, tube)
+            assert abs(result[-2] - desired[-2]) < 1e-7 * e.energy + 1e-13
+            assert np.isnan(result[-1]) == (not load.has_energy)
+            assert not load.has_energy or abs(result[-1] - desired[-1]) < 3e-8
 
 
 def test_under_a_load_of_nothing_it_is_that_without_load() -> None:
@@ -316,10 +316,10 @@ def test_a_straight_tube_grows_a_curved_part(name: str, load: str | None) -> Non
         ConcentricRobot(tuple(tubes)), ROTATIONS[:2], [0.09, -0.03], load=None if load is None else LOADS[load]
     )
     for step in 2e-5 * np.eye(2):
-        wanted, found = _one_sided(e, name, step), _columns(e, name, step)
-        assert np.abs(found - wanted)[:-2].max() < 2e-9
-        assert abs(found[-2] - wanted[-2]) < 1e-7 * e.energy + 1e-13
-        assert abs(found[-1] - wanted[-1]) < 3e-8
+        desired, result = _one_sided(e, name, step), _columns(e, name, step)
+        assert np.abs(result - desired)[:-2].max() < 2e-9
+        assert abs(result[-2] - desired[-2]) < 1e-7 * e.energy + 1e-13
+        assert abs(result[-1] - desired[-1]) < 3e-8
     inner, outer = e.jacobian(wrt=("curved_length", "translations")).rotation[:, [0, 2]].T
     assert np.linalg.norm(inner - outer) > 1.0
 
@@ -355,20 +355,20 @@ def test_a_jacobian_computes_beyond_the_pose_what_is_read(load: Load | None, mon
     for name in ("margin", "energy"):
         known = getattr(Linearised, name)
         monkeypatch.setattr(Linearised, name, property(lambda self, k=known, n=name: (read.append(n), k.func(self))[1]))
-    found, at_once = e.jacobian(), derivatives_of(e)
+    result, at_once = e.jacobian(), derivatives_of(e)
     assert not read
-    np.testing.assert_array_equal(found.matrix, [*at_once.tip_position, *at_once.tip_rotation])
+    np.testing.assert_array_equal(result.matrix, [*at_once.tip_position, *at_once.tip_rotation])
     for _ in range(8):  # of other equilibria, for which those kept of this one make room
         forward_kinematics(robot, np.zeros(3), load=load).jacobian()
-    margin, mine = found.margin, pickle.loads(pickle.dumps(found))
+    margin, mine = result.margin, pickle.loads(pickle.dumps(result))
     assert read == ["margin", "energy"]
-    assert found.margin is margin
+    assert result.margin is margin
     for name in ("tip_rotations", "margin", "energy"):
-        for one in (found, mine, replace(found, wrt=())):
+        for one in (result, mine, replace(result, wrt=())):
             np.testing.assert_allclose(getattr(one, name), getattr(at_once, name), rtol=0, atol=1e-12)
-    assert repr(mine) == repr(found)
+    assert repr(mine) == repr(result)
     with pytest.raises(AttributeError, match="'Jacobian' object has no attribute 'margins'"):
-        found.margins  # type: ignore[attr-defined]  # noqa: B018
+        result.margins  # type: ignore[attr-defined]  # noqa: B018
 
 
 def test_friction_is_refused() -> None:
@@ -416,9 +416,9 @@ def test_tubes_that_move_at_once_push_what_they_uncover_once(
         return np.concatenate([moved.tip_position, moved.tip_rotations, [moved.energy, moved.margin]])
 
     expected = _towards(there, side * 1e-4)
-    told = np.concatenate([of.tip_position, of.tip_rotations, of.energy[None], of.margin[None]])[:, 0]
-    assert np.abs(told - expected).max() < 1e-6 * np.abs(expected).max()
-    assert np.abs(told - expected)[:3].max() < 1e-6
+    report = np.concatenate([of.tip_position, of.tip_rotations, of.energy[None], of.margin[None]])[:, 0]
+    assert np.abs(report - expected).max() < 1e-6 * np.abs(expected).max()
+    assert np.abs(report - expected)[:3].max() < 1e-6
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -447,11 +447,11 @@ def test_a_tip_moment_stays_with_its_tube_where_all_ends_move_at_once() -> None:
 def test_tubes_of_one_carriage_move_at_once(pieces: bool, side: int) -> None:
     """Each tube of a carriage has an equal part of the derivative."""
     e = forward_kinematics(_coincident(pieces), OPPOSED, np.full(3, -0.011))
-    told = derivatives_of(e, side=side, carriages=((0, 1), (2,)))
+    report = derivatives_of(e, side=side, carriages=((0, 1), (2,)))
     direction = np.array([1.0, 1.0, 0.0])
     expected = _towards(lambda step: _moved(e, "translations", step * direction).tip_position, side * 1e-4)
-    assert np.abs(told.tip_position[:, 3:] @ direction - expected).max() < 1e-6
-    assert np.abs(told.tip_position[:, 3] - told.tip_position[:, 4]).max() < 1e-15
+    assert np.abs(report.tip_position[:, 3:] @ direction - expected).max() < 1e-6
+    assert np.abs(report.tip_position[:, 3] - report.tip_position[:, 4]).max() < 1e-15
 
 
 @pytest.mark.parametrize("name", ["curvature", "bending_stiffness", "torsional_stiffness"])
@@ -460,7 +460,7 @@ def test_one_tube_off_the_centreline_may_change_alone(name: str) -> None:
     e = _eccentric("segments")
     bundle, start = e.robot.assembly(e.translations), None
     for tube in (0, 4, 8):
-        told = []
+        report = []
         for k in (0, 1, 2, -1, -2):
             values = getattr(bundle, name).copy()
             values[tube] *= 1 + 2e-3 * k
@@ -469,12 +469,12 @@ def test_one_tube_off_the_centreline_may_change_alone(name: str) -> None:
             x = member.unknowns(sample_rotation(e, problem.arc_length)) if start is None else start
             point = Point.near(member, x, "no equilibrium")
             shape = evaluate_arm(problem, e.rotations, point.state, point.torsion)
-            told.append(np.array([*shape.position[-1], point.margin]))
+            report.append(np.array([*shape.position[-1], point.margin]))
             if k == 0:
                 start = point.state.x
-                here = LinearisedArm(problem, e.rotations, point.state.theta, shape)
-                of = Linearised(here, e.robot.tubes, point.margin, (name,))
-        wanted = (8 * (told[1] - told[3]) - (told[2] - told[4])) / 12
+                current = LinearisedArm(problem, e.rotations, point.state.theta, shape)
+                of = Linearised(current, e.robot.tubes, point.margin, (name,))
+        desired = (8 * (report[1] - report[3]) - (report[2] - report[4])) / 12
         step = 2e-3 * getattr(bundle, name)[tube]
-        found = np.append(of.tip_position[:, tube], of.margin[tube]) * step
-        assert np.abs(found - wanted).max() < 1e-5 * np.abs(wanted).max(), tube
+        result = np.append(of.tip_position[:, tube], of.margin[tube]) * step
+        assert np.abs(result - desired).max() < 1e-5 * np.abs(desired).max(), tube

@@ -45,9 +45,9 @@ def test_faults_of_a_users_function_name_the_place(function: Any, words: str) ->
 
 
 def test_faults_of_functions_of_pieces_name_the_place() -> None:
-    for quantity, given in (("precurvature", {}), ("bending_stiffness", {"bending_stiffness": lambda s: 1 / 0})):
+    for quantity, inputs in (("precurvature", {}), ("bending_stiffness", {"bending_stiffness": lambda s: 1 / 0})):
         with pytest.raises(InputError, match=f"{quantity} of a piece, a function, fails at .* ZeroDivisionError"):
-            Piece(0.1, (lambda s: 1 / 0) if not given else 5.0, **given)  # type: ignore[arg-type]
+            Piece(0.1, (lambda s: 1 / 0) if not inputs else 5.0, **inputs)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("number", [int, np.int64, np.float64, np.float32])
@@ -95,9 +95,9 @@ def test_an_entry_without_a_load_is_refused(text: str, words: str, tmp_path: Pat
 
 def test_kinematics_keeps_its_time_limit() -> None:
     """A moment that winds a soft rod up takes hundreds of steps."""
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     with pytest.raises(TimeLimitError, match=r"forward_kinematics reached its time limit of 0\.2 s"):
         forward_kinematics(THESIS, JOINTS, load=Load(moment=(0.2, 0.0, 0.0)), time_limit=0.2)
-    assert time.perf_counter() - began < 5.0
+    assert time.perf_counter() - start_time < 5.0
     straight = ConcentricRobot((Tube(1e-3, 0.0, 0.0, 0.1, 0.0),))
     assert forward_kinematics(straight, [0.0], time_limit=10.0).tip_position[2] == pytest.approx(0.1)

@@ -24,10 +24,10 @@ def test_from_no_load_it_ends_where_the_growing_load_leads(robot: Robot) -> None
     problem, bare = loaded_problem(robot, shift, load), forward_kinematics(robot, rotations)
 
     x = unknowns(problem, rotations, sample_rotation(bare, problem.torsion.arc_length))
-    found = solve_loaded_ipopt(problem, rotations, evaluate(problem, rotations, x))
+    result = solve_loaded_ipopt(problem, rotations, evaluate(problem, rotations, x))
     grown = forward_kinematics(robot, rotations, load=load)
-    assert found.iterations > 2
-    assert np.linalg.norm(tip_position(problem, found.state) - grown.tip_position) < 1e-9
+    assert result.iterations > 2
+    assert np.linalg.norm(tip_position(problem, result.state) - grown.tip_position) < 1e-9
     assert np.linalg.norm(bare.tip_position - grown.tip_position) > 1e-3
 
 

@@ -75,7 +75,7 @@ def test_varying_tubes_under_weight_and_forces(robot: ConcentricRobot) -> None:
 
 
 def reference(load: RefLoad) -> Shooting:
-    tubes = [RefTube(*given[:5], mass=given[5]) for given in TUBES]
+    tubes = [RefTube(*inputs[:5], mass=inputs[5]) for inputs in TUBES]
     return Shooting(tubes, BETA, ROTATIONS, load)
 
 

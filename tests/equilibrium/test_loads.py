@@ -194,8 +194,8 @@ def tube_frame(e: Equilibrium) -> Array:
 )
 def test_compliance_is_symmetric_and_that_of_differences(thesis: ConcentricRobot, force: Any, moment: Any) -> None:
     shift = (0.0, 0.01, -0.02)
-    here = forward_kinematics(thesis, WOUND, shift, load=Load(force, moment))
-    compliance = here.compliance
+    current = forward_kinematics(thesis, WOUND, shift, load=Load(force, moment))
+    compliance = current.compliance
     if not any(moment):
         assert np.abs(compliance - compliance.T).max() < 1e-10 * np.abs(compliance).max()
     for k in range(6):
@@ -206,7 +206,7 @@ def test_compliance_is_symmetric_and_that_of_differences(thesis: ConcentricRobot
             for s in (1, -1)
         ]
         moved = (sides[0].tip_position - sides[1].tip_position) / (2 * step[k])
-        turn = (tube_frame(sides[0]) - tube_frame(sides[1])) @ tube_frame(here).T / (2 * step[k])
+        turn = (tube_frame(sides[0]) - tube_frame(sides[1])) @ tube_frame(current).T / (2 * step[k])
         turned = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
         assert np.abs(compliance[:3, k] - moved).max() < 1e-6 * np.abs(compliance[:3]).max()
         assert np.abs(compliance[3:, k] - turned).max() < 1e-6 * np.abs(compliance[3:]).max()
@@ -214,7 +214,7 @@ def test_compliance_is_symmetric_and_that_of_differences(thesis: ConcentricRobot
 
 @pytest.mark.parametrize(("at", "pushed"), [(0.03, [0]), (0.06, [1]), (0.12, [0, 1, 2])])
 def test_compliance_along_the_arm_is_that_of_differences(thesis: ConcentricRobot, at: float, pushed: list[int]) -> None:
-    here = forward_kinematics(thesis, WOUND, load=Load((0.1, -0.05, 0.02), points=((at, (0, 0, 0)),)))
+    current = forward_kinematics(thesis, WOUND, load=Load((0.1, -0.05, 0.02), points=((at, (0, 0, 0)),)))
     compliance = forward_kinematics(thesis, WOUND, load=Load((0.1, -0.05, 0.02))).compliance_at(at)
     assert np.abs(compliance - compliance.T).max() < 1e-10 * np.abs(compliance).max()
     for k in pushed:
@@ -223,14 +223,14 @@ def test_compliance_along_the_arm_is_that_of_differences(thesis: ConcentricRobot
             forward_kinematics(thesis, WOUND, load=Load((0.1, -0.05, 0.02), points=((at, tuple(s * push)),)))
             for s in (1, -1)
         ]
-        place = [np.argmin(np.abs(e.arc_length - at)) for e in (*sides, here)]
-        assert abs(here.arc_length[place[2]] - at) < 1e-12
-        moved = (sides[0].position[place[0]] - sides[1].position[place[1]]) / 2e-3
+        position = [np.argmin(np.abs(e.arc_length - at)) for e in (*sides, current)]
+        assert abs(current.arc_length[position[2]] - at) < 1e-12
+        moved = (sides[0].position[position[0]] - sides[1].position[position[1]]) / 2e-3
         assert np.abs(compliance[:3, k] - moved).max() < 1e-5 * np.abs(compliance[:3]).max()
-        turn = (sides[0].frame[place[0]] - sides[1].frame[place[1]]) @ here.frame[place[2]].T / 2e-3
+        turn = (sides[0].frame[position[0]] - sides[1].frame[position[1]]) @ current.frame[position[2]].T / 2e-3
         turned = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
         # Of the frame, which has not the tube's twist in it: alike across the arm.
-        across = np.eye(3) - np.outer(here.frame[place[2]][:, 2], here.frame[place[2]][:, 2])
+        across = np.eye(3) - np.outer(current.frame[position[2]][:, 2], current.frame[position[2]][:, 2])
         assert np.abs(across @ (compliance[3:, k] - turned)).max() < 1e-5 * np.abs(compliance[3:]).max()
 
 
@@ -239,9 +239,9 @@ def test_compliance_along_the_arm_ends_at_the_tip(thesis: ConcentricRobot) -> No
     assert np.allclose(e.compliance_at(e.arc_length[-1], 0), e.compliance, rtol=1e-10, atol=1e-12)
     # A straight tube gives way in torsion in proportion to the distance, and in bending as a cantilever.
     column = rod(0.2, 1e-3)
-    there = forward_kinematics(column, [0.0]).compliance_at(0.1)
-    assert there[5, 5] == pytest.approx(0.1 / column.tubes[0].torsional_stiffness, rel=1e-12)
-    assert there[0, 0] == pytest.approx(0.1**3 / 3e-3, rel=1e-12)
+    reached = forward_kinematics(column, [0.0]).compliance_at(0.1)
+    assert reached[5, 5] == pytest.approx(0.1 / column.tubes[0].torsional_stiffness, rel=1e-12)
+    assert reached[0, 0] == pytest.approx(0.1**3 / 3e-3, rel=1e-12)
     with pytest.raises(InputError, match="it must be on the arm"):
         e.compliance_at(1.0)
     with pytest.raises(InputError, match="tube is 2; tubes 0 are at"):
@@ -253,13 +253,13 @@ def test_compliance_along_the_arm_ends_at_the_tip(thesis: ConcentricRobot) -> No
 )
 def test_jacobian_under_load_is_that_of_differences(thesis: ConcentricRobot, load: Load) -> None:
     shift = np.array([-0.02, 0.01, -0.005])
-    here = forward_kinematics(thesis, WOUND, shift, load=load)
-    slopes = here.jacobian()
+    current = forward_kinematics(thesis, WOUND, shift, load=load)
+    slopes = current.jacobian()
     for k in (2, 3):
         step = np.zeros(6)
         step[k] = 1e-3 if k < 3 else 1e-5
         sides = [
-            forward_kinematics(thesis, WOUND + s * step[:3], shift + s * step[3:], load=load, start=here)
+            forward_kinematics(thesis, WOUND + s * step[:3], shift + s * step[3:], load=load, start=current)
             for s in (1, -1)
         ]
         scale = 2 * step[k]
@@ -288,9 +288,9 @@ def test_jacobian_under_load_to_one_side(thesis: ConcentricRobot) -> None:
 def test_jacobian_under_load_by_dimensions(thesis: ConcentricRobot, shift: tuple[float, float, float] | None) -> None:
     """Also at home, where all tubes begin to curve at the plate and a length moves their ends only."""
     load = Load((0.1, -0.05, 0.02))
-    here = forward_kinematics(thesis, WOUND, shift, load=load)
+    current = forward_kinematics(thesis, WOUND, shift, load=load)
     for name, k, step in (("curvature", 0, 1e-4), ("curved_length", 2, 1e-6), ("bending_stiffness", 1, 1e-5)):
-        slopes = here.jacobian(wrt=(name,)).position
+        slopes = current.jacobian(wrt=(name,)).position
         size = step * getattr(thesis.tubes[k], name)
         tips = []
         for sign in (1, -1):
@@ -323,9 +323,9 @@ def test_base_wrench_balances_the_loads(thesis: ConcentricRobot) -> None:
         Load(force, (0.002, -0.001, 0.003), frame="tip", points=((at, push),)),
     ):
         e = forward_kinematics(thesis, ROTATIONS, load=load)
-        there = e.position[np.argmin(np.abs(e.arc_length - at))]
+        reached = e.position[np.argmin(np.abs(e.arc_length - at))]
         turn = e.tip_rotation if load.frame == "tip" else np.eye(3)
-        moment = turn @ load.moment + np.cross(e.tip_position, turn @ force) + np.cross(there, push)
+        moment = turn @ load.moment + np.cross(e.tip_position, turn @ force) + np.cross(reached, push)
         assert np.allclose(e.base_wrench, np.concatenate([turn @ force + push, moment]), rtol=0, atol=1e-12)
 
 
@@ -403,39 +403,44 @@ def test_the_estimated_error_of_rotations_is_not_below_the_true_one(thesis: Conc
 
 
 def test_a_guess_is_followed_to_other_joints_and_loads(thesis: ConcentricRobot) -> None:
-    here = forward_kinematics(thesis, ROTATIONS, load=Load((0.1, 0, 0)))
+    current = forward_kinematics(thesis, ROTATIONS, load=Load((0.1, 0, 0)))
     for rotations, load in (
         ((0.02, 1.0, 2.0), Load((0.1, 0, 0))),
         ((0.9, 1.5, 1.6), Load((0.1, 0.05, -0.02))),
         (ROTATIONS, Load((0.0, 0.3, 0.0), gravity=(0, 0, -9.81))),
     ):
         cold = forward_kinematics(thesis, rotations, load=load)
-        warm = forward_kinematics(thesis, rotations, load=load, start=here)
+        warm = forward_kinematics(thesis, rotations, load=load, start=current)
         assert warm.statistics.start == "guess"
         assert np.allclose(warm.tip_position, cold.tip_position, rtol=0, atol=1e-12)
-    moved = forward_kinematics(thesis, ROTATIONS, (-0.03, 0.0, 0.01), load=Load((0.1, 0, 0)), start=here)
+    moved = forward_kinematics(thesis, ROTATIONS, (-0.03, 0.0, 0.01), load=Load((0.1, 0, 0)), start=current)
     cold = forward_kinematics(thesis, ROTATIONS, (-0.03, 0.0, 0.01), load=Load((0.1, 0, 0)))
     assert np.allclose(moved.tip_position, cold.tip_position, rtol=0, atol=1e-12)
 
 
 def test_far_ways_from_a_guess_are_those_of_the_general_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     robot, alpha, shift, load, _ = random_case(4)
-    here = forward_kinematics(robot, alpha, shift, load=load)
+    current = forward_kinematics(robot, alpha, shift, load=load)
     elsewhere = forward_kinematics(robot, alpha + 0.4, shift)
     turned = alpha + np.linspace(1, -0.5, len(alpha))
-    ways = (turned, load, here), (alpha, load.scaled(0.5), here), (alpha, load, elsewhere), (turned, None, elsewhere)
-    ends = [forward_kinematics(robot, a, shift, load=q, start=g) for a, q, g in ways]
+    paths = (
+        (turned, load, current),
+        (alpha, load.scaled(0.5), current),
+        (alpha, load, elsewhere),
+        (turned, None, elsewhere),
+    )
+    ends = [forward_kinematics(robot, a, shift, load=q, start=g) for a, q, g in paths]
     with monkeypatch.context() as patch:
         patch.setattr("tubeopt.equilibrium.kinematics.loaded", lambda *arguments: None)
         patch.setattr("tubeopt.equilibrium.kinematics.unloaded", lambda *arguments: None)
-        for end, (a, q, g) in zip(ends, ways, strict=True):
+        for end, (a, q, g) in zip(ends, paths, strict=True):
             general = forward_kinematics(robot, a, shift, load=q, start=g)
             assert np.allclose(end.tip_position, general.tip_position, rtol=0, atol=1e-12)
             assert end.margin == pytest.approx(general.margin, abs=1e-9)
     if kernel_of(robot) is None:
         return
     monkeypatch.setattr("tubeopt.equilibrium.kinematics._to_tolerance", None)  # the kernel goes all of the way
-    for a, q, g in ways:
+    for a, q, g in paths:
         forward_kinematics(robot, a, shift, load=q, start=g)
 
 

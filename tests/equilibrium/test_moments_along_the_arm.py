@@ -195,24 +195,24 @@ def test_jacobian_and_compliance_are_differences(thesis: ConcentricRobot, load: 
             both = replace(load, points=(*load.points, push))
         else:
             both = replace(load, force=load.force + more[:3], moment=load.moment + more[3:])
-        there = forward_kinematics(thesis, joints[:3], joints[3:], load=both, tolerance=1e-11)
-        turn = Rotation.from_matrix(there.tip_rotation) * Rotation.from_rotvec([0, 0, there.tip_rotations[0]])
+        reached = forward_kinematics(thesis, joints[:3], joints[3:], load=both, tolerance=1e-11)
+        turn = Rotation.from_matrix(reached.tip_rotation) * Rotation.from_rotvec([0, 0, reached.tip_rotations[0]])
         turned.append(turn)
-        return np.concatenate([there.tip_position, there.tip_rotations, [there.energy]])
+        return np.concatenate([reached.tip_position, reached.tip_rotations, [reached.energy]])
 
     joints = np.concatenate([ROTATIONS, shift])
     # Along directions that have all six parts: a column that is wrong changes each of them.
     random = np.random.default_rng(4)
-    for way in random.uniform(0.5, 1.0, (2, 6)) * random.choice([-1, 1], (2, 6)):
-        step = size * way * ([1] * 3 + [1e-2] * 3)
+    for path in random.uniform(0.5, 1.0, (2, 6)) * random.choice([-1, 1], (2, 6)):
+        step = size * path * ([1] * 3 + [1e-2] * 3)
         moved = (ends(joints + step, np.zeros(6)) - ends(joints - step, np.zeros(6))) / (2 * size)
-        found = np.concatenate([slopes.position, slopes.tip_rotations, slopes.energy[None]]) @ step / size
-        assert np.allclose(found, moved, rtol=0, atol=2e-6 * (1 + np.abs(moved).max()))
-        step = size * way * ([1] * 3 + [0.03] * 3)
+        result = np.concatenate([slopes.position, slopes.tip_rotations, slopes.energy[None]]) @ step / size
+        assert np.allclose(result, moved, rtol=0, atol=2e-6 * (1 + np.abs(moved).max()))
+        step = size * path * ([1] * 3 + [0.03] * 3)
         moved = (ends(joints, step) - ends(joints, -step))[:3] / (2 * size)
         turn = (turned[-2] * turned[-1].inv()).as_rotvec() / (2 * size)
-        wanted = np.concatenate([moved, turn])
-        assert np.allclose(e.compliance @ step / size, wanted, rtol=0, atol=1e-6 * np.abs(e.compliance).max())
+        desired = np.concatenate([moved, turn])
+        assert np.allclose(e.compliance @ step / size, desired, rtol=0, atol=1e-6 * np.abs(e.compliance).max())
 
 
 def test_base_wrench_balances_moments(thesis: ConcentricRobot) -> None:

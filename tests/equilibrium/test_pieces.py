@@ -129,12 +129,12 @@ def frenet(radius: float, pitch: float, length: float) -> Array:
 @pytest.mark.parametrize("turn", [0.0, 1.0])
 def test_a_single_helix_keeps_its_helix(turn: float) -> None:
     tube = Tube.of_pieces(1e-3, 0.8e-3, [Piece.helix(0.12, 0.02, 0.08)], straight_length=0.05)
-    found = forward_kinematics(ConcentricRobot((tube,)), [turn])
+    equilibrium = forward_kinematics(ConcentricRobot((tube,)), [turn])
     end = frenet(0.02, 0.08, 0.12)
     turned = np.array([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1.0]]) @ end
-    assert np.linalg.norm(found.tip_position - turned) < 1e-12
+    assert np.linalg.norm(equilibrium.tip_position - turned) < 1e-12
     lead = 0.08 / (2 * math.pi)
-    assert found.torsion == pytest.approx(np.full_like(found.torsion, lead / (0.02**2 + lead**2)))
+    assert equilibrium.torsion == pytest.approx(np.full_like(equilibrium.torsion, lead / (0.02**2 + lead**2)))
 
 
 def pair(twist: float = 0.0, factors: tuple[float, float] = (1.0, 1.0), kappa: float = 12.5) -> ConcentricRobot:
@@ -151,7 +151,7 @@ def pair(twist: float = 0.0, factors: tuple[float, float] = (1.0, 1.0), kappa: f
 def test_equal_helices_twist_as_planar_tubes_do() -> None:
     wound, plain = (forward_kinematics(pair(twist), [0.0, 2.0], tolerance=1e-11) for twist in (30.0, 0.0))
     assert wound.margin == pytest.approx(plain.margin, abs=1e-8)
-    relative = [found.rotation[0] - found.rotation[1] for found in (wound, plain)]
+    relative = [result.rotation[0] - result.rotation[1] for result in (wound, plain)]
     at = np.linspace(0, 0.1, 9)
     curves = [np.interp(at, f.arc_length, r) for f, r in zip((wound, plain), relative, strict=True)]
     ends = [curve[[0, -1]] for curve in curves]
@@ -205,12 +205,12 @@ def test_all_equilibria_are_found_and_the_certificate_bounds_their_margins() -> 
         tubes.append(Tube.of_pieces(outer, outer - 0.25e-3, [Piece(0.1, u)], straight_length=0.1))
     robot = ConcentricRobot(tuple(tubes))
     certificate = snap_free_certificate(robot)
-    least = 1.0
+    smallest = 1.0
     for turn in np.linspace(0, 2 * np.pi, 7):
-        found = find_equilibria(robot, [0.0, turn])
-        assert sum((-1) ** e.index for e in found) == 1
-        least = min(least, *(e.margin for e in found))
-    assert certificate <= least
+        equilibria = find_equilibria(robot, [0.0, turn])
+        assert sum((-1) ** e.index for e in equilibria) == 1
+        smallest = min(smallest, *(e.margin for e in equilibria))
+    assert certificate <= smallest
 
 
 NAMES = (
@@ -297,13 +297,13 @@ def test_a_longer_curved_part_where_breakpoints_meet() -> None:
     """Where a piece ends at the plate, its stretching moves it out or in: the derivatives differ to either side."""
     robot, alpha = ConcentricRobot((VARIED, AROUND)), np.array([0.3, 2.0])
     shift = np.array([-0.02, -0.03])
-    here, step = forward_kinematics(robot, alpha, shift, tolerance=1e-10), 1e-5
+    current, step = forward_kinematics(robot, alpha, shift, tolerance=1e-10), 1e-5
     for side in (1, -1):
         other = moved(robot, "curved_length", 1, side * step)[0]
-        there = forward_kinematics(other, alpha, shift, tolerance=1e-10)
-        found = here.jacobian(wrt=("curved_length",), side=side)
-        expected = side * (there.tip_position - here.tip_position) / step
-        assert np.abs(found.position[:, 1] - expected).max() < 1e-3 * np.abs(expected).max()
+        reached = forward_kinematics(other, alpha, shift, tolerance=1e-10)
+        result = current.jacobian(wrt=("curved_length",), side=side)
+        expected = side * (reached.tip_position - current.tip_position) / step
+        assert np.abs(result.position[:, 1] - expected).max() < 1e-3 * np.abs(expected).max()
 
 
 def test_a_resized_tube_keeps_its_proportions() -> None:
@@ -324,33 +324,33 @@ def test_a_resized_tube_keeps_its_proportions() -> None:
 def test_every_method_finds_the_same(method: str) -> None:
     """Least energy over theta and torsion, or the equations as constraints, of tubes of which everything varies."""
     known = forward_kinematics(INNER, TURNED[:2], BETA[:2])
-    found = forward_kinematics(INNER, TURNED[:2], BETA[:2], method=method)
-    assert np.abs(found.tip_position - known.tip_position).max() < 1e-10
-    assert found.energy == pytest.approx(known.energy, rel=1e-10)
+    equilibrium = forward_kinematics(INNER, TURNED[:2], BETA[:2], method=method)
+    assert np.abs(equilibrium.tip_position - known.tip_position).max() < 1e-10
+    assert equilibrium.energy == pytest.approx(known.energy, rel=1e-10)
 
 
 @pytest.mark.parametrize("method", ["gauss_newton", "nlp"])
 def test_joint_values_for_the_tip(method: str) -> None:
     """Of tubes of which everything varies, with and without the nonlinear program."""
     goal, seed = forward_kinematics(INNER, TURNED[:2], BETA[:2]), (np.array(TURNED[:2]) + 0.3, BETA[:2] - 0.004)
-    found = inverse_kinematics(INNER, goal.tip_position, start=seed, options=InverseOptions(method=method))
-    again = forward_kinematics(INNER, found.rotations, found.translations, start=found.equilibrium)
+    solution = inverse_kinematics(INNER, goal.tip_position, start=seed, options=InverseOptions(method=method))
+    again = forward_kinematics(INNER, solution.rotations, solution.translations, start=solution.equilibrium)
     assert np.linalg.norm(again.tip_position - goal.tip_position) < 1e-8
 
 
 def test_motion_along_the_arm_is_that_of_differences() -> None:
     """Of a point half-way and of the tip, by every joint, at fixed arc lengths."""
-    here = forward_kinematics(ROBOT, TURNED, BETA, tolerance=1e-10)
-    motion = linearise(here)
-    k, step = len(here.arc_length) // 2, 1e-5
-    place = here.arc_length[k]
+    current = forward_kinematics(ROBOT, TURNED, BETA, tolerance=1e-10)
+    motion = linearise(current)
+    k, step = len(current.arc_length) // 2, 1e-5
+    position = current.arc_length[k]
     for joint in range(6):
         ends = []
         for side in (1, -1):
             change = side * step * np.eye(6)[joint]
-            e = forward_kinematics(ROBOT, TURNED + change[:3], BETA + change[3:], start=here, tolerance=1e-10)
+            e = forward_kinematics(ROBOT, TURNED + change[:3], BETA + change[3:], start=current, tolerance=1e-10)
             s, first = np.unique(e.arc_length, return_index=True)
-            ends.append((CubicHermiteSpline(s, e.position[first], e.frame[first][:, :, 2])(place), e.tip_position))
+            ends.append((CubicHermiteSpline(s, e.position[first], e.frame[first][:, :, 2])(position), e.tip_position))
         inside, tip = ((a - b) / (2 * step) for a, b in zip(*ends, strict=True))
         scale = max(float(np.abs(tip).max()), 1e-3)
         assert np.abs(motion.tip_position[:, joint] - tip).max() < 1e-5 * scale
@@ -380,10 +380,10 @@ def test_a_straight_stretch_only_hands_on_torque() -> None:
         Tube(1.5e-3, 1.2e-3, 0.06, 0.08, 9.0, bending_stiffness=2 * kb, torsional_stiffness=2 * kt),
     ]
     robot = ConcentricRobot(tuple(tubes))
-    found = forward_kinematics(robot, [0.0, 2.5], [-0.04, -0.03], tolerance=1e-10)
-    torque = found.torsion[:, 0] * np.array([kt, 2 * kt])
+    equilibrium = forward_kinematics(robot, [0.0, 2.5], [-0.04, -0.03], tolerance=1e-10)
+    torque = equilibrium.torsion[:, 0] * np.array([kt, 2 * kt])
     shot = shoot([inner, outer], [0.0, 2.5], [-0.14, -0.09], torque.tolist())
-    assert np.linalg.norm(found.tip_position - shot.tip) < 1e-10
+    assert np.linalg.norm(equilibrium.tip_position - shot.tip) < 1e-10
 
 
 def test_an_energy_map_knows_no_natural_twist() -> None:

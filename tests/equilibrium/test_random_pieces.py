@@ -15,36 +15,36 @@ from tubeopt.equilibrium.answer import discretisation_of, point_of
 
 def random_piece(random: np.random.Generator, length: float, stiffness: tuple[float, float]) -> tuple[Piece, Stretch]:
     """A piece, and the same as functions; 2 in 5 have slots."""
-    amplitude, given = float(random.uniform(2, 14)), {}
+    amplitude, inputs = float(random.uniform(2, 14)), {}
     if random.random() < 0.4:
         bending = random.uniform(0.25, 1)
         stiffness = bending * stiffness[0], random.uniform(bending, 1) * stiffness[1]
-        given = {"bending_stiffness": stiffness[0], "torsional_stiffness": stiffness[1]}
+        inputs = {"bending_stiffness": stiffness[0], "torsional_stiffness": stiffness[1]}
     u: Any
     match int(random.integers(5)):
         case 0:
             radius, pitch, left = random.uniform(0.01, 0.03), random.uniform(0.04, 0.15), bool(random.integers(2))
-            piece = Piece.helix(length, radius, pitch, left=left, **given)
+            piece = Piece.helix(length, radius, pitch, left=left, **inputs)
             lead = pitch / (2 * math.pi)
             size = radius**2 + lead**2
             u = lambda s: (radius / size, 0.0, (-lead if left else lead) / size)  # noqa: E731
         case 1:
             plane = random.uniform(-math.pi, math.pi)
             bend = amplitude * math.cos(plane), amplitude * math.sin(plane), 0.0
-            piece, u = Piece(length, bend, **given), lambda s: bend
+            piece, u = Piece(length, bend, **inputs), lambda s: bend
         case 2:
             s = np.linspace(0, length, int(random.integers(4, 8)))
             phase = random.uniform(0, 6, 2)
             rows = amplitude * np.cos(3 * s / length + phase[0]), 4 * np.sin(2 * s / length + phase[1]), 0 * s + 5
-            piece = Piece.table(s, np.column_stack(rows), **given)
+            piece = Piece.table(s, np.column_stack(rows), **inputs)
             through = make_interp_spline(s, np.column_stack(rows), k=min(5, len(s) - 1))
             u = lambda x: tuple(through(x))  # noqa: E731
         case 3:
             wave = random.uniform(5, 30)
             u = lambda s: (amplitude * math.cos(wave * s), 0.0, 6.0)  # noqa: E731
-            piece = Piece(length, u, **given)
+            piece = Piece(length, u, **inputs)
         case _:
-            piece, u = Piece(length, amplitude, **given), lambda s: (amplitude, 0.0, 0.0)
+            piece, u = Piece(length, amplitude, **inputs), lambda s: (amplitude, 0.0, 0.0)
     return piece, (length, u, lambda s: stiffness[0], lambda s: stiffness[1])
 
 
@@ -71,9 +71,9 @@ def test_random_robots_are_where_shooting_puts_them() -> None:
         low = np.array(robot.limits.translations)[:, 0]
         shift = np.sort(random.uniform(0.6 * low, 0.0))
         turned = random.uniform(-math.pi, math.pi, robot.n_tubes)
-        found = forward_kinematics(robot, turned, shift)
+        equilibrium = forward_kinematics(robot, turned, shift)
         beta = shift - np.array([tube.straight_length for tube in robot.tubes])
-        torque = point_of(found, discretisation=discretisation_of(found)).torsion.torque[0]
+        torque = point_of(equilibrium, discretisation=discretisation_of(equilibrium)).torsion.torque[0]
         shot = shoot(bundle, turned.tolist(), beta.tolist(), torque.tolist())
-        assert np.linalg.norm(shot.tip - found.tip_position) < 1e-10
-        assert shot.stable == found.stable
+        assert np.linalg.norm(shot.tip - equilibrium.tip_position) < 1e-10
+        assert shot.stable == equilibrium.stable

@@ -63,11 +63,11 @@ def test_the_commands_take_and_give_readings_of_carriages_that_yield(tmp_path: P
     soft = replace(robot, calibration=replace(Calibration.none(3), translation_compliance=SOFT))
     soft.save(tmp_path / "soft.yaml")
     assert load_robot(tmp_path / "soft.yaml") == soft
-    place = ["--rotations-deg", "0,60,90", "--translations-mm=-10,-5,0"]
-    told = answer(run("fk", str(tmp_path / "soft.yaml"), *place, "--json"))
+    position = ["--rotations-deg", "0,60,90", "--translations-mm=-10,-5,0"]
+    report = answer(run("fk", str(tmp_path / "soft.yaml"), *position, "--json"))
     model = to_model(soft, np.radians([0, 60, 90]), np.array([-0.01, -0.005, 0.0]))
-    np.testing.assert_allclose(told["translations_mm"], model[1] * 1e3, atol=1e-8)
-    np.testing.assert_allclose(told["readings_mm"], [-10, -5, 0], atol=1e-8)
+    np.testing.assert_allclose(report["translations_mm"], model[1] * 1e3, atol=1e-8)
+    np.testing.assert_allclose(report["readings_mm"], [-10, -5, 0], atol=1e-8)
 
 
 def test_only_carriages_of_concentric_robots_yield() -> None:

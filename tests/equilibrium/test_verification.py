@@ -169,14 +169,14 @@ def test_tubes_of_pieces_under_a_load_are_confirmed() -> None:
 def test_arms_that_are_integrated_together_are_checked_each_for_itself(load: Load | None) -> None:
     """Of three with other sections, one wrong and one withdrawn behind the plate, each is as by itself."""
     home = np.array(THESIS.home_translations)
-    places = [home, home - 0.02 * np.arange(3)] + (
+    positions = [home, home - 0.02 * np.arange(3)] + (
         [-np.array([tube.length for tube in THESIS.tubes])] if not load else []
     )
-    arms = [forward_kinematics(THESIS, (0.2, 1.0, -0.4), place, load=load) for place in places]
+    arms = [forward_kinematics(THESIS, (0.2, 1.0, -0.4), position, load=load) for position in positions]
     moved = arms[1].arm.position + np.array([0.0, 0.0, 1e-4])
     wrong = replace(arms[1], arm=replace(arms[1].arm, position=moved))
     arms.append(wrong)
-    for own, found in zip(map(checked, arms), verifications(arms), strict=True):
+    for own, result in zip(map(checked, arms), verifications(arms), strict=True):
         for name in ("tip_position", "tip_rotation", "rotation", "end_torsion", "base_rotation"):
-            assert getattr(found, name) == pytest.approx(getattr(own, name), rel=1e-5, abs=1e-9)
+            assert getattr(result, name) == pytest.approx(getattr(own, name), rel=1e-5, abs=1e-9)
     assert verifications(arms)[-1].tip_position == pytest.approx(1e-4, rel=1e-3)

@@ -62,9 +62,9 @@ def test_every_robot_has_its_equilibrium_and_derivatives_at_length_zero(name: st
 @pytest.mark.parametrize("name", [name for name in NAMES if name != SEGMENTED])
 def test_derivatives_at_length_zero_are_those_of_an_arm_that_begins(name: str) -> None:
     # At 1 um in front of the plate every term of a derivative is there, and off by the length over a radius.
-    here, there = withdrawn(name).jacobian(), withdrawn(name, 1e-6).jacobian()
+    current, reached = withdrawn(name).jacobian(), withdrawn(name, 1e-6).jacobian()
     for quantity in ("position", "rotation", "tip_rotations", "margin", "energy"):
-        one, other = getattr(here, quantity), getattr(there, quantity)
+        one, other = getattr(current, quantity), getattr(reached, quantity)
         assert one == pytest.approx(other, rel=1e-3, abs=5e-3 * max(1.0, np.abs(other).max())), quantity
     back = withdrawn(name).jacobian(side=-1)
     n = len(back.margin) // 2
@@ -158,8 +158,8 @@ def test_a_servo_leaves_the_plate(name: str) -> None:
 def test_inverse_kinematics_starts_at_the_plate_and_goes_there() -> None:
     at = withdrawn("thesis_ctr")
     target = forward_kinematics(at.robot, [0.4, 0.2, 0.1], at.translations + 0.02).tip_position
-    found = inverse_kinematics(at.robot, target, start=at, reachable=True)
-    assert found.equilibrium.tip_position == pytest.approx(target, abs=1e-6)
+    solution = inverse_kinematics(at.robot, target, start=at, reachable=True)
+    assert solution.equilibrium.tip_position == pytest.approx(target, abs=1e-6)
     home = inverse_kinematics(at.robot, [0, 0, 0], start=at)
     assert home.equilibrium.tip_position == pytest.approx([0, 0, 0], abs=1e-6)
     with pytest.raises(SolveError, match="5 mm short"):

@@ -113,9 +113,9 @@ def test_published_robots_are_usual(caplog: pytest.LogCaptureFixture, path: Path
 def test_a_file_is_warned_of_what_its_material_does_not_do(
     caplog: pytest.LogCaptureFixture, tmp_path: Path, material: str, curvature: str, words: str
 ) -> None:
-    said = warned(caplog, written(tmp_path / "x.yaml", f"material: {material}", curvature_per_m=curvature))
-    assert len(said) == 1
-    assert re.search(words, said[0])
+    output = warned(caplog, written(tmp_path / "x.yaml", f"material: {material}", curvature_per_m=curvature))
+    assert len(output) == 1
+    assert re.search(words, output[0])
 
 
 def test_key_in_other_unit_is_reported_with_factor(tmp_path: Path) -> None:
@@ -157,8 +157,8 @@ def test_a_window_in_kelvin_is_refused_in_one_sentence(run: Run) -> None:
 
 def test_a_battery_in_milliampere_hours(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:
     rig = (RIG).read_text()
-    words = ["battery.capacity_Ah is 60000; that would be usual in mAh: was 60 meant?"]
-    assert told(caplog, tmp_path / "x.yaml", rig.replace("capacity_Ah: 60", "capacity_Ah: 60000"), load_rig) == words
+    text = ["battery.capacity_Ah is 60000; that would be usual in mAh: was 60 meant?"]
+    assert told(caplog, tmp_path / "x.yaml", rig.replace("capacity_Ah: 60", "capacity_Ah: 60000"), load_rig) == text
     wrong = tmp_path / "y.yaml"
     wrong.write_text(rig.replace("capacity_Ah: 60", "capacity_mAh: 60000"))
     with pytest.raises(InputError, match=r"did you mean 'capacity_Ah', 0[.]001 times the number"):

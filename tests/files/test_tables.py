@@ -83,10 +83,10 @@ REFUSED = {
 
 @pytest.mark.parametrize("variant", REFUSED)
 def test_what_cannot_be_read_is_named(variant: str, tmp_path: Path) -> None:
-    content, words = REFUSED[variant]
+    content, text = REFUSED[variant]
     path = tmp_path / "targets.csv"
     path.write_bytes(content)
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=text):
         load_targets(path)
 
 
@@ -173,8 +173,8 @@ def test_a_table_of_a_piece_in_no_known_unit_is_refused(tmp_path: Path) -> None:
 def test_trials_are_read_by_the_same_rules(tmp_path: Path) -> None:
     path = tmp_path / "trials.csv"
     path.write_text("Mold radius [cm];obtained radius (mm);Note\n1,5;16,25;first\n", encoding="utf-8")
-    found = load_trials(path)
-    np.testing.assert_allclose([found.mold_radius, found.obtained_radius], [[0.015], [0.01625]], rtol=1e-15)
+    result = load_trials(path)
+    np.testing.assert_allclose([result.mold_radius, result.obtained_radius], [[0.015], [0.01625]], rtol=1e-15)
 
 
 def test_landmarks_and_clouds_are_read_by_the_same_rules(tmp_path: Path) -> None:

@@ -39,16 +39,16 @@ def arms() -> Iterator[Equilibrium]:
 
 def bodies_near(e: Equilibrium, random: np.random.Generator) -> tuple[Obstacle, ...]:
     """Bodies of all kinds, from well inside of the arm to far away, many of them small."""
-    found: list[Obstacle] = []
+    results: list[Obstacle] = []
     for _ in range(20):
-        place = e.position[random.integers(len(e.position))]
-        at, size = place + random.normal(size=3) * 10 ** random.uniform(-3, -1), 10 ** random.uniform(-4.5, -2.5)
+        position = e.position[random.integers(len(e.position))]
+        at, size = position + random.normal(size=3) * 10 ** random.uniform(-3, -1), 10 ** random.uniform(-4.5, -2.5)
         one = tuple(at.tolist())
         other = tuple((at + abs(random.normal(size=3)) * 0.01).tolist())
-        found += [Sphere(one, size), Capsule(one, other, size), Box(one, other)][random.integers(3) :][:1]
+        results += [Sphere(one, size), Capsule(one, other, size), Box(one, other)][random.integers(3) :][:1]
     if random.random() < 0.3:
-        found.append(HalfSpace(tuple((e.position[0] - [0.0, 0.0, 0.01]).tolist()), (0.0, 0.1, 1.0)))
-    return tuple(found)
+        results.append(HalfSpace(tuple((e.position[0] - [0.0, 0.0, 0.01]).tolist()), (0.0, 0.1, 1.0)))
+    return tuple(results)
 
 
 def everywhere(e: Equilibrium, body: Obstacle, count: int = 4001) -> Array:
@@ -64,12 +64,12 @@ def test_the_clearance_is_that_of_a_dense_sampling() -> None:
         bodies = bodies_near(e, random)
         scene = Scene(bodies)
         exact = min(float(everywhere(e, body).min()) for body in bodies)
-        told = ArmSurface(e).clearance(scene)
-        assert told == pytest.approx(exact, abs=1e-5 if exact > 0 else 5e-5)
+        report = ArmSurface(e).clearance(scene)
+        assert report == pytest.approx(exact, abs=1e-5 if exact > 0 else 5e-5)
         # What is enough is a bound that is enough, or the clearance itself.
         for enough in (exact - 1e-3, exact + 1e-3, 1e-5):
             bound = ArmSurface(e).clearance(scene, enough)
-            assert bound == told or enough <= bound <= told + 1e-12
+            assert bound == report or enough <= bound <= report + 1e-12
 
 
 def test_contacts_are_the_closest_places_of_every_body() -> None:
@@ -78,14 +78,14 @@ def test_contacts_are_the_closest_places_of_every_body() -> None:
         bodies = bodies_near(e, random)
         scene = Scene(bodies)
         contacts = ArmSurface(e).contacts(scene, 0.02)
-        least = [float(everywhere(e, body).min()) for body in bodies]
-        assert {k for k, each in enumerate(least) if each < 0.02 - 1e-5} <= set(contacts.body.tolist())
+        smallest = [float(everywhere(e, body).min()) for body in bodies]
+        assert {k for k, each in enumerate(smallest) if each < 0.02 - 1e-5} <= set(contacts.body.tolist())
         for k in np.unique(contacts.body):
             mine = contacts.chosen(contacts.body == k)
-            assert mine.distance[0] == pytest.approx(least[k], abs=1e-5 if least[k] > 0 else 5e-5)
+            assert mine.distance[0] == pytest.approx(smallest[k], abs=1e-5 if smallest[k] > 0 else 5e-5)
             assert (np.diff(mine.distance) >= 0).all()
-            told = bodies[k].signed_distance(mine.point) - ArmSurface(e).radius(mine.place)
-            np.testing.assert_allclose(told, mine.distance, atol=1e-12)
+            report = bodies[k].signed_distance(mine.point) - ArmSurface(e).radius(mine.arc_length)
+            np.testing.assert_allclose(report, mine.distance, atol=1e-12)
         own = [bodies[k].gradient(point) for k, point in zip(contacts.body, contacts.point, strict=True)]
         np.testing.assert_allclose(scene.gradients(contacts.body.tolist(), contacts.point), np.reshape(own, (-1, 3)))
 
@@ -97,14 +97,14 @@ def test_the_nearest_bodies_are_told_without_the_others() -> None:
         scene = Scene(bodies_near(e, random))
         every = ArmSurface(e).contacts(scene, 0.05)
         bodies, first = np.unique(every.body, return_index=True)
-        least = every.distance[first]
-        farthest = int(bodies[least.argmax()])
-        told = ArmSurface(e).contacts(scene, 0.05, 3, frozenset([farthest]))
-        near = bodies[np.argsort(least)[:3]]
-        assert {*near.tolist(), farthest} <= set(told.body.tolist())
-        known, reach = dict(zip(bodies.tolist(), least, strict=True)), np.sort(least)[2]
-        for k in told.body:
-            mine = told.distance[told.body == k].min()
+        smallest = every.distance[first]
+        farthest = int(bodies[smallest.argmax()])
+        report = ArmSurface(e).contacts(scene, 0.05, 3, frozenset([farthest]))
+        near = bodies[np.argsort(smallest)[:3]]
+        assert {*near.tolist(), farthest} <= set(report.body.tolist())
+        known, reach = dict(zip(bodies.tolist(), smallest, strict=True)), np.sort(smallest)[2]
+        for k in report.body:
+            mine = report.distance[report.body == k].min()
             assert mine == pytest.approx(known[int(k)], abs=1e-5), (k, reach)
 
 
@@ -129,12 +129,12 @@ def test_the_mesh_of_a_ball_is_as_far_as_the_ball() -> None:
 
 def crowd(count: int) -> list[Sphere]:
     """Spheres around the places that the robot of the thesis goes to below."""
-    random, found = np.random.default_rng(0), []
-    while len(found) < count:
+    random, results = np.random.default_rng(0), []
+    while len(results) < count:
         at = random.uniform([-0.15, -0.15, 0.0], [0.15, 0.15, 0.25])
         if np.linalg.norm(at - np.clip(at, [-0.04, -0.04, 0.0], [0.1, 0.08, 0.2])) > 0.01:
-            found.append(Sphere(tuple(at.tolist()), 2e-3))
-    return found
+            results.append(Sphere(tuple(at.tolist()), 2e-3))
+    return results
 
 
 def test_far_bodies_change_no_answer_of_a_session_and_cost_little() -> None:
@@ -147,9 +147,9 @@ def test_far_bodies_change_no_answer_of_a_session_and_cost_little() -> None:
         session.solve(targets[0])
         took = []
         for target in targets[1:]:
-            began = time.process_time()
+            start_time = time.process_time()
             answers.append(session.solve(target))
-            took.append(time.process_time() - began)
+            took.append(time.process_time() - start_time)
         times.append(float(np.median(took)))
     for free, among in zip(answers[: len(answers) // 2], answers[len(answers) // 2 :], strict=True):
         np.testing.assert_array_equal(free.rotations, among.rotations)
@@ -165,9 +165,9 @@ def test_bodies_beyond_the_nearest_are_kept_away_from_too() -> None:
     about = [Sphere((3.5e-3 * np.cos(a), 3.5e-3 * np.sin(a), 2e-3), 0.3e-3) for a in turn]
     middle, radius = outline.at(np.array([0.6 * free.arc_length[-1]]))
     wall = [Sphere(tuple(middle[0] + [(radius[0] + 0.5e-3), 1e-3 * k, 0.0]), 1e-3) for k in range(-8, 9)]
-    found = inverse_kinematics(THESIS, TIP, obstacles=about + wall)
-    assert found.position_error < 1e-8
-    assert min(everywhere(found.equilibrium, body).min() for body in about + wall) > 0.0
+    solution = inverse_kinematics(THESIS, TIP, obstacles=about + wall)
+    assert solution.position_error < 1e-8
+    assert min(everywhere(solution.equilibrium, body).min() for body in about + wall) > 0.0
 
 
 def test_a_target_inside_a_body_of_a_crowd_is_approached_as_close_as_it_goes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -178,9 +178,9 @@ def test_a_target_inside_a_body_of_a_crowd_is_approached_as_close_as_it_goes(mon
     monkeypatch.setattr(closest, "MAX_SOLVES", 1)
     monkeypatch.setattr(multistart, "CLEAR_STARTS", 0)
     few = InverseOptions(starts=12)
-    found = inverse_kinematics(THESIS, target, obstacles=bodies, on_failure="closest", options=few)
-    assert found.clearance >= -1e-9
-    assert found.position_error >= bodies[0].radius + THESIS.tubes[0].outer_diameter / 2
+    solution = inverse_kinematics(THESIS, target, obstacles=bodies, on_failure="closest", options=few)
+    assert solution.clearance >= -1e-9
+    assert solution.position_error >= bodies[0].radius + THESIS.tubes[0].outer_diameter / 2
 
 
 def test_distances_change_with_the_joints_as_their_slopes_say() -> None:
@@ -195,12 +195,12 @@ def test_distances_change_with_the_joints_as_their_slopes_say() -> None:
             scene = Scene((Sphere(tuple((arm.position[k] + 4e-3 * x + ahead * z).tolist()), 2e-3),))
             contacts = at.outline.contacts(scene, 0.01)
             closest = contacts.chosen(np.array([int(contacts.distance.argmin())]))
-            assert k != edge or closest.place[0] == arm.tube_end[1]
-            told, by = at.contact_slopes(scene, closest)[0], 1e-5
+            assert k != edge or closest.arc_length[0] == arm.tube_end[1]
+            report, by = at.contact_slopes(scene, closest)[0], 1e-5
             for j, unit in enumerate(np.eye(len(q)) * by):
                 beside = [forward_kinematics(THESIS, *space.split(q + s * unit), start=arm) for s in (1, -1)]
-                one, two = (least_near(e, scene.bodies[0], closest.place[0]) for e in beside)
-                assert (one - two) / (2 * by) == pytest.approx(told[j], abs=2e-3), (k, j)
+                one, two = (least_near(e, scene.bodies[0], closest.arc_length[0]) for e in beside)
+                assert (one - two) / (2 * by) == pytest.approx(report[j], abs=2e-3), (k, j)
 
 
 def least_near(e: Equilibrium, body: Obstacle, place: float) -> float:
@@ -218,11 +218,11 @@ def test_points_of_the_arm_move_with_the_joints_as_the_kernel_says(robot: Robot)
     space = joint_space(robot)
     for q in space.sample(3):
         at = posture_of(space, forward_kinematics(robot, *space.split(q)))
-        told, n = compiled_slopes(at.equilibrium), robot.n_tubes
-        assert told is not None
-        assert told.along is not None
-        np.testing.assert_allclose(told.along, at.derivatives.position, rtol=0, atol=2e-8)
-        np.testing.assert_array_equal(told.along[-1], told.position)
+        report, n = compiled_slopes(at.equilibrium), robot.n_tubes
+        assert report is not None
+        assert report.along is not None
+        np.testing.assert_allclose(report.along, at.derivatives.position, rtol=0, atol=2e-8)
+        np.testing.assert_array_equal(report.along[-1], report.position)
         for i in range(n):  # arc lengths stay
             turn = 1e-5 * np.eye(n)[i]
             arm = at.equilibrium
@@ -230,30 +230,30 @@ def test_points_of_the_arm_move_with_the_joints_as_the_kernel_says(robot: Robot)
                 forward_kinematics(robot, arm.rotations + s * turn, arm.translations, start=arm).position
                 for s in (1, -1)
             )
-            np.testing.assert_allclose((one - two) / 2e-5, told.along[..., i], atol=1e-7)
+            np.testing.assert_allclose((one - two) / 2e-5, report.along[..., i], atol=1e-7)
 
 
 def test_who_is_looked_around_for_misses_no_contact() -> None:
     """Arms that move a little at a time past bodies: what is known from before does not deceive."""
-    random, seen = np.random.default_rng(2), set()
+    random, observed = np.random.default_rng(2), set()
     for robot in (THESIS, CRL):
         space = joint_space(robot)
-        begin, end = (forward_kinematics(robot, *space.split(q)) for q in space.sample(4)[:2])
+        start, end = (forward_kinematics(robot, *space.split(q)) for q in space.sample(4)[:2])
         scene = Scene(bodies_near(end, random)[:4])
-        lookout, e = ClearanceMonitor(scene), begin
+        lookout, e = ClearanceMonitor(scene), start
         for t in np.linspace(0.0, 1.0, 15):
             joints = (
-                a + t * (b - a) for a, b in ((begin.rotations, end.rotations), (begin.translations, end.translations))
+                a + t * (b - a) for a, b in ((start.rotations, end.rotations), (start.translations, end.translations))
             )
             e = forward_kinematics(robot, *joints)
             within = 10 ** random.uniform(-4, -2)
             outline = ArmSurface(e)
             outline.look_around(lookout, within)
-            told, known = outline.contacts(scene, within), ArmSurface(e).contacts(scene, within)
-            np.testing.assert_array_equal(told.body, known.body)
-            np.testing.assert_array_equal(told.distance, known.distance)
+            report, known = outline.contacts(scene, within), ArmSurface(e).contacts(scene, within)
+            np.testing.assert_array_equal(report.body, known.body)
+            np.testing.assert_array_equal(report.distance, known.distance)
             assert outline.clearance(scene, within) == pytest.approx(
                 min(ArmSurface(e).clearance(scene), within), abs=1e-5
             )
-            seen.add(bool(len(told.body)))
-    assert seen == {True, False}
+            observed.add(bool(len(report.body)))
+    assert observed == {True, False}

@@ -68,16 +68,16 @@ def check_answer(answer: tubeopt.InverseSolution, robot: Robot, min_margin: floa
 
 @pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE, ETR], ids=lambda robot: robot.name)
 def test_tips_of_random_configurations_are_reached(robot: Robot) -> None:
-    for wanted in reachable(robot, 6, seed=1):
-        answer = inverse_kinematics(robot, wanted.tip_position)
+    for desired in reachable(robot, 6, seed=1):
+        answer = inverse_kinematics(robot, desired.tip_position)
         check_answer(answer, robot)
         assert answer.cold_start_agrees
 
 
 @pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE], ids=lambda robot: robot.name)
 def test_and_pointed_as_they_were(robot: Robot) -> None:
-    for wanted in reachable(robot, 4, seed=2):
-        answer = inverse_kinematics(robot, wanted.tip_position, direction=3 * wanted.tip_rotation[:, 2])
+    for desired in reachable(robot, 4, seed=2):
+        answer = inverse_kinematics(robot, desired.tip_position, direction=3 * desired.tip_rotation[:, 2])
         check_answer(answer, robot)
         assert answer.direction_error <= 1e-6
 
@@ -85,10 +85,10 @@ def test_and_pointed_as_they_were(robot: Robot) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_robots_of_all_kinds(seed: int) -> None:
     robot = random_robot(np.random.default_rng(seed), 1 + seed)
-    for wanted in reachable(robot, 3, seed):
-        answer = inverse_kinematics(robot, wanted.tip_position)
+    for desired in reachable(robot, 3, seed):
+        answer = inverse_kinematics(robot, desired.tip_position)
         check_answer(answer, robot)
-        assert np.linalg.norm(answer.equilibrium.tip_position - wanted.tip_position) <= 1e-7
+        assert np.linalg.norm(answer.equilibrium.tip_position - desired.tip_position) <= 1e-7
 
 
 def test_several_segments_of_eccentric_tubes() -> None:
@@ -102,24 +102,24 @@ def test_several_segments_of_eccentric_tubes() -> None:
 def test_narrow_limits_are_kept() -> None:
     limits = JointLimits(((-1.0, 0.5), (-0.4, 1.2), (-2.0, -0.1)), ((-0.05, 0.0), (-0.03, 0.0), (-0.06, -0.05)))
     robot = replace(THESIS, joint_limits=limits)
-    for wanted in reachable(robot, 6, seed=4):
-        check_answer(inverse_kinematics(robot, wanted.tip_position), robot)
-        other = inverse_kinematics(THESIS, wanted.tip_position, limits=limits)
+    for desired in reachable(robot, 6, seed=4):
+        check_answer(inverse_kinematics(robot, desired.tip_position), robot)
+        other = inverse_kinematics(THESIS, desired.tip_position, limits=limits)
         assert inside(robot, other.rotations, other.translations)
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.3, 0.8])
 def test_the_margin_is_never_below_its_bound(margin: float) -> None:
     """Targets at the tip of configurations close to a snap: another posture is found, or none."""
-    found = 0
-    for k, wanted in enumerate(reachable(CRL, 6, seed=5, margin=0.02)):
+    result = 0
+    for k, desired in enumerate(reachable(CRL, 6, seed=5, margin=0.02)):
         try:
-            answer = inverse_kinematics(CRL, wanted.tip_position, min_margin=margin, start=wanted if k % 2 else None)
+            answer = inverse_kinematics(CRL, desired.tip_position, min_margin=margin, start=desired if k % 2 else None)
         except SolveError:
             continue
         check_answer(answer, CRL, margin)
-        found += 1
-    assert found >= 3
+        result += 1
+    assert result >= 3
 
 
 def test_a_target_whose_nearest_posture_is_unstable() -> None:
@@ -145,14 +145,14 @@ class TestSeed:
         check_answer(answer, THESIS)
         assert answer.straight_from_seed
         assert np.abs(answer.rotations - seed.rotations).max() < 0.1
-        way = tubeopt.follow(
+        path = tubeopt.follow(
             THESIS,
             [seed.rotations, answer.rotations],
             [seed.translations, answer.translations],
             start=seed,
         )
-        assert not way.snaps
-        assert np.linalg.norm(way.equilibria[-1].tip_position - target) < 1e-7
+        assert not path.snaps
+        assert np.linalg.norm(path.equilibria[-1].tip_position - target) < 1e-7
 
     def test_nearest_is_nearest(self) -> None:
         """No small motion along the postures with the same tip comes closer to the reference."""
@@ -252,9 +252,9 @@ class TestObstacles:
         monkeypatch.setattr(multistart, "CLEAR_STARTS", 2)
         for starts in (1, 2):
             options = InverseOptions(starts=starts)
-            with pytest.raises(SolveError, match=r"mm short.*arm at obstacle 1 \(sphere\)") as told:
+            with pytest.raises(SolveError, match=r"mm short.*arm at obstacle 1 \(sphere\)") as report:
                 inverse_kinematics(THESIS, TARGET, obstacles=[body], options=options)
-            closest = told.value.solution
+            closest = report.value.solution
             assert closest.position_error == pytest.approx(nearest, abs=2e-5)
             assert closest.clearance >= 0
 
@@ -263,11 +263,11 @@ class TestObstacles:
         s = np.linspace(0, e.arc_length[-1], 40001)
         line = CubicHermiteSpline(e.arc_length, e.position, e.frame[:, :, 2])(s)
         reach = np.where(s[:, None] <= e.tube_end, [t.outer_diameter / 2 for t in THESIS.tubes], 0.0).max(1)
-        for place in np.linspace(0.103, 0.107, 9) * e.arc_length[-1] / 0.2:
-            k = int(np.searchsorted(s, place))
+        for position in np.linspace(0.103, 0.107, 9) * e.arc_length[-1] / 0.2:
+            k = int(np.searchsorted(s, position))
             body = Sphere(tuple(line[k] + 1.2 * MM * e.frame[0, :, 0]), 0.2 * MM)
-            least = float((body.signed_distance(line) - reach).min())
-            assert ArmSurface(e).clearance(Scene((body,))) == pytest.approx(least, abs=2e-6)
+            smallest = float((body.signed_distance(line) - reach).min())
+            assert ArmSurface(e).clearance(Scene((body,))) == pytest.approx(smallest, abs=2e-6)
 
     def test_the_closest_pose_is_clear_too(self, monkeypatch: pytest.MonkeyPatch) -> None:
         body = Sphere((1.96 * MM, 12.05 * MM, 67.32 * MM), 8 * MM)
@@ -301,17 +301,17 @@ class TestOutOfReach:
     def test_the_message_has_one_cause_and_one_advice(
         self, robot: Robot, target: list[float], given: dict[str, Any], cause: str
     ) -> None:
-        with pytest.raises(SolveError, match=cause) as told:
+        with pytest.raises(SolveError, match=cause) as report:
             inverse_kinematics(robot, np.multiply(target, MM), options=InverseOptions(starts=2), **given)
-        assert str(told.value).count(";") == 1
+        assert str(report.value).count(";") == 1
 
     def test_the_cause_is_what_holds_the_tip_back(self) -> None:
         """A smaller margin brings the tip closer, as the message says."""
         missed = [
             inverse_kinematics(
-                TWO_TUBE, [0.0, 0.0, 0.08], min_margin=least, on_failure="closest", options=InverseOptions(starts=2)
+                TWO_TUBE, [0.0, 0.0, 0.08], min_margin=smallest, on_failure="closest", options=InverseOptions(starts=2)
             ).position_error
-            for least in (0.2, 0.05)
+            for smallest in (0.2, 0.05)
         ]
         assert missed[0] > missed[1] + 1e-5
 
@@ -346,11 +346,11 @@ class TestOutOfReach:
         q = space.join(closest.rotations, closest.translations)
         for _ in range(200):
             near = space.nearest(q + random.choice([1e-3, 1e-2, 5e-2]) * random.normal(size=len(q)) * space.scale)
-            there = forward_kinematics(robot, *space.split(near), start=closest.equilibrium)
-            if there.margin < 0.05:
+            reached = forward_kinematics(robot, *space.split(near), start=closest.equilibrium)
+            if reached.margin < 0.05:
                 continue
             tried += 1
-            assert np.linalg.norm(there.tip_position - target) >= closest.position_error - 1e-7
+            assert np.linalg.norm(reached.tip_position - target) >= closest.position_error - 1e-7
         assert tried >= 50
 
     def test_the_closest_pose_keeps_order_and_margin(self) -> None:
@@ -365,22 +365,22 @@ class TestOutOfReach:
 
 class TestAllSolutions:
     def test_they_are_distinct_and_all_answers(self) -> None:
-        found = inverse_kinematics(THESIS, TARGET, all_solutions=True, options=InverseOptions(starts=16))
-        assert len(found) >= 2
-        for answer in found:
+        solution = inverse_kinematics(THESIS, TARGET, all_solutions=True, options=InverseOptions(starts=16))
+        assert len(solution) >= 2
+        for answer in solution:
             check_answer(answer, THESIS)
         middles = [
             np.array([np.interp(0.6, e.arc_length / e.arc_length[-1], e.position[:, k]) for k in range(3)])
-            for e in (a.equilibrium for a in found)
+            for e in (a.equilibrium for a in solution)
         ]
         assert np.linalg.norm(middles[0] - middles[1]) > 1e-3
-        assert [a.margin for a in found] == sorted((a.margin for a in found), reverse=True)
+        assert [a.margin for a in solution] == sorted((a.margin for a in solution), reverse=True)
 
     def test_ranked_by_the_reference_where_there_is_one(self) -> None:
         reference = (np.zeros(3), np.zeros(3))
         options = InverseOptions(starts=8)
-        found = inverse_kinematics(THESIS, TARGET, all_solutions=True, reference=reference, options=options)
-        distance = [np.sum(a.rotations**2) + np.sum((a.translations / 0.2) ** 2) for a in found]
+        solution = inverse_kinematics(THESIS, TARGET, all_solutions=True, reference=reference, options=options)
+        distance = [np.sum(a.rotations**2) + np.sum((a.translations / 0.2) ** 2) for a in solution]
         assert distance == sorted(distance)
 
     def test_a_target_out_of_reach_has_none(self) -> None:
@@ -406,9 +406,9 @@ class TestEccentric:
         robot = eccentric_robot(0.05)
         for direction, separation in ((0.4, 0.3), (-2.0, 1.0), (3.0, 1.6)):
             rotations = tubeopt.inverse.mirror.mirror_rotations(direction, separation)
-            wanted = forward_kinematics(robot, rotations, np.full(3, translation))
-            pose = mirror_pose(robot, wanted.tip_position)
-            np.testing.assert_allclose(pose.equilibrium.tip_position, wanted.tip_position, atol=1e-8)
+            desired = forward_kinematics(robot, rotations, np.full(3, translation))
+            pose = mirror_pose(robot, desired.tip_position)
+            np.testing.assert_allclose(pose.equilibrium.tip_position, desired.tip_position, atol=1e-8)
             if translation <= 0:
                 assert pose.separation == pytest.approx(separation, abs=1e-5)
                 assert np.angle(np.exp(1j * (pose.direction - direction))) == pytest.approx(0.0, abs=1e-5)
@@ -452,9 +452,9 @@ class TestStarts:
     def test_a_table_for_which_there_is_no_time_is_not_kept(self) -> None:
         space = joint_space(nested((0.05, 0.06, 7.0), (0.03, 0.04, 6.0)))
         before = set(cache_directory().glob("inverse-*.npz"))
-        assert not start_table(space, 64, Clock(0.0)).whole
+        assert not start_table(space, 64, Clock(0.0)).complete
         assert set(cache_directory().glob("inverse-*.npz")) == before
-        assert start_table(space, 64, Clock(60.0)).whole
+        assert start_table(space, 64, Clock(60.0)).complete
 
     def test_a_table_goes_on_from_where_time_ran_out(self, monkeypatch: pytest.MonkeyPatch) -> None:
         class Once(Clock):
@@ -480,12 +480,12 @@ class TestStarts:
     def test_starts_are_turned_towards_the_target(self) -> None:
         space = joint_space(CRL)
         table = start_table(space, 256)
-        for wanted in reachable(CRL, 3, seed=6):
-            starts = nearest_starts(space, table, (wanted.tip_position, None), min_margin=0.05, reference=None)
+        for desired in reachable(CRL, 3, seed=6):
+            starts = nearest_starts(space, table, (desired.tip_position, None), min_margin=0.05, reference=None)
             assert all(space.admissible(q) for q in starts[:20])
             tips = [forward_kinematics(CRL, *space.split(q)).tip_position for q in starts[:5]]
             flat = np.array(tips)[:, :2]
-            azimuth = np.arctan2(*wanted.tip_position[1::-1])
+            azimuth = np.arctan2(*desired.tip_position[1::-1])
             np.testing.assert_allclose(np.exp(1j * np.arctan2(flat[:, 1], flat[:, 0])), np.exp(1j * azimuth), atol=1e-6)
 
 
@@ -577,14 +577,14 @@ class TestWays:
     def test_a_way_is_followed_without_a_snap(self) -> None:
         """Among random targets are some to which the straight way from home snaps; the way that is found does not."""
         around = 0
-        for wanted in reachable(THESIS, 6, seed=33):
-            answer = inverse_kinematics(THESIS, wanted.tip_position, reachable=True)
+        for desired in reachable(THESIS, 6, seed=33):
+            answer = inverse_kinematics(THESIS, desired.tip_position, reachable=True)
             assert answer.reachable
             assert answer.path is not None
             assert answer.path.origin == "home"
             path = tubeopt.follow(THESIS, answer.path.rotations, answer.path.translations)
             assert not path.snaps
-            assert np.linalg.norm(path.equilibria[-1].tip_position - wanted.tip_position) <= 1e-6
+            assert np.linalg.norm(path.equilibria[-1].tip_position - desired.tip_position) <= 1e-6
             np.testing.assert_array_equal(answer.path.rotations[-1], answer.rotations)
             np.testing.assert_array_equal(answer.path.rotations[0], np.zeros(3))
             home = THESIS.home_translations
@@ -603,13 +603,13 @@ class TestWays:
         assert np.linalg.norm(path.equilibria[-1].tip_position - TARGET) <= 1e-6
 
     def test_without_being_asked_only_a_known_way_is_stated(self) -> None:
-        for wanted in reachable(CRL, 8, seed=33):
-            answer = inverse_kinematics(CRL, wanted.tip_position)
+        for desired in reachable(CRL, 8, seed=33):
+            answer = inverse_kinematics(CRL, desired.tip_position)
             assert answer.reachable is (None if answer.path is None else True)
             if answer.path is not None:
                 path = tubeopt.follow(CRL, answer.path.rotations, answer.path.translations)
                 assert not path.snaps
-                assert np.linalg.norm(path.equilibria[-1].tip_position - wanted.tip_position) <= 1e-6
+                assert np.linalg.norm(path.equilibria[-1].tip_position - desired.tip_position) <= 1e-6
 
     def test_a_loaded_machine_finds_the_same(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """The work is counted, so that a search ends, too, after the same motions while another thread is busy."""
@@ -619,9 +619,9 @@ class TestWays:
         ends: list[tuple[int, int]] = []
 
         def noted(task: Task, *asked: Any, **more: Any) -> FoundPath:
-            way = find_path(task, *asked, **more)
-            ends.append((way.motions, task.work.operations))
-            return way
+            path = find_path(task, *asked, **more)
+            ends.append((path.motions, task.work.operations))
+            return path
 
         monkeypatch.setattr(joint_path, "find_path", noted)
         alone = inverse_kinematics(robot, target, reachable=True, options=InverseOptions(time_limit=math.inf))
@@ -644,8 +644,8 @@ class TestWays:
 
     def test_where_none_is_found_it_is_said(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("tubeopt.inverse.joint_path.snap_free_path", lambda *_, **__: None)
-        for wanted in reachable(THESIS, 5, seed=33):
-            answer = inverse_kinematics(THESIS, wanted.tip_position, reachable=True)
+        for desired in reachable(THESIS, 5, seed=33):
+            answer = inverse_kinematics(THESIS, desired.tip_position, reachable=True)
             assert answer.reachable is (answer.path is not None)
 
 
@@ -659,14 +659,14 @@ def test_an_answer_pickles() -> None:
 def test_a_time_limit_ends_the_search() -> None:
     far = [0.0, 0.0, 2.0]
     inverse_kinematics(THESIS, forward_kinematics(THESIS, [0.3, 0.2, 0.1]).tip_position)  # the table is built
-    with pytest.raises(SolveError, match=r"target not reached within 0\.001 s") as told:
+    with pytest.raises(SolveError, match=r"target not reached within 0\.001 s") as report:
         inverse_kinematics(THESIS, far, start=([0.0, 0.0, 0.0], None), options=InverseOptions(time_limit=1e-3))
-    assert told.value.solution.statistics.tries == 1
-    assert told.value.solution.status is InverseStatus.TIMED_OUT
+    assert report.value.solution.statistics.tries == 1
+    assert report.value.solution.status is InverseStatus.TIMED_OUT
     # Without a single start in time, that is what is said, and not that there is no margin.
-    with pytest.raises(SolveError, match=r"within 1e-09 s.*whether the target can be reached is not known") as told:
+    with pytest.raises(SolveError, match=r"within 1e-09 s.*whether the target can be reached is not known") as report:
         inverse_kinematics(THESIS, far, options=InverseOptions(time_limit=1e-9))
-    assert "margin" not in str(told.value)
+    assert "margin" not in str(report.value)
     with pytest.raises(SolveError, match=r"out of reach, 16\d\d mm beyond the longest arm"):
         inverse_kinematics(THESIS, far, options=InverseOptions(starts=1))
     with pytest.raises(InputError, match="time_limit is 0; it must be greater than 0"):

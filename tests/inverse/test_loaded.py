@@ -19,13 +19,13 @@ TARGET = np.array([0.05, 0.02, 0.16])
 
 
 def test_the_loaded_tip_is_on_target_with_margin() -> None:
-    found = inverse_kinematics(THESIS, TARGET, load=LOAD, min_margin=0.5)
-    cold = forward_kinematics(THESIS, found.rotations, found.translations, load=LOAD)
+    solution = inverse_kinematics(THESIS, TARGET, load=LOAD, min_margin=0.5)
+    cold = forward_kinematics(THESIS, solution.rotations, solution.translations, load=LOAD)
     assert np.allclose(cold.tip_position, TARGET, rtol=0, atol=2e-8)
-    assert np.allclose(found.equilibrium.tip_position, cold.tip_position, rtol=0, atol=1e-10)
-    assert found.reached
-    assert found.margin >= 0.5
-    unloaded = forward_kinematics(THESIS, found.rotations, found.translations)
+    assert np.allclose(solution.equilibrium.tip_position, cold.tip_position, rtol=0, atol=1e-10)
+    assert solution.reached
+    assert solution.margin >= 0.5
+    unloaded = forward_kinematics(THESIS, solution.rotations, solution.translations)
     assert np.linalg.norm(unloaded.tip_position - TARGET) > 5e-3
 
 
@@ -39,17 +39,17 @@ def test_the_loaded_tip_is_on_target_with_margin() -> None:
     ids=["moment", "moment along the arm", "follower"],
 )
 def test_tip_under_a_load_without_an_energy_is_on_target(load: Load) -> None:
-    found = inverse_kinematics(THESIS, TARGET, load=load, min_margin=0.5)
-    cold = forward_kinematics(THESIS, found.rotations, found.translations, load=load)
+    solution = inverse_kinematics(THESIS, TARGET, load=load, min_margin=0.5)
+    cold = forward_kinematics(THESIS, solution.rotations, solution.translations, load=load)
     assert np.allclose(cold.tip_position, TARGET, rtol=0, atol=2e-8)
-    assert found.margin == pytest.approx(cold.margin, abs=1e-7)
-    assert found.margin >= 0.5
+    assert solution.margin == pytest.approx(cold.margin, abs=1e-7)
+    assert solution.margin >= 0.5
 
 
 def test_no_way_of_the_unloaded_robot_is_told_of_the_loaded_one() -> None:
     assert inverse_kinematics(THESIS, TARGET).reachable
-    found = inverse_kinematics(THESIS, TARGET, load=LOAD)
-    assert (found.reachable, found.path) == (None, None)
+    solution = inverse_kinematics(THESIS, TARGET, load=LOAD)
+    assert (solution.reachable, solution.path) == (None, None)
 
 
 def test_the_loaded_arm_keeps_clear_where_the_unloaded_one_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -58,9 +58,9 @@ def test_the_loaded_arm_keeps_clear_where_the_unloaded_one_does_not_matter(monke
     middle = free.equilibrium.position[len(free.equilibrium.position) // 2]
     ball = Sphere(middle + np.array([0.0, 0.004, 0.0]), 0.002)
     options = InverseOptions(clearance=1e-3)
-    kept = inverse_kinematics(THESIS, TARGET, start=free, load=LOAD, obstacles=[ball], options=options)
-    assert kept.clearance >= 1e-3
-    assert np.allclose(kept.equilibrium.tip_position, TARGET, rtol=0, atol=2e-8)
+    retained = inverse_kinematics(THESIS, TARGET, start=free, load=LOAD, obstacles=[ball], options=options)
+    assert retained.clearance >= 1e-3
+    assert np.allclose(retained.equilibrium.tip_position, TARGET, rtol=0, atol=2e-8)
 
 
 def test_what_makes_no_sense_under_load() -> None:
@@ -74,18 +74,18 @@ def test_the_time_limit_is_that_of_all_of_it() -> None:
     with pytest.raises(SolveError, match="within 1e-09 s"):
         inverse_kinematics(THESIS, TARGET, load=LOAD, options=InverseOptions(time_limit=1e-9))
     inverse_kinematics(THESIS, TARGET)
-    began = time.process_time()
+    start_time = time.process_time()
     with pytest.raises(SolveError):
         # Every shot of many would have the limit to itself.
         inverse_kinematics(THESIS, TARGET, load=LOAD, min_margin=0.9999, options=InverseOptions(time_limit=0.1))
-    assert time.process_time() - began < 0.6
+    assert time.process_time() - start_time < 0.6
 
 
 def test_on_the_command_line(run: Run) -> None:
-    asked = ["ik", THESIS_FILE, "--target-mm", "50,20,160", "--tip-force-mN", "50,20,-20"]
-    data = answer(run(*asked, "--json"))
+    requested = ["ik", THESIS_FILE, "--target-mm", "50,20,160", "--tip-force-mN", "50,20,-20"]
+    data = answer(run(*requested, "--json"))
     solution = data["solutions"][0] if "solutions" in data else data
     joints = solution["rotations_deg"], solution["translations_mm"]
-    there = forward_kinematics(THESIS, np.radians(joints[0]), np.array(joints[1]) * 1e-3, load=LOAD)
-    assert np.allclose(there.tip_position, TARGET, rtol=0, atol=2e-8)
-    assert "without load" in refused(run(*asked, "--all"))[0]
+    reached = forward_kinematics(THESIS, np.radians(joints[0]), np.array(joints[1]) * 1e-3, load=LOAD)
+    assert np.allclose(reached.tip_position, TARGET, rtol=0, atol=2e-8)
+    assert "without load" in refused(run(*requested, "--all"))[0]

@@ -92,34 +92,34 @@ def test_permutations_change_nothing_on_the_centreline() -> None:
 @given(azimuth=st.floats(-7.0, 7.0), share=st.floats(0.0, 0.99), which=st.sampled_from([ETR, CENTRED, MIRRORED, HELD]))
 @settings(max_examples=25)
 def test_inverse_for_a_bend(azimuth: float, share: float, which: EccentricRobot) -> None:
-    wanted = share / 0.12
-    found = mirror_inverse(which, azimuth, wanted)
-    reached = arc_curvature(forward_kinematics(which, found.rotations))
-    assert reached == pytest.approx(wanted * np.array([np.cos(azimuth), np.sin(azimuth)]), abs=1e-7)
-    assert found.rotations == pytest.approx(mirror_rotations(found.direction, found.separation))
-    assert 0 <= found.separation <= STRAIGHT + 1e-12
-    assert found.error < 1e-7
+    desired = share / 0.12
+    result = mirror_inverse(which, azimuth, desired)
+    reached = arc_curvature(forward_kinematics(which, result.rotations))
+    assert reached == pytest.approx(desired * np.array([np.cos(azimuth), np.sin(azimuth)]), abs=1e-7)
+    assert result.rotations == pytest.approx(mirror_rotations(result.direction, result.separation))
+    assert 0 <= result.separation <= STRAIGHT + 1e-12
+    assert result.error < 1e-7
 
 
 def test_inverse_starts_from_the_law_and_improves_on_it() -> None:
-    found = mirror_inverse(ETR, 0.0, 5.0)
+    result = mirror_inverse(ETR, 0.0, 5.0)
     law = np.arccos((3 * 5.0 * 0.12 - 1) / 2)
-    assert found.direction == pytest.approx(np.pi / 2, abs=1e-3)
-    assert abs(found.separation - law) > 1 * DEG
+    assert result.direction == pytest.approx(np.pi / 2, abs=1e-3)
+    assert abs(result.separation - law) > 1 * DEG
 
 
 def test_a_straight_arm_keeps_the_direction_that_was_asked_for() -> None:
-    found = mirror_inverse(ETR, 1.0, 0.0)
-    assert found.separation == pytest.approx(STRAIGHT, abs=1e-9)
-    assert found.direction == pytest.approx(1.0 + np.pi / 2)
-    assert found.equilibrium.tip_position == pytest.approx([0, 0, 94 * MM], abs=1e-9)
+    result = mirror_inverse(ETR, 1.0, 0.0)
+    assert result.separation == pytest.approx(STRAIGHT, abs=1e-9)
+    assert result.direction == pytest.approx(1.0 + np.pi / 2)
+    assert result.equilibrium.tip_position == pytest.approx([0, 0, 94 * MM], abs=1e-9)
 
 
 @pytest.mark.parametrize("assignment", ASSIGNMENTS)
 def test_inverse_for_every_assignment(assignment: tuple[int, ...]) -> None:
-    found = mirror_inverse(ETR, 0.4, 6.0, assignment=assignment)
-    assert found.rotations == pytest.approx(mirror_rotations(found.direction, found.separation, assignment))
-    assert np.linalg.norm(arc_curvature(found.equilibrium)) == pytest.approx(6.0, abs=1e-9)
+    result = mirror_inverse(ETR, 0.4, 6.0, assignment=assignment)
+    assert result.rotations == pytest.approx(mirror_rotations(result.direction, result.separation, assignment))
+    assert np.linalg.norm(arc_curvature(result.equilibrium)) == pytest.approx(6.0, abs=1e-9)
 
 
 def test_more_than_the_precurvature_is_refused() -> None:
@@ -127,25 +127,25 @@ def test_more_than_the_precurvature_is_refused() -> None:
         mirror_inverse(ETR, 30 * DEG, 9.0)
     with pytest.raises(InputError, match=r"^curvature is -1; it must be at least 0$"):
         mirror_inverse(ETR, 0.0, -1.0)
-    most = float(np.linalg.norm(arc_curvature(forward_kinematics(ETR, [0.0, 0.0, 0.0]))))
-    assert mirror_inverse(ETR, -np.pi / 2, most).separation == pytest.approx(0.0, abs=1e-3)
+    largest = float(np.linalg.norm(arc_curvature(forward_kinematics(ETR, [0.0, 0.0, 0.0]))))
+    assert mirror_inverse(ETR, -np.pi / 2, largest).separation == pytest.approx(0.0, abs=1e-3)
 
 
 @given(direction=st.floats(-np.pi, np.pi), separation=st.floats(0.0, 2.0), which=st.sampled_from([ETR, MIRRORED, HELD]))
 @settings(max_examples=25)
 def test_inverse_for_a_tip(direction: float, separation: float, which: EccentricRobot) -> None:
     tip = forward_kinematics(which, mirror_rotations(direction, separation)).tip_position
-    found = mirror_to_tip(which, tip)
-    assert found.error < 1e-8
-    assert forward_kinematics(which, found.rotations).tip_position == pytest.approx(tip, abs=1e-8)
-    assert found.separation == pytest.approx(separation, abs=1e-3)
+    result = mirror_to_tip(which, tip)
+    assert result.error < 1e-8
+    assert forward_kinematics(which, result.rotations).tip_position == pytest.approx(tip, abs=1e-8)
+    assert result.separation == pytest.approx(separation, abs=1e-3)
 
 
 def test_inverse_in_front_of_the_plate() -> None:
     robot, shift = replace(ETR, transmission_length=0.05), np.full(3, 0.03)
     tip = forward_kinematics(robot, mirror_rotations(1.0, 0.8), shift).tip_position
-    found = mirror_to_tip(robot, tip, translations=shift)
-    assert (found.direction, found.separation) == pytest.approx((1.0, 0.8), abs=1e-6)
+    result = mirror_to_tip(robot, tip, translations=shift)
+    assert (result.direction, result.separation) == pytest.approx((1.0, 0.8), abs=1e-6)
     behind = np.full(3, -0.04)
     tip = forward_kinematics(robot, mirror_rotations(1.0, 0.8), behind).tip_position
     assert mirror_to_tip(robot, tip, translations=behind).separation == pytest.approx(0.8, abs=1e-6)

@@ -74,9 +74,9 @@ def test_own_constraint_is_kept_in_every_answer(monkeypatch: pytest.MonkeyPatch)
     without = inverse_kinematics(THESIS, start.tip_position, start=SEED)
     options = InverseOptions(extra_constraints=(Aside(0.0105),))
     answer = inverse_kinematics(THESIS, start.tip_position, start=SEED, options=options)
-    places = [point_at(one.equilibrium, one.equilibrium.arc_length[-1] / 2)[0][0] for one in (without, answer)]
-    assert places[0] < 0.009
-    assert places[1] >= 0.0105
+    positions = [point_at(one.equilibrium, one.equilibrium.arc_length[-1] / 2)[0][0] for one in (without, answer)]
+    assert positions[0] < 0.009
+    assert positions[1] >= 0.0105
     assert answer.reached
     assert "place of the middle" in answer.active
     session = IkSession(THESIS, start=answer, options=options)
@@ -86,13 +86,13 @@ def test_own_constraint_is_kept_in_every_answer(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_what_makes_no_sense_is_refused() -> None:
-    for options, words in (
+    for options, text in (
         ({"extra_cost": Aside(0.0)}, "extra_cost is .* it must be a CustomObjective"),
         ({"extra_constraints": (Close(),)}, "extra_constraints contains .* it must be a sequence of CustomRequirement"),
         ({"extra_constraints": 3}, "extra_constraints is 3"),
         ({"extra_cost": Close(), "method": "nlp"}, "method 'nlp' does"),
     ):
-        with pytest.raises(InputError, match=words):
+        with pytest.raises(InputError, match=text):
             inverse_kinematics(THESIS, (0.0, 0.0, 0.2), options=InverseOptions(**options))
     target = forward_kinematics(THESIS, *SEED).tip_position
     with pytest.raises(InputError, match="the turning of a pose is available in designs only"):

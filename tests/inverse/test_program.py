@@ -35,15 +35,15 @@ def pose(robot: Robot, seed: int = 0) -> Posture:
         q[: robot.n_tubes] = random.uniform(-1.2, 1.2, robot.n_tubes)
         if space.admissible(q):
             rotations, shift = space.split(q)
-            found = forward_kinematics(robot, rotations, shift)
-            if found.margin > 0.1:
-                return posture_of(space, found)
+            equilibrium = forward_kinematics(robot, rotations, shift)
+            if equilibrium.margin > 0.1:
+                return posture_of(space, equilibrium)
 
 
 def question(at: Posture, **options: object) -> Goal:
     direction = options.pop("direction", None)
     obstacles = options.pop("obstacles", ())
-    given = InverseOptions(**options)  # type: ignore[arg-type]
+    inputs = InverseOptions(**options)  # type: ignore[arg-type]
     reference = (at.equilibrium.rotations, at.equilibrium.translations)
     return pose_question(
         at.space.robot,
@@ -51,7 +51,7 @@ def question(at: Posture, **options: object) -> Goal:
         direction,  # type: ignore[arg-type]
         reference=reference,
         obstacles=obstacles,  # type: ignore[arg-type]
-        options=given,
+        options=inputs,
     )
 
 
@@ -125,14 +125,14 @@ def test_derivatives_are_those_of_finite_differences() -> None:
     at = pose(ETR, 3)
     program, start = program_at(question(at, obstacles=(Sphere((0.03, 0.0, 0.05), 0.01),), direction=at.direction), at)
     names = ("tip position", "tip direction", "Jacobi fields", "clearance of obstacle 1")
-    wanted = slopes(program, names, start)
-    found = program.evaluate(
+    desired = slopes(program, names, start)
+    result = program.evaluate(
         ca.horzcat(*(ca.jacobian(ca.vertcat(*map(program.constraint, names)), program.symbol(name)) for name in start)),
         start,
         {},
     )
-    scale = 1 + np.abs(wanted).max(0)
-    np.testing.assert_allclose(found / scale, wanted / scale, atol=2e-7)
+    scale = 1 + np.abs(desired).max(0)
+    np.testing.assert_allclose(result / scale, desired / scale, atol=2e-7)
 
 
 def test_implicit_derivatives_are_those_along_its_equations() -> None:
@@ -150,15 +150,15 @@ def test_the_order_of_breakpoints_changes_on_the_way() -> None:
     """A target for which a section must close: the program goes on in the next order, and gets there."""
     space = joint_space(THESIS)
     start = posture_of(space, forward_kinematics(THESIS, [0.2, 0.9, 1.7], [-0.02, -0.03, -0.01]))
-    wanted = forward_kinematics(THESIS, [0.3, 1.0, 1.6], [0.01, 0.004, 0.012])
-    before, after = (THESIS.assembly(e.translations).n_sections for e in (start.equilibrium, wanted))
+    desired = forward_kinematics(THESIS, [0.3, 1.0, 1.6], [0.01, 0.004, 0.012])
+    before, after = (THESIS.assembly(e.translations).n_sections for e in (start.equilibrium, desired))
     assert before != after
-    reference = (wanted.rotations, wanted.translations)
+    reference = (desired.rotations, desired.translations)
     near = InverseOptions(objective="nearest")
-    goal = pose_question(THESIS, wanted.tip_position, reference=reference, options=near)
-    found = solve_program(goal, start)
-    assert found.reached
-    np.testing.assert_allclose(found.posture.q, space.join(*reference), atol=1e-4)
+    goal = pose_question(THESIS, desired.tip_position, reference=reference, options=near)
+    solution = solve_program(goal, start)
+    assert solution.reached
+    np.testing.assert_allclose(solution.posture.q, space.join(*reference), atol=1e-4)
 
 
 def test_ipopt_has_the_time_that_is_left(monkeypatch: pytest.MonkeyPatch) -> None:

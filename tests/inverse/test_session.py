@@ -45,11 +45,11 @@ def test_a_path_without_a_jump(robot: Robot, targets: Array) -> None:
         assert np.linalg.norm(answer.equilibrium.tip_position - target) <= 1e-7
         assert answer.margin >= 0.1
         assert inside(robot, answer.rotations, answer.translations)
-    way = tubeopt.follow(
+    path = tubeopt.follow(
         robot, [a.rotations for a in answers], [a.translations for a in answers], start=answers[0].equilibrium
     )
-    assert not way.snaps
-    for answer, walked in zip(answers, way.equilibria, strict=True):
+    assert not path.snaps
+    for answer, walked in zip(answers, path.equilibria, strict=True):
         assert np.linalg.norm(walked.tip_position - answer.equilibrium.tip_position) < 1e-8
         # Margins close to 1, where nothing is about to snap, are told to a few 1e-6.
         assert walked.margin == pytest.approx(answer.margin, abs=1e-6 if answer.margin < 0.99 else 2e-5)
@@ -109,9 +109,9 @@ def test_a_target_out_of_reach_leaves_it_where_it_was() -> None:
 
 def tips_between(robot: Robot, before: tubeopt.InverseSolution, after: tubeopt.InverseSolution) -> Array:
     """(9, 3) tips on the straight way of joint values between two answers."""
-    share = np.linspace(0, 1, 9)[:, None]
-    rotations = before.rotations + share * (after.rotations - before.rotations)
-    translations = before.translations + share * (after.translations - before.translations)
+    fraction = np.linspace(0, 1, 9)[:, None]
+    rotations = before.rotations + fraction * (after.rotations - before.rotations)
+    translations = before.translations + fraction * (after.translations - before.translations)
     path = tubeopt.follow(robot, rotations, translations, start=before.equilibrium)
     assert not path.snaps
     return np.array([e.tip_position for e in path.equilibria])
@@ -142,20 +142,20 @@ def test_branch_jump_is_reported() -> None:
     """Of motions of the joints that bring the tip straight on, round on an arc, and through a snap."""
     before = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
     goal = pose_question(THESIS, before.tip_position)
-    here = posture_of(goal.space, before)
-    near = here.to(here.q + np.array([0.02, 0.02, 0.02, 0.0, 0.0, 0.0]))
+    current = posture_of(goal.space, before)
+    near = current.to(current.q + np.array([0.02, 0.02, 0.02, 0.0, 0.0, 0.0]))
     assert near is not None
-    assert jump_between(goal, here, near) == ("", True)
-    back = here.to(here.q + np.array([2.0, 2.0, 2.0, 0.0, 0.0, 0.0]))
+    assert jump_between(goal, current, near) == ("", True)
+    back = current.to(current.q + np.array([2.0, 2.0, 2.0, 0.0, 0.0, 0.0]))
     assert back is not None
-    words, safe = jump_between(goal, here, back)
-    assert "the tip leaves the line between the targets by" in words  # it goes round on an arc
+    text, safe = jump_between(goal, current, back)
+    assert "the tip leaves the line between the targets by" in text  # it goes round on an arc
     assert safe
     # The fold of the thesis' robot lies at 214 deg.
     home = posture_of(goal.space, forward_kinematics(THESIS, np.zeros(3)))
     beyond = posture_of(goal.space, forward_kinematics(THESIS, np.radians([270.0, 0.0, 0.0])))
-    words, safe = jump_between(goal, home, beyond)
-    assert "the robot snaps on the straight path" in words
+    text, safe = jump_between(goal, home, beyond)
+    assert "the robot snaps on the straight path" in text
     assert not safe
 
 
@@ -178,8 +178,8 @@ def test_seeds_that_are_not_allowed_are_refused() -> None:
     weak = forward_kinematics(
         THESIS, np.radians([212.0, 0, 0]), start=forward_kinematics(THESIS, np.radians([200.0, 0, 0]))
     )
-    least = min(e.margin for e in tubeopt.find_equilibria(THESIS, np.radians([212.0, 0, 0])) if e.stable)
-    if weak.margin == pytest.approx(least):
+    smallest = min(e.margin for e in tubeopt.find_equilibria(THESIS, np.radians([212.0, 0, 0])) if e.stable)
+    if weak.margin == pytest.approx(smallest):
         with pytest.raises(InputError, match="it must have more than min_margin"):
             IkSession(THESIS, start=weak, min_margin=0.9)
     with pytest.raises(InputError, match="position has 2 numbers"):

@@ -59,23 +59,23 @@ def test_a_way_from_a_seed_is_one_that_find_snap_finds_free(
     """Straight where the tubes are turned little against each other, around where they oppose each other."""
     target = tubeopt.forward_kinematics(TWO_TUBE, [0.0, relative - 0.2], (-0.01, -0.01)).tip_position
     seed = (np.array([0.0, relative]), np.array(shift))
-    found = tubeopt.inverse_kinematics(TWO_TUBE, target, start=seed, reachable=True)
-    assert found.reached
-    assert found.straight_from_seed == straight
+    solution = tubeopt.inverse_kinematics(TWO_TUBE, target, start=seed, reachable=True)
+    assert solution.reached
+    assert solution.straight_from_seed == straight
     if straight:
-        assert tubeopt.find_snap(TWO_TUBE, seed, (found.rotations, found.translations)) is None
-    assert found.path is not None
-    np.testing.assert_array_equal(found.path.rotations[0], seed[0])
-    np.testing.assert_array_equal(found.path.translations[0], seed[1])
-    assert not tubeopt.follow(TWO_TUBE, found.path.rotations, found.path.translations).snaps
+        assert tubeopt.find_snap(TWO_TUBE, seed, (solution.rotations, solution.translations)) is None
+    assert solution.path is not None
+    np.testing.assert_array_equal(solution.path.rotations[0], seed[0])
+    np.testing.assert_array_equal(solution.path.translations[0], seed[1])
+    assert not tubeopt.follow(TWO_TUBE, solution.path.rotations, solution.path.translations).snaps
 
 
 def test_a_step_of_a_servo_is_no_longer_than_its_rates_allow() -> None:
     servo = Servo(TWO_TUBE, ([0.0, 0.3], APART))
-    begin = servo.equilibrium.translations
-    np.testing.assert_array_equal(begin, APART)
+    start = servo.equilibrium.translations
+    np.testing.assert_array_equal(start, APART)
     servo.step(Command(position=servo.equilibrium.tip_position + np.array([0.0, 0.0, 1e-3])), 1e-3)
-    moved = np.abs(servo.equilibrium.translations - begin)
+    moved = np.abs(servo.equilibrium.translations - start)
     assert 0 < moved.max() <= servo.options.shift_rate * 1e-3 * (1 + 1e-9)
 
 
@@ -89,10 +89,10 @@ def test_trajectories_with_carriages_apart_are_followed_and_have_no_fault() -> N
 def test_reach_from_a_start_with_carriages_apart() -> None:
     start = tubeopt.forward_kinematics(TWO_TUBE, [0.0, 0.0], APART)
     goal = tubeopt.forward_kinematics(TWO_TUBE, [0.3, 0.2], (-0.025, -0.01))
-    share = tubeopt.evaluate_reach(TWO_TUBE, start, [goal.tip_position], count=20)
-    assert share.share == 1.0
-    there = tubeopt.forward_kinematics(TWO_TUBE, share.rotations[0], share.translations[0])
-    np.testing.assert_allclose(there.tip_position, goal.tip_position, atol=5e-4)
+    fraction = tubeopt.evaluate_reach(TWO_TUBE, start, [goal.tip_position], count=20)
+    assert fraction.share == 1.0
+    reached = tubeopt.forward_kinematics(TWO_TUBE, fraction.rotations[0], fraction.translations[0])
+    np.testing.assert_allclose(reached.tip_position, goal.tip_position, atol=5e-4)
     stays = tubeopt.evaluate_reach(TWO_TUBE, ([0.0, 0.0], APART), [start.tip_position], count=20)
     assert stays.miss == 0.0  # the tip is there before the robot moves
 
@@ -186,10 +186,10 @@ def test_targets_are_reached_as_soon_by_tubes_of_nearly_equal_length(eps: float)
     assert np.ptp(few[:, 2]) > 0.05  # the starts are spread over all insertions, however little the play
     for k in range(4):
         pose = tubeopt.forward_kinematics(robot, *space.split(few[k]))
-        found = tubeopt.inverse_kinematics(robot, pose.tip_position, start=space.split(few[12 + k]), min_margin=0.0)
-        assert found.reached
-        assert space.outside(space.join(found.rotations, found.translations)) == ""
-        assert found.statistics.solves < 400
+        solution = tubeopt.inverse_kinematics(robot, pose.tip_position, start=space.split(few[12 + k]), min_margin=0.0)
+        assert solution.reached
+        assert space.outside(space.join(solution.rotations, solution.translations)) == ""
+        assert solution.statistics.solves < 400
 
 
 @pytest.mark.parametrize("width", [0.0, 1e-12, 1e-9, 1e-6])
@@ -202,9 +202,9 @@ def test_joints_whose_ranges_have_no_width_are_solved_for_with_the_others(width:
     shifts[1] = shift[1] - width, shift[1] + width
     robot = tubeopt.ConcentricRobot(free.tubes, joint_limits=tubeopt.JointLimits(free.limits.rotations, tuple(shifts)))
     pose = tubeopt.forward_kinematics(robot, rotations, shift)
-    found = tubeopt.inverse_kinematics(robot, pose.tip_position, min_margin=0.0)
-    assert found.reached
-    assert abs(found.translations[1] - shift[1]) <= width + 2e-9
+    solution = tubeopt.inverse_kinematics(robot, pose.tip_position, min_margin=0.0)
+    assert solution.reached
+    assert abs(solution.translations[1] - shift[1]) <= width + 2e-9
 
 
 @pytest.mark.parametrize("off", [0.0, -0.0037, 0.0041])
@@ -222,7 +222,7 @@ def test_tubes_on_one_joint_have_the_derivatives_of_their_motion_together(pieces
     q = np.array([0.5, -1.3, space.middle()[2] + off])
     posture = start_at(space, q)
     assert posture is not None
-    for side, told in ((1, posture.jacobian), (-1, posture.backward)):
+    for side, report in ((1, posture.jacobian), (-1, posture.backward)):
         for k in range(3):
 
             def there(step: float, k: int = k) -> Any:
@@ -232,5 +232,5 @@ def test_tubes_on_one_joint_have_the_derivatives_of_their_motion_together(pieces
 
             values = [there(side * 1e-4 * m) for m in range(5)]
             expected = np.tensordot([-25 / 12, 4.0, -3.0, 4 / 3, -1 / 4], values, 1) / (side * 1e-4)
-            found = np.append(told[0][:, k], told[2][k])
-            assert np.abs(found - expected).max() < 2e-6 * max(1.0, np.abs(expected).max())
+            result = np.append(report[0][:, k], report[2][k])
+            assert np.abs(result - expected).max() < 2e-6 * max(1.0, np.abs(expected).max())

@@ -136,9 +136,9 @@ ASK = f"""async (cases) => {{
 def test_random_robots_have_the_answers_of_python(page: Any, count: int) -> None:
     """Tips, margins, certificates and energies to 1e-9; a fourth of them against the general solver, not the same C."""
     known = list(cases(count, seed=5))
-    asked = [{"tubes": given(robot), "joints": as_joints(q, d)} for robot, q, d in known]
+    requested = [{"tubes": given(robot), "joints": as_joints(q, d)} for robot, q, d in known]
     declined = 0
-    answers = page.evaluate(ASK, asked)
+    answers = page.evaluate(ASK, requested)
     for k, ((robot, rotations, translations), answer) in enumerate(zip(known, answers, strict=True)):
         certificate = snap_free_certificate(robot, translations)
         assert answer["certificate"] == pytest.approx(certificate, rel=1e-9, abs=1e-9)
@@ -158,7 +158,7 @@ def test_random_robots_have_the_answers_of_python(page: Any, count: int) -> None
 
 @pytest.mark.parametrize("count", [3, 50])
 def test_random_robots_under_a_force_have_the_answers_of_python(page: Any, count: int) -> None:
-    random, asked, known = np.random.default_rng(3), [], []
+    random, requested, known = np.random.default_rng(3), [], []
     for robot, rotations, translations in cases(count, seed=9):
         light = forward_kinematics(robot, rotations, translations)
         if light.margin < 0.2 or light.arc_length[-1] < 0.02:
@@ -168,9 +168,9 @@ def test_random_robots_under_a_force_have_the_answers_of_python(page: Any, count
         push = random.normal(size=3)
         push *= 0.02 * light.arc_length[-1] / np.linalg.norm(loaded.compliance[:3, :3] @ push)
         known.append((robot, rotations, translations, push))
-        asked.append({"tubes": given(robot), "joints": as_joints(rotations, translations), "force": push.tolist()})
-    assert len(asked) >= count / 2
-    for (robot, rotations, translations, push), answer in zip(known, page.evaluate(ASK, asked), strict=True):
+        requested.append({"tubes": given(robot), "joints": as_joints(rotations, translations), "force": push.tolist()})
+    assert len(requested) >= count / 2
+    for (robot, rotations, translations, push), answer in zip(known, page.evaluate(ASK, requested), strict=True):
         expected = forward_kinematics(robot, rotations, translations, load=Load(force=tuple(push)))
         assert answer["loaded"]["status"] == 0
         assert answer["loaded"]["pose"]["position"] == pytest.approx(expected.tip_position, abs=1e-9)
@@ -180,7 +180,7 @@ def test_random_robots_under_a_force_have_the_answers_of_python(page: Any, count
 
 def test_a_snap_and_its_landing_are_those_of_python(page: Any) -> None:
     """The exact fold, where rotating only tube 1 from 0: 214.222427 deg (independent shooting)."""
-    found = page.evaluate(
+    result = page.evaluate(
         f"""async (tubes) => {{
             {KERNEL}
             const {{ Arm }} = await import('./motion.js');
@@ -194,9 +194,9 @@ def test_a_snap_and_its_landing_are_those_of_python(page: Any) -> None:
     )
     turn = np.radians([0.0, 230.0, 100.0])
     known = follow(THESIS, turn[:, None] * [1.0, 0.0, 0.0], np.zeros((3, 3)))
-    assert len(found["there"]["snaps"]) == len(found["back"]["snaps"]) == 1
+    assert len(result["there"]["snaps"]) == len(result["back"]["snaps"]) == 1
     assert len(known.snaps) == 2
-    for snap, expected in zip([*found["there"]["snaps"], *found["back"]["snaps"]], known.snaps, strict=True):
+    for snap, expected in zip([*result["there"]["snaps"], *result["back"]["snaps"]], known.snaps, strict=True):
         assert math.degrees(snap["to"]["rotations"][0]) == pytest.approx(
             math.degrees(expected.after.rotations[0]), abs=0.15
         )
@@ -204,12 +204,12 @@ def test_a_snap_and_its_landing_are_those_of_python(page: Any) -> None:
         frames = snap["frames"]
         assert frames[0][-3:] == pytest.approx(snap["from"]["position"], abs=2e-3)
         assert frames[-1][-3:] == pytest.approx(snap["to"]["position"], abs=1e-3)
-    there = find_snap(THESIS, (np.zeros(3), np.zeros(3)), (turn[1] * np.eye(3)[0], np.zeros(3)))
-    assert there is not None
-    assert math.degrees(there.rotations[0]) == pytest.approx(214.222427, abs=1e-5)
-    assert math.degrees(found["there"]["snaps"][0]["from"]["rotations"][0]) == pytest.approx(214.2224, abs=0.1)
-    assert found["landed"]["position"] == pytest.approx(known.equilibria[-2].tip_position, abs=1e-9)
-    assert found["last"]["position"] == pytest.approx(known.equilibria[-1].tip_position, abs=1e-9)
+    reached = find_snap(THESIS, (np.zeros(3), np.zeros(3)), (turn[1] * np.eye(3)[0], np.zeros(3)))
+    assert reached is not None
+    assert math.degrees(reached.rotations[0]) == pytest.approx(214.222427, abs=1e-5)
+    assert math.degrees(result["there"]["snaps"][0]["from"]["rotations"][0]) == pytest.approx(214.2224, abs=0.1)
+    assert result["landed"]["position"] == pytest.approx(known.equilibria[-2].tip_position, abs=1e-9)
+    assert result["last"]["position"] == pytest.approx(known.equilibria[-1].tip_position, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -219,10 +219,10 @@ def test_random_motions_with_snaps_end_where_those_of_python_do(page: Any, name:
     """Of four straight parts each: as many snaps, and the same equilibrium to 1e-9 m."""
     robot, random = load_robot(name), np.random.default_rng(1)
     space = joint_space(robot)
-    ways = [random.choice(space.sample(64), 5) for _ in range(count)]
-    for way in ways:
-        way[:, : robot.n_tubes] *= 1.5
-        way[0, : robot.n_tubes] = 0
+    paths = [random.choice(space.sample(64), 5) for _ in range(count)]
+    for path in paths:
+        path[:, : robot.n_tubes] *= 1.5
+        path[0, : robot.n_tubes] = 0
     moved = page.evaluate(
         f"""async ([tubes, ways]) => {{
             {KERNEL}
@@ -234,14 +234,14 @@ def test_random_motions_with_snaps_end_where_those_of_python_do(page: Any, name:
                 return {{ snaps, pose: arm.pose }};
             }});
         }}""",
-        [given(robot), [[as_joints(*space.split(q)) for q in way] for way in ways]],
+        [given(robot), [[as_joints(*space.split(q)) for q in path] for path in paths]],
     )
     count_of_snaps = 0
-    for way, found in zip(ways, moved, strict=True):
-        joints = [space.split(q) for q in way]
+    for path, result in zip(paths, moved, strict=True):
+        joints = [space.split(q) for q in path]
         known = follow(robot, np.array([j[0] for j in joints]), np.array([j[1] for j in joints]))
-        assert sum(found["snaps"]) == len(known.snaps)
-        assert found["pose"]["position"] == pytest.approx(known.equilibria[-1].tip_position, abs=1e-9)
+        assert sum(result["snaps"]) == len(known.snaps)
+        assert result["pose"]["position"] == pytest.approx(known.equilibria[-1].tip_position, abs=1e-9)
         count_of_snaps += len(known.snaps)
     assert count_of_snaps > count / 2
 
@@ -250,7 +250,7 @@ def test_an_arm_under_a_load_stops_where_it_would_snap(page: Any) -> None:
     """And without the load it continues."""
     limit = find_load_limit(THESIS, np.radians([200, 0, 0]), np.zeros(3), Load(force=(0.1, 0.1, 0.1)))
     assert limit is not None
-    found = page.evaluate(
+    result = page.evaluate(
         f"""async ([tubes, limit]) => {{
             {KERNEL}
             const {{ Arm }} = await import('./motion.js');
@@ -268,23 +268,23 @@ def test_an_arm_under_a_load_stops_where_it_would_snap(page: Any) -> None:
         }}""",
         [given(THESIS), (limit.factor * 0.1 * np.ones(3)).tolist()],
     )
-    assert found["borne"] == [True, False, True]
-    assert found["force"] == [5e-3, 0, 0]
-    assert "load" in found["there"]["stopped"]
-    assert not found["there"]["snaps"]
+    assert result["borne"] == [True, False, True]
+    assert result["force"] == [5e-3, 0, 0]
+    assert "load" in result["there"]["stopped"]
+    assert not result["there"]["snaps"]
     # The arm must be stable with the load and without.
     start, end = ((np.radians([deg, 0.0, 0.0]), np.zeros(3)) for deg in (0, 260))
     known = [find_snap(THESIS, start, end, load=load) for load in (None, Load(force=(5e-3, 0.0, 0.0)))]
     first = min(snap.rotations[0] for snap in known if snap is not None)
-    assert math.degrees(found["last"]["rotations"][0]) == pytest.approx(math.degrees(first), abs=0.3)
-    assert len(found["free"]["snaps"]) == 1
+    assert math.degrees(result["last"]["rotations"][0]) == pytest.approx(math.degrees(first), abs=0.3)
+    assert len(result["free"]["snaps"]) == 1
 
 
 def test_the_energy_map_is_that_of_python(page: Any) -> None:
     """To 1 % of its range: the page's is on coarser elements."""
     robot, rotations = load_robot("configs/robots/two_tube.yaml"), np.array([2.5, 0.0])
     window = [[-1.0, 5.0], [-3.0, 2.0]]
-    found = page.evaluate(
+    result = page.evaluate(
         f"""async ([tubes, joints, window]) => {{
             {KERNEL}
             kernel.use(tubes);
@@ -293,7 +293,7 @@ def test_the_energy_map_is_that_of_python(page: Any) -> None:
         [given(robot), as_joints(rotations, np.zeros(2)), window],
     )
     known = energy_map(robot, rotations, samples=7, window=window).energy
-    assert np.reshape(found, (7, 7)) == pytest.approx(known, abs=0.01 * np.ptp(known))
+    assert np.reshape(result, (7, 7)) == pytest.approx(known, abs=0.01 * np.ptp(known))
 
 
 def test_robot_files_are_read_as_python_reads_them(page: Any, folder: Path) -> None:
@@ -309,13 +309,13 @@ def test_robot_files_are_read_as_python_reads_them(page: Any, folder: Path) -> N
         }""",
         shipped,
     )
-    for robot, (found, again, text) in zip(shipped["robots"], read, strict=True):
+    for robot, (result, again, text) in zip(shipped["robots"], read, strict=True):
         known = load_robot_text(robot["text"], folder)
-        for own, expected in zip(found, given(known), strict=True):
+        for own, expected in zip(result, given(known), strict=True):
             for key in ("kb", "kt", "curvature", "straight", "curved"):
                 assert own[key] == pytest.approx(expected[key], rel=1e-12)
             assert own["turnRange"] == pytest.approx(expected["turnRange"])
-        assert again == found
+        assert again == result
         assert load_robot_text(text, folder).n_tubes == known.n_tubes
 
 
@@ -338,7 +338,7 @@ WRONG = {
 
 
 def test_files_that_are_no_robot_are_refused_in_a_sentence(page: Any) -> None:
-    said = page.evaluate(
+    output = page.evaluate(
         """async (texts) => {
             const { readRobot } = await import('./robot.js');
             const known = { nitinol: { youngs: 58e9, shear: 21.5e9 } };
@@ -348,16 +348,16 @@ def test_files_that_are_no_robot_are_refused_in_a_sentence(page: Any) -> None:
         }""",
         list(WRONG),
     )
-    for words, expected in zip(said, WRONG.values(), strict=True):
-        assert expected in words
+    for text, expected in zip(output, WRONG.values(), strict=True):
+        assert expected in text
 
 
 def state(page: Any) -> dict[str, Any]:
-    found: dict[str, Any] = page.evaluate(
+    result: dict[str, Any] = page.evaluate(
         """({ pose: tubeoptPage.pose, tubes: tubeoptPage.tubes.length, force: tubeoptPage.arm.force,
               message: document.getElementById('message').textContent, ahead: tubeoptPage.ahead?.snaps })"""
     )
-    return found
+    return result
 
 
 def slide(page: Any, label: str, value: float) -> None:

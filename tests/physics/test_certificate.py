@@ -30,20 +30,20 @@ def test_the_determinant_of_two_tubes_is_that_of_their_difference(varying: bool)
         for eigenvalue in (0.3, 1.0, 4.0):
             d, torque = 1.0, 0.0
             for k in reversed(range(sections)):
-                here = kt[:, k if varying else 0]
-                g, c = (1 / here).sum(), abs(m[0, k] * m[1, k]) / kb[:, k].sum() / eigenvalue
+                current = kt[:, k if varying else 0]
+                g, c = (1 / current).sum(), abs(m[0, k] * m[1, k]) / kb[:, k].sum() / eigenvalue
                 q = np.sqrt(c * g)
                 cos, sin = np.cos(q * length[k]), np.sin(q * length[k])
                 d, torque = d * cos - torque * g / q * sin, torque * cos + d * c / q * sin
             expected = d - torque * (straight / kt[:, 0]).sum()
-            given = {
+            inputs = {
                 "torsional_stiffness": ca.DM(kt),
                 "transmission": ca.DM(straight),
                 "length": ca.DM(length),
                 "stiffness": ca.DM(kb),
                 "moment": ca.DM(m),
             }
-            assert float(base_determinant(ca.DM(eigenvalue), given, WHOLE)) == pytest.approx(
+            assert float(base_determinant(ca.DM(eigenvalue), inputs, WHOLE)) == pytest.approx(
                 expected, rel=1e-8, abs=1e-8
             )
 
@@ -51,10 +51,10 @@ def test_the_determinant_of_two_tubes_is_that_of_their_difference(varying: bool)
 @pytest.mark.parametrize("across", [WHOLE, ONCE])
 def test_series_cross_a_quarter_of_a_wave_to_round_off(across: tuple[int, int]) -> None:
     """Of two tubes that are held at the plate itself: cos(1.5), where each can bend them by 0.75 rad."""
-    given = {"torsional_stiffness": [2.0, 2.0], "transmission": [0.0, 0.0], "length": [1.5]}
+    inputs = {"torsional_stiffness": [2.0, 2.0], "transmission": [0.0, 0.0], "length": [1.5]}
     tubes = {"stiffness": [1.0, 1.0], "moment": [1.0, 1.0]}
-    found = base_determinant(0.5, {name: ca.DM(value) for name, value in {**given, **tubes}.items()}, across)
-    assert float(found) == pytest.approx(np.cos(1.5), abs=1e-12)
+    result = base_determinant(0.5, {name: ca.DM(value) for name, value in {**inputs, **tubes}.items()}, across)
+    assert float(result) == pytest.approx(np.cos(1.5), abs=1e-12)
 
 
 def test_tubes_curved_to_either_side_oppose_each_other_alike() -> None:

@@ -24,9 +24,9 @@ def ritz(force: float, sections: Sections, tubes: Tubes, pairs: tuple[float, flo
     n, m = len(kt), len(length)
     kt = kt if kt.ndim == 2 else np.repeat(kt[:, None], m, axis=1)
     node, weight = leggauss(24)
-    place, share = (node + 1) / 2, weight / 2
-    slopes = np.array([Legendre.basis(k, domain=[0, 1])(place) for k in range(order)])
-    values = np.array([Legendre.basis(k, domain=[0, 1]).integ(lbnd=0)(place) for k in range(order)])
+    position, fraction = (node + 1) / 2, weight / 2
+    slopes = np.array([Legendre.basis(k, domain=[0, 1])(position) for k in range(order)])
+    values = np.array([Legendre.basis(k, domain=[0, 1]).integ(lbnd=0)(position) for k in range(order)])
     ends = np.array([Legendre.basis(k, domain=[0, 1]).integ(lbnd=0)(1.0) for k in range(order)])
     size = n + (n + 1) * m * order  # Y(0), then the slopes of Y_1 ... Y_n, phi on every section
     T, N = np.zeros((size, size)), np.zeros((size, size))
@@ -38,7 +38,7 @@ def ritz(force: float, sections: Sections, tubes: Tubes, pairs: tuple[float, flo
         own = [slice(n + (k * (n + 1) + i) * order, n + (k * (n + 1) + i + 1) * order) for i in range(n + 1)]
         A = pull[k] / stiffness[k]
         c = np.outer(pull[k], pull[k]) / stiffness[k] * (1 - np.eye(n))
-        for g, (x, w) in enumerate(zip(place, share * length[k], strict=True)):
+        for g, (x, w) in enumerate(zip(position, fraction * length[k], strict=True)):
             y, slope = before.copy(), np.zeros((n + 1, size))
             for i in range(n + 1):
                 y[i, own[i]] += length[k] * values[:, g]

@@ -18,11 +18,11 @@ def test_slotted_beams_in_series_are_not_strained_more(
     """Left of the ring are sectors between two parts of a half turn, on both sides of the plane of the bend."""
     r, angle = np.meshgrid(np.linspace(INNER, OUTER, 201), np.linspace(0, np.pi, 2001))
     y, area = r * np.cos(angle), r
-    here = (angle >= left[0] * np.pi) & (angle <= left[1] * np.pi)
-    neutral = (y * area)[here].sum() / area[here].sum()
-    stiff = ((y - neutral) ** 2 * area)[here].sum() / (y**2 * area).sum()
+    current = (angle >= left[0] * np.pi) & (angle <= left[1] * np.pi)
+    neutral = (y * area)[current].sum() / area[current].sum()
+    stiff = ((y - neutral) ** 2 * area)[current].sum() / (y**2 * area).sum()
     bending_factor = 1 / (1 - share + share / stiff)
-    strain = 7.0 * bending_factor / stiff * np.abs(y - neutral)[here].max()
+    strain = 7.0 * bending_factor / stiff * np.abs(y - neutral)[current].max()
     bound = OUTER * 7.0 * slotted_strain_ratio(bending_factor, share, symmetric=symmetric)
     assert strain <= bound * (1 + 1e-12)
     assert strain > 0.35 * bound

@@ -46,8 +46,8 @@ def bundles(draw: st.DrawFn) -> Bundle:
     for i in range(n):
         kb = draw(st.floats(0.3, 3.0)) * (i == 0 or draw(st.booleans()))
         curvature = draw(st.floats(-2.0, 2.0))
-        place = draw(st.floats(0.0, 0.05)), draw(st.floats(-np.pi, np.pi))
-        columns.append((draw(st.floats(-7.0, 7.0)), kb, kb * curvature, *place))
+        position = draw(st.floats(0.0, 0.05)), draw(st.floats(-np.pi, np.pi))
+        columns.append((draw(st.floats(-7.0, 7.0)), kb, kb * curvature, *position))
     return Bundle(*np.array(columns).T)
 
 
@@ -62,25 +62,25 @@ def energy(bundle: Bundle, u: Array, g: Array | float = 1.0) -> float:
 @lru_cache(maxsize=16)
 def cross_section_function(n: int, eccentric: bool) -> ca.Function:
     symbols = [ca.SX.sym("x", n) for _ in range(5 if eccentric else 3)]
-    here = cross_section(*symbols)
-    return ca.Function("f", symbols, [here.curvature, here.stretch, here.moment, here.bending_energy])
+    current = cross_section(*symbols)
+    return ca.Function("f", symbols, [current.curvature, current.stretch, current.moment, current.bending_energy])
 
 
 def values(bundle: Bundle, *, eccentric: bool = False) -> dict[str, Array]:
     """u, g, M, V of the library, as arrays."""
-    place = (bundle.offset, bundle.angle) if eccentric else ()
+    position = (bundle.offset, bundle.angle) if eccentric else ()
     function = cross_section_function(len(bundle.theta), eccentric)
-    out = function(bundle.theta, bundle.stiffness, bundle.moment, *place)
+    out = function(bundle.theta, bundle.stiffness, bundle.moment, *position)
     return {name: value.full().ravel() for name, value in zip("ugMV", out, strict=True)}
 
 
 @given(bundles())
 def test_curvature_is_the_one_of_least_energy(bundle: Bundle) -> None:
-    here = values(bundle)
-    assert here["V"] == pytest.approx([energy(bundle, here["u"])], abs=1e-12)
+    current = values(bundle)
+    assert current["V"] == pytest.approx([energy(bundle, current["u"])], abs=1e-12)
     for step in ([1e-3, 0.0], [0.0, 1e-3], [-1e-3, 2e-3]):
-        assert energy(bundle, here["u"] + step) > here["V"][0]
-    assert here["u"] * bundle.stiffness.sum() == pytest.approx(bundle.total, abs=1e-12)
+        assert energy(bundle, current["u"] + step) > current["V"][0]
+    assert current["u"] * bundle.stiffness.sum() == pytest.approx(bundle.total, abs=1e-12)
 
 
 @given(bundles())
@@ -100,11 +100,11 @@ def test_moments_are_the_slope_of_the_energy_and_balance(bundle: Bundle) -> None
 
 @given(bundles(), st.floats(-4.0, 4.0))
 def test_turning_the_bundle_turns_the_curvature_and_nothing_else(bundle: Bundle, angle: float) -> None:
-    here, turned = values(bundle), values(bundle._replace(theta=bundle.theta + angle))
+    current, turned = values(bundle), values(bundle._replace(theta=bundle.theta + angle))
     rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    assert turned["u"] == pytest.approx(rotation @ here["u"], abs=1e-12)
-    assert turned["M"] == pytest.approx(here["M"], abs=1e-12)
-    assert turned["V"] == pytest.approx(here["V"], abs=1e-12)
+    assert turned["u"] == pytest.approx(rotation @ current["u"], abs=1e-12)
+    assert turned["M"] == pytest.approx(current["M"], abs=1e-12)
+    assert turned["V"] == pytest.approx(current["V"], abs=1e-12)
 
 
 @given(bundles())
@@ -149,14 +149,14 @@ def test_derivatives_of_the_second_variation(bundle: Bundle, entries: list[float
 
 @given(bundles())
 def test_curvature_beside_the_centreline_solves_its_equations(bundle: Bundle) -> None:
-    here = values(bundle, eccentric=True)
-    u, g = here["u"], here["g"]
+    current = values(bundle, eccentric=True)
+    u, g = current["u"], current["g"]
     lean = bundle.offset * (u[0] * np.sin(bundle.angle) - u[1] * np.cos(bundle.angle))
     assert g == pytest.approx(1 + lean, abs=1e-12)
     assert u * (bundle.stiffness / g).sum() == pytest.approx(bundle.total, abs=1e-11)
     pull = bundle.moment * (u[0] * np.sin(bundle.theta) - u[1] * np.cos(bundle.theta))
-    assert here["M"] == pytest.approx(pull, abs=1e-12)
-    assert here["V"] == pytest.approx([energy(bundle, u, g)], abs=1e-11)
+    assert current["M"] == pytest.approx(pull, abs=1e-12)
+    assert current["V"] == pytest.approx([energy(bundle, u, g)], abs=1e-11)
 
 
 @pytest.mark.parametrize("angle", [(0.0, 2.0, -2.0), (0.3, 0.3, 0.3), (1.9, 1.9, 1.9)])
@@ -168,8 +168,8 @@ def test_curvature_is_found_to_round_off_for_tubes_a_quarter_of_the_radius_away(
     theta = np.array([0.3, -0.4, 0.1])
     for turn in np.linspace(0, 2 * np.pi, 13):
         bundle = Bundle(theta + turn, np.ones(3), np.full(3, 0.8), np.full(3, reach), np.array(angle))
-        here = values(bundle, eccentric=True)
-        assert here["u"] * (1 / here["g"]).sum() == pytest.approx(bundle.total, abs=3e-14)
+        current = values(bundle, eccentric=True)
+        assert current["u"] * (1 / current["g"]).sum() == pytest.approx(bundle.total, abs=3e-14)
 
 
 @given(bundles())
@@ -261,8 +261,8 @@ def test_margin_of_the_eccentric_robot_is_that_without_offset_in_the_limit() -> 
         concentric = reduce(without_offsets(assembly), problem.mesh)
         assert (concentric.point == problem.point).all()
         # The compliance is the same, so z means the same: evaluate the concentric energy at the eccentric rotations.
-        there = evaluate(concentric, rotations, solved.z)
-        gaps.append(abs(margin(problem, solved) - margin(concentric, there)))
+        reached = evaluate(concentric, rotations, solved.z)
+        gaps.append(abs(margin(problem, solved) - margin(concentric, reached)))
     assert 1e-6 < gaps[0] < 5e-3
     assert gaps[1] < 0.02 * gaps[0]
 
@@ -275,6 +275,6 @@ def test_margin_is_zero_where_the_jacobian_of_the_eccentric_robot_is_singular() 
         alpha = random.uniform(0, 2 * np.pi, 3)
         theta = alpha + np.outer(problem.arc_length / 0.03, random.normal(0, 1, 3))
         state = evaluate(problem, alpha, to_unknowns(problem, alpha, theta))
-        shares = softenings(problem, state.theta)
+        fractions = softenings(problem, state.theta)
         # det (1 - K) is that of the Jacobian, up to a factor that is not 0.
-        assert np.sign(np.prod(1 - shares)) == np.linalg.slogdet(state.hessian)[0]
+        assert np.sign(np.prod(1 - fractions)) == np.linalg.slogdet(state.hessian)[0]

@@ -91,8 +91,8 @@ def test_a_table_of_distances_is_a_function_of_a_program() -> None:
     frame = base_frame([0.01, 0.02, 0.03], [1.0, 0.3, 0.5])
     table = DistanceField(x @ [0.6, 0.0, 0.8], np.full(3, 2e-3), frame)
     inner = np.random.default_rng(0).uniform([6e-3] * 3, [1e-2, 1.6e-2, 2.2e-2], (50, 3))
-    told = np.array(table_function(table).map(50)(inner.T))[0]
-    assert told == pytest.approx(inner @ [0.6, 0.0, 0.8], abs=1e-4)  # what is left of blurring at the border
+    report = np.array(table_function(table).map(50)(inner.T))[0]
+    assert report == pytest.approx(inner @ [0.6, 0.0, 0.8], abs=1e-4)  # what is left of blurring at the border
     sharp = MeshObstacle(*_cube())
     assert float(table_function(sharp)(sharp.lattice.frame.seen([0.028, 0.0, 0.0]))) == pytest.approx(0.008, abs=1e-3)
 
@@ -129,8 +129,8 @@ def test_phantoms_are_where_their_formulas_are(make: object) -> None:
     phantom = make()
     image = phantom.image(2e-3)
     assert image.labels == (LUMEN, TARGET)
-    for place in phantom.landmarks.values():
-        assert phantom.depth(np.array(place) * 1e-3) > 2e-3
+    for position in phantom.landmarks.values():
+        assert phantom.depth(np.array(position) * 1e-3) > 2e-3
     assert phantom.depth(np.zeros(3)) > 3e-3
     inside = centres(image, image.chosen([LUMEN, TARGET]))
     assert (phantom.depth(inside) > 0).all()
@@ -154,10 +154,10 @@ def write_case(directory: Path) -> tuple[Anatomy, Frame]:
     affine = np.eye(4)
     affine[:3, :3], affine[:3, 3] = patient.axes * image.spacing * 1e3, patient.origin * 1e3
     nibabel.save(nibabel.Nifti1Image(image.values, affine), directory / "lung.nii.gz")
-    marks = {name: base.placed(np.array(place) * 1e-3) for name, place in bronchial_tree().landmarks.items()}
+    marks = {name: base.placed(np.array(position) * 1e-3) for name, position in bronchial_tree().landmarks.items()}
     rows = [f"{name},{-x * 1e3:.6f},{-y * 1e3:.6f},{z * 1e3:.6f}" for name, (x, y, z) in marks.items()]
     (directory / "marks.csv").write_text("\n".join(["name,x_mm,y_mm,z_mm", *rows]))
-    plate = {name: [float(x) for x in place] for name, place in bronchial_tree().landmarks.items()}
+    plate = {name: [float(x) for x in position] for name, position in bronchial_tree().landmarks.items()}
     (directory / "anatomy.yaml").write_text(
         yaml.safe_dump(
             {
@@ -176,16 +176,16 @@ def write_case(directory: Path) -> tuple[Anatomy, Frame]:
 
 def test_files_make_the_anatomy_that_the_library_makes(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     expected, base = write_case(tmp_path)
-    found = load_anatomy(tmp_path / "anatomy.yaml")
-    assert found.registration_error < 1e-8
-    assert np.allclose(found.base.axes, base.axes, atol=1e-6)
+    result = load_anatomy(tmp_path / "anatomy.yaml")
+    assert result.registration_error < 1e-8
+    assert np.allclose(result.base.axes, base.axes, atol=1e-6)
     points = np.random.default_rng(0).uniform([-0.02, -0.01, 0], [0.02, 0.01, 0.06], (500, 3))
-    far = found.bodies[0].signed_distance(points) - expected.bodies[0].signed_distance(points)
+    far = result.bodies[0].signed_distance(points) - expected.bodies[0].signed_distance(points)
     assert np.abs(far).max() < 1e-6
-    assert found.target is not None
+    assert result.target is not None
     assert expected.target is not None
-    assert len(found.target) == len(expected.target)
-    assert np.allclose(found.place("carina"), [0, 0, 0.042], atol=1e-6)
+    assert len(result.target) == len(expected.target)
+    assert np.allclose(result.place("carina"), [0, 0, 0.042], atol=1e-6)
     robot = str(ROOT / "configs" / "robots" / "crl_ctr.yaml")
     plan = {"kind": "plan", "robot": robot, "anatomy": "anatomy.yaml", "tip_at": "carina"}
     study = check(PlanStudy, plan, tmp_path / "plan.yaml")
@@ -230,14 +230,14 @@ def test_a_case_of_one_image_per_structure_is_that_of_all_its_labels(tmp_path: P
         "base": {"pose": "start1.txt", "axes": "RAS"},
     }
     (tmp_path / "case.yaml").write_text(yaml.safe_dump({"anatomy": case}))
-    found = load_anatomy(tmp_path / "case.yaml")
+    result = load_anatomy(tmp_path / "case.yaml")
     points = np.random.default_rng(0).uniform([-0.02, -0.01, 0], [0.02, 0.01, 0.06], (500, 3))
     inside = expected.bodies[0].signed_distance(points)
-    assert np.abs(found.bodies[0].signed_distance(points) - inside).max() < 1e-6
-    assert found.target is not None
+    assert np.abs(result.bodies[0].signed_distance(points) - inside).max() < 1e-6
+    assert result.target is not None
     assert expected.target is not None
-    assert len(found.target) == len(expected.target)
-    assert np.allclose(found.place("target1"), expected.landmarks["carina"], atol=1e-6)
+    assert len(result.target) == len(expected.target)
+    assert np.allclose(result.place("target1"), expected.landmarks["carina"], atol=1e-6)
     case["structures"] = [{"file": "tissue.nii.gz"}]
     (tmp_path / "case.yaml").write_text(yaml.safe_dump({"anatomy": case}))
     (barred,) = load_anatomy(tmp_path / "case.yaml").bodies

@@ -63,14 +63,14 @@ def gap(one: tuple[Array, Array], other: tuple[Array, Array]) -> float:
 def sampled(arms: list[PlacedRobot], motions: list[Motion], count: int) -> float:
     """Least distance of two arms at instants, all points of one from all of the other."""
     end = max(motion.time[-1] for motion in motions)
-    least, near = math.inf, [None, None]
+    smallest, near = math.inf, [None, None]
     for t in np.linspace(0, end, count):
         shapes = []
         for k, (arm, motion) in enumerate(zip(arms, motions, strict=True)):
             near[k] = tubeopt.forward_kinematics(arm.robot, *motion.joints(float(t)), start=near[k])
             shapes.append(surface_points(near[k], arm.base))
-        least = min(least, gap(*shapes))
-    return least
+        smallest = min(smallest, gap(*shapes))
+    return smallest
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -78,8 +78,8 @@ def test_the_bound_of_moving_arms_is_below_what_is_sampled_and_close_to_it(seed:
     random = np.random.default_rng(seed)
     arms, motions = [], []
     for k in range(2):
-        place = base_frame([0.02 * k, 0.0, 0.0], [0.25 * (1 - 2 * k), 0.05, 1.0])
-        arms.append(PlacedRobot(ROBOT, place))
+        position = base_frame([0.02 * k, 0.0, 0.0], [0.25 * (1 - 2 * k), 0.05, 1.0])
+        arms.append(PlacedRobot(ROBOT, position))
         angle = random.uniform(-np.pi, np.pi, (2, 1)) + random.uniform(-0.3, 0.3, (2, 3))
         shift = np.array([[-0.03, -0.08, -0.09], [0.03, -0.045, -0.085]])
         ends = np.concatenate([angle, shift], axis=1)
@@ -121,14 +121,14 @@ def test_two_arms_cross_over_without_touching() -> None:
     tips = [arm.base.placed(t.tip_position[[0, -1]]) for arm, t in zip(arms, plan.trajectories, strict=True)]
     assert all(tip[0, 0] * tip[1, 0] < 0 for tip in tips)
     # Once more by other code: what was planned, at instants, from the joint values alone.
-    least = math.inf
+    smallest = math.inf
     for shapes in moments(plan, arms, 40):
         for points, radius in shapes:
             assert (np.linalg.norm(points - ball.centre, axis=1) - 0.004 - radius).min() >= 5e-4
-        least = min(least, gap(*shapes))
-    assert least >= plan.proof.least_clearance
+        smallest = min(smallest, gap(*shapes))
+    assert smallest >= plan.proof.least_clearance
     assert plan.clearance(np.linspace(0, plan.duration, 5)).shape == (5, 1)
-    assert plan.clearance([0.0])[0, 0] > least - 1e-4
+    assert plan.clearance([0.0])[0, 0] > smallest - 1e-4
 
 
 def test_arms_whose_tips_change_places_make_way_for_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,26 +137,26 @@ def test_arms_whose_tips_change_places_make_way_for_each_other(monkeypatch: pyte
     first = tubeopt.forward_kinematics(ROBOT, [1.994, -1.2828, 0.0], [0.0126, -0.083, -0.1])
     # The second is the first, half a turn about the middle between both.
     starts = [(first.rotations + turned, first.translations) for turned in (0.0, np.pi)]
-    places = arms[0].base.placed(first.tip_position) * [[1, 1, 1], [-1, -1, 1]]
+    positions = arms[0].base.placed(first.tip_position) * [[1, 1, 1], [-1, -1, 1]]
     options = PlanOptions(clearance=5e-4, objective="none")
-    plan = plan_arms(arms, starts, list(places[::-1]), options=options)
+    plan = plan_arms(arms, starts, list(positions[::-1]), options=options)
     assert plan.proved
     assert plan.withdrawn_first == plan.order[1:] == (1,)
     assert plan.proof.least_clearance >= 5e-4
     tips = [arm.base.placed(t.tip_position[[0, -1]]) for arm, t in zip(arms, plan.trajectories, strict=True)]
-    np.testing.assert_allclose(tips, [places, places[::-1]], atol=1e-8)
+    np.testing.assert_allclose(tips, [positions, positions[::-1]], atol=1e-8)
     came = plan.trajectories[1]
     assert came.proved
     assert came.proof is plan.proof.proofs[1]
     assert (np.diff(came.time) > 0).all()
     assert came.translations.min(0)[0] < first.translations[0] - 0.02
     # Once more by other code, from the joint values alone.
-    least = min(gap(*shapes) for shapes in moments(plan, arms, 60))
-    assert least >= plan.proof.least_clearance
+    smallest = min(gap(*shapes) for shapes in moments(plan, arms, 60))
+    assert smallest >= plan.proof.least_clearance
     # Without making way there is no order in which it can be done.
     monkeypatch.setattr(arms_plan, "_retracted", lambda arm, at, options: (at.rotations, at.translations))
     with pytest.raises(SolveError, match=r"arm 1 .*: no plan exists: with its tip at the goal"):
-        plan_arms(arms, starts, list(places[::-1]), options=options)
+        plan_arms(arms, starts, list(positions[::-1]), options=options)
 
 
 def test_an_arm_at_rest_lies_within_its_capsules() -> None:
@@ -185,14 +185,14 @@ def bodies() -> list[Obstacle]:
 def test_bodies_are_where_they_were_for_whoever_looks(body: Obstacle, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tubeopt.bodies.corridors.CELLS", 6)  # the table of a mesh tells what is far
     points = np.random.default_rng(1).uniform(-5e-3, 8e-3, (40, 3))
-    (seen,) = bodies_in_frame(PLATE, [body])
+    (observed,) = bodies_in_frame(PLATE, [body])
     for k in range(40):  # one by one: a mesh bounds what is not the nearest of a call
-        told = seen.signed_distance(PLATE.seen(points[k]))
-        assert told == pytest.approx(body.signed_distance(points[k]), abs=1e-9)
-    assert seen.gradient(PLATE.seen(points)) == pytest.approx(body.gradient(points) @ PLATE.axes, abs=1e-6)
+        report = observed.signed_distance(PLATE.seen(points[k]))
+        assert report == pytest.approx(body.signed_distance(points[k]), abs=1e-9)
+    assert observed.gradient(PLATE.seen(points)) == pytest.approx(body.gradient(points) @ PLATE.axes, abs=1e-6)
     if not isinstance(body, (MeshObstacle, DistanceField)):
         x, y, z = PLATE.seen(points).T
-        assert seen.distance(x, y, z) == pytest.approx(body.distance(*points.T), abs=1e-6)
+        assert observed.distance(x, y, z) == pytest.approx(body.distance(*points.T), abs=1e-6)
 
 
 def test_what_makes_no_question_is_refused() -> None:
@@ -220,8 +220,8 @@ def test_withdrawn_arms_need_room_at_their_plates() -> None:
 @pytest.mark.parametrize("kind", [list, tuple, np.array])
 def test_a_goal_of_the_tip_is_in_the_frame_that_arms_share(kind: Any) -> None:
     arm = PlacedRobot(ROBOT, base_frame([0.01, 0.02, 0], [0.1, 0, 1]))
-    place = np.array([0.004, -0.01, 0.05])
-    assert goal_seen(kind(place.tolist()), arm.base).position == pytest.approx(arm.base.seen(place))
+    position = np.array([0.004, -0.01, 0.05])
+    assert goal_seen(kind(position.tolist()), arm.base).position == pytest.approx(arm.base.seen(position))
     joints = [[0, 0, 0], [-0.02, -0.05, -0.06]]
     assert goal_seen(joints, arm.base) is joints
 

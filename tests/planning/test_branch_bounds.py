@@ -18,9 +18,9 @@ from tubeopt.typing import Array
 
 def bare(**parts: Any) -> Any:
     """Bounds of an interval of which only these are known."""
-    found = branch._Bounds.__new__(branch._Bounds)
-    vars(found).update(parts)
-    return found
+    result = branch._Bounds.__new__(branch._Bounds)
+    vars(result).update(parts)
+    return result
 
 
 def growing(random: Any, *shape: int) -> tuple[DerivativeBounds, Any]:
@@ -39,9 +39,9 @@ def test_what_bends_a_turn_between_samples_changes_as_the_product_of_what_does()
     (h, length), (moment, m) = growing(random, 1), growing(random, 1, 1)
     (compliance, e), (compliance_slope, ee), (twist_slope, ww) = (growing(random, 1, 1) for _ in range(3))
     transport = SimpleNamespace(still=False, compliance_slope=compliance_slope, twist_slope=twist_slope)
-    most = np.array([[0.6]])
+    largest = np.array([[0.6]])
     bending = SimpleNamespace(
-        max_u=most,
+        max_u=largest,
         change=lambda by: tangent_stiffness * by.sum(-1),
         second=lambda one, other: bow * (one * other).sum(-1),
     )
@@ -59,8 +59,8 @@ def test_what_bends_a_turn_between_samples_changes_as_the_product_of_what_does()
         plain = length(t) ** 2 * (g * m(t) * e(t) + torque * ee(t) + ww(t))
         return np.asarray(plain + length(t) * torque * e(t) * offset * along)
 
-    found = bounds._between_samples((NONE + turn, NONE[..., None])).item()
-    assert found == pytest.approx(rate_at_the_end(bends).item() / (8 * PARTS**2), rel=1e-6)
+    result = bounds._between_samples((NONE + turn, NONE[..., None])).item()
+    assert result == pytest.approx(rate_at_the_end(bends).item() / (8 * PARTS**2), rel=1e-6)
 
 
 @pytest.mark.parametrize("moving", [True, False])
@@ -69,9 +69,9 @@ def test_what_the_linearised_equations_make_of_a_turn_changes_as_the_product_of_
     random, offset, count = np.random.default_rng(6), np.array([0.3, 0.2]), 3
     (h, length), (spring, held), (compliance, e) = growing(random, count), growing(random, 2), growing(random, 2)
     (varied, v), (gained, g) = growing(random, count, 2), growing(random, count, 2)
-    most, change = random.uniform(0.1, 0.2, (2, count))
+    largest, change = random.uniform(0.1, 0.2, (2, count))
     torque, more = random.uniform(1, 2, (2, count, 2))
-    bending = SimpleNamespace(max_u=most[None], change=lambda by: change[None])
+    bending = SimpleNamespace(max_u=largest[None], change=lambda by: change[None])
     bounds = bare(
         length=h, transmission=spring, compliance=compliance, bending=bending, offset=offset, torque=torque[None]
     )
@@ -80,22 +80,22 @@ def test_what_the_linearised_equations_make_of_a_turn_changes_as_the_product_of_
     def made(t: float) -> Array:
         s = t if moving else 0.0
         steps = length(s)[:, None]
-        gain, stretch = steps * v(t), (most + change * t)[:, None] * offset
+        gain, stretch = steps * v(t), (largest + change * t)[:, None] * offset
         mean = np.cumsum(gain[::-1], axis=0)[::-1] - gain / 2
         twist = np.cumsum((steps * (torque + more * t))[::-1], axis=0)[::-1] * e(s)
         along = np.cumsum(steps * ((1 + stretch) * mean * e(s) + g(t) * twist), axis=0)
         return np.asarray(held(s) * gain.sum(0) + along)
 
-    found = bounds._jacobian_change(varied, gained, (np.zeros((1, count, 2)), None), moving)[0]
-    assert found == pytest.approx(rate_at_the_end(made), rel=1e-6)
+    result = bounds._jacobian_change(varied, gained, (np.zeros((1, count, 2)), None), moving)[0]
+    assert result == pytest.approx(rate_at_the_end(made), rel=1e-6)
 
 
 def test_the_ball_takes_what_changes_the_linearised_equations_by_time_and_by_turns() -> None:
     """First and second derivatives of moments and bends; where places move along tubes, what that adds by time."""
-    flat, asked = DerivativeBounds(NONE, NONE, NONE, NONE), []
+    flat, requested = DerivativeBounds(NONE, NONE, NONE, NONE), []
 
     def varied(moments: DerivativeBounds, gained: DerivativeBounds, by: Any, moving: bool) -> Array:
-        asked.append(
+        requested.append(
             ([float(each.item()) for each in (moments.v, moments.d, gained.v, gained.d)], by[0].item(), moving)
         )
         return NONE
@@ -116,9 +116,9 @@ def test_the_ball_takes_what_changes_the_linearised_equations_by_time_and_by_tur
         _jacobian_change=varied,
     )
     branch._Bounds.ball(still, (NONE + 0.7, NONE[..., None] + 0.7))
-    numbers, *ways = zip(*asked, strict=True)
+    numbers, *paths = zip(*requested, strict=True)
     assert np.array(numbers) == pytest.approx(np.array([[0.4, 0.53, 0.1, 0.2], [0.4, 0.5, 0.1, 0.2]]))
-    assert ways == [(0.7, 1.0), (True, False)]
+    assert paths == [(0.7, 1.0), (True, False)]
 
 
 def test_the_natural_turn_of_tubes_is_part_of_their_course() -> None:
@@ -146,7 +146,7 @@ def test_a_course_has_the_derivatives_of_the_implicit_function_theorem() -> None
         norm=lambda turn: turn[0][:, 0, 0],
         _stretch=lambda u: u,
     )
-    found, pair = branch._Bounds.solution_derivatives(still, (NONE, NONE[..., None]), ball)
+    result, pair = branch._Bounds.solution_derivatives(still, (NONE, NONE[..., None]), ball)
     # theta(0) = 1 with N(0) = 1 - T(0) / S, and Taylor coefficients by fixed points.
     x = np.linspace(-0.02, 0.02, 9)
     t = sum(each * x**k / f for k, (each, f) in enumerate(zip(grown, (1, 1, 2, 6), strict=True)))
@@ -157,7 +157,7 @@ def test_a_course_has_the_derivatives_of_the_implicit_function_theorem() -> None
     poly = np.linalg.solve(np.vander(x / 0.005, increasing=True), theta) / 0.005 ** np.arange(9)
     true = poly[1:4] * [1, 2, 6]
     for bound, both, by_itself, exact in zip(
-        (found.d, found.dd, found.ddd), (pair.d, pair.dd, pair.ddd), (0.0, *natural), true, strict=True
+        (result.d, result.dd, result.ddd), (pair.d, pair.dd, pair.ddd), (0.0, *natural), true, strict=True
     ):
         assert bound is not None
         assert both is not None
@@ -187,8 +187,8 @@ def test_a_tangent_changes_as_what_bends_the_arm_before_it_is_summed() -> None:
     jet = DerivativeBounds(long, *(each[None] / 0.5 for each in bent))
     bounds = bare(length=DerivativeBounds(long, 0 * long, 0 * long, 0 * long))
     bounds.solution_derivatives, bounds.cross_sections = lambda turn, ball: None, lambda course: (None, jet)
-    found = bounds.tangent_derivatives(None, None)
-    for bound, true in zip((found.d, found.dd, found.ddd), whirl_by_sums(bent), strict=True):
+    result = bounds.tangent_derivatives(None, None)
+    for bound, true in zip((result.d, result.dd, result.ddd), whirl_by_sums(bent), strict=True):
         assert bound is not None
         assert (bound[0] >= true * (1 - 2e-3)).all()
         assert (bound[0, 3:] <= true[3:] * 1.02).all()
@@ -204,9 +204,9 @@ def test_a_point_is_off_its_chord_by_the_sum_of_what_turns_and_lengthens_the_arm
     bounds.bending = SimpleNamespace(change=lambda error: 0 * long)
     w, second_of, _ = whirl_by_sums(np.array([first, second + 2 * more[0] * first / long[0], 0 * first]))
     true = np.cumsum(2 * more[0] * w + long[0] * second_of) / 8
-    found = bounds.chord_error(None, None)[0]
-    assert (true * (1 - 2e-3) <= found).all()
-    assert (found <= true * 1.01).all()
+    result = bounds.chord_error(None, None)[0]
+    assert (true * (1 - 2e-3) <= result).all()
+    assert (result <= true * 1.01).all()
 
 
 def test_moments_of_tubes_beside_the_centreline_change_as_a_quotient() -> None:
@@ -223,9 +223,9 @@ def test_moments_of_tubes_beside_the_centreline_change_as_a_quotient() -> None:
     )
     bounds.bending = SimpleNamespace(along=lambda pulled: (None, k))
     turn = DerivativeBounds(flat, flat + rate, flat, flat)
-    found = bounds.cross_sections((still, turn))[0]
+    result = bounds.cross_sections((still, turn))[0]
     exact = derivatives(lambda t: 0.3 * np.exp(rate * t) / (1 - fall * (np.exp(t) - 1)), 0.02)
-    assert [each[0, 0, 0] for each in parts(found)] == pytest.approx(np.array(exact), rel=1e-5)
+    assert [each[0, 0, 0] for each in parts(result)] == pytest.approx(np.array(exact), rel=1e-5)
 
 
 @pytest.mark.parametrize("lost", ["margin of one", "margin of other", "turn", "order"])
@@ -240,6 +240,6 @@ def test_no_branch_is_shown_where_a_part_of_the_proof_is_missing(lost: str, monk
     else:
         turn = branch._Bounds.angle_change
         monkeypatch.setattr(branch._Bounds, "angle_change", lambda bounds: (turn(bounds)[0], np.array([False])))
-    found = branch.branch(intervals, stiffness)
-    assert not found.unbroken.any()
-    assert np.isinf(found.chord_error).all()
+    result = branch.branch(intervals, stiffness)
+    assert not result.unbroken.any()
+    assert np.isinf(result.chord_error).all()

@@ -46,16 +46,16 @@ def test_a_plan_is_saved_drawn_and_verified(run: Run, tmp_path: Path) -> None:
 def test_flags_replace_what_the_plan_study_says(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "little.csv"
     path.write_text("time_s,rotation_1_deg,rotation_2_deg,rotation_3_deg\n0,0,0,0\n10,200,0,0\n")
-    asked = ("verify", str(path), "--robot", THESIS, "--study", str(STUDY))
-    bare = answer(run(*asked, "--json"))
+    requested = ("verify", str(path), "--robot", THESIS, "--study", str(STUDY))
+    bare = answer(run(*requested, "--json"))
     assert bare["proved"]
-    strict = run(*asked, "--min-margin", "0.99", "--json")
+    strict = run(*requested, "--min-margin", "0.99", "--json")
     assert strict.code == 3
     assert not json.loads(strict.out)["proved"]
-    pushed = json.loads(run(*asked, "--tip-force-mN", "0,20,0", "--json").out)
+    pushed = json.loads(run(*requested, "--tip-force-mN", "0,20,0", "--json").out)
     assert pushed["assumed"] != bare["assumed"]
     assert abs(pushed["least_margin"] - bare["least_margin"]) > 1e-5
-    both = run(*asked, "--tip-force-mN", "0,5,0", "--max-tip-force-mN", "3")
+    both = run(*requested, "--tip-force-mN", "0,5,0", "--max-tip-force-mN", "3")
     assert both.code == 3
     assert "nothing shows that no force of up to 3 mN on the tip snaps" in both.err
 
@@ -71,9 +71,9 @@ def test_a_trajectory_made_elsewhere_is_refuted(run: Run, tmp_path: Path) -> Non
     assert f"naive.csv does not hold, {ASSUMING}".replace(" ", "") in "".join(outcome.out.split())
     assert "has no robot" in refused(run("verify", str(path)))[0]
     path.write_text("rotation_1_deg,rotation_2_deg,rotation_4_deg\n0,0,0\n")
-    told = refused(run("verify", str(path), "--robot", THESIS))
-    assert any("column time_s is missing" in line for line in told)
-    assert any("rotation_4_deg is not known" in line for line in told)
+    report = refused(run("verify", str(path), "--robot", THESIS))
+    assert any("column time_s is missing" in line for line in report)
+    assert any("rotation_4_deg is not known" in line for line in report)
 
 
 def test_wrong_studies_are_refused(run: Run, tmp_path: Path) -> None:
@@ -117,8 +117,8 @@ def test_the_mesh_of_a_box_has_the_distance_of_the_box() -> None:
     box = Box((-0.01, -0.01, -0.02), (0.01, 0.01, 0.02))
     points = np.random.default_rng(0).uniform(-0.04, 0.04, (400, 3))
     points[:3] = [0.02, 0.02, 0.03], [0.02, 0.015, 0.0], [0.0, 0.0, 0.0]
-    found = np.concatenate([body.signed_distance(point[None]) for point in points])
-    np.testing.assert_allclose(found, box.signed_distance(points), atol=1e-12)
+    results = np.concatenate([body.signed_distance(point[None]) for point in points])
+    np.testing.assert_allclose(results, box.signed_distance(points), atol=1e-12)
 
 
 def test_films_end_in_a_known_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -164,12 +164,12 @@ def test_a_search_that_runs_out_of_time_saves_what_it_found(
 
 def test_two_arms_are_planned_saved_and_drawn(run: Run, tmp_path: Path) -> None:
     study = ROOT / "configs" / "studies" / "plan_two_arms.yaml"
-    told = answer(
+    report = answer(
         run("plan-arms", str(study), "--objective", "none", "--out", str(tmp_path), "--json", "--format", "png,gif")
     )
-    assert told["proved"]
-    assert [arm["name"] for arm in told["arms"]] == ["left", "right"]
-    (pair,) = told["pairs"]
+    assert report["proved"]
+    assert [arm["name"] for arm in report["arms"]] == ["left", "right"]
+    (pair,) = report["pairs"]
     assert pair["arms"] == [1, 2]
     assert 0.5 <= pair["least_clearance_mm"] <= pair["measured_clearance_mm"]
     for name in (
@@ -190,7 +190,7 @@ def test_two_arms_are_planned_saved_and_drawn(run: Run, tmp_path: Path) -> None:
     assert proved.min() == pytest.approx(pair["least_clearance_mm"], abs=1e-5)
     assert (proved <= measured).all()
     assert (proved[:-1] <= measured[1:]).all()
-    assert [arm["roll_deg"] for arm in told["arms"]] == pytest.approx([0, 0])
+    assert [arm["roll_deg"] for arm in report["arms"]] == pytest.approx([0, 0])
     assert answer(run("verify", str(tmp_path / "arm_1" / "trajectory.csv"), "--json"))["proved"]
 
 

@@ -47,8 +47,8 @@ def test_bounds_of_the_bend_of_tubes_off_the_centreline_hold_for_all_rotations()
         tube.bending_stiffness,
         tube.bending_stiffness * tube.curvature,
     )
-    places = 2 * np.pi / 3 * np.arange(3)
-    lever = robot.distance * np.stack([np.sin(places), -np.cos(places)], axis=-1)  # d a
+    positions = 2 * np.pi / 3 * np.arange(3)
+    lever = robot.distance * np.stack([np.sin(positions), -np.cos(positions)], axis=-1)  # d a
 
     def stiffness(u: Array) -> Array:
         return np.asarray((kb / (1 + u @ lever.T)).sum(-1))
@@ -67,15 +67,15 @@ def test_bounds_of_the_bend_of_tubes_off_the_centreline_hold_for_all_rotations()
     u, ahead, behind = bend(theta), bend(theta + step * turn), bend(theta - step * turn)
     sloped = -(kb * lever / (1 + u @ lever.T)[..., None] ** 2).sum(1)
     size = np.abs(turn)
-    for true, most, share in (
+    for true, largest, fraction in (
         (np.linalg.norm(u, axis=-1), bound.max_u, 0.99),
         (bound.stiffness / stiffness(u), 1.0, 0.99),
         (np.linalg.norm(sloped, axis=-1), bound.k_u, 0.4),
         (np.linalg.norm(ahead - behind, axis=-1) / (2 * step), bound.change(size), 0.95),
         (np.linalg.norm(ahead - 2 * u + behind, axis=-1) / step**2, bound.second(size, size), 0.95),
     ):
-        assert (true <= most * (1 + 1e-6)).all()
-        assert (true / most).max() >= share
+        assert (true <= largest * (1 + 1e-6)).all()
+        assert (true / largest).max() >= fraction
 
 
 @pytest.mark.parametrize(("along", "time", "sagitta", "radius"), [(0.0, 0.0, 3e-4, 5e-4), (4e-6, 9e-6, 2e-4, 1e-3)])
@@ -177,8 +177,8 @@ def test_what_lies_between_samples_of_loaded_arms_is_sure_as_far_as_its_series_i
     still: Any = SimpleNamespace(
         intervals=ends, _between_samples=lambda c: _Samples(share * c.angle[0], share * c.torque, share * c.moment)
     )
-    found = _Bounds._changes(still, np.full((1, 1, 1), 0.2), np.full((1, 1), 0.3))
-    assert found.valid.item() == (share**4 <= 0.5)
-    if found.valid:
-        for bound, own in ((found.angle[0], 0.7), (found.angle[1], 1.4), (found.torque, 0.2), (found.moment, 0.3)):
+    result = _Bounds._changes(still, np.full((1, 1, 1), 0.2), np.full((1, 1), 0.3))
+    assert result.valid.item() == (share**4 <= 0.5)
+    if result.valid:
+        for bound, own in ((result.angle[0], 0.7), (result.angle[1], 1.4), (result.torque, 0.2), (result.moment, 0.3)):
             assert bound.item() >= own / (1 - share) * (1 - 1e-12)

@@ -47,10 +47,10 @@ def test_a_plate_that_is_blocked_is_moved_and_all_holds_where_it_was_said() -> N
     in which both are written."""
     ball = Sphere((0.0, 0.0, 0.004), 0.004)
     options = PlanOptions(clearance=5e-4, objective="none", time_limit=600)
-    asked: dict[str, Any] = {"obstacles": [ball], "options": options}
+    requested: dict[str, Any] = {"obstacles": [ball], "options": options}
     with pytest.raises(SolveError):
-        tubeopt.plan_trajectory(CRL, START, GOAL, **asked)
-    plan = tubeopt.plan_from_region(CRL, START, GOAL, EntryRegion(radius=0.01, cone=0.2), count=32, **asked)
+        tubeopt.plan_trajectory(CRL, START, GOAL, **requested)
+    plan = tubeopt.plan_from_region(CRL, START, GOAL, EntryRegion(radius=0.01, cone=0.2), count=32, **requested)
     assert plan.proved
     assert plan.entry is not None
     frame = plan.entry.frame
@@ -60,7 +60,7 @@ def test_a_plate_that_is_blocked_is_moved_and_all_holds_where_it_was_said() -> N
         away = np.linalg.norm(frame.placed(arm.position) - ball.centre, axis=1)
         assert away.min() > ball.radius + options.clearance
     with pytest.raises(SolveError, match=r"from the 8 checked .* at the start"):
-        tubeopt.plan_from_region(CRL, START, GOAL, EntryRegion(radius=1e-3), count=8, **asked)
+        tubeopt.plan_from_region(CRL, START, GOAL, EntryRegion(radius=1e-3), count=8, **requested)
 
 
 @pytest.mark.parametrize(
@@ -95,11 +95,11 @@ def test_a_study_saves_where_the_plate_stands(run: Run, tmp_path: Path) -> None:
     }
     path = tmp_path / "study.yaml"
     path.write_text(json.dumps(study))
-    told = answer(run("plan", str(path), "--out", str(tmp_path), "--json"))
+    report = answer(run("plan", str(path), "--out", str(tmp_path), "--json"))
     frame = load_pose(tmp_path / "base.txt")
-    np.testing.assert_allclose(frame.origin * 1e3, told["entry"]["patient_position_mm"], atol=1e-9)
-    np.testing.assert_allclose(frame.placed(np.array(told["tip_position_mm"]) * 1e-3), GOAL, atol=1e-6)
-    assert told["entry"]["considered"] == 16 >= told["entry"]["clear"] >= told["entry"]["tried"] >= 1
+    np.testing.assert_allclose(frame.origin * 1e3, report["entry"]["patient_position_mm"], atol=1e-9)
+    np.testing.assert_allclose(frame.placed(np.array(report["tip_position_mm"]) * 1e-3), GOAL, atol=1e-6)
+    assert report["entry"]["considered"] == 16 >= report["entry"]["clear"] >= report["entry"]["tried"] >= 1
     assert (tmp_path / "section.png").stat().st_size > 0
     for change, message in (
         ({"cut": {"at_mm": [0, 0, 30]}}, "cut must give at_mm and normal, or through"),

@@ -41,9 +41,9 @@ def test_tips_give_the_joints_the_shape_and_the_margin(robot: Robot) -> None:
 
 def test_equal_joint_values_on_two_branches_are_two_points() -> None:
     coordinates = TipCoordinates(joint_space(THESIS))
-    found = [e for e in find_equilibria(THESIS, [np.radians(200.0), 0.0, 0.0]) if e.stable]
-    assert len(found) == 2
-    points = np.array([coordinates.of(e) for e in found])
+    results = [e for e in find_equilibria(THESIS, [np.radians(200.0), 0.0, 0.0]) if e.stable]
+    assert len(results) == 2
+    points = np.array([coordinates.of(e) for e in results])
     assert np.abs(points[0] - points[1]).max() > 1.0
     arms = coordinates.arms(points, 0.0)
     assert np.abs(arms.rotations - [np.radians(200.0), 0.0, 0.0]).max() < 1e-4
@@ -61,11 +61,11 @@ def test_a_robot_of_nine_tubes_is_ready_at_once() -> None:
     """Written out step by step, its equations are 1.5 million operations, which take a quarter of a minute to build."""
     robot = load_robot(ROOT / "configs" / "robots" / "example_three_segment_etr.yaml")
     space = joint_space(robot)
-    began = time.process_time()
+    start_time = time.process_time()
     coordinates = TipCoordinates(space)
     rotations, shift = space.split(space.inside())
     e = forward_kinematics(robot, rotations + np.linspace(-0.3, 0.3, 9), shift)
     arms = coordinates.arms(coordinates.of(e)[None], 0.0)
-    assert time.process_time() - began < 6.0
+    assert time.process_time() - start_time < 6.0
     assert np.abs(arms.rotations[0] - e.rotations).max() < 2e-4
     assert np.abs(arms.tip[0] - e.tip_position).max() < 1e-4 * space.length

@@ -56,8 +56,8 @@ def test_a_clearance_under_any_force_is_less_by_the_deflection_of_a_cantilever()
     ids=["all is kept", "margin", "closest place", "bound of the clearance", "branch"],
 )
 def test_what_falls_short_of_a_limit_is_a_fault(found: dict[str, Any], refuted: str, open_: str) -> None:
-    kept = {"snap": None, "margin": 0.3, "measured": 2e-3, "clearance": 2e-3, "unproved": ()}
-    trajectory_trace: Any = SimpleNamespace(steps=[SimpleNamespace(at=1.0)], **(kept | found))
+    retained = {"snap": None, "margin": 0.3, "measured": 2e-3, "clearance": 2e-3, "unproved": ()}
+    trajectory_trace: Any = SimpleNamespace(steps=[SimpleNamespace(at=1.0)], **(retained | found))
     verifier: Any = SimpleNamespace(target=ClearanceTarget(2e-3, 1e-5, 9), unprovable="", flutters=False)
     faults, unproved = proof._branch_faults(verifier, trajectory_trace, 0.3, np.array([0.0, 1.0]))
     assert [refuted in fault for fault in faults] == [True] * bool(refuted)
@@ -66,8 +66,8 @@ def test_what_falls_short_of_a_limit_is_a_fault(found: dict[str, Any], refuted: 
 
 def test_a_tip_that_a_second_solver_puts_elsewhere_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     allowed = proof.AGREEMENT * STRAIGHT.tubes[0].length
-    for share, fine in ((0.99, True), (1.01, False)):
-        monkeypatch.setattr(proof, "_again", lambda equilibria, share=share: share * allowed)
-        found = verify_trajectory(STRAIGHT, [0.0, 1.0], [[0.0], [0.02]])
-        assert found.holds == fine
-        assert found.reintegration == share * allowed
+    for fraction, fine in ((0.99, True), (1.01, False)):
+        monkeypatch.setattr(proof, "_again", lambda equilibria, fraction=fraction: fraction * allowed)
+        result = verify_trajectory(STRAIGHT, [0.0, 1.0], [[0.0], [0.02]])
+        assert result.holds == fine
+        assert result.reintegration == fraction * allowed

@@ -161,11 +161,11 @@ def test_interpolation_along_tubes_beside_the_centreline_is_off_by_how_they_are_
 def test_nothing_bounds_interpolation_across_too_many_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(CurvatureBounds, "of", lambda *_: BEND)
     monkeypatch.setattr(TransportBounds, "of", lambda *_: drift_of(False))
-    for found in (
+    for result in (
         found_by(SolvedArms, "_errors", stub(0.0, False, 0.01, wide=True)),
         found_by(LoadedArms, "_wrong", loaded_stub(0.01, wide=True)),
     ):
-        assert all(np.isinf(each[0]).all() for each in found)
+        assert all(np.isinf(each[0]).all() for each in result)
 
 
 FORCE, ALONG, LEVER, COUPLE = 0.8, 0.33, 0.7, 0.21
@@ -173,13 +173,13 @@ FORCE, ALONG, LEVER, COUPLE = 0.8, 0.33, 0.7, 0.21
 
 
 def loaded_stub(h: float, *, wide: bool = False) -> Any:
-    found = stub(0.0, False, h, wide=wide)
-    found.pull = SimpleNamespace(per_length=(ALONG, COUPLE))
-    found._felt = np.array([[0.3, 0.4, 0.0, 0, 0, 0]] * 2), np.array([[0.0, 0.0, FORCE, 0, 0, 0]] * 2)
-    found.ends, found._lever = np.array([[1.0, 1.0]]), np.array([LEVER])
-    found.torque = np.array([[0.2, 0.45], [0.45, 0.1]])
-    found.borne = (found.torque, found.torque), None
-    return found
+    result = stub(0.0, False, h, wide=wide)
+    result.pull = SimpleNamespace(per_length=(ALONG, COUPLE))
+    result._felt = np.array([[0.3, 0.4, 0.0, 0, 0, 0]] * 2), np.array([[0.0, 0.0, FORCE, 0, 0, 0]] * 2)
+    result.ends, result._lever = np.array([[1.0, 1.0]]), np.array([LEVER])
+    result.torque = np.array([[0.2, 0.45], [0.45, 0.1]])
+    result.borne = (result.torque, result.torque), None
+    return result
 
 
 @pytest.mark.parametrize("order", [1, -1])
@@ -223,8 +223,8 @@ def test_interpolation_along_loaded_arms_is_off_by_derivatives_of_torques_and_mo
             table.append(more)
         tables[4].append(float(derivatives(bend, 0.02)[order]))
     t, m, theta, _, bent = tables
-    share = SHAPE_ERROR[0] * h**3
-    assert shape[0] == pytest.approx(share * (u**2 + bent[1]) + TIP, rel=1e-6)
+    fraction = SHAPE_ERROR[0] * h**3
+    assert shape[0] == pytest.approx(fraction * (u**2 + bent[1]) + TIP, rel=1e-6)
     assert turned[0] == pytest.approx(np.full(2, h**3 * theta[3]), rel=1e-5)
     assert twisted[0] == pytest.approx(np.full(2, h**3 * t[3]), rel=1e-5)
     assert lifted[0] == pytest.approx(np.array([h**3 * m[3]]), rel=1e-5)
@@ -244,8 +244,8 @@ def test_an_arm_is_as_far_off_as_in_its_longest_step(
     both._onwards, both.torsion = np.tile([0.8, 1.1], (3, 1)), np.tile([1.1, 0.8], (3, 1))
     both.torque = np.full((3, 2), 0.45)
     both.borne, both._felt = ((both.torque, both.torque), None), tuple(np.tile(each[:1], (3, 1)) for each in one._felt)
-    (shape, *thirds), (found, *steps_found) = found_by(kind, name, one), found_by(kind, name, both)
-    assert found == pytest.approx(shape, rel=1e-12)
+    (shape, *thirds), (result, *steps_found) = found_by(kind, name, one), found_by(kind, name, both)
+    assert result == pytest.approx(shape, rel=1e-12)
     for third, each in zip(thirds, steps_found, strict=True):
         assert each[int(np.argmax(steps))] == pytest.approx(third[0], rel=1e-12)
         assert (each[int(np.argmin(steps))] < 0.2 * third[0]).all()
@@ -262,29 +262,29 @@ def test_a_cubic_is_off_by_what_the_third_derivative_makes_at_that_place_of_the_
     s = np.linspace(0, 1, 20001)
     kernel = np.where(x > s, (x - s) ** 2 / 2, 0) - x**2 * (3 - 2 * x) * (1 - s) ** 2 / 2 + x**2 * (1 - x) * (1 - s)
     true = float(np.trapezoid(np.abs(kernel), s))
-    found = arms.hermite_error(np.zeros(2, dtype=int), np.array([2 * x, 2 + 3 * x]), third).ravel()
+    result = arms.hermite_error(np.zeros(2, dtype=int), np.array([2 * x, 2 + 3 * x]), third).ravel()
     if x in (0.0, 1.0):
         # A point belongs to the step that follows it.
-        assert found == pytest.approx(0.0, abs=1e-15)
+        assert result == pytest.approx(0.0, abs=1e-15)
     else:
-        assert (true * np.array([8.0, 54.0]) <= found * (1 + 1e-6)).all()
-        assert (found <= 1.13 * true * np.array([8.0, 54.0])).all()
+        assert (true * np.array([8.0, 54.0]) <= result * (1 + 1e-6)).all()
+        assert (result <= 1.13 * true * np.array([8.0, 54.0])).all()
         if x == 0.5:
-            assert found[0] == pytest.approx(8.0 * true, rel=1e-6)
+            assert result[0] == pytest.approx(8.0 * true, rel=1e-6)
 
 
 def test_what_nothing_bounds_is_exact_at_points_alone() -> None:
     arms: Any = SolvedArms.__new__(SolvedArms)
     vars(arms).update(first=np.array([0, 2]), arc_length=np.array([0.0, 2.0]), owner=np.zeros(2, dtype=int))
-    found = arms.hermite_error(np.zeros(3, dtype=int), np.array([0.0, 1.0, 2.0]), np.array([[np.inf], [0.0]]))
-    assert found.ravel().tolist() == [0.0, np.inf, 0.0]
+    result = arms.hermite_error(np.zeros(3, dtype=int), np.array([0.0, 1.0, 2.0]), np.array([[np.inf], [0.0]]))
+    assert result.ravel().tolist() == [0.0, np.inf, 0.0]
 
 
 def test_changes_are_as_wrong_as_what_is_interpolated_at_both_ends() -> None:
     """Places with changes 0.5 and -0.7 of one tube and 0.4 of the other, off by 0.02 and 0.03 (0.01) at both ends."""
-    places = iter([np.zeros((1, 1, 2, 2)), np.array([[[[0.5, 0.4], [-0.7, 0.4]]]])][::-1])
+    positions = iter([np.zeros((1, 1, 2, 2)), np.array([[[[0.5, 0.4], [-0.7, 0.4]]]])][::-1])
     wrong = iter([np.array([[[[0.01, 0.01], [0.02, 0.01]]]]), np.array([[[[0.02, 0.0], [0.03, 0.0]]]])])
-    arms = SimpleNamespace(rotations=lambda *_: next(places), turn_error=lambda *_: next(wrong))
+    arms = SimpleNamespace(rotations=lambda *_: next(positions), turn_error=lambda *_: next(wrong))
     own, pair = found_by(Intervals, "changes", SimpleNamespace(arms=arms, parts=((), ())))
     assert own.ravel() == pytest.approx([0.75, 0.41])
     assert pair[0, 0] == pytest.approx(np.array([[0.1, 1.16], [1.16, 0.02]]))
@@ -295,8 +295,8 @@ def test_the_torque_along_a_step_is_the_larger_of_its_ends_and_what_it_gains() -
     stiff, natural = np.array([[2.0, 3.0]]), np.array([[0.1, 0.2]])
     arms = stub(0.0, False, 0.1)
     arms.along = lambda side, rows: (None, stiff, None, None, natural, None)
-    found = SolvedArms._torque(arms, np.array([[0.01, 0.02]]))
-    assert found == pytest.approx(np.array([[2 * 1.0 + 0.01, 3 * 0.9 + 0.02]]))
+    result = SolvedArms._torque(arms, np.array([[0.01, 0.02]]))
+    assert result == pytest.approx(np.array([[2 * 1.0 + 0.01, 3 * 0.9 + 0.02]]))
 
 
 def test_a_transmission_whose_compliance_changes_along_it_is_off_its_chord_as_a_parabola() -> None:
@@ -312,11 +312,11 @@ def test_a_transmission_whose_compliance_changes_along_it_is_off_its_chord_as_a_
     intervals = SimpleNamespace(
         arms=arms, start=np.array([0]), end=np.array([1]), transport=transport, moved=np.full((1, 1, 1), moved)
     )
-    found = found_by(Intervals, "transmission", intervals)
-    assert found.v.item() == pytest.approx(whole[1].item())
-    assert found.d.item() == pytest.approx((e + slope * moved) * moved)
-    assert found.dd.item() == pytest.approx(slope * moved**2)
-    assert found.ddd.item() == pytest.approx(bend * moved**3)
+    result = found_by(Intervals, "transmission", intervals)
+    assert result.v.item() == pytest.approx(whole[1].item())
+    assert result.d.item() == pytest.approx((e + slope * moved) * moved)
+    assert result.dd.item() == pytest.approx(slope * moved**2)
+    assert result.ddd.item() == pytest.approx(bend * moved**3)
 
 
 def test_places_move_along_tubes_as_far_as_the_end_of_their_section_that_moves_most() -> None:
@@ -325,9 +325,9 @@ def test_places_move_along_tubes_as_far_as_the_end_of_their_section_that_moves_m
     intervals = between(STEPPED, *(([0.3, 0.1], shift) for shift in shifts))
     x, moved = np.linspace(0, 1, 11)[:, None], []
     for i in range(2):
-        places = [cuts[0, :-1] + x * np.diff(cuts[0]) for cuts in (intervals.start_cuts, intervals.end_cuts)]
+        positions = [cuts[0, :-1] + x * np.diff(cuts[0]) for cuts in (intervals.start_cuts, intervals.end_cuts)]
         held = shifts[:, i]
-        moved.append(np.abs((places[1] - held[1]) - (places[0] - held[0])).max(0))
+        moved.append(np.abs((positions[1] - held[1]) - (positions[0] - held[0])).max(0))
     assert intervals.moved[0] == pytest.approx(np.array(moved).T)
 
 
@@ -337,12 +337,12 @@ def test_an_arm_is_as_thick_as_its_outermost_tube_and_bends_as_where_it_is_longe
     long = np.flatnonzero(intervals.length[0][0] > 0)
     ends = [tube.curved_length + by for tube, by in zip(STEPPED.tubes, shifts[0], strict=True)]
     outer = [intervals.start_cuts[0, k + 1] <= min(ends) + 1e-12 for k in long]
-    radii = [STEPPED.tubes[int(there)].outer_diameter / 2 for there in outer]
+    radii = [STEPPED.tubes[int(reached)].outer_diameter / 2 for reached in outer]
     assert intervals.radius[0, long] == pytest.approx(np.array(radii))
     for k in long:
         lengths = [cuts[0, k + 1] - cuts[0, k] for cuts in (intervals.start_cuts, intervals.end_cuts)]
-        found = intervals.sagitta(np.array([0]), np.array([k]), np.array([[0.2, 0.7]]))
-        assert found == pytest.approx(intervals.bending.max_u[0, k] * (0.5 * max(lengths)) ** 2 / 8)
+        result = intervals.sagitta(np.array([0]), np.array([k]), np.array([[0.2, 0.7]]))
+        assert result == pytest.approx(intervals.bending.max_u[0, k] * (0.5 * max(lengths)) ** 2 / 8)
     # Three tubes beside the centreline reach as far as their distance from it.
     beside = EccentricRobot(Tube(1.2e-3, 1.0e-3, 0.0, 0.08, 12.0))
     assert Constants.of(beside).radius == pytest.approx(np.full(3, beside.distance + 0.6e-3))

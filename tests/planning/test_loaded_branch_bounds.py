@@ -41,9 +41,9 @@ K, N = 3, 2
 
 def bare(**known: Any) -> Any:
     """Bounds of an interval of which only these are known."""
-    found = _Bounds.__new__(_Bounds)
-    vars(found).update(known)
-    return found
+    result = _Bounds.__new__(_Bounds)
+    vars(result).update(known)
+    return result
 
 
 class Grows:
@@ -94,10 +94,10 @@ def grown(seed: int) -> SimpleNamespace:
 
 def falling(random: Any) -> Grows:
     """What falls towards the tip, as moments ahead, and so does its change."""
-    found = Grows(random, K, orders=2)
-    found.table[:2] = -np.sort(-found.table[:2])
-    found.jet = DerivativeBounds(*found.table[:, None])
-    return found
+    result = Grows(random, K, orders=2)
+    result.table[:2] = -np.sort(-result.table[:2])
+    result.jet = DerivativeBounds(*result.table[:, None])
+    return result
 
 
 def bounds_of(g: SimpleNamespace) -> Any:
@@ -183,7 +183,7 @@ def test_what_differs_between_samples_is_half_their_distance_times_the_change_of
     constants = SimpleNamespace(bounds=SimpleNamespace(twist=[None]), largest=lambda table, stretch: twist[None])
     bounds.intervals = SimpleNamespace(arms=SimpleNamespace(constants=constants), stretch=None, moved=moved[None])
     changes = _Changes((turn[0][None], turn[1][None]), torque.jet.d, lever.jet.d, np.ones(1, dtype=bool))
-    found = bounds._between_samples(changes)
+    result = bounds._between_samples(changes)
 
     def bend(t: float) -> Array:
         """u of the bound, 0.7, with its change."""
@@ -201,7 +201,7 @@ def test_what_differs_between_samples_is_half_their_distance_times_the_change_of
         each += g.along * turned[:, None]
         return turning, h[:, None] * each, h * (bend(t) * torque(t).sum(1) + load)
 
-    for bound, k in zip((found.theta, found.torque, found.moment), range(3), strict=True):
+    for bound, k in zip((result.theta, result.torque, result.moment), range(3), strict=True):
         change = (slopes(1e-5)[k] - slopes(-1e-5)[k]) / 2e-5
         assert bound[0] == pytest.approx(change / (2 * PARTS), rel=1e-6)
     bent = (bend(1e-5) - bend(-1e-5)) / 2e-5
@@ -215,7 +215,7 @@ def test_what_coordinates_turn_changes_torques_and_moments_as_their_derivative()
     weight = random.uniform(1, 2, (1, K, N)), random.uniform(1, 2, (1, K, N, N))
     bounds.weight, bounds.swing = weight, random.uniform(1, 2, (1, K))
     bounds.lever = (ahead(g.h(0.0) * g.force(0.0)) + g.couple(0.0))[None]
-    found = bounds._response(np.array([size]))
+    result = bounds._response(np.array([size]))
 
     def made(t: float) -> tuple[Array, Array]:
         frame = 1 + t * size * bounds.swing[0]
@@ -224,9 +224,9 @@ def test_what_coordinates_turn_changes_torques_and_moments_as_their_derivative()
         each = by_load + (g.pairing(0.0) * (1 + t * size * weight[1][0])).sum(2) + g.along * frame[:, None]
         return ahead(g.h(0.0)[:, None] * each + g.kick * frame[:, None]), lever
 
-    assert found.angle[0] == pytest.approx(size * weight[0])
-    assert found.angle[1] == pytest.approx(size * weight[1])
-    for bound, k in ((found.torque, 0), (found.moment, 1)):
+    assert result.angle[0] == pytest.approx(size * weight[0])
+    assert result.angle[1] == pytest.approx(size * weight[1])
+    for bound, k in ((result.torque, 0), (result.moment, 1)):
         assert bound[0] == pytest.approx((made(1e-5)[k] - made(-1e-5)[k]) / 2e-5, rel=1e-8)
 
 
@@ -285,17 +285,17 @@ def test_derivatives_of_a_course_are_what_lower_ones_make_and_what_calls_them_fo
     bounds._add_order(course, order, np.array([convex]))
     torque, moment, twist_slope = {2: (5, 17, 0.5), 3: (7, 19, 0.7)}[order]
     size = (torque + moment) / convex
-    found = [
+    results = [
         float(table[order].item()) for table in (course.theta, course.pair, course.torque, course.moment, course.frame)
     ]
-    assert found == pytest.approx(
+    assert results == pytest.approx(
         [twist_slope + size, 2 * twist_slope + 3 * size, torque + 5 * size, moment + 7 * size, 0.6 * size]
     )
 
 
 def test_rates_of_loaded_arms_count_what_is_off_the_chord_as_a_parabola() -> None:
     """Off it by an eighth of the second derivative, and changing by half of it, beside what is in the ball."""
-    one, convex, asked = np.ones((1, 1, 1)), 0.5, []
+    one, convex, requested = np.ones((1, 1, 1)), 0.5, []
     flat = one[..., 0]
     bounds = bare(torque=one * 2, lever=flat * 3, pairs=one[..., None], u=flat)
     bounds.changes = _Changes((one * 0.1, one[..., None] * 0.2), one * 0.3, flat * 0.4, np.ones(1, dtype=bool))
@@ -307,7 +307,7 @@ def test_rates_of_loaded_arms_count_what_is_off_the_chord_as_a_parabola() -> Non
     )
 
     def chord(changes: Any, torque: Array) -> Any:
-        asked.append([each.item() for each in (*changes.angle, changes.torque, changes.moment, torque)])
+        requested.append([each.item() for each in (*changes.angle, changes.torque, changes.moment, torque)])
         return SimpleNamespace(
             torque=DerivativeBounds(one, one, one * 2.2), moment=DerivativeBounds(flat, flat, flat * 2.6)
         )
@@ -323,11 +323,11 @@ def test_rates_of_loaded_arms_count_what_is_off_the_chord_as_a_parabola() -> Non
     bounds._add_order = lambda course, order, left: courses.append(course)
     bounds.tangent_derivatives(np.array([0.05]), np.array([convex]))
     off = 3 * 0.05 + 0.8 / 8
-    assert asked == [pytest.approx([0.1 + 0.05, 0.2 + 0.1, 0.3 + off, 0.4 + 4 * 0.05 + 1.6 / 8, 2 + off])]
+    assert requested == [pytest.approx([0.1 + 0.05, 0.2 + 0.1, 0.3 + off, 0.4 + 4 * 0.05 + 1.6 / 8, 2 + off])]
     size = (1.1 + 1.3) / convex
     course = courses[0]
-    found = [table[1].item() for table in (course.theta, course.pair, course.torque, course.moment)]
-    assert found == pytest.approx([0.11 + size, 0.21 + 2 * size, 0.3 + 1.1 + 3 * size, 0.4 + 1.3 + 4 * size])
+    results = [table[1].item() for table in (course.theta, course.pair, course.torque, course.moment)]
+    assert results == pytest.approx([0.11 + size, 0.21 + 2 * size, 0.3 + 1.1 + 3 * size, 0.4 + 1.3 + 4 * size])
     assert course.torque[0].item() == pytest.approx(2 + off)
 
 
@@ -395,10 +395,10 @@ def test_what_differs_of_a_second_variation_by_its_turns_is_that_of_running_tota
     bent = moment + g.couple(0.0) * frame
     differs = frame * swing + (way(1e-5) - way(-1e-5)) / 2e-5 + bend
     lever = bounds.lever[0]
-    found = []
+    results = []
     for size in (1.0, 0.0):
         bounds.lever = size * lever[None]
-        found.append(bounds.hessian_change(moved, stretched=True).item())
+        results.append(bounds.hessian_change(moved, stretched=True).item())
 
     def by_load(t: float) -> float:
         h, a = g.h(0.0) + t * dh, g.pull.table[0] + t / 2 * g.pull.table[1]
@@ -408,7 +408,7 @@ def test_what_differs_of_a_second_variation_by_its_turns_is_that_of_running_tota
         return float((g.h(0.0)[:, None] * g.pull.table[0] * (t * bent)[:, None] * y**2).sum())
 
     load = (by_load(1e-5) - by_load(-1e-5)) / 2e-5 - by_moment(1.0)
-    assert found[0] - found[1] == pytest.approx(load + lever[0] * swing[-1] * differs[-1], rel=1e-6)
+    assert results[0] - results[1] == pytest.approx(load + lever[0] * swing[-1] * differs[-1], rel=1e-6)
 
     def form(t: float) -> float:
         h, n = g.h(0.0) + t * dh, g.force.table[0] + t * dn
@@ -417,13 +417,13 @@ def test_what_differs_of_a_second_variation_by_its_turns_is_that_of_running_tota
         return float((h * n * turned * (swing + t * differs)).sum() + (acts * turned[:, None]).sum())
 
     exact = (form(1e-5) - form(-1e-5)) / 2e-5 + moment.max() * swing[-1] ** 2 / 2 + by_moment(1.0)
-    assert found[1] == pytest.approx(exact, rel=1e-6)
+    assert results[1] == pytest.approx(exact, rel=1e-6)
 
 
 def test_two_running_totals_take_no_more_than_their_product() -> None:
     """int |b x a'| + |a x b'| over steps of vectors at random, and of b after all of a, which attains it."""
     random = np.random.default_rng(11)
-    shares = []
+    fractions = []
     for k in range(300):
         a, b = random.normal(size=(2, 40, 3)) * random.random((2, 40, 1)) ** random.integers(0, 8)
         if k == 0:
@@ -433,9 +433,9 @@ def test_two_running_totals_take_no_more_than_their_product() -> None:
         size = (
             np.linalg.norm(np.cross(before[1], a), axis=1).sum() + np.linalg.norm(np.cross(before[0], b), axis=1).sum()
         )
-        shares.append(size / (np.linalg.norm(a, axis=1).sum() * np.linalg.norm(b, axis=1).sum()))
-    assert max(shares) <= 1 + 1e-12
-    assert shares[0] == pytest.approx(1.0)
+        fractions.append(size / (np.linalg.norm(a, axis=1).sum() * np.linalg.norm(b, axis=1).sum()))
+    assert max(fractions) <= 1 + 1e-12
+    assert fractions[0] == pytest.approx(1.0)
 
 
 def test_the_second_variation_curves_as_the_products_of_what_it_is_made_of() -> None:
@@ -447,7 +447,7 @@ def test_the_second_variation_curves_as_the_products_of_what_it_is_made_of() -> 
     theta, pair = Grows(random, K, N, value=0.0), Grows(random, K, N, N, value=0.0)
     slope, pairs, kt = random.uniform(1, 2, (K, N)), random.uniform(1, 2, (K, N, N)), random.uniform(1, 2, (K, N))
     stiff, y, both, swing = (random.uniform(1, 2, each) for each in (K, (K, N), (K, N, N), K))
-    begin, couple, (kick, along) = h.table[0] - h.table[1], falling(random), random.uniform(0.5, 1.0, (2, K, N))
+    first, couple, (kick, along) = h.table[0] - h.table[1], falling(random), random.uniform(0.5, 1.0, (2, K, N))
     none = DerivativeBounds(*np.zeros((4,)))
     transport = SimpleNamespace(still=True)
     bounds = bare(
@@ -463,12 +463,12 @@ def test_the_second_variation_curves_as_the_products_of_what_it_is_made_of() -> 
         pairing=DerivativeBounds(pairs[None], none.d, none.d, none.d),
         pull=DerivativeBounds(slope[None], none.d, none.d, none.d),
         chord=SimpleNamespace(theta=theta.jet, pair=pair.jet, tangent=tangent.jet, moment=moment.jet),
-        intervals=SimpleNamespace(length=(begin[None], h.table[0][None])),
+        intervals=SimpleNamespace(length=(first[None], h.table[0][None])),
         couple=couple.jet,
         kick=kick[None],
         along=along[None],
     )
-    over, held = h.table[1] ** 2 / begin, spring.table[1] ** 2 / (spring.table[0] - spring.table[1])
+    over, held = h.table[1] ** 2 / first, spring.table[1] ** 2 / (spring.table[0] - spring.table[1])
     own = np.sqrt(np.cumsum(over[:, None] / kt, axis=0) + held)
     apart = np.hypot(own[:, :, None], own[:, None])
     bent = np.sqrt(np.cumsum(h.table[0] / stiff)), np.sqrt(np.cumsum(over / stiff))
@@ -509,9 +509,9 @@ def test_roots_of_what_changes_are_as_far_from_the_nearer_end_as_half_of_the_tim
     )
     bounds = bare(intervals=intervals, transport=transport)
     twisting, bending = bounds._compliance_change()
-    for found, stiff, rate in ((twisting, kt, compliance), (bending, 3.0, bending_compliance)):
+    for result, stiff, rate in ((twisting, kt, compliance), (bending, 3.0, bending_compliance)):
         true = np.sqrt(1 / stiff + rate / 2) - np.sqrt(1 / stiff)
-        assert true <= found.item() <= true * (1 + rate * stiff / 4)
+        assert true <= result.item() <= true * (1 + rate * stiff / 4)
 
 
 def test_what_sections_are_worth_at_the_nearer_end_sums_lengths_compliances_and_transmissions() -> None:
@@ -540,11 +540,11 @@ def test_what_sections_are_worth_at_the_nearer_end_sums_lengths_compliances_and_
 @pytest.mark.parametrize("linear", [True, False])
 def test_the_ball_of_loaded_arms_is_that_of_newton_and_kantorovich(linear: bool) -> None:
     """At half of the time from the nearer end, or against what is linear between both, whichever is less."""
-    one, asked = np.ones((1, 1, 1)), []
+    one, requested = np.ones((1, 1, 1)), []
     flat = one[..., 0]
 
     def hessian_change(moved: Any, *, stretched: bool) -> Array:
-        asked.append([float(each.item()) for each in (*moved.angle, moved.frame, moved.moment)])
+        requested.append([float(each.item()) for each in (*moved.angle, moved.frame, moved.moment)])
         return np.array([0.3 if stretched else 0.5])
 
     bounds = bare(
@@ -565,7 +565,7 @@ def test_the_ball_of_loaded_arms_is_that_of_newton_and_kantorovich(linear: bool)
     ball = bounds.ball(np.array([0.9]))
     # Of the moment in world axes by time: h_t t n + h t_t n + h t n_t, and that of what acts ahead.
     moment = (1 * 1 * 3 + 2 * 0.8 * 3 + 2 * 1 * 1 + 0.4) / 2
-    assert asked == [pytest.approx([0.1, 0.3, 0.4, moment]), pytest.approx([7, 11, 13, 2 * 3 * 13])]
+    assert requested == [pytest.approx([0.1, 0.3, 0.4, moment]), pytest.approx([7, 11, 13, 2 * 3 * 13])]
     left = 0.7 if linear else 0.6
     root = float(np.roots([0.25, -left, 0.05]).min())
     assert ball.exists.all()
@@ -581,8 +581,8 @@ def test_a_point_of_loaded_arms_is_off_its_chord_by_the_sum_of_what_turns_and_le
         chord=SimpleNamespace(tangent=DerivativeBounds(0 * h, rate, bend)),
         swing=swing,
     )
-    found = bounds.chord_error(np.array([0.3]))[0]
-    assert found == pytest.approx(np.cumsum((2 * more * rate + h * bend) / 8 + 0.3 * h * swing))
+    result = bounds.chord_error(np.array([0.3]))[0]
+    assert result == pytest.approx(np.cumsum((2 * more * rate + h * bend) / 8 + 0.3 * h * swing))
 
 
 def loaded(load: Load) -> tuple[LoadedIntervals, _Bounds]:
@@ -601,10 +601,10 @@ def test_an_arm_swings_by_the_root_of_its_compliance_at_most() -> None:
         if not s:
             continue
         x = (np.arange(count) + 0.5) / count * s
-        there = [x < tube.curved_length + by for tube, by in zip(STEPPED.tubes, (-0.02, -0.01), strict=True)]
-        stiff = sum(tube.bending_stiffness * on for tube, on in zip(STEPPED.tubes, there, strict=True))
+        reached = [x < tube.curved_length + by for tube, by in zip(STEPPED.tubes, (-0.02, -0.01), strict=True)]
+        stiff = sum(tube.bending_stiffness * on for tube, on in zip(STEPPED.tubes, reached, strict=True))
         total = (1 / stiff).sum() * s / count
-        for tube, on, held in zip(STEPPED.tubes, there, (0.06, 0.03), strict=True):
+        for tube, on, held in zip(STEPPED.tubes, reached, (0.06, 0.03), strict=True):
             slope = tube.bending_stiffness * tube.curvature * on / stiff * s / count
             m = np.cumsum(slope[::-1])[::-1] - slope / 2
             total += ((m**2).sum() * s / count + held * slope.sum() ** 2) / tube.torsional_stiffness
@@ -643,11 +643,11 @@ def test_what_differs_between_loaded_arms_is_more_between_samples() -> None:
         intervals=ends,
         _between_samples=lambda c: _Samples(np.full((1, 1, 1), 0.1), np.full((1, 1, 1), 0.3), np.full((1, 1), 0.5)),
     )
-    found = _Bounds._changes(still, np.full((1, 1, 1), 2.0), np.full((1, 1), 3.0))
-    assert found.angle[0].item() == pytest.approx(0.7 + 0.1)
-    assert found.angle[1].item() == pytest.approx(0.9 + 2 * 0.1)
-    assert (found.torque.item(), found.moment.item()) == pytest.approx((2.3, 3.5))
-    assert found.valid.all()
+    result = _Bounds._changes(still, np.full((1, 1, 1), 2.0), np.full((1, 1), 3.0))
+    assert result.angle[0].item() == pytest.approx(0.7 + 0.1)
+    assert result.angle[1].item() == pytest.approx(0.9 + 2 * 0.1)
+    assert (result.torque.item(), result.moment.item()) == pytest.approx((2.3, 3.5))
+    assert result.valid.all()
 
 
 def test_torques_and_moments_between_points_are_those_of_statics() -> None:
@@ -660,18 +660,18 @@ def test_torques_and_moments_between_points_are_those_of_statics() -> None:
     arm = forward_kinematics(robot, [0.3, 1.5], [0.0, -0.003], load=load)
     arms = LoadedArms.of(Constants.of(robot), [arm], pull=Pull.of(robot, load))
     s = (arm.arc_length[1:] + arm.arc_length[:-1])[np.diff(arm.arc_length) > 1e-6] / 2
-    places, step = np.zeros(len(s), dtype=int), 1e-6
-    here, before, after = (arms.points(places, s + d * step) for d in (0, -1, 1))
+    positions, step = np.zeros(len(s), dtype=int), 1e-6
+    current, before, after = (arms.points(positions, s + d * step) for d in (0, -1, 1))
     tangent = (after - before) / (2 * step)
-    acts = np.cross(arm.tip_position - here, load.force) + load.moment
-    moments = np.cross(arms.points(places[:1], np.array([0.025]))[0] - here, point.force) + point.moment
+    acts = np.cross(arm.tip_position - current, load.force) + load.moment
+    moments = np.cross(arms.points(positions[:1], np.array([0.025]))[0] - current, point.force) + point.moment
     acts += (s < 0.025)[:, None] * moments
     node, weight = np.polynomial.legendre.leggauss(12)
-    for k, begin in enumerate(s):
-        x = begin + (0.05 - begin) * (node + 1) / 2
-        each = np.cross(arms.points(np.zeros(12, dtype=int), x) - here[k], along.force) + along.moment
-        acts[k] += (0.05 - begin) / 2 * weight @ each
-    torque, bending = arms.sampled(places, s)
+    for k, start in enumerate(s):
+        x = start + (0.05 - start) * (node + 1) / 2
+        each = np.cross(arms.points(np.zeros(12, dtype=int), x) - current[k], along.force) + along.moment
+        acts[k] += (0.05 - start) / 2 * weight @ each
+    torque, bending = arms.sampled(positions, s)
     turning = (acts * tangent).sum(1)
     assert torque.sum(1) == pytest.approx(turning, abs=1e-7)
     assert np.linalg.norm(bending, axis=1) == pytest.approx(
@@ -707,10 +707,10 @@ def test_what_differs_is_sure_also_where_it_spreads_from_rotations_alone(strengt
 
     ends: Any = SimpleNamespace(changes=(np.full((1, 1, 1), 1.0), np.zeros((1, 1, 1, 1))))
     still: Any = SimpleNamespace(intervals=ends, _between_samples=between)
-    found = _Bounds._changes(still, np.zeros((1, 1, 1)), np.zeros((1, 1)))
-    assert found.valid.item() == (strength <= 0.5)
-    if found.valid:
-        bound = np.array([found.angle[0].item(), found.torque.item(), found.moment.item()])
+    result = _Bounds._changes(still, np.zeros((1, 1, 1)), np.zeros((1, 1)))
+    assert result.valid.item() == (strength <= 0.5)
+    if result.valid:
+        bound = np.array([result.angle[0].item(), result.torque.item(), result.moment.item()])
         exact = np.linalg.solve(np.eye(3) - spread, [1.0, 0.0, 0.0])
         assert (exact * (1 - 1e-12) <= bound).all()
         assert (bound <= 1.6 * exact).all()
@@ -728,8 +728,8 @@ def test_what_differs_is_sure_only_if_all_of_it_is(grows: str) -> None:
             turns * c.angle[0], factors["torque"] * c.torque, factors["moment"] * c.moment
         ),
     )
-    found = _Bounds._changes(still, np.ones((1, 1, 2)), np.ones((1, 1)))
-    assert found.valid.item() == (grows == "nothing")
+    result = _Bounds._changes(still, np.ones((1, 1, 2)), np.ones((1, 1)))
+    assert result.valid.item() == (grows == "nothing")
 
 
 @pytest.mark.parametrize("per_length", [0.2, -0.2])
@@ -770,8 +770,8 @@ def test_moments_that_cancel_along_a_section_are_the_most_at_its_ends() -> None:
     intervals = LoadedIntervals.of(LoadedArms.of(Constants.of(robot), arms, pull=pull), np.array([0]), np.array([1]))
     ends = [moment * (1 - 30 * (cuts[0, -1] - cuts[0])) for cuts in (intervals.start_cuts, intervals.end_cuts)]
     for k in range(intervals.length[0].shape[1]):
-        most = max(abs(end[at]) for end in ends for at in (k, k + 1))
-        assert intervals._loads[1].v[0, k] == pytest.approx(most, rel=1e-9)
+        largest = max(abs(end[at]) for end in ends for at in (k, k + 1))
+        assert intervals._loads[1].v[0, k] == pytest.approx(largest, rel=1e-9)
         change = max(abs(ends[1][at] - ends[0][at]) for at in (k, k + 1))
         assert intervals._loads[1].d[0, k] == pytest.approx(change, abs=1e-15)
     assert intervals.couple.v[0, -1] == pytest.approx(moment)
@@ -782,17 +782,17 @@ def test_moments_twist_the_outermost_tube_by_their_whole_size_where_they_act() -
     arm they act on the tip."""
     robot = nested((0.04, 0.05, 0.0), (0.02, 0.03, 0.0))
     at, moment = np.array([0.0, 0.01, 0.01, 0.03, 0.04, 0.07]), np.array([3.0, 0.0, 4.0])
-    points = tuple(PointLoad(place, moment=tuple((k + 1) * moment)) for k, place in enumerate(at.tolist()))
+    points = tuple(PointLoad(position, moment=tuple((k + 1) * moment)) for k, position in enumerate(at.tolist()))
     along = Stretch(0.005, 0.035, moment=(0.0, 0.3, 0.4))
     pull = Pull.of(robot, Load(moment=tuple(10 * moment), distributed=(along,), points=points))
     arm = forward_kinematics(robot, [0.0, 0.0], [0.0, 0.0])
     intervals = LoadedIntervals.of(LoadedArms.of(Constants.of(robot), [arm, arm], pull=pull), *np.array([[0], [1]]))
     ends, per_length = intervals.twisting
     long = intervals.length[0][0] > 1e-9
-    found = dict(zip(np.round(intervals.start_cuts[0, 1:][long], 9).tolist(), ends[0, long].tolist(), strict=True))
+    results = dict(zip(np.round(intervals.start_cuts[0, 1:][long], 9).tolist(), ends[0, long].tolist(), strict=True))
     acting = {0.01: [0, 25], 0.03: [0, 20], 0.04: [25, 0], 0.05: [80, 0]}
-    assert found == {place: pytest.approx(acting.get(place, [0, 0])) for place in found}
-    assert set(acting) < set(found)
+    assert results == {position: pytest.approx(acting.get(position, [0, 0])) for position in results}
+    assert set(acting) < set(results)
     assert not ends[0, ~long].any()
     middles = (intervals.start_cuts[0, :-1] + intervals.start_cuts[0, 1:])[long] / 2
     outer = (middles > 0.005) & (middles < 0.03)
@@ -858,14 +858,14 @@ def test_no_branch_of_loaded_arms_is_shown_where_a_part_of_the_proof_is_missing(
     else:
         changes = _Bounds._changes
         monkeypatch.setattr(_Bounds, "_changes", lambda *a: replace(changes(*a), valid=np.array([False])))
-    found = loaded_branch(intervals, margins)
-    assert not found.unbroken.any()
-    assert np.isinf(found.chord_error).all()
+    result = loaded_branch(intervals, margins)
+    assert not result.unbroken.any()
+    assert np.isinf(result.chord_error).all()
 
 
 def test_the_moment_of_all_that_acts_to_one_side_of_a_straight_arm_is_its_lever() -> None:
     """Forces by their places and moments as they are: on the tip, at a place, on a stretch, and by weight."""
-    length, at, (begin, end) = 0.1, 0.03, (0.02, 0.07)
+    length, at, (start, end) = 0.1, 0.03, (0.02, 0.07)
     tip, point, along = np.array([2.0, 0.3]), np.array([1.5, 0.2]), np.array([5.0, 0.7])
 
     def both(parts: Array) -> Array:
@@ -874,13 +874,13 @@ def test_the_moment_of_all_that_acts_to_one_side_of_a_straight_arm_is_its_lever(
     pull = Pull(
         at=np.array([at, np.inf]),
         points=np.stack([both(point), both(tip)]),
-        stretches=np.array([[begin, end]]),
+        stretches=np.array([[start, end]]),
         along=both(along)[None],
         weight=np.array([[4.0, 0.0, 0.0]]),
     )
     arms = SimpleNamespace(ends=np.array([[length]]), pull=pull)
-    true = length * tip[0] + tip[1] + at * point[0] + point[1] + along[0] * (end**2 - begin**2) / 2
-    true += along[1] * (end - begin) + 4.0 * length**2 / 2
+    true = length * tip[0] + tip[1] + at * point[0] + point[1] + along[0] * (end**2 - start**2) / 2
+    true += along[1] * (end - start) + 4.0 * length**2 / 2
     assert vars(LoadedArms)["_lever"].func(arms) == pytest.approx([true])
 
 

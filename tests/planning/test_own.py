@@ -31,16 +31,16 @@ class Height(CustomObjective):
 
 def planned(cost: CustomObjective | None) -> tuple[Trajectory, float]:
     """A plan, and the mean height of its tip over time."""
-    found = plan_trajectory(THESIS, START, GOAL, options=PlanOptions(extra_cost=cost))
-    assert found.proved
-    return found, float(np.trapezoid(found.tip_position[:, 2], found.time) / found.time[-1])
+    plan = plan_trajectory(THESIS, START, GOAL, options=PlanOptions(extra_cost=cost))
+    assert plan.proved
+    return plan, float(np.trapezoid(plan.tip_position[:, 2], plan.time) / plan.time[-1])
 
 
 def test_own_cost_is_traded_for_length() -> None:
     """Of two weights each has the plan of less total cost; what is gained is paid in length."""
-    found = [(weight, *planned(Height(weight) if weight else None)) for weight in (0.0, 10.0)]
-    lengths = [trajectory.statistics.length for _, trajectory, _ in found]
-    heights = [height for *_, height in found]
+    results = [(weight, *planned(Height(weight) if weight else None)) for weight in (0.0, 10.0)]
+    lengths = [trajectory.statistics.length for _, trajectory, _ in results]
+    heights = [height for *_, height in results]
     assert heights[1] < heights[0] - 0.01
     assert lengths[0] < lengths[1] < 1.1 * lengths[0]
     squares = np.square(lengths) / lengths[0] ** 2

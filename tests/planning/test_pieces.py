@@ -36,10 +36,10 @@ def test_a_way_around_a_ball_is_planned_and_proved() -> None:
     ends = [forward_kinematics(PIECES, *at) for at in (START, GOAL)]
     middle = (ends[0].tip_position + ends[1].tip_position) / 2
     ball = Sphere(tuple((middle + np.array([0.0, 0.0, 0.02])).tolist()), 0.004)
-    found = plan_trajectory(PIECES, START, GOAL, obstacles=[ball], options=PlanOptions(objective="none"))
-    proof = verify_trajectory(PIECES, found.time, found.rotations, found.translations, obstacles=[ball])
+    plan = plan_trajectory(PIECES, START, GOAL, obstacles=[ball], options=PlanOptions(objective="none"))
+    proof = verify_trajectory(PIECES, plan.time, plan.rotations, plan.translations, obstacles=[ball])
     assert proof.holds
-    passed = follow(PIECES, found.rotations[::-3][::-1], found.translations[::-3][::-1], start=found.start)
+    passed = follow(PIECES, plan.rotations[::-3][::-1], plan.translations[::-3][::-1], start=plan.start)
     assert not passed.snaps
     assert np.linalg.norm(passed.equilibria[-1].tip_position - ends[1].tip_position) < 1e-9
     apart = [ball.signed_distance(e.position).min() for e in passed.equilibria]
@@ -116,20 +116,20 @@ def test_the_bound_knows_that_coefficients_move_along_the_tubes(soft: bool, load
     at = np.array([0.3, -0.8]), np.array([-0.03, -0.012])
     for turn, shift in ((0.0, 2e-4), (0.04, 3e-4), (0.06, 0.0)):
         chain = [
-            forward_kinematics(robot, at[0] + [share * turn, 0.0], at[1] + [share * shift, 0.0], load=load)
-            for share in (0.0, 1.0, 0.25, 0.5, 0.75)
+            forward_kinematics(robot, at[0] + [fraction * turn, 0.0], at[1] + [fraction * shift, 0.0], load=load)
+            for fraction in (0.0, 1.0, 0.25, 0.5, 0.75)
         ]
-        arms, intervals, found = between(chain, load)
-        assert found.unbroken.all()
-        shares, x, used = (0.25, 0.5, 0.75), np.linspace(0, 1, 9), []
+        arms, intervals, result = between(chain, load)
+        assert result.unbroken.all()
+        fractions, x, used = (0.25, 0.5, 0.75), np.linspace(0, 1, 9), []
         for k in np.flatnonzero(np.maximum(*intervals.length)[0] > 0):
-            ends = intervals.places(np.zeros(9, dtype=np.intp), np.full(9, k), x)
-            for number, share in enumerate(shares):
-                cut = (1 - share) * intervals.start_cuts[0] + share * intervals.end_cuts[0]
+            ends = intervals.positions(np.zeros(9, dtype=np.intp), np.full(9, k), x)
+            for number, fraction in enumerate(fractions):
+                cut = (1 - fraction) * intervals.start_cuts[0] + fraction * intervals.end_cuts[0]
                 true = arms.points(np.full(9, 2 + number), cut[k] + x * (cut[k + 1] - cut[k]))
-                off = np.linalg.norm(true - (1 - share) * ends[0] - share * ends[1], axis=1).max()
-                assert off <= found.chord_error[0, k] + 3 * arms.shape_error.max()
-                used.append(off / found.chord_error[0, k])
+                off = np.linalg.norm(true - (1 - fraction) * ends[0] - fraction * ends[1], axis=1).max()
+                assert off <= result.chord_error[0, k] + 3 * arms.shape_error.max()
+                used.append(off / result.chord_error[0, k])
         assert max(used) > (0.6 if shift else 0.1) / (1 if load is None else 2)
 
 
@@ -156,9 +156,9 @@ def test_bounds_of_what_varies_hold() -> None:
                 continue
             s = np.linspace(low + 2 * step, high - 2 * step, 200)
             at = [np.tile((s + k * step)[:, None], 2) for k in (-1, 0, 1)]
-            rows = np.array([table.values(place)[:, :, i] for place in at])
+            rows = np.array([table.values(position)[:, :, i] for position in at])
             kb, kt, x, y, z = rows[:, :5].transpose(1, 0, 2)
-            for true, most in (
+            for true, largest in (
                 (kb, np.array([-1, *bounds.bending[1:, i, c + 1]])),
                 (1 / kt, np.array([1 / bounds.torsional[i, c + 1], *bounds.compliance[:, i, c + 1]])),
                 (kb * (x + 1j * y), bounds.pull[:, i, c + 1]),
@@ -167,8 +167,8 @@ def test_bounds_of_what_varies_hold() -> None:
                 size = np.abs(true).max()
                 first = np.abs(true[2] - true[0]).max() / (2 * step)
                 second = np.abs(true[2] - 2 * true[1] + true[0]).max() / step**2
-                assert most[0] < 0 or size <= most[0] <= 1.15 * size + 1e-15
-                assert first * (1 - 1e-6) <= most[1] + 1e-9 * size / step
-                assert most[1] <= 2 * first + 1e-9 * size / step
-                assert second * (1 - 1e-3) <= most[2] + 1e-14 * size / step**2
+                assert largest[0] < 0 or size <= largest[0] <= 1.15 * size + 1e-15
+                assert first * (1 - 1e-6) <= largest[1] + 1e-9 * size / step
+                assert largest[1] <= 2 * first + 1e-9 * size / step
+                assert second * (1 - 1e-3) <= largest[2] + 1e-14 * size / step**2
             assert 0.9 * kb.min() <= bounds.bending[0, i, c + 1] <= kb.min()

@@ -158,15 +158,15 @@ def test_obstacles_are_kept_clear_of_by_the_surface(few_knots: int) -> None:
     options = PlanOptions(clearance=1e-3, smoothing_intervals=few_knots)
     plan = plan_trajectory(THESIS, start, goal, obstacles=[body], options=options)
     assert plan.proof.holds
-    here, least = start, np.inf
+    current, smallest = start, np.inf
     for alpha, shift in zip(plan.rotations, plan.translations, strict=True):
-        here = forward_kinematics(THESIS, alpha, shift, start=here)
-        s = np.linspace(0, here.arc_length[-1], 500)
-        line = np.column_stack([np.interp(s, here.arc_length, here.position[:, k]) for k in range(3)])
-        radius = np.select([s <= end for end in here.tube_end[::-1]], [7e-4, 6e-4, 5e-4])
-        least = min(least, float((nearest_distance([body], line) - radius).min()))
-    assert least >= 1e-3 - 5e-6
-    assert plan.proof.least_clearance == pytest.approx(least, abs=1e-4)
+        current = forward_kinematics(THESIS, alpha, shift, start=current)
+        s = np.linspace(0, current.arc_length[-1], 500)
+        line = np.column_stack([np.interp(s, current.arc_length, current.position[:, k]) for k in range(3)])
+        radius = np.select([s <= end for end in current.tube_end[::-1]], [7e-4, 6e-4, 5e-4])
+        smallest = min(smallest, float((nearest_distance([body], line) - radius).min()))
+    assert smallest >= 1e-3 - 5e-6
+    assert plan.proof.least_clearance == pytest.approx(smallest, abs=1e-4)
 
 
 def test_a_vessel_is_stayed_inside_of() -> None:
@@ -200,40 +200,40 @@ def test_no_plan_is_told_before_searching() -> None:
 def test_the_time_limit_ends_a_search_with_what_it_found() -> None:
     fixed = JointLimits(((-5.0, 5.0),) * 3, ((0.0, 0.0),) * 3)
     plan_trajectory(THESIS, HOME, ([0.1, 0.0, 0.0], None), options=PlanOptions(objective="none"))
-    began = time.perf_counter()
-    with pytest.raises(SolveError, match="no plan was found within 3 s") as told:
+    start_time = time.perf_counter()
+    with pytest.raises(SolveError, match="no plan was found within 3 s") as report:
         plan_trajectory(THESIS, HOME, TURNED, limits=fixed, options=PlanOptions(time_limit=3.0))
-    assert time.perf_counter() - began < 30
-    partial = told.value.solution
+    assert time.perf_counter() - start_time < 30
+    partial = report.value.solution
     assert partial is None or partial.proof.holds
 
 
 def test_poses_of_the_tip_are_goals() -> None:
-    there = forward_kinematics(THESIS, [1.0, 0.5, 0.0], [-0.02, -0.02, 0.0])
+    reached = forward_kinematics(THESIS, [1.0, 0.5, 0.0], [-0.02, -0.02, 0.0])
     options = PlanOptions(objective="none")
-    plan = plan_trajectory(THESIS, HOME, there.tip_position, options=options)
-    np.testing.assert_allclose(plan.tip_position[-1], there.tip_position, atol=1e-6)
-    pose = TipGoal(there.tip_position, there.tip_rotation[:, 2])
+    plan = plan_trajectory(THESIS, HOME, reached.tip_position, options=options)
+    np.testing.assert_allclose(plan.tip_position[-1], reached.tip_position, atol=1e-6)
+    pose = TipGoal(reached.tip_position, reached.tip_rotation[:, 2])
     plan = plan_trajectory(THESIS, HOME, pose, options=options)
-    np.testing.assert_allclose(plan.end.tip_rotation[:, 2], there.tip_rotation[:, 2], atol=1e-6)
+    np.testing.assert_allclose(plan.end.tip_rotation[:, 2], reached.tip_rotation[:, 2], atol=1e-6)
 
 
 def test_other_postures_are_tried_where_the_nearest_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    there = forward_kinematics(THESIS, [0.07, 2.7, -2.14], [-0.0559, -0.0057, -0.0028])
+    reached = forward_kinematics(THESIS, [0.07, 2.7, -2.14], [-0.0559, -0.0057, -0.0028])
     tried: list[int] = []
 
-    def nearest_cut_off(*arguments: Any, **options: Any) -> search.Way:
+    def nearest_cut_off(*arguments: Any, **options: Any) -> search.FoundPath:
         tried.append(len(arguments[2]))
         return search.FoundPath(None, "search", 7) if len(tried) == 1 else search.find_path(*arguments, **options)
 
     monkeypatch.setattr(plan, "find_path", nearest_cut_off)
     monkeypatch.setattr("tubeopt.planning.goals.InverseOptions", partial(InverseOptions, starts=6))
-    found = plan_trajectory(THESIS, HOME, there.tip_position, options=PlanOptions(objective="none"))
-    first = inverse_kinematics(THESIS, there.tip_position, start=forward_kinematics(THESIS, *HOME))
-    np.testing.assert_allclose(found.tip_position[-1], there.tip_position, atol=1e-6)
-    assert np.abs(found.rotations[-1] - first.rotations).max() > 0.1
-    assert found.proof.holds
-    assert found.statistics.motions > 7
+    trajectory = plan_trajectory(THESIS, HOME, reached.tip_position, options=PlanOptions(objective="none"))
+    first = inverse_kinematics(THESIS, reached.tip_position, start=forward_kinematics(THESIS, *HOME))
+    np.testing.assert_allclose(trajectory.tip_position[-1], reached.tip_position, atol=1e-6)
+    assert np.abs(trajectory.rotations[-1] - first.rotations).max() > 0.1
+    assert trajectory.proof.holds
+    assert trajectory.statistics.motions > 7
 
 
 def test_eccentric_robots_are_planned_for() -> None:
@@ -272,9 +272,9 @@ def test_the_arm_follows_its_leader() -> None:
 def test_a_deployment_with_many_bends_keeps_its_accelerations() -> None:
     plan = follow_the_leader(THESIS, ([0.0, 0.5, 1.0], HOME[1]))
     assert plan.proved
-    most = plan.rate_limits.rotation_acceleration, plan.rate_limits.translation_acceleration
-    assert 0.9 < plan.proof.largest_rotation_acceleration / float(np.max(most[0])) <= 1
-    assert 0.9 < plan.proof.largest_translation_acceleration / float(np.max(most[1])) <= 1
+    largest = plan.rate_limits.rotation_acceleration, plan.rate_limits.translation_acceleration
+    assert 0.9 < plan.proof.largest_rotation_acceleration / float(np.max(largest[0])) <= 1
+    assert 0.9 < plan.proof.largest_translation_acceleration / float(np.max(largest[1])) <= 1
 
 
 @pytest.mark.parametrize("place", [[0.0, 0.0, 3.0], [0.15, 0.0, 0.1], [0.0, 0.0, -0.1]])
@@ -327,30 +327,30 @@ def test_an_arm_can_be_withdrawn_where_two_tubes_end_together() -> None:
 
 def test_a_curve_is_passed_as_fast_as_limits_allow() -> None:
     """On a way with a hairpin: rates and accelerations are kept, and nearly used; it begins and ends at rest."""
-    way = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.05], [0.0, 0.05]])
+    path = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.05], [0.0, 0.05]])
     mark = np.array([0.0, 1.0, 1.05, 2.05])
     even = np.linspace(0, mark[-1], 120)
-    rate, most = np.array([0.5, 0.2]), np.array([1.0, 0.3])
-    motion = stopping_at([np.column_stack([np.interp(even, mark, c) for c in way.T])], Limits(rate, most))
+    rate, largest = np.array([0.5, 0.2]), np.array([1.0, 0.3])
+    motion = stopping_at([np.column_stack([np.interp(even, mark, c) for c in path.T])], Limits(rate, largest))
     t = np.linspace(0, motion.duration, 20_001)
     q, speed = motion.curve(t), motion.curve(t, nu=1)
     # At all times, not only where the motion has its knots.
     assert (np.abs(speed) <= rate).all()
-    assert (np.abs(motion.curve(t, nu=2)) <= most).all()
+    assert (np.abs(motion.curve(t, nu=2)) <= largest).all()
     np.testing.assert_allclose(scipy.integrate.cumulative_trapezoid(speed, t, axis=0), (q - q[0])[1:], atol=1e-7)
     assert np.abs(speed[:, 0]).max() > 0.85 * rate[0]
-    np.testing.assert_allclose(q[[0, -1]], way[[0, -1]], atol=1e-12)
+    np.testing.assert_allclose(q[[0, -1]], path[[0, -1]], atol=1e-12)
     np.testing.assert_allclose(motion.curve([0.0, motion.duration], nu=1), 0.0, atol=1e-12)
 
 
 def test_curves_of_joint_values_keep_to_motions_that_bend() -> None:
     """Close to a snap the joints turn back while the tips go straight on."""
     task = plan_task(THESIS, [], 0.05, DEFAULT_RATES, None, PlanOptions())
-    begin = np.zeros(len(task.scale))
-    end = begin + [6.0, 0.0, -6.0, 0.0, 0.0, 0.0][: len(begin)]
-    fine = begin + np.linspace(0, 1, 4_001)[:, None] * (end - begin)
+    start = np.zeros(len(task.scale))
+    end = start + [6.0, 0.0, -6.0, 0.0, 0.0, 0.0][: len(start)]
+    fine = start + np.linspace(0, 1, 4_001)[:, None] * (end - start)
     exact = task.coordinates.joints(fine, task.arms(fine)) / task.scale
-    (table,) = joint_curves(task, np.stack([begin, end]))
+    (table,) = joint_curves(task, np.stack([start, end]))
     curve = rounded(table)(np.linspace(0, 1, 400)) / task.scale
     off = scipy.spatial.cKDTree(exact).query(curve)[0]
     assert off.max() < 0.01
@@ -371,10 +371,10 @@ def test_a_way_with_corners_is_passed_piece_by_piece() -> None:
     for piece, each in zip(pieces, alone, strict=True):
         far = np.abs(piece[-1] - piece[0])
         ramp = limits.rate**2 / limits.acceleration
-        least = np.where(
+        smallest = np.where(
             far > ramp, far / limits.rate + limits.rate / limits.acceleration, 2 * np.sqrt(far / limits.acceleration)
         )
-        assert least.max() * (1 - 1e-9) <= each.duration <= least.max() * 1.03
+        assert smallest.max() * (1 - 1e-9) <= each.duration <= smallest.max() * 1.03
     rests = motion.curve(np.cumsum([each.duration for each in alone[:-1]]), nu=1)
     assert np.abs(rests).max() < 0.02
 
@@ -385,13 +385,15 @@ def test_a_motion_to_the_right_joint_values_on_another_branch_is_told() -> None:
     space, start = joint_space(TWO_TUBE), forward_kinematics(TWO_TUBE, [100 * DEG, 0.0])
     q = np.linspace(space.join(start.rotations, start.translations), space.join([180 * DEG, 0.0], [0.0, 0.0]), 9)
     motion = stopping_at([q], Limits(*DEFAULT_RATES.of(space)))
-    led = follow(TWO_TUBE, np.column_stack([np.linspace(100, 180, 9) * DEG, np.zeros(9)]), start=start).equilibria[-1]
+    guided = follow(TWO_TUBE, np.column_stack([np.linspace(100, 180, 9) * DEG, np.zeros(9)]), start=start).equilibria[
+        -1
+    ]
     ends = [each for each in find_equilibria(TWO_TUBE, [180 * DEG, 0.0]) if each.stable]
     assert len(ends) == 2
     for end in ends:
-        places = motion.time[-1:], task.coordinates.of(end)[None]
-        same = np.allclose(end.tip_position, led.tip_position, atol=1e-6)
-        assert violated(task, start, motion, task.clock, places).intervals.any() == (not same)
+        positions = motion.time[-1:], task.coordinates.of(end)[None]
+        same = np.allclose(end.tip_position, guided.tip_position, atol=1e-6)
+        assert violated(task, start, motion, task.clock, positions).intervals.any() == (not same)
 
 
 def test_arguments_of_another_kind_are_named() -> None:
@@ -405,9 +407,9 @@ def test_arguments_of_another_kind_are_named() -> None:
     ]
     for argument, message in wrong:
         for ask in (plan_trajectory, follow_tip_path):
-            places: tuple[Any, ...] = (HOME, TURNED) if ask is plan_trajectory else ([[0, 0, 0.1], [0, 0, 0.11]],)
+            positions: tuple[Any, ...] = (HOME, TURNED) if ask is plan_trajectory else ([[0, 0, 0.1], [0, 0, 0.11]],)
             with pytest.raises(InputError, match=message):
-                ask(THESIS, *places, **argument)
+                ask(THESIS, *positions, **argument)
     nothing: Any = None
     with pytest.raises(InputError, match="robot is None"):
         plan_trajectory(nothing, HOME, TURNED)
@@ -419,19 +421,19 @@ def test_arguments_of_another_kind_are_named() -> None:
 
 def test_a_plan_is_as_fast_as_its_own_path_can_be_passed(turn: Trajectory) -> None:
     """It stops at no corner, and is neither slower nor longer than the way that it began from."""
-    way = plan_trajectory(THESIS, HOME, TURNED, options=PlanOptions(objective="none"))
-    assert turn.time[-1] <= way.time[-1] * 1.002
-    assert turn.statistics.length <= way.statistics.length * 1.002
+    path = plan_trajectory(THESIS, HOME, TURNED, options=PlanOptions(objective="none"))
+    assert turn.time[-1] <= path.time[-1] * 1.002
+    assert turn.statistics.length <= path.statistics.length * 1.002
     space = joint_space(THESIS)
     q = np.array([space.join(a, d) for a, d in zip(turn.rotations, turn.translations, strict=True)])
-    rate, most = turn.rate_limits.of(space)
-    assert turn.time[-1] <= 1.05 * least_time(q / space.scale, rate / space.scale, most / space.scale)
+    rate, largest = turn.rate_limits.of(space)
+    assert turn.time[-1] <= 1.05 * least_time(q / space.scale, rate / space.scale, largest / space.scale)
 
 
 def test_a_plan_for_time_is_no_slower_than_one_for_length(few_knots: int) -> None:
     goal = ([100 * DEG, -40 * DEG, 20 * DEG], [-0.03, -0.02, -0.01])
-    asked = [PlanOptions(objective=name, smoothing_intervals=few_knots) for name in OBJECTIVES]
-    times = [plan_trajectory(THESIS, HOME, goal, options=options).time[-1] for options in asked]
+    requested = [PlanOptions(objective=name, smoothing_intervals=few_knots) for name in OBJECTIVES]
+    times = [plan_trajectory(THESIS, HOME, goal, options=options).time[-1] for options in requested]
     none, length, fast = times
     assert fast <= min(none, length) * (1 + 1e-9)
 
@@ -451,9 +453,9 @@ def least_time(q: Array, rate: Array, most: Array, cells: int = 200) -> float:
     top[[0, -1]] = 0.0
     options = {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes"}
     solver = ca.nlpsol("least", "ipopt", {"x": b, "f": seconds, "g": ca.vertcat(*force)}, options)
-    found = solver(x0=np.minimum(top, 0.05) / 2, lbx=0, ubx=top, lbg=-1, ubg=1)
+    result = solver(x0=np.minimum(top, 0.05) / 2, lbx=0, ubx=top, lbg=-1, ubg=1)
     assert solver.stats()["success"]
-    return float(found["f"])
+    return float(result["f"])
 
 
 def test_the_speed_of_the_tip_is_limited() -> None:

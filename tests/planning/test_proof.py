@@ -53,29 +53,31 @@ def test_arms_between_two_equilibria_are_where_the_bound_says(robot: Robot) -> N
     shift = -0.02 * np.ones(n) if isinstance(robot, SegmentedEccentricRobot) else -0.01 * np.ones(n)
     first = forward_kinematics(robot, np.linspace(0.4, -0.8, n), robot.home_translations + shift)
     last = between(robot, first, forward_kinematics(robot, first.rotations + moved, first.translations + 0.004), 1)
-    chain = [between(robot, first, last, share) for share in np.linspace(0, 1, 17)]
+    chain = [between(robot, first, last, fraction) for fraction in np.linspace(0, 1, 17)]
     arms = SolvedArms.of(Constants.of(robot), chain)
     one = np.arange(16)
     intervals = Intervals.of(arms, one, one + 1)
     stiffness = np.array([min(e.margin, 1.0) for e in chain]) * (0.9 if arms.constants.offset.any() else 1.0)
-    found = branch(intervals, stiffness)
-    assert found.unbroken.all()
-    assert found.chord_error.max() < 3e-4
+    result = branch(intervals, stiffness)
+    assert result.unbroken.all()
+    assert result.chord_error.max() < 3e-4
     x = np.linspace(0, 1, 9)
     for k in (0, 7, 15):
-        for share in (0.25, 0.5):
-            e = between(robot, chain[k], chain[k + 1], share)
+        for fraction in (0.25, 0.5):
+            e = between(robot, chain[k], chain[k + 1], fraction)
             true = SolvedArms.of(arms.constants, [e])
             for section in np.flatnonzero(np.maximum(*intervals.length)[k] > 0):
-                cut = (1 - share) * intervals.start_cuts[k] + share * intervals.end_cuts[k]
+                cut = (1 - fraction) * intervals.start_cuts[k] + fraction * intervals.end_cuts[k]
                 s = cut[section] + x * (cut[section + 1] - cut[section])
-                a, b = intervals.places(np.full(9, k), np.full(9, section), x)
-                off = np.linalg.norm(true.points(np.zeros(9, dtype=np.intp), s) - (1 - share) * a - share * b, axis=1)
-                allowed = found.chord_error[k, section] + 2 * arms.shape_error.max() + true.shape_error[0]
+                a, b = intervals.positions(np.full(9, k), np.full(9, section), x)
+                off = np.linalg.norm(
+                    true.points(np.zeros(9, dtype=np.intp), s) - (1 - fraction) * a - fraction * b, axis=1
+                )
+                allowed = result.chord_error[k, section] + 2 * arms.shape_error.max() + true.shape_error[0]
                 assert off.max() <= allowed
     # Of second order: twice the step, four times the bound.
     coarse = branch(Intervals.of(arms, np.array([6]), np.array([8])), stiffness).chord_error[0, -1]
-    assert 3 < coarse / found.chord_error[6:8, -1].mean() < 6
+    assert 3 < coarse / result.chord_error[6:8, -1].mean() < 6
 
 
 @pytest.mark.parametrize("robot", [THESIS, PIECES], ids=lambda r: r.name)
@@ -91,7 +93,7 @@ def test_the_error_of_interpolation_along_the_arm_is_bounded(robot: Robot) -> No
 @pytest.fixture(scope="module")
 def moving() -> list[Equilibrium]:
     first, last = forward_kinematics(THESIS, *FROM), forward_kinematics(THESIS, *TO)
-    return [between(THESIS, first, last, share) for share in np.linspace(0, 1, 241)]
+    return [between(THESIS, first, last, fraction) for fraction in np.linspace(0, 1, 241)]
 
 
 def body_at(place: Array, radius: float, random: np.random.Generator) -> Obstacle:
@@ -122,8 +124,8 @@ def test_no_body_between_samples_is_closer_than_the_bound(moving: list[Equilibri
         k = int(random.integers(len(points)))
         body = body_at(points[k], float(radius[k]), random)
         true = float((body.signed_distance(points) - radius).min())
-        wanted = max(true - 2e-5, 0.0)
-        proof = verify_trajectory(THESIS, [0.0, 1.0][: 2 - at_rest], *table, obstacles=[body], clearance=wanted)
+        desired = max(true - 2e-5, 0.0)
+        proof = verify_trajectory(THESIS, [0.0, 1.0][: 2 - at_rest], *table, obstacles=[body], clearance=desired)
         assert proof.least_clearance <= true + 1e-9
         assert proof.holds == (true - 2e-5 >= 0) or 0 <= true < 2e-5
         if true > 0:
@@ -134,7 +136,7 @@ def test_no_body_between_samples_is_closer_than_the_bound(moving: list[Equilibri
 def test_a_cloud_of_4_000_points_is_proved() -> None:
     random = np.random.default_rng(1)
     first, last = forward_kinematics(THESIS, *FROM), forward_kinematics(THESIS, *TO)
-    lines = [surface(between(THESIS, first, last, share), 2e-4) for share in np.linspace(0, 1, 31)]
+    lines = [surface(between(THESIS, first, last, fraction), 2e-4) for fraction in np.linspace(0, 1, 31)]
     points, radius = (np.concatenate(part) for part in zip(*lines, strict=True))
     centres = points[random.integers(len(points), size=16_000)] + random.normal(size=(16_000, 3)) * 0.006
     from scipy.spatial import cKDTree
@@ -144,9 +146,9 @@ def test_a_cloud_of_4_000_points_is_proved() -> None:
     assert len(chosen) == 4_000
     cloud = [Sphere(tuple(centre), 1e-4) for centre in centres[chosen].tolist()]
     true = float((far[chosen] - radius[nearest[chosen]] - 1e-4).min())
-    began = time.process_time()
+    start_time = time.process_time()
     proof = verify_trajectory(THESIS, [0.0, 1.0], [FROM[0], TO[0]], [FROM[1], TO[1]], obstacles=cloud, clearance=2e-3)
-    assert time.process_time() - began < 10
+    assert time.process_time() - start_time < 10
     assert proof.holds
     # Radii fall along the arm, so that the nearest point need not be the one with the least clearance.
     assert true - 2.5e-4 <= proof.least_clearance <= true + 1e-6
@@ -189,8 +191,8 @@ def test_the_least_margin_is_that_of_all_times() -> None:
     assert proof.holds
     dense = [forward_kinematics(THESIS, table[0])]
     for a, b in pairwise(table):
-        for share in np.linspace(0, 1, 300)[1:]:
-            dense.append(forward_kinematics(THESIS, a + share * (b - a), start=dense[-1]))
+        for fraction in np.linspace(0, 1, 300)[1:]:
+            dense.append(forward_kinematics(THESIS, a + fraction * (b - a), start=dense[-1]))
     assert proof.least_margin == pytest.approx(min(e.margin for e in dense), abs=1e-6)
 
 
@@ -203,15 +205,15 @@ def test_rotations_of_a_robot_without_limits_are_free() -> None:
 
 def test_equilibria_are_as_close_as_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """Twice as many at half the turn, and the same least margin; with too few nothing is proved."""
-    way = [0.0, 1.0], [[0.0, 0.0], [1.0, 0.0]]
+    path = [0.0, 1.0], [[0.0, 0.0], [1.0, 0.0]]
     turns = []
     for turn in (0.01, 0.005):
         monkeypatch.setattr(trajectory_trace, "LARGEST_TURN", turn)
-        turns.append(verify_trajectory(TWO_TUBE, *way))
+        turns.append(verify_trajectory(TWO_TUBE, *path))
     assert turns[0].least_margin == pytest.approx(turns[1].least_margin, abs=1e-9)
     assert [proof.equilibria for proof in turns] == [101, 201]
-    monkeypatch.setattr(trajectory_trace, "MOST_EQUILIBRIA", 5)
-    assert not verify_trajectory(TWO_TUBE, *way).holds
+    monkeypatch.setattr(trajectory_trace, "MAX_EQUILIBRIA", 5)
+    assert not verify_trajectory(TWO_TUBE, *path).holds
 
 
 def test_what_is_not_shown_in_time_is_a_fault() -> None:
@@ -235,19 +237,19 @@ def test_a_place_beside_a_sharp_edge_is_outside_of_the_mesh() -> None:
         (-0.04274636337008146, -0.03950778318269245, -0.03067847568950321),
     )
     faces = ((3, 5, 1), (2, 0, 4), (1, 0, 3), (3, 0, 2), (4, 3, 2), (5, 3, 4), (4, 0, 1), (1, 5, 4))
-    place = np.array([[-0.03769968883307912, 0.0009783603408262155, -0.011203743255827826]])
+    position = np.array([[-0.03769968883307912, 0.0009783603408262155, -0.011203743255827826]])
     corners, flat = np.array(vertices), np.array(faces)
     normals = np.cross(corners[flat[:, 1]] - corners[flat[:, 0]], corners[flat[:, 2]] - corners[flat[:, 0]])
     side = np.sign(((corners.mean(0) - corners[flat[:, 0]]) * normals).sum(1))
     # The body is convex: a place beyond the plane of a face is outside.
-    assert (side * ((place - corners[flat[:, 0]]) * normals).sum(1) < 0).any()
-    assert MeshObstacle(vertices, faces).surface.signed_distance(place)[0] == pytest.approx(0.0303998881, abs=1e-9)
+    assert (side * ((position - corners[flat[:, 0]]) * normals).sum(1) < 0).any()
+    assert MeshObstacle(vertices, faces).surface.signed_distance(position)[0] == pytest.approx(0.0303998881, abs=1e-9)
 
 
 def test_what_cannot_be_bounded_is_given_up_soon(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three tubes so curved and so far off their middle that no interval, however short, bounds how they turn."""
     robot = EccentricRobot(Tube(1.9e-3, 1.6e-3, 0.02, 0.12, 60.0))
-    monkeypatch.setattr(trajectory_trace, "MOST_HALVINGS", 2)
+    monkeypatch.setattr(trajectory_trace, "MAX_HALVINGS", 2)
     proof = verify_trajectory(robot, [0, 1], [[0.5, -0.3, 0.1], [0.54, -0.3, 0.1]])
     assert proof.snap is None
     assert "nothing shows that one stable branch" in proof.faults[0]

@@ -33,17 +33,17 @@ def places(count: int) -> Array:
 def test_what_is_reached_is_there_and_plans_lead_to_it() -> None:
     targets = places(5)
     start = (np.zeros(2), ROBOT.home_translations)
-    found = evaluate_reach(ROBOT, start, targets, count=40)
-    assert found.reached[:-1].all()
-    assert not found.reached[-1]
-    assert found.share == pytest.approx(5 / 6)
-    assert found.miss[-1] > 0.5 * targets[-1, 2]
-    for k in np.flatnonzero(found.reached):
-        arms = find_equilibria(ROBOT, found.rotations[k], found.translations[k])
+    result = evaluate_reach(ROBOT, start, targets, count=40)
+    assert result.reached[:-1].all()
+    assert not result.reached[-1]
+    assert result.share == pytest.approx(5 / 6)
+    assert result.miss[-1] > 0.5 * targets[-1, 2]
+    for k in np.flatnonzero(result.reached):
+        arms = find_equilibria(ROBOT, result.rotations[k], result.translations[k])
         gaps = [np.linalg.norm(arm.tip_position - targets[k]) for arm in arms]
-        assert min(gaps) == pytest.approx(found.miss[k], abs=1e-6)
-    k = int(found.miss.argmin())
-    joints = (found.rotations[k], found.translations[k])
+        assert min(gaps) == pytest.approx(result.miss[k], abs=1e-6)
+    k = int(result.miss.argmin())
+    joints = (result.rotations[k], result.translations[k])
     assert plan_trajectory(ROBOT, start, joints, options=PlanOptions(objective="none")).proved
 
 
@@ -71,11 +71,11 @@ def test_what_is_no_table_of_places_is_refused(targets: object, message: str) ->
 
 
 def test_time_ends_the_search() -> None:
-    found = evaluate_reach(
+    result = evaluate_reach(
         ROBOT, (np.zeros(2), ROBOT.home_translations), places(1), options=PlanOptions(time_limit=1e-6)
     )
-    assert found.examined == 0
-    assert np.isfinite(found.miss).all()
+    assert result.examined == 0
+    assert np.isfinite(result.miss).all()
 
 
 @pytest.mark.parametrize("name", ["shift", "tilt"])

@@ -75,9 +75,9 @@ def test_a_place_of_the_tip_is_planned_for_from_the_map_alone(monkeypatch: pytes
     task = plan_task(ROBOT, [body], 0.05, DEFAULT_RATES, None, PlanOptions(clearance=1e-3))
     roomy = task.arms(roadmap.points[task.holds(roadmap.points)]).tip
     start = np.zeros(3), np.array([-0.033, -0.092, -0.096])
-    place = roomy[np.argmax(roomy[:, 2])] + [5e-4, -5e-4, 0.0]
-    near = roadmap.near(task, place, 3)
-    away = np.linalg.norm(task.arms(roadmap.points).tip - place, axis=1)
+    position = roomy[np.argmax(roomy[:, 2])] + [5e-4, -5e-4, 0.0]
+    near = roadmap.near(task, position, 3)
+    away = np.linalg.norm(task.arms(roadmap.points).tip - position, axis=1)
     assert np.array_equal(near, roadmap.points[np.argsort(away)[:3]])
 
     def never(*_: object, **__: object) -> None:
@@ -86,11 +86,11 @@ def test_a_place_of_the_tip_is_planned_for_from_the_map_alone(monkeypatch: pytes
     monkeypatch.setattr("tubeopt.planning.goals.inverse_kinematics", never)
     monkeypatch.setattr("tubeopt.planning.plan.find_path", never)
     quick = PlanOptions(clearance=2e-4, objective="none", roadmap=roadmap)
-    plan = plan_trajectory(ROBOT, start, place, obstacles=[body], options=quick)
+    plan = plan_trajectory(ROBOT, start, position, obstacles=[body], options=quick)
     assert plan.proved
     assert plan.statistics.how == "roadmap"
     assert plan.proof.least_clearance >= 2e-4
-    assert np.linalg.norm(plan.tip_position[-1] - place) < 1e-8
+    assert np.linalg.norm(plan.tip_position[-1] - position) < 1e-8
     for arm in plan.arms:
         index = np.rint(image.frame.seen(arm.position) / image.spacing).astype(int)
         assert free[tuple(index.T)].all()

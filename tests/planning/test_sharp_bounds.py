@@ -107,10 +107,10 @@ def test_the_gradient_along_the_chord_of_two_tubes_is_that_of_the_sine_of_their_
     chain = [forward_kinematics(robot, [angle, 0.0], load=Load()) for angle in np.pi / 2 + np.array([-turn, turn]) / 2]
     arms = LoadedArms.of(Constants.of(robot), chain, pull=Pull.of(robot, Load()))
     intervals = LoadedIntervals.of(arms, np.array([0]), np.array([1]))
-    found = loaded_branch._Bounds(intervals).gradient().item()
+    result = loaded_branch._Bounds(intervals).gradient().item()
     off = coupling * (1 - np.cos(turn / 2))
     true = off * np.sqrt(length**3 / 3 * (1 / inner.torsional_stiffness + 1 / outer.torsional_stiffness))
-    assert np.sqrt(3) * true * (1 - 1e-3) <= found <= np.sqrt(3) * true * 1.02
+    assert np.sqrt(3) * true * (1 - 1e-3) <= result <= np.sqrt(3) * true * 1.02
 
 
 class Rod:
@@ -126,14 +126,14 @@ class Rod:
         )
         self.chord_error, self.times = nothing + off, np.array([0.0, 1.0])
         self.verifier: Any = SimpleNamespace(exhausted=True)
-        self.whole = True
+        self.complete = True
 
     def link_at(self, t: Array) -> Array:
         return np.zeros(t.shape, dtype=np.intp)
 
-    def places(self, link: Array, section: Array, x: Array, t: Array) -> Array:
-        there = self.corners[0] + x[:, None, None] * (self.corners[1] - self.corners[0])
-        return np.asarray(there[:, :1] + t[..., None] * (there[:, 1:] - there[:, :1]))
+    def positions(self, link: Array, section: Array, x: Array, t: Array) -> Array:
+        reached = self.corners[0] + x[:, None, None] * (self.corners[1] - self.corners[0])
+        return np.asarray(reached[:, :1] + t[..., None] * (reached[:, 1:] - reached[:, :1]))
 
 
 def moved(begin: Array, end: Array, move: Array) -> Array:
@@ -198,11 +198,11 @@ def test_the_clearance_of_a_rod_by_its_first_cells_is_that_of_pythagoras() -> No
     """Cells of a quarter of its length each: a sphere beside the middle of one, beside an end, and behind the plate."""
     length = 0.04
     robot = nested((0.0, length, 0.0))
-    here = between(robot, ([0.0], [0.0]), ([0.0], [0.0]))
-    radius, off = robot.tubes[0].outer_diameter / 2, np.full(here.length[0].shape, 1e-4)
+    current = between(robot, ([0.0], [0.0]), ([0.0], [0.0]))
+    radius, off = robot.tubes[0].outer_diameter / 2, np.full(current.length[0].shape, 1e-4)
     for z, beside, tall in ((0.375 * length, 0.02, True), (length, 0.02, False), (-0.01, 0.0, False)):
         scene = scene_of([Sphere((0.0, beside, z), 1e-3)])
-        bound, closest = clearance_bounds(here, off, scene, ClearanceTarget(0.0, 1e-9, 0), np.inf)
+        bound, closest = clearance_bounds(current, off, scene, ClearanceTarget(0.0, 1e-9, 0), np.inf)
         corner = np.hypot(beside, length / 8 if tall else abs(z) if z < 0 else 0.0) - 1e-3
         true = np.sqrt(corner**2 - (length / 8) ** 2) - radius - 1e-4
         assert bound.item() == pytest.approx(min(true, corner - radius if z < 0 else np.inf), abs=1e-7)
@@ -242,11 +242,11 @@ def test_a_track_is_whole_only_where_one_branch_was_followed_to_its_end(
     monkeypatch.setattr(several_arms, "prove_branch", lambda verifier, links: trajectory_trace.Proved(links, lost))
     none: Any = None
     track = several_arms.tracked(none, arm, np.array([0.0, 1.0]), np.zeros((2, 4)), none)
-    assert track.whole == (missing == "nothing")
+    assert track.complete == (missing == "nothing")
     # Arms of which a part is not shown have no clearance.
     rods = Rod(moved(*np.eye(3))), Rod(moved(*(5 * np.eye(3))))
-    rods[0].whole = track.whole
-    assert np.isfinite(clearance(*rods)) == track.whole
+    rods[0].complete = track.complete
+    assert np.isfinite(clearance(*rods)) == track.complete
 
 
 def test_a_finer_track_is_whole_as_far_as_its_halves_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -263,16 +263,16 @@ def test_a_finer_track_is_whole_as_far_as_its_halves_are_shown(monkeypatch: pyte
         monkeypatch.setattr(
             several_arms, "prove_branch", lambda verifier, links, lost=lost: trajectory_trace.Proved(links, lost)
         )
-        assert track.finer(np.array([0])).whole == (not lost)
+        assert track.finer(np.array([0])).complete == (not lost)
     monkeypatch.setattr(several_arms, "bisect", ends)
-    assert not track.finer(np.array([0])).whole
+    assert not track.finer(np.array([0])).complete
 
 
 def test_a_clearance_from_one_time_to_another_is_the_least_in_between() -> None:
     times, distances = np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.3, 0.1, 0.2])
     proof = several_arms.PairProof((0, 1), 0.1, 0.1, 0.0, times, distances)
-    begin, end = np.array([[0.2, 0.5], [0.5, 1.5], [2.1, 9.0], [-1.0, 0.5], [1.0, 1.0], [0.0, 3.0]]).T
-    assert proof.at_least(begin, end).tolist() == [0.3, 0.1, 0.2, 0.3, 0.1, 0.1]
+    start, end = np.array([[0.2, 0.5], [0.5, 1.5], [2.1, 9.0], [-1.0, 0.5], [1.0, 1.0], [0.0, 3.0]]).T
+    assert proof.at_least(start, end).tolist() == [0.3, 0.1, 0.2, 0.3, 0.1, 0.1]
     rods: Any = (Rod(moved(*np.eye(3))), Rod(moved(*(5 * np.eye(3)))))
     assert several_arms.apart((0, 1), rods, ClearanceTarget(0.0, 1e-9, 0), 0.01).least_clearance == 0.01
 
@@ -284,7 +284,7 @@ def test_a_stretch_of_time_that_is_short_is_not_halved(
     """Where one cell at once cannot show the clearance, stretches are halved down to 1e-9 of the time, or
     until there are no equilibria left, of which each round takes twice as many."""
     body = Sphere((0.0, 0.0, 0.4), 0.05)
-    monkeypatch.setattr(trajectory_trace, "MOST_EQUILIBRIA", 40)
+    monkeypatch.setattr(trajectory_trace, "MAX_EQUILIBRIA", 40)
     verifier = trajectory_trace.TrajectoryVerifier(THESIS, scene_of([body]), ClearanceTarget(0.5, 1e-9, 0), Clock(60.0))
     joints = [np.append(angles, THESIS.home_translations) for angles in ([0.0, 0.0, 0.0], [0.02, 0.0, 0.0])]
     steps = [
@@ -301,40 +301,40 @@ def test_a_point_of_an_arc_that_slides_out_is_off_its_chord_by_the_bend_of_its_p
     """P = (1 - cos(k h), sin(k h)) / k at length h(t): |P_tt| is k h_t^2, all of it from the arm that grows."""
     curvature, short, long = 0.5, 0.018, 0.022
     robot = nested((0.0, 0.03, curvature))
-    found = branch.branch(between(robot, *(([0.0], [h - 0.03]) for h in (short, long))), np.ones(2))
+    result = branch.branch(between(robot, *(([0.0], [h - 0.03]) for h in (short, long))), np.ones(2))
 
     def tip(h: float) -> Array:
         return np.array([1 - np.cos(curvature * h), np.sin(curvature * h)]) / curvature
 
     true = float(np.linalg.norm(tip((short + long) / 2) - (tip(short) + tip(long)) / 2))
-    assert 0.999 * true <= found.chord_error.max() <= 1.03 * true
+    assert 0.999 * true <= result.chord_error.max() <= 1.03 * true
     speeding = curvature * (long - short) ** 2
-    assert 0.999 * speeding <= found.rates[0, 0] <= 1.03 * speeding
+    assert 0.999 * speeding <= result.rates[0, 0] <= 1.03 * speeding
 
 
 def test_what_bends_an_arm_otherwise_moves_a_point_by_its_lever() -> None:
     """int (s - x) |du| dx by sums along the arm, where all tubes turn by an angle against theta~."""
-    here = [0.3, 0.1], [-0.02, -0.01]
-    bounds, turn = bounds_between(STEPPED, here, here), 1e-3
+    current = [0.3, 0.1], [-0.02, -0.01]
+    bounds, turn = bounds_between(STEPPED, current, current), 1e-3
     cuts = bounds.intervals.start_cuts[0]
     still = np.zeros_like(bounds.torque), np.zeros_like(bounds.bending.pairs)
-    found = (
+    result = (
         bounds.chord_error(still, np.full_like(bounds.torque, turn))[0]
         - bounds.chord_error(still, np.zeros_like(bounds.torque))[0]
     )
     x = (np.arange(20000) + 0.5) / 20000 * cuts[-1]
-    tubes, offset = STEPPED.tubes, np.array(here[1]) + 0.0
-    there = [(x < tube.curved_length + by) for tube, by in zip(tubes, offset, strict=True)]
-    stiff = sum(tube.bending_stiffness * on for tube, on in zip(tubes, there, strict=True))
-    pull = sum(tube.bending_stiffness * tube.curvature * on for tube, on in zip(tubes, there, strict=True))
+    tubes, offset = STEPPED.tubes, np.array(current[1]) + 0.0
+    reached = [(x < tube.curved_length + by) for tube, by in zip(tubes, offset, strict=True)]
+    stiff = sum(tube.bending_stiffness * on for tube, on in zip(tubes, reached, strict=True))
+    pull = sum(tube.bending_stiffness * tube.curvature * on for tube, on in zip(tubes, reached, strict=True))
     true = [float(((s - x).clip(0) * pull / stiff * turn).sum() * cuts[-1] / 20000) for s in cuts[1:]]
-    assert found == pytest.approx(true, rel=1e-3)
+    assert result == pytest.approx(true, rel=1e-3)
 
 
 def test_no_rotation_of_unit_torsional_energy_is_larger_than_its_weight_and_one_is_as_large() -> None:
     """The most of y(s) over int kt y'^2 + kt / |beta| y(0)^2 = 1 is the root of the compliance, by elements."""
-    here = [0.3, 0.1], [-0.02, -0.01]
-    bounds = bounds_between(STEPPED, here, (here[0], [-0.022, -0.013]))
+    current = [0.3, 0.1], [-0.02, -0.01]
+    bounds = bounds_between(STEPPED, current, (current[0], [-0.022, -0.013]))
     cuts = bounds.intervals.start_cuts[0]
     for i, (tube, held) in enumerate(zip(STEPPED.tubes, (0.06, 0.03), strict=True)):
         for s, weight in zip(cuts[1:], bounds.weight[0][0, :, i], strict=True):
@@ -344,7 +344,7 @@ def test_no_rotation_of_unit_torsional_energy_is_larger_than_its_weight_and_one_
             matrix[0, 0] += tube.torsional_stiffness / held
             if s:
                 assert np.sqrt(np.linalg.inv(matrix)[-1, -1]) <= weight * (1 + 1e-9)
-    still = bounds_between(STEPPED, here, here)
+    still = bounds_between(STEPPED, current, current)
     true = np.sqrt((np.array([0.06, 0.03]) + cuts[1:, None]) / [tube.torsional_stiffness for tube in STEPPED.tubes])
     assert still.weight[0][0] == pytest.approx(true, rel=1e-9)
     assert still.weight[1][0] == pytest.approx(np.sqrt(true[:, :, None] ** 2 + true[:, None] ** 2), rel=1e-9)
@@ -373,11 +373,11 @@ def test_what_moments_twist_by_is_bounded_by_its_own_derivatives() -> None:
             (held + t * longer) * gain.sum(0) + np.cumsum((h + t * more) * (1 + stretch) * mean * compliance, axis=0)
         )
 
-    found, step = bounds.rotation(DerivativeBounds(*m[:, None]), DerivativeBounds(*g[:, None])), 1e-3
-    before, here, after = (twist(1 + k * step) for k in (-1, 0, 1))
-    assert found.v[0] == pytest.approx(here, rel=1e-9)
-    assert found.d[0] == pytest.approx((after - before) / (2 * step), rel=1e-5)
-    assert found.dd[0] == pytest.approx((after - 2 * here + before) / step**2, rel=1e-5)
+    result, step = bounds.rotation(DerivativeBounds(*m[:, None]), DerivativeBounds(*g[:, None])), 1e-3
+    before, current, after = (twist(1 + k * step) for k in (-1, 0, 1))
+    assert result.v[0] == pytest.approx(current, rel=1e-9)
+    assert result.d[0] == pytest.approx((after - before) / (2 * step), rel=1e-5)
+    assert result.dd[0] == pytest.approx((after - 2 * current + before) / step**2, rel=1e-5)
 
 
 def test_the_norm_of_a_change_is_the_torsional_energy_of_what_its_moments_twist() -> None:
@@ -400,8 +400,8 @@ def test_the_norm_of_a_change_is_the_torsional_energy_of_what_its_moments_twist(
         total += (t**2).sum(0) / kt * h[k] / 2000
         ahead += h[k] * np.array([moment[0, k], bounds.torque[0, k]])
     still = np.zeros(count) + turn
-    found = bounds.energy((still, still[..., None] + still[..., None, :])).item()
-    assert found == pytest.approx(np.sqrt(total.sum()), rel=1e-6)
+    result = bounds.energy((still, still[..., None] + still[..., None, :])).item()
+    assert result == pytest.approx(np.sqrt(total.sum()), rel=1e-6)
 
 
 @pytest.mark.parametrize("stiffness", [1.0, 0.4])
@@ -449,8 +449,8 @@ def test_the_ball_of_a_parabola_is_that_of_newton_and_kantorovich(
         _stretch=lambda u: u,
         _jacobian_change=lambda varied, gained, by, moving: next(made),
     )
-    ball, kept = branch._Bounds.ball(still, (NONE, NONE[..., None]))
-    assert kept.all()
+    ball, retained = branch._Bounds.ball(still, (NONE, NONE[..., None]))
+    assert retained.all()
     q = by_time / 2
     # At half of the time, where both the residual and q are largest, by the quadratic formula.
     roots = np.roots([by_ball / 2, q - 1, residual / 8])
@@ -468,11 +468,11 @@ def test_what_changes_between_samples_is_off_its_chord_by_an_eighth_of_its_secon
     one, other = robot.tubes
     coupling = 9.0 * one.bending_stiffness * other.bending_stiffness / (one.bending_stiffness + other.bending_stiffness)
     pair = np.zeros((*bounds.torque.shape, 2)) + turn * (1 - np.eye(2))
-    found = bounds._between_samples((np.zeros_like(bounds.torque), pair))[0].max(0)
+    result = bounds._between_samples((np.zeros_like(bounds.torque), pair))[0].max(0)
     kt = np.array([tube.torsional_stiffness for tube in robot.tubes])
     x = np.linspace(0, length / PARTS, 101)
     parabola = coupling * turn / kt * (x * (x[-1] - x))[:, None] / 2
-    assert found == pytest.approx(parabola.max(0), rel=1e-6)
+    assert result == pytest.approx(parabola.max(0), rel=1e-6)
 
 
 def test_pieces_of_arms_at_rest_that_cross_in_their_middle_are_as_far_apart_as_their_middles() -> None:
@@ -480,10 +480,10 @@ def test_pieces_of_arms_at_rest_that_cross_in_their_middle_are_as_far_apart_as_t
     x, y, z = np.eye(3)
     one, other = np.array([-0.2 * x, 0.2 * x]), np.array([z - 0.3 * y, z + 0.3 * y])
     thick = np.array([0.05, 0.05]), np.array([0.03, 0.03])
-    found = reach_share._apart(
+    result = reach_share._apart(
         reach_share._Arm(one, thick[0], 0.4**2, 0.001), reach_share._Arm(other, thick[1], 0.6**2, 0.002)
     )
-    assert found == pytest.approx(1 - 0.08 - 0.003)
+    assert result == pytest.approx(1 - 0.08 - 0.003)
 
 
 def test_an_arm_at_rest_is_as_thick_as_at_the_nearer_point_and_bends_off_its_pieces_by_their_sagitta(
@@ -493,8 +493,8 @@ def test_an_arm_at_rest_is_as_thick_as_at_the_nearer_point_and_bends_off_its_pie
     monkeypatch.setattr(reach_share, "REST_POINTS", 11)
     robot, curvature, length, count = nested((0.0, 0.08, 5.0), (0.0, 0.043, 5.0)), 5.0, 0.08, 11
     arm = forward_kinematics(robot, [0.0, 0.0])
-    found: Any = SimpleNamespace(reached=np.array([True]), arm=lambda robot, k: arm)
-    line, thick, square, bow = reach_share._at_rest(robot, found, base_frame([0, 0, 0], [0, 0, 1]))[0]
+    result: Any = SimpleNamespace(reached=np.array([True]), arm=lambda robot, k: arm)
+    line, thick, square, bow = reach_share._at_rest(robot, result, base_frame([0, 0, 0], [0, 0, 1]))[0]
     assert len(line) == count
     assert square == pytest.approx((length / 10) ** 2)
     sagitta = (1 - np.cos(curvature * length / 20)) / curvature
@@ -522,7 +522,7 @@ def test_sections_are_in_order_where_no_places_along_the_arm_meet(
 ) -> None:
     arms: Any = SimpleNamespace(
         breakpoints=np.array([begin, end]),
-        places=np.array(places),
+        load_positions=np.array(places),
         constants=SimpleNamespace(stretch=lambda middle, tubes: None),
     )
     forwards_and_backwards = np.array([0, 1]), np.array([1, 0])

@@ -113,11 +113,11 @@ def test_changes_of_pace_need_few_further_equilibria(load: Load | None) -> None:
 
 def test_a_slow_motion_of_loaded_pieces_needs_few_equilibria() -> None:
     """The inner tube turns by 0.1 rad in 100 s. Errors of interpolation along the arm do not shrink with the links."""
-    here, turn = np.array([0.1, 0.5, 0.0, -0.012, -0.012, -0.012]), np.array([0.1, 0, 0, 0, 0, 0])
+    current, turn = np.array([0.1, 0.5, 0.0, -0.012, -0.012, -0.012]), np.array([0.1, 0, 0, 0, 0, 0])
     load = Load(force=(0.004, 0.003, -0.002))
-    joints = [here, here + turn]
+    joints = [current, current + turn]
     proof = verify_trajectory(PIECES, [0, 100], [q[:3] for q in joints], [q[3:] for q in joints], load=load)
-    tips = [_tip(PIECES, here + turn * x, load) for x in np.linspace(0, 1, 21)]
+    tips = [_tip(PIECES, current + turn * x, load) for x in np.linspace(0, 1, 21)]
     true = np.linalg.norm(np.diff(tips, axis=0), axis=1).max() / 5
     assert true <= proof.largest_tip_rate <= 1.03 * true
     assert proof.equilibria <= 30
@@ -152,9 +152,9 @@ def test_product_and_inverse_of_jets_are_exact_where_all_derivatives_are_positiv
         [2.6**k for k in range(4)]
     )
     c = 0.4
-    found = inverse(DerivativeBounds(np.array(1.0), *(np.array(c) for _ in range(3))))
+    result = inverse(DerivativeBounds(np.array(1.0), *(np.array(c) for _ in range(3))))
     exact = [1.0, c, c + 2 * c**2, c + 6 * c**2 + 6 * c**3]
-    assert [float(x) for x in (found.v, found.d, found.dd, found.ddd)] == pytest.approx(exact)
+    assert [float(x) for x in (result.v, result.d, result.dd, result.ddd)] == pytest.approx(exact)
 
 
 def test_a_turned_unit_vector_changes_as_its_jet_says() -> None:
@@ -171,7 +171,7 @@ def test_a_turned_unit_vector_changes_as_its_jet_says() -> None:
 def test_a_limit_that_the_bound_does_not_reach_is_not_proved(monkeypatch: pytest.MonkeyPatch) -> None:
     """With too few equilibria for a sharp bound the limit is neither refuted nor satisfied."""
     last = np.radians([214, 0, 0])
-    monkeypatch.setattr(trajectory_trace, "MOST_EQUILIBRIA", 121)
+    monkeypatch.setattr(trajectory_trace, "MAX_EQUILIBRIA", 121)
     proof = verify_trajectory(THESIS, [0, 10], [[0, 0, 0], last], rate_limits=RateLimits(tip=0.1329))
     assert proof.measured_tip_rate < 0.1329 < proof.largest_tip_rate
     assert not proof.holds
@@ -182,25 +182,25 @@ def test_the_cubic_through_both_velocities_leaves_a_31st_of_the_third_derivative
     """The most that |w''| <= 1 leaves of w - q, where q has the ends and the mean of w: the integral of the size of
     what a unit impulse of w'' leaves, by the midpoint rule."""
     s = (np.arange(4000) + 0.5) / 4000
-    most = 0.0
+    largest = 0.0
     for x in np.append(np.linspace(0.0, 1.0, 201), 0.2324):
         impulse = -np.minimum(x, s) * (1 - np.maximum(x, s))
         mean = -s * (1 - s) / 2
-        most = max(most, float(np.abs(impulse - 6 * x * (1 - x) * mean).mean()))
-    assert 0.999 * HERMITE <= most <= HERMITE
+        largest = max(largest, float(np.abs(impulse - 6 * x * (1 - x) * mean).mean()))
+    assert 0.999 * HERMITE <= largest <= HERMITE
 
 
 def test_the_speed_along_a_cubic_is_bounded_sharply() -> None:
     rng = np.random.default_rng(3)
     x = np.linspace(0.0, 1.0, 5001)
     for bow in (0.0, 0.3, 3.0):
-        begin, end = rng.normal(size=(2, 3))
+        start, end = rng.normal(size=(2, 3))
         curve = np.polynomial.Polynomial.fit([0, 0.5, 1], [0, 1, 0], 2)(x)  # of mean 2/3
-        velocity = begin + np.outer(x, end - begin) + np.outer(curve, np.array([bow, -bow, bow / 2]))
+        velocity = start + np.outer(x, end - start) + np.outer(curve, np.array([bow, -bow, bow / 2]))
         true = np.linalg.norm(velocity, axis=1).max()
-        mean = (begin + end) / 2 + 2 / 3 * np.array([bow, -bow, bow / 2])
-        assert true <= fastest_on_cubic(mean, begin, end) * (1 + 1e-12)
-        assert fastest_on_cubic(mean, begin, end) <= 1.03 * true
+        mean = (start + end) / 2 + 2 / 3 * np.array([bow, -bow, bow / 2])
+        assert true <= fastest_on_cubic(mean, start, end) * (1 + 1e-12)
+        assert fastest_on_cubic(mean, start, end) <= 1.03 * true
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -227,11 +227,11 @@ def test_two_tubes_need_no_more_equilibria_for_the_speed_of_the_tip() -> None:
 
 def row(h: list[float], speed: list[float], pace: list[float] | None = None, error: float = 0.0) -> Any:
     """Links that follow each other, of which only this is known."""
-    found: Any = _Row.__new__(_Row)
+    result: Any = _Row.__new__(_Row)
     count = len(h)
     chord = np.array(speed)[:, None] * [1.0, 0.0, 0.0]
     steps = [SimpleNamespace(equilibrium=SimpleNamespace(tip_error=error * (k == 0))) for k in range(count + 1)]
-    vars(found).update(
+    vars(result).update(
         links=[SimpleNamespace(fastest=math.inf)] * count,
         passed=np.array(h),
         speed=np.array(speed),
@@ -240,13 +240,13 @@ def row(h: list[float], speed: list[float], pace: list[float] | None = None, err
         alike=np.ones(count - 1, dtype=bool),
         steps=steps,
     )
-    return found
+    return result
 
 
 def test_a_velocity_that_grows_linearly_is_ahead_of_its_mean_by_half_of_its_growth() -> None:
     """v = mean + a t from -h / 2 to h / 2; the mean of measured places is off by both of them."""
-    found = row([0.4], [0.3], error=1e-3).fastest(np.array([[0.5], [np.inf]]), 0.0)[0]
-    assert found == pytest.approx([0.3 + 0.5 * 0.2 + 2 * 1e-3 / 0.4])
+    result = row([0.4], [0.3], error=1e-3).fastest(np.array([[0.5], [np.inf]]), 0.0)[0]
+    assert result == pytest.approx([0.3 + 0.5 * 0.2 + 2 * 1e-3 / 0.4])
 
 
 def test_a_velocity_that_bends_is_bounded_by_the_middles_of_neighbouring_links() -> None:
@@ -257,8 +257,8 @@ def test_a_velocity_that_bends_is_bounded_by_the_middles_of_neighbouring_links()
     vars(links)["velocity"] = lambda step, link: np.array([1e-9, 0.0, 0.0])
     # The second link may bend less.
     rates = np.array([[np.inf, np.inf], [bend, 8 * 0.9 * bend]])
-    found = links.fastest(rates, 0.0)[0]
-    assert found[0] == pytest.approx(top + 2 * error)
+    result = links.fastest(rates, 0.0)[0]
+    assert result[0] == pytest.approx(top + 2 * error)
     # Of places that are exact the second is twice as fast.
     exact = row([1.0, 0.5], [mean, 2 * mean], [1.0, 2.0])
     vars(exact)["velocity"] = links.velocity
@@ -277,10 +277,10 @@ def test_the_bound_of_a_link_by_its_end_is_that_of_half_the_link() -> None:
     middle = mean + bend * h**2 / 24
     for fast in (middle + 0.2, middle - 0.2):
         vars(links)["velocity"] = lambda step, link, fast=fast: np.array([fast, 0.0, 0.0]) if step == 0 else None
-        found, _ = links.fastest(np.array([[np.inf] * 2, [bend, 0.0]]), 0.0)
+        result, _ = links.fastest(np.array([[np.inf] * 2, [bend, 0.0]]), 0.0)
         near = max(middle, fast) + bend * (h / 2) ** 2 / 8
         far = middle + bend * (h / 2) ** 2 / 8
-        assert found[0] == pytest.approx(max(near, far), rel=1e-6)
+        assert result[0] == pytest.approx(max(near, far), rel=1e-6)
 
 
 def test_a_link_is_as_fast_as_the_cubic_through_both_velocities_and_what_it_leaves() -> None:
@@ -289,27 +289,27 @@ def test_a_link_is_as_fast_as_the_cubic_through_both_velocities_and_what_it_leav
     ends, mean = np.array([1.0, 0.0, 0.0]), 0.9
     links = row([h], [mean], error=error)
     vars(links)["velocity"] = lambda step, link: ends
-    found, reached = links.fastest(np.array([[np.inf], [bend]]), 0.0)
+    result, reached = links.fastest(np.array([[np.inf], [bend]]), 0.0)
     cubic = fastest_on_cubic(mean * ends, ends, ends)
     sides = 1.0 + bend * h**2 / 32
     assert reached == 1.0
-    assert found[0] == pytest.approx(min(sides, cubic + 1.5 * 2 * error / h + HERMITE * bend * h**2))
+    assert result[0] == pytest.approx(min(sides, cubic + 1.5 * 2 * error / h + HERMITE * bend * h**2))
     # Where the middle is the fastest the cubic is the sharper one.
     links = row([h], [mean], error=error)
     vars(links)["velocity"] = lambda step, link: 0.85 * ends
     middle = mean + 200 * h**2 / 24 + 2 * error / h
     cubic = fastest_on_cubic(mean * ends, 0.85 * ends, 0.85 * ends) + 1.5 * 2 * error / h + HERMITE * 200 * h**2
-    found, _ = links.fastest(np.array([[np.inf], [200.0]]), 0.0)
+    result, _ = links.fastest(np.array([[np.inf], [200.0]]), 0.0)
     assert cubic < middle + 200 * h**2 / 32
-    assert found[0] == pytest.approx(cubic)
+    assert result[0] == pytest.approx(cubic)
 
 
 def test_the_speed_along_a_cubic_between_samples_is_that_of_a_parabola() -> None:
     """6 x (1 - x) + 3/4 x is fastest at 9/16, half-way between two samples."""
     along = np.array([1.0, 0.0, 0.0])
     # Between 0 and 3/4 with a mean of 1 + 3/8.
-    found = fastest_on_cubic(1.375 * along, 0.0 * along, 0.75 * along)
-    assert found == pytest.approx(6 * 9 / 16 * 7 / 16 + 0.75 * 9 / 16, rel=1e-12)
+    result = fastest_on_cubic(1.375 * along, 0.0 * along, 0.75 * along)
+    assert result == pytest.approx(6 * 9 / 16 * 7 / 16 + 0.75 * 9 / 16, rel=1e-12)
 
 
 def going(joints: list[list[float]]) -> Any:
@@ -322,14 +322,14 @@ def going(joints: list[list[float]]) -> Any:
 
     verifier = SimpleNamespace(robot=SimpleNamespace(n_tubes=2), constants=SimpleNamespace(ended=2), cuts=cuts)
     steps = [SimpleNamespace(joints=np.array(each), equilibrium="arm") for each in joints]
-    found: Any = _Row.__new__(_Row)
-    vars(found).update(
+    result: Any = _Row.__new__(_Row)
+    vars(result).update(
         verifier=verifier,
         links=[SimpleNamespace(start=a, end=b) for a, b in pairwise(steps)],
         passed=np.ones(len(joints) - 1),
         steps=steps,
     )
-    return found
+    return result
 
 
 @pytest.mark.parametrize(
@@ -420,10 +420,10 @@ def test_the_speed_is_bounded_where_breakpoints_are_less_than_a_nanometre_from_t
     """They pass each other just after the first sample: the speed is that on the far side. J q' of the near side is
     1.4 % less, and would show a limit that is not kept."""
     robot = load_robot("till_snapping_pair")
-    begin = np.array([-0.6534, 0.8595, -0.02291, -0.0399000009])
+    start = np.array([-0.6534, 0.8595, -0.02291, -0.0399000009])
     end = np.array([-0.6464, 0.8392, -0.02307, -0.0394744])
-    proof = verify_trajectory(robot, [0, 1], [begin[:2], end[:2]], [begin[2:], end[2:]])
-    tips = [_tip(robot, begin + (end - begin) * x) for x in (1e-5, 3e-3)]
+    proof = verify_trajectory(robot, [0, 1], [start[:2], end[:2]], [start[2:], end[2:]])
+    tips = [_tip(robot, start + (end - start) * x) for x in (1e-5, 3e-3)]
     true = float(np.linalg.norm(tips[1] - tips[0])) / (3e-3 - 1e-5)
     assert true <= proof.largest_tip_rate <= 1.03 * true
     assert proof.measured_tip_rate <= proof.largest_tip_rate
@@ -445,8 +445,8 @@ def test_breakpoints_that_meet_at_once_are_met_by_one_step(size: float) -> None:
 def test_meetings_at_one_time_are_one_and_parts_beside_them_are_none() -> None:
     """Gaps that differ by 1e-13 m of 1e-4 m where one of them is 0; by 1e-8 m; and a part 1e-9 beside a meeting."""
     before, after = np.array([0.0, 2e-5, 2e-5 + 1e-13, 3e-5]), np.array([0.0, -8e-5, -8e-5, -7e-5])
-    found = _meetings(np.array([before, after]))[0]
-    assert found == pytest.approx([0.2, 0.3], abs=1e-8)
+    result = _meetings(np.array([before, after]))[0]
+    assert result == pytest.approx([0.2, 0.3], abs=1e-8)
     assert _meetings(np.array([[0.0, 0.9e-9], [0.0, -1e-3]]))[0] == pytest.approx([0.9e-6], rel=1e-3)
     assert not _meetings(np.array([[0.0, 0.9e-12], [0.0, -1e-3]]))
     parts = _divided(np.array([0.2, 0.3 + 1e-9, 1.0]), np.array([0.3, 1 - 1e-9]))

@@ -44,10 +44,10 @@ def test_sagitta_of_an_arc_is_an_eighth_of_curvature_times_length_squared() -> N
     intervals = Intervals.of(SolvedArms.of(Constants.of(robot), [arm, arm]), np.array([0]), np.array([1]))
     section = int(np.argmax(intervals.length[0][0]))
     x = np.array([[0.0, 0.1], [0.2, 0.7]])
-    found = intervals.sagitta(np.zeros(2, int), np.full(2, section), x)
+    result = intervals.sagitta(np.zeros(2, int), np.full(2, section), x)
     true = (1 - np.cos(8.0 * 0.1 * np.diff(x)[:, 0] / 2)) / 8.0
-    assert (found >= true).all()
-    assert true == pytest.approx(found, rel=5e-3)
+    assert (result >= true).all()
+    assert true == pytest.approx(result, rel=5e-3)
 
 
 def test_an_arm_that_turns_as_one_is_off_its_chord_by_the_sagitta_of_its_circle() -> None:
@@ -55,12 +55,12 @@ def test_an_arm_that_turns_as_one_is_off_its_chord_by_the_sagitta_of_its_circle(
     curvature, length, turn = 8.0, 0.02, 0.1
     robot = nested((0.0, length, curvature), (0.0, length, curvature))
     arms = [forward_kinematics(robot, [angle, angle]) for angle in (0.3, 0.3 + turn)]
-    found = branch(Intervals.of(SolvedArms.of(Constants.of(robot), arms), np.array([0]), np.array([1])), np.ones(2))
+    result = branch(Intervals.of(SolvedArms.of(Constants.of(robot), arms), np.array([0]), np.array([1])), np.ones(2))
     radius = (1 - np.cos(curvature * length)) / curvature
     sagitta = radius * (1 - np.cos(turn / 2))
-    assert found.unbroken.all()
-    assert sagitta <= found.chord_error.max() <= 1.25 * sagitta
-    second, third = found.rates[:, 0] / [radius * turn**2, radius * turn**3]
+    assert result.unbroken.all()
+    assert sagitta <= result.chord_error.max() <= 1.25 * sagitta
+    second, third = result.rates[:, 0] / [radius * turn**2, radius * turn**3]
     assert 1 <= second <= 1.3
     assert 1 <= third <= 2
 
@@ -68,12 +68,12 @@ def test_an_arm_that_turns_as_one_is_off_its_chord_by_the_sagitta_of_its_circle(
 def test_newton_and_kantorovich_take_the_least_root() -> None:
     """r = first + q r + bow r^2 / 2, and a fixed-point iteration from 0 ends there; none where no root is."""
     first, q, bow = np.array([1e-3, 0.1, 0.2]), np.array([0.3, 0.1, 0.5]), np.array([2.0, 3.0, 1.0])
-    radius, kept = least_root(first, 1 - q, bow)
-    assert kept.tolist() == [True, True, False]
+    radius, retained = least_root(first, 1 - q, bow)
+    assert retained.tolist() == [True, True, False]
     r = np.zeros(3)
     for _ in range(2000):
         r = np.minimum(first + q * r + bow * r**2 / 2, 1.0)
-    assert radius[kept] == pytest.approx(r[kept], rel=1e-9)
+    assert radius[retained] == pytest.approx(r[retained], rel=1e-9)
     # There is one up to where the discriminant vanishes.
     edge = (1 - q) ** 2 / (2 * bow)
     assert least_root(edge * 0.999, 1 - q, bow)[1].all()
@@ -84,21 +84,21 @@ def test_newton_and_kantorovich_take_the_least_root() -> None:
 def test_a_sixth_of_what_bends_a_function_leaves_it_on_its_chord() -> None:
     """Of functions with f'' = -T, T linear and nowhere negative: by their closed form, at all times."""
     t = np.linspace(0, 1, 100_001)[1:-1]
-    shares = []
+    fractions = []
     for first, last in ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.2, 1.0)):
         above = t * (1 - t) * (first * (2 - t) + last * (1 + t)) / 6
         bend = np.diff(above, 2) / (t[1] - t[0]) ** 2
         size = first + (last - first) * t
         assert np.abs(bend + size[1:-1]).max() < 1e-4
-        shares.append((above / size).max())
-    assert max(shares) <= CHORD_ERROR
-    assert max(shares) >= 0.999 * CHORD_ERROR
+        fractions.append((above / size).max())
+    assert max(fractions) <= CHORD_ERROR
+    assert max(fractions) >= 0.999 * CHORD_ERROR
 
 
 @pytest.mark.parametrize("plane", [True, False])
 def test_the_moment_of_a_load_changes_no_faster_than_the_arm_ahead_turns(plane: bool) -> None:
     """In the frame of a place of the arm: rigid parts turn at fixed rates, all derivatives by the exponential."""
-    rng, most = np.random.default_rng(4), np.zeros(3)
+    rng, largest = np.random.default_rng(4), np.zeros(3)
     for _ in range(300):
         own, ahead, force = (part / np.linalg.norm(part) for part in rng.normal(size=(3, 3)))
         tangent = np.array([0.0, 0.0, 1.0])
@@ -117,64 +117,68 @@ def test_the_moment_of_a_load_changes_no_faster_than_the_arm_ahead_turns(plane: 
             parts = [comb(order, k) * np.cross(turns[0][k], turns[1][order - k]) for k in range(order + 1)]
             size = np.linalg.norm(np.sum(parts, axis=0))
             assert size <= bound.order(order) * (1 + 1e-12)
-            most[order - 1] = max(most[order - 1], size / bound.order(order))
-    assert not plane or (most > 0.999).all()
+            largest[order - 1] = max(largest[order - 1], size / bound.order(order))
+    assert not plane or (largest > 0.999).all()
 
 
 def test_the_margin_that_is_asked_for_is_kept_to_the_last_digit() -> None:
     table = [0.0, 1.0], [[0.0, 0.0, 0.0], [200 * DEG, 0.0, 0.0]]
-    least = verify_trajectory(THESIS, *table).least_margin
-    assert least < 0.999
-    assert verify_trajectory(THESIS, *table, min_margin=least - 1e-6).holds
-    short = verify_trajectory(THESIS, *table, min_margin=least + 1e-4)
-    assert any(f"the margin falls to {least:.4g}" in fault for fault in short.faults)
+    smallest = verify_trajectory(THESIS, *table).least_margin
+    assert smallest < 0.999
+    assert verify_trajectory(THESIS, *table, min_margin=smallest - 1e-6).holds
+    short = verify_trajectory(THESIS, *table, min_margin=smallest + 1e-4)
+    assert any(f"the margin falls to {smallest:.4g}" in fault for fault in short.faults)
     assert not short.holds
 
 
 def test_the_least_margin_of_a_turn_is_that_of_opposed_tubes_between_its_ends() -> None:
     """By symmetry two tubes are softest where they are opposed; no end of the motion, and no sample, is there."""
     robot, turn = nested((0.0, 0.05, 8.0), (0.0, 0.05, 8.0)), np.array([[100 * DEG, 0.0], [247 * DEG, 0.0]])
-    least = forward_kinematics(robot, [np.pi, 0.0]).margin
+    smallest = forward_kinematics(robot, [np.pi, 0.0]).margin
     proof = verify_trajectory(robot, [0.0, 1.0], turn)
-    assert least < min(forward_kinematics(robot, angles).margin for angles in turn) - 0.01
-    assert proof.least_margin == pytest.approx(least, abs=1e-6)
+    assert smallest < min(forward_kinematics(robot, angles).margin for angles in turn) - 0.01
+    assert proof.least_margin == pytest.approx(smallest, abs=1e-6)
 
 
 def test_the_guard_makes_no_step_towards_a_body() -> None:
     """Whatever asks for the step: it is halved until the clearance is kept, or not made."""
-    begin = np.zeros(3)
-    there = forward_kinematics(THESIS, [20 * DEG, 0.0, 0.0]).tip_position
-    ball = Sphere(tuple(there.tolist()), 1e-3)
+    start = np.zeros(3)
+    reached = forward_kinematics(THESIS, [20 * DEG, 0.0, 0.0]).tip_position
+    ball = Sphere(tuple(reached.tolist()), 1e-3)
     options = ServoOptions(clearance=2e-3)
-    guard, free = (Guard(THESIS, (begin, None), None, bodies, options) for bodies in ([ball], []))
-    asked = np.zeros(len(guard.here.q))
-    asked[0] = 2 * DEG
+    guard, free = (Guard(THESIS, (start, None), None, bodies, options) for bodies in ([ball], []))
+    requested = np.zeros(len(guard.here.q))
+    requested[0] = 2 * DEG
     for _ in range(12):
-        free.go(asked, Why(0), 1e-3)
-        _, why = guard.go(asked, Why(0), 1e-3)
+        free.go(requested, Why(0), 1e-3)
+        _, why = guard.go(requested, Why(0), 1e-3)
     assert Why.HELD in why
     radius = 1e-3 + THESIS.tubes[0].outer_diameter / 2
-    gap = np.linalg.norm(guard.here.tip - there) - radius
+    gap = np.linalg.norm(guard.here.tip - reached) - radius
     assert gap >= 2e-3 - 1e-6
-    assert np.linalg.norm(free.here.tip - there) - radius < 0
+    assert np.linalg.norm(free.here.tip - reached) - radius < 0
 
 
 def test_the_guard_keeps_the_floor_of_the_margin() -> None:
     """A turn of the inner tube towards the snap, asked for again and again."""
     floor = 0.5
     guard = Guard(THESIS, (np.zeros(3), None), None, [], ServoOptions(min_margin=floor))
-    asked = np.zeros(len(guard.here.q))
-    asked[0] = 4 * DEG
+    requested = np.zeros(len(guard.here.q))
+    requested[0] = 4 * DEG
     for _ in range(60):
-        _, why = guard.go(asked, Why(0), 1e-3)
+        _, why = guard.go(requested, Why(0), 1e-3)
     assert Why.HELD in why
     assert floor <= guard.here.margin < floor + 0.05
 
 
 def test_the_guard_begins_within_the_ranges_and_the_margin() -> None:
     seed, limits = np.array([0.0, 90.0, 180.0]) * DEG, replace(THESIS.limits, rotations=((0.0, 180 * DEG),) * 3)
-    least = forward_kinematics(THESIS, seed).margin
-    for turn, floor, fault in ((0.0, least - 1e-6, ""), (0.1, 0.5, "out of range"), (0.0, least + 1e-6, "margin")):
+    smallest = forward_kinematics(THESIS, seed).margin
+    for turn, floor, fault in (
+        (0.0, smallest - 1e-6, ""),
+        (0.1, 0.5, "out of range"),
+        (0.0, smallest + 1e-6, "margin"),
+    ):
         with pytest.raises(InputError, match=fault) if fault else nullcontext():
             Guard(THESIS, (seed + turn * DEG, None), limits, [], ServoOptions(min_margin=floor))
 

@@ -82,9 +82,9 @@ def body_at(goal: Equilibrium, start: Equilibrium, kind: str, spare: float) -> O
 def test_places_that_are_barely_clear_are_planned_to(robot: Robot, kind: str, spare: float) -> None:
     start, goal = ends_of_a_way(robot)
     body = body_at(goal, start, kind, spare)
-    found = plan_trajectory(robot, start, goal, obstacles=[body], options=PLAIN)
-    assert found.proved
-    assert found.proof.least_clearance >= 1e-3
+    plan = plan_trajectory(robot, start, goal, obstacles=[body], options=PLAIN)
+    assert plan.proved
+    assert plan.proof.least_clearance >= 1e-3
     again = plan_trajectory(robot, goal, start, obstacles=[body], options=PLAIN)
     assert again.proved
 
@@ -110,8 +110,8 @@ def test_ways_along_a_wall_are_smoothed_as_free_ones(spare: float) -> None:
 
 def test_goals_of_barely_enough_margin_are_planned_to() -> None:
     space, random = joint_space(THESIS), np.random.default_rng(0)
-    found = (forward_kinematics(THESIS, *space.split(q)) for q in space.sample(60))
-    goal = next(e for e in found if 0.3 < e.margin < 0.8)
+    results = (forward_kinematics(THESIS, *space.split(q)) for q in space.sample(60))
+    goal = next(e for e in results if 0.3 < e.margin < 0.8)
     around = (goal.rotations + 0.2 * random.normal(size=3) for _ in range(100))
     near = (forward_kinematics(THESIS, each, goal.translations, start=goal) for each in around)
     start = next(e for e in near if e.margin > goal.margin + 0.02)
@@ -155,9 +155,9 @@ def test_a_design_that_touches_its_corridor_is_deployed_into_it() -> None:
     clear = ArmSurface(goal).clearance(Scene((vessel,)))
     assert 1e-5 < clear < 5e-5
     options = PlanOptions(objective="none", clearance=clear - 1e-5, time_limit=60.0)
-    found = plan_trajectory(robot, start, goal, obstacles=[vessel], options=options)
-    assert found.proved
-    assert found.proof.least_clearance >= clear - 1e-5
+    plan = plan_trajectory(robot, start, goal, obstacles=[vessel], options=options)
+    assert plan.proved
+    assert plan.proof.least_clearance >= clear - 1e-5
 
 
 def test_the_arm_between_points_of_the_chart_is_the_arm() -> None:
@@ -170,36 +170,36 @@ def test_the_arm_between_points_of_the_chart_is_the_arm() -> None:
         s, line = arms.fine()
         posture = posture_of(space, e)
         np.testing.assert_allclose(line[0], posture.outline.at(s[0])[0], atol=2e-6)
-        place = line[0, random.integers(20, 120)] + random.normal(size=3) * 5e-3
-        body = Sphere(tuple(place.tolist()), 2e-4)
-        least = posture.outline.clearance(Scene((body,)))
-        own = float(Task(coordinates, (body,), 0.0, max(least, 0.0)).clearances(arms)[0])
-        assert own == pytest.approx(least, abs=3e-6 if least > 5e-4 else 5e-5)
+        position = line[0, random.integers(20, 120)] + random.normal(size=3) * 5e-3
+        body = Sphere(tuple(position.tolist()), 2e-4)
+        smallest = posture.outline.clearance(Scene((body,)))
+        own = float(Task(coordinates, (body,), 0.0, max(smallest, 0.0)).clearances(arms)[0])
+        assert own == pytest.approx(smallest, abs=3e-6 if smallest > 5e-4 else 5e-5)
 
 
 def test_a_proof_that_is_out_of_time_says_so() -> None:
-    t, ways = np.linspace(0, 10, 50), np.linspace(0, 1, 50)[:, None] * [2.0, 1.0, 0.0]
-    proof = verify_trajectory(THESIS, t, ways, time_limit=1e-3)
+    t, paths = np.linspace(0, 10, 50), np.linspace(0, 1, 50)[:, None] * [2.0, 1.0, 0.0]
+    proof = verify_trajectory(THESIS, t, paths, time_limit=1e-3)
     assert not proof.holds
     assert proof.open
     assert 0 < proof.followed < 1 or proof.followed == 0
     assert "not proved: the time limit was reached" in proof.faults[0]
-    assert verify_trajectory(THESIS, t, ways, time_limit=60.0).holds
+    assert verify_trajectory(THESIS, t, paths, time_limit=60.0).holds
 
 
 def unproved(*arguments: Any) -> object:
     """The proof as it is when time is over after its first steps."""
-    *given, _ = arguments
-    return proved(*given, Clock(0.0))
+    *inputs, _ = arguments
+    return proved(*inputs, Clock(0.0))
 
 
 def test_what_was_not_proved_in_time_is_returned_as_that(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plan, "proved", unproved)
-    found = plan_trajectory(THESIS, HOME, ([0.5, 0.0, 0.0], None), options=PLAIN)
-    assert isinstance(found, Trajectory)
-    assert not found.proved
-    assert found.status.startswith("not proved: the time limit was reached")
-    np.testing.assert_allclose(found.rotations[-1], [0.5, 0.0, 0.0], atol=1e-12)
+    trajectory = plan_trajectory(THESIS, HOME, ([0.5, 0.0, 0.0], None), options=PLAIN)
+    assert isinstance(trajectory, Trajectory)
+    assert not trajectory.proved
+    assert trajectory.status.startswith("not proved: the time limit was reached")
+    np.testing.assert_allclose(trajectory.rotations[-1], [0.5, 0.0, 0.0], atol=1e-12)
 
 
 @pytest.mark.parametrize("command", ["plan", "run"])
@@ -220,17 +220,17 @@ def test_the_command_ends_with_4_where_the_proof_is_missing(
 def test_time_limits_bound_the_whole_call() -> None:
     """On a goal that cannot be reached and among many bodies, each of which costs the search and the proof."""
     random = np.random.default_rng(0)
-    places = random.normal(size=(60, 3)) * 0.03 + [0.15, 0.15, 0.15]
-    bodies = [Sphere(tuple(place.tolist()), 1e-3) for place in places]
+    positions = random.normal(size=(60, 3)) * 0.03 + [0.15, 0.15, 0.15]
+    bodies = [Sphere(tuple(position.tolist()), 1e-3) for position in positions]
     fixed = JointLimits(((-5.0, 5.0),) * 3, ((0.0, 0.0),) * 3)
     forward_kinematics(THESIS, [0.1, 0.0, 0.0])
     for goal, obstacles, limits in (([2.0, 0.3, 0.3], bodies, None), ([270 * DEG, 0.0, 0.0], [], fixed)):
-        began = time.perf_counter()
+        start_time = time.perf_counter()
         with suppress(SolveError):
             plan_trajectory(
                 THESIS, HOME, (goal, None), obstacles=obstacles, limits=limits, options=PlanOptions(time_limit=3.0)
             )
-        assert time.perf_counter() - began <= 1.1 * 3.0 + 0.5
+        assert time.perf_counter() - start_time <= 1.1 * 3.0 + 0.5
 
 
 def slow_robot(kind: str) -> Robot:
@@ -258,44 +258,43 @@ def test_short_time_limits_bound_what_slow_robots_do(kind: str) -> None:
         lambda: inverse_kinematics(robot, goal.tip_position, all_solutions=True, options=ik),
         lambda: inverse_kinematics(robot, 3 * goal.tip_position, reachable=True, options=ik),
     ):
-        began = time.process_time()
+        start_time = time.process_time()
         with suppress(SolveError):
             ask()
-        assert time.process_time() - began <= 1.1 * limit + 1.0
+        assert time.process_time() - start_time <= 1.1 * limit + 1.0
 
 
 def test_bodies_that_are_far_away_cost_smoothing_nothing() -> None:
     random = np.random.default_rng(0)
-    places = random.uniform([-0.1, -0.1, 0.02], [0.1, 0.1, 0.2], (100, 3))
-    bodies = [Sphere(tuple(place.tolist()), 2e-3) for place in places]
-    began = time.process_time()
+    positions = random.uniform([-0.1, -0.1, 0.02], [0.1, 0.1, 0.2], (100, 3))
+    bodies = [Sphere(tuple(position.tolist()), 2e-3) for position in positions]
+    start_time = time.process_time()
     options = PlanOptions(time_limit=60.0)
     start, goal = (forward_kinematics(CRL, a, [0.02991, -0.05159, -0.08409]) for a in (np.zeros(3), [1.2, 0.9, 0.4]))
-    found = plan_trajectory(CRL, start, goal, obstacles=bodies, options=options)
-    assert time.process_time() - began < 3.0
-    assert found.proved
-    assert found.statistics.length < 1.1 * np.linalg.norm(
-        (posture_of(joint_space(CRL), found.end).q - posture_of(joint_space(CRL), found.start).q)
-        / joint_space(CRL).scale
+    plan = plan_trajectory(CRL, start, goal, obstacles=bodies, options=options)
+    assert time.process_time() - start_time < 3.0
+    assert plan.proved
+    assert plan.statistics.length < 1.1 * np.linalg.norm(
+        (posture_of(joint_space(CRL), plan.end).q - posture_of(joint_space(CRL), plan.start).q) / joint_space(CRL).scale
     )
 
 
 def test_a_turn_that_must_snap_is_told_at_once() -> None:
     """Two tubes that cannot slide: on every way one is turned half a turn against the other, which snaps."""
     fixed = JointLimits(((-7.0, 7.0),) * 2, ((0.0, 0.0),) * 2)
-    began = time.process_time()
+    start_time = time.process_time()
     with pytest.raises(SolveError, match=r"no plan exists: every path passes tube 1 turned by .* against tube 2"):
         plan_trajectory(TWO_TUBE, ([0.0, 0.0], None), ([300 * DEG, 0.0], None), limits=fixed)
-    assert time.process_time() - began < 5
+    assert time.process_time() - start_time < 5
 
 
 def test_of_several_goals_all_must_be_proved_to_be_out_of_reach(monkeypatch: pytest.MonkeyPatch) -> None:
     likely, sure = Wall("most states", False), Wall("every state", True)
     z = np.zeros(6)
-    for pair, told in (((likely, sure), likely), ((sure, likely), likely), ((sure, sure), sure)):
+    for pair, report in (((likely, sure), likely), ((sure, likely), likely), ((sure, sure), sure)):
         walls = iter(pair)
         monkeypatch.setattr(search, "_walls", lambda *_, walls=walls: [next(walls)])
-        assert wall(Task(TipCoordinates(joint_space(THESIS)), (), 0.05, 0.0), z, [z, z], Clock(1.0)) is told
+        assert wall(Task(TipCoordinates(joint_space(THESIS)), (), 0.05, 0.0), z, [z, z], Clock(1.0)) is report
 
 
 def test_no_more_is_said_of_a_goal_than_is_known_of_its_equilibria(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -346,11 +345,11 @@ def test_the_way_around_a_box_is_never_longer_than_one_that_is_found() -> None:
         goal = np.append(random.uniform(-0.05, 0.05, 2), random.uniform(0.06, 0.1))
         via = np.column_stack([random.uniform(-0.1, 0.1, (20000, 2)), np.full(20000, 0.045)])
         via = via[((via < low) | (via > high))[:, :2].any(1)]
-        found = (np.linalg.norm(via, axis=1) + np.linalg.norm(goal - via, axis=1)).min()
-        told = path_around(Box(tuple(low.tolist()), tuple(high.tolist())), goal)
-        assert told <= found
+        result = (np.linalg.norm(via, axis=1) + np.linalg.norm(goal - via, axis=1)).min()
+        report = path_around(Box(tuple(low.tolist()), tuple(high.tolist())), goal)
+        assert report <= result
         if ((goal > low) & (goal < high))[:2].all():
-            assert told == pytest.approx(found, abs=3e-3)
+            assert report == pytest.approx(result, abs=3e-3)
     assert path_around(Box((-0.1, -0.1, 0.2), (0.1, 0.1, 0.3)), np.array([0.0, 0.0, 0.1])) == 0.0
 
 
@@ -368,16 +367,16 @@ def test_steps_towards_a_place_are_those_that_end_within_ranges_and_order(robot:
     """Against the joint space itself; rotations have no range in tip coordinates."""
     task, random = plan_task(robot, ()), np.random.default_rng(0)
     space, n, longest = task.coordinates.space, robot.n_tubes, 0.3
-    seen = set()
+    observed = set()
     for q in space.sample(8):
         rows, bounds = step_constraints(task, q, longest)
         for step in random.uniform(-1.1 * longest, 1.1 * longest, (60, len(q))) * random.uniform(0.01, 1, (60, 1)):
-            there = q + step * task.scale
-            within = (there[n:] >= space.lower[n:]).all() and (there[n:] <= space.upper[n:]).all()
-            allowed = within and (space.rows @ there >= space.least).all() and np.abs(step).max() <= longest
+            reached = q + step * task.scale
+            within = (reached[n:] >= space.lower[n:]).all() and (reached[n:] <= space.upper[n:]).all()
+            allowed = within and (space.rows @ reached >= space.least).all() and np.abs(step).max() <= longest
             assert (rows @ step >= bounds).all() == allowed
-            seen.add(bool(allowed))
-    assert seen == {True, False}
+            observed.add(bool(allowed))
+    assert observed == {True, False}
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.08), (0.02, 0.0, 0.04), (0.0, -0.03, 0.09), (0.0, 0.0, 0.03)])

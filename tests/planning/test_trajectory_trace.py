@@ -29,7 +29,7 @@ from tubeopt.robots.robot import Robot
 
 def verifier_of(robot: Robot, *bodies: Sphere) -> TrajectoryVerifier:
     return TrajectoryVerifier(
-        robot, scene_of(bodies), ClearanceTarget(0.0, proof.ACCURACY, proof.MOST_CELLS), Clock(60.0)
+        robot, scene_of(bodies), ClearanceTarget(0.0, proof.ACCURACY, proof.MAX_CELLS), Clock(60.0)
     )
 
 
@@ -49,10 +49,10 @@ def test_the_stiffness_of_an_eccentric_arm_is_the_least_that_its_equations_make_
     """|H y| >= stiffness |y| for all y, and one y attains it."""
     robot = eccentric_robot()
     verifier, arm = verifier_of(robot), forward_kinematics(robot, np.array([1.0, -0.5, -0.5]) * turn)
-    found, equations = verifier._stiffness(SolvedArms.of(verifier.constants, [arm])), linearised(arm)
-    assert found == pytest.approx([1 / np.linalg.norm(np.linalg.inv(equations), 2)], rel=1e-9)
+    result, equations = verifier._stiffness(SolvedArms.of(verifier.constants, [arm])), linearised(arm)
+    assert result == pytest.approx([1 / np.linalg.norm(np.linalg.inv(equations), 2)], rel=1e-9)
     random = np.random.default_rng(0).normal(size=(len(equations), 100))
-    assert (np.linalg.norm(equations @ random, axis=0) >= found * np.linalg.norm(random, axis=0)).all()
+    assert (np.linalg.norm(equations @ random, axis=0) >= result * np.linalg.norm(random, axis=0)).all()
 
 
 def test_the_clearance_of_a_motion_is_the_least_of_all_its_times() -> None:
@@ -64,35 +64,35 @@ def test_the_clearance_of_a_motion_is_the_least_of_all_its_times() -> None:
     bend = curvature * length
     ahead = middle.tip_position + 8e-3 * (np.sin(bend) * outwards + np.cos(bend) * np.array([0.0, 0.0, 1.0]))
     verifier = verifier_of(robot, Sphere(tuple(ahead.tolist()), radius))
-    found = follow(verifier, tip, np.array([0.0, 1.0]), np.array([[0.0, 0.0], [90 * DEG, 0.0]]))
+    result = follow(verifier, tip, np.array([0.0, 1.0]), np.array([[0.0, 0.0], [90 * DEG, 0.0]]))
     true = 8e-3 - radius - robot.tubes[0].outer_diameter / 2
-    assert not found.unproved
-    assert true - proof.ACCURACY <= found.clearance <= true + 1e-9
-    assert max(link.bound for link in found.links) > 1.2 * true
+    assert not result.unproved
+    assert true - proof.ACCURACY <= result.clearance <= true + 1e-9
+    assert max(link.bound for link in result.links) > 1.2 * true
 
 
 def test_no_clearance_is_shown_where_a_branch_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two steps far apart, and no equilibria left to put between them."""
     monkeypatch.setattr(trajectory_trace, "LARGEST_TURN", 1.0)
-    monkeypatch.setattr(trajectory_trace, "MOST_EQUILIBRIA", 1)
-    begin, turned = forward_kinematics(TWO_TUBE, [0.0, 0.0]), np.array([[0.0] * 4, [1.0, 0.0, 0.0, 0.0]])
+    monkeypatch.setattr(trajectory_trace, "MAX_EQUILIBRIA", 1)
+    start, turned = forward_kinematics(TWO_TUBE, [0.0, 0.0]), np.array([[0.0] * 4, [1.0, 0.0, 0.0, 0.0]])
     verifier = verifier_of(TWO_TUBE, Sphere((0.0, 0.0, 1.0), 1e-3))
-    found = follow(verifier, begin, np.array([0.0, 1.0]), turned)
-    assert found.unproved
-    assert found.clearance == -np.inf
-    assert np.isfinite(found.measured)
+    result = follow(verifier, start, np.array([0.0, 1.0]), turned)
+    assert result.unproved
+    assert result.clearance == -np.inf
+    assert np.isfinite(result.measured)
 
 
 @pytest.mark.parametrize("lost", ["nothing", "a half", "the branch"])
 def test_no_clearance_is_shown_where_a_branch_is_lost_between_more_equilibria(
     lost: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    begin, turned = forward_kinematics(TWO_TUBE, [0.0, 0.0]), np.array([[0.0] * 4, [0.02, 0.0, 0.0, 0.0]])
-    ball, found = Sphere((0.0, 0.0, 1.0), 1e-3), trajectory_trace.prove_branch
+    start, turned = forward_kinematics(TWO_TUBE, [0.0, 0.0]), np.array([[0.0] * 4, [0.02, 0.0, 0.0, 0.0]])
+    ball, result = Sphere((0.0, 0.0, 1.0), 1e-3), trajectory_trace.prove_branch
     answers = {"nothing": [], "a half": [[], [(0.25, 0.25)]], "the branch": []}[lost]
 
     def prove_branch(verifier: TrajectoryVerifier, links: list[Link]) -> Proved:
-        return Proved(found(verifier, links).links, answers.pop(0) if answers else [])
+        return Proved(result(verifier, links).links, answers.pop(0) if answers else [])
 
     def bisect(verifier: TrajectoryVerifier, link: Link) -> list[Link]:
         raise BranchEndsError(0.25)
@@ -100,10 +100,10 @@ def test_no_clearance_is_shown_where_a_branch_is_lost_between_more_equilibria(
     monkeypatch.setattr(trajectory_trace, "prove_branch", prove_branch)
     if lost == "the branch":
         monkeypatch.setattr(trajectory_trace, "bisect", bisect)
-    monkeypatch.setattr(trajectory_trace, "MOST_EQUILIBRIA", 9)
+    monkeypatch.setattr(trajectory_trace, "MAX_EQUILIBRIA", 9)
     verifier = verifier_of(TWO_TUBE, ball)
     verifier.target = ClearanceTarget(1.0, 1e-9, 0)
-    shown = follow(verifier, begin, np.arange(2.0), turned)
+    shown = follow(verifier, start, np.arange(2.0), turned)
     assert shown.unproved == (() if lost == "nothing" else ((0.25, 0.25),))
     assert np.isfinite(shown.clearance) == (lost == "nothing")
 

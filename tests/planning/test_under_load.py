@@ -50,42 +50,42 @@ def test_arms_between_two_loaded_equilibria_are_where_the_bound_says(robot: Robo
     """And there are such: the branch is shown to be one over steps that are not tiny."""
     n = robot.n_tubes
     load = {id(THESIS): EVERYTHING, id(TWO_TUBE): SIDEWAYS, id(PIECES): Load(force=(1e-3, 0, 0))}[id(robot)]
-    begin = np.concatenate([np.linspace(0.4, -0.8, n), robot.home_translations - 0.01])
-    end = begin + 0.1 * np.concatenate([np.linspace(0.7, -0.4, n), 0.05 * np.linspace(1.0, -0.5, n)])
+    start = np.concatenate([np.linspace(0.4, -0.8, n), robot.home_translations - 0.01])
+    end = start + 0.1 * np.concatenate([np.linspace(0.7, -0.4, n), 0.05 * np.linspace(1.0, -0.5, n)])
     count = 16
-    chain = [forward_kinematics(robot, begin[:n], begin[n:], load=load)]
+    chain = [forward_kinematics(robot, start[:n], start[n:], load=load)]
     for x in np.arange(1, 2 * count + 1) / (2 * count):
-        joints = begin + x * (end - begin)
+        joints = start + x * (end - start)
         chain.append(forward_kinematics(robot, joints[:n], joints[n:], load=load, start=chain[-1]))
     intervals, margins = intervals_of(chain[::2], load)
-    found = loaded_branch(intervals, margins)
-    assert found.unbroken.all()
+    result = loaded_branch(intervals, margins)
+    assert result.unbroken.all()
     inside = LoadedArms.of(intervals.arms.constants, chain[1::2], pull=intervals.arms.pull)
     for k in range(count):
         for section in np.flatnonzero(intervals.length[0][k] > 0):
             x = np.linspace(0, 1, 9)
             at = np.full(len(x), k)
-            ends = intervals.places(at, np.full(len(x), section), x)
+            ends = intervals.positions(at, np.full(len(x), section), x)
             cuts = (intervals.start_cuts[k] + intervals.end_cuts[k]) / 2
             points = inside.points(at, cuts[section] + x * (cuts[section + 1] - cuts[section]))
             off = np.linalg.norm(points - (ends[0] + ends[1]) / 2, axis=1).max()
-            assert off <= found.chord_error[k, section] + 3 * inside.shape_error.max()
+            assert off <= result.chord_error[k, section] + 3 * inside.shape_error.max()
 
 
 @pytest.mark.parametrize("load", [SIDEWAYS, EVERYTHING], ids=["force", "everything"])
 def test_margins_between_two_loaded_equilibria_are_no_less_than_shown(load: Load) -> None:
     """And what they may lose falls by four where a step is half as long, while nothing varies along the tubes."""
-    begin, step = np.append([0.9, 0.3, 0.1], np.array(HOME) - 0.03), np.append([0.06, -0.02, 0.01], [1e-3, 2e-3, 2e-3])
+    start, step = np.append([0.9, 0.3, 0.1], np.array(HOME) - 0.03), np.append([0.06, -0.02, 0.01], [1e-3, 2e-3, 2e-3])
     lost = []
     for part in (1.0, 0.5):
-        chain = [forward_kinematics(THESIS, *np.split(begin, 2), load=load)]
+        chain = [forward_kinematics(THESIS, *np.split(start, 2), load=load)]
         for x in np.linspace(0, part, 9)[1:]:
-            chain.append(forward_kinematics(THESIS, *np.split(begin + x * step, 2), load=load, start=chain[-1]))
+            chain.append(forward_kinematics(THESIS, *np.split(start + x * step, 2), load=load, start=chain[-1]))
         intervals, margins = intervals_of([chain[0], chain[-1]], load)
         bounds = _Bounds(intervals)
         ball = bounds.ball(margins[:1])
-        convex, kept = ball.convexity, ball.exists
-        assert kept.all()
+        convex, retained = ball.convexity, ball.exists
+        assert retained.all()
         assert min(e.margin for e in chain) >= convex[0] >= margins.min() - 0.2
         lost.append(bounds.hessian_chord_error()[0])
     assert lost[0] / lost[1] == pytest.approx(4, rel=0.25)
@@ -130,9 +130,9 @@ def test_the_second_variation_of_a_pressed_rod_curves_as_its_closed_form(share: 
 def test_slopes_of_what_differs_between_two_loaded_arms_are_bounded(robot: Robot, turned: float, moved: float) -> None:
     """Of rotations, which change by torque over stiffness; of torques and moments by differences along both arms."""
     n, kt = robot.n_tubes, np.array([tube.torsional_stiffness for tube in robot.tubes])
-    begin = np.linspace(0.4, -0.8, n), robot.home_translations - 0.03
-    end = begin[0] + turned * np.linspace(0.7, -0.4, n), begin[1] + moved
-    arms = [forward_kinematics(robot, *joints, load=SIDEWAYS) for joints in (begin, end)]
+    start = np.linspace(0.4, -0.8, n), robot.home_translations - 0.03
+    end = start[0] + turned * np.linspace(0.7, -0.4, n), start[1] + moved
+    arms = [forward_kinematics(robot, *joints, load=SIDEWAYS) for joints in (start, end)]
     intervals, _ = intervals_of(arms, SIDEWAYS)
     bounds = _Bounds(intervals)
     between = bounds._between_samples(bounds.changes)
@@ -198,18 +198,18 @@ def test_sections_differ_most_from_those_at_the_nearer_end_in_the_middle_of_the_
     bounds = _Bounds(intervals)
     kt, stiffness = bounds.kt, bounds.stiffness
     held = [intervals.arms.constants.along.compliant(-intervals.arms.constants.held(q[1])) for q in joints]
-    most = [np.zeros(1)] * 3
+    largest = [np.zeros(1)] * 3
     for near, far in ((0, 1), (1, 0)):
         first = intervals.length[near]
         for t in np.linspace(0.0, 0.5, 11):
-            there = first + t * (intervals.length[far] - first)
-            root = np.sqrt(there) - np.sqrt(first)
+            reached = first + t * (intervals.length[far] - first)
+            root = np.sqrt(reached) - np.sqrt(first)
             spring = np.sqrt(held[near] + t * (held[far] - held[near])) - np.sqrt(held[near])
             turn = np.sqrt(np.cumsum(root[..., None] ** 2 / kt, axis=1) + spring**2)
             bend = np.sqrt(np.cumsum(root**2 / stiffness, axis=1))
-            most = [np.maximum(a, b) for a, b in zip(most, (np.abs(there - first), turn, bend), strict=True)]
+            largest = [np.maximum(a, b) for a, b in zip(largest, (np.abs(reached - first), turn, bend), strict=True)]
     change = bounds._geometry_change()
-    for bound, true in zip((change.h, change.y, change.bending), most, strict=True):
+    for bound, true in zip((change.h, change.y, change.bending), largest, strict=True):
         assert (bound >= true * (1 - 1e-9)).all()
         assert bound.max() <= 1.01 * true.max()
 
@@ -229,8 +229,8 @@ def test_the_error_between_points_of_a_loaded_rod_is_bounded_by_its_third_deriva
 def test_two_branches_at_one_place_are_not_joined() -> None:
     snap = find_snap(THESIS, (np.zeros(3), HOME), (np.array([270, 0, 0]) * DEG, HOME), load=SIDEWAYS)
     assert snap is not None
-    way = [np.zeros(3), snap.rotations - [2e-3, 0, 0]]
-    on = follow(THESIS, way, [HOME, HOME], load=SIDEWAYS).equilibria[-1]
+    path = [np.zeros(3), snap.rotations - [2e-3, 0, 0]]
+    on = follow(THESIS, path, [HOME, HOME], load=SIDEWAYS).equilibria[-1]
     landed = forward_kinematics(THESIS, snap.rotations - [1e-3, 0, 0], HOME, load=SIDEWAYS, start=snap.after)
     intervals, margins = intervals_of([on, landed], SIDEWAYS)
     assert margins.min() > 0
@@ -268,14 +268,16 @@ def test_the_clearance_is_that_of_the_loaded_arm() -> None:
     middle = forward_kinematics(THESIS, *np.split(joints.mean(0), 2), load=load)
     body = Sphere(tuple(middle.position[-4] + 15e-3 * middle.frame[-4, :, 0]), 4e-3)
     proof = verify_trajectory(THESIS, [0, 5], joints[:, :3], joints[:, 3:], load=load, obstacles=[body])
-    here, least = forward_kinematics(THESIS, joints[0, :3], joints[0, 3:], load=load), np.inf
+    current, smallest = forward_kinematics(THESIS, joints[0, :3], joints[0, 3:], load=load), np.inf
     for x in np.linspace(0, 1, 61):
-        here = forward_kinematics(THESIS, *np.split(joints[0] + x * (joints[1] - joints[0]), 2), load=load, start=here)
-        least = min(least, ArmSurface(here).clearance(scene_of([body])))
+        current = forward_kinematics(
+            THESIS, *np.split(joints[0] + x * (joints[1] - joints[0]), 2), load=load, start=current
+        )
+        smallest = min(smallest, ArmSurface(current).clearance(scene_of([body])))
     assert proof.holds
-    assert least - 3e-5 <= proof.least_clearance <= least
+    assert smallest - 3e-5 <= proof.least_clearance <= smallest
     plain = verify_trajectory(THESIS, [0, 5], joints[:, :3], joints[:, 3:], obstacles=[body])
-    assert abs(plain.least_clearance - least) > 1e-3
+    assert abs(plain.least_clearance - smallest) > 1e-3
 
 
 def test_what_is_not_proved_is_said_by_name() -> None:
@@ -292,13 +294,13 @@ def test_what_is_not_proved_is_said_by_name() -> None:
 
 
 def test_plans_of_a_loaded_robot_end_where_its_loaded_tip_is_wanted() -> None:
-    wanted = forward_kinematics(THESIS, [0.5, 0.3, -0.2], HOME, load=SIDEWAYS).tip_position
-    plan = plan_trajectory(THESIS, (np.zeros(3), None), wanted, load=SIDEWAYS, options=PlanOptions(objective="none"))
+    desired = forward_kinematics(THESIS, [0.5, 0.3, -0.2], HOME, load=SIDEWAYS).tip_position
+    plan = plan_trajectory(THESIS, (np.zeros(3), None), desired, load=SIDEWAYS, options=PlanOptions(objective="none"))
     assert plan.proved
     assert plan.start.load == plan.end.load == SIDEWAYS
-    np.testing.assert_allclose(plan.tip_position[-1], wanted, atol=1e-7)
+    np.testing.assert_allclose(plan.tip_position[-1], desired, atol=1e-7)
     again = forward_kinematics(THESIS, plan.rotations[-1], plan.translations[-1], load=SIDEWAYS)
-    np.testing.assert_allclose(again.tip_position, wanted, atol=1e-7)
+    np.testing.assert_allclose(again.tip_position, desired, atol=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -339,9 +341,11 @@ def test_a_plan_under_load_from_the_command_line(run: Run, tmp_path: Path) -> No
     assert "a trajectory under the load" in refused(run("verify", moved, "--json"))[0]
     pushed = run("verify", moved, *flags, "--max-tip-force-mN", "5", "--json")
     assert pushed.code == 3
-    told = json.loads(pushed.out)
-    assert "20, 0, 0 mN at the tip; gravity 0, 0, -9.81 m/s^2 and any force of up to 5 mN on the tip" in told["assumed"]
-    assert "nothing shows that no force of up to 5 mN" in told["faults"][0]
+    report = json.loads(pushed.out)
+    assert (
+        "20, 0, 0 mN at the tip; gravity 0, 0, -9.81 m/s^2 and any force of up to 5 mN on the tip" in report["assumed"]
+    )
+    assert "nothing shows that no force of up to 5 mN" in report["faults"][0]
 
 
 def test_the_moment_of_the_load_is_no_larger_than_its_lever_on_a_straight_arm() -> None:

@@ -66,11 +66,11 @@ def test_a_moment_across_a_soft_rod_leaves_what_its_closed_form_says(share: floa
 def test_sure_margins_do_not_depend_on_the_mesh() -> None:
     """Where a moment at a joint of the mesh twists a tube, too."""
     load = Load(points=((0.06, (0, 0, 0), (0.006, -0.004, 0.008)),))
-    point, found = point_of(forward_kinematics(THESIS, [0.0, 1.0, 2.0], load=load)), []
+    point, results = point_of(forward_kinematics(THESIS, [0.0, 1.0, 2.0], load=load)), []
     for degree, refinement in ((7, 0), (8, 0), (7, 1)):
-        here = point.member.on(degree=degree, refinement=refinement)
-        found.append(monotonicity(here.problem, here.solve(here.transfer(point)).state))
-    assert np.ptp(found) < 1e-10
+        current = point.member.on(degree=degree, refinement=refinement)
+        results.append(monotonicity(current.problem, current.solve(current.transfer(point)).state))
+    assert np.ptp(results) < 1e-10
 
 
 @pytest.mark.parametrize("along", [True, False])
@@ -96,9 +96,9 @@ def test_what_a_moment_makes_of_a_chord_bends_as_the_frame_of_an_arc_that_turns(
     load = Load(moment=(moment, 0, 0) if across else (0, 0, moment))
     bounds = _Bounds(intervals_of(*(forward_kinematics(robot, [x], load=load) for x in (0.0, turn))))
     torque, bent = bounds.chord.torque, bounds.chord.moment
-    found = torque.dd[0, -1, 0] if across else bent.dd[0, -1]
+    result = torque.dd[0, -1, 0] if across else bent.dd[0, -1]
     # The torque is bounded by as much at the tip as the bend of the tube makes of it up to the plate, where it is 0.
-    assert 0.999 <= found / (moment * np.sin(angle) * turn**2) <= (2.1 if across else 1.03)
+    assert 0.999 <= result / (moment * np.sin(angle) * turn**2) <= (2.1 if across else 1.03)
 
 
 def test_what_a_bend_makes_of_torque_and_moment_is_exact_for_a_rod() -> None:
@@ -106,10 +106,10 @@ def test_what_a_bend_makes_of_torque_and_moment_is_exact_for_a_rod() -> None:
     moment, size = 1e-6, 1e-3
     robot = rod(LENGTH, BENDING, BENDING)
     arm = forward_kinematics(robot, [0.0], load=Load(moment=(moment, 0, 0)))
-    found = _Bounds(intervals_of(arm, arm))._response(np.array([size]))
+    result = _Bounds(intervals_of(arm, arm))._response(np.array([size]))
     true = moment * np.sqrt(LENGTH / BENDING) * size
-    assert found.moment[0, -1] == pytest.approx(true, rel=1e-9)
-    assert found.torque[0, -1, 0] == pytest.approx(true, rel=1e-6)
+    assert result.moment[0, -1] == pytest.approx(true, rel=1e-9)
+    assert result.torque[0, -1, 0] == pytest.approx(true, rel=1e-6)
 
 
 def test_the_form_of_a_bent_rod_changes_no_more_than_is_said() -> None:
@@ -144,11 +144,11 @@ def test_no_moment_of_what_is_ahead_is_larger_than_its_lever() -> None:
 
 def test_torques_and_moments_jump_where_a_moment_acts() -> None:
     """By m.t on the outermost tube, and by the part of m across the arm."""
-    place, moment = 0.06, np.array([0.006, -0.004, 0.008])
-    arm = forward_kinematics(THESIS, [0.0, 1.0, 2.0], load=Load(points=((place, (0, 0, 0), tuple(moment)),)))
+    position, moment = 0.06, np.array([0.006, -0.004, 0.008])
+    arm = forward_kinematics(THESIS, [0.0, 1.0, 2.0], load=Load(points=((position, (0, 0, 0), tuple(moment)),)))
     row = intervals_of(arm, arm).arms
-    k = int(np.argmin(np.abs(arm.arc_length - place)))
-    torques, moments = row.sampled(np.zeros(2, dtype=int), place + np.array([-1e-7, 1e-7]))
+    k = int(np.argmin(np.abs(arm.arc_length - position)))
+    torques, moments = row.sampled(np.zeros(2, dtype=int), position + np.array([-1e-7, 1e-7]))
     assert torques[0] - torques[1] == pytest.approx([0, 0, moment @ arm.frame[k, :, 2]], abs=1e-7)
     assert moments[0] - moments[1] == pytest.approx((arm.frame[k].T @ moment)[:2], abs=1e-6)
 
@@ -177,16 +177,16 @@ def test_two_branches_under_a_moment_are_not_joined() -> None:
 )
 def test_a_motion_under_moments_is_proved_and_followed_densely(load: Load) -> None:
     """Tubes turn and slide under places of the load: no snap, no margin below what is shown, no arm off its bound."""
-    begin, end = np.concatenate([np.zeros(3), HOME]), np.array([0.5, 0.3, -0.2, *(HOME - [0.02, 0.015, 0.005])])
-    proof = verify_trajectory(THESIS, [0, 1], [begin[:3], end[:3]], [begin[3:], end[3:]], load=load)
+    start, end = np.concatenate([np.zeros(3), HOME]), np.array([0.5, 0.3, -0.2, *(HOME - [0.02, 0.015, 0.005])])
+    proof = verify_trajectory(THESIS, [0, 1], [start[:3], end[:3]], [start[3:], end[3:]], load=load)
     assert proof.holds
-    assert find_snap(THESIS, (begin[:3], begin[3:]), (end[:3], end[3:]), load=load) is None
-    here = forward_kinematics(THESIS, begin[:3], begin[3:], load=load)
+    assert find_snap(THESIS, (start[:3], start[3:]), (end[:3], end[3:]), load=load) is None
+    current = forward_kinematics(THESIS, start[:3], start[3:], load=load)
     tips = []
     for x in np.linspace(0, 1, 41):
-        here = forward_kinematics(THESIS, *np.split(begin + x * (end - begin), 2), load=load, start=here)
-        assert here.margin >= proof.least_margin - 1e-7
-        tips.append(here.tip_position)
+        current = forward_kinematics(THESIS, *np.split(start + x * (end - start), 2), load=load, start=current)
+        assert current.margin >= proof.least_margin - 1e-7
+        tips.append(current.tip_position)
     assert 40 * np.linalg.norm(np.diff(tips, axis=0), axis=1).max() <= proof.largest_tip_rate
 
 
@@ -217,7 +217,7 @@ def test_flutter_is_no_snap(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = rod(LENGTH, BENDING, 0.8 * BENDING)
     load = Load((0, 0, -0.96 * np.pi**2 / 4 * BENDING / LENGTH**2), (0, 0, BENDING / LENGTH))
     ends = ([-LENGTH / 10], [0.0])
-    monkeypatch.setattr(trajectory_trace, "MOST_EQUILIBRIA", 60)
+    monkeypatch.setattr(trajectory_trace, "MAX_EQUILIBRIA", 60)
     proof = verify_trajectory(robot, [0, 1], [[0.0]] * 2, ends, load=load)
     assert proof.faults[0].startswith("the robot begins to flutter at 92 % of the trajectory (0.92 s)")
     with pytest.raises(SolveError, match=r"flutter at 94\.575 %"):
@@ -231,7 +231,7 @@ def test_a_plan_under_a_moment_ends_where_its_loaded_tip_is_wanted() -> None:
     plan = plan_trajectory(TWO_TUBE, (np.zeros(2), None), goal, load=load, options=options)
     assert plan.proved
     assert plan.start.load == plan.end.load == load
-    wanted = forward_kinematics(TWO_TUBE, *goal, load=load)
-    np.testing.assert_allclose(plan.tip_position[-1], wanted.tip_position, atol=1e-7)
+    desired = forward_kinematics(TWO_TUBE, *goal, load=load)
+    np.testing.assert_allclose(plan.tip_position[-1], desired.tip_position, atol=1e-7)
     again = verify_trajectory(TWO_TUBE, plan.time, plan.rotations, plan.translations, load=load)
     assert again.holds

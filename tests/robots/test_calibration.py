@@ -43,14 +43,14 @@ def test_there_and_back_between_readings_and_the_model() -> None:
     read = np.array([[0.3, -2.0, 5.0], [0.0, 0.1, 0.2]]), np.array([[0.01, 0.0, -0.02]] * 2)
     model = own.to_model(*read)
     np.testing.assert_allclose(model[0][0], 1.01 * read[0][0] + [0.1, 0.2, 0.3])
-    for there, back in zip(read, own.to_readings(*model), strict=True):
-        np.testing.assert_allclose(back, there, atol=1e-15)
+    for reached, back in zip(read, own.to_readings(*model), strict=True):
+        np.testing.assert_allclose(back, reached, atol=1e-15)
 
 
 def test_limits_are_given_of_readings() -> None:
     robot = load_robot(ROBOTS / "thesis_ctr.yaml")
-    given = JointLimits(((-1.0, 1.0),) * 3, ((-0.05, 0.01),) * 3)
-    limits = replace(robot, joint_limits=given, calibration=drives(3)).limits
+    inputs = JointLimits(((-1.0, 1.0),) * 3, ((-0.05, 0.01),) * 3)
+    limits = replace(robot, joint_limits=inputs, calibration=drives(3)).limits
     assert limits.rotations[1] == pytest.approx((-1.01 + 0.2, 1.01 + 0.2))
     assert limits.translations[0] == pytest.approx((-0.051, 0.009))
 
@@ -97,14 +97,14 @@ def test_a_plan_is_asked_and_saved_in_readings(tmp_path: Path) -> None:
         "goal_deg: [20, 25, 60]}"
     )
     plan = load_study(study).run()
-    there = np.radians([20, 25, 60]), np.array([-0.05, -0.03, -0.02])
-    tip = forward_kinematics(robot, *own.to_model(*there)).tip_position
+    reached = np.radians([20, 25, 60]), np.array([-0.05, -0.03, -0.02])
+    tip = forward_kinematics(robot, *own.to_model(*reached)).tip_position
     np.testing.assert_allclose(plan.tip_position[-1], tip, atol=1e-9)
     save_trajectory(plan, file)
     rows = np.loadtxt(file, delimiter=",", comments=["#", "time"])
     np.testing.assert_allclose(rows[0, 1:], [10, 20, 30, -50, -30, -20], atol=1e-9)
     np.testing.assert_allclose(rows[-1, 1:], [20, 25, 60, -50, -30, -20], atol=1e-9)
-    np.testing.assert_allclose(joint_trajectory(plan)["points"][-1]["positions"], np.concatenate(there), atol=1e-12)
+    np.testing.assert_allclose(joint_trajectory(plan)["points"][-1]["positions"], np.concatenate(reached), atol=1e-12)
     np.testing.assert_allclose(load_trajectory(file, robot).rotations, plan.rotations, atol=1e-12)
 
 
@@ -112,8 +112,8 @@ def test_the_snap_of_a_certificate_is_repeated_in_readings(run: Run, tmp_path: P
     own = replace(drives(2), translation_offsets=(0.0, 0.0))
     robot = replace(load_robot(ROBOTS / "two_tube.yaml"), calibration=own)
     robot.save(tmp_path / "robot.yaml")
-    told = answer(run("certify", str(tmp_path / "robot.yaml"), "--json"), 3)
-    snap = answer(run(*shlex.split(told["repeat"])[1:], "--json"), 0)["snap"]
+    report = answer(run("certify", str(tmp_path / "robot.yaml"), "--json"), 3)
+    snap = answer(run(*shlex.split(report["repeat"])[1:], "--json"), 0)["snap"]
     assert snap["rotations_deg"][0] - snap["rotations_deg"][1] == pytest.approx(203.903566, abs=1e-5)
     read = own.to_readings(np.radians(snap["rotations_deg"]), np.array(snap["translations_mm"]) * 1e-3)
     np.testing.assert_allclose(snap["readings_deg"], np.degrees(read[0]))

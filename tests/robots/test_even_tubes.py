@@ -42,40 +42,46 @@ def pose(robot: ConcentricRobot) -> Array:
 
 
 def shape(robot: ConcentricRobot) -> list[float]:
-    found = tubeopt.forward_kinematics(robot, pose(robot))
+    equilibrium = tubeopt.forward_kinematics(robot, pose(robot))
     # In units of the tolerance, so that both are held to the same.
-    accuracy = [found.tip_error < 1e-9, found.mesh_error < 1e-8]
-    return [*found.tip_position, *found.tip_rotations, found.margin, found.energy * 1e3, *accuracy]
+    accuracy = [equilibrium.tip_error < 1e-9, equilibrium.mesh_error < 1e-8]
+    return [
+        *equilibrium.tip_position,
+        *equilibrium.tip_rotations,
+        equilibrium.margin,
+        equilibrium.energy * 1e3,
+        *accuracy,
+    ]
 
 
 def jacobian(robot: ConcentricRobot) -> list[float]:
     # Drawn back: a tube without a straight part cannot move on from home.
-    found = tubeopt.forward_kinematics(robot, pose(robot), robot.home_translations - 1e-3).jacobian(side=1)
-    return np.concatenate([found.position.ravel(), found.rotation.ravel()]).tolist()
+    result = tubeopt.forward_kinematics(robot, pose(robot), robot.home_translations - 1e-3).jacobian(side=1)
+    return np.concatenate([result.position.ravel(), result.rotation.ravel()]).tolist()
 
 
 def equilibria(robot: ConcentricRobot) -> list[float]:
     rotations = np.zeros(robot.n_tubes)
     rotations[0] = 3.0
     try:
-        found = tubeopt.find_equilibria(robot, rotations)
-        return [number for e in found for number in (*e.tip_position, e.index, *e.tip_rotations)]
+        equilibria = tubeopt.find_equilibria(robot, rotations)
+        return [number for e in equilibria for number in (*e.tip_position, e.index, *e.tip_rotations)]
     except SolveError:
         return [np.inf]
 
 
 def certificate(robot: ConcentricRobot) -> list[float]:
-    found = tubeopt.certify(robot)
+    result = tubeopt.certify(robot)
     return [
-        found.margin,
-        *(found.gradient["bending_stiffness"] * 1e-3),
-        *(found.gradient["torsional_stiffness"] * 1e-3),
+        result.margin,
+        *(result.gradient["bending_stiffness"] * 1e-3),
+        *(result.gradient["torsional_stiffness"] * 1e-3),
     ]
 
 
 def verdict(robot: ConcentricRobot) -> list[float]:
-    found = tubeopt.assess_snapping(robot)
-    return [found.snap is not None, found.certificate.margin, found.decided]
+    result = tubeopt.assess_snapping(robot)
+    return [result.snap is not None, result.certificate.margin, result.decided]
 
 
 def worst(robot: ConcentricRobot) -> list[float]:

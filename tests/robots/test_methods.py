@@ -25,13 +25,13 @@ def test_fk_is_forward_kinematics() -> None:
 
 
 def test_the_pose_of_the_tip_is_a_rigid_motion() -> None:
-    pose, found = ROBOT.tip_pose(Q), ROBOT.fk(Q)
+    pose, result = ROBOT.tip_pose(Q), ROBOT.fk(Q)
     assert pose.shape == (4, 4)
-    assert pose @ [0, 0, 0, 1] == pytest.approx([*found.tip_position, 1])
-    assert pose @ [0, 0, 1, 0] == pytest.approx([*found.tip_rotation[:, 2], 0])
+    assert pose @ [0, 0, 0, 1] == pytest.approx([*result.tip_position, 1])
+    assert pose @ [0, 0, 1, 0] == pytest.approx([*result.tip_rotation[:, 2], 0])
     assert pose[:3, :3] @ pose[:3, :3].T == pytest.approx(np.eye(3), abs=1e-12)
     assert np.linalg.det(pose) == pytest.approx(1)
-    assert np.array_equal(pose, found.tip_pose)
+    assert np.array_equal(pose, result.tip_pose)
 
 
 def test_the_geometric_jacobian_is_that_of_differences() -> None:
@@ -44,9 +44,9 @@ def test_the_geometric_jacobian_is_that_of_differences() -> None:
 
 
 def test_ik_reaches_what_fk_gives() -> None:
-    found = ROBOT.ik(ROBOT.fk(Q).tip_position)
-    assert isinstance(found, tubeopt.InverseSolution)
-    tip = ROBOT.fk(found.rotations, found.translations).tip_position
+    solution = ROBOT.ik(ROBOT.fk(Q).tip_position)
+    assert isinstance(solution, tubeopt.InverseSolution)
+    tip = ROBOT.fk(solution.rotations, solution.translations).tip_position
     assert tip == pytest.approx(ROBOT.fk(Q).tip_position, abs=1e-7)
 
 

@@ -93,8 +93,8 @@ def test_carriages_out_of_order_are_a_remark() -> None:
 
     e = tubeopt.forward_kinematics(THESIS, np.zeros(3), (0.0, -0.15, 0.0))
     # Carriages are at -0.2 m and -0.3 m: the inner one is 0.1 m in front of the outer one.
-    (words,) = EquilibriumReport(e).record()["remarks"]
-    assert words.startswith("the carriage of tube 1 would be in front of the carriage of tube 2, by 100 mm")
+    (text,) = EquilibriumReport(e).record()["remarks"]
+    assert text.startswith("the carriage of tube 1 would be in front of the carriage of tube 2, by 100 mm")
     assert "remarks" not in EquilibriumReport(tubeopt.forward_kinematics(THESIS, np.zeros(3))).record()
     with pytest.raises(tubeopt.InputError, match=r"start is out of range: tube 2 would end inside tube 3, by 100 mm"):
         tubeopt.plan_trajectory(THESIS, (np.zeros(3), (0.0, -0.15, 0.0)), (np.zeros(3), None))

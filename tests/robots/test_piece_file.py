@@ -57,13 +57,13 @@ def test_every_way_to_say_a_precurvature(tmp_path: Path) -> None:
 def test_a_stiffness_of_a_piece_lies_between_bounds_of_that_of_the_section(tmp_path: Path, name: str) -> None:
     tube = load(tmp_path, "{length_mm: 10, radius_mm: 80}")
     own = 1e6 * float(getattr(tube, f"{name}_stiffness"))
-    for share, refused in ((0.999e-4, True), (1.001e-4, False), (9.99, False), (10.01, True)):
-        piece = f"{{length_mm: 10, radius_mm: 80, {name}_stiffness_N_mm2: {share * own:.9f}}}"
+    for fraction, refused in ((0.999e-4, True), (1.001e-4, False), (9.99, False), (10.01, True)):
+        piece = f"{{length_mm: 10, radius_mm: 80, {name}_stiffness_N_mm2: {fraction * own:.9f}}}"
         if refused:
             with pytest.raises(InputError, match=rf"{name}_stiffness_N_mm2 is .*0.0001 to 10 times that"):
                 load(tmp_path, piece)
         else:
-            assert getattr(load(tmp_path, piece).pieces[0], f"{name}_stiffness") == pytest.approx(1e-6 * share * own)
+            assert getattr(load(tmp_path, piece).pieces[0], f"{name}_stiffness") == pytest.approx(1e-6 * fraction * own)
 
 
 def test_stiffnesses_and_patterns(tmp_path: Path) -> None:
@@ -83,10 +83,10 @@ def test_stiffnesses_and_patterns(tmp_path: Path) -> None:
 def test_slots_are_read_written_and_count_in_the_strain(tmp_path: Path) -> None:
     whole = "{length_mm: 10, radius_mm: 80}"
     pattern = "pattern: {bending_factor: 0.3, torsion_factor: 0.5, source: measured}"
-    told = load(tmp_path, whole + "\n{length_mm: 10, radius_mm: 80, " + pattern + ", slots: {share: 0.4}}")
+    report = load(tmp_path, whole + "\n{length_mm: 10, radius_mm: 80, " + pattern + ", slots: {share: 0.4}}")
     strain = 0.5e-3 / 80e-3 / (1 - 0.5e-3 / 80e-3)
-    assert told.straightened_strain == pytest.approx(strain * (1 - 0.3 * 0.6) / 0.4)
-    robot = ConcentricRobot((told,))
+    assert report.straightened_strain == pytest.approx(strain * (1 - 0.3 * 0.6) / 0.4)
+    robot = ConcentricRobot((report,))
     save_robot(robot, tmp_path / "saved.yaml")
     assert load_robot(tmp_path / "saved.yaml") == robot
     assert [line for line in fit_warnings(robot) if "slots" in line] == []
@@ -104,8 +104,8 @@ def test_one_arc_is_the_ordinary_tube(tmp_path: Path) -> None:
 def test_saved_and_loaded_is_equal_to_the_last_bit(tmp_path: Path) -> None:
     bending = Piece(0.0333, lambda s: (9 * math.cos(30 * s), 3.0, 5 * s), torsional_stiffness=lambda s: 1e-3 + 0.01 * s)
     tube = Tube.of_pieces(1e-3, 0.7e-3, [bending, Piece.helix(0.1 / 3, 0.01, 0.03)], straight_length=0.1 / 3)
-    given = replace(tube, bending_stiffness=1.7e-3, mass_per_length=2e-3)
-    for one in (tube, given):
+    inputs = replace(tube, bending_stiffness=1.7e-3, mass_per_length=2e-3)
+    for one in (tube, inputs):
         robot = ConcentricRobot((one,))
         save_robot(robot, tmp_path / "saved.yaml")
         back = load_robot(tmp_path / "saved.yaml")

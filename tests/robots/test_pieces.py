@@ -58,8 +58,8 @@ def test_a_table_is_a_spline_through_its_points() -> None:
     u = np.stack([10 + 100 * s, np.sin(40 * s), np.full(9, 2.0)], axis=1)
     piece = Piece.table(s, u)
     at = np.linspace(0, 0.1, 77)
-    wanted = make_interp_spline(s, u[:, 1], k=5)
-    assert np.abs(piece.precurvature[1](at) - wanted(at)).max() < 1e-13
+    desired = make_interp_spline(s, u[:, 1], k=5)
+    assert np.abs(piece.precurvature[1](at) - desired(at)).max() < 1e-13
     assert np.abs(piece.precurvature[0](at) - 10 - 100 * at).max() < 1e-12
     assert piece.precurvature[2] == 2.0
     assert piece.length == 0.1
@@ -105,9 +105,9 @@ def test_a_stiffness_follows_the_cross_section_unless_given() -> None:
     tube = Tube(1.2e-3, 1e-3, 0.05, 0.1, 12.0)
     thick = replace(tube, outer_diameter=1.4e-3)
     assert thick.bending_stiffness == Tube(1.4e-3, 1e-3, 0.05, 0.1, 12.0).bending_stiffness
-    given = replace(tube, torsional_stiffness=0.05)
-    assert replace(given, outer_diameter=1.4e-3).torsional_stiffness == 0.05
-    assert replace(given, torsional_stiffness=None) == tube
+    inputs = replace(tube, torsional_stiffness=0.05)
+    assert replace(inputs, outer_diameter=1.4e-3).torsional_stiffness == 0.05
+    assert replace(inputs, torsional_stiffness=None) == tube
     assert pickle.loads(pickle.dumps(replace(tube, outer_diameter=1.4e-3))) == thick
     assert replace(pickle.loads(pickle.dumps(tube)), outer_diameter=1.4e-3) == thick
 

@@ -23,15 +23,15 @@ def test_bounds_of_what_varies_are_attained_where_all_terms_add_up() -> None:
     half = 0.02
     kb, kt = np.array([5.0, 0.9, 0.0, 0.4]), np.array([3.0, 0.5, 0.0, 0.6])
     x, z = np.array([2.0, 0.3, 0.5, 0.2]), np.array([1.0, 0.7, 0.4, 0.1])
-    found = _bound(np.array([kb, kt, x, 0.75 * x, z]), half)
+    result = _bound(np.array([kb, kt, x, 0.75 * x, z]), half)
     low, high = (np.array([derivatives(each, end, half) for each in (kb, kt)]) for end in (-1, 1))
-    assert found[:4] == pytest.approx([low[0, 0], *np.abs(low[0, 1:])])
+    assert result[:4] == pytest.approx([low[0, 0], *np.abs(low[0, 1:])])
     v, d, dd, ddd = low[1]
     eased = [-d / v**2, 2 * d**2 / v**3 - dd / v**2, -6 * d**3 / v**4 + 6 * d * dd / v**3 - ddd / v**2]
-    assert found[4:8] == pytest.approx([v, *np.abs(eased)])
-    assert found[8:12] == pytest.approx(1.25 * derivatives(chebyshev.chebmul(kb, x), 1, half))
-    assert found[12:15] == pytest.approx(derivatives(z, 1, half)[:3])
-    assert found[15:] == pytest.approx(high[:, 0])
+    assert result[4:8] == pytest.approx([v, *np.abs(eased)])
+    assert result[8:12] == pytest.approx(1.25 * derivatives(chebyshev.chebmul(kb, x), 1, half))
+    assert result[12:15] == pytest.approx(derivatives(z, 1, half)[:3])
+    assert result[15:] == pytest.approx(high[:, 0])
 
 
 def test_bounds_of_cells_hold_a_little_beyond_them_and_behind_the_end() -> None:
@@ -45,15 +45,15 @@ def test_bounds_of_cells_hold_a_little_beyond_them_and_behind_the_end() -> None:
     pieces = Piece(long, 8.0, torsional_stiffness=kt), Piece(short, 8.0, torsional_stiffness=lambda s: 2 * kt(s))
     varying = Tube.of_pieces(1.0e-3, 0.8e-3, pieces, straight_length=straight)
     even = Tube(1.4e-3, 1.2e-3, straight, long, 4.0)
-    found = variation((varying, even))
-    cells = found.cuts[0] - straight
+    result = variation((varying, even))
+    cells = result.cuts[0] - straight
     inner = np.flatnonzero((cells > 1e-9) & (cells < long - 1e-9))
     assert len(inner) > 1
     # Cell k + 1 begins at cut k.
-    assert found.torsional[0, inner + 1] == pytest.approx([kt(s - BEYOND) for s in cells[inner]], rel=1e-10)
-    assert found.stiffest[1, 0, inner] == pytest.approx([kt(s + BEYOND) for s in cells[inner]], rel=1e-10)
-    assert found.torsional[0, -2] == pytest.approx(2 * start, rel=1e-6)
-    assert found.torsional[:, -1] == pytest.approx(found.torsional[:, -2])
-    assert not any(found.__dict__[name][..., -1].any() for name in ("bending", "compliance", "pull", "twist"))
-    assert (np.diff(found.cuts[1])[1:] == 0).all()
-    assert found.pull[0, 1, 1:-1] == pytest.approx(even.bending_stiffness * even.curvature)
+    assert result.torsional[0, inner + 1] == pytest.approx([kt(s - BEYOND) for s in cells[inner]], rel=1e-10)
+    assert result.stiffest[1, 0, inner] == pytest.approx([kt(s + BEYOND) for s in cells[inner]], rel=1e-10)
+    assert result.torsional[0, -2] == pytest.approx(2 * start, rel=1e-6)
+    assert result.torsional[:, -1] == pytest.approx(result.torsional[:, -2])
+    assert not any(result.__dict__[name][..., -1].any() for name in ("bending", "compliance", "pull", "twist"))
+    assert (np.diff(result.cuts[1])[1:] == 0).all()
+    assert result.pull[0, 1, 1:-1] == pytest.approx(even.bending_stiffness * even.curvature)

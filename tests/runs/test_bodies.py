@@ -46,12 +46,12 @@ def test_every_file_reads_the_same_body(tmp_path: Path, written: dict[str, Any],
     path = tmp_path / "bodies.yaml"
     path.write_text(yaml.safe_dump({"obstacles": [written]}))
     assert load_obstacles(path) == (body,)
-    for given in ([written], "bodies.yaml"):
-        inverse = {"kind": "inverse_kinematics", "robot": THESIS, "target_mm": [50, 30, 150], "obstacles": given}
-        plan = {"kind": "plan", "robot": THESIS, "goal_deg": [10, 0, 0], "obstacles": given}
+    for inputs in ([written], "bodies.yaml"):
+        inverse = {"kind": "inverse_kinematics", "robot": THESIS, "target_mm": [50, 30, 150], "obstacles": inputs}
+        plan = {"kind": "plan", "robot": THESIS, "goal_deg": [10, 0, 0], "obstacles": inputs}
         assert check(InverseStudy, inverse, tmp_path / "study.yaml").obstacles == (body,)
         assert check(PlanStudy, plan, tmp_path / "study.yaml").obstacles == (body,)
-        assert check(AvoidEntry, {"obstacles": given}, tmp_path / "study.yaml").build().obstacles == (body,)
+        assert check(AvoidEntry, {"obstacles": inputs}, tmp_path / "study.yaml").build().obstacles == (body,)
 
 
 @pytest.mark.parametrize(

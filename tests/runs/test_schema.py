@@ -49,10 +49,10 @@ def test_the_page_is_in_step() -> None:
 
 def test_page_names_choices_once() -> None:
     for row in page().splitlines():
-        said, _, allowed = row.rstrip(" |").rpartition("; ")
+        output, _, allowed = row.rstrip(" |").rpartition("; ")
         choices = re.findall(r"[\w-]+", allowed.replace(" or ", " "))
         if " or " in allowed and set(allowed.split(" or ")) == set(choices):
-            assert not all(re.search(rf"(?<![\w-]){word}(?![\w-])", said) for word in choices), row
+            assert not all(re.search(rf"(?<![\w-]){word}(?![\w-])", output) for word in choices), row
 
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*/*.yaml")), ids=lambda path: path.stem)

@@ -135,9 +135,9 @@ def test_other_kinds_of_study_sweep_too(run: Run, tmp_path: Path) -> None:
 
 
 def test_workspaces_and_heatings_sweep_too(run: Run, tmp_path: Path) -> None:
-    place = {"kind": "workspace", "robot": THESIS, "samples": 300, "voxel_mm": 20}
+    position = {"kind": "workspace", "robot": THESIS, "samples": 300, "voxel_mm": 20}
     vary = [{"key": "robot.tubes[0].radius_mm", "values": [90, 200]}]
-    table = Path(answer(run("sweep", written(tmp_path, study=place, vary=vary), "--workers", "1", "--out",
+    table = Path(answer(run("sweep", written(tmp_path, study=position, vary=vary), "--workers", "1", "--out",
                             str(tmp_path / "w"), "--json"))["table"])  # fmt: skip
     for row, radius in zip(rows(table), (90, 200), strict=True):
         tubes = (replace(ROBOT.tubes[0], curvature=1 / (radius * MM)), *ROBOT.tubes[1:])
@@ -164,9 +164,9 @@ def test_molds_sweep_too(run: Run, tmp_path: Path) -> None:
             {"key": "mold.springback.fraction_percent", "values": [0, 20]}]  # fmt: skip
     data = answer(run("sweep", written(tmp_path, study=groove, vary=vary, columns=["grooves"]), "--workers", "1",
                       "--out", str(tmp_path / "m"), "--json"))  # fmt: skip
-    found = [float(row["grooves[0].mold_radius_mm"]) for row in rows(Path(data["table"]))]
+    results = [float(row["grooves[0].mold_radius_mm"]) for row in rows(Path(data["table"]))]
     # What comes out has the mold's curvature less the lost part of it.
-    assert found == pytest.approx([90, 90 * 0.8, 200, 200 * 0.8], rel=1e-9)
+    assert results == pytest.approx([90, 90 * 0.8, 200, 200 * 0.8], rel=1e-9)
 
 
 def test_a_study_in_a_file_of_its_own(run: Run, tmp_path: Path) -> None:
@@ -247,18 +247,18 @@ def test_killed_sweep_resumes(tmp_path: Path) -> None:
     assert 500 <= before + 1 < 2000
     with journal.open("ab") as file:
         file.write(b'{"index": 1999, "para')  # torn by the kill
-    seen: list[tuple[int, int, int]] = []
+    observed: list[tuple[int, int, int]] = []
     function = partial(slow_parabola, 0.1)
-    found = sweep(function, POINTS, journal.parent, workers=1, progress=lambda *now: seen.append(now))
-    assert 2000 - before <= found.computed <= 2001 - before
-    assert seen[0][0] == 2000 - found.computed
-    assert seen[-1] == (2000, 2000, 1)
+    result = sweep(function, POINTS, journal.parent, workers=1, progress=lambda *now: observed.append(now))
+    assert 2000 - before <= result.computed <= 2001 - before
+    assert observed[0][0] == 2000 - result.computed
+    assert observed[-1] == (2000, 2000, 1)
     indices = [json.loads(line)["index"] for line in lines(journal)[1:]]
     assert sorted(indices) == list(range(2000))
     whole = sweep(function, POINTS, tmp_path / "whole", workers=1)
-    assert found.table.read_bytes() == whole.table.read_bytes()
-    assert found.arrays.read_bytes() == whole.arrays.read_bytes()
-    assert found.failures == whole.failures == ((77, "InputError: x is 77; it must be another number"),)
+    assert result.table.read_bytes() == whole.table.read_bytes()
+    assert result.arrays.read_bytes() == whole.arrays.read_bytes()
+    assert result.failures == whole.failures == ((77, "InputError: x is 77; it must be another number"),)
 
 
 def test_a_journal_cut_anywhere_is_continued(tmp_path: Path) -> None:
@@ -320,14 +320,14 @@ def test_a_file_that_is_no_journal_is_left_alone(tmp_path: Path) -> None:
 
 def test_points_and_answers_of_all_kinds(tmp_path: Path) -> None:
     points: list[Any] = [{"x": np.float64(1.5)}, {"x": np.int64(2), "to": np.array([3.0, 4.0])}, {"x": 3}, {"x": 4}]
-    found = sweep(echo, points, tmp_path / "rows", workers=1)
-    assert [(row["x"], row["to[1]"], row["twice"]) for row in rows(found.table)] == [
+    result = sweep(echo, points, tmp_path / "rows", workers=1)
+    assert [(row["x"], row["to[1]"], row["twice"]) for row in rows(result.table)] == [
         ("1.5", "", "3.0"),
         ("2", "4.0", "4"),
         ("3", "", ""),
         ("4", "", ""),
     ]
-    assert found.failures == (
+    assert result.failures == (
         (2, "TypeError: the answer is 3; it must be a mapping of names to values"),
         (3, "TypeError: the answer: z is 4j; it must be a number or text"),
     )
@@ -377,9 +377,9 @@ def test_two_runs_at_once_are_refused(tmp_path: Path) -> None:
     ],
 )
 def test_files_that_make_no_sweep(run: Run, tmp_path: Path, changes: dict[str, Any], problem: str) -> None:
-    told = refused(run("sweep", written(tmp_path, **changes), "--workers", "1", "--out", str(tmp_path / "out")))
-    assert any(problem in line for line in told), told
-    assert all("sweep.yaml" in line or "nowhere.yaml" in line for line in told)
+    report = refused(run("sweep", written(tmp_path, **changes), "--workers", "1", "--out", str(tmp_path / "out")))
+    assert any(problem in line for line in report), report
+    assert all("sweep.yaml" in line or "nowhere.yaml" in line for line in report)
     assert not (tmp_path / "out").exists()
 
 

@@ -129,7 +129,7 @@ def test_no_text_overlaps_another_or_is_clipped(kind: str, width_mm: float) -> N
 @contextmanager
 def measured(patch: pytest.MonkeyPatch) -> Iterator[list[str]]:
     """What is wrong with pictures that are drawn meanwhile, each at three widths; nothing is saved."""
-    found: list[str] = []
+    results: list[str] = []
     fitted = layout.fitted
 
     def _fitted(draw: Callable[[], Any]) -> Any:
@@ -137,22 +137,22 @@ def measured(patch: pytest.MonkeyPatch) -> Iterator[list[str]]:
             with page(width_mm):
                 figure = fitted(draw)
             heading = figure.get_suptitle().split("\n")[0]
-            found.extend(f"{heading} at {width_mm} mm: {fault}" for fault in faults(figure))
+            results.extend(f"{heading} at {width_mm} mm: {fault}" for fault in faults(figure))
         return figure
 
     patch.setattr(layout, "fitted", _fitted)
     patch.setattr(style, "saved", lambda figure, _: figure)
     with page(60):
-        yield found
+        yield results
 
 
 @pytest.mark.parametrize("script", PROBLEMS, ids=lambda script: script.stem)
 def test_pictures_of_problems_fit_a_page(script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tubeopt.shaping.heating.robust.RIGS", LAW_RIGS)
     draw, coarse = problem(script)
-    with measured(monkeypatch) as found:
+    with measured(monkeypatch) as result:
         draw(tmp_path, **coarse)
-    assert found == []
+    assert result == []
 
 
 COMMANDS = (
@@ -166,9 +166,9 @@ COMMANDS = (
 @pytest.mark.parametrize("typed", COMMANDS, ids=lambda typed: typed.split(" configs")[0])
 def test_pictures_of_commands_fit_a_page(typed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
-    with measured(monkeypatch) as found, pytest.raises(SystemExit):
+    with measured(monkeypatch) as result, pytest.raises(SystemExit):
         main([*typed.split(), "--out", str(tmp_path), "--width-mm", "60", "--quiet"])
-    assert found == []
+    assert result == []
 
 
 @picture
@@ -219,10 +219,10 @@ def test_names_are_moved_out_of_other_panels() -> None:
 
 
 def test_what_is_crowded_is_relieved() -> None:
-    words = " ".join(["word"] * 30)
-    assert faults(crowded(words)) != []
+    text = " ".join(["word"] * 30)
+    assert faults(crowded(text)) != []
     with page(60):
-        assert faults(crowded(words)) == []
+        assert faults(crowded(text)) == []
 
 
 def test_a_picture_without_heading() -> None:

@@ -319,8 +319,8 @@ def test_forces_are_drawn_and_named() -> None:
     texts = [text for text in figure.axes[0].texts if isinstance(text, matplotlib.text.Annotation)]
     assert {"36.06 mN", "10 mN", "2 mN m"} <= {text.get_text() for text in texts}
     arrow = next(text for text in texts if text.arrow_patch is not None)
-    seen = View(20.0, -60.0).project(arm.tip_position)
-    np.testing.assert_allclose(arrow.xyann, seen[:2])
+    observed = View(20.0, -60.0).project(arm.tip_position)
+    np.testing.assert_allclose(arrow.xyann, observed[:2])
     assert "load: 20, 30, 0 mN at the tip" in figure.get_suptitle()
 
 

@@ -39,7 +39,7 @@ from tubeopt.show.plots import (
     tube_colour,
 )
 from tubeopt.show.plots.maps import energy_levels, fold_points, landing, smooth
-from tubeopt.stability.following import place_of, stretches
+from tubeopt.stability.following import stretches, value_at_snap
 from tubeopt.stability.maps import APPROACH, pieces
 from tubeopt.typing import Array
 
@@ -54,9 +54,9 @@ def branch() -> Branch:
 
 @pytest.fixture(scope="module")
 def snap() -> Snap:
-    found = find_snap(THESIS, (np.zeros(3), None), (FULL_TURN, None))
-    assert found is not None
-    return found
+    snap = find_snap(THESIS, (np.zeros(3), None), (FULL_TURN, None))
+    assert snap is not None
+    return snap
 
 
 @pytest.fixture(scope="module")
@@ -93,8 +93,10 @@ def texts(axes: Axes) -> list[str]:
 
 def arrows(axes: Axes) -> list[Any]:
     """From where to where each arrow goes, (2, 2)."""
-    found = [child for child in axes.get_children() if isinstance(child, Annotation) and child.arrow_patch is not None]
-    return [np.array([each.xyann, each.xy], dtype=float) for each in found]
+    results = [
+        child for child in axes.get_children() if isinstance(child, Annotation) and child.arrow_patch is not None
+    ]
+    return [np.array([each.xyann, each.xy], dtype=float) for each in results]
 
 
 def marks(axes: Axes, marker: str) -> Array:
@@ -132,9 +134,9 @@ def test_folds_are_marked_with_their_angles(branch: Branch) -> None:
 
 def test_jumps_of_a_branch_end_where_the_robot_lands(branch: Branch, snap: Snap) -> None:
     forth, back = arrows(plot_branch(branch).axes[0])
-    wanted = [relative_tips(each.tip_rotations) for each in (snap.before, snap.after)]
+    desired = [relative_tips(each.tip_rotations) for each in (snap.before, snap.after)]
     np.testing.assert_allclose(forth[:, 0], 214.222427, atol=1e-5)
-    np.testing.assert_allclose(forth[:, 1], wanted, atol=1e-3)
+    np.testing.assert_allclose(forth[:, 1], desired, atol=1e-3)
     # By the symmetry of the robot the way back is the way forth seen from a turn on.
     np.testing.assert_allclose(back, 360 - forth, atol=1e-3)
 
@@ -275,8 +277,8 @@ def test_margin_falls_to_the_boundary_as_it_was_found_ahead_of_it(chart: Stabili
     image: Any = plot_stability_map(chart).axes[0].collections[0]
     shown = np.reshape(image.get_array(), (361, 361))
     for k in range(1, 20):
-        place = 180 + np.degrees(1.75) - k  # along both axes
-        x = int(place)
+        position = 180 + np.degrees(1.75) - k  # along both axes
+        x = int(position)
         ahead = np.sqrt(2) * (1.75 - np.radians(x - 180))
         if ahead < APPROACH[0]:
             assert shown[x, x] == pytest.approx(np.sqrt(ahead), abs=0.02)
@@ -317,7 +319,7 @@ def test_ways_are_cut_at_the_very_snap(ways: tuple[Path, Path]) -> None:
         assert before[-1] is snap.before
         assert after[0] is snap.after
         assert len(first) + len(second) == len(ANGLES) + 2
-        assert place_of(snap, angles) == first[-1]
+        assert value_at_snap(snap, angles) == first[-1]
         for where, what in ((first, before), (second, after)):
             np.testing.assert_allclose(where, [np.degrees(e.rotations[0]) for e in what], atol=1e-9)
 
@@ -411,7 +413,7 @@ def test_equal_data_give_equal_files(
 def test_two_tubes_are_measured_from_each_other() -> None:
     inner, middle, _ = THESIS.tubes
     pair = ConcentricRobot((inner, middle))
-    way = trace_branch(pair, (0.0, 0.0), (0.0, 1.0))
-    axes = plot_branch(way, tube=1).axes[0]
+    path = trace_branch(pair, (0.0, 0.0), (0.0, 1.0))
+    axes = plot_branch(path, tube=1).axes[0]
     assert axes.get_xlabel() == "input angle of tube 2 relative to tube 1 (deg)"
     assert axes.lines[0].get_color() == tube_colour(1)

@@ -31,9 +31,9 @@ def test_surfaces_are_closed_and_of_the_volume_of_the_tubes(
 ) -> None:
     trimesh = pytest.importorskip("trimesh")
     read = trimesh.load(str(tubeopt.save_solid(pose, tmp_path / f"arm.{form}")), force="mesh", process=form == "stl")
-    wanted = sum(np.pi * tube.radius**2 * (tube.end - tube.start) for tube in visible(pose)) * scale**3
+    desired = sum(np.pi * tube.radius**2 * (tube.end - tube.start) for tube in visible(pose)) * scale**3
     polygon = 48 / (2 * np.pi) * np.sin(2 * np.pi / 48)  # what a tube of 48 sides has of a round one
-    assert read.volume == pytest.approx(polygon * wanted, rel=1e-4)
+    assert read.volume == pytest.approx(polygon * desired, rel=1e-4)
     assert all(part.is_watertight for part in read.split(only_watertight=False))
     assert np.linalg.norm(read.vertices / scale - pose.tip_position, axis=1).min() < THESIS.tubes[0].outer_diameter
 

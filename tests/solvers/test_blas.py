@@ -56,18 +56,18 @@ def test_blocks_beside_each_other_end_with_the_last() -> None:
 
 @pytest.mark.usefixtures("two_threads")
 def test_a_servo_step_runs_in_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[set[int]] = []
+    observed: list[set[int]] = []
     solve = gauss_newton.constrained_least_squares
 
     def asked(*arguments: np.ndarray) -> LeastSquares | None:
-        seen.append(counts())
+        observed.append(counts())
         return solve(*arguments)
 
     monkeypatch.setattr(gauss_newton, "constrained_least_squares", asked)
-    here = forward_kinematics(THESIS, [0.1, 0.2, 0.3])
-    IkSession(THESIS, start=here).solve(here.tip_position + 1e-4)
-    assert seen
-    assert set().union(*seen) == {1}
+    current = forward_kinematics(THESIS, [0.1, 0.2, 0.3])
+    IkSession(THESIS, start=current).solve(current.tip_position + 1e-4)
+    assert observed
+    assert set().union(*observed) == {1}
     assert counts() == {2}
 
 

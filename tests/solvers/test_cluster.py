@@ -47,9 +47,9 @@ def cluster(workers: int) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]
         port = probe.getsockname()[1]
     address = f"tcp://127.0.0.1:{port}"
     with ExitStack() as stack:
-        here = ("--host", "127.0.0.1")
-        stack.enter_context(process("dask_scheduler", *here, "--port", str(port), "--no-dashboard"))
-        alone = ("--no-nanny", "--nthreads", "1", "--no-dashboard", *here)
+        current = ("--host", "127.0.0.1")
+        stack.enter_context(process("dask_scheduler", *current, "--port", str(port), "--no-dashboard"))
+        alone = ("--no-nanny", "--nthreads", "1", "--no-dashboard", *current)
         yield address, [stack.enter_context(process("dask_worker", address, *alone)) for _ in range(workers)]
 
 
@@ -59,8 +59,8 @@ def running() -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
         until = time.monotonic() + 60
         while True:
             try:
-                seen = {o.value[1] for o in each(slow, range(16), scheduler=both[0]) if o.value}
-                if len(seen) == 2:
+                observed = {o.value[1] for o in each(slow, range(16), scheduler=both[0]) if o.value}
+                if len(observed) == 2:
                     break
             except InputError:
                 time.sleep(0.2)
@@ -72,9 +72,9 @@ Running = tuple[str, list[subprocess.Popen[bytes]]]
 
 
 def test_failures_cost_their_own_item_only(running: Running) -> None:
-    found = {o.index: o for o in each(picky, range(6), scheduler=running[0])}
-    assert str(found[3].failure) == "ValueError: three is no good"
-    assert {k: o.value for k, o in found.items() if k != 3} == {k: k * k for k in (0, 1, 2, 4, 5)}
+    results = {o.index: o for o in each(picky, range(6), scheduler=running[0])}
+    assert str(results[3].failure) == "ValueError: three is no good"
+    assert {k: o.value for k, o in results.items() if k != 3} == {k: k * k for k in (0, 1, 2, 4, 5)}
 
 
 def test_a_worker_killed_in_the_middle_of_a_sweep(running: Running, tmp_path: Path) -> None:
@@ -88,13 +88,13 @@ def test_a_worker_killed_in_the_middle_of_a_sweep(running: Running, tmp_path: Pa
         used.append(done)
 
     function = partial(slow_row, 2)
-    found = sweep(function, points, tmp_path / "cluster", scheduler=address, progress=kill_one)
+    result = sweep(function, points, tmp_path / "cluster", scheduler=address, progress=kill_one)
     alone = sweep(function, points, tmp_path / "alone", workers=1)
     assert workers[0].poll() is not None
-    assert (found.computed, found.failures) == (120, ())
-    lines = [json.loads(line) for line in found.journal.read_text().splitlines()[1:]]
+    assert (result.computed, result.failures) == (120, ())
+    lines = [json.loads(line) for line in result.journal.read_text().splitlines()[1:]]
     assert sorted(line["index"] for line in lines) == list(range(120))
-    assert found.table.read_bytes() == alone.table.read_bytes()
+    assert result.table.read_bytes() == alone.table.read_bytes()
     assert used == list(range(121))
 
 

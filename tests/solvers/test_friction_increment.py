@@ -25,11 +25,11 @@ pytestmark = pytest.mark.skipif(kernel_of(THESIS) is None, reason="no C compiler
 
 def way(seed: int) -> tuple[ConcentricRobot, Array, Friction]:
     """A random robot with friction along its tubes, and rows (T, 2n) of a way with corners."""
-    given, rotations, translations, rub = random_way(seed)
+    inputs, rotations, translations, rub = random_way(seed)
     corners = np.hstack([rotations, translations])
     at = np.linspace(0, len(corners) - 1, 21)
     rows = np.column_stack([np.interp(at, np.arange(len(corners)), column) for column in corners.T])
-    return given, rows, Friction(rub.torque)
+    return inputs, rows, Friction(rub.torque)
 
 
 def poses(given: ConcentricRobot, rows: Array, rub: Friction) -> Poses:
@@ -42,19 +42,19 @@ def test_no_step_is_too_long_or_changes_the_order_of_breakpoints() -> None:
     draw, lengths = np.random.default_rng(2), np.array([tube.curved_length for tube in THESIS.tubes])
     rows = np.hstack([draw.uniform(-1, 1, (30, 3)), draw.uniform(-0.06, 0.0, (30, 3))])
     rows[10] = rows[9]
-    steps, given = steps_along(THESIS, rows)
-    assert (steps[given] == rows).all()
-    assert given[10] == given[9] + 1
+    steps, inputs = steps_along(THESIS, rows)
+    assert (steps[inputs] == rows).all()
+    assert inputs[10] == inputs[9] + 1
     assert 100 < len(steps) < 400
     change = np.abs(np.diff(steps, axis=0))
     assert change[:, :3].max() <= LARGEST_TURN * (1 + 1e-12)
     assert change[:, 3:].max() <= LARGEST_SHIFT * max(tube.length for tube in THESIS.tubes) * (1 + 1e-12)
-    places = np.hstack([steps[:, 3:], steps[:, 3:] + lengths, np.zeros((len(steps), 1))])
-    gap = places[:, :, None] - places[:, None]
+    positions = np.hstack([steps[:, 3:], steps[:, 3:] + lengths, np.zeros((len(steps), 1))])
+    gap = positions[:, :, None] - positions[:, None]
     gap[np.abs(gap) < 1e-11] = 0.0
     assert (gap[1:] * gap[:-1] >= 0).all()
     # On a straight path, row by row.
-    for k, (first, last) in enumerate(pairwise(given.tolist())):
+    for k, (first, last) in enumerate(pairwise(inputs.tolist())):
         part = (steps[first : last + 1] - rows[k]) @ (rows[k + 1] - rows[k])
         assert (np.diff(part) > 0).all() or k == 9
 
@@ -64,7 +64,7 @@ def test_kernel_finds_the_states_of_python(seed: int, monkeypatch: pytest.Monkey
     own = poses(*way(seed))
     monkeypatch.setattr(posing, "sweep", lambda *_, **__: None)
     other = poses(*way(seed))
-    assert own.found.all()
+    assert own.solved.all()
     assert own.position == pytest.approx(other.position, abs=1e-10)
     assert own.frame == pytest.approx(other.frame, abs=1e-9)
     assert own.margin == pytest.approx(other.margin, abs=1e-5)
@@ -79,22 +79,25 @@ def test_laws_of_friction_hold_in_the_kernel() -> None:
     held = start_with_friction(robot(), rows[0], rub)
     fronts, worst = 0, 0.0
     for k in range(1, len(rows)):
-        found = sweep(robot(), held, rows[k - 1 : k + 1], np.zeros(1))
-        assert found is not None
-        assert len(found.margin) == 1
-        there = swept(robot(), held, rows[k - 1 : k + 1], found, 1)
-        slip, own = there.increment.state.relative_rotations - held.increment.state.relative_rotations, there.increment
+        result = sweep(robot(), held, rows[k - 1 : k + 1], np.zeros(1))
+        assert result is not None
+        assert len(result.margin) == 1
+        reached = swept(robot(), held, rows[k - 1 : k + 1], result, 1)
+        slip, own = (
+            reached.increment.state.relative_rotations - held.increment.state.relative_rotations,
+            reached.increment,
+        )
         stuck = own.signs == 0
         wrong = np.concatenate(
-            [np.abs(slip[stuck]), -(slip * own.signs)[~stuck], np.abs(own.torque) / there.contact.capacity - 1, [0.0]]
+            [np.abs(slip[stuck]), -(slip * own.signs)[~stuck], np.abs(own.torque) / reached.contact.capacity - 1, [0.0]]
         )
         assert own.violation == pytest.approx(wrong.max(), abs=1e-15)
         assert own.violation < 1e-9
-        assert own.torque[~stuck] == pytest.approx((there.contact.capacity * own.signs)[~stuck], rel=1e-12)
-        balance = own.state.gradient + there.contact.rows.T @ own.torque
-        assert np.abs(there.contact.problem.factor @ balance).max() < 1e-11
+        assert own.torque[~stuck] == pytest.approx((reached.contact.capacity * own.signs)[~stuck], rel=1e-12)
+        balance = own.state.gradient + reached.contact.rows.T @ own.torque
+        assert np.abs(reached.contact.problem.factor @ balance).max() < 1e-11
         fronts += bool(stuck.any() and not stuck.all())
-        held, worst = there, max(worst, own.violation)
+        held, worst = reached, max(worst, own.violation)
     assert fronts > 10
     assert worst > 1e-16  # measured, not 0
 

@@ -35,18 +35,18 @@ def test_same_equilibrium_as_newton(formulation: str) -> None:
             problem = reduced_problem(robot, (0.0, 0.0, 0.0), DEFAULT_DISCRETISATION)
             few = rotations / 3  # within a sixth of a turn of home there is one equilibrium
             solved = newton(problem, few, np.zeros(problem.size)).state
-            found = solve_ipopt(problem, few, untwisted(problem, few), formulation)
-            assert found.converged
-            assert found.state.theta == pytest.approx(solved.theta, abs=1e-9)
-            assert residual(problem, found.state) < 1e-9
+            result = solve_ipopt(problem, few, untwisted(problem, few), formulation)
+            assert result.converged
+            assert result.state.theta == pytest.approx(solved.theta, abs=1e-9)
+            assert residual(problem, result.state) < 1e-9
 
 
 def test_equations_of_tubes_beside_the_centreline() -> None:
     assembly, rotations = eccentric_assembly(), np.array([0.5, 1.7, -0.4])
     problem = reduce(assembly, make_mesh(assembly))
     solved = newton(problem, rotations, np.zeros(problem.size)).state
-    found = solve_ipopt(problem, rotations, untwisted(problem, rotations))
-    assert found.state.theta == pytest.approx(solved.theta, abs=1e-9)
+    result = solve_ipopt(problem, rotations, untwisted(problem, rotations))
+    assert result.state.theta == pytest.approx(solved.theta, abs=1e-9)
 
 
 def test_energy_has_its_minima_where_the_equations_also_have_saddles() -> None:
@@ -54,13 +54,13 @@ def test_energy_has_its_minima_where_the_equations_also_have_saddles() -> None:
     saddle = unstable_home(THESIS, rotations)
     problem = saddle.member.problem
     # The equations are content with the saddle; the energy, started a little beside it, is not.
-    found = solve_ipopt(problem, rotations, untwisted(problem, rotations))
-    assert margin(problem, found.state) == pytest.approx(saddle.margin, abs=1e-9)
+    result = solve_ipopt(problem, rotations, untwisted(problem, rotations))
+    assert margin(problem, result.state) == pytest.approx(saddle.margin, abs=1e-9)
     beside = untwisted(problem, rotations)
     beside.rotation[:, 0] += 0.1
-    found = solve_ipopt(problem, rotations, beside, "energy")
-    assert margin(problem, found.state) > 0
-    assert found.state.energy < saddle.state.energy
+    result = solve_ipopt(problem, rotations, beside, "energy")
+    assert margin(problem, result.state) > 0
+    assert result.state.energy < saddle.state.energy
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)

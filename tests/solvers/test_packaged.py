@@ -46,9 +46,9 @@ def test_a_processor_gets_the_best_that_it_runs(generations: tuple[packaged.Gene
 @pytest.mark.skipif(platform.machine() != "x86_64" or not Path("/proc/cpuinfo").exists(), reason="no Linux on x86-64")
 def test_where_the_system_does_not_tell_the_processor_has_the_same_generation() -> None:
     """From NumPy 2.4 on, which knows them all; an older one gives an older generation, which runs as well."""
-    told, asked = packaged.processor_features(), packaged._features_by_numpy()
-    by_numpy = [generation.needs <= asked for generation in packaged.generations()]
-    by_linux = [generation.needs <= told for generation in packaged.generations()]
+    report, requested = packaged.processor_features(), packaged._features_by_numpy()
+    by_numpy = [generation.needs <= requested for generation in packaged.generations()]
+    by_linux = [generation.needs <= report for generation in packaged.generations()]
     new = tuple(int(part) for part in np.__version__.split(".")[:2]) >= (2, 4)
     assert by_numpy == by_linux if new else all(a <= b for a, b in zip(by_numpy, by_linux, strict=True))
 
@@ -127,10 +127,10 @@ def test_every_kernel_compiles_for_processors_with_fused_multiplication() -> Non
     # Where it does not, it is compiled without the processor's own instructions, and is half as fast, unnoticed.
     texts = [building.source(2, eccentric) for eccentric in (False, True)]
     for text in (*texts, loaded_source(2), rubbing_source(2), heating_source(), quadratic_source()):
-        told = subprocess.run(
+        report = subprocess.run(
             ["cc", "-fsyntax-only", "-D__FMA__", "-w", "-x", "c", "-"], input=text, text=True, capture_output=True
         )
-        assert told.returncode == 0, told.stderr
+        assert report.returncode == 0, report.stderr
 
 
 def test_a_compiler_that_compiles_nothing_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,36 +27,36 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_every_item_is_answered_once(workers: int) -> None:
-    found = list(each(square, range(50), workers=workers))
-    assert sorted(outcome.index for outcome in found) == list(range(50))
-    assert all(outcome.value == outcome.index**2 and outcome.failure is None for outcome in found)
+    results = list(each(square, range(50), workers=workers))
+    assert sorted(outcome.index for outcome in results) == list(range(50))
+    assert all(outcome.value == outcome.index**2 and outcome.failure is None for outcome in results)
 
 
 def test_the_function_arrives_once_per_worker() -> None:
-    found = list(each(Weighed(3), range(40), workers=2))
-    assert {(o.index, o.value[0]) for o in found if o.value} == {(k, 3 * k) for k in range(40)}
-    assert {o.value[2] for o in found if o.value} == {1}
-    assert os.getpid() not in {o.value[1] for o in found if o.value}
+    results = list(each(Weighed(3), range(40), workers=2))
+    assert {(o.index, o.value[0]) for o in results if o.value} == {(k, 3 * k) for k in range(40)}
+    assert {o.value[2] for o in results if o.value} == {1}
+    assert os.getpid() not in {o.value[1] for o in results if o.value}
 
 
 def test_functions_of_casadi_travel_as_casadi_writes_them() -> None:
     theta = ca.SX.sym("theta")
     function = ca.Function("f", [theta], [ca.sin(theta) ** 2])
     assert function.serialize().encode() in pickle.dumps(function)
-    found = {outcome.index: outcome for outcome in each(partial(evaluated, function), range(6), workers=2)}
-    assert [found[k].value for k in range(6)] == pytest.approx([math.sin(k) ** 2 for k in range(6)], abs=1e-15)
+    results = {outcome.index: outcome for outcome in each(partial(evaluated, function), range(6), workers=2)}
+    assert [results[k].value for k in range(6)] == pytest.approx([math.sin(k) ** 2 for k in range(6)], abs=1e-15)
 
 
 def test_what_raises_costs_its_own_item_only() -> None:
-    found = {outcome.index: outcome for outcome in each(picky, range(6), workers=1)}
-    assert found[3].failure == Failure("ValueError", "three is no good")
-    assert {k: o.value for k, o in found.items() if k != 3} == {k: k * k for k in (0, 1, 2, 4, 5)}
+    results = {outcome.index: outcome for outcome in each(picky, range(6), workers=1)}
+    assert results[3].failure == Failure("ValueError", "three is no good")
+    assert {k: o.value for k, o in results.items() if k != 3} == {k: k * k for k in (0, 1, 2, 4, 5)}
 
 
 def test_what_kills_its_worker_costs_its_own_item_only() -> None:
-    found = {outcome.index: outcome for outcome in each(picky, range(12), workers=2)}
-    assert len(found) == 12
-    failed = {k: str(o.failure) for k, o in found.items() if o.failure}
+    results = {outcome.index: outcome for outcome in each(picky, range(12), workers=2)}
+    assert len(results) == 12
+    failed = {k: str(o.failure) for k, o in results.items() if o.failure}
     assert failed == {
         3: "ValueError: three is no good",
         7: "WorkerLost: the process that computed it ended without an answer",
@@ -64,13 +64,13 @@ def test_what_kills_its_worker_costs_its_own_item_only() -> None:
 
 
 def test_a_worker_killed_from_outside_costs_nothing() -> None:
-    found = []
+    results = []
     for outcome in each(slow, range(30), workers=2):
         assert outcome.value is not None
-        found.append(outcome.value[0])
-        if len(found) == 5:
+        results.append(outcome.value[0])
+        if len(results) == 5:
             os.kill(outcome.value[1], signal.SIGKILL)
-    assert sorted(found) == [k * k for k in range(30)]
+    assert sorted(results) == [k * k for k in range(30)]
 
 
 def test_items_are_taken_as_workers_become_free() -> None:
@@ -153,8 +153,8 @@ def test_workers_that_cannot_begin_are_no_failure_of_the_items(tmp_path: Path, t
     command = [sys.executable, "-c", LOCAL] if typed else [sys.executable, str(script)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    told = "the function cannot be loaded by the workers" if typed else "your script under"
-    assert told in done.stdout
+    report = "the function cannot be loaded by the workers" if typed else "your script under"
+    assert report in done.stdout
 
 
 def test_the_executor_is_one_of_the_standard_library() -> None:

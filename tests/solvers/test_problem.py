@@ -25,8 +25,8 @@ def test_a_square_system_whatever_the_scale(scale: float, row_scale: float, expa
     for p in (1.0, 4.0):
         problem.set_value("p", p)
         x = (np.sqrt(2 * 25 * p - 1) + 1) / 2
-        found = problem.solve(Ipopt(tolerance=1e-12, expand=expand))
-        assert found.value("x") == pytest.approx([x, x - 1], rel=1e-10)
+        solution = problem.solve(Ipopt(tolerance=1e-12, expand=expand))
+        assert solution.value("x") == pytest.approx([x, x - 1], rel=1e-10)
 
 
 def test_least_squares_within_bounds_that_change() -> None:
@@ -35,15 +35,15 @@ def test_least_squares_within_bounds_that_change() -> None:
     x = problem.variable("x", 2, scale=[10.0, 0.1])
     problem.subject_to("budget", x[0] + x[1], lower=-np.inf, upper=1.0, scale=50.0)
     problem.minimize((x[0] - 3) ** 2 + (x[1] + 1) ** 2)
-    for lower, upper, wanted, cost in (
+    for lower, upper, desired, cost in (
         (-np.inf, np.inf, [2.5, -1.5], 0.5),
         (-np.inf, [1.0, np.inf], [1.0, -1.0], 4.0),
         (0.0, 0.0, [0.0, 0.0], 10.0),
     ):
         problem.set_bounds(x, lower, upper)
-        found = problem.solve(Ipopt(expand=True))
-        assert found.value("x") == pytest.approx(wanted, abs=1e-7)
-        assert found.objective == pytest.approx(cost, abs=1e-6)
+        solution = problem.solve(Ipopt(expand=True))
+        assert solution.value("x") == pytest.approx(desired, abs=1e-7)
+        assert solution.objective == pytest.approx(cost, abs=1e-6)
     with pytest.raises(InputError, match=r"bounds of 'x' are \[1.0, 1.0\] to \[0.0, 0.0\]: out of order"):
         problem.set_bounds("x", 1.0, 0.0)
     with pytest.raises(InputError, match="no constraint 'budge'; did you mean 'budget'"):
@@ -54,9 +54,9 @@ def test_acceptable_is_not_converged() -> None:
     # Stopped far from the solution: it must say so, and not call it good enough; the worst comes first.
     problem = circle_and_line()
     problem.set_guess("x", [1e6, -1e6])
-    found = problem.attempt(Ipopt(iterations=2))
-    assert found.status is ProblemStatus.TOO_MANY_ITERATIONS
-    x, y = found.value("x")
-    assert found.violations[0].name == "circle"
-    assert found.violations[0].amount == pytest.approx(abs(x**2 + y**2 - 25))
-    assert found.statistics.verdict == "Maximum_Iterations_Exceeded"
+    result = problem.attempt(Ipopt(iterations=2))
+    assert result.status is ProblemStatus.TOO_MANY_ITERATIONS
+    x, y = result.value("x")
+    assert result.violations[0].name == "circle"
+    assert result.violations[0].amount == pytest.approx(abs(x**2 + y**2 - 25))
+    assert result.statistics.verdict == "Maximum_Iterations_Exceeded"

@@ -41,16 +41,16 @@ def test_the_answer_is_that_of_slsqp_and_optimal(solve: Solve, seed: int) -> Non
     matrix, right = random.normal(size=(8, 5)), random.normal(size=8)
     rows, inside = random.normal(size=(12, 5)), random.normal(size=5)
     bounds = rows @ inside - random.uniform(0.0, 1.0, 12) * (random.random(12) < 0.7)
-    found = solve(matrix, right, rows, bounds)
-    assert found is not None
-    slack = rows @ found.x - bounds
+    solution = solve(matrix, right, rows, bounds)
+    assert solution is not None
+    slack = rows @ solution.x - bounds
     assert slack.min() > -1e-10
     # Optimal where the gradient is a non-negative combination of the active rows (Karush, Kuhn, Tucker).
-    gradient = matrix.T @ (matrix @ found.x - right)
-    weights = np.linalg.lstsq(rows[found.active].T, gradient, rcond=None)[0]
-    np.testing.assert_allclose(rows[found.active].T @ weights, gradient, atol=1e-8)
+    gradient = matrix.T @ (matrix @ solution.x - right)
+    weights = np.linalg.lstsq(rows[solution.active].T, gradient, rcond=None)[0]
+    np.testing.assert_allclose(rows[solution.active].T @ weights, gradient, atol=1e-8)
     assert (weights > -1e-8).all()
-    assert np.abs(slack[found.active]).max(initial=0.0) < 1e-9
+    assert np.abs(slack[solution.active]).max(initial=0.0) < 1e-9
     other = minimize(
         lambda x: 0.5 * np.sum((matrix @ x - right) ** 2),
         inside,
@@ -58,17 +58,17 @@ def test_the_answer_is_that_of_slsqp_and_optimal(solve: Solve, seed: int) -> Non
         constraints={"type": "ineq", "fun": lambda x: rows @ x - bounds},
         options={"ftol": 1e-14, "maxiter": 500},
     )
-    np.testing.assert_allclose(found.x, other.x, atol=1e-5)
+    np.testing.assert_allclose(solution.x, other.x, atol=1e-5)
 
 
 def test_without_active_inequalities_it_is_least_squares(solve: Solve) -> None:
     matrix, right = np.random.default_rng(0).normal(size=(6, 3)), np.ones(6)
-    wanted = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    desired = np.linalg.lstsq(matrix, right, rcond=None)[0]
     for rows, bounds in ((np.eye(3), np.array([-1e3, -np.inf, -1e3])), (np.zeros((0, 3)), np.zeros(0))):
-        found = solve(matrix, right, rows, bounds)
-        assert found is not None
-        np.testing.assert_allclose(found.x, wanted, atol=1e-12)
-        assert not len(found.active)
+        solution = solve(matrix, right, rows, bounds)
+        assert solution is not None
+        np.testing.assert_allclose(solution.x, desired, atol=1e-12)
+        assert not len(solution.active)
 
 
 def test_a_contradiction_has_no_answer(solve: Solve) -> None:
@@ -79,9 +79,9 @@ def test_a_contradiction_has_no_answer(solve: Solve) -> None:
 def test_a_row_of_zeros_contradicts_a_positive_bound_only(solve: Solve) -> None:
     rows = np.array([[0.0, 0.0], [1.0, 0.0]])
     assert solve(np.eye(2), np.zeros(2), rows, np.array([1.0, 0.5])) is None
-    found = solve(np.eye(2), np.zeros(2), rows, np.array([0.0, 0.5]))
-    assert found is not None
-    np.testing.assert_allclose(found.x, [0.5, 0.0], atol=1e-12)
+    solution = solve(np.eye(2), np.zeros(2), rows, np.array([0.0, 0.5]))
+    assert solution is not None
+    np.testing.assert_allclose(solution.x, [0.5, 0.0], atol=1e-12)
 
 
 @pytest.mark.parametrize("size", [1e-9, 1.0, 1e6])
@@ -91,9 +91,9 @@ def test_an_equation_as_two_inequalities(solve: Solve, size: float) -> None:
     for _ in range(50):
         row, base, inside = random.normal(size=4), random.normal(size=4) * size, random.normal(size=4) * size
         rows, bounds = np.array([row, -row]), row @ inside * np.array([1.0, -1.0])
-        found = solve(np.diag([1.0, 2.0, 3.0, 4.0]), base, rows, bounds)
-        assert found is not None
-        assert row @ found.x == pytest.approx(row @ inside, abs=1e-9 * size)
+        solution = solve(np.diag([1.0, 2.0, 3.0, 4.0]), base, rows, bounds)
+        assert solution is not None
+        assert row @ solution.x == pytest.approx(row @ inside, abs=1e-9 * size)
 
 
 def test_both_give_the_same_answers_and_contradictions() -> None:
@@ -108,23 +108,23 @@ def test_both_give_the_same_answers_and_contradictions() -> None:
         )
         rows[random.random(k) < 0.2] *= 1e-3
         bounds[random.random(k) < 0.1] = -np.inf
-        kept = [part.copy() for part in problem]
-        known, found = by_least_distance(matrix, right, rows, bounds), compiled(matrix, right, rows, bounds)
-        assert all(np.array_equal(a, b) for a, b in zip(kept, problem, strict=True))
-        assert (known is None) == (found is None)
+        retained = [part.copy() for part in problem]
+        known, result = by_least_distance(matrix, right, rows, bounds), compiled(matrix, right, rows, bounds)
+        assert all(np.array_equal(a, b) for a, b in zip(retained, problem, strict=True))
+        assert (known is None) == (result is None)
         refused += known is None
-        if known is None or found is None:
+        if known is None or result is None:
             continue
-        np.testing.assert_allclose(found.x, known.x, atol=1e-8 * max(1.0, np.abs(known.x).max()))
-        assert set(found.active.tolist()) == set(known.active.tolist())
+        np.testing.assert_allclose(result.x, known.x, atol=1e-8 * max(1.0, np.abs(known.x).max()))
+        assert set(result.active.tolist()) == set(known.active.tolist())
     assert 20 < refused < 180
 
 
 def test_memory_grows_with_the_rows(solve: Solve) -> None:
     rows = np.tile(np.eye(6), (500, 1))
-    found = solve(np.eye(6), np.zeros(6), rows, np.linspace(0.0, 1.0, 3000))
-    assert found is not None
-    np.testing.assert_allclose(found.x, np.linspace(0.0, 1.0, 3000)[-6:], atol=1e-12)
+    solution = solve(np.eye(6), np.zeros(6), rows, np.linspace(0.0, 1.0, 3000))
+    assert solution is not None
+    np.testing.assert_allclose(solution.x, np.linspace(0.0, 1.0, 3000)[-6:], atol=1e-12)
 
 
 def test_columns_that_depend_on_each_other_have_no_compiled_answer() -> None:
@@ -132,10 +132,10 @@ def test_columns_that_depend_on_each_other_have_no_compiled_answer() -> None:
 
 
 def test_more_variables_than_the_kernel_has_room_for_go_to_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
-    monkeypatch.setattr(quadratic, "compiled_least_squares", lambda: asked.append(1))
+    requested = []
+    monkeypatch.setattr(quadratic, "compiled_least_squares", lambda: requested.append(1))
     n = MOST_VARIABLES + 1
-    found = constrained_least_squares(np.eye(n), np.zeros(n), np.eye(n), np.ones(n))
-    assert found is not None
-    np.testing.assert_allclose(found.x, 1.0, atol=1e-12)
-    assert not asked
+    result = constrained_least_squares(np.eye(n), np.zeros(n), np.eye(n), np.ones(n))
+    assert result is not None
+    np.testing.assert_allclose(result.x, 1.0, atol=1e-12)
+    assert not requested

@@ -63,10 +63,10 @@ def weights(loss: str, prior: float = np.inf) -> Weights:
 @pytest.mark.parametrize("loss", ["linear", "huber", "soft_l1"])
 @pytest.mark.parametrize("high", [np.inf, 0.5])
 def test_the_minimum_is_that_of_scipy(loss: str, high: float) -> None:
-    seen = Seen((1.0, 0.3), high=high)
-    found = descend(seen, weights(loss), seen.start)
+    observed = Seen((1.0, 0.3), high=high)
+    result = descend(observed, weights(loss), observed.start)
     other = scipy.optimize.least_squares(
-        lambda x: (x[0] * np.exp(-x[1] * TIME) - seen.reading) / NOISE,
+        lambda x: (x[0] * np.exp(-x[1] * TIME) - observed.reading) / NOISE,
         [1.0, 0.3],
         bounds=([0, 0], [np.inf, high]),
         loss=loss,
@@ -74,22 +74,22 @@ def test_the_minimum_is_that_of_scipy(loss: str, high: float) -> None:
         xtol=1e-12,
         ftol=1e-12,
     )
-    assert found.converged
-    np.testing.assert_allclose(found.state.x, other.x, rtol=1e-3)
-    assert weights(loss).cost(found.residuals) <= 2 * other.cost * (1 + 1e-6)
+    assert result.converged
+    np.testing.assert_allclose(result.state.x, other.x, rtol=1e-3)
+    assert weights(loss).cost(result.residuals) <= 2 * other.cost * (1 + 1e-6)
 
 
 def test_a_robust_loss_leaves_outliers_aside() -> None:
-    seen = Seen((1.0, 0.3))
-    plain, robust = (descend(seen, weights(loss), seen.start).state.x for loss in ("linear", "huber"))
+    observed = Seen((1.0, 0.3))
+    plain, robust = (descend(observed, weights(loss), observed.start).state.x for loss in ("linear", "huber"))
     assert np.abs(robust - TRUTH).max() < 0.3 * np.abs(plain - TRUTH).max()
 
 
 def test_steps_to_where_there_is_no_answer_are_shortened() -> None:
     free = descend(Seen((0.2, 0.05)), weights("huber"), Decay(np.array([0.2, 0.05]))).state.x
     wall = Seen((0.2, 0.05), most=free[1] + 0.01)
-    found = descend(wall, weights("huber"), wall.start)
-    np.testing.assert_allclose(found.state.x, free, rtol=1e-3)
+    result = descend(wall, weights("huber"), wall.start)
+    np.testing.assert_allclose(result.state.x, free, rtol=1e-3)
     short = Seen((0.2, 0.05), most=free[1] - 0.1)
     stopped = descend(short, weights("huber"), short.start)
     assert stopped.state.x[1] <= short.most
@@ -97,6 +97,6 @@ def test_steps_to_where_there_is_no_answer_are_shortened() -> None:
 
 
 def test_a_strong_prior_holds_the_start() -> None:
-    seen = Seen((1.0, 0.3))
-    held = descend(seen, weights("linear", 1e-9), seen.start)
+    observed = Seen((1.0, 0.3))
+    held = descend(observed, weights("linear", 1e-9), observed.start)
     np.testing.assert_allclose(held.state.x, [1.0, 0.3], atol=1e-8)

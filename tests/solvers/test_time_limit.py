@@ -64,10 +64,10 @@ def _task() -> tubeopt.DesignTask:
 
 @pytest.mark.parametrize("name", QUESTIONS)
 def test_a_limit_that_is_over_ends_a_question_in_a_sentence(name: str) -> None:
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     with pytest.raises(TimeLimitError, match=rf"{name} reached its time limit of 1e-09 s.*; increase time_limit"):
         QUESTIONS[name](TINY)
-    assert time.perf_counter() - began < 10.0
+    assert time.perf_counter() - start_time < 10.0
     with pytest.raises(InputError, match="time_limit"):
         QUESTIONS[name](-1.0)
 
@@ -120,9 +120,9 @@ def test_a_sweep_keeps_what_was_done_by_its_limit(tmp_path: Path) -> None:
     points = [{"x": float(k)} for k in range(20)]
     with pytest.raises(TimeLimitError, match=r"limit of 0.12 s with \d of 20 points"):
         tubeopt.sweep(_slow, points, tmp_path, fingerprint="slow", workers=1, time_limit=0.12)
-    found = tubeopt.sweep(_slow, points, tmp_path, fingerprint="slow", workers=1)
-    assert found.computed < 20
-    assert len(found.unkept().rows or ()) == 20
+    result = tubeopt.sweep(_slow, points, tmp_path, fingerprint="slow", workers=1)
+    assert result.computed < 20
+    assert len(result.unkept().rows or ()) == 20
 
 
 def test_workers_keep_the_limit() -> None:
@@ -140,7 +140,7 @@ def test_ipopt_ends_with_the_limit() -> None:
     problem = tubeopt.Problem()
     x = problem.variable("x", 400, guess=np.linspace(-2, 2, 400))
     problem.minimize(sum((1 - x[i]) ** 2 + 100 * (x[i + 1] - x[i] ** 2) ** 2 for i in range(399)))
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     with pytest.raises(SolveError, match="ran out of time"):
         problem.solve(tubeopt.Ipopt(time_limit=1e-3))
-    assert time.perf_counter() - began < 5.0
+    assert time.perf_counter() - start_time < 5.0

@@ -151,10 +151,10 @@ def all_tips(tubes: Bundle, rotations: Array, *, size: int) -> Array:
     gap = (base[:, turning] - base[:, [fixed]] - (rotations[turning] - rotations[fixed])) / TURN
     gap = gap.reshape(grid.shape)
     starts = np.concatenate(list(_simplex_roots(grid, gap)))
-    found = np.tile(np.array(rotations, dtype=float), (len(starts), 1))
-    found[:, free] = rotations[fixed]
-    found[:, turning] += starts
-    return _unique(_newton(tubes, rotations, found))
+    result = np.tile(np.array(rotations, dtype=float), (len(starts), 1))
+    result[:, free] = rotations[fixed]
+    result[:, turning] += starts
+    return _unique(_newton(tubes, rotations, result))
 
 
 def _simplex_roots(grid: Array, gap: Array) -> Iterator[Array]:
@@ -181,8 +181,8 @@ def _simplex_roots(grid: Array, gap: Array) -> Iterator[Array]:
                 part = np.linalg.solve(edges, (turns - y[near, 0])[:, :, None])[:, :, 0]
                 inside = (part >= -0.05).all(1) & (part.sum(1) <= 1.05)
                 part, near = part[inside, :, None], near[inside]
-                place = x[near, 0] + part[:, 0] * (x[near, 1] - x[near, 0]) + part[:, 1] * (x[near, 2] - x[near, 0])
-                yield place - TURN * turns
+                position = x[near, 0] + part[:, 0] * (x[near, 1] - x[near, 0]) + part[:, 1] * (x[near, 2] - x[near, 0])
+                yield position - TURN * turns
 
 
 def _newton(tubes: Bundle, rotations: Array, tips: Array) -> Array:
@@ -330,11 +330,11 @@ class Elements:
                     break
                 rate /= 2
             trial = theta + step.reshape(theta.shape)
-            there = self.energy(rotations, trial)
-            if there[0] > energy + noise + 1e-13 * abs(energy):
+            reached = self.energy(rotations, trial)
+            if reached[0] > energy + noise + 1e-13 * abs(energy):
                 rate /= 4
                 continue
-            theta, rate, (energy, gradient, hessian) = trial, min(3 * rate, 1e9), there
+            theta, rate, (energy, gradient, hessian) = trial, min(3 * rate, 1e9), reached
             if np.abs(step).max() < 1e-4 and rate > 1e3:
                 near = self.newton(rotations, theta)
                 if near is not None and np.abs(near - theta).max() < stride:
@@ -438,11 +438,11 @@ def integrated(elements: Elements, tips: Array) -> Array:
         coupling = tubes.coupling[min(int(np.searchsorted(stop, (a + b) / 2)), len(stop) - 1)]
         h = (a - b) / SUBSTEPS
         for _ in range(SUBSTEPS):
-            here, ahead = (
+            current, ahead = (
                 (coupling * np.sin(np.subtract.outer(angle, angle))).sum(1) / tubes.torsional
                 for angle in (theta, theta + h / 2 * twist)
             )
-            theta = theta + h * twist + h**2 * (here + 2 * ahead) / 6
+            theta = theta + h * twist + h**2 * (current + 2 * ahead) / 6
             twist = twist + h * ahead
         out.append(theta)
     return np.array(out[::-1])

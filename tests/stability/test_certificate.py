@@ -144,15 +144,15 @@ def test_three_tubes_never_do_better_than_found() -> None:
         robot = random_robot(random, 3, bend=random.uniform(0.3, 2.0))
         shift = random_translations(random, robot)
         proved = snap_free_certificate(robot, shift)
-        found = worst_margin(robot, shift)
-        assert proved <= found.margin + 1e-9
-        assert found.margin == pytest.approx(found.equilibrium.margin, abs=1e-9)
-        gaps.append((found.margin - proved) / max(1 - proved, 1e-12))
+        result = worst_margin(robot, shift)
+        assert proved <= result.margin + 1e-9
+        assert result.margin == pytest.approx(result.equilibrium.margin, abs=1e-9)
+        gaps.append((result.margin - proved) / max(1 - proved, 1e-12))
         # The state that was found is an equilibrium, of that margin, in finite elements too.
-        e = found.equilibrium
+        e = result.equilibrium
         state = settle_at(robot, e.rotations, shift, e.tip_rotations)
         margin = min(1.0, float(state.elements.margins(state.rotations, state.theta)[0]))
-        assert margin == pytest.approx(found.margin, rel=1e-6, abs=1e-5)
+        assert margin == pytest.approx(result.margin, rel=1e-6, abs=1e-5)
     assert np.median(gaps) < 0.2
 
 
@@ -171,19 +171,19 @@ def test_no_state_of_many_robots_is_below_the_certificate() -> None:
 
 def test_two_tubes_are_found_as_bad_as_proved() -> None:
     robot = unit_pair(2.0, 0.5)
-    found = worst_margin(robot)
-    assert found.margin == pytest.approx(snap_free_certificate(robot), abs=1e-6)
-    assert float(np.cos(np.subtract(*found.equilibrium.tip_rotations))) == pytest.approx(-1.0, abs=1e-6)
-    assert repr(found).startswith("WorstMargin(margin=")
+    result = worst_margin(robot)
+    assert result.margin == pytest.approx(snap_free_certificate(robot), abs=1e-6)
+    assert float(np.cos(np.subtract(*result.equilibrium.tip_rotations))) == pytest.approx(-1.0, abs=1e-6)
+    assert repr(result).startswith("WorstMargin(margin=")
 
 
 def test_pair_section_and_share() -> None:
     certificate = certify(THESIS)
     assert certificate.pair == (0, 1)
     assert not certificate.snap_free
-    share = certificate.share
-    assert share == pytest.approx(share.T)
-    assert np.triu(share).sum() == pytest.approx(1.0)
+    fraction = certificate.share
+    assert fraction == pytest.approx(fraction.T)
+    assert np.triu(fraction).sum() == pytest.approx(1.0)
     assert certificate.section is not None
     start, stop = certificate.section
     # At home the three tubes are curved over 0.1 m, the inner two up to 0.15 m.
@@ -231,8 +231,8 @@ def test_worst_over_translations_against_a_grid(robot: ConcentricRobot, least: f
     worst = worst_certificate(robot, low, high, effort=SnapSearch(evaluations=120))
     axes = [np.linspace(a, b, 4) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
-    seen = min(snap_free_certificate(robot, shift) for shift in grid)
-    assert worst.certificate.margin <= seen + 1e-9
+    observed = min(snap_free_certificate(robot, shift) for shift in grid)
+    assert worst.certificate.margin <= observed + 1e-9
     assert (worst.certificate.translations >= low - 1e-12).all()
     assert (worst.certificate.translations <= high + 1e-12).all()
     assert worst.certificate.margin == pytest.approx(snap_free_certificate(robot, worst.certificate.translations))

@@ -26,18 +26,18 @@ def turning() -> ConcentricRobot:
 def test_the_certificate_of_tubes_made_of_pieces_changes_as_its_gradient(name: str) -> None:
     robot = turning() if name == "turning" else tubeopt.load_robot(f"configs/robots/{name}.yaml")
     shift = robot.home_translations - 2e-3 * np.arange(1, robot.n_tubes + 1)
-    found = tubeopt.certify(robot, shift)
-    assert (name == "turning") == (found.margin > worst_case(_problem(robot, shift))[0] + 1e-3)
+    result = tubeopt.certify(robot, shift)
+    assert (name == "turning") == (result.margin > worst_case(_problem(robot, shift))[0] + 1e-3)
     for parameter in PARAMETERS:
         for i, tube in enumerate(robot.tubes):
             values = []
             size = 0.1 if parameter == "translation" else abs(float(getattr(tube, parameter)))
             for step in (1e-4 * size, -1e-4 * size):
                 if parameter == "translation":
-                    there = robot, shift + step * np.eye(robot.n_tubes)[i]
+                    reached = robot, shift + step * np.eye(robot.n_tubes)[i]
                 else:
-                    there = resized(robot, i, parameter, float(getattr(tube, parameter)) + step), shift
-                values.append(tubeopt.snap_free_certificate(*there))
+                    reached = resized(robot, i, parameter, float(getattr(tube, parameter)) + step), shift
+                values.append(tubeopt.snap_free_certificate(*reached))
             slope = (values[0] - values[1]) / (2e-4 * size)
             # The certificate also subtracts what the mesh leaves out, which its gradient does not see.
-            assert found.gradient[parameter][i] == pytest.approx(slope, rel=1e-3, abs=1e-6 / size)
+            assert result.gradient[parameter][i] == pytest.approx(slope, rel=1e-3, abs=1e-6 / size)

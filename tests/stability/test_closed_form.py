@@ -39,9 +39,9 @@ def test_folds_of_two_tubes(c: float, lever: float, tip: float, turn: float) -> 
 @pytest.mark.parametrize(("c", "lever", "tip", "turn"), FOLDS)
 def test_folds_by_following_and_by_tracing(c: float, lever: float, tip: float, turn: float) -> None:
     robot = unit_pair(c, lever)
-    there = follow(robot, [[0.0, 0.0], [TURN, 0.0]])
+    reached = follow(robot, [[0.0, 0.0], [TURN, 0.0]])
     back = follow(robot, [[0.0, 0.0], [0.0, TURN]])
-    assert [snap.rotations[0] / DEG for snap in there.snaps] == pytest.approx([turn], abs=1e-6)
+    assert [snap.rotations[0] / DEG for snap in reached.snaps] == pytest.approx([turn], abs=1e-6)
     assert [snap.rotations[1] / DEG for snap in back.snaps] == pytest.approx([turn], abs=1e-6)
     branch = trace_branch(robot, [0.0, 0.0], [TURN, 0.0])
     # The S-curve from 0 to a turn passes the second fold, the mirror image of the first, on its way.
@@ -57,25 +57,25 @@ def test_tip_angles_of_the_closed_form(c: float, lever: float) -> None:
     unstable = 0
     for tip in np.arange(7.5, 720.0, 52.5) * DEG:
         turn = float(closed_form(c, 1.0, lever, tip))
-        found = find_equilibria(robot, [turn + 0.4, 0.4])
-        apart = np.array([np.subtract(*equilibrium.tip_rotations) for equilibrium in found])
-        here = int(np.argmin(np.abs(apart - tip)))
-        assert apart[here] == pytest.approx(tip, abs=1e-9)
+        equilibria = find_equilibria(robot, [turn + 0.4, 0.4])
+        apart = np.array([np.subtract(*equilibrium.tip_rotations) for equilibrium in equilibria])
+        current = int(np.argmin(np.abs(apart - tip)))
+        assert apart[current] == pytest.approx(tip, abs=1e-9)
         assert closed_form(c, 1.0, lever, apart) == pytest.approx(turn, abs=1e-8)
         # Stable exactly where the input grows with the tip angle.
         rises = np.diff(closed_form(c, 1.0, lever, apart[:, None] + [-1e-5, 1e-5])).ravel() > 0
-        unstable += not rises[here]
-        for equilibrium, rise in zip(found, rises, strict=True):
+        unstable += not rises[current]
+        for equilibrium, rise in zip(equilibria, rises, strict=True):
             assert ((-1) ** equilibrium.index > 0) == rise
     assert unstable > 0 or c < 2
 
 
 def test_three_equilibria_of_the_inner_and_middle_tube() -> None:
-    found = find_equilibria(inner_and_middle(), [150 * DEG, 0.0])
-    apart = [np.subtract(*equilibrium.tip_rotations) / DEG for equilibrium in found]
+    equilibria = find_equilibria(inner_and_middle(), [150 * DEG, 0.0])
+    apart = [np.subtract(*equilibrium.tip_rotations) / DEG for equilibrium in equilibria]
     assert sorted(apart) == pytest.approx([39.43309191, 208.31500100, 294.34122683], abs=1e-7)
-    assert {round(a): e.stable for a, e in zip(apart, found, strict=True)} == {39: True, 208: False, 294: True}
-    assert [equilibrium.index for equilibrium in found] == [0, 0, 1]
+    assert {round(a): e.stable for a, e in zip(apart, equilibria, strict=True)} == {39: True, 208: False, 294: True}
+    assert [equilibrium.index for equilibrium in equilibria] == [0, 0, 1]
 
 
 def test_snap_of_the_thesis_robot() -> None:

@@ -55,9 +55,9 @@ def test_two_tubes_against_brute_force() -> None:
         robot = strong(random, 2, bend=random.uniform(1.0, 4.5))
         rotations = random.uniform(-TURN, TURN, 2)
         shift = random_translations(random, robot) if seed % 2 else np.zeros(2)
-        found = find_equilibria(robot, rotations, shift)
-        check_set(robot, rotations, shift, found, 1000)
-        counts.append(len(found))
+        equilibria = find_equilibria(robot, rotations, shift)
+        check_set(robot, rotations, shift, equilibria, 1000)
+        counts.append(len(equilibria))
     assert max(counts) >= 5
     assert len(set(counts)) >= 3
 
@@ -70,9 +70,9 @@ def test_three_tubes_against_brute_force(part: int) -> None:
         robot = strong(random, 3, bend=random.uniform(2.0, 4.0))
         rotations = np.pi * np.arange(3) + random.normal(0.0, 0.5, 3)
         shift = random_translations(random, robot) if seed % 2 else np.zeros(3)
-        found = find_equilibria(robot, rotations, shift)
-        check_set(robot, rotations, shift, found, 120)
-        counts.append(len(found))
+        equilibria = find_equilibria(robot, rotations, shift)
+        check_set(robot, rotations, shift, equilibria, 120)
+        counts.append(len(equilibria))
     assert max(counts) >= 3
 
 
@@ -84,9 +84,9 @@ def test_published_robots_against_brute_force(robot: Robot) -> None:
 
 def test_strong_coupling_has_many() -> None:
     """sqrt(c) L = 6.3 is past 3 pi / 2: five tip angles share the input of half a turn, and others next to it."""
-    found = find_equilibria(unit_pair(40.0, 0.0), [np.pi + 0.01, 0.0])
-    check_set(unit_pair(40.0, 0.0), np.array([np.pi + 0.01, 0.0]), np.zeros(2), found, 2000)
-    assert len(found) >= 5
+    equilibria = find_equilibria(unit_pair(40.0, 0.0), [np.pi + 0.01, 0.0])
+    check_set(unit_pair(40.0, 0.0), np.array([np.pi + 0.01, 0.0]), np.zeros(2), equilibria, 2000)
+    assert len(equilibria) >= 5
 
 
 def test_a_rougher_search_finds_the_same_or_says_that_it_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,8 +137,8 @@ def test_the_cold_start_is_one_of_them() -> None:
     for _ in range(4):
         rotations = random.uniform(-np.pi, np.pi, 3)
         cold = forward_kinematics(CRL, rotations)
-        found = find_equilibria(CRL, rotations)
-        assert min(np.abs(e.tip_rotations - cold.tip_rotations).max() for e in found) < 1e-7
+        equilibria = find_equilibria(CRL, rotations)
+        assert min(np.abs(e.tip_rotations - cold.tip_rotations).max() for e in equilibria) < 1e-7
 
 
 def test_one_tube_and_tubes_without_coupling() -> None:
@@ -159,13 +159,13 @@ def test_four_tubes(seed: int) -> None:
     random = np.random.default_rng([43, seed])
     robot = strong(random, 4, bend=1.2)
     rotations = random.uniform(-TURN, TURN, 4)
-    found = find_equilibria(robot, rotations)
-    assert sum((-1) ** equilibrium.index for equilibrium in found) == 1
-    for equilibrium in found:
+    equilibria = find_equilibria(robot, rotations)
+    assert sum((-1) ** equilibrium.index for equilibrium in equilibria) == 1
+    for equilibrium in equilibria:
         state = settle_at(robot, rotations, np.zeros(4), equilibrium.tip_rotations)
         assert state.tips == pytest.approx(equilibrium.tip_rotations, abs=1e-7)
     cold = forward_kinematics(robot, rotations)
-    assert min(np.abs(e.tip_rotations - cold.tip_rotations).max() for e in found) < 1e-7
+    assert min(np.abs(e.tip_rotations - cold.tip_rotations).max() for e in equilibria) < 1e-7
 
 
 def test_unequal_transmissions_and_materials() -> None:
@@ -201,14 +201,14 @@ def test_pairs_that_the_offsets_part(
     """Close to a fold the offsets make a pair that the same tubes on the centreline do not have. The numbers are those
     of Newton's method from 1,500 random starts."""
     robot = EccentricRobot(Tube(1.92e-3, 1.57e-3, 0.0, 0.094, curvature), transmission_length=transmission)
-    place = np.radians([0.0, 120.0, 240.0])
-    found = find_equilibria(robot, rotations)
+    position = np.radians([0.0, 120.0, 240.0])
+    equilibria = find_equilibria(robot, rotations)
     assert len(find_equilibria(replace(robot, offset=0.0), rotations)) == without
-    assert len(found) == with_offsets
-    for one, other in itertools.combinations(found, 2):
+    assert len(equilibria) == with_offsets
+    for one, other in itertools.combinations(equilibria, 2):
         assert np.abs(one.tip_rotations - other.tip_rotations).max() > 1e-3
-    for equilibrium in found:
-        stretch = 1 + robot.offset * (equilibrium.curvature[0] @ [np.sin(place), -np.cos(place)])
+    for equilibrium in equilibria:
+        stretch = 1 + robot.offset * (equilibrium.curvature[0] @ [np.sin(position), -np.cos(position)])
         twist = equilibrium.torsion[:, 0] / stretch
         answer = shoot(rows(robot.tubes[:1], (0.0,), robot.offset), np.array(rotations), twist)
         assert answer.end_rotation == pytest.approx(equilibrium.tip_rotations, abs=1e-6)
@@ -222,7 +222,7 @@ def test_a_segment_of_straight_tubes_has_no_equilibria_of_its_own() -> None:
     segments = (Tube(1.0e-3, 0.8e-3, 0.1, 0.06, 20.0), Tube(1.6e-3, 1.3e-3, 0.01, 0.08, 0.0))
     robot = SegmentedEccentricRobot(segments)
     rotations = np.array([0.4, 2.5, -2.2, 0.3, -0.5, 0.1])
-    found = find_equilibria(robot, rotations)
-    assert sum((-1) ** equilibrium.index for equilibrium in found) == 1
+    equilibria = find_equilibria(robot, rotations)
+    assert sum((-1) ** equilibrium.index for equilibrium in equilibria) == 1
     reached = forward_kinematics(robot, rotations)
-    assert min(np.linalg.norm(e.tip_position - reached.tip_position) for e in found) < 1e-10
+    assert min(np.linalg.norm(e.tip_position - reached.tip_position) for e in equilibria) < 1e-10

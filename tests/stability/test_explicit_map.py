@@ -51,27 +51,27 @@ def explicit(z: Array) -> Array:
 def test_every_equilibrium_under_a_tip_force_is_found() -> None:
     rotations, force = np.array([3.6, 0.0, 0.0]), np.array([0.01, 0.02, 0.0])
     random, scale = np.random.default_rng(0), np.repeat([1.0, np.linalg.norm(force)], 3)
-    wanted = np.concatenate([rotations, force])
+    desired = np.concatenate([rotations, force])
     directions = random.normal(size=(STARTS, 3))
     directions *= scale[3] / np.linalg.norm(directions, axis=1)[:, None]
     z = np.concatenate([rotations + random.uniform(-2 * np.pi, 2 * np.pi, (STARTS, 3)), directions], axis=1)
     slopes, on = np.zeros((STARTS, 6, 6)), np.arange(STARTS)
     for _ in range(30):
         moved = z[on] + 1e-6 * np.concatenate([np.zeros((1, 6)), np.diag(scale)])[:, None]
-        gap, *sides = explicit(moved.reshape(-1, 6)).reshape(moved.shape) - wanted
+        gap, *sides = explicit(moved.reshape(-1, 6)).reshape(moved.shape) - desired
         slopes[on] = np.stack([side - gap for side in sides], axis=2) / 1e-6 / scale[:, None]
         step = -np.linalg.solve(slopes[on], (gap / scale)[..., None])[..., 0]
         size = np.abs(step).max(1, initial=1e-9)
         z[on] += scale * step * np.minimum(1.0, 0.7 / size)[:, None]
         on = on[size > 1e-8]
-    arrived = np.flatnonzero(np.abs((explicit(z) - wanted) / scale).max(1) < 1e-8)
+    arrived = np.flatnonzero(np.abs((explicit(z) - desired) / scale).max(1) < 1e-8)
     roots: list[tuple[Array, float]] = []
     for k in arrived:
         if all(np.abs(z[k, :3] - known[:3]).max() > 1e-3 for known, _ in roots):
             roots.append((z[k], float(np.sign(np.linalg.det(slopes[k])))))
-    found = find_equilibria(THESIS, rotations, load=Load(tuple(force)))  # type: ignore[arg-type]
-    assert len(found) == len(roots) == 3
-    assert sum(sign for _, sign in roots) == sum((-1) ** e.index for e in found) == 1
-    for e in found:
+    equilibria = find_equilibria(THESIS, rotations, load=Load(tuple(force)))  # type: ignore[arg-type]
+    assert len(equilibria) == len(roots) == 3
+    assert sum(sign for _, sign in roots) == sum((-1) ** e.index for e in equilibria) == 1
+    for e in equilibria:
         near = min(np.abs(e.tip_rotations - root[:3]).max() for root, _ in roots)
         assert near < 1e-6

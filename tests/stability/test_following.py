@@ -65,10 +65,10 @@ def test_zero_load_moves_a_robot_as_none(k: int) -> None:
 
 @pytest.mark.parametrize("load", [None, Load((0.01, 0, 0))])
 def test_the_kernel_only_saves_time(load: Load | None, monkeypatch: pytest.MonkeyPatch) -> None:
-    ways = np.radians([[0, 0, 0], [250, 30, 0], [20, 60, 0]]), np.array([[0, 0, 0], [-0.02, -0.01, 0], [0, 0, 0]])
-    fast = follow(THESIS, *ways, load=load)
+    paths = np.radians([[0, 0, 0], [250, 30, 0], [20, 60, 0]]), np.array([[0, 0, 0], [-0.02, -0.01, 0], [0, 0, 0]])
+    fast = follow(THESIS, *paths, load=load)
     monkeypatch.setattr(motion, "kernel_of", lambda _: None)
-    slow = follow(THESIS, *ways, load=load)
+    slow = follow(THESIS, *paths, load=load)
     assert [s.index for s in fast.snaps] == [s.index for s in slow.snaps]
     assert fast.snaps
     for one, other in zip(fast.snaps, slow.snaps, strict=True):
@@ -147,14 +147,14 @@ def symmetric(straight: float = 0.0) -> ConcentricRobot:
 def test_a_pitchfork_on_the_way(straight: float) -> None:
     """The outer tubes turn to both sides of the inner one, which stays in the middle until it tips to either side."""
     robot = symmetric(straight)
-    way = np.array([[0.0, 0.0, 0.0], [0.0, 2.5, -2.5], [0.0, np.pi, -np.pi], [0.0, 0.0, 0.0]])
-    path = follow(robot, way)
+    motion = np.array([[0.0, 0.0, 0.0], [0.0, 2.5, -2.5], [0.0, np.pi, -np.pi], [0.0, 0.0, 0.0]])
+    path = follow(robot, motion)
     assert all(equilibrium.stable for equilibrium in path.equilibria)
     assert all(snap.energy_released >= 0 for snap in path.snaps)
-    middle = forward_kinematics(robot, way[1])
+    middle = forward_kinematics(robot, motion[1])
     assert middle.stable
     # What it takes there is one of all equilibria.
-    for joint, equilibrium in zip(way, path.equilibria, strict=True):
+    for joint, equilibrium in zip(motion, path.equilibria, strict=True):
         off = [np.abs(e.tip_rotations - equilibrium.tip_rotations).max() for e in find_equilibria(robot, joint)]
         assert min(off) < 1e-7
 
@@ -225,12 +225,12 @@ def test_waypoints_do_not_matter() -> None:
 
 
 def test_one_waypoint_and_progress() -> None:
-    seen: list[int] = []
-    path = follow(THESIS, [[0.0, 1.0, 2.0]], progress=seen.append)
+    observed: list[int] = []
+    path = follow(THESIS, [[0.0, 1.0, 2.0]], progress=observed.append)
     assert len(path.equilibria) == 1
     assert not path.snaps
-    follow(THESIS, np.zeros((3, 3)), progress=seen.append)
-    assert seen == [1, 2]
+    follow(THESIS, np.zeros((3, 3)), progress=observed.append)
+    assert observed == [1, 2]
 
 
 @pytest.mark.filterwarnings("ignore::tubeopt.errors.ImplausibleWarning")  # five turns

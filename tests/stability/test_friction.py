@@ -115,8 +115,8 @@ def test_front_lies_where_slip_ends() -> None:
 def test_friction_delays_a_snap(c: float, q: float, held: float, fold: float) -> None:
     robot = pair(c, 1.0, held)
     for waypoints in (241, 2):
-        way = np.linspace([0, 0], [0, np.radians(240)], waypoints)
-        (snap,) = follow(robot, way, friction=friction(q)).snaps
+        path = np.linspace([0, 0], [0, np.radians(240)], waypoints)
+        (snap,) = follow(robot, path, friction=friction(q)).snaps
         assert np.degrees(snap.rotations[1]) == pytest.approx(fold, abs=1e-8)
     assert 0 <= snap.before.margin < 1e-4
     assert snap.after.stable
@@ -124,7 +124,7 @@ def test_friction_delays_a_snap(c: float, q: float, held: float, fold: float) ->
     assert snap.before.friction is not None
     # What the tubes lose is heat of friction, and the rest is what the robot swings with.
     assert snap.energy_released > snap.after.friction.heat - snap.before.friction.heat > 0
-    before = follow(robot, way).snaps[0]
+    before = follow(robot, path).snaps[0]
     assert snap.rotations[1] > before.rotations[1]
 
 
@@ -146,10 +146,10 @@ def test_what_friction_alone_holds() -> None:
 
 
 def test_no_friction_is_no_friction() -> None:
-    way = np.radians([[0, 0, 0], [40, 0, 20], [-30, 60, 90]])
-    plain = follow(THESIS, way)
+    motion = np.radians([[0, 0, 0], [40, 0, 20], [-30, 60, 90]])
+    plain = follow(THESIS, motion)
     for none in (Friction(), Friction(1e-13)):
-        path = follow(THESIS, way, friction=none)
+        path = follow(THESIS, motion, friction=none)
         for a, b in zip(path.equilibria, plain.equilibria, strict=True):
             assert a.tip_position == pytest.approx(b.tip_position, abs=1e-12 if none.trivial else 1e-10)
 
@@ -164,18 +164,18 @@ def test_a_closed_loop_turns_work_into_heat() -> None:
 
     def slipping(state: Equilibrium) -> tuple[float, ...]:
         assert state.friction is not None
-        lam, most = np.array(state.friction.torque), np.array(state.friction.capacity)
-        return tuple(np.sign(lam) * (np.abs(lam) >= most * (1 - 1e-12)))
+        lam, largest = np.array(state.friction.torque), np.array(state.friction.capacity)
+        return tuple(np.sign(lam) * (np.abs(lam) >= largest * (1 - 1e-12)))
 
     def work(before: Equilibrium, end: float) -> tuple[float, Equilibrium]:
-        begin = float(before.rotations[1])
-        way = [[0.0, begin], [0.0, (begin + end) / 2], [0.0, end]]
-        _, half, after = follow(robot, way, start=before, friction=rub).equilibria
-        if slipping(before) != slipping(after) and abs(end - begin) > 3e-4:
-            first, middle = work(before, (begin + end) / 2)
+        initial = float(before.rotations[1])
+        path = [[0.0, initial], [0.0, (initial + end) / 2], [0.0, end]]
+        _, half, after = follow(robot, path, start=before, friction=rub).equilibria
+        if slipping(before) != slipping(after) and abs(end - initial) > 3e-4:
+            first, middle = work(before, (initial + end) / 2)
             second, last = work(middle, end)
             return first + second, last
-        return (end - begin) * (torque(before) + 4 * torque(half) + torque(after)) / 6, after
+        return (end - initial) * (torque(before) + 4 * torque(half) + torque(after)) / 6, after
 
     total, state = 0.0, start
     for end in np.concatenate([np.linspace(2.0, 1.0, 11)[1:], np.linspace(1.0, 2.0, 11)[1:]]):
@@ -197,14 +197,14 @@ def test_a_dense_path_with_friction_has_its_waypoints_only() -> None:
 
 def test_waypoints_at_once_are_as_one_after_the_other() -> None:
     """The states and the heat of a motion that the compiled kernel follows whole, and of its increments, one by one."""
-    friction, share = Friction((4e-3, 6e-3)), np.linspace(0, 1, 13)[:, None]
-    rotations = np.sin(3 * share * [1.0, 1.4, -1.2])
-    translations = -0.03 * share * [1.0, 0.9, 0.8]
+    friction, fraction = Friction((4e-3, 6e-3)), np.linspace(0, 1, 13)[:, None]
+    rotations = np.sin(3 * fraction * [1.0, 1.4, -1.2])
+    translations = -0.03 * fraction * [1.0, 0.9, 0.8]
     whole = follow(THESIS, rotations, translations, friction=friction).equilibria
     held = whole[0]
-    for k in range(1, len(share)):
-        there = follow(THESIS, rotations[k - 1 : k + 1], translations[k - 1 : k + 1], start=held, friction=friction)
-        held = there.equilibria[-1]
+    for k in range(1, len(fraction)):
+        reached = follow(THESIS, rotations[k - 1 : k + 1], translations[k - 1 : k + 1], start=held, friction=friction)
+        held = reached.equilibria[-1]
         assert whole[k] is whole[k - len(whole)]
         assert whole[k].friction is not None
         assert held.friction is not None
@@ -212,7 +212,7 @@ def test_waypoints_at_once_are_as_one_after_the_other() -> None:
         assert whole[k].friction.heat == pytest.approx(held.friction.heat, rel=1e-6)
     assert whole[2:4] == (whole[2], whole[3])
     with pytest.raises(IndexError):
-        whole[len(share)]
+        whole[len(fraction)]
 
 
 def test_memory_goes_with_the_material() -> None:
@@ -249,9 +249,9 @@ def test_sliding_turns_friction_away() -> None:
 def test_sliding_by_round_off_is_none() -> None:
     """There and back by a hair, with sections that come and go at the plate: torques that balance, and no heat."""
     robot = ConcentricRobot(tuple(Tube(d * MM, (d - 0.2) * MM, 60 * MM, 50 * MM, 8.0) for d in (1.0, 1.5, 2.0)))
-    way = np.array([[0, 0, 0], [-1.1, -0.6, 5.9], *[[-1.1, -0.6, 5.9]] * 3])
+    path = np.array([[0, 0, 0], [-1.1, -0.6, 5.9], *[[-1.1, -0.6, 5.9]] * 3])
     slides = np.array([[0, 0, 0], [0, 0, 0], [7e-11, -2e-10, 4e-11], [0, 0, 0], [-4e-10, -9e-10, 2e-9]])
-    states = follow(robot, way, slides, friction=Friction((1e-3, 1e-2), jumps=1e-4, sliding=True)).equilibria
+    states = follow(robot, path, slides, friction=Friction((1e-3, 1e-2), jumps=1e-4, sliding=True)).equilibria
     for state in states:
         assert state.residual < 1e-10
         assert state.friction is not None
@@ -292,18 +292,18 @@ def test_a_certified_robot_does_not_snap_with_friction_either() -> None:
     tubes = (Tube(1.0 * MM, 0.75 * MM, 100 * MM, 80 * MM, 8.0), Tube(1.5 * MM, 1.15 * MM, 70 * MM, 60 * MM, 8.0))
     robot = ConcentricRobot(tubes)
     assert snap_free_certificate(robot) > 0
-    way = np.cumsum(np.random.default_rng(0).normal(0, 2.0, (12, 2)), axis=0)
-    assert not follow(robot, way, friction=Friction(5e-3)).snaps
+    path = np.cumsum(np.random.default_rng(0).normal(0, 2.0, (12, 2)), axis=0)
+    assert not follow(robot, path, friction=Friction(5e-3)).snaps
 
 
 def test_state_is_saved_and_goes_on(tmp_path: Path) -> None:
     rub = Friction(1e-3, plate=1e-5, ends=2e-5)
-    way = np.radians([[0, 0, 0], [60, 0, 20], [30, 40, 0], [20, 60, -10]])
-    whole = follow(THESIS, way, friction=rub).equilibria
+    path = np.radians([[0, 0, 0], [60, 0, 20], [30, 40, 0], [20, 60, -10]])
+    whole = follow(THESIS, path, friction=rub).equilibria
     whole[2].save(tmp_path)
     again = load_equilibrium(tmp_path)
     assert again.friction == whole[2].friction
-    rest = follow(THESIS, way[2:], start=again, friction=rub).equilibria
+    rest = follow(THESIS, path[2:], start=again, friction=rub).equilibria
     assert rest[-1].tip_position == pytest.approx(whole[-1].tip_position, abs=1e-12)
     assert rest[-1].friction.heat == pytest.approx(whole[-1].friction.heat, rel=1e-9)  # type: ignore[union-attr]
 
@@ -344,8 +344,8 @@ def test_band_holds_every_history() -> None:
     rub = Friction(1e-3, ends=2e-5)
     band = friction_band(forward_kinematics(robot, at), rub)
     assert band.certificate > 0
-    ways = np.random.default_rng(1).normal(0, 2.0, (25, 2)) + at
-    states = follow(robot, [point for way in ways for point in (way, at)], friction=rub).equilibria[1::2]
+    paths = np.random.default_rng(1).normal(0, 2.0, (25, 2)) + at
+    states = follow(robot, [point for path in paths for point in (path, at)], friction=rub).equilibria[1::2]
     off = np.array([state.tip_position for state in states]) - band.equilibrium.tip_position
     # Tight to first order, for there are ways that make everything slip; and a proof is above all.
     assert np.abs(off).max(0) == pytest.approx(band.tip_half_widths, rel=0.02)
@@ -377,8 +377,8 @@ def test_band_under_a_load_holds_every_history(load: Load) -> None:
     rub = Friction(1e-3, ends=2e-5)
     still = forward_kinematics(robot, at, load=load)
     band = friction_band(still, rub)
-    ways = np.random.default_rng(1).normal(0, 2.0, (15, 2)) + at
-    states = follow(robot, [point for way in ways for point in (way, at)], friction=rub, load=load).equilibria[1::2]
+    paths = np.random.default_rng(1).normal(0, 2.0, (15, 2)) + at
+    states = follow(robot, [point for path in paths for point in (path, at)], friction=rub, load=load).equilibria[1::2]
     off = np.array([state.tip_position for state in states]) - still.tip_position
     assert np.abs(off).max(0) == pytest.approx(band.tip_half_widths, rel=0.03)
     if load.tip_force_only:
@@ -405,8 +405,8 @@ def test_band_is_infinite_without_a_certificate() -> None:
 def test_out_of_and_back_into_the_plate() -> None:
     """With no tube in front of the plate nothing is unknown, and nothing rubs but at the plate."""
     inside = [-tube.length for tube in THESIS.tubes]
-    way = [inside, [0.9 * d for d in inside], inside]
-    path = follow(THESIS, [[0, 0, 0], [0, 0.4, 0.8], [0, 0.4, 0.8]], way, friction=Friction(0.01, plate=1e-3))
+    motion = [inside, [0.9 * d for d in inside], inside]
+    path = follow(THESIS, [[0, 0, 0], [0, 0.4, 0.8], [0, 0.4, 0.8]], motion, friction=Friction(0.01, plate=1e-3))
     assert not path.snaps
     for state in (path.equilibria[0], path.equilibria[-1]):
         assert (len(state.point), state.margin, state.energy) == (0, 1.0, 0.0)

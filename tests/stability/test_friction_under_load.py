@@ -86,21 +86,21 @@ class Reference:
         options = {"ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-12}, "print_time": False, "expand": True}
         solver = ca.nlpsol("increment", "ipopt", problem, options)
         read = ca.Function("read", [x], [theta, p, relative])
-        begin, before, out = np.concatenate([np.zeros(2 * (m + 1) + 2 * m), np.zeros(m)]), None, []
+        start, before, out = np.concatenate([np.zeros(2 * (m + 1) + 2 * m), np.zeros(m)]), None, []
         for row in path:
             # At rest nothing has rubbed yet: the first state is one without friction.
-            given = np.concatenate([row, np.full(m, np.nan) if before is None else before])
+            inputs = np.concatenate([row, np.full(m, np.nan) if before is None else before])
             if before is None:
                 frictionless = problem | {"f": 1e3 * (energy - work) + ca.sumsqr(slip)}
                 del frictionless["g"]
                 free = ca.nlpsol("free", "ipopt", frictionless, options)
-                answer, solved = free(x0=begin, p=np.nan_to_num(given)), free.stats()["success"]
+                answer, solved = free(x0=start, p=np.nan_to_num(inputs)), free.stats()["success"]
             else:
-                answer, solved = solver(x0=begin, p=given, lbg=0.0), solver.stats()["success"]
+                answer, solved = solver(x0=start, p=inputs, lbg=0.0), solver.stats()["success"]
             assert solved
-            begin = np.array(answer["x"]).ravel()
-            turned, tip, here = (np.array(part) for part in read(begin))
-            before = here.ravel()
+            start = np.array(answer["x"]).ravel()
+            turned, tip, current = (np.array(part) for part in read(start))
+            before = current.ravel()
             out.append((turned, tip.ravel()))
         return out
 
@@ -122,25 +122,25 @@ def ends(state: Equilibrium) -> Array:
 @pytest.mark.parametrize("name", LOADS)
 def test_states_that_slip_are_those_of_an_independent_energy(name: str) -> None:
     load, path = LOADS[name], [[0.0, 0.0], [0.2, 1.5], [-0.3, -1.0]]
-    found = follow(ROBOT, path, load=load, friction=Friction(TORQUE)).equilibria
+    result = follow(ROBOT, path, load=load, friction=Friction(TORQUE)).equilibria
     coarse, fine = (Reference(cells, load).states(path, TORQUE) for cells in (16, 32))
-    for state, (_, one), (_, other) in zip(found, coarse, fine, strict=True):
+    for state, (_, one), (_, other) in zip(result, coarse, fine, strict=True):
         assert state.tip_position == pytest.approx((4 * other - one) / 3, abs=1e-8)
-    for state in found[1:]:
+    for state in result[1:]:
         assert state.friction is not None
         assert not state.friction.sticking.any()
-    for state, (turned, _), (finer, _) in zip(found[1:], coarse[1:], fine[1:], strict=True):
+    for state, (turned, _), (finer, _) in zip(result[1:], coarse[1:], fine[1:], strict=True):
         rough, sharp = (t[1, [0, -1]] - t[0, [0, -1]] for t in (turned, finer))
         assert ends(state) == pytest.approx((4 * sharp - rough) / 3, abs=2e-6)
 
 
 def test_states_with_a_front_are_those_of_an_independent_energy() -> None:
     load, path = LOADS["tip force"], [[0.0, 0.0], [0.0, 1.5], [0.0, 1.46], [0.0, 1.42]]
-    found = follow(ROBOT, path, load=load, friction=Friction(TORQUE)).equilibria
+    result = follow(ROBOT, path, load=load, friction=Friction(TORQUE)).equilibria
     expected = Reference(40, load).states(path, TORQUE)
-    sticks = [float(state.friction.sticking.mean()) for state in found[2:] if state.friction is not None]
-    assert all(0 < share < 1 for share in sticks)
-    for state, (turned, tip) in zip(found, expected, strict=True):
+    sticks = [float(state.friction.sticking.mean()) for state in result[2:] if state.friction is not None]
+    assert all(0 < fraction < 1 for fraction in sticks)
+    for state, (turned, tip) in zip(result, expected, strict=True):
         assert state.tip_position == pytest.approx(tip, abs=1e-5)
         assert ends(state) == pytest.approx(turned[1, [0, -1]] - turned[0, [0, -1]], abs=2e-3)
 
@@ -179,10 +179,10 @@ def test_history_goes_on_from_a_file(tmp_path: Path) -> None:
 
 def test_a_load_that_comes_and_goes_leaves_its_mark() -> None:
     """What friction takes is energy that the load has done: the robot does not come back to where it was."""
-    rub, here = Friction(5e-3), [[0.0, 1.2]] * 2
-    before = follow(ROBOT, [[0.0, 0.0], here[0]], friction=rub).equilibria[-1]
-    pushed = follow(ROBOT, here, start=before, load=Load((-0.4, 0.3, 0.0)), friction=rub).equilibria[-1]
-    after = follow(ROBOT, here, start=pushed, load=Load(), friction=rub).equilibria[-1]
+    rub, current = Friction(5e-3), [[0.0, 1.2]] * 2
+    before = follow(ROBOT, [[0.0, 0.0], current[0]], friction=rub).equilibria[-1]
+    pushed = follow(ROBOT, current, start=before, load=Load((-0.4, 0.3, 0.0)), friction=rub).equilibria[-1]
+    after = follow(ROBOT, current, start=pushed, load=Load(), friction=rub).equilibria[-1]
     heats = [state.friction.heat for state in (before, pushed, after) if state.friction is not None]
     assert heats[0] < heats[1] <= heats[2]
     assert np.linalg.norm(pushed.tip_position - before.tip_position) > 5 * MM

@@ -103,26 +103,26 @@ def test_pairs_apart_have_the_product_of_their_equilibria() -> None:
         chosen[np.ix_(pair, pair)] = 1.0
         pairs.append(all_tips(replace(every, coupling=every.coupling * chosen), rotations, size=1000)[:, pair])
     assert min(len(part) for part in pairs) >= 3
-    found = np.array([equilibrium.tip_rotations for equilibrium in find_equilibria(robot, rotations, shift)])
-    assert len(found) == len(pairs[0]) * len(pairs[1])
+    results = np.array([equilibrium.tip_rotations for equilibrium in find_equilibria(robot, rotations, shift)])
+    assert len(results) == len(pairs[0]) * len(pairs[1])
     for one, other in itertools.product(*pairs):
-        assert np.abs(found - np.concatenate([one, other])).max(1).min() < 1e-7
+        assert np.abs(results - np.concatenate([one, other])).max(1).min() < 1e-7
 
 
 def test_a_positive_certificate_leaves_one_equilibrium() -> None:
-    seen = 0
+    observed = 0
     for seed in range(12):
         random = np.random.default_rng([45, seed])
         robot = strong(random, 3, bend=random.uniform(0.8, 1.1))
         if not 0 < snap_free_certificate(robot) < 0.3:
             continue
-        seen += 1
+        observed += 1
         rotations = np.pi * np.arange(3) + random.normal(0.0, 0.3, 3)
         (only,) = find_equilibria(robot, rotations)
         assert only.stable
         (expected,) = all_tips(bundle(robot), rotations, size=40)
         assert only.tip_rotations == pytest.approx(expected, abs=1e-7)
-    assert seen >= 2
+    assert observed >= 2
 
 
 @pytest.mark.parametrize(
@@ -136,12 +136,12 @@ def test_pairs_that_the_offsets_part_in_one_of_two_segments(rotations: Array, wi
     """Within 2 mrad of a fold of the outer segment; shooting with DOP853 knows each equilibrium."""
     segments = (Tube(1.0e-3, 0.8e-3, 0.1, 0.05, 22.0), Tube(1.6e-3, 1.3e-3, 0.01, 0.08, 20.0))
     robot = SegmentedEccentricRobot(segments)
-    found = find_equilibria(robot, rotations)
-    assert len(found) == with_offsets
+    equilibria = find_equilibria(robot, rotations)
+    assert len(equilibria) == with_offsets
     assert len(find_equilibria(replace(robot, offset=0.0), rotations)) == without
-    place = np.radians([0.0, 120.0, 240.0] * 2)
-    for equilibrium in found:
-        stretch = 1 + robot.distance * (equilibrium.curvature[0] @ [np.sin(place), -np.cos(place)])
+    position = np.radians([0.0, 120.0, 240.0] * 2)
+    for equilibrium in equilibria:
+        stretch = 1 + robot.distance * (equilibrium.curvature[0] @ [np.sin(position), -np.cos(position)])
         tubes = rows_of(robot, (0.08, 0.0))
         answer = reference_shoot(tubes, np.array(rotations), equilibrium.torsion[:, 0] / stretch)
         assert answer.end_rotation == pytest.approx(equilibrium.tip_rotations, abs=1e-6)

@@ -81,8 +81,8 @@ def largest_factor(problem: LoadedProblem, alpha: Array, x: Array, factor: float
                 break
         return float(y[-1])
 
-    found = minimize_scalar(lambda along: -at(along), bracket=(-1e-3, 1e-3), tol=1e-6)
-    return -float(found.fun)
+    result = minimize_scalar(lambda along: -at(along), bracket=(-1e-3, 1e-3), tol=1e-6)
+    return -float(result.fun)
 
 
 def test_the_thesis_robot_snaps_under_twenty_two_millinewton() -> None:
@@ -108,8 +108,8 @@ def test_the_thesis_robot_snaps_under_twenty_two_millinewton() -> None:
 
 
 def test_snaps_without_force_are_those_without_loads() -> None:
-    ways = ((0, 0, 0), None), (np.radians([360, 0, 0]), None)
-    plain, loaded = find_snap(THESIS, *ways), find_snap(THESIS, *ways, load=Load())
+    paths = ((0, 0, 0), None), (np.radians([360, 0, 0]), None)
+    plain, loaded = find_snap(THESIS, *paths), find_snap(THESIS, *paths, load=Load())
     assert plain is not None
     assert loaded is not None
     assert loaded.fraction == pytest.approx(plain.fraction, abs=1e-11)
@@ -118,10 +118,10 @@ def test_snaps_without_force_are_those_without_loads() -> None:
 
 
 def test_motion_under_its_weight_is_followed_and_remembered() -> None:
-    load, ways = Load((0.01, 0, 0), gravity=(0, 0, -9.81)), np.radians([[0, 0, 0], [250, 0, 0], [0, 0, 0]])
-    path = follow(THESIS, ways, load=load)
+    load, paths = Load((0.01, 0, 0), gravity=(0, 0, -9.81)), np.radians([[0, 0, 0], [250, 0, 0], [0, 0, 0]])
+    path = follow(THESIS, paths, load=load)
     assert [snap.index for snap in path.snaps] == [0, 1]
-    back = forward_kinematics(THESIS, ways[2], load=load)
+    back = forward_kinematics(THESIS, paths[2], load=load)
     assert np.allclose(path.equilibria[2].tip_position, back.tip_position, rtol=0, atol=1e-11)
     assert all(e.stable and e.load == load for e in path.equilibria)
     slid = follow(THESIS, [ROTATIONS, ROTATIONS], [(0, 0, 0), (-0.06, -0.02, 0.01)], load=load).equilibria[-1]
@@ -344,22 +344,22 @@ def test_the_change_of_a_stroke_force_is_that_of_differences(inner: float, kind:
     first, limit = forward_kinematics(THESIS, joints), find_stroke_force(THESIS, joints)
     assert limit is not None
     assert limit.kind == kind
-    found = stroke_slopes(first, names)
-    assert found is not None
-    assert found[0] == pytest.approx(limit.factor, rel=1e-12)
+    result = stroke_slopes(first, names)
+    assert result is not None
+    assert result[0] == pytest.approx(limit.factor, rel=1e-12)
     step = 1e-4 * getattr(THESIS.tubes[i], name)
     ahead, back = (find_stroke_force(bent(THESIS, name, i, sign * step), joints) for sign in (1, -1))
     assert ahead is not None
     assert back is not None
-    change = found[1][3 * names.index(name) + i]
+    change = result[1][3 * names.index(name) + i]
     assert change == pytest.approx((ahead.factor - back.factor) / (2 * step), rel=1e-6)
 
 
 def test_the_stroke_force_of_a_column_grows_with_its_stiffness() -> None:
     column = rod(0.2, 1e-3)
-    found = stroke_slopes(forward_kinematics(column, [0.7]), ["bending_stiffness", "curved_length"])
-    assert found is not None
-    value, change = found
+    result = stroke_slopes(forward_kinematics(column, [0.7]), ["bending_stiffness", "curved_length"])
+    assert result is not None
+    value, change = result
     assert change[0] == pytest.approx(value / column.tubes[0].bending_stiffness, rel=1e-7)
     assert change[1] == pytest.approx(-2 * value / 0.2, rel=1e-6)
 

@@ -108,9 +108,9 @@ def test_stability_map_is_following_from_home() -> None:
     every = stability_map(THESIS, samples=5, directions=3)
     assert every.margin == pytest.approx(chart.margin, abs=1e-9)
     assert np.array_equal(every.snaps, chart.snaps)
-    asked = np.searchsorted(chart.directions, np.arange(8) * np.pi / 4)
-    assert chart.directions[asked] == pytest.approx(np.arange(8) * np.pi / 4)
-    for angle, point in zip(chart.directions[asked], chart.boundary[asked], strict=True):
+    requested = np.searchsorted(chart.directions, np.arange(8) * np.pi / 4)
+    assert chart.directions[requested] == pytest.approx(np.arange(8) * np.pi / 4)
+    for angle, point in zip(chart.directions[requested], chart.boundary[requested], strict=True):
         ray = np.array([np.cos(angle), np.sin(angle)])
         goal = [*(ray * np.pi / np.abs(ray).max()), 0.0]
         snap = find_snap(THESIS, ([0.0, 0.0, 0.0], None), (goal, None))

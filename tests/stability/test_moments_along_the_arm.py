@@ -63,18 +63,18 @@ def turning(at: Callable[[float], Shooting], start: Array, t: float) -> float:
         """The miss (m,), and its derivatives (m, m + 1)."""
         unknown, step = x[:-1], 1e-7
         moved = np.concatenate([np.zeros((1, len(unknown))), step * np.eye(len(unknown)), -step * np.eye(len(unknown))])
-        there = at(x[-1]).march(unknown + moved)[0]
-        plus, minus = np.split(there[1:], 2)
+        reached = at(x[-1]).march(unknown + moved)[0]
+        plus, minus = np.split(reached[1:], 2)
         by_t = (at(x[-1] + 1e-6).march(unknown[None])[0][0] - at(x[-1] - 1e-6).march(unknown[None])[0][0]) / 2e-6
-        return there[0], np.column_stack([(plus - minus).T / (2 * step), by_t])
+        return reached[0], np.column_stack([(plus - minus).T / (2 * step), by_t])
 
-    here = np.append(start, t)
-    along = np.linalg.svd(miss(here)[1] * np.append(np.full(len(start), 1e-3), 1.0))[2][-1]
+    current = np.append(start, t)
+    along = np.linalg.svd(miss(current)[1] * np.append(np.full(len(start), 1e-3), 1.0))[2][-1]
     k = int(np.argmax(np.abs(along[:-1])))
-    free = [i for i in range(len(here)) if i != k]
-    offsets, found = np.linspace(-1, 1, 5) * 2e-4, []
+    free = [i for i in range(len(current)) if i != k]
+    offsets, results = np.linspace(-1, 1, 5) * 2e-4, []
     for offset in offsets:
-        x = here.copy()
+        x = current.copy()
         x[k] += offset
         for _ in range(8):
             off, table = miss(x)
@@ -82,8 +82,8 @@ def turning(at: Callable[[float], Shooting], start: Array, t: float) -> float:
             x[free] += change
             if np.abs(change).max() < 1e-8:
                 break
-        found.append(x[-1])
-    curve = np.polynomial.Polynomial.fit(offsets, found, 4)
+        results.append(x[-1])
+    curve = np.polynomial.Polynomial.fit(offsets, results, 4)
     roots = curve.deriv().roots()
     real = roots[np.abs(roots.imag) < 1e-9].real
     return float(curve(real[np.argmin(np.abs(real))]))
@@ -108,20 +108,20 @@ def test_snap_under_a_moment_is_where_shooting_has_a_fold(thesis: ConcentricRobo
 
 
 def test_limit_of_a_moment_along_the_arm_is_where_shooting_has_a_fold(thesis: ConcentricRobot) -> None:
-    place, couple = 0.18, np.array((0.002, 0.001, -0.02))
-    load = Load(points=((place, NONE, tuple(couple)),))
+    position, couple = 0.18, np.array((0.002, 0.001, -0.02))
+    load = Load(points=((position, NONE, tuple(couple)),))
     limit = find_load_limit(thesis, (0.0, 2.0, 1.0), None, load)
     assert limit is not None
     assert limit.kind == "fold"
     beta = np.array([-tube.straight_length for tube in thesis.tubes])
 
     def at(factor: float) -> Shooting:
-        return Shooting(of_robot(thesis), beta, [0.0, 2.0, 1.0], RefLoad(couples=((place, factor * couple),)))
+        return Shooting(of_robot(thesis), beta, [0.0, 2.0, 1.0], RefLoad(couples=((position, factor * couple),)))
 
     assert turning(at, at_plate(limit.before), limit.factor) == pytest.approx(limit.factor, abs=1e-6)
     assert limit.after is not None
     assert limit.after.stable
-    agrees(limit.after, shot(thesis, limit.after, RefLoad(couples=((place, limit.factor * couple),))))
+    agrees(limit.after, shot(thesis, limit.after, RefLoad(couples=((position, limit.factor * couple),))))
 
 
 def test_no_moment_is_the_zero_of_a_moment(thesis: ConcentricRobot) -> None:
@@ -179,10 +179,10 @@ def test_rod_under_a_push_and_a_moment_against_its_closed_form(sign: int) -> Non
         kappa = softening(0.8 * EULER, part * moment, kappa + 1e-3j)
     load = Load((0.0, 0.0, -0.8 * EULER), (0.0, 0.0, sign * moment))
     e = forward_kinematics(ROD, [0.0], load=load)
-    least = np.linalg.eigvals(whitened(e))
-    least = least[np.argmin(least.real)]
+    smallest = np.linalg.eigvals(whitened(e))
+    smallest = smallest[np.argmin(smallest.real)]
     assert e.margin == pytest.approx(1 - kappa.real, abs=1e-9)
-    assert abs(least.imag) == pytest.approx(abs(kappa.imag), abs=1e-9)
+    assert abs(smallest.imag) == pytest.approx(abs(kappa.imag), abs=1e-9)
     assert abs(kappa.imag) > 0.05
 
     def margin(factor: float) -> float:
@@ -218,10 +218,10 @@ def test_motion_under_a_moment_goes_on_from_where_it_lands(thesis: ConcentricRob
 
 def test_unstable_equilibrium_under_a_moment_is_left_by_the_flow(thesis: ConcentricRobot) -> None:
     """Tubes of a viscous material go where x' = -g leads: integrated by an adaptive method, they end there too."""
-    found = find_loss(forward_kinematics(thesis, (0.0, 2.0, 1.0)), Load(moment=(0.0, 0.0, -0.02)), 1.0)
-    assert found is not None
-    lost = found[0].point
-    landed = fall(lost, found[0].direction)
+    result = find_loss(forward_kinematics(thesis, (0.0, 2.0, 1.0)), Load(moment=(0.0, 0.0, -0.02)), 1.0)
+    assert result is not None
+    lost = result[0].point
+    landed = fall(lost, result[0].direction)
     assert landed is not None
     side = lost.softest * np.sign((landed.state.x - lost.state.x) @ lost.unresisted)
     flow = solve_ivp(
@@ -250,10 +250,10 @@ def test_all_equilibria_under_a_moment_are_counted(thesis: ConcentricRobot) -> N
 def test_no_other_starts_find_further_equilibria_without_an_energy(frame: str, thesis: ConcentricRobot) -> None:
     load = Load((0.01, 0, -0.02), (0.002, -0.003, 0.004), frame=frame)
     angles = np.radians([200.0, -30.0, 40.0])
-    found = find_equilibria(thesis, angles, load=load)
-    point, random = point_of(found[0]), np.random.default_rng(3)
-    problem, tips = point.member.problem, np.array([e.tip_position for e in found])
-    assert sum((-1) ** e.index for e in found) == 1
+    equilibria = find_equilibria(thesis, angles, load=load)
+    point, random = point_of(equilibria[0]), np.random.default_rng(3)
+    problem, tips = point.member.problem, np.array([e.tip_position for e in equilibria])
+    assert sum((-1) ** e.index for e in equilibria) == 1
     reached = 0
     for _ in range(60):
         twist = random.uniform(-4, 4, 3) * (problem.torsion.arc_length / 0.2)[:, None]
@@ -268,8 +268,8 @@ def test_no_other_starts_find_further_equilibria_without_an_energy(frame: str, t
 
 
 def test_a_rod_under_a_moment_along_it_has_one_equilibrium() -> None:
-    found = find_equilibria(ROD, [0.0], load=Load(moment=(0.0, 0.0, 5 * BENDING / LENGTH)))
-    assert [e.index for e in found] == [0]
+    equilibria = find_equilibria(ROD, [0.0], load=Load(moment=(0.0, 0.0, 5 * BENDING / LENGTH)))
+    assert [e.index for e in equilibria] == [0]
 
 
 @pytest.mark.parametrize("load", [Load((0.01, 0, 0), MOMENT), Load(points=((0.06, NONE, (0.006, -0.004, 0.008)),))])
@@ -277,14 +277,14 @@ def test_the_margin_under_moments_changes_as_differences_say(load: Load, thesis:
     """By joint values and dimensions, real eigenvalues and pairs of complex ones."""
     names = ("rotations", "translations", "curvature", "curved_length", "torsional_stiffness")
     e = forward_kinematics(thesis, (2.0, 0.3, -0.2), (-0.02, -0.013, -0.007), load=load)
-    found, true = e.margin_slopes(wrt=names), []
+    result, true = e.margin_slopes(wrt=names), []
     for name, tube in ((name, tube) for name in names for tube in range(3)):
         step = 1e-4 * unit_of(e, name, tube)
         sides = (shifted(e, name, tube, sign * step) for sign in (1, -1))
         one, other = (forward_kinematics(*side, load=load).margin for side in sides)
         true.append((one - other) / (2 * step))
     sizes = np.abs(true).reshape(5, 3).max(1).repeat(3)
-    assert (np.abs(found - true) <= 1e-6 * sizes).all()
+    assert (np.abs(result - true) <= 1e-6 * sizes).all()
 
 
 def test_the_margin_of_a_pair_changes_with_the_length_as_differences_say() -> None:

@@ -131,10 +131,10 @@ def test_it_is_the_margin_of_an_equilibrium_and_that_of_no_other_is_less() -> No
 def test_two_tubes_of_pieces_take_the_whole_of_what_their_margin_lacks(name: str, scale: float) -> None:
     """Their certificate beats that of pairs at their worst, so that how they oppose each other is known."""
     robot = replace(CASES[name], scale=scale).robot
-    found = certify(robot)
-    assert found.margin > convexity(robot, robot.home_translations) + 1e-2
-    assert found.pair == (0, 1)
-    assert found.share[0, 1] == pytest.approx(1.0, abs=1e-9)
+    result = certify(robot)
+    assert result.margin > convexity(robot, robot.home_translations) + 1e-2
+    assert result.pair == (0, 1)
+    assert result.share[0, 1] == pytest.approx(1.0, abs=1e-9)
 
 
 def test_pairs_that_can_oppose_each_other_all_along_have_the_certificate_of_pairs() -> None:

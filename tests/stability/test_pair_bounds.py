@@ -45,20 +45,20 @@ def test_no_margin_of_a_pair_bends_more_than_the_bound(coupling: float, reach: f
     # D' = 1 / (1 - turn cos D), and twice by the chain rule.
     slope = 1 / (1 - turn * np.cos(d))
     bend = coupling * root**2 * (-np.cos(d) * slope**2 + np.sin(d) * turn * np.sin(d) * slope**3)
-    most = float(np.abs(bend).max())
-    assert most <= quotient_curvature_bound(pair) * (1 + 1e-12)
+    largest = float(np.abs(bend).max())
+    assert largest <= quotient_curvature_bound(pair) * (1 + 1e-12)
     if not reach:
-        assert most == pytest.approx(quotient_curvature_bound(pair), rel=1e-9)
+        assert largest == pytest.approx(quotient_curvature_bound(pair), rel=1e-9)
 
 
 def test_the_least_margin_between_samples_is_bounded_by_the_second_derivative() -> None:
     """mu = 1 + c cos(x + psi), which bends by c at its least value 1 - c, wherever the samples lie."""
     for lag in np.linspace(0, 2 * np.pi / 32, 201):
         pair = replace(lever(0.3, 0.0, 1.7), psi=np.array([lag]))
-        least = 1 - 0.3 * 1.7**2
-        found = least_margin_of_pair(pair)
-        assert found.bound <= least + 1e-12
-        assert found.bound >= least - 2 * TOLERANCE * (1 - least)
+        smallest = 1 - 0.3 * 1.7**2
+        result = least_margin_of_pair(pair)
+        assert result.bound <= smallest + 1e-12
+        assert result.bound >= smallest - 2 * TOLERANCE * (1 - smallest)
 
 
 @pytest.mark.parametrize("lead", [1.01, 2.0, 8.0])

@@ -24,9 +24,9 @@ def test_simplices_shrink_to_the_minimum_in_as_many_evaluations_as_those_of_scip
         rows[0] += len(points)
         return rosenbrock(points)
 
-    found = minimise_together(counted, starts, x=1e-6, f=1e-9)
+    result = minimise_together(counted, starts, x=1e-6, f=1e-9)
     known = [minimize(rosen, start, method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-9}) for start in starts]
-    for (point, value), one in zip(found, known, strict=True):
+    for (point, value), one in zip(result, known, strict=True):
         assert point == pytest.approx(np.ones(d), abs=1e-4)
         assert value == pytest.approx(rosen(point), abs=1e-15)
         assert value <= max(one.fun, 1e-8)

@@ -102,10 +102,10 @@ def lengthened(robot: ConcentricRobot, extra: float) -> ConcentricRobot:
 
 
 def test_two_tubes_are_decided() -> None:
-    found = {Finding.CAN_SNAP: 0, Finding.SNAP_FREE: 0}
+    results = {Finding.CAN_SNAP: 0, Finding.SNAP_FREE: 0}
     for robot, shift in pairs():
         verdict = assess_snapping(robot, shift)
-        found[verdict.finding] += 1
+        results[verdict.finding] += 1
         relaxed = np.pi if robot.tubes[0].curvature * robot.tubes[1].curvature < 0 else 0.0
         turn = first_fold(bundle(robot, shift), relaxed)
         assert (verdict.finding is Finding.CAN_SNAP) == (turn is not None)
@@ -121,7 +121,7 @@ def test_two_tubes_are_decided() -> None:
             again = find_snap(robot, (verdict.start, shift), (verdict.end, shift))
             assert again is not None
             assert again.fraction == verdict.snap.fraction
-    assert min(found.values()) >= 4
+    assert min(results.values()) >= 4
 
 
 @pytest.mark.parametrize(("lever", "within"), [(4.5, True), (8.0, False)])
@@ -183,14 +183,14 @@ def test_narrow_limits() -> None:
 def test_the_stable_set_ends_at_folds() -> None:
     problem = reduced_problem(CRL, (0.0, 0.0, 0.0), DEFAULT_DISCRETISATION)
     grid = equilibrium_grid(problem, np.arange(3), np.zeros(3), worst_margin(CRL).unstable)
-    found = folds(grid, lambda joints: np.abs(joints).max(-1) < TURN, max_folds=4)
-    assert len(found) == 4
-    assert (np.diff(np.abs(found).max(1)) >= 0).all()
-    snaps = [find_snap(CRL, (np.zeros(3), None), ([*1.2 * fold, 0.0], None)) for fold in found]
+    result = folds(grid, lambda joints: np.abs(joints).max(-1) < TURN, max_folds=4)
+    assert len(result) == 4
+    assert (np.diff(np.abs(result).max(1)) >= 0).all()
+    snaps = [find_snap(CRL, (np.zeros(3), None), ([*1.2 * fold, 0.0], None)) for fold in result]
     assert None not in snaps
     nearest, *_ = snaps
     assert nearest is not None
-    assert nearest.rotations[:2] == pytest.approx(found[0], abs=0.2)
+    assert nearest.rotations[:2] == pytest.approx(result[0], abs=0.2)
 
 
 def test_tubes_that_curve_to_the_other_side_start_relaxed() -> None:
@@ -207,16 +207,16 @@ def test_tubes_that_curve_to_the_other_side_start_relaxed() -> None:
 def test_every_robot_with_an_unstable_shape_snaps_on_some_way() -> None:
     """Robots whose certificate is a little below 0, where a snap is hardest to find."""
     random = np.random.default_rng(7)
-    found = {Finding.CAN_SNAP: 0, Finding.OPEN: 0}
+    results = {Finding.CAN_SNAP: 0, Finding.OPEN: 0}
     for k in range(3):
         base = (THESIS, CRL)[k % 2]
         curvatures = tuple(random.uniform(0.2, 1.2) * tube.curvature for tube in base.tubes)
         verdict = assess_snapping(scaled(bent(base, curvatures), random.uniform(-0.1, 0.0)))
-        found[verdict.finding] += 1
+        results[verdict.finding] += 1
         assert verdict.worst is None or (verdict.worst.margin <= 0) == (verdict.finding is Finding.CAN_SNAP)
         if verdict.snap is not None:
             assert verdict.snap.energy_released >= 0
-    assert found[Finding.CAN_SNAP] >= 1
+    assert results[Finding.CAN_SNAP] >= 1
 
 
 SHALLOW = [

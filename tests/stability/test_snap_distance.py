@@ -38,8 +38,8 @@ def turned(robot: ConcentricRobot, degrees: list[float]) -> Equilibrium:
 
 def robots() -> list[tuple[str, ConcentricRobot]]:
     names = ("thesis_ctr", "crl_ctr", "toronto_ctr", "rvim_ctr", "till_snapping_pair", "example_pieces", "thamo_ctr")
-    found = [(name, load_robot(CONFIGS / f"{name}.yaml")) for name in names]
-    return [*((name, robot) for name, robot in found if isinstance(robot, ConcentricRobot)), ("four", FOUR)]
+    results = [(name, load_robot(CONFIGS / f"{name}.yaml")) for name in names]
+    return [*((name, robot) for name, robot in results if isinstance(robot, ConcentricRobot)), ("four", FOUR)]
 
 
 REFERENCE = (
@@ -83,9 +83,9 @@ def test_the_robot_of_the_thesis_is_that_far_from_a_snap(
     assert distance.value == distance.turn
     if not compiled:
         return
-    found = np.degrees(distance.one_tube)
-    assert found[: len(one_tube)] == pytest.approx(np.array(one_tube), abs=2e-6)
-    assert np.isnan(found[len(one_tube) :]).all()
+    result = np.degrees(distance.one_tube)
+    assert result[: len(one_tube)] == pytest.approx(np.array(one_tube), abs=2e-6)
+    assert np.isnan(result[len(one_tube) :]).all()
 
 
 @pytest.mark.parametrize(("degrees", "nearest"), [(case[0], case[2]) for case in REFERENCE])
@@ -101,10 +101,10 @@ def test_the_kernel_proves_what_python_proves(
 ) -> None:
     # By Newton's method and dense arrays in Python, by images and Aitken's method on the kernel's factors in C.
     random = np.random.default_rng(len(name) + 1)
-    found = [forward_kinematics(robot, random.uniform(-np.pi, np.pi, robot.n_tubes)) for _ in range(3)]
-    compiled = [snap_distance(e) for e in found]
+    results = [forward_kinematics(robot, random.uniform(-np.pi, np.pi, robot.n_tubes)) for _ in range(3)]
+    compiled = [snap_distance(e) for e in results]
     without_kernel(monkeypatch)
-    for e, by_kernel in zip(found, compiled, strict=True):
+    for e, by_kernel in zip(results, compiled, strict=True):
         # Boxes that are larger than the least one may still be convex, so that one way may find a little more.
         assert by_kernel.turn > snap_distance(e).turn * (1 - 2e-4)
 
@@ -157,8 +157,8 @@ def test_angles_in_the_ball_are_in_the_box() -> None:
     random = np.random.default_rng(4)
     touched = 0.0
     for corner in random.choice([-1.0, 1.0], (24, 3)):
-        there = follow(THESIS, [e.rotations, e.rotations + r * corner], start=e).equilibria[-1]
-        x = PairForm.of(there).psi - form.psi
+        reached = follow(THESIS, [e.rotations, e.rotations + r * corner], start=e).equilibria[-1]
+        x = PairForm.of(reached).psi - form.psi
         assert (low - 1e-9 <= x).all()
         assert (x <= high + 1e-9).all()
         touched = max(touched, float((x / high).max()))
@@ -299,9 +299,9 @@ def test_slides_alone_are_shorter_than_the_first_snap() -> None:
 def test_the_image_of_a_slide_has_the_angles_after_it(tube: int, slide: float) -> None:
     e = turned(THESIS, [150.0, -20.0, 30.0])
     by = slide * np.eye(3)[tube]
-    there = forward_kinematics(THESIS, e.rotations, e.translations + by, start=e)
+    reached = forward_kinematics(THESIS, e.rotations, e.translations + by, start=e)
     form = PairForm.sliding(e, by)
-    x = PairForm.sliding(there, -by).psi - form.psi  # cut at the same places
+    x = PairForm.sliding(reached, -by).psi - form.psi  # cut at the same places
     u = np.concatenate([np.maximum(-x, 0), np.maximum(x, 0)])
     image = form.image(np.zeros(len(u)), u)
     assert (image >= u - 1e-9).all()
@@ -333,14 +333,15 @@ def test_couplings_and_margins_after_slides_are_in_their_bounds(degrees: list[fl
     form = PairForm.sliding(e, by)
     assert form.slides is not None
     lowest = 1.0
-    for share in (0.25, 0.5, 1.0):
-        there = follow(THESIS, [e.rotations] * 2, [e.translations, e.translations + share * by], start=e).equilibria[-1]
-        if share == 1.0:
-            again = PairForm.sliding(there, -by)
-            assert (again.w <= form.slides.most * (1 + 1e-12)).all()
-            assert (again.w >= form.slides.least * (1 - 1e-12)).all()
+    for fraction in (0.25, 0.5, 1.0):
+        at = [e.translations, e.translations + fraction * by]
+        reached = follow(THESIS, [e.rotations] * 2, at, start=e).equilibria[-1]
+        if fraction == 1.0:
+            again = PairForm.sliding(reached, -by)
+            assert (again.w <= form.slides.upper * (1 + 1e-12)).all()
+            assert (again.w >= form.slides.lower * (1 - 1e-12)).all()
             x = again.psi - form.psi
-        lowest = min(lowest, there.margin)
+        lowest = min(lowest, reached.margin)
     u = np.concatenate([np.maximum(-x, 0), np.maximum(x, 0)])[None] + 1e-9
     assert form.least_eigenvalue(u)[0] <= lowest + 1e-7
 
@@ -352,19 +353,19 @@ def test_longer_transmissions_are_softer() -> None:
     softer = np.eye(form.A.shape[1]) + form.slides.A.T @ ((form.w * np.cos(form.psi))[:, None] * form.slides.A)
     assert np.linalg.eigvalsh(softer)[0] < e.margin - 1e-3
     cosine = np.cos(form.psi)
-    w = np.where(cosine < 0, form.slides.most, form.slides.least)
+    w = np.where(cosine < 0, form.slides.upper, form.slides.lower)
     softest = np.eye(form.A.shape[1]) + form.slides.A.T @ ((w * cosine)[:, None] * form.slides.A)
-    found = form.least_eigenvalue(np.zeros((1, 2 * len(form.psi))))[0]
-    assert found == pytest.approx(np.linalg.eigvalsh(softest)[0], abs=1e-12)
+    result = form.least_eigenvalue(np.zeros((1, 2 * len(form.psi))))[0]
+    assert result == pytest.approx(np.linalg.eigvalsh(softest)[0], abs=1e-12)
 
 
 def test_the_range_of_a_cosine_is_its_range() -> None:
     random = np.random.default_rng(3)
     low = random.uniform(-9, 9, 300)
     high = low + random.uniform(0, 7, 300)
-    least, most = sys.modules[snap_distance.__module__]._range_of_cosine(low, high)
+    smallest, largest = sys.modules[snap_distance.__module__]._range_of_cosine(low, high)
     sampled = np.cos(np.linspace(low, high, 4001))
-    assert least == pytest.approx(sampled.min(0), abs=1e-5)
-    assert most == pytest.approx(sampled.max(0), abs=1e-5)
-    assert (least <= sampled.min(0)).all()
-    assert (most >= sampled.max(0)).all()
+    assert smallest == pytest.approx(sampled.min(0), abs=1e-5)
+    assert largest == pytest.approx(sampled.max(0), abs=1e-5)
+    assert (smallest <= sampled.min(0)).all()
+    assert (largest >= sampled.max(0)).all()

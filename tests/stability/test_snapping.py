@@ -35,7 +35,7 @@ def check_fold(robot: Robot, snap: Snap, start: Array, end: Array) -> None:
     assert abs(values[0]) < 1e-5
     direction = np.zeros(theta.size)
     direction[fold.free] = vectors[:, 0] / np.abs(vectors[:, 0]).max()
-    found = []
+    results = []
     for t in (snap.fraction - 1e-4, snap.fraction + 1e-4):
         rotations, translations = start + t * (end - start)
         elements = Elements(bundle(robot, translations))
@@ -46,8 +46,8 @@ def check_fold(robot: Robot, snap: Snap, start: Array, end: Array) -> None:
             state = elements.newton(rotations, rotations + near_twist + push * soft, stable=False)
             if state is not None and np.abs(state - rotations - near_twist).max() < 0.4:
                 near.append(state[-1])
-        found.append([a for k, a in enumerate(near) if all(np.abs(a - b).max() > 1e-6 for b in near[:k])])
-    assert [len(states) for states in found] == [2, 0]
+        results.append([a for k, a in enumerate(near) if all(np.abs(a - b).max() > 1e-6 for b in near[:k])])
+    assert [len(states) for states in results] == [2, 0]
 
 
 @pytest.mark.parametrize(

@@ -37,8 +37,8 @@ def test_a_curved_tube_moves_by_what_bends_and_by_what_twists_it() -> None:
     tube, s = robot.tubes[0], np.array([length, length / 2])
     kappa = np.sqrt(s**3 / 3 / tube.bending_stiffness + curvature**2 * s**5 / 20 / tube.torsional_stiffness)
     margin = snap_free_certificate(robot, max_force=force)
-    found = deflection_bound(robot, max_force=force, arc_length=s)
-    assert found * margin == pytest.approx(force * kappa[0] * kappa, rel=1e-9)
+    result = deflection_bound(robot, max_force=force, arc_length=s)
+    assert result * margin == pytest.approx(force * kappa[0] * kappa, rel=1e-9)
 
 
 def test_what_bends_and_twists_an_arm_is_summed_as_by_brute_force() -> None:
@@ -57,16 +57,16 @@ def test_what_bends_and_twists_an_arm_is_summed_as_by_brute_force() -> None:
         return float(np.sqrt(inside.sum() * step + (bundle.transmission * moment[0] ** 2 / bundle.torsional).sum()))
 
     margin = snap_free_certificate(CRL, shift, max_force=force)
-    found = deflection_bound(CRL, shift, max_force=force, arc_length=[length, length / 2])
+    result = deflection_bound(CRL, shift, max_force=force, arc_length=[length, length / 2])
     exact = force * kappa(length) * np.array([kappa(length), kappa(length / 2)]) / margin
-    assert found == pytest.approx(exact, rel=1e-3)
+    assert result == pytest.approx(exact, rel=1e-3)
 
 
 def test_three_equal_tubes_share_what_takes_from_the_certificate() -> None:
     robot = EccentricRobot(Tube(1.2e-3, 1.0e-3, 0.0, 0.08, 12.0), transmission_length=0.05)
-    share = certify(robot).share
-    assert np.triu(share, 1).sum() == pytest.approx(1.0)
-    assert np.diag(share).max() == 0
+    fraction = certify(robot).share
+    assert np.triu(fraction, 1).sum() == pytest.approx(1.0)
+    assert np.diag(fraction).max() == 0
 
 
 def test_a_transmission_takes_away_from_the_certificate_what_the_closed_form_says() -> None:
@@ -114,8 +114,8 @@ def test_outer_segments_stretch_three_tubes_by_their_spread() -> None:
     each = [length * (cross_sections(theta[:, k], delta)[1] - 1) for k, (delta, length) in enumerate(outer)]
     stretch = np.sum(each, axis=0)
     assert stretch.sum(1) == pytest.approx(np.zeros(400), abs=1e-12)
-    most = np.sqrt(2 / 3 * (stretch**2).sum(1).max())
-    assert 0.999 * stretched_segment(*outer).spread <= most <= stretched_segment(*outer).spread
+    largest = np.sqrt(2 / 3 * (stretch**2).sum(1).max())
+    assert 0.999 * stretched_segment(*outer).spread <= largest <= stretched_segment(*outer).spread
 
 
 @pytest.mark.parametrize("outer", [(), ((0.25, 2.0),), ((0.1, 3.0), (0.2, 2.5))])
@@ -151,17 +151,17 @@ def test_a_straight_tube_keeps_what_one_and_a_half_times_the_force_leaves_of_eul
     robot, length = nested((0.0, 0.1, 0.0)), 0.1
     force = share * robot.tubes[0].bending_stiffness * (np.pi / 2 / length) ** 2 / 1.5
     assert snap_free_certificate(robot, max_force=force) == pytest.approx(1 - share, abs=1e-9)
-    found, moved = under_any_force(robot, np.zeros((2, 1)), force), deflection_bound(robot, max_force=force)
-    assert found.margin == pytest.approx(1 - share, abs=1e-9)
-    assert found.deflection == moved[0]
-    assert (found.deflection == np.inf) == (share > 1)
+    result, moved = under_any_force(robot, np.zeros((2, 1)), force), deflection_bound(robot, max_force=force)
+    assert result.margin == pytest.approx(1 - share, abs=1e-9)
+    assert result.deflection == moved[0]
+    assert (result.deflection == np.inf) == (share > 1)
 
 
 def test_no_force_makes_a_robot_stabler_than_it_is_without() -> None:
     robot = nested((0.0, 0.1, 0.0))
     for unloaded in (1.0, -0.5):
-        found = loaded_worst_case(robot, np.zeros(1), unloaded, 1e-9)
-        assert unloaded - 1e-6 < found <= unloaded
+        result = loaded_worst_case(robot, np.zeros(1), unloaded, 1e-9)
+        assert unloaded - 1e-6 < result <= unloaded
 
 
 def test_a_bundle_for_a_box_of_translations_is_as_soft_as_its_softest_arm() -> None:
@@ -175,9 +175,9 @@ def test_a_bundle_for_a_box_of_translations_is_as_soft_as_its_softest_arm() -> N
 
 
 def test_a_certificate_within_round_off_of_0_excludes_no_snap() -> None:
-    found = certify(nested((0.0, 0.05, 3.0), (0.0, 0.05, 3.0)))
-    assert found.snap_free
-    assert [replace(found, margin=margin).snap_free for margin in (-1e-12, 0.0, 1e-12, 1e-10, 1e-8)] == [False] * 4 + [
+    result = certify(nested((0.0, 0.05, 3.0), (0.0, 0.05, 3.0)))
+    assert result.snap_free
+    assert [replace(result, margin=margin).snap_free for margin in (-1e-12, 0.0, 1e-12, 1e-10, 1e-8)] == [False] * 4 + [
         True
     ]
 
@@ -187,14 +187,14 @@ def test_a_bundle_for_a_box_of_translations_is_as_soft_and_as_curved_as_any_arm_
     robot = nested((0.02, 0.05, 4.0), (0.01, 0.03, 3.0))
     near, far = np.array([0.005, 0.002]), np.array([0.012, 0.006])
     bundle = arm_sections(robot, near, far)
-    places = bundle.start + bundle.length / 2
-    softest, pulls = np.full(len(places), np.inf), np.zeros((len(places), 2))
+    positions = bundle.start + bundle.length / 2
+    softest, pulls = np.full(len(positions), np.inf), np.zeros((len(positions), 2))
     kb, kappa = np.array([[tube.bending_stiffness, tube.curvature] for tube in robot.tubes]).T
-    for shares in np.stack(np.meshgrid(*[np.linspace(0, 1, 30)] * 2), axis=-1).reshape(-1, 2):
-        begin = near + shares * (far - near)
-        there = places[:, None] < begin + np.array([0.05, 0.03])
-        softest = np.minimum(softest, np.where(there.any(1), there @ kb, np.inf))
-        pulls = np.maximum(pulls, (there & (begin < places[:, None])) * kb * kappa)
+    for fractions in np.stack(np.meshgrid(*[np.linspace(0, 1, 30)] * 2), axis=-1).reshape(-1, 2):
+        start = near + fractions * (far - near)
+        reached = positions[:, None] < start + np.array([0.05, 0.03])
+        softest = np.minimum(softest, np.where(reached.any(1), reached @ kb, np.inf))
+        pulls = np.maximum(pulls, (reached & (start < positions[:, None])) * kb * kappa)
     assert bundle.stiffness == pytest.approx(softest)
     assert bundle.natural_moment == pytest.approx(pulls)
 

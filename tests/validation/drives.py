@@ -36,9 +36,9 @@ def robot() -> ConcentricRobot:
 
 def joints(time: Array, last: float) -> Array:
     """(N, 4) readings at times (N,), s, of a way that turns back half way to `last`."""
-    there = np.minimum(time, last - time)[:, None]
+    reached = np.minimum(time, last - time)[:, None]
     speed, phase = np.array([0.23, 0.31, 0.19, 0.27]), np.array([0.3, 1.9, 4.0, 5.1])
-    waves = np.sin(speed * there + phase) + 0.6 * np.sin(2.3 * speed * there + 2 * phase)
+    waves = np.sin(speed * reached + phase) + 0.6 * np.sin(2.3 * speed * reached + 2 * phase)
     return np.asarray(waves * [1.4, 1.6, 14 * MM, 9 * MM] + [0.0, 0.0, 20 * MM, -8 * MM])
 
 

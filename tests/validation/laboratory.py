@@ -49,11 +49,11 @@ def ctr() -> ConcentricRobot:
 def mirrored(robot: Robot, directions: int = 9, offsets: Array | None = None) -> Measurements:
     """Tips of a robot without errors over mirror actuation, its rotations off by `offsets` (3,), rad."""
     pairs = [(d, s) for s in np.radians([0, 30, 60, 90]) for d in np.linspace(0, 2 * np.pi, directions, endpoint=False)]
-    asked = np.array([mirror_rotations(d, s) for d, s in pairs])
+    requested = np.array([mirror_rotations(d, s) for d, s in pairs])
     direction, separation = np.array(pairs).T
-    bare = np.zeros((len(asked), 3))
-    there = Measurements(asked, bare, bare, direction, separation, source="no laboratory")
-    return replace(there, sensors=in_device(tips(robot, there.turned(np.zeros(3) if offsets is None else offsets))))
+    bare = np.zeros((len(requested), 3))
+    reached = Measurements(requested, bare, bare, direction, separation, source="no laboratory")
+    return replace(reached, sensors=in_device(tips(robot, reached.turned(np.zeros(3) if offsets is None else offsets))))
 
 
 def turned(robot: Robot, count: int = 30) -> Measurements:
@@ -62,8 +62,8 @@ def turned(robot: Robot, count: int = 30) -> Measurements:
     rotations = random.uniform(-1.5, 1.5, (count, robot.n_tubes)) + random.uniform(-3, 3, (count, 1))
     inner = random.uniform(-20 * MM, 30 * MM, count)
     translations = np.column_stack([inner, inner + random.uniform(-15 * MM, 0.0, count)])
-    there = Measurements(rotations, translations, np.zeros((count, 3)), source="no laboratory")
-    return replace(there, sensors=in_device(tips(robot, there)))
+    reached = Measurements(rotations, translations, np.zeros((count, 3)), source="no laboratory")
+    return replace(reached, sensors=in_device(tips(robot, reached)))
 
 
 def tips(robot: Robot, measurements: Measurements) -> Array:

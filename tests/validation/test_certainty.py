@@ -18,19 +18,23 @@ from .laboratory import BASE, DEVICE_BASE, MM, TURN, ctr, in_device, tips, turne
 
 def spreads(m: Measurements, method: str, base: BasePose) -> tuple[float, float, float, float]:
     """Standard deviations of turn (deg) and reach (mm) over draws of the noise, and the medians of those told."""
-    robot, turns, points, told = ctr(), [], [], []
+    robot, turns, points, report = ctr(), [], [], []
     for seed in range(60):
         noise = np.random.default_rng(seed).normal(0, 0.5 * MM, m.sensors.shape)
         model = ArmModel(robot, replace(m, sensors=m.sensors + noise), (), method, base)
         error = registration_error(model, model.start)
         assert error is not None
-        found = model.start.registration
-        turns.append(Rotation.from_matrix(found.rotation @ TURN).as_rotvec())
-        points.append(found.apply(in_device(model.length * np.vstack([np.eye(3), -np.eye(3)]))))
-        told.append((np.degrees(error.turn), error.reach / MM))
+        result = model.start.registration
+        turns.append(Rotation.from_matrix(result.rotation @ TURN).as_rotvec())
+        points.append(result.apply(in_device(model.length * np.vstack([np.eye(3), -np.eye(3)]))))
+        report.append((np.degrees(error.turn), error.reach / MM))
     turn, reach = (np.array(each) for each in (turns, points))
     worst = max(np.linalg.eigvalsh(np.cov(reach[:, k].T))[-1] for k in range(6))
-    return float(np.degrees(np.sqrt(np.linalg.eigvalsh(np.cov(turn.T))[-1]))), np.sqrt(worst) / MM, *np.median(told, 0)
+    return (
+        float(np.degrees(np.sqrt(np.linalg.eigvalsh(np.cov(turn.T))[-1]))),
+        np.sqrt(worst) / MM,
+        *np.median(report, 0),
+    )
 
 
 @pytest.mark.parametrize("method", ["rigid", "base-axis"])
@@ -44,8 +48,8 @@ def nearly_planar() -> Measurements:
     """An inner tube that only advances: tips on a short, flat arc."""
     robot, count = ctr(), 40
     forth = np.linspace(0, 15 * MM, count)
-    there = Measurements(np.zeros((count, 2)), np.column_stack([forth, np.zeros(count)]), np.zeros((count, 3)))
-    return replace(there, sensors=in_device(tips(robot, there)))
+    reached = Measurements(np.zeros((count, 2)), np.column_stack([forth, np.zeros(count)]), np.zeros((count, 3)))
+    return replace(reached, sensors=in_device(tips(robot, reached)))
 
 
 def test_a_registration_from_a_line_is_refused_with_what_to_measure() -> None:

@@ -58,9 +58,9 @@ def test_a_comparison(run: Run, tmp_path: Path) -> None:
     assert data["files"] == [str(tmp_path / name) for name in names]
     assert {path.name for path in tmp_path.iterdir()} == set(names)
     robot = load_robot(ROBOT)
-    found = validate(robot, load_measurements(MEASURED, robot))
-    assert data["error"]["mean_mm"] == pytest.approx(found.summary.mean * 1e3)
-    assert data["error"]["max_percent"] == pytest.approx(found.summary.max / 94e-3 * 100)
+    result = validate(robot, load_measurements(MEASURED, robot))
+    assert data["error"]["mean_mm"] == pytest.approx(result.summary.mean * 1e3)
+    assert data["error"]["max_percent"] == pytest.approx(result.summary.max / 94e-3 * 100)
     assert [group["direction_deg"] for group in data["by_direction"]] == pytest.approx(list(range(0, 360, 30)))
     assert [group["separation_deg"] for group in data["by_separation"]] == pytest.approx([0, 30, 60, 90])
     assert data["registration"]["tilt_deg"] == pytest.approx(9.43, abs=0.3)  # what the file's header tells
@@ -69,7 +69,7 @@ def test_a_comparison(run: Run, tmp_path: Path) -> None:
     }
     lines = (tmp_path / "residuals.csv").read_text().splitlines()[1:]
     errors = [float(row["error_mm"]) for row in csv.DictReader(lines)]
-    np.testing.assert_allclose(errors, found.errors * 1e3, atol=1e-6)
+    np.testing.assert_allclose(errors, result.errors * 1e3, atol=1e-6)
 
 
 def test_the_example_of_the_help_works(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -118,9 +118,9 @@ def test_without_a_registration_none_is_reported(run: Run, flags: list[str], tmp
     ctr().save(tmp_path / "robot.yaml")
     save_measurements(turned(ctr(), 6), tmp_path / "m.csv")
     where = [str(tmp_path / name) for name in ("robot.yaml", "m.csv")]
-    words = " ".join(run("validate", *where, "--registration", "none", "--out", str(tmp_path), *flags).out.split())
-    assert "registration none: the device's frame is the plate's" in words
-    assert "yaw" not in words
+    text = " ".join(run("validate", *where, "--registration", "none", "--out", str(tmp_path), *flags).out.split())
+    assert "registration none: the device's frame is the plate's" in text
+    assert "yaw" not in text
 
 
 def test_what_was_noticed_in_the_file_is_printed_without_a_fit(run: Run, tmp_path: Path) -> None:

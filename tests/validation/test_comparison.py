@@ -19,20 +19,20 @@ from .laboratory import BASE, CONFIGS, DEVICE_BASE, MM, TURN, ctr, etr, mirrored
 def test_a_perfect_robot_has_no_error(concentric: bool) -> None:
     robot = ctr() if concentric else etr()
     measurements = turned(robot, 8) if concentric else mirrored(robot, 3)
-    found = validate(robot, measurements)
-    assert found.summary.max < 1e-11
-    np.testing.assert_allclose(found.registration.rotation, TURN.T, atol=1e-9)
-    np.testing.assert_allclose(found.registration.translation, -TURN.T @ BASE, atol=1e-10)
-    assert (found.margin > 0).all()
-    assert found.length == pytest.approx((140 if concentric else 94) * MM, abs=35 * MM if concentric else 1e-12)
+    result = validate(robot, measurements)
+    assert result.summary.max < 1e-11
+    np.testing.assert_allclose(result.registration.rotation, TURN.T, atol=1e-9)
+    np.testing.assert_allclose(result.registration.translation, -TURN.T @ BASE, atol=1e-10)
+    assert (result.margin > 0).all()
+    assert result.length == pytest.approx((140 if concentric else 94) * MM, abs=35 * MM if concentric else 1e-12)
 
 
 def test_registrations_agree_on_perfect_data() -> None:
     robot = etr()
     measurements = mirrored(robot, 3)
     assert validate(robot, measurements, registration="base-axis", base=DEVICE_BASE).summary.max < 1e-11
-    there = replace(measurements, sensors=(measurements.tip_position - BASE) @ TURN)
-    assert validate(robot, there, registration="none").summary.max < 1e-11
+    reached = replace(measurements, sensors=(measurements.tip_position - BASE) @ TURN)
+    assert validate(robot, reached, registration="none").summary.max < 1e-11
 
 
 def test_errors_by_direction_and_separation() -> None:
@@ -42,14 +42,14 @@ def test_errors_by_direction_and_separation() -> None:
     assert measurements.separation is not None
     worse = np.isclose(measurements.separation, np.pi / 2) & np.isclose(measurements.direction, np.pi)
     away = np.where(worse, 12.7 * MM, 0.0)[:, None] * [1.0, 0.0, 0.0]
-    there = replace(measurements, sensors=measurements.tip_position + away)
-    found = validate(robot, there, registration="base-axis", base=DEVICE_BASE)
-    assert np.degrees([g.value for g in found.by_direction]) == pytest.approx([0, 90, 180, 270])
-    assert np.degrees([g.value for g in found.by_separation]) == pytest.approx([0, 30, 60, 90])
-    assert [g.summary.count for g in found.by_direction] == [4] * 4
-    assert max(found.by_direction, key=lambda g: g.summary.max).value == pytest.approx(np.pi)
-    assert max(found.by_separation, key=lambda g: g.summary.max).value == pytest.approx(np.pi / 2)
-    assert found.errors.argmax() == worse.argmax()
+    reached = replace(measurements, sensors=measurements.tip_position + away)
+    result = validate(robot, reached, registration="base-axis", base=DEVICE_BASE)
+    assert np.degrees([g.value for g in result.by_direction]) == pytest.approx([0, 90, 180, 270])
+    assert np.degrees([g.value for g in result.by_separation]) == pytest.approx([0, 30, 60, 90])
+    assert [g.summary.count for g in result.by_direction] == [4] * 4
+    assert max(result.by_direction, key=lambda g: g.summary.max).value == pytest.approx(np.pi)
+    assert max(result.by_separation, key=lambda g: g.summary.max).value == pytest.approx(np.pi / 2)
+    assert result.errors.argmax() == worse.argmax()
 
 
 def test_summary_of_errors() -> None:
@@ -63,11 +63,11 @@ def test_summary_of_errors() -> None:
 
 def test_residuals_point_from_predicted_to_measured() -> None:
     robot = ctr()
-    found = validate(robot, noisy(turned(robot, 10), seed=1))
-    np.testing.assert_allclose(found.residuals, found.measured - found.predicted)
-    np.testing.assert_allclose(found.residuals.mean(0), 0.0, atol=1e-15)  # of a rigid registration
-    np.testing.assert_allclose(found.errors, np.linalg.norm(found.residuals, axis=1))
-    assert 0.3 * MM < found.summary.rms < 1.2 * MM
+    result = validate(robot, noisy(turned(robot, 10), seed=1))
+    np.testing.assert_allclose(result.residuals, result.measured - result.predicted)
+    np.testing.assert_allclose(result.residuals.mean(0), 0.0, atol=1e-15)  # of a rigid registration
+    np.testing.assert_allclose(result.errors, np.linalg.norm(result.residuals, axis=1))
+    assert 0.3 * MM < result.summary.rms < 1.2 * MM
 
 
 def test_rows_are_named() -> None:

@@ -42,17 +42,17 @@ def stacked() -> ConcentricRobot:
 
 def test_play_of_carriages_is_found_and_written_down() -> None:
     truth = trivial(translation_play=(0.4 * MM, 0.9 * MM))
-    found = fit(robot(), data_of(robot(), truth, 160), ["translation_play_all"], EXACT)
-    for e, value in zip(found.estimates, truth.translation_play, strict=True):
+    fitted = fit(robot(), data_of(robot(), truth, 160), ["translation_play_all"], EXACT)
+    for e, value in zip(fitted.estimates, truth.translation_play, strict=True):
         assert abs(e.value - value) < 3 * e.standard_error < 0.05 * MM
-    assert found.robot.calibration is not None
-    np.testing.assert_allclose(found.robot.calibration.translation_play, truth.translation_play, atol=0.1 * MM)
+    assert fitted.robot.calibration is not None
+    np.testing.assert_allclose(fitted.robot.calibration.translation_play, truth.translation_play, atol=0.1 * MM)
 
 
 def test_compliance_of_carriages_is_found() -> None:
     truth = trivial(translation_compliance=(0.0, 0.01))
-    found = fit(robot(), data_of(robot(), truth, 40), ["translation_compliance_2"], EXACT)
-    (e,) = found.estimates
+    fitted = fit(robot(), data_of(robot(), truth, 40), ["translation_compliance_2"], EXACT)
+    (e,) = fitted.estimates
     assert e.unit == "m/N"
     assert abs(e.value - 0.01) < 3 * e.standard_error < 4e-3
     with pytest.raises(InputError, match="carriages that yield"):
@@ -73,9 +73,9 @@ def test_curvature_is_found_piece_by_piece() -> None:
     assert first.precurvature == (9.5, 0.0, 0.0)
     assert straight.precurvature == (-0.3, 0.0, 0.0)
     np.testing.assert_allclose(last.precurvature, np.array([-4.0, 7.0, 0.0]) * (1 + 0.8 / np.hypot(4, 7)))
-    found = fit(drawn, data_of(made, trivial(), 60), ["piece_curvature_all"], EXACT)
-    assert [e.name for e in found.estimates] == names
-    for e, value in zip(found.estimates, (0.5, -0.3, 0.8), strict=True):
+    fitted = fit(drawn, data_of(made, trivial(), 60), ["piece_curvature_all"], EXACT)
+    assert [e.name for e in fitted.estimates] == names
+    for e, value in zip(fitted.estimates, (0.5, -0.3, 0.8), strict=True):
         assert abs(e.value - value) < 3 * e.standard_error < 0.7
 
 

@@ -29,29 +29,29 @@ Case = tuple[Robot, Measurements, dict[str, float]]
 @cache
 def eccentric_case() -> Case:
     """The eccentric robot as given, tips of another one, and how the two differ."""
-    given, offsets = etr(), np.radians([0.0, 4.0, -3.0])
-    weaker = replace(given.tube, curvature=0.96 * given.tube.curvature)
-    true = replace(given, tube=weaker, transmission_length=40 * MM)
+    inputs, offsets = etr(), np.radians([0.0, 4.0, -3.0])
+    weaker = replace(inputs.tube, curvature=0.96 * inputs.tube.curvature)
+    true = replace(inputs, tube=weaker, transmission_length=40 * MM)
     truth = {"curvature": 0.96, "transmission_length": 40 * MM, "rotation_2": offsets[1], "rotation_3": offsets[2]}
-    return given, mirrored(true, 5, offsets), truth
+    return inputs, mirrored(true, 5, offsets), truth
 
 
 @cache
 def concentric_case() -> Case:
     """The concentric robot as given, tips of another one, and how the two differ."""
-    given, offsets = ctr(), np.radians([0.0, 5.0])
-    inner, outer = given.tubes
+    inputs, offsets = ctr(), np.radians([0.0, 5.0])
+    inner, outer = inputs.tubes
 
     def other(tube: Tube, curvature: float, modulus: float) -> Tube:
         alloy = replace(tube.material, youngs_modulus=modulus, shear_modulus=modulus / 2.5)
         return replace(tube, curvature=curvature, material=alloy)
 
     modulus = inner.material.youngs_modulus
-    true = replace(given, tubes=(other(inner, 12.5, modulus), other(outer, 5.6, 1.2 * modulus)))
+    true = replace(inputs, tubes=(other(inner, 12.5, modulus), other(outer, 5.6, 1.2 * modulus)))
     measured = turned(true, 30)
     ratio = true.tubes[1].bending_stiffness / true.tubes[0].bending_stiffness
     truth = {"curvature_1": 12.5, "curvature_2": 5.6, "stiffness_ratio_2": ratio, "nu": 0.25, "rotation_2": offsets[1]}
-    return given, replace(measured, rotations=measured.rotations - offsets), truth
+    return inputs, replace(measured, rotations=measured.rotations - offsets), truth
 
 
 CASES = pytest.mark.parametrize("case", [eccentric_case, concentric_case])
@@ -59,37 +59,37 @@ CASES = pytest.mark.parametrize("case", [eccentric_case, concentric_case])
 
 @CASES
 def test_each_parameter_is_recovered_within_its_interval(case: Callable[[], Case]) -> None:
-    given, perfect, truth = case()
+    inputs, perfect, truth = case()
     hits = dict.fromkeys(truth, 0)
     noises = []
     for seed in range(RUNS):
-        found = fit(given, noisy(perfect, seed), list(truth), FitOptions(folds=0))
-        assert not any(e.held for e in found.estimates)
-        for e in found.estimates:
+        fitted = fit(inputs, noisy(perfect, seed), list(truth), FitOptions(folds=0))
+        assert not any(e.held for e in fitted.estimates)
+        for e in fitted.estimates:
             hits[e.name] += bool(e.low <= truth[e.name] <= e.high)
-        noises.append(found.noise)
+        noises.append(fitted.noise)
     assert all(count >= WITHIN for count in hits.values()), hits
     assert np.mean(noises) == pytest.approx(NOISE, rel=0.05)
 
 
 @CASES
 def test_without_noise_the_parameters_are_found_exactly(case: Callable[[], Case]) -> None:
-    given, perfect, truth = case()
-    found = fit(given, perfect, list(truth), FitOptions(folds=0))
-    for e in found.estimates:
+    inputs, perfect, truth = case()
+    fitted = fit(inputs, perfect, list(truth), FitOptions(folds=0))
+    for e in fitted.estimates:
         assert e.value == pytest.approx(truth[e.name], abs=1e-4 * max(abs(truth[e.name]), 0.1))
-    assert found.after.summary.max < 1e-6
-    assert found.before.summary.max > 1e-3
-    again = validate(found.robot, perfect)
-    assert again.summary.max == pytest.approx(found.after.summary.max, abs=1e-9)
+    assert fitted.after.summary.max < 1e-6
+    assert fitted.before.summary.max > 1e-3
+    again = validate(fitted.robot, perfect)
+    assert again.summary.max == pytest.approx(fitted.after.summary.max, abs=1e-9)
 
 
 @CASES
 def test_the_jacobian_is_that_of_the_residuals(case: Callable[[], Case]) -> None:
-    given, perfect, truth = case()
+    inputs, perfect, truth = case()
     data = noisy(perfect, 3)
-    parameters = choose_parameters(given, data, list(truth))
-    model = ArmModel(given, data, parameters, "rigid", BasePose())
+    parameters = choose_parameters(inputs, data, list(truth))
+    model = ArmModel(inputs, data, parameters, "rigid", BasePose())
     x = np.array([(p.start + truth[p.name]) / 2 for p in parameters])
     state = State(x, model.start.registration)
     slopes = model.jacobian(state)
@@ -104,56 +104,56 @@ def test_the_jacobian_is_that_of_the_residuals(case: Callable[[], Case]) -> None
 
 
 def test_held_out_errors_are_a_little_larger_than_those_of_the_fit() -> None:
-    given, perfect, _ = eccentric_case()
+    inputs, perfect, _ = eccentric_case()
     data = noisy(perfect, 0)
-    told: list[tuple[int, int]] = []
-    found = fit(
-        given, data, ["curvature"], FitOptions(folds=4), progress=lambda done, total: told.append((done, total))
+    report: list[tuple[int, int]] = []
+    fitted = fit(
+        inputs, data, ["curvature"], FitOptions(folds=4), progress=lambda done, total: report.append((done, total))
     )
-    assert found.held_out is not None
-    assert found.held_out_errors is not None
-    assert found.held_out_errors.shape == (20,)
-    assert found.after.summary.rms < found.held_out.rms < 1.6 * found.after.summary.rms
-    assert found.after.summary.rms < found.before.summary.rms
-    assert told == [(k, 4) for k in (1, 2, 3, 4)]
+    assert fitted.held_out is not None
+    assert fitted.held_out_errors is not None
+    assert fitted.held_out_errors.shape == (20,)
+    assert fitted.after.summary.rms < fitted.held_out.rms < 1.6 * fitted.after.summary.rms
+    assert fitted.after.summary.rms < fitted.before.summary.rms
+    assert report == [(k, 4) for k in (1, 2, 3, 4)]
 
 
 def test_held_out_errors_unmask_parameters_that_only_fit_noise() -> None:
-    given = etr()
-    data = noisy(mirrored(given, 2), 5, noise=1.5 * MM)
+    inputs = etr()
+    data = noisy(mirrored(inputs, 2), 5, noise=1.5 * MM)
     names = ["curvature", "rotation_1", "rotation_2", "transmission_length"]
-    found = fit(given, data, names, FitOptions(folds=4))
-    assert found.held_out is not None
-    assert found.after.summary.rms < found.before.summary.rms < found.held_out.rms
+    fitted = fit(inputs, data, names, FitOptions(folds=4))
+    assert fitted.held_out is not None
+    assert fitted.after.summary.rms < fitted.before.summary.rms < fitted.held_out.rms
 
 
 # --- what data do not tell --------------------------------------------------------------------------------------------
 
 
 def test_a_common_rotation_is_the_yaw_of_the_registration() -> None:
-    given, perfect, _ = eccentric_case()
+    inputs, perfect, _ = eccentric_case()
     data = noisy(perfect, 1)
-    found = fit(given, data, ["curvature", "rotation_1", "rotation_2", "rotation_3"], FitOptions(folds=0))
-    assert [e.held for e in found.estimates] == [False, False, False, True]
-    assert found.remarks[0] == (
+    fitted = fit(inputs, data, ["curvature", "rotation_1", "rotation_2", "rotation_3"], FitOptions(folds=0))
+    assert [e.held for e in fitted.estimates] == [False, False, False, True]
+    assert fitted.remarks[0] == (
         "rotation_3 cannot be distinguished from a change of rotation_1 and rotation_2 together with the registration; "
         "held at 0 deg"
     )
-    held = found.estimates[3]
+    held = fitted.estimates[3]
     assert (held.value, held.standard_error, held.low, held.high) == (0.0, np.inf, -np.inf, np.inf)
-    assert np.isnan(found.correlation[3]).all()
+    assert np.isnan(fitted.correlation[3]).all()
 
 
 def test_without_registration_a_common_rotation_is_determined() -> None:
-    given = ctr()
-    perfect = turned(given, 12)
+    inputs = ctr()
+    perfect = turned(inputs, 12)
     offsets = np.radians([6.0, 2.0])
-    there = replace(perfect, rotations=perfect.rotations - offsets)
-    local = replace(there, sensors=validate(given, perfect).predicted)
-    found = fit(given, noisy(local, 1), ["rotation_1", "rotation_2"], FitOptions(registration="none", folds=0))
-    assert not found.remarks
-    assert found.robot.calibration is not None
-    np.testing.assert_allclose(found.robot.calibration.rotation_offsets, offsets, atol=np.radians(1.0))
+    reached = replace(perfect, rotations=perfect.rotations - offsets)
+    local = replace(reached, sensors=validate(inputs, perfect).predicted)
+    fitted = fit(inputs, noisy(local, 1), ["rotation_1", "rotation_2"], FitOptions(registration="none", folds=0))
+    assert not fitted.remarks
+    assert fitted.robot.calibration is not None
+    np.testing.assert_allclose(fitted.robot.calibration.rotation_offsets, offsets, atol=np.radians(1.0))
 
 
 def test_a_parameter_without_effect_is_named() -> None:
@@ -161,33 +161,33 @@ def test_a_parameter_without_effect_is_named() -> None:
     straight = replace(concentric, tubes=tuple(replace(tube, curvature=0.0) for tube in concentric.tubes))
     with pytest.raises(InputError, match="predicted tips lie on a line"):
         fit(straight, turned(concentric, 5), ["curvature_1"], FitOptions(folds=0))
-    given = etr()
-    bent = mirrored(given, 4)
+    inputs = etr()
+    bent = mirrored(inputs, 4)
     together = bent.rows(np.isclose(bent.separation if bent.separation is not None else 0, 0.0))
-    found = fit(given, noisy(together, 1), ["nu"], FitOptions(folds=0))
-    assert found.estimates[0].held
-    assert found.remarks[0].startswith("nu has next to no effect on the measured tips: a change by")
+    fitted = fit(inputs, noisy(together, 1), ["nu"], FitOptions(folds=0))
+    assert fitted.estimates[0].held
+    assert fitted.remarks[0].startswith("nu has next to no effect on the measured tips: a change by")
     known = FitOptions(registration="base-axis", base=DEVICE_BASE, folds=0)
-    found = fit(given, noisy(together, 1), ["curvature", "nu"], known)
-    assert [e.held for e in found.estimates] == [False, True]
-    assert "held at 0.3488" in found.remarks[0]
+    fitted = fit(inputs, noisy(together, 1), ["curvature", "nu"], known)
+    assert [e.held for e in fitted.estimates] == [False, True]
+    assert "held at 0.3488" in fitted.remarks[0]
 
 
 def test_residuals_beyond_the_noise_that_was_given_are_said() -> None:
     options = FitOptions(registration="base-axis", base=DEVICE_BASE, folds=0, noise=(1e-6, None))
-    given, measured = etr(), noisy(mirrored(etr(), 4), 1)
-    found = fit(given, measured, ["curvature"], options)
-    times = np.sqrt((found.after.residuals**2).mean()) / 1e-6
-    (told,) = [float(words.split()[2]) for words in found.remarks if "times the noise that was given" in words]
-    assert told == pytest.approx(times, rel=0.1)
-    quiet = fit(given, measured, ["curvature"], replace(options, noise=(NOISE, None)))
-    assert not any("times the noise" in words for words in quiet.remarks)
+    inputs, measured = etr(), noisy(mirrored(etr(), 4), 1)
+    fitted = fit(inputs, measured, ["curvature"], options)
+    times = np.sqrt((fitted.after.residuals**2).mean()) / 1e-6
+    (report,) = [float(text.split()[2]) for text in fitted.remarks if "times the noise that was given" in text]
+    assert report == pytest.approx(times, rel=0.1)
+    quiet = fit(inputs, measured, ["curvature"], replace(options, noise=(NOISE, None)))
+    assert not any("times the noise" in text for text in quiet.remarks)
 
 
 def test_what_is_hardly_determined_is_named() -> None:
-    given, perfect, _ = eccentric_case()
-    found = fit(given, noisy(perfect, 2), ["nu", "transmission_length"], FitOptions(folds=0))
-    assert any("hardly determined" in remark or "ended at the edge" in remark for remark in found.remarks)
+    inputs, perfect, _ = eccentric_case()
+    fitted = fit(inputs, noisy(perfect, 2), ["nu", "transmission_length"], FitOptions(folds=0))
+    assert any("hardly determined" in remark or "ended at the edge" in remark for remark in fitted.remarks)
 
 
 # --- parameters -------------------------------------------------------------------------------------------------------
@@ -277,18 +277,18 @@ def test_too_few_measurements() -> None:
 def test_a_fit_that_does_not_converge_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tubeopt.validation.fitting.FITTING", LeastSquaresSolver(iterations=1))
     options = FitOptions(folds=0)
-    given, perfect, _ = concentric_case()
-    found = fit(given, perfect, ["curvature_1", "curvature_2"], options)
-    assert any("had not settled after 1 steps" in remark for remark in found.remarks)
+    inputs, perfect, _ = concentric_case()
+    fitted = fit(inputs, perfect, ["curvature_1", "curvature_2"], options)
+    assert any("had not settled after 1 steps" in remark for remark in fitted.remarks)
 
 
 def test_steps_to_robots_that_cannot_be_are_shortened() -> None:
     """The outer tube would have to be longer than the inner one around which it lies."""
-    given = ctr()
-    inner, outer = given.tubes
-    longer = replace(given, tubes=(replace(inner, straight_length=200 * MM), replace(outer, straight_length=180 * MM)))
+    inputs = ctr()
+    inner, outer = inputs.tubes
+    longer = replace(inputs, tubes=(replace(inner, straight_length=200 * MM), replace(outer, straight_length=180 * MM)))
     data = noisy(turned(longer, 20), 1, noise=0.05 * MM)
-    found = fit(given, data, ["transmission_length_2", "rotation_2"], FitOptions(folds=2))
-    added = found.robot.tubes[1].straight_length - outer.straight_length
+    fitted = fit(inputs, data, ["transmission_length_2", "rotation_2"], FitOptions(folds=2))
+    added = fitted.robot.tubes[1].straight_length - outer.straight_length
     assert added <= inner.length - outer.length + 1e-12
-    assert found.after.summary.rms <= found.before.summary.rms
+    assert fitted.after.summary.rms <= fitted.before.summary.rms

@@ -41,31 +41,31 @@ def shape(force: Array | tuple[float, ...], places: int) -> tuple[Array, list[tu
 @pytest.mark.parametrize("force", FORCES)
 def test_without_noise_the_force_comes_back(force: tuple[float, ...]) -> None:
     tip, points = shape(force, 4)
-    for found in (
+    for result in (
         estimate_force(THESIS, ROTATIONS, tip_position=tip, noise=1e-4),
         estimate_force(THESIS, ROTATIONS, tip_position=tip, points=points, noise=1e-4),
         estimate_force(THESIS, ROTATIONS, points=points, noise=1e-4),
     ):
-        assert np.allclose(found.force, force, rtol=0, atol=1e-6)
-        assert found.residual < 1e-8
-        assert found.equilibrium.load == Load(tuple(found.force.tolist()))
+        assert np.allclose(result.force, force, rtol=0, atol=1e-6)
+        assert result.residual < 1e-8
+        assert result.equilibrium.load == Load(tuple(result.force.tolist()))
 
 
 def test_derivatives_are_those_of_differences_and_the_covariance_follows() -> None:
     force = np.array(FORCES[1])
     tip, points = shape(force, 3)
     noise, step = 2e-6, 1e-4  # so little that the covariance is that to first order
-    found = estimate_force(THESIS, ROTATIONS, tip_position=tip, points=points, noise=noise)
+    result = estimate_force(THESIS, ROTATIONS, tip_position=tip, points=points, noise=noise)
     columns = []
     for k in range(3):
         sides = []
         for sign in (1, -1):
-            there, others = shape(force + sign * step * np.eye(3)[k], 3)
-            sides.append(np.concatenate([*(p for _, p in others), there]))
+            reached, others = shape(force + sign * step * np.eye(3)[k], 3)
+            sides.append(np.concatenate([*(p for _, p in others), reached]))
         columns.append((sides[0] - sides[1]) / (2 * step))
     jacobian = np.array(columns).T / noise
-    assert np.allclose(found.covariance, np.linalg.inv(jacobian.T @ jacobian), rtol=1e-4)
-    assert np.allclose(np.sort(found.errors**2), np.sort(np.linalg.eigvalsh(found.covariance)), rtol=1e-6)
+    assert np.allclose(result.covariance, np.linalg.inv(jacobian.T @ jacobian), rtol=1e-4)
+    assert np.allclose(np.sort(result.errors**2), np.sort(np.linalg.eigvalsh(result.covariance)), rtol=1e-6)
 
 
 def test_errors_are_as_large_as_the_covariance_says() -> None:
@@ -75,11 +75,11 @@ def test_errors_are_as_large_as_the_covariance_says() -> None:
     for _ in range(20):
         noisy = [(s, p + noise * random.normal(size=3)) for s, p in points]
         at = tip + noise * random.normal(size=3)
-        found = estimate_force(THESIS, ROTATIONS, tip_position=at, points=noisy, noise=noise, start=guess)
-        guess = found.equilibrium
-        error = found.force - force
-        distances.append(float(error @ np.linalg.solve(found.covariance, error)))
-        fits.append(found.fit[0] / found.fit[1])
+        result = estimate_force(THESIS, ROTATIONS, tip_position=at, points=noisy, noise=noise, start=guess)
+        guess = result.equilibrium
+        error = result.force - force
+        distances.append(float(error @ np.linalg.solve(result.covariance, error)))
+        fits.append(result.fit[0] / result.fit[1])
     # A chi-squared of 3 degrees of freedom has the mean 3 and the variance 6.
     assert np.mean(distances) == pytest.approx(3, abs=3 * np.sqrt(6 / 20))
     assert np.mean(fits) == pytest.approx(1, abs=0.3)
@@ -89,21 +89,21 @@ def test_the_region_of_the_likelihood_is_that_of_the_measured_tip() -> None:
     """Where only the tip is measured a force is inside if its tip is within a ball of 2.7955 standard deviations."""
     noise, force = 3e-4, np.array(FORCES[1])
     tip, _ = shape(force, 1)
-    found = estimate_force(THESIS, ROTATIONS, tip_position=tip, noise=noise)
+    result = estimate_force(THESIS, ROTATIONS, tip_position=tip, noise=noise)
     for away in ((1e-3, 0.0, 0.0), (0.0, -2e-3, 0.02), (0.0, 0.0, 0.05), (0.0, 0.0, -0.05)):
         other = force + np.array(away)
-        there, _ = shape(other, 1)
-        distance = np.linalg.norm(there - tip) / noise
-        assert found.contains(other) == (distance < 2.7955)
-        assert found.contains(other, 0.5) == (distance < 1.5382)
+        reached, _ = shape(other, 1)
+        distance = np.linalg.norm(reached - tip) / noise
+        assert result.contains(other) == (distance < 2.7955)
+        assert result.contains(other, 0.5) == (distance < 1.5382)
 
 
 def test_what_cannot_be_told_is_said() -> None:
     tip, _ = shape((0.01, 0.0, 0.0), 1)
-    found = estimate_force(THESIS, ROTATIONS, tip_position=tip, noise=1e-3)
+    result = estimate_force(THESIS, ROTATIONS, tip_position=tip, noise=1e-3)
     # Along the arm a force hardly moves the tip.
-    assert found.errors[-1] > 10 * found.errors[0]
-    assert "undetermined: along (" in found.undetermined
+    assert result.errors[-1] > 10 * result.errors[0]
+    assert "undetermined: along (" in result.undetermined
     sure = estimate_force(THESIS, ROTATIONS, tip_position=tip, noise=1e-7)
     assert sure.errors[0] < 1e-6
 
@@ -116,12 +116,12 @@ def test_a_short_arm_does_not_bound_the_force_along_it(monkeypatch: pytest.Monke
     tip = forward_kinematics(robot, turned, load=Load((0.02, 0.01, -0.01))).tip_position
     off = np.array([-1e-4, 1e-4, 2e-4])
     monkeypatch.setattr("tubeopt.validation.force.FULL", Effort(12, 1e-4))
-    found = estimate_force(robot, turned, tip_position=tip + off, noise=1e-4)
-    assert np.isfinite(found.errors).tolist() == [True, True, False]
-    assert abs(found.directions[2, 2]) > 0.99
-    across = found.directions[:2] @ (found.force - true)
-    assert np.abs(across / found.errors[:2]).max() < 3
-    assert "the measurement does not bound it" in found.undetermined
+    result = estimate_force(robot, turned, tip_position=tip + off, noise=1e-4)
+    assert np.isfinite(result.errors).tolist() == [True, True, False]
+    assert abs(result.directions[2, 2]) > 0.99
+    across = result.directions[:2] @ (result.force - true)
+    assert np.abs(across / result.errors[:2]).max() < 3
+    assert "the measurement does not bound it" in result.undetermined
 
 
 def test_no_force_along_a_stiff_arm_is_tried_that_no_measurement_shows() -> None:
@@ -130,13 +130,13 @@ def test_no_force_along_a_stiff_arm_is_tried_that_no_measurement_shows() -> None
     joints, true, noise = [0.3, -0.4, 1.2], np.array([-0.3, 0.1, 0.2]), 3e-4
     pushed = forward_kinematics(robot, joints, load=Load(tuple(true)))
     off = noise * np.array([1.0, -0.5, 0.8])
-    found = estimate_force(robot, joints, tip_position=pushed.tip_position + off, noise=noise)
-    assert np.isinf(found.errors[-1])
-    assert found.iterations < 5
-    assert np.linalg.norm(found.force) < 1.0
-    flat = found.directions[:2]
-    linear = np.linalg.pinv(forward_kinematics(robot, joints, load=found.equilibrium.load).compliance[:3, :3], 1e-2)
-    assert flat @ (found.force - true) == pytest.approx(
+    result = estimate_force(robot, joints, tip_position=pushed.tip_position + off, noise=noise)
+    assert np.isinf(result.errors[-1])
+    assert result.iterations < 5
+    assert np.linalg.norm(result.force) < 1.0
+    flat = result.directions[:2]
+    linear = np.linalg.pinv(forward_kinematics(robot, joints, load=result.equilibrium.load).compliance[:3, :3], 1e-2)
+    assert flat @ (result.force - true) == pytest.approx(
         flat @ linear @ off, abs=0.2 * noise * np.linalg.norm(linear, 2)
     )
 
@@ -144,8 +144,8 @@ def test_no_force_along_a_stiff_arm_is_tried_that_no_measurement_shows() -> None
 def test_other_loads_may_be_known() -> None:
     weight = Load(gravity=(0, 0, -9.81))
     tip = forward_kinematics(THESIS, ROTATIONS, load=Load((0.02, 0.03, 0), gravity=(0, 0, -9.81))).tip_position
-    found = estimate_force(THESIS, ROTATIONS, tip_position=tip, noise=1e-5, known=weight)
-    assert np.allclose(found.force, (0.02, 0.03, 0), atol=1e-6)
+    result = estimate_force(THESIS, ROTATIONS, tip_position=tip, noise=1e-5, known=weight)
+    assert np.allclose(result.force, (0.02, 0.03, 0), atol=1e-6)
 
 
 def test_force_beside_known_moments_is_found_with_the_errors_of_differences() -> None:
@@ -155,12 +155,12 @@ def test_force_beside_known_moments_is_found_with_the_errors_of_differences() ->
     def tip(at: Array) -> Array:
         return forward_kinematics(THESIS, ROTATIONS, load=replace(known, force=tuple(at.tolist()))).tip_position
 
-    found = estimate_force(THESIS, ROTATIONS, tip_position=tip(force), noise=noise, known=known)
-    assert np.allclose(found.force, force, rtol=0, atol=1e-7)
+    result = estimate_force(THESIS, ROTATIONS, tip_position=tip(force), noise=noise, known=known)
+    assert np.allclose(result.force, force, rtol=0, atol=1e-7)
     slope = np.transpose([(tip(force + d) - tip(force - d)) / 2e-4 for d in 1e-4 * np.eye(3)])
     assert np.abs(slope - slope.T).max() > 1e-5
     expected = noise**2 * np.linalg.inv(slope.T @ slope)
-    assert np.allclose(found.covariance, expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max())
+    assert np.allclose(result.covariance, expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max())
 
 
 def test_what_makes_no_sense_says_so() -> None:
@@ -188,23 +188,23 @@ def test_what_the_estimates_leave_out_is_remarked() -> None:
 
 def test_standard_errors_of_a_record_are_roots_of_variances() -> None:
     tip, points = shape(np.array(FORCES[0]), 2)
-    found = estimate_force(THESIS, ROTATIONS, tip_position=tip, points=points, noise=1e-4)
-    record = ForceRecord(THESIS, None, 1e-4, (found, None), ((1, "none"),))  # type: ignore[arg-type]
-    assert record.standard_error[0] ** 2 == pytest.approx(np.diag(found.covariance), rel=1e-12)
+    result = estimate_force(THESIS, ROTATIONS, tip_position=tip, points=points, noise=1e-4)
+    record = ForceRecord(THESIS, None, 1e-4, (result, None), ((1, "none"),))  # type: ignore[arg-type]
+    assert record.standard_error[0] ** 2 == pytest.approx(np.diag(result.covariance), rel=1e-12)
     assert np.isnan(record.standard_error[1]).all()
 
 
 def test_the_coverage_is_that_of_simulated_measurements() -> None:
     # So little noise that the force depends on it linearly: the ellipsoid is exact, and holds what it states.
     tip = forward_kinematics(THESIS, ROTATIONS, load=Load(FORCES[0])).tip_position
-    found = estimate_force(THESIS, ROTATIONS, tip_position=tip, noise=2e-5)
+    result = estimate_force(THESIS, ROTATIONS, tip_position=tip, noise=2e-5)
     for confidence, draws in ((0.5, 60), (0.95, 30)):
-        held = found.coverage(confidence, draws=draws, seed=5)
+        held = result.coverage(confidence, draws=draws, seed=5)
         assert abs(held - confidence) < 3 * np.sqrt(confidence * (1 - confidence) / draws)
     with pytest.raises(InputError, match="confidence is 95; it must be between 0 and 1"):
-        found.coverage(95)
+        result.coverage(95)
     with pytest.raises(InputError, match="draws is 0; it must be at least 1"):
-        found.coverage(draws=0)
+        result.coverage(draws=0)
 
 
 def recording(calibration: Calibration, forces: Array, places: tuple[float, ...] = (0.0,)) -> Measurements:
@@ -245,9 +245,9 @@ def test_forces_of_a_calibrated_robot_come_back(places: tuple[float, ...]) -> No
     forces = np.array([[0.02, 0.005, 0.0], [0.0, 0.03, -0.01], [-0.02, 0.01, 0.01]])
     robot = replace(THESIS, calibration=CALIBRATION)
     m = recording(CALIBRATION, forces, places)
-    found = estimate_forces(robot, m, noise=1e-5, registration="saved")
+    result = estimate_forces(robot, m, noise=1e-5, registration="saved")
     # Between nodes the truth is interpolated by cubics.
-    np.testing.assert_allclose(found.force, forces, rtol=0, atol=1e-6 if len(places) == 1 else 2e-4)
+    np.testing.assert_allclose(result.force, forces, rtol=0, atol=1e-6 if len(places) == 1 else 2e-4)
     with pytest.raises(InputError, match="registration is missing, and the robot's calibration"):
         estimate_forces(robot, m)
     with pytest.raises(InputError, match="registration is 'saved', but the robot's"):
@@ -263,6 +263,6 @@ def test_a_sensor_beside_the_tip_moves_as_the_tip_turns() -> None:
     e = forward_kinematics(THESIS, ROTATIONS)
     for arcs in ([e.arc_length[-1]], [e.arc_length[-1], e.arc_length[-1] / 2]):
         measured = Measured(np.array(arcs), np.zeros((len(arcs), 3)), noise, offset)
-        there = [trial_at(e, Load(), force, measured).residual for force in step * np.vstack([np.eye(3), -np.eye(3)])]
-        slopes = np.array([(a - b) / (2 * step) for a, b in zip(there[3:], there[:3], strict=True)]).T
+        reached = [trial_at(e, Load(), force, measured).residual for force in step * np.vstack([np.eye(3), -np.eye(3)])]
+        slopes = np.array([(a - b) / (2 * step) for a, b in zip(reached[3:], reached[:3], strict=True)]).T
         np.testing.assert_allclose(trial_at(e, Load(), np.zeros(3), measured).jacobian, slopes, rtol=1e-5, atol=1e-5)

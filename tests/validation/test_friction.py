@@ -38,15 +38,15 @@ def rubbing(noise: float = 0.2 * MM, drives: Calibration | None = None) -> Measu
 
 def test_friction_is_found_and_goes_into_the_robot() -> None:
     drives = replace(Calibration.none(2), translation_offsets=DRIVES.translation_offsets)
-    found = fit(robot(), rubbing(drives=drives), ["translation_all", "friction_1"], FitOptions(folds=0))
-    torque = found.estimates[-1]
+    fitted = fit(robot(), rubbing(drives=drives), ["translation_all", "friction_1"], FitOptions(folds=0))
+    torque = fitted.estimates[-1]
     assert torque.unit == "N"
     assert torque.low < TRUE < torque.high
     assert torque.standard_error < 0.1 * TRUE
-    assert found.noise == pytest.approx(0.2 * MM, rel=0.2)
-    assert found.robot.friction is not None  # type: ignore[attr-defined]
-    assert found.robot.friction.torque == (torque.value,)  # type: ignore[attr-defined]
-    assert found.robot.friction.refinement == 0  # type: ignore[attr-defined]
+    assert fitted.noise == pytest.approx(0.2 * MM, rel=0.2)
+    assert fitted.robot.friction is not None  # type: ignore[attr-defined]
+    assert fitted.robot.friction.torque == (torque.value,)  # type: ignore[attr-defined]
+    assert fitted.robot.friction.refinement == 0  # type: ignore[attr-defined]
 
 
 def test_robot_with_friction_is_compared_along_the_way() -> None:
@@ -69,11 +69,11 @@ def test_slopes_are_those_of_the_way_with_friction() -> None:
     names = ["latency", "translation_2", "rotation_2", "rotation_gain_1", "friction_1", "torsional_stiffness_1"]
     chosen = choose_parameters(robot(), data, names)
     model = ArmModel(robot(), data, chosen)
-    here = State(np.array([0.02, 1 * MM, 0.03, 1.004, 0.9 * TRUE, 1.05]), model.start.registration)
-    slopes = model.jacobian(here)
+    current = State(np.array([0.02, 1 * MM, 0.03, 1.004, 0.9 * TRUE, 1.05]), model.start.registration)
+    slopes = model.jacobian(current)
     for k, p in enumerate(chosen):
         step = np.zeros(len(chosen))
         step[k] = 1e-4 * p.scale
-        ahead, behind = (model.residuals(State(here.x + s * step, here.registration)) for s in (1, -1))
+        ahead, behind = (model.residuals(State(current.x + s * step, current.registration)) for s in (1, -1))
         wrong = np.abs((ahead - behind) / (2 * step[k]) - slopes[..., k]).max(1)
         assert np.quantile(wrong, 0.8) < 1e-5 * np.abs(slopes[..., k]).max()  # other rows stick or slip anew between

@@ -17,16 +17,16 @@ from .laboratory import CONFIGS, ctr, etr, mirrored, noisy, turned
 
 
 def test_arrows_are_the_residuals() -> None:
-    found = validate(etr(), noisy(mirrored(etr(), 4), 1))
-    figure = plot_residuals(found)
+    result = validate(etr(), noisy(mirrored(etr(), 4), 1))
+    figure = plot_residuals(result)
     above, beside = figure.axes
     for axes, columns in ((above, [0, 1]), (beside, [0, 2])):
         (quiver,) = [artist for artist in axes.get_children() if isinstance(artist, Quiver)]
-        np.testing.assert_allclose(np.asarray(quiver.XY, dtype=float), found.predicted[:, columns] * 1e3)
+        np.testing.assert_allclose(np.asarray(quiver.XY, dtype=float), result.predicted[:, columns] * 1e3)
         arrows = np.column_stack([quiver.U, quiver.V])
-        factor = arrows[0, 0] / (found.residuals[0, 0] * 1e3)
+        factor = arrows[0, 0] / (result.residuals[0, 0] * 1e3)
         assert factor == pytest.approx(round(factor))
-        np.testing.assert_allclose(arrows, factor * found.residuals[:, columns] * 1e3)
+        np.testing.assert_allclose(arrows, factor * result.residuals[:, columns] * 1e3)
         assert axes.get_aspect() == 1
 
 
@@ -39,10 +39,10 @@ def test_errors_of_a_mirrored_robot_are_a_radar_and_of_another_one_a_row() -> No
 
 
 def test_headings_say_that_a_picture_is_of_what_a_fit_left() -> None:
-    found = validate(ctr(), noisy(turned(ctr(), 5), 1))
+    result = validate(ctr(), noisy(turned(ctr(), 5), 1))
     for plot in (plot_residuals, plot_errors):
-        assert "after the fit" not in plot(found).get_suptitle()
-        assert plot(found, when="after the fit").get_suptitle().startswith(f"{ctr().name}, after the fit")
+        assert "after the fit" not in plot(result).get_suptitle()
+        assert plot(result, when="after the fit").get_suptitle().startswith(f"{ctr().name}, after the fit")
 
 
 def test_the_radar_of_a_table_has_its_numbers() -> None:

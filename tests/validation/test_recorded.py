@@ -46,14 +46,14 @@ def test_joints_and_tips_at_rates_of_their_own(tmp_path: Path) -> None:
     table(tmp_path / "tips.csv", "stamp x y z u v w", tips)
     text = "tips: tips.csv\njoints: joints.csv\nbehind_mm: [0, 0]\ncolumns: {stamp: 'time, us', "
     text += f"x: 'x_1, m', y: 'y_1, m', z: 'z_1, m', u: 'x_2, m', v: 'y_2, m', w: 'z_2, m'}}\njoint_columns: {JOINTS}\n"
-    found = mapped(tmp_path, text)
-    assert found.log is not None
-    assert len(found) == 119
-    assert "1 of 120 rows have no measured position and were left out" in found.remarks
-    assert "1 of 119 rows have no position of sensor 1" in found.remarks
-    kept = np.delete(np.arange(120), 4)[:55]
-    np.testing.assert_allclose(found.rotations[:55], m.rotations[kept], atol=2e-5)
-    assert validate(robot(), found).summary.p95 < 0.01 * MM
+    result = mapped(tmp_path, text)
+    assert result.log is not None
+    assert len(result) == 119
+    assert "1 of 120 rows have no measured position and were left out" in result.remarks
+    assert "1 of 119 rows have no position of sensor 1" in result.remarks
+    retained = np.delete(np.arange(120), 4)[:55]
+    np.testing.assert_allclose(result.rotations[:55], m.rotations[retained], atol=2e-5)
+    assert validate(robot(), result).summary.p95 < 0.01 * MM
 
 
 def test_rows_beyond_the_log_of_the_joints_are_left_out(tmp_path: Path) -> None:
@@ -62,9 +62,9 @@ def test_rows_beyond_the_log_of_the_joints_are_left_out(tmp_path: Path) -> None:
     table(tmp_path / "tips.csv", "t x y z", np.column_stack([m.time, m.tip_position * 1e3]))
     text = f"tips: tips.csv\njoints: joints.csv\ncolumns: {{t: time, x: x, y: y, z: z}}\njoint_columns: {JOINTS}\n"
     joint_log(tmp_path, np.arange(25, 76) / 10.0, float(m.time[-1]))
-    found = mapped(tmp_path, text)
-    assert len(found) == 51
-    assert found.remarks[0] == "49 of 100 rows lie before or after all joint readings and were left out"
+    result = mapped(tmp_path, text)
+    assert len(result) == 51
+    assert result.remarks[0] == "49 of 100 rows lie before or after all joint readings and were left out"
     joint_log(tmp_path, np.arange(1000, 1010) / 10.0, float(m.time[-1]))
     with pytest.raises(InputError, match="have no time in common"):
         mapped(tmp_path, text)
@@ -97,12 +97,12 @@ def test_a_pose_in_every_notation_is_the_same(tmp_path: Path) -> None:
         table(tmp_path / "tips.csv", "a b px py pz " + " ".join(names), rows)
         pairs = ", ".join(f"{n}: '{k}{unit}'" for n, k in zip(names, meanings.split(), strict=True))
         text = "tips: tips.csv\naxis: -y\ncolumns: {a: rotation_1, b: rotation_2, px: x, py: y, pz: z, " + pairs + "}\n"
-        found = mapped(tmp_path, text)
-        assert found.orientation is not None
-        assert np.isnan(found.orientation[2]).all()
-        np.testing.assert_allclose(np.delete(found.orientation, 2, 0), np.delete(matrix, 2, 0), atol=1e-12)
-        assert found.sensor_axis is not None
-        np.testing.assert_array_equal(found.sensor_axis, [0, -1, 0])
+        result = mapped(tmp_path, text)
+        assert result.orientation is not None
+        assert np.isnan(result.orientation[2]).all()
+        np.testing.assert_allclose(np.delete(result.orientation, 2, 0), np.delete(matrix, 2, 0), atol=1e-12)
+        assert result.sensor_axis is not None
+        np.testing.assert_array_equal(result.sensor_axis, [0, -1, 0])
 
 
 def test_joints_beside_the_tools_of_an_export_are_asked_for_apart(tmp_path: Path) -> None:
@@ -123,12 +123,12 @@ def test_an_export_of_ndi(tmp_path: Path) -> None:
     (tmp_path / "ndi.csv").write_text("\n".join(lines))
     joint_log(tmp_path, np.arange(0, 160) / 53.0, float(m.time[-1]))
     text = f"tips: ndi.csv\njoints: joints.csv\nframe_rate_Hz: 40\njoint_columns: {JOINTS}\n"
-    found = mapped(tmp_path, text)
-    assert found.sensors.shape == (30, 2, 3)
-    np.testing.assert_allclose(found.time, m.time)
-    assert np.argwhere(np.isnan(found.sensors[:, :, 0])).tolist() == [[7, 0]]
-    np.testing.assert_allclose(found.tip_position, m.tip_position, atol=1e-8)
-    assert found.orientation is not None
+    result = mapped(tmp_path, text)
+    assert result.sensors.shape == (30, 2, 3)
+    np.testing.assert_allclose(result.time, m.time)
+    assert np.argwhere(np.isnan(result.sensors[:, :, 0])).tolist() == [[7, 0]]
+    np.testing.assert_allclose(result.tip_position, m.tip_position, atol=1e-8)
+    assert result.orientation is not None
 
 
 @pytest.mark.parametrize("names", ["Rz,Ry,Rx", "Rx,Ry,Rz"])
@@ -214,11 +214,11 @@ def test_an_export_of_optitrack(tmp_path: Path) -> None:
         lines.append(f"{k},{t!r},{pose},0,0,0".replace("np.float64(", "").replace(")", ""))
     (tmp_path / "take.csv").write_text("\n".join(lines))
     joint_log(tmp_path, np.arange(0, 160) / 53.0, float(m.time[-1]))
-    found = mapped(tmp_path, f"tips: take.csv\njoints: joints.csv\njoint_columns: {JOINTS}\n")
-    assert len(found) == 29
-    np.testing.assert_allclose(found.tip_position, np.delete(m.tip_position, 4, 0))
-    assert found.orientation is not None
-    np.testing.assert_allclose(found.orientation[0], np.eye(3))
+    result = mapped(tmp_path, f"tips: take.csv\njoints: joints.csv\njoint_columns: {JOINTS}\n")
+    assert len(result) == 29
+    np.testing.assert_allclose(result.tip_position, np.delete(m.tip_position, 4, 0))
+    assert result.orientation is not None
+    np.testing.assert_allclose(result.orientation[0], np.eye(3))
 
 
 def one_tool(tmp_path: Path, row: dict[int, str], between: str = ",") -> Measurements:
@@ -259,10 +259,10 @@ def test_wrapped_angles_are_unwrapped_and_said(tmp_path: Path) -> None:
         "time_s rotation_1_deg rotation_2_deg x_mm y_mm z_mm",
         np.column_stack([m.time, np.degrees(wrapped), m.tip_position * 1e3]),
     )
-    found = load_measurements(tmp_path / "m.csv", robot())
-    apart = found.rotations[:, 0] - turning[:, 0]
+    result = load_measurements(tmp_path / "m.csv", robot())
+    apart = result.rotations[:, 0] - turning[:, 0]
     np.testing.assert_allclose(apart, apart[0], atol=1e-9)
-    assert found.remarks[0].startswith("rotation_1 jumps by a full turn 2 times")
+    assert result.remarks[0].startswith("rotation_1 jumps by a full turn 2 times")
 
 
 @pytest.mark.parametrize(

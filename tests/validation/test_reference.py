@@ -38,11 +38,11 @@ def moving(tips: Array) -> tuple[Array, Array, Rotation, Rotation]:
 
 
 def ndi(tmp_path: Path, tips: Array, lost: tuple[int, ...] = ()) -> None:
-    place, base, turn, base_turn = moving(tips)
+    position, base, turn, base_turn = moving(tips)
     lines = [NDI]
     for k in range(len(tips)):
         cells = ["2"]
-        for name, p, q in (("tip", place, turn), ("spine", base, base_turn)):
+        for name, p, q in (("tip", position, turn), ("spine", base, base_turn)):
             state = "MISSING" if name == "spine" and k in lost else "OK"
             pose = [f"{x:.9f}" for x in (*q[k].as_quat(scalar_first=True), *p[k] * 1e3)]
             cells += [name, str(4 * k), "0", state, *pose, "0.1"]
@@ -64,11 +64,11 @@ def test_two_tools_of_a_tracker_that_moves(tmp_path: Path) -> None:
     for name in ("2", "spine"):
         after = mapped(tmp_path, f"{text}reference: {name}\n")
         assert after.sensors.shape == (COUNT - 2, 1, 3)
-        kept = np.delete(np.arange(COUNT), [3, 9])
-        np.testing.assert_allclose(after.tip_position, m.tip_position[kept], atol=1e-8)
+        retained = np.delete(np.arange(COUNT), [3, 9])
+        np.testing.assert_allclose(after.tip_position, m.tip_position[retained], atol=1e-8)
         assert after.orientation is not None
         own = moving(m.tip_position)[2:]
-        np.testing.assert_allclose(after.orientation, (own[1].inv() * own[0]).as_matrix()[kept], atol=1e-7)
+        np.testing.assert_allclose(after.orientation, (own[1].inv() * own[0]).as_matrix()[retained], atol=1e-7)
         assert after.remarks == ("2 of 60 rows have no pose of the reference tool and were left out",)
         assert validate(robot(), after).summary.p95 < 0.05 * MM
 
@@ -86,12 +86,12 @@ def test_a_reference_in_a_table_of_ones_own(tmp_path: Path, notation: str) -> No
     """Joints beside the poses; the reference is tool 1, in every notation of its orientation."""
     m = true()
     assert m.time is not None
-    place, base, _, base_turn = moving(m.tip_position)
+    position, base, _, base_turn = moving(m.tip_position)
     meanings, write = NOTATIONS[notation]
     values = write(base_turn)
     names = [f"o{k}" for k in range(values.shape[1])]
     read = joints(m.time, float(m.time[-1]))
-    rows = np.column_stack([m.time, np.degrees(read[:, :2]), read[:, 2:] * 1e3, base, place * 1e3, values])
+    rows = np.column_stack([m.time, np.degrees(read[:, :2]), read[:, 2:] * 1e3, base, position * 1e3, values])
     rows[5, 5:8] = np.nan
     rows[6, 11:] = np.nan
     rows[7, 8:11] = np.nan
@@ -100,10 +100,10 @@ def test_a_reference_in_a_table_of_ones_own(tmp_path: Path, notation: str) -> No
     pairs = ", ".join(f"{n}: '{k}{units}'" for n, k in zip(names, meanings.split(), strict=True))
     text = "tips: own.csv\nreference: 1\ncolumns: {t: time, a: rotation_1, b: rotation_2, p: translation_1, "
     text += f"q: translation_2, bx: 'x_1, m', by: 'y_1, m', bz: 'z_1, m', x: x_2, y: y_2, z: z_2, {pairs}}}\n"
-    found = mapped(tmp_path, text)
-    kept = np.delete(np.arange(COUNT), [5, 6, 7])
-    np.testing.assert_allclose(found.tip_position, m.tip_position[kept], atol=1e-12)
-    assert found.remarks == (
+    result = mapped(tmp_path, text)
+    retained = np.delete(np.arange(COUNT), [5, 6, 7])
+    np.testing.assert_allclose(result.tip_position, m.tip_position[retained], atol=1e-12)
+    assert result.remarks == (
         "2 of 60 rows have no pose of the reference tool and were left out",
         "1 of 60 rows have no measured position and were left out",
     )
@@ -146,8 +146,8 @@ def test_sensors_that_cannot_be_on_one_tip_are_said(tmp_path: Path, apart: float
     rows = np.column_stack([np.degrees(m.rotations), m.translations * 1e3, m.tip_position * 1e3, beside * 1e3])
     header = "rotation_1_deg rotation_2_deg translation_1_mm translation_2_mm x1_mm y1_mm z1_mm x2_mm y2_mm z2_mm"
     table(tmp_path / "m.csv", header, rows)
-    found = load_measurements(tmp_path / "m.csv", robot())
-    assert any("sensors 1 and 2 of the tip" in each for each in found.remarks) == said
+    result = load_measurements(tmp_path / "m.csv", robot())
+    assert any("sensors 1 and 2 of the tip" in each for each in result.remarks) == said
 
 
 def test_a_number_that_is_the_name_of_another_tool_is_refused(tmp_path: Path) -> None:
@@ -169,19 +169,19 @@ def test_a_number_that_is_the_name_of_another_tool_is_refused(tmp_path: Path) ->
 def test_tools_that_are_never_seen_together_are_remarked_upon(tmp_path: Path) -> None:
     m = true()
     assert m.time is not None
-    place, base, *_ = moving(m.tip_position)
-    place[1::2] = base[::2] = np.nan
+    position, base, *_ = moving(m.tip_position)
+    position[1::2] = base[::2] = np.nan
     read = joints(m.time, float(m.time[-1]))
-    table(tmp_path / "own.csv", "t a b p q x y z u v w", np.column_stack([m.time, read, place, base]))
+    table(tmp_path / "own.csv", "t a b p q x y z u v w", np.column_stack([m.time, read, position, base]))
     columns = "t: 'time, s', a: 'rotation_1, rad', b: 'rotation_2, rad', p: 'translation_1, m', q: 'translation_2, m'"
-    seen = "x: 'x_1, m', y: 'y_1, m', z: 'z_1, m', u: 'x_2, m', v: 'y_2, m', w: 'z_2, m'"
-    found = mapped(tmp_path, f"tips: own.csv\ncolumns: {{{columns}, {seen}}}\n")
-    assert any("sensors 1 and 2 of the tip never appear in one row" in each for each in found.remarks)
+    observed = "x: 'x_1, m', y: 'y_1, m', z: 'z_1, m', u: 'x_2, m', v: 'y_2, m', w: 'z_2, m'"
+    result = mapped(tmp_path, f"tips: own.csv\ncolumns: {{{columns}, {observed}}}\n")
+    assert any("sensors 1 and 2 of the tip never appear in one row" in each for each in result.remarks)
 
 
 def test_noisy_sensors_within_the_thickness_of_the_arm_are_no_reference() -> None:
     """Three sensors, one in each tube of an eccentric robot, with noise of 0.6 mm."""
     robot_of = load_robot("configs/robots/thesis_etr.yaml")
-    found = load_measurements("configs/experiments/synthetic_etr.csv", robot_of)
-    assert found.sensors.shape[1] == 3
-    assert not any("name it by reference" in each for each in found.remarks)
+    result = load_measurements("configs/experiments/synthetic_etr.csv", robot_of)
+    assert result.sensors.shape[1] == 3
+    assert not any("name it by reference" in each for each in result.remarks)

@@ -22,24 +22,24 @@ PLACE = st.floats(-1.0, 1.0)
 @given(st.tuples(ANGLE, ANGLE, ANGLE), st.tuples(PLACE, PLACE, PLACE))
 def test_a_rigid_motion_is_recovered_exactly(turn: tuple[float, ...], place: tuple[float, ...]) -> None:
     motion = Rotation.from_rotvec(turn)
-    found = register(motion.apply(POINTS) + place, POINTS)
-    np.testing.assert_allclose(found.rotation @ motion.as_matrix(), np.eye(3), atol=1e-13)
-    np.testing.assert_allclose(found.apply(motion.apply(POINTS) + place), POINTS, atol=1e-14)
+    result = register(motion.apply(POINTS) + place, POINTS)
+    np.testing.assert_allclose(result.rotation @ motion.as_matrix(), np.eye(3), atol=1e-13)
+    np.testing.assert_allclose(result.apply(motion.apply(POINTS) + place), POINTS, atol=1e-14)
 
 
 def test_points_in_a_plane_are_turned_and_not_mirrored() -> None:
     flat = POINTS * [1.0, 1.0, 0.0]
     motion = Rotation.from_rotvec([0.3, -2.0, 1.0])
-    found = register(motion.apply(flat), flat)
-    np.testing.assert_allclose(found.rotation, motion.as_matrix().T, atol=1e-12)
+    result = register(motion.apply(flat), flat)
+    np.testing.assert_allclose(result.rotation, motion.as_matrix().T, atol=1e-12)
     mirrored = register(POINTS * [-1.0, 1.0, 1.0], POINTS)
     assert np.linalg.det(mirrored.rotation) == pytest.approx(1.0)
 
 
 def test_no_other_motion_is_closer() -> None:
     measured = POINTS + RANDOM.normal(0, 2e-3, POINTS.shape)
-    found = register(measured, POINTS)
-    best = ((found.apply(measured) - POINTS) ** 2).sum()
+    result = register(measured, POINTS)
+    best = ((result.apply(measured) - POINTS) ** 2).sum()
 
     def squares(x: np.ndarray) -> float:
         moved = Rotation.from_rotvec(x[:3]).apply(measured) + x[3:] * 0.1
@@ -62,14 +62,14 @@ def test_the_yaw_about_a_known_base_is_recovered_exactly(
     up, _ = Rotation.align_vectors([axis], [[0.0, 0.0, 1.0]])
     to_device = up * Rotation.from_rotvec([0.0, 0.0, yaw])
     measured = to_device.apply(POINTS) + place
-    found = register(measured, POINTS, "base-axis", base=BasePose(place, axis))
-    np.testing.assert_allclose(found.apply(measured), POINTS, atol=1e-12)
+    result = register(measured, POINTS, "base-axis", base=BasePose(place, axis))
+    np.testing.assert_allclose(result.apply(measured), POINTS, atol=1e-12)
 
 
 @pytest.mark.parametrize("z", [1.0, -1.0])
 def test_an_axis_along_or_against_z(z: float) -> None:
-    found = register(POINTS * [1.0, z, z], POINTS, "base-axis", base=BasePose(axis=(0.0, 0.0, z)))
-    np.testing.assert_allclose(found.apply(POINTS * [1.0, z, z]), POINTS, atol=1e-14)
+    result = register(POINTS * [1.0, z, z], POINTS, "base-axis", base=BasePose(axis=(0.0, 0.0, z)))
+    np.testing.assert_allclose(result.apply(POINTS * [1.0, z, z]), POINTS, atol=1e-14)
 
 
 @pytest.mark.parametrize("angle", [60.0, 120.0, 180.0])
@@ -78,22 +78,22 @@ def test_directions_decide_the_yaw_where_an_axis_is_wrong(angle: float) -> None:
     directions = RANDOM.normal(size=POINTS.shape) * [1.0, 1.0, 0.2]
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     off = Rotation.from_euler("x", angle, degrees=True).apply([0.0, 0.0, 1.0])
-    found = register(
+    result = register(
         POINTS, POINTS, "base-axis", base=BasePose(axis=tuple(off)), directions=Directions(directions, directions)
     )
-    np.testing.assert_allclose(found.rotation @ off, [0.0, 0.0, 1.0], atol=1e-9)
+    np.testing.assert_allclose(result.rotation @ off, [0.0, 0.0, 1.0], atol=1e-9)
 
 
 def test_yaw_and_tilt() -> None:
-    found = register(Rotation.from_euler("z", -30, degrees=True).apply(POINTS), POINTS)
-    assert np.degrees([found.yaw, found.tilt]) == pytest.approx([30.0, 0.0], abs=1e-6)
-    found = register(Rotation.from_euler("x", 20, degrees=True).apply(POINTS), POINTS)
-    assert np.degrees([found.yaw, found.tilt]) == pytest.approx([0.0, 20.0], abs=1e-9)
+    result = register(Rotation.from_euler("z", -30, degrees=True).apply(POINTS), POINTS)
+    assert np.degrees([result.yaw, result.tilt]) == pytest.approx([30.0, 0.0], abs=1e-6)
+    result = register(Rotation.from_euler("x", 20, degrees=True).apply(POINTS), POINTS)
+    assert np.degrees([result.yaw, result.tilt]) == pytest.approx([0.0, 20.0], abs=1e-9)
 
 
 def test_none_leaves_everything_where_it_is() -> None:
-    found = register(POINTS + 1.0, POINTS, "none")
-    np.testing.assert_array_equal(found.apply(POINTS), POINTS)
+    result = register(POINTS + 1.0, POINTS, "none")
+    np.testing.assert_array_equal(result.apply(POINTS), POINTS)
 
 
 def test_what_cannot_be_told_is_refused() -> None:

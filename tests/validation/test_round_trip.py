@@ -46,15 +46,15 @@ def recording(robot: Robot, *, poses: bool = True, count: int = 14) -> Measureme
     for tubes in robot.moving_together if isinstance(robot, ConcentricRobot) else ():
         if min(robot.tubes[i].straight_length for i in tubes) > 5 * MM:
             shift[:, list(tubes)] += (2e-3 + 1e-3 * np.sin(0.8 * phase + len(tubes)))[:, None]
-    found = solve_poses(robot, rotations, shift, np.zeros(1))
-    tips = (found.position[:, 0] + found.frame @ [1 * MM, 2 * MM, -3 * MM]) @ TURN.T + BASE
+    result = solve_poses(robot, rotations, shift, np.zeros(1))
+    tips = (result.position[:, 0] + result.frame @ [1 * MM, 2 * MM, -3 * MM]) @ TURN.T + BASE
     wobble = Rotation.from_rotvec(random.normal([0.05, -0.03, 0.0], 0.01, (count, 3))).as_matrix()
     return Measurements(
         rotations,
         shift,
         tips + random.normal(0, 0.2 * MM, tips.shape),
         time=time,
-        orientation=TURN @ found.frame @ wobble if poses else None,
+        orientation=TURN @ result.frame @ wobble if poses else None,
         source="a way",
     )
 
@@ -63,11 +63,11 @@ def check_saved_fit(robot: Robot, m: Measurements, names: tuple[str, ...], optio
     """Assert that the saved robot has the errors of the fit, row by row."""
     chosen = choose_parameters(robot, m, names, options.registration)
     problem = FitProblem(ArmModel(robot, m, chosen, options.registration, options.base), options)
-    found = problem.answer(m, lambda done, total: None)
-    found.robot.save(folder / "robot.yaml")
+    result = problem.answer(m, lambda done, total: None)
+    result.robot.save(folder / "robot.yaml")
     again = validate(load_robot(folder / "robot.yaml"), m)
     np.testing.assert_allclose(again.along, distances(problem.model, problem.fit.residuals)[0], atol=ALIKE)
-    np.testing.assert_allclose(found.after.along, again.along, atol=1e-9)
+    np.testing.assert_allclose(result.after.along, again.along, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -108,35 +108,35 @@ def test_a_fit_comes_back_by_least_squares_too() -> None:
     """The registration of a fit is the least-squares one: without the saved one the errors are the same."""
     robot = load_robot(CONFIGS / "robots" / "two_tube.yaml")
     m = recording(robot)
-    found = fit(robot, m, ["curvature", "sensor_offset_all", "sensor_tilt_all"], FitOptions(folds=0))
-    anew = validate(found.robot, m, registration="rigid")
-    np.testing.assert_allclose(anew.along, found.after.along, atol=ALIKE)
+    fitted = fit(robot, m, ["curvature", "sensor_offset_all", "sensor_tilt_all"], FitOptions(folds=0))
+    anew = validate(fitted.robot, m, registration="rigid")
+    np.testing.assert_allclose(anew.along, fitted.after.along, atol=ALIKE)
     # Without the sensor where it was found to be the tips are off by what it is off.
-    calibration = found.robot.calibration
+    calibration = fitted.robot.calibration
     assert calibration is not None
-    bare = replace(found.robot, calibration=replace(calibration, sensor_offset=(0.0, 0.0, 0.0)))
-    assert validate(bare, m, registration="saved").summary.rms > 2 * found.after.summary.rms
+    bare = replace(fitted.robot, calibration=replace(calibration, sensor_offset=(0.0, 0.0, 0.0)))
+    assert validate(bare, m, registration="saved").summary.rms > 2 * fitted.after.summary.rms
 
 
 def test_effects_that_pay_come_back(tmp_path: Path) -> None:
     robot = load_robot(CONFIGS / "robots" / "two_tube.yaml")
     m = recording(robot, count=40)
-    found = compare_effects(robot, m, ["sensor_offset", "sensor_tilt", "latency"], FitOptions(folds=5))
-    assert found.fit is not None
-    found.fit.robot.save(tmp_path / "robot.yaml")
+    result = compare_effects(robot, m, ["sensor_offset", "sensor_tilt", "latency"], FitOptions(folds=5))
+    assert result.fit is not None
+    result.fit.robot.save(tmp_path / "robot.yaml")
     again = validate(load_robot(tmp_path / "robot.yaml"), m)
-    assert again.summary.rms == pytest.approx(found.fit.after.summary.rms, abs=1e-9)
+    assert again.summary.rms == pytest.approx(result.fit.after.summary.rms, abs=1e-9)
 
 
 def test_a_saved_registration_belongs_to_its_recording() -> None:
     robot = load_robot(CONFIGS / "robots" / "two_tube.yaml")
     m = recording(robot, poses=False)
-    found = fit(robot, m, ["curvature"], FitOptions(folds=0))
-    assert validate(found.robot, m).registration.method == "saved"
+    fitted = fit(robot, m, ["curvature"], FitOptions(folds=0))
+    assert validate(fitted.robot, m).registration.method == "saved"
     moved = replace(m, sensors=m.sensors + 0.1)  # the device stands elsewhere
-    assert validate(found.robot, moved).registration.method == "rigid"
-    assert validate(found.robot, moved).summary.rms == pytest.approx(found.after.summary.rms)
-    assert validate(found.robot, moved, registration="saved").summary.rms > 0.1
+    assert validate(fitted.robot, moved).registration.method == "rigid"
+    assert validate(fitted.robot, moved).summary.rms == pytest.approx(fitted.after.summary.rms)
+    assert validate(fitted.robot, moved, registration="saved").summary.rms > 0.1
     with pytest.raises(InputError, match="registration is 'saved', but the robot's"):
         validate(robot, m, registration="saved")
 
@@ -155,23 +155,23 @@ def test_what_is_saved_of_a_measurement_changes_no_joint_value() -> None:
 def test_straight_tubes_are_left_out_with_the_reason() -> None:
     robot = load_robot(CONFIGS / "robots" / "straight_sheath_ctr.yaml")
     m = recording(robot)
-    found = fit(robot, m, ["friction_all", "curvature_3", "curved_length_3"], QUICK)
-    assert [e.held for e in found.estimates] == [False, False, True, True]
-    assert "curvature_3 has no influence on the tips and was left out: tube 3 has no curved part" in found.remarks
+    fitted = fit(robot, m, ["friction_all", "curvature_3", "curved_length_3"], QUICK)
+    assert [e.held for e in fitted.estimates] == [False, False, True, True]
+    assert "curvature_3 has no influence on the tips and was left out: tube 3 has no curved part" in fitted.remarks
     compared = compare_effects(robot, m, ["friction", "curvature"], FitOptions(folds=4))
     assert any(remark.startswith("curvature_3 has no influence") for remark in compared.remarks)
     inside = replace(m, translations=m.translations - [0.0, 0.0, 5 * MM])
-    found = fit(robot, inside, ["friction_all"], QUICK)
-    assert found.estimates[1].held
-    assert any("friction_2" in remark and "nowhere in front of the plate" in remark for remark in found.remarks)
+    fitted = fit(robot, inside, ["friction_all"], QUICK)
+    assert fitted.estimates[1].held
+    assert any("friction_2" in remark and "nowhere in front of the plate" in remark for remark in fitted.remarks)
 
 
 def test_robots_of_straight_tubes_only_can_be_compared() -> None:
-    given = load_robot(CONFIGS / "robots" / "straight_sheath_ctr.yaml")
-    assert isinstance(given, ConcentricRobot)
-    straight = replace(given, tubes=tuple(replace(tube, curvature=0.0) for tube in given.tubes))
+    inputs = load_robot(CONFIGS / "robots" / "straight_sheath_ctr.yaml")
+    assert isinstance(inputs, ConcentricRobot)
+    straight = replace(inputs, tubes=tuple(replace(tube, curvature=0.0) for tube in inputs.tubes))
     random = np.random.default_rng(0)
-    rows = recording(given, poses=False)
+    rows = recording(inputs, poses=False)
     m = replace(rows, sensors=random.normal(0, 0.01, (len(rows), 1, 3)))
     compared = compare_effects(straight, m, (), FitOptions(folds=4, registration="none"))
     assert any("all tubes are straight" in remark or "no curved part" in remark for remark in compared.remarks)

@@ -63,10 +63,10 @@ def test_play_lets_the_drive_turn_before_the_tube_follows() -> None:
 def test_what_is_wrong_with_the_drives_is_found_within_the_intervals() -> None:
     hits = dict.fromkeys(TRUTH, 0)
     for seed in range(6):
-        found = fit(robot(), driven(seed=seed), NAMES, FitOptions(folds=0))
-        for e in found.estimates:
+        fitted = fit(robot(), driven(seed=seed), NAMES, FitOptions(folds=0))
+        for e in fitted.estimates:
             hits[e.name] += bool(e.low <= TRUTH[e.name] <= e.high)
-        assert found.noise == pytest.approx(0.3 * MM, rel=0.1)
+        assert fitted.noise == pytest.approx(0.3 * MM, rel=0.1)
     assert min(hits.values()) >= 5, hits
     assert sum(hits.values()) >= 32
 
@@ -83,26 +83,26 @@ def test_slopes_around_a_fit_stand_in_the_order_of_the_parameters_asked_for() ->
 
 def test_the_calibrated_robot_predicts_by_itself() -> None:
     m = driven()
-    found = fit(robot(), m, NAMES)
-    assert found.robot.calibration is not None
-    assert found.robot.calibration.latency == pytest.approx(0.09, abs=0.01)
-    assert "300 rows of a way" in found.robot.calibration.found_by
-    again = validate(found.robot, m)
-    assert again.summary.rms == pytest.approx(found.after.summary.rms, rel=1e-3)
-    assert found.held_out is not None
-    assert found.after.summary.rms < found.held_out.rms < 1.1 * found.after.summary.rms
-    assert found.before.parity is not None
-    assert found.after.parity is not None
-    assert found.before.parity.history > 1.5 * found.after.parity.history
+    fitted = fit(robot(), m, NAMES)
+    assert fitted.robot.calibration is not None
+    assert fitted.robot.calibration.latency == pytest.approx(0.09, abs=0.01)
+    assert "300 rows of a way" in fitted.robot.calibration.found_by
+    again = validate(fitted.robot, m)
+    assert again.summary.rms == pytest.approx(fitted.after.summary.rms, rel=1e-3)
+    assert fitted.held_out is not None
+    assert fitted.after.summary.rms < fitted.held_out.rms < 1.1 * fitted.after.summary.rms
+    assert fitted.before.parity is not None
+    assert fitted.after.parity is not None
+    assert fitted.before.parity.history > 1.5 * fitted.after.parity.history
 
 
 @pytest.mark.filterwarnings("ignore::tubeopt.errors.ImplausibleWarning")  # turns of the recording
 def test_gains_do_not_depend_on_the_turn_that_a_recording_counts_from() -> None:
     m = driven(count=150)
-    found = fit(robot(), m, ["rotation_2", "rotation_gain_all"], FitOptions(folds=0))
+    fitted = fit(robot(), m, ["rotation_2", "rotation_gain_all"], FitOptions(folds=0))
     for turns in ([1, 0], [0, -2], [-3, 1]):
         elsewhere = replace(m, rotations=m.rotations + 2 * np.pi * np.array(turns))
-        assert validate(found.robot, elsewhere).summary.rms == pytest.approx(found.after.summary.rms, rel=1e-9)
+        assert validate(fitted.robot, elsewhere).summary.rms == pytest.approx(fitted.after.summary.rms, rel=1e-9)
         alone = [fit(robot(), each, ["rotation_gain_all"], FitOptions(folds=0)) for each in (m, elsewhere)]
         assert alone[1].after.summary.rms == pytest.approx(alone[0].after.summary.rms, rel=1e-6)
     # A reading is the same joint value in commands as in the recording.
@@ -135,9 +135,9 @@ def test_rows_of_a_recording_have_the_same_errors_wherever_it_begins() -> None:
     wrapped = (read + np.pi) % (2 * np.pi) - np.pi
     for rows in (slice(0, 53), slice(40, 160), slice(80, 160), slice(107, 160)):
         part = whole.rows(rows)
-        found = validate(calibrated, part, registration="none")
-        assert found.summary.max < 1e-9
-        assert not found.remarks
+        result = validate(calibrated, part, registration="none")
+        assert result.summary.max < 1e-9
+        assert not result.remarks
         # Counters that begin elsewhere, and angles that do not count turns.
         for rotations, marks in (
             (part.rotations + np.array([4 * np.pi, 0.0]), ()),
@@ -155,10 +155,10 @@ def test_two_counters_that_were_set_to_zero_elsewhere_are_found_together() -> No
     tips = tips_at(read * [1.03, 0.96])
     for turns in ((1, -2), (-3, 2), (0, 1)):
         m = Measurements(read + 2 * np.pi * np.array(turns), np.zeros((60, 2)), tips, time=time)
-        found = validate(calibrated, m, registration="none")
-        assert found.summary.max < 1e-9
-        words = [f"{-360 * turn:+.0f} deg of rotation_{k}" for k, turn in enumerate(turns, start=1) if turn]
-        assert f"readings fit best with {' and '.join(words)}: 0.00 mm" in found.remarks[0]
+        result = validate(calibrated, m, registration="none")
+        assert result.summary.max < 1e-9
+        text = [f"{-360 * turn:+.0f} deg of rotation_{k}" for k, turn in enumerate(turns, start=1) if turn]
+        assert f"readings fit best with {' and '.join(text)}: 0.00 mm" in result.remarks[0]
 
 
 def test_a_counter_stays_as_it_was_read_where_another_turn_fits_little_better() -> None:
@@ -167,11 +167,11 @@ def test_a_counter_stays_as_it_was_read_where_another_turn_fits_little_better() 
     read = np.column_stack([np.linspace(-1.0, 1.0, 60), 0.3 * np.sin(time)])
     turn = 2 * np.pi * 0.03
     calibrated = replace(robot(), calibration=Calibration((0.0, 0.0), (0.0, 0.0), (1.03, 1.0), (1.0, 1.0), (0.0, 0.0)))
-    for share, kept in ((0.3, 0.3), (0.6, 0.6), (0.9, 0.1)):
-        tips = tips_at(read * [1.03, 1.0] + [share * turn, 0.0])
+    for fraction, retained in ((0.3, 0.3), (0.6, 0.6), (0.9, 0.1)):
+        tips = tips_at(read * [1.03, 1.0] + [fraction * turn, 0.0])
         m = Measurements(read, np.zeros((60, 2)), tips, time=time)
         error = validate(calibrated, m, registration="none").summary.rms
-        off = tips_at(read * [1.03, 1.0] + [(share - kept) * turn, 0.0])
+        off = tips_at(read * [1.03, 1.0] + [(fraction - retained) * turn, 0.0])
         assert error == pytest.approx(np.sqrt(((tips - off) ** 2).sum(1).mean()), rel=0.05)
 
 
@@ -208,12 +208,12 @@ def test_a_shadow_of_two_effects_is_not_taken_for_them_and_what_is_told_is_of_th
     tips = in_device(poses(soft, drives, read).position[:, 0])
     noisy = tips + np.random.default_rng(3).normal(0, 0.2 * MM, tips.shape)
     c = compare_effects(robot(), Measurements(read[:, :2], read[:, 2:], noisy, time=time), tried)
-    kept, refused = [step.effect for step in c.steps], [step.effect for step in c.refused]
-    assert set(kept) == {"rotation_gain", "torsional_stiffness"}
-    assert sorted(kept + refused) == sorted(tried)
+    retained, refused = [step.effect for step in c.steps], [step.effect for step in c.refused]
+    assert set(retained) == {"rotation_gain", "torsional_stiffness"}
+    assert sorted(retained + refused) == sorted(tried)
     assert set(c.dropped) <= set(refused)
     assert c.fit is not None
-    assert {e.name.rsplit("_", 1)[0] for e in c.fit.estimates} == set(kept)
+    assert {e.name.rsplit("_", 1)[0] for e in c.fit.estimates} == set(retained)
     rivals = {name for step in c.steps for name in step.rivals}
     assert rivals <= set(refused)
     assert all(step.gain < 0.005 for step in c.refused)
@@ -232,7 +232,7 @@ def test_sets_cost_what_full_fits_to_the_other_folds_lose() -> None:
         fold=fold,
         numbers=180,
         kinds=("a", "a", "b", "c"),
-        there=frozenset({"a"}),
+        base=frozenset({"a"}),
         absent=nothing,
         drawn=nothing,
         prior=np.full(4, np.inf),
@@ -254,16 +254,16 @@ def test_sets_cost_what_full_fits_to_the_other_folds_lose() -> None:
 
 def test_a_comparison_in_the_plate_s_frame_begins_with_nothing_to_fit() -> None:
     m = driven(trivial(latency=0.09), count=150, noise=0.2 * MM)
-    here = replace(m, sensors=(m.sensors - BASE) @ TURN)
-    c = compare_effects(robot(), here, ["latency", "plate_shift"], FitOptions(folds=4, registration="none"))
+    current = replace(m, sensors=(m.sensors - BASE) @ TURN)
+    c = compare_effects(robot(), current, ["latency", "plate_shift"], FitOptions(folds=4, registration="none"))
     assert [step.effect for step in c.steps] == ["latency"]
 
 
 def test_play_is_told_from_latency_only_with_care() -> None:
     m = driven(trivial(latency=0.09))
-    found = fit(robot(), m, ["latency"], FitOptions(folds=0))
-    said = [remark for remark in found.remarks if "hardly be distinguished from rotation_play" in remark]
-    assert all("slowly and once fast" in remark for remark in said)
+    fitted = fit(robot(), m, ["latency"], FitOptions(folds=0))
+    output = [remark for remark in fitted.remarks if "hardly be distinguished from rotation_play" in remark]
+    assert all("slowly and once fast" in remark for remark in output)
 
 
 def test_outliers_do_not_move_a_robust_fit() -> None:
@@ -285,14 +285,14 @@ def test_outliers_do_not_move_a_robust_fit() -> None:
 
 def test_rows_of_the_way_back_are_in_the_fold_of_the_way_there() -> None:
     m = driven()
-    found = passes(m)
-    there = np.arange(150)
-    back = len(m) - 1 - there
+    result = passes(m)
+    reached = np.arange(150)
+    back = len(m) - 1 - reached
     fold = deal(m, 10)
-    assert (fold[there[:140]] == fold[back[:140]]).mean() > 0.97
+    assert (fold[reached[:140]] == fold[back[:140]]).mean() > 0.97
     assert np.bincount(fold).min() > 20
-    assert len(found.pairs) > 130
-    np.testing.assert_allclose(found.pairs.sum(1), len(m) - 1, atol=2)
+    assert len(result.pairs) > 130
+    np.testing.assert_allclose(result.pairs.sum(1), len(m) - 1, atol=2)
 
 
 def test_folds_are_blocks_of_time_where_the_way_is_new() -> None:
@@ -326,16 +326,16 @@ def test_directions_tell_the_sensor_s_axis_and_weigh_by_their_noise() -> None:
     frames = poses(robot(), trivial(rotation_offsets=(0.0, 0.1)), joints(m.time, m.time[-1])).frame
     shaken = Rotation.from_rotvec(np.random.default_rng(1).normal(0, np.radians(0.5), (len(m), 3))).as_matrix()
     sideways = np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0]], dtype=float)  # its -x axis points along the tube
-    seen = TURN @ shaken @ frames @ sideways
-    seen[5] = np.nan
-    found = fit(robot(), replace(m, orientation=seen), ["rotation_2"], FitOptions(folds=3))
-    assert found.after.axis_errors is not None
-    assert np.isnan(found.after.axis_errors).sum() == 1
-    assert np.sqrt(np.nanmean(found.after.axis_errors**2)) < np.radians(1.0)
-    assert found.axis_noise == pytest.approx(np.radians(0.5), rel=0.15)
-    assert found.noise == pytest.approx(0.2 * MM, rel=0.1)
+    observed = TURN @ shaken @ frames @ sideways
+    observed[5] = np.nan
+    fitted = fit(robot(), replace(m, orientation=observed), ["rotation_2"], FitOptions(folds=3))
+    assert fitted.after.axis_errors is not None
+    assert np.isnan(fitted.after.axis_errors).sum() == 1
+    assert np.sqrt(np.nanmean(fitted.after.axis_errors**2)) < np.radians(1.0)
+    assert fitted.axis_noise == pytest.approx(np.radians(0.5), rel=0.15)
+    assert fitted.noise == pytest.approx(0.2 * MM, rel=0.1)
     plain = fit(robot(), m, ["rotation_2"], FitOptions(folds=0))
-    assert found.estimates[0].standard_error < plain.estimates[0].standard_error
+    assert fitted.estimates[0].standard_error < plain.estimates[0].standard_error
 
 
 def test_sensors_along_the_arm_and_such_as_do_not_see() -> None:
@@ -349,10 +349,10 @@ def test_sensors_along_the_arm_and_such_as_do_not_see() -> None:
     both = along @ TURN.T
     both[7, 0] = np.nan
     both[8, 1] = np.nan
-    found = validate(robot(), replace(m, sensors=both, behind=behind))
-    assert np.nanmax(found.along) < 1e-9
-    assert np.argwhere(np.isnan(found.along)).tolist() == [[7, 0], [8, 1]]
-    assert found.summary.count == 59
+    result = validate(robot(), replace(m, sensors=both, behind=behind))
+    assert np.nanmax(result.along) < 1e-9
+    assert np.argwhere(np.isnan(result.along)).tolist() == [[7, 0], [8, 1]]
+    assert result.summary.count == 59
 
 
 def test_what_no_configuration_determines_is_said() -> None:
@@ -365,9 +365,9 @@ def test_what_no_configuration_determines_is_said() -> None:
 def test_tubes_of_equal_length_are_measured_where_they_move_together(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tubeopt.validation.identifiability.CANDIDATES", 24)
     two = load_robot("configs/robots/two_tube.yaml")
-    found = where_to_measure(two, ["rotation_1", "curvature_1"], 4, seed=2)
-    assert np.allclose(found.translations[:, 0], found.translations[:, 1], rtol=0, atol=1e-12)
-    assert np.ptp(found.translations[:, 0]) > 1 * MM
+    result = where_to_measure(two, ["rotation_1", "curvature_1"], 4, seed=2)
+    assert np.allclose(result.translations[:, 0], result.translations[:, 1], rtol=0, atol=1e-12)
+    assert np.ptp(result.translations[:, 0]) > 1 * MM
 
 
 def test_room_between_the_tubes_is_found_like_any_other_effect() -> None:
@@ -376,10 +376,10 @@ def test_room_between_the_tubes_is_found_like_any_other_effect() -> None:
     tips = poses(loose, trivial(), read).position[:, 0]
     noisy = in_device(tips + np.random.default_rng(0).normal(0, 0.1 * MM, tips.shape))
     data = Measurements(read[:, :2], read[:, 2:], noisy)
-    found = compare_effects(robot(), data, ("clearance", "curvature"), FitOptions(folds=4))
-    assert found.chosen == ("clearance_1",)
-    assert found.fit is not None
-    (estimate,) = found.fit.estimates
+    result = compare_effects(robot(), data, ("clearance", "curvature"), FitOptions(folds=4))
+    assert result.chosen == ("clearance_1",)
+    assert result.fit is not None
+    (estimate,) = result.fit.estimates
     assert estimate.low < truth < estimate.high < 1.2 * truth
 
 
@@ -387,9 +387,9 @@ def test_what_is_held_out_to_first_order_is_what_is_held_out() -> None:
     data, options = driven(count=150), FitOptions(priors=True)
     chosen = choose_parameters(robot(), data, NAMES)
     problem = FitProblem(ArmModel(robot(), data, chosen), options)
-    fold = deal(data, 6, passes(data).place)
+    fold = deal(data, 6, passes(data).group)
     exact = hold_out(problem.model, problem.weights(), problem.fit, fold)
-    told = predicted_held_out(problem.model, problem.weights(), problem.fit, fold)
+    report = predicted_held_out(problem.model, problem.weights(), problem.fit, fold)
     moved = np.linalg.norm(exact - problem.fit.residuals, axis=1)
     assert moved.max() > 0.05 * MM
-    assert np.linalg.norm(told - exact, axis=1).max() < 0.05 * moved.max()
+    assert np.linalg.norm(report - exact, axis=1).max() < 0.05 * moved.max()

@@ -106,14 +106,14 @@ def test_the_same_seed_gives_the_same_values() -> None:
 
 @pytest.mark.parametrize("robot", ROBOTS[:4], ids=lambda robot: robot.name)
 def test_tips_are_those_of_forward_kinematics(robot: Robot) -> None:
-    found = workspace(robot, 64)
-    assert len(found) == 64
-    assert found.converged.all()
+    space = workspace(robot, 64)
+    assert len(space) == 64
+    assert space.converged.all()
     for k in range(0, 64, 9):
-        pose = forward_kinematics(robot, found.rotations[k], found.translations[k])
-        assert found.tip_position[k] == pytest.approx(pose.tip_position, abs=1e-8)
-        assert found.tip_direction[k] == pytest.approx(pose.tip_rotation[:, 2], abs=1e-7)
-        assert found.margin[k] == pytest.approx(pose.margin, abs=1e-6)
+        pose = forward_kinematics(robot, space.rotations[k], space.translations[k])
+        assert space.tip_position[k] == pytest.approx(pose.tip_position, abs=1e-8)
+        assert space.tip_direction[k] == pytest.approx(pose.tip_rotation[:, 2], abs=1e-7)
+        assert space.margin[k] == pytest.approx(pose.margin, abs=1e-6)
 
 
 # --- volumes ----------------------------------------------------------------------------------------------------------
@@ -170,19 +170,19 @@ def test_dexterity_counts_directions() -> None:
     directions = random.normal(size=(20_000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     assert np.bincount(patch_of(directions), minlength=PATCHES) == pytest.approx(20_000 / PATCHES, rel=0.3)
-    here = np.full((20_000, 3), 0.05)
-    assert voxels(cloud(here, directions), 0.1).dexterity.tolist() == [1.0]
-    assert voxels(cloud(here), 0.1).dexterity.tolist() == [1 / PATCHES]
+    current = np.full((20_000, 3), 0.05)
+    assert voxels(cloud(current, directions), 0.1).dexterity.tolist() == [1.0]
+    assert voxels(cloud(current), 0.1).dexterity.tolist() == [1 / PATCHES]
 
 
 def test_only_stable_enough_tips_count() -> None:
     points = ball(1000)
-    found = cloud(points)
-    found.table[500:, -1] = 0.1
-    assert voxels(found, 0.2, min_margin=0.5).samples == 500
-    assert voxels(found, 0.2).count.sum() == 1000
+    result = cloud(points)
+    result.table[500:, -1] = 0.1
+    assert voxels(result, 0.2, min_margin=0.5).samples == 500
+    assert voxels(result, 0.2).count.sum() == 1000
     with pytest.raises(InputError, match="no sample has"):
-        voxels(found, min_margin=2.0)
+        voxels(result, min_margin=2.0)
 
 
 def test_flat_workspaces_have_voxels_and_no_alpha_shape() -> None:
@@ -203,11 +203,11 @@ def test_the_volume_of_a_robot_that_is_known(method: str) -> None:
         (Tube(1e-3, 0.8e-3, 0.25, arc, kappa), Tube(2e-3, 1.2e-3, 0.1, 0.15, 0.0, rigid)),
     )
     side = (1 - np.cos(kappa * arc)) / kappa
-    found = workspace(robot, 20_000, method=method)
-    assert np.hypot(*found.tip_position[:, :2].T).max() <= side + 1e-9
+    space = workspace(robot, 20_000, method=method)
+    assert np.hypot(*space.tip_position[:, :2].T).max() <= side + 1e-9
     truth = np.pi * side**2 * travel
-    assert meridian_volume(found).value == pytest.approx(truth, rel=0.12)
-    by_voxels = voxel_volume(found, 0.01 if method != "grid" else 0.02)
+    assert meridian_volume(space).value == pytest.approx(truth, rel=0.12)
+    by_voxels = voxel_volume(space, 0.01 if method != "grid" else 0.02)
     assert abs(by_voxels.value - truth) < by_voxels.surface + by_voxels.unseen
 
 
@@ -222,13 +222,13 @@ def test_equilibria_from_tips_are_equilibria(seed: int) -> None:
     low = np.array([-tube.curved_length for tube in robot.tubes])
     high = np.array([tube.straight_length for tube in robot.tubes])
     shifts = random.uniform(low, high, (8, 3))
-    found = from_tips(robot, tips, shifts)
+    result = from_tips(robot, tips, shifts)
     for k in range(8):
-        all_of_them = find_equilibria(robot, found.rotations[k], shifts[k])
-        nearest = min(all_of_them, key=lambda e: float(np.linalg.norm(e.tip_position - found.tip_position[k])))
-        assert nearest.tip_position == pytest.approx(found.tip_position[k], abs=1e-6)
-        assert nearest.tip_rotation[:, 2] == pytest.approx(found.tip_direction[k], abs=1e-5)
-        assert nearest.stable == found.stable[k] or abs(nearest.margin) < 1e-4
+        all_of_them = find_equilibria(robot, result.rotations[k], shifts[k])
+        nearest = min(all_of_them, key=lambda e: float(np.linalg.norm(e.tip_position - result.tip_position[k])))
+        assert nearest.tip_position == pytest.approx(result.tip_position[k], abs=1e-6)
+        assert nearest.tip_rotation[:, 2] == pytest.approx(result.tip_direction[k], abs=1e-5)
+        assert nearest.stable == result.stable[k] or abs(nearest.margin) < 1e-4
 
 
 def test_the_thesis_robot_loses_its_straight_shapes() -> None:
@@ -273,9 +273,9 @@ def test_a_file_holds_the_same_and_goes_on_where_it_was_cut(tmp_path: Path) -> N
         file.write_bytes(content[:cut])
         with pytest.raises(InputError, match="missing or not finished"):
             load_workspace(CRL, tmp_path)
-        seen: list[int] = []
-        workspace(CRL, 4200, out=tmp_path, progress=lambda done, total, seen=seen: seen.append(done))
-        assert seen[0] == max(0, (cut - 128) // (8 * 13))
+        observed: list[int] = []
+        workspace(CRL, 4200, out=tmp_path, progress=lambda done, total, observed=observed: observed.append(done))
+        assert observed[0] == max(0, (cut - 128) // (8 * 13))
         assert file.read_bytes() == content
     assert np.array_equal(load_workspace(CRL, tmp_path).table, memory.table)
     for robot, count in ((THESIS, 4200), (CRL, 4201)):
@@ -309,12 +309,12 @@ def test_two_runs_in_a_directory_at_once_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_workspace_from_memory_is_saved_and_loaded(tmp_path: Path) -> None:
-    found = workspace(CRL, 50, method="random", seed=4)
-    save_workspace(replace(found, failures=((3, "no"),)), tmp_path)
+    space = workspace(CRL, 50, method="random", seed=4)
+    save_workspace(replace(space, failures=((3, "no"),)), tmp_path)
     again = load_workspace(CRL, tmp_path)
-    assert np.array_equal(again.table, found.table)
+    assert np.array_equal(again.table, space.table)
     assert (again.method, again.seed, again.failures) == ("random", 4, ((3, "no"),))
-    assert np.array_equal(workspace(CRL, 50, method="random", seed=4, out=tmp_path).table, found.table)
+    assert np.array_equal(workspace(CRL, 50, method="random", seed=4, out=tmp_path).table, space.table)
 
 
 GROWTH = """
@@ -387,9 +387,9 @@ def test_what_is_no_workspace_is_refused() -> None:
 @pytest.mark.parametrize("lossy", [False, True])
 def test_the_picture(tmp_path: Path, lossy: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     draw_quickly(monkeypatch)
-    found = workspace(CRL, 500)
-    loss = snapping_loss(CRL, 2048, reached=found) if lossy else None
-    figure = plot_workspace(found, tmp_path / "w.png", loss=loss)
+    space = workspace(CRL, 500)
+    loss = snapping_loss(CRL, 2048, reached=space) if lossy else None
+    figure = plot_workspace(space, tmp_path / "w.png", loss=loss)
     assert (tmp_path / "w.png").read_bytes().startswith(b"\x89PNG")
     assert len(figure.axes) == 6
 
@@ -397,28 +397,28 @@ def test_the_picture(tmp_path: Path, lossy: bool, monkeypatch: pytest.MonkeyPatc
 def turned(places: Array, directions: Array, margins: list[float], angles_deg: list[float]) -> Workspace:
     """A workspace of tips in the plane xz, each turned about z with its direction."""
     rows = np.zeros((len(places), 2 * CRL.n_tubes + 7))
-    for row, place, direction, margin, angle in zip(rows, places, directions, margins, angles_deg, strict=True):
+    for row, position, direction, margin, angle in zip(rows, places, directions, margins, angles_deg, strict=True):
         about_z = Rotation.from_euler("z", angle, degrees=True)
-        row[-7:-4], row[-4:-1], row[-1] = about_z.apply(place), about_z.apply(direction), margin
+        row[-7:-4], row[-4:-1], row[-1] = about_z.apply(position), about_z.apply(direction), margin
     return Workspace(CRL, "random", 0, rows)
 
 
 def test_a_section_has_the_smallest_margin_and_the_directions_in_its_half_plane() -> None:
     # Three tips in a cell 35 mm from the axis: two point upwards, one outwards. One far from them.
-    places = np.array([[0.035, 0, 0.105], [0.035, 0, 0.105], [0.035, 0, 0.105], [0.075, 0, 0.155]])
-    ways = np.array([[0.1, 0.02, 1.0], [0.1, 0.02, 1.0], [1.0, 0.02, 0.1], [1.0, 0.02, 0.1]])
-    found = _section(turned(places, ways, [0.9, 0.4, 0.7, 0.8], [0, 100, 200, 300]), 0.01)
-    assert found.first.tolist() == [3, 10]
-    assert (found.margin[0, 0], found.margin[-1, -1]) == (0.4, 0.8)
-    assert (found.dexterity[0, 0], found.dexterity[-1, -1]) == (2 / 64, 1 / 64)
-    assert np.isnan(found.margin).sum() == found.margin.size - 2
+    positions = np.array([[0.035, 0, 0.105], [0.035, 0, 0.105], [0.035, 0, 0.105], [0.075, 0, 0.155]])
+    paths = np.array([[0.1, 0.02, 1.0], [0.1, 0.02, 1.0], [1.0, 0.02, 0.1], [1.0, 0.02, 0.1]])
+    result = _section(turned(positions, paths, [0.9, 0.4, 0.7, 0.8], [0, 100, 200, 300]), 0.01)
+    assert result.first.tolist() == [3, 10]
+    assert (result.margin[0, 0], result.margin[-1, -1]) == (0.4, 0.8)
+    assert (result.dexterity[0, 0], result.dexterity[-1, -1]) == (2 / 64, 1 / 64)
+    assert np.isnan(result.margin).sum() == result.margin.size - 2
 
 
 def test_colours_of_a_section_span_the_margins_there_are() -> None:
-    found = workspace(CRL, 500)
-    figure = plot_workspace(found)
+    space = workspace(CRL, 500)
+    figure = plot_workspace(space)
     low, high = figure.axes[2].collections[0].get_clim()
-    assert low == pytest.approx(np.nanmin(found.margin), abs=1e-12)
+    assert low == pytest.approx(np.nanmin(space.margin), abs=1e-12)
     assert low < high <= 1.0
     drawn = figure.axes[2].collections[0].get_array().compressed()
     assert np.ptp(drawn) > 0.3
@@ -431,8 +431,8 @@ def test_the_command(run: Run, tmp_path: Path) -> None:
         run("workspace", CRL_FILE, "--samples", "3000", "--loss", "4096", "--voxel-mm", "20", "--out", out, "--json")
     )
     assert (data["samples"], data["without_equilibrium"], data["voxel_mm"]) == (3000, 0, 20)
-    found = voxels(workspace(CRL, 3000), 20 * MM)
-    assert data["voxels"] == len(found)
+    result = voxels(workspace(CRL, 3000), 20 * MM)
+    assert data["voxels"] == len(result)
     assert data["volume_cm3"] > 100
     assert data["snapping"]["equilibria"] == 4096
     assert sorted(path.name for path in Path(out).iterdir()) == [
@@ -450,9 +450,9 @@ def test_the_command(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize("count", [3, 50])
 def test_the_interval_of_a_loss_is_that_of_clopper_and_pearson(count: int) -> None:
     """Without a lost voxel it is 0 to 1 - (0.05 / 2)^(1 / N); where N equilibria tell little, it is wide."""
-    found = snapping_loss(TWO_TUBE, count, reached=workspace(TWO_TUBE, 4000))
-    assert found.lost.size == 0
-    low, high = found.interval
+    result = snapping_loss(TWO_TUBE, count, reached=workspace(TWO_TUBE, 4000))
+    assert result.lost.size == 0
+    low, high = result.interval
     assert low == 0.0
     assert high >= 1 - 0.025 ** (1 / count) - 1e-12
     assert high < 1.0
@@ -461,5 +461,5 @@ def test_the_interval_of_a_loss_is_that_of_clopper_and_pearson(count: int) -> No
 def test_default_voxels_make_the_uncertainty_contain_the_volume() -> None:
     """The body of revolution of many samples is the reference."""
     reference = meridian_volume(workspace(THESIS, 60_000), 3e-3)
-    found = voxel_volume(workspace(THESIS, 3000))
-    assert abs(found.value - reference.value) < found.surface < 0.6 * found.value
+    result = voxel_volume(workspace(THESIS, 3000))
+    assert abs(result.value - reference.value) < result.surface < 0.6 * result.value

@@ -77,7 +77,7 @@ def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
         )
     ]
     start = float(min_margin) if not symbolic(margin) else min(max(block.initial.margin - 0.1, 0.0), 0.9)
-    for column, value in zip(columns, jacobi_fields(block.begin, start), strict=True):
+    for column, value in zip(columns, jacobi_fields(block.initial_model, start), strict=True):
         block.program.set_guess(column, value)
     ratio, points, matrices = (ca.reshape(each, size, -1) for each, size in zip(columns, (n, rows, n), strict=True))
     after = ca.vertcat(ca.repmat(ca.DM.eye(n), 1, pieces), ca.horzcat(ratio, ca.DM.zeros(n, n)))
@@ -128,7 +128,7 @@ class CertificateBound:
         """Set the start of its unknowns to the eigenpair of the arm at the start."""
         if self.eigenvalue is None:
             return
-        eigenvalue, states = eigenpair(block.begin, self.force, self.pairs)
+        eigenvalue, states = eigenpair(block.initial_model, self.force, self.pairs)
         block.program.set_guess(self.eigenvalue, eigenvalue)
         block.program.set_guess(self.states, states.ravel(order="F"))
 
@@ -196,15 +196,15 @@ def _add_under_force(block: ComposedBlock[Any], min_margin: Any, force: float) -
     """
     model, program = block.model, block.program
     n, pieces = block.robot.n_tubes, model.n_pieces
-    pairs = _tighter_pairs(block.begin, force)
-    value, begin = eigenpair(block.begin, force, pairs)
+    pairs = _tighter_pairs(block.initial_model, force)
+    value, initial = eigenpair(block.initial_model, force, pairs)
     count = sum(bound.force > 0 for bound in block.bounds) + 1
     tag = f"{block.label}certificate under force{f' {count}' if count > 1 else ''}"
-    typical = np.maximum(np.abs(begin).max(1, keepdims=True), 1e-6 * np.abs(begin).max())
-    scale = np.broadcast_to(typical, begin.shape).ravel(order="F")
+    typical = np.maximum(np.abs(initial).max(1, keepdims=True), 1e-6 * np.abs(initial).max())
+    scale = np.broadcast_to(typical, initial.shape).ravel(order="F")
     eigenvalue = program.variable(f"{tag}: eigenvalue", 1, scale=value, guess=value)
-    flat = program.variable(f"{tag}: states", begin.size, scale=scale, guess=begin.ravel(order="F"))
-    states = ca.reshape(flat, *begin.shape)
+    flat = program.variable(f"{tag}: states", initial.size, scale=scale, guess=initial.ravel(order="F"))
+    states = ca.reshape(flat, *initial.shape)
     block.bounds.append(CertificateBound(min_margin, force, pairs, eigenvalue, flat))
     # Lever of the force: arc length from the end of each piece to the tip.
     lever = ca.DM(np.triu(np.ones((pieces, pieces)), 1)) @ model.lengths
@@ -220,13 +220,13 @@ def _add_under_force(block: ComposedBlock[Any], min_margin: Any, force: float) -
         model.torsional_stiffness,
     )
     plate = plate_conditions(states[:, 0], model.torsional_stiffness[:, 0], model.transmission)
-    largest = int(np.argmax(np.abs(begin[: n + 1, -1])))
+    largest = int(np.argmax(np.abs(initial[: n + 1, -1])))
     tip = ca.vertcat(states[n + 1 :, -1] / typical[n + 1 :, 0], states[largest, -1] - 1)
     size = np.concatenate([np.tile(typical[:, 0], pieces), typical[: n + 1, 0], np.ones(n + 2)])
     rows = ca.vertcat(ca.vec(states[:, :-1] - across), plate, tip)
     name = tag.removeprefix(block.label)
     block.demand(f"{name}: equations", rows, upper=0.0, scale=size, entries=[f"{name}: equations"] * len(size))
-    curved = [*np.flatnonzero(np.abs(np.asarray(block.begin.moment)).max(1) > 0).tolist(), n]
+    curved = [*np.flatnonzero(np.abs(np.asarray(block.initial_model.moment)).max(1) > 0).tolist(), n]
     sign = ca.vec(states[curved, 1:] / ca.repmat(typical[curved, 0], 1, pieces))
     block.demand(f"{name}: one sign", sign, entries=[f"{name}: one sign"] * sign.numel())
     if pairs == APART:
@@ -275,7 +275,7 @@ class _TubeData(NamedTuple):
     transmission: Any
     """|beta| (n,), for kt at the plate."""
     stiffness: Any
-    """kb (n, P)."""
+    """Bending stiffness kb (n, P)."""
     moment: Any
     """m (n, P); of tubes made of pieces its size."""
 

@@ -157,7 +157,7 @@ class ComposedBlock(Generic[N]):
             loaded=modelled is not None,
         )
         # Inputs of `arm_of` besides joint values and dimensions.
-        self.constants: dict[str, Any] = {"offsets": self._bundle.place, "chain": self.chain, "load": modelled}
+        self.constants: dict[str, Any] = {"offsets": self._bundle.offsets, "chain": self.chain, "load": modelled}
         self._moving = self._inputs.free(*LENGTHS)
         self._fixed = not self._inputs.free("translations", *self.dimensions)
 
@@ -193,8 +193,8 @@ class ComposedBlock(Generic[N]):
         unknowns = self.matrices(self.columns)
         values = {**self._inputs.values, **self.constants}
         self.model = external_load.arm_of(self._grid, layout_numbers(self.layout, self.numbers), unknowns, values)
-        begin = self._start_model(self._inputs.start)
-        self._set_guess(begin, start_values(self.initial, begin))
+        initial = self._start_model(self._inputs.start)
+        self._set_guess(initial, start_values(self.initial, initial))
 
     def matrices(self, columns: Sequence[Any]) -> tuple[Any, ...]:
         """Unknowns of the arm as matrices, from their columns."""
@@ -202,7 +202,7 @@ class ComposedBlock(Generic[N]):
 
     def _start_model(self, numbers: Mapping[str, Array]) -> Model:
         """The arm at joint values and dimensions in numbers, with unknowns of 0."""
-        self.begin_numbers = dict(numbers)
+        self.initial_numbers = dict(numbers)
         values = {**{key: ca.DM(value) for key, value in numbers.items()}, **self.constants}
         zero = tuple(ca.DM.zeros(*shape) for shape in self.shapes.values())
         return external_load.arm_of(self._grid, layout_numbers(self.layout), zero, values).at(lambda part: part)
@@ -217,7 +217,7 @@ class ComposedBlock(Generic[N]):
         flat = [np.asarray(value).ravel(order="F") for value in (theta, twist, inner, *poses_of(model), *moments)]
         for column, value in zip(self.columns, flat, strict=True):
             self.program.set_guess(column, value)
-        self.begin, self.begin_column = model, np.concatenate(flat)
+        self.initial_model, self.initial_column = model, np.concatenate(flat)
 
     def demand(
         self,
@@ -308,11 +308,11 @@ class ComposedBlock(Generic[N]):
         travelled = ca.fmin(ca.fmax(s - start, 0), model.lengths)
         x = travelled / ca.if_else(model.lengths > POINT, model.lengths, 1.0)
         # The last piece that begins before s, but none without length.
-        begun = ca.logic_and(start <= s, model.lengths > POINT)
+        entered = ca.logic_and(start <= s, model.lengths > POINT)
         selected, weights = ca.DM.zeros(1), []
         for k in reversed(range(pieces)):
-            weights.append(ca.logic_and(begun[k], ca.logic_not(selected)))
-            selected = ca.logic_or(selected, begun[k])
+            weights.append(ca.logic_and(entered[k], ca.logic_not(selected)))
+            selected = ca.logic_or(selected, entered[k])
         weight = ca.vertcat(*reversed(weights))
         n, degree = self.robot.n_tubes, model.grid.degree
         inner = ca.reshape(model.inner, n * degree, pieces)

@@ -150,8 +150,8 @@ class TipSensitivities:
 
     def start(self, block: ComposedBlock[Any]) -> Array:
         """dx (X Q,) at the start of the block."""
-        x, count = block.begin_column, self.seeds["rotations"].shape[1]
-        numbers = [block.begin_numbers[name] for name in (*JOINTS, *block.dimensions)]
+        x, count = block.initial_column, self.seeds["rotations"].shape[1]
+        numbers = [block.initial_numbers[name] for name in (*JOINTS, *block.dimensions)]
         at = [x, *numbers, block.layout.numbers()]
         out, zero = self.equations(*at), np.zeros((len(at[-1]), count))
         forced = self.equations.forward(count)(*at, *out, np.zeros((len(x), count)), *self.seeds.values(), zero)[0]
@@ -200,7 +200,7 @@ def _columns(block: ComposedBlock[Any], name: str) -> Array:
 
     Tubes of one segment are equal and move together, but turn independently; so do the pieces of a tube.
     """
-    count = block.begin_numbers[name].size
+    count = block.initial_numbers[name].size
     if name == "rotations" or count != block.robot.n_tubes:
         return np.eye(count)
     return np.array([[float(i in tubes) for tubes in block.robot.moving_together] for i in range(count)])
@@ -208,7 +208,7 @@ def _columns(block: ComposedBlock[Any], name: str) -> Array:
 
 def _seed(block: ComposedBlock[Any], name: str, column: str) -> Array:
     """Change (N, Q) of the input `name` with each entry of the input `column`."""
-    entries, size = _columns(block, column), block.begin_numbers[name].size
+    entries, size = _columns(block, column), block.initial_numbers[name].size
     if (name, column) == ("curved_length", "piece_length") and block.chain is not None:
         return np.asarray(np.arange(size)[:, None] == block.chain.owner, dtype=float)
     return entries if name == column else np.zeros((size, entries.shape[1]))
@@ -220,7 +220,7 @@ def _typical(block: ComposedBlock[Any], name: str) -> float:
         return 1.0
     if name in LENGTHS:
         return block.reach
-    return float(np.abs(block.begin_numbers[name]).max()) or 1 / block.reach
+    return float(np.abs(block.initial_numbers[name]).max()) or 1 / block.reach
 
 
 def _equations(block: ComposedBlock[Any]) -> tuple[ca.Function, list[Equation]]:
@@ -438,15 +438,15 @@ class EquilibriumBlock(ComposedBlock[N]):
         numbers = {key: np.array(solution.value(part)).ravel() for key, part in self._inputs.values.items()}
         order = swapped(self.layout.order, rows[0] if row is None else row)
         self.restore(layout(assembly_at(self.robot, self._bundle, numbers), order, pieces=self.layout.n_pieces))
-        begin = self._start_model(numbers)
+        model = self._start_model(numbers)
         min_margins = [float(np.array(solution.value(bound.min_margin)).item()) for bound in self.margins]
         if self.load is not None:
-            values = start_values(verified_equilibrium(self, solution.value), begin)
+            values = start_values(verified_equilibrium(self, solution.value), model)
         else:
-            start, inside = collocation_points(begin)
+            start, inside = collocation_points(model)
             at_start = sample(solved, start)
             values = StartValues(at_start.rotation, at_start.torsion, sample(solved, inside).rotation)
-        self._begin_with(begin, values, min_margins)
+        self._set_start(model, values, min_margins)
 
     def start(self, equilibrium: InitialEquilibrium) -> None:
         """Start the next solve at another equilibrium of the robot; its dimensions may differ.
@@ -463,11 +463,11 @@ class EquilibriumBlock(ComposedBlock[N]):
             if not order.front:
                 raise InputError("no tube is in front of the base plate; an arm without length has no equilibrium")
             self.restore(layout(bundle, order, pieces=self.layout.n_pieces))
-        begin = self._start_model(numbers)
+        model = self._start_model(numbers)
         min_margins = [
             equilibrium.margin - 0.1 if symbolic(b.min_margin) else float(b.min_margin) for b in self.margins
         ]
-        self._begin_with(begin, start_values(equilibrium, begin), min_margins)
+        self._set_start(model, start_values(equilibrium, model), min_margins)
 
     def start_at(self, value: Callable[[Any], Any]) -> None:
         """Start the next solve at the equilibrium of given joint values and dimensions.
@@ -487,11 +487,13 @@ class EquilibriumBlock(ComposedBlock[N]):
         """True if the variable with this name belongs to the block."""
         return bool(self.label) and name.startswith(self.label)
 
-    def _begin_with(self, begin: Model, values: StartValues, min_margins: Sequence[float]) -> None:
+    def _set_start(self, begin: Model, values: StartValues, min_margins: Sequence[float]) -> None:
         """Set the start of all unknowns of the block."""
         self._set_guess(begin, values)
         for margin, min_margin in zip(self.margins, min_margins, strict=True):
-            for column, value in zip(margin.fields, jacobi_fields(self.begin, min(min_margin, 0.9)), strict=True):
+            for column, value in zip(
+                margin.fields, jacobi_fields(self.initial_model, min(min_margin, 0.9)), strict=True
+            ):
                 self.program.set_guess(column, value)
         for bound in self.bounds:
             bound.start(self)

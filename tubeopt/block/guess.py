@@ -161,9 +161,9 @@ class ArmSample(NamedTuple):
     rotation: Array
     """theta (n, S), rad; of tubes made of pieces the elastic rotation."""
     torsion: Array
-    """w (n, S), rad/m."""
+    """Torsion w (n, S), rad/m."""
     curvature: Array
-    """u (2, S), 1/m."""
+    """Curvature u (2, S), 1/m."""
 
 
 def sample(model: Model, arc_length: Array) -> ArmSample:

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError, nearest
-from ..robots.assembly import DIMENSIONS, Assembly, assemble, dimensions_of, places
+from ..robots.assembly import DIMENSIONS, Assembly, assemble, dimensions_of, tube_positions
 from ..robots.load import Load, masses
 from ..robots.order import last_tube
 from ..robots.robot import Robot, is_general
@@ -73,15 +73,15 @@ def block_inputs(
     if chain is not None:
         known, owner = dimensions_of(robot.tubes), chain.owner.tolist()
         # The pieces of a tube change in proportion to its dimension ...
-        for name, whole in OF_TUBE.items():
-            if name in tubes and whole in tubes:
+        for name, full_name in OF_TUBE.items():
+            if name in tubes and full_name in tubes:
                 raise InputError(
-                    f"tubes has the keys {whole!r} and {name!r}; for tubes made of pieces, give one of them"
+                    f"tubes has the keys {full_name!r} and {name!r}; for tubes made of pieces, give one of them"
                 )
-            if whole in tubes:
-                size = known[whole][owner]
+            if full_name in tubes:
+                size = known[full_name][owner]
                 ratio = np.where(size == 0, 1.0, start[name] / np.where(size == 0, 1.0, size))
-                values[name], start[name] = ca.DM(ratio) * values[whole][owner, :], ratio * start[whole][owner]
+                values[name], start[name] = ca.DM(ratio) * values[full_name][owner, :], ratio * start[full_name][owner]
         # ... or the length of a tube is the sum of its pieces.
         if "piece_length" in tubes:
             rows = ca.DM((np.arange(robot.n_tubes)[:, None] == chain.owner).astype(float))
@@ -155,7 +155,7 @@ def assembly_at(robot: Robot, assembly: Assembly, numbers: Mapping[str, Array]) 
     if assembly.general:
         shift = np.minimum(numbers["translations"], numbers["straight_length"])
         return assemble(tubes_at(robot.tubes, numbers), shift)
-    transmission, transition, end = places(*(numbers[name] for name in LENGTHS[:3]))
+    transmission, transition, end = tube_positions(*(numbers[name] for name in LENGTHS[:3]))
     return replace(
         assembly,
         bending_stiffness=numbers["bending_stiffness"],

@@ -69,7 +69,7 @@ def _seen(frame: Frame, body: Obstacle) -> Obstacle:
     if isinstance(body, HalfSpace):
         return HalfSpace(_point(frame, body.point), triple("normal", np.array(body.normal) @ frame.axes))
     if isinstance(body, Corridor):
-        return replace(body, centreline=tuple(_point(frame, place) for place in body.centreline))
+        return replace(body, centreline=tuple(_point(frame, point) for point in body.centreline))
     if isinstance(body, MeshObstacle):
         return replace(body, vertices=tuple(map(tuple, frame.seen(body.vertices).tolist())))
     if isinstance(body, DistanceField):

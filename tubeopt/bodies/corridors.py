@@ -178,7 +178,7 @@ class MeshObstacle(Displayed):
 
     @property
     def stands_for(self) -> str:
-        """Reference of the distances of an open mesh, for messages; empty for a closed one."""
+        """Text for messages: what distances from an open mesh refer to; empty for a closed mesh."""
         return "" if self.closed else open_surface(self.name, len(self.faces))
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:

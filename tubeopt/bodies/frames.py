@@ -58,7 +58,7 @@ class Frame:
     axes: Array = field(default_factory=lambda: np.eye(3))
     """Axes as columns (3, 3)."""
     origin: Array = field(default_factory=lambda: np.zeros(3))
-    """Origin (3,), m."""
+    """Origin (3,) of the frame, m."""
 
     def placed(self, points: ArrayLike) -> Array:
         """Transform points (..., 3) from this frame to its parent frame."""

@@ -88,9 +88,9 @@ class LabelImage:
         a, b, c = np.shape(self.values)
         return a, b, c
 
-    def holds(self, place: Array) -> bool:
+    def holds(self, point: Array) -> bool:
         """True if a position (3,) in the patient, m, lies in one of the voxels."""
-        index = self.frame.seen(place) / self.spacing
+        index = self.frame.seen(point) / self.spacing
         return bool(((index >= -0.5) & (index <= np.array(self.shape) - 0.5)).all())
 
     @cached_property

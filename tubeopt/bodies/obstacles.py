@@ -153,7 +153,7 @@ class Scene:
         return np.concatenate([none, *(body for body, _ in pairs)]), np.concatenate([none, *(row for _, row in pairs)])
 
     def close(self, points: Array, reach: float | Array) -> list[int]:
-        """Numbers of the bodies that are closer to points (N, 3) than `reach`, one number or (N,); maybe others."""
+        """Indices of all bodies closer to points (N, 3) than `reach`, a number or (N,), and possibly of others."""
         numbers: list[int] = np.unique(self.pairs(points, reach)[0]).tolist()
         return numbers
 

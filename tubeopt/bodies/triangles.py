@@ -54,9 +54,9 @@ class Sides(NamedTuple):
     """
 
     start: Array
-    """Shape (f, 3, 2), m."""
+    """Starts (f, 3, 2) of the sides of triangles in a plane, m."""
     end: Array
-    """Shape (f, 3, 2), m."""
+    """Ends (f, 3, 2) of the sides of triangles in a plane, m."""
     sense: Array
     """1, or -1 for a side against the orientation of its triangle; shape (f, 3)."""
 

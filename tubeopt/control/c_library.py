@@ -438,7 +438,7 @@ def _add_ros2_control(root: Element, robot: Robot) -> None:
     system, o = SubElement(root, "ros2_control", name=root.get("name", ""), type="system"), ServoOptions()
     hardware, space, n = SubElement(system, "hardware"), joint_space(robot), robot.n_tubes
     SubElement(hardware, "plugin").text = "tubeopt_hardware/TubeRobot"
-    order = [(demand.ahead, demand.behind, demand.least) for demand in demands(robot)]
+    order = [(demand.ahead, demand.behind, demand.distance) for demand in demands(robot)]
     for first, *others in space.carriages:
         for tube in others:
             apart = float(space.offset[n + tube] - space.offset[n + first])

@@ -14,7 +14,7 @@ import numpy as np
 from ..block.custom import CustomRequirement
 from ..block.quantities import Expression, PoseQuantities, Quantities, recorded
 from .requirements import (
-    SHARES,
+    DEPLOYED_FRACTIONS,
     Avoid,
     Coverage,
     Length,
@@ -124,9 +124,9 @@ def _stated(requirement: Requirement, n: int, poses: Poses, points: Points) -> S
             limit = Limit("wall thickness", lower, False, "mm", 1e3, 1e-4)
             yield limit, lambda q: (q.tubes["outer_diameter"] - q.tubes["inner_diameter"]) / 2 - lower, None
         case Length(field=field, tube=i):
-            sign, whole = 1.0 if requirement.least else -1.0, field == "length"
-            name = f"{'overall length' if whole else field.replace('_', ' ')} of tube {i + 1}"
-            parts = ("straight_length", "curved_length") if whole else (field,)
+            sign, overall = 1.0 if requirement.least else -1.0, field == "length"
+            name = f"{'overall length' if overall else field.replace('_', ' ')} of tube {i + 1}"
+            parts = ("straight_length", "curved_length") if overall else (field,)
             limit = Limit(name, requirement.limit, not requirement.least, "mm", 1e3, 1e-2)
             yield limit, lambda q: sign * (sum(q.tubes[part][i] for part in parts) - limit.value), None
         case _:
@@ -174,7 +174,7 @@ def _stated_of_poses(requirement: Requirement, poses: Poses, points: Points) -> 
 
 def arms(q: Quantities, poses: Poses, deployed: bool) -> list[PoseQuantities]:
     """Arms of some poses; with `deployed` also the partly deployed ones."""
-    fractions = SHARES if deployed else ()
+    fractions = DEPLOYED_FRACTIONS if deployed else ()
     return [arm for k in poses for arm in (q.poses[k], *(q.poses[k].drawn(fraction) for fraction in fractions))]
 
 

@@ -114,8 +114,8 @@ def linear_rows(state: State, task: DesignTask) -> tuple[Array, Array]:
     values.append(length[:-1] - length[1:])
     # An inner tube is at least as long as the next outer one, or their carriages could not be in order.
     slopes.append(longer[:-1] - longer[1:])
-    for place in task.places:
-        values.append(tube_distances(state.tubes, place.low, place.high))
+    for translations in task.translation_ranges:
+        values.append(tube_distances(state.tubes, translations.low, translations.high))
         slopes.append(order_distances(straight, curved, unmoved, unmoved))
     slope = np.concatenate(slopes)
     moves = slope.any(axis=1)
@@ -131,8 +131,8 @@ def fixed_rows(program: Program, state: State) -> tuple[Array, Array]:
     parts, changes = [values], [change]
     for objective in program.task.built_in:
         if objective.depth is not None and program.depth_pose is not None:
-            place, slope = state.quantity(Quantity("tip_position", program.depth_pose))
-            height = place[2] - objective.depth
+            tip, slope = state.quantity(Quantity("tip_position", program.depth_pose))
+            height = tip[2] - objective.depth
             # An equation as two inequalities, so that least squares and IPOPT treat it like all other rows.
             parts.append(np.array([DEPTH_TOLERANCE - height, DEPTH_TOLERANCE + height]) / 1e-2)
             changes.append(np.array([-slope[2], slope[2]]) / 1e-2)
@@ -179,7 +179,7 @@ FEASIBLE = 1e-7
 
 # Size (SI) of an objective that is next to 0, unless all unknowns together change it by less: dividing by its value
 # would make its slope huge.
-LEAST_SIZE = 1e-3
+MIN_SIZE = 1e-3
 
 
 Report = Callable[[str, float], object]
@@ -211,7 +211,7 @@ class Evaluated:
         """
         value, slope = self.objective
         moved = float(np.abs(slope * self.program.scale).max(initial=0.0))
-        return max(abs(value), min(moved, LEAST_SIZE)) or LEAST_SIZE
+        return max(abs(value), min(moved, MIN_SIZE)) or MIN_SIZE
 
     @property
     def violation(self) -> tuple[float, str]:
@@ -243,7 +243,7 @@ class Evaluated:
 
 
 def evaluate(program: Program, x: Array) -> Evaluated | None:
-    """Program at x, SI; None if the dimensions make no robot or a pose has no equilibrium."""
+    """Rows and objective of a program at unknowns x, SI; None if the robot or an equilibrium does not exist."""
     check_time()
     try:
         return evaluated_at(program, x)
@@ -252,7 +252,7 @@ def evaluate(program: Program, x: Array) -> Evaluated | None:
 
 
 def evaluated_at(program: Program, x: Array) -> Evaluated:
-    """Program at x, SI.
+    """Rows and objective of a program at unknowns x, SI.
 
     Raises:
         SolveError: a pose has no equilibrium.
@@ -314,7 +314,7 @@ class Attempt:
 
     @property
     def evaluated(self) -> Evaluated:
-        """Program at x; raises as `evaluated_at`."""
+        """Rows and objective of the program at the unknowns; raises as `evaluated_at`."""
         return evaluated_at(self.program, self.x)
 
     def value(self, objective: AnyObjective) -> float:

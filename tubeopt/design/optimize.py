@@ -37,7 +37,7 @@ from .verify import Check, Verification, solve_again, verify
 class DesignStatus(StatusEnum):
     """Status of a design, as a sentence."""
 
-    KEPT = "the design satisfies all requirements"
+    SATISFIED = "the design satisfies all requirements"
     STOPPED = "the design satisfies all requirements; the search for a better one reached the time limit"
     BROKEN = "a design was found, but verification shows that it violates a requirement"
 
@@ -103,7 +103,7 @@ class DesignSolution(Displayed):
         """Result of the final check of all requirements, and whether the search finished."""
         if not self.verification.kept:
             return DesignStatus.BROKEN
-        return DesignStatus.STOPPED if self.out_of_time else DesignStatus.KEPT
+        return DesignStatus.STOPPED if self.out_of_time else DesignStatus.SATISFIED
 
     @property
     def statistics(self) -> DesignStatistics:
@@ -117,7 +117,7 @@ class DesignSolution(Displayed):
 
 
 # Fraction of the time limit for the search; the design is verified in the remaining time.
-SEARCH_SHARE = 0.8
+SEARCH_FRACTION = 0.8
 
 # Rounds of exchange. The worst case moves with the design, by less each round; where it still moves after twelve, a
 # program with all cases so far is no better start than another task would be.
@@ -189,7 +189,7 @@ def optimize_design(
         whole(name, value, lower)
     start_time = time.perf_counter()
     search = partial(_search, starts=starts, seed=seed, workers=workers, progress=progress)
-    search_time = SEARCH_SHARE * time_left()
+    search_time = SEARCH_FRACTION * time_left()
     for certificate in of_kind(task.requirements, SnapFree):
         if certificate.max_force:
             design = _search_under_force(task, certificate, search, search_time)
@@ -393,7 +393,7 @@ class ParetoFront:
     objective: Annotated[str, "objective that is traded for margin"]
     points: tuple[FrontPoint, ...]
     ended: Annotated[float | None, key("infeasible_from"), "smallest margin without a design"]
-    """None where every requested margin has a design."""
+    """Smallest requested margin without a design; None if every margin has one."""
     out_of_time: bool = False
     """True if the time limit ended the front at that margin."""
 

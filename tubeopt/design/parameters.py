@@ -33,7 +33,7 @@ PIECE_FIELDS = {
 # It moves no tip by more than round-off.
 MIN_BEND = 1e-9
 
-Place = tuple[int, int]
+PieceIndex = tuple[int, int]
 """A tube, and one of its pieces."""
 
 
@@ -45,7 +45,7 @@ class Unknown:
     tubes: tuple[int, ...]
     scaled: bool = False
     """True if it is a factor on the dimension of the tubes."""
-    pieces: tuple[Place, ...] = ()
+    pieces: tuple[PieceIndex, ...] = ()
     """Tube and piece numbers; () for a dimension of whole tubes."""
     order: int = 0
     """Degree of the coefficient of a shape."""
@@ -56,7 +56,7 @@ class Unknown:
 UnknownValues = Mapping[tuple[str, int], tuple[float, float | None]]
 """Value and torsion share of each unknown of a piece, by field and order."""
 
-PieceValues = Mapping[Place, UnknownValues]
+PieceValues = Mapping[PieceIndex, UnknownValues]
 """Values of the unknowns of every piece."""
 
 
@@ -88,13 +88,13 @@ def as_pieces(tube: Tube) -> Tube:
     return replace(tube, curvature=abs(tube.curvature), pieces=(Piece(tube.curved_length, tube.curvature),))
 
 
-def with_slots(tubes: Sequence[Tube], places: Sequence[Place], slots: Slots) -> tuple[Tube, ...]:
+def with_slots(tubes: Sequence[Tube], slotted: Sequence[PieceIndex], slots: Slots) -> tuple[Tube, ...]:
     """The tubes with slots in some of their pieces."""
     return tuple(
         replace(
             tube,
             pieces=tuple(
-                replace(piece, slots=slots) if (i, j) in places else piece for j, piece in enumerate(tube.pieces)
+                replace(piece, slots=slots) if (i, j) in slotted else piece for j, piece in enumerate(tube.pieces)
             ),
         )
         for i, tube in enumerate(tubes)
@@ -139,10 +139,10 @@ def _coefficient(x: Quantity, length: float, order: int) -> float:
 
 def piece_values(unknowns: Sequence[Unknown], values: Sequence[float]) -> PieceValues:
     """Values of unknowns, piece by piece."""
-    out: dict[Place, dict[tuple[str, int], tuple[float, float | None]]] = {}
+    out: dict[PieceIndex, dict[tuple[str, int], tuple[float, float | None]]] = {}
     for unknown, value in zip(unknowns, values, strict=True):
-        for place in unknown.pieces:
-            out.setdefault(place, {})[unknown.field, unknown.order] = float(value), unknown.torsion_share
+        for position in unknown.pieces:
+            out.setdefault(position, {})[unknown.field, unknown.order] = float(value), unknown.torsion_share
     return out
 
 
@@ -175,8 +175,8 @@ def _changed_piece(tube: Tube, piece: Piece, values: UnknownValues) -> Piece:
         # A factor of 1 leaves a stiffness None, so that the piece keeps that of the tube.
         if factor != 1.0:
             drawn = getattr(piece, f"{name}_stiffness")
-            whole = float(getattr(tube, f"{name}_stiffness")) if drawn is None else drawn
-            stiffness[f"{name}_stiffness"] = times(whole, factor)
+            base = float(getattr(tube, f"{name}_stiffness")) if drawn is None else drawn
+            stiffness[f"{name}_stiffness"] = times(base, factor)
     return replace(piece, precurvature=(x, y, own.get("piece_twist", z)), **stiffness)
 
 
@@ -211,7 +211,7 @@ def change_of(directions: Directions, unknown: Unknown, values: PieceValues) -> 
         tube = directions.tubes[i]
         low = tube.straight_length + sum(piece.length for piece in tube.pieces[:j])
         length = tube.pieces[j].length
-        local = directions.place[..., i] - low
+        local = directions.tube_position[..., i] - low
         kb, kt, x, y, _, _ = directions.values[..., i]
         # Behind its end, a tube has neither stiffness nor a change of it.
         present = (directions.arm.stiffness[..., i] > 0).astype(float)
@@ -275,9 +275,9 @@ def _piece_rates(
         case "piece_twist":
             return PieceRates(0.0, 0.0, 0.0, 0.0, length * np.clip(fraction, 0.0, 1.0))
         case "piece_bending_factor":
-            share = 0.0 if unknown.torsion_share is None else unknown.torsion_share
+            torsional = 0.0 if unknown.torsion_share is None else unknown.torsion_share
             # kt is proportional to 1 - share (1 - b), and the slope of that by b is share.
-            return PieceRates(0.0, 0.0, kb / bending, kt * share / (1 - share * (1 - bending)), 0.0)
+            return PieceRates(0.0, 0.0, kb / bending, kt * torsional / (1 - torsional * (1 - bending)), 0.0)
         case _:
             # torsion = tied * factor, so that kt / torsion * tied = kt / factor.
             untwisted = {**values, ("piece_torsion_factor", 0): (1.0, None)}
@@ -291,9 +291,9 @@ def _compliance_change(directions: Directions, tube: int, ends: tuple[float, flo
     clamped = directions.assembly.transmission
     compliance = []
     for end in ends:
-        place = clamped.copy()
-        place[tube] = min(end, clamped[tube])
-        compliance.append(float(directions.table.compliant(place)[tube]))
+        position = clamped.copy()
+        position[tube] = min(end, clamped[tube])
+        compliance.append(float(directions.table.compliant(position)[tube]))
     # d (1 / GJ) = -(1 / GJ) dGJ / GJ, and dGJ / GJ is the same all along a piece.
     return -(compliance[1] - compliance[0]) * float(relative.flat[0])
 
@@ -442,8 +442,8 @@ class DesignSpace:
                 values[i][unknown.field] = float(value) * (
                     getattr(self.robot_tubes[i], unknown.field) if unknown.scaled else 1.0
                 )
-        whole = tuple(_changed(tube, changes) for tube, changes in zip(self.robot_tubes, values, strict=True))
-        return changed_tubes(whole, piece_values(self.unknowns, x.tolist())) if self.pieced else whole
+        changed = tuple(_changed(tube, changes) for tube, changes in zip(self.robot_tubes, values, strict=True))
+        return changed_tubes(changed, piece_values(self.unknowns, x.tolist())) if self.pieced else changed
 
     def expressions(self, x: Any) -> dict[str, Any]:
         """Expressions (n,) of all GRADED dimensions in x (D,)."""
@@ -472,11 +472,11 @@ class DesignSpace:
                     out[i] = np.where(np.abs(slope) > np.abs(out[i]), slope, out[i])
         return out
 
-    def bend_slope(self, tube: Tube, place: Place, x: Array) -> Array:
+    def bend_slope(self, tube: Tube, position: PieceIndex, x: Array) -> Array:
         """Gradient (D,) of the largest curvature of a piece."""
-        piece = tube.pieces[place[1]]
+        piece = tube.pieces[position[1]]
         slopes = [
-            largest_bend_slope(piece, unknown, value) if place in unknown.pieces else 0.0
+            largest_bend_slope(piece, unknown, value) if position in unknown.pieces else 0.0
             for unknown, value in zip(self.unknowns, x.tolist(), strict=True)
         ]
         return np.array(slopes)
@@ -548,19 +548,19 @@ def _tube_words(unknown: Unknown) -> str:
 
 
 def _piece_words(unknown: Unknown) -> str:
-    places = ", ".join(f"{j + 1} of tube {i + 1}" for i, j in unknown.pieces)
+    names = ", ".join(f"{j + 1} of tube {i + 1}" for i, j in unknown.pieces)
     order = f"{unknown.order + 1}. " if unknown.field == "piece_shape" else ""
-    return f"{order}{NAMES[unknown.field]} of piece{'s' * (len(unknown.pieces) > 1)} {places}"
+    return f"{order}{NAMES[unknown.field]} of piece{'s' * (len(unknown.pieces) > 1)} {names}"
 
 
 def _piece_entries(
     tubes: tuple[Tube, ...], free: Sequence[Free]
 ) -> tuple[tuple[Tube, ...], list[tuple[Free, Unknown]]]:
     """Tubes with the free slots, and the unknowns of a design of pieces, each with its free dimension."""
-    whole = [dimension for dimension in free if dimension.field in WHOLE]
-    entries = _entries(whole)
+    of_tubes = [dimension for dimension in free if dimension.field in WHOLE]
+    entries = _entries(of_tubes)
     for dimension in free:
-        if dimension in whole:
+        if dimension in of_tubes:
             continue
         if dimension.field not in PIECE_FIELDS:
             raise InputError(
@@ -568,11 +568,11 @@ def _piece_entries(
                 "pieces only their lengths and diameters can be free; use piece_curvature "
                 "for the curvature of pieces"
             )
-        places = [place for i in dimension.tubes for place in _places(dimension, i, tubes)]
-        taken = {(other.field, place) for _, other in entries for place in other.pieces}
+        positions = [position for i in dimension.tubes for position in _places(dimension, i, tubes)]
+        taken = {(other.field, position) for _, other in entries for position in other.pieces}
         if dimension.slots is not None:
-            tubes = with_slots(tubes, places, dimension.slots)
-        for i, j in places:
+            tubes = with_slots(tubes, positions, dimension.slots)
+        for i, j in positions:
             if (dimension.field, (i, j)) in taken:
                 raise InputError(
                     f"{NAMES[dimension.field]} of piece {j + 1} of tube {i + 1} is free twice; name it once"
@@ -583,7 +583,7 @@ def _piece_entries(
                 raise InputError(
                     f"piece {j + 1} of tube {i + 1} has a free curvature and a free shape; it has one of them"
                 )
-        for group in [(place,) for place in places] if dimension.tie == "each" else [tuple(places)]:
+        for group in [(position,) for position in positions] if dimension.tie == "each" else [tuple(positions)]:
             own = tuple(sorted({i for i, _ in group}))
             unknowns = (
                 Unknown(dimension.field, own, False, group, k, dimension.torsion_share)

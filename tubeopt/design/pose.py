@@ -196,11 +196,11 @@ class ShapeSlopes(NamedTuple):
     """Derivatives of position, frame and arc length of m shape points."""
 
     position: Array
-    """Shape (m, 3, L), m."""
+    """Derivative (m, 3, L) of the positions of points, m per unit of the joints or dimensions."""
     turn: Array
     """Rotation vectors (m, 3, L) of the frame, rad."""
     arc_length: Array
-    """Shape (m, L), m."""
+    """Derivative (m, L) of the arc lengths of points, m per unit of the joints or dimensions."""
 
 
 class Pose:

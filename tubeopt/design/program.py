@@ -174,11 +174,11 @@ def _recorded(
             case _:
                 stated.append(statements(requirement, pieces, task_poses, certified))
     aims = {}
-    for wanted in task.objectives:
-        on_paths = isinstance(wanted, Objective) and wanted.kind not in POSED
-        expression = aim(wanted, pieces, all_poses if on_paths else task_poses, certified, depth_pose)
+    for objective in task.objectives:
+        on_paths = isinstance(objective, Objective) and objective.kind not in POSED
+        expression = aim(objective, pieces, all_poses if on_paths else task_poses, certified, depth_pose)
         if expression is not None:
-            aims[wanted] = expression
+            aims[objective] = expression
     return tuple(stated), aims
 
 

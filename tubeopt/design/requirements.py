@@ -25,7 +25,7 @@ from ..robots.tubes import Tube
 from ..typing import Array, Mask
 
 # Fractions of the arm's length at which a deployment is checked.
-SHARES = (0.25, 0.5, 0.75)
+DEPLOYED_FRACTIONS = (0.25, 0.5, 0.75)
 
 # Fractions of a withdrawn arm at which its distance from the whole arm is checked.
 ALONG = (0.5, 0.75, 1.0)
@@ -50,9 +50,11 @@ def retracted(tubes: Sequence[Tube], translations: Array, fraction: float) -> Re
     return Retracted(translations - np.maximum(beyond, 0.0), beyond > 0, last)
 
 
-def draw(robot: ConcentricRobot, whole: Equilibrium, fraction: float) -> Equilibrium:
+def draw(robot: ConcentricRobot, equilibrium: Equilibrium, fraction: float) -> Equilibrium:
     """The arm of a pose withdrawn to a fraction of its length, by forward kinematics."""
-    return forward_kinematics(robot, whole.rotations, retracted(robot.tubes, whole.translations, fraction).translations)
+    return forward_kinematics(
+        robot, equilibrium.rotations, retracted(robot.tubes, equilibrium.translations, fraction).translations
+    )
 
 
 Rows = tuple[tuple[float, ...], ...]
@@ -98,8 +100,8 @@ class SnapFree(Displayed):
         if self.margin >= 1:
             raise InputError(f"margin of the certificate is {self.margin:g}; it must be less than 1")
         for name in ("curvature_error", "stiffness_error"):
-            if (share := getattr(self, name)) >= 1:
-                raise InputError(f"{name} of the certificate is {share:.6g}; it must be less than 1")
+            if (value := getattr(self, name)) >= 1:
+                raise InputError(f"{name} of the certificate is {value:.6g}; it must be less than 1")
         if self.max_force and self.growth > 1:
             raise InputError("max_force and tube errors are both given; a certificate covers one of them")
         if self.max_force and self.box is not None:
@@ -321,9 +323,9 @@ def deviations(q: Quantities, poses: Sequence[int]) -> Any:
     """Vectors (3 K,), m, from the fully deployed arm to partly deployed arms of all poses, one after the other."""
     return ca.vertcat(
         *(
-            q.poses[k].drawn(share).position(along) - q.poses[k].position(share * along)
+            q.poses[k].drawn(fraction).position(along) - q.poses[k].position(fraction * along)
             for k in poses
-            for share in SHARES
+            for fraction in DEPLOYED_FRACTIONS
             for along in ALONG
         )
     )
@@ -333,7 +335,7 @@ def deviations(q: Quantities, poses: Sequence[int]) -> Any:
 class Deployment(Checked, CustomRequirement):
     """Largest distance, m, of the partly deployed arm from the fully deployed arm, for every task pose.
 
-    The arm is deployed along straight lines in translation. It is checked at the fractions SHARES of its length, at the
+    The arm is deployed along straight lines in translation. It is checked at DEPLOYED_FRACTIONS of its length, at the
     fractions ALONG of each partly deployed arm.
     """
 
@@ -361,7 +363,7 @@ ROUNDED = 1e-6
 class Avoid:
     """Smallest distance (m) of the arm's surface from all obstacles at every task pose.
 
-    With `deployed` also for partly deployed arms, at the fractions SHARES of the length. Joint paths between poses are
+    With `deployed` also for partly deployed arms, at DEPLOYED_FRACTIONS of the length. Joint paths between poses are
     not checked: `plan_trajectory` finds and proves them.
     """
 

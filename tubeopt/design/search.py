@@ -49,7 +49,7 @@ class _Score(Protocol):
         """Ranges (k, 2) of further unknowns, such as the position of a base plate, SI."""
 
 
-class Wanted(_Score, Protocol):
+class SearchObjective(_Score, Protocol):
     """Goal for one robot and k further unknowns, which start at 0."""
 
     def __call__(self, robot: ConcentricRobot, own: Array) -> tuple[float, float]:
@@ -60,20 +60,20 @@ class Wanted(_Score, Protocol):
         """
 
 
-class WantedOfPair(_Score, Protocol):
-    """Goal for two robots and k further unknowns, like `Wanted` for one."""
+class PairObjective(_Score, Protocol):
+    """Goal for two robots and k further unknowns, like `SearchObjective` for one."""
 
     def __call__(self, one: ConcentricRobot, other: ConcentricRobot, own: Array) -> tuple[float, float]:
-        """Score and value, as in `Wanted`."""
+        """Score and value, as in `SearchObjective`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Searched(Displayed):
     """Result of a search without derivatives."""
 
-    _brief = ("wanted", "before", "after", "tried")
+    _brief = ("objective", "before", "after", "tried")
 
-    wanted: str
+    objective: str
     """Name of the value."""
     before: float
     """Value at the dimensions of the task."""
@@ -123,7 +123,7 @@ class SearchedPair(Searched):
     def status(self) -> DesignStatus:
         """Status of the final check of both robots; of the one that fails, otherwise success."""
         first, second = (solution.status for solution in self.solutions)
-        return first if second is DesignStatus.KEPT else second
+        return first if second is DesignStatus.SATISFIED else second
 
 
 class _EndError(Exception):
@@ -177,7 +177,7 @@ class _SimplexSearch:
 
     def __call__(self, u: Array) -> float:
         """Score at a point of the unit cube; above 1 if a requirement is violated."""
-        # 0 is the best score that `Wanted` allows, so nothing is left to search.
+        # 0 is the best score that `SearchObjective` allows, so nothing is left to search.
         if time.perf_counter() > self.until or self.score == 0:
             raise _EndError
         self.tried += 1
@@ -230,7 +230,7 @@ class _SimplexSearch:
 @small
 def search_design(
     task: DesignTask,
-    wanted: Wanted,
+    objective: SearchObjective,
     *,
     time_limit: float = 180.0,
     starts: int = 1,
@@ -267,7 +267,7 @@ def search_design(
     """
     search = partial(_search, starts=starts, seed=seed, turns=turns, progress=progress)
     limit = positive("time_limit", time_limit) + TIME_LIMIT
-    (solution,), result = search((task,), wanted, search_time=time_limit, time_limit=limit)
+    (solution,), result = search((task,), objective, search_time=time_limit, time_limit=limit)
     return SearchedDesign(**vars(result), solution=solution)
 
 
@@ -276,7 +276,7 @@ def search_design(
 @small
 def search_pair(
     tasks: tuple[DesignTask, DesignTask],
-    wanted: WantedOfPair,
+    objective: PairObjective,
     *,
     time_limit: float = 180.0,
     starts: int = 1,
@@ -313,14 +313,14 @@ def search_pair(
         raise InputError(f"tasks are {tasks!r}; they must be two, one for each robot")
     search = partial(_search, starts=starts, seed=seed, turns=turns, progress=progress)
     limit = positive("time_limit", time_limit) + TIME_LIMIT
-    (first, second), result = search(tuple(tasks), wanted, search_time=time_limit, time_limit=limit)
+    (first, second), result = search(tuple(tasks), objective, search_time=time_limit, time_limit=limit)
     return SearchedPair(**vars(result), solutions=(first, second))
 
 
 @limited
 def _search(
     tasks: tuple[DesignTask, ...],
-    wanted: Wanted | WantedOfPair,
+    objective: SearchObjective | PairObjective,
     *,
     search_time: float,
     starts: int,
@@ -341,9 +341,9 @@ def _search(
     # Designs that satisfy the requirements near the start: the objective of the task does not count.
     tasks = tuple(replace(task, objective=Objective("change")) for task in tasks)
     programs = tuple(compile_task(task) for task in tasks)
-    search = _SimplexSearch(programs, wanted, progress)
+    search = _SimplexSearch(programs, objective, progress)
     # Further unknowns start at 0, or at the bound nearest to it.
-    own = np.clip(np.zeros(len(wanted.ranges)), *np.reshape(wanted.ranges, (-1, 2)).T)
+    own = np.clip(np.zeros(len(objective.ranges)), *np.reshape(objective.ranges, (-1, 2)).T)
     with within(time_limit - search_time):
         first = _Designs([best_of(multistart(program, starts=1, seed=seed)).x for program in programs], own)
     with within(time_limit - search_time):
@@ -361,7 +361,7 @@ def _search(
     attempts = [attempt(program, x) for program, x in zip(programs, search.best.dimensions, strict=True)]
     solutions = [solution_of(task, rank([end]), turns, start_time) for task, end in zip(tasks, attempts, strict=True)]
     seconds = time.perf_counter() - start_time
-    return solutions, Searched(wanted.words, before, search.value, search.best.own, search.tried, seconds)
+    return solutions, Searched(objective.words, before, search.value, search.best.own, search.tried, seconds)
 
 
 def _check(task: DesignTask) -> None:

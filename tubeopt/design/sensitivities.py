@@ -27,7 +27,7 @@ NEAR_LIMIT = 1e-3
 OPTIMALITY_GAP = 0.02
 
 # Relative to the largest price: multipliers of inactive limits are of the size of IPOPT's barrier parameter.
-LEAST_PRICE = 1e-6
+MIN_PRICE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def sensitivities(design: Attempt) -> tuple[Sensitivity, ...]:
     effect = [price * limit.size for limit, price in costs]
     largest = max(effect, default=0.0)
     order = np.argsort(effect)[::-1]
-    smallest = LEAST_PRICE * max(largest, 1e-300)
+    smallest = MIN_PRICE * max(largest, 1e-300)
     return tuple(_sensitivity(design, *costs[k]) for k in order if effect[k] > smallest > 0)
 
 

@@ -413,18 +413,20 @@ def _breakpoints(state: State, k: int) -> tuple[Array, Array]:
         transition = np.array(layout.certified[k - len(layout.poses)])
         moved = np.zeros((layout.n, layout.size))
     curved = np.array([tube.curved_length for tube in state.tubes])
-    places = np.stack([transition, transition + curved], axis=1).ravel()
+    positions = np.stack([transition, transition + curved], axis=1).ravel()
     slopes = np.stack([moved, moved + state.slopes["curved_length"]], axis=1)
-    return places, slopes.reshape(-1, layout.size)
+    return positions, slopes.reshape(-1, layout.size)
 
 
 def cell_of(state: State) -> Cell:
     """Present orders of breakpoints."""
     orders = []
     for k in range(len(state.layout.poses) + len(state.layout.certified)):
-        places, _ = _breakpoints(state, k)
-        ranked = np.argsort(places, kind="stable").tolist()
-        orders.append(Order(tuple(i for i in ranked if places[i] > 0), tuple(i for i in ranked if places[i] <= 0)))
+        positions, _ = _breakpoints(state, k)
+        ranked = np.argsort(positions, kind="stable").tolist()
+        orders.append(
+            Order(tuple(i for i in ranked if positions[i] > 0), tuple(i for i in ranked if positions[i] <= 0))
+        )
     return tuple(orders)
 
 
@@ -451,13 +453,13 @@ def cell_rows(state: State, cell: Cell) -> Sections:
     """Sections of a cell as constraints: with a fixed order of breakpoints their lengths are >= 0."""
     values, slopes, ends = [], [], []
     for k, order in enumerate(cell):
-        places, moved = _breakpoints(state, k)
-        places, moved = np.append(places, 0.0), np.vstack([moved, np.zeros(moved.shape[1])])
+        positions, moved = _breakpoints(state, k)
+        positions, moved = np.append(positions, 0.0), np.vstack([moved, np.zeros(moved.shape[1])])
         pairs = [*pairwise((-1, *order.beyond)), *((i, -1) for i in order.behind)]
         for a, b in pairs:
             slope = moved[b] - moved[a]
             if np.abs(slope).max() > 1e-12:
-                values.append((places[b] - places[a]) / 1e-2)
+                values.append((positions[b] - positions[a]) / 1e-2)
                 slopes.append(slope / 1e-2)
                 ends.append(SectionEnds(k, a, b))
     return Sections(np.array(values), np.reshape(slopes, (len(values), state.layout.size)), ends)

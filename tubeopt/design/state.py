@@ -15,7 +15,7 @@ import numpy as np
 from ..block.quantities import PoseNumber, Quantity
 from ..block.transcription.buffered import mapped
 from ..equilibrium.answer import sure_margin, to_equilibrium
-from ..equilibrium.arm_change import PLACES
+from ..equilibrium.arm_change import SHAPE_POINTS
 from ..equilibrium.directions import Change, Directions
 from ..equilibrium.jacobian import margin_slopes
 from ..equilibrium.kinematics import under_load
@@ -209,11 +209,11 @@ class State:
         """Columns of the unknowns of pieces."""
         return [column for column, unknown in enumerate(self.layout.space.unknowns) if unknown.pieces]
 
-    def piece_changes(self, here: Directions) -> list[Change]:
+    def piece_changes(self, directions: Directions) -> list[Change]:
         """Derivatives of the sections of a solved arm by every unknown of pieces."""
         unknowns = self.layout.space.unknowns
         values = piece_values(unknowns, self.x[: self.layout.designs].tolist())
-        return [change_of(here, unknowns[column], values) for column in self.free_pieces]
+        return [change_of(directions, unknowns[column], values) for column in self.free_pieces]
 
     @cached_property
     def _reshaped(self) -> Array:
@@ -487,7 +487,7 @@ def pose_strain(state: State, index: PoseNumber, tube: int) -> tuple[float, Arra
     sections = np.flatnonzero((of.arm.stiffness[..., tube] > 0).all(1) & (mesh.length > 0))
     if not len(sections):
         return 0.0, np.zeros(state.layout.size)
-    across, bend = (table[sections].reshape(len(sections) * len(PLACES), -1) for table in of.sections)
+    across, bend = (table[sections].reshape(len(sections) * len(SHAPE_POINTS), -1) for table in of.sections)
     theta, stiffness, moment = (across[:, k * n + tube] for k in range(3))
     # The moment of a tube is kb u*, its stiffness times its precurvature: the quotient is u*.
     inputs = np.column_stack([theta, bend, moment / stiffness, np.full(len(theta), shape.outer_diameter)])
@@ -495,10 +495,10 @@ def pose_strain(state: State, index: PoseNumber, tube: int) -> tuple[float, Arra
     number = _pieces_at(shape, mesh.start[sections] + mesh.length[sections] / 2 + of.assembly.transmission[tube])
     ratios = np.array([_slot_ratio(shape, k)[0] if k >= 0 else 1.0 for k in number.tolist()])
     # The maximum has the slope of the section in which it is reached; of equal ones the first is taken.
-    worst = int(np.argmax(strains[:, 0] * np.repeat(ratios, len(PLACES))))
-    piece, end = divmod(worst, len(PLACES))
+    worst = int(np.argmax(strains[:, 0] * np.repeat(ratios, len(SHAPE_POINTS))))
+    piece, end = divmod(worst, len(SHAPE_POINTS))
     k = int(sections[piece])
-    at = of.section(k, PLACES[end], of.moved[k * (len(PLACES) - 1) + end])
+    at = of.section(k, SHAPE_POINTS[end], of.moved[k * (len(SHAPE_POINTS) - 1) + end])
     kb, natural = stiffness[worst], inputs[worst, 3]
     # u* = M / kb, so that du* = (dM - u* dkb) / kb.
     grown = (at.by_tubes[2 * n + tube] - natural * at.by_tubes[n + tube]) / kb
@@ -511,8 +511,8 @@ def pose_strain(state: State, index: PoseNumber, tube: int) -> tuple[float, Arra
     return ratio * value, ratio * change + value * raised
 
 
-def _pieces_at(shape: Tube, place: Array) -> Array:
+def _pieces_at(shape: Tube, arc_length: Array) -> Array:
     """Pieces (P,) of a tube at arc lengths along it, m; -1 for the straight part and for a tube of one curvature."""
     joints = shape.straight_length + np.cumsum([0.0, *(piece.length for piece in shape.pieces)])
     # A place beyond the last piece by round-off belongs to that piece.
-    return np.minimum(np.searchsorted(joints, place, side="right") - 1, len(shape.pieces) - 1)
+    return np.minimum(np.searchsorted(joints, arc_length, side="right") - 1, len(shape.pieces) - 1)

@@ -36,34 +36,47 @@ ORDER_SLACK = 1e-10
 
 
 @dataclass(frozen=True)
-class Place:
+class TranslationRange:
     """Translations that require an order of the tubes: description, smallest and largest translations (n,), m."""
 
-    words: str
+    description: str
     low: tuple[float, ...]
     high: tuple[float, ...]
 
 
-def ordered_places(
+def ordered_ranges(
     n_tubes: int, requirements: Sequence[Requirement], objectives: Sequence[AnyObjective]
-) -> tuple[Place, ...]:
+) -> tuple[TranslationRange, ...]:
     """Translations that require an order of the tubes: 0, which is then home, and those of requirements and
     objectives."""
     zero = (0.0,) * n_tubes
-    places = [Place("at translations 0", zero, zero)]
+    ranges = [TranslationRange("at translations 0", zero, zero)]
     for requirement in requirements:
         match requirement:
             case SnapFree(translations=rows, box=box):
-                places += [Place(f"at the certified translations {_mm(row)}", row, row) for row in rows or ()]
-                places += [] if box is None else [Place(f"in the certified box {_mm(box[0])} to {_mm(box[1])}", *box)]
+                ranges += [
+                    TranslationRange(f"at the certified translations {_mm(row)}", row, row) for row in rows or ()
+                ]
+                ranges += (
+                    []
+                    if box is None
+                    else [TranslationRange(f"in the certified box {_mm(box[0])} to {_mm(box[1])}", *box)]
+                )
             case Poses(translations=rows):
-                places += [Place(f"at the pose with translations {_mm(row)}", row, row) for row in dict.fromkeys(rows)]
+                ranges += [
+                    TranslationRange(f"at the pose with translations {_mm(row)}", row, row)
+                    for row in dict.fromkeys(rows)
+                ]
             case _:
                 pass
     for aim in objectives:
         if isinstance(aim, Objective) and aim.translations is not None:
-            places.append(Place(f"at the objective's translations {_mm(aim.translations)}", *(aim.translations,) * 2))
-    return tuple({(place.low, place.high): place for place in reversed(places)}.values())[::-1]
+            ranges.append(
+                TranslationRange(f"at the objective's translations {_mm(aim.translations)}", *(aim.translations,) * 2)
+            )
+    return tuple({(translations.low, translations.high): translations for translations in reversed(ranges)}.values())[
+        ::-1
+    ]
 
 
 def order_distances(straight: Array, curved: Array, low: Array, high: Array) -> Array:
@@ -83,52 +96,59 @@ def tube_distances(tubes: Sequence[Tube], low: Sequence[float] | Array, high: Se
     return order_distances(straight, curved, np.array(low), np.array(high))
 
 
-def worst_order(tubes: Sequence[Tube], places: Sequence[Place]) -> tuple[float, str]:
+def worst_order(tubes: Sequence[Tube], ranges: Sequence[TranslationRange]) -> tuple[float, str]:
     """Smallest distance of the order over sets of translations, m, and a clause with the set and the tubes."""
     return min(
-        (_worst(tube_distances(tubes, place.low, place.high), place) for place in places), key=lambda pair: pair[0]
+        (_worst(tube_distances(tubes, translations.low, translations.high), translations) for translations in ranges),
+        key=lambda pair: pair[0],
     )
 
 
-def check_order(places: Sequence[Place], shortest: dict[str, Array], longest: dict[str, Array]) -> None:
+def check_order(ranges: Sequence[TranslationRange], shortest: dict[str, Array], longest: dict[str, Array]) -> None:
     """Raise InputError if no lengths within their bounds (n,) satisfy the order at all sets of translations."""
-    for place in places:
+    for translations in ranges:
         lows = order_distances(
-            longest["straight_length"], longest["curved_length"], np.array(place.low), np.array(place.high)
+            longest["straight_length"],
+            longest["curved_length"],
+            np.array(translations.low),
+            np.array(translations.high),
         )
-        n = len(place.low)
+        n = len(translations.low)
         # The outer tube of a pair counts with its least length.
         for name, first in (("straight_length", 0), ("curved_length", n - 1)):
             lows[first : first + n - 1] += longest[name][1:] - shortest[name][1:]
-        distance, clause = _worst(lows, place)
+        distance, clause = _worst(lows, translations)
         if distance < -ORDER_SLACK:
             raise InputError(
                 f"{clause}, whatever lengths are chosen; ordered=False (in a file: ordered: false) allows it"
             )
 
 
-def _worst(distances: Array, place: Place) -> tuple[float, str]:
+def _worst(distances: Array, translations: TranslationRange) -> tuple[float, str]:
     """Smallest distance of the order, and a clause for it."""
-    k, n = int(np.argmin(distances)), len(place.low)
+    k, n = int(np.argmin(distances)), len(translations.low)
     distance = float(distances[k])
     size = f"{abs(distance) * 1e3:.4g} mm"
     if k >= 2 * (n - 1):
         i = k - 2 * (n - 1) + 1
         side = f"ends {size} behind the plate" if distance < 0 else f"ends {size} beyond the plate"
-        return distance, f"tube {i} {side} {place.words}"
+        return distance, f"tube {i} {side} {translations.description}"
     i = k % (n - 1) + 1
     inner, outer = f"tube {i}", f"tube {i + 1}"
     if k < n - 1:
         side = "before" if distance < 0 else "behind"
-        return distance, f"the carriage of {inner} stands {size} {side} that of {outer} {place.words}"
+        return distance, f"the carriage of {inner} stands {size} {side} that of {outer} {translations.description}"
     side = "inside" if distance < 0 else "beyond"
-    return distance, f"{inner} ends {size} {side} {'' if distance < 0 else 'the end of '}{outer} {place.words}"
+    return (
+        distance,
+        f"{inner} ends {size} {side} {'' if distance < 0 else 'the end of '}{outer} {translations.description}",
+    )
 
 
-def pose_places(translations: Sequence[Array]) -> tuple[Place, ...]:
+def pose_ranges(translations: Sequence[Array]) -> tuple[TranslationRange, ...]:
     """Translations of the task poses with their descriptions, for the order of the tubes."""
     rows = [tuple(row.tolist()) for row in translations]
-    return tuple(Place(f"at task pose {k}", row, row) for k, row in enumerate(rows, start=1))
+    return tuple(TranslationRange(f"at task pose {k}", row, row) for k, row in enumerate(rows, start=1))
 
 
 def _mm(row: Sequence[float]) -> str:
@@ -203,7 +223,7 @@ class DesignTask(Displayed):
         _check_requirements(self)
         _check_objectives(self)
         _check_pieces(self)
-        check_order(self.places, *(extreme_lengths(self, side) for side in ("lower", "upper")))
+        check_order(self.translation_ranges, *(extreme_lengths(self, side) for side in ("lower", "upper")))
 
     @property
     def objectives(self) -> tuple[AnyObjective, ...]:
@@ -216,9 +236,9 @@ class DesignTask(Displayed):
         return tuple(objective for objective in self.objectives if isinstance(objective, Objective))
 
     @property
-    def places(self) -> tuple[Place, ...]:
+    def translation_ranges(self) -> tuple[TranslationRange, ...]:
         """Translations that require an order of the tubes."""
-        return ordered_places(self.robot.n_tubes, self.requirements, self.objectives) if self.ordered else ()
+        return ordered_ranges(self.robot.n_tubes, self.requirements, self.objectives) if self.ordered else ()
 
     @property
     def space(self) -> DesignSpace:
@@ -321,19 +341,21 @@ def _check_pieces(task: DesignTask) -> None:
     for requirement in task.requirements:
         if isinstance(requirement, Strain):
             _check_slots(task.space)
-    for wanted in task.objectives:
-        if isinstance(wanted, Objective) and wanted.kind in ("tip_curvature", "turning_radius"):
+    for objective in task.objectives:
+        if isinstance(objective, Objective) and objective.kind in ("tip_curvature", "turning_radius"):
             raise InputError(
-                f"objective is {wanted.kind}; it is not defined for tubes made of pieces: "
+                f"objective is {objective.kind}; it is not defined for tubes made of pieces: "
                 "require a tip direction at a target instead"
             )
-        if isinstance(wanted, Objective) and wanted.kind == "strain":
+        if isinstance(objective, Objective) and objective.kind == "strain":
             _check_slots(task.space)
 
 
 def _check_slots(space: DesignSpace) -> None:
     """Raise InputError if strain is limited and slots are unknown: the remaining material has a higher strain."""
-    free = {place for unknown in space.unknowns if unknown.field == "piece_bending_factor" for place in unknown.pieces}
+    free = {
+        position for unknown in space.unknowns if unknown.field == "piece_bending_factor" for position in unknown.pieces
+    }
     for i, tube in enumerate(space.robot_tubes):
         for j, piece in enumerate(tube.pieces):
             if piece.slots is None and (slots_unknown(tube, piece) or (i, j) in free):

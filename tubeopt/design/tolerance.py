@@ -66,9 +66,9 @@ class ToleranceAnalysis:
     tip: Array
     """Tip positions (S, P, 3) in each pose, m; NaN if a sample has no stable equilibrium."""
     spread: Annotated[Array, key("tip_spread_rms_mm"), "RMS distance of the tip of a pose from its nominal position"]
-    """Shape (P,), m."""
+    """RMS distance (P,) of the tip from its nominal position, m."""
     spread_95: Annotated[Array, key("tip_spread_95_mm"), "distance that contains 95 % of these tips"]
-    """Shape (P,), m."""
+    """Distance (P,) that contains 95 % of the tips, m."""
     failed: Annotated[int, "samples that could not be solved"]
 
 
@@ -167,7 +167,7 @@ def _batch(
     translations: tuple[tuple[float, ...], ...],
     poses: tuple[tuple[Array, Array], ...],
 ) -> tuple[Array, Array]:
-    """Least certificate (B,) and tips (B, P, 3) of sampled tubes."""
+    """Smallest certificate (B,) and tips (B, P, 3) of sampled tubes."""
     certificates = np.empty(len(batch))
     tips = np.full((len(batch), len(poses), 3), np.nan)
     for k, tubes in enumerate(batch):
@@ -175,6 +175,6 @@ def _batch(
         certificates[k] = min(snap_free_certificate(robot, np.minimum(row, straight)) for row in translations)
         if poses:
             rotations, shift = (np.array([pose[part] for pose in poses], dtype=float) for part in (0, 1))
-            found = forward_kinematics_batch(robot, rotations, np.minimum(shift, straight))
-            tips[k, found.stable] = found.tip_position[found.stable]
+            solved = forward_kinematics_batch(robot, rotations, np.minimum(shift, straight))
+            tips[k, solved.stable] = solved.tip_position[solved.stable]
     return certificates, tips

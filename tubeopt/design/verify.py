@@ -31,7 +31,7 @@ from .evaluation import state_at
 from .exchange import UNREACHED, certified_at, motions
 from .program import Program, points_of
 from .requirements import (
-    SHARES,
+    DEPLOYED_FRACTIONS,
     Avoid,
     Coverage,
     Length,
@@ -48,7 +48,7 @@ from .requirements import (
     of_kind,
 )
 from .state import STRONGEST
-from .task import ORDER_SLACK, pose_places, worst_order
+from .task import ORDER_SLACK, pose_ranges, worst_order
 
 # Fraction of a limit, or of a step of a custom requirement, by which it may be violated.
 RELATIVE_TOLERANCE = 1e-6
@@ -104,9 +104,9 @@ def verify(
     for requirement in task.requirements:
         checks += _checks_of(requirement, program, robot, x, equilibria, turns)
     pose_translations = [e.translations for e in equilibria]
-    places = (*task.places, *(pose_places(pose_translations) if task.ordered else ()))
-    if places:
-        distance, clause = worst_order(robot.tubes, places)
+    ranges = (*task.translation_ranges, *(pose_ranges(pose_translations) if task.ordered else ()))
+    if ranges:
+        distance, clause = worst_order(robot.tubes, ranges)
         checks.append(Check("order of the tubes", clause, distance >= -ORDER_SLACK))
     return Verification((*checks, *_check_targets(program, equilibria)))
 
@@ -223,13 +223,13 @@ def _smallest_with_errors(robot: ConcentricRobot, requirement: SnapFree, transla
 
 def _check_targets(program: Program, equilibria: tuple[Equilibrium, ...]) -> Iterator[Check]:
     """Checks of tip positions and directions at targets and in workspace boxes."""
-    place = {number: k for k, number in enumerate(program.task_poses)}
+    row_of = {number: k for k, number in enumerate(program.task_poses)}
     requirements = program.task.requirements
     points = points_of(requirements, program.added)
     for requirement, own, positions in zip(requirements, program.own, points, strict=True):
         if not isinstance(requirement, Reach | Coverage):
             continue
-        poses = [equilibria[place[number]] for number in own]
+        poses = [equilibria[row_of[number]] for number in own]
         targets = requirement.targets if isinstance(requirement, Reach) else [requirement] * len(positions)
         tolerance = np.array([target.tolerance for target in targets])
         distance = np.linalg.norm([e.tip_position for e in poses] - np.array(positions), axis=1)
@@ -263,7 +263,7 @@ def solve_again(program: Program, robot: ConcentricRobot, x: Array) -> tuple[Equ
 
 def deployments(robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> tuple[Equilibrium, ...]:
     """Partly deployed arms of all poses."""
-    return tuple(draw(robot, pose, fraction) for pose in equilibria for fraction in SHARES)
+    return tuple(draw(robot, pose, fraction) for pose in equilibria for fraction in DEPLOYED_FRACTIONS)
 
 
 @typed
@@ -432,5 +432,5 @@ def check_custom(requirement: CustomRequirement, robot: ConcentricRobot, equilib
     except FloatingPointError:
         return Check(requirement.words, "not a finite number", False)
     value = requirement.limit - excess if requirement.is_upper_bound else requirement.limit + excess
-    kept = excess >= -RELATIVE_TOLERANCE * requirement.size
-    return Check(requirement.words, f"{value * requirement.factor:.6g} {requirement.unit}".strip(), kept)
+    satisfied = excess >= -RELATIVE_TOLERANCE * requirement.size
+    return Check(requirement.words, f"{value * requirement.factor:.6g} {requirement.unit}".strip(), satisfied)

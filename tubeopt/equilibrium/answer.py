@@ -18,7 +18,7 @@ from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.settings import LARGEST_SHIFT
 from ..typing import Array
-from .member import Loaded, Member, Place, Point, Unloaded
+from .member import AnyPoint, Loaded, Member, Point, Unloaded
 from .problem import (
     DEFAULT_DISCRETISATION,
     LOADED_DISCRETISATION,
@@ -37,17 +37,17 @@ SHORT = 0.01
 FOLDED = "the equilibrium is a fold (margin 0): it has no solution close by that Newton can find"
 
 
-def to_equilibrium(point: Place, start: str, began: float = 0.0) -> Equilibrium:
+def to_equilibrium(point: AnyPoint, start: str, start_time: float = 0.0) -> Equilibrium:
     """Equilibrium of a solved point.
 
     Args:
         start: what it was solved from.   began: start of the clock, s; 0 if unknown.
     """
-    return equilibrium_of(point.member, point.member.solution(point), start, began)
+    return equilibrium_of(point.member, point.member.solution(point), start, start_time)
 
 
 def equilibrium_of(
-    member: Member[Any], result: ArmSolution, start: str, began: float = 0.0, method: str = "newton"
+    member: Member[Any], result: ArmSolution, start: str, start_time: float = 0.0, method: str = "newton"
 ) -> Equilibrium:
     """Equilibrium of a problem from the solution of a solver."""
     mesh = member.torsion.mesh
@@ -57,7 +57,7 @@ def equilibrium_of(
         elements=int(mesh.collocated.sum()),
         degree=mesh.tableau.degree,
         start=start,
-        seconds=time.perf_counter() - began if began else 0.0,
+        seconds=time.perf_counter() - start_time if start_time else 0.0,
         family=mesh.tableau.family,
         refinement=member.discretisation.refinement,
     )
@@ -122,7 +122,9 @@ def largest_error(theta: Any, tip: Any, length: Any, *, even: bool = True) -> An
 # --- From an equilibrium to its problem -------------------------------------------------------------------------------
 
 
-def point_of(equilibrium: Equilibrium, load: Load | None = None, discretisation: Discretisation | None = None) -> Place:
+def point_of(
+    equilibrium: Equilibrium, load: Load | None = None, discretisation: Discretisation | None = None
+) -> AnyPoint:
     """Solved point of an equilibrium; arguments as of `unsolved`.
 
     Raises:

@@ -29,7 +29,7 @@ from ..robots.order import SAME_END, twisted_tube
 from ..typing import Array
 from .directions import Directions
 
-PLACES = tuple(ENDS.tolist())
+SHAPE_POINTS = tuple(ENDS.tolist())
 """Shape points of a piece as fractions of its length."""
 
 TIP = 1e-9
@@ -50,7 +50,7 @@ class Section:
     by_tubes: Array
     """Changes (3 n, Q) of theta, kb and m."""
     by_curvature: Array
-    """Changes (2, Q) of u."""
+    """Changes (2, Q) of the curvature u."""
 
 
 class ArmChange(Directions):
@@ -156,7 +156,10 @@ class ArmChange(Directions):
         acts = [self.cuts[k] for k, *_ in arm.joint_moments] + [np.inf] * any(arm.load.moment)
         if not acts:
             return
-        at_end, pace = np.abs(self.placed.place - ends[points.tube]) <= LENGTH_ROUND_OFF, np.zeros((self.n, self.size))
+        at_end, pace = (
+            np.abs(self.placed.arc_length - ends[points.tube]) <= LENGTH_ROUND_OFF,
+            np.zeros((self.n, self.size)),
+        )
         pace[points.tube[at_end]] = self.side * self.entered.speed[at_end]
         moved = ends + AHEAD * pace.T / np.maximum(np.abs(pace).max(0), 1e-300)[:, None]
         left = (twisted_tube(moved[:, None], acts) != twisted_tube(ends, acts)).any(1)
@@ -218,8 +221,8 @@ class ArmChange(Directions):
         """(m, 3, Q) turn vector of the frames at the shape points that move so, rad."""
         arm, n = self.arm, self.n
         rates = arm.frame[..., :2] @ self.response.curvature
-        inside = arm.tableau.basis(PLACES, 1)[1:] @ rates.reshape(arm.pieces, arm.degree, 3 * self.size)
-        inside = (arm.h * inside).reshape(arm.pieces, len(PLACES) - 1, 3, self.size)
+        inside = arm.tableau.basis(SHAPE_POINTS, 1)[1:] @ rates.reshape(arm.pieces, arm.degree, 3 * self.size)
+        inside = (arm.h * inside).reshape(arm.pieces, len(SHAPE_POINTS) - 1, 3, self.size)
         turned = (self.response.state[:-1, None, n : n + 3] + inside).reshape(-1, 3, self.size)
         # A place that moves along the arm also turns with the arm's bend there.
         bend = (self.shape.frame[1:, :, :2] @ self.shape.curvature[1:, :, None]) * self.moved[1:, None]
@@ -237,8 +240,8 @@ class ArmChange(Directions):
     def sections(self) -> tuple[Array, Array]:
         """(P, 5, 3 n) theta, kb and m, and (P, 5, 2) u at ENDS of every piece."""
         arm, n, (rate, table) = self.arm, self.n, self._sections_along
-        at = arm.tableau.basis(PLACES, 0) @ table
-        at[..., :n] += arm.phi_ends[:-1, None] + arm.h * (arm.tableau.basis(PLACES, 1) @ rate)
+        at = arm.tableau.basis(SHAPE_POINTS, 0) @ table
+        at[..., :n] += arm.phi_ends[:-1, None] + arm.h * (arm.tableau.basis(SHAPE_POINTS, 1) @ rate)
         result = sections_of(_parts(at.reshape(-1, 3 * n + 2)), arm.offsets)
         return at[..., : 3 * n], result.curvature.reshape(*at.shape[:2], 2)
 
@@ -246,16 +249,16 @@ class ArmChange(Directions):
         """Cross-section at a fraction x of piece k, while the point moves along the arm by (Q,)."""
         arm, n, (rate, table) = self.arm, self.n, self._sections_along
         h, response, forcing = arm.length[k], self.response, self.forcing
-        inside, whole, slope = (arm.tableau.basis((x,), times)[0] for times in (0, 1, -1))
+        inside, full, slope = (arm.tableau.basis((x,), times)[0] for times in (0, 1, -1))
         at, by = inside @ table[k], slope @ table[k] / h
-        at[:n] += arm.phi_ends[k] + h * (whole @ rate[k])
+        at[:n] += arm.phi_ends[k] + h * (full @ rate[k])
         # Along the arm theta changes by phi' beside the polynomials of phase and precurvature.
         by[:n] += inside @ rate[k]
         change = by[:, None] * moves
         change[: 3 * n] += _at(inside, forcing.data[k])
         if arm.load is not None:
             change[3 * n :] += _at(inside, response.bending_moment[k])
-        change[:n] += response.state[k, :n] + h * _at(whole, arm.twist_change(response, forcing, k))
+        change[:n] += response.state[k, :n] + h * _at(full, arm.twist_change(response, forcing, k))
         inputs = _parts(at[None])
         result, by_data = sections_of(inputs, arm.offsets), data_slopes_of(inputs, arm.offsets).curvature[0]
         turned = result.slopes[0, n:] @ np.concatenate([change[:n], change[3 * n :]]) + by_data @ change[n : 3 * n]

@@ -156,7 +156,7 @@ def _minimum(problem: BundleProblem, rotations: Array, x: Array) -> Solved:
 
 
 def _stable(solved: Solved, rotations: Array) -> Solved:
-    """The same, or where that is a saddle the lower one of the minima on both sides of it."""
+    """The solution; for a saddle the lower of the minima on both sides."""
     values, vectors = np.linalg.eigh(margin_form(solved.problem, solved.state))
     if values[0] > 0:
         return solved

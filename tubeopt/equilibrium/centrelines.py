@@ -50,10 +50,10 @@ def tube_lengths(equilibrium: Equilibrium) -> Array:
     if not count:
         return ends
     moment = section_function("moment", count, assembly.n_tubes, True)
-    place = (assembly.offset, assembly.offset_angle)
-    stretch = moment(point.state.theta, problem.stiffness, problem.moment, *place)[1]
-    there = problem.arc_length[:, None] < ends
-    return np.asarray(ends + problem.weight @ ((stretch - 1) * there))
+    offsets = (assembly.offset, assembly.offset_angle)
+    stretch = moment(point.state.theta, problem.stiffness, problem.moment, *offsets)[1]
+    present = problem.arc_length[:, None] < ends
+    return np.asarray(ends + problem.weight @ ((stretch - 1) * present))
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,11 +19,11 @@ from ..robots.load import Load, between
 from ..robots.robot import Robot
 from ..solvers.settings import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST, SOFT_TWIST
 from ..typing import Array, Index
-from .member import Loaded, Member, Place, Point, Unloaded
+from .member import AnyPoint, Loaded, Member, Point, Unloaded
 from .problem import DEFAULT_DISCRETISATION, Discretisation
 from .result import Equilibrium
 
-P = TypeVar("P", bound=Place)
+P = TypeVar("P", bound=AnyPoint)
 
 # A translation is compared with the length of the arm. Without this lower bound an arm of length zero, as at full
 # retraction, could not move at all.
@@ -289,7 +289,7 @@ def follow(
             step = min(step, max(TOWARDS_END * _distance_to_end(point, before, power), step / 20, min_step))
 
 
-def _distance_to_end(point: Place, before: Place, power: int) -> float:
+def _distance_to_end(point: AnyPoint, before: AnyPoint, power: int) -> float:
     """Distance in t from a point to where its margin vanishes, predicted from two points; infinity where it grows.
 
     margin^power falls linearly with t: the first power towards a bifurcation, the second towards a fold.
@@ -312,7 +312,7 @@ def reach(
     return [start, *follow(family, start, goal, stable=stable, shortest=shortest)][-1]
 
 
-def bifurcates(family: Family, last: Place) -> bool:
+def bifurcates(family: Family, last: AnyPoint) -> bool:
     """True if the branch ends in a bifurcation: w . g_t = 0 at its last point.
 
     w is the left null vector.

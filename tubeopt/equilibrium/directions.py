@@ -69,30 +69,30 @@ def breakpoints_of(
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedBreakpoints:
     """Breakpoints of an arm with their positions."""
 
     breakpoints: Breakpoints
     """Order of the breakpoints."""
-    place: Array
+    arc_length: Array
     """(J,) arc lengths, m."""
 
 
 @lru_cache(maxsize=64)
-def placed_breakpoints(assembly: Assembly, between: bytes) -> Placed:
+def placed_breakpoints(assembly: Assembly, between: bytes) -> PlacedBreakpoints:
     """Breakpoints of all tubes of an arm; `between` are the bytes of the arc lengths (P + 1,) between the pieces."""
     rows = [_places(assembly, i) for i in range(assembly.n_tubes)]
     # Breakpoints behind the plate are out of the arm; one at the plate may move into it.
     own = [(i, s, k == len(row) - 1) for i, row in enumerate(rows) for k, s in enumerate(row) if s > -LENGTH_ROUND_OFF]
-    place = np.array([s for _, s, _ in own])
+    arc_length = np.array([s for _, s, _ in own])
     breakpoints = breakpoints_of(
         assembly.n_tubes,
         tube=tuple(i for i, _, _ in own),
         end=tuple(end for _, _, end in own),
-        index=tuple(np.frombuffer(between).searchsorted(place - 2 * LENGTH_ROUND_OFF).tolist()),
-        in_front=tuple((place > LENGTH_ROUND_OFF).tolist()),
+        index=tuple(np.frombuffer(between).searchsorted(arc_length - 2 * LENGTH_ROUND_OFF).tolist()),
+        in_front=tuple((arc_length > LENGTH_ROUND_OFF).tolist()),
     )
-    return Placed(breakpoints, place)
+    return PlacedBreakpoints(breakpoints, arc_length)
 
 
 class Strip(NamedTuple):
@@ -177,7 +177,7 @@ class Uncovered:
 
     @cached_property
     def compliance(self) -> Array:
-        """(2, T, n) 1 / kt."""
+        """Torsional compliance 1 / kt (2, T, n), 1/(N m^2)."""
         kt = self.sections.torsional_stiffness
         return np.asarray(1 / kt.reshape(2, -1, kt.shape[1]))
 
@@ -193,11 +193,11 @@ class Uncovered:
 
 
 @lru_cache(maxsize=64)
-def uncovered_by(assembly: Assembly, placed: Placed, strips: Strips) -> Uncovered:
+def uncovered_by(assembly: Assembly, placed: PlacedBreakpoints, strips: Strips) -> Uncovered:
     """Cross-sections in the strips of an arm."""
-    place = placed.place[strips.first]
-    place = np.concatenate([place, place])
-    side = place[:, None] + LENGTH_ROUND_OFF
+    arc_length = placed.arc_length[strips.first]
+    arc_length = np.concatenate([arc_length, arc_length])
+    side = arc_length[:, None] + LENGTH_ROUND_OFF
     # A tube whose breakpoint moved beyond continues as before the breakpoint: it is evaluated on the plate's side.
     present = side - 2 * LENGTH_ROUND_OFF * strips.past < assembly.end
     # Where a curved part begins to grow its end moves alone.
@@ -205,7 +205,7 @@ def uncovered_by(assembly: Assembly, placed: Placed, strips: Strips) -> Uncovere
     return Uncovered(
         index=placed.breakpoints.index[strips.first],
         widths=strips.widths,
-        sections=_sections(assembly, place, near, present),
+        sections=_sections(assembly, arc_length, near, present),
         outermost=outermost(present).reshape(2, -1),
         signs=present.any(1).reshape(2, -1) * _AFTER_BEFORE,
     )
@@ -257,7 +257,7 @@ class Change:
     transmission: Array
     """(n,) change of int ds / kt up to the plate."""
     rate: Array
-    """(P, K, n) change of 1 / kt."""
+    """Change (P, K, n) of the torsional compliance 1 / kt."""
     stiffness: Array
     """(P, K, n) change of the bending stiffness kb."""
     moment: Array
@@ -369,7 +369,7 @@ class Directions:
         return self.strips.widths
 
     @cached_property
-    def placed(self) -> Placed:
+    def placed(self) -> PlacedBreakpoints:
         """Breakpoints in front of the plate or at it."""
         return placed_breakpoints(self.assembly, self.cuts.tobytes())
 
@@ -423,12 +423,12 @@ class Directions:
         column = first + i
         held, mine, table = float(self.assembly.transmission[i]), points.tube == i, self.assembly.lengthwise
 
-        def moves(place: Array) -> Array:
+        def moves(position: Array) -> Array:
             if name == "translations":
-                return np.ones_like(place)
-            return np.maximum(place - own.straight_length, 0.0) / (own.curved_length or np.inf)
+                return np.ones_like(position)
+            return np.maximum(position - own.straight_length, 0.0) / (own.curved_length or np.inf)
 
-        pace = moves(self.placed.place[mine] + held)
+        pace = moves(self.placed.arc_length[mine] + held)
         if name == "curved_length":
             pace[points.end[mine]] = 1.0
         entered.speed[mine, column] += pace
@@ -443,8 +443,8 @@ class Directions:
                 grown = max(held - own.straight_length, 0.0) / own.curved_length
                 into.transmission[i, column] += grown * self._softness(i)
             return
-        place = self._arc_length + held
-        moved = moves(place)
+        position = self._arc_length + held
+        moved = moves(position)
         for k, rate in enumerate(self._passing[:3]):
             # At a fixed arc length a tube that moves forward shows what was behind: minus its slope times the motion.
             into.data[..., k * n + i, column] -= rate[..., i] * moved
@@ -454,11 +454,11 @@ class Directions:
             up_to = table.compliant(self.assembly.transmission)[i] - table.compliant(straight)[i]
             into.transmission[i, column] += max(float(up_to), 0.0) / own.curved_length
             ends = np.array([tube.length for tube in self.tubes])
-            begun, ended = table.values(np.stack([straight, ends]))[5][:, i]
-            turned = arm.problem.compliant.sections.wound.reshape(arm.phase.shape)[..., i] - begun
+            straight_angle, full_angle = table.values(np.stack([straight, ends]))[5][:, i]
+            turned = arm.problem.compliant.sections.wound.reshape(arm.phase.shape)[..., i] - straight_angle
             # The twist is per length, so that a longer curved part winds more, in proportion.
             into.data[..., i, column] += np.where(moved != 0, turned, 0.0) / own.curved_length
-            entered.wound[i, column] += (ended - begun) / own.curved_length
+            entered.wound[i, column] += (full_angle - straight_angle) / own.curved_length
 
     @cached_property
     def _arc_length(self) -> Array:
@@ -478,8 +478,8 @@ class Directions:
 
     def _bendable(self, i: int) -> Array:
         """(P, K) True at points of the curved part of a tube with one curvature."""
-        own, place = self.tubes[i], self._arc_length + self.assembly.transmission[i]
-        return np.asarray((place > own.straight_length) & (not own.general))
+        own, position = self.tubes[i], self._arc_length + self.assembly.transmission[i]
+        return np.asarray((position > own.straight_length) & (not own.general))
 
     def _softness(self, i: int) -> float:
         """Compliance 1 / kt of a tube at the plate, on the side from which it moves, 1/(N m^2)."""
@@ -492,7 +492,7 @@ class Directions:
     # --- what a change of pieces needs to know ------------------------------------------------------------------------
 
     @property
-    def place(self) -> Array:
+    def tube_position(self) -> Array:
         """(P, K, n) positions of the points on the tubes, m from their clamped ends."""
         return self._arc_length[..., None] + self.assembly.transmission
 
@@ -505,7 +505,7 @@ class Directions:
     @cached_property
     def values(self) -> Array:
         """(6, P, K, n) the quantities of the table at the points."""
-        return self.table.values(self.place.reshape(-1, self.n)).reshape(6, *self.arm.phase.shape)
+        return self.table.values(self.tube_position.reshape(-1, self.n)).reshape(6, *self.arm.phase.shape)
 
 
 def _combined(columns: Array, along: Array) -> Array:
@@ -540,7 +540,7 @@ def passing(problem: ReducedProblem) -> tuple[Array, ...]:
     )
     kb, kt, x, y, z, _ = (part.reshape(shape) for part in table.values(s, inside))
     dkb, dkt, dx, dy, _, _ = (part.reshape(shape) for part in table.rates(s, inside))
-    there, size = problem.compliant.sections.stiffness.reshape(shape) > 0, np.hypot(x, y)
+    present, size = problem.compliant.sections.stiffness.reshape(shape) > 0, np.hypot(x, y)
     solid = np.where(size > 0, size, 1.0)
     turning, growing = (x * dy - y * dx) / solid**2, (x * dx + y * dy) / solid
-    return z + turning, dkb * there, (dkb * size + kb * growing) * there, -dkt / kt**2
+    return z + turning, dkb * present, (dkb * size + kb * growing) * present, -dkt / kt**2

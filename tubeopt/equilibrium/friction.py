@@ -132,7 +132,8 @@ def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> Friction
     if stored is None:
         return shaken(contact, equilibrium)
     points, bending = _sampled(contact, equilibrium)
-    between = sample_rotation(equilibrium, contact.place)[np.arange(len(contact.place)), contact.tube]
+    at = contact.concentrated_at
+    between = sample_rotation(equilibrium, at)[np.arange(len(at)), contact.tube]
     x = unknowns_of(contact, equilibrium.rotations, points, between, bending)
     state = evaluate_contact(contact, equilibrium.rotations, x)
     torque = np.array(stored.torque)
@@ -153,7 +154,7 @@ def shaken(contact: Contact, equilibrium: Equilibrium) -> FrictionEquilibrium:
     """
     alpha = equilibrium.rotations
     points, bending = _sampled(contact, equilibrium)
-    parts = [to_unknowns(contact.problem, alpha, points), np.zeros(contact.place_by_y.shape[1])]
+    parts = [to_unknowns(contact.problem, alpha, points), np.zeros(contact.rotation_by_y.shape[1])]
     if contact.loaded is not None and bending is not None:
         parts.insert(1, (bending / contact.loaded.softness[:, None]).ravel())
     relaxed = full_steps(
@@ -236,10 +237,10 @@ def start_increment(
     contact = contact_of(robot, tuple(translations.tolist()), current.contact.friction, load)
     pair, s, points = contact.pair, contact.arc_length, contact.problem.arc_length
     # The material at s was at s - dz_i on tube i.
-    arc_lengths = (points, contact.place, s - moved[pair], s - moved[pair + 1])
+    arc_lengths = (points, contact.concentrated_at, s - moved[pair], s - moved[pair + 1])
     theta = current.theta(np.concatenate(arc_lengths))
     at_points, between, inner, outer = np.split(theta, np.cumsum([len(part) for part in arc_lengths])[:-1])
-    row, joint = np.arange(len(pair)), np.arange(len(contact.place))
+    row, joint = np.arange(len(pair)), np.arange(len(contact.concentrated_at))
     before = outer[row, pair + 1] - inner[row, pair]
     turn = rotations - current.rotations
     at_joints = (between + turn)[joint, contact.tube]

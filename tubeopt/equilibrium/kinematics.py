@@ -60,7 +60,7 @@ from .continuation import (
     small_motion,
     step_to,
 )
-from .member import Loaded, Member, Place, PlainPoint, Point, Unloaded
+from .member import AnyPoint, Loaded, Member, PlainPoint, Point, Unloaded
 from .problem import (
     DEFAULT_DISCRETISATION,
     LOADED_DISCRETISATION,
@@ -124,7 +124,7 @@ def unloaded(
             elements=solved.elements,
             degree=DEFAULT_DISCRETISATION.degree,
             start="tubes without torsion" if start is None else "guess",
-            seconds=time.perf_counter() - request.began - solved.loading,
+            seconds=time.perf_counter() - request.start_time - solved.loading,
             refinement=refinement,
             loading=solved.loading,
         )
@@ -168,7 +168,7 @@ def loaded(start: Equilibrium, member: Loaded, request: SolveRequest) -> Equilib
         if margin_error <= request.method.newton.margin_tolerance and error <= request.tolerance:
             discretisation = replace(LOADED_DISCRETISATION, refinement=refinement)
             solved = Loaded(robot, problem, rotations, shift, discretisation)
-            return equilibrium_of(solved, solution, how, request.began)
+            return equilibrium_of(solved, solution, how, request.start_time)
     return None
 
 
@@ -270,7 +270,7 @@ def forward_kinematics(  # noqa: PLR0913
         >>> pose.stable, round(1e3 * float(pose.tip_position[2]), 3)
         (True, 76.151)
     """
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     check_robot(robot)
     alpha, shift = joint_values(robot, rotations, translations)
     translation = tuple(shift.tolist())
@@ -283,7 +283,7 @@ def forward_kinematics(  # noqa: PLR0913
                 "kind is bundle; its equilibria have the method newton, the default mesh and no verification"
             )
         return bundle_kinematics(robot, alpha, shift, load=load, start=guess, tolerance=tolerance)
-    request = SolveRequest(solver, tolerance, began)
+    request = SolveRequest(solver, tolerance, start_time)
     if load is not None:
         check_load(robot, load, translation)
         # Under a load without a start, the branch of the unloaded equilibrium is followed while the load grows.
@@ -331,7 +331,7 @@ def under_load(equilibrium: Equilibrium, load: Load | None) -> Equilibrium:
     return forward_kinematics(robot, *joints, load=load, start=equilibrium)
 
 
-def _to_tolerance(point: Place, start: str, request: SolveRequest) -> Equilibrium:
+def _to_tolerance(point: AnyPoint, start: str, request: SolveRequest) -> Equilibrium:
     """Equilibrium of a solved point on the first mesh with an estimated error within the tolerance.
 
     Args:
@@ -344,7 +344,7 @@ def _to_tolerance(point: Place, start: str, request: SolveRequest) -> Equilibriu
     finest = max(REFINEMENTS if point.member.load is None else LOADED_REFINEMENTS, first)
     for level in range(first, finest + 1):
         solution = point.member.solution(point)
-        result = equilibrium_of(point.member, solution, start, request.began, solver.name)
+        result = equilibrium_of(point.member, solution, start, request.start_time, solver.name)
         error = error_of(result)
         if error <= request.tolerance and (level == finest or solution.errors[2] <= solver.newton.margin_tolerance):
             return result
@@ -361,7 +361,7 @@ def _to_tolerance(point: Place, start: str, request: SolveRequest) -> Equilibriu
 
 
 @small
-def _descend(member: Unloaded, solver: Method) -> tuple[Place, str]:
+def _descend(member: Unloaded, solver: Method) -> tuple[AnyPoint, str]:
     """Stable equilibrium by energy descent, and a description of its start."""
     failure = ""
     try:
@@ -379,7 +379,7 @@ def _descend(member: Unloaded, solver: Method) -> tuple[Place, str]:
     return _by_method(point, solver), "the path from home"
 
 
-def _by_method(point: Place, solver: Method) -> Place:
+def _by_method(point: AnyPoint, solver: Method) -> AnyPoint:
     """Point solved once more by the requested method, if that is not Newton's."""
     if solver.name == "newton":
         return point
@@ -423,7 +423,7 @@ def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: t
     point = step_to(family, 1.0, _start(family, Milestone(0.0, guess)))
     if point is None:
         return None
-    result = to_equilibrium(point, "guess", request.began)
+    result = to_equilibrium(point, "guess", request.start_time)
     if error_of(result) <= request.tolerance:
         return result
     return forward_kinematics(robot, rotations, translations, start=result)
@@ -468,7 +468,7 @@ def on_branch(family: Family, guess: Equilibrium, request: SolveRequest) -> Equi
     return _to_tolerance(_by_method(point, request.method), start, request)
 
 
-def _start(family: Family, milestone: Milestone) -> Place:
+def _start(family: Family, milestone: Milestone) -> AnyPoint:
     """Equilibrium as the first point of a branch, as it was solved."""
     pose = milestone.pose
     member, x = unsolved(pose, family.load, family.path.discretisation)
@@ -490,7 +490,7 @@ def equilibrium_at(
     """
     if rotation_at is None or (load is not None and curvature_at is None):
         return forward_kinematics(robot, rotations, translations, load=load)
-    began, shift = time.perf_counter(), tuple(translations.tolist())
+    start_time, shift = time.perf_counter(), tuple(translations.tolist())
     member: Member[Any]
     if load is None:
         member = Unloaded.of(robot, rotations, shift)
@@ -501,4 +501,4 @@ def equilibrium_at(
     theta = rotation_at(s).T.reshape(-1, robot.n_tubes)
     curvature = None if load is None or curvature_at is None else curvature_at(s).T
     point = Point.near(member, member.unknowns(theta, curvature), FOLDED)
-    return _to_tolerance(point, "a program", SolveRequest(began=began))
+    return _to_tolerance(point, "a program", SolveRequest(start_time=start_time))

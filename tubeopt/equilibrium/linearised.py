@@ -33,7 +33,7 @@ from ..errors import SolveError
 from ..physics.certificate import worst_function
 from ..typing import Array
 from .answer import discretisation_of, sample_rotation
-from .arm_change import PLACES, ArmChange
+from .arm_change import SHAPE_POINTS, ArmChange
 from .directions import Change, Directions
 from .problem import loaded_problem, reduced_problem
 from .result import Equilibrium, refuse_friction
@@ -97,7 +97,7 @@ class _ModeWeights(NamedTuple):
     stretch_slope: Array
     """Weight of dg/dtheta."""
     stretch: Array
-    """Weight of g."""
+    """Weight of the stretch g."""
 
 
 class _ModePoint(NamedTuple):
@@ -116,8 +116,8 @@ class _ModeAlongArm:
         assembly, count = problem.assembly, len(problem.weight)
         n, kt, weight = assembly.n_tubes, assembly.torsional_stiffness, problem.weight[:, None]
         balance = section_function("balance", count, n, True)
-        place = assembly.offset, assembly.offset_angle
-        outputs = balance(theta, problem.stiffness, problem.moment, *place)
+        offsets = assembly.offset, assembly.offset_angle
+        outputs = balance(theta, problem.stiffness, problem.moment, *offsets)
         moment, turned, _, g, stretched = (part.copy() for part in outputs)
         assert problem.stretch is not None
         up_to, beyond, _ = problem.stretch
@@ -134,8 +134,8 @@ class _ModeAlongArm:
         self.b = np.zeros_like(theta)
         for block in problem.blocks:
             inside = np.ix_(block.points, block.tubes)
-            whole = block.compliance + (block.up_to * ((g - 1) / kt).T[block.tubes][:, None]) @ block.beyond
-            self.b[inside] = np.einsum("iab,ai->bi", whole, mode.zeta[inside]) / weight[block.points]
+            compliance = block.compliance + (block.up_to * ((g - 1) / kt).T[block.tubes][:, None]) @ block.beyond
+            self.b[inside] = np.einsum("iab,ai->bi", compliance, mode.zeta[inside]) / weight[block.points]
 
     @property
     def weights(self) -> _ModeWeights:
@@ -149,8 +149,8 @@ class _ModeAlongArm:
         if not count:
             return np.zeros(0)
         kt, index = self.problem.assembly.torsional_stiffness, strips.index
-        places = [self._at(s) for s in of.cuts[index]]
-        y, tau, a, b = (np.array(part * 2) for part in zip(*places, strict=True))
+        samples = [self._at(s) for s in of.cuts[index]]
+        y, tau, a, b = (np.array(part * 2) for part in zip(*samples, strict=True))
         twist = np.concatenate([of.arm.torque_tip_side[index]] * 2) / kt
         weights = _ModeWeights(y, b, -kappa * a * twist, -a * tau / kt)
         function = section_function("mode", 2 * count, of.n, True)
@@ -197,7 +197,7 @@ class _Form(NamedTuple):
     """Second variation of a mode per length at X points."""
 
     value: Array
-    """Values (X,)."""
+    """Values (X,) of the quadratic form."""
     slopes: Array
     """Gradient (X, n + 4) by theta, b and g."""
     by_data: Array
@@ -280,8 +280,8 @@ class Linearised(ArmChange):
         by = weights.ravel()[:, None] * slope
         out = np.zeros(size) if worst else by[:, :n].ravel() @ self.response.phi.reshape(-1, size)
         if data:
-            whole = np.concatenate([by[:, :n], weights.ravel()[:, None] * by_data], axis=1)
-            out += whole.ravel() @ forcing.data.reshape(-1, size)
+            weighted = np.concatenate([by[:, :n], weights.ravel()[:, None] * by_data], axis=1)
+            out += weighted.ravel() @ forcing.data.reshape(-1, size)
         if arm.load is not None:
             out += self._load_change(mode, by)
         # int v^2 d(1 / kt): a softer tube lowers the margin where the mode twists it.
@@ -304,9 +304,9 @@ class Linearised(ArmChange):
         turns = hat(psi)
         twice = arm.weights[..., None, None] * (turns @ turns)
         # g = (R'(dm + m x psi))_xy: by the moment, of which half is the costate's, and by the turn of the frame.
-        whole = moment - (turns @ arm.moment[..., None])[..., 0]
+        total = moment - (turns @ arm.moment[..., None])[..., 0]
         out += ((turns @ across[..., None])[..., 0] / 2).ravel() @ moved.moment.reshape(-1, size)
-        turning = cross(across, whole) - cross(arm.axis, (twice @ arm.force[..., None])[..., 0])
+        turning = cross(across, total) - cross(arm.axis, (twice @ arm.force[..., None])[..., 0])
         out += turning.ravel() @ moved.psi.reshape(-1, size)
         return np.asarray(out - (twice @ arm.axis[..., None]).ravel() @ self.forcing.force.reshape(-1, size))
 
@@ -320,8 +320,8 @@ class Linearised(ArmChange):
         y, psi, torque, moment = state[:, :n], state[:, n : n + 3], state[:, n + 3 : 2 * n + 3], state[:, 2 * n + 3 :]
         # hat(psi) b = psi x b: the turn of the frame by the mode.
         turns, bends = hat(psi), (arm.moment_plate_side if self.side < 0 else arm.moment_tip_side)[index]
-        whole = moment - (turns @ bends[..., None])[..., 0]
-        g = (frame[..., :2].swapaxes(1, 2) @ whole[..., None])[..., 0]
+        total = moment - (turns @ bends[..., None])[..., 0]
+        g = (frame[..., :2].swapaxes(1, 2) @ total[..., None])[..., 0]
         form = self._form([*self.strip_inputs, np.concatenate([g, g]), np.concatenate([y, y])], softness, worst=worst)[
             0
         ]
@@ -402,7 +402,7 @@ def standing_of(equilibrium: Equilibrium, straight: bool = True) -> LinearisedAr
 # --- At a fraction of the arm's length --------------------------------------------------------------------------------
 
 
-def place_at(of: Linearised, fraction: float) -> Array:
+def centreline_point(of: Linearised, fraction: float) -> Array:
     """Position (3,) at a fraction of the arm's length in front of the plate, m."""
     table = of.shape.position
     if len(of.cuts) < 2:
@@ -464,13 +464,13 @@ def curvature_in_tube(of: Linearised, tube: int, ends: tuple[float, float], move
         # Curvature jumps where pieces meet: each part of the stretch has points of its own, which move with its ends.
         low, high = max(first, of.cuts[k]), min(last, of.cuts[k + 1])
         from_, to = (
-            moves if inside else of.moved[(len(PLACES) - 1) * j]
+            moves if inside else of.moved[(len(SHAPE_POINTS) - 1) * j]
             for inside, j in ((low == first, k), (high == last, k + 1))
         )
         for x, weight in zip(*GAUSS, strict=True):
-            place = float((low + x * (high - low) - of.cuts[k]) / arm.length[k])
-            at = of.section(k, place, (1 - x) * from_ + x * to)
-            theta = float(at.rotation[tube] + arm.tableau.basis((place,), 0)[0] @ turned[k, :, tube])
+            fraction = float((low + x * (high - low) - of.cuts[k]) / arm.length[k])
+            at = of.section(k, fraction, (1 - x) * from_ + x * to)
+            theta = float(at.rotation[tube] + arm.tableau.basis((fraction,), 0)[0] @ turned[k, :, tube])
             c, s = np.cos(theta), np.sin(theta)
             own = np.array([[c, s], [-s, c]])
             u = own @ at.curvature

@@ -129,7 +129,7 @@ class Point(Generic[M, S]):
         return Point.near(member, member.transfer(self), failure, iterations)
 
 
-Place = Point[Any, Any]
+AnyPoint = Point[Any, Any]
 """Point with or without a load."""
 
 
@@ -191,7 +191,7 @@ class Member(ABC, Generic[S]):
         """Rotation and torsion along the arm."""
 
     @abstractmethod
-    def solution(self, point: Place) -> ArmSolution:
+    def solution(self, point: AnyPoint) -> ArmSolution:
         """Shape, energy and estimated errors of a solved point."""
 
     @abstractmethod
@@ -209,18 +209,18 @@ class Member(ABC, Generic[S]):
         """Same unknowns at other joint values and under a load times a factor; None where the sections differ."""
 
     @abstractmethod
-    def transfer(self, point: Place) -> Array:
+    def transfer(self, point: AnyPoint) -> Array:
         """(U,) unknowns with the twist and the bending of a point, which may be on another mesh."""
 
     @abstractmethod
-    def distance(self, point: Place, state: S) -> float:
+    def distance(self, point: AnyPoint, state: S) -> float:
         """Largest difference (rad) between a point and a state of this member: of a twist, or of the arm's frame."""
 
     @abstractmethod
     def round_off(self, state: S) -> float:
         """Sum of the sizes (J) of the energies that may cancel in the potential."""
 
-    def tangent(self, point: Place) -> Array | None:
+    def tangent(self, point: AnyPoint) -> Array | None:
         """(U,) predicted change of the unknowns from a point to this member, if it costs one solve only; else None."""
         return None
 
@@ -294,7 +294,7 @@ class Unloaded(Member[Evaluation]):
         return self.problem
 
     def on(self, **mesh: Any) -> Unloaded:
-        """See `Member.on`."""
+        """Copy on another discretisation, as `Member.on`."""
         return Unloaded.of(self.robot, self.rotations, self.translations, replace(self.discretisation, **mesh))
 
     def unknowns(self, theta: Array, curvature: Array | None = None) -> Array:
@@ -358,7 +358,9 @@ class Unloaded(Member[Evaluation]):
         """Rotation and torsion along the arm, integrated from the collocation points."""
         return arms.profile(self.problem, self.rotations, state)
 
-    def solution(self, point: Place, profile: arms.Profile | None = None, defect: float | None = None) -> ArmSolution:
+    def solution(
+        self, point: AnyPoint, profile: arms.Profile | None = None, defect: float | None = None
+    ) -> ArmSolution:
         """Shape, energy and estimated errors of a solved point.
 
         With friction, `profile` and `defect` (rad) replace the rotations along the arm and the error of the mesh.
@@ -386,7 +388,7 @@ class Unloaded(Member[Evaluation]):
     def with_inputs(
         self, rotations: Array, translations: tuple[float, ...], load: Load | None, factor: float
     ) -> Unloaded | None:
-        """See `Member.with_inputs`; without a load."""
+        """Copy at other joint values without a load, as `Member.with_inputs`."""
         if translations == self.translations:
             return replace(self, rotations=rotations)
         assembly, d = self.robot.assembly(np.array(translations)), self.discretisation
@@ -396,7 +398,7 @@ class Unloaded(Member[Evaluation]):
         problem = reduce(assembly, make_mesh(assembly, pieces, family=d.family, degree=d.degree))
         return Unloaded(self.robot, problem, rotations, translations, d) if problem.size == self.problem.size else None
 
-    def transfer(self, point: Place) -> Array:
+    def transfer(self, point: AnyPoint) -> Array:
         """(U,) unknowns of a point from another mesh: the twist is interpolated with its slopes."""
         known = point.member
         if known.problem is self.problem:
@@ -406,7 +408,7 @@ class Unloaded(Member[Evaluation]):
             twist = arms.interpolate(known.problem, point.torsion, self.problem.arc_length) - known.rotations
         return self.unknowns(self.rotations + twist)
 
-    def distance(self, point: Place, state: Evaluation) -> float:
+    def distance(self, point: AnyPoint, state: Evaluation) -> float:
         """Largest difference (rad) of the twist of coupled tubes; the twist of others is no unknown."""
         return torsional_turn(self.problem, state.x - self.transfer(point))
 
@@ -416,7 +418,7 @@ class Unloaded(Member[Evaluation]):
 
     @property
     def descends(self) -> bool:
-        """True on the centreline.
+        """True if descent of the energy applies: all tubes are concentric.
 
         At a fold of eccentric tubes the same tubes on the centreline may have a minimum close by, in which a descent of
         their energy would end.
@@ -472,7 +474,7 @@ class Loaded(Member[LoadedState]):
         return self.problem.torsion
 
     def on(self, **mesh: Any) -> Loaded:
-        """See `Member.on`; the factor stays."""
+        """Copy on another discretisation at the same load factor, as `Member.on`."""
         d = replace(self.discretisation, **mesh)
         return Loaded.of(self.robot, self.rotations, self.translations, self.problem.load, d, self.factor)
 
@@ -519,7 +521,7 @@ class Loaded(Member[LoadedState]):
         """Rotation and torsion along the arm, integrated from the collocation points."""
         return loaded_profile(self.problem, self.rotations, state)
 
-    def solution(self, point: Place) -> ArmSolution:
+    def solution(self, point: AnyPoint) -> ArmSolution:
         """Shape, energy, compliance, base wrench and estimated errors of a solved point."""
         state, problem, profile = point.state, self.problem, point.torsion
         return ArmSolution.of(
@@ -563,13 +565,13 @@ class Loaded(Member[LoadedState]):
 
     @property
     def descends(self) -> bool:
-        """False under moments and follower forces, which have no energy."""
+        """True if descent of the energy applies: no moments and no follower forces."""
         return self.problem.couples is None
 
     def with_inputs(
         self, rotations: Array, translations: tuple[float, ...], load: Load | None, factor: float
     ) -> Loaded | None:
-        """See `Member.with_inputs`; the load acts at the same points."""
+        """Copy at other joint values, as `Member.with_inputs`; the load acts at the same points."""
         assert load is not None
         if translations == self.translations and load is self.problem.load:
             return replace(self, rotations=rotations, factor=factor)
@@ -582,7 +584,7 @@ class Loaded(Member[LoadedState]):
             return None
         return Loaded(self.robot, problem, rotations, translations, self.discretisation, factor)
 
-    def transfer(self, point: Place) -> Array:
+    def transfer(self, point: AnyPoint) -> Array:
         """(U,) unknowns of a point from another mesh: bending is interpolated by the polynomials of the pieces."""
         known, state, problem = point.member, point.state, self.problem
         if known.problem.torsion is problem.torsion:
@@ -600,7 +602,7 @@ class Loaded(Member[LoadedState]):
         same_mesh = len(own.weight) == len(other.weight) and np.array_equal(own.mesh.section, other.mesh.section)
         return same_mesh and np.array_equal(own.flat, other.flat)
 
-    def _twist(self, point: Place) -> Array:
+    def _twist(self, point: AnyPoint) -> Array:
         """(N, n) twist of a point at the collocation points of this member, for all tubes."""
         known = point.member
         if self._same_points(known.problem):
@@ -608,7 +610,7 @@ class Loaded(Member[LoadedState]):
         theta = arms.interpolate(known.torsion, point.torsion, self.torsion.arc_length)
         return np.asarray(theta - known.rotations)
 
-    def distance(self, point: Place, state: LoadedState) -> float:
+    def distance(self, point: AnyPoint, state: LoadedState) -> float:
         """Largest difference (rad) of a twist and of the arm's frame at the collocation points."""
         frames = point.state.orientation.stage
         if not self._same_points(point.member.problem):
@@ -618,7 +620,7 @@ class Loaded(Member[LoadedState]):
         # The frames are unit quaternions: a rotation by a moves one by a / 2.
         return max(float(twist), 2 * float(np.linalg.norm(state.orientation.stage - frames, axis=1).max()))
 
-    def tangent(self, point: Place) -> Array | None:
+    def tangent(self, point: AnyPoint) -> Array | None:
         """(U,) change by the derivative with respect to the factor, where only that changes."""
         if point.member.problem is not self.problem or not np.array_equal(point.member.rotations, self.rotations):
             return None

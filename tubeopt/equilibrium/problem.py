@@ -60,14 +60,14 @@ LOADED_DISCRETISATION = Discretisation(degree=7)
 
 
 # A motion uses the problems of its equilibria a second time, for the speed of the tip.
-KEPT = 128
+CACHED_PROBLEMS = 128
 """Number of problems in a cache."""
 
 EXTRA_COLLOCATION_POINTS = 1
 """Number of collocation points per piece that the check of the mesh has more than the solution."""
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_PROBLEMS)
 def assembly_of(robot: Robot, translations: tuple[float, ...]) -> Assembly:
     """Assembly of a robot at translations (n,), m."""
     return robot.assembly(np.array(translations))
@@ -175,9 +175,9 @@ def _check_points(load: Load, length: float) -> None:
             )
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_PROBLEMS)
 def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
-    """See `check_load`; once for each robot, load and translations."""
+    """Check a load as `check_load` does, once for each robot, load and translations."""
     assembly = assembly_of(robot, translations)
     if assembly.eccentric:
         raise InputError("this robot is eccentric; only concentric robots can be loaded")
@@ -189,7 +189,7 @@ def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
     masses(robot.tubes, load)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_PROBLEMS)
 def loaded_problem(
     robot: Robot,
     translations: tuple[float, ...],
@@ -212,14 +212,14 @@ def _problem(
     discretisation: Discretisation,
     pieces: tuple[int, ...] | None = None,
 ) -> LoadedProblem:
-    """See `loaded_problem`, which caches it."""
+    """Problem of a loaded robot, built for the cache of `loaded_problem`."""
     _, loading = loading_of(robot, translations, load)
     counts = tuple((loading.counts * 2**discretisation.refinement).tolist()) if pieces is None else pieces
     torsion = _torsion(robot, translations, tuple(load.cuts().tolist()), counts, discretisation)
     return load_problem(torsion, load, loading.density)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_PROBLEMS)
 def loading_of(robot: Robot, translations: tuple[float, ...], load: Load) -> tuple[Assembly, Loading]:
     """Assembly at translations (n,), cut where the load jumps, and the load on its sections."""
     density = masses(robot.tubes, load)
@@ -227,7 +227,7 @@ def loading_of(robot: Robot, translations: tuple[float, ...], load: Load) -> tup
     return assembly, Loading(load, density, loaded_counts(assembly, *_bounds(assembly, load, density)))
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_PROBLEMS)
 def loaded_rules(robot: Robot, translations: tuple[float, ...], load: Load, refinement: int = 0) -> LoadedRules:
     """Problem of a robot under a load on the three quadrature rules of the compiled kernel."""
     family, degree = LOADED_DISCRETISATION.family, LOADED_DISCRETISATION.degree
@@ -237,13 +237,13 @@ def loaded_rules(robot: Robot, translations: tuple[float, ...], load: Load, refi
     return LoadedRules(problem, *(_problem(robot, translations, load, d) for d in rough_and_fine))
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_PROBLEMS)
 def _cut(robot: Robot, translations: tuple[float, ...], cuts: tuple[float, ...]) -> Assembly:
     assembly = assembly_of(robot, translations)
     return cut(assembly, np.array(cuts)) if cuts else assembly
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_PROBLEMS)
 def _torsion(
     robot: Robot, translations: tuple[float, ...], cuts: tuple[float, ...], counts: tuple[int, ...], d: Discretisation
 ) -> ReducedProblem:
@@ -291,7 +291,7 @@ class SolveRequest:
     method: Method = NAMED["newton"]
     tolerance: float = TOLERANCE
     """Largest error, as TOLERANCE."""
-    began: float = field(default_factory=time.perf_counter)
+    start_time: float = field(default_factory=time.perf_counter)
     """Start of the clock, s."""
 
     def by_kernel(self, load: Load | None, discretisation: Discretisation) -> bool:

@@ -237,7 +237,7 @@ class Equilibrium(Displayed):
     statistics: Statistics
     """Method, mesh, iterations and time."""
     verification: Annotated[Verification | None, "difference from adaptive re-integration"] = None
-    """None unless it was requested."""
+    """Difference from the independent integration; None unless requested."""
     load: Load | None = None
     """External load, or None."""
     work: float = 0.0

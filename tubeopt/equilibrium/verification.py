@@ -35,7 +35,7 @@ TOLERANCE = 1e-12
 CURVATURE_ROUND_OFF = 4e-16
 """Relative change of a curvature by round-off."""
 
-SAME_PLACE = 1e-12
+SAME_POSITION = 1e-12
 """Largest distance (m) of two positions that count as equal: round-off of a length."""
 
 
@@ -73,7 +73,7 @@ def verifications(equilibria: Sequence[Equilibrium]) -> list[Verification]:
             if k == assembly.n_sections - 1:
                 bent[b] = np.abs(beyond[j, -5:-3]).max() / kb[j].sum()
             # A free end has no torque: what is left there is an error of the solution.
-            ends = np.abs(assembly.end - stop) < SAME_PLACE
+            ends = np.abs(assembly.end - stop) < SAME_POSITION
             loose[b] = max(loose[b], np.abs(beyond[j, n : 2 * n] / kt[j])[ends].max(initial=0.0))
     out = []
     for b, each in enumerate(equilibria):
@@ -114,11 +114,11 @@ def _past_points(equilibrium: Equilibrium, assembly: Assembly, s: float, state: 
     """State beyond the forces and moments that act at arc length s; `ending`: also those at the tip."""
     n, out, load = assembly.n_tubes, state.copy(), equilibrium.load or Load()
     for part in load.acting if ending else load.points:
-        axes, place = np.eye(3), part.at
-        if place == np.inf:
+        axes, arc_length = np.eye(3), part.at
+        if arc_length == np.inf:
             axes = equilibrium.tip_rotation if load.frame == "tip" else axes
-            place = max(s, float(assembly.end[last_tube(assembly.end)]))
-        if abs(place - s) < SAME_PLACE:
+            arc_length = max(s, float(assembly.end[last_tube(assembly.end)]))
+        if abs(arc_length - s) < SAME_POSITION:
             # The cross-section transmits the loads beyond it: past a point load force and moment drop by it.
             moment = _frame(state, n).T @ axes @ part.moment
             out[n + twisted_tube(assembly.end, s)] -= moment[2]
@@ -145,10 +145,10 @@ class _Arms:
         """Arms of a list of equilibria of one robot under one load."""
         robot, load, along = equilibria[0].robot, equilibria[0].load or Load(), []
         for tube in robot.tubes:
-            own, begin = [], 0.0
+            own, start = [], 0.0
             for length, (x, y, z), kb, kt in stretches(tube):
-                own.append((begin, begin + length, (kb, kt, x, y, z)))
-                begin += length
+                own.append((start, start + length, (kb, kt, x, y, z)))
+                start += length
             along.append(tuple(own))
         placed = tuple(cut(robot.assembly(each.translations), load.cuts()) for each in equilibria)
         return _Arms(equilibria, load, placed, tuple(along))
@@ -180,7 +180,7 @@ class _Arms:
         mass = np.array([masses(self.robot.tubes, self.load) @ each.present[k] for each in some])
         parts = [
             [
-                next(((begin - held, own) for begin, end, own in tube if begin - held <= middle < end - held), None)
+                next(((first - held, own) for first, end, own in tube if first - held <= middle < end - held), None)
                 for tube, held in zip(self.along, each.transmission.tolist(), strict=True)
             ]
             for each, middle in zip(some, (start + length / 2).tolist(), strict=True)
@@ -212,13 +212,13 @@ class _Arms:
         """(n,) rotation of the tubes from their clamped ends to the plate, rad."""
         out = np.zeros(assembly.n_tubes)
         for i, (own, held) in enumerate(zip(self.along, assembly.transmission.tolist(), strict=True)):
-            for begin, end, (_, kt, _, _, z) in own:
+            for start, end, (_, kt, _, _, z) in own:
                 stop = min(end, held)
-                if stop > begin and not vary((z, kt)):
-                    out[i] += (at(z, 0.0) + torque[i] / at(kt, 0.0)) * (stop - begin)
-                elif stop > begin:
+                if stop > start and not vary((z, kt)):
+                    out[i] += (at(z, 0.0) + torque[i] / at(kt, 0.0)) * (stop - start)
+                elif stop > start:
                     out[i] += scipy.integrate.quad(
-                        lambda x, z=z, kt=kt, t=torque[i]: at(z, x) + t / at(kt, x), 0, stop - begin, epsrel=TOLERANCE
+                        lambda x, z=z, kt=kt, t=torque[i]: at(z, x) + t / at(kt, x), 0, stop - start, epsrel=TOLERANCE
                     )[0]
         return out
 
@@ -227,9 +227,9 @@ class _Curvature(NamedTuple):
     """Curvature of B cross-sections, with complex numbers for the plane of the Bishop frame."""
 
     u: Array
-    """(B,) u_x + j u_y, 1/m."""
+    """Complex curvature u_x + j u_y (B,), 1/m."""
     moments: Array
-    """(B, n) kb u* e^(j theta), N m."""
+    """Natural moments kb u* e^(j theta) (B, n), N m."""
     g: Array
     """(B, n) arc length of each tube per arc length of the arm."""
 
@@ -252,7 +252,7 @@ class _Section:
     everywhere: tuple[Array, ...] | None = None
 
     @cached_property
-    def there(self) -> Mask:
+    def present(self) -> Mask:
         """(B, n) True where a tube is present."""
         return np.array([[part is not None for part in row] for row in self.parts])
 
@@ -261,7 +261,7 @@ class _Section:
         """True with an external load."""
         return self.load != Load()
 
-    def places(self, x: float) -> Array:
+    def arc_lengths(self, x: float) -> Array:
         """(B,) arc lengths at a fraction of the section, m."""
         return self.start + x * (self.stop - self.start)
 
@@ -272,7 +272,7 @@ class _Section:
         ended = [0.0, 1.0, 0.0, 0.0, 0.0]
         table = [
             [ended if part is None else [at(q, s - part[0]) for q in part[1]] for part in row]
-            for row, s in zip(self.parts, self.places(x).tolist(), strict=True)
+            for row, s in zip(self.parts, self.arc_lengths(x).tolist(), strict=True)
         ]
         kb, kt, bend, bend_y, twist = np.moveaxis(np.array(table), 2, 0)
         return kb, kt, bend + 1j * bend_y, twist
@@ -294,13 +294,13 @@ class _Section:
 
     def rates(self, x: float, state: Array) -> Array:
         """(B, 2n + 17) derivatives of theta, t, R, p, m, n with respect to arc length."""
-        count, n = self.there.shape
+        count, n = self.present.shape
         torque = state[:, n : 2 * n]
         frame, out = state[:, 2 * n : 2 * n + 9].reshape(count, 3, 3), np.zeros(state.shape)
         _, kt, _, z = tubes = self.tubes(x)
         u, moments, g = self.curvature(tubes, state)
         a, b, ahead = u.real, u.imag, frame[:, :, 2]
-        out[:, :n] = g * (z + torque / kt) * self.there
+        out[:, :n] = g * (z + torque / kt) * self.present
         # conj(u) kb u* e^(j theta) has the imaginary part m (u_x sin theta - u_y cos theta) = M.
         out[:, n : 2 * n] = (np.conj(u)[:, None] * moments).imag
         turned = out[:, 2 * n : 2 * n + 9].reshape(count, 3, 3)  # R times the matrix of u x
@@ -313,17 +313,17 @@ class _Section:
 
     def _loaded(self, x: float, state: Array, u: Array, out: Array) -> None:
         """Add the effect of a load to the derivatives of torques, moments and forces."""
-        count, n = self.there.shape
+        count, n = self.present.shape
         frame = state[:, 2 * n : 2 * n + 9].reshape(count, 3, 3)
-        per_length = self.load.per_length(self.places(x))
+        per_length = self.load.per_length(self.arc_lengths(x))
         along, couple = per_length[:, FORCE], np.einsum("bij,bi->bj", frame, per_length[:, MOMENT])
         own = np.einsum("bij,bi->bj", frame, state[:, -3:])
         if self.load.gravity is not None:
             along = along + self.mass[:, None] * np.array(self.load.gravity)
-        out[np.arange(count), n + outermost(self.there)] -= couple[:, 2]
-        whole = (state[:, n : 2 * n] * self.there).sum(1)
-        out[:, -5] = -u.imag * whole + own[:, 1] - couple[:, 0]
-        out[:, -4] = u.real * whole - own[:, 0] - couple[:, 1]
+        out[np.arange(count), n + outermost(self.present)] -= couple[:, 2]
+        total = (state[:, n : 2 * n] * self.present).sum(1)
+        out[:, -5] = -u.imag * total + own[:, 1] - couple[:, 0]
+        out[:, -4] = u.real * total - own[:, 0] - couple[:, 1]
         out[:, -3:] = -along
 
     def integrated(self, state: Array) -> Array:

@@ -70,7 +70,7 @@ class FileKey:
     key: str
     """Name of the key, with its unit."""
     about: str
-    """Description."""
+    """Description of the key for the documentation."""
     annotation: Any
     """Type that pydantic checks."""
     default: Any
@@ -211,8 +211,8 @@ def _default(field: FileKey) -> Any:
     if isinstance(field.default, dict):  # a part with defaults for all its keys
         return Field(default_factory=field.annotation, **options)
     # Pydantic does not check defaults: they must have the type that a file would give.
-    whole = getattr(field.annotation, "__origin__", None) is int
-    return Field(field.default if whole else _decimals(field.default), **options)
+    is_count = getattr(field.annotation, "__origin__", None) is int
+    return Field(field.default if is_count else _decimals(field.default), **options)
 
 
 def _decimals(value: Any) -> Any:
@@ -281,8 +281,8 @@ def _number(marks: tuple[Any, ...], suffix: str) -> KeyType:
         return value if scale == 1 else in_unit(value, scale)
 
     typical = [mark for mark in marks if isinstance(mark, Typical)]
-    whole: dict[str, Any] = {name: int(limit) if limit == int(limit) else limit for name, limit in limits.items()}
-    annotation: Any = Annotated[Decimal, Field(**whole), BeforeValidator(decimal), *typical]
+    bounds: dict[str, Any] = {name: int(limit) if limit == int(limit) else limit for name, limit in limits.items()}
+    annotation: Any = Annotated[Decimal, Field(**bounds), BeforeValidator(decimal), *typical]
     return KeyType(annotation, lambda number: to_si(number + zero, scale), _write)
 
 

@@ -166,11 +166,12 @@ class InverseSolution(Displayed):
     scene: Scene
     """Obstacles of the search."""
     cold_start_agrees: Annotated[bool | None, "true if a cold start gives the same equilibrium"]
-    """None if it was not checked, as in a servo step."""
+    """True if forward kinematics without a start finds the same equilibrium; None if not checked."""
     straight_from_seed: Annotated[
         bool | None, key("straight_from_start"), "true if the straight path from the start arrives without a snap"
     ]
-    """False if the path snaps, or if its margin is too small for a quick check. None without a seed."""
+    """True if the straight joint path from the seed has no snap and enough margin for a quick check; None without a
+    seed."""
     active: Annotated[tuple[str, ...], "active constraints"]
     """Descriptions of active ranges, contacts of tubes, margin and obstacles."""
     status: InverseStatus

@@ -64,7 +64,7 @@ class Contacts:
 
     body: Index
     """Numbers (c,) of the bodies."""
-    place: Array
+    arc_length: Array
     """Arc lengths (c,), m."""
     point: Array
     """Points (c, 3) of the centreline, m."""
@@ -73,7 +73,7 @@ class Contacts:
 
     def chosen(self, rows: Mask | Index) -> Contacts:
         """Contacts in some rows."""
-        return Contacts(self.body[rows], self.place[rows], self.point[rows], self.distance[rows])
+        return Contacts(self.body[rows], self.arc_length[rows], self.point[rows], self.distance[rows])
 
     @property
     def rank(self) -> Index:
@@ -292,7 +292,7 @@ class ArmSurface:
         Pairs of a body and an interval of the arm are dropped as soon as a bound shows that they are too far apart, or
         farther than `fewest` bodies.
         """
-        few, whole = self._few, within
+        few, limit = self._few, within
         always = np.fromiter(also, int, len(also))
         reach, thick = self._window(few, STRIDES[0])
         body, at = scene.pairs(self.centreline(self.grid[few]), within + reach + thick + BEYOND)
@@ -301,11 +301,11 @@ class ArmSurface:
             if not len(body):
                 return _Near(within, NOWHERE, row, bound, also)
             reach, thick = self._window(row, stride)
-            distance = scene.pair_distances(body, self._points[row], whole + reach + thick + BEYOND)
+            distance = scene.pair_distances(body, self._points[row], limit + reach + thick + BEYOND)
             bound = self._at_least(scene, distance, reach) - thick
             if fewest:
                 within = min(within, _farthest(body, distance - self._radii[row], fewest))
-            near = bound <= (np.where(np.isin(body, always), whole, within) if also else within)
+            near = bound <= (np.where(np.isin(body, always), limit, within) if also else within)
             body, row, distance, bound = body[near], row[near], distance[near], bound[near]
             if finer and len(body):
                 body, row = _once(body, self._around(row, stride, finer), len(self.grid))
@@ -318,12 +318,12 @@ class ArmSurface:
         padded = np.concatenate([[np.inf], distance, [np.inf]])
         before = np.where(key[:-2] == key[1:-1] - 1, padded[:-2], np.inf)
         after = np.where(key[2:] == key[1:-1] + 1, padded[2:], np.inf)
-        least = np.flatnonzero((distance <= before) & (distance <= after))
-        least = least[np.lexsort((row[least], distance[least], body[least]))]
-        body, row = body[least], row[least]
-        found = Contacts(body, self.grid[row], self._points[row], distance[least])
-        first = found.rank < MAX_CONTACTS
-        return self._closer(scene, found.chosen(first), row[first])
+        nearest = np.flatnonzero((distance <= before) & (distance <= after))
+        nearest = nearest[np.lexsort((row[nearest], distance[nearest], body[nearest]))]
+        body, row = body[nearest], row[nearest]
+        contacts = Contacts(body, self.grid[row], self._points[row], distance[nearest])
+        first = contacts.rank < MAX_CONTACTS
+        return self._closer(scene, contacts.chosen(first), row[first])
 
     def _closer(self, scene: Scene, contacts: Contacts, row: Index) -> Contacts:
         """Contacts refined between the neighbours of points of the grid."""
@@ -337,7 +337,7 @@ class ArmSurface:
         closer = between[every, best] < contacts.distance
         out = Contacts(
             contacts.body,
-            np.where(closer, finer[every, best], contacts.place),
+            np.where(closer, finer[every, best], contacts.arc_length),
             np.where(closer[:, None], points[every, best], contacts.point),
             np.where(closer, between[every, best], contacts.distance),
         )
@@ -346,9 +346,9 @@ class ArmSurface:
 
 def _farthest(body: Index, distance: Array, count: int) -> float:
     """Distance that includes `count` bodies, from pairs (k,); infinite for fewer bodies."""
-    least = np.full(body.max(initial=-1) + 1, np.inf)
-    np.minimum.at(least, body, distance)
-    return float(np.partition(least, count - 1)[count - 1]) if len(least) >= count else np.inf
+    smallest = np.full(body.max(initial=-1) + 1, np.inf)
+    np.minimum.at(smallest, body, distance)
+    return float(np.partition(smallest, count - 1)[count - 1]) if len(smallest) >= count else np.inf
 
 
 def _once(body: Index, rows: Index, count: int) -> tuple[Index, Index]:

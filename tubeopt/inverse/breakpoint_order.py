@@ -75,14 +75,14 @@ def breakpoint_order(goal: Goal, at: Posture) -> Order:
                 rows.append(-unit)
                 bound.append(float(s - shift[k]))
     marks.sort(key=lambda mark: mark[0])
-    place = np.array([mark[0] for mark in marks])
+    position = np.array([mark[0] for mark in marks])
     slope = np.array([mark[1] for mark in marks])
     cuts = np.append(assembly.start, assembly.total_length)
-    owner = slope[np.abs(place[:, None] - cuts).argmin(0)]
+    owner = slope[np.abs(position[:, None] - cuts).argmin(0)]
     section = np.diff(owner, axis=0)
     counts = np.bincount(problem.mesh.section, minlength=assembly.n_sections)
     length_slope = (section / counts[:, None])[problem.mesh.section]
-    for first, second, row in zip(place[:-1], place[1:], np.diff(slope, axis=0), strict=True):
+    for first, second, row in zip(position[:-1], position[1:], np.diff(slope, axis=0), strict=True):
         if row.any():
             rows.append(row)
             bound.append(float(row @ shift - (second - first)))
@@ -107,8 +107,8 @@ def separate_breakpoints(goal: Goal, at: Posture) -> Posture:
     n = space.robot.n_tubes
     # A step of its own for each carriage: with equal ones breakpoints that coincide would stay together.
     step = MOVED_PAST * space.length * np.arange(1, len(space.carriages) + 1)[::-1]
-    place = np.sort(np.append([s for g in space.carriages for s in _breakpoints(at.problem.assembly, g)], 0.0))
-    if (np.diff(place) > CLOSED_SECTION).all():
+    position = np.sort(np.append([s for g in space.carriages for s in _breakpoints(at.problem.assembly, g)], 0.0))
+    if (np.diff(position) > CLOSED_SECTION).all():
         return at
     for sign in (1.0, -1.0):
         q = at.q.copy()

@@ -21,13 +21,13 @@ class Clock:
     """Enclosing clock, which ends this one too."""
     now: Callable[[], float] = time.perf_counter
     """Current time, s: wall clock, or counted work. Counted work is equal on every machine and under any load."""
-    began: float = field(init=False)
+    start_time: float = field(init=False)
     """Start, s of `now`."""
     worked: float = field(default_factory=time.process_time, init=False)
     """Processor time at the start, s."""
 
     def __post_init__(self) -> None:
-        self.began = self.now()
+        self.start_time = self.now()
         # Counted work is no time; there the wall clock `within` has the limit.
         if self.now is time.perf_counter:
             self.limit = min(self.limit, time_left())
@@ -35,7 +35,7 @@ class Clock:
     @property
     def seconds(self) -> float:
         """Seconds since the start."""
-        return self.now() - self.began
+        return self.now() - self.start_time
 
     @property
     def left(self) -> float:
@@ -51,7 +51,7 @@ class Clock:
         """Wall-clock time per processor time of this process, at least 1; larger on a busy machine."""
         if self.within is not None:
             return self.within.parallel_slowdown
-        passed, worked = time.perf_counter() - self.began, time.process_time() - self.worked
+        passed, worked = time.perf_counter() - self.start_time, time.process_time() - self.worked
         return max(1.0, passed / worked) if worked > 0 else 1.0
 
     @property

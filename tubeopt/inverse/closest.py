@@ -76,14 +76,14 @@ def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]]) -> Search | None
         for end in _distinct(goal, ends):
             if agreeing >= AGREEING or (best is not None and goal.clock.over):
                 break
-            found = approach(goal, end)
-            if found is None:
+            nearest = approach(goal, end)
+            if nearest is None:
                 continue
-            miss = _miss(goal, found.posture)
+            miss = _miss(goal, nearest.posture)
             agreeing = 0 if miss < smallest - SAME_MISS else agreeing + (miss < smallest + SAME_MISS)
             smallest = min(smallest, miss)
             if best is None or miss < _miss(goal, best.posture) - GAIN:
-                best = found
+                best = nearest
     return best
 
 

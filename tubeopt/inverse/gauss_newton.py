@@ -53,17 +53,17 @@ class Model:
     """Quadratic program of a step near a posture, in motions x (m,) of the joints."""
 
     matrix: Array
-    """A (r, m)."""
+    """Matrix A (r, m) of the linear residuals A x - b."""
     right: Array
-    """b (r,)."""
+    """Right-hand side b (r,) of the linear residuals A x - b."""
     guide_matrix: Array
     """A' (g, m): damping, or a target that all steps satisfy."""
     guide_right: Array
-    """b' (g,)."""
+    """Right-hand side b' (g,) of the guiding residuals."""
     rows: Array
     """Constraints (c, m), rows x >= bounds."""
     bounds: Array
-    """Bounds (c,)."""
+    """Lower bounds (c,) of the linear constraints."""
 
     def step(self, goal: Goal, size: float) -> LeastSquares | None:
         """Solution in the trust region |x_k| <= size scale_k; None if the constraints exclude it."""
@@ -83,7 +83,7 @@ class Model:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Accepted step."""
+    """Accepted step of the Gauss-Newton iteration."""
 
     model: Model
     x: Array
@@ -103,7 +103,7 @@ class Restored:
     """Posture restored to its constraints."""
 
     posture: Posture | None
-    """None if it cannot be restored."""
+    """Posture that satisfies the constraints; None if none was found."""
     solves: int
     """Number of equilibria solved."""
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..block.custom import CustomObjective, CustomRequirement
 from ..block.quantities import Expression, Quantity, recorded
 from ..bodies.obstacles import Obstacle, Scene, checked_obstacles, scene_of
-from ..equilibrium.linearised import curvature_at, place_at, position_at
+from ..equilibrium.linearised import centreline_point, curvature_at, position_at
 from ..errors import InputError, finite, instance, vector
 from ..robots.limits import JointLimits, check_target
 from ..robots.robot import Robot, check_robot
@@ -113,7 +113,7 @@ def values(at: Posture) -> Callable[[Quantity], Array]:
             case "tip_direction":
                 return at.direction
             case "position":
-                return place_at(at.derivatives, quantity.at[0])
+                return centreline_point(at.derivatives, quantity.at[0])
             case "curvature" if quantity.at:
                 return curvature_at(at.derivatives, quantity.at[0])[0]
             case name if quantity.pose is None:
@@ -179,9 +179,9 @@ class LinearConstraints(NamedTuple):
     """Constraints rows x >= bounds on motions x (m,) of the joints."""
 
     rows: Array
-    """Rows (c, m)."""
+    """Rows (c, m) of the constraint matrix."""
     bounds: Array
-    """Bounds (c,)."""
+    """Lower bounds (c,) of the rows."""
     names: Index
     """Identifiers (c,), equal for the same constraint at different postures."""
 
@@ -197,7 +197,7 @@ class Goal:
     """Target direction (3,) of the tip, a unit vector, or None."""
     min_margin: float
     scene: Scene
-    """Obstacles."""
+    """Obstacles that the arm must avoid."""
     objective: str | None
     """Objective, one of OBJECTIVES."""
     named: bool
@@ -411,8 +411,8 @@ def pose_question(  # noqa: PLR0913
     space = joint_space(robot, limits, options.carriage_gap, options.section_length)
     space = space.holding(*shift_of(robot, start, reference))
     centre = space.middle()
-    for name, given in (("start", start), ("reference", reference)):
-        centre = configuration(space, name, given) if given is not None else centre
+    for name, value in (("start", start), ("reference", reference)):
+        centre = configuration(space, name, value) if value is not None else centre
     named = start is not None or reference is not None
     return Goal(
         space=space,

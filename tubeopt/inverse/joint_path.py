@@ -19,7 +19,7 @@ from .gauss_newton import SLACK
 from .goal import EXTRA_MARGIN, Goal, angle
 from .joints import JointSpace
 from .miss import active_constraints
-from .posture import Posture, posture_of, same_place
+from .posture import Posture, posture_of, same_posture
 from .search import find_path
 from .task import Task, TipCoordinates
 
@@ -85,9 +85,9 @@ def snap_free_path(
         table[0], table[-1] = ends[0].q, ends[1].q
         thin = _thinned(table, ends[0])
         for rows in [table] if thin is None else [thin, table]:
-            found = _followed(space, rows, ends)
-            if found is not None:
-                return found
+            equilibria = _followed(space, rows, ends)
+            if equilibria is not None:
+                return equilibria
     return None
 
 
@@ -117,7 +117,7 @@ def _thinned(table: Array, start: Posture) -> Array | None:
     while current < len(table) - 1:
         step = len(table) - 1 - current
         # Bisection: the longest step found whose straight motion ends on the same branch.
-        while step > 1 and not same_place(branch[current].to(table[current + step]), branch[current + step]):
+        while step > 1 and not same_posture(branch[current].to(table[current + step]), branch[current + step]):
             step = (step + 1) // 2
         current += step
         thinned.append(table[current])
@@ -138,7 +138,7 @@ def _followed(space: JointSpace, table: Array, ends: tuple[Posture, Posture]) ->
 
 def straight_path(origin: str, start: Posture | None, end: Posture) -> JointPath | None:
     """Straight joint path between two postures; None without a start, or if the robot may snap on the path."""
-    if start is None or not same_place(start.to(end.q), end):
+    if start is None or not same_posture(start.to(end.q), end):
         return None
     return joint_path_of(origin, end.space, [start.q, end.q])
 
@@ -170,13 +170,13 @@ def with_path(answer: InverseSolution, start: Posture | None, goal: Goal) -> Inv
     """Solution with a snap-free path from a posture; `reachable` is False if none is found in time."""
     if answer.path is not None:
         return answer
-    found = None
+    known = None
     if start is not None and not goal.clock.over:
         ends = start.equilibrium, answer.equilibrium
-        found = snap_free_path(goal.space, *ends, goal.clock, least_margin=PATH_MARGIN)
-    if found is None:
+        known = snap_free_path(goal.space, *ends, goal.clock, least_margin=PATH_MARGIN)
+    if known is None:
         return replace(answer, reachable=False)
-    path = JointPath("home" if answer.straight_from_seed is None else "seed", *found)
+    path = JointPath("home" if answer.straight_from_seed is None else "seed", *known)
     straight = None if answer.straight_from_seed is None else len(path.rotations) == 2
     return replace(answer, reachable=True, path=path, straight_from_seed=straight)
 
@@ -192,7 +192,7 @@ def jump_between(goal: Goal, before: Posture, after: Posture) -> tuple[str, bool
     deviation, margin, violation, current = 0.0, np.inf, 0.0, before
     for k in range(1, count + 1):
         following = current.to(before.q + (after.q - before.q) * (k / count) if k < count else after.q)
-        if following is None or (k == count and not same_place(following, after)):
+        if following is None or (k == count and not same_posture(following, after)):
             return ", ".join([*words, "the robot snaps on the straight path, or comes close to a snap"]), False
         current = following
         if k < count:

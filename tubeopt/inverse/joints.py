@@ -26,7 +26,7 @@ CLOSE = 1e-6
 SLACK = 1e-9
 """Allowed violation of ranges and order by round-off, relative to the joint's scale and the longest tube."""
 
-SAME_PLACE = 1e-9
+SAME_POSITION = 1e-9
 """Largest play (m) that counts as none, and largest distance of coinciding carriages.
 
 It is below the resolution of a drive, and above that of files.
@@ -112,7 +112,10 @@ class JointSpace:
             InputError: tubes that one joint moves have inconsistent translations; the message has `name`.
         """
         q = self._independent(rotations, translations)
-        if not self.plain and np.abs(q @ self.spread.T + self.offset - [*rotations, *translations]).max() > SAME_PLACE:
+        if (
+            not self.plain
+            and np.abs(q @ self.spread.T + self.offset - [*rotations, *translations]).max() > SAME_POSITION
+        ):
             raise InputError(self._moved_apart(np.asarray(translations), name))
         return q
 
@@ -124,9 +127,9 @@ class JointSpace:
     def _moved_apart(self, shift: Array, name: str) -> str:
         """Reason why no joint values have the translations (n,)."""
         for tubes in self.robot.moving_together:
-            if np.ptp(shift[list(tubes)]) > SAME_PLACE:
+            if np.ptp(shift[list(tubes)]) > SAME_POSITION:
                 return f"{_translations(shift, tubes, name)}; they must be equal, since one carriage moves these tubes"
-        missing = [demand.least - shift[demand.ahead] + shift[demand.behind] for demand in self.fixed]
+        missing = [demand.distance - shift[demand.ahead] + shift[demand.behind] for demand in self.fixed]
         worst = int(np.argmax(missing))
         demand = self.fixed[worst]
         tubes = tuple(sorted((demand.ahead, demand.behind)))
@@ -142,7 +145,7 @@ class JointSpace:
             demand.ends
             for demand in self.fixed
             for shift in shifts
-            if demand.ends is not None and shift[demand.ahead] - shift[demand.behind] < demand.least - SAME_PLACE
+            if demand.ends is not None and shift[demand.ahead] - shift[demand.behind] < demand.distance - SAME_POSITION
         }
         if not apart:
             return self
@@ -258,8 +261,8 @@ class JointSpace:
     def nearest(self, q: Array) -> Array:
         """Admissible joint values (m,) closest to q."""
         rows, bounds = self.inequalities(q)
-        found = constrained_least_squares(np.diag(1 / self.scale), np.zeros(len(q)), rows, bounds)
-        return self.clip(q + found.x if found is not None else self.inside())
+        solution = constrained_least_squares(np.diag(1 / self.scale), np.zeros(len(q)), rows, bounds)
+        return self.clip(q + solution.x if solution is not None else self.inside())
 
     def middle(self) -> Array:
         """Home (m,), clipped to the ranges."""
@@ -359,9 +362,9 @@ def _joint_space(
     turn = np.array(allowed.rotations).reshape(n, 2)
     lower = np.array([*turn[:, 0], *((low - offset)[list(group)].max() for group in carriages)])
     upper = np.array([*turn[:, 1], *((high - offset)[list(group)].min() for group in carriages)])
-    upper = np.where((upper - lower <= LENGTH_ROUND_OFF) & (lower - upper <= SAME_PLACE), lower, upper)
+    upper = np.where((upper - lower <= LENGTH_ROUND_OFF) & (lower - upper <= SAME_POSITION), lower, upper)
     rows = np.array([spread[n + demand.ahead] - spread[n + demand.behind] for demand in order])
-    least = np.array([demand.least - offset[demand.ahead] + offset[demand.behind] for demand in order])
+    minimum = np.array([demand.distance - offset[demand.ahead] + offset[demand.behind] for demand in order])
     variable = np.array([bool(row.any()) for row in rows], dtype=bool)
     space = JointSpace(
         robot=robot,
@@ -374,7 +377,7 @@ def _joint_space(
         lower=lower,
         upper=upper,
         rows=rows.reshape(-1, len(lower))[variable],
-        least=least[variable],
+        least=minimum[variable],
         row_names=tuple(demand.name for demand, varies in zip(order, variable, strict=True) if varies),
         row_faults=tuple(demand.broken for demand, varies in zip(order, variable, strict=True) if varies),
         spread=spread,
@@ -391,12 +394,12 @@ def _tied(robot: Robot, order: Sequence[Demand]) -> tuple[Array, tuple[tuple[int
     groups = [list(tubes) for tubes in robot.moving_together]
     for demand in order:
         i, j = demand.ahead, demand.behind
-        upper = min((-each.least for each in order if (each.ahead, each.behind) == (j, i)), default=np.inf)
+        upper = min((-each.distance for each in order if (each.ahead, each.behind) == (j, i)), default=np.inf)
         first, second = (next(group for group in groups if k in group) for k in (i, j))
-        if not -LENGTH_ROUND_OFF <= upper - demand.least <= SAME_PLACE or first is second:
+        if not -LENGTH_ROUND_OFF <= upper - demand.distance <= SAME_POSITION or first is second:
             continue
         # q_i + offset_i - q_j - offset_j is in the middle of the remaining play, with q_i = q_j from now on.
-        shift = (demand.least + upper) / 2 - offset[i] + offset[j]
+        shift = (demand.distance + upper) / 2 - offset[i] + offset[j]
         offset[first] += shift
         groups.remove(first)
         second += first
@@ -406,9 +409,9 @@ def _tied(robot: Robot, order: Sequence[Demand]) -> tuple[Array, tuple[tuple[int
 def _translations(shift: Array, tubes: Sequence[int], name: str) -> str:
     """Text of the translations of tubes, from 0."""
     numbers = [f"{number:.6g} mm" for number in (shift[list(tubes)] * TO_MM).tolist()]
-    places, last = ", ".join(str(tube + 1) for tube in tubes[:-1]), tubes[-1] + 1
+    carriages, last = ", ".join(str(tube + 1) for tube in tubes[:-1]), tubes[-1] + 1
     of = f" of {name}" if name else ""
-    return f"translations{of} of tubes {places} and {last} are {', '.join(numbers[:-1])} and {numbers[-1]}"
+    return f"translations{of} of tubes {carriages} and {last} are {', '.join(numbers[:-1])} and {numbers[-1]}"
 
 
 Configuration = Any
@@ -449,11 +452,11 @@ def joints_of(space: JointSpace, name: str, value: Configuration) -> tuple[Array
 def shift_of(robot: Robot, *places: Any) -> list[Array]:
     """Translations (n,), m, of each start that is a configuration; tip poses and invalid values are skipped."""
     rows = []
-    for place in places:
-        if isinstance(place, tuple | list) and len(place) == 2:
-            shift = robot.home_translations if place[1] is None else place[1]
+    for configuration in places:
+        if isinstance(configuration, tuple | list) and len(configuration) == 2:
+            shift = robot.home_translations if configuration[1] is None else configuration[1]
         else:
-            shift = getattr(place, "translations", ())
+            shift = getattr(configuration, "translations", ())
         with suppress(TypeError, ValueError):
             row = np.array(shift, dtype=float)
             if row.shape == (robot.n_tubes,):

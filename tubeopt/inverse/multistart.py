@@ -33,7 +33,7 @@ from .goal import Goal
 from .joint_path import answer_at, straight_path
 from .joints import JointSpace
 from .miss import limiting_constraint, millimetres, miss_text
-from .posture import Posture, posture_of, same_place, start_at
+from .posture import Posture, posture_of, same_posture, start_at
 from .program import programmable, solve_program
 
 VERSION = 4
@@ -74,10 +74,10 @@ class StartTable:
     direction: Array
     """Tip directions (N, 3)."""
     margin: Array
-    """Margins (N,)."""
+    """Stability margins (N,) of the starts."""
     tried: int
     """Number of configurations tried, stable or not."""
-    whole: bool
+    complete: bool
     """True if all configurations were tried within the time limit."""
 
     @property
@@ -97,7 +97,7 @@ def build_table(
     samples = _by_mirror(space, space.sample(size))
     n, m = space.robot.n_tubes, len(space.lower)
     if partial is None:
-        partial = StartTable(np.empty((0, m)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0), 0, whole=False)
+        partial = StartTable(np.empty((0, m)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0), 0, complete=False)
     parts, tried = [partial.arrays], partial.tried
     count = 8  # configurations between two checks of the clock, more where these are quick
     while tried < size and not clock.over:
@@ -114,8 +114,8 @@ def build_table(
         if clock.seconds - start_time < 0.02:
             count = min(2 * count, 128)
     q, tip, direction, margin = (np.concatenate(each) for each in zip(*parts, strict=True))
-    table = StartTable(q, tip, direction, margin, tried, whole=tried >= size)
-    if table.whole and not len(table.q):
+    table = StartTable(q, tip, direction, margin, tried, complete=tried >= size)
+    if table.complete and not len(table.q):
         raise InputError("no stable equilibrium was found within the limits")
     return table
 
@@ -145,7 +145,7 @@ def start_table(space: JointSpace, size: int | None = None, clock: Clock | None 
     size = size or (SIZE if len(space.lower) <= MANY else SIZE_OF_MANY)
     path = cache_directory() / f"inverse-{_key(space, size)}.npz"
     stored = _read(path, len(space.lower), size)
-    if stored is not None and stored.whole:
+    if stored is not None and stored.complete:
         return stored
     table = build_table(space, size, clock, stored)
     # Nothing new was tried: the file needs no change.
@@ -183,13 +183,13 @@ def _read(path: Path, joints: int, size: int) -> StartTable | None:
         # The content, not the path: of a damaged file numpy would leave the handle open.
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
             tried = int(file["tried"])
-            table = StartTable(file["q"], file["tip"], file["direction"], file["margin"], tried, whole=tried >= size)
+            table = StartTable(file["q"], file["tip"], file["direction"], file["margin"], tried, complete=tried >= size)
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         return None
     count = len(table.margin)
     shapes = [(count, joints), (count, 3), (count, 3), (count,)]
     fitting = [each.shape for each in table.arrays] == shapes
-    return table if fitting and (count or not table.whole) else None
+    return table if fitting and (count or not table.complete) else None
 
 
 def nearest_starts(
@@ -220,9 +220,9 @@ def nearest_starts(
     turned = space.wrap(turned, near)
     outside = ~((turned >= space.lower) & (turned <= space.upper)).all(1)
     # Where whole turns do not help, turn as far as the narrowest range allows.
-    least, most = (space.lower[:n] - q[:, :n]).max(1), (space.upper[:n] - q[:, :n]).min(1)
+    lower_turns, upper_turns = (space.lower[:n] - q[:, :n]).max(1), (space.upper[:n] - q[:, :n]).min(1)
     # The turn within -pi .. pi, the shortest of those that differ by whole turns.
-    part = np.clip((turn + np.pi) % (2 * np.pi) - np.pi, least, np.maximum(most, least))
+    part = np.clip((turn + np.pi) % (2 * np.pi) - np.pi, lower_turns, np.maximum(upper_turns, lower_turns))
     turned[outside] = q[outside]
     turned[outside, :n] += part[outside, None]
     turn = np.where(outside, part, turn)
@@ -273,7 +273,7 @@ def _mirrored(space: JointSpace, table: StartTable) -> StartTable:
     q, tip, direction, margin = (
         np.concatenate([own, image[inside]]) for own, image in zip(table.arrays, images, strict=True)
     )
-    return StartTable(q, tip, direction, margin, table.tried, table.whole)
+    return StartTable(q, tip, direction, margin, table.tried, table.complete)
 
 
 def _turned(vectors: Array, angle: Array) -> Array:
@@ -321,7 +321,7 @@ PROGRAM_STARTS = 4
 def known_starts(space: JointSpace, clock: Clock | None = None) -> StartTable:
     """Table of starts, built or loaded once per process; a partial table is continued by the next call."""
     table = _TABLES.get(space)
-    if table is None or not table.whole:
+    if table is None or not table.complete:
         table = start_table(space, clock=clock)
     # The last spaces used: the oldest one is dropped.
     _TABLES.pop(space, None)
@@ -406,16 +406,16 @@ class Multistart:
         """Distinct solutions, best first."""
         # Distinct solutions have different postures: starts are spread over these from the first on.
         self.everywhere = True
-        found = [*self._by_starts(), *self._by_programs()]
-        if not found:
-            found += self._by_clear_starts()
+        postures = [*self._by_starts(), *self._by_programs()]
+        if not postures:
+            postures += self._by_clear_starts()
         # Rounded, so that round-off does not choose among mirror images.
         if self.goal.named:
-            found.sort(key=lambda answer: round(self._distance(answer), 6))
+            postures.sort(key=lambda answer: round(self._distance(answer), 6))
         else:
-            found.sort(key=lambda answer: (-round(answer.margin, 3), round(answer.equilibrium.energy, 9)))
+            postures.sort(key=lambda answer: (-round(answer.margin, 3), round(answer.equilibrium.energy, 9)))
         distinct: list[InverseSolution] = []
-        for answer in found:
+        for answer in postures:
             if all(_difference(answer, each) > self.goal.options.distinct for each in distinct):
                 distinct.append(answer)
         return distinct
@@ -426,24 +426,24 @@ class Multistart:
 
     def _by_starts(self) -> Iterator[InverseSolution]:
         """Solutions from the start or near the reference, then from the table."""
-        found, goal, first, name = False, self.goal, self.first, "seed"
+        any_found, goal, first, name = False, self.goal, self.first, "seed"
         self.ends.append([])
         if first is None and goal.named:
             # Without a start, but with joint values to stay near: the nearest ones within the limits.
             first, name = start_at(goal.space, goal.space.nearest(goal.reference)), "reference"
         if first is not None and (answer := self._from(first, name)) is not None:
-            found = True
+            any_found = True
             yield answer
         # Four times as many starts as tries: one with too little margin, or out of the limits, counts as no try.
         for start in self._starts(4 * goal.options.starts):
             # An answer shows that the target is in reach: from then on no count of misses ends the search.
-            if goal.clock.over or self.tries >= goal.options.starts or (not found and self._hopeless()):
+            if goal.clock.over or self.tries >= goal.options.starts or (not any_found and self._hopeless()):
                 break
             answer = self._from(start, "table")
             if answer is None:
                 self.stalled.append(start)
             else:
-                found = True
+                any_found = True
                 yield answer
 
     def _by_programs(self) -> Iterator[InverseSolution]:
@@ -514,16 +514,16 @@ class Multistart:
         if not search.reached or self.goal.cost(at) > self.goal.cost(than) + 1e-12:
             return False
         # From a given start the solution must be on its branch: the start moved to these joint values arrives there.
-        return name != "seed" or same_place(than.to(at.q), at)
+        return name != "seed" or same_posture(than.to(at.q), at)
 
     def _by_program(self, start: Posture) -> Search:
         """Search by the nonlinear program, finished by Gauss-Newton if it ends near the target."""
-        found = solve_program(self.goal, start)
-        if found.reached:
-            return found
-        near = self.goal.position_error(found.posture) <= 1e-4 and self.goal.allowed(found.posture)
-        finished = reach(self.goal, found.posture) if near else found
-        return replace(finished, iterations=found.iterations + finished.iterations)
+        posture = solve_program(self.goal, start)
+        if posture.reached:
+            return posture
+        near = self.goal.position_error(posture.posture) <= 1e-4 and self.goal.allowed(posture.posture)
+        finished = reach(self.goal, posture.posture) if near else posture
+        return replace(finished, iterations=posture.iterations + finished.iterations)
 
     def _hopeless(self) -> bool:
         """True if the target is most likely out of reach: starts agree on the closest pose, or all end far off."""
@@ -574,7 +574,7 @@ class Multistart:
             at,
             status,
             InverseStatistics(method, name, max(self.tries, 1), self.iterations, self.solves, goal.clock.seconds),
-            cold_start_agrees=same_place(start_at(goal.space, at.q), at),
+            cold_start_agrees=same_posture(start_at(goal.space, at.q), at),
             straight_from_seed=straight,
             reachable=None if path is None else True,
             path=path,

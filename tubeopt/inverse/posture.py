@@ -108,9 +108,9 @@ class Posture:
 
     def _slopes(self, sides: tuple[int, ...]) -> _Slopes:
         """Derivatives to the given sides, by the compiled kernel if it has them."""
-        found = compiled_slopes(self.equilibrium, sides, self.space.carriages)
-        if found is not None and found.along is not None:
-            parts: list[Array] = [found.position, found.turn, found.margin, found.along]
+        compiled = compiled_slopes(self.equilibrium, sides, self.space.carriages)
+        if compiled is not None and compiled.along is not None:
+            parts: list[Array] = [compiled.position, compiled.turn, compiled.margin, compiled.along]
         else:
             of = [self.derivatives if side > 0 else self._derivatives(-1) for side in sorted({*sides})]
             by_side = [[each.tip_position, each.tip_rotation, each.margin, each.position] for each in of]
@@ -170,11 +170,11 @@ class Posture:
     def contact_slopes(self, scene: Scene, contacts: Contacts) -> Array:
         """Derivatives (c, m) of the distances of contacts by q; a contact at the end of a tube moves with it."""
         away, arm = scene.gradients(contacts.body, contacts.point), self.equilibrium
-        slope = (away[:, None] @ _interpolated(arm.arc_length, self.along, contacts.place))[:, 0]
+        slope = (away[:, None] @ _interpolated(arm.arc_length, self.along, contacts.arc_length))[:, 0]
         # The end of the arm is the last of the shape points, which moves along by itself.
         ends = np.where((arm.tube_end > 0) & (arm.tube_end < arm.arc_length[-1] - EDGE), arm.tube_end, np.nan)
-        ahead = (away * _interpolated(arm.arc_length, arm.frame[:, :, 2], contacts.place)).sum(1)
-        slope[:, len(ends) :] += ahead[:, None] * (np.abs(contacts.place[:, None] - ends) <= EDGE)
+        ahead = (away * _interpolated(arm.arc_length, arm.frame[:, :, 2], contacts.arc_length)).sum(1)
+        slope[:, len(ends) :] += ahead[:, None] * (np.abs(contacts.arc_length[:, None] - ends) <= EDGE)
         return self.space.by_joints(slope)
 
     def to(self, q: Array) -> Posture | None:
@@ -216,7 +216,7 @@ def start_at(space: JointSpace, q: Array) -> Posture | None:
         return None
 
 
-def same_place(a: Posture | None, b: Posture) -> bool:
+def same_posture(a: Posture | None, b: Posture) -> bool:
     """True if two postures at the same joint values are the same equilibrium."""
     return a is not None and bool(np.linalg.norm(a.tip - b.tip) <= SAME_TIP)
 

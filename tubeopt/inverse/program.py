@@ -115,10 +115,10 @@ def _program(question: Question, _thread: int) -> Problem:
         return ca.reshape(problem.parameter(name, np.zeros(rows * columns)), rows, columns)
 
     turn, shift = problem.variable("rotations", n), problem.variable("translations", groups, scale=length / 2)
-    margin = least = parameter("least margin")
+    margin = min_margin = parameter("least margin")
     if question.objective == "margin":
         margin = problem.variable("margin", lower=0.0, upper=0.999)
-        problem.subject_to("margin above its bound", margin - least)
+        problem.subject_to("margin above its bound", margin - min_margin)
         problem.maximize(margin)
     moved = ca.vertcat(*(shift[k] for i in range(n) for k, tubes in enumerate(question.carriages) if i in tubes))
     own = {
@@ -135,11 +135,11 @@ def _program(question: Question, _thread: int) -> Problem:
         )
     arm = add_torsion(problem, structure, turn, own)
     frame, tip, points, bend = _shape(arm)
-    direction, wanted, weight = frame[:, 2], parameter("direction", 3), parameter("direction weight")
+    direction, target, weight = frame[:, 2], parameter("direction", 3), parameter("direction weight")
     problem.subject_to("tip position", tip - parameter("position", 3), upper=0.0, scale=length)
     if question.pointed:
-        problem.subject_to("tip direction", _lateral_deviation(direction, wanted), upper=0.0)
-        problem.subject_to("tip direction, sense", ca.dot(direction, wanted))
+        problem.subject_to("tip direction", _lateral_deviation(direction, target), upper=0.0)
+        problem.subject_to("tip direction, sense", ca.dot(direction, target))
     fields = _jacobi(arm, structure.coupled, margin)
     names = [f"margin, Jacobi fields at piece {k + 1}" for k in range(pieces - 1)] + ["margin"]
     problem.subject_to("Jacobi fields", fields, entries=names)
@@ -154,7 +154,7 @@ def _program(question: Question, _thread: int) -> Problem:
         problem.subject_to(f"clearance of obstacle {k + 1}", clear - clearance, scale=length)
     off = parameter("weights", n + groups) * (ca.vertcat(turn, shift) - parameter("reference", n + groups))
     cost = {"nearest": ca.sumsqr(off) / 2, "margin": -margin, "curvature": bend * length / 2}[question.objective]
-    problem.minimize(cost + weight * ca.sumsqr(direction - wanted) / 2 if question.aimed else cost)
+    problem.minimize(cost + weight * ca.sumsqr(direction - target) / 2 if question.aimed else cost)
     return problem
 
 
@@ -222,17 +222,17 @@ def _shape(arm: TorsionModel) -> _Shape:
 def _piece_shape(grid: Grid) -> ca.Function:
     """Function (R, p, arguments of a piece) -> pose at its end, points (3, 2 SHAPE_STEPS) in it, int |u|^2 ds."""
     torsion = torsion_of(symbolic_piece(grid))
-    frame, begin = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3)
-    h, points, before, ahead = torsion.piece.length / SHAPE_STEPS, [], begin, frame[:, 2]
+    frame, start = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3)
+    h, points, before, ahead = torsion.piece.length / SHAPE_STEPS, [], start, frame[:, 2]
     for turn, shift, _ in shape_of(torsion, steps=SHAPE_STEPS):
-        position, turned = begin + frame @ shift, frame @ rotation_matrix(turn)
+        position, turned = start + frame @ shift, frame @ rotation_matrix(turn)
         # Halfway on the cubic with the tangents at both ends.
         points += [(before + position) / 2 + h * (ahead - turned[:, 2]) / 8, position]
         before, ahead = position, turned[:, 2]
     u = torsion.curvature(((np.arange(SHAPE_STEPS)[:, None] + GAUSS_POINTS) / SHAPE_STEPS).ravel())
     bend = h * ca.dot(ca.repmat(ca.DM([5, 8, 5]) / 18, SHAPE_STEPS, 1), ca.sum1(u**2).T)
     outputs = [turned, position, ca.horzcat(*points), bend]
-    return ca.Function("shape", [frame, begin, *torsion.piece.arguments], outputs, {"cse": True})
+    return ca.Function("shape", [frame, start, *torsion.piece.arguments], outputs, {"cse": True})
 
 
 def _jacobi(arm: TorsionModel, coupled: tuple[bool, ...], margin: Any) -> Any:
@@ -350,17 +350,17 @@ def _solve_order(goal: Goal, at: Posture) -> _OrderSolution:
     if not len(at.problem.mesh.length):
         return _OrderSolution(None, 0, [])  # all tubes are withdrawn, and nothing is left to turn
     program = posed(goal, at, order)
-    found = program.attempt(_in_time(goal))
-    if not all(np.isfinite(value).all() for value in found.values.values()):
+    solution = program.attempt(_in_time(goal))
+    if not all(np.isfinite(value).all() for value in solution.values.values()):
         return _OrderSolution(None, 0, [])
-    posture = _read(goal, at, found, order) if found.status in USABLE else None
+    posture = _read(goal, at, solution, order) if solution.status in USABLE else None
     if posture is None:
-        return _OrderSolution(None, found.statistics.iterations, [])
-    length = order.rows @ found.values["translations"] - order.bound
-    multiplier = found.multipliers.get("order of breakpoints", np.zeros(0)) * goal.space.length
+        return _OrderSolution(None, solution.statistics.iterations, [])
+    length = order.rows @ solution.values["translations"] - order.bound
+    multiplier = solution.multipliers.get("order of breakpoints", np.zeros(0)) * goal.space.length
     active = ((length <= 10 * CLOSED_SECTION) & (np.abs(multiplier) > 1e-7))[: order.changeable]
     sections = [(order.rows[k], float(order.bound[k])) for k in np.flatnonzero(active)]
-    return _OrderSolution(posture, found.statistics.iterations, sections)
+    return _OrderSolution(posture, solution.statistics.iterations, sections)
 
 
 def _in_time(goal: Goal) -> Ipopt:
@@ -425,11 +425,11 @@ def posed(goal: Goal, at: Posture, order: Order) -> Problem:
     return program
 
 
-def _read(goal: Goal, at: Posture, found: ProblemSolution, order: Order) -> Posture | None:
+def _read(goal: Goal, at: Posture, solution: ProblemSolution, order: Order) -> Posture | None:
     """Posture at a solution of the program, by Newton's method from its rotations; None if that fails."""
-    q = goal.space.clip(np.concatenate([found.values["rotations"], found.values["translations"]]))
+    q = goal.space.clip(np.concatenate([solution.values["rotations"], solution.values["translations"]]))
     rotations, shift = goal.space.split(q)
-    theta = inside_points(at.problem, found.values["rotation inside"])
+    theta = inside_points(at.problem, solution.values["rotation inside"])
     try:
         member = Unloaded.of(goal.space.robot, rotations, shift)
     except InputError:

@@ -110,8 +110,8 @@ def find_path(
                     detour = FoundPath(np.stack(points), "detour", tried)
                     return _improved(task, detour, goals, clock, seconds, seed)
     reason = "" if between is None else between.words
-    found = by_sampling(task, start, goals, clock, seed=seed, tried=tried, reason=reason)
-    return _improved(task, found, goals, clock, seconds, seed)
+    result = by_sampling(task, start, goals, clock, seed=seed, tried=tried, reason=reason)
+    return _improved(task, result, goals, clock, seconds, seed)
 
 
 def _improved(
@@ -138,16 +138,16 @@ def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) 
     # On the way from an end to a sample the certificate usually grows: the first point that has it is the nearest.
     table = np.concatenate([end + x * (drawn - end) for end in ends for x in (0.25, 0.5, 0.75, 1.0)])
     far = sum(np.linalg.norm((table - end) / task.scale[n:], axis=1) for end in ends)
-    found: list[Array] = []
+    certified: list[Array] = []
     for shift in table[np.argsort(far, kind="stable")]:
         if clock.over:
             return
-        if any(np.linalg.norm((shift - each) / task.scale[n:]) < 0.08 for each in found):
+        if any(np.linalg.norm((shift - each) / task.scale[n:]) < 0.08 for each in certified):
             continue
         translations = space.split(np.append(np.zeros(n), shift))[1]
         task.count(CERTIFICATE_STATES)  # counted where it is known, too: the count must not depend on the cache
         if _certificate_at(space.robot, translations) >= task.min_margin + task.margin_reserve:
-            found.append(shift)
+            certified.append(shift)
             yield shift
 
 
@@ -475,9 +475,9 @@ def _section(name: str, base: Array, free: Array, lower: Array, upper: Array, ta
         i = int(np.argmax(axis != 0))
         turns = i < n
         # Without obstacles a full turn covers all rotations.
-        whole = turns and not task.obstacles
-        low.append(0.0 if whole else lower[i] - base[i])
-        high.append(2 * np.pi if whole else upper[i] - base[i])
+        periodic = turns and not task.obstacles
+        low.append(0.0 if periodic else lower[i] - base[i])
+        high.append(2 * np.pi if periodic else upper[i] - base[i])
         step.append(STEP_TURN if turns else STEP_SHIFT * task.coordinates.space.length)
     return _Section(name, base, free, np.array(low), np.array(high), np.array(step))
 

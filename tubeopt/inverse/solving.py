@@ -38,7 +38,7 @@ from .joint_path import answer_at, joint_path_of, jump_between, with_path
 from .joints import Configuration
 from .miss import active_constraints, miss_text
 from .multistart import Multistart, known_home
-from .posture import Posture, posture_of, same_place, start_posture
+from .posture import Posture, posture_of, same_posture, start_posture
 from .program import programmable, solve_program
 
 MAX_SHOTS = 40
@@ -164,8 +164,8 @@ def inverse_kinematics(  # noqa: PLR0913
     goal = replace(goal, clock=clock)
     if load is not None:
         return _under_load(goal, _without_load(start), load, fixed=reference is not None)
-    found = answers_of(goal, start, every=all_solutions, on_failure=on_failure, reachable=reachable)
-    return found if all_solutions else found[0]
+    solutions = answers_of(goal, start, every=all_solutions, on_failure=on_failure, reachable=reachable)
+    return solutions if all_solutions else solutions[0]
 
 
 def answers_of(
@@ -189,11 +189,11 @@ def answers_of(
         )
     first = start_posture(goal.space, start) if start is not None else None
     search = Multistart(goal, first)
-    found = (search.all() if every else search.one()) or [search.failure(on_failure)]
+    solutions = (search.all() if every else search.one()) or [search.failure(on_failure)]
     if reachable:
         origin = first if first is not None else known_home(goal.space)
-        found = [with_path(each, origin, goal) for each in found]
-    return found
+        solutions = [with_path(each, origin, goal) for each in solutions]
+    return solutions
 
 
 def _under_load(goal: Goal, start: Configuration | None, load: Load, *, fixed: bool) -> InverseSolution:
@@ -499,8 +499,8 @@ class IkSession:
 
     def _allowed(self, start: Posture) -> Posture:
         """Start of the session; raises InputError if it is out of range or has too little margin."""
-        if words := self._goal.space.outside(start.q):
-            raise InputError(f"start is out of range: {words}")
+        if violation := self._goal.space.outside(start.q):
+            raise InputError(f"start is out of range: {violation}")
         if start.margin < self._goal.kept_margin:
             raise InputError(
                 f"start has margin {start.margin:.3g}; it must have more than min_margin, {self._goal.min_margin:g}"
@@ -524,7 +524,7 @@ class IkSession:
         if not programmable(goal):
             raise SolveError(_stalled(last, search.posture))
         program = solve_program(replace(goal, objective="nearest", reference=current.q), current)
-        if not program.reached or not same_place(current.to(program.posture.q), program.posture):
+        if not program.reached or not same_posture(current.to(program.posture.q), program.posture):
             raise SolveError(_stalled(last, search.posture))
         return _SessionStep(program.posture, None, solves + search.solves + program.solves)
 
@@ -603,7 +603,7 @@ class _StepEnd(NamedTuple):
     """End of one step."""
 
     posture: Posture | None
-    """None if it violates a constraint."""
+    """Posture after the step; None if it violates a constraint."""
     slopes: _Slopes
     """Derivatives as the step has updated them."""
     solves: int

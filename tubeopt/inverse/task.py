@@ -378,12 +378,12 @@ class Task:
         key = start.tobytes(), end.tobytes()
         if key not in self._valid:
             try:
-                found = self._fineness(start, end)
+                fineness = self._fineness(start, end)
             except LateError:
                 return None
-            if found is None:
+            if fineness is None:
                 return None
-            self._valid[key] = found
+            self._valid[key] = fineness
         return self._valid[key]
 
     def _fineness(self, start: Array, end: Array) -> int | None:

@@ -92,7 +92,7 @@ class Properties:
     tau_sag: Any
     """Time constant of the sag, s."""
     Q_battery: Any
-    """Capacity, C."""
+    """Charge of the full battery, C."""
     lost_duty: Any
     """Fraction of a PWM period that each pulse loses while the current rises."""
     T_amb: Any
@@ -170,7 +170,7 @@ class Volumes:
     G_air: Any
     """(n,) convection to air, W/K."""
     G_rad: Any
-    """(n,) radiation, W/K^4."""
+    """Coefficient (n,) of radiation of each cell, W/K^4."""
     G_gap: Any
     """(c,) conductances into the first shell, W/K."""
     C_mold: Any

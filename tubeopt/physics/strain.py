@@ -27,7 +27,7 @@ def surface_strain(radius: Any, bend: Any, natural: Any) -> Any:
     return radius * bend / (1 - radius * abs(natural))
 
 
-def slotted_strain_ratio(bending_factor: Any, share: Any, *, symmetric: bool = True) -> Any:
+def slotted_strain_ratio(bending_factor: Any, fraction: Any, *, symmetric: bool = True) -> Any:
     """Ratio of the largest strains of a slotted piece and of a tube without slots, at the same change of curvature.
 
     First order in radius times curvature. Times r Delta kappa it is a bound for pieces in which equal slotted stretches
@@ -42,4 +42,4 @@ def slotted_strain_ratio(bending_factor: Any, share: Any, *, symmetric: bool = T
         symmetric: True if the slots are symmetric about the plane across the bend.
     """
     # Under one moment rings bend b times the mean: 1 = (1 - f) b + f times that of the slotted part.
-    return (1 if symmetric else 2) * (1 - bending_factor * (1 - share)) / share
+    return (1 if symmetric else 2) * (1 - bending_factor * (1 - fraction)) / fraction

@@ -37,14 +37,14 @@ from ..files.field_metadata import unit
 from ..inverse.arm_surface import ArmSurface
 from ..inverse.clock import Clock
 from ..robots.robot import Robot, check_robot
-from ..solvers.time_limit import LEAST_SECONDS, LONG_TIME_LIMIT
+from ..solvers.time_limit import LONG_TIME_LIMIT, MIN_SECONDS
 from ..typing import Array, Index
 from .motion import RateLimits
 from .proof import Proof, ProofStatus, verify_trajectory
 from .sections import Constants, Intervals
 from .trajectory_trace import (
-    SHARE,
     SHORTEST,
+    SIZE_FRACTION,
     BranchEndsError,
     ClearanceTarget,
     Link,
@@ -59,7 +59,7 @@ from .trajectory_trace import (
 )
 
 # Each halves the intervals in which the bound is not sharp.
-MOST_ROUNDS = 12
+MAX_ROUNDS = 12
 """Maximum number of times that intervals without a sharp distance bound are bisected."""
 
 # Round-off of breakpoints that coincide.
@@ -76,18 +76,18 @@ class Track:
     """Intervals of the motion in order of time."""
     frame: Frame
     """Frame of its plate in the frame that the arms share."""
-    begin: float
+    start: float
     """Start of the motion, s."""
     end: float
     """End of the motion, s."""
-    whole: bool = True
+    complete: bool = True
     """True if one stable branch is proved for all of it."""
 
     @cached_property
     def times(self) -> Array:
         """(L + 1,) s at the ends of links."""
         at = [self.links[0].start.at, *(link.end.at for link in self.links)]
-        return self.begin + np.array(at) * (self.end - self.begin)
+        return self.start + np.array(at) * (self.end - self.start)
 
     @cached_property
     def intervals(self) -> Intervals:
@@ -107,9 +107,9 @@ class Track:
         k = np.searchsorted(self.times, t, side="right") - 1
         return np.asarray(np.clip(k, 0, len(self.links) - 1), dtype=np.intp)
 
-    def places(self, link: Index, section: Index, x: Array, t: Array) -> Array:
+    def positions(self, link: Index, section: Index, x: Array, t: Array) -> Array:
         """(N, 2, 3) points at fractions x (N,) of sections and times t (N, 2), linear in time along links."""
-        start, end = self.intervals.places(link, section, x)
+        start, end = self.intervals.positions(link, section, x)
         low, high = self.times[link][:, None], self.times[link + 1][:, None]
         # A rest has no duration: its first arm is used.
         fraction = np.clip((t - low) / np.where(high > low, high - low, 1.0), 0.0, 1.0)[..., None]
@@ -129,10 +129,10 @@ class Track:
             split = [half for link in moving.values() for half in bisect(self.verifier, link)]
             more, lost = prove_branch(self.verifier, split)
         except BranchEndsError:  # a contradiction to the proved branch
-            return replace(self, whole=False)
+            return replace(self, complete=False)
         unchanged = [link for k, link in enumerate(self.links) if k not in moving]
         links = sorted([*unchanged, *more], key=lambda link: link.start.at)
-        return replace(self, links=tuple(links), whole=self.whole and not lost)
+        return replace(self, links=tuple(links), complete=self.complete and not lost)
 
 
 def tracked(verifier: TrajectoryVerifier, first: Equilibrium, time: Array, joints: Array, frame: Frame) -> Track:
@@ -143,8 +143,8 @@ def tracked(verifier: TrajectoryVerifier, first: Equilibrium, time: Array, joint
         # A second step at the same joint values makes a link, so that a rest has bounds like any motion.
         steps = (steps[0], Step(1.0, steps[0].equilibrium, steps[0].joints))
     links, lost = prove_branch(verifier, [Link(a, b) for a, b in pairwise(steps)])
-    whole = trace.snap is None and not trace.unproved and not lost and steps[-1].at == 1.0
-    return Track(verifier, tuple(links), frame, float(time[0]), float(time[-1]), whole)
+    complete = trace.snap is None and not trace.unproved and not lost and steps[-1].at == 1.0
+    return Track(verifier, tuple(links), frame, float(time[0]), float(time[-1]), complete)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +168,7 @@ class Side(Table):
     def halved(self, track: Track, t: Array) -> tuple[Side, Side]:
         """Both halves along the arm."""
         middle = self.x.mean(1)
-        points = parted(self.points, 1, track.places(self.link, self.section, middle, t))
+        points = parted(self.points, 1, track.positions(self.link, self.section, middle, t))
         first, second = (replace(self, x=x, points=p) for x, p in zip(parted(self.x, 1, middle), points, strict=True))
         return first, second
 
@@ -245,7 +245,7 @@ def apart(
     """
     first, second = tracks
     measured, when = np.inf, 0.0
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         times = np.union1d(first.times, second.times)
         times = times if len(times) > 1 else np.repeat(times, 2)
         rounds = _bounds((first, second), times, target, measured)
@@ -255,10 +255,10 @@ def apart(
         short = np.flatnonzero(bound < target.threshold(measured))
         over = first.verifier.exhausted or second.verifier.exhausted
         # A measured distance below the clearance refutes it, and no sharper bound is necessary.
-        if not len(short) or over or not (first.whole and second.whole) or measured < target.clearance:
+        if not len(short) or over or not (first.complete and second.complete) or measured < target.clearance:
             break
         first, second = (track.finer(side[short]) for track, side in zip((first, second), rounds.links, strict=True))
-    if not (first.whole and second.whole):
+    if not (first.complete and second.complete):
         bound = np.full(len(bound), -np.inf)
     bound = np.minimum(bound, max_distance)
     return PairProof(arms, float(bound.min()), min(float(measured), max_distance), float(when), times, bound)
@@ -307,7 +307,7 @@ def _bounds(tracks: tuple[Track, Track], times: Array, target: ClearanceTarget, 
         threshold = target.threshold(closest)
         lost = surface - error - low
         # Beyond the maximum number of cells all are taken as they are: less sharp, but still a bound.
-        decided = (low >= threshold) | (lost <= SHARE * max(closest - threshold, 0.0)) | (total > target.cells)
+        decided = (low >= threshold) | (lost <= SIZE_FRACTION * max(closest - threshold, 0.0)) | (total > target.cells)
         np.minimum.at(bound, cells.which[decided], low[decided])
         # sqrt(d^2 - q / 4) = d - q / (8 d) to first order: halve in the direction that weakens the bound most.
         weakening = squares / (8 * np.maximum(nearest, 1e-6)) + np.concatenate([sagitta, np.zeros((1, len(cells)))])
@@ -325,7 +325,7 @@ def _first(tracks: tuple[Track, Track], t: Array, links: Sequence[Index]) -> Pai
     which, *sections = np.nonzero(exists[0][:, :, None] & exists[1][:, None, :])
     sides = []
     for track, link, section in zip(tracks, links, sections, strict=True):
-        ends = [track.places(link[which], section, np.full(len(which), x), t[which]) for x in (0.0, 1.0)]
+        ends = [track.positions(link[which], section, np.full(len(which), x), t[which]) for x in (0.0, 1.0)]
         x = np.tile([0.0, 1.0], (len(which), 1))
         sides.append(Side(link[which], section, x, np.stack(ends, axis=1)))
     return PairCells(which, t[which], *sides)
@@ -337,7 +337,7 @@ PLATE = Frame()
 ACCURACY = 5e-5
 """Largest distance of the bound for two arms below their smallest measured distance, m."""
 
-MOST_CELLS = 4_000_000
+MAX_CELLS = 4_000_000
 """Maximum number of space-time cells of two arms. With too few the bound is less sharp, but still valid."""
 
 CLOSE = "come as close as about"
@@ -529,17 +529,17 @@ def verify_arms(
                     min_margin=min_margin,
                     clearance=clearance,
                     rate_limits=rate_limits,
-                    time_limit=max(clock.left, LEAST_SECONDS),
+                    time_limit=max(clock.left, MIN_SECONDS),
                 )
             )
         # Without bodies: their clearance is proved above; a track needs only the branch and its bounds.
-        target = ClearanceTarget(0.0, ACCURACY, MOST_CELLS)
+        target = ClearanceTarget(0.0, ACCURACY, MAX_CELLS)
         verifier = TrajectoryVerifier(arm.robot, scene_of(()), target, clock)
         tracks.append(tracked(verifier, first, motion.time, np.concatenate(joints, axis=1), arm.base))
     faults = [f"{called(known, k)}: {fault}" for k, proof in enumerate(proofs) for fault in proof.faults]
     pairs = []
     for i, j in combinations(range(len(known)), 2):
-        target = ClearanceTarget(clearance, ACCURACY, MOST_CELLS)
+        target = ClearanceTarget(clearance, ACCURACY, MAX_CELLS)
         max_distance = between_plates(known[i], known[j])
         pairs.append(apart((i, j), (tracks[i], tracks[j]), target, max_distance))
         faults += _pair_faults(known, pairs[-1], clearance)
@@ -591,11 +591,11 @@ def at_rest(equilibrium: Equilibrium, base: Frame, chord: float) -> tuple[Capsul
     s = np.union1d(np.linspace(0.0, length, 2 + int(length / chord)), ends[(ends > 0) & (ends < length)])
     outline = ArmSurface(equilibrium)
     points = outline.centreline(s)
-    places = base.placed(points)
+    world = base.placed(points)
     radius = outline.radius((s[:-1] + s[1:]) / 2) + outline.bend * np.diff(s) ** 2 / 8
     return tuple(
         Capsule(tuple(a), tuple(b), float(r))
-        for a, b, r in zip(places[:-1].tolist(), places[1:].tolist(), radius, strict=True)
+        for a, b, r in zip(world[:-1].tolist(), world[1:].tolist(), radius, strict=True)
     )
 
 

@@ -26,7 +26,7 @@ from ..files.field_metadata import form, unit
 from ..inverse.clock import Clock
 from ..inverse.joints import joint_space, shift_of
 from ..solvers.blas import small
-from ..solvers.time_limit import LEAST_SECONDS
+from ..solvers.time_limit import MIN_SECONDS
 from ..typing import Array
 from .arms import (
     ArmsProof,
@@ -203,7 +203,7 @@ def plan_arms(
         "min_margin": min_margin - 1e-6,
     }
     for motions in _overlapped(known, first, moves, options.clearance):
-        limit = max(clock.left, LEAST_SECONDS)
+        limit = max(clock.left, MIN_SECONDS)
         proof = verify_arms(known, motions, starts=first, time_limit=limit, **requirements)
         if proof.holds or clock.over:
             break
@@ -305,15 +305,15 @@ def _overlapped(
     """Motions on one clock: as early as a reserve allows, then with a larger one, last one after the other."""
     lines = [_moving(arms[k], motion) for k, motion in moves]
     for reserve in (RESERVE, 4 * RESERVE, np.inf):
-        whole = [Lines.of([e], POINTS, arm.base) for arm, e in zip(arms, first, strict=True)]
+        moved = [Lines.of([e], POINTS, arm.base) for arm, e in zip(arms, first, strict=True)]
         parts: list[list[Trajectory]] = [[] for _ in arms]
         for (k, motion), line in zip(moves, lines, strict=True):
-            earliest, latest = float(whole[k].time[-1]), max(float(each.time[-1]) for each in whole)
+            earliest, latest = float(moved[k].time[-1]), max(float(each.time[-1]) for each in moved)
             delays = np.linspace(earliest, latest, DELAYS)[:-1].tolist() if np.isfinite(reserve) else []
-            other_lines = [each for j, each in enumerate(whole) if j != k]
+            other_lines = [each for j, each in enumerate(moved) if j != k]
             valid = (at for at in delays if _clear(line.later(at), other_lines, at, clearance + reserve))
             at = next(valid, latest)
-            whole[k] = Lines.concatenated([whole[k], line.later(at)])  # with rest in between
+            moved[k] = Lines.concatenated([moved[k], line.later(at)])  # with rest in between
             parts[k].append(replace(motion, time=motion.time + at))
         yield tuple(_joined(each) for each in parts)
 
@@ -338,12 +338,12 @@ def _clear(line: Lines, lines: Sequence[Lines], since: float, distance: float) -
 
 def _joined(parts: Sequence[Trajectory]) -> Trajectory:
     """Motion composed of consecutive motions of a robot, with rests in between."""
-    whole = parts[0]
+    plan = parts[0]
     for part in parts[1:]:
-        rests = part.time[0] > whole.time[-1]
+        rests = part.time[0] > plan.time[-1]
         # Without a rest, the first sample equals the last one before.
         new = slice(0 if rests else 1, None)
-        before, after = whole.statistics, part.statistics
+        before, after = plan.statistics, part.statistics
         summed = {
             each.name: getattr(before, each.name) + getattr(after, each.name)
             for each in fields(before)
@@ -351,9 +351,9 @@ def _joined(parts: Sequence[Trajectory]) -> Trajectory:
         }
         tables = ("time", "rotations", "translations")
         joined: dict[str, Any] = {
-            name: np.concatenate([getattr(whole, name), getattr(part, name)[new]]) for name in tables
+            name: np.concatenate([getattr(plan, name), getattr(part, name)[new]]) for name in tables
         }
-        turns = tuple(a + b for a, b in zip(whole.turns, part.turns, strict=True))
-        arms, summary = (*whole.arms, *part.arms[new]), replace(after, **summed)
-        whole = replace(whole, **joined, arms=arms, turns=turns, statistics=summary)
-    return whole
+        turns = tuple(a + b for a, b in zip(plan.turns, part.turns, strict=True))
+        arms, summary = (*plan.arms, *part.arms[new]), replace(after, **summed)
+        plan = replace(plan, **joined, arms=arms, turns=turns, statistics=summary)
+    return plan

@@ -196,10 +196,10 @@ class _Bounds:
     def energy(self, dtheta: AngleChange) -> Array:
         """(B,) bound on (DF - 1) y in the energy norm, for any y within `dtheta`."""
         start, end = self.torques(DerivativeBounds(self.torque_change(dtheta), self.zero, self.zero))
-        whole = self.torques(DerivativeBounds(self.torque, self.zero, self.zero))[0].v
+        torque = self.torques(DerivativeBounds(self.torque, self.zero, self.zero))[0].v
         # Beside the centreline a tube is longer than the arm, by g = 1 + d u.a.
         g = 1 + self._stretch(self.bending.max_u)
-        dg = self._stretch(self.bending.change(dtheta[0])) * whole
+        dg = self._stretch(self.bending.change(dtheta[0])) * torque
         a, b = g * start.v + dg, g * end.v + dg
         # The torque is linear from a to b along a section: int (a + (b - a) x)^2 dx = (a^2 + a b + b^2) / 3.
         along = (self.length.v[..., None] * self.compliance.v * (a**2 + a * b + b**2) / 3).sum((1, 2))

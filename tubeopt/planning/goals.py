@@ -56,7 +56,7 @@ DIFFERENCE = 1e-5
 """Step of finite differences, in units of the scales."""
 
 
-def check_place(task: PlanTask, position: Array) -> None:
+def check_position(task: PlanTask, position: Array) -> None:
     """Raise SolveError if the tip cannot be at a position (3,): in an obstacle, too far, or behind a box."""
     for k, obstacle in enumerate(task.obstacles):
         # No arm is thinner at its tip than the thinnest tube.
@@ -188,19 +188,19 @@ FINISHED = 1e-6
 
 
 # A time limit has to be positive.
-LEAST_SECONDS = 1e-3
+MIN_SECONDS = 1e-3
 """Time limit of inverse kinematics when no time is left, s: it only evaluates its start."""
 
 
-MOST_ENDS = 12
+MAX_ENDS = 12
 """Largest number of final equilibria of a plan, nearest to the start first."""
 
 # Turns farther from the start only make paths longer.
-MOST_TURNS = 3
+MAX_TURNS = 3
 """Maximum number of full turns of one tube that are tried, nearest to the start first."""
 
 # The first point of a region and the one farthest from it.
-PLACES = 2
+SEARCHED_TARGETS = 2
 """Number of points of a region with a search for other configurations."""
 
 # Far above the accuracy of inverse kinematics, far below the distance of two configurations.
@@ -219,19 +219,19 @@ NEAR_POINTS, ENOUGH_ENDS = 8, 2
 """Roadmap nodes, nearest tip first, that start the inverse kinematics of the goal; and solutions that suffice."""
 
 # Without joint values of the goal no path can be searched, so most of the time is for them.
-GOALS_SHARE = 0.6
+GOALS_FRACTION = 0.6
 """Fraction of the remaining time after which no further starts are tried for joint values of a tip goal."""
 
 
-def checked_places(targets: ArrayLike, name: str = "targets") -> Array:
+def checked_points(targets: ArrayLike, name: str = "targets") -> Array:
     """(N, 3) positions, m; raises InputError for a table of another shape or without numbers."""
     try:
-        places = np.array(targets, dtype=float)
+        points = np.array(targets, dtype=float)
     except (TypeError, ValueError):
         raise InputError(f"{name} is not a table of numbers; it must have rows of x, y, z in m") from None
-    if places.ndim != 2 or not len(places) or places.shape[1] != 3 or not np.isfinite(places).all():
-        raise InputError(f"{name} has shape {places.shape}; it must be rows of finite x, y, z in m, at least one")
-    return places
+    if points.ndim != 2 or not len(points) or points.shape[1] != 3 or not np.isfinite(points).all():
+        raise InputError(f"{name} has shape {points.shape}; it must be rows of finite x, y, z in m, at least one")
+    return points
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,14 +253,14 @@ class TipGoal(Displayed):
         except ValueError:  # rows of several lengths
             table = True
         if table:
-            object.__setattr__(self, "position", checked_places(self.position, "position of the goal"))
+            object.__setattr__(self, "position", checked_points(self.position, "position of the goal"))
         else:
             position = vector("position of the goal", self.position, 3, "x, y, z of the tip in m")
             object.__setattr__(self, "position", position)
         if self.direction is not None:
             object.__setattr__(self, "direction", unit_vector("direction of the goal", self.direction))
 
-    def places(self) -> list[TipGoal]:
+    def single_goals(self) -> list[TipGoal]:
         """Goals of one position each: of a region the first, and five that are as far apart as possible."""
         position = self.position
         if position.ndim != 2:
@@ -347,15 +347,15 @@ def requested_ends(task: PlanTask, start: Equilibrium, goal: Any, enough: int) -
     """Equilibria at a goal with the options of the task; for a tip goal up to `enough` from a given roadmap."""
     known = task.options.roadmap
     near = None if known is None else partial(known.near, task, count=NEAR_POINTS)
-    clock = Clock(GOALS_SHARE * task.clock.left)
+    clock = Clock(GOALS_FRACTION * task.clock.left)
     return ends(task, start, goal, clock, modulo_turns=task.options.modulo_turns, near=near, enough=enough)
 
 
 def _nearest(task: PlanTask, start: Equilibrium, candidates: list[End]) -> list[End]:
-    """Ends nearest to the start, at most MOST_ENDS."""
+    """Ends nearest to the start, at most MAX_ENDS."""
     origin = task.coordinates.of(start)
     by_distance = sorted(candidates, key=lambda end: float(np.linalg.norm((end.point - origin) / task.scale)))
-    return by_distance[:MOST_ENDS]
+    return by_distance[:MAX_ENDS]
 
 
 def loaded(equilibria: Sequence[Equilibrium], load: Load) -> tuple[list[Equilibrium], list[str]]:
@@ -383,7 +383,7 @@ def other_ends(
     if tip_goal is None or task.coordinates.load is not None:
         return []
     postures: list[Equilibrium] = []
-    for target in tip_goal.places()[:PLACES]:
+    for target in tip_goal.single_goals()[:SEARCHED_TARGETS]:
         arguments = _inverse_arguments(task, start, target, clock)
         with suppress(SolveError):  # none in so short a time
             solutions = inverse_kinematics(
@@ -441,7 +441,7 @@ def _equilibria(task: PlanTask, start: Equilibrium, goal: Any, clock: Clock) -> 
         return [goal], True
     tip_goal = _tip_goal(goal)
     if tip_goal is not None:
-        return _first_reachable(task, start, tip_goal.places(), clock), False
+        return _first_reachable(task, start, tip_goal.single_goals(), clock), False
     rotations, shift = joints_of(space, "goal", goal)
     equilibria: list[Equilibrium] = []
     if task.coordinates.eccentric or space.robot.n_tubes <= SEARCHED_TUBES or clock.left > SEARCH_SECONDS:
@@ -466,7 +466,7 @@ def _near_equilibria(
         return []
     space, equilibria = task.coordinates.space, list[Equilibrium]()
     options, weights = _options(task, clock.left), 1 / space.scale
-    for target in tip_goal.places():
+    for target in tip_goal.single_goals():
         # Twice the tolerance of `_fault`, which must not reject a solution for round-off.
         question = Goal(
             space,
@@ -512,7 +512,7 @@ def _first_reachable(task: PlanTask, start: Equilibrium, targets: list[TipGoal],
 def _solve_tip(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[Equilibrium]:
     """Equilibrium near the start with its tip at a goal, by inverse kinematics."""
     position = goal.position
-    check_place(task, position)
+    check_position(task, position)
     miss = 0.0 if task.coordinates.load is not None else least_miss(task, position, clock)
     if miss > 0:
         raise SolveError(
@@ -551,7 +551,7 @@ def _options(task: PlanTask, seconds: float) -> InverseOptions:
         clearance=task.clearance,
         carriage_gap=space.carriage_gap,
         section_length=space.section_length,
-        time_limit=max(seconds, LEAST_SECONDS),
+        time_limit=max(seconds, MIN_SECONDS),
     )
 
 
@@ -591,12 +591,12 @@ def _turned(task: PlanTask, e: Equilibrium, start: Array, modulo: bool) -> list[
     # In wide ranges only the turns nearest to the start: there are many others, farther away.
     near = []
     for each, difference in zip(ranges, (start - e.rotations) / (2 * np.pi), strict=True):
-        whole = np.array(each)
-        near.append(whole[np.argsort(np.abs(whole - difference))][:MOST_TURNS].tolist())
+        all_turns = np.array(each)
+        near.append(all_turns[np.argsort(np.abs(all_turns - difference))][:MAX_TURNS].tolist())
     return [_end(task, e, turns) for turns in product(*near)]
 
 
 def _end(task: PlanTask, e: Equilibrium, turns: Sequence[int]) -> End:
     q = task.coordinates.space.join(e.rotations, e.translations)
-    whole = 2 * np.pi * np.pad(turns, (0, len(q) - len(turns)))
-    return End(task.coordinates.of(e) + whole, q + whole, tuple(turns))
+    change = 2 * np.pi * np.pad(turns, (0, len(q) - len(turns)))
+    return End(task.coordinates.of(e) + change, q + change, tuple(turns))

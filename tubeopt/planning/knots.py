@@ -105,7 +105,7 @@ class KnotFunction:
 
     value: ca.Function
     slope: ca.Function
-    """(x, p) -> Jacobian (b, a)."""
+    """Function (x, p) -> Jacobian (b, a) of the values."""
     gradient: ca.Function
     """(x, p, weight (b,)) -> gradient (a,) of the weighted sum."""
     hessian: ca.Function
@@ -226,25 +226,25 @@ def body_distances(kind: Kind, count: int, bodies: Sequence[Obstacle]) -> ca.Fun
     n = kind.n
     inputs = [ca.MX.sym("p", 3, count), ca.MX.sym("t", 3, count), ca.MX.sym("s", count)]
     inputs += [ca.MX.sym("d", n), ca.MX.sym("robot", kind.size), ca.MX.sym("r", n)]
-    places, thick = _places(kind, count)(*inputs)
+    points, thick = _places(kind, count)(*inputs)
     x, y, z = (ca.SX.sym(axis) for axis in "xyz")
     columns = []
     for k, body in enumerate(bodies):
         if isinstance(body, TABLES):
-            columns.append((_tabulated(body, places) - thick).T)
+            columns.append((_tabulated(body, points) - thick).T)
         else:
-            distance = ca.Function(f"body_{k}", [x, y, z], [body.distance(x, y, z)]).map(places.shape[1])
-            columns.append((distance(places[0, :], places[1, :], places[2, :]) - thick).T)
+            distance = ca.Function(f"body_{k}", [x, y, z], [body.distance(x, y, z)]).map(points.shape[1])
+            columns.append((distance(points[0, :], points[1, :], points[2, :]) - thick).T)
     return ca.Function("distances", inputs, [ca.horzcat(*columns)])
 
 
-def _tabulated(body: MeshObstacle | DistanceField, places: Any) -> Any:
-    """(1, a) distances of places (3, a) from a body that is a table; beyond its lattice, those of its border, m."""
+def _tabulated(body: MeshObstacle | DistanceField, points: Any) -> Any:
+    """Distances (1, a) of points (3, a) from a body with a table, m; beyond its lattice, those of its border."""
     lattice = body.lattice
-    at = ca.DM(lattice.frame.axes.T) @ (places - ca.repmat(ca.DM(lattice.frame.origin), 1, places.shape[1]))
+    at = ca.DM(lattice.frame.axes.T) @ (points - ca.repmat(ca.DM(lattice.frame.origin), 1, points.shape[1]))
     last = ca.DM((np.array(lattice.values.shape) - 1) * lattice.spacing)
-    inside = ca.fmin(ca.fmax(at, 0), ca.repmat(last, 1, places.shape[1]))
-    return table_function(body).map(places.shape[1])(inside)
+    inside = ca.fmin(ca.fmax(at, 0), ca.repmat(last, 1, points.shape[1]))
+    return table_function(body).map(points.shape[1])(inside)
 
 
 @lru_cache(maxsize=8)
@@ -271,12 +271,12 @@ def _places(kind: Kind, count: int) -> ca.Function:
     points, tangents, s = ca.SX.sym("p", 3, count), ca.SX.sym("t", 3, count), ca.SX.sym("s", count)
     shift, robot, radius = ca.SX.sym("d", kind.n), ca.SX.sym("robot", kind.size), ca.SX.sym("r", kind.n)
     end = shift + kind.reach(robot)
-    places, thick = [], []
+    positions, thick = [], []
     for k in range(count - 1):
         h = s[k + 1] - s[k]
         for x in np.arange(1, SPLITS + 1) / SPLITS:
-            places.append(cubic(points[:, k], points[:, k + 1], tangents[:, k], tangents[:, k + 1], x, h))
+            positions.append(cubic(points[:, k], points[:, k + 1], tangents[:, k], tangents[:, k + 1], x, h))
             # Steps do not extend across the end of a tube, so the middle decides.
             thick.append(ca.mmax(radius * ((s[k] + s[k + 1]) / 2 < end)))
-    out = [ca.horzcat(*places), ca.horzcat(*thick)]
+    out = [ca.horzcat(*positions), ca.horzcat(*thick)]
     return ca.Function("places", [points, tangents, s, shift, robot, radius], out)

@@ -246,7 +246,7 @@ class _Bounds:
         return base.map(lambda bound: bound[:, None]) + along + self.transport.twist_deviation
 
     def _bend(self, theta: DerivativeBounds, moment: DerivativeBounds) -> DerivativeBounds:
-        """(B, K) h u."""
+        """Bend of every section, h u (B, K), rad."""
         by_tubes = (self.pull * unit_vector(theta)).map(lambda bound: bound.sum(2))
         return self.length * replace(by_tubes + moment * self.transport.bending_compliance, v=self.u)
 
@@ -373,8 +373,8 @@ class _Bounds:
         dpsi = moved.frame * self.swing + np.cumsum(turning.sum(2), axis=1) + geometry.bending
         # m.(psi x psi'): running totals P of |psi'| and D of its change have int |psi||psi'| <= P^2 / 2, and
         # int D dP + P dD = P D.
-        whole = self.swing[:, -1]
-        by_turns = moved.moment.max(1) * whole**2 / 2 + lever[:, 0] * whole * dpsi[:, -1]
+        total = self.swing[:, -1]
+        by_turns = moved.moment.max(1) * total**2 / 2 + lever[:, 0] * total * dpsi[:, -1]
         # n |psi|^2.
         n = self.force.v
         by_force = (h * (dn + n * moved.frame) + dh * n) * self.swing**2 + 2 * h * n * self.swing * dpsi

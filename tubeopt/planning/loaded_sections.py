@@ -56,8 +56,8 @@ class Pull:
     def of(robot: Robot, load: Load) -> Pull:
         """Arrays of a load that is covered completely."""
         distributed: Any = load.distributed or ()
-        whole = [Stretch(0.0, np.inf, distributed)] * bool(distributed)
-        parts = distributed if distributed and isinstance(distributed[0], Stretch) else whole
+        uniform = [Stretch(0.0, np.inf, distributed)] * bool(distributed)
+        parts = distributed if distributed and isinstance(distributed[0], Stretch) else uniform
         gravity = np.zeros(3) if load.gravity is None else np.array(load.gravity)
         return Pull(
             at=np.array([part.at for part in load.acting]),
@@ -68,7 +68,7 @@ class Pull:
         )
 
     @cached_property
-    def places(self) -> Array:
+    def load_positions(self) -> Array:
         """(F,) arc lengths where the load or its derivative jumps, m."""
         return np.unique(np.concatenate([self.at[:-1], self.stretches.ravel()]))
 
@@ -110,9 +110,9 @@ class LoadedArms(SolvedArms):
         return np.array([e.tube_end for e in self.equilibria])
 
     @property
-    def places(self) -> Array:
+    def load_positions(self) -> Array:
         """(F,) arc lengths at which the load acts, m."""
-        return self.pull.places
+        return self.pull.load_positions
 
     @cached_property
     def _inside(self) -> tuple[Array, Array]:
@@ -256,14 +256,14 @@ class LoadedArms(SolvedArms):
         turn = torque * compliance.v + c.largest(c.bounds.twist[0], *self.crossed)
         turning = grows * compliance.v + torque * compliance.d + twist_slope.v
         swing = unit_vector(DerivativeBounds(turn, turn, turning))
-        whole, growing = torque.sum(1), grows.sum(1)
-        bending = force + u * whole + couple
+        total, growing = torque.sum(1), grows.sum(1)
+        bending = force + u * total + couple
         by_tubes = replace(transport.pulls, v=bend.moment / bend.stiffness[:, None], ddd=None) * swing
         du = bending / bend.stiffness + moment * transport.bending_compliance.d + by_tubes.d.sum(1)
         a = DerivativeBounds(*pull[:3]) * swing
         grown = du[:, None] * a.v + u[:, None] * a.d + couple * u[:, None]
         turned_on = grown * compliance.v + 2 * grows * compliance.d + torque * compliance.dd + twist_slope.d
-        bent = force * u + along + du * whole + u * growing + couple * u
+        bent = force * u + along + du * total + u * growing + couple * u
         ddu = (
             bent / bend.stiffness
             + 2 * bending * transport.bending_compliance.d
@@ -272,7 +272,7 @@ class LoadedArms(SolvedArms):
         )
         turning_along = couple * (du + u**2)
         twisted = ddu[:, None] * a.v + 2 * du[:, None] * a.d + u[:, None] * a.dd + turning_along[:, None]
-        lifted = force * (du + u**2) + 2 * u * along + ddu * whole + 2 * du * growing + u * grown.sum(1) + turning_along
+        lifted = force * (du + u**2) + 2 * u * along + ddu * total + 2 * du * growing + u * grown.sum(1) + turning_along
         # The third derivative of the centreline is at most |u|^2 + |u'|.
         shape = SHAPE_ERROR[0] * h**3 * (u**2 + du) + out[owner]
         np.maximum.at(out, owner, np.where(self.wide, np.inf, shape))
@@ -371,8 +371,8 @@ class LoadedIntervals(Intervals):
     @cached_property
     def loads(self) -> SampledLoads:
         """Torques and moments at the ends of PARTS stretches of every section, with the errors of interpolation."""
-        (torque, moment), (torque_end, moment_end) = (self.arms.sampled(*places) for places in self.parts)
-        errors = zip(*(self.arms.load_error(*places) for places in self.parts), strict=True)
+        (torque, moment), (torque_end, moment_end) = (self.arms.sampled(*positions) for positions in self.parts)
+        errors = zip(*(self.arms.load_error(*positions) for positions in self.parts), strict=True)
         torque_error, moment_error = (start + end for start, end in errors)
         return SampledLoads(
             torque=(np.maximum(np.abs(torque), np.abs(torque_end)) + torque_error).max(2),

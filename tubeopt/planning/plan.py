@@ -36,12 +36,12 @@ from ..typing import Array
 from .arms import Lines
 from .goals import (
     ENOUGH_ENDS,
-    MOST_ENDS,
+    MAX_ENDS,
     End,
     TipGoal,
     check_goal,
     check_start,
-    checked_places,
+    checked_points,
     goal_seen,
     of_the_tip,
     other_ends,
@@ -58,7 +58,7 @@ from .trajectory import Entry, PlanStatistics, Trajectory
 Faults = tuple[str, ...]
 
 # The rest is left to rounding corners and to the proof.
-SMOOTHING_SHARE, LEAST_SMOOTHING = 0.5, 1.0
+SMOOTHING_FRACTION, MIN_SMOOTHING = 0.5, 1.0
 """Maximum share of the remaining time for smoothing, since the proof needs the rest; and time, s, below which it is
 skipped."""
 
@@ -75,7 +75,7 @@ SAME_LENGTH = 2e-3
 """Largest relative difference of lengths and durations that count as equal."""
 
 # Forward kinematics follows every spacing from end to end.
-ROUNDING_SECONDS, ROUNDING_SHARE = 5.0, 0.3
+ROUNDING_SECONDS, ROUNDING_FRACTION = 5.0, 0.3
 """Maximum duration of rounding corners, s, and share of the time that smoothing leaves."""
 
 # The first rounds over a rotation of 0.4 rad, the last is nearly the path itself. Each cuts off the corners about half
@@ -119,9 +119,9 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[Cand
     candidates = list[Candidate]()
     scanned = aim == "length" and extra is None and any(isinstance(body, DistanceField) for body in task.obstacles)
     max_seconds = SCANNED_SECONDS * clock.parallel_slowdown if scanned else task.options.smoothing_seconds
-    own = Clock(min(max_seconds, SMOOTHING_SHARE * clock.left), clock)
+    own = Clock(min(max_seconds, SMOOTHING_FRACTION * clock.left), clock)
     for name in ("length", "time") if aim == "time" else (aim,):
-        if aim == "none" or own.left < LEAST_SMOOTHING or not _worth_smoothing(task, curves):
+        if aim == "none" or own.left < MIN_SMOOTHING or not _worth_smoothing(task, curves):
             break
         best = smooth(task, first, points, limits, name, own)
         if best is not None:
@@ -131,7 +131,7 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[Cand
             motion = best.motion if name == "effort" else rounder or at_full_speed(best.motion, limits)
             candidates.append(Candidate(motion, name, best.iterations, len(best.points)))
     if aim in ("length", "time") and extra is None:
-        remaining = Clock(min(ROUNDING_SECONDS * clock.parallel_slowdown, ROUNDING_SHARE * clock.left), clock)
+        remaining = Clock(min(ROUNDING_SECONDS * clock.parallel_slowdown, ROUNDING_FRACTION * clock.left), clock)
         joints = np.concatenate(curves)
         if len(curves) > 1 and (corners := _rounded(task, first, joints, points[-1], limits, remaining)) is not None:
             candidates.append(Candidate(corners, "corners", 0, len(points)))
@@ -258,24 +258,24 @@ ATTEMPTS = 3
 """Maximum number of attempts: a failed proof is followed by a plan with more clearance and other random numbers."""
 
 # A search that uses all of the time leaves none to follow its path.
-SEARCH_SHARE = 0.9
+SEARCH_FRACTION = 0.9
 """Share of the time limit after which the search ends, so that the result can be reported in time."""
 
 # The partial path is timed and followed, and the cause of the failure is searched.
-REPORT_SECONDS, REPORT_SHARE = 2.0, 0.35
+REPORT_SECONDS, REPORT_FRACTION = 2.0, 0.35
 """Time reserved for the report, s, and its largest fraction of the time limit."""
 
 # All configurations of a target take inverse kinematics seconds, which a short search needs itself.
-POSTURES_SECONDS, NEAREST_SHARE = 15.0, 0.4
+POSTURES_SECONDS, NEAREST_FRACTION = 15.0, 0.4
 """Time, s, below which only the nearest configuration for a tip goal is tried; share of it for that one if others
 follow."""
 
 # The other part is for a search from scratch.
-ROADMAP_SHARE = 0.3
+ROADMAP_FRACTION = 0.3
 """Fraction of the search time for a roadmap, which is tried first."""
 
 # Up to sixty random shortcuts are tried, each of which checks one motion.
-SHORTEN_SECONDS, SHORTEN_SHARE = 2.0, 0.3
+SHORTEN_SECONDS, SHORTEN_FRACTION = 2.0, 0.3
 """Maximum duration of shortcutting, s, and fraction of the remaining time."""
 
 # A partial motion is cut short so that its proof fits into the remaining time.
@@ -377,24 +377,24 @@ class _Search(NamedTuple):
 def _search(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], seed: int) -> _Search:
     """Path to one of the goals; without any to a tip goal, a path to other configurations with that tip."""
     options, clock = task.options, task.clock
-    until = options.time_limit - min(REPORT_SECONDS, REPORT_SHARE * options.time_limit)
-    left = max(0.0, min(SEARCH_SHARE * options.time_limit, until) - clock.seconds)
+    until = options.time_limit - min(REPORT_SECONDS, REPORT_FRACTION * options.time_limit)
+    left = max(0.0, min(SEARCH_FRACTION * options.time_limit, until) - clock.seconds)
     postures = of_the_tip(goal) and left > POSTURES_SECONDS
     start = task.coordinates.of(first)
     if options.roadmap is not None:
-        path = options.roadmap.shortest_path(task, start, [end.point for end in goals], Clock(ROADMAP_SHARE * left))
+        path = options.roadmap.shortest_path(task, start, [end.point for end in goals], Clock(ROADMAP_FRACTION * left))
         if path.points is None and len(goals) < ENOUGH_ENDS and of_the_tip(goal):
             goals = requested_ends(task, first, goal, ENOUGH_ENDS)
             task = _between(task, first, goals)
-            remaining = Clock(ROADMAP_SHARE * max(0.0, left - clock.seconds))
+            remaining = Clock(ROADMAP_FRACTION * max(0.0, left - clock.seconds))
             path = options.roadmap.shortest_path(task, start, [end.point for end in goals], remaining)
         if path.points is not None:
             return _Search(task, goals, path)
         left = max(0.0, until - clock.seconds)
-    search = Clock(NEAREST_SHARE * left if postures else left)
+    search = Clock(NEAREST_FRACTION * left if postures else left)
     find = partial(find_path, how=options.search, improving=options.search_seconds)
     path = find(task, start, [end.point for end in goals], search, seed=seed)
-    if path.impossible and (of_the_tip(goal) or len(goals) == MOST_ENDS or task.coordinates.load is not None):
+    if path.impossible and (of_the_tip(goal) or len(goals) == MAX_ENDS or task.coordinates.load is not None):
         path = replace(
             path, impossible=False, why=f"{path.why} (for the tried configurations; others may meet the goal)"
         )
@@ -418,7 +418,7 @@ def _smooth_and_prove(task: PlanTask, first: Equilibrium, end: End, path: FoundP
         if path.how == "roadmap" and task.options.objective == "none":
             points = without_corners(task, path.points)
         else:
-            cut = Clock(min(SHORTEN_SECONDS, SHORTEN_SHARE * clock.left))
+            cut = Clock(min(SHORTEN_SECONDS, SHORTEN_FRACTION * clock.left))
             points = shorten(task, path.points, cut, seed=task.options.seed)
         raw = task.length(path.points)
         motions = motions_near(task, first, points)
@@ -478,7 +478,7 @@ ARMS, NEAREST_ARMS, POINTS = 1024, 12, 48
 SPLIT = 4
 """Largest number of base poses that get equal parts of the time. Of more, each gets 1 / SPLIT of the remaining time."""
 
-MOST = 16384
+MAX_BASE_POSES = 16384
 """Maximum number of poses of the plate."""
 
 
@@ -505,7 +505,7 @@ class EntryRegion(Displayed):
         for size in vector("box of the entry", self.box, 3, "along x, y and z"):
             typical_length("box of the entry", size, TYPICAL_REGION, zero=True)
         if self.places is not None:
-            object.__setattr__(self, "places", checked_places(self.places, "places of the entry"))
+            object.__setattr__(self, "places", checked_points(self.places, "places of the entry"))
         positive("cone of the entry", self.cone, zero=True)
         if self.cone >= np.pi / 2:
             raise InputError(f"cone of the entry is {np.degrees(self.cone):g} deg; it must be less than 90 deg")
@@ -520,8 +520,8 @@ class EntryRegion(Displayed):
         Every one of given `places` has a pose, even if `count` is smaller.
         """
         count = max(whole("count", count, 1), 0 if self.places is None else len(self.places))
-        if count > MOST:
-            raise InputError(f"the entry has {count} base poses to check; it must have at most {MOST}")
+        if count > MAX_BASE_POSES:
+            raise InputError(f"the entry has {count} base poses to check; it must have at most {MAX_BASE_POSES}")
         unit = sobol(5, count, seed)
         unit[0] = 0.5, 0.5, 0.5, 0.0, 0.0
         if self.places is not None:
@@ -591,7 +591,7 @@ def plan_from_region(
     """
     instance("region", region, EntryRegion)
     check_goal(robot, goal)
-    task = plan_task(robot, obstacles, options=options, places=(start, goal), **given)
+    task = plan_task(robot, obstacles, options=options, configurations=(start, goal), **given)
     first = start_equilibrium(task.coordinates.space, start)
     frames = region.frames(count, options.seed)
     if progress is not None:
@@ -679,8 +679,8 @@ def _miss(task: PlanTask, arms: Lines, goal: TipGoal, frame: Frame) -> float:
     """Smallest sum of distance from a goal and missing clearance over arms turned about the plate's z, m."""
     smallest = np.inf
     tip = arms.points[:, -1]
-    for place in goal.places():
-        x, y, z = np.asarray(place.position, dtype=float)
+    for target in goal.single_goals():
+        x, y, z = np.asarray(target.position, dtype=float)
         # Turned about z as a whole an arm remains an equilibrium: only radius and height of its tip matter.
         miss = np.hypot(np.hypot(tip[:, 0], tip[:, 1]) - np.hypot(x, y), tip[:, 2] - z)
         near = np.argsort(miss)[:NEAREST_ARMS]

@@ -76,7 +76,7 @@ STEADY = 1e-9
 """Largest difference of joint rates, relative to the fastest joint, of equal directions of motion."""
 
 # More at once would bisect links that the first bisection had already made sharp.
-MOST_HALVINGS = 2
+MAX_HALVINGS = 2
 """Maximum number of bisections of a link in one round."""
 
 # 4096 parts of a link; beyond a fold the bound stays loose however short the links are.
@@ -102,7 +102,7 @@ def paced(verifier: TrajectoryVerifier, links: Sequence[Link], span: float, limi
 
     Links are bisected where the bound is not sharp, or above a `limit`, m/s, that the motion may satisfy.
     """
-    links, most, measured = list(links), 0.0, 0.0
+    links, largest, measured = list(links), 0.0, 0.0
     slopes: Slopes = {}
     for _ in range(FINEST):
         row = _Row(verifier, links, span, slopes)
@@ -113,7 +113,7 @@ def paced(verifier: TrajectoryVerifier, links: Sequence[Link], span: float, limi
         # Derivatives by the fraction of a link, divided by h^2 and h^3, are those by time.
         rates = np.array([link.rates for link in links]).reshape(-1, 2).T / row.passed ** np.array([[2], [3]])
         own, attained = row.fastest(rates, min(measured * (1 + TIGHT), limit))
-        most, attained = float(own.max(initial=0.0)), max(measured, attained)
+        largest, attained = float(own.max(initial=0.0)), max(measured, attained)
         sharp = attained * (1 + TIGHT)
         # A bound must be sharp and within the limit, unless a speed that occurs exceeds the limit anyway.
         loose = own > (min(sharp, limit) if attained <= limit else sharp)
@@ -126,7 +126,7 @@ def paced(verifier: TrajectoryVerifier, links: Sequence[Link], span: float, limi
         best = np.minimum(own, row.speed + HERMITE * rates[1] * row.passed**2)
         wide = np.maximum(best - attained, TIGHT * attained) / (TIGHT * attained or 1.0)
         # Assume a factor 2^3 per bisection; links that are loose after that are bisected in the next round.
-        times = np.where(loose, np.ceil(np.log2(wide) / 3).clip(1, MOST_HALVINGS), 0).tolist()
+        times = np.where(loose, np.ceil(np.log2(wide) / 3).clip(1, MAX_HALVINGS), 0).tolist()
         parts: list[Link] = []
         for link, count, bound in zip(links, times, own.tolist(), strict=True):
             # The bound of a whole link is valid for its halves.
@@ -138,7 +138,7 @@ def paced(verifier: TrajectoryVerifier, links: Sequence[Link], span: float, limi
         links += prove_branch(verifier, parts).links
         # In order of time: bounds of neighbours are combined.
         links.sort(key=lambda link: link.start.at)
-    return Pace(most, measured)
+    return Pace(largest, measured)
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,7 +310,7 @@ def fastest_on_cubic(mean: Array, start: Array, end: Array) -> float:
 ACCURACY = 1.2e-5
 """Largest distance of the clearance bound below the smallest measured distance, m."""
 
-MOST_CELLS = 3_000_000
+MAX_CELLS = 3_000_000
 """Maximum number of space-time cells of the arm. With too few the bound is less sharp, but still valid."""
 
 # A wrong mesh, or numbers of another robot, show at any equilibrium.
@@ -416,7 +416,7 @@ class Proof(Displayed):
 
     @property
     def clearance_bound(self) -> float:
-        """`least_clearance`, m."""
+        """Smallest proved distance of the arm from a body, m."""
         return self.least_clearance
 
 
@@ -493,34 +493,34 @@ def verify_trajectory(  # noqa: PLR0913
     typical_length("clearance", clearance, TYPICAL_CLEARANCE, zero=True)
     positive("max_force", max_force, zero=True)
     first = _first(robot, start, (alpha[0], shift[0]), load)
-    kept = Kept(bodies, min_margin, clearance, rate_limits, limits, max_force)
-    return proved(first, t, np.concatenate([alpha, shift], axis=1), kept, clock)
+    requirements = Kept(bodies, min_margin, clearance, rate_limits, limits, max_force)
+    return proved(first, t, np.concatenate([alpha, shift], axis=1), requirements, clock)
 
 
-def proved(first: Equilibrium, t: Array, joints: Array, kept: Kept, clock: Clock) -> Proof:
+def proved(first: Equilibrium, t: Array, joints: Array, requirements: Kept, clock: Clock) -> Proof:
     """Proof of a trajectory of joint values (T, 2n) at times t (T,), s, from an equilibrium at the first."""
     robot, load, (alpha, shift) = first.robot, first.load, np.split(joints, 2, axis=1)
-    forced = under_any_force(robot, shift, kept.max_force, load) if kept.max_force else None
+    forced = under_any_force(robot, shift, requirements.max_force, load) if requirements.max_force else None
     deflection = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
     # A force may move the arm closer to bodies by its deflection.
-    target = ClearanceTarget(kept.clearance + deflection, ACCURACY, MOST_CELLS)
-    verifier = TrajectoryVerifier(robot, scene_of(kept.bodies), target, clock, load)
-    limits = kept.rate_limits
+    target = ClearanceTarget(requirements.clearance + deflection, ACCURACY, MAX_CELLS)
+    verifier = TrajectoryVerifier(robot, scene_of(requirements.bodies), target, clock, load)
+    limits = requirements.rate_limits
     tip_limit = math.inf if limits is None or limits.tip is None else limits.tip
     trace = follow(verifier, first, t, joints)
     pace = paced(verifier, trace.links, float(t[-1] - t[0]), tip_limit)
     # Violations of requirements, then requirements that are not proved.
-    faults, unproved = _branch_faults(verifier, trace, kept.min_margin, t)
+    faults, unproved = _branch_faults(verifier, trace, requirements.min_margin, t)
     unproved += _tip_faults(pace, tip_limit, pushed=forced is not None)
     if forced is not None:
-        unproved += _force_faults(forced, kept.min_margin)
+        unproved += _force_faults(forced, requirements.min_margin)
     late = bool(unproved) and verifier.clock.over
     steps = [step.equilibrium for step in trace.steps]
     reintegration = _again([steps[k] for k in np.unique(np.linspace(0, len(steps) - 1, VERIFIED).astype(int))])
     if reintegration > AGREEMENT * verifier.length:
         faults.append(f"re-integration moves the tip by {reintegration * 1e3:.3g} mm")
     # Faults of the table itself.
-    space, rates = joint_range(robot, kept.limits), [rates_of(t, values) for values in (alpha, shift)]
+    space, rates = joint_range(robot, requirements.limits), [rates_of(t, values) for values in (alpha, shift)]
     faults += out_of_range(space, alpha, shift)
     if limits is not None:
         faults += too_fast(space, rates, pace.measured, limits)

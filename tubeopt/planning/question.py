@@ -112,7 +112,7 @@ class PathSource(Protocol):
     def shortest_path(self, task: PlanTask, start: Array, goals: Sequence[Array], clock: Clock) -> FoundPath:
         """Shortest known path from a point to one of the goals; without points if none is known."""
 
-    def near(self, task: PlanTask, place: Array, count: int) -> Array:
+    def near(self, task: PlanTask, position: Array, count: int) -> Array:
         """Points with tips nearest to a position, at most `count`."""
 
 
@@ -217,7 +217,7 @@ def plan_task(
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,
     load: Load | None = None,
-    places: Sequence[Any] = (),
+    configurations: Sequence[Any] = (),
 ) -> PlanTask:
     """Task of a plan, with its clock running; `places` are configurations that its joint space must contain.
 
@@ -236,7 +236,7 @@ def plan_task(
     if not 0 <= required < 1:
         raise InputError(f"min_margin is {required:g}; it must be at least 0 and less than 1")
     space = joint_space(robot, limits, options.carriage_gap, options.section_length)
-    space = space.holding(*shift_of(robot, *places))
+    space = space.holding(*shift_of(robot, *configurations))
     rate_limits.of(space)
     if options.max_force and rate_limits.tip is not None:
         raise InputError("rate_limits.tip and max_force are both given; there is no bound on the tip speed under force")

@@ -34,7 +34,7 @@ from ..stability import find_equilibria
 from ..typing import Array, Mask
 from .arms import PlacedRobot
 from .arms_plan import plan_arms
-from .goals import check_start, checked_places, start_equilibrium, step_towards, tips_about
+from .goals import check_start, checked_points, start_equilibrium, step_towards, tips_about
 from .motion import DEFAULT_RATES
 from .plan import plan_trajectory
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, plan_task
@@ -135,28 +135,28 @@ def evaluate_reach(
         >>> tubeopt.evaluate_reach(robot, home, [turned, [0.0, 0.0, 1.0]], count=20).share
         0.5
     """
-    places = checked_places(targets)
-    check_target(robot.tubes, "targets", places)
+    points = checked_points(targets)
+    check_target(robot.tubes, "targets", points)
     tolerance = typical_length("tolerance", tolerance, TYPICAL_TIP_ERROR)
-    task = plan_task(robot, obstacles, min_margin, DEFAULT_RATES, None, options, places=(start,))
+    task = plan_task(robot, obstacles, min_margin, DEFAULT_RATES, None, options, configurations=(start,))
     first = start_equilibrium(task.coordinates.space, start)
     check_start(task, first)
     first_point, n = task.coordinates.of(first), robot.n_tubes
-    miss = np.linalg.norm(first.tip_position - places, axis=1)
-    joints, tips = np.full((len(places), len(first_point)), np.nan), np.full((len(places), n), np.nan)
+    miss = np.linalg.norm(first.tip_position - points, axis=1)
+    joints, tips = np.full((len(points), len(first_point)), np.nan), np.full((len(points), n), np.nan)
     examined = 0
     with suppress(LateError, SolveError):  # results so far are returned
         roadmap = roadmap_of(task, count)
         examined, own = len(roadmap), task.from_to(first_point, first_point)
         search = _Search(own, roadmap, first_point, own.arms(roadmap.points).tip)
-        for k, place in enumerate(places):
-            for distance, z in search.approach(place, tolerance):
+        for k, point in enumerate(points):
+            for distance, z in search.approach(point, tolerance):
                 if distance >= miss[k] or task.clock.over:
                     break
                 if search.reaches(z):
                     miss[k], joints[k], tips[k] = distance, task.coordinates.joints(z[None])[0], z[:n]
-    whole = np.array([task.coordinates.space.joint(q) for q in joints])
-    return ReachShare(places, miss, tolerance, whole[:, :n], whole[:, n:], tips, examined)
+    configurations = np.array([task.coordinates.space.joint(q) for q in joints])
+    return ReachShare(points, miss, tolerance, configurations[:, :n], configurations[:, n:], tips, examined)
 
 
 @dataclass(eq=False)
@@ -176,32 +176,32 @@ class _Search:
         """True if a path leads to a point (m,)."""
         return self.roadmap.shortest_path(self.task, self.start, [z], self.task.clock).points is not None
 
-    def approach(self, place: Array, tolerance: float) -> list[tuple[float, Array]]:
+    def approach(self, point: Array, tolerance: float) -> list[tuple[float, Array]]:
         """Distances from a target (m) and points (m,) there, from the nearest reachable nodes; closest first."""
         ends = list[tuple[float, Array]]()
-        for j in np.argsort(np.linalg.norm(self.tips - place, axis=1))[:POINTS].tolist():
+        for j in np.argsort(np.linalg.norm(self.tips - point, axis=1))[:POINTS].tolist():
             if self.task.clock.over or len(ends) == CONNECTED_POINTS:
                 break
             if j not in self.reachable:
                 self.reachable[j] = self.reaches(self.roadmap.points[j])
             if self.reachable[j]:
-                ends.append(_approach(self.task, self.roadmap.points[j], place, 0.2 * tolerance))
+                ends.append(_approach(self.task, self.roadmap.points[j], point, 0.2 * tolerance))
                 if ends[-1][0] <= tolerance:
                     break
         return sorted(ends, key=lambda end: end[0])
 
 
-def _approach(task: PlanTask, start: Array, place: Array, enough: float) -> tuple[float, Array]:
+def _approach(task: PlanTask, start: Array, point: Array, enough: float) -> tuple[float, Array]:
     """Distance from a target (m) after Gauss-Newton over valid points, and the last point."""
     z, tips = start, tips_about(task, start)
-    miss = float(np.linalg.norm(tips[0] - place))
+    miss = float(np.linalg.norm(tips[0] - point))
     for _ in range(GAUSS_NEWTON_STEPS):
-        step = None if miss <= enough else step_towards(task, z, tips, place)
+        step = None if miss <= enough else step_towards(task, z, tips, point)
         if step is None:
             break
         tried = z + SHORTER[:, None] * step
         arms = task.arms(tried)
-        left = np.where(task.reserves(tried, arms=arms) >= 0, np.linalg.norm(arms.tip - place, axis=1), np.inf)
+        left = np.where(task.reserves(tried, arms=arms) >= 0, np.linalg.norm(arms.tip - point, axis=1), np.inf)
         best = int(left.argmin())
         if left[best] > 0.99 * miss:
             break
@@ -254,7 +254,7 @@ class RegionReach(Displayed):
 
     def __post_init__(self) -> None:
         items("start", self.start, object, "rotations and translations")
-        object.__setattr__(self, "targets", checked_places(self.targets))
+        object.__setattr__(self, "targets", checked_points(self.targets))
         object.__setattr__(self, "obstacles", checked_obstacles(self.obstacles))
         check_reach_arguments(self.tolerance, self.min_margin, self.options, self.count)
         positive("shift of the plate", self.shift, zero=True)
@@ -296,13 +296,13 @@ class RegionReach(Displayed):
         reach = self.evaluate(robot, own)
         return score([reach], reach.share)
 
-    def plans_proved(self, robot: Robot, own: Array, found: ReachShare, most: int) -> tuple[int, int]:
+    def plans_proved(self, robot: Robot, own: Array, reach: ReachShare, limit: int) -> tuple[int, int]:
         """Numbers of proved and of tried plans to the first reached targets, at most `most`."""
-        some, proved = np.flatnonzero(found.reached)[:most], 0
+        some, proved = np.flatnonzero(reach.reached)[:limit], 0
         bodies, options = bodies_in_frame(self.base(own), self.obstacles), replace(self.options, objective="none")
         arguments: dict[str, Any] = {"obstacles": bodies, "min_margin": self.min_margin, "options": options}
         for k in some.tolist():
-            goal = found.arm(robot, k)
+            goal = reach.arm(robot, k)
             with suppress(SolveError):
                 proved += goal is not None and plan_trajectory(robot, self.start, goal, **arguments).proved
         return proved, len(some)
@@ -383,7 +383,7 @@ class PairReach(Displayed):
     """Label of the value."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "targets", checked_places(self.targets))
+        object.__setattr__(self, "targets", checked_points(self.targets))
         object.__setattr__(self, "obstacles", checked_obstacles(self.obstacles))
         check_reach_arguments(self.tolerance, self.min_margin, self.options, self.count)
         if len(self.targets) < 2:
@@ -440,15 +440,15 @@ class PairReach(Displayed):
         result = self.evaluate(one, other, own)
         return score(result.reached, result.share)
 
-    def plans_proved(self, one: Robot, other: Robot, own: Array, found: PairShare, most: int) -> tuple[int, int]:
+    def plans_proved(self, one: Robot, other: Robot, own: Array, reach: PairShare, limit: int) -> tuple[int, int]:
         """Numbers of proved and of tried motions to reached pairs; at most `most`, evenly picked."""
-        pairs = np.argwhere(found.held)
-        some = pairs[np.unique(np.linspace(0, len(pairs) - 1, most).astype(int))] if len(pairs) else pairs
+        pairs = np.argwhere(reach.held)
+        some = pairs[np.unique(np.linspace(0, len(pairs) - 1, limit).astype(int))] if len(pairs) else pairs
         arms = [PlacedRobot(robot, base) for robot, base in zip((one, other), self.plates(own), strict=True)]
         options, proved = replace(self.options, objective="none"), 0
         arguments: dict[str, Any] = {"obstacles": self.obstacles, "min_margin": self.min_margin, "options": options}
         for pair in some.tolist():
-            ends = zip(found.reached, (one, other), pair, strict=True)
+            ends = zip(reach.reached, (one, other), pair, strict=True)
             goals = [goal for side, robot, k in ends if (goal := side.arm(robot, k)) is not None]
             with suppress(SolveError):
                 proved += plan_arms(arms, self.starts, goals, **arguments).proved

@@ -64,21 +64,21 @@ class Roadmap(Displayed):
         """
         self._match(task)
         count, ends = len(self.points), np.stack([start, *goals])
-        places = np.concatenate([self.points, ends]) / task.scale
-        near = np.argsort(np.linalg.norm(places[count:, None] - places[:count], axis=2), axis=1)
+        scaled = np.concatenate([self.points, ends]) / task.scale
+        near = np.argsort(np.linalg.norm(scaled[count:, None] - scaled[:count], axis=2), axis=1)
         near = near[:, : 2 * NEIGHBOURS]
-        to_ends = np.column_stack([np.repeat(np.arange(count, len(places)), near.shape[1]), near.ravel()])
+        to_ends = np.column_stack([np.repeat(np.arange(count, len(scaled)), near.shape[1]), near.ravel()])
         straight = np.column_stack([np.full(len(goals), count), count + 1 + np.arange(len(goals))])
         edges = np.concatenate([self.edges, to_ends, straight])
-        length = np.linalg.norm(places[edges[:, 0]] - places[edges[:, 1]], axis=1) + 1e-9
+        length = np.linalg.norm(scaled[edges[:, 0]] - scaled[edges[:, 1]], axis=1) + 1e-9
         own: dict[tuple[int, int], bool] = {}
-        points = places * task.scale
+        points = scaled * task.scale
         edges.sort(axis=1)
-        name = edges @ [len(places), 1]
-        open_ = ~np.isin(name, [a * len(places) + b for (a, b), holds in self.known.items() if not holds])
+        name = edges @ [len(scaled), 1]
+        open_ = ~np.isin(name, [a * len(scaled) + b for (a, b), holds in self.known.items() if not holds])
         tried = 0
         while not clock.over:
-            nodes = _shortest(len(places), edges[open_], length[open_], count)
+            nodes = _shortest(len(scaled), edges[open_], length[open_], count)
             if nodes is None:
                 return FoundPath(None, "roadmap", tried, why="the roadmap has no path")
             pairs = list(pairwise(nodes))
@@ -93,18 +93,18 @@ class Roadmap(Displayed):
                     break
                 (self.known if high < count else own)[low, high] = holds
                 if not holds:
-                    open_ &= name != low * len(places) + high
+                    open_ &= name != low * len(scaled) + high
                     break
             else:
                 return FoundPath(points[nodes], "roadmap", tried)
         return FoundPath(None, "roadmap", tried, why="the time for the roadmap was over")
 
-    def near(self, task: PlanTask, place: Array, count: int) -> Array:
+    def near(self, task: PlanTask, position: Array, count: int) -> Array:
         """(k, m) points of the roadmap with tips nearest to a position (3,), at most `count`; the nearest first."""
         self._match(task)
         if self.tips is None:
             self.tips = task.coordinates.arms(self.points, 0.0).tip
-        far = np.linalg.norm(self.tips - place, axis=1)
+        far = np.linalg.norm(self.tips - position, axis=1)
         return np.asarray(self.points[np.argsort(far, kind="stable")[:count]])
 
     def _match(self, task: PlanTask) -> None:
@@ -186,8 +186,8 @@ def roadmap_of(task: PlanTask, count: int) -> Roadmap:
         raise SolveError(
             f"no roadmap was found within {options.time_limit:g} s: {len(points)} free configurations were found"
         )
-    places = points / task.scale
-    _, near = scipy.spatial.cKDTree(places).query(places, k=min(NEIGHBOURS + 1, len(points)))
+    scaled = points / task.scale
+    _, near = scipy.spatial.cKDTree(scaled).query(scaled, k=min(NEIGHBOURS + 1, len(points)))
     edges = np.column_stack([np.repeat(np.arange(len(points)), near.shape[1] - 1), near[:, 1:].ravel()])
     return Roadmap(points, task.coordinates.parameters, np.unique(np.sort(edges, axis=1), axis=0))
 

@@ -92,7 +92,7 @@ class Constants:
     along: Lengthwise
     """Stiffness and precurvature as functions of arc length."""
     bounds: Variation
-    """Bounds of these on every stretch."""
+    """Bounds of these quantities on every stretch."""
     offset: Array
     """(n,) distance of the tubes from the centreline, m."""
     direction: Array
@@ -128,13 +128,13 @@ class Constants:
 
     def breakpoints(self, translations: Array) -> Array:
         """(..., C n) ends of the stretches of tubes at translations (..., n), m; negative behind the plate."""
-        places = self.held(translations)[..., None, :] + self.bounds.cuts.T
-        return np.asarray(places.reshape(*places.shape[:-2], -1))
+        positions = self.held(translations)[..., None, :] + self.bounds.cuts.T
+        return np.asarray(positions.reshape(*positions.shape[:-2], -1))
 
     def stretch(self, s: Array, breakpoints: Array) -> Index:
         """(..., n) number of the stretch of each tube at arc lengths (...), for breakpoints (..., C n)."""
-        places = breakpoints.reshape(*breakpoints.shape[:-1], self.ended, -1)
-        return np.asarray((s[..., None, None] >= places).sum(-2), dtype=np.intp)
+        positions = breakpoints.reshape(*breakpoints.shape[:-1], self.ended, -1)
+        return np.asarray((s[..., None, None] >= positions).sum(-2), dtype=np.intp)
 
     def largest(self, table: Array, *stretches: Index) -> Array:
         """(..., n) largest value of a table (n, C + 1) over the given stretches (..., n) of each tube."""
@@ -235,17 +235,17 @@ class TransportBounds:
     pulls: DerivativeBounds
     """(..., n) a_i / k, with a_i = kb_i u*_xy in the tube's own frame."""
     pairs: DerivativeBounds
-    """(..., n, n) a_i a_j / k, 0 for i = j."""
+    """Couplings a_i a_j / k (..., n, n), 0 for i = j."""
     compliance: DerivativeBounds
-    """(..., n) 1 / kt."""
+    """Torsional compliance 1 / kt (..., n)."""
     compliance_slope: DerivativeBounds
-    """(..., n) d(1 / kt) / ds."""
+    """Derivative d(1 / kt) / ds (..., n) of the torsional compliance."""
     twist_slope: DerivativeBounds
     """(..., n) d u*_z / ds, with one time derivative."""
     twist_deviation: DerivativeBounds
     """(..., n) difference of the natural twist from a linear function of time; derivatives only."""
     bending_compliance: DerivativeBounds
-    """(...) 1 / k."""
+    """Bending compliance 1 / k (...) of all tubes."""
 
     @staticmethod
     def of(c: Constants, move: Array, *stretches: Index) -> TransportBounds:
@@ -391,7 +391,7 @@ class SolvedArms:
         return self.constants.breakpoints(self.translations)
 
     @property
-    def places(self) -> Array:
+    def load_positions(self) -> Array:
         """(F,) further arc lengths of section ends, m, clipped to the length of each arm."""
         return np.zeros(0)
 
@@ -575,7 +575,8 @@ class Intervals:
         tubes = [arms.breakpoints[e] for e in (start, end)]
         tips = np.stack(tubes).max(2, keepdims=True)
         a, b = (
-            np.concatenate([cuts, np.minimum(arms.places, tip)], axis=1) for cuts, tip in zip(tubes, tips, strict=True)
+            np.concatenate([cuts, np.minimum(arms.load_positions, tip)], axis=1)
+            for cuts, tip in zip(tubes, tips, strict=True)
         )
         middle = (a + b) / 2
         order = np.argsort(middle, axis=1, kind="stable")
@@ -588,7 +589,7 @@ class Intervals:
         # A breakpoint behind the plate at one end and in front of it at the other passes the plate in between.
         ordered &= ~((a < -SWAPPED) & (b > SWAPPED) | (a > SWAPPED) & (b < -SWAPPED)).any(1)
         # Nor may the tip pass a place of the load.
-        beyond = arms.places - tips
+        beyond = arms.load_positions - tips
         ordered &= ~((beyond.min(0) < -SWAPPED) & (beyond.max(0) > SWAPPED)).any(1)
         breakpoints = (tubes[0] + tubes[1])[:, None] / 2
         stretch = arms.constants.stretch((sides[2][:, :-1] + sides[2][:, 1:]) / 2, breakpoints)
@@ -621,8 +622,8 @@ class Intervals:
     def transmission(self) -> DerivativeBounds:
         """(B, n) int ds / kt from the clamped end to the plate, 1/(N m)."""
         c = self.arms.constants
-        whole = c.along.compliant(-c.held(self.arms.translations))
-        plain = linear(whole[self.start], whole[self.end])
+        compliance = c.along.compliant(-c.held(self.arms.translations))
+        plain = linear(compliance[self.start], compliance[self.end])
         if self.transport.still:
             return plain
         # Its rate is 1 / kt at the plate, times the speed of the tube there.
@@ -640,7 +641,7 @@ class Intervals:
         """(B, K) lengths of the sections at the start and at the end, m."""
         return np.diff(self.start_cuts, axis=1), np.diff(self.end_cuts, axis=1)
 
-    def places(self, which: Index, section: Index, x: Array) -> tuple[Array, Array]:
+    def positions(self, which: Index, section: Index, x: Array) -> tuple[Array, Array]:
         """(..., 3) points of both equilibria at fractions x (...) of sections (...) of intervals `which` (...), m."""
         points = []
         for e, cuts in ((self.start, self.start_cuts), (self.end, self.end_cuts)):

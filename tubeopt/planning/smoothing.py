@@ -113,7 +113,7 @@ class PathProgram:
     least: ca.Function
     """(unknowns, parameters) -> smooth minimum distances by columns (rows, K), m."""
     body: list[int]
-    """Number of the obstacle of each of these rows."""
+    """Index of the obstacle of each clearance row."""
     parameters: tuple[str, ...]
     """Names of the parameters, in order."""
 
@@ -153,7 +153,7 @@ def _program(question: PathQuestion) -> PathProgram:
     shift = spread @ q[n:, :] + ca.repmat(p["offset"], 1, knots)
     at, arm = ca.vertcat(tip, shift, ca.repmat(margin, 1, knots)), ca.vertcat(p["robot"], p["radius"])
     arms = KnotFunction.of(_knot(question), 0).at(knots)(at, arm)
-    rotations, fields, least = ca.vertsplit(arms, [0, n, n + question.kind.sections, arms.shape[0]])
+    rotations, fields, minima = ca.vertsplit(arms, [0, n, n + question.kind.sections, arms.shape[0]])
     h = ca.repmat(p["step"].T, m, 1)
     path = Cubics(joints, rates, h)
     speed, force = ca.repmat(p["rate"], 1, intervals), ca.repmat(p["acceleration"], 1, intervals)
@@ -174,7 +174,7 @@ def _program(question: PathQuestion) -> PathProgram:
         "twist": ca.vertcat(ca.vec(dtip - twist), ca.vec(-dtip - twist)),
     }
     if question.obstacles:
-        parts["clearance"] = ca.vec(least) / question.length
+        parts["clearance"] = ca.vec(minima) / question.length
     w, tip_length = p["weights"], TIP_WEIGHT * ca.sum1(ca.sum2(dtip**2 / h[:n, :]))
     objective = w[0] * (path.length + tip_length) + w[1] * square + w[2] * path.effort - w[3] * margin
     x = ca.vertcat(ca.vec(joints), ca.vec(rates), ca.vec(tip), square, margin)
@@ -198,7 +198,7 @@ def _program(question: PathQuestion) -> PathProgram:
     names = {"grad_f": "nlp_grad_f", "jac_g": "nlp_jac_g", "hess_lag": "nlp_hess_l"}
     derivatives = {option: solver.get_function(name) for option, name in names.items()}
     rows = {name: part.numel() for name, part in parts.items()}
-    distances = ca.Function("least", [x, parameters], [ca.vec(least)])
+    distances = ca.Function("least", [x, parameters], [ca.vec(minima)])
     return PathProgram(problem, derivatives, rows, distances, _body_of_rows(question), tuple(sizes))
 
 
@@ -217,11 +217,11 @@ def _knot(question: PathQuestion) -> ca.Function:
     x, p, (tip, shift, margin, robot, radius) = knot_inputs(kind)
     if not question.obstacles:
         rotations, fields = explicit_joints(kind)(tip, shift, margin, robot)
-        least: Any = ca.MX(0, 1)
+        minima: Any = ca.MX(0, 1)
     else:
         rotations, fields, *arm = explicit_arm(kind)(tip, shift, margin, robot)
-        least = _distance(question)(*arm, shift, robot, radius)
-    return ca.Function("knot", [x, p], [ca.densify(ca.vertcat(rotations, fields, least))])
+        minima = _distance(question)(*arm, shift, robot, radius)
+    return ca.Function("knot", [x, p], [ca.densify(ca.vertcat(rotations, fields, minima))])
 
 
 def _distance(question: PathQuestion) -> ca.Function:
@@ -234,11 +234,11 @@ def _distance(question: PathQuestion) -> ca.Function:
     distances = body_distances(kind, count, question.obstacles)
     inputs = distances.mx_in()
     sharp = SHARPNESS / question.length
-    least = []
+    minima = []
     for body, column in zip(question.obstacles, ca.horzsplit(distances(*inputs)), strict=True):
         distance = ca.reshape(column, SPLITS, count - 1) if isinstance(body, TABLES) else column
-        least += [-ca.logsumexp(-sharp * part) / sharp for part in ca.horzsplit(distance)]
-    return ca.Function("least_distance", inputs, [ca.vertcat(*least)])
+        minima += [-ca.logsumexp(-sharp * part) / sharp for part in ca.horzsplit(distance)]
+    return ca.Function("least_distance", inputs, [ca.vertcat(*minima)])
 
 
 def _body_of_rows(question: PathQuestion) -> list[int]:
@@ -267,7 +267,7 @@ BODY_REACH = 0.1
 """Distance of the arm from obstacles, relative to the longest tube, within which these are constraints."""
 
 # Every column of a knot's Jacobian costs about as much as the arm.
-MOST_OPERATIONS = 150_000
+MAX_OPERATIONS = 150_000
 """Largest number of operations of one equilibrium, about six tubes; beyond it derivatives take too long."""
 
 BUILD_PER_OPERATION, BUILD_PER_BODY, BUILD_PER_NODE = 5e-5, 5e-2, 1e-6
@@ -324,7 +324,7 @@ def smooth(
     intervals, iterations = task.options.smoothing_intervals, 0
     z, step = resample(task, points, intervals + 1), np.full(intervals, 1 / intervals)
     reserve = np.array([task.margin_reserve + MARGIN_RESERVE, task.clearance_reserve])
-    if task.coordinates.size > MOST_OPERATIONS:
+    if task.coordinates.size > MAX_OPERATIONS:
         return None
     for _ in range(REFINEMENTS + 1):
         arms = task.coordinates.arms(z, 0.0)
@@ -407,8 +407,8 @@ def _solve(
     required = min(task.min_margin + float(reserve[0]), 0.998)
     x = np.concatenate([(q / scale).ravel(), (differences(q, time) / scale).ravel(), z[:, :n].ravel(), [1.0, required]])
     solver = program.solver(clock.left)
-    least = _required(task, program, np.asarray(program.least(x, p)), knots, float(reserve[1]))
-    result = solver(x0=x, p=p, **_bounds(task, program, (q, z, least), objective, required))
+    minima = _required(task, program, np.asarray(program.least(x, p)), knots, float(reserve[1]))
+    result = solver(x0=x, p=p, **_bounds(task, program, (q, z, minima), objective, required))
     stats = solver.stats()
     # After the last step or second the motion may still be valid, which `violated` decides.
     if not (stats["success"] or stats["return_status"] in UNFINISHED):
@@ -422,7 +422,7 @@ def _solve(
 
 
 def _required(
-    task: PlanTask, program: PathProgram, least: Array, knots: tuple[Array, ArmBatch], reserve: float
+    task: PlanTask, program: PathProgram, values: Array, knots: tuple[Array, ArmBatch], reserve: float
 ) -> Array:
     """(K, rows) required values of the smooth minimum distances, m, at knots (K, m) and their arms.
 
@@ -435,7 +435,7 @@ def _required(
     alone = (replace(task, obstacles=(body,)).clearances(arms) for body in task.obstacles)
     excess = np.array([each - task.clearance for each in alone]).reshape(len(task.obstacles), len(z)).T
     decrease = excess - np.minimum(reserve, np.maximum(excess, task.needed(z)[:, None]))
-    body, smooth_least = np.array(program.body, dtype=int), least.reshape(len(z), -1)
+    body, smooth_least = np.array(program.body, dtype=int), values.reshape(len(z), -1)
     closest = np.empty_like(decrease)
     for k in range(decrease.shape[1]):
         closest[:, k] = smooth_least[:, body == k].min(axis=1)
@@ -449,7 +449,7 @@ def _bounds(
 
     `start`: joint values and tip coordinates at knots, and required smooth distances, m.
     """
-    (q, z, least), space, inf = start, task.coordinates.space, np.inf
+    (q, z, minima), space, inf = start, task.coordinates.space, np.inf
     n, (knots, m) = space.robot.n_tubes, q.shape
     low, high = (np.tile(value / task.scale, (knots, 1)) for value in (space.lower, space.upper))
     low[[0, -1]] = high[[0, -1]] = (q / task.scale)[[0, -1]]
@@ -457,7 +457,7 @@ def _bounds(
     rate[[0, -1]] = 0.0
     lowest = -tip
     lowest[[0, -1]] = tip[[0, -1]] = z[[0, -1], :n]
-    most = 0.999 if objective == "margin" else required
+    largest = 0.999 if objective == "margin" else required
     rows = program.rows
     lower = {name: np.full(size, -inf) for name, size in rows.items()}
     upper = {name: np.full(size, inf) for name, size in rows.items()}
@@ -468,7 +468,7 @@ def _bounds(
     ends = q[[0, -1]] / task.scale
     lower["ranges"] = np.tile(np.minimum(space.lower / task.scale, ends.min(0)) - JOINT_ROUND_OFF, 2 * (knots - 1))
     upper["ranges"] = np.tile(np.maximum(space.upper / task.scale, ends.max(0)) + JOINT_ROUND_OFF, 2 * (knots - 1))
-    limits: dict[str, float | Array] = {"fields": LEAST_FIELDS, "clearance": least / space.length}
+    limits: dict[str, float | Array] = {"fields": LEAST_FIELDS, "clearance": minima / space.length}
     for name, value in limits.items():
         if rows.get(name):
             lower[name] = np.where(inside, value, np.full((knots, rows[name] // knots), -inf)).ravel()
@@ -478,7 +478,7 @@ def _bounds(
     return {
         "lbx": np.concatenate([low.ravel(), -rate.ravel(), lowest.ravel(), [1e-6, required]]),
         # S is at most 4: a motion may take twice as long as the start.
-        "ubx": np.concatenate([high.ravel(), rate.ravel(), tip.ravel(), [4.0, most]]),
+        "ubx": np.concatenate([high.ravel(), rate.ravel(), tip.ravel(), [4.0, largest]]),
         "lbg": np.concatenate([lower[name] for name in rows]),
         "ubg": np.concatenate([upper[name] for name in rows]),
     }

@@ -48,7 +48,7 @@ The tip speed is only checked on a grid, and the ends of a motion are made exact
 """
 
 # Near a fold joint values change fast along a straight motion in tip rotations.
-MOST_HALVINGS, MOST_BEND = 4, 0.02
+MAX_HALVINGS, MAX_BEND = 4, 0.02
 """Largest number of doublings of the points of a path, and largest second difference of a sufficiently fine path.
 
 The difference is of joint values, in units of their scales; below it, rounded curves are close enough to the points.
@@ -312,9 +312,9 @@ def joint_curves(task: PlanTask, points: Array) -> list[Array]:
     out = []
     for a, b in pairwise(points):
         pieces = (len(task.line(a, b)) - 1) * 2 ** (task.fineness(a, b) or 0)
-        for halvings in range(MOST_HALVINGS + 1):
+        for halvings in range(MAX_HALVINGS + 1):
             q = task.coordinates.joints(a + np.linspace(0, 1, 2**halvings * pieces + 1)[:, None] * (b - a))
-            if np.abs(np.diff(q / task.scale, 2, axis=0)).max(initial=0.0) <= MOST_BEND:
+            if np.abs(np.diff(q / task.scale, 2, axis=0)).max(initial=0.0) <= MAX_BEND:
                 break
         out.append(q)
     return out
@@ -396,8 +396,8 @@ def _shortfall(task: PlanTask, equilibria: Sequence[Equilibrium], goal: int | No
     margin = np.array([e.margin for e in equilibria])
     clear = np.array([ArmSurface(e).clearance(task.scene, task.clearance + RESERVE) for e in equilibria])
     out = np.array([task.min_margin + reserve - margin, task.clearance + reserve - clear])
-    given = [end for end in {0, goal} if end is not None and end < len(q)]
-    out[:, given] = np.minimum(out[:, given], 0.0)
+    fixed = [end for end in {0, goal} if end is not None and end < len(q)]
+    out[:, fixed] = np.minimum(out[:, fixed], 0.0)
     return out
 
 

@@ -34,7 +34,7 @@ from ..typing import Array
 from .goals import (
     check_goal,
     check_start,
-    checked_places,
+    checked_points,
     damped_step,
     ends,
     inverse_constraints,
@@ -61,7 +61,7 @@ DENSE = 40
 """Number of samples per piece of a spline."""
 
 # Different configurations reach different parts of a curve.
-STARTS, STARTS_SHARE = 8, 0.3
+STARTS, STARTS_FRACTION = 8, 0.3
 """Maximum number of starting configurations, and fraction of the remaining time for their search."""
 
 
@@ -106,10 +106,10 @@ def follow_tip_path(  # noqa: PLR0913
         (True, True)
     """
     typical_length("tolerance", tolerance, TYPICAL_TIP_ERROR)
-    task = plan_task(robot, obstacles, min_margin, rate_limits, limits, options, places=(start,))
+    task = plan_task(robot, obstacles, min_margin, rate_limits, limits, options, configurations=(start,))
     clock = task.clock
     curve = _curve(path, spline)
-    check_target(robot.tubes, "path", checked_places(path, "path"))
+    check_target(robot.tubes, "path", checked_points(path, "path"))
     length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
     longest = LONGEST * max(tube.length for tube in robot.tubes)
     if length > longest:
@@ -120,9 +120,9 @@ def follow_tip_path(  # noqa: PLR0913
     for first in _starts(task, curve, start, tolerance):
         spacing = SPACING * task.coordinates.space.length
         for _ in range(REFINEMENTS + 1):
-            places = _spaced(curve, spacing)
-            equilibria, why = _solve_along(task, first, places)
-            fraction = len(equilibria) / len(places)
+            points = _spaced(curve, spacing)
+            equilibria, why = _solve_along(task, first, points)
+            fraction = len(equilibria) / len(points)
             if fraction < 1:
                 if fraction >= furthest:
                     furthest, reason = fraction, why
@@ -146,7 +146,7 @@ def follow_tip_path(  # noqa: PLR0913
 
 def _curve(path: ArrayLike, spline: bool) -> Array:
     """(k, 3) points of the polyline, or dense points of the spline, m."""
-    points = checked_places(path, "path")
+    points = checked_points(path, "path")
     if len(points) < 2:
         raise InputError("path is 1 point; it must be at least 2 points")
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -188,14 +188,14 @@ def _starts(task: PlanTask, curve: Array, start: Any, tolerance: float) -> Itera
             "the tip can follow 0 % of the curve: the searches did not reach its first "
             f"point; the smallest distance of the tip is {miss * 1e3:.4g} mm"
         )
-    constraints = inverse_constraints(task, task.min_margin, STARTS_SHARE * task.clock.left)
+    constraints = inverse_constraints(task, task.min_margin, STARTS_FRACTION * task.clock.left)
     for solution in inverse_kinematics(task.coordinates.space.robot, curve[0], all_solutions=True, **constraints)[
         :STARTS
     ]:
         yield solution.equilibrium
 
 
-def _solve_along(task: PlanTask, first: Equilibrium, places: Array) -> tuple[list[Equilibrium], str]:
+def _solve_along(task: PlanTask, first: Equilibrium, points: Array) -> tuple[list[Equilibrium], str]:
     """Equilibria with tips at positions (P, 3), each solved from the one before; and the reason for an early end, or
     ""."""
     out: list[Equilibrium] = []
@@ -203,10 +203,10 @@ def _solve_along(task: PlanTask, first: Equilibrium, places: Array) -> tuple[lis
     try:
         session = IkSession(first.robot, start=first, **inverse_constraints(task, required, math.inf))
         out.append(first)
-        for place in places[1:]:
+        for point in points[1:]:
             if task.clock.over:
                 return out, "no answer was found in time"
-            out.append(session.solve(place).equilibrium)
+            out.append(session.solve(point).equilibrium)
     except (InputError, SolveError) as error:
         return out, str(error)
     return out, ""
@@ -251,7 +251,7 @@ def follow_the_leader(
     robot: Robot,
     goal: Any,
     *,
-    begin: float = 0.2,
+    start_fraction: float = 0.2,
     obstacles: Sequence[Obstacle] = (),
     min_margin: float = 0.05,
     rate_limits: RateLimits = DEFAULT_RATES,
@@ -262,7 +262,7 @@ def follow_the_leader(
 
     Args:
         goal: as for `plan_trajectory`; of several equilibria, the one with the largest margin.
-        begin: initial length of the arm as a fraction of its length at the goal, in (0, 1).
+        start_fraction: initial length of the arm as a fraction of its length at the goal, in (0, 1).
         obstacles, min_margin, rate_limits, limits, options: as for `plan_trajectory`.
 
     Returns:
@@ -280,15 +280,15 @@ def follow_the_leader(
         >>> deployment.proof.holds, bool(deployment.deviation.max() < 2e-3)
         (True, True)
     """
-    if not 0 < finite("begin", begin) < 1:
-        raise InputError(f"begin is {begin:g}; it must be between 0 and 1")
-    task = plan_task(robot, obstacles, min_margin, rate_limits, limits, options, places=(goal,))
+    if not 0 < finite("start_fraction", start_fraction) < 1:
+        raise InputError(f"start_fraction is {start_fraction:g}; it must be between 0 and 1")
+    task = plan_task(robot, obstacles, min_margin, rate_limits, limits, options, configurations=(goal,))
     with task.in_time():
         last = _goal(task, goal)
         if not float(last.arc_length[-1]) > 0:
             raise InputError("goal has no tube in front of the plate; deployment needs an arm there")
         path = [task.coordinates.of(last)]
-        for fraction in np.linspace(1.0, begin, LENGTHS + 1)[1:]:
+        for fraction in np.linspace(1.0, start_fraction, LENGTHS + 1)[1:]:
             path.append(_fit(task, path[-1], last, fraction * float(last.arc_length[-1])))
         q = task.coordinates.joints(np.array(path))
     q[0] = task.coordinates.space.join(last.rotations, last.translations)

@@ -43,7 +43,7 @@ from .loaded_sections import LoadedArms, LoadedIntervals, Pull, uncovered
 from .sections import PARTS, Constants, Intervals, SolvedArms
 
 # Halving cells in space costs no equilibrium, halving intervals in time costs one: the larger part is left to time.
-SHARE = 1 / 3
+SIZE_FRACTION = 1 / 3
 """Part of the tolerance for the size of the cells; the rest is for the time between equilibria."""
 
 # Inside a body nothing has to be sharp: the trajectory is refuted.
@@ -185,7 +185,7 @@ def clearance_bounds(
     # PARTS cells for every section that has a length.
     which, section = (np.repeat(k, PARTS) for k in np.nonzero(np.maximum(*intervals.length) > 0))
     x = np.tile(np.arange(PARTS), len(which) // PARTS)[:, None] / PARTS + np.array([0.0, 1 / PARTS])
-    points = np.stack(intervals.places(which[:, None], section[:, None], x), axis=2)
+    points = np.stack(intervals.positions(which[:, None], section[:, None], x), axis=2)
     cells = Cells(which, section, x, np.tile([0.0, 1.0], (len(which), 1)), points, np.zeros(points.shape[:3]))
     sizes = Sizes.of(cells, intervals, chord_error)
     if len(cells):
@@ -203,7 +203,7 @@ def clearance_bounds(
         low = sizes.bound(nearest)
         # Cells whose chord error alone keeps them below the threshold need shorter intervals, not smaller cells.
         lost = nearest - sizes.radius - sizes.chord_error - low
-        decided = (low >= threshold) | (lost <= SHARE * max(closest - threshold, 0.0)) | (total > target.cells)
+        decided = (low >= threshold) | (lost <= SIZE_FRACTION * max(closest - threshold, 0.0)) | (total > target.cells)
         np.minimum.at(bound, cells.which[decided], low[decided])
         within = sizes[~decided].needed(closest)
         cells = _halve(cells[~decided], intervals, sizes.longer(nearest)[~decided], scene, within)
@@ -215,7 +215,7 @@ def _halve(cells: Cells, intervals: Intervals, along: Mask, scene: Scene, within
     """Both halves of all cells, in length or else in time; distances of new corners are exact up to `within`."""
     parts: list[Cells] = []
     long, brief = cells[along], cells[~along]
-    start, end = intervals.places(long.which, long.section, long.x.mean(1))
+    start, end = intervals.positions(long.which, long.section, long.x.mean(1))
     middle = (1 - long.t[..., None]) * start[:, None] + long.t[..., None] * end[:, None]
     for some, name, axis, new in ((long, "x", 1, middle), (brief, "t", 2, brief.points.mean(2))):
         distances, fraction = scene.nearest(new.reshape(-1, 3), within).reshape(-1, 2), getattr(some, name)
@@ -243,12 +243,12 @@ LARGEST_TURN, LARGEST_SHIFT = 0.04, 0.004
 """Largest changes of joints between two equilibria, to begin with: rad, and relative to the longest tube."""
 
 # Near a fold the bounds need ever shorter steps.
-MOST_EQUILIBRIA = 20_000
+MAX_EQUILIBRIA = 20_000
 """Maximum number of equilibria of a proof."""
 
 # Shorter intervals hardly help a bound on the rotation between samples along the arm; without a limit the proof of a
 # robot without one would use all of its equilibria.
-MOST_HALVINGS = 4
+MAX_HALVINGS = 4
 """Maximum number of bisections of an interval without a bound on the rotation between arm samples."""
 
 # Joint values so close differ by little more than round-off.
@@ -361,8 +361,8 @@ class TrajectoryVerifier:
     def cuts(self, translations: Array) -> Array:
         """(..., 1 + C n + F) arc lengths of plate, breakpoints at translations (..., n), and load points, m."""
         moving = self.constants.breakpoints(translations)
-        places = np.zeros(0) if self.load is None else np.unique(self.load.cuts())
-        fixed = np.broadcast_to(places, (*moving.shape[:-1], len(places)))
+        positions = np.zeros(0) if self.load is None else np.unique(self.load.cuts())
+        fixed = np.broadcast_to(positions, (*moving.shape[:-1], len(positions)))
         return np.concatenate([np.zeros((*moving.shape[:-1], 1)), moving, fixed], axis=-1)
 
     @cached_property
@@ -374,12 +374,12 @@ class TrajectoryVerifier:
     @property
     def max_bisections(self) -> int:
         """Maximum number of bisections without a rotation bound; 0 where no proof is possible."""
-        return 0 if self.unprovable else MOST_HALVINGS
+        return 0 if self.unprovable else MAX_HALVINGS
 
     @property
     def exhausted(self) -> bool:
         """True if the time or the number of equilibria is used up."""
-        return self.count >= MOST_EQUILIBRIA or self.clock.over
+        return self.count >= MAX_EQUILIBRIA or self.clock.over
 
     def step(self, start: Step, at: float, joints: Array) -> Step | None:
         """Stable equilibrium at joint values (2n,), solved from another step; None without any."""

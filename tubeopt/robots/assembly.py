@@ -75,9 +75,9 @@ class Assembly:
         if self.even:
             return self.of_sections(section)
         assert self.lengthwise is not None
-        place, near = (s[:, None] + self.transmission for s in (arc_length, inside))
+        position, near = (s[:, None] + self.transmission for s in (arc_length, inside))
         # By section, since a point inside a very short one rounds to its end.
-        return self.lengthwise.at(place, near, self.present[section])
+        return self.lengthwise.at(position, near, self.present[section])
 
     def of_sections(self, section: Index) -> CrossSections:
         """Cross-sections in sections (X,) of even tubes."""
@@ -99,12 +99,12 @@ class Assembly:
         assert self.lengthwise is not None
         return self.lengthwise.steady(*(s[:, None] + self.transmission for s in (low, high)))
 
-    def compliant(self, place: Array) -> Array:
+    def compliant(self, position: Array) -> Array:
         """Compliance (..., n), int ds / GJ, from the clamped ends to arc lengths (..., n) from there, 1/(N m)."""
         if self.even:
-            return np.asarray(place / self.torsional_stiffness)
+            return np.asarray(position / self.torsional_stiffness)
         assert self.lengthwise is not None
-        return self.lengthwise.compliant(place)
+        return self.lengthwise.compliant(position)
 
     @property
     def held_stiffness(self) -> Array:
@@ -147,7 +147,7 @@ class Assembly:
         return bool(self.offset.any())
 
     @property
-    def place(self) -> tuple[Array, ...]:
+    def offsets(self) -> tuple[Array, ...]:
         """Offset and angle (n,), or () for concentric tubes, as arguments of cross-section functions."""
         return (self.offset, self.offset_angle) if self.eccentric else ()
 
@@ -313,7 +313,7 @@ class Breakpoint:
     end: bool
     joint: int = 0
 
-    def place(self, n: int) -> int:
+    def index(self, n: int) -> int:
         """Index in a column of n transitions, n ends, and all joints."""
         return 2 * n + self.joint - 1 if self.joint else self.tubes[0] + (n if self.end else 0)
 
@@ -347,7 +347,7 @@ class Order:
     def lengths(self, where: Array) -> Array:
         """Lengths (m,) of the sections, from the arc lengths of transitions, ends and joints."""
         n = self.present.shape[1]
-        return np.diff([0.0, *(where[point.place(n)] for point in self.front)])
+        return np.diff([0.0, *(where[point.index(n)] for point in self.front)])
 
 
 def joints_of(assembly: Assembly) -> list[Array]:
@@ -355,9 +355,9 @@ def joints_of(assembly: Assembly) -> list[Array]:
     table = assembly.lengthwise
     if table is None:
         return [np.zeros(0)] * assembly.n_tubes
-    places = table.breaks - assembly.transmission[:, None]
+    positions = table.breaks - assembly.transmission[:, None]
     first, last = assembly.transition + LENGTH_ROUND_OFF, assembly.end - LENGTH_ROUND_OFF
-    return [own[(own > a) & (own < b)] for own, a, b in zip(places, first, last, strict=True)]
+    return [own[(own > a) & (own < b)] for own, a, b in zip(positions, first, last, strict=True)]
 
 
 def where_of(assembly: Assembly) -> Array:
@@ -419,7 +419,7 @@ def has_curve(assembly: Assembly, tube: int) -> bool:
     return bool(assembly.end[tube] > assembly.transition[tube])
 
 
-def places(translations: Any, straight_length: Any, curved_length: Any) -> tuple[Any, Any, Any]:
+def tube_positions(translations: Any, straight_length: Any, curved_length: Any) -> tuple[Any, Any, Any]:
     """Transmission |beta|, transition and end (n,) of the tubes: arrays or expressions."""
     return straight_length - translations, translations, translations + curved_length
 

@@ -355,7 +355,7 @@ class Channel(NamedTuple):
     centre: tuple[float, float]
     """Centre in the cross-section, m."""
     inside: int | None
-    """Tube, from 0, whose bore it is; None between the tubes."""
+    """Index of the tube if the channel is its bore; None between the tubes."""
 
 
 def free_channel(robot: EccentricRobot | SegmentedEccentricRobot | BundleRobot) -> Channel:

@@ -564,10 +564,10 @@ def robot_to_dict(robot: Robot) -> dict[str, Any]:
         segments = [tube_to_dict(tube) for tube in robot.segments]
         data = {"kind": "segmented_eccentric", "name": robot.name, "segments": segments} | to_data(robot)
     elif isinstance(robot, BundleRobot):
-        places = zip(robot.tubes, robot.offset, robot.angle, strict=True)
+        offsets = zip(robot.tubes, robot.offset, robot.angle, strict=True)
         tubes = [
             tube_to_dict(tube) | {"offset_mm": in_unit(d, MM), "angle_deg": in_unit(phi, DEG)}
-            for tube, d, phi in places
+            for tube, d, phi in offsets
         ]
         data = {"kind": "bundle", "name": robot.name, "tubes": tubes} | to_data(robot, ["offset", "angle"])
     else:

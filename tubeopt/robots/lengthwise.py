@@ -109,52 +109,52 @@ class Lengthwise:
         panel, tube = self.panel(low), np.arange(self.n_tubes)
         return np.asarray(((panel == self.panel(high)) & ~self._varied[tube, panel]).all(1))
 
-    def panel(self, place: Array) -> NDArray[np.intp]:
+    def panel(self, position: Array) -> NDArray[np.intp]:
         """Panels (X, n) of the tubes at arc lengths (X, n) from their clamped ends, m; outside, the nearest panel."""
         # Breaks behind the last panel of a shorter tube are inf, and not counted.
         last = np.isfinite(self.breaks).sum(1) - 2
-        found = (place[:, :, None] >= self.breaks[:, 1:]).sum(2)
-        return np.asarray(np.minimum(found, last))
+        index = (position[:, :, None] >= self.breaks[:, 1:]).sum(2)
+        return np.asarray(np.minimum(index, last))
 
-    def _panels_at(self, place: Array, inside: Array) -> _PanelPoints:
+    def _panels_at(self, position: Array, inside: Array) -> _PanelPoints:
         """Panels that contain `inside` (X, n), evaluated at `place` (X, n)."""
         panel, tube = self.panel(inside), np.arange(self.n_tubes)
         low, high = self.breaks[tube, panel], self.breaks[tube, panel + 1]
         # The panel becomes the interval -1 to 1 of the Chebyshev polynomials. Outside, T_k grows like (2 x)^k:
         # round-off is clipped.
-        x = np.clip((2 * place - low - high) / (high - low), -1.0, 1.0)
+        x = np.clip((2 * position - low - high) / (high - low), -1.0, 1.0)
         return _PanelPoints(self.coefficients[tube, panel], x, high - low)
 
-    def values(self, place: Array, inside: Array | None = None) -> Array:
+    def values(self, position: Array, inside: Array | None = None) -> Array:
         """Values (6, X, n) of QUANTITIES at arc lengths (X, n) from the clamped ends, m.
 
         Args:
             inside: (X, n) places on the same stretch by which the panel is chosen, where `place` may be at its end.
         """
-        chosen = place if inside is None else inside
+        chosen = position if inside is None else inside
         # Tubes of constant pieces have c_0 alone: no basis is needed.
         if not self._varied.any():
             table = self.coefficients[np.arange(self.n_tubes), self.panel(chosen), :, 0]
             return np.ascontiguousarray(table.transpose(2, 0, 1))
-        table, x, _ = self._panels_at(place, chosen)
+        table, x, _ = self._panels_at(position, chosen)
         # T_0 = 1, T_1 = x, T_k = 2 x T_(k-1) - T_(k-2). |T_k| <= 1, so that round-off does not grow.
         basis = np.stack([np.ones_like(x), x, *(np.empty_like(x) for _ in range(table.shape[-1] - 2))], axis=-1)
         for k in range(2, table.shape[-1]):
             basis[..., k] = 2 * x * basis[..., k - 1] - basis[..., k - 2]
         return np.asarray((table @ basis[..., None])[..., 0].transpose(2, 0, 1))
 
-    def rates(self, place: Array, inside: Array) -> Array:
+    def rates(self, position: Array, inside: Array) -> Array:
         """Derivatives (6, X, n) of QUANTITIES by arc length, as `values`."""
-        table, x, length = self._panels_at(place, inside)
+        table, x, length = self._panels_at(position, inside)
         degree = table.shape[-1] - 1
         # Row k has the coefficients of T_k'. By arc length, d/ds = (2 / length) d/dx.
         slopes = chebyshev.chebder(np.eye(degree + 1), axis=0).T
         basis = chebyshev.chebvander(x, degree)[..., :degree] @ slopes.T
         return np.asarray(((table @ basis[..., None])[..., 0] * (2 / length)[..., None]).transpose(2, 0, 1))
 
-    def compliant(self, place: Array) -> Array:
+    def compliant(self, position: Array) -> Array:
         """Torsional compliance (..., n), int ds / GJ, from the clamped ends to arc lengths (..., n), 1/(N m)."""
-        tube, at = np.arange(self.n_tubes), place.reshape(-1, self.n_tubes)
+        tube, at = np.arange(self.n_tubes), position.reshape(-1, self.n_tubes)
         panel = self.panel(at)
         low = self.breaks[tube, panel]
         high = np.clip(at, low, self.breaks[tube, panel + 1])
@@ -164,12 +164,12 @@ class Lengthwise:
         # A node near the end of a panel may round into the next one: the middle chooses the panel.
         inside = np.broadcast_to((low + high) / 2, s.shape)
         rate = 1 / self.values(s.reshape(-1, self.n_tubes), inside.reshape(-1, self.n_tubes))[1].reshape(s.shape)
-        whole = self.compliance[tube, panel] + (high - low) * np.tensordot(weights, rate, 1)
-        return np.asarray(whole.reshape(place.shape))
+        total = self.compliance[tube, panel] + (high - low) * np.tensordot(weights, rate, 1)
+        return np.asarray(total.reshape(position.shape))
 
-    def at(self, place: Array, inside: Array, present: Mask) -> CrossSections:
+    def at(self, position: Array, inside: Array, present: Mask) -> CrossSections:
         """Cross-sections at arc lengths (X, n) from the clamped ends; `inside` as in `values`; `present` is (X, n)."""
-        bending, torsional, x, y, z, wound = self.values(place, inside)
+        bending, torsional, x, y, z, wound = self.values(position, inside)
         kb = bending * present
         # The natural twist turns the tube's frame by int u*_z ds, and u*_xy with it.
         return CrossSections(
@@ -327,7 +327,7 @@ def _cuts(tube: Tube, panels: list[_Panel]) -> tuple[float, ...]:
 
 
 # Cells of a piece along which something varies: each costs a row in every bound of a proof.
-MOST_CELLS = 8
+MAX_CELLS = 8
 
 # Variation of stiffness or |kb u*_xy| along a cell, as a fraction of the largest on the piece, above which there are
 # more cells: bounds of a product lose about as much as its factors vary.
@@ -343,7 +343,7 @@ CLOSE = 0.9
 
 # Halvings of a part for its bounds, at most and at least. Chebyshev sums converge like the square of the length:
 # twelve reduce the loss 1.6e7 times.
-HALVINGS, LEAST_HALVINGS = 12, 2
+HALVINGS, MIN_HALVINGS = 12, 2
 
 # Numbers that are found of a cell.
 BOUNDS = 17
@@ -387,16 +387,16 @@ def variation(tubes: tuple[Tube, ...]) -> Variation:
     """The bounds of some tubes."""
     table = lengthwise(tubes)
     cells = [_cells(tube) for tube in tubes]
-    most = max(2, *(len(own) for own in cells))
-    cuts = np.array([[cut for *_, cut in [*own, *[own[-1]] * (most - len(own))]] for own in cells])
-    bounds = np.zeros((BOUNDS, len(tubes), most + 1))
+    longest = max(2, *(len(own) for own in cells))
+    cuts = np.array([[cut for *_, cut in [*own, *[own[-1]] * (longest - len(own))]] for own in cells])
+    bounds = np.zeros((BOUNDS, len(tubes), longest + 1))
     for i, own in enumerate(cells):
         for c, (low, high, _) in enumerate(own):
             bounds[:, i, c] = _bounds(table, i, low, high)
         # Cells that fill up have no length; they repeat the last one, so that no bound of theirs is 0.
-        bounds[:, i, len(own) : most] = bounds[:, i, len(own) - 1, None]
+        bounds[:, i, len(own) : longest] = bounds[:, i, len(own) - 1, None]
         # Behind the end kt stays what it was, since 1 / kt is taken there too.
-        bounds[4, i, most] = bounds[4, i, most - 1]
+        bounds[4, i, longest] = bounds[4, i, longest - 1]
     return Variation(cuts, bounds[0:4], bounds[4], bounds[5:8], bounds[8:12], bounds[12:15], bounds[15:])
 
 
@@ -416,24 +416,24 @@ def _count(quantities: tuple[Quantity, ...], length: float) -> int:
     """Cells of a piece with these x, y, z, kb and kt."""
     if not vary(quantities):
         return 1
-    s = np.linspace(0.0, length, 16 * MOST_CELLS + 1)
+    s = np.linspace(0.0, length, 16 * MAX_CELLS + 1)
     x, y, _, kb, kt = (values(q, s) for q in quantities)
     ranges = [(np.ptp(each), np.abs(each).max()) for each in (kb, kt, kb * np.hypot(x, y))]
-    share = max(float(change / size) if size > 0 else 0.0 for change, size in ranges)
-    return int(np.clip(np.ceil(share / CHANGE), 1, MOST_CELLS))
+    ratio = max(float(change / size) if size > 0 else 0.0 for change, size in ranges)
+    return int(np.clip(np.ceil(ratio / CHANGE), 1, MAX_CELLS))
 
 
 def _bounds(table: Lengthwise, tube: int, low: float, high: float) -> Array:
     """Bounds (BOUNDS,) of a tube from one arc length to another."""
     breaks = table.breaks[tube][np.isfinite(table.breaks[tube])]
-    found = []
+    cells = []
     for panel, (first, last) in enumerate(pairwise(breaks)):
         a, b = max(low, first), min(high, last)
         # What a cell and a panel have in common by round-off is bounded from the other side.
         if b - a > BEYOND / 2:
             ends = (2 * np.array([a, b]) - first - last) / (last - first)
-            found += _parts(table.coefficients[tube, panel, :5], ends, last - first, HALVINGS)
-    parts = np.array(found)
+            cells += _parts(table.coefficients[tube, panel, :5], ends, last - first, HALVINGS)
+    parts = np.array(cells)
     out: Array = parts.max(0)
     # kb and kt are bounded from below, everything else from above.
     out[[0, 4]] = parts[:, [0, 4]].min(0)
@@ -450,7 +450,7 @@ def _parts(coefficients: Array, ends: Array, length: float, halvings: int) -> li
     own[still] = coefficients[still]
     bound = _bound(own, length * half / 2)
     # Values at Chebyshev points lie above the true minimum, the bound below it: this compares both ends.
-    loose = (bound[[0, 4]] < CLOSE * values[:2].min(1)).any() or halvings > HALVINGS - LEAST_HALVINGS
+    loose = (bound[[0, 4]] < CLOSE * values[:2].min(1)).any() or halvings > HALVINGS - MIN_HALVINGS
     if halvings and loose and not still.all():
         halves = np.array([ends[0], middle]), np.array([middle, ends[1]])
         return [part for each in halves for part in _parts(coefficients, each, length, halvings - 1)]
@@ -496,7 +496,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 # Steps of a piece that varies, and the fraction of its length by which its curve may be off: 2 um on 40 mm.
 # Expressions, and the time to solve a program of them, grow with every step.
-LEAST_STEPS, MOST_STEPS, OFF = 4, 12, 5e-5
+MIN_STEPS, MAX_STEPS, OFF = 4, 12, 5e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -518,15 +518,15 @@ class Steps:
 
 
 def steps_of(tubes: Sequence[Tube]) -> Steps:
-    """The stretches of tubes; of those that vary along a piece, to some 0.01 % of their length."""
+    """Stretches of tubes; for tubes that vary along a piece accurate to about 0.01 % of their length."""
     rows = []
     for tube in map(_in_steps, tubes):
         chain = stretches(tube)
         if tube.straight_length == 0:
             chain = [chain[0]._replace(length=0.0, precurvature=(0.0, 0.0, 0.0)), *chain]
         rows.append([(length, *u, bending, torsional) for length, u, bending, torsional in chain])
-    most = max(2, *(len(row) for row in rows))
-    table = np.array([[*row, *[(0.0, *row[-1][1:])] * (most - len(row))] for row in rows], dtype=float)
+    longest = max(2, *(len(row) for row in rows))
+    table = np.array([[*row, *[(0.0, *row[-1][1:])] * (longest - len(row))] for row in rows], dtype=float)
     length, x, y, z, bending, torsional = table.transpose(2, 0, 1)
     # The turn where a stretch begins: the sum without its own part.
     wound = np.cumsum(length * z, axis=1) - length * z
@@ -550,11 +550,11 @@ def _steps(piece: Piece) -> list[Piece]:
     if not vary(parts):
         return [piece]
     count = _step_count(piece)
-    places = (np.arange(count)[:, None] + (NODES + 1) / 2) * (piece.length / count)
-    x, y, z, kb = (_means(part, places) for part in parts[:4])
+    nodes = (np.arange(count)[:, None] + (NODES + 1) / 2) * (piece.length / count)
+    x, y, z, kb = (_means(part, nodes) for part in parts[:4])
     # The moment hardly changes along a step, so that 1 / GJ is averaged for torsion. Tubes share one curvature, which
     # hardly changes either, so that EI is averaged for bending.
-    kt = _means(piece.torsional_stiffness, places, -1)
+    kt = _means(piece.torsional_stiffness, nodes, -1)
     return [
         replace(piece, length=piece.length / count, precurvature=u, bending_stiffness=b, torsional_stiffness=t)
         for u, b, t in zip(zip(x, y, z, strict=True), kb, kt, strict=True)
@@ -563,18 +563,18 @@ def _steps(piece: Piece) -> list[Piece]:
 
 def _step_count(piece: Piece) -> int:
     """Steps of a piece that varies."""
-    s = np.linspace(0.0, piece.length, 8 * MOST_STEPS + 1)
+    s = np.linspace(0.0, piece.length, 8 * MAX_STEPS + 1)
     x, y, z = (values(q, s) for q in piece.precurvature)
     # A step turns with the mean of u*_z. The rest, at most half its range, moves u*_xy at this rate.
     turned = np.hypot(x, y).max() * np.ptp(z) / 2
     fast = float(np.hypot(np.gradient(x, s), np.gradient(y, s)).max() + turned)
     # |du*/ds| L h^2 / 12 <= OFF L with h = L / count, solved for count.
-    return int(np.clip(np.ceil(piece.length * np.sqrt(fast / (12 * OFF))), LEAST_STEPS, MOST_STEPS))
+    return int(np.clip(np.ceil(piece.length * np.sqrt(fast / (12 * OFF))), MIN_STEPS, MAX_STEPS))
 
 
-def _means(quantity: Quantity | None, places: Array, power: int = 1) -> list[Any]:
+def _means(quantity: Quantity | None, nodes: Array, power: int = 1) -> list[Any]:
     """Mean of a quantity, or of its reciprocal, in every step."""
     if not isinstance(quantity, Series):
-        return [quantity] * len(places)
-    means: list[Any] = ((quantity(places) ** power @ WEIGHTS / 2) ** power).tolist()
+        return [quantity] * len(nodes)
+    means: list[Any] = ((quantity(nodes) ** power @ WEIGHTS / 2) ** power).tolist()
     return means

@@ -47,10 +47,10 @@ class JointLimits(Displayed):
 
     def __post_init__(self) -> None:
         for name in ("rotations", "translations"):
-            given = tuple(getattr(self, name))
-            if any(np.shape(row) != (2,) for row in given):
-                raise InputError(f"{name} of the limits is {given!r}; it must be (least, greatest) for every tube")
-            rows = np.array(given, dtype=float).reshape(-1, 2)
+            value = tuple(getattr(self, name))
+            if any(np.shape(row) != (2,) for row in value):
+                raise InputError(f"{name} of the limits is {value!r}; it must be (least, greatest) for every tube")
+            rows = np.array(value, dtype=float).reshape(-1, 2)
             table = tuple((low, high) for low, high in rows.tolist())
             sign = "rad" if name == "rotations" else "m"
             for i, (low, high) in enumerate(table):
@@ -77,14 +77,14 @@ def default_limits(tubes: Sequence[Tube]) -> JointLimits:
 def check_turn(rotations: Array) -> None:
     """Raise InputError naming a rotation beyond MOST_TURN; warn of one beyond USUAL_TURN."""
     turns = rotations.ravel().tolist()
-    most = max(map(abs, turns), default=0.0)
-    if most > MOST_TURN:
+    largest = max(map(abs, turns), default=0.0)
+    if largest > MOST_TURN:
         worst = max(turns, key=abs)
         raise InputError(
             f"rotations has {worst:g} rad; it must be at most {MOST_TURN:g} rad (159 turns) to either side"
         )
     # Rotations within half of it cannot differ by more: most calls end here.
-    if most > USUAL_TURN / 2:
+    if largest > USUAL_TURN / 2:
         _warn_of_degrees(rotations)
 
 
@@ -94,11 +94,11 @@ def _warn_of_degrees(rotations: Array) -> None:
     own = rotations if rotations.shape[-1] == 1 else rotations - rotations[..., -1:]
     turn = float(np.abs(own).max())
     if turn > USUAL_TURN:
-        most = float(rotations.ravel()[int(np.argmax(np.abs(rotations)))])
+        largest = float(rotations.ravel()[int(np.argmax(np.abs(rotations)))])
         turns = turn / (2 * np.pi)
         warn_implausible(
-            f"rotations has {most:g} rad, and winds tubes up by {turns:.3g} turns; rotations are in rad: was {most:g} "
-            "deg meant?"
+            f"rotations has {largest:g} rad, and winds tubes up by {turns:.3g} turns; rotations are in rad: was "
+            f"{largest:g} deg meant?"
         )
 
 
@@ -120,9 +120,9 @@ ROUNDED = 1e-9
 
 def reading_fault(tube: Tube, key: str, value: float) -> str:
     """Text of the allowed values of a joint, in deg or mm as its key or column; empty if it is valid."""
-    most = round(math.degrees(MOST_TURN))
-    if key.endswith("_deg") and abs(value) > most:
-        return f"at most {most} ({MOST_TURN / math.tau:.0f} turns) to either side"
+    largest = round(math.degrees(MOST_TURN))
+    if key.endswith("_deg") and abs(value) > largest:
+        return f"at most {largest} ({MOST_TURN / math.tau:.0f} turns) to either side"
     if key.endswith("_mm") and value > tube.straight_length * TO_MM + ROUNDED:
         return f"at most its straight length, {tube.straight_length * TO_MM:g}: it is held there"
     if key.endswith("_mm") and value < -FAR * tube.length * TO_MM:
@@ -146,20 +146,20 @@ def check_force(tubes: Sequence[Tube], name: str, force: float, length: float) -
         )
 
 
-def check_target(tubes: Sequence[Tube], name: str, places: Array) -> None:
+def check_target(tubes: Sequence[Tube], name: str, points: Array) -> None:
     """Raise InputError naming a position (3,), or a row of positions (N, 3), m, that is too far from the plate.
 
     Farther than FAR times the longest tube, it was probably in mm.
     """
     longest = max(tube.length for tube in tubes)
-    if places.ndim == 1 and math.hypot(*places.tolist()) <= FAR * longest:
+    if points.ndim == 1 and math.hypot(*points.tolist()) <= FAR * longest:
         return
-    away = np.linalg.norm(np.atleast_2d(places), axis=1)
+    away = np.linalg.norm(np.atleast_2d(points), axis=1)
     k = int(away.argmax())
     if away[k] > FAR * longest:
-        place = ", ".join(f"{x:.6g}" for x in np.atleast_2d(places)[k])
-        where = f"{name} in row {k + 1}" if places.ndim > 1 else name
+        coordinates = ", ".join(f"{x:.6g}" for x in np.atleast_2d(points)[k])
+        where = f"{name} in row {k + 1}" if points.ndim > 1 else name
         raise InputError(
-            f"{where} is {place} m, {away[k]:.4g} m from the plate, and the longest tube is {longest:.4g} m "
+            f"{where} is {coordinates} m, {away[k]:.4g} m from the plate, and the longest tube is {longest:.4g} m "
             f"long; it must be at most {FAR * longest:.4g} m away"
         )

@@ -145,10 +145,10 @@ class Load(Displayed):
 
     def cuts(self) -> Array:
         """Arc lengths where the force on a cross-section jumps or breaks, m."""
-        places = [part.at for part in self.points]
+        positions = [part.at for part in self.points]
         if self.distributed is not None and _stretches(self.distributed):
-            places += [end for part in self.distributed for end in (part.start, part.end)]
-        return np.array(places, dtype=float)
+            positions += [end for part in self.distributed for end in (part.start, part.end)]
+        return np.array(positions, dtype=float)
 
     def per_length(self, arc_length: Array) -> Array:
         """Distributed load (..., 6) at arc lengths (...): force, N/m, and moment, N."""
@@ -272,7 +272,7 @@ def _point(k: int, entry: Any) -> PointLoad:
     return PointLoad(positive(f"arc length of {name}", at, zero=True), *_wrench(name, loads))
 
 
-def _parts(name: str, entry: Any, places: int, allowed: str) -> tuple[Any, ...]:
+def _parts(name: str, entry: Any, minimum: int, allowed: str) -> tuple[Any, ...]:
     """Arc lengths, force and optional moment of an entry."""
     if isinstance(entry, Stretch | PointLoad):
         return tuple(getattr(entry, field.name) for field in fields(entry))
@@ -280,7 +280,7 @@ def _parts(name: str, entry: Any, places: int, allowed: str) -> tuple[Any, ...]:
         parts = tuple(entry)
     except TypeError:
         parts = ()
-    if not places + 1 <= len(parts) <= places + 2:
+    if not minimum + 1 <= len(parts) <= minimum + 2:
         raise InputError(f"{name} is {entry!r}; it must be {allowed}")
     return parts
 

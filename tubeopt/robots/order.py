@@ -44,7 +44,7 @@ class Demand:
 
     ahead: int
     behind: int
-    least: float
+    distance: float
     """Smallest difference, m."""
     name: str
     """Description of the active constraint."""
@@ -82,7 +82,7 @@ def demands(
     `section_length` (m); the inner tube of the pairs `apart` may end inside the outer one.
     """
     tubes, group = robot.tubes, {i: tubes for tubes in robot.moving_together for i in tubes}
-    found: list[Demand] = []
+    order: list[Demand] = []
     pairs = set()
     for i, o in robot.nested_pairs:
         if (group[i], group[o]) in pairs:
@@ -92,25 +92,25 @@ def demands(
         names = carriage_name(group[i]), carriage_name(group[o])
         # Held behind: beta_o - beta_i >= gap, with beta = translation - straight_length.
         behind = carriage_gap + outer.straight_length - inner.straight_length
-        words = f"the carriage of {names[0]} would be in front of the carriage of {names[1]}"
-        found.append(Demand(o, i, behind, f"carriages of {names[0]} and {names[1]} touching", words))
+        violation = f"the carriage of {names[0]} would be in front of the carriage of {names[1]}"
+        order.append(Demand(o, i, behind, f"carriages of {names[0]} and {names[1]} touching", violation))
         if not robot.nested_curves:
-            words = f"the curve of {names[0]} would begin inside {names[1]}"
+            violation = f"the curve of {names[0]} would begin inside {names[1]}"
             # The inner curve begins at t_i, the outer tube ends at t_o + curved_o.
             name = f"curve of {names[0]} beginning where {names[1]} end"
-            found.append(Demand(i, o, outer.curved_length, name, words))
+            order.append(Demand(i, o, outer.curved_length, name, violation))
         if (i, o) not in apart:
             # Tubes end at t + curved: t_i + curved_i >= t_o + curved_o + section_length.
             beyond = section_length + outer.curved_length - inner.curved_length
-            words = f"{names[0]} would end inside {names[1]}"
-            found.append(Demand(i, o, beyond, f"{names[0]} ending where {names[1]} ends", words, (i, o)))
-    return found
+            violation = f"{names[0]} would end inside {names[1]}"
+            order.append(Demand(i, o, beyond, f"{names[0]} ending where {names[1]} ends", violation, (i, o)))
+    return order
 
 
 def out_of_order(robot: Nested, translations: Array) -> list[tuple[Demand, float]]:
     """Constraints on carriages and curves that translations (n,), m, violate, and their violations, m."""
     missing = [
-        (each, float(each.least - translations[each.ahead] + translations[each.behind]))
+        (each, float(each.distance - translations[each.ahead] + translations[each.behind]))
         for each in demands(robot)
         if each.ends is None
     ]
@@ -124,13 +124,13 @@ def home_translations(robot: Nested) -> Array:
 
     If no translations within the limits are in order, the lengths of the tubes are the limits.
     """
-    found, order = None, demands(robot)
+    home, order = None, demands(robot)
     with suppress(InputError):
-        found = in_order(robot, translation_ranges(robot.tubes, robot.limits), order, _nearest_to_0)
-    if found is None:
-        found = in_order(robot, translation_ranges(robot.tubes, default_limits(robot.tubes)), order, _nearest_to_0)
-    assert found is not None  # an inner tube is never shorter than an outer one
-    return found
+        home = in_order(robot, translation_ranges(robot.tubes, robot.limits), order, _nearest_to_0)
+    if home is None:
+        home = in_order(robot, translation_ranges(robot.tubes, default_limits(robot.tubes)), order, _nearest_to_0)
+    assert home is not None  # an inner tube is never shorter than an outer one
+    return home
 
 
 def _nearest_to_0(bottom: float, top: float) -> float:
@@ -148,20 +148,20 @@ def in_order(
     groups = robot.moving_together
     of = {tube: k for k, tubes in enumerate(groups) for tube in tubes}
     # Carriage k is ahead of the next outer one by at least least[k], at most most[k].
-    least, most = np.full(len(groups), -np.inf), np.full(len(groups), np.inf)
+    lower, upper = np.full(len(groups), -np.inf), np.full(len(groups), np.inf)
     for demand in order:
         k, o = of[demand.ahead], of[demand.behind]
         if k < o:
-            least[k] = max(least[k], demand.least)
+            lower[k] = max(lower[k], demand.distance)
         else:
-            most[o] = min(most[o], -demand.least)
+            upper[o] = min(upper[o], -demand.distance)
     # Differences along a chain: from the innermost outwards, the interval that leaves a place to all carriages inside.
     interval: list[tuple[float, float]] = []
     for k, tubes in enumerate(groups):
         bottom, top = float(ranges[0][list(tubes)].max()), float(ranges[1][list(tubes)].min())
         if k:
-            bottom, top = max(bottom, interval[-1][0] - most[k - 1]), min(top, interval[-1][1] - least[k - 1])
-        if bottom > top + LENGTH_ROUND_OFF or least[k] > most[k] + LENGTH_ROUND_OFF:
+            bottom, top = max(bottom, interval[-1][0] - upper[k - 1]), min(top, interval[-1][1] - lower[k - 1])
+        if bottom > top + LENGTH_ROUND_OFF or lower[k] > upper[k] + LENGTH_ROUND_OFF:
             return None
         interval.append((bottom, top))
     # Back from the outermost, every choice in its interval can be continued: no choice is ever undone.
@@ -169,7 +169,7 @@ def in_order(
     for k in reversed(range(len(groups))):
         bottom, top = interval[k]
         if k < len(groups) - 1:
-            bottom, top = max(bottom, outer + least[k]), min(top, outer + most[k])
+            bottom, top = max(bottom, outer + lower[k]), min(top, outer + upper[k])
         outer = choose(bottom, top)
         out[list(groups[k])] = outer
     return out
@@ -183,21 +183,21 @@ class EndInside:
     around: int
     """Outer tube that reaches farthest beyond it."""
     depth: float
-    """Length by which that tube reaches beyond it, in front of the plate, m."""
+    """Length of that tube beyond this end, in front of the plate, m."""
 
 
 def ends_inside(robot: Nested, end: Array) -> tuple[EndInside, ...]:
     """Tubes that end inside an outer one, for ends at arc lengths (n,), m, from the plate."""
     around, visible = dict(robot.nested_pairs), np.maximum(end, 0.0)
-    found = []
+    inside = []
     for tube in range(len(end)):
         outer = farthest = tube
         while outer in around:
             outer = around[outer]
             farthest = outer if visible[outer] > visible[farthest] + SAME_END else farthest
         if farthest != tube:
-            found.append(EndInside(tube, farthest, float(visible[farthest] - visible[tube])))
-    return tuple(found)
+            inside.append(EndInside(tube, farthest, float(visible[farthest] - visible[tube])))
+    return tuple(inside)
 
 
 def tip_tube(end: Array) -> int | None:

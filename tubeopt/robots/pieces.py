@@ -198,14 +198,14 @@ def part_of(coefficients: Array, ends: Array) -> Array:
     )
 
 
-def zeros(coefficients: Array, imaginary: float, least: float | None = None) -> Array:
+def zeros(coefficients: Array, imaginary: float, negligible: float | None = None) -> Array:
     """Real roots of a Chebyshev series inside -1 .. 1.
 
     Args:
         imaginary: largest imaginary part of a root that counts as real.
         least: size of coefficients that are round-off, by default 1e-14 of the largest.
     """
-    size = 1e-14 * float(np.abs(coefficients).max()) if least is None else least
+    size = 1e-14 * float(np.abs(coefficients).max()) if negligible is None else negligible
     trimmed = chebyshev.chebtrim(coefficients, size)
     roots = chebyshev.chebroots(trimmed) if len(trimmed) > 1 else np.zeros(0)
     return np.asarray(roots.real[(np.abs(roots.imag) < imaginary) & (np.abs(roots.real) < 1 - 1e-9)])
@@ -317,7 +317,7 @@ def _must_join(panels: list[tuple[float, float, Array]], scale: Array, name: str
 
 
 def _trimmed(panels: list[tuple[float, float, Array]], column: int, scale: float) -> Quantity:
-    """Component without coefficients of round-off size; a number if only a constant is left."""
+    """Component of a table without coefficients of round-off size; a number if only a constant is left."""
     table = [chebyshev.chebtrim(c[:, column], TOLERANCE * scale / 10) for *_, c in panels]
     first = float(table[0][0])
     if all(len(c) == 1 and abs(c[0] - first) <= TOLERANCE * scale for c in table):
@@ -426,14 +426,14 @@ class Piece(Displayed):
         as_tube = self.bending_stiffness is None and self.torsional_stiffness is None and self.slots is None
         return as_tube and not isinstance(x, Series) and (y, z) == (0.0, 0.0)
 
-    def bending_factor(self, whole: float) -> float:
+    def bending_factor(self, tube_stiffness: float) -> float:
         """Smallest bending stiffness along the piece over that of the whole tube, N m^2, at most 1."""
-        own = whole if self.bending_stiffness is None else extremes([self.bending_stiffness], self.length)[0]
-        return min(1.0, float(own) / whole)
+        own = tube_stiffness if self.bending_stiffness is None else extremes([self.bending_stiffness], self.length)[0]
+        return min(1.0, float(own) / tube_stiffness)
 
-    def strain_ratio(self, whole: float) -> float:
+    def strain_ratio(self, tube_stiffness: float) -> float:
         """Largest strain relative to a piece without slots, in a tube of bending stiffness `whole` (N m^2)."""
-        return 1.0 if self.slots is None else float(self.slots.strain_ratio(self.bending_factor(whole)))
+        return 1.0 if self.slots is None else float(self.slots.strain_ratio(self.bending_factor(tube_stiffness)))
 
     def stretched(self, factor: float) -> Piece:
         """Piece `factor` times as long, with series stretched along it."""

@@ -112,9 +112,9 @@ class Tube(Displayed):
             "torsional_stiffness": 2 * self.material.shear_modulus,
         }
         for name, modulus in moduli.items():
-            given = getattr(self, name)
-            own = given is None or isinstance(given, OfCrossSection)
-            value = OfCrossSection(modulus * self.second_moment) if own else positive(name, given)
+            stiffness = getattr(self, name)
+            own = stiffness is None or isinstance(stiffness, OfCrossSection)
+            value = OfCrossSection(modulus * self.second_moment) if own else positive(name, stiffness)
             object.__setattr__(self, name, value)
 
     def _join_pieces(self) -> None:
@@ -175,7 +175,7 @@ class Tube(Displayed):
         for piece in chain:
             instance("a piece", piece, Piece)
         total = math.fsum(piece.length for piece in chain)
-        given: dict[str, Any] = {
+        overrides: dict[str, Any] = {
             "bending_stiffness": bending_stiffness,
             "torsional_stiffness": torsional_stiffness,
             "mass_per_length": mass_per_length,
@@ -183,12 +183,12 @@ class Tube(Displayed):
         if len(chain) == 1 and chain[0].plain:
             curvature = float(chain[0].precurvature[0])
         else:
-            curvature, given["pieces"] = max(piece.largest_curvature for piece in chain), chain
-        return cls(outer_diameter, inner_diameter, straight_length, total, curvature, material, **given)
+            curvature, overrides["pieces"] = max(piece.largest_curvature for piece in chain), chain
+        return cls(outer_diameter, inner_diameter, straight_length, total, curvature, material, **overrides)
 
     def resized(self, name: str, value: float) -> Tube:
-        """The tube with another dimension; of one of pieces, all of them in proportion: a longer curved part stretches
-        each piece, and a stiffness makes each as many times stiffer.
+        """The tube with another dimension. Pieces change in proportion: a longer curved part stretches each of them,
+        and a stiffness scales those of all.
 
         Args:
             name: a field that is a number, as "curvature" or "bending_stiffness".
@@ -272,7 +272,7 @@ HARDEST = 1.3e12
 # Strain of a tube held straight beyond which it was probably meant otherwise, where the material does not state more:
 # nitinol recovers 8 to 10 %, and published robots reach 3 %. `robots.fit` states what a robot's materials spring back
 # from, and may be cycled to.
-MOST_STRAIN = 0.10
+MAX_STRAIN = 0.10
 
 
 def warn_of_units(tube: Tube) -> None:
@@ -298,7 +298,7 @@ def material_doubts(tube: Tube) -> Iterator[str]:
         return
     yield from modulus_doubts(tube.material)
     strain = 0.0 if tube.pieces else tube.straightened_strain
-    max_strain = max(MOST_STRAIN, tube.material.superelastic_strain)
+    max_strain = max(MAX_STRAIN, tube.material.superelastic_strain)
     if strain > max_strain:
         yield (
             f"curvature is {tube.curvature:g} per m, which strains the tube by {100 * strain:.3g} % when it is held "
@@ -333,9 +333,9 @@ class TubeStretch(NamedTuple):
     precurvature: Precurvature
     """Components in the frame of the tube."""
     bending_stiffness: Quantity
-    """EI, N m^2."""
+    """Bending stiffness EI, N m^2."""
     torsional_stiffness: Quantity
-    """GJ, N m^2."""
+    """Torsional stiffness GJ, N m^2."""
 
 
 def stretches(tube: Tube) -> list[TubeStretch]:

@@ -345,7 +345,7 @@ class RegionAnswer(Displayed):
         """Sentence on the reached fractions, which are lower bounds: a larger roadmap may reach more points."""
         before, after = (f"at least {100 * reached.share:.0f} %" for reached in (self.before, self.after))
         judged = f"of {len(self.after.targets)} places not searched with"
-        return f"{self.search.wanted}: {before} before, {after} after, {judged}"
+        return f"{self.search.objective}: {before} before, {after} after, {judged}"
 
     @property
     def remarks(self) -> tuple[str, ...]:

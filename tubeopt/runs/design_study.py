@@ -53,7 +53,7 @@ from .design_parts import (
 )
 from .plan_study import PlacedPart, shared
 from .study_file import Timed
-from .surroundings_file import AnatomyKey, BasePart, Place
+from .surroundings_file import AnatomyKey, BasePart, Position
 
 StockPath = Annotated[
     tuple[StockTube, ...],
@@ -231,7 +231,7 @@ class PairPart(DesignedRobot, PlacedPart):
 class BallPart(Entry):
     """Ball-shaped region."""
 
-    centre_mm: Place = Field(description="centre in the common frame")
+    centre_mm: Position = Field(description="centre in the common frame")
     radius_mm: Positive = Field(description="radius of the ball")
 
     def places(self, count: int, seed: int) -> Array:
@@ -279,9 +279,9 @@ class PairStudy(Timed, SearchPart, Multistart):
             except InputError as error:
                 raise ValueError(f"arms[{k}]: {error}") from None
         searched, evaluation = self.reach_problems()
-        places = np.concatenate([searched.targets, evaluation.targets])
+        targets = np.concatenate([searched.targets, evaluation.targets])
         # Some points may lie in an obstacle: they cannot be reached by any design.
-        if searched.obstacles and not (nearest_distance(searched.obstacles, places) > 0).any():
+        if searched.obstacles and not (nearest_distance(searched.obstacles, targets) > 0).any():
             raise ValueError("has a region inside an obstacle: none of its sampled points is free")
         # Base plates that may shift are moved apart by the search.
         distance = float(np.linalg.norm(searched.bases[0].origin - searched.bases[1].origin))

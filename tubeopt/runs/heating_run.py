@@ -60,9 +60,9 @@ class HeatingRun(Displayed):
     name: str = "rig"
     """Name of the rig."""
     window: Annotated[tuple[float, float] | None, unit("degC"), "temperature window of the hold"] = None
-    """None if the rig has no window."""
+    """Temperature window, degC; None if the rig has none."""
     opened: Annotated[float | None, unit("ms"), "time in which the cut-out opened, of a test"] = None
-    """None without a test of the cut-out."""
+    """Time in which the cut-out opened, ms; None without a test."""
     allowed: Annotated[float | None, unit("ms"), "longest time that the tube allows"] = None
 
     @property

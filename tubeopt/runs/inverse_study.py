@@ -29,7 +29,7 @@ from ..workspaces import Findings, examine, workspace
 from ..workspaces.loss import require_centred
 from .robot_keys import HOME, Loaded, OnePerTube, RobotPath, joints_of
 from .study_file import Arguments, Options, Study, question
-from .surroundings_file import Surrounded, TipPlace
+from .surroundings_file import Surrounded, TipPosition
 
 # --- files of targets and of joint values -----------------------------------------------------------------------------
 
@@ -42,7 +42,7 @@ class Targets:
     """Targets of the tip, one per row."""
 
     position: Array
-    """Shape (T, 3), m."""
+    """Positions (T, 3) of the targets, m."""
     direction: Array | None
     """Shape (T, 3), any length."""
     path: str = ""
@@ -119,7 +119,7 @@ class Row:
     number: Annotated[float, key("target"), "number of the target, from 1; a fraction for an inserted one"]
     """7.25 is inserted at a quarter of the distance from target 7 to target 8, by `follow`."""
     position: Annotated[Array, key("target_mm"), "target position of the tip in the base frame"]
-    """Shape (3,), m."""
+    """Position (3,) of the target, m."""
     direction: Annotated[Array | None, key("target_direction"), "target direction of the tip"]
     """Shape (3,), any length."""
     solution: InverseSolution | None
@@ -152,7 +152,7 @@ class InverseStudy(Surrounded, Loaded, Study):
 
     kind: Literal["inverse_kinematics"]
     robot: RobotPath
-    target_mm: TipPlace | None = Field(
+    target_mm: TipPosition | None = Field(
         None, description="target position of the tip in the base frame", examples=["X,Y,Z"]
     )
     direction: Triple | None = Field(

@@ -32,7 +32,7 @@ from ..robots.file import check_joints, joint_columns
 from ..robots.robot import Robot
 from ..typing import Array, Mask
 from ..validation.comparison import ErrorTable
-from ..validation.measurements import SAME_PLACE, JointLog, Measurements, Timeline, runs_of
+from ..validation.measurements import SAME_POSITION, JointLog, Measurements, Timeline, runs_of
 from .recorded_table import QUATERNION, Columns, Recorded, columns_of, read_recorded
 
 # --- tables mapped by a YAML file -------------------------------------------------------------------------------------
@@ -340,7 +340,7 @@ def _doubts_of_sensors(measurements: Measurements, robot: Robot) -> list[str]:
     for i, j in combinations(range(len(behind)), 2):
         distance = np.linalg.norm(sensors[:, i] - sensors[:, j], axis=1)
         distance = distance[np.isfinite(distance)]
-        if abs(behind[i] - behind[j]) > SAME_PLACE:
+        if abs(behind[i] - behind[j]) > SAME_POSITION:
             continue
         if not len(distance):
             remarks.append(

@@ -40,7 +40,7 @@ from ..robots.robot import Robot
 from ..typing import Array, Progress
 from .robot_keys import Loaded, OnePerTube, RobotPath, Started, check_within, joints_of, rewording_joints
 from .study_file import Study, Timed
-from .surroundings_file import BasePart, Bodies, Place, Surrounded, TipPlace
+from .surroundings_file import BasePart, Bodies, Position, Surrounded, TipPosition
 
 RatesEntry = EntryOf[RateLimits]
 
@@ -84,7 +84,7 @@ class EntryPart(Entry):
 class CutPart(Entry):
     """Section plane for figures: a point and a normal, or landmarks."""
 
-    at_mm: Place | None = Field(None, description="a point of the plane, in the given base frame")
+    at_mm: Position | None = Field(None, description="a point of the plane, in the given base frame")
     normal: Triple | None = Field(None, description="normal of the plane, any length")
     through: Annotated[list[str], Field(min_length=2, max_length=3)] | None = Field(
         None,
@@ -93,9 +93,9 @@ class CutPart(Entry):
 
     @model_validator(mode="after")
     def _one_plane(self) -> Self:
-        given = self.at_mm is not None, self.normal is not None
+        defined = self.at_mm is not None, self.normal is not None
         # Exactly one of two forms, and the first one complete.
-        if any(given) != all(given) or any(given) == (self.through is not None):
+        if any(defined) != all(defined) or any(defined) == (self.through is not None):
             raise ValueError("must give at_mm and normal, or through")
         return self
 
@@ -113,7 +113,7 @@ class Aimed(Started):
 
     goal_deg: OnePerTube | None = Field(None, description="rotations at the goal; default those of the start")
     goal_mm: OnePerTube | None = Field(None, description="translations at the goal; default those of the start")
-    tip_mm: TipPlace | None = Field(None, description="goal position of the tip in the base frame")
+    tip_mm: TipPosition | None = Field(None, description="goal position of the tip in the base frame")
     tip_at: str | None = Field(
         None, description="goal of the tip in the anatomy: name of a landmark, or target for the target region"
     )
@@ -226,7 +226,7 @@ class PlanStudy(Aimed, Surrounded, Loaded, Study):
             curve = self.in_si("tolerance_mm", "spline")
             return follow_tip_path(robot, self.si("tip_path_mm"), start=start if has_start else None, **curve, **common)
         if self.leader:
-            return follow_the_leader(robot, goal, begin=self.si("begin_percent"), **common)
+            return follow_the_leader(robot, goal, start_fraction=self.si("begin_percent"), **common)
         if self.entry is not None:
             region, count = self.entry.region(self.around), self.entry.places
             plan = plan_from_region(robot, start, goal, region, count=count, progress=progress, **common)
@@ -264,7 +264,7 @@ def shared(anatomy: Anatomy | None) -> Anatomy:
 class ArmPart(Aimed, PlacedPart):
     """Robot with its goal, in a plan of several; without a goal it does not move."""
 
-    tip_mm: Place | None = Field(None, description="goal position of the tip in the common frame")
+    tip_mm: Position | None = Field(None, description="goal position of the tip in the common frame")
 
     @model_validator(mode="after")
     def _one_goal(self) -> Self:

@@ -184,10 +184,10 @@ def _before(header: Sequence[str], k: int, names: Sequence[str]) -> int | None:
 
 
 def _ndi_time(where: str, row: Sequence[str], header: Sequence[str], k: int, frame_rate: float | None) -> str:
-    whole, part = (_before(header, k, (name,)) for name in ("timespec_s", "timespec_ns"))
-    if whole is not None and part is not None and row[whole]:
+    seconds, part = (_before(header, k, (name,)) for name in ("timespec_s", "timespec_ns"))
+    if seconds is not None and part is not None and row[seconds]:
         # As text: a float has 16 digits, and seconds since 1970 with ns need 19.
-        return f"{row[whole]}.{_whole(where, 'timespec_ns', row[part] or '0'):09d}"
+        return f"{row[seconds]}.{_whole(where, 'timespec_ns', row[part] or '0'):09d}"
     frame = _before(header, k, ("frame",))
     if frame is None or frame_rate is None or not row[frame]:
         return ""

@@ -62,7 +62,7 @@ class Equilibria(Displayed):
     rotations: Array
     """Shape (n,), rad."""
     translations: Array
-    """Shape (n,), m."""
+    """Translations (n,), m."""
     equilibria: Annotated[
         tuple[Equilibrium, ...], "all equilibria, the lowest energy first; without an energy the largest margin first"
     ]
@@ -86,7 +86,7 @@ class StraightMotion(Displayed):
     """Rotations (n,), rad, and translations (n,), m."""
     snap: Annotated[Snap | None, "the snap; null without one"]
     arrived: Annotated[Equilibrium | None, "equilibrium at the end of a path without a snap"]
-    """None if the robot snaps."""
+    """Equilibrium at the end of the motion; None if the robot snaps."""
 
 
 WaypointsPath = Annotated[
@@ -253,7 +253,7 @@ class RobotMap(Displayed):
 
     robot: Robot
     translations: Annotated[Array, unit("mm"), form(".9g"), "translations"]
-    """Shape (n,)."""
+    """Translations (n,), m."""
     map: StabilityMap
 
 
@@ -298,7 +298,7 @@ class LoadLimitResult(Displayed):
     rotations: Array
     """Shape (n,), rad."""
     translations: Array
-    """Shape (n,), m."""
+    """Translations (n,), m."""
     load: Load
     """Load that the factor multiplies."""
     limit: Annotated[LoadLimit | None, "the load limit; null if stability is not lost"]

@@ -132,12 +132,12 @@ def load_landmarks(path: str | PathLike[str], axes: str | None = None) -> dict[s
         return {name: ras(point, own) for name, point in markups(path).items()}
     table = read_csv(path, PLACE)
     table.expect(("name", *PLACE))
-    places, known = ras(table.numbers(PLACE, MM), own), dict[str, Array]()
-    for k, place in enumerate(places):
+    points, known = ras(table.numbers(PLACE, MM), own), dict[str, Array]()
+    for k, row in enumerate(points):
         name = table.cell(k, "name")
         if not name or name in known:
             table.complain(k, "name", f"is {name!r}; every landmark must have a name of its own")
-        known[name] = place
+        known[name] = row
     table.check()
     return known
 
@@ -451,7 +451,7 @@ else:
 
 # --- obstacles: a list of bodies with their kinds, lengths in mm ------------------------------------------------------
 
-Place = Annotated[Triple, Typical(1e-3, 10.0)]
+Position = Annotated[Triple, Typical(1e-3, 10.0)]
 """Position with a warning for an implausible unit."""
 
 
@@ -469,7 +469,7 @@ def _near_the_robot(position: list[Decimal], info: ValidationInfo) -> list[Decim
     return position
 
 
-TipPlace = Annotated[Place, AfterValidator(_near_the_robot)]
+TipPosition = Annotated[Position, AfterValidator(_near_the_robot)]
 """Position for the tip of the study's robot."""
 
 

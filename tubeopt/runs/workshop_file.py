@@ -146,13 +146,13 @@ def load_heating_log(path: str | PathLike[str], position: float = 0.0, lag: floa
     """
     table = read_csv(path, LOG_COLUMNS)
     # The name of a column contains the position.
-    placed = {n: to_si(decimal(parse_number(found[1])), MM) for n in table.columns if (found := PLACED.fullmatch(n))}
+    placed = {n: to_si(decimal(parse_number(match[1])), MM) for n in table.columns if (match := PLACED.fullmatch(n))}
     needed = LOG_COLUMNS[:2]
     table.expect(needed, (*LOG_COLUMNS[2:], *placed))
     values = {name: table.numbers([name], ONE, gaps=() if name in needed else EMPTY)[:, 0] for name in table.columns}
     table.check()
-    places = ({"temperature_degC": position} if "temperature_degC" in values else {}) | placed
-    columns = [values[name] for name in places]
+    positions = ({"temperature_degC": position} if "temperature_degC" in values else {}) | placed
+    columns = [values[name] for name in positions]
     temperature = None if not columns else columns[0] if len(columns) == 1 else np.column_stack(columns)
     try:
         return HeatingLog(
@@ -161,7 +161,7 @@ def load_heating_log(path: str | PathLike[str], position: float = 0.0, lag: floa
             temperature=None if temperature is None else temperature + ZERO_CELSIUS,
             voltage=values.get("voltage_V"),
             current=values.get("current_A"),
-            position=list(places.values()) or position,
+            position=list(positions.values()) or position,
             lag=lag,
         )
     except InputError as error:
@@ -172,7 +172,7 @@ class CameraRecording(NamedTuple):
     """Recording of a thermal camera."""
 
     time: Array
-    """Shape (C,), s."""
+    """Times (C,) of the images, s."""
     position: Array
     """Shape (P,), m, along the tube from the middle of the curved part."""
     temperature: Array
@@ -278,7 +278,7 @@ class Trials:
     """Radii of spring-back trials."""
 
     mold_radius: Array
-    """Shape (N,), m."""
+    """Mold radii (N,), m."""
     obtained_radius: Array
     """Shape (N,), m, of the finished tubes."""
 

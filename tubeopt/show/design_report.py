@@ -407,7 +407,7 @@ ARM: tuple[Quantity[_Arm], ...] = (
 
 PAIR = described(
     PairAnswer,
-    Quantity("wanted", "the objective", lambda a: a.search.wanted),
+    Quantity("wanted", "the objective", lambda a: a.search.objective),
     Quantity("searched_before", "fraction of the pairs of places of the search, given robots",
              lambda a: a.search.before),
     Quantity("searched_after", "fraction of the pairs of places of the search, designs", lambda a: a.search.after),

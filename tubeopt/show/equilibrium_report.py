@@ -115,7 +115,7 @@ class RobotReport(Report[AnyRobot]):
         lines = remarks(fit_warnings(self.answer), what="warning")
         properties = grid(("tube", *numbers), cells, title=self.title(), key=True)
         home = [Text(reason)] if (reason := _home_reason(self.answer)) else []
-        channel = [Text(words)] if (words := _channel_in_words(self.answer)) else []
+        channel = [Text(text)] if (text := _channel_in_words(self.answer)) else []
         return Group(properties, *channel, *home, *(lines or [Text("no warnings", style="green")]))
 
 

@@ -1,4 +1,4 @@
-"""Settings of pictures that hold for all of them: width, headings, fonts and colours."""
+"""Settings common to all pictures: width, headings, fonts and colours."""
 
 from __future__ import annotations
 

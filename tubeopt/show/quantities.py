@@ -79,7 +79,7 @@ class Quantity(Generic[A]):
         return SIGNS.get(self.unit, self.unit)
 
     def si_value(self, answer: A) -> Any:
-        """Value in SI."""
+        """Value of the quantity in SI."""
         if self.get is not None:
             return self.get(answer)
         return getattr(answer, self._attribute)
@@ -360,6 +360,6 @@ def _words(joints: tuple[Array, Array], form: str) -> str:
 
 def joints_in_words(e: Equilibrium) -> str:
     """Joint values of an answer, and the drive readings of a calibrated robot there."""
-    words = f"rotations {degrees(e.rotations, '.4g')}, translations {millimetres(e.translations, '.4g')}"
+    text = f"rotations {degrees(e.rotations, '.4g')}, translations {millimetres(e.translations, '.4g')}"
     read = _read(e)
-    return words if read is None else f"{words}; the drives read {_words(read, '.4g')}"
+    return text if read is None else f"{text}; the drives read {_words(read, '.4g')}"

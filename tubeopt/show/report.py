@@ -209,4 +209,4 @@ def _titled(title: str) -> list[Text]:
 
 def remarks(lines: Iterable[str], *, what: str = "") -> list[Text]:
     """Texts below a table, each with an optional kind in front."""
-    return [Text(f"{what}: {words}" if what else words, style="yellow") for words in lines]
+    return [Text(f"{what}: {text}" if what else text, style="yellow") for text in lines]

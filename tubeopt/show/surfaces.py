@@ -190,9 +190,9 @@ class Centreline:
 
     def __init__(self, equilibrium: Equilibrium) -> None:
         # A breakpoint is in the answer twice, once for each section; splines need increasing arc lengths.
-        s, keep = np.unique(equilibrium.arc_length, return_index=True)
+        s, first = np.unique(equilibrium.arc_length, return_index=True)
         self.length = float(s[-1])
-        frame, position = equilibrium.frame[keep], equilibrium.position[keep]
+        frame, position = equilibrium.frame[first], equilibrium.position[first]
         if len(s) < 2:  # an arm of length zero: the tangent at the plate, of any length
             s, frame, position = np.array([0.0, 1.0]), np.repeat(frame, 2, axis=0), np.array([[0, 0, 0], [0, 0, 1.0]])
         # The third column of a frame is the tangent r'(s): its data make the cubic of order h^4.
@@ -244,16 +244,16 @@ class Stretch(NamedTuple):
 
 def visible(equilibrium: Equilibrium) -> list[Stretch]:
     """Visible stretches of tubes, outermost first: from the end of the last tube around it to its own end."""
-    place = equilibrium.robot.axes
+    axes = equilibrium.robot.axes
     shown = []
     # Tubes are numbered from the innermost, so those with larger index can be around this one.
     for i, end in reversed(list(enumerate(equilibrium.tube_end.tolist()))):
         # Side by side, tubes have other axes and hide nothing of each other; 1 nm is below any real offset.
-        around = np.hypot(*(place[i + 1 :] - place[i]).T) < 1e-9
+        around = np.hypot(*(axes[i + 1 :] - axes[i]).T) < 1e-9
         # Where all tubes around end behind the plate, the tube shows from the plate on (0).
         start = float(equilibrium.tube_end[i + 1 :].max(where=around, initial=0.0))
         if end > start:
-            shown.append(Stretch(i, start, end, equilibrium.robot.tubes[i].outer_diameter / 2, place[i]))
+            shown.append(Stretch(i, start, end, equilibrium.robot.tubes[i].outer_diameter / 2, axes[i]))
     return shown
 
 
@@ -274,13 +274,13 @@ def slotted(tube: Tube, held: float, first: float, last: float) -> list[SlottedS
     held: distance of its clamped end behind the plate, m.
     """
     # Arc length is counted from the plate, and the proximal end is `held` behind it.
-    whole, start = float(tube.bending_stiffness), -held
+    stiffness_of_tube, start = float(tube.bending_stiffness), -held
     out: list[SlottedStretch] = []
     for length, _, bending, _ in stretches(tube):
         low, high = max(start, first), min(start + length, last)
         # Of a stiffness that varies, the least: the colour warns of the weakest point.
         smallest = extremes([bending], length)[0] if isinstance(bending, Series) else float(bending)
-        stiffness = min(smallest / whole, 1.0)
+        stiffness = min(smallest / stiffness_of_tube, 1.0)
         if high > low:
             # Adjacent stretches of one shade are one surface: fewer parts, and no ring between them.
             if out and out[-1].stiffness == stiffness:
@@ -329,7 +329,7 @@ class Part:
     name: str
     """Name in a scene."""
     surface: Surface
-    """Facets, m."""
+    """Facets of the surface, m."""
     colour: Colour
     """Red, green, blue, 0 to 255."""
     opacity: float = 1.0
@@ -353,9 +353,9 @@ class Detail(NamedTuple):
     """Facets along a tube; along the whole arm if `even`."""
     even: bool = False
 
-    def along(self, start: float, end: float, whole: float) -> Array:
+    def along(self, start: float, end: float, length: float) -> Array:
         """(k,) arc lengths from one end of a stretch to the other."""
-        pieces = 1 + int(self.pieces * (end - start) / whole) if self.even else self.pieces
+        pieces = 1 + int(self.pieces * (end - start) / length) if self.even else self.pieces
         return np.linspace(start, end, pieces + 1)
 
 

@@ -36,7 +36,7 @@ LOSS = described(
 
 
 def _extent(a: Findings, side: int) -> Array:
-    """Least (side 0) or greatest (1) coordinates of the voxels, m."""
+    """Smallest (side 0) or largest (1) coordinates of the voxels, m."""
     cubes = a.voxels
     # A voxel is known by its lower corner, so the upper end is one index further.
     corner: Array = (cubes.index.max(0) + 1) * cubes.size if side else cubes.index.min(0) * cubes.size

@@ -1,4 +1,4 @@
-"""Data that all computations of a run share: sent to every worker once, and read there by its tasks."""
+"""Data common to all computations of a run, sent to every worker once and read by its tasks."""
 
 from __future__ import annotations
 

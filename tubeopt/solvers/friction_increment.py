@@ -131,7 +131,7 @@ FRICTION_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Increment:
-    """A state after an increment."""
+    """Friction state after an increment of joints or load."""
 
     state: ContactState
     torque: Array
@@ -141,7 +141,7 @@ class Increment:
     heat: float
     """Heat of friction, J."""
     converged: bool
-    """True for a minimum, to round-off."""
+    """True if the state is a minimum to round-off."""
     contraction: float
     """Largest ratio of successive steps with the same rows sticking."""
     violation: float

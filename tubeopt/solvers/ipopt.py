@@ -35,7 +35,7 @@ from .named_program import ProblemStatus
 from .newton import NewtonResult
 from .problem import Problem
 from .settings import NO_SENSITIVITIES, Ipopt
-from .time_limit import LEAST_SECONDS, LateError, check_time, time_left
+from .time_limit import MIN_SECONDS, LateError, check_time, time_left
 
 EQUILIBRIUM = Ipopt(tolerance=1e-12, iterations=300, expand=True)
 """Default settings for equilibria."""
@@ -212,11 +212,11 @@ class Values:
     """Functions f(x) and g(x) at a point, with first derivatives."""
 
     objective: float
-    """f."""
+    """Objective f."""
     gradient: Array
     """Gradient (X,) of f."""
     constraints: Array
-    """g (G,)."""
+    """Constraints g (G,)."""
     jacobian: Array
     """Jacobian (G, X) of g."""
 
@@ -238,7 +238,7 @@ class Optimum:
     x: Array
     """Variables (X,)."""
     values: Values
-    """Functions at x."""
+    """Values and derivatives of the functions at x."""
     multipliers: Array
     """Multipliers (G,) of the constraints, positive for active constraints."""
     bound_multipliers: Array
@@ -359,7 +359,7 @@ def minimise(
     f, g = program(x)
     options = {**OPTIONS, **STRATEGIES[strategy], "ipopt.max_iter": iterations}
     if time_left() < np.inf:
-        options["ipopt.max_wall_time"] = max(time_left(), LEAST_SECONDS)
+        options["ipopt.max_wall_time"] = max(time_left(), MIN_SECONDS)
     if report is not None:
         options["iteration_callback"] = _iteration_callback(report, size, rows)
     solver = ca.nlpsol("design", "ipopt", {"x": x, "f": f, "g": g}, options)

@@ -25,7 +25,7 @@ from ..files.field_metadata import form
 from ..files.files import read_bytes, read_text, save_arrays, write_text
 from ..typing import Array, StatusEnum
 from .settings import AT_SOLUTION, Ipopt, WarmStart
-from .time_limit import LEAST_SECONDS, check_time, time_left
+from .time_limit import MIN_SECONDS, check_time, time_left
 
 # --- Solution ---------------------------------------------------------------------------------------------------------
 
@@ -307,14 +307,14 @@ def ipopt_function(  # noqa: PLR0913
         watch: called after every iteration.
     """
     symbols = [each.symbol for each in variables]
-    whole = function_of(
+    program = function_of(
         [*symbols, *parameters], [objective, *(each.expression / ca.DM(each.scale) for each in constraints)]
     )
     scale = Stacked(variables).scale
     x: Any = ca.MX.sym("x", len(scale))
     p: Any = ca.MX.sym("p", sum(each.numel() for each in parameters))
     parts = _parted(ca.DM(scale) * x, symbols) + _parted(p, parameters)
-    f, *rows = whole.call(parts, True, False)
+    f, *rows = program.call(parts, True, False)
     options = settings.options(warm=warm)
     if watch is not None:
         options["iteration_callback"] = watch
@@ -716,7 +716,7 @@ def in_time(solver: Ipopt) -> Ipopt:
     left = time_left()
     if left >= solver.time_limit:
         return solver
-    return replace(solver, time_limit=2.0 ** math.floor(math.log2(max(left, LEAST_SECONDS))))
+    return replace(solver, time_limit=2.0 ** math.floor(math.log2(max(left, MIN_SECONDS))))
 
 
 def _table(what: str, value: ArrayLike, size: int) -> Array:

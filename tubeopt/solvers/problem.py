@@ -149,7 +149,7 @@ class _Meeting:
 
     def __init__(self, problem: NamedProgram) -> None:
         blocks = {_order_name(block): block for block in problem.blocks}
-        self.places: list[tuple[Any, int]] = []
+        self.swappable: list[tuple[Any, int]] = []
         """Blocks with the rows of their distances that may be swapped."""
         self.rows: list[int] = []
         """Rows of these in the constraints of the program."""
@@ -157,12 +157,12 @@ class _Meeting:
         for name, size in problem.constraint_sizes.items():
             if name in blocks:
                 rows = blocks[name].swappable()
-                self.places += [(blocks[name], row) for row in rows]
+                self.swappable += [(blocks[name], row) for row in rows]
                 self.rows += [first + row for row in rows]
             first += size
         self.last: Array | None = None
         self.pressed: dict[Any, int] = {}
-        """Row with the largest multiplier of every block whose breakpoints press at the iterate that stopped."""
+        """Row with the largest multiplier of every block with pressing breakpoints at the last iterate."""
 
     def __call__(self, x: Array, g: Array, multipliers: Array) -> bool:
         step = np.inf if self.last is None else float(np.abs(x - self.last).max(initial=0.0))
@@ -171,7 +171,7 @@ class _Meeting:
         # On the central path all products are the barrier parameter.
         if step < NEAR_STEP and (distance * force).max(initial=0.0) < NEAR_BARRIER:
             pressed = np.flatnonzero((distance < NEAR) & (force > np.abs(distance)))
-            self.pressed = dict(self.places[k] for k in sorted(pressed, key=lambda k: float(force[k])))
+            self.pressed = dict(self.swappable[k] for k in sorted(pressed, key=lambda k: float(force[k])))
         return bool(self.pressed)
 
 

@@ -142,7 +142,7 @@ class Ipopt(Displayed):
     barrier: float = 0.1
     """Initial barrier parameter of a cold start."""
     push: float = 1e-2
-    """Least distance of a cold start from its bounds, in scaled units and relative to their distance."""
+    """Smallest distance of a cold start from its bounds, in scaled units and relative to their distance."""
     print_level: int = 0
     """Output of IPOPT: 0 silent, 5 a line for every iteration."""
 

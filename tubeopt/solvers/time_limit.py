@@ -23,7 +23,7 @@ TIME_LIMIT = 600.0
 LONG_TIME_LIMIT = 3600.0
 """Default limit of questions with many repetitions, such as samples or fits to measurements, s."""
 
-LEAST_SECONDS = 1e-3
+MIN_SECONDS = 1e-3
 """Smallest limit of a solver, s: IPOPT accepts no limit of 0."""
 
 _UNTIL: ContextVar[float] = ContextVar("until", default=math.inf)

@@ -68,7 +68,7 @@ class ArmSections:
     natural_moment: Array
     """(m, n) |a_i|, bending stiffness times precurvature, N m."""
     torsional: Array
-    """(n,) kt, N m^2."""
+    """Torsional stiffness kt (n,), N m^2."""
     transmission: Array
     """(n,) length from the clamped end to the plate, m."""
 
@@ -336,7 +336,7 @@ def _coupled(problem: ReducedProblem, opposition: Array | None = None) -> Array:
     """(U, U) second variation in the worst case less its torsional part, which is the identity in whitened unknowns."""
     second = np.zeros(problem.size**2)
     pairs = problem.pairs
-    second[pairs.places] = _at_worst(problem, opposition)[0].ravel()[pairs.entries] * pairs.weight
+    second[pairs.positions] = _at_worst(problem, opposition)[0].ravel()[pairs.entries] * pairs.weight
     return np.asarray(problem.factor.T @ second.reshape(problem.size, -1) @ problem.factor)
 
 

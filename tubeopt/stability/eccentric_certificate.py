@@ -242,11 +242,11 @@ class Segment:
     section: tuple[float, float]
     """Arc lengths (start, end) of the section, m."""
     rate: float
-    """omega, 1/m."""
+    """Rate omega that makes arc length dimensionless, 1/m."""
     delta: float
-    """d m / K."""
+    """Dimensionless offset delta = d m / K."""
     length: float
-    """omega L."""
+    """Dimensionless length omega L."""
     transmission: float
     """omega times the mean length from the clamped ends to the section."""
     outer: tuple[tuple[float, float], ...] = ()

@@ -120,7 +120,7 @@ class _TipMap(NamedTuple):
     """
 
     a: Array
-    """(U,) row."""
+    """Row (U,) of the derivative of one tip angle by the unknowns."""
     d: float
     """Diagonal entry."""
 

@@ -20,7 +20,7 @@ from ..block.transcription.mesh import reach
 from ..block.transcription.reduced import ReducedProblem
 from ..equilibrium.answer import sample_rotation, to_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.member import Loaded, LoadedPoint, Member, Place, PlainPoint, Point, Unloaded
+from ..equilibrium.member import AnyPoint, Loaded, LoadedPoint, Member, PlainPoint, Point, Unloaded
 from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium
 from ..errors import Settings, SolveError
@@ -130,7 +130,7 @@ def _group(problem: ReducedProblem, tubes: Index, sections: Index) -> Group:
         gain=gain_of(problem)[np.ix_(pieces, members)],
         sections=(torsion, stiffness, moment, *phase),
         transmission=reach(mesh, problem.compliant)[pieces[0], members],
-        place=tuple(part[members] for part in assembly.place),
+        offsets=tuple(part[members] for part in assembly.offsets),
     )
     return Group(tubes, bundle, seat)
 
@@ -212,7 +212,7 @@ class Table:
 @lru_cache(maxsize=16)
 def table_of(bundle: ShootingArm, k: int) -> Table:
     """Table of the first k tubes of a bundle, refined until its Fourier series is resolved."""
-    size = (RELATIVE,) * (k - 1) + ((COMMON,) if bundle.place else ())
+    size = (RELATIVE,) * (k - 1) + ((COMMON,) if bundle.offsets else ())
     while True:
         tips = _tips(_grid(size), k).reshape(-1, k)
         shot = shoot(bundle, tips, steps=TABLE_STEPS)
@@ -523,7 +523,7 @@ def _descend(result: list[LoadedPoint], member: Loaded, explored: set[int]) -> i
     return new
 
 
-def degree(result: Iterable[Place]) -> int:
+def degree(result: Iterable[AnyPoint]) -> int:
     """Topological degree of a set of equilibria, 1 if it is complete: sum of the signs of det H, or of (-1)^index.
 
     The equations deform into those without coupling, which have one solution.
@@ -625,7 +625,7 @@ def _all_tips(problem: ReducedProblem, rotations: Array, most_starts: int) -> Ar
             for group_tips, travel in zip(result.tips, result.travel, strict=True):
                 all_tips = tips.copy()
                 all_tips[group.tubes] = group_tips
-                stretch = travel[group.seat] - bundle.length.sum() if bundle.place else 0.0
+                stretch = travel[group.seat] - bundle.length.sum() if bundle.offsets else 0.0
                 extended.append((all_tips, extra_length + stretch))
         branches = extended
     return np.array([tips for tips, _ in branches])

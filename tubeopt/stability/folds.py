@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from ..equilibrium.continuation import Family, bifurcates
-from ..equilibrium.member import Member, Place, Point
+from ..equilibrium.member import AnyPoint, Member, Point
 from ..solvers.newton import NewtonResult, downhill, flow
 from ..solvers.settings import LEAST_STIFFNESS
 from ..typing import Array, Delegate
@@ -126,7 +126,7 @@ def turning_point(
 class Loss:
     """End of a stable branch."""
 
-    point: Place
+    point: AnyPoint
     """Equilibrium at the loss of stability, with margin 0."""
     kind: str
     """"fold", "bifurcation" or "flutter"."""
@@ -136,7 +136,7 @@ class Loss:
     t = Delegate[float]("point")
 
 
-def branch_end(family: Family, last: Place, goal: float) -> Loss | None:
+def branch_end(family: Family, last: AnyPoint, goal: float) -> Loss | None:
     """End of the stable branch just beyond its last stable point; None without a fold or bifurcation close by.
 
     The sign of the slope at `last` predicts the kind that is tried first (see `bifurcates`).
@@ -147,13 +147,13 @@ def branch_end(family: Family, last: Place, goal: float) -> Loss | None:
     return fold_ahead(family, last, far) or bifurcation(family, last, goal)
 
 
-def fold_ahead(family: Family, last: Place, far: float) -> Loss | None:
+def fold_ahead(family: Family, last: AnyPoint, far: float) -> Loss | None:
     """Fold close ahead of a point of a stable branch, up to t = `far`; None where none is found."""
     result = fold(family, last)
     return result if result is not None and last.t - 1e-6 * max(1.0, abs(last.t)) <= result.t <= far else None
 
 
-def fold(family: Family, point: Place) -> Loss | None:
+def fold(family: Family, point: AnyPoint) -> Loss | None:
     """Fold of a branch close to a point of it; None where Newton's method does not converge to one."""
     known = point.member
 
@@ -172,10 +172,10 @@ def fold(family: Family, point: Place) -> Loss | None:
     return Loss(Point(result.t, member, state, member.margin(state), result.steps), "fold", result.direction)
 
 
-def bifurcation(family: Family, point: Place, goal: float) -> Loss | None:
+def bifurcation(family: Family, point: AnyPoint, goal: float) -> Loss | None:
     """Root of the margin on the branch of `point`, which continues beyond it; None where it does not continue."""
 
-    def solved(t: float) -> Place | None:
+    def solved(t: float) -> AnyPoint | None:
         member = family.member(t)
         result = member.solve(member.transfer(point))
         return Point.of(member, result, t) if result.converged else None
@@ -199,7 +199,7 @@ def bifurcation(family: Family, point: Place, goal: float) -> Loss | None:
     return None
 
 
-def _margin_root(solved: Callable[[float], Place | None], low: float, high: float) -> Place | None:
+def _margin_root(solved: Callable[[float], AnyPoint | None], low: float, high: float) -> AnyPoint | None:
     """Point between t = `low` and `high` with margin 0."""
 
     def margin(t: float) -> float:
@@ -216,7 +216,7 @@ def _margin_root(solved: Callable[[float], Place | None], low: float, high: floa
     return root if root is not None and abs(root.margin) <= LEAST_STIFFNESS else None
 
 
-def fall(lost: Place, direction: Array) -> Place | None:
+def fall(lost: AnyPoint, direction: Array) -> AnyPoint | None:
     """Equilibrium that the robot falls to from a point after a push along `direction` (U,); None without one.
 
     Joint values and load stay. Of the two signs of the direction the one that leads down is taken; if both do, the one

@@ -129,7 +129,7 @@ class Path(Displayed):
         return PathStatistics(len(self.equilibria), len(self.snaps), spent)
 
 
-def place_of(snap: Snap, values: Array) -> float:
+def value_at_snap(snap: Snap, values: Array) -> float:
     """Interpolated value at a snap of a quantity with values (T,) at the waypoints."""
     return float(values[snap.index] + snap.fraction * (values[snap.index + 1] - values[snap.index]))
 
@@ -140,7 +140,7 @@ def stretches(path: Path, values: Array) -> tuple[Stretch, ...]:
     start, first, waypoint = float(values[0]), path.equilibria[0], 1
     for snap in path.snaps:
         stop = snap.index + 1
-        at_snap = place_of(snap, values)
+        at_snap = value_at_snap(snap, values)
         at = np.array([start, *values[waypoint:stop].tolist(), at_snap])
         out.append(Stretch(at, [first, *path.equilibria[waypoint:stop], snap.before]))
         start, first, waypoint = at_snap, snap.after, max(waypoint, stop)

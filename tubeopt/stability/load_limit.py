@@ -14,7 +14,7 @@ from ..display import Displayed
 from ..equilibrium.answer import point_of, to_equilibrium
 from ..equilibrium.continuation import Family, reach
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.member import Loaded, LoadedPoint, Place
+from ..equilibrium.member import AnyPoint, Loaded, LoadedPoint
 from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium, Statistics
 from ..errors import InputError, SolveError, positive
@@ -188,7 +188,7 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> ScaledLoss | None
     return None
 
 
-def _restart(point: Place, member: Loaded) -> LoadedPoint:
+def _restart(point: AnyPoint, member: Loaded) -> LoadedPoint:
     """Equilibrium of another problem, on another mesh or at a load just beyond, close to a point."""
     failure = "no equilibrium on the mesh of a larger load, or just beyond the loss of stability"
     return replace(point.onto(member, failure), t=member.factor)

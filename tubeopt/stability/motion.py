@@ -13,7 +13,7 @@ from ..display import Displayed
 from ..equilibrium.answer import point_of, to_equilibrium
 from ..equilibrium.continuation import SHARPEST_STEP, SHORTEST_STEP, Family, JointPath, Milestone, follow, step_to
 from ..equilibrium.kinematics import along
-from ..equilibrium.member import Place
+from ..equilibrium.member import AnyPoint
 from ..equilibrium.problem import LOADED_DISCRETISATION
 from ..equilibrium.result import Equilibrium, Statistics
 from ..errors import SolveError
@@ -93,9 +93,9 @@ FOLD_RANGE = 0.02
 class Event:
     """Snap of a family of problems."""
 
-    lost: Place
+    lost: AnyPoint
     """Point at the end of the branch."""
-    landed: Place
+    landed: AnyPoint
     """Stable point after the snap."""
 
     @cached_property
@@ -150,7 +150,7 @@ def motion(family: Family, origin: Equilibrium) -> Iterator[Milestone | Event]:
         yield last
 
 
-def _continue(family: Family, start: Place, far: float) -> Place | Event:
+def _continue(family: Family, start: AnyPoint, far: float) -> AnyPoint | Event:
     """Stable point at t = `far` or beyond by general continuation, or the first snap on the path to it."""
     point, shortest = start, SHORTEST_STEP
     while point.t < far:
@@ -174,7 +174,7 @@ def _continue(family: Family, start: Place, far: float) -> Place | Event:
     return point
 
 
-def leave(family: Family, last: Place, loss: Loss | None, goal: float) -> Place | Event:
+def leave(family: Family, last: AnyPoint, loss: Loss | None, goal: float) -> AnyPoint | Event:
     """Snap at the end of a branch with the last stable point `last`, or a point on the branch that continues it.
 
     Three cases: the fall from the end goes far (a snap); a neighbouring branch takes over within `SMOOTH_TURN` (a

@@ -219,7 +219,7 @@ class _Shot:
 
     x: float
     d: Array
-    """(N,) D + psi."""
+    """Angle D + psi (N,) between the natural bends, rad."""
     d_x: Array
     """(N,) derivative of D with respect to x."""
     a: float

@@ -71,7 +71,7 @@ class ShootingArm:
     """Cross-sections as in `sections_of`: kb of the tubes present, m of those curved."""
     transmission: Array
     """(n,) int ds / kt from the clamped end to the first piece, 1/(N m)."""
-    place: tuple[Array, ...]
+    offsets: tuple[Array, ...]
     """Offset and offset angle (n,); empty for concentric tubes."""
 
     @property
@@ -108,7 +108,7 @@ def all_tubes(problem: ReducedProblem) -> ShootingArm:
         gain=gain_of(problem),
         sections=sections_of(problem),
         transmission=problem.compliant.transmission,
-        place=assembly.place,
+        offsets=assembly.offsets,
     )
 
 
@@ -203,13 +203,13 @@ def _over(bundle: ShootingArm, piece: int, steps: int, state: State) -> tuple[St
     if not bundle.bent[piece]:
         return _straight(bundle, piece, state)
     count, n = state[0].shape
-    march = mapped(march_function(n, bool(bundle.place), len(state) > 3, steps, bundle.varying), count)
+    march = mapped(march_function(n, bool(bundle.offsets), len(state) > 3, steps, bundle.varying), count)
     # CasADi stores matrices by columns: derivatives (B, n, n) are (B n, n) there, one row per tip.
     columns = [part.swapaxes(1, 2).reshape(-1, n) for part in state[3:]]
     sections = [
         part[piece, :: STEPS_PER_PIECE // steps].ravel() if bundle.varying else part[piece] for part in bundle.sections
     ]
-    *after, values, slopes = march(*state[:3], *columns, bundle.length[piece] / steps, *sections, *bundle.place)
+    *after, values, slopes = march(*state[:3], *columns, bundle.length[piece] / steps, *sections, *bundle.offsets)
     moved = [part.copy() for part in after[:3]]
     moved += [part.reshape(count, n, n).swapaxes(1, 2).copy() for part in after[3:]]
     return tuple(moved), (values.reshape(count, -1, n), slopes.reshape(count, -1, n))

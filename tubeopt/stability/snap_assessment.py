@@ -152,7 +152,7 @@ class SnapOnPath:
     """(2, n) rotations at start and end, rad."""
     snap: Snap
     followed: bool = True
-    """False if the snap is known from its fold, too shallow to be met by continuation along the path."""
+    """True if continuation along the path meets the snap; False if it is too shallow, and known from its fold."""
 
 
 @dataclass

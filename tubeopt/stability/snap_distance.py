@@ -69,7 +69,7 @@ NEWTON_STEPS = 40
 """Newton's method from below needs 4 to 10 steps, and up to 25 beside the largest ball, where two fixed points meet."""
 
 SWEEPS, ROOM = 200, 1.3
-"""Most images of a box with slides, and by how much more than the steps that are left the box takes."""
+"""Maximum number of images of a box with slides, and factor on the remaining steps by which the box is enlarged."""
 
 POLISH = 3
 """Newton steps on the given equilibrium: one that was saved, or solved on another mesh, is right to 1e-9 only."""
@@ -89,7 +89,7 @@ for all of S 0.84; for five tubes 120 simplices would take a second."""
 
 FULL_TURN = 2 * math.pi
 FARTHEST = 2 * FULL_TURN
-"""Turn of one tube up to which its fold is searched, rad: equilibria repeat after a full turn, branches need not."""
+"""Largest rotation of one tube in the search of its fold, rad: a branch may continue after a full turn."""
 
 
 class SnapDistanceStatus(StatusEnum):
@@ -124,7 +124,7 @@ class SnapDistance(Displayed):
     status: SnapDistanceStatus
     """Result of the proof."""
     statistics: SnapDistanceStatistics
-    """Effort."""
+    """Effort of the computation."""
 
     @property
     def value(self) -> float:
@@ -188,7 +188,7 @@ class SnapDistance(Displayed):
         if e.robot.assembly(e.translations).eccentric or not e.robot.even:
             raise InputError("robot has eccentric tubes or tubes made of pieces; a slide is known for others only")
         longest = max(tube.length for tube in e.robot.tubes)
-        most = max(longest / shift, math.pi / turn if turn else 0.0)
+        largest = max(longest / shift, math.pi / turn if turn else 0.0)
 
         def proves(factor: float) -> bool:
             for signs in itertools.product((-1.0, 1.0), repeat=e.robot.n_tubes):
@@ -197,14 +197,14 @@ class SnapDistance(Displayed):
                     return False
             return True
 
-        return _largest(proves, most / 16, most, SLIDING_PRECISION)[0]
+        return _largest(proves, largest / 16, largest, SLIDING_PRECISION)[0]
 
     def _radius(self, direction: Array) -> float:
         """Half of max - min of the turns at the first fold along a direction (n,), rad; inf without one."""
         if not np.ptp(direction):
             return math.inf
-        found = float(np.ptp(self._fold(direction))) / 2
-        return math.inf if math.isnan(found) else found
+        radius = float(np.ptp(self._fold(direction))) / 2
+        return math.inf if math.isnan(radius) else radius
 
     def _fold(self, direction: Array) -> Array:
         """(n,) turns at the first fold along a direction (n,), rad; NaN without one."""
@@ -217,16 +217,16 @@ class SnapDistance(Displayed):
 
 @dataclass(frozen=True, eq=False)
 class Slides:
-    """Slides of the n tubes, each between 0 and its own, and what they change at P couplings."""
+    """Translations of the n tubes, each from 0 to its largest, and their effect on P couplings."""
 
-    least: Array
+    lower: Array
     """(P,) smallest coupling, J."""
-    most: Array
+    upper: Array
     """(P,) largest coupling, J."""
     turn: Array
     """(n,) turn of the base of a tube per torque on it at the whole slide, rad/(N m)."""
     D: Array
-    """(P, n) incidence."""
+    """Incidence matrix (P, n) of pairs and tubes."""
     A: Array
     """(P, U) A at the longest transmissions, rad per sqrt(J)."""
 
@@ -236,19 +236,19 @@ class PairForm:
     """An equilibrium by the angles between its tubes; P couplings, n tubes, U unknowns. Symbols as on top."""
 
     psi: Array
-    """(P,) rad."""
+    """Angles psi (P,) between the natural bends of coupled tubes, rad."""
     w: Array
-    """(P,) J."""
+    """Couplings w (P,) with quadrature weights, J."""
     A: Array
     """(P, U) rad per sqrt(J)."""
     G: Array
-    """(P, P) rad/J."""
+    """Compliance G = A H^-1 A' (P, P) of the angles, rad/J."""
     J: Array
     """(P, n) change of the angles by the rotations of the tubes."""
     defect: Array
     """(P,) change of psi that the residual of the equations stands for, rad; about 1e-16."""
     slides: Slides | None = None
-    """Slides that are allowed beside the turns."""
+    """Translations allowed in addition to the rotations."""
 
     @staticmethod
     def of(equilibrium: Equilibrium) -> PairForm:
@@ -277,7 +277,7 @@ class PairForm:
         slide = np.minimum(slide, np.array([tube.straight_length for tube in robot.tubes]) - shift)
         before, after = robot.assembly(shift), robot.assembly(shift + slide)
         kb, kt, m = before.bending_stiffness, before.torsional_stiffness, before.bending_stiffness * before.curvature
-        begin = np.maximum([before.transition, after.transition], 0)
+        straight = np.maximum([before.transition, after.transition], 0)
         end = np.array([before.end, after.end])
 
         meshes = [
@@ -285,15 +285,15 @@ class PairForm:
             for at in (shift, shift + slide)
         ]
         longest = min((mesh.length[mesh.collocated].max(initial=0.0) or mesh.length.max()) for mesh in meshes)
-        cuts = np.unique(np.maximum([begin, end], 0).round(12))
+        cuts = np.unique(np.maximum([straight, end], 0).round(12))
         counts = np.ceil(np.diff(cuts) / longest).astype(int)
         tableau = meshes[0].tableau
         length = np.repeat(np.diff(cuts) / counts, counts)
         start = cuts[0] + np.concatenate([[0.0], np.cumsum(length)[:-1]])
         s = (start[:, None] + length[:, None] * tableau.nodes).ravel()
         at = np.repeat(start + length / 2, tableau.degree)[:, None]
-        ever, always = (begin.min(0) < at) & (at < end.max(0)), (begin.max(0) < at) & (at < end.min(0))
-        now = (begin[0] < at) & (at < end[0])
+        ever, always = (straight.min(0) < at) & (at < end.max(0)), (straight.max(0) < at) & (at < end.min(0))
+        now = (straight[0] < at) & (at < end[0])
 
         first, second = np.triu_indices(n, 1)
         a, pair = np.nonzero((ever & (m != 0))[:, first] & (ever & (m != 0))[:, second])
@@ -301,9 +301,11 @@ class PairForm:
         D, both = np.eye(n)[i] - np.eye(n)[j], (np.eye(n)[i] + np.eye(n)[j]) > 0
         product = np.outer(length, tableau.weights).ravel()[a] * np.abs(m[i] * m[j])
         # K of the tubes that are there: before, always, and for any of the slides.
-        whole, least_whole, most_whole = (((at[a] < ends) | both) @ kb for ends in (end[0], end.min(0), end.max(0)))
-        w = np.where(now[a, i] & now[a, j], product / whole, 0.0)
-        least, most = np.where(always[a, i] & always[a, j], product / most_whole, 0.0), product / least_whole
+        stiffness, min_stiffness, max_stiffness = (
+            ((at[a] < ends) | both) @ kb for ends in (end[0], end.min(0), end.max(0))
+        )
+        w = np.where(now[a, i] & now[a, j], product / stiffness, 0.0)
+        lower, upper = np.where(always[a, i] & always[a, j], product / max_stiffness, 0.0), product / min_stiffness
 
         rate = np.broadcast_to(1 / kt[:, None, None], (n, len(length), tableau.degree))
         A, softest = (
@@ -323,10 +325,10 @@ class PairForm:
             z = z - np.linalg.solve(H, z + A.T @ (w * np.sin(psi)))
         form = _at(D @ equilibrium.rotations + half + A @ z, w, A, D, z)
         turn = (before.transmission - after.transmission) / kt
-        return replace(form, slides=Slides(least, most, turn, D, softest))
+        return replace(form, slides=Slides(lower, upper, turn, D, softest))
 
     def h(self, x: Array) -> Array:
-        """h(x) of changes (..., P)."""
+        """Nonlinear part h(x) of the torques for changes (..., P) of the angles."""
         return np.asarray(np.sin(self.psi) * (1 - np.cos(x)) + np.cos(self.psi) * (x - np.sin(x)))
 
     @cached_property
@@ -338,8 +340,8 @@ class PairForm:
         """The box (..., 2 P) to which [x] is mapped. Boxes are u = (-low, high) (..., 2 P), for which the map grows; y:
         that of J d over S."""
         low, high, values = self._range_of_h(u)
-        found = y + np.concatenate([-values.min(0), values.max(0)], axis=-1) @ _widening(self.G * self.w).T
-        return found if self.slides is None else found + self.slid(self.slides, low, high)
+        image = y + np.concatenate([-values.min(0), values.max(0)], axis=-1) @ _widening(self.G * self.w).T
+        return image if self.slides is None else image + self.slid(self.slides, low, high)
 
     def slope(self, u: Array) -> Array:
         """(..., 2 P, 2 P) derivatives of the image by [x], without slides."""
@@ -363,14 +365,14 @@ class PairForm:
         """(..., 2 P) widening of the image of a box by slides."""
         bottom, top = _range_of_cosine(self.psi + low - np.pi / 2, self.psi + high - np.pi / 2)  # of the sine
         # Torques T = D' w' sin of the weakest or strongest coupling; turns of the bases from none to the whole one.
-        least, most = (
-            np.minimum(slides.least * bottom, slides.most * bottom),
-            np.maximum(slides.least * top, slides.most * top),
+        lower, upper = (
+            np.minimum(slides.lower * bottom, slides.upper * bottom),
+            np.maximum(slides.lower * top, slides.upper * top),
         )
-        torques = np.concatenate([-least, most], axis=-1) @ _widening(slides.D.T).T
+        torques = np.concatenate([-lower, upper], axis=-1) @ _widening(slides.D.T).T
         turns = np.maximum(torques @ _widening(np.diag(slides.turn)).T, 0)
         # -(w' - w) sin, where w' - w is between least - w and most - w.
-        changes = np.stack([(self.w - w) * sine for w in (slides.least, slides.most) for sine in (bottom, top)])
+        changes = np.stack([(self.w - w) * sine for w in (slides.lower, slides.upper) for sine in (bottom, top)])
         strips = np.maximum(np.concatenate([-changes.min(0), changes.max(0)], axis=-1), 0)
         return np.asarray(turns @ _widening(self.J).T + strips @ _widening(self.G).T)
 
@@ -388,8 +390,8 @@ class PairForm:
         u, one = y, np.ones_like(y)
         for _ in range(NEWTON_STEPS):
             image = self.image(y, u)
-            found = np.linalg.solve(np.eye(u.shape[-1]) - self.slope(u), np.stack([image - u, one], axis=-1))
-            step, wider = found[..., 0], found[..., 1]
+            solution = np.linalg.solve(np.eye(u.shape[-1]) - self.slope(u), np.stack([image - u, one], axis=-1))
+            step, wider = solution[..., 0], solution[..., 1]
             u = u + step
             # (1 - slope)^-1 has a negative entry: no fixed point is above, so the box never closes.
             if (wider <= 0).any() or u.max() > MOST_CHANGE:
@@ -420,7 +422,7 @@ class PairForm:
         cosine = _range_of_cosine(self.psi - u[..., :count], self.psi + u[..., count:])[0]
         A, w = self.A, self.w
         if self.slides is not None:
-            A, w = self.slides.A, np.where(cosine < 0, self.slides.most, self.slides.least)
+            A, w = self.slides.A, np.where(cosine < 0, self.slides.upper, self.slides.lower)
         return np.asarray(1 + np.linalg.eigvalsh((A.T * (w * cosine)[:, None, :]) @ A)[:, 0])
 
     def boxes(self, r: float) -> Array:
@@ -445,8 +447,8 @@ def _widening(matrix: Array) -> Array:
 def _range_of_cosine(low: Array, high: Array) -> tuple[Array, Array]:
     """Least and largest cosine of angles between `low` and `high`, rad."""
     ends = np.stack([np.cos(low), np.cos(high)])
-    least, most = (np.floor((high - at) / FULL_TURN) > np.floor((low - at) / FULL_TURN) for at in (np.pi, 0.0))
-    return np.where(least, -1.0, ends.min(0)), np.where(most, 1.0, ends.max(0))
+    has_min, has_max = (np.floor((high - at) / FULL_TURN) > np.floor((low - at) / FULL_TURN) for at in (np.pi, 0.0))
+    return np.where(has_min, -1.0, ends.min(0)), np.where(has_max, 1.0, ends.max(0))
 
 
 def _factors(green: Array, ever: Mask) -> Array:
@@ -504,10 +506,10 @@ def least_snap_distance(equilibria: Iterable[Equilibrium]) -> float:
     Raises:
         InputError: as `snap_distance`.
     """
-    least = math.inf
+    smallest = math.inf
     for equilibrium in sorted(equilibria, key=lambda e: e.margin):
-        least = min(least, _distance(equilibrium, least).turn)
-    return least
+        smallest = min(smallest, _distance(equilibrium, smallest).turn)
+    return smallest
 
 
 @small
@@ -522,18 +524,18 @@ def proved_turn(equilibrium: Equilibrium, most: float, precision: float = 1.0) -
     return _distance(equilibrium, most, precision).turn
 
 
-def _distance(equilibrium: Equilibrium, most: float, precision: float = PRECISION) -> SnapDistance:
-    """Snap distance, or `most` (rad) where it is larger; errors as of `snap_distance`."""
-    began, robot = perf_counter(), equilibrium.robot
+def _distance(equilibrium: Equilibrium, limit: float, precision: float = PRECISION) -> SnapDistance:
+    """Snap distance, or `limit` (rad) where it is larger; errors as of `snap_distance`."""
+    start_time, robot = perf_counter(), equilibrium.robot
     refuse_friction(equilibrium)
     if equilibrium.load is not None:
         raise InputError("equilibrium has a load; it must have none: the snap distance is known without load only")
     if not equilibrium.stable:
         raise InputError(f"equilibrium has a margin of {equilibrium.margin:.3g}; it must be above 0")
-    found = compiled_turn(equilibrium, most=most, precision=precision)
+    compiled = compiled_turn(equilibrium, most=limit, precision=precision)
     turn, couplings, boxes = math.inf, 0, 0
-    if found is not None:
-        turn, couplings = found
+    if compiled is not None:
+        turn, couplings = compiled
     elif not (certificate := snap_free_certificate(robot, equilibrium.translations)) > 0:
         if robot.assembly(equilibrium.translations).eccentric:
             raise InputError(
@@ -542,25 +544,25 @@ def _distance(equilibrium: Equilibrium, most: float, precision: float = PRECISIO
             )
         form = PairForm.of(equilibrium)
         couplings = len(form.psi)
-        first, turn, boxes = min(FIRST_TURN, most / 2), most, 1
-        if most >= math.pi or not form.proves(form.boxes(most)):
-            turn, boxes = _largest(lambda r: form.proves(form.boxes(r)), first, min(most, math.pi), precision)
+        first, turn, boxes = min(FIRST_TURN, limit / 2), limit, 1
+        if limit >= math.pi or not form.proves(form.boxes(limit)):
+            turn, boxes = _largest(lambda r: form.proves(form.boxes(r)), first, min(limit, math.pi), precision)
     status = SnapDistanceStatus.NEVER if turn == math.inf else SnapDistanceStatus.PROVED
-    seconds = perf_counter() - began
+    seconds = perf_counter() - start_time
     return SnapDistance(equilibrium, turn, status, SnapDistanceStatistics(couplings, boxes, seconds))
 
 
-def _largest(proves: Callable[[float], bool], first: float, most: float, precision: float) -> tuple[float, int]:
+def _largest(proves: Callable[[float], bool], first: float, limit: float, precision: float) -> tuple[float, int]:
     """Largest factor below `most` that is proved, by bisection from a first try, and how many were tried. Each yes is a
     proof by itself; only the size needs that smaller sets are easier."""
-    proved, refused, tries, factor = 0.0, most, 0, first
+    proved, refused, tries, factor = 0.0, limit, 0, first
     while refused - proved > precision * refused:
         check_time()
         tries += 1
         if proves(factor):
             proved, factor = (
                 factor,
-                min(2 * factor, (factor + refused) / 2) if refused == most else (factor + refused) / 2,
+                min(2 * factor, (factor + refused) / 2) if refused == limit else (factor + refused) / 2,
             )
         else:
             refused, factor = factor, (proved + factor) / 2

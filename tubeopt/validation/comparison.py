@@ -127,9 +127,9 @@ class Validation(Displayed):
     length: Annotated[float, unit("mm"), "length of the arm, reference of percentages"]
     """Largest arc length in front of the plate."""
     parity: Annotated[Parity | None, "errors that depend on the direction of motion"]
-    """None if the path does not retrace itself."""
+    """Comparison of configurations passed in both directions; None if the path does not retrace itself."""
     registration_error: Annotated[RegistrationError | None, "standard errors of a registration by least squares"]
-    """None of a registration that was given."""
+    """Standard errors of the registration; None if it was given."""
     left_out: tuple[tuple[int, str], ...] = ()
     """Pairs (row, reason in words) of rows without a stable shape."""
 

@@ -182,7 +182,7 @@ class Span:
     start: float
     """Value of the robot as given."""
     low: float
-    """Least that is searched."""
+    """Lower bound of the search."""
     high: float
     """Greatest that is searched."""
     scale: float
@@ -233,7 +233,7 @@ class Effect:
     common: bool = False
     """True if one more parameter without a number applies to all at once."""
     first: int = 1
-    """The lowest number that there is."""
+    """Smallest number of the effect."""
     needs: str = ""
     """Requirement on the data, or "".
 

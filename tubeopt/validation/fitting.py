@@ -114,9 +114,9 @@ def bootstrap_errors(model: ArmModel, weights: Weights, fit: Descent[State], blo
     labels = np.unique(own)
     parts = [weighted_sums(fit.jacobian[own == k], fit.residuals[own == k], w[own == k]) for k in labels]
     squares, slopes = np.array([a for a, _ in parts]), np.array([b for _, b in parts])
-    whole = normal_equations(model, weights, fit.state, fit.residuals, fit.jacobian)
+    equations = normal_equations(model, weights, fit.state, fit.residuals, fit.jacobian)
     # What is of no row: priors count once in every draw.
-    prior = whole[0] - squares.sum(0), whole[1] - slopes.sum(0)
+    prior = equations[0] - squares.sum(0), equations[1] - slopes.sum(0)
     # Drawing blocks with replacement only changes how often each counts.
     draw = np.random.default_rng(1).multinomial(len(labels), np.full(len(labels), 1 / len(labels)), DRAWS)
     steps = [solved(np.tensordot(n, squares, 1) + prior[0], np.tensordot(n, slopes, 1) + prior[1]) for n in draw]
@@ -422,13 +422,13 @@ class FitProblem:
         model, options, state = self.model, self.options, self.fit.state
         known = registration_error(model, state)
         check_registration(known, model.method)
-        place = passes(measurements).place
+        pass_of = passes(measurements).group
         errors, correlation = self._spread()
-        block = deal(measurements, min(BLOCKS, len(np.unique(place))), place)
+        block = deal(measurements, min(BLOCKS, len(np.unique(pass_of))), pass_of)
         blocked = np.full(len(self.chosen), np.inf)
         if self.free:
             blocked[self.free] = bootstrap_errors(model, self.weights(), self.fit, block)
-        fold = deal(measurements, options.folds, place) if options.folds else None
+        fold = deal(measurements, options.folds, pass_of) if options.folds else None
         along, axis = None, None
         if fold is not None:
             along, axis = distances(model, hold_out(model, self.weights(), self.fit, fold))

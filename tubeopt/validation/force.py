@@ -54,7 +54,7 @@ from .registration import Registration
 class ForceStatus(StatusEnum):
     """Observability of a force; every value reads as a sentence."""
 
-    TOLD = "the force is determined in all directions"
+    DETERMINED = "the force is determined in all directions"
     IN_PART = "the force differs from zero significantly in some directions only"
 
 
@@ -160,7 +160,7 @@ class ForceEstimate(Displayed):
     def status(self) -> ForceStatus:
         """Result as a sentence: determined in all directions, or only in some."""
         determined = np.abs(self.directions @ self.force) >= 2 * self.errors
-        return ForceStatus.TOLD if determined.all() else ForceStatus.IN_PART
+        return ForceStatus.DETERMINED if determined.all() else ForceStatus.IN_PART
 
     @property
     def statistics(self) -> ForceStatistics:
@@ -177,7 +177,7 @@ class ForceEstimate(Displayed):
                 axis = ", ".join(f"{x + 0.0:.2f}" for x in direction)
                 known = f"it is {along * 1e3:.3g} mN with a standard error of {error * 1e3:.3g} mN"
                 parts.append(f"along ({axis}) {known if np.isfinite(error) else 'the measurement does not bound it'}")
-        return str(ForceStatus.TOLD) if not parts else "undetermined: " + "; ".join(parts)
+        return str(ForceStatus.DETERMINED) if not parts else "undetermined: " + "; ".join(parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,10 +365,10 @@ def estimate_force(  # noqa: PLR0913
         0.02
     """
     alpha, shift = joint_values(robot, rotations, translations)
-    places = _measured(
+    readings = _measured(
         float(robot.assembly(shift).total_length), tip_position, points, typical_length("noise", noise, TYPICAL_NOISE)
     )
-    return _fitted(robot, (alpha, shift), places, _known(known), start)
+    return _fitted(robot, (alpha, shift), readings, _known(known), start)
 
 
 def _known(load: Load | None) -> Load:
@@ -396,7 +396,7 @@ def _fitted(
 def _measured(
     length: float, tip: ArrayLike | None, points: Sequence[tuple[float, ArrayLike]] | None, noise: float
 ) -> Measured:
-    places, positions = [], []
+    readings, positions = [], []
     for k, entry in enumerate(() if points is None else points):
         try:
             at, position = entry
@@ -404,14 +404,14 @@ def _measured(
             raise InputError(f"points[{k}] is {entry!r}; it must be (arc length, (x, y, z))") from None
         if not 0 < at <= length * (1 + 1e-12):
             raise InputError(f"points[{k}] is at the arc length {at:g} m; it must be above 0 and at most {length:g} m")
-        places.append(float(at))
+        readings.append(float(at))
         positions.append(vector(f"position of points[{k}]", position, 3, "x, y, z"))
     if tip is not None:
-        places.append(length)
+        readings.append(length)
         positions.append(vector("tip_position", tip, 3, "x, y, z"))
-    if not places:
+    if not readings:
         raise InputError("neither tip_position nor points are given; give one of them")
-    return Measured(np.array(places), np.array(positions), noise)
+    return Measured(np.array(readings), np.array(positions), noise)
 
 
 def _estimate(start: Trial, base: Load, measured: Measured) -> ForceEstimate:

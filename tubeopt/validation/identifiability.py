@@ -437,12 +437,12 @@ def _segment(robot: Robot, start: tuple[Array, Array], end: tuple[Array, Array],
 def _measuring_path(robot: Robot, rotations: Array, translations: Array) -> tuple[Array, tuple[Array, Array]]:
     """Rows of a path from home, each time to the nearest remaining one, -1 for home, and its joint values."""
     home = _home(robot)
-    place = np.hstack([rotations, 20.0 * translations])  # an arm bends by about 20 rad per m
-    left, position, order = list(range(len(place))), np.append(home[0], 20.0 * home[1]), [-1]
+    scaled = np.hstack([rotations, 20.0 * translations])  # an arm bends by about 20 rad per m
+    left, position, order = list(range(len(scaled))), np.append(home[0], 20.0 * home[1]), [-1]
     while left:
-        nearest = min(left, key=lambda k: float(np.linalg.norm(place[k] - position)))
+        nearest = min(left, key=lambda k: float(np.linalg.norm(scaled[k] - position)))
         left.remove(nearest)
-        position = place[nearest]
+        position = scaled[nearest]
         order.append(nearest)
     joints = [home if k < 0 else (rotations[k], translations[k]) for k in order]
     rows, out = [-1], [home]

@@ -24,7 +24,7 @@ from ..robots.calibration import Calibration
 from ..typing import Array, Index
 
 # Sensors whose distances behind the tip differ by less (m) are at one station: rounding of distances in files.
-SAME_PLACE = 1e-6
+SAME_POSITION = 1e-6
 
 Z = (0.0, 0.0, 1.0)
 
@@ -164,7 +164,7 @@ class Measurements(Displayed):
     @property
     def stations(self) -> Array:
         """(K,) distances of the sensors behind the tip, m, the foremost first."""
-        return np.unique(np.round(self._behind / SAME_PLACE)) * SAME_PLACE
+        return np.unique(np.round(self._behind / SAME_POSITION)) * SAME_POSITION
 
     @property
     def _behind(self) -> Array:
@@ -172,7 +172,7 @@ class Measurements(Displayed):
 
     def _at(self, station: float) -> Array:
         """(N, s, 3) positions of the sensors at a station."""
-        return np.asarray(self.sensors[:, np.abs(self._behind - station) < SAME_PLACE])
+        return np.asarray(self.sensors[:, np.abs(self._behind - station) < SAME_POSITION])
 
     @property
     def station_position(self) -> Array:
@@ -198,8 +198,8 @@ class Measurements(Displayed):
     def rows(self, index: ArrayLike | slice) -> Measurements:
         """The configurations with these indices, of this slice, or where this mask is true; a log stays whole."""
         k = index if isinstance(index, slice) else np.asarray(index)
-        whole = {name: getattr(self, name) for name in BY_ROW}
-        picked: dict[str, Any] = {name: None if value is None else value[k] for name, value in whole.items()}
+        columns = {name: getattr(self, name) for name in BY_ROW}
+        picked: dict[str, Any] = {name: None if value is None else value[k] for name, value in columns.items()}
         return replace(self, **picked)
 
     def turned(self, offsets: Array) -> Measurements:
@@ -221,8 +221,8 @@ def _sensors(value: ArrayLike, count: int) -> Array:
     if sensors.ndim != 3 or sensors.shape[0] != count or sensors.shape[1] < 1 or sensors.shape[2] != 3:
         raise InputError(f"sensors have shape {sensors.shape}; it must be ({count}, sensors, 3)")
     if np.isinf(sensors).any():
-        place = np.argwhere(np.isinf(sensors))[0].tolist()
-        raise InputError(f"sensors{place} is {sensors[tuple(place)]}; it must be finite, or NaN where nothing was seen")
+        entry = np.argwhere(np.isinf(sensors))[0].tolist()
+        raise InputError(f"sensors{entry} is {sensors[tuple(entry)]}; it must be finite, or NaN where nothing was seen")
     sensors[np.isnan(sensors).any(2)] = np.nan
     unseen = np.isnan(sensors).all((1, 2))
     if unseen.any():
@@ -354,7 +354,7 @@ STILL = 2e-4
 class Passes:
     """Rows of a path, and the configuration of each."""
 
-    place: Index
+    group: Index
     """(N,) first row at the configuration of each row; its own index for a new configuration."""
     pairs: Index
     """(M, 2) rows at one configuration passed in opposite directions, a row in at most one pair."""
@@ -372,7 +372,7 @@ def passes(measurements: Measurements) -> Passes:
     # Samples of two passes along one line are at most half a step apart.
     reach = np.maximum(0.75 * step, STILL)
     tree = scipy.spatial.cKDTree(joints)
-    place, pairs, paired = np.arange(count), [], np.zeros(count, dtype=bool)
+    group, pairs, paired = np.arange(count), [], np.zeros(count, dtype=bool)
     for k, near in enumerate(tree.query_ball_point(joints, reach)):
         earlier = np.array([j for j in near if j < k], dtype=int)
         # Rows just before are near because little time has passed, unless the path reversed in between.
@@ -380,14 +380,14 @@ def passes(measurements: Measurements) -> Passes:
         if not len(earlier):
             continue
         distance = np.linalg.norm(joints[earlier] - joints[k], axis=1)
-        place[k] = place[earlier[np.argmin(distance)]]
+        group[k] = group[earlier[np.argmin(distance)]]
         against = (ahead[earlier] + behind[earlier]) @ (ahead[k] + behind[k]) < 0
         opposite = earlier[against & ~paired[earlier]]
         if len(opposite):
             j = int(opposite[np.argmin(distance[against & ~paired[earlier]])])
             pairs.append((j, k))
             paired[[j, k]] = True
-    return Passes(place, np.array(pairs, dtype=int).reshape(-1, 2))
+    return Passes(group, np.array(pairs, dtype=int).reshape(-1, 2))
 
 
 class _Motion(NamedTuple):
@@ -419,12 +419,12 @@ def _equal(joints: Array) -> Index:
     return np.asarray(first[inverse.ravel()])
 
 
-def deal(measurements: Measurements, folds: int, place: Index | None = None) -> Index:
+def deal(measurements: Measurements, folds: int, group: Index | None = None) -> Index:
     """(N,) fold of each row: blocks of a path, or configurations in a fixed, shuffled order without a path.
 
     All rows at one place are in one fold. There are fewer folds than asked for where there are fewer places.
     """
-    where = passes(measurements).place if place is None else place
+    where = passes(measurements).group if group is None else group
     distinct, inverse, counts = np.unique(where, return_inverse=True, return_counts=True)
     if measurements.time is None:
         fold = np.empty(len(distinct), dtype=int)

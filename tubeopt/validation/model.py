@@ -47,7 +47,7 @@ class Poses:
     """(row, reason in words)."""
 
     @property
-    def found(self) -> Mask:
+    def solved(self) -> Mask:
         """(N,) True for rows with an equilibrium."""
         return np.isfinite(self.frame[:, 0, 0])
 
@@ -80,7 +80,7 @@ def solve_poses(
     failures = tuple(failure for failure in batch.failures if failure[0] not in shapes)
     poses = Poses(position, turned @ about_z(theta), margin, np.maximum(reach, 0.0).max(1), failures)
     if stations.any() or loose(robot):
-        for k in np.flatnonzero(poses.found).tolist():
+        for k in np.flatnonzero(poses.solved).tolist():
             try:
                 shape = shapes.get(k) or forward_kinematics(robot, rotations[k], translations[k])
             except SolveError:
@@ -310,10 +310,10 @@ class ArmModel:
         self._count_turns()
         poses = self.poses(self.first)
         self.failures = poses.failures
-        if not poses.found.any():
+        if not poses.solved.any():
             row, reason = poses.failures[0]
             raise SolveError(f"row {row + 1}: {reason}")
-        self.length = float(poses.length[poses.found].max())
+        self.length = float(poses.length[poses.solved].max())
         self._observe(poses)
 
     def _count_turns(self) -> None:
@@ -326,9 +326,9 @@ class ArmModel:
         m, saved = self.measurements, self.first.drives.registration
         if saved is not None and saved.recording == m.mark:
             return
-        beside, wrapped = self.turns, np.array(m.wrapped or (False,) * m.n_tubes)
+        earlier, wrapped = self.turns, np.array(m.wrapped or (False,) * m.n_tubes)
         gained = np.flatnonzero(np.array(self.first.drives.rotation_gains) != 1.0).tolist()
-        moves = [(k, beside[k] + turn) for k in gained for turn in range(-TURNS, TURNS + 1)]
+        moves = [(k, earlier[k] + turn) for k in gained for turn in range(-TURNS, TURNS + 1)]
         fitting, min_misfit = np.zeros(m.n_tubes), self._misfit(np.zeros(m.n_tubes)) if moves else 0.0
         as_read = min_misfit
         while moves:
@@ -374,7 +374,7 @@ class ArmModel:
     def _observe(self, poses: Poses) -> None:
         """Arrange the measured values as observations."""
         positions = self.measurements.station_position
-        observed = np.isfinite(positions[..., 0]) & poses.found[:, None] & np.isfinite(poses.position[..., 0])
+        observed = np.isfinite(positions[..., 0]) & poses.solved[:, None] & np.isfinite(poses.position[..., 0])
         rows, stations = np.nonzero(observed)
         predicted, pointing = self._placed(self.first, poses)
         # The axis of the sensor needs a registration, which positions alone give first; directions then refine it.
@@ -383,7 +383,7 @@ class ArmModel:
         parts, row, station = [positions[rows, stations]], [rows], [stations]
         frames = m.orientation
         if frames is not None and self.axis is not None:
-            directed = np.flatnonzero(np.isfinite(frames).all((1, 2)) & poses.found)
+            directed = np.flatnonzero(np.isfinite(frames).all((1, 2)) & poses.solved)
             parts.append(frames[directed] @ self.axis)
             row.append(directed)
             station.append(np.full(len(directed), -1))
@@ -424,7 +424,7 @@ class ArmModel:
             return m.sensor_axis
         if known:
             return np.array(known)
-        measured = np.isfinite(m.orientation).all((1, 2)) & poses.found
+        measured = np.isfinite(m.orientation).all((1, 2)) & poses.solved
         if not measured.any():
             return None
         # Rows times R are R' times vectors: from the plate into the device's frame.

@@ -186,13 +186,13 @@ class _Search:
         active = {k: tuple(p for p in some if not p.idle) for k, some in named.items()}
         self.parameters = {k: some for k, some in active.items() if some}
         self.known = {k: known[k] for k in self.parameters}
-        place = passes(measurements).place
-        self.fold, self.block = (deal(measurements, k, place) for k in (options.folds, BLOCKS))
+        pass_of = passes(measurements).group
+        self.fold, self.block = (deal(measurements, k, pass_of) for k in (options.folds, BLOCKS))
         self.model = ArmModel(robot, measurements, (), options.registration, options.base)
         self.passed: list[str] = []
         self.tried = 0
-        self.begun = self._fitted((), self.model.start, FIRST_GUESS)
-        self._stand(self.begun)
+        self.initial_trial = self._fitted((), self.model.start, FIRST_GUESS)
+        self._stand(self.initial_trial)
 
     def run(self) -> None:
         """Search better sets; prefer earlier effects of the table; drop effects that are not worth their cost."""
@@ -217,13 +217,13 @@ class _Search:
         self.slopes = self._slopes(trial, self.known)
         self.sets = self._sets(self.slopes)
         # What was fitted from afar, by the slopes there, may not have come to its end.
-        self.fits: dict[Effects, _Trial | None] = {Effects(): self.begun, Effects(trial.effects): trial}
+        self.fits: dict[Effects, _Trial | None] = {Effects(): self.initial_trial, Effects(trial.effects): trial}
 
     def _better(self) -> _Trial | None:
         """First of the most promising sets that is better than the current one; None without any."""
         sets, cost = self.sets, self._cost(self.now)
-        near = sets.cost(sets.there) + CROOKED * sets.inflation
-        best = [effects for effects in sets.explore() if effects != sets.there and sets.cost(effects) <= near]
+        near = sets.cost(sets.base) + CROOKED * sets.inflation
+        best = [effects for effects in sets.explore() if effects != sets.base and sets.cost(effects) <= near]
         for effects in best[:TRIED_SETS]:
             trial = self._tried(effects)
             if trial is not None and self._cost(trial) < cost:
@@ -309,7 +309,7 @@ class _Search:
 
     def _long(self, kinds: Sequence[str]) -> bool:
         """True if a fit of these kinds needs a pass along all rows for every parameter."""
-        return "friction" in kinds or self.begun.model.costly(self.begun.fit.state)
+        return "friction" in kinds or self.initial_trial.model.costly(self.initial_trial.fit.state)
 
     def _fitted(self, kinds: tuple[str, ...], start: State, sigma: tuple[float, float]) -> _Trial:
         """A fit in full."""
@@ -346,8 +346,11 @@ class _Search:
             problem = FitProblem(self.now.model, self.given, self.now.fit.state, self.now.sigma)
             result = problem.answer(self.measurements, lambda count, total: None)
         else:
-            check_registration(registration_error(self.begun.model, self.begun.fit.state), self.begun.model.method)
-        along, axis = distances(self.model, self.begun.residuals)
+            check_registration(
+                registration_error(self.initial_trial.model, self.initial_trial.fit.state),
+                self.initial_trial.model.method,
+            )
+        along, axis = distances(self.model, self.initial_trial.residuals)
         return Comparison(
             start=ErrorSummary.of(along[:, 0]),
             start_axis=_rms(axis),
@@ -365,11 +368,11 @@ class _Search:
 
     def _kept(self) -> tuple[Step, ...]:
         """Kept effects, in order of their gain."""
-        before, steps = self.begun, list[Step]()
+        before, steps = self.initial_trial, list[Step]()
         while len(steps) < len(self.now.effects):
             left = [kind for kind in self.now.effects if kind not in before.effects]
             sets = self._sets(self._slopes(before, left))
-            order = sorted(left, key=lambda kind: sets.lost(sets.there | {kind}))
+            order = sorted(left, key=lambda kind: sets.lost(sets.base | {kind}))
             for kind in order:
                 trial = self._tried(Effects({*before.effects, kind}))
                 if trial is not None:
@@ -411,7 +414,7 @@ class _Search:
 
     def _gain(self, before: Array, after: Array) -> tuple[float, float]:
         """Relative decrease of the held-out error, and the same over its standard error between blocks."""
-        own, scale = self.block[self.model.row], weigh(self.model, self.options, self.begun.sigma)
+        own, scale = self.block[self.model.row], weigh(self.model, self.options, self.initial_trial.sigma)
         first, then = scale.losses(before), scale.losses(after)
         differences = np.array([(first - then)[own == k].sum() for k in np.unique(own)])
         total = max(float(first.sum()), 1e-300)
@@ -428,7 +431,7 @@ def _rms(axis: Array | None) -> float | None:
 
 
 # A parameter must gain so much at least, in squares of its standard error: two standard errors.
-LEAST = 4.0
+MIN_GAIN = 4.0
 
 
 Effects = frozenset[str]
@@ -458,7 +461,7 @@ class HeldOutSets:
     """Number of independent residuals."""
     kinds: tuple[str, ...]
     """(P,) effect of each parameter."""
-    there: Effects
+    base: Effects
     """Effects that are part of the state."""
     absent: Array
     """(P,) change of each parameter that removes its effect."""
@@ -492,11 +495,11 @@ class HeldOutSets:
         self.inverse = 1 / (self.prior * own) ** 2
         self.known: dict[Effects, float] = {}
         # For independent errors of unit variance the optimism is twice the number of parameters and freedoms.
-        optimism = self.lost(self.there) - self.seen(self.there)
-        self.inflation = max(1.0, optimism / (2 * max(self.parameters(self.there) + self.free, 1)))
-        min_inflation = max(math.log(self.numbers / self.inflation), 2 * math.log(max(self.count, 1)), LEAST)
+        optimism = self.lost(self.base) - self.seen(self.base)
+        self.inflation = max(1.0, optimism / (2 * max(self.parameters(self.base) + self.free, 1)))
+        min_inflation = max(math.log(self.numbers / self.inflation), 2 * math.log(max(self.count, 1)), MIN_GAIN)
         # Holding out charges 2 for each parameter already.
-        self.price, self.charge = self.inflation * LEAST, self.inflation * (min_inflation - 2)
+        self.price, self.charge = self.inflation * MIN_GAIN, self.inflation * (min_inflation - 2)
 
     def parameters(self, effects: Iterable[str]) -> int:
         """Number of parameters of a set."""
@@ -521,11 +524,11 @@ class HeldOutSets:
         return float(step @ total @ step)
 
     def _step(self, effects: Effects, square: Array) -> Array:
-        """The step of least loss by a sum of squares; a parameter at the edge of its range is held there."""
+        """Step that minimises a sum of squares; a parameter at the edge of its range stays there."""
         n, step = self.count, np.zeros(len(square))
         chosen = np.array([kind in effects for kind in self.kinds], dtype=bool)
         step[:n] = np.where(chosen, 0.0, self.absent)
-        change = [(kind in effects) - float(kind in self.there) for kind in self.jumps]
+        change = [(kind in effects) - float(kind in self.base) for kind in self.jumps]
         step[n + self.free : -1] = change * self.scale[n + self.free :]
         # Residuals are the last column: with the factor 1, step' S step is the loss of residuals + J step.
         step[-1] = 1.0
@@ -557,7 +560,7 @@ class HeldOutSets:
 
         The default starts are the current set, no effects, and all effects.
         """
-        for start in starts or (self.there, Effects(), Effects(self.names)):
+        for start in starts or (self.base, Effects(), Effects(self.names)):
             best = start
             while (best_neighbour := min([best, *self.around(best)], key=self.cost)) != best:
                 best = best_neighbour
@@ -593,14 +596,14 @@ class Slopes:
     """Model with all parameters, those of the fit first."""
     state: State
     """State at the parameters."""
-    there: Effects
+    base: Effects
     """Effects of the fit."""
     residuals: Array
     """(V, 3) residuals of the fit."""
     table: Array
     """(V, 3, P + F) derivatives."""
     jumps: Mapping[str, Array]
-    """(V, 3) residuals that an effect brings at once which is there at its start already."""
+    """Residuals (V, 3) that an effect adds at its initial value."""
 
     def of(self, parameters: Sequence[Parameter]) -> Array:
         """(V, 3, Q + F) derivatives by some of the parameters, in their order."""
@@ -620,7 +623,7 @@ class Slopes:
             fold=fold[self.model.row],
             numbers=3 * len(self.model.row) - directed,
             kinds=tuple(p.kind for p in chosen),
-            there=self.there,
+            base=self.base,
             absent=np.where([p.kind in self.jumps for p in chosen], 0.0, away),
             drawn=away,
             prior=weights.prior,
@@ -631,7 +634,7 @@ class Slopes:
 
     def beside(self, kind: str, weights: Weights, fold: Index) -> Array:
         """(V, 3) residuals held out with one more effect than the fit has; weights as for `sets`."""
-        own = np.array([p.kind == kind or p.kind in self.there for p in self.model.parameters])
+        own = np.array([p.kind == kind or p.kind in self.base for p in self.model.parameters])
         fewer = self.model.with_parameters([p for p, mine in zip(self.model.parameters, own, strict=True) if mine])
         residuals = self.residuals + self.jumps.get(kind, 0.0)
         state = State(self.state.x[own], self.state.registration)
@@ -669,7 +672,7 @@ def slopes_around(model: ArmModel, fit: Descent[State], others: Sequence[Sequenc
     return Slopes(
         model=model.with_parameters(chosen),
         state=State(x, motion),
-        there=Effects(p.kind for p in own),
+        base=Effects(p.kind for p in own),
         residuals=fit.residuals,
         table=np.concatenate([*table, fit.jacobian[..., len(own) :]], axis=2),
         jumps=jumps,

@@ -243,11 +243,11 @@ def from_tips(robot: Robot, tips: Array, translations: Array) -> Equilibria:
         # The function is mapped over CHUNK arms: the last call repeats the last row.
         rows = np.minimum(np.arange(first, first + CHUNK), count - 1)
         rotations, fields, points, tangents, _ = march(tips[rows], translations[rows], 0.0, known)
-        places, ahead = (part.reshape(CHUNK, -1, 3)[:size, -1].copy() for part in (points, tangents))
-        for part, value in zip(parts, (rotations[:size].copy(), places, ahead, fields[:size].min(1)), strict=True):
+        reached, ahead = (part.reshape(CHUNK, -1, 3)[:size, -1].copy() for part in (points, tangents))
+        for part, value in zip(parts, (rotations[:size].copy(), reached, ahead, fields[:size].min(1)), strict=True):
             part.append(value)
-    rotations, places, ahead, least = (np.concatenate(part) for part in parts)
-    return Equilibria(rotations, places, ahead, least > 0)
+    rotations, reached, ahead, smallest = (np.concatenate(part) for part in parts)
+    return Equilibria(rotations, reached, ahead, smallest > 0)
 
 
 @lru_cache(maxsize=16)

@@ -111,10 +111,10 @@ class Workspace(Displayed):
                 part = self.table[first : first + CHUNK]
             yield first, part
 
-    def some(self, most: int) -> Array:
+    def some(self, limit: int) -> Array:
         """Random rows, at most `most`, reproducible; every k-th row of a sequence would be biased."""
         random = np.random.default_rng(len(self))
-        chosen = np.sort(random.choice(len(self), min(most, len(self)), replace=False))
+        chosen = np.sort(random.choice(len(self), min(limit, len(self)), replace=False))
         rows = [part[chosen[(chosen >= first) & (chosen < first + len(part))] - first] for first, part in self.chunks()]
         return np.asarray(random.permutation(np.concatenate(rows)))
 
@@ -175,8 +175,8 @@ class JointSamples:
 
     def __post_init__(self) -> None:
         choice("method", self.method, METHODS)
-        for name, value, least in (("samples", self.count, 1), ("seed", self.seed, 0)):
-            whole(name, value, least)
+        for name, value, minimum in (("samples", self.count, 1), ("seed", self.seed, 0)):
+            whole(name, value, minimum)
 
     def blocks(self) -> Iterator[tuple[Array, Array]]:
         """Rotations and translations (B, n) of all samples, in their order."""
@@ -225,8 +225,10 @@ def _grid(box: Box, count: int) -> Iterator[Array]:
         axes = [np.array([0.5])] * len(free)
     total = each ** len(free)
     for first in range(0, total, BLOCK):
-        places = np.unravel_index(np.arange(first, min(first + BLOCK, total)), (each,) * len(free)) if len(free) else ()
-        rows = [axis[place] for axis, place in zip(axes, places, strict=True)]
+        indices = (
+            np.unravel_index(np.arange(first, min(first + BLOCK, total)), (each,) * len(free)) if len(free) else ()
+        )
+        rows = [axis[index] for axis, index in zip(axes, indices, strict=True)]
         yield np.column_stack(rows) if rows else np.zeros((1, 0))
 
 
@@ -247,17 +249,17 @@ def _box(space: JointSpace) -> Box:
     # Of points outside the limits each is drawn in vain, and what is left of Sobol's points is less even.
     best = min(boxes, key=lambda box: (len(box.free), float(np.prod((box.high - box.low)[box.free]))))
     low, high = best.low.copy(), best.high.copy()
-    whole = np.arange(m) < n
-    whole &= high - low >= TURN - 1e-9
+    full_turn = np.arange(m) < n
+    full_turn &= high - low >= TURN - 1e-9
     # Whole turns repeat the shape: one of them, around home where that is allowed.
     # Nearest to 0, so that samples of robots with wider ranges have the same joint values.
     middle = np.clip(0.0, low + TURN / 2, high - TURN / 2)
-    low, high = np.where(whole, middle - TURN / 2, low), np.where(whole, middle + TURN / 2, high)
-    return Box(low, high, best.back, whole)
+    low, high = np.where(full_turn, middle - TURN / 2, low), np.where(full_turn, middle + TURN / 2, high)
+    return Box(low, high, best.back, full_turn)
 
 
 def _bounds(space: JointSpace, forward: Array) -> tuple[Array, Array]:
-    """Least and greatest value of each of forward q over all admissible q."""
+    """Smallest and largest value of each component of forward q over all admissible q."""
     bounds = list(zip(space.lower.tolist(), space.upper.tolist(), strict=True))
     rows = {"A_ub": -space.rows, "b_ub": -space.least} if len(space.least) else {}
     low, high = (
@@ -354,7 +356,7 @@ def load_workspace(robot: Robot, directory: str | PathLike[str]) -> Workspace:
     return Workspace(robot, head["method"], head["seed"], table, failures)
 
 
-def save_workspace(found: Workspace, directory: str | PathLike[str]) -> list[Path]:
+def save_workspace(workspace: Workspace, directory: str | PathLike[str]) -> list[Path]:
     """Write a workspace into a directory, as `workspace(..., out=directory)` leaves it, and return the paths.
 
     One that lies in that directory already is left as it is.
@@ -364,14 +366,16 @@ def save_workspace(found: Workspace, directory: str | PathLike[str]) -> list[Pat
     """
     directory = Path(directory)
     paths = [directory / SAMPLES, directory / HEAD]
-    table = found.table
+    table = workspace.table
     if isinstance(table, np.memmap) and table.filename and Path(table.filename).resolve() == paths[0].resolve():
         return paths
-    write_text(directory / FAILURES, "".join(json.dumps(failure) + "\n" for failure in found.failures))
+    write_text(directory / FAILURES, "".join(json.dumps(failure) + "\n" for failure in workspace.failures))
     with atomic_write(paths[0]) as temporary:
         np.save(temporary, np.asarray(table, dtype="<f8"))
-    write_text(paths[1], json.dumps(_spec(found.robot, found.method, found.seed, len(found)), indent=2) + "\n")
-    if not found.failures:
+    write_text(
+        paths[1], json.dumps(_spec(workspace.robot, workspace.method, workspace.seed, len(workspace)), indent=2) + "\n"
+    )
+    if not workspace.failures:
         (directory / FAILURES).unlink()
     return paths
 
@@ -520,14 +524,14 @@ def _stored(directory: Path, count: int, columns: int) -> tuple[Array, tuple[tup
 
 
 def _read_failures(path: Path) -> tuple[tuple[int, str], ...]:
-    """Failures by row; of those written twice, by a run that was killed, one; a torn last line is none."""
+    """Failures by row, without repetitions and without an incomplete last line."""
     if not path.exists():
         return ()
-    found = {}
+    failures = {}
     for line in read_bytes(path).decode("utf-8", errors="replace").splitlines():
         try:
             row, reason = json.loads(line)
         except ValueError:
             continue
-        found[int(row)] = str(reason)
-    return tuple(sorted(found.items()))
+        failures[int(row)] = str(reason)
+    return tuple(sorted(failures.items()))

@@ -51,16 +51,16 @@ def voxel_volume(workspace: Workspace, size: float | None = None, *, min_margin:
     return volume_of(voxels(workspace, size, min_margin=min_margin))
 
 
-def volume_of(found: Voxels) -> Volume:
+def volume_of(voxels: Voxels) -> Volume:
     """Volume of voxels, as `voxel_volume`."""
-    cube = found.size**3
-    first = found.index[found.early > 0]
-    once, twice = int((found.count == 1).sum()), int((found.count == 2).sum())
-    surface = 0.5 * found.surface.sum() * cube
+    cube = voxels.size**3
+    first = voxels.index[voxels.early > 0]
+    once, twice = int((voxels.count == 1).sum()), int((voxels.count == 2).sum())
+    surface = 0.5 * voxels.surface.sum() * cube
     return Volume(
-        value=float(len(found) * cube - surface),
+        value=float(len(voxels) * cube - surface),
         method="voxels",
-        scale=found.size,
+        scale=voxels.size,
         half=float((len(first) - 0.5 * on_surface(first).sum()) * cube),
         unseen=once * (once - 1) / (2 * (twice + 1)) * cube,
         surface=float(surface),
@@ -94,18 +94,18 @@ def meridian_volume(workspace: Workspace, size: float | None = None, *, min_marg
     # The tips of a grid form rows in the meridian: cells must be wider than most gaps between the rows.
     finer = 3 / 4 if workspace.method == "grid" else 4
     scale = default_size(workspace) / finer if size is None else positive("size", size)
-    seen: dict[bool, Keys] = {}
+    keys: dict[bool, Keys] = {}
     for first, table in workspace.chunks():
         stable = has_margin(table, min_margin)
         tips = table[stable, -7:-4]
         plane = np.column_stack([np.hypot(tips[:, 0], tips[:, 1]), np.zeros(len(tips)), tips[:, 2]])
         index = cells(plane, scale)[:, ::2]
         for early, rows in ((False, index), (True, index[in_first_half(workspace, first, len(table))[stable]])):
-            seen[early] = np.unique(np.concatenate([seen.get(early, rows[:0]), rows]), axis=0)
-    if not len(seen[False]):
+            keys[early] = np.unique(np.concatenate([keys.get(early, rows[:0]), rows]), axis=0)
+    if not len(keys[False]):
         raise InputError(f"min_margin is {min_margin:g}; no sample has this margin")
-    value, surface = _revolved(seen[False], scale)
-    first_half = _revolved(seen[True], scale)[0] if len(seen[True]) else 0.0
+    value, surface = _revolved(keys[False], scale)
+    first_half = _revolved(keys[True], scale)[0] if len(keys[True]) else 0.0
     return Volume(value, "meridian", scale, first_half, float("nan"), surface)
 
 
@@ -118,8 +118,8 @@ def _revolved(index: Keys, size: float) -> tuple[float, float]:
     inside = filled[1:-1, 1:-1] & filled[:-2, 1:-1] & filled[2:, 1:-1] & filled[1:-1, :-2] & filled[1:-1, 2:]
     # Pappus: the area of a cell times the length of the circle of its centre.
     ring = 2 * np.pi * (np.arange(index[:, 0].min(), index[:, 0].max() + 1) + 0.5) * size**3
-    whole, core = (float(ring @ part.sum(1)) for part in (filled[1:-1, 1:-1], inside))
-    return (whole + core) / 2, (whole - core) / 2
+    filled_volume, core = (float(ring @ part.sum(1)) for part in (filled[1:-1, 1:-1], inside))
+    return (filled_volume + core) / 2, (filled_volume - core) / 2
 
 
 @typed

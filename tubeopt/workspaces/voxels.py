@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..arguments import typed
+from ..arguments import renamed, typed
 from ..bodies.frames import Frame, base_frame
 from ..display import Displayed
 from ..errors import InputError, finite, positive
@@ -276,14 +276,15 @@ def _shared(tips: Sequence[Array], bases: tuple[Frame, Frame], size: float) -> S
     return SharedWorkspace(size, volumes, len(shared) * size**3, np.asarray((shared + 0.5) * size), bases)
 
 
+@renamed(least_distance="min_distance", most_distance="max_distance", most_tilt="max_tilt")
 @typed
 @limited
 def place_pair(
     workspaces: Sequence[Workspace],
     *,
-    least_distance: float,
-    most_distance: float,
-    most_tilt: float = np.pi / 4,
+    min_distance: float,
+    max_distance: float,
+    max_tilt: float = np.pi / 4,
     size: float | None = None,
     min_margin: float = 0.0,
     seed: int = 0,
@@ -295,8 +296,8 @@ def place_pair(
     own axis.
 
     Args:
-        least_distance, most_distance: limits of the distance between the middles of the plates, m.
-        most_tilt: largest angle of each from z, rad.
+        min_distance, max_distance: limits of the distance between the middles of the plates, m.
+        max_tilt: largest angle of each from z, rad.
         seed: seed of differential evolution, which finds distance, two tilts and two turns.
         time_limit: s, on the clock.
 
@@ -304,15 +305,15 @@ def place_pair(
         InputError: as `shared_workspace`; distances that leave nothing.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
     """
-    if not 0 < finite("least_distance", least_distance) <= finite("most_distance", most_distance):
+    if not 0 < finite("min_distance", min_distance) <= finite("max_distance", max_distance):
         raise InputError(
-            f"the distance of the base plates is {least_distance * 1e3:g} to "
-            f"{most_distance * 1e3:g} mm; the first must be greater than 0 and at most the "
+            f"the distance of the base plates is {min_distance * 1e3:g} to "
+            f"{max_distance * 1e3:g} mm; the first must be greater than 0 and at most the "
             "second"
         )
     edge = shared_workspace(workspaces, (Frame(), Frame()), size=size, min_margin=min_margin).size
     tips = [_tips(each, finite("min_margin", min_margin)) for each in workspaces]
-    tilt = positive("most_tilt", most_tilt, zero=True)
+    tilt = positive("max_tilt", max_tilt, zero=True)
 
     def bases(x: Array) -> tuple[Frame, Frame]:
         frames = []
@@ -322,7 +323,7 @@ def place_pair(
 
     best = scipy.optimize.differential_evolution(
         lambda x: -_shared(tips, bases(x), edge).shared,
-        [(least_distance, most_distance), (-tilt, tilt), (-tilt, tilt), (-np.pi, np.pi), (-np.pi, np.pi)],
+        [(min_distance, max_distance), (-tilt, tilt), (-tilt, tilt), (-np.pi, np.pi), (-np.pi, np.pi)],
         maxiter=MAX_GENERATIONS,
         popsize=INDIVIDUALS,
         tol=1e-3,

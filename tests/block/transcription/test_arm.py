@@ -81,17 +81,17 @@ def true_errors(robot: ConcentricRobot, solved: Equilibrium) -> tuple[float, flo
 @pytest.mark.parametrize("degree", [2, 3, 4, 6])
 @pytest.mark.parametrize("robot", [THESIS, CRL], ids=lambda robot: robot.name)
 def test_error_estimates_hold_and_are_not_absurd(robot: ConcentricRobot, degree: int) -> None:
-    shares = []
+    fractions = []
     for rotations, translations in configurations(robot, 15, seed=degree):
         discretisation = Discretisation("gauss", degree)
         solved = forward_kinematics(robot, rotations, translations, tolerance=1.0, discretisation=discretisation)
         theta, tip = true_errors(robot, solved)
         assert theta <= solved.mesh_error + 1e-12
         assert tip <= 1.5 * solved.tip_error + 1e-13
-        shares.append(theta / (solved.mesh_error + 1e-15))
+        fractions.append(theta / (solved.mesh_error + 1e-15))
     if degree == 2:
         # Between one and a hundred times the truth where there is an error to speak of.
-        assert max(shares) > 0.01
+        assert max(fractions) > 0.01
 
 
 def test_more_points_give_a_smaller_error() -> None:

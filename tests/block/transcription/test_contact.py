@@ -32,8 +32,8 @@ def test_concentrated_friction_turns_tubes_whose_stiffness_varies_along_a_piece(
     x, h = (0.2, 0.7), 1e-4
     sides = (arms.rotations_at(problem, profile, tuple(np.array(x) + side)) for side in (h, -h))
     slope = np.subtract(*sides) / (2 * h * problem.mesh.length[:, None, None])
-    place = problem.mesh.start[:, None] + problem.mesh.length[:, None] * x
-    stiffness = assembly.cross_sections(place.ravel(), place.ravel()).torsional_stiffness.reshape(slope.shape)
-    there = place[:, :, None] < assembly.end
-    assert (slope * stiffness)[there] == pytest.approx(arms.torques_at(problem, profile, x)[there], abs=1e-7)
+    position = problem.mesh.start[:, None] + problem.mesh.length[:, None] * x
+    stiffness = assembly.cross_sections(position.ravel(), position.ravel()).torsional_stiffness.reshape(slope.shape)
+    reached = position[:, :, None] < assembly.end
+    assert (slope * stiffness)[reached] == pytest.approx(arms.torques_at(problem, profile, x)[reached], abs=1e-7)
     assert np.abs(torque).min() > 0

@@ -51,10 +51,10 @@ def posed(problem: ReducedProblem, rotations: Array) -> Problem:
 
 
 def solved(problem: ReducedProblem, rotations: Array) -> ProblemSolution:
-    found = posed(problem, rotations).attempt(EQUILIBRIUM)
-    assert found.status is ProblemStatus.SOLVED
-    assert found.statistics.unknowns == found.statistics.constraints
-    return found
+    result = posed(problem, rotations).attempt(EQUILIBRIUM)
+    assert result.status is ProblemStatus.SOLVED
+    assert result.statistics.unknowns == result.statistics.constraints
+    return result
 
 
 @pytest.mark.parametrize(("robot", "rotations", "shift"), CASES)
@@ -63,13 +63,13 @@ def test_its_equations_have_the_equilibrium_of_forward_kinematics(
 ) -> None:
     translations = np.array(shift) * MM
     problem = reduced_problem(robot, tuple(translations), Discretisation())
-    found, pose = solved(problem, np.array(rotations)), forward_kinematics(robot, rotations, translations)
+    result, pose = solved(problem, np.array(rotations)), forward_kinematics(robot, rotations, translations)
     # At the points the condensed equations know the rotations of the curved tubes, which are their unknowns.
     chosen = problem.point, problem.tube
-    points = inside_points(problem, found.values["rotation inside"])
+    points = inside_points(problem, result.values["rotation inside"])
     assert points[chosen] == pytest.approx(pose.point_rotation[chosen], abs=1e-10)
     at = [int(np.argmin(np.abs(pose.arc_length - s))) for s in problem.mesh.start]
-    begins, twists = (found.values[name].reshape(-1, robot.n_tubes) for name in ("rotation", "torsion"))
+    begins, twists = (result.values[name].reshape(-1, robot.n_tubes) for name in ("rotation", "torsion"))
     assert begins == pytest.approx(pose.rotation[:, at].T, abs=1e-10)
     assert twists == pytest.approx(pose.torsion[:, at].T, abs=1e-8)
 
@@ -111,9 +111,9 @@ def test_violated_equations_are_reported_in_words() -> None:
     names = program.entries("torsion equation")
     values = program.evaluate(program.constraint("torsion equation"), start, {}).ravel()
     zero = np.zeros(len(names))
-    (found,) = worst(violations_of(names, values, (zero, zero), np.ones(len(names)), 1e-8), 1)
-    assert found.name == "torsion equation, tube 2, section 2, point 4"
-    assert found.amount == pytest.approx(3e-3, rel=1e-2)
+    (result,) = worst(violations_of(names, values, (zero, zero), np.ones(len(names)), 1e-8), 1)
+    assert result.name == "torsion equation, tube 2, section 2, point 4"
+    assert result.amount == pytest.approx(3e-3, rel=1e-2)
 
 
 def test_names_of_the_equations_are_words() -> None:
@@ -121,5 +121,5 @@ def test_names_of_the_equations_are_words() -> None:
     names = [word for name in EQUATIONS for word in program.entries(name)]
     assert len(set(names)) == len(names)
     assert names[-1] == "torsion at the end, tube 3"
-    wanted = {"torsion equation, tube 2, section 3, point 4", "continuity of torsion, tube 3, section 2"}
-    assert {"base rotation, tube 1", *wanted} <= set(names)
+    desired = {"torsion equation, tube 2, section 3, point 4", "continuity of torsion, tube 3, section 2"}
+    assert {"base rotation, tube 1", *desired} <= set(names)

@@ -32,8 +32,8 @@ def problems() -> list[ReducedProblem]:
 @pytest.mark.parametrize("problem", problems(), ids=["gauss", "radau", "eccentric"])
 def test_slopes_by_finite_differences(problem: ReducedProblem) -> None:
     z = np.random.default_rng(1).normal(size=problem.size) * 0.02
-    here = evaluate(problem, ROTATIONS, z)
-    gradient, hessian, h = here.gradient.copy(), here.hessian.copy(), 1e-6
+    current = evaluate(problem, ROTATIONS, z)
+    gradient, hessian, h = current.gradient.copy(), current.hessian.copy(), 1e-6
     for k, step in enumerate(np.eye(problem.size) * h):
         ahead, behind = (evaluate(problem, ROTATIONS, z + sign * step) for sign in (1, -1))
         assert hessian[:, k] == pytest.approx((ahead.gradient - behind.gradient) / (2 * h), abs=1e-7)
@@ -86,7 +86,7 @@ def stability_determinant(equilibrium: Equilibrium, scale: float) -> tuple[float
     kt = np.array([tube.torsional_stiffness for tube in robot.tubes])
     lever = np.array([tube.straight_length for tube in robot.tubes]) - equilibrium.translations
     state = np.concatenate([equilibrium.rotation[:, -1], np.zeros(n), np.eye(n).ravel(), np.zeros(n * n)])
-    least = 1.0
+    smallest = 1.0
     for section in reversed(sections_of(robot, equilibrium.translations)):
 
         def slope(_: float, y: Array, coupling: Array = section.coupling) -> Array:
@@ -99,9 +99,9 @@ def stability_determinant(equilibrium: Equilibrium, scale: float) -> tuple[float
 
         run = solve_ivp(slope, (section.stop, section.start), state, method="DOP853", rtol=1e-10, atol=1e-10)
         state = run.y[:, -1]
-        least = min(least, *(np.linalg.det(y[2 * n : 2 * n + n * n].reshape(n, n)) for y in run.y.T))
+        smallest = min(smallest, *(np.linalg.det(y[2 * n : 2 * n + n * n].reshape(n, n)) for y in run.y.T))
     y, twist = state[2 * n :].reshape(2, n, n)
-    return least, float(np.linalg.det(y - lever[:, None] * twist))
+    return smallest, float(np.linalg.det(y - lever[:, None] * twist))
 
 
 @pytest.mark.parametrize(
@@ -120,10 +120,10 @@ def test_margin_is_the_share_of_torsional_stiffness_that_can_be_lost(
 ) -> None:
     solved = forward_kinematics(robot, rotations, np.array(translations) * MM)
     assert 0 < solved.margin < 0.999
-    kept = 1 - solved.margin
+    retained = 1 - solved.margin
     # With all stiffness but the margin the arm is just neutral; with any more it is stable, with less no longer.
-    assert stability_determinant(solved, kept * (1 - 1e-5))[1] < 0
-    for scale in (kept * (1 + 1e-5), kept * 1.1, kept + 0.5 * solved.margin, 1.0):
+    assert stability_determinant(solved, retained * (1 - 1e-5))[1] < 0
+    for scale in (retained * (1 + 1e-5), retained * 1.1, retained + 0.5 * solved.margin, 1.0):
         within, base = stability_determinant(solved, scale)
         assert within > 0
         assert base > 0

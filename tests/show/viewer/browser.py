@@ -87,11 +87,11 @@ class Tab:
 
     def sees(self, name: str) -> bool:
         """Whether a part of the readout is what stands where it is, within the window."""
-        seen = """name => {
+        observed = """name => {
             const part = document.querySelector(`[data-testid=${name}]`), box = part.getBoundingClientRect();
             return part.contains(document.elementFromPoint(box.left + box.width / 2, box.top + box.height / 2));
         }"""
-        return bool(self.page.evaluate(seen, name))
+        return bool(self.page.evaluate(observed, name))
 
     @property
     def tip(self) -> Array:
@@ -127,11 +127,11 @@ class Tab:
 
     def wait_until_at_rest(self) -> None:
         """Wait until the tip reads the same for a while."""
-        here = self.tip
+        current = self.tip
         for _ in range(PATIENCE // 1000):
             self.page.wait_for_timeout(1000)
-            before, here = here, self.tip
-            if np.array_equal(before, here):
+            before, current = current, self.tip
+            if np.array_equal(before, current):
                 return
         raise AssertionError("the tip does not come to rest")
 

@@ -20,8 +20,8 @@ from .browser import CHROMIUM, FLAGS, LITTLE_DRAWING, Tab, served
 def address() -> Iterator[str]:
     """The page with the robot of the thesis, a ball, and a trajectory: tube 1 once around and back in 4 s."""
     turn = np.radians([0.0, 180.0, 360.0, 180.0, 0.0])
-    way = Waypoints(np.arange(5.0), turn[:, None] * [1.0, 0.0, 0.0], np.zeros((5, 3)))
-    with served(View(THESIS, waypoints=way, obstacles=(Sphere((0.06, 0.0, 0.1), 0.02),))) as url:
+    path = Waypoints(np.arange(5.0), turn[:, None] * [1.0, 0.0, 0.0], np.zeros((5, 3)))
+    with served(View(THESIS, waypoints=path, obstacles=(Sphere((0.06, 0.0, 0.1), 0.02),))) as url:
         yield url
 
 

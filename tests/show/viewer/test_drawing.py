@@ -224,8 +224,8 @@ def test_bad_trajectories_are_refused(tmp_path: Path, rows: str, message: str) -
 def test_the_swept_volume_of_a_turn_is_that_of_its_body_of_revolution() -> None:
     """All tubes turned together sweep what the resting arc, turned about z, sweeps: by Pappus per piece of the arc."""
     angles = np.linspace(0.0, 2 * np.pi / 3, 13)
-    way = Waypoints(np.arange(13.0), np.tile(angles[:, None], (1, 2)), np.zeros((13, 2)))
-    playback = make_playback(TWO_TUBE, way)
+    path = Waypoints(np.arange(13.0), np.tile(angles[:, None], (1, 2)), np.zeros((13, 2)))
+    playback = make_playback(TWO_TUBE, path)
     swept = swept_volume(playback)
     line = Centreline(playback.path.equilibria[0])
     s = np.linspace(0, line.length, 2001)
@@ -268,10 +268,10 @@ def test_files_of_a_calibrated_robot_tell_what_its_drives_read(tmp_path: Path) -
     drives = replace(Calibration.none(3), rotation_offsets=(0.1, 0.0, -0.2))
     robot = replace(THESIS, calibration=drives)
     session, _ = move_joint(open_session(robot), 0, 1.0)
-    here = session.equilibrium.rotations
+    current = session.equilibrium.rotations
     (tmp_path / "joints.yaml").write_text(host.joints_yaml(session))
-    assert load_joints(tmp_path / "joints.yaml", robot)[0] == pytest.approx(here, abs=1e-9)
-    told = load_joints(tmp_path / "joints.yaml", THESIS)[0]
-    assert told == pytest.approx(here - np.array(drives.rotation_offsets), abs=1e-9)
+    assert load_joints(tmp_path / "joints.yaml", robot)[0] == pytest.approx(current, abs=1e-9)
+    report = load_joints(tmp_path / "joints.yaml", THESIS)[0]
+    assert report == pytest.approx(current - np.array(drives.rotation_offsets), abs=1e-9)
     (tmp_path / "path.csv").write_text("rotation_1_deg,rotation_2_deg,rotation_3_deg\n0,0,0\n10,0,0\n")
     assert load_waypoints(tmp_path / "path.csv", robot).rotations[0] == pytest.approx(np.array(drives.rotation_offsets))

@@ -70,10 +70,10 @@ def test_a_growing_force_snaps_the_robot_where_its_limit_is() -> None:
 
 def test_a_view_begins_under_the_load_that_is_given() -> None:
     load = Load((-0.01, 0.0, 0.0), gravity=(0.0, 3.0, -9.0))
-    begun = View(THESIS, rotations=TURNED, load=load).session().equilibrium
-    assert begun.load == load
+    start_time = View(THESIS, rotations=TURNED, load=load).session().equilibrium
+    assert start_time.load == load
     same = forward_kinematics(THESIS, TURNED, load=load)
-    assert begun.tip_position == pytest.approx(same.tip_position, abs=1e-9)
+    assert start_time.tip_position == pytest.approx(same.tip_position, abs=1e-9)
     with pytest.raises(InputError, match="more than a force on the tip and gravity"):
         View(THESIS, load=Load(moment=(1e-3, 0.0, 0.0))).session()
 
@@ -93,19 +93,19 @@ def test_joints_move_under_the_load() -> None:
 
 
 def test_what_a_load_does_in_a_sentence() -> None:
-    here = gently_pushed().equilibrium
-    found = load_effect(here)
-    assert found is not None
-    deflection, limit = found
+    current = gently_pushed().equilibrium
+    result = load_effect(current)
+    assert result is not None
+    deflection, limit = result
     assert limit is not None
     assert limit.factor == pytest.approx(2.1846, abs=1e-4)
-    assert load_words(here) == f"10.00 mN: tip moved by {1e3 * deflection:.4f} mm, snaps at 2.1846 times as much"
+    assert load_words(current) == f"10.00 mN: tip moved by {1e3 * deflection:.4f} mm, snaps at 2.1846 times as much"
     plain = turned().equilibrium
     assert load_words(plain) == ""
     far = push(plain, Load((-0.03, 0, 0))).equilibria[-1]
     assert load_words(far).startswith("30.00 mN: t")
     scale = newtons_per_metre(plain)
-    assert scale * (head_of(here, scale) - here.tip_position) == pytest.approx([-0.01, 0, 0])
+    assert scale * (head_of(current, scale) - current.tip_position) == pytest.approx([-0.01, 0, 0])
 
 
 def test_a_force_that_is_typed_and_a_snap_by_it(tab: Tab) -> None:
@@ -119,9 +119,9 @@ def test_a_force_that_is_typed_and_a_snap_by_it(tab: Tab) -> None:
     tab.type("force x (mN)", -10)
     tab.press("Put the load on")
     tab.wait_for_tip(gentle.tip_position)
-    told, words = tab.wait_for("load-limit", "snaps at"), load_words(gentle)
-    assert NUMBER.sub("", told) == NUMBER.sub("", words)
-    assert numbers(told) == pytest.approx(numbers(words), abs=1.01e-4)
+    report, text = tab.wait_for("load-limit", "snaps at"), load_words(gentle)
+    assert NUMBER.sub("", report) == NUMBER.sub("", text)
+    assert numbers(report) == pytest.approx(numbers(text), abs=1.01e-4)
     assert float(tab.read("margin")) == pytest.approx(gentle.margin, abs=1.01e-4)
     tab.type("force x (mN)", -30)
     tab.press("Put the load on")

@@ -56,9 +56,11 @@ def test_past_the_fold_the_robot_snaps_and_history_decides_where_it_is() -> None
     snap = find_snap(THESIS, (np.zeros(3), None), (np.radians([360, 0, 0]), None))
     assert snap is not None
     assert [event.snap is not None for event in past.log] == [True]
-    seen = past.last[0]
-    assert seen.rotations == pytest.approx(snap.rotations, abs=1e-9)
-    assert (seen.tip_jump, seen.energy_released) == pytest.approx((snap.tip_jump, snap.energy_released), rel=1e-9)
+    observed = past.last[0]
+    assert observed.rotations == pytest.approx(snap.rotations, abs=1e-9)
+    assert (observed.tip_jump, observed.energy_released) == pytest.approx(
+        (snap.tip_jump, snap.energy_released), rel=1e-9
+    )
     back = turned(past, 200)
     assert (past.verdict, back.verdict) == ("snapped", "stable")
     assert np.linalg.norm(back.equilibrium.tip_position - forth.equilibrium.tip_position) > 0.05
@@ -84,8 +86,8 @@ def test_a_slider_does_not_step_over_a_narrow_fold() -> None:
         Tube(4e-3, 3.4e-3, straight_length=0.01, curved_length=0.035, curvature=36.0),
     )
     home = move(open_session(ConcentricRobot(tubes)), (0.0, 0.0), (0.03, 0.01))
-    way = [(np.radians([angle, 0.0]), home.equilibrium.translations) for angle in (0, 360)]
-    snap = find_snap(home.robot, way[0], way[1])
+    path = [(np.radians([angle, 0.0]), home.equilibrium.translations) for angle in (0, 360)]
+    snap = find_snap(home.robot, path[0], path[1])
     assert snap is not None
     fold = np.degrees(snap.rotations[0])
     assert 180.1 < fold < 180.3
@@ -123,12 +125,12 @@ def test_other_equilibria_are_all_but_the_own_one() -> None:
 
 def test_joints_stop_where_tubes_touch_and_at_their_ends() -> None:
     session = open_session(THESIS)
-    moved, words = move_joint(session, 3, -0.2)
+    moved, text = move_joint(session, 3, -0.2)
     assert moved.equilibrium.translations[0] == pytest.approx(-0.05)
-    assert words == "translation of tube 1 is stopped: tube 1 ending where tube 2 ends"
-    moved, words = move_joint(session, 0, 7.0)
+    assert text == "translation of tube 1 is stopped: tube 1 ending where tube 2 ends"
+    moved, text = move_joint(session, 0, 7.0)
     assert np.degrees(moved.equilibrium.rotations[0]) == pytest.approx(360)
-    assert words == "rotation of tube 1 is stopped: end of its range"
+    assert text == "rotation of tube 1 is stopped: end of its range"
     assert allowed(THESIS, session.q, 5) == (
         (pytest.approx(-0.05), "carriages of tube 2 and tube 3 touching"),
         (pytest.approx(0.05), "tube 2 ending where tube 3 ends"),
@@ -197,15 +199,15 @@ def test_the_way_on_which_the_tip_was_led_is_recorded() -> None:
     """In joint values it is no straight line, so that both ends would not tell how the robot got there."""
     session = record(open_session(THESIS), True)
     start, target = session.equilibrium.tip_position, np.array([0.05, -0.06, 0.2])
-    led, words = pull(session, target)
-    assert not words
-    recording = led.recording
+    guided, text = pull(session, target)
+    assert not text
+    recording = guided.recording
     assert recording is not None
     assert len(recording) > 4
     for row in recording[1:]:
         tip = forward_kinematics(THESIS, row[:3], row[3:]).tip_position
-        share = float((tip - start) @ (target - start) / ((target - start) @ (target - start)))
-        assert tip == pytest.approx(start + share * (target - start), abs=2e-6)
+        fraction = float((tip - start) @ (target - start) / ((target - start) @ (target - start)))
+        assert tip == pytest.approx(start + fraction * (target - start), abs=2e-6)
 
 
 # --- the tip ---------------------------------------------------------------------------------------------------------
@@ -214,10 +216,10 @@ def test_the_way_on_which_the_tip_was_led_is_recorded() -> None:
 def test_the_tip_follows_the_hand() -> None:
     session = turned(open_session(THESIS), 60)
     target = session.equilibrium.tip_position + np.array([0.01, 0.01, 0.005])
-    led, words = pull(session, target)
-    assert not words
-    here = led.equilibrium
-    solved = forward_kinematics(THESIS, here.rotations, here.translations, start=here)
+    guided, text = pull(session, target)
+    assert not text
+    current = guided.equilibrium
+    solved = forward_kinematics(THESIS, current.rotations, current.translations, start=current)
     assert solved.tip_position == pytest.approx(target, abs=1e-6)
 
 
@@ -226,26 +228,26 @@ def test_the_tip_stops_at_the_margin_and_says_so() -> None:
     fixed = replace(THESIS.limits, translations=((0.0, 0.0),) * 3)
     session = turned(open_session(replace(THESIS, joint_limits=fixed)), 150)
     goal = find_equilibria(THESIS, np.radians([230, 0, 0]))[0].tip_position
-    led, words = pull(session, goal, min_margin=0.9)
-    assert led.equilibrium.margin >= 0.9 - 1e-6
-    assert not led.last
+    guided, text = pull(session, goal, min_margin=0.9)
+    assert guided.equilibrium.margin >= 0.9 - 1e-6
+    assert not guided.last
     # Around the snap it comes close to the target. How close after so few steps, round-off of the processor decides.
-    short = float(np.linalg.norm(goal - led.equilibrium.tip_position))
-    assert short < 1e-3 or "short of the target: margin at its bound (0.9)" in words
+    short = float(np.linalg.norm(goal - guided.equilibrium.tip_position))
+    assert short < 1e-3 or "short of the target: margin at its bound (0.9)" in text
 
 
 def test_the_tip_stops_out_of_reach_and_at_obstacles() -> None:
     session = open_session(THESIS)
     beside = Sphere((0.06, 0.0, 0.1), 0.02)  # at times no part of the arm is near it
     assert not pull(session, [0.02, -0.08, 0.165], obstacles=[beside])[1]
-    far, words = pull(session, [0.0, 0.0, 1.0])
+    far, text = pull(session, [0.0, 0.0, 1.0])
     error = np.linalg.norm(far.equilibrium.tip_position - [0.0, 0.0, 1.0])
     assert error > 0.3
-    assert words.startswith(f"the tip stops {error * 1e3:.2f} mm short of the target: ")
-    assert "at its end" in words or "touching" in words
+    assert text.startswith(f"the tip stops {error * 1e3:.2f} mm short of the target: ")
+    assert "at its end" in text or "touching" in text
     ball = Sphere((0.0, -0.13, 0.165), 0.03)
-    stopped, words = pull(session, [0.0, -0.13, 0.165], obstacles=[ball])
-    assert words
+    stopped, text = pull(session, [0.0, -0.13, 0.165], obstacles=[ball])
+    assert text
     clear = ball.signed_distance(stopped.equilibrium.tip_position)
     assert clear > 0
 

@@ -63,8 +63,8 @@ def attend(channel: Channel, messages: AsyncIterator[str | bytes]) -> None:
 
 
 def test_messages_lead_the_robot_whose_word_they_have_and_the_rest_is_left_out() -> None:
-    channel, told = Channel(), list[Array]()
-    word = channel.register(told.append)
+    channel, report = Channel(), list[Array]()
+    word = channel.register(report.append)
     good = json.dumps({"tab": word, "velocity": [0, 3, 4]})
     bad: list[str | bytes] = [
         "",
@@ -81,51 +81,51 @@ def test_messages_lead_the_robot_whose_word_they_have_and_the_rest_is_left_out()
             yield each
 
     attend(channel, messages())
-    assert len(told) == 1
-    np.testing.assert_allclose(told[0], [0, 0.6, 0.8])  # no faster than the greatest speed
+    assert len(report) == 1
+    np.testing.assert_allclose(report[0], [0, 0.6, 0.8])  # no faster than the greatest speed
     for each in bad:
         with pytest.raises(InputError):
             read(each)
     channel.remove(word)
     attend(channel, messages())
-    assert len(told) == 1
+    assert len(report) == 1
 
 
 def led(session: Session, velocity: tuple[float, float, float], messages: int, margin: float) -> tuple[Session, str]:
-    own, words = TipServo(), ""
+    own, text = TipServo(), ""
     for _ in range(messages):
-        session, words = own.move(session, np.array(velocity), margin)
-    return session, words
+        session, text = own.move(session, np.array(velocity), margin)
+    return session, text
 
 
 def test_a_message_moves_the_tip_for_the_time_since_the_last_one(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = iter([0.0, 0.05, 0.1, 60.0, 60.05])
     monkeypatch.setattr("tubeopt.show.viewer.teleoperation.time.monotonic", lambda: next(clock))
-    session = begun = record(open_session(THESIS, *SOME), True)
-    own, way = TipServo(), []
+    session = start_time = record(open_session(THESIS, *SOME), True)
+    own, path = TipServo(), []
     for _ in range(5):
         before = session.equilibrium.tip_position
-        session, words = own.move(session, np.array([0.5, 0.0, 0.0]), 0.05)
-        assert words in ("", "a joint moves as fast as it may")
-        way.append(session.equilibrium.tip_position - before)
+        session, text = own.move(session, np.array([0.5, 0.0, 0.0]), 0.05)
+        assert text in ("", "a joint moves as fast as it may")
+        path.append(session.equilibrium.tip_position - before)
     # The first and the fourth, after a silence of a minute, are of the longest time.
     expected = 0.5 * SPEED * np.array([MAX_STEP, 0.05, 0.05, MAX_STEP, 0.05])
-    np.testing.assert_allclose([step[0] for step in way], expected, rtol=0.05)
-    assert np.abs(np.array(way)[:, 1:]).max() < 0.1 * expected[1]
+    np.testing.assert_allclose([step[0] for step in path], expected, rtol=0.05)
+    assert np.abs(np.array(path)[:, 1:]).max() < 0.1 * expected[1]
     # What was recorded on the way leads there again.
     again = make_playback(THESIS, recorded(session)).path.equilibria
-    np.testing.assert_allclose(again[0].tip_position, begun.equilibrium.tip_position, atol=1e-9)
+    np.testing.assert_allclose(again[0].tip_position, start_time.equilibrium.tip_position, atol=1e-9)
     np.testing.assert_allclose(again[-1].tip_position, session.equilibrium.tip_position, atol=1e-9)
 
 
 def test_the_tip_stops_at_the_floor_of_the_margin_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     times = iter(np.arange(0.0, 1e3, MAX_STEP))
     monkeypatch.setattr("tubeopt.show.viewer.teleoperation.time.monotonic", lambda: next(times))
-    session, words = led(open_session(THESIS, [np.radians(200), 0, 0]), (1.0, 0.0, 0.0), 1, 0.05)
+    session, text = led(open_session(THESIS, [np.radians(200), 0, 0]), (1.0, 0.0, 0.0), 1, 0.05)
     floor = session.equilibrium.margin - 0.05
-    session, words = led(session, (-0.3, -1.0, 0.0), 40, floor)
+    session, text = led(session, (-0.3, -1.0, 0.0), 40, floor)
     session, back = led(session, (0.3, 1.0, 0.0), 40, floor)
-    assert "margin is held at its floor" in words + back
+    assert "margin is held at its floor" in text + back
     assert session.equilibrium.margin >= floor
     assert not session.log
 
@@ -153,7 +153,7 @@ def _led_to(tab: Tab, path: Path) -> Array:
 
 
 def test_keys_lead_the_tip_on_the_page_and_the_recording_is_played_again(tab: Tab, tmp_path: Path) -> None:
-    begin = tab.tip
+    start = tab.tip
     tab.tab("Play")
     tab.press("Replay the recording")
     tab.wait_for("message", "nothing was recorded")
@@ -162,20 +162,20 @@ def test_keys_lead_the_tip_on_the_page_and_the_recording_is_played_again(tab: Ta
     tab.tab("Tip")
     tab.box("lead the tip by keys").click()
     tab.wait_for("hand", "along x, y, z")
-    assert np.array_equal(tab.tip, begin)
+    assert np.array_equal(tab.tip, start)
     tab.page.get_by_text("What happened").focus()
     tab.page.keyboard.down("KeyU")
     tab.page.wait_for_function(
         "z => Math.abs(parseFloat(document.querySelector('[data-testid=tip]').innerText.split(',')[2]) - z) > 3",
-        arg=float(begin[2] * 1e3),
+        arg=float(start[2] * 1e3),
         polling=50,
     )
     tab.page.keyboard.up("KeyU")
     tab.tab("Save")
     end = _led_to(tab, tmp_path / "led.csv")
     tab.wait_for_tip(end)
-    assert end[2] > begin[2] + 2e-3
-    assert np.abs(end - begin)[:2].max() < 0.2 * (end - begin)[2]
+    assert end[2] > start[2] + 2e-3
+    assert np.abs(end - start)[:2].max() < 0.2 * (end - start)[2]
     tab.tab("Play")
     tab.press("Replay the recording")
     tab.wait_for_more("time (s)", 0.1)

@@ -18,9 +18,9 @@ CUBE, LOW, HIGH = 2.0, np.array([10.0, 20.0, 30.0]), np.array([14.0, 26.0, 38.0]
 
 @pytest.fixture
 def given() -> Iterator[LoadedFiles]:
-    given = LoadedFiles()
-    yield given
-    given.close()
+    inputs = LoadedFiles()
+    yield inputs
+    inputs.close()
 
 
 def nifti(path: Path, label: int = 7) -> bytes:
@@ -29,10 +29,10 @@ def nifti(path: Path, label: int = 7) -> bytes:
     labels = np.zeros((12, 16, 22), dtype=np.uint8)
     (a, b, c), (d, e, f) = (LOW / CUBE).astype(int), (HIGH / CUBE).astype(int)
     labels[a:d, b:e, c:f] = label
-    place = np.diag([CUBE, CUBE, CUBE, 1.0])
-    place[:3, 3] = CUBE / 2  # of the middle of the first voxel
+    position = np.diag([CUBE, CUBE, CUBE, 1.0])
+    position[:3, 3] = CUBE / 2  # of the middle of the first voxel
     image = nibabel.Nifti1Image(labels, None)
-    image.set_sform(place, 1)
+    image.set_sform(position, 1)
     image.header.set_xyzt_units("mm")
     nibabel.save(image, path)
     return path.read_bytes()
@@ -49,13 +49,13 @@ def ends(bodies: tuple[Obstacle, ...]) -> tuple[float, float]:
 
 def test_an_image_and_a_mesh_lie_where_their_files_have_them(given: LoadedFiles, tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh")
-    bodies, words = load_bodies(given.keep("C:\\scans\\a.nii.gz", nifti(tmp_path / "a.nii.gz")))
+    bodies, text = load_bodies(given.keep("C:\\scans\\a.nii.gz", nifti(tmp_path / "a.nii.gz")))
     assert ends(bodies) == pytest.approx((30, 38), abs=CUBE)
-    assert words == "all that has a label (7), where the file has it"
+    assert text == "all that has a label (7), where the file has it"
     box = trimesh.creation.box(bounds=[LOW, HIGH])
-    bodies, words = load_bodies(given.keep("box.stl", box.export(file_type="stl")))
+    bodies, text = load_bodies(given.keep("box.stl", box.export(file_type="stl")))
     assert ends(bodies) == pytest.approx((30, 38), abs=0.2)
-    assert words == "a mesh where its file has it"
+    assert text == "a mesh where its file has it"
 
 
 def test_a_file_of_an_anatomy_finds_the_image_that_was_loaded_before(given: LoadedFiles, tmp_path: Path) -> None:
@@ -66,11 +66,11 @@ def test_a_file_of_an_anatomy_finds_the_image_that_was_loaded_before(given: Load
     assert str(path.parent) not in given.message(missing.value)
     assert "a.nii: there is no such file" in given.message(missing.value)
     given.keep("a.nii", nifti(tmp_path / "a.nii"))
-    bodies, words = load_bodies(path)
+    bodies, message = load_bodies(path)
     (body,) = bodies
     x, y, z = (LOW + HIGH) / 2 - [0, 0, 10]
     assert body.signed_distance(np.array([[x, y, z]]) * 1e-3)[0] < 0
-    assert words == "obstacles, 1"
+    assert message == "obstacles, 1"
 
 
 def test_what_is_no_file_of_bodies_is_refused_by_its_own_name(given: LoadedFiles, tmp_path: Path) -> None:

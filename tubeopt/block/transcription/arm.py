@@ -106,7 +106,7 @@ def turned_along(t: Tableau, length: Array, arm: Profile, x: tuple[float, ...]) 
 def interpolate(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Array:
     """Rotations theta (S, n) at arc lengths (S,), rad; constant beyond the ends."""
     mesh = problem.mesh
-    piece, x = mesh.places(arc_length)
+    piece, x = mesh.locate(arc_length)
     h = mesh.length[piece][:, None]
     even = x[:, None] * h * arm.torque[piece] + h**2 * mesh.interpolated(arm.moment, arc_length, integrals=2)
     wound = h * mesh.interpolated(arm.extra, arc_length, integrals=1)
@@ -118,7 +118,7 @@ def torque_at(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Array
     mesh = problem.mesh
     if not len(mesh.length):
         return np.zeros((len(arc_length), arm.torque.shape[1]))
-    piece, _ = mesh.places(arc_length)
+    piece, _ = mesh.locate(arc_length)
     torque = arm.torque[piece] + mesh.length[piece][:, None] * mesh.interpolated(arm.moment, arc_length, integrals=1)
     return np.where((arc_length < mesh.start[-1] + mesh.length[-1])[:, None], torque, 0.0)
 
@@ -151,7 +151,7 @@ def sections_along(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) 
     """Cross-sections at fractions x of every piece."""
     assembly, theta, points = problem.assembly, rotations_at(problem, arm, x), sections_at(problem, x)
     function = section_function("section", len(points.phase), assembly.n_tubes, assembly.eccentric)
-    inputs = theta.reshape(points.phase.shape) + points.phase, points.stiffness, points.moment, *assembly.place
+    inputs = theta.reshape(points.phase.shape) + points.phase, points.stiffness, points.moment, *assembly.offsets
     moment, stretch, curvature, bending = (part.copy() for part in function(*inputs))
     rate = (stretch / points.torsional_stiffness).reshape(theta.shape)
     return Sections(
@@ -420,9 +420,9 @@ def _finer(mesh: Mesh) -> Tableau:
 def _sections(problem: ReducedProblem, torsion: Profile, steps: NDArray[np.intp]) -> list[Sections]:
     """Cross-sections at ENDS, at the points of the finer quadrature, and at the points of each number of Magnus
     steps."""
-    places = [ENDS, _finer(problem.mesh).nodes, *(gauss_fractions(k) for k in sorted(set(steps.tolist())))]
-    whole = sections_along(problem, torsion, tuple(np.concatenate(places).tolist()))
-    return [whole.part(b - len(x), b) for x, b in zip(places, accumulate(map(len, places)), strict=True)]
+    fractions = [ENDS, _finer(problem.mesh).nodes, *(gauss_fractions(k) for k in sorted(set(steps.tolist())))]
+    joined = sections_along(problem, torsion, tuple(np.concatenate(fractions).tolist()))
+    return [joined.part(b - len(x), b) for x, b in zip(fractions, accumulate(map(len, fractions)), strict=True)]
 
 
 def _poses(u: Array, lengths: Array) -> tuple[Array, Array]:

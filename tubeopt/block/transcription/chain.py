@@ -40,7 +40,7 @@ class LocalTubes:
     """n tubes at a cross-section."""
 
     stiffness: Any
-    """kb (n,)."""
+    """Bending stiffness kb (n,)."""
     moment: Any
     """m (n,), or (n, 2) of tubes made of pieces."""
     natural_turn: Any = 0.0
@@ -102,9 +102,9 @@ def interpolated_columns(sections: CrossSections, nodes: Array) -> Array:
     parts = sections.stiffness, sections.torsional_stiffness, x, y, sections.wound
     fit = np.linalg.inv(np.polynomial.chebyshev.chebvander(2 * nodes - 1, count - 1))
     tables = [fit @ part.reshape(-1, count, n) for part in parts]
-    whole = np.concatenate(tables, axis=1).transpose(0, 2, 1)
-    ends = np.broadcast_to([-1.0, 1.0], (*whole.shape[:2], 2))
-    return np.asarray(np.concatenate([whole, ends], axis=2).ravel())
+    joined = np.concatenate(tables, axis=1).transpose(0, 2, 1)
+    ends = np.broadcast_to([-1.0, 1.0], (*joined.shape[:2], 2))
+    return np.asarray(np.concatenate([joined, ends], axis=2).ravel())
 
 
 def shifted_columns(table: Any, detail: int, lengths: Any, ends: Any, tubes: Any) -> Any:
@@ -320,7 +320,7 @@ def transmissions(chain: Chain, laid: Panels, clamped: Any, selected: Any, torsi
     count, detail = len(chain.tube), chain.detail
     kt = laid.table[:, detail : 2 * detail].T
     mean = compliance_function(detail)
-    whole = (laid.width * mean.map(count)(kt, -ca.DM.ones(1, count), ca.DM.ones(1, count)).T).T
+    full = (laid.width * mean.map(count)(kt, -ca.DM.ones(1, count), ca.DM.ones(1, count)).T).T
     behind = ca.mtimes(ca.DM(chain.before).T, selected)
     out = []
     for i in range(torsional_stiffness.shape[0]):
@@ -329,7 +329,7 @@ def transmissions(chain: Chain, laid: Panels, clamped: Any, selected: Any, torsi
         last = clamped[i] - ca.dot(pick, laid.low[mine])
         high = 2 * last / ca.fmax(ca.dot(pick, laid.width[mine]), POINT) - 1
         part = last * mean(chosen @ pick, -1, high)
-        out.append(torsional_stiffness[i] * (whole[:, mine] @ behind[mine] + part))
+        out.append(torsional_stiffness[i] * (full[:, mine] @ behind[mine] + part))
     return ca.vertcat(*out)
 
 

@@ -308,7 +308,7 @@ class RelativePose(NamedTuple):
     """Pose at a fraction of a piece, relative to its start."""
 
     turn: Any
-    """Quaternion (4,)."""
+    """Rotation as a quaternion (4,)."""
     shift: Any
     """Position (3,), m."""
     fraction: Any

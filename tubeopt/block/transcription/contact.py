@@ -63,13 +63,13 @@ class Contact:
     """Inner tube (R,) of each pair."""
     point: Index
     """Collocation points (R,); -1 for concentrated friction."""
-    place: Array
+    concentrated_at: Array
     """Arc lengths (M,) of concentrated friction, m."""
     tube: Index
     """Tubes (M,) that concentrated friction acts on."""
-    place_by_z: Array
+    rotation_by_z: Array
     """Derivatives (M, U) of the rotations at these points by z."""
-    place_by_y: Array
+    rotation_by_y: Array
     """Derivatives (M, Y) of the rotations at these points by y."""
 
     @property
@@ -85,7 +85,7 @@ class Contact:
     def largest_rotation(self, step: Array) -> float:
         """Largest rotation by a step in x, rad: of a tube, or of the arm as if its curvature changed uniformly."""
         z, q, y = np.split(step, [self.problem.size, self.elastic_size])
-        rotations = [self.problem.factor @ z, self.place_by_z @ z + self.place_by_y @ y]
+        rotations = [self.problem.factor @ z, self.rotation_by_z @ z + self.rotation_by_y @ y]
         if self.loaded is not None:
             length = self.problem.assembly.total_length
             rotations.append(length * np.repeat(self.loaded.softness, 2) * q)
@@ -99,7 +99,7 @@ class _Concentrated(NamedTuple):
     pair: int
     """Inner tube."""
     capacity: float
-    """N m."""
+    """Largest friction torque, N m."""
 
 
 def make_contact(assembly: Assembly, friction: Friction, loading: Loading | None = None) -> Contact:
@@ -117,16 +117,16 @@ def make_contact(assembly: Assembly, friction: Friction, loading: Loading | None
     index = np.full((len(problem.weight), n), -1)
     index[problem.point, problem.tube] = np.arange(problem.size)
     concentrated = _concentrated(assembly, capacities)
-    places = sorted({(tube, part.arc_length) for part in concentrated for tube in (part.pair, part.pair + 1)})
-    place, tube = np.array([s for _, s in places]), np.array([j for j, _ in places], dtype=np.intp)
-    by_z, by_y = _rotations_between(problem, place, tube)
+    ends = sorted({(tube, part.arc_length) for part in concentrated for tube in (part.pair, part.pair + 1)})
+    arc_length, tube = np.array([s for _, s in ends]), np.array([j for j, _ in ends], dtype=np.intp)
+    by_z, by_y = _rotations_between(problem, arc_length, tube)
     zeros = np.zeros((problem.size, bending + by_y.shape[1]))
     by_x = np.block([[problem.factor, zeros], [by_z, np.zeros((len(by_z), bending)), by_y]])
     section = np.repeat(problem.mesh.section[problem.mesh.collocated], DEGREE)
     pair, point = np.nonzero((assembly.present[:, 1:] & (capacities["torque"] > 0))[section].T)
     rows, acting = [by_x[index[point, pair + 1]] - by_x[index[point, pair]]], []
     for part in concentrated:
-        inner, outer = (problem.size + places.index((j, part.arc_length)) for j in (part.pair, part.pair + 1))
+        inner, outer = (problem.size + ends.index((j, part.arc_length)) for j in (part.pair, part.pair + 1))
         row = by_x[outer] - by_x[inner]
         # Tubes clamped at the plate itself follow their drives: friction there has no effect.
         if row @ row > 0:
@@ -142,10 +142,10 @@ def make_contact(assembly: Assembly, friction: Friction, loading: Loading | None
         arc_length=np.append(problem.arc_length[point], [part.arc_length for part in acting]),
         pair=np.append(pair, np.array([part.pair for part in acting], dtype=np.intp)),
         point=np.append(point, np.full(len(acting), -1)),
-        place=place,
+        concentrated_at=arc_length,
         tube=tube,
-        place_by_z=by_z,
-        place_by_y=by_y,
+        rotation_by_z=by_z,
+        rotation_by_y=by_y,
     )
 
 
@@ -188,28 +188,28 @@ def _nearest(assembly: Assembly, s: float) -> float:
     return float(ends[np.argmin(np.abs(ends - s))])
 
 
-def _rotations_between(problem: ReducedProblem, place: Array, tube: Index) -> tuple[Array, Array]:
+def _rotations_between(problem: ReducedProblem, arc_length: Array, tube: Index) -> tuple[Array, Array]:
     """Rotations of tubes at M ends of pieces: derivatives (M, U) by z, and (M, Y) by unknowns y of their own.
 
     Compliances of a rod are those of Brownian motion: the covariance of rotations at two places is the compliance up to
     the nearer one. So z conditions the rotations at the places, and y whitens their conditional covariance.
     """
-    by_z, columns = np.zeros((len(place), problem.size)), []
+    by_z, columns = np.zeros((len(arc_length), problem.size)), []
     point_compliance, end_compliance = problem.softness
     ends = np.append(problem.mesh.start, problem.assembly.total_length)
     for j in np.unique(tube):
         at_tube, unknowns = np.flatnonzero(tube == j), np.flatnonzero(problem.tube == j)
-        compliance = np.array([end_compliance[np.argmin(np.abs(ends - s)), j] for s in place[at_tube]])
+        compliance = np.array([end_compliance[np.argmin(np.abs(ends - s)), j] for s in arc_length[at_tube]])
         shared = np.minimum(compliance[:, None], point_compliance[problem.point[unknowns], j])
         factor = problem.factor[np.ix_(unknowns, unknowns)]
         by_z[np.ix_(at_tube, unknowns)] = scipy.linalg.solve_triangular(factor, shared.T, lower=True).T
         conditional = np.minimum(compliance[:, None], compliance) - by_z[at_tube] @ by_z[at_tube].T
         values, vectors = np.linalg.eigh(conditional)
         positive = values > NEGLIGIBLE_COMPLIANCE * max(float(compliance.max()), 1e-300)
-        by_y = np.zeros((len(place), int(positive.sum())))
+        by_y = np.zeros((len(arc_length), int(positive.sum())))
         by_y[at_tube] = vectors[:, positive] * np.sqrt(values[positive])
         columns.append(by_y)
-    return by_z, np.concatenate([np.zeros((len(place), 0)), *columns], axis=1)
+    return by_z, np.concatenate([np.zeros((len(arc_length), 0)), *columns], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,7 +269,7 @@ def contact_profile(contact: Contact, rotations: Array, state: ContactState, tor
 
 
 def unknowns_of(
-    contact: Contact, rotations: Array, points: Array, places: Array, bending: Array | None = None
+    contact: Contact, rotations: Array, points: Array, end_rotations: Array, bending: Array | None = None
 ) -> Array:
     """Unknowns x (X,) for elastic rotations at the collocation points (N, n) and at the M points between them.
 
@@ -280,9 +280,9 @@ def unknowns_of(
     if contact.loaded is not None:
         assert bending is not None
         parts.append((bending / contact.loaded.softness[:, None]).ravel())
-    if contact.place_by_y.shape[1]:
-        residual = places - rotations[contact.tube] - contact.place_by_z @ z
-        parts.append(np.asarray(np.linalg.lstsq(contact.place_by_y, residual, rcond=None)[0], dtype=float))
+    if contact.rotation_by_y.shape[1]:
+        residual = end_rotations - rotations[contact.tube] - contact.rotation_by_z @ z
+        parts.append(np.asarray(np.linalg.lstsq(contact.rotation_by_y, residual, rcond=None)[0], dtype=float))
     return np.concatenate(parts)
 
 

@@ -216,8 +216,8 @@ class Kind:
     def reach(self, robot: Any) -> Any:
         """Curved lengths (n,) of the tubes, m, as an expression of `explicit_parameters`."""
         if not self.stretches:
-            _, _, _, straight, whole, *_ = ca.vertsplit(robot, self.n)
-            return whole - straight
+            _, _, _, straight, length, *_ = ca.vertsplit(robot, self.n)
+            return length - straight
         cuts = ca.reshape(robot[: self.n * self.stretches], self.n, self.stretches)
         return cuts[:, -1] - cuts[:, 0]
 
@@ -280,9 +280,9 @@ def explicit_arm(kind: Kind) -> ca.Function:
         length, *inputs, transmission, end_turn = _stretches(n, kind.stretches)(shift, robot)
         theta = tip - end_turn
     else:
-        kb, kt, moment, straight, whole, *offset_and_angle = ca.vertsplit(robot, n)
+        kb, kt, moment, straight, length_of_tube, *offset_and_angle = ca.vertsplit(robot, n)
         offsets = tuple(offset_and_angle)
-        length, *inputs, transmission = _sections(n)(shift, kb, moment, straight, whole)
+        length, *inputs, transmission = _sections(n)(shift, kb, moment, straight, length_of_tube)
         inputs, theta = [*inputs, ca.repmat(kt, 1, kind.sections)], tip
     columns = [ca.horzsplit(table) for table in (length, *inputs)]
     step, determinant, fields = _step(n, kind.eccentric, kind.stretches > 0), determinant_function(n), []
@@ -296,8 +296,8 @@ def explicit_arm(kind: Kind) -> ca.Function:
             # The torque kt w is continuous where a tube changes its stiffness, not w.
             w, v = kt_ratio * w, ca.repmat(kt_ratio, 1, n) * v
         for k in range(kind.steps):
-            place = (direction - k * h * twist, twist) if natural else offsets
-            theta, w, y, v, curvature = step(theta, w, y, v, h, kb, m, kt, 1 - margin, *place)
+            parameters = (direction - k * h * twist, twist) if natural else offsets
+            theta, w, y, v, curvature = step(theta, w, y, v, h, kb, m, kt, 1 - margin, *parameters)
             steps.append((h, curvature))
         fields.append(determinant(y))
     # The straight part behind the plate adds its twist: joint rotations vary by y - transmission v.
@@ -349,13 +349,13 @@ def _sections(n: int) -> ca.Function:
 
     Outputs: lengths (1, 2n), kb and moment (n, 2n) of the sections, transmissions (n,), m.
     """
-    shift, kb, moment, straight, whole = (ca.SX.sym(k, n) for k in ("d", "kb", "m", "straight", "whole"))
+    shift, kb, moment, straight, length = (ca.SX.sym(k, n) for k in ("d", "kb", "m", "straight", "whole"))
     columns = []
-    for section in _sections_of(ca.horzcat(shift, shift - straight + whole)):
+    for section in _sections_of(ca.horzcat(shift, shift - straight + length)):
         present = section.present
         columns.append((section.end - section.start, _stiffness(kb, present), moment * present * section.stretch[:, 1]))
     tables = [ca.densify(ca.horzcat(*table)) for table in zip(*columns, strict=True)]
-    return ca.Function("sections", [shift, kb, moment, straight, whole], [*tables, ca.fmax(straight - shift, 0)])
+    return ca.Function("sections", [shift, kb, moment, straight, length], [*tables, ca.fmax(straight - shift, 0)])
 
 
 @lru_cache(maxsize=16)
@@ -432,14 +432,14 @@ def _step(n: int, eccentric: bool, twisted: bool = False) -> ca.Function:
     the step, and curvatures (2, 3) at its near end, middle and far end. For `twisted` tubes the last two inputs are the
     natural direction of the bend at the far end, and its rate.
     """
-    theta, w, h, kb, m, kt, softening, *place = (
+    theta, w, h, kb, m, kt, softening, *parameters = (
         ca.SX.sym(k, 1 if k in ("h", "softening") else n)
         for k in ("theta", "w", "h", "kb", "m", "kt", "softening", "d", "gamma")
     )
     y, v = ca.SX.sym("y", n, n), ca.SX.sym("v", n, n)
-    params = (kb, m, *(place if eccentric else ()))
+    params = (kb, m, *(parameters if eccentric else ()))
     # Natural direction of the bend at far end, middle and near end.
-    natural = [place[0] - x * h * place[1] for x in (0, 0.5, 1)] if twisted else [0.0, 0.0, 0.0]
+    natural = [parameters[0] - x * h * parameters[1] for x in (0, 0.5, 1)] if twisted else [0.0, 0.0, 0.0]
     functions = section_functions(n, eccentric)
     balance, curvature = functions["balance"], functions["curvature"]
 
@@ -452,7 +452,7 @@ def _step(n: int, eccentric: bool, twisted: bool = False) -> ca.Function:
     # Cubic Hermite interpolation at the middle, of order 4 as the step.
     middle = (theta + near) / 2 + h / 8 * (rate(near, near_w) - rate(theta, w))
     curvatures = ca.horzcat(*(curvature(at + natural[k], *params) for k, at in ((2, near), (1, middle), (0, theta))))
-    inputs = [theta, w, y, v, h, kb, m, kt, softening, *place]
+    inputs = [theta, w, y, v, h, kb, m, kt, softening, *parameters]
     return ca.Function("step", inputs, [near, near_w, *fields, ca.densify(curvatures)], {"cse": True})
 
 

@@ -262,8 +262,8 @@ def rates_function(grid: Grid) -> ca.Function:
 def _softness(grid: Grid) -> tuple[Any, ...]:
     n, count = grid.n_tubes, grid.degree
     if grid.loaded:
-        whole = 2 * field_size(grid)
-        return (ca.SX.sym("A", whole, whole * count),)
+        size = 2 * field_size(grid)
+        return (ca.SX.sym("A", size, size * count),)
     gain, turned, stretch = ca.SX.sym("G", n, n * count), ca.SX.sym("S", n, n * count), ca.SX.sym("g", n, count)
     return (gain, *((turned,) * grid.eccentric), *((stretch,) * grid.stretched))
 

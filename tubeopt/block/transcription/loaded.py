@@ -395,7 +395,7 @@ class _LoadSums(NamedTuple):
     """Forces and moments at an orientation of the tip, in world axes."""
 
     ahead: Array
-    """Sum (N, 6) of those that act beyond the points."""
+    """Sum (N, 6) of the loads beyond each point."""
     base: Array
     """Sum (6,) of all."""
     turning: Array
@@ -565,7 +565,7 @@ def integration_to(problem: LoadedProblem, s: float) -> Array:
     """Quadrature weights (N,) at the points for integrals from the plate to arc length s, m."""
     mesh = problem.mesh
     degree = mesh.tableau.degree
-    (piece,), x = mesh.places(np.array([s]))
+    (piece,), x = mesh.locate(np.array([s]))
     weight = np.where(np.arange(len(problem.softness)) < piece * degree, problem.torsion.weight, 0.0)
     weight[piece * degree : (piece + 1) * degree] = mesh.length[piece] * mesh.tableau.lagrange(x, integrals=1)[0]
     return np.asarray(weight)

@@ -62,7 +62,7 @@ class Mesh:
     section: NDArray[np.intp]
     collocated: Mask
 
-    def places(self, arc_length: Array) -> tuple[Index, Array]:
+    def locate(self, arc_length: Array) -> tuple[Index, Array]:
         """Pieces that contain arc lengths, and fractions inside each, 0 to 1; beyond the ends those of the nearest
         point."""
         piece = np.clip(np.searchsorted(self.start, arc_length, side="right") - 1, 0, len(self.start) - 1)
@@ -73,7 +73,7 @@ class Mesh:
 
         With `integrals` the polynomials are integrated that often from the start of a piece, as if it had length 1.
         """
-        piece, x = self.places(arc_length)
+        piece, x = self.locate(arc_length)
         inner = values.reshape(len(self.start), self.tableau.degree, -1)[piece]
         return np.asarray(np.einsum("ak,aki->ai", self.tableau.lagrange(x, integrals=integrals), inner))
 
@@ -263,7 +263,7 @@ def ahead(mesh: Mesh, compliance: Compliant) -> Array:
     return np.asarray(out.reshape(-1, out.shape[-1]))
 
 
-def green_of(t: Tableau, begin: Array, length: Array, rate: Array | None = None) -> Array:
+def green_of(t: Tableau, start: Array, length: Array, rate: Array | None = None) -> Array:
     """Green's functions (..., N, N) of tubes: int `rate` ds from the clamp to the nearer of two points, collocated.
 
     They are exact between points of different elements.
@@ -274,14 +274,14 @@ def green_of(t: Tableau, begin: Array, length: Array, rate: Array | None = None)
         rate: (..., E, K) at the points; None is 1.
     """
     rate = np.ones((len(length), t.degree)) if rate is None else rate
-    begin, length = begin[..., None], length[:, None]
+    start, length = start[..., None], length[:, None]
     # int rate ds up to each point: begin of its element and what the matrix A adds inside.
-    near = begin + length * (rate @ t.matrix.T)
+    near = start + length * (rate @ t.matrix.T)
     near = near.reshape(*near.shape[:-2], -1)
     # Between elements the kernel min(s, r) is smooth, so that its collocated value is exact.
     green = np.minimum(near[..., :, None], near[..., None, :])
     # Within one the kernel has a kink: A diag(rate / b) A' is symmetric, which L L' needs.
-    within = begin[..., None] + length[..., None] * ((t.matrix * (rate / t.weights)[..., None, :]) @ t.matrix.T)
+    within = start[..., None] + length[..., None] * ((t.matrix * (rate / t.weights)[..., None, :]) @ t.matrix.T)
     for e in range(len(length)):
         block = slice(e * t.degree, (e + 1) * t.degree)
         green[..., block, block] = within[..., e, :, :]
@@ -292,10 +292,10 @@ def integrals(mesh: Mesh, elements: Index) -> tuple[Array, Array]:
     """Matrices (N, N) that integrate over the collocated elements: from the base to each point, from it to the tip."""
     k, count = mesh.tableau.degree, len(elements)
     length = np.repeat(mesh.length[elements], k)
-    whole = np.tile(mesh.tableau.weights, count) * length
+    total = np.tile(mesh.tableau.weights, count) * length
     element = np.repeat(np.arange(count), k)
     before, same = element[None, :] < element[:, None], element[None, :] == element[:, None]
     within = np.tile(mesh.tableau.matrix, (count, count)) * length
     # Whole elements before a point count with their weights b, its own one with the row of A.
-    up_to = np.where(same, within, before * whole)
-    return up_to, whole - up_to
+    up_to = np.where(same, within, before * total)
+    return up_to, total - up_to

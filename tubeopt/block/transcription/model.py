@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
-from ...robots.assembly import Assembly, Breakpoint, Order, arrange, has_curve, joints_of, places, where_of
+from ...robots.assembly import Assembly, Breakpoint, Order, arrange, has_curve, joints_of, tube_positions, where_of
 from ...typing import Array
 from . import functions
 from .chain import columns, joints, panels, transmissions
@@ -130,12 +130,12 @@ def _distance_rows(order: Order, n: int, width: int) -> Array:
     """Coefficients (b, width) of `Layout.distance`."""
     rows = np.zeros((len(order.front) + len(order.behind), width))
     for k, point in enumerate(order.front):
-        rows[k, point.place(n)] += 1.0
+        rows[k, point.index(n)] += 1.0
         if k:
-            rows[k, order.front[k - 1].place(n)] -= 1.0
+            rows[k, order.front[k - 1].index(n)] -= 1.0
     for k, point in enumerate(order.behind, start=len(order.front)):
         # Behind the plate the arc length is negative.
-        rows[k, point.place(n)] = -1.0
+        rows[k, point.index(n)] = -1.0
     return rows
 
 
@@ -414,7 +414,9 @@ def model_of(grid: Grid, numbers: LayoutNumbers, unknowns: tuple[Any, ...], inpu
             pieces with their PIECES.
     """
     length, distance, present, curved = numbers
-    clamped, transition, end = places(inputs["translations"], inputs["straight_length"], inputs["curved_length"])
+    clamped, transition, end = tube_positions(
+        inputs["translations"], inputs["straight_length"], inputs["curved_length"]
+    )
     chain, pieces = inputs.get("chain"), present.shape[1]
     stiffness, moment, natural, along, transmission = None, None, ca.DM.zeros(present.shape), None, clamped
     if chain is None:

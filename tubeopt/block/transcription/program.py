@@ -93,7 +93,7 @@ class Structure:
     section: tuple[int, ...]
     """Section of each piece, from 0."""
     coupled: tuple[bool, ...]
-    """True for pieces with nonlinear torsion."""
+    """Mask of the pieces with nonlinear torsion."""
 
     @property
     def shapes(self) -> dict[str, tuple[int, int]]:

@@ -41,9 +41,9 @@ class Block:
     """k eccentric tubes that are curved together, at the p points where they are curved."""
 
     tubes: Index
-    """Tubes (k,)."""
+    """Tubes (k,) that the block couples."""
     points: Index
-    """Points (p,)."""
+    """Collocation points (p,) of the block."""
     compliance: Array
     """Gamma (k, p, p) of each tube, with quadrature weights."""
     up_to: Array
@@ -70,8 +70,8 @@ def _curved_groups(assembly: Assembly) -> list[Index]:
 
 def _present(assembly: Assembly, group: set[int]) -> set[int]:
     """Tubes that are present where some tube of a group is curved."""
-    there = assembly.curved[:, sorted(group)].any(1)
-    return set(np.flatnonzero(assembly.present[there].any(0)).tolist())
+    curved = assembly.curved[:, sorted(group)].any(1)
+    return set(np.flatnonzero(assembly.present[curved].any(0)).tolist())
 
 
 def blocks_of(assembly: Assembly, green: Array, section: Index, integrals: tuple[Array, ...]) -> list[Block]:
@@ -101,7 +101,7 @@ class _Pairs:
 
     entries: Index
     """Flat indices in the second derivatives."""
-    places: Index
+    positions: Index
     """Flat indices in the matrix."""
     weight: Array
     """Quadrature weight of each entry."""
@@ -206,8 +206,8 @@ class ReducedProblem:
         both = np.flatnonzero((index[:, :, None] >= 0) & (index[:, None, :] >= 0))
         at, row, column = np.unravel_index(both, (count, n, n))
         # CasADi stores dM_i/dtheta_j by columns, (point, j, i); `row` is i.
-        places = index[at, row] * len(point) + index[at, column]
-        return _Pairs((at * n + column) * n + row, places, self.weight[at])
+        positions = index[at, row] * len(point) + index[at, column]
+        return _Pairs((at * n + column) * n + row, positions, self.weight[at])
 
     @cached_property
     def stretch(self) -> tuple[Array, Array, Array] | None:
@@ -295,7 +295,7 @@ class Evaluation:
     hessian: Array
     """Derivative (U, U) of the residual."""
     moment: Array
-    """M (N, n), N."""
+    """Torsional moment per length M (N, n), N."""
     extra_twist: Array | None
     """(g - 1) w (N, n) of eccentric tubes, rad/m, else None."""
 
@@ -332,9 +332,9 @@ def _factor(mesh: Mesh, compliant: Compliant, unknowns: tuple[Index, Index]) -> 
     # With theta = L z the torsional energy is |z|^2 / 2. The Hessian in z is the identity plus the coupling, so that
     # its smallest eigenvalue is the margin, and Newton's method needs no scaling.
     (point, tube), elements = unknowns, np.flatnonzero(mesh.collocated)
-    factor, begin = np.zeros((len(point), len(point))), reach(mesh, compliant)[elements].T
-    green = green_of(mesh.tableau, begin, mesh.length[elements], compliant.rate[elements].transpose(2, 0, 1))
-    ends = np.searchsorted(tube, np.arange(len(begin) + 1)).tolist()  # the unknowns are sorted by tube
+    factor, start = np.zeros((len(point), len(point))), reach(mesh, compliant)[elements].T
+    green = green_of(mesh.tableau, start, mesh.length[elements], compliant.rate[elements].transpose(2, 0, 1))
+    ends = np.searchsorted(tube, np.arange(len(start) + 1)).tolist()  # the unknowns are sorted by tube
     for own, (first, last) in zip(green, pairwise(ends), strict=True):
         if first < last:
             mine = point[first:last]
@@ -361,7 +361,7 @@ def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
     balance = section_function("balance", count, assembly.n_tubes, assembly.eccentric)
     # M, dM/dtheta and V of the cross-sections, from kb and m of their tubes.
     torque, torque_slope, bending, *stretch = balance(
-        theta + problem.phase, problem.stiffness, problem.moment, *assembly.place
+        theta + problem.phase, problem.stiffness, problem.moment, *assembly.offsets
     )
     torque = torque.copy()
     # theta = alpha + L z: L' B M is the gradient of the bending energy, z that of |z|^2 / 2.
@@ -380,7 +380,7 @@ def torsional_hessian(problem: ReducedProblem, stiffness: Array) -> Array:
     """Hessian 1 + L' B (dM/dtheta) L (U, U), from the output dM/dtheta of `balance`."""
     second = np.zeros(problem.size**2)
     pairs = problem.pairs
-    second[pairs.places] = stiffness.ravel()[pairs.entries] * pairs.weight
+    second[pairs.positions] = stiffness.ravel()[pairs.entries] * pairs.weight
     table = second.reshape(problem.size, problem.size)
     if problem.size < LARGE:
         hessian = problem.factor.T @ table @ problem.factor
@@ -399,7 +399,7 @@ class _StretchTerms(NamedTuple):
     """Terms of the stretch of eccentric tubes."""
 
     extra: Array
-    """(g - 1) w (N, n), rad/m."""
+    """Rotation rate due to stretch, (g - 1) w (N, n), rad/m."""
     change: Array
     """Change of the unknowns z (U,) by it."""
     slope: Array
@@ -475,5 +475,5 @@ def worst_equation(problem: ReducedProblem, state: Evaluation) -> str:
     piece = int(np.flatnonzero(mesh.collocated)[problem.point[k] // degree])
     section = int(mesh.section[piece])
     point = (piece - int(np.argmax(mesh.section == section))) * degree + int(problem.point[k] % degree)
-    place = f"tube {int(problem.tube[k]) + 1}, section {section + 1}, point {point + 1}"
-    return f"torsion equation, {place}: violated by {violation[k]:.1e} rad"
+    location = f"tube {int(problem.tube[k]) + 1}, section {section + 1}, point {point + 1}"
+    return f"torsion equation, {location}: violated by {violation[k]:.1e} rad"

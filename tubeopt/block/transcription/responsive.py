@@ -36,7 +36,7 @@ class Forcing:
     data: Array
     """Change (P, K, 3 n, Q) of phase, kb and m at the points."""
     compliance: Array
-    """Change (P, K, n, Q) of 1 / kt."""
+    """Change (P, K, n, Q) of the torsional compliance 1 / kt."""
     force: Array
     """Change (P, K, 3, Q) of the force."""
     jumps: Array
@@ -58,13 +58,13 @@ class PointChanges(NamedTuple):
     """Changes at the points, by columns (P, K, r, C)."""
 
     torque: Array
-    """Change of t."""
+    """Change of the torques t."""
     moment: Array
-    """Change of m."""
+    """Change of the bundle moment m."""
     bending: Array
     """Change (P, K, n + 2, C) of t' above u."""
     moment_rate: Array
-    """Change of m'."""
+    """Change of the moment's derivative m'."""
     twist: Array | None
     """Change of phi' at fixed t; None if phi' depends on torques only."""
 
@@ -140,24 +140,24 @@ class Response:
 
     @property
     def torque(self) -> Array:
-        """Change (P, K, n, Q) of t."""
+        """Change (P, K, n, Q) of the torques t."""
         return self._changes.torque
 
     @property
     def moment(self) -> Array:
-        """Change (P, K, 3, Q) of m."""
+        """Change (P, K, 3, Q) of the bundle moment m."""
         return self._changes.moment
 
     @cached_property
     def bending_moment(self) -> Array:
-        """Change (P, K, 2, Q) of b."""
+        """Change (P, K, 2, Q) of the bending moment b."""
         if self.moment_slopes is None:
             return np.zeros((*self.psi.shape[:2], 2, self.psi.shape[3]))
         return np.asarray(self.moment_slopes[..., :3] @ self.psi + self.moment_slopes[..., 3:] @ self.moment)
 
     @property
     def curvature(self) -> Array:
-        """Change (P, K, 2, Q) of u."""
+        """Change (P, K, 2, Q) of the curvature u."""
         return self._changes.bending[..., -2:, :]
 
 

@@ -110,25 +110,25 @@ class _Linearised:
     """Linearised equations of one block of k tubes at p points."""
 
     block: Block
-    left: Array
+    system: Array
     """1 - P w g' (k p, k p), by tube, then by point."""
-    whole: Array
+    compliance: Array
     """Gamma + P (g - 1) W / kt (k, p, p) of each tube."""
     slope: Array
-    """M' (p, k, k)."""
+    """Derivative of the torsional moments by the angles, M' (p, k, k)."""
 
     def matrix(self) -> Array:
-        """Matrix K (k p, k p)."""
-        right = self.whole[:, :, None, :] * self.slope.transpose(1, 2, 0)[:, None]
-        return np.asarray(np.linalg.solve(self.left, -right.reshape(self.left.shape)))
+        """Matrix K (k p, k p) with the eigenvalues 1 - mu."""
+        right = self.compliance[:, :, None, :] * self.slope.transpose(1, 2, 0)[:, None]
+        return np.asarray(np.linalg.solve(self.system, -right.reshape(self.system.shape)))
 
 
 def _linearise(problem: ReducedProblem, theta: Array) -> Iterator[_Linearised]:
     assembly, count = problem.assembly, len(problem.weight)
     n, kt = assembly.n_tubes, assembly.torsional_stiffness
     balance = section_function("balance", count, n, True)
-    place = assembly.offset, assembly.offset_angle
-    moment, turned, _, g, stretched = balance(theta, problem.stiffness, problem.moment, *place)
+    offsets = assembly.offset, assembly.offset_angle
+    moment, turned, _, g, stretched = balance(theta, problem.stiffness, problem.moment, *offsets)
     assert problem.stretch is not None
     # w = -W M / kt, since torsion vanishes at the tip.
     twist = -(problem.stretch[1] @ moment) / kt
@@ -139,13 +139,13 @@ def _linearise(problem: ReducedProblem, theta: Array) -> Iterator[_Linearised]:
         t, o = block.tubes, block.points
         k, p = len(t), len(o)
         # Gamma + P (g - 1) W / kt: rotation by a torque, directly and by the stretch of its tube.
-        whole = block.compliance + (block.up_to * extra.T[t][:, None, :]) @ block.beyond
+        compliance = block.compliance + (block.up_to * extra.T[t][:, None, :]) @ block.beyond
         own = np.ix_(o, t, t)
         relative = stretched[own].transpose(2, 1, 0) * twist[np.ix_(o, t)].T[:, None, :]
         # P w g': a turn stretches the tubes, which turns them; it is subtracted from 1 below.
-        left = -(block.up_to[:, o][None, :, None, :] * relative[:, None]).reshape(k * p, k * p)
-        left.ravel()[:: k * p + 1] += 1.0
-        yield _Linearised(block, left, whole, turned[own].swapaxes(1, 2))
+        matrix = -(block.up_to[:, o][None, :, None, :] * relative[:, None]).reshape(k * p, k * p)
+        matrix.ravel()[:: k * p + 1] += 1.0
+        yield _Linearised(block, matrix, compliance, turned[own].swapaxes(1, 2))
 
 
 def _real(values: NDArray[Any]) -> Array:
@@ -162,15 +162,17 @@ def softenings(problem: ReducedProblem, theta: Array) -> Array:
 
 def _moment_matrix(linear: _Linearised) -> Array:
     """K for moments instead of y, without the last tube: at a cross-section the moments sum to 0."""
-    size = len(linear.left) - len(linear.block.points)
+    size = len(linear.system) - len(linear.block.points)
     last = len(linear.block.tubes) - 1
-    whole, slope = linear.whole, linear.slope
-    columns = np.zeros((*whole.shape[:2], last, whole.shape[2]))
+    compliance, slope = linear.compliance, linear.slope
+    columns = np.zeros((*compliance.shape[:2], last, compliance.shape[2]))
     for i in range(last):
         # M_last = -sum of the others: each unknown moment acts on its tube and, reversed, on the last.
-        columns[i, :, i] = whole[i]
-        columns[last, :, i] = -whole[last]
-    moved = np.linalg.solve(linear.left, columns.reshape(len(linear.left), size)).reshape(*whole.shape[:2], size)
+        columns[i, :, i] = compliance[i]
+        columns[last, :, i] = -compliance[last]
+    moved = np.linalg.solve(linear.system, columns.reshape(len(linear.system), size)).reshape(
+        *compliance.shape[:2], size
+    )
     return -np.asarray(np.einsum("bij,jbm->ibm", slope[:, :last], moved).reshape(size, size))
 
 
@@ -198,7 +200,7 @@ def worst_mode(problem: ReducedProblem, theta: Array) -> Mode | None:
     # Left vectors of K are the right ones of K'; the nearest eigenvalue is the same one.
     left = vectors[:, int(np.argmin(np.abs(values - value)))].real
     y, zeta = np.zeros_like(theta), np.zeros_like(theta)
-    places = np.ix_(one.block.points, one.block.tubes)
-    y[places] = right.reshape(len(one.block.tubes), -1).T
-    zeta[places] = np.linalg.solve(one.left.T, left).reshape(len(one.block.tubes), -1).T
+    entries = np.ix_(one.block.points, one.block.tubes)
+    y[entries] = right.reshape(len(one.block.tubes), -1).T
+    zeta[entries] = np.linalg.solve(one.system.T, left).reshape(len(one.block.tubes), -1).T
     return Mode(value, y, zeta, float(left @ right))

@@ -70,9 +70,9 @@ class SectionDataSlopes(NamedTuple):
     """Derivatives of cross-sections at X points by kb and m (2 n)."""
 
     torque: Array
-    """Derivative (X, n, 2 n) of M."""
+    """Derivative (X, n, 2 n) of the torsional moments M."""
     curvature: Array
-    """Derivative (X, 2, 2 n) of u."""
+    """Derivative (X, 2, 2 n) of the curvature u."""
     stretch: Array | None
     """Derivative (X, n, 2 n) of the stretch of eccentric tubes, else None."""
 
@@ -197,9 +197,9 @@ class DataSlopes(NamedTuple):
     """Derivatives by phase, kb and m (3 n) at the points, at fixed torques."""
 
     torque: Array
-    """Derivative (P, K, n, 3 n) of M."""
+    """Derivative (P, K, n, 3 n) of the torsional moments M."""
     curvature: Array
-    """Derivative (P, K, 2, 3 n) of u."""
+    """Derivative (P, K, 2, 3 n) of the curvature u."""
     rotation_rate: Array | None
     """Derivative (P, K, n, 3 n) of phi' of eccentric tubes, else None."""
 
@@ -336,7 +336,7 @@ class ArmState:
         jumps = None if self.moment_jumps is None else self.moment_jumps[:, : self.n]
         self.torque, self.torque_tip_side, self.torque_plate_side = self._from_tip(decrease, tip, jumps)
         self.stretched_torque = self.torque * stretch.reshape(points)
-        """g t (P, K, n), N m."""
+        """Torques times stretch, g t (P, K, n), N m."""
         turns = self._from_start @ (self.compliance * self.stretched_torque)
         # Between clamp and plate a tube twists by t int ds / kt.
         at_plate = self.alpha + self.transmission * self.torque_plate_side[0]

@@ -25,9 +25,9 @@ class Tableau:
     family: str
     """Name of the family, "gauss" or "radau"."""
     nodes: Array
-    """Nodes c (K,)."""
+    """Nodes c (K,) of the quadrature on [0, 1]."""
     weights: Array
-    """Weights b (K,)."""
+    """Weights b (K,) of the quadrature on [0, 1]."""
     matrix: Array
     """Runge-Kutta matrix a (K, K)."""
     legendre_of_lagrange: Array

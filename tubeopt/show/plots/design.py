@@ -85,8 +85,8 @@ def plot_poses(solution: DesignSolution) -> Figure:
 
 def _projected(plane: list[int], points: Array) -> Array:
     """(k, 2) coordinates of points (k, 3), m, in a plane, mm."""
-    seen: Array = points[:, plane] * TO_MM
-    return seen
+    projected: Array = points[:, plane] * TO_MM
+    return projected
 
 
 def _draw_swept(axes: Axes, line: Array, radii: Array, colour: str) -> None:
@@ -171,7 +171,7 @@ def plot_tolerance(analysis: ToleranceAnalysis, *, heading: str = "") -> Figure:
 
 
 @picture
-def plot_stock(choice: StockChoice, *, task: DesignTask, most: int = 12) -> Figure:
+def plot_stock(choice: StockChoice, *, task: DesignTask, limit: int = 12) -> Figure:
     """Picture of the best choices from stock: cross-sections of the tubes to scale, and the objective.
 
     most: largest number of choices.
@@ -179,7 +179,7 @@ def plot_stock(choice: StockChoice, *, task: DesignTask, most: int = 12) -> Figu
     from matplotlib.patches import Annulus
 
     objective = task.objectives[0]
-    best = [each for each in choice.candidates if each.objective is not None][:most]
+    best = [each for each in choice.candidates if each.objective is not None][:limit]
     figure = new_figure(6.4, 0.8 + 0.34 * len(best))
     left, axes = figure.subplots(1, 2, sharey=True, width_ratios=(1, 8))
     largest = max(size.outer_diameter for candidate in best for size in candidate.sizes)

@@ -78,9 +78,9 @@ def drawn_data(figure: Any) -> Iterator[DrawnPoint]:
                 yield from (DrawnPoint(panel, curve, x, y, value) for x, y, value in _points(axes, artist).tolist())
 
 
-def _cell(words: str) -> str:
+def _cell(text: str) -> str:
     """Words as a cell of a table: in one line, without its separator."""
-    return re.sub(r"\s+", " ", words.replace(",", ";")).strip()
+    return re.sub(r"\s+", " ", text.replace(",", ";")).strip()
 
 
 def _points(axes: Axes, artist: Any) -> Any:
@@ -111,9 +111,9 @@ def _points(axes: Axes, artist: Any) -> Any:
         values = [width if artist.get_x() == 0 else height]  # a horizontal bar begins at the scale
     else:
         return np.empty((0, 3), dtype=object)
-    places: Array = np.ma.filled(np.ma.asarray(points, dtype=float), np.nan).reshape(-1, 2)
+    points_mm: Array = np.ma.filled(np.ma.asarray(points, dtype=float), np.nan).reshape(-1, 2)
     if values is None:
-        return np.column_stack([places.astype(object), np.full(len(places), "", dtype=object)])
+        return np.column_stack([points_mm.astype(object), np.full(len(points_mm), "", dtype=object)])
     numbers: Array = np.ma.filled(np.ma.asarray(values, dtype=float), np.nan).ravel()
     # Masked cells of a map are NaN, and have no row.
-    return np.column_stack([places, numbers])[np.isfinite(numbers)]
+    return np.column_stack([points_mm, numbers])[np.isfinite(numbers)]

@@ -166,8 +166,8 @@ def plot_rig_fit(fit: RigFit) -> Figure:
             draw_over(axes, fit.log.time, values - zero, scale, name=label, **look)
     panels[0].legend(fontsize=7, ncols=3, loc="lower right")
     share_x(panels, fit.log.time)
-    words = ",  ".join(f"{e.name.replace('_', ' ')} × {e.factor:.3f}" for e in fit.estimates if not e.held)
-    headed(figure, f"{fit.rig.name or 'rig'}:  {words or 'nothing is determined'}")
+    text = ",  ".join(f"{e.name.replace('_', ' ')} × {e.factor:.3f}" for e in fit.estimates if not e.held)
+    headed(figure, f"{fit.rig.name or 'rig'}:  {text or 'nothing is determined'}")
     return figure
 
 

@@ -81,9 +81,9 @@ LETTER = 4.2
 """Mean width of a letter of 7 points: rows of names are chosen before the layout knows widths, points."""
 
 
-def rules_at(panels: Iterable[Axes], places: Iterable[float]) -> None:
+def rules_at(panels: Iterable[Axes], positions: Iterable[float]) -> None:
     """Draw thin dashed lines across panels."""
-    for axes, x in itertools.product(panels, places):
+    for axes, x in itertools.product(panels, positions):
         axes.axvline(x, color=FAINT, lw=0.6, ls=(0, (4, 3)), zorder=0)
 
 

@@ -360,10 +360,10 @@ def _at_blanks(text: Text, line: str, width: float, *, upright: bool) -> list[st
     return lines
 
 
-def _length(text: Text, words: str, *, upright: bool) -> float:
+def _length(text: Text, content: str, *, upright: bool) -> float:
     """Length of words along their line, set as `text` is, pixels."""
     before = text.get_text()
-    text.set_text(words)  # widths depend on the letters, so that words are measured by setting them
+    text.set_text(content)  # widths depend on the letters, so that words are measured by setting them
     box = text.get_window_extent()
     text.set_text(before)
     return float(box.height if upright else box.width)

@@ -12,7 +12,7 @@ from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.units import TO_MILLI, TO_MM
 from ...stability import FrictionBand, Path
-from ...stability.following import place_of, stretches
+from ...stability.following import stretches, value_at_snap
 from ...typing import Array
 from ..formatting import released
 from ..page import TUBE_COLOURS, tube_colour
@@ -193,13 +193,13 @@ def plot_hysteresis(
             line: dict[str, Any] = {"colour": colour, "width": width, "name": name}
             draw_broken(panel, stretches(path, along), quantity, scale, arrows=True, **line)
         for snap in path.snaps:
-            angle = place_of(snap, along)
+            angle = value_at_snap(snap, along)
             coordinate = (snap.before.tip_position[chosen] + snap.after.tip_position[chosen]) / 2 * TO_MM
             text = f"{angle:.2f}°\ntip jumps {snap.tip_jump * TO_MM:.1f} mm"
             text += released(snap.energy_released, "\n{:.2f} mJ released")
             ahead = 1 if along[-1] > along[0] else -1
-            words = text.replace("-", "\N{MINUS SIGN}")
-            note(panels[0], words, (angle, coordinate), (7.0 * ahead, 0.0), colour=colour)
+            label = text.replace("-", "\N{MINUS SIGN}")
+            note(panels[0], label, (angle, coordinate), (7.0 * ahead, 0.0), colour=colour)
     border = 0.05 * float(np.ptp(angles))
     share_x(panels, (angles.min() - border, angles.max() + border), "rotation (deg)")
     for panel in panels:

@@ -331,9 +331,9 @@ def smooth(branch: Branch) -> Branch:
     # Over its own length a branch is single-valued, also at folds, where it turns back in the input.
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(columns, axis=0), axis=1))])
     # A point that was found twice is at distance 0 from the last one, and splines need increasing abscissae.
-    along, keep = np.unique(along, return_index=True)
+    along, first = np.unique(along, return_index=True)
     fine = np.union1d(along, np.linspace(0.0, along[-1], FINE_POINTS))
-    values = scipy.interpolate.CubicSpline(along, columns[keep])(fine)
+    values = scipy.interpolate.CubicSpline(along, columns[first])(fine)
     n = branch.rotations.shape[1]
     return replace(
         branch,
@@ -341,7 +341,7 @@ def smooth(branch: Branch) -> Branch:
         rotations=values[:, 1 : n + 1],
         tip_rotations=values[:, n + 1 :],
         # Linear, as a cubic could overshoot to the other sign and move a fold.
-        margin=np.interp(fine, along, branch.margin[keep]),
+        margin=np.interp(fine, along, branch.margin[first]),
     )
 
 
@@ -398,14 +398,14 @@ def _draw_folds(axes: Axes, curve: Branch, inputs: Array, tips: Array) -> None:
         # Names stand where the robot comes from no more: beyond the fold as the input grows or falls.
         forth = bool(neighbours.mean() < curve.fraction[fold])
         outward = 1 if forth == (inputs[-1] > inputs[0]) else -1
-        words = f"input {x:.3f}°\ntip {y:.3f}°".replace("-", "\N{MINUS SIGN}")
-        note(axes, words, (x, y), (9.0 * outward, 0.0))
+        label = f"input {x:.3f}°\ntip {y:.3f}°".replace("-", "\N{MINUS SIGN}")
+        note(axes, label, (x, y), (9.0 * outward, 0.0))
         landed = landing(curve, fold)
         if landed is not None:
             end = float(np.interp(landed, np.arange(len(tips)), tips))
             arrow(axes, (x, y), (x, end), INK, head=11, margins=(4, 1))
-            words = f"snap: tip turns {number(abs(end - y), 1)}°"
-            note(axes, words, (x, (y + end) / 2), (5.0 * outward, 0.0), colour=FAINT)
+            label = f"snap: tip turns {number(abs(end - y), 1)}°"
+            note(axes, label, (x, (y + end) / 2), (5.0 * outward, 0.0), colour=FAINT)
     for first, second in pairwise(folds):
         if curve.margin[(first + second) // 2] < 0:
             name = "more than one stable shape" if first == folds[0] else None

@@ -14,7 +14,7 @@ from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.units import TO_MILLI, TO_MM
 from ...stability import Path, Snap
-from ...stability.following import place_of, stretches
+from ...stability.following import stretches, value_at_snap
 from ...typing import Array
 from ..formatting import released
 from .labels import arrow, legend_beside, names_above, note, rules_at
@@ -125,20 +125,20 @@ def animate_path(
         # Centred, as the direction of the jump counts, and not where it is.
         across = widest_view(jump - jump.mean(0))
         view = across.elevation, across.azimuth
-    whole = Scene([Arm(frame.arm) for frame in frames], paths=[TipPath(along, tips)])
-    seen, box = whole.view(view), Box.around(whole.extent())
+    everything = Scene([Arm(frame.arm) for frame in frames], paths=[TipPath(along, tips)])
+    projection, box = everything.view(view), Box.around(everything.extent())
     parts = stretches(path, along)
 
     def draw(scene: Axes, panel: Axes, k: int) -> None:
         x, arm, snap = frames[k]
-        draw_box(scene, box, seen)
+        draw_box(scene, box, projection)
         # Lines much thicker than the tubes, which are too thin for a small picture.
         if snap is not None:
-            draw_lines(scene, snap.before, seen.project, widths=(2.0, 1.3), opacity=0.35)
-            tips = seen.project(np.array([snap.before.tip_position, snap.after.tip_position]))[:, :2]
+            draw_lines(scene, snap.before, projection.project, widths=(2.0, 1.3), opacity=0.35)
+            tips = projection.project(np.array([snap.before.tip_position, snap.after.tip_position]))[:, :2]
             arrow(scene, tips[0], tips[1], SNAPPED, width=1.2, head=9, zorder=7)
             panel.set_title(f"snap: the tip jumps by {number(snap.tip_jump * TO_MM, 0)} mm", color=SNAPPED, fontsize=9)
-        draw_lines(scene, arm, seen.project, widths=(2.0, 1.3))
+        draw_lines(scene, arm, projection.project, widths=(2.0, 1.3))
         draw_broken(panel, parts, lambda each: each.margin, MARGIN, colour=FAINT)
         panel.plot([x], [arm.margin], "o", ms=7, color=INK if snap is None else SNAPPED, zorder=6, clip_on=False)
         panel.axhline(0, color=FAINT, lw=0.7)
@@ -162,7 +162,7 @@ def _frames(path: Path, along: Array) -> list[Frame]:
     for k, (x, arm) in enumerate(zip(along.tolist(), path.equilibria, strict=True)):
         for snap in path.snaps:
             if snap.index + 1 == k:
-                at = place_of(snap, along)
+                at = value_at_snap(snap, along)
                 frames += [Frame(at, snap.before)] * REST_FRAMES + [Frame(at, snap.after, snap)] * REST_FRAMES
         frames.append(Frame(x, arm))
     return frames
@@ -197,13 +197,13 @@ def plot_snap(
         tips = np.array([before.tip_position, after.tip_position])
         across = widest_view(tips - tips.mean(0))
         view = across.elevation, across.azimuth
-    scenes, seen = draw_scenes(figure, [before, after], [(), (before,)], view, close_ups=False)
+    scenes, projection = draw_scenes(figure, [before, after], [(), (before,)], view, close_ups=False)
     # At a fold the margin is 0 but for round-off.
     states = (("before", before, "0, the fold"), ("after", after, f"{after.margin:.3f}"))
     for scene, (when, state, margin) in zip(scenes, states, strict=True):
         facts = f"tip ({millimetres(state.tip_position)}) mm\nmargin {margin},  energy {state.energy * TO_MILLI:.2f} mJ"
         scene.set_title(f"{when}\n{facts}", fontsize=8, loc="left")
-    old, new = (seen.project(each.tip_position)[:2] for each in (before, after))
+    old, new = (projection.project(each.tip_position)[:2] for each in (before, after))
     arrow(scenes[1], old, new, INK, margins=(3, 3), zorder=6)
     # The label stands above the arrow, on the side that the arrow leaves free: its sign tells an arrow that falls to
     # the right from one that rises to the right.

@@ -183,9 +183,9 @@ def draw_lines(
     line = Centreline(equilibrium)
     for stretch in visible(equilibrium):
         s = np.linspace(stretch.start, stretch.end, 100)
-        seen = project(line.position(s) + stretch.offset @ line.ring(s, 4)[1])
+        projected = project(line.position(s) + stretch.offset @ line.ring(s, 4)[1])
         look: dict[str, Any] = {"color": tube_colour(stretch.tube), "lw": widths[0] + widths[1] * stretch.tube}
-        axes.plot(seen[:, 0], seen[:, 1], alpha=opacity, solid_capstyle="butt", zorder=4, **look)
+        axes.plot(projected[:, 0], projected[:, 1], alpha=opacity, solid_capstyle="butt", zorder=4, **look)
 
 
 def body_meshes(obstacles: Sequence[Obstacle]) -> list[Mesh]:
@@ -290,13 +290,13 @@ def load_arrows(equilibrium: Equilibrium) -> list[LoadArrow]:
         return out
     # Midpoints of equal intervals: no arrow at the ends, where point loads are.
     s = length * (np.arange(DISTRIBUTED_ARROWS) + 0.5) / DISTRIBUTED_ARROWS
-    per_length, places = load.per_length(s), line.position(s)
+    per_length, starts = load.per_length(s), line.position(s)
     for part, unit, colour in ((slice(0, 3), "mN/m", FORCE), (slice(3, 6), "mN m/m", MOMENT)):
         sizes = np.linalg.norm(per_length[:, part], axis=1).tolist()
         largest = int(np.argmax(sizes))
         for k in np.flatnonzero(sizes).tolist():
-            end = places[k] + 0.5 * FORCE_LENGTH * length * per_length[k, part] / sizes[largest]
-            out.append(LoadArrow(places[k], end, sizes[k], unit, colour, k == largest))
+            end = starts[k] + 0.5 * FORCE_LENGTH * length * per_length[k, part] / sizes[largest]
+            out.append(LoadArrow(starts[k], end, sizes[k], unit, colour, k == largest))
     return out
 
 

@@ -76,18 +76,18 @@ def plot_equilibria(equilibria: Sequence[Equilibrium], *, view: tuple[float, flo
     lowest, *ghosts = equilibria
     figure = new_figure(7.0, 5.4)
     headed(figure, f"{caption(lowest)}\n{len(equilibria)} equilibria at these joint values")
-    (scene,), seen = draw_scenes(figure, [lowest], [ghosts], view)
+    (scene,), projection = draw_scenes(figure, [lowest], [ghosts], view)
     handles = []
     for k, each in enumerate(equilibria, start=1):
-        line = seen.project(Centreline(each).position(np.linspace(0, each.arc_length[-1], 80)))
+        line = projection.project(Centreline(each).position(np.linspace(0, each.arc_length[-1], 80)))
         if not each.stable:
             scene.plot(line[:, 0], line[:, 1], color=UNSTABLE, lw=1.2, ls=(0, (3, 2)), zorder=5)
         colour = INK if each.stable else UNSTABLE
         note(scene, str(k), line[-1, :2], (0.0, 4.0 if k > 1 else 14.0), colour=colour)
-        words = f"{k}: {'stable' if each.stable else 'unstable'}, margin {number(each.margin, 3)}, "
-        words += f"{number(each.energy * TO_MILLI, 3)} mJ"
+        label = f"{k}: {'stable' if each.stable else 'unstable'}, margin {number(each.margin, 3)}, "
+        label += f"{number(each.energy * TO_MILLI, 3)} mJ"
         look = {"lw": 2.2, "alpha": 1.0 if k == 1 else 0.4} if each.stable else {"lw": 1.2, "ls": (0, (3, 2))}
-        handles.append(Line2D([], [], color=colour, label=words, **look))
+        handles.append(Line2D([], [], color=colour, label=label, **look))
     figure.legend(handles=handles, loc="outside lower left", ncols=1 if narrow() else 2)
     return figure
 
@@ -160,24 +160,24 @@ def draw_scenes(
     ]
     # One view and one box for all, ghosts included: only then are the shapes comparable.
     everyone = Scene([arm for scene in scenes for arm in scene.arms])
-    seen, box = everyone.view(view), Box.around(np.concatenate([scene.extent() for scene in scenes]))
+    projection, box = everyone.view(view), Box.around(np.concatenate([scene.extent() for scene in scenes]))
     last = equilibria[-1]
     ends = tube_groups(last) if close_ups else []
     widths = [3.6 if len(equilibria) == 1 else 2.4] * len(equilibria) + [1.0] * close_ups
     grid = figure.add_gridspec(max(len(ends), 3) if close_ups else 1, len(widths), width_ratios=widths)
     panels = [figure.add_subplot(grid[:, column]) for column in range(len(equilibria))]
     for axes, scene in zip(panels, scenes, strict=True):
-        draw_scene(axes, scene, seen, box)
+        draw_scene(axes, scene, projection, box)
     for row, bundle in enumerate(reversed(ends)):
         close_up = figure.add_subplot(grid[row, -1])
-        _draw_close_up(close_up, panels[-1], last, bundle, seen)
+        _draw_close_up(close_up, panels[-1], last, bundle, projection)
         if row == len(ends) - 1:
             # A bar of a round length, a quarter of the width or less.
             low, high = close_up.get_xlim()
             length, y = rule_step(high - low), 1.1 * low
             close_up.plot([-length / 2, length / 2], [y, y], color=INK, lw=1.5, solid_capstyle="butt", clip_on=False)
             close_up.text(0, 1.05 * y, f"{number(length, 3)} mm", ha="center", va="top")
-    return Scenes(panels, seen)
+    return Scenes(panels, projection)
 
 
 def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: TubeGroup, view: View) -> None:

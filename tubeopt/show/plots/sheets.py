@@ -62,8 +62,8 @@ def _write(figure: Figure, x: float, y: float, text: str, *, size: float = 7.5, 
 def _write_table(figure: Figure, columns: Sequence[float], top: float, *values: dict[str, str]) -> None:
     """Write a table below `top`, mm: names and the values of each tube, in columns that start at given x, mm."""
     for row, name in enumerate(values[0]):
-        for x, words in zip(columns, (name, *(each[name] for each in values)), strict=True):
-            _write(figure, x, top - ROW * row, words)
+        for x, text in zip(columns, (name, *(each[name] for each in values)), strict=True):
+            _write(figure, x, top - ROW * row, text)
 
 
 def _write_steps(figure: Figure, x: float, top: float, steps: Sequence[str], remarks: Sequence[str]) -> None:

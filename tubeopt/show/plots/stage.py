@@ -58,8 +58,8 @@ class View:
 
     def project(self, points: Array) -> Array:
         """(..., 3) millimetres to the right, upwards and towards the viewer, of points (..., 3) in m."""
-        seen: Array = points @ self.axes.T * TO_MM
-        return seen
+        projected: Array = points @ self.axes.T * TO_MM
+        return projected
 
 
 def widest_view(points: Array) -> View:
@@ -203,13 +203,13 @@ def facets(mesh: Mesh, view: View, centre: Array | None = None) -> PolyCollectio
     """Mesh as seen and lit, far facets first; in mm, about `centre` (3,) m if given."""
     from matplotlib.collections import PolyCollection
 
-    seen = view.project(mesh.corners if centre is None else mesh.corners - centre)
+    projected = view.project(mesh.corners if centre is None else mesh.corners - centre)
     order = np.argsort(mesh.depth(view.towards_viewer))
     colours = mesh.lit(view.towards_viewer, view.towards_light)[order]
     # Painter's algorithm: facets are small against their distances, so sorting by their middles suffices.
     # Opaque facets are drawn with a hair of their own colour around them, which closes the seams between neighbours.
     edges = np.where(colours[:, 3:] < 1, 0.0, colours)
-    corners: Any = seen[order, :, :2]  # an array is drawn at once, a list facet by facet
+    corners: Any = projected[order, :, :2]  # an array is drawn at once, a list facet by facet
     return PolyCollection(corners, facecolors=colours, edgecolors=edges, linewidths=0.3, zorder=3)
 
 

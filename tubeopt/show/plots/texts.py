@@ -157,9 +157,9 @@ def too_wide(figure: Figure) -> Iterator[tuple[Text, float]]:
 def drawn_texts(figure: Figure, *, legends: bool = True) -> Iterator[PlacedText]:
     """Every text that is drawn, with or without texts of legends."""
     shown = figure.legends if legends else []
-    whole = [*figure.texts, *(text for legend in shown for text in (*legend.get_texts(), legend.get_title()))]
+    texts = [*figure.texts, *(text for legend in shown for text in (*legend.get_texts(), legend.get_title()))]
     panels = [each for axes in figure.axes if axes.get_visible() for each in _texts_of(axes, legends=legends)]
-    for each in (*panels, *(PlacedText(text, None, None) for text in whole)):
+    for each in (*panels, *(PlacedText(text, None, None) for text in texts)):
         if each.text.get_visible() and each.text.get_text().strip():
             yield each
 

@@ -156,13 +156,13 @@ def animate_trajectory(
     rows = np.unique(np.linspace(0, len(t.time) - 1, min(frames, len(t.time))).astype(int))
     arms = [t.arms[row] for row in rows]
     # One view and one box for all frames: a box that changes would move the scene.
-    whole = Scene([Arm(arm) for arm in arms], t.obstacles, [TipPath(t.time, t.tip_position)])
-    seen, box = whole.view(view), Box.around(whole.extent())
+    scene = Scene([Arm(arm) for arm in arms], t.obstacles, [TipPath(t.time, t.tip_position)])
+    projection, box = scene.view(view), Box.around(scene.extent())
 
     def draw(axes: Axes, below: Axes, k: int) -> None:
         passed = slice(rows[k] + 1)
         draw_scene(
-            axes, Scene([Arm(arms[k])], t.obstacles, [TipPath(t.time[passed], t.tip_position[passed])]), seen, box
+            axes, Scene([Arm(arms[k])], t.obstacles, [TipPath(t.time[passed], t.tip_position[passed])]), projection, box
         )
         draw_over(below, t.time, t.margin, MARGIN, color=FAINT, lw=1)
         below.plot(t.time[passed], t.margin[passed], color=INK, lw=1.4)
@@ -269,7 +269,7 @@ BORDER = 0.012
 ALONG = 400
 """Points along an arm."""
 
-BODY, ARM, BESIDE = "#DDD3CE", "#0072B2", "#9CC3DE"
+BODY, ARM, PROJECTED = "#DDD3CE", "#0072B2", "#9CC3DE"
 
 
 @picture
@@ -293,8 +293,8 @@ def plot_section(trajectory: Trajectory, *, plane: Plane | None = None, title: s
     arms = some_of(t.arms)
     lines = [ArmSurface(arm).line(ALONG)[0] for arm in arms]
     frame = plane.frame
-    seen = frame.seen(np.concatenate([*lines, t.tip_position]))[:, :2]
-    low, high = seen.min(0) - BORDER, seen.max(0) + BORDER
+    in_frame = frame.seen(np.concatenate([*lines, t.tip_position]))[:, :2]
+    low, high = in_frame.min(0) - BORDER, in_frame.max(0) + BORDER
     figure = new_figure(4.6, 4.4)
     axes = figure.add_subplot()
     if t.obstacles:
@@ -310,7 +310,7 @@ def plot_section(trajectory: Trajectory, *, plane: Plane | None = None, title: s
     centres, height = frame.seen(line)[:, :2] * TO_MM, plane.height(line)
     # The arm is the balls about its centreline. A plane at height h cuts a ball of radius r in a disc of radius
     # sqrt(r^2 - h^2).
-    for half, colour in ((radius, BESIDE), (np.sqrt(np.maximum(radius**2 - height**2, 0.0)), ARM)):
+    for half, colour in ((radius, PROJECTED), (np.sqrt(np.maximum(radius**2 - height**2, 0.0)), ARM)):
         wide = 2 * TO_MM * half[half > 0]
         where: dict[str, Any] = {"units": "xy", "offsets": centres[half > 0], "offset_transform": axes.transData}
         # Hundreds of discs as one collection: single patches would take seconds and megabytes of PDF.
@@ -318,7 +318,7 @@ def plot_section(trajectory: Trajectory, *, plane: Plane | None = None, title: s
     axes.plot(*(frame.seen(t.tip_position[-1])[:2, None] * TO_MM), "o", color=INK, ms=3, zorder=4, label="tip")
     axes.set(xlim=TO_MM * np.array([low[0], high[0]]), ylim=TO_MM * np.array([low[1], high[1]]), aspect="equal")
     axes.set(xlabel="to the right in the plane (mm)", ylabel="upwards in the plane (mm)")
-    for colour, name in ((ARM, "arm, cut"), (BESIDE, "arm, beside"), (BODY, "body, cut")):
+    for colour, name in ((ARM, "arm, cut"), (PROJECTED, "arm, beside"), (BODY, "body, cut")):
         axes.fill([], [], color=colour, label=name)
     # Of equal names only the last one is kept.
     signs = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
@@ -372,11 +372,11 @@ def animate_arms(
     """
     film_ending(path)
     times = np.linspace(0.0, plan.duration, frames)
-    whole = _arms_scene(plan, times)
-    seen, box = whole.view(view), Box.around(whole.extent())
+    scene = _arms_scene(plan, times)
+    projection, box = scene.view(view), Box.around(scene.extent())
 
     def draw(axes: Axes, below: Axes, k: int) -> None:
-        _draw_arms(axes, plan, _arms_scene(plan, times[k : k + 1]), seen, box)
+        _draw_arms(axes, plan, _arms_scene(plan, times[k : k + 1]), projection, box)
         _draw_distances(below, plan, times)
         below.axvline(float(times[k]), color=INK, lw=0.8)
 
@@ -394,11 +394,11 @@ def _arms_scene(plan: ArmsPlan, times: Array) -> Scene:
     return Scene(arms, plan.obstacles, paths)
 
 
-def _draw_arms(axes: Axes, plan: ArmsPlan, scene: Scene, seen: View, box: Box) -> None:
+def _draw_arms(axes: Axes, plan: ArmsPlan, scene: Scene, projection: View, box: Box) -> None:
     """Draw all arms, with their names at their bases."""
-    draw_scene(axes, scene, seen, box)
+    draw_scene(axes, scene, projection, box)
     for arm in plan.arms:
-        note(axes, arm.called, seen.project(arm.base.origin)[:2], (7.0, 0.0))
+        note(axes, arm.called, projection.project(arm.base.origin)[:2], (7.0, 0.0))
 
 
 def _draw_distances(axes: Axes, plan: ArmsPlan, times: Array) -> None:

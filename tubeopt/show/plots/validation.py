@@ -35,8 +35,8 @@ def plot_residuals(validation: Validation, *, when: str = "") -> Figure:
     v = validation
     figure = new_figure(8.0, 4.6)
     views = figure.subplots(1, 2)
-    seen = np.isfinite(v.errors)
-    spread = float(np.ptp(v.predicted[seen], axis=0).max()) or 1e-3
+    finite = np.isfinite(v.errors)
+    spread = float(np.ptp(v.predicted[finite], axis=0).max()) or 1e-3
     # A round factor, so that a reader can divide by it; never below 1, as long errors are seen anyway.
     factor = max(1.0, round_below(ARROW_LENGTH * spread / max(float(np.nanmax(v.errors)), 1e-12)))
     names = ("seen along the axis of the base", "seen from the side")
@@ -76,18 +76,18 @@ def plot_errors(validation: Validation, *, when: str = "") -> Figure:
     m, errors = v.measurements, v.errors * TO_MM
     mirrored = m.direction is not None and m.separation is not None
     figure = new_figure(10.0 if mirrored else 7.5, 3.8)
-    places = [131, 132, 133] if mirrored else [121, 122]
+    slots = [131, 132, 133] if mirrored else [121, 122]
     if m.direction is not None and m.separation is not None:
-        radar = figure.add_subplot(places[0], projection="polar")
+        radar = figure.add_subplot(slots[0], projection="polar")
         _draw_radar(radar, _mean_errors(m.direction, m.separation, errors))
-        _draw_by_separation(figure.add_subplot(places[1]), m.separation, errors)
+        _draw_by_separation(figure.add_subplot(slots[1]), m.separation, errors)
     else:
-        rows = figure.add_subplot(places[0])
+        rows = figure.add_subplot(slots[0])
         rows.plot(np.arange(1, len(errors) + 1), errors, "o", ms=3, mfc="none", mec=PREDICTED, mew=0.9)
         rows.set(xlabel="row of the measurements", ylabel="tip error (mm)")
         rows.set_ylim(0, None)
-    panel_width = 0.8 * float(figure.get_figwidth()) / len(places)
-    _draw_histogram(figure.add_subplot(places[-1]), v, panel_width)
+    panel_width = 0.8 * float(figure.get_figwidth()) / len(slots)
+    _draw_histogram(figure.add_subplot(slots[-1]), v, panel_width)
     return headed(figure, _named(v, when))
 
 
@@ -139,8 +139,8 @@ def _draw_radar(axes: Axes, errors: MeanErrors) -> None:
     axes.set_rlabel_position(350)
     axes.yaxis.set_major_locator(MaxNLocator(6, min_n_ticks=3))
     axes.tick_params(axis="y", labelsize=7, labelcolor=INK)
-    for words in axes.get_yticklabels():
-        words.set_bbox({"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.6})
+    for label in axes.get_yticklabels():
+        label.set_bbox({"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.6})
     axes.set_axisbelow(False)  # numbers above the lines
     axes.grid(color="#D5D8DC", lw=0.5)
     corner = (1.15, 1.0) if narrow() else (-0.28, 1.13)
@@ -258,8 +258,10 @@ def _draw_steps(axes: Axes, c: Comparison) -> None:
     names, errors = zip(*steps, *refused, strict=True)
     values = np.array(errors) * TO_MM
     gains = [f"{100 * s.gain + 0.0:+.1f} %".replace("-0.0", "±0.0").replace("+0.0", "±0.0") for s in c.refused]
-    words = [f"{value:.2f}" for value in values[: len(steps)]] + [gain.replace("-", "\N{MINUS SIGN}") for gain in gains]
-    bars = draw_bars(axes, names, values, f"RMS tip error held out (mm), {c.folds} blocks", colours=KEPT, words=words)
+    labels = [f"{value:.2f}" for value in values[: len(steps)]] + [
+        gain.replace("-", "\N{MINUS SIGN}") for gain in gains
+    ]
+    bars = draw_bars(axes, names, values, f"RMS tip error held out (mm), {c.folds} blocks", colours=KEPT, words=labels)
     for bar, label in zip(bars[len(steps) :], axes.get_yticklabels()[len(steps) :], strict=True):
         bar.set(facecolor="none", edgecolor=REFUSED, lw=0.9)
         label.set_color(FAINT)

@@ -111,7 +111,7 @@ ACROSS = 200
 """Smallest number of drawn points along the longer side of a section, for smooth changes between cells."""
 
 MIN_SPAN = 0.01
-"""Smallest range of margins of the colours: smaller differences are not worth a colour."""
+"""Smallest range of the colour scale of margins."""
 
 
 @picture
@@ -172,12 +172,14 @@ def _draw_tips(axes: Axes, workspace: Workspace, view: View) -> Collection:
     table = table[np.isfinite(table[:, -1])]
     points, margin = table[:, -7:-4], table[:, -1]
     draw_plate(axes, points, view)
-    seen = view.project(points)
+    projected = view.project(points)
     # Of two tips at one point of the picture the nearer one is drawn last; stable, so that files are equal.
-    order = np.argsort(seen[:, 2], kind="stable")
+    order = np.argsort(projected[:, 2], kind="stable")
     style: dict[str, Any] = {"s": 3, "linewidths": 0, "rasterized": True, "zorder": 4}
     low, high = _span(margin)
-    return axes.scatter(seen[order, 0], seen[order, 1], c=margin[order], cmap=MAP, vmin=low, vmax=high, **style)
+    return axes.scatter(
+        projected[order, 0], projected[order, 1], c=margin[order], cmap=MAP, vmin=low, vmax=high, **style
+    )
 
 
 def _fold(centres: Array, size: float) -> Keys:

@@ -250,11 +250,11 @@ def arms_page(plan: ArmsPlan) -> str:
         scenes = []
         for k, (arm, motion) in enumerate(zip(plan.arms, plan.trajectories, strict=True)):
             turn = Rotation.from_matrix(arm.base.axes).as_quat(scalar_first=True)
-            place = f"/arm_{k + 1}"
-            server.scene.add_frame(place, show_axes=False, wxyz=tuple(turn), position=tuple(arm.base.origin * SCALE))
-            server.scene.add_label(f"{place}/name", arm.called)
-            scenes.append(Scene(server.scene, place))
-            scenes[-1].layer(f"{place[1:]}/plate", [plate_part(plate_radius(motion.start))])
+            prefix = f"/arm_{k + 1}"
+            server.scene.add_frame(prefix, show_axes=False, wxyz=tuple(turn), position=tuple(arm.base.origin * SCALE))
+            server.scene.add_label(f"{prefix}/name", arm.called)
+            scenes.append(Scene(server.scene, prefix))
+            scenes[-1].layer(f"{prefix[1:]}/plate", [plate_part(plate_radius(motion.start))])
             scenes[-1].show(motion.start)
         film = server.get_scene_serializer()
         film.insert_sleep(REST)

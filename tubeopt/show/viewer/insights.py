@@ -40,13 +40,13 @@ class MapKey(NamedTuple):
 
     robot: Robot
     translations: tuple[float, ...]
-    """m."""
+    """Translations (n,), m."""
 
 
 class CurveKey(NamedTuple):
     """Values that determine an S-curve."""
 
-    place: MapKey
+    map: MapKey
     tube: int
     """Index of the turning tube."""
     other_rotations: tuple[float, ...]
@@ -169,7 +169,7 @@ class Insights:
 @lru_cache(maxsize=CACHED_CURVES)
 def _s_curve(key: CurveKey) -> Branch:
     """Branch along a turn of one tube, from one limit to the other; raises as `trace_branch` does."""
-    robot, shift = key.place
+    robot, shift = key.map
     # Limits may be infinite, and curves repeat after a turn.
     ends = np.clip(robot.limits.rotations[key.tube], -MAX_TURN, MAX_TURN)
     start, end = (np.insert(np.array(key.other_rotations), key.tube, angle) for angle in ends)

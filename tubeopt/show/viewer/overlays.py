@@ -105,7 +105,7 @@ PIECES = 20
 SIDES = 10
 """Corners of each cross-section: the hull lies within 5 % of the radius inside the round tube."""
 
-MOST_SHAPES = 160
+MAX_SHAPES = 160
 COLOUR, OPACITY = (120, 90, 200), 0.25
 
 
@@ -142,10 +142,10 @@ def swept_volume(playback: Playback) -> Swept:
                 # Four rings span one piece of the arm at two times; their hull covers the motion of points along lines.
                 points = np.concatenate([a[k], a[k + 1], b[k], b[k + 1]]).astype(np.float32)
                 hulls.append(manifold3d.Manifold.hull_points(np.ascontiguousarray(points * TO_MM)))
-    whole = manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add)
-    mesh = whole.to_mesh()
+    union = manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add)
+    mesh = union.to_mesh()
     surface = Surface(np.array(mesh.vert_properties)[:, :3] / TO_MM, np.array(mesh.tri_verts, dtype=np.uint32))
-    return Swept(surface, float(whole.volume()) * 1e-9, shapes)
+    return Swept(surface, float(union.volume()) * 1e-9, shapes)
 
 
 def _runs(playback: Playback) -> list[list[Equilibrium]]:
@@ -153,8 +153,8 @@ def _runs(playback: Playback) -> list[list[Equilibrium]]:
     points = playback.waypoints
     steps = strides(points.rotations, points.translations, turn=STEP, slide=SLIDE)
     count = np.maximum(np.ceil(steps), 1).astype(int)
-    # The union grows with the number of hulls: beyond MOST_SHAPES all steps are coarsened alike.
-    count = np.maximum(1, np.floor(count * min(1.0, MOST_SHAPES / max(count.sum(), 1)))).astype(int)
+    # The union grows with the number of hulls: beyond MAX_SHAPES all steps are coarsened alike.
+    count = np.maximum(1, np.floor(count * min(1.0, MAX_SHAPES / max(count.sum(), 1)))).astype(int)
     times = [np.linspace(a, b, n + 1)[1:] for a, b, n in zip(points.time, points.time[1:], count, strict=False)]
     runs: list[list[Equilibrium]] = [[playback.path.equilibria[0]]]
     before = 0.0

@@ -198,7 +198,7 @@ class ForceArrow:
     def show(self, equilibrium: Equilibrium, *, dragged: bool) -> None:
         """Draw the force; the marks follow its head, unless they are being dragged."""
         self._tip = equilibrium.tip_position
-        if equilibrium.load is None and not self._head.there:
+        if equilibrium.load is None and not self._head.visible:
             self._scene.show_force(self._tip, self._tip)
             return
         head = head_of(equilibrium, self._newtons_per_metre)

@@ -200,11 +200,11 @@ class Mark:
         self._arrows: Any = None
 
     @property
-    def there(self) -> bool:
+    def visible(self) -> bool:
         """True if they are in the scene."""
         return self._arrows is not None
 
-    def put(self, place: Array, robot: Robot, on: bool) -> None:
+    def put(self, position: Array, robot: Robot, on: bool) -> None:
         """Show the arrows at a position, m, scaled to the robot, or hide them."""
         if self._arrows is not None:
             self._arrows.remove()
@@ -212,14 +212,14 @@ class Mark:
         if on:
             size = MARK * max(tube.curved_length for tube in robot.tubes) * SCALE
             self._arrows = self._api.add_transform_controls(
-                f"/{self._name}", scale=size, disable_rotations=True, position=tuple(place * SCALE), depth_test=False
+                f"/{self._name}", scale=size, disable_rotations=True, position=tuple(position * SCALE), depth_test=False
             )
             self._arrows.on_update(self._drawn)
 
-    def follow(self, place: Array) -> None:
+    def follow(self, position: Array) -> None:
         """Move visible arrows to a position, m."""
         if self._arrows is not None:
-            self._arrows.position = tuple(place * SCALE)
+            self._arrows.position = tuple(position * SCALE)
 
     async def _drawn(self, event: Any) -> None:
         # The start of a drag is a click without motion.
@@ -273,11 +273,11 @@ def animate(client: Any, scene: Scene, snaps: Sequence[Snap]) -> None:
     """Show snaps one after the other."""
     for snap in snaps:
         for shape in [snap.before, *between(snap.before, snap.after, FRAMES), snap.after]:
-            began = time.monotonic()
+            start_time = time.monotonic()
             with client.atomic():
                 scene.show(shape)
             client.flush()
-            time.sleep(max(0.0, SNAP_SECONDS / FRAMES - (time.monotonic() - began)))
+            time.sleep(max(0.0, SNAP_SECONDS / FRAMES - (time.monotonic() - start_time)))
 
 
 def arrow_surface(start: Array, end: Array) -> Surface:

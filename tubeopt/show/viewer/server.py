@@ -102,14 +102,14 @@ class Player:
         """Show the state at the present time, and queue the next tick."""
         if self._playing is None or self.playback is None:
             return
-        began = time.monotonic()
-        now = began - self._playing
+        start_time = time.monotonic()
+        now = start_time - self._playing
         self.to(now, log=True)
         if now >= self.playback.duration:
             self._playing = None
             return
         # Each tick is a job of its own, so that commands of the user come in between.
-        time.sleep(max(0.0, TICK - (time.monotonic() - began)))
+        time.sleep(max(0.0, TICK - (time.monotonic() - start_time)))
         self._do(self._tick)
 
     def to(self, seconds: float, *, log: bool = False) -> None:

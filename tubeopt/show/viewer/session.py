@@ -35,7 +35,7 @@ For the robot of the thesis that is 1 deg before it.
 """
 
 TRAIL = 600
-"""Most tip positions that are remembered."""
+"""Maximum number of stored tip positions."""
 
 TRAIL_TURN, TRAIL_SLIDE = np.radians(15.0), 0.005
 """Longer motions (rad, m) are remembered in parts."""

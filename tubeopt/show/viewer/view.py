@@ -26,7 +26,7 @@ from ...robots.robot import Robot
 from ...runs.surroundings_file import load_anatomy, load_obstacles
 from ...stability import Path as JointPath
 from ...stability import Snap, follow
-from ...stability.following import place_of
+from ...stability.following import value_at_snap
 from ...typing import Array
 from .session import Session, check, moved_to, open_session, push_on, record, strides
 
@@ -173,7 +173,7 @@ def snaps_between(playback: Playback, start: float, end: float) -> tuple[Snap, .
     """The snaps of a trajectory that happen after `start` and not after `end`, s."""
     times = playback.waypoints.time
     # Half-open, so that a snap at the time of a tick is counted once.
-    return tuple(snap for snap in playback.path.snaps if start < place_of(snap, times) <= end)
+    return tuple(snap for snap in playback.path.snaps if start < value_at_snap(snap, times) <= end)
 
 
 TABLES, IMAGES, MESHES = (".yaml", ".yml"), (".nii", ".nii.gz", ".mgz", ".nrrd"), (".stl", ".ply", ".obj", ".vtk")

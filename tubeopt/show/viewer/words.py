@@ -31,7 +31,7 @@ SIDEBAR: tuple[Quantity[Equilibrium], ...] = (
 
 
 def readout(session: Session, certificate: float | None) -> str:
-    """State of the robot; certificate: None while it is not computed."""
+    """Text on the state of the robot; `certificate` is None while it is not computed."""
     e = session.equilibrium
     known = record(e, SIDEBAR)
     lines = "<br>".join(f'{q.about} <span data-testid="{q.about}">{q.number(known)}</span> {q.sign}' for q in SIDEBAR)
