@@ -52,7 +52,7 @@ def slide(session: Session, degrees: float) -> Session:
 
 
 def sweeps(robot: Robot, step: float, moves: int) -> list[Measurement]:
-    """A slider pulled to and fro; motions with a snap are told apart."""
+    """A slider pulled back and forth; motions with a snap are told apart."""
     session = slide(open_session(robot), step)
     smooth, snapping = [], []
     angle, direction = step, step

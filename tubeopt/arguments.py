@@ -24,7 +24,7 @@ from .errors import InputError
 T = TypeVar("T", bound=Callable[..., Any])
 
 
-class Check(NamedTuple):
+class ArgumentCheck(NamedTuple):
     """Check of a type."""
 
     holds: Callable[[Any], bool]
@@ -45,9 +45,9 @@ def typed(target: T) -> T:
     is_class = isinstance(target, type)
     function: Callable[..., Any] = target.__init__ if is_class else target
     names = tuple(inspect.signature(function).parameters)
-    checks: dict[str, Check] = {}
-    lists: dict[str, Check] = {}
-    positional: list[tuple[int, str, Check]] = []
+    checks: dict[str, ArgumentCheck] = {}
+    lists: dict[str, ArgumentCheck] = {}
+    positional: list[tuple[int, str, ArgumentCheck]] = []
     ready = False
 
     def prepare() -> None:
@@ -112,16 +112,16 @@ def renamed(**names: str) -> Callable[[T], T]:
     return of
 
 
-def _type_error(name: str, value: Any, check: Check) -> InputError:
+def _type_error(name: str, value: Any, check: ArgumentCheck) -> InputError:
     return InputError(f"{name} is {reprlib.repr(value)}; it must be {check.expected}")
 
 
-def _checks(target: Any) -> dict[str, Check]:
+def _checks(target: Any) -> dict[str, ArgumentCheck]:
     """Checks of the annotations of a function or class: argument -> check."""
     owners: tuple[Any, ...] = (target,)
     if isinstance(target, type):
         owners = target.__mro__[::-1] if is_dataclass(target) else (inspect.unwrap(target.__init__),)  # type: ignore[misc]
-    checks: dict[str, Check] = {}
+    checks: dict[str, ArgumentCheck] = {}
     for owner in owners:
         # Annotations are strings, to be evaluated in the module of their class.
         names = sys.modules[owner.__module__].__dict__
@@ -138,7 +138,7 @@ def _checks(target: Any) -> dict[str, Check]:
     return checks
 
 
-def _check_of(hint: Any) -> Check | None:
+def _check_of(hint: Any) -> ArgumentCheck | None:
     """Check of a type; None if every value passes."""
     origin, parts = typing.get_origin(hint), typing.get_args(hint)
     if origin is typing.Annotated:
@@ -146,17 +146,17 @@ def _check_of(hint: Any) -> Check | None:
     if hint is Any or hint is object:
         return None
     if hint is None or hint is type(None):
-        return Check(lambda value: value is None, "None")
+        return ArgumentCheck(lambda value: value is None, "None")
     if hint in SIMPLE:
         return SIMPLE[hint]
     if origin in (typing.Union, types.UnionType):
         return _either(parts)
     if origin is typing.Literal:
-        return Check(lambda value: value in parts, "one of " + ", ".join(map(repr, parts)))
+        return ArgumentCheck(lambda value: value in parts, "one of " + ", ".join(map(repr, parts)))
     if isinstance(origin, type) and issubclass(origin, Mapping):
-        return Check(lambda value: isinstance(value, Mapping), "a dict")
+        return ArgumentCheck(lambda value: isinstance(value, Mapping), "a dict")
     if origin is Callable or origin is type(Callable) or (isinstance(origin, type) and issubclass(origin, Callable)):  # type: ignore[arg-type]
-        return Check(callable, "a function")
+        return ArgumentCheck(callable, "a function")
     if hint is np.ndarray or origin is np.ndarray:
         return NUMBERS
     if origin is tuple and parts[-1:] != (...,):
@@ -168,8 +168,8 @@ def _check_of(hint: Any) -> Check | None:
     return None
 
 
-def _either(parts: tuple[Any, ...]) -> Check | None:
-    checks: list[Check] = []
+def _either(parts: tuple[Any, ...]) -> ArgumentCheck | None:
+    checks: list[ArgumentCheck] = []
     # `ArrayLike` is a union itself: its members become one check with one word.
     if set(typing.get_args(ArrayLike)) <= set(parts):
         parts = tuple(part for part in parts if part not in typing.get_args(ArrayLike))
@@ -184,11 +184,11 @@ def _either(parts: tuple[Any, ...]) -> Check | None:
     late = any(check.late for check in checks)
     if len(checks) == 2:  # the usual case, without a generator, since every solve checks its start
         first, second = checks[0].holds, checks[1].holds
-        return Check(lambda value: first(value) or second(value), expected, late)
-    return Check(lambda value: any(check.holds(value) for check in checks), expected, late)
+        return ArgumentCheck(lambda value: first(value) or second(value), expected, late)
+    return ArgumentCheck(lambda value: any(check.holds(value) for check in checks), expected, late)
 
 
-def _fixed(parts: tuple[Any, ...]) -> Check:
+def _fixed(parts: tuple[Any, ...]) -> ArgumentCheck:
     """Check of a fixed number of values, each with its own type."""
     checks = [_check_of(part) for part in parts]
 
@@ -200,18 +200,18 @@ def _fixed(parts: tuple[Any, ...]) -> Check:
 
     expected = dict.fromkeys("anything" if check is None else check.expected for check in checks)
     if list(expected) == ["anything"]:
-        return Check(holds, f"{len(checks)} values", True)
-    return Check(holds, f"{len(checks)} values: {', '.join(expected)}", True)
+        return ArgumentCheck(holds, f"{len(checks)} values", True)
+    return ArgumentCheck(holds, f"{len(checks)} values: {', '.join(expected)}", True)
 
 
-def _list(item: Check | None) -> Check:
+def _list(item: ArgumentCheck | None) -> ArgumentCheck:
     def holds(value: Any) -> bool:
         """True for a list whose members have the right type."""
         if not _is_list(value):
             return isinstance(value, Iterator)  # which can be read only once
         return item is None or all(item.holds(member) for member in value)
 
-    return Check(holds, "a list" if item is None else f"a list, each {item.expected}", True)
+    return ArgumentCheck(holds, "a list" if item is None else f"a list, each {item.expected}", True)
 
 
 def _is_list(value: Any) -> bool:
@@ -229,13 +229,13 @@ def _numeric(value: Any) -> bool:
     return _number(value) or (hasattr(value, "__array__") and np.asarray(value).dtype.kind in "fiu")
 
 
-def _instance(kind: type) -> Check:
+def _instance(kind: type) -> ArgumentCheck:
     expected = vars(kind).get("_asked_for") or f"{'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__}"
     if getattr(kind, "_is_protocol", False):
         members = [name for base in kind.__mro__ if getattr(base, "_is_protocol", False) for name in vars(base)]
         # `isinstance` with a protocol takes longer, and needs it to be checkable at run time.
         needed = [name for name in members if not name.startswith("_")]
-        return Check(lambda value: all(hasattr(value, name) for name in needed), expected)
+        return ArgumentCheck(lambda value: all(hasattr(value, name) for name in needed), expected)
     # `isinstance` is slow for abstract classes: known types are cached.
     known: set[type] = set()
 
@@ -248,7 +248,7 @@ def _instance(kind: type) -> Check:
             return True
         return False
 
-    return Check(holds, expected)
+    return ArgumentCheck(holds, expected)
 
 
 MAX_WHOLE = 10**12
@@ -268,14 +268,14 @@ def _whole(value: Any) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool) and -MAX_WHOLE < int(value) < MAX_WHOLE
 
 
-NUMBERS = Check(_numeric, "numbers", True)
+NUMBERS = ArgumentCheck(_numeric, "numbers", True)
 
-SIMPLE: dict[Any, Check] = {
-    float: Check(_number, "a number"),
-    int: Check(_whole, "a whole number"),
-    bool: Check(lambda value: isinstance(value, bool | np.bool_), "True or False"),
-    str: Check(lambda value: isinstance(value, str), "a text"),
+SIMPLE: dict[Any, ArgumentCheck] = {
+    float: ArgumentCheck(_number, "a number"),
+    int: ArgumentCheck(_whole, "a whole number"),
+    bool: ArgumentCheck(lambda value: isinstance(value, bool | np.bool_), "True or False"),
+    str: ArgumentCheck(lambda value: isinstance(value, str), "a text"),
     ArrayLike: NUMBERS,
-    os.PathLike: Check(lambda value: isinstance(value, os.PathLike), "a path"),
+    os.PathLike: ArgumentCheck(lambda value: isinstance(value, os.PathLike), "a path"),
 }
 """Types with a check of their own."""

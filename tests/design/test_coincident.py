@@ -12,7 +12,7 @@ from tests.examples import CONFIGS
 from tubeopt import ConcentricRobot, load_robot
 from tubeopt.design import Free
 from tubeopt.design.parameters import as_pieces, design_space
-from tubeopt.design.state import FixedPose, FreePose, Layout, State
+from tubeopt.design.state import DesignState, FixedPose, FreePose, Layout
 from tubeopt.typing import Array
 
 ROTATIONS = (0.3, 2.9, 0.5)
@@ -31,10 +31,10 @@ def _towards(f: Callable[[float], Array], step: float) -> Array:
 
 def _checked(layout: Layout, x: Array, index: Any, side: int = 1) -> None:
     """Tip, heading and margin of a pose change with every unknown as those of poses solved anew do."""
-    state = State(layout, x)
+    state = DesignState(layout, x)
 
     def there(at: Array) -> Array:
-        pose = State(layout, at, dict(state.guesses)).pose(index)
+        pose = DesignState(layout, at, dict(state.guesses)).pose(index)
         return np.concatenate([pose.arm.position[-1], pose.arm.frame[-1][:, 2], [pose.margin]])
 
     pose, chain = state.pose(index), state.chain(index)

@@ -180,7 +180,7 @@ def test_a_small_number_is_minimised_as_exactly_as_any_other() -> None:
 
     @dataclass(frozen=True)
     class Metal(CustomObjective):
-        text, unit, factor = "metal of all tubes", "mm3", 1e9
+        words, unit, factor = "metal of all tubes", "mm3", 1e9
 
         def expression(self, q: Quantities) -> Any:
             od, bore, length = (q.tubes[name] for name in ("outer_diameter", "inner_diameter", "straight_length"))

@@ -47,7 +47,7 @@ from tubeopt.design.infeasibility import DesignNotFoundError
 from tubeopt.design.parameters import as_pieces, design_space
 from tubeopt.design.pose import FRACTIONS, arm_points, arm_slopes
 from tubeopt.design.program import compile_task, corners
-from tubeopt.design.state import FixedPose, FreePose, Layout, State
+from tubeopt.design.state import DesignState, FixedPose, FreePose, Layout
 from tubeopt.design.task import DesignSolver
 from tubeopt.design.verify import largest_strain
 from tubeopt.equilibrium.answer import sure_margin
@@ -125,7 +125,7 @@ def test_changes_are_those_of_central_differences(robot: ConcentricRobot, free: 
     requested += [Quantity("curvature", 0, (fraction,)) for fraction in (0.3, 1.0)]
 
     def look(at: Array) -> list[tuple[Array, Array]]:
-        current = State(layout, at).quantity
+        current = DesignState(layout, at).quantity
         return [current(one) for one in requested]
 
     steps = np.concatenate([1e-5 * space.scale, np.full(n, 1e-5), np.full(n, 1e-7)])
@@ -170,7 +170,7 @@ def test_deflections_and_margins_under_a_load_change_as_equilibria_say(load: Loa
         plain, pushed = (forward_kinematics(robot, *joints, load=each) for each in (None, load))
         return np.append(pushed.tip_position - plain.tip_position, sure_margin(pushed))
 
-    state = State(Layout(space, (FreePose(0),), (), ()), x)
+    state = DesignState(Layout(space, (FreePose(0),), (), ()), x)
     (value, slope), (margin, change) = (
         state.quantity(Quantity(name, 0, (load,))) for name in ("deflection", "margin_under")
     )
@@ -190,10 +190,10 @@ def test_points_along_the_arm_move_as_differences_say() -> None:
     layout = Layout(space, (FreePose(0),), (), ())
     beta = np.array(shift) - [tube.straight_length for tube in robot.tubes]
     x = np.concatenate([0.9 * space.start, turned, beta])
-    state = State(layout, x)
+    state = DesignState(layout, x)
     slope = arm_slopes(state.pose(0), FRACTIONS) @ state.chain(0)
     for k, row in enumerate(np.eye(len(x))):
-        up, down = (arm_points(State(layout, x + 1e-6 * sign * row).pose(0), FRACTIONS) for sign in (1, -1))
+        up, down = (arm_points(DesignState(layout, x + 1e-6 * sign * row).pose(0), FRACTIONS) for sign in (1, -1))
         result = (up - down) / 2e-6
         assert np.abs(slope[:, :, k] - result).max() < 2e-6 * np.abs(result).max() + 1e-9
 
@@ -206,7 +206,7 @@ def test_the_certificate_of_an_s_in_an_arc_changes_as_differences_say() -> None:
     x = 0.95 * space.start
 
     def look(at: Array) -> tuple[Array, Array]:
-        return State(layout, at).quantity(Quantity("certificate", at=(-0.004, -0.001)))
+        return DesignState(layout, at).quantity(Quantity("certificate", at=(-0.004, -0.001)))
 
     value, slope = look(x)
     robot = ConcentricRobot(space.tubes(x))
@@ -525,7 +525,7 @@ def test_opposed_tubes_hold_each_other_straight() -> None:
     tubes = tuple(Tube.of_pieces(outer, outer - 3e-4, pieces, **kinds) for outer in (0.9e-3, 1.3e-3))
     space = design_space(tubes, [Free("piece_plane", (0,), -1.0, 1.0)])
     pose = FixedPose((0.0, np.pi), (0.0, 0.0))
-    state = State(Layout(space, (pose,), (), ()), space.start)
+    state = DesignState(Layout(space, (pose,), (), ()), space.start)
     robot = ConcentricRobot(tubes)
     everywhere = Strain((1.0, 1.0), straightened=False)
     opposed = forward_kinematics(robot, pose.rotations, pose.translations)
@@ -558,7 +558,7 @@ def test_stroke_forces_change_as_those_of_other_robots(turned: float) -> None:
         return limit.factor
 
     pose = FixedPose((turned, 0.0), (0.0, 0.0))
-    value, slope = State(Layout(space, (pose,), (), ()), x).quantity(Quantity("stroke_force", 0))
+    value, slope = DesignState(Layout(space, (pose,), (), ()), x).quantity(Quantity("stroke_force", 0))
     assert value[0] == pytest.approx(force(x), rel=1e-9)
     # Along two directions that have all parts, since a column that is wrong changes both.
     for signs in ([1, 1, 1, 1, 1, 1], [1, -1, 1, 1, -1, -1]):

@@ -30,7 +30,7 @@ from tubeopt.equilibrium.verification import verify_equilibrium
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.posture import posture_of
 from tubeopt.show.plots.shape import plot_shape
-from tubeopt.show.surfaces import Centreline
+from tubeopt.show.surfaces import SampledCentreline
 
 ROBOTS = Path("configs/robots")
 NAMES = sorted(path.stem for path in ROBOTS.glob("*.yaml"))
@@ -192,7 +192,7 @@ def test_a_motion_with_friction_begins_and_ends_at_the_plate(name: str, friction
 def test_an_arm_of_length_zero_is_drawn_and_has_no_surface(tmp_path: Path) -> None:
     at = withdrawn("thesis_ctr")
     assert plot_shape(at) is not None
-    assert not Centreline(at).position([0.0]).any()
+    assert not SampledCentreline(at).position([0.0]).any()
     with pytest.raises(InputError, match="no tube is in front of the base plate"):
         save_solid(at, tmp_path / "arm.stl")
     assert not list(tmp_path.iterdir())

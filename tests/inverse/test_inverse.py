@@ -37,7 +37,7 @@ from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.mirror import mirror_closed_form, mirror_pose
 from tubeopt.inverse.multistart import build_table, nearest_starts, start_table
 from tubeopt.inverse.posture import posture_of
-from tubeopt.inverse.search import FoundPath, find_path
+from tubeopt.inverse.search import PathResult, find_path
 from tubeopt.inverse.task import Task
 from tubeopt.robots.limits import JointLimits
 from tubeopt.robots.robot import Robot
@@ -618,7 +618,7 @@ class TestWays:
         monkeypatch.setattr(joint_path, "PATH_WORK", 0.2)  # the whole search takes 2.4
         ends: list[tuple[int, int]] = []
 
-        def noted(task: Task, *asked: Any, **more: Any) -> FoundPath:
+        def noted(task: Task, *asked: Any, **more: Any) -> PathResult:
             path = find_path(task, *asked, **more)
             ends.append((path.motions, task.work.operations))
             return path

@@ -21,7 +21,7 @@ from tubeopt import (
 )
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.equilibrium.result import Equilibrium
-from tubeopt.planning.branch import Branch, branch
+from tubeopt.planning.branch import ProvedBranch, branch
 from tubeopt.planning.loaded_branch import loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
 from tubeopt.planning.sections import Constants, Intervals, SolvedArms
@@ -133,7 +133,7 @@ def test_the_bound_knows_that_coefficients_move_along_the_tubes(soft: bool, load
         assert max(used) > (0.6 if shift else 0.1) / (1 if load is None else 2)
 
 
-def between(chain: list[Equilibrium], load: Load | None) -> tuple[SolvedArms, Intervals, Branch]:
+def between(chain: list[Equilibrium], load: Load | None) -> tuple[SolvedArms, Intervals, ProvedBranch]:
     """Of the first two of some equilibria."""
     ends, constants = (np.array([0]), np.array([1])), Constants.of(chain[0].robot)
     margins = np.array([min(e.margin, 1.0) for e in chain])

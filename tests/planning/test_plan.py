@@ -222,9 +222,9 @@ def test_other_postures_are_tried_where_the_nearest_is_cut_off(monkeypatch: pyte
     reached = forward_kinematics(THESIS, [0.07, 2.7, -2.14], [-0.0559, -0.0057, -0.0028])
     tried: list[int] = []
 
-    def nearest_cut_off(*arguments: Any, **options: Any) -> search.FoundPath:
+    def nearest_cut_off(*arguments: Any, **options: Any) -> search.PathResult:
         tried.append(len(arguments[2]))
-        return search.FoundPath(None, "search", 7) if len(tried) == 1 else search.find_path(*arguments, **options)
+        return search.PathResult(None, "search", 7) if len(tried) == 1 else search.find_path(*arguments, **options)
 
     monkeypatch.setattr(plan, "find_path", nearest_cut_off)
     monkeypatch.setattr("tubeopt.planning.goals.InverseOptions", partial(InverseOptions, starts=6))

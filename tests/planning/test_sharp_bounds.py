@@ -220,7 +220,7 @@ def test_a_track_is_off_its_line_by_both_ends_of_a_link_and_whole_where_all_is_s
         )
     )
     arm = forward_kinematics(STEPPED, [0.3, 0.1])
-    steps = [trajectory_trace.Step(at, arm, np.zeros(4)) for at in (0.0, 0.5, 1.0)]
+    steps = [trajectory_trace.TraceStep(at, arm, np.zeros(4)) for at in (0.0, 0.5, 1.0)]
     links = [trajectory_trace.Link(a, b, chord_error=np.array([1.0, 2.0])) for a, b in pairwise(steps)]
     track = several_arms.Track(verifier, tuple(links), base_frame([0, 0, 0], [0, 0, 1]), 0.0, 2.0)
     assert track.chord_error == pytest.approx(np.array([[1.3, 2.3], [1.3, 2.3]]))
@@ -233,7 +233,7 @@ def test_a_track_is_whole_only_where_one_branch_was_followed_to_its_end(
 ) -> None:
     arm = forward_kinematics(STEPPED, [0.3, 0.1])
     ends = (0.0, 0.9) if missing == "time" else (0.0, 1.0)
-    steps = tuple(trajectory_trace.Step(at, arm, np.zeros(4)) for at in ends)
+    steps = tuple(trajectory_trace.TraceStep(at, arm, np.zeros(4)) for at in ends)
     followed = SimpleNamespace(
         steps=steps, snap=0.7 if missing == "a snap" else None, unproved=((0.1, 0.2),) if missing == "a branch" else ()
     )
@@ -251,7 +251,7 @@ def test_a_track_is_whole_only_where_one_branch_was_followed_to_its_end(
 
 def test_a_finer_track_is_whole_as_far_as_its_halves_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     arm = forward_kinematics(STEPPED, [0.3, 0.1])
-    steps = [trajectory_trace.Step(at, arm, np.full(4, at)) for at in (0.0, 1.0)]
+    steps = [trajectory_trace.TraceStep(at, arm, np.full(4, at)) for at in (0.0, 1.0)]
     none: Any = None
     track = several_arms.Track(none, (trajectory_trace.Link(steps[0], steps[1]),), none, 0.0, 1.0)
 
@@ -288,7 +288,7 @@ def test_a_stretch_of_time_that_is_short_is_not_halved(
     verifier = trajectory_trace.TrajectoryVerifier(THESIS, scene_of([body]), ClearanceTarget(0.5, 1e-9, 0), Clock(60.0))
     joints = [np.append(angles, THESIS.home_translations) for angles in ([0.0, 0.0, 0.0], [0.02, 0.0, 0.0])]
     steps = [
-        trajectory_trace.Step(at, forward_kinematics(THESIS, q[:3]), q)
+        trajectory_trace.TraceStep(at, forward_kinematics(THESIS, q[:3]), q)
         for at, q in zip((0.5, 0.5 + share), joints, strict=True)
     ]
     links, lost = trajectory_trace.prove_branch(verifier, [trajectory_trace.Link(steps[0], steps[1])])

@@ -27,7 +27,7 @@ from tubeopt.inverse.clock import Clock
 from tubeopt.planning import PlanOptions, trajectory_trace
 from tubeopt.planning.proof import HERMITE, _Row, fastest_on_cubic
 from tubeopt.planning.sections import DerivativeBounds, inverse, unit_vector
-from tubeopt.planning.trajectory_trace import ClearanceTarget, Link, Step, TrajectoryVerifier, _divided, _meetings
+from tubeopt.planning.trajectory_trace import ClearanceTarget, Link, TraceStep, TrajectoryVerifier, _divided, _meetings
 from tubeopt.robots.load import PointLoad
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
@@ -351,7 +351,8 @@ def moving(robot: Robot, here: list[float], rate: list[float], load: Load | None
     verifier = TrajectoryVerifier(robot, scene_of(()), ClearanceTarget(0.0, 1e-5, 10), Clock(math.inf), load)
     joints = [np.array(here) + np.array(rate) * t for t in (0.0, 1e-3)]
     steps = [
-        Step(t, forward_kinematics(robot, *np.split(q, 2), load=load), q) for t, q in zip((0, 1), joints, strict=True)
+        TraceStep(t, forward_kinematics(robot, *np.split(q, 2), load=load), q)
+        for t, q in zip((0, 1), joints, strict=True)
     ]
     return _Row(verifier, [Link(*steps)], 1e-3, {})
 

@@ -20,7 +20,7 @@ from tubeopt.planning.trajectory_trace import (
     ClearanceTarget,
     Link,
     Proved,
-    Step,
+    TraceStep,
     TrajectoryVerifier,
     follow,
 )
@@ -135,4 +135,4 @@ def test_no_step_is_made_to_an_unstable_equilibrium(monkeypatch: pytest.MonkeyPa
     verifier = verifier_of(robot)
     for name, find in (("step", "forward_kinematics"), ("step_by_one_solve", "one_step")):
         monkeypatch.setattr(trajectory_trace, find, lambda *_, **__: saddle)
-        assert getattr(verifier, name)(Step(0.0, flat, 0 * joints), 1.0, joints) is None
+        assert getattr(verifier, name)(TraceStep(0.0, flat, 0 * joints), 1.0, joints) is None

@@ -20,9 +20,9 @@ from tubeopt.robots.load import PointLoad
 from tubeopt.show.plots import plot_shape, plot_shapes, plot_torsion, save_figure, tube_colour
 from tubeopt.show.plots.scene import SWEEPING, load_arrows, robot_mesh
 from tubeopt.show.plots.shape import breakpoints
-from tubeopt.show.plots.stage import Box, Mesh, View, facets_of, rule_step, widest_view
+from tubeopt.show.plots.stage import DrawnMesh, Projection, SceneBox, facets_of, rule_step, widest_view
 from tubeopt.show.plots.style import number
-from tubeopt.show.surfaces import Centreline, ring_surface, robot_parts, tube_surface, visible
+from tubeopt.show.surfaces import SampledCentreline, ring_surface, robot_parts, tube_surface, visible
 
 ROBOT = ConcentricRobot(
     (
@@ -58,7 +58,7 @@ def distance_to_circle(points: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndar
 
 
 def test_tube_surface_has_the_true_radius(circle: Equilibrium) -> None:
-    line, s = Centreline(circle), np.linspace(0.0, 0.1, 40)
+    line, s = SampledCentreline(circle), np.linspace(0.0, 0.1, 40)
     mesh = facets_of(tube_surface(line, s, 1e-3, np.zeros(2), sides=24), RED)
     first = mesh.corners.reshape(39, 24, 4, 3)[:, :, :2]
     np.testing.assert_allclose(np.linalg.norm(first - line.position(s[:-1])[:, None, None], axis=-1), 1e-3, rtol=1e-12)
@@ -66,14 +66,16 @@ def test_tube_surface_has_the_true_radius(circle: Equilibrium) -> None:
 
 
 def test_normals_point_outwards(circle: Equilibrium) -> None:
-    mesh = facets_of(tube_surface(Centreline(circle), np.linspace(0.0, 0.1, 40), 1e-3, np.zeros(2), sides=24), RED)
+    mesh = facets_of(
+        tube_surface(SampledCentreline(circle), np.linspace(0.0, 0.1, 40), 1e-3, np.zeros(2), sides=24), RED
+    )
     np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0)
     middle = mesh.corners.mean(axis=1)
     assert np.all(distance_to_circle(middle + 1e-4 * mesh.normals) > distance_to_circle(middle) + 0.9e-4)
 
 
 def test_ring_lies_across_the_arm(actuated: Equilibrium) -> None:
-    mesh = facets_of(ring_surface(Centreline(actuated), 0.2, (0.4e-3, 0.5e-3), np.zeros(2), sides=24), RED)
+    mesh = facets_of(ring_surface(SampledCentreline(actuated), 0.2, (0.4e-3, 0.5e-3), np.zeros(2), sides=24), RED)
     from_tip = mesh.corners - actuated.tip_position
     np.testing.assert_allclose(from_tip @ actuated.tip_rotation[:, 2], 0.0, atol=1e-12)
     radii = np.linalg.norm(from_tip, axis=-1)
@@ -103,7 +105,7 @@ def test_a_tube_inside_an_outer_one_does_not_show() -> None:
 
 
 def test_every_view_keeps_lengths() -> None:
-    for view in (View(18.0, -60.0), View(90.0, 10.0), View(-30.0, 200.0)):
+    for view in (Projection(18.0, -60.0), Projection(90.0, 10.0), Projection(-30.0, 200.0)):
         np.testing.assert_allclose(view.axes @ view.axes.T, np.eye(3), atol=1e-15)
         assert np.linalg.det(view.axes) == pytest.approx(1.0)
         np.testing.assert_allclose(
@@ -130,7 +132,7 @@ def test_automatic_view_looks_across_the_shape(home: Equilibrium) -> None:
 
 
 def test_box_ends_on_whole_rules() -> None:
-    box = Box.around(np.array([[-0.003, 0.0, -0.001], [0.081, 0.02, 0.17]]))
+    box = SceneBox.around(np.array([[-0.003, 0.0, -0.001], [0.081, 0.02, 0.17]]))
     np.testing.assert_allclose(box.low, [-20.0, 0.0, -1.0])
     np.testing.assert_allclose(box.high, [100.0, 20.0, 180.0])
     np.testing.assert_allclose(box.rules(2), np.arange(0.0, 181.0, 20.0))
@@ -150,12 +152,12 @@ def test_numbers_are_short(value: float, digits: int, text: str) -> None:
 
 
 def test_light_keeps_colours_in_range(actuated: Equilibrium) -> None:
-    mesh, view = robot_mesh(actuated, opacity=0.3), View(18.0, -60.0)
+    mesh, view = robot_mesh(actuated, opacity=0.3), Projection(18.0, -60.0)
     lit = mesh.lit(view.towards_viewer, view.towards_light)
     assert lit.min() >= 0.0
     assert lit.max() <= 1.0
     np.testing.assert_array_equal(lit[:, 3], mesh.colours[:, 3])
-    assert Mesh.join([mesh, mesh]).corners.shape == (2 * len(mesh.corners), 4, 3)
+    assert DrawnMesh.join([mesh, mesh]).corners.shape == (2 * len(mesh.corners), 4, 3)
 
 
 def test_torsion_curves_end_with_their_tubes(actuated: Equilibrium) -> None:
@@ -319,7 +321,7 @@ def test_forces_are_drawn_and_named() -> None:
     texts = [text for text in figure.axes[0].texts if isinstance(text, matplotlib.text.Annotation)]
     assert {"36.06 mN", "10 mN", "2 mN m"} <= {text.get_text() for text in texts}
     arrow = next(text for text in texts if text.arrow_patch is not None)
-    observed = View(20.0, -60.0).project(arm.tip_position)
+    observed = Projection(20.0, -60.0).project(arm.tip_position)
     np.testing.assert_allclose(arrow.xyann, observed[:2])
     assert "load: 20, 30, 0 mN at the tip" in figure.get_suptitle()
 

@@ -16,7 +16,7 @@ from tubeopt.show.plots import plot_shape
 from tubeopt.show.plots.eccentric import Curve, Permutations, arm_curve, plot_permutations, plot_reach
 from tubeopt.show.plots.scene import robot_mesh
 from tubeopt.show.plots.shape import CLOSE_UP
-from tubeopt.show.plots.stage import View, facets
+from tubeopt.show.plots.stage import Projection, facets
 from tubeopt.show.surfaces import SHEATH_COLOUR, SHEATH_OPACITY, tube_groups
 
 ETR = load_robot(CONFIGS / "thesis_etr.yaml")
@@ -74,7 +74,7 @@ def test_the_sheath_is_translucent_and_holds_all(bent: Equilibrium) -> None:
 
 
 def test_the_sheath_lies_over_the_tubes_and_behind_them(bent: Equilibrium) -> None:
-    mesh, view = robot_mesh(bent), View(18.0, -60.0)
+    mesh, view = robot_mesh(bent), Projection(18.0, -60.0)
     colours = mesh.lit(view.towards_viewer, view.towards_light)
     drawn = np.asarray(facets(mesh, view).get_facecolor())
     order = np.argsort(mesh.depth(view.towards_viewer))

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import tubeopt
 from tests.examples import CONFIGS, THESIS
 from tubeopt.errors import InputError
-from tubeopt.show.surfaces import CHORD, Centreline, pieces, visible
+from tubeopt.show.surfaces import CHORD, SampledCentreline, pieces, visible
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def test_surfaces_are_closed_and_of_the_volume_of_the_tubes(
 @pytest.mark.parametrize("robot", [THESIS, tubeopt.load_robot(CONFIGS / "thesis_etr.yaml")])
 def test_straight_pieces_stay_on_the_arm(robot: tubeopt.ConcentricRobot) -> None:
     pose = tubeopt.forward_kinematics(robot, [0.0, 1.0, 2.0])
-    line = Centreline(pose)
+    line = SampledCentreline(pose)
     fine = line.position(np.linspace(0, line.length, 20000))
     for piece in list(pieces(pose))[::7]:
         assert np.allclose(piece.frame.T @ piece.frame, np.eye(3), atol=1e-12)

@@ -18,7 +18,7 @@ from tubeopt.solvers.settings import LARGEST_SHIFT, LARGEST_TURN
 from tubeopt.stability.friction_path import start_with_friction
 from tubeopt.typing import Array
 from tubeopt.validation import model as posing
-from tubeopt.validation.model import Poses
+from tubeopt.validation.model import PredictedPoses
 
 pytestmark = pytest.mark.skipif(kernel_of(THESIS) is None, reason="no C compiler")
 
@@ -32,7 +32,7 @@ def way(seed: int) -> tuple[ConcentricRobot, Array, Friction]:
     return inputs, rows, Friction(rub.torque)
 
 
-def poses(given: ConcentricRobot, rows: Array, rub: Friction) -> Poses:
+def poses(given: ConcentricRobot, rows: Array, rub: Friction) -> PredictedPoses:
     alpha, shift = np.hsplit(rows, 2)
     return posing.rubbed_poses(given, (alpha, shift), np.array([0.0, 0.03]), [np.arange(len(rows))], rub)
 

@@ -11,7 +11,7 @@ from tubeopt import ConcentricRobot, Tube
 from tubeopt.robots.calibration import Calibration
 from tubeopt.typing import Array
 from tubeopt.validation import Measurements
-from tubeopt.validation.model import Poses, solve_poses
+from tubeopt.validation.model import PredictedPoses, solve_poses
 
 from .laboratory import MM, in_device
 
@@ -42,7 +42,7 @@ def joints(time: Array, last: float) -> Array:
     return np.asarray(waves * [1.4, 1.6, 14 * MM, 9 * MM] + [0.0, 0.0, 20 * MM, -8 * MM])
 
 
-def poses(given: ConcentricRobot, drives: Calibration, readings: Array) -> Poses:
+def poses(given: ConcentricRobot, drives: Calibration, readings: Array) -> PredictedPoses:
     """Where the robot is at readings (N, 4)."""
     return solve_poses(given, *drives.to_model(readings[:, :2], readings[:, 2:]), np.zeros(1))
 

@@ -14,7 +14,7 @@ from tubeopt.robots.robot import Robot
 from tubeopt.solvers.robust_least_squares import LeastSquaresSolver
 from tubeopt.validation import BasePose, FitOptions, Measurements, choose_parameters, fit, validate
 from tubeopt.validation.effects import Setup
-from tubeopt.validation.model import ArmModel, State
+from tubeopt.validation.model import ArmModel, ParameterState
 from tubeopt.validation.parameters import apply
 
 from .laboratory import CONFIGS, DEVICE_BASE, MM, NOISE, ctr, etr, mirrored, noisy, turned
@@ -91,7 +91,7 @@ def test_the_jacobian_is_that_of_the_residuals(case: Callable[[], Case]) -> None
     parameters = choose_parameters(inputs, data, list(truth))
     model = ArmModel(inputs, data, parameters, "rigid", BasePose())
     x = np.array([(p.start + truth[p.name]) / 2 for p in parameters])
-    state = State(x, model.start.registration)
+    state = ParameterState(x, model.start.registration)
     slopes = model.jacobian(state)
     scales = [*(1e-3 * p.scale for p in parameters), *[1e-4] * 6]
     for k, size in enumerate(scales):

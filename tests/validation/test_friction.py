@@ -13,7 +13,7 @@ from tubeopt import Friction, InputError, follow
 from tubeopt.robots.calibration import Calibration
 from tubeopt.typing import Array
 from tubeopt.validation import FitOptions, Measurements, fit, validate
-from tubeopt.validation.model import ArmModel, State
+from tubeopt.validation.model import ArmModel, ParameterState
 from tubeopt.validation.parameters import choose_parameters
 
 TRUE = 0.012
@@ -69,11 +69,11 @@ def test_slopes_are_those_of_the_way_with_friction() -> None:
     names = ["latency", "translation_2", "rotation_2", "rotation_gain_1", "friction_1", "torsional_stiffness_1"]
     chosen = choose_parameters(robot(), data, names)
     model = ArmModel(robot(), data, chosen)
-    current = State(np.array([0.02, 1 * MM, 0.03, 1.004, 0.9 * TRUE, 1.05]), model.start.registration)
+    current = ParameterState(np.array([0.02, 1 * MM, 0.03, 1.004, 0.9 * TRUE, 1.05]), model.start.registration)
     slopes = model.jacobian(current)
     for k, p in enumerate(chosen):
         step = np.zeros(len(chosen))
         step[k] = 1e-4 * p.scale
-        ahead, behind = (model.residuals(State(current.x + s * step, current.registration)) for s in (1, -1))
+        ahead, behind = (model.residuals(ParameterState(current.x + s * step, current.registration)) for s in (1, -1))
         wrong = np.abs((ahead - behind) / (2 * step[k]) - slopes[..., k]).max(1)
         assert np.quantile(wrong, 0.8) < 1e-5 * np.abs(slopes[..., k]).max()  # other rows stick or slip anew between

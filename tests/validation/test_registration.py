@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from tubeopt import InputError
 from tubeopt.validation import BasePose, register
-from tubeopt.validation.registration import Directions
+from tubeopt.validation.registration import MeasuredDirections
 
 RANDOM = np.random.default_rng(2)
 POINTS = RANDOM.uniform(-0.04, 0.04, (12, 3)) + np.array([0.0, 0.0, 0.09])
@@ -79,7 +79,11 @@ def test_directions_decide_the_yaw_where_an_axis_is_wrong(angle: float) -> None:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     off = Rotation.from_euler("x", angle, degrees=True).apply([0.0, 0.0, 1.0])
     result = register(
-        POINTS, POINTS, "base-axis", base=BasePose(axis=tuple(off)), directions=Directions(directions, directions)
+        POINTS,
+        POINTS,
+        "base-axis",
+        base=BasePose(axis=tuple(off)),
+        directions=MeasuredDirections(directions, directions),
     )
     np.testing.assert_allclose(result.rotation @ off, [0.0, 0.0, 1.0], atol=1e-9)
 

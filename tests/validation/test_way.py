@@ -20,7 +20,7 @@ from tubeopt.validation import (
 )
 from tubeopt.validation.fitting import FitProblem, hold_out, predicted_held_out
 from tubeopt.validation.measurements import Timeline, deal, passes, runs_of
-from tubeopt.validation.model import ArmModel, State
+from tubeopt.validation.model import ArmModel, ParameterState
 from tubeopt.validation.parameters import choose_parameters
 from tubeopt.validation.selection import HeldOutSets, slopes_around
 
@@ -77,7 +77,7 @@ def test_slopes_around_a_fit_stand_in_the_order_of_the_parameters_asked_for() ->
     later = FitProblem(model.with_parameters(second), FitOptions(folds=0))
     around = slopes_around(later.model, later.fit, [first])
     both = model.with_parameters([*first, *second])
-    state = State(np.append(0.0, later.fit.state.x), later.fit.state.registration)
+    state = ParameterState(np.append(0.0, later.fit.state.x), later.fit.state.registration)
     np.testing.assert_allclose(around.of(both.parameters), both.jacobian(state), rtol=1e-6, atol=1e-9)
 
 

@@ -152,7 +152,7 @@ class LabelImage:
         return np.asarray(mask)
 
 
-class Segment(NamedTuple):
+class LabelSegment(NamedTuple):
     """Segment of 3D Slicer in an image with layers."""
 
     layer: int
@@ -166,7 +166,7 @@ class LayeredImage(LabelImage):
 
     layers: Any = field(kw_only=True, repr=False)
     """Values of the layers (layers, a, b, c)."""
-    segments: dict[int, Segment] = field(kw_only=True)
+    segments: dict[int, LabelSegment] = field(kw_only=True)
     """Segments by label."""
 
     @cached_property
@@ -207,7 +207,7 @@ class ImageData(NamedTuple):
     """Map from indices to RAS (4, 4)."""
     unit: float
     """Unit of length of the map, m."""
-    segments: dict[int, Segment]
+    segments: dict[int, LabelSegment]
     """Segments by label, of an image with layers; otherwise empty."""
 
 
@@ -339,18 +339,18 @@ def _nifti(path: Path, axes: str | None) -> ImageData:
     return ImageData(raw, affine, UNITS.get(unit, 1e-3), {})
 
 
-def _segments(header: dict[str, Any], layers: int, path: Path) -> dict[int, Segment]:
+def _segments(header: dict[str, Any], layers: int, path: Path) -> dict[int, LabelSegment]:
     """Segments of 3D Slicer in a header, by label.
 
     Labels are the values of the voxels. If segments of different layers have the same value, labels are the numbers of
     the segments from 1.
     """
-    segments: list[Segment] = []
+    segments: list[LabelSegment] = []
     names: list[str] = []
     while f"Segment{len(segments)}_LabelValue" in header:
         prefix = f"Segment{len(segments)}_"
         try:
-            segments.append(Segment(int(header.get(f"{prefix}Layer", 0)), int(header[f"{prefix}LabelValue"])))
+            segments.append(LabelSegment(int(header.get(f"{prefix}Layer", 0)), int(header[f"{prefix}LabelValue"])))
         except ValueError:
             raise InputError(
                 f"{path}: {prefix}Layer and {prefix}LabelValue of its header must be whole numbers"

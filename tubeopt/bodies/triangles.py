@@ -36,7 +36,7 @@ AREA_ROUND_OFF = 1e-13
 MAX_COLUMNS = 512
 
 
-class Grid(NamedTuple):
+class TriangleGrid(NamedTuple):
     """Columns of the lookup table, perpendicular to the rays."""
 
     low: Array
@@ -68,10 +68,10 @@ class Rays:
     corners: Array
 
     @cached_property
-    def _grid(self) -> Grid:
+    def _grid(self) -> TriangleGrid:
         flat = self.corners[..., :2].reshape(-1, 2)
         count = int(np.clip(np.sqrt(len(self.corners)), 1, MAX_COLUMNS))
-        return Grid(flat.min(0), np.maximum(np.ptp(flat, axis=0), 1e-300) / count, count)
+        return TriangleGrid(flat.min(0), np.maximum(np.ptp(flat, axis=0), 1e-300) / count, count)
 
     @cached_property
     def _columns(self) -> tuple[Index, Index]:

@@ -20,7 +20,7 @@ from ..runs.surroundings_file import Bodies
 from ..show.command_report import Viewed
 from ..show.viewer import View, serve
 from ..show.viewer.host import LOCAL, LOCAL_NAMES
-from ..show.viewer.view import Waypoints, load_waypoints, without_times
+from ..show.viewer.view import ViewerWaypoints, load_waypoints, without_times
 from ..typing import Array
 from .flags import study_command
 from .interruption import handling_interruption
@@ -35,7 +35,7 @@ class ViewEntry(Loaded):
     study: Annotated[tuple[str, Study], in_file(load_study, "a study file", named=True)] | None = Field(
         None, description="study file; start at its joint values, or play its path", examples=["STUDY.yaml"]
     )
-    trajectory: Annotated[Waypoints, in_file(load_waypoints, "a CSV file", of="robot")] | None = Field(
+    trajectory: Annotated[ViewerWaypoints, in_file(load_waypoints, "a CSV file", of="robot")] | None = Field(
         None,
         description="CSV file of a trajectory to play, with columns rotation_1_deg, ..., translation_1_mm, ..., time_s",
         examples=["PATH.csv"],

@@ -2,7 +2,7 @@
 
 from ..block.custom import CustomObjective, CustomRequirement
 from ..block.quantities import Quantities
-from .infeasibility import Change, DesignNotFoundError, InfeasibleDesignError, Relaxation
+from .infeasibility import DesignNotFoundError, InfeasibleDesignError, LimitChange, Relaxation
 from .objectives import Objective
 from .optimize import DesignSolution, FrontPoint, ParetoFront, optimize_design, pareto_front
 from .parameters import Free
@@ -35,7 +35,6 @@ OwnObjective, OwnRequirement = CustomObjective, CustomRequirement  # names befor
 __all__ = [
     "Avoid",
     "Candidate",
-    "Change",
     "Check",
     "Corridor",
     "Coverage",
@@ -51,6 +50,7 @@ __all__ = [
     "FrontPoint",
     "InfeasibleDesignError",
     "Length",
+    "LimitChange",
     "Nesting",
     "Objective",
     "ParetoFront",

@@ -17,7 +17,7 @@ from ..typing import Array
 from .constraints import Limit, Statement
 from .objectives import AnyObjective, key_of
 from .program import BOUNDED, PassedDesign, Program, slack_name
-from .state import FreePose, State
+from .state import DesignState, FreePose
 from .task import DesignTask, order_distances, tube_distances
 
 # Fraction of a step by which limits are kept inside: IPOPT satisfies constraints to 1e-8, and a design that is off by
@@ -57,7 +57,7 @@ class Rows:
     """True if the rows stay where their derivatives are 0."""
 
 
-def rows_of(program: Program, state: State) -> list[Rows]:
+def rows_of(program: Program, state: DesignState) -> list[Rows]:
     """Groups of rows that can be relaxed."""
     rows = [group for number, stated in enumerate(program.stated) for group in stated_rows(stated, number, state)]
     # A limit on dimensions that are not free, and is kept, is no constraint.
@@ -77,7 +77,7 @@ def rows_of(program: Program, state: State) -> list[Rows]:
     return rows
 
 
-def stated_rows(statements: Sequence[Statement], number: int, state: State) -> list[Rows]:
+def stated_rows(statements: Sequence[Statement], number: int, state: DesignState) -> list[Rows]:
     """Groups of rows of the statements of requirement `number` of a task."""
     groups = []
     for statement in statements:
@@ -91,7 +91,7 @@ def stated_rows(statements: Sequence[Statement], number: int, state: State) -> l
     return groups
 
 
-def linear_rows(state: State, task: DesignTask) -> tuple[Array, Array]:
+def linear_rows(state: DesignState, task: DesignTask) -> tuple[Array, Array]:
     """Constraints that are linear in the unknowns, in steps of 10 mm, >= 0 if satisfied, and their derivatives.
 
     In every free pose: the order of the tubes, and the translation limits of the actuators. In addition, no tube is
@@ -122,7 +122,7 @@ def linear_rows(state: State, task: DesignTask) -> tuple[Array, Array]:
     return np.concatenate(values)[moves] / 1e-2 - ORDER_INSIDE, slope[moves] / 1e-2
 
 
-def fixed_rows(program: Program, state: State) -> tuple[Array, Array]:
+def fixed_rows(program: Program, state: DesignState) -> tuple[Array, Array]:
     """Constraints that are never relaxed, and their derivatives.
 
     They are the joint limits, the order of the tubes, the depth of the reach, and the bounds by auxiliary unknowns.
@@ -185,7 +185,7 @@ MIN_SIZE = 1e-3
 Report = Callable[[str, float], object]
 """Called after every iteration with the stage ("feasibility" or "optimum") and its measure."""
 
-MoreRows = Callable[[State], tuple[Array, Array]]
+MoreRows = Callable[[DesignState], tuple[Array, Array]]
 """Further constraints at a state, >= 0 if satisfied, and their derivatives."""
 
 
@@ -194,7 +194,7 @@ class Evaluated:
     """Program at x: state, groups of rows that can be relaxed, and fixed rows with their derivatives."""
 
     program: Program
-    state: State
+    state: DesignState
     groups: list[Rows]
     fixed: tuple[Array, Array]
 
@@ -262,12 +262,12 @@ def evaluated_at(program: Program, x: Array) -> Evaluated:
     return Evaluated(program, state, rows_of(program, state), fixed_rows(program, state))
 
 
-def state_at(program: Program, x: Array) -> State:
+def state_at(program: Program, x: Array) -> DesignState:
     """State at x, SI; the solve of each pose starts at its last solution."""
     known = program.lately.state
     # Solvers ask for value and derivatives at the same x one after the other: poses are solved once.
     if known is None or not np.array_equal(known.x, x):
-        known = program.lately.state = State(program.layout, x.copy(), program.guesses)
+        known = program.lately.state = DesignState(program.layout, x.copy(), program.guesses)
     return known
 
 
@@ -308,7 +308,7 @@ class Attempt:
         return robot_at(self.program, self.x)
 
     @property
-    def state(self) -> State:
+    def state(self) -> DesignState:
         """Tubes and poses at x, solved on first use."""
         return state_at(self.program, self.x)
 
@@ -341,7 +341,7 @@ def violation(program: Program, x: Array) -> float:
     return np.inf if evaluated is None else evaluated.violation[0]
 
 
-def objective_value(program: Program, state: State, objective: AnyObjective) -> tuple[float, Array]:
+def objective_value(program: Program, state: DesignState, objective: AnyObjective) -> tuple[float, Array]:
     """Value of an objective in its own sign, SI, and its gradient (X,)."""
     size = program.layout.size
     if key_of(objective) in program.layout.auxiliary:
@@ -357,7 +357,7 @@ def objective_value(program: Program, state: State, objective: AnyObjective) -> 
     return float(change @ change), 2 * change * np.pad(1 / base, (0, size - len(x)))
 
 
-def total_objective(program: Program, state: State) -> tuple[float, Array]:
+def total_objective(program: Program, state: DesignState) -> tuple[float, Array]:
     """Minimised objective, and its gradient (X,)."""
     total, slope = 0.0, np.zeros(program.layout.size)
     if program.elastic:

@@ -43,7 +43,7 @@ UNREACHED = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class CheckedMotion:
     """Motion of a robot along the straight joint path between two task poses."""
 
     first: int
@@ -60,7 +60,7 @@ class Motion:
     """Fraction of the path before the robot snaps; None without a snap."""
 
 
-def motions(program: Program, robot: ConcentricRobot, x: Array) -> list[Motion]:
+def motions(program: Program, robot: ConcentricRobot, x: Array) -> list[CheckedMotion]:
     """Quasi-static motions through the task poses in order; after a snap the next motion starts anew."""
     state = state_at(program, x)
     poses = program.task_poses
@@ -74,7 +74,7 @@ def motions(program: Program, robot: ConcentricRobot, x: Array) -> list[Motion]:
         # The row before the snap and the fraction of the step after it, as a fraction of the whole path.
         snap = (path.snaps[0].index + path.snaps[0].fraction) / PATH_POINTS if path.snaps else None
         margin = np.array([e.margin for e in path.equilibria])
-        motions_between.append(Motion(first, second, fraction, margin, path.equilibria, snap))
+        motions_between.append(CheckedMotion(first, second, fraction, margin, path.equilibria, snap))
         start = None if path.snaps else path.equilibria[-1]
     return motions_between
 
@@ -153,7 +153,7 @@ def _weak_points(program: Program, robot: ConcentricRobot, x: Array, min_margin:
     return vias
 
 
-def _inside_fold(robot: ConcentricRobot, motion: Motion, snap: float) -> tuple[float, Equilibrium]:
+def _inside_fold(robot: ConcentricRobot, motion: CheckedMotion, snap: float) -> tuple[float, Equilibrium]:
     """Fraction between the two folds of a motion that snaps, and the saddle there, the equilibrium of least margin.
 
     The robot leaves its branch at one fold on the way forward, and at another fold on the way back. Half-way between

@@ -169,7 +169,7 @@ RELAXED_STARTS = 2
 
 
 @dataclass(frozen=True)
-class Change:
+class LimitChange:
     """Relaxation of one limit (`requirement` and `part` as in `Rows`) by `amount` (SI, > 0) to `value`."""
 
     requirement: int
@@ -189,7 +189,7 @@ class Change:
 class Relaxation:
     """Relaxation that makes a task feasible: changes of limits, the relaxed task, and its verified feasible design."""
 
-    changes: tuple[Change, ...]
+    changes: tuple[LimitChange, ...]
     task: DesignTask
     attempt: Attempt
 
@@ -322,7 +322,7 @@ def _apply(solution: _ElasticSolution) -> Relaxation | None:
     return None
 
 
-def apply_changes(task: DesignTask, changes: Sequence[Change]) -> DesignTask:
+def apply_changes(task: DesignTask, changes: Sequence[LimitChange]) -> DesignTask:
     """Task with changed limits."""
     requirements = list(task.requirements)
     for change in changes:
@@ -332,7 +332,7 @@ def apply_changes(task: DesignTask, changes: Sequence[Change]) -> DesignTask:
     return replace(task, requirements=tuple(requirements))
 
 
-def _change(group: Rows, amount: float, inwards: float) -> Change:
+def _change(group: Rows, amount: float, inwards: float) -> LimitChange:
     limit = group.limit
     sign = 1.0 if limit.is_upper_bound else -1.0
     shown = (limit.value + sign * amount) * limit.factor
@@ -342,4 +342,4 @@ def _change(group: Rows, amount: float, inwards: float) -> Change:
         np.ceil(shown / step - inwards - 1e-9) if limit.is_upper_bound else np.floor(shown / step + inwards + 1e-9)
     ) * step
     value = float(rounded / limit.factor)
-    return Change(group.requirement, group.part, limit, abs(value - limit.value), value)
+    return LimitChange(group.requirement, group.part, limit, abs(value - limit.value), value)

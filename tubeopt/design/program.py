@@ -20,7 +20,7 @@ from .constraints import Points, Statement, statements
 from .objectives import POSED, AnyObjective, Objective, aim
 from .pose import Twist
 from .requirements import Coverage, Poses, Reach, Requirement, SnapFree, SnapFreeInUse, of_kind
-from .state import FixedPose, FreePose, Layout, PoseKind, State, Via
+from .state import DesignState, FixedPose, FreePose, Layout, PoseKind, Via
 from .task import DesignTask, extreme_lengths
 
 # Requirement on task poses if no other one limits the margin.
@@ -75,7 +75,7 @@ class Lately:
     """
 
     def __init__(self) -> None:
-        self.state: State | None = None
+        self.state: DesignState | None = None
         self.best: PassedDesign | None = None
 
     def __reduce__(self) -> tuple[type[Lately], tuple[()]]:

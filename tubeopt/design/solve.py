@@ -34,7 +34,7 @@ from .objectives import KINDS
 from .pose import Pose, solve_pose
 from .program import BOUNDED, Program
 from .requirements import Avoid, of_kind
-from .state import FreePose, State
+from .state import DesignState, FreePose
 
 # Steps of a limit. The sum of slacks is an L1 norm, whose optimum has most of them at 0 up to the tolerance of IPOPT.
 SLACK_TOLERANCE = 1e-5
@@ -390,7 +390,7 @@ CLOSED_SECTION, OPENED_SECTION = 1e-5, 2e-6
 
 
 @dataclass(frozen=True)
-class Order:
+class PoseOrder:
     """Order of the breakpoints of one pose or certificate: those beyond the plate, base to tip, and those behind it.
 
     Breakpoint 2 i is the transition of tube i, 2 i + 1 its end.
@@ -400,11 +400,11 @@ class Order:
     behind: tuple[int, ...]
 
 
-Cell = tuple[Order, ...]
+Cell = tuple[PoseOrder, ...]
 """Order of breakpoints of every pose, then of every translation of the certificate."""
 
 
-def _breakpoints(state: State, k: int) -> tuple[Array, Array]:
+def _breakpoints(state: DesignState, k: int) -> tuple[Array, Array]:
     """Places (2 n,) of the breakpoints of one pose or certificate, m, and their derivatives (2 n, X)."""
     layout = state.layout
     if k < len(layout.poses):
@@ -418,14 +418,14 @@ def _breakpoints(state: State, k: int) -> tuple[Array, Array]:
     return positions, slopes.reshape(-1, layout.size)
 
 
-def cell_of(state: State) -> Cell:
+def cell_of(state: DesignState) -> Cell:
     """Present orders of breakpoints."""
     orders = []
     for k in range(len(state.layout.poses) + len(state.layout.certified)):
         positions, _ = _breakpoints(state, k)
         ranked = np.argsort(positions, kind="stable").tolist()
         orders.append(
-            Order(tuple(i for i in ranked if positions[i] > 0), tuple(i for i in ranked if positions[i] <= 0))
+            PoseOrder(tuple(i for i in ranked if positions[i] > 0), tuple(i for i in ranked if positions[i] <= 0))
         )
     return tuple(orders)
 
@@ -449,7 +449,7 @@ class Sections(NamedTuple):
     """Breakpoints of each section."""
 
 
-def cell_rows(state: State, cell: Cell) -> Sections:
+def cell_rows(state: DesignState, cell: Cell) -> Sections:
     """Sections of a cell as constraints: with a fixed order of breakpoints their lengths are >= 0."""
     values, slopes, ends = [], [], []
     for k, order in enumerate(cell):
@@ -469,12 +469,12 @@ def swapped(cell: Cell, pose: int, a: int, b: int) -> Cell:
     """Cell beyond the kink where breakpoints a and b of a pose meet."""
     order = cell[pose]
     if a == -1:
-        swap = Order(order.beyond[1:], (*order.behind, b))
+        swap = PoseOrder(order.beyond[1:], (*order.behind, b))
     elif b == -1:
-        swap = Order((a, *order.beyond), tuple(i for i in order.behind if i != a))
+        swap = PoseOrder((a, *order.beyond), tuple(i for i in order.behind if i != a))
     else:
         k = order.beyond.index(a)
-        swap = Order((*order.beyond[:k], b, a, *order.beyond[k + 2 :]), order.behind)
+        swap = PoseOrder((*order.beyond[:k], b, a, *order.beyond[k + 2 :]), order.behind)
     return (*cell[:pose], swap, *cell[pose + 1 :])
 
 
@@ -512,7 +512,7 @@ def _through_cells(start: Attempt, report: Report | None) -> Attempt:
 def _in_cell(program: Program, start: Array, cell: Cell, report: Report | None) -> Attempt:
     """Optimum within one order of breakpoints."""
 
-    def rows(state: State) -> tuple[Array, Array]:
+    def rows(state: DesignState) -> tuple[Array, Array]:
         return cell_rows(state, cell)[:2]
 
     optimum = improve(program, start, report, rows=rows)

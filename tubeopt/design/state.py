@@ -113,7 +113,7 @@ STRONGEST = 10.0
 STEP = 1e-5
 
 
-class State:
+class DesignState:
     """Tubes, poses and quantities at x; equilibria are solved on first use, near `guesses`, which they update.
 
     Raises:
@@ -239,7 +239,7 @@ class State:
     def _tip_moves(self, index: PoseNumber) -> tuple[Array, Array]:
         """Jacobians (12 n,) of the tip position, then of its frame, and their derivative (12 n, X)."""
 
-        def jacobians(state: State) -> Array:
+        def jacobians(state: DesignState) -> Array:
             linear = state.pose(index).by_joints
             return np.concatenate([each.ravel(order="F") for each in (linear.tip_position, linear.tip_rotation)])
 
@@ -254,7 +254,7 @@ class State:
             # Derivatives are exact, so that truncation is 1e-8 of the second change, and round-off 1e-12 over 1e-4.
             step = np.eye(self.layout.size)[column] * 1e-4 * size[column]
             # States of their own with copied guesses: neither side may move the start of the other.
-            ends = (jacobians(State(self.layout, x, dict(self.guesses))) for x in (self.x + step, self.x - step))
+            ends = (jacobians(DesignState(self.layout, x, dict(self.guesses))) for x in (self.x + step, self.x - step))
             change[:, column] = -np.diff(np.stack(list(ends)), axis=0)[0] / (2 * step[column])
         return jacobians(self), change
 
@@ -266,8 +266,8 @@ class State:
         return value, slope @ chain
 
 
-def _value_and_change(state: State, quantity: Quantity) -> tuple[Array, Array]:
-    """Value and derivative of a quantity, as `State.quantity`, not cached."""
+def _value_and_change(state: DesignState, quantity: Quantity) -> tuple[Array, Array]:
+    """Value and derivative of a quantity, as `DesignState.quantity`, not cached."""
     match quantity.name:
         case "certificate":
             return _row(state.certificate_at(quantity.at))
@@ -324,7 +324,7 @@ def _of_pose(pose: Pose, quantity: Quantity) -> tuple[Array, Array]:
 # --- loads ------------------------------------------------------------------------------------------------------------
 
 
-def tip_deflection(state: State, index: PoseNumber, load: Load) -> tuple[Array, Array]:
+def tip_deflection(state: DesignState, index: PoseNumber, load: Load) -> tuple[Array, Array]:
     """Displacement (3,) of the tip by a load on a pose, m, and its derivative (3, X).
 
     Raises:
@@ -339,7 +339,7 @@ def tip_deflection(state: State, index: PoseNumber, load: Load) -> tuple[Array, 
     return pushed.tip_position - plain.tip_position, change
 
 
-def margin_under(state: State, index: PoseNumber, load: Load) -> tuple[float, Array]:
+def margin_under(state: DesignState, index: PoseNumber, load: Load) -> tuple[float, Array]:
     """`sure_margin` of a pose under a load, and its gradient (X,).
 
     Raises:
@@ -360,7 +360,7 @@ def margin_under(state: State, index: PoseNumber, load: Load) -> tuple[float, Ar
     return margin, slope
 
 
-def stroke_force(state: State, index: PoseNumber) -> tuple[float, Array]:
+def stroke_force(state: DesignState, index: PoseNumber) -> tuple[float, Array]:
     """Stroke force of a pose, N, at most STRONGEST, and its gradient (X,).
 
     Raises:
@@ -388,7 +388,7 @@ class _UnloadedPose(NamedTuple):
     """Derivatives of the rows by the unknowns, n rows each, X columns."""
 
 
-def _unloaded(state: State, index: PoseNumber) -> _UnloadedPose:
+def _unloaded(state: DesignState, index: PoseNumber) -> _UnloadedPose:
     """Pose without load, with its parameters."""
     rows = dict(zip(JOINTS, state.joint_slopes(index), strict=True)) | state.resized
     moved = {name: part for name, part in rows.items() if part.any()}
@@ -405,7 +405,7 @@ class _PieceStep(NamedTuple):
     """Robots a step up and a step down."""
 
 
-def _free_pieces(state: State) -> list[_PieceStep]:
+def _free_pieces(state: DesignState) -> list[_PieceStep]:
     """Steps of all unknowns of pieces."""
     space, designs, out = state.layout.space, state.x[: state.layout.designs], []
     for k in state.free_pieces:
@@ -450,7 +450,7 @@ def _slot_ratio(tube: Tube, number: int) -> tuple[float, float]:
     return float(value), float(slope)
 
 
-def _ratio(state: State, tube: int, number: int) -> tuple[float, Array]:
+def _ratio(state: DesignState, tube: int, number: int) -> tuple[float, Array]:
     """Strain of a piece relative to a tube without slots, and its gradient (X,)."""
     shape, space = state.tubes[tube], state.layout.space
     value, slope = _slot_ratio(shape, number)
@@ -463,7 +463,7 @@ def _ratio(state: State, tube: int, number: int) -> tuple[float, Array]:
     return value, change
 
 
-def straightened_strain(state: State, tube: int, number: int) -> tuple[float, Array]:
+def straightened_strain(state: DesignState, tube: int, number: int) -> tuple[float, Array]:
     """Largest strain of a piece of a straightened tube, and its gradient (X,); a tube of one curvature is one piece."""
     shape, space = state.tubes[tube], state.layout.space
     if not space.pieced:
@@ -479,7 +479,7 @@ def straightened_strain(state: State, tube: int, number: int) -> tuple[float, Ar
     return ratio * float(value[0]), ratio * change + float(value[0]) * raised
 
 
-def pose_strain(state: State, index: PoseNumber, tube: int) -> tuple[float, Array]:
+def pose_strain(state: DesignState, index: PoseNumber, tube: int) -> tuple[float, Array]:
     """Largest bending strain of a tube in a pose, and its gradient (X,); 0 if the tube is behind the plate."""
     shape, of = state.tubes[tube], state.pose(index).derivatives
     n, mesh = of.n, of.problem.mesh

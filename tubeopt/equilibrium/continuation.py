@@ -70,7 +70,7 @@ def small_motion(turn: Array, shift: Array, length: float) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class JointPath:
+class SampledJointPath:
     """Straight path between joint values (2n,), rotations then translations, for fractions t in [0, 1]."""
 
     robot: Robot
@@ -138,8 +138,7 @@ class JointPath:
 
 
 def steps_along(robot: Robot, joints: Array) -> tuple[Array, Index]:
-    """The rows of joint values (T, 2n) with `JointPath.rows` between them (S, 2n), and where the rows (T,) are among
-    them."""
+    """Joint values (S, 2n): rows (T, 2n) with `SampledJointPath.rows` between them, and the indices (T,) of rows."""
     n = joints.shape[1] // 2
     home = robot.assembly(robot.home_translations)
     moved = joints[:, n:] - robot.home_translations
@@ -153,7 +152,9 @@ def steps_along(robot: Robot, joints: Array) -> tuple[Array, Index]:
     several = meet | (turn > LARGEST_TURN) | (shift > longest)
     rows = [joints[:1]]
     for k, split in enumerate(several.tolist()):
-        rows.append(np.array(JointPath(robot, joints[k], joints[k + 1]).rows()) if split else joints[k + 1 : k + 2])
+        rows.append(
+            np.array(SampledJointPath(robot, joints[k], joints[k + 1]).rows()) if split else joints[k + 1 : k + 2]
+        )
     return np.concatenate(rows), np.cumsum([len(part) for part in rows]) - 1
 
 
@@ -164,7 +165,7 @@ class Family:
     A load that grows from 0 may grow beyond t = 1.
     """
 
-    path: JointPath
+    path: SampledJointPath
     load: Load | None = None
     """Load at t = 1; None without a load at any t."""
     before: Load | None = None
@@ -179,7 +180,7 @@ class Family:
     def growing(member: Loaded) -> Family:
         """Family at constant joint values with t as the factor on the load of a problem."""
         joints = np.concatenate([member.rotations, member.translations])
-        return Family(JointPath(member.robot, joints, joints, member.discretisation), member.problem.load)
+        return Family(SampledJointPath(member.robot, joints, joints, member.discretisation), member.problem.load)
 
     def load_at(self, t: float) -> Load | None:
         """Load at t."""
@@ -216,7 +217,7 @@ class Family:
         return Loaded.of(self.path.robot, rotations, tuple(translations.tolist()), load)
 
     def span(self) -> float:
-        """Length of the path, as `JointPath.span`; at least 1 where the load changes."""
+        """Length of the path, as `SampledJointPath.span`; at least 1 where the load changes."""
         return max(self.path.span(), float(self.before != self.load))
 
 

@@ -51,8 +51,8 @@ from .continuation import (
     SHARPEST_STEP,
     SHORTEST_STEP,
     Family,
-    JointPath,
     Milestone,
+    SampledJointPath,
     bifurcates,
     largest_twist,
     reach,
@@ -304,7 +304,7 @@ def forward_kinematics(  # noqa: PLR0913
         # 3. Continuation from the start, along joints and load.
         assert guess is not None
         joints = np.concatenate([guess.rotations, guess.translations])
-        path = JointPath(robot, joints, np.concatenate([alpha, shift]), discretisation)
+        path = SampledJointPath(robot, joints, np.concatenate([alpha, shift]), discretisation)
         result = on_branch(Family(path, load, guess.load), guess, request)
     return verify_equilibrium(result) if verify else result
 
@@ -418,7 +418,7 @@ def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: t
     if not small_motion(turn, shift, max(float(guess.arc_length[-1]), shortest_arm(robot))):
         return None
     joints = np.concatenate([guess.rotations, guess.translations])
-    family = Family(JointPath(robot, joints, np.concatenate([rotations, translations])))
+    family = Family(SampledJointPath(robot, joints, np.concatenate([rotations, translations])))
     # `step_to` refuses a solution far from the guess: Newton's method may have jumped past a fold.
     point = step_to(family, 1.0, _start(family, Milestone(0.0, guess)))
     if point is None:

@@ -32,7 +32,7 @@ MOVED_PAST = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
-class Order:
+class OrderConstraints:
     """Order of breakpoints as linear inequalities in the translations d (G,) of the carriages."""
 
     length: Array
@@ -59,7 +59,7 @@ class Order:
         return [(self.rows[k], float(self.bound[k])) for k in np.flatnonzero(length <= section)]
 
 
-def breakpoint_order(goal: Goal, at: Posture) -> Order:
+def breakpoint_order(goal: Goal, at: Posture) -> OrderConstraints:
     """Order of breakpoints of a posture."""
     space, problem = goal.space, at.problem
     n, groups = space.robot.n_tubes, len(space.carriages)
@@ -88,7 +88,7 @@ def breakpoint_order(goal: Goal, at: Posture) -> Order:
             bound.append(float(row @ shift - (second - first)))
     length = problem.mesh.length - length_slope @ shift
     rows, bound, changeable = [*rows, *space.rows[:, n:]], [*bound, *space.least], len(bound)
-    return Order(length, length_slope, np.reshape(rows, (-1, groups)), np.array(bound), changeable)
+    return OrderConstraints(length, length_slope, np.reshape(rows, (-1, groups)), np.array(bound), changeable)
 
 
 def _breakpoints(assembly: Assembly, tubes: tuple[int, ...]) -> list[float]:

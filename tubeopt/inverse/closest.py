@@ -15,7 +15,7 @@ import scipy
 
 from ..typing import Array, Index
 from .breakpoint_order import breakpoint_order, separate_breakpoints
-from .gauss_newton import FIRST_STEP, SLACK, Model, Restored, Search, Step, descend
+from .gauss_newton import FIRST_STEP, SLACK, AcceptedStep, DescentSearch, Restored, StepModel, descend
 from .goal import Goal
 from .posture import Posture
 
@@ -53,7 +53,7 @@ AGREEING = 4
 """Number of further ends at the same distance that stop the search for a closer one."""
 
 
-def approach(goal: Goal, start: Posture) -> Search | None:
+def approach(goal: Goal, start: Posture) -> DescentSearch | None:
     """Local minimum of the residual from a start; None if no allowed posture is found near the start."""
     goal.touched.clear()  # the result must not depend on earlier searches
     first = restored(goal, start, max_steps=RESTORATIONS)
@@ -61,16 +61,16 @@ def approach(goal: Goal, start: Posture) -> Search | None:
         return None
     start = restored(goal, separate_breakpoints(goal, first), max_steps=RESTORATIONS) or first
     end = descend(_MissProblem(goal), start, size=FIRST_STEP, max_steps=MAX_STEPS, max_solves=MAX_SOLVES)
-    return Search(end.posture, goal.reached(end.posture, 1e-8, 1e-8), end.steps, end.solves)
+    return DescentSearch(end.posture, goal.reached(end.posture, 1e-8, 1e-8), end.steps, end.solves)
 
 
-def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]]) -> Search | None:
+def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]]) -> DescentSearch | None:
     """Allowed posture with the smallest residual: each group of ends is polished in order, until several agree.
 
     More ends at the end of a group never make it worse. A later end replaces an earlier one only if it is closer
     by more than round-off.
     """
-    best: Search | None = None
+    best: DescentSearch | None = None
     for ends in groups:
         smallest, agreeing = np.inf, 0
         for end in _distinct(goal, ends):
@@ -107,7 +107,7 @@ def restored(goal: Goal, at: Posture, *, max_steps: int) -> Posture | None:
     for _ in range(max_steps):
         if goal.allowed(at, SLACK):
             return at
-        model = Model(np.diag(1 / goal.space.scale), np.zeros(len(at.q)), *none, *goal.constraints(at)[:2])
+        model = StepModel(np.diag(1 / goal.space.scale), np.zeros(len(at.q)), *none, *goal.constraints(at)[:2])
         chosen = model.step(goal, FIRST_STEP)
         nearer = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
         if nearer is None:
@@ -117,7 +117,7 @@ def restored(goal: Goal, at: Posture, *, max_steps: int) -> Posture | None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Lagrangian(Model):
+class _Lagrangian(StepModel):
     """Model with the Hessian of the Lagrangian, in units of the joints' scales."""
 
     at: Posture
@@ -143,7 +143,7 @@ class _MissProblem:
     def converged(self, at: Posture, values: Sequence[float]) -> bool:
         return False
 
-    def model(self, at: Posture, side: int, last: Step | None) -> _Lagrangian:
+    def model(self, at: Posture, side: int, last: AcceptedStep | None) -> _Lagrangian:
         """Quadratic model of the residual and linearised constraints at a posture."""
         goal, scale, m = self.goal, self.goal.space.scale, len(at.q)
         residual, jacobian = goal.residual(at), goal.slope(at, side=side) * scale
@@ -158,7 +158,9 @@ class _MissProblem:
         none = np.zeros((0, m)), np.zeros(0)
         return _Lagrangian(root / scale, right, *none, rows, bounds, at, hessian, slope, names)
 
-    def _updated(self, last: Step, before: _Lagrangian, at: Posture, slope: Array, rows: Array, names: Index) -> Array:
+    def _updated(
+        self, last: AcceptedStep, before: _Lagrangian, at: Posture, slope: Array, rows: Array, names: Index
+    ) -> Array:
         """Powell's damped BFGS update of the Hessian B by a step s and the change y of the Lagrangian's gradient."""
         scale, B = self.goal.space.scale, before.hessian
         # Multipliers of the active rows: the gradient of the quadratic program at its solution is their combination.

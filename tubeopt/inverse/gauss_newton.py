@@ -3,10 +3,11 @@
     minimise  |A x - b|^2 + |A' x - b'|^2   over motions x (m,) of the joints
     subject to  rows x >= bounds,  |x_k| <= size scale_k
 
-Every iterate is a solved, stable equilibrium. A `Problem` defines the objective: |A x - b|^2 / 2 is its model near a
-posture. A' and b' only guide the step, as Levenberg-Marquardt damping does. A problem also defines how a posture after
-a step is restored to its constraints. A step is accepted if the objective decreases by a fraction of the decrease that
-the model predicts; else the trust region shrinks (Nocedal and Wright, Numerical Optimization, 2006, algorithm 4.1).
+Every iterate is a solved, stable equilibrium. A `DescentProblem` defines the objective; near a posture its model is |A
+x - b|^2 / 2. A' and b' only guide the step, as Levenberg-Marquardt damping does. A problem also defines how a posture
+after a step is restored to its constraints. A step is accepted if the objective decreases by a fraction of the decrease
+that the model predicts; else the trust region shrinks (Nocedal and Wright, Numerical Optimization, 2006, algorithm
+4.1).
 
 Derivatives differ to either side where breakpoints along the arm coincide. So a descent ends only if neither side
 promises a decrease, and neither does a posture beyond the next change of their order.
@@ -24,7 +25,7 @@ import numpy as np
 
 from ..solvers.compiled.quadratic import LeastSquares, constrained_least_squares
 from ..typing import Array, Index
-from .breakpoint_order import SHORT_SECTION, Order, breakpoint_order, crossings
+from .breakpoint_order import SHORT_SECTION, OrderConstraints, breakpoint_order, crossings
 from .goal import Goal
 from .posture import Posture
 
@@ -49,7 +50,7 @@ The factor applies to the trust region after a rejected step.
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class StepModel:
     """Quadratic program of a step near a posture, in motions x (m,) of the joints."""
 
     matrix: Array
@@ -82,10 +83,10 @@ class Model:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class AcceptedStep:
     """Accepted step of the Gauss-Newton iteration."""
 
-    model: Model
+    model: StepModel
     x: Array
     """Motion (m,) of the joints."""
     active: Index
@@ -108,7 +109,7 @@ class Restored:
     """Number of equilibria solved."""
 
 
-class Problem(Protocol):
+class DescentProblem(Protocol):
     """Objective and constraints of a descent."""
 
     @property
@@ -124,7 +125,7 @@ class Problem(Protocol):
     def converged(self, at: Posture, values: Sequence[float]) -> bool:
         """True if the descent may end, after these objectives of all iterates."""
 
-    def model(self, at: Posture, side: int, last: Step | None) -> Model:
+    def model(self, at: Posture, side: int, last: AcceptedStep | None) -> StepModel:
         """Model near a posture, for translations that grow (side 1) or shrink (-1); `last` is the step before it."""
 
     def after(self, current: Posture, x: Array) -> Restored:
@@ -135,7 +136,7 @@ class Problem(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
+class DescentSearch:
     """End of a search for the target."""
 
     posture: Posture
@@ -147,7 +148,7 @@ class Search:
     """Number of equilibria solved."""
 
 
-class Descent(NamedTuple):
+class GaussNewtonDescent(NamedTuple):
     """End of a descent."""
 
     posture: Posture
@@ -156,10 +157,12 @@ class Descent(NamedTuple):
     """Number of equilibria solved."""
 
 
-def descend(problem: Problem, start: Posture, *, size: float, max_steps: int, max_solves: float = np.inf) -> Descent:
+def descend(
+    problem: DescentProblem, start: Posture, *, size: float, max_steps: int, max_solves: float = np.inf
+) -> GaussNewtonDescent:
     """Minimise the objective of a problem from a start; `size` is the first trust region."""
     current, side, steps, solves = start, 1, 0, 0
-    last: Step | None = None
+    last: AcceptedStep | None = None
     values = [problem.value(current)]
     while steps < max_steps and solves < max_solves and not problem.goal.clock.over:
         if problem.converged(current, values):
@@ -180,12 +183,18 @@ def descend(problem: Problem, start: Posture, *, size: float, max_steps: int, ma
         current, size, side = step.posture, step.size, 1
         values.append(step.value)
         steps += 1
-    return Descent(current, steps, solves)
+    return GaussNewtonDescent(current, steps, solves)
 
 
 def _trust_region_step(
-    problem: Problem, current: Posture, value: float, size: float, *, side: int = 1, last: Step | None = None
-) -> tuple[Step | None, int]:
+    problem: DescentProblem,
+    current: Posture,
+    value: float,
+    size: float,
+    *,
+    side: int = 1,
+    last: AcceptedStep | None = None,
+) -> tuple[AcceptedStep | None, int]:
     """Largest step tried that decreases the objective enough, None without one, and the equilibria solved."""
     goal, solves = problem.goal, 0
     model, known_bodies = problem.model(current, side, last), len(goal.touched)
@@ -200,14 +209,14 @@ def _trust_region_step(
         if trial.posture is not None and value - trial_value >= ACCEPTED * predicted:
             faithful = value - trial_value >= FAITHFUL * predicted
             size = min(2 * size, 2 * FIRST_STEP) if faithful else size
-            return Step(model, chosen.x, chosen.active, trial.posture, trial_value, size), solves
+            return AcceptedStep(model, chosen.x, chosen.active, trial.posture, trial_value, size), solves
         size = SHRINK * min(size, float(np.abs(chosen.x / goal.space.scale).max()))
         if len(goal.touched) > known_bodies:  # obstacles that the model did not know
             model, known_bodies = problem.model(current, side, last), len(goal.touched)
     return None, solves
 
 
-def _step_across(problem: Problem, current: Posture, value: float) -> tuple[Step | None, int]:
+def _step_across(problem: DescentProblem, current: Posture, value: float) -> tuple[AcceptedStep | None, int]:
     """Step from beyond a change of the order of breakpoints to a smaller objective, and the equilibria solved."""
     solves = 0
     for crossed in crossings(problem.goal, current, SHORT_SECTION * problem.goal.space.length):
@@ -239,11 +248,11 @@ PATIENCE, STAGNANT = 5, 0.97
 """Number of steps in a row that must reduce the residual below this fraction."""
 
 
-def reach(goal: Goal, start: Posture) -> Search:
+def reach(goal: Goal, start: Posture) -> DescentSearch:
     """Levenberg-Marquardt descent from a stable posture to the target, and out of obstacles."""
     end = descend(_TargetProblem(goal), start, size=FIRST_STEP, max_steps=goal.options.steps)
     reached = goal.reached(end.posture, 1e-8, 1e-8) and goal.allowed(end.posture, SLACK)
-    return Search(end.posture, reached, end.steps, end.solves)
+    return DescentSearch(end.posture, reached, end.steps, end.solves)
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,11 +275,11 @@ class _TargetProblem:
             return True
         return self.goal.reached(at, ON_TARGET, ON_TARGET) and self.goal.allowed(at, SLACK)
 
-    def model(self, at: Posture, side: int, last: Step | None) -> Model:
+    def model(self, at: Posture, side: int, last: AcceptedStep | None) -> StepModel:
         missing, collision_slope = self.goal.collisions(at)
         residual = np.concatenate([self.goal.residual(at), missing])
         jacobian = np.vstack([self.goal.slope(at, side=side), collision_slope])
-        return Model(jacobian, -residual, *damping(self.goal, residual), *self.goal.inequalities(at))
+        return StepModel(jacobian, -residual, *damping(self.goal, residual), *self.goal.inequalities(at))
 
     def after(self, current: Posture, x: Array) -> Restored:
         """Posture after a motion; None if it violates a constraint: the step is too long then."""
@@ -312,12 +321,12 @@ MAX_RIGHT = 1e6
 """Right-hand side of the cost in a step: a larger one would drown the target in round-off."""
 
 
-def improve(goal: Goal, start: Posture) -> Search:
+def improve(goal: Goal, start: Posture) -> DescentSearch:
     """Lower the cost from a posture on target, without leaving it."""
     if not goal.ranked:
-        return Search(start, True, 0, 0)
+        return DescentSearch(start, True, 0, 0)
     end = descend(_CostProblem(goal), start, size=0.5 * FIRST_STEP, max_steps=IMPROVING_STEPS)
-    return Search(end.posture, True, end.steps, end.solves)
+    return DescentSearch(end.posture, True, end.steps, end.solves)
 
 
 @dataclass(frozen=True, eq=False)
@@ -335,12 +344,12 @@ class _CostProblem:
     def converged(self, at: Posture, values: Sequence[float]) -> bool:
         return len(values) > 1 and values[-2] - values[-1] < 1e-7 * max(abs(values[-1]), 1e-3)
 
-    def model(self, at: Posture, side: int, last: Step | None) -> Model:
+    def model(self, at: Posture, side: int, last: AcceptedStep | None) -> StepModel:
         goal = self.goal
         cost, right = goal.cost_rows(at, 1e-3)
         right *= min(1.0, MAX_RIGHT / max(float(np.linalg.norm(right)), 1e-300))
         target = on_target(goal.slope(at, side=side), goal.residual(at))
-        return Model(cost, right, *target, *breakpoint_order(goal, at).constrain(at.q, *goal.inequalities(at)))
+        return StepModel(cost, right, *target, *breakpoint_order(goal, at).constrain(at.q, *goal.inequalities(at)))
 
     def after(self, current: Posture, x: Array) -> Restored:
         order = breakpoint_order(self.goal, current)
@@ -356,7 +365,7 @@ def on_target(slope: Array, residual: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class Correction(Restored):
+class ConstraintCorrection(Restored):
     """Posture brought back onto the target; None if that fails or violates constraints."""
 
     slope: Array
@@ -371,20 +380,26 @@ def moved(
     *,
     tolerance: float,
     max_steps: int = 8,
-    order: Order | None = None,
-) -> Correction:
+    order: OrderConstraints | None = None,
+) -> ConstraintCorrection:
     """Posture after a motion, brought back onto the target."""
     at = current.to(goal.space.clip(current.q + x))
     if at is None:
-        return Correction(None, 1, slope)
+        return ConstraintCorrection(None, 1, slope)
     slope = broyden(slope, at.q - current.q, goal.residual(at) - goal.residual(current), goal.space.scale)
     corrected = correct(goal, at, slope, tolerance=tolerance, max_steps=max_steps, order=order)
     return replace(corrected, solves=1 + corrected.solves)
 
 
 def correct(
-    goal: Goal, at: Posture, slope: Array, *, tolerance: float, max_steps: int = 8, order: Order | None = None
-) -> Correction:
+    goal: Goal,
+    at: Posture,
+    slope: Array,
+    *,
+    tolerance: float,
+    max_steps: int = 8,
+    order: OrderConstraints | None = None,
+) -> ConstraintCorrection:
     """Bring a posture back onto the target by Broyden's method, within joint limits and order of breakpoints.
 
     Args:
@@ -395,23 +410,23 @@ def correct(
     residual, solves = goal.residual(at), 0
     while not goal.reached(at, tolerance, tolerance):
         if solves == max_steps:
-            return Correction(None, solves, slope)
+            return ConstraintCorrection(None, solves, slope)
         rows, bounds = goal.space.inequalities(at.q)
         if order is not None:
             rows, bounds = order.constrain(at.q, rows, bounds)
-        model = Model(slope, -residual, *damping(goal, residual), rows, np.minimum(bounds, 0.0))
+        model = StepModel(slope, -residual, *damping(goal, residual), rows, np.minimum(bounds, 0.0))
         chosen = model.step(goal, FIRST_STEP)
         next_at = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
         solves += 1
         if next_at is None:
-            return Correction(None, solves, slope)
+            return ConstraintCorrection(None, solves, slope)
         new = goal.residual(next_at)
         # Close to the target each step gains far more: less means that the motion before was too long.
         if np.linalg.norm(new) > 0.5 * np.linalg.norm(residual) and not goal.reached(next_at, 1e-9, 1e-9):
-            return Correction(None, solves, slope)
+            return ConstraintCorrection(None, solves, slope)
         slope = broyden(slope, next_at.q - at.q, new - residual, goal.space.scale)
         at, residual = next_at, new
-    return Correction(at if goal.allowed(at, SLACK) else None, solves, slope)
+    return ConstraintCorrection(at if goal.allowed(at, SLACK) else None, solves, slope)
 
 
 def broyden(slope: Array, step: Array, change: Array, scale: Array | float = 1.0) -> Array:

@@ -28,7 +28,7 @@ from .answer import InverseSolution, InverseStatistics, InverseStatus
 from .arm_surface import ArmSurface
 from .clock import Clock
 from .closest import SAME_MISS, closest_of
-from .gauss_newton import ON_TARGET, SLACK, Search, correct, improve, reach
+from .gauss_newton import ON_TARGET, SLACK, DescentSearch, correct, improve, reach
 from .goal import Goal
 from .joint_path import answer_at, straight_path
 from .joints import JointSpace
@@ -508,7 +508,7 @@ class Multistart:
         self._count(search)
         return self._finished(search, name, "gauss_newton")
 
-    def _better(self, search: Search, than: Posture, name: str) -> bool:
+    def _better(self, search: DescentSearch, than: Posture, name: str) -> bool:
         """True if a solution of the program has a smaller cost and, from a given start, is reached without a snap."""
         at = search.posture
         if not search.reached or self.goal.cost(at) > self.goal.cost(than) + 1e-12:
@@ -516,7 +516,7 @@ class Multistart:
         # From a given start the solution must be on its branch: the start moved to these joint values arrives there.
         return name != "seed" or same_posture(than.to(at.q), at)
 
-    def _by_program(self, start: Posture) -> Search:
+    def _by_program(self, start: Posture) -> DescentSearch:
         """Search by the nonlinear program, finished by Gauss-Newton if it ends near the target."""
         posture = solve_program(self.goal, start)
         if posture.reached:
@@ -531,7 +531,7 @@ class Multistart:
             return True
         return self.smallest_miss > FAR * self.goal.space.length and self.tries >= HOPELESS
 
-    def _count(self, search: Search) -> None:
+    def _count(self, search: DescentSearch) -> None:
         """Add a search to the statistics."""
         self.iterations += search.iterations
         self.solves += search.solves
@@ -548,7 +548,7 @@ class Multistart:
         self.smallest_miss = min(self.smallest_miss, miss)
         self.ends[-1].append(search.posture)
 
-    def _finished(self, search: Search, name: str, method: str) -> InverseSolution | None:
+    def _finished(self, search: DescentSearch, name: str, method: str) -> InverseSolution | None:
         """Solution at the end of a search; None if it is off target or violates a constraint."""
         if method == "nlp":
             self._count(search)

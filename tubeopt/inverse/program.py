@@ -52,12 +52,12 @@ from ..solvers.settings import LARGEST_TWIST, Ipopt
 from ..typing import Array
 from .breakpoint_order import (
     CLOSED_SECTION,
-    Order,
+    OrderConstraints,
     breakpoint_order,
     cross_breakpoints,
     separate_breakpoints,
 )
-from .gauss_newton import Search
+from .gauss_newton import DescentSearch
 from .goal import Goal
 from .posture import Posture
 
@@ -74,7 +74,7 @@ quasi-Newton approximation needs no more iterations with them than without."""
 
 
 @dataclass(frozen=True)
-class Question:
+class ProgramStructure:
     """Structure of a program: two goals with equal values share one program, with other numbers."""
 
     structure: Structure
@@ -93,7 +93,7 @@ class Question:
     """Number of constraints on the order of breakpoints and tubes."""
 
 
-def inverse_program(question: Question, thread: int) -> Problem:
+def inverse_program(question: ProgramStructure, thread: int) -> Problem:
     """Program of a question, cached while it is among the last ones; each `thread` has its own numbers.
 
     Variables: `rotations` (n,), `translations` (G,) of the carriages, `margin` where it is maximised, and the torsion.
@@ -106,7 +106,7 @@ def inverse_program(question: Question, thread: int) -> Problem:
     return (_among_bodies if question.obstacles else _in_free_space)(question, thread)
 
 
-def _program(question: Question, _thread: int) -> Problem:
+def _program(question: ProgramStructure, _thread: int) -> Problem:
     structure, length = question.structure, question.length
     n, groups, pieces = structure.grid.n_tubes, len(question.carriages), len(structure.section)
     problem = Problem("inverse kinematics")
@@ -288,7 +288,7 @@ def programmable(goal: Goal) -> bool:
     return few and not goal.overdetermined and all(has_formula(body) for body in bodies)
 
 
-def solve_program(goal: Goal, start: Posture) -> Search:
+def solve_program(goal: Goal, start: Posture) -> DescentSearch:
     """Solution of the program from an allowed posture, on target or not, with changes of the order of breakpoints."""
     current, iterations = separate_breakpoints(goal, start), 0
     best, best_score = current, (np.inf, np.inf)
@@ -307,7 +307,7 @@ def solve_program(goal: Goal, start: Posture) -> Search:
         if crossed is None:
             break
         current = crossed
-    return Search(best, goal.reached(best, 1e-8, 1e-8) and goal.allowed(best, 1e-9), iterations, 0)
+    return DescentSearch(best, goal.reached(best, 1e-8, 1e-8) and goal.allowed(best, 1e-9), iterations, 0)
 
 
 def building(goal: Goal) -> float:
@@ -369,8 +369,8 @@ def _in_time(goal: Goal) -> Ipopt:
     return SETTINGS if left == math.inf else replace(SETTINGS, time_limit=2.0 ** math.floor(math.log2(left)))
 
 
-def _question(goal: Goal, at: Posture, order: Order) -> Question:
-    return Question(
+def _question(goal: Goal, at: Posture, order: OrderConstraints) -> ProgramStructure:
+    return ProgramStructure(
         structure=structure_of(at.problem),
         carriages=goal.space.carriages,
         pointed=goal.pointed,
@@ -382,7 +382,7 @@ def _question(goal: Goal, at: Posture, order: Order) -> Question:
     )
 
 
-def posed(goal: Goal, at: Posture, order: Order) -> Problem:
+def posed(goal: Goal, at: Posture, order: OrderConstraints) -> Problem:
     """Program of a goal with its numbers, and a posture as the start."""
     space, problem = goal.space, at.problem
     program = inverse_program(_question(goal, at, order), threading.get_ident())
@@ -425,7 +425,7 @@ def posed(goal: Goal, at: Posture, order: Order) -> Problem:
     return program
 
 
-def _read(goal: Goal, at: Posture, solution: ProblemSolution, order: Order) -> Posture | None:
+def _read(goal: Goal, at: Posture, solution: ProblemSolution, order: OrderConstraints) -> Posture | None:
     """Posture at a solution of the program, by Newton's method from its rotations; None if that fails."""
     q = goal.space.clip(np.concatenate([solution.values["rotations"], solution.values["translations"]]))
     rotations, shift = goal.space.split(q)

@@ -57,7 +57,7 @@ POCKET_FRACTION = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class FoundPath:
+class PathResult:
     """Result of a path search between points in tip coordinates."""
 
     points: Array | None
@@ -83,7 +83,7 @@ def find_path(
     how: str = "auto",
     improving: float = 5.0,
     seed: int = 0,
-) -> FoundPath:
+) -> PathResult:
     """Path from a point to one of several goals.
 
     Args:
@@ -94,11 +94,11 @@ def find_path(
     for goal in goals:
         tried += 1
         if task.motion(start, goal):
-            return FoundPath(np.stack([start, goal]), "straight", tried)
+            return PathResult(np.stack([start, goal]), "straight", tried)
     seconds = improving if how == "optimal" else None
     between = wall(task, start, goals, clock.part(WALL_FRACTION, most=WALL_SECONDS), seed=seed)
     if between is not None and between.proved:
-        return FoundPath(None, "search", tried, None, between.words, True)
+        return PathResult(None, "search", tried, None, between.words, True)
     if how != "rrt_connect" and between is None:
         part = clock.part(DETOUR_FRACTION, most=DETOUR_SECONDS)
         for goal in goals:
@@ -107,7 +107,7 @@ def find_path(
                 points = [start, np.append(start[:n], shift), np.append(goal[:n], shift), goal]
                 tried += len(points) - 1
                 if task.path(points):
-                    detour = FoundPath(np.stack(points), "detour", tried)
+                    detour = PathResult(np.stack(points), "detour", tried)
                     return _improved(task, detour, goals, clock, seconds, seed)
     reason = "" if between is None else between.words
     result = by_sampling(task, start, goals, clock, seed=seed, tried=tried, reason=reason)
@@ -115,8 +115,8 @@ def find_path(
 
 
 def _improved(
-    task: Task, path: FoundPath, goals: Sequence[Array], clock: Clock, seconds: float | None, seed: int
-) -> FoundPath:
+    task: Task, path: PathResult, goals: Sequence[Array], clock: Clock, seconds: float | None, seed: int
+) -> PathResult:
     """Path shortened by BIT* for a time, s; the path itself without a time or a shorter one."""
     if seconds is None or path.points is None:
         return path
@@ -167,7 +167,7 @@ def by_sampling(
     seed: int = 0,
     tried: int = 0,
     reason: str = "",
-) -> FoundPath:
+) -> PathResult:
     """Path by RRT-Connect of OMPL until the clock is over, or by BIT* for `seconds`.
 
     A known `reason` against a path ends the search early, and so does a start or goal in a closed region.
@@ -266,19 +266,19 @@ def _state(space: Any, values: Array) -> Any:
     return state
 
 
-def _ompl_path(problem: Any, scale: Array, start: Array, goals: Sequence[Array], motions: int) -> FoundPath:
+def _ompl_path(problem: Any, scale: Array, start: Array, goals: Sequence[Array], motions: int) -> PathResult:
     """Path found by OMPL, or the points closest to a goal."""
     if not problem.hasSolution():
-        return FoundPath(None, "search", motions)
+        return PathResult(None, "search", motions)
     states = problem.getSolutionPath().getStates()
     points = np.array([[state[i] for i in range(len(start))] for state in states]) * scale
     if not problem.hasExactSolution():
-        return FoundPath(None, "search", motions, points)
+        return PathResult(None, "search", motions, points)
     # The ends exactly: they went through the units of the search.
     points[0] = start
     # OMPL does not say which goal it reached.
     points[-1] = min(goals, key=lambda goal: float(np.linalg.norm((goal - points[-1]) / scale)))
-    return FoundPath(points, "search", motions)
+    return PathResult(points, "search", motions)
 
 
 def _bounds(task: Task, ends: Sequence[Array]) -> tuple[Array, Array]:

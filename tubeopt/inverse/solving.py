@@ -30,9 +30,9 @@ from ..solvers.blas import small
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution, InverseStatistics, InverseStatus, JointPath
 from .arm_surface import ArmSurface
-from .breakpoint_order import Order, breakpoint_order, crossings
+from .breakpoint_order import OrderConstraints, breakpoint_order, crossings
 from .clock import Clock
-from .gauss_newton import FIRST_STEP, Model, broyden, moved, on_target, reach
+from .gauss_newton import FIRST_STEP, StepModel, broyden, moved, on_target, reach
 from .goal import Goal, angle, pose_question, unit_vector
 from .joint_path import answer_at, joint_path_of, jump_between, with_path
 from .joints import Configuration
@@ -565,7 +565,7 @@ class _Attempt(NamedTuple):
 
     start: Posture
     slopes: _Slopes
-    order: Order | None
+    order: OrderConstraints | None
     """Order of breakpoints to keep; None allows changes."""
     guarded: bool
     """True if obstacles and custom constraints limit the step."""
@@ -629,7 +629,7 @@ def _null_space_step(goal: Goal, attempt: _Attempt) -> _StepEnd:
     if steepness > 0:
         ascent = ascent * (NULL_SPACE_STEP * size * min(1.0, 1.0 / steepness))
     target = on_target(near.target, residual)
-    chosen = Model(np.diag(1 / scale), ascent, *target, rows, np.minimum(bounds, 0.0)).step(goal, FIRST_STEP)
+    chosen = StepModel(np.diag(1 / scale), ascent, *target, rows, np.minimum(bounds, 0.0)).step(goal, FIRST_STEP)
     if chosen is None:
         return _StepEnd(None, near, 1)
     max_steps = 4 if order is None else 8

@@ -48,8 +48,8 @@ from .trajectory_trace import (
     BranchEndsError,
     ClearanceTarget,
     Link,
-    Step,
-    Table,
+    TraceStep,
+    TraceTable,
     TrajectoryVerifier,
     bisect,
     distance_on_patch,
@@ -141,14 +141,14 @@ def tracked(verifier: TrajectoryVerifier, first: Equilibrium, time: Array, joint
     steps = trace.steps
     if len(steps) == 1:  # it only rests
         # A second step at the same joint values makes a link, so that a rest has bounds like any motion.
-        steps = (steps[0], Step(1.0, steps[0].equilibrium, steps[0].joints))
+        steps = (steps[0], TraceStep(1.0, steps[0].equilibrium, steps[0].joints))
     links, lost = prove_branch(verifier, [Link(a, b) for a, b in pairwise(steps)])
     complete = trace.snap is None and not trace.unproved and not lost and steps[-1].at == 1.0
     return Track(verifier, tuple(links), frame, float(time[0]), float(time[-1]), complete)
 
 
 @dataclass(frozen=True, eq=False)
-class Side(Table):
+class Side(TraceTable):
     """Stretch of one arm in N cells."""
 
     link: Index
@@ -179,7 +179,7 @@ class Side(Table):
 
 
 @dataclass(frozen=True, eq=False)
-class PairCells(Table):
+class PairCells(TraceTable):
     """N cells of two arms."""
 
     which: Index
@@ -600,7 +600,7 @@ def at_rest(equilibrium: Equilibrium, base: Frame, chord: float) -> tuple[Capsul
 
 
 @dataclass(frozen=True, eq=False)
-class Lines(Table):
+class Lines(TraceTable):
     """N arms, or one arm at N instants, as points with radii."""
 
     points: Array

@@ -41,7 +41,7 @@ AngleDerivatives = tuple[DerivativeBounds, DerivativeBounds]
 
 
 @dataclass(frozen=True, eq=False)
-class Branch:
+class ProvedBranch:
     """Proof results for B intervals between neighbouring equilibria."""
 
     unbroken: Mask
@@ -56,7 +56,7 @@ class Branch:
     """(2, B) bounds on the second and third derivative of the tip by time, m; infinite without a proved branch."""
 
 
-def branch(intervals: Intervals, stiffness: Array) -> Branch:
+def branch(intervals: Intervals, stiffness: Array) -> ProvedBranch:
     """Proof results for intervals; `stiffness` (E,): least singular values of DF at the equilibria."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         bounds = _Bounds(intervals, np.minimum(stiffness[intervals.start], stiffness[intervals.end]))
@@ -66,7 +66,7 @@ def branch(intervals: Intervals, stiffness: Array) -> Branch:
         error = bounds.chord_error(dtheta, ball.radius[:, None, None] * bounds.weight[0])
         rates = tip_derivatives(bounds.length * bounds.tangent_derivatives(dtheta, ball))
     proved = np.asarray(unbroken & np.isfinite(error).all(1))
-    return Branch(proved, np.where(unbroken[:, None], error, np.inf), bounded, rates)
+    return ProvedBranch(proved, np.where(unbroken[:, None], error, np.inf), bounded, rates)
 
 
 def least_root(residual: Array, contraction: Array, curvature: Array) -> tuple[Array, Mask]:

@@ -32,7 +32,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..typing import Array, Mask
-from .branch import AngleChange, Branch, least_root, rotating_tangent, tip_derivatives
+from .branch import AngleChange, ProvedBranch, least_root, rotating_tangent, tip_derivatives
 from .loaded_sections import LoadedIntervals
 from .sections import PARTS, DerivativeBounds, linear, pair_differences, unit_vector
 
@@ -49,7 +49,7 @@ ROUNDS = 2, 6
 """Rounds of the fixed-point iteration for changes between samples: the reference round, and the last one."""
 
 
-def loaded_branch(intervals: LoadedIntervals, margins: Array) -> Branch:
+def loaded_branch(intervals: LoadedIntervals, margins: Array) -> ProvedBranch:
     """Proof results for intervals; `margins` (E,): margins of the equilibria, `sure_margin` under moments."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         bounds = _Bounds(intervals)
@@ -58,7 +58,7 @@ def loaded_branch(intervals: LoadedIntervals, margins: Array) -> Branch:
         rates = tip_derivatives(bounds.length * bounds.tangent_derivatives(ball.radius, ball.convexity))
     bounded = bounds.changes.valid
     unbroken = bounded & ball.exists & intervals.ordered & np.isfinite(error).all(1)
-    return Branch(np.asarray(unbroken), np.where(unbroken[:, None], error, np.inf), bounded, rates)
+    return ProvedBranch(np.asarray(unbroken), np.where(unbroken[:, None], error, np.inf), bounded, rates)
 
 
 @dataclass(frozen=True, eq=False)

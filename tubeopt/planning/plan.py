@@ -26,7 +26,7 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance, positive, vector, whole
 from ..files.field_metadata import TYPICAL_REGION, typical_length
 from ..inverse.clock import Clock, LateError
-from ..inverse.search import FoundPath, find_path, shorten, without_corners
+from ..inverse.search import PathResult, find_path, shorten, without_corners
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot
@@ -49,7 +49,7 @@ from .goals import (
     start_equilibrium,
 )
 from .motion import DEFAULT_RATES, JointMotion, RateLimits
-from .proof import Kept, proved
+from .proof import TrajectoryRequirements, proved
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, plan_task, reserve_deflection
 from .smoothing import smooth
 from .timing import Limits, actuators, at_full_speed, joint_curves, stopping_at, through, track, violated
@@ -96,7 +96,7 @@ SHORT = 1e-9
 """Length of a path, in units of the joint scales, below which it is not smoothed."""
 
 
-class Candidate(NamedTuple):
+class BaseCandidate(NamedTuple):
     """A motion to prove."""
 
     motion: JointMotion
@@ -107,7 +107,7 @@ class Candidate(NamedTuple):
     knots: int
 
 
-def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[Candidate]:
+def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[BaseCandidate]:
     """Time-optimal motions near a path (k, m), best first; the last is the path itself, with stops at its corners.
 
     A motion smoothed for length is neither longer nor slower than the path; one smoothed for time is no slower than
@@ -116,7 +116,7 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[Cand
     clock, limits, aim, extra = task.clock, actuators(task, first), task.options.objective, task.options.extra_cost
     curves = joint_curves(task, points)
     resting = stopping_at(curves, limits)
-    candidates = list[Candidate]()
+    candidates = list[BaseCandidate]()
     scanned = aim == "length" and extra is None and any(isinstance(body, DistanceField) for body in task.obstacles)
     max_seconds = SCANNED_SECONDS * clock.parallel_slowdown if scanned else task.options.smoothing_seconds
     own = Clock(min(max_seconds, SMOOTHING_FRACTION * clock.left), clock)
@@ -129,12 +129,12 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[Cand
             joints = best.motion.sampled(task.scale)[1]
             rounder = None if exact else _rounded(task, first, joints, best.points[-1], limits, own)
             motion = best.motion if name == "effort" else rounder or at_full_speed(best.motion, limits)
-            candidates.append(Candidate(motion, name, best.iterations, len(best.points)))
+            candidates.append(BaseCandidate(motion, name, best.iterations, len(best.points)))
     if aim in ("length", "time") and extra is None:
         remaining = Clock(min(ROUNDING_SECONDS * clock.parallel_slowdown, ROUNDING_FRACTION * clock.left), clock)
         joints = np.concatenate(curves)
         if len(curves) > 1 and (corners := _rounded(task, first, joints, points[-1], limits, remaining)) is not None:
-            candidates.append(Candidate(corners, "corners", 0, len(points)))
+            candidates.append(BaseCandidate(corners, "corners", 0, len(points)))
         if aim == "time":
             candidates = [each for each in candidates if each.motion.duration <= resting.duration]
             candidates.sort(key=lambda each: each.motion.duration)
@@ -142,7 +142,7 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[Cand
             longest, slowest = (x * (1 + SAME_LENGTH) for x in (resting.length(task.scale), resting.duration))
             lengths = [(each.motion.length(task.scale), each) for each in candidates if each.motion.duration <= slowest]
             candidates = [each for length, each in sorted(lengths, key=lambda pair: pair[0]) if length <= longest]
-    return [*candidates, Candidate(resting, "", 0, len(points))]
+    return [*candidates, BaseCandidate(resting, "", 0, len(points))]
 
 
 def _worth_smoothing(task: PlanTask, curves: Sequence[Array]) -> bool:
@@ -197,7 +197,7 @@ def build(
     table[0] = [*first.rotations, *first.translations]
     n = space.robot.n_tubes
     margin, clearance = task.min_margin - 1e-6, task.clearance - task.reserve
-    requirements = Kept(task.obstacles, margin, clearance, rates, space.limits, task.max_force)
+    requirements = TrajectoryRequirements(task.obstacles, margin, clearance, rates, space.limits, task.max_force)
     proof = proved(first, t, table, requirements, clock)
     if not (proof.holds or proof.open):
         overspeed = 1.0 if rates.tip is None else proof.largest_tip_rate / rates.tip
@@ -371,7 +371,7 @@ class _Search(NamedTuple):
 
     task: PlanTask
     goals: list[End]
-    path: FoundPath
+    path: PathResult
 
 
 def _search(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], seed: int) -> _Search:
@@ -408,7 +408,7 @@ def _search(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], see
     return _Search(task, goals, replace(second, motions=path.motions + second.motions, impossible=False))
 
 
-def _smooth_and_prove(task: PlanTask, first: Equilibrium, end: End, path: FoundPath) -> Trajectory | Faults:
+def _smooth_and_prove(task: PlanTask, first: Equilibrium, end: End, path: PathResult) -> Trajectory | Faults:
     """Trajectory along a path: the first provable motion of `motions_near`; without any, the faults of the last one."""
     assert path.points is not None
     clock = task.clock
@@ -436,7 +436,7 @@ def _smooth_and_prove(task: PlanTask, first: Equilibrium, end: End, path: FoundP
     return faults
 
 
-def _search_error(task: PlanTask, first: Equilibrium, goals: Sequence[End], path: FoundPath) -> SolveError:
+def _search_error(task: PlanTask, first: Equilibrium, goals: Sequence[End], path: PathResult) -> SolveError:
     """Error after a search without a path, with the partial trajectory that ends closest to the goal."""
     clock = task.clock
     if path.impossible:
@@ -542,7 +542,7 @@ class EntryRegion(Displayed):
         return [Frame(*each) for each in zip(axes, points, strict=True)]
 
 
-class PlanGiven(TypedDict, total=False):
+class PlanInputs(TypedDict, total=False):
     """Arguments of `plan_trajectory` that do not depend on the pose of the plate."""
 
     min_margin: float
@@ -561,7 +561,7 @@ def plan_from_region(
     options: PlanOptions = DEFAULT_PLAN,
     count: int = 64,
     progress: Callable[[int, int], object] | None = None,
-    **given: Unpack[PlanGiven],
+    **given: Unpack[PlanInputs],
 ) -> Trajectory:
     """Plan a trajectory, as `plan_trajectory`, from a base plate that may be placed within a region.
 

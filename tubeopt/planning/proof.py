@@ -50,7 +50,7 @@ from .trajectory_trace import (
     SHORTEST,
     ClearanceTarget,
     Link,
-    Step,
+    TraceStep,
     TrajectoryTrace,
     TrajectoryVerifier,
     bisect,
@@ -157,7 +157,7 @@ class _Row:
         return np.array([self.span * (link.end.at - link.start.at) for link in self.links])
 
     @cached_property
-    def steps(self) -> list[Step]:
+    def steps(self) -> list[TraceStep]:
         """The B + 1 steps between the links."""
         return [self.links[0].start, *(link.end for link in self.links)] if self.links else []
 
@@ -421,7 +421,7 @@ class Proof(Displayed):
 
 
 @dataclass(frozen=True, eq=False)
-class Kept:
+class TrajectoryRequirements:
     """Requirements on a trajectory, as arguments of `verify_trajectory`."""
 
     bodies: tuple[Obstacle, ...]
@@ -493,11 +493,11 @@ def verify_trajectory(  # noqa: PLR0913
     typical_length("clearance", clearance, TYPICAL_CLEARANCE, zero=True)
     positive("max_force", max_force, zero=True)
     first = _first(robot, start, (alpha[0], shift[0]), load)
-    requirements = Kept(bodies, min_margin, clearance, rate_limits, limits, max_force)
+    requirements = TrajectoryRequirements(bodies, min_margin, clearance, rate_limits, limits, max_force)
     return proved(first, t, np.concatenate([alpha, shift], axis=1), requirements, clock)
 
 
-def proved(first: Equilibrium, t: Array, joints: Array, requirements: Kept, clock: Clock) -> Proof:
+def proved(first: Equilibrium, t: Array, joints: Array, requirements: TrajectoryRequirements, clock: Clock) -> Proof:
     """Proof of a trajectory of joint values (T, 2n) at times t (T,), s, from an equilibrium at the first."""
     robot, load, (alpha, shift) = first.robot, first.load, np.split(joints, 2, axis=1)
     forced = under_any_force(robot, shift, requirements.max_force, load) if requirements.max_force else None
@@ -668,7 +668,7 @@ def _again(equilibria: Sequence[Equilibrium]) -> float:
     return max(check.tip_position for check in verifications(equilibria))
 
 
-def _at_samples(steps: Sequence[Step], t: Array) -> tuple[Equilibrium, ...]:
+def _at_samples(steps: Sequence[TraceStep], t: Array) -> tuple[Equilibrium, ...]:
     """Equilibria at the times (T,) of the samples, up to the last step."""
     at = np.array([step.at for step in steps])
     fraction = (t - t[0]) / ((t[-1] - t[0]) or 1.0) if len(t) > 1 else np.ones(1)

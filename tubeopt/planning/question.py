@@ -20,7 +20,7 @@ from ..errors import InputError, SolveError, finite, instance, positive, whole
 from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, OneOf, Typical, check_fields, check_size, key, unit
 from ..inverse.clock import Clock, LateError
 from ..inverse.joints import JointSpace, joint_space, shift_of
-from ..inverse.search import SEARCHES, FoundPath
+from ..inverse.search import SEARCHES, PathResult
 from ..inverse.task import ArmBatch, Task, TipCoordinates
 from ..robots.limits import JointLimits
 from ..robots.load import Load
@@ -109,7 +109,7 @@ PATH_QUANTITIES = ("rotations", "translations", "tip_position", "tip_direction")
 class PathSource(Protocol):
     """Source of known paths among obstacles, such as a `Roadmap`."""
 
-    def shortest_path(self, task: PlanTask, start: Array, goals: Sequence[Array], clock: Clock) -> FoundPath:
+    def shortest_path(self, task: PlanTask, start: Array, goals: Sequence[Array], clock: Clock) -> PathResult:
         """Shortest known path from a point to one of the goals; without points if none is known."""
 
     def near(self, task: PlanTask, position: Array, count: int) -> Array:

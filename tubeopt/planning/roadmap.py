@@ -21,7 +21,7 @@ from ..bodies.obstacles import Obstacle, Same
 from ..display import Displayed
 from ..errors import InputError, SolveError
 from ..inverse.clock import Clock, LateError
-from ..inverse.search import FoundPath
+from ..inverse.search import PathResult
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array, Index
@@ -57,7 +57,7 @@ class Roadmap(Displayed):
     def __len__(self) -> int:
         return len(self.points)
 
-    def shortest_path(self, task: PlanTask, start: Array, goals: Sequence[Array], clock: Clock) -> FoundPath:
+    def shortest_path(self, task: PlanTask, start: Array, goals: Sequence[Array], clock: Clock) -> PathResult:
         """The shortest valid path over the map from a point (m,) to the nearest goal.
 
         The result has no `points` if the map has no such path, or after the time limit.
@@ -80,7 +80,7 @@ class Roadmap(Displayed):
         while not clock.over:
             nodes = _shortest(len(scaled), edges[open_], length[open_], count)
             if nodes is None:
-                return FoundPath(None, "roadmap", tried, why="the roadmap has no path")
+                return PathResult(None, "roadmap", tried, why="the roadmap has no path")
             pairs = list(pairwise(nodes))
             # From both ends inwards: the first and the last edge are new to the roadmap.
             for a, b in sorted(pairs, key=lambda pair: min(pairs.index(pair), len(pairs) - 1 - pairs.index(pair))):
@@ -96,8 +96,8 @@ class Roadmap(Displayed):
                     open_ &= name != low * len(scaled) + high
                     break
             else:
-                return FoundPath(points[nodes], "roadmap", tried)
-        return FoundPath(None, "roadmap", tried, why="the time for the roadmap was over")
+                return PathResult(points[nodes], "roadmap", tried)
+        return PathResult(None, "roadmap", tried, why="the time for the roadmap was over")
 
     def near(self, task: PlanTask, position: Array, count: int) -> Array:
         """(k, m) points of the roadmap with tips nearest to a position (3,), at most `count`; the nearest first."""

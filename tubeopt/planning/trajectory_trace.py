@@ -37,7 +37,7 @@ from ..robots.load import Load
 from ..robots.robot import Robot
 from ..stability.following import find_snap
 from ..typing import Array, Index, Mask
-from .branch import Branch, branch
+from .branch import ProvedBranch, branch
 from .loaded_branch import loaded_branch
 from .loaded_sections import LoadedArms, LoadedIntervals, Pull, uncovered
 from .sections import PARTS, Constants, Intervals, SolvedArms
@@ -72,7 +72,7 @@ class ClearanceTarget:
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class TraceTable:
     """Arrays, or other tables, with one row for each of N cells; the first field is an array."""
 
     def __len__(self) -> int:
@@ -86,12 +86,15 @@ class Table:
         """Table with the rows of several tables."""
         columns = ([getattr(part, field.name) for part in parts] for field in fields(cls))
         return cls(
-            *(each[0].concatenated(each) if isinstance(each[0], Table) else np.concatenate(each) for each in columns)
+            *(
+                each[0].concatenated(each) if isinstance(each[0], TraceTable) else np.concatenate(each)
+                for each in columns
+            )
         )
 
 
 @dataclass(frozen=True, eq=False)
-class Cells(Table):
+class Cells(TraceTable):
     """N cells of arms in intervals."""
 
     which: Index
@@ -109,7 +112,7 @@ class Cells(Table):
 
 
 @dataclass(frozen=True, eq=False)
-class Sizes(Table):
+class Sizes(TraceTable):
     """Quantities of N cells that enter the clearance bound."""
 
     along: Array
@@ -268,7 +271,7 @@ BATCH = 2000
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class TraceStep:
     """An equilibrium of the trajectory."""
 
     at: float
@@ -282,8 +285,8 @@ class Step:
 class Link:
     """The interval between two neighbouring steps."""
 
-    start: Step
-    end: Step
+    start: TraceStep
+    end: TraceStep
     chord_error: Array = field(default_factory=lambda: np.zeros(0))
     """(K,) bound on the distance of the arm from a straight line in time, m; empty before the proof."""
     bound: float = math.inf
@@ -308,7 +311,7 @@ class Proved(NamedTuple):
 class TrajectoryTrace:
     """Equilibria along a trajectory, and the proof between them."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[TraceStep, ...]
     """Equilibria in order of time."""
     snap: float | None
     """Fraction of the time at the end of the branch; None without a snap."""
@@ -381,16 +384,16 @@ class TrajectoryVerifier:
         """True if the time or the number of equilibria is used up."""
         return self.count >= MAX_EQUILIBRIA or self.clock.over
 
-    def step(self, start: Step, at: float, joints: Array) -> Step | None:
+    def step(self, start: TraceStep, at: float, joints: Array) -> TraceStep | None:
         """Stable equilibrium at joint values (2n,), solved from another step; None without any."""
         self.count += 1
         try:
             e = forward_kinematics(self.robot, *np.split(joints, 2), load=self.load, start=start.equilibrium)
         except SolveError:
             return None
-        return Step(at, e, joints) if e.stable else None
+        return TraceStep(at, e, joints) if e.stable else None
 
-    def step_by_one_solve(self, start: Step, at: float, joints: Array) -> Step | None:
+    def step_by_one_solve(self, start: TraceStep, at: float, joints: Array) -> TraceStep | None:
         """Stable equilibrium at joint values (2n,) by a single Newton solve; None where that fails."""
         if self.load is not None:  # under which small changes of joints are one solve
             return self.step(start, at, joints)
@@ -399,9 +402,9 @@ class TrajectoryVerifier:
         if e is None or not e.stable:
             return None
         self.count += 1
-        return Step(at, e, joints)
+        return TraceStep(at, e, joints)
 
-    def advance(self, start: Step, at: float, joints: Array) -> Step:
+    def advance(self, start: TraceStep, at: float, joints: Array) -> TraceStep:
         """Stable equilibrium at the next joint values (2n,); raises BranchEndsError where the branch ends before it."""
         step = self.step_by_one_solve(start, at, joints)
         if step is not None:
@@ -413,7 +416,7 @@ class TrajectoryVerifier:
             raise BranchEndsError(start.at if end is None else end)
         return step
 
-    def midway(self, start: Step, end: Step) -> Step | None:
+    def midway(self, start: TraceStep, end: TraceStep) -> TraceStep | None:
         """Step in the middle of two."""
         return self.step(start, (start.at + end.at) / 2, (start.joints + end.joints) / 2)
 
@@ -424,7 +427,7 @@ class TrajectoryVerifier:
         arms = LoadedArms.of(self.constants, equilibria, pull=Pull.of(self.robot, self.load))
         return LoadedIntervals.of(arms, start, end)
 
-    def prove(self, intervals: Intervals) -> Branch:
+    def prove(self, intervals: Intervals) -> ProvedBranch:
         """Proof results for intervals; nothing is proved for a load that the bounds do not cover."""
         if isinstance(intervals, LoadedIntervals):
             margin = np.array([self.sure_margin(e) for e in intervals.arms.equilibria])
@@ -434,7 +437,7 @@ class TrajectoryVerifier:
             return replace(result, rotation_bounded=bounded)
         if self.unprovable:
             none = np.zeros(len(intervals.start), dtype=bool)
-            return Branch(none, np.full(intervals.length[0].shape, np.inf), none, np.full((2, len(none)), np.inf))
+            return ProvedBranch(none, np.full(intervals.length[0].shape, np.inf), none, np.full((2, len(none)), np.inf))
         return branch(intervals, self._stiffness(intervals.arms))
 
     def _stiffness(self, arms: SolvedArms) -> Array:
@@ -452,7 +455,7 @@ class TrajectoryVerifier:
             self._known[id(e)] = e, value(e)
         return self._known[id(e)][1]
 
-    def branch_end(self, start: Step, at: float, joints: Array) -> float | None:
+    def branch_end(self, start: TraceStep, at: float, joints: Array) -> float | None:
         """Fraction of the time of a snap on the straight joint path from a step; None without a snap."""
         e = start.equilibrium
         try:
@@ -471,7 +474,7 @@ def _least_singular_value(e: Equilibrium) -> float:
 
 def follow(verifier: TrajectoryVerifier, first: Equilibrium, t: Array, joints: Array) -> TrajectoryTrace:
     """Follow joint values (T, 2n), linear between times (T,), from an equilibrium at the first of them."""
-    origin = Step(0.0 if len(joints) > 1 else 1.0, first, joints[0])
+    origin = TraceStep(0.0 if len(joints) > 1 else 1.0, first, joints[0])
     steps, snap = _take_steps(verifier, origin, t, joints)
     while True:
         pairs = pairwise([step for step in steps if snap is None or step.at < snap or step is origin])
@@ -494,7 +497,9 @@ def follow(verifier: TrajectoryVerifier, first: Equilibrium, t: Array, joints: A
     return TrajectoryTrace(tuple(steps), snap, tuple(unproved), margin, clearance, measured, tuple(links))
 
 
-def _take_steps(verifier: TrajectoryVerifier, origin: Step, t: Array, joints: Array) -> tuple[list[Step], float | None]:
+def _take_steps(
+    verifier: TrajectoryVerifier, origin: TraceStep, t: Array, joints: Array
+) -> tuple[list[TraceStep], float | None]:
     """Steps all along, and the fraction of the time where the branch ends."""
     steps, n = [origin], joints.shape[1] // 2
     span = float(t[-1] - t[0]) or 1.0
@@ -626,7 +631,7 @@ def _prove_clearance(verifier: TrajectoryVerifier, links: list[Link]) -> _Cleare
     return _Cleared(sorted(proved.values(), key=lambda link: link.start.at), unproved, closest)
 
 
-def _least_margin(verifier: TrajectoryVerifier, steps: Sequence[Step]) -> float:
+def _least_margin(verifier: TrajectoryVerifier, steps: Sequence[TraceStep]) -> float:
     """Smallest margin, also between steps: around local minima, intervals are bisected."""
     margins = np.array([step.equilibrium.margin for step in steps])
     smallest = float(margins.min())

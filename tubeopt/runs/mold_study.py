@@ -27,7 +27,7 @@ from .workshop_file import Trials, load_mold_spec, load_rig, load_springback, lo
 
 
 @dataclass(frozen=True, eq=False)
-class Ranking(Displayed):
+class MoldRanking(Displayed):
     """Ranking of mold materials for a tube."""
 
     ratings: Annotated[tuple[MaterialRating, ...], key("materials"), "the materials, best first"]
@@ -147,10 +147,10 @@ class MaterialsStudy(Timed):
     def _heat(self) -> HeatSpec:
         return HeatSpec(set_temperature=self.si("set_degC"), hold_time=self.si("hold_s"))
 
-    def run(self, progress: Progress | None = None) -> Ranking:
+    def run(self, progress: Progress | None = None) -> MoldRanking:
         """Rank the materials, best first."""
         rig = self.rig or Rig()
-        return Ranking(rank_mold_materials(self._tube(), self._heat(), rig=rig), self._tube(), self._heat())
+        return MoldRanking(rank_mold_materials(self._tube(), self._heat(), rig=rig), self._tube(), self._heat())
 
 
 TrialsPath = Annotated[

@@ -17,7 +17,7 @@ from ..files.units import TO_MM, per_si
 from ..robots.file import save_robot
 from ..robots.tubes import Tube
 from ..runs.heating_study import Fabrication, TubeParts
-from ..runs.mold_study import Ranking
+from ..runs.mold_study import MoldRanking
 from ..runs.workshop_file import save_rig, save_springback, springback_to_dict
 from ..shaping.mold.checks import Check, pressing_strain
 from ..shaping.mold.files import write_mold
@@ -250,16 +250,16 @@ RATING = described(
 )
 
 RANKING = described(
-    Ranking,
+    MoldRanking,
     Quantity("outer_diameter_mm", "outer diameter of the tube", lambda a: a.tube.outer_diameter),
     Quantity("curved_length_mm", "curved length of the tube", lambda a: a.tube.curved_length),
     Quantity("set_degC", "set temperature", lambda a: a.heat.set_temperature - ZERO_CELSIUS),
     Quantity("hold_s", "hold time", lambda a: a.heat.hold_time),
-    of_field(Ranking, "ratings", of=RATING),
+    of_field(MoldRanking, "ratings", of=RATING),
 )
 
 
-class RankingReport(Report[Ranking]):
+class RankingReport(Report[MoldRanking]):
     command = "mold materials"
     quantities = RANKING
     file = "materials.json"

@@ -42,7 +42,7 @@ MODULES = {
         "Fabrication",
         "RobotMold",
         "Calibration",
-        "Ranking",
+        "MoldRanking",
         "Mandrel",
     ),
     "heat_report": (

@@ -177,7 +177,7 @@ SHEATH_COLOUR: Colour = (158, 173, 194)
 SHEATH_OPACITY = 0.22
 
 
-class CrossSection(NamedTuple):
+class RingSection(NamedTuple):
     """Unit vectors (k, 3) of cross-sections of the arm."""
 
     x: Array
@@ -185,7 +185,7 @@ class CrossSection(NamedTuple):
     tangent: Array
 
 
-class Centreline:
+class SampledCentreline:
     """The centreline of an equilibrium at any arc length: cubic between the points, exact in position and tangent."""
 
     def __init__(self, equilibrium: Equilibrium) -> None:
@@ -205,7 +205,7 @@ class Centreline:
         points: Array = self._position(np.clip(s, 0, self.length))
         return points
 
-    def axes(self, s: Array) -> CrossSection:
+    def axes(self, s: Array) -> RingSection:
         """The cross-sections at arc lengths `s` (k,), m."""
         s = np.clip(s, 0, self.length)
         # Between points |r'| of the cubic is 1 only to O(h^3).
@@ -213,7 +213,7 @@ class Centreline:
         across = self._across(s)
         # One step of Gram and Schmidt keeps the section square to the tangent.
         across = _unit(across - (across * tangent).sum(1, keepdims=True) * tangent)
-        return CrossSection(across, np.cross(tangent, across), tangent)
+        return RingSection(across, np.cross(tangent, across), tangent)
 
     def ring(self, s: Array, sides: int) -> tuple[Array, Array]:
         """Unit vectors around the line at `s` (k,), (k, sides, 3), and the two axes of the section, (k, 2, 3)."""
@@ -227,7 +227,7 @@ def _unit(vectors: Array) -> Array:
     return unit
 
 
-class Stretch(NamedTuple):
+class TubeSurface(NamedTuple):
     """Visible stretch of a tube."""
 
     tube: int
@@ -242,7 +242,7 @@ class Stretch(NamedTuple):
     """(2,) position of its axis in the cross-section of the arm, m."""
 
 
-def visible(equilibrium: Equilibrium) -> list[Stretch]:
+def visible(equilibrium: Equilibrium) -> list[TubeSurface]:
     """Visible stretches of tubes, outermost first: from the end of the last tube around it to its own end."""
     axes = equilibrium.robot.axes
     shown = []
@@ -253,7 +253,7 @@ def visible(equilibrium: Equilibrium) -> list[Stretch]:
         # Where all tubes around end behind the plate, the tube shows from the plate on (0).
         start = float(equilibrium.tube_end[i + 1 :].max(where=around, initial=0.0))
         if end > start:
-            shown.append(Stretch(i, start, end, equilibrium.robot.tubes[i].outer_diameter / 2, axes[i]))
+            shown.append(TubeSurface(i, start, end, equilibrium.robot.tubes[i].outer_diameter / 2, axes[i]))
     return shown
 
 
@@ -376,7 +376,7 @@ def robot_parts(
     shown = visible(equilibrium)
     if not shown:
         return []
-    line = Centreline(equilibrium)
+    line = SampledCentreline(equilibrium)
     robot = equilibrium.robot
     low, high = (0.0, line.length) if window is None else (max(window[0], 0.0), min(window[1], line.length))
     parts: list[Part] = []
@@ -402,7 +402,9 @@ def robot_parts(
     return parts + (list(_sheaths(equilibrium, line, detail, (low, high))) if robot.axes.any() else [])
 
 
-def _sheaths(equilibrium: Equilibrium, line: Centreline, detail: Detail, window: tuple[float, float]) -> Iterator[Part]:
+def _sheaths(
+    equilibrium: Equilibrium, line: SampledCentreline, detail: Detail, window: tuple[float, float]
+) -> Iterator[Part]:
     """Sheaths of the segments, as wide as the tubes in them need."""
     for k, bundle in enumerate(tube_groups(equilibrium), start=1):
         first, last = max(bundle.start, window[0]), min(bundle.end, window[1])
@@ -412,14 +414,16 @@ def _sheaths(equilibrium: Equilibrium, line: Centreline, detail: Detail, window:
             yield Part(f"sheath_{k}", surface, SHEATH_COLOUR, SHEATH_OPACITY, bundle.radius)
 
 
-def tube_surface(line: Centreline, s: Array, radius: float, offset: Array, *, sides: int) -> Surface:
+def tube_surface(line: SampledCentreline, s: Array, radius: float, offset: Array, *, sides: int) -> Surface:
     """A tube along `line` between arc lengths `s` (k,), its axis at `offset` (2,) in the cross-section, m."""
     around, section = line.ring(s, sides)
     axis = line.position(s) + offset @ section
     return Surface((axis[:, None] + radius * around).reshape(-1, 3), grid_faces(len(s), sides))
 
 
-def ring_surface(line: Centreline, s: float, radii: tuple[float, float], offset: Array, *, sides: int) -> Surface:
+def ring_surface(
+    line: SampledCentreline, s: float, radii: tuple[float, float], offset: Array, *, sides: int
+) -> Surface:
     """A flat ring across `line` at arc length `s`, from the inner to the outer of `radii`, facing the tip."""
     around, section = line.ring(np.array([s]), sides)
     centre = line.position([s]) + offset @ section
@@ -485,7 +489,7 @@ def save_solid(equilibrium: Equilibrium, path: str | PathLike[str]) -> Path:
     return path
 
 
-def closed_surface(line: Centreline, stretch: Stretch) -> Surface:
+def closed_surface(line: SampledCentreline, stretch: TubeSurface) -> Surface:
     """Surface of a tube as a solid: its outside, closed by a disc at either end."""
     # Two rings at least: a stretch below STEP is one row of facets.
     count = 2 + int((stretch.end - stretch.start) / STEP)
@@ -505,7 +509,7 @@ def closed_surface(line: Centreline, stretch: Stretch) -> Surface:
 def _write_mesh(kind: str, scale: float) -> Callable[[Equilibrium, Path], None]:
     def write(equilibrium: Equilibrium, path: Path) -> None:
         library = import_extra("trimesh", "fabrication", "STL and GLB files")
-        line, scene = Centreline(equilibrium), library.Scene()
+        line, scene = SampledCentreline(equilibrium), library.Scene()
         for stretch in visible(equilibrium):
             surface = closed_surface(line, stretch)
             # Processing would merge vertices and renumber facets.
@@ -517,7 +521,7 @@ def _write_mesh(kind: str, scale: float) -> Callable[[Equilibrium, Path], None]:
     return write
 
 
-class Piece(NamedTuple):
+class SurfacePiece(NamedTuple):
     """A straight piece of a tube: ends (3,), m, frame (3, 3) with the third axis along it, and radius, m."""
 
     tube: int
@@ -527,9 +531,9 @@ class Piece(NamedTuple):
     radius: float
 
 
-def pieces(equilibrium: Equilibrium) -> Iterator[Piece]:
+def pieces(equilibrium: Equilibrium) -> Iterator[SurfacePiece]:
     """Arm as straight pieces with ends on the axes of the tubes."""
-    line = Centreline(equilibrium)
+    line = SampledCentreline(equilibrium)
     # A straight arm has curvature 0; 1e-9 per m then gives one piece.
     tightest = max(float(np.linalg.norm(equilibrium.curvature, axis=1).max()), 1e-9)
     for stretch in visible(equilibrium):
@@ -544,7 +548,7 @@ def pieces(equilibrium: Equilibrium) -> Iterator[Piece]:
             across = x[k] - (x[k] @ along) * along
             across /= np.linalg.norm(across)
             frame = np.column_stack([across, np.cross(along, across), along])
-            yield Piece(stretch.tube + 1, points[k], points[k + 1], frame, stretch.radius)
+            yield SurfacePiece(stretch.tube + 1, points[k], points[k + 1], frame, stretch.radius)
 
 
 def _write_urdf(equilibrium: Equilibrium, path: Path) -> None:

@@ -21,7 +21,7 @@ from ..validation import (
     Fit,
     Placement,
     Registration,
-    Step,
+    SelectionStep,
     Validation,
 )
 from . import quantities
@@ -244,7 +244,7 @@ class FitReport(Report[Fit]):
         return _pictures(self.answer.after, "after the fit")
 
 
-def _step(step: Step, length: float) -> dict[str, Any]:
+def _step(step: SelectionStep, length: float) -> dict[str, Any]:
     axis = step.held_out_axis
     return {
         "effect": step.effect,

@@ -149,7 +149,7 @@ class Increment:
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class FrictionModel:
     """Second-order model of an energy."""
 
     step: Array
@@ -162,11 +162,11 @@ class Model:
     """Number of negative eigenvalues of the Hessian."""
 
 
-def model_of(rows: Array, gradient: Array, hessian: Array) -> Model | None:
+def model_of(rows: Array, gradient: Array, hessian: Array) -> FrictionModel | None:
     """Model for rows (R, X); None if the Hessian is singular."""
     right = np.column_stack([-gradient, rows.T])
     if not len(right):
-        return Model(right[:, 0], right[:, 1:], rows @ right[:, 1:], 0)
+        return FrictionModel(right[:, 0], right[:, 1:], rows @ right[:, 1:], 0)
     # One factorisation for Newton's step and the responses of all rows.
     _, solved, failed = scipy.linalg.lapack.dposv(hessian, right)
     negative = 0
@@ -175,10 +175,10 @@ def model_of(rows: Array, gradient: Array, hessian: Array) -> Model | None:
         if failed:
             return None
         negative = int((np.linalg.eigvalsh(hessian) < 0).sum())
-    return Model(solved[:, 0], solved[:, 1:], rows @ solved[:, 1:], negative)
+    return FrictionModel(solved[:, 0], solved[:, 1:], rows @ solved[:, 1:], negative)
 
 
-def choose(model: Model, free: Array, capacity: Array, signs: Signs | None) -> tuple[Array, Signs] | None:
+def choose(model: FrictionModel, free: Array, capacity: Array, signs: Signs | None) -> tuple[Array, Signs] | None:
     """Torques and signs of the rows for a model, from slips without friction (R,); None without a minimum."""
     first = np.sign(free).astype(np.int8) if signs is None else signs
     result = stick_or_slip(model.compliance, free, capacity, first, convex=not model.negative)

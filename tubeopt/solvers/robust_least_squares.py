@@ -132,7 +132,7 @@ class Weights:
 
 
 @dataclass(frozen=True, eq=False)
-class Descent(Generic[P]):
+class RobustDescent(Generic[P]):
     """Result of a fit."""
 
     state: P
@@ -175,7 +175,7 @@ def descend(
     jacobian: Array | None = None,
     first: Array | None = None,
     solver: LeastSquaresSolver = DEFAULT_SOLVER,
-) -> Descent[P]:
+) -> RobustDescent[P]:
     """Minimum of the cost near a start with a prediction for every observation.
 
     Args:
@@ -218,14 +218,14 @@ def descend(
                 damping *= 10
         if fresh and (not accepted or before - cost <= enough):
             # After so short a step the derivatives of the previous state are accurate.
-            return Descent(state, residuals, slopes, True, obstacle)
+            return RobustDescent(state, residuals, slopes, True, obstacle)
         if jacobian is None:
             # The model's decrease of |r|^2: slope is half the gradient.
             promised = float(-2 * slope @ step - step @ square @ step)
             serves = accepted and before - cost > max(float(enough), FAITHFUL * promised)
             fresh = not (serves and model.costly(state))
             slopes = model.jacobian(state) if fresh else slopes
-    return Descent(state, residuals, slopes, False, obstacle)
+    return RobustDescent(state, residuals, slopes, False, obstacle)
 
 
 def cost_of(model: Observed[P], weights: Weights, state: P, residuals: Array) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..display import Displayed
 from ..equilibrium.answer import point_of, to_equilibrium
-from ..equilibrium.continuation import Family, JointPath
+from ..equilibrium.continuation import Family, SampledJointPath
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.member import PlainPoint, Point, Unloaded
 from ..equilibrium.result import Equilibrium, refuse_load
@@ -88,7 +88,7 @@ def trace_branch(
     if np.allclose(alpha, beta, rtol=0, atol=1e-12):
         raise InputError("start and end are the same rotations; they must differ")
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, alpha, shift)
-    family = Family(JointPath(robot, np.concatenate([alpha, shift]), np.concatenate([beta, shift])))
+    family = Family(SampledJointPath(robot, np.concatenate([alpha, shift]), np.concatenate([beta, shift])))
     refuse_load(first)
     origin = point_of(first)
     points, folds = _continue(family, origin, positive("step", step))

@@ -195,7 +195,7 @@ SAME_TIPS = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class TipTable:
     """Map from tip angles to the plate for k tubes, over one turn of each of d angles.
 
     The angles are the k - 1 relative to the last tube's, and off the centreline also the last tube's.
@@ -210,14 +210,14 @@ class Table:
 
 
 @lru_cache(maxsize=16)
-def table_of(bundle: ShootingArm, k: int) -> Table:
+def table_of(bundle: ShootingArm, k: int) -> TipTable:
     """Table of the first k tubes of a bundle, refined until its Fourier series is resolved."""
     size = (RELATIVE,) * (k - 1) + ((COMMON,) if bundle.offsets else ())
     while True:
         tips = _tips(_grid(size), k).reshape(-1, k)
         shot = shoot(bundle, tips, steps=TABLE_STEPS)
         twist = shot.rotations + bundle.transmission[:k] * shot.torque - tips
-        table = Table(size, twist.reshape(*size, k), shot.torque.reshape(*size, k))
+        table = TipTable(size, twist.reshape(*size, k), shot.torque.reshape(*size, k))
         tails = _tails(table.twist - bundle.transmission[:k] * table.torque)
         finer = tuple(2 * n if tail > TAIL else n for n, tail in zip(size, tails, strict=True))
         if finer == size or np.prod(finer) > MAX_POINTS:
@@ -250,7 +250,7 @@ def _tails(values: Array) -> list[float]:
     return out
 
 
-def starts(table: Table, transmission: Array, target: Array, size: int) -> Array:
+def starts(table: TipTable, transmission: Array, target: Array, size: int) -> Array:
     """(B, k) tip angles in the middle of every cell of a grid that may contain a solution.
 
     The solution is for the joints `target` (k,).

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..display import Displayed
 from ..equilibrium.batch import joint_arrays
-from ..equilibrium.continuation import Family, JointPath
+from ..equilibrium.continuation import Family, SampledJointPath
 from ..equilibrium.friction import FrictionEquilibrium, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics, under_load
 from ..equilibrium.problem import LOADED_DISCRETISATION
@@ -83,7 +83,7 @@ class HeldEquilibria(Sequence[Equilibrium]):
         return self._made[k]
 
 
-class Stretch(NamedTuple):
+class PathStretch(NamedTuple):
     """Part of a path between two snaps."""
 
     at: Array
@@ -102,7 +102,7 @@ class Path(Displayed):
     """Snaps in order along the path."""
 
     @cached_property
-    def dense(self) -> tuple[Stretch, ...]:
+    def dense(self) -> tuple[PathStretch, ...]:
         """Parts between snaps over the number of the waypoint, from 1, with equilibria between the waypoints.
 
         With friction it has the waypoints only, since states in between depend on the history.
@@ -134,21 +134,21 @@ def value_at_snap(snap: Snap, values: Array) -> float:
     return float(values[snap.index] + snap.fraction * (values[snap.index + 1] - values[snap.index]))
 
 
-def stretches(path: Path, values: Array) -> tuple[Stretch, ...]:
+def stretches(path: Path, values: Array) -> tuple[PathStretch, ...]:
     """Parts of a path between its snaps, over values (T,) at the waypoints."""
-    out: list[Stretch] = []
+    out: list[PathStretch] = []
     start, first, waypoint = float(values[0]), path.equilibria[0], 1
     for snap in path.snaps:
         stop = snap.index + 1
         at_snap = value_at_snap(snap, values)
         at = np.array([start, *values[waypoint:stop].tolist(), at_snap])
-        out.append(Stretch(at, [first, *path.equilibria[waypoint:stop], snap.before]))
+        out.append(PathStretch(at, [first, *path.equilibria[waypoint:stop], snap.before]))
         start, first, waypoint = at_snap, snap.after, max(waypoint, stop)
-    out.append(Stretch(np.array([start, *values[waypoint:].tolist()]), [first, *path.equilibria[waypoint:]]))
+    out.append(PathStretch(np.array([start, *values[waypoint:].tolist()]), [first, *path.equilibria[waypoint:]]))
     return tuple(out)
 
 
-def _refined(part: Stretch, *, ends_in_snap: bool) -> Stretch:
+def _refined(part: PathStretch, *, ends_in_snap: bool) -> PathStretch:
     """Stretch with equilibria between its points, on straight joint paths, each started from the one before.
 
     Points next to a fold that the solver does not reach are left out.
@@ -172,7 +172,7 @@ def _refined(part: Stretch, *, ends_in_snap: bool) -> Stretch:
             equilibria.append(guess)
         at.append(last)
         equilibria.append(end)
-    return Stretch(np.array(at), equilibria)
+    return PathStretch(np.array(at), equilibria)
 
 
 @typed
@@ -363,6 +363,6 @@ def push(equilibrium: Equilibrium, load: Load) -> Path:
         return Path((equilibrium, forward_kinematics(robot, alpha, shift, load=load, start=equilibrium)), ())
     except SolveError:
         joint = np.concatenate([alpha, shift])
-    family = Family(JointPath(robot, joint, joint, LOADED_DISCRETISATION), load, before)
+    family = Family(SampledJointPath(robot, joint, joint, LOADED_DISCRETISATION), load, before)
     end, snaps = segment(family, equilibrium, 0)
     return Path((equilibrium, end), tuple(snaps))

@@ -18,7 +18,7 @@ from ..block.transcription.contact import evaluate_contact, make_contact
 from ..block.transcription.loaded import LoadedState, integration_to
 from ..block.transcription.orientation import tangent_slopes
 from ..display import Displayed
-from ..equilibrium.continuation import Family, JointPath, largest_twist
+from ..equilibrium.continuation import Family, SampledJointPath, largest_twist
 from ..equilibrium.friction import (
     FrictionEquilibrium,
     bent_at,
@@ -182,7 +182,7 @@ def segment_with_friction(
 ) -> tuple[FrictionEquilibrium, list[FrictionSnap]]:
     """State after a straight motion to joint values (2n,) and another load, and the snaps on it."""
     snaps: list[FrictionSnap] = []
-    path = JointPath(robot, np.concatenate([current.rotations, current.translations]), goal)
+    path = SampledJointPath(robot, np.concatenate([current.rotations, current.translations]), goal)
     for result in _along(Family(path, load, current.contact.load), current):
         if isinstance(result, FrictionSnap):
             snaps.append(result)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..display import Displayed
-from ..equilibrium.continuation import Family, JointPath
+from ..equilibrium.continuation import Family, SampledJointPath
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
@@ -229,7 +229,7 @@ class _Turned:
 def _turn_straight(origin: Equilibrium, rotations: Array, *, to_first_snap: bool = False) -> _Turned:
     """Motion from a stable equilibrium straight to rotations (n,), rad, or to the landing after the first snap."""
     start, goal = (np.concatenate([angles, origin.translations]) for angles in (origin.rotations, rotations))
-    family, pose, snaps, first, before = Family(JointPath(origin.robot, start, goal)), origin, 0, None, [origin]
+    family, pose, snaps, first, before = Family(SampledJointPath(origin.robot, start, goal)), origin, 0, None, [origin]
     for step in motion(family, origin):
         if isinstance(step, Event):
             snaps, first = snaps + 1, family.path.at(step.lost.t)[0] if first is None else first

@@ -11,7 +11,15 @@ import numpy as np
 
 from ..display import Displayed
 from ..equilibrium.answer import point_of, to_equilibrium
-from ..equilibrium.continuation import SHARPEST_STEP, SHORTEST_STEP, Family, JointPath, Milestone, follow, step_to
+from ..equilibrium.continuation import (
+    SHARPEST_STEP,
+    SHORTEST_STEP,
+    Family,
+    Milestone,
+    SampledJointPath,
+    follow,
+    step_to,
+)
 from ..equilibrium.kinematics import along
 from ..equilibrium.member import AnyPoint
 from ..equilibrium.problem import LOADED_DISCRETISATION
@@ -116,8 +124,8 @@ class Event:
 def family_between(robot: Robot, start: Array, end: Array, load: Load | None) -> Family:
     """Problems on a straight path between joint values (2n,), under a constant load or none."""
     if load is None:
-        return Family(JointPath(robot, start, end))
-    return Family(JointPath(robot, start, end, LOADED_DISCRETISATION), load, load)
+        return Family(SampledJointPath(robot, start, end))
+    return Family(SampledJointPath(robot, start, end, LOADED_DISCRETISATION), load, load)
 
 
 def motion(family: Family, origin: Equilibrium) -> Iterator[Milestone | Event]:

@@ -9,7 +9,7 @@ from .identifiability import Placement, where_to_measure
 from .measurements import JointLog, Measurements, Parity
 from .parameters import Parameter, choose_parameters
 from .registration import SENSOR_FRAME, BasePose, Registration, register
-from .selection import Comparison, Step, compare_effects
+from .selection import Comparison, SelectionStep, compare_effects
 
 __all__ = [
     "EFFECTS",
@@ -32,7 +32,7 @@ __all__ = [
     "Placement",
     "Registration",
     "RegistrationError",
-    "Step",
+    "SelectionStep",
     "Validation",
     "choose_parameters",
     "compare_effects",

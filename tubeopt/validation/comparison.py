@@ -19,7 +19,7 @@ from ..solvers.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Index
 from .measurements import Measurements, Parity, deal, parity, passes
-from .model import ArmModel, State
+from .model import ArmModel, ParameterState
 from .registration import FREEDOMS, SENSOR_FRAME, BasePose, Registration
 
 
@@ -228,7 +228,7 @@ def check_tubes(robot: Robot, measurements: Measurements) -> None:
         raise InputError(f"the measurements are of {measurements.n_tubes} tubes; the robot has {robot.n_tubes}")
 
 
-def compare_at(model: ArmModel, state: State, robot: Robot) -> Validation:
+def compare_at(model: ArmModel, state: ParameterState, robot: Robot) -> Validation:
     """Measured and predicted values at a state of a model with this robot."""
     m, motion = model.measurements, state.registration
     poses = model.poses(model.setup(state.x), margins=True)
@@ -288,7 +288,7 @@ def remark(error: RegistrationError) -> str:
     )
 
 
-def registration_error(model: ArmModel, state: State) -> RegistrationError | None:
+def registration_error(model: ArmModel, state: ParameterState) -> RegistrationError | None:
     """Standard errors of the registration of a state; None for a registration without least squares."""
     freedoms = FREEDOMS[model.method]
     if not freedoms:
@@ -332,7 +332,7 @@ class _Pairs(NamedTuple):
     """(V, 3) added to either to give the lever of a rotation."""
 
 
-def _pairs(model: ArmModel, state: State) -> _Pairs:
+def _pairs(model: ArmModel, state: ParameterState) -> _Pairs:
     """Predicted and measured pairs of all observations."""
     motion, a = state.registration, model.directed
     rotated = [each @ motion.rotation.T for each in (model.predicted(state), model.observed)]

@@ -26,8 +26,8 @@ from ..robots.robot import Robot
 from ..solvers.blas import small
 from ..solvers.robust_least_squares import (
     NEARLY_SETTLED,
-    Descent,
     LeastSquaresSolver,
+    RobustDescent,
     Weights,
     descend,
     normal_equations,
@@ -49,7 +49,7 @@ from .comparison import (
 )
 from .identifiability import doubts, entangled_history, left_out, louder, undetermined
 from .measurements import Measurements, deal, passes
-from .model import ArmModel, State
+from .model import ArmModel, ParameterState
 from .parameters import Parameter, choose_parameters
 from .registration import FIRST_GUESS, FREEDOMS, SENSOR_FRAME, BasePose
 
@@ -70,7 +70,7 @@ ROBUST_FROM = 3.0
 DRAWS = 400
 
 
-def hold_out(model: ArmModel, weights: Weights, fit: Descent[State], fold: Index) -> Array:
+def hold_out(model: ArmModel, weights: Weights, fit: RobustDescent[ParameterState], fold: Index) -> Array:
     """(V, 3) residuals of every observation by fits to the other folds, with the slopes of the fit to all.
 
     `fold` (N,) is the fold of each row.
@@ -89,7 +89,7 @@ def hold_out(model: ArmModel, weights: Weights, fit: Descent[State], fold: Index
     return out
 
 
-def predicted_held_out(model: ArmModel, weights: Weights, near: Descent[State], fold: Index) -> Array:
+def predicted_held_out(model: ArmModel, weights: Weights, near: RobustDescent[ParameterState], fold: Index) -> Array:
     """(V, 3) residuals held out, were the observations linear in the parameters around a state: nothing is solved."""
     own, w, jacobian, x = fold[model.row], weights.of(near.residuals), near.jacobian, near.state.x
     square, slope = normal_equations(model, weights, near.state, near.residuals, jacobian)
@@ -105,7 +105,7 @@ def predicted_held_out(model: ArmModel, weights: Weights, near: Descent[State], 
     return out
 
 
-def bootstrap_errors(model: ArmModel, weights: Weights, fit: Descent[State], block: Index) -> Array:
+def bootstrap_errors(model: ArmModel, weights: Weights, fit: RobustDescent[ParameterState], block: Index) -> Array:
     """(P,) standard errors from blocks of rows, (N,) the block of each, drawn again with replacement.
 
     Each draw is refitted to first order (one Gauss-Newton step from the fit), so that nothing is solved.
@@ -321,7 +321,7 @@ class FitProblem:
         self,
         model: ArmModel,
         options: FitOptions,
-        start: State | None = None,
+        start: ParameterState | None = None,
         sigma: tuple[float, float] = FIRST_GUESS,
     ) -> None:
         self.chosen, self.options = model.parameters, options
@@ -332,7 +332,7 @@ class FitProblem:
         self.free = [k for k in range(len(self.chosen)) if k not in self.held]
         self.model = model.with_parameters([self.chosen[k] for k in self.free])
         columns = [*self.free, *range(len(self.chosen), slopes.shape[2])]
-        self.fit = self._settle(State(origin.x[self.free], origin.registration), slopes[..., columns])
+        self.fit = self._settle(ParameterState(origin.x[self.free], origin.registration), slopes[..., columns])
 
     def _undetermined(self, model: ArmModel, slopes: Array) -> tuple[list[int], list[str]]:
         idle = [k for k, p in enumerate(self.chosen) if p.idle]
@@ -350,7 +350,7 @@ class FitProblem:
         """Weights of the observations for the noise."""
         return weigh(self.model, self.options, self.sigma)
 
-    def _settle(self, start: State, slopes: Array) -> Descent[State]:
+    def _settle(self, start: ParameterState, slopes: Array) -> RobustDescent[ParameterState]:
         """Minimum from a start with its slopes, iterated with the estimated noise until both settle.
 
         With least squares of positions alone the noise has no effect.
@@ -364,7 +364,7 @@ class FitProblem:
             descent = descend(self.model, self.weights(), descent.state, first=descent.jacobian, solver=FITTING)
         return self._registered(descent)
 
-    def _registered(self, descent: Descent[State]) -> Descent[State]:
+    def _registered(self, descent: RobustDescent[ParameterState]) -> RobustDescent[ParameterState]:
         """The descent with the registration in closed form, which its last step reaches to first order only."""
         if self.options.loss != "linear":
             return descent
@@ -373,12 +373,12 @@ class FitProblem:
         slopes = descent.jacobian if self.model.costly(state) else self.model.jacobian(state)
         return replace(descent, state=state, residuals=self.model.residuals(state), jacobian=slopes)
 
-    def _noise(self, descent: Descent[State]) -> tuple[float, float]:
+    def _noise(self, descent: RobustDescent[ParameterState]) -> tuple[float, float]:
         """Standard deviations of a coordinate of positions and of directions: given, or left by the fit."""
         left, known = self._left(descent), self.options.noise
         return known[0] or left[0], known[1] or left[1]
 
-    def _left(self, descent: Descent[State]) -> tuple[float, float]:
+    def _left(self, descent: RobustDescent[ParameterState]) -> tuple[float, float]:
         """Standard deviations of a coordinate of positions and of directions that a fit leaves.
 
         With a robust loss, from the median, which outliers do not move.

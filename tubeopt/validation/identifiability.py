@@ -24,13 +24,13 @@ from ..files.field_metadata import MARGIN, POSITIVE, TYPICAL_NOISE, OneOf, Range
 from ..inverse.joints import joint_space
 from ..robots.robot import Robot
 from ..solvers.blas import small
-from ..solvers.robust_least_squares import Descent
+from ..solvers.robust_least_squares import RobustDescent
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..stability import follow
 from ..typing import Array, Mask
 from .effects import EFFECTS
 from .measurements import Measurements
-from .model import ArmModel, State, solve_poses
+from .model import ArmModel, ParameterState, solve_poses
 from .parameters import Parameter, choose_parameters, groups
 
 # A combination of parameters is undetermined if a large change of it moves the tips by less than this part of the
@@ -141,7 +141,7 @@ def join(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def entangled_history(model: ArmModel, fit: Descent[State]) -> list[str]:
+def entangled_history(model: ArmModel, fit: RobustDescent[ParameterState]) -> list[str]:
     """A remark where an effect of history was fitted that others of these data could imitate."""
     fitted = {p.name for p in model.parameters if p.effect.history}
     if not fitted:
@@ -154,7 +154,7 @@ def entangled_history(model: ArmModel, fit: Descent[State]) -> list[str]:
     every = [*model.parameters, *parameters]
     start = np.append(fit.state.x, [p.start for p in parameters])
     count = len(model.parameters)
-    slopes = model.with_parameters(every).jacobian(State(start, fit.state.registration), skip=count)
+    slopes = model.with_parameters(every).jacobian(ParameterState(start, fit.state.registration), skip=count)
     slopes[..., :count] = fit.jacobian[..., :count]
     flat = slopes.reshape(-1, slopes.shape[2])
     usual = [k for k, p in enumerate(every) if not p.effect.history] + list(range(len(every), flat.shape[1]))

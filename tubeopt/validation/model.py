@@ -28,11 +28,11 @@ from ..typing import Array, Index, Mask
 from .effects import Setup
 from .measurements import Measurements, Timeline, middles_of
 from .parameters import Parameter, apply
-from .registration import FREEDOMS, SENSOR_FRAME, BasePose, Directions, Registration, register
+from .registration import FREEDOMS, SENSOR_FRAME, BasePose, MeasuredDirections, Registration, register
 
 
 @dataclass(frozen=True, eq=False)
-class Poses:
+class PredictedPoses:
     """Stable equilibria of N configurations, each found on its own; NaN where none was. Plate frame, SI."""
 
     position: Array
@@ -54,7 +54,7 @@ class Poses:
 
 def solve_poses(
     robot: Robot, rotations: Array, translations: Array, stations: Array, runs: Sequence[Index] = ()
-) -> Poses:
+) -> PredictedPoses:
     """Poses at joint values (N, n) of the model; stations (K,) behind the tip, m, the foremost first.
 
     Each row is solved on its own. Along `runs` of rows on end the branch is followed: where a row on its own leads to
@@ -78,7 +78,7 @@ def solve_poses(
     theta = turns[np.arange(len(batch)), last_tube(reach)]
     position = np.repeat(tip[:, None], len(stations), axis=1)
     failures = tuple(failure for failure in batch.failures if failure[0] not in shapes)
-    poses = Poses(position, turned @ about_z(theta), margin, np.maximum(reach, 0.0).max(1), failures)
+    poses = PredictedPoses(position, turned @ about_z(theta), margin, np.maximum(reach, 0.0).max(1), failures)
     if stations.any() or loose(robot):
         for k in np.flatnonzero(poses.solved).tolist():
             try:
@@ -101,7 +101,7 @@ def rubbed_poses(
     friction: Friction,
     *,
     margins: bool = True,
-) -> Poses:
+) -> PredictedPoses:
     """Poses at joint values (N, n) of the model along `runs` of rows; each run begins without a history.
 
     Rows of a run behind one at which the motion is lost have none; `margins` are not known of all where not asked for.
@@ -116,8 +116,8 @@ def rubbed_poses(
     position, frame = np.full((count, len(stations), 3), np.nan), np.full((count, 3, 3), np.nan)
     margin, length = np.full(count, np.nan), np.zeros(count)
     failures: list[tuple[int, str]] = []
-    poses = Poses(position, frame, margin, length, ())
-    table_of_poses = _Seen(robot, stations, poses)
+    poses = PredictedPoses(position, frame, margin, length, ())
+    table_of_poses = _ObservedPath(robot, stations, poses)
     for run in runs:
         table, solved = np.hstack([alpha[run], shift[run]]), 0
         try:
@@ -140,12 +140,12 @@ def rubbed_poses(
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _ObservedPath:
     """Poses of a robot that are filled in."""
 
     robot: Robot
     stations: Array
-    poses: Poses
+    poses: PredictedPoses
 
     def put(self, row: int, held: FrictionEquilibrium) -> None:
         """Set one row from an equilibrium with friction."""
@@ -173,7 +173,7 @@ def loose(robot: Robot) -> bool:
     return isinstance(robot, ConcentricRobot) and bool(np.any(robot.clearance or 0.0))
 
 
-def tilt(poses: Poses, row: int, shape: Equilibrium, stations: Array) -> None:
+def tilt(poses: PredictedPoses, row: int, shape: Equilibrium, stations: Array) -> None:
     """Tilt the arm in a row as far as the clearance between the tubes allows."""
     tilted = clearance_correction(shape)
     moved, at = tilted.position - shape.position, np.maximum(shape.arc_length[-1] - stations, 0.0)
@@ -260,16 +260,16 @@ AXES = np.vstack([np.eye(3), -np.eye(3)])
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class ParameterState:
     """Parameters x (P,) and pose of the measuring device."""
 
     x: Array
     registration: Registration
 
-    def moved(self, step: Array) -> State:
+    def moved(self, step: Array) -> ParameterState:
         """The state after a step: of the parameters, then of the registration's freedoms."""
         count = len(self.x)
-        return State(self.x + step[:count], self.registration.moved(step[count:]))
+        return ParameterState(self.x + step[:count], self.registration.moved(step[count:]))
 
 
 class ArmModel:
@@ -305,7 +305,7 @@ class ArmModel:
         self.first.drives, self.turns = middles_of(self.first.drives, measurements)
         self.stations = measurements.stations
         self.evaluations = 0
-        self._solved: list[tuple[Setup, Array, Array, Poses]] = []
+        self._solved: list[tuple[Setup, Array, Array, PredictedPoses]] = []
         self._gave_way: list[tuple[Setup, Array, Array, Array]] = []
         self._count_turns()
         poses = self.poses(self.first)
@@ -371,7 +371,7 @@ class ArmModel:
             return math.inf
         return float(np.sqrt((apart[~self.directed] ** 2).sum(1).mean()))
 
-    def _observe(self, poses: Poses) -> None:
+    def _observe(self, poses: PredictedPoses) -> None:
         """Arrange the measured values as observations."""
         positions = self.measurements.station_position
         observed = np.isfinite(positions[..., 0]) & poses.solved[:, None] & np.isfinite(poses.position[..., 0])
@@ -387,12 +387,14 @@ class ArmModel:
             parts.append(frames[directed] @ self.axis)
             row.append(directed)
             station.append(np.full(len(directed), -1))
-            directions = Directions(parts[1], pointing[directed])
+            directions = MeasuredDirections(parts[1], pointing[directed])
             registration = self._register(positions[observed], predicted[observed], directions)
         self.observed, self.row, self.station = np.concatenate(parts), np.concatenate(row), np.concatenate(station)
-        self.start = State(np.array([p.start for p in self.parameters]), registration)
+        self.start = ParameterState(np.array([p.start for p in self.parameters]), registration)
 
-    def _register(self, measured: Array, predicted: Array, directions: Directions | None = None) -> Registration:
+    def _register(
+        self, measured: Array, predicted: Array, directions: MeasuredDirections | None = None
+    ) -> Registration:
         """Registration by closed form, or the registration of the calibration."""
         if self.method != "saved":
             return register(measured, predicted, self.method, base=self.base, directions=directions)
@@ -401,22 +403,22 @@ class ArmModel:
             raise InputError("registration is 'saved', but the robot's calibration has none; fit with rigid first")
         return Registration.of_saved(saved)
 
-    def registered(self, state: State, noise: tuple[float | None, float | None]) -> State:
-        """The state with the registration that fits its shapes best; `noise` as for `Directions`."""
+    def registered(self, state: ParameterState, noise: tuple[float | None, float | None]) -> ParameterState:
+        """The state with the registration that fits its shapes best; `noise` as for `MeasuredDirections`."""
         if self.method in ("none", "saved"):
             return state
         setup, a = self.setup(state.x), self.directed
         placed = self._placed(setup, self.poses(setup))
-        directions = Directions(self.observed[a], placed[1][self.row[a]], noise)
+        directions = MeasuredDirections(self.observed[a], placed[1][self.row[a]], noise)
         registration = self._register(self.observed[~a], placed[0][self.row[~a], self.station[~a]], directions)
-        return State(state.x, registration)
+        return ParameterState(state.x, registration)
 
     @property
     def directed(self) -> Mask:
         """(V,) True for observations that are directions."""
         return np.asarray(self.station < 0)
 
-    def _sensor_axis(self, poses: Poses, pointing: Array, registration: Registration) -> Array | None:
+    def _sensor_axis(self, poses: PredictedPoses, pointing: Array, registration: Registration) -> Array | None:
         """The direction along the tube in the sensor's frame: as the recording or the calibration gives it, or the one
         of AXES that fits best."""
         m, known = self.measurements, self.first.drives.sensor_axis
@@ -437,7 +439,7 @@ class ArmModel:
         copied = object.__new__(ArmModel)
         copied.__dict__.update(self.__dict__)
         copied.parameters = tuple(parameters)
-        copied.start = State(np.array([p.start for p in parameters]), self.start.registration)
+        copied.start = ParameterState(np.array([p.start for p in parameters]), self.start.registration)
         return copied
 
     # --- what a state predicts ----------------------------------------------------------------------------------------
@@ -472,7 +474,9 @@ class ArmModel:
         self._gave_way[:] = [(setup.copy(), alpha, shift, yielding), *self._gave_way[:2]]
         return yielding
 
-    def poses(self, setup: Setup, joints: tuple[Array, Array] | None = None, *, margins: bool = False) -> Poses:
+    def poses(
+        self, setup: Setup, joints: tuple[Array, Array] | None = None, *, margins: bool = False
+    ) -> PredictedPoses:
         """Equilibria of every row, at its own joint values or at others; the last few are remembered.
 
         Along a way with friction `margins` are known of all only where they are asked for.
@@ -496,7 +500,7 @@ class ArmModel:
             self._solved[:] = [(setup.copy(), alpha, shift, poses), *self._solved[:2]]
         return poses
 
-    def _placed(self, setup: Setup, poses: Poses) -> tuple[Array, Array]:
+    def _placed(self, setup: Setup, poses: PredictedPoses) -> tuple[Array, Array]:
         """Stations (N, K, 3), with the sensor where it sits, and directions (N, 3), in the plate frame."""
         stations = poses.position.copy()
         stations[:, 0] += poses.frame @ setup.sensor_offset
@@ -506,7 +510,7 @@ class ArmModel:
         turn = setup.plate_turn
         return stations @ turn.T + setup.plate_shift, direction @ turn.T
 
-    def predicted(self, state: State) -> Array:
+    def predicted(self, state: ParameterState) -> Array:
         """(V, 3) predicted sensor values.
 
         Raises:
@@ -516,7 +520,7 @@ class ArmModel:
         setup = self.setup(state.x)
         return self._seen(setup, self.poses(setup), state.registration)
 
-    def _seen(self, setup: Setup, poses: Poses, motion: Registration) -> Array:
+    def _seen(self, setup: Setup, poses: PredictedPoses, motion: Registration) -> Array:
         stations, direction = self._placed(setup, poses)
         out = np.empty_like(self.observed)
         a = self.directed
@@ -527,11 +531,11 @@ class ArmModel:
             raise SolveError(f"row {row + 1} has no stable equilibrium")
         return out
 
-    def residuals(self, state: State) -> Array:
+    def residuals(self, state: ParameterState) -> Array:
         """(V, 3) measured minus predicted, in the device's frame: m, and unit vectors; raises as `predicted`."""
         return self.observed - self.predicted(state)
 
-    def jacobian(self, state: State, skip: int = 0) -> Array:
+    def jacobian(self, state: ParameterState, skip: int = 0) -> Array:
         """(V, 3, P + F) derivatives of `residuals` by the parameters and by the freedoms of the registration.
 
         Difference quotients, in scaled steps towards the middle of each range; a step to where there is no robot is
@@ -555,7 +559,7 @@ class ArmModel:
                 continue
             for step in (inward * STEP * p.scale, -inward * STEP * p.scale):
                 try:
-                    shifted = self.predicted(State(_nudged(state.x, k, step), state.registration))
+                    shifted = self.predicted(ParameterState(_nudged(state.x, k, step), state.registration))
                 except (InputError, SolveError):
                     continue
                 out[..., k] = (predicted - shifted) / step
@@ -568,7 +572,7 @@ class ArmModel:
         """(2, P) least and greatest value of every parameter."""
         return np.array([[p.low, p.high] for p in self.parameters]).reshape(-1, 2).T
 
-    def costly(self, state: State) -> bool:
+    def costly(self, state: ParameterState) -> bool:
         """True if derivatives need a pass along all rows for every parameter."""
         return bool(self.setup(state.x).friction.any()) and bool(self.timeline.runs)
 
@@ -592,7 +596,7 @@ class ArmModel:
                 break
         return out
 
-    def _registration_slope(self, state: State, predicted: Array) -> Array:
+    def _registration_slope(self, state: ParameterState, predicted: Array) -> Array:
         """(V, 3, F) derivatives of the predictions by the registration's freedoms."""
         out = np.zeros((*predicted.shape, self.freedoms))
         for k in range(self.freedoms):

@@ -115,7 +115,7 @@ class Registration:
 
 
 @dataclass(frozen=True, eq=False)
-class Directions:
+class MeasuredDirections:
     """Directions of the tip's sensor (D, 3), measured in the device's frame and predicted in the plate's.
 
     Unit vectors, weighted by the noise of positions (m) and of directions (rad); None for an estimated noise.
@@ -133,7 +133,7 @@ def register(
     method: str = "rigid",
     *,
     base: BasePose = SENSOR_FRAME,
-    directions: Directions | None = None,
+    directions: MeasuredDirections | None = None,
 ) -> Registration:
     """The registration with the least sum of squared distances between measured and predicted tips.
 
@@ -170,7 +170,7 @@ def register(
     return registration
 
 
-def _noise_ratio(registration: Registration, m: Array, p: Array, d: Directions) -> float:
+def _noise_ratio(registration: Registration, m: Array, p: Array, d: MeasuredDirections) -> float:
     """Noise of positions over noise of directions, m: known, or from the residuals of a registration."""
     left = registration.apply(m) - p, d.measured @ registration.rotation.T - d.predicted
     # A position has three degrees of freedom, a direction two.
@@ -179,7 +179,7 @@ def _noise_ratio(registration: Registration, m: Array, p: Array, d: Directions) 
     return position / direction
 
 
-def _rigid(m: Array, p: Array, _: BasePose, d: Directions | None, ratio: float) -> Registration:
+def _rigid(m: Array, p: Array, _: BasePose, d: MeasuredDirections | None, ratio: float) -> Registration:
     """Rigid registration by positions and by directions in units of `ratio`, m."""
     if len(m) < 3:
         raise InputError(f"registration is 'rigid' and there are {len(m)} measurements; it needs at least 3")
@@ -198,7 +198,9 @@ def _rigid(m: Array, p: Array, _: BasePose, d: Directions | None, ratio: float) 
     return Registration("rigid", rotation, p_mean - rotation @ m_mean)
 
 
-def _about_axis(measured: Array, predicted: Array, base: BasePose, d: Directions | None, ratio: float) -> Registration:
+def _about_axis(
+    measured: Array, predicted: Array, base: BasePose, d: MeasuredDirections | None, ratio: float
+) -> Registration:
     """Base to the origin, its axis to z, with the best yaw."""
     from_base = measured - np.array(base.position)
     model, target = [predicted], [from_base]

@@ -36,14 +36,14 @@ from ..errors import InputError, SolveError, nearest
 from ..files.field_metadata import form, unit
 from ..robots.robot import Robot
 from ..solvers.blas import small
-from ..solvers.robust_least_squares import Descent, Weights, cost_of, descend
+from ..solvers.robust_least_squares import RobustDescent, Weights, cost_of, descend
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Index, Mask, Progress
 from .comparison import BLOCKS, ErrorSummary, check_registration, check_tubes, distances, registration_error
 from .fitting import BY_CHORDS, Fit, FitOptions, FitProblem, check_counts, predicted_held_out, weigh
 from .identifiability import left_out
 from .measurements import Measurements, deal, passes
-from .model import ArmModel, State
+from .model import ArmModel, ParameterState
 from .parameters import Parameter, apply, choose_parameters, groups
 from .registration import FIRST_GUESS, FREEDOMS
 
@@ -66,7 +66,7 @@ CROOKED = 30.0
 
 
 @dataclass(frozen=True)
-class Step:
+class SelectionStep:
     """Effect of a comparison, at the state before it was added, or would be added next."""
 
     effect: str
@@ -94,11 +94,11 @@ class Comparison(Displayed):
     start: ErrorSummary
     """Held-out tip errors of the robot as given, only registered."""
     start_axis: Annotated[float | None, unit("deg"), form(".2f"), "RMS angle of the directions, held out"]
-    steps: tuple[Step, ...]
+    steps: tuple[SelectionStep, ...]
     """The effects that were kept, in order."""
     dropped: Annotated[tuple[str, ...], "effects made useless by later ones"]
     """Effects made useless by later ones; `refused` has their gain."""
-    refused: tuple[Step, ...]
+    refused: tuple[SelectionStep, ...]
     """Effects that do not improve the prediction of the kept effects, best first."""
     fit: Annotated[Fit | None, "the fit with the chosen effects"]
     """None if no effect reduces the errors. The choice of effects has seen all rows, also the held-out ones."""
@@ -165,7 +165,7 @@ class _Trial:
 
     effects: tuple[str, ...]
     model: ArmModel
-    fit: Descent[State]
+    fit: RobustDescent[ParameterState]
     sigma: tuple[float, float]
     residuals: Array
 
@@ -299,7 +299,7 @@ class _Search:
         now = self.now.fit.state
         known = dict(zip((p.name for p in self.now.model.parameters), now.x, strict=True))
         chosen = [p for kind in kinds for p in self.parameters[kind]]
-        start = State(np.array([known.get(p.name, p.start) for p in chosen]), now.registration)
+        start = ParameterState(np.array([known.get(p.name, p.start) for p in chosen]), now.registration)
         if not self._long(kinds):
             return self._fitted(kinds, start, self.now.sigma)
         model = self.model.with_parameters(chosen)
@@ -311,14 +311,14 @@ class _Search:
         """True if a fit of these kinds needs a pass along all rows for every parameter."""
         return "friction" in kinds or self.initial_trial.model.costly(self.initial_trial.fit.state)
 
-    def _fitted(self, kinds: tuple[str, ...], start: State, sigma: tuple[float, float]) -> _Trial:
+    def _fitted(self, kinds: tuple[str, ...], start: ParameterState, sigma: tuple[float, float]) -> _Trial:
         """A fit in full."""
         chosen = [p for kind in kinds for p in self.parameters[kind]]
         problem = FitProblem(self.model.with_parameters(chosen), self.options, start, sigma)
         return self._held_out(kinds, problem.model, problem.fit, problem.sigma)
 
     def _held_out(
-        self, kinds: tuple[str, ...], model: ArmModel, fit: Descent[State], sigma: tuple[float, float]
+        self, kinds: tuple[str, ...], model: ArmModel, fit: RobustDescent[ParameterState], sigma: tuple[float, float]
     ) -> _Trial:
         weights = weigh(model, self.options, sigma)
         out = predicted_held_out(model, weights, fit, self.fold)
@@ -366,9 +366,9 @@ class _Search:
     def _chosen_anew(self) -> ErrorSummary:
         return ErrorSummary.of(distances(self.model, self.sets.chosen_anew())[0][:, 0])
 
-    def _kept(self) -> tuple[Step, ...]:
+    def _kept(self) -> tuple[SelectionStep, ...]:
         """Kept effects, in order of their gain."""
-        before, steps = self.initial_trial, list[Step]()
+        before, steps = self.initial_trial, list[SelectionStep]()
         while len(steps) < len(self.now.effects):
             left = [kind for kind in self.now.effects if kind not in before.effects]
             sets = self._sets(self._slopes(before, left))
@@ -383,9 +383,9 @@ class _Search:
             before = trial
         return tuple(steps)
 
-    def _refused(self) -> tuple[Step, ...]:
+    def _refused(self) -> tuple[SelectionStep, ...]:
         """Gain of each other effect in addition to the kept ones, best first."""
-        weights, out = self._weights(self.slopes), list[Step]()
+        weights, out = self._weights(self.slopes), list[SelectionStep]()
         for kind in self.known:
             if kind in self.now.effects or not any(p.kind == kind for p in self.slopes.model.parameters):
                 continue
@@ -394,10 +394,10 @@ class _Search:
             out.append(self._step(kind, self.now, residuals, kept=False))
         return tuple(sorted(out, key=lambda step: -step.gain))
 
-    def _step(self, kind: str, before: _Trial, residuals: Array, *, kept: bool) -> Step:
+    def _step(self, kind: str, before: _Trial, residuals: Array, *, kept: bool) -> SelectionStep:
         gain, certainty = self._gain(before.residuals, residuals)
         along, axis = distances(self.model, residuals)
-        return Step(
+        return SelectionStep(
             effect=kind,
             parameters=tuple(p.name for p in self.parameters[kind]),
             kept=kept,
@@ -594,7 +594,7 @@ class Slopes:
 
     model: ArmModel
     """Model with all parameters, those of the fit first."""
-    state: State
+    state: ParameterState
     """State at the parameters."""
     base: Effects
     """Effects of the fit."""
@@ -637,12 +637,12 @@ class Slopes:
         own = np.array([p.kind == kind or p.kind in self.base for p in self.model.parameters])
         fewer = self.model.with_parameters([p for p, mine in zip(self.model.parameters, own, strict=True) if mine])
         residuals = self.residuals + self.jumps.get(kind, 0.0)
-        state = State(self.state.x[own], self.state.registration)
-        near = Descent(state, residuals, self.of(fewer.parameters), True)
+        state = ParameterState(self.state.x[own], self.state.registration)
+        near = RobustDescent(state, residuals, self.of(fewer.parameters), True)
         return predicted_held_out(fewer, replace(weights, prior=weights.prior[own]), near, fold)
 
 
-def slopes_around(model: ArmModel, fit: Descent[State], others: Sequence[Sequence[Parameter]]) -> Slopes:
+def slopes_around(model: ArmModel, fit: RobustDescent[ParameterState], others: Sequence[Sequence[Parameter]]) -> Slopes:
     """Slopes around a fit by the parameters of a model, and by those of other effects at their starts.
 
     An effect that cannot begin, since there is no such robot, is left out.
@@ -653,7 +653,7 @@ def slopes_around(model: ArmModel, fit: Descent[State], others: Sequence[Sequenc
     early = [some for some in others if some not in late]
     for some in ([p for each in early for p in each], *late):
         more = model.with_parameters([*own, *some])
-        state = State(np.append(fit.state.x, [p.start for p in some]), motion)
+        state = ParameterState(np.append(fit.state.x, [p.start for p in some]), motion)
         try:
             slopes = more.jacobian(state, skip=len(own))
             jump = more.residuals(state) - fit.residuals
@@ -667,11 +667,11 @@ def slopes_around(model: ArmModel, fit: Descent[State], others: Sequence[Sequenc
         mine = np.array([p.kind == kind for p in own])
         if _begins(model, [p for p in own if p.kind == kind]):
             fewer = model.with_parameters([p for p in own if p.kind != kind])
-            jumps[kind] = fit.residuals - fewer.residuals(State(fit.state.x[~mine], motion))
+            jumps[kind] = fit.residuals - fewer.residuals(ParameterState(fit.state.x[~mine], motion))
     x = np.append(fit.state.x, [p.start for p in chosen[len(own) :]])
     return Slopes(
         model=model.with_parameters(chosen),
-        state=State(x, motion),
+        state=ParameterState(x, motion),
         base=Effects(p.kind for p in own),
         residuals=fit.residuals,
         table=np.concatenate([*table, fit.jacobian[..., len(own) :]], axis=2),

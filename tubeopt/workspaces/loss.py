@@ -213,7 +213,7 @@ def _within_limits(robot: Robot, rotations: Array) -> Mask:
 
 
 @dataclass(frozen=True, eq=False)
-class Equilibria:
+class TipEquilibria:
     """Joint rotations, tip poses and stability of B equilibria."""
 
     rotations: Array
@@ -226,7 +226,7 @@ class Equilibria:
     """(B,) True for stable equilibria."""
 
 
-def from_tips(robot: Robot, tips: Array, translations: Array) -> Equilibria:
+def from_tips(robot: Robot, tips: Array, translations: Array) -> TipEquilibria:
     """Equilibria of a concentric robot from tip rotations (B, n), rad, at translations (B, n), m.
 
     The torsion of a tube is 0 at its own end, so that the tip rotations determine the whole arm: an initial-value
@@ -247,7 +247,7 @@ def from_tips(robot: Robot, tips: Array, translations: Array) -> Equilibria:
         for part, value in zip(parts, (rotations[:size].copy(), reached, ahead, fields[:size].min(1)), strict=True):
             part.append(value)
     rotations, reached, ahead, smallest = (np.concatenate(part) for part in parts)
-    return Equilibria(rotations, reached, ahead, smallest > 0)
+    return TipEquilibria(rotations, reached, ahead, smallest > 0)
 
 
 @lru_cache(maxsize=16)

@@ -145,7 +145,7 @@ TURN = 2 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
-class Box:
+class JointBox:
     """A box y in [low, high] of m coordinates that holds all admissible joint values q = back y."""
 
     low: Array
@@ -202,7 +202,7 @@ class JointSamples:
             if not left:
                 return
 
-    def _units(self, box: Box) -> Iterator[Array]:
+    def _units(self, box: JointBox) -> Iterator[Array]:
         """Blocks of points of the unit cube; endless except for a grid."""
         m = len(box.free)
         if self.method == "grid":
@@ -214,7 +214,7 @@ class JointSamples:
             yield np.asarray(random.random((BLOCK, m)) if sobol is None else sobol.random(BLOCK))
 
 
-def _grid(box: Box, count: int) -> Iterator[Array]:
+def _grid(box: JointBox, count: int) -> Iterator[Array]:
     """Grid with as many points per axis as fit into `count`, with both ends; of a full turn only one end."""
     free = box.free
     each = 1
@@ -232,7 +232,7 @@ def _grid(box: Box, count: int) -> Iterator[Array]:
         yield np.column_stack(rows) if rows else np.zeros((1, 0))
 
 
-def _box(space: JointSpace) -> Box:
+def _box(space: JointSpace) -> JointBox:
     """The tightest of two boxes: of the joints themselves, and of the distances between carriages.
 
     Where the lengths alone set the limits, the second holds admissible values and no others.
@@ -245,7 +245,7 @@ def _box(space: JointSpace) -> Box:
     boxes = []
     for forward in (np.eye(m), gaps):
         low, high = _bounds(space, forward)
-        boxes.append(Box(low, high, np.asarray(np.linalg.inv(forward), dtype=float), np.zeros(m, dtype=bool)))
+        boxes.append(JointBox(low, high, np.asarray(np.linalg.inv(forward), dtype=float), np.zeros(m, dtype=bool)))
     # Of points outside the limits each is drawn in vain, and what is left of Sobol's points is less even.
     best = min(boxes, key=lambda box: (len(box.free), float(np.prod((box.high - box.low)[box.free]))))
     low, high = best.low.copy(), best.high.copy()
@@ -255,7 +255,7 @@ def _box(space: JointSpace) -> Box:
     # Nearest to 0, so that samples of robots with wider ranges have the same joint values.
     middle = np.clip(0.0, low + TURN / 2, high - TURN / 2)
     low, high = np.where(full_turn, middle - TURN / 2, low), np.where(full_turn, middle + TURN / 2, high)
-    return Box(low, high, best.back, full_turn)
+    return JointBox(low, high, best.back, full_turn)
 
 
 def _bounds(space: JointSpace, forward: Array) -> tuple[Array, Array]:

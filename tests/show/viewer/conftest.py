@@ -11,7 +11,7 @@ import pytest
 from tests.examples import THESIS
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.show.viewer import View
-from tubeopt.show.viewer.view import Waypoints
+from tubeopt.show.viewer.view import ViewerWaypoints
 
 from .browser import CHROMIUM, FLAGS, LITTLE_DRAWING, Tab, served
 
@@ -20,7 +20,7 @@ from .browser import CHROMIUM, FLAGS, LITTLE_DRAWING, Tab, served
 def address() -> Iterator[str]:
     """The page with the robot of the thesis, a ball, and a trajectory: tube 1 once around and back in 4 s."""
     turn = np.radians([0.0, 180.0, 360.0, 180.0, 0.0])
-    path = Waypoints(np.arange(5.0), turn[:, None] * [1.0, 0.0, 0.0], np.zeros((5, 3)))
+    path = ViewerWaypoints(np.arange(5.0), turn[:, None] * [1.0, 0.0, 0.0], np.zeros((5, 3)))
     with served(View(THESIS, waypoints=path, obstacles=(Sphere((0.06, 0.0, 0.1), 0.02),))) as url:
         yield url
 

@@ -12,7 +12,7 @@ from tests.examples import THESIS, TWO_TUBE
 from tubeopt import InputError, forward_kinematics, load_robot
 from tubeopt.show.viewer import move_joint, open_session
 from tubeopt.show.viewer.host import titled_page
-from tubeopt.show.viewer.overlays import Comparison, comparison_session
+from tubeopt.show.viewer.overlays import ComparedRobot, comparison_session
 
 
 class Drawn:
@@ -33,7 +33,7 @@ class Drawn:
 def test_it_takes_the_joint_values_and_keeps_its_own_branch() -> None:
     drawn, first = Drawn(), open_session(THESIS)
     other = load_robot("configs/robots/example_equal_ends.yaml")
-    beside = Comparison(drawn, comparison_session(other, first), first)
+    beside = ComparedRobot(drawn, comparison_session(other, first), first)
     for degrees in (120.0, 230.0):
         first, _ = move_joint(first, 0, np.radians(degrees))
         assert beside.follow(first) == ""
@@ -47,7 +47,7 @@ def test_it_takes_the_joint_values_and_keeps_its_own_branch() -> None:
 def test_what_it_cannot_reach_is_said_and_it_stays() -> None:
     first = open_session(THESIS)
     other = load_robot("configs/robots/example_equal_ends.yaml")
-    beside = Comparison(Drawn(), comparison_session(other, first), first)
+    beside = ComparedRobot(Drawn(), comparison_session(other, first), first)
     first, _ = move_joint(first, 3, -0.19)
     before = beside.session
     assert beside.follow(first).startswith("beside: ")

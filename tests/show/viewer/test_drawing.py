@@ -27,12 +27,12 @@ from tubeopt.planning.trajectory import load_trajectory
 from tubeopt.robots.calibration import Calibration
 from tubeopt.robots.file import robot_to_yaml
 from tubeopt.show.page import margin_colour
-from tubeopt.show.surfaces import Centreline, Surface, obstacle_surface, plate_part, robot_parts
+from tubeopt.show.surfaces import SampledCentreline, Surface, obstacle_surface, plate_part, robot_parts
 from tubeopt.show.viewer import host, insights, words
 from tubeopt.show.viewer.overlays import cut_parts, cut_words, swept_volume
 from tubeopt.show.viewer.scene import between
 from tubeopt.show.viewer.session import move_joint, note, open_session, record
-from tubeopt.show.viewer.view import Waypoints, load_waypoints, make_playback, play_to, snaps_between, state_at
+from tubeopt.show.viewer.view import ViewerWaypoints, load_waypoints, make_playback, play_to, snaps_between, state_at
 
 ETR = load_robot(CONFIGS / "thesis_etr.yaml")
 SEGMENTS = load_robot(CONFIGS / "example_three_segment_etr.yaml")
@@ -49,7 +49,7 @@ def enclosed(surface: Surface) -> float:
 def test_tubes_have_their_true_diameter_everywhere(robot: ConcentricRobot) -> None:
     rotations = np.linspace(0.0, 1.0, robot.n_tubes)
     equilibrium = forward_kinematics(robot, rotations)
-    line = Centreline(equilibrium)
+    line = SampledCentreline(equilibrium)
     fine = line.position(np.linspace(0, line.length, 4001))
     assembly = robot.assembly(equilibrium.translations)
     for part in robot_parts(equilibrium):
@@ -224,10 +224,10 @@ def test_bad_trajectories_are_refused(tmp_path: Path, rows: str, message: str) -
 def test_the_swept_volume_of_a_turn_is_that_of_its_body_of_revolution() -> None:
     """All tubes turned together sweep what the resting arc, turned about z, sweeps: by Pappus per piece of the arc."""
     angles = np.linspace(0.0, 2 * np.pi / 3, 13)
-    path = Waypoints(np.arange(13.0), np.tile(angles[:, None], (1, 2)), np.zeros((13, 2)))
+    path = ViewerWaypoints(np.arange(13.0), np.tile(angles[:, None], (1, 2)), np.zeros((13, 2)))
     playback = make_playback(TWO_TUBE, path)
     swept = swept_volume(playback)
-    line = Centreline(playback.path.equilibria[0])
+    line = SampledCentreline(playback.path.equilibria[0])
     s = np.linspace(0, line.length, 2001)
     points, tangent = line.position(s), line.axes(s)[2]
     radius = np.hypot(points[:, 0], points[:, 1])

@@ -59,7 +59,7 @@ class Grid:
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class CollocatedPiece:
     """Symbols or numbers of one piece.
 
     theta, twist: rotations and torsion (n,) where it begins.  inner: theta (n, K) at its points.
@@ -118,7 +118,7 @@ class Piece:
 
 
 @dataclass(frozen=True, eq=False)
-class LoadedPiece(Piece):
+class LoadedPiece(CollocatedPiece):
     """A piece of concentric tubes under a load."""
 
     moment_start: Any = None
@@ -148,7 +148,7 @@ class LoadedPiece(Piece):
         return symbolic_section(theta + tubes.natural_turn, tubes.stiffness, tubes.moment, load=load)
 
 
-def symbolic_piece(grid: Grid) -> Piece:
+def symbolic_piece(grid: Grid) -> CollocatedPiece:
     """Piece with symbols for all fields."""
     n = grid.n_tubes
     theta, twist, kb, m, kt, d, gamma = (ca.SX.sym(s, n) for s in ("theta", "w", "kb", "m", "kt", "d", "gamma"))
@@ -157,7 +157,7 @@ def symbolic_piece(grid: Grid) -> Piece:
     along = ca.SX.sym("along", column_length(n, grid.detail)) if grid.detail else None
     fields = grid, theta, twist, inner, kb, m, kt, ca.SX.sym("h"), offsets, along
     if not grid.loaded:
-        return Piece(*fields)
+        return CollocatedPiece(*fields)
     moments = ca.SX.sym("moment_start", 2), ca.SX.sym("moment_inside", 2, grid.degree)
     return LoadedPiece(*fields, *moments, ca.SX.sym("force", 3, grid.degree))
 
@@ -166,7 +166,7 @@ def symbolic_piece(grid: Grid) -> Piece:
 class Torsion:
     """theta and w of a piece as polynomials."""
 
-    piece: Piece
+    piece: CollocatedPiece
     twist: Any
     """w (n, K) at the points, rad/m."""
     gain: Any
@@ -210,7 +210,7 @@ def _lagrange(grid: Grid, x: Any, integrals: int) -> Any:
     return ca.horzcat(*(at**k for k in range(len(nodes)))) @ ca.DM(powers)
 
 
-def torsion_of(piece: Piece) -> Torsion:
+def torsion_of(piece: CollocatedPiece) -> Torsion:
     """The collocated torsion of a piece."""
     t, h, count = piece.grid.tableau, piece.length, piece.grid.degree
     sections = [piece.section(piece.inner[:, k], x) for k, x in enumerate(t.nodes)]
@@ -292,7 +292,7 @@ class ControlledTorsion(NamedTuple):
     """Elastic energy, J."""
 
 
-def controlled_torsion(piece: Piece, twist: Any) -> ControlledTorsion:
+def controlled_torsion(piece: CollocatedPiece, twist: Any) -> ControlledTorsion:
     """A piece of concentric tubes with the torsion `twist` (n, K) at its points as a control."""
     t, h = piece.grid.tableau, piece.length
     ratios = [ca.SX.ones(piece.grid.n_tubes) * piece.local(x).compliance_ratio for x in t.nodes]

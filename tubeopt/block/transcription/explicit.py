@@ -28,7 +28,7 @@ from ...physics.torsion import section_functions
 from ...robots.lengthwise import steps_of, varies
 from ...robots.robot import Robot
 from ...typing import Array
-from .collocated import Piece, Torsion
+from .collocated import CollocatedPiece, Torsion
 from .functions import determinant_function
 
 State = list[Any]
@@ -161,7 +161,7 @@ def marched_fields(torsion: Torsion, fields: Any, margin: Any) -> Any:
     return fields
 
 
-def _field_rate(piece: Piece, x: float, theta: Any, w: Any, margin: Any) -> Callable[[Any], Any]:
+def _field_rate(piece: CollocatedPiece, x: float, theta: Any, w: Any, margin: Any) -> Callable[[Any], Any]:
     """Right-hand side of the Jacobi fields, a function of the fields, at the fraction x of a piece with theta, w."""
     n = piece.grid.n_tubes
     _, stiffness, *stretch = piece.balance(theta, x)

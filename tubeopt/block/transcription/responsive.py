@@ -85,7 +85,7 @@ class Maps(NamedTuple):
     """State (P, 2 n + 6, 2 n + 6) at the end by the state at the start."""
 
 
-class Chain:
+class ResponseChain:
     """Band matrix of the equations that join the pieces.
 
     Args:
@@ -315,7 +315,7 @@ class LinearisedArm(ArmState):
                 states[piece - first, self.half + tube] -= cross(self.end_frame[piece, :, 2], moment) @ psi
         return states
 
-    def _chain(self, softness: float, ends: Array, turns: Array | None = None) -> Chain:
+    def _chain(self, softness: float, ends: Array, turns: Array | None = None) -> ResponseChain:
         """Equations of (t, m) at the plate (half) and the states (P, 2 half) at the ends of the pieces.
 
         Args:
@@ -325,7 +325,7 @@ class LinearisedArm(ArmState):
         """
         n, half, size = self.n, self.half, 2 * self.half
         total = half + self.pieces * size
-        chain = Chain(total, 3 * half - 1, half if turns is None else total - 1)
+        chain = ResponseChain(total, 3 * half - 1, half if turns is None else total - 1)
         matrix = chain.entries
         # States at the ends of the pieces.
         chain.diagonal(half)[half:] = 1.0

@@ -12,10 +12,10 @@ from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MM
 from ...typing import Array
 from ..page import tube_colour
-from ..surfaces import Centreline
+from ..surfaces import SampledCentreline
 from .labels import note
 from .scene import draw_plate
-from .stage import View
+from .stage import Projection
 from .style import FAINT, INK, Axes, Figure, colour_bar, headed, new_figure, number, picture
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class Curve:
 
 def arm_curve(equilibrium: Equilibrium, value: float) -> Curve:
     """Centreline of an equilibrium as a smooth curve of one colour."""
-    line = Centreline(equilibrium)
+    line = SampledCentreline(equilibrium)
     return Curve(line.position(np.linspace(0.0, line.length, ARM_POINTS)), value)
 
 
@@ -71,7 +71,7 @@ def plot_reach(
     scale = Normalize(float(values.min()), float(values.max()))
     grid = figure.add_gridspec(2, 3, width_ratios=[2.5, 1.3, 0.06])
     scene, above, side = (figure.add_subplot(at) for at in (grid[:, 0], grid[0, 1], grid[1, 1]))
-    seen = View(*view)
+    seen = Projection(*view)
     draw_plate(scene, np.concatenate([curve.points for curve in curves]), seen)
     _draw_curves(scene, [(curve, seen.project(curve.points)) for curve in curves], scale, opacity)
     flat = [(curve, curve.points * TO_MM) for curve in curves]

@@ -19,7 +19,7 @@ from ...shaping.heating.plan import HeatingPlan
 from ...shaping.heating.robust import Band
 from ...typing import Array
 from .labels import legend_above
-from .panels import Scale, draw_band, draw_bars, draw_over, share_x
+from .panels import PanelScale, draw_band, draw_bars, draw_over, share_x
 from .style import FAINT, INK, Axes, Figure, headed, narrow, new_figure, picture
 
 TUBE, IDEAL, WINDOW, BATTERY, COLD = "#D55E00", "#0072B2", "#009E73", "#CC79A7", "#56B4E9"
@@ -29,7 +29,7 @@ SMALL: dict[str, Any] = {"fontsize": 7, "columnspacing": 1.2}
 """Look of the legends."""
 
 
-TEMPERATURE = Scale("temperature (°C)", low=0.0)
+TEMPERATURE = PanelScale("temperature (°C)", low=0.0)
 
 
 @picture
@@ -63,8 +63,8 @@ def plot_heating(plan: HeatingPlan, *, band: Band | None = None, title: str = ""
     return figure
 
 
-VOLTAGE = Scale("battery,\nwhile on (V)", min_span=0.2)
-DUTY = Scale("duty (of 255)", low=0.0)
+VOLTAGE = PanelScale("battery,\nwhile on (V)", min_span=0.2)
+DUTY = PanelScale("duty (of 255)", low=0.0)
 
 
 def _draw_window(axes: Axes, plan: HeatingPlan, *, name: bool = True) -> None:
@@ -156,7 +156,7 @@ def plot_rig_fit(fit: RigFit) -> Figure:
     panels = list(figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0])
     for axes, (name, logged) in zip(panels, channels.items(), strict=True):
         zero = ZERO_CELSIUS if name.startswith("temperature") else 0.0
-        scale = Scale(names.get(name, f"{name} (°C)".replace(" at ", "\nat ")))
+        scale = PanelScale(names.get(name, f"{name} (°C)".replace(" at ", "\nat ")))
         curves: tuple[tuple[Array, str, dict[str, Any]], ...] = (
             (logged, "logged", {"ls": "", "marker": ".", "ms": 3}),
             (fit.before[name], "rig file", {"color": FAINT, "lw": 1.0, "ls": "--"}),

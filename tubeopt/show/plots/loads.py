@@ -17,7 +17,7 @@ from ...typing import Array
 from ..formatting import released
 from ..page import TUBE_COLOURS, tube_colour
 from .labels import note
-from .panels import MARGIN, Scale, draw_broken, draw_over, share_x
+from .panels import MARGIN, PanelScale, draw_broken, draw_over, share_x
 from .style import FAINT, INK, Figure, angle_ticks, entitle, headed, new_figure, picture
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 AXES = "xyz"
 
-TIP_PATH = Scale("path of the tip (mm)", TO_MM)
+TIP_PATH = PanelScale("path of the tip (mm)", TO_MM)
 
 CHI_SQUARED_95 = 5.991
 """95 % quantile of a chi-squared variable with two degrees of freedom."""
@@ -183,9 +183,9 @@ def plot_hysteresis(
     # The thin line of the way back lies on the wide one where both coincide; names stand ahead of the motion, so that
     # those of both directions are on opposite sides of a jump.
     directions = (("forth", forth, angles, "#D55E00", 2.6), ("back", back, angles[::-1], "#0072B2", 1.3))
-    quantities: list[tuple[Scale, Callable[[Equilibrium], float]]] = [
-        (Scale(f"tip {'xyz'[chosen]} (mm)", TO_MM), lambda e: float(e.tip_position[chosen])),
-        (Scale("elastic energy (mJ)", TO_MILLI), lambda e: e.energy),
+    quantities: list[tuple[PanelScale, Callable[[Equilibrium], float]]] = [
+        (PanelScale(f"tip {'xyz'[chosen]} (mm)", TO_MM), lambda e: float(e.tip_position[chosen])),
+        (PanelScale("elastic energy (mJ)", TO_MILLI), lambda e: e.energy),
         (MARGIN, lambda e: e.margin),
     ]
     for name, path, along, colour, width in directions:

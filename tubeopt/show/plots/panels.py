@@ -11,14 +11,14 @@ from numpy.typing import ArrayLike
 
 from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MM
-from ...stability.following import Stretch
+from ...stability.following import PathStretch
 from ...typing import Array
 from ..page import tube_colour
 from .labels import arrow, legend_beside
 from .style import FAINT, INK, Axes
 
 
-class Scale(NamedTuple):
+class PanelScale(NamedTuple):
     """Vertical axis of a panel."""
 
     name: str
@@ -33,18 +33,18 @@ class Scale(NamedTuple):
     """Smallest height, in the unit, so that round-off about a constant does not resemble a signal."""
 
 
-MARGIN = Scale("margin", low=-0.02, high=1.05)
-ROTATION = Scale("rotation (deg)", 180 / np.pi, min_span=10.0)
-TRANSLATION = Scale("translation (mm)", TO_MM, min_span=5.0)
-CLEARANCE = Scale("clearance (mm)", TO_MM, low=0.0)
-DEVIATION = Scale("deviation (mm)", TO_MM, low=0.0)
+MARGIN = PanelScale("margin", low=-0.02, high=1.05)
+ROTATION = PanelScale("rotation (deg)", 180 / np.pi, min_span=10.0)
+TRANSLATION = PanelScale("translation (mm)", TO_MM, min_span=5.0)
+CLEARANCE = PanelScale("clearance (mm)", TO_MM, low=0.0)
+DEVIATION = PanelScale("deviation (mm)", TO_MM, low=0.0)
 
 
 def draw_over(
     axes: Axes,
     x: ArrayLike,
     values: ArrayLike,
-    scale: Scale,
+    scale: PanelScale,
     *,
     name: str = "",
     limit: float | None = None,
@@ -67,7 +67,7 @@ def draw_over(
     return line
 
 
-def fit_scale(axes: Axes, scale: Scale) -> None:
+def fit_scale(axes: Axes, scale: PanelScale) -> None:
     """Name the vertical axis of a panel and set its limits, once its data are drawn."""
     axes.set_ylabel(scale.name)
     data = axes.dataLim
@@ -107,9 +107,9 @@ def share_x(panels: Sequence[Axes], x: ArrayLike, name: str = "time (s)") -> Non
 
 def draw_broken(
     axes: Axes,
-    stretches: Sequence[Stretch],
+    stretches: Sequence[PathStretch],
     quantity: Callable[[Equilibrium], float],
-    scale: Scale,
+    scale: PanelScale,
     *,
     colour: str = INK,
     width: float = 1.4,

@@ -18,10 +18,10 @@ from ...stability.following import stretches, value_at_snap
 from ...typing import Array
 from ..formatting import released
 from .labels import arrow, legend_beside, names_above, note, rules_at
-from .panels import MARGIN, Scale, draw_broken, share_x
-from .scene import Arm, Scene, TipPath, draw_lines
+from .panels import MARGIN, PanelScale, draw_broken, share_x
+from .scene import DrawnArm, PlotScene, TipPath, draw_lines
 from .shape import draw_scenes
-from .stage import Box, draw_box, widest_view
+from .stage import SceneBox, draw_box, widest_view
 from .style import (
     FAINT,
     INK,
@@ -40,7 +40,7 @@ from .trajectory import film_ending, save_film
 COORDINATES = (("x", "#D55E00"), ("y", "#009E73"), ("z", "#0072B2"))
 """Coordinates of the tip and their colours, from the palette of Okabe and Ito (2008)."""
 
-TIP = Scale("tip position (mm)", TO_MM)
+TIP = PanelScale("tip position (mm)", TO_MM)
 
 MAX_NAMES = 12
 """Largest number of named snaps that fit above the panel."""
@@ -125,8 +125,8 @@ def animate_path(
         # Centred, as the direction of the jump counts, and not where it is.
         across = widest_view(jump - jump.mean(0))
         view = across.elevation, across.azimuth
-    everything = Scene([Arm(frame.arm) for frame in frames], paths=[TipPath(along, tips)])
-    projection, box = everything.view(view), Box.around(everything.extent())
+    everything = PlotScene([DrawnArm(frame.arm) for frame in frames], paths=[TipPath(along, tips)])
+    projection, box = everything.view(view), SceneBox.around(everything.extent())
     parts = stretches(path, along)
 
     def draw(scene: Axes, panel: Axes, k: int) -> None:
@@ -148,7 +148,7 @@ def animate_path(
     return save_film(file, robot.name or "Tube robot", len(frames), draw, beside=True)
 
 
-class Frame(NamedTuple):
+class FilmFrame(NamedTuple):
     """Frame of a film: abscissa, arm, and the snap that has just happened."""
 
     x: float
@@ -156,15 +156,15 @@ class Frame(NamedTuple):
     snap: Snap | None = None
 
 
-def _frames(path: Path, along: Array) -> list[Frame]:
+def _frames(path: Path, along: Array) -> list[FilmFrame]:
     """A frame per waypoint, and pauses before and after each snap."""
-    frames: list[Frame] = []
+    frames: list[FilmFrame] = []
     for k, (x, arm) in enumerate(zip(along.tolist(), path.equilibria, strict=True)):
         for snap in path.snaps:
             if snap.index + 1 == k:
                 at = value_at_snap(snap, along)
-                frames += [Frame(at, snap.before)] * REST_FRAMES + [Frame(at, snap.after, snap)] * REST_FRAMES
-        frames.append(Frame(x, arm))
+                frames += [FilmFrame(at, snap.before)] * REST_FRAMES + [FilmFrame(at, snap.after, snap)] * REST_FRAMES
+        frames.append(FilmFrame(x, arm))
     return frames
 
 

@@ -19,8 +19,8 @@ from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array
 from ..page import tube_colour
 from ..surfaces import (
-    Centreline,
     Detail,
+    SampledCentreline,
     obstacle_surface,
     plate_part,
     plate_radius,
@@ -30,7 +30,7 @@ from ..surfaces import (
     visible,
 )
 from .labels import arrow, note
-from .stage import Box, Mesh, View, draw_box, facets, facets_of, mesh_of, widest_view
+from .stage import DrawnMesh, Projection, SceneBox, draw_box, facets, facets_of, mesh_of, widest_view
 from .style import FAINT, INK, Axes
 
 PRINTED, SWEEPING = Detail(24, 160, even=True), Detail(10, 120, even=True)
@@ -49,7 +49,7 @@ VESSEL = np.array([0.80, 0.47, 0.65, 0.10])
 TARGET = "#B00020"
 
 
-class Arm(NamedTuple):
+class DrawnArm(NamedTuple):
     """An arm of a scene."""
 
     equilibrium: Equilibrium
@@ -69,7 +69,7 @@ class TipPath(NamedTuple):
     """Points are targets: straight lines join them, since the path between them is unknown."""
 
 
-class Target(NamedTuple):
+class DrawnTarget(NamedTuple):
     """Target of the tip of an arm."""
 
     position: Array
@@ -81,22 +81,22 @@ class Target(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class PlotScene:
     """Arms and all that is drawn with them."""
 
-    arms: Sequence[Arm]
+    arms: Sequence[DrawnArm]
     bodies: Sequence[Obstacle] = ()
     paths: Sequence[TipPath] = ()
-    targets: Sequence[Target] = ()
+    targets: Sequence[DrawnTarget] = ()
     detail: Detail = SWEEPING
     plate: bool = False
     """Draw the base plate, and the shadows of the arms on the floor."""
     named: Equilibrium | None = None
     """Arm with labels on its tubes, tip and loads."""
 
-    def view(self, angles: tuple[float, float] | None) -> View:
+    def view(self, angles: tuple[float, float] | None) -> Projection:
         """View of given elevation and azimuth, deg; with None across the widest side of arms and paths."""
-        return View(*angles) if angles is not None else widest_view(self._points())
+        return Projection(*angles) if angles is not None else widest_view(self._points())
 
     def extent(self) -> Array:
         """(k, 3) points, m, that a box around the scene contains: arms, paths, bodies, the plate and the loads."""
@@ -111,18 +111,18 @@ class Scene:
         arms = [arm.base.placed(arm.equilibrium.position) for arm in self.arms]
         return np.concatenate([*arms, *(path.points for path in self.paths)])
 
-    def _plates(self) -> list[Mesh]:
+    def _plates(self) -> list[DrawnMesh]:
         return [plate_mesh(plate_radius(self.arms[0].equilibrium))] if self.plate else []
 
-    def mesh(self) -> Mesh:
+    def mesh(self) -> DrawnMesh:
         """All facets as one mesh, since facets of arms and bodies hide each other and are sorted together."""
         arms = [
             robot_mesh(arm.equilibrium, opacity=arm.opacity, detail=self.detail).placed(arm.base) for arm in self.arms
         ]
-        return Mesh.join([*self._plates(), *body_meshes(self.bodies), *arms])
+        return DrawnMesh.join([*self._plates(), *body_meshes(self.bodies), *arms])
 
 
-def draw_scene(axes: Axes, scene: Scene, view: View, box: Box) -> None:
+def draw_scene(axes: Axes, scene: PlotScene, view: Projection, box: SceneBox) -> None:
     """Draw a scene as seen in a view, in a box that other pictures may share."""
     draw_box(axes, box, view)
     if scene.plate:
@@ -149,20 +149,20 @@ def robot_mesh(
     opacity: float = 1.0,
     window: tuple[float, float] | None = None,
     detail: Detail = PRINTED,
-) -> Mesh:
+) -> DrawnMesh:
     """Surfaces of all tubes, m, between the arc lengths of an optional window, m."""
     return mesh_of(robot_parts(equilibrium, detail, window), opacity)
 
 
-def plate_mesh(radius: float) -> Mesh:
+def plate_mesh(radius: float) -> DrawnMesh:
     """Base plate of a radius, m, in facets small enough to be sorted by depth."""
     return mesh_of([plate_part(radius, rings=6, sides=120)])
 
 
-def draw_plate(axes: Axes, points: Array, view: View) -> None:
+def draw_plate(axes: Axes, points: Array, view: Projection) -> None:
     """Draw a base plate in proportion to points (k, 3), m, and the ruled box around both."""
     plate = plate_mesh(0.07 * float(np.abs(points).max()))
-    draw_box(axes, Box.around(np.concatenate([points, plate.corners.reshape(-1, 3)])), view)
+    draw_box(axes, SceneBox.around(np.concatenate([points, plate.corners.reshape(-1, 3)])), view)
     axes.add_collection(facets(plate, view))
 
 
@@ -180,7 +180,7 @@ def draw_lines(
         project: (k, 3) m -> (k, 2) or more, in the units of the panel.
         widths: of the innermost tube, and by how much each outer one is wider, points.
     """
-    line = Centreline(equilibrium)
+    line = SampledCentreline(equilibrium)
     for stretch in visible(equilibrium):
         s = np.linspace(stretch.start, stretch.end, 100)
         projected = project(line.position(s) + stretch.offset @ line.ring(s, 4)[1])
@@ -188,7 +188,7 @@ def draw_lines(
         axes.plot(projected[:, 0], projected[:, 1], alpha=opacity, solid_capstyle="butt", zorder=4, **look)
 
 
-def body_meshes(obstacles: Sequence[Obstacle]) -> list[Mesh]:
+def body_meshes(obstacles: Sequence[Obstacle]) -> list[DrawnMesh]:
     """Obstacles as facets, except half-spaces, which have no bounds."""
     out = []
     for obstacle in obstacles:
@@ -205,7 +205,7 @@ def body_meshes(obstacles: Sequence[Obstacle]) -> list[Mesh]:
     return out
 
 
-def _draw_path(axes: Axes, path: TipPath, view: View) -> None:
+def _draw_path(axes: Axes, path: TipPath, view: Projection) -> None:
     """Draw the path of a tip, curved between its samples, or its targets; with its ends."""
     points = curve = view.project(path.points)
     if len(path.time) > 2 and not path.targets:
@@ -222,7 +222,7 @@ TARGET_LENGTH = 0.12
 """Length of the arrow of a required direction, over the distance of the target from the base."""
 
 
-def _draw_target(axes: Axes, target: Target, view: View) -> None:
+def _draw_target(axes: Axes, target: DrawnTarget, view: Projection) -> None:
     """Draw a cross at a target, an arrow along the required direction, and a line where the tip misses it."""
     at = view.project(target.position)[:2]
     axes.plot(*at, marker="+", ms=11, mew=1.3, color=TARGET, zorder=7)
@@ -275,7 +275,7 @@ def load_arrows(equilibrium: Equilibrium) -> list[LoadArrow]:
         return []
     # A following load is given in the frame of the tip, and is drawn in that of the plate.
     tip_frame = equilibrium.tip_rotation if load.frame == "tip" else np.eye(3)
-    line, length = Centreline(equilibrium), float(equilibrium.arc_length[-1])
+    line, length = SampledCentreline(equilibrium), float(equilibrium.arc_length[-1])
     points = [line.position([part.at])[0] for part in load.points]
     out = []
     for kind, unit, colour in (("force", "mN", FORCE), ("moment", "mN m", MOMENT)):
@@ -300,7 +300,7 @@ def load_arrows(equilibrium: Equilibrium) -> list[LoadArrow]:
     return out
 
 
-def _draw_loads(axes: Axes, equilibrium: Equilibrium, view: View) -> None:
+def _draw_loads(axes: Axes, equilibrium: Equilibrium, view: Projection) -> None:
     """Draw an arrow at the point of each force and moment, with its size; arrows of moments have two heads."""
     for load in load_arrows(equilibrium):
         start, end = view.project(np.array([load.start, load.end]))[:, :2]
@@ -316,9 +316,9 @@ NAME_DISTANCE = 10.0
 """Distance between the names of tubes that lie side by side, points."""
 
 
-def _name_tubes(axes: Axes, equilibrium: Equilibrium, view: View) -> None:
+def _name_tubes(axes: Axes, equilibrium: Equilibrium, view: Projection) -> None:
     """Name each tube to the lower right of the middle of where it shows, and the tip to its upper left."""
-    line = Centreline(equilibrium)
+    line = SampledCentreline(equilibrium)
     for bundle in tube_groups(equilibrium):
         middle = (bundle.start + bundle.end) / 2
         right = _right_of(line, middle, view)
@@ -333,7 +333,7 @@ def _name_tubes(axes: Axes, equilibrium: Equilibrium, view: View) -> None:
     note(axes, "tip", at, -3 * right)
 
 
-def _right_of(line: Centreline, s: float, view: View) -> Array:
+def _right_of(line: SampledCentreline, s: float, view: Projection) -> Array:
     """(2,) unit vector in the picture across the arm at arc length `s`, to its right if it points upwards."""
     x, y, _ = view.project(line.axes(np.array([s])).tangent[0])
     length = float(np.hypot(x, y))

@@ -15,11 +15,11 @@ from ...errors import InputError
 from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array
 from ..page import tube_colour
-from ..surfaces import Centreline, Detail, TubeGroup, tube_groups
+from ..surfaces import Detail, SampledCentreline, TubeGroup, tube_groups
 from .labels import names_above, note, rules_at
-from .panels import ROTATION, Scale, draw_over
-from .scene import PRINTED, Arm, Scene, Target, close_up_radius, draw_scene, robot_mesh
-from .stage import Box, View, facets, rule_step
+from .panels import ROTATION, PanelScale, draw_over
+from .scene import PRINTED, DrawnArm, DrawnTarget, PlotScene, close_up_radius, draw_scene, robot_mesh
+from .stage import Projection, SceneBox, facets, rule_step
 from .style import FAINT, INK, Axes, Figure, caption, disk, entitle, headed, narrow, new_figure, number, picture
 
 GHOST_OPACITY = 0.25
@@ -79,7 +79,7 @@ def plot_equilibria(equilibria: Sequence[Equilibrium], *, view: tuple[float, flo
     (scene,), projection = draw_scenes(figure, [lowest], [ghosts], view)
     handles = []
     for k, each in enumerate(equilibria, start=1):
-        line = projection.project(Centreline(each).position(np.linspace(0, each.arc_length[-1], 80)))
+        line = projection.project(SampledCentreline(each).position(np.linspace(0, each.arc_length[-1], 80)))
         if not each.stable:
             scene.plot(line[:, 0], line[:, 1], color=UNSTABLE, lw=1.2, ls=(0, (3, 2)), zorder=5)
         colour = INK if each.stable else UNSTABLE
@@ -130,7 +130,7 @@ class Scenes(NamedTuple):
     """Scenes of a figure, and the view that they share."""
 
     axes: list[Axes]
-    view: View
+    view: Projection
 
 
 def draw_scenes(
@@ -139,7 +139,7 @@ def draw_scenes(
     ghosts: Sequence[Sequence[Equilibrium]],
     view: tuple[float, float] | None,
     *,
-    targets: Sequence[Target] = (),
+    targets: Sequence[DrawnTarget] = (),
     close_ups: bool = True,
 ) -> Scenes:
     """Fill `figure` with a scene for each equilibrium and its ghosts, all in one view and in equal boxes.
@@ -149,8 +149,8 @@ def draw_scenes(
         close_ups: add a column with close-ups of the last equilibrium at the right.
     """
     scenes = [
-        Scene(
-            [Arm(equilibrium), *(Arm(ghost, GHOST_OPACITY) for ghost in some)],
+        PlotScene(
+            [DrawnArm(equilibrium), *(DrawnArm(ghost, GHOST_OPACITY) for ghost in some)],
             targets=targets,
             detail=PRINTED,
             plate=True,
@@ -159,8 +159,8 @@ def draw_scenes(
         for equilibrium, some in zip(equilibria, ghosts, strict=True)
     ]
     # One view and one box for all, ghosts included: only then are the shapes comparable.
-    everyone = Scene([arm for scene in scenes for arm in scene.arms])
-    projection, box = everyone.view(view), Box.around(np.concatenate([scene.extent() for scene in scenes]))
+    everyone = PlotScene([arm for scene in scenes for arm in scene.arms])
+    projection, box = everyone.view(view), SceneBox.around(np.concatenate([scene.extent() for scene in scenes]))
     last = equilibria[-1]
     ends = tube_groups(last) if close_ups else []
     widths = [3.6 if len(equilibria) == 1 else 2.4] * len(equilibria) + [1.0] * close_ups
@@ -180,14 +180,14 @@ def draw_scenes(
     return Scenes(panels, projection)
 
 
-def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: TubeGroup, view: View) -> None:
+def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: TubeGroup, view: Projection) -> None:
     """Draw a close-up of the end of a tube or segment in a circle, and the circle in the scene."""
     from matplotlib.patches import ConnectionPatch, PathPatch
     from matplotlib.path import Path
 
     radius, end = close_up_radius(equilibrium), bundle.end
     radius_mm = radius * TO_MM
-    centre = Centreline(equilibrium).position([end])[0]
+    centre = SampledCentreline(equilibrium).position([end])[0]
     # Four radii either way also fill the circle where the arm is seen at a slant of 15 deg.
     mesh = robot_mesh(equilibrium, window=(end - 4 * radius, end + 4 * radius), detail=CLOSE_UP)
     corners = view.project(mesh.corners - centre)[..., :2]
@@ -229,8 +229,8 @@ def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Tu
 JUMP = 1e-3
 """Smallest jump of theta' across a breakpoint that is drawn as one, over the range of theta'."""
 
-TWIST = Scale("rotation \N{GREEK SMALL LETTER THETA} (deg)", ROTATION.factor, min_span=20.0)
-TORSION = Scale("torsion \N{GREEK SMALL LETTER THETA}\N{PRIME} (deg/mm)", ROTATION.factor / TO_MM, min_span=0.02)
+TWIST = PanelScale("rotation \N{GREEK SMALL LETTER THETA} (deg)", ROTATION.factor, min_span=20.0)
+TORSION = PanelScale("torsion \N{GREEK SMALL LETTER THETA}\N{PRIME} (deg/mm)", ROTATION.factor / TO_MM, min_span=0.02)
 
 
 @picture

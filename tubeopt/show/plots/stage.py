@@ -28,7 +28,7 @@ FLOOR = "#F6F7F8"
 
 
 @dataclass(frozen=True)
-class View:
+class Projection:
     """Viewing direction of a scene: elevation above the plate and azimuth about its axis, deg."""
 
     elevation: float
@@ -62,7 +62,7 @@ class View:
         return projected
 
 
-def widest_view(points: Array) -> View:
+def widest_view(points: Array) -> Projection:
     """View with points (k, 3) spread to the right and a little forwards, off the axes of the plate."""
     # First right singular vector: the horizontal direction in which points lie farthest from the plate's axis.
     # Points are not centred, since the plate is in the picture too.
@@ -74,11 +74,11 @@ def widest_view(points: Array) -> View:
     # At multiples of 90 deg a wall would be seen edge-on; 30 and 60 deg show both walls.
     azimuths = np.array([quarter + turn for quarter in (-180, -90, 0, 90) for turn in (30, 60)])
     # The largest cosine is the nearest azimuth, whatever multiples of 360 deg lie between.
-    return View(18.0, float(azimuths[np.argmax(np.cos(np.radians(azimuths - best)))]))
+    return Projection(18.0, float(azimuths[np.argmax(np.cos(np.radians(azimuths - best)))]))
 
 
 @dataclass(frozen=True, eq=False)
-class Box:
+class SceneBox:
     """Ruled box around a scene: corners `low` and `high` (3,) and the distance of the rules `step`, mm."""
 
     low: Array
@@ -86,7 +86,7 @@ class Box:
     step: float
 
     @classmethod
-    def around(cls, points: Array) -> Box:
+    def around(cls, points: Array) -> SceneBox:
         """Box around points (k, 3), m, with its sides on whole rules and its floor at the lowest point."""
         low, high = points.min(0) * TO_MM, points.max(0) * TO_MM
         step = rule_step(float((high - low).max()) * (2 if narrow() else 1))
@@ -114,7 +114,7 @@ def round_below(value: float) -> float:
     return float(max(step for step in (1, 2, 5) if step * decade <= value) * decade)
 
 
-def draw_box(axes: Axes, box: Box, view: View) -> None:
+def draw_box(axes: Axes, box: SceneBox, view: Projection) -> None:
     """Draw the floor, the two walls behind the scene, their rules, and the scales along the front edges."""
     from matplotlib.collections import LineCollection, PolyCollection
 
@@ -150,7 +150,7 @@ def draw_box(axes: Axes, box: Box, view: View) -> None:
     axes.autoscale_view()
 
 
-def _draw_scales(axes: Axes, box: Box, view: View, back: Array, front: Array) -> None:
+def _draw_scales(axes: Axes, box: SceneBox, view: Projection, back: Array, front: Array) -> None:
     """Draw numbers and names along the front edges of the floor and the left upright edge."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
     outline = view.project((box.low + corners * (box.high - box.low)) / TO_MM)[:, :2]
@@ -183,7 +183,7 @@ def _draw_scales(axes: Axes, box: Box, view: View, back: Array, front: Array) ->
             note(axes, f"{name} (mm)", (start + stop) / 2, 28 * outward, size=9, rotation=90)
 
 
-def _spaced(box: Box, axis: int, edge: Array, four_inches: float) -> Array:
+def _spaced(box: SceneBox, axis: int, edge: Array, four_inches: float) -> Array:
     """Rules along `axis` that can have numbers without overlap, if its edge is seen as `edge` (2,).
 
     four_inches: length in the scene of four inches of paper; numbers are wider than high.
@@ -199,7 +199,7 @@ def _spaced(box: Box, axis: int, edge: Array, four_inches: float) -> Array:
     return numbered
 
 
-def facets(mesh: Mesh, view: View, centre: Array | None = None) -> PolyCollection:
+def facets(mesh: DrawnMesh, view: Projection, centre: Array | None = None) -> PolyCollection:
     """Mesh as seen and lit, far facets first; in mm, about `centre` (3,) m if given."""
     from matplotlib.collections import PolyCollection
 
@@ -213,7 +213,7 @@ def facets(mesh: Mesh, view: View, centre: Array | None = None) -> PolyCollectio
     return PolyCollection(corners, facecolors=colours, edgecolors=edges, linewidths=0.3, zorder=3)
 
 
-class Mesh(NamedTuple):
+class DrawnMesh(NamedTuple):
     """k four-sided facets."""
 
     corners: Array
@@ -231,24 +231,24 @@ class Mesh(NamedTuple):
         depth: Array = self.corners.mean(1) @ towards_viewer
         return depth + self.lift * (self.normals @ towards_viewer)
 
-    def placed(self, frame: Frame) -> Mesh:
+    def placed(self, frame: Frame) -> DrawnMesh:
         """Facets in the parent frame of `frame`, from facets in `frame`."""
-        return Mesh(frame.placed(self.corners), self.normals @ frame.axes.T, self.colours, self.lift)
+        return DrawnMesh(frame.placed(self.corners), self.normals @ frame.axes.T, self.colours, self.lift)
 
-    def only(self, selected: Mask) -> Mesh:
+    def only(self, selected: Mask) -> DrawnMesh:
         """Selected facets, by a mask (k,)."""
-        return Mesh(*(each[selected] for each in self))
+        return DrawnMesh(*(each[selected] for each in self))
 
-    def in_sight(self, towards_viewer: Array) -> Mesh:
+    def in_sight(self, towards_viewer: Array) -> DrawnMesh:
         """Facets without the hidden back sides of closed surfaces: opaque facets that face away from the viewer."""
         return self.only((self.colours[:, 3] < 1) | (self.normals @ towards_viewer >= 0))
 
     @staticmethod
-    def join(parts: list[Mesh]) -> Mesh:
+    def join(parts: list[DrawnMesh]) -> DrawnMesh:
         """Mesh of all facets of `parts`, which can be sorted by depth together."""
         # With an empty mesh in front, no parts at all are a mesh too.
-        nothing = Mesh(np.empty((0, 4, 3)), np.empty((0, 3)), np.empty((0, 4)), np.empty(0))
-        return Mesh(*map(np.concatenate, zip(nothing, *parts, strict=True)))
+        nothing = DrawnMesh(np.empty((0, 4, 3)), np.empty((0, 3)), np.empty((0, 4)), np.empty(0))
+        return DrawnMesh(*map(np.concatenate, zip(nothing, *parts, strict=True)))
 
     def lit(self, towards_viewer: Array, towards_light: Array) -> Array:
         """(k, 4) colours under a light, from unit vectors (3,) towards viewer and light."""
@@ -268,7 +268,7 @@ class Mesh(NamedTuple):
         return colours
 
 
-def facets_of(surface: Surface, colour: Array, *, lift: float = 0.0, triangles: bool = False) -> Mesh:
+def facets_of(surface: Surface, colour: Array, *, lift: float = 0.0, triangles: bool = False) -> DrawnMesh:
     """Mesh of a surface in a colour (4,), RGBA: a facet is two of its triangles, or one if `triangles`."""
     # `two_of_four` splits corners 0 1 2 3 into 0 1 2 and 0 2 3: entries 0, 1, 2 and 5 are the four again.
     # Half as many facets are drawn in half the time, without a seam along the diagonal.
@@ -278,10 +278,10 @@ def facets_of(surface: Surface, colour: Array, *, lift: float = 0.0, triangles: 
     normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     normal /= np.where(length > 0, length, 1.0)
-    return Mesh(corners, normal, np.tile(colour, (len(corners), 1)), np.full(len(corners), lift))
+    return DrawnMesh(corners, normal, np.tile(colour, (len(corners), 1)), np.full(len(corners), lift))
 
 
-def mesh_of(parts: Iterable[Part], opacity: float = 1.0) -> Mesh:
+def mesh_of(parts: Iterable[Part], opacity: float = 1.0) -> DrawnMesh:
     """Mesh of parts, with a factor on their opacity."""
     colours = [(part, np.array([*(c / 255 for c in part.colour), part.opacity * opacity])) for part in parts]
-    return Mesh.join([facets_of(part.surface, colour, lift=part.lift) for part, colour in colours])
+    return DrawnMesh.join([facets_of(part.surface, colour, lift=part.lift) for part, colour in colours])

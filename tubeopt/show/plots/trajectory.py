@@ -22,9 +22,9 @@ from ...runs.plan_study import VerifiedTrajectory
 from ...typing import Array
 from ..quantities import load_in_words
 from .labels import legend_beside, note
-from .panels import CLEARANCE, DEVIATION, MARGIN, Scale, draw_joints, draw_over, share_x
-from .scene import Arm, Scene, TipPath, draw_scene
-from .stage import Box, View
+from .panels import CLEARANCE, DEVIATION, MARGIN, PanelScale, draw_joints, draw_over, share_x
+from .scene import DrawnArm, PlotScene, TipPath, draw_scene
+from .stage import Projection, SceneBox
 from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture, styled
 
 SHOWN = 9
@@ -56,7 +56,7 @@ def plot_trajectory(
         view: elevation and azimuth of the viewer, deg; None looks across the widest side of the motion.
     """
     t = trajectory
-    quantities: list[tuple[Array, Scale, float | None]] = [(t.margin, MARGIN, t.min_margin)]
+    quantities: list[tuple[Array, PanelScale, float | None]] = [(t.margin, MARGIN, t.min_margin)]
     if np.isfinite(t.clearance).all():
         quantities.append((t.clearance, CLEARANCE, t.min_clearance))
     if t.deviation is not None:
@@ -156,13 +156,16 @@ def animate_trajectory(
     rows = np.unique(np.linspace(0, len(t.time) - 1, min(frames, len(t.time))).astype(int))
     arms = [t.arms[row] for row in rows]
     # One view and one box for all frames: a box that changes would move the scene.
-    scene = Scene([Arm(arm) for arm in arms], t.obstacles, [TipPath(t.time, t.tip_position)])
-    projection, box = scene.view(view), Box.around(scene.extent())
+    scene = PlotScene([DrawnArm(arm) for arm in arms], t.obstacles, [TipPath(t.time, t.tip_position)])
+    projection, box = scene.view(view), SceneBox.around(scene.extent())
 
     def draw(axes: Axes, below: Axes, k: int) -> None:
         passed = slice(rows[k] + 1)
         draw_scene(
-            axes, Scene([Arm(arms[k])], t.obstacles, [TipPath(t.time[passed], t.tip_position[passed])]), projection, box
+            axes,
+            PlotScene([DrawnArm(arms[k])], t.obstacles, [TipPath(t.time[passed], t.tip_position[passed])]),
+            projection,
+            box,
         )
         draw_over(below, t.time, t.margin, MARGIN, color=FAINT, lw=1)
         below.plot(t.time[passed], t.margin[passed], color=INK, lw=1.4)
@@ -231,7 +234,7 @@ def swept_scene(
     *,
     shown: int = SHOWN,
     targets: bool = False,
-) -> Scene:
+) -> PlotScene:
     """Scene of a motion: some of its arms with the path of the tip.
 
     Args:
@@ -239,23 +242,23 @@ def swept_scene(
         shown: largest number of arms.
         targets: tips are targets.
     """
-    return Scene(swept_arms(some_of(arms, shown)), bodies, [TipPath(x, tips, targets)])
+    return PlotScene(swept_arms(some_of(arms, shown)), bodies, [TipPath(x, tips, targets)])
 
 
-def swept_arms(arms: Sequence[Equilibrium], base: Frame = ROBOT_FRAME) -> list[Arm]:
+def swept_arms(arms: Sequence[Equilibrium], base: Frame = ROBOT_FRAME) -> list[DrawnArm]:
     """Arms of a motion: the last one solid, the first one paler, those between faint."""
     last = len(arms) - 1
     # Start and end are what a reader searches; between them arms overlap and must let through.
     opacity = [1.0 if k == last else START_OPACITY if k == 0 else BETWEEN_OPACITY for k in range(len(arms))]
-    return [Arm(arm, part, base) for arm, part in zip(arms, opacity, strict=True)]
+    return [DrawnArm(arm, part, base) for arm, part in zip(arms, opacity, strict=True)]
 
 
-def beside_scene(figure: Figure, count: int, scene: Scene, view: tuple[float, float] | None) -> list[Axes]:
+def beside_scene(figure: Figure, count: int, scene: PlotScene, view: tuple[float, float] | None) -> list[Axes]:
     """Draw a scene, and return `count` empty panels next to it, the second with a legend of the scene."""
     grid = figure.add_gridspec(count, 2, width_ratios=(1.15, 1.0))
     left, first = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
     panels = [first, *(figure.add_subplot(grid[k, 1], sharex=first) for k in range(1, count))]
-    draw_scene(left, scene, scene.view(view), Box.around(scene.extent()))
+    draw_scene(left, scene, scene.view(view), SceneBox.around(scene.extent()))
     legend_beside(panels[1], *left.get_legend_handles_labels())
     return panels
 
@@ -354,7 +357,7 @@ def plot_arms(plan: ArmsPlan, *, title: str = "", view: tuple[float, float] | No
     figure = new_figure(10.0, 4.8)
     left, distances = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
     scene = _arms_scene(plan, np.linspace(0.0, plan.duration, ARMS_SHOWN))
-    _draw_arms(left, plan, scene, scene.view(view), Box.around(scene.extent()))
+    _draw_arms(left, plan, scene, scene.view(view), SceneBox.around(scene.extent()))
     _draw_distances(distances, plan, np.linspace(0.0, plan.duration, DISTANCE_SAMPLES))
     distances.legend(loc="best")
     headed(figure, title or " and ".join(arm.called for arm in plan.arms))
@@ -373,7 +376,7 @@ def animate_arms(
     film_ending(path)
     times = np.linspace(0.0, plan.duration, frames)
     scene = _arms_scene(plan, times)
-    projection, box = scene.view(view), Box.around(scene.extent())
+    projection, box = scene.view(view), SceneBox.around(scene.extent())
 
     def draw(axes: Axes, below: Axes, k: int) -> None:
         _draw_arms(axes, plan, _arms_scene(plan, times[k : k + 1]), projection, box)
@@ -383,7 +386,7 @@ def animate_arms(
     return save_film(path, f"{len(plan.arms)} arms: {number(plan.duration, 1)} s", frames, draw)
 
 
-def _arms_scene(plan: ArmsPlan, times: Array) -> Scene:
+def _arms_scene(plan: ArmsPlan, times: Array) -> PlotScene:
     """Every arm at some instants, with the path of its tip up to the last."""
     arms, paths = [], []
     rows = zip(*(plan.rows_at(float(t)) for t in times), strict=True)
@@ -391,10 +394,10 @@ def _arms_scene(plan: ArmsPlan, times: Array) -> Scene:
         arms += swept_arms([motion.arms[row] for row in own], arm.base)
         passed = slice(own[-1] + 1)
         paths.append(TipPath(motion.time[passed], arm.base.placed(motion.tip_position[passed])))
-    return Scene(arms, plan.obstacles, paths)
+    return PlotScene(arms, plan.obstacles, paths)
 
 
-def _draw_arms(axes: Axes, plan: ArmsPlan, scene: Scene, projection: View, box: Box) -> None:
+def _draw_arms(axes: Axes, plan: ArmsPlan, scene: PlotScene, projection: Projection, box: SceneBox) -> None:
     """Draw all arms, with their names at their bases."""
     draw_scene(axes, scene, projection, box)
     for arm in plan.arms:

@@ -18,9 +18,9 @@ from ...workspaces.voxels import PATCHES, Keys, Store, index_of
 from ..formatting import counted
 from .labels import legend_above
 from .panels import MARGIN, draw_joints, draw_over, share_x
-from .scene import Target, draw_plate
+from .scene import DrawnTarget, draw_plate
 from .shape import draw_scenes
-from .stage import View
+from .stage import Projection
 from .style import Axes, Figure, caption, colour_bar, headed, new_figure, number, picture
 from .trajectory import beside_scene, swept_scene
 
@@ -49,7 +49,7 @@ def plot_inverse(
         remark = f"\nghosts: {postures} with the same tip, margin {margins}"
     headed(figure, caption(best.equilibrium) + remark)
     missed = None if best.reached else best.equilibrium.tip_position
-    target = Target(best.target_position, best.target_direction, missed)
+    target = DrawnTarget(best.target_position, best.target_direction, missed)
     ghosts = [each.equilibrium for each in alternatives]
     draw_scenes(figure, [best.equilibrium], [ghosts], view, targets=[target])
     return figure
@@ -146,7 +146,7 @@ def plot_workspace(
     name = workspace.robot.name or f"robot of {workspace.robot.n_tubes} tubes"
     headed(figure, title or f"{name}: tips at {len(workspace):,} joint values")
     scene, sides, margins = figure.subplots(1, 3, width_ratios=[1.9, 1, 1])
-    tips = _draw_tips(scene, workspace, View(*view))
+    tips = _draw_tips(scene, workspace, Projection(*view))
     # From 0, since a fraction has a natural zero.
     fractions = _draw_section(sides, section, section.dexterity, (0.0, float(np.nanmax(section.dexterity))))
     smallest = _draw_section(margins, section, section.margin, _span(section.margin))
@@ -166,7 +166,7 @@ def _span(margins: Array) -> tuple[float, float]:
     return min(float(np.nanmin(margins)), largest - MIN_SPAN), largest
 
 
-def _draw_tips(axes: Axes, workspace: Workspace, view: View) -> Collection:
+def _draw_tips(axes: Axes, workspace: Workspace, view: Projection) -> Collection:
     """Draw tips in space, those farther from the viewer first."""
     table = workspace.some(MAX_TIPS)
     table = table[np.isfinite(table[:, -1])]

@@ -6,12 +6,12 @@
 from __future__ import annotations
 
 from .server import serve
-from .session import Event, Session, go_home, move, move_joint, open_session, other_equilibria
+from .session import Session, SessionEvent, go_home, move, move_joint, open_session, other_equilibria
 from .view import View
 
 __all__ = [
-    "Event",
     "Session",
+    "SessionEvent",
     "View",
     "go_home",
     "move",

@@ -25,7 +25,7 @@ from ...planning import ArmsPlan
 from ...planning.trajectory import branch_line, timed_csv
 from ...robots.file import robot_to_yaml
 from ..surfaces import Part, plate_part, plate_radius
-from .scene import SCALE, Scene, look_from, obstacle_parts
+from .scene import SCALE, ViewerScene, look_from, obstacle_parts
 from .session import Session
 from .view import recorded
 
@@ -39,7 +39,7 @@ LOCAL_NAMES = ("127.0.0.1", "localhost", "::1")
 
 
 @dataclass(frozen=True)
-class Added:
+class AddedHandler:
     """Additions to the server of viser."""
 
     head: str
@@ -51,7 +51,7 @@ class Added:
 
 
 @contextmanager
-def quiet_server(host: str, port: int, title: str = "tubeopt", added: Added | None = None) -> Iterator[Any]:
+def quiet_server(host: str, port: int, title: str = "tubeopt", added: AddedHandler | None = None) -> Iterator[Any]:
     """A viser server that says nothing on the terminal, hands itself to no relay, and answers to its own page alone.
 
     Raises:
@@ -104,7 +104,7 @@ def _bind(host: str, port: int) -> None:
 
 
 @contextmanager
-def _own_page_alone(host: str, title: str, added: Added | None) -> Iterator[None]:
+def _own_page_alone(host: str, title: str, added: AddedHandler | None) -> Iterator[None]:
     """Context that makes the new server refuse requests of other pages in the same browser."""
     import websockets.asyncio.server as library
     from websockets.exceptions import ConnectionClosed
@@ -225,7 +225,7 @@ def scene_html(session: Session, layers: Mapping[str, Sequence[Part]], *, trail:
     with quiet_server("127.0.0.1", 0) as server:
         look_from(server.initial_camera, session.equilibrium)
         server.scene.world_axes.visible = True
-        scene = Scene(server.scene)
+        scene = ViewerScene(server.scene)
         scene.set_stage(session.equilibrium)
         scene.show(session.equilibrium)
         scene.show_trail(session, trail)
@@ -246,14 +246,14 @@ def arms_page(plan: ArmsPlan) -> str:
         longest = max((each.end for each in plan.trajectories), key=lambda e: float(e.arc_length[-1]))
         look_from(server.initial_camera, longest, far=1.3)
         reach = max(tube.length for arm in plan.arms for tube in arm.robot.tubes)
-        Scene(server.scene).layer("obstacles", obstacle_parts(plan.obstacles, reach))
+        ViewerScene(server.scene).layer("obstacles", obstacle_parts(plan.obstacles, reach))
         scenes = []
         for k, (arm, motion) in enumerate(zip(plan.arms, plan.trajectories, strict=True)):
             turn = Rotation.from_matrix(arm.base.axes).as_quat(scalar_first=True)
             prefix = f"/arm_{k + 1}"
             server.scene.add_frame(prefix, show_axes=False, wxyz=tuple(turn), position=tuple(arm.base.origin * SCALE))
             server.scene.add_label(f"{prefix}/name", arm.called)
-            scenes.append(Scene(server.scene, prefix))
+            scenes.append(ViewerScene(server.scene, prefix))
             scenes[-1].layer(f"{prefix[1:]}/plate", [plate_part(plate_radius(motion.start))])
             scenes[-1].show(motion.start)
         film = server.get_scene_serializer()
@@ -267,7 +267,7 @@ def arms_page(plan: ArmsPlan) -> str:
         return titled_page(str(film.as_html()), f"{names}, tubeopt")
 
 
-def exported(what: str, session: Session, scene: Scene, client: Any, *, trail: bool) -> tuple[str, bytes]:
+def exported(what: str, session: Session, scene: ViewerScene, client: Any, *, trail: bool) -> tuple[str, bytes]:
     """File name and content of an export: joints, robot, recording, picture, page."""
     if what == "joints":
         return "joints.yaml", joints_yaml(session).encode()
@@ -282,7 +282,7 @@ def exported(what: str, session: Session, scene: Scene, client: Any, *, trail: b
     return "view.html", scene_html(session, scene.contents, trail=trail).encode()
 
 
-def saved(what: str, session: Session, scene: Scene, client: Any, *, trail: bool, out: Path | None) -> str:
+def saved(what: str, session: Session, scene: ViewerScene, client: Any, *, trail: bool, out: Path | None) -> str:
     """Message after sending an export to the browser, and saving it into an optional directory.
 
     Raises:

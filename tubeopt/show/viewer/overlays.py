@@ -16,8 +16,8 @@ from ...files.units import TO_MM
 from ...inverse.arm_surface import ArmSurface
 from ...robots.robot import Robot
 from ...typing import Array
-from ..surfaces import Centreline, Part, Surface, plate_part, plate_radius, two_of_four
-from .scene import SCALE, Scene, obstacle_parts
+from ..surfaces import Part, SampledCentreline, Surface, plate_part, plate_radius, two_of_four
+from .scene import SCALE, ViewerScene, obstacle_parts
 from .session import Session, move, open_session, strides
 from .view import Playback, snaps_between, state_at
 
@@ -169,7 +169,7 @@ def _runs(playback: Playback) -> list[list[Equilibrium]]:
 
 def _rings(equilibrium: Equilibrium) -> Array:
     """(PIECES + 1, SIDES, 3) corners of cross-sections along the arm, as wide as the widest tube there, m."""
-    line = Centreline(equilibrium)
+    line = SampledCentreline(equilibrium)
     s = np.linspace(0.0, line.length, PIECES + 1)
     radius = ArmSurface(equilibrium).radius(s)[:, None, None]
     return np.asarray(line.position(s)[:, None] + radius * line.ring(s, SIDES)[0])
@@ -197,7 +197,7 @@ def comparison_session(robot: Robot, first: Session) -> Session:
     return open_session(robot)
 
 
-class Comparison:
+class ComparedRobot:
     """Second robot next to the first one; it follows the joint values, with a label on its state."""
 
     def __init__(self, api: Any, session: Session, first: Session) -> None:
@@ -207,7 +207,7 @@ class Comparison:
         position = LATERAL * long * SCALE * np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
         self._frame = api.add_frame(PLACE, show_axes=False, position=tuple(position))
         self._label = api.add_label(f"{PLACE}/name", "", anchor="bottom-right")
-        self._scene = Scene(api, PLACE)
+        self._scene = ViewerScene(api, PLACE)
         self._scene.layer(f"{PLACE[1:]}/plate", [plate_part(plate_radius(session.equilibrium))])
         self.follow(first)
 

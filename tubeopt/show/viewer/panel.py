@@ -22,7 +22,7 @@ from ...robots.robot import Robot
 from ...robots.tubes import Tube
 from ...typing import Array
 from .overlays import ACROSS
-from .scene import Mark, Scene
+from .scene import Mark, ViewerScene
 from .session import (
     DIRECTIONS,
     Session,
@@ -185,7 +185,7 @@ class PushPanel:
 class ForceArrow:
     """Arrow of a force on the tip of a robot; the user can drag it if it has `controls`."""
 
-    def __init__(self, api: Any, scene: Scene, controls: PushPanel | None, view: View) -> None:
+    def __init__(self, api: Any, scene: ViewerScene, controls: PushPanel | None, view: View) -> None:
         self._scene, self._controls, self._view = scene, controls, view
         self._head = Mark(api, "head", self._drawn)
         self._tip = np.zeros(3)

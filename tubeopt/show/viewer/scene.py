@@ -22,8 +22,8 @@ from ...typing import Array
 from ...workspaces import Workspace
 from ..page import margin_colour
 from ..surfaces import (
-    Centreline,
     Part,
+    SampledCentreline,
     Surface,
     axes_about,
     join,
@@ -57,7 +57,7 @@ FRAMES, SNAP_SECONDS = 12, 0.36
 """Pictures of a snap, and how long it takes on the screen; a real one is over in milliseconds."""
 
 
-class Scene:
+class ViewerScene:
     """Scene of one browser; its objects in viser are updated in place.
 
     Args:
@@ -269,7 +269,7 @@ def look_from(camera: Any, equilibrium: Equilibrium, side: str = "corner", *, fa
     camera.look_at = (0.0, 0.0, 0.45 * length)
 
 
-def animate(client: Any, scene: Scene, snaps: Sequence[Snap]) -> None:
+def animate(client: Any, scene: ViewerScene, snaps: Sequence[Snap]) -> None:
     """Show snaps one after the other."""
     for snap in snaps:
         for shape in [snap.before, *between(snap.before, snap.after, FRAMES), snap.after]:
@@ -313,7 +313,7 @@ def between(before: Equilibrium, after: Equilibrium, count: int) -> list[Equilib
         # r' = R e3 by the trapezoidal rule.
         position[:, k + 1] = position[:, k] + h[k] * (frame[:, k, :, 2] + frame[:, k + 1, :, 2]) / 2
     # The few points integrate to within a per cent: what is missing at both ends is shared out between them.
-    ends = Centreline(before).position(s), after.position
+    ends = SampledCentreline(before).position(s), after.position
     # So both ends of the film are the equilibria themselves, without a jump of the picture.
     position += (1 - weights) * (ends[0] - position[0]) + weights * (ends[1] - position[-1])
     arms = (replace(after.arm, position=p, frame=f) for p, f in zip(position[1:-1], frame[1:-1], strict=True))

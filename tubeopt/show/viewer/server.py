@@ -21,14 +21,24 @@ from ...errors import InputError, SolveError
 from ...robots.file import load_robot
 from ...workspaces import workspace
 from ..surfaces import Part
-from .host import LOCAL, Added, address_of, page_title, quiet_server, saved
+from .host import LOCAL, AddedHandler, address_of, page_title, quiet_server, saved
 from .insights import Insights, Worker, torsion_plot
-from .overlays import COLOUR, OPACITY, Comparison, comparison_session, cut_parts, cut_words, swept_volume
+from .overlays import COLOUR, OPACITY, ComparedRobot, comparison_session, cut_parts, cut_words, swept_volume
 from .panel import ForceArrow, Panel
-from .scene import Mark, Scene, animate, ghost_parts, look_from
+from .scene import Mark, ViewerScene, animate, ghost_parts, look_from
 from .session import Session, other_equilibria
 from .teleoperation import PATH, Channel, TipServo, pull
-from .view import LoadedFiles, Playback, View, Waypoints, load_bodies, load_waypoints, make_playback, play_to, recorded
+from .view import (
+    LoadedFiles,
+    Playback,
+    View,
+    ViewerWaypoints,
+    load_bodies,
+    load_waypoints,
+    make_playback,
+    play_to,
+    recorded,
+)
 from .words import Change, Commands, ghost_words
 
 TICK = 0.04
@@ -59,7 +69,7 @@ class Player:
         self._time = 0.0
         self._playing: float | None = None
 
-    def take(self, waypoints: Waypoints) -> Playback:
+    def take(self, waypoints: ViewerWaypoints) -> Playback:
         """Prepare a trajectory for playback; raises as `make_playback` does."""
         self.playback = make_playback(self._session().robot, waypoints)
         self._panel.tick("swept", on=False)
@@ -67,7 +77,7 @@ class Player:
         self._time = 0.0
         return self.playback
 
-    def start(self, waypoints: Waypoints) -> str:
+    def start(self, waypoints: ViewerWaypoints) -> str:
         """Prepare a trajectory, go to its beginning, and return a description; raises as `take` does."""
         path = self.take(waypoints).path
         self.to(0.0)
@@ -146,11 +156,11 @@ class Tab(Commands):
         self._client, self._view, self._channel = client, view, channel
         self._servo, self._token = TipServo(), channel.register(self.drive)
         self.session = view.session()
-        self.scene = Scene(client.scene)
+        self.scene = ViewerScene(client.scene)
         self._trail = True
         self._obstacles = view.obstacles
         self._plane: Plane | None = None
-        self._comparison: Comparison | None = None
+        self._comparison: ComparedRobot | None = None
         self._files = LoadedFiles()
         self._stale = False
         self._past: deque[Session] = deque(maxlen=MAX_UNDO)
@@ -417,7 +427,7 @@ class Tab(Commands):
         session = comparison_session(load_robot(path), self.session)
         if self._comparison is not None:
             self._comparison.remove()
-        self._comparison = Comparison(self._client.scene, session, self.session)
+        self._comparison = ComparedRobot(self._client.scene, session, self.session)
         self.panel.tick("beside")
         return "stands beside, at the same joint values"
 
@@ -459,7 +469,7 @@ def serve(
     tabs: dict[int, Tab] = {}
     lock = threading.Lock()
     channel = Channel()
-    added = Added(head(), PATH, channel.receive)
+    added = AddedHandler(head(), PATH, channel.receive)
     with _signals(stop), quiet_server(host, port, page_title(first), added) as server:
         look_from(server.initial_camera, first.equilibrium)
         # Red, green, blue: x, y, z of the plate, 5 cm long.

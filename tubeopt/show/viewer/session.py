@@ -45,7 +45,7 @@ SAME_TIP = np.radians(0.1)
 
 
 @dataclass(frozen=True, eq=False)
-class Event:
+class SessionEvent:
     """Something that happened: a sentence, and the snap where it was one."""
 
     text: str
@@ -58,7 +58,7 @@ class Session:
 
     equilibrium: Equilibrium
     """Current equilibrium."""
-    log: tuple[Event, ...] = ()
+    log: tuple[SessionEvent, ...] = ()
     """Events, first to last."""
     last: tuple[Snap, ...] = ()
     """The snaps of the last motion, in their order."""
@@ -131,24 +131,24 @@ def check(
         raise InputError(f"the tubes would be out of order: {', '.join(violated)}")
 
 
-class Limit(NamedTuple):
+class JointBound(NamedTuple):
     """End of the range of a joint, rad or m, and the name of the limiting constraint."""
 
     value: float
     name: str
 
 
-def allowed(robot: Robot, q: Array, joint: int) -> tuple[Limit, Limit]:
+def allowed(robot: Robot, q: Array, joint: int) -> tuple[JointBound, JointBound]:
     """Smallest and largest value of one joint with all others fixed at q, each with the name of its limit.
 
     If q violates the order itself, the joint may stay, but not increase the violation.
     """
     space = space_of(robot)
-    low, high = (Limit(float(ends[joint]), "end of its range") for ends in (space.lower, space.upper))
+    low, high = (JointBound(float(ends[joint]), "end of its range") for ends in (space.lower, space.upper))
     for order, lower, name in zip(space.rows, space.least, space.row_names, strict=True):
         if order[joint] != 0:
             # Solves order . q = min(lower, present value) for this joint, with the others fixed.
-            bound = Limit(float((min(lower, order @ q) - order @ q) / order[joint] + q[joint]), name)
+            bound = JointBound(float((min(lower, order @ q) - order @ q) / order[joint] + q[joint]), name)
             low, high = (max(low, bound), high) if order[joint] > 0 else (low, min(high, bound))
     return low, high
 
@@ -240,13 +240,13 @@ def moved_to(
     recording = session.recording
     if recording is not None:
         recording = (*recording, np.concatenate([end.rotations, end.translations]))
-    log = (*session.log, *(Event(snap_text(snap), snap) for snap in snaps))
+    log = (*session.log, *(SessionEvent(snap_text(snap), snap) for snap in snaps))
     return replace(session, equilibrium=end, log=log, last=tuple(snaps), trail=trail, recording=recording)
 
 
 def note(session: Session, text: str) -> Session:
     """Session with a sentence in its log."""
-    return replace(session, log=(*session.log, Event(text)))
+    return replace(session, log=(*session.log, SessionEvent(text)))
 
 
 def clear_trail(session: Session) -> Session:

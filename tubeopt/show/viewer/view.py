@@ -19,7 +19,7 @@ from ...errors import InputError
 from ...files.csv_file import read_csv
 from ...files.yaml_file import load_yaml
 from ...planning.trajectory import TIME, load_trajectory
-from ...robots.file import Waypoints as Way
+from ...robots.file import Waypoints
 from ...robots.file import load_waypoints as load_path
 from ...robots.load import Load
 from ...robots.robot import Robot
@@ -38,7 +38,7 @@ SLIDE_SPEED = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Waypoints:
+class ViewerWaypoints:
     """Joint values over time."""
 
     time: Array
@@ -55,7 +55,7 @@ class Waypoints:
 class Playback:
     """Waypoints, and the motion of the robot along them."""
 
-    waypoints: Waypoints
+    waypoints: ViewerWaypoints
     path: JointPath
     """Path through the waypoints: one equilibrium for each, and the snaps."""
 
@@ -65,7 +65,7 @@ class Playback:
         return float(self.waypoints.time[-1])
 
 
-def load_waypoints(path: str | PathLike[str], robot: Robot) -> Waypoints:
+def load_waypoints(path: str | PathLike[str], robot: Robot) -> ViewerWaypoints:
     """Waypoints from CSV: a trajectory of `tubeopt plan` with time_s, or a path of `tubeopt follow` without.
 
     Without times the fastest tube rotates by 45 deg/s, or slides by 20 mm/s.
@@ -80,7 +80,7 @@ def load_waypoints(path: str | PathLike[str], robot: Robot) -> Waypoints:
         waypoints = without_times(robot, load_path(path, robot))
     else:
         timed = load_trajectory(path, robot)
-        waypoints = Waypoints(timed.time - timed.time[0], timed.rotations, timed.translations, timed.start())
+        waypoints = ViewerWaypoints(timed.time - timed.time[0], timed.rotations, timed.translations, timed.start())
     for k in np.flatnonzero(np.diff(waypoints.time) <= 0):
         raise InputError(f"{path}: row {k + 2}, column {TIME} does not increase; every time must be after the last")
     for row, (alpha, shift) in enumerate(zip(waypoints.rotations, waypoints.translations, strict=True)):
@@ -91,13 +91,13 @@ def load_waypoints(path: str | PathLike[str], robot: Robot) -> Waypoints:
     return waypoints
 
 
-def without_times(robot: Robot, path: Way) -> Waypoints:
+def without_times(robot: Robot, path: Waypoints) -> ViewerWaypoints:
     """Waypoints of a path in the model's joint values, at the speeds of a file without times."""
     rotations, translations = to_model(robot, path.rotations, path.translations)
-    return Waypoints(paced(rotations, translations), rotations, translations)
+    return ViewerWaypoints(paced(rotations, translations), rotations, translations)
 
 
-def recorded(session: Session) -> Waypoints:
+def recorded(session: Session) -> ViewerWaypoints:
     """Recording of a session as waypoints, without rests, at the speeds of a file without times.
 
     Raises:
@@ -109,7 +109,7 @@ def recorded(session: Session) -> Waypoints:
     if moved.sum() < 2:
         raise InputError("nothing was recorded: tick 'record what the robot passes', and move the robot")
     rotations, translations = np.split(rows[moved], 2, axis=1)
-    return Waypoints(paced(rotations, translations), rotations, translations, session.recorded_from)
+    return ViewerWaypoints(paced(rotations, translations), rotations, translations, session.recorded_from)
 
 
 def paced(rotations: Array, translations: Array) -> Array:
@@ -120,7 +120,7 @@ def paced(rotations: Array, translations: Array) -> Array:
 
 
 @lru_cache(maxsize=4)
-def make_playback(robot: Robot, waypoints: Waypoints) -> Playback:
+def make_playback(robot: Robot, waypoints: ViewerWaypoints) -> Playback:
     """Motion through the waypoints from their start; computed once for all tabs.
 
     Raises:
@@ -251,7 +251,7 @@ class View:
     """(n,) initial translations, m; None: home."""
     obstacles: tuple[Obstacle, ...] = ()
     """Obstacles, which motions of the tip avoid."""
-    waypoints: Waypoints | None = None
+    waypoints: ViewerWaypoints | None = None
     """Waypoints of a trajectory to be played."""
     min_margin: float = 0.05
     """Smallest margin during motions of the tip; first value of the slider."""

@@ -13,7 +13,7 @@ from ...equilibrium.result import Equilibrium
 from ..formatting import counted
 from ..page import margin_colour, tube_colour
 from ..quantities import Quantity, known_distance, record
-from .session import Event, Session
+from .session import Session, SessionEvent
 
 SHOWN_EVENTS = 12
 """Number of events in the log; earlier events are counted."""
@@ -88,7 +88,7 @@ def snap_words(e: Equilibrium) -> str:
     )
 
 
-def log_words(log: Sequence[Event]) -> str:
+def log_words(log: Sequence[SessionEvent]) -> str:
     """Log of events, latest first."""
     rows = [
         f'<li data-testid="event" value="{number}" style="{"color:#c81e1e" if event.snap else ""}">'
