@@ -18,6 +18,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ import numpy as np
 import tubeopt
 from benchmarks.timing import dump, show, table
 from tubeopt.control.c_binding import CServo
-from tubeopt.control.c_library import c_library
+from tubeopt.control.c_library import CLibrary, c_library
 from tubeopt.control.command import Command, ServoOptions
 from tubeopt.control.crtk import CrtkRobot
 from tubeopt.control.servo import Servo
@@ -80,13 +81,19 @@ class Rest:
     """(T, 2n) joint values on the way, every EVERY-th and the last."""
 
 
+@cache
+def library_of(robot: Robot) -> CLibrary:
+    """The C library of a robot."""
+    return c_library(robot)
+
+
 def made(robot: Robot, start: Any, asked: argparse.Namespace) -> Any:
     """A servo of the kind that is asked for."""
     limits = {} if asked.unlimited else {"turn_acceleration": TURN, "shift_acceleration": SHIFT}
     if asked.snap_deg:
         limits["min_snap_distance"] = np.radians(asked.snap_deg)
     options = ServoOptions(speed=0.2, shift_rate=0.2, min_margin=asked.floor, **limits)
-    return Servo(robot, start, options=options) if asked.kind == "python" else CServo(c_library(robot), start, options)
+    return Servo(robot, start, options=options) if asked.kind == "python" else CServo(library_of(robot), start, options)
 
 
 def lead(servo: Any, target: Array, dt: float, server: bool) -> Rest:

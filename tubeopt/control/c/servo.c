@@ -12,7 +12,9 @@
 #define BRAKINGS 5 /* times, as parts of the whole, at which the margin of a braking robot is looked at */
 #define MOST_CURVED 4. /* curvature of a distance over the scales: kinks, where breakpoints coincide, look larger */
 #define MOST_STIFF 1e6
-#define DEAD 1e-7  /* of a joint's scale: a shorter whole step leaves the robot at rest */
+#define SEEN 1e-5  /* of a joint's scale: of a shorter whole step the curvature drowns in round-off */
+#define DEAD 1e-7  /* of a joint's scale: a joint with a shorter whole step rests */
+#define GAIN 1e-10 /* of the longest tube: a whole step that brings the tip half as much closer leaves the robot at rest */
 
 static const double BRAKING[BRAKINGS + 1] = {0, 0.13, 0.3, 0.5, 0.75, 1};
 
@@ -260,25 +262,37 @@ static int can_brake(tubeopt_memory *robot, const tubeopt_command *c, const Ball
            (at == BRAKINGS || braking_margin(robot, c, s, q, speed, (BRAKING[at] + BRAKING[at + 1]) / 2) >= floor);
 }
 
+/* The squared distance after a share of a step, as the linear model has it. */
+static double distance_after(const Aim *aim, const double *step, double share) {
+    double sum = 0;
+    for (int r = 0; r < aim->rows; r++) {
+        double left = aim->missing[r] - share * dot(aim->task[r], step, JOINTS);
+        sum += left * left;
+    }
+    return sum;
+}
+
 /* Take so much of a step (n) over the joints' scale as the guard lets pass and brings the tip closer; returns why it is not all.
    The damping follows the curvature of the distance: what is out of reach is missed by Gauss-Newton steps, each farther. */
 static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command *c, const Bodies *bodies, const double *q, double *step, double floor,
                 Aim *aim, tubeopt_report *report) {
     tubeopt_joints next;
     Ball ball;
-    double share = aim->clipped, size = 0, turned = 0, there[JOINTS], left[6], expected[6], t[3];
+    double share = aim->clipped, size = 0, turned = 0, there[JOINTS], left[6], t[3];
     int guarded = 0, back = 0, far = !m->damping && part_allowed(c, aim->missing, 0) < 1;
     for (int k = 0; k < JOINTS; k++) {
         step[k] = fmin(fmax(step[k], aim->low[k]), aim->high[k]); /* of rounding */
+        if (m->damping && fabs(step[k]) < DEAD) step[k] = 0; /* what is at its place does not tremble while others move */
         size = fmax(size, fabs(step[k]));
         turned += step[k] * m->last[k];
         m->stiff[k] = !m->damping ? 1 : step[k] * m->last[k] < 0 ? fmin(4 * m->stiff[k], MOST_STIFF) : fmax(1, m->stiff[k] / 1.2);
         back |= far && share * step[k] * m->last[k] < -0.5 * m->last[k] * m->last[k] && fabs(m->last[k]) > 10 * DEAD;
     }
     back |= m->damping && turned < -0.5 * sqrt(dot(step, step, JOINTS) * dot(m->last, m->last, JOINTS));
-    if ((m->damping && size < DEAD) || share * size < DEAD * DEAD) return aim->why & ~TUBEOPT_AT_RATE;
+    double before = led(c) ? 0 : dot(aim->missing, aim->missing, 6), whole = distance_after(aim, step, 1);
+    if ((m->damping && before - whole < GAIN * sqrt(before)) || share * size < DEAD * DEAD) return aim->why & ~TUBEOPT_AT_RATE;
     for (int half = 0; half <= HALVINGS; half++, share /= 2) {
-        double ends = 0, before = led(c) ? 0 : dot(aim->missing, aim->missing, 6), model = 0, after, curved;
+        double ends = 0, model = distance_after(aim, step, share), after, curved;
         for (int k = 0; k < JOINTS; k++)
             there[k] = fmin(fmax(q[k] + share * SCALE[k] * step[k], fmin(q[k], LOWER[k])), fmax(q[k], UPPER[k]));
         dependent(there, &next);
@@ -288,14 +302,13 @@ static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command 
             continue;
         }
         missing_to(m, c, 1, left, t);
-        for (int r = 0; r < 6; r++) expected[r] = r < aim->rows ? aim->missing[r] - share * dot(aim->task[r], step, JOINTS) : 0;
         after = dot(left, left, 6);
-        model = dot(expected, expected, 6);
         ends = share * share * dot(step, step, JOINTS);
-        curved = ends > DEAD * DEAD ? fmin((after - model) / ends, MOST_CURVED) : 0;
+        int seen = ends > SEEN * SEEN;
+        curved = seen ? fmin((after - model) / ends, MOST_CURVED) : 0;
         int closer = model >= before || before < DEAD * DEAD || before - after >= DESCENT * (before - model);
         if (!closer || back || (m->damping && curved > m->damping)) m->damping = fmax(fmax(curved, fmin(4 * m->damping * (!closer || back), MOST_CURVED)), DAMPING * DAMPING);
-        else if (m->damping && share == 1) m->damping = m->damping > 2 * DAMPING * DAMPING ? fmax(curved, m->damping / 2) : 0;
+        else if (m->damping && share == 1 && seen) m->damping = m->damping > 2 * DAMPING * DAMPING ? fmax(curved, m->damping / 2) : 0;
         if (!closer) continue;
         if (robot != m && !can_brake(robot, c, &ball, there, fmin(fmin(floor + ROOM / 2, margin_told(robot, 0)), margin_told(m, 1)), margin_told(m, 1))) {
             guarded = 1;
