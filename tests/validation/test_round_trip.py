@@ -16,8 +16,9 @@ from tubeopt.solvers.robust_least_squares import LeastSquaresSolver
 from tubeopt.validation import BasePose, FitOptions, Measurements, compare_effects, fit, validate
 from tubeopt.validation.comparison import distances
 from tubeopt.validation.fitting import FitProblem
-from tubeopt.validation.model import ArmModel, solve_poses
+from tubeopt.validation.model import solve_poses
 from tubeopt.validation.parameters import choose_parameters, groups
+from tubeopt.validation.sessions import Sessions
 
 from .laboratory import BASE, CONFIGS, MM, TURN
 
@@ -62,8 +63,9 @@ def recording(robot: Robot, *, poses: bool = True, count: int = 14) -> Measureme
 def check_saved_fit(robot: Robot, m: Measurements, names: tuple[str, ...], options: FitOptions, folder: Path) -> None:
     """Assert that the saved robot has the errors of the fit, row by row."""
     chosen = choose_parameters(robot, m, names, options.registration)
-    problem = FitProblem(ArmModel(robot, m, chosen, options.registration, options.base), options)
-    result = problem.answer(m, lambda done, total: None)
+    model = Sessions(robot, [m], options.registration, options.base).with_parameters(chosen)
+    problem = FitProblem(model, options)
+    result = problem.answer(lambda done, total: None)
     result.robot.save(folder / "robot.yaml")
     again = validate(load_robot(folder / "robot.yaml"), m)
     np.testing.assert_allclose(again.along, distances(problem.model, problem.fit.residuals)[0], atol=ALIKE)

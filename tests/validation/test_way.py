@@ -20,9 +20,10 @@ from tubeopt.validation import (
 )
 from tubeopt.validation.fitting import FitProblem, hold_out, predicted_held_out
 from tubeopt.validation.measurements import Timeline, deal, passes, runs_of
-from tubeopt.validation.model import ArmModel, ParameterState
+from tubeopt.validation.model import ParameterState
 from tubeopt.validation.parameters import choose_parameters
 from tubeopt.validation.selection import HeldOutSets, slopes_around
+from tubeopt.validation.sessions import Sessions
 
 from .drives import driven, joints, poses, robot, trivial
 from .laboratory import BASE, MM, TURN, in_device
@@ -73,7 +74,7 @@ def test_what_is_wrong_with_the_drives_is_found_within_the_intervals() -> None:
 
 def test_slopes_around_a_fit_stand_in_the_order_of_the_parameters_asked_for() -> None:
     first, second = ([*choose_parameters(robot(), driven(count=40), names)] for names in (["latency"], ["rotation_2"]))
-    model = ArmModel(robot(), driven(count=40))
+    model = Sessions(robot(), [driven(count=40)])
     later = FitProblem(model.with_parameters(second), FitOptions(folds=0))
     around = slopes_around(later.model, later.fit, [first])
     both = model.with_parameters([*first, *second])
@@ -386,7 +387,7 @@ def test_room_between_the_tubes_is_found_like_any_other_effect() -> None:
 def test_what_is_held_out_to_first_order_is_what_is_held_out() -> None:
     data, options = driven(count=150), FitOptions(priors=True)
     chosen = choose_parameters(robot(), data, NAMES)
-    problem = FitProblem(ArmModel(robot(), data, chosen), options)
+    problem = FitProblem(Sessions(robot(), [data]).with_parameters(chosen), options)
     fold = deal(data, 6, passes(data).group)
     exact = hold_out(problem.model, problem.weights(), problem.fit, fold)
     report = predicted_held_out(problem.model, problem.weights(), problem.fit, fold)

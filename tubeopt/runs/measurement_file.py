@@ -94,6 +94,29 @@ class MeasurementMap(Entry):
     )
 
 
+class RecordingList(Entry):
+    """Recordings of one robot that are fitted together."""
+
+    kind: Literal["recordings"]
+    files: list[str] = Field(min_length=1, description="files of the recordings, CSV or YAML, relative to this file")
+
+
+@typed
+def load_recordings(path: str | PathLike[str], robot: Robot) -> tuple[Measurements, ...]:
+    """Load recordings of a robot: those that a YAML file of kind `recordings` lists, or the one of another file.
+
+    Raises:
+        InputError: as `load_measurements`.
+    """
+    path = resolve_file(path)
+    if Path(path).suffix.lower() in (".yaml", ".yml"):
+        data = load_yaml(path)
+        if isinstance(data, dict) and data.get("kind") == "recordings":
+            files = check(RecordingList, data, path).files
+            return tuple(load_measurements(Path(path).parent / name, robot) for name in files)
+    return (load_measurements(path, robot),)
+
+
 def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
     """Load measurements of a robot from a YAML file of kind `measurements`.
 

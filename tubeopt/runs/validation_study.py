@@ -13,6 +13,7 @@ from ..files.field_metadata import Typical
 from ..files.fields import keys_from, values
 from ..typing import Progress
 from ..validation import (
+    OWN,
     BasePose,
     Comparison,
     Fit,
@@ -28,7 +29,7 @@ from ..validation import (
     validate,
     where_to_measure,
 )
-from .measurement_file import load_measurements
+from .measurement_file import load_measurements, load_recordings
 from .robot_keys import ExternalLoad, RobotPath
 from .study_file import Arguments, Options, Timed, question, rewording
 
@@ -39,13 +40,23 @@ MeasurementsPath = Annotated[
 ]
 """Measurements with the study's robot, given as the path of their file."""
 
+RecordingsPath = Annotated[
+    tuple[Measurements, ...],
+    in_file(load_recordings, "a CSV file, or of YAML", of="robot"),
+    Field(
+        description="path of the CSV file of measured tips, of a YAML file that maps one, or of a YAML file that "
+        "lists several recordings, relative to this file"
+    ),
+]
+"""One or several recordings with the study's robot, given as the path of their file."""
+
 
 MeasuredFor = Annotated[
     list[str],
     Field(description="parameters to estimate: rotation_all, translation_all, curvature_2, ...", examples=["NAME,.."]),
 ]
 
-FIT_KEYS = ("folds", "confidence", "noise_mm", "axis_noise_deg", "loss", "priors")
+FIT_KEYS = ("own", "folds", "confidence", "noise_mm", "axis_noise_deg", "loss", "priors")
 """Keys that only a fit uses."""
 
 KEYS = {
@@ -70,7 +81,7 @@ class ValidationStudy(Timed):
 
     kind: Literal["validation"]
     robot: RobotPath
-    measurements: MeasurementsPath
+    measurements: RecordingsPath
     registration: Literal["rigid", "base-axis", "none", "saved"] | None = Field(
         None,
         description="transformation from device frame to base frame: rigid (fitted), "
@@ -90,6 +101,10 @@ class ValidationStudy(Timed):
     )
     compare: bool = Field(
         False, description="add effects one by one, most useful first, until none improves the prediction"
+    )
+    own: list[Literal["registration", *OWN]] = Field(  # type: ignore[valid-type]
+        list(FitOptions.own),
+        description="effects and registration that every recording has of its own; others are common",
     )
     folds: Annotated[Whole, AfterValidator(_valid_folds)] | None = Field(
         None, description="folds of the cross-validation; 0 for none; default 5, or 10 with compare"
@@ -112,12 +127,12 @@ class ValidationStudy(Timed):
                 # A sweep or a flag may repeat the default.
                 if key in self.model_fields_set and getattr(self, key) != type(self).model_fields[key].default:
                     raise ValueError(f"{key} is given without fit or compare; only these use it")
-        if self.axis_noise_deg is not None and self.measurements.orientation is None:
+        if self.axis_noise_deg is not None and all(m.orientation is None for m in self.measurements):
             raise ValueError("axis_noise_deg is given, and the measurements have no directions")
         if self.fit and not self.compare:
             with rewording(KEYS):
                 # Unknown names are refused here, before minutes of fitting.
-                choose_parameters(self.robot, self.measurements, self.fit, self.registration or "rigid")
+                choose_parameters(self.robot, self.measurements, self.fit, self.registration or "rigid", self.own)
         return self
 
     def _base(self) -> BasePose:
@@ -125,12 +140,13 @@ class ValidationStudy(Timed):
 
     def _options(self) -> FitOptions:
         # There are no more folds than measurements.
-        folds = self.folds if self.folds is not None else min(10 if self.compare else 5, len(self.measurements))
+        folds = self.folds if self.folds is not None else min(10 if self.compare else 5, *map(len, self.measurements))
         return FitOptions(
             base=self._base(),
             folds=folds,
             noise=tuple(self.in_si("noise_mm", "axis_noise_deg").values()),
             confidence=self.si("confidence"),
+            own=tuple(self.own),
             **values(FitOptions, self),
         )
 

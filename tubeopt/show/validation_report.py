@@ -104,6 +104,13 @@ def _registered(registration: Registration) -> str:
     return f"{registration.method}: yaw {yaw:.2f} deg, tilt {tilt:.2f} deg"
 
 
+def _recording(v: Validation) -> dict[str, Any]:
+    """Record of one of several recordings."""
+    motion = v.registration
+    pose = {"rotation": motion.rotation.tolist(), "translation_mm": (motion.translation * TO_MM).tolist()}
+    return {"measurements": v.measurements.source, "error": _summary(v.summary, v.length), "registration": pose}
+
+
 COMPARISON = described(
     Validation,
     Quantity("robot", "name of the robot", lambda v: v.robot.name),
@@ -127,6 +134,10 @@ COMPARISON = described(
     Quantity("axis_error_rms_deg", "RMS angle between measured and predicted direction", _axis_error, form=".2f"),
     Quantity("stations", "errors at each distance behind the tip", lambda v: _stations(v)),
     of_field(Validation, "parity", label="both directions", words=lambda v: _parity_text(v)),
+    Quantity("recordings", "errors and registration of each of several recordings",
+             lambda v: [_recording(part) for part in v.recordings], label="by recording",
+             words=lambda v: ", ".join(f"{part.measurements.source} RMS {part.summary.rms * TO_MM:.2f} mm"
+                                       for part in v.recordings) or None),
     Quantity("remarks", "remarks on the measurements"),
 )  # fmt: skip
 
@@ -180,6 +191,9 @@ FIT_ERRORS: tuple[Quantity[Fit], ...] = (
     Quantity("held_out", "errors of held-out configurations",
              lambda f: _summary(f.held_out, f.after.length) if f.held_out else None, label="held out",
              words=lambda f: _errors_in_words(f.held_out, f.after.length) if f.held_out else None),
+    Quantity("held_out_recordings", "errors of recordings, common parameters fitted to the others",
+             lambda f: [_summary(s, f.after.length) for s in f.by_recording] or None, label="held-out recordings",
+             words=lambda f: ", ".join(f"RMS {s.rms * TO_MM:.2f} mm" for s in f.by_recording) or None),
 )  # fmt: skip
 
 FIT = described(

@@ -256,7 +256,8 @@ def _step(square: Array, slope: Array, damping: float, x: Array, bounds: Array) 
 def solved(square: Array, slope: Array, damping: float = 0.0) -> Array:
     """Solution (Q,) of normal equations (Q, Q) x = (Q,), with damping relative to their diagonal."""
     # In units of the diagonal angles and lengths count alike. Directions that no observation determines, below 1e-13,
-    # do not move.
-    scale = np.sqrt(np.maximum(np.diag(square), 1e-300))
+    # do not move. What no observation depends on has an infinite scale, which round-off cannot move.
+    diagonal = np.diag(square)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, np.inf))
     matrix = square / np.outer(scale, scale) + damping * np.eye(len(scale))
     return np.asarray(np.linalg.lstsq(matrix, slope / scale, rcond=1e-13)[0] / scale)

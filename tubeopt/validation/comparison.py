@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import reprlib
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -18,9 +19,10 @@ from ..robots.robot import Robot
 from ..solvers.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Index
-from .measurements import Measurements, Parity, deal, parity, passes
+from .measurements import Measurements, Parity, deal, joined, parity, passes, recordings_of
 from .model import ArmModel, ParameterState
 from .registration import FREEDOMS, SENSOR_FRAME, BasePose, Registration
+from .sessions import Sessions
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,8 @@ class Validation(Displayed):
     """Standard errors of the registration; None if it was given."""
     left_out: tuple[tuple[int, str], ...] = ()
     """Pairs (row, reason in words) of rows without a stable shape."""
+    recordings: tuple[Validation, ...] = ()
+    """Comparison of each of several recordings; robot and registration above are those of the last."""
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -176,13 +180,15 @@ class Validation(Displayed):
 @limited
 def validate(
     robot: Robot,
-    measurements: Measurements,
+    measurements: Measurements | Sequence[Measurements],
     *,
     registration: str | None = None,
     base: BasePose = SENSOR_FRAME,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> Validation:
     """Measured tips compared with the tips of the model at the same joint readings.
+
+    Each of several recordings is registered for itself.
 
     Every configuration is solved for a stable equilibrium on its own, from tubes without torsion. A robot that can snap
     may have been in another one; its margin shows which configurations are in doubt.
@@ -209,6 +215,9 @@ def validate(
         >>> round(1e3 * found.summary.rms, 2)
         1.25
     """
+    if not isinstance(measurements, Measurements):
+        each = recordings_of(measurements)
+        return join([validate(robot, m, registration=registration, base=base) for m in each])
     check_tubes(robot, measurements)
     known = robot.calibration.registration if robot.calibration is not None else None
     own = known is not None and known.recording == measurements.mark
@@ -222,13 +231,48 @@ def validate(
     return result
 
 
+def join(comparisons: Sequence[Validation]) -> Validation:
+    """Comparison of all rows of several recordings, the recordings of which it keeps."""
+    last = comparisons[-1]
+    if len(comparisons) == 1:
+        return last
+    measurements = joined([v.measurements for v in comparisons])
+    measured, predicted, margin = (
+        np.concatenate([getattr(v, name) for v in comparisons]) for name in ("measured", "predicted", "margin")
+    )
+    begins = np.cumsum([0, *(len(v.measurements) for v in comparisons)]).tolist()
+    along = np.full((len(measured), len(measurements.stations)), np.nan)
+    for begin, v in zip(begins, comparisons, strict=False):
+        at = np.searchsorted(measurements.stations, v.measurements.stations)
+        along[begin : begin + len(v.along), at] = v.along
+    axes = [v.axis_errors for v in comparisons]
+    pairs = [begin + passes(v.measurements).pairs for begin, v in zip(begins, comparisons, strict=False)]
+    return replace(
+        last,
+        measurements=measurements,
+        measured=measured,
+        predicted=predicted,
+        along=along,
+        axis_errors=None
+        if all(a is None for a in axes)
+        else np.concatenate(
+            [np.full(len(v.measured), np.nan) if a is None else a for a, v in zip(axes, comparisons, strict=True)]
+        ),
+        margin=margin,
+        length=max(v.length for v in comparisons),
+        parity=parity(np.vstack(pairs), measured - predicted, measured),
+        left_out=tuple((b + k, why) for b, v in zip(begins, comparisons, strict=False) for k, why in v.left_out),
+        recordings=tuple(comparisons),
+    )
+
+
 def check_tubes(robot: Robot, measurements: Measurements) -> None:
     """Raise InputError where measurements are of another number of tubes."""
     if measurements.n_tubes != robot.n_tubes:
         raise InputError(f"the measurements are of {measurements.n_tubes} tubes; the robot has {robot.n_tubes}")
 
 
-def compare_at(model: ArmModel, state: ParameterState, robot: Robot) -> Validation:
+def compare_at(model: ArmModel, state: ParameterState[Registration], robot: Robot) -> Validation:
     """Measured and predicted values at a state of a model with this robot."""
     m, motion = model.measurements, state.registration
     poses = model.poses(model.setup(state.x), margins=True)
@@ -255,15 +299,15 @@ def compare_at(model: ArmModel, state: ParameterState, robot: Robot) -> Validati
     )
 
 
-def distances(model: ArmModel, residuals: Array) -> tuple[Array, Array | None]:
+def distances(model: ArmModel | Sessions, residuals: Array) -> tuple[Array, Array | None]:
     """(N, K) lengths of the residuals (V, 3) of positions, m, and (N,) angles of the residuals of directions, rad."""
     size = np.linalg.norm(residuals, axis=1)
-    along = np.full((len(model.measurements), len(model.stations)), np.nan)
+    along = np.full((model.count, len(model.stations)), np.nan)
     a = model.directed
     along[model.row[~a], model.station[~a]] = size[~a]
     if not a.any():
         return along, None
-    axis = np.full(len(model.measurements), np.nan)
+    axis = np.full(model.count, np.nan)
     axis[model.row[a]] = 2 * np.arcsin(np.clip(size[a] / 2, 0, 1))
     return along, axis
 
@@ -288,7 +332,7 @@ def remark(error: RegistrationError) -> str:
     )
 
 
-def registration_error(model: ArmModel, state: ParameterState) -> RegistrationError | None:
+def registration_error(model: ArmModel, state: ParameterState[Registration]) -> RegistrationError | None:
     """Standard errors of the registration of a state; None for a registration without least squares."""
     freedoms = FREEDOMS[model.method]
     if not freedoms:
@@ -332,7 +376,7 @@ class _Pairs(NamedTuple):
     """(V, 3) added to either to give the lever of a rotation."""
 
 
-def _pairs(model: ArmModel, state: ParameterState) -> _Pairs:
+def _pairs(model: ArmModel, state: ParameterState[Registration]) -> _Pairs:
     """Predicted and measured pairs of all observations."""
     motion, a = state.registration, model.directed
     rotated = [each @ motion.rotation.T for each in (model.predicted(state), model.observed)]

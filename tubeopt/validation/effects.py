@@ -150,6 +150,9 @@ class Setup:
         return {"pieces": pieces, "curvature": bend * max(piece.largest_curvature for piece in pieces)}
 
 
+# Effects that a recording may have of its own: homing of the drives, clocks, and where plate and sensor are mounted.
+OWN = ("latency", "translation", "rotation", "plate_shift", "plate_tilt", "sensor_offset", "sensor_tilt")
+
 # What describes the tubes, how they rub, and how loose they are.
 TUBES = ("friction", "clearance", "piece_curvature", *DIMENSIONS)
 
@@ -196,7 +199,7 @@ class Context:
     """Data that determine the range of an effect."""
 
     robot: Robot
-    measurements: Measurements
+    recordings: tuple[Measurements, ...]
     setup: Setup
 
     @property
@@ -349,7 +352,7 @@ def _translation_span(context: Context, index: int | None) -> Span:
 
 def _furthest(context: Context, tube: int) -> float:
     """The largest translation of a tube by the model, m."""
-    drives, measured = context.setup.drives, context.measurements.translations[:, tube].max()
+    drives, measured = context.setup.drives, max(m.translations[:, tube].max() for m in context.recordings)
     return float(drives.translation_gains[tube] * measured + drives.translation_offsets[tube])
 
 

@@ -20,7 +20,7 @@ import scipy
 
 from ..arguments import typed
 from ..display import Displayed
-from ..errors import InputError, SolveError, finite, positive
+from ..errors import InputError, SolveError, choice, finite, positive
 from ..files.field_metadata import OneOf, check_fields, form, key, unit
 from ..robots.robot import Robot
 from ..solvers.blas import small
@@ -44,14 +44,17 @@ from .comparison import (
     check_tubes,
     compare_at,
     distances,
+    join,
     registration_error,
     validate,
 )
+from .effects import OWN
 from .identifiability import doubts, entangled_history, left_out, louder, undetermined
-from .measurements import Measurements, deal, passes
-from .model import ArmModel, ParameterState
+from .measurements import Measurements, recordings_of
+from .model import ParameterState
 from .parameters import Parameter, choose_parameters
 from .registration import FIRST_GUESS, FREEDOMS, SENSOR_FRAME, BasePose
+from .sessions import Registrations, Sessions
 
 # How a large error counts: by its square, or in the end by its size.
 LOSSES = ("linear", "huber", "soft_l1")
@@ -70,7 +73,9 @@ ROBUST_FROM = 3.0
 DRAWS = 400
 
 
-def hold_out(model: ArmModel, weights: Weights, fit: RobustDescent[ParameterState], fold: Index) -> Array:
+def hold_out(
+    model: Sessions, weights: Weights, fit: RobustDescent[ParameterState[Registrations]], fold: Index
+) -> Array:
     """(V, 3) residuals of every observation by fits to the other folds, with the slopes of the fit to all.
 
     `fold` (N,) is the fold of each row.
@@ -89,7 +94,35 @@ def hold_out(model: ArmModel, weights: Weights, fit: RobustDescent[ParameterStat
     return out
 
 
-def predicted_held_out(model: ArmModel, weights: Weights, near: RobustDescent[ParameterState], fold: Index) -> Array:
+def hold_out_recordings(
+    model: Sessions, weights: Weights, fit: RobustDescent[ParameterState[Registrations]], fold: Index
+) -> Array:
+    """(V, 3) residuals of every recording by common parameters from the other recordings.
+
+    What it has of its own (registration, joint zeros, ...) is fitted to its other folds, common parameters held.
+    """
+    common = np.array([p.recording is None for p in model.parameters], dtype=bool)
+    # Without slopes and priors a number does not move.
+    held = np.append(common, np.full(model.freedoms, model.shared))
+    slopes = np.where(held, 0.0, fit.jacobian)
+    own = replace(weights, prior=np.where(common, np.inf, weights.prior))
+    out = np.empty_like(fit.residuals)
+    for k in range(len(model.models)):
+        mine = model.recording == k
+        others = replace(weights, share=weights.share * ~mine)
+        try:
+            without = descend(model, others, fit.state, jacobian=fit.jacobian, solver=BY_CHORDS)
+            inside = replace(own, share=own.share * mine)
+            near = replace(fit, state=without.state, residuals=without.residuals, jacobian=slopes)
+            out[mine] = hold_out(model, inside, near, fold)[mine]
+        except SolveError:
+            out[mine] = fit.residuals[mine]
+    return out
+
+
+def predicted_held_out(
+    model: Sessions, weights: Weights, near: RobustDescent[ParameterState[Registrations]], fold: Index
+) -> Array:
     """(V, 3) residuals held out, were the observations linear in the parameters around a state: nothing is solved."""
     own, w, jacobian, x = fold[model.row], weights.of(near.residuals), near.jacobian, near.state.x
     square, slope = normal_equations(model, weights, near.state, near.residuals, jacobian)
@@ -105,7 +138,9 @@ def predicted_held_out(model: ArmModel, weights: Weights, near: RobustDescent[Pa
     return out
 
 
-def bootstrap_errors(model: ArmModel, weights: Weights, fit: RobustDescent[ParameterState], block: Index) -> Array:
+def bootstrap_errors(
+    model: Sessions, weights: Weights, fit: RobustDescent[ParameterState[Registrations]], block: Index
+) -> Array:
     """(P,) standard errors from blocks of rows, (N,) the block of each, drawn again with replacement.
 
     Each draw is refitted to first order (one Gauss-Newton step from the fit), so that nothing is solved.
@@ -159,9 +194,13 @@ class FitOptions:
     """Prior on each number of the drawing, with the standard deviation `prior` of its effect."""
     noise: tuple[float | None, float | None] = (None, None)
     """Standard deviation of a measured coordinate (m), of a measured direction (rad); None estimates it."""
+    own: tuple[str, ...] = ("registration", "latency", "translation", "rotation")
+    """Effects of `effects.OWN`, and "registration", that every recording has of its own; others are common."""
 
     def __post_init__(self) -> None:
         check_fields(self)
+        for name in self.own:
+            choice("own", name, ("registration", *OWN))
         if not 0 < finite("confidence", self.confidence) < 1:
             raise InputError(f"confidence is {self.confidence:g}; it must lie between 0 and 1")
         for name, value in zip(("position", "direction"), self.noise, strict=True):
@@ -226,6 +265,9 @@ class Fit(Displayed):
     """(N,) angles of the same, rad; None without folds, or without directions."""
     fold: Index | None
     """(N,) fold of each row, None without folds."""
+    held_out_recordings: Array | None
+    """(N,) tip errors with the common parameters fitted to the other recordings, and what a recording has of its own to
+    its other folds, m; None of one recording, or without folds."""
     remarks: Annotated[tuple[str, ...], "remarks on the fit"]
     """Remarks on badly determined parameters and on the data."""
     evaluations: Annotated[int, key("shapes_solved"), "number of solved shapes"]
@@ -250,13 +292,21 @@ class Fit(Displayed):
         """Summary of the held-out errors."""
         return None if self.held_out_errors is None else ErrorSummary.of(self.held_out_errors)
 
+    @property
+    def by_recording(self) -> tuple[ErrorSummary, ...]:
+        """Summaries of the held-out errors of each of several recordings; empty for one."""
+        if self.held_out_recordings is None:
+            return ()
+        ends = np.cumsum([len(v.measurements) for v in self.after.recordings])[:-1]
+        return tuple(ErrorSummary.of(errors) for errors in np.split(self.held_out_recordings, ends))
+
 
 @typed
 @small
 @limited
 def fit(
     robot: Robot,
-    measurements: Measurements,
+    measurements: Measurements | Sequence[Measurements],
     parameters: Sequence[str],
     options: FitOptions | None = None,
     *,
@@ -264,6 +314,9 @@ def fit(
     time_limit: float = LONG_TIME_LIMIT,
 ) -> Fit:
     """Estimate chosen parameters of a robot from measured tips, jointly with the registration.
+
+    Of several recordings tubes, friction and drives are common, and each has `options.own` for itself. The robot has
+    these of the last recording.
 
     Args:
         parameters: names out of `effects.KINDS`, such as "latency", "curvature_2", "rotation_1", "rotation_all".
@@ -277,17 +330,30 @@ def fit(
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
     """
     options = options or FitOptions()
-    check_tubes(robot, measurements)
-    chosen = choose_parameters(robot, measurements, parameters, options.registration)
-    check_counts(measurements, len(chosen) + FREEDOMS[options.registration], options.folds)
+    recordings = recordings_of(measurements)
+    check_tubes(robot, recordings[0])
+    chosen = choose_parameters(robot, recordings, parameters, options.registration, options.own)
     report = progress or (lambda count, total: None)
-    model = ArmModel(robot, measurements, chosen, options.registration, options.base)
+    model = sessions(robot, recordings, chosen, options)
     report(1, 4)
     problem = FitProblem(model, options)
     report(2, 4)
-    answer = problem.answer(measurements, report)
+    answer = problem.answer(report)
     report(4, 4)
     return answer
+
+
+def sessions(
+    robot: Robot, recordings: Sequence[Measurements], chosen: Sequence[Parameter], options: FitOptions
+) -> Sessions:
+    """Model of recordings; raises InputError for fewer numbers than unknowns, or more folds than rows."""
+    shared = "registration" not in options.own
+    freedoms = FREEDOMS[options.registration]
+    for k, m in enumerate(recordings):
+        own = sum(p.recording in (None, k) for p in chosen)
+        check_counts(m, own + freedoms, options.folds)
+    model = Sessions(robot, recordings, options.registration, options.base, shared=shared)
+    return model.with_parameters(chosen)
 
 
 def check_counts(measurements: Measurements, unknowns: int, folds: int) -> None:
@@ -302,7 +368,7 @@ def check_counts(measurements: Measurements, unknowns: int, folds: int) -> None:
         raise InputError(f"folds is {folds}; it must be 0, or 2 to the number of measurements, {len(measurements)}")
 
 
-def weigh(model: ArmModel, options: FitOptions, sigma: tuple[float, float]) -> Weights:
+def weigh(model: Sessions, options: FitOptions, sigma: tuple[float, float]) -> Weights:
     """Weights of the observations for given noise of positions and directions."""
     prior = np.array([p.prior if options.priors else np.inf for p in model.parameters])
     spread = np.where(model.directed, sigma[1], sigma[0])
@@ -319,9 +385,9 @@ class FitProblem:
 
     def __init__(
         self,
-        model: ArmModel,
+        model: Sessions,
         options: FitOptions,
-        start: ParameterState | None = None,
+        start: ParameterState[Registrations] | None = None,
         sigma: tuple[float, float] = FIRST_GUESS,
     ) -> None:
         self.chosen, self.options = model.parameters, options
@@ -334,7 +400,7 @@ class FitProblem:
         columns = [*self.free, *range(len(self.chosen), slopes.shape[2])]
         self.fit = self._settle(ParameterState(origin.x[self.free], origin.registration), slopes[..., columns])
 
-    def _undetermined(self, model: ArmModel, slopes: Array) -> tuple[list[int], list[str]]:
+    def _undetermined(self, model: Sessions, slopes: Array) -> tuple[list[int], list[str]]:
         idle = [k for k, p in enumerate(self.chosen) if p.idle]
         messages = [left_out(self.chosen[k]) for k in idle]
         active = [k for k, p in enumerate(self.chosen) if not p.idle]
@@ -350,7 +416,9 @@ class FitProblem:
         """Weights of the observations for the noise."""
         return weigh(self.model, self.options, self.sigma)
 
-    def _settle(self, start: ParameterState, slopes: Array) -> RobustDescent[ParameterState]:
+    def _settle(
+        self, start: ParameterState[Registrations], slopes: Array
+    ) -> RobustDescent[ParameterState[Registrations]]:
         """Minimum from a start with its slopes, iterated with the estimated noise until both settle.
 
         With least squares of positions alone the noise has no effect.
@@ -364,7 +432,9 @@ class FitProblem:
             descent = descend(self.model, self.weights(), descent.state, first=descent.jacobian, solver=FITTING)
         return self._registered(descent)
 
-    def _registered(self, descent: RobustDescent[ParameterState]) -> RobustDescent[ParameterState]:
+    def _registered(
+        self, descent: RobustDescent[ParameterState[Registrations]]
+    ) -> RobustDescent[ParameterState[Registrations]]:
         """The descent with the registration in closed form, which its last step reaches to first order only."""
         if self.options.loss != "linear":
             return descent
@@ -373,12 +443,12 @@ class FitProblem:
         slopes = descent.jacobian if self.model.costly(state) else self.model.jacobian(state)
         return replace(descent, state=state, residuals=self.model.residuals(state), jacobian=slopes)
 
-    def _noise(self, descent: RobustDescent[ParameterState]) -> tuple[float, float]:
+    def _noise(self, descent: RobustDescent[ParameterState[Registrations]]) -> tuple[float, float]:
         """Standard deviations of a coordinate of positions and of directions: given, or left by the fit."""
         left, known = self._left(descent), self.options.noise
         return known[0] or left[0], known[1] or left[1]
 
-    def _left(self, descent: RobustDescent[ParameterState]) -> tuple[float, float]:
+    def _left(self, descent: RobustDescent[ParameterState[Registrations]]) -> tuple[float, float]:
         """Standard deviations of a coordinate of positions and of directions that a fit leaves.
 
         With a robust loss, from the median, which outliers do not move.
@@ -417,49 +487,58 @@ class FitProblem:
         inverse = np.linalg.pinv(square / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
         return np.asarray(inverse[: len(self.free), : len(self.free)])
 
-    def answer(self, measurements: Measurements, report: Progress) -> Fit:
+    def answer(self, report: Progress) -> Fit:
         """Result of the fit with its statistics."""
-        model, options, state = self.model, self.options, self.fit.state
-        known = registration_error(model, state)
-        check_registration(known, model.method)
-        pass_of = passes(measurements).group
+        model, options, parts = self.model, self.options, self.model.parts(self.fit.state)
+        known = [registration_error(m, part) for m, part in zip(model.models, parts, strict=True)]
+        if model.shared:  # the recording that knows it best stands for all
+            known = [min((e for e in known if e), key=lambda e: e.turn, default=None)] * len(known)
+        for error in known:
+            check_registration(error, model.method)
         errors, correlation = self._spread()
-        block = deal(measurements, min(BLOCKS, len(np.unique(pass_of))), pass_of)
+        block = model.blocks(BLOCKS)
         blocked = np.full(len(self.chosen), np.inf)
         if self.free:
             blocked[self.free] = bootstrap_errors(model, self.weights(), self.fit, block)
-        fold = deal(measurements, options.folds, pass_of) if options.folds else None
-        along, axis = None, None
+        fold = model.fold(options.folds) if options.folds else None
+        along, axis, elsewhere = None, None, None
         if fold is not None:
             along, axis = distances(model, hold_out(model, self.weights(), self.fit, fold))
+            if len(model.models) > 1:
+                elsewhere, _ = distances(model, hold_out_recordings(model, self.weights(), self.fit, fold))
         report(3, 4)
         # A direction is three numbers with two degrees of freedom.
         degrees = max(1, 3 * len(model.row) - int(model.directed.sum()) - len(self.free) - model.freedoms)
         half = scipy.special.stdtrit(degrees, (1 + options.confidence) / 2) * errors
         wide = scipy.special.stdtrit(max(1, len(np.unique(block)) - 1), (1 + options.confidence) / 2) * blocked
-        calibrated = self._calibrated(measurements)
-        after = validate(calibrated, measurements)
-        registration = replace(after.registration, method=model.method)
-        after = replace(after, registration=registration, registration_error=known)
+        compared = []
+        for k, error in enumerate(known):
+            own = validate(self._calibrated(k), model.recordings[k])
+            registration = replace(own.registration, method=model.method)
+            compared.append(replace(own, registration=registration, registration_error=error))
+        after = join(compared)
+        starts = zip(model.models, model.parts(model.start), strict=True)
         return Fit(
-            robot=calibrated,
+            robot=after.robot,
             estimates=_estimates(self.chosen, self.values, (errors, half), (blocked, wide)),
             correlation=correlation,
             confidence=options.confidence,
             noise=self.sigma[0],
             axis_noise=self.sigma[1] if model.directed.any() else None,
-            before=compare_at(model, model.start, model.robot),
+            before=join([compare_at(m, start, model.robot) for m, start in starts]),
             after=after,
             held_out_errors=None if along is None else along[:, 0],
             held_out_axis_errors=axis,
             fold=fold,
+            held_out_recordings=None if elsewhere is None else elsewhere[:, 0],
             remarks=(*after.remarks, *self.remarks, *self._doubts(half, correlation)),
             evaluations=model.evaluations,
         )
 
-    def _calibrated(self, measurements: Measurements) -> Robot:
-        """Robot with all fitted numbers: its own, and those of this recording in its calibration."""
-        model, state = self.model, self.fit.state
+    def _calibrated(self, k: int) -> Robot:
+        """Robot with all fitted numbers: its own, and those of recording k in its calibration."""
+        model, state = self.model.models[k], self.model.part(self.fit.state, k)
+        measurements = model.measurements
         found_by = f"{len(measurements)} rows of {measurements.source or 'measurements'}"
         setup = model.setup(state.x)
         setup.drives = replace(setup.drives, registration=state.registration.saved(measurements.mark))

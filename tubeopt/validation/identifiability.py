@@ -32,6 +32,7 @@ from .effects import EFFECTS
 from .measurements import Measurements
 from .model import ArmModel, ParameterState, solve_poses
 from .parameters import Parameter, choose_parameters, groups
+from .sessions import Registrations, Sessions
 
 # A combination of parameters is undetermined if a large change of it moves the tips by less than this part of the
 # arm's length (root mean square), once the registration has followed.
@@ -141,16 +142,16 @@ def join(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def entangled_history(model: ArmModel, fit: RobustDescent[ParameterState]) -> list[str]:
+def entangled_history(model: Sessions, fit: RobustDescent[ParameterState[Registrations]]) -> list[str]:
     """A remark where an effect of history was fitted that others of these data could imitate."""
-    fitted = {p.name for p in model.parameters if p.effect.history}
+    fitted = {p.name.partition("@")[0] for p in model.parameters if p.effect.history}
     if not fitted:
         return []
-    known = groups(model.robot, model.measurements, model.method)
+    known = groups(model.robot, model.recordings, model.method)
     names = [name for kind, own in known.items() if EFFECTS[kind].history for name in own if name not in fitted]
     if not names:
         return []
-    parameters = choose_parameters(model.robot, model.measurements, names, model.method)
+    parameters = choose_parameters(model.robot, model.recordings, names, model.method)
     every = [*model.parameters, *parameters]
     start = np.append(fit.state.x, [p.start for p in parameters])
     count = len(model.parameters)
@@ -160,7 +161,7 @@ def entangled_history(model: ArmModel, fit: RobustDescent[ParameterState]) -> li
     usual = [k for k, p in enumerate(every) if not p.effect.history] + list(range(len(every), flat.shape[1]))
     remarks = []
     for k, p in enumerate(every):
-        if p.name not in fitted:
+        if k >= count or not p.effect.history:
             continue
         rivals = [j for j, q in enumerate(every) if q.kind != p.kind and q.effect.history]
         left = _unexplained(flat[:, k], flat[:, usual])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, NamedTuple
 
@@ -164,15 +165,16 @@ class Measurements(Displayed):
     @property
     def stations(self) -> Array:
         """(K,) distances of the sensors behind the tip, m, the foremost first."""
-        return np.unique(np.round(self._behind / SAME_POSITION)) * SAME_POSITION
+        return np.unique(np.round(self.sensor_distances / SAME_POSITION)) * SAME_POSITION
 
     @property
-    def _behind(self) -> Array:
+    def sensor_distances(self) -> Array:
+        """(S,) distance of each sensor behind the tip, m."""
         return np.zeros(self.sensors.shape[1]) if self.behind is None else self.behind
 
     def _at(self, station: float) -> Array:
         """(N, s, 3) positions of the sensors at a station."""
-        return np.asarray(self.sensors[:, np.abs(self._behind - station) < SAME_POSITION])
+        return np.asarray(self.sensors[:, np.abs(self.sensor_distances - station) < SAME_POSITION])
 
     @property
     def station_position(self) -> Array:
@@ -205,6 +207,50 @@ class Measurements(Displayed):
     def turned(self, offsets: Array) -> Measurements:
         """The measurements with `offsets` (n,), rad, added to the rotations."""
         return replace(self, rotations=self.rotations + offsets)
+
+
+def recordings_of(measurements: Measurements | Sequence[Measurements]) -> tuple[Measurements, ...]:
+    """The recordings of a study; raises InputError if there is none, or another number of tubes."""
+    recordings = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
+    if not recordings:
+        raise InputError("there are no recordings; at least one is needed")
+    if len({m.n_tubes for m in recordings}) > 1:
+        raise InputError(
+            f"the recordings are of {sorted({m.n_tubes for m in recordings})} tubes; they must be of one robot"
+        )
+    return recordings
+
+
+def joined(recordings: Sequence[Measurements]) -> Measurements:
+    """All rows of several recordings, for statistics; each keeps sensors and stations of its own."""
+    if len(recordings) == 1:
+        return recordings[0]
+    count, first = sum(map(len, recordings)), np.cumsum([0, *map(len, recordings)])
+    behind = [m.sensor_distances for m in recordings]
+    alike = all(np.array_equal(b, behind[0]) for b in behind)
+    places = behind[0] if alike else np.concatenate(behind)
+    sensors = np.full((count, len(places), 3), np.nan)
+    frames = np.full((count, 3, 3), np.nan)
+    column = 0
+    for k, m in zip(first, recordings, strict=False):
+        sensors[k : k + len(m), column : column + m.sensors.shape[1]] = m.sensors
+        column += 0 if alike else m.sensors.shape[1]
+        if m.orientation is not None:
+            frames[k : k + len(m)] = m.orientation
+    labels: dict[str, Any] = {}
+    for name in ("direction", "separation", "time"):
+        values = [getattr(m, name) for m in recordings]
+        labels[name] = None if any(v is None for v in values) else np.concatenate(values)
+    return Measurements(
+        np.vstack([m.rotations for m in recordings]),
+        np.vstack([m.translations for m in recordings]),
+        sensors,
+        source=", ".join(m.source for m in recordings if m.source),
+        behind=places,
+        orientation=frames if np.isfinite(frames).any() else None,
+        remarks=tuple(f"{m.source}: {remark}" for m in recordings for remark in m.remarks),
+        **labels,
+    )
 
 
 # What a configuration has of its own.
@@ -334,14 +380,14 @@ def _between(time: Array, values: Array, instants: Array) -> Array:
     return np.asarray(scipy.interpolate.PchipInterpolator(time, values)(inside))
 
 
-def middles_of(drives: Calibration, measurements: Measurements) -> tuple[Calibration, Array]:
+def middles_of(drives: Calibration, measurements: Measurements, common: Array) -> tuple[Calibration, Array]:
     """Drives with gains about the turn that contains the recording, and (n,) turns from there to its median.
 
-    A drive of gain 1 has no turn yet: its own begins next to the median of the recording.
+    A drive of gain 1 has no turn yet: its own begins next to `common` (n,), the median of all recordings.
     """
     middle = np.median(measurements.rotations, axis=0)
     gained = np.array(drives.rotation_gains) != 1.0
-    known = np.where(gained, drives.rotation_middles, middle)
+    known = np.where(gained, drives.rotation_middles, common)
     turns = np.where(gained, np.round((middle - known) / TURN), 0.0)
     return replace(drives, rotation_middles=tuple(known.tolist())), turns
 

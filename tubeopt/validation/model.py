@@ -6,6 +6,7 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
 import scipy
@@ -259,14 +260,24 @@ TURNS = 3
 AXES = np.vstack([np.eye(3), -np.eye(3)])
 
 
+class Pose(Protocol):
+    """Pose of a measuring device, or of several."""
+
+    def moved(self, step: Array) -> Self:
+        """Pose after a small step in its freedoms."""
+
+
+M = TypeVar("M", bound=Pose)
+
+
 @dataclass(frozen=True, eq=False)
-class ParameterState:
+class ParameterState(Generic[M]):
     """Parameters x (P,) and pose of the measuring device."""
 
     x: Array
-    registration: Registration
+    registration: M
 
-    def moved(self, step: Array) -> ParameterState:
+    def moved(self, step: Array) -> ParameterState[M]:
         """The state after a step: of the parameters, then of the registration's freedoms."""
         count = len(self.x)
         return ParameterState(self.x + step[:count], self.registration.moved(step[count:]))
@@ -278,6 +289,7 @@ class ArmModel:
     Args:
         robot, measurements: as given.   parameters: that x holds.
         method, base: of the registration, as for `register`.
+        middle: (n,) median rotation of all recordings that have gains in common; None for that of this one.
 
     Attributes:
         row (V,): row of each observation.   station (V,): its station, -1 for a direction.
@@ -296,13 +308,15 @@ class ArmModel:
         parameters: Sequence[Parameter] = (),
         method: str = "rigid",
         base: BasePose = SENSOR_FRAME,
+        middle: Array | None = None,
     ) -> None:
         self.robot, self.measurements, self.parameters = robot, measurements, tuple(parameters)
         self.method, self.base = choice("registration", method, FREEDOMS), base
         self.freedoms = FREEDOMS[self.method]
         self.first = Setup.of(robot)
         self.timeline = Timeline.of(measurements)
-        self.first.drives, self.turns = middles_of(self.first.drives, measurements)
+        common = np.median(measurements.rotations, axis=0) if middle is None else middle
+        self.first.drives, self.turns = middles_of(self.first.drives, measurements, common)
         self.stations = measurements.stations
         self.evaluations = 0
         self._solved: list[tuple[Setup, Array, Array, PredictedPoses]] = []
@@ -378,7 +392,8 @@ class ArmModel:
         rows, stations = np.nonzero(observed)
         predicted, pointing = self._placed(self.first, poses)
         # The axis of the sensor needs a registration, which positions alone give first; directions then refine it.
-        m, registration = self.measurements, self._register(positions[observed], predicted[observed])
+        m, seen = self.measurements, np.zeros(len(rows), dtype=bool)
+        registration = self.register(positions[observed], predicted[observed], seen)
         self.axis = self._sensor_axis(poses, pointing, registration)
         parts, row, station = [positions[rows, stations]], [rows], [stations]
         frames = m.orientation
@@ -387,31 +402,55 @@ class ArmModel:
             parts.append(frames[directed] @ self.axis)
             row.append(directed)
             station.append(np.full(len(directed), -1))
-            directions = MeasuredDirections(parts[1], pointing[directed])
-            registration = self._register(positions[observed], predicted[observed], directions)
         self.observed, self.row, self.station = np.concatenate(parts), np.concatenate(row), np.concatenate(station)
+        if self.directed.any():
+            registration = self.register(self.observed, self._in_plate(self.first, poses), self.directed)
         self.start = ParameterState(np.array([p.start for p in self.parameters]), registration)
 
-    def _register(
-        self, measured: Array, predicted: Array, directions: MeasuredDirections | None = None
+    def register(
+        self,
+        measured: Array,
+        predicted: Array,
+        a: Mask,
+        noise: tuple[float | None, float | None] = (None, None),
     ) -> Registration:
-        """Registration by closed form, or the registration of the calibration."""
+        """Registration by closed form, or that of the calibration.
+
+        Args:
+            measured, predicted: (V, 3), in the frame of the device and of the plate.   a: (V,) True for directions.
+            noise: as for `MeasuredDirections`.
+        """
         if self.method != "saved":
-            return register(measured, predicted, self.method, base=self.base, directions=directions)
+            directions = MeasuredDirections(measured[a], predicted[a], noise)
+            return register(measured[~a], predicted[~a], self.method, base=self.base, directions=directions)
         saved = self.first.drives.registration
         if saved is None:
             raise InputError("registration is 'saved', but the robot's calibration has none; fit with rigid first")
         return Registration.of_saved(saved)
 
-    def registered(self, state: ParameterState, noise: tuple[float | None, float | None]) -> ParameterState:
+    def registered(
+        self, state: ParameterState[Registration], noise: tuple[float | None, float | None]
+    ) -> ParameterState[Registration]:
         """The state with the registration that fits its shapes best; `noise` as for `MeasuredDirections`."""
         if self.method in ("none", "saved"):
             return state
-        setup, a = self.setup(state.x), self.directed
-        placed = self._placed(setup, self.poses(setup))
-        directions = MeasuredDirections(self.observed[a], placed[1][self.row[a]], noise)
-        registration = self._register(self.observed[~a], placed[0][self.row[~a], self.station[~a]], directions)
-        return ParameterState(state.x, registration)
+        return ParameterState(state.x, self.register(self.observed, self.in_plate(state.x), self.directed, noise))
+
+    def in_plate(self, x: Array) -> Array:
+        """(V, 3) predictions of the observations in the frame of the plate."""
+        setup = self.setup(x)
+        return self._in_plate(setup, self.poses(setup))
+
+    def _in_plate(self, setup: Setup, poses: PredictedPoses) -> Array:
+        stations, direction = self._placed(setup, poses)
+        out, a = np.empty_like(self.observed), self.directed
+        out[~a], out[a] = stations[self.row[~a], self.station[~a]], direction[self.row[a]]
+        return out
+
+    @property
+    def count(self) -> int:
+        """Number of rows."""
+        return len(self.measurements)
 
     @property
     def directed(self) -> Mask:
@@ -510,7 +549,7 @@ class ArmModel:
         turn = setup.plate_turn
         return stations @ turn.T + setup.plate_shift, direction @ turn.T
 
-    def predicted(self, state: ParameterState) -> Array:
+    def predicted(self, state: ParameterState[Registration]) -> Array:
         """(V, 3) predicted sensor values.
 
         Raises:
@@ -521,21 +560,18 @@ class ArmModel:
         return self._seen(setup, self.poses(setup), state.registration)
 
     def _seen(self, setup: Setup, poses: PredictedPoses, motion: Registration) -> Array:
-        stations, direction = self._placed(setup, poses)
-        out = np.empty_like(self.observed)
-        a = self.directed
-        out[~a] = (stations[self.row[~a], self.station[~a]] - motion.translation) @ motion.rotation
-        out[a] = direction[self.row[a]] @ motion.rotation
+        shift = np.where(self.directed[:, None], 0.0, motion.translation)
+        out = (self._in_plate(setup, poses) - shift) @ motion.rotation
         if not np.isfinite(out).all():
             row = int(self.row[np.argmax(~np.isfinite(out).all(1))])
             raise SolveError(f"row {row + 1} has no stable equilibrium")
         return out
 
-    def residuals(self, state: ParameterState) -> Array:
+    def residuals(self, state: ParameterState[Registration]) -> Array:
         """(V, 3) measured minus predicted, in the device's frame: m, and unit vectors; raises as `predicted`."""
         return self.observed - self.predicted(state)
 
-    def jacobian(self, state: ParameterState, skip: int = 0) -> Array:
+    def jacobian(self, state: ParameterState[Registration], skip: int = 0) -> Array:
         """(V, 3, P + F) derivatives of `residuals` by the parameters and by the freedoms of the registration.
 
         Difference quotients, in scaled steps towards the middle of each range; a step to where there is no robot is
@@ -572,7 +608,7 @@ class ArmModel:
         """(2, P) least and greatest value of every parameter."""
         return np.array([[p.low, p.high] for p in self.parameters]).reshape(-1, 2).T
 
-    def costly(self, state: ParameterState) -> bool:
+    def costly(self, state: ParameterState[Registration]) -> bool:
         """True if derivatives need a pass along all rows for every parameter."""
         return bool(self.setup(state.x).friction.any()) and bool(self.timeline.runs)
 
@@ -596,7 +632,7 @@ class ArmModel:
                 break
         return out
 
-    def _registration_slope(self, state: ParameterState, predicted: Array) -> Array:
+    def _registration_slope(self, state: ParameterState[Registration], predicted: Array) -> Array:
         """(V, 3, F) derivatives of the predictions by the registration's freedoms."""
         out = np.zeros((*predicted.shape, self.freedoms))
         for k in range(self.freedoms):

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..arguments import typed
 from ..errors import InputError, nearest
 from ..robots.concentric import ConcentricRobot
 from ..robots.robot import Robot
 from ..typing import Array
-from .effects import EFFECTS, KINDS, Context, Effect, Setup, Span, members
-from .measurements import Measurements
+from .effects import EFFECTS, KINDS, OWN, Context, Effect, Setup, Span, members
+from .measurements import Measurements, recordings_of
 from .registration import FITS_PLATE
 
 AXES = "xyz"
@@ -37,6 +37,8 @@ class Parameter(Span):
     """Places in the setup that it sets."""
     idle: str = ""
     """Reason why the parameter has no influence on the tips, as text; "" where it may have one."""
+    recording: int | None = None
+    """Number of the recording that it is of, from 0; None for a parameter of all."""
 
     @property
     def effect(self) -> Effect:
@@ -46,9 +48,15 @@ class Parameter(Span):
 
 @typed
 def choose_parameters(
-    robot: Robot, measurements: Measurements, names: Sequence[str], registration: str = "rigid"
+    robot: Robot,
+    measurements: Measurements | Sequence[Measurements],
+    names: Sequence[str],
+    registration: str = "rigid",
+    own: Sequence[str] = (),
 ) -> tuple[Parameter, ...]:
     """The parameters with these names; "rotation_all" is one for every tube, and so on.
+
+    Of several recordings an effect in `own` has a parameter for each: "rotation_2@1", "rotation_2@2".
 
     Raises:
         InputError: no name, a name that is unknown, given twice, or means nothing for this robot and these data;
@@ -56,12 +64,20 @@ def choose_parameters(
     """
     if isinstance(names, str) or not len(names):
         raise InputError(f"no parameters are given; choose from {', '.join(KINDS)}")
-    context = Context(robot, measurements, Setup.of(robot))
+    recordings = recordings_of(measurements)
+    context = Context(robot, recordings, Setup.of(robot))
     chosen = [_parameter(context, name, registration) for spelling in names for name in _spelled_out(context, spelling)]
     for k, parameter in enumerate(chosen):
         for earlier in chosen[:k]:
             _contradict(earlier, parameter)
-    return tuple(chosen)
+    if len(recordings) == 1:
+        return tuple(chosen)
+    out: list[Parameter] = []
+    for common in chosen:
+        parts = enumerate(recordings) if common.kind in own and common.kind in OWN else ()
+        each = [_parameter(replace(context, recordings=(m,)), common.name, registration, k) for k, m in parts]
+        out += each or [common]
+    return tuple(out)
 
 
 def _contradict(a: Parameter, b: Parameter) -> None:
@@ -104,7 +120,7 @@ def _count(context: Context, effect: Effect) -> int:
     return counts.get(effect.each, len(effect.each))
 
 
-def _parameter(context: Context, name: str, registration: str) -> Parameter:
+def _parameter(context: Context, name: str, registration: str, recording: int | None = None) -> Parameter:
     # A name ends with a tube ("2"), a piece of a tube ("2_1") or an axis ("x").
     match = re.fullmatch(r"([a-z_]*[a-z])_(\d+|\d+_\d+|[xyz])", name)
     kind, number = (match[1], match[2]) if match else (name, None)
@@ -114,7 +130,7 @@ def _parameter(context: Context, name: str, registration: str) -> Parameter:
         raise InputError(f"parameter {name!r} is not known{nearest(name, known)}; choose from {', '.join(KINDS)}")
     effect = EFFECTS[kind]
     _check_number(context, effect, name, number)
-    missing = lacking(context.measurements, effect, registration)
+    missing = lacking(context.recordings, effect, registration)
     if missing:
         raise InputError(f"parameter {name!r} {missing}")
     # Names count from `first`, places in the setup from 0.
@@ -122,7 +138,10 @@ def _parameter(context: Context, name: str, registration: str) -> Parameter:
     unit = "" if index is None and kind == "curvature" else effect.unit
     span, which = effect.span(context, index), _places(context, effect, index)
     idle = effect.idle(context, index)
-    return Parameter(**vars(span), name=name, kind=kind, index=index, unit=unit, which=which, idle=idle)
+    label = name if recording is None else f"{name}@{recording + 1}"
+    return Parameter(
+        **vars(span), name=label, kind=kind, index=index, unit=unit, which=which, idle=idle, recording=recording
+    )
 
 
 def _known(kind: str, number: str | None) -> bool:
@@ -159,11 +178,11 @@ def _check_number(context: Context, effect: Effect, name: str, number: str | Non
     raise InputError(f"parameter {name!r}: the robot has {count} {what}; {allowed}")
 
 
-def lacking(measurements: Measurements, effect: Effect, registration: str) -> str:
+def lacking(recordings: Sequence[Measurements], effect: Effect, registration: str) -> str:
     """Data that are missing for the estimate of an effect; or ""."""
-    if effect.needs in ("time", "way") and measurements.time is None:
+    if effect.needs in ("time", "way") and any(m.time is None for m in recordings):
         return "needs the time of every row; the measurements have no column time_s"
-    if effect.needs == "orientation" and measurements.orientation is None:
+    if effect.needs == "orientation" and all(m.orientation is None for m in recordings):
         return "needs the direction of the tip's sensor; the measurements have none"
     if effect.needs == "plate" and registration in FITS_PLATE:
         return f"is part of the registration, which is {registration!r}; it is for none and base-axis"
@@ -171,17 +190,20 @@ def lacking(measurements: Measurements, effect: Effect, registration: str) -> st
 
 
 def groups(
-    robot: Robot, measurements: Measurements, registration: str = "rigid", asked: Sequence[str] = ()
+    robot: Robot,
+    measurements: Measurements | Sequence[Measurements],
+    registration: str = "rigid",
+    asked: Sequence[str] = (),
 ) -> dict[str, tuple[str, ...]]:
     """Effects that these data of this robot can determine, each with the names of its parameters.
 
     Effects that are always compared, or `asked` for.
     """
-    context = Context(robot, measurements, Setup.of(robot))
+    context = Context(robot, recordings_of(measurements), Setup.of(robot))
     by_kind: dict[str, tuple[str, ...]] = {}
     for kind, effect in EFFECTS.items():
         compared = effect.compared == "always" or (effect.compared == "asked" and kind in asked)
-        if not compared or lacking(measurements, effect, registration):
+        if not compared or lacking(context.recordings, effect, registration):
             continue
         numbered = effect.each and kind != "translation_gain"
         by_kind[kind] = tuple(_spelled_out(context, f"{kind}_all")) if numbered else (kind,)

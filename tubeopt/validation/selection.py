@@ -40,12 +40,13 @@ from ..solvers.robust_least_squares import RobustDescent, Weights, cost_of, desc
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Index, Mask, Progress
 from .comparison import BLOCKS, ErrorSummary, check_registration, check_tubes, distances, registration_error
-from .fitting import BY_CHORDS, Fit, FitOptions, FitProblem, check_counts, predicted_held_out, weigh
+from .fitting import BY_CHORDS, Fit, FitOptions, FitProblem, predicted_held_out, sessions, weigh
 from .identifiability import left_out
-from .measurements import Measurements, deal, passes
-from .model import ArmModel, ParameterState
+from .measurements import Measurements, joined, recordings_of
+from .model import ParameterState
 from .parameters import Parameter, apply, choose_parameters, groups
-from .registration import FIRST_GUESS, FREEDOMS
+from .registration import FIRST_GUESS
+from .sessions import Registrations, Sessions
 
 # Rounds of choosing effects. A round costs a fit in full; sets that still change after eight go round in circles.
 ROUNDS = 8
@@ -121,7 +122,7 @@ class Comparison(Displayed):
 @limited
 def compare_effects(
     robot: Robot,
-    measurements: Measurements,
+    measurements: Measurements | Sequence[Measurements],
     effects: Sequence[str] = (),
     options: FitOptions | None = None,
     *,
@@ -144,17 +145,17 @@ def compare_effects(
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
     """
     options = options or FitOptions(folds=10)
-    check_tubes(robot, measurements)
-    known = groups(robot, measurements, options.registration, effects)
+    recordings = recordings_of(measurements)
+    check_tubes(robot, recordings[0])
+    known = groups(robot, recordings, options.registration, effects)
     for effect in effects:
         if effect not in known:
             raise InputError(
                 f"effect {effect!r} cannot be compared{nearest(effect, known)}; choose from {', '.join(known)}"
             )
-    check_counts(measurements, FREEDOMS[options.registration] + 1, options.folds)
     if not options.folds:
         raise InputError("folds is 0; a comparison needs cross-validation, so it must be at least 2")
-    search = _Search(robot, measurements, {k: known[k] for k in (effects or known)}, options, progress)
+    search = _Search(robot, recordings, {k: known[k] for k in (effects or known)}, options, progress)
     search.run()
     return search.answer()
 
@@ -164,8 +165,8 @@ class _Trial:
     """A fit of a set of effects, in the order of the table, and its residuals (V, 3) held out."""
 
     effects: tuple[str, ...]
-    model: ArmModel
-    fit: RobustDescent[ParameterState]
+    model: Sessions
+    fit: RobustDescent[ParameterState[Registrations]]
     sigma: tuple[float, float]
     residuals: Array
 
@@ -174,21 +175,22 @@ class _Search:
     def __init__(
         self,
         robot: Robot,
-        measurements: Measurements,
+        recordings: Sequence[Measurements],
         known: dict[str, tuple[str, ...]],
         options: FitOptions,
         progress: Progress | None,
     ) -> None:
-        self.measurements, self.progress = measurements, progress
+        self.progress = progress
         self.given, self.options = options, replace(options, priors=True)
-        named = {k: choose_parameters(robot, measurements, v, options.registration) for k, v in known.items()}
+        named = {
+            k: choose_parameters(robot, recordings, v, options.registration, options.own) for k, v in known.items()
+        }
         self.idle = [p for some in named.values() for p in some if p.idle]
         active = {k: tuple(p for p in some if not p.idle) for k, some in named.items()}
         self.parameters = {k: some for k, some in active.items() if some}
         self.known = {k: known[k] for k in self.parameters}
-        pass_of = passes(measurements).group
-        self.fold, self.block = (deal(measurements, k, pass_of) for k in (options.folds, BLOCKS))
-        self.model = ArmModel(robot, measurements, (), options.registration, options.base)
+        self.model = sessions(robot, recordings, (), options)
+        self.fold, self.block = self.model.fold(options.folds), self.model.blocks(BLOCKS)
         self.passed: list[str] = []
         self.tried = 0
         self.initial_trial = self._fitted((), self.model.start, FIRST_GUESS)
@@ -311,14 +313,20 @@ class _Search:
         """True if a fit of these kinds needs a pass along all rows for every parameter."""
         return "friction" in kinds or self.initial_trial.model.costly(self.initial_trial.fit.state)
 
-    def _fitted(self, kinds: tuple[str, ...], start: ParameterState, sigma: tuple[float, float]) -> _Trial:
+    def _fitted(
+        self, kinds: tuple[str, ...], start: ParameterState[Registrations], sigma: tuple[float, float]
+    ) -> _Trial:
         """A fit in full."""
         chosen = [p for kind in kinds for p in self.parameters[kind]]
         problem = FitProblem(self.model.with_parameters(chosen), self.options, start, sigma)
         return self._held_out(kinds, problem.model, problem.fit, problem.sigma)
 
     def _held_out(
-        self, kinds: tuple[str, ...], model: ArmModel, fit: RobustDescent[ParameterState], sigma: tuple[float, float]
+        self,
+        kinds: tuple[str, ...],
+        model: Sessions,
+        fit: RobustDescent[ParameterState[Registrations]],
+        sigma: tuple[float, float],
     ) -> _Trial:
         weights = weigh(model, self.options, sigma)
         out = predicted_held_out(model, weights, fit, self.fold)
@@ -344,12 +352,11 @@ class _Search:
         result = None
         if self.now.effects:
             problem = FitProblem(self.now.model, self.given, self.now.fit.state, self.now.sigma)
-            result = problem.answer(self.measurements, lambda count, total: None)
+            result = problem.answer(lambda count, total: None)
         else:
-            check_registration(
-                registration_error(self.initial_trial.model, self.initial_trial.fit.state),
-                self.initial_trial.model.method,
-            )
+            begun = self.initial_trial.model
+            for model, part in zip(begun.models, begun.parts(self.initial_trial.fit.state), strict=True):
+                check_registration(registration_error(model, part), begun.method)
         along, axis = distances(self.model, self.initial_trial.residuals)
         return Comparison(
             start=ErrorSummary.of(along[:, 0]),
@@ -360,7 +367,7 @@ class _Search:
             fit=result,
             chosen_anew=self._chosen_anew(),
             folds=len(np.unique(self.fold)),
-            remarks=(*self.measurements.remarks, *(left_out(p) for p in self.idle)),
+            remarks=(*joined(self.model.recordings).remarks, *(left_out(p) for p in self.idle)),
         )
 
     def _chosen_anew(self) -> ErrorSummary:
@@ -592,9 +599,9 @@ class HeldOutSets:
 class Slopes:
     """Slopes around a fit to V observations, with P parameters and F freedoms of the registration."""
 
-    model: ArmModel
+    model: Sessions
     """Model with all parameters, those of the fit first."""
-    state: ParameterState
+    state: ParameterState[Registrations]
     """State at the parameters."""
     base: Effects
     """Effects of the fit."""
@@ -642,7 +649,9 @@ class Slopes:
         return predicted_held_out(fewer, replace(weights, prior=weights.prior[own]), near, fold)
 
 
-def slopes_around(model: ArmModel, fit: RobustDescent[ParameterState], others: Sequence[Sequence[Parameter]]) -> Slopes:
+def slopes_around(
+    model: Sessions, fit: RobustDescent[ParameterState[Registrations]], others: Sequence[Sequence[Parameter]]
+) -> Slopes:
     """Slopes around a fit by the parameters of a model, and by those of other effects at their starts.
 
     An effect that cannot begin, since there is no such robot, is left out.
@@ -679,7 +688,7 @@ def slopes_around(model: ArmModel, fit: RobustDescent[ParameterState], others: S
     )
 
 
-def _begins(model: ArmModel, chosen: Sequence[Parameter]) -> bool:
+def _begins(model: Sessions, chosen: Sequence[Parameter]) -> bool:
     """True if an effect is nonzero at its start already, since its derivative at 0 vanishes."""
     first = model.first
     return not apply(first, chosen, np.array([p.start for p in chosen])).same_tubes(first)
