@@ -162,8 +162,8 @@ def test_equations_of_a_block_are_named() -> None:
         problem.solve(Ipopt(iterations=1))
     assert "arm: " in str(caught.value)
     entries = problem._constraints["arm: torsion equation"].entries
-    assert entries[0] == "arm: torsion equation, tube 1, piece 1, point 1"
-    assert len(entries) == 2 * block.layout.n_pieces * block.model.grid.degree
+    assert entries[0] == "arm: torsion equation, tube 1, element 1, point 1"
+    assert len(entries) == 2 * block.layout.n_elements * block.model.grid.degree
 
 
 def test_multistart_keeps_the_best_and_counts() -> None:

@@ -90,7 +90,7 @@ def _section_slopes(pose: Pose) -> tuple[Array, Array]:
     """(P, 5, n, L) of theta and (P, 5, 2, L) of the curvature where each piece is divided."""
     of, n = pose.derivatives, len(pose.solved.member.rotations)
     results = [
-        [of.section(k, x, of.moved[4 * k + j]) for j, x in enumerate(SHAPE_POINTS)] for k in range(of.arm.pieces)
+        [of.section(k, x, of.moved[4 * k + j]) for j, x in enumerate(SHAPE_POINTS)] for k in range(of.arm.elements)
     ]
     parts = (
         [[part(one) for one in row] for row in results] for part in (lambda s: s.by_tubes[:n], lambda s: s.by_curvature)

@@ -52,56 +52,56 @@ class MarginBound(NamedTuple):
 def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
     """Constrain the margin to at least `margin` by Jacobi's condition on tubes softened by that fraction.
 
-    The fields y, v start from y = 1, v = 0 at the tip. The condition is det y >= 0 where pieces begin and
+    The fields y, v start from y = 1, v = 0 at the tip. The condition is det y >= 0 where elements begin and
     det(y - |beta| v) >= 0 at the plate. Under a dead load y includes the rotation of the frame, which is fixed at the
     plate: see `transcription.functions`.
 
-    Only the ratio v / y is passed on from piece to piece, and every piece restarts from y = 1: fields grow by many
-    orders of magnitude along stiff tubes, and the sign of a determinant is that of the product over the pieces. The
+    Only the ratio v / y is passed on between elements, and every element restarts from y = 1: fields grow by many
+    orders of magnitude along stiff tubes, and the sign of a determinant is that of the product over the elements. The
     matrices of the determinants are unknowns as well, so that their dense second derivatives stay small.
     """
     if block.load is not None:
         block.load.require_energy("the arm has no margin")
     min_margin, model = checked_margin(margin), block.model
     n, rows = functions.field_size(model.grid), functions.field_rows(model.grid)
-    pieces, reach, degree = model.n_pieces, block.reach, model.grid.degree
-    inside = np.tile(np.where(np.arange(rows) < n, 1.0, 1 / reach), n * degree * pieces)
+    elements, reach, degree = model.n_elements, block.reach, model.grid.degree
+    inside = np.tile(np.where(np.arange(rows) < n, 1.0, 1 / reach), n * degree * elements)
     count = f" {len(block.margins) + 1}" if block.margins else ""
     label = f"{block.label}Jacobi fields"
     columns = [
         block.program.variable(f"{label}{what}{count}", size, scale=scale)
         for what, size, scale in (
-            ("", n * n * (pieces - 1), 1 / reach),
+            ("", n * n * (elements - 1), 1 / reach),
             (" inside", len(inside), inside),
-            (" ahead", n * n * (pieces + 1), 1.0),
+            (" ahead", n * n * (elements + 1), 1.0),
         )
     ]
     start = float(min_margin) if not symbolic(margin) else min(max(block.initial.margin - 0.1, 0.0), 0.9)
     for column, value in zip(columns, jacobi_fields(block.initial_model, start), strict=True):
         block.program.set_guess(column, value)
     ratio, points, matrices = (ca.reshape(each, size, -1) for each, size in zip(columns, (n, rows, n), strict=True))
-    after = ca.vertcat(ca.repmat(ca.DM.eye(n), 1, pieces), ca.horzcat(ratio, ca.DM.zeros(n, n)))
+    after = ca.vertcat(ca.repmat(ca.DM.eye(n), 1, elements), ca.horzcat(ratio, ca.DM.zeros(n, n)))
     before, defect = model.mapped("fields")(after, points, model.lengths.T, *model.softness(min_margin))
     y, v = before[:n, :], ca.horzsplit(before[n:, :], n)
     plate = y[:, :n] - ca.repmat(model.plate_compliance, 1, n) * v[0]
     begins = ca.horzsplit(matrices, n)
-    ratios = ca.horzsplit(ratio, n) if pieces > 1 else []
+    ratios = ca.horzsplit(ratio, n) if elements > 1 else []
     residuals = [ratio_k @ begins[k + 1] - v[k + 1] for k, ratio_k in enumerate(ratios)]
-    labels = [f"Jacobi field {c + 1}, row {r + 1}, after piece {k + 1}" for k, c, r in np.ndindex(pieces - 1, n, n)]
+    labels = [f"Jacobi field {c + 1}, row {r + 1}, after element {k + 1}" for k, c, r in np.ndindex(elements - 1, n, n)]
     name = f"equations of the Jacobi fields{count}"
     block.demand(name, ca.vec(ca.horzcat(ca.MX(n, 0), *residuals)), upper=0.0, scale=1 / reach, entries=labels)
     labels = [
-        f"Jacobi field {c + 1}, row {i + 1}, piece {k + 1}, point {x + 1}"
-        for k, c, x, i in np.ndindex(pieces, n, degree, rows)
+        f"Jacobi field {c + 1}, row {i + 1}, element {k + 1}, point {x + 1}"
+        for k, c, x, i in np.ndindex(elements, n, degree, rows)
     ]
     block.demand(f"{name}, inside", ca.vec(defect), upper=0.0, scale=inside, entries=labels)
-    starts = [*(f"piece {k + 1}" for k in range(pieces)), "the plate"]
+    starts = [*(f"element {k + 1}" for k in range(elements)), "the plate"]
     labels = [
         f"Jacobi field {c + 1}, row {i + 1}, where {place} begins" for place in starts for c, i in np.ndindex(n, n)
     ]
     block.demand(f"{name}, ahead", ca.vec(matrices - ca.horzcat(y, plate)), upper=0.0, entries=labels)
     det = functions.determinant_function(n)
-    labels = [f"margin, on the arm from piece {k + 1} on" for k in range(pieces)] + ["margin"]
+    labels = [f"margin, on the arm from element {k + 1} on" for k in range(elements)] + ["margin"]
     block.demand(f"margin{count}", ca.vertcat(*(det(matrix) for matrix in begins)), entries=labels)
     block.margins.append(MarginBound(tuple(columns), min_margin))
 
@@ -169,16 +169,16 @@ def _check_covered(load: Load, force: float) -> None:
 
 
 def _without_force(block: ComposedBlock[Any], eigenvalue: Any) -> Any:
-    """D(lambda) of the second variation at the worst rotations; its sections are the pieces of the block."""
+    """D(lambda) of the second variation at the worst rotations; its sections are the elements of the block."""
     model = block.model
-    n, pieces = block.robot.n_tubes, model.n_pieces
+    n, elements = block.robot.n_tubes, model.n_elements
     tubes = _tube_data(model, block.chain)
     inputs = {
         "torsional_stiffness": ca.SX.sym("kt", n, tubes.torsional_stiffness.shape[1]),
         "transmission": ca.SX.sym("l", n),
-        "length": ca.SX.sym("h", pieces),
-        "stiffness": ca.SX.sym("kb", n, pieces),
-        "moment": ca.SX.sym("m", n, pieces),
+        "length": ca.SX.sym("h", elements),
+        "stiffness": ca.SX.sym("kb", n, elements),
+        "moment": ca.SX.sym("m", n, elements),
     }
     symbol = ca.SX.sym("lambda")
     determinant = base_determinant(symbol, inputs, ONCE)
@@ -189,13 +189,13 @@ def _without_force(block: ComposedBlock[Any], eigenvalue: Any) -> Any:
 
 
 def _add_under_force(block: ComposedBlock[Any], min_margin: Any, force: float) -> None:
-    """Add the largest eigenvalue of `physics.certificate` and its eigenfunction where pieces begin as unknowns.
+    """Add the largest eigenvalue of `physics.certificate` and its eigenfunction where elements begin as unknowns.
 
     The largest eigenvalue is simple, hence smooth, and only its eigenfunction has one sign (Krein and Rutman), which is
     a constraint. Of the two bounds of `loaded_worst_case`, the one that is larger at the start is used.
     """
     model, program = block.model, block.program
-    n, pieces = block.robot.n_tubes, model.n_pieces
+    n, elements = block.robot.n_tubes, model.n_elements
     pairs = _tighter_pairs(block.initial_model, force)
     value, initial = eigenpair(block.initial_model, force, pairs)
     count = sum(bound.force > 0 for bound in block.bounds) + 1
@@ -206,12 +206,12 @@ def _add_under_force(block: ComposedBlock[Any], min_margin: Any, force: float) -
     flat = program.variable(f"{tag}: states", initial.size, scale=scale, guess=initial.ravel(order="F"))
     states = ca.reshape(flat, *initial.shape)
     block.bounds.append(CertificateBound(min_margin, force, pairs, eigenvalue, flat))
-    # Lever of the force: arc length from the end of each piece to the tip.
-    lever = ca.DM(np.triu(np.ones((pieces, pieces)), 1)) @ model.lengths
-    inputs = [ca.repmat(ca.DM(part), 1, pieces) for part in (np.array(pairs), force)]
-    across = crossing_function(n, 1, *ONCE).map(pieces)(
+    # Lever of the force: arc length from the end of each element to the tip.
+    lever = ca.DM(np.triu(np.ones((elements, elements)), 1)) @ model.lengths
+    inputs = [ca.repmat(ca.DM(part), 1, elements) for part in (np.array(pairs), force)]
+    across = crossing_function(n, 1, *ONCE).map(elements)(
         states[:, 1:],
-        ca.repmat(1 / eigenvalue, 1, pieces),
+        ca.repmat(1 / eigenvalue, 1, elements),
         *inputs,
         model.lengths.T,
         lever.T,
@@ -222,12 +222,12 @@ def _add_under_force(block: ComposedBlock[Any], min_margin: Any, force: float) -
     plate = plate_conditions(states[:, 0], model.torsional_stiffness[:, 0], model.transmission)
     largest = int(np.argmax(np.abs(initial[: n + 1, -1])))
     tip = ca.vertcat(states[n + 1 :, -1] / typical[n + 1 :, 0], states[largest, -1] - 1)
-    size = np.concatenate([np.tile(typical[:, 0], pieces), typical[: n + 1, 0], np.ones(n + 2)])
+    size = np.concatenate([np.tile(typical[:, 0], elements), typical[: n + 1, 0], np.ones(n + 2)])
     rows = ca.vertcat(ca.vec(states[:, :-1] - across), plate, tip)
     name = tag.removeprefix(block.label)
     block.demand(f"{name}: equations", rows, upper=0.0, scale=size, entries=[f"{name}: equations"] * len(size))
     curved = [*np.flatnonzero(np.abs(np.asarray(block.initial_model.moment)).max(1) > 0).tolist(), n]
-    sign = ca.vec(states[curved, 1:] / ca.repmat(typical[curved, 0], 1, pieces))
+    sign = ca.vec(states[curved, 1:] / ca.repmat(typical[curved, 0], 1, elements))
     block.demand(f"{name}: one sign", sign, entries=[f"{name}: one sign"] * sign.numel())
     if pairs == APART:
         block.demand(name, _without_force(block, 1 - min_margin - eigenvalue))
@@ -256,7 +256,7 @@ def _tighter_pairs(model: Model, force: float) -> tuple[float, float]:
 
 
 def eigenpair(model: Model, force: float, pairs: tuple[float, float]) -> tuple[float, Array]:
-    """Eigenvalue of an arm in numbers, and its states (2 n + 2, P + 1) at the starts of pieces and at the tip."""
+    """Eigenvalue of an arm in numbers, and its states (2 n + 2, P + 1) at the starts of elements and at the tip."""
     sections, tubes = _sections_and_tubes(model)
     value, tip = largest_eigenvalue(force, sections, tubes, pairs)
     crossing, n = crossing_function(len(tubes[0]), 1, *ONCE), len(tubes[0])
@@ -268,7 +268,7 @@ def eigenpair(model: Model, force: float, pairs: tuple[float, float]) -> tuple[f
 
 
 class _TubeData(NamedTuple):
-    """Tubes on the P pieces of a block."""
+    """Tubes on the P elements of a block."""
 
     torsional_stiffness: Any
     """kt (n, P), or (n, 1) where it is the same along a tube."""
@@ -281,7 +281,7 @@ class _TubeData(NamedTuple):
 
 
 def _tube_data(model: Model, chain: Chain | None) -> _TubeData:
-    """Tubes on the pieces of a block.
+    """Tubes on the elements of a block.
 
     Raises:
         InputError: a tube with a piece along which curvature or stiffness varies.

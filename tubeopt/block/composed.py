@@ -87,7 +87,7 @@ def as_program(opti: Any) -> Program:
 
 
 POINT = 1e-12
-"""Length (m) below which a piece is a point."""
+"""Length (m) below which an element is a point."""
 
 CLOSED = 1e-6
 """Distance of breakpoints, relative to the length of the arm, below which they meet."""
@@ -172,15 +172,15 @@ class ComposedBlock(Generic[N]):
         if not order.front:
             raise InputError("no tube is in front of the base plate; an arm without length has no equilibrium")
         # If breakpoints may change places, each of them may come in front of the plate and end a section there.
-        min_pieces = len(order.front) + len(order.behind) if self._moving else 0
-        return layout(self._bundle, order, refinement=halvings, min_pieces=min_pieces)
+        min_elements = len(order.front) + len(order.behind) if self._moving else 0
+        return layout(self._bundle, order, refinement=halvings, min_elements=min_elements)
 
     def _add_unknowns(self) -> None:
         """Add the unknowns of the arm as columns, and build its model from them."""
         reach, load = self.reach, self.constants["load"]
         bending = 1.0 if load is None else load.stiffness / reach
         scale = {"torsion": 1 / reach, "position": reach, "bending moment": bending, "bending moment inside": bending}
-        self.shapes = unknowns_of(self._grid, self.layout.n_pieces)
+        self.shapes = unknowns_of(self._grid, self.layout.n_elements)
         # Typical size of every unknown of the arm.
         self.typical = [scale.get(name, 1.0) for name in self.shapes]
         self.columns = [
@@ -208,7 +208,7 @@ class ComposedBlock(Generic[N]):
         return external_load.arm_of(self._grid, layout_numbers(self.layout), zero, values).at(lambda part: part)
 
     def _set_guess(self, model: Model, start: StartValues) -> None:
-        """Set the start of the unknowns, on the pieces of `model`."""
+        """Set the start of the unknowns, on the elements of `model`."""
         theta, twist, inner, moments = start
         numbers: dict[str, Any] = {"theta": theta, "twist": twist, "inner": inner}
         if moments:
@@ -248,8 +248,8 @@ class ComposedBlock(Generic[N]):
         self.tip_rotations = model.ends.theta[:, -1]
         if model.along is not None:
             # Tubes made of pieces: theta is the elastic rotation, to which the natural turn is added.
-            start, last = [part[:, -1] for part in model.poses], model.n_pieces - 1
-            self.tip_rotations += functions.inside_function(self._grid)(*start, 1.0, *model.piece(last))[5]
+            start, last = [part[:, -1] for part in model.poses], model.n_elements - 1
+            self.tip_rotations += functions.inside_function(self._grid)(*start, 1.0, *model.element(last))[5]
         self.energy, self.length = model.energy, ca.sum1(model.lengths)
         if self._moving:
             self.demand("order of breakpoints", model.distances, scale=reach, entries=order_labels(self.layout.order))
@@ -290,36 +290,36 @@ class ComposedBlock(Generic[N]):
         """Outputs of `inside_function` at a fraction of the arm's length: q, p, theta, w, u, ..."""
         if not 0 <= fraction <= 1:
             raise InputError(f"fraction is {fraction:g}; it must be from 0 (base plate) to 1 (tip)")
-        model, pieces = self.model, self.model.n_pieces
+        model, elements = self.model, self.model.n_elements
         inside = functions.inside_function(model.grid)
         if not self._moving:
-            # Lengths are numbers, so the piece at this fraction is known.
+            # Lengths are numbers, so the element at this fraction is known.
             length = np.array(ca.DM(model.lengths)).ravel()
             ends = np.cumsum(length)
-            k = min(int(np.searchsorted(ends, fraction * ends[-1])), pieces - 1)
-            while length[k] <= POINT and k + 1 < pieces:
+            k = min(int(np.searchsorted(ends, fraction * ends[-1])), elements - 1)
+            while length[k] <= POINT and k + 1 < elements:
                 k += 1
             x = (fraction * ends[-1] - (ends[k] - length[k])) / length[k]
             q, p = model.poses
-            return list(inside(q[:, k], p[:, k], x, *model.piece(k)))
-        # Lengths are unknown: the piece is selected by weights that are 0 or 1.
+            return list(inside(q[:, k], p[:, k], x, *model.element(k)))
+        # Lengths are unknown: the element is selected by weights that are 0 or 1.
         start = ca.cumsum(model.lengths) - model.lengths
         s = fraction * self.length
         travelled = ca.fmin(ca.fmax(s - start, 0), model.lengths)
         x = travelled / ca.if_else(model.lengths > POINT, model.lengths, 1.0)
-        # The last piece that begins before s, but none without length.
+        # The last element that begins before s, but none without length.
         entered = ca.logic_and(start <= s, model.lengths > POINT)
         selected, weights = ca.DM.zeros(1), []
-        for k in reversed(range(pieces)):
+        for k in reversed(range(elements)):
             weights.append(ca.logic_and(entered[k], ca.logic_not(selected)))
             selected = ca.logic_or(selected, entered[k])
         weight = ca.vertcat(*reversed(weights))
         n, degree = self.robot.n_tubes, model.grid.degree
-        inner = ca.reshape(model.inner, n * degree, pieces)
+        inner = ca.reshape(model.inner, n * degree, elements)
         tables = [*model.poses, x.T, model.theta, model.twist, inner, *model.data]
-        piece = [table @ weight for table in tables]
-        piece[5] = ca.reshape(piece[5], n, degree)
-        return list(inside(*piece))
+        element = [table @ weight for table in tables]
+        element[5] = ca.reshape(element[5], n, degree)
+        return list(inside(*element))
 
     def strain(self, tube: int) -> Any:
         """Bending strain (points,) r |u - u*| / (1 - r |u*|) at the surface of a tube, at the collocation points.
@@ -338,7 +338,7 @@ class ComposedBlock(Generic[N]):
         return strain[np.flatnonzero(np.repeat(self.layout.present[tube], degree)).tolist()]
 
     def points(self) -> Any:
-        """Shape points (3, m) of the arm, m: four per piece, the tip last."""
+        """Shape points (3, m) of the arm, m: four per element, the tip last."""
         return self.model.mapped("positions")(*self.model.poses, *self.model.arguments)
 
     def clearance(self, body: Any) -> Any:
@@ -353,11 +353,11 @@ class ComposedBlock(Generic[N]):
             raise InputError(f"body is {body!r}; it must be one of tubeopt.bodies, or have distance(x, y, z)")
         points = self.points()
         radii = np.array([tube.outer_diameter / 2 for tube in self.robot.tubes]) + self._bundle.offset
-        radius: Any = ca.DM.zeros(1, self.model.n_pieces)
+        radius: Any = ca.DM.zeros(1, self.model.n_elements)
         for i, tube_radius in enumerate(radii.tolist()):
             radius = ca.fmax(radius, tube_radius * self.model.present[i, :])
-        per_piece = points.shape[1] // self.model.n_pieces
+        per_element = points.shape[1] // self.model.n_elements
         x, y, z = (ca.SX.sym(axis) for axis in "xyz")
         function = ca.Function("distance", [x, y, z], [body.distance(x, y, z)]).map(points.shape[1])
         distance = function(points[0, :], points[1, :], points[2, :])
-        return ca.vec(distance - ca.reshape(ca.repmat(radius, per_piece, 1), 1, -1))
+        return ca.vec(distance - ca.reshape(ca.repmat(radius, per_element, 1), 1, -1))

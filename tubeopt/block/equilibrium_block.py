@@ -429,7 +429,7 @@ class EquilibriumBlock(ComposedBlock[N]):
             row: one of `closed`, or of `swappable` near a meeting; None is the first of `closed`.
 
         Raises:
-            InputError: breakpoints do not meet there, or the block has too few pieces for the new order.
+            InputError: breakpoints do not meet there, or the block has too few elements for the new order.
         """
         rows = self.closed(solution) if row is None else self.swappable()
         if not rows or (row is not None and row not in rows):
@@ -437,7 +437,7 @@ class EquilibriumBlock(ComposedBlock[N]):
         solved = self.model.at(solution.value)
         numbers = {key: np.array(solution.value(part)).ravel() for key, part in self._inputs.values.items()}
         order = swapped(self.layout.order, rows[0] if row is None else row)
-        self.restore(layout(assembly_at(self.robot, self._bundle, numbers), order, pieces=self.layout.n_pieces))
+        self.restore(layout(assembly_at(self.robot, self._bundle, numbers), order, elements=self.layout.n_elements))
         model = self._start_model(numbers)
         min_margins = [float(np.array(solution.value(bound.min_margin)).item()) for bound in self.margins]
         if self.load is not None:
@@ -462,7 +462,7 @@ class EquilibriumBlock(ComposedBlock[N]):
             order = order_of(bundle, self.robot.moving_together, side=self._side)
             if not order.front:
                 raise InputError("no tube is in front of the base plate; an arm without length has no equilibrium")
-            self.restore(layout(bundle, order, pieces=self.layout.n_pieces))
+            self.restore(layout(bundle, order, elements=self.layout.n_elements))
         model = self._start_model(numbers)
         min_margins = [
             equilibrium.margin - 0.1 if symbolic(b.min_margin) else float(b.min_margin) for b in self.margins
@@ -501,7 +501,7 @@ class EquilibriumBlock(ComposedBlock[N]):
             self.program.set_guess(jacobian.unknown, jacobian.start(self))
 
     def restore(self, laid: Layout) -> None:
-        """Set the layout of the pieces, one that the block has had before."""
+        """Set the layout of the elements, one that the block has had before."""
         self.layout = laid
         self.program.set_value(self.numbers, laid.numbers())
         name = self.label + "order of breakpoints"

@@ -88,27 +88,27 @@ N = TypeVar("N", bound=InitialEquilibrium)
 
 
 class StartValues(NamedTuple):
-    """Start values of a solve: torsion and bending of an arm on P pieces with K points."""
+    """Start values of a solve: torsion and bending of an arm on P elements with K points."""
 
     rotation: Array
-    """theta (n, P) where pieces begin, rad."""
+    """theta (n, P) where elements begin, rad."""
     torsion: Array
-    """w (n, P) where pieces begin, rad/m."""
+    """w (n, P) where elements begin, rad/m."""
     rotation_inside: Array
     """theta (n, P K) at the points, rad."""
     moments: tuple[Array, ...] = ()
-    """Bending moments under load (2, P) where pieces begin, and (2 K, P) at their points, N m."""
+    """Bending moments under load (2, P) where elements begin, and (2 K, P) at their points, N m."""
 
 
 def collocation_points(model: Model) -> tuple[Array, Array]:
-    """Arc lengths (P,) where pieces begin, and (P K,) of their points, m."""
+    """Arc lengths (P,) where elements begin, and (P K,) of their points, m."""
     length = np.maximum(np.asarray(model.lengths, dtype=float).ravel(), 0.0)
     start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
     return start, (start[:, None] + length[:, None] * model.grid.tableau.nodes).ravel()
 
 
 def start_values(initial: InitialEquilibrium, model: Model) -> StartValues:
-    """An equilibrium on the pieces of a model; beyond its tip the values are those at the tip."""
+    """An equilibrium on the elements of a model; beyond its tip the values are those at the tip."""
     start, inside = collocation_points(model)
     if initial.load is None:
         torsion = _unloaded_torsion(initial, start, inside)
@@ -117,8 +117,8 @@ def start_values(initial: InitialEquilibrium, model: Model) -> StartValues:
     if not model.grid.loaded:
         return torsion
     at_start, at_nodes = (bending_moment_of(initial, s) for s in (start, inside))
-    # The moments at the points of a piece are one column of unknowns.
-    return torsion._replace(moments=(at_start, at_nodes.T.reshape(model.n_pieces, -1).T))
+    # The moments at the points of an element are one column of unknowns.
+    return torsion._replace(moments=(at_start, at_nodes.T.reshape(model.n_elements, -1).T))
 
 
 def _unloaded_torsion(initial: InitialEquilibrium, start: Array, inside: Array) -> StartValues:
@@ -175,18 +175,18 @@ def sample(model: Model, arc_length: Array) -> ArmSample:
     for s in arc_length:
         k = max(int(np.searchsorted(start, s, side="right")) - 1, 0)
         x = min((s - start[k]) / model.lengths[k], 1.0) if model.lengths[k] > 0 else 0.0
-        _, _, *values = inside(*base, x, *model.piece(k))[:5]
+        _, _, *values = inside(*base, x, *model.element(k))[:5]
         columns.append([np.array(value).ravel() for value in values])
     return ArmSample(*(np.array(table).T for table in zip(*columns, strict=True)))
 
 
 def poses_of(model: Model) -> tuple[Array, Array]:
-    """Quaternions (4, P - 1) and positions (3, P - 1) where all pieces but the first begin, by integration."""
+    """Quaternions (4, P - 1) and positions (3, P - 1) where all elements but the first begin, by integration."""
     step = functions.pose_function(model.grid)
     q, p = np.array([1.0, 0, 0, 0]), np.zeros(3)
-    turns, positions = np.zeros((4, model.n_pieces - 1)), np.zeros((3, model.n_pieces - 1))
-    for k in range(model.n_pieces - 1):
-        q, p = (np.array(part).ravel() for part in step(q, p, *model.piece(k)))
+    turns, positions = np.zeros((4, model.n_elements - 1)), np.zeros((3, model.n_elements - 1))
+    for k in range(model.n_elements - 1):
+        q, p = (np.array(part).ravel() for part in step(q, p, *model.element(k)))
         turns[:, k], positions[:, k] = q, p
     return turns, positions
 
@@ -195,21 +195,21 @@ class JacobiFields(NamedTuple):
     """Unknowns of a margin constraint, by columns; see `add_margin`."""
 
     ratio: Array
-    """v / y (n n (P - 1),) where all pieces but the first begin, 1/m."""
+    """v / y (n n (P - 1),) where all elements but the first begin, 1/m."""
     inside: Array
     """y (n n K P,) at the points."""
     determinants: Array
-    """y (n n P,) where pieces begin, then y - |beta| v (n n,) at the plate: matrices with positive determinants."""
+    """y (n n P,) where elements begin, then y - |beta| v (n n,) at the plate: matrices with positive determinants."""
 
 
 def jacobi_fields(model: Model, margin: float) -> JacobiFields:
-    """Jacobi fields of tubes softened by `margin`; every piece starts from y = 1 at its distal end."""
+    """Jacobi fields of tubes softened by `margin`; every element starts from y = 1 at its distal end."""
     n, m, degree = field_size(model.grid), field_rows(model.grid), model.grid.degree
     step, matrix = functions.fields_function(model.grid), functions.field_matrix_function(model.grid)
-    softness = [np.hsplit(np.array(part), model.n_pieces) for part in model.softness(margin)]
+    softness = [np.hsplit(np.array(part), model.n_elements) for part in model.softness(margin)]
     fields: Any = np.concatenate([np.eye(n), np.zeros((n, n))])
     ratios, points, begins = [], [], []
-    for k in reversed(range(model.n_pieces)):
+    for k in reversed(range(model.n_elements)):
         inputs = [model.lengths[k], *(part[k] for part in softness)]
         # The collocated equations are linear in y at the points: their defect at y = 0, then one solve.
         forced = np.array(step(fields, np.zeros((m, degree * n)), *inputs)[1])

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import __version__
 from ..arguments import typed
-from ..block.transcription.mesh import BEND_PER_PIECE, LOADED_WAVES, loaded_counts
+from ..block.transcription.mesh import BEND_PER_ELEMENT, LOADED_WAVES, loaded_counts
 from ..constants import GRAVITY
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
@@ -295,7 +295,7 @@ def loads_text(name: str, n: int, data: str, pieces: int = MOST_PIECES) -> str:
         "SAME_END": SAME_END,
         "WAVES_PER_ELEMENT": 1,  # of what is not loaded: not asked for
         "LOADED_WAVES": LOADED_WAVES,
-        "BEND_PER_PIECE": BEND_PER_PIECE,
+        "BEND_PER_ELEMENT": BEND_PER_ELEMENT,
     }
     kernel = SEEN.sub(r"static \1", loaded_text(n, generator, pieces))
     parts = [

@@ -30,7 +30,7 @@ from ..typing import Array
 from .directions import Directions
 
 SHAPE_POINTS = tuple(ENDS.tolist())
-"""Shape points of a piece as fractions of its length."""
+"""Shape points of an element as fractions of its length."""
 
 TIP = 1e-9
 """Largest distance (m) from the tip of a force that counts as a tip force."""
@@ -201,7 +201,7 @@ class ArmChange(Directions):
 
     @cached_property
     def moved(self) -> Array:
-        """(m, Q) motion of the shape points along the arm, at fixed fractions of the pieces of the mesh."""
+        """(m, Q) motion of the shape points along the arm, at fixed fractions of the elements of the mesh."""
         return self._moved(self.shape.arc_length)
 
     def _moved(self, s: Array) -> Array:
@@ -221,8 +221,8 @@ class ArmChange(Directions):
         """(m, 3, Q) turn vector of the frames at the shape points that move so, rad."""
         arm, n = self.arm, self.n
         rates = arm.frame[..., :2] @ self.response.curvature
-        inside = arm.tableau.basis(SHAPE_POINTS, 1)[1:] @ rates.reshape(arm.pieces, arm.degree, 3 * self.size)
-        inside = (arm.h * inside).reshape(arm.pieces, len(SHAPE_POINTS) - 1, 3, self.size)
+        inside = arm.tableau.basis(SHAPE_POINTS, 1)[1:] @ rates.reshape(arm.elements, arm.degree, 3 * self.size)
+        inside = (arm.h * inside).reshape(arm.elements, len(SHAPE_POINTS) - 1, 3, self.size)
         turned = (self.response.state[:-1, None, n : n + 3] + inside).reshape(-1, 3, self.size)
         # A place that moves along the arm also turns with the arm's bend there.
         bend = (self.shape.frame[1:, :, :2] @ self.shape.curvature[1:, :, None]) * self.moved[1:, None]
@@ -238,7 +238,7 @@ class ArmChange(Directions):
 
     @cached_property
     def sections(self) -> tuple[Array, Array]:
-        """(P, 5, 3 n) theta, kb and m, and (P, 5, 2) u at ENDS of every piece."""
+        """(P, 5, 3 n) theta, kb and m, and (P, 5, 2) u at ENDS of every element."""
         arm, n, (rate, table) = self.arm, self.n, self._sections_along
         at = arm.tableau.basis(SHAPE_POINTS, 0) @ table
         at[..., :n] += arm.phi_ends[:-1, None] + arm.h * (arm.tableau.basis(SHAPE_POINTS, 1) @ rate)
@@ -246,7 +246,7 @@ class ArmChange(Directions):
         return at[..., : 3 * n], result.curvature.reshape(*at.shape[:2], 2)
 
     def section(self, k: int, x: float, moves: Array) -> Section:
-        """Cross-section at a fraction x of piece k, while the point moves along the arm by (Q,)."""
+        """Cross-section at a fraction x of element k, while the point moves along the arm by (Q,)."""
         arm, n, (rate, table) = self.arm, self.n, self._sections_along
         h, response, forcing = arm.length[k], self.response, self.forcing
         inside, full, slope = (arm.tableau.basis((x,), times)[0] for times in (0, 1, -1))

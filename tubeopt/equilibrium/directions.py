@@ -325,14 +325,14 @@ class Directions:
     def entered(self) -> Entered:
         """Derivatives of the equations in all directions."""
         arm, n, size = self.arm, self.n, self.n * len(self.wrt) + len(self._more)
-        points, bases = (arm.pieces, arm.degree), np.zeros((3, n, size))
+        points, bases = (arm.elements, arm.degree), np.zeros((3, n, size))
         forcing = Forcing(
             alpha=bases[0],
             transmission=bases[1],
             data=np.zeros((*points, 3 * n, size)),
             compliance=np.zeros((*points, n, size)),
             force=np.zeros((*points, 3, size)),
-            jumps=np.zeros((arm.pieces + 1, arm.size, self.size)),
+            jumps=np.zeros((arm.elements + 1, arm.size, self.size)),
             side=self.side,
         )
         into = Entered(forcing, bases[2], np.zeros((len(self.breakpoints.tube), size)))

@@ -331,7 +331,7 @@ def _bending_error(current: FrictionEquilibrium) -> float:
 
 @lru_cache(maxsize=8)
 def _finer(contact: Contact) -> LoadedProblem:
-    """Loaded problem of a contact with EXTRA_QUADRATURE_POINTS more points on each piece."""
+    """Loaded problem of a contact with EXTRA_QUADRATURE_POINTS more points on each element."""
     torsion, mesh, loading = contact.problem, contact.problem.mesh, contact.loading
     assert loading is not None
     unknown = np.zeros((torsion.assembly.n_sections, torsion.assembly.n_tubes), dtype=bool)
@@ -363,15 +363,15 @@ def _smooth_error(current: FrictionEquilibrium) -> float:
 
 
 class _FinerPoints(NamedTuple):
-    """Points of a finer rule on the collocated pieces, and the tubes there."""
+    """Points of a finer rule on the collocated elements, and the tubes there."""
 
     nodes: tuple[float, ...]
-    """Fractions of a piece."""
+    """Fractions of an element."""
     stiffness: Array
     moment: Array
     phase: Array
     turn: Array
-    """(E, n) rotation of all beyond a piece per moment on it, rad/N."""
+    """(E, n) rotation of all beyond an element per moment on it, rad/N."""
 
 
 @lru_cache(maxsize=8)
@@ -386,7 +386,7 @@ def _finer_points(contact: Contact) -> _FinerPoints:
         stiffness=sections.stiffness[collocated],
         moment=sections.moment[collocated],
         phase=sections.phase[collocated],
-        # An error of the moment on a piece turns its tube by the compliance up to the end of the piece.
+        # An error of the moment on an element turns its tube by the compliance up to the end of the element.
         turn=mesh.length[mesh.collocated, None] * lever / sections.torsional_stiffness.min(0),
     )
 

@@ -6,7 +6,7 @@ Newton's method. `forward_kinematics` calls, in this order:
 1. `unloaded` or `loaded`: the compiled kernel, on the default mesh or finer ones.
 2. `_descend`: the general solver, from tubes without torsion; if that ends in a saddle, on the path from home.
 3. `on_branch`: with a start or a load, continuation along the joints or the load (`continuation.py`).
-4. `_to_tolerance`: halves the pieces of the mesh until the estimated error is below the tolerance.
+4. `_to_tolerance`: halves the elements of the mesh until the estimated error is below the tolerance.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def unloaded(
             return None
         sampled = arm.arc_length, arm.rotation, arm.torsion, points.point, points.point_rotation
         start, max_change = Start(*sampled, turn, guess.translations), largest_twist(guess.margin)
-    # Finer meshes are left to the general solver: the kernel has static memory for the pieces of these two.
+    # Finer meshes are left to the general solver: the kernel has static memory for the elements of these two.
     for refinement in (0, 1):
         solved = solve_compiled(robot, rotations, translations, start, refinement)
         if solved is None or solved.largest_change > max_change:
@@ -348,9 +348,9 @@ def _to_tolerance(point: AnyPoint, start: str, request: SolveRequest) -> Equilib
         error = error_of(result)
         if error <= request.tolerance and (level == finest or solution.errors[2] <= solver.newton.margin_tolerance):
             return result
-        # Halved pieces lower the error by orders of magnitude; a factor below two means that it is not one of the mesh.
+        # Halved elements lower the error by orders of magnitude; a factor below two is no error of the mesh.
         if error > request.tolerance and (level == finest or error > error_before / 2):
-            why = "" if level == finest else "; finer pieces no longer help"
+            why = "" if level == finest else "; finer elements no longer help"
             wrong = f"the estimated error is {error:.1e} rad, wanted was {request.tolerance:.1e} rad"
             raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}{why}", result)
         finer, error_before = point.member.on(refinement=level + 1), error

@@ -218,7 +218,7 @@ class Linearised(ArmChange):
         return self._margin(one_of_two=True)
 
     def _margin(self, *, one_of_two: bool) -> Array:
-        if not self.arm.pieces:
+        if not self.arm.elements:
             return -self._softened
         if self.value >= FLAT:
             return np.zeros(self.size)
@@ -300,7 +300,7 @@ class Linearised(ArmChange):
         arm, moved, n, size = self.arm, self.response, self.n, self.size
         psi, moment = mode.psi[..., 0], mode.moment[..., 0]
         out = by[:, n : n + 2].ravel() @ moved.bending_moment.reshape(-1, size)
-        across = (arm.frame[..., :2] @ by[:, n + 2 :].reshape(arm.pieces, arm.degree, 2, 1))[..., 0]
+        across = (arm.frame[..., :2] @ by[:, n + 2 :].reshape(arm.elements, arm.degree, 2, 1))[..., 0]
         turns = hat(psi)
         twice = arm.weights[..., None, None] * (turns @ turns)
         # g = (R'(dm + m x psi))_xy: by the moment, of which half is the costate's, and by the turn of the frame.
@@ -437,15 +437,15 @@ def curvature_at(of: Linearised, fraction: float) -> tuple[Array, Array]:
 def tip_forces(of: Directions) -> list[Change]:
     """Changes by the x, y and z components of a dead force at the tip, N, for `more` of `linearise`."""
     arm, still = of.arm, np.zeros(of.n)
-    none = np.zeros((arm.pieces, arm.degree, of.n))
-    force = np.broadcast_to(np.eye(3)[:, None, None], (3, arm.pieces, arm.degree, 3))
+    none = np.zeros((arm.elements, arm.degree, of.n))
+    force = np.broadcast_to(np.eye(3)[:, None, None], (3, arm.elements, arm.degree, 3))
     return [Change(still, none, none, none, none, still, each) for each in force]
 
 
 def base_wrench_change(of: Linearised) -> Array:
     """Change (6, Q) of the force (N) and moment (N m) of the load on the plate, world axes."""
     n, state = of.n, of.response.state[0]
-    force = of.forcing.force[0, 0] if of.arm.pieces else np.zeros((3, of.size))
+    force = of.forcing.force[0, 0] if of.arm.elements else np.zeros((3, of.size))
     # The plate lies across z: bending moments about x and y, and the torques of all tubes about z.
     return np.concatenate([force, state[2 * n + 3 : 2 * n + 5], state[n + 3 : 2 * n + 3].sum(0)[None]])
 
@@ -461,7 +461,7 @@ def curvature_in_tube(of: Linearised, tube: int, ends: tuple[float, float], move
     # A tube made of pieces has axes of its own, which its natural twist turns; theta is that of its precurvature.
     turned = of.problem.compliant.sections.wound.reshape(arm.phase.shape) - arm.phase
     for k in np.flatnonzero((of.cuts[1:] > first) & (of.cuts[:-1] < last)).tolist():
-        # Curvature jumps where pieces meet: each part of the stretch has points of its own, which move with its ends.
+        # Curvature jumps where elements meet: each part of the stretch has points of its own, which move with its ends.
         low, high = max(first, of.cuts[k]), min(last, of.cuts[k + 1])
         from_, to = (
             moves if inside else of.moved[(len(SHAPE_POINTS) - 1) * j]
@@ -486,16 +486,16 @@ def _longer(of: Linearised) -> Array:
 
 
 def _place(of: Linearised, fraction: float) -> tuple[int, float]:
-    """Piece at a fraction of the length, and the fraction of the piece."""
+    """Element at a fraction of the length, and the fraction of the element."""
     (k,), _, (x,) = between(of.cuts, np.array([fraction * of.cuts[-1]]))
     return int(k), float(x)
 
 
 class _ShapeWeights(NamedTuple):
-    """Weights of the polynomial through the shape points of a piece."""
+    """Weights of the polynomial through the shape points of an element."""
 
-    piece: int
-    """Number of the piece."""
+    element: int
+    """Number of the element."""
     value: Array
     """Weights (5,) of the value."""
     rate: Array

@@ -256,8 +256,8 @@ class Member(ABC, Generic[S]):
         )
 
 
-def pieces_of(mesh: Mesh, assembly: Assembly, other: Assembly) -> Index | None:
-    """(m,) number of pieces of each section of a mesh; None if another assembly has a different number of sections."""
+def elements_of(mesh: Mesh, assembly: Assembly, other: Assembly) -> Index | None:
+    """Number of elements of each section (m,) of a mesh; None if another assembly has another number of sections."""
     count = assembly.n_sections
     return np.bincount(mesh.section, minlength=count) if other.n_sections == count else None
 
@@ -392,10 +392,10 @@ class Unloaded(Member[Evaluation]):
         if translations == self.translations:
             return replace(self, rotations=rotations)
         assembly, d = self.robot.assembly(np.array(translations)), self.discretisation
-        pieces = pieces_of(self.problem.mesh, self.problem.assembly, assembly)
-        if pieces is None:
+        elements = elements_of(self.problem.mesh, self.problem.assembly, assembly)
+        if elements is None:
             return None
-        problem = reduce(assembly, make_mesh(assembly, pieces, family=d.family, degree=d.degree))
+        problem = reduce(assembly, make_mesh(assembly, elements, family=d.family, degree=d.degree))
         return Unloaded(self.robot, problem, rotations, translations, d) if problem.size == self.problem.size else None
 
     def transfer(self, point: AnyPoint) -> Array:
@@ -540,7 +540,7 @@ class Loaded(Member[LoadedState]):
         )
 
     def _errors(self, point: LoadedPoint) -> Errors:
-        """Estimated errors: the change by one Newton step on a mesh with more points per piece."""
+        """Estimated errors: the change by one Newton step on a mesh with more points per element."""
         finer = self.on(degree=self.discretisation.degree + EXTRA_COLLOCATION_POINTS)
         problem, state = finer.problem, finer.at(finer.transfer(point))
         # At a fold the step along the softest direction is unbounded: its stiffness counts as at least this.
@@ -576,16 +576,16 @@ class Loaded(Member[LoadedState]):
         if translations == self.translations and load is self.problem.load:
             return replace(self, rotations=rotations, factor=factor)
         assembly, _ = loading_of(self.robot, translations, load)
-        pieces = pieces_of(self.problem.mesh, self.problem.torsion.assembly, assembly)
-        if pieces is None:
+        elements = elements_of(self.problem.mesh, self.problem.torsion.assembly, assembly)
+        if elements is None:
             return None
-        problem = loaded_problem(self.robot, translations, load, self.discretisation, tuple(pieces.tolist()))
+        problem = loaded_problem(self.robot, translations, load, self.discretisation, tuple(elements.tolist()))
         if problem.size != self.problem.size:
             return None
         return Loaded(self.robot, problem, rotations, translations, self.discretisation, factor)
 
     def transfer(self, point: AnyPoint) -> Array:
-        """(U,) unknowns of a point from another mesh: bending is interpolated by the polynomials of the pieces."""
+        """(U,) unknowns of a point from another mesh: bending is interpolated by the polynomials of the elements."""
         known, state, problem = point.member, point.state, self.problem
         if known.problem.torsion is problem.torsion:
             return np.asarray(state.x)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..block.transcription.loaded import LoadedProblem, Loading, load_problem
-from ..block.transcription.mesh import loaded_counts, loaded_mesh, make_mesh, piece_counts
+from ..block.transcription.mesh import element_counts, loaded_counts, loaded_mesh, make_mesh
 from ..block.transcription.reduced import ReducedProblem, reduce
 from ..block.transcription.tableau import FAMILIES
 from ..constants import GRAVITY
@@ -46,15 +46,15 @@ class Discretisation(Displayed):
 DEFAULT_DISCRETISATION = Discretisation()
 
 # Collocation of degree 6 gains 2^12 with each halving: six halvings reduce any error of the mesh to round-off. A larger
-# error comes from unknowns that are not well determined (close to a fold), which finer pieces do not improve.
+# error comes from unknowns that are not well determined (close to a fold), which finer elements do not improve.
 REFINEMENTS = 6
-"""Largest number of times that the pieces of the mesh are halved."""
+"""Largest number of times that the elements of the mesh are halved."""
 
-# Under load the pieces are shorter from the start, and every point has two more unknowns.
+# Under load the elements are shorter from the start, and every point has two more unknowns.
 LOADED_REFINEMENTS = 4
-"""Largest number of times that the pieces of the mesh are halved under a load."""
+"""Largest number of times that the elements of the mesh are halved under a load."""
 
-# With one point more per piece than without a load the margin, too, is accurate to about 1e-8.
+# With one point more per element than without a load the margin, too, is accurate to about 1e-8.
 LOADED_DISCRETISATION = Discretisation(degree=7)
 """Default discretisation under a load."""
 
@@ -64,7 +64,7 @@ CACHED_PROBLEMS = 128
 """Number of problems in a cache."""
 
 EXTRA_COLLOCATION_POINTS = 1
-"""Number of collocation points per piece that the check of the mesh has more than the solution."""
+"""Number of collocation points per element that the check of the mesh has more than the solution."""
 
 
 @lru_cache(maxsize=CACHED_PROBLEMS)
@@ -82,7 +82,7 @@ def reduced_problem(robot: Robot, translations: tuple[float, ...], discretisatio
 def reduced_assembly(assembly: Assembly, discretisation: Discretisation = DEFAULT_DISCRETISATION) -> ReducedProblem:
     """Reduced torsion problem of an assembly."""
     d = discretisation
-    mesh = make_mesh(assembly, piece_counts(assembly, d.refinement), family=d.family, degree=d.degree)
+    mesh = make_mesh(assembly, element_counts(assembly, d.refinement), family=d.family, degree=d.degree)
     return reduce(assembly, mesh)
 
 
@@ -195,14 +195,14 @@ def loaded_problem(
     translations: tuple[float, ...],
     load: Load,
     discretisation: Discretisation = LOADED_DISCRETISATION,
-    pieces: tuple[int, ...] | None = None,
+    elements: tuple[int, ...] | None = None,
 ) -> LoadedProblem:
     """Problem of a robot at translations (n,) under a load, built once for all rotations.
 
     Args:
-        pieces: number of pieces of each section; by default as many as the load needs.
+        elements: number of elements of each section; by default as many as the load needs.
     """
-    return _problem(robot, translations, load, discretisation, pieces)
+    return _problem(robot, translations, load, discretisation, elements)
 
 
 def _problem(
@@ -210,11 +210,11 @@ def _problem(
     translations: tuple[float, ...],
     load: Load,
     discretisation: Discretisation,
-    pieces: tuple[int, ...] | None = None,
+    elements: tuple[int, ...] | None = None,
 ) -> LoadedProblem:
     """Problem of a loaded robot, built for the cache of `loaded_problem`."""
     _, loading = loading_of(robot, translations, load)
-    counts = tuple((loading.counts * 2**discretisation.refinement).tolist()) if pieces is None else pieces
+    counts = tuple((loading.counts * 2**discretisation.refinement).tolist()) if elements is None else elements
     torsion = _torsion(robot, translations, tuple(load.cuts().tolist()), counts, discretisation)
     return load_problem(torsion, load, loading.density)
 

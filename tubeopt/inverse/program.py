@@ -1,9 +1,9 @@
 """Inverse kinematics as one nonlinear program: torsion of an arm with free joint values.
 
 Beside the unknowns and equations of the torsion there are the joint values, in which base rotations, transmissions and
-the lengths of the pieces are linear as long as the breakpoints keep their order; the pose of the tip, integrated along
-the pieces; and the margin as a smooth constraint. The last is Jacobi's: with all torsional stiffnesses reduced by the
-fraction mu, the fields
+the lengths of the elements are linear as long as the breakpoints keep their order; the pose of the tip, integrated
+along the elements; and the margin as a smooth constraint. The last is Jacobi's: with all torsional stiffnesses
+reduced by the fraction mu, the fields
 
     (1 - mu) kt Y'' = V'' Y,   Y = 1, Y' = 0 at the tip
 
@@ -28,7 +28,7 @@ import casadi as ca
 import numpy as np
 
 from ..block.transcription.chain import shifted_columns
-from ..block.transcription.collocated import Grid, shape_of, symbolic_piece, torsion_of
+from ..block.transcription.collocated import Grid, shape_of, symbolic_element, torsion_of
 from ..block.transcription.explicit import marched_fields
 from ..block.transcription.functions import determinant_function
 from ..block.transcription.model import TorsionModel
@@ -63,7 +63,7 @@ from .posture import Posture
 
 # The program only needs the right basin: Newton's method on the fine mesh finishes its answer.
 SHAPE_STEPS = 2
-"""Steps of the shape per piece: the fast path, and forward kinematics after it, integrate more finely."""
+"""Steps of the shape per element: the fast path, and forward kinematics after it, integrate more finely."""
 
 SHARPNESS = 30.0
 """Sharpness of the smooth least distance from an obstacle, over the length of the robot: on the safe side."""
@@ -99,7 +99,7 @@ def inverse_program(question: ProgramStructure, thread: int) -> Problem:
     Variables: `rotations` (n,), `translations` (G,) of the carriages, `margin` where it is maximised, and the torsion.
     Parameters beside those of the torsion: `lengths at 0` (P,), `lengths per translation` (P, G), `transmission at 0`
     (n,) at translations 0; of tubes made of pieces `compliance ratio` (n,) at the plate, and `cuts` (P + 1,) between
-    the pieces where the `translations of the mesh` (n,) are those of the start, with the `lengths of the mesh` (P,);
+    the elements where the `translations of the mesh` (n,) are those of the start, with the `lengths of the mesh` (P,);
     `position`, `direction`, `direction weight`, `least margin`, `clearance`, `radius` (P,); `reference` and `weights`
     of the joints; `order` (closings, G) and its `bound`.
     """
@@ -108,7 +108,7 @@ def inverse_program(question: ProgramStructure, thread: int) -> Problem:
 
 def _program(question: ProgramStructure, _thread: int) -> Problem:
     structure, length = question.structure, question.length
-    n, groups, pieces = structure.grid.n_tubes, len(question.carriages), len(structure.section)
+    n, groups, elements = structure.grid.n_tubes, len(question.carriages), len(structure.section)
     problem = Problem("inverse kinematics")
 
     def parameter(name: str, rows: int = 1, columns: int = 1) -> Any:
@@ -123,15 +123,15 @@ def _program(question: ProgramStructure, _thread: int) -> Problem:
     moved = ca.vertcat(*(shift[k] for i in range(n) for k, tubes in enumerate(question.carriages) if i in tubes))
     own = {
         "transmission": parameter("transmission at 0", n) - moved,
-        "lengths": parameter("lengths at 0", pieces) + parameter("lengths per translation", pieces, groups) @ shift,
+        "lengths": parameter("lengths at 0", elements) + parameter("lengths per translation", elements, groups) @ shift,
     }
     if structure.grid.detail:
         own["transmission"] += (1 - parameter("compliance ratio", n)) * moved
-        passed = ca.vertcat(0, ca.cumsum(own["lengths"])) - parameter("cuts", pieces + 1)
+        passed = ca.vertcat(0, ca.cumsum(own["lengths"])) - parameter("cuts", elements + 1)
         out = moved - parameter("translations of the mesh", n)
         table = parameter("along", *structure.shapes["along"])
         own["along"] = shifted_columns(
-            table, structure.grid.detail, parameter("lengths of the mesh", pieces), passed, out
+            table, structure.grid.detail, parameter("lengths of the mesh", elements), passed, out
         )
     arm = add_torsion(problem, structure, turn, own)
     frame, tip, points, bend = _shape(arm)
@@ -141,12 +141,12 @@ def _program(question: ProgramStructure, _thread: int) -> Problem:
         problem.subject_to("tip direction", _lateral_deviation(direction, target), upper=0.0)
         problem.subject_to("tip direction, sense", ca.dot(direction, target))
     fields = _jacobi(arm, structure.coupled, margin)
-    names = [f"margin, Jacobi fields at piece {k + 1}" for k in range(pieces - 1)] + ["margin"]
+    names = [f"margin, Jacobi fields at element {k + 1}" for k in range(elements - 1)] + ["margin"]
     problem.subject_to("Jacobi fields", fields, entries=names)
     order, bound = parameter("order", question.closings, groups), parameter("bound", question.closings)
     if question.closings:
         problem.subject_to("order of breakpoints", order @ shift - bound, scale=length)
-    clearance, radius = parameter("clearance"), parameter("radius", pieces)
+    clearance, radius = parameter("clearance"), parameter("radius", elements)
     for k, obstacle in enumerate(question.obstacles):
         far = _soft_distance(obstacle, points.shape[1], length)
         thick = ca.reshape(ca.repmat(radius.T, 2 * SHAPE_STEPS, 1), 1, -1)
@@ -208,22 +208,22 @@ class _Shape(NamedTuple):
 
 
 def _shape(arm: TorsionModel) -> _Shape:
-    """Shape of an arm by Magnus steps over its P pieces."""
+    """Shape of an arm by Magnus steps over its P elements."""
     frame, position, bending = ca.MX(ca.DM.eye(3)), ca.MX(ca.DM.zeros(3)), ca.MX(0)
     points = [position]
-    for k in range(arm.n_pieces):
-        frame, position, inside, part = _piece_shape(arm.grid)(frame, position, *arm.piece(k))
+    for k in range(arm.n_elements):
+        frame, position, inside, part = _element_shape(arm.grid)(frame, position, *arm.element(k))
         points.append(inside)
         bending = bending + part
     return _Shape(frame, position, ca.horzcat(*points), bending)
 
 
 @lru_cache(maxsize=16)
-def _piece_shape(grid: Grid) -> ca.Function:
-    """Function (R, p, arguments of a piece) -> pose at its end, points (3, 2 SHAPE_STEPS) in it, int |u|^2 ds."""
-    torsion = torsion_of(symbolic_piece(grid))
+def _element_shape(grid: Grid) -> ca.Function:
+    """Function (R, p, arguments of an element) -> pose at its end, points (3, 2 SHAPE_STEPS) in it, int |u|^2 ds."""
+    torsion = torsion_of(symbolic_element(grid))
     frame, start = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3)
-    h, points, before, ahead = torsion.piece.length / SHAPE_STEPS, [], start, frame[:, 2]
+    h, points, before, ahead = torsion.element.length / SHAPE_STEPS, [], start, frame[:, 2]
     for turn, shift, _ in shape_of(torsion, steps=SHAPE_STEPS):
         position, turned = start + frame @ shift, frame @ rotation_matrix(turn)
         # Halfway on the cubic with the tangents at both ends.
@@ -232,19 +232,19 @@ def _piece_shape(grid: Grid) -> ca.Function:
     u = torsion.curvature(((np.arange(SHAPE_STEPS)[:, None] + GAUSS_POINTS) / SHAPE_STEPS).ravel())
     bend = h * ca.dot(ca.repmat(ca.DM([5, 8, 5]) / 18, SHAPE_STEPS, 1), ca.sum1(u**2).T)
     outputs = [turned, position, ca.horzcat(*points), bend]
-    return ca.Function("shape", [frame, start, *torsion.piece.arguments], outputs, {"cse": True})
+    return ca.Function("shape", [frame, start, *torsion.element.arguments], outputs, {"cse": True})
 
 
 def _jacobi(arm: TorsionModel, coupled: tuple[bool, ...], margin: Any) -> Any:
-    """Determinants of the Jacobi fields of tubes softened by `margin`: where pieces begin, tip to base, then of the
+    """Determinants of the Jacobi fields of tubes softened by `margin`: where elements begin, tip to base, then of the
     base with the transmissions."""
     n = arm.grid.n_tubes
     determinant = determinant_function(n)
     y, v = ca.MX(ca.DM.eye(n)), ca.MX(ca.DM.zeros(n, n))
     out = []
-    for k in reversed(range(arm.n_pieces)):
+    for k in reversed(range(arm.n_elements)):
         if coupled[k] or arm.grid.detail:
-            y, v = ca.vertsplit(_piece_fields(arm.grid)(ca.vertcat(y, v), margin, *arm.piece(k)), n)
+            y, v = ca.vertsplit(_element_fields(arm.grid)(ca.vertcat(y, v), margin, *arm.element(k)), n)
         else:
             y = y - arm.lengths[k] * v
         if k:
@@ -254,12 +254,12 @@ def _jacobi(arm: TorsionModel, coupled: tuple[bool, ...], margin: Any) -> Any:
 
 
 @lru_cache(maxsize=16)
-def _piece_fields(grid: Grid) -> ca.Function:
-    """Function (fields (2n, n) at the end of a piece, margin, its arguments) -> fields at its start."""
-    torsion, n = torsion_of(symbolic_piece(grid)), grid.n_tubes
+def _element_fields(grid: Grid) -> ca.Function:
+    """Function (fields (2n, n) at the end of an element, margin, its arguments) -> fields at its start."""
+    torsion, n = torsion_of(symbolic_element(grid)), grid.n_tubes
     fields, margin = ca.SX.sym("fields", 2 * n, n), ca.SX.sym("margin")
     marched = marched_fields(torsion, fields, margin)
-    return ca.Function("fields", [fields, margin, *torsion.piece.arguments], [marched], {"cse": True})
+    return ca.Function("fields", [fields, margin, *torsion.element.arguments], [marched], {"cse": True})
 
 
 ORDERS = 6

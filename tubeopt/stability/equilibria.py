@@ -32,7 +32,7 @@ from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array, Index
 from .certificate import snap_free_certificate, worst_case
 from .folds import NUDGE, slide
-from .shooting import STEPS_PER_PIECE, ShootingArm, gain_of, profiles, sections_of, shoot
+from .shooting import STEPS_PER_ELEMENT, ShootingArm, gain_of, profiles, sections_of, shoot
 
 
 @dataclass(frozen=True)
@@ -395,7 +395,7 @@ def _approach(bundle: ShootingArm, target: Array, starts: Array) -> Array:
 
 def _finish(bundle: ShootingArm, target: Array, starts: Array) -> Preimage:
     """Distinct solutions from starts close to them; tip angles such that the joints have no full turns too many."""
-    tips, residual = _newton(bundle, target, starts, STEPS_PER_PIECE, 12, SOLVED)
+    tips, residual = _newton(bundle, target, starts, STEPS_PER_ELEMENT, 12, SOLVED)
     tips = tips[residual < SOLVED]
     if not len(tips):
         return Preimage(tips, np.zeros(0), np.zeros((0, bundle.n_tubes)), True)

@@ -24,8 +24,8 @@ from ..typing import Array, Index, Mask
 CHUNKS = (512, 64, 8)
 """Numbers of tip angles integrated at once; the largest that needs at most half padding is used."""
 
-STEPS_PER_PIECE = 8
-"""Steps of the integration per piece of the mesh: errors near 1e-6 rad, so that Newton's method finishes the work."""
+STEPS_PER_ELEMENT = 8
+"""Steps of the integration per element of the mesh: errors near 1e-6 rad, so that Newton's method finishes the work."""
 
 State = tuple[Array, ...]
 """State (theta, torque, length) of every tube at an arc length, (B, n) each.
@@ -34,21 +34,21 @@ With `slopes` also the derivatives (B, n, n) of theta and of the torque by the t
 """
 
 Grid = tuple[Array, Array]
-"""theta and theta' (B, K, n) at points from the tip side of a piece to its base side."""
+"""theta and theta' (B, K, n) at points from the tip side of an element to its base side."""
 
-GRID = np.arange(2 * STEPS_PER_PIECE + 1) / (2 * STEPS_PER_PIECE)
-"""Fractions of a piece for the cross-sections of the steps."""
+GRID = np.arange(2 * STEPS_PER_ELEMENT + 1) / (2 * STEPS_PER_ELEMENT)
+"""Fractions of an element for the cross-sections of the steps."""
 
 
 @lru_cache(maxsize=16)
 def sections_of(problem: ReducedProblem) -> tuple[Array, ...]:
-    """1 / kt, kb and m (P, n) of the tubes on the pieces of the mesh.
+    """1 / kt, kb and m (P, n) of the tubes on the elements of the mesh.
 
     For tubes made of pieces also the phase, all (P, X, n) at GRID.
     """
     mesh, n = problem.mesh, problem.assembly.n_tubes
     if problem.assembly.even:
-        return problem.compliant.rate[:, 0], *problem.on_pieces
+        return problem.compliant.rate[:, 0], *problem.on_elements
     at = sections_at(problem.assembly, mesh, GRID)
     table = 1 / at.torsional_stiffness, at.stiffness, at.moment, at.phase
     return tuple(part.reshape(len(mesh.length), len(GRID), n) for part in table)
@@ -56,21 +56,21 @@ def sections_of(problem: ReducedProblem) -> tuple[Array, ...]:
 
 @dataclass(frozen=True, eq=False)
 class ShootingArm:
-    """Tubes that are integrated together, on P pieces, base to tip.
+    """Tubes that are integrated together, on P elements, base to tip.
 
     For tubes with a natural twist theta is the elastic rotation phi.
     """
 
     length: Array
-    """(P,) lengths of the pieces, m."""
+    """(P,) lengths of the elements, m."""
     bent: Mask
     """(P,) True where tubes act on one another, so that theta is not linear."""
     gain: Array
-    """(P, n) int ds / kt along each piece, 1/(N m)."""
+    """(P, n) int ds / kt along each element, 1/(N m)."""
     sections: tuple[Array, ...]
     """Cross-sections as in `sections_of`: kb of the tubes present, m of those curved."""
     transmission: Array
-    """(n,) int ds / kt from the clamped end to the first piece, 1/(N m)."""
+    """(n,) int ds / kt from the clamped end to the first element, 1/(N m)."""
     offsets: tuple[Array, ...]
     """Offset and offset angle (n,); empty for concentric tubes."""
 
@@ -96,11 +96,11 @@ class Shot:
     by_tip: Array
     """(B, n, n) derivatives of the joint rotations with respect to the tip angles; (B, 0, 0) without `slopes`."""
     travel: Array
-    """(B, n) length of every tube along the pieces, m."""
+    """(B, n) length of every tube along the elements, m."""
 
 
 def all_tubes(problem: ReducedProblem) -> ShootingArm:
-    """Tubes of a problem on all pieces of its mesh."""
+    """Tubes of a problem on all elements of its mesh."""
     assembly, mesh = problem.assembly, problem.mesh
     return ShootingArm(
         length=mesh.length,
@@ -113,15 +113,15 @@ def all_tubes(problem: ReducedProblem) -> ShootingArm:
 
 
 def gain_of(problem: ReducedProblem) -> Array:
-    """(P, n) int ds / kt of the tubes along each piece, 1/(N m)."""
+    """(P, n) int ds / kt of the tubes along each element, 1/(N m)."""
     return np.diff(reach(problem.mesh, problem.compliant), axis=0)
 
 
-def shoot(bundle: ShootingArm, tips: Array, *, steps: int = STEPS_PER_PIECE, slopes: bool = False) -> Shot:
+def shoot(bundle: ShootingArm, tips: Array, *, steps: int = STEPS_PER_ELEMENT, slopes: bool = False) -> Shot:
     """Joint rotations for tip angles (B, k) of the first k tubes and 0 for all others; lengths are of all tubes.
 
     Args:
-        steps: integration steps per piece.   slopes: whether to integrate the derivatives.
+        steps: integration steps per element.   slopes: whether to integrate the derivatives.
     """
     k = tips.shape[1]
     padded = np.pad(tips, ((0, 0), (0, bundle.n_tubes - k)))
@@ -168,8 +168,8 @@ def _shoot(bundle: ShootingArm, tips: Array, steps: int, slopes: bool) -> State:
     """Rotations, torque, travel and, with `slopes`, the derivatives of the rotations, at the clamped ends."""
     check_time()
     state = _at_tip(tips, slopes)
-    for piece in reversed(range(len(bundle.length))):
-        state, _ = _over(bundle, piece, steps, state)
+    for element in reversed(range(len(bundle.length))):
+        state, _ = _over(bundle, element, steps, state)
     # Behind the plate the torque is constant: alpha = theta(0) - t(0) int ds / kt.
     gain = bundle.transmission
     shot = (state[0] - gain * state[1], state[1], state[2])
@@ -183,11 +183,11 @@ def _profiles(problem: ReducedProblem, bundle: ShootingArm, tips: Array) -> Arra
     out = np.empty((len(tips), len(problem.weight), tips.shape[1]))
     at = len(problem.weight)
     state = _at_tip(tips, False)
-    for piece in reversed(range(len(mesh.length))):
-        state, grid = _over(bundle, piece, STEPS_PER_PIECE, state)
-        if mesh.collocated[piece]:
+    for element in reversed(range(len(mesh.length))):
+        state, grid = _over(bundle, element, STEPS_PER_ELEMENT, state)
+        if mesh.collocated[element]:
             at -= degree
-            out[:, at : at + degree] = _hermite(grid, nodes, mesh.length[piece] / STEPS_PER_PIECE)
+            out[:, at : at + degree] = _hermite(grid, nodes, mesh.length[element] / STEPS_PER_ELEMENT)
     return out
 
 
@@ -198,27 +198,28 @@ def _at_tip(tips: Array, slopes: bool) -> State:
     return (*state, np.tile(np.eye(n), (count, 1, 1)), np.zeros((count, n, n))) if slopes else state
 
 
-def _over(bundle: ShootingArm, piece: int, steps: int, state: State) -> tuple[State, Grid]:
-    """State at the base side of a piece, and theta and theta' at the ends of its steps."""
-    if not bundle.bent[piece]:
-        return _straight(bundle, piece, state)
+def _over(bundle: ShootingArm, element: int, steps: int, state: State) -> tuple[State, Grid]:
+    """State at the base side of an element, and theta and theta' at the ends of its steps."""
+    if not bundle.bent[element]:
+        return _straight(bundle, element, state)
     count, n = state[0].shape
     march = mapped(march_function(n, bool(bundle.offsets), len(state) > 3, steps, bundle.varying), count)
     # CasADi stores matrices by columns: derivatives (B, n, n) are (B n, n) there, one row per tip.
     columns = [part.swapaxes(1, 2).reshape(-1, n) for part in state[3:]]
     sections = [
-        part[piece, :: STEPS_PER_PIECE // steps].ravel() if bundle.varying else part[piece] for part in bundle.sections
+        part[element, :: STEPS_PER_ELEMENT // steps].ravel() if bundle.varying else part[element]
+        for part in bundle.sections
     ]
-    *after, values, slopes = march(*state[:3], *columns, bundle.length[piece] / steps, *sections, *bundle.offsets)
+    *after, values, slopes = march(*state[:3], *columns, bundle.length[element] / steps, *sections, *bundle.offsets)
     moved = [part.copy() for part in after[:3]]
     moved += [part.reshape(count, n, n).swapaxes(1, 2).copy() for part in after[3:]]
     return tuple(moved), (values.reshape(count, -1, n), slopes.reshape(count, -1, n))
 
 
-def _straight(bundle: ShootingArm, piece: int, state: State) -> tuple[State, Grid]:
-    """State at the base side of a piece with constant torque, and theta and theta' at both ends."""
+def _straight(bundle: ShootingArm, element: int, state: State) -> tuple[State, Grid]:
+    """State at the base side of an element with constant torque, and theta and theta' at both ends."""
     theta, torque, travel, *slopes = state
-    gain, length = bundle.gain[piece], bundle.length[piece]
+    gain, length = bundle.gain[element], bundle.length[element]
     moved = [theta - gain * torque, torque, travel + length]
     if slopes:
         moved += [slopes[0] - gain[:, None] * slopes[1], slopes[1]]

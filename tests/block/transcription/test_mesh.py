@@ -10,7 +10,13 @@ from hypothesis import given
 
 from tests.examples import CRL, MM, THESIS, TWO_TUBE, nested, poses
 from tubeopt import ConcentricRobot
-from tubeopt.block.transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT, make_mesh, piece_counts, section_needs
+from tubeopt.block.transcription.mesh import (
+    BEND_PER_ELEMENT,
+    WAVES_PER_ELEMENT,
+    element_counts,
+    make_mesh,
+    section_needs,
+)
 from tubeopt.typing import Array
 
 
@@ -43,13 +49,13 @@ def test_pieces_fill_the_sections(pose: tuple[ConcentricRobot, Array, Array]) ->
     assert (mesh.collocated == assembly.coupled[mesh.section]).all()
     bend = np.abs(assembly.curvature) * assembly.curved
     assert (mesh.length * section_needs(assembly).rate[mesh.section] <= WAVES_PER_ELEMENT + 1e-6).all()
-    assert (mesh.length * bend.max(1, initial=0.0)[mesh.section] <= BEND_PER_PIECE + 1e-6).all()
+    assert (mesh.length * bend.max(1, initial=0.0)[mesh.section] <= BEND_PER_ELEMENT + 1e-6).all()
 
 
 def test_refinement_halves_the_curved_pieces_only() -> None:
     robot = nested((0.1, 0.1, 10.0), (0.05, 0.1, 5.0))
     assembly = robot.assembly(np.array([60.0, 40.0]) * MM)
-    counts = [piece_counts(assembly, level) for level in range(3)]
+    counts = [element_counts(assembly, level) for level in range(3)]
     straight = ~assembly.curved.any(1)
     assert straight.tolist() == [True, False, False, False]
     for coarse, fine in pairwise(counts):

@@ -24,16 +24,16 @@ from .tableau import Tableau, tableau
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """theta_i(s) of all tubes as one polynomial per piece: with x in [0, 1] along piece p of length h
+    """theta_i(s) of all tubes as one polynomial per element: with x in [0, 1] along element p of length h
 
     theta = rotation + c (x h torque + h^2 int int moment) + h int extra.
 
     For tubes with natural twist theta is the elastic rotation phi.
 
     Attributes:
-        rotation, torque: theta, rad, and t = kt theta' / g, N m, where each piece begins, (P, n).
-        moment: M (P, K, n) at the collocation points, N, 0 on pieces without.
-        compliance: c (P, n), the mean of 1 / kt on a piece, 1/(N m^2).
+        rotation, torque: theta, rad, and t = kt theta' / g, N m, where each element begins, (P, n).
+        moment: M (P, K, n) at the collocation points, N, 0 on elements without.
+        compliance: c (P, n), the mean of 1 / kt on an element, 1/(N m^2).
         extra: (g / kt - c) t (P, K, n) at the points, rad/m.
     """
 
@@ -61,7 +61,7 @@ def integrate(problem: ReducedProblem, base: Array, moment: Array, extra_twist: 
     inner = np.zeros((len(h), t.degree, len(base)))
     inner[mesh.collocated] = moment.reshape(-1, *inner.shape[1:])
     gain = h * (t.weights @ inner)
-    # t = 0 at the tip and t' = M: t where a piece begins is minus the integral of M from there to the tip.
+    # t = 0 at the tip and t' = M: t where an element begins is minus the integral of M from there to the tip.
     torque = -np.cumsum(gain[::-1], axis=0)[::-1]
     mean = np.asarray(t.weights @ points.rate)
     extra = (torque[:, None] + h[..., None] * (t.adjoint @ inner)) * (points.rate - mean[:, None])
@@ -74,7 +74,7 @@ def integrate(problem: ReducedProblem, base: Array, moment: Array, extra_twist: 
 
 
 def pushed(problem: ReducedProblem, arm: Profile, end: Index, tube: Index, torque: Array) -> Profile:
-    """Torsion with additional torques (R,), N m, on tubes (R,), each where piece `end` (R,) begins."""
+    """Torsion with additional torques (R,), N m, on tubes (R,), each where element `end` (R,) begins."""
     soft = problem.softness[1]
     rotation, twisted, extra = arm.rotation.copy(), arm.torque.copy(), arm.extra.copy()
     for e, i, push in zip(end.tolist(), tube.tolist(), torque.tolist(), strict=True):
@@ -86,18 +86,18 @@ def pushed(problem: ReducedProblem, arm: Profile, end: Index, tube: Index, torqu
 
 
 def rotations_at(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) -> Array:
-    """Rotations theta (P, len(x), n) at fractions x of every piece, rad."""
+    """Rotations theta (P, len(x), n) at fractions x of every element, rad."""
     return turned_along(problem.mesh.tableau, problem.mesh.length, arm, x)
 
 
 def torques_at(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) -> Array:
-    """Torques t (P, len(x), n) at fractions x of every piece, N m."""
+    """Torques t (P, len(x), n) at fractions x of every element, N m."""
     mesh = problem.mesh
     return np.asarray(arm.torque[:, None] + mesh.length[:, None, None] * (mesh.tableau.basis(x, 1) @ arm.moment))
 
 
 def turned_along(t: Tableau, length: Array, arm: Profile, x: tuple[float, ...]) -> Array:
-    """Rotations theta (P, len(x), n) at fractions x of pieces of lengths (P,), m."""
+    """Rotations theta (P, len(x), n) at fractions x of elements of lengths (P,), m."""
     h = length[:, None, None]
     even: Array = np.array(x)[:, None] * h * arm.torque[:, None] + h**2 * (t.basis(x, 2) @ arm.moment)
     return arm.rotation[:, None] + arm.compliance[:, None] * even + h * (t.basis(x, 1) @ arm.extra)
@@ -106,11 +106,11 @@ def turned_along(t: Tableau, length: Array, arm: Profile, x: tuple[float, ...]) 
 def interpolate(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Array:
     """Rotations theta (S, n) at arc lengths (S,), rad; constant beyond the ends."""
     mesh = problem.mesh
-    piece, x = mesh.locate(arc_length)
-    h = mesh.length[piece][:, None]
-    even = x[:, None] * h * arm.torque[piece] + h**2 * mesh.interpolated(arm.moment, arc_length, integrals=2)
+    element, x = mesh.locate(arc_length)
+    h = mesh.length[element][:, None]
+    even = x[:, None] * h * arm.torque[element] + h**2 * mesh.interpolated(arm.moment, arc_length, integrals=2)
     wound = h * mesh.interpolated(arm.extra, arc_length, integrals=1)
-    return np.asarray(arm.rotation[piece] + arm.compliance[piece] * even + wound)
+    return np.asarray(arm.rotation[element] + arm.compliance[element] * even + wound)
 
 
 def torque_at(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Array:
@@ -118,14 +118,16 @@ def torque_at(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Array
     mesh = problem.mesh
     if not len(mesh.length):
         return np.zeros((len(arc_length), arm.torque.shape[1]))
-    piece, _ = mesh.locate(arc_length)
-    torque = arm.torque[piece] + mesh.length[piece][:, None] * mesh.interpolated(arm.moment, arc_length, integrals=1)
+    element, _ = mesh.locate(arc_length)
+    torque = arm.torque[element] + mesh.length[element][:, None] * mesh.interpolated(
+        arm.moment, arc_length, integrals=1
+    )
     return np.where((arc_length < mesh.start[-1] + mesh.length[-1])[:, None], torque, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Sections:
-    """Cross-sections of an arm at X fractions of every piece.
+    """Cross-sections of an arm at X fractions of every element.
 
     Attributes:
         elastic, rotation: theta (P, X, n) without and with the natural turn, rad.
@@ -148,7 +150,7 @@ class Sections:
 
 
 def sections_along(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) -> Sections:
-    """Cross-sections at fractions x of every piece."""
+    """Cross-sections at fractions x of every element."""
     assembly, theta, points = problem.assembly, rotations_at(problem, arm, x), sections_at(problem, x)
     function = section_function("section", len(points.phase), assembly.n_tubes, assembly.eccentric)
     inputs = theta.reshape(points.phase.shape) + points.phase, points.stiffness, points.moment, *assembly.offsets
@@ -167,7 +169,7 @@ def sections_along(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) 
 
 @lru_cache(maxsize=64)
 def sections_at(problem: ReducedProblem, x: tuple[float, ...]) -> CrossSections:
-    """Cross-sections (P X, n) at fractions x of every piece; they are independent of the rotations."""
+    """Cross-sections (P X, n) at fractions x of every element; they are independent of the rotations."""
     return meshes.sections_at(problem.assembly, problem.mesh, np.array(x))
 
 
@@ -277,9 +279,9 @@ def arc_lengths(mesh: Mesh) -> Array:
     return np.concatenate([ENDS[:1], inner.ravel()])
 
 
-def along_pieces(values: Array, pieces: int) -> Array:
-    """Values (m, k) at the shape points, from values (P, 5, k) at those of every piece; neighbours share one."""
-    table = values.reshape(pieces, len(ENDS), -1)
+def along_elements(values: Array, elements: int) -> Array:
+    """Values (m, k) at the shape points, from values (P, 5, k) at those of every element; neighbours share one."""
+    table = values.reshape(elements, len(ENDS), -1)
     return np.concatenate([table[0, :1], table[:, 1:].reshape(-1, table.shape[2])])
 
 
@@ -297,17 +299,17 @@ def hermite(family: str, degree: int) -> Array:
 
 
 def frames_at_points(t: Tableau, length: Array, shape: ArmShape) -> Array:
-    """Frames (P, K, 3, 3) at the points of pieces of lengths (P,), from those at the shape points.
+    """Frames (P, K, 3, 3) at the points of elements of lengths (P,), from those at the shape points.
 
-    They are interpolated by a polynomial with the slopes R hat(u) at all shape points of a piece but the first.
+    They are interpolated by a polynomial with the slopes R hat(u) at all shape points of an element but the first.
     """
-    pieces, count = len(length), 2 * len(ENDS) - 1
-    index = shape_points(pieces)
+    elements, count = len(length), 2 * len(ENDS) - 1
+    index = shape_points(elements)
     frame, step = shape.frame[index], length[:, None, None, None]
     turning = (shape.curvature[index] @ _HAT).reshape(frame.shape)
     frames = np.concatenate([frame, step * (frame @ turning)[:, 1:]], 1)
-    inside = hermite(t.family, t.degree) @ frames.reshape(pieces, count, 9)
-    return np.asarray(inside.reshape(pieces, t.degree, 3, 3))
+    inside = hermite(t.family, t.degree) @ frames.reshape(elements, count, 9)
+    return np.asarray(inside.reshape(elements, t.degree, 3, 3))
 
 
 _HAT = np.array([[0.0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0]])
@@ -315,17 +317,17 @@ _HAT = np.array([[0.0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0]])
 
 
 @lru_cache(maxsize=64)
-def shape_points(pieces: int) -> NDArray[np.intp]:
-    """Indices (P, 5) of the shape points at ENDS of every piece."""
+def shape_points(elements: int) -> NDArray[np.intp]:
+    """Indices (P, 5) of the shape points at ENDS of every element."""
     steps = len(ENDS) - 1
-    return np.asarray(np.arange(pieces)[:, None] * steps + np.arange(steps + 1), dtype=np.intp)
+    return np.asarray(np.arange(elements)[:, None] * steps + np.arange(steps + 1), dtype=np.intp)
 
 
 _ENDS = tuple(ENDS.tolist())
 
 
 def cumulate(t: Tableau, values: Array) -> Array:
-    """Integrals (m, ...) from the plate to every shape point, of values (P, K, ...) at the points of every piece."""
+    """Integrals (m, ...) from the plate to every shape point, of values (P, K, ...) at the points of every element."""
     flat = values.reshape(*values.shape[:2], int(np.prod(values.shape[2:])))
     inner = (t.basis(_ENDS, 1) @ flat).reshape(len(flat), len(ENDS), *values.shape[2:])
     ends = np.concatenate([np.zeros((1, *inner.shape[2:])), np.cumsum(inner[:, -1], axis=0)])
@@ -336,7 +338,7 @@ def cumulate(t: Tableau, values: Array) -> Array:
 # --- Whole arm: shape, energy, error of the mesh ----------------------------------------------------------------------
 
 COARSE_STEPS = SHAPE_STEPS // 2
-"""Steps per piece of the coarser integration of the shape, which estimates the error."""
+"""Steps per element of the coarser integration of the shape, which estimates the error."""
 
 EXTRA_QUADRATURE_POINTS = 3
 """Number of additional collocation points in the check of the mesh."""
@@ -346,7 +348,7 @@ SUBSTEPS = 2
 
 
 def gauss_fractions(steps: int) -> Array:
-    """Gauss points of the Magnus steps in a piece, as fractions (3 steps,) of its length, 0 to 1."""
+    """Gauss points of the Magnus steps in an element, as fractions (3 steps,) of its length, 0 to 1."""
     return np.asarray(((np.arange(steps)[:, None] + GAUSS_POINTS) / steps).ravel())
 
 
@@ -362,32 +364,32 @@ _HOME = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
 def evaluate_arm(problem: ReducedProblem, rotations: Array, state: Evaluation, torsion: Profile) -> Arm:
     """Arm of a solved state and its torsion; rotations include the natural turn."""
     mesh, n = problem.mesh, problem.assembly.n_tubes
-    pieces = len(mesh.length)
-    if not pieces:
+    elements = len(mesh.length)
+    if not elements:
         still, zero = rotations[:, None] + problem.assembly.wound(np.zeros(1)).T, np.zeros((1, 3))
         return Arm(np.zeros(1), still, np.zeros((n, 1)), zero[:, :2], zero, np.eye(3)[None], 0.0, 0.0, 0.0)
     at_ends, finer, *inside = _sections(problem, torsion, steps := _steps(problem))
     length = np.repeat(mesh.length / steps, steps)
-    u = np.zeros((pieces, steps.max() * len(GAUSS_POINTS), 2))
+    u = np.zeros((elements, steps.max() * len(GAUSS_POINTS), 2))
     for part in inside:
         own = steps == part.curvature.shape[1] // len(GAUSS_POINTS)
         u[own, : part.curvature.shape[1]] = part.curvature[own]
-    u = u.reshape(pieces, -1, len(GAUSS_POINTS), 2)[np.arange(steps.max()) < steps[:, None]]
+    u = u.reshape(elements, -1, len(GAUSS_POINTS), 2)[np.arange(steps.max()) < steps[:, None]]
     turn, position = _poses(u, length)
     # One step for two from the same curvatures: no further cross-sections, and an estimate of the error.
     rough = _poses(ROUGHER @ u.reshape(-1, 2 * len(GAUSS_POINTS), 2), 2 * length[::2])[1][-1]
     first = np.cumsum(steps) - steps
     ends = np.append(0, (first[:, None] + steps[:, None] // SHAPE_STEPS * np.arange(1, SHAPE_STEPS + 1)).ravel())
-    # The state has the energy of the collocated pieces.
+    # The state has the energy of the collocated elements.
     energy = state.energy + float((mesh.length * (finer.bending @ _finer(mesh).weights))[~mesh.collocated].sum())
     if problem.assembly.eccentric:
         # |z|^2 / 2 is int t^2 / (2 kt); with stretch it is int g t^2 / (2 kt).
         energy += _torsion(problem, torsion) - float(state.z @ state.z) / 2
     return Arm(
         arc_length=arc_lengths(mesh),
-        rotation=along_pieces(at_ends.rotation, pieces).T,
-        torsion=along_pieces(at_ends.torsion, pieces).T,
-        curvature=along_pieces(at_ends.curvature, pieces),
+        rotation=along_elements(at_ends.rotation, elements).T,
+        torsion=along_elements(at_ends.torsion, elements).T,
+        curvature=along_elements(at_ends.curvature, elements),
         position=position[ends],
         frame=turn[ends],
         shape_error=float(np.linalg.norm(position[-1] - rough)) / SHAPE_RATIO,
@@ -406,7 +408,7 @@ def _torsion(problem: ReducedProblem, torsion: Profile) -> float:
 
 
 def _steps(problem: ReducedProblem) -> NDArray[np.intp]:
-    """Number of Magnus steps (P,) on every piece."""
+    """Number of Magnus steps (P,) on every element."""
     mesh = problem.mesh
     steady = problem.assembly.steady(*(mesh.start + mesh.length * x for x in (INWARDS / 2, 1 - INWARDS / 2)))
     return np.where(steady, SHAPE_STEPS, SUBSTEPS * SHAPE_STEPS)
@@ -435,13 +437,13 @@ def _poses(u: Array, lengths: Array) -> tuple[Array, Array]:
 def _defect(problem: ReducedProblem, torsion: Profile, points: Sections) -> float:
     """Error of theta by a quadrature with EXTRA_QUADRATURE_POINTS more points, at cross-sections `points`, rad.
 
-    It has a part inside each piece, and one by the error of the torque, which twists the tube up to there.
+    It has a part inside each element, and one by the error of the torque, which twists the tube up to there.
     """
     mesh, finer = problem.mesh, _finer(problem.mesh)
     h = mesh.length[:, None, None]
     gain = h * points.moment
     torque = torsion.torque[:, None] + finer.matrix @ gain
     inner = np.abs(torsion.rotation[:, None] + h * (finer.matrix @ (points.rate * torque)) - points.elastic).max(1)
-    # An error of the torque twists its tube from the clamp to that piece.
+    # An error of the torque twists its tube from the clamp to that element.
     gained = np.abs(finer.weights @ gain - h[:, 0] * (mesh.tableau.weights @ torsion.moment))
     return float((inner + gained * reach(mesh, problem.compliant)[1:]).sum(0).max(initial=0.0))

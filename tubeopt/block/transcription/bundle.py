@@ -32,7 +32,7 @@ import scipy
 from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
 from ...physics.torsion import bundle_energy
 from ...typing import Array, Index, Mask
-from .arm import ArmShape, along_pieces
+from .arm import ArmShape, along_elements
 from .buffered import mapped
 from .collocated import ENDS
 from .mesh import Mesh
@@ -525,12 +525,12 @@ def bundle_arm(problem: BundleProblem, rotations: Array, state: BundleState) -> 
     s = np.cumsum(np.concatenate([[0.0], h[:-1, 0, 0]]))[:, None] + h[:, 0] * ENDS
     frame = mapped(rotation_matrix_function(), pieces * len(ENDS))(quaternion.reshape(-1, 4))[0]
     return ArmShape(
-        arc_length=along_pieces(s, pieces)[:, 0],
-        rotation=along_pieces(start[:, None] + integrals @ turn, pieces).T.copy(),
-        torsion=along_pieces(values @ turn / h, pieces).T.copy(),
-        curvature=along_pieces(values @ state.bend.reshape(pieces, k, 2) / h, pieces),
-        position=along_pieces(foot[:, None] + offset, pieces),
-        frame=along_pieces(frame, pieces).reshape(-1, 3, 3).swapaxes(1, 2).copy(),
+        arc_length=along_elements(s, pieces)[:, 0],
+        rotation=along_elements(start[:, None] + integrals @ turn, pieces).T.copy(),
+        torsion=along_elements(values @ turn / h, pieces).T.copy(),
+        curvature=along_elements(values @ state.bend.reshape(pieces, k, 2) / h, pieces),
+        position=along_elements(foot[:, None] + offset, pieces),
+        frame=along_elements(frame, pieces).reshape(-1, 3, 3).swapaxes(1, 2).copy(),
     )
 
 

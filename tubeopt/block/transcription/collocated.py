@@ -1,12 +1,12 @@
-"""Piece of an arm as CasADi expressions: collocated torsion, change of pose, elastic energy.
+"""Element of an arm as CasADi expressions: collocated torsion, change of pose, elastic energy.
 
-On a piece of length h that begins at rotations theta and torsions w (per length of the tube), with Runge-Kutta matrix
-A, weights b, and A~ the adjoint of A (itself for Gauss points),
+On an element of length h that begins at rotations theta and torsions w (per length of the tube), with Runge-Kutta
+matrix A, weights b, and A~ the adjoint of A (itself for Gauss points),
 
     theta_k = theta + h sum_j A_kj g_j w_j,      w_k = w + h sum_j A~_kj M_j / kt,
 
-and with b in place of A at the end of the piece. The rotations theta_k inside are the unknowns; w_k follows. Equations,
-energy, shape and all their derivatives elsewhere are generated from these expressions.
+and with b in place of A at the end of the element. The rotations theta_k inside are the unknowns; w_k follows.
+Equations, energy, shape and all their derivatives elsewhere are generated from these expressions.
 
 Of tubes made of pieces, theta is the elastic rotation; the natural turn is added to it for the direction of the
 precurvature. Their torsional stiffness is kt / c with a compliance ratio c that varies: theta' = g c w.
@@ -26,10 +26,10 @@ from .chain import LocalTubes, column_length, local_tubes
 from .tableau import Tableau, tableau
 
 SHAPE_STEPS = 4
-"""Steps of the shape per piece, as many as in `forward_kinematics`."""
+"""Steps of the shape per element, as many as in `forward_kinematics`."""
 
 ENDS = np.arange(SHAPE_STEPS + 1) / SHAPE_STEPS
-"""Shape points of a piece as fractions of its length, its start included."""
+"""Shape points of an element as fractions of its length, its start included."""
 
 THROUGH_ENDS = np.linalg.inv(np.vander(ENDS, increasing=True))
 """Matrix (5, 5): powers of a fraction times it are the weights of the values at ENDS, in their polynomial."""
@@ -37,7 +37,7 @@ THROUGH_ENDS = np.linalg.inv(np.vander(ENDS, increasing=True))
 
 @dataclass(frozen=True)
 class Grid:
-    """Structure of a piece: pieces with equal grids share their functions."""
+    """Structure of an element: elements with equal grids share their functions."""
 
     n_tubes: int
     family: str = "gauss"
@@ -49,7 +49,7 @@ class Grid:
 
     @property
     def tableau(self) -> Tableau:
-        """Collocation tableau of every piece."""
+        """Collocation tableau of every element."""
         return tableau(self.family, self.degree)
 
     @property
@@ -59,8 +59,8 @@ class Grid:
 
 
 @dataclass(frozen=True, eq=False)
-class CollocatedPiece:
-    """Symbols or numbers of one piece.
+class Element:
+    """Symbols or numbers of one element.
 
     theta, twist: rotations and torsion (n,) where it begins.  inner: theta (n, K) at its points.
     stiffness, moment: kb of the tubes present, m of the tubes curved, (n,).  torsional_stiffness: (n,).  length: h, m.
@@ -69,7 +69,7 @@ class CollocatedPiece:
     """
 
     grid: Grid
-    """Structure of the piece."""
+    """Structure of the element."""
     theta: Any
     twist: Any
     inner: Any
@@ -82,24 +82,24 @@ class CollocatedPiece:
 
     @property
     def data(self) -> list[Any]:
-        """Constants of the piece in the argument order of the functions."""
+        """Constants of the element in the argument order of the functions."""
         if self.along is not None:
             return [self.torsional_stiffness, self.length, self.along]
         return [self.stiffness, self.moment, self.torsional_stiffness, self.length, *self.offsets]
 
     @property
     def arguments(self) -> list[Any]:
-        """Arguments of the functions of a piece, in order."""
+        """Arguments of the functions of an element, in order."""
         return [self.theta, self.twist, self.inner, *self.data]
 
     def local(self, x: Any) -> LocalTubes:
-        """The tubes at the fraction x of this piece."""
+        """The tubes at the fraction x of this element."""
         if self.along is None:
             return LocalTubes(self.stiffness, self.moment)
         return local_tubes(self.along, self.torsional_stiffness, self.grid.detail, x)
 
     def section(self, theta: Any, x: Any) -> CrossSection:
-        """Cross-section at the fraction x of this piece and rotations (n,)."""
+        """Cross-section at the fraction x of this element and rotations (n,)."""
         tubes = self.local(x)
         return symbolic_section(theta + tubes.natural_turn, tubes.stiffness, tubes.moment, *self.offsets)
 
@@ -118,8 +118,8 @@ class CollocatedPiece:
 
 
 @dataclass(frozen=True, eq=False)
-class LoadedPiece(CollocatedPiece):
-    """A piece of concentric tubes under a load."""
+class LoadedElement(Element):
+    """An element of concentric tubes under a load."""
 
     moment_start: Any = None
     """Bending moment (2,) where it begins, N m."""
@@ -130,7 +130,7 @@ class LoadedPiece(CollocatedPiece):
 
     @property
     def data(self) -> list[Any]:
-        """Constants of the piece, then its bending moments and forces."""
+        """Constants of the element, then its bending moments and forces."""
         return [*super().data, self.moment_start, ca.vec(self.moment_inside), ca.vec(self.force)]
 
     def section(self, theta: Any, x: Any) -> CrossSection:
@@ -148,8 +148,8 @@ class LoadedPiece(CollocatedPiece):
         return symbolic_section(theta + tubes.natural_turn, tubes.stiffness, tubes.moment, load=load)
 
 
-def symbolic_piece(grid: Grid) -> CollocatedPiece:
-    """Piece with symbols for all fields."""
+def symbolic_element(grid: Grid) -> Element:
+    """Element with symbols for all fields."""
     n = grid.n_tubes
     theta, twist, kb, m, kt, d, gamma = (ca.SX.sym(s, n) for s in ("theta", "w", "kb", "m", "kt", "d", "gamma"))
     offsets = (d, gamma) if grid.eccentric else ()
@@ -157,16 +157,16 @@ def symbolic_piece(grid: Grid) -> CollocatedPiece:
     along = ca.SX.sym("along", column_length(n, grid.detail)) if grid.detail else None
     fields = grid, theta, twist, inner, kb, m, kt, ca.SX.sym("h"), offsets, along
     if not grid.loaded:
-        return CollocatedPiece(*fields)
+        return Element(*fields)
     moments = ca.SX.sym("moment_start", 2), ca.SX.sym("moment_inside", 2, grid.degree)
-    return LoadedPiece(*fields, *moments, ca.SX.sym("force", 3, grid.degree))
+    return LoadedElement(*fields, *moments, ca.SX.sym("force", 3, grid.degree))
 
 
 @dataclass(frozen=True, eq=False)
 class Torsion:
-    """theta and w of a piece as polynomials."""
+    """theta and w of an element as polynomials."""
 
-    piece: CollocatedPiece
+    element: Element
     twist: Any
     """w (n, K) at the points, rad/m."""
     gain: Any
@@ -176,27 +176,27 @@ class Torsion:
     defect: Any
     """Defect (n, K) of the collocated equations, rad."""
     end: tuple[Any, Any]
-    """theta and w (n,) where the piece ends."""
+    """theta and w (n,) where the element ends."""
 
     def rotation(self, x: Any) -> Any:
-        """Rotations theta (n, len(x)) at fractions x of the piece, numbers or symbols."""
-        piece, at = self.piece, ca.vec(x) if isinstance(x, ca.SX) else ca.DM(x)
+        """Rotations theta (n, len(x)) at fractions x of the element, numbers or symbols."""
+        element, at = self.element, ca.vec(x) if isinstance(x, ca.SX) else ca.DM(x)
         # theta + h x w + h^2 int int M / kt, with the polynomial of M through the points.
-        theta = ca.repmat(piece.theta, 1, at.numel()) + piece.length * piece.twist @ at.T
-        theta += piece.length**2 * self.gain @ _lagrange(piece.grid, x, 2).T
-        if piece.grid.stretched:
-            theta += piece.length * self.extra @ _lagrange(piece.grid, x, 1).T
+        theta = ca.repmat(element.theta, 1, at.numel()) + element.length * element.twist @ at.T
+        theta += element.length**2 * self.gain @ _lagrange(element.grid, x, 2).T
+        if element.grid.stretched:
+            theta += element.length * self.extra @ _lagrange(element.grid, x, 1).T
         return theta
 
     def torsion(self, x: Any) -> Any:
-        """Torsion w (n, len(x)) at fractions x of the piece."""
-        turned = self.piece.length * self.gain @ _lagrange(self.piece.grid, x, 1).T
-        return ca.repmat(self.piece.twist, 1, turned.shape[1]) + turned
+        """Torsion w (n, len(x)) at fractions x of the element."""
+        turned = self.element.length * self.gain @ _lagrange(self.element.grid, x, 1).T
+        return ca.repmat(self.element.twist, 1, turned.shape[1]) + turned
 
     def curvature(self, x: Any) -> Any:
-        """Curvature u (2, len(x)) at fractions x of the piece."""
+        """Curvature u (2, len(x)) at fractions x of the element."""
         theta = self.rotation(x)
-        return ca.horzcat(*(self.piece.section(theta[:, k], x[k]).curvature for k in range(theta.shape[1])))
+        return ca.horzcat(*(self.element.section(theta[:, k], x[k]).curvature for k in range(theta.shape[1])))
 
 
 def _lagrange(grid: Grid, x: Any, integrals: int) -> Any:
@@ -210,40 +210,40 @@ def _lagrange(grid: Grid, x: Any, integrals: int) -> Any:
     return ca.horzcat(*(at**k for k in range(len(nodes)))) @ ca.DM(powers)
 
 
-def torsion_of(piece: CollocatedPiece) -> Torsion:
-    """The collocated torsion of a piece."""
-    t, h, count = piece.grid.tableau, piece.length, piece.grid.degree
-    sections = [piece.section(piece.inner[:, k], x) for k, x in enumerate(t.nodes)]
-    gain = ca.horzcat(*(section.moment / piece.torsional_stiffness for section in sections))
+def torsion_of(element: Element) -> Torsion:
+    """The collocated torsion of an element."""
+    t, h, count = element.grid.tableau, element.length, element.grid.degree
+    sections = [element.section(element.inner[:, k], x) for k, x in enumerate(t.nodes)]
+    gain = ca.horzcat(*(section.moment / element.torsional_stiffness for section in sections))
     # With the adjoint A~ for w the collocated equations are those of minimal collocated energy.
-    twist = ca.repmat(piece.twist, 1, count) + h * gain @ t.adjoint.T
-    ratios = [piece.local(x).compliance_ratio for x in t.nodes]
+    twist = ca.repmat(element.twist, 1, count) + h * gain @ t.adjoint.T
+    ratios = [element.local(x).compliance_ratio for x in t.nodes]
     stretch = ca.horzcat(*(ca.SX(section.stretch * c) for section, c in zip(sections, ratios, strict=True)))
     slope = stretch * twist
-    defect = piece.inner - ca.repmat(piece.theta, 1, count) - h * slope @ t.matrix.T
-    end = piece.theta + h * slope @ t.weights, piece.twist + h * gain @ t.weights
-    return Torsion(piece, twist, gain, slope - twist, defect, end)
+    defect = element.inner - ca.repmat(element.theta, 1, count) - h * slope @ t.matrix.T
+    end = element.theta + h * slope @ t.weights, element.twist + h * gain @ t.weights
+    return Torsion(element, twist, gain, slope - twist, defect, end)
 
 
 def bending_of(torsion: Torsion) -> tuple[Any, Any]:
-    """Collocated bending moment of a piece under a load: defect (2, K), and moment (2,) where the piece ends.
+    """Collocated bending moment of an element under a load: defect (2, K), and moment (2,) where the element ends.
 
     m_x' = -u_y t + nu_y,  m_y' = u_x t - nu_x  with the torque t of all tubes and the force nu in the local frame.
     """
-    piece, t = torsion.piece, torsion.piece.grid.tableau
-    assert isinstance(piece, LoadedPiece)
+    element, t = torsion.element, torsion.element.grid.tableau
+    assert isinstance(element, LoadedElement)
     rates = []
     for section, torque, nu in loaded_points(torsion):
         # m' = -u x m - e_3 x nu in the moving frame, its x and y.
         u = section.curvature
         rates.append(ca.vertcat(nu[1] - u[1] * torque, u[0] * torque - nu[0]))
-    rate = piece.length * ca.horzcat(*rates)
-    defect = piece.moment_inside - ca.repmat(piece.moment_start, 1, len(rates)) - rate @ t.matrix.T
-    return defect, piece.moment_start + rate @ t.weights
+    rate = element.length * ca.horzcat(*rates)
+    defect = element.moment_inside - ca.repmat(element.moment_start, 1, len(rates)) - rate @ t.matrix.T
+    return defect, element.moment_start + rate @ t.weights
 
 
 class LoadedPoint(NamedTuple):
-    """A collocation point of a piece under a load."""
+    """A collocation point of an element under a load."""
 
     section: CrossSection
     torque: Any
@@ -253,59 +253,59 @@ class LoadedPoint(NamedTuple):
 
 
 def loaded_points(torsion: Torsion) -> list[LoadedPoint]:
-    """Collocation points of a piece under a load."""
-    piece, t = torsion.piece, torsion.piece.grid.tableau
-    assert isinstance(piece, LoadedPiece)
+    """Collocation points of an element under a load."""
+    element, t = torsion.element, torsion.element.grid.tableau
+    assert isinstance(element, LoadedElement)
     turn, before, points = ca.SX([1, 0, 0, 0]), 0.0, []
     for k, x in enumerate(t.nodes.tolist()):
         u = torsion.curvature(before + (x - before) * GAUSS_POINTS)
-        # From point to point: the frame turns by at most the bend of one piece, so one step is enough.
-        turn, _ = magnus_quaternion(turn, ca.SX.zeros(3), u, piece.length * (x - before))
-        before, force = x, rotation_matrix(turn).T @ piece.force[:, k]
-        torque = ca.dot(piece.torsional_stiffness, torsion.twist[:, k])
-        points.append(LoadedPoint(piece.section(piece.inner[:, k], x), torque, force))
+        # From point to point: the frame turns by at most the bend of one element, so one step is enough.
+        turn, _ = magnus_quaternion(turn, ca.SX.zeros(3), u, element.length * (x - before))
+        before, force = x, rotation_matrix(turn).T @ element.force[:, k]
+        torque = ca.dot(element.torsional_stiffness, torsion.twist[:, k])
+        points.append(LoadedPoint(element.section(element.inner[:, k], x), torque, force))
     return points
 
 
 def energy_of(torsion: Torsion) -> Any:
-    """Elastic energy of the piece, J: int kt g c w^2 / 2 + bending.
+    """Elastic energy of the element, J: int kt g c w^2 / 2 + bending.
 
     It uses g c w^2 = w (w + (g c - 1) w).
     """
-    piece, t = torsion.piece, torsion.piece.grid.tableau
+    element, t = torsion.element, torsion.element.grid.tableau
     total: Any = 0.0
     for k, b in enumerate(t.weights.tolist()):
         w = torsion.twist[:, k]
-        bending = piece.section(piece.inner[:, k], t.nodes[k]).bending_energy
-        total += b * (ca.dot(piece.torsional_stiffness, w * (w + torsion.extra[:, k])) / 2 + bending)
-    return piece.length * total
+        bending = element.section(element.inner[:, k], t.nodes[k]).bending_energy
+        total += b * (ca.dot(element.torsional_stiffness, w * (w + torsion.extra[:, k])) / 2 + bending)
+    return element.length * total
 
 
 class ControlledTorsion(NamedTuple):
-    """Piece with its torsion as a control."""
+    """Element with its torsion as a control."""
 
     defect: Any
     """Defect (n, K) of theta' = c w."""
     end: Any
-    """theta (n,) where the piece ends."""
+    """theta (n,) where the element ends."""
     energy: Any
     """Elastic energy, J."""
 
 
-def controlled_torsion(piece: CollocatedPiece, twist: Any) -> ControlledTorsion:
-    """A piece of concentric tubes with the torsion `twist` (n, K) at its points as a control."""
-    t, h = piece.grid.tableau, piece.length
-    ratios = [ca.SX.ones(piece.grid.n_tubes) * piece.local(x).compliance_ratio for x in t.nodes]
+def controlled_torsion(element: Element, twist: Any) -> ControlledTorsion:
+    """An element of concentric tubes with the torsion `twist` (n, K) at its points as a control."""
+    t, h = element.grid.tableau, element.length
+    ratios = [ca.SX.ones(element.grid.n_tubes) * element.local(x).compliance_ratio for x in t.nodes]
     extra = twist * (ca.horzcat(*ratios) - 1)
     slope = twist + extra
-    defect = piece.inner - ca.repmat(piece.theta, 1, piece.grid.degree) - h * slope @ t.matrix.T
-    # As a control, w is independent of M: the gain that would change it along the piece is 0.
-    free = Torsion(piece, twist, ca.SX.zeros(*twist.shape), extra, defect, (piece.theta, twist))
-    return ControlledTorsion(defect, piece.theta + h * slope @ t.weights, energy_of(free))
+    defect = element.inner - ca.repmat(element.theta, 1, element.grid.degree) - h * slope @ t.matrix.T
+    # As a control, w is independent of M: the gain that would change it along the element is 0.
+    free = Torsion(element, twist, ca.SX.zeros(*twist.shape), extra, defect, (element.theta, twist))
+    return ControlledTorsion(defect, element.theta + h * slope @ t.weights, energy_of(free))
 
 
 class RelativePose(NamedTuple):
-    """Pose at a fraction of a piece, relative to its start."""
+    """Pose at a fraction of an element, relative to its start."""
 
     turn: Any
     """Rotation as a quaternion (4,)."""
@@ -315,32 +315,32 @@ class RelativePose(NamedTuple):
 
 
 def shape_of(torsion: Torsion, fraction: Any = 1.0, *, steps: int = SHAPE_STEPS) -> list[RelativePose]:
-    """Poses after each of `steps` Magnus steps from the start of a piece to `fraction` of it, a number or symbol."""
+    """Poses after each of `steps` Magnus steps from the start of an element to `fraction` of it, a number or symbol."""
     turn, shift = ca.SX([1, 0, 0, 0]), ca.SX.zeros(3)
     out = []
     step = fraction / steps
     for k in range(steps):
         x = (k + GAUSS_POINTS) / steps
         u = torsion.curvature(fraction * ca.SX(ca.DM(x)) if isinstance(fraction, ca.SX) else fraction * x)
-        turn, shift = magnus_quaternion(turn, shift, u, torsion.piece.length * step)
+        turn, shift = magnus_quaternion(turn, shift, u, torsion.element.length * step)
         out.append(RelativePose(turn, shift, (k + 1) * step))
     return out
 
 
 def softened_fields(grid: Grid, length: Any, softness: tuple[Any, ...], end: Any, inner: Any) -> tuple[Any, Any]:
-    """A Jacobi field of a piece of softened tubes, collocated as its torsion is.
+    """A Jacobi field of an element of softened tubes, collocated as its torsion is.
 
-    The fields y = d theta, v = d w are linearised at the state of the piece, with torsional stiffness (1 - margin) kt
+    The fields y = d theta, v = d w are linearised at the state of the element, with torsional stiffness (1 - margin) kt
     in the equation of w: y' = g c v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). From y = 1, v = 0 at
     the tip, det y > 0 along the arm and det(y - |beta| v) > 0 at the plate if and only if the margin is larger.
 
     Args:
         softness: (dM/dtheta) / ((1 - margin) kt) (n, n K) at the points; of eccentric tubes also w dg/dtheta (n, n K),
             and of these and of tubes made of pieces g c (n, K).
-        end: y above v (2n,) where the piece ends.  inner: y (n, K) at its points.
+        end: y above v (2n,) where the element ends.  inner: y (n, K) at its points.
 
     Returns:
-        y above v (2n,) where the piece begins, and the defect (n, K) of the collocated equations.
+        y above v (2n,) where the element begins, and the defect (n, K) of the collocated equations.
     """
     t, n, count = grid.tableau, grid.n_tubes, grid.degree
     gain, *stretching = softness

@@ -28,14 +28,14 @@ from ...typing import Array, Index, Mask
 from . import loaded
 from .arm import Profile, integrate, pushed
 from .loaded import LoadedProblem, LoadedState, Loading, load_problem
-from .mesh import loaded_mesh, make_mesh, piece_counts
+from .mesh import element_counts, loaded_mesh, make_mesh
 from .reduced import Evaluation, ReducedProblem, evaluate, reduce, to_unknowns
 
 DEGREE = 6
-"""Collocation points of a piece of the mesh."""
+"""Collocation points of an element of the mesh."""
 
-PIECES = 4
-"""Minimum number of pieces along the overlap of two tubes: torsion has a kink, inside a piece, where slip ends."""
+ELEMENTS = 4
+"""Minimum number of elements along the overlap of two tubes: torsion has a kink, inside an element, where slip ends."""
 
 NEGLIGIBLE_COMPLIANCE = 1e-11
 """Fraction of a compliance that is round-off: a smaller conditional compliance counts as 0."""
@@ -154,8 +154,10 @@ def _problem(
 ) -> ReducedProblem:
     """Torsion with `unknown` (m, n) rotations, on a mesh that is finer where pairs are `touching` (m, n - 1)."""
     overlap = assembly.length @ touching
-    longest = np.min(np.where(touching, overlap / (PIECES * 2.0**friction.refinement), np.inf), axis=1, initial=np.inf)
-    counts = np.maximum(piece_counts(assembly), np.ceil(assembly.length / longest - 1e-9).astype(np.intp))
+    longest = np.min(
+        np.where(touching, overlap / (ELEMENTS * 2.0**friction.refinement), np.inf), axis=1, initial=np.inf
+    )
+    counts = np.maximum(element_counts(assembly), np.ceil(assembly.length / longest - 1e-9).astype(np.intp))
     if loading is not None:
         return reduce(assembly, loaded_mesh(assembly, np.maximum(counts, loading.counts), degree=DEGREE), unknown)
     mesh = make_mesh(assembly, counts, degree=DEGREE)
@@ -189,7 +191,7 @@ def _nearest(assembly: Assembly, s: float) -> float:
 
 
 def _rotations_between(problem: ReducedProblem, arc_length: Array, tube: Index) -> tuple[Array, Array]:
-    """Rotations of tubes at M ends of pieces: derivatives (M, U) by z, and (M, Y) by unknowns y of their own.
+    """Rotations of tubes at M ends of elements: derivatives (M, U) by z, and (M, Y) by unknowns y of their own.
 
     Compliances of a rod are those of Brownian motion: the covariance of rotations at two places is the compliance up to
     the nearer one. So z conditions the rotations at the places, and y whitens their conditional covariance.

@@ -28,7 +28,7 @@ from ...physics.torsion import section_functions
 from ...robots.lengthwise import steps_of, varies
 from ...robots.robot import Robot
 from ...typing import Array
-from .collocated import CollocatedPiece, Torsion
+from .collocated import Element, Torsion
 from .functions import determinant_function
 
 State = list[Any]
@@ -137,21 +137,21 @@ _BUTCHER = (
 _WEIGHTS = (11 / 120, 0, 27 / 40, 27 / 40, -4 / 15, -4 / 15, 11 / 120)
 
 SOFT_STEPS = 2
-"""Steps of Butcher's method per piece: margins below 0.9 to about 1e-6."""
+"""Steps of Butcher's method per element: margins below 0.9 to about 1e-6."""
 
 
 def marched_fields(torsion: Torsion, fields: Any, margin: Any) -> Any:
-    """Jacobi fields (2n, n) at the start of a piece from `fields` at its end, tubes softened by the fraction `margin`.
+    """Jacobi fields (2n, n) at the start of an element from `fields` at its end; `margin` softens the tubes.
 
     Method: J. C. Butcher, J. Austral. Math. Soc. 4 (1964), order 6 in 7 stages.
     """
-    piece, n = torsion.piece, torsion.piece.grid.n_tubes
+    element, n = torsion.element, torsion.element.grid.n_tubes
     # The state between collocation points is a polynomial: any one-step method may use it.
-    h = piece.length / SOFT_STEPS
+    h = element.length / SOFT_STEPS
     for step in reversed(range(SOFT_STEPS)):
         x = (step + SOFT_NODES) / SOFT_STEPS
         theta, w = torsion.rotation(x), torsion.torsion(x)
-        rates = [_field_rate(piece, x[k], theta[:, k], w[:, k], margin) for k in range(len(x))]
+        rates = [_field_rate(element, x[k], theta[:, k], w[:, k], margin) for k in range(len(x))]
         slopes: list[Any] = []
         for stage, row in zip(_STAGES, _BUTCHER, strict=True):
             state = fields - h * sum((a * k for a, k in zip(row, slopes, strict=True)), ca.SX.zeros(2 * n, n))
@@ -161,12 +161,12 @@ def marched_fields(torsion: Torsion, fields: Any, margin: Any) -> Any:
     return fields
 
 
-def _field_rate(piece: CollocatedPiece, x: float, theta: Any, w: Any, margin: Any) -> Callable[[Any], Any]:
-    """Right-hand side of the Jacobi fields, a function of the fields, at the fraction x of a piece with theta, w."""
-    n = piece.grid.n_tubes
-    _, stiffness, *stretch = piece.balance(theta, x)
+def _field_rate(element: Element, x: float, theta: Any, w: Any, margin: Any) -> Callable[[Any], Any]:
+    """Right-hand side of the Jacobi fields, a function of the fields, at the fraction x of an element with theta, w."""
+    n = element.grid.n_tubes
+    _, stiffness, *stretch = element.balance(theta, x)
     # Softening multiplies kt where w changes, with the state kept: the definition of the margin.
-    gain = ca.diag(1 / ((1 - margin) * piece.torsional_stiffness)) @ stiffness
+    gain = ca.diag(1 / ((1 - margin) * element.torsional_stiffness)) @ stiffness
 
     def rate(fields: Any) -> Any:
         y, v = fields[:n, :], fields[n:, :]

@@ -1,11 +1,11 @@
-"""An arm in a program under a load: forces on its pieces, and the equations of its bending moment.
+"""An arm in a program under a load: forces on its elements, and the equations of its bending moment.
 
 Dead forces determine the force n on every cross-section. With the bending moment m in the Bishop frame, nu = R'n and
 the torque t of all tubes (Rucker, Jones, Webster, IEEE T-RO 26 (2010)),
 
     u = (m + sum a_i) / sum kb_i,    m_x' = -u_y t + nu_y,    m_y' = u_x t - nu_x,    R m = M at the tip,
 
-where the axial part of M acts on the tube that ends last. Poses where pieces begin are unknowns, as without load.
+where the axial part of M acts on the tube that ends last. Poses where elements begin are unknowns, as without load.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ class LoadedModel(Model):
     """An arm under load."""
 
     moment_start: Any
-    """Bending moment (2, P) where pieces begin, N m."""
+    """Bending moment (2, P) where elements begin, N m."""
     moment_inside: Any
     """Bending moment (2 K, P) at their points, N m."""
     force: Any
-    """Force (3 K, P) at the points, N, each in the frame where its piece begins."""
+    """Force (3 K, P) at the points, N, each in the frame where its element begins."""
     tip_moment: Any
     """Moment (3,) at the tip in its own frame, N m."""
     on_tip_tube: Any
@@ -63,12 +63,12 @@ class LoadedModel(Model):
 
     @property
     def data(self) -> list[Any]:
-        """Constants of all pieces side by side, then their moments and forces."""
+        """Constants of all elements side by side, then their moments and forces."""
         return [*super().data, self.moment_start, self.moment_inside, self.force]
 
     def softness(self, margin: Any) -> tuple[Any, ...]:
         """Coefficients of the Jacobi fields: rates (2 N, 2 N K P) at all points."""
-        inputs = [ca.repmat(part, 1, self.n_pieces) for part in (margin, self.bending_stiffness)]
+        inputs = [ca.repmat(part, 1, self.n_elements) for part in (margin, self.bending_stiffness)]
         return (self.mapped("rates")(*inputs, *self.arguments),)
 
     @property
@@ -80,7 +80,7 @@ class LoadedModel(Model):
         """Equations of torsion, shape and bending moment, with `reach` as typical length, m."""
         defect, end = self.mapped("bending")(*self.arguments)
         typical, tubes = self.bending_stiffness / reach, range(self.theta.shape[0])
-        after, points = location_labels(self.n_pieces, self.grid.degree)
+        after, points = location_labels(self.n_elements, self.grid.degree)
         continuity = self.moment_start[:, 1:] - end[:, :-1]
         tip = self.ends.twist[:, -1] - self.on_tip_tube * self.tip_moment[2] / self.torsional_stiffness[:, -1]
         added = [
@@ -98,14 +98,14 @@ def arm_of(grid: Grid, numbers: LayoutNumbers, unknowns: tuple[Any, ...], inputs
     model, load = model_of(grid, numbers, unknowns, inputs), inputs.get("load")
     if load is None:
         return model
-    degree, pieces = grid.degree, model.n_pieces
+    degree, elements = grid.degree, model.n_elements
     on_tip_tube = np.zeros(grid.n_tubes)
     on_tip_tube[load.tip_tube] = 1.0
     arm = LoadedModel(
         **{field.name: getattr(model, field.name) for field in fields(model)},
         moment_start=unknowns[5],
         moment_inside=unknowns[6],
-        force=ca.DM.zeros(3 * degree, pieces),
+        force=ca.DM.zeros(3 * degree, elements),
         tip_moment=ca.vertcat(0, 0, 0),
         on_tip_tube=ca.DM(on_tip_tube),
         bending_stiffness=load.stiffness,
@@ -114,14 +114,14 @@ def arm_of(grid: Grid, numbers: LayoutNumbers, unknowns: tuple[Any, ...], inputs
     tip = rotation_matrix(arm.pose_ends[0][:, -1])
     tip_moment = load.moment if load.following else tip.T @ load.moment
     tip_force = tip @ load.force if load.following else load.force
-    per_length = ca.repmat(ca.DM(load.per_length), 1, pieces) + ca.DM(load.weight.T) @ model.present
-    on_piece = per_length * ca.repmat(ca.reshape(model.lengths, 1, pieces), 3, 1)
-    beyond = ca.repmat(ca.sum2(on_piece), 1, pieces) - ca.cumsum(on_piece, 1)
+    per_length = ca.repmat(ca.DM(load.per_length), 1, elements) + ca.DM(load.weight.T) @ model.present
+    on_element = per_length * ca.repmat(ca.reshape(model.lengths, 1, elements), 3, 1)
+    beyond = ca.repmat(ca.sum2(on_element), 1, elements) - ca.cumsum(on_element, 1)
     columns = []
-    for k in range(pieces):
-        to_piece = rotation_matrix(arm.poses[0][:, k]).T
+    for k in range(elements):
+        to_element = rotation_matrix(arm.poses[0][:, k]).T
         ahead = tip_force + beyond[:, k]
         columns.append(
-            ca.vertcat(*(to_piece @ (ahead + (1 - x) * on_piece[:, k]) for x in grid.tableau.nodes.tolist()))
+            ca.vertcat(*(to_element @ (ahead + (1 - x) * on_element[:, k]) for x in grid.tableau.nodes.tolist()))
         )
     return replace(arm, force=ca.horzcat(*columns), tip_moment=tip_moment)

@@ -1,4 +1,4 @@
-"""CasADi functions of one piece, built once and mapped over the pieces of every block."""
+"""CasADi functions of one element, built once and mapped over the elements of every block."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ...physics.shape import quaternion_product, rotation_matrix
 from ...physics.strain import bend_from_own
 from .collocated import (
     Grid,
-    LoadedPiece,
+    LoadedElement,
     Torsion,
     bending_of,
     controlled_torsion,
@@ -19,7 +19,7 @@ from .collocated import (
     loaded_points,
     shape_of,
     softened_fields,
-    symbolic_piece,
+    symbolic_element,
     torsion_of,
 )
 
@@ -61,13 +61,13 @@ def field_rates(torsion: Torsion, margin: Any, typical: Any) -> Any:
 
     The column of g is scaled by 1 / (1 - margin) / typical.
     """
-    piece, n = torsion.piece, torsion.piece.grid.n_tubes
-    assert isinstance(piece, LoadedPiece)
-    kt, soft, e3 = ca.diag(1 / piece.torsional_stiffness), 1 / (1 - margin), ca.SX([0, 0, 1])
+    element, n = torsion.element, torsion.element.grid.n_tubes
+    assert isinstance(element, LoadedElement)
+    kt, soft, e3 = ca.diag(1 / element.torsional_stiffness), 1 / (1 - margin), ca.SX([0, 0, 1])
     out = []
-    for k, (point, x) in enumerate(zip(loaded_points(torsion), piece.grid.tableau.nodes, strict=True)):
+    for k, (point, x) in enumerate(zip(loaded_points(torsion), element.grid.tableau.nodes, strict=True)):
         section, nu = point.section, point.force
-        theta, bending = piece.inner[:, k], piece.moment_inside[:, k]
+        theta, bending = element.inner[:, k], element.moment_inside[:, k]
         # Derivatives of the curvature (3,) and of M / kt, by theta and by the bending moment.
         u_theta, u_m = (ca.vertcat(ca.jacobian(section.curvature, v), ca.SX(1, v.numel())) for v in (theta, bending))
         w_theta, w_m = (kt @ ca.jacobian(section.moment, v) for v in (theta, bending))
@@ -75,7 +75,7 @@ def field_rates(torsion: Torsion, margin: Any, typical: Any) -> Any:
         u, m = ca.skew(ca.vertcat(section.curvature, 0)), ca.skew(ca.vertcat(bending, point.torque))
         # e3 x (phi x nu) = nu_z phi - phi_z nu
         tilted = nu[2] * ca.SX.eye(FRAME) - nu @ e3.T
-        ratio = ca.diag(ca.SX.ones(n) * piece.local(x).compliance_ratio)
+        ratio = ca.diag(ca.SX.ones(n) * element.local(x).compliance_ratio)
         out.append(
             ca.vertcat(
                 ca.horzcat(ca.SX(n, n + FRAME), ratio, ca.SX(n, FRAME)),
@@ -88,10 +88,10 @@ def field_rates(torsion: Torsion, margin: Any, typical: Any) -> Any:
 
 
 def field_step(grid: Grid, length: Any, rates: Any, end: Any, inner: Any) -> tuple[Any, Any]:
-    """Field (2 N,) at the start of a piece, and defect (2 N, K) of its collocated equations.
+    """Field (2 N,) at the start of an element, and defect (2 N, K) of its collocated equations.
 
     Args:
-        end: field (2 N,) at the end of the piece.  inner: field (2 N, K) at its points.
+        end: field (2 N,) at the end of the element.  inner: field (2 N, K) at its points.
     """
     t, count, n = grid.tableau, grid.degree, 2 * field_size(grid)
     slope = ca.horzcat(*(rates[:, k * n : (k + 1) * n] @ inner[:, k] for k in range(count)))
@@ -104,29 +104,29 @@ OPTIONS = {"cse": True}
 
 @lru_cache(maxsize=64)
 def _torsion(grid: Grid) -> Torsion:
-    """Collocated torsion of a symbolic piece, shared by the functions below."""
-    return torsion_of(symbolic_piece(grid))
+    """Collocated torsion of a symbolic element, shared by the functions below."""
+    return torsion_of(symbolic_element(grid))
 
 
 @lru_cache(maxsize=64)
 def torsion_function(grid: Grid) -> ca.Function:
-    """Function (arguments of a piece) -> defect (n, K), theta and w (n,) where it ends."""
+    """Function (arguments of an element) -> defect (n, K), theta and w (n,) where it ends."""
     torsion = _torsion(grid)
-    return ca.Function("torsion", torsion.piece.arguments, [torsion.defect, *torsion.end], OPTIONS)
+    return ca.Function("torsion", torsion.element.arguments, [torsion.defect, *torsion.end], OPTIONS)
 
 
 @lru_cache(maxsize=64)
 def bending_function(grid: Grid) -> ca.Function:
-    """Function (arguments of a piece under load) -> defect (2, K), bending moment (2,) where it ends."""
+    """Function (arguments of an element under load) -> defect (2, K), bending moment (2,) where it ends."""
     torsion = _torsion(grid)
-    return ca.Function("bending", torsion.piece.arguments, list(bending_of(torsion)), OPTIONS)
+    return ca.Function("bending", torsion.element.arguments, list(bending_of(torsion)), OPTIONS)
 
 
 @lru_cache(maxsize=64)
 def pose_function(grid: Grid) -> ca.Function:
-    """Function (q, p, arguments of a piece) -> q (4,), p (3,) where it ends."""
+    """Function (q, p, arguments of an element) -> q (4,), p (3,) where it ends."""
     torsion = _torsion(grid)
-    q, p, arguments = *_pose(), torsion.piece.arguments
+    q, p, arguments = *_pose(), torsion.element.arguments
     last = shape_of(torsion)[-1]
     end = [quaternion_product(q, last.turn), p + rotation_matrix(q) @ last.shift]
     return ca.Function("pose", [q, p, *arguments], end, OPTIONS)
@@ -134,16 +134,16 @@ def pose_function(grid: Grid) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def positions_function(grid: Grid) -> ca.Function:
-    """Function (q, p, arguments of a piece) -> positions (3, 4) of its shape points but the first."""
+    """Function (q, p, arguments of an element) -> positions (3, 4) of its shape points but the first."""
     torsion = _torsion(grid)
     q, p = _pose()
     positions = [p + rotation_matrix(q) @ pose.shift for pose in shape_of(torsion)]
-    return ca.Function("positions", [q, p, *torsion.piece.arguments], [ca.horzcat(*positions)], OPTIONS)
+    return ca.Function("positions", [q, p, *torsion.element.arguments], [ca.horzcat(*positions)], OPTIONS)
 
 
 @lru_cache(maxsize=64)
 def inside_function(grid: Grid) -> ca.Function:
-    """Function (q, p, x, arguments of a piece) -> pose and torsion at the fraction x of the piece.
+    """Function (q, p, x, arguments of an element) -> pose and torsion at the fraction x of the element.
 
     The results are q (4,), p (3,), theta (n,), w (n,) and u (2,).
 
@@ -155,40 +155,40 @@ def inside_function(grid: Grid) -> ca.Function:
     last = shape_of(torsion, x)[-1]
     end = [quaternion_product(q, last.turn), p + rotation_matrix(q) @ last.shift]
     theta, w = torsion.rotation(x), torsion.torsion(x)
-    outputs = [*end, theta, w, torsion.piece.section(theta, x).curvature]
+    outputs = [*end, theta, w, torsion.element.section(theta, x).curvature]
     if grid.detail:
-        tubes = torsion.piece.local(x)
-        twist = ca.jacobian(tubes.natural_turn, x) / torsion.piece.length
+        tubes = torsion.element.local(x)
+        twist = ca.jacobian(tubes.natural_turn, x) / torsion.element.length
         outputs += [tubes.natural_turn, twist, tubes.compliance_ratio]
-    return ca.Function("inside", [q, p, x, *torsion.piece.arguments], outputs, OPTIONS)
+    return ca.Function("inside", [q, p, x, *torsion.element.arguments], outputs, OPTIONS)
 
 
 @lru_cache(maxsize=64)
 def energy_function(grid: Grid) -> ca.Function:
-    """Function (arguments of a piece) -> elastic energy, J."""
+    """Function (arguments of an element) -> elastic energy, J."""
     torsion = _torsion(grid)
-    return ca.Function("energy", torsion.piece.arguments, [energy_of(torsion)], OPTIONS)
+    return ca.Function("energy", torsion.element.arguments, [energy_of(torsion)], OPTIONS)
 
 
 @lru_cache(maxsize=64)
 def motion_function(grid: Grid) -> ca.Function:
-    """Function (theta (n,) at the start, theta and w (n, K) at the points, data of a piece) -> `ControlledTorsion`."""
-    piece, twist = symbolic_piece(grid), ca.SX.sym("control", grid.n_tubes, grid.degree)
-    outputs = list(controlled_torsion(piece, twist))
-    return ca.Function("motion", [piece.theta, piece.inner, twist, *piece.data], outputs, OPTIONS)
+    """Function (theta (n,) at the start, theta and w (n, K) at points, data of an element) -> `ControlledTorsion`."""
+    element, twist = symbolic_element(grid), ca.SX.sym("control", grid.n_tubes, grid.degree)
+    outputs = list(controlled_torsion(element, twist))
+    return ca.Function("motion", [element.theta, element.inner, twist, *element.data], outputs, OPTIONS)
 
 
 @lru_cache(maxsize=64)
 def bend_function(grid: Grid) -> ca.Function:
-    """Function (arguments of a piece, precurvatures (n,)) -> |u / g - u*| and |u*| (n, K) at the points, 1/m.
+    """Function (arguments of an element, precurvatures (n,)) -> |u / g - u*| and |u*| (n, K) at the points, 1/m.
 
-    The precurvatures of tubes made of pieces are in the arguments of the piece.
+    The precurvatures of tubes made of pieces are in the arguments of the element.
     """
-    piece, natural = symbolic_piece(grid), ca.SX.sym("natural", grid.n_tubes)
+    element, natural = symbolic_element(grid), ca.SX.sym("natural", grid.n_tubes)
     changes, sizes = [], []
     for k, x in enumerate(grid.tableau.nodes):
-        theta, tubes = piece.inner[:, k], piece.local(x)
-        section = piece.section(theta, x)
+        theta, tubes = element.inner[:, k], element.local(x)
+        section = element.section(theta, x)
         size: Any = natural
         direction = ca.cos(theta), ca.sin(theta)
         if grid.detail:
@@ -198,31 +198,31 @@ def bend_function(grid: Grid) -> ca.Function:
         changes.append(bend_from_own(direction, section.curvature, 1.0 if grid.detail else natural, section.stretch))
         sizes.append(size)
     outputs = [ca.horzcat(*changes), ca.horzcat(*sizes)]
-    return ca.Function("bend", [*piece.arguments, natural], outputs, OPTIONS)
+    return ca.Function("bend", [*element.arguments, natural], outputs, OPTIONS)
 
 
 @lru_cache(maxsize=64)
 def twist_function(grid: Grid) -> ca.Function:
-    """Function (arguments of a piece) -> w (n, K) at its points."""
+    """Function (arguments of an element) -> w (n, K) at its points."""
     torsion = _torsion(grid)
-    return ca.Function("twist", torsion.piece.arguments, [torsion.twist], OPTIONS)
+    return ca.Function("twist", torsion.element.arguments, [torsion.twist], OPTIONS)
 
 
 @lru_cache(maxsize=64)
 def softness_function(grid: Grid) -> ca.Function:
-    """Function (margin, theta, w (n,), fraction x, data of a piece) -> `softness` of `softened_fields` at a point."""
-    piece = symbolic_piece(grid)
+    """Function (margin, theta, w (n,), fraction x, data of an element) -> `softness` of `softened_fields` there."""
+    element = symbolic_element(grid)
     margin, w, x = ca.SX.sym("margin"), ca.SX.sym("w", grid.n_tubes), ca.SX.sym("x")
-    _, stiff, *stretching = piece.balance(piece.theta, x)
-    outputs = [ca.diag(1 / ((1 - margin) * piece.torsional_stiffness)) @ stiff]
+    _, stiff, *stretching = element.balance(element.theta, x)
+    outputs = [ca.diag(1 / ((1 - margin) * element.torsional_stiffness)) @ stiff]
     outputs += [ca.diag(w) @ turned for turned in stretching[1:]] + stretching[:1]
-    inputs = [margin, piece.theta, w, x, *piece.data]
+    inputs = [margin, element.theta, w, x, *element.data]
     return ca.Function("softness", inputs, [ca.densify(part) for part in outputs], OPTIONS)
 
 
 @lru_cache(maxsize=64)
 def fields_function(grid: Grid) -> ca.Function:
-    """Function from N Jacobi fields at the end of a piece to those at its start.
+    """Function from N Jacobi fields at the end of an element to those at its start.
 
     (fields (2N, N) at the end, (R, K N) at the points, field by field, length, softness) -> fields (2N, N) at the
     start, defect (R, K N), with N and R of `field_size` and `field_rows`.
@@ -244,7 +244,7 @@ def _field(grid: Grid, length: Any, softness: tuple[Any, ...], end: Any, inner: 
 
 @lru_cache(maxsize=64)
 def field_matrix_function(grid: Grid) -> ca.Function:
-    """Function (length, softness) of a piece -> derivative (K R, K R) of a field's defect by its inner values."""
+    """Function (length, softness) of an element -> derivative (K R, K R) of a field's defect by its inner values."""
     inner, h, softness = ca.SX.sym("inside", field_rows(grid), grid.degree), ca.SX.sym("h"), _softness(grid)
     defect = _field(grid, h, softness, ca.SX.zeros(2 * field_size(grid)), inner)[1]
     matrix = ca.densify(ca.jacobian(ca.vec(defect), ca.vec(inner)))
@@ -253,10 +253,10 @@ def field_matrix_function(grid: Grid) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def rates_function(grid: Grid) -> ca.Function:
-    """Function (margin, typical stiffness, arguments of a piece under load) -> `field_rates` at its points."""
+    """Function (margin, typical stiffness, arguments of an element under load) -> `field_rates` at its points."""
     torsion, margin, typical = _torsion(grid), ca.SX.sym("margin"), ca.SX.sym("typical")
     rates = field_rates(torsion, margin, typical)
-    return ca.Function("rates", [margin, typical, *torsion.piece.arguments], [rates], OPTIONS)
+    return ca.Function("rates", [margin, typical, *torsion.element.arguments], [rates], OPTIONS)
 
 
 def _softness(grid: Grid) -> tuple[Any, ...]:

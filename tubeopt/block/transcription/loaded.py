@@ -30,7 +30,7 @@ from ...physics.shape import frame_forms, quaternion_rates, rotation_matrix_func
 from ...robots.load import FORCE, MOMENT, Load
 from ...robots.order import outermost, twisted_tube
 from ...typing import Array, Index
-from .arm import ArmShape, Profile, along_pieces, arc_lengths, integrate, pushed, sections_along
+from .arm import ArmShape, Profile, along_elements, arc_lengths, integrate, pushed, sections_along
 from .buffered import mapped, section_function
 from .collocated import ENDS
 from .mesh import Mesh
@@ -47,7 +47,7 @@ from .reduced import ReducedProblem, row_of, to_unknowns, torsional_hessian
 # The first part bends all tubes up to there: `evaluate` adds it to that of forces, by the sum of all moments beyond.
 # The second part twists one tube: at the tip the tube that ends last (of several the innermost), elsewhere the
 # outermost.
-# At a joint between pieces m is the moment itself; a moment per length acts at the collocation points, times their
+# At a joint between elements m is the moment itself; a moment per length acts at the collocation points, times their
 # weights. The work depends on the path, so that the Jacobian is not symmetric.
 
 END = 1e-12
@@ -56,14 +56,14 @@ END = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Couples:
-    """C moments on the tubes of an arm: J at joints between pieces, the tip first, then those at collocation points."""
+    """C moments on the tubes of an arm: J between elements, the tip first, then those at collocation points."""
 
     along: Array
     """Moments (N, n, 3) per length on the tubes at the collocation points, N."""
     moment: Array
     """Moments (C, 3) in world axes, N m; the moment at the tip in the axes of the load."""
     joint: Index
-    """Pieces (J,) that start where the moments act; the number of pieces at the tip."""
+    """Elements (J,) that start where the moments act; the number of elements at the tip."""
     point: Index
     """Collocation points (C - J,)."""
     tube: Index
@@ -103,7 +103,7 @@ def couples_of(torsion: ReducedProblem, load: Load, per_length: Array, spread: A
     assembly, mesh = torsion.assembly, torsion.mesh
     point_compliance, end_compliance = torsion.softness
     at_joints = [part for part in load.acting[::-1] if any(part.moment) or part.at == np.inf]
-    # The piece that starts there, at the tip the number of pieces.
+    # The element that starts there, at the tip the number of elements.
     joint = np.searchsorted(mesh.start, [part.at - END for part in at_joints])
     on_joint, point = twisted_tube(assembly.end, [part.at for part in at_joints]), np.flatnonzero(per_length.any(1))
     outer_tube = np.repeat(outermost(assembly.present)[mesh.section], mesh.tableau.degree)
@@ -135,7 +135,7 @@ class LoadedProblem:
     """Data of one robot under one load on one mesh, for any rotations; N points, U unknown rotations."""
 
     torsion: ReducedProblem
-    """Problem of the rotations, on a mesh with collocation points in every piece."""
+    """Problem of the rotations, on a mesh with collocation points in every element."""
     load: Load
     """External load."""
     ahead: Array
@@ -182,7 +182,7 @@ class LoadedProblem:
 
     @property
     def mesh(self) -> Mesh:
-        """Pieces of the arm."""
+        """Elements of the arm."""
         return self.torsion.mesh
 
     @cached_property
@@ -249,7 +249,7 @@ class Loading:
     density: Array
     """Masses (n,) per length of the tubes, kg/m."""
     counts: Index
-    """Minimum numbers (m,) of pieces of the sections."""
+    """Minimum numbers (m,) of elements of the sections."""
 
 
 def load_problem(torsion: ReducedProblem, load: Load, density: Array) -> LoadedProblem:
@@ -282,10 +282,10 @@ def _ahead(mesh: Mesh, load: Load, per_length: Array) -> tuple[Array, Array]:
     out, base = np.zeros((*s.shape, 6)), np.zeros(6)
     if per_length.any():
         h, t = mesh.length[:, None, None], mesh.tableau
-        of_piece = (h * per_length * t.weights[:, None]).sum(1)
-        ahead = np.cumsum(of_piece[::-1], axis=0)[::-1]
-        # From each point to the end of its piece, then the pieces beyond.
-        out, base = h * ((t.weights - t.matrix) @ per_length) + (ahead - of_piece)[:, None], ahead[0].copy()
+        of_element = (h * per_length * t.weights[:, None]).sum(1)
+        ahead = np.cumsum(of_element[::-1], axis=0)[::-1]
+        # From each point to the end of its element, then the elements beyond.
+        out, base = h * ((t.weights - t.matrix) @ per_length) + (ahead - of_element)[:, None], ahead[0].copy()
     for part in load.acting if load.frame == "world" else load.points:
         # At the end of the arm, within round-off, a force acts on all of it.
         out[s < part.at] += (*part.force, *part.moment)
@@ -311,8 +311,8 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
     by_x[:, :split] = (slope @ problem.spread).reshape(2 * count, split)
     # u = u0(theta) + q / sqrt(B K): the second part changes the curvature of each point by its own q only.
     by_x[np.arange(2 * count), split + np.arange(2 * count)] = np.repeat(problem.softness, 2)
-    # The quaternions are linear in the curvature of each piece, and are eliminated. One adjoint sweep from tip to plate
-    # gives the gradient of the work through them, for all curvatures at once.
+    # The quaternions are linear in the curvature of each element, and are eliminated. One adjoint sweep from tip to
+    # plate gives the gradient of the work through them, for all curvatures at once.
     orientation = orient(mesh, curvature)
     sums = _load_sums(problem, orientation)
     # n.t = Q'(sum n_i T_i) Q with symmetric T_i: its derivative by Q is 2 (sum n_i T_i) Q.
@@ -537,27 +537,27 @@ def elastic_energy(problem: LoadedProblem, profile: Profile, state: LoadedState)
 def loaded_arm(problem: LoadedProblem, profile: Profile, state: LoadedState) -> ArmShape:
     """Shape of the arm from the torsion along it."""
     torsion, mesh = problem.torsion, problem.mesh
-    t, pieces = mesh.tableau, len(mesh.length)
+    t, elements = mesh.tableau, len(mesh.length)
     sections = sections_along(torsion, profile, tuple(ENDS.tolist()))
-    bending = (state.x[torsion.size :].reshape(-1, 2) * problem.softness[:, None]).reshape(pieces, t.degree, 2)
+    bending = (state.x[torsion.size :].reshape(-1, 2) * problem.softness[:, None]).reshape(elements, t.degree, 2)
     curvature = sections.curvature + t.lagrange(ENDS) @ bending
     orientation, integrals = state.orientation, mesh.length[:, None, None] * t.lagrange(ENDS, integrals=1)
     # Q' = (u_x Omega_x + u_y Omega_y) Q / 2 at the points, integrated by their polynomial.
-    rate = (orientation.rate @ orientation.stage[:, :, None] / 2).reshape(pieces, t.degree, 4)
+    rate = (orientation.rate @ orientation.stage[:, :, None] / 2).reshape(elements, t.degree, 4)
     quaternion = orientation.start[:-1, None] + integrals @ rate
     quaternion[:, -1] = orientation.start[1:]
-    # Collocation preserves the norm at the ends of pieces only.
+    # Collocation preserves the norm at the ends of elements only.
     quaternion /= np.linalg.norm(quaternion, axis=2, keepdims=True)
-    offset = integrals @ tangents(orientation.stage).reshape(pieces, t.degree, 3)
+    offset = integrals @ tangents(orientation.stage).reshape(elements, t.degree, 3)
     start = np.cumsum(np.concatenate([np.zeros((1, 3)), offset[:-1, -1]]), axis=0)
-    frame = mapped(rotation_matrix_function(), pieces * len(ENDS))(quaternion.reshape(-1, 4))[0]
+    frame = mapped(rotation_matrix_function(), elements * len(ENDS))(quaternion.reshape(-1, 4))[0]
     return ArmShape(
         arc_length=arc_lengths(mesh),
-        rotation=along_pieces(sections.rotation, pieces).T.copy(),
-        torsion=along_pieces(sections.torsion, pieces).T.copy(),
-        curvature=along_pieces(curvature, pieces),
-        position=along_pieces(start[:, None] + offset, pieces),
-        frame=along_pieces(frame, pieces).reshape(-1, 3, 3).swapaxes(1, 2).copy(),
+        rotation=along_elements(sections.rotation, elements).T.copy(),
+        torsion=along_elements(sections.torsion, elements).T.copy(),
+        curvature=along_elements(curvature, elements),
+        position=along_elements(start[:, None] + offset, elements),
+        frame=along_elements(frame, elements).reshape(-1, 3, 3).swapaxes(1, 2).copy(),
     )
 
 
@@ -565,9 +565,9 @@ def integration_to(problem: LoadedProblem, s: float) -> Array:
     """Quadrature weights (N,) at the points for integrals from the plate to arc length s, m."""
     mesh = problem.mesh
     degree = mesh.tableau.degree
-    (piece,), x = mesh.locate(np.array([s]))
-    weight = np.where(np.arange(len(problem.softness)) < piece * degree, problem.torsion.weight, 0.0)
-    weight[piece * degree : (piece + 1) * degree] = mesh.length[piece] * mesh.tableau.lagrange(x, integrals=1)[0]
+    (element,), x = mesh.locate(np.array([s]))
+    weight = np.where(np.arange(len(problem.softness)) < element * degree, problem.torsion.weight, 0.0)
+    weight[element * degree : (element + 1) * degree] = mesh.length[element] * mesh.tableau.lagrange(x, integrals=1)[0]
     return np.asarray(weight)
 
 
@@ -606,11 +606,11 @@ def _twist(problem: LoadedProblem, weight: Array, tube: int) -> tuple[Array, flo
     """
     torsion, mesh = problem.torsion, problem.mesh
     rate, behind, t = torsion.compliant.rate[:, :, tube].ravel(), torsion.compliant.transmission[tube], mesh.tableau
-    piece = np.repeat(np.arange(len(mesh.length)), t.degree)
-    pieces_before = np.where(piece < piece[:, None], torsion.weight, 0.0)
-    within_piece = np.kron(np.diag(mesh.length), t.matrix)
+    element = np.repeat(np.arange(len(mesh.length)), t.degree)
+    elements_before = np.where(element < element[:, None], torsion.weight, 0.0)
+    within_element = np.kron(np.diag(mesh.length), t.matrix)
     # Row of the Green's function to the place s: the integral up to the nearer of point and s.
-    green = (pieces_before + within_piece) * rate / torsion.weight
+    green = (elements_before + within_element) * rate / torsion.weight
     compliance_to_points = behind + green @ weight
     compliance_at_place = behind + float((weight**2 * rate / torsion.weight).sum())
     row = row_of(torsion, tube, compliance_to_points)

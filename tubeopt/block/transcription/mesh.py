@@ -1,4 +1,4 @@
-"""Mesh over the sections of an arm, with theta as one polynomial on each piece, and integrals over it."""
+"""Mesh over the sections of an arm, with theta as one polynomial on each element, and integrals over it."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ WAVES_PER_ELEMENT = 0.75
 
 With Gauss points of degree 6 the error of theta then is near 1e-10 rad, so that refinement is rare."""
 
-BEND_PER_PIECE = 1.0
-"""Largest bend (rad) of a piece, for the integration of the shape."""
+BEND_PER_ELEMENT = 1.0
+"""Largest bend (rad) of an element, for the integration of the shape."""
 
 
-TWIST_PER_PIECE = 0.75
-"""Largest natural twist (rad) along a piece, of a tube and between two tubes.
+TWIST_PER_ELEMENT = 0.75
+"""Largest natural twist (rad) along an element, of a tube and between two tubes.
 
 Natural twist rotates the curvature of the arm in the Bishop frame, and the coupling of tubes."""
 
-DETAIL_PER_PIECE = 4.0
-"""Largest polynomial degree of precurvature and stiffness along a piece."""
+DETAIL_PER_ELEMENT = 4.0
+"""Largest polynomial degree of precurvature and stiffness along an element."""
 
 MAX_ROTATIONS = 5000
 """Maximum number of unknown rotations at collocation points: their matrices are dense."""
@@ -47,13 +47,13 @@ SAMPLES = (np.polynomial.legendre.leggauss(8)[0] + 1) / 2
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Pieces of an arm, base to tip: elements of coupled sections, and the other sections as a whole.
+    """Elements of an arm, base to tip: elements of coupled sections, and the other sections as a whole.
 
     Attributes:
         tableau: collocation points of every element.
-        start, length: arc length (P,) at which each piece begins, and its length, m.
-        section: section (P,) of each piece.
-        collocated: True (P,) for pieces with collocation points; on the others torsion is linear in arc length.
+        start, length: arc length (P,) at which each element begins, and its length, m.
+        section: section (P,) of each element.
+        collocated: True (P,) for elements with collocation points; on the others torsion is linear in arc length.
     """
 
     tableau: Tableau
@@ -63,18 +63,18 @@ class Mesh:
     collocated: Mask
 
     def locate(self, arc_length: Array) -> tuple[Index, Array]:
-        """Pieces that contain arc lengths, and fractions inside each, 0 to 1; beyond the ends those of the nearest
+        """Elements that contain arc lengths, and fractions inside each, 0 to 1; beyond the ends those of the nearest
         point."""
-        piece = np.clip(np.searchsorted(self.start, arc_length, side="right") - 1, 0, len(self.start) - 1)
-        return piece, np.clip((arc_length - self.start[piece]) / self.length[piece], 0.0, 1.0)
+        element = np.clip(np.searchsorted(self.start, arc_length, side="right") - 1, 0, len(self.start) - 1)
+        return element, np.clip((arc_length - self.start[element]) / self.length[element], 0.0, 1.0)
 
     def interpolated(self, values: Array, arc_length: Array, *, integrals: int = 0) -> Array:
-        """Values (S, k) at arc lengths (S,) of the polynomials through values (P, K, k) at the points of every piece.
+        """Values (S, k) at arc lengths (S,) of the polynomials through values (P, K, k) at the points of every element.
 
-        With `integrals` the polynomials are integrated that often from the start of a piece, as if it had length 1.
+        With `integrals` the polynomials are integrated that often from the start of an element, as if it had length 1.
         """
-        piece, x = self.locate(arc_length)
-        inner = values.reshape(len(self.start), self.tableau.degree, -1)[piece]
+        element, x = self.locate(arc_length)
+        inner = values.reshape(len(self.start), self.tableau.degree, -1)[element]
         return np.asarray(np.einsum("ak,aki->ai", self.tableau.lagrange(x, integrals=integrals), inner))
 
 
@@ -85,14 +85,14 @@ def _rate(stiffness: Array, moment: Array, torsional_stiffness: Array) -> Array:
 
 
 class SectionNeeds(NamedTuple):
-    """Quantities (m,) that determine the number of pieces of each section."""
+    """Quantities (m,) that determine the number of elements of each section."""
 
     rate: Array
     """Bound on the rate of torsion, 1/m."""
     curvature: Array
     """Largest precurvature, 1/m."""
-    twist_pieces: Array
-    """Number of pieces for natural twist and detail of tubes made of pieces."""
+    twist_elements: Array
+    """Number of elements for natural twist and detail of tubes made of pieces."""
     stiffness: Array
     """Smallest sum of kb, N m^2."""
     moment_ratio: Array
@@ -100,13 +100,13 @@ class SectionNeeds(NamedTuple):
 
 
 def section_needs(assembly: Assembly) -> SectionNeeds:
-    """Quantities that determine the number of pieces of each section."""
+    """Quantities that determine the number of elements of each section."""
     if assembly.even:
         sections = assembly.of_sections(np.arange(assembly.n_sections))
         return SectionNeeds(
             rate=_rate(sections.stiffness, sections.moment, assembly.torsional_stiffness),
             curvature=(np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0),
-            twist_pieces=np.zeros(1),
+            twist_elements=np.zeros(1),
             stiffness=np.maximum(sections.stiffness.sum(1), 1e-300),
             moment_ratio=(np.abs(sections.moment) / assembly.torsional_stiffness).max(1, initial=0.0),
         )
@@ -125,32 +125,32 @@ def section_needs(assembly: Assembly) -> SectionNeeds:
     # Twist of a straight tube has no effect, so it needs no refinement.
     present, curved = sections.stiffness > 0, sections.moment > 0
     per_length = np.maximum(
-        present * table.detail[tube, panel] / DETAIL_PER_PIECE, curved * table.twist[tube, panel] / TWIST_PER_PIECE
+        present * table.detail[tube, panel] / DETAIL_PER_ELEMENT, curved * table.twist[tube, panel] / TWIST_PER_ELEMENT
     ).max(1, initial=0.0)
     # Difference of natural twist between curved tubes.
     fastest = np.where(curved, sections.twist, -np.inf).max(1, initial=-np.inf)
     difference = fastest - np.where(curved, sections.twist, np.inf).min(1)
-    per_length = np.maximum(per_length, np.maximum(difference, 0.0) / TWIST_PER_PIECE)
+    per_length = np.maximum(per_length, np.maximum(difference, 0.0) / TWIST_PER_ELEMENT)
     return SectionNeeds(
         rate=largest(_rate(sections.stiffness, sections.moment, sections.torsional_stiffness)),
         curvature=largest(precurvature.max(1, initial=0.0)),
-        twist_pieces=largest(per_length) * assembly.length,
+        twist_elements=largest(per_length) * assembly.length,
         stiffness=sections.stiffness.sum(1).reshape(-1, count).min(1),
         moment_ratio=largest((sections.moment / sections.torsional_stiffness).max(1)),
     )
 
 
-def piece_counts(assembly: Assembly, refinement: int = 0) -> NDArray[np.intp]:
-    """Number of pieces (m,) per section, short enough for coupling and bend, each halved `refinement` times."""
+def element_counts(assembly: Assembly, refinement: int = 0) -> NDArray[np.intp]:
+    """Number of elements (m,) per section, short enough for coupling and bend, each halved `refinement` times."""
     needs = section_needs(assembly)
-    waves, bend = needs.rate * assembly.length / WAVES_PER_ELEMENT, needs.curvature * assembly.length / BEND_PER_PIECE
-    shape = np.maximum(bend, needs.twist_pieces)
-    shape = np.where(~assembly.coupled & (needs.twist_pieces > 0), KNOWN * shape, shape)
+    waves, bend = needs.rate * assembly.length / WAVES_PER_ELEMENT, needs.curvature * assembly.length / BEND_PER_ELEMENT
+    shape = np.maximum(bend, needs.twist_elements)
+    shape = np.where(~assembly.coupled & (needs.twist_elements > 0), KNOWN * shape, shape)
     need = np.maximum(waves, shape)
-    # 1e-9 is round-off: a section that needs exactly one piece gets one.
-    pieces: NDArray[np.intp] = np.maximum(1, np.ceil(need - 1e-9)).astype(np.intp) * 2**refinement
-    pieces[need <= 0] = 1
-    return pieces
+    # 1e-9 is round-off: a section that needs exactly one element gets one.
+    elements: NDArray[np.intp] = np.maximum(1, np.ceil(need - 1e-9)).astype(np.intp) * 2**refinement
+    elements[need <= 0] = 1
+    return elements
 
 
 LOADED_WAVES = 0.5
@@ -158,7 +158,7 @@ LOADED_WAVES = 0.5
 
 
 def loaded_counts(assembly: Assembly, force: float, moment: float) -> NDArray[np.intp]:
-    """Number of pieces (m,) per section of a loaded arm.
+    """Number of elements (m,) per section of a loaded arm.
 
     Args:
         force: largest force on a cross-section, N.  moment: moment at the tip, N m.
@@ -171,33 +171,33 @@ def loaded_counts(assembly: Assembly, force: float, moment: float) -> NDArray[np
     curvature = np.minimum(2 * rate, force * assembly.total_length / needs.stiffness) + moment / needs.stiffness
     # Torsion at a curvature u varies at the rate sqrt(|m| u / kt), as a pendulum under gravity.
     waves = np.maximum(np.maximum(needs.rate, rate), np.sqrt(needs.moment_ratio * curvature)) / LOADED_WAVES
-    bend = (needs.curvature + curvature) / BEND_PER_PIECE
-    need = np.maximum(np.maximum(waves, bend) * assembly.length, needs.twist_pieces)
-    pieces = np.ceil(need - 1e-9)
-    return np.asarray(np.maximum(1, pieces).astype(np.intp))
+    bend = (needs.curvature + curvature) / BEND_PER_ELEMENT
+    need = np.maximum(np.maximum(waves, bend) * assembly.length, needs.twist_elements)
+    elements = np.ceil(need - 1e-9)
+    return np.asarray(np.maximum(1, elements).astype(np.intp))
 
 
-def loaded_mesh(assembly: Assembly, pieces: NDArray[np.intp], *, family: str = "gauss", degree: int = 6) -> Mesh:
-    """Mesh with collocation points on all pieces, since a load also bends straight tubes."""
+def loaded_mesh(assembly: Assembly, elements: NDArray[np.intp], *, family: str = "gauss", degree: int = 6) -> Mesh:
+    """Mesh with collocation points on all elements, since a load also bends straight tubes."""
     everywhere = np.ones(assembly.n_sections, dtype=bool)
-    return _mesh(assembly, pieces, everywhere, tableau(family, degree))
+    return _mesh(assembly, elements, everywhere, tableau(family, degree))
 
 
 def make_mesh(
-    assembly: Assembly, pieces: NDArray[np.intp] | None = None, *, family: str = "gauss", degree: int = 6
+    assembly: Assembly, elements: NDArray[np.intp] | None = None, *, family: str = "gauss", degree: int = 6
 ) -> Mesh:
-    """Mesh with the given number of pieces per section (by default `piece_counts`)."""
-    counts = piece_counts(assembly) if pieces is None else pieces
+    """Mesh with the given number of elements per section (by default `element_counts`)."""
+    counts = element_counts(assembly) if elements is None else elements
     return _mesh(assembly, counts, assembly.coupled, tableau(family, degree))
 
 
 def _mesh(assembly: Assembly, counts: NDArray[np.intp], collocated: Mask, rule: Tableau) -> Mesh:
-    """Mesh with `counts` (m,) pieces per section; sections marked in `collocated` (m,) have collocation points."""
+    """Mesh with `counts` (m,) elements per section; sections marked in `collocated` (m,) have collocation points."""
     # Only coupled sections have unknown rotations, all of which share one dense matrix.
     unknown = int(counts[assembly.coupled].sum()) * rule.degree * assembly.n_tubes
     if max(unknown, int(counts.sum())) > MAX_ROTATIONS:
         raise InputError(
-            f"the tubes vary so quickly along them that {counts.sum()} pieces of the arm with {unknown} unknown "
+            f"the tubes vary so quickly along them that {counts.sum()} elements of the arm with {unknown} unknown "
             f"rotations would have to be solved; there may be {MAX_ROTATIONS}: are units right, and are tables smooth?"
         )
     section = np.repeat(np.arange(assembly.n_sections), counts)
@@ -215,7 +215,7 @@ def _mesh(assembly: Assembly, counts: NDArray[np.intp], collocated: Mask, rule: 
 # --- Torsional compliance: rotations at one point by a couple at another, collocated ----------------------------------
 
 INWARDS = 1e-6
-"""Offset, relative to half a piece, of the cross-section read for the end of a piece: properties may jump there."""
+"""Offset, relative to half an element, of the cross-section read for its end: properties may jump there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +223,7 @@ class Compliant:
     """Torsional compliance of the tubes of an assembly on a mesh.
 
     Attributes:
-        sections: cross-sections (P K, n) at the points of all pieces, collocated or not.
+        sections: cross-sections (P K, n) at the points of all elements, collocated or not.
         rate: 1 / kt (P, K, n) at these points.
         transmission: int ds / kt (n,) from clamp to plate.
     """
@@ -241,16 +241,16 @@ def compliant(assembly: Assembly, mesh: Mesh) -> Compliant:
 
 
 def sections_at(assembly: Assembly, mesh: Mesh, x: Array) -> CrossSections:
-    """Cross-sections (P X, n) at fractions x (X,) of every piece of a mesh."""
+    """Cross-sections (P X, n) at fractions x (X,) of every element of a mesh."""
     if assembly.even:
         return assembly.of_sections(np.repeat(mesh.section, len(x)))
-    # Cross-sections may jump where pieces meet: values at an end are those of this piece.
+    # Cross-sections may jump where elements meet: values at an end are those of this element.
     s, inside = (mesh.start[:, None] + mesh.length[:, None] * at for at in (x, x + INWARDS * (0.5 - x)))
     return assembly.cross_sections(s.ravel(), inside.ravel())
 
 
 def reach(mesh: Mesh, compliance: Compliant) -> Array:
-    """(P + 1, n) int ds / kt from the clamp of each tube to the start of every piece, and to the tip."""
+    """(P + 1, n) int ds / kt from the clamp of each tube to the start of every element, and to the tip."""
     gain = mesh.length[:, None] * np.einsum("k,pki->pi", mesh.tableau.weights, compliance.rate)
     return np.concatenate([np.zeros((1, gain.shape[1])), np.cumsum(gain, axis=0)]) + compliance.transmission
 

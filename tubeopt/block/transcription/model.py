@@ -1,6 +1,6 @@
-"""An arm in a program, all pieces side by side: its equations as expressions, or its numbers at a solution.
+"""An arm in a program, all elements side by side: its equations as expressions, or its numbers at a solution.
 
-Every piece is the same function of its state at its start; these states are unknowns, so that all derivatives are
+Every element is the same function of its state at its start; these states are unknowns, so that all derivatives are
 local. Boundary conditions are theta(0) = alpha + |beta| w(0) at the plate, and w = 0 at the tip for every tube: beyond
 its end a tube has no moment, so that this is w = 0 at its own end.
 """
@@ -22,21 +22,21 @@ from ...typing import Array
 from . import functions
 from .chain import columns, joints, panels, transmissions
 from .collocated import Grid
-from .mesh import piece_counts
+from .mesh import element_counts
 
-# --- Pieces in the sections of an arm ---------------------------------------------------------------------------------
+# --- Elements in the sections of an arm -------------------------------------------------------------------------------
 
-# The pieces of a block lie in the sections of an arm. Their lengths are linear in the positions of the breakpoints, and
-# which tubes are present and curved on each are numbers too. A new order of the breakpoints changes these numbers only,
-# so that one program serves every order.
+# The elements of a block lie in the sections of an arm. Their lengths are linear in the positions of the breakpoints,
+# and which tubes are present and curved on each are numbers too. A new order of the breakpoints changes these numbers
+# only, so that one program serves every order.
 
 FREE_REFINEMENT = 1
-"""Number of times that pieces are halved if lengths, curvatures or stiffnesses are free: they may grow in a solve."""
+"""Number of times that elements are halved if lengths, curvatures or stiffnesses are free: they may grow in a solve."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """P pieces of an arm with b breakpoints.
+    """P elements of an arm with b breakpoints.
 
     Columns of `length` and `distance` are transitions and ends of n tubes, then joints of tubes made of pieces.
     """
@@ -44,19 +44,19 @@ class Layout:
     order: Order
     """Order of the breakpoints."""
     section: tuple[int, ...]
-    """Section (P,) of each piece."""
+    """Section (P,) of each element."""
     length: Array
-    """Coefficients (P, 2n) of breakpoint positions in the lengths of the pieces."""
+    """Coefficients (P, 2n) of breakpoint positions in the lengths of the elements."""
     distance: Array
     """Coefficients (b, 2n) of breakpoint positions in section lengths, then in distances behind the plate; all >= 0."""
     present: Array
-    """1 where a tube is present on a piece, else 0, (n, P)."""
+    """1 where a tube is present on an element, else 0, (n, P)."""
     curved: Array
-    """(n, P) 1 for a curved tube on a piece, else 0; (B, P) panel of each tube for tubes made of pieces."""
+    """(n, P) 1 for a curved tube on an element, else 0; (B, P) panel of each tube for tubes made of pieces."""
 
     @property
-    def n_pieces(self) -> int:
-        """Number of pieces P."""
+    def n_elements(self) -> int:
+        """Number of elements P."""
         return len(self.section)
 
     def numbers(self) -> Array:
@@ -66,28 +66,28 @@ class Layout:
 
 
 def layout(
-    assembly: Assembly, order: Order, *, pieces: int | None = None, refinement: int = 0, min_pieces: int = 0
+    assembly: Assembly, order: Order, *, elements: int | None = None, refinement: int = 0, min_elements: int = 0
 ) -> Layout:
-    """Pieces in every section, short enough for coupling and bend; sections without length get one piece.
+    """Elements in every section, short enough for coupling and bend; sections without length get one element.
 
     Args:
-        pieces: total number of pieces; None is the number needed, but at least `min_pieces`.
+        elements: total number of elements; None is the number needed, but at least `min_elements`.
 
     Raises:
-        InputError: the order has more sections than `pieces`.
+        InputError: the order has more sections than `elements`.
     """
     positions = where_of(assembly)
     lengths = np.maximum(order.lengths(positions), 0.0)
     start = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
     # The order may belong to other joint values: sections whose length would be negative have none.
     cut = replace(assembly, start=start, length=lengths, present=order.present, curved=order.curved)
-    counts = piece_counts(cut, refinement)
-    if pieces is not None:
-        if pieces < len(counts):
-            raise InputError(f"the block has {pieces} pieces; the order of its breakpoints needs {len(counts)}")
-        counts = _fit(counts, lengths, pieces)
-    elif counts.sum() < min_pieces:
-        counts = _fit(counts, lengths, min_pieces)
+    counts = element_counts(cut, refinement)
+    if elements is not None:
+        if elements < len(counts):
+            raise InputError(f"the block has {elements} elements; the order of its breakpoints needs {len(counts)}")
+        counts = _fit(counts, lengths, elements)
+    elif counts.sum() < min_elements:
+        counts = _fit(counts, lengths, min_elements)
     section = np.repeat(np.arange(len(counts)), counts)
     distance = _distance_rows(order, assembly.n_tubes, len(positions))
     curved = _selected_panels(order, assembly) if assembly.general else order.curved
@@ -113,14 +113,14 @@ def _selected_panels(order: Order, assembly: Assembly) -> Array:
     return out
 
 
-def _fit(counts: NDArray[np.intp], lengths: Array, pieces: int) -> NDArray[np.intp]:
-    """Counts with the sum `pieces`, changed so that the longest piece stays as short as possible."""
+def _fit(counts: NDArray[np.intp], lengths: Array, elements: int) -> NDArray[np.intp]:
+    """Counts with the sum `elements`, changed so that the longest element stays as short as possible."""
     counts = counts.copy()
-    while counts.sum() != pieces:
-        if counts.sum() < pieces:
+    while counts.sum() != elements:
+        if counts.sum() < elements:
             counts[int(np.argmax(lengths / counts))] += 1
         else:
-            # Remove a piece from the section whose pieces stay shortest; every section keeps one.
+            # Remove an element from the section whose elements stay shortest; every section keeps one.
             shorter = np.where(counts > 1, lengths / np.maximum(counts - 1, 1), np.inf)
             counts[int(np.argmin(shorter))] -= 1
     return counts
@@ -190,24 +190,24 @@ class Equation:
     scale: float
 
 
-class PieceEnds(NamedTuple):
-    """Collocated torsion at the ends of P pieces."""
+class ElementEnds(NamedTuple):
+    """Collocated torsion at the ends of P elements."""
 
     defect: Any
     """Defect (n, P K) of the collocated equations."""
     theta: Any
-    """Rotations (n, P) where pieces end, rad."""
+    """Rotations (n, P) where elements end, rad."""
     twist: Any
-    """Torsion (n, P) where pieces end, rad/m."""
+    """Torsion (n, P) where elements end, rad/m."""
 
 
 @dataclass(frozen=True, eq=False)
 class TorsionModel:
-    """The torsion of P pieces with K points and n tubes; expressions or arrays.
+    """The torsion of P elements with K points and n tubes; expressions or arrays.
 
-    theta, twist: rotations and torsion (n, P) where pieces begin.  inner: theta (n, P K) at their points.
+    theta, twist: rotations and torsion (n, P) where elements begin.  inner: theta (n, P K) at their points.
     stiffness, moment, torsional_stiffness: kb of the tubes present, m of the tubes curved, kt, (n, P).
-    lengths: (P,) of the pieces.  transmission: |beta| (n,).  offsets: offset and angle (n,) of eccentric tubes, or ().
+    lengths: (P,) of elements.  transmission: |beta| (n,).  offsets: offset and angle (n,) of eccentric tubes, or ().
     along: coefficients (X, P) of tubes made of pieces, for which stiffness and moment are None; else None.
     """
 
@@ -224,40 +224,40 @@ class TorsionModel:
     along: Any
 
     @property
-    def n_pieces(self) -> int:
-        """Number of pieces P."""
+    def n_elements(self) -> int:
+        """Number of elements P."""
         return int(self.theta.shape[1])
 
     @property
     def data(self) -> list[Any]:
-        """Constants of all pieces side by side, in the order of `Piece.data`."""
+        """Constants of all elements side by side, in the order of `Piece.data`."""
         if self.along is not None:
             return [self.torsional_stiffness, self.lengths.reshape((1, -1)), self.along]
-        offsets = [ca.repmat(ca.vec(v), 1, self.n_pieces) for v in self.offsets]
+        offsets = [ca.repmat(ca.vec(v), 1, self.n_elements) for v in self.offsets]
         return [self.stiffness, self.moment, self.torsional_stiffness, self.lengths.reshape((1, -1)), *offsets]
 
     @property
     def arguments(self) -> list[Any]:
-        """Arguments of the functions of a piece, all pieces side by side."""
+        """Arguments of the functions of an element, all elements side by side."""
         return [self.theta, self.twist, self.inner, *self.data]
 
-    def piece(self, k: int) -> list[Any]:
-        """Arguments of one piece."""
+    def element(self, k: int) -> list[Any]:
+        """Arguments of one element."""
         inner = self.inner[:, k * self.grid.degree : (k + 1) * self.grid.degree]
         return [self.theta[:, k], self.twist[:, k], inner, *(part[:, k] for part in self.data)]
 
     def mapped(self, name: str) -> ca.Function:
-        """Function of `transcription.functions` for all pieces at once."""
-        return mapped(name, self.grid, self.n_pieces)
+        """Function of `transcription.functions` for all elements at once."""
+        return mapped(name, self.grid, self.n_elements)
 
     @cached_property
-    def ends(self) -> PieceEnds:
-        """Defects of the torsion, and theta and w where pieces end."""
-        return PieceEnds(*self.mapped("torsion")(*self.arguments))
+    def ends(self) -> ElementEnds:
+        """Defects of the torsion, and theta and w where elements end."""
+        return ElementEnds(*self.mapped("torsion")(*self.arguments))
 
     def softness(self, margin: Any) -> tuple[Any, ...]:
         """Coefficients of the Jacobi fields of tubes softened by `margin`, side by side for all points."""
-        count, degree = self.n_pieces, self.grid.degree
+        count, degree = self.n_elements, self.grid.degree
         data = [ca.horzcat(*(ca.repmat(part[:, k], 1, degree) for k in range(count))) for part in self.data]
         nodes = ca.DM(np.tile(self.grid.tableau.nodes, count)[None])
         # The torsion w enters through w dg/dtheta only, which is 0 on the centreline.
@@ -281,11 +281,11 @@ class TorsionModel:
 
         Args:
             reach: typical length, m.
-            sections: section (P,) of each piece, from 0, for labels; by default labels count pieces.
+            sections: section (P,) of each element, from 0, for labels; by default labels count elements.
         """
         defect, theta, twist = self.ends
         tubes = [f"tube {i + 1}" for i in range(self.theta.shape[0])]
-        after, points = location_labels(self.n_pieces, self.grid.degree, sections)
+        after, points = location_labels(self.n_elements, self.grid.degree, sections)
         # theta(0) = alpha + |beta| w(0), the straight part below the plate under constant torque.
         transmission_twist = self.transmission * self.twist[:, 0]
         return [
@@ -301,7 +301,7 @@ class TorsionModel:
 class Model(TorsionModel):
     """An arm with its shape, and b breakpoints.
 
-    q, p: quaternions (4, P - 1) and positions (3, P - 1) where all pieces but the first begin.
+    q, p: quaternions (4, P - 1) and positions (3, P - 1) where all elements but the first begin.
     natural: precurvature (n, P); 0 for tubes made of pieces, whose precurvature is in `along`.
     present: 1 where a tube is present, (n, P).  distances: of breakpoints (b,), m, see `Layout.distance`.
     clamp_distance: distance (n,) of the clamps from the plate, m; `transmission` is that times kt and the mean of 1/kt.
@@ -316,19 +316,19 @@ class Model(TorsionModel):
 
     @property
     def poses(self) -> tuple[Any, Any]:
-        """Quaternions (4, P) and positions (3, P) where pieces begin."""
+        """Quaternions (4, P) and positions (3, P) where elements begin."""
         return ca.horzcat(ca.DM([1, 0, 0, 0]), self.q), ca.horzcat(ca.DM.zeros(3), self.p)
 
     @cached_property
     def pose_ends(self) -> tuple[Any, Any]:
-        """Quaternions (4, P) and positions (3, P) where pieces end."""
+        """Quaternions (4, P) and positions (3, P) where elements end."""
         q, p = self.mapped("pose")(*self.poses, *self.arguments)
         return q, p
 
     def equations(self, rotations: Any, reach: float) -> list[Equation]:
         """Equations of torsion and shape, with `reach` as typical length, m."""
         q, p = self.pose_ends
-        after, _ = location_labels(self.n_pieces, self.grid.degree)
+        after, _ = location_labels(self.n_elements, self.grid.degree)
         return [
             *self.torsion_equations(rotations, reach),
             equation("continuity of orientation", list("wxyz"), after, self.q - q[:, :-1], 1.0),
@@ -351,11 +351,11 @@ class Model(TorsionModel):
         return replace(self, **numbers)
 
 
-def location_labels(pieces: int, degree: int, sections: Sequence[int] | None = None) -> tuple[list[str], list[str]]:
-    """Labels of the starts of all pieces but the first, and of all points; by `sections` of the pieces if passed."""
+def location_labels(elements: int, degree: int, sections: Sequence[int] | None = None) -> tuple[list[str], list[str]]:
+    """Labels of the starts of all elements but the first, and of all points; by their `sections` if passed."""
     if sections is None:
-        after = [f"after piece {k + 1}" for k in range(pieces - 1)]
-        return after, [f"piece {k + 1}, point {c + 1}" for k in range(pieces) for c in range(degree)]
+        after = [f"after element {k + 1}" for k in range(elements - 1)]
+        return after, [f"element {k + 1}, point {c + 1}" for k in range(elements) for c in range(degree)]
     rank = [k - list(sections).index(section) for k, section in enumerate(sections)]
     points = [
         f"section {section + 1}, point {rank[k] * degree + c + 1}"
@@ -373,18 +373,18 @@ def equation(name: str, rows: list[str], columns: list[str] | None, expression: 
 
 
 @lru_cache(maxsize=256)
-def mapped(name: str, grid: Grid, pieces: int) -> ca.Function:
-    """Function of `transcription.functions`, by name, mapped over pieces; arms share it and its derivatives."""
+def mapped(name: str, grid: Grid, elements: int) -> ca.Function:
+    """Function of `transcription.functions`, by name, mapped over elements; arms share it and its derivatives."""
     function: ca.Function = getattr(functions, f"{name}_function")(grid)
-    return function.map(pieces)
+    return function.map(elements)
 
 
-def unknowns_of(grid: Grid, pieces: int) -> dict[str, tuple[int, int]]:
+def unknowns_of(grid: Grid, elements: int) -> dict[str, tuple[int, int]]:
     """Shapes of the unknowns of an arm, by name; under load they include the bending moment."""
     n, degree = grid.n_tubes, grid.degree
-    torsion = {"rotation": (n, pieces), "torsion": (n, pieces), "rotation inside": (n, pieces * degree)}
-    pose = {"orientation": (4, pieces - 1), "position": (3, pieces - 1)}
-    bending = {"bending moment": (2, pieces), "bending moment inside": (2 * degree, pieces)}
+    torsion = {"rotation": (n, elements), "torsion": (n, elements), "rotation inside": (n, elements * degree)}
+    pose = {"orientation": (4, elements - 1), "position": (3, elements - 1)}
+    bending = {"bending moment": (2, elements), "bending moment inside": (2 * degree, elements)}
     return {**torsion, **pose, **(bending if grid.loaded else {})}
 
 
@@ -417,14 +417,14 @@ def model_of(grid: Grid, numbers: LayoutNumbers, unknowns: tuple[Any, ...], inpu
     clamped, transition, end = tube_positions(
         inputs["translations"], inputs["straight_length"], inputs["curved_length"]
     )
-    chain, pieces = inputs.get("chain"), present.shape[1]
+    chain, elements = inputs.get("chain"), present.shape[1]
     stiffness, moment, natural, along, transmission = None, None, ca.DM.zeros(present.shape), None, clamped
     if chain is None:
         positions = ca.vertcat(transition, end)
         lengths = length @ positions
-        kb = ca.repmat(inputs["bending_stiffness"], 1, pieces)
+        kb = ca.repmat(inputs["bending_stiffness"], 1, elements)
         # Masks are numbers, so the expression is the same for every order of breakpoints.
-        natural = ca.repmat(inputs["curvature"], 1, pieces) * curved
+        natural = ca.repmat(inputs["curvature"], 1, elements) * curved
         stiffness, moment = kb * present, kb * natural
     else:
         laid = panels(chain, inputs)
@@ -442,7 +442,7 @@ def model_of(grid: Grid, numbers: LayoutNumbers, unknowns: tuple[Any, ...], inpu
         p=p,
         stiffness=stiffness,
         moment=moment,
-        torsional_stiffness=ca.repmat(inputs["torsional_stiffness"], 1, pieces),
+        torsional_stiffness=ca.repmat(inputs["torsional_stiffness"], 1, elements),
         natural=natural,
         present=present,
         lengths=lengths,

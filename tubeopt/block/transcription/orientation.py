@@ -44,37 +44,37 @@ class Orientation:
 
 
 def orient(mesh: Mesh, curvature: Array) -> Orientation:
-    """Orientation from the identity at the plate, with curvature (N, 2) at the points of all pieces of a mesh."""
-    pieces, k = len(mesh.length), mesh.tableau.degree
+    """Orientation from the identity at the plate, with curvature (N, 2) at the points of all elements of a mesh."""
+    elements, k = len(mesh.length), mesh.tableau.degree
     half = mesh.length / 2
     omega = quaternion_rates()
     rate = (curvature @ omega.reshape(2, 16)).reshape(-1, 4, 4)
-    weighted = mesh.tableau.matrix[:, :, None, None] * rate.reshape(pieces, 1, k, 4, 4)
-    system = -half[:, None, None] * weighted.transpose(0, 1, 3, 2, 4).reshape(pieces, 4 * k, 4 * k)
+    weighted = mesh.tableau.matrix[:, :, None, None] * rate.reshape(elements, 1, k, 4, 4)
+    system = -half[:, None, None] * weighted.transpose(0, 1, 3, 2, 4).reshape(elements, 4 * k, 4 * k)
     system[:, np.arange(4 * k), np.arange(4 * k)] += 1.0
     inverse = np.asarray(np.linalg.inv(system), dtype=float)
-    stage_by_start = inverse.reshape(pieces, 4 * k, k, 4).sum(2)
+    stage_by_start = inverse.reshape(elements, 4 * k, k, 4).sum(2)
     # Q_end - Q_start as a row by the stages: h b_b (Q_b o u_b) / 2.
-    increment = (half[:, None, None, None] * mesh.tableau.weights[:, None, None]) * rate.reshape(pieces, k, 4, 4)
-    increment = increment.transpose(0, 2, 1, 3).reshape(pieces, 4, 4 * k)
+    increment = (half[:, None, None, None] * mesh.tableau.weights[:, None, None]) * rate.reshape(elements, k, 4, 4)
+    increment = increment.transpose(0, 2, 1, 3).reshape(elements, 4, 4 * k)
     end_by_start = np.eye(4) + increment @ stage_by_start
-    start = np.empty((pieces + 1, 4))
+    start = np.empty((elements + 1, 4))
     start[0] = IDENTITY
-    for e in range(pieces):
+    for e in range(elements):
         start[e + 1] = end_by_start[e] @ start[e]
     stage = (stage_by_start @ start[:-1, :, None]).reshape(-1, 4)
     # Derivatives by the curvature of the same element, at its points and at its end.
     rate_slope = (omega @ stage.T).transpose(2, 1, 0)
-    by_stage = rate_slope.reshape(pieces, 1, k, 4, 2).swapaxes(2, 3)
+    by_stage = rate_slope.reshape(elements, 1, k, 4, 2).swapaxes(2, 3)
     right = half[:, None, None, None, None] * mesh.tableau.matrix[:, None, :, None] * by_stage
-    local = inverse @ right.reshape(pieces, 4 * k, 2 * k)
+    local = inverse @ right.reshape(elements, 4 * k, 2 * k)
     direct = half[:, None, None, None] * mesh.tableau.weights[:, None]
-    direct = direct * rate_slope.reshape(pieces, k, 4, 2).swapaxes(1, 2)
-    local_end = direct.reshape(pieces, 4, 2 * k) + increment @ local
+    direct = direct * rate_slope.reshape(elements, k, 4, 2).swapaxes(1, 2)
+    local_end = direct.reshape(elements, 4, 2 * k) + increment @ local
     # Derivatives by the curvature of the elements before it, through Q at its start.
-    stage_slope = np.zeros((pieces, 4 * k, 2 * pieces * k))
-    start_slope = np.zeros((pieces + 1, 4, 2 * pieces * k))
-    for e in range(pieces):
+    stage_slope = np.zeros((elements, 4 * k, 2 * elements * k))
+    start_slope = np.zeros((elements + 1, 4, 2 * elements * k))
+    for e in range(elements):
         element = slice(2 * e * k, 2 * (e + 1) * k)
         before = slice(0, 2 * e * k)
         stage_slope[e, :, before] = stage_by_start[e] @ start_slope[e, :, before]
@@ -88,7 +88,7 @@ def orient(mesh: Mesh, curvature: Array) -> Orientation:
         inverse=inverse,
         stage_by_start=stage_by_start,
         end_by_start=end_by_start,
-        stage_slope=stage_slope.reshape(-1, 4, 2 * pieces * k),
+        stage_slope=stage_slope.reshape(-1, 4, 2 * elements * k),
         start_slope=start_slope,
     )
 
@@ -107,16 +107,16 @@ class Adjoint:
 
 def adjoint(mesh: Mesh, orientation: Orientation, by_stage: Array) -> Adjoint:
     """Derivatives of W by one sweep from tip to plate; `by_stage` (N, 4) are those by Q at the points."""
-    pieces, k = len(mesh.length), mesh.tableau.degree
+    elements, k = len(mesh.length), mesh.tableau.degree
     half, weights = mesh.length / 2, mesh.tableau.weights
-    local = by_stage.reshape(pieces, 4 * k)
+    local = by_stage.reshape(elements, 4 * k)
     local_start = (local[:, None, :] @ orientation.stage_by_start)[:, 0]
-    by_start = np.zeros((pieces + 1, 4))
-    for e in reversed(range(pieces)):
+    by_start = np.zeros((elements + 1, 4))
+    for e in reversed(range(elements)):
         by_start[e] = local_start[e] + by_start[e + 1] @ orientation.end_by_start[e]
-    by_rate = by_start[1:, None, None, :] @ orientation.rate.reshape(pieces, k, 4, 4)
-    right = local + (half[:, None, None] * weights[:, None] * by_rate[:, :, 0]).reshape(pieces, 4 * k)
-    multiplier = (right[:, None, :] @ orientation.inverse).reshape(pieces, k, 4)
+    by_rate = by_start[1:, None, None, :] @ orientation.rate.reshape(elements, k, 4, 4)
+    right = local + (half[:, None, None] * weights[:, None] * by_rate[:, :, 0]).reshape(elements, 4 * k)
+    multiplier = (right[:, None, :] @ orientation.inverse).reshape(elements, k, 4)
     costate = mesh.tableau.matrix.T @ multiplier + weights[:, None] * by_start[1:, None, :]
     costate = (half[:, None, None] * costate).reshape(-1, 4)
     # (N, 2, 4): the first axis of the matrices is summed over.

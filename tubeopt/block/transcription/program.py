@@ -91,18 +91,18 @@ class Structure:
 
     grid: Grid
     section: tuple[int, ...]
-    """Section of each piece, from 0."""
+    """Section of each element, from 0."""
     coupled: tuple[bool, ...]
-    """Mask of the pieces with nonlinear torsion."""
+    """Mask of the elements with nonlinear torsion."""
 
     @property
     def shapes(self) -> dict[str, tuple[int, int]]:
         """Shapes of the constants of an arm, by their names in `TorsionModel`."""
-        n, pieces = self.grid.n_tubes, len(self.section)
-        shapes = {"transmission": (n, 1), "lengths": (pieces, 1), "torsional_stiffness": (n, pieces)}
+        n, elements = self.grid.n_tubes, len(self.section)
+        shapes = {"transmission": (n, 1), "lengths": (elements, 1), "torsional_stiffness": (n, elements)}
         if self.grid.detail:
-            return {**shapes, "along": (column_length(n, self.grid.detail), pieces)}
-        shapes |= {"stiffness": (n, pieces), "moment": (n, pieces)}
+            return {**shapes, "along": (column_length(n, self.grid.detail), elements)}
+        shapes |= {"stiffness": (n, elements), "moment": (n, elements)}
         return {**shapes, **({"offset": (n, 1), "angle": (n, 1)} if self.grid.eccentric else {})}
 
 
@@ -126,7 +126,7 @@ def torsion_numbers(problem: ReducedProblem) -> dict[str, Array]:
             "along": interpolated_columns(problem.compliant.sections, mesh.tableau.nodes),
         }
     offsets = {"offset": assembly.offset, "angle": assembly.offset_angle} if assembly.eccentric else {}
-    stiffness, moment = problem.on_pieces
+    stiffness, moment = problem.on_elements
     return {
         "transmission": assembly.transmission,
         "lengths": mesh.length,

@@ -114,9 +114,9 @@ class ReducedProblem:
     Properties are computed on first use: the compiled kernels need few of them.
 
     Attributes:
-        assembly, mesh: tubes, and pieces of the arm.
+        assembly, mesh: tubes, and elements of the arm.
         unknown: True (m, n) if the rotation of a tube is unknown in a section.
-        here: torsional compliance of the tubes at the points of all pieces.
+        here: torsional compliance of the tubes at the points of all elements.
     """
 
     assembly: Assembly
@@ -126,11 +126,11 @@ class ReducedProblem:
 
     @cached_property
     def elements(self) -> Index:
-        """Pieces with collocation points."""
+        """Elements with collocation points."""
         return np.flatnonzero(self.mesh.collocated)
 
     def _chosen(self, table: Array) -> Array:
-        """Rows (N,) of the collocation points, from a table of the points of all pieces."""
+        """Rows (N,) of the collocation points, from a table of the points of all elements."""
         if len(self.elements) == len(self.mesh.length):
             return table
         degree = self.mesh.tableau.degree
@@ -251,7 +251,7 @@ class ReducedProblem:
 
     @cached_property
     def cuts(self) -> Array:
-        """Arc lengths (P + 1,) where pieces begin, and of the tip, m."""
+        """Arc lengths (P + 1,) where elements begin, and of the tip, m."""
         return np.append(self.mesh.start, self.assembly.total_length)
 
     @cached_property
@@ -260,14 +260,14 @@ class ReducedProblem:
         return int(last_tube(self.assembly.end))
 
     @cached_property
-    def on_pieces(self) -> tuple[Array, Array]:
-        """kb and m (P, n) on each piece; raises InputError for tubes made of pieces, which vary along it."""
+    def on_elements(self) -> tuple[Array, Array]:
+        """kb and m (P, n) on each element; raises InputError for tubes made of pieces, which vary along it."""
         sections = self.assembly.of_sections(self.mesh.section)
         return sections.stiffness, sections.moment
 
     @cached_property
     def softness(self) -> tuple[Array, Array]:
-        """int ds / kt from the clamp of each tube to the points (N, n), and to the ends of pieces.
+        """int ds / kt from the clamp of each tube to the points (N, n), and to the ends of elements.
 
         The second array is (P + 1, n).
         """
@@ -289,7 +289,7 @@ class Evaluation:
     theta: Array
     """Rotations (N, n) at the points, rad."""
     energy: float
-    """Elastic energy of the collocated pieces, J."""
+    """Elastic energy of the collocated elements, J."""
     gradient: Array
     """Residual (U,); of concentric tubes the gradient of the energy."""
     hessian: Array
@@ -429,7 +429,7 @@ def _stretch_terms(problem: ReducedProblem, moment: Array, stiffness: Array, str
 
 
 def pull_rate(problem: ReducedProblem) -> Array:
-    """Largest change (P,) of curvature per turn of all tubes on each piece, 1/m; see `bend_rate_function`."""
+    """Largest change (P,) of curvature per turn of all tubes on each element, 1/m; see `bend_rate_function`."""
     stiffness, moment = problem.compliant.sections.stiffness, problem.compliant.sections.moment
     each = mapped(bend_rate_function(moment.shape[1]), len(moment))(stiffness, moment)[0].sum(1)
     return np.asarray(each.reshape(-1, problem.mesh.tableau.degree).max(1, initial=0.0))
@@ -472,8 +472,8 @@ def worst_equation(problem: ReducedProblem, state: Evaluation) -> str:
     violation = np.abs(problem.factor @ state.gradient)
     k = int(np.argmax(np.where(np.isfinite(violation), violation, np.inf)))
     mesh, degree = problem.mesh, problem.mesh.tableau.degree
-    piece = int(np.flatnonzero(mesh.collocated)[problem.point[k] // degree])
-    section = int(mesh.section[piece])
-    point = (piece - int(np.argmax(mesh.section == section))) * degree + int(problem.point[k] % degree)
+    element = int(np.flatnonzero(mesh.collocated)[problem.point[k] // degree])
+    section = int(mesh.section[element])
+    point = (element - int(np.argmax(mesh.section == section))) * degree + int(problem.point[k] % degree)
     location = f"tube {int(problem.tube[k]) + 1}, section {section + 1}, point {point + 1}"
     return f"torsion equation, {location}: violated by {violation[k]:.1e} rad"

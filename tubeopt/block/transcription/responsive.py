@@ -4,7 +4,7 @@ A turn psi of the frame about world axes changes the quantities of `standing` by
 
     psi' = R du,     db = (R'(dm - psi x m))_xy,     dm' = n x (psi x e) - e x dn.
 
-The equations are collocated at the points of the equilibrium. The state (phi, psi, t, m) at the end of a piece is
+The equations are collocated at the points of the equilibrium. The state (phi, psi, t, m) at the end of an element is
 linear in the state at its start; conditions at plate and tip close the chain. A breakpoint that moves exposes a stretch
 with other tubes, which is a jump of the rates. Without a load m, n and l are 0: phi and t close the chain, and psi
 follows.
@@ -40,7 +40,7 @@ class Forcing:
     force: Array
     """Change (P, K, 3, Q) of the force."""
     jumps: Array
-    """Jump (P + 1, 2 n + 6, Q) of the state at the ends of the pieces."""
+    """Jump (P + 1, 2 n + 6, Q) of the state at the ends of the elements."""
     side: int
     """Side of the joints at which the moments jump: -1 towards the plate, 1 towards the tip."""
 
@@ -70,7 +70,7 @@ class PointChanges(NamedTuple):
 
 
 class Maps(NamedTuple):
-    """Linear maps of P pieces from r = K (n + 2) unknowns each: phi and u at the points.
+    """Linear maps of P elements from r = K (n + 2) unknowns each: phi and u at the points.
 
     Without a load r = K n.
     """
@@ -78,7 +78,7 @@ class Maps(NamedTuple):
     matrix: Array
     """Equations (P, r, r) of the unknowns."""
     end_by_unknowns: Array
-    """State (P, 2 n + 6, r) at the end of a piece by its unknowns."""
+    """State (P, 2 n + 6, r) at the end of an element by its unknowns."""
     unknowns: Array
     """Unknowns (P, r, 2 n + 6) by the state at the start."""
     end: Array
@@ -86,7 +86,7 @@ class Maps(NamedTuple):
 
 
 class ResponseChain:
-    """Band matrix of the equations that join the pieces.
+    """Band matrix of the equations that join the elements.
 
     Args:
         size: number of equations.
@@ -124,7 +124,7 @@ class Response:
     """Change of an arm at fixed arc lengths; further quantities are computed on first use."""
 
     state: Array
-    """State (P + 1, 2 n + 6, Q) where pieces begin, and at the tip."""
+    """State (P + 1, 2 n + 6, Q) where elements begin, and at the tip."""
     phi: Array
     """Rotations (P, K, n, Q) at the points."""
     psi: Array
@@ -171,7 +171,7 @@ class LinearisedArm(ArmState):
 
     @property
     def unknowns(self) -> int:
-        """Number r of unknowns of a piece: phi at its points and, under a load, u."""
+        """Number r of unknowns of an element: phi at its points and, under a load, u."""
         return self.degree * (self.n if self.load is None else self.n + 2)
 
     @cached_property
@@ -188,7 +188,7 @@ class LinearisedArm(ArmState):
     @cached_property
     def _slopes(self) -> Array:
         """Derivative (P, K, n + 2, n + 2) of M and u by theta and b at the points."""
-        return self.at.slopes.reshape(self.pieces, self.degree, self.n + 2, self.n + 2)
+        return self.at.slopes.reshape(self.elements, self.degree, self.n + 2, self.n + 2)
 
     def _bending_slopes(self, softness: float) -> Array:
         """Derivatives of t' and u at the points.
@@ -202,7 +202,7 @@ class LinearisedArm(ArmState):
         if softness != 1.0:
             by_moment = by_moment.copy()
             by_moment[..., n:, :] *= softness
-        out = np.empty((self.pieces, self.degree, n + 2, n + 6))
+        out = np.empty((self.elements, self.degree, n + 2, n + 6))
         out[..., :n] = self._slopes[..., :n]
         np.matmul(by_moment, self._moment_slopes, out=out[..., n:])
         if self.moment_density is not None:
@@ -210,8 +210,8 @@ class LinearisedArm(ArmState):
         return out
 
     def _integrated(self, matrix: Array, rates: Array) -> Array:
-        """Integrals (P, K, r, C) of rates (P, K, r, C), by the matrices (P, K, K) of the pieces."""
-        out = matrix @ rates.reshape(self.pieces, self.degree, -1)
+        """Integrals (P, K, r, C) of rates (P, K, r, C), by the matrices (P, K, K) of the elements."""
+        out = matrix @ rates.reshape(self.elements, self.degree, -1)
         return np.asarray(out.reshape(rates.shape))
 
     def _point_changes(self, q: Array, starts: Array, forced: Forced | None, softness: float = 1.0) -> PointChanges:
@@ -219,14 +219,14 @@ class LinearisedArm(ArmState):
 
         Args:
             q: changes (P, K, half, C) at the points.
-            starts: changes (P or 1, 1, half, C) of t and m where the pieces begin.
+            starts: changes (P or 1, 1, half, C) of t and m where the elements begin.
             forced: forced parts.
             softness: factor on the compliance.
         """
         n, half, slopes = self.n, self.half, self._bending_slopes(softness)
         bending = slopes[..., :half] @ q
         if self.load is None:
-            moment = moment_rate = np.zeros((self.pieces, self.degree, 3, q.shape[3]))
+            moment = moment_rate = np.zeros((self.elements, self.degree, 3, q.shape[3]))
         else:
             moment_rate = self._moment_rate_slopes @ q[..., n:, :]
             if forced is not None:
@@ -250,29 +250,29 @@ class LinearisedArm(ArmState):
         The first integrates phi', and contains u after it.
         """
         n, half, k, count = self.n, self.half, self.degree, changes.torque.shape[-1]
-        rates = np.empty((self.pieces, k, 2 * half, count))
+        rates = np.empty((self.elements, k, 2 * half, count))
         np.multiply((softness * self.twist_compliance)[..., None], changes.torque, out=rates[..., :n, :])
         if changes.twist is not None:
             rates[..., :n, :] += changes.twist
         rates[..., half : half + n, :] = changes.bending[..., :n, :]
-        inner = np.empty((self.pieces, self.unknowns, count))
+        inner = np.empty((self.elements, self.unknowns, count))
         if self.load is not None:
             curvature = changes.bending[..., n:, :]
-            inner[:, k * n :].reshape(self.pieces, 2, k, count)[:] = curvature.swapaxes(1, 2)
+            inner[:, k * n :].reshape(self.elements, 2, k, count)[:] = curvature.swapaxes(1, 2)
             np.matmul(self.frame[..., :2], curvature, out=rates[..., n:half, :])
             rates[..., half + n :, :] = changes.moment_rate
-        phi_rates = rates[..., :n, :].reshape(self.pieces, k, -1)
-        np.matmul(self.ahead, phi_rates, out=inner[:, : k * n].reshape(self.pieces, k, -1))
-        end = self.weights[:, None] @ rates.reshape(self.pieces, k, -1)
-        return inner, end.reshape(self.pieces, 2 * half, count)
+        phi_rates = rates[..., :n, :].reshape(self.elements, k, -1)
+        np.matmul(self.ahead, phi_rates, out=inner[:, : k * n].reshape(self.elements, k, -1))
+        end = self.weights[:, None] @ rates.reshape(self.elements, k, -1)
+        return inner, end.reshape(self.elements, 2 * half, count)
 
     def _maps(self, softness: float) -> Maps:
-        """Linear maps of all pieces, softened by a factor.
+        """Linear maps of all elements, softened by a factor.
 
-        Columns are phi and u at the points, (K, n) and (2, K), then the state where the piece begins.
+        Columns are phi and u at the points, (K, n) and (2, K), then the state where the element begins.
         """
         n, k, half, size, r = self.n, self.degree, self.half, 2 * self.half, self.unknowns
-        q = np.empty((self.pieces, k, half, r + size))
+        q = np.empty((self.elements, k, half, r + size))
         q[:] = _units_at_points(n, k, half)
         if self.load is not None:
             # psi is the integral of R u: axis x or y of the frame at every point.
@@ -280,14 +280,14 @@ class LinearisedArm(ArmState):
             np.multiply(self.ahead[:, :, None, None], axes, out=q[..., n:, k * n : r].reshape(-1, k, 3, 2, k))
         starts = _units(half, r + size, r + half)[None, None]
         inner, end = self._integrals(self._point_changes(q, starts, None, softness), softness)
-        # The start of a piece adds itself to phi at every point, and to the state at the end.
+        # The start of an element adds itself to phi at every point, and to the state at the end.
         next_row = r + size + 1
-        inner[:, : k * n].reshape(self.pieces, k, -1)[..., r::next_row] += 1.0
-        end.reshape(self.pieces, -1)[:, r::next_row] += 1.0
+        inner[:, : k * n].reshape(self.elements, k, -1)[..., r::next_row] += 1.0
+        end.reshape(self.elements, -1)[:, r::next_row] += 1.0
         self._turn_joint_moments(end, 1)
-        # Equations of the points: unknowns less their own integrals; eliminated piece by piece.
+        # Equations of the points: unknowns less their own integrals; eliminated element by element.
         matrix = -inner[..., :r]
-        matrix.reshape(self.pieces, -1)[:, :: r + 1] += 1.0
+        matrix.reshape(self.elements, -1)[:, :: r + 1] += 1.0
         unknowns = np.asarray(np.linalg.solve(matrix, inner[..., r:]))
         return Maps(matrix, end[..., :r], unknowns, end[..., r:] + end[..., :r] @ unknowns)
 
@@ -297,7 +297,7 @@ class LinearisedArm(ArmState):
         return self._maps(1.0)
 
     def _forced_maps(self, forced: Forced) -> tuple[Array, Array]:
-        """Forced phi and u at the points (P, r, C), and states at the ends of the pieces (P, 2 half, C)."""
+        """Forced phi and u at the points (P, r, C), and states at the ends of the elements (P, 2 half, C)."""
         maps = self._unsoftened_maps
         none = np.zeros((1, self.degree, self.half, forced.phi.shape[-1]))
         inner, end = self._integrals(self._point_changes(none, none[:, :1], forced), 1.0)
@@ -305,34 +305,34 @@ class LinearisedArm(ArmState):
         return solved, self._turn_joint_moments(end, 1) + maps.end_by_unknowns @ solved
 
     def _turn_joint_moments(self, states: Array, first: int) -> Array:
-        """States (P + 1 - first, 2 half, C) at the ends of pieces from number `first`, behind the moments there.
+        """States (P + 1 - first, 2 half, C) at the ends of elements from number `first`, behind the moments there.
 
         They are changed in place, from the side of the plate to that of the tip.
         """
-        for piece, tube, moment in self.joint_moments:
-            if piece >= first:
-                psi = states[piece - first, self.n : self.n + 3]
-                states[piece - first, self.half + tube] -= cross(self.end_frame[piece, :, 2], moment) @ psi
+        for element, tube, moment in self.joint_moments:
+            if element >= first:
+                psi = states[element - first, self.n : self.n + 3]
+                states[element - first, self.half + tube] -= cross(self.end_frame[element, :, 2], moment) @ psi
         return states
 
     def _chain(self, softness: float, ends: Array, turns: Array | None = None) -> ResponseChain:
-        """Equations of (t, m) at the plate (half) and the states (P, 2 half) at the ends of the pieces.
+        """Equations of (t, m) at the plate (half) and the states (P, 2 half) at the ends of the elements.
 
         Args:
             softness: factor on the compliance.
-            ends: maps (P, 2 half, 2 half) from the start of a piece to its end.
+            ends: maps (P, 2 half, 2 half) from the start of an element to its end.
             turns: change (P, 2 half, 3) of the states by a turn of the tip, with which a follower force turns.
         """
         n, half, size = self.n, self.half, 2 * self.half
-        total = half + self.pieces * size
+        total = half + self.elements * size
         chain = ResponseChain(total, 3 * half - 1, half if turns is None else total - 1)
         matrix = chain.entries
-        # States at the ends of the pieces.
+        # States at the ends of the elements.
         chain.diagonal(half)[half:] = 1.0
         # Less those at their starts by the maps; theta at the plate turns by the transmission times the torque there.
         matrix[:size, :half] = -ends[0, :, half:]
         matrix[:size, :n] -= ends[0, :, :n] * (softness * self.transmission)
-        for k in range(1, self.pieces):
+        for k in range(1, self.elements):
             matrix[k * size : (k + 1) * size, half + (k - 1) * size : half + k * size] = -ends[k]
         last, tip_rows = total - size, slice(total - half, total)
         if turns is not None:
@@ -365,7 +365,7 @@ class LinearisedArm(ArmState):
         n, half, size, count = self.n, self.half, 2 * self.half, forcing.alpha.shape[1]
         start = np.zeros((size, count))
         start[:n] = forcing.alpha + forcing.transmission * self.torque_plate_side[0][:, None]
-        if not self.pieces:
+        if not self.elements:
             return self._response_without_arm(forcing.jumps, start[:n])
         forced, columns = self._forced(forcing)
         maps, turned = self._unsoftened_maps, 0 if self._follower_slopes is None else 3
@@ -375,11 +375,11 @@ class LinearisedArm(ArmState):
         if forcing.side < 0:
             self._turn_joint_moments(jumps, 0)
         start += jumps[0]
-        right = np.zeros((half + self.pieces * size, count))
-        table = right[:-half].reshape(self.pieces, size, count)
+        right = np.zeros((half + self.elements * size, count))
+        table = right[:-half].reshape(self.elements, size, count)
         if ends is not None:
             table[..., columns] = ends[..., turned:]
-        # The known part at the plate enters the right-hand side through the first piece.
+        # The known part at the plate enters the right-hand side through the first element.
         table[0] += maps.end[0] @ start
         table += jumps[1:]
         result = chain.solve(right)
@@ -415,10 +415,10 @@ class LinearisedArm(ArmState):
         return Response(state, phi, vector, lambda: changes, None)
 
     def _states(self, result: Array, softness: float) -> Array:
-        """States (P + 1, 2 half, C) where pieces begin, from a solution (half + P 2 half, C) of the chain."""
+        """States (P + 1, 2 half, C) where elements begin, from a solution (half + P 2 half, C) of the chain."""
         n, half = self.n, self.half
-        state = np.zeros((self.pieces + 1, 2 * half, result.shape[1]))
-        state[1:] = result[half:].reshape(self.pieces, 2 * half, -1)
+        state = np.zeros((self.elements + 1, 2 * half, result.shape[1]))
+        state[1:] = result[half:].reshape(self.elements, 2 * half, -1)
         state[0, half:] = result[:half]
         state[0, :n] = (softness * self.transmission)[:, None] * result[:n]
         return state
@@ -454,12 +454,12 @@ class LinearisedArm(ArmState):
     def _response(self, state: Array, q: Array, forced: Forced | None, softness: float) -> Response:
         """Response from states (P + 1, 2 n + 6, Q), and phi and u at the points (P, r, Q).
 
-        Without a load the states have the jumps of psi between the pieces in place of psi.
+        Without a load the states have the jumps of psi between the elements in place of psi.
         """
-        n, k, pieces = self.n, self.degree, self.pieces
-        phi, starts = q[:, : k * n].reshape(pieces, k, n, -1), state[:-1, None, n + 3 :]
+        n, k, elements = self.n, self.degree, self.elements
+        phi, starts = q[:, : k * n].reshape(elements, k, n, -1), state[:-1, None, n + 3 :]
         if self.load is not None:
-            psi = self._psi(state, q[:, k * n :].reshape(pieces, 2, k, -1).swapaxes(1, 2))
+            psi = self._psi(state, q[:, k * n :].reshape(elements, 2, k, -1).swapaxes(1, 2))
 
             def at_points() -> PointChanges:
                 return self._point_changes(np.concatenate([phi, psi], axis=2), starts, forced, softness)
@@ -467,8 +467,8 @@ class LinearisedArm(ArmState):
             return Response(state, phi, psi, at_points, self._moment_slopes)
         changes = self._point_changes(phi, starts, forced, softness)
         curvature = changes.bending[..., n:, :]
-        turns = self.weights[:, None] @ (self.frame[..., :2] @ curvature).reshape(pieces, k, -1)
-        state[1:, n : n + 3] += turns.reshape(pieces, 3, -1)
+        turns = self.weights[:, None] @ (self.frame[..., :2] @ curvature).reshape(elements, k, -1)
+        state[1:, n : n + 3] += turns.reshape(elements, 3, -1)
         # Without a load psi acts on nothing, so that it is summed afterwards.
         state[:, n : n + 3] = np.cumsum(state[:, n : n + 3], axis=0)
         return Response(state, phi, self._psi(state, curvature), lambda: changes, None)
@@ -478,22 +478,22 @@ class LinearisedArm(ArmState):
         turns = self._integrated(self.ahead, self.frame[..., :2] @ curvature)
         return np.asarray(state[:-1, None, self.n : self.n + 3] + turns)
 
-    def twist_change(self, response: Response, forcing: Forcing, piece: int) -> Array:
-        """Change (K, n, Q) of phi' at the points of a piece."""
-        out = self.twist_compliance[piece, ..., None] * response.torque[piece]
-        out += self.stretched_torque[piece, ..., None] * forcing.compliance[piece]
+    def twist_change(self, response: Response, forcing: Forcing, element: int) -> Array:
+        """Change (K, n, Q) of phi' at the points of an element."""
+        out = self.twist_compliance[element, ..., None] * response.torque[element]
+        out += self.stretched_torque[element, ..., None] * forcing.compliance[element]
         if self.twist_slopes is not None:
-            out += self.twist_slopes[piece] @ response.phi[piece]
+            out += self.twist_slopes[element] @ response.phi[element]
             by_data = self.data_slopes.rotation_rate
             assert by_data is not None
-            out += by_data[piece] @ forcing.data[piece]
+            out += by_data[element] @ forcing.data[element]
         return np.asarray(out)
 
     def torsion_mode(self, decrease: Array, softness: float) -> Response:
         """Mode without bending, one column, with torques that fall by `decrease` (P, K, n) towards the tip."""
         n = self.n
         torque, tip_side, _ = self._from_tip(decrease, np.zeros(n))
-        rates, state = softness * self.compliance * torque, np.zeros((self.pieces + 1, self.size, 1))
+        rates, state = softness * self.compliance * torque, np.zeros((self.elements + 1, self.size, 1))
         turns = np.concatenate([softness * self.transmission * tip_side[:1], (self.weights[..., None] * rates).sum(1)])
         state[:, :n, 0], state[:, n + 3 : 2 * n + 3, 0] = np.cumsum(turns, axis=0), tip_side
         phi = state[:-1, None, :n, 0] + self.ahead @ rates
@@ -514,7 +514,7 @@ class LinearisedArm(ArmState):
             softness = 1 / (1 - shifted)
             maps = self._maps(softness)
             solve = self._chain(softness, maps.end).factorised()
-            angle = np.arange(self.half * (1 + 2 * self.pieces), dtype=float)
+            angle = np.arange(self.half * (1 + 2 * self.elements), dtype=float)
             # Irregular starts, so that symmetry makes none orthogonal to a mode; the second shows other modes.
             grown = solve(np.column_stack([np.cos(angle), np.sin(angle)]))
             size = np.abs(grown[:, 0]).max()

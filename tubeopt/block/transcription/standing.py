@@ -172,21 +172,21 @@ def cross(a: Array, b: Array) -> Array:
 
 
 class FromTip(NamedTuple):
-    """Quantities (r,) integrated from the tip of an arm of P pieces."""
+    """Quantities (r,) integrated from the tip of an arm of P elements."""
 
     points: Array
     """Values (P, K, r) at the points."""
     tip_side: Array
-    """Values (P + 1, r) at the ends of the pieces, on the side of the tip."""
+    """Values (P + 1, r) at the ends of the elements, on the side of the tip."""
     plate_side: Array
     """Values (P + 1, r) there, on the side of the plate."""
 
 
 class JointMoment(NamedTuple):
-    """Moment that acts where two pieces meet."""
+    """Moment that acts where two elements meet."""
 
-    piece: int
-    """Piece that begins there."""
+    element: int
+    """Element that begins there."""
     tube: int
     """Tube that its part along the arm twists."""
     moment: Array
@@ -205,7 +205,7 @@ class DataSlopes(NamedTuple):
 
 
 class ArmState:
-    """An arm in equilibrium: n tubes, P pieces with K points each.
+    """An arm in equilibrium: n tubes, P elements with K points each.
 
     Args:
         problem: torsion problem, on the mesh of the arm.
@@ -229,9 +229,9 @@ class ArmState:
         self.problem, self.alpha, self.shape = problem, alpha, shape
         self.mesh, self.tableau, self.length = problem.mesh, problem.mesh.tableau, problem.mesh.length
         self.n = problem.assembly.n_tubes
-        self.pieces, self.degree = len(self.length), self.tableau.degree
+        self.elements, self.degree = len(self.length), self.tableau.degree
         self.cuts, self.tip_tube = problem.cuts, problem.tip_tube
-        points, sections = (self.pieces, self.degree), problem.compliant.sections
+        points, sections = (self.elements, self.degree), problem.compliant.sections
         self.phase, self.stiffness, self.natural_moment = (
             part.reshape(*points, self.n) for part in (sections.phase, sections.stiffness, sections.moment)
         )
@@ -248,8 +248,8 @@ class ArmState:
         self._set_load(loaded)
         self._set_moments()
         table = phi.reshape(-1, self.degree, self.n)
-        if len(table) < self.pieces:
-            # Pieces without collocation points have no rotations yet: theirs follow from the torques below.
+        if len(table) < self.elements:
+            # Elements without collocation points have no rotations yet: theirs follow from the torques below.
             table = np.zeros((*points, self.n))
             table[self.mesh.collocated] = phi.reshape(-1, self.degree, self.n)
         self.theta = table + self.phase
@@ -265,10 +265,10 @@ class ArmState:
             self._set_torques(self.at.torque, self.at.stretch)
 
     def _set_load(self, loaded: LoadedProblem | None) -> None:
-        """Set the forces, moments per length on the tubes, and moments where pieces meet."""
-        points = self.pieces, self.degree
+        """Set the forces, moments per length on the tubes, and moments where elements meet."""
+        points = self.elements, self.degree
         self.load = None if loaded is None else loaded.load
-        # Without a load the chain of pieces has rotations and torques only; frame and moment follow.
+        # Without a load the chain of elements has rotations and torques only; frame and moment follow.
         self.half = self.n if loaded is None else self.n + 3
         """Length of (phi, psi), and of (t, m), in the chain."""
         self.chain_rows = _chain_rows(self.n, self.half)
@@ -278,7 +278,7 @@ class ArmState:
         self.moment_density: Array | None = None
         """Moments per length l (P, K, n, 3) on the tubes, N."""
         self.moment_jumps: Array | None = None
-        """Jumps (P + 1, n + 3) of (t, m) by moments where pieces meet, N m."""
+        """Jumps (P + 1, n + 3) of (t, m) by moments where elements meet, N m."""
         if loaded is None:
             self.force = np.zeros((*points, 3))
             return
@@ -297,17 +297,17 @@ class ArmState:
         if len(couples.joint) > 1:
             acting = zip(couples.joint.tolist(), couples.tube.tolist(), couples.moment, strict=False)
             self.joint_moments = [JointMoment(*each) for each in acting][1:]
-            self.moment_jumps = np.zeros((self.pieces + 1, self.half))
-            for piece, tube, moment in self.joint_moments:
-                self.moment_jumps[piece, self.n :] += moment
+            self.moment_jumps = np.zeros((self.elements + 1, self.half))
+            for element, tube, moment in self.joint_moments:
+                self.moment_jumps[element, self.n :] += moment
                 # The part of a moment along the arm twists one tube, the rest bends all of them.
-                self.moment_jumps[piece, tube] += moment @ self.end_frame[piece, :, 2]
+                self.moment_jumps[element, tube] += moment @ self.end_frame[element, :, 2]
 
     def _set_moments(self) -> None:
-        """Set the moment m at the points and on both sides of the ends of the pieces, and b at the points."""
-        points = self.pieces, self.degree
+        """Set the moment m at the points and on both sides of the ends of the elements, and b at the points."""
+        points = self.elements, self.degree
         if self.load is None:
-            none = np.zeros((self.pieces + 1, 3))
+            none = np.zeros((self.elements + 1, 3))
             self.moment, self.moment_tip_side, self.moment_plate_side = np.zeros((*points, 3)), none, none
             self.bending_moment = np.zeros((*points, 2))
             return
@@ -320,7 +320,7 @@ class ArmState:
         self.bending_moment = (self.across @ self.moment[..., None])[..., 0]
 
     def _set_torques(self, torque_rate: Array, stretch: Array) -> None:
-        """Set torques t and rotations phi at the points and at the ends of the pieces.
+        """Set torques t and rotations phi at the points and at the ends of the elements.
 
         They follow from M and g (P K, n).
         """
@@ -340,7 +340,7 @@ class ArmState:
         turns = self._from_start @ (self.compliance * self.stretched_torque)
         # Between clamp and plate a tube twists by t int ds / kt.
         at_plate = self.alpha + self.transmission * self.torque_plate_side[0]
-        self.phi_ends = at_plate + _beyond(self.pieces)[::-1, ::-1] @ turns[:, -1]
+        self.phi_ends = at_plate + _beyond(self.elements)[::-1, ::-1] @ turns[:, -1]
         self.phi = self.phi_ends[:-1, None] + turns[:, :-1]
 
     def _from_tip(self, decrease: Array, tip: Array, jumps: Array | None = None) -> FromTip:
@@ -349,12 +349,12 @@ class ArmState:
         Args:
             decrease: rates (P, K, r) at which they decrease towards the tip.
             tip: values (r,) there.
-            jumps: jumps (P + 1, r) where pieces meet, or None.
+            jumps: jumps (P + 1, r) where elements meet, or None.
         """
         integrals = self._from_start_adjoint @ decrease
-        plate_side = tip_side = _beyond(self.pieces) @ integrals[:, -1] + tip
+        plate_side = tip_side = _beyond(self.elements) @ integrals[:, -1] + tip
         if jumps is not None:
-            # A moment between pieces acts on all that lies nearer to the plate.
+            # A moment between elements acts on all that lies nearer to the plate.
             plate_side = plate_side + np.cumsum(jumps[::-1], axis=0)[::-1]
             tip_side = plate_side - jumps
         return FromTip(tip_side[:-1, None] - integrals[:, :-1], tip_side, plate_side)
@@ -366,7 +366,7 @@ class ArmState:
 
     @cached_property
     def _from_start(self) -> Array:
-        """Integration (P, K + 1, K) from the start of a piece to its points and its end, for phi and psi."""
+        """Integration (P, K + 1, K) from the start of an element to its points and its end, for phi and psi."""
         return np.asarray(self.h * self.tableau.integration)
 
     @cached_property
@@ -400,7 +400,7 @@ class ArmState:
     @cached_property
     def data_slopes(self) -> DataSlopes:
         """Derivatives of cross-sections by phase, kb and m."""
-        n, points = self.n, (self.pieces, self.degree)
+        n, points = self.n, (self.elements, self.degree)
         by_data, by_phase = data_slopes_of(self.section_inputs, self.offsets), self.at.slopes[..., :n]
         torque = np.concatenate([by_phase[:, :n], by_data.torque], axis=2).reshape(*points, n, 3 * n)
         curvature = np.concatenate([by_phase[:, n:], by_data.curvature], axis=2).reshape(*points, 2, 3 * n)
@@ -413,7 +413,7 @@ class ArmState:
     @cached_property
     def energy_slopes(self) -> Array:
         """Derivative (P, K, 3 n + 2) of the elastic energy per length by theta, kb, m and b at fixed torques."""
-        out = energy_of(self.section_inputs, self.offsets).slopes.reshape(self.pieces, self.degree, 3 * self.n + 2)
+        out = energy_of(self.section_inputs, self.offsets).slopes.reshape(self.elements, self.degree, 3 * self.n + 2)
         if self.twist_slopes is not None:
             # Torsion has the energy t phi' / 2, and phi' depends on theta, kb and m through g.
             rotation_rate = self.data_slopes.rotation_rate
@@ -424,11 +424,11 @@ class ArmState:
 
 @lru_cache(maxsize=16)
 def _chain_rows(n: int, half: int) -> Index:
-    """Rows of the state (2 n + 6,) in the chain of pieces; without a load, of rotations and torques only."""
+    """Rows of the state (2 n + 6,) in the chain of elements; without a load, of rotations and torques only."""
     return np.concatenate([np.arange(half), n + 3 + np.arange(half)])
 
 
 @lru_cache(maxsize=64)
-def _beyond(pieces: int) -> Array:
-    """Matrix (P + 1, P), 1 if a piece lies beyond an end of a piece, else 0."""
-    return np.triu(np.ones((pieces + 1, pieces)))
+def _beyond(elements: int) -> Array:
+    """Matrix (P + 1, P), 1 if an element lies beyond an end of an element, else 0."""
+    return np.triu(np.ones((elements + 1, elements)))

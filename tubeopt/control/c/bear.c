@@ -44,7 +44,7 @@ static int lay_section(Bed *bed, double from, double to, double force) {
     Needs needs = needs_of(&ROBOT, l, from, to - from, &here);
     double fast = sqrt(force / needs.softest), bend = fmin(2 * fast, force * bed->whole / needs.softest), mass = 0;
     double waves = fmax(fmax(needs.fastest, fast), sqrt(needs.pull * bend)) / LOADED_WAVES;
-    double need = fmax(fmax(waves, (needs.steepest + bend) / BEND_PER_PIECE), needs.finest) * (to - from);
+    double need = fmax(fmax(waves, (needs.steepest + bend) / BEND_PER_ELEMENT), needs.finest) * (to - from);
     int first = l->pieces;
     if (!add_pieces(&ROBOT, l, 0, from, to - from, fmax(1, ceil(need - 1e-9)), &here, 1)) return 0;
     for (int i = 0; i < N; i++) mass += here.present[i] ? MASS[i] : 0;

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...block.transcription.arm import EXTRA_QUADRATURE_POINTS, ROUGHER, SUBSTEPS, gauss_fractions, hermite
 from ...block.transcription.collocated import ENDS, SHAPE_STEPS
-from ...block.transcription.mesh import DETAIL_PER_PIECE, INWARDS, KNOWN, SAMPLES, TWIST_PER_PIECE
+from ...block.transcription.mesh import DETAIL_PER_ELEMENT, INWARDS, KNOWN, SAMPLES, TWIST_PER_ELEMENT
 from ...block.transcription.tableau import tableau
 from ...robots.lengthwise import gauss_rule
 from ...typing import Array
@@ -62,8 +62,8 @@ def piece_constants() -> str:
     numbers = {
         "QUADRATURE": len(nodes),
         "INWARDS": INWARDS,
-        "DETAIL_PER_PIECE": DETAIL_PER_PIECE,
-        "TWIST_PER_PIECE": TWIST_PER_PIECE,
+        "DETAIL_PER_ELEMENT": DETAIL_PER_ELEMENT,
+        "TWIST_PER_ELEMENT": TWIST_PER_ELEMENT,
         "KNOWN": KNOWN,
     }
     tables = {"SAMPLES": SAMPLES, "QUADRATURE_NODES": nodes, "QUADRATURE_WEIGHTS": weights}

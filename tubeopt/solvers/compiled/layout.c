@@ -91,16 +91,16 @@ static Needs needs_of(const Tubes *t, const Layout *l, double start, double leng
             kt[i] = 1 / here.rate;
             sum += kb[i];
             if (!a->present[i]) continue;
-            needs.finest = fmax(needs.finest, t->pieces->detail[panel] / DETAIL_PER_PIECE);
+            needs.finest = fmax(needs.finest, t->pieces->detail[panel] / DETAIL_PER_ELEMENT);
             if (!(m[i] > 0)) continue;
             needs.steepest = fmax(needs.steepest, m[i] / kb[i]);
             needs.pull = fmax(needs.pull, m[i] / kt[i]);
-            needs.finest = fmax(needs.finest, t->pieces->twist[panel] / TWIST_PER_PIECE);
+            needs.finest = fmax(needs.finest, t->pieces->twist[panel] / TWIST_PER_ELEMENT);
             double turning = t->pieces->twist[panel] > 0 ? twist_of(t->pieces, i, own, place) : 0;
             most = fmax(most, turning);
             least = fmin(least, turning);
         }
-        if (most > least) needs.finest = fmax(needs.finest, (most - least) / TWIST_PER_PIECE);
+        if (most > least) needs.finest = fmax(needs.finest, (most - least) / TWIST_PER_ELEMENT);
         const double *in[] = {kb, m, kt};
         double rate, *out[] = {&rate};
         coupling_rate(in, out, 0, 0, 0);
@@ -157,7 +157,7 @@ static int lay_out(const Tubes *t, const double *shift, const Friction *friction
         double length = cuts[k + 1] - cuts[k];
         Across here = across(t, l, cuts[k], cuts[k + 1]);
         Needs needs = needs_of(t, l, cuts[k], length, &here);
-        double shape = fmax(needs.steepest / BEND_PER_PIECE, needs.finest);
+        double shape = fmax(needs.steepest / BEND_PER_ELEMENT, needs.finest);
         if (here.bent < 2 && needs.finest > 0) shape *= KNOWN;
         double need = length * fmax(needs.fastest / WAVES_PER_ELEMENT, shape);
         double wanted = need > 0 ? fmax(1.0, ceil(need - 1e-9)) * (1 << t->pieces->refinement) : 1;

@@ -29,7 +29,7 @@ import scipy
 
 from ...block.transcription.arm import SHAPE_RATIO
 from ...block.transcription.collocated import SHAPE_STEPS
-from ...block.transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT
+from ...block.transcription.mesh import BEND_PER_ELEMENT, WAVES_PER_ELEMENT
 from ...errors import InputError
 from ...files.files import write_text
 from ...physics.certificate import coupling_rate_function
@@ -151,7 +151,7 @@ def kernel_text(n: int, eccentric: bool = False, capacity: Capacity = CAPACITY) 
         "MOST_UNKNOWNS": capacity.unknowns,
         "MOST_ITERATIONS": NEWTON.descent_iterations,
         "WAVES_PER_ELEMENT": WAVES_PER_ELEMENT,
-        "BEND_PER_PIECE": BEND_PER_PIECE,
+        "BEND_PER_ELEMENT": BEND_PER_ELEMENT,
         "ROUND_OFF_LENGTH": ROUND_OFF_LENGTH,
         "SAME_END": SAME_END,
         "ROUND_OFF": NEWTON_ROUND_OFF,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...block.transcription.contact import PIECES
+from ...block.transcription.contact import ELEMENTS
 from ...robots.concentric import Friction
 from ...robots.robot import Robot, is_general
 from ...typing import Array
@@ -113,7 +113,7 @@ def rub_compiled(
     slips[0, : len(signs)] = signs
     out, behind = np.zeros((len(joints), 3 * len(behind) + 13 + n)), np.ascontiguousarray(behind)
     arrays = [address(array) for array in (alpha, shift, sizes, states[0], states[1], slips, behind, out)]
-    pieces = PIECES * 2.0**friction.refinement
+    pieces = ELEMENTS * 2.0**friction.refinement
     scalars = prepared.address, address(capacity), pieces, len(joints)
     count = kernel.functions.rub(*scalars, *arrays, memory_of(kernel).addresses[0])
     if count < 0:
