@@ -35,7 +35,7 @@ REFUSED = {
     4: "the branch does not lead there: the robot would snap",
     5: "the motion is longer than one call may be",
 }
-# What the functions return when they do not answer; 2 is bad input.
+# Return values of the functions without a result; 2 is bad input.
 TOO_LARGE = (
     f"a number is too large. Limits: rotations {MOST_TURN:g} rad, other numbers {MOST_NUMBER:g} in SI units. A tube "
     f"may be withdrawn by {FAR:g} of its lengths. Positions may be {FAR:g} lengths of the longest tube away"
@@ -45,7 +45,7 @@ TOO_LARGE = (
 # Change of a joint (rad, m) in a step below which it rests.
 RESTS = 1e-12
 
-# Of the centreline of a pose.
+# Points of the centreline of a pose.
 POINTS = 40
 
 
@@ -54,22 +54,22 @@ class CPose:
     """An equilibrium of the library."""
 
     rotations: Array
-    """(n,) rad."""
+    """Rotations (n,), rad."""
     translations: Array
-    """(n,) m."""
+    """Translations (n,), m."""
     tip_position: Array
-    """(3,) m."""
+    """Position (3,) of the tip, m."""
     tip_rotation: Array
-    """(3, 3)."""
+    """Rotation matrix (3, 3) of the tip frame."""
     tip_rotations: Array
-    """(n,) rad."""
+    """Rotations (n,) of the tubes at their own ends, rad."""
     margin: float
     energy: float
-    """J."""
+    """Elastic energy, J."""
     tip_error: float
-    """Estimated, m."""
+    """Estimated error of the tip, m."""
     residual: float
-    """rad."""
+    """Largest violation of the torsion equations, rad."""
     arc_length: Array
     """(POINTS,) arc lengths of the shape points, m."""
     position: Array
@@ -85,15 +85,15 @@ class CSlopes:
     turn: Array
     """(3, 2n) turn vector of the tip."""
     tip_rotations: Array
-    """(n, 2n)."""
+    """Derivatives (n, 2n) of the tip rotations."""
     margin: Array
-    """(2n,)."""
+    """Derivatives (2n,) of the margin."""
     compliance: Array | None
     """(6, 6) compliance of the tip; None if the library does not compute it."""
 
 
 class CRobot:
-    """A robot of a C library: what it does, call by call, with memory of its own.
+    """A robot of a C library with memory of its own.
 
     Raises:
         OSError, subprocess.SubprocessError: there is no C compiler, or it fails.
@@ -139,7 +139,7 @@ class CRobot:
         self._check(name, function(*arguments))
 
     def call(self, name: str, *arguments: Any) -> None:
-        """Call a function that is not among those below; errors as of these."""
+        """Call another function of the library; errors as of the functions below."""
         self._check(name, self.function(name)(*arguments))
 
     def _check(self, name: str, status: int) -> None:
@@ -178,11 +178,11 @@ class CRobot:
         return CPose(p[:n], p[n : 2 * n], tip, frame, turned, margin, energy, error, residual, *arm)
 
     def solve(self, rotations: ArrayLike, translations: ArrayLike) -> CPose:
-        """The stable equilibrium from tubes without torsion; raises SolveError where there is none."""
+        """Stable equilibrium, solved from tubes without torsion; raises SolveError if none is found."""
         return self._go("solve", rotations, translations)
 
     def follow(self, rotations: ArrayLike, translations: ArrayLike) -> CPose:
-        """The equilibrium to which a straight motion from the last one leads; raises SolveError at a snap."""
+        """Equilibrium after a straight joint motion from the last one; raises SolveError at a snap."""
         return self._go("follow", rotations, translations)
 
     def undo(self) -> CPose:
@@ -336,7 +336,7 @@ class CEstimator:
 
 
 class CServo:
-    """The servo of a C library with the face of `Servo`: position and direction of the tip, or a way to joint values.
+    """Servo of a C library with the interface of `Servo`, for tip position and direction or a path to joint values.
 
     Raises:
         InputError: options that only the servo in Python has: bodies' clearance, priorities, an objective other than
@@ -370,7 +370,7 @@ class CServo:
         return self._robot.snap_distance(most)
 
     def step(self, command: Command, dt: float) -> ServoStep[CPose]:
-        """One step of `dt` seconds, as `Servo.step`; raises InputError for what the library does not know."""
+        """One step of `dt` seconds, as `Servo.step`; raises InputError for unsupported commands."""
         dt = time_step(dt)
         check_places(command, self.space.robot)
         if command.pivot is not None:
@@ -423,7 +423,7 @@ class CServo:
         return self.equilibrium
 
     def undo(self) -> None:
-        """Take the last step back, which was not sent; nothing where it made none, or was taken back already."""
+        """Undo the last step, which was not sent; without effect if there was none or it was already undone."""
         if self.equilibrium is not self._before:
             self._robot.undo()
             self.equilibrium = self._before

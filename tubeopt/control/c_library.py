@@ -156,7 +156,7 @@ def _source(robot: Robot, space: JointSpace, name: str) -> str:
 
 
 def library_text(name: str, kernel: str, numbers: str) -> str:
-    """The C text of a library: the kernel as it is for Python, the numbers of the robot as C, and what a loop asks."""
+    """C text of a library: the kernel of Python, the numbers of the robot, and the functions for a control loop."""
     parts = [
         f"/* {name}: made by tubeopt {__version__}; see the header. */\n",
         f'#include "tubeopt_robot.h"\n\n{HUSHED}',
@@ -284,7 +284,7 @@ def loads_source(robot: Robot, name: str, shifts: Sequence[Array]) -> str:
 
 
 def loads_text(name: str, n: int, data: str, pieces: int = MOST_PIECES) -> str:
-    """The same of n tubes with room for so many pieces of mesh; `data` has PIECES, ROBOT and MASS as C."""
+    """C text of loads on n tubes, with memory for `pieces` elements; `data` has PIECES, ROBOT and MASS as C."""
     generator = ca.CodeGenerator("mechanics_of_loads.c")
     generator.add(coupling_rate_function(n))
     defines = {
@@ -313,7 +313,7 @@ def loads_text(name: str, n: int, data: str, pieces: int = MOST_PIECES) -> str:
 
 
 def _pieces_room(robot: Robot, shifts: Sequence[Array]) -> int:
-    """Pieces of the mesh of tubes made of pieces at most, at translations (n,) and others, under what they can bear."""
+    """Largest number of elements for tubes made of pieces, at translations (n,) and others, under admissible loads."""
     most = MOST_PIECES
     for shift in shifts:
         assembly = robot.assembly(shift)

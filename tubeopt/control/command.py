@@ -38,7 +38,7 @@ def time_step(dt: float) -> float:
 
 
 def at_most(value: Any, name: str) -> Any:
-    """Numbers of which none is larger than MOST_NUMBER; raises InputError naming the first that is."""
+    """Numbers up to MOST_NUMBER; raises InputError naming the first larger one."""
     most = float(np.abs(value).max())
     if most > MOST_NUMBER:
         raise InputError(f"{name} has {most:g}; it must be at most {MOST_NUMBER:g}, in SI units")
@@ -79,7 +79,7 @@ class Command(Displayed):
 
 
 def check_places(command: Command, robot: Robot) -> None:
-    """Raise InputError for what is no command, and for a position that is not in m, by the tubes of a robot."""
+    """Raise InputError for an invalid command, or for a position that is not in m, judged by the tubes of a robot."""
     if not isinstance(command, Command):
         raise InputError(f"command is {command!r}; it must be a Command, such as Command(position=(0.01, 0, 0.1))")
     for name in ("position", "pivot"):
@@ -115,7 +115,7 @@ class ServoOptions(Displayed):
         "margin, centre (of the joint ranges) or compliance (minimised); default none",
     ] = None
     push: float = 0.2
-    """Share of the rates that goes there."""
+    """Fraction of the rates for the null-space objective."""
     turn_acceleration: Annotated[
         float | None, unit("deg_per_s2"), POSITIVE, "largest acceleration of a rotation; default no limit"
     ] = None

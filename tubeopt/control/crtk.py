@@ -1,4 +1,4 @@
-"""A robot under commands as CRTK names them: what it does with a message, and with the time that passes.
+"""A robot with the commands of CRTK: effects of messages and of time steps.
 
 Names, states and meanings are those of the Collaborative Robotics Toolkit (Su et al., IEEE ISMR 2020): servo commands
 are a stream and act at once; a move stays busy until it has arrived. The server and the node of ROS 2 read COMMANDS, so
@@ -44,10 +44,10 @@ FAR_FROM_SNAP = 0.5
 # missing to the truth a joint does not move, so that steps need not be taken back.
 SURE = 0.8
 
-# Length (m) and angle (rad) by which a target may be beyond what is allowed.
+# Tolerance (m and rad) on the limits of a target.
 ROUND_OFF = 1e-9
 
-# What is said where the watchdog bites.
+# Text of the event when the watchdog stops a stream.
 LATE = "no command has come in time: held"
 
 # Keys of each kind of motion: p position, v velocity, r relative to now; c of the tip, j of the joints.
@@ -105,12 +105,12 @@ class _Goal:
     rates: Array | None = None
     """(2n,) velocities of the joints, rad/s and m/s, in place of the command."""
     angular: Array | None = None
-    """(3,) velocity, rad/s, at which the direction of the tip turns beside the command."""
+    """(3,) angular velocity of the tip direction in addition to the command, rad/s."""
     closest: float = math.inf
     closer: float = 0.0
 
     def stale(self, now: float, watchdog: float) -> bool:
-        """True for a stream without news, however the clock jumps."""
+        """True for a stream without recent messages; clock jumps have no influence."""
         return self.stream and not 0 <= now - self.since <= watchdog
 
 
@@ -135,7 +135,7 @@ class CrtkRobot:
         self.sent: float | None = None
         """Time of the last step on the clock; None before the first."""
         self.events: deque[tuple[str, str]] = deque(maxlen=MOST_EVENTS)
-        """Kind (error, warning or status) and words of what has happened; whoever publishes them takes them out."""
+        """Events that are not published yet: kind (error, warning or status) and text."""
         self._unreported = False  # a move that no report has called busy yet
 
     @property
@@ -183,15 +183,15 @@ class CrtkRobot:
         return _Goal(wanted, now, name.startswith("servo"), rates, angular, closer=now)
 
     def release(self) -> None:
-        """Whoever commanded has gone: hold."""
+        """Hold after the commander has disconnected."""
         self._goal = None
 
     def hold(self, words: str) -> None:
-        """Hold, and say why."""
+        """Hold, and report the reason."""
         self._goal, self._why, self._words = None, Why(0), words
 
     def fault(self, words: str) -> None:
-        """Stop after an error that is no fault of a message: only an enable or disable ends this state."""
+        """Stop after an internal error; only enable or disable ends this state."""
         if (self.state, self._words) != ("FAULT", words):
             self.events.append(("error", words))
         self.hold(words)
@@ -250,7 +250,7 @@ class CrtkRobot:
         if goal.rates is None:
             return goal.command, Why(0)
         n, o = space.robot.n_tubes, self.servo.options
-        # With limited accelerations the target is where the robot stops, beyond the way of the step.
+        # With limited accelerations the target is the stop point of the robot, beyond the end of the step.
         most = np.repeat([o.turn_acceleration or np.inf, o.shift_acceleration or np.inf], n)
         change = goal.rates * span + goal.rates * np.abs(goal.rates) / (2 * most)
         here = space.join(arm.rotations, arm.translations)
@@ -264,11 +264,11 @@ class CrtkRobot:
         return Command(joints=(rotations, np.array(shift))), limit
 
     def _passed(self, now: float) -> float:
-        """Seconds since the last step was there; infinite before the first."""
+        """Time since the last step, s; infinite before the first."""
         return math.inf if self.sent is None else now - self.sent
 
     def _arrive(self, goal: _Goal, now: float) -> None:
-        """End a move that has arrived, or comes no closer."""
+        """End a move that has arrived or stopped approaching."""
         turn, shift = self._missing(goal.command)
         left = max(turn, shift)
         if left < goal.closest - min(CLOSER, goal.closest / 2) or goal.closest == math.inf:
@@ -322,7 +322,7 @@ class CrtkRobot:
         self._goal, self._before, self._words = None, self.servo.equilibrium, ""
 
     def _joints_from_here(self, message: Mapping[str, Any]) -> Command:
-        """The command of joint values relative to those of now."""
+        """Command of joint values relative to the current ones."""
         arm, changes = self.servo.equilibrium, self._pairs(message)
         now = {"rotations": arm.rotations, "translations": arm.translations}
         return self._joints({name: (now[name] + changes[name]).tolist() for name in now})
@@ -340,7 +340,7 @@ class CrtkRobot:
         return np.concatenate([turn, shift])
 
     def _pose_from_here(self, message: Mapping[str, Any]) -> Command:
-        """The command of a pose relative to that of now, along and about the axes of the plate."""
+        """Command of a pose relative to the current one, along and about the axes of the plate."""
         arm, turn = self.servo.equilibrium, _turn(message, "turn", "rad")
         place = arm.tip_position + _numbers(message, "translation", "m")
         turned = _turned(arm, turn).tolist() if turn is not None and turn.any() else None
@@ -393,10 +393,10 @@ class CrtkRobot:
             "time": now,
             "setpoint_time": self.sent,
             "operating_state": {"state": self.state, "is_homed": self.homed, "is_busy": busy},
-            # There is no sensor here: what is measured is what was sent.
+            # Without a sensor the measured values are the setpoints.
             "setpoint_js": state,
             "measured_js": state,
-            # Of a motion of the tip no joint values are known before it is there.
+            # The joint values of a tip motion are known only at its end.
             "goal_js": {"name": names, "position": goal_joints.tolist(), "velocity": [0.0] * (2 * n)},
             "setpoint_cp": pose,
             "measured_cp": pose,
@@ -423,7 +423,7 @@ class CrtkRobot:
 
 
 def _check_keys(name: str, message: Mapping[str, Any]) -> None:
-    """Raise InputError where a message has what its "op" does not know."""
+    """Raise InputError if a message has keys that its "op" does not define."""
     for key in message:
         if key != "op" and key not in COMMANDS[name]:
             allowed = " and ".join(COMMANDS[name])

@@ -113,7 +113,7 @@ class TipReading:
     """Pose of the tip from a tracker, in the plate frame: position, and if measured direction or rotation."""
 
     position: ArrayLike
-    """(3,) m."""
+    """Position (3,), m."""
     noise: float = 3e-4
     """Standard deviation of the position per axis, m."""
     direction: ArrayLike | None = None
@@ -210,11 +210,11 @@ class Model(NamedTuple):
 
     equilibrium: Equilibrium
     change: Linearised
-    """Derivatives (K) by what is estimated."""
+    """Derivatives (K) by the estimated quantities."""
     pace: Array
     """(n, K) derivatives of the translations."""
     tip_offset: Array
-    """(3,) m."""
+    """Position (3,), m."""
     offset_slopes: Array
     """(3, K) derivatives of this offset by the state."""
 
@@ -294,7 +294,7 @@ class StateEstimate(Displayed):
     translation_offsets: Array
     """(n,) true less measured translations, m."""
     stiffness_factors: Array
-    """(n,) stiffness of every tube over what was given."""
+    """Factor (n,) on the given stiffness of every tube."""
     tip_offset: Array
     """(3,) offset of measured tips from the model, m."""
     state: Array

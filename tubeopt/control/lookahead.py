@@ -42,8 +42,8 @@ from ..typing import Array, Mask
 from .command import Command, ServoOptions, ServoStep, Why, check_places, time_step
 from .servo import Servo
 
-# CasADi's interior point method. On programs of 20 knots of the thesis' robot it took 0.7 ms of processor time, exact
-# to 1e-6; qpOASES 3.9, HiGHS 4.8, OSQP 4.8 without reaching 1e-4 on half of them, ProxQP 17, qrqp failed.
+# CasADi's interior point method. On programs of 20 knots of the robot of the thesis it took 0.7 ms of processor time,
+# exact to 1e-6; qpOASES 3.9, HiGHS 4.8, OSQP 4.8 without reaching 1e-4 on half of them, ProxQP 17, qrqp failed.
 SOLVER, QUIET = "ipqp", {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
 
 
@@ -83,7 +83,7 @@ KNOT_DAMPING = 1e-6
 # number of points that a knot keeps clear of. Bodies farther away become rows of a later program.
 BODY_REACH, MAX_CONTACTS = 0.05, 3
 
-# Places per step between points of the arm, on straight lines, at which its distance from bodies is measured.
+# Points per step between points of the arm, on straight lines, at which its distance from bodies is measured.
 PLACES_PER_STEP = 4
 
 
@@ -105,9 +105,9 @@ class Knots:
 
     coordinates: TipCoordinates
     z: Array
-    """(K, m)."""
+    """Tip coordinates (K, m)."""
     joints: Array
-    """(K, m) rad and m."""
+    """Joint values (K, m), rad and m."""
     fields: Array
     """(K, f) fields; positive if the margin is above its minimum."""
     points: Array
@@ -144,7 +144,7 @@ class Knots:
 
     @property
     def tip(self) -> Array:
-        """(K, 3) m."""
+        """Tip positions (K, 3), m."""
         return self.points[:, -1]
 
     def contacts(self, scene: Scene, clearance: float) -> tuple[Array, Array]:
@@ -172,7 +172,7 @@ class Knots:
 
 
 def _between(table: Array, x: Array) -> Array:
-    """(K, p', ...) rows of (K, p, ...), and between each and the next those at shares x."""
+    """Rows (K, p', ...) of (K, p, ...), with rows at fractions x between each and the next."""
     shape = (1, 1, len(x), *[1] * (table.ndim - 2))
     a, b = table[:, :-1, None], table[:, 1:, None]
     inner = a + x.reshape(shape) * (b - a)
@@ -371,7 +371,7 @@ class PredictiveServo:
         told, here = self._guard.left(command), self._guard.here
         if self._near and told[0] < CLOSE * self._guard.space.length and not self._new(aim):
             step = self._servo.step(command, dt)
-            # Where that comes to rest before it is there, one step ahead will not do.
+            # If the servo comes to rest before the target, a look-ahead of one step is not enough.
             self._near = step.why & Why.HELD == 0
             return step
         knots = self._knots(aim)
@@ -383,7 +383,7 @@ class PredictiveServo:
             there, lacking = self._guard.go(change, Why.RATE if passed < self._count else Why(0), dt)
             if Why.HELD not in lacking:
                 self._waited = 0
-                # What is left of the way is cut into as many knots again.
+                # The rest of the path is divided into the same number of knots.
                 if self._way is not None:
                     self._way = _places(self._way, np.linspace(passed, self._count, self._count + 1))
                 return ServoStep(there, lacking, *told)

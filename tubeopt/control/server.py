@@ -1,14 +1,14 @@
-"""A robot over WebSocket and OpenIGTLink on this machine: one commander, many watchers, a token, and limits for all.
+"""Server of a robot over WebSocket and OpenIGTLink on this machine: one commander, many watchers, a token, and limits.
 
 Messages are JSON objects with "op". The first of every client is {"op": "hello", "token": ..., "role": "commander" or
-"watcher"}; then a commander sends what `CrtkRobot.command` knows. Everybody gets {"op": "state", ...} at the rate of
-publishing, the newest one only: who reads slowly misses some, and costs no memory. The events of CRTK come as {"op":
-"error", "warning" or "status", "words": ...}. A message that makes no sense is answered by an error. Any other error
-stops the robot, which is then in the state FAULT until it is enabled again.
+"watcher"}; then a commander sends the commands of `CrtkRobot.command`. All clients receive {"op": "state", ...} at the
+rate of publishing. A slow client receives the latest state only, which needs no further memory. The events of CRTK are
+{"op": "error", "warning" or "status", "words": ...}. An invalid message is answered by an error. Any other error stops
+the robot, which is then in the state FAULT until it is enabled again.
 
-OpenIGTLink is the language of 3D Slicer; it has no token. A client gets the pose of the tip (TRANSFORM TipToPlate),
-the centreline (POINT Centreline) and a STATUS, in mm. What it sends is a command: a TRANSFORM or the first of POINT is
-where the tip is to go, a STRING one of `state_command`, or hold.
+OpenIGTLink is the protocol of 3D Slicer, without a token. A client receives the pose of the tip (TRANSFORM TipToPlate),
+the centreline (POINT Centreline) and a STATUS, in mm. It sends commands: a TRANSFORM or the first POINT is the target
+of the tip, a STRING is a `state_command` or hold.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ from .command import Why
 from .crtk import MOST_EVENTS, CrtkRobot
 
 LOGGER = logging.getLogger("tubeopt")
-logging.getLogger("websockets").addHandler(logging.NullHandler())  # a traceback for each client that is none
+logging.getLogger("websockets").addHandler(logging.NullHandler())  # a traceback for each invalid client
 
 # Steps of the loop whose times are kept, 100 s at 1 kHz: 1.6 MB.
 REMEMBERED = 100_000
 
-# The server is for programs of one machine: who reaches its port could move the robot.
+# The server is for programs of this machine: any program that reaches its port could move the robot.
 HOST = "127.0.0.1"
 
-# Messages per second and client, above which they are read more slowly: twice the rate of the loop, which acts on the
-# last one only.
+# Messages per second and client above which they are read more slowly: twice the rate of the loop, which uses the last
+# one only.
 MESSAGE_RATE = 2000.0
 
-# Time that a client has for its hello, s, and bytes of its longest message: no command has more than 1 kB.
+# Time limit of the hello, s, and maximum size of a message, bytes: no command has more than 1 kB.
 HELLO_SECONDS, LONGEST_MESSAGE = 5.0, 16_384
 
 # Each client costs a task and one copy of the state; a program that connects again and again must not use up the
@@ -68,13 +68,13 @@ CLOSING = 1.0
 # any page that is open on this machine could try.
 LOCAL = ("127.0.0.1", "localhost", "::1")
 
-# What a client may be.
+# Roles of a client.
 ROLES = ("commander", "watcher")
 
-# Characters of an error that is reported.
+# Maximum number of characters of a reported error.
 LONGEST_WORDS = 300
 
-# Seconds for which one thread of Python may keep the others waiting: a small part of a period.
+# Time for which one thread of Python may delay the others, s: a small part of a period.
 TURNS = 2e-4
 
 
@@ -106,7 +106,7 @@ class ServerOptions:
 
 @dataclass(eq=False)
 class _Client:
-    """A connection: how many messages it may still send, as of a time, and the events that it is to be sent."""
+    """Connection of a client: remaining number of messages at a time, and events still to send."""
 
     socket: Any
     left: float
@@ -124,21 +124,21 @@ class Pace:
         self._times = np.zeros((REMEMBERED, 2))
 
     def add(self, took: float, late: float, missed: int) -> None:
-        """A step that took and was late by so much, s, after so many periods without one."""
+        """Record a step: its duration and delay, s, and the number of missed periods before it."""
         self._times[self.steps % REMEMBERED] = took, late
         self.steps += 1
         self.missed += missed
 
-    def quantiles(self, share: float) -> tuple[float, float]:
-        """Processor time of a step and by how much it began late, s, below which a share of them lies."""
+    def quantiles(self, fraction: float) -> tuple[float, float]:
+        """Quantiles of the processor time and of the delay of the steps, s, at a fraction of them."""
         known = self._times[: min(self.steps, REMEMBERED)]
-        took, late = np.quantile(known, share, axis=0) if len(known) else (0.0, 0.0)
+        took, late = np.quantile(known, fraction, axis=0) if len(known) else (0.0, 0.0)
         return float(took), float(late)
 
 
 @contextmanager
 def _turns(seconds: float) -> Iterator[None]:
-    """The threads of Python take turns as often as this."""
+    """Set the interval at which Python switches threads within a block, s."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(min(seconds, before))
     try:
@@ -148,7 +148,7 @@ def _turns(seconds: float) -> Iterator[None]:
 
 
 def check_installed(*, slicer: bool = False) -> None:
-    """Raise InputError where `websockets`, or `pyigtl` for Slicer, is missing, before anything that takes long."""
+    """Raise InputError early if `websockets`, or `pyigtl` for Slicer, is not installed."""
     for name, needed in (("websockets", True), ("pyigtl", slicer)):
         if needed and find_spec(name) is None:
             raise InputError(f"{name} is missing; pip install 'tubeopt[control]' brings it")
@@ -178,7 +178,7 @@ class RobotServer:
         self.pace = Pace()
         self._clients: set[_Client] = set()
         self._commander: _Client | None = None
-        self._told: dict[str, Any] = {}
+        self._report: dict[str, Any] = {}
         self._state = self._logged = ""
         self._robot_in_hand = threading.Lock()
         self._ended = threading.Event()
@@ -209,7 +209,7 @@ class RobotServer:
                 slicer = asyncio.start_server(self._welcome_slicer, HOST, options.slicer_port, limit=LONGEST_MESSAGE)
                 self.slicer_port = await _listening(stack, slicer, options.slicer_port)
             self._ended.clear()
-            # In a thread of its own: to wait for a socket takes whole milliseconds, and many messages take longer.
+            # In a thread of its own: waiting for a socket takes milliseconds, and many messages take longer.
             tasks = [asyncio.create_task(asyncio.to_thread(self._loop)), asyncio.create_task(self._publish())]
             try:
                 with _turns(TURNS):
@@ -222,21 +222,21 @@ class RobotServer:
                     task.cancel()
 
     def _loop(self) -> None:
-        """A step per period. What is late is not made up for: joints never go faster than their rates."""
+        """Run one step per period. Missed steps are not repeated: joints never exceed their rates."""
         period, due = self.options.period, time.perf_counter()
         while not self._ended.is_set():
-            began, late = time.thread_time(), time.perf_counter() - due
+            start_time, late = time.thread_time(), time.perf_counter() - due
             try:
                 with self._robot_in_hand:
                     self.robot.tick(self._clock, period)
             except Exception as error:  # any error of a step stops the robot, and the loop continues
                 self._failed(error)
-            self.pace.add(time.thread_time() - began, late, int(late / period))
+            self.pace.add(time.thread_time() - start_time, late, int(late / period))
             due = max(due + period, time.perf_counter())
             time.sleep(max(due - time.perf_counter(), 0.0))
 
     def _failed(self, error: Exception) -> str:
-        """Stop the robot after an error, and return what is reported of it: a sentence."""
+        """Stop the robot after an error; returns the sentence that reports it."""
         words = str(error) if isinstance(error, InputError | SolveError) else f"{type(error).__name__}: {error}"
         words = f"the robot is held: {words}"[:LONGEST_WORDS]
         with self._robot_in_hand:
@@ -255,9 +255,9 @@ class RobotServer:
                 continue
             try:
                 with self._robot_in_hand:
-                    told = self.robot.report(self._clock()) | {"snap_distance": self.robot.snap_distance()}
-                told |= {"steps": self.pace.steps, "missed_periods": self.pace.missed}
-                self._told, self._state = told, json.dumps(told, allow_nan=False)
+                    report = self.robot.report(self._clock()) | {"snap_distance": self.robot.snap_distance()}
+                report |= {"steps": self.pace.steps, "missed_periods": self.pace.missed}
+                self._report, self._state = report, json.dumps(report, allow_nan=False)
             except Exception as error:  # any error of a report stops the robot, and the server continues
                 self._failed(error)
             with self._robot_in_hand:
@@ -267,8 +267,8 @@ class RobotServer:
                 client.events.extend(events)
                 client.news.set()
 
-    async def _tell(self, client: _Client) -> None:
-        """The events and the newest state, again and again, as fast as the client reads."""
+    async def _publish(self, client: _Client) -> None:
+        """Send the events and the latest state repeatedly, as fast as the client reads."""
         while True:
             await client.news.wait()
             client.news.clear()
@@ -278,11 +278,11 @@ class RobotServer:
                 await client.socket.send(self._state)
 
     async def _welcome(self, socket: Any) -> None:
-        """One client from its hello to its end."""
+        """Serve one client from its hello to its disconnection."""
         from websockets.exceptions import ConnectionClosed
 
         client = _Client(socket, MESSAGE_RATE, self._clock())
-        telling = None
+        publishing = None
         with suppress(ConnectionClosed):
             try:
                 hello = await asyncio.wait_for(socket.recv(), HELLO_SECONDS)
@@ -293,33 +293,33 @@ class RobotServer:
             try:
                 await socket.send(json.dumps({"op": "welcome", "role": "commander" if client.commander else "watcher"}))
                 self._clients.add(client)
-                telling = asyncio.create_task(self._tell(client))
+                publishing = asyncio.create_task(self._publish(client))
                 async for message in socket:
                     if words := await self._hear(client, partial(_read, message)):
                         await socket.send(_event("error", words))
             finally:
-                if telling is not None:
-                    telling.cancel()
+                if publishing is not None:
+                    publishing.cancel()
                 self._leave(client)
 
     def _admit(self, client: _Client, hello: str | bytes) -> None:
-        """Raises InputError where a client may not come in."""
-        told = _read(hello)
-        token = told.get("token")
-        if told.get("op") != "hello" or not isinstance(token, str):
+        """Admit a client; raises InputError if its hello, token or role is invalid."""
+        message = _read(hello)
+        token = message.get("token")
+        if message.get("op") != "hello" or not isinstance(token, str):
             raise InputError("the first message must be a hello with the token")
         if not hmac.compare_digest(*(word.encode(errors="surrogatepass") for word in (token, self.token))):
             raise InputError("the token is wrong")
         if len(self._clients) >= MOST_CLIENTS:
             raise InputError(f"there are {MOST_CLIENTS} clients already")
-        role = told.get("role", "watcher")
+        role = message.get("role", "watcher")
         if role not in ROLES:
             raise InputError(f"role is {role!r}; it must be {' or '.join(ROLES)}")
         if role == "commander":
             self._command_by(client)
 
     def _command_by(self, client: _Client) -> None:
-        """Make a client the commander; raises InputError where there is another one."""
+        """Make a client the commander; raises InputError if there is another one."""
         if self._commander not in (None, client):
             raise InputError("another client already controls the robot")
         if not client.commander:
@@ -335,7 +335,7 @@ class RobotServer:
             self._say("commander", "has gone")
 
     async def _hear(self, client: _Client, read: Callable[[], dict[str, Any]]) -> str:
-        """Take a command of a client, as `read` reads it; returns what is wrong with it, "" where nothing is."""
+        """Execute a command read by `read`; returns the error as text, or ""."""
         now, rate = self._clock(), MESSAGE_RATE
         client.left = min(rate, client.left + max(now - client.since, 0.0) * rate)
         client.since = now
@@ -345,9 +345,9 @@ class RobotServer:
         try:
             if not client.commander:
                 raise InputError("this client is a watcher; it cannot send commands")
-            told = read()
+            command = read()
             with self._robot_in_hand:
-                self.robot.command(told, self._clock())
+                self.robot.command(command, self._clock())
         except InputError as error:
             return str(error)
         except Exception as error:  # any error of one command stops the robot, and the server continues
@@ -355,9 +355,9 @@ class RobotServer:
         return ""
 
     async def _welcome_slicer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """One client by OpenIGTLink, from its connection to its end."""
+        """Serve one client by OpenIGTLink from connection to disconnection."""
         client = _Client(writer, MESSAGE_RATE, self._clock())
-        telling = asyncio.create_task(self._tell_slicer(client))
+        publishing = asyncio.create_task(self._publish_to_slicer(client))
         try:
             if len(self._clients) >= MOST_CLIENTS:
                 return
@@ -376,25 +376,25 @@ class RobotServer:
         except (InputError, ValueError, struct.error) as error:
             LOGGER.warning("a client by OpenIGTLink is sent away: %s", error)
         finally:
-            telling.cancel()
+            publishing.cancel()
             self._leave(client)
             writer.close()
 
-    async def _tell_slicer(self, client: _Client) -> None:
-        """The newest state, again and again, as fast as the client reads; an error stays in STATUS for one state."""
+    async def _publish_to_slicer(self, client: _Client) -> None:
+        """Send the latest state repeatedly, as fast as the client reads; an error stays in STATUS for one state."""
         with suppress(ConnectionError):
             while True:
                 await client.news.wait()
                 client.news.clear()
                 words = next((words for kind, words in reversed(client.events) if kind == "error"), "")
                 client.events.clear()
-                for message in _slicer_state(self._told, words) if self._told else ():
+                for message in _slicer_state(self._report, words) if self._report else ():
                     client.socket.write(message.pack())
                 await client.socket.drain()
 
 
 async def _listening(stack: AsyncExitStack, server: Any, port: int) -> int:
-    """The port on which a server listens until the end of a stack; raises InputError where it cannot."""
+    """Open a port until the end of a stack; returns its number, or raises InputError."""
     try:
         listens = await stack.enter_async_context(await server)
     except OSError as error:
@@ -403,7 +403,7 @@ async def _listening(stack: AsyncExitStack, server: Any, port: int) -> int:
 
 
 def _refuse_foreign_page(connection: Any, request: Any) -> Any:
-    """The answer 403 to a page of another machine, None to all others; programs send no origin."""
+    """Response 403 for a page of another machine, otherwise None; programs send no origin."""
     origins = request.headers.get_all("Origin")
     if all(urlsplit(origin).hostname in LOCAL for origin in origins):
         return None
@@ -421,11 +421,11 @@ STATUS_OK, UNREACHABLE, UNKNOWN, NOT_READY, MANUAL, IS_DISABLED = 1, 8, 12, 13, 
 
 @lru_cache(maxsize=1)
 def _status_class() -> Any:
-    """STATUS, which pyigtl does not know, as one of its messages; from now on it reads them as well."""
+    """Message class STATUS for pyigtl, which then also reads such messages."""
     from pyigtl import messages
 
     class StatusMessage(messages.MessageBase):  # type: ignore[misc]
-        """A state: a code, the name of an error, and words."""
+        """State message: a code, the name of an error, and a text."""
 
         def __init__(
             self, code: int = STATUS_OK, name: str = "", words: str = "", device_name: str | None = None
@@ -445,14 +445,14 @@ def _status_class() -> Any:
     return StatusMessage
 
 
-def _slicer_state(told: dict[str, Any], failure: str) -> list[Any]:
-    """Messages of a state, in mm; a failure is what STATUS says."""
+def _slicer_state(report: dict[str, Any], failure: str) -> list[Any]:
+    """OpenIGTLink messages of a state, in mm; `failure` is the text of STATUS."""
     from pyigtl.messages import PointMessage, TransformMessage
 
-    pose, shape = np.eye(4), TO_MM * np.array(told["shape"])
-    pose[:3, :3], pose[:3, 3] = told["setpoint_cp"]["rotation"], TO_MM * np.array(told["setpoint_cp"]["position"])
+    pose, shape = np.eye(4), TO_MM * np.array(report["shape"])
+    pose[:3, :3], pose[:3, 3] = report["setpoint_cp"]["rotation"], TO_MM * np.array(report["setpoint_cp"]["position"])
     few = shape[np.linspace(0, len(shape) - 1, CENTRELINE).round().astype(int)]
-    state, why = told["operating_state"], failure or told["why"]
+    state, why = report["operating_state"], failure or report["why"]
     code = {"DISABLED": IS_DISABLED, "PAUSED": MANUAL, "FAULT": UNKNOWN}.get(state["state"], STATUS_OK)
     if failure:
         code = UNKNOWN
@@ -460,7 +460,7 @@ def _slicer_state(told: dict[str, Any], failure: str) -> list[Any]:
         code = NOT_READY
     elif code == STATUS_OK and Why.NO_CLOSER.words in why:
         code = UNREACHABLE
-    words = f"{state['state']}, margin {told['margin']:.3f}" + (f": {why}" if why else "")
+    words = f"{state['state']}, margin {report['margin']:.3f}" + (f": {why}" if why else "")
     names = [f"{k}" for k in range(CENTRELINE)]
     return [
         TransformMessage(pose, device_name="TipToPlate"),
