@@ -160,7 +160,7 @@ class CtrVectorEnv(VectorEnv[Any, Any, Any]):
         observed, info = self._observed(), self._info()
         distance = np.linalg.norm(observed["desired_goal"] - observed["achieved_goal"], axis=1)
         reward = -(distance > self.tolerance).astype(float)
-        reward[snaps] -= o.steps - self._time[snaps]  # a snap must not be a way to end an episode early
+        reward[snaps] -= o.steps - self._time[snaps]  # a snap must not end an episode early
         reward[begins] = 0.0
         terminated = snaps | ((distance <= self.tolerance) & goes if o.task == "reach" else False)
         truncated = (self._time >= o.steps) & ~terminated & goes
@@ -227,7 +227,7 @@ class CtrVectorEnv(VectorEnv[Any, Any, Any]):
             q = np.clip(q + change, space.lower, space.upper)
             for _ in range(SWEEPS):
                 for row, minimum in zip(space.rows, space.least, strict=True):
-                    joint = int(np.flatnonzero(row)[0])  # the innermost tube gives way, as in CTR-Reach
+                    joint = int(np.flatnonzero(row)[0])  # the innermost tube is moved, as in CTR-Reach
                     q[:, joint] += np.maximum(minimum - q @ row, 0.0) / row[joint]
         inside = (q >= space.lower - 1e-12) & (q <= space.upper + 1e-12)
         fits = np.hstack([q @ space.rows.T >= space.least - 1e-9, inside]).all(1, keepdims=True)

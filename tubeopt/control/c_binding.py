@@ -193,8 +193,8 @@ class CRobot:
 
     def bear(self, force: ArrayLike = (0, 0, 0), gravity: ArrayLike = (0, 0, 0)) -> CPose:
         """The last equilibrium under a force (3,) at the tip, N, and an acceleration (3,) by which the tubes weigh,
-        m/s^2, put on slowly; from here on all is told of the loaded arm. Raises SolveError where the branch ends on the
-        way, and InputError where the library has no loads."""
+        m/s^2, increased slowly; all later results are of the loaded arm. Raises SolveError where the branch ends
+        before that, and InputError where the library has no loads."""
         if "bear" not in self._calls:
             raise InputError("the C library was made without loads")
         self._in[:3], self._in[3:6] = vector("force", force, 3), vector("gravity", gravity, 3)

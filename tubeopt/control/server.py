@@ -160,7 +160,7 @@ class RobotServer:
 
     Args:
         robot: what is commanded.   options: see `ServerOptions`.
-        clock: seconds that never go back.   tell: called with an event and its words, such as "held" and why.
+        clock: time in s that never decreases.   tell: called with an event and its words, such as "held" and why.
     """
 
     def __init__(

@@ -156,8 +156,8 @@ def _weak_points(program: Program, robot: ConcentricRobot, x: Array, min_margin:
 def _inside_fold(robot: ConcentricRobot, motion: CheckedMotion, snap: float) -> tuple[float, Equilibrium]:
     """Fraction between the two folds of a motion that snaps, and the saddle there, the equilibrium of least margin.
 
-    The robot leaves its branch at one fold on the way forward, and at another fold on the way back. Half-way between
-    them the saddle is farthest from both. A design in which it has a positive margin has no folds there.
+    The robot leaves its branch at one fold in forward motion, and at another fold in backward motion. In the middle
+    between them the saddle is farthest from both. A design in which it has a positive margin has no folds there.
     """
     start, end = motion.equilibria[0], motion.equilibria[-1]
     # Moved back from its new branch, the robot leaves that one at the other fold.

@@ -210,7 +210,7 @@ def decoded(content: bytes) -> str:
 def separator_of(header: str) -> str:
     """Separator of the cells in a header: tab, semicolon, comma or blank."""
     bare = re.sub(r'"[^"]*"', "", header)
-    # A comma may be a decimal comma where cells are separated by tabs or semicolons, never the other way round.
+    # A comma may be a decimal comma where cells are separated by tabs or semicolons, never the reverse.
     for separator in ("\t", ";", ","):
         if separator in bare:
             return separator

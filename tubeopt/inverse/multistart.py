@@ -646,6 +646,6 @@ def _difference(first: InverseSolution, second: InverseSolution) -> float:
     """Largest distance of two arms at equal fractions of their lengths, relative to the longer one."""
     arms = first.equilibrium, second.equilibrium
     (a, _), (b, _) = (ArmSurface(arm).line(33) for arm in arms)
-    # Arms that are withdrawn all the way have length 0, and do not differ.
+    # Arms that are fully withdrawn have length 0, and do not differ.
     longest = max(float(arm.arc_length[-1]) for arm in arms)
     return float(np.linalg.norm(a - b, axis=1).max()) / max(longest, 1e-300)

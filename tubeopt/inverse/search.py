@@ -135,7 +135,7 @@ def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) 
     n = space.robot.n_tubes
     ends = start[n:], goal[n:]
     drawn = space.sample(DETOUR_SAMPLES)[:, n:]
-    # On the way from an end to a sample the certificate usually grows: the first point that has it is the nearest.
+    # On the path from an end to a sample the certificate usually grows: the first point that has it is the nearest.
     table = np.concatenate([end + x * (drawn - end) for end in ends for x in (0.25, 0.5, 0.75, 1.0)])
     far = sum(np.linalg.norm((table - end) / task.scale[n:], axis=1) for end in ends)
     certified: list[Array] = []

@@ -333,7 +333,7 @@ class Breakpoint:
 class Order:
     """Breakpoints in front of the plate in order, and those behind it.
 
-    Section k lies between breakpoint k - 1 (the plate for the first) and breakpoint k; `present`, `curved` (m, n) tell
+    Section k lies between breakpoint k - 1 (the plate for the first) and breakpoint k; `present`, `curved` (m, n) mark
     which tubes are there, and curved there, `panel` (m, n) how many breakpoints of each lie behind it. Sections may
     have no length.
     """

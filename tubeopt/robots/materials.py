@@ -149,7 +149,7 @@ NITINOL = Material(
     shear_modulus=21.5e9,
     thermal=THERMAL_DATA["nitinol"],
 )
-"""Superelastic nitinol with the moduli of the thesis' Tables 2.1 and 3.1 (nu = 0.3488).
+"""Superelastic nitinol with the moduli of Tables 2.1 and 3.1 of the thesis (nu = 0.3488).
 
 The working strain of 1 % and the recoverable strain of 6 % are the usual figures for superelastic nitinol in fatigue
 and in a single loading (Pelton et al., J. Mech. Behav. Biomed. Mater. 1 (2008); Duerig et al., Mater. Sci. Eng. A

@@ -30,8 +30,8 @@ from ..typing import Array
 # needs more is halved, which costs less than a higher degree.
 POINTS = 25
 
-# Relative to the largest value: some hundred times the round-off of a sum of 25 terms, which no function can be told
-# from.
+# Relative to the largest value: some hundred times the round-off of a sum of 25 terms, which is
+# indistinguishable from 0.
 TOLERANCE = 1e-13
 
 # How often a panel may be halved: functions with finer detail than a thousandth of their stretch are refused.

@@ -62,7 +62,7 @@ class Tube(Displayed):
     ]
     material: Material = NITINOL
     """Material; default for stiffnesses and mass."""
-    # None only on the way in: a tube that exists has its stiffnesses.
+    # None only as an argument: a tube that exists has its stiffnesses.
     bending_stiffness: Annotated[float, unit("N_mm2"), POSITIVE, "measured value; default E I"] = field(
         default=None,  # type: ignore[assignment]
         kw_only=True,

@@ -37,7 +37,7 @@ QUATERNIONS, EULER = ("q0", "qx", "qy", "qz"), ("rz", "ry", "rx")
 """Names of NDI for the parts of a rotation."""
 
 QUATERNION = ("qw", "qx", "qy", "qz")
-# Positions in mm are below 1e5 and quaternions below 1, so any bound up to 1e28 tells them apart.
+# Positions in mm are below 1e5 and quaternions below 1, so any bound up to 1e28 separates them.
 BAD_FLOAT = 1e20
 """NDI writes -3.697314e28 for a missing number."""
 
@@ -73,7 +73,7 @@ def read_recorded(path: str | PathLike[str], frame_rate: float | None = None) ->
     lines = decoded(read_bytes(path)).splitlines()
     separator = separator_of(lines[0]) if lines else ","
     first = [cell.strip() for cell in next(csv.reader(lines[:1], delimiter=separator), [])]
-    # Only the header tells NDI from a plain table: neither format has a signature.
+    # Only the header distinguishes NDI from a plain table: neither format has a signature.
     names = [_ndi_column(title)[0] for title in first]
     ndi = "tx" in names and ("q0" in names or {*EULER} <= {*names})
     if not ndi and names[:1] != ["format version"]:

@@ -1,6 +1,6 @@
 """Sweeps: a function at many points. Each result is saved at once, and an interrupted run continues.
 
-`tubeopt sweep` runs studies this way; `sweep` takes any function of a point that returns numbers and text.
+`tubeopt sweep` does so for studies; `sweep` takes any function of a point that returns numbers and text.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Quantities of an answer: its `--json`, the columns of a sweep, the rows of its table, its docs.
 
-A quantity has a key that ends in its unit, a description, and a way to get its value (in SI) from the answer. A field
+A quantity has a key that ends in its unit, a description, and a function for its value (in SI) from the answer. A field
 of an answer with marks (`files.field_metadata`) is a quantity by its marks; `described` lists those of a class.
 """
 

@@ -111,7 +111,7 @@ def report(answer: object) -> Report[Any]:
     """The report on an answer of any kind.
 
     Raises:
-        TypeError: nothing is said about such an object.
+        TypeError: no report for such an object.
     """
     # By name, so that the class of an answer need not be imported to be compared.
     names = {kind.__name__ for kind in type(answer).__mro__}
@@ -125,7 +125,7 @@ def to_dict(answer: object) -> Mapping[str, Any]:
     """Record of an answer of any kind, as `--json` prints it: plain numbers, text, lists and mappings.
 
     Raises:
-        TypeError: nothing is said about such an object.
+        TypeError: no report for such an object.
     """
     return report(answer).record()
 

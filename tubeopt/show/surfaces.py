@@ -427,7 +427,7 @@ def ring_surface(
     """A flat ring across `line` at arc length `s`, from the inner to the outer of `radii`, facing the tip."""
     around, section = line.ring(np.array([s]), sides)
     centre = line.position([s]) + offset @ section
-    # From the outer edge to the inner one, so that it faces the way the line goes.
+    # From the outer edge to the inner one, so that it faces along the line.
     corners = np.concatenate([centre + radius * around[0] for radius in reversed(radii)])
     return Surface(corners, grid_faces(2, sides))
 

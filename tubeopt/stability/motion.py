@@ -81,7 +81,7 @@ class Snap(Displayed):
 
 
 # Next to a bifurcation the new branch is reached within `PAST` of the path, where it is about 0.01 rad away. The
-# smallest snaps, at the cusp where a hysteresis begins, have the same size: a smaller jump cannot be told from no snap.
+# smallest snaps, at the cusp where a hysteresis begins, have the same size: a smaller jump counts as no snap.
 SMOOTH_TURN = 0.05
 """Largest rotation (rad) of a point in a smooth change to a neighbouring branch at a bifurcation."""
 

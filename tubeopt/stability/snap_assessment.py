@@ -513,7 +513,7 @@ def assess_snapping(
     - Tubes made of pieces start at home and stay inside their limits. More than two of them are decided only by a
       certificate above 0.
     - Tubes off the centreline: one tube of a segment is turned once back and forth. Its other two tubes are fixed, and
-      all other segments curve to one side. Half-way are the untwisted shapes of the closed form (see
+      all other segments curve to one side. In the middle are the untwisted shapes of the closed form (see
       `eccentric_certificate`).
 
     Args:

@@ -265,7 +265,7 @@ class PairForm:
         product = (problem.weight / problem.stiffness.sum(1))[:, None] * moment[:, first] * moment[:, second]
         a, pair = np.nonzero(product)
         i, j = first[pair], second[pair]
-        # A tube curved backwards pulls the other way: half a turn is in the angle, and w > 0 as the signs of G ask.
+        # A tube curved backwards pulls in the opposite direction: half a turn is in the angle, and w > 0.
         w, half = np.abs(product[a, pair]), np.where(product[a, pair] < 0, np.pi, 0.0)
         D = np.eye(moment.shape[1])[i] - np.eye(moment.shape[1])[j]
         return _at(theta[a, i] - theta[a, j] + half, w, problem.spread[a, i] - problem.spread[a, j], D, z)

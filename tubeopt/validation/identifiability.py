@@ -52,7 +52,7 @@ def undetermined(parameters: Sequence[Parameter], jacobian: Array, length: float
     independent: list[int] = []
     held, remarks = [], []
     for k, parameter in enumerate(parameters):
-        # Added one by one in the user's order: of two that cannot be told apart the first is estimated.
+        # Added one by one in the user's order: of two indistinguishable ones the first is estimated.
         _, singular, directions = np.linalg.svd(scaled[:, [*independent, k]], full_matrices=False)
         if singular[-1] > NO_EFFECT:
             independent.append(k)
@@ -252,7 +252,7 @@ def where_to_measure(
     """Configurations within the joint limits with tips that determine parameters best.
 
     Each has at least the margin `min_margin`, and is reached from home by a straight motion of the joints on which the
-    robot was followed without a snap, so that every leg of the way can at worst go through home.
+    robot was followed without a snap, so that every segment of the path can at worst go through home.
 
     Args:
         parameters: as for `fit`; those that need time (latency, play) are found by driving one path slowly and fast.

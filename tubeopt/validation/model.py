@@ -59,7 +59,7 @@ def solve_poses(
     """Poses at joint values (N, n) of the model; stations (K,) behind the tip, m, the foremost first.
 
     Each row is solved on its own. Along `runs` of rows on end the branch is followed: where a row on its own leads to
-    another equilibrium than the one before it, it is solved from there, until both ways agree or the branch ends.
+    another equilibrium than the one before it, it is solved from there, until both motions agree or the branch ends.
 
     Raises:
         InputError: joint values at which the robot cannot be; the row is named.
@@ -518,7 +518,7 @@ class ArmModel:
     ) -> PredictedPoses:
         """Equilibria of every row, at its own joint values or at others; the last few are remembered.
 
-        Along a way with friction `margins` are known of all only where they are asked for.
+        Along a path with friction `margins` are known of all only where they are asked for.
 
         Raises:
             InputError: there is no such robot, or it cannot be at these joint values.
@@ -575,8 +575,8 @@ class ArmModel:
         """(V, 3, P + F) derivatives of `residuals` by the parameters and by the freedoms of the registration.
 
         Difference quotients, in scaled steps towards the middle of each range; a step to where there is no robot is
-        taken the other way, and a parameter that cannot be changed either way gets a column of 0. All parameters of the
-        drives share the derivatives by the joint values. The columns of the first `skip` parameters are left at 0.
+        taken in the opposite direction, and a parameter without a possible change gets a column of 0. All parameters of
+        the drives share the derivatives by the joint values. The columns of the first `skip` parameters are left at 0.
         """
         predicted = self.predicted(state)
         count = len(self.parameters)

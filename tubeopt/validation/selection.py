@@ -345,7 +345,7 @@ class _Search:
     def _weights(self, slopes: Slopes) -> Weights:
         return weigh(slopes.model, self.options, self.now.sigma)
 
-    # --- what is told -------------------------------------------------------------------------------------------------
+    # --- reports -----------------------------------------------------------------------------------------------------
 
     def answer(self) -> Comparison:
         """The comparison, with the fit of the kept effects."""

@@ -181,7 +181,7 @@ def _field_rate(element: Element, x: float, theta: Any, w: Any, margin: Any) -> 
 # --- Explicit map from tip rotations to the equilibrium ---------------------------------------------------------------
 
 STEPS_PER_SECTION = 4
-"""Steps per section: joint rotations of the thesis' robot to about 1e-5 rad."""
+"""Steps per section: joint rotations of the robot of the thesis to about 1e-5 rad."""
 
 MAX_HELIX_TURN = 1.5
 """Largest natural turn (rad) of a helix in a section for which these steps are as accurate as for an arc."""

@@ -180,8 +180,8 @@ def plot_hysteresis(
     chosen = "xyz".index(axis) if axis else _most_moving_coordinate(forth, back)
     figure = new_figure(6.4, 6.0)
     panels = figure.subplots(3, 1, sharex=True, height_ratios=[1.5, 1.2, 1.0])
-    # The thin line of the way back lies on the wide one where both coincide; names stand ahead of the motion, so that
-    # those of both directions are on opposite sides of a jump.
+    # The thin line of the backward motion lies on the wide one where both coincide; names stand ahead of the motion, so
+    # that those of both directions are on opposite sides of a jump.
     directions = (("forth", forth, angles, "#D55E00", 2.6), ("back", back, angles[::-1], "#0072B2", 1.3))
     quantities: list[tuple[PanelScale, Callable[[Equilibrium], float]]] = [
         (PanelScale(f"tip {'xyz'[chosen]} (mm)", TO_MM), lambda e: float(e.tip_position[chosen])),

@@ -205,8 +205,8 @@ def plot_snap(
         scene.set_title(f"{when}\n{facts}", fontsize=8, loc="left")
     old, new = (projection.project(each.tip_position)[:2] for each in (before, after))
     arrow(scenes[1], old, new, INK, margins=(3, 3), zorder=6)
-    # The label stands above the arrow, on the side that the arrow leaves free: its sign tells an arrow that falls to
-    # the right from one that rises to the right.
+    # The label stands above the arrow, on the free side: the sign distinguishes an arrow that falls to the right
+    # from one that rises to the right.
     slope = float(np.sign((old[1] - new[1]) * (new[0] - old[0])))
     label = note(scenes[1], f"{snap.tip_jump * TO_MM:.1f} mm", (old + new) / 2, (2.0 * slope, 10.0))
     label.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5})

@@ -255,7 +255,7 @@ class DrawnMesh(NamedTuple):
         # Open surfaces are seen from both sides: a normal away from the viewer is reversed.
         facing = np.where(self.normals @ towards_viewer < 0, -1.0, 1.0)
         cosine = facing * (self.normals @ towards_light)
-        # Half-way vector of Blinn (1977): a mirror image where the normal halves the angle of both.
+        # Halfway vector of Blinn (1977): a mirror image where the normal halves the angle of both.
         half = towards_viewer + towards_light
         # Power 30 makes a spot of about 12 deg (half its height), as on polished metal.
         gloss = np.clip(facing * (self.normals @ (half / np.linalg.norm(half))), 0, 1) ** 30

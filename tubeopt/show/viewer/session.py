@@ -343,7 +343,7 @@ def push_on(session: Session, load: Load) -> Session:
     """Session after a slow change of its load, with the snaps along the path.
 
     Raises:
-        InputError: a load that the robot cannot bear: tubes of unknown weight, or beside one another.
+        InputError: an unsupported load: tubes of unknown weight, or in addition to one another.
         SolveError: the branch was lost; the robot stays as it was.
     """
     start = session.equilibrium
