@@ -267,7 +267,7 @@ class RobotServer:
                 client.events.extend(events)
                 client.news.set()
 
-    async def _publish(self, client: _Client) -> None:
+    async def _send_state(self, client: _Client) -> None:
         """Send the events and the latest state repeatedly, as fast as the client reads."""
         while True:
             await client.news.wait()
@@ -293,7 +293,7 @@ class RobotServer:
             try:
                 await socket.send(json.dumps({"op": "welcome", "role": "commander" if client.commander else "watcher"}))
                 self._clients.add(client)
-                publishing = asyncio.create_task(self._publish(client))
+                publishing = asyncio.create_task(self._send_state(client))
                 async for message in socket:
                     if words := await self._hear(client, partial(_read, message)):
                         await socket.send(_event("error", words))
@@ -357,7 +357,7 @@ class RobotServer:
     async def _welcome_slicer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve one client by OpenIGTLink from connection to disconnection."""
         client = _Client(writer, MESSAGE_RATE, self._clock())
-        publishing = asyncio.create_task(self._publish_to_slicer(client))
+        publishing = asyncio.create_task(self._send_state_to_slicer(client))
         try:
             if len(self._clients) >= MOST_CLIENTS:
                 return
@@ -380,7 +380,7 @@ class RobotServer:
             self._leave(client)
             writer.close()
 
-    async def _publish_to_slicer(self, client: _Client) -> None:
+    async def _send_state_to_slicer(self, client: _Client) -> None:
         """Send the latest state repeatedly, as fast as the client reads; an error stays in STATUS for one state."""
         with suppress(ConnectionError):
             while True:
