@@ -20,9 +20,9 @@ from tubeopt import load_robot, snap_free_certificate, trace_branch
 from tubeopt.robots.robot import Robot
 from tubeopt.show.surfaces import robot_parts
 from tubeopt.show.viewer.insights import torsion_plot
+from tubeopt.show.viewer.page_text import log_words, readout
 from tubeopt.show.viewer.session import Session, move_joint, open_session
 from tubeopt.show.viewer.teleoperation import pull
-from tubeopt.show.viewer.words import log_words, readout
 
 LIMIT = 50e-3
 """Most seconds from a slider to a new shape, for the robot of the thesis."""

@@ -24,7 +24,7 @@ from tubeopt import (
     load_robot,
 )
 from tubeopt.block.transcription.arm import evaluate_arm
-from tubeopt.block.transcription.responsive import LinearisedArm
+from tubeopt.block.transcription.arm_response import LinearisedArm
 from tubeopt.equilibrium.answer import sample_rotation
 from tubeopt.equilibrium.directions import PARAMETERS
 from tubeopt.equilibrium.jacobian import derivatives_of

@@ -11,7 +11,7 @@ import pytest
 
 from tests.examples import DEG, THESIS, nested
 from tubeopt import InputError, forward_kinematics, verify_trajectory
-from tubeopt.block.transcription.standing import hat
+from tubeopt.block.transcription.arm_state import hat
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.command import ServoOptions, Why
 from tubeopt.control.servo import Guard

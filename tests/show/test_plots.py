@@ -18,9 +18,9 @@ from tests.conftest import LAID_OUT
 from tubeopt import ConcentricRobot, Equilibrium, InputError, Load, Tube, forward_kinematics, load_robot
 from tubeopt.robots.load import PointLoad
 from tubeopt.show.plots import plot_shape, plot_shapes, plot_torsion, save_figure, tube_colour
+from tubeopt.show.plots.projection import DrawnMesh, Projection, SceneBox, facets_of, rule_step, widest_view
 from tubeopt.show.plots.scene import SWEEPING, load_arrows, robot_mesh
 from tubeopt.show.plots.shape import breakpoints
-from tubeopt.show.plots.stage import DrawnMesh, Projection, SceneBox, facets_of, rule_step, widest_view
 from tubeopt.show.plots.style import number
 from tubeopt.show.surfaces import SampledCentreline, ring_surface, robot_parts, tube_surface, visible
 

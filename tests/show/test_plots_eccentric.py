@@ -14,9 +14,9 @@ from tubeopt.equilibrium.centrelines import tube_centrelines
 from tubeopt.inverse.mirror import ASSIGNMENTS, mirror_rotations, permuted_tips
 from tubeopt.show.plots import plot_shape
 from tubeopt.show.plots.eccentric import Curve, Permutations, arm_curve, plot_permutations, plot_reach
+from tubeopt.show.plots.projection import Projection, facets
 from tubeopt.show.plots.scene import robot_mesh
 from tubeopt.show.plots.shape import CLOSE_UP
-from tubeopt.show.plots.stage import Projection, facets
 from tubeopt.show.surfaces import SHEATH_COLOUR, SHEATH_OPACITY, tube_groups
 
 ETR = load_robot(CONFIGS / "thesis_etr.yaml")

@@ -16,8 +16,8 @@ import numpy as np
 
 from ..block.quantities import CLEARANCES
 from ..block.transcription.arm import ArmShape, between, evaluate_arm
-from ..block.transcription.responsive import LinearisedArm
-from ..block.transcription.standing import hat
+from ..block.transcription.arm_response import LinearisedArm
+from ..block.transcription.arm_state import hat
 from ..equilibrium.directions import Change, Directions
 from ..equilibrium.linearised import Linearised
 from ..equilibrium.member import PlainPoint, Point, Unloaded

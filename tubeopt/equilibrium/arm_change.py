@@ -11,9 +11,8 @@ from functools import cached_property
 import numpy as np
 
 from ..block.transcription.arm import cumulate
-from ..block.transcription.collocated import ENDS
-from ..block.transcription.responsive import Forcing, Response
-from ..block.transcription.standing import (
+from ..block.transcription.arm_response import Forcing, Response
+from ..block.transcription.arm_state import (
     SectionInputs,
     SectionValues,
     cross,
@@ -22,6 +21,7 @@ from ..block.transcription.standing import (
     sections_of,
     values_of,
 )
+from ..block.transcription.collocated import ENDS
 from ..errors import InputError, SolveError
 from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.load import FORCE, MOMENT

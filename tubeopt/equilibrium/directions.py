@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..block.transcription.arm_response import Forcing, LinearisedArm
 from ..block.transcription.mesh import INWARDS
 from ..block.transcription.reduced import ReducedProblem
-from ..block.transcription.responsive import Forcing, LinearisedArm
 from ..errors import InputError
 from ..robots.assembly import DIMENSIONS, LENGTH_ROUND_OFF, Assembly
 from ..robots.lengthwise import CrossSections, Lengthwise

@@ -23,12 +23,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ..block.transcription.arm import between
+from ..block.transcription.arm_response import LinearisedArm, Response
+from ..block.transcription.arm_state import cross, hat, sections_of
 from ..block.transcription.buffered import bent_function, mapped, section_function
 from ..block.transcription.collocated import ENDS, THROUGH_ENDS
 from ..block.transcription.reduced import ReducedProblem
-from ..block.transcription.responsive import LinearisedArm, Response
 from ..block.transcription.second_variation import Mode, worst_mode
-from ..block.transcription.standing import cross, hat, sections_of
 from ..errors import SolveError
 from ..physics.certificate import worst_function
 from ..typing import Array

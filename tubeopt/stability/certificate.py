@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..block.transcription.arm import evaluate_arm, profile
+from ..block.transcription.arm_response import LinearisedArm
 from ..block.transcription.buffered import mapped
 from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate
-from ..block.transcription.responsive import LinearisedArm
 from ..block.transcription.second_variation import least as least_value
 from ..display import Displayed
 from ..equilibrium.linearised import Linearised

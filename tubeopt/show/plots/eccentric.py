@@ -14,8 +14,8 @@ from ...typing import Array
 from ..page import tube_colour
 from ..surfaces import SampledCentreline
 from .labels import note
+from .projection import Projection
 from .scene import draw_plate
-from .stage import Projection
 from .style import FAINT, INK, Axes, Figure, colour_bar, headed, new_figure, number, picture
 
 if TYPE_CHECKING:

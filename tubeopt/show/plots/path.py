@@ -19,9 +19,9 @@ from ...typing import Array
 from ..formatting import released
 from .labels import arrow, legend_beside, names_above, note, rules_at
 from .panels import MARGIN, PanelScale, draw_broken, share_x
+from .projection import SceneBox, draw_box, widest_view
 from .scene import DrawnArm, PlotScene, TipPath, draw_lines
 from .shape import draw_scenes
-from .stage import SceneBox, draw_box, widest_view
 from .style import (
     FAINT,
     INK,

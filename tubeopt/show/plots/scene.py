@@ -30,7 +30,7 @@ from ..surfaces import (
     visible,
 )
 from .labels import arrow, note
-from .stage import DrawnMesh, Projection, SceneBox, draw_box, facets, facets_of, mesh_of, widest_view
+from .projection import DrawnMesh, Projection, SceneBox, draw_box, facets, facets_of, mesh_of, widest_view
 from .style import FAINT, INK, Axes
 
 PRINTED, SWEEPING = Detail(24, 160, even=True), Detail(10, 120, even=True)

@@ -18,8 +18,8 @@ from ..page import tube_colour
 from ..surfaces import Detail, SampledCentreline, TubeGroup, tube_groups
 from .labels import names_above, note, rules_at
 from .panels import ROTATION, PanelScale, draw_over
+from .projection import Projection, SceneBox, facets, rule_step
 from .scene import PRINTED, DrawnArm, DrawnTarget, PlotScene, close_up_radius, draw_scene, robot_mesh
-from .stage import Projection, SceneBox, facets, rule_step
 from .style import FAINT, INK, Axes, Figure, caption, disk, entitle, headed, narrow, new_figure, number, picture
 
 GHOST_OPACITY = 0.25

@@ -23,8 +23,8 @@ from ...typing import Array
 from ..quantities import load_in_words
 from .labels import legend_beside, note
 from .panels import CLEARANCE, DEVIATION, MARGIN, PanelScale, draw_joints, draw_over, share_x
+from .projection import Projection, SceneBox
 from .scene import DrawnArm, PlotScene, TipPath, draw_scene
-from .stage import Projection, SceneBox
 from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture, styled
 
 SHOWN = 9

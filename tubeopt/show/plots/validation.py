@@ -14,7 +14,7 @@ from ...validation import Comparison, ErrorTable, Validation
 from ..page import tube_colour
 from .labels import names_above, note, rules_at
 from .panels import draw_bars
-from .stage import round_below
+from .projection import round_below
 from .style import FAINT, INK, Axes, Figure, disk, entitle, headed, narrow, new_figure, picture
 
 MEASURED = "#D55E00"

@@ -18,9 +18,9 @@ from ...workspaces.voxels import PATCHES, Keys, Store, index_of
 from ..formatting import counted
 from .labels import legend_above
 from .panels import MARGIN, draw_joints, draw_over, share_x
+from .projection import Projection
 from .scene import DrawnTarget, draw_plate
 from .shape import draw_scenes
-from .stage import Projection
 from .style import Axes, Figure, caption, colour_bar, headed, new_figure, number, picture
 from .trajectory import beside_scene, swept_scene
 

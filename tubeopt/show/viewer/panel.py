@@ -22,6 +22,7 @@ from ...robots.robot import Robot
 from ...robots.tubes import Tube
 from ...typing import Array
 from .overlays import ACROSS
+from .page_text import Commands, key_words, legend, log_words, message_words, readout, typed
 from .scene import Mark, ViewerScene
 from .session import (
     DIRECTIONS,
@@ -39,7 +40,6 @@ from .session import (
 )
 from .teleoperation import KEYS
 from .view import BODIES, YAML, View
-from .words import Commands, key_words, legend, log_words, message_words, readout, typed
 
 FIELDS = (
     ("curvature", "curvature", "1/m", 1.0, 0.1),

@@ -24,6 +24,7 @@ from ..surfaces import Part
 from .host import LOCAL, AddedHandler, address_of, page_title, quiet_server, saved
 from .insights import Insights, Worker, torsion_plot
 from .overlays import COLOUR, OPACITY, ComparedRobot, comparison_session, cut_parts, cut_words, swept_volume
+from .page_text import Change, Commands, ghost_words
 from .panel import ForceArrow, Panel
 from .scene import Mark, ViewerScene, animate, ghost_parts, look_from
 from .session import Session, other_equilibria
@@ -39,7 +40,6 @@ from .view import (
     play_to,
     recorded,
 )
-from .words import Change, Commands, ghost_words
 
 TICK = 0.04
 """Time between pictures during playback, s."""

@@ -1,6 +1,6 @@
 """Linearised response of an arm in equilibrium to changes of its joints, dimensions and loads.
 
-A turn psi of the frame about world axes changes the quantities of `standing` by
+A turn psi of the frame about world axes changes the quantities of `arm_state` by
 
     psi' = R du,     db = (R'(dm - psi x m))_xy,     dm' = n x (psi x e) - e x dn.
 
@@ -22,7 +22,7 @@ import scipy
 
 from ...errors import SolveError
 from ...typing import Array, Index
-from .standing import ArmState, cross, hat
+from .arm_state import ArmState, cross, hat
 
 
 @dataclass(frozen=True, eq=False)
