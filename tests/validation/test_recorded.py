@@ -177,7 +177,7 @@ NDI_UNITS = NDI_ROW.replace("Tx,Ty,Tz", "Tx (mm),Ty (mm),Tz (mm)")
 def test_an_ndi_export_in_other_notations(text: str, encoding: str, tmp_path: Path) -> None:
     (tmp_path / "ndi.csv").write_text(text, encoding=encoding)
     read = read_recorded(tmp_path / "ndi.csv", 40.0)
-    columns = columns_of(read.table, read.meaning, "ndi.csv", 1)
+    columns = columns_of(read.table, read.meaning, "ndi.csv", [0.0])
     np.testing.assert_allclose(columns.positions()[0, 0], [1.5e-3, -2.25e-3, 0.13], rtol=1e-15)
     np.testing.assert_allclose(columns.time(), [0.1], rtol=1e-15)
 
@@ -321,3 +321,28 @@ def test_maps_that_make_no_sense(tmp_path: Path, text: str, problem: str) -> Non
     with pytest.raises(InputError) as caught:
         mapped(tmp_path, text + "\n")
     assert problem in str(caught.value)
+
+
+def test_formulas_have_factors_constants_sums_and_home(tmp_path: Path) -> None:
+    """A differential drive, an absolute carriage, and a column with a minus in its name."""
+    m = driven(trivial(), count=20, noise=0.0)
+    (a, b), (p, q) = np.degrees(m.rotations).T, m.translations.T * 1e3
+    held = -np.array([tube.straight_length for tube in robot().tubes]) * 1e3
+    rows = np.column_stack([2 * (a - b - 12.5), b, p + held[0], (7 - q) / 1.25, m.tip_position * 1e3])
+    table(tmp_path / "tips.csv", "motor-1 m2 s s2 x y z", rows)
+    text = "tips: tips.csv\ncolumns: {m2: 'rotation_2, deg', x: x_1, y: y_1, z: z_1}\nformulas:\n"
+    good = "  rotation_1: 0.5 * motor-1 + m2 + 12.5, deg\n  translation_1: s - home, mm\n"
+    good += "  translation_2: -1.25*s2 + 7, mm\n"
+    result = mapped(tmp_path, text + good)
+    np.testing.assert_allclose(result.rotations, m.rotations, atol=1e-12)
+    np.testing.assert_allclose(result.translations, m.translations, atol=1e-12)
+    for wrong, problem in (
+        ("rotation_1: 0.5 * motor, deg", "'0.5 \\* motor' cannot be read.*a sum of columns"),
+        ("rotation_1: motor-1 - home, deg", "'- home' cannot be read"),
+        ("rotation_1: 12.5, deg", "must name a column"),
+        ("rotation_1: motor-1", "must end with a comma and deg, rad, turn"),
+        ("rotation_2: motor-1, deg", "rotation_2 is column m2 already"),
+        ("rotation_3: motor-1, deg", "rotation or translation of 2 tubes"),
+    ):
+        with pytest.raises(InputError, match=problem):
+            mapped(tmp_path, f"{text}  {wrong}\n")

@@ -80,6 +80,12 @@ class MeasurementMap(Entry):
         {}, description="for each column its meaning and unit; not needed for tracker exports"
     )
     joint_columns: dict[str, str] | None = Field(None, description="the same for joints; default `columns`")
+    formulas: dict[str, str] = Field(
+        {},
+        description="joint values from several columns, with factors and constants, then the unit. In a translation, "
+        "`home` is the position of the tube's held end at home, minus its straight length",
+        examples=["{rotation_1: 0.5 * motor_1 - motor_2 + 12.5, deg}"],
+    )
     frame_rate_Hz: Positive | None = Field(None, description="frame rate of an export that counts frames")
     reference: Annotated[int | str | None, BeforeValidator(_number_or_name)] = Field(
         None,
@@ -136,7 +142,10 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
     # Columns that only the other file has do not belong to this one.
     mine = {k: v for k, v in entry.columns.items() if k in recorded.table.columns or entry.joints is None}
     meanings = {**recorded.meaning, **mine}
-    tips = columns_of(recorded.table, meanings, str(path), robot.n_tubes)
+    # Where a drive reports the place of the held end, that of home is to be taken off.
+    home = [-tube.straight_length for tube in robot.tubes]
+    own_formulas = entry.formulas if entry.joints is None else {}
+    tips = columns_of(recorded.table, meanings, str(path), home, own_formulas)
     joints = tips
     if entry.reference is not None:
         tips = replace(tips, reference=_reference(path, entry.reference, tips, recorded))
@@ -144,7 +153,7 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
     if entry.joints is not None:
         table = read_recorded(folder / entry.joints).table
         own = entry.joint_columns or {k: v for k, v in entry.columns.items() if k in table.columns}
-        joints = columns_of(table, own, str(path), robot.n_tubes)
+        joints = columns_of(table, own, str(path), home, entry.formulas)
     _complete(path, entry, tips, joints, robot)
     measurements = measured(
         tips,
@@ -491,7 +500,7 @@ def _columns(path: str | PathLike[str], table: CsvTable, robot: Robot) -> tuple[
         # Without a plain x_mm the quaternion is that of the first numbered sensor.
         first = _sensors(table.columns)[0][0][1:-3]
         meanings |= {name: f"{name}_{first}" for name in QUATERNION}
-    return columns_of(table, {c: m for c, m in meanings.items() if c in table.columns}, str(path), n), mirrored
+    return columns_of(table, {c: m for c, m in meanings.items() if c in table.columns}, str(path), [0.0] * n), mirrored
 
 
 def _sensors(columns: Sequence[str]) -> list[tuple[str, str, str]]:

@@ -282,6 +282,48 @@ MEANINGS = {
 sensor (default 1): position, quaternion, rotation vector, rotation matrix by rows, or z and x axes."""
 
 
+@dataclass(frozen=True)
+class Formula:
+    """Sum of columns with factors, and a constant."""
+
+    terms: tuple[tuple[str, Decimal], ...]
+    """Pairs (column, factor in SI)."""
+    constant: float = 0.0
+    """SI."""
+
+
+def formula_of(text: str, unit: Decimal, columns: Sequence[str], home: float | None) -> Formula:
+    """Formula such as "0.5 * motor_1 - motor_2 + 12.5": a sum of columns with factors, numbers, and `home`.
+
+    Args:
+        unit: unit of the result and of its constants, in SI.   home: value of the word home, SI; None for none.
+
+    Raises:
+        ValueError: another text, or one without a column.
+    """
+    # Names of columns may have any sign in them: the longest that fits is taken.
+    names = "|".join(re.escape(name) for name in sorted(columns, key=len, reverse=True))
+    number = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+    term = re.compile(rf"\s*([+-]?)\s*(?:({number})\s*\*\s*)?(?:({names})|(home)|({number}))\s*(?=[+-]|$)")
+    terms, constant, at = [], 0.0, 0
+    while at < len(text):
+        match = term.match(text, at)
+        if match is None or (at and not match[1]) or (match[4] and home is None):
+            allowed = (
+                "a sum of columns, of numbers and, for a translation, of home, each with a factor: 0.5 * a - b + 3"
+            )
+            raise ValueError(f"is {text!r}, and {text[at:].strip()!r} cannot be read; it must be {allowed}")
+        factor = Decimal(match[2] or 1) * (-1 if match[1] == "-" else 1)
+        if match[3]:
+            terms.append((match[3], factor * unit))
+        else:
+            constant += float(factor) * (home or 0.0) if match[4] else float(factor * Decimal(match[5]) * unit)
+        at = match.end()
+    if not terms:
+        raise ValueError(f"is {text!r}; it must name a column")
+    return Formula(tuple(terms), constant)
+
+
 @dataclass(frozen=True, eq=False)
 class Columns:
     """Table with the meaning of its columns."""
@@ -289,17 +331,23 @@ class Columns:
     table: CsvTable
     known: Mapping[str, tuple[str, Decimal]]
     """Meaning -> name of the column, and its unit in SI, negative for a reversed sign."""
+    formulas: Mapping[str, Formula]
+    """Meaning -> formula of columns, for joint values."""
     reference: int | None = None
     """Number of the reference sensor; its frame is used in every row. None for the device frame."""
 
     def has(self, *meanings: str) -> bool:
         """True if every one of these meanings has a column."""
-        return all(meaning in self.known for meaning in meanings)
+        return all(meaning in self.known or meaning in self.formulas for meaning in meanings)
 
     def numbers(self, meanings: Sequence[str], *, missing: bool = False) -> Array:
         """Numbers in SI, shape (rows, M); with `missing`, NaN for cells of `NOTHING`."""
-        columns, units = zip(*(self.known[meaning] for meaning in meanings), strict=True)
-        return self.table.numbers(columns, units, gaps=NOTHING if missing else ())
+        out = np.empty((len(self.table.rows), len(meanings)))
+        for k, meaning in enumerate(meanings):
+            own = self.formulas.get(meaning) or Formula((self.known[meaning],))
+            columns, units = zip(*own.terms, strict=True)
+            out[:, k] = self.table.numbers(columns, units, gaps=NOTHING if missing else ()).sum(1) + own.constant
+        return out
 
     def time(self) -> Array | None:
         """Times (rows,), s; None without such a column."""
@@ -379,8 +427,18 @@ class Columns:
         return None
 
 
-def columns_of(table: CsvTable, meanings: Mapping[str, str], where: str, tubes: int) -> Columns:
+def columns_of(
+    table: CsvTable,
+    meanings: Mapping[str, str],
+    where: str,
+    home: Sequence[float],
+    formulas: Mapping[str, str] | None = None,
+) -> Columns:
     """Assign meanings such as "rotation_1, deg" to the columns of a table; a leading minus reverses the sign.
+
+    Args:
+        home: (n,) value of the word home in formulas of translations, m.
+        formulas: joint values from several columns: {"rotation_1": "0.5 * motor_1 - motor_2 + 12.5, deg"}.
 
     Raises:
         InputError: a missing column, an unknown meaning or unit, a meaning given twice.
@@ -405,13 +463,32 @@ def columns_of(table: CsvTable, meanings: Mapping[str, str], where: str, tubes: 
             problems.append(f"columns.{column}: the unit of {meaning} is {unit!r}; {allowed}")
         elif meaning in known:
             problems.append(f"columns.{column}: {meaning} is column {known[meaning][0]} already")
-        elif meaning.startswith(("rotation_", "translation_")) and not 1 <= int(meaning.split("_")[1]) <= tubes:
-            problems.append(f"columns.{column} is {text!r}; the robot has {tubes} tubes")
+        elif meaning.startswith(("rotation_", "translation_")) and not 1 <= int(meaning.split("_")[1]) <= len(home):
+            problems.append(f"columns.{column} is {text!r}; the robot has {len(home)} tubes")
         else:
             scale = units[unit or next(iter(units))] if units else ONE
             known[meaning] = column, scale if sign > 0 else scale.copy_negate()
+    sums: dict[str, Formula] = {}
+    for meaning, text in (formulas or {}).items():
+        rule, _, unit = (part.strip() for part in text.rpartition(","))
+        match = re.fullmatch(r"(rotation|translation)_([1-9]\d*)", meaning)
+        units = MEANINGS[f"{match[1]}_I"] if match else NO_UNIT
+        if match is None or int(match[2]) > len(home):
+            problems.append(
+                f"formulas.{meaning} is not known; it must be a rotation or translation of {len(home)} tubes"
+            )
+        elif meaning in known:
+            problems.append(f"formulas.{meaning}: {meaning} is column {known[meaning][0]} already")
+        elif unit not in units:
+            problems.append(f"formulas.{meaning} is {text!r}; it must end with a comma and {', '.join(units)}")
+        else:
+            own = home[int(match[2]) - 1] if match[1] == "translation" else None
+            try:
+                sums[meaning] = formula_of(rule, units[unit], table.columns, own)
+            except ValueError as error:
+                problems.append(f"formulas.{meaning} {error}")
     refuse(where, problems)
-    return Columns(table, known)
+    return Columns(table, known, sums)
 
 
 def _matrices(table: Array, read: Callable[[Array], Rotation]) -> Array:
