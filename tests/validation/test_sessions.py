@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tubeopt import ConcentricRobot
+from tubeopt import ConcentricRobot, InputError, Piece, Tube, load_robot
 from tubeopt.cli.app import main
 from tubeopt.robots.calibration import Calibration
 from tubeopt.runs.measurement_file import save_measurements
 from tubeopt.typing import Array
 from tubeopt.validation import FitOptions, Measurements, choose_parameters, fit, validate
+from tubeopt.validation.effects import heated_pieces
 from tubeopt.validation.model import ParameterState
 from tubeopt.validation.sessions import Sessions
 
@@ -148,3 +149,35 @@ def test_a_file_lists_recordings(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert [e["name"] for e in record["estimates"]] == ["latency", "rotation_2@1", "rotation_2@2", "curvature_2"]
     assert [part["measurements"] for part in record["after"]["recordings"]] == ["0.csv", "1.csv"]
     assert len(record["held_out_recordings"]) == 2
+
+
+def ramped(tube: Tube, dead: float, fade: float) -> Tube:
+    """A tube whose curvature rises and falls linearly, as a function of arc length."""
+    u, flat = tube.curvature, tube.curved_length - 2 * (dead + fade)
+    rise, fall = (Piece(fade, lambda s, at=at: u * abs(at - s) / fade) for at in (0.0, fade))
+    chain = (Piece(dead, 0.0), rise, Piece(flat, u), fall, Piece(dead, 0.0))
+    dimensions = tube.outer_diameter, tube.inner_diameter
+    return Tube.of_pieces(*dimensions, chain, straight_length=tube.straight_length)
+
+
+def test_the_heated_shape_is_recovered_and_its_uncertainty_is_reported(tmp_path: Path) -> None:
+    """Ramps by functions of arc length against arcs: 16 and 10 mm of fade behind 4 and 3 mm that stayed straight."""
+    inner, outer = robot().tubes
+    true = replace(robot(), tubes=(ramped(inner, 4 * MM, 16 * MM), ramped(outer, 3 * MM, 10 * MM)))
+    truth = {"dead_length_1": 4 * MM, "dead_length_2": 3 * MM, "fade_1": 16 * MM, "fade_2": 10 * MM, "curvature": 1.0}
+    recordings = [session(seed, trivial(), 200, true) for seed in range(2)]
+    options = FitOptions(own=("registration",), folds=3)
+    fitted = fit(robot(), recordings, ["dead_length_all", "fade_all", "curvature"], options)
+    for e in fitted.estimates:
+        assert e.value == pytest.approx(truth[e.name], abs=3 * e.standard_error)
+        assert e.low > 0 or e.name == "dead_length_1"
+    (remark,) = (r for r in fitted.remarks if r.startswith("length, stiffness and shape explain each other"))
+    assert "dead_length_1 -" in remark  # a longer ramp against a shorter straight end
+    assert "fade_1 +" in remark
+    assert fitted.before.summary.rms > 4 * fitted.after.summary.rms
+    fitted.robot.save(tmp_path / "robot.yaml")
+    error = validate(load_robot(tmp_path / "robot.yaml"), session(7, trivial(), 300, true)).summary.rms
+    assert fitted.held_out is not None
+    assert fitted.held_out.rms == pytest.approx(error, rel=0.1)
+    with pytest.raises(InputError, match="together they must be at most half the curved length of 60 mm"):
+        heated_pieces(60 * MM, 5.0, 20 * MM, 11 * MM)

@@ -49,7 +49,7 @@ from .comparison import (
     validate,
 )
 from .effects import OWN
-from .identifiability import doubts, entangled_history, left_out, louder, undetermined
+from .identifiability import doubts, entangled_history, least_certain, left_out, louder, undetermined
 from .measurements import Measurements, recordings_of
 from .model import ParameterState
 from .parameters import Parameter, choose_parameters
@@ -557,6 +557,7 @@ class FitProblem:
 
     def _doubts(self, half: Array, correlation: Array) -> list[str]:
         messages = doubts(self.chosen, self.free, self.values, half, correlation)
+        messages += least_certain(self.chosen, self.free, half, correlation)
         messages += entangled_history(self.model, self.fit)
         messages += louder(self._left(self.fit), self.options.noise)
         if not self.fit.converged:

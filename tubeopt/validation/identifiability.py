@@ -113,6 +113,39 @@ def doubts(
     return remarks
 
 
+# Kinds of numbers of the tubes that explain each other's effects on the tips.
+TUBE_KINDS = (
+    "curvature", "piece_curvature", "curved_length", "dead_length", "fade", "bending_stiffness", "torsional_stiffness",
+    "stiffness_ratio", "nu", "transmission_length",
+)  # fmt: skip
+
+
+def least_certain(parameters: Sequence[Parameter], free: Sequence[int], half: Array, correlation: Array) -> list[str]:
+    """A remark on the direction of least certainty, where length, stiffness and shape of tubes explain each other.
+
+    Args:
+        free, half, correlation: as for `doubts`.
+    """
+    own = [k for k in free if parameters[k].kind in TUBE_KINDS]
+    related = correlation[np.ix_(own, own)] - np.eye(len(own))
+    if not related.size or np.abs(related).max() < 0.9:
+        return []
+    scale = np.array([parameters[k].scale for k in own])
+    deviation = half[own] / scale
+    variance, directions = np.linalg.eigh(correlation[np.ix_(own, own)] * np.outer(deviation, deviation))
+    step = directions[:, -1] * math.sqrt(max(variance[-1], 0.0))
+    step *= np.sign(step[np.argmax(np.abs(step))])
+    parts = [
+        f"{parameters[k].name} {'+' if x > 0 else '-'}{shown(abs(x) * s, parameters[k].unit)}"
+        for k, x, s in zip(own, step.tolist(), scale.tolist(), strict=True)
+        if abs(x) > 0.1 * np.abs(step).max()
+    ]
+    return [
+        f"length, stiffness and shape explain each other: the tips change least with {join(parts)} together, and each "
+        "is as uncertain as that"
+    ]
+
+
 def louder(left: Sequence[float], known: Sequence[float | None]) -> list[str]:
     """Remarks where residuals are far beyond the noise that was given: of positions, m, and of directions, rad."""
     remarks = []
