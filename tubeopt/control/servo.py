@@ -318,12 +318,15 @@ MOST_CURVED, MOST_STIFF = 4.0, 1e6
 # Damped steps far from rest before one without damping, which is faster; twice as many each time.
 PATIENCE = 8
 
+# Fraction of the asked decrease of the distance below which the next step is damped, and solves for the whole distance.
+SLOW = 0.01
+
 # Length of a step over the scales below which the curvature of the distance drowns in round-off.
-SEEN = 1e-5
+SEEN = 1e-6
 
 # Change over the scales below which a joint rests: its second-order effect on the tip is below round-off. Decrease of
-# the distance over the robot's length, times two, below which the robot rests: 10 pm for an arm of 0.2 m.
-DEAD, GAIN = 1e-7, 1e-10
+# the distance over the robot's length, times two, below which the robot rests: 0.1 nm for an arm of 0.2 m.
+DEAD, GAIN = 1e-7, 1e-9
 
 # Singular value of a task below which it leaves a motion free: above round-off of the Jacobian, below any motion that
 # counts.
@@ -519,11 +522,12 @@ class Servo:
         reverses = step * last < 0
         self._stiff = np.where(reverses, np.minimum(4 * self._stiff, MOST_STIFF), np.maximum(1.0, self._stiff / 1.2))
         turned, size = float(step @ last), float(np.abs(step).max())
+        asked = min([1.0, *(_allowed(part.most, part.gap) for part in parts)])
+        far, rated = not self._damping and asked < 1, Why.RATE in why
         if self._damping:
             back = turned < -0.5 * float(np.linalg.norm(step) * np.linalg.norm(last))
         else:
             self._stiff[:] = 1.0
-            far = any(_allowed(part.most, part.gap) < 1 for part in parts)
             back = far and bool(((share * step * last < -0.5 * last**2) & (np.abs(last) > 10 * DEAD)).any())
         # A velocity has no distance, and that of a pivot has kinks at the points of the shape.
         led = any(part.name == "velocity" for part in parts)
@@ -542,7 +546,8 @@ class Servo:
             curved = min((after - model) / square, MOST_CURVED) if seen else 0.0
             descends = model >= before or before < DEAD**2 or before - after >= DESCENT * (before - model)
             grows = not descends or back
-            if grows or (self._damping and curved > self._damping):
+            slow = far and not rated and before - after < SLOW * asked * before
+            if grows or slow or (self._damping and curved > self._damping):
                 self._damping = max(curved, min(4 * self._damping * grows, MOST_CURVED), DAMPING**2)
             elif self._damping and share * part_of == 1 and seen:
                 self._damping = max(curved, self._damping / 2) if self._damping > 2 * DAMPING**2 else 0.0

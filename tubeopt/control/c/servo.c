@@ -12,9 +12,10 @@
 #define BRAKINGS 5 /* times, as parts of the whole, at which the margin of a braking robot is looked at */
 #define MOST_CURVED 4. /* curvature of a distance over the scales: kinks, where breakpoints coincide, look larger */
 #define MOST_STIFF 1e6
-#define SEEN 1e-5  /* of a joint's scale: of a shorter whole step the curvature drowns in round-off */
+#define SEEN 1e-6  /* of a joint's scale: of a shorter whole step the curvature drowns in round-off */
+#define SLOW 0.01  /* part of the decrease that is asked for, below which the next step solves for the whole distance */
 #define DEAD 1e-7  /* of a joint's scale: a joint with a shorter whole step rests */
-#define GAIN 1e-10 /* of the longest tube: a whole step that brings the tip half as much closer leaves the robot at rest */
+#define GAIN 1e-9  /* of the longest tube: a whole step that brings the tip half as much closer leaves the robot at rest */
 
 static const double BRAKING[BRAKINGS + 1] = {0, 0.13, 0.3, 0.5, 0.75, 1};
 
@@ -279,7 +280,8 @@ static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command 
     tubeopt_joints next;
     Ball ball;
     double share = aim->clipped, size = 0, turned = 0, there[JOINTS], left[6], t[3];
-    int guarded = 0, back = 0, far = !m->damping && part_allowed(c, aim->missing, 0) < 1;
+    double asked = fmin(part_allowed(c, aim->missing, 0), part_allowed(c, aim->missing, 1)); /* part of what is missing */
+    int guarded = 0, back = 0, far = !m->damping && asked < 1;
     for (int k = 0; k < JOINTS; k++) {
         step[k] = fmin(fmax(step[k], aim->low[k]), aim->high[k]); /* of rounding */
         if (m->damping && fabs(step[k]) < DEAD) step[k] = 0; /* what is at its place does not tremble while others move */
@@ -307,7 +309,8 @@ static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command 
         int seen = ends > SEEN * SEEN;
         curved = seen ? fmin((after - model) / ends, MOST_CURVED) : 0;
         int closer = model >= before || before < DEAD * DEAD || before - after >= DESCENT * (before - model);
-        if (!closer || back || (m->damping && curved > m->damping)) m->damping = fmax(fmax(curved, fmin(4 * m->damping * (!closer || back), MOST_CURVED)), DAMPING * DAMPING);
+        int slow = far && !(aim->why & TUBEOPT_AT_RATE) && before - after < SLOW * asked * before;
+        if (!closer || back || slow || (m->damping && curved > m->damping)) m->damping = fmax(fmax(curved, fmin(4 * m->damping * (!closer || back), MOST_CURVED)), DAMPING * DAMPING);
         else if (m->damping && share == 1 && seen) m->damping = m->damping > 2 * DAMPING * DAMPING ? fmax(curved, m->damping / 2) : 0;
         if (!closer) continue;
         if (robot != m && !can_brake(robot, c, &ball, there, fmin(fmin(floor + ROOM / 2, margin_told(robot, 0)), margin_told(m, 1)), margin_told(m, 1))) {

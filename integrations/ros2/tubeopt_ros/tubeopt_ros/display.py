@@ -81,8 +81,8 @@ def diagnostics(name: str, told: dict, pace) -> DiagnosticArray:
 
 
 def _upright_to(directions: np.ndarray) -> np.ndarray:
-    """(m, 4) unit quaternions, scalar first, that turn z into directions (m, 3) of any length but 0."""
-    d = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    """(m, 4) unit quaternions, scalar first, that turn z into directions (m, 3); those of length 0 turn nothing."""
+    d = directions / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-300)
     q = np.column_stack([1 + d[:, 2], -d[:, 1], d[:, 0], np.zeros(len(d))])
     q[q[:, 0] < 1e-9] = [0.0, 1.0, 0.0, 0.0]  # straight back: half a turn about x
     return q / np.linalg.norm(q, axis=1, keepdims=True)
