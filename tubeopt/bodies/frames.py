@@ -240,16 +240,16 @@ class RegistrationError:
         return self.turn * self.doubtful > MAX_ROTATION_ERROR and self.narrow <= NARROW
 
 
-def turn_curvature(here: Array, there: Array, weight: Array, turns: Array) -> Array | None:
+def turn_curvature(measured: Array, known: Array, weight: Array, turns: Array) -> Array | None:
     """Second derivative H (k, k) by rotations about axes (k, 3); None if a rotation is undetermined.
 
     Args:
-        here: measured points (V, 3), relative to their mean.
-        there: their positions (V, 3), relative to their mean.
+        measured: measured points (V, 3), relative to their mean.
+        known: their positions (V, 3), relative to their mean.
         weight: weights (V,).
         turns: axes (k, 3).
     """
-    S = np.einsum("v,vi,vj->ij", weight, here, there)
+    S = np.einsum("v,vi,vj->ij", weight, measured, known)
     H = turns @ (np.trace(S) * np.eye(3) - (S + S.T) / 2) @ turns.T
     smallest, scale = np.linalg.eigvalsh(H)[0], max(float(np.trace(H)), 1e-300)
     return None if smallest <= OPEN * scale else H
@@ -274,9 +274,9 @@ def standard_errors(covariance: Array, turns: Array, centre: Array, length: floa
     return math.sqrt(max(np.linalg.eigvalsh(about)[-1], 0.0)), math.sqrt(reach)
 
 
-def mirrored(here: Array, there: Array, rms: float) -> float | None:
+def mirrored(measured: Array, known: Array, rms: float) -> float | None:
     """RMS distance to the best mirror image, m, if it is clearly below the residual `rms`; otherwise None."""
-    u, v = here - here.mean(0), there - there.mean(0)
+    u, v = measured - measured.mean(0), known - known.mean(0)
     size = np.linalg.svd(u.T @ v)[1]
     sign = np.sign(np.linalg.det(u.T @ v))
     best = (u**2).sum() + (v**2).sum() - 2 * (size[0] + size[1] - sign * size[2])
@@ -284,31 +284,31 @@ def mirrored(here: Array, there: Array, rms: float) -> float | None:
     return distance if distance < MIRRORED * rms and rms > EXACT * spread else None
 
 
-def landmark_error(here: Array, there: Array, noise: float | None = None) -> RegistrationError:
+def landmark_error(measured: Array, known: Array, noise: float | None = None) -> RegistrationError:
     """Standard errors of a registration by landmarks.
 
     The errors of landmarks are assumed to be independent and equal in all directions. A common error of all landmarks
     moves the plate and cannot be detected.
 
     Args:
-        here: landmarks (N, 3) measured in the frame of the plate, m.
-        there: positions (N, 3) in the patient, in the frame of the plate after the registration, m.
+        measured: landmarks (N, 3) measured in the frame of the plate, m.
+        known: positions (N, 3) in the patient, in the frame of the plate after the registration, m.
         noise: standard deviation of each coordinate, m; by default estimated with 3 N - 6 degrees of freedom.
     """
-    count, centre, doubtful = len(here), there.mean(0), 1.0
-    narrow, rms = narrowness(here), math.sqrt(((here - there) ** 2).sum() / count)
+    count, centre, doubtful = len(measured), known.mean(0), 1.0
+    narrow, rms = narrowness(measured), math.sqrt(((measured - known) ** 2).sum() / count)
     if noise is None:
         freedom = max(3 * count - 6, 1)
         noise = rms * math.sqrt(count / freedom)
         doubtful = math.sqrt(freedom / scipy.stats.chi2.ppf(0.05, freedom))
-    hessian = turn_curvature(here - here.mean(0), there - centre, np.ones(count), np.eye(3))
+    hessian = turn_curvature(measured - measured.mean(0), known - centre, np.ones(count), np.eye(3))
     if hessian is None:
-        return RegistrationError(math.inf, math.inf, narrow, mirrored(here, there, rms))
+        return RegistrationError(math.inf, math.inf, narrow, mirrored(measured, known, rms))
     covariance = np.zeros((6, 6))
     covariance[:3, :3], covariance[3:, 3:] = np.linalg.inv(hessian), np.eye(3) / count
-    length = float(np.linalg.norm(here, axis=1).max())
+    length = float(np.linalg.norm(measured, axis=1).max())
     turn, reach = standard_errors(noise**2 * covariance, np.eye(3), centre, length)
-    return RegistrationError(turn, reach, narrow, mirrored(here, there, rms), doubtful)
+    return RegistrationError(turn, reach, narrow, mirrored(measured, known, rms), doubtful)
 
 
 # Statements of axes. SPACE in other spellings needs a known word, since "space" is a common word.

@@ -1,4 +1,4 @@
-// Keys, gamepads and 3-D mice lead the tip: twenty times a second the page tells the server how it is to move.
+// Keys, gamepads and 3-D mice move the tip: twenty times a second the page sends its velocity to the server.
 "use strict";
 
 // Unit vectors along the axes of the plate; W, A, S, D, Q, E and the arrows are the camera's.

@@ -177,7 +177,7 @@ static void sample(const Unknowns *q, const Guess *g, double theta[][N]) {
     }
 }
 
-/* Where the shape is looked at along a piece: at 3 points of each of `steps` Magnus steps, at the shape points, and at
+/* Points where the shape is evaluated along a piece: at 3 points of each of `steps` Magnus steps, at the shape points, and at
    those of a finer quadrature; with the Lagrange basis at all `count` points, integrated once and twice, (K, count). */
 typedef struct {
     int steps, count;
@@ -256,7 +256,7 @@ static void carry_poses(const Unknowns *q, const Looks *at, const Place *places,
 static double check_piece(const Unknowns *q, const Profile *arm, int p, const Place *places, double *wrong) {
     const Layout *l = q->layout;
     double h = l->length[p], bending, energy = 0, stretch[N], moment[CHECK_DEGREE][N], rate[CHECK_DEGREE][N];
-    int alone = !l->collocated[p] && l->across[p].steady; /* where no tube is turned by another one, one point tells it */
+    int alone = !l->collocated[p] && l->across[p].steady; /* without torsion between tubes one point suffices */
     for (int k = 0; k < (alone ? 1 : CHECK_DEGREE); k++) {
         const Place *at = places + k;
         const double *in[5] = {at->direction, at->tubes.stiffness, at->tubes.moment, q->tubes->offset, q->tubes->angle};

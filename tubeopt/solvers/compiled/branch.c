@@ -19,7 +19,7 @@ static int small_step(const Tubes *tubes, const Answer *last, const double *alph
     Guess guess = {last->pieces * STEPS + 1, last->points, 1, N, last->arc_length, last->rotation[0], last->torsion[0],
                    last->point, last->point_rotation[0], turn, shift};
     if (solve(tubes, to_alpha, to_shift, &guess, w, next)) return 1;
-    /* Where a branch ends and another one begins close by, a step across the gap is told by the margin alone. */
+    /* Where a branch ends and another one begins close by, only the margin shows a step across the gap. */
     if (next->margin < last->margin / 2) return 1;
     return next->contraction > LARGEST_RATIO || next->largest_change > LONGEST_TWIST(last->margin);
 }

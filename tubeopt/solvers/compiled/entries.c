@@ -40,7 +40,7 @@ static void copy_answer(const Answer *from, Answer *to) {
 
 #define SHORTEST_PART (1 / 300.) /* of a step of ordinary length */
 
-/* Many robots, each from the last of its equilibria along a straight way to other joint values, or where `cold` from tubes
+/* Many robots, each from the last of its equilibria along a straight joint path to other values, or where `cold` from tubes
    without torsion. `lost` (count): 1 where there is none, as at a snap; the arm then stays as it was. */
 CASADI_SYMBOL_EXPORT void follow_many(const Tubes *const *tubes, long long count, double *alpha, double *shift, const double *to_alpha,
                                       const double *to_shift, const unsigned char *cold, Answer *arms, unsigned char *lost, Workspace *w,

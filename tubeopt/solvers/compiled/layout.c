@@ -162,7 +162,7 @@ static int lay_out(const Tubes *t, const double *shift, const Friction *friction
         double need = length * fmax(needs.fastest / WAVES_PER_ELEMENT, shape);
         double wanted = need > 0 ? fmax(1.0, ceil(need - 1e-9)) * (1 << t->pieces->refinement) : 1;
         int collocated = here.bent >= (t->eccentric ? 1 : 2);
-        for (int i = 0; i < N && friction; i++) here.curved[i] &= collocated; /* `curved` tells the unknowns */
+        for (int i = 0; i < N && friction; i++) here.curved[i] &= collocated; /* `curved` marks the unknowns */
         for (int i = 0; i + 1 < N && friction; i++) {
             if (!(here.present[i + 1] && friction->torque[i] > 0)) continue;
             here.curved[i] = here.curved[i + 1] = collocated = 1;
@@ -181,7 +181,7 @@ static int ending(const Layout *l, int tube) {
     return p;
 }
 
-/* The panel of a tube at fraction x of a piece, looked for a little inwards where it may jump. */
+/* Panel of a tube at fraction x of a piece; at the ends, where it may jump, that of a point slightly inside. */
 static inline int panel_on(const Tubes *t, const Layout *l, int p, int tube, double x) {
     if (l->panel[p][tube] >= 0) return l->panel[p][tube];
     return panel_of(t->pieces, tube, l->start[p] + l->transmission[tube] + (x + INWARDS * (0.5 - x)) * l->length[p]);

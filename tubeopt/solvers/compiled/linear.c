@@ -6,7 +6,7 @@
 #define LANCZOS 48             /* steps for the margin at most */
 #define EIGENVALUE_ERROR 1e-10 /* fraction of 1 / margin by which that may be off when they end */
 #define ROUGH_ERROR 1e-6       /* the same of margins by which only steps are judged */
-#define SOFTENING_ERROR 1e-2   /* fraction of 1 - margin that may be wrong where it only tells where to look on */
+#define SOFTENING_ERROR 1e-2   /* allowed error as a fraction of 1 - margin where it only guides a search */
 #define LARGE 1e100            /* numbers whose squares do not overflow */
 #define CHORD_STEP 1e-3        /* below it, rad, Newton's method keeps its factors */
 

@@ -249,7 +249,7 @@ static double least_factorised(const Stage *s, double small, double apart, int m
     return 1 / largest;
 }
 
-#define FIRST_LANCZOS 12     /* steps after which Lanczos' method looks for a better place to start from: */
+#define FIRST_LANCZOS 12     /* steps after which Lanczos' method searches a better start: */
 #define BEYOND 1.2           /* so many times as far below 1 as the margin expected, */
 #define LEAST_SOFTENING 1e-6 /* but at least so far */
 #define MARGIN_APART 0.1     /* margins closer to 1 do not shorten the steps of a load, whatever they are */

@@ -95,7 +95,7 @@ static int least_distance(Quadratic *q, const double *a, double *x) {
     memcpy(x, a, n * sizeof(double));
     q->actives = 0;
     row = worst_row(q, x, 0);
-    /* Round-off grows with what is violated and with the way from 0. */
+    /* Round-off grows with the violation and with the distance from 0. */
     double within = row < 0 ? 0 : 1e-12 * (q->bounds[row] - dot(q->rows + n * row, x, n)) + 1e-14 * sqrt(dot(a, a, n));
     for (int change = 0; row >= 0; change++) {
         double along[MOST_VARIABLES], by[MOST_VARIABLES], whole, shortest = INFINITY;

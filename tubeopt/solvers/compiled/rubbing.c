@@ -4,7 +4,7 @@
 #include "sticking.c"
 
 #define LONG 0.3 /* part of the longest step of a state with margin 0 from which the next may be longer still */
-#define HARDLY_SOFTER 1e-6 /* 1 / margin - 1 from which margins are told from 1 less exactly: eigenvalues gather there */
+#define HARDLY_SOFTER 1e-6 /* 1 / margin - 1 below which margins differ from 1 less accurately: eigenvalues gather there */
 
 /* A state: rows of friction by pair, then by point; `outer` and `inner` are their unknowns. */
 typedef struct {
@@ -120,7 +120,7 @@ static void slip_freely(const Held *h, Room *w) {
     for (int r = 0; r < h->rows; r++) w->free[r] = h->turned[r] - w->before[r] + turned[h->outer[r]] - turned[h->inner[r]];
 }
 
-/* Whether the state keeps to the laws of friction, to HONEST: it is told to what. */
+/* 1 if the state satisfies the laws of friction to HONEST. */
 static int honest(Held *h, const double *before) {
     h->violation = 0;
     for (int r = 0; r < h->rows; r++) {
@@ -132,7 +132,7 @@ static int honest(Held *h, const double *before) {
     return 1;
 }
 
-/* The state near h->state.z, from relative rotations w->before; `guess` tells whether h->sign is one. */
+/* The state near h->state.z, from relative rotations w->before; `guess` is 1 if h->sign is a guess. */
 static int increment(Held *h, int guess, Room *w) {
     double last = INFINITY, contraction = 0;
     signed char kept[MOST_UNKNOWNS];

@@ -151,7 +151,7 @@ typedef struct {
 } Softness;
 
 /* z <- (1 - soft K)^-1 z = J^-1 (1 - P w g') z, with the factors of J, the Jacobian of the residual of moments `soft`
-   times as steep: K is what block/transcription/second_variation.py tells the margin by. */
+   times as steep: K is the matrix of the margin in block/transcription/second_variation.py. */
 static void stiffness_left(const void *of, double *z) {
     const Softness *given = of;
     const Unknowns *q = given->q;

@@ -1,4 +1,4 @@
-// What the converter of a thermometer tells, whichever board reads it, and when it is asked again.
+// Readings of the converter of a thermometer on any board, and the time of the next reading.
 #ifndef CONVERTER_H
 #define CONVERTER_H
 
@@ -13,7 +13,7 @@ static inline bool decoded(int step, float *celsius) {
   return step > 2 && step < ANALOG_STEPS - 3;
 }
 #else
-// From the words that were clocked in, the second of a MAX31855 alone; false where it tells a fault, or a wire is cut.
+// From the words that were clocked in, the second of a MAX31855 alone; false if it reports a fault, or a wire is cut.
 static inline bool decoded(uint16_t high, uint16_t low, float *celsius) {
 #if SENSOR == SENSOR_MAX31855
   *celsius = (int16_t)high / 4 * 0.25f;
@@ -26,7 +26,7 @@ static inline bool decoded(uint16_t high, uint16_t low, float *celsius) {
 }
 #endif
 
-// A converter that is asked before it is ready begins anew, and never tells anything else.
+// A converter that is read before it is ready restarts its conversion and never finishes one.
 static inline bool when_ready(bool (*read)(float *), uint32_t now, float *celsius) {
   static float last = 0;
   static bool well = false;
