@@ -18,6 +18,7 @@ from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.settings import LARGEST_SHIFT
 from ..typing import Array
+from .bundle import bundle_unsolved
 from .member import AnyPoint, Loaded, Member, Point, Unloaded
 from .problem import (
     DEFAULT_DISCRETISATION,
@@ -50,7 +51,7 @@ def equilibrium_of(
     member: Member[Any], result: ArmSolution, start: str, start_time: float = 0.0, method: str = "newton"
 ) -> Equilibrium:
     """Equilibrium of a problem from the solution of a solver."""
-    mesh = member.torsion.mesh
+    mesh = member.problem.mesh
     statistics = Statistics(
         method=method,
         iterations=result.iterations,
@@ -146,6 +147,8 @@ def unsolved(
     """
     refuse_friction(equilibrium)
     robot, rotations, shift = equilibrium.robot, equilibrium.rotations, tuple(equilibrium.translations.tolist())
+    if not robot.fixed_sections:
+        return bundle_unsolved(equilibrium, load, discretisation)
     member: Member[Any]
     if equilibrium.load is not None:
         member = Loaded(robot, _loaded_problem_of(equilibrium), rotations, shift, discretisation_of(equilibrium))

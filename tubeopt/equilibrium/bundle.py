@@ -2,73 +2,84 @@
 
 from __future__ import annotations
 
-import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import scipy
 
-from ..block.transcription.arm import ArmSolution, CollocationPoints
+from ..block.transcription.arm import ArmSolution, CollocationPoints, Profile
 from ..block.transcription.bundle import (
+    HELD,
     Bundle,
     BundleProblem,
     BundleState,
     Start,
     bundle_arm,
+    carried,
+    element_counts,
     evaluate,
     exchanged,
+    followed,
+    holding_forces,
     margin_form,
+    moved_order,
     natural_start,
     opened,
     place_slopes,
     problem_at,
-    refined,
-    sampled,
-    sampled_unknowns,
+    rearranged,
+    softest,
+    solved_order,
     start_unknowns,
+    tip_slopes,
 )
+from ..block.transcription.second_variation import stiffnesses
+from ..block.transcription.tableau import tableau
 from ..errors import InputError, SolveError
 from ..robots.eccentric import BundleRobot
-from ..robots.load import Load
-from ..solvers.newton import NewtonResult, descend
-from ..solvers.settings import LEAST_STIFFNESS
+from ..robots.load import Load, masses
+from ..robots.robot import Robot
+from ..solvers.blas import small
+from ..solvers.newton import NewtonResult, descend, full_steps
+from ..solvers.settings import LEAST_STIFFNESS, NEWTON
 from ..solvers.time_limit import check_time
 from ..typing import Array
-from .answer import build_equilibrium, largest_error
-from .problem import EXTRA_COLLOCATION_POINTS, TOLERANCE
-from .result import Equilibrium, Jacobian, Statistics
-
-REFINEMENTS = 4
-"""Maximum number of times that elements are halved."""
+from .member import AnyPoint, Errors, Member, Point
+from .problem import DEFAULT_DISCRETISATION, EXTRA_COLLOCATION_POINTS, LOADED_DISCRETISATION, Discretisation
+from .result import Equilibrium
 
 EXCHANGES = 20
 """Maximum number of exchanges of boundaries; 94 of 100 random robots of two to four tubes needed none."""
 
-VANISHING = 1e-7
+VANISHING = 1e-10
 """Length (m) of an element below which its section counts as vanishing."""
 
+CLOSING = 1e-4
+"""Length (m) of an element below which a step that closes its section leads to an exchange."""
 
-def bundle_at(robot: BundleRobot, translations: Array) -> Bundle:
-    """Tubes of a bundle robot in front of the plate.
+TO_BOUNDARY = 0.5
+"""Fraction of the way to a section or a tube without length that a step may go."""
 
-    Raises:
-        InputError: a translation that moves a tube out of its carriage.
-    """
-    straight, curved = (
-        np.array([getattr(tube, name) for tube in robot.tubes]) for name in ("straight_length", "curved_length")
-    )
-    beyond = np.flatnonzero(translations > straight + 1e-12)
-    if len(beyond):
-        i = int(beyond[0])
-        raise InputError(
-            f"translation of tube {i + 1} is {translations[i]:g} m and moves it out of its carriage; it must be at "
-            f"most its straight_length, {straight[i]:g} m"
-        )
-    kb, kt, bend = (
+
+class VanishingError(Exception):
+    """A step closes a section."""
+
+    def __init__(self, state: BundleState, section: int) -> None:
+        super().__init__()
+        self.state, self.section = state, section
+
+
+@lru_cache(maxsize=64)
+def bundle_at(robot: BundleRobot, translations: tuple[float, ...]) -> Bundle:
+    """Tubes of a bundle robot in front of the plate."""
+    shift = np.array(translations)
+    robot.admit(shift)
+    straight, curved, kb, kt, bend = (
         np.array([float(getattr(tube, name)) for tube in robot.tubes])
-        for name in ("bending_stiffness", "torsional_stiffness", "curvature")
+        for name in ("straight_length", "curved_length", "bending_stiffness", "torsional_stiffness", "curvature")
     )
     return Bundle(
         kb,
@@ -76,416 +87,413 @@ def bundle_at(robot: BundleRobot, translations: Array) -> Bundle:
         bend,
         np.array(robot.offset),
         np.array(robot.angle),
-        np.maximum(straight - translations, 0.0),
-        transition=translations.copy(),
-        end=translations + curved,
+        np.maximum(straight - shift, 0.0),
+        transition=shift,
+        end=shift + curved,
         sheath=robot.sheath_stiffness,
     )
 
 
-def forces_of(load: Load | None) -> tuple[tuple[float, tuple[float, float, float]], ...]:
-    """Dead forces of a load: arc length and force; raises InputError for other loads."""
-    if load is None:
-        return ()
-    if not load.has_energy or load.gravity is not None or load.distributed is not None:
-        raise InputError(
-            "load has moments, weight or distributed forces; a bundle robot carries forces of fixed direction only"
-        )
-    return tuple((part.at, part.force) for part in load.acting if any(part.force))
+def _places(load: Load | None) -> list[float]:
+    """Places of the sheath where the force on a cross-section jumps, m."""
+    return [] if load is None else sorted({s for s in load.cuts().tolist() if s > HELD})
 
 
-class Solved(NamedTuple):
-    """Stationary state of a bundle problem."""
-
-    problem: BundleProblem
-    state: BundleState
-    iterations: int
-
-
-def _newton(problem: BundleProblem, rotations: Array, x: Array) -> NewtonResult[BundleState]:
-    """Minimum of the energy near x (U,), by guarded Newton steps."""
-    n = len(rotations)
-
-    def turn(_: BundleState, step: Array) -> float:
-        change = problem.local @ step
-        arm = np.cumsum(problem.weight[:, None] * change[:, 2 * n : -1], axis=0)
-        return max(float(np.abs(change[:, :n]).max()), float(np.abs(arm).max()))
-
-    def residual(state: BundleState) -> float:
-        return float(np.abs(problem.local[:, :n] @ state.gradient).max())
-
-    first = evaluate(problem, rotations, x)
-    if not np.isfinite(first.energy):
-        return NewtonResult(first, False, 0, 0.0)
-    possible = [first]
-
-    def moved(state: BundleState, step: Array) -> BundleState:
-        after = evaluate(problem, rotations, state.x + step)
-        if np.isfinite(after.energy):
-            possible[0] = after
-        return after
-
-    result = descend(first, moved, turn, residual)
-    # Steps end at a vanishing section: the last possible state shows which.
-    return result if result.converged else replace(result, state=possible[0])
-
-
-def _minimum(problem: BundleProblem, rotations: Array, x: Array) -> Solved:
-    """Minimum of the energy from unknowns x (U,), with boundaries exchanged where a section vanishes.
-
-    Raises:
-        SolveError: Newton's method does not converge.
-    """
-    iterations = 0
-    for _ in range(EXCHANGES):
-        check_time()
-        result = _newton(problem, rotations, opened(problem, x, VANISHING))
-        iterations += result.iterations
-        state = result.state
-        shortest = int(np.argmin(problem.lengths(state.x)))
-        if result.converged and np.isfinite(state.energy):
-            return Solved(problem, state, iterations)
-        if not (np.isfinite(state.energy) and shortest and problem.lengths(state.x)[shortest] < 2 * VANISHING):
-            break
-        # The section between two boundaries has vanished: they change places.
-        start = exchanged(problem, state, shortest)
-        arm = bundle_arm(problem, rotations, state)
-        problem = replace(problem_at(problem.bundle, start, force=problem.force), tableau=problem.tableau)
-        x = sampled_unknowns(problem, start, arm, arm.rotation[:, 0] - rotations)
-    raise SolveError("not converged: the energy of the bundle has no minimum near its start")
-
-
-def _stable(solved: Solved, rotations: Array) -> Solved:
-    """The solution; for a saddle the lower of the minima on both sides."""
-    values, vectors = np.linalg.eigh(margin_form(solved.problem, solved.state))
-    if values[0] > 0:
-        return solved
-    problem, state = solved.problem, solved.state
-    n = len(rotations)
-    # 0.05 rad is small against the distance between minima, and enough for the energy to fall.
-    aside = 0.05 / np.abs(problem.local[:, :n] @ vectors[:, 0]).max() * vectors[:, 0]
-    both = [_minimum(problem, rotations, state.x + side * aside) for side in (1, -1)]
-    return min(both, key=lambda one: one.state.energy)
-
-
-def bundle_kinematics(
-    robot: BundleRobot,
-    rotations: Array,
-    translations: Array,
-    *,
-    load: Load | None = None,
-    start: Equilibrium | None = None,
-    tolerance: float = TOLERANCE,
-) -> Equilibrium:
-    """Equilibrium of a bundle robot at joint values.
-
-    Args:
-        rotations, translations: (n,), rad and m.
-        load: dead forces at the tip and at places of the sheath.
-        start: equilibrium of the robot, whose branch is continued to these joint values; by default the minimum that
-            is found from untwisted tubes.
-
-    Raises:
-        InputError: other loads, or a tube out of its carriage.
-        SolveError: no stable equilibrium was found, or the tolerance cannot be reached.
-    """
-    began, bundle, force = time.perf_counter(), bundle_at(robot, translations), forces_of(load)
-    places = sorted({s for s, _ in force if np.isfinite(s)})
-    if start is None:
-        first = natural_start(bundle, rotations, places)
-        _check_places(places, float(first.length.sum()))
-        how = "tubes without torsion"
-        problem = problem_at(bundle, first, force=force)
-        solved = _stable(_minimum(problem, rotations, start_unknowns(problem, first)), rotations)
-    else:
-        first, how = sampled(bundle, start.arm, places), "guess"
-        problem = problem_at(bundle, first, force=force)
-        solved = _minimum(problem, rotations, sampled_unknowns(problem, first, start.arm, _twist(start)))
-    for refinement in range(REFINEMENTS + 1):
-        result = _equilibrium(robot, rotations, translations, load, solved, (how, refinement, began))
-        if largest_error(result.mesh_error, result.tip_error, float(result.arc_length[-1])) <= tolerance:
-            if start is None and result.margin <= 0:
-                raise SolveError(f"no stable equilibrium was found: the best has margin {result.margin:.3g}", result)
-            return result
-        arm = result.arm
-        again = Start(
-            solved.problem.order, solved.problem.lengths(solved.state.x) * solved.problem.count, first.curvature
-        )
-        problem = problem_at(bundle, again, refinement=refinement + 1, force=force)
-        solved = _minimum(problem, rotations, sampled_unknowns(problem, again, arm, _twist(result)))
-    raise SolveError(f"the estimated error is above the tolerance of {tolerance:.1e} rad on the finest mesh", result)
-
-
-def _twist(equilibrium: Equilibrium) -> Array:
-    """Twist (n,) of the transmissions, rad."""
-    return np.asarray(equilibrium.rotation[:, 0] - equilibrium.rotations)
-
-
-def _check_places(places: list[float], length: float) -> None:
-    """Raise InputError for a force beyond the last tube."""
-    if places and places[-1] > length:
-        raise InputError(
-            f"a force acts {1e3 * places[-1]:g} mm from the plate; the last tube ends at {1e3 * length:g} mm"
-        )
-
-
-def _equilibrium(
-    robot: BundleRobot,
-    rotations: Array,
-    translations: Array,
-    load: Load | None,
-    solved: Solved,
-    how: tuple[str, int, float],
-) -> Equilibrium:
-    """Equilibrium of a solved bundle, with estimated errors."""
-    problem, state = solved.problem, solved.state
-    n, k = len(rotations), problem.tableau.degree
-    arm = bundle_arm(problem, rotations, state)
-    ends = np.cumsum(problem.lengths(state.x) * problem.count)
-    tube_end = np.zeros(n)
-    for place, boundary in zip(ends.tolist(), problem.order, strict=True):
-        if boundary.end:
-            tube_end[list(boundary.tubes)] = place
-    tips = arm.rotation[np.arange(n), np.searchsorted(arm.arc_length, tube_end - 1e-12)]
-    begin = np.repeat(arm.arc_length[:-1:4], k)
-    values = np.linalg.eigvalsh(margin_form(problem, state))
-    solution = ArmSolution(
-        arm,
-        tips,
-        np.concatenate([[0.0], ends[:-1]]),
-        tube_end,
-        CollocationPoints(begin + state.h * np.tile(problem.tableau.nodes, len(problem.section)), state.theta),
-        margin=min(1.0, float(values[0])),
-        energy=state.energy + state.work,
-        residual=float(np.abs(problem.local[:, :n] @ state.gradient).max()),
-        errors=_errors(problem, rotations, state),
-        iterations=solved.iterations,
-        index=int((values < 0).sum()),
-        work=state.work,
-    )
-    statistics = Statistics(
-        method="newton",
-        iterations=solved.iterations,
-        elements=len(problem.section),
-        degree=k,
-        start=how[0],
-        seconds=time.perf_counter() - how[2],
-        refinement=how[1],
-    )
-    return build_equilibrium(robot, rotations, translations, solution, statistics, load=load)
-
-
-def _errors(problem: BundleProblem, rotations: Array, state: BundleState) -> tuple[float, float, float]:
-    """Estimated errors of theta (rad), tip (m) and margin: the change by a Newton step with more points."""
-    finer, x = refined(problem, state, problem.tableau.degree + EXTRA_COLLOCATION_POINTS)
-    there = evaluate(finer, rotations, x)
-    shift = LEAST_STIFFNESS * np.eye(finer.size)
-    step = np.linalg.solve(there.hessian + shift, -there.gradient)
-    last = len(problem.order) - 1
-    pose = place_slopes(finer, there, last)
-    tip = pose.position + pose.by_x[:3] @ step - place_slopes(problem, state, last).position
-    theta = np.abs(finer.local[:, : len(rotations)] @ step).max()
-    return 2 * float(theta), float(np.linalg.norm(tip)), 0.0
-
-
-# --- Derivatives ------------------------------------------------------------------------------------------------------
-
-
-@lru_cache(maxsize=8)
-def linearised_bundle(equilibrium: Equilibrium) -> BundleDerivatives:
-    """Derivatives of an equilibrium of a bundle robot, solved once more."""
-    robot, force = equilibrium.robot, forces_of(equilibrium.load)
-    assert isinstance(robot, BundleRobot)
-    bundle = bundle_at(robot, equilibrium.translations)
-    start = sampled(bundle, equilibrium.arm, sorted({s for s, _ in force if np.isfinite(s)}))
-    problem = problem_at(bundle, start, refinement=equilibrium.statistics.refinement, force=force)
-    solved = _minimum(
-        problem, equilibrium.rotations, sampled_unknowns(problem, start, equilibrium.arm, _twist(equilibrium))
-    )
-    return BundleDerivatives(equilibrium, solved.problem, solved.state)
-
-
-class Columns:
-    """Some columns of the derivatives of an equilibrium, computed when they are read; names as in `Jacobian`."""
-
-    def __init__(self, of: BundleDerivatives, wrt: tuple[str, ...], columns: list[int]) -> None:
-        self.wrt, self._of, self._columns = wrt, of, columns
-
-    def _chosen(self, table: Array) -> Array:
-        return np.asarray(table[..., self._columns])
-
-    @property
-    def tip_position(self) -> Array:
-        """Derivative (3, Q) of the tip position, m."""
-        return self._chosen(self._of.tip_position)
-
-    @property
-    def tip_rotation(self) -> Array:
-        """Turn (3, Q) of the tip frame, rad."""
-        return self._chosen(self._of.tip_rotation)
-
-    @property
-    def tip_rotations(self) -> Array:
-        """Derivative (n, Q) of theta at the ends of the tubes, rad."""
-        return self._chosen(self._of.tip_rotations)
-
-    @property
-    def margin(self) -> Array:
-        """Derivative (Q,) of the margin."""
-        return self._chosen(self._of.margin)
-
-    @property
-    def energy(self) -> Array:
-        """Derivative (Q,) of the elastic energy, J."""
-        return self._chosen(self._of.energy)
+def _density(robot: Robot, load: Load | None) -> tuple[float, ...]:
+    """Masses (n,) per length of the tubes, kg/m; empty without gravity."""
+    return () if load is None or load.gravity is None else tuple(masses(robot.tubes, load).tolist())
 
 
 @dataclass(frozen=True, eq=False)
-class BundleDerivatives:
-    """Derivatives of an equilibrium by rotations and translations, by the implicit function theorem.
+class Bundled(Member[BundleState]):
+    """Equations of a bundle robot, with its boundaries in one order, under `factor` times the load of the problem.
 
-    The energy E(x, c) has the gradient 0 along x(c): dx/dc = -E_xx^-1 E_xc.
+    A solve may exchange boundaries: `owner` is then the member of its state.
     """
 
-    equilibrium: Equilibrium
     problem: BundleProblem
-    state: BundleState
+    discretisation: Discretisation = DEFAULT_DISCRETISATION
+    factor: float = 1.0
+    """Factor on the load of the problem."""
+
+    @staticmethod
+    def of(
+        robot: BundleRobot,
+        rotations: Array,
+        translations: tuple[float, ...],
+        load: Load | None = None,
+        factor: float = 1.0,
+        *,
+        start: Callable[[Bundle, list[float]], Start],
+        discretisation: Discretisation = DEFAULT_DISCRETISATION,
+    ) -> Bundled:
+        """Member with the boundaries of a `start`, a function of the bundle and of the places of its load."""
+        bundle = bundle_at(robot, translations)
+        mesh = {"degree": discretisation.degree, "refinement": discretisation.refinement}
+        problem = problem_at(bundle, start(bundle, _places(load)), load=load, density=_density(robot, load), **mesh)
+        return Bundled(robot, problem, rotations, translations, discretisation, factor)
 
     @property
-    def _n(self) -> int:
-        return self.equilibrium.robot.n_tubes
-
-    @cached_property
-    def _factors(self) -> tuple[Array, Array]:
-        """LU factors of the Hessian."""
-        return tuple(scipy.linalg.lu_factor(self.state.hessian))
-
-    @cached_property
-    def _lengths(self) -> Array:
-        """Derivative (m, 2 n) of the lengths h of elements by the joint values, at fixed x."""
-        own = np.zeros((len(self.problem.order), 2 * self._n))
-        for k, boundary in enumerate(self.problem.order):
-            for i in boundary.tubes:
-                own[k, self._n + i] = 1.0
-        return self.problem.lengths_by_boundaries @ own
-
-    @cached_property
-    def _local(self) -> Array:
-        """Derivative (N, 2 n + 3, 2 n) of theta, p, kappa and h by the joint values, at fixed x."""
-        n, problem = self._n, self.problem
-        out = np.zeros((len(problem.weight), 2 * n + 3, 2 * n))
-        out[:, np.arange(n), np.arange(n)] = 1.0
-        # theta at the plate is alpha + x sqrt(|beta| / kt): a tube moved forward has less transmission.
-        twist = problem.transmission_twist(self.state.x)
-        out[:, problem.held, n + problem.held] = -twist / (2 * problem.bundle.transmission[problem.held])
-        out[:, -1] = self._lengths[problem.point_section]
-        return out
-
-    @cached_property
-    def _response(self) -> Array:
-        """Derivative (U, 2 n) of x by the joint values."""
-        problem, state = self.problem, self.state
-        change = problem.weight[:, None, None] * (state.local_hessian @ self._local)
-        right = problem.local.reshape(-1, problem.size).T @ change.reshape(-1, 2 * self._n)
-        # theta = x sqrt(|beta| / kt) at the plate: its derivative by x depends on the transmission, too.
-        held, own = problem.held, problem.split - len(problem.held) + np.arange(len(problem.held))
-        pull = (problem.weight @ state.by_local[:, held]) * problem.tip_rows[held, own]
-        right[own, self._n + held] -= pull / (2 * problem.bundle.transmission[held])
-        if problem.force:
-            right[problem.split :] -= problem.scale[problem.split :, None] * (state.mixed.T @ self._lengths)
-        return np.asarray(-scipy.linalg.lu_solve(self._factors, right))
-
-    @cached_property
-    def _tip(self) -> Array:
-        """Derivative (6, 2 n) of the tip pose."""
-        pose = place_slopes(self.problem, self.state, len(self.problem.order) - 1)
-        out = pose.by_x @ self._response
-        out[:3] += pose.by_length @ self._lengths
-        return np.asarray(out)
+    def torsion(self) -> Any:
+        """None: rotations have no equations of their own."""
+        return None
 
     @property
-    def tip_position(self) -> Array:
-        """Derivative (3, 2 n) of the tip position, m."""
-        return self._tip[:3]
+    def load(self) -> Load | None:
+        """Load times its factor."""
+        load = self.problem.load
+        return load if load is None or self.factor == 1.0 else load.scaled(self.factor)
+
+    def owner(self, state: BundleState) -> Bundled:
+        """Member of a state, which may have its boundaries in another order."""
+        return self if state.problem is self.problem else replace(self, problem=state.problem)
+
+    def on(self, **mesh: Any) -> Bundled:
+        """See `Member.on`."""
+        d, known = replace(self.discretisation, **mesh), self.problem
+        finer = 2 ** (d.refinement - self.discretisation.refinement)
+        problem = replace(
+            known, tableau=tableau("gauss", d.degree), count=known.count * finer, nominal=known.nominal / finer
+        )
+        return replace(self, problem=problem, discretisation=d)
+
+    def unknowns(self, theta: Array, curvature: Array | None = None) -> Array:
+        """Refused: rotations and curvature determine no lengths."""
+        raise InputError("kind is bundle; its equilibria are not found from rotations along the arm")
+
+    def at(self, x: Array) -> BundleState:
+        """State at unknowns x (U,)."""
+        return evaluate(self.problem, self.rotations, x, self.factor)
+
+    def turn(self, state: BundleState, step: Array) -> float:
+        """Largest rotation (rad) of a tube or of the arm by a step."""
+        problem = state.problem
+        change = problem.push(step)
+        arm = problem.up_to @ change[:, -3:-1]
+        return max(float(np.abs(change[:, : problem.n]).max()), float(np.abs(arm).max()))
+
+    def residual(self, state: BundleState) -> float:
+        """Largest violation of the equations, as an error of theta or of the arm's direction, rad."""
+        return self.turn(state, state.gradient)
+
+    def margin(self, state: BundleState) -> float:
+        """Smallest eigenvalue of the second variation, at most 1; see `margin_form`."""
+        return min(1.0, float(self._stiffnesses(state).min()))
+
+    def _stiffnesses(self, state: BundleState) -> Array:
+        return stiffnesses(margin_form(state), symmetric=self.descends or not self.factor)
+
+    def index(self, state: BundleState) -> int:
+        """Number of unstable directions."""
+        return int((self._stiffnesses(state) < 0).sum())
 
     @property
-    def tip_rotation(self) -> Array:
-        """Turn (3, 2 n) of the tip frame about world axes, rad."""
-        return self._tip[3:]
+    def descends(self) -> bool:
+        """False under moments and follower forces, which have no energy."""
+        return self.problem.load is None or self.problem.load.has_energy
 
-    @cached_property
-    def tip_rotations(self) -> Array:
-        """Derivative (n, 2 n) of theta at the ends of the tubes, rad."""
-        problem, n = self.problem, self._n
-        out = np.eye(n, 2 * n) + problem.tip_rows @ self._response
-        twist = problem.transmission_twist(self.state.x) / (2 * problem.bundle.transmission[problem.held])
-        out[problem.held, n + problem.held] -= twist
-        return np.asarray(out)
+    def softest(self, state: BundleState) -> Array:
+        """(U,) unit vector of the smallest eigenvalue."""
+        form = margin_form(state)
+        if self.descends:
+            return softest(state, np.linalg.eigh(form)[1][:, 0])
+        values, vectors = np.linalg.eig(form)
+        return softest(state, vectors[:, int(np.argmin(values.real))].real)
 
-    @cached_property
-    def energy(self) -> Array:
-        """Derivative (2 n,) of the elastic energy, J."""
-        problem, state = self.problem, self.state
-        local = self._local + problem.local @ self._response
-        held = slice(problem.split - len(problem.held), problem.split)
-        by_points = (problem.weight[:, None] * state.by_local).ravel() @ local.reshape(-1, 2 * self._n)
-        return np.asarray(by_points + state.x[held] @ self._response[held])
+    def flutters(self, state: BundleState) -> bool:
+        """True if the softest mode has complex eigenvalues."""
+        if self.descends:
+            return False
+        values = np.linalg.eigvals(margin_form(state))
+        return bool(abs(values[int(np.argmin(values.real))].imag) > 1e-9)
 
-    @cached_property
-    def length_forces(self) -> Array:
-        """Derivative (m,) lambda of the energy by the own length of tubes up to each boundary, N."""
-        problem, state = self.problem, self.state
-        by_length = np.bincount(problem.point_section, problem.weight * state.by_local[:, -1], len(problem.order))
-        return np.asarray((by_length - state.work_by_length) @ problem.lengths_by_boundaries)
+    def profile(self, state: BundleState) -> Profile:
+        """Refused: the arm of a bundle has no profile of torsion alone."""
+        raise InputError("kind is bundle; it has no profile of torsion alone")
 
-    @cached_property
-    def margin(self) -> Array:
-        """Derivative (2 n,) of the margin, by central differences of equilibria."""
-        e, n = self.equilibrium, self._n
-        assert isinstance(e.robot, BundleRobot)
-        joints, slopes = np.concatenate([e.rotations, e.translations]), np.zeros(2 * n)
-        for k in range(2 * n):
-            step = np.where(np.arange(2 * n) == k, 1e-4 if k < n else 1e-6, 0.0)
-            sides = [
-                bundle_kinematics(e.robot, *np.split(joints + way * step, 2), load=e.load, start=e).margin
-                for way in (1, -1)
-            ]
-            slopes[k] = (sides[0] - sides[1]) / (2 * step[k])
-        return slopes
+    # --- Solving ------------------------------------------------------------------------------------------------------
 
-    @cached_property
-    def compliance(self) -> Array:
+    def advanced(self, state: BundleState, step: Array) -> BundleState:
+        """State after a step that leaves all lengths above 0; raises VanishingError where it closes a section."""
+        problem = self.problem
+        after = problem.push(step)
+        h, g = problem.lengths(state.x), state.length
+        dh = problem.lengths_by_bend @ (problem.bend_map @ step[problem.split :])
+        dg = np.where(problem.present, after[:, -1:] + after[:, -3:-1] @ problem.bundle.levers.T, 0.0)
+        free = np.setdiff1d(np.arange(len(h)), problem.held)
+        # A section that a step makes a thousand times shorter is one that closes: its curvature is unknown then.
+        closing = free[(h[free] < CLOSING) & (h[free] + dh[free] <= np.maximum(VANISHING, 1e-3 * h[free]))]
+        if len(closing):
+            raise VanishingError(state, int(closing[0]))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            room = np.concatenate([(-h / dh)[free][dh[free] < 0], (-g / dg)[dg < 0]])
+        share = float(room.min(initial=np.inf))
+        return self.at(state.x + (1.0 if share > 1 else TO_BOUNDARY * share) * step)
+
+    def solve(self, x: Array, iterations: int = NEWTON.iterations) -> NewtonResult[BundleState]:
+        """Solve by Newton's method with full steps from x (U,); sections that vanish are exchanged or held."""
+        return self._with_sections(
+            x, lambda own, at: full_steps(own.at(at), own.advanced, own.turn, own.residual, iterations)
+        )
+
+    def descend(self, x: Array) -> NewtonResult[BundleState]:
+        """Minimise the energy from x (U,) by guarded Newton steps."""
+        return self._with_sections(x, lambda own, at: descend(own.at(at), own.advanced, own.turn, own.residual))
+
+    def _with_sections(
+        self, x: Array, newton: Callable[[Bundled, Array], NewtonResult[BundleState]]
+    ) -> NewtonResult[BundleState]:
+        """Result of a Newton method with the sections found that are held.
+
+        A section that vanishes is exchanged: the boundaries at its ends change places. Where it vanishes in both orders
+        its boundaries stay together. They separate again as soon as this lowers the energy.
+        """
+        own, exchanges, freed, spent = self, set[frozenset[object]](), set[frozenset[object]](), 0
+        for _ in range(EXCHANGES):
+            check_time()
+            try:
+                result = newton(own, opened(own.problem, x, VANISHING))
+            except VanishingError as end:
+                order = own.problem.order
+                pair = frozenset(order[end.section - 1 : end.section + 1])
+                if end.section == 0:
+                    break
+                problem, x = exchanged(end.state, end.section, hold=pair in exchanges)
+                exchanges.add(pair)
+                own = replace(own, problem=problem)
+                continue
+            spent += result.iterations
+            apart = own.separated(result.state, freed) if result.converged else None
+            if apart is None:
+                # After a change the first steps open a section, and say nothing about the branch.
+                contraction = 0.0 if own is not self else result.contraction
+                return replace(result, iterations=spent, contraction=contraction if result.converged else np.inf)
+            problem, x = apart
+            own = replace(own, problem=problem)
+        return NewtonResult(own.at(x), False, spent, np.inf)
+
+    def separated(self, state: BundleState, freed: set[frozenset[object]]) -> tuple[BundleProblem, Array] | None:
+        """Problem and unknowns with a held section free that would grow, in one of both orders; None without one.
+
+        A section grows once in a solve: one that closes again is shorter than VANISHING. `freed` are such boundaries.
+        """
+        problem = self.problem
+        for section, force in zip(problem.held, holding_forces(state).tolist(), strict=True):
+            pair, rest = frozenset(problem.order[section - 1 : section + 1]), tuple(set(problem.held) - {section})
+            if pair in freed or not section:
+                continue
+            if force < 0:
+                freed.add(pair)
+                return rearranged(state, problem.order, tuple(sorted(rest)))
+            across, x = exchanged(state, section, hold=True)
+            other = replace(self, problem=across)
+            # The state is the same but in the held section: few steps settle it.
+            result = full_steps(other.at(x), other.advanced, other.turn, other.residual, 4)
+            if result.converged and holding_forces(result.state)[across.held.index(section)] < 0:
+                freed.add(pair)
+                return rearranged(result.state, across.order, tuple(sorted(rest)))
+        return None
+
+    def moved(self, state: BundleState, step: Array) -> BundleState:
+        """See `Member.moved`; a section that closes is held."""
+        own = self.owner(state)
+        try:
+            return own.advanced(state, step)
+        except VanishingError as end:
+            problem, x = rearranged(state, state.problem.order, tuple(sorted({*state.problem.held, end.section})))
+            return replace(own, problem=problem).at(x)
+
+    def at_rest(self, state: BundleState) -> NewtonResult[BundleState]:
+        """See `Member.at_rest`; held sections stay held."""
+        try:
+            return full_steps(state, self.advanced, self.turn, self.residual, 4)
+        except VanishingError as end:
+            return NewtonResult(end.state, False, 0, np.inf)
+
+    def released(self, state: BundleState) -> BundleState | None:
+        """See `Member.released`; a held section that would grow is free."""
+        apart = self.separated(state, set())
+        if apart is None:
+            return None
+        own = replace(self, problem=apart[0])
+        return own.at(opened(own.problem, apart[1], VANISHING))
+
+    # --- Answers ------------------------------------------------------------------------------------------------------
+
+    def solution(self, point: AnyPoint) -> ArmSolution:
+        """Shape, energy, compliance, base wrench and estimated errors of a solved point."""
+        state, problem = point.state, self.problem
+        arm, ends = bundle_arm(self.rotations, state), np.cumsum(problem.lengths(state.x) * problem.count)
+        tube_end = np.zeros(problem.n)
+        for place, boundary in zip(ends.tolist(), problem.order, strict=True):
+            if boundary.end:
+                tube_end[list(boundary.tubes)] = place
+        begin = np.repeat(arm.arc_length[:-1:4], problem.tableau.degree)
+        s = begin + state.h * np.tile(problem.tableau.nodes, len(problem.section))
+        return ArmSolution(
+            arm,
+            arm.rotation[np.arange(problem.n), np.searchsorted(arm.arc_length, tube_end - 1e-12)],
+            np.concatenate([[0.0], ends[:-1]]),
+            tube_end,
+            CollocationPoints(s, state.theta, state.bend / state.h[:, None]),
+            margin=point.margin,
+            energy=state.energy + (state.work if self.descends else 0.0),
+            residual=self.residual(state),
+            errors=self._errors(point),
+            iterations=point.iterations,
+            index=0 if point.margin > 0 else self.index(state),
+            work=state.work,
+            compliance=None if problem.load is None or abs(point.margin) < LEAST_STIFFNESS else self.compliance(state),
+            base_wrench=self.base_wrench(state),
+        )
+
+    def compliance(self, state: BundleState) -> Array:
         """Compliance (6, 6) of the tip: force (N) and moment (N m) -> translation (m) and turn (rad), world axes."""
-        problem, ends = self.problem, self.equilibrium.tube_end
-        slopes = place_slopes(problem, self.state, len(problem.order) - 1).by_x
-        slopes[3:] += np.outer(self.equilibrium.tip_rotation[:, 2], problem.tip_rows[int(np.argmax(ends))])
-        return np.asarray(slopes @ scipy.linalg.lu_solve(self._factors, slopes.T))
+        slopes = tip_slopes(state)
+        return np.asarray(slopes @ np.linalg.solve(state.hessian, slopes.T))
+
+    def base_wrench(self, state: BundleState) -> Array:
+        """Force (N) and moment about the plate's centre (N m) of the load on the plate."""
+        return np.zeros(6) if state.loading is None else self.factor * state.loading.wrench
+
+    def _errors(self, point: AnyPoint) -> Errors:
+        """Estimated errors: the change by a Newton step with more points."""
+        state = point.state
+        finer = self.on(degree=self.problem.tableau.degree + EXTRA_COLLOCATION_POINTS)
+        there = finer.at(finer.transfer(point))
+        shift = LEAST_STIFFNESS if abs(point.margin) < LEAST_STIFFNESS else 0.0
+        step = np.asarray(np.linalg.solve(there.hessian + shift * np.eye(len(there.x)), -there.gradient), dtype=float)
+        last = len(self.problem.order) - 1
+        pose = place_slopes(there, last)
+        tip = pose.position + pose.by_x[:3] @ step - place_slopes(state, last).position
+        theta = np.abs(finer.problem.push(step)[:, : self.problem.n]).max()
+        return Errors(2 * float(theta), float(np.linalg.norm(tip)), 0.0)
+
+    # --- Families -----------------------------------------------------------------------------------------------------
+
+    def with_inputs(
+        self, rotations: Array, translations: tuple[float, ...], load: Load | None, factor: float
+    ) -> Bundled | None:
+        """See `Member.with_inputs`; boundaries keep their order."""
+        known = self.problem
+        problem = known
+        if translations != self.translations or load is not known.load:
+            assert isinstance(self.robot, BundleRobot)
+            bundle = bundle_at(self.robot, translations)
+            order = moved_order(known, bundle, _places(load))
+            if not order:
+                return None
+            problem = replace(known, bundle=bundle, order=order, load=load, density=_density(self.robot, load))
+        return replace(self, problem=problem, rotations=rotations, translations=translations, factor=factor)
+
+    def near(
+        self, point: AnyPoint, rotations: Array, translations: tuple[float, ...], load: Load | None, factor: float
+    ) -> Bundled:
+        """Member at other inputs with boundaries and elements as at a point close by."""
+        like, state = point.member.with_inputs(rotations, translations, load, factor), point.state
+        length = state.problem.lengths(state.x) * state.problem.count
+        if like is not None and np.array_equal(
+            element_counts(length, self.discretisation.refinement), state.problem.count
+        ):
+            return replace(self, problem=like.problem, rotations=rotations, translations=translations, factor=factor)
+        assert isinstance(self.robot, BundleRobot)
+        return Bundled.of(
+            self.robot,
+            rotations,
+            translations,
+            load,
+            factor,
+            start=lambda bundle, places: followed(state, bundle, places),
+            discretisation=self.discretisation,
+        )
+
+    def under(self, point: AnyPoint, load: Load, factor: float) -> Bundled:
+        """See `Member.under`."""
+        return self.near(point, self.rotations, self.translations, load, factor)
+
+    def transfer(self, point: AnyPoint) -> Array:
+        """(U,) unknowns with the twist and the bending of a point, which may be on another mesh."""
+        return carried(self.problem, point.state)
+
+    def distance(self, point: AnyPoint, state: BundleState) -> float:
+        """Largest difference (rad) of the twist and of the arm's direction."""
+        own = self.owner(state)
+        return own.turn(state, state.x - own.transfer(point))
+
+    def round_off(self, state: BundleState) -> float:
+        """Sum of elastic energy and work (J), which may cancel."""
+        return abs(state.energy) + 2 * abs(state.work)
+
+    def tangent(self, point: AnyPoint) -> Array | None:
+        """(U,) change by the derivative with respect to the factor, where only that changes."""
+        if point.state.problem is not self.problem or not np.array_equal(point.member.rotations, self.rotations):
+            return None
+        if self.problem.load is None:
+            return None
+        step = scipy.linalg.lapack.dgesv(point.state.hessian, -point.state.load_slope)[2]
+        return np.asarray(step * (self.factor - point.state.factor))
 
 
-def bundle_wrench(equilibrium: Equilibrium) -> Array:
-    """Force (N) and moment about the plate's point (N m) of the load on the plate."""
-    out = np.zeros(6)
-    for s, force in forces_of(equilibrium.load):
-        at = [
-            np.interp(min(s, equilibrium.arc_length[-1]), equilibrium.arc_length, row) for row in equilibrium.position.T
-        ]
-        out += np.concatenate([force, np.cross(at, force)])
-    return out
+# --- From an equilibrium to its problem, and cold starts --------------------------------------------------------------
 
 
-JOINTS = ("rotations", "translations")
-"""Parameters of the derivatives."""
+def bundle_unsolved(
+    equilibrium: Equilibrium, load: Load | None = None, discretisation: Discretisation | None = None
+) -> tuple[Bundled, Array]:
+    """Problem of an equilibrium, and its unknowns as they were solved for; arguments as of `answer.unsolved`."""
+    robot, statistics, points = equilibrium.robot, equilibrium.statistics, equilibrium.points
+    assert isinstance(robot, BundleRobot)
+    shift, rotations = tuple(equilibrium.translations.tolist()), equilibrium.rotations
+    bundle, own, t = bundle_at(robot, shift), equilibrium.load, tableau("gauss", statistics.degree)
+    begin, ends = equilibrium.section_start, np.append(equilibrium.section_start[1:], equilibrium.arc_length[-1])
+    count = np.bincount(np.searchsorted(begin, points.point, side="right") - 1, minlength=len(begin)) // t.degree
+    h = np.repeat((ends - begin) / count, count * t.degree)
+    bend = points.point_curvature * h[:, None]
+    lengths = np.tile(t.weights, len(h) // t.degree)[:, None] * (h[:, None] + bend @ bundle.levers.T)
+    reached = np.cumsum(lengths, axis=0)[np.cumsum(count * t.degree) - 1]
+    start = Start(solved_order(bundle, _places(own), ends, reached), ends - begin, np.zeros((len(ends), 2)))
+    d = Discretisation(degree=statistics.degree, refinement=statistics.refinement)
+    member = Bundled.of(robot, rotations, shift, own, start=lambda *_: start, discretisation=d)
+    member = replace(member, problem=replace(member.problem, count=count, nominal=(ends - begin) / count))
+    problem, base = member.problem, equilibrium.rotation[:, 0]
+    # theta at the points is the sum of p up to there.
+    turn = np.asarray(np.linalg.solve(problem.up_to, points.point_rotation - base), dtype=float)
+    x = problem.unknowns(turn, bend.ravel(), base - rotations)
+    if own is not None or (load is None and discretisation in (None, d)):
+        return member, x
+    point = Point(0.0, member, member.at(x), equilibrium.margin)
+    d = discretisation or (DEFAULT_DISCRETISATION if load is None else LOADED_DISCRETISATION)
+    member = replace(member, discretisation=d).near(point, rotations, shift, load, 0.0).on(degree=d.degree)
+    return member, member.transfer(point)
 
 
-def bundle_jacobian(equilibrium: Equilibrium, wrt: tuple[str, ...] = JOINTS) -> Jacobian:
-    """Derivatives of tip pose, margin and energy by joint values; see `equilibrium.jacobian`.
+@small
+def cold_bundle(robot: BundleRobot, rotations: Array, translations: tuple[float, ...]) -> AnyPoint:
+    """Stable equilibrium from untwisted tubes, by energy descent.
 
     Raises:
-        InputError: another name than "rotations" or "translations".
+        SolveError: none was found.
     """
-    for name in wrt:
-        if name not in JOINTS:
-            raise InputError(f"wrt names {name!r}; of a bundle robot it may name {' and '.join(JOINTS)}")
-    n = equilibrium.robot.n_tubes
-    columns = [JOINTS.index(name) * n + i for name in wrt for i in range(n)]
-    return Jacobian.of(lambda: Columns(linearised_bundle(equilibrium), wrt, columns))
+    bundle = bundle_at(robot, translations)
+    first = natural_start(bundle, rotations)
+    if not first.order:
+        raise InputError("no tube is in front of the base plate; a bundle robot needs one")
+    member = Bundled.of(robot, rotations, translations, start=lambda *_: first)
+    point = _minimum(member, start_unknowns(member.problem, first))
+    if point.margin <= 0:
+        # A saddle of a symmetric start: the lower one of the minima on both sides. 0.05 rad is small against their
+        # distance, and enough for the energy to fall.
+        aside = 0.05 / point.member.turn(point.state, point.softest) * point.softest
+        sides = [_minimum(point.member, point.state.x + side * aside) for side in (1, -1)]
+        point = min(sides, key=lambda side: side.state.energy)
+    if point.margin <= 0:
+        raise SolveError(f"no stable equilibrium was found: the best has margin {point.margin:.3g}")
+    return point
+
+
+def _minimum(member: Bundled, x: Array) -> AnyPoint:
+    """Minimum of the energy from unknowns x (U,)."""
+    result = member.descend(x)
+    if not result.converged:
+        raise SolveError("not converged: the energy of the bundle has no minimum near its start")
+    return Point.of(member, result)

@@ -19,6 +19,7 @@ from ..robots.load import Load, between
 from ..robots.robot import Robot
 from ..solvers.settings import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST, SOFT_TWIST
 from ..typing import Array, Index
+from .bundle import Bundled
 from .member import AnyPoint, Loaded, Member, Point, Unloaded
 from .problem import DEFAULT_DISCRETISATION, Discretisation
 from .result import Equilibrium
@@ -122,7 +123,7 @@ class SampledJointPath:
     def events(self) -> list[float]:
         """Fractions of the path with coinciding breakpoints, or one at the plate; their order may change there. The
         last is 1."""
-        if not self.slides:
+        if not self.slides or not self.robot.fixed_sections:
             return [1.0]
         n = len(self.start) // 2
         rates = self.end[n:] - self.start[n:]
@@ -192,10 +193,12 @@ class Family:
         """Load at t as a load and a factor; only the factor changes for a load that grows from 0."""
         return (self.load, t) if self.before is None else (self.load_at(t), 1.0)
 
-    def member(self, t: float) -> Member[Any]:
-        """Problem at t."""
+    def member(self, t: float, near: AnyPoint) -> Member[Any]:
+        """Problem at t, for a solution near another one."""
         rotations, translations = self.path.at(t)
         shift, (load, factor) = tuple(translations.tolist()), self._factored(t)
+        if isinstance(near.member, Bundled):
+            return near.member.near(near, rotations, shift, load, factor)
         if load is None:
             return Unloaded.of(self.path.robot, rotations, shift, self.path.discretisation)
         return Loaded.of(self.path.robot, rotations, shift, load, self.path.discretisation, factor)
@@ -234,7 +237,7 @@ def step_to(family: Family, t: float, point: P, before: P | None = None) -> P | 
 
     Predictor: the tangent at `point`, or the secant from `before`. Corrector: Newton's method.
     """
-    member = family.member(t)
+    member = family.member(t, point)
     x = member.transfer(point)
     change = member.tangent(point)
     # Where only the load grows, the tangent costs one solve with the known Hessian. Where joints move, the secant of

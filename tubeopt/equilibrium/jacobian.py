@@ -11,10 +11,9 @@ import numpy as np
 import scipy
 
 from ..arguments import typed
-from ..block.transcription.loaded import base_wrench, compliance, compliance_along, evaluate, symmetric_part
+from ..block.transcription.loaded import compliance_along, evaluate, symmetric_part
 from ..errors import InputError, finite
 from ..robots.assembly import LENGTH_ROUND_OFF, Assembly
-from ..robots.eccentric import BundleRobot
 from ..robots.load import Load, PointLoad
 from ..robots.order import SAME_END, twisted_tube
 from ..robots.robot import Robot, resized
@@ -32,7 +31,7 @@ from ..solvers.compiled.binding import (
 )
 from ..typing import Array
 from .answer import discretisation_of, point_of
-from .bundle import bundle_jacobian, bundle_wrench, linearised_bundle
+from .bundle_derivatives import BundleDerivatives
 from .directions import check_wrt
 from .linearised import Linearised, linearise, sharing
 from .member import Loaded, LoadedPoint
@@ -49,9 +48,11 @@ def derivatives_of(
     *,
     side: int = 1,
     carriages: Carriages | None = None,
-) -> Linearised:
+) -> Linearised | BundleDerivatives:
     """Derivatives of an equilibrium, computed when they are read; by default with the `carriages` of the robot."""
     carriages = equilibrium.robot.moving_together if carriages is None else carriages
+    if not equilibrium.robot.fixed_sections:
+        return BundleDerivatives(equilibrium, wrt, sharing(carriages, tuple(wrt)))
     return linearise(equilibrium, wrt, side, along=sharing(carriages, tuple(wrt)))
 
 
@@ -130,14 +131,12 @@ def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int
         InputError: an unknown name, or a side that is neither.
         SolveError: the equilibrium is a fold, where derivatives are infinite.
     """
-    if isinstance(equilibrium.robot, BundleRobot):
-        return bundle_jacobian(equilibrium, tuple(wrt))
     by_kernel = _by_kernel(equilibrium, wrt, side)
     return Jacobian.of(partial(_kept, equilibrium, tuple(wrt), side)) if by_kernel is None else by_kernel
 
 
 @lru_cache(maxsize=8)
-def _kept(equilibrium: Equilibrium, wrt: tuple[str, ...], side: int) -> Linearised:
+def _kept(equilibrium: Equilibrium, wrt: tuple[str, ...], side: int) -> Linearised | BundleDerivatives:
     """`derivatives_of`, cached for later reads of a Jacobian."""
     return derivatives_of(equilibrium, wrt, side=side)
 
@@ -312,10 +311,8 @@ def _cut(assembly: Assembly) -> tuple[int, int]:
 
 def compliance_of(equilibrium: Equilibrium) -> Array:
     """Compliance (6, 6) of the tip; see `Equilibrium.compliance`."""
-    if isinstance(equilibrium.robot, BundleRobot):
-        return linearised_bundle(equilibrium).compliance
     point = point_of(equilibrium, Load())
-    return compliance(point.member.problem, point.state)
+    return np.asarray(point.member.compliance(point.state))
 
 
 def compliance_at(equilibrium: Equilibrium, arc_length: float, tube: int | None) -> Array:
@@ -343,7 +340,5 @@ def base_wrench_of(equilibrium: Equilibrium) -> Array:
     """Wrench (6,) of the load on the plate; see `Equilibrium.base_wrench`."""
     if equilibrium.load is None:
         return np.zeros(6)
-    if isinstance(equilibrium.robot, BundleRobot):
-        return bundle_wrench(equilibrium)
     point = point_of(equilibrium)
-    return base_wrench(point.member.problem, point.state)
+    return np.asarray(point.member.base_wrench(point.state))

@@ -30,7 +30,7 @@ from ..robots.eccentric import BundleRobot
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot, joint_values
 from ..solvers.blas import small
-from ..solvers.compiled.binding import Start, solve_compiled
+from ..solvers.compiled.binding import Start, kernel_of, solve_compiled
 from ..solvers.compiled.loaded import solve_loaded_compiled
 from ..solvers.ipopt import solve_ipopt, solve_loaded_ipopt
 from ..solvers.settings import LARGEST_RATIO, LARGEST_TWIST, Ipopt, Newton
@@ -46,7 +46,7 @@ from .answer import (
     to_equilibrium,
     unsolved,
 )
-from .bundle import bundle_kinematics
+from .bundle import cold_bundle
 from .continuation import (
     SHARPEST_STEP,
     SHORTEST_STEP,
@@ -277,12 +277,8 @@ def forward_kinematics(  # noqa: PLR0913
     solver = method_of(method, load, discretisation)
     positive("tolerance", tolerance)
     guess = None if start is None else _start_of(robot, start, tolerance)
-    if isinstance(robot, BundleRobot):
-        if solver.name != "newton" or discretisation != DEFAULT_DISCRETISATION or verify:
-            raise InputError(
-                "kind is bundle; its equilibria have the method newton, the default mesh and no verification"
-            )
-        return bundle_kinematics(robot, alpha, shift, load=load, start=guess, tolerance=tolerance)
+    if not robot.fixed_sections and (solver.name != "newton" or discretisation != DEFAULT_DISCRETISATION or verify):
+        raise InputError("kind is bundle; its equilibria have the method newton, the default mesh and no verification")
     request = SolveRequest(solver, tolerance, start_time)
     if load is not None:
         check_load(robot, load, translation)
@@ -298,7 +294,10 @@ def forward_kinematics(  # noqa: PLR0913
         result = unloaded(robot, alpha, shift, guess, request)
     if result is None and guess is None:
         # 2. The general solver from tubes without torsion, or from home.
-        point, how = _descend(Unloaded.of(robot, alpha, translation, discretisation), solver)
+        if isinstance(robot, BundleRobot):
+            point, how = cold_bundle(robot, alpha, translation), "tubes without torsion"
+        else:
+            point, how = _descend(Unloaded.of(robot, alpha, translation, discretisation), solver)
         result = _to_tolerance(point, how, request)
     elif result is None:
         # 3. Continuation from the start, along joints and load.
@@ -331,6 +330,7 @@ def under_load(equilibrium: Equilibrium, load: Load | None) -> Equilibrium:
     return forward_kinematics(robot, *joints, load=load, start=equilibrium)
 
 
+@small
 def _to_tolerance(point: AnyPoint, start: str, request: SolveRequest) -> Equilibrium:
     """Equilibrium of a solved point on the first mesh with an estimated error within the tolerance.
 
@@ -436,10 +436,10 @@ def on_branch(family: Family, guess: Equilibrium, request: SolveRequest) -> Equi
     Raises:
         SolveError: as `forward_kinematics`.
     """
-    discretisation = family.path.discretisation
+    discretisation, kernel = family.path.discretisation, kernel_of(family.path.robot) is not None
     load_grows = family.load is not None and guess.load is None and not family.path.moves
     last = Milestone(0.0, guess)
-    if request.by_kernel(family.load, discretisation):
+    if kernel and request.by_kernel(family.load, discretisation):
         if load_grows:
             quick = nearby(family, guess, 1.0, request)
             last = last if quick is None else Milestone(1.0, quick)

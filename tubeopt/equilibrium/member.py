@@ -18,6 +18,7 @@ import scipy
 from ..block.transcription import arm as arms
 from ..block.transcription import loaded
 from ..block.transcription.arm import ArmSolution, CollocationPoints, Profile, evaluate_arm
+from ..block.transcription.bundle import BundleState
 from ..block.transcription.loaded import (
     LoadedProblem,
     LoadedState,
@@ -69,7 +70,7 @@ class Errors(NamedTuple):
     margin: float
 
 
-S = TypeVar("S", Evaluation, LoadedState)
+S = TypeVar("S", Evaluation, LoadedState, BundleState)
 M = TypeVar("M", bound="Member[Any]")
 
 
@@ -108,6 +109,7 @@ class Point(Generic[M, S]):
     @staticmethod
     def of(member: M, result: NewtonResult[S], t: float = 0.0) -> Point[M, S]:
         """Point from the result of a solver."""
+        member = member.owner(result.state)
         return Point(t, member, result.state, member.margin(result.state), result.iterations)
 
     @staticmethod
@@ -170,6 +172,22 @@ class Member(ABC, Generic[S]):
     def at(self, x: Array) -> S:
         """State at unknowns x (U,): gradient, Hessian and energy."""
 
+    def owner(self: M, state: S) -> M:
+        """Member of a state that was solved; another one if the solve changed the structure of the equations."""
+        return self
+
+    def moved(self, state: S, step: Array) -> S:
+        """State after a step (U,) of a descent."""
+        return self.at(state.x + step)
+
+    def at_rest(self, state: S) -> NewtonResult[S]:
+        """Solution next to a state at the end of a descent."""
+        return self.solve(state.x, iterations=4)
+
+    def released(self, state: S) -> S | None:
+        """State from which a descent continues, where its constraints held it; None where nothing did."""
+        return None
+
     @abstractmethod
     def turn(self, state: S, step: Array) -> float:
         """Largest rotation (rad) of a tube or of the arm at a point by a step (U,) from a state."""
@@ -207,6 +225,10 @@ class Member(ABC, Generic[S]):
         self, rotations: Array, translations: tuple[float, ...], load: Load | None, factor: float
     ) -> Member[S] | None:
         """Same unknowns at other joint values and under a load times a factor; None where the sections differ."""
+
+    def under(self, point: AnyPoint, load: Load, factor: float) -> Member[Any]:
+        """Problem at the joint values of a point of this member, under `factor` times another load."""
+        return Loaded.of(self.robot, self.rotations, self.translations, load, factor=factor)
 
     @abstractmethod
     def transfer(self, point: AnyPoint) -> Array:
@@ -535,9 +557,17 @@ class Loaded(Member[LoadedState]):
             iterations=point.iterations,
             index=0 if point.margin > 0 else self.index(state),
             work=state.work,
-            compliance=None if abs(point.margin) < LEAST_STIFFNESS else compliance(problem, state),
-            base_wrench=base_wrench(problem, state),
+            compliance=None if abs(point.margin) < LEAST_STIFFNESS else self.compliance(state),
+            base_wrench=self.base_wrench(state),
         )
+
+    def compliance(self, state: LoadedState) -> Array:
+        """Compliance (6, 6) of the tip of a solved state."""
+        return compliance(self.problem, state)
+
+    def base_wrench(self, state: LoadedState) -> Array:
+        """Wrench (6,) of the load on the plate."""
+        return base_wrench(self.problem, state)
 
     def _errors(self, point: LoadedPoint) -> Errors:
         """Estimated errors: the change by one Newton step on a mesh with more points per element."""

@@ -61,8 +61,12 @@ class OrderConstraints:
 
 def breakpoint_order(goal: Goal, at: Posture) -> OrderConstraints:
     """Order of breakpoints of a posture."""
-    space, problem = goal.space, at.problem
+    space = goal.space
     n, groups = space.robot.n_tubes, len(space.carriages)
+    if not space.robot.fixed_sections:  # a solve of a bundle finds the order
+        none = np.zeros((0, groups))
+        return OrderConstraints(np.zeros(0), none, np.reshape(space.rows[:, n:], (-1, groups)), space.least, 0)
+    problem = at.problem
     assembly, shift = problem.assembly, at.q[n:]
     marks = [(0.0, np.zeros(groups))]
     rows, bound = [], []
@@ -104,6 +108,8 @@ def _breakpoints(assembly: Assembly, tubes: tuple[int, ...]) -> list[float]:
 def separate_breakpoints(goal: Goal, at: Posture) -> Posture:
     """Posture with coinciding breakpoints moved apart a little, if the limits allow it."""
     space = goal.space
+    if not space.robot.fixed_sections:
+        return at
     n = space.robot.n_tubes
     # A step of its own for each carriage: with equal ones breakpoints that coincide would stay together.
     step = MOVED_PAST * space.length * np.arange(1, len(space.carriages) + 1)[::-1]

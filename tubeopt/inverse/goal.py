@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..block.custom import CustomObjective, CustomRequirement
 from ..block.quantities import Expression, Quantity, recorded
 from ..bodies.obstacles import Obstacle, Scene, checked_obstacles, scene_of
-from ..equilibrium.linearised import centreline_point, curvature_at, position_at
+from ..equilibrium.linearised import Linearised, centreline_point, curvature_at, position_at
 from ..errors import InputError, finite, instance, vector
 from ..robots.limits import JointLimits, check_target
 from ..robots.robot import Robot, check_robot
@@ -98,6 +98,13 @@ def _finite(objective: CustomObjective | CustomRequirement, evaluate: Callable[[
         ) from None
 
 
+def _linearised(at: Posture) -> Linearised:
+    """Derivatives of a posture with sections at fixed arc lengths."""
+    if not isinstance(at.derivatives, Linearised):
+        raise InputError("kind is bundle; expressions of positions and curvatures along its arm are not available")
+    return at.derivatives
+
+
 def values(at: Posture) -> Callable[[Quantity], Array]:
     """Function that evaluates quantities of a posture."""
 
@@ -113,9 +120,9 @@ def values(at: Posture) -> Callable[[Quantity], Array]:
             case "tip_direction":
                 return at.direction
             case "position":
-                return centreline_point(at.derivatives, quantity.at[0])
+                return centreline_point(_linearised(at), quantity.at[0])
             case "curvature" if quantity.at:
-                return curvature_at(at.derivatives, quantity.at[0])[0]
+                return curvature_at(_linearised(at), quantity.at[0])[0]
             case name if quantity.pose is None:
                 return np.array([getattr(tube, name) for tube in at.space.robot.tubes])
             case name:
@@ -142,9 +149,9 @@ def linear(at: Posture) -> Callable[[Quantity], tuple[Array, Array]]:
             case "margin":
                 return at.margin_slope()[None]
             case "position":
-                return position_at(at.derivatives, quantity.at[0])[1] @ at.space.spread
+                return position_at(_linearised(at), quantity.at[0])[1] @ at.space.spread
             case "curvature" if quantity.at:
-                return curvature_at(at.derivatives, quantity.at[0])[1] @ at.space.spread
+                return curvature_at(_linearised(at), quantity.at[0])[1] @ at.space.spread
             case _:
                 return np.zeros((quantity.size(n), len(at.q)))
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import InputError, vector
 from ..files.units import TO_MM
-from ..robots.assembly import LENGTH_ROUND_OFF, Assembly
+from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.limits import JointLimits, check_turn
 from ..robots.order import Demand, carriage_name, demands, in_order, translation_ranges
 from ..robots.robot import Robot
@@ -306,11 +306,6 @@ class JointSpace:
         n = self.robot.n_tubes
         return self._placed((self.lower + self.upper)[:n] / 2, lambda bottom, top: (bottom + top) / 2)
 
-    @cached_property
-    def assembly(self) -> Assembly:
-        """Assembly of the arm at some joint values."""
-        return self.robot.assembly(self.joint(self.inside())[self.robot.n_tubes :])
-
     def _placed(self, rotations: Array, choose: Callable[[float, float], float]) -> Array:
         """Joint values (m,) of rotations (n,) and of translations in order; see `in_order`."""
         ranges = translation_ranges(self.robot.tubes, self.limits)
@@ -439,7 +434,7 @@ def configuration(space: JointSpace, name: str, value: Configuration) -> Array:
     home = space.robot.home_translations if translations is None else translations
     shift = vector(f"translations of {name}", home, n)
     check_turn(alpha)
-    space.robot.assembly(shift)
+    space.robot.admit(shift)
     return space.join(alpha, shift, name)
 
 

@@ -22,6 +22,7 @@ from ..display import in_full
 from ..equilibrium.batch import solved_batch
 from ..errors import InputError, SolveError
 from ..files.files import atomic_write
+from ..solvers.compiled.binding import kernel_of
 from ..solvers.compiled.library import cache_directory
 from ..typing import Array
 from .answer import InverseSolution, InverseStatistics, InverseStatus
@@ -36,13 +37,16 @@ from .miss import limiting_constraint, millimetres, miss_text
 from .posture import Posture, posture_of, same_posture, start_at
 from .program import programmable, solve_program
 
-VERSION = 4
+VERSION = 5
 """Version of the table: files of other versions are not read."""
 
 SIZE, SIZE_OF_MANY = 2048, 512
 """Configurations per table; the second for more than `MANY` joints, among which a start leads to most targets."""
 
 MANY = 8
+
+SIZE_UNCOMPILED = 192
+"""Configurations per table of a robot without a compiled kernel, whose equilibria take a hundred times as long."""
 
 WIDEST = np.pi / 2
 """Largest separation of the tubes of an eccentric segment in the table; 120 deg is straight."""
@@ -126,10 +130,10 @@ def _by_mirror(space: JointSpace, q: Array) -> Array:
     The first tube is turned to a direction, the others to either side of it. Three independent rotations mostly twist a
     long transmission until it snaps.
     """
-    if not space.assembly.eccentric:
+    if not space.robot.axes.any():
         return q
     out = q.copy()
-    for tubes in space.robot.moving_together:
+    for tubes in space.robot.moving_together if space.robot.fixed_sections else ():
         # The second rotation of a sample, 0 to 1 over its range, becomes the separation: samples stay evenly spread.
         middle, apart = q[:, tubes[0]], WIDEST * (q[:, tubes[1]] - space.lower[tubes[1]])
         span = space.upper[tubes[1]] - space.lower[tubes[1]]
@@ -142,7 +146,8 @@ def _by_mirror(space: JointSpace, q: Array) -> Array:
 
 def start_table(space: JointSpace, size: int | None = None, clock: Clock | None = None) -> StartTable:
     """Table of a joint space, from the cache on disk, or built and stored there."""
-    size = size or (SIZE if len(space.lower) <= MANY else SIZE_OF_MANY)
+    compiled = kernel_of(space.robot) is not None
+    size = size or ((SIZE if len(space.lower) <= MANY else SIZE_OF_MANY) if compiled else SIZE_UNCOMPILED)
     path = cache_directory() / f"inverse-{_key(space, size)}.npz"
     stored = _read(path, len(space.lower), size)
     if stored is not None and stored.complete:
@@ -162,7 +167,6 @@ def start_table(space: JointSpace, size: int | None = None, clock: Clock | None 
 def _key(space: JointSpace, size: int) -> str:
     """Hash of all inputs of the table."""
     tubes = in_full((VERSION, size, type(space.robot).__name__, space.robot.tubes, space.carriages))
-    assembly = space.assembly
     digest = hashlib.sha256(tubes.encode())
     for array in (
         space.lower,
@@ -170,8 +174,8 @@ def _key(space: JointSpace, size: int) -> str:
         space.rows,
         space.least,
         space.joint(space.lower),
-        assembly.offset,
-        assembly.offset_angle,
+        space.robot.axes,
+        np.array([getattr(space.robot, "sheath_stiffness", 0.0)]),
     ):
         digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
     return digest.hexdigest()[:32]
@@ -206,7 +210,7 @@ def nearest_starts(
     limits allow.
     """
     position, direction = target
-    mirrored = direction is not None and not space.assembly.eccentric
+    mirrored = direction is not None and not space.robot.axes.any()
     known = _mirrored(space, table) if mirrored else table
     chosen = known.margin >= min_margin
     q, tip, pointing = known.q[chosen], known.tip[chosen], known.direction[chosen]

@@ -13,6 +13,7 @@ from ..block.transcription.arm import between
 from ..block.transcription.reduced import ReducedProblem
 from ..bodies.obstacles import Scene
 from ..equilibrium.answer import point_of
+from ..equilibrium.bundle_derivatives import BundleDerivatives
 from ..equilibrium.continuation import shortest_arm
 from ..equilibrium.jacobian import compiled_slopes, derivatives_of
 from ..equilibrium.kinematics import forward_kinematics, one_step
@@ -39,8 +40,10 @@ class TipJacobian(NamedTuple):
 
 class _Slopes(NamedTuple):
     jacobian: TipJacobian
-    shape: Array
-    """Derivatives (p, 3, 2 n) of the shape points by rotations and translations."""
+    sides: tuple[int, ...]
+    """Sides (n,) of the translations."""
+    shape: Array | None
+    """Derivatives (p, 3, 2 n) of the shape points by rotations and translations; None without a compiled kernel."""
 
 
 # Round-off of arc lengths, which are sums of lengths of pieces.
@@ -94,11 +97,11 @@ class Posture:
         return self.solution.member.problem
 
     @cached_property
-    def derivatives(self) -> Linearised:
+    def derivatives(self) -> Linearised | BundleDerivatives:
         """Derivatives by rotations and translations; for growing translations where they differ to either side."""
         return self._derivatives(1)
 
-    def _derivatives(self, side: int) -> Linearised:
+    def _derivatives(self, side: int) -> Linearised | BundleDerivatives:
         return derivatives_of(self.equilibrium, side=side, carriages=self.space.carriages)
 
     @cached_property
@@ -110,15 +113,15 @@ class Posture:
         """Derivatives to the given sides, by the compiled kernel if it has them."""
         compiled = compiled_slopes(self.equilibrium, sides, self.space.carriages)
         if compiled is not None and compiled.along is not None:
-            parts: list[Array] = [compiled.position, compiled.turn, compiled.margin, compiled.along]
+            parts, along = [compiled.position, compiled.turn, compiled.margin], compiled.along
         else:
-            of = [self.derivatives if side > 0 else self._derivatives(-1) for side in sorted({*sides})]
-            by_side = [[each.tip_position, each.tip_rotation, each.margin, each.position] for each in of]
-            grows = np.array([*[1] * len(sides), *sides]) > 0
-            parts = [np.where(grows, pair[-1], pair[0]) for pair in zip(*by_side, strict=True)]
-        position, turn, margin, along = parts
-        by_joints = self.space.by_joints
-        return _Slopes(TipJacobian(by_joints(position), by_joints(turn), by_joints(margin)), along)
+            parts, along = [self._by_side(sides, name) for name in ("tip_position", "tip_rotation", "margin")], None
+        return _Slopes(TipJacobian(*map(self.space.by_joints, parts)), sides, along)
+
+    def _by_side(self, sides: tuple[int, ...], name: str) -> Array:
+        """Derivatives (..., 2 n) of a quantity of `Linearised`, of every translation to its side."""
+        of = [getattr(self.derivatives if side > 0 else self._derivatives(-1), name) for side in sorted({*sides})]
+        return np.asarray(np.where(np.array([*[1] * len(sides), *sides]) > 0, of[-1], of[0]))
 
     @property
     def jacobian(self) -> TipJacobian:
@@ -145,7 +148,8 @@ class Posture:
     @property
     def along(self) -> Array:
         """Derivatives (p, 3, 2n) of the shape points by rotations and translations, to the sides of `jacobian`."""
-        return self._free.shape
+        free = self._free
+        return free.shape if free.shape is not None else self._by_side(free.sides, "position")
 
     @cached_property
     def bend(self) -> float:

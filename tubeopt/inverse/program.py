@@ -281,7 +281,7 @@ MARGIN_BEYOND = 1e-4
 
 def programmable(goal: Goal) -> bool:
     """True if the program can be stated: enough joints, few obstacles with formulas, and nothing custom."""
-    if goal.extras.constraints or goal.extras.cost is not None:
+    if goal.extras.constraints or goal.extras.cost is not None or not goal.space.robot.fixed_sections:
         return False
     bodies = goal.scene.bodies
     few = len(bodies) <= MAX_BODIES

@@ -261,6 +261,7 @@ class BundleRobot(Robot):
     """Limits of the actuators, in readings; None allows what the lengths allow."""
     calibration: Calibration | None = None
     """Conversion of drive readings to joint values; None if they are equal."""
+    fixed_sections = False
 
     def __post_init__(self) -> None:
         must_be_plain(self.tubes, "a bundle robot")
@@ -331,6 +332,15 @@ class BundleRobot(Robot):
         """Pairs of nested tubes: each tube and the next one around it on its axis."""
         return tuple(pair for own in self.stacks for pair in pairwise(own))
 
+    def admit(self, translations: Array) -> None:
+        """Raise InputError for a translation that moves a tube out of its carriage."""
+        for i, (shift, tube) in enumerate(zip(translations.tolist(), self.tubes, strict=True), start=1):
+            if shift > tube.straight_length + 1e-12:
+                raise InputError(
+                    f"translation of tube {i} is {shift:g} m and moves it out of its carriage; it must be at most its "
+                    f"straight_length, {tube.straight_length:g} m"
+                )
+
     def assembly(self, translations: Array) -> Assembly:
         """Refuse: sections at fixed arc lengths are those of the balance of the thesis.
 
@@ -338,8 +348,8 @@ class BundleRobot(Robot):
             InputError: always.
         """
         raise InputError(
-            "kind is bundle; this function supports concentric and eccentric robots only. Bundles have forward "
-            "kinematics (with forces at the tip and along the sheath), Jacobians and compliances"
+            "kind is bundle; this function supports concentric and eccentric robots only. Bundles have forward and "
+            "inverse kinematics, loads, Jacobians, compliances, snaps and motions through waypoints"
         )
 
 

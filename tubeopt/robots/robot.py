@@ -43,6 +43,8 @@ class Robot(Displayed, ABC):
     """Given joint limits; None for those that follow from the lengths."""
     calibration: Calibration | None
     """Conversion of drive readings to joint values; None if readings are joint values."""
+    fixed_sections: bool = True
+    """True if sections lie at arc lengths that the translations determine; False if they depend on the shape."""
     nested_curves: bool = True
     """True if the curved part of a tube may lie inside the tube around it."""
 
@@ -86,6 +88,10 @@ class Robot(Displayed, ABC):
     @abstractmethod
     def assembly(self, translations: Array) -> Assembly:
         """Sections at `translations` (n,), m; raises InputError where they are not admissible."""
+
+    def admit(self, translations: Array) -> None:
+        """Raise InputError where translations (n,), m, are not admissible."""
+        self.assembly(translations)
 
     def check_drives(self, *, yields: bool = False) -> None:
         """Raise InputError if limits or calibration do not fit the number of tubes or the carriages."""

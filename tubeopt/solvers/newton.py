@@ -218,10 +218,11 @@ def flow(
             time *= 0.25
             continue
         state, time = following, grown(time, turn)
-        # A long time step that hardly moves is Newton's step close to rest.
+        # A long time step that hardly moves is Newton's step close to rest, or passes a fold.
         if turn < 1e-6 and time > 1e6:
             last = solved(state)
-            return NewtonResult(last.state, last.converged, count, 0.0)
+            if last.converged:
+                return NewtonResult(last.state, True, count, 0.0)
     return NewtonResult(state, False, FLOW_STEPS, 0.0)
 
 

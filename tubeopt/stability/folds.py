@@ -176,7 +176,7 @@ def bifurcation(family: Family, point: AnyPoint, goal: float) -> Loss | None:
     """Root of the margin on the branch of `point`, which continues beyond it; None where it does not continue."""
 
     def solved(t: float) -> AnyPoint | None:
-        member = family.member(t)
+        member = family.member(t, point)
         result = member.solve(member.transfer(point))
         return Point.of(member, result, t) if result.converged else None
 
@@ -250,7 +250,12 @@ def slide(member: Member[Any], x: Array) -> NewtonResult[Any]:
         return change, member.turn(state, change), not_convex
 
     def moved(state: Any, change: Array) -> Any:
-        result = member.at(state.x + change)
-        return None if member.descends and result.potential > state.potential + round_off else result
+        result = member.moved(state, change)
+        # A section of a bundle that closes changes the unknowns, and the energy by more than round-off.
+        same = len(result.x) == len(state.x)
+        return None if same and member.descends and result.potential > state.potential + round_off else result
 
-    return flow(start, step, moved, lambda state: member.solve(state.x, iterations=4))
+    result = flow(start, step, moved, lambda state: member.owner(state).at_rest(state))
+    while result.converged and (start := member.owner(result.state).released(result.state)) is not None:
+        result = flow(start, step, moved, lambda state: member.owner(state).at_rest(state))
+    return result

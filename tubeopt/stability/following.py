@@ -277,7 +277,7 @@ def checked_waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLik
     # Tubes with a carriage each have only an upper limit each: the rows with the largest translations suffice.
     independent = all(len(tubes) == 1 for tubes in robot.moving_together)
     for row in shift[np.unique(shift.argmax(0)) if independent else changed]:
-        robot.assembly(row)
+        robot.admit(row)
     return alpha, shift
 
 
@@ -339,7 +339,7 @@ def _joint(robot: Robot, name: str, value: Configuration) -> Array:
     alpha = vector(f"rotations of {name}", rotations, robot.n_tubes)
     shift = vector(f"translations of {name}", home, robot.n_tubes)
     check_turn(alpha)
-    robot.assembly(shift)
+    robot.admit(shift)
     return np.concatenate([alpha, shift])
 
 

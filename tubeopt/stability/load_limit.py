@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..block.transcription.loaded import tip_position
 from ..display import Displayed
 from ..equilibrium.answer import point_of, to_equilibrium
 from ..equilibrium.continuation import Family, reach
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.member import AnyPoint, Loaded, LoadedPoint
+from ..equilibrium.member import AnyPoint, Member
 from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium, Statistics
 from ..errors import InputError, SolveError, positive
@@ -148,7 +147,7 @@ def find_load_limit(
         kind=loss.kind,
         before=before,
         after=after,
-        tip_jump=float(np.linalg.norm(after.tip_position - tip_position(left.member.problem, left.state))),
+        tip_jump=float(np.linalg.norm(after.tip_position - to_equilibrium(left, "the load before").tip_position)),
         energy_released=left.state.potential - landed.state.potential,
     )
 
@@ -164,7 +163,6 @@ class ScaledLoss(NamedTuple):
 
 def find_loss(first: Equilibrium, load: Load, up_to: float) -> ScaledLoss | None:
     """End of the branch that begins at a stable, unloaded equilibrium; None up to `up_to` times the load."""
-    robot, alpha, shift = first.robot, first.rotations, tuple(first.translations.tolist())
     point, reached = None, 0.0
     while reached < up_to:
         scale = min(up_to, LOAD_STAGE * reached if reached else 1.0)
@@ -172,7 +170,7 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> ScaledLoss | None
         if point is None:
             point = point_of(first, stage_load)
         else:
-            point = _restart(point, Loaded.of(robot, alpha, shift, stage_load, factor=reached / scale))
+            point = _restart(point, point.member.under(point, stage_load, reached / scale))
         family = Family.growing(point.member)
         point = reach(family, point)
         if point.t < 1.0:
@@ -188,7 +186,7 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> ScaledLoss | None
     return None
 
 
-def _restart(point: AnyPoint, member: Loaded) -> LoadedPoint:
+def _restart(point: AnyPoint, member: Member[Any]) -> AnyPoint:
     """Equilibrium of another problem, on another mesh or at a load just beyond, close to a point."""
     failure = "no equilibrium on the mesh of a larger load, or just beyond the loss of stability"
-    return replace(point.onto(member, failure), t=member.factor)
+    return replace(point.onto(member, failure), t=member.factor)  # type: ignore[attr-defined]

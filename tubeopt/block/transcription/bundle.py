@@ -13,26 +13,29 @@ h follow from kappa by linear equations, one for each boundary:
 
     sum over the sections before it, sum b (h + d_i a_i.kappa) = own length of tube i up to there.
 
-So E has no constraints but h > 0 and g > 0. It contains the axial force of each tube, N = kb (kappa_0^2 - |v|^2) / 2 -
-kt w^2 / 2 - lambda, with its own curvature v and twist w. The constants lambda are the multipliers of these equations.
-At its end lambda g = psi g + (energy per length that the other tubes lose, since their curvature jumps there), with the
-density psi of the tube.
+So E has no constraints but h > 0 and g > 0. Where it falls towards h = 0 with the boundaries at both ends of a section
+in either order, they stay together: the section is held at the length HELD. E contains the axial force of each tube,
+N = kb (kappa_0^2 - |v|^2) / 2 - kt w^2 / 2 - lambda, with its own curvature v and twist w. The constants lambda are the
+multipliers of these equations. At its end lambda g = psi g + (energy per length that the other tubes lose, since their
+curvature jumps there), with the density psi of the tube.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import NamedTuple
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
 
-from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
+from ...physics.shape import frame_forms, rotation_matrix_function, world_turns
 from ...physics.torsion import bundle_energy
+from ...robots.load import FORCE, Load, Stretch
 from ...typing import Array, Index, Mask
 from .arm import ArmShape, along_elements
+from .arm_state import hat
 from .buffered import mapped
 from .collocated import ENDS
 from .mesh import Mesh
@@ -41,6 +44,9 @@ from .tableau import Tableau, tableau
 
 SAME_PLACE = 1e-9
 """Difference (m) of offsets and of own lengths below which boundaries of tubes are one."""
+
+HELD = 1e-12
+"""Length (m) of the sections between boundaries that stay together."""
 
 ELEMENT = 0.025
 """Largest length (m) of an element: estimated errors of the thesis robot are then about 1e-11 rad."""
@@ -84,6 +90,11 @@ class Boundary(NamedTuple):
     """Tubes that end or begin to curve there, side by side at one offset; none for a place of the sheath."""
     end: bool = False
     """True for ends of tubes."""
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """Name that stays the same when tubes move."""
+        return (self.tubes, self.end) if self.tubes else (self.own,)
 
 
 def boundaries(bundle: Bundle, places: Sequence[float] = ()) -> list[Boundary]:
@@ -144,7 +155,8 @@ def _tubes_at(bundle: Bundle, ahead: Sequence[Boundary]) -> tuple[Mask, Mask]:
 class BundleProblem:
     """Energy of a bundle with its boundaries in one order; N points, P elements, m sections, U unknowns.
 
-    Unknowns x are whitened: p and w by the torsional energy, kappa by the bending energy of the start.
+    Unknowns x are whitened: p and the rotations at the plate by the torsional energy, kappa by the bending energy of
+    the start. Where sections are held, kappa is orthogonal to what changes their lengths.
     """
 
     bundle: Bundle
@@ -154,8 +166,17 @@ class BundleProblem:
     count: Index
     """Numbers (m,) of elements of the sections."""
     tableau: Tableau
-    force: tuple[tuple[float, tuple[float, float, float]], ...] = ()
-    """Dead forces: arc length (m) of a place of the sheath, infinity for the tip, and force (3,), N."""
+    load: Load | None = None
+    """External load at the factor 1, or None."""
+    density: tuple[float, ...] = ()
+    """Masses (n,) per own length of the tubes, kg/m; empty without gravity."""
+    held: tuple[int, ...] = ()
+    """Sections between boundaries that stay together."""
+
+    @property
+    def n(self) -> int:
+        """Number n of tubes."""
+        return len(self.bundle.end)
 
     @cached_property
     def _of_sections(self) -> tuple[Mask, Mask]:
@@ -173,6 +194,17 @@ class BundleProblem:
         return np.repeat(self.section, self.tableau.degree)
 
     @cached_property
+    def in_section(self) -> Array:
+        """Sums (m, N) over the points of each section."""
+        return np.asarray(self.point_section == np.arange(len(self.order))[:, None], dtype=float)
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        """Elements of length 1, on which the turn of the centreline is kappa."""
+        ones = np.ones(len(self.section))
+        return Mesh(self.tableau, np.arange(len(ones), dtype=float), ones, self.section, ones > 0)
+
+    @cached_property
     def weight(self) -> Array:
         """Quadrature weights (N,) on elements of length 1."""
         return np.tile(self.tableau.weights, len(self.section))
@@ -188,49 +220,58 @@ class BundleProblem:
         return self.bundle.bending_stiffness * self.present
 
     @cached_property
-    def twisting(self) -> Array:
-        """kt (N, n) of the tubes that are there."""
-        return self.bundle.torsional_stiffness * self.present
+    def inputs(self) -> tuple[Array, ...]:
+        """Inputs of `bundle_energy` that x leaves unchanged."""
+        bundle, curved = self.bundle, self._of_sections[1][self.point_section]
+        moment = bundle.bending_stiffness * bundle.curvature * curved
+        place = np.broadcast_arrays(bundle.offset, bundle.angle)
+        return self.stiffness, bundle.torsional_stiffness * self.present, moment, *place, np.array([bundle.sheath])
 
     @cached_property
-    def natural_moment(self) -> Array:
-        """m (N, n) of the tubes that are curved there, N m."""
-        return self.bundle.bending_stiffness * self.bundle.curvature * self._of_sections[1][self.point_section]
+    def up_to(self) -> Array:
+        """Integrals (N, N) over elements of length 1 up to each point, weighted."""
+        k = self.tableau.degree
+        element = np.arange(len(self.weight)) // k
+        whole = np.where(element < element[:, None], self.weight, 0.0)
+        return np.asarray(whole + np.kron(np.eye(len(self.section)), self.tableau.matrix))
 
     @cached_property
-    def held(self) -> Index:
-        """Tubes with a transmission behind the plate. Its twist rate is an unknown."""
+    def turned(self) -> Array:
+        """Rotations (N, N + 1) of a tube at the points by its p there and by its rotation at the plate."""
+        return np.column_stack([self.up_to, np.ones(len(self.weight))])
+
+    @cached_property
+    def rows(self) -> Index:
+        """Torsional unknowns in a table (n, N + 1) of p at the points and of the rotation at the plate."""
+        sprung = (self.bundle.transmission > SAME_PLACE) & self.present.any(0)
+        return np.flatnonzero(np.column_stack([self.present.T, sprung]))
+
+    @cached_property
+    def sprung(self) -> Index:
+        """Tubes with a transmission behind the plate: their rotations at the plate are unknown."""
         return np.flatnonzero((self.bundle.transmission > SAME_PLACE) & self.present.any(0))
 
     @cached_property
-    def turning(self) -> tuple[Index, Index]:
-        """Tube and point of each unknown p."""
-        tube, point = np.nonzero(self.present.T)
-        return tube, point
+    def sprung_rows(self) -> Index:
+        """Unknowns of the rotations at the plate."""
+        return np.flatnonzero(self.rows % (len(self.weight) + 1) == len(self.weight))
 
     @property
     def split(self) -> int:
-        """Number of unknowns p and w, which precede those of bending."""
-        return len(self.turning[0]) + len(self.held)
+        """Number of torsional unknowns, which precede those of bending."""
+        return len(self.rows)
 
     @property
     def size(self) -> int:
         """Number U of unknowns."""
-        return self.split + 2 * len(self.weight)
+        return self.split + int(self.bend_map.shape[1])
 
     @cached_property
     def scale(self) -> Array:
-        """Factors (U,) from whitened unknowns to p, w and kappa: each has the energy x^2 / 2 by itself."""
-        tube, point = self.turning
-        h = self.nominal[self.point_section]
-        bending = self.stiffness.sum(1) + self.bundle.sheath
-        return np.concatenate(
-            [
-                np.sqrt(h[point] / (self.weight[point] * self.bundle.torsional_stiffness[tube])),
-                1 / np.sqrt(self.bundle.transmission[self.held] * self.bundle.torsional_stiffness[self.held]),
-                np.repeat(np.sqrt(h / (self.weight * bending)), 2),
-            ]
-        )
+        """Factors (split,) from whitened unknowns to p and the rotations at the plate; each has the energy x^2 / 2."""
+        per_stiffness = np.append(self.nominal[self.point_section] / self.weight, 0.0) + np.zeros((self.n, 1))
+        per_stiffness[:, -1] = self.bundle.transmission
+        return np.sqrt(per_stiffness / self.bundle.torsional_stiffness[:, None]).ravel()[self.rows]
 
     @cached_property
     def lengths_by_boundaries(self) -> Array:
@@ -246,75 +287,117 @@ class BundleProblem:
         longer = (before * self.weight)[:, :, None] * lever[:, None]
         return np.asarray(-self.lengths_by_boundaries @ longer.reshape(len(self.order), -1))
 
-    def lengths(self, x: Array) -> Array:
-        """Lengths h (m,) of the elements of each section at unknowns x, m."""
-        straight = self.lengths_by_boundaries @ np.array([b.own for b in self.order])
-        return np.asarray(straight + self.lengths_by_bend @ (self.scale * x)[self.split :])
+    @cached_property
+    def straight(self) -> Array:
+        """Lengths h (m,) of the elements of each section of a straight arm, m."""
+        return np.asarray(self.lengths_by_boundaries @ np.array([b.own for b in self.order]))
 
     @cached_property
-    def local(self) -> Array:
-        """Derivative (N, 2 n + 3, U) of theta, p, kappa and h at the points by x."""
-        (tube, point), n, count, k = self.turning, len(self.bundle.end), len(self.weight), self.tableau.degree
-        element = np.arange(count) // k
-        # Sums of p up to each point: whole elements before it, and the collocation matrix in its own.
-        up_to = np.where(element < element[:, None], self.weight, 0.0)
-        up_to += np.kron(np.eye(len(self.section)), self.tableau.matrix)
-        out, own = np.zeros((count, 2 * n + 3, self.size)), np.arange(len(tube))
-        out[:, tube, own] = up_to[:, point]
-        out[point, n + tube, own] = 1.0
-        out[:, self.held, len(tube) + np.arange(len(self.held))] = self.bundle.transmission[self.held]
-        for axis in range(2):
-            out[np.arange(count), 2 * n + axis, self.split + axis + 2 * np.arange(count)] = 1.0
-        out[:, -1, self.split :] = self.lengths_by_bend[self.point_section]
-        return out * self.scale
+    def _bend_scale(self) -> Array:
+        """Factors (2 N,) of kappa: the energy of each is x^2 / 2."""
+        stiffness = self.stiffness.sum(1) + self.bundle.sheath
+        return np.repeat(np.sqrt(self.nominal[self.point_section] / (self.weight * stiffness)), 2)
 
-    def transmission_twist(self, x: Array) -> Array:
-        """Rotations of the held tubes at the plate by the twist of their transmissions, rad."""
-        own = slice(self.split - len(self.held), self.split)
-        return np.asarray(self.bundle.transmission[self.held] * (self.scale * x)[own])
+    @cached_property
+    def _bending(self) -> tuple[Array, Array, Array]:
+        """Derivative (2 N, U - split) of kappa by x, its inverse, and kappa (2 N,) at x = 0."""
+        scale = self._bend_scale
+        if not self.held:
+            return np.diag(scale), np.diag(1 / scale), np.zeros(len(scale))
+        # Held lengths are linear in kappa: kappa is a sum of what they determine and of what they leave free.
+        fixed = self.lengths_by_bend[[*self.held]] * scale
+        wanted = HELD - self.straight[[*self.held]]
+        free = scipy.linalg.null_space(fixed)
+        start = scale * np.linalg.lstsq(fixed, wanted, rcond=None)[0]
+        return scale[:, None] * free, free.T / scale, start
+
+    @property
+    def bend_map(self) -> Array:
+        """Derivative (2 N, U - split) of kappa by x."""
+        return self._bending[0]
+
+    def held_bend(self, longer: Array) -> Array:
+        """Change (2 N, Q) of kappa at fixed x where the lengths of a straight arm change by (m, Q), m."""
+        if not self.held:
+            return np.zeros((2 * len(self.weight), longer.shape[1]))
+        rows, scale = self.lengths_by_bend[[*self.held]], self._bend_scale
+        return scale[:, None] * np.linalg.lstsq(rows * scale, -longer[[*self.held]], rcond=None)[0]
+
+    def bend(self, x: Array) -> Array:
+        """kappa (2 N,) at unknowns x (U,)."""
+        by_x, _, start = self._bending
+        return np.asarray(start + by_x @ x[self.split :])
+
+    def lengths(self, x: Array) -> Array:
+        """Lengths h (m,) of the elements of each section at unknowns x, m."""
+        return np.asarray(self.straight + self.lengths_by_bend @ self.bend(x))
+
+    def torsion(self, x: Array) -> tuple[Array, Array]:
+        """p (N, n), and rotations (n,) of the tubes at the plate by the twist of their transmissions, rad."""
+        table = np.zeros((self.n, len(self.weight) + 1))
+        table.ravel()[self.rows] = self.scale * x[: self.split]
+        return table[:, :-1].T, table[:, -1]
 
     def unknowns(self, turn: Array, bend: Array, twist: Array) -> Array:
-        """Unknowns (U,) by p (N, n), kappa (N, 2), and rotations of the held tubes at the plate, rad."""
-        tube, point = self.turning
-        rate = twist / self.bundle.transmission[self.held]
-        return np.asarray(np.concatenate([turn[point, tube], rate, bend.ravel()]) / self.scale)
+        """Unknowns (U,) closest to p (N, n), kappa (2 N,), and rotations (n,) at the plate, rad."""
+        table = np.column_stack([turn.T, twist]).ravel()[self.rows]
+        _, inverse, start = self._bending
+        return np.concatenate([table / self.scale, inverse @ (bend - start)])
+
+    def push(self, step: Array) -> Array:
+        """Changes (N, 2 n + 3) of theta, p, kappa and h at the points by a step (U,)."""
+        turn, twist = self.torsion(step)
+        bend = self.bend_map @ step[self.split :]
+        h = (self.lengths_by_bend @ bend)[self.point_section]
+        return np.column_stack([self.up_to @ turn + twist, turn, bend.reshape(-1, 2), h])
+
+    def pull(self, table: Array) -> Array:
+        """Sums (U, Q) of a table (N, 2 n + 3, Q) times the derivatives of theta, p, kappa and h by x."""
+        count, _, q = table.shape
+        by_turn = (self.turned.T @ table[:, : self.n].reshape(count, -1)).reshape(count + 1, self.n, q)
+        by_turn[:-1] += table[:, self.n : 2 * self.n]
+        bend = table[:, 2 * self.n : -1].reshape(2 * count, q) + self.lengths_by_bend.T @ (
+            self.in_section @ table[:, -1]
+        )
+        torsion = self.scale[:, None] * by_turn.swapaxes(0, 1).reshape(-1, q)[self.rows]
+        return np.concatenate([torsion, self.bend_map.T @ bend])
 
     @cached_property
     def tip_rows(self) -> Array:
         """Derivative (n, U) of the rotations at the ends of the tubes by x."""
-        (tube, point), own = self.turning, np.arange(len(self.turning[0]))
-        out = np.zeros((len(self.bundle.end), self.size))
-        out[tube, own] = self.weight[point]
-        out[self.held, len(own) + np.arange(len(self.held))] = self.bundle.transmission[self.held]
-        return out * self.scale
+        table = np.zeros((self.n, self.n, len(self.weight) + 1))
+        table[np.arange(self.n), np.arange(self.n)] = np.append(self.weight, 1.0)
+        out = np.zeros((self.n, self.size))
+        out[:, : self.split] = table.reshape(self.n, -1)[:, self.rows] * self.scale
+        return out
+
+    @property
+    def tip_tube(self) -> int:
+        """Tube that ends last, of several the first."""
+        return self.order[-1].tubes[0]
 
     def place(self, s: float) -> int:
-        """Section that ends at a place of the sheath; the last one for the tip."""
+        """Section that ends at a place of the sheath; the last one for the tip and beyond."""
         return next((k for k, b in enumerate(self.order) if not b.tubes and b.own == s), len(self.order) - 1)
-
-    @cached_property
-    def ahead(self) -> Array:
-        """Sum (N, 3) of the forces beyond each point, N."""
-        out = np.zeros((len(self.weight), 3))
-        for s, force in self.force:
-            out[self.point_section <= self.place(s)] += force
-        return out
 
 
 @dataclass(frozen=True, eq=False)
 class BundleState:
     """State of a bundle problem."""
 
+    problem: BundleProblem
     x: Array
     """Unknowns (U,)."""
+    factor: float
+    """Factor of the load."""
     energy: float
     """Potential energy, J: elastic energy less work. Infinite where a section or a tube has no length."""
     work: float
-    """Work of the forces from an arm with all points at the plate, J."""
+    """Work of the load from an arm with all points at the plate, J; NaN for a load without an energy."""
     gradient: Array
-    """Gradient (U,) of the potential energy."""
+    """Gradient (U,) of the potential energy, or the equations for loads without an energy."""
     hessian: Array
-    """Hessian (U, U)."""
+    """Derivative (U, U) of `gradient` by x."""
     theta: Array
     """Rotations (N, n), rad; of absent tubes those at their ends."""
     turn: Array
@@ -328,89 +411,271 @@ class BundleState:
     elastic_hessian: Array
     """Hessian (U, U) of the elastic energy."""
     by_local: Array
-    """Derivative (N, 2 n + 3) of the energy at the points by theta, p, kappa and h."""
+    """Derivative (N, 2 n + 3) of the elastic energy at the points by theta, p, kappa and h."""
     local_hessian: Array
     """Second derivative (N, 2 n + 3, 2 n + 3) by them."""
-    work_by_length: Array
-    """Derivative (m,) of the work by the lengths h, at fixed kappa."""
-    mixed: Array
-    """Second derivative (m, 2 N) of the work by the lengths h and by kappa; empty without forces."""
+    by_bend: Array
+    """Gradient (2 N,) by kappa, as h follows it."""
+    loading: Work | None = None
+    """Work of the load at the factor 1."""
+
+    @property
+    def potential(self) -> float:
+        """Elastic energy less work, J."""
+        return self.energy
+
+    @property
+    def load_slope(self) -> Array:
+        """Derivative (U,) of `gradient` by the factor of the load."""
+        if self.loading is None:
+            return np.zeros(len(self.x))
+        return -self.loading.by_x(self.problem)
 
 
-def arm_mesh(problem: BundleProblem) -> Mesh:
-    """Elements of length 1, on which the turn of the centreline is kappa."""
-    count = len(problem.section)
-    ones = np.ones(count)
-    return Mesh(problem.tableau, np.arange(count, dtype=float), ones, problem.section, np.ones(count, dtype=bool))
-
-
-def evaluate(problem: BundleProblem, rotations: Array, x: Array) -> BundleState:
-    """Potential energy with gradient and Hessian at x (U,), for base rotations (n,)."""
-    bundle, n, count = problem.bundle, len(rotations), len(problem.weight)
-    local = problem.local @ x
-    local[:, :n] += rotations
-    local[:, -1] = problem.lengths(x)[problem.point_section]
-    theta, turn, bend, h = local[:, :n], local[:, n : 2 * n], local[:, 2 * n : -1], local[:, -1]
-    length = h[:, None] + bend @ bundle.levers.T
-    if h.min() <= 0 or length[problem.present].min() <= 0:
+def evaluate(problem: BundleProblem, rotations: Array, x: Array, factor: float = 1.0) -> BundleState:
+    """Potential energy with gradient and Hessian at x (U,), for base rotations (n,) and `factor` times the load."""
+    n, count = problem.n, len(problem.weight)
+    (turn, twist), bend = problem.torsion(x), problem.bend(x)
+    theta = rotations + problem.up_to @ turn + twist
+    h = (problem.straight + problem.lengths_by_bend @ bend)[problem.point_section]
+    bend = bend.reshape(-1, 2)
+    length = h[:, None] + bend @ problem.bundle.levers.T
+    geometry = theta, turn, bend, h, length
+    if not (h.min() > 0 and length[problem.present].min() > 0):
         # No such arm: a step of Newton's method that leads here is shortened.
         none = np.full(problem.size, np.nan)
-        return BundleState(
-            x, np.inf, 0.0, none, np.diag(none), theta, turn, bend, h, length, none, none, none, none, none
-        )
-    offset, angle, sheath = np.broadcast_arrays(bundle.offset, bundle.angle, bundle.sheath)
-    inputs = problem.stiffness, problem.twisting, problem.natural_moment, offset, angle, sheath[:1]
-    energy, by_local, second, _ = (part.copy() for part in mapped(bundle_energy(n), count)(local, *inputs))
+        singular = np.full((problem.size, problem.size), np.nan)
+        return BundleState(problem, x, factor, np.inf, 0.0, none, singular, *geometry, singular, none, none, none)
+    local = np.column_stack([theta, turn, bend, h])
+    energy, by_local, second, _ = (part.copy() for part in mapped(bundle_energy(n), count)(local, *problem.inputs))
     second = second.reshape(count, 2 * n + 3, 2 * n + 3)
-    flat = problem.local.reshape(-1, problem.size)
-    gradient = (problem.weight[:, None] * by_local).ravel() @ flat
-    hessian = flat.T @ ((problem.weight[:, None, None] * second) @ problem.local).reshape(-1, problem.size)
-    total = float(problem.weight @ energy[:, 0])
-    transmissions = slice(problem.split - len(problem.held), problem.split)
-    total += float(x[transmissions] @ x[transmissions]) / 2
-    gradient[transmissions] += x[transmissions]
-    hessian[transmissions, transmissions] += np.eye(len(problem.held))
-    work, by_length, mixed, elastic = 0.0, np.zeros(len(problem.order)), np.zeros((0, 0)), hessian
-    if problem.force:
-        bending, scale = slice(problem.split, problem.size), problem.scale[problem.split :]
-        at, elastic = _work(problem, bend, h), hessian.copy()
-        work, by_length, mixed = at.value, at.by_length, at.mixed
-        gradient[bending] -= scale * at.slope
-        hessian[bending, bending] -= scale[:, None] * at.second * scale
-    geometry = theta, turn, bend, h, length
-    return BundleState(x, total - work, work, gradient, hessian, *geometry, elastic, by_local, second, by_length, mixed)
+    weighted = problem.weight[:, None] * by_local
+    gradient, hessian = problem.pull(weighted[..., None])[:, 0], _hessian(problem, second)
+    by_bend = weighted[:, 2 * n : -1].ravel() + problem.lengths_by_bend.T @ (problem.in_section @ weighted[:, -1])
+    spring = x[problem.sprung_rows]
+    total = float(problem.weight @ energy[:, 0]) + float(spring @ spring) / 2
+    gradient[problem.sprung_rows] += spring
+    hessian[problem.sprung_rows, problem.sprung_rows] += 1.0
+    elastic, work, loading = hessian, 0.0, None
+    if problem.load is not None:
+        loading = work_of(problem, bend, h, length)
+        work, elastic = factor * loading.value, hessian.copy()
+        gradient -= factor * loading.by_x(problem)
+        hessian -= factor * loading.by_xx(problem)
+        by_bend -= factor * loading.by_bend(problem)
+    derivatives = gradient, hessian, *geometry, elastic, by_local, second, by_bend
+    potential = total - (work if np.isfinite(work) else 0.0)
+    return BundleState(problem, x, factor, potential, work, *derivatives, loading)
 
 
-class _Work(NamedTuple):
-    """Work of the forces, sum b h n.t, J, with its derivatives by kappa as h follows it."""
+def _hessian(problem: BundleProblem, second: Array) -> Array:
+    """Hessian (U, U) of the elastic energy from second derivatives (N, 2 n + 3, 2 n + 3) at the points.
+
+    theta is the sum of p up to a point and of the rotation at the plate, h is the same in all points of a section.
+    """
+    n, split, count = problem.n, problem.split, len(problem.weight)
+    turned = problem.turned
+    at = (problem.weight[:, None, None] * second).transpose(1, 2, 0)
+    angle, rate, bend = slice(0, n), slice(n, 2 * n), slice(2 * n, 2 * n + 2)
+    torsion = turned.T @ (at[angle, angle, :, None] * turned)
+    mixed = turned.T * at[angle, rate, None, :]
+    torsion[..., :-1] += mixed
+    torsion[:, :, :-1] += mixed.transpose(1, 0, 3, 2)
+    points = np.arange(count)
+    torsion[:, :, points, points] += at[rate, rate]
+    out = np.empty((problem.size, problem.size))
+    table = torsion.transpose(0, 2, 1, 3).reshape(n * (count + 1), -1)
+    out[:split, :split] = table[np.ix_(problem.rows, problem.rows)] * problem.scale[:, None] * problem.scale
+    # By the torsion, then by kappa directly and through h.
+    direct = turned.T * at[angle, bend, None, :]
+    direct[:, :, points, points] += at[rate, bend]
+    by_h = turned.T @ (at[angle, -1, :, None] * problem.in_section.T)
+    by_h[:, :-1] += at[rate, -1, :, None] * problem.in_section.T
+    cross = direct.transpose(0, 2, 3, 1).reshape(n * (count + 1), -1)[problem.rows]
+    cross += by_h.reshape(n * (count + 1), -1)[problem.rows] @ problem.lengths_by_bend
+    out[:split, split:] = (problem.scale[:, None] * cross) @ problem.bend_map
+    out[split:, :split] = out[:split, split:].T
+    bending, both = np.zeros((count, 2, count, 2)), np.zeros((count, 2, len(problem.order)))
+    bending[points, :, points] = at[bend, bend].transpose(2, 0, 1)
+    both[points, :, problem.point_section] = at[bend, -1].T
+    across = both.reshape(2 * count, -1) @ problem.lengths_by_bend
+    whole = bending.reshape(2 * count, -1) + across + across.T
+    whole += problem.lengths_by_bend.T @ ((problem.in_section @ at[-1, -1])[:, None] * problem.lengths_by_bend)
+    out[split:, split:] = problem.bend_map.T @ whole @ problem.bend_map
+    return out
+
+
+# --- Work of the load -------------------------------------------------------------------------------------------------
+
+# Dead forces do the work
+#
+#     W = sum b h n.t + sum b rho_i g_i G.(R o_i),      n = F + int_s^S f ds + sum rho_i (S_i - sigma_i) G,
+#
+# with the forces F beyond a point, the forces f per length of the sheath, and the weight of the tubes beyond it, of the
+# own lengths S_i, sigma_i of them up to the point. Forces f beyond the last tube act on the tip. The second term is the
+# moment of the weight about the centreline. Orientation is a function of kappa; n, h and g are functions of kappa, h
+# and S. A dead moment m does the virtual work m.dpsi + m.t dtheta with the turn of the frame, sum b R (dkappa, 0), and
+# the rotation of the tube that ends last; elsewhere than at the tip the sheath, which does not twist, takes m.t.
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """Work of a load, with derivatives by kappa (2 N), lengths h (m) and own lengths (n) as independent quantities."""
 
     value: float
-    slope: Array
-    """Derivative (2 N,)."""
+    first: Array
+    """Derivative (2 N + m + n,), or virtual work."""
     second: Array
-    """Second derivative (2 N, 2 N)."""
-    by_length: Array
-    """Derivative (m,) by h at fixed kappa."""
-    mixed: Array
-    """Second derivative (m, 2 N) by h and kappa as independent quantities."""
+    """Derivative (2 N + m + n, 2 N + m + n) of `first`."""
+    torsional: Array
+    """Virtual work (U,) of moments on the rotations of tubes."""
+    torsional_slope: Array
+    """Derivative (U, 2 N) of it by kappa."""
+    wrench: Array
+    """Force (N) and moment about the plate's centre (N m) on the plate (6,)."""
+
+    def by_bend(self, problem: BundleProblem) -> Array:
+        """Derivative (2 N,) by kappa, as h follows it."""
+        size, m = 2 * len(problem.weight), len(problem.order)
+        return np.asarray(self.first[:size] + self.first[size : size + m] @ problem.lengths_by_bend)
+
+    def by_x(self, problem: BundleProblem) -> Array:
+        """Derivative (U,) by x."""
+        out = self.torsional.copy()
+        out[problem.split :] += self.by_bend(problem) @ problem.bend_map
+        return out
+
+    def by_xx(self, problem: BundleProblem) -> Array:
+        """Derivative (U, U) of `by_x`."""
+        size, m, split = 2 * len(problem.weight), len(problem.order), problem.split
+        follow = np.concatenate([np.eye(size), problem.lengths_by_bend]) @ problem.bend_map
+        out = np.zeros((problem.size, problem.size))
+        out[split:, split:] = follow.T @ self.second[: size + m, : size + m] @ follow
+        out[:, split:] += self.torsional_slope @ problem.bend_map
+        return out
 
 
-def _work(problem: BundleProblem, bend: Array, h: Array) -> _Work:
-    mesh, count, m = arm_mesh(problem), len(h), len(problem.order)
+class Spread(NamedTuple):
+    """Force per length of a sheath, with its integral and derivative, as Chebyshev series."""
+
+    force: np.polynomial.Chebyshev
+    beyond: np.polynomial.Chebyshev
+    slope: np.polynomial.Chebyshev
+
+
+@lru_cache(maxsize=64)
+def _spread(load: Load, length: float, axis: int) -> Spread:
+    """Component of the distributed force of a load, a function of arc length, up to `length`, m."""
+    force = np.polynomial.Chebyshev.interpolate(
+        lambda s: load.per_length(s)[:, FORCE.start + axis], 32, domain=[0.0, length]
+    )
+    whole = force.integ()
+    return Spread(force, whole(length) - whole, force.deriv())
+
+
+def _distributed(problem: BundleProblem, s: Array) -> tuple[Array, Array, Array]:
+    """Forces (N, 3) per length, those beyond the points, and the derivative of the first."""
+    load, length = problem.load, float(problem.bundle.end.max())
+    assert load is not None
+    along, zero = load.distributed, np.zeros((len(s), 3))
+    if along is None:
+        return zero, zero, zero
+    if callable(along):
+        parts = [_spread(load, length, axis) for axis in range(3)]
+        f, d, slope = (np.column_stack([one[k](s) for one in parts]) for k in range(3))
+        return f, d, slope
+    stretches: Any = along if isinstance(along[0], Stretch) else (Stretch(0.0, length, along),)
+    beyond = zero.copy()
+    for part in stretches:
+        beyond += np.maximum(part.end - np.maximum(s, part.start), 0.0)[:, None] * np.array(part.force)
+    return load.per_length(s)[:, FORCE] * (s < length)[:, None], beyond, zero
+
+
+def work_of(problem: BundleProblem, bend: Array, h: Array, length: Array) -> Work:
+    """Work of the load at kappa (N, 2), lengths h (N,) and lengths g (N, n) of the tubes."""
+    load, bundle, mesh, weight = problem.load, problem.bundle, problem.mesh, problem.weight
+    assert load is not None
+    count, m, n, levers = len(h), len(problem.order), problem.n, problem.bundle.levers
+    up_to, size = problem.up_to, 2 * count + m + n
     orientation = orient(mesh, bend)
-    weighted = (problem.weight * h)[:, None] * problem.ahead
-    # n.t = Q' (sum n_i T_i) Q, as in `loaded.evaluate`; here the lengths h change with kappa, too.
-    forms = (2 * weighted @ tangent_forms().reshape(3, 16)).reshape(count, 4, 4)
-    first = adjoint(mesh, orientation, (forms @ orientation.stage[:, :, None])[:, :, 0])
-    pull = problem.weight * (problem.ahead * tangents(orientation.stage)).sum(1)
-    by_length = np.bincount(problem.point_section, pull, m).astype(float)
-    slopes = (problem.ahead[:, None] @ (tangent_slopes(orientation.stage) @ orientation.stage_slope))[:, 0]
-    mixed = np.zeros((m, 2 * count))
-    np.add.at(mixed, problem.point_section, problem.weight[:, None] * slopes)
-    across = mixed.T @ problem.lengths_by_bend
-    second = second_derivative(orientation, first, forms) + across + across.T
-    slope = first.gradient.ravel() + by_length @ problem.lengths_by_bend
-    return _Work(float(pull @ h), slope, second, by_length, mixed)
+    stage, tip = orientation.stage, rotation_matrix_function()(orientation.start[-1]).full()
+    density = np.array(problem.density) if problem.density else np.zeros(n)
+    gravity, centre = np.array(load.gravity or (0.0, 0.0, 0.0)), _centres(bundle)
+    # Derivatives of h and g at the points, and of the own lengths up to them, by kappa, h and S.
+    by_h, by_g = np.zeros((count, size)), np.zeros((n, count, size))
+    by_h[:, 2 * count : 2 * count + m] = problem.in_section.T
+    by_g[:] = by_h
+    for axis in range(2):
+        by_g[:, np.arange(count), 2 * np.arange(count) + axis] = levers[:, axis, None]
+    by_g *= problem.present.T[:, :, None]
+    per_length, ahead, per_length_slope = _distributed(problem, up_to @ h)
+    own_length = np.maximum(bundle.end, 0.0)
+    ahead = ahead + ((own_length - up_to @ (length * problem.present)) @ density)[:, None] * gravity
+    by_weight = -(up_to @ np.tensordot(density, by_g, 1))
+    by_weight[:, 2 * count + m :] += density
+    moments, total = np.zeros((count, 3)), np.zeros(6)
+    for part in load.acting:
+        turns = load.frame == "tip" and part.at == np.inf
+        tip_force, tip_moment = (tip @ value if turns else np.array(value) for value in (part.force, part.moment))
+        beyond = problem.point_section <= problem.place(part.at)
+        ahead[beyond] += tip_force
+        moments[beyond] += tip_moment
+        total += np.concatenate([tip_force, tip_moment])
+    # W = sum c.t + sum G.(R e), c = b h n, e = sum b rho_i g_i o_i: derivatives of c and e.
+    by_s = up_to @ by_h
+    by_n = by_weight[:, None] * gravity[:, None] - per_length[..., None] * by_s[:, None]
+    # A load on the whole sheath reaches as far as the longest tube.
+    last = int(np.argmax(bundle.end))
+    by_n[:, :, 2 * count + m + last] += _distributed(problem, bundle.end[[last]] * (1 - 1e-12))[0]
+    c = (weight * h)[:, None] * ahead
+    by_c = weight[:, None, None] * (by_h[:, None] * ahead[..., None] + h[:, None, None] * by_n)
+    e = weight[:, None] * ((density * length * problem.present) @ centre)
+    by_e = weight[:, None, None] * np.einsum("i,ias,ic->acs", density, by_g, centre)
+    kinds = frame_forms()
+    forms = 2 * (c @ kinds[:, 2].reshape(3, 16) + e @ np.tensordot(gravity, kinds[:, :2], 1).reshape(2, 16))
+    forms = forms.reshape(count, 4, 4)
+    adjoined = adjoint(mesh, orientation, (forms @ stage[:, :, None])[:, :, 0])
+    t, across = tangents(stage), ((stage @ np.tensordot(gravity, kinds[:, :2], 1)) * stage[None]).sum(2).T
+    slope_t = (tangent_slopes(stage) @ orientation.stage_slope).reshape(3 * count, -1)
+    slope_across = 2 * (stage @ np.tensordot(gravity, kinds[:, :2], 1)).swapaxes(0, 1) @ orientation.stage_slope
+    first = t.ravel() @ by_c.reshape(-1, size) + across.ravel() @ by_e.reshape(-1, size)
+    second = np.zeros((size, size))
+    own = (weight[:, None] * by_h).T @ (t[:, None] @ by_n)[:, 0]
+    bent = (weight * h * (per_length_slope * t).sum(1))[:, None] * by_s
+    second += own + own.T - by_s.T @ bent
+    turned = slope_t.T @ by_c.reshape(-1, size) + slope_across.reshape(2 * count, -1).T @ by_e.reshape(-1, size)
+    second[: 2 * count] += turned
+    second[:, : 2 * count] += turned.T
+    first[: 2 * count] += adjoined.gradient.ravel()
+    second[: 2 * count, : 2 * count] += second_derivative(orientation, adjoined, forms)
+    value = float((c * t).sum() + (e * across).sum())
+    frames = (stage @ kinds.reshape(9, 4, 4) * stage).sum(2).T.reshape(count, 3, 3)
+    total[:3] += _distributed(problem, np.zeros(1))[1][0] + (own_length @ density) * gravity
+    total[3:] += np.cross(t, c).sum(0) + np.cross((frames[:, :, :2] @ e[..., None])[..., 0], gravity).sum(0)
+    torsional, torsional_slope = np.zeros(problem.size), np.zeros((problem.size, 2 * count))
+    if not load.has_energy:
+        value = np.nan
+        pulled = (weight[:, None] * moments) @ kinds[:, :2].reshape(3, 32)
+        half = (pulled.reshape(count, 8, 4) @ stage[:, :, None]).reshape(count, 2, 4)
+        first[: 2 * count] += (half @ stage[:, :, None]).ravel()
+        second[: 2 * count, : 2 * count] += (2 * half @ orientation.stage_slope).reshape(2 * count, -1)
+        row, end = problem.tip_rows[problem.tip_tube], orientation.start[-1]
+        torsional += (tip_moment @ tip[:, 2]) * row
+        if load.frame == "world":
+            slope = tangent_slopes(end[None])[0] @ orientation.start_slope[-1]
+            torsional_slope += np.outer(row, tip_moment @ slope)
+        else:
+            # Virtual work of a load that turns with the tip.
+            turn, reach = 2 * (world_turns() @ end) @ orientation.start_slope[-1], t.T @ (weight[:, None] * by_h)
+            reach[:, : 2 * count] += np.tensordot(weight * h, slope_t.reshape(count, 3, -1), 1)
+            second[:, : 2 * count] -= reach.T @ hat(tip_force) @ turn
+            second[: 2 * count, : 2 * count] -= turn.T @ hat(tip_moment) @ turn
+    return Work(value, first, second, torsional, torsional_slope, total)
+
+
+def _centres(bundle: Bundle) -> Array:
+    """Places (n, 2) of the tubes in the cross-section, m."""
+    return np.asarray(bundle.offset[:, None] * np.column_stack([np.cos(bundle.angle), np.sin(bundle.angle)]))
 
 
 class PlaceSlopes(NamedTuple):
@@ -422,41 +687,86 @@ class PlaceSlopes(NamedTuple):
     """Derivative (6, U) of the position, and of the turn of the frame about world axes, by x."""
     by_length: Array
     """Derivative (3, m) of the position by the lengths h of elements, at fixed kappa."""
+    by_bend: Array
+    """Derivative (6, 2 N) of position and turn by kappa, as h follows it."""
+    frame: Array
+    """Bishop frame (3, 3)."""
 
 
-def place_slopes(problem: BundleProblem, state: BundleState, section: int) -> PlaceSlopes:
+def place_slopes(state: BundleState, section: int) -> PlaceSlopes:
     """Pose of the centreline where a section ends."""
-    orientation = orient(arm_mesh(problem), state.bend)
+    problem = state.problem
+    orientation = orient(problem.mesh, state.bend)
     weight = problem.weight * (problem.point_section <= section)
     tangent, by_x = tangents(orientation.stage), np.zeros((6, problem.size))
-    by_length = np.zeros((len(problem.order), 3))
-    np.add.at(by_length, problem.point_section, weight[:, None] * tangent)
+    by_length = (problem.in_section @ (weight[:, None] * tangent)).T
     slopes = tangent_slopes(orientation.stage) @ orientation.stage_slope
-    bending, end = slice(problem.split, problem.size), int(np.searchsorted(problem.section, section, side="right"))
-    by_x[:3, bending] = np.tensordot(weight * state.h, slopes, 1) + by_length.T @ problem.lengths_by_bend
-    by_x[3:, bending] = 2 * (world_turns() @ orientation.start[end]) @ orientation.start_slope[end]
-    return PlaceSlopes((weight * state.h) @ tangent, by_x * problem.scale, by_length.T)
+    end = int(np.searchsorted(problem.section, section, side="right"))
+    by_bend = np.concatenate(
+        [
+            np.tensordot(weight * state.h, slopes, 1) + by_length @ problem.lengths_by_bend,
+            2 * (world_turns() @ orientation.start[end]) @ orientation.start_slope[end],
+        ]
+    )
+    by_x[:, problem.split :] = by_bend @ problem.bend_map
+    frame = rotation_matrix_function()(orientation.start[end]).full()
+    return PlaceSlopes((weight * state.h) @ tangent, by_x, by_length, by_bend, frame)
 
 
-def margin_form(problem: BundleProblem, state: BundleState) -> Array:
-    """Second variation (U, U) relative to that of tubes without coupling; its least eigenvalue is the margin.
+def tip_slopes(state: BundleState) -> Array:
+    """Derivative (6, U) of the tip pose by x: position, and rotation of the tube that ends last about world axes."""
+    last = len(state.problem.order) - 1
+    pose = place_slopes(state, last)
+    out = pose.by_x.copy()
+    out[3:] += np.outer(pose.frame[:, 2], state.problem.tip_rows[state.problem.tip_tube])
+    return out
+
+
+# --- Second variation -------------------------------------------------------------------------------------------------
+
+
+def margin_form(state: BundleState) -> Array:
+    """Second variation relative to that of tubes without coupling; its least eigenvalue is the margin.
 
     Bending is counted from the curvature that minimises the elastic energy at given rotations, relative to its own
-    elastic stiffness: without a load it then leaves the torsion, and without offsets it is the form of `loaded`.
+    elastic stiffness. Without a load this leaves the torsion (split, split); with one it is (U, U), and without offsets
+    the form of `loaded`.
     """
-    tube, point = problem.turning
+    basis = _relative(state)
+    if state.loading is None:
+        basis = basis[:, : state.problem.split]
+    return np.asarray(basis.T @ state.hessian @ basis)
+
+
+def softest(state: BundleState, vector: Array) -> Array:
+    """Unit vector (U,) of unknowns from a vector of the margin's form."""
+    out = _relative(state)[:, : len(vector)] @ vector
+    return np.asarray(out / np.linalg.norm(out))
+
+
+def _relative(state: BundleState) -> Array:
+    """Unknowns (U, U) by the coordinates of `margin_form`."""
+    problem = state.problem
     split, stiffness = problem.split, problem.bundle.torsional_stiffness
-    untwisted = np.ones(split)
-    untwisted[: len(tube)] = (
-        np.sqrt(state.length[point, tube] / (problem.weight[point] * stiffness[tube])) / problem.scale[: len(tube)]
+    untwisted = np.column_stack(
+        [(state.length / (problem.weight[:, None] * stiffness)).T, problem.bundle.transmission / stiffness]
     )
+    untwisted = np.sqrt(untwisted.ravel()[problem.rows]) / problem.scale
     bending, coupling = state.elastic_hessian[split:, split:], state.elastic_hessian[split:, :split]
     factor = np.linalg.cholesky(bending)
     basis = np.zeros((problem.size, problem.size))
     basis[:split, :split] = np.diag(untwisted)
     basis[split:, :split] = -scipy.linalg.cho_solve((factor, True), coupling) * untwisted
-    basis[split:, split:] = np.linalg.inv(factor).T
-    return np.asarray(basis.T @ state.hessian @ basis)
+    basis[split:, split:] = scipy.linalg.solve_triangular(factor, np.eye(len(factor)), lower=True).T
+    return basis
+
+
+# --- Sections that vanish ---------------------------------------------------------------------------------------------
+
+
+def element_counts(length: Array, refinement: int) -> Index:
+    """Numbers (m,) of elements of sections with lengths (m,), halved `refinement` times."""
+    return np.asarray(np.maximum(1, np.ceil(length / ELEMENT - SAME_PLACE)) * 2**refinement, dtype=np.intp)
 
 
 def problem_at(
@@ -465,54 +775,85 @@ def problem_at(
     *,
     degree: int = 6,
     refinement: int = 0,
-    force: tuple[tuple[float, tuple[float, float, float]], ...] = (),
+    load: Load | None = None,
+    density: tuple[float, ...] = (),
 ) -> BundleProblem:
     """Problem with the boundaries of a start in their order; elements are halved `refinement` times."""
-    count = np.maximum(1, np.ceil(start.length / ELEMENT - SAME_PLACE)).astype(np.intp) * 2**refinement
-    nominal = np.maximum(start.length, 10 * SAME_PLACE) / count
-    return BundleProblem(bundle, start.order, nominal, count, tableau("gauss", degree), force)
+    count = element_counts(start.length, refinement)
+    nominal = np.maximum(start.length, HELD) / count
+    held = tuple(np.flatnonzero(start.length < 2 * HELD).tolist())
+    return BundleProblem(bundle, start.order, nominal, count, tableau("gauss", degree), load, density, held)
 
 
 def start_unknowns(problem: BundleProblem, start: Start) -> Array:
     """Unknowns (U,) of untwisted tubes with the curvature of a start."""
     bend = (start.curvature * (start.length / problem.count)[:, None])[problem.point_section]
-    return problem.unknowns(np.zeros(problem.present.shape), bend, np.zeros(len(problem.held)))
+    return problem.unknowns(np.zeros(problem.present.shape), bend.ravel(), np.zeros(problem.n))
+
+
+def _shortened(problem: BundleProblem, turn: Array, bend: Array, sections: Sequence[int], length: float) -> None:
+    """Write p (N, n) and kappa (N, 2) of short sections: the rates of the section before, times a length."""
+    rate_of, h = np.column_stack([turn, bend]), problem.straight + problem.lengths_by_bend @ bend.ravel()
+    for k in sections:
+        own = problem.point_section == k
+        beside = (
+            np.flatnonzero(problem.point_section == k - 1)[-1] if k else np.flatnonzero(problem.point_section == 1)[0]
+        )
+        rate = rate_of[beside] / max(h[problem.point_section[beside]], length)
+        turn[own], bend[own] = length * rate[:-2], length * rate[-2:]
 
 
 def opened(problem: BundleProblem, x: Array, least: float) -> Array:
-    """Unknowns closest to x (U,) for which no element is shorter than `least`, m."""
-    h = problem.lengths(x)
-    short = np.flatnonzero(h < least)
-    if not len(short):
+    """Unknowns close to x (U,) for which no element of a free section is shorter than `least`, m."""
+    short = np.setdiff1d(np.flatnonzero(problem.lengths(x) < least), problem.held)
+    if not len(short) or len(problem.order) < 2:
         return x
-    rows = problem.lengths_by_bend[short] * problem.scale[problem.split :]
-    out = x.copy()
-    out[problem.split :] += np.linalg.lstsq(rows, least - h[short], rcond=None)[0]
+    (turn, twist), bend = problem.torsion(x), problem.bend(x).reshape(-1, 2)
+    turn = turn.copy()
+    _shortened(problem, turn, bend, short.tolist(), least)
+    out = problem.unknowns(turn, bend.ravel(), twist)
+    others = np.repeat(~np.isin(problem.point_section, short), 2)
+    rows = (problem.lengths_by_bend[short] * others) @ problem.bend_map
+    out[problem.split :] += np.linalg.lstsq(rows, least - problem.lengths(out)[short], rcond=None)[0]
     return out
 
 
-def exchanged(problem: BundleProblem, state: BundleState, section: int) -> Start:
-    """Start with the boundaries at both ends of a vanishing section exchanged."""
-    order = list(problem.order)
+def rearranged(state: BundleState, order: tuple[Boundary, ...], held: tuple[int, ...]) -> tuple[BundleProblem, Array]:
+    """Problem with other held sections and exchanged boundaries, and the unknowns of a state there."""
+    known, turn, bend = state.problem, state.turn.copy(), state.bend.copy()
+    nominal = known.nominal.copy()
+    nominal[[*held]] = HELD
+    _shortened(known, turn, bend, [k for k in held if k not in known.held], HELD)
+    problem = replace(known, order=order, held=held, nominal=nominal)
+    return problem, problem.unknowns(turn, bend.ravel(), known.torsion(state.x)[1])
+
+
+def exchanged(state: BundleState, section: int, *, hold: bool) -> tuple[BundleProblem, Array]:
+    """Problem with the boundaries at both ends of a vanishing section exchanged, and the unknowns of a state there."""
+    order, held = list(state.problem.order), set(state.problem.held) - {section}
     order[section - 1], order[section] = order[section], order[section - 1]
-    ends = np.flatnonzero(np.diff(problem.point_section, append=-1))
-    h = state.h[ends] * problem.count
-    return Start(tuple(order), h, state.bend[ends] / state.h[ends, None])
+    return rearranged(state, tuple(order), tuple(sorted(held | ({section} if hold else set()))))
+
+
+def holding_forces(state: BundleState) -> Array:
+    """Derivative (len(held),) of the energy by the lengths of held sections, N; below 0 they would grow."""
+    rows = state.problem.lengths_by_bend[[*state.problem.held]]
+    return np.asarray(np.linalg.lstsq(rows.T, state.by_bend, rcond=None)[0])
 
 
 # --- Arm, and arms as starts ------------------------------------------------------------------------------------------
 
 
-def bundle_arm(problem: BundleProblem, rotations: Array, state: BundleState) -> ArmShape:
+def bundle_arm(rotations: Array, state: BundleState) -> ArmShape:
     """Shape of the arm at ENDS of its elements."""
+    problem = state.problem
     (count, n), k = state.theta.shape, problem.tableau.degree
     pieces = count // k
-    orientation, at = orient(arm_mesh(problem), state.bend), tuple(ENDS.tolist())
+    orientation, at = orient(problem.mesh, state.bend), tuple(ENDS.tolist())
     values, integrals = problem.tableau.basis(at, 0), problem.tableau.basis(at, 1)
     h = state.h.reshape(pieces, k)[:, :1, None]
     turn, tangent = state.turn.reshape(pieces, k, n), tangents(orientation.stage).reshape(pieces, k, 3)
-    base = rotations.copy()
-    base[problem.held] += problem.transmission_twist(state.x)
+    base = rotations + problem.torsion(state.x)[1]
     ends = np.cumsum(problem.tableau.weights @ turn, axis=0)
     start = base + np.concatenate([np.zeros((1, n)), ends[:-1]])
     # Q' = (u_x Omega_x + u_y Omega_y) Q / 2 at the points, integrated by their polynomial; |Q| = 1 at the ends only.
@@ -534,47 +875,60 @@ def bundle_arm(problem: BundleProblem, rotations: Array, state: BundleState) -> 
     )
 
 
-def refined(problem: BundleProblem, state: BundleState, degree: int) -> tuple[BundleProblem, Array]:
-    """Problem with another degree on the same elements, and the unknowns of a state there."""
-    finer = replace(problem, tableau=tableau("gauss", degree))
-    basis, k = problem.tableau.lagrange(finer.tableau.nodes), problem.tableau.degree
+def carried(problem: BundleProblem, state: BundleState) -> Array:
+    """Unknowns (U,) with the torsion and curvature of a state of another problem, at the same arc lengths."""
+    known, twist = state.problem, state.problem.torsion(state.x)[1]
+    same = known.order == problem.order
+    if same and np.array_equal(known.count, problem.count) and known.tableau is problem.tableau:
+        return problem.unknowns(state.turn, state.bend.ravel(), twist)
+    h = (known.lengths(state.x) * known.count if same else problem.nominal * problem.count) / problem.count
+    elements = h[problem.section]
+    begin = np.cumsum(elements) - elements
+    s = (begin[:, None] + elements[:, None] * problem.tableau.nodes).ravel()
+    old = known.lengths(state.x)[known.section]
+    mesh = replace(known.mesh, start=np.cumsum(old) - old, length=old)
+    rates = mesh.interpolated(np.column_stack([state.turn, state.bend]) / state.h[:, None], s)
+    rates *= h[problem.point_section, None]
+    return problem.unknowns(rates[:, :-2], rates[:, -2:].ravel(), twist)
 
-    def moved(values: Array) -> Array:
-        table = basis @ values.reshape(-1, k, values.shape[1])
-        return table.reshape(-1, values.shape[1])
 
-    return finer, finer.unknowns(moved(state.turn), moved(state.bend), problem.transmission_twist(state.x))
+def followed(state: BundleState, bundle: Bundle, places: Sequence[float] = ()) -> Start:
+    """Boundaries of a bundle in their order next to a state of the same tubes, at other translations or places."""
+    known = state.problem
+    places_of_known = np.cumsum(known.lengths(state.x) * known.count).tolist()
+    ends = {b.key: place for b, place in zip(known.order, places_of_known, strict=True)}
+    s, own = known.up_to @ state.h, known.up_to @ state.length
+
+    def reached(b: Boundary) -> float:
+        if b.key in ends or not b.tubes:
+            return float(ends.get(b.key, b.own))
+        along = own[:, b.tubes[0]]
+        return float(np.interp(b.own, [0.0, *along], [0.0, *s]) + max(b.own - along[-1], 0.0))
+
+    order = sorted(boundaries(bundle, places), key=reached)
+    last = max(k for k, b in enumerate(order) if b.end)
+    order = order[: last + 1]
+    length = np.diff([0.0, *map(reached, order)])
+    return Start(tuple(order), length, np.zeros((len(order), 2)))
 
 
-def sampled(bundle: Bundle, arm: ArmShape, places: Sequence[float] = ()) -> Start:
-    """Boundaries of a bundle on the centreline of another arm, in their order there."""
-    s = arm.arc_length
-    middle = (arm.curvature[1:] + arm.curvature[:-1]) / 2
-    own = s[:, None] + np.concatenate(
-        [np.zeros((1, len(bundle.end))), np.cumsum(np.diff(s)[:, None] * middle, 0) @ bundle.levers.T]
-    )
+def moved_order(problem: BundleProblem, bundle: Bundle, places: Sequence[float]) -> tuple[Boundary, ...]:
+    """Boundaries of a problem at other translations in the same order; none where there are others than before."""
+    now = {b.key: b for b in boundaries(bundle, places)}
+    length = float((problem.nominal * problem.count).sum())
+    if {b.key for b in problem.order} != {key for key, b in now.items() if b.tubes or b.own < length}:
+        return ()
+    return tuple(now[b.key] for b in problem.order)
+
+
+def solved_order(bundle: Bundle, places: Sequence[float], ends: Array, own: Array) -> tuple[Boundary, ...]:
+    """Boundaries at places (m,) of the centreline, in order, where the tubes have own lengths (m, n), m."""
 
     def reached(b: Boundary) -> float:
         if not b.tubes:
             return b.own
-        along = own[:, b.tubes[0]]
-        return float(np.interp(b.own, along, s) + max(b.own - along[-1], 0.0))
+        to_go = b.own - own[:, b.tubes[0]]
+        k = int(np.argmin(np.abs(to_go)))
+        return float(ends[k] + to_go[k])
 
-    order = sorted(boundaries(bundle, places), key=reached)
-    last = max(k for k, b in enumerate(order) if b.end)
-    ends = np.array([0.0, *map(reached, order[: last + 1])])
-    bend = np.column_stack([np.interp((ends[1:] + ends[:-1]) / 2, s, part) for part in arm.curvature.T])
-    return Start(tuple(order[: last + 1]), np.diff(ends), bend)
-
-
-def sampled_unknowns(problem: BundleProblem, start: Start, arm: ArmShape, twist: Array) -> Array:
-    """Unknowns (U,) with the curvature of another arm, its torsion, and the `twist` (n,) of its transmissions, rad."""
-    h = start.length / problem.count
-    begin = np.cumsum(np.concatenate([[0.0], np.repeat(h, problem.count)[:-1]]))
-    s = (begin[:, None] + np.repeat(h, problem.count)[:, None] * problem.tableau.nodes).ravel()
-    here = h[problem.point_section, None]
-    turn, bend = (
-        np.column_stack([np.interp(s, arm.arc_length, row) for row in rows]) * here
-        for rows in (arm.torsion, arm.curvature.T)
-    )
-    return problem.unknowns(turn, bend, twist[problem.held])
+    return tuple(sorted(boundaries(bundle, places), key=reached)[: len(ends)])

@@ -194,7 +194,7 @@ def _tubes(robot: Robot, refinement: int) -> tuple[Array, Any]:
 @lru_cache(maxsize=64)
 def kernel_of(robot: Robot) -> Kernel | None:
     """Compiled kernel for a robot; None if it does not exist."""
-    if robot.n_tubes > MOST_TUBES:
+    if robot.n_tubes > MOST_TUBES or not robot.fixed_sections:
         return None
     return library(robot.n_tubes, robot.assembly(robot.home_translations).eccentric)
 
