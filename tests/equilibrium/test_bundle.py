@@ -9,13 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 from tubeopt import (
     BundleRobot,
     ConcentricRobot,
+    EccentricRobot,
     Load,
+    SegmentedEccentricRobot,
     Tube,
     find_load_limit,
     find_snap,
@@ -31,13 +34,15 @@ from tubeopt.inverse.posture import start_posture
 from tubeopt.robots.eccentric import free_channel
 from tubeopt.typing import Array
 
+ROOT = Path(__file__).resolve().parents[2]
 THIRDS = (0.0, 2 * np.pi / 3, -2 * np.pi / 3)
 
 
 def bundle_of_thesis() -> BundleRobot:
     """The three tubes of the thesis' eccentric robot, each with its own length."""
     robot = load_robot("thesis_etr")
-    return BundleRobot((robot.tubes[0],) * 3, (robot.distance,) * 3, THIRDS)
+    assert isinstance(robot, EccentricRobot)
+    return robot.bundle()
 
 
 def tube(kb: float, kt: float, curvature: float, straight: float, curved: float) -> Tube:
@@ -145,7 +150,7 @@ def test_integrated_forces_and_moments_give_the_same_arm(seed: int) -> None:
     arm = bundle_response(pose)
     constant = np.zeros(robot.n_tubes)
     for boundary, value in zip(arm.state.problem.order, arm.length_forces.tolist(), strict=True):
-        constant[list(boundary.tubes)] = value
+        constant[list(boundary.ends)] = value
     violated, tip = shoot(robot, pose, constant, force)
     assert np.abs(violated).max() < 1e-6
     assert np.abs(tip - pose.tip_position).max() < 1e-9
@@ -167,6 +172,38 @@ def test_tubes_of_own_length_end_where_rods_do(degrees: Any, place: float, point
     assert np.abs(np.array(found) - point).max() < 2e-4  # of the spline
     if degrees == (0, 60, -60):
         assert np.abs(1e3 * pose.tube_end - (93.99797282, 93.43667704, 94.57324920)).max() < 1e-7
+
+
+def test_the_energy_of_the_robot_of_the_thesis_differs_by_the_ends_of_its_tubes(tmp_path: Path) -> None:
+    shipped = yaml.safe_load((ROOT / "configs" / "robots" / "thesis_etr.yaml").read_text())
+    (tmp_path / "energy.yaml").write_text(yaml.safe_dump(shipped | {"model": "energy"}))
+    robot, thesis = load_robot(tmp_path / "energy.yaml"), load_robot("thesis_etr")
+    assert isinstance(robot, BundleRobot)
+    for degrees, microns in (((0, 60, -60), 31.6), ((0, 90, -90), 83.8), ((30, 100, -20), 41.4)):
+        pose = robot.fk(np.radians(degrees))
+        place = CubicSpline(pose.arc_length, pose.position)(0.094)
+        apart = np.linalg.norm(place - thesis.fk(np.radians(degrees)).tip_position)
+        assert 1e6 * apart == pytest.approx(microns, abs=0.06)
+    # One carriage moves the tubes. At home they have no transmission, which they get as they move back.
+    jacobian, h = pose.jacobian(), 1e-5
+    back = [robot.fk(np.radians(degrees), [-k * h] * 3) for k in (1, 2)]
+    for of, slope in (("tip_position", jacobian.position), ("energy", jacobian.energy)):
+        here, one, two = (getattr(each, of) for each in (pose, *back))
+        assert np.abs((3 * here - 4 * one + two) / (2 * h) - slope[..., 3:].sum(-1)).max() < 1e-6
+    with pytest.raises(InputError, match="since they share a carriage"):
+        robot.fk(np.radians(degrees), [0.0, 0.0, -0.001])
+
+
+def test_segments_are_stacks_of_tubes_of_own_length() -> None:
+    robot = load_robot("example_three_segment_etr")
+    assert isinstance(robot, SegmentedEccentricRobot)
+    turns = np.radians([-50, -35, -65, 110, 125, 95, 70, 85, 55])
+    thesis, pose = robot.fk(turns), robot.bundle().fk(turns, robot.home_translations)
+    # Curves of inner tubes begin where outer tubes end, at the same own length.
+    assert len(pose.section_start) == 9
+    assert np.linalg.norm(pose.tip_position - thesis.tip_position) < 5e-4
+    # The stretches of three tubes at 120 deg add up to 0 where all three are present.
+    assert abs((pose.tube_end - thesis.tube_end).sum()) < 1e-5
 
 
 def test_unequal_tubes_under_a_force_on_the_sheath_agree_with_rods() -> None:
@@ -307,7 +344,7 @@ def test_it_snaps_where_the_integrated_equations_are_singular() -> None:
     response = BundleResponse(point_of(pose).member, point_of(pose).state)
     constant = np.zeros(3)
     for boundary, value in zip(held.order, response.length_forces.tolist(), strict=True):
-        constant[list(boundary.tubes)] = value
+        constant[list(boundary.ends)] = value
     lever = held.bundle.levers
     z = np.concatenate([pose.torsion[:, 0] / (1 + lever @ pose.curvature[0]), constant])
 

@@ -255,7 +255,7 @@ def _admissible(robot: Robot, shift: Array) -> None:
         return
     for row in sorted(np.unique(shift, axis=0, return_index=True)[1].tolist()):
         try:
-            robot.assembly(shift[row])
+            robot.admit(shift[row])
         except InputError as error:
             raise InputError(f"translations[{row}]: {error}") from None
 

@@ -76,7 +76,6 @@ class VanishingError(Exception):
 def bundle_at(robot: BundleRobot, translations: tuple[float, ...]) -> Bundle:
     """Tubes of a bundle robot in front of the plate."""
     shift = np.array(translations)
-    robot.admit(shift)
     straight, curved, kb, kt, bend = (
         np.array([float(getattr(tube, name)) for tube in robot.tubes])
         for name in ("straight_length", "curved_length", "bending_stiffness", "torsional_stiffness", "curvature")
@@ -326,8 +325,7 @@ class Bundled(Member[BundleState]):
         arm, ends = bundle_arm(self.rotations, state), np.cumsum(problem.lengths(state.x) * problem.count)
         tube_end = np.zeros(problem.n)
         for place, boundary in zip(ends.tolist(), problem.order, strict=True):
-            if boundary.end:
-                tube_end[list(boundary.tubes)] = place
+            tube_end[list(boundary.ends)] = place
         begin = np.repeat(arm.arc_length[:-1:4], problem.tableau.degree)
         s = begin + state.h * np.tile(problem.tableau.nodes, len(problem.section))
         return ArmSolution(

@@ -63,18 +63,23 @@ class BundleResponse:
         out = np.zeros((count, 2 * n + 3, 2 * n))
         out[:, np.arange(n), np.arange(n)] = 1.0
         # theta at the plate is alpha + x sqrt(|beta| / kt): a tube moved forward has less transmission.
-        out[:, problem.sprung, n + problem.sprung] = -self._untwisted[problem.sprung]
+        out[:, np.arange(n), n + np.arange(n)] = -self._untwisted
         out[:, 2 * n : -1] = self._bend.reshape(count, 2, -1)
         out[:, -1] = self._independent[2 * count : 2 * count + m][problem.point_section]
         return out
 
     @cached_property
     def _untwisted(self) -> Array:
-        """Twist (n,) of the transmissions over twice their length, rad/m."""
-        problem = self.state.problem
-        twist, out = problem.torsion(self.state.x)[1], np.zeros(problem.n)
+        """Decrease (n,) of the rotations at the plate by the translations at fixed x, rad/m.
+
+        It is the twist of a transmission over twice its length; without a transmission the twist rate of the tube.
+        """
+        state, problem = self.state, self.state.problem
+        at_plate, k = problem.tableau.basis((0.0,), 0)[0], problem.tableau.degree
+        twist = problem.torsion(state.x)[1]
+        out = (at_plate @ state.turn[:k]) / (at_plate @ np.where(problem.present[:k], state.length[:k], 1.0))
         out[problem.sprung] = twist[problem.sprung] / (2 * problem.bundle.transmission[problem.sprung])
-        return out
+        return np.asarray(out)
 
     @cached_property
     def x(self) -> Array:
@@ -119,7 +124,11 @@ class BundleResponse:
         weighted = (problem.weight[:, None] * state.by_local).ravel()
         gradient = problem.pull((problem.weight[:, None] * state.by_local)[..., None])[:, 0]
         gradient[problem.sprung_rows] += state.x[problem.sprung_rows]
-        return np.asarray(weighted @ self._local.reshape(len(weighted), -1) + gradient @ self.x)
+        out = np.asarray(weighted @ self._local.reshape(len(weighted), -1) + gradient @ self.x)
+        # A tube without a transmission gets one as it moves back.
+        free = np.setdiff1d(np.arange(problem.n), problem.sprung)
+        out[problem.n + free] -= problem.bundle.torsional_stiffness[free] * self._untwisted[free] ** 2 / 2
+        return out
 
     @cached_property
     def margin(self) -> Array:

@@ -135,7 +135,7 @@ def unloaded(
 @lru_cache(maxsize=256)
 def _check_tied_translations(robot: Robot, translations: tuple[float, ...]) -> None:
     """Raise InputError if tubes on one carriage have different translations, which the kernel does not check."""
-    robot.assembly(np.array(translations))
+    robot.admit(np.array(translations))
 
 
 def loaded(start: Equilibrium, member: Loaded, request: SolveRequest) -> Equilibrium | None:
@@ -279,6 +279,8 @@ def forward_kinematics(  # noqa: PLR0913
     guess = None if start is None else _start_of(robot, start, tolerance)
     if not robot.fixed_sections and (solver.name != "newton" or discretisation != DEFAULT_DISCRETISATION or verify):
         raise InputError("kind is bundle; its equilibria have the method newton, the default mesh and no verification")
+    if not robot.fixed_sections:
+        robot.admit(shift)
     request = SolveRequest(solver, tolerance, start_time)
     if load is not None:
         check_load(robot, load, translation)

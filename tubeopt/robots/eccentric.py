@@ -77,6 +77,19 @@ class SheathedRobot(Robot):
                     f"{which}, {0.25 / abs(tube.curvature):g} m"
                 )
 
+    def bundle(self) -> BundleRobot:
+        """The same tubes, each of its own length, as a robot with an energy; a carriage moves each segment."""
+        count = len(self.held)
+        return BundleRobot(
+            self.tubes,
+            (self.distance,) * (3 * count),
+            PLACES * count,
+            name=self.name,
+            joint_limits=self.joint_limits,
+            calibration=self.calibration,
+            carriages=self.moving_together,
+        )
+
     @cached_property
     def moving_together(self) -> tuple[tuple[int, ...], ...]:
         """Tubes of each carriage: the three tubes of a segment."""
@@ -261,6 +274,8 @@ class BundleRobot(Robot):
     """Limits of the actuators, in readings; None allows what the lengths allow."""
     calibration: Calibration | None = None
     """Conversion of drive readings to joint values; None if they are equal."""
+    carriages: tuple[tuple[int, ...], ...] | None = None
+    """Tubes, from 0, that one carriage translates: a partition. None if each tube has its own."""
     fixed_sections = False
 
     def __post_init__(self) -> None:
@@ -278,6 +293,8 @@ class BundleRobot(Robot):
                     f"offset of tube {i} is {distance:g} m; it must be less than a quarter of its radius of "
                     f"precurvature, {0.25 / abs(tube.curvature):g} m"
                 )
+        if self.carriages is not None and sorted(i for tubes in self.carriages for i in tubes) != list(range(n)):
+            raise InputError(f"carriages are {self.carriages}; each tube from 0 to {n - 1} must be in one of them")
         self._check_fit()
         self.check_drives()
 
@@ -324,8 +341,8 @@ class BundleRobot(Robot):
 
     @property
     def moving_together(self) -> tuple[tuple[int, ...], ...]:
-        """Tubes of each carriage: every tube has its own."""
-        return tuple((i,) for i in range(len(self.tubes)))
+        """Tubes of each carriage."""
+        return self.carriages or tuple((i,) for i in range(len(self.tubes)))
 
     @cached_property
     def nested_pairs(self) -> tuple[tuple[int, int], ...]:
@@ -339,6 +356,12 @@ class BundleRobot(Robot):
                 raise InputError(
                     f"translation of tube {i} is {shift:g} m and moves it out of its carriage; it must be at most its "
                     f"straight_length, {tube.straight_length:g} m"
+                )
+        for tubes in self.moving_together:
+            if np.ptp(translations[[*tubes]]) > LENGTH_ROUND_OFF:
+                raise InputError(
+                    f"translations are {translations.tolist()} m; those of tubes "
+                    f"{', '.join(str(i + 1) for i in tubes)} must be equal, since they share a carriage"
                 )
 
     def assembly(self, translations: Array) -> Assembly:

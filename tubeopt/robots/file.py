@@ -432,10 +432,14 @@ class EccentricEntry(RobotEntry):
 
     kind: Literal["eccentric"]
     tube: TubeEntry
+    model: Literal["thesis", "energy"] = Field(
+        "thesis", description="thesis: a balance of moments, with tubes that end together; energy: that of a bundle"
+    )
 
-    def build(self) -> EccentricRobot:
+    def build(self) -> EccentricRobot | BundleRobot:
         """Robot in SI."""
-        return EccentricRobot(self.tube.build(), **values(EccentricRobot, self), **self.common())
+        robot = EccentricRobot(self.tube.build(), **values(EccentricRobot, self), **self.common())
+        return robot.bundle() if self.model == "energy" else robot
 
 
 @keys_from(SegmentedEccentricRobot)
@@ -456,6 +460,7 @@ class BundleTubeEntry(TubeEntry):
 
     offset_mm: NotNegative = Field(description="distance of the tube's axis from the centreline")
     angle_deg: Number = Field(Decimal(0), description="direction of the tube's axis from the centreline")
+    carriage: int | None = Field(None, description="number of the carriage; by default the tube has its own")
 
 
 @keys_from(BundleRobot, "sheath_stiffness", "sheath_diameter")
@@ -473,7 +478,15 @@ class BundleEntry(RobotEntry):
             tuple(to_si(tube.angle_deg, DEG) for tube in self.tubes),
             **values(BundleRobot, self, "sheath_stiffness", "sheath_diameter"),
             **self.common(),
+            carriages=self._carriages(),
         )
+
+    def _carriages(self) -> tuple[tuple[int, ...], ...] | None:
+        """Tubes of each carriage; None if each tube has its own."""
+        groups = dict[Any, list[int]]()
+        for i, tube in enumerate(self.tubes):
+            groups.setdefault(("own", i) if tube.carriage is None else tube.carriage, []).append(i)
+        return None if len(groups) == len(self.tubes) else tuple(map(tuple, groups.values()))
 
 
 AnyRobot = ConcentricRobot | EccentricRobot | SegmentedEccentricRobot | BundleRobot
@@ -569,7 +582,10 @@ def robot_to_dict(robot: Robot) -> dict[str, Any]:
             tube_to_dict(tube) | {"offset_mm": in_unit(d, MM), "angle_deg": in_unit(phi, DEG)}
             for tube, d, phi in offsets
         ]
-        data = {"kind": "bundle", "name": robot.name, "tubes": tubes} | to_data(robot, ["offset", "angle"])
+        for number, own in enumerate(robot.carriages or (), start=1):
+            for i in own:
+                tubes[i]["carriage"] = number
+        data = {"kind": "bundle", "name": robot.name, "tubes": tubes} | to_data(robot, ["offset", "angle", "carriages"])
     else:
         raise InputError(f"robot is a {type(robot).__name__}; it must be one of {', '.join(ROBOT_KINDS)}")
     if robot.joint_limits is not None:

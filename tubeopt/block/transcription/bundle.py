@@ -86,28 +86,35 @@ class Boundary(NamedTuple):
 
     own: float
     """Own arc length of its tubes from the plate, of a place of the sheath its arc length, m."""
-    tubes: tuple[int, ...]
-    """Tubes that end or begin to curve there, side by side at one offset; none for a place of the sheath."""
-    end: bool = False
-    """True for ends of tubes."""
+    tubes: tuple[int, ...] = ()
+    """Tubes that end or begin to curve there, side by side at one offset."""
+    ends: tuple[int, ...] = ()
+    """Tubes that end there."""
+    place: bool = False
+    """True for a place of the sheath, where the force on a cross-section jumps."""
 
     @property
     def key(self) -> tuple[object, ...]:
         """Name that stays the same when tubes move."""
-        return (self.tubes, self.end) if self.tubes else (self.own,)
+        return self.tubes, self.ends, self.own if self.place else None
 
 
 def boundaries(bundle: Bundle, places: Sequence[float] = ()) -> list[Boundary]:
     """Boundaries in front of the plate, in no order; `places` are arc lengths of the sheath, m."""
-    out = [Boundary(s, ()) for s in places]
-    for end, own in ((False, bundle.transition), (True, bundle.end)):
-        left = [i for i in range(len(own)) if own[i] > SAME_PLACE and (end or bundle.curvature[i])]
-        while left:
-            first = left[0]
-            apart = np.abs(bundle.levers[left] - bundle.levers[first]).max(1) + np.abs(own[left] - own[first])
-            same = tuple(i for i, gap in zip(left, apart.tolist(), strict=True) if gap <= SAME_PLACE)
-            out.append(Boundary(float(own[first]), same, end))
-            left = [i for i in left if i not in same]
+    n, centre = len(bundle.end), np.zeros(2)
+    # Tube or None, own length, stretch by curvature, end.
+    left: list[tuple[int | None, float, Array, bool]] = [(None, s, centre, False) for s in places]
+    left += [(i, float(bundle.transition[i]), bundle.levers[i], False) for i in range(n) if bundle.curvature[i]]
+    left += [(i, float(bundle.end[i]), bundle.levers[i], True) for i in range(n)]
+    left, out = [one for one in left if one[1] > SAME_PLACE], []
+    while left:
+        _, s, lever, _ = left[0]
+        # Boundaries at one offset never pass each other by bending.
+        same = [one for one in left if abs(one[1] - s) + float(np.abs(one[2] - lever).max()) <= SAME_PLACE]
+        tubes = tuple(sorted({i for i, *_ in same if i is not None}))
+        ends = tuple(i for i, _, _, end in same if end and i is not None)
+        out.append(Boundary(s, tubes, ends, any(i is None for i, *_ in same)))
+        left = [one for one in left if not any(one is other for other in same)]
     return out
 
 
@@ -127,7 +134,7 @@ def natural_start(bundle: Bundle, rotations: Array, places: Sequence[float] = ()
     n = len(rotations)
     done, arc, order, lengths, curvatures = np.zeros(n), 0.0, [], [], []
     direction = np.column_stack([np.cos(rotations), np.sin(rotations)])
-    while any(b.end for b in left):
+    while any(b.ends for b in left):
         present, curved = _tubes_at(bundle, left)
         kb = bundle.bending_stiffness * present
         u = (kb * bundle.curvature * curved) @ direction / (kb.sum() + bundle.sheath)
@@ -145,8 +152,8 @@ def natural_start(bundle: Bundle, rotations: Array, places: Sequence[float] = ()
 def _tubes_at(bundle: Bundle, ahead: Sequence[Boundary]) -> tuple[Mask, Mask]:
     """Tubes (n,) that are present, and those that are curved, where the boundaries `ahead` are still to come."""
     n = len(bundle.end)
-    ends = {i for b in ahead if b.end for i in b.tubes}
-    transitions = {i for b in ahead if not b.end for i in b.tubes}
+    ends = {i for b in ahead for i in b.ends}
+    transitions = {i for b in ahead for i in b.tubes if i not in b.ends}
     present = np.array([i in ends for i in range(n)])
     return present, present & np.array([i not in transitions for i in range(n)])
 
@@ -374,11 +381,11 @@ class BundleProblem:
     @property
     def tip_tube(self) -> int:
         """Tube that ends last, of several the first."""
-        return self.order[-1].tubes[0]
+        return self.order[-1].ends[0]
 
     def place(self, s: float) -> int:
         """Section that ends at a place of the sheath; the last one for the tip and beyond."""
-        return next((k for k, b in enumerate(self.order) if not b.tubes and b.own == s), len(self.order) - 1)
+        return next((k for k, b in enumerate(self.order) if b.place and b.own == s), len(self.order) - 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -905,20 +912,34 @@ def followed(state: BundleState, bundle: Bundle, places: Sequence[float] = ()) -
         along = own[:, b.tubes[0]]
         return float(np.interp(b.own, [0.0, *along], [0.0, *s]) + max(b.own - along[-1], 0.0))
 
-    order = sorted(boundaries(bundle, places), key=reached)
-    last = max(k for k, b in enumerate(order) if b.end)
+    order = ordered(bundle, sorted(boundaries(bundle, places), key=reached))
+    last = max(k for k, b in enumerate(order) if b.ends)
     order = order[: last + 1]
-    length = np.diff([0.0, *map(reached, order)])
+    length = np.diff([0.0, *np.maximum.accumulate([reached(b) for b in order])])
     return Start(tuple(order), length, np.zeros((len(order), 2)))
+
+
+def ordered(bundle: Bundle, order: Sequence[Boundary]) -> list[Boundary]:
+    """Boundaries with those at one offset in the order of their own lengths, at the same numbers."""
+    out = list(order)
+    lever = np.array([bundle.levers[b.tubes[0]] if b.tubes else np.zeros(2) for b in order])
+    for k in range(len(out)):
+        same = np.flatnonzero(np.abs(lever - lever[k]).max(1) <= SAME_PLACE).tolist()
+        for number, b in zip(same, sorted((order[i] for i in same), key=lambda b: b.own), strict=True):
+            out[number] = b
+    return out
 
 
 def moved_order(problem: BundleProblem, bundle: Bundle, places: Sequence[float]) -> tuple[Boundary, ...]:
     """Boundaries of a problem at other translations in the same order; none where there are others than before."""
     now = {b.key: b for b in boundaries(bundle, places)}
     length = float((problem.nominal * problem.count).sum())
+    if ((bundle.transmission > SAME_PLACE) != (problem.bundle.transmission > SAME_PLACE)).any():
+        return ()
     if {b.key for b in problem.order} != {key for key, b in now.items() if b.tubes or b.own < length}:
         return ()
-    return tuple(now[b.key] for b in problem.order)
+    order = [now[b.key] for b in problem.order]
+    return tuple(order) if ordered(bundle, order) == order else ()
 
 
 def solved_order(bundle: Bundle, places: Sequence[float], ends: Array, own: Array) -> tuple[Boundary, ...]:
