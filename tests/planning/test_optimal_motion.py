@@ -203,6 +203,21 @@ def test_a_body_on_the_way_is_passed_within_all_limits() -> None:
     assert (np.abs(curves(time, 1)) <= 1.01 * np.array(most)).all()
 
 
+def test_optimum_with_a_bend_that_begins_at_the_plate_is_found() -> None:
+    """Derivatives of the equilibrium jump there: the solver oscillates, until breakpoints have an order."""
+    robot = tubeopt.load_robot("thesis_ctr")
+    start = tubeopt.forward_kinematics(robot, [-0.385064, 2.45626461, 1.4491033], [-0.02331215, 0.00368736, 0.04035025])
+    problem = Problem()
+    motion = Motion(problem, robot, 5, between=0, min_margin=0.3)
+    motion.start(start)
+    motion.goal(tip_position=[0.05725932, -0.08222106, 0.17279284])
+    motion.limit(RateLimits())
+    problem.minimize(motion.duration)
+    trajectory = motion.solve()
+    assert trajectory.proved
+    assert abs(trajectory.translations[-1, 1]) < 1e-6
+
+
 def test_warm_start_ends_at_the_same_optimum() -> None:
     goal = {"rotations": [1.0, 0.4], "translations": START.translations}
     first = fastest(**goal)

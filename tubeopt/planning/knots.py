@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import scipy
+from numpy.typing import ArrayLike
 
 from ..block.transcription.explicit import MAX_EXPANDED_SIZE, Kind, explicit_arm, explicit_joints, explicit_size
 from ..bodies.corridors import MeshObstacle
@@ -112,18 +113,23 @@ class KnotFunction:
     """(x, p, weight) -> Hessian (a, a) of the weighted sum, or of its first rows."""
 
     @staticmethod
-    def of(value: ca.Function, curved: int | None = None) -> KnotFunction:
-        """Function with derivatives; second ones only of the first `curved` rows, by default of all."""
+    def of(value: ca.Function, curved: int | None = None, damping: ArrayLike = 0.0) -> KnotFunction:
+        """Function with derivatives; second ones only of the first `curved` rows, by default of all.
+
+        Args:
+            damping: (a,) added to the diagonal of the Hessian: steps are shorter, the optimum is the same.
+        """
         inputs: list[Any] = [*(value.sx_in() if value.is_a("SXFunction") else value.mx_in())]
         x, p = inputs
         y: Any = value(x, p)
         weight: Any = type(x).sym("weight", y.numel())
         gradient, hessian = ca.gradient(ca.dot(weight, y), x), ca.hessian(ca.dot(weight[:curved], y[:curved]), x)[0]
+        diagonal = ca.diag(ca.sparsify(ca.DM(np.broadcast_to(damping, x.numel()))))
         return KnotFunction(
             value,
             ca.Function("slope", [x, p], [ca.jacobian(y, x)]),
             ca.Function("gradient", [x, p, weight], [ca.densify(gradient)]),
-            ca.Function("hessian", [x, p, weight], [hessian]),
+            ca.Function("hessian", [x, p, weight], [hessian + diagonal]),
         )
 
     def at(self, count: int) -> ca.Function:
@@ -191,6 +197,12 @@ def knot_inputs(kind: Kind) -> tuple[Any, Any, list[Any]]:
     return x, p, [*ca.vertsplit(x, [0, n, 2 * n, 2 * n + 1]), *ca.vertsplit(p, [0, kind.size, kind.size + n])]
 
 
+# Least time hardly depends on most joints: without damping steps are so long that equilibria do not follow. Of twelve
+# motions of the thesis' robot around a sphere, four were not solved without it, and one with it.
+DAMPING = 1e-3, 0.1
+"""Damping of the tip rotations, 1/rad^2, and of the translations, 1/m^2, of every equilibrium."""
+
+
 @lru_cache(maxsize=8)
 def arm_at_knot(kind: Kind, what: str, bodies: tuple[Obstacle, ...] = ()) -> KnotFunction:
     """Function (x (2n + 1,), p) of an equilibrium at a knot.
@@ -215,7 +227,8 @@ def arm_at_knot(kind: Kind, what: str, bodies: tuple[Obstacle, ...] = ()) -> Kno
             out = ca.vec(distances(points, tangents, s, at[1], at[3], radius))
     value = ca.Function(what, [x, p], [ca.densify(out)])
     short = explicit_size(kind) < MAX_EXPANDED_SIZE and not any(isinstance(body, TABLES) for body in bodies)
-    return KnotFunction.of(value.expand() if short else value, {"balance": n, "distances": 0}.get(what))
+    damping = np.append(np.repeat(DAMPING, n), 0.0) * (what == "balance")
+    return KnotFunction.of(value.expand() if short else value, {"balance": n, "distances": 0}.get(what), damping)
 
 
 def body_distances(kind: Kind, count: int, bodies: Sequence[Obstacle]) -> ca.Function:

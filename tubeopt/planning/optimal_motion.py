@@ -7,7 +7,8 @@ tip rotations z, in which an equilibrium is explicit; and the square S = T^2 of 
 
 with the translations d_k of q_k. Ranges, order, rates and accelerations are bounds on Bezier coefficients, so they hold
 at all times. Margin and clearance hold at knots: `Motion.trajectory` follows the equilibria between them, and
-`Motion.solve` raises the reserve at knots until they hold there too.
+`Motion.solve` raises the reserve at knots until they hold there too. Where breakpoints of tubes meet, derivatives of
+equilibria jump: a solve that oscillates there is repeated with a fixed order of breakpoints, which are then swapped.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ from ..inverse.search import find_path, shorten
 from ..inverse.task import TipCoordinates
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot, check_robot
-from ..solvers.named_program import MANY_DIRECTIONS, NamedProgram, ProblemSolution
+from ..solvers.named_program import MANY_DIRECTIONS, NamedProgram, ProblemSolution, ProblemStatus
 from ..solvers.settings import Ipopt
 from ..typing import Array
 from .knots import Cubics, arm_at_knot
@@ -59,18 +60,28 @@ LONGEST_TWIST = 4.0
 FIRST_RESERVES = (MARGIN_RESERVE, 5e-5)
 """First reserves of the margin and of the clearance, m, at knots."""
 
+LEAST_RESERVES = 1e-5, 2e-6
+"""Smallest increases of the reserves of margin and clearance, m."""
+
 ROOM = 3e-5
 """Reserve of margin and clearance, m, where the proof finds less between samples than at them."""
 
 REPETITIONS = 4
 """Maximum number of solves with a larger reserve."""
 
-SEARCH_WORK, SHORTEN_WORK = 6.0, 2.0
+SEARCH_WORK, SHORTEN_WORK = 3.0, 1.0
 """Largest work of the search for a first path among bodies, and of its shortening, in seconds of counted work
 (`task.Work`): not limited by time, so that the path does not depend on the load of the machine."""
 
+APART, LEAST_FORCE = 1e-6, 1e-4
+"""Smallest distance of ordered breakpoints over the length of the robot, and smallest multiplier of it that swaps
+them."""
+
+ORDERS = 4
+"""Maximum number of orders of breakpoints that are solved."""
+
 # The start is nearly a motion; a larger barrier would move it away from its path, and takes twice as many iterations.
-SOLVERS = Ipopt(tolerance=1e-8, barrier=1e-4, push=1e-5), Ipopt(tolerance=1e-8, barrier=1e-2)
+SOLVERS = Ipopt(tolerance=1e-8, iterations=80, barrier=1e-4, push=1e-5), Ipopt(tolerance=1e-8, barrier=1e-2)
 """Settings for a `Problem`, and those after they failed."""
 
 TIME_LIMIT = 600.0
@@ -108,7 +119,8 @@ class Motion:
         opti: a `casadi.Opti` or a `tubeopt.Problem`; receives the unknowns and constraints.
         robot: robot that moves; without a load.
         knots: number of knots, evenly spaced in time, or their times as fractions of the duration, from 0 to 1.
-        between: number of further equilibria inside every interval, at which margin and clearance hold too.
+        between: number of further equilibria inside every interval, at which margin and clearance hold too. With 0,
+            knots may end on either side of a small body.
         duration: s, a number or an expression; None makes it an unknown.
         min_margin: smallest margin at the knots, a number or an expression, below 1.
         limits: ranges of the joints; by default those of the robot. The order of the tubes holds too.
@@ -143,7 +155,7 @@ class Motion:
         robot: Robot,
         knots: int | ArrayLike = 9,
         *,
-        between: int = 0,
+        between: int = 1,
         duration: Any = None,
         min_margin: Any = 0.05,
         limits: JointLimits | None = None,
@@ -165,6 +177,7 @@ class Motion:
         self._goal_given = False
         self._target: tuple[Array, Array | None] | None = None
         self._paths: dict[tuple[Any, ...], Array] = {}
+        self._sides: Any = None
         space, n, m, count = self._space, robot.n_tubes, len(self._space.scale), len(self.times)
         # Times of all equilibria; every `_stride`th is at a knot.
         self._stride = whole("between", between, 0) + 1
@@ -352,6 +365,16 @@ class Motion:
         return ca.horzcat(*(ca.vec(part) for part in ca.vertsplit(table, table.shape[0] // len(bodies))))
 
     @cached_property
+    def _places(self) -> Any:
+        """(b, stations) breakpoints of the tubes and the plate, from the plate, over the length of the robot."""
+        n, kind, p = self.robot.n_tubes, self._coordinates.kind, self._coordinates.parameters
+        ends = p[: n * kind.stretches] if kind.stretches else p[3 * n : 5 * n]
+        ends = ends.reshape(n, -1, order="F")
+        count = self._shifts.shape[1]
+        rows = [self._shifts + ca.repmat(ca.DM(end - ends[:, 0]), 1, count) for end in ends.T]
+        return ca.vertcat(*rows, ca.DM.zeros(1, count)) / self._space.length
+
+    @cached_property
     def tip_position(self) -> Any:
         """(3, K) positions of the tip at the knots, m."""
         return self._tip[:3, :]
@@ -434,6 +457,8 @@ class Motion:
             self.warm_start(start)
         elif start is not None:
             settings["start"] = start
+        if self._sides is not None:
+            self.program.set_value(self._sides, np.zeros(self._sides.numel()))
         reserve, room = np.tile(FIRST_RESERVES, (len(self._stations), 1)), 0.0
         for last in [False] * REPETITIONS + [True]:
             self.program.set_value(self._reserve, reserve.ravel())
@@ -451,20 +476,62 @@ class Motion:
                 raise SolveError(f"{self.name}: {missing}")
             beside = {k * self._stride + i for k in missing.intervals for i in range(self._stride + 1)}
             # The minimum between knots moves with the knots, so a little more than is missing.
-            reserve[sorted(beside)] += 1.5 * np.array([missing.margin, missing.clearance])
+            short = np.array([missing.margin, missing.clearance])
+            reserve[sorted(beside)] += np.where(short > 0, 1.5 * short + LEAST_RESERVES, 0.0)
             self._restart(solution)
         raise AssertionError
 
     def _solution(self, settings: dict[str, Any]) -> Any:
-        """Solution of the program; a `Problem` without other settings is solved by the second of SOLVERS if need be."""
-        own = not isinstance(self.opti, ca.Opti) and "solver" not in settings
+        """Solution of the program; of a `Problem` without other settings by SOLVERS, one after the other."""
+        own = isinstance(self.opti, NamedProgram) and "solver" not in settings
+        guesses = {name: each.guess for name, each in self.opti.variables.items()} if own else {}
         for solver in SOLVERS if own else SOLVERS[-1:]:
             try:
                 return self.opti.solve(**({"solver": solver} if own else {}), **settings)
             except RuntimeError as error:
+                failed = getattr(error, "solution", None)
+                if own and failed is not None and failed.status is ProblemStatus.TOO_MANY_ITERATIONS:
+                    solution = self._in_fixed_order(failed)
+                    if solution is not None:
+                        return solution
                 if solver is SOLVERS[-1]:
                     raise SolveError(f"{self.name}: {error}") from None
+                for name, guess in guesses.items():
+                    self.opti.set_guess(name, guess)
         raise AssertionError
+
+    def _in_fixed_order(self, failed: ProblemSolution) -> ProblemSolution | None:
+        """Solution with the breakpoints of every equilibrium in their order at a failed solution; None without any.
+
+        Derivatives jump where breakpoints meet, so that the solver oscillates about an optimum there. Breakpoints that
+        press against each other are swapped, as long as the objective decreases.
+        """
+        place, name = self._value(failed, self._places), "order of breakpoints"
+        i, j = np.triu_indices(len(place), 1)
+        if self._sides is None:
+            self._sides = self.program.parameter(f"{self.name}: sides", np.zeros(len(i) * place.shape[1]))
+            gaps = ca.vec(self._places[i.tolist(), :] - self._places[j.tolist(), :])
+            self._demand(name, self._sides * gaps + 1 - (1 + APART) * self._sides**2)
+        # Behind the plate tubes are straight.
+        sides = np.where(np.maximum(place[i], place[j]) < 0, 0.0, np.where(place[i] < place[j], -1.0, 1.0))
+        kept, best, last = np.zeros_like(sides), None, failed
+        for _ in range(ORDERS):
+            self.program.set_value(self._sides, sides.ravel(order="F"))
+            self._restart(last)
+            try:
+                last = self.opti.solve(solver=SOLVERS[0])
+            except SolveError:
+                break
+            if best is not None and last.objective > best.objective - 1e-6 * abs(best.objective):
+                break
+            kept, best, place = sides, last, self._value(last, self._places)
+            force = np.abs(last.multipliers[f"{self.name}: {name}"]).reshape(sides.shape, order="F")
+            pressed = (force > LEAST_FORCE) & (np.abs(place[i] - place[j]) < 2 * APART)
+            if not pressed.any():
+                break
+            sides = np.where(pressed, -sides, sides)
+        self.program.set_value(self._sides, kept.ravel(order="F"))
+        return best
 
     def violations(self, solution: Any) -> Between | None:
         """Violations of margin, clearance and branch between the knots of a solution; None without any."""
@@ -611,7 +678,7 @@ class Motion:
             def clock(most: float) -> Clock:
                 return Clock(most, task.clock, lambda: task.work.seconds)
 
-            points = find_path(task, begin, [end], clock(SEARCH_WORK)).points
+            points = find_path(task, begin, [end], clock(SEARCH_WORK), how="rrt_connect").points
             straight = np.stack([begin, end])
             self._paths[key] = straight if points is None else shorten(task, points, clock(SHORTEN_WORK))
         return self._paths[key]
@@ -631,10 +698,10 @@ class Motion:
                 limits=self._limits,
                 min_margin=task.min_margin,
                 obstacles=self._bodies,
-                on_failure="return",
+                on_failure="closest",
                 options=InverseOptions(clearance=self._clearance),
             )
-            if reached.equilibrium is not None:
+            if reached.reached:
                 self._last = self._coordinates.of(reached.equilibrium)
         return self._last
 
