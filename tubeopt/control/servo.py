@@ -98,7 +98,7 @@ class Guard:
         self.rate: Array = np.where(rotation, options.turn_rate, options.shift_rate)
         self.limited = bool(np.isfinite(self.acceleration).any())
         self.sight = 0.0
-        """Distance (m) up to which bodies are looked at where a step leads: once for the guard and the next step."""
+        """Distance (m) up to which bodies are searched at the end of a step: once for the guard and the next step."""
 
     def begin(self, start: Configuration) -> None:
         """Rest at a start; errors as of `Servo`."""
@@ -119,11 +119,11 @@ class Guard:
         self.keep()
 
     def keep(self) -> None:
-        """Remember the place, to which `undo` returns."""
+        """Store the state that `undo` restores."""
         self.before = Place(self.here, self.arm, self.speed)
 
     def undo(self) -> None:
-        """Return to the place before the last step."""
+        """Restore the state before the last step."""
         self.here, self.arm, self.speed = self.before
 
     def ends(self, dt: float) -> tuple[Array, Array]:
@@ -301,7 +301,7 @@ RESTS = 1e-9
 # Relative precision of a snap distance that is reported: five checks.
 TURN_PRECISION = 0.02
 
-# Times at which the margin of a braking robot is looked at, as parts of the whole: closer where it is fast.
+# Times at which the margin of a braking robot is checked, as fractions of the braking time: denser where it is fast.
 BRAKING = 0.0, 0.13, 0.3, 0.5, 0.75, 1.0
 
 # Distance (m) and angle (rad) at which a target is met.

@@ -32,7 +32,7 @@ typedef struct {
 
 struct tubeopt_memory {
     Workspace work;
-    Answer answers[2], first;                           /* the last equilibrium, room for the next; where a way began */
+    Answer answers[2], first;                           /* the last equilibrium, room for the next; start of a motion */
     int here, started, fresh;                           /* fresh: the workspace has the last equilibrium */
     const Answer *before;                               /* to which tubeopt_undo leads, NULL where nothing does */
     tubeopt_joints joints, origin;                      /* of the last one, and of that before */
@@ -49,7 +49,7 @@ struct tubeopt_memory {
     double damping, ease, last[JOINTS], stiff[JOINTS], goal[3], damped, patience; /* squared, of steps that did not bring the tip closer; part of the push; last step */
 #if TUBEOPT_LOADS
     int bears;
-    tubeopt_load load, next_load;                       /* what it bears, and what it is to bear at the end of a way */
+    tubeopt_load load, next_load;                       /* current load, and load at the end of the motion */
 #endif
 };
 
@@ -62,7 +62,7 @@ static void *room_of(const tubeopt_memory *m) { return (char *)m + OWN_ROOM; }
 
 static int bears(const tubeopt_memory *m) { return m->bears; }
 
-/* One step of the loaded arm at part t of the way to the next load, without accepting it; after that of the unloaded one. */
+/* One step of the loaded arm at the fraction t of the path to the next load, without accepting it; after that of the unloaded one. */
 static int bear_to(tubeopt_memory *m, const tubeopt_joints *joints, double t) {
     tubeopt_load at;
     for (int r = 0; r < 3; r++) {
@@ -125,7 +125,7 @@ static tubeopt_status refused(const tubeopt_joints *joints) {
     return turned ? turned : moved;
 }
 
-/* The last equilibrium, or the `next` one, which is not accepted and whose joints are not told. */
+/* Write the last equilibrium, or the `next` one, which is not accepted, without its joints. */
 static void tell(const tubeopt_memory *m, int next, tubeopt_pose *pose) {
     const Answer *a = m->answers + (next ? !m->here : m->here);
     long long tip = a->pieces * STEPS;
@@ -146,7 +146,7 @@ static void tell(const tubeopt_memory *m, int next, tubeopt_pose *pose) {
 }
 
 /* The margin of the same, with the load and without. */
-static double margin_told(const tubeopt_memory *m, int next) {
+static double stated_margin(const tubeopt_memory *m, int next) {
     double own = m->answers[next ? !m->here : m->here].margin;
     tubeopt_pose pose;
     tell(m, next, &pose);
@@ -206,7 +206,7 @@ static tubeopt_joints between(const tubeopt_joints *from, const tubeopt_joints *
     return at;
 }
 
-/* From the last equilibrium along a straight way to other joint values and the next load, in parts of at most `longest` that
+/* From the last equilibrium along a straight path to other joint values and the next load, in parts of at most `longest` that
    keep the branch. 1 where that ends, and all stays as it was. */
 static int keep_branch(tubeopt_memory *m, const tubeopt_joints *to, double longest) {
     tubeopt_joints from = m->joints;

@@ -9,7 +9,7 @@
 #define NEAR 1e-6  /* m and rad, at which a target is met */
 #define DESCENT 0.25 /* fraction of the predicted decrease of the distance that a step must have: zigzags have none */
 #define WIDER 4.   /* times the least snap distance, that is tried first where the tubes only turn */
-#define BRAKINGS 5 /* times, as parts of the whole, at which the margin of a braking robot is looked at */
+#define BRAKINGS 5 /* times, as fractions of the braking time, at which the margin is checked */
 #define MOST_CURVED 4. /* curvature of a distance over the scales: kinks, where breakpoints coincide, look larger */
 #define MOST_STIFF 1e6
 #define SEEN 1e-6  /* of a joint's scale: of a shorter whole step the curvature drowns in round-off */
@@ -125,7 +125,7 @@ static int sees_snaps(const tubeopt_memory *m, const tubeopt_command *c) {
 static int may_stop(tubeopt_memory *m, const tubeopt_command *c, double floor, const tubeopt_joints *at, Ball *ball) {
     double r = c->min_snap_distance;
     *ball = m->ball;
-    if (!sees_snaps(m, c)) return margin_told(m, 1) >= floor;
+    if (!sees_snaps(m, c)) return stated_margin(m, 1) >= floor;
     if (turn_left(ball, at) >= r) return 1;
 #if SLOPES
     if (couple(m)) {
@@ -133,10 +133,10 @@ static int may_stop(tubeopt_memory *m, const tubeopt_command *c, double floor, c
         int turns = !memcmp(at->translations, m->joints.translations, sizeof at->translations);
         double proved = !now->count || convex_in(now, NULL) ? INFINITY : turns && proves_turn(now, WIDER * r) ? WIDER * r : proves_turn(now, r) ? r : 0;
         if (proved > 0) *ball = (Ball){*at, proved};
-        return proved > 0 || (turn_left(&m->ball, &m->joints) < r && margin_told(m, 1) >= margin_told(m, 0));
+        return proved > 0 || (turn_left(&m->ball, &m->joints) < r && stated_margin(m, 1) >= stated_margin(m, 0));
     }
 #endif
-    return margin_told(m, 1) >= floor;
+    return stated_margin(m, 1) >= floor;
 }
 
 /* Rows of a step over the joints' scale: rates and ranges, order, floor of the margin, which it need not raise by more
@@ -169,7 +169,7 @@ static void hedge(const tubeopt_memory *m, const tubeopt_command *c, const Bodie
     double most = 0;
     for (int k = 0; k < JOINTS; k++) most += fmax(aim->margin[k] * aim->low[k], aim->margin[k] * aim->high[k]);
     double least = sees_snaps(m, c) ? m->wall : c->min_margin;
-    double raised = fmin(fmin(0.5 * (least + ROOM - margin_told(m, 0)), RISE * most), rise);
+    double raised = fmin(fmin(0.5 * (least + ROOM - stated_margin(m, 0)), RISE * most), rise);
     memcpy(new_row(p, raised), aim->margin, sizeof aim->margin);
     keep_clear(m, bodies, rise, p, aim);
 }
@@ -241,7 +241,7 @@ static double braking_margin(tubeopt_memory *robot, const tubeopt_command *c, co
         at[k] = time && speed[k] ? s[k] - (s[k] - q[k]) * left * left : q[k];
     }
     dependent(at, &next);
-    return step_to(robot, &next) || bear_to(robot, &next, 1) ? -1 : margin_told(robot, 1);
+    return step_to(robot, &next) || bear_to(robot, &next, 1) ? -1 : stated_margin(robot, 1);
 }
 
 /* Whether a robot can follow a stop point s: in a ball about s without slides it can. Else where it is next, and some places on the
@@ -313,7 +313,7 @@ static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command 
         if (!closer || back || slow || (m->damping && curved > m->damping)) m->damping = fmax(fmax(curved, fmin(4 * m->damping * (!closer || back), MOST_CURVED)), DAMPING * DAMPING);
         else if (m->damping && share == 1 && seen) m->damping = m->damping > 2 * DAMPING * DAMPING ? fmax(curved, m->damping / 2) : 0;
         if (!closer) continue;
-        if (robot != m && !can_brake(robot, c, &ball, there, fmin(fmin(floor + ROOM / 2, margin_told(robot, 0)), margin_told(m, 1)), margin_told(m, 1))) {
+        if (robot != m && !can_brake(robot, c, &ball, there, fmin(fmin(floor + ROOM / 2, stated_margin(robot, 0)), stated_margin(m, 1)), stated_margin(m, 1))) {
             guarded = 1;
             continue;
         }
@@ -321,7 +321,7 @@ static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command 
             m->damping = m->damped = 0;
             m->patience *= 2;
         }
-        m->wall = guarded ? margin_told(m, 0) : aim->why & TUBEOPT_AT_MARGIN ? m->wall : 0;
+        m->wall = guarded ? stated_margin(m, 0) : aim->why & TUBEOPT_AT_MARGIN ? m->wall : 0;
         m->ball = ball;
         accept(m, &next);
         accept_loaded(m);
@@ -330,7 +330,7 @@ static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command 
             if (step[k]) m->last[k] = share * step[k];
         return aim->why | (guarded ? TUBEOPT_SHORTENED : 0);
     }
-    if (guarded) m->damping = 0, m->wall = margin_told(m, 0); /* another direction may pass */
+    if (guarded) m->damping = 0, m->wall = stated_margin(m, 0); /* another direction may pass */
     return guarded ? TUBEOPT_HELD : aim->why & ~TUBEOPT_AT_RATE;
 }
 
@@ -372,7 +372,7 @@ static tubeopt_status servo_step(tubeopt_memory *m, tubeopt_memory *robot, const
         m->patience = PATIENCE;
     }
     memcpy(m->goal, c->position, sizeof m->goal);
-    floor = fmin(c->min_margin, margin_told(m, 0)); /* what is below it does not get worse */
+    floor = fmin(c->min_margin, stated_margin(m, 0)); /* what is below it does not get worse */
     if (goal) straight_to(m, goal, q, &aim, step);
     if (goal || step_towards(m, c, bodies, q, 1, &aim, step) || step_towards(m, c, bodies, q, 0, &aim, step))
         report->why = take(m, robot, c, bodies, q, step, floor, &aim, report);
