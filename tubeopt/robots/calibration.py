@@ -81,6 +81,12 @@ class Calibration(Displayed):
     translation_play: Annotated[
         Numbers, unit("mm"), LEFT_OUT, "half widths of the carriage backlash, for information; not applied"
     ] = ()
+    rotation_lag: Annotated[
+        Numbers, unit("s"), LEFT_OUT, "time constants of tubes that follow their rotation drives, not applied"
+    ] = ()
+    translation_lag: Annotated[
+        Numbers, unit("s"), LEFT_OUT, "time constants of tubes that follow their carriages, not applied"
+    ] = ()
     translation_compliance: Annotated[
         Numbers, unit("mm_per_N"), LEFT_OUT, "compliance of the carriages along the tubes"
     ] = ()
@@ -180,7 +186,7 @@ class Calibration(Displayed):
 TABLES = tuple(field.name for field in fields(Calibration) if str(field.type).startswith("Annotated[Numbers"))
 
 # Fields that are 0 by default.
-LATER = ("translation_play", "translation_compliance", "rotation_middles")
+LATER = ("translation_play", "rotation_lag", "translation_lag", "translation_compliance", "rotation_middles")
 
 
 def _number(name: str, tube: int, value: float) -> float:

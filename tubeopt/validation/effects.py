@@ -495,6 +495,16 @@ EFFECTS: dict[str, Effect] = {
         "factor on all translation readings, or on those of carriage I", "", "carriage",
         _own("translation_gains", 0.2, 0.1, 0.02), _drive("translation_gains"), common=True, drives=True,
     ),
+    "rotation_lag": Effect(
+        "time constant of tube I behind its rotation drive", "s", "tube",
+        _own("rotation_lag", 1.0, 0.1, 0.1, positive=True), _drive("rotation_lag"),
+        needs="way", history=True, compared="asked", drives=True,
+    ),
+    "translation_lag": Effect(
+        "time constant of carriage I behind its drive", "s", "carriage",
+        _own("translation_lag", 1.0, 0.1, 0.1, positive=True), _drive("translation_lag"),
+        needs="way", history=True, compared="asked", drives=True,
+    ),
     "rotation_play": Effect(
         "half width of the backlash between drive and tube I", "rad", "tube",
         _own("rotation_play", 20 * DEGREE, 0.1, DEGREE, positive=True), _drive("rotation_play"),

@@ -341,14 +341,35 @@ class Timeline:
     def driven(self, drives: Calibration, turns: Array) -> tuple[Array, Array]:
         """(N, n) joint values of the model, rad and m, at the readings less full `turns` (n,), for rigid carriages.
 
-        Latency and play of the drives are included.
+        Latency, lag and play of the drives are included, in this order.
         """
         read, moved = self.readings(drives.latency)
         alpha, shift = drives.to_model(read - TURN * turns, moved)
         return (
-            self.with_play(alpha, np.array(drives.rotation_play)),
-            self.with_play(shift, np.array(drives.translation_play)),
+            self.with_play(self.with_lag(alpha, np.array(drives.rotation_lag)), np.array(drives.rotation_play)),
+            self.with_play(self.with_lag(shift, np.array(drives.translation_lag)), np.array(drives.translation_play)),
         )
+
+    def with_lag(self, joints: Array, lag: Array) -> Array:
+        """(N, n) joint values y that follow drives x = `joints` by lag y' + y = x, lag (n,), s.
+
+        Exact where a drive moves evenly between two rows. At the start of a run it stood still.
+        """
+        time = self.measurements.time
+        if time is None or not lag.any():
+            return joints
+        followed = joints.copy()
+        moved = lag > 0
+        tau, x = lag[moved], joints[:, moved]
+        for rows in self.runs:
+            step = np.diff(time[rows])[:, None]
+            behind = tau * np.diff(x[rows], axis=0) / step  # of a drive that moves evenly for long
+            kept = np.exp(-step / tau)
+            y = x[rows[0]]
+            for k, row in enumerate(rows[1:]):
+                y = x[row] - behind[k] + (y - x[rows[k]] + behind[k]) * kept[k]
+                followed[row, moved] = y
+        return followed
 
     def with_play(self, joints: Array, play: Array) -> Array:
         """(N, n) joint values of the tubes behind drives at `joints` with play of half width (n,), rad or m.
