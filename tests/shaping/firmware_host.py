@@ -17,7 +17,7 @@ from tubeopt.shaping.heating.thermal import curved_temperatures
 from tubeopt.typing import Array
 
 COMPILER = shutil.which("g++") or shutil.which("clang++")
-TICK = 0.1
+TICK, AMBIENT = 0.1, 25.0
 HOLD, WATCHDOG = 0.28, 0.5
 """Time after which ticks that end let the cut-out open, and without food for the watchdog, s."""
 DELAY = 0.03
@@ -103,7 +103,9 @@ def run(
         # The monostable lets go of the cut-out, and the watchdog resets the board, once they are not retriggered.
         closed, ticked, fed, stopped_clock = False, -1e9, 0.0, 0.0
         for k in range(round(longest / TICK)):
-            reading = rig.reading
+            # What the wires show: the heater corrects it.
+            share = rig.sensor.correction / (rig.hot - AMBIENT)
+            reading = (rig.reading + share * AMBIENT) / (1 + share)
             wrong = fault.name if rig.time >= fault.since else ""
             shorted = wrong == "switch"
             welded = wrong == "cut-out"

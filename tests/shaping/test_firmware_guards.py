@@ -63,6 +63,8 @@ HEADER = f"""#include <stdint.h>
 #define LONGEST_MS {LONGEST_MS}ul
 #define LOST ({LOST}f)
 #define TOO_HOT ({TOO_HOT}f)
+#define CORRECTION (0.0f)
+#define CORRECTED_FROM (25.0f)
 #define LOWEST_READING ({LOWEST_READING}f)
 #define HIGHEST_READING ({HIGHEST_READING}f)
 #define START_BELOW {START_BELOW}f

@@ -53,7 +53,7 @@ def files(mold: Mold, tmp_path_factory: pytest.TempPathFactory) -> Path:
     paths = write_mold(mold, out)
     expected = {f"{part}.{kind}" for part in ("base", "lid") for kind in ("dxf", "svg", "stl")} | {
         *(f"base_{k}.nc" for k in range(1, 6)),
-        *(f"lid_{k}.nc" for k in range(1, 5)),
+        *(f"lid_{k}.nc" for k in range(1, 6)),
     }
     assert {path.name for path in paths} == expected == {path.name for path in out.iterdir()}
     return out
@@ -86,8 +86,9 @@ def test_dxf_holds_the_centreline_as_true_arcs(mold: Mold, files: Path) -> None:
     assert widths == pytest.approx([groove.width * 1e3 for groove in mold.grooves], abs=1e-9)
     assert len(space.query('CIRCLE[layer=="HOLES"]')) == len(mold.holes)
     lid = ezdxf.readfile(files / "lid.dxf").modelspace()
-    assert len(lid.query('CIRCLE[layer=="HOLES"]')) == len(mold.holes) + len(mold.vents)
-    assert not lid.query('*[layer=="GROOVE"]')
+    assert len(lid.query('CIRCLE[layer=="HOLES"]')) == len(mold.lid_holes)
+    # Two walls and two ends of each slot.
+    assert len(lid.query('*[layer=="GROOVE"]')) == 4 * len(mold.slots) == 8
     assert not document.audit().errors
 
 
@@ -103,7 +104,7 @@ def test_solids_are_watertight_and_of_the_right_volume(mold: Mold, files: Path) 
     removed = sum(groove.width * groove.centreline.length * groove.depth for groove in mold.grooves)
     area = mold.size[0] * mold.size[1]
     drilled = sum(math.pi / 4 * hole.diameter**2 for hole in mold.holes)
-    vented = sum(math.pi / 4 * vent.diameter**2 for vent in mold.vents)
+    vented = sum(math.pi / 4 * vent.diameter**2 for vent in (*mold.vents, *(e for s in mold.slots for e in s.exits)))
     wanted = {
         "base": (area - drilled) * mold.spec.plate.thickness - removed,
         "lid": (area - drilled - vented) * mold.spec.plate.lid_thickness,

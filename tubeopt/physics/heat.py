@@ -101,6 +101,10 @@ class Properties:
     """Length of tube in one clamp, m."""
     L_curved: Any
     """Half the length of the curved part, m."""
+    G_wire: Any
+    """Heat drawn by one leg of a thermocouple, per rise of the tube, W/K."""
+    L_wire: Any
+    """Length of the tube from the middle of the curved part that a leg lies on, m."""
 
     @classmethod
     def of(cls, column: Any) -> Properties:
@@ -218,6 +222,9 @@ def volumes(p: Properties, width: Any, vent: Any, shells: Shells, resolution: Re
     zone, first = zones(resolution), resolution.cells - resolution.covered
     gripped = ca.DM((zone == GRIP).astype(float))
     bare = ca.vertcat(ca.DM((zone[:first] == CLEARANCE).astype(float)), vent) * width
+    # A thermocouple draws heat from the middle: as much of a cell as lies within its leg.
+    ends = ca.cumsum(width[::-1])[::-1]
+    on_leg = ca.fmax(ca.fmin(ends, p.L_wire) - (ends - width), 0) / p.L_wire
     # Temperatures belong to the middle of a cell: neighbours are half of both widths apart.
     covered, distance = width[first:], 0.5 * (width[1:] + width[:-1])
     h_gap = p.h_gap * (1 - vent)
@@ -226,7 +233,7 @@ def volumes(p: Properties, width: Any, vent: Any, shells: Shells, resolution: Re
         R_tube=(1 - gripped) * p.r_tube * width,
         G_tube=p.kA / distance,
         G_clamp=gripped * p.h_clamp * width,
-        G_air=p.h_air * bare,
+        G_air=p.h_air * bare + p.G_wire * on_leg,
         G_rad=p.eps_sigma * bare,
         # 1 / (1 / h_gap + R_wall), without dividing by an h_gap that vents reduce to 0.
         G_gap=covered * h_gap / (1 + h_gap * p.R_wall),

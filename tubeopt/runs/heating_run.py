@@ -25,7 +25,7 @@ from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.replanning import Replanner, planner_for
 from ..shaping.heating.rig import Rig
 from ..shaping.heating.robust import design_feedback
-from ..shaping.heating.sensors import Sensor, Thermocouple
+from ..shaping.heating.sensors import Sensor, Thermocouple, equipped
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.thermal import FINE, thermal_model
 from ..typing import Progress
@@ -176,7 +176,8 @@ class FeedbackDesign(NamedTuple):
 def default_feedback(rig: Rig) -> FeedbackDesign:
     """Default plan and controller of `tubeopt heat firmware` for the tube of a rig, with a thermocouple."""
     assert rig.tube is not None
-    plan, sensor = plan_heating(rig.tube, rig, HeatingSpec(objective="margin")), Thermocouple()
+    sensor = Thermocouple()
+    plan = plan_heating(rig.tube, equipped(rig, sensor), HeatingSpec(objective="margin"))
     return FeedbackDesign(plan, design_feedback(plan, sensor, samples=20).law, sensor)
 
 

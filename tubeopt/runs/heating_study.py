@@ -26,7 +26,7 @@ from ..shaping.heating.plan import HeatingPlan, slot_milliseconds
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.rig import Rig
 from ..shaping.heating.robust import Band, assess, charge_tables, design_feedback, most_likely
-from ..shaping.heating.sensors import SENSORS, Sensor
+from ..shaping.heating.sensors import SENSORS, Sensor, equipped
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.uncertainty import Uncertainty
 from ..shaping.materials import mold_material
@@ -255,7 +255,7 @@ class HeatingStudy(HeatedTube):
         # Without a calibration all parameters are uncertain.
         loss = self.in_si("loss_percent")
         return evaluate_heating(
-            plan_heating(self.heated_tube(), self.configured_rig(), self.spec()),
+            plan_heating(self.heated_tube(), equipped(self.configured_rig(), sensor_of(self.sensor)), self.spec()),
             charges,
             progress,
             uncertainty=Uncertainty.of_a_workshop() if self.loss_percent is None else Uncertainty(**loss),
@@ -345,7 +345,8 @@ class ClosedLoopStudy(HeatedTube):
 
     def _sensor(self) -> Sensor:
         kind = SENSORS[choice("sensor", self.sensor, READS)]
-        return kind() if self.bias_K is None else kind(bias=self.si("bias_K"))
+        # A thermometer of known bias was compared with another one, in its slot: no correction is left.
+        return kind() if self.bias_K is None else kind(bias=self.si("bias_K"), correction=0.0)
 
     def _wiring(self) -> Wiring:
         return Wiring(board=self.board, converter=converter_for(self.sensor, self.converter))
@@ -355,6 +356,7 @@ class ClosedLoopStudy(HeatedTube):
         show = progress or (lambda done, total: None)
         show(0, 2)
         rig, wiring = replace(self.configured_rig(), tube=self.heated_tube()), self._wiring()
+        rig = equipped(rig, self._sensor())
         frequency = pwm_frequency(wiring, rig, self.si("pwm_Hz"))
         # Before planning: switching losses depend on the frequency.
         rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=frequency))
@@ -487,12 +489,13 @@ class FabricationStudy(Timed):
         spec = spec if self.hold_s is None else replace(spec, hold_time=self.si("hold_s"))
         charges = self.si("charges_percent")
         chosen, left_out = chosen_tubes(self.robot)
+        rig = equipped(self.rig, sensor_of(self.sensor))
         parts = []
         for k, number in enumerate(chosen):
             if progress is not None:
                 progress(k, len(chosen))
             # Each tube has a mold of its own: its arc and its length of cold end decide the plate.
-            fabrication = plan_tube(self.robot.tubes[number - 1], self.rig, mold_spec, spec, number=number)
+            fabrication = plan_tube(self.robot.tubes[number - 1], rig, mold_spec, spec, number=number)
             mold = RobotMold(fabrication.mold, self.robot.name, ())
             heating = evaluate_heating(
                 fabrication.heating, charges, samples=self.samples, sensor=sensor_of(self.sensor)

@@ -68,6 +68,9 @@ GROOVE = described(
     Quantity("trim_distal_mm", "length to cut off at the distal end", lambda g: g.trim[1]),
     of_field(Groove, "clamps", of=CLAMP),
     Quantity("vents", "vents over the bend", lambda g: len(g.vents)),
+    Quantity("slot_mm", "width, depth and length of the lid's slot for a thermocouple; null without one",
+             lambda g: g.slot and [g.slot.mill.diameter * TO_MM, g.slot.depth * TO_MM,
+                                   g.slot.centreline.length * TO_MM]),
 )  # fmt: skip
 
 PREDICTED: tuple[Quantity[Tube], ...] = (

@@ -87,7 +87,7 @@ class SimulatedRig:
 
     def __post_init__(self) -> None:
         self._rig = MeasuredRig.at_rest(self.model, self.sensor)
-        self._ends = float(self._rig.target[0]), self.hot
+        self.ends = float(self._rig.target[0]), self.hot
         self._rng = np.random.default_rng(self.seed)
 
     @property
@@ -103,7 +103,7 @@ class SimulatedRig:
     @property
     def reading(self) -> float:
         """Reading of the sensor, degC; every call has its own noise."""
-        return float(self.sensor.shown(self._rig.lagged, self.bias, self._ends, self._rng)[0])
+        return float(self.sensor.shown(self._rig.lagged, self.bias, self.ends, self._rng)[0])
 
     def electrics(self, conducting: bool) -> tuple[float, float]:
         """Battery voltage, V, and current, A, while the switch conducts or is open."""

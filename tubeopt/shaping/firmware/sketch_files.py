@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...constants import ZERO_CELSIUS
 from ...files.files import write_text
 from ...typing import Array
 from ..heating.controller import MOST_COUNT, Feedback, HeatingLaw
@@ -78,7 +79,7 @@ def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tupl
         tables: voltage at rest, V, and effective counts (T,) of each, the fullest battery first.
     """
     law, rig, sensor = tabled(feedback.law), plan.rig, feedback.sensor
-    slot = slot_milliseconds(law.slot)
+    slot, ambient = slot_milliseconds(law.slot), rig.ambient - ZERO_CELSIUS
     ticks = next(n for n in range(math.ceil(law.slot / TICK), slot + 1) if slot % n == 0)
     full = full_current(plan.tube, rig)
     sagging = rig.battery.internal_resistance + rig.battery.sag_resistance
@@ -101,6 +102,8 @@ def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tupl
         "LONGEST_MS": f"{round(1000 * law.longest)}ul",
         "LOST": _float(law.lost),
         "TOO_HOT": _float(plan.spec.limit + OVERSHOOT),
+        "CORRECTION": _float(sensor.correction / (float(law.reference.max()) - ambient)),
+        "CORRECTED_FROM": _float(ambient),
         "LOWEST_READING": _float(sensor.lowest),
         "HIGHEST_READING": _float(sensor.highest),
         "START_BELOW": "80.0f",

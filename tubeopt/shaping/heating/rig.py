@@ -30,6 +30,7 @@ from ...files.field_metadata import (
 from ...robots.file import TubeEntry, tube_to_dict
 from ...robots.tubes import Tube
 from ..materials import AMBIENT_RANGE, CALCIUM_SILICATE, MOLD_MATERIALS, MoldMaterial, mold_material
+from .thermocouple import ANCHOR
 
 COUNTS = 255
 """The largest duty of an 8-bit PWM: always on."""
@@ -266,6 +267,20 @@ class MoldBed:
     leak_resistance: Annotated[
         float, unit("ohm_m2"), POSITIVE, "electrical contact resistance between tube surface and a conductive mold"
     ] = 1e-6
+    wire: Annotated[
+        float,
+        unit("mm"),
+        Range(least=0.0, most=2e-3),
+        Typical(2e-5, 1e-3),
+        "diameter of the wires of a thermocouple in the slot of the lid; it draws heat from the middle. 0: none",
+    ] = 0.0
+    anchor: Annotated[
+        float,
+        unit("mm"),
+        Range(above=0.0, most=0.2),
+        Typical(1e-3, 0.1),
+        "length of each wire on the tube, from the middle of the curved part",
+    ] = ANCHOR
     vents: Annotated[
         tuple[float, ...],
         unit("percent"),

@@ -304,6 +304,7 @@ def nominal_law(plan: HeatingPlan, sensor: Sensor) -> HeatingLaw:
     lost = COUNTS * plan.rig.circuit.lost_share
     commanded = prolonged(plan, last + delay)
     reference = readings(model, sensor, slot, commanded / COUNTS)[: last + delay, 0]
+    above = max(float(reference[planned + delay] - plan.temperature[planned + delay, plan.curved].min()), 0.0)
     return HeatingLaw(
         slot=slot,
         planned=np.maximum(commanded - lost, 0.0),
@@ -312,8 +313,7 @@ def nominal_law(plan: HeatingPlan, sensor: Sensor) -> HeatingLaw:
         proportional=0.0,
         integral=0.0,
         # Where the coldest point enters the window, the sensor of the nominal rig reads as much more.
-        floor=low
-        + max(float(reference[planned + delay]) - float(plan.temperature[planned + delay, plan.curved].min()), 0),
+        floor=low + above - 0.5 * sensor.quantum,
         lost=lost,
     )
 

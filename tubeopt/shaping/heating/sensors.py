@@ -6,7 +6,7 @@ without these, a function of the state of the thermal model.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -17,8 +17,10 @@ from ...display import Displayed
 from ...errors import InputError, numbers
 from ...files.field_metadata import NOT_NEGATIVE, POSITIVE, Typical, check_fields, key, unit
 from ...typing import Array
+from .rig import Rig
 from .simulation import State, advance, at_rest, circuit_state
 from .thermal import ThermalModel
+from .thermocouple import ANCHOR, WIRE
 
 
 def lagged_reading(lag: ArrayLike, reading: Array, target: Array, target_after: Array, span: float) -> Array:
@@ -45,6 +47,9 @@ class Sensor(Displayed):
     lag: Annotated[float, unit("s"), NOT_NEGATIVE, Typical(1e-3, 30.0), "time constant of the sensor"] = 0.0
     noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 0.0
     bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the constant error at the temperature window"] = 0.0
+    correction: Annotated[
+        float, unit("K"), "correction of the readings at the temperature window, in proportion to the rise"
+    ] = 0.0
     quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "resolution of the readings; 0 for none"] = 0.0
     lowest: Annotated[float, key("lowest_degC"), "smallest valid reading; below it the sensor counts as broken"] = -50.0
     highest: Annotated[float, key("highest_degC"), "largest valid reading; above it the sensor counts as broken"] = (
@@ -65,8 +70,8 @@ class Sensor(Displayed):
     def shown(self, lagged: Array, bias: Array | float, ends: tuple[float, float], rng: np.random.Generator) -> Array:
         """(B,) readings with bias, noise and quantisation, degC.
 
-        The bias grows from 0 at the first temperature of `ends` to its full value at the second, as errors of
-        thermometers do.
+        The bias remains after the correction. It grows from 0 at the first temperature of `ends` to its full value at
+        the second, as errors of thermometers do.
         """
         fraction = np.clip((lagged - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0)
         value = lagged + bias * fraction + self.noise * rng.standard_normal(len(lagged))
@@ -112,17 +117,23 @@ def tube_temperature(model: ThermalModel, state: State, positions: ArrayLike) ->
 class Thermocouple(Sensor):
     """Thermocouple on the tube: by default of type K, 0.25 mm thick, read by a MAX31855.
 
-    The resolution is that of the converter. Lag, noise and bias are assumed: a bead behind a thin insulating coat, and
-    half of the standard limits of error of type K at 525 degC (ASTM E230: 0.75 %, 4 K). The half assumes one comparison
-    with another thermocouple.
+    The resolution is that of the converter. Lag and noise are assumed: a bead behind a thin insulating coat. Correction
+    and bias are the middle and the half-width of the error in the slot of a mold (`thermocouple.reading_error`), which
+    is not symmetric: the reading is too low by up to 16.8 K at 525 degC, or too high by 1.5 K. Compare it with another
+    thermocouple for less.
     """
 
     name: ClassVar[str] = "thermocouple"
 
     lag: Annotated[float, unit("s"), NOT_NEGATIVE, Typical(1e-3, 30.0), "time constant of the sensor"] = 0.3
     noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 0.5
-    bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the constant error at the temperature window"] = 2.0
+    bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the constant error at the temperature window"] = 9.2
+    correction: Annotated[
+        float, unit("K"), "correction of the readings at the temperature window, in proportion to the rise"
+    ] = 7.6
     quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "resolution of the readings; 0 for none"] = 0.25
+    wire: Annotated[float, unit("mm"), POSITIVE, Typical(2e-5, 1e-3), "diameter of the wires"] = WIRE
+    anchor: Annotated[float, unit("mm"), POSITIVE, Typical(1e-3, 0.1), "length of each wire in the slot"] = ANCHOR
     position: Annotated[
         float, unit("mm"), Typical(1e-4, 0.5), "position on the tube, from the middle of the curved part"
     ] = 0.0
@@ -197,6 +208,13 @@ class TubeResistance(Sensor):
         start = T_amb - ZERO_CELSIUS
         # Relative to the resistance at the temperature at which the rig was switched on.
         return np.asarray(start + (ratio - 1) * (1 / self.slope + start - 25.0))
+
+
+def equipped(rig: Rig, sensor: Sensor | None) -> Rig:
+    """Rig with the sensor in its mold: a thermocouple draws heat from the tube."""
+    if not isinstance(sensor, Thermocouple):
+        return rig
+    return replace(rig, mold=replace(rig.mold, wire=sensor.wire, anchor=sensor.anchor))
 
 
 SENSORS: dict[str, type[Sensor]] = {kind.name: kind for kind in (Thermocouple, TubeResistance, Camera)}

@@ -26,6 +26,7 @@ from ...robots.materials import ThermalData
 from ...robots.tubes import Tube
 from ...typing import Array
 from .rig import HOT, Rig, air_conductivity, gap_conductance, natural_convection
+from .thermocouple import stem_loss
 
 SURFACE_TRANSFER = 10.0
 """Heat transfer coefficient of the outer surfaces of clamps and mold, W/(m^2 K): free convection of plates and
@@ -280,6 +281,8 @@ def properties(tube: Tube, rig: Rig, shells: int) -> Properties:
         T_amb=rig.ambient,
         L_grip=lengths.grip,
         L_curved=lengths.curved,
+        G_wire=0.5 * stem_loss(rig.mold.wire, rig.mold.anchor).conductance if rig.mold.wire else 0.0,
+        L_wire=rig.mold.anchor,
     )
 
 

@@ -19,6 +19,7 @@ from ...files.units import TO_MM
 from ...typing import Array
 from .gcode import checked_programs
 from .groove import Arc, Point, directed_distance, leads_to_edge, polygon
+from .layout import Slot
 from .mold import PARTS, Clamp, Mold, clamp_corners
 
 # --- drawing of a plate -----------------------------------------------------------------------------------------------
@@ -55,20 +56,28 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
         for side in (1, -1):
             wall = groove.centreline.offset(side * groove.width / 2)
             walls += (in_mm(piece) for piece in leads_to_edge(wall.bend, mold.size).pieces)
+    slots = [in_mm(piece) for slot in mold.slots for piece in _slot_outline(slot)]
     jaws = tuple(in_mm(line) for groove in mold.grooves for clamp in groove.clamps for line in _jaws(clamp, mold))
-    holes = (*mold.holes, *(mold.vents if part == "lid" else ()))
+    holes = mold.lid_holes if part == "lid" else mold.holes
     base = part == "base"
     return Drawing(
         size=(width, height),
         pieces={
             "OUTLINE": outline,
-            "GROOVE": tuple(walls) if base else (),
+            "GROOVE": tuple(walls if base else slots),
             "CENTERLINE": centre,
             "TEXT": jaws if base else (),
         },
         circles=tuple(((hole.centre[0] * TO_MM, hole.centre[1] * TO_MM), hole.diameter * TO_MM) for hole in holes),
         texts=tuple(_texts(mold, part)),
     )
+
+
+def _slot_outline(slot: Slot) -> list[Arc]:
+    """Both walls of a slot, and lines across its ends, m."""
+    half = slot.mill.diameter / 2
+    left, right = (slot.centreline.offset(side * half).bend for side in (1, -1))
+    return [*left, Arc.between(left[-1].end, right[-1].end), *right, Arc.between(right[0].start, left[0].start)]
 
 
 def _jaws(clamp: Clamp, mold: Mold) -> list[Arc]:
@@ -95,6 +104,12 @@ def _texts(mold: Mold, part: str) -> list[tuple[Point, str]]:
         f"{groove.stock_length * TO_MM:.1f} mm"
         for groove in mold.grooves
     ]
+    if part == "lid":
+        lines += [
+            f"slot for a thermocouple in the lower face: {slot.mill.diameter * TO_MM:g} wide, "
+            f"{slot.depth * TO_MM:g} deep, {slot.centreline.length * TO_MM:.1f} mm long"
+            for slot in mold.slots
+        ]
     step = 1.6 * TEXT_HEIGHT_MM
     jaws = (line for groove in mold.grooves for clamp in groove.clamps for line in _jaws(clamp, mold))
     below = min(-3 * TEXT_HEIGHT_MM, min(line.start[1] for line in jaws) * TO_MM - 2 * TEXT_HEIGHT_MM)
@@ -345,7 +360,7 @@ def _plate_solid(mold: Mold, part: str) -> Any:
     """Solid of a plate (mm): its outline with holes, extruded; from the base the grooves are cut."""
     library, plate = manifold(), mold.spec.plate
     base = part == "base"
-    holes = mold.holes if base else (*mold.holes, *mold.vents)
+    holes = mold.holes if base else mold.lid_holes
     drills = [
         library.CrossSection.circle(hole.diameter / 2 * TO_MM, HOLE_SIDES).translate(
             (hole.centre[0] * TO_MM, hole.centre[1] * TO_MM)
@@ -355,7 +370,12 @@ def _plate_solid(mold: Mold, part: str) -> Any:
     outline = library.CrossSection.square((mold.size[0] * TO_MM, mold.size[1] * TO_MM))
     drilled = library.CrossSection.batch_boolean([outline, *drills], library.OpType.Subtract)
     if not base:
-        return library.Manifold.extrude(drilled, plate.lid_thickness * TO_MM)
+        solid = library.Manifold.extrude(drilled, plate.lid_thickness * TO_MM)
+        for slot in mold.slots:
+            corners = polygon(slot.centreline, slot.mill.diameter)
+            cutter = library.Manifold.extrude(library.CrossSection([corners * TO_MM]), (slot.depth + ABOVE) * TO_MM)
+            solid -= cutter.translate((0.0, 0.0, -ABOVE * TO_MM))
+        return solid
     solid = library.Manifold.extrude(drilled, plate.thickness * TO_MM).translate((0.0, 0.0, -plate.thickness * TO_MM))
     for groove in mold.grooves:
         # Long enough for a groove that leaves the plate at a small angle.

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Annotated
@@ -20,7 +20,7 @@ import numpy as np
 from ...errors import InputError, SolveError
 from ...files.units import TO_MM
 from .checks import THROUGH, beyond_edge, overrun
-from .groove import Arc, Centreline, Point, directed_distance
+from .groove import Arc, Centreline, Point, directed_distance, mirrored
 from .layout import Hole
 from .mold import PARTS, Groove, Mold
 from .spec import WORK_OFFSETS, MoldSpec
@@ -30,6 +30,9 @@ NEAR = 1e-3
 
 POINT = 0.3
 """Length of a drill's point (118 deg) in diameters."""
+
+SLOT_PASS = 0.5
+"""Depth of one pass of a slot, in diameters of its end mill."""
 
 PROBING = 1.0
 """Feed (mm/s) towards a touch plate."""
@@ -89,7 +92,7 @@ def checked_programs(mold: Mold, part: str) -> list[Program]:
         SolveError: a cutter deviates from its groove by more than 10 um.
     """
     checked = programs(mold, part)
-    deviation = toolpath_deviation(mold, groove_gcode(mold)) if part == "base" else 0.0
+    deviation = toolpath_deviation(mold, groove_gcode(mold)) if part == "base" else slot_deviation(mold)
     if deviation > TOLERANCE:
         raise SolveError(f"{checked[0].file}: a cutter path deviates from its groove by {deviation * 1e6:.3g} um")
     return checked
@@ -107,7 +110,8 @@ def programs(mold: Mold, part: str) -> list[Program]:
         InputError: a program takes too long.
         SolveError: a program, read back, has a hazardous move.
     """
-    stages, title = stages_of(mold, part), f"{part} of a mold, {mold.spec.material.name}"
+    turned = ", lower face up" if part == "lid" and mold.slots else ""
+    stages, title = stages_of(mold, part), f"{part} of a mold{turned}, {mold.spec.material.name}"
     files: dict[str, Sequence[Stage]] = {f"{part}_{k}.nc": [stage] for k, stage in enumerate(stages, start=1)}
     if mold.spec.workshop.touch_plate is not None:
         files = {f"{part}.nc": stages}
@@ -134,8 +138,10 @@ def stages_of(mold: Mold, part: str) -> list[Stage]:
     """Machining stages of a plate, in order: grooves, a stage for each drill, the outline."""
     spec, shop, base = mold.spec, mold.spec.workshop, part == "base"
     thickness = spec.plate.thickness if base else spec.plate.lid_thickness
-    holes = mold.holes if base else (*mold.vents, *mold.holes)
-    stages = groove_stages(mold) if base else []
+    turned = [replace(hole, centre=(mold.size[0] - hole.centre[0], hole.centre[1])) for hole in mold.lid_holes]
+    # A lid with slots lies with its lower face up.
+    holes = mold.holes if base else turned if mold.slots else mold.lid_holes
+    stages = groove_stages(mold) if base else slot_stages(mold)
     for diameter in sorted({hole.diameter for hole in holes}):
         lines = tuple(drilled([hole for hole in holes if hole.diameter == diameter], thickness, spec))
         stages.append(Stage(f"drill {diameter * TO_MM:g} mm", diameter, shop.drill_spindle, lines))
@@ -153,6 +159,26 @@ def groove_stages(mold: Mold) -> list[Stage]:
         lines = tuple(line for groove in grooves for line in _passes(groove, mold))
         stages.append(Stage(f"end mill {mill.diameter * TO_MM:g} mm", mill.diameter, mold.spec.milling.spindle, lines))
     return stages
+
+
+def slot_paths(mold: Mold) -> list[tuple[Arc, ...]]:
+    """Paths of the cutter of all slots, on the lid that is turned over: x from its other side."""
+    return [tuple(mirrored(piece, mold.size[0]) for piece in slot.centreline.bend) for slot in mold.slots]
+
+
+def slot_stages(mold: Mold) -> list[Stage]:
+    """Stage that cuts the slots of the lid, if it has any."""
+    if not mold.slots:
+        return []
+    milling, lines = mold.spec.milling, []
+    for slot, path in zip(mold.slots, slot_paths(mold), strict=True):
+        lines.append(f"(slot for a thermocouple, depth {_mm(slot.depth)})")
+        for depth in pass_depths(slot.depth, min(milling.step_down, SLOT_PASS * slot.mill.diameter)):
+            lines += _plunge(path[0].start, depth, mold.spec)
+            lines += [_move(piece) + (_feed(milling.feed) if k == 0 else "") for k, piece in enumerate(path)]
+            lines += _retract(mold.spec)
+    diameter = mold.slots[0].mill.diameter
+    return [Stage(f"end mill {diameter * TO_MM:g} mm", diameter, milling.spindle, tuple(lines))]
 
 
 def groove_gcode(mold: Mold) -> str:
@@ -462,6 +488,19 @@ def hazards(motions: Iterable[Motion]) -> list[str]:
 def cutter_paths(groove: Groove) -> tuple[Centreline, ...]:
     """Paths of the cutter in one pass, with the overrun beyond the plate's edge."""
     return tuple(groove.centreline.offset(d).lengthened(overrun(groove.width)) for d in groove.cutter_offsets)
+
+
+def slot_deviation(mold: Mold) -> float:
+    """Hausdorff distance (m) between the cuts of the slots' program, read back, and the slots; 0 without slots."""
+    paths = [piece for path in slot_paths(mold) for piece in path]
+    if not paths:
+        return 0.0
+    text = "\n".join(line for stage in slot_stages(mold) for line in stage.lines)
+    cuts = [motion for motion in read_gcode(text) if motion.feed is not None and motion.piece.length > 0]
+    if max(abs(cut.end + mold.slots[0].depth) for cut in cuts[-1:]) > 1e-6:
+        return math.inf
+    pieces = [cut.piece for cut in cuts]
+    return max(directed_distance(pieces, paths), directed_distance(paths, pieces))
 
 
 def toolpath_deviation(mold: Mold, text: str) -> float:

@@ -197,6 +197,23 @@ def with_leads(bend: Sequence[Arc], lead_in: float, lead_out: float) -> Centreli
     return Centreline(Arc(start, first.heading, lead_in), tuple(bend), out)
 
 
+def between(pieces: Sequence[Arc], first: float, last: float) -> tuple[Arc, ...]:
+    """Part of a chain of pieces between two arc lengths from its start, m."""
+    parts, start = [], 0.0
+    for piece in pieces:
+        low, high = max(first - start, 0.0), min(last - start, piece.length)
+        if high - low > 1e-9:
+            x, y = piece.point(np.array([low]))[0]
+            parts.append(Arc((float(x), float(y)), piece.heading + low * piece.curvature, high - low, piece.curvature))
+        start += piece.length
+    return tuple(parts)
+
+
+def mirrored(piece: Arc, width: float) -> Arc:
+    """Piece on a plate of a width (m) that is turned over about its vertical middle line."""
+    return Arc((width - piece.start[0], piece.start[1]), math.pi - piece.heading, piece.length, -piece.curvature)
+
+
 def leads_to_edge(bend: Sequence[Arc], size: Point) -> Centreline:
     """Centreline of a bend inside the plate [0, width] x [0, height], with tangent leads that end at its edge."""
     first, last = bend[0].tangent(np.zeros(1))[0], bend[-1].tangent(np.array([bend[-1].length]))[0]

@@ -18,7 +18,18 @@ from ...errors import InputError
 from ...files.field_metadata import form, unit
 from ...robots.tubes import Tube
 from ...typing import Array
-from .groove import Arc, Centreline, Point, bounds, crosses_itself, leads_to_edge, min_distance, with_leads
+from .groove import (
+    Arc,
+    Centreline,
+    Point,
+    between,
+    bounds,
+    crosses_itself,
+    leads_to_edge,
+    min_distance,
+    spaced,
+    with_leads,
+)
 from .heat import ColdEnd
 from .spec import EndMill, MoldSpec, VentSpec
 
@@ -235,6 +246,9 @@ MIN_BOLTS = 4
 DOWEL_TARGETS = ((0.22, 0.0), (0.65, 1.0))
 """Target positions of the dowels, as fractions of width and height."""
 
+SLOT_SHARE = 0.4
+"""Largest length of a slot to each side, as a fraction of the bend."""
+
 VENT_BRIDGE = 0.5e-3
 """Smallest material between vents, m."""
 
@@ -327,6 +341,51 @@ def place_vents(curve: Centreline, width: float, vents: VentSpec) -> tuple[Hole,
             "larger vents"
         )
     return tuple(Hole("vent", (float(x), float(y)), vents.diameter) for x, y in curve.bend_point(s))
+
+
+@dataclass(frozen=True)
+class Slot:
+    """Slot in the lower face of the lid, over the groove, for a thermocouple; it ends in holes."""
+
+    centreline: Centreline
+    """Centreline as seen from above; leads have no length."""
+    mill: EndMill
+    """End mill as wide as the slot."""
+    depth: float
+    """Depth from the lower face of the lid, m."""
+    exits: tuple[Hole, ...]
+    """Own holes at its ends; the others are vents."""
+
+
+SLOT_PLAY = 0.15e-3
+"""Extra width and depth of a slot over its wire, m: insulation and cement."""
+
+
+def place_slot(curve: Centreline, vents: Sequence[Hole], spec: MoldSpec) -> Slot | None:
+    """Slot about the middle of a bend; None if the specification has none, or no end mill is narrow enough.
+
+    It ends in the vents nearest to its anchor length, or in holes of its own where they meet no vent.
+    """
+    slot = spec.slot
+    mill = next((m for m in spec.milling.end_mills if m.diameter >= slot.wire + SLOT_PLAY - 1e-9), None)
+    if slot.wire == 0 or mill is None or mill.diameter > 2 * slot.wire + 2 * SLOT_PLAY:
+        return None
+    middle, grid = curve.bend_length / 2, spaced(curve.bend_length, 2e-4)
+    points = curve.bend_point(grid)
+    at_vents = [float(grid[np.linalg.norm(points - vent.centre, axis=1).argmin()]) for vent in vents]
+    ends, exits = [], []
+    for side in (-1.0, 1.0):
+        end = middle + side * min(slot.anchor, SLOT_SHARE * curve.bend_length)
+        nearest = min(at_vents, key=lambda s, end=end: abs(s - end), default=math.inf)  # type: ignore[misc]
+        meets = (spec.vents.diameter + slot.exit_diameter) / 2 + VENT_BRIDGE
+        if abs(nearest - end) < meets:
+            end = nearest
+        else:
+            ((x, y),) = curve.bend_point(np.array([end]))
+            exits.append(Hole("wire", (float(x), float(y)), slot.exit_diameter))
+        ends.append(end)
+    bend = between(curve.bend, ends[0], ends[1])
+    return Slot(with_leads(bend, 0.0, 0.0), mill, slot.wire + SLOT_PLAY, tuple(exits))
 
 
 def open_area(width: float, diameter: float) -> float:

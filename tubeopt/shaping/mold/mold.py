@@ -38,7 +38,7 @@ from .checks import (
 )
 from .groove import Centreline, Point, bend_of, clipped_area, polygon
 from .heat import ColdEnd, cold_end, thermal_growth
-from .layout import Blank, Hole, nest, place_fasteners, place_vents
+from .layout import Blank, Hole, Slot, nest, place_fasteners, place_slot, place_vents
 from .spec import ENDS, ClampSpec, EndMill, MoldSpec
 from .springback import Springback, bend_direction, tube_from_mold
 
@@ -95,6 +95,8 @@ class Groove:
     """Length of tube in each clamp, m."""
     vents: tuple[Hole, ...] = ()
     """Vents of the lid over the bend."""
+    slot: Slot | None = None
+    """Slot of the lid for a thermocouple."""
 
     number, mill, cold = Delegate[int]("blank"), Delegate[EndMill]("blank"), Delegate[ColdEnd]("blank")
     tube, held = Delegate[Tube]("blank"), Delegate[Tube]("blank")
@@ -228,6 +230,16 @@ class Mold(Displayed):
         return tuple(vent for groove in self.grooves for vent in groove.vents)
 
     @property
+    def slots(self) -> tuple[Slot, ...]:
+        """Slots of the lid for thermocouples."""
+        return tuple(groove.slot for groove in self.grooves if groove.slot is not None)
+
+    @property
+    def lid_holes(self) -> tuple[Hole, ...]:
+        """All holes of the lid."""
+        return (*self.holes, *self.vents, *(hole for slot in self.slots for hole in slot.exits))
+
+    @property
     def base_volume(self) -> float:
         """Volume of the lower plate, m^3: plate minus grooves and holes."""
         plate = self.size[0] * self.size[1] * self.spec.plate.thickness
@@ -241,9 +253,10 @@ class Mold(Displayed):
 
     @property
     def lid_volume(self) -> float:
-        """Volume of the top plate, m^3: plate minus holes and vents."""
-        open_area = sum(math.pi / 4 * hole.diameter**2 for hole in (*self.holes, *self.vents))
-        return (self.size[0] * self.size[1] - open_area) * self.spec.plate.lid_thickness
+        """Volume of the top plate, m^3: plate minus holes, vents and slots, vents counted in both."""
+        open_area = sum(math.pi / 4 * hole.diameter**2 for hole in self.lid_holes)
+        slots = sum(slot.centreline.length * slot.mill.diameter * slot.depth for slot in self.slots)
+        return (self.size[0] * self.size[1] - open_area) * self.spec.plate.lid_thickness - slots
 
 
 @typed
@@ -322,6 +335,7 @@ def _groove(blank: Blank, curve: Centreline, size: Point, spec: MoldSpec) -> Gro
         cosine = abs(float(direction[to_edge.index(min(to_edge))]))
         slant = math.sqrt(max(1 - cosine**2, 0.0)) / cosine
         gaps.append(max(spec.clamps.gap, spec.clamps.width / 2 * slant + CLAMP_CLEARANCE))
+    vents = place_vents(curve, blank.width, spec.vents)
     growth = spec.growth
     if growth is None:
         growth = thermal_growth(blank.tube, spec.heat, blank.cold.decay_length, curve.length + sum(gaps))
@@ -345,7 +359,8 @@ def _groove(blank: Blank, curve: Centreline, size: Point, spec: MoldSpec) -> Gro
         growth=growth,
         clamps=(clamps[0], clamps[1]),
         grip=spec.clamps.grip,
-        vents=place_vents(curve, blank.width, spec.vents),
+        vents=vents,
+        slot=place_slot(curve, vents, spec),
     )
 
 

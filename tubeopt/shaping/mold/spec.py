@@ -8,6 +8,7 @@ from typing import Annotated
 from ...display import Displayed
 from ...errors import InputError, instance, numbers, positive, vector
 from ...files.field_metadata import NOT_NEGATIVE, POSITIVE, Named, OneOf, Range, Typical, check_fields, key, unit
+from ..heating.thermocouple import ANCHOR, WIRE
 from ..materials import CALCIUM_SILICATE, MOLD_MATERIALS, MoldMaterial, mold_material
 from .heat import HeatSpec
 from .springback import Springback
@@ -224,6 +225,22 @@ class VentSpec:
 
 
 @dataclass(frozen=True)
+class SlotSpec:
+    """Slot in the lower face of the lid for a thermocouple on the middle of the bend."""
+
+    wire: Annotated[float, unit("mm"), LENGTH_OR_ZERO, SMALL, "diameter of the wires; 0 for a lid without a slot"] = (
+        WIRE
+    )
+    anchor: Annotated[float, unit("mm"), LENGTH, SMALL, "length of the slot to each side of the middle"] = ANCHOR
+    exit_diameter: Annotated[
+        float, unit("mm"), LENGTH, SMALL, "holes at its ends, for the wires in their sleeves; a vent there serves too"
+    ] = 1.2e-3
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the slot")
+
+
+@dataclass(frozen=True)
 class MoldSpec(Displayed):
     """Material, fit, plate and tools of a mold; every key has a default.
 
@@ -263,6 +280,7 @@ class MoldSpec(Displayed):
     )
     clamps: Annotated[ClampSpec, "the clamps outside the plate"] = field(default_factory=ClampSpec)
     vents: Annotated[VentSpec, "vents of the top plate over the bend"] = field(default_factory=VentSpec)
+    slot: Annotated[SlotSpec, "slot of the lid for a thermocouple"] = field(default_factory=SlotSpec)
     heat: Annotated[HeatSpec, "heating conditions of the mold design"] = field(default_factory=HeatSpec)
 
     def __post_init__(self) -> None:

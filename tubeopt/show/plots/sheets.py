@@ -134,6 +134,10 @@ def groove_numbers(groove: Groove, mold: Mold) -> dict[str, str]:
         "bend, length / angle": f"{groove.bend_length * TO_MM:.2f} / {math.degrees(groove.bend_angle):.2f}°",
         "groove, width / depth": f"{groove.width * TO_MM:.3f} / {groove.depth * TO_MM:.3f}",
         "end mill / passes": f"{groove.mill.diameter * TO_MM:g} / {passes} × {len(groove.cutter_offsets)}",
+        "slot in the lid, width / depth / length": "none"
+        if groove.slot is None
+        else f"{groove.slot.mill.diameter * TO_MM:g} / {groove.slot.depth * TO_MM:g} / "
+        f"{groove.slot.centreline.length * TO_MM:.1f}",
         "strain when pressed in": f"{groove.strain * 100:.2f} %",
         "cut the tube to": f"{groove.stock_length * TO_MM:.1f}",
         "mark: bend begins at / ends at": f"{groove.before_bend * TO_MM:.1f} / {end * TO_MM:.1f}",
@@ -156,6 +160,7 @@ def mold_steps(mold: Mold) -> list[str]:
         f"{math.ceil(clamp_distance(mold) * TO_MM)} mm from the plate, with a board below. {bolts} bolts of "
         f"{spec.plate.bolt_diameter * TO_MM:g} mm, 2 dowels of {spec.plate.dowel_diameter * TO_MM:g} mm (ream them), "
         f"{len(mold.vents)} vents of {spec.vents.diameter * TO_MM:g} mm in the lid.",
+        *_slot_steps(mold),
         "Cut the tube and mark the bend. Press it into the groove, marks on the ends of the bend; dowels, lid, bolts.",
         f"Clamps at the distances of the table from the plate, {clamps.grip * TO_MM:g} mm of tube in each. The {fixed} "
         f"one is fixed; the {clamps.sliding_end} one must slide outwards by the travel in the table, or the hot tube "
@@ -163,6 +168,16 @@ def mold_steps(mold: Mold) -> list[str]:
         f"Heat the bend to {degrees:.0f} ± {heat.tolerance:.0f} °C for {heat.hold_time:g} s, then quench in water.",
         "Trim the ends. Measure the radius, note it beside the mold radius: `tubeopt mold calibrate TRIALS.csv`.",
     ]
+
+
+def _slot_steps(mold: Mold) -> list[str]:
+    """Step that lays the thermocouple into its slot; none without a slot."""
+    wire = mold.spec.slot.wire * TO_MM
+    return [
+        f"Mill the lid with its lower face up (mirrored programs). A thermocouple of {wire:g} mm goes into its slot: "
+        "bead in the middle, a leg to each side, out by the holes at its ends. Cement the bead and 3 mm of each leg "
+        "flush; insulate them by mica of 0.05 mm.",
+    ][: len(mold.slots)]
 
 
 def mandrel_numbers(mandrel: Mandrel) -> dict[str, str]:

@@ -113,6 +113,13 @@ void tell_hello() {
   hardware_write(line);
 }
 
+// The reading, corrected for the heat that flows along the wires of a thermocouple.
+bool temperature(float *celsius) {
+  const bool answers = hardware_temperature(celsius);
+  *celsius += CORRECTION * (*celsius - CORRECTED_FROM);
+  return answers;
+}
+
 // --- start and stop -----------------------------------------------------------------------------------------------------
 
 void stop(Stop why) {
@@ -140,7 +147,7 @@ void start(bool without_current, bool on_bench) {
   if (running()) return tell_error("it is heating");
   if (hardware_emergency()) return tell_error("the stop button is pressed");
   float seen = 0;
-  if (!hardware_temperature(&seen) || seen <= LOWEST_READING) return tell_error("the thermometer answers nothing");
+  if (!temperature(&seen) || seen <= LOWEST_READING) return tell_error("the thermometer answers nothing");
   reading = seen;
   if (reading > START_BELOW) return tell_error("the tube is still hot");
   electrics = hardware_electrics(&volt, &ampere, &leaking);
@@ -255,7 +262,7 @@ bool stuck(float seen, uint32_t now) {
 
 Stop danger() {
   float seen = 0;
-  const bool answers = hardware_temperature(&seen);
+  const bool answers = temperature(&seen);
   if (hardware_emergency()) return EMERGENCY;
   // One bad answer is a spark on the wire, three in a row are a broken thermometer.
   bad_readings = answers && seen > LOWEST_READING && seen < HIGHEST_READING ? 0 : bad_readings < 3 ? bad_readings + 1 : 3;
