@@ -26,14 +26,14 @@ def test_plan_saves_all_files(run: Run, tmp_path: Path) -> None:
     out = answer(run("mold", ETR, "--mold", MOLD, "--out", str(tmp_path), "--json"))
     names = {Path(path).name for path in out["files"]}
     assert names == {path.name for path in tmp_path.iterdir()}
-    assert names == {"mold.json", "setup.pdf", "mold.png"} | {
+    assert names == {"mold.json", "setup.pdf", "mold.png", "lid_5.nc"} | {
         f"{part}{kind}"
         for part in ("base", "lid")
         for kind in (".dxf", ".svg", ".stl", "_1.nc", "_2.nc", "_3.nc", "_4.nc")
     }
     assert [program["tool"] for program in out["programs"]] == [
         *("end mill 2 mm", "drill 3 mm", "drill 5.5 mm", "end mill 4 mm"),
-        *("drill 1.5 mm", "drill 3 mm", "drill 5.5 mm", "end mill 4 mm"),
+        *("end mill 0.4 mm", "drill 1.5 mm", "drill 3 mm", "drill 5.5 mm", "end mill 4 mm"),
     ]
     (groove,) = out["grooves"]
     assert groove["mold_radius_mm"] == pytest.approx(120)

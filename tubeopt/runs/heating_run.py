@@ -19,13 +19,13 @@ from ..files.checked import Positive, in_file, require_one
 from ..files.field_metadata import unit
 from ..shaping.firmware.line import Line, SerialLine, SimulatedLine, SimulatedRig
 from ..shaping.heating.controller import HeatingLaw
-from ..shaping.heating.cutout import OVERSHOOT, cut_out, cutout_delay
+from ..shaping.heating.cutout import cut_out, cutout_delay
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.replanning import Replanner, planner_for
 from ..shaping.heating.rig import Rig
 from ..shaping.heating.robust import design_feedback
-from ..shaping.heating.sensors import Sensor, Thermocouple, equipped
+from ..shaping.heating.sensors import Sensor, Thermocouple
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.thermal import FINE, thermal_model
 from ..typing import Progress
@@ -147,10 +147,8 @@ class HeatingRunStudy(Study):
         assert design is not None
         plan, law, sensor = design
         simulated = SimulatedRig(thermal_model(plan.tube, plan.rig, FINE), sensor)
-        # The board switches off at the same temperature.
-        limit = plan.spec.limit + OVERSHOOT
         opening = math.ceil(1e3 * cutout_delay(plan.rig)), math.floor(1e3 * cut_out(plan).budget)
-        return SimulatedLine(simulated, law, limit, self.si("speed"), plan.spec.window_degC, opening), leader
+        return SimulatedLine(simulated, law, law.ceiling, self.si("speed"), plan.spec.window_degC, opening), leader
 
     def run_in(self, out: Path | None, progress: Progress | None = None) -> HeatingRun:
         """Run the heating, with a log in `out`."""
@@ -177,7 +175,7 @@ def default_feedback(rig: Rig) -> FeedbackDesign:
     """Default plan and controller of `tubeopt heat firmware` for the tube of a rig, with a thermocouple."""
     assert rig.tube is not None
     sensor = Thermocouple()
-    plan = plan_heating(rig.tube, equipped(rig, sensor), HeatingSpec(objective="margin"))
+    plan = plan_heating(rig.tube, rig, HeatingSpec(objective="margin"))
     return FeedbackDesign(plan, design_feedback(plan, sensor, samples=20).law, sensor)
 
 

@@ -326,6 +326,10 @@ class ClosedLoopStudy(HeatedTube):
         None,
         description=f"converter of the sensor signal: {', '.join(CONVERTERS)}; by default the usual one of the sensor",
     )
+    objective: Literal["time", "energy", "margin"] = Field(
+        "margin",
+        description="objective: margin (to the window and the limit), time (shortest) or energy (least charge)",
+    )
     pwm_Hz: Positive | None = Field(
         None,
         description="PWM frequency; the nearest one of the board is used. Default: "

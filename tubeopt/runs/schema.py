@@ -109,6 +109,7 @@ TITLES = {
     "PlateSpec": "Plates and bolts",
     "SpringbackEntry": "Spring-back",
     "VentSpec": "Vents",
+    "SlotSpec": "Slot",
     "WorkshopSpec": "Milling machine and G-code",
     # rigs
     "BatteryEntry": "Battery",

@@ -16,7 +16,7 @@ from ...files.files import write_text
 from ...typing import Array
 from ..heating.controller import MOST_COUNT, Feedback, HeatingLaw
 from ..heating.counts import full_current
-from ..heating.cutout import OVERSHOOT, cut_out, stop_current
+from ..heating.cutout import cut_out, stop_current
 from ..heating.plan import HeatingPlan, slot_milliseconds
 from ..heating.rig import COUNTS
 from ..heating.robust import at_charge, prolonged
@@ -101,7 +101,7 @@ def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tupl
         "PATIENCE_MS": f"{round(1000 * law.patience)}ul",
         "LONGEST_MS": f"{round(1000 * law.longest)}ul",
         "LOST": _float(law.lost),
-        "TOO_HOT": _float(plan.spec.limit + OVERSHOOT),
+        "TOO_HOT": _float(law.ceiling),
         "CORRECTION": _float(sensor.correction / (float(law.reference.max()) - ambient)),
         "CORRECTED_FROM": _float(ambient),
         "LOWEST_READING": _float(sensor.lowest),

@@ -58,6 +58,8 @@ class HeatingLaw:
     """Largest error below the reference without waiting, before the hold, K."""
     floor: float = -math.inf
     """Smallest reading in the hold without waiting, degC."""
+    ceiling: float = math.inf
+    """Reading that stops the heating, degC."""
     patience: float = 60.0
     """Longest total time of waiting, s."""
     lost: float = 0.0
@@ -201,7 +203,7 @@ def run_loop(
     slots = math.ceil(law.longest / law.slot)
     for k in range(slots + 1):
         reading = sensor.shown(rig.lagged, bias, ends, rng)
-        broken |= (k * law.slot >= dies) | (reading < sensor.lowest) | (reading > sensor.highest)
+        broken |= (k * law.slot >= dies) | (reading < sensor.lowest) | (reading > min(sensor.highest, law.ceiling))
         indices.append(state.index)
         count, state = decide(law, state, reading)
         count = np.where(broken, 0, count)

@@ -33,6 +33,9 @@ SHORTED_LIMIT = 650.0
 OVERSHOOT = 8.0
 """Reading above the limit, K, that stops the firmware."""
 
+MOST_EXCESS = 10.0
+"""Excess of the tube over the limit, K, that must stop the firmware whatever the bias of its sensor."""
+
 MARGIN = 1.25
 """Largest current before the firmware stops, as a multiple of the current of the cold tube; factor on ratings."""
 

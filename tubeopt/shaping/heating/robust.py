@@ -18,6 +18,7 @@ from ...solvers.time_limit import TIME_LIMIT, limited
 from ...typing import Array
 from .controller import Contribution, Feedback, HeatingLaw, LoopHistory, run_loop, shifted
 from .counts import Counts, guarded_counts, sum_up_rounding
+from .cutout import MOST_EXCESS, OVERSHOOT
 from .outcome import hold_slots
 from .plan import HeatingPlan
 from .rig import COUNTS
@@ -304,6 +305,8 @@ def nominal_law(plan: HeatingPlan, sensor: Sensor) -> HeatingLaw:
     lost = COUNTS * plan.rig.circuit.lost_share
     commanded = prolonged(plan, last + delay)
     reference = readings(model, sensor, slot, commanded / COUNTS)[: last + delay, 0]
+    held = slice(planned + delay, last)
+    beyond = max(float(plan.temperature[held].max() - reference[held].max()), 0.0)
     above = max(float(reference[planned + delay] - plan.temperature[planned + delay, plan.curved].min()), 0.0)
     return HeatingLaw(
         slot=slot,
@@ -314,6 +317,8 @@ def nominal_law(plan: HeatingPlan, sensor: Sensor) -> HeatingLaw:
         integral=0.0,
         # Where the coldest point enters the window, the sensor of the nominal rig reads as much more.
         floor=low + above - 0.5 * sensor.quantum,
+        # Also where the thermometer reads too little by its bias, and the hottest point is another one.
+        ceiling=plan.spec.limit + min(OVERSHOOT, MOST_EXCESS - sensor.bias - beyond),
         lost=lost,
     )
 
