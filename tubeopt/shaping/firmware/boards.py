@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Annotated
@@ -42,6 +43,9 @@ LOOP_INDUCTANCE = 2e-6
 
 A diode across the tube does not clamp it.
 """
+
+MOSFET_HEAT = 3.0
+"""Largest loss of a MOSFET on a board without a heat sink, W (assumed)."""
 
 CLAMP_RESERVE = 30.0
 """Rise of the thermal cut-out above the hottest planned clamp, K."""
@@ -243,7 +247,9 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     fuse = next((size for size in FUSES if size >= MARGIN * rms), FUSES[-1])
     # A cable must outlive its fuse.
     cable = next((size for size in CABLES if CURRENT_DENSITY * size >= max(MARGIN * rms, fuse)), CABLES[-1])
-    heat, rated = rms**2 * circuit.mosfet_resistance, math.ceil(MARGIN * peak / 10) * 10
+    # In parallel each has a part of the current, so that all together warm by less.
+    many = next(n for n in itertools.count(1) if (rms / n) ** 2 * circuit.mosfet_resistance <= MOSFET_HEAT)
+    heat, rated = (rms / many) ** 2 * circuit.mosfet_resistance, math.ceil(MARGIN * peak / 10) * 10
     current = f"{rms:.0f} A rms, {peak:.0f} A while on"
     sensor = {
         "max31855": "thermocouple type K 0.25 mm, its bead insulated, with MAX31855",
@@ -280,8 +286,9 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
         Part("emergency stop", "normally closed, in the supply of the cut-out, second contact to the board",
              "stops without the board too"),
         Part("cable", f"{cable:g} mm2 copper, as short as can be", current),
-        Part("MOSFET", f"{voltage} V, {rated} A, logic level, at most {resistance:g} mohm, avalanche "
-             f"{1e3 * MARGIN * avalanche:.2g} mJ", f"{peak:.0f} A while on; warms by {heat:.1f} W"),
+        Part("MOSFET", f"{'' if many == 1 else f'{many} in parallel, each '}{voltage} V, {rated} A, logic level, at "
+             f"most {resistance:g} mohm, avalanche {1e3 * MARGIN * avalanche:.2g} mJ",
+             f"{peak:.0f} A while on; warms by {heat:.1f} W, up to {MOSFET_HEAT:g} W need no heat sink"),
         Part("TVS diode", f"{standoff} V standoff, clamps below {voltage} V, from drain to source",
              f"cables of 2 uH hold {1e3 * avalanche:.2g} mJ"),
         Part("gate driver", "2 A or more; 10 ohm to the gate, 10 kohm from gate to source",

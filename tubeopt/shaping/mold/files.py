@@ -18,9 +18,8 @@ from ...files.files import atomic_write, left_out_where_missing, write_text
 from ...files.units import TO_MM
 from ...typing import Array
 from .gcode import checked_programs
-from .groove import Arc, Point, directed_distance, leads_to_edge, polygon
-from .layout import Slot
-from .mold import PARTS, Clamp, Mold, clamp_corners
+from .groove import Arc, Point, closed, directed_distance, leads_to_edge, outline_of, polygon
+from .mold import PARTS, Clamp, Groove, Mold, clamp_corners
 
 # --- drawing of a plate -----------------------------------------------------------------------------------------------
 
@@ -51,12 +50,8 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
     width, height = (extent * TO_MM for extent in mold.size)
     outline = rectangle(width, height)
     centre = tuple(in_mm(piece) for groove in mold.grooves for piece in groove.centreline.pieces)
-    walls: list[Arc] = []
-    for groove in mold.grooves:
-        for side in (1, -1):
-            wall = groove.centreline.offset(side * groove.width / 2)
-            walls += (in_mm(piece) for piece in leads_to_edge(wall.bend, mold.size).pieces)
-    slots = [in_mm(piece) for slot in mold.slots for piece in _slot_outline(slot)]
+    walls = [in_mm(piece) for groove in mold.grooves for piece in _groove_outline(groove, mold.size)]
+    slots = [in_mm(piece) for slot in mold.slots for piece in outline_of(slot.centreline.bend, slot.mill.diameter / 2)]
     jaws = tuple(in_mm(line) for groove in mold.grooves for clamp in groove.clamps for line in _jaws(clamp, mold))
     holes = mold.lid_holes if part == "lid" else mold.holes
     base = part == "base"
@@ -73,11 +68,12 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
     )
 
 
-def _slot_outline(slot: Slot) -> list[Arc]:
-    """Both walls of a slot, and lines across its ends, m."""
-    half = slot.mill.diameter / 2
-    left, right = (slot.centreline.offset(side * half).bend for side in (1, -1))
-    return [*left, Arc.between(left[-1].end, right[-1].end), *right, Arc.between(right[0].start, left[0].start)]
+def _groove_outline(groove: Groove, size: Point) -> tuple[Arc, ...]:
+    """Closed outline of a groove from edge to edge of the plate, clockwise, m."""
+    left, right = (
+        leads_to_edge(groove.centreline.offset(side * groove.width / 2).bend, size).pieces for side in (1, -1)
+    )
+    return closed(left, right)
 
 
 def _jaws(clamp: Clamp, mold: Mold) -> list[Arc]:
@@ -238,6 +234,12 @@ def write_dxf(drawing: Drawing, centreline: Sequence[Arc], path: Path) -> Path:
         document.layers.add(name, color=COLOURS[name][0])
     space = document.modelspace()
     for layer, pieces in drawing.pieces.items():
+        if layer in CLOSED:
+            for loop in _loops(pieces):
+                # Programs of lasers take closed polylines; the bulge of an arc is the tangent of a quarter of its turn.
+                points = [(*piece.start, math.tan(piece.sweep / 4)) for piece in loop]
+                space.add_lwpolyline(points, format="xyb", close=True, dxfattribs={"layer": layer})
+            continue
         for piece in pieces:
             _add(space, piece, layer)
     for centre, diameter in drawing.circles:
@@ -251,6 +253,20 @@ def write_dxf(drawing: Drawing, centreline: Sequence[Arc], path: Path) -> Path:
         if deviation > TOLERANCE:
             raise SolveError(f"{path}: the centreline in the file deviates by {deviation * 1e6:.3g} um")
     return path
+
+
+CLOSED = ("OUTLINE", "GROOVE")
+"""Layers of closed outlines."""
+
+
+def _loops(pieces: Sequence[Arc]) -> list[list[Arc]]:
+    """Closed outlines, mm, in a sequence of pieces: each ends where it has begun."""
+    loops: list[list[Arc]] = [[]]
+    for piece in pieces:
+        loops[-1].append(piece)
+        if math.dist(piece.end, loops[-1][0].start) < TOLERANCE * TO_MM:
+            loops.append([])
+    return loops[:-1]
 
 
 def read_centreline(path: str | PathLike[str]) -> tuple[Arc, ...]:

@@ -209,6 +209,22 @@ def between(pieces: Sequence[Arc], first: float, last: float) -> tuple[Arc, ...]
     return tuple(parts)
 
 
+def reversed_piece(piece: Arc) -> Arc:
+    """Piece from its end to its start."""
+    return Arc(piece.end, piece.heading + piece.sweep + math.pi, piece.length, -piece.curvature)
+
+
+def outline_of(centreline: Sequence[Arc], half: float) -> tuple[Arc, ...]:
+    """Closed outline of a channel `half` (m) to each side of a chain of pieces, clockwise."""
+    return closed(*([piece.offset(side * half) for piece in centreline] for side in (1, -1)))
+
+
+def closed(left: Sequence[Arc], right: Sequence[Arc]) -> tuple[Arc, ...]:
+    """Closed outline between two chains of pieces in one direction, with lines across their ends."""
+    back = [reversed_piece(piece) for piece in reversed(right)]
+    return (*left, Arc.between(left[-1].end, back[0].start), *back, Arc.between(back[-1].end, left[0].start))
+
+
 def mirrored(piece: Arc, width: float) -> Arc:
     """Piece on a plate of a width (m) that is turned over about its vertical middle line."""
     return Arc((width - piece.start[0], piece.start[1]), math.pi - piece.heading, piece.length, -piece.curvature)

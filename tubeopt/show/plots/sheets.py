@@ -14,7 +14,7 @@ from ...files.units import TO_MM
 from ...shaping.firmware.boards import root_mean_square
 from ...shaping.heating.cutout import cut_out
 from ...shaping.heating.plan import HeatingPlan
-from ...shaping.mold.gcode import clamp_distance
+from ...shaping.mold.gcode import clamp_distance, programs_of
 from ...shaping.mold.mandrel import Cylinder, Mandrel
 from ...shaping.mold.mold import Groove, Mold
 from ...shaping.tube_fabrication import TubeFabrication
@@ -160,6 +160,7 @@ def mold_steps(mold: Mold) -> list[str]:
         f"{math.ceil(clamp_distance(mold) * TO_MM)} mm from the plate, with a board below. {bolts} bolts of "
         f"{spec.plate.bolt_diameter * TO_MM:g} mm, 2 dowels of {spec.plate.dowel_diameter * TO_MM:g} mm (ream them), "
         f"{len(mold.vents)} vents of {spec.vents.diameter * TO_MM:g} mm in the lid.",
+        f"Programs in this order, Z set on the face with each tool: {_program_words(mold)}.",
         *_slot_steps(mold),
         "Cut the tube and mark the bend. Press it into the groove, marks on the ends of the bend; dowels, lid, bolts.",
         f"Clamps at the distances of the table from the plate, {clamps.grip * TO_MM:g} mm of tube in each. The {fixed} "
@@ -168,6 +169,11 @@ def mold_steps(mold: Mold) -> list[str]:
         f"Heat the bend to {degrees:.0f} ± {heat.tolerance:.0f} °C for {heat.hold_time:g} s, then quench in water.",
         "Trim the ends. Measure the radius, note it beside the mold radius: `tubeopt mold calibrate TRIALS.csv`.",
     ]
+
+
+def _program_words(mold: Mold) -> str:
+    """Files of the programs of both plates with tools and minutes."""
+    return "; ".join(f"{p.file} {p.tool}, {math.ceil(p.time / 60)} min" for p in programs_of(mold))
 
 
 def _slot_steps(mold: Mold) -> list[str]:
@@ -291,8 +297,9 @@ def time_line(plan: HeatingPlan) -> list[str]:
         *(f"{np.interp(goal, rising, plan.time[: start + 1]):.1f} s: {goal:.0f} °C" for goal in goals),
         f"{plan.hold_start:g} s: the hold begins, {middle[start]:.0f} °C",
         f"{plan.hold_end:g} s: the hold ends; the last pulse is at {off:g} s",
-        f"lid off and the tube into {plan.spec.quench} at once; it is below 100 °C {plan.quench_time:.2f} s later: "
-        "in the mold it anneals on",
+        f"lid off and the tube into {plan.spec.quench} at once; it is below 100 °C {plan.quench_time:.2f} s later. In "
+        f"the closed mold it is still at {plan.temperature[-1].max():.0f} °C {plan.time[-1] - plan.hold_end:.0f} s "
+        "after the hold: fix the lid by clips, not by bolts, and have tongs ready",
     ]
 
 
