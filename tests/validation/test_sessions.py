@@ -15,7 +15,7 @@ from tubeopt.cli.app import main
 from tubeopt.robots.calibration import Calibration
 from tubeopt.runs.measurement_file import save_measurements
 from tubeopt.typing import Array
-from tubeopt.validation import FitOptions, Measurements, choose_parameters, fit, validate
+from tubeopt.validation import FitOptions, Measurements, choose_parameters, compare_effects, fit, validate
 from tubeopt.validation.effects import heated_pieces
 from tubeopt.validation.model import ParameterState
 from tubeopt.validation.sessions import Sessions
@@ -221,3 +221,18 @@ def test_lag_and_latency_are_told_apart() -> None:
     # Tips that lead their drives have no lag: the range ends at 0.
     early = fit(robot(), lagging(0, 0 * lag, 0.0), ["rotation_lag_1"], options).estimates[0]
     assert early.value == pytest.approx(0.0, abs=3 * early.standard_error)
+
+
+def test_the_held_out_number_includes_the_choice_of_effects() -> None:
+    """Two recordings; the choice without each block must not end at effects that act like the true ones."""
+    inner, outer = robot().tubes
+    true = replace(robot(), tubes=(replace(inner, curvature=9.42), outer))
+    drives = trivial(rotation_offsets=(0.0, 0.047))
+    recordings = [session(seed, drives, 100, true) for seed in (1, 2)]
+    tried = ["rotation", "rotation_gain", "curvature", "bending_stiffness", "torsional_stiffness"]
+    result = compare_effects(robot(), recordings, tried, FitOptions(folds=6))
+    assert {step.effect for step in result.steps} == {"rotation", "curvature"}
+    assert sum(set(kinds) == {"rotation", "curvature"} for kinds in result.chosen_by_fold) >= 4
+    assert result.fit is not None
+    error = validate(result.fit.robot, session(9, drives, 400, true)).summary.rms
+    assert result.chosen_anew.rms == pytest.approx(error, rel=0.1)

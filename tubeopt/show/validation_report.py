@@ -276,6 +276,11 @@ def _held_out(errors: ErrorSummary, axis: float | None) -> tuple[str, str]:
     return f"{errors.rms * TO_MM:.2f} mm", "" if axis is None else f"{np.degrees(axis):.2f} deg"
 
 
+def _alike(c: Comparison) -> int:
+    """Number of folds without which the same effects are chosen."""
+    return sum(set(kinds) == {step.effect for step in c.steps} for kinds in c.chosen_by_fold)
+
+
 def _length(c: Comparison) -> float:
     return c.fit.after.length if c.fit else float("nan")
 
@@ -293,6 +298,9 @@ EFFECTS_THAT_PAY = described(
              " took part in that choice", lambda c: _summary(c.chosen_anew, _length(c)),
              label="held out, choice included",
              words="RMS {chosen_anew[rms_mm]:.2f} mm; the rows held out below took part in the choice of effects"),
+    Quantity("chosen_by_fold", "effects that are chosen without each held-out block",
+             lambda c: [list(kinds) for kinds in c.chosen_by_fold], label="same effects chosen",
+             words=lambda c: f"in {_alike(c)} of {len(c.chosen_by_fold)} choices without one block"),
     "dropped",
     Quantity("refused", "effects that do not reduce the held-out errors further",
              lambda c: [_step(s, _length(c)) for s in c.refused]),

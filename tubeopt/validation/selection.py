@@ -26,7 +26,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -108,6 +108,8 @@ class Comparison(Displayed):
 
     Each fold is predicted by the effects chosen by all other folds.
     """
+    chosen_by_fold: Annotated[tuple[tuple[str, ...], ...], "effects that are chosen without each held-out block"]
+    """Effects that all other folds choose, for every fold."""
     folds: Annotated[int, "number of held-out blocks"]
     remarks: Annotated[tuple[str, ...], "remarks on the file"]
 
@@ -358,6 +360,7 @@ class _Search:
             for model, part in zip(begun.models, begun.parts(self.initial_trial.fit.state), strict=True):
                 check_registration(registration_error(model, part), begun.method)
         along, axis = distances(self.model, self.initial_trial.residuals)
+        anew = self.sets.chosen_anew()
         return Comparison(
             start=ErrorSummary.of(along[:, 0]),
             start_axis=_rms(axis),
@@ -365,13 +368,11 @@ class _Search:
             dropped=tuple(dict.fromkeys(kind for kind in self.passed if kind not in self.now.effects)),
             refused=self._refused(),
             fit=result,
-            chosen_anew=self._chosen_anew(),
+            chosen_anew=ErrorSummary.of(distances(self.model, anew.residuals)[0][:, 0]),
+            chosen_by_fold=anew.sets,
             folds=len(np.unique(self.fold)),
             remarks=(*joined(self.model.recordings).remarks, *(left_out(p) for p in self.idle)),
         )
-
-    def _chosen_anew(self) -> ErrorSummary:
-        return ErrorSummary.of(distances(self.model, self.sets.chosen_anew())[0][:, 0])
 
     def _kept(self) -> tuple[SelectionStep, ...]:
         """Kept effects, in order of their gain."""
@@ -442,6 +443,15 @@ MIN_GAIN = 4.0
 
 
 Effects = frozenset[str]
+
+
+class ChosenAnew(NamedTuple):
+    """Choice of effects without each fold."""
+
+    residuals: Array
+    """(V, 3) residuals of every fold by the set that the other folds choose, fitted to these."""
+    sets: tuple[tuple[str, ...], ...]
+    """Effects of each of these sets."""
 
 
 @dataclass(eq=False)
@@ -573,20 +583,23 @@ class HeldOutSets:
                 best = best_neighbour
         return sorted(self.known, key=self.cost)
 
-    def chosen_anew(self) -> Array:
-        """(V, 3) residuals of every fold by the set that the other folds choose, fitted to these."""
+    def chosen_anew(self) -> ChosenAnew:
+        """Choice of effects and their fit, repeated without each fold."""
+        sets = list[tuple[str, ...]]()
         out, total = np.empty_like(self.residuals), self.squares.sum(0)
         columns = [self.slopes, *(jump[..., None] for jump in self.jumps.values())]
         for k, label in enumerate(np.unique(self.fold)):
             remaining = copy(self)
             remaining.squares, remaining.known = np.delete(self.squares, k, axis=0), {}
-            # From no effect: the set that is there was chosen with this fold.
-            best = remaining.explore([Effects()])[0]
+            # From none and from all: the current set was chosen with this fold. From none alone the descent stays at
+            # effects that act like two others.
+            best = remaining.explore([Effects(), Effects(self.names)])[0]
+            sets.append(tuple(kind for kind in self.names if kind in best))
             step = self._step(best, total - self.squares[k])[:-1] / self.scale
             mine = self.fold == label
             table = np.concatenate([column[mine] for column in columns], axis=2)
             out[mine] = self.residuals[mine] + table @ step
-        return out
+        return ChosenAnew(out, tuple(sets))
 
     def around(self, effects: Effects) -> list[Effects]:
         """Sets with one effect more, one less, or one replaced by another."""
