@@ -96,13 +96,15 @@ def told_to(arm: CrtkRobot, random: np.random.Generator, joints: tuple[list[floa
 class NodeOfRos:
     """The node of ROS 2 with a robot, on a clock of its own."""
 
-    def __init__(self, robot: CrtkRobot) -> None:
+    def __init__(self, robot: CrtkRobot, name: str) -> None:
         bus = ros_loopback.install(pytest.MonkeyPatch(), crtk=True)
         sys.path.insert(0, "integrations/ros2/tubeopt_ros")
         self.module: Any = importlib.import_module("tubeopt_ros.node")
         self.now, self.bus = 0.0, bus
         self.module.time = SimpleNamespace(monotonic=lambda: self.now, thread_time=time.thread_time, sleep=time.sleep)
+        ros_loopback.Node.parameters = {"robot": name}
         self.node = self.module.RobotNode()
+        self.topics = list(bus.calls)
         assert self.node.trigger_configure() == "success", self.node.logged
         self.node.robot, self.node._period = robot, PERIOD
         self.node.trigger_activate()
@@ -110,7 +112,7 @@ class NodeOfRos:
     def told(self, random: np.random.Generator, joints: tuple[list[float], list[float]], now: float) -> str:
         """Send a message, possible or not; returns its command, or raises InputError where the node refuses it."""
         self.now, before, here = now, len(self.node.logged), self.node.robot.servo.equilibrium.tip_position
-        op = random.choice(list(self.bus.calls))
+        op = str(random.choice(self.topics))
         message, bad = self.bus.types[op](), [each for each in BAD if isinstance(each, float)]
         odd = random.random() < 0.15
         if hasattr(message, "header"):
@@ -155,7 +157,7 @@ def torment(name: str, number: int, seconds: float, seed: int, *, node: bool = F
     starts = (tubeopt.forward_kinematics(robot, *space.split(q)) for q in many)
     start = next(arm for arm in starts if arm.margin > 2 * FLOOR)
     arm = CrtkRobot(servo_of(robot, (start.rotations, start.translations), options=options))
-    of_ros = NodeOfRos(arm) if node else None
+    of_ros = NodeOfRos(arm, name) if node else None
     branch, now, began = start, 0.0, time.monotonic()
     rates = np.repeat([options.turn_rate, options.shift_rate], n)
     most = np.repeat([TURN, SHIFT], n)

@@ -57,7 +57,9 @@ class Reader:
     def cp(self, message) -> dict:
         """Position of the tip, and the z axis of the orientation as its direction."""
         place, q = self.place(message), message.pose.orientation
-        ahead = [2 * (q.x * q.z + q.w * q.y), 2 * (q.y * q.z - q.w * q.x), q.w**2 + q.z**2 - q.x**2 - q.y**2]
+        # Products: powers of floats raise OverflowError, products are infinite and then rejected.
+        along = q.w * q.w + q.z * q.z - q.x * q.x - q.y * q.y
+        ahead = [2 * (q.x * q.z + q.w * q.y), 2 * (q.y * q.z - q.w * q.x), along]
         return {"position": place, "direction": ahead if self.directions and any(ahead) else None}
 
     def cr(self, message) -> dict:
