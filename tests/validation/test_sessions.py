@@ -184,35 +184,35 @@ def test_the_heated_shape_is_recovered_and_its_uncertainty_is_reported(tmp_path:
 
 
 def lagging(seed: int, lag: Array, latency: float, noise: float = 0.1 * MM) -> Measurements:
-    """A brisk motion at 20 rows per second, the drives' lag integrated in steps of 1 ms (Heun), then delayed."""
-    random, fine = np.random.default_rng(seed), np.arange(-1000, 12000) / 1000
+    """A brisk motion at 20 rows per second, the drives' lag integrated in steps of 5 ms (Heun), then delayed."""
+    random, fine = np.random.default_rng(seed), np.arange(-200, 2400) / 200
     speed, phase = random.uniform(1.0, 2.5, 4), random.uniform(0, 6, 4)
     x = (np.sin(speed * fine[:, None] + phase) + 0.4 * np.sin(2.3 * speed * fine[:, None] + phase)) * [1, 1, 0.01, 0.01]
-    x[:1000] = x[1000]  # stands still before the first row
+    x[:200] = x[200]  # stands still before the first row
     y = x.copy()
     for k in range(len(fine) - 1):
         if lag.any():
             first = (x[k] - y[k]) / np.maximum(lag, 1e-12) * (lag > 0)
-            second = (x[k + 1] - y[k] - 1e-3 * first) / np.maximum(lag, 1e-12) * (lag > 0)
-            y[k + 1] = np.where(lag > 0, y[k] + 0.5e-3 * (first + second), x[k + 1])
-    at = np.arange(240) * 50
-    read, followed = x[1000 + at], y[1000 + at - round(1000 * latency)]
+            second = (x[k + 1] - y[k] - 5e-3 * first) / np.maximum(lag, 1e-12) * (lag > 0)
+            y[k + 1] = np.where(lag > 0, y[k] + 2.5e-3 * (first + second), x[k + 1])
+    at = np.arange(240) * 10
+    read, followed = x[200 + at], y[200 + at - round(200 * latency)]
     tips = poses(robot(), trivial(), followed).position[:, 0]
-    return Measurements(read[:, :2], read[:, 2:], tips + random.normal(0, noise, tips.shape), time=at / 1000)
+    return Measurements(read[:, :2], read[:, 2:], tips + random.normal(0, noise, tips.shape), time=at / 200)
 
 
 def test_lag_and_latency_are_told_apart() -> None:
-    """Truth: 0.08 s latency, tube 1 follows with 0.12 s, carriage 2 with 0.2 s; 5 motions."""
+    """Truth: 0.08 s latency, tube 1 follows with 0.12 s, carriage 2 with 0.2 s; 3 motions."""
     lag, names = np.array([0.12, 0.0, 0.0, 0.2]), ["latency", "rotation_lag_all", "translation_lag_all"]
     truth, hits, ratio, options = (0.08, *lag), 0, 0.0, FitOptions("none", folds=3)
-    for seed in range(5):
+    for seed in range(3):
         fitted = fit(robot(), lagging(seed, lag, 0.08), names, options)
         for e, true in zip(fitted.estimates, truth, strict=True):
             assert e.value == pytest.approx(true, abs=max(4 * e.standard_error, 4e-3))
             hits += bool(e.low - 2e-3 <= true <= e.high + 2e-3)
         assert fitted.held_out is not None
-        ratio += fitted.held_out.rms / (np.sqrt(3) * 0.1 * MM) / 5
-    assert hits >= 23
+        ratio += fitted.held_out.rms / (np.sqrt(3) * 0.1 * MM) / 3
+    assert hits >= 14
     assert ratio == pytest.approx(1, abs=0.05)
     # A latency alone leaves what the lags do.
     alone = fit(robot(), lagging(0, lag, 0.08), ["latency"], options).held_out
