@@ -582,10 +582,10 @@ class Servo:
             least = options.min_margin if self.guard.turn is None else self.guard.wall
             more.append(np.array([min(APPROACH * (least + ROOM - here.margin), rise)]))
         if self.guard.scene.bodies:
-            near, least = self._body_rows(here, np.maximum(high, -low))
+            near, lower = self._body_rows(here, np.maximum(high, -low))
             kinds.append((sum(map(len, more)), Why.OBSTACLE))
             rows.append(near)
-            more.append(least)
+            more.append(lower)
         return Constraints(np.concatenate(rows), np.concatenate(more), kinds)
 
     def _why(self, active: Index, here: Posture, low: Array, high: Array, kinds: Sequence[tuple[int, Why]]) -> Why:
