@@ -81,7 +81,7 @@ ORDERS = 4
 """Maximum number of orders of breakpoints that are solved."""
 
 # The start is nearly a motion; a larger barrier would move it away from its path, and takes twice as many iterations.
-SOLVERS = Ipopt(tolerance=1e-8, iterations=80, barrier=1e-4, push=1e-5), Ipopt(tolerance=1e-8, barrier=1e-2)
+SOLVERS = Ipopt(tolerance=1e-8, iterations=200, barrier=1e-4, push=1e-5), Ipopt(tolerance=1e-8, barrier=1e-2)
 """Settings for a `Problem`, and those after they failed."""
 
 TIME_LIMIT = 600.0
