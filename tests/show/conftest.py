@@ -12,6 +12,7 @@ PLACES = (
     "test_a_legend_over_what_is_drawn_moves_out_of_the_panel",
     "test_a_legend_on_a_shade_or_in_free_room_stays",
     "test_no_text_overlaps_another_or_is_clipped",
+    "test_pictures_of_commands_fit_a_page",
     "test_pictures_of_problems_fit_a_page",
     "test_what_is_crowded_is_relieved",
     "test_panels_stand_below_each_other_where_a_column_is_too_narrow_for_them",
