@@ -97,8 +97,8 @@ class CutOut:
     delay: Annotated[float, key("cutout_delay_ms"), "longest time from a short until the current has ended"]
     budget: Annotated[float, key("cutout_budget_ms"), "delay that lets the tube reach 650 degC"]
     current: Annotated[float, key("shorted_A"), "largest current through the shorted switch"]
-    pulse: Annotated[float, key("pulse_A2s"), "i2t of the longest pulse"]
-    withstood: Annotated[float, key("withstood_A2s"), "i2t that takes the tube from the stop limit to 650 degC"]
+    pulse: Annotated[float, key("pulse_A2_s"), "i2t of the longest pulse"]
+    withstood: Annotated[float, key("withstood_A2_s"), "i2t that takes the tube from the stop limit to 650 degC"]
 
     @property
     def least_melting(self) -> float:
