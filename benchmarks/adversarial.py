@@ -88,9 +88,9 @@ def text(random: np.random.Generator, tip: np.ndarray, joints: tuple[list[float]
 
 def told_to(arm: CrtkRobot, random: np.random.Generator, joints: tuple[list[float], list[float]], now: float) -> str:
     """Give a robot a text as the server does, perhaps late or early; returns its command."""
-    told = _read(text(random, arm.servo.equilibrium.tip_position, joints))
-    arm.command(told, now + random.choice([0.0, 0.0, 0.0, -1.0, 1e3]))
-    return str(told["op"])
+    ended = _read(text(random, arm.servo.equilibrium.tip_position, joints))
+    arm.command(ended, now + random.choice([0.0, 0.0, 0.0, -1.0, 1e3]))
+    return str(ended["op"])
 
 
 class NodeOfRos:
@@ -109,7 +109,7 @@ class NodeOfRos:
         self.node.robot, self.node._period = robot, PERIOD
         self.node.trigger_activate()
 
-    def told(self, random: np.random.Generator, joints: tuple[list[float], list[float]], now: float) -> str:
+    def ended(self, random: np.random.Generator, joints: tuple[list[float], list[float]], now: float) -> str:
         """Send a message, possible or not; returns its command, or raises InputError where the node refuses it."""
         self.now, before, here = now, len(self.node.logged), self.node.robot.servo.equilibrium.tip_position
         op = str(random.choice(self.topics))
@@ -150,7 +150,7 @@ class NodeOfRos:
 
 def torment(name: str, number: int, seconds: float, seed: int, *, node: bool = False) -> Counter[str]:
     """What happened to one robot under so many messages, or for so long."""
-    robot, random, found = tubeopt.load_robot(name), np.random.default_rng(seed), Counter[str]()
+    robot, random, counts = tubeopt.load_robot(name), np.random.default_rng(seed), Counter[str]()
     space, n = joint_space(robot), robot.n_tubes
     options = ServoOptions(min_margin=FLOOR, turn_acceleration=TURN, shift_acceleration=SHIFT)
     many = space.sample(1024)
@@ -158,13 +158,13 @@ def torment(name: str, number: int, seconds: float, seed: int, *, node: bool = F
     start = next(arm for arm in starts if arm.margin > 2 * FLOOR)
     arm = CrtkRobot(servo_of(robot, (start.rotations, start.translations), options=options))
     of_ros = NodeOfRos(arm, name) if node else None
-    branch, now, began = start, 0.0, time.monotonic()
+    branch, now, start_time = start, 0.0, time.monotonic()
     rates = np.repeat([options.turn_rate, options.shift_rate], n)
     most = np.repeat([TURN, SHIFT], n)
     place = np.concatenate([start.rotations, start.translations])
-    speed, span, way = np.zeros(2 * n), PERIOD, list[np.ndarray]()
-    while found["messages"] < number and time.monotonic() - began < seconds:
-        found["messages"] += 1
+    speed, span, path = np.zeros(2 * n), PERIOD, list[np.ndarray]()
+    while counts["messages"] < number and time.monotonic() - start_time < seconds:
+        counts["messages"] += 1
         goal, shift = space.split(many[random.integers(len(many))])
         sets = False
         if random.random() < AWAKE:
@@ -173,43 +173,43 @@ def torment(name: str, number: int, seconds: float, seed: int, *, node: bool = F
                     arm.command({"op": "state_command", "command": word}, now)
         try:
             joints = goal.tolist(), list(shift)
-            sets = (of_ros.told(random, joints, now) if of_ros else told_to(arm, random, joints, now)) == "set_js"
+            sets = (of_ros.ended(random, joints, now) if of_ros else told_to(arm, random, joints, now)) == "set_js"
         except tubeopt.InputError:
-            found["refused"] += 1
+            counts["refused"] += 1
         except Exception as error:  # what is looked for
-            found[f"crash: {type(error).__name__}: {error}"] += 1
+            counts[f"crash: {type(error).__name__}: {error}"] += 1
         if sets:  # the drives have moved by themselves
             here, speed = arm.servo.equilibrium, np.zeros(2 * n)
             place = np.concatenate([here.rotations, here.translations])
-            way.append(place)
+            path.append(place)
         now += PERIOD * random.choice([0.2, 1.0, 1.0, 1.0, 3.0])
         sent = arm.sent
         try:
             of_ros.tick(now) if of_ros else arm.tick(lambda: now, PERIOD)  # noqa: B023
         except Exception as error:  # what is looked for
-            found[f"crash in a step: {type(error).__name__}: {error}"] += 1
+            counts[f"crash in a step: {type(error).__name__}: {error}"] += 1
         here = arm.servo.equilibrium
-        there = np.concatenate([here.rotations, here.translations])
+        reached = np.concatenate([here.rotations, here.translations])
         span = arm._moved if arm.sent != sent else PERIOD
-        moved = (there - place) / span
-        found["moved"] += bool((there != place).any())
-        found["beyond rates"] += bool((np.abs(moved) > rates * (1 + 1e-9) + 1e-12).any())
+        moved = (reached - place) / span
+        counts["moved"] += bool((reached != place).any())
+        counts["beyond rates"] += bool((np.abs(moved) > rates * (1 + 1e-9) + 1e-12).any())
         if arm.sent != sent:
-            found["beyond accelerations"] += bool((np.abs(moved - speed) > most * span * (1 + 1e-6) + 1e-9).any())
+            counts["beyond accelerations"] += bool((np.abs(moved - speed) > most * span * (1 + 1e-6) + 1e-9).any())
             speed = moved
-        found["out of range"] += bool(space.outside(space.join(here.rotations, here.translations)))
-        found["below the floor"] += bool(here.margin < FLOOR - 1e-3)
-        found["not finite"] += not np.isfinite(there).all()
-        place = there
-        way.append(there)
-        if len(way) >= EVERY:
-            rotations, translations = np.split(np.array(way[:: EVERY // 20] + way[-1:]), 2, axis=1)
+        counts["out of range"] += bool(space.outside(space.join(here.rotations, here.translations)))
+        counts["below the floor"] += bool(here.margin < FLOOR - 1e-3)
+        counts["not finite"] += not np.isfinite(reached).all()
+        place = reached
+        path.append(reached)
+        if len(path) >= EVERY:
+            rotations, translations = np.split(np.array(path[:: EVERY // 20] + path[-1:]), 2, axis=1)
             passed = tubeopt.follow(robot, rotations, translations, start=branch)
-            branch, way = passed.equilibria[-1], []
-            found["snaps"] += (
+            branch, path = passed.equilibria[-1], []
+            counts["snaps"] += (
                 bool(passed.snaps) or float(np.linalg.norm(branch.tip_position - here.tip_position)) > 1e-6
             )
-    return found
+    return counts
 
 
 def main() -> None:
@@ -220,12 +220,12 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=np.inf, help="for each robot at most")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--node", action="store_true", help="the node of ROS 2 in place of the server")
-    asked = parser.parse_args()
-    each = asked.number // len(asked.robots)
-    found = {name: torment(name, each, asked.seconds, asked.seed, node=asked.node) for name in asked.robots}
-    kinds = sorted({kind for each in found.values() for kind in each})
-    rows = [(kind, *(str(each[kind]) for each in found.values())) for kind in kinds]
-    show([table("messages that make no sense", ("", *found), rows)], [])
+    options = parser.parse_args()
+    each = options.number // len(options.robots)
+    counts = {name: torment(name, each, options.seconds, options.seed, node=options.node) for name in options.robots}
+    kinds = sorted({kind for each in counts.values() for kind in each})
+    rows = [(kind, *(str(each[kind]) for each in counts.values())) for kind in kinds]
+    show([table("messages that make no sense", ("", *counts), rows)], [])
 
 
 if __name__ == "__main__":

@@ -95,7 +95,7 @@ def asked_for(goals: Iterable[Any], plan: Callable[[Any], Trajectory], image: La
     return out
 
 
-def told(words: str, some: Told) -> None:
+def report(words: str, some: Told) -> None:
     """Print what became of queries."""
     seconds, proved, outside = (np.array(column) for column in zip(*some, strict=True))
     half, largest = np.quantile(seconds, [0.5, 0.9])
@@ -126,16 +126,16 @@ def main() -> None:
         tips = roomy.arms(places(roomy, count, args.seed)).tip
         plan = partial(plan_trajectory, robot, WITHDRAWN, obstacles=bodies)
         result = asked_for(tips, partial(plan, options=OPTIONS), image, free)
-        told(name, result)
+        report(name, result)
         start_time = time.process_time()
         roadmap = build_roadmap(robot, obstacles=bodies, options=OPTIONS, count=args.roadmap)
         drawn = time.process_time() - start_time
         quick = replace(OPTIONS, roadmap=roadmap, objective="none")
         again = asked_for(tips, partial(plan, options=quick), image, free)
-        told(f"  over a roadmap of {len(roadmap)} points, drawn in {drawn:.1f} s, not smoothed", again)
+        report(f"  over a roadmap of {len(roadmap)} points, drawn in {drawn:.1f} s, not smoothed", again)
         alone, over = alone + result, over + again
-    told("all", alone)
-    told("all over roadmaps", over)
+    report("all", alone)
+    report("all over roadmaps", over)
 
 
 if __name__ == "__main__":

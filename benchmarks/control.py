@@ -139,9 +139,9 @@ def lead(step: Callable[[Command, float], Any], targets: Array, steps: int) -> t
     sent, took, held = [], [], 0
     for k in range(steps):
         command = Command(position=targets[int(k * DT / LEG) % len(targets)])
-        began = time.process_time()
+        start = time.process_time()
         done = step(command, DT)
-        took.append(time.process_time() - began)
+        took.append(time.process_time() - start)
         sent.append(np.concatenate([done.equilibrium.rotations, done.equilibrium.translations]))
         held += Why.HELD in done.why
     return np.array(sent), np.array(took), held
@@ -171,7 +171,7 @@ def spheres(seed: tubeopt.Equilibrium, count: int) -> Sequence[Obstacle]:
     return found
 
 
-def beside(checkout: Path, arguments: Sequence[str]) -> None:
+def compare_with(checkout: Path, arguments: Sequence[str]) -> None:
     """Times with the package of another checkout and with this one, each twice by turns: of both the shorter one, since
     others on the machine only make them longer."""
     runs = [
@@ -193,20 +193,20 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0, help="of teleoperation")
     parser.add_argument("--json", action="store_true", help="times alone, as JSON")
     parser.add_argument("--against", type=Path, metavar="DIRECTORY", help="another checkout, measured in turn")
-    asked = parser.parse_args()
-    if asked.against:
-        beside(asked.against.resolve(), ["--robots", asked.robots[0], "--seconds", str(asked.seconds)])
+    options = parser.parse_args()
+    if options.against:
+        compare_with(options.against.resolve(), ["--robots", options.robots[0], "--seconds", str(options.seconds)])
         return
-    robots = [tubeopt.load_robot(path) for path in asked.robots]
-    with contextlib.redirect_stdout(sys.stderr if asked.json else sys.stdout):
-        if asked.configurations and not asked.json:
+    robots = [tubeopt.load_robot(path) for path in options.robots]
+    with contextlib.redirect_stdout(sys.stderr if options.json else sys.stdout):
+        if options.configurations and not options.json:
             for robot in robots:
-                compare(robot, asked.configurations)
+                compare(robot, options.configurations)
             for robot in robots:
                 if not robot.assembly(robot.home_translations).eccentric:
-                    compare_loaded(robot, asked.configurations)
-        times = teleoperate(robots[0], asked.seconds) | among_bodies(robots[0])
-    if asked.json:
+                    compare_loaded(robot, options.configurations)
+        times = teleoperate(robots[0], options.seconds) | among_bodies(robots[0])
+    if options.json:
         dump({"times": times})
 
 

@@ -66,9 +66,9 @@ def run(library: CLibrary, seed: int, steps: int, *, tracker_only: bool, options
         if k >= LATE and random.random() > LOST:
             readings.append(late[k - LATE])
         for reading in readings:
-            began = time.thread_time()
+            start = time.thread_time()
             estimator.measured(*reading)
-            took.append(time.thread_time() - began)
+            took.append(time.thread_time() - start)
         if readings and not tracker_only:
             x, covariance = estimator.estimate()
             off = x - np.concatenate([force, turned, shifted])
@@ -102,10 +102,10 @@ def main() -> None:
             ("times within it", f"{inside:.0%}"),
         ]
     errors = np.sqrt(np.mean([each.errors**2 for each in runs], axis=0))
-    told = np.median([each.deviations for each in runs], axis=0)
+    deviations = np.median([each.deviations for each in runs], axis=0)
     for axis in range(3):
-        known = "" if told[axis] <= HIDDEN * options.force else ", not observed"
-        stated = f"{told[axis] * 1e3:.2f} mN stated{known}"
+        known = "" if deviations[axis] <= HIDDEN * options.force else ", not observed"
+        stated = f"{deviations[axis] * 1e3:.2f} mN stated{known}"
         rows.append((f"force, {('best', 'middle', 'worst')[axis]} direction", f"{errors[axis] * 1e3:.2f} mN, {stated}"))
     took = np.concatenate([each.took for each in runs]) * 1e3
     rows.append(("a reading", f"{np.median(took):.2f} ms in the median, {np.quantile(took, 0.999):.2f} ms at 99.9 %"))

@@ -65,7 +65,7 @@ def measure(rigs: int, seed: int) -> list[Pair]:
     plan = plan_heating(rig.tube, rig, HeatingSpec(objective="margin"))
     led = design_feedback(plan, Thermocouple(), samples=20)
     fleet = Uncertainty.of_a_workshop().ensemble(plan.tube, plan.rig, rigs - 1, seed=seed)
-    tables, model, found = schedules(plan, led), fleet.model, []
+    tables, model, pairs = schedules(plan, led), fleet.model, []
     with tempfile.TemporaryDirectory() as directory:
         write_sketch(plan, led, Wiring(), Path(directory), host=True)
         heater = built(Path(directory) / "tube_heater")
@@ -82,8 +82,8 @@ def measure(rigs: int, seed: int) -> list[Pair]:
             inside = (course.columns[0] >= holding[0]) & (course.columns[0] <= holding[-1])
             apart = float(np.abs(course.columns[5] - hottest).max())
             low, high = float(course.columns[3, inside].min()), float(course.columns[4, inside].max())
-            found.append(Pair(b, apart, low, high, course.reason))
-    return found
+            pairs.append(Pair(b, apart, low, high, course.reason))
+    return pairs
 
 
 def main() -> None:
@@ -92,14 +92,14 @@ def main() -> None:
     parser.add_argument("--rigs", type=int, default=20)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
-    found = measure(asked.rigs, asked.seed)
-    if asked.json:
-        print(json.dumps([asdict(pair) for pair in found]))
+    options = parser.parse_args()
+    pairs = measure(options.rigs, options.seed)
+    if options.json:
+        print(json.dumps([asdict(pair) for pair in pairs]))
         return
-    rows = [(f"{p.rig}", f"{p.apart:.3f}", f"{p.lowest:.1f}-{p.highest:.1f}", p.reason) for p in found]
-    most = max(pair.apart for pair in found)
-    note = f"at most {most:.3f} K apart over {len(found)} rigs, of which the first is that of the file"
+    rows = [(f"{p.rig}", f"{p.apart:.3f}", f"{p.lowest:.1f}-{p.highest:.1f}", p.reason) for p in pairs]
+    most = max(pair.apart for pair in pairs)
+    note = f"at most {most:.3f} K apart over {len(pairs)} rigs, of which the first is that of the file"
     show([table("firmware and law", ("rig", "apart, K", "hold, degC", "ended"), rows)], [note])
 
 

@@ -146,15 +146,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="", help="cases whose name holds this word")
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     measure(replace(next(cases()), spec=HeatingSpec(hold_time=2.0, objective="energy")))
     measure(next(cases()))
-    found = [measure(case) for case in cases() if asked.only in case.name]
-    if asked.json:
-        print(json.dumps([asdict(one) for one in found]))
+    results = [measure(case) for case in cases() if options.only in case.name]
+    if options.json:
+        print(json.dumps([asdict(one) for one in results]))
         return
     rows = [
-        (f.case, f"{f.seconds:.2f}", f"{f.hold_start:.1f}", f"{f.lowest:.0f}-{f.highest:.0f}", f.verdict) for f in found
+        (f.case, f"{f.seconds:.2f}", f"{f.hold_start:.1f}", f"{f.lowest:.0f}-{f.highest:.0f}", f.verdict)
+        for f in results
     ]
     columns = ("case", "processor, s", "hold from, s", "degC", "verdict")
     show([table("heating plans", columns, rows)], [])

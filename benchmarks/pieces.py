@@ -120,7 +120,7 @@ def points(robot: ConcentricRobot) -> float:
     return float(np.mean([reduced_problem(robot, tuple(row), DEFAULT_DISCRETISATION).size for row in shift.tolist()]))
 
 
-def matched(n: int, wanted: float) -> ConcentricRobot:
+def matched(n: int, desired: float) -> ConcentricRobot:
     """The planar robot of n tubes whose mesh has at least as many points as wanted, less one part in twenty."""
     factor = 1.0
     while True:
@@ -131,7 +131,7 @@ def matched(n: int, wanted: float) -> ConcentricRobot:
             for o in outlines(n)
         )
         robot = ConcentricRobot(tubes)
-        if points(robot) >= 0.95 * wanted:
+        if points(robot) >= 0.95 * desired:
             return robot
         factor *= GROWTH
 

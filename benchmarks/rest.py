@@ -77,7 +77,7 @@ class Rest:
     """What is said of it."""
     milliseconds: float
     """Of a step, on average."""
-    way: Array
+    path: Array
     """(T, 2n) joint values on the way, every EVERY-th and the last."""
 
 
@@ -106,7 +106,7 @@ def lead(servo: Any, target: Array, dt: float, server: bool) -> Rest:
     sent = [np.concatenate([first.rotations, first.translations])]
     n = len(first.rotations)
     rates = np.repeat([o.turn_rate, o.shift_rate], n)
-    tips, margin, rested, why, began = [first.tip_position], first.margin, 0, None, time.perf_counter()
+    tips, margin, rested, why, start_time = [first.tip_position], first.margin, 0, None, time.perf_counter()
     while rested * dt < RESTED and len(sent) * dt < LONGEST:
         if server:
             clock[0] += dt
@@ -135,7 +135,7 @@ def lead(servo: Any, target: Array, dt: float, server: bool) -> Rest:
         (here.rotations, here.translations),
         tips[-1],
         arm.report(0.0)["why"] if server else why.words,
-        (time.perf_counter() - began) / (len(sent) - 1) * 1e3,
+        (time.perf_counter() - start_time) / (len(sent) - 1) * 1e3,
         np.vstack([q[:-1:EVERY], q[-1:]]),
     )
 
@@ -153,8 +153,8 @@ def posed(robot: Robot, random: np.random.Generator, floor: float) -> tubeopt.Eq
 
 def closest(robot: Robot, start: Any, target: Array, floor: float) -> float:
     """Distance (m) to which inverse kinematics comes from a start."""
-    found = tubeopt.inverse_kinematics(robot, target, start=start, on_failure="closest", min_margin=floor)
-    return float(np.linalg.norm(found.equilibrium.tip_position - target))
+    result = tubeopt.inverse_kinematics(robot, target, start=start, on_failure="closest", min_margin=floor)
+    return float(np.linalg.norm(result.equilibrium.tip_position - target))
 
 
 def measure(name: str, asked: argparse.Namespace, number: int) -> list[dict[str, Any]]:
@@ -170,32 +170,32 @@ def measure(name: str, asked: argparse.Namespace, number: int) -> list[dict[str,
             target = random.normal(size=3)
             target *= longest * random.uniform() ** (1 / 3) / np.linalg.norm(target)
         servo = made(robot, (start.rotations, start.translations), asked)
-        found = lead(servo, target, asked.dt, asked.kind == "server")
-        row = vars(found) | {"robot": name, "case": k, "joints": [each.tolist() for each in found.joints]}
-        del row["way"], row["tip"]
+        result = lead(servo, target, asked.dt, asked.kind == "server")
+        row = vars(result) | {"robot": name, "case": k, "joints": [each.tolist() for each in result.joints]}
+        del row["path"], row["tip"]
         if asked.snap_deg:
-            row["snaps"] = snaps(robot, start, found)
+            row["snaps"] = snaps(robot, start, result)
         k += 1
-        if not asked.reach and found.distance < NEAR:
+        if not asked.reach and result.distance < NEAR:
             continue
         if len(out) < asked.compare:
             row["closest"] = closest(robot, start, target, asked.floor)
-            if row["closest"] < found.distance - CLOSER:
-                there = tubeopt.follow(robot, *([each] for each in found.joints), start=start).equilibria[-1]
-                row["closest from rest"] = closest(robot, there, target, asked.floor)
+            if row["closest"] < result.distance - CLOSER:
+                rest = tubeopt.follow(robot, *([each] for each in result.joints), start=start).equilibria[-1]
+                row["closest from rest"] = closest(robot, rest, target, asked.floor)
         out.append(row)
         if asked.verbose:
             print(row, file=sys.stderr, flush=True)
     return out
 
 
-def snaps(robot: Robot, start: tubeopt.Equilibrium, found: Rest) -> bool:
+def snaps(robot: Robot, start: tubeopt.Equilibrium, result: Rest) -> bool:
     """Whether `follow` finds a snap on the way of a motion, or another pose at its end."""
-    passed = tubeopt.follow(robot, *np.split(found.way, 2, axis=1), start=start)
-    return bool(passed.snaps) or float(np.linalg.norm(passed.equilibria[-1].tip_position - found.tip)) > ARRIVED
+    passed = tubeopt.follow(robot, *np.split(result.path, 2, axis=1), start=start)
+    return bool(passed.snaps) or float(np.linalg.norm(passed.equilibria[-1].tip_position - result.tip)) > ARRIVED
 
 
-def told(name: str, rows: Sequence[dict[str, Any]]) -> list[str]:
+def summary(name: str, rows: Sequence[dict[str, Any]]) -> list[str]:
     """A line of the table."""
     settled, speeds = np.array([row["settled"] for row in rows]), [row["acceleration"] for row in rows]
     known = [row for row in rows if "closest" in row]
@@ -242,8 +242,8 @@ def main() -> None:
         return
     first = "", "motions", "s to rest", "most", "reverse", "a / limit", "least margin"
     columns = *first, "no reason", "met", "as close", "closer from rest", "ms / step", "snaps"
-    lines = [told(name, [row for row in rows if row["robot"] == name]) for name in asked.robots]
-    show([table("motions to random targets", columns, [*lines, told("all", rows)])], [])
+    lines = [summary(name, [row for row in rows if row["robot"] == name]) for name in asked.robots]
+    show([table("motions to random targets", columns, [*lines, summary("all", rows)])], [])
 
 
 if __name__ == "__main__":

@@ -68,7 +68,7 @@ class Found:
 
     case: str
     planned: str
-    said: float
+    stated: float
     lowest: float
     highest: float
     top: float
@@ -78,20 +78,20 @@ class Found:
     @property
     def faulty(self) -> bool:
         """Whether the package says that a sensor without bias holds what it does not hold here."""
-        return self.said >= 0 > self.unbiased
+        return self.stated >= 0 > self.unbiased
 
 
 def cases(robots: list[str], rigs: list[str], sensors: list[str]) -> Iterator[Case]:
     """What is led; words are parts of names, no words all of them. Equal tubes of a robot count once."""
     kinds: tuple[Sensor, ...] = (Thermocouple(), Camera(), TubeResistance())
-    wanted = [kind for kind in kinds if _meant(kind.name, sensors)]
+    desired = [kind for kind in kinds if _meant(kind.name, sensors)]
     for path in sorted((ROOT / "configs" / "rigs").glob("*.yaml")):
         if not _meant(path.stem, rigs):
             continue
         rig = load_rig(path)
         if rig.tube is not None and _meant("own", robots):
-            yield from (Case(f"own tube, {path.stem}, {kind.name}", rig.tube, rig, kind) for kind in wanted)
-        tried = wanted if sensors else wanted[:1]
+            yield from (Case(f"own tube, {path.stem}, {kind.name}", rig.tube, rig, kind) for kind in desired)
+        tried = desired if sensors else desired[:1]
         for name, tube in tubes(robots):
             yield from (Case(f"{name}, {path.stem}, {kind.name}", tube, rig, kind) for kind in tried)
 
@@ -160,10 +160,10 @@ def led(case: Case, law: HeatingLaw, bias: float) -> tuple[float, float, float]:
         error = float(reference[place]) - feeler.read()
         total = min(max(total + law.integral * law.slot * error, -law.share), law.share)
         share = min(max(law.proportional * error + total, -law.share), law.share)
-        wanted = float(planned[place]) * (1 + share)
-        due = wanted + owed
+        desired = float(planned[place]) * (1 + share)
+        due = desired + owed
         count = min(max(math.floor(due + law.lost + 0.5), 0), 255) if due > 0.5 else 0
-        owed = min(max(due - max(count - law.lost, 0.0), -1 - law.lost), 1.0) if wanted > 0 else 0.0
+        owed = min(max(due - max(count - law.lost, 0.0), -1 - law.lost), 1.0) if desired > 0 else 0.0
         seen = bench.pass_time(count, law.slot)
         for tube in seen:
             feeler.follow(tube, law.slot / len(seen))
@@ -180,8 +180,8 @@ def led(case: Case, law: HeatingLaw, bias: float) -> tuple[float, float, float]:
 
 def room(plan: HeatingPlan, low: float, high: float, top: float) -> float:
     """Least distance from the window's ends and the limit, K."""
-    begin, end = plan.spec.window_degC
-    return min(low - begin, end - high, plan.spec.limit - top)
+    lowest_allowed, end = plan.spec.window_degC
+    return min(low - lowest_allowed, end - high, plan.spec.limit - top)
 
 
 def measure(case: Case, objective: str) -> Found:
@@ -190,14 +190,14 @@ def measure(case: Case, objective: str) -> Found:
     feedback: Feedback = design_feedback(plan, case.sensor, samples=SAMPLES)
     law, off = feedback.law, case.sensor.bias
     low, high = feedback.history.extremes(law)
-    said = room(plan, float(low[0]), float(high[0]), float(feedback.history.top[:, 0].max()))
+    stated = room(plan, float(low[0]), float(high[0]), float(feedback.history.top[:, 0].max()))
     runs = np.array([led(case, law, bias) for bias in ((0.0, off, -off) if off else (0.0,))])
     unbiased = room(plan, *runs[0])
     worst = float(runs[:, 0].min()), float(runs[:, 1].max()), float(runs[:, 2].max())
-    found = Found(case.name, plan.verdict, said, *worst, room(plan, *worst), unbiased)
-    print(f"{case.name}: {found.lowest:.1f} to {found.highest:.1f} degC, room {found.room:+.1f} K (unbiased "
-          f"{unbiased:+.1f}, said {said:+.1f}), {plan.verdict}", file=sys.stderr, flush=True)  # fmt: skip
-    return found
+    result = Found(case.name, plan.verdict, stated, *worst, room(plan, *worst), unbiased)
+    print(f"{case.name}: {result.lowest:.1f} to {result.highest:.1f} degC, room {result.room:+.1f} K (unbiased "
+          f"{unbiased:+.1f}, stated {stated:+.1f}), {plan.verdict}", file=sys.stderr, flush=True)  # fmt: skip
+    return result
 
 
 def main() -> None:
@@ -207,24 +207,24 @@ def main() -> None:
         parser.add_argument(f"--{name}", nargs="*", default=[], help="only those whose names hold one of these words")
     parser.add_argument("--objective", default="time", help="of the schedule: time or margin")
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
-    found = [measure(case, asked.objective) for case in cases(asked.robots, asked.rigs, asked.sensors)]
-    if asked.json:
-        print(json.dumps([asdict(one) for one in found]))
+    options = parser.parse_args()
+    result = [measure(case, options.objective) for case in cases(options.robots, options.rigs, options.sensors)]
+    if options.json:
+        print(json.dumps([asdict(one) for one in result]))
         return
     rows = [
         (
             f.case,
             f"{f.lowest:.1f}-{f.highest:.1f}",
-            *(f"{value:+.1f}" for value in (f.room, f.unbiased, f.said)),
+            *(f"{value:+.1f}" for value in (f.room, f.unbiased, f.stated)),
             f.planned,
         )
-        for f in sorted(found, key=lambda f: f.room)
+        for f in sorted(result, key=lambda f: f.room)
     ]
     columns = ("case", "hold, degC", "room, K", "unbiased", "said", "schedule")
     notes = [
-        f"{sum(f.room >= 0 for f in found)} of {len(found)} hold the window with every bias, "
-        f"{sum(f.unbiased >= 0 for f in found)} without; {sum(f.faulty for f in found)} are said to hold it and do not"
+        f"{sum(f.room >= 0 for f in result)} of {len(result)} hold the window with every bias, "
+        f"{sum(f.unbiased >= 0 for f in result)} without; {sum(f.faulty for f in result)} are wrongly stated to hold it"
     ]
     show([table("heatings in the loop, on a model of their own", columns, rows)], notes)
 

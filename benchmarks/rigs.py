@@ -39,11 +39,11 @@ def measure(rigs: int, seed: int, objective: str) -> list[Kept]:
     assert rig.tube is not None
     rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=BOARDS["uno"].frequencies[0]))
     plan = plan_heating(rig.tube, rig, HeatingSpec(objective=objective))
-    found = []
+    results = []
     for sensor in (Thermocouple(), Camera(), TubeResistance()):
         led = design_feedback(plan, sensor, samples=rigs, seed=seed)
-        found.append(Kept(sensor.name, led.probability, led.interval, float(led.top.max() - led.limit)))
-    return [*found, Kept("none", led.open_loop, wilson(round(rigs * led.open_loop), rigs), float("nan"))]
+        results.append(Kept(sensor.name, led.probability, led.interval, float(led.top.max() - led.limit)))
+    return [*results, Kept("none", led.open_loop, wilson(round(rigs * led.open_loop), rigs), float("nan"))]
 
 
 def main() -> None:
@@ -53,15 +53,15 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--objective", default="margin", help="of the schedule: time or margin")
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
-    found = measure(asked.rigs, asked.seed, asked.objective)
-    if asked.json:
-        print(json.dumps([asdict(kept) for kept in found]))
+    options = parser.parse_args()
+    results = measure(options.rigs, options.seed, options.objective)
+    if options.json:
+        print(json.dumps([asdict(kept) for kept in results]))
         return
-    for kept in found:
+    for kept in results:
         low, high = (100 * end for end in kept.interval)
         hottest = "" if math.isnan(kept.above_limit) else f", hottest point {kept.above_limit:+.1f} K from the limit"
-        share = f"{100 * kept.share:5.1f} % of {asked.rigs} rigs ({low:.1f} to {high:.1f} %)"
+        share = f"{100 * kept.share:5.1f} % of {options.rigs} rigs ({low:.1f} to {high:.1f} %)"
         print(f"{kept.sensor:12} {share}{hottest}")
 
 

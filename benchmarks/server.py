@@ -110,7 +110,7 @@ async def serve(path: str) -> None:
         {serving, asyncio.create_task(asyncio.to_thread(sys.stdin.readline))}, return_when="FIRST_COMPLETED"
     )
     pace = server.pace
-    told = {
+    report = {
         "servo": type(watched.servo).__name__,
         "steps": pace.steps,
         "steps that moved": watched.moved,
@@ -123,7 +123,7 @@ async def serve(path: str) -> None:
         "steps beyond the rates": watched.too_fast,
         "crashed": serving.done(),
     }
-    print(json.dumps(told), flush=True)
+    print(json.dumps(report), flush=True)
     serving.cancel()
     with suppress(asyncio.CancelledError):
         await serving
@@ -187,9 +187,9 @@ async def drain(socket: Any) -> int:
 async def pester(port: int, end: float, count: int) -> int:
     """Messages that make no sense, spread over the time; how many were answered."""
     socket = await enter(port, "watcher")
-    answered, began = 0, time.monotonic()
+    answered, start = 0, time.monotonic()
     for k in range(count):
-        await asyncio.sleep(max(began + (end - began) * 0.95 * k / count - time.monotonic(), 0))
+        await asyncio.sleep(max(start + (end - start) * 0.95 * k / count - time.monotonic(), 0))
         await socket.send(JUNK[k % len(JUNK)])
         while json.loads(await socket.recv())["op"] != "error":
             pass
@@ -222,12 +222,12 @@ async def torment(options: argparse.Namespace) -> None:
     asked = command(port, end), pester(port, end, options.malformed), memory(child.pid, end)
     killed, answered, resident = await asyncio.gather(*asked)
     child.stdin.write(b"\n")
-    told = json.loads(await child.stdout.readline())
+    report = json.loads(await child.stdout.readline())
     heard = await asyncio.gather(*watchers)
     await child.wait()
     missed, late = json.loads((await idle.communicate())[0])
     quarter = len(resident) // 4
-    told |= {
+    report |= {
         "a process that only sleeps: share of periods missed": missed,
         "and began late (ms): median, 99 %, 99.9 %": late,
         "commanders killed": killed,
@@ -235,7 +235,7 @@ async def torment(options: argparse.Namespace) -> None:
         "states heard by a watcher": [min(heard), max(heard)],
         "memory (MB) after a quarter, at the end": [resident[quarter], resident[-1]],
     }
-    for name, value in told.items():
+    for name, value in report.items():
         print(f"{name}: {value}")
 
 

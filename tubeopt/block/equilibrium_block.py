@@ -487,9 +487,9 @@ class EquilibriumBlock(ComposedBlock[N]):
         """True if the variable with this name belongs to the block."""
         return bool(self.label) and name.startswith(self.label)
 
-    def _set_start(self, begin: Model, values: StartValues, min_margins: Sequence[float]) -> None:
+    def _set_start(self, first: Model, values: StartValues, min_margins: Sequence[float]) -> None:
         """Set the start of all unknowns of the block."""
-        self._set_guess(begin, values)
+        self._set_guess(first, values)
         for margin, min_margin in zip(self.margins, min_margins, strict=True):
             for column, value in zip(
                 margin.fields, jacobi_fields(self.initial_model, min(min_margin, 0.9)), strict=True

@@ -377,23 +377,23 @@ class CServo:
             raise InputError("the servo of a C library does not support a pivot")
         here, o = self.equilibrium, self.options
         self._before = here
-        place = here.tip_position if command.position is None else command.position
+        goal_position = here.tip_position if command.position is None else command.position
         velocity = np.zeros(3) if command.velocity is None else command.velocity
         pointing = np.zeros(3) if command.direction is None else command.direction
         # Without a target the robot brakes.
-        asked = velocity.any() or command.position is not None or command.direction is not None
-        push = o.push if o.objective and (asked or not self.limited) else 0.0
-        speed = o.speed if asked or not self.limited else 0.0
+        commanded = velocity.any() or command.position is not None or command.direction is not None
+        push = o.push if o.objective and (commanded or not self.limited) else 0.0
+        speed = o.speed if commanded or not self.limited else 0.0
         accelerations = o.turn_acceleration or 0.0, o.shift_acceleration or 0.0
         limits = [speed, o.turn_rate, o.shift_rate, o.min_margin, push, *accelerations]
-        told = np.concatenate([[dt], place, pointing, limits, [o.min_snap_distance or 0.0], velocity])
+        arguments = np.concatenate([[dt], goal_position, pointing, limits, [o.min_snap_distance or 0.0], velocity])
         if command.joints is not None:
             rotations, shift = self.space.split(at_most(configuration(self.space, "joints", command.joints), "joints"))
             if not self.space.admissible(self.space.join(rotations, np.array(shift), "joints")):
                 return ServoStep(here, Why.HELD | Why.RANGE, np.nan, np.nan)
-            self.equilibrium, why = self._robot.servo_joints(told, rotations, shift)
+            self.equilibrium, why = self._robot.servo_joints(arguments, rotations, shift)
             return ServoStep(self.equilibrium, why, np.nan, np.nan)
-        self.equilibrium, distance, angle, why = self._robot.servo(told)
+        self.equilibrium, distance, angle, why = self._robot.servo(arguments)
         return ServoStep(self.equilibrium, why, distance, angle)
 
     @property
@@ -434,11 +434,11 @@ class CServo:
         if words := self.space.outside(q):
             raise InputError(f"joints are out of range: {words}")
         rotations, shift = self.space.split(q)
-        there = self._robot.follow(rotations, np.array(shift))
-        if there.margin < least:
+        reached = self._robot.follow(rotations, np.array(shift))
+        if reached.margin < least:
             self._robot.undo()
-            raise InputError(f"joints have margin {there.margin:.3g}; it must be min_margin, {least:g}, or more")
-        self.equilibrium = self._before = there
+            raise InputError(f"joints have margin {reached.margin:.3g}; it must be min_margin, {least:g}, or more")
+        self.equilibrium = self._before = reached
 
 
 def _at(array: Array) -> ctypes.c_void_p:

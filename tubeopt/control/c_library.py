@@ -116,7 +116,7 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
 
 def header_text(name: str, n: int, *, loads: bool, centred: bool = True) -> str:
     """The header of a library for n tubes, which are all on the centreline or not."""
-    told = {
+    values = {
         "loads": str(int(loads)),
         "compliance": str(int(centred)),
         "bodies": str(int(centred)),
@@ -125,7 +125,7 @@ def header_text(name: str, n: int, *, loads: bool, centred: bool = True) -> str:
         "most_number": f"{MOST_NUMBER:g}",
         "how": "" if centred else ", by differences of equilibria side by side",
     }
-    return _filled("robot.h", name=name, version=__version__, n=str(n), **told)
+    return _filled("robot.h", name=name, version=__version__, n=str(n), **values)
 
 
 def save_c_library(library: CLibrary, folder: Path) -> list[Path]:

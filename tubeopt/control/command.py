@@ -83,8 +83,8 @@ def check_places(command: Command, robot: Robot) -> None:
     if not isinstance(command, Command):
         raise InputError(f"command is {command!r}; it must be a Command, such as Command(position=(0.01, 0, 0.1))")
     for name in ("position", "pivot"):
-        if (place := getattr(command, name)) is not None:
-            check_target(robot.tubes, name, place)
+        if (target := getattr(command, name)) is not None:
+            check_target(robot.tubes, name, target)
 
 
 @dataclass(frozen=True)

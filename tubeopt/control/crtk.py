@@ -174,13 +174,13 @@ class CrtkRobot:
         """The goal of a motion command."""
         kind, rates, angular = name[-2:], None, None
         if kind == "jv":
-            wanted, rates = Command(), self._rates(message)
+            desired, rates = Command(), self._rates(message)
         elif kind == "cv":
-            wanted, angular = Command(velocity=_numbers(message, "linear", "m/s")), _turn(message, "angular", "rad/s")
+            desired, angular = Command(velocity=_numbers(message, "linear", "m/s")), _turn(message, "angular", "rad/s")
         else:
             read = {"cp": self._pose, "cr": self._pose_from_here, "jp": self._joints, "jr": self._joints_from_here}
-            wanted = read[kind](message)
-        return _Goal(wanted, now, name.startswith("servo"), rates, angular, closer=now)
+            desired = read[kind](message)
+        return _Goal(desired, now, name.startswith("servo"), rates, angular, closer=now)
 
     def release(self) -> None:
         """Hold after the commander has disconnected."""
@@ -291,17 +291,17 @@ class CrtkRobot:
         turn = 0.0 if command.direction is None else math.dist(command.direction, arm.tip_rotation[:, 2])
         return turn, 0.0 if command.position is None else math.dist(command.position, arm.tip_position)
 
-    def _change(self, wanted: Any) -> None:
-        if not (isinstance(wanted, str) and wanted in STATE_COMMANDS):
-            raise InputError(f"command is {wanted!r}; it must be one of {', '.join(STATE_COMMANDS)}")
+    def _change(self, desired: Any) -> None:
+        if not (isinstance(desired, str) and desired in STATE_COMMANDS):
+            raise InputError(f"command is {desired!r}; it must be one of {', '.join(STATE_COMMANDS)}")
         before = self.state, self.homed
-        if wanted in HOMING:
-            self.homed = HOMING[wanted]
-        elif (wanted, self.state) in TRANSITIONS:
-            self.state = TRANSITIONS[wanted, self.state]
+        if desired in HOMING:
+            self.homed = HOMING[desired]
+        elif (desired, self.state) in TRANSITIONS:
+            self.state = TRANSITIONS[desired, self.state]
         else:
             allowed = [command for command, state in TRANSITIONS if state == self.state]
-            raise InputError(f"{wanted} is rejected: the robot is {self.state}, which allows {', '.join(allowed)}")
+            raise InputError(f"{desired} is rejected: the robot is {self.state}, which allows {', '.join(allowed)}")
         self._goal = None
         if (self.state, self.homed) != before:
             self._why, self._words = Why(0), ""
@@ -342,9 +342,9 @@ class CrtkRobot:
     def _pose_from_here(self, message: Mapping[str, Any]) -> Command:
         """Command of a pose relative to the current one, along and about the axes of the plate."""
         arm, turn = self.servo.equilibrium, _turn(message, "turn", "rad")
-        place = arm.tip_position + _numbers(message, "translation", "m")
+        position = arm.tip_position + _numbers(message, "translation", "m")
         turned = _turned(arm, turn).tolist() if turn is not None and turn.any() else None
-        return self._pose({"position": place.tolist(), "direction": turned})
+        return self._pose({"position": position.tolist(), "direction": turned})
 
     def _joints(self, message: Mapping[str, Any]) -> Command:
         n = self.servo.space.robot.n_tubes
@@ -366,9 +366,9 @@ class CrtkRobot:
         return Command(joints=(joints[0], joints[1]))
 
     def _pose(self, message: Mapping[str, Any]) -> Command:
-        place, pointing = _numbers(message, "position", "m"), message.get("direction")
-        command = Command(position=place, direction=None if pointing is None else _numbers(message, "direction", ""))
-        far, longest = float(np.linalg.norm(place)), self.servo.space.longest
+        position, pointing = _numbers(message, "position", "m"), message.get("direction")
+        command = Command(position=position, direction=None if pointing is None else _numbers(message, "direction", ""))
+        far, longest = float(np.linalg.norm(position)), self.servo.space.longest
         if far > longest + ROUND_OFF:
             raise InputError(
                 f"position is {far:g} m from the plate; it must be at most {longest:g} m, the length of the longest arm"

@@ -162,9 +162,9 @@ class Knots:
             if not bodies:
                 continue
             distance = scene.distances(bodies, fine[k]) - radius - clearance
-            place = distance.argmin(1)
+            points = distance.argmin(1)
             nearest = np.argsort(distance.min(1))[:most]
-            body, at = [bodies[i] for i in nearest], place[nearest]
+            body, at = [bodies[i] for i in nearest], points[nearest]
             gap[k, : len(at)] = distance[nearest, at]
             away = scene.gradients(body, fine[k, at])
             slope[k, : len(at)] = (away[:, None] @ moved[k, at])[:, 0]
@@ -190,19 +190,19 @@ class Aim:
 def improvement(knots: Knots, aim: Aim, contacts: tuple[Array, Array], trust: float) -> Array | None:
     """(N, m) the change over the scales of all knots but the first by one quadratic program, each at most `trust`; None
     where the solver finds no answer."""
-    (way, right), (rows, least) = _way(knots, aim), _rows(knots, contacts)
+    (path, right), (rows, least) = _way(knots, aim), _rows(knots, contacts)
     n, count, width = rows.shape
     m = width - 1
     hessian, matrix = np.zeros((n * width, n * width)), np.zeros((n, count, n, width))
     own = (np.arange(n)[:, None] * width + np.arange(m)).ravel()
-    hessian[np.ix_(own, own)] = way.T @ way + KNOT_DAMPING * np.eye(n * m)
+    hessian[np.ix_(own, own)] = path.T @ path + KNOT_DAMPING * np.eye(n * m)
     gradient = np.full((n, width), SLACK_PRICE)
-    gradient[:, :m] = -(right @ way).reshape(n, m)
+    gradient[:, :m] = -(right @ path).reshape(n, m)
     matrix[np.arange(n), :, np.arange(n)] = rows
     lower, upper = np.zeros((n, width)), np.full((n, width), np.inf)
     lower[:, :m], upper[:, :m] = _range(knots, trust)
     program = _program(n, m, count)
-    found = program(
+    solution = program(
         h=_sparse(program.sparsity_in("h"), hessian),
         a=_sparse(program.sparsity_in("a"), matrix.reshape(n * count, n * width)),
         g=gradient.ravel(),
@@ -210,7 +210,7 @@ def improvement(knots: Knots, aim: Aim, contacts: tuple[Array, Array], trust: fl
         lbx=lower.ravel(),
         ubx=upper.ravel(),
     )
-    answer = np.asarray(found["x"]).reshape(n, width)[:, :m]
+    answer = np.asarray(solution["x"]).reshape(n, width)[:, :m]
     return answer if program.stats()["success"] and np.isfinite(answer).all() else None
 
 
@@ -221,18 +221,18 @@ def _way(knots: Knots, aim: Aim) -> tuple[Array, Array]:
     tubes, n, weight = space.robot.n_tubes, count - 1, np.sqrt(count - 1.0)
     turned = np.tile(TURN_WEIGHT * np.eye(tubes, m), (count, 1, 1))
     slope = np.concatenate([knots.slopes[0] / space.scale[:, None], turned], 1)
-    place = np.concatenate([knots.joints / space.scale, TURN_WEIGHT * knots.z[:, :tubes]], axis=1)
+    points = np.concatenate([knots.joints / space.scale, TURN_WEIGHT * knots.z[:, :tubes]], axis=1)
     matrix = np.zeros((n, m + tubes, n, m))
     each = np.arange(n)
     matrix[each, :, each] = weight * slope[1:]
     matrix[each[1:], :, each[:-1]] = -weight * slope[1:-1]
-    right = -weight * np.diff(place, axis=0)
-    wanted = [(aim.position - knots.tip[-1], knots.slopes[2][-1, -1])]
+    right = -weight * np.diff(points, axis=0)
+    desired = [(aim.position - knots.tip[-1], knots.slopes[2][-1, -1])]
     if aim.direction is not None:
-        wanted.append(((aim.direction - knots.direction[-1]) * space.length, knots.slopes[3][-1] * space.length))
-    last = np.zeros((3 * len(wanted), n * m))
-    last[:, -m:] = TIP_WEIGHT / space.length * np.concatenate([slope for _, slope in wanted])
-    gap = TIP_WEIGHT / space.length * np.concatenate([gap for gap, _ in wanted])
+        desired.append(((aim.direction - knots.direction[-1]) * space.length, knots.slopes[3][-1] * space.length))
+    last = np.zeros((3 * len(desired), n * m))
+    last[:, -m:] = TIP_WEIGHT / space.length * np.concatenate([slope for _, slope in desired])
+    gap = TIP_WEIGHT / space.length * np.concatenate([gap for gap, _ in desired])
     return np.concatenate([matrix.reshape(-1, n * m), last]), np.concatenate([right.ravel(), gap])
 
 
@@ -350,7 +350,7 @@ class PredictiveServo:
         return self._guard.arm
 
     @property
-    def way(self) -> Array | None:
+    def path(self) -> Array | None:
         """(K, m) tip rotations (rad) and carriage translations (m) of the planned path; None without one."""
         return None if self._way is None else self._way.copy()
 
@@ -368,8 +368,8 @@ class PredictiveServo:
         if command.position is None or command.pivot is not None or command.joints is not None:
             raise InputError("a servo with look-ahead follows a position, and a direction if one is given")
         aim = Aim(command.position, command.direction)
-        told, here = self._guard.left(command), self._guard.here
-        if self._near and told[0] < CLOSE * self._guard.space.length and not self._new(aim):
+        remaining, here = self._guard.left(command), self._guard.here
+        if self._near and remaining[0] < CLOSE * self._guard.space.length and not self._new(aim):
             step = self._servo.step(command, dt)
             # If the servo comes to rest before the target, a look-ahead of one step is not enough.
             self._near = step.why & Why.HELD == 0
@@ -380,17 +380,17 @@ class PredictiveServo:
         lacking = self._renew(knots)
         if not lacking:
             change, passed = self._along(knots, dt)
-            there, lacking = self._guard.go(change, Why.RATE if passed < self._count else Why(0), dt)
+            reached, lacking = self._guard.go(change, Why.RATE if passed < self._count else Why(0), dt)
             if Why.HELD not in lacking:
                 self._waited = 0
                 # The rest of the path is divided into the same number of knots.
                 if self._way is not None:
                     self._way = _places(self._way, np.linspace(passed, self._count, self._count + 1))
-                return ServoStep(there, lacking, *told)
+                return ServoStep(reached, lacking, *remaining)
         self._waited += 1
         if self._waited <= PATIENCE:
             arm, _ = self._guard.go(np.zeros(len(here.q)), Why(0), dt)
-            return ServoStep(arm, lacking | Why.HELD, *told)
+            return ServoStep(arm, lacking | Why.HELD, *remaining)
         return self._servo.step(command, dt)
 
     def _renew(self, knots: Knots) -> Why:
@@ -415,7 +415,7 @@ class PredictiveServo:
     def _knots(self, aim: Aim) -> Knots | None:
         """Current path to an aim; None if no joint values are known for it."""
         here = self._guard.here
-        begin, floor = self._coordinates.of(here.equilibrium), min(self._floor, here.margin)
+        first, floor = self._coordinates.of(here.equilibrium), min(self._floor, here.margin)
         if self._new(aim):
             self._aim, end = aim, self._goal(aim)
             self._way = None
@@ -423,11 +423,11 @@ class PredictiveServo:
                 return None
             self._trust, self._last = LARGEST_TRUST, np.zeros_like(self._last)
             self._waited, self._near = 0, True
-            self._way = begin + np.linspace(0, 1, self._count + 1)[:, None] * (end - begin)
+            self._way = first + np.linspace(0, 1, self._count + 1)[:, None] * (end - first)
         if self._way is None:
             return None
         self._aim = aim
-        return Knots.at(self._coordinates, np.concatenate([begin[None], self._way[1:]]), floor)
+        return Knots.at(self._coordinates, np.concatenate([first[None], self._way[1:]]), floor)
 
     def _new(self, aim: Aim) -> bool:
         """True without a planned path, or with one to another aim."""
@@ -441,7 +441,7 @@ class PredictiveServo:
     def _goal(self, aim: Aim) -> Array | None:
         """Tip coordinates of joint values that meet an aim, near the robot; None where none are known."""
         try:
-            found = inverse_kinematics(
+            solution = inverse_kinematics(
                 self._guard.space.robot,
                 aim.position,
                 direction=aim.direction,
@@ -453,7 +453,7 @@ class PredictiveServo:
             )
         except SolveError:
             return None
-        return self._coordinates.of(found.equilibrium)
+        return self._coordinates.of(solution.equilibrium)
 
     def _along(self, knots: Knots, dt: float) -> tuple[Array, float]:
         """Joint change (m,) along the knots in `dt` seconds at full speed, and the number of passed knots."""

@@ -91,7 +91,7 @@ class Guard:
         """Last proof of it."""
         self.wall = 0.0
         """Margin that the next step keeps in its place, since less was closer to a snap."""
-        self.begin(start)
+        self.restart(start)
         rotation = np.arange(len(self.here.q)) < robot.n_tubes
         accelerations = [getattr(options, f"{name}_acceleration") or np.inf for name in ("turn", "shift")]
         self.acceleration: Array = np.where(rotation, *accelerations)
@@ -100,7 +100,7 @@ class Guard:
         self.sight = 0.0
         """Distance (m) up to which bodies are searched at the end of a step: once for the guard and the next step."""
 
-    def begin(self, start: Configuration) -> None:
+    def restart(self, start: Configuration) -> None:
         """Rest at a start; errors as of `Servo`."""
         here, least = start_posture(self.space, start), self.options.min_margin
         if words := self.space.outside(here.q):
@@ -176,12 +176,12 @@ class Guard:
         """The posture at joint values q (m,) of a stop point; None where it, or the way to it, may not be."""
         rotations, shift = self.space.split(q)
         try:
-            there = one_step(self.space.robot, self.here.equilibrium, rotations, shift)
+            reached = one_step(self.space.robot, self.here.equilibrium, rotations, shift)
         except (SolveError, InputError):
             return None
-        if there is None or (self.turn is None and there.margin < floor):
+        if reached is None or (self.turn is None and reached.margin < floor):
             return None
-        posture = Posture(self.space, q, there)
+        posture = Posture(self.space, q, reached)
         if self.scene.bodies:
             posture.outline.look_around(self._monitor, self.sight)
             if (missing := self._missing(posture)) > 0 and missing > self._missing(self.here):
@@ -216,10 +216,10 @@ class Guard:
             left = np.maximum(0.0, 1 - time * longest * self.acceleration / np.maximum(np.abs(speed), 1e-300))
             at = rest.q - (rest.q - q) * np.where(speed == 0, 1.0, left**2)
             try:
-                there = one_step(self.space.robot, self.arm, *self.space.split(at))
+                reached = one_step(self.space.robot, self.arm, *self.space.split(at))
             except (SolveError, InputError):
                 return -1.0
-            return -1.0 if there is None else there.margin
+            return -1.0 if reached is None else reached.margin
 
         least, at = rest.margin, len(BRAKING) - 1
         for k, time in enumerate(BRAKING[:-1]):
@@ -246,11 +246,11 @@ class Guard:
             self.arm = self.here.equilibrium
             return self.arm
         q, self.speed = self._next(self.here.q, dt)
-        there = Posture(self.space, self._joints(self.arm), self.arm).to(q)
-        if there is None:  # the guard has looked ahead: it does not happen
+        reached = Posture(self.space, self._joints(self.arm), self.arm).to(q)
+        if reached is None:  # the guard has looked ahead: it does not happen
             self.here, self.speed = start_posture(self.space, self.arm), 0 * self.speed
         else:
-            self.arm = there.equilibrium
+            self.arm = reached.equilibrium
         return self.arm
 
     def _joints(self, arm: Equilibrium) -> Array:
@@ -482,7 +482,7 @@ class Servo:
             SolveError: that motion snaps.
         """
         rotations, translations = self.space.split(configuration(self.space, "joints", joints))
-        self.guard.begin(forward_kinematics(self.space.robot, rotations, translations, start=self.equilibrium))
+        self.guard.restart(forward_kinematics(self.space.robot, rotations, translations, start=self.equilibrium))
         self._damping, self._goal = 0.0, None
 
     def _note_target(self, command: Command, dt: float) -> None:
@@ -522,8 +522,8 @@ class Servo:
         reverses = step * last < 0
         self._stiff = np.where(reverses, np.minimum(4 * self._stiff, MOST_STIFF), np.maximum(1.0, self._stiff / 1.2))
         turned, size = float(step @ last), float(np.abs(step).max())
-        asked = min([1.0, *(_allowed(part.most, part.gap) for part in parts)])
-        far, rated = not self._damping and asked < 1, Why.RATE in why
+        fraction = min([1.0, *(_allowed(part.most, part.gap) for part in parts)])
+        far, rated = not self._damping and fraction < 1, Why.RATE in why
         if self._damping:
             back = turned < -0.5 * float(np.linalg.norm(step) * np.linalg.norm(last))
         else:
@@ -546,7 +546,7 @@ class Servo:
             curved = min((after - model) / square, MOST_CURVED) if seen else 0.0
             descends = model >= before or before < DEAD**2 or before - after >= DESCENT * (before - model)
             grows = not descends or back
-            slow = far and not rated and before - after < SLOW * asked * before
+            slow = far and not rated and before - after < SLOW * fraction * before
             if grows or slow or (self._damping and curved > self._damping):
                 self._damping = max(curved, min(4 * self._damping * grows, MOST_CURVED), DAMPING**2)
             elif self._damping and share * part_of == 1 and seen:
@@ -751,8 +751,8 @@ def _softness(at: Posture, turn: float = 1e-4) -> Array:
     for k in range(len(out)) if here is not None else ():
         q = at.q.copy()
         q[k] += turn * space.scale[k] * (1 if q[k] < space.upper[k] else -1)
-        there = one_step(space.robot, at.equilibrium, *space.split(q))
-        found = None if there is None else _yield(there)
+        reached = one_step(space.robot, at.equilibrium, *space.split(q))
+        found = None if reached is None else _yield(reached)
         if here is not None and found is not None:
             out[k] = (found / here - 1) / (q[k] - at.q[k])
     return out

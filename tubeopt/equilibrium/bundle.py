@@ -326,8 +326,8 @@ class Bundled(Member[BundleState]):
         tube_end = np.zeros(problem.n)
         for place, boundary in zip(ends.tolist(), problem.order, strict=True):
             tube_end[list(boundary.ends)] = place
-        begin = np.repeat(arm.arc_length[:-1:4], problem.tableau.degree)
-        s = begin + state.h * np.tile(problem.tableau.nodes, len(problem.section))
+        first = np.repeat(arm.arc_length[:-1:4], problem.tableau.degree)
+        s = first + state.h * np.tile(problem.tableau.nodes, len(problem.section))
         return ArmSolution(
             arm,
             arm.rotation[np.arange(problem.n), np.searchsorted(arm.arc_length, tube_end - 1e-12)],
@@ -358,11 +358,13 @@ class Bundled(Member[BundleState]):
         """Estimated errors: the change by a Newton step with more points."""
         state = point.state
         finer = self.on(degree=self.problem.tableau.degree + EXTRA_COLLOCATION_POINTS)
-        there = finer.at(finer.transfer(point))
+        refined = finer.at(finer.transfer(point))
         shift = LEAST_STIFFNESS if abs(point.margin) < LEAST_STIFFNESS else 0.0
-        step = np.asarray(np.linalg.solve(there.hessian + shift * np.eye(len(there.x)), -there.gradient), dtype=float)
+        step = np.asarray(
+            np.linalg.solve(refined.hessian + shift * np.eye(len(refined.x)), -refined.gradient), dtype=float
+        )
         last = len(self.problem.order) - 1
-        pose = place_slopes(there, last)
+        pose = place_slopes(refined, last)
         tip = pose.position + pose.by_x[:3] @ step - place_slopes(state, last).position
         theta = np.abs(finer.problem.push(step)[:, : self.problem.n]).max()
         return Errors(2 * float(theta), float(np.linalg.norm(tip)), 0.0)
@@ -443,16 +445,16 @@ def bundle_unsolved(
     assert isinstance(robot, BundleRobot)
     shift, rotations = tuple(equilibrium.translations.tolist()), equilibrium.rotations
     bundle, own, t = bundle_at(robot, shift), equilibrium.load, tableau("gauss", statistics.degree)
-    begin, ends = equilibrium.section_start, np.append(equilibrium.section_start[1:], equilibrium.arc_length[-1])
-    count = np.bincount(np.searchsorted(begin, points.point, side="right") - 1, minlength=len(begin)) // t.degree
-    h = np.repeat((ends - begin) / count, count * t.degree)
+    first, ends = equilibrium.section_start, np.append(equilibrium.section_start[1:], equilibrium.arc_length[-1])
+    count = np.bincount(np.searchsorted(first, points.point, side="right") - 1, minlength=len(first)) // t.degree
+    h = np.repeat((ends - first) / count, count * t.degree)
     bend = points.point_curvature * h[:, None]
     lengths = np.tile(t.weights, len(h) // t.degree)[:, None] * (h[:, None] + bend @ bundle.levers.T)
     reached = np.cumsum(lengths, axis=0)[np.cumsum(count * t.degree) - 1]
-    start = Start(solved_order(bundle, _places(own), ends, reached), ends - begin, np.zeros((len(ends), 2)))
+    start = Start(solved_order(bundle, _places(own), ends, reached), ends - first, np.zeros((len(ends), 2)))
     d = Discretisation(degree=statistics.degree, refinement=statistics.refinement)
     member = Bundled.of(robot, rotations, shift, own, start=lambda *_: start, discretisation=d)
-    member = replace(member, problem=replace(member.problem, count=count, nominal=(ends - begin) / count))
+    member = replace(member, problem=replace(member.problem, count=count, nominal=(ends - first) / count))
     problem, base = member.problem, equilibrium.rotation[:, 0]
     # theta at the points is the sum of p up to there.
     turn = np.asarray(np.linalg.solve(problem.up_to, points.point_rotation - base), dtype=float)

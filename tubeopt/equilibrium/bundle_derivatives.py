@@ -146,11 +146,11 @@ class BundleResponse:
         joints = np.concatenate([member.rotations, member.translations])
         for k in range(2 * n):
             sides = []
-            for way in (MARGIN_STEP[k >= n], 0.0, -MARGIN_STEP[k >= n]):
-                alpha, shift = np.split(joints + way * (np.arange(2 * n) == k), 2)
-                there = member.with_inputs(alpha, tuple(shift.tolist()), state.problem.load, member.factor)
-                if there is not None:
-                    sides.append((way, float(mode @ margin_form(there.at(state.x + way * self.x[:, k])) @ mode)))
+            for step in (MARGIN_STEP[k >= n], 0.0, -MARGIN_STEP[k >= n]):
+                alpha, shift = np.split(joints + step * (np.arange(2 * n) == k), 2)
+                moved = member.with_inputs(alpha, tuple(shift.tolist()), state.problem.load, member.factor)
+                if moved is not None:
+                    sides.append((step, float(mode @ margin_form(moved.at(state.x + step * self.x[:, k])) @ mode)))
             # Where a boundary comes in front of the plate there is one side only.
             (high, above), (low, below) = sides[0], sides[-1]
             out[k] = (above - below) / (high - low) if high != low else np.nan
@@ -167,11 +167,11 @@ class BundleResponse:
         out = np.zeros((*known.position.shape, 2 * n))
         for k in range(2 * n):
             arms = []
-            for way in (MARGIN_STEP[k >= n], 0.0, -MARGIN_STEP[k >= n]):
-                alpha, shift = np.split(joints + way * (np.arange(2 * n) == k), 2)
-                there = member.with_inputs(alpha, tuple(shift.tolist()), state.problem.load, member.factor)
-                if there is not None:
-                    arms.append((way, bundle_arm(alpha, there.at(state.x + way * self.x[:, k]))))
+            for step in (MARGIN_STEP[k >= n], 0.0, -MARGIN_STEP[k >= n]):
+                alpha, shift = np.split(joints + step * (np.arange(2 * n) == k), 2)
+                moved = member.with_inputs(alpha, tuple(shift.tolist()), state.problem.load, member.factor)
+                if moved is not None:
+                    arms.append((step, bundle_arm(alpha, moved.at(state.x + step * self.x[:, k]))))
             (high, ahead), (low, behind) = arms[0], arms[-1]
             along = (ahead.arc_length - behind.arc_length)[:, None] * known.frame[:, :, 2]
             along[-1] = 0.0

@@ -44,7 +44,7 @@ def shipped(folder: str = "*") -> Mapping[str, Path]:
     return {path.stem: path for path in files}
 
 
-def resolve_file(path: str | PathLike[str], beside: Path = Path()) -> Path:
+def resolve_file(path: str | PathLike[str], folder: Path = Path()) -> Path:
     """Path of a file: the existing file with this path, otherwise the built-in file with this name.
 
     Other paths are returned unchanged, for the reader to refuse. A local file `NAME.yaml` is used only with its ending;
@@ -53,13 +53,13 @@ def resolve_file(path: str | PathLike[str], beside: Path = Path()) -> Path:
     Args:
         beside: directory of relative paths.
     """
-    local = beside / path
+    local = folder / path
     named = shipped().get(str(path))
     # A local file goes first: a robot in the working directory is not replaced by a built-in one.
     if named is None or os.path.isfile(local):
         return local
     for ending in ENDINGS:
-        other = beside / f"{path}{ending}"
+        other = folder / f"{path}{ending}"
         if other.is_file() and not other.samefile(named):
             LOGGER.warning(f"{path} is the built-in file; the local file is {other}")
     return named

@@ -178,7 +178,7 @@ class LoadedArms(SolvedArms):
         return np.asarray(stiffness[:, None] * bent - pulls.sum(1))
 
     @cached_property
-    def borne(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    def reactions(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """Torques (P, n) and moments (P, 2), each on the side of the tip and of the plate: point moments make jumps."""
         # In the cross-section's own frame, of which the first two axes bend.
         jump = np.einsum("pij,pi->pj", self._frames, (self._felt[1] - self._felt[0])[:, MOMENT])[:, :2]
@@ -194,7 +194,7 @@ class LoadedArms(SolvedArms):
         for k, values in enumerate(self._values):
             pulls, stiffness = self._pulls(values)
             straight = np.where(stiffness > 0, stiffness, 1.0)[:, None]
-            torque, moment = (each[k] for each in self.borne)
+            torque, moment = (each[k] for each in self.reactions)
             x, y = ((moment + pulls.sum(1)) / straight).T
             force = np.einsum("pij,pi->pj", self._frames, self._felt[k][:, FORCE])
             along = np.einsum("pij,pi->pj", self._frames, self.pull.per_length_at(self._inside[k]))
@@ -211,7 +211,7 @@ class LoadedArms(SolvedArms):
     def sampled(self, which: Index, s: Array) -> tuple[Array, Array]:
         """(..., n) torques and (..., 2) moments of equilibria (...) at arc lengths (...)."""
         torque, moment = (
-            self.hermite(which, s, values, slopes) for values, slopes in zip(self.borne, self.slopes, strict=True)
+            self.hermite(which, s, values, slopes) for values, slopes in zip(self.reactions, self.slopes, strict=True)
         )
         return torque, moment
 
@@ -251,7 +251,7 @@ class LoadedArms(SolvedArms):
         moment, (along, couple) = self._lever[owner], self.pull.per_length
         u = bend.max_u + moment / bend.stiffness
         grows = u[:, None] * bend.moment + couple
-        torque = np.maximum(np.abs(self.borne[0][0][inner]), np.abs(self.torque[inner + 1])) + h[:, None] * grows
+        torque = np.maximum(np.abs(self.reactions[0][0][inner]), np.abs(self.torque[inner + 1])) + h[:, None] * grows
         compliance, twist_slope = transport.compliance, transport.twist_slope
         turn = torque * compliance.v + c.largest(c.bounds.twist[0], *self.crossed)
         turning = grows * compliance.v + torque * compliance.d + twist_slope.v

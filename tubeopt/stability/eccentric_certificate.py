@@ -286,19 +286,19 @@ def _segment(assembly: Assembly, k: int) -> Segment | None:
         return None
     kb, kt, curvature, offset, transmission = table[:, 0]
     turn = (assembly.offset_angle - assembly.offset_angle[tubes[0]]) / (2 * np.pi / 3)
-    place = np.round(turn).astype(int) % 3
+    sector = np.round(turn).astype(int) % 3
     present = assembly.present[k]
     wrong_angle = np.abs(turn - np.round(turn)) > EQUAL
     if offset <= 0 or (present & (wrong_angle | (np.abs(assembly.offset - offset) > EQUAL * offset))).any():
         return None
-    stiffness = np.bincount(place, weights=assembly.bending_stiffness * present, minlength=3)
-    if len(set(place[tubes].tolist())) != 3 or np.ptp(stiffness) > EQUAL * stiffness.max():
+    stiffness = np.bincount(sector, weights=assembly.bending_stiffness * present, minlength=3)
+    if len(set(sector[tubes].tolist())) != 3 or np.ptp(stiffness) > EQUAL * stiffness.max():
         return None
     moment = kb * abs(curvature)
     rate, delta = float(moment / np.sqrt(float(stiffness.max()) * kt)), float(offset * moment / stiffness.min())
     if delta > DELTAS[-1]:
         return None
-    first, second, third = (int(tubes[place[tubes] == p][0]) for p in range(3))
+    first, second, third = (int(tubes[sector[tubes] == p][0]) for p in range(3))
     start, length = float(assembly.start[k]), float(assembly.length[k])
     return Segment(
         tubes=(first, second, third),

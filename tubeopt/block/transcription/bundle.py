@@ -313,9 +313,9 @@ class BundleProblem:
             return np.diag(scale), np.diag(1 / scale), np.zeros(len(scale))
         # Held lengths are linear in kappa: kappa is a sum of what they determine and of what they leave free.
         fixed = self.lengths_by_bend[[*self.held]] * scale
-        wanted = HELD - self.straight[[*self.held]]
+        desired = HELD - self.straight[[*self.held]]
         free = scipy.linalg.null_space(fixed)
-        start = scale * np.linalg.lstsq(fixed, wanted, rcond=None)[0]
+        start = scale * np.linalg.lstsq(fixed, desired, rcond=None)[0]
         return scale[:, None] * free, free.T / scale, start
 
     @property
@@ -803,10 +803,10 @@ def _shortened(problem: BundleProblem, turn: Array, bend: Array, sections: Seque
     rate_of, h = np.column_stack([turn, bend]), problem.straight + problem.lengths_by_bend @ bend.ravel()
     for k in sections:
         own = problem.point_section == k
-        beside = (
+        neighbour = (
             np.flatnonzero(problem.point_section == k - 1)[-1] if k else np.flatnonzero(problem.point_section == 1)[0]
         )
-        rate = rate_of[beside] / max(h[problem.point_section[beside]], length)
+        rate = rate_of[neighbour] / max(h[problem.point_section[neighbour]], length)
         turn[own], bend[own] = length * rate[:-2], length * rate[-2:]
 
 
@@ -890,8 +890,8 @@ def carried(problem: BundleProblem, state: BundleState) -> Array:
         return problem.unknowns(state.turn, state.bend.ravel(), twist)
     h = (known.lengths(state.x) * known.count if same else problem.nominal * problem.count) / problem.count
     elements = h[problem.section]
-    begin = np.cumsum(elements) - elements
-    s = (begin[:, None] + elements[:, None] * problem.tableau.nodes).ravel()
+    first = np.cumsum(elements) - elements
+    s = (first[:, None] + elements[:, None] * problem.tableau.nodes).ravel()
     old = known.lengths(state.x)[known.section]
     mesh = replace(known.mesh, start=np.cumsum(old) - old, length=old)
     rates = mesh.interpolated(np.column_stack([state.turn, state.bend]) / state.h[:, None], s)

@@ -108,19 +108,19 @@ class CutOut:
     @property
     def problems(self) -> tuple[str, ...]:
         """Violated safety limits, each with its cure."""
-        found = []
+        problems = []
         if self.peak >= SHORTED_LIMIT:
-            found.append(
+            problems.append(
                 f"with a shorted switch the tube reaches {self.peak:.0f} degC before the cut-out opens after "
                 f"{1e3 * self.delay:.0f} ms; it must open within {1e3 * self.budget:.0f} ms: use a high-side switch "
                 "(cutout_opening_ms: 1) or faster pulses"
             )
         if self.least_melting >= self.withstood:
-            found.append(
+            problems.append(
                 f"no fuse melts before the tube and survives the pulses: it must melt between {self.least_melting:.0f} "
                 f"and {self.withstood:.0f} A2s; use faster pulses, or a supply of less voltage"
             )
-        return tuple(found)
+        return tuple(problems)
 
 
 @functools.lru_cache(maxsize=8)

@@ -511,48 +511,48 @@ def problems_of(oven: Oven, window: tuple[float, float], warm: float, late: floa
     (low, high), material = window, oven.mold.material
     setting = oven.set_temperature - ZERO_CELSIUS
     below, above = setting - oven.uniformity, setting + oven.uniformity
-    found = list[str]()
+    problems = list[str]()
     if above > material.limit_temperature_degC:
-        found.append(
+        problems.append(
             f"the oven may be at {above:g} degC; a mold of {material.name} {material.failure} above "
             f"{material.limit_temperature_degC:g} degC"
         )
     if oven.method == "salt_bath" and material.density < POROUS:
-        found.append(f"a mold of {material.name} ({material.density:g} kg/m^3) is porous and soaks up salt")
+        problems.append(f"a mold of {material.name} ({material.density:g} kg/m^3) is porous and soaks up salt")
     if below <= low:
-        found.append(
+        problems.append(
             f"the oven may be at {below:g} degC, where no point reaches the window at {low:g} degC; set it above "
             f"{low + oven.uniformity:g} degC"
         )
     elif math.isinf(warm):
-        found.append(f"the coldest point does not reach {low:g} degC within {LONGEST / 3600:g} h")
+        problems.append(f"the coldest point does not reach {low:g} degC within {LONGEST / 3600:g} h")
     if hot[1].max() > high:
         advice = (
             f"set the oven at {high - oven.uniformity:g} degC at most"
             if high - low > 2 * oven.uniformity
             else f"the window is too narrow for an oven that is off by up to {oven.uniformity:g} K"
         )
-        found.append(
+        problems.append(
             f"the hottest point passes {high:g} degC after {np.interp(high, hot[1], hot[0]):.0f} s, before the soak "
             f"ends after {late:.0f} s; {advice}"
         )
-    return tuple(found)
+    return tuple(problems)
 
 
 def remarks_of(oven: Oven, tail: Cooling) -> tuple[str, ...]:
     """Remarks on points to check, as text."""
-    found = list[str]()
+    problems = list[str]()
     if oven.convection is None:
-        found.append(
+        problems.append(
             f"heat transfer of {oven.transfer_coefficient:g} W/(m^2 K) is assumed for this method; measure the mold's "
             "temperature once, and give convection_W_per_m2_K"
         )
     if tail.ageing_time > SHORTEST_AGEING:
-        found.append(
+        problems.append(
             f"the tube cools from {AGEING_DEGC[1]:g} to {AGEING_DEGC[0]:g} degC in {tail.ageing_time:.0f} s, where "
             f"Ti-50.8Ni precipitates fastest; above {SHORTEST_AGEING:g} s its Af changes. Quench it out of the mold"
         )
-    return tuple(found)
+    return tuple(problems)
 
 
 @dataclass(frozen=True)
@@ -584,7 +584,7 @@ def cool(block: MoldBlock, oven: Oven, tube: Tube, state: Array) -> Cooling:
         times.append(time[1:])
         states.append(course[1:])
     moved = states[-1][-1]
-    begin = float(times[-1][-1])
+    start_time = float(times[-1][-1])
     if oven.quench == "water":
         rate, hottest = cooling_rate(tube, WATER), float(moved[cells:].max())
         last = 0.0 if hottest <= goal else math.log((hottest - oven.ambient) / (goal - oven.ambient)) / rate
@@ -597,7 +597,7 @@ def cool(block: MoldBlock, oven: Oven, tube: Tube, state: Array) -> Cooling:
         time, course = block.run(moved, medium, LONGEST, lambda points: goal - float(points.max()))
         time, course = time[1:], course[1:]
         last, surroundings = float(time[-1]), medium.temperature
-    times.append(begin + time)
+    times.append(start_time + time)
     states.append(course)
     time, course = np.concatenate(times), np.concatenate(states)
     points = course[:, cells:] - ZERO_CELSIUS

@@ -381,10 +381,10 @@ class RigCourse:
     def hold_temperatures(self) -> Any:
         """(1+c, H) temperatures at the start of the curved part and at its cells, at the points of the hold, K."""
         mesh, cells = self.mesh, self.resolution.cells
-        first, begin = cells - self.resolution.curved, self.z.size2() - mesh.holding_points
-        rows = self.z[first - 1 : cells, begin:] * SCALE.T
+        first, first_column = cells - self.resolution.curved, self.z.size2() - mesh.holding_points
+        rows = self.z[first - 1 : cells, first_column:] * SCALE.T
         # The joint of lead and curve lies between two cells whose widths the design may change.
-        columns = ca.horzsplit(self.designs[:, begin:])
+        columns = ca.horzsplit(self.designs[:, first_column:])
         widths = [self.parameters.widths(self.resolution, design)[first - 1 : first + 1] for design in columns]
         before, after = ca.vertsplit(ca.horzcat(*widths))
         joint = (after * rows[0, :] + before * rows[1, :]) / (before + after)

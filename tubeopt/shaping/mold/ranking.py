@@ -141,13 +141,13 @@ def _rate(tube: Tube, material: MoldMaterial, heat: HeatSpec, plate: PlateSpec) 
     drawn = float(heat_drawn(tube.outer_diameter, material, heat, end)[0])
     # Conductances per length: both plates beside the tube, with perfect contact, and the tube itself.
     width = plate.size[1] if plate.size else SECTION_WIDTH
-    beside = width * (plate.thickness + plate.lid_thickness) / material.resistivity
+    surrounding = width * (plate.thickness + plate.lid_thickness) / material.resistivity
     through_tube = tube.cross_section / thermal_data(tube).at("resistivity", heat.set_temperature)
     return MaterialRating(
         material=material,
         heat_drawn=drawn,
         heat_flow=float(heat_flow(tube.outer_diameter, material, heat, end)[0]),
-        leak=beside / (beside + through_tube),
+        leak=surrounding / (surrounding + through_tube),
         heat=(tube_heat(tube, heat) + drawn) * tube.curved_length,
         limit_margin=material.limit_temperature - heat.set_temperature,
     )

@@ -512,8 +512,8 @@ class Branches:
         """
         check_time()
         to = [np.ascontiguousarray(a, dtype=float) for a in (rotations, translations)]
-        lost, asked = np.zeros(len(cold), dtype=np.uint8), np.ascontiguousarray(cold, dtype=np.uint8)
-        arrays = (self.rotations, self.translations, *to, asked, self._arms, lost, self._workspace, self._spare)
+        lost, requested = np.zeros(len(cold), dtype=np.uint8), np.ascontiguousarray(cold, dtype=np.uint8)
+        arrays = (self.rotations, self.translations, *to, requested, self._arms, lost, self._workspace, self._spare)
         self._kernel.functions.follow_many(address(self._addresses), len(cold), *map(address, arrays))
         return lost.astype(bool)
 
