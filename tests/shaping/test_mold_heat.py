@@ -120,12 +120,12 @@ def test_calcium_silicate_comes_out_on_its_numbers(outer: float, hold: float) ->
 
 
 def test_the_name_wins_nothing() -> None:
-    dense = replace(CALCIUM_SILICATE, conductivity=5.0)
+    dense = replace(CALCIUM_SILICATE, conductivity=5.0, conductivity_range=None)
     conducting = replace(CALCIUM_SILICATE, resistivity=1e-6)
     weak = replace(CALCIUM_SILICATE, limit_temperature=700.0)
     for worse in (dense, conducting, weak):
         assert rank_mold_materials(THESIS, materials=(worse, GLASS_MICA))[0].material is GLASS_MICA
-    better = replace(MDF, limit_temperature=1000.0, conductivity=0.05)
+    better = replace(MDF, limit_temperature=1000.0, conductivity=0.05, conductivity_range=None)
     assert rank_mold_materials(THESIS, materials=(CALCIUM_SILICATE, better))[0].material is better
     cool = HeatSpec(set_temperature=500.0)
     assert {r.material.name for r in rank_mold_materials(THESIS, cool) if r.suitable} >= {"mdf"}
