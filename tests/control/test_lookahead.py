@@ -97,5 +97,5 @@ def test_what_cannot_be_led_to_is_refused_and_what_is_out_of_reach_is_approached
         ahead.step(Command(position=BEHIND), 0.0)
     far = seed.tip_position + np.array([0.0, 0.0, 1.0])
     first = ahead.step(Command(position=far), DT)
-    assert ahead.way is None
+    assert ahead.path is None
     assert ahead.step(Command(position=far), DT).distance < first.distance
