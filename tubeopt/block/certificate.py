@@ -125,7 +125,7 @@ class CertificateBound:
         return f"certificate under {1e3 * self.force:g} mN" if self.force else "certificate"
 
     def start(self, block: ComposedBlock[Any]) -> None:
-        """Set the start of its unknowns to the eigenpair of the arm at the start."""
+        """Set the start values of its unknowns to the eigenpair of the arm at the start."""
         if self.eigenvalue is None:
             return
         eigenvalue, states = eigenpair(block.initial_model, self.force, self.pairs)
@@ -239,7 +239,7 @@ def _add_under_force(block: ComposedBlock[Any], min_margin: Any, force: float) -
 def _sections_and_tubes(
     model: Model, chain: Chain | None = None
 ) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
-    """Sections and tubes of an arm in numbers, as `largest_eigenvalue` takes them."""
+    """Arguments `sections` and `tubes` of `largest_eigenvalue` for an arm, as numbers."""
     kt, transmission, stiffness, moment = (np.array(part) for part in _tube_data(model, chain))
     length = np.maximum(np.asarray(model.lengths).ravel(), 0.0)
     return (length, stiffness.sum(0), np.abs(moment.T)), (kt * np.ones(len(length)), transmission.ravel())
@@ -271,13 +271,13 @@ class _TubeData(NamedTuple):
     """Tubes on the P elements of a block."""
 
     torsional_stiffness: Any
-    """kt (n, P), or (n, 1) where it is the same along a tube."""
+    """Torsional stiffnesses kt (n, P), or (n, 1) for tubes with constant stiffness, N m^2."""
     transmission: Any
-    """|beta| (n,), for kt at the plate."""
+    """Transmission lengths |beta| (n,) for kt at the plate, m."""
     stiffness: Any
     """Bending stiffness kb (n, P)."""
     moment: Any
-    """m (n, P); of tubes made of pieces its size."""
+    """Moments m (n, P), bending stiffness times precurvature; of tubes made of pieces their size."""
 
 
 def _tube_data(model: Model, chain: Chain | None) -> _TubeData:

@@ -61,11 +61,11 @@ class OptiProgram:
         return symbol
 
     def set_value(self, parameter: Any, value: ArrayLike) -> None:
-        """Set the numbers of a parameter."""
+        """Set the value of a parameter."""
         self.opti.set_value(parameter, np.asarray(value, dtype=float).ravel())
 
     def set_guess(self, variable: Any, value: ArrayLike) -> None:
-        """Set the start of a variable."""
+        """Set the start value of a variable."""
         if variable.numel():
             self.opti.set_initial(variable, ca.DM(np.broadcast_to(np.asarray(value, dtype=float), (variable.numel(),))))
 
@@ -97,7 +97,7 @@ JOINTS = ("rotations", "translations")
 
 @dataclass(eq=False)
 class _Constraint:
-    """0 <= expression <= upper, row by row."""
+    """Constraint 0 <= expression <= upper, row by row."""
 
     expression: Any
     upper: Array
@@ -208,7 +208,7 @@ class ComposedBlock(Generic[N]):
         return external_load.arm_of(self._grid, layout_numbers(self.layout), zero, values).at(lambda part: part)
 
     def _set_guess(self, model: Model, start: StartValues) -> None:
-        """Set the start of the unknowns, on the elements of `model`."""
+        """Set the start values of the unknowns, on the elements of `model`."""
         theta, twist, inner, moments = start
         numbers: dict[str, Any] = {"theta": theta, "twist": twist, "inner": inner}
         if moments:

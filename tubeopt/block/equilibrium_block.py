@@ -142,14 +142,14 @@ class TipSensitivities:
     """Linear equations F_x dx + F_a da = 0 of a block, whose sensitivities dx are unknowns of the program."""
 
     unknown: Any
-    """dx (X Q,) of all X unknowns by Q inputs, by columns."""
+    """Sensitivities dx (X Q,) of all X unknowns by Q inputs, by columns."""
     equations: ca.Function
-    """(unknowns, joints, dimensions, layout) -> F, tip position."""
+    """Function (unknowns, joints, dimensions, layout) -> equations F, tip position."""
     seeds: dict[str, Array]
-    """da (N, Q) of every input by name."""
+    """Changes da (N, Q) of every input by name."""
 
     def start(self, block: ComposedBlock[Any]) -> Array:
-        """dx (X Q,) at the start of the block."""
+        """Sensitivities dx (X Q,) at the start of the block."""
         x, count = block.initial_column, self.seeds["rotations"].shape[1]
         numbers = [block.initial_numbers[name] for name in (*JOINTS, *block.dimensions)]
         at = [x, *numbers, block.layout.numbers()]
@@ -488,7 +488,7 @@ class EquilibriumBlock(ComposedBlock[N]):
         return bool(self.label) and name.startswith(self.label)
 
     def _set_start(self, first: Model, values: StartValues, min_margins: Sequence[float]) -> None:
-        """Set the start of all unknowns of the block."""
+        """Set the start values of all unknowns of the block."""
         self._set_guess(first, values)
         for margin, min_margin in zip(self.margins, min_margins, strict=True):
             for column, value in zip(

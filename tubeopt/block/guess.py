@@ -91,11 +91,11 @@ class StartValues(NamedTuple):
     """Start values of a solve: torsion and bending of an arm on P elements with K points."""
 
     rotation: Array
-    """theta (n, P) where elements begin, rad."""
+    """Rotations theta (n, P) at the starts of elements, rad."""
     torsion: Array
-    """w (n, P) where elements begin, rad/m."""
+    """Torsion w (n, P) at the starts of elements, rad/m."""
     rotation_inside: Array
-    """theta (n, P K) at the points, rad."""
+    """Rotations theta (n, P K) at the points, rad."""
     moments: tuple[Array, ...] = ()
     """Bending moments under load (2, P) where elements begin, and (2 K, P) at their points, N m."""
 
@@ -159,7 +159,7 @@ class ArmSample(NamedTuple):
     """A solved arm at S arc lengths."""
 
     rotation: Array
-    """theta (n, S), rad; of tubes made of pieces the elastic rotation."""
+    """Rotations theta (n, S), rad; for tubes made of pieces the elastic rotation."""
     torsion: Array
     """Torsion w (n, S), rad/m."""
     curvature: Array
@@ -195,11 +195,11 @@ class JacobiFields(NamedTuple):
     """Unknowns of a margin constraint, by columns; see `add_margin`."""
 
     ratio: Array
-    """v / y (n n (P - 1),) where all elements but the first begin, 1/m."""
+    """Ratio v / y (n n (P - 1),) at the start of every element but the first, 1/m."""
     inside: Array
-    """y (n n K P,) at the points."""
+    """Jacobi fields y (n n K P,) at the points."""
     determinants: Array
-    """y (n n P,) where elements begin, then y - |beta| v (n n,) at the plate: matrices with positive determinants."""
+    """Fields y (n n P,) at starts of elements, then y - |beta| v (n n,) at the plate, with positive determinants."""
 
 
 def jacobi_fields(model: Model, margin: float) -> JacobiFields:

@@ -78,7 +78,7 @@ class CPose:
 
 @dataclass(frozen=True, eq=False)
 class CSlopes:
-    """Derivatives by rotations and translations."""
+    """Derivatives of an equilibrium by rotations and translations."""
 
     position: Array
     """(3, 2n) derivatives of the tip position."""
@@ -186,15 +186,19 @@ class CRobot:
         return self._go("follow", rotations, translations)
 
     def undo(self) -> CPose:
-        """The equilibrium before the last `follow` or `servo`, for a motion that was not sent; raises SolveError where
-        another call has come in between."""
+        """Equilibrium before the last `follow` or `servo`, for a motion that was not sent.
+
+        Raises SolveError after another call in between.
+        """
         self._call("undo")
         return self._posed()
 
     def bear(self, force: ArrayLike = (0, 0, 0), gravity: ArrayLike = (0, 0, 0)) -> CPose:
-        """The last equilibrium under a force (3,) at the tip, N, and an acceleration (3,) by which the tubes weigh,
-        m/s^2, increased slowly; all later results are of the loaded arm. Raises SolveError where the branch ends
-        before that, and InputError where the library has no loads."""
+        """Last equilibrium under a force (3,) at the tip, N, and a gravity (3,), m/s^2, both increased slowly.
+
+        All later results are of the loaded arm. Raises SolveError where the branch ends before the full load, and
+        InputError if the library has no loads.
+        """
         if "bear" not in self._calls:
             raise InputError("the C library was made without loads")
         self._in[:3], self._in[3:6] = vector("force", force, 3), vector("gravity", gravity, 3)
@@ -202,13 +206,15 @@ class CRobot:
         return self._posed()
 
     def snap_distance(self, most: float) -> float | None:
-        """Turn of all tubes, rad, that is proved to cause no snap at the last equilibrium: at most `most`, or inf where
-        none can snap; None where it is not known."""
+        """Turn of all tubes, rad, that is proved to cause no snap at the last equilibrium.
+
+        It is at most `most`, inf if no turn can snap, and None if it is unknown.
+        """
         found: float = self._distance(self.memory, most)
         return None if found < 0 else found
 
     def slopes(self) -> CSlopes:
-        """Derivatives at the last equilibrium."""
+        """Derivatives of the last equilibrium by the joint values."""
         self._call("slopes_at")
         n = self.n
         tip, turn, ends, margin, compliance = np.split(self._slopes.copy(), np.cumsum([6 * n, 6 * n, 2 * n * n, 2 * n]))
@@ -218,15 +224,15 @@ class CRobot:
     def servo(
         self, command: Array, contacts: Array | None = None, clearance: float = 0.0
     ) -> tuple[CPose, float, float, Why]:
-        """One step of a command (12,) to (18,).
+        """Pose after one step of a command (12,) to (18,), distance (m) and angle (rad) to the target, and reason.
 
         A command has the step (s), position and direction (3,) each, speed, rates of rotations and of translations,
         least margin, push, accelerations of rotations and of translations (0: no limit), least snap distance (rad, 0:
-        the margin counts), and a velocity (3,) in place of the position (0: the position counts). Returns the pose,
-        what is left to the target (m, rad), and why.
+        the margin counts), and a velocity (3,) in place of the position (0: the position counts).
 
         `contacts` (c, 5): arc lengths, unit vectors away from bodies, and distances (m) where the arm comes close to
-        these, to keep `clearance` (m); raises InputError for too many, under load, and where the library has none."""
+        them; the step keeps `clearance` (m). Raises InputError for too many, under load, and if the library has none.
+        """
         self._in[12:18] = 0.0
         self._in[: len(command)] = command
         if contacts is None:
@@ -237,7 +243,7 @@ class CRobot:
         return self._posed(), float(self._report[0]), float(self._report[1]), Why(int(why))
 
     def servo_joints(self, command: Array, rotations: ArrayLike, translations: ArrayLike) -> tuple[CPose, Why]:
-        """One step straight to joint values (n,), of a command as of `servo`: the pose, and why it ends short."""
+        """Pose after one step straight to joint values (n,), and reason if it ends short; `command` as of `servo`."""
         n = self.n
         self._in[: len(command)] = command
         self._to[:n], self._to[n:] = vector("rotations", rotations, n), vector("translations", translations, n)
@@ -306,8 +312,9 @@ class CEstimator:
         self._robot.call("estimator_start", _at(self._room), self._robot.memory, _at(prior))
 
     def measured(self, time: float, joints: tuple[ArrayLike, ArrayLike], *readings: TipReading | BaseReading) -> float:
-        """Take in readings of a time, s, with the joint values at that time; returns their squared innovations over
-        their covariance.
+        """Squared innovations over their covariance, of readings at a time, s, with the joint values at that time.
+
+        The readings update the estimate.
 
         Raises:
             InputError: a reading with a rotation, or one that is too late.
@@ -362,7 +369,7 @@ class CServo:
 
     @property
     def slopes(self) -> CSlopes:
-        """Derivatives at the equilibrium."""
+        """Derivatives of the equilibrium by the joint values."""
         return self._robot.slopes()
 
     def snap_distance(self, most: float) -> float | None:
@@ -370,7 +377,7 @@ class CServo:
         return self._robot.snap_distance(most)
 
     def step(self, command: Command, dt: float) -> ServoStep[CPose]:
-        """One step of `dt` seconds, as `Servo.step`; raises InputError for unsupported commands."""
+        """Result of one step of `dt` seconds, as `Servo.step`; raises InputError for unsupported commands."""
         dt = time_step(dt)
         check_places(command, self.space.robot)
         if command.pivot is not None:

@@ -225,8 +225,10 @@ def _joints(case: Array) -> str:
 
 
 def _cases(space: JointSpace) -> list[Array]:
-    """(2n + 4,) joints, tip position and margin of configurations that are solved from tubes without torsion; the first
-    has room on all sides."""
+    """(2n + 4,) joints, tip position and margin of configurations that are solved from tubes without torsion.
+
+    The first configuration has room on all sides.
+    """
     found = []
     for q in _configurations(space):
         rotations, shift = space.split(q)
@@ -327,8 +329,10 @@ def _pieces_room(robot: Robot, shifts: Sequence[Array]) -> int:
 
 
 def loaded_cases(robot: Robot, cases: Sequence[Array]) -> list[Array]:
-    """(2n + 10,) joints, force, gravity, tip position and margin of configurations under load, from rows that begin
-    with the joints: a force that shifts the tip by 2 % of the arm, and the weight."""
+    """(2n + 10,) joints, force, gravity, tip position and margin of configurations under load.
+
+    The rows `cases` begin with the joints. The load is a force that shifts the tip by 2 % of the arm, and the weight.
+    """
     n, found, random = robot.n_tubes, [], np.random.default_rng(0)
     down = np.array([0.0, 0.0, -GRAVITY])
     for case in cases:
@@ -354,8 +358,10 @@ LINK = 8e-3
 
 
 class TubeLink(NamedTuple):
-    """Rigid part of a tube: number of the tube, from 0, name, its own arc length at both ends from where the tube is
-    fixed, m, and radius, m."""
+    """Rigid part of a tube: number of the tube, from 0, name, both ends, and radius, m.
+
+    The ends are its own arc lengths from the fixed end of the tube, m.
+    """
 
     tube: int
     name: str

@@ -198,9 +198,10 @@ class CrtkRobot:
         self.state = "FAULT"
 
     def tick(self, clock: Callable[[], float], dt: float) -> None:
-        """Go on by one step of at most `dt` seconds, and of the time that has passed since the last one where that is
-        less. A stream without news is held; so is one whose watchdog bites while the step is made, which is then taken
-        back."""
+        """Make one step of at most `dt` seconds, or of the time since the last step if that is less.
+
+        A stream without new commands stops the robot. If its watchdog expires during the step, the step is undone.
+        """
         goal = self._goal
         self._before, self._moved = self.servo.equilibrium, dt
         if (goal is None or self.state != "ENABLED") and not self.servo.moving:

@@ -113,7 +113,7 @@ class TipReading:
     """Pose of the tip from a tracker, in the plate frame: position, and if measured direction or rotation."""
 
     position: ArrayLike
-    """Position (3,), m."""
+    """Measured position (3,) of the tip, m."""
     noise: float = 3e-4
     """Standard deviation of the position per axis, m."""
     direction: ArrayLike | None = None
@@ -151,7 +151,7 @@ class CurvatureReading:
     stations: ArrayLike
     """(G,) distances of the gratings behind the tip of the tube, m. Those behind the plate are left out."""
     curvature: ArrayLike
-    """(G, 2) curvature there, 1/m: the tube's curvature vector is along its x axis, if it is of one arc."""
+    """(G, 2) curvature at the gratings, 1/m: the tube's curvature vector is along its x axis, if it is of one arc."""
     tube: int = 0
     """Number of the tube, from 0."""
     noise: float = 0.2
@@ -210,18 +210,21 @@ class Model(NamedTuple):
 
     equilibrium: Equilibrium
     change: Linearised
-    """Derivatives (K) by the estimated quantities."""
+    """Derivatives of the equilibrium by the K estimated quantities."""
     pace: Array
     """(n, K) derivatives of the translations."""
     tip_offset: Array
-    """Position (3,), m."""
+    """Estimated offset (3,) of the tip, m."""
     offset_slopes: Array
-    """(3, K) derivatives of this offset by the state."""
+    """(3, K) derivatives of `tip_offset` by the state."""
 
 
 class States:
-    """Estimated quantities: force (3), offsets of rotations (n) and translations (n), logarithms of stiffness factors
-    (n), tip offset (3); those with a deviation of 0 are left out."""
+    """Estimated quantities; those with a deviation of 0 are left out.
+
+    They are force (3), offsets of rotations (n) and translations (n), logarithms of stiffness factors (n), and tip
+    offset (3).
+    """
 
     def __init__(self, n: int, options: EstimatorOptions) -> None:
         o, self.n, self.options = options, n, options
@@ -288,7 +291,7 @@ class StateEstimate(Displayed):
     equilibrium: Equilibrium
     """Equilibrium of the robot at the estimate: its shape. Under a load the error of its margin is up to 1e-3."""
     force: Annotated[Array, unit("mN"), form(".2f", label="force at the tip"), "estimated force on the tip"]
-    """(3,) N, plate frame."""
+    """(3,) estimated force on the tip, N, plate frame."""
     rotation_offsets: Array
     """(n,) true less measured rotations, rad."""
     translation_offsets: Array
@@ -461,15 +464,16 @@ class StateEstimator:
         return self._robot(self._updates[-1].x)
 
     def predict(self, rotations: ArrayLike, translations: ArrayLike) -> tuple[Equilibrium, Array]:
-        """Equilibrium at measured joint values (n,) under the last estimate, and the tip (3,), m, that would be
-        measured."""
+        """Equilibrium at measured joint values (n,) under the last estimate, and predicted measured tip (3,), m."""
         n, x = self.states.n, self._updates[-1].x
         arm = self.at(x, vector("rotations", rotations, n), vector("translations", translations, n))
         return arm, arm.tip_position + self.states.whole(x)["tip_offset"]
 
     def shift(self, nominal: Equilibrium) -> Array:
-        """(3,) m from the tip of the robot as given to the one that would be measured: to reach p, a servo on the robot
-        as given aims at p minus this."""
+        """(3,) shift from the tip of the robot as given to the tip that would be measured, m.
+
+        To reach p, a servo on the robot as given aims at p minus this.
+        """
         return np.asarray(self.predict(nominal.rotations, nominal.translations)[1] - nominal.tip_position)
 
     def _joints_at(self, time: float) -> tuple[Array, Array] | None:

@@ -89,8 +89,10 @@ PLACES_PER_STEP = 4
 
 @lru_cache(maxsize=16)
 def _linearised(kind: Kind, knots: int, thread: int) -> Buffered:
-    """Rotations, fields, points and the last tangent of an arm, in one column, their derivatives by tip rotations and
-    translations, and arc lengths, of as many knots."""
+    """Functions of an arm for `knots` knots: rotations, fields, points, last tangent, their derivatives, arc lengths.
+
+    The first four are one column; derivatives are by tip rotations and translations.
+    """
     tip, shift = ca.MX.sym("z", kind.n), ca.MX.sym("d", kind.n)
     floor, robot = ca.MX.sym("mu"), ca.MX.sym("robot", kind.size)
     rotations, fields, points, tangents, along = explicit_arm(kind)(tip, shift, floor, robot)
@@ -188,8 +190,10 @@ class Aim:
 
 
 def improvement(knots: Knots, aim: Aim, contacts: tuple[Array, Array], trust: float) -> Array | None:
-    """(N, m) the change over the scales of all knots but the first by one quadratic program, each at most `trust`; None
-    where the solver finds no answer."""
+    """(N, m) changes over the scales of all knots but the first, each at most `trust`, by one quadratic program.
+
+    None if the solver finds no answer.
+    """
     (path, right), (rows, least) = _way(knots, aim), _rows(knots, contacts)
     n, count, width = rows.shape
     m = width - 1
@@ -215,8 +219,10 @@ def improvement(knots: Knots, aim: Aim, contacts: tuple[Array, Array], trust: fl
 
 
 def _way(knots: Knots, aim: Aim) -> tuple[Array, Array]:
-    """Rows and right-hand sides of the least squares, over the scales: knot spacing, and distance of the tip from its
-    aim."""
+    """Rows and right-hand sides of the least squares, over the scales.
+
+    They are for knot spacing, and for the distance of the tip from its aim.
+    """
     space, (count, m) = knots.coordinates.space, knots.z.shape
     tubes, n, weight = space.robot.n_tubes, count - 1, np.sqrt(count - 1.0)
     turned = np.tile(TURN_WEIGHT * np.eye(tubes, m), (count, 1, 1))

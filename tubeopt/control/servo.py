@@ -39,11 +39,11 @@ class Ball(NamedTuple):
     """Joint values at which turns of all tubes, each by up to `turn`, are proved to cause no snap."""
 
     rotations: Array
-    """(n,) rad."""
+    """(n,) rotations of the joints, rad."""
     translations: Array
-    """(n,) m."""
+    """(n,) translations of the tubes, m."""
     turn: float
-    """rad; 0 where nothing is proved."""
+    """Largest turn of every tube that is proved to cause no snap, rad; 0 without a proof."""
 
     def left(self, arm: Equilibrium) -> float:
         """Turn of all tubes that it allows at joint values, rad; -1 outside of it."""
@@ -339,7 +339,7 @@ class Part(NamedTuple):
     name: str
     target: Any
     rows: Array
-    """Derivatives by the joints."""
+    """Derivatives of the part by the joints."""
     gap: Array
     """Gap to the target."""
     most: float
@@ -359,7 +359,7 @@ class Task(NamedTuple):
 
 
 class Constraints(NamedTuple):
-    """rows @ step >= bounds, over the joints' scales."""
+    """Linear constraints rows @ step >= bounds on a step of the joints over their scales."""
 
     rows: Array
     bounds: Array
@@ -394,7 +394,7 @@ class Servo:
         self.space = self.guard.space
         groups = [tuple(group.split("+")) for group in self.options.priorities]
         self._groups = groups if self.options.objective is None else [*groups, ()]
-        """Names of what is asked at each priority; at the last of them nothing, for the objective."""
+        """Names of the tasks of each priority; with an objective, the last priority has none."""
         unit = np.eye(len(self.space.scale))
         self._sides = np.vstack([unit, -unit, self.space.rows * self.space.scale])
         """(2m + k, m) rows of rates and ranges, then of the order, over the joints' scales."""
@@ -402,7 +402,7 @@ class Servo:
         self._damping = 0.0
         """Square of the additional damping; more than 0 after a step that did not bring the tip closer."""
         self._damped, self._patience = 0, PATIENCE
-        """Damped steps far from rest, and how many there are before one without damping."""
+        """Number of damped steps far from rest, and number of those before a step without damping."""
         self._stiff: Array = np.ones(len(self.space.scale))
         """(m,) factors on it."""
         self._last: Array = np.zeros(len(self.space.scale))
@@ -599,8 +599,10 @@ class Servo:
         return Why(sum(reasons))
 
     def _by_priority(self, tasks: Sequence[Task], rows: Array, bounds: Array) -> tuple[Array, Index] | None:
-        """Step and active rows of one task after the other, each in the null space of those before it; None where no
-        step satisfies the rows."""
+        """Step and active rows of tasks by priority, each in the null space of those before it.
+
+        None if no step satisfies the rows.
+        """
         solved = self._least_squares(tasks[0], rows, bounds)
         if solved is None or len(tasks) == 1:
             return solved
@@ -634,8 +636,10 @@ class Servo:
         return None if solved is None else (solved.x, solved.active)
 
     def _body_rows(self, at: Posture, rate: Array) -> tuple[Array, Array]:
-        """Rows (c, m), over the joints' scales, and bounds (c,), m, of the distances from bodies that a step within
-        `rate` (m,) could make too small; the guard sees what is more."""
+        """Rows (c, m), over the joints' scales, and bounds (c,), m, of distances from bodies in a step of `rate` (m,).
+
+        Distances are included if the step could make them too small. The guard checks the others.
+        """
         scene, clearance = self.guard.scene, self.options.clearance
         moved = np.linalg.norm(self.space.by_joints(at.along), axis=1) @ rate
         farthest = BODY_REACH * self.space.length
@@ -675,8 +679,7 @@ class Servo:
         return across @ away
 
     def _foot(self, pivot: Array, at: Posture) -> tuple[tuple[int, float], Array, Array]:
-        """Closest point of the arm to a pivot: its position between two shape points, and the vector (3,) to the pivot,
-        m.
+        """Closest point of the arm to a pivot: position between two shape points, and vector (3,) to the pivot, m.
 
         The two directions (2, 3) across the arm are over its length.
         """
@@ -744,8 +747,10 @@ def _at_most(length: float, vector: Array) -> Array:
 
 
 def _softness(at: Posture, turn: float = 1e-4) -> Array:
-    """(m,) relative change of the translational compliance of the tip by the joints, by differences; 0 without a
-    kernel, and where a difference cannot be had."""
+    """(m,) relative change of the translational compliance of the tip by the joints, by differences.
+
+    0 without a kernel, and where a difference cannot be computed.
+    """
     space, here = at.space, _yield(at.equilibrium)
     out = np.zeros(len(at.q))
     for k in range(len(out)) if here is not None else ():

@@ -45,7 +45,7 @@ class Rows:
     """Index among the groups of its requirement."""
     limit: Limit
     values: Array
-    """Values (K,)."""
+    """Values (K,) of the rows, in units of `limit.size`."""
     jacobian: Array
     """Derivatives (K, X) of the values."""
     vector: tuple[Array, Array] | None = None

@@ -53,9 +53,9 @@ class CheckedMotion:
     fraction: Array
     """Fractions (W,) of the path."""
     margin: Array
-    """Margins (W,) at these fractions."""
+    """Margins (W,) at the fractions of the path."""
     equilibria: Sequence[Equilibrium]
-    """Equilibria (W,) at these fractions."""
+    """Equilibria (W,) at the fractions of the path."""
     snap: float | None
     """Fraction of the path before the robot snaps; None without a snap."""
 

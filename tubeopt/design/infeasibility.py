@@ -214,8 +214,7 @@ class DesignNotFoundError(SolveError):
 
 
 class InfeasibleDesignError(DesignNotFoundError):
-    """Error after a proof (`design.infeasibility`) that no design satisfies all requirements; its message has the
-    reason."""
+    """Error after a proof (`design.infeasibility`) that no design satisfies all requirements, with the reason."""
 
 
 def best_of(ranking: Ranking) -> Attempt:

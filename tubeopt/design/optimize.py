@@ -90,8 +90,9 @@ class DesignSolution(Displayed):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Remarks on the design: dimensions at a bound, tubes that hardly bend the arm, open obstacles, an unusual
-        search.
+        """Remarks on the design.
+
+        They name dimensions at a bound, tubes that hardly bend the arm, open obstacles, and an unusual search.
         """
         avoided = of_kind(self.task.requirements, Avoid)
         closed = (words for requirement in avoided for words in scene_of(requirement.obstacles).stands_for)

@@ -234,13 +234,13 @@ class Pose:
 
     @cached_property
     def derivatives(self) -> Linearised:
-        """Derivatives at fixed arc lengths."""
+        """Derivatives of the pose at fixed arc lengths."""
         tubes = self.solved.member.robot.tubes
         return Linearised(self._standing, tubes, self.margin, self.wrt, more=self.more, along=self.along)
 
     @cached_property
     def by_joints(self) -> Linearised:
-        """Derivatives by the joint values, tube by tube."""
+        """Derivatives of the pose by the joint values, tube by tube."""
         return Linearised(self._standing, self.solved.member.robot.tubes, self.margin)
 
     @cached_property

@@ -543,7 +543,7 @@ class Ranking:
     failures: dict[str, int]
     """Number of infeasible starts, by the limit violated most."""
     failed: tuple[Attempt, ...]
-    """Ends of these starts, the smallest violation first."""
+    """Final designs of infeasible starts, the smallest violation first."""
 
     late: int = 0
     """Number of starts that a time limit ended."""

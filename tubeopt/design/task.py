@@ -47,8 +47,10 @@ class TranslationRange:
 def ordered_ranges(
     n_tubes: int, requirements: Sequence[Requirement], objectives: Sequence[AnyObjective]
 ) -> tuple[TranslationRange, ...]:
-    """Translations that require an order of the tubes: 0, which is then home, and those of requirements and
-    objectives."""
+    """Translations that require an order of the tubes.
+
+    They are 0, which is then home, and the translations of requirements and objectives.
+    """
     zero = (0.0,) * n_tubes
     ranges = [TranslationRange("at translations 0", zero, zero)]
     for requirement in requirements:

@@ -222,7 +222,7 @@ _discretisation = lru_cache(maxsize=64)(Discretisation)
 
 
 def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
-    """(N, n) theta of an equilibrium at arc lengths (N,); phi for tubes made of pieces.
+    """(N, n) rotations theta of an equilibrium at arc lengths (N,), rad; phi for tubes made of pieces.
 
     As solved at its own collocation points, interpolated by cubic Hermite polynomials elsewhere.
     """

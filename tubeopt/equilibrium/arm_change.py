@@ -230,7 +230,7 @@ class ArmChange(Directions):
 
     @cached_property
     def _sections_along(self) -> tuple[Array, Array]:
-        """(P, K, n) phi' and (P, K, 3 n + 2) phase, kb, m and b at the points."""
+        """Slopes phi' (P, K, n), and phase, kb, m and b (P, K, 3 n + 2), at the points."""
         arm = self.arm
         return arm.compliance * arm.stretched_torque, np.concatenate(
             [arm.phase, arm.stiffness, arm.natural_moment, arm.bending_moment], axis=2
@@ -238,7 +238,7 @@ class ArmChange(Directions):
 
     @cached_property
     def sections(self) -> tuple[Array, Array]:
-        """(P, 5, 3 n) theta, kb and m, and (P, 5, 2) u at ENDS of every element."""
+        """Arrays theta, kb and m (P, 5, 3 n), and curvature u (P, 5, 2), at ENDS of every element."""
         arm, n, (rate, table) = self.arm, self.n, self._sections_along
         at = arm.tableau.basis(SHAPE_POINTS, 0) @ table
         at[..., :n] += arm.phi_ends[:-1, None] + arm.h * (arm.tableau.basis(SHAPE_POINTS, 1) @ rate)
@@ -274,7 +274,7 @@ class ArmChange(Directions):
 
     @property
     def total_bend(self) -> float:
-        """int |u|^2 ds along the arm, 1/m."""
+        """Integral of the squared curvature along the arm, 1/m."""
         return float(self.arm.weights.ravel() @ (self.arm.at.curvature**2).sum(1))
 
     @cached_property

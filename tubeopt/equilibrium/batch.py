@@ -64,7 +64,7 @@ class EquilibriumBatch(Displayed):
     tip_rotation: Array
     """(N, 3, 3) frame of the tip in the plate frame."""
     tip_rotations: Array
-    """(N, n) theta_i at each tube's own end, rad."""
+    """(N, n) rotations of the tubes at their own ends, rad."""
     margin: Array
     """(N,) stability margins; positive where stable."""
     energy: Array

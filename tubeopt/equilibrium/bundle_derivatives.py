@@ -158,9 +158,9 @@ class BundleResponse:
 
     @cached_property
     def position(self) -> Array:
-        """Derivative (p, 3, 2 n) of the points of the shape at fixed arc lengths, m; of the last one, of the tip.
+        """Derivative (p, 3, 2 n) of the points of the shape at fixed arc lengths, m; for the last point, of the tip.
 
-        By central differences of the unknowns along their derivative.
+        Computed by central differences of the unknowns along their derivative.
         """
         member, state, n = self.member, self.state, self.state.problem.n
         joints, known = np.concatenate([member.rotations, member.translations]), bundle_arm(member.rotations, state)

@@ -181,7 +181,7 @@ def _leaving(e: Equilibrium, outer: int, delta: float) -> Leaving | None:
 
 
 def _mismatch(assembly: Assembly, e: Equilibrium, outer: int, at: Array) -> tuple[Array, Array]:
-    """(X, 2) rho, 1/m, in the arm's frame up to the end of the outer tube, and stiffnesses (2,), N m^2.
+    """(X, 2) mismatch rho (1/m) in the arm's frame up to the end of the outer tube, and stiffnesses (2,), N m^2.
 
     rho is the difference of the curvatures that the inner tubes and the outer one would have alone. The stiffnesses are
     those of the inner tubes and of the outer one at its end.

@@ -121,8 +121,10 @@ class SampledJointPath:
         return rows
 
     def events(self) -> list[float]:
-        """Fractions of the path with coinciding breakpoints, or one at the plate; their order may change there. The
-        last is 1."""
+        """Fractions of the path with coinciding breakpoints, or one at the plate; the last is 1.
+
+        The order of the breakpoints may change there.
+        """
         if not self.slides or not self.robot.fixed_sections:
             return [1.0]
         n = len(self.start) // 2

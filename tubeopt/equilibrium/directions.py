@@ -41,7 +41,7 @@ class Breakpoints:
     end: Mask
     """(J,) True for the end of a tube."""
     index: Index
-    """(J,) piece of the mesh that begins there."""
+    """(J,) piece of the mesh that begins at each breakpoint."""
     in_front: Mask
     """(J,) False at the plate."""
     groups: tuple[tuple[int, ...], ...]
@@ -117,7 +117,7 @@ class Strips:
     past: Array
     """(2 T, n) 1 where a breakpoint of the tube has moved beyond the strip, after the motion, then before it."""
     past_inside: Array
-    """(2 T, n) 1 where such a breakpoint is not the end of the tube."""
+    """(2 T, n) 1 where the breakpoint counted in `past` is not the end of the tube."""
 
 
 @lru_cache(maxsize=64)
@@ -517,9 +517,9 @@ def _combined(columns: Array, along: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _held(assembly: Assembly, side: int) -> Array:
-    """(n,) 1 / kt of the tubes at the plate, on the side from which they move.
+    """(n,) torsional compliances 1 / kt of the tubes at the plate, on the side of their motion, 1/(N m^2).
 
-    With `side` 0, at their clamps.
+    With `side` 0 they are those at the clamps.
     """
     table = assembly.lengthwise
     if table is None:

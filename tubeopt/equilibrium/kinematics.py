@@ -488,7 +488,7 @@ def equilibrium_at(
 ) -> Equilibrium:
     """Equilibrium close to rotations (and, under a load, curvature) that are functions of arc length; `Equilibrium.at`.
 
-    By default that of `forward_kinematics`.
+    The default is the equilibrium of `forward_kinematics`.
     """
     if rotation_at is None or (load is not None and curvature_at is None):
         return forward_kinematics(robot, rotations, translations, load=load)

@@ -201,7 +201,7 @@ class _Form(NamedTuple):
     slopes: Array
     """Gradient (X, n + 4) by theta, b and g."""
     by_data: Array
-    """Gradient (X, 2 n) by kb and m."""
+    """Gradient (X, 2 n) of the form by kb and m."""
 
 
 class Linearised(ArmChange):
@@ -311,7 +311,7 @@ class Linearised(ArmChange):
         return np.asarray(out - (twice @ arm.axis[..., None]).ravel() @ self.forcing.force.reshape(-1, size))
 
     def _mode_gains(self, mode: Response, softness: float, *, worst: bool) -> Array:
-        """Change (T,) of Q - mu T per width of a strip."""
+        """Change (T,) of the second variation less the margin times its elastic part, per width of a strip."""
         arm, strips, n = self.arm, self.strips, self.n
         index = strips.index
         if not len(index):

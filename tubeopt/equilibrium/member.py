@@ -82,10 +82,10 @@ class Point(Generic[M, S]):
     """Parameter of the member in the family."""
     member: M
     state: S
-    """Unknowns with the equations, their Jacobian and the energy there."""
+    """Unknowns at the equilibrium, with the equations, their Jacobian and the energy."""
     margin: float
     iterations: int = 0
-    """Newton iterations of the solve."""
+    """Number of Newton iterations of the solve."""
 
     @cached_property
     def softest(self) -> Array:

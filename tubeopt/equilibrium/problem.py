@@ -89,7 +89,7 @@ def reduced_assembly(assembly: Assembly, discretisation: Discretisation = DEFAUL
 def check_load(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
     """Raise InputError if a load cannot act on a robot.
 
-    That is an eccentric robot, a force beyond the tip, an arm of length 0, or a tube of unknown weight.
+    Such cases are an eccentric robot, a force beyond the tip, an arm of length 0, or a tube of unknown weight.
     """
     if not isinstance(load, Load):
         raise InputError(f"load is {load!r}; it must be a Load")

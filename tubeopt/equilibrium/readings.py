@@ -100,7 +100,7 @@ def yielded(
     z, rows = np.minimum(target if start is None else start.reshape(-1, n), upper), np.arange(len(target))
 
     def residual(which: Index, z: Array) -> tuple[Array, Array]:
-        """z - z0 + c F(z) (K, n) of some rows, and its derivatives (K, n, n)."""
+        """Residual z - z0 + c F(z) (K, n) of some rows, m, and its derivatives (K, n, n)."""
         force, stiffness = push(robot, alpha[which], z)
         return z - target[which] + compliance * force, np.eye(n) + compliance[:, None] * stiffness
 

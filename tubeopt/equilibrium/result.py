@@ -215,7 +215,7 @@ class Equilibrium(Displayed):
     tip_rotations: Annotated[
         Array, unit("deg"), form(".4f", label="rotations at the tips"), "rotation of every tube at its own tip"
     ]
-    """Shape (n,): theta_i at each tube's own end."""
+    """(n,) rotations of the tubes at their own ends, rad."""
     section_start: Array
     """(k,) arc length of the breakpoints in front of the plate, m."""
     tube_end: Array
@@ -314,8 +314,7 @@ class Equilibrium(Displayed):
         return result
 
     def compliance_at(self, arc_length: float, tube: int | None = None) -> Array:
-        """(6, 6) compliance at an arc length (m): translation (m) and rotation (rad) per small dead force (N) and
-        moment (N m).
+        """(6, 6) compliance at an arc length (m): motion (m, rad) of a cross-section per small dead load (N, N m).
 
         In world axes. Concentric tubes only, without load or under dead forces.
 

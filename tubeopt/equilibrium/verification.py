@@ -190,7 +190,7 @@ class _Arms:
         return replace(section, everywhere=section.tubes(0.5)) if still else section
 
     def base(self) -> Array:
-        """(B, 2n + 17) theta, t, R, p, m, n behind the plate; the torque is kt (theta' / g - u*_z)."""
+        """(B, 2n + 17) state (theta, t, R, p, m, n) behind the plate; the torque is kt (theta' / g - u*_z)."""
         states = []
         for each in self.equilibria:
             wrench, none = each.base_wrench, np.zeros(self.robot.n_tubes)
@@ -266,7 +266,10 @@ class _Section:
         return self.start + x * (self.stop - self.start)
 
     def tubes(self, x: float) -> tuple[Array, ...]:
-        """kb, kt, u*_x + j u*_y, u*_z (B, n); kt 1 and 0 else where a tube has ended."""
+        """Stiffnesses kb and kt, and precurvatures u*_x + j u*_y and u*_z, (B, n) each.
+
+        Where a tube has ended, kt is 1 and the others are 0.
+        """
         if self.everywhere is not None:
             return self.everywhere
         ended = [0.0, 1.0, 0.0, 0.0, 0.0]

@@ -89,9 +89,9 @@ class _Near:
     """Distance within which contacts were computed, m."""
     contacts: Contacts
     row: Index
-    """Rows (r,) of the grid near which bodies come that close."""
+    """Rows (r,) of the grid with a body within `within`."""
     at_least: Array
-    """Lower bounds (r,) of the distances near these rows, m."""
+    """Lower bounds (r,) of the distances near the rows `row`, m."""
     also: frozenset[int]
     """Bodies that are included at any rank."""
 

@@ -38,11 +38,11 @@ class OrderConstraints:
     length: Array
     """Lengths (P,) of the mesh pieces at d = 0, m."""
     length_slope: Array
-    """Derivatives (P, G) of these lengths by d."""
+    """Derivatives (P, G) of the lengths of the mesh pieces by d."""
     rows: Array
     """Rows (c, G) with rows d >= bound: the order of breakpoints, then the order of the tubes, which is fixed."""
     bound: Array
-    """Bounds (c,), m."""
+    """Lower bounds (c,) of the rows, m."""
     changeable: int
     """Number of rows for the order of breakpoints."""
 

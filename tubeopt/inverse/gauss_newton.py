@@ -58,7 +58,7 @@ class StepModel:
     right: Array
     """Right-hand side b (r,) of the linear residuals A x - b."""
     guide_matrix: Array
-    """A' (g, m): damping, or a target that all steps satisfy."""
+    """Matrix A' (g, m) of the guiding residuals: damping, or a target that all steps satisfy."""
     guide_right: Array
     """Right-hand side b' (g,) of the guiding residuals."""
     rows: Array

@@ -374,8 +374,9 @@ class Multistart:
     """Starts with a Gauss-Newton search that did not reach the target."""
 
     def one(self) -> list[InverseSolution]:
-        """Solution from the start, or else the best of the first solutions that forward kinematics without a start
-        confirms.
+        """Solution from the start, or else the best of the first confirmed solutions.
+
+        Forward kinematics without a start confirms them.
 
         Without a cost the first one counts, with a cost several are compared.
         """

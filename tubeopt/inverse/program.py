@@ -187,8 +187,10 @@ def has_formula(obstacle: Obstacle) -> bool:
 
 
 def _soft_distance(obstacle: Obstacle, count: int, length: float) -> ca.Function:
-    """(points (3, count), radii (1, count)) -> a smooth number at most the least distance from an obstacle:
-    -log(sum exp(-k d)) / k."""
+    """Function (points (3, count), radii (1, count)) -> smooth lower bound on the least distance from an obstacle, m.
+
+    The bound is -log(sum exp(-k d)) / k.
+    """
     sharp, points, radius = SHARPNESS * 10 / length, ca.SX.sym("p", 3, count), ca.SX.sym("r", 1, count)
     distance = [obstacle.distance(*ca.vertsplit(points[:, k])) - radius[k] for k in range(count)]
     return ca.Function("soft", [points, radius], [-ca.logsumexp(-sharp * ca.vertcat(*distance)) / sharp])
@@ -236,8 +238,10 @@ def _element_shape(grid: Grid) -> ca.Function:
 
 
 def _jacobi(arm: TorsionModel, coupled: tuple[bool, ...], margin: Any) -> Any:
-    """Determinants of the Jacobi fields of tubes softened by `margin`: where elements begin, tip to base, then of the
-    base with the transmissions."""
+    """Determinants of the Jacobi fields of tubes softened by `margin`.
+
+    They are at the starts of elements, tip to base, then at the base with the transmissions.
+    """
     n = arm.grid.n_tubes
     determinant = determinant_function(n)
     y, v = ca.MX(ca.DM.eye(n)), ca.MX(ca.DM.zeros(n, n))

@@ -126,8 +126,9 @@ def _improved(
 
 
 def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) -> Iterator[Array]:
-    """Translations (G,) of the carriages with a certificate equal to the required margin, nearest to start and goal
-    first.
+    """Translations (G,) of the carriages with a certificate equal to the required margin.
+
+    Those nearest to start and goal come first.
 
     They are computed one by one, since a certificate takes as long as the check of a motion.
     """

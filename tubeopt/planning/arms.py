@@ -85,7 +85,7 @@ class Track:
 
     @cached_property
     def times(self) -> Array:
-        """(L + 1,) s at the ends of links."""
+        """(L + 1,) times at the ends of links, s."""
         at = [self.links[0].start.at, *(link.end.at for link in self.links)]
         return self.start + np.array(at) * (self.end - self.start)
 
@@ -185,7 +185,7 @@ class PairCells(TraceTable):
     which: Index
     """(N,) interval of time."""
     t: Array
-    """(N, 2) times, s."""
+    """(N, 2) times at the start and end of each cell, s."""
     first: Side
     second: Side
 
@@ -226,7 +226,10 @@ class PairProof(Displayed):
     times: Array = field(repr=False)
     """(M + 1,) ends of the intervals of time, s."""
     bounds: Array = field(repr=False)
-    """(M,) lower bounds in these intervals, m; sharp only where they decide about the clearance or the minimum."""
+    """(M,) lower bounds on the distance between `times`, m.
+
+    They are sharp only where they decide about the clearance or the minimum.
+    """
 
     def at_least(self, start: Array, end: Array) -> Array:
         """(T,) lower bounds on the distance between times (T,) and later ones (T,), s; outside both arms rest."""

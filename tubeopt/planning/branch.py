@@ -121,14 +121,14 @@ class _Bounds:
         self.intervals, self.bending, self.stiffness = intervals, intervals.bending, stiffness
         self.transport, self.offset = intervals.transport, intervals.arms.constants.offset
         self.compliance, self.length = self.transport.compliance, linear(*intervals.length)
-        """1 / kt (B, K, n); section lengths h (B, K)."""
+        """Torsional compliance 1 / kt (B, K, n), and section lengths h (B, K)."""
         self.transmission = intervals.transmission
         # Cauchy-Schwarz: y_i(s) = int y_i' <= sqrt(int 1 / kt_i) sqrt(int kt_i y_i'^2). The energies of two tubes add,
         # so their bounds add as squares.
         flexibility = [np.cumsum(length[..., None] * self.compliance.v, axis=1) for length in intervals.length]
         own = np.sqrt(np.maximum(*flexibility) + self.transmission.v[:, None])
         self.weight: AngleChange = own, np.hypot(own[..., :, None], own[..., None, :])
-        """|y_i| <= sqrt((|beta_i| + s) / kt_i), and the same of y_i - y_j, for |y| = 1 in the energy norm."""
+        """Bounds sqrt((|beta_i| + s) / kt_i) on |y_i|, and those on |y_i - y_j|, for |y| = 1 in the energy norm."""
         self.torque = self.bending.pairs.sum(3)
         pairs, pulls, b = self.transport.pairs, self.transport.pulls, self.bending
         self.pairing = DerivativeBounds(b.pairs, pairs.d, pairs.dd, pairs.ddd)
@@ -237,9 +237,9 @@ class _Bounds:
         return wide, np.asarray(valid)
 
     def _between_samples(self, dtheta: AngleChange) -> Array:
-        """Bound (B, K, n) on theta between samples, rad: h^2 / 8 for the sample distance h.
+        """Bound (B, K, n) on the change of theta between samples, rad.
 
-        Times the change of d^2 theta / dx^2 = h d (h g w) / ds.
+        It is h^2 / 8, for the sample distance h, times the change of d^2 theta / dx^2 = h d (h g w) / ds.
         """
         h, (moment, _) = self.steps(), self.cross_sections(self.chord(dtheta))
         u, du = self.bending.max_u, self.bending.change(dtheta[0])

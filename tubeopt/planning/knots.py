@@ -48,12 +48,12 @@ class Cubics:
 
     @cached_property
     def early(self) -> Any:
-        """(m, K - 1) q'' at the beginning of every interval; q'' is linear to `late`."""
+        """(m, K - 1) accelerations q'' at the beginning of every interval, linear up to `late` at its end."""
         return (6 * self.mean - 4 * self.v[:, :-1] - 2 * self.v[:, 1:]) / self.h
 
     @cached_property
     def late(self) -> Any:
-        """(m, K - 1) q'' at the end of every interval."""
+        """(m, K - 1) accelerations q'' at the end of every interval."""
         return (2 * self.v[:, :-1] + 4 * self.v[:, 1:] - 6 * self.mean) / self.h
 
     @property

@@ -75,7 +75,7 @@ class _Changes:
 
     @property
     def parts(self) -> list[Array]:
-        """Bounds of theta_i, theta_i - theta_j, torques and moments."""
+        """Bounds on the rotations, their differences between tubes, torques (N m) and moments (N m)."""
         return [*self.angle, self.torque, self.moment]
 
 
@@ -87,7 +87,7 @@ class _Displacement:
     frame: Array
     """(B, K) rotation of the cross-sections, rad."""
     moment: Array
-    """(B, K) m_w and M, N m."""
+    """(B, K) bound on the moment m_w in world axes and on the bending moment M, N m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +113,9 @@ class _Chord:
     tangent: DerivativeBounds
     """(B, K) unit tangents of the centreline."""
     torque: DerivativeBounds
-    """(B, K, n) T_i, from equilibrium with the load."""
+    """(B, K, n) torques T_i of the tubes, from equilibrium with the load, N m."""
     moment: DerivativeBounds
-    """(B, K) M, from equilibrium with the load."""
+    """(B, K) bending moment M of the arm, from equilibrium with the load, N m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +137,7 @@ class _GeometryChange:
     y: Array
     """(B, K, n) rotations of tubes where T = 1."""
     bending: Array
-    """(B, K) int h |r| where T = 1."""
+    """(B, K) bound on the integral of h |r| where T = 1."""
     force: Array
     """(B, K) force on the cross-sections, N."""
 
@@ -149,14 +149,14 @@ class _Bounds:
         self.intervals, self.force, b = intervals, intervals.force, intervals.bending
         self.kt, self.stiffness, self.transport = intervals.torsional, b.stiffness, intervals.transport
         self.pairs, self.slope = b.pairs, b.moment / b.stiffness[..., None]
-        """|a_i||a_j| / K (B, K, n, n), and A_i = |a_i| / K (B, K, n), 1/m."""
+        """Couplings |a_i||a_j| / K (B, K, n, n), and slopes A_i = |a_i| / K (B, K, n), 1/m."""
         self.pairing = replace(self.transport.pairs, v=self.pairs)
         self.pull = replace(self.transport.pulls, v=self.slope)
         """`pairs` and `slope` with their changes along tubes that vary."""
         self.length, self.spring = linear(*intervals.length), intervals.transmission
         self.lever, self.u = intervals.lever, b.max_u
         self.couple, (self.kick, self.along) = intervals.couple, intervals.twisting
-        """|m_c| (B, K); moments that twist a tube, at the ends of sections and per length (B, K, n)."""
+        """Bounds on |m_c| (B, K); moments that twist a tube, at the ends of sections and per length (B, K, n)."""
         compliance = self.length.v[..., None] / self.kt
         # Cauchy-Schwarz, as in `branch`: |y_i| <= sqrt(int 1 / kt_i) where T = 1.
         own = np.sqrt(np.cumsum(compliance, axis=1) + self.spring.v[:, None])
@@ -253,7 +253,7 @@ class _Bounds:
     def _balance(
         self, theta: DerivativeBounds, pair: DerivativeBounds, tangent: DerivativeBounds
     ) -> tuple[DerivativeBounds, DerivativeBounds]:
-        """T_i (B, K, n) and M (B, K) that balance the load, where the angles and tangents have these derivatives."""
+        """Torques T_i (B, K, n) and moment M (B, K) that balance the load, N m, with their derivatives."""
         # M(s) = int_s^L (R't) x (R'n) with R of s: derivatives of t relative to R, and of R relative to n, add up to
         # those of t.
         moment = (self.length * tangent * self.force).map(_to_tip) + tangent * self.couple
@@ -473,7 +473,7 @@ class _Bounds:
 class _TimeDerivatives:
     """Bounds on values (0) and time derivatives (1 to 3) along the equilibria.
 
-    Of `frame`: angular velocity (1) and its two derivatives.
+    For `frame` they bound the angular velocity (1) and its two derivatives.
     """
 
     theta: list[Array]
@@ -494,7 +494,7 @@ class _TimeDerivatives:
 
 
 def _square_over(change: Array, lower: Array) -> Array:
-    """change^2 / least, and 0 where nothing changes, even if `least` is 0."""
+    """Squares of `change` over `lower`; 0 where nothing changes, even if `lower` is 0."""
     return np.asarray(change**2 / np.maximum(lower, 1e-300))
 
 

@@ -38,7 +38,7 @@ class Pull:
     at: Array
     """(Q,) arc lengths of point loads, m; the last is the tip, at infinity."""
     points: Array
-    """(Q, 6) forces, N, and moments, N m, there."""
+    """(Q, 6) forces (N) and moments (N m) of the point loads."""
     stretches: Array
     """(R, 2) start and end of loads per length, m."""
     along: Array
@@ -159,7 +159,7 @@ class LoadedArms(SolvedArms):
         return tables[0], tables[1]
 
     def _pulls(self, values: Array) -> tuple[Array, Array]:
-        """a_i (P, n, 2), N m, and K (P,), N m^2."""
+        """Pulls a_i (P, n, 2) of the tubes, N m, and total bending stiffness K (P,), N m^2."""
         stiffness, _, x, y, *_ = values
         cos, sin = np.cos(self.rotation), np.sin(self.rotation)
         return stiffness[..., None] * np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1), stiffness.sum(-1)
@@ -230,8 +230,10 @@ class LoadedArms(SolvedArms):
 
     @cached_property
     def _wrong(self) -> tuple[Array, ...]:
-        """`shape_error` (E,); and h^3 |f'''| of rotations (P, n), torques (P, n) and moments (P, 1) in the steps after
-        the points."""
+        """`shape_error` (E,), and h^3 |f'''| of rotations (P, n), torques (P, n) and moments (P, 1) in the steps.
+
+        Each value is of the step after its point.
+        """
         c, inner, n = self.constants, self.inner, self.constants.offset.size
         count = len(self.arc_length)
         out = np.array([e.tip_error for e in self.equilibria])

@@ -146,8 +146,10 @@ class JointMotion:
 
 
 def joint_range(robot: Robot, limits: JointLimits | None) -> JointSpace:
-    """Joint space of limits, by default those of the robot; without these, rotations are free and lengths limit
-    translations."""
+    """Joint space of limits, by default those of the robot.
+
+    Without limits, rotations are free and lengths limit translations.
+    """
     if limits is None and robot.joint_limits is None:
         free = ((-MOST_TURN, MOST_TURN),) * robot.n_tubes
         limits = JointLimits(free, default_limits(robot.tubes).translations)

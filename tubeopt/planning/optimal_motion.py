@@ -99,7 +99,7 @@ class Between:
     clearance: float
     """Largest shortfall of the clearance, m."""
     times: tuple[tuple[float, float], ...]
-    """Times of the beginning and end of these intervals, s."""
+    """Times of the beginning and end of the intervals with a violation, s."""
 
     def __str__(self) -> str:
         where = ", ".join(
@@ -416,12 +416,12 @@ class Motion:
 
     @property
     def length(self) -> Any:
-        """int |q'|^2 dt, with joints in units of their scales."""
+        """Integral of |q'|^2 over time, with joints in units of their scales."""
         return self._unit_path.length / self.duration
 
     @property
     def effort(self) -> Any:
-        """int |q''|^2 dt, with joints in units of their scales."""
+        """Integral of |q''|^2 over time, with joints in units of their scales."""
         return self._unit_path.effort / self.duration**3
 
     @cached_property
@@ -726,7 +726,7 @@ class Motion:
             self._put("square of the duration", self._square, np.array([[duration**2]]))
 
     def _put(self, name: str, unknowns: Any, value: Array) -> None:
-        """Set the start of unknowns (r, N) to the rows of a table (N, r)."""
+        """Set the start values of unknowns (r, N) to the rows of a table (N, r)."""
         if isinstance(self.opti, ca.Opti):
             self.opti.set_initial(unknowns, ca.DM(value.T))
         else:

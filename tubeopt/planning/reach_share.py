@@ -68,9 +68,9 @@ class ReachShare(Displayed):
     tolerance: float
     """Largest distance of a reached target from the tip, m."""
     rotations: Array = field(repr=False)
-    """(N, n) rotations of these arms, rad; NaN for targets without one."""
+    """(N, n) rotations of the arms at the targets, rad; NaN for targets without an arm."""
     translations: Array = field(repr=False)
-    """(N, n) translations of these arms, m."""
+    """(N, n) translations of the arms at the targets, m."""
     tip_rotations: Array = field(repr=False)
     """(N, n) rotations of their tubes at the ends, rad; they identify one of several equilibria."""
     examined: int = 0

@@ -92,7 +92,7 @@ class Constants:
     along: Lengthwise
     """Stiffness and precurvature as functions of arc length."""
     bounds: Variation
-    """Bounds of these quantities on every stretch."""
+    """Bounds of stiffness and precurvature on every stretch."""
     offset: Array
     """(n,) distance of the tubes from the centreline, m."""
     direction: Array
@@ -155,7 +155,7 @@ class CurvatureBounds:
     """
 
     moment: Array
-    """(..., n) m_i = kb_i |u*_i|, 0 where tube i is not curved."""
+    """(..., n) moments m_i = kb_i |u*_i|, 0 where tube i is not curved, N m."""
     pairs: Array
     """(..., n, n) upper bound on m_i m_j / k, 0 for i = j."""
     max_u: Array
@@ -201,7 +201,7 @@ class CurvatureBounds:
         return np.asarray((self.moment * dtheta).sum(-1) / self.tangent_stiffness)
 
     def along(self, s: DerivativeBounds) -> tuple[DerivativeBounds, DerivativeBounds]:
-        """(...) u and k / `stiffness`, with time derivatives, where S / `stiffness` has the derivatives of `s`."""
+        """Curvature u and k / `stiffness` (...), with time derivatives; `s` has the derivatives of S / `stiffness`."""
         # u k(u) = S, differentiated up to three times and solved for the highest derivative of u:
         # (k + u k_u) u' = S',  (k + u k_u) u'' = S'' - (2 k_u + u k_uu) u'^2, and so on.
         ratio, k = self.stiffness / self.tangent_stiffness, self.stiffness
@@ -233,7 +233,7 @@ class TransportBounds:
     still: bool
     """True if nothing varies; everything but 1 / kt and 1 / k is then a 0 without shape."""
     pulls: DerivativeBounds
-    """(..., n) a_i / k, with a_i = kb_i u*_xy in the tube's own frame."""
+    """(..., n) pulls a_i / k, with a_i = kb_i u*_xy in the tube's own frame, 1/m."""
     pairs: DerivativeBounds
     """Couplings a_i a_j / k (..., n, n), 0 for i = j."""
     compliance: DerivativeBounds
@@ -241,7 +241,7 @@ class TransportBounds:
     compliance_slope: DerivativeBounds
     """Derivative d(1 / kt) / ds (..., n) of the torsional compliance."""
     twist_slope: DerivativeBounds
-    """(..., n) d u*_z / ds, with one time derivative."""
+    """(..., n) slopes d u*_z / ds of the natural twist, with one time derivative, rad/m^2."""
     twist_deviation: DerivativeBounds
     """(..., n) difference of the natural twist from a linear function of time; derivatives only."""
     bending_compliance: DerivativeBounds
@@ -360,9 +360,9 @@ class SolvedArms:
     tangent: Array
     """(P, 3) unit tangents."""
     rotation: Array
-    """(P, n) theta, rad."""
+    """(P, n) rotations theta of the tubes, rad."""
     torsion: Array
-    """(P, n) theta', rad/m, as seen from the plate where it jumps."""
+    """(P, n) torsion theta', rad/m; where it jumps, the value on the side of the plate."""
 
     @classmethod
     def of(cls, constants: Constants, equilibria: Sequence[Equilibrium], **more: Any) -> Self:
@@ -418,7 +418,10 @@ class SolvedArms:
 
     @cached_property
     def _onwards(self) -> Array:
-        """(P, n) theta' at the points, one-sided from the tip; it jumps at ends of pieces and at applied moments."""
+        """(P, n) torsion theta' at the points, rad/m, on the side of the tip.
+
+        It jumps at ends of pieces and at applied moments.
+        """
         c, cuts = self.constants, self.breakpoints[self.owner]
         before, after = (c.stretch(self.arc_length + side * JUMP, cuts) for side in (-1, 1))
         jumps = (before != after) & (self.arc_length > JUMP)[:, None]
@@ -464,7 +467,7 @@ class SolvedArms:
         return self.hermite(which, s, (self.position, self.position), (self.tangent, self.tangent))
 
     def rotations(self, which: Index, s: Array) -> Array:
-        """(..., n) theta of equilibria (...) at arc lengths (...), rad."""
+        """(..., n) rotations theta of equilibria (...) at arc lengths (...), rad."""
         return self.hermite(which, s, (self.rotation, self.rotation), (self._onwards, self.torsion))
 
     @cached_property
@@ -620,7 +623,7 @@ class Intervals:
 
     @cached_property
     def transmission(self) -> DerivativeBounds:
-        """(B, n) int ds / kt from the clamped end to the plate, 1/(N m)."""
+        """(B, n) compliances int ds / kt from the clamped end to the plate, 1/(N m)."""
         c = self.arms.constants
         compliance = c.along.compliant(-c.held(self.arms.translations))
         plain = linear(compliance[self.start], compliance[self.end])

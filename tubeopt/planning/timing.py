@@ -162,7 +162,7 @@ def _grid(curve: PPoly, points: Array) -> Array:
 
 
 def _squared_speeds(curves: Sequence[PPoly], grids: Sequence[Array], limits: Limits) -> list[Array]:
-    """(N + 1,) largest x on the grid of every curve."""
+    """Largest squares (N + 1,) of the path speed on the grid of every curve."""
     tips: list[Array | None] = [None] * len(curves)
     if limits.tip is not None:
         # All at once, since the branch is followed from the start of the first curve.
@@ -188,15 +188,15 @@ def _coefficients(curve: PPoly, s: Array) -> list[Array]:
 class _Program:
     """Linear program of the path speed on N cells: |a u + b x| <= 1, x <= x_max.
 
-    x is taken at the start of each cell.
+    x is the square of the path speed at the start of each cell, u half its slope along the cell.
     """
 
     h: Array
     """(N,) lengths of the cells."""
     a: Array
-    """(N, r) coefficients of u, over the limits of the acceleration."""
+    """(N, r) coefficients of the path acceleration u, over the limits of the acceleration."""
     b: Array
-    """(N, r) coefficients of x, over the limits of the acceleration."""
+    """(N, r) coefficients of the squared path speed x, over the limits of the acceleration."""
     x_max: Array
     """(N + 1,) maximum velocity curve, from the rates."""
 
@@ -231,7 +231,10 @@ class _Program:
 
 
 def _solve(program: _Program) -> Array:
-    """(N + 1,) largest x: the backward pass computes controllable sets [0, x_max], the forward pass the motion."""
+    """(N + 1,) largest squares of the path speed.
+
+    The backward pass computes controllable sets [0, x_max], the forward pass the motion.
+    """
     # Every row is |u + v x| <= w; a row without u bounds x itself.
     growth = 2 * program.h[:, None]  # x_i+1 = x_i + growth u
     with_u = np.abs(program.a) > TINY
@@ -288,7 +291,7 @@ def _largest_below(x_max: Array, slope: Array, intercept: Array) -> Array:
 
 
 def _largest_feasible(v: Array, w: Array, growth: Array) -> Array:
-    """(N,) largest x for which some u satisfies |u + v x| <= w (N, r).
+    """(N,) largest squared path speeds x for which some acceleration u satisfies |u + v x| <= w (N, r).
 
     The next x must not be negative.
     """

@@ -196,8 +196,7 @@ def _starts(task: PlanTask, curve: Array, start: Any, tolerance: float) -> Itera
 
 
 def _solve_along(task: PlanTask, first: Equilibrium, points: Array) -> tuple[list[Equilibrium], str]:
-    """Equilibria with tips at positions (P, 3), each solved from the one before; and the reason for an early end, or
-    ""."""
+    """Equilibria with tips at positions (P, 3), each from the one before, and the reason for an early end or ""."""
     out: list[Equilibrium] = []
     required = min(task.min_margin + task.margin_reserve, max(first.margin - 1e-4, task.min_margin))
     try:

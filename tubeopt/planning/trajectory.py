@@ -131,8 +131,9 @@ class Trajectory(Displayed):
 
     @cached_property
     def least_snap_distance(self) -> float:
-        """Smallest snap distance at the samples, rad: the turn of every tube that is proved to cause no snap; inf where
-        no turn can snap.
+        """Smallest snap distance at the samples, rad; inf if no turn can snap.
+
+        The snap distance is the turn of every tube that is proved to cause no snap.
 
         Raises:
             InputError: a load, friction or eccentric tubes, for which no such distance is known.
@@ -188,7 +189,7 @@ class TimedJoints:
 
     robot: Robot
     time: Array
-    """(T,) times, s."""
+    """(T,) times of the joint values, s."""
     rotations: Array
     """(T, n) rotations, rad."""
     translations: Array

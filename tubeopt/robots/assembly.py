@@ -36,9 +36,9 @@ class Assembly:
     """
 
     bending_stiffness: Array
-    """(n,) EI, N m^2."""
+    """(n,) bending stiffnesses EI, N m^2."""
     torsional_stiffness: Array
-    """(n,) GJ, N m^2."""
+    """(n,) torsional stiffnesses GJ, N m^2."""
     curvature: Array
     """(n,) precurvature of the curved parts, 1/m."""
     offset: Array
@@ -46,7 +46,7 @@ class Assembly:
     offset_angle: Array
     """(n,) angle of each tube's offset about the centreline, rad."""
     transmission: Array
-    """(n,) |beta_i|, the length from where tube i is held to the plate, m."""
+    """(n,) lengths |beta_i| from the clamped end of tube i to the plate, m."""
     transition: Array
     """(n,) arc length where each tube begins to curve, m; < 0 behind the plate."""
     end: Array

@@ -413,7 +413,7 @@ def _cells(tube: Tube) -> list[tuple[float, float, float]]:
 
 
 def _count(quantities: tuple[Quantity, ...], length: float) -> int:
-    """Cells of a piece with these x, y, z, kb and kt."""
+    """Number of cells of a piece; `quantities` are precurvature x, y, z (1/m), kb and kt (N m^2) along it."""
     if not vary(quantities):
         return 1
     s = np.linspace(0.0, length, 16 * MAX_CELLS + 1)
@@ -562,7 +562,7 @@ def _steps(piece: Piece) -> list[Piece]:
 
 
 def _step_count(piece: Piece) -> int:
-    """Steps of a piece that varies."""
+    """Number of integration steps of a piece that varies."""
     s = np.linspace(0.0, piece.length, 8 * MAX_STEPS + 1)
     x, y, z = (values(q, s) for q in piece.precurvature)
     # A step turns with the mean of u*_z. The rest, at most half its range, moves u*_xy at this rate.

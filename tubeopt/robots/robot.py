@@ -50,8 +50,10 @@ class Robot(Displayed, ABC):
 
     @property
     def home_translations(self) -> Array:
-        """Translations (n,) at home, m: 0 if limits and order allow it; otherwise, from the outermost tube inwards,
-        closest to 0."""
+        """Translations (n,) at home, m: 0 if limits and order allow it.
+
+        Otherwise they are closest to 0, from the outermost tube inwards.
+        """
         return self._home.copy()
 
     @property

@@ -23,7 +23,7 @@ STIFFNESSES = ("bending_stiffness", "torsional_stiffness")
 
 
 def second_moment(outer_diameter: Any, inner_diameter: Any) -> Any:
-    """I = pi/64 (OD^4 - ID^4), m^4, of numbers, arrays or expressions."""
+    """Second moment of area I = pi/64 (OD^4 - ID^4), m^4, of numbers, arrays or expressions."""
     return math.pi / 64 * (outer_diameter**4 - inner_diameter**4)
 
 
@@ -187,8 +187,9 @@ class Tube(Displayed):
         return cls(outer_diameter, inner_diameter, straight_length, total, curvature, material, **overrides)
 
     def resized(self, name: str, value: float) -> Tube:
-        """The tube with another dimension. Pieces change in proportion: a longer curved part stretches each of them,
-        and a stiffness scales those of all.
+        """Tube with another dimension.
+
+        Pieces change in proportion: a longer curved part stretches each of them, and a stiffness scales those of all.
 
         Args:
             name: a field that is a number, as "curvature" or "bending_stiffness".

@@ -44,7 +44,7 @@ class Targets:
     position: Array
     """Positions (T, 3) of the targets, m."""
     direction: Array | None
-    """Shape (T, 3), any length."""
+    """(T, 3) target directions, any length."""
     path: str = ""
     """Path of the file, for messages."""
 
@@ -121,7 +121,7 @@ class Row:
     position: Annotated[Array, key("target_mm"), "target position of the tip in the base frame"]
     """Position (3,) of the target, m."""
     direction: Annotated[Array | None, key("target_direction"), "target direction of the tip"]
-    """Shape (3,), any length."""
+    """(3,) target direction, any length."""
     solution: InverseSolution | None
     """Solution, or the closest pose if that was requested."""
     problem: Annotated[str, "reason why there is no solution"]

@@ -60,7 +60,7 @@ class Equilibria(Displayed):
 
     robot: Robot
     rotations: Array
-    """Shape (n,), rad."""
+    """(n,) rotations of the joints, rad."""
     translations: Array
     """Translations (n,), m."""
     equilibria: Annotated[
@@ -296,7 +296,7 @@ class LoadLimitResult(Displayed):
 
     robot: Robot
     rotations: Array
-    """Shape (n,), rad."""
+    """(n,) rotations of the joints, rad."""
     translations: Array
     """Translations (n,), m."""
     load: Load

@@ -174,9 +174,9 @@ class CameraRecording(NamedTuple):
     time: Array
     """Times (C,) of the images, s."""
     position: Array
-    """Shape (P,), m, along the tube from the middle of the curved part."""
+    """(P,) positions along the tube from the middle of the curved part, m."""
     temperature: Array
-    """Shape (C, P), K; NaN for a point that was not visible."""
+    """(C, P) temperatures, K; NaN for a point that was not visible."""
 
 
 def load_camera(path: str | PathLike[str]) -> CameraRecording:
@@ -280,7 +280,7 @@ class Trials:
     mold_radius: Array
     """Mold radii (N,), m."""
     obtained_radius: Array
-    """Shape (N,), m, of the finished tubes."""
+    """(N,) radii of the finished tubes, m."""
 
 
 def load_trials(path: str | PathLike[str]) -> Trials:

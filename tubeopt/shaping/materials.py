@@ -93,7 +93,7 @@ class MoldMaterial:
 
     @property
     def diffusivity(self) -> float:
-        """k / (rho c), m^2/s."""
+        """Thermal diffusivity k / (rho c), m^2/s."""
         return self.conductivity / (self.density * self.heat_capacity)
 
     @property
@@ -193,7 +193,10 @@ NITINOL_NAMES = re.compile(r"nitinol|ni-?ti\b|ti-?ni\b|nickel.titanium", re.IGNO
 OTHER_NAMES = re.compile(r"steel|titan|alumin|brass|copper|cobalt|inconel|tungsten|magnesium", re.IGNORECASE)
 
 NITINOL_DENSITY = 6200.0, 6700.0
-"""kg/m^3: 6450 (SMA Inc., Selected Properties of NiTi); steels have 7700 and more, titanium 4500."""
+"""Densities of nitinol, kg/m^3: 6450 (SMA Inc., Selected Properties of NiTi).
+
+Steels have 7700 and more, titanium 4500.
+"""
 
 NITINOL_STIFFNESS = 20e9, 95e9
 """Young's modulus, Pa, of martensite and austenite: 28 to 83 GPa (SMA Inc.), with some to spare; steels: 190 GPa."""
@@ -251,8 +254,10 @@ def recipe_for(material: Material) -> Recipe:
 
 
 def check_temperatures(material: Material, name: str, low: float, high: float) -> None:
-    """Raise InputError where a metal cannot be set at `low` to `high`, degC, which a field of that `name` says; warn
-    where that is implausible."""
+    """Raise InputError for a metal that cannot be set at `low` to `high`, degC; warn where that is implausible.
+
+    The message has the field `name`.
+    """
     recipe = recipe_for(material)
     given = f"{high:g} degC" if low == high else f"{low:g} to {high:g} degC"
     least, most = recipe.usual

@@ -240,7 +240,7 @@ class DesignReport(Report[DesignAnswer]):
         return self.answer.solution.robot.name or "design"
 
     def rows(self) -> list[tuple[str, str]]:
-        """The objectives, then the answer in short."""
+        """Rows (name, text) of the table: the objectives, then the answer in short."""
         s, region = self.answer.solution, self.answer.region
         values = [shown(objective, s.objectives[key_of(objective)]) for objective in s.task.objectives]
         return [("objective", text) for text in (values if region is None else [region.summary])] + super().rows()
@@ -431,8 +431,7 @@ PAIR = described(
 
 
 def pairs_of_places(reach: PairShare, places: Sequence[Array]) -> str:
-    """CSV of all pairs of targets: both positions, lower bound on the distance between the arms, 1 if they reach the
-    pair.
+    """CSV of all pairs of targets: both positions, lower bound on the distance of the arms, 1 if reached.
 
     places: positions (3,) in the frame that both share, mm.
     """

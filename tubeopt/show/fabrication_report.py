@@ -213,7 +213,7 @@ class CalibrationReport(Report[Calibration]):
     drawn = (("springback", "mold.plot_springback"),)
 
     def rows(self) -> list[tuple[str, str]]:
-        """The model, and the radii that the smallest and the largest mold of the trials yield by it."""
+        """Rows (name, text) of the model, and of the radii that the smallest and largest molds of the trials yield."""
         back = self.answer.springback
         assert back.curvature_range is not None
         yields = [

@@ -235,7 +235,7 @@ class HeatingReport(Report[Heating]):
         return Group(Text(success_text(self.answer.success), style="bold"), super().table())
 
     def rows(self) -> list[tuple[str, str]]:
-        """The plan, and its result on uncertain rigs."""
+        """Rows (name, text) of the plan and its result on uncertain rigs."""
         band = self.answer.band
         rows = super().rows()
         if band is not None:

@@ -254,7 +254,7 @@ class TrajectoryReport(Report[Trajectory]):
         return f"{super().title()}: {result}{assumptions}"
 
     def rows(self) -> list[tuple[str, str]]:
-        """The plan, its proof, and the search."""
+        """Rows (name, text) of the plan, its proof and the search."""
         return super().rows() + rows(self.answer, SEARCH)
 
     def save(self, directory: Path) -> list[Path]:

@@ -371,7 +371,7 @@ class LoadLimitReport(Report[LoadLimitResult]):
         return f"{name} withstands {_size(a.load, a.limit.factor)}"
 
     def rows(self) -> list[tuple[str, str]]:
-        """The load, then the numbers of the limit."""
+        """Rows (name, text) of the load, then of the limit."""
         limit = self.answer.limit
         return super().rows() + ([] if limit is None else rows(limit, LIMIT))
 
@@ -464,7 +464,7 @@ class ForceReport(Report[ForceRecord]):
         return f"{r.robot.name or 'robot'}: forces on the tip in {counted(len(r.estimates), 'row')}"
 
     def rows(self) -> list[tuple[str, str]]:
-        """The recording in short, with the first rows that failed."""
+        """Rows (name, text) of the recording, then of its first failures."""
         return [*super().rows(), *((f"row {k + 1}", why) for k, why in self.answer.failures[:5])]
 
     def below(self) -> list[RenderableType]:

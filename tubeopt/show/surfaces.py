@@ -74,8 +74,9 @@ def join(surfaces: list[Surface]) -> Surface:
 
 
 def obstacle_surface(obstacle: Obstacle, reach: float, *, sides: int = SIDES) -> Surface:
-    """Surface of a body as triangles; of an unbounded body, its part within `reach` (m) of the plate; of a vessel, its
-    wall.
+    """Surface of a body as triangles.
+
+    Of an unbounded body it is the part within `reach` (m) of the plate; of a vessel, its wall.
 
     Raises:
         InputError: a body of unknown kind.
@@ -348,9 +349,9 @@ class Detail(NamedTuple):
     """Number of facets of an arm."""
 
     sides: int = 20
-    """Facets around a tube."""
+    """Number of facets around a tube."""
     pieces: int = 72
-    """Facets along a tube; along the whole arm if `even`."""
+    """Number of facets along a tube; along the whole arm if `even`."""
     even: bool = False
 
     def along(self, start: float, end: float, length: float) -> Array:

@@ -219,7 +219,7 @@ class FitReport(Report[Fit]):
     file = "report.json"
 
     def rows(self) -> list[tuple[str, str]]:
-        """The comparison after the fit, the errors before, after and held out, the noise."""
+        """Rows (name, text) of the comparison after the fit, the errors (before, after, held out) and the noise."""
         compared = quantities.rows(self.answer.after, COMPARISON)
         # The error after the fit is one of three errors, which replace the single one.
         at = [name for name, _ in compared].index("tip error")

@@ -198,7 +198,7 @@ class SweepReport(Report[Sweep]):
         return "sweep"
 
     def rows(self) -> list[tuple[str, str]]:
-        """Number of points, first failures, and the file of the table."""
+        """Rows (name, text) of the number of points, the first failures and the files."""
         a = self.answer
         failures = [(f"  point {index + 1}", reason) for index, reason in a.failures[:SHOWN]]
         if len(a.failures) > SHOWN:

@@ -69,7 +69,7 @@ class ProblemStatistics:
     verdict: str
     """Return status of IPOPT."""
     iterations: int
-    """Iterations of all solves."""
+    """Number of iterations of all solves."""
     seconds: float
     """Duration of all solves, s."""
     unknowns: int
@@ -117,7 +117,7 @@ class ProblemSolution(Displayed):
     the active bound, in the units of objective and constraint. 0 for inactive constraints.
     """
     bound_multipliers: dict[str, Array]
-    """Multipliers of the bounds of variables, by name, with the same meaning."""
+    """Multipliers of the bounds of variables, by name, with the meaning and units of `multipliers`."""
     parameters: dict[str, Array]
     """Values of the parameters, by name."""
     violations: tuple[Violation, ...]
@@ -496,13 +496,13 @@ class NamedProgram:
         self.minimize(-expression)
 
     def set_value(self, parameter: Any, value: ArrayLike) -> None:
-        """Set the numbers of a parameter, by its symbol or name."""
+        """Set the value of a parameter, by its symbol or name."""
         name = self._name_of(parameter, {key: symbol for key, (symbol, _) in self._parameters.items()}, "parameter")
         symbol, old = self._parameters[name]
         self._parameters[name] = symbol, _table(f"value of {name!r}", value, len(old))
 
     def set_guess(self, variable: Any, value: ArrayLike) -> None:
-        """Set the start of a variable, by its symbol or name."""
+        """Set the start value of a variable, by its symbol or name."""
         name = self._name_of(variable, {key: each.symbol for key, each in self.variables.items()}, "variable")
         self.variables[name].guess = _table(f"guess of {name!r}", value, len(self.variables[name].guess))
 

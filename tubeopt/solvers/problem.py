@@ -152,7 +152,7 @@ class _Meeting:
         self.swappable: list[tuple[Any, int]] = []
         """Blocks with the rows of their distances that may be swapped."""
         self.rows: list[int] = []
-        """Rows of these in the constraints of the program."""
+        """Rows of swappable distances in the constraints of the program."""
         first = 0
         for name, size in problem.constraint_sizes.items():
             if name in blocks:
@@ -314,7 +314,7 @@ def _begin_at(problem: NamedProgram, solution: ProblemSolution) -> None:
 
 
 def _guess(problem: NamedProgram, values: Mapping[str, Array]) -> None:
-    """Set the start of variables by name."""
+    """Set the start values of variables by name."""
     for name, value in values.items():
         problem.set_guess(name, value)
 

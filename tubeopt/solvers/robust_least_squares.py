@@ -140,7 +140,7 @@ class RobustDescent(Generic[P]):
     residuals: Array
     """Residuals (V, k) at the state."""
     jacobian: Array
-    """Derivatives (V, k, P + F) at the state."""
+    """Derivatives (V, k, P + F) of the residuals at the state."""
     converged: bool
     """True if no step decreases the cost any more; False if the iterations ran out."""
     obstacle: str = ""

@@ -64,9 +64,9 @@ class ArmSections:
     length: Array
     """(m,) length of each section, m."""
     stiffness: Array
-    """(m,) K, total bending stiffness, N m^2."""
+    """(m,) total bending stiffness K of each section, N m^2."""
     natural_moment: Array
-    """(m, n) |a_i|, bending stiffness times precurvature, N m."""
+    """(m, n) natural moments |a_i|, bending stiffness times precurvature, N m."""
     torsional: Array
     """Torsional stiffness kt (n,), N m^2."""
     transmission: Array
@@ -78,9 +78,9 @@ class ArmSections:
         return float(self.start[-1] + self.length[-1]) if len(self.start) else 0.0
 
     def softening(self, force: float, *, pairs: bool) -> float:
-        """Largest eigenvalue of N relative to T for forces of at most `force`, N.
+        """Largest eigenvalue of the softening form relative to the stiffness, for forces of at most `force`, N.
 
-        Without `pairs` only the parts of N by the force count.
+        Without `pairs` only the softening by the force counts.
         """
         sections, tubes = (self.length, self.stiffness, self.natural_moment), (self.torsional, self.transmission)
         return largest_eigenvalue(force, sections, tubes, OPPOSED if pairs else APART)[0]
@@ -298,7 +298,7 @@ def _problem(robot: Robot, shift: Array, refinement: int = DEFAULT_DISCRETISATIO
 
 
 def _at_worst(problem: ReducedProblem, opposition: Array | None = None) -> tuple[Array, Array]:
-    """(N, n, n) V'' at the collocation points where every pair of tubes is opposed, and |c_ij|.
+    """(N, n, n) second derivatives V'' at the points where every pair of tubes is opposed, and couplings |c_ij|.
 
     `opposition` (N,): cosines of the angle between the bends of the only pair, -1 where it is opposed.
     """
@@ -314,9 +314,9 @@ class OpposedSpectrum(NamedTuple):
     """Smallest eigenvalues of the second variation with all curved tubes opposed."""
 
     margin: float
-    """mu_cert, at most 1."""
+    """Smallest eigenvalue mu_cert, at most 1."""
     eigenvector: Array
-    """(N, n) y at the collocation points, with int kt y'^2 = 1."""
+    """(N, n) eigenvector y at the collocation points, with int kt y'^2 = 1."""
     next_eigenvalue: float
 
 
@@ -403,8 +403,10 @@ def _of_segments(robot: Robot, shift: Array) -> Certificate:
 
 
 def breakpoint_pattern(assembly: Assembly) -> Pattern:
-    """Order of breakpoints for `physics.certificate.determinant_function`; breakpoints that coincide count for the
-    first tube."""
+    """Order of breakpoints for `physics.certificate.determinant_function`.
+
+    Breakpoints that coincide count for the first tube.
+    """
     breakpoints = np.stack([assembly.transition, assembly.end], axis=1).ravel()
     ends = [
         int(np.argmax(np.abs(breakpoints - stop) <= 2 * LENGTH_ROUND_OFF)) for stop in assembly.start + assembly.length

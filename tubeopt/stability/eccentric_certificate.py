@@ -74,14 +74,14 @@ ANGLES = np.linspace(0.0, np.pi / 2, 65)
 """Values of phi of the columns of the table, rad."""
 
 CORNERS = (0.8169, 0.8301)
-"""Support of all M in the directions (2, -1, -1) / sqrt 6 and (1, -1, 0) / sqrt 2, rounded up.
+"""Support of all moments M in the directions (2, -1, -1) / sqrt 6 and (1, -1, 0) / sqrt 2, rounded up.
 
 Twelve sides alternate between both. For three equal tubes M_i = sum_j sin(theta_i - theta_j) / k with k >= 3: exactly
 sqrt(2/3) and 0.82973.
 """
 
 BASIS = np.column_stack([np.array([2.0, -1.0, -1.0]) / np.sqrt(6), np.array([0.0, 1.0, -1.0]) / np.sqrt(2)])
-"""(3, 2) range of P: rotations of the tubes against one another."""
+"""(3, 2) basis of the rotations of three tubes against one another: the range of the projection P."""
 
 GRID = 24
 """Number of rotations per turn and tube for the maximum slope of phi: every 15 deg."""
@@ -90,7 +90,7 @@ GRID_ALLOWANCE = (1e-4, 4e-3)
 """Relative increase of the slope, and the same per delta: at least twice the error of the grid of rotations."""
 
 TABLE_ALLOWANCE = 5e-5
-"""Reduction of x in the table: bound on the error of linear interpolation in delta and phi."""
+"""Reduction of the lengths x in the table: bound on the error of linear interpolation in delta and phi."""
 
 ARC_STEPS = 1600
 """Number of steps of x up to pi / 2."""
@@ -151,11 +151,11 @@ class CrossSections(NamedTuple):
     """Cross-sections of three equal tubes with K = m = 1 at N sets of rotations."""
 
     moment_slope: Array
-    """(N, 3, 3) M', derivatives of the moments with respect to the rotations."""
+    """(N, 3, 3) derivatives M' of the moments with respect to the rotations."""
     g: Array
     """(N, 3) arc length of each tube per arc length of the centreline."""
     g_slope: Array
-    """(N, 3, 3) g', derivatives of g with respect to the rotations."""
+    """(N, 3, 3) derivatives g' of g with respect to the rotations."""
 
 
 def cross_sections(theta: Array, delta: float) -> CrossSections:
@@ -198,7 +198,7 @@ def length_curve(delta: float, steps: int = ARC_STEPS) -> Array:
 
 @lru_cache(maxsize=1)
 def table() -> Array:
-    """(deltas, angles) x of the table, lowered; row 0, for tubes on the centreline, is exact: x = phi."""
+    """(deltas, angles) lengths x of the table, lowered; row 0, for tubes on the centreline, is exact: x = phi."""
     rows = np.loadtxt(FILE, delimiter=",")
     return np.maximum(rows - np.where(DELTAS > 0, TABLE_ALLOWANCE, 0.0)[:, None], 0.0)
 
@@ -261,7 +261,7 @@ class Segment:
 def segments_of(assembly: Assembly) -> tuple[Segment, ...] | None:
     """Segments of a robot, base to tip; None where nothing is proved.
 
-    That is where a segment is not made of three equal tubes, or curves too tightly for the table.
+    Nothing is proved if a segment is not made of three equal tubes, or curves too tightly for the table.
     """
     result: list[Segment] = []
     used: set[int] = set()
@@ -311,8 +311,7 @@ def _segment(assembly: Assembly, k: int) -> Segment | None:
 
 
 def proved_margin(segment: Segment) -> float:
-    """Fraction of torsional stiffness that the tubes may lose before the proof fails; above 0 it is valid for these
-    tubes.
+    """Fraction of torsional stiffness that the tubes may lose before the proof fails; above 0 the proof is valid.
 
     A stiffness lower by 1 - 1 / soft^2 multiplies omega by `soft`: the root of the condition in `soft` is the answer.
     """

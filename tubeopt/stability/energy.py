@@ -36,7 +36,7 @@ class EnergyMap(Displayed):
     energy: Array
     """(N, N) energy, J; row i at `first[i]`."""
     equilibria: tuple[Equilibrium, ...]
-    """All equilibria at these joint values: the stationary points."""
+    """All equilibria at the joint values of the map: the stationary points."""
 
 
 @typed

@@ -67,7 +67,7 @@ class TurningPoint:
     direction: Array
     """(U,) null vector of the Jacobian."""
     steps: int
-    """Newton iterations."""
+    """Number of Newton iterations."""
 
 
 def turning_point(

@@ -53,9 +53,9 @@ class PathStatistics:
     waypoints: int
     """Number of waypoints reached."""
     snaps: int
-    """Number of snaps between them."""
+    """Number of snaps on the path."""
     iterations: int
-    """Newton iterations of the equilibria at the waypoints."""
+    """Number of Newton iterations of the equilibria at the waypoints."""
 
 
 class HeldEquilibria(Sequence[Equilibrium]):

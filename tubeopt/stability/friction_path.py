@@ -321,8 +321,9 @@ class FrictionBand(Displayed):
 @typed
 @small
 def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
-    """Largest displacement that friction allows from an equilibrium without friction, for any history; concentric
-    robots.
+    """Largest displacement that friction allows from an equilibrium without friction, for any history.
+
+    The robot must be concentric.
 
     Raises:
         InputError: an equilibrium under friction, or under a load without an energy; a friction for another robot, an

@@ -68,13 +68,13 @@ class Pair:
     tubes: tuple[int, int]
     """Numbers of the two tubes, from 0."""
     coupling: Array
-    """(N,) quadrature weight times c, J."""
+    """(N,) quadrature weight times the coupling c, J."""
     psi: Array
     """(N,) difference of the directions of the precurvatures, rad."""
     lever: Array
     """(N,) change of the difference at the plate per unit of c sin(D + psi) at a point, 1/J."""
     reach: Array
-    """(N, N) change of D at a point per unit of c sin(D + psi) at another, 1/J."""
+    """(N, N) change of the difference D at a point per unit of c sin(D + psi) at another, 1/J."""
     root: Array
     """(N, N) Cholesky factor of the compliance of both tubes together."""
 
@@ -84,11 +84,11 @@ class PairMinimum:
     """Smallest margin of a pair over all rotations."""
 
     bound: float
-    """Proved lower bound."""
+    """Proved lower bound on the margin."""
     margin: float
-    """Smallest value computed."""
+    """Smallest computed margin."""
     tip: float
-    """Difference x of the tip angles there, rad."""
+    """Difference x of the tip angles at the smallest margin, rad."""
     opposition: Array
     """(N,) cos(D + psi) at the minimum; the coupling reduces the margin at negative values."""
 
@@ -131,12 +131,12 @@ def pair_of(problem: ReducedProblem) -> Pair | None:
 
 
 def _differences(pair: Pair, tips: Array) -> Array:
-    """(B, N) D + psi at differences of tip angles (B,)."""
+    """(B, N) angles D + psi between the natural bends at differences of tip angles (B,), rad."""
     return _solve(pair, tips, tips[:, None] + pair.psi)
 
 
 def _solve(pair: Pair, tips: Array, guess: Array) -> Array:
-    """(B, N) D + psi at differences of tip angles (B,).
+    """(B, N) angles D + psi between the natural bends at differences of tip angles (B,), rad.
 
     Fixed-point iteration: D at a point depends only on D nearer to the tip (Volterra), so it converges from every
     guess, with an error after k sweeps like the k-th term of the series of a cosine. Collocation keeps this only up to
@@ -163,7 +163,7 @@ def margins(pair: Pair, tips: Array) -> Array:
 
 
 def _margins(pair: Pair, cosines: Array) -> Array:
-    """(B,) mu at cos(D + psi) (B, N)."""
+    """(B,) margins mu at cosines cos(D + psi) (B, N)."""
     second = pair.root.T @ ((pair.coupling * cosines)[..., None] * pair.root)
     return np.asarray(1 + np.linalg.eigvalsh(second)[:, 0])
 
@@ -181,7 +181,7 @@ def farthest_fold(pair: Pair) -> float:
 
 
 def quotient_curvature_bound(pair: Pair) -> float:
-    """M, upper bound on the second derivative of every Rayleigh quotient with respect to the tip angle."""
+    """Upper bound M on the second derivative of every Rayleigh quotient with respect to the tip angle."""
     # D_x = 1 + K cos(D) D_x and |cos| <= 1, so that (1 - |K|)^-1 1 bounds D_x; likewise D_xx.
     gain = np.abs(pair.reach * pair.coupling)
     growth = scipy.linalg.lu_factor(np.eye(len(gain)) - gain)
@@ -221,7 +221,7 @@ class _Shot:
     d: Array
     """Angle D + psi (N,) between the natural bends, rad."""
     d_x: Array
-    """(N,) derivative of D with respect to x."""
+    """(N,) derivative of the difference D of the rotations with respect to x."""
     a: float
     """Rotation of the joint from the relaxed pose, rad."""
     a_x: float

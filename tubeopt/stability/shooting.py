@@ -34,7 +34,7 @@ With `slopes` also the derivatives (B, n, n) of theta and of the torque by the t
 """
 
 Grid = tuple[Array, Array]
-"""theta and theta' (B, K, n) at points from the tip side of an element to its base side."""
+"""Rotations theta and torsion theta' (B, K, n) at points from the tip side of an element to its base side."""
 
 GRID = np.arange(2 * STEPS_PER_ELEMENT + 1) / (2 * STEPS_PER_ELEMENT)
 """Fractions of an element for the cross-sections of the steps."""
@@ -42,7 +42,7 @@ GRID = np.arange(2 * STEPS_PER_ELEMENT + 1) / (2 * STEPS_PER_ELEMENT)
 
 @lru_cache(maxsize=16)
 def sections_of(problem: ReducedProblem) -> tuple[Array, ...]:
-    """1 / kt, kb and m (P, n) of the tubes on the elements of the mesh.
+    """Arrays 1 / kt, kb and m (P, n) of the tubes on the elements of the mesh.
 
     For tubes made of pieces also the phase, all (P, X, n) at GRID.
     """
@@ -66,11 +66,11 @@ class ShootingArm:
     bent: Mask
     """(P,) True where tubes act on one another, so that theta is not linear."""
     gain: Array
-    """(P, n) int ds / kt along each element, 1/(N m)."""
+    """(P, n) compliances int ds / kt along each element, 1/(N m)."""
     sections: tuple[Array, ...]
     """Cross-sections as in `sections_of`: kb of the tubes present, m of those curved."""
     transmission: Array
-    """(n,) int ds / kt from the clamped end to the first element, 1/(N m)."""
+    """(n,) compliances int ds / kt from the clamped end to the first element, 1/(N m)."""
     offsets: tuple[Array, ...]
     """Offset and offset angle (n,); empty for concentric tubes."""
 
@@ -113,7 +113,7 @@ def all_tubes(problem: ReducedProblem) -> ShootingArm:
 
 
 def gain_of(problem: ReducedProblem) -> Array:
-    """(P, n) int ds / kt of the tubes along each element, 1/(N m)."""
+    """(P, n) compliances int ds / kt of the tubes along each element, 1/(N m)."""
     return np.diff(reach(problem.mesh, problem.compliant), axis=0)
 
 
@@ -151,7 +151,7 @@ def relative_joints(problem: ReducedProblem, free: Index, tips: Array) -> tuple[
 
 
 def profiles(problem: ReducedProblem, tips: Array) -> Array:
-    """(B, N, n) theta at the collocation points, for tip angles (B, n)."""
+    """(B, N, n) rotations theta at the collocation points for tip angles (B, n), rad."""
     bundle = all_tubes(problem)
     return np.concatenate([_profiles(problem, bundle, part) for part in _chunks(tips)])[: len(tips)]
 
@@ -177,7 +177,7 @@ def _shoot(bundle: ShootingArm, tips: Array, steps: int, slopes: bool) -> State:
 
 
 def _profiles(problem: ReducedProblem, bundle: ShootingArm, tips: Array) -> Array:
-    """(B, N, n) theta at the collocation points, for one chunk of tip angles."""
+    """(B, N, n) rotations theta at the collocation points, rad, for one chunk of tip angles."""
     mesh = problem.mesh
     nodes, degree = mesh.tableau.nodes, mesh.tableau.degree
     out = np.empty((len(tips), len(problem.weight), tips.shape[1]))

@@ -72,7 +72,7 @@ class EquilibriumGrid:
     joints: Array
     """(M..., d) joint rotations relative to the relaxed pose, rad."""
     determinant: Array
-    """(M...) det F', 0 or negative where the equilibrium is unstable."""
+    """(M...) determinants of the derivative of `joints` by the tip angles; 0 or negative if unstable."""
     centre: tuple[int, ...]
     """Index of the relaxed pose."""
 
@@ -166,7 +166,7 @@ class Search:
     paths: int = 0
     """Number of paths that were followed."""
     failed: int = 0
-    """Number of these paths with a lost equilibrium."""
+    """Number of followed paths with a lost equilibrium."""
 
     def __post_init__(self) -> None:
         self.problem = reduced_problem(self.robot, tuple(self.translations.tolist()), DEFAULT_DISCRETISATION)
@@ -407,7 +407,7 @@ class SnapAssessmentStatistics:
     paths: int
     """Number of paths followed."""
     failed: int
-    """Number of these paths with a lost equilibrium."""
+    """Number of followed paths with a lost equilibrium."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -425,13 +425,13 @@ class SnapAssessment(Displayed):
     start: Array | None = None
     """(n,) rotations at the start of a straight path with a snap, rad; None if no snap is known."""
     end: Array | None = None
-    """(n,) rotations at its end, rad."""
+    """(n,) rotations at the end of the straight path with a snap, rad."""
     snap: Snap | None = None
     """Snap on that path, or None."""
     paths: int = 0
     """Number of paths tried."""
     failed: int = 0
-    """Number of these paths where the equilibrium was lost."""
+    """Number of tried paths where the equilibrium was lost."""
     followed: bool = True
     """True if the snap occurs in continuation along the path.
 

@@ -81,7 +81,7 @@ FIRST_TURN = 0.1
 """Turn that a search begins with, rad."""
 
 SLIDING_PRECISION = 1e-3
-"""The same with slides, where a try takes 2^n times as long."""
+"""Relative precision of the snap distance with slides, where a try takes 2^n times as long."""
 
 SECTORS = 4
 """Number of tubes up to which S is proved by its n! simplices. They give a median of 0.93 of the true distance, one box
@@ -128,20 +128,24 @@ class SnapDistance(Displayed):
 
     @property
     def value(self) -> float:
-        """`turn`, rad."""
+        """Largest turn that is proved to cause no snap, rad."""
         return self.turn
 
     @cached_property
     def one_tube(self) -> Array:
-        """(n, 2) turn of one tube, backward and forward, at which the robot snaps while the others rest, rad. NaN where
-        it does not snap within two turns. Exact: folds of the branch, by `find_snap`."""
+        """(n, 2) turns of one tube, backward and forward, at which the robot snaps while the others rest, rad.
+
+        NaN if it does not snap within two turns. Exact: folds of the branch, by `find_snap`.
+        """
         n = self.equilibrium.robot.n_tubes
         return np.array([[self._fold(side * np.eye(n)[k])[k] for side in (-1, 1)] for k in range(n)])
 
     @cached_property
     def nearest(self) -> float:
-        """Largest turn of any tube at the nearest snap that a search finds, rad; inf where it finds none. The true
-        distance is between `turn` and this."""
+        """Largest turn of any tube at the nearest snap that a search finds, rad; inf if it finds none.
+
+        The true distance is between `turn` and this one.
+        """
         n = self.equilibrium.robot.n_tubes
         corners = [np.array(c, dtype=float) for c in itertools.product((0, 1), repeat=n) if 0 < sum(c) < n]
         pairs = [(a, b) for a, b in itertools.product(corners, repeat=2) if (a <= b).all() and (b - a).sum() == 1]
@@ -228,7 +232,7 @@ class Slides:
     D: Array
     """Incidence matrix (P, n) of pairs and tubes."""
     A: Array
-    """(P, U) A at the longest transmissions, rad per sqrt(J)."""
+    """(P, U) change of the angles per unknown at the longest transmissions, rad per sqrt(J)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +244,7 @@ class PairForm:
     w: Array
     """Couplings w (P,) with quadrature weights, J."""
     A: Array
-    """(P, U) rad per sqrt(J)."""
+    """(P, U) change of the angles per unknown, rad per sqrt(J)."""
     G: Array
     """Compliance G = A H^-1 A' (P, P) of the angles, rad/J."""
     J: Array
@@ -385,8 +389,10 @@ class PairForm:
         return bool((self.least_eigenvalue(box) > ROUND_OFF).all())
 
     def _by_newton(self, y: Array) -> Array | None:
-        """A box around the least fixed point, from below by Newton's method: plain iteration needs thousands of images
-        close to the largest ball. None where it finds none."""
+        """Box around the least fixed point, from below by Newton's method; None if it finds none.
+
+        Plain iteration needs thousands of images close to the largest ball.
+        """
         u, one = y, np.ones_like(y)
         for _ in range(NEWTON_STEPS):
             image = self.image(y, u)
@@ -401,8 +407,11 @@ class PairForm:
         return np.asarray(np.maximum(u, 0.0) + SPARE * wider)
 
     def _by_sweeps(self, y: Array) -> Array | None:
-        """The same by plain iteration, for slides: their map is not convex, so that Newton's method steps too far. The
-        steps shrink by a ratio; the box takes what is left of them, with room."""
+        """Box around the least fixed point by plain iteration, with slides; None if it finds none.
+
+        The map of slides is not convex, so that Newton's method steps too far. The steps shrink by a ratio; the box
+        includes the sum of the remaining ones, with a reserve.
+        """
         u, size = y, math.inf
         for _ in range(SWEEPS):
             image = self.image(y, u)
@@ -426,7 +435,7 @@ class PairForm:
         return np.asarray(1 + np.linalg.eigvalsh((A.T * (w * cosine)[:, None, :]) @ A)[:, 0])
 
     def boxes(self, r: float) -> Array:
-        """(S, 2 P) ranges of J d over the parts of the ball of radius r."""
+        """(S, 2 P) ranges of the changes J d of the angles over the parts of the ball of radius r, rad."""
         n = self.J.shape[1]
         if n > SECTORS:
             reach = r * np.abs(self.J).sum(1)
@@ -501,7 +510,8 @@ def snap_distance(equilibrium: Equilibrium, *, time_limit: float = TIME_LIMIT) -
 def least_snap_distance(equilibria: Iterable[Equilibrium]) -> float:
     """Smallest snap distance of equilibria, rad; inf where no turn can snap at any of them.
 
-    From the smallest margin on, so that most need one check only: whether their distance is larger than the smallest.
+    Equilibria are checked from the smallest margin on. Most then need one check only: whether their distance is larger
+    than the smallest one.
 
     Raises:
         InputError: as `snap_distance`.
@@ -553,8 +563,10 @@ def _distance(equilibrium: Equilibrium, limit: float, precision: float = PRECISI
 
 
 def _largest(proves: Callable[[float], bool], first: float, limit: float, precision: float) -> tuple[float, int]:
-    """Largest factor below `most` that is proved, by bisection from a first try, and how many were tried. Each yes is a
-    proof by itself; only the size needs that smaller sets are easier."""
+    """Largest factor below `limit` that is proved, by bisection from `first`, and number of tried factors.
+
+    Each success is a proof by itself; only the size relies on smaller sets being easier to prove.
+    """
     proved, refused, tries, factor = 0.0, limit, 0, first
     while refused - proved > precision * refused:
         check_time()

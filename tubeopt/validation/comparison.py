@@ -119,7 +119,7 @@ class Validation(Displayed):
     measured: Array
     """(N, 3) positions of the foremost station, m."""
     predicted: Array
-    """(N, 3) predicted positions of the same, m."""
+    """(N, 3) predicted positions of the foremost station, m."""
     along: Array
     """(N, K) distances between measured and predicted positions of all stations, m, the foremost first."""
     axis_errors: Array | None

@@ -38,33 +38,33 @@ class Setup:
 
     drives: Calibration
     friction: Array
-    """(n - 1,) N m per m between neighbouring tubes of a concentric robot; (0,) of others."""
+    """(n - 1,) friction between neighbouring tubes of a concentric robot, N m per m; (0,) of others."""
     clearance: Array
-    """(n - 1,) m, radial, of every tube in the next one of a concentric robot; (0,) of others."""
+    """(n - 1,) radial clearances of every tube in the next one of a concentric robot, m; (0,) of others."""
     curvature: Array
     """(m,) precurvatures, 1/m."""
     straight_length: Array
-    """(m,) m, with the transmission."""
+    """(m,) lengths of the straight parts with the transmission, m."""
     curved_length: Array
-    """(m,) lengths, m."""
+    """(m,) lengths of the curved parts, m."""
     bending_stiffness: Array
     """(m,) bending stiffnesses, N m^2."""
     torsional_stiffness: Array
     """(m,) torsional stiffnesses, N m^2."""
     dead_length: Array
-    """(m,) m, straight at either end of the curved part."""
+    """(m,) straight lengths at either end of the curved part, m."""
     fade: Array
-    """(m,) m, over which the precurvature rises behind the one and falls before the other."""
+    """(m,) lengths along which the precurvature rises behind one dead length and falls before the other, m."""
     piece_curvature: Array
-    """(p,) 1/m added to the precurvature of `pieces`."""
+    """(p,) additions to the precurvature of `pieces`, 1/m."""
     plate_shift: Array
     """(3,) offset of the plate from its registered position, m."""
     plate_tilt: Array
-    """(2,) rad about x and y, of the same."""
+    """(2,) tilt of the plate from its registered orientation, about x and y, rad."""
     sensor_offset: Array
-    """(3,) m, of the tip's sensor from the tip, in the frame of the tube that ends last."""
+    """(3,) offset of the tip's sensor from the tip, m, in the frame of the tube that ends last."""
     sensor_tilt: Array
-    """(2,) rad about x and y of that frame, between the tip's tangent and the sensor's axis."""
+    """(2,) angles between the tip's tangent and the sensor's axis, about x and y of that frame, rad."""
     transmission: float = 0.0
     """The part of `straight_length` that the file of an eccentric robot calls transmission, m."""
     pieces: tuple[tuple[int, int], ...] = ()
@@ -219,16 +219,16 @@ def members(robot: Robot) -> tuple[Tube, ...]:
 
 @dataclass(frozen=True)
 class Span:
-    """The range of a number that is estimated."""
+    """Range of an estimated number."""
 
     start: float
     """Value of the robot as given."""
     low: float
     """Lower bound of the search."""
     high: float
-    """Greatest that is searched."""
+    """Upper bound of the search."""
     scale: float
-    """A change of this size is a large one."""
+    """Size of a large change of the number."""
     prior: float
     """Standard deviation of the number in the drawing."""
 
@@ -461,8 +461,10 @@ def _no_arc(context: Context, index: int | None) -> str:
 
 
 def _clearance_span(context: Context, index: int | None) -> Span:
-    """Range of a clearance around its nominal value. A tilt grows with the square root of it, with infinite slope at
-    0."""
+    """Range of a clearance around its nominal value.
+
+    A tilt grows with the square root of the clearance, with infinite slope at 0.
+    """
     drawn = max(drawn_clearance(context.robot.tubes)[index or 0], 5e-6)
     start = float(context.setup.clearance[index or 0]) or drawn
     return Span(start, 0.0, 5 * max(start, drawn), drawn, 0.5 * drawn)

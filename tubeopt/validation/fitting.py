@@ -253,7 +253,7 @@ class Fit(Displayed):
     estimates: tuple[Estimate, ...]
     """Estimate of every chosen parameter."""
     correlation: Annotated[Array, "correlation of the estimates"]
-    """Shape (P, P); NaN for fixed parameters."""
+    """(P, P) correlations; NaN for fixed parameters."""
     confidence: Annotated[float, "confidence of the intervals"]
     noise: Annotated[float, unit("mm"), form(".3f"), "noise per coordinate"]
     axis_noise: Annotated[float | None, unit("deg"), form(".3f"), "noise of a direction"]
@@ -262,7 +262,10 @@ class Fit(Displayed):
     held_out_errors: Array | None
     """(N,) tip errors of each row, by the fit to the folds without it, m; None without folds."""
     held_out_axis_errors: Array | None
-    """(N,) angles of the same, rad; None without folds, or without directions."""
+    """(N,) direction errors of each row, by the fit to the folds without it, rad.
+
+    None without folds, or without directions.
+    """
     fold: Index | None
     """(N,) fold of each row, None without folds."""
     held_out_recordings: Array | None
@@ -451,7 +454,7 @@ class FitProblem:
     def _left(self, descent: RobustDescent[ParameterState[Registrations]]) -> tuple[float, float]:
         """Standard deviations of a coordinate of positions and of directions that a fit leaves.
 
-        With a robust loss, from the median, which outliers do not move.
+        With a robust loss they follow from the median, which outliers do not move.
         """
         size = np.linalg.norm(descent.residuals, axis=1)
         a = self.model.directed

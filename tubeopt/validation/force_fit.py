@@ -88,7 +88,7 @@ class Trial:
     """A force with its equilibrium and linearised residuals."""
 
     force: Array
-    """(3,) N, in addition to the known load."""
+    """(3,) force in addition to the known load, N."""
     equilibrium: Equilibrium
     residual: Array
     """(3 P,) measured less computed coordinates, over the noise."""
@@ -169,7 +169,7 @@ class _Pushed:
         return -state.trial.residual[:, None]
 
     def jacobian(self, state: _Force) -> Array:
-        """(3 P, 1, m) derivatives by the force along the axes."""
+        """(3 P, 1, m) derivatives of the residuals by the force along the axes."""
         return (state.trial.jacobian @ self._axes)[:, None]
 
     def costly(self, state: _Force) -> bool:
@@ -234,11 +234,11 @@ class Covariance(NamedTuple):
     """Covariance of a force with its principal axes."""
 
     matrix: Array
-    """(3, 3) N^2; inf along directions without a bound."""
+    """(3, 3) covariance, N^2; inf along directions without a bound."""
     directions: Array
     """(3, 3) principal axes by row, from the best to the worst determined."""
     errors: Array
-    """(3,) standard errors along them, N."""
+    """(3,) standard errors along the principal axes, N."""
 
 
 def covariance_of(trial: Trial, base: Load, measured: Measured, axes: Array) -> Covariance:
@@ -288,9 +288,9 @@ def covariance_of(trial: Trial, base: Load, measured: Measured, axes: Array) -> 
 
 
 def _second_moment(linear: Array, bent: Array) -> Array:
-    """(3, 3) mean of F F' for F = sum_k a_k z_k + b_k z_k^2 / 2.
+    """(3, 3) mean of F F' for forces F = sum_k a_k z_k + b_k z_k^2 / 2.
 
-    a_k and b_k are rows, z is normal.
+    a_k and b_k are rows of `linear` and `bent`, and z_k are independent standard normal variables.
     """
     # E z^4 = 3 and E z_j^2 z_k^2 = 1: squares leave b_k b_k' / 2, and the mean of F adds its own square.
     total = bent.sum(0)

@@ -247,7 +247,7 @@ class Placement(Displayed):
     rotations: Annotated[Array, unit("deg"), "rotations of the drives at the waypoints"]
     """Readings (N, n); home at segments of the path around a snap."""
     translations: Annotated[Array, unit("mm"), "translations of the drives at the waypoints"]
-    """Shape (N, n), readings."""
+    """(N, n) readings of the translations, m."""
     measured: Annotated[Mask, "true for waypoints that are measured"]
     """(N,) True for waypoints to measure."""
     margin: Array

@@ -458,8 +458,10 @@ class ArmModel:
         return np.asarray(self.station < 0)
 
     def _sensor_axis(self, poses: PredictedPoses, pointing: Array, registration: Registration) -> Array | None:
-        """The direction along the tube in the sensor's frame: as the recording or the calibration gives it, or the one
-        of AXES that fits best."""
+        """Direction along the tube in the sensor's frame, from the recording or the calibration.
+
+        Without one it is the direction of AXES that fits best.
+        """
         m, known = self.measurements, self.first.drives.sensor_axis
         if m.orientation is None or m.sensor_axis is not None:
             return m.sensor_axis
@@ -498,7 +500,7 @@ class ArmModel:
     def _yielded(self, setup: Setup, alpha: Array, shift: Array) -> Array:
         """(N, n) translations of compliant carriages, cached for the last setups and for the start.
 
-        Tubes that rub carry the friction among themselves; to the carriages they are tubes that do not.
+        Friction between tubes acts only among them: the carriages yield as without friction.
         """
         for known, *joints, yielding in self._gave_way:
             yields_alike = known.drives.translation_compliance == setup.drives.translation_compliance
@@ -613,8 +615,10 @@ class ArmModel:
         return bool(self.setup(state.x).friction.any()) and bool(self.timeline.runs)
 
     def _joint_slopes(self, setup: Setup, motion: Registration, predicted: Array) -> Array:
-        """(V, 3, 2 n) derivatives of the observations by the joint values of their row; tubes of one carriage share
-        equally."""
+        """(V, 3, 2 n) derivatives of the observations by the joint values of their row.
+
+        Tubes of one carriage share equally.
+        """
         alpha, shift = self.joints(setup)
         n = alpha.shape[1]
         out = np.zeros((*predicted.shape, 2 * n))
@@ -647,7 +651,7 @@ class ArmModel:
 
 
 def _nudged(x: Array, k: int, step: float) -> Array:
-    """x with one of its numbers changed."""
+    """Copy of a vector x with its number k increased by `step`."""
     moved = x.copy()
     moved[k] += step
     return moved

@@ -449,9 +449,9 @@ class ChosenAnew(NamedTuple):
     """Choice of effects without each fold."""
 
     residuals: Array
-    """(V, 3) residuals of every fold by the set that the other folds choose, fitted to these."""
+    """(V, 3) residuals of every fold, by the set of effects chosen and fitted on the other folds."""
     sets: tuple[tuple[str, ...], ...]
-    """Effects of each of these sets."""
+    """Effects that the other folds choose for each fold."""
 
 
 @dataclass(eq=False)

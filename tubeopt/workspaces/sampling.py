@@ -120,7 +120,7 @@ class Workspace(Displayed):
 
 
 def width(n_tubes: int) -> int:
-    """Columns of the table of a robot."""
+    """Number of columns of the table of a robot."""
     return 2 * n_tubes + 7
 
 
@@ -233,7 +233,7 @@ def _grid(box: JointBox, count: int) -> Iterator[Array]:
 
 
 def _box(space: JointSpace) -> JointBox:
-    """The tightest of two boxes: of the joints themselves, and of the distances between carriages.
+    """Tightest of two boxes: of the joints themselves, and of the distances between carriages.
 
     Where the lengths alone set the limits, the second holds admissible values and no others.
     """

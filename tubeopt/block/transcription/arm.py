@@ -24,7 +24,9 @@ from .tableau import Tableau, tableau
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """theta_i(s) of all tubes as one polynomial per element: with x in [0, 1] along element p of length h
+    """Rotations theta_i(s) of all tubes as one polynomial per element.
+
+    With x in [0, 1] along element p of length h
 
     theta = rotation + c (x h torque + h^2 int int moment) + h int extra.
 
@@ -198,7 +200,7 @@ class CollocationPoints:
     point: Array
     """Arc lengths (N,), m."""
     point_rotation: Array
-    """Rotations theta (N, n) of the tubes coupled there, rad; base rotations of the others."""
+    """Rotations theta (N, n) of the tubes coupled at the points, rad; base rotations of the others."""
     point_curvature: Array = field(default_factory=lambda: np.zeros(0))
     """Curvature (N, 2) under load, 1/m; empty without a load."""
 
@@ -420,8 +422,7 @@ def _finer(mesh: Mesh) -> Tableau:
 
 
 def _sections(problem: ReducedProblem, torsion: Profile, steps: NDArray[np.intp]) -> list[Sections]:
-    """Cross-sections at ENDS, at the points of the finer quadrature, and at the points of each number of Magnus
-    steps."""
+    """Cross-sections at ENDS, at the points of the finer quadrature, and at the points for each of `steps`."""
     fractions = [ENDS, _finer(problem.mesh).nodes, *(gauss_fractions(k) for k in sorted(set(steps.tolist())))]
     joined = sections_along(problem, torsion, tuple(np.concatenate(fractions).tolist()))
     return [joined.part(b - len(x), b) for x, b in zip(fractions, accumulate(map(len, fractions)), strict=True)]

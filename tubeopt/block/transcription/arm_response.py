@@ -193,7 +193,7 @@ class LinearisedArm(ArmState):
     def _bending_slopes(self, softness: float) -> Array:
         """Derivatives of t' and u at the points.
 
-        By phi (P, K, n + 2, n), or by (phi, psi, m) (P, K, n + 2, n + 6).
+        They are by phi (P, K, n + 2, n) without a load, else by (phi, psi, m) (P, K, n + 2, n + 6).
         """
         n = self.n
         if self.load is None:
@@ -574,7 +574,7 @@ DOUBLE = 1e-9
 def _units_at_points(n: int, degree: int, half: int) -> Array:
     """Read-only (K, half, r + 2 half) derivatives of phi and psi at the points.
 
-    By phi at the points, and by the state at the start.
+    The derivatives are by phi at the points and by the state at the start.
     """
     r = degree * (n if half == n else n + 2)
     out = np.zeros((degree, half, r + 2 * half))

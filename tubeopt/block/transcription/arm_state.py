@@ -83,7 +83,7 @@ class SectionEnergy(NamedTuple):
     value: Array
     """Energy (X,), N."""
     slopes: Array
-    """Derivative (X, 3 n + 2) by theta, kb, m and b."""
+    """Derivative (X, 3 n + 2) of the energy by theta, kb, m and b."""
 
 
 Offsets = tuple[()] | tuple[Array, Array]
@@ -179,16 +179,16 @@ class FromTip(NamedTuple):
     tip_side: Array
     """Values (P + 1, r) at the ends of the elements, on the side of the tip."""
     plate_side: Array
-    """Values (P + 1, r) there, on the side of the plate."""
+    """Values (P + 1, r) at the ends of the elements, on the side of the plate."""
 
 
 class JointMoment(NamedTuple):
     """Moment that acts where two elements meet."""
 
     element: int
-    """Element that begins there."""
+    """Number of the element that begins at the moment."""
     tube: int
-    """Tube that its part along the arm twists."""
+    """Number of the tube that the part of the moment along the arm twists."""
     moment: Array
     """Moment (3,), N m."""
 
@@ -236,7 +236,7 @@ class ArmState:
             part.reshape(*points, self.n) for part in (sections.phase, sections.stiffness, sections.moment)
         )
         self.compliance, self.transmission = problem.compliant.rate, problem.compliant.transmission
-        """1 / kt (P, K, n), and int ds / kt (n,) from clamp to plate."""
+        """Torsional compliance 1 / kt (P, K, n), and int ds / kt (n,) from clamp to plate."""
         assembly = problem.assembly
         self.offsets: Offsets = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
         self.h = self.length[:, None, None]

@@ -57,17 +57,17 @@ class Bundle:
     """n tubes at joint translations, in front of the plate."""
 
     bending_stiffness: Array
-    """kb (n,), N m^2."""
+    """Bending stiffnesses kb (n,), N m^2."""
     torsional_stiffness: Array
-    """kt (n,), N m^2."""
+    """Torsional stiffnesses kt (n,), N m^2."""
     curvature: Array
-    """kappa_0 (n,) of the curved parts, 1/m."""
+    """Precurvatures kappa_0 (n,) of the curved parts, 1/m."""
     offset: Array
-    """d (n,), m."""
+    """Distances d (n,) of the tubes from the centreline, m."""
     angle: Array
-    """phi (n,), rad."""
+    """Directions phi (n,) of the offsets in the cross-section, rad."""
     transmission: Array
-    """|beta| (n,), length from where a tube is held to the plate, m."""
+    """Lengths |beta| (n,) from the clamped ends of the tubes to the plate, m."""
     transition: Array
     """Own arc length (n,) from the plate to where the curve begins, m; negative behind the plate."""
     end: Array
@@ -77,7 +77,7 @@ class Bundle:
 
     @cached_property
     def levers(self) -> Array:
-        """d a (n, 2): stretch of a tube by the curvature, m."""
+        """Levers d a (n, 2): stretch of a tube by the curvature, m."""
         return np.asarray(self.offset[:, None] * np.column_stack([np.sin(self.angle), -np.cos(self.angle)]))
 
 
@@ -87,9 +87,9 @@ class Boundary(NamedTuple):
     own: float
     """Own arc length of its tubes from the plate, of a place of the sheath its arc length, m."""
     tubes: tuple[int, ...] = ()
-    """Tubes that end or begin to curve there, side by side at one offset."""
+    """Tubes that end or begin to curve at the boundary, side by side at one offset."""
     ends: tuple[int, ...] = ()
-    """Tubes that end there."""
+    """Tubes that end at the boundary."""
     place: bool = False
     """True for a place of the sheath, where the force on a cross-section jumps."""
 
@@ -223,7 +223,7 @@ class BundleProblem:
 
     @cached_property
     def stiffness(self) -> Array:
-        """kb (N, n) of the tubes that are there."""
+        """Bending stiffnesses kb (N, n) of the tubes present at the points, N m^2."""
         return self.bundle.bending_stiffness * self.present
 
     @cached_property
@@ -331,7 +331,7 @@ class BundleProblem:
         return scale[:, None] * np.linalg.lstsq(rows * scale, -longer[[*self.held]], rcond=None)[0]
 
     def bend(self, x: Array) -> Array:
-        """kappa (2 N,) at unknowns x (U,)."""
+        """Turns kappa (2 N,) of the centreline in the elements, at unknowns x (U,), rad."""
         by_x, _, start = self._bending
         return np.asarray(start + by_x @ x[self.split :])
 
@@ -340,7 +340,7 @@ class BundleProblem:
         return np.asarray(self.straight + self.lengths_by_bend @ self.bend(x))
 
     def torsion(self, x: Array) -> tuple[Array, Array]:
-        """p (N, n), and rotations (n,) of the tubes at the plate by the twist of their transmissions, rad."""
+        """Turns p (N, n) of the tubes, and their rotations (n,) at the plate by the twist of the transmissions, rad."""
         table = np.zeros((self.n, len(self.weight) + 1))
         table.ravel()[self.rows] = self.scale * x[: self.split]
         return table[:, :-1].T, table[:, -1]
@@ -406,11 +406,11 @@ class BundleState:
     hessian: Array
     """Derivative (U, U) of `gradient` by x."""
     theta: Array
-    """Rotations (N, n), rad; of absent tubes those at their ends."""
+    """Rotations (N, n) of the tubes at the points, rad; for absent tubes, at their ends."""
     turn: Array
-    """p (N, n), rad."""
+    """Turns p = h theta' (N, n) of the tubes, rad."""
     bend: Array
-    """kappa (N, 2), rad."""
+    """Turns kappa = h u (N, 2) of the centreline, rad."""
     h: Array
     """Lengths (N,) of the elements, m."""
     length: Array
@@ -420,7 +420,7 @@ class BundleState:
     by_local: Array
     """Derivative (N, 2 n + 3) of the elastic energy at the points by theta, p, kappa and h."""
     local_hessian: Array
-    """Second derivative (N, 2 n + 3, 2 n + 3) by them."""
+    """Second derivative (N, 2 n + 3, 2 n + 3) of the elastic energy by theta, p, kappa and h."""
     by_bend: Array
     """Gradient (2 N,) by kappa, as h follows it."""
     loading: Work | None = None
@@ -542,12 +542,12 @@ class Work:
     """Force (N) and moment about the plate's centre (N m) on the plate (6,)."""
 
     def by_bend(self, problem: BundleProblem) -> Array:
-        """Derivative (2 N,) by kappa, as h follows it."""
+        """Derivative (2 N,) of the work by kappa, as h follows it."""
         size, m = 2 * len(problem.weight), len(problem.order)
         return np.asarray(self.first[:size] + self.first[size : size + m] @ problem.lengths_by_bend)
 
     def by_x(self, problem: BundleProblem) -> Array:
-        """Derivative (U,) by x."""
+        """Derivative (U,) of the work by x."""
         out = self.torsional.copy()
         out[problem.split :] += self.by_bend(problem) @ problem.bend_map
         return out
@@ -689,7 +689,7 @@ class PlaceSlopes(NamedTuple):
     """Pose of the centreline where a section ends, with derivatives."""
 
     position: Array
-    """Position (3,), m."""
+    """Position (3,) of the end of the section, m."""
     by_x: Array
     """Derivative (6, U) of the position, and of the turn of the frame about world axes, by x."""
     by_length: Array

@@ -29,7 +29,7 @@ from ...typing import Array
 # piece of the mesh lies in one panel of each tube, from `low` to `high` in the coordinate -1 .. 1 of that panel.
 
 CHANNELS = 5
-"""EI of a tube that is present, GJ, u*_x, u*_y and the natural turn, in this order."""
+"""Number of channels: EI of a tube that is present, GJ, u*_x, u*_y and the natural turn, in this order."""
 
 QUADRATURE = 16
 """Gauss points for the mean torsional compliance of a panel."""
@@ -42,11 +42,11 @@ class LocalTubes:
     stiffness: Any
     """Bending stiffness kb (n,)."""
     moment: Any
-    """m (n,), or (n, 2) of tubes made of pieces."""
+    """Moments m (n,), bending stiffness times precurvature; (n, 2) of tubes made of pieces."""
     natural_turn: Any = 0.0
     """Natural twist integrated from the clamp (n,), rad."""
     compliance_ratio: Any = 1.0
-    """kt / GJ (n,), with kt of the tube where it is clamped."""
+    """Ratio kt / GJ (n,), with kt of the tube where it is clamped."""
     natural: Any = None
     """Precurvature (n, 2), 1/m; None for tubes of one curvature."""
 
@@ -248,7 +248,7 @@ class Panels:
     """The panels of all tubes at some dimensions, expressions or numbers."""
 
     width: Any
-    """Lengths (B,), m."""
+    """Lengths (B,) of the panels, m."""
     low: Any
     """Distances (B,) of their starts from the clamp, m."""
     table: Any

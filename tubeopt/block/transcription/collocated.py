@@ -104,7 +104,7 @@ class Element:
         return symbolic_section(theta + tubes.natural_turn, tubes.stiffness, tubes.moment, *self.offsets)
 
     def balance(self, theta: Any, x: Any) -> Any:
-        """M (n,) and dM/dtheta (n, n) at the fraction x.
+        """Torsional moments M (n,) and dM/dtheta (n, n) at the fraction x of the element.
 
         If theta' differs from w, also theta' / w (n,); of eccentric tubes also its derivative by theta (n, n).
         """
@@ -164,19 +164,19 @@ def symbolic_element(grid: Grid) -> Element:
 
 @dataclass(frozen=True, eq=False)
 class Torsion:
-    """theta and w of an element as polynomials."""
+    """Rotations theta and torsion w of the tubes of an element, as polynomials."""
 
     element: Element
     twist: Any
-    """w (n, K) at the points, rad/m."""
+    """Torsion w (n, K) at the points, rad/m."""
     gain: Any
-    """w' = M / kt (n, K) at the points."""
+    """Slope w' = M / kt (n, K) of the torsion at the points, rad/m^2."""
     extra: Any
-    """theta' - w = (g c - 1) w (n, K) at the points."""
+    """Difference theta' - w = (g c - 1) w (n, K) at the points, rad/m."""
     defect: Any
     """Defect (n, K) of the collocated equations, rad."""
     end: tuple[Any, Any]
-    """theta and w (n,) where the element ends."""
+    """Rotations theta and torsion w (n,) at the end of the element."""
 
     def rotation(self, x: Any) -> Any:
         """Rotations theta (n, len(x)) at fractions x of the element, numbers or symbols."""
@@ -287,7 +287,7 @@ class ControlledTorsion(NamedTuple):
     defect: Any
     """Defect (n, K) of theta' = c w."""
     end: Any
-    """theta (n,) where the element ends."""
+    """Rotations theta (n,) at the end of the element, rad."""
     energy: Any
     """Elastic energy, J."""
 
@@ -310,7 +310,7 @@ class RelativePose(NamedTuple):
     turn: Any
     """Rotation as a quaternion (4,)."""
     shift: Any
-    """Position (3,), m."""
+    """Position (3,) relative to the start of the element, m."""
     fraction: Any
 
 

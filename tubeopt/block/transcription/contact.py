@@ -52,7 +52,7 @@ class Contact:
     loading: Loading | None
     """External load, or None."""
     loaded: LoadedProblem | None
-    """The same torsion with bending under the load; None without load."""
+    """Problem of `problem` with bending under the load; None without a load."""
     rows: Array
     """Derivative (R, X) of the relative rotations by the unknowns, rad per sqrt(J)."""
     capacity: Array
@@ -68,9 +68,9 @@ class Contact:
     tube: Index
     """Tubes (M,) that concentrated friction acts on."""
     rotation_by_z: Array
-    """Derivatives (M, U) of the rotations at these points by z."""
+    """Derivatives (M, U) by z of the rotations at the concentrated friction."""
     rotation_by_y: Array
-    """Derivatives (M, Y) of the rotations at these points by y."""
+    """Derivatives (M, Y) by y of the rotations at the concentrated friction."""
 
     @property
     def elastic_size(self) -> int:

@@ -32,7 +32,7 @@ from .collocated import Element, Torsion
 from .functions import determinant_function
 
 State = list[Any]
-"""theta, torque or torsion, ... as columns, and their derivatives by the tip rotations as matrices."""
+"""State: theta, torque or torsion, ... as columns, and their derivatives by the tip rotations as matrices."""
 
 # --- March over a piece of the mesh, on arrays ------------------------------------------------------------------------
 
@@ -201,7 +201,7 @@ class Kind:
     stretches: int = 0
     """Largest number of arcs and helices of a tube made of pieces; 0 for tubes of one curvature."""
     steps: int = STEPS_PER_SECTION
-    """Steps per section."""
+    """Number of steps per section."""
 
     @property
     def size(self) -> int:
@@ -210,7 +210,7 @@ class Kind:
 
     @property
     def sections(self) -> int:
-        """Sections of an arm, some without length."""
+        """Number of sections of an arm, some without length."""
         return self.n * max(self.stretches, 2)
 
     def reach(self, robot: Any) -> Any:

@@ -203,7 +203,7 @@ def bend_function(grid: Grid) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def twist_function(grid: Grid) -> ca.Function:
-    """Function (arguments of an element) -> w (n, K) at its points."""
+    """Function (arguments of an element) -> torsion w (n, K) at its points, rad/m."""
     torsion = _torsion(grid)
     return ca.Function("twist", torsion.element.arguments, [torsion.twist], OPTIONS)
 

@@ -63,8 +63,10 @@ class Mesh:
     collocated: Mask
 
     def locate(self, arc_length: Array) -> tuple[Index, Array]:
-        """Elements that contain arc lengths, and fractions inside each, 0 to 1; beyond the ends those of the nearest
-        point."""
+        """Elements that contain arc lengths, and fractions (0 to 1) inside each.
+
+        Arc lengths beyond the ends have the element and fraction of the nearest point.
+        """
         element = np.clip(np.searchsorted(self.start, arc_length, side="right") - 1, 0, len(self.start) - 1)
         return element, np.clip((arc_length - self.start[element]) / self.length[element], 0.0, 1.0)
 
@@ -250,13 +252,13 @@ def sections_at(assembly: Assembly, mesh: Mesh, x: Array) -> CrossSections:
 
 
 def reach(mesh: Mesh, compliance: Compliant) -> Array:
-    """(P + 1, n) int ds / kt from the clamp of each tube to the start of every element, and to the tip."""
+    """(P + 1, n) compliances int ds / kt from the clamp of each tube to the start of every element, and to the tip."""
     gain = mesh.length[:, None] * np.einsum("k,pki->pi", mesh.tableau.weights, compliance.rate)
     return np.concatenate([np.zeros((1, gain.shape[1])), np.cumsum(gain, axis=0)]) + compliance.transmission
 
 
 def ahead(mesh: Mesh, compliance: Compliant) -> Array:
-    """int ds / kt (N, n) from the clamp of each tube to the collocation points, collocated."""
+    """Compliances int ds / kt (N, n) from the clamp of each tube to the collocation points, collocated."""
     chosen = mesh.collocated
     inside = mesh.tableau.matrix @ (mesh.length[chosen, None, None] * compliance.rate[chosen])
     out = reach(mesh, compliance)[:-1][chosen][:, None] + inside

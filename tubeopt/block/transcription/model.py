@@ -182,7 +182,7 @@ def swapped(order: Order, row: int) -> Order:
 
 @dataclass(frozen=True)
 class Equation:
-    """expression == 0 of typical size `scale`, with a label for each entry."""
+    """Equation expression == 0 of typical size `scale`, with a label for each entry."""
 
     name: str
     entries: tuple[str, ...]

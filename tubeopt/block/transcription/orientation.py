@@ -26,9 +26,9 @@ class Orientation:
     """Quaternions along P elements with K points each, N = P K in all, and their derivatives by the curvature."""
 
     start: Array
-    """Q (P + 1, 4) at the starts of the elements, and at the tip."""
+    """Orientation Q (P + 1, 4) as quaternions at the starts of the elements, and at the tip."""
     stage: Array
-    """Q (N, 4) at the points."""
+    """Orientation Q (N, 4) as quaternions at the points."""
     rate: Array
     """Matrices (N, 4, 4) of Q -> Q o u."""
     inverse: Array
@@ -95,18 +95,18 @@ def orient(mesh: Mesh, curvature: Array) -> Orientation:
 
 @dataclass(frozen=True, eq=False)
 class Adjoint:
-    """Derivatives of W, a sum of functions of Q at the points."""
+    """Derivatives of W, a sum of functions of the orientation Q at the points."""
 
     gradient: Array
-    """Derivative (N, 2) by the curvature."""
+    """Derivative (N, 2) of W by the curvature."""
     mixed: Array
-    """Second derivatives (N, 2, 4) by the curvature and by Q, both at the same point."""
+    """Second derivatives (N, 2, 4) of W by the curvature and by Q, both at the same point."""
     base: Array
-    """Derivative (4,) by Q at the plate."""
+    """Derivative (4,) of W by Q at the plate."""
 
 
 def adjoint(mesh: Mesh, orientation: Orientation, by_stage: Array) -> Adjoint:
-    """Derivatives of W by one sweep from tip to plate; `by_stage` (N, 4) are those by Q at the points."""
+    """Derivatives of W by one sweep from tip to plate, from derivatives `by_stage` (N, 4) by Q at the points."""
     elements, k = len(mesh.length), mesh.tableau.degree
     half, weights = mesh.length / 2, mesh.tableau.weights
     local = by_stage.reshape(elements, 4 * k)

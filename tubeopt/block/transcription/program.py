@@ -73,10 +73,10 @@ class Program(Protocol):
         """Column of numbers that may be changed between solves."""
 
     def set_value(self, parameter: Any, value: ArrayLike) -> None:
-        """Set the numbers of a parameter."""
+        """Set the value of a parameter."""
 
     def set_guess(self, variable: Any, value: ArrayLike) -> None:
-        """Set the start of a variable."""
+        """Set the start value of a variable."""
 
     def rename(self, name: str, entries: Sequence[str]) -> None:
         """Set the labels of the rows of a constraint."""

@@ -47,9 +47,9 @@ class Block:
     compliance: Array
     """Gamma (k, p, p) of each tube, with quadrature weights."""
     up_to: Array
-    """Integration (p, N) from the base to these points."""
+    """Integration (p, N) from the base to the points of the block."""
     beyond: Array
-    """Integration (N, p) over these points from every point to the tip."""
+    """Integration (N, p) over the points of the block, from every point to the tip."""
 
 
 def _curved_groups(assembly: Assembly) -> list[Index]:
@@ -143,12 +143,12 @@ class ReducedProblem:
 
     @cached_property
     def stiffness(self) -> Array:
-        """kb (N, n) of the tubes present at the points."""
+        """Bending stiffnesses kb (N, n) of the tubes present at the points, N m^2."""
         return self._chosen(self.compliant.sections.stiffness)
 
     @cached_property
     def moment(self) -> Array:
-        """m (N, n) of the tubes curved at the points."""
+        """Moments m (N, n), bending stiffness times precurvature, of the tubes curved at the points, N m."""
         return self._chosen(self.compliant.sections.moment)
 
     @cached_property
@@ -211,7 +211,7 @@ class ReducedProblem:
 
     @cached_property
     def stretch(self) -> tuple[Array, Array, Array] | None:
-        """P, W and the inverse of L for eccentric tubes, else None."""
+        """Integration matrices P and W, and the inverse of the factor L, for eccentric tubes; else None."""
         if not self.assembly.eccentric:
             return None
         return *integrals(self.mesh, self.elements), np.asarray(np.linalg.inv(self.factor), dtype=float)
@@ -240,7 +240,7 @@ class ReducedProblem:
 
     @cached_property
     def bending_softness(self) -> Array:
-        """1 / sqrt(B K) (N,) at the points."""
+        """Root 1 / sqrt(B K) (N,) of the weighted bending compliance at the points; B are the quadrature weights."""
         return np.asarray(1 / np.sqrt(self.weight * self.stiffness.sum(1)))
 
     @cached_property
@@ -256,18 +256,18 @@ class ReducedProblem:
 
     @cached_property
     def tip_tube(self) -> int:
-        """Tube that carries a moment at the tip: the one that ends last, of several the innermost."""
+        """Index of the tube that carries a moment at the tip: it ends last, and of several is the innermost."""
         return int(last_tube(self.assembly.end))
 
     @cached_property
     def on_elements(self) -> tuple[Array, Array]:
-        """kb and m (P, n) on each element; raises InputError for tubes made of pieces, which vary along it."""
+        """Bending stiffnesses kb and moments m (P, n) on each element; raises InputError for tubes made of pieces."""
         sections = self.assembly.of_sections(self.mesh.section)
         return sections.stiffness, sections.moment
 
     @cached_property
     def softness(self) -> tuple[Array, Array]:
-        """int ds / kt from the clamp of each tube to the points (N, n), and to the ends of elements.
+        """Compliances int ds / kt from the clamp of each tube to the points (N, n), and to the ends of elements.
 
         The second array is (P + 1, n).
         """
@@ -297,7 +297,7 @@ class Evaluation:
     moment: Array
     """Torsional moment per length M (N, n), N."""
     extra_twist: Array | None
-    """(g - 1) w (N, n) of eccentric tubes, rad/m, else None."""
+    """Additional twist (g - 1) w (N, n) of eccentric tubes, rad/m, else None."""
 
     @property
     def x(self) -> Array:

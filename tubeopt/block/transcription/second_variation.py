@@ -39,8 +39,10 @@ equal by as much. Only a real eigenvalue belongs to a fold."""
 
 
 def margin(problem: ReducedProblem, state: Evaluation) -> float:
-    """Smallest eigenvalue of the second variation relative to its torsional part, at most 1; see above for eccentric
-    tubes."""
+    """Smallest eigenvalue of the second variation relative to its torsional part, at most 1.
+
+    For eccentric tubes see above.
+    """
     if not problem.size:
         return 1.0
     if problem.assembly.eccentric:
@@ -111,9 +113,9 @@ class _Linearised:
 
     block: Block
     system: Array
-    """1 - P w g' (k p, k p), by tube, then by point."""
+    """Matrix 1 - P w g' (k p, k p) of the linearised equations, by tube, then by point."""
     compliance: Array
-    """Gamma + P (g - 1) W / kt (k, p, p) of each tube."""
+    """Torsional compliance Gamma + P (g - 1) W / kt (k, p, p) of each tube."""
     slope: Array
     """Derivative of the torsional moments by the angles, M' (p, k, k)."""
 
@@ -161,7 +163,7 @@ def softenings(problem: ReducedProblem, theta: Array) -> Array:
 
 
 def _moment_matrix(linear: _Linearised) -> Array:
-    """K for moments instead of y, without the last tube: at a cross-section the moments sum to 0."""
+    """Matrix K that acts on moments instead of y, without the last tube: at a cross-section the moments sum to 0."""
     size = len(linear.system) - len(linear.block.points)
     last = len(linear.block.tubes) - 1
     compliance, slope = linear.compliance, linear.slope

@@ -69,7 +69,7 @@ class Board:
     frequencies: tuple[float, ...]
     """PWM frequencies that the sketch sets, Hz."""
     steps: int
-    """Steps of the analog-digital converter."""
+    """Number of steps of the analog-digital converter."""
     reference: float
     """Reference voltage of the converter, V."""
     pins: dict[str, str]

@@ -511,7 +511,7 @@ class _Logged:
         return np.vstack([*self._problem.differences(self._names, state.x[None]).values()])
 
     def jacobian(self, state: _Factors) -> Array:
-        """(N, 1, P) derivatives by the factors."""
+        """(N, 1, P) derivatives of the residuals by the factors."""
         return self._problem.quotients(self._problem.perturbed(self._names, state.x))[:, None]
 
     def costly(self, state: _Factors) -> bool:
@@ -529,7 +529,7 @@ class _Fitted(NamedTuple):
     jacobian: Array
     """(N, P) derivatives of the residuals over the noise."""
     errors: Array
-    """(P,) standard errors of x."""
+    """(P,) standard errors of the logarithms and scaled biases `x`."""
 
 
 class _Problem:
@@ -572,7 +572,7 @@ class _Problem:
         return self.differences(names, x + PERTURBATION * np.vstack([np.zeros(len(x)), np.eye(len(x))]))
 
     def quotients(self, perturbed: dict[str, Array]) -> Array:
-        """(N, P) derivatives by the unknowns, as difference quotients."""
+        """(N, P) derivatives of the residuals by the unknowns, as difference quotients."""
         return np.vstack([(d[:, 1:] - d[:, :1]) / PERTURBATION for d in perturbed.values()])
 
     def noise(self, sigma: dict[str, float]) -> Array:

@@ -380,7 +380,7 @@ class Rollout:
     centred: NDArray[np.bool_]
     """(K,) True for duties that centre the curved part about the middle of the window, as far as the cap allows."""
     states: tuple[State, ...]
-    """K + 1 states, from the start."""
+    """States (K + 1) from the start."""
 
     def extremes(self, model: ThermalModel) -> Array:
         """(3, K + 1) coldest and hottest point of the curved part, and hottest point of the tube, degC."""

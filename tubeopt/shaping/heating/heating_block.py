@@ -171,7 +171,7 @@ class HeatingBlock(RigCourse):
     def objective(self, name: str) -> Any:
         """Objective of `plan_heating` by its name (time, energy, margin), scaled, without the miss of a window.
 
-        That of "margin" is completed by subtracting the margin (K) that `keep_limits` has.
+        The objective "margin" is completed by subtracting the margin (K) that `keep_limits` has.
         """
         choice("objective", name, OBJECTIVES)
         w = dict(zip(TASK, task_of(self.tube, self.rig, self.spec, (0.0, 0.0), RAMP_RESERVE).tolist(), strict=True))

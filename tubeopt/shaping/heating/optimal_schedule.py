@@ -92,7 +92,7 @@ class Ideal:
     node_time: Array
     """(K,) times between which the duty is linear, s."""
     node_duty: Array
-    """(K,) duties at these times, 0 to 1."""
+    """(K,) duties at the times `node_time`, 0 to 1."""
     miss: float
     """Miss of the window narrowed by the reserve, K; below 0 only for objective "margin"."""
     rig: Rig
@@ -104,7 +104,7 @@ class Ideal:
     hold: Array
     """(H, 1 + c) temperatures in the hold at the start of the curved part and at its cells, K."""
     iterations: int
-    """Iterations of IPOPT."""
+    """Number of iterations of IPOPT."""
     objective: float
     """Scaled objective of the program."""
     x: Array
@@ -421,8 +421,8 @@ def ideal_of(s: Structure, tube: Tube, rig: Rig, spec: HeatingSpec, numbers: Cou
 def first_guess(s: Structure, tube: Tube, rig: Rig, spec: HeatingSpec) -> Array:
     """Unknowns of a schedule that heats as fast as the ramp allows.
 
-    Where that misses the window by far, of one that heats as long as allowed: of two optima, IPOPT ends at the one on
-    the side of its start.
+    If that misses the window by far, the schedule heats as long as allowed instead. Of two optima, IPOPT ends at the
+    one on the side of its start.
     """
     target = 0.5 * sum(spec.window_degC) + ZERO_CELSIUS
     soonest = (target - rig.ambient) / min(0.9 * spec.ramp, 1e3)

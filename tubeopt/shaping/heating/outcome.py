@@ -64,7 +64,7 @@ class Outcome:
     excess: float
     """Excess of the hottest point over the limit, mesh error included, K."""
     mesh: MeshError
-    """Error of these temperatures by the grid."""
+    """Error of the temperatures caused by the grid."""
     ramp: Annotated[float, unit("K_per_s"), "largest heating rate, mean over a slot"]
     """Largest over all points outside the clamps."""
     steepest: Annotated[float, unit("K_per_s"), "largest heating rate at any instant"]

@@ -162,7 +162,7 @@ class OvenCourse:
     """Temperatures over time, at the setting: S times, from the oven to the cold tube."""
 
     time: Array
-    """(S,) s, from when the mold is put in."""
+    """(S,) times since the mold was put in, s."""
     coldest: Array
     """(S,) coldest temperature of the curved part, degC."""
     hottest: Array
@@ -218,12 +218,12 @@ class OvenPlan(Displayed):
 
     @property
     def value(self) -> float:
-        """`soak_time`, s."""
+        """Soak time, s."""
         return self.soak_time
 
     @property
     def statistics(self) -> int:
-        """Times of the course."""
+        """Number of times of the course."""
         return len(self.course.time)
 
 
@@ -234,7 +234,7 @@ class Medium(NamedTuple):
     """Surroundings of the mold."""
 
     temperature: float
-    """K."""
+    """Temperature, K."""
     transfer: float
     """Heat transfer without radiation, W/(m^2 K)."""
     emissivity: float
@@ -285,7 +285,7 @@ class MoldBlock:
         self.lag = tube_lag(tube, oven)
 
     def heat_capacity(self, temperature: Array) -> Array:
-        """(N,) J/K of the cells."""
+        """(N,) heat capacities of the cells, J/K."""
         material = self.material
         slope = material.heat_capacity_slope * (temperature - material.reference_temperature)
         return np.asarray(material.density * material.heat_capacity * (1 + slope) * self.volume)

@@ -77,7 +77,7 @@ class Course:
     time: Array
     """(T,) start of every slot, s."""
     duty: Annotated[Counts, "duty of every slot, 0 to 255"]
-    """Shape (T,), integers; the last ones are 0."""
+    """(T,) integer counts; the last ones are 0."""
     temperature: Array
     """(T, X) temperatures along the tube, degC."""
     position: Array
@@ -174,8 +174,9 @@ class HeatingPlan(Displayed):
 
     @property
     def feasible(self) -> bool:
-        """True if all limits are satisfied: window and temperature limit including mesh error, ramp, and the currents
-        of the circuit, and own requirements.
+        """True if all limits and own requirements are satisfied.
+
+        The limits are window and temperature limit including mesh error, ramp, and the currents of the circuit.
         """
         return self.outcome.feasible and not self.own_miss
 

@@ -52,9 +52,9 @@ class ObserverGains(NamedTuple):
     """Gains of the observer per K of prediction error."""
 
     temperature: float
-    """K/K."""
+    """Change of the estimated temperature, K/K."""
     strength: float
-    """1/K."""
+    """Relative change of the estimated strength of the heating, 1/K."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class Rest:
     """Replanned rest of a heating, N slots."""
 
     index: int
-    """First slot in the schedule."""
+    """Index of its first slot in the schedule."""
     planned: Array
     """(N,) effective mean counts."""
     reading: Array

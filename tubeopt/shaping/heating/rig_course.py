@@ -262,7 +262,7 @@ class GridPlaces:
     places: Array
     """(n,) distances from the middle of the tube, decreasing, m."""
     fixed: bool
-    """False if clearance or lead are unknown: then only the places in the curved part are these."""
+    """True if all places are fixed; False if an unknown clearance or lead moves those outside the curved part."""
 
 
 NO_PLACES = GridPlaces(np.zeros(0), fixed=False)

@@ -402,7 +402,7 @@ class Response:
     """First-order response of the reading to a relative change of the power."""
 
     gain: float
-    """Final change per relative change, K."""
+    """Final change of the reading per relative change of the power, K."""
     time_constant: float
     """Time constant, s."""
 

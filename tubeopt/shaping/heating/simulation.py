@@ -186,7 +186,7 @@ class History:
     """Simulation of B members at T times."""
 
     time: Array
-    """(T,) times, s."""
+    """(T,) times of the simulation, s."""
     tube: Array
     """(T, B, n) temperatures of the tube's cells, K."""
     walls: Array

@@ -204,7 +204,7 @@ def half_lengths(tube: Tube, rig: Rig) -> HalfLengths:
 def uniform_gap_of(tube: Tube, rig: Rig) -> float:
     """Uniform gap (m) that conducts as much as the air in the groove.
 
-    That of the rig, or of its groove as milled.
+    It is the gap of the rig, if that has one, or follows from the groove as milled.
     """
     return square_groove_gap(tube, rig) if rig.mold.gap is None else rig.mold.gap
 
@@ -330,9 +330,9 @@ def curve_start(model: ThermalModel) -> float:
 
 
 def curved_temperatures(model: ThermalModel, tube: Array) -> Array:
-    """(..., 1 + c) temperatures at the start of the curved part and at its cells.
+    """(..., 1 + c) temperatures at the start of the curved part and at its cells, K.
 
-    From the temperatures of all cells (..., n).
+    `tube` (..., n): temperatures of all cells, K.
     """
     first = int(np.argmax(model.curved))
     before, after = model.width[first - 1], model.width[first]

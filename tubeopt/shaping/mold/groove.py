@@ -115,7 +115,7 @@ class Samples(NamedTuple):
     arc_length: Array
     """(N,) arc lengths, m."""
     points: Array
-    """(N, 2) points, m."""
+    """(N, 2) points on the curve, m."""
     tangents: Array
     """(N, 2) unit tangents."""
 

@@ -70,7 +70,7 @@ class Winding:
     arc_length: Array
     """(N,) arc lengths, m; 0 at the start of the bend."""
     points: Array
-    """(N, 3) points, m."""
+    """(N, 3) points on the centreline, m."""
     tangents: Array
     """(N, 3) unit tangents."""
     bend: slice

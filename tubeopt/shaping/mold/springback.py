@@ -101,7 +101,7 @@ class Calibration(Displayed):
     mold_curvature: Array
     """(N,) curvatures of the molds of the trials, 1/m."""
     obtained_curvature: Array
-    """(N,) curvatures of the tubes set in them, 1/m."""
+    """(N,) curvatures of the tubes set in the molds, 1/m."""
     fraction_interval: Annotated[tuple[float, float] | None, unit("percent"), "95 % interval of the fraction"]
     """None where trials are too few."""
     slope_interval: Annotated[tuple[float, float] | None, unit("mm"), "95 % interval of the slope"]

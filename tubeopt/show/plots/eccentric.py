@@ -31,7 +31,7 @@ class Curve:
     """A line in space, coloured by values."""
 
     points: Array
-    """(k, 3) positions, m."""
+    """(k, 3) points of the line, m."""
     value: Array | float
     """(k,) values, or one for all points."""
     tip: bool = True

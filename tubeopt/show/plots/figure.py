@@ -84,7 +84,7 @@ def _cell(text: str) -> str:
 
 
 def _points(axes: Axes, artist: Any) -> Any:
-    """(N, 3) x, y and value of a line, points, a mesh, an image or a bar; none of other artists."""
+    """(N, 3) points (x, y, value) of a line, points, a mesh, an image or a bar; none of other artists."""
     points: Any
     values: Any = None
     # Rules such as axvline have one coordinate in fractions of the panel: they are no data.

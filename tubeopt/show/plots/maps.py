@@ -192,7 +192,7 @@ class Curve(NamedTuple):
     known: Array
     """(m, 2) rotations with a known margin, deg."""
     square: Array
-    """(m,) squares of these margins."""
+    """(m,) squares of the known margins."""
 
 
 def _smooth(directions: Array, points: Array, approach: Array) -> Curve:

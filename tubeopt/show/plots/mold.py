@@ -152,7 +152,7 @@ def plot_springback(calibration: Calibration) -> Figure:
 
 
 def _reciprocal(values: Any) -> Any:
-    """1/m to mm and back."""
+    """Radii (mm) of curvatures (1/m), or curvatures of radii."""
     return np.asarray(TO_MM / np.maximum(np.abs(np.asarray(values, dtype=float)), 1e-9))
 
 

@@ -26,9 +26,9 @@ class PanelScale(NamedTuple):
     factor: float = 1.0
     """Factor from SI to the unit."""
     low: float | None = None
-    """Lower end, in the unit; below it only where values are. None: from the values."""
+    """Lower end of the axis, in the unit; lower values extend the axis. None: from the values."""
     high: float | None = None
-    """Upper end, in the unit; above it only where values are. None: from the values."""
+    """Upper end of the axis, in the unit; higher values extend the axis. None: from the values."""
     min_span: float = 0.0
     """Smallest height, in the unit, so that round-off about a constant does not resemble a signal."""
 

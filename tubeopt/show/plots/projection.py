@@ -223,7 +223,7 @@ class DrawnMesh(NamedTuple):
     colours: Array
     """(k, 4) RGBA in [0, 1]."""
     lift: Array
-    """(k,) m, shift along the normal for sorting by depth: an outer surface stays in front of one that it touches."""
+    """(k,) shifts along the normal for sorting by depth, m: an outer surface stays in front of one that it touches."""
 
     def depth(self, towards_viewer: Array) -> Array:
         """(k,) distances towards the viewer, m, in the direction `towards_viewer` (3,)."""

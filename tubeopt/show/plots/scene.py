@@ -62,7 +62,7 @@ class TipPath(NamedTuple):
     """Path of a tip, or its targets, in the frame of the scene."""
 
     time: Array
-    """(T,) s, or another increasing parameter."""
+    """(T,) times, s, or another increasing parameter."""
     points: Array
     """(T, 3) points of the path, m."""
     targets: bool = False
@@ -77,7 +77,7 @@ class DrawnTarget(NamedTuple):
     direction: Array | None
     """(3,) required unit tangent of the tip; None: any."""
     tip: Array | None
-    """(3,) m, tip that misses the target; None for a reached target."""
+    """(3,) position of the tip that misses the target, m; None for a reached target."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,11 +253,11 @@ class LoadArrow(NamedTuple):
     """A force or a moment in a scene."""
 
     start: Array
-    """(3,) m, where it acts."""
+    """(3,) point at which it acts, m."""
     end: Array
-    """(3,) m, end of its arrow; moments point along their axes."""
+    """(3,) end of its arrow, m; moments point along their axes."""
     size: float
-    """N or N m; per m of a load per length."""
+    """Size of the force (N) or moment (N m); per metre for a load per length."""
     unit: str
     colour: str
     labelled: bool = True

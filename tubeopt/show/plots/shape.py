@@ -310,7 +310,7 @@ class TorsionCurve(NamedTuple):
     theta: Array
     """(k,) rotations along the arm, rad."""
     slope: Array
-    """(k,) theta', rad/m."""
+    """(k,) torsion theta', rad/m."""
 
 
 def _torsion_curve(equilibrium: Equilibrium, tube: int, end: float) -> TorsionCurve:

@@ -197,7 +197,7 @@ class _Section:
     margin: Array
     """(I, J) smallest margin of the samples in and next to a cell; NaN for cells without samples."""
     dexterity: Array
-    """(I, J) fraction of directions of the same samples; NaN for cells without samples."""
+    """(I, J) fraction of directions of the samples in and next to a cell; NaN for cells without samples."""
 
 
 def _section(workspace: Workspace, size: float | None) -> _Section:

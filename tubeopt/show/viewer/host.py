@@ -142,8 +142,10 @@ def _own_page_alone(host: str, title: str, added: AddedHandler | None) -> Iterat
 
 
 def titled(response: Any, title: str, head: str = "") -> Any:
-    """Response of the server with the page's title instead of viser's, and more in its head; None, for a websocket, is
-    returned."""
+    """Response of the server with the page's title instead of viser's, and with `head` added to its head.
+
+    A response None, for a websocket, is returned unchanged.
+    """
     if response is not None and UNTITLED in response.body:
         page = titled_page(response.body.decode(), title)
         response.body = page.replace("</head>", f"{head}</head>", 1).encode()
@@ -169,8 +171,10 @@ def is_own(host_header: str, origin: str | None, host: str) -> bool:
 
 
 def joints_yaml(session: Session) -> str:
-    """Joint values (readings, of a robot with a calibration) with the keys rotations_deg and translations_mm, as
-    `tubeopt ik --from` reads them."""
+    """YAML text of joint values with the keys rotations_deg and translations_mm, as `tubeopt ik --from` reads them.
+
+    For a robot with a calibration the values are readings.
+    """
     equilibrium = session.equilibrium
     rotations, translations = to_readings(session.robot, equilibrium.rotations, equilibrium.translations)
     data = {

@@ -102,8 +102,10 @@ def log_words(log: Sequence[SessionEvent]) -> str:
 
 
 def message_words(text: str, *, bad: bool = False) -> str:
-    """Message to the user, a line for each sentence; `bad` messages stay visible while the panel scrolls
-    (`page.css`)."""
+    """Message to the user, a line for each sentence.
+
+    Messages that are `bad` stay visible while the panel scrolls (`page.css`).
+    """
     if not text:
         return '<div data-testid="message"></div>'
     role, colour = ("alert", "#c81e1e") if bad else ("status", "#3b6fb5")

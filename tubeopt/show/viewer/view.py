@@ -42,7 +42,7 @@ class ViewerWaypoints:
     """Joint values over time."""
 
     time: Array
-    """(T,) s, from 0, increasing."""
+    """(T,) increasing times from 0, s."""
     rotations: Array
     """(T, n) rotations, rad."""
     translations: Array

@@ -54,15 +54,15 @@ class Start(NamedTuple):
     """Start of a solve from another equilibrium."""
 
     arc_length: Array
-    """Arc lengths (m,) of its arm, m."""
+    """Arc lengths (m,) of the arm of the start, m."""
     rotation: Array
-    """Rotations (n, m) there, rad."""
+    """Rotations (n, m) at the arc lengths of the arm, rad."""
     torsion: Array
-    """Torsion (n, m) there, rad/m."""
+    """Torsion (n, m) at the arc lengths of the arm, rad/m."""
     point: Array
     """Arc lengths (N,) of its collocation points, m."""
     point_rotation: Array
-    """Rotations (N, n) there, rad."""
+    """Rotations (N, n) at the collocation points, rad."""
     turn: Array
     """Rotations (n,) to add, rad."""
     translations: Array
@@ -157,11 +157,11 @@ class PieceSizes(NamedTuple):
     """Sizes of `piece_tables`."""
 
     panels: int
-    """Panels per tube."""
+    """Number of panels per tube."""
     coefficients: int
-    """Coefficients per panel."""
+    """Number of coefficients per panel."""
     cuts: int
-    """Cuts per tube."""
+    """Number of cuts per tube."""
 
 
 def piece_sizes(tables: Mapping[str, Array]) -> PieceSizes:

@@ -55,7 +55,10 @@ from .text import HERE, c_text
 PACKAGE = Path(__file__).parents[2]
 
 FLAGS = ("-O3", "-fno-math-errno", "-fno-trapping-math", "-fassociative-math", "-fno-signed-zeros")
-"""Sums may be reordered into vectors; infinities and NaN keep their meaning, since the kernel tests for them."""
+"""Flags of the compiler.
+
+Sums may be reordered into vectors; infinities and NaN keep their meaning, since the kernel tests for them.
+"""
 
 OWN_PROCESSOR = "-march=native"
 """Flag for all instructions of this processor; it is left out where a compiler does not accept it."""

@@ -41,7 +41,7 @@ class LeastSquares:
 
 
 def constrained_least_squares(matrix: Array, right: Array, rows: Array, bounds: Array) -> LeastSquares | None:
-    """min |matrix x - right| subject to rows x >= bounds, or None where no x satisfies these.
+    """Minimum of |matrix x - right| subject to rows x >= bounds; None if no x satisfies the bounds.
 
     Args:
         matrix: (r, m) of full column rank.   right: (r,).
@@ -55,7 +55,9 @@ def constrained_least_squares(matrix: Array, right: Array, rows: Array, bounds: 
 
 
 def by_least_distance(matrix: Array, right: Array, rows: Array, bounds: Array) -> LeastSquares | None:
-    """The same by `scipy.optimize.nnls`: Lawson and Hanson, Solving Least Squares Problems (1974), chapter 23.
+    """Constrained least squares by `scipy.optimize.nnls`.
+
+    Method: Lawson and Hanson, Solving Least Squares Problems (1974), chapter 23.
 
     A QR factorisation makes it a problem of least distance, whose dual is a non-negative least-squares problem.
     """
