@@ -39,7 +39,7 @@ def test_design_is_printed_saved_and_loads_back(run: Run, tmp_path: Path) -> Non
     data = answer(run("design", str(THESIS), "--json", "--out", str(tmp_path)))
     robot = load_robot(tmp_path / "robot.yaml")
     assert snap_free_certificate(robot) == data["certificate"] >= 0.05 - 1e-6
-    assert all(check["kept"] for check in data["checks"])
+    assert all(check["satisfied"] for check in data["checks"])
     assert 0.9 < data["tolerance"]["snap_free_probability"] < 1
     page = (tmp_path / "report.md").read_text(encoding="utf-8")
     for name in ("shapes.png", "maps.png", "tolerance.png"):

@@ -72,7 +72,7 @@ def test_relaxation_is_enough_and_not_more_than_needed() -> None:
     path = error.relaxations[0]
     assert path.words in str(error)
     assert path.task == apply_changes(task, path.changes)
-    assert optimize_design(path.task, turns=1, start=path.attempt).verification.kept
+    assert optimize_design(path.task, turns=1, start=path.attempt).verification.satisfied
     less = tuple(replace(change, amount=0.5 * change.amount) for change in path.changes)
     assert not multistart(compile_task(apply_changes(task, less)), starts=1).designs
 

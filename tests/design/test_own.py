@@ -172,7 +172,7 @@ def test_own_requirement_and_objective_give_the_optimum_of_the_built_in_ones() -
     assert sentences[0] == sentences[1].replace("certified margin", "certificate at home").replace(
         "robot", "curvatures"
     )
-    assert any(check.what == "certificate at home" and check.kept for check in design.verification.checks)
+    assert any(check.what == "certificate at home" and check.satisfied for check in design.verification.checks)
 
 
 def test_a_small_number_is_minimised_as_exactly_as_any_other() -> None:
@@ -203,8 +203,8 @@ def test_own_requirement_on_poses_is_kept_and_verified() -> None:
     without = optimize_design(replace(task, requirements=task.requirements[:2]), turns=0)
     assert min(e.tip_position[2] for e in without.equilibria) < 0.113
     check = check_custom(Height(0.113), without.robot, without.equilibria)
-    assert not check.kept
-    assert check.found == f"{min(1e3 * e.tip_position[2] for e in without.equilibria):.6g} mm"
+    assert not check.satisfied
+    assert check.value == f"{min(1e3 * e.tip_position[2] for e in without.equilibria):.6g} mm"
     assert check.what == "height of the tips"
 
 
@@ -371,7 +371,7 @@ def test_strain_held_straight_is_a_quantity_of_own_requirements() -> None:
     solution = optimize_design(DesignTask(two_tubes(), [free], [Strained(0.003)], Objective("change")), turns=0)
     largest = [0.003 / (tube.outer_diameter / 2 * 1.003) for tube in two_tubes().tubes]
     assert [tube.curvature for tube in solution.robot.tubes] == pytest.approx(largest, rel=1e-6)
-    assert solution.verification.kept
+    assert solution.verification.satisfied
 
 
 def test_the_stiffness_against_a_small_force_is_that_of_the_unloaded_arm() -> None:

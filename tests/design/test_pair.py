@@ -107,7 +107,7 @@ def test_both_robots_and_own_numbers_are_searched_at_once() -> None:
     assert [one.tubes[0].curvature, other.tubes[0].curvature] == pytest.approx([30.0, 10.0], abs=0.5)
     assert result.own == pytest.approx([20.0], abs=0.3)
     assert result.after > result.before
-    assert result.solutions[1].verification.kept
+    assert result.solutions[1].verification.satisfied
     assert result.status is DesignStatus.SATISFIED
 
 

@@ -231,7 +231,7 @@ def test_pieces_are_bent_into_a_corridor() -> None:
         robot, [Free("piece_curvature", (0, 1), -20.0, 20.0)], [pose, Avoid((corridor,))], Objective("change")
     )
     solution = optimize_design(task, turns=0)
-    assert solution.verification.kept
+    assert solution.verification.satisfied
     arm = forward_kinematics(solution.robot, [0.0, 0.0]).position
     off = [min(_distance(point, a, b) for a, b in pairwise(line)) for point in arm]
     assert 1.75e-3 < max(off) < 2.5e-3 - 0.65e-3
@@ -252,7 +252,7 @@ def test_least_pattern_that_cannot_snap() -> None:
     assert snap_free_certificate(solution.robot) == pytest.approx(0.05, abs=1e-6)
     for before, after in zip(THESIS.tubes, solution.robot.tubes, strict=True):
         assert after.curvature == before.curvature
-    assert solution.verification.kept
+    assert solution.verification.satisfied
     assert "bending factor of piece 1 of tube 1" in solution.dimensions[0].name
     whole = optimize_design(
         DesignTask(THESIS, [Free("piece_curvature", (0, 1, 2), 0.5, 15.0)], [SnapFree(0.05)], Objective("change")),
@@ -271,7 +271,7 @@ def test_a_shape_reaches_a_target_with_a_margin_and_a_strain() -> None:
     task = DesignTask(THESIS, free, [SnapFreeInUse(0.2, paths=False), pose, target, Strain((0.012,), in_poses=False)])
     solution = optimize_design(task)
     tip = solution.equilibria[-1].tip_position
-    assert solution.verification.kept
+    assert solution.verification.satisfied
     assert min(np.linalg.norm(e.tip_position - (0.01, -0.07, 0.17)) for e in solution.equilibria) < 0.0005 + 1e-6
     assert np.isfinite(tip).all()
     inner = solution.robot.tubes[0]
@@ -286,8 +286,8 @@ def test_lengths_of_tubes_of_pieces_are_designed_as_those_of_plain_ones() -> Non
         task = DesignTask(ConcentricRobot(tubes), free, [SnapFree(0.1)], Objective("change"))
         results.append(optimize_design(task))
     plain, pieces = results
-    assert plain.verification.kept
-    assert pieces.verification.kept
+    assert plain.verification.satisfied
+    assert pieces.verification.satisfied
     assert [d.after for d in pieces.dimensions] == pytest.approx([d.after for d in plain.dimensions], rel=1e-5)
     assert pieces.robot.tubes[0].pieces[0].length == pytest.approx(pieces.robot.tubes[0].curved_length)
     assert plain.robot.tubes[0].curved_length < 0.9 * THESIS.tubes[0].curved_length
@@ -317,7 +317,7 @@ def test_diameters_of_tubes_of_pieces_are_those_that_a_search_finds() -> None:
     free = [Free("outer_diameter", (0,), 0.7e-3, 1.2e-3), Free("inner_diameter", (1,), 1.0e-3, 1.55e-3)]
     task = DesignTask(ConcentricRobot((inner, outer)), free, [SnapFree(0.4), Nesting(0.05e-3)], Objective("change"))
     solution = optimize_design(task, turns=1)
-    assert solution.verification.kept
+    assert solution.verification.satisfied
     assert solution.objective == pytest.approx(best.fun, rel=1e-6)
     assert [d.after for d in solution.dimensions] == pytest.approx([1e3 * best.x, 1e3 * bore_at(best.x)], abs=1e-4)
     tube = solution.robot.tubes[0]
@@ -338,7 +338,7 @@ def test_pieces_that_no_force_snaps_are_the_arcs_that_none_does() -> None:
         )
         results.append(optimize_design(task, turns=0))
     plain, pieces = results
-    assert pieces.verification.kept
+    assert pieces.verification.satisfied
     assert snap_free_certificate(pieces.robot, max_force=0.02) == pytest.approx(0.3, abs=2e-3)
     assert [d.after for d in pieces.dimensions] == pytest.approx([d.after for d in plain.dimensions], rel=1e-4)
 
@@ -357,8 +357,8 @@ def test_diameters_of_plain_tubes_are_designed_as_those_of_one_piece() -> None:
         task = DesignTask(ConcentricRobot(one), free, aims, Objective("change"))
         results.append(optimize_design(task, turns=0))
     plain, pieces = results
-    assert plain.verification.kept
-    assert pieces.verification.kept
+    assert plain.verification.satisfied
+    assert pieces.verification.satisfied
     assert [d.after for d in pieces.dimensions] == pytest.approx([d.after for d in plain.dimensions], rel=1e-5)
     before, after = stiff, plain.robot.tubes[1]
     assert after.outer_diameter != pytest.approx(before.outer_diameter, rel=1e-3)
@@ -379,7 +379,7 @@ def test_a_box_is_covered_by_tubes_of_pieces() -> None:
         ConcentricRobot(tuple(tubes)), free, [box, SnapFreeInUse(0.1, paths=False)], Objective("length"), solver=quick
     )
     solution = optimize_design(task)
-    assert solution.verification.kept
+    assert solution.verification.satisfied
     inside = np.array(box.lower) + sobol(3, 4, 5) * (np.array(box.upper) - np.array(box.lower))
     for point in (*corners(box), *inside):
         reached = inverse_kinematics(solution.robot, point, min_margin=0.09, on_failure="closest")
@@ -404,7 +404,7 @@ def test_the_stiffest_diameter_is_that_of_a_search() -> None:
     requested = Poses(((0.0, 2.0),), ((0.0, 0.0),)), SnapFree(0.05), Nesting(0.1e-3)
     task = DesignTask(robot(0.9e-3, 1.05e-3), free, requested, Objective("tip_deflection", tip_force=(0.0, 0.02, 0.0)))
     solution = optimize_design(task, turns=1)
-    assert solution.verification.kept
+    assert solution.verification.satisfied
     assert solution.certificate > 0.05
     assert solution.objective == pytest.approx(best.fun, rel=1e-6)
     assert solution.dimensions[0].after == pytest.approx(1e3 * best.x, abs=2e-3)
@@ -499,7 +499,7 @@ def test_slots_are_cut_as_far_as_strain_allows() -> None:
     assert solution.dimensions[1].after < 0.4
     assert solution.robot.tubes[0].straightened_strain == pytest.approx(largest)
     assert snap_free_certificate(solution.robot) == pytest.approx(0.05, abs=1e-6)
-    assert solution.verification.kept
+    assert solution.verification.satisfied
 
 
 @pytest.mark.usefixtures("few_places")

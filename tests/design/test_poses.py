@@ -126,7 +126,7 @@ def test_robot_reaches_around_a_corner() -> None:
         assert (np.diff(beta) >= -1e-7).all()
         assert (np.diff(ends) <= 1e-7).all()
         assert (beta <= 1e-9).all()
-    assert design.verification.kept
+    assert design.verification.satisfied
     assert design.objective < 0.18
     assert design.sensitivities
 

@@ -43,7 +43,7 @@ def test_a_search_ends_at_the_strain_that_is_allowed() -> None:
     assert result.value.tubes[0].curvature <= largest * (1 + 1e-6)
     assert result.own == pytest.approx([0.3], abs=0.02)
     assert result.after > result.before
-    assert result.solution.verification.kept
+    assert result.solution.verification.satisfied
 
 
 def test_what_a_search_does_not_take_is_refused() -> None:

@@ -76,7 +76,7 @@ def test_a_certificate_is_kept_at_its_worst_translations_and_above_no_margin_tha
     monkeypatch.setattr(verify, "worst_margin", search)
     monkeypatch.setattr(verify, "count_snaps", lambda robot, turns, seed, row: (snaps, snaps))
     checks = checks_of(SnapFree(0.2))
-    assert [check.kept for check in checks] == kept
+    assert [check.satisfied for check in checks] == kept
     assert searched == [1.0]
 
 
@@ -90,7 +90,7 @@ def test_a_certificate_is_kept_at_its_floor_where_tubes_may_be_off(monkeypatch: 
         monkeypatch.setattr(
             verify, "snap_free_certificate", lambda robot, row, short=short: one.required_margin - short
         )
-        assert checks_of(one)[0].kept == retained
+        assert checks_of(one)[0].satisfied == retained
 
 
 def test_errors_of_three_tubes_take_as_much_from_a_certificate_as_is_allowed_for() -> None:
@@ -133,8 +133,8 @@ def test_tubes_that_are_off_are_tried_at_the_corners_of_their_errors(monkeypatch
     for more, retained in ((-1e-9, True), (1e-9, False)):
         requested = SnapFree(worst + 1e-4 + 1e-6 + more, curvature_error=0.1, stiffness_error=0.2)
         check = checks_of(requested)[1]
-        assert float(check.found) == pytest.approx(worst, abs=1e-5)
-        assert check.kept == retained
+        assert float(check.value) == pytest.approx(worst, abs=1e-5)
+        assert check.satisfied == retained
 
 
 @pytest.mark.parametrize(
@@ -156,15 +156,15 @@ def test_the_margin_in_use_is_the_least_of_poses_ways_and_deployments(
         drawn = (arm(margin=0.9), arm(margin=on_the_way))
         monkeypatch.setattr(verify, "deployments", lambda robot, arms, drawn=drawn: drawn)
         result = verify.verify(program, ROBOT, np.zeros(0), (arm(margin=0.9), arm(margin=at_pose)))
-        assert [check.kept for check in result.checks] == [at_pose > 0.299, on_the_way > 0.299, kept[2]]
-        assert result.kept == all(check.kept for check in result.checks)
+        assert [check.satisfied for check in result.checks] == [at_pose > 0.299, on_the_way > 0.299, kept[2]]
+        assert result.satisfied == all(check.satisfied for check in result.checks)
 
 
 def test_the_stroke_force_is_that_of_the_weakest_pose(monkeypatch: pytest.MonkeyPatch) -> None:
     for second, retained in ((0.5 - 0.9e-6, True), (0.5 - 1.1e-6, False)):
         forces = [0.9, second]
         monkeypatch.setattr(verify, "numbers_of", lambda *_, forces=forces: lambda one: np.array([forces[one.pose]]))
-        assert checks_of(StrokeForce(0.5), arm(), arm())[0].kept == retained
+        assert checks_of(StrokeForce(0.5), arm(), arm())[0].satisfied == retained
 
 
 def test_the_room_around_an_arm_is_the_least_of_poses_and_deployments(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -172,7 +172,7 @@ def test_the_room_around_an_arm_is_the_least_of_poses_and_deployments(monkeypatc
     monkeypatch.setattr(verify, "arm_distance", lambda one, robot, arm: arm.room)
     for pose, drawn in ((2e-3, 2e-3), (1.999e-3, 9e-3), (9e-3, 1.999e-3)):
         monkeypatch.setattr(verify, "deployments", lambda robot, arms, drawn=drawn: [arm(room=drawn)])
-        assert checks_of(one, arm(room=9e-3), arm(room=pose))[0].kept == (min(pose, drawn) >= 2e-3)
+        assert checks_of(one, arm(room=9e-3), arm(room=pose))[0].satisfied == (min(pose, drawn) >= 2e-3)
 
 
 def test_a_tip_is_as_near_to_its_target_as_the_worst_of_all() -> None:
@@ -185,14 +185,14 @@ def test_a_tip_is_as_near_to_its_target_as_the_worst_of_all() -> None:
             arm(tip_position=np.array([5e-4, 0.0, 0.1])),
             arm(tip_position=np.array([off, 0.0, 0.2]), tip_rotation=axes),
         )
-        assert [check.kept for check in checks_of(Reach((wide, fine)), *arms)] == retained
+        assert [check.satisfied for check in checks_of(Reach((wide, fine)), *arms)] == retained
 
 
 def test_tubes_are_in_order_in_the_poses_too(monkeypatch: pytest.MonkeyPatch) -> None:
     for gap, retained in ((0.0, True), (-1e-3, False)):
         monkeypatch.setattr(verify, "worst_order", lambda tubes, positions, gap=gap: (gap, "in words"))
         checks = verify.verify(program_of(ordered=True), ROBOT, np.zeros(0), (arm(), arm())).checks
-        assert [check.kept for check in checks] == [retained]
+        assert [check.satisfied for check in checks] == [retained]
 
 
 def test_snaps_are_counted_in_whole_turns_forth_and_back(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -262,7 +262,7 @@ def test_a_promise_about_tubes_is_kept_up_to_its_limit(make: Any, limit: float, 
     """The carriages travel 30 mm and 10 mm."""
     moved = arms([0.0, 0.0], [-0.03, -0.01])
     for beyond, retained in ((2e-5, True), (-2e-5, False)):
-        assert checks_of(make(limit * (1 + sign * beyond)), *moved, robot=UNEQUAL)[0].kept == retained
+        assert checks_of(make(limit * (1 + sign * beyond)), *moved, robot=UNEQUAL)[0].satisfied == retained
 
 
 def test_the_room_of_an_arm_is_that_of_its_closest_place_less_the_tube_that_is_there() -> None:
@@ -290,7 +290,7 @@ def test_an_own_requirement_is_kept_to_a_millionth_of_its_step(monkeypatch: pyte
     )
     for left, retained in ((-1.9e-6, True), (-2.1e-6, False)):
         monkeypatch.setattr(verify, "recorded", lambda *_, left=left: lambda look: np.array([0.5, left]))
-        assert verify.check_custom(one, UNEQUAL, ()).kept == retained
+        assert verify.check_custom(one, UNEQUAL, ()).satisfied == retained
 
 
 def test_a_stroke_force_is_that_at_which_the_arm_buckles(monkeypatch: pytest.MonkeyPatch) -> None:

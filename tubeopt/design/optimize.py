@@ -102,7 +102,7 @@ class DesignSolution(Displayed):
     @property
     def status(self) -> DesignStatus:
         """Result of the final check of all requirements, and whether the search finished."""
-        if not self.verification.kept:
+        if not self.verification.satisfied:
             return DesignStatus.BROKEN
         return DesignStatus.STOPPED if self.out_of_time else DesignStatus.SATISFIED
 
@@ -354,8 +354,8 @@ def solution_of(task: DesignTask, ranking: Ranking, turns: int, start_time: floa
         seconds=time.perf_counter() - start_time,
         out_of_time=bool(ranking.late),
     )
-    if not verification.kept:
-        raise SolveError(f"verification of the design failed: {verification.broken}", solution)
+    if not verification.satisfied:
+        raise SolveError(f"verification of the design failed: {verification.violations}", solution)
     return solution
 
 

@@ -69,8 +69,8 @@ class Check:
     """Check of one requirement."""
 
     what: Annotated[str, form("s", label=""), "the requirement"]
-    found: Annotated[str, form("s", label="found"), "the value found"]
-    kept: Annotated[bool, "true if it is satisfied"]
+    value: Annotated[str, form("s", label="value"), "its value in the design"]
+    satisfied: Annotated[bool, "true if it is satisfied"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,14 +81,14 @@ class Verification:
     """Check results, one or more for each requirement."""
 
     @property
-    def kept(self) -> bool:
+    def satisfied(self) -> bool:
         """True if all requirements are satisfied."""
-        return all(check.kept for check in self.checks)
+        return all(check.satisfied for check in self.checks)
 
     @property
-    def broken(self) -> str:
+    def violations(self) -> str:
         """Violated requirements with the values found."""
-        return "; ".join(f"{check.what}: {check.found}" for check in self.checks if not check.kept)
+        return "; ".join(f"{check.what}: {check.value}" for check in self.checks if not check.satisfied)
 
 
 def verify(

@@ -74,8 +74,8 @@ POSE = described(
 
 CHECK = described(
     Check,
-    "what found",
-    of_field(Check, "kept", label="", words=lambda check: "kept" if check.kept else "BROKEN"),
+    "what value",
+    of_field(Check, "satisfied", label="", words=lambda check: "satisfied" if check.satisfied else "VIOLATED"),
 )
 
 
@@ -311,7 +311,8 @@ class DesignReport(Report[DesignAnswer]):
         lines += _markdown(("limit", "at", "price"), rows) if rows else ["None."]
         lines += ["", "## Checked again", ""]
         lines += _markdown(
-            ("promise", "found", "kept"), [(c.what, c.found, "yes" if c.kept else "no") for c in s.verification.checks]
+            ("requirement", "value", "satisfied"),
+            [(c.what, c.value, "yes" if c.satisfied else "no") for c in s.verification.checks],
         )
         if self.answer.stock is not None:
             lines += ["", "## Choices from stock", "", *_markdown(*self.from_stock())]
