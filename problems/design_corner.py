@@ -34,7 +34,7 @@ def main(out: Path) -> list[Path]:
     print(f"length {design.objective * 1e3:.2f} mm, in {design.seconds:.1f} s")
     print(f"the tip is within {max(gaps) * 1e3:.4f} mm of all targets")
     for check in design.verification.checks:
-        print(f"{check.what}: {check.found}")
+        print(f"{check.what}: {check.value}")
     picture = out / "design_corner.png"
     plot_poses(design, picture)
     return [picture]

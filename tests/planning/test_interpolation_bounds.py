@@ -178,7 +178,7 @@ def loaded_stub(h: float, *, wide: bool = False) -> Any:
     result._felt = np.array([[0.3, 0.4, 0.0, 0, 0, 0]] * 2), np.array([[0.0, 0.0, FORCE, 0, 0, 0]] * 2)
     result.ends, result._lever = np.array([[1.0, 1.0]]), np.array([LEVER])
     result.torque = np.array([[0.2, 0.45], [0.45, 0.1]])
-    result.borne = (result.torque, result.torque), None
+    result.reactions = (result.torque, result.torque), None
     return result
 
 
@@ -243,7 +243,10 @@ def test_an_arm_is_as_far_off_as_in_its_longest_step(
     both.owner, both.wide = np.zeros(3, dtype=int), np.zeros(2, dtype=bool)
     both._onwards, both.torsion = np.tile([0.8, 1.1], (3, 1)), np.tile([1.1, 0.8], (3, 1))
     both.torque = np.full((3, 2), 0.45)
-    both.borne, both._felt = ((both.torque, both.torque), None), tuple(np.tile(each[:1], (3, 1)) for each in one._felt)
+    both.reactions, both._felt = (
+        ((both.torque, both.torque), None),
+        tuple(np.tile(each[:1], (3, 1)) for each in one._felt),
+    )
     (shape, *thirds), (result, *steps_found) = found_by(kind, name, one), found_by(kind, name, both)
     assert result == pytest.approx(shape, rel=1e-12)
     for third, each in zip(thirds, steps_found, strict=True):

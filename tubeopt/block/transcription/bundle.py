@@ -530,8 +530,9 @@ class Work:
     """Work of a load, with derivatives by kappa (2 N), lengths h (m) and own lengths (n) as independent quantities."""
 
     value: float
+    """Work, J."""
     first: Array
-    """Derivative (2 N + m + n,), or virtual work."""
+    """Virtual work (2 N + m + n,): first derivative of the work."""
     second: Array
     """Derivative (2 N + m + n, 2 N + m + n) of `first`."""
     torsional: Array
