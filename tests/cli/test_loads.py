@@ -148,7 +148,7 @@ def test_forces_of_a_recording(run: Run, tmp_path: Path) -> None:
     report = data["estimates"]
     wrong = np.array([row["force_mN"] for row in report]) - true
     errors = np.array([row["standard_error_mN"] for row in report])
-    assert data["told"] == 4
+    assert data["estimated"] == 4
     assert np.abs(wrong / errors).max() < 3.5
     assert (errors < 10).all()
     header, *rows = (tmp_path / "forces.csv").read_text().splitlines()

@@ -415,7 +415,7 @@ RECORD = described(
     Quantity("robot", "name of the robot", lambda r: r.robot.name),
     Quantity("rows", "number of rows of the recording", lambda r: len(r.estimates), form="d",
              label="rows of the recording"),
-    Quantity("told", "number of rows with an estimate", lambda r: sum(e is not None for e in r.estimates), form="d",
+    Quantity("estimated", "number of rows with an estimate", lambda r: sum(e is not None for e in r.estimates), form="d",
              label="rows with an estimate"),
     "noise",
     line("largest force", lambda r: _largest_force_text(r)),
