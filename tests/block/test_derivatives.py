@@ -29,7 +29,7 @@ from tubeopt import (
     SolveError,
     forward_kinematics,
 )
-from tubeopt.equilibrium.answer import to_equilibrium
+from tubeopt.equilibrium.kinematics import to_equilibrium
 from tubeopt.equilibrium.result import Jacobian
 from tubeopt.robots.assembly import DIMENSIONS
 from tubeopt.robots.eccentric import EccentricRobot

@@ -41,7 +41,7 @@ from tubeopt.design.evaluation import state_at
 from tubeopt.design.objectives import aim
 from tubeopt.design.program import Program, compile_task
 from tubeopt.design.verify import check_custom, numbers_of
-from tubeopt.equilibrium.answer import sure_margin
+from tubeopt.equilibrium.kinematics import sure_margin
 from tubeopt.typing import Array
 
 MM = 1e-3

@@ -50,7 +50,7 @@ from tubeopt.design.program import compile_task, corners
 from tubeopt.design.state import DesignState, FixedPose, FreePose, Layout
 from tubeopt.design.task import DesignSolver
 from tubeopt.design.verify import largest_strain
-from tubeopt.equilibrium.answer import sure_margin
+from tubeopt.equilibrium.kinematics import sure_margin
 from tubeopt.robots.pieces import Slots
 from tubeopt.runs.design_parts import FreeEntry
 from tubeopt.solvers.sampling import sobol

@@ -26,8 +26,8 @@ from tubeopt import (
     load_robot,
     snap_free_certificate,
 )
-from tubeopt.equilibrium.answer import point_of
 from tubeopt.equilibrium.bundle_derivatives import BundleResponse, bundle_response
+from tubeopt.equilibrium.kinematics import point_of
 from tubeopt.errors import InputError
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.posture import start_posture

@@ -27,9 +27,8 @@ from tests.examples import (
     unstable_home,
 )
 from tubeopt import ConcentricRobot, Discretisation, Equilibrium, InputError, Newton, SolveError, Status, Tube
-from tubeopt.equilibrium.answer import to_equilibrium
 from tubeopt.equilibrium.file import ALONG_THE_ARM, ARRAYS
-from tubeopt.equilibrium.kinematics import forward_kinematics
+from tubeopt.equilibrium.kinematics import forward_kinematics, to_equilibrium
 from tubeopt.equilibrium.problem import METHODS
 from tubeopt.typing import Array
 

@@ -25,11 +25,10 @@ from tubeopt import (
 )
 from tubeopt.block.transcription.arm import evaluate_arm
 from tubeopt.block.transcription.arm_response import LinearisedArm
-from tubeopt.equilibrium.answer import sample_rotation
 from tubeopt.equilibrium.directions import PARAMETERS
 from tubeopt.equilibrium.jacobian import derivatives_of
 from tubeopt.equilibrium.linearised import Linearised, curvature_at, linearise
-from tubeopt.equilibrium.member import Point, Unloaded
+from tubeopt.equilibrium.member import Point, Unloaded, sample_rotation
 from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_assembly
 from tubeopt.robots.robot import Robot, resized
 from tubeopt.typing import Array

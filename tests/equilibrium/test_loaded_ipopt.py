@@ -9,7 +9,7 @@ import tubeopt
 from tests.examples import PIECES, THESIS, TWO_TUBE
 from tubeopt import InputError, Load, forward_kinematics
 from tubeopt.block.transcription.loaded import evaluate, tip_position, unknowns
-from tubeopt.equilibrium.answer import sample_rotation
+from tubeopt.equilibrium.member import sample_rotation
 from tubeopt.equilibrium.problem import loaded_problem
 from tubeopt.robots.robot import Robot
 from tubeopt.solvers.ipopt import solve_loaded_ipopt

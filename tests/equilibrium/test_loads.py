@@ -28,8 +28,8 @@ from tubeopt import (
     load_robot,
 )
 from tubeopt.block.transcription.loaded import evaluate
-from tubeopt.equilibrium.answer import point_of, to_equilibrium
 from tubeopt.equilibrium.continuation import Family, reach
+from tubeopt.equilibrium.kinematics import point_of, to_equilibrium
 from tubeopt.equilibrium.member import Loaded
 from tubeopt.equilibrium.problem import loaded_problem
 from tubeopt.robots.load import between

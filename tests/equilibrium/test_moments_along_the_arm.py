@@ -22,7 +22,7 @@ from tubeopt import (
     load_equilibrium,
     load_robot,
 )
-from tubeopt.equilibrium.answer import point_of
+from tubeopt.equilibrium.kinematics import point_of
 from tubeopt.robots.load import between
 from tubeopt.robots.pieces import Piece
 from tubeopt.runs.robot_keys import load_entry

@@ -10,7 +10,8 @@ from scipy.interpolate import make_interp_spline
 
 from tests.general_reference import Bundle, Stretch, shoot, straight
 from tubeopt import ConcentricRobot, Piece, Tube, forward_kinematics
-from tubeopt.equilibrium.answer import discretisation_of, point_of
+from tubeopt.equilibrium.kinematics import point_of
+from tubeopt.equilibrium.member import discretisation_of
 
 
 def random_piece(random: np.random.Generator, length: float, stiffness: tuple[float, float]) -> tuple[Piece, Stretch]:

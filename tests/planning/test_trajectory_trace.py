@@ -11,7 +11,7 @@ import pytest
 from tests.examples import DEG, TWO_TUBE, eccentric_robot, nested
 from tubeopt import forward_kinematics
 from tubeopt.bodies.obstacles import Sphere, scene_of
-from tubeopt.equilibrium.answer import linearised
+from tubeopt.equilibrium.kinematics import linearised
 from tubeopt.inverse.clock import Clock
 from tubeopt.planning import proof, trajectory_trace
 from tubeopt.planning.sections import SolvedArms

@@ -20,7 +20,7 @@ from tubeopt import (
     verify_trajectory,
 )
 from tubeopt.block.transcription.loaded import monotonicity
-from tubeopt.equilibrium.answer import point_of, sure_margin
+from tubeopt.equilibrium.kinematics import point_of, sure_margin
 from tubeopt.planning import trajectory_trace
 from tubeopt.planning.loaded_branch import CHORD_ERROR, _Bounds, _Displacement, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull

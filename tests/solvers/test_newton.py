@@ -14,7 +14,6 @@ from tubeopt.block.transcription.reduced import Evaluation, ReducedProblem, eval
 from tubeopt.block.transcription.second_variation import margin
 from tubeopt.equilibrium import member as module
 from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
-from tubeopt.solvers.newton import leave_saddle
 from tubeopt.solvers.settings import Newton
 
 
@@ -122,7 +121,7 @@ def test_newton_stays_on_the_saddle_that_descent_leaves() -> None:
     problem = saddle.member.problem
     assert saddle.margin < 0
     ends = []
-    for start in leave_saddle(problem, saddle.state):
+    for start in saddle.member.beside(saddle.state):
         assert np.abs(problem.factor @ (start - saddle.state.z)).max() == pytest.approx(0.05)
         assert evaluate(problem, rotations, start).energy < saddle.state.energy
         end = descend(problem, rotations, start)

@@ -29,8 +29,8 @@ from tubeopt import (
     snap_free_certificate,
 )
 from tubeopt.block.transcription.loaded import LoadedProblem, evaluate
-from tubeopt.equilibrium.answer import point_of
 from tubeopt.equilibrium.continuation import Family, reach
+from tubeopt.equilibrium.kinematics import point_of
 from tubeopt.equilibrium.member import Loaded
 from tubeopt.stability.certificate import ArmSections, arm_sections
 from tubeopt.stability.folds import slide

@@ -25,8 +25,8 @@ from tubeopt import (
     load_robot,
 )
 from tubeopt.block.transcription.orientation import tangents
-from tubeopt.equilibrium.answer import point_of
 from tubeopt.equilibrium.jacobian import shifted, unit_of
+from tubeopt.equilibrium.kinematics import point_of
 from tubeopt.stability.folds import fall
 from tubeopt.stability.load_limit import find_loss
 from tubeopt.typing import Array

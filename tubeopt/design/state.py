@@ -14,11 +14,10 @@ import numpy as np
 
 from ..block.quantities import PoseNumber, Quantity
 from ..block.transcription.buffered import mapped
-from ..equilibrium.answer import sure_margin, to_equilibrium
 from ..equilibrium.arm_change import SHAPE_POINTS
 from ..equilibrium.directions import Change, Directions
 from ..equilibrium.jacobian import margin_slopes
-from ..equilibrium.kinematics import under_load
+from ..equilibrium.kinematics import sure_margin, to_equilibrium, under_load
 from ..equilibrium.linearised import curvature_at, linearise, position_at
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError

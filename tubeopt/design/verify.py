@@ -12,8 +12,7 @@ import numpy as np
 from ..arguments import typed
 from ..block.custom import CustomRequirement
 from ..block.quantities import CLEARANCES, Look, Quantity, recorded
-from ..equilibrium.answer import sure_margin
-from ..equilibrium.kinematics import forward_kinematics, under_load
+from ..equilibrium.kinematics import forward_kinematics, sure_margin, under_load
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import point_at
 from ..errors import SolveError, whole

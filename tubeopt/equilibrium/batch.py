@@ -24,8 +24,8 @@ from ..solvers.compiled.loaded import solve_many_loaded_compiled
 from ..solvers.settings import NEWTON
 from ..solvers.time_limit import LONG_TIME_LIMIT, check_time, limited
 from ..typing import Array, Index, Mask, StatusEnum
-from .answer import largest_error, sample_arms
-from .kinematics import forward_kinematics
+from .kinematics import forward_kinematics, largest_error
+from .member import sample_arms
 from .problem import TOLERANCE, check_load, loaded_rules
 
 CHUNK = 2048

@@ -38,13 +38,12 @@ from ..block.transcription.bundle import (
 )
 from ..block.transcription.second_variation import stiffnesses
 from ..block.transcription.tableau import tableau
-from ..errors import InputError, SolveError
+from ..errors import InputError
 from ..robots.eccentric import BundleRobot
 from ..robots.load import Load, masses
 from ..robots.robot import Robot
-from ..solvers.blas import small
 from ..solvers.newton import NewtonResult, descend, full_steps
-from ..solvers.settings import LEAST_STIFFNESS, NEWTON
+from ..solvers.settings import LEAST_STIFFNESS, NEWTON, Newton
 from ..solvers.time_limit import check_time
 from ..typing import Array
 from .member import AnyPoint, Errors, Member, Point
@@ -132,6 +131,44 @@ class Bundled(Member[BundleState]):
         problem = problem_at(bundle, start(bundle, _places(load)), load=load, density=_density(robot, load), **mesh)
         return Bundled(robot, problem, rotations, translations, discretisation, factor)
 
+    @staticmethod
+    def cold(robot: BundleRobot, rotations: Array, translations: tuple[float, ...]) -> Bundled:
+        """Member with the boundaries of untwisted tubes, without a load."""
+        first = natural_start(bundle_at(robot, translations), rotations)
+        if not first.order:
+            raise InputError("no tube is in front of the base plate; a bundle robot needs one")
+        return Bundled.of(robot, rotations, translations, start=lambda *_: first)
+
+    @staticmethod
+    def of_equilibrium(
+        equilibrium: Equilibrium, load: Load | None, discretisation: Discretisation | None
+    ) -> tuple[Bundled, Array]:
+        """Member and unknowns of an equilibrium: with its load on its mesh, or without load under 0 times `load`."""
+        robot, statistics, points = equilibrium.robot, equilibrium.statistics, equilibrium.points
+        assert isinstance(robot, BundleRobot)
+        shift, rotations = tuple(equilibrium.translations.tolist()), equilibrium.rotations
+        bundle, own, t = bundle_at(robot, shift), equilibrium.load, tableau("gauss", statistics.degree)
+        first, ends = equilibrium.section_start, np.append(equilibrium.section_start[1:], equilibrium.arc_length[-1])
+        count = np.bincount(np.searchsorted(first, points.point, side="right") - 1, minlength=len(first)) // t.degree
+        h = np.repeat((ends - first) / count, count * t.degree)
+        bend = points.point_curvature * h[:, None]
+        lengths = np.tile(t.weights, len(h) // t.degree)[:, None] * (h[:, None] + bend @ bundle.levers.T)
+        reached = np.cumsum(lengths, axis=0)[np.cumsum(count * t.degree) - 1]
+        start = Start(solved_order(bundle, _places(own), ends, reached), ends - first, np.zeros((len(ends), 2)))
+        d = Discretisation(degree=statistics.degree, refinement=statistics.refinement)
+        member = Bundled.of(robot, rotations, shift, own, start=lambda *_: start, discretisation=d)
+        member = replace(member, problem=replace(member.problem, count=count, nominal=(ends - first) / count))
+        problem, base = member.problem, equilibrium.rotation[:, 0]
+        # theta at the points is the sum of p up to there.
+        turn = np.asarray(np.linalg.solve(problem.up_to, points.point_rotation - base), dtype=float)
+        x = problem.unknowns(turn, bend.ravel(), base - rotations)
+        if own is not None or (load is None and discretisation in (None, d)):
+            return member, x
+        point = Point(0.0, member, member.at(x), equilibrium.margin)
+        d = discretisation or (DEFAULT_DISCRETISATION if load is None else LOADED_DISCRETISATION)
+        member = replace(member, discretisation=d).near(point, rotations, shift, load, 0.0).on(degree=d.degree)
+        return member, member.transfer(point)
+
     @property
     def torsion(self) -> Any:
         """None: rotations have no equations of their own."""
@@ -159,6 +196,10 @@ class Bundled(Member[BundleState]):
     def unknowns(self, theta: Array, curvature: Array | None = None) -> Array:
         """Refused: rotations and curvature determine no lengths."""
         raise InputError("kind is bundle; its equilibria are not found from rotations along the arm")
+
+    def untwisted(self) -> Array:
+        """(U,) unknowns of tubes without torsion."""
+        return start_unknowns(self.problem, natural_start(self.problem.bundle, self.rotations))
 
     def at(self, x: Array) -> BundleState:
         """State at unknowns x (U,)."""
@@ -235,9 +276,11 @@ class Bundled(Member[BundleState]):
             x, lambda own, at: full_steps(own.at(at), own.advanced, own.turn, own.residual, iterations)
         )
 
-    def descend(self, x: Array) -> NewtonResult[BundleState]:
+    def descend(self, x: Array, settings: Newton = NEWTON) -> NewtonResult[BundleState]:
         """Minimise the energy from x (U,) by guarded Newton steps."""
-        return self._with_sections(x, lambda own, at: descend(own.at(at), own.advanced, own.turn, own.residual))
+        return self._with_sections(
+            x, lambda own, at: descend(own.at(at), own.advanced, own.turn, own.residual, settings)
+        )
 
     def _with_sections(
         self, x: Array, newton: Callable[[Bundled, Array], NewtonResult[BundleState]]
@@ -432,68 +475,3 @@ class Bundled(Member[BundleState]):
             return None
         step = scipy.linalg.lapack.dgesv(point.state.hessian, -point.state.load_slope)[2]
         return np.asarray(step * (self.factor - point.state.factor))
-
-
-# --- From an equilibrium to its problem, and cold starts --------------------------------------------------------------
-
-
-def bundle_unsolved(
-    equilibrium: Equilibrium, load: Load | None = None, discretisation: Discretisation | None = None
-) -> tuple[Bundled, Array]:
-    """Problem of an equilibrium, and its unknowns as they were solved for; arguments as of `answer.unsolved`."""
-    robot, statistics, points = equilibrium.robot, equilibrium.statistics, equilibrium.points
-    assert isinstance(robot, BundleRobot)
-    shift, rotations = tuple(equilibrium.translations.tolist()), equilibrium.rotations
-    bundle, own, t = bundle_at(robot, shift), equilibrium.load, tableau("gauss", statistics.degree)
-    first, ends = equilibrium.section_start, np.append(equilibrium.section_start[1:], equilibrium.arc_length[-1])
-    count = np.bincount(np.searchsorted(first, points.point, side="right") - 1, minlength=len(first)) // t.degree
-    h = np.repeat((ends - first) / count, count * t.degree)
-    bend = points.point_curvature * h[:, None]
-    lengths = np.tile(t.weights, len(h) // t.degree)[:, None] * (h[:, None] + bend @ bundle.levers.T)
-    reached = np.cumsum(lengths, axis=0)[np.cumsum(count * t.degree) - 1]
-    start = Start(solved_order(bundle, _places(own), ends, reached), ends - first, np.zeros((len(ends), 2)))
-    d = Discretisation(degree=statistics.degree, refinement=statistics.refinement)
-    member = Bundled.of(robot, rotations, shift, own, start=lambda *_: start, discretisation=d)
-    member = replace(member, problem=replace(member.problem, count=count, nominal=(ends - first) / count))
-    problem, base = member.problem, equilibrium.rotation[:, 0]
-    # theta at the points is the sum of p up to there.
-    turn = np.asarray(np.linalg.solve(problem.up_to, points.point_rotation - base), dtype=float)
-    x = problem.unknowns(turn, bend.ravel(), base - rotations)
-    if own is not None or (load is None and discretisation in (None, d)):
-        return member, x
-    point = Point(0.0, member, member.at(x), equilibrium.margin)
-    d = discretisation or (DEFAULT_DISCRETISATION if load is None else LOADED_DISCRETISATION)
-    member = replace(member, discretisation=d).near(point, rotations, shift, load, 0.0).on(degree=d.degree)
-    return member, member.transfer(point)
-
-
-@small
-def cold_bundle(robot: BundleRobot, rotations: Array, translations: tuple[float, ...]) -> AnyPoint:
-    """Stable equilibrium from untwisted tubes, by energy descent.
-
-    Raises:
-        SolveError: none was found.
-    """
-    bundle = bundle_at(robot, translations)
-    first = natural_start(bundle, rotations)
-    if not first.order:
-        raise InputError("no tube is in front of the base plate; a bundle robot needs one")
-    member = Bundled.of(robot, rotations, translations, start=lambda *_: first)
-    point = _minimum(member, start_unknowns(member.problem, first))
-    if point.margin <= 0:
-        # A saddle of a symmetric start: the lower one of the minima on both sides. 0.05 rad is small against their
-        # distance, and enough for the energy to fall.
-        aside = 0.05 / point.member.turn(point.state, point.softest) * point.softest
-        sides = [_minimum(point.member, point.state.x + side * aside) for side in (1, -1)]
-        point = min(sides, key=lambda side: side.state.energy)
-    if point.margin <= 0:
-        raise SolveError(f"no stable equilibrium was found: the best has margin {point.margin:.3g}")
-    return point
-
-
-def _minimum(member: Bundled, x: Array) -> AnyPoint:
-    """Minimum of the energy from unknowns x (U,)."""
-    result = member.descend(x)
-    if not result.converged:
-        raise SolveError("not converged: the energy of the bundle has no minimum near its start")
-    return Point.of(member, result)

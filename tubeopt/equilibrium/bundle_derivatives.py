@@ -16,8 +16,8 @@ from ..block.transcription.bundle import BundleState, bundle_arm, margin_form, p
 from ..errors import InputError, SolveError
 from ..solvers.settings import LEAST_STIFFNESS
 from ..typing import Array
-from .answer import point_of
 from .bundle import Bundled
+from .kinematics import point_of
 from .result import Equilibrium
 
 JOINTS = ("rotations", "translations")

@@ -13,8 +13,7 @@ from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.eccentric import SegmentedEccentricRobot
 from ..robots.robot import joint_values
 from ..typing import Array
-from .answer import point_of
-from .kinematics import forward_kinematics
+from .kinematics import forward_kinematics, point_of
 from .result import Equilibrium
 
 

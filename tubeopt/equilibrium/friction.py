@@ -41,9 +41,9 @@ from ..solvers.friction_increment import FRICTION_TOLERANCE, Increment, held_mar
 from ..solvers.newton import full_steps
 from ..solvers.settings import LEAST_STIFFNESS, NEWTON, ONWARD
 from ..typing import Array, Index
-from .answer import at_points, equilibrium_of, sample_rotation
 from .continuation import steps_along
-from .member import Errors, Loaded, Point, Unloaded, lever
+from .kinematics import equilibrium_of
+from .member import Errors, Loaded, Point, Unloaded, at_points, lever, sample_rotation
 from .problem import Discretisation, check_load, loading_of
 from .result import Equilibrium, FrictionState, Status
 

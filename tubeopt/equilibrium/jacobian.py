@@ -30,11 +30,11 @@ from ..solvers.compiled.binding import (
     turn_compiled,
 )
 from ..typing import Array
-from .answer import discretisation_of, point_of
 from .bundle_derivatives import BundleDerivatives
 from .directions import check_wrt
+from .kinematics import point_of
 from .linearised import Linearised, linearise, sharing
-from .member import Loaded, LoadedPoint
+from .member import Loaded, LoadedPoint, discretisation_of
 from .problem import DEFAULT_DISCRETISATION, loaded_problem, loading_of
 from .result import Equilibrium, Jacobian
 

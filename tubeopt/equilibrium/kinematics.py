@@ -22,8 +22,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import renamed, typed
-from ..block.transcription.arm import ArmSolution, profile
-from ..block.transcription.reduced import evaluate, worst_equation
+from ..block.transcription.arm import ArmSolution, Profile, profile
+from ..block.transcription.loaded import monotonicity
+from ..block.transcription.reduced import ReducedProblem, evaluate
 from ..errors import InputError, SolveError, positive
 from ..files.field_metadata import POSITIVE, OneOf, unit
 from ..robots.eccentric import BundleRobot
@@ -36,17 +37,7 @@ from ..solvers.ipopt import solve_ipopt, solve_loaded_ipopt
 from ..solvers.settings import LARGEST_RATIO, LARGEST_TWIST, Ipopt, Newton
 from ..solvers.time_limit import limited
 from ..typing import Array
-from .answer import (
-    FOLDED,
-    at_points,
-    build_equilibrium,
-    equilibrium_of,
-    error_of,
-    largest_error,
-    to_equilibrium,
-    unsolved,
-)
-from .bundle import cold_bundle
+from .bundle import Bundled
 from .continuation import (
     SHARPEST_STEP,
     SHORTEST_STEP,
@@ -60,7 +51,7 @@ from .continuation import (
     small_motion,
     step_to,
 )
-from .member import AnyPoint, Loaded, Member, PlainPoint, Point, Unloaded
+from .member import AnyPoint, Loaded, Member, Point, Unloaded, at_points, discretisation_of
 from .problem import (
     DEFAULT_DISCRETISATION,
     LOADED_DISCRETISATION,
@@ -75,8 +66,157 @@ from .problem import (
     loaded_rules,
     method_of,
 )
-from .result import Equilibrium, Statistics, Status
+from .result import Accuracy, Equilibrium, Statistics, Status, refuse_friction, refuse_load
 from .verification import verify_equilibrium
+
+# --- From a solution to an equilibrium --------------------------------------------------------------------------------
+
+# The error of the shape is a fraction of the length of a piece of a tube, not of the arm.
+SHORT = 0.01
+"""Reference length (m) of the tip error of tubes made of pieces: 1e-10 m at the default tolerance."""
+
+FOLDED = "the equilibrium is a fold (margin 0): it has no solution close by that Newton can find"
+
+
+def to_equilibrium(point: AnyPoint, start: str, start_time: float = 0.0) -> Equilibrium:
+    """Equilibrium of a solved point.
+
+    Args:
+        start: what it was solved from.   began: start of the clock, s; 0 if unknown.
+    """
+    return equilibrium_of(point.member, point.member.solution(point), start, start_time)
+
+
+def equilibrium_of(
+    member: Member[Any], result: ArmSolution, start: str, start_time: float = 0.0, method: str = "newton"
+) -> Equilibrium:
+    """Equilibrium of a problem from the solution of a solver."""
+    mesh = member.problem.mesh
+    statistics = Statistics(
+        method=method,
+        iterations=result.iterations,
+        elements=int(mesh.collocated.sum()),
+        degree=mesh.tableau.degree,
+        start=start,
+        seconds=time.perf_counter() - start_time if start_time else 0.0,
+        family=mesh.tableau.family,
+        refinement=member.discretisation.refinement,
+    )
+    translations = np.array(member.translations)
+    return build_equilibrium(member.robot, member.rotations, translations, result, statistics, load=member.load)
+
+
+def build_equilibrium(
+    robot: Robot,
+    rotations: Array,
+    translations: Array,
+    result: ArmSolution,
+    statistics: Statistics,
+    *,
+    load: Load | None = None,
+) -> Equilibrium:
+    """Equilibrium of a robot at joint values from the solution of a solver."""
+    equilibrium = Equilibrium(
+        robot=robot,
+        rotations=rotations,
+        translations=translations,
+        arm=result.arm,
+        tip_rotations=result.tip_rotations,
+        section_start=result.section_start,
+        tube_end=result.tube_end,
+        points=result.points,
+        margin=result.margin,
+        index=result.index,
+        energy=result.energy,
+        accuracy=Accuracy(result.residual, *result.errors[:2]),
+        status=Status.STABLE if result.margin > 0 else Status.UNSTABLE,
+        statistics=statistics,
+        load=load,
+        work=result.work,
+    )
+    # The solver has these already: they need not be computed on first access.
+    if result.base_wrench is not None:
+        vars(equilibrium)["base_wrench"] = result.base_wrench
+    if result.compliance is not None:
+        vars(equilibrium)["compliance"] = result.compliance
+    return equilibrium
+
+
+def error_of(equilibrium: Equilibrium) -> float:
+    """Estimated error of an equilibrium, as in `largest_error`; under a load relative to the whole arm."""
+    even = equilibrium.load is not None or equilibrium.robot.even
+    length = float(equilibrium.arc_length[-1])
+    return float(largest_error(equilibrium.mesh_error, equilibrium.tip_error, length, even=even))
+
+
+def largest_error(theta: Any, tip: Any, length: Any, *, even: bool = True) -> Any:
+    """Larger one of the estimated errors of theta, rad, and of the tip relative to the length of the arm.
+
+    For tubes made of pieces (not `even`), relative to at most SHORT. Arguments are numbers or arrays.
+    """
+    # Numbers are compared by Python: NumPy takes longer for one than the kernel for a piece.
+    minimum, maximum = (min, max) if isinstance(tip, float) else (np.minimum, np.maximum)
+    scale = maximum(length, 1e-300)
+    return maximum(theta, tip / (scale if even else minimum(scale, SHORT)))
+
+
+# --- From an equilibrium to its problem -------------------------------------------------------------------------------
+
+
+def point_of(
+    equilibrium: Equilibrium, load: Load | None = None, discretisation: Discretisation | None = None
+) -> AnyPoint:
+    """Solved point of an equilibrium; arguments as of `unsolved`.
+
+    Raises:
+        InputError: an equilibrium with friction, or a load on a robot that cannot be loaded.
+        SolveError: Newton's method does not converge, as at a fold.
+    """
+    member, x = unsolved(equilibrium, load, discretisation)
+    return Point.near(member, x, FOLDED)
+
+
+def unsolved(
+    equilibrium: Equilibrium, load: Load | None = None, discretisation: Discretisation | None = None
+) -> tuple[Member[Any], Array]:
+    """Problem of an equilibrium, and its unknowns as they were solved for.
+
+    Args:
+        load: load that will grow on an unloaded equilibrium; its factor is still 0.
+        discretisation: mesh of an unloaded equilibrium, or the default. A loaded one keeps its mesh.
+    """
+    refuse_friction(equilibrium)
+    kind: type[Bundled | Unloaded | Loaded] = Unloaded if load is None and equilibrium.load is None else Loaded
+    if not equilibrium.robot.fixed_sections:
+        kind = Bundled
+    return kind.of_equilibrium(equilibrium, load, discretisation)
+
+
+def collocated(equilibrium: Equilibrium) -> tuple[ReducedProblem, Profile]:
+    """Problem of an unloaded equilibrium on its own mesh, and the torsion along its arm."""
+    refuse_load(equilibrium)
+    point = point_of(equilibrium, discretisation=discretisation_of(equilibrium))
+    return point.member.problem, point.torsion
+
+
+def linearised(equilibrium: Equilibrium) -> Array:
+    """(U, U) Jacobian of the equations of an unloaded equilibrium on its own mesh."""
+    refuse_load(equilibrium)
+    member, x = unsolved(equilibrium, discretisation=discretisation_of(equilibrium))
+    return np.asarray(member.at(x).hessian)
+
+
+def sure_margin(equilibrium: Equilibrium) -> float:
+    """Lower bound of the linearised equations relative to the elastic form, at most 1.
+
+    The margin, or under a load without an energy the smallest eigenvalue of their symmetric part. Above 0 there is no
+    other equilibrium close by.
+    """
+    if equilibrium.load is None or equilibrium.load.has_energy:
+        return min(equilibrium.margin, 1.0)
+    member, x = unsolved(equilibrium)
+    return monotonicity(member.problem, member.at(x))
+
 
 # --- By the compiled kernels ------------------------------------------------------------------------------------------
 
@@ -296,10 +436,12 @@ def forward_kinematics(  # noqa: PLR0913
         result = unloaded(robot, alpha, shift, guess, request)
     if result is None and guess is None:
         # 2. The general solver from tubes without torsion, or from home.
+        member: Member[Any]
         if isinstance(robot, BundleRobot):
-            point, how = cold_bundle(robot, alpha, translation), "tubes without torsion"
+            member = Bundled.cold(robot, alpha, translation)
         else:
-            point, how = _descend(Unloaded.of(robot, alpha, translation, discretisation), solver)
+            member = Unloaded.of(robot, alpha, translation, discretisation)
+        point, how = _descend(member, solver)
         result = _to_tolerance(point, how, request)
     elif result is None:
         # 3. Continuation from the start, along joints and load.
@@ -363,11 +505,11 @@ def _to_tolerance(point: AnyPoint, start: str, request: SolveRequest) -> Equilib
 
 
 @small
-def _descend(member: Unloaded, solver: Method) -> tuple[AnyPoint, str]:
+def _descend(member: Member[Any], solver: Method) -> tuple[AnyPoint, str]:
     """Stable equilibrium by energy descent, and a description of its start."""
     failure = ""
     try:
-        point = _solve(member, np.zeros(member.problem.size), solver)
+        point = _solve(member, member.untwisted(), solver)
         if point.margin > 0:
             return point, "tubes without torsion"
     except SolveError as error:
@@ -391,7 +533,7 @@ def _by_method(point: AnyPoint, solver: Method) -> AnyPoint:
     return Point.of(point.member, solve_loaded_ipopt(problem, rotations, point.state, solver.ipopt), point.t)
 
 
-def _solve(member: Unloaded, x: Array, solver: Method) -> PlainPoint:
+def _solve(member: Member[Any], x: Array, solver: Method) -> AnyPoint:
     """Solution from unknowns x (U,) by a method; raises SolveError where it does not converge."""
     problem, rotations = member.problem, member.rotations
     if solver.name == "newton":
@@ -403,7 +545,7 @@ def _solve(member: Unloaded, x: Array, solver: Method) -> PlainPoint:
         form = "energy" if solver.name == "energy" else "equations"
         result = solve_ipopt(problem, rotations, guess, form, solver.ipopt)
     if not result.converged:
-        raise SolveError(f"{Status.NOT_CONVERGED}: {worst_equation(problem, result.state)}")
+        raise SolveError(f"{Status.NOT_CONVERGED}: {member.worst(result.state)}")
     return Point.of(member, result)
 
 

@@ -32,9 +32,9 @@ from ..block.transcription.second_variation import Mode, worst_mode
 from ..errors import SolveError
 from ..physics.certificate import worst_function
 from ..typing import Array
-from .answer import discretisation_of, sample_rotation
 from .arm_change import SHAPE_POINTS, ArmChange
 from .directions import Change, Directions
+from .member import discretisation_of, sample_rotation
 from .problem import loaded_problem, reduced_problem
 from .result import Equilibrium, refuse_friction
 

@@ -17,8 +17,9 @@ import scipy
 
 from ..block.transcription import arm as arms
 from ..block.transcription import loaded
-from ..block.transcription.arm import ArmSolution, CollocationPoints, Profile, evaluate_arm
+from ..block.transcription.arm import ArmSolution, CollocationPoints, Profile, between, evaluate_arm
 from ..block.transcription.bundle import BundleState
+from ..block.transcription.collocated import SHAPE_STEPS, THROUGH_ENDS
 from ..block.transcription.loaded import (
     LoadedProblem,
     LoadedState,
@@ -40,24 +41,33 @@ from ..block.transcription.reduced import (
     reduce,
     residual,
     to_unknowns,
+    worst_equation,
 )
 from ..block.transcription.second_variation import least, margin, softest, softest_of, stiffnesses, unstable_directions
 from ..errors import SolveError
-from ..robots.assembly import Assembly
+from ..robots.assembly import LENGTH_ROUND_OFF, Assembly
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.newton import NewtonResult, descend, full_steps, leave_saddle, torsional_turn
-from ..solvers.settings import HARDLY_SOFTENED, LEAST_STIFFNESS, NEWTON, Newton
+from ..solvers.newton import NewtonResult, descend, full_steps, torsional_turn
+from ..solvers.settings import HARDLY_SOFTENED, LARGEST_SHIFT, LEAST_STIFFNESS, NEWTON, Newton
 from ..typing import Array, Index
 from .problem import (
     DEFAULT_DISCRETISATION,
     EXTRA_COLLOCATION_POINTS,
     LOADED_DISCRETISATION,
     Discretisation,
+    assembly_of,
+    check_load,
     loaded_problem,
     loading_of,
     reduced_problem,
 )
+from .result import Equilibrium
+
+# The tubes turn together from home, and each step ends in a minimum. Opposed tubes may leave the branch through a fold
+# in any step; a step of at most a sixteenth of a turn keeps them in the basin of the nearest minimum.
+HOME_TURN = math.pi / 8
+"""Largest rotation (rad) of a tube per step of the path from home."""
 
 
 class Errors(NamedTuple):
@@ -168,6 +178,10 @@ class Member(ABC, Generic[S]):
         Without a curvature it is the natural one of the rotations.
         """
 
+    def untwisted(self) -> Array:
+        """(U,) unknowns of tubes without torsion."""
+        return self.unknowns(np.tile(self.rotations, (len(self.torsion.arc_length), 1)))
+
     @abstractmethod
     def at(self, x: Array) -> S:
         """State at unknowns x (U,): gradient, Hessian and energy."""
@@ -175,6 +189,34 @@ class Member(ABC, Generic[S]):
     def owner(self: M, state: S) -> M:
         """Member of a state that was solved; another one if the solve changed the structure of the equations."""
         return self
+
+    def descend(self, x: Array, settings: Newton = NEWTON) -> NewtonResult[S]:
+        """Minimise the energy from x (U,) by guarded Newton steps."""
+        return descend(self.at(x), self.moved, self.turn, self.residual, settings)
+
+    def from_home(self) -> NewtonResult[S]:
+        """Turn all tubes together from home, minimise the energy at each step, and leave every saddle."""
+        member, x = self, self.untwisted()
+        steps = max(1, int(np.ceil(np.abs(self.rotations).max(initial=0.0) / HOME_TURN)))
+        for k in range(1, steps + 1):
+            member = replace(member, rotations=self.rotations * k / steps)
+            result = member.descend(x)
+            member = member.owner(result.state)
+            if result.converged and member.margin(result.state) <= 0:
+                # Either side of a symmetric saddle is possible; the one that ends lower is taken.
+                sides = [member.descend(start) for start in member.beside(result.state)]
+                result = min(sides, key=lambda side: side.state.energy)
+                member = member.owner(result.state)
+            x = result.state.x
+        return result
+
+    def beside(self, state: S) -> tuple[Array, Array]:
+        """Starting points (U,) on either side of an unstable equilibrium, along its most unstable direction."""
+        direction = self.softest(state)
+        # 0.05 rad is small against the distance between minima, and enough for the energy to fall by more than
+        # round-off.
+        direction = direction * (0.05 / self.turn(state, direction))
+        return state.x + direction, state.x - direction
 
     def moved(self, state: S, step: Array) -> S:
         """State after a step (U,) of a descent."""
@@ -195,6 +237,10 @@ class Member(ABC, Generic[S]):
     @abstractmethod
     def residual(self, state: S) -> float:
         """Largest violation of the equations, rad."""
+
+    def worst(self, state: S) -> str:
+        """Equation with the largest violation, for a message; by default the size of the violation."""
+        return f"the largest residual is {self.residual(state):.2g} rad"
 
     @abstractmethod
     def margin(self, state: S) -> float:
@@ -286,11 +332,6 @@ def elements_of(mesh: Mesh, assembly: Assembly, other: Assembly) -> Index | None
 
 # --- Without a load ---------------------------------------------------------------------------------------------------
 
-# The tubes turn together from home, and each step ends in a minimum. Opposed tubes may leave the branch through a fold
-# in any step; a step of at most a sixteenth of a turn keeps them in the basin of the nearest minimum.
-HOME_TURN = math.pi / 8
-"""Largest rotation (rad) of a tube per step of the path from home."""
-
 
 @dataclass(frozen=True, eq=False)
 class Unloaded(Member[Evaluation]):
@@ -309,6 +350,15 @@ class Unloaded(Member[Evaluation]):
         """Member of a robot at joint values."""
         problem = reduced_problem(robot, translations, discretisation)
         return Unloaded(robot, problem, rotations, translations, discretisation)
+
+    @staticmethod
+    def of_equilibrium(
+        equilibrium: Equilibrium, load: Load | None, discretisation: Discretisation | None
+    ) -> tuple[Unloaded, Array]:
+        """Member and unknowns of an equilibrium without load; `load` is None."""
+        shift = tuple(equilibrium.translations.tolist())
+        member = Unloaded.of(equilibrium.robot, equilibrium.rotations, shift, discretisation or DEFAULT_DISCRETISATION)
+        return member, member.unknowns(sample_rotation(equilibrium, member.torsion.arc_length))
 
     @property
     def torsion(self) -> ReducedProblem:
@@ -337,24 +387,13 @@ class Unloaded(Member[Evaluation]):
             # Offsets are a perturbation (d |u| < 1/4): the concentric minimum is close to the solution.
             start = concentric.descend(concentric.unknowns(self.at(x).theta), settings)
             return self.solve(self.unknowns(start.state.theta), settings.iterations)
-        return descend(self.at(x), lambda state, step: self.at(state.x + step), self.turn, self.residual, settings)
+        return super().descend(x, settings)
 
     def from_home(self) -> NewtonResult[Evaluation]:
-        """Turn all tubes together from home, minimise the energy at each step, and leave every saddle."""
-        concentric = self._on_centreline()
-        z = np.zeros(concentric.problem.size)
-        steps = max(1, int(np.ceil(np.abs(self.rotations).max(initial=0.0) / HOME_TURN)))
-        for k in range(1, steps + 1):
-            member = replace(concentric, rotations=self.rotations * k / steps)
-            result = member.descend(z)
-            if result.converged and member.margin(result.state) <= 0:
-                # Either side of a symmetric saddle is possible; the one that ends lower is taken.
-                sides = [member.descend(start) for start in leave_saddle(member.problem, result.state)]
-                result = min(sides, key=lambda side: side.state.energy)
-            z = result.state.z
-        if self.problem.assembly.eccentric:
-            result = self.solve(self.unknowns(result.state.theta))
-        return result
+        """See `Member.from_home`; tubes off the centreline start from the result for the same tubes on it."""
+        if not self.problem.assembly.eccentric:
+            return super().from_home()
+        return self.solve(self.unknowns(self._on_centreline().from_home().state.theta))
 
     def _on_centreline(self) -> Unloaded:
         """Same tubes on the centreline, where they have an energy."""
@@ -367,6 +406,10 @@ class Unloaded(Member[Evaluation]):
     def residual(self, state: Evaluation) -> float:
         """Largest violation of the torsion equations, as an error of theta, rad."""
         return residual(self.problem, state)
+
+    def worst(self, state: Evaluation) -> str:
+        """Element, tube and arc length with the largest violation of the torsion equations."""
+        return worst_equation(self.problem, state)
 
     def margin(self, state: Evaluation) -> float:
         """Smallest eigenvalue of the second variation relative to its torsional part."""
@@ -489,6 +532,22 @@ class Loaded(Member[LoadedState]):
         """Member of a robot at joint values under `factor` times a load."""
         problem = loaded_problem(robot, translations, load, discretisation)
         return Loaded(robot, problem, rotations, translations, discretisation, factor)
+
+    @staticmethod
+    def of_equilibrium(
+        equilibrium: Equilibrium, load: Load | None, discretisation: Discretisation | None
+    ) -> tuple[Loaded, Array]:
+        """Member and unknowns of an equilibrium: under its load on its mesh, or without load under 0 times `load`."""
+        robot, rotations, shift = equilibrium.robot, equilibrium.rotations, tuple(equilibrium.translations.tolist())
+        if equilibrium.load is not None:
+            known = discretisation_of(equilibrium)
+            member = Loaded(robot, _loaded_problem_of(equilibrium), rotations, shift, known)
+            theta = sample_rotation(equilibrium, equilibrium.point)
+            return member, member.unknowns(theta, equilibrium.point_curvature)
+        assert load is not None
+        check_load(robot, load, shift)
+        member = Loaded.of(robot, rotations, shift, load, discretisation or LOADED_DISCRETISATION, 0.0)
+        return member, member.unknowns(sample_rotation(equilibrium, member.torsion.arc_length))
 
     @property
     def torsion(self) -> ReducedProblem:
@@ -663,3 +722,72 @@ class Loaded(Member[LoadedState]):
 
 
 LoadedPoint = Point[Loaded, LoadedState]
+
+
+# --- Samples of a solved equilibrium ----------------------------------------------------------------------------------
+
+
+def discretisation_of(equilibrium: Equilibrium) -> Discretisation:
+    """Discretisation that an equilibrium was solved on."""
+    statistics = equilibrium.statistics
+    return _discretisation(statistics.family, statistics.degree, statistics.refinement)
+
+
+_discretisation = lru_cache(maxsize=64)(Discretisation)
+
+
+def _loaded_problem_of(equilibrium: Equilibrium) -> LoadedProblem:
+    """Problem of a loaded equilibrium on its own mesh, possibly refined for a larger load."""
+    robot, shift, load = equilibrium.robot, tuple(equilibrium.translations.tolist()), equilibrium.load
+    assert load is not None
+    start, d = loading_of(robot, shift, load)[0].start, discretisation_of(equilibrium)
+    points = np.bincount(np.searchsorted(start, equilibrium.point, side="right") - 1, minlength=len(start))
+    return loaded_problem(robot, shift, load, d, tuple((points // d.degree).tolist()))
+
+
+def at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array | None]:
+    """Elastic rotations (N, n) and curvature (N, 2) of an equilibrium at the points of a problem.
+
+    The curvature is None without a load.
+    """
+    s, curvature = problem.torsion.arc_length, None
+    if start.load is not None:
+        tolerance = LARGEST_SHIFT * start.arc_length[-1]
+        if len(s) == len(start.point) and np.abs(s - start.point).max() <= tolerance:
+            s, curvature = start.point, start.point_curvature
+        else:
+            curvature = _loaded_problem_of(start).mesh.interpolated(start.point_curvature, s)
+    return sample_rotation(start, s), curvature
+
+
+def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
+    """(N, n) rotations theta of an equilibrium at arc lengths (N,), rad; phi for tubes made of pieces.
+
+    As solved at its own collocation points, interpolated by cubic Hermite polynomials elsewhere.
+    """
+    points, robot, shift = equilibrium.point, equilibrium.robot, equilibrium.translations
+    if len(points) != len(arc_length) or np.abs(points - arc_length).max(initial=0.0) > LENGTH_ROUND_OFF:
+        arm = np.stack([equilibrium.rotation.T, equilibrium.torsion.T])
+        return sample_arms(robot, shift, equilibrium.arc_length, arm, arc_length)
+    theta = equilibrium.point_rotation
+    return theta if robot.even else theta - assembly_of(robot, tuple(shift.tolist())).wound(arc_length)
+
+
+def sample_arms(robot: Robot, translations: Array, s: Array, arms: Array, arc_length: Array) -> Array:
+    """(..., N, n) theta or phi at arc lengths (N,) of arms (..., 2, m, n), rotation and torsion at s (m,)."""
+    rotation, torsion = arms[..., 0, :, :], arms[..., 1, :, :]
+    even = robot.even
+    phi = rotation if even else rotation - robot.assembly(translations).wound(s)
+    if len(s) < 2:
+        return np.repeat(phi, len(arc_length), axis=-2)
+    if not even:
+        # The polynomial through the shape points of each piece: the torsion jumps between pieces.
+        piece, _, x = between(s[::SHAPE_STEPS], arc_length)
+        basis = np.vander(np.clip(x, 0.0, 1.0), SHAPE_STEPS + 1, increasing=True) @ THROUGH_ENDS
+        around = phi[..., piece[:, None] * SHAPE_STEPS + np.arange(SHAPE_STEPS + 1), :]
+        return np.asarray(np.einsum("ak,...aki->...ai", basis, around))
+    k, length, fraction = between(s, arc_length)
+    h, x = length[:, None], np.clip(fraction, 0.0, 1.0)[:, None]
+    value = rotation[..., k, :] * ((1 + 2 * x) * (1 - x) ** 2) + rotation[..., k + 1, :] * (x**2 * (3 - 2 * x))
+    value += h * (torsion[..., k, :] * (x * (1 - x) ** 2) - torsion[..., k + 1, :] * (x**2 * (1 - x)))
+    return np.asarray(value)

@@ -353,7 +353,7 @@ class Equilibrium(Displayed):
         Raises:
             SolveError: Newton's method leaves the equilibrium: it is a fold.
         """
-        result: tuple[ReducedProblem, Profile] = lazy_import("tubeopt.equilibrium.answer.collocated")(self)
+        result: tuple[ReducedProblem, Profile] = lazy_import("tubeopt.equilibrium.kinematics.collocated")(self)
         return result
 
     def at(

@@ -12,11 +12,10 @@ import numpy as np
 from ..block.transcription.arm import between
 from ..block.transcription.reduced import ReducedProblem
 from ..bodies.obstacles import Scene
-from ..equilibrium.answer import point_of
 from ..equilibrium.bundle_derivatives import BundleDerivatives
 from ..equilibrium.continuation import shortest_arm
 from ..equilibrium.jacobian import compiled_slopes, derivatives_of
-from ..equilibrium.kinematics import forward_kinematics, one_step
+from ..equilibrium.kinematics import forward_kinematics, one_step, point_of
 from ..equilibrium.linearised import Linearised
 from ..equilibrium.member import PlainPoint
 from ..equilibrium.result import Equilibrium, refuse_load

@@ -41,7 +41,7 @@ from ..block.transcription.program import (
     torsion_numbers,
 )
 from ..bodies.obstacles import Obstacle
-from ..equilibrium.answer import to_equilibrium
+from ..equilibrium.kinematics import to_equilibrium
 from ..equilibrium.member import Point, Unloaded
 from ..errors import InputError
 from ..physics.shape import GAUSS_POINTS, rotation_matrix

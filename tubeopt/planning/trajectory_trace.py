@@ -27,8 +27,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from ..bodies.obstacles import Scene
-from ..equilibrium.answer import linearised, sure_margin
-from ..equilibrium.kinematics import forward_kinematics, one_step
+from ..equilibrium.kinematics import forward_kinematics, linearised, one_step, sure_margin
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..inverse.clock import Clock

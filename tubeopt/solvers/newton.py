@@ -13,7 +13,7 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 import numpy as np
 import scipy
 
-from ..block.transcription.reduced import Evaluation, ReducedProblem
+from ..block.transcription.reduced import ReducedProblem
 from ..typing import Array
 from .settings import LAST_STEP, LONGEST_STEP, NEWTON, NEWTON_ROUND_OFF, Newton
 from .time_limit import check_time
@@ -132,14 +132,6 @@ def damped_newton(
             step, slope = step / 2, slope / 2
         state = trial
     return Descent(state, settings.descent_iterations, False)
-
-
-def leave_saddle(problem: ReducedProblem, state: Evaluation) -> tuple[Array, Array]:
-    """Starting points (U,) on either side of an unstable equilibrium, along its most unstable direction."""
-    direction = np.linalg.eigh(state.hessian)[1][:, 0]
-    # 0.05 rad is small against the distance between minima, and enough for the energy to fall by more than round-off.
-    direction *= 0.05 / torsional_turn(problem, direction)
-    return state.z + direction, state.z - direction
 
 
 def torsional_turn(problem: ReducedProblem, step: Array) -> float:

@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..display import Displayed
-from ..equilibrium.answer import point_of, to_equilibrium
 from ..equilibrium.continuation import Family, SampledJointPath
-from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.kinematics import forward_kinematics, point_of, to_equilibrium
 from ..equilibrium.member import PlainPoint, Point, Unloaded
 from ..equilibrium.result import Equilibrium, refuse_load
 from ..errors import InputError, SolveError, positive, vector

@@ -18,9 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..arguments import typed
 from ..block.transcription.mesh import reach
 from ..block.transcription.reduced import ReducedProblem
-from ..equilibrium.answer import sample_rotation, to_equilibrium
-from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.member import AnyPoint, Loaded, LoadedPoint, Member, PlainPoint, Point, Unloaded
+from ..equilibrium.kinematics import forward_kinematics, to_equilibrium
+from ..equilibrium.member import AnyPoint, Loaded, LoadedPoint, Member, PlainPoint, Point, Unloaded, sample_rotation
 from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium
 from ..errors import Settings, SolveError

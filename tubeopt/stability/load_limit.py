@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..display import Displayed
-from ..equilibrium.answer import point_of, to_equilibrium
 from ..equilibrium.continuation import Family, reach
-from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.kinematics import forward_kinematics, point_of, to_equilibrium
 from ..equilibrium.member import AnyPoint, Member
 from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium, Statistics

@@ -10,7 +10,6 @@ from typing import Annotated
 import numpy as np
 
 from ..display import Displayed
-from ..equilibrium.answer import point_of, to_equilibrium
 from ..equilibrium.continuation import (
     SHARPEST_STEP,
     SHORTEST_STEP,
@@ -20,7 +19,7 @@ from ..equilibrium.continuation import (
     follow,
     step_to,
 )
-from ..equilibrium.kinematics import along
+from ..equilibrium.kinematics import along, point_of, to_equilibrium
 from ..equilibrium.member import AnyPoint
 from ..equilibrium.problem import LOADED_DISCRETISATION
 from ..equilibrium.result import Equilibrium, Statistics

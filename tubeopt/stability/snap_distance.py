@@ -45,8 +45,8 @@ from ..arguments import typed
 from ..block.transcription.mesh import green_of
 from ..block.transcription.reduced import evaluate, to_unknowns
 from ..display import Displayed
-from ..equilibrium.answer import discretisation_of, sample_rotation
 from ..equilibrium.jacobian import compiled_turn
+from ..equilibrium.member import discretisation_of, sample_rotation
 from ..equilibrium.problem import reduced_problem
 from ..equilibrium.result import Equilibrium, refuse_friction
 from ..errors import InputError, positive

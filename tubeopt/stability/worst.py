@@ -14,7 +14,7 @@ from ..arguments import typed
 from ..block.transcription.reduced import ReducedProblem, evaluate, to_unknowns
 from ..block.transcription.second_variation import margin, softenings
 from ..display import Displayed
-from ..equilibrium.answer import to_equilibrium
+from ..equilibrium.kinematics import to_equilibrium
 from ..equilibrium.member import Point, Unloaded
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, Settings, vector

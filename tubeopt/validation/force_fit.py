@@ -10,8 +10,7 @@ import numpy as np
 import scipy
 
 from ..block.transcription.loaded import position_slopes, tip_slopes
-from ..equilibrium.answer import point_of
-from ..equilibrium.kinematics import under_load
+from ..equilibrium.kinematics import point_of, under_load
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, without_unit_warnings
 from ..robots.load import Load

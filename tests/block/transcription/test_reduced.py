@@ -13,7 +13,7 @@ from tubeopt import ConcentricRobot, Discretisation, Equilibrium, forward_kinema
 from tubeopt.block.transcription.mesh import make_mesh
 from tubeopt.block.transcription.reduced import ReducedProblem, evaluate, reduce, residual, to_unknowns
 from tubeopt.block.transcription.second_variation import margin
-from tubeopt.equilibrium.answer import to_equilibrium
+from tubeopt.equilibrium.kinematics import to_equilibrium
 from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.typing import Array
 
