@@ -411,7 +411,7 @@ def test_stability_map_in_words(run: Run) -> None:
 
 def test_a_bar_tells_the_progress_where_somebody_looks(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")
-    outcome = run("stability-map", THESIS, "--samples", "6", "--directions", "8", "--workers", "1", "--json")
+    outcome = run("stability-map", THESIS, "--samples", "6", "--directions", "8", "--workers", "0", "--json")
     assert "mapping the margin" in outcome.err
     assert json.loads(outcome.out)["samples"] == 6
 

@@ -116,7 +116,7 @@ def sweep(
         bool, typer.Option("--retry-failed", help="Compute points again that failed in an earlier run.")
     ] = False,
     time_limit_s: Annotated[
-        float, typer.Option("--time-limit-s", metavar="S", help="Time limit for all remaining points, s.")
+        float, typer.Option("--time-limit-s", metavar="S", help="Time limit for all remaining points.")
     ] = SWEEP_LIMIT,
 ) -> None:
     """Run a study over a grid or random samples of its parameters.

@@ -127,8 +127,8 @@ class ServoOptions(Displayed):
         unit("deg"),
         Range(above=0.0, below=math.pi),
         Typical(1e-3, 1.5),
-        "smallest turn of all tubes that must be proved to cause no snap, in place of the margin where it is known; "
-        "default the margin counts",
+        "smallest proved snap distance: no rotation of the tubes by less may cause a snap. It replaces min_margin "
+        "for concentric robots; by default min_margin applies",
     ] = None
 
     def __post_init__(self) -> None:

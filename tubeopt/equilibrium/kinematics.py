@@ -383,11 +383,11 @@ def forward_kinematics(  # noqa: PLR0913
         start: an Equilibrium or InverseSolution, or a pair (rotations, translations) for its `forward_kinematics`.
         load: external load. Without a start, the unloaded equilibrium is followed while the load grows. With one, the
             branch of the start is followed to these joint values and this load.
-        method: solver: newton, ipopt or energy. "newton" solves condensed collocation equations, "ipopt" the same
-            equations as constraints of a nonlinear program, and "energy" minimises the elastic energy by IPOPT
-            (concentric tubes only). Solver settings are `tubeopt.Newton(...)` or `tubeopt.Ipopt(...)`. Under load
-            "ipopt" and "energy" are the same: minimum potential energy from the result of "newton", with the
-            orientation of the arm as constraints.
+        method: solver: newton (collocation), ipopt (the same as an NLP) or energy (minimum of the elastic energy).
+            "newton" solves condensed collocation equations, "ipopt" the same equations as constraints of a nonlinear
+            program, and "energy" minimises the elastic energy by IPOPT (concentric tubes only). Solver settings are
+            `tubeopt.Newton(...)` or `tubeopt.Ipopt(...)`. Under load "ipopt" and "energy" are the same: minimum
+            potential energy from the result of "newton", with the orientation of the arm as constraints.
         tolerance: largest allowed error of tube angles, rad. That of the tip is relative to the length of the arm. For
             tubes made of pieces it applies to pieces of 10 mm. The mesh is refined until its error is below it.
         verify: compare the result with an independent adaptive integration. The difference is in `.verification`.

@@ -51,7 +51,7 @@ class InverseOptions(Displayed):
     objective: Annotated[
         str | None,
         OneOf(OBJECTIVES),
-        "objective: nearest (to the start or reference), margin or curvature; "
+        "objective: nearest (to the start or reference), margin (largest) or curvature (smallest); "
         "default nearest with a start or reference, otherwise any answer",
     ] = None
     """Objective among the solutions: "nearest" (to the reference), "margin" (largest), "curvature" (smallest
@@ -59,7 +59,8 @@ class InverseOptions(Displayed):
     direction_weight: Annotated[
         float | None,
         POSITIVE,
-        "factor on half the squared difference of the unit vectors in the cost; by default the direction is exact",
+        "weight of the direction error (half the squared difference of the unit vectors) in the objective, "
+        "dimensionless; by default the direction is exact",
     ] = None
     """Weight of half the squared difference of the unit vectors in the objective; None makes the direction a
     constraint.
@@ -72,7 +73,9 @@ class InverseOptions(Displayed):
     """Smallest allowed distance of neighbouring carriages, m."""
     section_length: float = 0.0
     """Smallest allowed length that a tube protrudes from the next outer one, m."""
-    method: Annotated[str, OneOf(METHODS), "solver: auto, gauss_newton or nlp"] = "auto"
+    method: Annotated[
+        str, OneOf(METHODS), "solver: gauss_newton, nlp (IPOPT), or auto (gauss_newton, then nlp if it fails)"
+    ] = "auto"
     """Solver: "auto" (Gauss-Newton, and the nonlinear program if it stalls), "gauss_newton" or "nlp"."""
     starts: Annotated[int, Range(least=1), "largest number of starting configurations"] = 48
     steps: int = 30

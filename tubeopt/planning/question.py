@@ -124,12 +124,18 @@ class PlanOptions(Displayed):
         InputError: a value that is not allowed.
     """
 
-    search: Annotated[str, OneOf(SEARCHES), "search algorithm: auto, rrt_connect or optimal"] = "auto"
+    search: Annotated[
+        str,
+        OneOf(SEARCHES),
+        "search algorithm: rrt_connect, auto (simple paths, then rrt_connect) or optimal (auto, then shorter paths)",
+    ] = "auto"
     """"auto": straight, then through translations that exclude snaps, then RRT-Connect. "rrt_connect": that alone.
     "optimal": as "auto", then BIT* (OMPL) searches a shorter path for `search_seconds`.
     """
     objective: Annotated[
-        str, OneOf((*WEIGHTS, "none")), "objective of the smoothing: length, time, effort, margin or none"
+        str,
+        OneOf((*WEIGHTS, "none")),
+        "objective of the smoothing: length (of the joint path), time, effort (squared acceleration), margin or none",
     ] = "length"
     """"length" (of the path in joint space), "time", "effort" (int of the squares of the accelerations),
     "margin" (largest least margin), or "none"."""

@@ -228,7 +228,7 @@ def _built(*entries: Part | None) -> list[Requirement]:
 class DesignedRobot(Entry):
     """Robot with its free dimensions and requirements."""
 
-    name: str = Field("", description="name of the design")
+    name: str = Field("", description="name of the design, for headings")
     robot: RobotPath
     free: Annotated[list[FreeEntry], Field(min_length=1)]
     requirements: Requirements

@@ -236,7 +236,7 @@ class HeatingStudy(HeatedTube):
         None,
         lt=100,
         description="half-width of the uncertainty of the heat loss of a calibrated rig; "
-        "contacts (30 %) and resistivity (2 %) add to it. By default the rig is uncalibrated",
+        "contacts (30 %) and resistivity (2 %) add to it. Default: an uncalibrated rig with typical uncertainties",
     )
     robust: bool = Field(False, description="scale the duty cycle for the highest success probability")
     samples: Annotated[Whole, Field(ge=0)] = Field(64, description=SAMPLES)
@@ -396,10 +396,11 @@ class HeatingCalibrationStudy(TubeOnRig):
         examples=["FILE.csv"],
     )
     noise_K: Positive | None = Field(
-        None, description="known noise of the thermometers, standard deviation; larger residuals are reported"
+        None,
+        description="known standard deviation of thermometer noise; larger residuals are reported; default estimated",
     )
-    noise_V: Positive | None = Field(None, description="known noise of the voltage, standard deviation")
-    noise_A: Positive | None = Field(None, description="known noise of the current, standard deviation")
+    noise_V: Positive | None = Field(None, description="known standard deviation of voltage noise; default estimated")
+    noise_A: Positive | None = Field(None, description="known standard deviation of current noise; default estimated")
     position_mm: Number = Field(
         Decimal(0), description="position of the thermometer, from the middle of the curved part"
     )

@@ -57,7 +57,10 @@ MandrelMold = Annotated[
 
 SpringbackPath = Annotated[
     Annotated[Springback, in_file(load_springback, "a spring-back file")] | None,
-    Field(description="YAML file of spring-back from `tubeopt mold calibrate`", examples=["FILE.yaml"]),
+    Field(
+        description="YAML file of spring-back from `tubeopt mold calibrate`; default that of the mold file",
+        examples=["FILE.yaml"],
+    ),
 ]
 
 

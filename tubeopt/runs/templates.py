@@ -70,12 +70,12 @@ class NewTubes(Entry):
     usual_count: ClassVar = USUAL_COUNT
 
     outer_diameter_mm: list[Number] | None = Field(None, description="outer diameter of every tube, inner to outer")
-    inner_diameter_mm: list[Number] | None = Field(None, description="inner diameter")
+    inner_diameter_mm: list[Number] | None = Field(None, description="inner diameter of every tube")
     straight_length_mm: list[Number] | None = Field(
         None, description="length of the straight part, from the clamped end"
     )
-    curved_length_mm: list[Number] | None = Field(None, description="length of the curved part in front of it")
-    radius_mm: list[Number] | None = Field(None, description="radius of the curved part")
+    curved_length_mm: list[Number] | None = Field(None, description="length of the curved part, up to the tip")
+    radius_mm: list[Number] | None = Field(None, description="radius of the centreline of the curved part")
 
     @model_validator(mode="after")
     def _as_many(self) -> Self:
@@ -110,7 +110,9 @@ class NewRobot(NewTubes):
     prompted: ClassVar = ("name", "tubes", *TUBE_KEYS, "material")
     """Keys that are prompted for in a dialogue, in order."""
 
-    tubes: Count | None = Field(None, le=6, description="number of tubes, at most 6")
+    tubes: Count | None = Field(
+        None, le=6, description="number of tubes, at most 6; by default that of the other lists, or 2"
+    )
     name: str | None = Field(None, description="name of the robot")
     robot_kind: Literal["concentric", "eccentric"] | None = Field(
         None, description="kind of robot; concentric by default"

@@ -89,10 +89,14 @@ class ValidationStudy(Timed):
         "for the calibration recording, otherwise rigid",
     )
     base_position_mm: Triple | None = Field(
-        None, description="centre of the base plate in the device frame, for base-axis", examples=["X,Y,Z"]
+        None,
+        description="centre of the base plate in the device frame, for base-axis; default 0,0,0",
+        examples=["X,Y,Z"],
     )
     base_axis: Triple | None = Field(
-        None, description="z axis of the base plate in the device frame, for base-axis", examples=["X,Y,Z"]
+        None,
+        description="z axis of the base plate in the device frame, for base-axis; default 0,0,1",
+        examples=["X,Y,Z"],
     )
     fit: list[str] = Field(
         [],

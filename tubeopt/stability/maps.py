@@ -110,7 +110,7 @@ def stability_map(
     tubes: tuple[int, int] = (0, 1),
     samples: Annotated[int, Range(least=2)] = 24,
     directions: Annotated[int, Range(least=4)] = 120,
-    workers: Annotated[int, Range(least=1)] = 1,
+    workers: Annotated[int, Range(least=0)] = 1,
     progress: Callable[[int, int], object] | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> StabilityMap:

@@ -245,8 +245,8 @@ def estimate_forces(
             place of a row count by their mean.
         noise: standard deviation of a measured coordinate, m.
         known: as in `estimate_force`.
-        registration: frame of the positions: none (base frame) or saved (device frame of the calibration). It is
-            required if the calibration has a registration and was fitted to other positions.
+        registration: frame of the positions: none (base frame) or saved (device frame of the calibration); default
+            saved for the calibration recording, none without a saved registration, otherwise required.
         progress: called with rows done and rows in all.
         time_limit: maximum run time, s.
 
