@@ -246,7 +246,7 @@ def _sections_and_tubes(
 
 
 def _tighter_pairs(model: Model, force: float) -> tuple[float, float]:
-    """Pairs of the larger of the two bounds for an arm in numbers."""
+    """Name of the treatment of tube pairs, OPPOSED or APART, with the larger lower bound for an arm in numbers."""
     sections, tubes = _sections_and_tubes(model)
     if len(tubes[0]) < 3:  # of two tubes the opposed pair is always the larger bound
         return OPPOSED

@@ -201,7 +201,7 @@ class ComposedBlock(Generic[N]):
         return tuple(ca.reshape(each, *shape) for each, shape in zip(columns, self.shapes.values(), strict=True))
 
     def _start_model(self, numbers: Mapping[str, Array]) -> Model:
-        """The arm at joint values and dimensions in numbers, with unknowns of 0."""
+        """Model of the arm at numeric joint values and dimensions, with all unknowns 0."""
         self.initial_numbers = dict(numbers)
         values = {**{key: ca.DM(value) for key, value in numbers.items()}, **self.constants}
         zero = tuple(ca.DM.zeros(*shape) for shape in self.shapes.values())

@@ -287,7 +287,7 @@ class _Keys:
         }
 
     def names_of(self, values: Mapping[str, Any]) -> dict[str, str]:
-        """Names of all keys in messages; for data without a file, the flag."""
+        """Name of each key in error messages: the flag for values given inline, otherwise the name in the file."""
         inline = {
             key: _first(self.flags[key])
             for key, value in values.items()

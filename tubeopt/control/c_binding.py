@@ -139,7 +139,7 @@ class CRobot:
         self._check(name, function(*arguments))
 
     def call(self, name: str, *arguments: Any) -> None:
-        """Call another function of the library; errors as of the functions below."""
+        """Call a function of the library; raises the errors of the methods below for its return code."""
         self._check(name, self.function(name)(*arguments))
 
     def _check(self, name: str, status: int) -> None:
@@ -194,7 +194,7 @@ class CRobot:
         return self._posed()
 
     def bear(self, force: ArrayLike = (0, 0, 0), gravity: ArrayLike = (0, 0, 0)) -> CPose:
-        """Last equilibrium under a force (3,) at the tip, N, and a gravity (3,), m/s^2, both increased slowly.
+        """Last equilibrium after the tip force (3,), N, and gravity (3,), m/s^2, have slowly increased to these values.
 
         All later results are of the loaded arm. Raises SolveError where the branch ends before the full load, and
         InputError if the library has no loads.
@@ -243,7 +243,7 @@ class CRobot:
         return self._posed(), float(self._report[0]), float(self._report[1]), Why(int(why))
 
     def servo_joints(self, command: Array, rotations: ArrayLike, translations: ArrayLike) -> tuple[CPose, Why]:
-        """Pose after one step straight to joint values (n,), and reason if it ends short; `command` as of `servo`."""
+        """Pose after one step on the straight path to joint values (n,), and the reason if the step is shortened."""
         n = self.n
         self._in[: len(command)] = command
         self._to[:n], self._to[n:] = vector("rotations", rotations, n), vector("translations", translations, n)

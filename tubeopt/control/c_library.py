@@ -142,7 +142,7 @@ def _renamed(text: str, prefix: str) -> str:
 
 
 def _filled(file: str, **values: str) -> str:
-    """The text of a template; in those with braces of their own, only the names given are filled in."""
+    """Text of a template with the given values in place of their names in braces."""
     text = (C_FOLDER / file).read_text()
     for name, value in values.items():
         text = text.replace(f"{{{name}}}", value)

@@ -30,7 +30,7 @@ MOST_NUMBER = 1e6
 
 
 def time_step(dt: float) -> float:
-    """The seconds of a step if they make sense; raises InputError where they do not."""
+    """Checked duration of a step, s; raises InputError for an implausible one."""
     seconds = finite("dt", dt)
     if not 0 < seconds <= MOST_NUMBER:
         raise InputError(f"dt is {seconds:g} s; it must be more than 0, and at most {MOST_NUMBER:g} s")
@@ -38,7 +38,7 @@ def time_step(dt: float) -> float:
 
 
 def at_most(value: Any, name: str) -> Any:
-    """Numbers up to MOST_NUMBER; raises InputError naming the first larger one."""
+    """Numbers, checked to be at most MOST_NUMBER; raises InputError with the first larger one."""
     most = float(np.abs(value).max())
     if most > MOST_NUMBER:
         raise InputError(f"{name} has {most:g}; it must be at most {MOST_NUMBER:g}, in SI units")
@@ -79,7 +79,7 @@ class Command(Displayed):
 
 
 def check_places(command: Command, robot: Robot) -> None:
-    """Raise InputError for an invalid command, or for a position that is not in m, judged by the tubes of a robot."""
+    """Raise InputError for an invalid command, or for a position too far from the robot, which is probably not in m."""
     if not isinstance(command, Command):
         raise InputError(f"command is {command!r}; it must be a Command, such as Command(position=(0.01, 0, 0.1))")
     for name in ("position", "pivot"):
@@ -185,7 +185,7 @@ WORDS = {
 
 @dataclass(frozen=True, eq=False)
 class ServoStep(Displayed, Generic[T]):
-    """A step that was made."""
+    """Result of one servo step."""
 
     equilibrium: T
     """Next equilibrium of the robot."""

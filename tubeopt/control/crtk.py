@@ -144,7 +144,7 @@ class CrtkRobot:
         return self._goal is not None and not self._goal.stream
 
     def command(self, message: Mapping[str, Any], now: float) -> None:
-        """Take a command: {"op": name, ...}.
+        """Execute a message {"op": name, ...}: start a motion, stop, or change the state.
 
         Raises:
             InputError: it makes no sense, or not in this state; nothing changes.
@@ -183,11 +183,11 @@ class CrtkRobot:
         return _Goal(desired, now, name.startswith("servo"), rates, angular, closer=now)
 
     def release(self) -> None:
-        """Hold after the commander has disconnected."""
+        """Stop and keep the position after the commander has disconnected."""
         self._goal = None
 
     def hold(self, words: str) -> None:
-        """Hold, and report the reason."""
+        """Stop and keep the position, and report the reason."""
         self._goal, self._why, self._words = None, Why(0), words
 
     def fault(self, words: str) -> None:
@@ -309,7 +309,7 @@ class CrtkRobot:
             self.events.append(("status", f"{self.state}, {'homed' if self.homed else 'not homed'}"))
 
     def _resume(self, at: Command) -> None:
-        """Resume at the joint values of drives that have moved by themselves.
+        """Continue from joint values that the drives have reached without commands.
 
         Raises:
             InputError: the robot is enabled or brakes, or cannot be there.
@@ -409,7 +409,7 @@ class CrtkRobot:
         }
 
     def snap_distance(self) -> float | None:
-        """Turn of all tubes that is proved to cause no snap here, rad, up to FAR_FROM_SNAP; None where not known."""
+        """Proved snap distance at the present pose, rad, at most FAR_FROM_SNAP; None if unknown."""
         turn = self.servo.snap_distance(FAR_FROM_SNAP)
         return None if turn is None else min(turn, FAR_FROM_SNAP)
 

@@ -63,7 +63,7 @@ LOST = 10
 
 @dataclass(frozen=True)
 class EstimatorOptions:
-    """Standard deviations before any measurement, and correlation times; what has the deviation 0 is not estimated."""
+    """Standard deviations before any measurement (quantities with 0 are not estimated), and correlation times."""
 
     force: float = 0.05
     """Standard deviation of the tip force per axis, N."""
@@ -98,7 +98,7 @@ class EstimatorOptions:
 
 
 class Rows(NamedTuple):
-    """A reading compared with the model."""
+    """Difference between a reading and its prediction by the model."""
 
     gap: Array
     """(R,) measured less expected numbers."""
@@ -124,7 +124,7 @@ class TipReading:
     """Standard deviation of directions and rotations per axis, rad."""
 
     def rows(self, of: Model) -> Rows:
-        """Comparison with the model."""
+        """Difference between the reading and its prediction by a model."""
         arm, frame = of.equilibrium, of.equilibrium.tip_rotation
         gaps = [vector("position", self.position, 3, "x, y, z in m") - arm.tip_position - of.tip_offset]
         slopes, noise = [of.change.tip_position + of.offset_slopes], [positive("noise", self.noise)] * 3
@@ -160,7 +160,7 @@ class CurvatureReading:
     """Length of a grating, over which it measures the mean, m."""
 
     def rows(self, of: Model) -> Rows:
-        """Comparison with the model."""
+        """Difference between the reading and its prediction by a model."""
         stations, measured = np.atleast_1d(np.asarray(self.stations, dtype=float)), np.asarray(self.curvature, float)
         n, half = of.equilibrium.robot.n_tubes, positive("length", self.length) / 2
         if not 0 <= self.tube < n:
@@ -193,7 +193,7 @@ class BaseReading:
     """Standard deviation of a moment, N m."""
 
     def rows(self, of: Model) -> Rows:
-        """Comparison with the model."""
+        """Difference between the reading and its prediction by a model."""
         gap = vector("wrench", self.wrench, 6, "force in N, moment in N m") - of.equilibrium.base_wrench
         noise = [positive("force_noise", self.force_noise)] * 3 + [positive("moment_noise", self.moment_noise)] * 3
         return Rows(gap, base_wrench_change(of.change), np.array(noise))
@@ -326,12 +326,12 @@ class StateEstimate(Displayed):
 
     @property
     def force_errors(self) -> Array:
-        """(3,) standard errors of the force along these directions, N."""
+        """(3,) standard errors of the force along `force_directions`, N."""
         return self._force_axes[1]
 
     @property
     def force_observed(self) -> Array:
-        """(3,) True for these directions if measurements have at least halved the standard error."""
+        """(3,) True for each of `force_directions` if measurements at least halved its standard error."""
         return np.asarray(self.force_errors <= HIDDEN * self.states.options.force)
 
     @property
@@ -382,7 +382,7 @@ class Correction(Displayed):
 
 
 class _Update(NamedTuple):
-    """Measurements of one time, linear in the state and over their noise, and the state after them."""
+    """Measurements at one time, linearised in the state and divided by their noise, with the state after them."""
 
     time: float
     slopes: Array
@@ -417,7 +417,7 @@ class StateEstimator:
         self._left_out = 0
 
     def encoders(self, time: float, rotations: ArrayLike, translations: ArrayLike) -> None:
-        """Joint values (n,) that were measured or sent at a time, s; times increase."""
+        """Add joint values (n,) that were measured or sent at a time, s; times must increase."""
         n = self.states.n
         turn, shift = vector("rotations", rotations, n), vector("translations", translations, n)
         if self._past and not time > self._past[-1][0]:
@@ -430,7 +430,9 @@ class StateEstimator:
 
     @small
     def measured(self, time: float, *readings: Reading) -> Correction:
-        """Take in readings of a time, s, however late they arrive; nothing is corrected where none comes."""
+        """Result of readings taken at a time, s. They may arrive late; without joint values near that time they are
+        ignored.
+        """
         joints = self._joints_at(time)
         if joints is None or time < self._updates[0].time:
             return Correction(False, "no joint values of its time are known", 0.0, 0, np.nan, np.nan)
@@ -470,7 +472,7 @@ class StateEstimator:
         return arm, arm.tip_position + self.states.whole(x)["tip_offset"]
 
     def shift(self, nominal: Equilibrium) -> Array:
-        """(3,) shift from the tip of the robot as given to the tip that would be measured, m.
+        """(3,) shift, m, from the tip of the nominal robot to the tip that would be measured.
 
         To reach p, a servo on the robot as given aims at p minus this.
         """

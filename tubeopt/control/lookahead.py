@@ -103,7 +103,7 @@ def _linearised(kind: Kind, knots: int, thread: int) -> Buffered:
 
 @dataclass(frozen=True, eq=False)
 class Knots:
-    """K knots in tip coordinates."""
+    """K points of a planned path in tip coordinates, with their arms and derivatives."""
 
     coordinates: TipCoordinates
     z: Array
@@ -174,7 +174,7 @@ class Knots:
 
 
 def _between(table: Array, x: Array) -> Array:
-    """Rows (K, p', ...) of (K, p, ...), with rows at fractions x between each and the next."""
+    """Table (K, p', ...) from a table (K, p, ...), with further rows at fractions x between neighbouring rows."""
     shape = (1, 1, len(x), *[1] * (table.ndim - 2))
     a, b = table[:, :-1, None], table[:, 1:, None]
     inner = a + x.reshape(shape) * (b - a)
@@ -190,7 +190,7 @@ class Aim:
 
 
 def improvement(knots: Knots, aim: Aim, contacts: tuple[Array, Array], trust: float) -> Array | None:
-    """(N, m) changes over the scales of all knots but the first, each at most `trust`, by one quadratic program.
+    """(N, m) changes of all knots but the first, in units of the scales, each at most `trust`, by a quadratic program.
 
     None if the solver finds no answer.
     """
@@ -219,7 +219,7 @@ def improvement(knots: Knots, aim: Aim, contacts: tuple[Array, Array], trust: fl
 
 
 def _way(knots: Knots, aim: Aim) -> tuple[Array, Array]:
-    """Rows and right-hand sides of the least squares, over the scales.
+    """Rows and right-hand sides of the least-squares objective of all knots, in units of the scales.
 
     They are for knot spacing, and for the distance of the tip from its aim.
     """
@@ -268,7 +268,7 @@ def _rows(knots: Knots, contacts: tuple[Array, Array]) -> tuple[Array, Array]:
 
 
 def _range(knots: Knots, trust: float) -> tuple[Array, Array]:
-    """(N, m) least and largest change of every knot but the first, over the scales."""
+    """(N, m) lower and upper bounds on the change of every knot but the first, in units of the scales."""
     space, z = knots.coordinates.space, knots.z[1:]
     slides = np.arange(z.shape[1]) >= space.robot.n_tubes
     low, high = ((end - z) / space.scale for end in (space.lower, space.upper))
@@ -280,7 +280,7 @@ def _range(knots: Knots, trust: float) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=16)
 def _program(n: int, m: int, rows: int) -> ca.Function:
-    """The solver of the quadratic program of N knots, of m coordinates and a slack each, and of rows for each."""
+    """Solver of the quadratic program of N knots with m coordinates, one slack and `rows` constraints each."""
     near = np.abs(np.arange(n)[:, None] - np.arange(n)) <= 1
     moved = np.append(np.ones(m, dtype=bool), False)
     hessian = _pattern(np.kron(near, np.outer(moved, moved)))
@@ -436,7 +436,7 @@ class PredictiveServo:
         return Knots.at(self._coordinates, np.concatenate([first[None], self._way[1:]]), floor)
 
     def _new(self, aim: Aim) -> bool:
-        """True without a planned path, or with one to another aim."""
+        """True if no path is planned, or if the planned path leads to another target."""
         if self._aim is None:
             return True
         moved = float(np.linalg.norm(aim.position - self._aim.position)) / self._guard.space.length
@@ -445,7 +445,7 @@ class PredictiveServo:
         return moved > ELSEWHERE or (aim.direction is None) != (self._aim.direction is None)
 
     def _goal(self, aim: Aim) -> Array | None:
-        """Tip coordinates of joint values that meet an aim, near the robot; None where none are known."""
+        """Tip coordinates of joint values close to the robot that reach a target; None if none are known."""
         try:
             solution = inverse_kinematics(
                 self._guard.space.robot,
@@ -476,5 +476,5 @@ class PredictiveServo:
 
 
 def _places(z: Array, at: Array) -> Array:
-    """(k, m) points on a polyline (K, m), by fractional numbers (k,) of its points."""
+    """(k, m) points on a polyline (K, m) at fractional indices (k,) of its points."""
     return np.column_stack([np.interp(at, np.arange(len(z)), column) for column in z.T])

@@ -184,7 +184,7 @@ class RobotServer:
         self._ended = threading.Event()
 
     async def serve(self, ready: Callable[[], object] | None = None) -> None:
-        """Serve until cancelled; `ready` is called when clients can come.
+        """Serve until cancelled; `ready` is called when clients can connect.
 
         Raises:
             InputError: a port is taken, or `websockets` or `pyigtl` is not installed.
@@ -470,7 +470,7 @@ def _slicer_state(report: dict[str, Any], failure: str) -> list[Any]:
 
 
 async def _slicer_message(reader: asyncio.StreamReader) -> Callable[[], dict[str, Any]] | None:
-    """The next message as a command that is to be read; None for one that is no command.
+    """Next message as a function that returns its command; None for a message without a command.
 
     Raises:
         InputError, ValueError, struct.error: it is no message of OpenIGTLink.

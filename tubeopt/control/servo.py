@@ -36,7 +36,7 @@ HALVINGS = 4
 
 
 class Ball(NamedTuple):
-    """Joint values at which turns of all tubes, each by up to `turn`, are proved to cause no snap."""
+    """Joint values around which a rotation of every tube by up to `turn` is proved to cause no snap."""
 
     rotations: Array
     """(n,) rotations of the joints, rad."""
@@ -46,14 +46,14 @@ class Ball(NamedTuple):
     """Largest turn of every tube that is proved to cause no snap, rad; 0 without a proof."""
 
     def left(self, arm: Equilibrium) -> float:
-        """Turn of all tubes that it allows at joint values, rad; -1 outside of it."""
+        """Turn that the proof still allows for all tubes at joint values, rad; -1 outside of its range."""
         if np.abs(arm.translations - self.translations).max() > LENGTH_ROUND_OFF:
             return -1.0
         return max(-1.0, self.turn - float(np.ptp(arm.rotations - self.rotations)) / 2)
 
 
 class Place(NamedTuple):
-    """State of a robot."""
+    """State that `undo` restores."""
 
     here: Posture
     """Stop point of the robot."""
@@ -63,7 +63,7 @@ class Place(NamedTuple):
 
 
 class Guard:
-    """Guard with the state of a robot and its check of the next step; arguments and errors as of `Servo`."""
+    """State of a robot and the safety check of its next step; arguments and errors as of `Servo`."""
 
     def __init__(
         self,
@@ -101,7 +101,7 @@ class Guard:
         """Distance (m) up to which bodies are searched at the end of a step: once for the guard and the next step."""
 
     def restart(self, start: Configuration) -> None:
-        """Rest at a start; errors as of `Servo`."""
+        """Set the state to rest at a start; errors as of `Servo`."""
         here, least = start_posture(self.space, start), self.options.min_margin
         if words := self.space.outside(here.q):
             raise InputError(f"start is out of range: {words}")
@@ -127,7 +127,7 @@ class Guard:
         self.here, self.arm, self.speed = self.before
 
     def ends(self, dt: float) -> tuple[Array, Array]:
-        """(m,) least and largest change of the stop point in a cycle, within rates and accelerations.
+        """(m,) smallest and largest change of the stop point in a cycle, within rates and accelerations.
 
         The robot q follows its stop point s = q + v |v| / (2 a). A new speed v' leads to s = q + v' dt + v' |v'| / 2a.
         """
@@ -143,7 +143,7 @@ class Guard:
     def go(
         self, change: Array, why: Why, dt: float, closer: Callable[[Posture, float], bool] = lambda _, __: True
     ) -> tuple[Equilibrium, Why]:
-        """The equilibrium after a change of the stop point (m,), of as much of it as passes, and what is in the way.
+        """Equilibrium after the largest safe part of a change (m,) of the stop point, and the reasons for shortening.
 
         `closer` decides whether a part of the change brings the tip closer to its target; where none does, the robot
         rests.
@@ -173,7 +173,7 @@ class Guard:
         return self._follow(dt), why
 
     def _passes(self, q: Array, floor: float) -> Posture | None:
-        """The posture at joint values q (m,) of a stop point; None where it, or the way to it, may not be."""
+        """Posture at joint values q (m,) of a stop point; None if the posture, or the motion to it, is not allowed."""
         rotations, shift = self.space.split(q)
         try:
             reached = one_step(self.space.robot, self.here.equilibrium, rotations, shift)
@@ -189,7 +189,7 @@ class Guard:
         return posture
 
     def _proved(self, at: Posture) -> Ball | None:
-        """The last ball, or a new one, with a turn at a posture of at least `self.turn`; None where none is proved.
+        """Last proof, or a new one for a posture, of a turn of at least `self.turn`; None without a proof.
 
         While tubes only turn, a ball WIDER as large is tried first: further steps in it need no proof.
         """
@@ -257,11 +257,11 @@ class Guard:
         return self.space.join(arm.rotations, arm.translations)
 
     def _missing(self, at: Posture) -> float:
-        """Clearance (m) that is missing."""
+        """Missing clearance, m."""
         return self.options.clearance - at.outline.clearance(self.scene, self.options.clearance)
 
     def left(self, command: Command) -> tuple[float, float]:
-        """Distance (m) and angle (rad) from the command; NaN without one."""
+        """Remaining distance (m) and angle (rad) to a command; NaN for parts that it does not have."""
         arm = self.arm
         away = np.nan if command.position is None else dist(command.position, arm.tip_position)
         pointing = arm.tip_rotation[:, 2]
@@ -432,7 +432,7 @@ class Servo:
 
     @small
     def step(self, command: Command, dt: float) -> ServoStep[Equilibrium]:
-        """One step of `dt` seconds; it always answers, with the joint values to hold where nothing else is safe.
+        """Result of one step of `dt` seconds; if no motion is safe, the joint values do not change.
 
         Raises:
             InputError: `dt` or the joint values of the command make no sense.
@@ -471,11 +471,11 @@ class Servo:
         return None if found is None else found.turn
 
     def undo(self) -> None:
-        """Take the last step back, which was not sent."""
+        """Undo the last step, which was not sent to the drives."""
         self.guard.undo()
 
     def resume(self, joints: Configuration) -> None:
-        """Continue at rest at joint values that the robot has reached otherwise, on the branch of a straight motion.
+        """Continue at rest from joint values reached by another motion, on the branch of the straight path to them.
 
         Raises:
             InputError: they are out of range, or the margin there is below the smallest allowed one.
@@ -486,13 +486,13 @@ class Servo:
         self._damping, self._goal = 0.0, None
 
     def _note_target(self, command: Command, dt: float) -> None:
-        """Forget the damping where the target jumps."""
+        """Reset the damping if the target jumps."""
         last, self._goal = self._goal, command.position
         if last is None or self._goal is None or dist(last, self._goal) > 2 * self.options.speed * dt:
             self._damping, self._damped, self._patience = 0.0, 0, PATIENCE
 
     def _box(self, near: tuple[Array, Array], dt: float) -> tuple[Array, Array]:
-        """(m,) least and largest change of the joints in the quadratic program, of those `near` that a cycle allows.
+        """(m,) smallest and largest joint change in the quadratic program, from the changes `near` that a cycle allows.
 
         A damped step is shortened as a whole once it is known: at its corners a box would turn it. Only a joint that
         moves the other way, and first has to brake, stays.
@@ -507,7 +507,7 @@ class Servo:
     def _take(
         self, step: Array, parts: Sequence[Part], near: tuple[Array, Array], why: Why, dt: float
     ) -> tuple[Equilibrium, Why]:
-        """The equilibrium after so much of a step (m,) over the scales as the guard allows and brings the tip closer.
+        """Equilibrium after the largest part of a step (m,), over the scales, that is safe and reduces the distance.
 
         The damping is the curvature of half the squared distance along the step, which Gauss-Newton leaves out. Within
         reach it vanishes with the distance; out of reach it lets the steps converge.
@@ -589,7 +589,7 @@ class Servo:
         return Constraints(np.concatenate(rows), np.concatenate(more), kinds)
 
     def _why(self, active: Index, here: Posture, low: Array, high: Array, kinds: Sequence[tuple[int, Why]]) -> Why:
-        """Meaning of the active rows."""
+        """Reasons (flags of `Why`) for the active rows of the constraints."""
         m, reasons, ends = len(here.q), set[Why](), np.concatenate([low, -high])
         for row in active.tolist():
             if row < 2 * m:
@@ -654,7 +654,7 @@ class Servo:
         return slope[counts] * self.space.scale, np.minimum(least, RISE * most)[counts]
 
     def _task(self, group: Sequence[str], command: Command, at: Posture, dt: float) -> Task | None:
-        """The task of a priority; None where nothing of it is commanded. Of an empty one, the objective."""
+        """Task of a priority; None if the command has none of its parts. An empty priority is the objective."""
         if not group:
             step = self._objective(at, dt)
             return Task(np.eye(len(step)), step, damped=False)
@@ -667,7 +667,7 @@ class Servo:
         return Task(matrix, np.concatenate(targets), True, tuple(parts))
 
     def _gap(self, name: str, target: Any, at: Posture) -> Array:
-        """Gap to one part of a command: over the length of the robot, or over the scales of the joints."""
+        """Difference from one part of a command, in units of the robot's length or of the joints' scales."""
         if name == "position":
             return np.asarray((target - at.tip) / self.space.length)
         if name == "direction":
@@ -716,7 +716,9 @@ class Servo:
         return Part(name, target, self.space.by_joints(across @ moved), gap, speed, met)
 
     def _objective(self, at: Posture, dt: float) -> Array:
-        """(m,) the step over the joints' scales that is best for the objective, as long as `push` of the rates."""
+        """(m,) joint step, in units of the scales, that best improves the objective; its length is `push` times the
+        rates.
+        """
         space, name = self.space, self.options.objective
         if name == "margin":
             pull = at.margin_slope() * space.scale
@@ -733,7 +735,7 @@ class Servo:
 
 
 def _allowed(most: float, motion: Array) -> float:
-    """The part of a motion that is no longer than `most`."""
+    """Motion, shortened to a length of at most `most`."""
     return min(most / max(hypot(*motion.tolist()), 1e-300), 1.0)
 
 
@@ -742,7 +744,7 @@ def _square(vector: Array) -> float:
 
 
 def _at_most(length: float, vector: Array) -> Array:
-    """A vector, shortened to a length where it is longer."""
+    """Vector, shortened to a length if it is longer."""
     return vector * min(length / max(hypot(*vector.tolist()), 1e-300), 1.0)
 
 

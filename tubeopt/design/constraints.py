@@ -100,7 +100,7 @@ def statements(
 
 
 def _stated(requirement: Requirement, n: int, poses: Poses, points: Points) -> Stated:
-    """Every limit, the distance to it, and the vector if its length is limited: requirements on tubes alone."""
+    """Limits of requirements on tubes alone: each with the distance to it, and the vector if its length is limited."""
     match requirement:
         case CustomRequirement():
             movable = requirement.relaxed(requirement.size) is not None
@@ -134,7 +134,7 @@ def _stated(requirement: Requirement, n: int, poses: Poses, points: Points) -> S
 
 
 def _stated_of_poses(requirement: Requirement, poses: Poses, points: Points) -> Stated:
-    """Every limit, the distance to it, and the vector if its length is limited: requirements on poses."""
+    """Limits of requirements on poses: each with the distance to it, and the vector if its length is limited."""
     match requirement:
         case SnapFreeInUse(margin=lower) if poses:
             limit = Limit("margin in use", lower, False, "", 1.0, 0.1)

@@ -37,7 +37,7 @@ DEPTH_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows of one group, >= 0 where the limit is kept, in units of `limit.size`."""
+    """Rows of one group, >= 0 if the limit is satisfied, in units of `limit.size`."""
 
     requirement: int
     """Index of the requirement in the task."""

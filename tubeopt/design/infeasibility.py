@@ -247,7 +247,7 @@ def best_of(ranking: Ranking) -> Attempt:
 
 
 def smallest_relaxations(failed: Sequence[Attempt]) -> list[Relaxation]:
-    """Relaxation with the smallest sum of changes near the failed starts, then up to three of a single limit."""
+    """Relaxations of an infeasible task: with the smallest sum of changes, then up to three of a single limit."""
     solutions: list[_ElasticSolution] = []
     for end in failed[:RELAXED_STARTS]:
         evaluated = evaluate(end.program, end.x)

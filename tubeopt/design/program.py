@@ -50,7 +50,7 @@ class Added:
 
 @dataclass(frozen=True, eq=False)
 class PassedDesign:
-    """Design that a search has passed."""
+    """Design that a search has evaluated."""
 
     x: Array
     """Unknowns (X,), SI."""
@@ -68,7 +68,7 @@ class PassedDesign:
 
 
 class Lately:
-    """Memory of a search: the last state, and the best design, which is the result if the time limit ends the search.
+    """Last state of a search, and the best design so far, which is the result if the time limit ends the search.
 
     Objective and constraints are evaluated at the same x one after the other. Older states are not stored, since their
     poses started elsewhere. The memory is not sent to other processes.

@@ -269,7 +269,9 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
 
 
 def _shortfall(evaluated: Evaluated, inside: float) -> tuple[Array, Array]:
-    """Violation of rows that are to be `inside` by so many steps, and its derivative; of a limited vector, along it."""
+    """Violation of rows that must be at least `inside` steps, and its derivative; for a limited vector, along the
+    vector.
+    """
     values, slopes = [], []
     for group in evaluated.groups:
         short = np.minimum(group.values - inside, 0.0)

@@ -388,7 +388,7 @@ class _UnloadedPose(NamedTuple):
 
 
 def _unloaded(state: DesignState, index: PoseNumber) -> _UnloadedPose:
-    """Pose without load, with its parameters."""
+    """Equilibrium of a pose without load, its parameters that depend on unknowns, and their derivatives."""
     rows = dict(zip(JOINTS, state.joint_slopes(index), strict=True)) | state.resized
     moved = {name: part for name, part in rows.items() if part.any()}
     plain = to_equilibrium(state.pose(index).solved, "guess")

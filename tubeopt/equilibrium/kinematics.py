@@ -613,7 +613,7 @@ def on_branch(family: Family, guess: Equilibrium, request: SolveRequest) -> Equi
 
 
 def _start(family: Family, milestone: Milestone) -> AnyPoint:
-    """Equilibrium as the first point of a branch, as it was solved."""
+    """First point of a branch: an equilibrium in the equations and on the mesh of its own solve."""
     pose = milestone.pose
     member, x = unsolved(pose, family.load, family.path.discretisation)
     return Point(milestone.t, member, member.at(x), pose.margin)

@@ -239,7 +239,7 @@ class Member(ABC, Generic[S]):
         """Largest violation of the equations, rad."""
 
     def worst(self, state: S) -> str:
-        """Equation with the largest violation, for a message; by default the size of the violation."""
+        """Text on the equation with the largest violation; by default only the size of the violation."""
         return f"the largest residual is {self.residual(state):.2g} rad"
 
     @abstractmethod

@@ -85,7 +85,7 @@ def push(robot: Robot, rotations: Array, translations: Array) -> tuple[Array, Ar
 def yielded(
     robot: Robot, rotations: Array, translations: Array, compliance: Array, start: Array | None = None
 ) -> Array:
-    """Translations (..., n) of compliant carriages (n,), m/N, at the readings `translations`.
+    """Translations (..., n), m, of carriages with compliances (n,), m/N, at the readings `translations`.
 
     They minimise the energy of tubes and springs, by Newton's method from `start`.
 
@@ -100,7 +100,9 @@ def yielded(
     z, rows = np.minimum(target if start is None else start.reshape(-1, n), upper), np.arange(len(target))
 
     def residual(which: Index, z: Array) -> tuple[Array, Array]:
-        """Residual z - z0 + c F(z) (K, n) of some rows, m, and its derivatives (K, n, n)."""
+        """Residual z - z0 + c F(z) (K, n), m, of the translations z of compliant carriages, and its derivatives (K, n,
+        n).
+        """
         force, stiffness = push(robot, alpha[which], z)
         return z - target[which] + compliance * force, np.eye(n) + compliance[:, None] * stiffness
 

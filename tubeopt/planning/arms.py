@@ -166,14 +166,14 @@ class Side(TraceTable):
         return np.asarray(((self.points[:, 1] - self.points[:, 0]) ** 2).sum(-1).max(1))
 
     def halved(self, track: Track, t: Array) -> tuple[Side, Side]:
-        """Both halves along the arm."""
+        """Two halves of each stretch, split along the arm."""
         middle = self.x.mean(1)
         points = parted(self.points, 1, track.positions(self.link, self.section, middle, t))
         first, second = (replace(self, x=x, points=p) for x, p in zip(parted(self.x, 1, middle), points, strict=True))
         return first, second
 
     def brief(self) -> tuple[Side, Side]:
-        """Both halves in time."""
+        """Two halves of each stretch, split in time."""
         first, second = (replace(self, points=points) for points in parted(self.points, 2, self.points.mean(2)))
         return first, second
 
@@ -441,19 +441,19 @@ def checked_arms(arms: Sequence[PlacedRobot]) -> tuple[PlacedRobot, ...]:
 
 
 def one_each(name: str, values: Sequence[object], arms: Sequence[PlacedRobot]) -> None:
-    """Raise InputError unless there is one value for every arm."""
+    """Raise InputError unless a list has one value for every arm."""
     if len(values) != len(arms):
         raise InputError(f"{name} has {len(values)} for {len(arms)} arms; it must have one for each")
 
 
 def plate_of(arm: PlacedRobot) -> Sphere:
-    """Sphere around the point where the tubes leave the plate, in the shared frame; they are there when retracted."""
+    """Sphere in the shared frame around the point where the tubes leave the plate; it contains a retracted arm."""
     x, y, z = np.asarray(arm.base.origin, dtype=float).tolist()
     return Sphere((x, y, z), float(Constants.of(arm.robot).radius.max()))
 
 
 def between_plates(first: PlacedRobot, second: PlacedRobot) -> float:
-    """Distance of the spheres `plate_of` two arms, m."""
+    """Distance between the surfaces of the spheres at the base plates of two arms, m."""
     a, b = plate_of(first), plate_of(second)
     return float(np.linalg.norm(np.subtract(a.centre, b.centre))) - a.radius - b.radius
 

@@ -167,7 +167,7 @@ def rates_of(t: Array, values: Array) -> tuple[Array, Array]:
 
 
 def out_of_range(space: JointSpace, alpha: Array, shift: Array) -> list[str]:
-    """Faults of joint values beyond their range, and of tubes out of order."""
+    """Messages on joint values out of range and on tubes out of order."""
     faults = []
     space = space.holding(*shift)
     try:
@@ -191,7 +191,7 @@ def out_of_range(space: JointSpace, alpha: Array, shift: Array) -> list[str]:
 
 
 def too_fast(space: JointSpace, rates: Sequence[tuple[Array, Array]], tip_rate: float, limits: RateLimits) -> list[str]:
-    """Faults of rates and accelerations of joints, and of the speed of the tip, above their limits."""
+    """Messages on rates and accelerations of joints, and on tip speeds, above their limits."""
     faults = []
     if limits.tip is not None and tip_rate > limits.tip * (1 + SLACK):
         faults.append(f"the tip reaches {tip_rate * 1e3:.4g} mm/s; it must be at most {limits.tip * 1e3:.4g} mm/s")

@@ -568,7 +568,7 @@ def _first(robot: Robot, start: Equilibrium | None, joints: tuple[Array, Array],
 
 
 def _force_faults(forced: ForceBound, min_margin: float) -> list[str]:
-    """Faults of the bounds for all forces on the tip."""
+    """Messages on margins and clearances that some tip force can violate."""
     size = f"{forced.max_force * 1e3:g} mN"
     if forced.margin <= 0:
         return [f"not proved: nothing shows that no force of up to {size} on the tip snaps or buckles the robot"]
@@ -579,7 +579,7 @@ def _force_faults(forced: ForceBound, min_margin: float) -> list[str]:
 
 
 def _tip_faults(pace: Pace, limit: float, *, pushed: bool) -> list[str]:
-    """Faults of the bound on the speed of the tip, if it is limited."""
+    """Messages on tip speeds above their limit; empty without a limit."""
     allowed = f"it must be at most {limit * 1e3:.4g} mm/s"
     if limit == math.inf or pace.measured > limit * (1 + SLACK):
         return []

@@ -28,7 +28,7 @@ def second_moment(outer_diameter: Any, inner_diameter: Any) -> Any:
 
 
 class OfCrossSection(float):
-    """A stiffness that follows from material and cross-section, and anew where `dataclasses.replace` changes them."""
+    """Stiffness computed from material and cross-section; `dataclasses.replace` of these computes it again."""
 
     def __reduce__(self) -> tuple[type[OfCrossSection], tuple[float]]:
         return OfCrossSection, (float(self),)
@@ -118,7 +118,9 @@ class Tube(Displayed):
             object.__setattr__(self, name, value)
 
     def _join_pieces(self) -> None:
-        """Bend the pieces as `curvature` says, and let curvature and curved length be exactly theirs."""
+        """Bend the pieces to the given `curvature`, and set curvature and curved length to the exact values of the
+        pieces.
+        """
         total = math.fsum(piece.length for piece in self.pieces)
         if abs(total - self.curved_length) > 1e-9 * total:
             raise InputError(

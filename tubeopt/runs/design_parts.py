@@ -397,7 +397,7 @@ class SearchPart(Entry):
         )
 
     def evaluation_of(self, searched: ReachProblem, points: Array) -> ReachProblem:
-        """Problem with the remaining points, roadmaps of twice the size and other random numbers."""
+        """Reach problem that evaluates a result: other points, roadmaps of twice the size, other random numbers."""
         options = replace(searched.options, seed=searched.options.seed + SEED_OFFSET)
         # The search fits its designs to its own roadmap and points. Others show what remains elsewhere.
         return replace(searched, targets=points[self.places :], options=options, count=2 * self.points)

@@ -99,7 +99,7 @@ def _readings(a: Certification, rotations: Array) -> tuple[Array, Array]:
 
 
 def _fractions(a: Certification) -> list[tuple[tuple[int, int], float]]:
-    """Pairs of tubes, from 1, and the fraction that each takes from a margin of 1; the largest first."""
+    """Pairs of tubes, from 1, and the fraction by which each reduces a margin of 1; the largest first."""
     fraction = a.verdict.certificate.share
     # The matrix is symmetric: each pair once.
     pairs = [((i + 1, j + 1), float(fraction[i, j])) for i, j in itertools.combinations(range(len(fraction)), 2)]
@@ -107,7 +107,7 @@ def _fractions(a: Certification) -> list[tuple[tuple[int, int], float]]:
 
 
 def _fractions_text(a: Certification) -> str:
-    """Fractions of the margin that pairs of tubes take, as text."""
+    """Text on the fractions by which pairs of tubes reduce the margin from 1."""
     fractions = [f"tubes {i} and {j} {100 * fraction:.1f} %" for (i, j), fraction in _fractions(a)]
     return ", ".join(fractions) or "nothing: no two tubes are coupled"
 

@@ -264,7 +264,7 @@ _TEMPLATE = _Template()
 
 
 def load_in_words(load: Load) -> str:
-    """Load in one line."""
+    """Text of a load in one line."""
     at_tip = []
     if any(load.force):
         at_tip.append(f"{row(np.array(load.force) * TO_MILLI, '.6g')} mN at the tip")

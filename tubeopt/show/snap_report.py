@@ -376,7 +376,7 @@ class LoadLimitReport(Report[LoadLimitResult]):
         return super().rows() + ([] if limit is None else rows(limit, LIMIT))
 
     def pictures(self) -> dict[str, Drawing]:
-        """The robot at the limit, and where it lands as a ghost."""
+        """Drawing of the robot at the load limit, with a translucent robot after it."""
         limit = self.answer.limit
         if limit is None:
             return {}

@@ -109,7 +109,8 @@ def corners() -> Array:
 
 
 class Slope:
-    """Smallest slope phi_x that satisfies (*), at rotations (T, 3) and every p of some corners (V, 3), for one delta.
+    """Smallest slope phi_x that satisfies condition (*) of the module, for one delta, at rotations (T, 3) and corners p
+    (V, 3).
 
     The parts that do not depend on x and phi are computed once. With the Schur complement of the equal rotations, (*)
     is a bound on the larger eigenvalue of a matrix (2, 2) on the range of P.

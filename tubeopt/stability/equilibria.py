@@ -602,10 +602,10 @@ def _without_load(member: Unloaded, most_starts: int) -> list[PlainPoint]:
 
 
 def _all_tips(problem: ReducedProblem, rotations: Array, most_starts: int) -> Array:
-    """(S, n) tip angles of all equilibria: of one group after the other, from the base to the tip.
+    """(S, n) tip angles of all equilibria, from the groups of tubes in order, base to tip.
 
-    Off the centreline every solution of the groups nearer to the base has its own lengths of the tubes that pass
-    through them, and so its own transmissions.
+    With tubes off the centreline, each solution of the groups closer to the base gives the tubes inside them other
+    lengths, and so other transmissions.
     """
     # The tip of a tube without torsion has the rotation of its joint.
     branches = [(rotations.copy(), np.zeros(problem.assembly.n_tubes))]

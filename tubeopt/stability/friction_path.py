@@ -243,9 +243,9 @@ def _next_state(family: Family, current: FrictionEquilibrium, t: float) -> Frict
 
 
 def _distance(a: FrictionEquilibrium, b: FrictionEquilibrium) -> float:
-    """Largest difference of two states at the points of the second, rad: of the twist theta - alpha, and of bending.
+    """Largest difference between two states at the points of the second, in twist theta - alpha and in bending, rad.
 
-    Bending counts by the rotation of the arm if its curvature changed by as much all along.
+    Bending is measured by the rotation of the arm if its curvature changed everywhere by the same amount.
     """
     problem = b.contact.problem
     theta_a = a.increment.state.elastic.theta if a.contact is b.contact else a.theta(problem.arc_length)

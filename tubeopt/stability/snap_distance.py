@@ -221,7 +221,7 @@ class SnapDistance(Displayed):
 
 @dataclass(frozen=True, eq=False)
 class Slides:
-    """Translations of the n tubes, each from 0 to its largest, and their effect on P couplings."""
+    """Effect of sliding the n tubes, each from 0 to its largest translation, on P couplings."""
 
     lower: Array
     """(P,) smallest coupling, J."""
@@ -341,8 +341,9 @@ class PairForm:
         return np.asarray(np.mod(np.pi - 2 * self.psi, FULL_TURN) - np.pi)
 
     def image(self, y: Array, u: Array) -> Array:
-        """The box (..., 2 P) to which [x] is mapped. Boxes are u = (-low, high) (..., 2 P), for which the map grows; y:
-        that of J d over S."""
+        """Box (..., 2 P) that contains the image of the box [x] under the map. Boxes are written u = (-low, high),
+        (..., 2 P).
+        """
         low, high, values = self._range_of_h(u)
         image = y + np.concatenate([-values.min(0), values.max(0)], axis=-1) @ _widening(self.G * self.w).T
         return image if self.slides is None else image + self.slid(self.slides, low, high)
@@ -359,7 +360,9 @@ class PairForm:
         return _widening(self.G * self.w) @ out
 
     def _range_of_h(self, u: Array) -> tuple[Array, Array, Array]:
-        """Ends of the boxes u, and h at both, at 0 and at the other extremum if it is inside, (4, ..., P)."""
+        """Lower and upper ends of the boxes u, and values (4, ..., P) of h at both ends, at 0, and at the inner
+        extremum.
+        """
         low, high = -u[..., : len(self.psi)], u[..., len(self.psi) :]
         inside = (low <= self.extremum) & (self.extremum <= high)
         other = np.where(inside, self.h(self.extremum), 0.0)

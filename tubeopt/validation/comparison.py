@@ -232,7 +232,7 @@ def validate(
 
 
 def join(comparisons: Sequence[Validation]) -> Validation:
-    """Comparison of all rows of several recordings, the recordings of which it keeps."""
+    """Comparison of all rows of several recordings; it also contains each recording."""
     last = comparisons[-1]
     if len(comparisons) == 1:
         return last

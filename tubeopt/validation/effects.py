@@ -209,7 +209,7 @@ def _between(robot: Robot) -> tuple[Array, Array]:
 
 
 def members(robot: Robot) -> tuple[Tube, ...]:
-    """The tubes that a robot is described by: all of a concentric one, one per segment of an eccentric one."""
+    """Tubes that describe a robot: all of a concentric robot, one per segment of an eccentric robot."""
     if isinstance(robot, EccentricRobot):
         return (robot.tube,)
     if isinstance(robot, SegmentedEccentricRobot):

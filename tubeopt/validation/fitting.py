@@ -76,7 +76,8 @@ DRAWS = 400
 def hold_out(
     model: Sessions, weights: Weights, fit: RobustDescent[ParameterState[Registrations]], fold: Index
 ) -> Array:
-    """(V, 3) residuals of every observation by fits to the other folds, with the slopes of the fit to all.
+    """(V, 3) held-out residuals of every observation, by fits to the other folds with the derivatives of the fit to
+    all.
 
     `fold` (N,) is the fold of each row.
 
@@ -97,7 +98,7 @@ def hold_out(
 def hold_out_recordings(
     model: Sessions, weights: Weights, fit: RobustDescent[ParameterState[Registrations]], fold: Index
 ) -> Array:
-    """(V, 3) residuals of every recording by common parameters from the other recordings.
+    """(V, 3) held-out residuals of every recording, with the common parameters fitted to the other recordings.
 
     What it has of its own (registration, joint zeros, ...) is fitted to its other folds, common parameters held.
     """
@@ -123,7 +124,7 @@ def hold_out_recordings(
 def predicted_held_out(
     model: Sessions, weights: Weights, near: RobustDescent[ParameterState[Registrations]], fold: Index
 ) -> Array:
-    """(V, 3) residuals held out, were the observations linear in the parameters around a state: nothing is solved."""
+    """(V, 3) approximate held-out residuals, from observations linearised about a state; nothing is solved."""
     own, w, jacobian, x = fold[model.row], weights.of(near.residuals), near.jacobian, near.state.x
     square, slope = normal_equations(model, weights, near.state, near.residuals, jacobian)
     free = np.full(model.freedoms, np.inf)
@@ -141,7 +142,7 @@ def predicted_held_out(
 def bootstrap_errors(
     model: Sessions, weights: Weights, fit: RobustDescent[ParameterState[Registrations]], block: Index
 ) -> Array:
-    """(P,) standard errors from blocks of rows, (N,) the block of each, drawn again with replacement.
+    """(P,) bootstrap standard errors: blocks of rows are drawn with replacement; (N,) is the block of each row.
 
     Each draw is refitted to first order (one Gauss-Newton step from the fit), so that nothing is solved.
     """
@@ -379,7 +380,7 @@ def weigh(model: Sessions, options: FitOptions, sigma: tuple[float, float]) -> W
 
 
 class FitProblem:
-    """A fit of a model's parameters, solved: those that the data leave undetermined held, the noise estimated.
+    """Solved fit of a model's parameters. Undetermined parameters are fixed, and the noise is estimated.
 
     Args:
         model: with the parameters that were chosen.   start: a state to begin at, of the same parameters.
@@ -447,12 +448,12 @@ class FitProblem:
         return replace(descent, state=state, residuals=self.model.residuals(state), jacobian=slopes)
 
     def _noise(self, descent: RobustDescent[ParameterState[Registrations]]) -> tuple[float, float]:
-        """Standard deviations of a coordinate of positions and of directions: given, or left by the fit."""
+        """Standard deviations of position coordinates and of directions: as given, or those of the residuals."""
         left, known = self._left(descent), self.options.noise
         return known[0] or left[0], known[1] or left[1]
 
     def _left(self, descent: RobustDescent[ParameterState[Registrations]]) -> tuple[float, float]:
-        """Standard deviations of a coordinate of positions and of directions that a fit leaves.
+        """Standard deviations of the residuals of a fit, of position coordinates and of directions.
 
         With a robust loss they follow from the median, which outliers do not move.
         """
@@ -550,7 +551,7 @@ class FitProblem:
         return setup.robot(model.robot, found_by)
 
     def _spread(self) -> tuple[Array, Array]:
-        """Standard errors (P,) and correlation (P, P); infinite and NaN for parameters that are held."""
+        """Standard errors (P,) and correlation (P, P) of the parameters; infinite and NaN for fixed ones."""
         count, free = len(self.chosen), self.free
         errors, correlation = np.full(count, np.inf), np.full((count, count), np.nan)
         deviation = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))

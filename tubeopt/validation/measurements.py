@@ -402,7 +402,8 @@ def _between(time: Array, values: Array, instants: Array) -> Array:
 
 
 def middles_of(drives: Calibration, measurements: Measurements, common: Array) -> tuple[Calibration, Array]:
-    """Drives with gains about the turn that contains the recording, and (n,) turns from there to its median.
+    """Drives with gains relative to the turn of the recording, and (n,) turns from there to the median of the
+    recording.
 
     A drive of gain 1 has no turn yet: its own begins next to `common` (n,), the median of all recordings.
     """

@@ -162,7 +162,7 @@ class Sessions:
 
     @cached_property
     def places(self) -> list[Index]:
-        """The place of each row, by recording, as for `deal`."""
+        """Number of the configuration of each row, by recording, as `deal` reads it."""
         return [passes(m).group for m in self.recordings]
 
     def fold(self, folds: int) -> Index:

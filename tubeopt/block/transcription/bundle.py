@@ -150,7 +150,9 @@ def natural_start(bundle: Bundle, rotations: Array, places: Sequence[float] = ()
 
 
 def _tubes_at(bundle: Bundle, ahead: Sequence[Boundary]) -> tuple[Mask, Mask]:
-    """Tubes (n,) that are present, and those that are curved, where the boundaries `ahead` are still to come."""
+    """Masks (n,) of the tubes that are present, and of those that are curved, between the plate and the boundaries
+    `ahead`.
+    """
     n = len(bundle.end)
     ends = {i for b in ahead for i in b.ends}
     transitions = {i for b in ahead for i in b.tubes if i not in b.ends}
@@ -554,7 +556,7 @@ class Work:
         return out
 
     def by_xx(self, problem: BundleProblem) -> Array:
-        """Derivative (U, U) of `by_x`."""
+        """Second derivative (U, U) of the work by x."""
         size, m, split = 2 * len(problem.weight), len(problem.order), problem.split
         follow = np.concatenate([np.eye(size), problem.lengths_by_bend]) @ problem.bend_map
         out = np.zeros((problem.size, problem.size))
@@ -753,7 +755,7 @@ def softest(state: BundleState, vector: Array) -> Array:
 
 
 def _relative(state: BundleState) -> Array:
-    """Unknowns (U, U) by the coordinates of `margin_form`."""
+    """Matrix (U, U) from coordinates of `margin_form` to unknowns."""
     problem = state.problem
     split, stiffness = problem.split, problem.bundle.torsional_stiffness
     untwisted = np.column_stack(
@@ -800,7 +802,7 @@ def start_unknowns(problem: BundleProblem, start: Start) -> Array:
 
 
 def _shortened(problem: BundleProblem, turn: Array, bend: Array, sections: Sequence[int], length: float) -> None:
-    """Write p (N, n) and kappa (N, 2) of short sections: the rates of the section before, times a length."""
+    """Overwrite p (N, n) and kappa (N, 2) of short sections: rates of the section before them, times their length."""
     rate_of, h = np.column_stack([turn, bend]), problem.straight + problem.lengths_by_bend @ bend.ravel()
     for k in sections:
         own = problem.point_section == k
@@ -844,7 +846,9 @@ def exchanged(state: BundleState, section: int, *, hold: bool) -> tuple[BundlePr
 
 
 def holding_forces(state: BundleState) -> Array:
-    """Derivative (len(held),) of the energy by the lengths of held sections, N; below 0 they would grow."""
+    """Derivative (len(held),) of the energy by the lengths of held sections, N; if it is negative, the section would
+    grow.
+    """
     rows = state.problem.lengths_by_bend[[*state.problem.held]]
     return np.asarray(np.linalg.lstsq(rows.T, state.by_bend, rcond=None)[0])
 
@@ -932,7 +936,7 @@ def ordered(bundle: Bundle, order: Sequence[Boundary]) -> list[Boundary]:
 
 
 def moved_order(problem: BundleProblem, bundle: Bundle, places: Sequence[float]) -> tuple[Boundary, ...]:
-    """Boundaries of a problem at other translations in the same order; none where there are others than before."""
+    """Boundaries of a problem at other translations, in the same order; empty if other boundaries exist there."""
     now = {b.key: b for b in boundaries(bundle, places)}
     length = float((problem.nominal * problem.count).sum())
     if ((bundle.transmission > SAME_PLACE) != (problem.bundle.transmission > SAME_PLACE)).any():
@@ -944,7 +948,7 @@ def moved_order(problem: BundleProblem, bundle: Bundle, places: Sequence[float])
 
 
 def solved_order(bundle: Bundle, places: Sequence[float], ends: Array, own: Array) -> tuple[Boundary, ...]:
-    """Boundaries at places (m,) of the centreline, in order, where the tubes have own lengths (m, n), m."""
+    """Boundaries in order, from their places (m,) on the centreline and own lengths (m, n) of the tubes there, m."""
 
     def reached(b: Boundary) -> float:
         if not b.tubes:

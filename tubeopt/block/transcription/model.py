@@ -407,7 +407,7 @@ def layout_numbers(layout: Layout, column: Any = None) -> LayoutNumbers:
 
 
 def model_of(grid: Grid, numbers: LayoutNumbers, unknowns: tuple[Any, ...], inputs: Mapping[str, Any]) -> Model:
-    """The arm with unknowns as matrices, in the order of `unknowns_of`, at joint values and dimensions.
+    """Model of an arm at joint values and dimensions, with its unknowns as matrices in the order of `unknowns_of`.
 
     Args:
         inputs: joint values and dimensions by name, the `offsets` of eccentric tubes, and the `chain` of tubes made of

@@ -82,7 +82,7 @@ class Program(Protocol):
         """Set the labels of the rows of a constraint."""
 
     def enter(self, block: Any) -> str:
-        """Default name of a block after its registration; the program may reorder its breakpoints."""
+        """Default name of a newly registered block. The program may later change the order of its breakpoints."""
 
 
 @dataclass(frozen=True)

@@ -442,7 +442,7 @@ def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Arra
 
 
 def row_of(problem: ReducedProblem, tube: int, lever: Array) -> Array:
-    """Turn of a tube at one point by z, a row (U,).
+    """Derivative (U,) of the rotation of a tube at one point by the unknowns z.
 
     Args:
         lever: turn (N,) of the tube there by a torque at each collocation point, rad/(N m).
@@ -451,7 +451,7 @@ def row_of(problem: ReducedProblem, tube: int, lever: Array) -> Array:
 
 
 def whitened(problem: ReducedProblem, turns: Array) -> Array:
-    """Unknowns z (U,) of turns (U,) of the rotations, rad."""
+    """Unknowns z (U,) that change the rotations by `turns` (U,), rad."""
     if not problem.size:
         return np.zeros(0)
     # L is triangular: z = L^-1 (theta - alpha), and torsional energy is |z|^2 / 2 again.

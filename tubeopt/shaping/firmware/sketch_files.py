@@ -192,7 +192,7 @@ def board_header(wiring: Wiring, plan: HeatingPlan) -> str:
 
 
 def schedules(plan: HeatingPlan, feedback: Feedback) -> list[tuple[float, Array]]:
-    """Voltage at rest and effective counts for several states of charge, the fullest battery first."""
+    """Battery voltage at rest and PWM counts of the schedule for states of charge, the fullest battery first."""
     law, lost = feedback.law, COUNTS * plan.rig.circuit.lost_share
     tables = [(plan.rig.battery.voltage, law.planned)]
     for charge in sorted({c for c in CHARGES if c < plan.rig.battery.state_of_charge - 0.05}, reverse=True):

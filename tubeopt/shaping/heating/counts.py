@@ -181,7 +181,7 @@ class Instant:
 
     @classmethod
     def of(cls, model: ThermalModel, state: State, limits: Limits, count: float = 0.0) -> Instant:
-        """Counts that the limits allow in a state."""
+        """Largest counts in a state that the ramp and the mean current allow."""
         spec, rig = limits
         idle, full, I_on = warming_span(model, state.cells, state.lumped)
         # Warming is linear in the duty: idle + duty (full - idle) = ramp, cell by cell.

@@ -115,7 +115,7 @@ def energy_levels(energies: Sequence[Array]) -> Array:
 
 
 def _draw_energy(axes: Axes, energy_map: EnergyMap, levels: Array) -> ContourSet:
-    """Filled contours of a map, drawn with its equilibria."""
+    """Filled contours of an energy map, drawn together with its equilibria."""
     from matplotlib.colors import BoundaryNorm
 
     first, second = np.degrees(energy_map.first), np.degrees(energy_map.second)

@@ -40,7 +40,7 @@ LOCAL_NAMES = ("127.0.0.1", "localhost", "::1")
 
 @dataclass(frozen=True)
 class AddedHandler:
-    """Additions to the server of viser."""
+    """HTML and web socket that are added to the server of viser."""
 
     head: str
     """HTML, at the end of the head of its page."""
@@ -52,7 +52,7 @@ class AddedHandler:
 
 @contextmanager
 def quiet_server(host: str, port: int, title: str = "tubeopt", added: AddedHandler | None = None) -> Iterator[Any]:
-    """A viser server that says nothing on the terminal, hands itself to no relay, and answers to its own page alone.
+    """Server of viser without output on the terminal and without a relay, for requests of its own page only.
 
     Raises:
         InputError: viser is not installed, the address is none of this machine's, the port is taken.
@@ -89,7 +89,7 @@ def address_of(host: str, port: int) -> str:
 
 
 def _bind(host: str, port: int) -> None:
-    """Raise InputError where the address or port cannot be had; viser would take another port without a word."""
+    """Raise InputError if the address or port is not available; viser would silently use another port."""
     if not 0 <= port <= 65535:
         raise InputError(f"port is {port}; it must be from 0 to 65535 (0 takes any that is free)")
     try:

@@ -58,7 +58,7 @@ class _InterruptedError(Exception):
 
 
 class Insights:
-    """Stores each result with the values that it depends on, and shows it as long as they hold.
+    """Slow results, each stored with the values that it depends on, and shown while these are unchanged.
 
     Args:
         session: returns the current session.

@@ -228,7 +228,7 @@ def moved_to(
     *,
     passed: Sequence[Equilibrium] | None = None,
 ) -> Session:
-    """Session at a stable equilibrium, by default its own, after some snaps.
+    """Session at a stable equilibrium, by default its own, with some snaps added to its log.
 
     passed: equilibria for the trail, the end included; by default the snaps and the end.
     """

@@ -34,7 +34,7 @@ ROUNDED = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """Minimiser x (m,), and the numbers of the inequalities that hold it back."""
+    """Minimiser x (m,), and the indices of the active inequalities."""
 
     x: Array
     active: Index
