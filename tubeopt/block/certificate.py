@@ -42,7 +42,7 @@ def checked_margin(margin: Any) -> Any:
 
 
 class MarginBound(NamedTuple):
-    """A lower bound on the margin of a block."""
+    """Lower bound on the margin of a block, with its unknowns."""
 
     fields: tuple[Any, ...]
     """Unknown Jacobi fields, as columns in the order of `JacobiFields`."""
@@ -189,7 +189,7 @@ def _without_force(block: ComposedBlock[Any], eigenvalue: Any) -> Any:
 
 
 def _add_under_force(block: ComposedBlock[Any], min_margin: Any, force: float) -> None:
-    """Add the largest eigenvalue of `physics.certificate` and its eigenfunction where elements begin as unknowns.
+    """Add the certificate under a force: an eigenvalue, and its eigenfunction at the starts of elements as unknowns.
 
     The largest eigenvalue is simple, hence smooth, and only its eigenfunction has one sign (Krein and Rutman), which is
     a constraint. Of the two bounds of `loaded_worst_case`, the one that is larger at the start is used.
@@ -256,7 +256,7 @@ def _tighter_pairs(model: Model, force: float) -> tuple[float, float]:
 
 
 def eigenpair(model: Model, force: float, pairs: tuple[float, float]) -> tuple[float, Array]:
-    """Eigenvalue of an arm in numbers, and its states (2 n + 2, P + 1) at the starts of elements and at the tip."""
+    """Largest eigenvalue of an arm in numbers, and its states (2 n + 2, P + 1) at element starts and at the tip."""
     sections, tubes = _sections_and_tubes(model)
     value, tip = largest_eigenvalue(force, sections, tubes, pairs)
     crossing, n = crossing_function(len(tubes[0]), 1, *ONCE), len(tubes[0])

@@ -54,7 +54,7 @@ CERTIFICATE_TOLERANCE = 1e-7
 
 
 def verified_equilibrium(block: ComposedBlock[N], value: Callable[[Any], Any]) -> N:
-    """The equilibrium of a block, solved again on its own mesh and verified by re-integration.
+    """Equilibrium of a block at a solution, solved again on its own mesh and verified by re-integration.
 
     Args:
         value: evaluates an expression of the block at the solution of the program.
@@ -416,7 +416,9 @@ class EquilibriumBlock(ComposedBlock[N]):
         return max(pressed, key=lambda row: float(abs(forces[row])), default=None)
 
     def pair(self, row: int) -> object:
-        """Breakpoints of a row of distances, in either order; only one if the other end is the plate."""
+        """Breakpoints at both ends of a row of distances, in both orders; a single one if the other end
+        is the plate.
+        """
         return self.name, frozenset(neighbours(self.layout.order, row))
 
     def reorder(self, solution: Any, row: int | None = None) -> None:

@@ -156,7 +156,7 @@ def bending_moment_of(initial: InitialEquilibrium, arc_length: Array) -> Array:
 
 
 class ArmSample(NamedTuple):
-    """A solved arm at S arc lengths."""
+    """Quantities of a solved arm at S arc lengths."""
 
     rotation: Array
     """Rotations theta (n, S), rad; for tubes made of pieces the elastic rotation."""

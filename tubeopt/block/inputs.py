@@ -91,7 +91,7 @@ def block_inputs(
 
 
 def numbers_at(initial: InitialEquilibrium, like: Chain | None) -> dict[str, Array]:
-    """Joint values and dimensions of an equilibrium; pieces are those of `like`."""
+    """Joint values and dimensions of an equilibrium, as numbers; its pieces are in the form of `like`."""
     tubes = initial.robot.tubes
     inputs = {"rotations": initial.rotations, "translations": initial.translations, **dimensions_of(tubes)}
     return inputs if like is None else {**inputs, **piece_numbers(tubes, like)}
@@ -121,7 +121,7 @@ def _column(name: str, value: Any, default: Array, groups: tuple[tuple[int, ...]
 
 
 def block_load(initial: InitialEquilibrium, bundle: Assembly, load: Load | None) -> BlockLoad | None:
-    """The load in the form that a block models, None without a load.
+    """Load in the form of a block; None without a load.
 
     Raises:
         InputError: an eccentric robot, or a load that varies along the arm.
@@ -151,7 +151,7 @@ def block_load(initial: InitialEquilibrium, bundle: Assembly, load: Load | None)
 
 
 def assembly_at(robot: Robot, assembly: Assembly, numbers: Mapping[str, Array]) -> Assembly:
-    """The tubes of an assembly at other joint values and dimensions, not cut into sections: `layout` does that."""
+    """Tubes of an assembly at other joint values and dimensions, without sections, which `layout` makes."""
     if assembly.general:
         shift = np.minimum(numbers["translations"], numbers["straight_length"])
         return assemble(tubes_at(robot.tubes, numbers), shift)

@@ -187,7 +187,7 @@ class PoseQuantities:
         return ca.reshape(self._of("turning"), 3, 2 * self._n_tubes)
 
     def drawn(self, share: float) -> PoseQuantities:
-        """Quantities of the arm while it is deployed, at a fraction of its length. For designs only.
+        """Quantities of the arm during deployment, when a fraction of its length is deployed. For designs only.
 
         Every tube is as in the pose, or retracted without rotation so that it ends at this fraction.
         """

@@ -90,7 +90,7 @@ class DistanceField:
 
     @property
     def lattice(self) -> DistanceField:
-        """Table of the body, as of other bodies: the field itself."""
+        """Table of distances, which is the field itself."""
         return self
 
     def in_frame(self, frame: Frame) -> DistanceField:
@@ -101,7 +101,7 @@ class DistanceField:
 
     @cached_property
     def _squares(self) -> Array:
-        """Squares of the distances outside of the body (a, b, c), rounded down, m^2."""
+        """Squared distances (a, b, c) outside of the body, rounded down, m^2."""
         square = np.square(np.maximum(self.values, 0.0))
         return np.nextafter(square, np.float32(0.0))
 
@@ -112,7 +112,7 @@ class DistanceField:
         return clipped.T, np.linalg.norm((index - clipped) * self.spacing, axis=1)
 
     def _variance(self, at: Array) -> Array:
-        """Variance V of the module's docstring at coordinates (3, N), m^2."""
+        """Variance V, m^2, in the bound of the module's docstring, at coordinates (3, N)."""
         t = at - np.floor(at)
         return np.asarray((t * (1 - t) * self.spacing[:, None] ** 2).sum(0))
 

@@ -191,7 +191,7 @@ class Scene:
         return out
 
     def _by_kind(self, chosen: Index) -> Iterator[BodyRows]:
-        """Rows of `chosen`, sorted by the class of their bodies, or by body for those without a group."""
+        """Rows of `chosen` grouped by the class of their bodies, or by body if it belongs to no group."""
         groups, single = self._parts
         group, member = self._membership
         for g in np.unique(group[chosen]).tolist():
@@ -203,7 +203,7 @@ class Scene:
 
     @cached_property
     def _membership(self) -> tuple[Index, Index]:
-        """Number of the group of every body, and its number there; single bodies have numbers after the last group."""
+        """Number of the group of every body, and the body's number in it; single bodies follow the last group."""
         groups, single = self._parts
         group, member = np.zeros((2, len(self.bodies)), dtype=int)
         group[single] = len(groups) + np.arange(len(single))

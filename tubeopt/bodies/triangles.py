@@ -48,7 +48,7 @@ class TriangleGrid(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """Sides of triangles as the rays see them, directed from the lesser to the greater corner.
+    """Sides of triangles, projected along the rays, directed from the smaller to the larger corner number.
 
     So two triangles compute the same numbers for a common side.
     """
@@ -230,7 +230,7 @@ def _areas(corners: Array) -> Array:
 
 
 class SideVectors(NamedTuple):
-    """Sides of triangles in space."""
+    """Vectors along the sides of triangles."""
 
     side: Array
     """Vectors along the sides (f, 3, 3), m."""

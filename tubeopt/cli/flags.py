@@ -307,7 +307,7 @@ def read_typed(model: type[Entry], typed: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _first(flags: str) -> str:
-    """First of several flags of a key."""
+    """First flag of a key, if it has several."""
     return re.split("[,/]", flags)[0]
 
 

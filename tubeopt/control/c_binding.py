@@ -51,7 +51,7 @@ POINTS = 40
 
 @dataclass(frozen=True, eq=False)
 class CPose:
-    """An equilibrium of the library."""
+    """Equilibrium of a C library as plain numbers."""
 
     rotations: Array
     """Rotations (n,), rad."""
@@ -259,7 +259,7 @@ def servo_of(
     options: ServoOptions | None = None,
     building: Callable[[], object] | None = None,
 ) -> Servo | CServo:
-    """Fastest servo for a robot: that of its C library, a tenth of a millisecond per step, else `Servo`.
+    """Fastest servo for a robot: that of its C library (0.1 ms per step), or `Servo` if it cannot be built.
 
     `Servo` is used among obstacles, with options that the library lacks, and where the library cannot be built.
 
@@ -312,7 +312,8 @@ class CEstimator:
         self._robot.call("estimator_start", _at(self._room), self._robot.memory, _at(prior))
 
     def measured(self, time: float, joints: tuple[ArrayLike, ArrayLike], *readings: TipReading | BaseReading) -> float:
-        """Squared innovations over their covariance, of readings at a time, s, with the joint values at that time.
+        """Squared innovations, divided by their covariance, of readings at a time, s, with the joint values at that
+        time.
 
         The readings update the estimate.
 
@@ -405,12 +406,12 @@ class CServo:
 
     @property
     def limited(self) -> bool:
-        """True if accelerations are limited."""
+        """True if the servo limits accelerations."""
         return self.options.turn_acceleration is not None or self.options.shift_acceleration is not None
 
     @property
     def moving(self) -> bool:
-        """True if the robot has to brake before it rests."""
+        """True if the robot must brake before it rests."""
         here, before = self.equilibrium, self._before
         moved = max(
             np.abs(here.rotations - before.rotations).max(), np.abs(here.translations - before.translations).max()

@@ -171,7 +171,7 @@ def library_text(name: str, kernel: str, numbers: str) -> str:
 
 
 def _room(space: JointSpace) -> Capacity:
-    """Capacity for the meshes of a robot, with a reserve: pieces that vary quickly need fine meshes."""
+    """Numbers of elements to reserve memory for, with a margin: pieces that vary quickly need fine meshes."""
     if not is_general(space.robot):
         return CAPACITY
     problems = [reduced_problem(space.robot, tuple(s.tolist()), DEFAULT_DISCRETISATION) for s in _shifts(space)]
@@ -225,7 +225,7 @@ def _joints(case: Array) -> str:
 
 
 def _cases(space: JointSpace) -> list[Array]:
-    """(2n + 4,) joints, tip position and margin of configurations that are solved from tubes without torsion.
+    """(2n + 4,) joints, tip position and margin of test configurations, solved from tubes without torsion.
 
     The first configuration has room on all sides.
     """
@@ -315,7 +315,9 @@ def loads_text(name: str, n: int, data: str, pieces: int = MOST_PIECES) -> str:
 
 
 def _pieces_room(robot: Robot, shifts: Sequence[Array]) -> int:
-    """Largest number of elements for tubes made of pieces, at translations (n,) and others, under admissible loads."""
+    """Number of elements to reserve memory for, for tubes made of pieces at translations (n,) under
+    admissible loads.
+    """
     most = MOST_PIECES
     for shift in shifts:
         assembly = robot.assembly(shift)
@@ -329,7 +331,7 @@ def _pieces_room(robot: Robot, shifts: Sequence[Array]) -> int:
 
 
 def loaded_cases(robot: Robot, cases: Sequence[Array]) -> list[Array]:
-    """(2n + 10,) joints, force, gravity, tip position and margin of configurations under load.
+    """(2n + 10,) joints, force, gravity, tip position and margin of test configurations under load.
 
     The rows `cases` begin with the joints. The load is a force that shifts the tip by 2 % of the arm, and the weight.
     """
@@ -440,7 +442,7 @@ def _joint(root: Element, name: str, kind: str, parent: str) -> Element:
 
 
 def _add_ros2_control(root: Element, robot: Robot) -> None:
-    """The joints and the sensor of the hardware interface, which starts at home."""
+    """Add the joints and the sensor of the ROS 2 hardware interface, which starts at home."""
     system, o = SubElement(root, "ros2_control", name=root.get("name", ""), type="system"), ServoOptions()
     hardware, space, n = SubElement(system, "hardware"), joint_space(robot), robot.n_tubes
     SubElement(hardware, "plugin").text = "tubeopt_hardware/TubeRobot"

@@ -140,7 +140,7 @@ class CrtkRobot:
 
     @property
     def busy(self) -> bool:
-        """True while a move is running."""
+        """True while a `move_...` command is running."""
         return self._goal is not None and not self._goal.stream
 
     def command(self, message: Mapping[str, Any], now: float) -> None:
@@ -191,7 +191,7 @@ class CrtkRobot:
         self._goal, self._why, self._words = None, Why(0), words
 
     def fault(self, words: str) -> None:
-        """Stop after an internal error; only enable or disable ends this state."""
+        """Stop after an internal error; only the commands enable and disable end this state."""
         if (self.state, self._words) != ("FAULT", words):
             self.events.append(("error", words))
         self.hold(words)
@@ -269,7 +269,7 @@ class CrtkRobot:
         return math.inf if self.sent is None else now - self.sent
 
     def _arrive(self, goal: _Goal, now: float) -> None:
-        """End a move that has arrived or stopped approaching."""
+        """End a move that has reached its target or no longer comes closer."""
         turn, shift = self._missing(goal.command)
         left = max(turn, shift)
         if left < goal.closest - min(CLOSER, goal.closest / 2) or goal.closest == math.inf:
@@ -284,7 +284,7 @@ class CrtkRobot:
             self.events.append(("warning", self._words))
 
     def _missing(self, command: Command) -> tuple[float, float]:
-        """Remaining distance of a move, rad and m."""
+        """Remaining distance of a move to its target, rad and m."""
         arm = self.servo.equilibrium
         if command.joints is not None:
             turn, shift = command.joints

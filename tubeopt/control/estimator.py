@@ -206,7 +206,7 @@ Reading = TipReading | CurvatureReading | BaseReading
 
 
 class Model(NamedTuple):
-    """Equilibrium at a state, with its derivatives by the state."""
+    """Equilibrium at an estimated state, with its derivatives by the state."""
 
     equilibrium: Equilibrium
     change: Linearised
@@ -242,7 +242,7 @@ class States:
         self.unit = np.eye(len(sigma))[:, self.kept]
 
     def whole(self, x: Array) -> dict[str, Array]:
-        """Parts of a state (K,) by name, with those that are not estimated."""
+        """Parts of a state (K,) by name, including quantities that are not estimated."""
         all_of = self.unit @ x
         return {name: all_of[part] for name, part in self.part.items()}
 
@@ -336,7 +336,7 @@ class StateEstimate(Displayed):
 
     @property
     def unobserved(self) -> str:
-        """Directions of the force and offsets that the measurements do not determine, as a sentence; "" if none."""
+        """Sentence on the directions of force and offsets that the measurements do not determine; "" if none."""
         parts = []
         if self.states.options.force:
             for axis, error, seen in zip(self.force_directions, self.force_errors, self.force_observed, strict=True):
@@ -541,7 +541,7 @@ class StateEstimator:
 
     @without_unit_warnings()
     def _robot(self, x: Array) -> ConcentricRobot:
-        """The robot with the stiffnesses of a state."""
+        """Robot with the stiffnesses of an estimated state."""
         if not self.options.stiffness:
             return self._given
         factors = np.exp(self.states.whole(x)["stiffness"]).tolist()
@@ -558,7 +558,7 @@ class StateEstimator:
 
     @without_unit_warnings()
     def at(self, x: Array, rotations: Array, translations: Array) -> Equilibrium:
-        """The equilibrium at measured joint values under a state, on the branch of the last one."""
+        """Equilibrium at measured joint values under an estimated state, on the branch of the last one."""
         robot, parts = self._robot(x), self.states.whole(x)
         turn, shift = rotations + parts["rotation"], translations + parts["translation"]
         last = self._arm if robot is self._arm.robot else replace(self._arm, robot=robot)

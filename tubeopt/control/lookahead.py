@@ -150,8 +150,9 @@ class Knots:
         return self.points[:, -1]
 
     def contacts(self, scene: Scene, clearance: float) -> tuple[Array, Array]:
-        """(K, C) distances of arms from bodies beyond the clearance, m, infinite without any, and (K, C, m)
-        derivatives."""
+        """(K, C) clearances of arms in excess of the required one, m, infinite without bodies, and (K, C, m)
+        derivatives.
+        """
         space, (count, m) = self.coordinates.space, self.z.shape
         most = MAX_CONTACTS
         gap, slope = np.full((count, most), np.inf), np.zeros((count, most, m))
@@ -419,7 +420,7 @@ class PredictiveServo:
         return lacking
 
     def _knots(self, aim: Aim) -> Knots | None:
-        """Current path to an aim; None if no joint values are known for it."""
+        """Path to a target, the present one if it fits; None if no joint values are known for the target."""
         here = self._guard.here
         first, floor = self._coordinates.of(here.equilibrium), min(self._floor, here.margin)
         if self._new(aim):
@@ -462,7 +463,7 @@ class PredictiveServo:
         return self._coordinates.of(solution.equilibrium)
 
     def _along(self, knots: Knots, dt: float) -> tuple[Array, float]:
-        """Joint change (m,) along the knots in `dt` seconds at full speed, and the number of passed knots."""
+        """Joint change (m,) along the path in `dt` seconds at full speed, and the number of points that are passed."""
         space, here, options = self._guard.space, self._guard.here, self.options
         rate = np.where(np.arange(len(here.q)) < space.robot.n_tubes, options.turn_rate, options.shift_rate)
         turned = np.abs(np.diff(knots.joints, axis=0)) / np.maximum(rate, 1e-300)

@@ -117,7 +117,7 @@ class _Client:
 
 
 class Pace:
-    """Timing of the loop: `steps`, periods `missed`, and load and delay of the last REMEMBERED steps."""
+    """Timing of the loop: numbers of steps and missed periods, and load and delay of the last REMEMBERED steps."""
 
     def __init__(self) -> None:
         self.steps = self.missed = 0
@@ -130,7 +130,7 @@ class Pace:
         self.missed += missed
 
     def quantiles(self, fraction: float) -> tuple[float, float]:
-        """Quantiles of the processor time and of the delay of the steps, s, at a fraction of them."""
+        """Quantiles, s, of the processor time and of the delay of the last steps."""
         known = self._times[: min(self.steps, REMEMBERED)]
         took, late = np.quantile(known, fraction, axis=0) if len(known) else (0.0, 0.0)
         return float(took), float(late)
@@ -268,7 +268,7 @@ class RobotServer:
                 client.news.set()
 
     async def _send_state(self, client: _Client) -> None:
-        """Send the events and the latest state repeatedly, as fast as the client reads."""
+        """Send events and the latest state repeatedly, as fast as the client reads."""
         while True:
             await client.news.wait()
             client.news.clear()
@@ -394,7 +394,7 @@ class RobotServer:
 
 
 async def _listening(stack: AsyncExitStack, server: Any, port: int) -> int:
-    """Open a port until the end of a stack; returns its number, or raises InputError."""
+    """Number of a port that is open until a stack ends; raises InputError if it is not available."""
     try:
         listens = await stack.enter_async_context(await server)
     except OSError as error:

@@ -204,7 +204,7 @@ class Guard:
         return Ball(arm.rotations, arm.translations, proved) if proved >= turn else None
 
     def _can_brake(self, rest: Posture, floor: float, dt: float) -> bool:
-        """True if the robot keeps a margin at its next position, and at some positions while it brakes to rest.
+        """True if the margin stays above `floor` at the next position of the robot and while it brakes to rest.
 
         In a ball about its stop point, without slides, it does so without a check. Where the least margin is close to
         the floor, there are two more places about it.
@@ -241,7 +241,7 @@ class Guard:
         return np.where(np.isfinite(self.acceleration), q + dt * speed, stop), speed
 
     def _follow(self, dt: float) -> Equilibrium:
-        """The equilibrium of the robot after a cycle towards its stop point."""
+        """Equilibrium of the robot after moving for one cycle towards its stop point."""
         if not self.limited:
             self.arm = self.here.equilibrium
             return self.arm
@@ -636,7 +636,7 @@ class Servo:
         return None if solved is None else (solved.x, solved.active)
 
     def _body_rows(self, at: Posture, rate: Array) -> tuple[Array, Array]:
-        """Rows (c, m), over the joints' scales, and bounds (c,), m, of distances from bodies in a step of `rate` (m,).
+        """Rows (c, m) and bounds (c,) of the constraints on distances from bodies, m, in a step of the joints.
 
         Distances are included if the step could make them too small. The guard checks the others.
         """
@@ -679,7 +679,7 @@ class Servo:
         return across @ away
 
     def _foot(self, pivot: Array, at: Posture) -> tuple[tuple[int, float], Array, Array]:
-        """Closest point of the arm to a pivot: position between two shape points, and vector (3,) to the pivot, m.
+        """Position of the point of the arm closest to a pivot, and vector (3,) from it to the pivot, m.
 
         The two directions (2, 3) across the arm are over its length.
         """

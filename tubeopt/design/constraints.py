@@ -184,7 +184,7 @@ def _remaining_stroke(limit: float, poses: Poses, q: Quantities) -> Any:
 
 
 def _remaining_strain(requirement: Strain, poses: Poses, tube: int, q: Quantities) -> Any:
-    """Strain limit of a tube minus its strains, straightened and in poses."""
+    """Strain limit of a tube minus its strains, when straightened and in poses."""
     straight = [q.straightened_strain(tube)] if requirement.straightened else []
     return requirement.limits[tube] - ca.vertcat(*straight, *(q.poses[k].strain(tube) for k in poses))
 
@@ -228,7 +228,7 @@ def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
 
 
 def _near(limit: Limit, poses: Poses, points: Points) -> tuple[Limit, Function, Function]:
-    """Limit on the distance of the tips of poses from points: distance to the limit, and vectors from the points."""
+    """Limit on the distances of pose tips from points: excess of the limit, and vectors from the points."""
 
     def offsets(q: Quantities) -> Any:
         return ca.vertcat(*(q.poses[k].tip_position - ca.DM(p) for k, p in zip(poses, points, strict=True)))
@@ -243,7 +243,7 @@ def _near(limit: Limit, poses: Poses, points: Points) -> tuple[Limit, Function, 
 
 
 def _along(limit: Limit, pose: int, direction: tuple[float, ...], q: Quantities) -> Any:
-    """Tolerance of a direction minus the angle of the tip from it, rad."""
+    """Angular tolerance of the tip direction minus its error, rad."""
     # The angle between unit vectors a and b is 2 atan2(|a - b|, |a + b|), accurate near 0 and pi.
     heading, target = q.poses[pose].tip_direction, ca.DM(direction)
     difference, total = (ca.sqrt(ca.sumsqr(heading + sign * target) + 1e-9**2) for sign in (-1, 1))

@@ -148,9 +148,10 @@ def fixed_rows(program: Program, state: DesignState) -> tuple[Array, Array]:
 
 
 def squared(group: Rows) -> Rows:
-    """Limits on the length of a vector, replaced by limits on its square; others unchanged.
+    """Rows in which limits on lengths of vectors are replaced by limits on their squares.
 
-    The square has constant curvature, and the same first order where the limit is active. Limits with slack stay."""
+    The square has constant curvature, and the same first order where the limit is active. Limits with slack stay.
+    """
     if group.vector is None or group.slack is not None:
         return group
     vector, change = group.vector
@@ -161,7 +162,9 @@ def squared(group: Rows) -> Rows:
 
 
 def cubed(group: Rows) -> Rows:
-    """Limits on the length of a vector, as the six sides of the inscribed cube: linear in it, and stricter."""
+    """Rows in which limits on lengths of vectors are replaced by the sides of the inscribed cube: linear
+    and stricter.
+    """
     if group.vector is None:
         return group
     # The cube inside a ball of radius r has half the side r / sqrt(3).

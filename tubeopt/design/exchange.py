@@ -154,7 +154,7 @@ def _weak_points(program: Program, robot: ConcentricRobot, x: Array, min_margin:
 
 
 def _inside_fold(robot: ConcentricRobot, motion: CheckedMotion, snap: float) -> tuple[float, Equilibrium]:
-    """Fraction between the two folds of a motion that snaps, and the saddle there, the equilibrium of least margin.
+    """Fraction of a snapping motion between its two folds, and the saddle there, the equilibrium of smallest margin.
 
     The robot leaves its branch at one fold in forward motion, and at another fold in backward motion. In the middle
     between them the saddle is farthest from both. A design in which it has a positive margin has no folds there.
@@ -169,7 +169,7 @@ def _inside_fold(robot: ConcentricRobot, motion: CheckedMotion, snap: float) -> 
 
 
 def twist_of(equilibrium: Equilibrium) -> Twist:
-    """Start of a pose near an equilibrium."""
+    """Twist of an equilibrium, as the initial guess of a pose close to it."""
     length = max(float(equilibrium.tube_end.max()), 1e-300)
     return Twist(equilibrium.point / length, equilibrium.point_rotation - equilibrium.rotations)
 
@@ -216,7 +216,7 @@ def reachable(program: Program, x: Array, point: tuple[float, ...], tolerance: f
 
 
 def _applies_to_any_pose(requirement: Requirement, n: int) -> bool:
-    """False for a custom requirement that names task poses by their numbers."""
+    """False for a custom requirement that refers to task poses by number."""
     if not isinstance(requirement, CustomRequirement):
         return True
     try:

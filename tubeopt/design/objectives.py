@@ -172,7 +172,7 @@ def shown(objective: AnyObjective, value: float) -> str:
 def aim(
     objective: AnyObjective, pieces: Sequence[int], poses: Sequence[int], certified: Rows, depth_pose: int | None
 ) -> Expression | None:
-    """Expression of an objective in its own sign, SI; None for the change of the unknowns.
+    """CasADi expression of an objective in its own sign, SI; None for the change of the unknowns.
 
     The largest of its numbers counts if it is minimised, the smallest if it is maximised.
 

@@ -189,7 +189,7 @@ def factors(values: UnknownValues) -> tuple[float, float]:
 
 
 def largest_bend_slope(piece: Piece, unknown: Unknown, value: float) -> float:
-    """Derivative of the largest curvature of a piece by one of its unknowns at its value."""
+    """Derivative of the largest curvature of a piece by one of its unknowns."""
     if unknown.field == "piece_curvature":
         return -1.0 if value < 0 else 1.0
     if unknown.field != "piece_shape":
@@ -204,7 +204,7 @@ def largest_bend_slope(piece: Piece, unknown: Unknown, value: float) -> float:
 
 
 def change_of(directions: Directions, unknown: Unknown, values: PieceValues) -> Change:
-    """Derivatives of the sections of a solved arm by an unknown of pieces."""
+    """Derivatives of the cross-sections of a solved arm by an unknown of pieces."""
     (rate, stiffness, moment, phase), n = np.zeros((4, *directions.arm.phase.shape)), directions.n
     out = Change(np.zeros(n), rate, stiffness, moment, phase, np.zeros(n))
     for i, j in unknown.pieces:

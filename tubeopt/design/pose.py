@@ -146,14 +146,14 @@ class Twist:
 
 
 class _Draft(ConcentricRobot):
-    """Robot of a trial design; its tubes need not nest."""
+    """Robot of a trial design, for which tubes need not nest."""
 
     def __post_init__(self) -> None:
         pass
 
 
 def _placed(tubes: Sequence[Tube], rotations: Array, translations: Array) -> Unloaded:
-    """Torsion problem of tubes at joint values, not cached: every design has other tubes."""
+    """Torsion problem of tubes at joint values; not cached, since every design has other tubes."""
     assembly = assemble(tubes, translations)
     problem = reduced_assembly(assembly)
     return Unloaded(_Draft(tuple(tubes)), problem, rotations, tuple(translations.tolist()))
@@ -177,13 +177,13 @@ def solve_pose(tubes: Sequence[Tube], rotations: Array, translations: Array, gue
 
 
 def without_solving(tubes: Sequence[Tube], translations: Array) -> PlainPoint:
-    """Unsolved pose at given translations, for the certificate, which does not depend on the rotations."""
+    """Pose at given translations without its equilibrium, for the certificate, which is independent of rotations."""
     member = _placed(tubes, np.zeros(len(tubes)), translations)
     return Point(0.0, member, member.at(np.zeros(member.problem.size)), 1.0)
 
 
 def moving(rows: Array) -> tuple[Array, Array]:
-    """Nonzero columns (L, Q) of derivatives (L, X), and the selection (Q, X) of their unknowns.
+    """Columns (L, Q) of derivatives (L, X) that are not zero, and the matrix (Q, X) that selects their unknowns.
 
     Derivatives along the columns, times the selection, are derivatives by all unknowns.
     """

@@ -158,7 +158,9 @@ def _recorded(
     depth_pose: int | None,
     certified: tuple[tuple[float, ...], ...],
 ) -> tuple[tuple[tuple[Statement, ...], ...], dict[AnyObjective, Expression]]:
-    """Requirements and objectives as expressions, for `count` task poses and translations of the certificate."""
+    """Requirements and objectives as recorded expressions for `count` task poses and translations of the
+    certificate.
+    """
     pieces = [len(tube.pieces) or 1 for tube in task.space.robot_tubes]
     task_poses, all_poses = tuple(range(count)), tuple(range(count + len(added.vias)))
     stated = []

@@ -92,7 +92,7 @@ def best_from(program: Program, x: Array, report: Report | None = None) -> Attem
 
 
 def _optimum_in_cubes(program: Program, x: Array, report: Report | None) -> Attempt:
-    """Optimum by IPOPT across all kinks; if it does not converge, in one order of breakpoints after the other."""
+    """Optimum by IPOPT across changes of the breakpoint order; if that fails, in one order after the other."""
     optimum = improve(program, x, report)
     if optimum.feasible and optimum.optimum is not None and optimum.optimum.success:
         return optimum
@@ -107,7 +107,7 @@ def _optimum_in_cubes(program: Program, x: Array, report: Report | None) -> Atte
 
 
 def _price_of_cubes(program: Program, in_cubes: Attempt) -> float:
-    """Relative gain of the objective, to first order, if the cubes were enlarged to contain the balls.
+    """Relative improvement of the objective, to first order, with balls instead of the inscribed cubes.
 
     Without multipliers infinite if a cube is active, else 0.
     """
@@ -293,7 +293,7 @@ def _shortfall(evaluated: Evaluated, inside: float) -> tuple[Array, Array]:
 
 
 def _settle_auxiliary(program: Program, x: Array) -> Array:
-    """Unknowns with the auxiliary ones at the smallest values that satisfy their rows."""
+    """Unknowns with auxiliary ones at their smallest feasible values."""
     x = x.copy()
     names = [name for name in program.layout.auxiliary if name in BOUNDED]
     for name in names:
@@ -433,7 +433,7 @@ def cell_of(state: DesignState) -> Cell:
 
 
 class SectionEnds(NamedTuple):
-    """Breakpoints of a section; -1 is the plate."""
+    """Breakpoints at both ends of a section; -1 is the plate."""
 
     pose: int
     proximal: int
@@ -481,7 +481,7 @@ def swapped(cell: Cell, pose: int, a: int, b: int) -> Cell:
 
 
 def _through_cells(start: Attempt, report: Report | None) -> Attempt:
-    """Optimum in the cell of a start, then in neighbouring cells while they are better."""
+    """Optimum in the breakpoint order of a start, then in neighbouring orders while these are better."""
     program, cell = start.program, cell_of(start.state)
     best = _in_cell(program, start.x, cell, report)
     tried = {cell}
@@ -607,7 +607,7 @@ def multistart(
     progress: Progress | None = None,
     report: Report | None = None,
 ) -> Ranking:
-    """Designs from the dimensions of the task and from `starts` - 1 random ones.
+    """Designs from the dimensions of the task and from `starts` - 1 random start dimensions.
 
     Args:
         seed: random seed of the dimensions and of the first joint values.

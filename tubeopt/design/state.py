@@ -50,7 +50,7 @@ class FixedPose:
 
 @dataclass(frozen=True)
 class Via:
-    """The pose at `fraction` of the straight joint path from task pose `first` to task pose `second`."""
+    """Pose at the fraction `fraction` of the straight joint path between two task poses."""
 
     first: int
     second: int
@@ -160,7 +160,7 @@ class DesignState:
         return turned, shifted
 
     def _joints(self, index: PoseNumber) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Values and derivatives of the rotations, then of the translations."""
+        """Values and derivatives of rotations, then of translations, of a pose."""
         if isinstance(index, tuple):
             number, fraction = index
             turned, (shift, moved) = self._joints(number)
@@ -216,7 +216,7 @@ class DesignState:
 
     @cached_property
     def _reshaped(self) -> Array:
-        """Derivatives (L - 2 n, X) of the parameters of a pose except its joint values."""
+        """Derivatives (L - 2 n, X) of the parameters of a pose, without its joint values."""
         return np.concatenate([*self.resized.values(), np.eye(self.layout.size)[self.free_pieces]])
 
     def chain(self, index: PoseNumber) -> Array:
@@ -303,7 +303,7 @@ def _row(number: tuple[float, Array]) -> tuple[Array, Array]:
 
 
 def _of_pose(pose: Pose, quantity: Quantity) -> tuple[Array, Array]:
-    """Value and derivative (.., Q) along the directions of differentiation of a pose."""
+    """Value and derivative (.., Q) of a quantity of a pose, in its directions of differentiation."""
     of = pose.derivatives
     match quantity.name:
         case "tip_position":

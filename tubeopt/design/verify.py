@@ -276,7 +276,7 @@ def count_snaps(
     *,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> tuple[int, int]:
-    """Number of snaps, and of turns with a snap, in full turns of random tubes in random directions.
+    """Numbers of snaps, and of full turns with a snap, when random tubes turn in random directions.
 
     Every turn starts at the untwisted home, with all tubes bending to one side. At least one tube, and not all,
     rotates by a full turn in either direction, and then all tubes return to the start.

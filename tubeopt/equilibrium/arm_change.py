@@ -70,7 +70,7 @@ class ArmChange(Directions):
         return forcing
 
     def _gained(self, rates: Array) -> Array:
-        """(T, ...) change per width of a strip of a quantity per length (2, T, ...), after and before the motion."""
+        """(T, ...) change per width of a strip, from a rate per length (2, T, ...) after and before the motion."""
         return np.asarray(self.side * (rates.T * self.strips.signs.T).sum(-1).T)
 
     @cached_property
@@ -201,11 +201,11 @@ class ArmChange(Directions):
 
     @cached_property
     def moved(self) -> Array:
-        """(m, Q) motion of the shape points along the arm, at fixed fractions of the elements of the mesh."""
+        """(m, Q) motion along the arm of the shape points, which stay at fixed fractions of the elements."""
         return self._moved(self.shape.arc_length)
 
     def _moved(self, s: Array) -> Array:
-        """(len(s), Q) motion of points at fixed fractions of the stretches between breakpoints.
+        """(len(s), Q) motion of points at arc lengths s, which stay at fixed fractions between breakpoints.
 
         Of breakpoints that coincide the foremost counts.
         """
@@ -218,7 +218,7 @@ class ArmChange(Directions):
 
     @cached_property
     def turned(self) -> Array:
-        """(m, 3, Q) turn vector of the frames at the shape points that move so, rad."""
+        """(m, 3, Q) turn vector of the frames at the moving shape points, rad."""
         arm, n = self.arm, self.n
         rates = arm.frame[..., :2] @ self.response.curvature
         inside = arm.tableau.basis(SHAPE_POINTS, 1)[1:] @ rates.reshape(arm.elements, arm.degree, 3 * self.size)

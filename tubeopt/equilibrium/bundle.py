@@ -64,7 +64,7 @@ TO_BOUNDARY = 0.5
 
 
 class VanishingError(Exception):
-    """A step closes a section."""
+    """Raised if a step makes the length of a section vanish."""
 
     def __init__(self, state: BundleState, section: int) -> None:
         super().__init__()
@@ -171,7 +171,7 @@ class Bundled(Member[BundleState]):
 
     @property
     def torsion(self) -> Any:
-        """None: rotations have no equations of their own."""
+        """None, since the rotations of a bundle have no equations of their own."""
         return None
 
     @property
@@ -185,7 +185,7 @@ class Bundled(Member[BundleState]):
         return self if state.problem is self.problem else replace(self, problem=state.problem)
 
     def on(self, **mesh: Any) -> Bundled:
-        """See `Member.on`."""
+        """Same robot and load on a mesh with another `degree` or `refinement`."""
         d, known = replace(self.discretisation, **mesh), self.problem
         finer = 2 ** (d.refinement - self.discretisation.refinement)
         problem = replace(
@@ -194,7 +194,7 @@ class Bundled(Member[BundleState]):
         return replace(self, problem=problem, discretisation=d)
 
     def unknowns(self, theta: Array, curvature: Array | None = None) -> Array:
-        """Refused: rotations and curvature determine no lengths."""
+        """Raises InputError: rotations and curvature determine no lengths."""
         raise InputError("kind is bundle; its equilibria are not found from rotations along the arm")
 
     def untwisted(self) -> Array:
@@ -248,7 +248,7 @@ class Bundled(Member[BundleState]):
         return bool(abs(values[int(np.argmin(values.real))].imag) > 1e-9)
 
     def profile(self, state: BundleState) -> Profile:
-        """Refused: the arm of a bundle has no profile of torsion alone."""
+        """Raises InputError: a bundle has no profile of torsion alone."""
         raise InputError("kind is bundle; it has no profile of torsion alone")
 
     # --- Solving ------------------------------------------------------------------------------------------------------
@@ -285,7 +285,7 @@ class Bundled(Member[BundleState]):
     def _with_sections(
         self, x: Array, newton: Callable[[Bundled, Array], NewtonResult[BundleState]]
     ) -> NewtonResult[BundleState]:
-        """Result of a Newton method with the sections found that are held.
+        """Result of a Newton method, with the sections of length 0 that it finds.
 
         A section that vanishes is exchanged: the boundaries at its ends change places. Where it vanishes in both orders
         its boundaries stay together. They separate again as soon as this lowers the energy.
@@ -315,7 +315,7 @@ class Bundled(Member[BundleState]):
         return NewtonResult(own.at(x), False, spent, np.inf)
 
     def separated(self, state: BundleState, freed: set[frozenset[object]]) -> tuple[BundleProblem, Array] | None:
-        """Problem and unknowns with a held section free that would grow, in one of both orders; None without one.
+        """Problem and unknowns after a section of length 0 is freed, in one of both orders; None if none would grow.
 
         A section grows once in a solve: one that closes again is shorter than VANISHING. `freed` are such boundaries.
         """
@@ -337,7 +337,7 @@ class Bundled(Member[BundleState]):
         return None
 
     def moved(self, state: BundleState, step: Array) -> BundleState:
-        """See `Member.moved`; a section that closes is held."""
+        """State after a step of a descent; a section that vanishes stays at length 0."""
         own = self.owner(state)
         try:
             return own.advanced(state, step)
@@ -346,14 +346,14 @@ class Bundled(Member[BundleState]):
             return replace(own, problem=problem).at(x)
 
     def at_rest(self, state: BundleState) -> NewtonResult[BundleState]:
-        """See `Member.at_rest`; held sections stay held."""
+        """Solution next to a state at the end of a descent; sections of length 0 stay so."""
         try:
             return full_steps(state, self.advanced, self.turn, self.residual, 4)
         except VanishingError as end:
             return NewtonResult(end.state, False, 0, np.inf)
 
     def released(self, state: BundleState) -> BundleState | None:
-        """See `Member.released`; a held section that would grow is free."""
+        """State from which a descent continues after a section of length 0 is freed; None if none would grow."""
         apart = self.separated(state, set())
         if apart is None:
             return None
@@ -417,7 +417,7 @@ class Bundled(Member[BundleState]):
     def with_inputs(
         self, rotations: Array, translations: tuple[float, ...], load: Load | None, factor: float
     ) -> Bundled | None:
-        """See `Member.with_inputs`; boundaries keep their order."""
+        """Same equations at other joint values and load, with the boundaries in the same order."""
         known = self.problem
         problem = known
         if translations != self.translations or load is not known.load:
@@ -432,7 +432,7 @@ class Bundled(Member[BundleState]):
     def near(
         self, point: AnyPoint, rotations: Array, translations: tuple[float, ...], load: Load | None, factor: float
     ) -> Bundled:
-        """Member at other inputs with boundaries and elements as at a point close by."""
+        """Same equations at other inputs, with boundaries and elements as at a point close by."""
         like, state = point.member.with_inputs(rotations, translations, load, factor), point.state
         length = state.problem.lengths(state.x) * state.problem.count
         if like is not None and np.array_equal(
@@ -451,7 +451,7 @@ class Bundled(Member[BundleState]):
         )
 
     def under(self, point: AnyPoint, load: Load, factor: float) -> Bundled:
-        """See `Member.under`."""
+        """Problem at the joint values of a point under `factor` times another load."""
         return self.near(point, self.rotations, self.translations, load, factor)
 
     def transfer(self, point: AnyPoint) -> Array:
@@ -468,7 +468,7 @@ class Bundled(Member[BundleState]):
         return abs(state.energy) + 2 * abs(state.work)
 
     def tangent(self, point: AnyPoint) -> Array | None:
-        """(U,) change by the derivative with respect to the factor, where only that changes."""
+        """(U,) linear prediction of the unknowns' change with the load factor; None if anything else changed."""
         if point.state.problem is not self.problem or not np.array_equal(point.member.rotations, self.rotations):
             return None
         if self.problem.load is None:

@@ -192,7 +192,7 @@ class Family:
         return self.load.scaled(t) if self.before is None else between(self.before, self.load, t)
 
     def _factored(self, t: float) -> tuple[Load | None, float]:
-        """Load at t as a load and a factor; only the factor changes for a load that grows from 0."""
+        """Load at t as a constant load and a factor, if it grows from 0."""
         return (self.load, t) if self.before is None else (self.load_at(t), 1.0)
 
     def member(self, t: float, near: AnyPoint) -> Member[Any]:
@@ -206,7 +206,7 @@ class Family:
         return Loaded.of(self.path.robot, rotations, shift, load, self.path.discretisation, factor)
 
     def like(self, known: Member[Any], t: float) -> Member[Any] | None:
-        """Problem at t with the same unknowns as `known`; None if its unknowns differ.
+        """Problem at t with the unknowns of a known problem; None if the unknowns differ.
 
         None also beyond the ends of a path on which tubes translate: one may be out of its actuator there.
         """

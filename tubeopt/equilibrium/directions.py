@@ -34,7 +34,7 @@ SAME_SPEED = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Breakpoints:
-    """J breakpoints of n tubes in front of the plate or at it: all but their exact positions."""
+    """Order of J breakpoints of n tubes at the plate or in front of it, without their positions."""
 
     tube: Index
     """(J,) tube of each breakpoint."""
@@ -188,7 +188,7 @@ class Uncovered:
 
     @property
     def growth(self) -> Array:
-        """(T,) 1 where the tip extends the arm by a strip, -1 where it shortens it, else 0."""
+        """(T,) 1 if the tip extends the arm by a strip, -1 if it shortens it, else 0."""
         return np.asarray(self.signs.sum(0))
 
 
@@ -477,12 +477,12 @@ class Directions:
         return np.array((0.0, 0.0, 0.0) if load is None or load.gravity is None else load.gravity)
 
     def _bendable(self, i: int) -> Array:
-        """(P, K) True at points of the curved part of a tube with one curvature."""
+        """(P, K) True at points on the curved part of a tube with one curvature."""
         own, position = self.tubes[i], self._arc_length + self.assembly.transmission[i]
         return np.asarray((position > own.straight_length) & (not own.general))
 
     def _softness(self, i: int) -> float:
-        """Compliance 1 / kt of a tube at the plate, on the side from which it moves, 1/(N m^2)."""
+        """Compliance 1 / kt of a tube at the plate, on the side that its motion comes from, 1/(N m^2)."""
         return float(_held(self.assembly, self.side)[i])
 
     @property
@@ -509,7 +509,7 @@ class Directions:
 
 
 def _combined(columns: Array, along: Array) -> Array:
-    """(..., Q) along directions (L, Q), of (..., L)."""
+    """Table (..., Q) in directions (L, Q), from a table (..., L)."""
     if not columns.any():  # as of joints of tubes of one arc
         return np.zeros((*columns.shape[:-1], along.shape[1]))
     return np.asarray((columns.reshape(-1, len(along)) @ along).reshape(*columns.shape[:-1], along.shape[1]))

@@ -147,7 +147,7 @@ def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> Friction
 
 
 def shaken(contact: Contact, equilibrium: Equilibrium) -> FrictionEquilibrium:
-    """State without friction torques at an equilibrium without friction, as after vibration.
+    """State without friction torques at an equilibrium, as after vibration.
 
     Raises:
         SolveError: an equilibrium of another robot.
@@ -217,7 +217,7 @@ def step(
 
 
 class IncrementStart(NamedTuple):
-    """Start of an increment."""
+    """State at which an increment starts."""
 
     contact: Contact
     """Contact equations at the joint values and load after the increment."""
@@ -230,7 +230,7 @@ class IncrementStart(NamedTuple):
 def start_increment(
     robot: Robot, current: FrictionEquilibrium, rotations: Array, translations: Array, load: Load | None = None
 ) -> IncrementStart:
-    """Start of an increment from a state to other joint values (n,) and another load."""
+    """State at which an increment to other joint values (n,) and another load starts."""
     moved = translations - current.translations
     if not moved.any() and load == current.contact.load:
         return IncrementStart(current.contact, current.increment.state.relative_rotations, current.increment.state.x)
@@ -315,7 +315,7 @@ def _under_load(robot: Robot, held: FrictionEquilibrium, state: LoadedState, sta
 
 
 def _bending_error(current: FrictionEquilibrium) -> float:
-    """Error of the tip, m, by the residual of the bending equations at the points of a finer rule."""
+    """Error of the tip, m, estimated from the bending equations at the points of a finer rule."""
     contact, finer = current.contact, _finer(current.contact)
     bending = bending_of(contact, current.increment.state.x)
     assert bending is not None

@@ -73,7 +73,7 @@ def compiled_slopes(
 
 
 def _start_at(at: Equilibrium) -> Start:
-    """Start of a solve at an equilibrium itself."""
+    """Start of a compiled solve at an equilibrium itself."""
     arm, points = at.arm, at.points
     along = arm.arc_length, arm.rotation, arm.torsion, points.point, points.point_rotation
     return Start(*along, np.zeros(at.robot.n_tubes), at.translations)
@@ -195,7 +195,7 @@ class Difference(NamedTuple):
 
 
 def unit_of(e: Equilibrium, name: str, tube: int) -> float:
-    """Unit of a step: a change by it turns the tip by about 1 rad."""
+    """Step of a parameter that turns the tip by about 1 rad."""
     length = float(e.arc_length[-1])
     match name:
         case "rotations":
@@ -264,7 +264,7 @@ def margin_slopes_of(e: Equilibrium, wrt: Sequence[str]) -> Array:
 
 
 def _modes(matrix: Array, *, symmetric: bool) -> tuple[Array, Array] | None:
-    """Left and right eigenvectors of the eigenvalue of smallest real part, for a complex pair of one of them.
+    """Left and right eigenvectors of the eigenvalue of smallest real part; of a complex pair, of one of them.
 
     None where another eigenvalue has the same real part, or where it is defective.
     """

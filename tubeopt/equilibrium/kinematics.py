@@ -115,7 +115,7 @@ def build_equilibrium(
     *,
     load: Load | None = None,
 ) -> Equilibrium:
-    """Equilibrium of a robot at joint values from the solution of a solver."""
+    """Equilibrium object from joint values and the solution of a solver."""
     equilibrium = Equilibrium(
         robot=robot,
         rotations=rotations,
@@ -179,7 +179,7 @@ def point_of(
 def unsolved(
     equilibrium: Equilibrium, load: Load | None = None, discretisation: Discretisation | None = None
 ) -> tuple[Member[Any], Array]:
-    """Problem of an equilibrium, and its unknowns as they were solved for.
+    """Problem of an equilibrium, and the unknowns that solved it.
 
     Args:
         load: load that will grow on an unloaded equilibrium; its factor is still 0.
@@ -524,7 +524,7 @@ def _descend(member: Member[Any], solver: Method) -> tuple[AnyPoint, str]:
 
 
 def _by_method(point: AnyPoint, solver: Method) -> AnyPoint:
-    """Point solved once more by the requested method, if that is not Newton's."""
+    """Point solved again by the requested method, unless that is Newton's."""
     if solver.name == "newton":
         return point
     if isinstance(point.member, Unloaded):

@@ -101,7 +101,7 @@ class _ModeWeights(NamedTuple):
 
 
 class _ModePoint(NamedTuple):
-    """Mode at a breakpoint, (n,) each; symbols as above."""
+    """Values (n,) of a mode at a breakpoint; symbols as above."""
 
     y: Array
     tau: Array
@@ -242,7 +242,7 @@ class Linearised(ArmChange):
 
     @property
     def _softened(self) -> Array:
-        """Decrease (Q,) of the margin of an arm of length zero with the tubes that leave the plate.
+        """Decrease (Q,) of the margin of an arm of length zero as tubes leave the plate.
 
         It is the largest eigenvalue of -dM/dtheta over the stiffness of the transmissions, which alone twist, or 0.
         """
@@ -486,7 +486,7 @@ def _longer(of: Linearised) -> Array:
 
 
 def _place(of: Linearised, fraction: float) -> tuple[int, float]:
-    """Element at a fraction of the length, and the fraction of the element."""
+    """Element at a fraction of the arm's length, and the fraction within the element."""
     (k,), _, (x,) = between(of.cuts, np.array([fraction * of.cuts[-1]]))
     return int(k), float(x)
 

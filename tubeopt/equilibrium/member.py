@@ -289,7 +289,7 @@ class Member(ABC, Generic[S]):
         """Sum of the sizes (J) of the energies that may cancel in the potential."""
 
     def tangent(self, point: AnyPoint) -> Array | None:
-        """(U,) predicted change of the unknowns from a point to this member, if it costs one solve only; else None."""
+        """(U,) predicted change of the unknowns from a point to this member; None if it costs more than one solve."""
         return None
 
     def downhill(self, state: S, time: float) -> tuple[Array, bool]:
@@ -366,7 +366,7 @@ class Unloaded(Member[Evaluation]):
         return self.problem
 
     def on(self, **mesh: Any) -> Unloaded:
-        """Copy on another discretisation, as `Member.on`."""
+        """Same robot on a mesh with another `degree` or `refinement`."""
         return Unloaded.of(self.robot, self.rotations, self.translations, replace(self.discretisation, **mesh))
 
     def unknowns(self, theta: Array, curvature: Array | None = None) -> Array:
@@ -390,13 +390,15 @@ class Unloaded(Member[Evaluation]):
         return super().descend(x, settings)
 
     def from_home(self) -> NewtonResult[Evaluation]:
-        """See `Member.from_home`; tubes off the centreline start from the result for the same tubes on it."""
+        """State after turning all tubes together from home with descents; for eccentric tubes from the concentric
+        result.
+        """
         if not self.problem.assembly.eccentric:
             return super().from_home()
         return self.solve(self.unknowns(self._on_centreline().from_home().state.theta))
 
     def _on_centreline(self) -> Unloaded:
-        """Same tubes on the centreline, where they have an energy."""
+        """Same tubes without offsets, which have an energy."""
         return replace(self, problem=on_centreline(self.problem))
 
     def turn(self, state: Evaluation, step: Array) -> float:
@@ -453,7 +455,7 @@ class Unloaded(Member[Evaluation]):
     def with_inputs(
         self, rotations: Array, translations: tuple[float, ...], load: Load | None, factor: float
     ) -> Unloaded | None:
-        """Copy at other joint values without a load, as `Member.with_inputs`."""
+        """Same equations at other joint values, without a load."""
         if translations == self.translations:
             return replace(self, rotations=rotations)
         assembly, d = self.robot.assembly(np.array(translations)), self.discretisation
@@ -555,7 +557,7 @@ class Loaded(Member[LoadedState]):
         return self.problem.torsion
 
     def on(self, **mesh: Any) -> Loaded:
-        """Copy on another discretisation at the same load factor, as `Member.on`."""
+        """Same robot and load on a mesh with another `degree` or `refinement`, at the same load factor."""
         d = replace(self.discretisation, **mesh)
         return Loaded.of(self.robot, self.rotations, self.translations, self.problem.load, d, self.factor)
 
@@ -660,7 +662,7 @@ class Loaded(Member[LoadedState]):
     def with_inputs(
         self, rotations: Array, translations: tuple[float, ...], load: Load | None, factor: float
     ) -> Loaded | None:
-        """Copy at other joint values, as `Member.with_inputs`; the load acts at the same points."""
+        """Same equations at other joint values; the load acts at the same points."""
         assert load is not None
         if translations == self.translations and load is self.problem.load:
             return replace(self, rotations=rotations, factor=factor)
@@ -710,7 +712,7 @@ class Loaded(Member[LoadedState]):
         return max(float(twist), 2 * float(np.linalg.norm(state.orientation.stage - frames, axis=1).max()))
 
     def tangent(self, point: AnyPoint) -> Array | None:
-        """(U,) change by the derivative with respect to the factor, where only that changes."""
+        """(U,) linear prediction of the unknowns' change with the load factor; None if anything else changed."""
         if point.member.problem is not self.problem or not np.array_equal(point.member.rotations, self.rotations):
             return None
         step = scipy.linalg.lapack.dgesv(point.state.hessian, -point.state.load_slope)[2]

@@ -299,7 +299,7 @@ class Equilibrium(Displayed):
 
     @cached_property
     def snap_distance(self) -> float:
-        """Largest turn of every tube, either way, that is proved to cause no snap, rad; see `snap_distance`."""
+        """Largest rotation of all tubes, either way, that is proved to cause no snap, rad."""
         result: float = lazy_import("tubeopt.stability.snap_distance.snap_distance")(self).turn
         return result
 

@@ -133,7 +133,7 @@ Stretch = tuple[float, float, tuple[Quantity, ...]]
 
 @dataclass(frozen=True, eq=False)
 class _Arms:
-    """B equilibria of a robot under a load, with their assemblies and the properties of each tube along itself."""
+    """B equilibria of a robot under one load, with assemblies and tube properties for their joint integration."""
 
     equilibria: Sequence[Equilibrium]
     load: Load

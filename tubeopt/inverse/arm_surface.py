@@ -188,7 +188,8 @@ class ArmSurface:
         return few.nonzero()[0]
 
     def _window(self, rows: Index, stride: int) -> tuple[Array, Array]:
-        """Half lengths (r,) of the intervals around rows (r,) of a grid with a stride, and their largest radius, m.
+        """Half lengths (r,) of the intervals around rows (r,) of a grid with a stride, and the largest arm radius in
+        each, m.
 
         The arm grows thinner towards its tip: the radius is that of the proximal end.
         """
@@ -197,7 +198,7 @@ class ArmSurface:
         return np.maximum(grid[rows] - grid[first], end - grid[rows]), self._radii[first]
 
     def _clearance(self, scene: Scene, enough: float) -> tuple[float, bool]:
-        """Clearance and True, or a sufficient lower bound and False."""
+        """Clearance and True, or a lower bound above `enough` and False, m."""
         grid, smallest, rows = self.grid, np.inf, self._few
         for stride, finer in zip(STRIDES, (*STRIDES[1:], 0), strict=True):
             points, radius = self.centreline(grid[rows]), self._radii[rows]
@@ -287,7 +288,7 @@ class ArmSurface:
         return np.concatenate([at, between]), reach + (within + float(outer_radius(arm.robot).max()) + BEYOND)
 
     def _near(self, scene: Scene, within: float, fewest: int | None, also: frozenset[int]) -> _Near:
-        """Contacts by successive refinement of the grid.
+        """Contacts within a distance, found on successively finer grids.
 
         Pairs of a body and an interval of the arm are dropped as soon as a bound shows that they are too far apart, or
         farther than `fewest` bodies.
@@ -326,7 +327,7 @@ class ArmSurface:
         return self._closer(scene, contacts.chosen(first), row[first])
 
     def _closer(self, scene: Scene, contacts: Contacts, row: Index) -> Contacts:
-        """Contacts refined between the neighbours of points of the grid."""
+        """Contacts refined to a minimum between neighbouring grid points."""
         low, high = self.grid[np.maximum(row - 1, 0)], self.grid[np.minimum(row + 1, len(self.grid) - 1)]
         finer = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, FINER)
         points, radius = self.at(finer.ravel())
@@ -345,7 +346,7 @@ class ArmSurface:
 
 
 def _farthest(body: Index, distance: Array, count: int) -> float:
-    """Distance that includes `count` bodies, from pairs (k,); infinite for fewer bodies."""
+    """Distance within which `count` different bodies occur in pairs (k,); infinite for fewer bodies."""
     smallest = np.full(body.max(initial=-1) + 1, np.inf)
     np.minimum.at(smallest, body, distance)
     return float(np.partition(smallest, count - 1)[count - 1]) if len(smallest) >= count else np.inf

@@ -96,7 +96,7 @@ def breakpoint_order(goal: Goal, at: Posture) -> OrderConstraints:
 
 
 def _breakpoints(assembly: Assembly, tubes: tuple[int, ...]) -> list[float]:
-    """Distinct transitions, ends, and joints of pieces of the tubes of one carriage, m."""
+    """Distinct arc lengths, m, of transitions, ends and joints of pieces for the tubes of one carriage."""
     mine = list(tubes)
     ends, transitions = assembly.end[mine], assembly.transition[mine]
     bent = ends - transitions > 1e-12

@@ -48,7 +48,7 @@ class Clock:
 
     @property
     def parallel_slowdown(self) -> float:
-        """Wall-clock time per processor time of this process, at least 1; larger on a busy machine."""
+        """Ratio of wall-clock to processor time of this process, at least 1; larger on a busy machine."""
         if self.within is not None:
             return self.within.parallel_slowdown
         passed, worked = time.perf_counter() - self.start_time, time.process_time() - self.worked

@@ -88,7 +88,7 @@ def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]]) -> DescentSearch
 
 
 def _distinct(goal: Goal, ends: Sequence[Posture]) -> Iterator[Posture]:
-    """Postures without those that equal an earlier one."""
+    """Postures without those equal to an earlier one in the list."""
     distinct: list[Posture] = []
     for end in ends:
         if all(np.abs((end.q - each.q) / goal.space.scale).max() > SAME_END for each in distinct):

@@ -101,7 +101,7 @@ class AcceptedStep:
 
 @dataclass(frozen=True, eq=False)
 class Restored:
-    """Posture restored to its constraints."""
+    """Posture after it was restored to its constraints."""
 
     posture: Posture | None
     """Posture that satisfies the constraints; None if none was found."""
@@ -117,7 +117,7 @@ class DescentProblem(Protocol):
         """Target, constraints and clock."""
 
     def value(self, at: Posture) -> float:
-        """Objective at a posture."""
+        """Objective value at a posture."""
 
     def min_decrease(self, value: float) -> float:
         """Smallest predicted decrease of the objective that is worth a step."""
@@ -137,7 +137,7 @@ class DescentProblem(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class DescentSearch:
-    """End of a search for the target."""
+    """Result of a search for the target."""
 
     posture: Posture
     """Best posture."""
@@ -149,7 +149,7 @@ class DescentSearch:
 
 
 class GaussNewtonDescent(NamedTuple):
-    """End of a descent."""
+    """Result of a descent."""
 
     posture: Posture
     steps: int
@@ -290,7 +290,7 @@ class _TargetProblem:
         return Restored(None if deeper else at, 1)
 
     def after_crossing(self, crossed: Posture) -> Posture | None:
-        """None: other starts cover the other orders."""
+        """None, since other starts cover the other orders."""
         return None
 
 

@@ -99,7 +99,7 @@ def _finite(objective: CustomObjective | CustomRequirement, evaluate: Callable[[
 
 
 def _linearised(at: Posture) -> Linearised:
-    """Derivatives of a posture with sections at fixed arc lengths."""
+    """Derivatives of a posture with its sections at fixed arc lengths."""
     if not isinstance(at.derivatives, Linearised):
         raise InputError("kind is bundle; expressions of positions and curvatures along its arm are not available")
     return at.derivatives

@@ -103,7 +103,8 @@ def _joints(task: Task, points: Array, parts: int) -> Array:
 
 
 def _thinned(table: Array, start: Posture) -> Array | None:
-    """Few rows of a table of joint values (W, m), with straight motions on one branch between them.
+    """Selected rows of a table of joint values (W, m), few enough that straight motions between them stay on the
+    branch.
 
     None if the branch ends between two rows of the table.
     """

@@ -125,7 +125,7 @@ class JointSpace:
         return np.concatenate([rotations, own[[tubes[0] for tubes in self.carriages]]])
 
     def _moved_apart(self, shift: Array, name: str) -> str:
-        """Reason why no joint values have the translations (n,)."""
+        """Message on the tubes for which no joint values give the translations (n,)."""
         for tubes in self.robot.moving_together:
             if np.ptp(shift[list(tubes)]) > SAME_POSITION:
                 return f"{_translations(shift, tubes, name)}; they must be equal, since one carriage moves these tubes"
@@ -302,12 +302,12 @@ class JointSpace:
         )
 
     def inside(self) -> Array:
-        """Joint values (m,) in the middle of ranges and order; raises InputError without any."""
+        """Joint values (m,) in the middle of the ranges that satisfy the order; raises InputError if there are none."""
         n = self.robot.n_tubes
         return self._placed((self.lower + self.upper)[:n] / 2, lambda bottom, top: (bottom + top) / 2)
 
     def _placed(self, rotations: Array, choose: Callable[[float, float], float]) -> Array:
-        """Joint values (m,) of rotations (n,) and of translations in order; see `in_order`."""
+        """Joint values (m,) with given rotations (n,) and translations in order; see `in_order`."""
         ranges = translation_ranges(self.robot.tubes, self.limits)
         shift = in_order(self.robot, ranges, self._order, choose)
         if shift is None:
@@ -445,7 +445,7 @@ def joints_of(space: JointSpace, name: str, value: Configuration) -> tuple[Array
 
 
 def shift_of(robot: Robot, *places: Any) -> list[Array]:
-    """Translations (n,), m, of each start that is a configuration; tip poses and invalid values are skipped."""
+    """Translations (n,), m, of each start that is a configuration; other starts are skipped."""
     rows = []
     for configuration in places:
         if isinstance(configuration, tuple | list) and len(configuration) == 2:

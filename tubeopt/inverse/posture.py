@@ -97,7 +97,7 @@ class Posture:
 
     @cached_property
     def derivatives(self) -> Linearised | BundleDerivatives:
-        """Derivatives by rotations and translations; for growing translations where they differ to either side."""
+        """Derivatives by rotations and translations; one-sided, for growing translations, if both sides differ."""
         return self._derivatives(1)
 
     def _derivatives(self, side: int) -> Linearised | BundleDerivatives:
@@ -146,7 +146,7 @@ class Posture:
 
     @property
     def along(self) -> Array:
-        """Derivatives (p, 3, 2n) of the shape points by rotations and translations, to the sides of `jacobian`."""
+        """Derivatives (p, 3, 2n) of the shape points by rotations and translations, one-sided as in `jacobian`."""
         free = self._free
         return free.shape if free.shape is not None else self._by_side(free.sides, "position")
 

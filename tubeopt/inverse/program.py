@@ -315,7 +315,7 @@ def solve_program(goal: Goal, start: Posture) -> DescentSearch:
 
 
 def building(goal: Goal) -> float:
-    """Longest time, s, to build the program and to start its solution, which cannot be interrupted."""
+    """Longest time, s, that building the program and starting its solve may take without a check of the clock."""
     return BUILDING * goal.space.robot.n_tubes**3 * (1 + len(goal.scene.bodies))
 
 

@@ -243,7 +243,7 @@ def _ompl_problem(
 
 
 def closed_off(task: Task, start: Array, goals: Sequence[Array], clock: Clock, *, seed: int = 0) -> str:
-    """Text of the end of a plan that no motion leaves; empty if both ends are open, or the time is over."""
+    """Message if no motion leaves one end of a plan; "" if both ends are open or the time is over."""
     for name, points in (("goal", goals), ("start", [start])):
         states = 0
         for point in points:
@@ -347,7 +347,7 @@ FAILED_MOTIONS = 1500
 
 @dataclass(frozen=True)
 class Wall:
-    """Obstruction between start and goal."""
+    """Obstruction that separates start and goal."""
 
     words: str
     proved: bool
@@ -355,7 +355,7 @@ class Wall:
 
 @dataclass(frozen=True, eq=False)
 class _Section:
-    """Set of all states with one value of a coordinate."""
+    """All states with one fixed value of a coordinate."""
 
     name: str
     """Description of the coordinate and its value."""
@@ -484,7 +484,7 @@ def _section(name: str, base: Array, free: Array, lower: Array, upper: Array, ta
 
 
 def pocket(task: Task, point: Array, clock: Clock, *, seed: int = 0) -> int | None:
-    """Number of states in a closed region around a point; None if it is open, or the clock is over.
+    """Number of states in a closed region around a point; None if the region is open or the clock is over.
 
     Motions of random length and direction are tried: this is evidence, not a proof.
     """

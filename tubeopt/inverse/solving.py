@@ -176,7 +176,7 @@ def answers_of(
     on_failure: str = "raise",
     reachable: bool = False,
 ) -> list[InverseSolution]:
-    """Solution of a goal, or `every` one."""
+    """Solution of a goal, or all of them."""
     if goal.objective == "nearest" and not goal.named:
         raise InputError("objective is 'nearest', but neither reference nor start is given; give one of them")
     if goal.direction_weight is not None and goal.direction is None:
@@ -229,7 +229,7 @@ def _under_load(goal: Goal, start: Configuration | None, load: Load, *, fixed: b
 
 
 def _without_load(start: Configuration | None) -> Configuration | None:
-    """Start without its load."""
+    """Start for inverse kinematics with its load removed."""
     known = getattr(start, "equilibrium", start)
     if isinstance(known, Equilibrium) and known.load is not None:
         return known.rotations, known.translations
@@ -450,7 +450,7 @@ class IkSession:
             raise
 
     def _solve_line(self, goal: Goal, first: Posture) -> list[InverseSolution]:
-        """Solutions along the line from a posture to a goal, in parts that are halved where the robot would jump."""
+        """Solutions along the line from a posture to a goal; parts with a jump of the robot are halved."""
         answers: list[InverseSolution] = []
         longest = 1 / _parts(goal, first)
         done, part, current = 0.0, longest, first
@@ -530,7 +530,7 @@ class IkSession:
 
 
 def _summed(parts: Sequence[InverseStatistics]) -> InverseStatistics:
-    """Total cost of consecutive solutions."""
+    """Total cost of solving consecutive steps."""
     iterations, solves = sum(each.iterations for each in parts), sum(each.solves for each in parts)
     return replace(parts[-1], iterations=iterations, solves=solves, seconds=sum(each.seconds for each in parts))
 
@@ -551,7 +551,7 @@ def _between(goal: Goal, first: Posture, fraction: float) -> Goal:
 
 
 class _SessionStep(NamedTuple):
-    """Step of a session to the next target."""
+    """Result of a session step to the next target."""
 
     posture: Posture
     slopes: _Slopes | None
@@ -561,7 +561,7 @@ class _SessionStep(NamedTuple):
 
 
 class _Attempt(NamedTuple):
-    """Setting of one step."""
+    """Settings of one step."""
 
     start: Posture
     slopes: _Slopes
@@ -600,7 +600,7 @@ def _is_clear(goal: Goal, current: Posture) -> bool:
 
 
 class _StepEnd(NamedTuple):
-    """End of one step."""
+    """Result of one step."""
 
     posture: Posture | None
     """Posture after the step; None if it violates a constraint."""

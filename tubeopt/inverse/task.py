@@ -68,7 +68,7 @@ class ArmBatch:
         return self.points[:, -1]
 
     def some(self, rows: NDArray[np.intp]) -> ArmBatch:
-        """Arms in some rows (r,)."""
+        """Arms of some rows (r,)."""
         return ArmBatch(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def fine(self) -> tuple[Array, Array]:
@@ -112,12 +112,12 @@ class TipCoordinates:
 
     @cached_property
     def kind(self) -> Kind:
-        """Structure of the integration."""
+        """Structure of a robot that selects the compiled integration."""
         return explicit_kind(self.space.robot)
 
     @cached_property
     def radius(self) -> Array:
-        """Radius (n,) of the arm where tube i is the outermost, m."""
+        """Radius (n,) of the arm, m, where tube i is the outermost one."""
         return outer_radius(self.space.robot)
 
     @cached_property

@@ -76,7 +76,7 @@ def integrate(problem: ReducedProblem, base: Array, moment: Array, extra_twist: 
 
 
 def pushed(problem: ReducedProblem, arm: Profile, end: Index, tube: Index, torque: Array) -> Profile:
-    """Torsion with additional torques (R,), N m, on tubes (R,), each where element `end` (R,) begins."""
+    """Torsion with additional torques (R,), N m, each on a tube (R,) at the start of an element `end` (R,)."""
     soft = problem.softness[1]
     rotation, twisted, extra = arm.rotation.copy(), arm.torque.copy(), arm.extra.copy()
     for e, i, push in zip(end.tolist(), tube.tolist(), torque.tolist(), strict=True):
@@ -99,7 +99,7 @@ def torques_at(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) -> A
 
 
 def turned_along(t: Tableau, length: Array, arm: Profile, x: tuple[float, ...]) -> Array:
-    """Rotations theta (P, len(x), n) at fractions x of elements of lengths (P,), m."""
+    """Rotations theta (P, len(x), n) at fractions x of elements of lengths (P,), m, from the torques along them."""
     h = length[:, None, None]
     even: Array = np.array(x)[:, None] * h * arm.torque[:, None] + h**2 * (t.basis(x, 2) @ arm.moment)
     return arm.rotation[:, None] + arm.compliance[:, None] * even + h * (t.basis(x, 1) @ arm.extra)
@@ -258,7 +258,7 @@ class Arm(ArmShape):
 
 
 class Between(NamedTuple):
-    """Positions of S arc lengths between the shape points of an arm."""
+    """Positions of S arc lengths relative to neighbouring shape points of an arm."""
 
     point: Index
     """Shape point (S,) before each."""
@@ -417,12 +417,12 @@ def _steps(problem: ReducedProblem) -> NDArray[np.intp]:
 
 
 def _finer(mesh: Mesh) -> Tableau:
-    """Finer quadrature, a check on the quadrature of the mesh."""
+    """Mesh with a finer quadrature, to check the quadrature of a mesh."""
     return tableau("gauss", mesh.tableau.degree + EXTRA_QUADRATURE_POINTS)
 
 
 def _sections(problem: ReducedProblem, torsion: Profile, steps: NDArray[np.intp]) -> list[Sections]:
-    """Cross-sections at ENDS, at the points of the finer quadrature, and at the points for each of `steps`."""
+    """Cross-sections at ENDS, at the points of the finer quadrature, and at the points of each number of `steps`."""
     fractions = [ENDS, _finer(problem.mesh).nodes, *(gauss_fractions(k) for k in sorted(set(steps.tolist())))]
     joined = sections_along(problem, torsion, tuple(np.concatenate(fractions).tolist()))
     return [joined.part(b - len(x), b) for x, b in zip(fractions, accumulate(map(len, fractions)), strict=True)]
@@ -436,7 +436,7 @@ def _poses(u: Array, lengths: Array) -> tuple[Array, Array]:
 
 
 def _defect(problem: ReducedProblem, torsion: Profile, points: Sections) -> float:
-    """Error of theta by a quadrature with EXTRA_QUADRATURE_POINTS more points, at cross-sections `points`, rad.
+    """Error of theta, rad, from a quadrature with EXTRA_QUADRATURE_POINTS more points.
 
     It has a part inside each element, and one by the error of the torque, which twists the tube up to there.
     """

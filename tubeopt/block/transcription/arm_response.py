@@ -27,7 +27,7 @@ from .arm_state import ArmState, cross, hat
 
 @dataclass(frozen=True, eq=False)
 class Forcing:
-    """Changes by Q parameters, at fixed arc lengths."""
+    """Changes of the equations by Q parameters, at fixed arc lengths."""
 
     alpha: Array
     """Change (n, Q) of the rotations alpha."""
@@ -105,7 +105,7 @@ class ResponseChain:
         """Matrix (size, size), to be read and written within the band only."""
 
     def diagonal(self, k: int) -> Array:
-        """Entries (i, i + k), by columns i + k."""
+        """Matrix entries (i, i + k) of the k-th diagonal, ordered by column."""
         return self._storage[:, self.lower + self.upper - k]
 
     def solve(self, right: Array) -> Array | None:
@@ -210,12 +210,12 @@ class LinearisedArm(ArmState):
         return out
 
     def _integrated(self, matrix: Array, rates: Array) -> Array:
-        """Integrals (P, K, r, C) of rates (P, K, r, C), by the matrices (P, K, K) of the elements."""
+        """Integrals (P, K, r, C) of `rates` (P, K, r, C) by the integration matrices (P, K, K) of the elements."""
         out = matrix @ rates.reshape(self.elements, self.degree, -1)
         return np.asarray(out.reshape(rates.shape))
 
     def _point_changes(self, q: Array, starts: Array, forced: Forced | None, softness: float = 1.0) -> PointChanges:
-        """Changes at the points for given changes of (phi, psi) there, without a load of phi alone.
+        """Changes at the points for given changes of (phi, psi) there; loads do not change with phi alone.
 
         Args:
             q: changes (P, K, half, C) at the points.
@@ -305,7 +305,8 @@ class LinearisedArm(ArmState):
         return solved, self._turn_joint_moments(end, 1) + maps.end_by_unknowns @ solved
 
     def _turn_joint_moments(self, states: Array, first: int) -> Array:
-        """States (P + 1 - first, 2 half, C) at the ends of elements from number `first`, behind the moments there.
+        """States (P + 1 - first, 2 half, C) on the tip side of the moments at the ends of elements from number `first`
+        on.
 
         They are changed in place, from the side of the plate to that of the tip.
         """
@@ -433,7 +434,7 @@ class LinearisedArm(ArmState):
         return out
 
     def _forced(self, forcing: Forcing) -> tuple[Forced | None, Index]:
-        """Forced parts at the points by the turn of the tip and by some of the changes, and the numbers of these."""
+        """Changes at the points forced by the turn of the tip and by some of the changes, and the numbers of these."""
         parts = forcing.data, forcing.compliance, forcing.force
         if self._follower_slopes is None and not any(part.any() for part in parts):
             return None, np.zeros(0, dtype=np.intp)

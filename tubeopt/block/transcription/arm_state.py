@@ -361,7 +361,7 @@ class ArmState:
 
     @cached_property
     def about_moment(self) -> Array:
-        """Matrices (P, K, 3, 3) of a -> m x a."""
+        """Matrices (P, K, 3, 3) of the cross product a -> m x a with the bundle moment m."""
         return hat(self.moment)
 
     @cached_property

@@ -77,7 +77,7 @@ class Bundle:
 
     @cached_property
     def levers(self) -> Array:
-        """Levers d a (n, 2): stretch of a tube by the curvature, m."""
+        """Levers d a (n, 2) of the tubes, m: stretch of a tube per curvature."""
         return np.asarray(self.offset[:, None] * np.column_stack([np.sin(self.angle), -np.cos(self.angle)]))
 
 
@@ -194,17 +194,17 @@ class BundleProblem:
 
     @cached_property
     def section(self) -> Index:
-        """Section (P,) of each element."""
+        """Number of the section (P,) of each element."""
         return np.repeat(np.arange(len(self.order)), self.count)
 
     @cached_property
     def point_section(self) -> Index:
-        """Section (N,) of each point."""
+        """Number of the section (N,) of each point."""
         return np.repeat(self.section, self.tableau.degree)
 
     @cached_property
     def in_section(self) -> Array:
-        """Sums (m, N) over the points of each section."""
+        """Matrix (m, N) that sums over the points of each section."""
         return np.asarray(self.point_section == np.arange(len(self.order))[:, None], dtype=float)
 
     @cached_property
@@ -257,12 +257,12 @@ class BundleProblem:
 
     @cached_property
     def sprung(self) -> Index:
-        """Tubes with a transmission behind the plate: their rotations at the plate are unknown."""
+        """Tubes with a transmission behind the plate, for which the rotations at the plate are unknown."""
         return np.flatnonzero((self.bundle.transmission > SAME_PLACE) & self.present.any(0))
 
     @cached_property
     def sprung_rows(self) -> Index:
-        """Unknowns of the rotations at the plate."""
+        """Indices of the unknown rotations at the plate."""
         return np.flatnonzero(self.rows % (len(self.weight) + 1) == len(self.weight))
 
     @property
@@ -326,7 +326,7 @@ class BundleProblem:
         return self._bending[0]
 
     def held_bend(self, longer: Array) -> Array:
-        """Change (2 N, Q) of kappa at fixed x where the lengths of a straight arm change by (m, Q), m."""
+        """Change (2 N, Q) of kappa at constant unknowns if the lengths of a straight arm change by (m, Q), m."""
         if not self.held:
             return np.zeros((2 * len(self.weight), longer.shape[1]))
         rows, scale = self.lengths_by_bend[[*self.held]], self._bend_scale
@@ -386,7 +386,7 @@ class BundleProblem:
         return self.order[-1].ends[0]
 
     def place(self, s: float) -> int:
-        """Section that ends at a place of the sheath; the last one for the tip and beyond."""
+        """Section that ends at an arc length of the sheath; the last one at and beyond the tip."""
         return next((k for k, b in enumerate(self.order) if b.place and b.own == s), len(self.order) - 1)
 
 
@@ -814,7 +814,7 @@ def _shortened(problem: BundleProblem, turn: Array, bend: Array, sections: Seque
 
 
 def opened(problem: BundleProblem, x: Array, least: float) -> Array:
-    """Unknowns close to x (U,) for which no element of a free section is shorter than `least`, m."""
+    """Unknowns (U,) close to x in which every element of a free section is at least `least` long, m."""
     short = np.setdiff1d(np.flatnonzero(problem.lengths(x) < least), problem.held)
     if not len(short) or len(problem.order) < 2:
         return x
@@ -829,7 +829,7 @@ def opened(problem: BundleProblem, x: Array, least: float) -> Array:
 
 
 def rearranged(state: BundleState, order: tuple[Boundary, ...], held: tuple[int, ...]) -> tuple[BundleProblem, Array]:
-    """Problem with other held sections and exchanged boundaries, and the unknowns of a state there."""
+    """Problem with other held sections and another order of boundaries, and the unknowns of a state in it."""
     known, turn, bend = state.problem, state.turn.copy(), state.bend.copy()
     nominal = known.nominal.copy()
     nominal[[*held]] = HELD
@@ -839,7 +839,7 @@ def rearranged(state: BundleState, order: tuple[Boundary, ...], held: tuple[int,
 
 
 def exchanged(state: BundleState, section: int, *, hold: bool) -> tuple[BundleProblem, Array]:
-    """Problem with the boundaries at both ends of a vanishing section exchanged, and the unknowns of a state there."""
+    """Problem with the boundaries at both ends of a vanishing section exchanged, and the unknowns of a state in it."""
     order, held = list(state.problem.order), set(state.problem.held) - {section}
     order[section - 1], order[section] = order[section], order[section - 1]
     return rearranged(state, tuple(order), tuple(sorted(held | ({section} if hold else set()))))
@@ -888,7 +888,9 @@ def bundle_arm(rotations: Array, state: BundleState) -> ArmShape:
 
 
 def carried(problem: BundleProblem, state: BundleState) -> Array:
-    """Unknowns (U,) with the torsion and curvature of a state of another problem, at the same arc lengths."""
+    """Unknowns (U,) of a problem with the torsion and curvature of a state of another problem at the
+    same arc lengths.
+    """
     known, twist = state.problem, state.problem.torsion(state.x)[1]
     same = known.order == problem.order
     if same and np.array_equal(known.count, problem.count) and known.tableau is problem.tableau:
@@ -905,7 +907,7 @@ def carried(problem: BundleProblem, state: BundleState) -> Array:
 
 
 def followed(state: BundleState, bundle: Bundle, places: Sequence[float] = ()) -> Start:
-    """Boundaries of a bundle in their order next to a state of the same tubes, at other translations or places."""
+    """Boundaries of a bundle in order, close to a state of the same tubes at other translations or places."""
     known = state.problem
     places_of_known = np.cumsum(known.lengths(state.x) * known.count).tolist()
     ends = {b.key: place for b, place in zip(known.order, places_of_known, strict=True)}
@@ -925,7 +927,7 @@ def followed(state: BundleState, bundle: Bundle, places: Sequence[float] = ()) -
 
 
 def ordered(bundle: Bundle, order: Sequence[Boundary]) -> list[Boundary]:
-    """Boundaries with those at one offset in the order of their own lengths, at the same numbers."""
+    """Boundaries with those at equal offsets sorted by their own lengths, in the same positions of the list."""
     out = list(order)
     lever = np.array([bundle.levers[b.tubes[0]] if b.tubes else np.zeros(2) for b in order])
     for k in range(len(out)):

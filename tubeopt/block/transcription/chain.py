@@ -305,7 +305,7 @@ def _scaled_rows(table: Any, factor: Any) -> Any:
 
 
 def joints(chain: Chain, laid: Panels, clamped: Any) -> list[Any]:
-    """Arc lengths of the joints between panels beyond the transitions, m, of tubes clamped (n,) m behind the plate."""
+    """Arc lengths of the joints between panels behind the transitions, m, for tubes clamped (n,) m behind the plate."""
     inner = [k for k in range(1, len(chain.tube)) if chain.piece[k] >= 0 and chain.piece[k - 1] >= 0]
     return [laid.low[k] - clamped[int(chain.tube[k])] for k in inner]
 
@@ -408,7 +408,7 @@ def _quantity(joints: Array, table: Array) -> Quantity:
 
 
 def remade(tube: Tube, **dimensions: Any) -> Tube:
-    """A tube with other dimensions or pieces; an unchanged stiffness keeps following the cross-section."""
+    """Tube with other dimensions or pieces; a stiffness that follows from the cross-section is computed again."""
     stiffness = ("bending_stiffness", "torsional_stiffness")
     return replace(tube, **{k: v for k, v in dimensions.items() if k not in stiffness or v != getattr(tube, k)})
 

@@ -185,7 +185,7 @@ def _concentrated(assembly: Assembly, capacities: dict[str, Array]) -> list[_Con
 
 
 def _nearest(assembly: Assembly, s: float) -> float:
-    """End of a section nearest to arc length s, since breakpoints that coincide within round-off are merged."""
+    """End of the section closest to arc length s: breakpoints that coincide within round-off are merged."""
     ends = np.append(assembly.start, assembly.total_length)
     return float(ends[np.argmin(np.abs(ends - s))])
 
@@ -216,7 +216,7 @@ def _rotations_between(problem: ReducedProblem, arc_length: Array, tube: Index) 
 
 @dataclass(frozen=True, eq=False)
 class ContactState:
-    """State of a contact at unknowns x, friction left out."""
+    """State of a contact at unknowns x, without friction."""
 
     x: Array
     """Unknowns (X,)."""

@@ -67,7 +67,7 @@ class LoadedModel(Model):
         return [*super().data, self.moment_start, self.moment_inside, self.force]
 
     def softness(self, margin: Any) -> tuple[Any, ...]:
-        """Coefficients of the Jacobi fields: rates (2 N, 2 N K P) at all points."""
+        """Coefficients of the equations of the Jacobi fields at all points, rates (2 N, 2 N K P)."""
         inputs = [ca.repmat(part, 1, self.n_elements) for part in (margin, self.bending_stiffness)]
         return (self.mapped("rates")(*inputs, *self.arguments),)
 
@@ -94,7 +94,7 @@ class LoadedModel(Model):
 
 
 def arm_of(grid: Grid, numbers: LayoutNumbers, unknowns: tuple[Any, ...], inputs: Mapping[str, Any]) -> Model:
-    """`model_of`, under the `BlockLoad` that is in `inputs` as "load", if any."""
+    """Model of an arm, as `model_of`, under the load that is in `inputs`, if any."""
     model, load = model_of(grid, numbers, unknowns, inputs), inputs.get("load")
     if load is None:
         return model

@@ -274,7 +274,7 @@ def _tip_tube(torsion: ReducedProblem) -> tuple[Array, float]:
 
 
 def _ahead(mesh: Mesh, load: Load, per_length: Array) -> tuple[Array, Array]:
-    """Sums of forces and moments beyond the points (N, 6), and beyond the plate (6,), in world axes.
+    """Total force and moment (N, 6) between each point and the tip, and beyond the plate (6,), in world axes.
 
     `per_length` (P, K, 6) are the distributed ones; forces that turn with the tip are left out.
     """
@@ -600,7 +600,7 @@ def compliance_along(problem: LoadedProblem, state: LoadedState, s: float, tube:
 
 
 def _twist(problem: LoadedProblem, weight: Array, tube: int) -> tuple[Array, float]:
-    """Rotation (U,) of a tube at an arc length by z, and its compliance there less the part through z, rad/(N m).
+    """Derivative (U,) of the rotation of a tube at an arc length by z, and the remaining compliance there, rad/(N m).
 
     `weight` (N,) are the quadrature weights from the plate to the place.
     """

@@ -87,7 +87,7 @@ def _rate(stiffness: Array, moment: Array, torsional_stiffness: Array) -> Array:
 
 
 class SectionNeeds(NamedTuple):
-    """Quantities (m,) that determine the number of elements of each section."""
+    """Quantities (m,) that determine how many elements each section needs."""
 
     rate: Array
     """Bound on the rate of torsion, 1/m."""

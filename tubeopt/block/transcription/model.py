@@ -114,7 +114,7 @@ def _selected_panels(order: Order, assembly: Assembly) -> Array:
 
 
 def _fit(counts: NDArray[np.intp], lengths: Array, elements: int) -> NDArray[np.intp]:
-    """Counts with the sum `elements`, changed so that the longest element stays as short as possible."""
+    """Numbers of elements per section with the sum `elements`, chosen to minimise the longest element."""
     counts = counts.copy()
     while counts.sum() != elements:
         if counts.sum() < elements:
@@ -191,7 +191,7 @@ class Equation:
 
 
 class ElementEnds(NamedTuple):
-    """Collocated torsion at the ends of P elements."""
+    """Torsion at the ends of P elements."""
 
     defect: Any
     """Defect (n, P K) of the collocated equations."""
@@ -336,7 +336,7 @@ class Model(TorsionModel):
         ]
 
     def at(self, value: Callable[[Any], Any]) -> Model:
-        """This arm in numbers; `value` evaluates an expression."""
+        """This arm in numbers; `value` evaluates its expressions."""
         names = [name for name in self.__dataclass_fields__ if name not in ("grid", "offsets", "bending_stiffness")]
         parts = {name: getattr(self, name) for name in names}
         present = {name: part for name, part in parts.items() if part is not None}

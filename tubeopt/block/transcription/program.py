@@ -87,7 +87,7 @@ class Program(Protocol):
 
 @dataclass(frozen=True)
 class Structure:
-    """Structure of an arm in a program: arms of equal structure share a program and differ in its parameters."""
+    """Structure of an arm in a program; arms of equal structure share one program with other parameters."""
 
     grid: Grid
     section: tuple[int, ...]

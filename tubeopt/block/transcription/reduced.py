@@ -97,7 +97,7 @@ LARGE = 60
 
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Map from second derivatives (N, n, n) at the points to entries of a matrix (U, U)."""
+    """Matrix (U, U) built from second derivatives (N, n, n) at the points."""
 
     entries: Index
     """Flat indices in the second derivatives."""
@@ -130,7 +130,7 @@ class ReducedProblem:
         return np.flatnonzero(self.mesh.collocated)
 
     def _chosen(self, table: Array) -> Array:
-        """Rows (N,) of the collocation points, from a table of the points of all elements."""
+        """Rows (N,) for the collocation points of a table for the points of all elements."""
         if len(self.elements) == len(self.mesh.length):
             return table
         degree = self.mesh.tableau.degree
@@ -138,7 +138,7 @@ class ReducedProblem:
 
     @cached_property
     def section(self) -> Index:
-        """Section (N,) of each point."""
+        """Number of the section (N,) of each point."""
         return np.repeat(self.mesh.section[self.elements], self.mesh.tableau.degree)
 
     @cached_property
@@ -199,7 +199,7 @@ class ReducedProblem:
 
     @cached_property
     def pairs(self) -> _Pairs:
-        """Entries of pairs of unknowns at the same point."""
+        """Indices of pairs of unknowns at the same point."""
         (point, tube), n, count = self._place, self.assembly.n_tubes, len(self.weight)
         index = np.full((count, n), -1)
         index[point, tube] = np.arange(len(point))

@@ -87,7 +87,7 @@ def softest_of(matrix: Array) -> tuple[Array, bool]:
 
 
 def stiffnesses(matrix: Array, *, symmetric: bool) -> Array:
-    """Eigenvalues (U,) of a matrix; their real parts if it is not symmetric."""
+    """Real parts of the eigenvalues (U,) of a matrix."""
     return np.asarray(np.linalg.eigvalsh(matrix) if symmetric else np.linalg.eigvals(matrix).real)
 
 
@@ -96,7 +96,7 @@ def stiffnesses(matrix: Array, *, symmetric: bool) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """An eigenvalue 1 - mu of K with its vectors."""
+    """Eigenvalue 1 - mu of the matrix K, with its left and right vectors."""
 
     value: float
     y: Array
