@@ -91,7 +91,7 @@ class Track:
 
     @cached_property
     def intervals(self) -> Intervals:
-        """Intervals of the links."""
+        """Intervals of time between the equilibria at the ends of the links."""
         steps = [self.links[0].start, *(link.end for link in self.links)]
         first = np.arange(len(self.links))
         return self.verifier.intervals([step.equilibrium for step in steps], first, first + 1)
@@ -103,12 +103,12 @@ class Track:
         return np.array([link.chord_error for link in self.links]) + np.maximum(shape[:-1], shape[1:])[:, None]
 
     def link_at(self, t: Array) -> Index:
-        """(...) number of the link that contains times (...); before and after, the first and the last."""
+        """(...) number of the link at times (...); the first or last link before or after the motion."""
         k = np.searchsorted(self.times, t, side="right") - 1
         return np.asarray(np.clip(k, 0, len(self.links) - 1), dtype=np.intp)
 
     def positions(self, link: Index, section: Index, x: Array, t: Array) -> Array:
-        """(N, 2, 3) points at fractions x (N,) of sections and times t (N, 2), linear in time along links."""
+        """(N, 2, 3) positions, m, at fractions x (N,) of sections and times t (N, 2); links are linear in time."""
         start, end = self.intervals.positions(link, section, x)
         low, high = self.times[link][:, None], self.times[link + 1][:, None]
         # A rest has no duration: its first arm is used.
@@ -149,7 +149,7 @@ def tracked(verifier: TrajectoryVerifier, first: Equilibrium, time: Array, joint
 
 @dataclass(frozen=True, eq=False)
 class Side(TraceTable):
-    """Stretch of one arm in N cells."""
+    """Stretches of one arm over links of its motion, one for each of N cells."""
 
     link: Index
     """(N,) number of the link."""
@@ -180,7 +180,7 @@ class Side(TraceTable):
 
 @dataclass(frozen=True, eq=False)
 class PairCells(TraceTable):
-    """N cells of two arms."""
+    """N cells: a stretch of one arm, a stretch of the other and an interval of time each."""
 
     which: Index
     """(N,) interval of time."""
@@ -195,7 +195,9 @@ class PairCells(TraceTable):
         return self.first, self.second
 
     def differences(self) -> Array:
-        """(N, 2, 2, 2, 3) vectors from the first to the second arm at the corners: along either, and in time, m."""
+        """(N, 2, 2, 2, 3) vectors from the first to the second arm at the corners of the cells, m: ends of both
+        stretches, times.
+        """
         return np.asarray(self.second.points[:, None] - self.first.points[:, :, None])
 
     def halved(self, tracks: tuple[Track, Track], direction: Index) -> PairCells:
@@ -268,7 +270,7 @@ def apart(
 
 
 class _Distances(NamedTuple):
-    """Distances of two arms in M intervals of time."""
+    """Bounds on the distance of two arms in M intervals of time."""
 
     bound: Array
     """(M,) lower bounds, m."""
@@ -319,7 +321,7 @@ def _bounds(tracks: tuple[Track, Track], times: Array, target: ClearanceTarget, 
 
 
 def _first(tracks: tuple[Track, Track], t: Array, links: Sequence[Index]) -> PairCells:
-    """Cells for every interval of time and every two sections with a length; an arm without length is one point."""
+    """Initial cells: one for every interval of time and pair of sections; an arm without length is a point."""
     exists = []
     for track, link in zip(tracks, links, strict=True):
         long = np.maximum(*track.intervals.length)[link] > SHORT
@@ -378,7 +380,7 @@ class PlacedRobot(Displayed):
 
 
 class TimedMotion(Protocol):
-    """Joint values over time: (T,) s, (T, n) rad, (T, n) m; a `Trajectory` or the content of a file."""
+    """Joint values over time: times (T,), s, rotations (T, n), rad, translations (T, n), m."""
 
     @property
     def time(self) -> Array: ...
@@ -571,7 +573,7 @@ def _checked(motion: TimedMotion) -> _Motion:
 
 
 def _pair_faults(arms: Sequence[PlacedRobot], proof: PairProof, clearance: float) -> list[str]:
-    """Violated or unproved clearance of two arms, as text."""
+    """Messages on a violated or unproved clearance between two arms."""
     names = " and ".join(called(arms, k) for k in proof.arms)
     if proof.measured_clearance < clearance:
         return [
@@ -604,7 +606,7 @@ def at_rest(equilibrium: Equilibrium, base: Frame, chord: float) -> tuple[Capsul
 
 @dataclass(frozen=True, eq=False)
 class Lines(TraceTable):
-    """N arms, or one arm at N instants, as points with radii."""
+    """Centrelines of N arms, or of one arm at N instants, as points with radii."""
 
     points: Array
     """(N, P, 3) points of the centrelines, m."""
@@ -623,7 +625,7 @@ class Lines(TraceTable):
         return replace(self, points=frame.placed(self.points))
 
     def later(self, delay: float) -> Lines:
-        """Lines with a delay, s."""
+        """The same lines, delayed by a time, s."""
         return replace(self, time=self.time + delay)
 
     def at_times(self, times: Array) -> Lines:
@@ -638,6 +640,6 @@ class Lines(TraceTable):
         return Lines(points, radius, times)
 
     def distances(self, other: Lines) -> Array:
-        """(T,) distances between the surfaces of two arms at equal times, m."""
+        """(T,) distances between the surfaces of two arms at the same instants, m."""
         pairs = zip(self.points, self.radius, other.points, other.radius, strict=True)
         return np.array([(scipy.spatial.distance.cdist(a, b) - r[:, None] - q).min() for a, r, b, q in pairs])

@@ -228,7 +228,7 @@ def _check_starts(arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], cle
 
 
 def _orders(n: int) -> list[tuple[int, ...]]:
-    """Orders of n arms: cyclic orders, with each arm first, then others; at least six if there are as many."""
+    """Orders in which n arms move: cyclic orders, then others; at least six if there are as many."""
     cyclic = [tuple((k + j) % n for j in range(n)) for k in range(n)]
     return list(dict.fromkeys([*cyclic, *islice(permutations(range(n)), 6)]))[: max(n, 6)]
 
@@ -265,7 +265,7 @@ def _moves(
     planned: Planned,
     limit: Clock,
 ) -> list[Move]:
-    """Moves of arms, one after the other, each to its goal or, where True, until it is retracted.
+    """Moves of arms in a `sequence`, one after the other: each to its goal, or, if marked True, until it is retracted.
 
     Raises:
         SolveError: an arm does not reach its goal. An arm that cannot retract remains in place.
@@ -287,7 +287,7 @@ def _moves(
 
 
 def _retracted(arm: PlacedRobot, at: Equilibrium, options: PlanOptions) -> tuple[Array, Array]:
-    """Joint values of an arm with its tubes retracted, at unchanged rotations."""
+    """Joint values of an arm after 90 % of its possible retraction, at unchanged rotations."""
     space, n = joint_space(arm.robot, None, options.carriage_gap, options.section_length), arm.robot.n_tubes
     space = space.holding(at.translations)
     q = space.join(at.rotations, at.translations)
@@ -302,7 +302,7 @@ def _overlapped(
     moves: Sequence[Move],
     clearance: float,
 ) -> Iterator[tuple[Trajectory, ...]]:
-    """Motions on one clock: as early as a reserve allows, then with a larger one, last one after the other."""
+    """Motions on one clock, each started as early as the distance allows, with a larger reserve on failure."""
     lines = [_moving(arms[k], motion) for k, motion in moves]
     for reserve in (RESERVE, 4 * RESERVE, np.inf):
         moved = [Lines.of([e], POINTS, arm.base) for arm, e in zip(arms, first, strict=True)]
@@ -324,7 +324,7 @@ def _moving(arm: PlacedRobot, motion: Trajectory) -> Lines:
 
 
 def _clear(line: Lines, lines: Sequence[Lines], since: float, distance: float) -> bool:
-    """True if an arm that starts at a time keeps a distance from the others until they rest.
+    """True if an arm that starts at a time keeps a distance from the other arms until these rest.
 
     After that they are at rest, as in its plan.
     """

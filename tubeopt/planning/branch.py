@@ -79,7 +79,9 @@ def least_root(residual: Array, contraction: Array, curvature: Array) -> tuple[A
 
 
 def rotating_tangent(w: Array, dw: Array, ddw: Array | None = None) -> DerivativeBounds:
-    """Bounds for a unit vector with angular velocity phi, where |phi|, |phi'| and, if known, |phi''| are bounded."""
+    """Bounds on a unit vector and its derivatives, from bounds on |phi|, |phi'| and |phi''| of its angular velocity
+    phi.
+    """
     # With t' = phi x t: t'' = phi' x t + phi x (phi x t); t''' has phi'', three products of phi and phi', and phi^3.
     return DerivativeBounds(np.ones_like(w), w, dw + w**2, None if ddw is None else ddw + 3 * w * dw + w**3)
 
@@ -91,19 +93,19 @@ def tip_derivatives(sections: DerivativeBounds) -> Array:
 
 
 def _at_ends(gain: Array) -> Array:
-    """(2, B, K) running total over sections at both ends of every section, for increments `gain` (B, K)."""
+    """(2, B, K) sums of the increments `gain` (B, K) over sections, up to the start and the end of each section."""
     total = np.cumsum(gain, axis=1)
     return np.stack([total - gain, total])
 
 
 def _with_pairs(own: Array) -> AngleChange:
-    """Bounds on theta_i, with the bounds on theta_i - theta_j that follow."""
+    """Bounds on theta_i, and the bounds on theta_i - theta_j that follow from them."""
     return own, pair_differences(own)
 
 
 @dataclass(frozen=True, eq=False)
 class _Ball:
-    """Ball around the chord theta~ that contains the solution theta; arrays (B,), in units of `weight`."""
+    """Ball around the chord theta~ that contains the solution theta, for B intervals, in units of `weight`."""
 
     radius: Array
     residual_tt: Array
@@ -207,7 +209,7 @@ class _Bounds:
         return np.asarray(np.sqrt(along + transmissions))
 
     def response(self, dtheta: AngleChange) -> AngleChange:
-        """Bound on A f for any f within `dtheta`."""
+        """Bound on the linear response A f to any f within `dtheta`."""
         # A = 1 + A (1 - DF): the second part is bounded in energy, where A has the norm 1 / mu.
         size = (self.energy(dtheta) / self.stiffness)[:, None, None]
         return dtheta[0] + size * self.weight[0], dtheta[1] + size[..., None] * self.weight[1]
@@ -326,7 +328,7 @@ class _Bounds:
         return np.asarray(change)
 
     def _at_rest(self) -> _Bounds:
-        """Bounds with sections, transmissions and compliances that do not change with time."""
+        """Bounds without change of sections, transmissions and compliances over time."""
         resting = copy(self)
         resting.length, resting.transmission, resting.compliance = (
             DerivativeBounds(bounds.v, np.zeros_like(bounds.v), np.zeros_like(bounds.v))

@@ -143,7 +143,7 @@ def _closest(task: PlanTask, start: Array, position: Array) -> float:
 
 
 def tips_about(task: PlanTask, z: Array) -> Array:
-    """(m + 1, 3) tips at tip coordinates z (m,), and a DIFFERENCE farther along each coordinate, m."""
+    """(m + 1, 3) tips at tip coordinates z (m,), and after a step of DIFFERENCE along each coordinate, m."""
     return task.coordinates.arms(z + np.vstack([np.zeros(len(z)), DIFFERENCE * np.diag(task.scale)]), 0.0).tip
 
 
@@ -275,7 +275,7 @@ class TipGoal(Displayed):
 
 @dataclass(frozen=True, eq=False)
 class End:
-    """Possible final equilibrium of a plan."""
+    """Equilibrium in which a plan may end."""
 
     point: Array
     """(m,) tip coordinates."""
@@ -344,7 +344,7 @@ def ends(
 
 
 def requested_ends(task: PlanTask, start: Equilibrium, goal: Any, enough: int) -> list[End]:
-    """Equilibria at a goal with the options of the task; for a tip goal up to `enough` from a given roadmap."""
+    """Equilibria at a goal by the options of the task; for a tip goal, up to `enough` found from a roadmap."""
     known = task.options.roadmap
     near = None if known is None else partial(known.near, task, count=NEAR_POINTS)
     clock = Clock(GOALS_FRACTION * task.clock.left)
@@ -407,12 +407,12 @@ def check_goal(robot: Robot, goal: Any) -> None:
 
 
 def of_the_tip(goal: Any) -> bool:
-    """True if a goal is one of the tip, which several configurations may meet."""
+    """True if a goal is a tip pose, which several configurations may reach."""
     return _tip_goal(goal) is not None
 
 
 def goal_seen(goal: Any, frame: Frame) -> Any:
-    """Goal in the frame of a plate: a tip goal is transformed, any other goal is returned unchanged."""
+    """Goal in the frame of a plate; only tip goals change."""
     tip_goal = _tip_goal(goal)
     if tip_goal is None:
         return goal
@@ -561,7 +561,7 @@ def _in_range(space: JointSpace, name: str, rotations: Array, translations: Arra
 
 
 def _fault(task: PlanTask, name: str, e: Equilibrium) -> str:
-    """Violation of margin or clearance at an equilibrium, as text; or ""."""
+    """Message on a violated margin or clearance of an equilibrium; "" if there is none."""
     if e.margin < task.min_margin - FINISHED:
         return f"no plan exists: the {name} has margin {e.margin:.4g}; every point must keep {task.min_margin:g}"
     clear = ArmSurface(e).clearance(task.scene)
@@ -573,7 +573,7 @@ def _fault(task: PlanTask, name: str, e: Equilibrium) -> str:
 
 
 def _turned(task: PlanTask, e: Equilibrium, start: Array, modulo: bool) -> list[End]:
-    """Equilibrium as an end; with `modulo`, with all full turns of its rotations that are within the limits.
+    """Ends for an equilibrium; with `modulo`, also with full turns of its rotations within the limits.
 
     `start` (n,): rotations at the start, to which the turns are close.
     """

@@ -191,7 +191,7 @@ TABLES = (MeshObstacle, DistanceField)
 
 
 def knot_inputs(kind: Kind) -> tuple[Any, Any, list[Any]]:
-    """Symbols x and p of `arm_at_knot`, and their parts: tip rotations, translations, margin, robot, radius."""
+    """Symbols x and p of `arm_at_knot`, and their parts by name."""
     n = kind.n
     x, p = ca.MX.sym("x", 2 * n + 1), ca.MX.sym("p", kind.size + n)
     return x, p, [*ca.vertsplit(x, [0, n, 2 * n, 2 * n + 1]), *ca.vertsplit(p, [0, kind.size, kind.size + n])]
@@ -206,7 +206,7 @@ DAMPING = 1e-3, 0.1
 
 @lru_cache(maxsize=8)
 def arm_at_knot(kind: Kind, what: str, bodies: tuple[Obstacle, ...] = ()) -> KnotFunction:
-    """Function (x (2n + 1,), p) of an equilibrium at a knot.
+    """Function (x (2n + 1,), p) that returns quantities of the equilibrium at a knot.
 
     `x`: tip rotations, translations, margin; `p`: robot, radius of the arm (n,). Its value is "balance": joint
     rotations and determinants of the Jacobi fields; "tip": position, m, and direction; "points": (3 p,), m; or
@@ -233,7 +233,7 @@ def arm_at_knot(kind: Kind, what: str, bodies: tuple[Obstacle, ...] = ()) -> Kno
 
 
 def body_distances(kind: Kind, count: int, bodies: Sequence[Obstacle]) -> ca.Function:
-    """Function of an arm of `count` points: distances (a, bodies) of its surface from bodies, by its points, m.
+    """Function from the points of an arm to the distances (a, bodies) of its surface from bodies, m.
 
     Inputs are points and tangents (3, count), their arc lengths, translations, robot, and radius of the arm (n,).
     """

@@ -130,7 +130,7 @@ class _Ball:
 
 @dataclass(frozen=True, eq=False)
 class _GeometryChange:
-    """Differences between the chord and its nearer end, at equal torques and moments."""
+    """Differences between the chord and its nearer end, at constant torques and moments."""
 
     h: Array
     """(B, K) section lengths, m."""
@@ -484,7 +484,7 @@ class _TimeDerivatives:
 
     @staticmethod
     def at_rest(of: _Bounds) -> _TimeDerivatives:
-        """Values of the chord, with derivatives 0."""
+        """Values of the chord with time derivatives 0."""
         sizes = np.ones_like(of.torque), np.ones_like(of.pairs), of.torque, of.lever, np.ones_like(of.lever)
         return _TimeDerivatives(*([size, *(np.zeros_like(size) for _ in range(3))] for size in sizes))
 
@@ -494,16 +494,16 @@ class _TimeDerivatives:
 
 
 def _square_over(change: Array, lower: Array) -> Array:
-    """Squares of `change` over `lower`; 0 where nothing changes, even if `lower` is 0."""
+    """Squares of `change` divided by `lower`; 0 where nothing changes, even if `lower` is 0."""
     return np.asarray(change**2 / np.maximum(lower, 1e-300))
 
 
 def _to_tip(bound: Array) -> Array:
-    """(B, K) sums over each section and all sections from there to the tip."""
+    """(B, K) sums over each section and all sections between it and the tip."""
     return np.cumsum(bound[:, ::-1], axis=1)[:, ::-1]
 
 
 def _root_change(start: Array, end: Array) -> Array:
-    """Largest change of sqrt(f) from the nearer end, where f is linear in time between two values."""
+    """Largest change of sqrt(f) from the nearer end, for f linear in time between two values."""
     middle = np.sqrt((start + end) / 2)
     return np.asarray(np.maximum(np.abs(middle - np.sqrt(start)), np.abs(middle - np.sqrt(end))))

@@ -25,7 +25,7 @@ from .sections import (
 
 
 def uncovered(load: Load) -> str:
-    """Part of a load that `Pull` does not cover, as text; or ""."""
+    """Description of a part of a load that the bounds do not cover; "" if all is covered."""
     if load.frame == "tip" and (any(load.force) or any(load.moment)):
         return "a force or a moment that turns with the tip"
     return "a load per length that is a function of the arc length" if callable(load.distributed) else ""
@@ -77,7 +77,8 @@ class Pull:
         return np.asarray(twisted_tube(ends[:, None], self.at)[..., None] == np.arange(ends.shape[1]))
 
     def on(self, s: Array, ends: Array, inside: Array) -> Array:
-        """(..., 6) total force and moment between arc lengths s (...) and the tip, for ends of the tubes (..., n).
+        """(..., 6) total force and moment between arc lengths s (...) and the tip, for tubes that end at `ends` (...,
+        n).
 
         At jumps the limit from the side of the arc lengths `inside` (...).
         """
@@ -94,7 +95,7 @@ class Pull:
 
 
 def _on_outermost(size: Array, exists: Mask) -> Array:
-    """(..., n) value `size` (...) for the outermost of the existing tubes, 0 for the others."""
+    """(..., n) value `size` (...) for the outermost existing tube, 0 for all others."""
     return np.asarray(size[..., None] * (exists & (outermost(exists)[..., None] == np.arange(exists.shape[-1]))))
 
 
@@ -116,20 +117,20 @@ class LoadedArms(SolvedArms):
 
     @cached_property
     def _inside(self) -> tuple[Array, Array]:
-        """(P,) arc lengths next to the points, on the side of the tip and of the plate, m."""
+        """(P,) arc lengths next to the points, slightly towards the tip and towards the plate, m."""
         s = self.arc_length
         return s + JUMP, np.where(s > JUMP, s - JUMP, s + JUMP)
 
     @cached_property
     def _sides(self) -> tuple[Index, Index]:
-        """(P, n) stretches of the tubes at the points, on the side of the tip and of the plate."""
+        """(P, n) stretches of the tubes on either side of each point, towards the tip and the plate."""
         cuts = self.breakpoints[self.owner]
         ahead, before = (self.constants.stretch(s, cuts) for s in self._inside)
         return ahead, before
 
     @cached_property
     def _felt(self) -> tuple[Array, Array]:
-        """(P, 6) total force and moment up to the tip, on the side of the tip and of the plate."""
+        """(P, 6) total force and moment between each point and the tip, on either side of the point."""
         ahead, before = (self.pull.on(self.arc_length, self.ends[self.owner], s) for s in self._inside)
         return ahead, before
 
@@ -159,7 +160,7 @@ class LoadedArms(SolvedArms):
         return tables[0], tables[1]
 
     def _pulls(self, values: Array) -> tuple[Array, Array]:
-        """Pulls a_i (P, n, 2) of the tubes, N m, and total bending stiffness K (P,), N m^2."""
+        """Moments a_i (P, n, 2) of the tubes, N m, and total bending stiffness K (P,), N m^2."""
         stiffness, _, x, y, *_ = values
         cos, sin = np.cos(self.rotation), np.sin(self.rotation)
         return stiffness[..., None] * np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1), stiffness.sum(-1)
@@ -179,7 +180,7 @@ class LoadedArms(SolvedArms):
 
     @cached_property
     def reactions(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Torques (P, n) and moments (P, 2), each on the side of the tip and of the plate: point moments make jumps."""
+        """Torques (P, n) and moments (P, 2) on either side of each point; point moments make them jump."""
         # In the cross-section's own frame, of which the first two axes bend.
         jump = np.einsum("pij,pi->pj", self._frames, (self._felt[1] - self._felt[0])[:, MOMENT])[:, :2]
         return (self.torque - self.kicks, self.torque), (self.moment - jump, self.moment)
@@ -284,7 +285,7 @@ class LoadedArms(SolvedArms):
 
     @cached_property
     def _lever(self) -> Array:
-        """(E,) bound on the moment of the load on the bundle, N m."""
+        """(E,) bound on the moment that the load exerts on the bundle, N m."""
         length, p = self.ends.max(1), self.pull
         force, moment = (np.linalg.norm(p.points[:, k], axis=1) for k in (FORCE, MOMENT))
         start, end = (np.minimum(each, length[:, None]) for each in p.stretches.T[:, None])
@@ -360,7 +361,7 @@ class LoadedIntervals(Intervals):
 
     @cached_property
     def lever(self) -> Array:
-        """(B, K) bound on |m_w|, and so on the bending moment, for any shape of the arm, N m."""
+        """(B, K) bound on the bending moment of the load, N m, for any shape of the arm."""
         each = np.maximum(*self.length) * self.force.v
         return np.asarray(np.cumsum(each[:, ::-1], axis=1)[:, ::-1] + self.couple.v)
 
@@ -372,7 +373,7 @@ class LoadedIntervals(Intervals):
 
     @cached_property
     def loads(self) -> SampledLoads:
-        """Torques and moments at the ends of PARTS stretches of every section, with the errors of interpolation."""
+        """Torques and moments at the ends of PARTS stretches of each section, with interpolation errors."""
         (torque, moment), (torque_end, moment_end) = (self.arms.sampled(*positions) for positions in self.parts)
         errors = zip(*(self.arms.load_error(*positions) for positions in self.parts), strict=True)
         torque_error, moment_error = (start + end for start, end in errors)

@@ -366,7 +366,9 @@ class Motion:
 
     @cached_property
     def _places(self) -> Any:
-        """(b, stations) breakpoints of the tubes and the plate, from the plate, over the length of the robot."""
+        """(b, stations) arc lengths of the breakpoints of the tubes, in units of the robot's length, and 0 for the
+        plate.
+        """
         n, kind, p = self.robot.n_tubes, self._coordinates.kind, self._coordinates.parameters
         ends = p[: n * kind.stretches] if kind.stretches else p[3 * n : 5 * n]
         ends = ends.reshape(n, -1, order="F")
@@ -401,7 +403,7 @@ class Motion:
         return ca.reshape(self._shapes[:, range(len(self.times))[knot]], 3, -1)
 
     def _arms(self, what: str, stations: slice, *bodies: Obstacle) -> Any:
-        """Columns of equilibria, see `arm_at_knot`."""
+        """Columns of quantities of all equilibria, from `arm_at_knot`."""
         x = ca.vertcat(self._tips, self._shifts, self._floor)[:, stations]
         numbers = np.concatenate([self._coordinates.parameters, self._coordinates.radius])
         return arm_at_knot(self._coordinates.kind, what, bodies).at(x.shape[1])(x, ca.DM(numbers))
@@ -670,7 +672,7 @@ class Motion:
         self._set_guess(at, motion.curve(self.times * motion.duration, 1) * motion.duration, motion.duration)
 
     def _waypoints(self, task: PlanTask, begin: Array, end: Array) -> Array:
-        """(k, m) points of a path, straight if none is found that is clear of the bodies."""
+        """(k, m) points of a path that is clear of the bodies; a straight path if none is found."""
         key = begin.tobytes(), end.tobytes(), self._bodies, self._clearance
         if key not in self._paths:
             task = task.from_to(begin, end)
@@ -684,7 +686,7 @@ class Motion:
         return self._paths[key]
 
     def _end(self, task: PlanTask) -> Array:
-        """(m,) end of the start values; another configuration of the tip if the nearest one violates a requirement."""
+        """(m,) end of the initial guess; another configuration with that tip if the nearest violates a requirement."""
         assert self._first is not None
         if self._last is None:
             return self._coordinates.of(self._first)
@@ -726,7 +728,7 @@ class Motion:
             self._put("square of the duration", self._square, np.array([[duration**2]]))
 
     def _put(self, name: str, unknowns: Any, value: Array) -> None:
-        """Set the start values of unknowns (r, N) to the rows of a table (N, r)."""
+        """Set the start values of unknowns (r, N) to the columns of a table (N, r)."""
         if isinstance(self.opti, ca.Opti):
             self.opti.set_initial(unknowns, ca.DM(value.T))
         else:
@@ -782,7 +784,7 @@ def _length(points: Array) -> Array:
 
 
 def _excess(motion: JointMotion, rate: Array, acceleration: Array) -> float:
-    """Factor on the duration of cubics after which rates and accelerations (m,) are just at their limits."""
+    """Factor on the duration of cubics so that rates and accelerations (m,) just satisfy their limits."""
     h = np.diff(motion.time)[:, None]
     c = motion.curve.c
     # Bezier coefficients of q' and end values of q'' of c_0 x^3 + c_1 x^2 + c_2 x + c_3.

@@ -97,7 +97,7 @@ SHORT = 1e-9
 
 
 class BaseCandidate(NamedTuple):
-    """A motion to prove."""
+    """Motion to prove, from one pose of the base plate."""
 
     motion: JointMotion
     smoothed_for: str
@@ -234,7 +234,7 @@ def build(
 def passing(
     task: PlanTask, first: Equilibrium, q: Array, last: Array, how: str, motions: int = 0
 ) -> Trajectory | Faults:
-    """Time-optimal motion through joint values (k, m), from an equilibrium to the tip coordinates `last` (m,).
+    """Time-optimal trajectory through joint values (k, m), or the messages on its faults.
 
     `how` and `motions`: method of the search and number of motions that it checked.
     """

@@ -174,25 +174,27 @@ class _Row:
 
     @cached_property
     def wrong(self) -> Array:
-        """(B,) bound on the error of `speed` due to errors of both tips, m/s."""
+        """(B,) bound on the error of `speed`, m/s, from the errors of both tip positions."""
         error = np.array([step.equilibrium.tip_error for step in self.steps])
         # The difference of two tips is off by the sum of their errors, at most twice the larger one.
         return np.asarray(2 * np.maximum(error[1:], error[:-1]) / self.passed)
 
     @cached_property
     def rate(self) -> Array:
-        """(B, 2n) rates of the joints."""
+        """(B, 2n) rates of the joints in each link."""
         return np.diff([step.joints for step in self.steps], axis=0) / self.passed[:, None]
 
     @cached_property
     def pace(self) -> Array:
-        """(B,) largest rate of a joint; 1 at rest."""
+        """(B,) largest joint rate in each link; 1 at rest."""
         largest = np.abs(self.rate).max(1)
         return np.where(largest > 0, largest, 1.0)
 
     @cached_property
     def alike(self) -> Mask:
-        """(B - 1,) True for inner steps with joints on one straight line and the same order of sections."""
+        """(B - 1,) True for inner steps at which the joints continue straight and the order of sections
+        is unchanged.
+        """
         n, along = self.verifier.robot.n_tubes, self.rate / self.pace[:, None]
         same = (np.abs(np.diff(along, axis=0)) <= STEADY).all(1)
         if not self.rate[:, n:].any():
@@ -256,7 +258,7 @@ class _Row:
         return self.slopes[key]
 
     def fastest(self, rates: Array, threshold: float) -> tuple[Array, float]:
-        """(B,) upper bounds on the speed in links, m/s, and the largest exact speed that was computed.
+        """(B,) upper bounds on the tip speed in links, m/s, and the largest exact tip speed computed, m/s.
 
         `rates` (2, B) bound the second and third derivative of the tip. J is computed where the bound without it is
         above a `threshold`, m/s.
@@ -299,7 +301,7 @@ class _Row:
 
 
 def fastest_on_cubic(mean: Array, start: Array, end: Array) -> float:
-    """Upper bound on the speed along the cubic with mean velocity `mean` (3,) and the velocities `begin` and `end`."""
+    """Upper bound on the speed along a cubic, from its mean velocity (3,) and those at both ends, m/s."""
     x, bow = np.linspace(0.0, 1.0, SAMPLES + 1)[:, None], mean - (start + end) / 2
     # 6 x (1 - x) has mean 1 and is 0 at both ends: `bow` makes the mean right. The second derivative is -12 bow, which
     # bounds the speed between samples.
@@ -338,7 +340,7 @@ class ProofStatistics:
 
 @dataclass(frozen=True)
 class Paces:
-    """Speeds and accelerations of a trajectory, and the length of its tip path."""
+    """Tip speeds and accelerations of a trajectory, and the length of its tip path."""
 
     largest_rotation_rate: Annotated[float, unit("deg_per_s"), "largest rotation rate of a tube"]
     largest_translation_rate: Annotated[float, unit("mm_per_s"), "largest translation rate of a tube"]
@@ -593,7 +595,7 @@ def _tip_faults(pace: Pace, limit: float, *, pushed: bool) -> list[str]:
 
 
 def _under_force(proof: Proof, forced: ForceBound) -> Proof:
-    """Proof with the margin and clearance left under any force."""
+    """Proof with margin and clearance reduced by any tip force."""
     shown = forced.margin > 0
     return replace(
         proof,
@@ -626,7 +628,7 @@ def _times(time: ArrayLike, count: int) -> Array:
 def _branch_faults(
     verifier: TrajectoryVerifier, trace: TrajectoryTrace, min_margin: float, time: Array
 ) -> tuple[list[str], list[str]]:
-    """Violations of branch, margin and clearance; and requirements on them that are not proved."""
+    """Messages on violated, and on unproved, requirements of branch, margin and clearance."""
     faults, unproved, required = [], [], verifier.target.clearance
     if trace.snap is not None:
         at = f"{100 * trace.snap:.3g} % of the trajectory ({time[0] + trace.snap * np.ptp(time):.3g} s)"
@@ -669,7 +671,7 @@ def _again(equilibria: Sequence[Equilibrium]) -> float:
 
 
 def _at_samples(steps: Sequence[TraceStep], t: Array) -> tuple[Equilibrium, ...]:
-    """Equilibria at the times (T,) of the samples, up to the last step."""
+    """Equilibria at the times (T,) of the samples, until the last computed step."""
     at = np.array([step.at for step in steps])
     fraction = (t - t[0]) / ((t[-1] - t[0]) or 1.0) if len(t) > 1 else np.ones(1)
     # Half of the shortest link earlier: round-off must not choose the step after a sample.

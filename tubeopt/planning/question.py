@@ -83,7 +83,7 @@ class LoadedChart(TipCoordinates):
 
 
 def _widened(table: Array, width: int) -> Array:
-    """(N, width, ...) table from one (N, p, ...), with its last points repeated or omitted."""
+    """(N, width, ...) table from a table (N, p, ...): its last points are repeated or omitted."""
     more = [(0, 0)] * table.ndim
     more[1] = (0, max(0, width - table.shape[1]))
     return np.pad(table, more, mode="edge")[:, :width].copy()
@@ -273,7 +273,7 @@ def _loaded(space: JointSpace, load: Load, options: PlanOptions) -> LoadedChart:
 
 
 def reserve_deflection(task: PlanTask, *translations: Array) -> PlanTask:
-    """Task with the clearance increased by the deflection under a tip force, at and between translations (n,) each.
+    """Task with the clearance increased by the largest deflection under its tip force at and between translations (n,).
 
     Raises:
         SolveError: at one of them the margin is not proved for every such force.
@@ -297,7 +297,7 @@ def reserve_deflection(task: PlanTask, *translations: Array) -> PlanTask:
 
 
 def path_cost(extra: CustomObjective, n: int) -> Expression:
-    """A custom cost on the path as an expression of one of its poses.
+    """Custom cost on the path, as an expression of one pose on it.
 
     Raises:
         InputError: it makes no sense, or speaks of more than joint values, tip position and tip direction.

@@ -177,7 +177,9 @@ class _Search:
         return self.roadmap.shortest_path(self.task, self.start, [z], self.task.clock).points is not None
 
     def approach(self, point: Array, tolerance: float) -> list[tuple[float, Array]]:
-        """Distances from a target (m) and points (m,) there, from the nearest reachable nodes; closest first."""
+        """Distances from a target, m, and points (m,) close to it, reached from the nearest connected nodes; closest
+        first.
+        """
         ends = list[tuple[float, Array]]()
         for j in np.argsort(np.linalg.norm(self.tips - point, axis=1))[:POINTS].tolist():
             if self.task.clock.over or len(ends) == CONNECTED_POINTS:
@@ -297,7 +299,7 @@ class RegionReach(Displayed):
         return score([reach], reach.share)
 
     def plans_proved(self, robot: Robot, own: Array, reach: ReachShare, limit: int) -> tuple[int, int]:
-        """Numbers of proved and of tried plans to the first reached targets, at most `most`."""
+        """Numbers of proved and of attempted plans to the first reached targets, at most `limit` of them."""
         some, proved = np.flatnonzero(reach.reached)[:limit], 0
         bodies, options = bodies_in_frame(self.base(own), self.obstacles), replace(self.options, objective="none")
         arguments: dict[str, Any] = {"obstacles": bodies, "min_margin": self.min_margin, "options": options}
@@ -441,7 +443,7 @@ class PairReach(Displayed):
         return score(result.reached, result.share)
 
     def plans_proved(self, one: Robot, other: Robot, own: Array, reach: PairShare, limit: int) -> tuple[int, int]:
-        """Numbers of proved and of tried motions to reached pairs; at most `most`, evenly picked."""
+        """Numbers of proved and of attempted motions to reached pairs, chosen evenly, at most `limit` of them."""
         pairs = np.argwhere(reach.held)
         some = pairs[np.unique(np.linspace(0, len(pairs) - 1, limit).astype(int))] if len(pairs) else pairs
         arms = [PlacedRobot(robot, base) for robot, base in zip((one, other), self.plates(own), strict=True)]
@@ -469,7 +471,7 @@ class _Arm(NamedTuple):
 
 
 def _at_rest(robot: Robot, reach: ReachShare, base: Frame) -> dict[int, _Arm]:
-    """Arms at the reached targets, by number."""
+    """Arms at the reached targets, by number of the target."""
     arms: dict[int, _Arm] = {}
     for k in np.flatnonzero(reach.reached).tolist():
         e = reach.arm(robot, k)

@@ -333,7 +333,7 @@ In the middle it is 1 / 96.
 
 
 class _Steps(NamedTuple):
-    """Steps between neighbouring points of a solution, and points (...) in them."""
+    """Interpolation steps between neighbouring points of a solution, and positions (...) within them."""
 
     first: Index
     """(...) point at the start of the step."""
@@ -411,14 +411,14 @@ class SolvedArms:
         return np.repeat(np.arange(len(self.equilibria)), np.diff(self.first))
 
     def along(self, side: float | Array, rows: Index) -> Array:
-        """(6, P, n) `Lengthwise.values` of the tubes at some points (P,): limits from one side."""
+        """(6, P, n) properties of the tubes (`Lengthwise.values`) at points (P,), as limits from one side."""
         held = self.constants.held(self.translations)[self.owner[rows]]
         s = self.arc_length[rows, None]
         return self.constants.along.values(s - held, s + side * JUMP - held)
 
     @cached_property
     def _onwards(self) -> Array:
-        """(P, n) torsion theta' at the points, rad/m, on the side of the tip.
+        """(P, n) torsion theta' at the points on the tip side, rad/m.
 
         It jumps at ends of pieces and at applied moments.
         """
@@ -477,7 +477,7 @@ class SolvedArms:
 
     @cached_property
     def crossed(self) -> tuple[Index, ...]:
-        """Stretches (S, n) of the tubes in the step after an `inner` point: one, or up to three where tubes vary."""
+        """Stretches (S, n) of each tube in the step after an `inner` point: one, or up to three for tubes that vary."""
         c, s, cuts = self.constants, self.arc_length, self.breakpoints[self.owner[self.inner]]
         a, b = s[self.inner], s[self.inner + 1]
         if c.still:
@@ -487,12 +487,12 @@ class SolvedArms:
 
     @property
     def wide(self) -> Mask:
-        """(S,) True where the step after an `inner` point contains more stretches than `crossed` has."""
+        """(S,) True if the step after an `inner` point contains too many stretches for `crossed`."""
         return np.asarray((self.crossed[-1] - self.crossed[0] >= len(self.crossed)).any(1))
 
     @cached_property
     def _errors(self) -> tuple[Array, Array]:
-        """`shape_error` (E,), and h^3 |theta'''| (P, n) in the steps after the points.
+        """Bounds `shape_error` (E,), m, and h^3 |theta'''| (P, n) in the steps after the points.
 
         p'' = R (u_y, -u_x, 0), so that |p'''| <= |u|^2 + |u'| and |p''''| <= |u|^3 + 3 |u| |u'| + |u''|. u' follows
         from the torsion, which is at most its larger end value plus its change over the step.
@@ -659,7 +659,9 @@ class Intervals:
 
     @property
     def parts(self) -> tuple[tuple[Index, Array], tuple[Index, Array]]:
-        """Equilibria and arc lengths (B, K, PARTS + 1) of the samples, at the start and at the end of the interval."""
+        """Equilibria and arc lengths (B, K, PARTS + 1) of the samples along each section, at both ends
+        of the interval.
+        """
         x = np.linspace(0.0, 1.0, PARTS + 1).clip(EDGE, 1 - EDGE)
         before, after = (
             cuts[:, :-1, None] + x * np.diff(cuts, axis=1)[:, :, None] for cuts in (self.start_cuts, self.end_cuts)

@@ -351,7 +351,7 @@ def smooth(
 
 
 def _near(task: PlanTask, arms: ArmBatch) -> PlanTask:
-    """Task with only those bodies that the arm may meet near knots."""
+    """Task with only the bodies close to the arms at the knots."""
     if not task.obstacles:
         return task
     reach = BODY_REACH * task.coordinates.space.length + task.clearance + float(task.coordinates.radius.max())
@@ -424,7 +424,7 @@ def _solve(
 def _required(
     task: PlanTask, program: PathProgram, values: Array, knots: tuple[Array, ArmBatch], reserve: float
 ) -> Array:
-    """(K, rows) required values of the smooth minimum distances, m, at knots (K, m) and their arms.
+    """(K, rows) required smooth minimum distances, m, at knots (K, m) and their arms.
 
     The exact distance from an obstacle may decrease to `reserve` above the required clearance; a knot with less may not
     come closer, and must recede where it violates the clearance. The smooth distances of the program, now `least`, may

@@ -186,7 +186,7 @@ def _coefficients(curve: PPoly, s: Array) -> list[Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Program:
-    """Linear program of the path speed on N cells: |a u + b x| <= 1, x <= x_max.
+    """Linear program for the squared path speed x and the acceleration u on N cells: |a u + b x| <= 1, x <= x_max.
 
     x is the square of the path speed at the start of each cell, u half its slope along the cell.
     """
@@ -253,7 +253,7 @@ def _solve(program: _Program) -> Array:
 
 
 def _largest_below(x_max: Array, slope: Array, intercept: Array) -> Array:
-    """(N + 1,) largest x_i with x_i <= x_max_i, and x_i+1 <= slope x_i + intercept for all r lines (N, r).
+    """(N + 1,) largest x_i with x_i <= x_max_i, and x_i+1 below r lines (N, r) of x_i.
 
     Only the lower envelope of the lines matters, for x_i in [0, x_max_i]. Mostly it has at most three lines: the lowest
     at 0, the lowest at x_max, and the lowest where these two meet. Where it has more, all lines are evaluated.
@@ -324,7 +324,7 @@ def joint_curves(task: PlanTask, points: Array) -> list[Array]:
 
 
 def actuators(task: PlanTask, first: Equilibrium) -> Limits:
-    """Speed limits of motions that start at an equilibrium."""
+    """Speed limits of joints and tip for motions that start at an equilibrium."""
     rates = task.rates
 
     def tips(q: Array) -> Array:
@@ -391,7 +391,9 @@ def violated(
 
 
 def _shortfall(task: PlanTask, equilibria: Sequence[Equilibrium], goal: int | None) -> Array:
-    """(2, T) shortfall of margin and clearance (m) from the requirement with its reserve; at most 0 if satisfied."""
+    """(2, T) amounts by which margin and clearance (m) fall short of the requirements with reserve; <= 0
+    if satisfied.
+    """
     joints = [task.coordinates.space.join(e.rotations, e.translations) for e in equilibria]
     q = np.reshape(joints, (-1, len(task.scale))) / task.scale
     step = np.append(np.abs(np.diff(q, axis=0)).max(1), 0.0)[: len(q)]

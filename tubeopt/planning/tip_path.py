@@ -161,7 +161,7 @@ def _curve(path: ArrayLike, spline: bool) -> Array:
 
 
 def _spaced(curve: Array, spacing: float) -> Array:
-    """Points of a polyline at most `spacing` (m) apart, including its corners."""
+    """Points on a polyline at most `spacing` (m) apart, with all corners."""
     out = [curve[:1]]
     for a, b in pairwise(curve):
         count = max(1, int(np.ceil(np.linalg.norm(b - a) / spacing)))
@@ -318,7 +318,7 @@ def _goal(task: PlanTask, goal: Any) -> Equilibrium:
 
 
 def _fit(task: PlanTask, z: Array, last: Equilibrium, length: float) -> Array:
-    """Tip coordinates of the arm of a given length (m) closest to the arm `last`; the start is `z` (m,)."""
+    """Tip coordinates (m,) of the arm of a length (m) that lies closest to the arm `last`, from the start `z`."""
     space = task.coordinates.space
     m = len(z)
     z = _retracted(task, z, length)
@@ -345,7 +345,7 @@ def _fit(task: PlanTask, z: Array, last: Equilibrium, length: float) -> Array:
 
 
 def _foremost(task: PlanTask, z: Array) -> tuple[int, int]:
-    """Number of the tube at the tip, and of its carriage."""
+    """Number of the tube at the tip, and number of its carriage."""
     space = task.coordinates.space
     curved = np.array([tube.curved_length for tube in space.robot.tubes])
     tube = int(last_tube(task.coordinates.translations(z[None])[0] + curved))
@@ -353,7 +353,7 @@ def _foremost(task: PlanTask, z: Array) -> tuple[int, int]:
 
 
 def _retracted(task: PlanTask, z: Array, length: float) -> Array:
-    """Point with the foremost carriage moved to a length of the arm, m, and others moved with it where necessary."""
+    """Tip coordinates with the foremost carriage retracted to an arm length, m, and others as far as necessary."""
     space, n, m = task.coordinates.space, task.coordinates.space.robot.n_tubes, len(z)
     out, (tube, k) = z.copy(), _foremost(task, z)
     fixed, position = np.eye(m)[n + k], length - space.robot.tubes[tube].curved_length - space.offset[n + tube]

@@ -185,7 +185,7 @@ ROBOT, BRANCH = "robot: ", "start tip rotations in deg: "
 
 @dataclass(frozen=True, eq=False)
 class TimedJoints:
-    """Content of a file of joint values over time."""
+    """Joint values over time, as read from a file."""
 
     robot: Robot
     time: Array

@@ -82,7 +82,7 @@ class TraceTable:
 
     @classmethod
     def concatenated(cls, parts: Sequence[Self]) -> Self:
-        """Table with the rows of several tables."""
+        """One table with the rows of several tables."""
         columns = ([getattr(part, field.name) for part in parts] for field in fields(cls))
         return cls(
             *(
@@ -233,7 +233,7 @@ def _halve(cells: Cells, intervals: Intervals, along: Mask, scene: Scene, within
 
 
 def parted(table: Array, axis: int, middle: Array) -> tuple[Array, Array]:
-    """Tables of both halves of cells: values at the two ends of an axis, and at their common middle."""
+    """Two tables of half cells: values from the first end to the middle of an axis, and from there to the last end."""
     low, high = np.take(table, 0, axis), np.take(table, 1, axis)
     return np.stack([low, middle], axis), np.stack([middle, high], axis)
 
@@ -416,7 +416,7 @@ class TrajectoryVerifier:
         return step
 
     def midway(self, start: TraceStep, end: TraceStep) -> TraceStep | None:
-        """Step in the middle of two."""
+        """Step at the middle of the time between two steps; None without an equilibrium."""
         return self.step(start, (start.at + end.at) / 2, (start.joints + end.joints) / 2)
 
     def intervals(self, equilibria: Sequence[Equilibrium], start: Index, end: Index) -> Intervals:
@@ -499,7 +499,7 @@ def follow(verifier: TrajectoryVerifier, first: Equilibrium, t: Array, joints: A
 def _take_steps(
     verifier: TrajectoryVerifier, origin: TraceStep, t: Array, joints: Array
 ) -> tuple[list[TraceStep], float | None]:
-    """Steps all along, and the fraction of the time where the branch ends."""
+    """Steps along the whole trajectory, and the fraction of the time where the branch ends; None if it does not."""
     steps, n = [origin], joints.shape[1] // 2
     span = float(t[-1] - t[0]) or 1.0
     size = np.array([LARGEST_TURN] * n + [LARGEST_SHIFT * verifier.length] * n)
@@ -542,7 +542,7 @@ def _meetings(points: Array) -> dict[int, Array]:
 
 
 def _divided(parts: Array, meetings: Array) -> Array:
-    """Fractions of the path with a step: all meetings, and those `parts` (C,) away from them. The last part is 1."""
+    """Fractions of the path with a step: all meetings, and each of `parts` (C,) that is not close to one."""
     apart = np.abs(parts[:, None] - meetings).min(1) > AT_A_MEETING
     return np.union1d(parts[apart | (parts == 1)], meetings)
 

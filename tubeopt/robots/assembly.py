@@ -86,14 +86,16 @@ class Assembly:
         return CrossSections(kb, moment, none, none + self.torsional_stiffness, none, none)
 
     def wound(self, arc_length: Array) -> Array:
-        """Natural rotation (X, n) of the tubes from their clamped ends to arc lengths (X,), rad; 0 for even tubes."""
+        """Natural rotation (X, n) of the tubes between their clamped ends and arc lengths (X,), rad; 0
+        for even tubes.
+        """
         if self.even:
             return np.zeros((len(arc_length), self.n_tubes))
         assert self.lengthwise is not None
         return np.asarray(self.lengthwise.values(arc_length[:, None] + self.transmission)[5])
 
     def steady(self, low: Array, high: Array) -> Mask:
-        """Mask (P,) of the intervals from `low` to `high` (P,), m, inside sections, without a tube that varies."""
+        """Mask (P,) of the intervals from `low` to `high` (P,), m, in which no tube varies and no section ends."""
         if self.even:
             return np.ones(len(low), dtype=bool)
         assert self.lengthwise is not None
@@ -265,7 +267,7 @@ def _numbers(tubes: Sequence[Tube], name: str) -> Array:
 
 
 def where(transition: Array, end: Array, curvature: Array, s: Array | float) -> tuple[Mask, Mask]:
-    """Masks of the tubes that are present, and that are curved, at arc length s between the breakpoints."""
+    """Masks of the tubes that are present, and that are curved, at an arc length s."""
     present: Mask = np.asarray(s < end)
     return present, np.asarray(present & (s > transition) & (curvature != 0))
 
@@ -345,7 +347,7 @@ class Order:
     panel: NDArray[np.intp]
 
     def lengths(self, where: Array) -> Array:
-        """Lengths (m,) of the sections, from the arc lengths of transitions, ends and joints."""
+        """Lengths (m,) of the sections in this order, from the arc lengths of transitions, ends and joints."""
         n = self.present.shape[1]
         return np.diff([0.0, *(where[point.index(n)] for point in self.front)])
 
@@ -361,7 +363,7 @@ def joints_of(assembly: Assembly) -> list[Array]:
 
 
 def where_of(assembly: Assembly) -> Array:
-    """Arc lengths, m, of all transitions, ends and joints."""
+    """Arc lengths, m, of all transitions, ends and joints of an assembly."""
     return np.concatenate([assembly.transition, assembly.end, *joints_of(assembly)])
 
 

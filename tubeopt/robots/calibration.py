@@ -152,7 +152,7 @@ class Calibration(Displayed):
 
     @property
     def rotation_zeros(self) -> Array:
-        """Readings (n,) without an effect of the rotation gains, rad: full turns."""
+        """Readings (n,), rad, at which the rotation gains have no effect: full turns."""
         full_turn = 2 * math.pi
         return full_turn * np.round(np.array(self.rotation_middles) / full_turn)
 

@@ -39,7 +39,7 @@ DETAIL = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class CrossSections:
-    """Cross-sections of n tubes at X arc lengths of an arm, (X, n) each; stiffness and moment are 0 without a tube.
+    """Cross-sections of n tubes at X arc lengths of an arm, (X, n) each; stiffness and moment are 0 beyond a tube.
 
     EI, m = EI |u*_xy|, the direction `phase` of the natural moment for a tube without elastic torsion, GJ, and the
     natural twist u*_z with its integral `wound` from the clamped end.
@@ -117,7 +117,7 @@ class Lengthwise:
         return np.asarray(np.minimum(index, last))
 
     def _panels_at(self, position: Array, inside: Array) -> _PanelPoints:
-        """Panels that contain `inside` (X, n), evaluated at `place` (X, n)."""
+        """Panels that contain positions `inside` (X, n), to be evaluated there."""
         panel, tube = self.panel(inside), np.arange(self.n_tubes)
         low, high = self.breaks[tube, panel], self.breaks[tube, panel + 1]
         # The panel becomes the interval -1 to 1 of the Chebyshev polynomials. Outside, T_k grows like (2 x)^k:
@@ -230,7 +230,7 @@ def lengthwise(tubes: tuple[Tube, ...]) -> Lengthwise:
 
 
 def _direction(x: Array, y: Array) -> float:
-    """Direction of (x, y) for proportional coefficients, -pi/2 to pi/2; otherwise inf."""
+    """Angle of proportional coefficient vectors (x, y), -pi/2 to pi/2; inf if they are not proportional."""
     if not np.any(y):
         return 0.0
     size = max(len(x), len(y))
@@ -244,7 +244,7 @@ def _direction(x: Array, y: Array) -> float:
 
 
 def _zeros(x: Array, y: Array) -> list[float]:
-    """Sign changes in (-1, 1) of a bend in one plane."""
+    """Positions in (-1, 1) at which a bend in one plane changes sign."""
     angle = _direction(x, y)
     if not np.isfinite(angle) or not (np.any(x) or np.any(y)):
         return []
@@ -401,7 +401,7 @@ def variation(tubes: tuple[Tube, ...]) -> Variation:
 
 
 def _cells(tube: Tube) -> list[tuple[float, float, float]]:
-    """Arc lengths of every cell of a tube, between which its bounds hold, and of the end of the tube, m."""
+    """Cells of a tube: two arc lengths between which the bounds of each apply, and its end, m."""
     cells, start = [], 0.0
     for length, precurvature, bending, torsional in stretches(tube):
         count = _count((*precurvature, bending, torsional), length)
@@ -424,7 +424,7 @@ def _count(quantities: tuple[Quantity, ...], length: float) -> int:
 
 
 def _bounds(table: Lengthwise, tube: int, low: float, high: float) -> Array:
-    """Bounds (BOUNDS,) of a tube from one arc length to another."""
+    """Bounds (BOUNDS,) on the properties of a tube between two arc lengths."""
     breaks = table.breaks[tube][np.isfinite(table.breaks[tube])]
     cells = []
     for panel, (first, last) in enumerate(pairwise(breaks)):

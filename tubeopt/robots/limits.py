@@ -119,7 +119,7 @@ ROUNDED = 1e-9
 
 
 def reading_fault(tube: Tube, key: str, value: float) -> str:
-    """Text of the allowed values of a joint, in deg or mm as its key or column; empty if it is valid."""
+    """Allowed values of a joint reading, as text in its unit; "" if the value is valid."""
     largest = round(math.degrees(MOST_TURN))
     if key.endswith("_deg") and abs(value) > largest:
         return f"at most {largest} ({MOST_TURN / math.tau:.0f} turns) to either side"

@@ -184,7 +184,7 @@ class Scaled:
 
 @dataclass(frozen=True)
 class Sum:
-    """Sum of the distributed parts of two loads, as a function of arc length."""
+    """Sum of the distributed loads of two loads, as a function of arc length."""
 
     first: Load
     second: Load

@@ -21,7 +21,7 @@ SAME_END = 1e-9
 
 
 class Nested(Protocol):
-    """Properties of a `Robot` that determine the order of tubes."""
+    """Properties of a `Robot` that the order of tubes depends on."""
 
     nested_curves: bool
 
@@ -40,7 +40,7 @@ class Nested(Protocol):
 
 @dataclass(frozen=True)
 class Demand:
-    """Constraint: the translation of tube `ahead` minus that of tube `behind` (from 0) is at least `least`."""
+    """Constraint: translation of tube `ahead` minus translation of tube `behind` (from 0) is at least `distance`."""
 
     ahead: int
     behind: int

@@ -138,7 +138,7 @@ def stretched(quantity: Any, factor: float) -> Any:
 
 
 def times(quantity: Quantity, factor: float) -> Quantity:
-    """A quantity multiplied by a number."""
+    """Quantity, a number or a series, multiplied by a number."""
     return quantity.times(factor) if isinstance(quantity, Series) else quantity * factor
 
 
@@ -151,7 +151,7 @@ def turned(x: Quantity, y: Quantity, angle: float) -> tuple[Quantity, Quantity]:
 
 
 def plus(a: Quantity, b: Quantity) -> Quantity:
-    """Sum of two quantities; of two series on the same panels."""
+    """Sum of two quantities, each a number or a series on the same panels."""
     if not isinstance(a, Series):
         a, b = b, a
     if not isinstance(a, Series):
@@ -191,7 +191,7 @@ def on_panels(quantity: Quantity, breaks: Array) -> list[Array]:
 
 
 def part_of(coefficients: Array, ends: Array) -> Array:
-    """Coefficients (D, ...) of polynomials on the part of -1 .. 1 between two `ends` (2,)."""
+    """Coefficients (D, ...) of the same polynomials on the part of [-1, 1] between two `ends` (2,)."""
     middle, half = ends.mean(), (ends[1] - ends[0]) / 2
     return np.asarray(
         chebyshev.chebinterpolate(lambda x: chebyshev.chebval(middle + half * x, coefficients).T, len(coefficients) - 1)

@@ -404,7 +404,7 @@ class SearchPart(Entry):
 
 
 def with_plan_time(evaluation: ReachProblem) -> ReachProblem:
-    """Problem with the time limit of one plan instead of the limit of a whole region."""
+    """Reach problem with the time limit of one plan instead of the limit of the whole region."""
     return replace(evaluation, options=replace(evaluation.options, time_limit=PLAN_TIME))
 
 

@@ -67,7 +67,7 @@ class HeatingRun(Displayed):
 
     @property
     def done(self) -> bool:
-        """True if the schedule was completed."""
+        """True if the heating schedule was completed."""
         return self.reason == "done"
 
     @property
@@ -260,7 +260,7 @@ def run_heating(
 
 
 def _next(line: Line, *events: str) -> dict[str, Any]:
-    """Read the next report of one of these kinds."""
+    """Next report of one of some kinds."""
     silent = 0
     while silent < MAX_SILENCE:
         report = line.receive()

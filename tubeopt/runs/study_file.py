@@ -97,7 +97,9 @@ class Timed(Study):
 
 @dataclass(frozen=True)
 class Keys:
-    """Mark of a parameter that is an attribute of an entry: the keys of the entry become keys of the study."""
+    """Mark of a parameter that is read from an attribute of an entry; the keys of the entry become keys
+    of the study.
+    """
 
     entry: type[Entry]
     attribute: str

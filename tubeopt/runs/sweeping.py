@@ -252,7 +252,7 @@ class Sweep(Displayed):
     """Rows of the table, if they are in memory."""
 
     def unkept(self) -> Sweep:
-        """Sweep with the rows of its table in memory, for files that will be deleted."""
+        """Sweep with the rows of its table in memory, since its files will be deleted."""
         with self.table.open(encoding="utf-8", newline="") as lines:
             rows = csv.DictReader(lines)
             return replace(self, rows=tuple({key: _read(cell) for key, cell in row.items()} for row in rows))

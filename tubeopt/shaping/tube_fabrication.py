@@ -51,7 +51,7 @@ VENT_POINTS = 41
 
 @dataclass(frozen=True)
 class HeatingFeedback:
-    """Results of the heating for the next mold."""
+    """Results of a heating plan that the next mold must fit."""
 
     cold_length: float
     """Length of tube from a clamp to the heated part, m."""
@@ -87,7 +87,7 @@ class TubeFabrication:
 
     @property
     def agreed(self) -> bool:
-        """True if mold and heating are for one rig, and the mold meets the needs of the heating."""
+        """True if mold and heating are for the same rig, and the mold fits the heating."""
         return not self.disagreement
 
 
@@ -251,7 +251,7 @@ def _gap_remarks(tube: Tube, rig: Rig) -> tuple[str, ...]:
 
 
 def _heating_feedback(groove: Groove, plan: HeatingPlan, spec: HeatingSpec) -> HeatingFeedback:
-    """Results of the heating; leads that are too short, or let too much current flow, get longer."""
+    """Results of the heating for the next mold; leads that are too short, or leak too much current, become longer."""
     length, cold_end = _clamp_to_bend(groove), plan.cold_end
     if math.isinf(cold_end):
         # The whole tube is cold: no lead helps.
@@ -284,7 +284,7 @@ def _clamp_to_bend(groove: Groove) -> float:
 
 
 def _same_rig(a: Rig, b: Rig) -> bool:
-    """True if two rigs as drawn are equal for the heating, to lengths of `SAME_LENGTH`."""
+    """True if two rigs as drawn are equal for the heating, to within lengths of `SAME_LENGTH`."""
     lengths = [abs(getattr(a.mold, name) - getattr(b.mold, name)) for name in ("lead", "gap", "width", "thickness")]
     lengths.append(abs(a.clamps.clearance - b.clamps.clearance))
     vents = [vent_profile(rig, np.linspace(0.0, 1.0, VENT_POINTS)) for rig in (a, b)]

@@ -107,7 +107,7 @@ BOARDS = {
 
 @dataclass(frozen=True)
 class Wiring:
-    """Connections of a board.
+    """Connections between a board, its sensors and the rig.
 
     Raises:
         InputError: a value is out of its range, or an unknown board.
@@ -130,7 +130,7 @@ class Wiring:
 
     @property
     def known(self) -> Board:
-        """Board with its pins and converter."""
+        """Board of this wiring, with its pins and converter."""
         return BOARDS[self.board]
 
 

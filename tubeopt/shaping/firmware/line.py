@@ -96,7 +96,7 @@ class SimulatedRig:
         return self._rig.state
 
     def pass_time(self, count: int, span: float) -> None:
-        """Simulate `span` seconds with the switch at `count`."""
+        """Simulate `span` seconds at a PWM count."""
         self._rig = self._rig.after(self.model, self.sensor, count / COUNTS, span)
         self.time += span
 

@@ -93,7 +93,7 @@ class LawState:
 def decide(
     law: HeatingLaw, state: LawState, reading: Array, override: Array | float = np.nan
 ) -> tuple[Array, LawState]:
-    """Whole counts (B,) of the next slot from the readings (B,), degC; and the next state.
+    """PWM counts (B,) of the next slot from the readings (B,), degC, and the next state of the law.
 
     After the end of the schedule, and after waiting longer than its patience, the count is 0.
 
@@ -129,7 +129,7 @@ def decide(
 
 
 def waiting(law: HeatingLaw, index: Array, reading: Array) -> NDArray[np.bool_]:
-    """True where the schedule waits at slots `index`, at these readings, degC."""
+    """True if the schedule waits at slots `index` because of these readings, degC."""
     index = np.minimum(index, len(law.planned) - 1)
     behind = (law.reference[index] - reading > law.holdback) & (index <= law.hold[0])
     return np.asarray(behind | ((reading < law.floor) & (index >= law.hold[0])))
@@ -286,17 +286,17 @@ class Feedback(Displayed):
 
     @property
     def silent(self) -> float:
-        """Fraction that misses window or limit and ends as "done"; every other miss is reported by its stop."""
+        """Fraction of the rigs that miss window or limit without an error message."""
         return float((self.history.finished[1:] & ~self.kept).mean())
 
     @property
     def too_cold(self) -> float:
-        """Fraction that falls below the window, or never reaches the hold."""
+        """Fraction of the rigs that fall below the window or never reach the hold."""
         return float((self.lowest < self.window[0]).mean())
 
     @property
     def too_hot(self) -> float:
-        """Fraction that rises above the window in the hold, or above the limit at any time."""
+        """Fraction of the rigs that exceed the window in the hold, or the limit at any time."""
         return float(((self.highest > self.window[1]) | (self.top > self.limit)).mean())
 
 

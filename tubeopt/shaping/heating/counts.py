@@ -101,7 +101,7 @@ def heating_rate(tube: Tube, rig: Rig, current: float) -> float:
 
 
 def count_rate(tube: Tube, rig: Rig) -> float:
-    """Heating rate (K/s) of a tube by one count in an insulating mold, without losses."""
+    """Heating rate (K/s) of a tube in an insulating mold at a PWM count of 1, without losses."""
     return heating_rate(tube, rig, full_current(tube, rig, leaking=False)) / COUNTS
 
 
@@ -111,7 +111,7 @@ def ripple(tube: Tube, rig: Rig, spec: HeatingSpec) -> float:
 
 
 def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array, *, hurried: bool = False) -> Counts:
-    """Counts (T,) of sum-up rounding, reduced where they would break ramp or current limit.
+    """PWM counts (T,) by sum-up rounding, reduced where they would exceed ramp or current limit.
 
     Omitted counts follow in later slots, unless the tube has forgotten them by then: the sum falls behind by at most
     half a count and what makes the tube `MAX_COLDER` colder. One count is worth several K/s, so rounding alone breaks
@@ -156,7 +156,7 @@ def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array
 
 
 class Limits(NamedTuple):
-    """Limits on counts: ramp and window of the question, and the mean current of the rig."""
+    """Limits on PWM counts: ramp and window of the specification, and mean current of the rig."""
 
     spec: HeatingSpec
     rig: Rig
@@ -164,7 +164,7 @@ class Limits(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Instant:
-    """State of one member, and the counts that ramp and mean current allow in it; they need not be whole."""
+    """State of one rig, and the PWM counts that ramp and mean current allow in it; these need not be whole."""
 
     state: State
     max_count: float
@@ -198,7 +198,7 @@ class Instant:
 def sustained(
     model: ThermalModel, now: Instant, limits: Limits, count: float, span: float, *, whole: bool = True
 ) -> Instant:
-    """State after `span` s with the greatest count, up to `count`, that keeps ramp and mean current all the time.
+    """State after `span` s at the largest PWM count, up to `count`, that satisfies ramp and mean current throughout.
 
     Contacts heat the tube in the clamps, and that warms the tube beside them soon after the count was chosen.
     """
@@ -227,7 +227,7 @@ def sustained(
 
 
 def _followed(model: ThermalModel, now: Instant, limits: Limits, count: float, span: float) -> list[Instant]:
-    """Instants under a count, at the end of `span` s and before as often as ramp and mean current require."""
+    """States at a PWM count, at the end of `span` s and at intermediate times if ramp and mean current need them."""
     # Steps as those of the check: the rates after the first counts of a fast ramp depend on them by a hundredth.
     steps, course = math.ceil(span / FINE_STEP - 1e-9), [now]
     parts = steps if count > now.max_calm else 1
@@ -238,12 +238,12 @@ def _followed(model: ThermalModel, now: Instant, limits: Limits, count: float, s
 
 
 def max_count(model: ThermalModel, state: State, spec: HeatingSpec, rig: Rig) -> int:
-    """Greatest whole count that keeps the ramp, less its margin, and the mean current in a state."""
+    """Largest whole PWM count that satisfies ramp, with its margin, and mean current in a state."""
     return int(Instant.of(model, state, Limits(spec, rig)).max_count)
 
 
 def achievable_limits(model: ThermalModel, spec: HeatingSpec, rig: Rig) -> Limits:
-    """Limits, raised to the ramp and mean current of one count from rest: no count that heats has less."""
+    """Limits, raised to the ramp and mean current of PWM count 1 from rest, the least that heats."""
     usable = 1 - RAMP_MARGIN
     rate = count_rate_of(model, rig, spec)
     if rate > usable * spec.ramp:
@@ -258,7 +258,7 @@ def achievable_limits(model: ThermalModel, spec: HeatingSpec, rig: Rig) -> Limit
 def blocking_limits(
     model: ThermalModel, spec: HeatingSpec, rig: Rig, counts: Counts, states: Sequence[State]
 ) -> list[str]:
-    """(T,) limit that allows no greater count in each slot: "duty", "current" or "ramp"; "" where all allow one."""
+    """(T,) limit that prevents a larger PWM count in each slot: "duty", "current" or "ramp"; "" for none."""
     blocking, limits = [], Limits(spec, rig)
     for count, state in zip((counts + 1).tolist(), states, strict=True):
         now = Instant.of(model, state, limits)
@@ -276,7 +276,7 @@ def blocking_limits(
 
 
 class MinimumTime(NamedTuple):
-    """Schedule with the soonest hold."""
+    """Schedule that reaches the hold soonest."""
 
     counts: Counts
     """(T,) counts of heating and hold."""
@@ -287,7 +287,7 @@ class MinimumTime(NamedTuple):
 
 
 def minimum_time_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, reserve: float) -> MinimumTime | None:
-    """Greatest counts that keep the limits until the window is reached, then the hold.
+    """Largest PWM counts within the limits until the window is reached, then the hold; None if it is not reached.
 
     None where the window is not reached in time, or the coldest point warms ever more slowly and far too slowly.
 
@@ -329,7 +329,7 @@ def _greatest(
     *,
     whole: bool = True,
 ) -> Instant:
-    """State after `span` s with the greatest count, up to `most`, that keeps all limits.
+    """State after `span` s at the largest PWM count, up to `most`, that satisfies all limits.
 
     These are ramp, mean current, and a temperature `target` (degC) of the hottest point at the end.
     """
@@ -362,7 +362,7 @@ def _hold(model: ThermalModel, spec: HeatingSpec, rig: Rig, state: State, high: 
 
 
 def _centring_target(model: ThermalModel, state: State, middle: float) -> float:
-    """Temperature of the hottest point, degC, that spreads the curved part evenly about `middle`."""
+    """Temperature of the hottest point, degC, for which the curved part is centred about `middle`."""
     coldest, hottest, peak = tube_extremes(model, state.cells[0, :, 0])
     # A bare part may be hotter than the curved one.
     return float(middle + 0.5 * (hottest - coldest) + peak - hottest)
@@ -370,7 +370,7 @@ def _centring_target(model: ThermalModel, state: State, middle: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """Mean duties that a policy chooses, each for `span` s, and the states between them."""
+    """Mean duties that a policy chooses, each for `span` s, and the states in between."""
 
     span: float
     levels: Array
@@ -416,7 +416,7 @@ def rollout(
 
 
 def would_centre(model: ThermalModel, spec: HeatingSpec, course: Rollout) -> NDArray[np.bool_]:
-    """(K,) True for duties of a rollout that centring the curved part in the window would lower."""
+    """(K,) True for duties that centring the curved part in the window would reduce."""
     middle, peaks = 0.5 * sum(spec.window_degC), course.extremes(model)[2, 1:]
     return np.array([_centring_target(model, state, middle) for state in course.states[:-1]]) < peaks
 

@@ -170,7 +170,9 @@ def _current(model: ThermalModel, state: State) -> float:
 
 
 def _short_budget(model: ThermalModel, state: State) -> tuple[float, float]:
-    """Time (s) of full current, and its i2t (A^2 s), until the tube is at `SHORTED_LIMIT`; at most `LONGEST_SHORT`."""
+    """Time (s) at full current, and its i2t (A^2 s), until the tube reaches `SHORTED_LIMIT`; at most
+    `LONGEST_SHORT`.
+    """
     time, i2t, hottest = 0.0, 0.0, float(state.cells[..., 0].max()) - ZERO_CELSIUS
     while hottest < SHORTED_LIMIT and time < LONGEST_SHORT:
         before, current = hottest, _current(model, state)
@@ -208,7 +210,7 @@ def safe_supplies(plan: HeatingPlan) -> tuple[SafeSupply, ...]:
     slots = round(SAFE_TIME / plan.spec.slot)
 
     def full(resistor: float) -> tuple[float, float | None, float]:
-        """Hottest point, K; time to the window, s; current at the start, A."""
+        """Hottest point, K, time to the window, s, and initial current, A, at full current through a resistor, ohm."""
         circuit = replace(plan.rig.circuit, cable_resistance=plan.rig.circuit.cable_resistance + resistor)
         model = thermal_model(plan.tube, replace(plan.rig, circuit=circuit), ENSEMBLE)
         history = simulate(model, plan.spec.slot, np.ones(slots))

@@ -163,13 +163,13 @@ class Structure:
 
     @property
     def copied(self) -> list[int]:
-        """Rows of the design that may be chosen."""
+        """Rows of the design that are free."""
         rows = {"clearance": [0], "lead": [1], "vents": list(range(2, 2 + VENTS))}
         return [row for name, of_name in rows.items() if name in self.chosen for row in of_name]
 
     @property
     def copies(self) -> int:
-        """Number of unknowns, the last ones, that copy the chosen design into all intervals but the first."""
+        """Number of unknowns, the last ones, that repeat the design in each interval but the first."""
         return len(self.copied) * (self.mesh.heating + self.mesh.hold - 1)
 
     def copies_of(self, design: Array) -> Array:

@@ -227,7 +227,7 @@ def solve_ideal(  # noqa: PLR0913
 
 
 def own_values(tube: Tube, spec: HeatingSpec, ideal: Ideal, own: OwnTerms, run: OwnRun) -> Array:
-    """Values of own requirements at a simulation on the fine grid."""
+    """Values of the user's requirements in a simulation on the fine grid."""
     s = ideal.structure
     coarse = thermal_model(tube, ideal.rig, s.resolution)
     slot = float(run.history.time[1])
@@ -252,7 +252,7 @@ def own_values(tube: Tube, spec: HeatingSpec, ideal: Ideal, own: OwnTerms, run: 
 
 
 class OwnRun(NamedTuple):
-    """Simulation for own requirements."""
+    """Simulation on the fine grid, for the user's requirements."""
 
     model: ThermalModel
     history: History
@@ -274,7 +274,7 @@ def planned_ramp(tube: Tube, rig: Rig, spec: HeatingSpec, reserve: float) -> flo
 
 
 def _part_of_slots(tube: Tube, rig: Rig, slot: float) -> float:
-    """Mean heating rate of a slot from rest with a constant count, as a fraction of that at its start.
+    """Mean heating rate of a slot at a constant count from rest, as a fraction of the rate at its start.
 
     The tube warms ever more slowly in a slot. Counts fall behind a schedule that keeps to the ramp all the time.
     """
@@ -483,7 +483,9 @@ def unknowns_of(
 
 
 def duty_for(model: ThermalModel, state: State, setpoint: float, slot: float, current_limit: float) -> float:
-    """Duty that brings the hottest cell outside the clamps to a set-point (K) in a slot, within the current limit."""
+    """Duty that brings the hottest cell outside the clamps to a temperature, K, in one slot, within the
+    current limit.
+    """
     (idle,), (full,), (I_on,) = warming_span(model, state.cells, state.lumped)
     tube = state.cells[0, :, 0]
     hot = int(np.argmax(np.where(model.zone > GRIP, tube, 0.0)))

@@ -117,7 +117,7 @@ def hold_slots(spec: HeatingSpec, start: float) -> tuple[int, int]:
 def broken(
     rig: Rig, spec: HeatingSpec, values: Mapping[str, float], model: ThermalModel | None = None
 ) -> tuple[str, ...]:
-    """Messages for ramp and currents (K/s and A by their names in `Outcome`) that exceed their limits.
+    """Messages on ramp and currents that exceed their limits.
 
     With a model, the message for the ramp says whether a single count is too coarse for it.
     """
@@ -149,7 +149,7 @@ def count_rate_of(model: ThermalModel, rig: Rig, spec: HeatingSpec) -> float:
 
 
 def _distinct(value: float, limit: float) -> str:
-    """Value with as many digits as show that it exceeds its limit."""
+    """Text of a value with as many digits as it needs to differ from its limit."""
     for digits in range(1, 6):
         if float(f"{value:.{digits}f}") > limit:
             return f"{value:.{digits}f}"

@@ -243,7 +243,7 @@ class Medium(NamedTuple):
 
 
 class MoldBlock:
-    """A quarter of the mold in finite volumes, and the points of the tube in its middle plane.
+    """Finite-volume model of a quarter of the mold, and the points of the tube in its middle plane.
 
     Args:
         oven: mold, material and floor. tube: whose curved part lies in it, as an arc about the middle of the plates.
@@ -502,7 +502,7 @@ def plan_oven(
 
 
 def problems_of(oven: Oven, window: tuple[float, float], warm: float, late: float, hot: Array) -> tuple[str, ...]:
-    """Requirements that are violated, as text.
+    """Messages on violated requirements.
 
     Args:
         oven: oven. window: degC. warm: time until the coldest point is in the window, s. late: end of the soak, s.

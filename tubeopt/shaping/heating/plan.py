@@ -50,7 +50,7 @@ class HeatingStatus(StatusEnum):
 
 @dataclass(frozen=True)
 class Cure:
-    """Change that would help, and the violations that remain with it."""
+    """Change that would help, and the violations that would remain."""
 
     change: Annotated[str, "the change"]
     shortfall: Annotated[float, unit("K"), "remaining miss of window and limit"]
@@ -267,7 +267,9 @@ class HeatingPlan(Displayed):
 
     @property
     def extra_length(self) -> float:
-        """Tube to be added before heating and cut off afterwards, m: the part of the leads that the tube lacks."""
+        """Length of tube to add before heating and to cut off afterwards, m, because the leads are longer than the
+        tube.
+        """
         end = self.rig.clamps.grip + self.rig.clamps.clearance + self.rig.mold.lead
         return end + max(end - self.tube.straight_length, 0.0)
 
@@ -336,7 +338,7 @@ def cooling_rate(tube: Tube, transfer: float) -> float:
 
 
 def quench_time(tube: Tube, spec: HeatingSpec, T_hot: float) -> float:
-    """Time (s) for the hottest point to cool from T_hot (K) to 100 degC out of the mold.
+    """Time (s) out of the mold for the hottest point to cool from T_hot (K) to 100 degC.
 
     The tube is a lump of metal.
     """

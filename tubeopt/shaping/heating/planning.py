@@ -94,7 +94,7 @@ def plan_heating(
 
 
 def _own_terms(requirements: Sequence[Any], objective: Any, grid: GridPlaces) -> OwnTerms:
-    """Own requirements and objective as functions of the course, scaled."""
+    """User's requirements and objective as scaled functions of the temperature course."""
     if not requirements and objective is None:
         return NO_TERMS
     for name, values, kind in (
@@ -148,7 +148,7 @@ MAX_SWING = 0.1
 
 @dataclass(frozen=True)
 class Change:
-    """Change of rig or question that may help."""
+    """Change of rig or specification that may make a plan feasible."""
 
     description: str
     """Text for users; "{chosen}" stands for what the program chooses."""
@@ -167,7 +167,7 @@ class TriedChange:
 
 
 def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule) -> tuple[Cure, ...]:
-    """Changes that would make a schedule feasible, or nearly; the best first.
+    """Changes that would make a schedule feasible, or nearly so; the best first.
 
     The search ends at the first that cures. A change that frees no parameter of the rig is first tried by the
     minimum-time schedule. Others, and those that it does not satisfy, are tried by the program, and confirmed by whole
@@ -210,7 +210,7 @@ def _sorted(cures: Sequence[Cure]) -> tuple[Cure, ...]:
 
 
 def _lead_alone_is_useless(change: Change, tried: Sequence[TriedChange]) -> bool:
-    """True if a change frees only the lead, and a longer lead is no better.
+    """True if a change frees only the lead, and a longer lead would not improve the solution.
 
     The solution with the fixed lead shows it.
 
@@ -228,7 +228,7 @@ def _lead_alone_is_useless(change: Change, tried: Sequence[TriedChange]) -> bool
 
 
 def _by_minimum_time(change: Change, tube: Tube, despite_limits: bool) -> Cure | None:
-    """Cure by the minimum-time schedule; None if that violates a requirement.
+    """Proposed change with the minimum-time schedule; None if that violates a requirement.
 
     With `despite_limits`, ramp and currents may be exceeded. A schedule of longer slots is also one of short slots.
     """
@@ -244,7 +244,9 @@ def _by_minimum_time(change: Change, tube: Tube, despite_limits: bool) -> Cure |
 
 
 def _with_check_slot(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[HeatingSpec, ...]:
-    """Question with longer slots, if these fit the hold and half a count heats little in one; and the original one."""
+    """Specifications to try: with longer slots, if these fit the hold and heat little at half a count, and the
+    original.
+    """
     longer = spec.slot * math.floor(CHECK_SLOT / spec.slot + 1e-9)
     if longer <= spec.slot or abs(spec.hold_time / longer - round(spec.hold_time / longer)) > 1e-9:
         return (spec,)
@@ -254,7 +256,7 @@ def _with_check_slot(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[HeatingSp
 
 
 def _by_program(change: Change, tube: Tube, spec: HeatingSpec, near: Programmed) -> TriedChange | None:
-    """Change solved by the program; None without a solution, or if nothing of the rig that is free would change."""
+    """Change solved by the optimal control program; None without a solution or without an effect on the rig."""
     rig, task = change.rig, change.spec
     # Rounding in a slot is proportional to its length.
     part = task.slot / spec.slot
@@ -272,7 +274,7 @@ def _by_program(change: Change, tube: Tube, spec: HeatingSpec, near: Programmed)
 
 
 def _confirmed(tried: TriedChange, tube: Tube, despite_limits: bool) -> Cure:
-    """Cure by the program, confirmed by whole counts if its miss is small."""
+    """Proposed change, confirmed by a schedule of whole counts if its miss is small."""
     ideal, miss = tried.ideal, max(tried.ideal.miss, 0.0)
     if miss >= SMALL_MISS:
         return Cure(tried.description, miss)
@@ -303,7 +305,7 @@ def _describe_choice(rig: Rig, chosen: Rig) -> str:
 
 @without_unit_warnings()
 def _for_limits(tube: Tube, rig: Rig, spec: HeatingSpec, outcome: Outcome) -> list[Cure]:
-    """Changes where the window is held but ramp or currents are exceeded: less current, or another limit."""
+    """Changes to try if the window is reached but ramp or currents are exceeded: less current, or another limit."""
     current, rate = full_current(tube, rig), count_rate(tube, rig)
     # One count should heat the tube by less than half of the ramp, and the peak stay below the circuit's limit.
     target = min(current * math.sqrt(min(0.4 * spec.ramp / rate, 1.0)), 0.95 * rig.circuit.peak_limit)
@@ -328,7 +330,7 @@ def _for_limits(tube: Tube, rig: Rig, spec: HeatingSpec, outcome: Outcome) -> li
 
 
 def _candidates(rig: Rig, spec: HeatingSpec, best: Schedule) -> list[Change]:
-    """Changes that fit the reason of the miss: whole tube too cold, ends too cold, or window too narrow."""
+    """Changes to try for the reason of the miss: whole tube too cold, ends too cold, or window too narrow."""
     low, high = spec.window_degC
     if best.program is None:
         _, end = hold_slots(spec, best.run.start)

@@ -123,7 +123,7 @@ RESERVE = 0.3
 
 @dataclass(frozen=True, eq=False)
 class NearestHold:
-    """Mean duties to the end of the hold with the smallest miss."""
+    """Mean duties until the end of the hold that miss the window least."""
 
     course: Rollout
     first: int
@@ -133,7 +133,7 @@ class NearestHold:
 
 
 def nearest_hold(tube: Tube, rig: Rig, spec: HeatingSpec) -> NearestHold:
-    """Mean duties with the smallest miss of the window, over all starts and temperatures of the hold.
+    """Mean duties that miss the window least, over all starts and temperatures of the hold.
 
     More power never makes anything colder. So the policy heats as fast as ramp and currents allow, until the hottest
     point is at the limit; from some time on it centres the curved part about the middle of the window, as far as the
@@ -166,7 +166,7 @@ def no_duties(model: ThermalModel, span: float) -> Rollout:
 
 
 def search_hold(model: ThermalModel, rig: Rig, spec: HeatingSpec, cap: float) -> NearestHold:
-    """Mean duties with the smallest miss of the window and no point hotter than `cap`, degC."""
+    """Mean duties that miss the window least with no point above `cap`, degC."""
     slots = int(spec.longest_heating / spec.slot)
     slots_per_duty = max(round(MIN_INTERVAL / spec.slot), math.ceil(slots / MAX_STARTS), 1)
     span = slots_per_duty * spec.slot
@@ -175,7 +175,7 @@ def search_hold(model: ThermalModel, rig: Rig, spec: HeatingSpec, cap: float) ->
     candidates: list[NearestHold] = []
 
     def try_policy(caps: Array, centred: NDArray[np.bool_], known: Rollout, earliest: int = 1) -> Rollout:
-        """Add the best hold under a policy, which begins with duty `earliest` or later."""
+        """Add the best hold under a policy that starts at duty number `earliest` or later."""
         course = rollout(model, spec, rig, caps, centred, known)
         miss = misses(model, spec, course, hold)[: longest + 1]
         miss[:earliest] = np.inf
@@ -217,7 +217,7 @@ def search_hold(model: ThermalModel, rig: Rig, spec: HeatingSpec, cap: float) ->
 
 
 def misses(model: ThermalModel, spec: HeatingSpec, course: Rollout, hold: int) -> Array:
-    """Miss of the window, K, of holds of so many duties that begin with each of the duties."""
+    """Miss of the window, K, for a hold of a number of duties that starts at each duty."""
     coldest, hottest, _ = np.lib.stride_tricks.sliding_window_view(course.extremes(model), hold + 1, axis=1)
     low, high = spec.window_degC
     return np.asarray(np.maximum(low - coldest.min(1), hottest.max(1) - high))
@@ -228,7 +228,7 @@ def misses(model: ThermalModel, spec: HeatingSpec, course: Rollout, hold: int) -
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Mean duties and their simulation."""
+    """Mean duties and the simulation at them."""
 
     rig: Rig
     """Rig with clearance, lead and vents as chosen."""
@@ -403,7 +403,7 @@ def _minimum_time(tube: Tube, rig: Rig, spec: HeatingSpec) -> MinimumTime | None
 def _nearest_schedule(
     tube: Tube, rig: Rig, spec: HeatingSpec, nearest: NearestHold, program: Programmed | None
 ) -> Schedule:
-    """Whole counts of mean duties that bring the hottest point to just below the limit."""
+    """Schedule of whole counts that brings the hottest point just below the limit."""
     model, best = thermal_model(tube, rig, FINE), None
     for _ in range(CAP_TRIES):
         course, first = nearest.course, nearest.first
@@ -422,7 +422,7 @@ def _nearest_schedule(
 
 
 def _far(model: ThermalModel, spec: HeatingSpec, history: History, start: float) -> bool:
-    """True if no finer grid would change that the window is missed."""
+    """True if the window is missed by so much that a finer grid would not change that."""
     (low, high), (first, last) = spec.window_degC, hold_slots(spec, start)
     hold = curved_temperatures(model, history.tube[first : last + 1, 0]) - ZERO_CELSIUS
     return bool(max(low - hold.min(), hold.max() - high) > HOPELESS)
@@ -436,7 +436,7 @@ def _run(tube: Tube, rig: Rig, spec: HeatingSpec, levels: Array, start: float) -
 
 
 def _fell_behind(schedule: Schedule, spec: HeatingSpec) -> bool:
-    """True if counts omitted for the ramp may be the cause of the miss."""
+    """True if the counts omitted because of the ramp may cause the miss."""
     run = schedule.run
     start = round(run.start / spec.slot)
     lag = curved_temperatures(run.model, run.history.tube[start, 0] - schedule.history.tube[start, 0])
@@ -504,7 +504,7 @@ def _own_values_of(schedule: Schedule, tube: Tube, ideal: Ideal, own: OwnTerms) 
 
 
 def _no_worse(schedule: Schedule, best: Schedule) -> bool:
-    """True if a schedule violates own requirements and the window no more than the best one."""
+    """True if a schedule misses the user's requirements and the window by no more than the best one."""
     return (schedule.own_miss, schedule.outcome.shortfall) <= (best.own_miss, best.outcome.shortfall)
 
 
@@ -520,7 +520,7 @@ def _guarded(tube: Tube, spec: HeatingSpec, run: Run, scale: float, program: Pro
 
 
 def _hopeless(ideal: Ideal, run: Run, spec: HeatingSpec) -> bool:
-    """True if the window is missed by much, but possibly correctable."""
+    """True if the miss of the window is too large for a correction."""
     hottest = float(run.history.tube.max()) - ZERO_CELSIUS + run.error.hottest
     correctable = ideal.miss <= 10 * HOPELESS or hottest > spec.limit
     return ideal.miss > HOPELESS and correctable and _far(run.model, spec, run.history, run.start)
@@ -569,7 +569,7 @@ def hold_start(ideal: Ideal, spec: HeatingSpec) -> float:
 
 
 def _rounding_loss(schedule: Schedule, spec: HeatingSpec) -> WindowReserve:
-    """Distances from the window's ends that rounding takes, K: low during the hold, high at any time."""
+    """Reserves at both ends of the window for rounding, K: at the low end in the hold, at the high end always."""
     run = schedule.run
     first, last = hold_slots(spec, run.start)
     change = schedule.history.tube[:, 0] - run.history.tube[:, 0]

@@ -158,7 +158,7 @@ def wall_check(min_wall: float, spec: MoldSpec) -> Check:
 
 
 def as_held(number: int, tube: Tube, spec: MoldSpec) -> Tube:
-    """Tube as its mold holds it, with the number of the tube in messages."""
+    """Tube in the shape of its mold; errors name the number of the tube."""
     try:
         return tube_in_mold(tube, spec.springback)
     except InputError as error:
@@ -166,7 +166,7 @@ def as_held(number: int, tube: Tube, spec: MoldSpec) -> Tube:
 
 
 def held_in_plane(number: int, tube: Tube, spec: MoldSpec, limitation: str) -> Tube:
-    """Tube as a planar mold holds it.
+    """Tube in the shape of a planar mold.
 
     Raises:
         InputError: a straight tube, or a space curve; `limitation` begins the reason, such as "a plate holds".

@@ -328,7 +328,7 @@ def _tool_change(spec: MoldSpec, stage: Stage, number: int, high: str) -> Iterat
 
 
 def _feed(feed: float) -> str:
-    """Word of a feed, m/s."""
+    """G-code word for a feed, m/s."""
     return f" F{feed * TO_MM * PER_MINUTE:.1f}"
 
 
@@ -342,7 +342,7 @@ def _move(piece: Arc) -> str:
 
 
 def _mm(length: float) -> str:
-    """Number of a length (m) in mm, to 0.1 um, and never -0."""
+    """Text of a length (m) in mm, rounded to 0.1 um, and never -0."""
     return f"{round(length * TO_MM, 4) + 0.0:.4f}"
 
 

@@ -75,7 +75,7 @@ class Blank:
 
     @cached_property
     def core(self) -> Centreline:
-        """Shortest groove: the bend with the shortest leads."""
+        """Shortest groove of a blank: the bend with the shortest leads."""
         return with_leads(self.bend, self.min_lead, self.min_lead)
 
     @cached_property
