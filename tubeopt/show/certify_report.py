@@ -72,7 +72,7 @@ def _verdict_text(verdict: SnapAssessment) -> str:
 
 
 def _path_rotations(verdict: SnapAssessment) -> list[Array]:
-    """Rotations at the relaxed pose and beyond the snap; none without a snap."""
+    """Rotations at the relaxed pose and after the snap; empty without a snap."""
     return [angles for angles in (verdict.start, verdict.end) if angles is not None]
 
 
@@ -93,7 +93,7 @@ def command(a: Certification) -> str | None:
 
 
 def _readings(a: Certification, rotations: Array) -> tuple[Array, Array]:
-    """Readings of the drives at joint values with these rotations, deg and mm."""
+    """Readings of the drives at given rotations, deg, and the translations of the assessment, mm."""
     rotations, translations = to_readings(a.robot, rotations, a.verdict.certificate.translations)
     return np.degrees(rotations), translations * TO_MM
 
@@ -113,7 +113,7 @@ def _fractions_text(a: Certification) -> str:
 
 
 def _certificate_text(a: Certification) -> str:
-    """Certificate, and the quantity that it bounds."""
+    """Text of the certificate, and of the quantity that it bounds."""
     margin = a.verdict.certificate.margin
     if not np.isfinite(margin):
         return "none"
@@ -172,7 +172,7 @@ def _snap_text(a: Certification) -> str | None:
 
 
 def _limits_text(a: Certification) -> str | None:
-    """Limits of the rotations, and the position of the snap relative to them."""
+    """Text of the rotation limits, and of the position of the snap relative to them."""
     if a.verdict.snap is None:
         return None
     inside = "the snap is inside" if a.verdict.within_limits else "the snap is beyond"
@@ -298,7 +298,7 @@ class CertificationReport(Report[Certification]):
         return grid(("per unit of", *tubes), cells, title="change of the certificate", key=True)
 
     def conclude(self) -> None:
-        """End with the exit code of the finding."""
+        """Exit with the code of the finding."""
         raise typer.Exit(EXIT_CODES[self.answer.finding])
 
 

@@ -400,6 +400,6 @@ class FigureReport(Report[Figures]):
 
 
 def _caption(headings: list[str]) -> str:
-    """The headings of a picture, which it does not have itself, as a sentence."""
+    """Caption of a picture, a sentence made of its headings."""
     lines = [line.rstrip(",:") for heading in dict.fromkeys(headings) for line in heading.split("\n")]
     return f"{re.sub(r' {2,}', ' ', '; '.join(lines)) or 'No heading'}. Computed with tubeopt {__version__}."

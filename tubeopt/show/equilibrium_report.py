@@ -75,12 +75,12 @@ ROBOT: tuple[Quantity[Robot], ...] = (
 
 
 def _channel(robot: Robot) -> float | None:
-    """Diameter of the free channel, m; None of concentric robots."""
+    """Diameter of the free channel, m; None for concentric robots."""
     return None if isinstance(robot, ConcentricRobot) else free_channel(robot).diameter  # type: ignore[arg-type]
 
 
 def _channel_in_words(robot: Robot) -> str:
-    """Free channel as text; "" of concentric robots."""
+    """Text of the free channel; "" for concentric robots."""
     if isinstance(robot, ConcentricRobot):
         return ""
     channel = free_channel(robot)  # type: ignore[arg-type]
@@ -120,7 +120,7 @@ class RobotReport(Report[AnyRobot]):
 
 
 def _home_reason(robot: Robot) -> str:
-    """Reason why the translations at home are not 0; "" where they are."""
+    """Reason why the home translations are not 0, as text; "" if they are 0."""
     if not robot.home_translations.any():
         return ""
     inside = ends_inside(robot, np.array([tube.curved_length for tube in robot.tubes]))
@@ -200,7 +200,7 @@ def _history_text(e: Equilibrium) -> str | None:
 
 
 def _tilted(e: Equilibrium, name: str) -> Any:
-    """Value of the correction for clearance; None for a robot without clearance."""
+    """Value from the clearance correction of an equilibrium; None for a robot without clearance."""
     if not isinstance(e.robot, ConcentricRobot) or not any(e.robot.clearance or ()):
         return None
     return getattr(clearance_correction(e), name)

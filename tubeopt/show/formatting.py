@@ -72,19 +72,19 @@ def order_remarks(robot: Robot, translations: Array) -> list[str]:
 
 
 def row(values: ArrayLike, form: str) -> str:
-    """Numbers with commas between them, none of them a negative 0."""
+    """Text of numbers, separated by commas, without negative zeros."""
     # Round-off below 1e-12 would show as -0.000.
     texts = (format(round(value, 12) + 0.0, form) for value in np.asarray(values, dtype=float))
     return ", ".join(text.removeprefix("-") if text.strip("-0.") == "" else text for text in texts)
 
 
 def degrees(angles: Array, form: str = ".9g") -> str:
-    """Angles (rad) in deg, with their unit."""
+    """Text of angles (rad), in deg with unit."""
     return f"{row(np.degrees(angles), form)} deg"
 
 
 def millimetres(lengths: Array, form: str = ".9g") -> str:
-    """Lengths (m) in mm, with their unit."""
+    """Text of lengths (m), in mm with unit."""
     return f"{row(np.asarray(lengths) * TO_MM, form)} mm"
 
 
@@ -95,7 +95,7 @@ def at_least(lengths: ArrayLike, digits: int = 3) -> Array:
 
 
 def flag(values: Array) -> str:
-    """Numbers as an option of the command line takes them, to 1e-6."""
+    """Text of numbers as the value of a command-line flag, to six decimals."""
     return row(np.round(values, 6), ".12g").replace(" ", "")
 
 

@@ -186,7 +186,7 @@ def success_text(success: Success | None) -> str:
 
 
 def unlikely(success: Success | None) -> str:
-    """Message for a feasible plan that most uncertain rigs miss; otherwise ""."""
+    """Message on a feasible plan that most random rigs fail; "" for other plans."""
     if success is None or success.likely:
         return ""
     return (

@@ -71,7 +71,7 @@ SOLUTION = described(
 
 
 def _error(value: float) -> str:
-    """An error in mm or deg: round-off by its magnitude, a miss by its digits."""
+    """Text of an error in mm or deg: only the magnitude of round-off, more digits of a miss."""
     return f"{value:.4f}" if value >= CONVERGED_ERROR else f"{value:.1e}"
 
 
@@ -198,7 +198,7 @@ TARGETS = described(
 
 
 def _requested(a: TargetTable) -> list[Row]:
-    """Rows of the targets in the table, without inserted targets."""
+    """Rows of the targets that are in the table, without inserted targets."""
     return [r for r in a.rows if not r.inserted]
 
 

@@ -14,7 +14,7 @@ NARROW = 0.12
 
 
 def narrow() -> bool:
-    """True for pictures that are laid out for a column."""
+    """True if pictures are laid out for a journal column."""
     width = WIDTH.get()
     return width is not None and width < NARROW
 
@@ -49,7 +49,7 @@ def tube_colour(index: int) -> str:
 
 
 def rgb(colour: str) -> Colour:
-    """Colour of a text #RRGGBB."""
+    """Red, green and blue (0 to 255) of a colour #RRGGBB."""
     red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
     return red, green, blue
 

@@ -77,7 +77,7 @@ def _equilibria_text(p: Proof) -> str:
 
 
 def _assuming(p: Proof) -> str:
-    """Assumptions of a proof, as text."""
+    """Text of the assumptions of a proof."""
     forced = "" if p.forced is None else f"any force of up to {p.forced.max_force * 1e3:g} mN on the tip"
     if p.end.load is not None:
         return f"under {load_in_words(p.end.load)}{forced and f' and {forced}'}, {BEYOND}"
@@ -302,7 +302,7 @@ class TrajectoryReport(Report[Trajectory]):
 
 
 def _pose(base: Frame) -> str:
-    """Text of a frame in RAS as a homogeneous matrix, mm, as `base: {pose: base.txt}` of an anatomy reads it."""
+    """Text of a frame in RAS as a homogeneous matrix, mm, as the key `pose` of an anatomy reads it."""
     # Navigation software exchanges poses in this form.
     rows = [*np.column_stack([base.axes, base.origin * TO_MM]), np.array([0.0, 0.0, 0.0, 1.0])]
     return "# SPACE=RAS\n" + "".join(" ".join(f"{number:.12g}" for number in row) + "\n" for row in rows)

@@ -70,12 +70,12 @@ class Quantity(Generic[A]):
 
     @property
     def name(self) -> str:
-        """Name of its row."""
+        """Name of the quantity's row in the table."""
         return self.about if self.label is None else self.label
 
     @property
     def sign(self) -> str:
-        """Unit in the spelling of tables."""
+        """Unit as tables write it."""
         return SIGNS.get(self.unit, self.unit)
 
     def si_value(self, answer: A) -> Any:
@@ -95,7 +95,7 @@ class Quantity(Generic[A]):
         return np.round(shown, self.digits).tolist()
 
     def text(self, answer: A, known: Mapping[str, Any]) -> str | None:
-        """Text of its row in the table; None for no row."""
+        """Text of the quantity's row in the table; None if it has no row."""
         if callable(self.words):
             return self.words(answer)
         if not (self.words or self.form) or (self.key and known.get(self.key) is None):
@@ -155,14 +155,14 @@ def _hints(kind: Any) -> Mapping[str, Any]:
 
 
 def _of_part(kind: type, name: str) -> tuple[Any, ...]:
-    """Type and marks of a field of the part that `kind` reads it from."""
+    """Type and marks of a field that a class reads from one of its parts."""
     delegate = inspect.getattr_static(kind, name)
     assert isinstance(delegate, Delegate), f"{kind.__name__}.{name} has no marks"
     return _marked(_hints(kind)[delegate.part])[name]
 
 
 def _of_parts(hint: Any) -> tuple[Quantity[Any], ...] | None:
-    """Quantities of the parts that a field has; None for numbers, text and parts without marks."""
+    """Quantities of the part, or parts, in a field; None for numbers, text and parts without marks."""
     kinds = [
         each for each in (hint, *typing.get_args(hint)) if isinstance(each, type) and dataclasses.is_dataclass(each)
     ]
@@ -170,12 +170,12 @@ def _of_parts(hint: Any) -> tuple[Quantity[Any], ...] | None:
 
 
 def line(label: str, words: str | Callable[[A], str | None]) -> Quantity[A]:
-    """Row of the table without a key in the record."""
+    """Quantity that has a row in the table and no key in the record."""
     return Quantity("", label, words=words)
 
 
 def within(quantities: Sequence[Quantity[B]], part: Callable[[A], B | None]) -> tuple[Quantity[A], ...]:
-    """Quantities of a part as quantities of the whole; their values are None where the part is."""
+    """Quantities of a part as quantities of the whole; None if the whole has no such part."""
     return tuple(_lifted(quantity, part) for quantity in quantities)
 
 
@@ -243,7 +243,7 @@ def with_unit(unit: str, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _parts(value: Any, quantities: Sequence[Quantity[Any]]) -> Any:
-    """Record of a part, a record for each of several, or None."""
+    """Record of a part, list of records of several parts, or None."""
     if value is None:
         return None
     if isinstance(value, list | tuple):
@@ -310,7 +310,7 @@ LOADED: tuple[Quantity[Equilibrium], ...] = within(
 
 
 def known_distance(read: Callable[[], float]) -> float | None:
-    """A proved snap distance, rad; None where none is known."""
+    """Proved snap distance, rad; None if unknown."""
     try:
         return read()
     except (InputError, SolveError):
@@ -318,7 +318,7 @@ def known_distance(read: Callable[[], float]) -> float | None:
 
 
 def distance_in_words(distance: float | None, where: str = "") -> str | None:
-    """Snap distance (rad) with its meaning."""
+    """Text of a snap distance (rad) with its meaning."""
     if distance is None:
         return None
     if distance == np.inf:
@@ -345,7 +345,7 @@ READINGS: tuple[Quantity[tuple[Array, Array]], ...] = (
 
 
 def readings(of: Callable[[A], Equilibrium]) -> tuple[Quantity[A], ...]:
-    """Readings of rotations and translations; left out where the robot has no calibration."""
+    """Quantities of the drive readings, omitted for robots without a calibration."""
     return within(READINGS, lambda answer: _read(of(answer)))
 
 
@@ -359,7 +359,7 @@ def _words(joints: tuple[Array, Array], form: str) -> str:
 
 
 def joints_in_words(e: Equilibrium) -> str:
-    """Joint values of an answer, and the drive readings of a calibrated robot there."""
+    """Text of joint values, and of the drive readings of a calibrated robot there."""
     text = f"rotations {degrees(e.rotations, '.4g')}, translations {millimetres(e.translations, '.4g')}"
     read = _read(e)
     return text if read is None else f"{text}; the drives read {_words(read, '.4g')}"

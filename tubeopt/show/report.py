@@ -103,7 +103,7 @@ class Report(Generic[A]):
         return Group(two_columns(self.title(), self.rows()), *self.below())
 
     def below(self) -> Sequence[RenderableType]:
-        """Texts below the rows; by default the remarks that are among the quantities."""
+        """Texts below the table; by default the remarks among the quantities."""
         lines = (quantity.si_value(self.answer) for quantity in self.quantities if quantity.key == "remarks")
         return remarks(itertools.chain.from_iterable(each or () for each in lines), what="remark")
 

@@ -131,7 +131,7 @@ def to_dict(answer: object) -> Mapping[str, Any]:
 
 
 def reports() -> dict[str, type[Report[Any]]]:
-    """Command -> the report on its answer."""
+    """Class of the report for each command."""
     for module in MODULES:
         importlib.import_module(f".{module}", __package__)
     known: Mapping[Any, Any] = registered.registry
@@ -190,7 +190,9 @@ def _signatures(quantities: Sequence[Quantity[Any]]) -> Signature:
 def _keys(
     quantities: Sequence[Quantity[Any]], path: str, command: str, known: dict[Signature, str], new: dict[Signature, str]
 ) -> Iterator[tuple[str, str]]:
-    """Path and meaning of every key; lists of keys that are `known` are named, and others become `new`."""
+    """Path and meaning of every key of some quantities; `known` lists are only named, other lists are
+    added to `new`.
+    """
     shown = [quantity for quantity in quantities if quantity.key]
     signatures = _signatures(shown)
     i = 0

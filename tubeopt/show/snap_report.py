@@ -181,7 +181,7 @@ class StraightMotionReport(Report[StraightMotion]):
         return Group(Text(f"{w.robot.name or 'the robot'} {motion_sentence(w)}"), two_columns("", numbers))
 
     def solids(self) -> dict[str, Equilibrium]:
-        """The arm before and after the snap, or arrived."""
+        """Arms before and after the snap, or at the end of the path, to save as meshes."""
         w = self.answer
         if w.snap is not None:
             return {"before": w.snap.before, "after": w.snap.after}
@@ -235,7 +235,7 @@ class PathReport(Report[stability.Path]):
 
 
 def _nearest(a: RobotMap) -> Array | None:
-    """Rotations (2,) of the snap with the smallest largest rotation, rad; None without snaps."""
+    """Rotations (2,) of the nearest snap, by the larger rotation, rad; None without snaps."""
     boundary = a.map.boundary
     # Directions without a snap are NaN.
     boundary = boundary[np.isfinite(boundary).all(1)]
@@ -250,7 +250,7 @@ def _min_margin_before_snap(a: RobotMap) -> float | None:
 
 
 def _snapping_fraction(a: RobotMap) -> float:
-    """Fraction of all directions that snap; each is weighted by the angle closer to it than to its neighbours."""
+    """Fraction of all directions from home that snap; directions are weighted by their spacing."""
     angles = a.map.directions
     # Half of the distance between both neighbours, times 2; directions need not be even.
     weights = np.roll(angles, -1) - np.roll(angles, 1)
@@ -349,7 +349,7 @@ LOAD_LIMIT = described(
 
 
 def _size(load: Load, factor: float) -> str:
-    """Multiple of a load as text: force and moment at the tip if it has nothing else, and the factor."""
+    """Text of a multiple of a load: its tip force and moment if it has no other parts, and the factor."""
     # Of a combined load no single size is meaningful; the factor alone is reported.
     alone = not load.points and load.distributed is None and load.gravity is None
     sizes = [(factor * float(np.linalg.norm(part)), unit) for part, unit in ((load.force, "N"), (load.moment, "N m"))]
@@ -444,7 +444,7 @@ def _standard_errors_text(r: ForceRecord) -> str | None:
 
 
 def _estimates(r: ForceRecord) -> list[tuple[int, ForceEstimate]]:
-    """Rows with an estimate: their numbers, from 1, and the estimates."""
+    """Numbers, from 1, of the rows with an estimate, and their estimates."""
     return [(k, e) for k, e in enumerate(r.estimates, start=1) if e is not None]
 
 

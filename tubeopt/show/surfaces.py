@@ -179,7 +179,7 @@ SHEATH_OPACITY = 0.22
 
 
 class RingSection(NamedTuple):
-    """Unit vectors (k, 3) of cross-sections of the arm."""
+    """Directions (k, 3) of the axes of cross-sections of the arm."""
 
     x: Array
     y: Array
@@ -187,7 +187,7 @@ class RingSection(NamedTuple):
 
 
 class SampledCentreline:
-    """The centreline of an equilibrium at any arc length: cubic between the points, exact in position and tangent."""
+    """Centreline of an equilibrium as a cubic curve through its points and tangents."""
 
     def __init__(self, equilibrium: Equilibrium) -> None:
         # A breakpoint is in the answer twice, once for each section; splines need increasing arc lengths.
@@ -340,7 +340,7 @@ class Part:
 
 
 def _mixed(colour: Colour, background: float, part: float) -> Colour:
-    """A colour with a part of a grey."""
+    """Colour mixed with a part of a grey."""
     red, green, blue = (round((1 - part) * c + part * background) for c in colour)
     return red, green, blue
 
@@ -355,7 +355,7 @@ class Detail(NamedTuple):
     even: bool = False
 
     def along(self, start: float, end: float, length: float) -> Array:
-        """(k,) arc lengths from one end of a stretch to the other."""
+        """(k,) arc lengths on a stretch, with both of its ends."""
         pieces = 1 + int(self.pieces * (end - start) / length) if self.even else self.pieces
         return np.linspace(start, end, pieces + 1)
 
@@ -588,7 +588,7 @@ def _write_mjcf(equilibrium: Equilibrium, path: Path) -> None:
 
 
 def _place(parent: Element, position: Array, frame: Array) -> None:
-    """The origin of a part: URDF turns about the fixed axes x, y and z in this order."""
+    """Add the origin element of a part; URDF rotates about the fixed axes x, y and z in this order."""
     turns = Rotation.from_matrix(frame).as_euler("xyz")
     SubElement(parent, "origin", xyz=_numbers(position), rpy=_numbers(turns))
 

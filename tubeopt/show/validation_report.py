@@ -77,7 +77,7 @@ def _axis_error(v: Validation) -> float | None:
 
 
 def _stations(v: Validation) -> list[dict[str, float]] | None:
-    """Records of the errors at stations behind the tip; None with the tip alone."""
+    """Records of the errors at each sensor behind the tip; None if only the tip was measured."""
     behind = v.measurements.stations
     if len(behind) == 1:
         return None
@@ -105,7 +105,7 @@ def _registered(registration: Registration) -> str:
 
 
 def _recording(v: Validation) -> dict[str, Any]:
-    """Record of one of several recordings."""
+    """Record of one recording."""
     motion = v.registration
     pose = {"rotation": motion.rotation.tolist(), "translation_mm": (motion.translation * TO_MM).tolist()}
     return {"measurements": v.measurements.source, "error": _summary(v.summary, v.length), "registration": pose}
@@ -277,7 +277,7 @@ def _held_out(errors: ErrorSummary, axis: float | None) -> tuple[str, str]:
 
 
 def _alike(c: Comparison) -> int:
-    """Number of folds without which the same effects are chosen."""
+    """Number of folds without which the selection has the same effects."""
     return sum(set(kinds) == {step.effect for step in c.steps} for kinds in c.chosen_by_fold)
 
 

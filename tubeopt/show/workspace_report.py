@@ -206,7 +206,7 @@ class SweepReport(Report[Sweep]):
         return [*super().rows(), *failures, ("table", str(a.table)), ("arrays", str(a.arrays))]
 
     def tables(self) -> dict[str, Any]:
-        """The table, which is CSV and npz already."""
+        """Table of the sweep, for formats other than CSV and npz."""
         return {"table": self.answer}
 
     def conclude(self) -> None:

@@ -28,7 +28,7 @@ def _libraries() -> list[Any]:
 
 
 class _OneThread(ContextDecorator):
-    """Context or decorator that runs linear algebra in one thread.
+    """Context and decorator that runs linear algebra in one thread.
 
     It applies to all threads of the process, since the libraries have no finer setting. Contexts may be nested, and may
     overlap in several threads.

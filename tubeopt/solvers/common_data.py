@@ -18,7 +18,7 @@ class NotLoadedError(InputError):
 
 
 def unpacked(packed: bytes) -> Any:
-    """Common data in a worker, or the error that `common_data` raises if they cannot be loaded."""
+    """Common data in a worker; if they cannot be loaded, the error that `common_data` will raise."""
     try:
         return pickle.loads(packed)
     except Exception as error:  # unpickling runs code of the user's modules, which may raise anything
@@ -29,7 +29,7 @@ def unpacked(packed: bytes) -> Any:
 
 
 def common_data() -> Any:
-    """Argument `common` of `executor`; for functions that run in its workers.
+    """Argument `common` of the `executor` that runs this function in a worker.
 
     Raises:
         NotLoadedError: the worker cannot load them.
@@ -42,7 +42,7 @@ def common_data() -> Any:
 
 @contextmanager
 def using(common: object) -> Iterator[None]:
-    """Context that sets `common` as the common data of this thread; for executors."""
+    """Context in which `common_data` returns `common` in this thread."""
     token = COMMON.set(common)
     try:
         yield

@@ -150,7 +150,7 @@ class Increment:
 
 @dataclass(frozen=True, eq=False)
 class FrictionModel:
-    """Second-order model of an energy."""
+    """Quadratic model of an energy, with its response to friction torques of the rows."""
 
     step: Array
     """Newton step (X,) without friction."""
@@ -191,7 +191,7 @@ def choose(model: FrictionModel, free: Array, capacity: Array, signs: Signs | No
 
 
 class RowForces(NamedTuple):
-    """Friction of all rows."""
+    """Friction torques of all rows."""
 
     torque: Array
     """Torques (R,), N m."""
@@ -235,7 +235,7 @@ class _SlidingRows:
         self.torque = np.clip(torque, -self.limit, self.limit)
 
     def all_rows(self, torque: Array, signs: Signs, slip: Array) -> RowForces:
-        """Friction of all rows, from torques and signs of those that do not slide along the axis."""
+        """Friction of all rows, from the torques and signs of the rows without axial sliding."""
         all_torque, all_signs = np.zeros(len(slip)), np.zeros(len(slip), dtype=np.int8)
         size = np.hypot(slip[self.smooth], self.zeta)
         all_torque[self.sharp], all_signs[self.sharp] = torque, signs

@@ -222,7 +222,7 @@ class Values:
 
 
 def nowhere(rows: int, size: int) -> Values:
-    """NaN for all values, at a point where the functions are not defined."""
+    """NaN for all values and derivatives, at a point where the functions are undefined."""
     nan = np.full(rows, np.nan)
     return Values(np.nan, np.full(size, np.nan), nan, np.full((rows, size), np.nan))
 
@@ -341,7 +341,7 @@ def minimise(
 
     @lru_cache(maxsize=1)
     def values_at(x: bytes) -> Values:
-        """Values at a point, remembered: value and gradient there cost one evaluation."""
+        """Values and derivatives at a point, cached for repeated calls there."""
         try:
             check_time()
             return evaluate(np.frombuffer(x).copy())

@@ -246,7 +246,7 @@ Functions with a Jacobian of their own evaluate it once for that many.
 
 
 class Stacked:
-    """Scales and bounds of all variables, or of all constraints, as columns."""
+    """Scales and bounds of all variables, or of all constraints, one below the other."""
 
     def __init__(self, parts: Sequence[Any]) -> None:
         columns = [
@@ -669,7 +669,7 @@ class NamedProgram:
         raise InputError(f"{what} is no {kind} of {self.name}; it must be one of its symbols or their name")
 
     def _known(self, numbers: dict[str, Array], table: dict[str, Any]) -> Array:
-        """Numbers of an earlier solution as one column, 0 for names or sizes that it does not have."""
+        """Numbers of an earlier solution in one column; 0 for variables that it does not have in this size."""
         sizes = {name: len(each.scale) for name, each in table.items()}
         parts = [
             numbers[k] if k in numbers and len(numbers[k]) == size else np.zeros(size) for k, size in sizes.items()

@@ -190,7 +190,7 @@ def flow(
     moved: Callable[[S, Array], S | None],
     solved: Callable[[S], NewtonResult[S]],
 ) -> NewtonResult[S]:
-    """State of rest of the gradient flow from another state, and the number of steps.
+    """State of rest at the end of the gradient flow from a state, and the number of steps.
 
     Args:
         step: returns the change of a state in a time, its largest turn (rad), and True if its matrix is not positive.
@@ -225,13 +225,13 @@ def downhill(x: Array, push: Array, gradient: Callable[[Array], Array]) -> list[
 
 
 def shortened(turn: float) -> float:
-    """Factor of the time after a step with too large a turn (rad)."""
+    """Factor on the time step after a step with too large a rotation (rad)."""
     # A step is about proportional to its time; 0.8 is a safety factor.
     return max(0.1, 0.8 * STRIDE / turn)
 
 
 def grown(time: float, turn: float) -> float:
-    """Time of the next step after one with this turn (rad)."""
+    """Next time step after one with this rotation (rad)."""
     # At most three times as long: the curvature of the valley, which may lengthen a step, is known here only. The
     # limit 1e12 keeps 1 / time above round-off of the Hessian.
     return min(time * min(3.0, max(1.0, 0.8 * STRIDE / max(turn, 1e-12))), 1e12)

@@ -201,7 +201,7 @@ def each(
 
 
 class _Run(Generic[A, B]):
-    """Items in an executor, at most `limit` at a time; the processes of `lost` items died."""
+    """Execution of items in an executor, at most `limit` at a time, with the items `lost` when processes die."""
 
     def __init__(self, pool: Executor, limit: int) -> None:
         self.pool, self.limit = pool, limit
@@ -209,7 +209,7 @@ class _Run(Generic[A, B]):
         self.lost: list[tuple[int, A]] = []
 
     def all(self, numbered: Iterator[tuple[int, A]]) -> Iterator[Outcome[B]]:
-        """Outcomes until there are no items left, or no processes."""
+        """Outcomes of items until none are left, or no processes."""
         self.fill(numbered)
         while self.pending:
             for future in wait(self.pending, return_when=FIRST_COMPLETED).done:

@@ -145,7 +145,7 @@ NEAR = 1e-3
 
 
 class _Meeting:
-    """Test whether breakpoints press against each other at an iterate close to the optimum of their order."""
+    """Test at an iterate close to the optimum whether constraints push two breakpoints past each other."""
 
     def __init__(self, problem: NamedProgram) -> None:
         blocks = {_order_name(block): block for block in problem.blocks}
@@ -176,7 +176,7 @@ class _Meeting:
 
 
 def _in_best_order(problem: NamedProgram, solver: Ipopt, start: ProblemSolution | None, limit: int) -> ProblemSolution:
-    """Solve, and swap breakpoints that press against each other, as long as the objective does not grow.
+    """Solution after swapping breakpoints that are pushed past each other, as long as the objective does not grow.
 
     The first swap interrupts the solver when it is close to the optimum of the order. Every pair of breakpoints is
     swapped at most once: if it presses in both orders, the optimum is where its breakpoints meet.
@@ -223,7 +223,7 @@ def _in_best_order(problem: NamedProgram, solver: Ipopt, start: ProblemSolution 
 
 
 def _is_worse(result: ProblemSolution, points: Sequence[ProblemSolution]) -> bool:
-    """True for a failed solve, or a larger objective than that of the last point before a swap."""
+    """True for a failed solve, or for a larger objective than at the last point before a swap."""
     if result.status is not ProblemStatus.SOLVED and not _interrupted(result):
         return True
     if not points:
@@ -258,7 +258,7 @@ def _with_effort(
 
 
 def _retry(problem: NamedProgram, solver: Ipopt, missed: ProblemSolution, limit: int) -> ProblemSolution:
-    """Swap breakpoints that meet at the end of a failed solve, one of every block at a time, and solve again.
+    """Solution after swapping breakpoints that coincide at the end of a failed solve, one of every block at a time.
 
     If the order of breakpoints makes the problem infeasible, the solver ends where they meet. Returns the first
     success, or the first failure with the problem as it was.

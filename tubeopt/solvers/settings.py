@@ -96,7 +96,7 @@ NO_SENSITIVITIES = {"no_nlp_grad": True, "calc_lam_p": False}
 
 
 class WarmStart(NamedTuple):
-    """Start of IPOPT with multipliers."""
+    """Settings of IPOPT for a start with multipliers."""
 
     barrier: float
     """Barrier parameter."""

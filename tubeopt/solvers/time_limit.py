@@ -31,7 +31,7 @@ _UNTIL: ContextVar[float] = ContextVar("until", default=math.inf)
 
 
 class LateError(Exception):
-    """The time limit was reached inside a computation. No `SolveError`, which some callers handle as a failed try.
+    """Error of a computation at its time limit. It is no `SolveError`, which some callers treat as a failed attempt.
 
     Attributes:
         best: best result so far, or None.
@@ -113,7 +113,7 @@ def late_error(name: str, limit: float, best: Any = None, progress: str = "") ->
 
 
 def timed(function: F) -> F:
-    """A function for other processes with the earliest limit of this one, or the function itself without a limit."""
+    """Function for other processes that has the earliest time limit of this process."""
     until = _UNTIL.get()
     return function if until == math.inf else functools.partial(_until, function, until)  # type: ignore[return-value]
 

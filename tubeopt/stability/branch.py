@@ -171,7 +171,7 @@ def _correct(
     unknowns: Array,
     step: Array,
 ) -> tuple[Array, bool] | None:
-    """Point of the branch in the plane across a step, by Newton's method, and whether that took few iterations.
+    """Point of the branch in the plane across a step, by Newton's method; and True if that took few iterations.
 
     None where it converges slowly: a shorter step stays on the same branch, a slow one may have left it.
     """

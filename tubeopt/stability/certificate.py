@@ -264,7 +264,7 @@ def convexity(robot: Robot, translations: Array) -> float:
 
 
 def _of_pieces(robot: Robot, shift: Array) -> tuple[float, Array | None]:
-    """Certificate of tubes made of pieces, and the (N,) cosines of `PairMinimum.opposition` where these decide it.
+    """Certificate of tubes made of pieces; and the (N,) cosines of `PairMinimum.opposition`, if it uses them.
 
     Two coupled tubes reach a smallest margin above the worst case where their bends cannot oppose each other all along.
     The change on a mesh of half the size, more than the error of the mesh, is subtracted.
@@ -280,7 +280,7 @@ def _of_pieces(robot: Robot, shift: Array) -> tuple[float, Array | None]:
 
 
 def estimated_certificate(robot: Robot, shift: Array) -> float:
-    """`snap_free_certificate` without the bound on the error of the mesh: for searches, no proof."""
+    """Snap-free certificate without the bound on the mesh error: for searches, not for proofs."""
     check_time()
     assembly = robot.assembly(shift)
     if assembly.eccentric:
@@ -298,7 +298,7 @@ def _problem(robot: Robot, shift: Array, refinement: int = DEFAULT_DISCRETISATIO
 
 
 def _at_worst(problem: ReducedProblem, opposition: Array | None = None) -> tuple[Array, Array]:
-    """(N, n, n) second derivatives V'' at the points where every pair of tubes is opposed, and couplings |c_ij|.
+    """(N, n, n) second derivatives V'' at the points with all pairs of tubes opposed, and couplings |c_ij|.
 
     `opposition` (N,): cosines of the angle between the bends of the only pair, -1 where it is opposed.
     """
@@ -392,7 +392,7 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
 
 
 def _of_segments(robot: Robot, shift: Array) -> Certificate:
-    """Certificate of eccentric tubes; the three tubes of a segment reduce the margin equally."""
+    """Certificate of eccentric tubes; all three tubes of a segment reduce the margin equally."""
     margin, segment = proof(robot.assembly(shift))
     gradient = proof_gradient(robot, shift)
     fraction = np.zeros((robot.n_tubes, robot.n_tubes))

@@ -95,7 +95,7 @@ def _moved(bundle: ArmSections, margin: float, force: float, points: Array) -> A
 
 
 def _kappa(bundle: ArmSections, s: float) -> float:
-    """kappa(s), m / sqrt(J)."""
+    """Quantity kappa(s) in the bound on the deflection at s, m / sqrt(J)."""
     slope = bundle.natural_moment / bundle.stiffness[:, None]
     section_start = np.minimum(bundle.start, s)
     section_end = np.minimum(bundle.start + bundle.length, s)
@@ -146,7 +146,9 @@ def under_any_force(robot: Robot, translations: ArrayLike, max_force: float, loa
 
 
 def _boxes(path: Array) -> list[tuple[Array, Array]]:
-    """Smallest and largest translations (n,) of boxes that cover a path (T, n); one point for a path at rest."""
+    """Lower and upper corners (n,) of boxes of translations that cover a path (T, n); a path at rest
+    gives one point.
+    """
     if (path == path[0]).all():
         return [(path[0], path[0])]
     along = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(path, axis=0)).max(1))])

@@ -97,7 +97,7 @@ ARC_STEPS = 1600
 
 
 def corners() -> Array:
-    """(12, 3) corners, in order, of the polygon that encloses all M."""
+    """(12, 3) corners, in order, of the polygon that encloses all values M."""
     angle = np.arange(12) * np.pi / 6
     normals = np.column_stack([np.cos(angle), np.sin(angle)]) @ BASIS.T
     support = np.array(CORNERS)[np.arange(12) % 2]
@@ -179,7 +179,7 @@ def all_rotations() -> Array:
 
 
 def length_curve(delta: float, steps: int = ARC_STEPS) -> Array:
-    """(65,) lower bounds on the x with phi equal to ANGLES, for one delta."""
+    """(65,) lower bounds on the x at which phi reaches each of ANGLES, for one delta."""
     if delta == 0.0:
         return ANGLES.copy()
     # Turning all by 120 deg and renaming the tubes turns the polygon by four corners: a third of them is enough.
@@ -199,7 +199,7 @@ def length_curve(delta: float, steps: int = ARC_STEPS) -> Array:
 
 @lru_cache(maxsize=1)
 def table() -> Array:
-    """(deltas, angles) lengths x of the table, lowered; row 0, for tubes on the centreline, is exact: x = phi."""
+    """Table of lengths x over (deltas, angles), rounded down; row 0 is exact for tubes on the centreline: x = phi."""
     rows = np.loadtxt(FILE, delimiter=",")
     return np.maximum(rows - np.where(DELTAS > 0, TABLE_ALLOWANCE, 0.0)[:, None], 0.0)
 

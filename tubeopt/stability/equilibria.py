@@ -76,7 +76,7 @@ SAME = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Tubes that act on one another, with the bundle that is integrated from their tips to the plate."""
+    """Tubes that affect one another, with their integration from the tips to the plate."""
 
     tubes: Index
     """(k,) numbers of the tubes among the n of the robot."""
@@ -230,7 +230,7 @@ def _grid(size: tuple[int, ...]) -> Array:
 
 
 def _tips(angles: Array, k: int) -> Array:
-    """(..., k) tip angles at angles (..., d) of a table."""
+    """(..., k) tip angles for angles (..., d) of a table."""
     tips = np.zeros((*angles.shape[:-1], k))
     tips[..., :-1] = angles[..., : k - 1]
     return tips + angles[..., k - 1 :] if angles.shape[-1] == k else tips
@@ -276,7 +276,7 @@ def starts(table: TipTable, transmission: Array, target: Array, size: int) -> Ar
 
 
 def _may_be_whole(values: Array, rising_axis: int) -> NDArray[np.bool_]:
-    """Cells of a grid in which a function (in turns) may be a whole number.
+    """Mask of the grid cells in which a function, in turns, may take an integer value.
 
     It rises by 1 along one axis per turn.
 
@@ -381,7 +381,7 @@ def _newton(
 
 
 def _approach(bundle: ShootingArm, target: Array, starts: Array) -> Array:
-    """Tip angles close to solutions, on the coarse integration, without duplicates."""
+    """Tip angles close to solutions, from the coarse integration, without duplicates."""
     tips = starts
     # After three steps most starts coincide; only distinct ones are continued.
     for iterations in (3, 10):
@@ -504,7 +504,7 @@ def add(equilibria: list[Any], member: Member[Any], x: Array) -> bool:
 
 
 def _descend(result: list[LoadedPoint], member: Loaded, explored: set[int]) -> int:
-    """Fall from unstable equilibria to both sides of their unstable directions; number of new equilibria.
+    """Add equilibria reached from unstable ones on both sides of their unstable directions; returns their number.
 
     Only from real eigenvalues: the motion after flutter has no known end.
     """
@@ -523,7 +523,7 @@ def _descend(result: list[LoadedPoint], member: Loaded, explored: set[int]) -> i
 
 
 def degree(result: Iterable[AnyPoint]) -> int:
-    """Topological degree of a set of equilibria, 1 if it is complete: sum of the signs of det H, or of (-1)^index.
+    """Topological degree of a set of equilibria: the sum of the signs of det H, which is 1 for a complete set.
 
     The equations deform into those without coupling, which have one solution.
     """

@@ -124,7 +124,7 @@ def turning_point(
 
 @dataclass(frozen=True, eq=False)
 class Loss:
-    """End of a stable branch."""
+    """Point where a stable branch ends."""
 
     point: AnyPoint
     """Equilibrium at the loss of stability, with margin 0."""
@@ -217,7 +217,7 @@ def _margin_root(solved: Callable[[float], AnyPoint | None], low: float, high: f
 
 
 def fall(lost: AnyPoint, direction: Array) -> AnyPoint | None:
-    """Equilibrium that the robot falls to from a point after a push along `direction` (U,); None without one.
+    """Equilibrium that the robot reaches after losing stability and a push along `direction` (U,); None without one.
 
     Joint values and load stay. Of the two signs of the direction the one that leads down is taken; if both do, the one
     that ends lower. The path is that of steepest descent in the norm of the torsional and bending energy. For tubes off
@@ -241,7 +241,7 @@ def fall(lost: AnyPoint, direction: Array) -> AnyPoint | None:
 
 
 def slide(member: Member[Any], x: Array) -> NewtonResult[Any]:
-    """Minimum at the end of the gradient flow of the potential energy from x (U,)."""
+    """Minimum of the potential energy at the end of its gradient flow from x (U,)."""
     start = member.at(x)
     round_off = 1e-13 * member.round_off(start)
 

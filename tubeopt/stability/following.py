@@ -135,7 +135,7 @@ def value_at_snap(snap: Snap, values: Array) -> float:
 
 
 def stretches(path: Path, values: Array) -> tuple[PathStretch, ...]:
-    """Parts of a path between its snaps, over values (T,) at the waypoints."""
+    """Parts of a path between its snaps, with the values (T,) of a quantity at the waypoints."""
     out: list[PathStretch] = []
     start, first, waypoint = float(values[0]), path.equilibria[0], 1
     for snap in path.snaps:
@@ -233,7 +233,7 @@ def follow(
 def _collect(
     segments: Iterable[tuple[T, list[Snap]]], progress: Callable[[int], object] | None
 ) -> tuple[list[T], tuple[Snap, ...]]:
-    """State at every waypoint, and all snaps; `segments` has each state with the snaps on the segment to it."""
+    """State at every waypoint, and all snaps, from `segments` of each state and the snaps before it."""
     states, snaps = list[T](), list[Snap]()
     for k, (state, snaps_before) in enumerate(segments):
         states.append(state)
@@ -345,7 +345,7 @@ def _joint(robot: Robot, name: str, value: Configuration) -> Array:
 
 @small
 def push(equilibrium: Equilibrium, load: Load) -> Path:
-    """Quasi-static change of the load, linear from the current one to another: both equilibria, and the snaps between.
+    """Equilibria before and after a quasi-static linear change of the load, and the snaps between them.
 
     Args:
         equilibrium: stable, with or without a load.

@@ -72,7 +72,7 @@ WAYPOINTS = 256
 
 
 class StepLength:
-    """Length `size` of the next step, as a fraction of the path.
+    """Adaptive length of the next step, as a fraction of the path.
 
     Towards a fold at t_f, margin^2 falls linearly in t_f - t: the last two states predict t_f.
     """
@@ -84,14 +84,14 @@ class StepLength:
         self._before: tuple[float, FrictionEquilibrium] | None = None
 
     def reject(self, t: float, current: FrictionEquilibrium, t_next: float) -> bool:
-        """Shorten the step from a state at t to `t_next`, which failed; False if it was a shortest one."""
+        """Shorten the next step after a failed step from t to `t_next`; False if it cannot be shorter."""
         step, to_fold = t_next - t, self._to_fold(t, current)
         self.size = max(self.shortest, to_fold if to_fold < 0.9 * step else step / 4)
         self._just_failed, self._failed_at = True, t_next
         return step > 2 * self.shortest
 
     def accept(self, t: float, current: FrictionEquilibrium, t_next: float, state: FrictionEquilibrium) -> None:
-        """Choose the next step after one from `current` at t to `state` at `t_next`."""
+        """Choose the next step after a successful one from `current` at t to `state` at `t_next`."""
         self._before = (t, current)
         longer = self.size if self._just_failed else min(2 * self.size, self.longest)
         to_fold = self._to_fold(t_next, state) if t_next < self._failed_at else longer
@@ -233,7 +233,7 @@ def _along(family: Family, current: FrictionEquilibrium) -> Iterator[FrictionEqu
 
 
 def _next_state(family: Family, current: FrictionEquilibrium, t: float) -> FrictionEquilibrium | None:
-    """State at fraction t close to the current one; None where the step is too long, or the state vanishes."""
+    """State at fraction t close to the current one; None if the step is too long or the state vanishes."""
     state = step(family.path.robot, current, *family.path.at(t), family.load_at(t))
     if state is None or state.increment.contraction > LARGEST_RATIO:
         return None
@@ -257,7 +257,7 @@ def _distance(a: FrictionEquilibrium, b: FrictionEquilibrium) -> float:
 
 
 def _flow(family: Family, current: FrictionEquilibrium, t: float, *, pushed: bool) -> FrictionEquilibrium | None:
-    """State after the flow at fraction t, by itself or after a push along the softest direction.
+    """State at rest after the energy flow at fraction t, on its own or after a push in the softest direction.
 
     None where the flow does not end in a state.
     """

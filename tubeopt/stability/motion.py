@@ -182,7 +182,7 @@ def _continue(family: Family, start: AnyPoint, far: float) -> AnyPoint | Event:
 
 
 def leave(family: Family, last: AnyPoint, loss: Loss | None, goal: float) -> AnyPoint | Event:
-    """Snap at the end of a branch with the last stable point `last`, or a point on the branch that continues it.
+    """Snap at the end of a branch after the stable point `last`, or the next point if the branch continues.
 
     Three cases: the fall from the end goes far (a snap); a neighbouring branch takes over within `SMOOTH_TURN` (a
     smooth bifurcation); or nothing stable is near the end, but the fall from just beyond it goes far (a snap).

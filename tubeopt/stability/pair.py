@@ -158,7 +158,7 @@ def _solve(pair: Pair, tips: Array, guess: Array) -> Array:
 
 
 def margins(pair: Pair, tips: Array) -> Array:
-    """(B,) mu(x), not capped at 1."""
+    """(B,) margins mu(x) at tip-angle differences (B,), not capped at 1."""
     return _margins(pair, np.cos(_differences(pair, tips)))
 
 
@@ -215,7 +215,7 @@ def least_margin_of_pair(pair: Pair) -> PairMinimum:
 
 @dataclass(frozen=True, eq=False)
 class _Shot:
-    """Equilibrium with the tips turned by x from the relaxed pose, for tubes of one curvature each."""
+    """Equilibrium of a pair whose tips are turned by x from the relaxed pose, for tubes of one curvature each."""
 
     x: float
     d: Array
@@ -229,7 +229,7 @@ class _Shot:
 
     @staticmethod
     def at(pair: Pair, x: float, guess: Array) -> _Shot:
-        """Solution at x, from a guess of D + psi (N,)."""
+        """Equilibrium at x, from a guess of D + psi (N,)."""
         d = _solve(pair, x - pair.psi[:1], guess[None])[0]
         lever = pair.coupling * pair.lever
         # D = x + K sin(D + psi), differentiated with respect to x.
@@ -237,7 +237,7 @@ class _Shot:
         return _Shot(x, d, d_x, x + float(lever @ np.sin(d)), 1 + float(lever @ (np.cos(d) * d_x)))
 
     def to(self, pair: Pair, x: float) -> _Shot:
-        """Solution at another x close by, predicted along the tangent."""
+        """Equilibrium at another x close by, predicted along the tangent."""
         return _Shot.at(pair, x, self.d + (x - self.x) * self.d_x)
 
 

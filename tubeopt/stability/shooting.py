@@ -56,7 +56,7 @@ def sections_of(problem: ReducedProblem) -> tuple[Array, ...]:
 
 @dataclass(frozen=True, eq=False)
 class ShootingArm:
-    """Tubes that are integrated together, on P elements, base to tip.
+    """Tubes to integrate together over P elements, base to tip.
 
     For tubes with a natural twist theta is the elastic rotation phi.
     """
@@ -165,7 +165,7 @@ def _chunks(tips: Array) -> list[Array]:
 
 
 def _shoot(bundle: ShootingArm, tips: Array, steps: int, slopes: bool) -> State:
-    """Rotations, torque, travel and, with `slopes`, the derivatives of the rotations, at the clamped ends."""
+    """Rotations, torques and travel at the clamped ends and, with `slopes`, the derivatives of the rotations."""
     check_time()
     state = _at_tip(tips, slopes)
     for element in reversed(range(len(bundle.length))):
@@ -192,7 +192,7 @@ def _profiles(problem: ReducedProblem, bundle: ShootingArm, tips: Array) -> Arra
 
 
 def _at_tip(tips: Array, slopes: bool) -> State:
-    """State at the tip: no torque, unit derivatives."""
+    """State at the tip, without torque and with unit derivatives."""
     count, n = tips.shape
     state = (tips, np.zeros_like(tips), np.zeros_like(tips))
     return (*state, np.tile(np.eye(n), (count, 1, 1)), np.zeros((count, n, n))) if slopes else state
@@ -217,7 +217,7 @@ def _over(bundle: ShootingArm, element: int, steps: int, state: State) -> tuple[
 
 
 def _straight(bundle: ShootingArm, element: int, state: State) -> tuple[State, Grid]:
-    """State at the base side of an element with constant torque, and theta and theta' at both ends."""
+    """State at the base side of an element with constant torque, and theta and theta' at both ends of it."""
     theta, torque, travel, *slopes = state
     gain, length = bundle.gain[element], bundle.length[element]
     moved = [theta - gain * torque, torque, travel + length]

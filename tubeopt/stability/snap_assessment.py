@@ -174,7 +174,7 @@ class Search:
         self.low, self.high = np.array(self.robot.limits.rotations).T
 
     def follow(self, start: Array, end: Array) -> SnapOnPath | None:
-        """First snap on a straight path, turned as a whole into the joint limits where it fits."""
+        """First snap on a straight path, after the path is turned into the joint limits if it fits."""
         if self.progress is not None:
             self.progress(self.paths, max(self.paths + 1, 2 * self.random_paths))
         self.paths += 1
@@ -199,7 +199,7 @@ class Search:
         return sorted(poses, key=lambda pose: not self.inside(pose))
 
     def inside(self, rotations: Array) -> Mask:
-        """(...) True where rotations (..., n) can be turned together into the joint limits, to round-off."""
+        """(...) True if rotations (..., n) can be turned together into the joint limits, to round-off."""
         angles = rotations[..., self.coupled]
         high, low = self.high[self.coupled] - angles, self.low[self.coupled] - angles
         return np.asarray(high.min(-1) - low.max(-1) >= -1e-9)
@@ -209,7 +209,7 @@ class Search:
         return bool(((rotations >= self.low) & (rotations <= self.high)).all())
 
     def clipped(self, start: Array, end: Array) -> Array:
-        """(n,) last rotations on the straight path from `start` that can be turned into the joint limits."""
+        """(n,) last rotations on the straight path from `start` that fit into the joint limits after a common turn."""
         angle, rate = start[self.coupled], (end - start)[self.coupled]
         # Two tubes may differ by at most high_i - low_j: the first pair to do so ends the path.
         closing = rate[:, None] - rate
@@ -314,7 +314,7 @@ def _on_paths(search: Search, start: Array, ends: Iterable[Array], *, within: bo
 
 
 def _turns(search: Search, start: Array) -> Iterator[Array]:
-    """(n,) rotations after a full turn of each coupled tube but the outermost, in a direction inside the limits."""
+    """(n,) rotations after a full turn of one coupled tube, for each of them but the outermost."""
     for tube in search.coupled[:-1]:
         turn = TURN * (np.arange(len(start)) == tube)
         fits = [end for end in (start + turn, start - turn) if search.within(end)]
@@ -385,7 +385,7 @@ ASSUMING = "assuming no external load, weight or friction"
 
 
 class Finding(StatusEnum):
-    """Knowledge about snapping, as a clause about the robot."""
+    """Finding on snapping, as a clause about the robot."""
 
     SNAP_FREE = "cannot snap at any rotation"
     CAN_SNAP = "can snap"

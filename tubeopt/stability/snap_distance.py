@@ -237,7 +237,7 @@ class Slides:
 
 @dataclass(frozen=True, eq=False)
 class PairForm:
-    """An equilibrium by the angles between its tubes; P couplings, n tubes, U unknowns. Symbols as on top."""
+    """Equations of an equilibrium in the angles between its tubes: P couplings, n tubes, U unknowns."""
 
     psi: Array
     """Angles psi (P,) between the natural bends of coupled tubes, rad."""
@@ -332,7 +332,7 @@ class PairForm:
         return replace(form, slides=Slides(lower, upper, turn, D, softest))
 
     def h(self, x: Array) -> Array:
-        """Nonlinear part h(x) of the torques for changes (..., P) of the angles."""
+        """Nonlinear part h(x) of the torques, for changes x (..., P) of the angles."""
         return np.asarray(np.sin(self.psi) * (1 - np.cos(x)) + np.cos(self.psi) * (x - np.sin(x)))
 
     @cached_property
@@ -349,7 +349,7 @@ class PairForm:
         return image if self.slides is None else image + self.slid(self.slides, low, high)
 
     def slope(self, u: Array) -> Array:
-        """(..., 2 P, 2 P) derivatives of the image by [x], without slides."""
+        """(..., 2 P, 2 P) derivatives of the image of a box [x] by the box, without slides."""
         low, high, values = self._range_of_h(u)
         count = len(self.psi)
         by_low, by_high = (np.sin(self.psi) * np.sin(x) + np.cos(self.psi) * (1 - np.cos(x)) for x in (low, high))
@@ -369,7 +369,7 @@ class PairForm:
         return low, high, np.stack([self.h(low), self.h(high), np.zeros_like(low), other])
 
     def slid(self, slides: Slides, low: Array, high: Array) -> Array:
-        """(..., 2 P) widening of the image of a box by slides."""
+        """(..., 2 P) widening of the image of a box [x] because of slides."""
         bottom, top = _range_of_cosine(self.psi + low - np.pi / 2, self.psi + high - np.pi / 2)  # of the sine
         # Torques T = D' w' sin of the weakest or strongest coupling; turns of the bases from none to the whole one.
         lower, upper = (
@@ -384,7 +384,7 @@ class PairForm:
         return np.asarray(turns @ _widening(self.J).T + strips @ _widening(self.G).T)
 
     def proves(self, y: Array) -> bool:
-        """True if every d with J d in the boxes y (S, 2 P) leads to one stable equilibrium, without a snap."""
+        """True if all changes d with J d in the boxes y (S, 2 P) lead to one stable equilibrium without a snap."""
         y = y + np.tile(self.defect, 2)
         box = self._by_newton(y) if self.slides is None else self._by_sweeps(y)
         if box is None or not (self.image(y, box) <= box).all():
@@ -451,7 +451,7 @@ class PairForm:
 
 
 def _widening(matrix: Array) -> Array:
-    """(2 P, 2 Q) widening of the image under a matrix (P, Q) per widening of a box (-low, high)."""
+    """(2 P, 2 Q) matrix that maps the widths of a box (-low, high) to those of its image under a matrix (P, Q)."""
     positive, negative = np.maximum(matrix, 0), np.maximum(-matrix, 0)
     return np.block([[positive, negative], [negative, positive]])
 
@@ -474,7 +474,7 @@ def _factors(green: Array, ever: Mask) -> Array:
 
 
 def _at(psi: Array, w: Array, A: Array, D: Array, z: Array) -> PairForm:
-    """The form at angles psi and unknowns z that solve the equations."""
+    """Pair form at angles psi, with unknowns z that solve the equations."""
     cosine = (w * np.cos(psi))[:, None]
     H, gradient = np.eye(len(z)) + A.T @ (cosine * A), z + A.T @ (w * np.sin(psi))
     response = np.linalg.solve(H, np.column_stack([A.T, gradient]))

@@ -151,7 +151,7 @@ def stroke_slopes(
 
 
 class _Side(NamedTuple):
-    """Problem at one side of a central difference."""
+    """Problem on one side of a central difference."""
 
     problem: LoadedProblem
     rotations: Array

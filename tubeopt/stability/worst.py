@@ -209,7 +209,7 @@ def worst_margin(
 
 
 def _subspaces(problem: ReducedProblem) -> list[tuple[Array, Index]]:
-    """Subspaces of tip angles to search: tips (n,) to start from, and the tubes that turn."""
+    """Subspaces of tip angles to search: tip angles (n,) to start from, and the tubes to turn."""
     assembly = problem.assembly
     zero = np.zeros(assembly.n_tubes)
     if not assembly.eccentric:

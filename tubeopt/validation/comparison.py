@@ -57,7 +57,7 @@ class ErrorGroup:
 
 
 def _errors(errors: Array) -> Array:
-    """(N,) errors as floats, NaN for missing errors."""
+    """(N,) errors as numbers; missing errors are NaN."""
     try:
         return np.asarray(errors, dtype=float)
     except (TypeError, ValueError):
@@ -333,7 +333,7 @@ def remark(error: RegistrationError) -> str:
 
 
 def registration_error(model: ArmModel, state: ParameterState[Registration]) -> RegistrationError | None:
-    """Standard errors of the registration of a state; None for a registration without least squares."""
+    """Standard errors of a registration; None for a registration that is not by least squares."""
     freedoms = FREEDOMS[model.method]
     if not freedoms:
         return None
@@ -392,14 +392,14 @@ def _blocks(model: ArmModel) -> Index:
 
 
 def _from_blocks(moved: Array, block: Index) -> Array:
-    """Covariance of sums over blocks that are assumed to be independent."""
+    """Covariance of a sum, from its parts by block, which are assumed to be independent."""
     sums = np.array([moved[block == k].sum(0) for k in np.unique(block)])
     count = len(sums)
     return np.asarray(sums.T @ sums * (count / max(count - 1, 1)))
 
 
 def check_registration(error: RegistrationError | None, method: str) -> None:
-    """Raise InputError where the turn of a rigid registration is known too badly, from tips near to a line."""
+    """Raise InputError if the rotation of a rigid registration is too uncertain: the tips are close to a line."""
     if error is None or not error.too_large or method != "rigid":
         return
     known = "not at all" if math.isinf(error.turn) else f"to {math.degrees(error.turn):.0f} deg only"

@@ -31,7 +31,7 @@ CommonRobot = ConcentricRobot | EccentricRobot | SegmentedEccentricRobot
 
 @dataclass(eq=False)
 class Setup:
-    """Numbers of a robot with n tubes of m kinds, as measured; effects change them in place. SI units.
+    """Properties of a robot with n tubes of m kinds as they really are, which effects change in place. SI units.
 
     The robot is described by m tubes, one per segment of an eccentric one.
     """
@@ -148,7 +148,7 @@ class Setup:
         return replace(tube, **changed | self._pieces(tube, k, first))
 
     def _pieces(self, tube: Tube, k: int, first: Setup) -> dict[str, Any]:
-        """Changed fields of a tube of pieces; none for another tube."""
+        """Changed fields of a tube made of pieces; empty for other tubes."""
         if not tube.pieces:
             return {}
         bend, longer, kb, kt = (
@@ -200,7 +200,9 @@ def heated_pieces(length: float, curvature: float, dead: float, fade: float) -> 
 
 
 def _between(robot: Robot) -> tuple[Array, Array]:
-    """(n - 1,) torque of friction and clearance between the tubes of a concentric robot; (0,) of others."""
+    """Friction torques and clearances (n - 1,) between neighbouring tubes of a concentric robot; (0,)
+    for other robots.
+    """
     if not isinstance(robot, ConcentricRobot):
         return np.zeros(0), np.zeros(0)
     none = (0.0,) * (robot.n_tubes - 1)
@@ -305,7 +307,7 @@ def _put(name: str, how: Callable[[float, Array], Array | float] = lambda value,
 
 
 def _drive(name: str) -> Change:
-    """A number of the drives, by its name in their calibration."""
+    """Effect on a number of the drives, by its name in their calibration."""
 
     def change(setup: Setup, _: Setup, which: Sequence[int], value: float, __: bool) -> None:
         known: float | tuple[float, ...] = getattr(setup.drives, name)
@@ -335,7 +337,7 @@ def _within(start: float, reach: float, scale: float, prior: float) -> Range:
 
 
 def _own(name: str, reach: float, scale: float, prior: float, *, positive: bool = False) -> Range:
-    """Range around the value of the drives, or from 0 on."""
+    """Range around the value in the file, or from 0 on."""
 
     def span(context: Context, index: int | None) -> Span:
         start = float(np.atleast_1d(getattr(context.setup.drives, name))[index or 0])
@@ -390,7 +392,7 @@ def _translation_span(context: Context, index: int | None) -> Span:
 
 
 def _furthest(context: Context, tube: int) -> float:
-    """The largest translation of a tube by the model, m."""
+    """Largest translation of a tube in the recording by the model, m."""
     drives, measured = context.setup.drives, max(m.translations[:, tube].max() for m in context.recordings)
     return float(drives.translation_gains[tube] * measured + drives.translation_offsets[tube])
 
@@ -418,7 +420,7 @@ def _curved_span(context: Context, index: int | None) -> Span:
 
 
 def _together(context: Context, pair: int) -> float:
-    """Greatest common length of tube `pair` (from 0) and the next one in front of the plate, m."""
+    """Largest common length in front of the plate of tube `pair` (from 0) and the next one, m."""
     tubes = context.robot.tubes
     return min(_furthest(context, i) + tubes[i].curved_length for i in (pair, pair + 1))
 

@@ -373,7 +373,7 @@ def check_counts(measurements: Measurements, unknowns: int, folds: int) -> None:
 
 
 def weigh(model: Sessions, options: FitOptions, sigma: tuple[float, float]) -> Weights:
-    """Weights of the observations for given noise of positions and directions."""
+    """Weights of the observations at given noise of positions and directions."""
     prior = np.array([p.prior if options.priors else np.inf for p in model.parameters])
     spread = np.where(model.directed, sigma[1], sigma[0])
     return Weights(spread, np.ones(len(model.row)), prior.reshape(-1), options.loss, ROBUST_FROM)
@@ -423,7 +423,7 @@ class FitProblem:
     def _settle(
         self, start: ParameterState[Registrations], slopes: Array
     ) -> RobustDescent[ParameterState[Registrations]]:
-        """Minimum from a start with its slopes, iterated with the estimated noise until both settle.
+        """Minimum from a start, with the noise estimated again until both no longer change.
 
         With least squares of positions alone the noise has no effect.
         """
@@ -439,7 +439,7 @@ class FitProblem:
     def _registered(
         self, descent: RobustDescent[ParameterState[Registrations]]
     ) -> RobustDescent[ParameterState[Registrations]]:
-        """The descent with the registration in closed form, which its last step reaches to first order only."""
+        """Fit with the exact registration in closed form, since its last step is linear."""
         if self.options.loss != "linear":
             return descent
         state = self.model.registered(descent.state, self.options.noise)
@@ -540,7 +540,7 @@ class FitProblem:
         )
 
     def _calibrated(self, k: int) -> Robot:
-        """Robot with all fitted numbers: its own, and those of recording k in its calibration."""
+        """Robot with all fitted numbers, including those of recording k in its calibration."""
         model, state = self.model.models[k], self.model.part(self.fit.state, k)
         measurements = model.measurements
         found_by = f"{len(measurements)} rows of {measurements.source or 'measurements'}"

@@ -219,7 +219,7 @@ def rms_distance(trial: Trial, measured: Measured) -> float:
 
 
 def hidden(trial: Trial) -> Mask:
-    """(3,) True for unobservable directions, from the best to the worst observable.
+    """(3,) True for unobservable directions, in the order from best to worst observable.
 
     One standard error along them is, to first order, more than four times the buckling load of a straight arm.
     """
@@ -287,7 +287,7 @@ def covariance_of(trial: Trial, base: Load, measured: Measured, axes: Array) -> 
 
 
 def _second_moment(linear: Array, bent: Array) -> Array:
-    """(3, 3) mean of F F' for forces F = sum_k a_k z_k + b_k z_k^2 / 2.
+    """(3, 3) mean of F F' for forces F = sum_k a_k z_k + b_k z_k^2 / 2 of normal numbers z.
 
     a_k and b_k are rows of `linear` and `bent`, and z_k are independent standard normal variables.
     """

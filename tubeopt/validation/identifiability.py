@@ -75,7 +75,7 @@ def undetermined(parameters: Sequence[Parameter], jacobian: Array, length: float
 
 
 def left_out(parameter: Parameter) -> str:
-    """The remark on a parameter without influence."""
+    """Remark on a parameter that has no influence."""
     return f"{parameter.name} has no influence on the tips and was left out: {parameter.idle}"
 
 
@@ -90,7 +90,7 @@ def beside_registration(jacobian: Array, count: int) -> Array:
 def doubts(
     parameters: Sequence[Parameter], free: Sequence[int], values: Array, half: Array, correlation: Array
 ) -> list[str]:
-    """Remarks on a finished fit: values at the edge of their range, wide intervals, entangled pairs.
+    """Remarks on a fit: values at the edge of their range, wide intervals, correlated pairs.
 
     Args:
         free: indices of the parameters that were estimated.   values, half: (P,) estimates and half widths of their
@@ -121,7 +121,7 @@ TUBE_KINDS = (
 
 
 def least_certain(parameters: Sequence[Parameter], free: Sequence[int], half: Array, correlation: Array) -> list[str]:
-    """A remark on the direction of least certainty, where length, stiffness and shape of tubes explain each other.
+    """Remark on the least certain combination, if length, stiffness and shape of tubes replace each other.
 
     Args:
         free, half, correlation: as for `doubts`.
@@ -147,7 +147,7 @@ def least_certain(parameters: Sequence[Parameter], free: Sequence[int], half: Ar
 
 
 def louder(left: Sequence[float], known: Sequence[float | None]) -> list[str]:
-    """Remarks where residuals are far beyond the noise that was given: of positions, m, and of directions, rad."""
+    """Remarks on residuals far beyond the given noise of positions, m, or of directions, rad."""
     remarks = []
     for spread, noise, kind in zip(left, known, ("m", "rad"), strict=True):
         if noise and spread > 3.0 * noise:
@@ -171,12 +171,12 @@ def shown(value: float, unit: str) -> str:
 
 
 def join(names: Sequence[str]) -> str:
-    """ "a, b and c"."""
+    """Text of names in the form "a, b and c"."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def entangled_history(model: Sessions, fit: RobustDescent[ParameterState[Registrations]]) -> list[str]:
-    """A remark where an effect of history was fitted that others of these data could imitate."""
+    """Remark on a fitted effect of history that other effects could reproduce in these data."""
     fitted = {p.name.partition("@")[0] for p in model.parameters if p.effect.history}
     if not fitted:
         return []
@@ -416,7 +416,7 @@ def _scaled(model: ArmModel, chosen: Sequence[Parameter], noise: float) -> Array
 
 
 def _exchange(slopes: Array, parameters: int, count: int, usable: Mask) -> list[int]:
-    """The rows of a D_s-optimal choice."""
+    """Rows of a D_s-optimal selection, found by exchange."""
     size = slopes.shape[2]
     # Next to nothing stands for what is not known yet.
     start = 1e-9 * float(np.einsum("caq,caq->", slopes, slopes)) / size * np.eye(size)

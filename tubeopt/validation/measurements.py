@@ -198,7 +198,7 @@ class Measurements(Displayed):
         return hashlib.sha256(np.nan_to_num(self.sensors, nan=1e9).tobytes()).hexdigest()[:16]
 
     def rows(self, index: ArrayLike | slice) -> Measurements:
-        """The configurations with these indices, of this slice, or where this mask is true; a log stays whole."""
+        """Measurements of some rows, by indices, slice or mask; the joint log is unchanged."""
         k = index if isinstance(index, slice) else np.asarray(index)
         columns = {name: getattr(self, name) for name in BY_ROW}
         picked: dict[str, Any] = {name: None if value is None else value[k] for name, value in columns.items()}
@@ -286,7 +286,7 @@ TURN = 2 * math.pi
 
 
 def runs_of(time: Array) -> list[Index]:
-    """Indices of every run: consecutive rows with ascending times without a gap."""
+    """Indices of the rows of every run, in which times increase without a gap."""
     step = np.diff(time)
     forward = step[step > 0]
     usual = float(np.median(forward)) if len(forward) else 0.0
@@ -394,7 +394,7 @@ class Timeline:
 
 
 def _between(time: Array, values: Array, instants: Array) -> Array:
-    """Values (M, c) at times (M,), at instants (K,), constant beyond the ends."""
+    """Interpolated values (K, c) at instants (K,), from values (M, c) at times (M,); constant beyond the ends."""
     if len(time) == 1 or not len(instants):
         return np.repeat(values[:1], len(instants), axis=0)
     inside = np.clip(instants, time[0], time[-1])
@@ -459,7 +459,7 @@ def passes(measurements: Measurements) -> Passes:
 
 
 class _Motion(NamedTuple):
-    """Motion of the joints at N rows of a recording."""
+    """Motion of the joints at the N rows of a recording."""
 
     ahead: Array
     """(N, c) step to the next row; 0 at the end of a run."""
@@ -482,7 +482,7 @@ def _motion(joints: Array, time: Array) -> _Motion:
 
 
 def _equal(joints: Array) -> Index:
-    """Number of the first row with equal joint values, for every row."""
+    """Index of the first row with the same joint values, for every row."""
     _, first, inverse = np.unique(np.round(joints / STILL), axis=0, return_index=True, return_inverse=True)
     return np.asarray(first[inverse.ravel()])
 
@@ -515,7 +515,9 @@ class Parity:
 
 
 def parity(pairs: Index, residuals: Array, measured: Array) -> Parity | None:
-    """The split of residuals (N, 3) and measured tips (N, 3), m, NaN where not seen; None with fewer than 10 pairs."""
+    """Root mean square residuals of points passed in both directions, split by direction; None for fewer
+    than 10 pairs.
+    """
     forth, back = residuals[pairs[:, 0]], residuals[pairs[:, 1]]
     good = np.isfinite(forth).all(1) & np.isfinite(back).all(1)
     if good.sum() < 10:

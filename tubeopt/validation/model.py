@@ -159,7 +159,7 @@ class _ObservedPath:
             tilt(poses, row, to_held_equilibrium(self.robot, held, "way"), self.stations)
 
     def put_many(self, rows: Index, translations: Array, many: Rubbed) -> None:
-        """Set rows from a result of the kernel, at translations (N, n) of all rows."""
+        """Set rows from the results of the kernel, at translations (N, n) of all rows."""
         poses, last = self.poses, self._last(translations[rows])
         poses.length[rows], poses.margin[rows], poses.position[rows] = many.length, many.margin, many.stations
         poses.frame[rows] = many.frame @ about_z(many.rotation[np.arange(len(rows)), last])
@@ -183,7 +183,7 @@ def tilt(poses: PredictedPoses, row: int, shape: Equilibrium, stations: Array) -
 
 
 def _followed(robot: Robot, batch: EquilibriumBatch, run: Index) -> Iterator[tuple[int, Equilibrium]]:
-    """Rows of a run on the branch of the rows before, where a cold solve ends on another branch."""
+    """Rows of a run solved again on the branch of the rows before, if a cold solve ended on another one."""
     # Twist of every tube between its drive and its tip: a snap is a jump of it.
     own = batch.tip_rotations[run] - batch.rotations[run]
     driven = np.abs(np.diff(batch.rotations[run], axis=0)).max(1, initial=0.0)
@@ -331,7 +331,7 @@ class ArmModel:
         self._observe(poses)
 
     def _count_turns(self) -> None:
-        """Choose the turn that each rotation is counted from, if the gain of its drive depends on it.
+        """Choose the turn from which each rotation is counted, if the gain of its drive depends on it.
 
         The recording of the calibration counts as it did there. In others a counter stands as it was read, unless
         another turn halves the errors: then it was set to zero elsewhere. Wrapped angles take the turn that fits
@@ -369,7 +369,7 @@ class ArmModel:
             self.measurements = replace(m, remarks=(*m.remarks, remark))
 
     def _misfit(self, turns: Array) -> float:
-        """Root mean square distance (m) of the positions without friction, for rotations counted from `turns` (n,).
+        """Root mean square error (m) of the positions, without friction, for rotations counted from `turns` (n,).
 
         Infinite without an equilibrium.
         """
@@ -458,7 +458,7 @@ class ArmModel:
         return np.asarray(self.station < 0)
 
     def _sensor_axis(self, poses: PredictedPoses, pointing: Array, registration: Registration) -> Array | None:
-        """Direction along the tube in the sensor's frame, from the recording or the calibration.
+        """Direction along the tube in the frame of the sensor, from the recording or from the calibration.
 
         Without one it is the direction of AXES that fits best.
         """

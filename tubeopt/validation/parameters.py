@@ -155,7 +155,7 @@ def _known(kind: str, number: str | None) -> bool:
 
 
 def _places(context: Context, effect: Effect, index: int | None) -> tuple[int, ...]:
-    """Places in the setup that a parameter sets."""
+    """Indices in the setup that a parameter sets."""
     if effect.each in ("carriage", "spring"):
         together = context.robot.moving_together
         return tuple(range(context.robot.n_tubes)) if index is None else together[index]
@@ -179,7 +179,7 @@ def _check_number(context: Context, effect: Effect, name: str, number: str | Non
 
 
 def lacking(recordings: Sequence[Measurements], effect: Effect, registration: str) -> str:
-    """Data that are missing for the estimate of an effect; or ""."""
+    """Data that the estimate of an effect needs and that are missing, as text; "" if there are none."""
     if effect.needs in ("time", "way") and any(m.time is None for m in recordings):
         return "needs the time of every row; the measurements have no column time_s"
     if effect.needs == "orientation" and all(m.orientation is None for m in recordings):

@@ -201,7 +201,7 @@ def _rigid(m: Array, p: Array, _: BasePose, d: MeasuredDirections | None, ratio:
 def _about_axis(
     measured: Array, predicted: Array, base: BasePose, d: MeasuredDirections | None, ratio: float
 ) -> Registration:
-    """Base to the origin, its axis to z, with the best yaw."""
+    """Registration with the base at the origin, its axis along z, and the best yaw."""
     from_base = measured - np.array(base.position)
     model, target = [predicted], [from_base]
     if d is not None:

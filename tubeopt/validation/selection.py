@@ -235,7 +235,7 @@ class _Search:
         return None
 
     def _earlier(self) -> _Trial | None:
-        """Set with an effect replaced by an earlier one of the table, unless the data clearly contradict it.
+        """Set with one effect replaced by an earlier one of the table, if the data do not contradict it.
 
         Held-out errors at few configurations, and penalties for parameters, are no such evidence.
         """
@@ -248,7 +248,7 @@ class _Search:
         return None
 
     def _in_place(self, other: str, kind: str) -> _Trial | None:
-        """Set with an effect of the current one replaced by another; None if the data clearly contradict it."""
+        """Set with one effect replaced by another; None if the data clearly contradict it."""
         sets, now = self.sets, Effects(self.now.effects)
         fewer, threshold = now - {kind}, STRONG_EVIDENCE * sets.inflation
         changed = fewer | {other}
@@ -260,7 +260,7 @@ class _Search:
         return trial if trial is not None and self._seen(trial) <= self._seen(self.now) + threshold else None
 
     def _fewer(self) -> _Trial | None:
-        """Set without the effect that is least worth its cost by the fit to all rows; None if all are worth it."""
+        """Set without the effect that improves the fit least for its cost; None if all are worth their cost."""
         now, sets, cost = Effects(self.now.effects), self.sets, self._cost(self.now)
         near = sets.cost(now) + CROOKED * sets.inflation
         tried = (self._tried(now - {kind}) for kind in self.now.effects if sets.cost(now - {kind}) <= near)
@@ -269,7 +269,7 @@ class _Search:
         return min(idle, key=lambda trial: evidence[trial], default=None)
 
     def _worth(self, fewer: _Trial) -> float:
-        """Gain of the current effects over fewer, by the fit to all rows, relative to their cost.
+        """Gain of the current set over a smaller one in the fit to all rows, minus the cost of the difference.
 
         The loss of held-out rows at few positions may overstate the gain by chance.
         """
@@ -289,7 +289,7 @@ class _Search:
     # --- fits ---------------------------------------------------------------------------------------------------------
 
     def _tried(self, effects: Effects) -> _Trial | None:
-        """Fit of a set from the current values, cached; None if such a robot does not exist."""
+        """Fit of a set of effects from the current values, cached; None if the robot would not exist."""
         if effects not in self.fits:
             kinds = tuple(kind for kind in self.known if kind in effects)
             try:
@@ -299,7 +299,7 @@ class _Search:
         return self.fits[effects]
 
     def _some(self, kinds: tuple[str, ...]) -> _Trial:
-        """Fit from the current values: complete, or, if costly, with known slopes."""
+        """Fit of a set from the current values; if it is costly, with known derivatives."""
         now = self.now.fit.state
         known = dict(zip((p.name for p in self.now.model.parameters), now.x, strict=True))
         chosen = [p for kind in kinds for p in self.parameters[kind]]
@@ -312,7 +312,7 @@ class _Search:
         return self._held_out(kinds, model, fit, self.now.sigma)
 
     def _long(self, kinds: Sequence[str]) -> bool:
-        """True if a fit of these kinds needs a pass along all rows for every parameter."""
+        """True if fitting these effects needs a pass along all rows for every parameter."""
         return "friction" in kinds or self.initial_trial.model.costly(self.initial_trial.fit.state)
 
     def _fitted(
@@ -417,7 +417,7 @@ class _Search:
         )
 
     def _rivals(self, kind: str) -> tuple[str, ...]:
-        """Effects that predict as well as a kept one."""
+        """Effects that predict about as well as a kept one."""
         return tuple(rival for rival in self.known if self._in_place(rival, kind) is not None)
 
     def _gain(self, before: Array, after: Array) -> tuple[float, float]:
@@ -456,7 +456,7 @@ class ChosenAnew(NamedTuple):
 
 @dataclass(eq=False)
 class HeldOutSets:
-    """Losses of sets of effects, held out and in the fit to all rows, from residuals linearised about a state.
+    """Losses of sets of effects, held out and in the fit to all rows, from linearised residuals.
 
     The state has every effect that may be part of a set: P parameters, and F freedoms of the registration.
 
@@ -529,13 +529,13 @@ class HeldOutSets:
         return self.known[effects]
 
     def lost(self, effects: Effects) -> float:
-        """Held-out loss of a set."""
+        """Held-out loss of a set of effects."""
         total = self.squares.sum(0)
         steps = (self._step(effects, total - own) for own in self.squares)
         return float(sum(step @ own @ step for step, own in zip(steps, self.squares, strict=True)))
 
     def seen(self, effects: Effects) -> float:
-        """Loss of a set in the fit to all rows."""
+        """Loss of a set of effects in the fit to all rows."""
         total = self.squares.sum(0)
         step = self._step(effects, total)
         return float(step @ total @ step)
@@ -702,6 +702,6 @@ def slopes_around(
 
 
 def _begins(model: Sessions, chosen: Sequence[Parameter]) -> bool:
-    """True if an effect is nonzero at its start already, since its derivative at 0 vanishes."""
+    """True if an effect must start at a value other than 0, since its derivative at 0 vanishes."""
     first = model.first
     return not apply(first, chosen, np.array([p.start for p in chosen])).same_tubes(first)

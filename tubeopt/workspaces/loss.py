@@ -139,7 +139,7 @@ def require_centred(robot: Robot) -> None:
 def _sort(
     robot: Robot, drawn: JointSamples, edge: float | None, reached: Workspace | None, progress: Progress | None
 ) -> tuple[Store, Store]:
-    """Voxels of the stable and of the unstable equilibria."""
+    """Voxels reached by stable equilibria, and voxels reached by unstable ones."""
     stores: tuple[Store, Store] | None = None
     done = 0
     # Evenly distributed tip rotations: every equilibrium, stable or not, is one point of these.
@@ -197,7 +197,7 @@ def _lost(firm: Keys, shaky: Keys, count: Keys) -> Mask:
 
 
 def _free_to_turn(robot: Robot) -> Robot:
-    """Robot with rotation limits of half a turn either way, for sampling tip rotations."""
+    """Robot with rotation limits of half a turn to either side, to sample tip rotations."""
     # Limits are for joints, and samples are tip rotations: joints outside their limits are removed afterwards.
     limits = JointLimits(((-np.pi, np.pi),) * robot.n_tubes, robot.limits.translations)
     changed: Any = robot

@@ -146,7 +146,7 @@ TURN = 2 * np.pi
 
 @dataclass(frozen=True, eq=False)
 class JointBox:
-    """A box y in [low, high] of m coordinates that holds all admissible joint values q = back y."""
+    """Box [low, high] of m coordinates y that contains all admissible joint values q = back y."""
 
     low: Array
     high: Array
@@ -203,7 +203,7 @@ class JointSamples:
                 return
 
     def _units(self, box: JointBox) -> Iterator[Array]:
-        """Blocks of points of the unit cube; endless except for a grid."""
+        """Blocks of points in the unit cube; endless, except for a grid."""
         m = len(box.free)
         if self.method == "grid":
             yield from _grid(box, self.count)
@@ -390,7 +390,7 @@ def _after(blocks: Iterator[tuple[Array, Array]], done: int) -> Iterator[tuple[A
 
 
 def _mark(robot: Robot) -> str:
-    """Hash of all data of a robot that determine joint values and equilibria."""
+    """Hash of all data of a robot on which joint values and equilibria depend."""
     return hashlib.sha256(in_full((type(robot).__name__, robot)).encode()).hexdigest()
 
 
@@ -434,7 +434,7 @@ class _Memory:
 
 
 class _Disk:
-    """A table in a .npy file that grows by whole rows; of a run that was killed, those are kept."""
+    """Table in a .npy file that grows by whole rows, which are kept if the run is killed."""
 
     def __init__(self, robot: Robot, count: int, directory: Path, spec: dict[str, Any]) -> None:
         self._directory, self._count, self._width = directory, count, width(robot.n_tubes)
@@ -458,7 +458,7 @@ class _Disk:
             raise
 
     def _cut_to_whole_rows(self) -> int:
-        """Number of complete rows, after a torn one is cut off; a missing head of the file is written."""
+        """Number of complete rows, after an incomplete row is cut off; a missing file header is written."""
         size = self._file.seek(0, os.SEEK_END)
         self._file.seek(0)
         try:

@@ -78,7 +78,7 @@ class Voxels:
 
 
 def on_surface(index: Keys) -> Mask:
-    """(V,) True for cubes (V, 3) with a neighbour that is not one of them."""
+    """(V,) True for cubes (V, 3) with a neighbour that is not in the set."""
     steps = np.vstack([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
     return np.asarray(np.any([~np.isin(keys_of(index + step), keys_of(index)) for step in steps], axis=0))
 
@@ -107,7 +107,7 @@ def voxels(workspace: Workspace, size: float | None = None, *, min_margin: float
 
 
 def in_first_half(workspace: Workspace, first: int, count: int) -> Mask:
-    """(count,) True for rows from `first` on in the first half of the samples; of a grid, in a random half."""
+    """(count,) True for rows, from `first` on, in the first half of the samples; for a grid, in a random half."""
     if workspace.method == "grid":  # whose first half is on one side
         # Seeded by the row, so that every pass over the table draws the same half.
         return np.asarray(np.random.default_rng(first).random(count) < 0.5)

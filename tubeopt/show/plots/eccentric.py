@@ -87,7 +87,7 @@ def plot_reach(
 
 
 def _meridian(points: Array) -> Array:
-    """(k, 3) points turned about z into one plane: distance from the axis, height, and 0 towards the viewer."""
+    """(k, 3) points rotated about z into one plane: distance from the axis, height, and 0."""
     distance = np.hypot(points[:, 0], points[:, 1])
     return np.column_stack([distance, points[:, 2], np.zeros(len(points))])
 

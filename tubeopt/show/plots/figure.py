@@ -79,7 +79,7 @@ def drawn_data(figure: Any) -> Iterator[DrawnPoint]:
 
 
 def _cell(text: str) -> str:
-    """Words as a cell of a table: in one line, without its separator."""
+    """Text of a table cell, on one line and without the separator."""
     return re.sub(r"\s+", " ", text.replace(",", ";")).strip()
 
 

@@ -169,7 +169,7 @@ def _settle(figure: Figure) -> None:
 
 
 def _run_engine(figure: Figure) -> None:
-    """Run the layout engine until panels no longer move."""
+    """Run the layout engine until the panels stop moving."""
     engine = figure.get_layout_engine()
     if engine is None:
         return
@@ -183,7 +183,7 @@ def _run_engine(figure: Figure) -> None:
 
 
 def _positions(figure: Figure) -> Array:
-    """(A, 4) left, bottom, width and height of the panels, over the size of the figure."""
+    """(A, 4) left, bottom, width and height of the panels, as fractions of the figure."""
     return np.array([axes.get_position(original=True).bounds for axes in figure.axes]).reshape(-1, 4)
 
 
@@ -350,7 +350,7 @@ def _break_lines(text: Text, width: float, *, upright: bool = False) -> None:
 
 
 def _at_blanks(text: Text, line: str, width: float, *, upright: bool) -> list[str]:
-    """The words of a line in as many lines as they need."""
+    """Lines for the words of a text, broken at blanks."""
     lines: list[str] = []
     for word in line.split(" "):
         if lines and (joined := f"{lines[-1]} {word}") and _length(text, joined, upright=upright) < width:
@@ -361,7 +361,7 @@ def _at_blanks(text: Text, line: str, width: float, *, upright: bool) -> list[st
 
 
 def _length(text: Text, content: str, *, upright: bool) -> float:
-    """Length of words along their line, set as `text` is, pixels."""
+    """Length of a text along its writing direction, pixels."""
     before = text.get_text()
     text.set_text(content)  # widths depend on the letters, so that words are measured by setting them
     box = text.get_window_extent()

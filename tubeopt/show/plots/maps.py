@@ -183,7 +183,7 @@ def draw_map(axes: Axes, stability_map: StabilityMap) -> tuple[Any, list[Artist]
 
 
 class Curve(NamedTuple):
-    """Drawn piece of the snap boundary, with known margins on the paths to it."""
+    """Piece of the snap boundary to draw, with points of known margin in front of it."""
 
     directions: Array
     """(k,) directions of the points of the curve, rad."""
@@ -196,7 +196,7 @@ class Curve(NamedTuple):
 
 
 def _smooth(directions: Array, points: Array, approach: Array) -> Curve:
-    """Piece of the boundary with interpolated points, and points of known margin in front of it."""
+    """Piece of the boundary with interpolated points, and points in front of it where the margin is known."""
     parts = [np.linspace(*two, BETWEEN, endpoint=False) for two in itertools.pairwise(directions)]
     dense = np.concatenate([*parts, directions[-1:]])
     distance, square = np.hypot(*points.T), approach**2
@@ -232,7 +232,7 @@ def _filled(stability_map: StabilityMap, fine: Array, selected: Mask, curves: Se
 
 @small
 def _interpolated(known: Array, values: Array, points: Array) -> Array:
-    """Values at points (P, 2): smooth between known points (K, 2), and of the nearest one beyond them."""
+    """Values at points (P, 2), interpolated between known points (K, 2); beyond them, the value of the nearest one."""
     nearest = scipy.interpolate.NearestNDInterpolator(known, values)
     # Fewer points may have no triangulation with an inside.
     if len(known) < 4:
@@ -352,7 +352,7 @@ def fold_points(branch: Branch) -> list[int]:
 
 
 def landing(branch: Branch, fold: int) -> float | None:
-    """Landing point of a robot that snaps at point `fold`, as a fractional index; None if the branch has none.
+    """Fractional index of the point where a robot lands that snaps at point `fold`; None if it lands on no point.
 
     It is the first stable point with the same input on the far side of the unstable part that starts at the fold.
     """

@@ -157,7 +157,7 @@ class FilmFrame(NamedTuple):
 
 
 def _frames(path: Path, along: Array) -> list[FilmFrame]:
-    """A frame per waypoint, and pauses before and after each snap."""
+    """Frames of a film: one for each waypoint, and pauses before and after each snap."""
     frames: list[FilmFrame] = []
     for k, (x, arm) in enumerate(zip(along.tolist(), path.equilibria, strict=True)):
         for snap in path.snaps:

@@ -97,13 +97,13 @@ class SceneBox:
         return cls(lower, upper, step)
 
     def rules(self, axis: int) -> Array:
-        """(k,) multiples of `step` from `low` to `high` along `axis`, mm."""
+        """(k,) positions of the rules along `axis`, mm: multiples of `step`."""
         first, last = np.ceil(self.low[axis] / self.step - 1e-9), np.floor(self.high[axis] / self.step + 1e-9)
         return np.arange(first, last + 1) * self.step
 
 
 def rule_step(span: float) -> float:
-    """Round step of about four to ten rules on `span`."""
+    """Round distance of rules that gives about four to ten of them on `span`."""
     return round_below(span / 4)
 
 
@@ -200,7 +200,7 @@ def _spaced(box: SceneBox, axis: int, edge: Array, four_inches: float) -> Array:
 
 
 def facets(mesh: DrawnMesh, view: Projection, centre: Array | None = None) -> PolyCollection:
-    """Mesh as seen and lit, far facets first; in mm, about `centre` (3,) m if given."""
+    """Mesh of facets with their colours under the light, farthest first; in mm, about `centre` (3,) m if given."""
     from matplotlib.collections import PolyCollection
 
     projected = view.project(mesh.corners if centre is None else mesh.corners - centre)
@@ -240,7 +240,7 @@ class DrawnMesh(NamedTuple):
         return DrawnMesh(*(each[selected] for each in self))
 
     def in_sight(self, towards_viewer: Array) -> DrawnMesh:
-        """Facets without the hidden back sides of closed surfaces: opaque facets that face away from the viewer."""
+        """Facets without those that face away from the viewer and are hidden."""
         return self.only((self.colours[:, 3] < 1) | (self.normals @ towards_viewer >= 0))
 
     @staticmethod

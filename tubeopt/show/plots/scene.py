@@ -107,7 +107,7 @@ class PlotScene:
         return np.concatenate([self._points(), *corners, np.reshape(heads, (-1, 3)), np.zeros((1, 3))])
 
     def _points(self) -> Array:
-        """(k, 3) points of arms and paths, m; between drawn arms the tip may go farther."""
+        """(k, 3) points of arms and tip paths, m, for the extent of the scene."""
         arms = [arm.base.placed(arm.equilibrium.position) for arm in self.arms]
         return np.concatenate([*arms, *(path.points for path in self.paths)])
 
@@ -334,7 +334,9 @@ def _name_tubes(axes: Axes, equilibrium: Equilibrium, view: Projection) -> None:
 
 
 def _right_of(line: SampledCentreline, s: float, view: Projection) -> Array:
-    """(2,) unit vector in the picture across the arm at arc length `s`, to its right if it points upwards."""
+    """(2,) unit vector in the picture perpendicular to the arm at arc length `s`, to the right of an arm that points
+    up.
+    """
     x, y, _ = view.project(line.axes(np.array([s])).tangent[0])
     length = float(np.hypot(x, y))
     return np.array([y, -x]) / length if length > 1e-9 else np.array([1.0, 0.0])

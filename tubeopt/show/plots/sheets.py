@@ -38,7 +38,7 @@ STEP_LETTERS, LINE_LETTERS = 78, 84
 
 @contextmanager
 def _own_size() -> Iterator[None]:
-    """Keep the size of a sheet, whatever the width of other pictures."""
+    """Context in which a sheet has its own size, whatever the width of other pictures."""
     token = WIDTH.set(None)
     try:
         yield
@@ -172,7 +172,7 @@ def mold_steps(mold: Mold) -> list[str]:
 
 
 def _program_words(mold: Mold) -> str:
-    """Files of the programs of both plates with tools and minutes."""
+    """Text of the program files of both plates, with tools and durations."""
     return "; ".join(f"{p.file} {p.tool}, {math.ceil(p.time / 60)} min" for p in programs_of(mold))
 
 
@@ -285,7 +285,7 @@ def heating_numbers(fabrication: TubeFabrication) -> dict[str, str]:
 
 
 def time_line(plan: HeatingPlan) -> list[str]:
-    """Events with their times, s from the switch, and the temperature of the middle of the curved part."""
+    """Steps of a heating as text: time, s, after switching on, and temperature of the middle of the curved part."""
     middle = plan.temperature[:, plan.temperature.shape[1] // 2]
     start = int(np.flatnonzero(plan.in_hold)[0])
     # np.interp needs increasing abscissae, and integer duties let the temperature ripple.
@@ -304,7 +304,7 @@ def time_line(plan: HeatingPlan) -> list[str]:
 
 
 def preparation(fabrication: TubeFabrication) -> list[str]:
-    """Tasks before the switch: setting up, wiring, measuring."""
+    """Steps before switching on, as text: set-up, wiring, measurements."""
     plan, spec = fabrication.heating, fabrication.mold.spec
     battery, fixed = plan.rig.battery, "distal" if spec.clamps.sliding_end == "proximal" else "proximal"
     return [
@@ -323,7 +323,7 @@ def preparation(fabrication: TubeFabrication) -> list[str]:
 
 
 def safety(plan: HeatingPlan) -> list[str]:
-    """Hazards, with the numbers of the plan."""
+    """Hazards of the heating, as text, with the numbers of the plan."""
     cut = cut_out(plan)
     reserve = 100 * (1 - plan.mean_current / plan.rig.circuit.current_limit)
     return [

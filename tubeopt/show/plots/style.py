@@ -168,7 +168,7 @@ def headed(figure: Figure, heading: str) -> Figure:
 
 
 def _shown(heading: str) -> bool:
-    """True if pictures have headings; otherwise the heading is collected for their captions."""
+    """True if headings are drawn; otherwise the heading is stored for the captions."""
     headings = HEADINGS.get()
     if headings is not None and not TITLED.get():
         headings.append(heading)
@@ -239,7 +239,7 @@ def finish(figure: Figure, path: str | PathLike[str] | None) -> Figure:
 
 
 def saved(figure: Figure, path: str | PathLike[str] | None) -> Figure:
-    """A figure that is laid out already, saved if a path is given."""
+    """Figure that is laid out already, saved if a path is given."""
     from .figure import without_layout
 
     if path is not None:

@@ -144,7 +144,7 @@ def _resolve(figure: Figure, texts: Sequence[PlacedText], boxes: Array, crowded:
 
 
 def too_wide(figure: Figure) -> Iterator[tuple[Text, float]]:
-    """Level texts that leave the page to a side, and the width in pixels that each may have."""
+    """Horizontal texts that extend beyond the page, and the width in pixels that each may have."""
     page = figure.bbox
     for text, _, _ in drawn_texts(figure):
         box = text.get_window_extent()
@@ -203,7 +203,7 @@ def _overlap(figure: Figure, boxes: Array, neighbours: Array) -> Mask:
 
 
 def _foreign_panels(figure: Figure, axes: Axes | None) -> Iterator[Axes]:
-    """Panels other than that of a text; a panel within another one, as a scale of colours, is not included."""
+    """Panels other than that of a text, and not inside it."""
     for panel in figure.axes if axes is not None else ():
         if panel is axes or not panel.get_visible():
             continue
@@ -217,7 +217,7 @@ def _foreign_panels(figure: Figure, axes: Axes | None) -> Iterator[Axes]:
 
 
 def _covered(figure: Figure, texts: Sequence[PlacedText], boxes: Array) -> Iterator[tuple[Axes, Mask]]:
-    """Panels and which texts (N,) of others lie in their area: one hides the other, by the order of drawing."""
+    """Panels, and the texts (N,) of other panels inside their area, where one would hide the other."""
     for axes in figure.axes:
         own = np.array([each.axes is axes for each in texts])
         for panel in _foreign_panels(figure, axes) if own.any() else ():

@@ -102,7 +102,7 @@ def plot_checked(checked: VerifiedTrajectory) -> Figure:
 
 
 def _under_load(arm: Equilibrium) -> str:
-    """Load of an arm as the last statement of a heading; "" without one."""
+    """Load of an arm as the last part of a heading; "" without a load."""
     return "" if arm.load is None else f",  under {load_in_words(arm.load)}"
 
 
@@ -221,7 +221,7 @@ def save_film(
 
 
 def some_of(arms: Sequence[Equilibrium], count: int = SHOWN) -> list[Equilibrium]:
-    """Equilibria along a motion, evenly spaced, at most `count`, with the first and the last."""
+    """Equilibria along a motion, at most `count`, evenly spaced, with the first and the last."""
     # Unique, as a short motion has fewer arms.
     return [arms[k] for k in np.unique(np.linspace(0, len(arms) - 1, count).round().astype(int))]
 

@@ -161,7 +161,7 @@ def plot_workspace(
 
 
 def _span(margins: Array) -> tuple[float, float]:
-    """Ends of a scale of colours for margins."""
+    """Lower and upper end of the colour scale for margins."""
     largest = float(np.nanmax(margins))
     return min(float(np.nanmin(margins)), largest - MIN_SPAN), largest
 
@@ -183,7 +183,7 @@ def _draw_tips(axes: Axes, workspace: Workspace, view: Projection) -> Collection
 
 
 def _fold(centres: Array, size: float) -> Keys:
-    """(V, 2) cell of each voxel in the half-plane: distance from the axis and height."""
+    """(V, 2) cell of each voxel in the half-plane through z: distance from the axis, and height."""
     distance = np.hypot(centres[:, 0], centres[:, 1])
     return np.floor(np.column_stack([distance, centres[:, 2]]) / size).astype(np.int64)
 

@@ -36,7 +36,7 @@ CACHED_CURVES = 16
 
 
 class MapKey(NamedTuple):
-    """Values that determine certificate and stability map."""
+    """Values on which certificate and stability map depend."""
 
     robot: Robot
     translations: tuple[float, ...]
@@ -44,7 +44,7 @@ class MapKey(NamedTuple):
 
 
 class CurveKey(NamedTuple):
-    """Values that determine an S-curve."""
+    """Values on which an S-curve depends."""
 
     map: MapKey
     tube: int
@@ -54,7 +54,7 @@ class CurveKey(NamedTuple):
 
 
 class _InterruptedError(Exception):
-    """A job is waiting."""
+    """Raised to stop a calculation because a job is waiting."""
 
 
 class Insights:
@@ -76,7 +76,7 @@ class Insights:
 
     @property
     def chores(self) -> list[tuple[float, Job]]:
-        """Delays without input, s, and the tasks that run after them."""
+        """Tasks that run after a time without input, and these times, s."""
         # Fast results come first: a map that starts early would delay the others.
         return [(0.03, self._certify), (0.1, self._show_load), (0.35, self._trace_curve), (0.6, self._compute_map)]
 
@@ -206,7 +206,7 @@ class Worker:
 
     @property
     def waiting(self) -> bool:
-        """True if jobs wait or the worker is to end, so that optional work is postponed."""
+        """True if jobs are waiting or the worker must end, so that optional work is postponed."""
         return bool(self._jobs) or not self._open
 
     def close(self) -> None:
@@ -260,7 +260,7 @@ class Axes:
     labels: tuple[str, str]
 
     def at(self, x: Array, y: Array) -> Array:
-        """(k, 2) pixels of values (k,)."""
+        """(k, 2) pixel coordinates of values (k,) of the plot."""
         across = LEFT + (np.asarray(x) - self.x[0]) / (self.x[1] - self.x[0]) * (WIDTH - LEFT - RIGHT)
         down = HEIGHT - BOTTOM - (np.asarray(y) - self.y[0]) / (self.y[1] - self.y[0]) * (HEIGHT - TOP - BOTTOM)
         return np.column_stack([across, down])

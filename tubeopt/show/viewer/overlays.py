@@ -149,7 +149,7 @@ def swept_volume(playback: Playback) -> Swept:
 
 
 def _runs(playback: Playback) -> list[list[Equilibrium]]:
-    """Shapes close together in time, in runs that no snap interrupts."""
+    """Shapes in sequence, split where a snap interrupts them."""
     points = playback.waypoints
     steps = strides(points.rotations, points.translations, turn=STEP, slide=SLIDE)
     count = np.maximum(np.ceil(steps), 1).astype(int)

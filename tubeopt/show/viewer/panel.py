@@ -51,7 +51,7 @@ FIELDS = (
 
 @dataclass(frozen=True)
 class Knob:
-    """Slider of one dimension of one tube, or of the equal tubes of a segment."""
+    """Slider for one dimension of a tube, or of the equal tubes of a segment."""
 
     label: str
     index: int
@@ -170,7 +170,7 @@ class PushPanel:
         self._tab.change(lambda session: push_on(session, load), dragged=None if released else "push")
 
     def show(self, load: Load | None) -> None:
-        """Show the force in the boxes, unless they were set to it before: the user may be typing another one."""
+        """Write the force into the boxes if it differs from the last one written, since the user may be typing."""
         force = (0.0, 0.0, 0.0) if load is None else load.force
         if force != self._shown:
             self._shown = force
@@ -359,18 +359,18 @@ class Panel:
         self._put(self._time, round(seconds, 3))
 
     def _put(self, widget: Any, value: float) -> None:
-        """Set a widget, unless it shows the value already, so that the change is not taken for the user's."""
+        """Set a widget unless it has the value already, so that no user event is sent."""
         if self._shown.get(id(widget)) != value:
             self._user_set.discard(id(widget))
             self._shown[id(widget)] = value
             widget.value = value
 
     def _is_users(self, widget: Any) -> bool:
-        """True if a widget still shows the user's value: a trajectory may have changed it."""
+        """True if a widget still has the value that the user gave: a trajectory may have changed it."""
         return id(widget) in self._user_set
 
     def _from_user(self, event: Any) -> bool:
-        """True if an event is a user's, and no echo of a value set by the program."""
+        """True for an event from the user; False if the program set the value."""
         # viser reports values set by the program too; taken for commands, they would move the robot in a loop.
         difference = abs(event.target.value - self._shown.get(id(event.target), np.inf))
         if event.client is None or not difference > 1e-6:
@@ -391,7 +391,7 @@ class Panel:
         return self._when_moved(slider, lambda at: change(lambda s: move_joint(s, joint, at / factor), dragged=joint))
 
     def _when_moved(self, widget: Any, act: Callable[[float], None]) -> Any:
-        """Call `act` with the value of a slider when the user moves it."""
+        """Register `act` to be called with the value of a slider when the user moves it."""
 
         async def moved(event: Any) -> None:
             if self._from_user(event):

@@ -127,13 +127,13 @@ class ViewerScene:
         self._layers[name] = shown, [self._add(f"/{name}/{part.name}", part) for part in shown]
 
     def clear(self, name: str) -> None:
-        """Take a layer away."""
+        """Remove a layer."""
         for handle in self._layers.pop(name, ((), []))[1]:
             handle.remove()
 
     @property
     def contents(self) -> dict[str, tuple[Part, ...]]:
-        """The surfaces of every layer that is shown now; points are none."""
+        """Surfaces of every visible layer, without points."""
         return {name: parts for name, (parts, _) in self._layers.items()}
 
     def has(self, name: str) -> bool:
@@ -154,7 +154,7 @@ class ViewerScene:
         self._layers["workspace"] = (), [cloud]
 
     def show_force(self, tip: Array, head: Array) -> None:
-        """The arrow of a force on the tip, hidden where it has no length, m."""
+        """Draw the arrow of a force on the tip; hide it if its length is 0."""
         if np.linalg.norm(head - tip) < SHORTEST_ARROW:
             if FORCE in self._parts:
                 self._parts[FORCE].visible = False
@@ -228,7 +228,7 @@ class Mark:
 
 
 def ghost_parts(ghosts: Sequence[Equilibrium]) -> list[Part]:
-    """Other equilibria, translucent; stable equilibria blue, unstable equilibria red."""
+    """Translucent surfaces of other equilibria: stable ones blue, unstable ones red."""
     out = []
     for k, each in enumerate(ghosts):
         surfaces = [part.surface for part in robot_parts(each)]
@@ -238,7 +238,7 @@ def ghost_parts(ghosts: Sequence[Equilibrium]) -> list[Part]:
 
 
 def obstacle_parts(obstacles: Sequence[Obstacle], reach: float) -> list[Part]:
-    """Bodies to keep away from; those without end translucent, as far as `reach` (m), and vessels too."""
+    """Surfaces of bodies; unbounded bodies, up to `reach` (m), and vessels are translucent."""
     return [
         Part(
             f"obstacle_{k + 1}",
@@ -291,7 +291,7 @@ def arrow_surface(start: Array, end: Array) -> Surface:
 
 
 def between(before: Equilibrium, after: Equilibrium, count: int) -> list[Equilibrium]:
-    """Shapes between two equilibria of one robot at the same joint values, for a moving picture of a snap.
+    """Shapes between two equilibria of one robot at the same joint values, to animate a snap.
 
     Their curvature goes evenly from one to the other, and the arm keeps its length. They are no equilibria: how a snap
     runs in time is not in the model.

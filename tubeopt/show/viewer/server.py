@@ -70,7 +70,7 @@ class Player:
         self._playing: float | None = None
 
     def take(self, waypoints: ViewerWaypoints) -> Playback:
-        """Prepare a trajectory for playback; raises as `make_playback` does."""
+        """Set the trajectory of the player; raises as `make_playback` does."""
         self.playback = make_playback(self._session().robot, waypoints)
         self._panel.tick("swept", on=False)
         self._panel.offer_playback(self.playback.duration)
@@ -109,7 +109,7 @@ class Player:
         self._do(self._tick)
 
     def _tick(self) -> None:
-        """Show the state at the present time, and queue the next tick."""
+        """Show the state at the present time of the playback, and queue the next call."""
         if self._playing is None or self.playback is None:
             return
         start_time = time.monotonic()
@@ -277,7 +277,7 @@ class Tab(Commands):
         self._worker.post(go, key=key)
 
     def _do_paused(self, job: Callable[[], object], *, key: str | None = None) -> None:
-        """Queue a job on the robot that pauses the playback first."""
+        """Queue a job on the robot that first pauses the playback."""
 
         def go() -> None:
             self._player.pause()
@@ -286,7 +286,7 @@ class Tab(Commands):
         self._do(go, key=key)
 
     def _begin(self) -> None:
-        """Show the robot, obstacles and trajectory of the view."""
+        """Show the initial robot, obstacles and trajectory."""
         self.scene.set_stage(self.session.equilibrium)
         if self._obstacles:
             self._show("obstacles", True)
@@ -505,7 +505,7 @@ def serve(
 
 
 def head() -> str:
-    """Style and scripts of the page in addition to those of viser."""
+    """Styles and scripts that are added to the page of viser."""
     files = resources.files(__package__)
     style, script = (files.joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "hand.js"))
     return f"<style>{style}</style><script>{script}</script>"

@@ -46,7 +46,7 @@ SAME_TIP = np.radians(0.1)
 
 @dataclass(frozen=True, eq=False)
 class SessionEvent:
-    """Something that happened: a sentence, and the snap where it was one."""
+    """Event of a session: a sentence, and the snap if it was one."""
 
     text: str
     snap: Snap | None = None
@@ -54,7 +54,7 @@ class SessionEvent:
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """A robot and its history."""
+    """Robot in the viewer: its equilibrium, path and log."""
 
     equilibrium: Equilibrium
     """Current equilibrium."""
@@ -89,12 +89,12 @@ class Session:
 
 @lru_cache(maxsize=32)
 def space_of(robot: Robot) -> JointSpace:
-    """The joints of a robot that can be set one by one: n rotations (rad), then one translation (m) per carriage."""
+    """Joint space with one value per independent joint: n rotations (rad), then one translation (m) per carriage."""
     return joint_space(robot)
 
 
 def open_session(robot: Robot, rotations: ArrayLike | None = None, translations: ArrayLike | None = None) -> Session:
-    """A session that begins where a robot settles by itself at given joint values; by default at home.
+    """New session at the equilibrium that a robot reaches at given joint values; by default at home.
 
     Raises:
         InputError: joint values out of the ranges of the robot's limits, or of the wrong number.
@@ -183,13 +183,15 @@ def _moved(session: Session, rotations: Array, translations: Array) -> Session:
 
 
 def strides(rotations: Array, translations: Array, *, turn: float, slide: float) -> Array:
-    """(T-1,) distances between waypoints (T, n) by the fastest tube, in units of `turn`, rad, or `slide`, m."""
+    """(T-1,) distances between waypoints (T, n) of the joint that moves most, in units of `turn`, rad,
+    or `slide`, m.
+    """
     kinds = (rotations, turn), (translations, slide)
     return np.asarray(np.max([np.abs(np.diff(q, axis=0)).max(1, initial=0.0) / unit for q, unit in kinds], axis=0))
 
 
 def move_joint(session: Session, joint: int, value: float) -> tuple[Session, str]:
-    """Session after a motion of one independent joint as far towards `value`, rad or m, as the other joints allow.
+    """Session after a motion of one joint towards `value`, rad or m, as far as the other joints allow.
 
     Returns:
         The session, and a message if the joint was stopped before, else "".
@@ -340,7 +342,7 @@ DIRECTIONS: dict[str, tuple[float, float, float] | None] = {
 
 
 def push_on(session: Session, load: Load) -> Session:
-    """Session after a slow change of its load, with the snaps along the path.
+    """Session after a slow change of the load, with its snaps.
 
     Raises:
         InputError: an unsupported load: tubes of unknown weight, or in addition to one another.
@@ -356,7 +358,7 @@ def push_on(session: Session, load: Load) -> Session:
 
 
 def bare(equilibrium: Equilibrium) -> Equilibrium:
-    """An equilibrium under no force as one without load."""
+    """Equilibrium under a load of 0 N, converted to one without a load."""
     guess = replace(equilibrium, load=None)
     return forward_kinematics(equilibrium.robot, equilibrium.rotations, equilibrium.translations, start=guess)
 

@@ -103,7 +103,7 @@ class TipServo:
     def move(
         self, session: Session, velocity: Array, min_margin: float, obstacles: tuple[Obstacle, ...] = ()
     ) -> tuple[Session, str]:
-        """Session after a message, and the reason why the tip moved less than requested, or "".
+        """Session after a velocity command, and the reason if the tip moved less than requested, or "".
 
         velocity: (3,) velocity of the tip over the largest speed.
 
@@ -178,7 +178,7 @@ def pull(
 
 
 def _parts(goal: Goal, tip: Array) -> list[Array]:
-    """Ends (3,) of the parts of the straight path from the tip to the target, m."""
+    """End points (3,) of the parts of the straight path from the tip to the target, m."""
     path = goal.position - tip
     # Short parts keep the tip near the straight line: Gauss-Newton steps over a long path may go around.
     count = max(1, int(np.ceil(float(np.linalg.norm(path)) / (PART_LENGTH * goal.space.length))))

@@ -147,7 +147,7 @@ def play_to(session: Session, playback: Playback, time: float, *, since: float |
 
 
 def _same(first: Equilibrium, second: Equilibrium) -> bool:
-    """True for two equilibria of a robot at the same joint values and on the same branch."""
+    """True for two equilibria at the same joint values on the same branch."""
     pairs = (
         (getattr(each, name) for each in (first, second)) for name in ("rotations", "translations", "tip_rotations")
     )

@@ -90,7 +90,7 @@ class _Memory:
         return self.fields
 
     def has(self, tubes: Any, joints: bytes, start: Start) -> bool:
-        """Return whether the workspace has the solution of `start` for tubes at joint values."""
+        """True if the memory contains the solution of `start` for some tubes at joint values."""
         if self.solved is None or self.solved[0] is not tubes or self.solved[1] != joints:
             return False
         count = len(start.point)
@@ -171,7 +171,7 @@ def piece_sizes(tables: Mapping[str, Array]) -> PieceSizes:
 
 
 def tube_rows(robot: Robot) -> Array:
-    """Numbers (5, n) of the C struct Tubes of a robot.
+    """Numbers (5, n) of the C struct Tubes for a robot.
 
     GJ is 0 for tubes made of pieces, since it varies along them.
     """
@@ -230,7 +230,7 @@ def _writable_address(array: Any) -> int:
 
 
 class _Inputs(NamedTuple):
-    """Arguments of a solve, in one piece of memory: each address that NumPy returns takes a microsecond."""
+    """Arguments of a solve in one array, since each address from NumPy costs a microsecond."""
 
     memory: Array
     rotations: int
@@ -396,7 +396,7 @@ def slopes_compiled(
 
 
 def _at_hand(prepared: Prepared, rotations: Array, translations: Array, start: Start) -> float | None:
-    """Leave the equilibrium at joint values (n,), solved from a start close to it, in the memory of the kernel.
+    """Solve the equilibrium at joint values (n,) from a close start and leave it in the memory of the kernel.
 
     Largest difference of its rotations from those of the start, rad, infinite if the meshes differ; None if the kernel
     does not solve it.
@@ -452,7 +452,7 @@ def turn_compiled(
 
 @lru_cache(maxsize=256)
 def _request(moved: Moved, compliance: bool, either: bool) -> tuple[NDArray[np.int64], int]:
-    """C struct Asked, (2 n + 2,), and its address."""
+    """C struct Asked, (2 n + 2,), with the requested derivatives, and its address."""
     n = len(moved.sides)
     out = np.zeros(2 * n + 2, dtype=np.int64)
     for k, tubes in enumerate(moved.carriages):

@@ -126,7 +126,7 @@ class Marcher:
         return self._course[1].copy(), self._lumped[1].copy()
 
     def spread(self, cells: Array, lumped: Array) -> Array:
-        """Heating rates (2 n + 1,) of the first member in a state.
+        """Heating rates (2 n + 1,) of the first rig in a state.
 
         They are rates of the tube at no duty and at full duty, K/s, and the current while the MOSFET conducts, A.
         """

@@ -282,7 +282,7 @@ def compile_to(text: str, path: Path, flags: Sequence[str]) -> None:
 
 @lru_cache(maxsize=1)
 def _temporary_folder() -> Path:
-    """Folder of this process, for a cache that is not writable; it is removed at exit."""
+    """Folder of this process that replaces a cache that is not writable; removed at exit."""
     folder = tempfile.mkdtemp(prefix="tubeopt-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)

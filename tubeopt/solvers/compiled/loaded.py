@@ -193,7 +193,7 @@ def _structure(rules: LoadedRules) -> Any:
 
 
 def _usable(rules: LoadedRules) -> Kernel | None:
-    """Kernel for a problem; None without a kernel."""
+    """Kernel that can solve a problem; None without one."""
     problem = rules.problem
     check_time()
     n, mesh = problem.torsion.assembly.n_tubes, problem.mesh

@@ -110,7 +110,7 @@ class CompiledLeastSquares:
         self._addresses = self._memory.ctypes.data, self._numbers.ctypes.data
 
     def __call__(self, matrix: Array, right: Array, rows: Array, bounds: Array) -> tuple[Array, Index] | None:
-        """Minimiser x (n,) of |matrix x - right| with rows x >= bounds, and the numbers of the active rows.
+        """Minimiser x (n,) of |matrix x - right| subject to rows x >= bounds, and the indices of the active rows.
 
         None if no x satisfies the rows. The matrix (r, n) must have full rank, with n at most MOST_VARIABLES.
         """
