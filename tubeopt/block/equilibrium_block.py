@@ -239,7 +239,7 @@ def _equations(block: ComposedBlock[Any]) -> tuple[ca.Function, list[Equation]]:
 
 
 class OrderWarning(UserWarning):
-    """Breakpoints meet at a solution, so that another order of them may be better."""
+    """Warning that breakpoints coincide at a solution, so that another order of them may be better."""
 
 
 @typed
@@ -376,7 +376,7 @@ class EquilibriumBlock(ComposedBlock[N]):
         return worst(result, count)
 
     def meetings(self, solution: Any) -> list[str]:
-        """Names of the free breakpoints that meet at a solution."""
+        """Names of the free breakpoints that coincide at a solution."""
         labels = order_labels(self.layout.order)
         return [f"{labels[row]}, and they meet" for row in self.closed(solution)]
 
@@ -422,7 +422,7 @@ class EquilibriumBlock(ComposedBlock[N]):
         return self.name, frozenset(neighbours(self.layout.order, row))
 
     def reorder(self, solution: Any, row: int | None = None) -> None:
-        """Swap breakpoints that meet at a solution, and start the next solve there.
+        """Swap breakpoints that coincide at a solution, and start the next solve there.
 
         Only numbers of the program change. With `casadi.Opti` the start of your own variables is set by
         `opti.set_initial(solution.value_variables())` before.

@@ -483,7 +483,7 @@ class TwoBallHull(TabulatedBody):
         return start + middle[:, None] * axis, largest + length / (2 * count)
 
     def numbers(self) -> tuple[float, ...]:
-        """Row of the table, as `_row`."""
+        """Row of the table for the hull: start (3), axis (3), length, radius, its change per length, slope."""
         return self._row
 
     @staticmethod

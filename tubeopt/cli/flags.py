@@ -444,12 +444,12 @@ FOLDERS = {
 
 
 def words(choices: Sequence[str]) -> Completion:
-    """Completion of one of several words."""
+    """Function that completes one of several words."""
     return lambda incomplete: [word for word in choices if word.startswith(incomplete)]
 
 
 def files(key: str) -> Completion:
-    """Completion of the file of a key: names of built-in files, and paths."""
+    """Function that completes the file of a key: names of built-in files, and paths."""
     # The folder of a key is its name or its plural: robot -> robots.
     names = [FOLDERS.get(key, ""), key, f"{key}s"]
     folder = next((name for name in names if name and (FOLDER / name).is_dir()), "*")

@@ -196,7 +196,7 @@ class CRobot:
     def bear(self, force: ArrayLike = (0, 0, 0), gravity: ArrayLike = (0, 0, 0)) -> CPose:
         """Last equilibrium after the tip force (3,), N, and gravity (3,), m/s^2, have slowly increased to these values.
 
-        All later results are of the loaded arm. Raises SolveError where the branch ends before the full load, and
+        All later results are of the loaded arm. Raises SolveError if the branch ends before the full load, and
         InputError if the library has no loads.
         """
         if "bear" not in self._calls:
@@ -348,8 +348,8 @@ class CServo:
 
     Raises:
         InputError: options that only the servo in Python has: bodies' clearance, priorities, an objective other than
-            the margin. A start outside the limits or the order of the tubes, or with carriages apart that lengths leave
-            no play.
+            the margin. A start outside the limits or the order of the tubes. Different translations of carriages
+            that the tube lengths force to move together.
         SolveError: the library finds no stable equilibrium at the start from tubes without torsion.
     """
 
@@ -374,7 +374,7 @@ class CServo:
         return self._robot.slopes()
 
     def snap_distance(self, most: float) -> float | None:
-        """Snap distance at the equilibrium, as of `Servo`."""
+        """Rotation of all tubes that is proved to cause no snap, rad, at most `most`."""
         return self._robot.snap_distance(most)
 
     def step(self, command: Command, dt: float) -> ServoStep[CPose]:
@@ -437,7 +437,7 @@ class CServo:
             self.equilibrium = self._before
 
     def resume(self, joints: Configuration) -> None:
-        """Continue at rest at joint values that the robot has reached otherwise, as `Servo.resume`."""
+        """Continue at rest from joint values reached by another motion, on the branch of the straight path to them."""
         q, least = configuration(self.space, "joints", joints), self.options.min_margin
         if words := self.space.outside(q):
             raise InputError(f"joints are out of range: {words}")

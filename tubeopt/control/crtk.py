@@ -439,7 +439,7 @@ def _turned(arm: Any, turn: Array) -> Array:
 
 
 def _turn(message: Mapping[str, Any], name: str, unit: str) -> Array | None:
-    """(3,) turn of a message; None where it leaves the direction free."""
+    """(3,) rotation vector in a message, rad; None if the direction is free."""
     return None if message.get(name) is None else at_most(_numbers(message, name, unit), name)
 
 

@@ -86,7 +86,7 @@ class Guard:
         self.before: Place
         eccentric = robot.assembly(robot.home_translations).eccentric
         self.turn: float | None = None if eccentric else options.min_snap_distance
-        """Turn (rad) that must be proved to cause no snap where the robot stops; None where the margin counts."""
+        """Turn (rad) that must be proved to cause no snap where the robot stops; None if the margin counts."""
         self.ball: Ball
         """Last proof of it."""
         self.wall = 0.0
@@ -465,8 +465,9 @@ class Servo:
         return ServoStep(arm, why, *remaining)
 
     def snap_distance(self, most: float) -> float | None:
-        """Turn of all tubes, rad, that is proved to cause no snap here: at most `most`, or inf where none can snap.
-        None where it is not known, or without a kernel."""
+        """Rotation of all tubes that is proved to cause no snap, rad, at most `most`; inf if none can snap, None if
+        unknown.
+        """
         found = compiled_turn(self.equilibrium, most=most, precision=TURN_PRECISION)
         return None if found is None else found.turn
 

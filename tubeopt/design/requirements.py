@@ -132,7 +132,7 @@ class SnapFree(Displayed):
 
     @property
     def required_margin(self) -> float:
-        """Certificate that the nominal tubes need so that all tubes within the errors keep the margin."""
+        """Certificate of the nominal tubes that ensures the margin for all tubes within the errors."""
         return 1 - (1 - self.margin) / self.growth
 
     def eased(self, amount: float) -> SnapFree:
@@ -157,7 +157,7 @@ class SnapFreeInUse:
 
 @dataclass(frozen=True)
 class Strain:
-    """Largest bending strain of every tube: held straight, and at every task pose, r |u - u*| / (1 - r |u*|).
+    """Largest bending strain of every tube: when straightened, and at every task pose, r |u - u*| / (1 - r |u*|).
 
     Joint paths between poses are not checked.
     """
@@ -320,7 +320,7 @@ class Poses:
 
 
 def deviations(q: Quantities, poses: Sequence[int]) -> Any:
-    """Vectors (3 K,), m, from the fully deployed arm to partly deployed arms of all poses, one after the other."""
+    """Vectors (3 K,), m, between the fully and the partly deployed arm, for all poses one after the other."""
     return ca.vertcat(
         *(
             q.poses[k].drawn(fraction).position(along) - q.poses[k].position(fraction * along)

@@ -393,7 +393,7 @@ CLOSED_SECTION, OPENED_SECTION = 1e-5, 2e-6
 
 @dataclass(frozen=True)
 class PoseOrder:
-    """Order of the breakpoints of one pose or certificate: those beyond the plate, base to tip, and those behind it.
+    """Breakpoint order of one pose or certificate: in front of the plate, base to tip, and behind it.
 
     Breakpoint 2 i is the transition of tube i, 2 i + 1 its end.
     """
@@ -421,7 +421,7 @@ def _breakpoints(state: DesignState, k: int) -> tuple[Array, Array]:
 
 
 def cell_of(state: DesignState) -> Cell:
-    """Present orders of breakpoints."""
+    """Breakpoint orders of all poses and certificates at a state."""
     orders = []
     for k in range(len(state.layout.poses) + len(state.layout.certified)):
         positions, _ = _breakpoints(state, k)
@@ -468,7 +468,7 @@ def cell_rows(state: DesignState, cell: Cell) -> Sections:
 
 
 def swapped(cell: Cell, pose: int, a: int, b: int) -> Cell:
-    """Cell beyond the kink where breakpoints a and b of a pose meet."""
+    """Breakpoint order after breakpoints a and b of a pose are swapped."""
     order = cell[pose]
     if a == -1:
         swap = PoseOrder(order.beyond[1:], (*order.behind, b))

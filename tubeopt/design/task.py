@@ -82,7 +82,8 @@ def ordered_ranges(
 
 
 def order_distances(straight: Array, curved: Array, low: Array, high: Array) -> Array:
-    """Distances (3 n - 2,), m, of carriages, of ends, and of ends from the plate; negative if the order is violated.
+    """Distances (3 n - 2,), m, in the order constraints: of carriages, of ends, of ends from the plate; < 0 if
+    violated.
 
     Translations may lie between `low` and `high`. The function is linear, so that it maps derivatives (n, X) too.
     """
@@ -91,7 +92,7 @@ def order_distances(straight: Array, curved: Array, low: Array, high: Array) -> 
 
 
 def tube_distances(tubes: Sequence[Tube], low: Sequence[float] | Array, high: Sequence[float] | Array) -> Array:
-    """Distances (3 n - 2,), m, of tubes between two rows of translations, as `order_distances`."""
+    """Distances (3 n - 2,), m, in the order constraints of tubes between two rows of translations."""
     straight, curved = (
         np.array([getattr(tube, name) for tube in tubes]) for name in ("straight_length", "curved_length")
     )

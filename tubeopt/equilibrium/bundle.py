@@ -254,7 +254,7 @@ class Bundled(Member[BundleState]):
     # --- Solving ------------------------------------------------------------------------------------------------------
 
     def advanced(self, state: BundleState, step: Array) -> BundleState:
-        """State after a step that leaves all lengths above 0; raises VanishingError where it closes a section."""
+        """State after a step, with all lengths above 0; raises VanishingError if the length of a section vanishes."""
         problem = self.problem
         after = problem.push(step)
         h, g = problem.lengths(state.x), state.length
@@ -271,7 +271,9 @@ class Bundled(Member[BundleState]):
         return self.at(state.x + (1.0 if share > 1 else TO_BOUNDARY * share) * step)
 
     def solve(self, x: Array, iterations: int = NEWTON.iterations) -> NewtonResult[BundleState]:
-        """Solve by Newton's method with full steps from x (U,); sections that vanish are exchanged or held."""
+        """Result of Newton's method with full steps from x (U,); vanishing sections are exchanged or
+        stay at length 0.
+        """
         return self._with_sections(
             x, lambda own, at: full_steps(own.at(at), own.advanced, own.turn, own.residual, iterations)
         )

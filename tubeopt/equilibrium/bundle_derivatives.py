@@ -134,7 +134,7 @@ class BundleResponse:
     def margin(self) -> Array:
         """Derivative (2 n,) of the margin: that of its form at a fixed mode, by central differences.
 
-        NaN where the boundaries change, and under a load without an energy.
+        NaN if the boundaries change, and under a load without an energy.
         """
         member, state, n = self.member, self.state, self.state.problem.n
         if not member.descends:

@@ -46,7 +46,7 @@ SHORTEST = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Leaving(Displayed):
-    """End of a tube in front of the plate, where the inner tubes leave it."""
+    """End of a tube in front of the plate, where inner tubes continue beyond it."""
 
     tube: int
     """Number of the tube that ends, from 0."""
@@ -146,7 +146,7 @@ def clearance_correction(
 def _leaving(e: Equilibrium, outer: int, delta: float) -> Leaving | None:
     """End of an outer tube with clearance `delta`.
 
-    None where it is behind the plate, where no inner tube continues, or where both have the same curvature.
+    None if it is behind the plate, where no inner tube continues, or where both have the same curvature.
     """
     end = float(e.tube_end[outer])
     if end <= 0 or e.tube_end[:outer].max() - end < SHORTEST:

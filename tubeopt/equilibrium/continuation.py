@@ -222,7 +222,7 @@ class Family:
         return Loaded.of(self.path.robot, rotations, tuple(translations.tolist()), load)
 
     def span(self) -> float:
-        """Length of the path, as `SampledJointPath.span`; at least 1 where the load changes."""
+        """Length of the path: largest rotation, rad, or relative translation; at least 1 if the load changes."""
         return max(self.path.span(), float(self.before != self.load))
 
 
@@ -235,7 +235,7 @@ class Milestone:
 
 
 def step_to(family: Family, t: float, point: P, before: P | None = None) -> P | None:
-    """Equilibrium at t on the branch of `point`, stable or not; None where the step is too long or the branch ends.
+    """Equilibrium at t on the branch of `point`, stable or not; None if the step is too long or the branch ends.
 
     Predictor: the tangent at `point`, or the secant from `before`. Corrector: Newton's method.
     """
@@ -296,7 +296,7 @@ def follow(
 
 
 def _distance_to_end(point: AnyPoint, before: AnyPoint, power: int) -> float:
-    """Distance in t from a point to where its margin vanishes, predicted from two points; infinity where it grows.
+    """Distance in t to the point where the margin vanishes, predicted from two points; infinity if the margin grows.
 
     margin^power falls linearly with t: the first power towards a bifurcation, the second towards a fold.
     """

@@ -467,7 +467,7 @@ class Directions:
 
     @cached_property
     def _density(self) -> Array:
-        """(n,) mass per length of the tubes, kg/m; 0 where nothing weighs."""
+        """(n,) mass per length of the tubes, kg/m; 0 without gravity."""
         load = self.arm.load
         return np.zeros(self.n) if load is None else masses(self.tubes, load)
 

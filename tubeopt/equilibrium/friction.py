@@ -80,7 +80,7 @@ class FrictionEquilibrium:
 
     @cached_property
     def held_margin(self) -> float:
-        """Smallest eigenvalue over the motions that keep sticking contacts stuck, between the margin and 1."""
+        """Smallest eigenvalue over the motions without slip at sticking contacts, between the margin and 1."""
         if self.increment.signs.all() or self.margin > 1 - EIGENVALUE_ROUND_OFF:
             return self.margin
         return held_margin(self.contact, self.increment.state, self.increment.signs)
@@ -189,7 +189,7 @@ def _sampled(contact: Contact, equilibrium: Equilibrium) -> tuple[Array, Array |
 def step(
     robot: Robot, current: FrictionEquilibrium, rotations: Array, translations: Array, load: Load | None = None
 ) -> FrictionEquilibrium | None:
-    """State after an increment to other joint values (n,) and another load; None where Newton's method fails."""
+    """State after an increment to other joint values (n,) and another load; None if Newton's method fails."""
     contact, before, x = start_increment(robot, current, rotations, translations, load)
     same_contact = contact is current.contact
     turn, shift = rotations - current.rotations, translations - current.translations

@@ -59,7 +59,8 @@ def derivatives_of(
 def compiled_slopes(
     at: Equilibrium, sides: tuple[int, ...] | None = None, carriages: Carriages | None = None, **request: bool
 ) -> Slopes | None:
-    """Derivatives of an equilibrium by the compiled kernel; None where it has none, as of an arm of length zero.
+    """Derivatives of an equilibrium by the compiled kernel; None if it does not provide them, as for arms of length
+    zero.
 
     Translations move towards `sides` (n,), 1 where not given, and tubes of one of the `carriages` together; what is
     `request` are flags of `slopes_compiled`.
@@ -80,7 +81,7 @@ def _start_at(at: Equilibrium) -> Start:
 
 
 def compiled_turn(at: Equilibrium, *, most: float, precision: float) -> Turn | None:
-    """Snap distance of an equilibrium without load by the compiled kernel; None where it has none.
+    """Snap distance of an equilibrium without load, by the compiled kernel; None without a kernel.
 
     Args:
         most: largest turn that is searched, rad.   precision: relative precision of the turn.
@@ -97,7 +98,7 @@ def _by_kernel(
 ) -> Jacobian | None:
     """Jacobian of a stable equilibrium of concentric tubes, from the compiled kernel.
 
-    None where the kernel has none, as under a load, or where it converges to another equilibrium.
+    None if the kernel has none, as under a load, or where it converges to another equilibrium.
     """
     if equilibrium.load is not None or not set(wrt) <= set(JOINTS) or side not in (1, -1):
         return None
@@ -266,7 +267,7 @@ def margin_slopes_of(e: Equilibrium, wrt: Sequence[str]) -> Array:
 def _modes(matrix: Array, *, symmetric: bool) -> tuple[Array, Array] | None:
     """Left and right eigenvectors of the eigenvalue of smallest real part; of a complex pair, of one of them.
 
-    None where another eigenvalue has the same real part, or where it is defective.
+    None if another eigenvalue has the same real part, or where it is defective.
     """
     if symmetric:
         values, right = np.linalg.eigh(matrix)

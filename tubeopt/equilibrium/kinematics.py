@@ -143,7 +143,7 @@ def build_equilibrium(
 
 
 def error_of(equilibrium: Equilibrium) -> float:
-    """Estimated error of an equilibrium, as in `largest_error`; under a load relative to the whole arm."""
+    """Estimated error of an equilibrium: of theta, rad, or of the tip relative to the arm's length, the larger one."""
     even = equilibrium.load is not None or equilibrium.robot.even
     length = float(equilibrium.arc_length[-1])
     return float(largest_error(equilibrium.mesh_error, equilibrium.tip_error, length, even=even))
@@ -534,7 +534,7 @@ def _by_method(point: AnyPoint, solver: Method) -> AnyPoint:
 
 
 def _solve(member: Member[Any], x: Array, solver: Method) -> AnyPoint:
-    """Solution from unknowns x (U,) by a method; raises SolveError where it does not converge."""
+    """Solution from unknowns x (U,) by a method; raises SolveError if it does not converge."""
     problem, rotations = member.problem, member.rotations
     if solver.name == "newton":
         result = member.descend(x, solver.newton)
@@ -552,7 +552,7 @@ def _solve(member: Member[Any], x: Array, solver: Method) -> AnyPoint:
 def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: tuple[float, ...]) -> Equilibrium | None:
     """Equilibrium after a small motion from `guess`, by a single solve.
 
-    None where Newton's method converges slowly, which may mean another branch, or where the motion is not small.
+    None if Newton's method converges slowly, which may mean another branch, or where the motion is not small.
     """
     request = SolveRequest()
     quick = unloaded(robot, rotations, np.array(translations), guess, request)

@@ -333,7 +333,7 @@ class Linearised(ArmChange):
 
 @lru_cache(maxsize=8)
 def mode_of(arm: LinearisedArm, margin: float, one_of_two: bool) -> tuple[Response, float] | None:
-    """Buckling mode of an arm, kept for further directions; see `LinearisedArm.mode`."""
+    """Buckling mode of an arm, cached for further directions."""
     return arm.mode(margin, one_of_two=one_of_two)
 
 
@@ -361,7 +361,7 @@ def linearise(
 def sharing(carriages: tuple[tuple[int, ...], ...], wrt: tuple[str, ...]) -> Array | None:
     """Directions (L, L) that move the tubes of a carriage together, with equal parts of its motion.
 
-    None where every tube has a carriage of its own. The chain rule holds for every possible motion.
+    None if every tube has a carriage of its own. The chain rule holds for every possible motion.
     """
     if "translations" not in wrt or all(len(tubes) == 1 for tubes in carriages):
         return None

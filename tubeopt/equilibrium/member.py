@@ -195,7 +195,7 @@ class Member(ABC, Generic[S]):
         return descend(self.at(x), self.moved, self.turn, self.residual, settings)
 
     def from_home(self) -> NewtonResult[S]:
-        """Turn all tubes together from home, minimise the energy at each step, and leave every saddle."""
+        """State after turning all tubes together from home, with a descent at each step that leaves saddles."""
         member, x = self, self.untwisted()
         steps = max(1, int(np.ceil(np.abs(self.rotations).max(initial=0.0) / HOME_TURN)))
         for k in range(1, steps + 1):
@@ -227,7 +227,7 @@ class Member(ABC, Generic[S]):
         return self.solve(state.x, iterations=4)
 
     def released(self, state: S) -> S | None:
-        """State from which a descent continues, where its constraints held it; None where nothing did."""
+        """State from which a descent continues after a constraint is released; None if no constraint was active."""
         return None
 
     @abstractmethod
@@ -270,7 +270,7 @@ class Member(ABC, Generic[S]):
     def with_inputs(
         self, rotations: Array, translations: tuple[float, ...], load: Load | None, factor: float
     ) -> Member[S] | None:
-        """Same unknowns at other joint values and under a load times a factor; None where the sections differ."""
+        """Same unknowns at other joint values and under a load times a factor; None if the sections differ."""
 
     def under(self, point: AnyPoint, load: Load, factor: float) -> Member[Any]:
         """Problem at the joint values of a point of this member, under `factor` times another load."""

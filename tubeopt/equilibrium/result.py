@@ -128,7 +128,7 @@ class Jacobian(Displayed):
     margin: Array
     """(Q,) derivatives of the margin.
 
-    NaN where it is a double eigenvalue, and under a load without an energy: see `Equilibrium.margin_slopes`.
+    NaN if it is a double eigenvalue, and under a load without an energy: see `Equilibrium.margin_slopes`.
     """
     energy: Array
     """(Q,) derivatives of the elastic energy, J per unit."""
@@ -342,7 +342,7 @@ class Equilibrium(Displayed):
     def margin_slopes(self, *, wrt: Sequence[str] = ("rotations", "translations")) -> Array:
         """(Q,) derivatives of the margin as in `jacobian`, also under a load without an energy.
 
-        `jacobian` has NaN there, since they take a hundred times as long. NaN where breakpoints meet.
+        `jacobian` has NaN there, since they take a hundred times as long. NaN if breakpoints meet.
         """
         result: Array = lazy_import("tubeopt.equilibrium.jacobian.margin_slopes_of")(self, wrt)
         return result

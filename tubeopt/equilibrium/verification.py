@@ -239,7 +239,7 @@ class _Section:
     """Section of B arms, `rows`, between arc lengths `start` and `stop` (B,), m. Positions x are fractions of it.
 
     `mass` (B,) is per length, kg/m. `parts` has for each arm and tube the start of its stretch and kb, kt and u* along
-    it, None where the tube has ended.
+    it, None if the tube has ended.
     """
 
     assembly: Assembly

@@ -360,7 +360,7 @@ class _CostProblem:
 
 
 def on_target(slope: Array, residual: Array) -> tuple[Array, Array]:
-    """Rows and right-hand sides that keep a step on target."""
+    """Rows and right-hand sides of the constraint that a step stays on target."""
     return TARGET_WEIGHT * slope, -TARGET_WEIGHT * residual
 
 

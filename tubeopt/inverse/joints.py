@@ -162,7 +162,9 @@ class JointSpace:
         return np.asarray((q @ self.rows.T >= self.least - SLACK * self.length).all(-1))
 
     def outside(self, q: Array, slack: float = SLACK) -> str:
-        """Text of a joint out of range, by more than `slack` of its scale, or of tubes out of order, or ""."""
+        """Text on a joint out of its range, by more than `slack` of its scale, or on tubes out of order; "" if there is
+        none.
+        """
         n = self.robot.n_tubes
         for k in np.flatnonzero((q < self.lower - slack * self.scale) | (q > self.upper + slack * self.scale)):
             unit, factor = ("deg", np.degrees(1.0)) if k < n else ("mm", TO_MM)

@@ -66,12 +66,12 @@ class Posture:
 
     @cached_property
     def step_bounds(self) -> Array:
-        """Bounds (2m + k,) of an admissible step, as `JointSpace.inequalities`."""
+        """Bounds (2m + k,) of an admissible step: joint ranges and tube order."""
         return self.space.inequalities(self.q)[1]
 
     @cached_property
     def admissible(self) -> bool:
-        """True if q satisfies ranges and order, as `JointSpace.admissible`."""
+        """True if the joint values satisfy ranges and tube order."""
         return self.space.admissible(self.q)
 
     @property

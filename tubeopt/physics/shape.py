@@ -130,7 +130,7 @@ def frame_forms() -> NDArray[np.float64]:
 
 @lru_cache(maxsize=1)
 def tangent_forms() -> NDArray[np.float64]:
-    """Symmetric matrices (3, 4, 4) of the tangent R e3, as in `frame_forms`."""
+    """Symmetric matrices T (3, 4, 4) with the tangent (R e3)_i = Q' T_i Q of a unit quaternion Q."""
     return frame_forms()[:, 2].copy()
 
 

@@ -47,7 +47,7 @@ def cross_section(
         stiffness: (n,) kb_i of the tubes present, 0 for the others, N m^2.
         moment: (n,) m_i = kb_i kappa_i of the tubes curved here, 0 for the others, N m; or (n, 2), kb_i times the
             precurvature about both axes of the tube.
-        offset, angle: (n,) d_i (m), gamma_i (rad); None where all tubes are concentric.
+        offset, angle: (n,) d_i (m), gamma_i (rad); None if all tubes are concentric.
         load: (2,) bending moment that forces put on concentric tubes here, N m.
 
     Returns:

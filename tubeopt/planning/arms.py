@@ -221,7 +221,7 @@ class PairProof(Displayed):
     arms: tuple[int, int]
     """Numbers of the arms, from 0."""
     least_clearance: Annotated[float, unit("mm"), "proved distance of the two arms at all times"]
-    """-inf where no bound is proved."""
+    """-inf if no bound is proved."""
     measured_clearance: Annotated[float, unit("mm"), "smallest measured distance"]
     """Smallest distance at instants that include the checked equilibria, m."""
     when: Annotated[float, unit("s"), "time of the smallest distance"]
@@ -394,7 +394,7 @@ class TimedMotion(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ArmsProof(Displayed):
-    """Proofs of the motions of several arms: of each arm, of each pair, and the faults as text."""
+    """Proofs of the motions of several arms: of each arm, of each pair, and messages on faults."""
 
     proofs: tuple[Proof, ...]
     """Proof of each arm."""
@@ -560,7 +560,7 @@ class _Motion(NamedTuple):
 
 
 def _checked(motion: TimedMotion) -> _Motion:
-    """Arrays of a motion; raises InputError where it has none, or no row."""
+    """Arrays of a motion; raises InputError if it has none, or no row."""
     try:
         tables = [np.asarray(getattr(motion, name), dtype=float) for name in ("time", "rotations", "translations")]
     except (AttributeError, TypeError, ValueError):

@@ -73,7 +73,7 @@ class Move(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ArmsPlan(Displayed):
-    """Proved motions of several robots on one clock, with a distance between arms at all times."""
+    """Proved motions of several robots with a common time, and a distance between arms at all times."""
 
     _brief = ("arms", "status", "order")
 
@@ -138,7 +138,7 @@ def plan_arms(
     rate_limits: RateLimits = DEFAULT_RATES,
     options: PlanOptions = DEFAULT_PLAN,
 ) -> ArmsPlan:
-    """Plan motions of several robots to goals, each on one stable branch, without contact between arms; proved.
+    """Proved motions of several robots to goals, each on one stable branch, without contact between arms.
 
     Args:
         starts, goals: one for every arm, as in `plan_trajectory`; positions and directions of tips are in the frame

@@ -70,7 +70,7 @@ def branch(intervals: Intervals, stiffness: Array) -> ProvedBranch:
 
 
 def least_root(residual: Array, contraction: Array, curvature: Array) -> tuple[Array, Mask]:
-    """(B,) least r with contraction r = residual + curvature r^2 / 2, and (B,) True where it exists and is simple."""
+    """(B,) smallest root r of r = residual + curvature r^2 / 2, and (B,) True if it exists and is simple."""
     discriminant = contraction**2 - 2 * curvature * residual
     # The smaller root of curvature r^2 / 2 - contraction r + residual = 0; in this form nothing cancels for small
     # curvature. Kantorovich: residual < contraction^2 / (2 curvature) makes the root exist, and q < 1 in its ball.
@@ -117,7 +117,7 @@ class _Ball:
 
 
 class _Bounds:
-    """Bounds over B intervals with K sections of n tubes; a bound of a section holds everywhere in it."""
+    """Bounds over B intervals with K sections of n tubes; a bound of a section is valid everywhere in it."""
 
     def __init__(self, intervals: Intervals, stiffness: Array) -> None:
         self.intervals, self.bending, self.stiffness = intervals, intervals.bending, stiffness

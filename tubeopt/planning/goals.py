@@ -261,7 +261,7 @@ class TipGoal(Displayed):
             object.__setattr__(self, "direction", unit_vector("direction of the goal", self.direction))
 
     def single_goals(self) -> list[TipGoal]:
-        """Goals of one position each: of a region the first, and five that are as far apart as possible."""
+        """Goals of one position each: for a region, the first position and five that are as far apart as possible."""
         position = self.position
         if position.ndim != 2:
             return [self]
@@ -378,7 +378,7 @@ def other_ends(
     *,
     modulo_turns: bool = False,
 ) -> list[End]:
-    """Equilibria at a tip goal in other configurations than the known ones, nearest first; none for other goals."""
+    """Equilibria at a tip goal in further configurations, nearest first; empty for other goals."""
     tip_goal = _tip_goal(goal)
     if tip_goal is None or task.coordinates.load is not None:
         return []
@@ -431,7 +431,7 @@ def _tip_goal(goal: Any) -> TipGoal | None:
 
 
 def _equilibria(task: PlanTask, start: Equilibrium, goal: Any, clock: Clock) -> tuple[list[Equilibrium], bool]:
-    """Equilibria that may meet a goal, and True if a systematic search proves that there are no others."""
+    """Equilibria at a goal, and True if a systematic search proves that there are no others."""
     space = task.coordinates.space
     if isinstance(goal, InverseSolution):
         goal = goal.equilibrium

@@ -58,7 +58,7 @@ class Cubics:
 
     @property
     def inner(self) -> Any:
-        """(m, 2K - 2) inner Bezier coefficients of q: their linear inequalities hold between knots too."""
+        """(m, 2K - 2) inner Bezier coefficients of q; linear inequalities on them are valid between knots too."""
         return ca.horzcat(self.q[:, :-1] + self.h / 3 * self.v[:, :-1], self.q[:, 1:] - self.h / 3 * self.v[:, 1:])
 
     @property

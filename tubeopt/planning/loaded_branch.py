@@ -143,7 +143,7 @@ class _GeometryChange:
 
 
 class _Bounds:
-    """Bounds over B intervals with K sections of n tubes; a bound of a section holds everywhere in it."""
+    """Bounds over B intervals with K sections of n tubes; a bound of a section is valid everywhere in it."""
 
     def __init__(self, intervals: LoadedIntervals) -> None:
         self.intervals, self.force, b = intervals, intervals.force, intervals.bending

@@ -362,7 +362,7 @@ class Proof(Displayed):
     """
 
     snap: Annotated[float | None, key("snap_at_percent"), "position of a snap along the motion"]
-    """Fraction of the time, from `find_snap`; None where the branch reaches the end."""
+    """Fraction of the time, from `find_snap`; None if the branch reaches the end."""
     least_margin: Annotated[float, form(".4f", label="least margin"), "smallest margin"]
     """Smallest margin at the equilibria of the proof; 0 at a snap."""
     least_clearance: Annotated[float, unit("mm"), "proved distance of the arm from obstacles"]

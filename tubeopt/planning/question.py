@@ -261,7 +261,7 @@ def plan_task(
 
 
 def _loaded(space: JointSpace, load: Load, options: PlanOptions) -> LoadedChart:
-    """Chart of a robot under a load; raises InputError where no plan could be proved."""
+    """Chart of a robot under a load; raises InputError if no plan could be proved."""
     instance("load", load, Load)
     what = uncovered(load)
     if what:

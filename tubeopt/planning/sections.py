@@ -605,7 +605,7 @@ class Intervals:
 
     @cached_property
     def moved(self) -> Array:
-        """(B, K, n) bound on the motion of a point along each tube during the interval, m."""
+        """(B, K, n) bound on how far a point moves along each tube during the interval, m."""
         c, shift = self.arms.constants, self.arms.translations
         held = c.held(shift[self.end]) - c.held(shift[self.start])
         ends = np.abs((self.end_cuts - self.start_cuts)[:, :, None] - held[:, None])
@@ -613,7 +613,7 @@ class Intervals:
 
     @cached_property
     def transport(self) -> TransportBounds:
-        """Bounds on the changes due to motion along tubes that vary, (B, K)."""
+        """Bounds (B, K) on the changes of cross-sections because tubes that vary along their length move."""
         return TransportBounds.of(self.arms.constants, self.moved, self.stretch)
 
     @cached_property

@@ -296,7 +296,7 @@ class Smoothed:
 
 
 def building(task: PlanTask) -> float:
-    """Time that building the program of a task and starting its solution may take, s."""
+    """Time, s, that building the program of a task and starting its solution may take."""
     nodes = sum(min(body.lattice.values.size, MAX_NODES) for body in task.obstacles if isinstance(body, TABLES))
     return BUILD_PER_OPERATION * task.coordinates.size + BUILD_PER_BODY * len(task.obstacles) + BUILD_PER_NODE * nodes
 

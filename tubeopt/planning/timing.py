@@ -96,7 +96,7 @@ def at_full_speed(motion: JointMotion, limits: Limits) -> JointMotion:
 
 
 def stopping_at(paths: Sequence[Array], limits: Limits) -> JointMotion:
-    """Time-optimal motion along rounded paths (k, m) of evenly spaced joint values, at rest where they meet."""
+    """Time-optimal motion along rounded paths (k, m) of evenly spaced joint values, with a stop between paths."""
     parts = _time_optimal([rounded(path) for path in paths], limits)
     starts = np.cumsum([0.0, *(part.duration for part in parts)])
     time = [parts[0].time, *(part.time[1:] + start for part, start in zip(parts[1:], starts[1:-1], strict=True))]
@@ -337,7 +337,7 @@ def actuators(task: PlanTask, first: Equilibrium) -> Limits:
 
 
 def track(task: PlanTask, start: Equilibrium, q: Array, clock: Clock | None = None) -> tuple[Equilibrium, ...]:
-    """Equilibria at joint values q (T, m) on the branch of `start`: fewer than T where it, or the time, ends."""
+    """Equilibria at joint values q (T, m) on the branch of `start`; fewer than T if the branch or the time ends."""
     space, e, equilibria = task.coordinates.space, start, list[Equilibrium]()
     for row in q:
         rotations, shift = space.split(row)

@@ -393,7 +393,7 @@ class TrajectoryVerifier:
         return TraceStep(at, e, joints) if e.stable else None
 
     def step_by_one_solve(self, start: TraceStep, at: float, joints: Array) -> TraceStep | None:
-        """Stable equilibrium at joint values (2n,) by a single Newton solve; None where that fails."""
+        """Stable equilibrium at joint values (2n,) by a single Newton solve; None if that fails."""
         if self.load is not None:  # under which small changes of joints are one solve
             return self.step(start, at, joints)
         rotations, translations = np.split(joints, 2)
@@ -404,7 +404,7 @@ class TrajectoryVerifier:
         return TraceStep(at, e, joints)
 
     def advance(self, start: TraceStep, at: float, joints: Array) -> TraceStep:
-        """Stable equilibrium at the next joint values (2n,); raises BranchEndsError where the branch ends before it."""
+        """Stable equilibrium at the next joint values (2n,); raises BranchEndsError if the branch ends before it."""
         step = self.step_by_one_solve(start, at, joints)
         if step is not None:
             return step
@@ -522,7 +522,7 @@ def _take_steps(
 
 
 def _meetings(points: Array) -> dict[int, Array]:
-    """Fractions between waypoints at which some of P points (T, P) meet, by the number of the waypoint.
+    """Fractions between waypoints at which some of P points (T, P) coincide, by number of the waypoint.
 
     There the order of the sections changes, and with it the motion of the arm. Points closer than ROUND_OFF are one to
     the solver; meetings at the same time, except for round-off, are one fraction.
@@ -571,7 +571,7 @@ def prove_branch(verifier: TrajectoryVerifier, links: list[Link]) -> Proved:
 
 
 def bisect(verifier: TrajectoryVerifier, link: Link) -> list[Link]:
-    """Both halves of a link; raises BranchEndsError where the branch ends in it."""
+    """Both halves of a link; raises BranchEndsError if the branch ends in it."""
     middle = verifier.midway(link.start, link.end)
     if middle is None:
         end = verifier.branch_end(link.start, link.end.at, link.end.joints)

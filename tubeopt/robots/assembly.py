@@ -353,7 +353,9 @@ class Order:
 
 
 def joints_of(assembly: Assembly) -> list[Array]:
-    """Arc lengths, m, where panels of each tube meet behind its transition; none of tubes of one curvature."""
+    """Arc lengths, m, of the joints between panels behind the transition of each tube; empty for tubes of one
+    curvature.
+    """
     table = assembly.lengthwise
     if table is None:
         return [np.zeros(0)] * assembly.n_tubes

@@ -68,7 +68,7 @@ class SheathedRobot(Robot):
         return tuple(tube for tube in self.held for _ in range(3))
 
     def check_bends(self) -> None:
-        """Raise InputError where a precurvature is tighter than the robot is thick."""
+        """Raise InputError if a precurvature is tighter than the robot is thick."""
         for i, tube in enumerate(self.held, start=1):
             if self.distance * abs(tube.curvature) >= 0.25:
                 which = f" of segment {i}" if len(self.held) > 1 else ""

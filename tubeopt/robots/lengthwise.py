@@ -144,7 +144,7 @@ class Lengthwise:
         return np.asarray((table @ basis[..., None])[..., 0].transpose(2, 0, 1))
 
     def rates(self, position: Array, inside: Array) -> Array:
-        """Derivatives (6, X, n) of QUANTITIES by arc length, as `values`."""
+        """Derivatives (6, X, n) by arc length of QUANTITIES at arc lengths (X, n) from the clamped ends."""
         table, x, length = self._panels_at(position, inside)
         degree = table.shape[-1] - 1
         # Row k has the coefficients of T_k'. By arc length, d/ds = (2 / length) d/dx.

@@ -89,10 +89,10 @@ class Robot(Displayed, ABC):
 
     @abstractmethod
     def assembly(self, translations: Array) -> Assembly:
-        """Sections at `translations` (n,), m; raises InputError where they are not admissible."""
+        """Sections at `translations` (n,), m; raises InputError if they are not admissible."""
 
     def admit(self, translations: Array) -> None:
-        """Raise InputError where translations (n,), m, are not admissible."""
+        """Raise InputError if translations (n,), m, are not admissible."""
         self.assembly(translations)
 
     def check_drives(self, *, yields: bool = False) -> None:

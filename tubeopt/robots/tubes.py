@@ -36,7 +36,7 @@ class OfCrossSection(float):
 
 @dataclass(frozen=True)
 class Tube(Displayed):
-    """A tube that is straight from its held end, then curved: with one radius, or piece by piece (`of_pieces`).
+    """Tube that is straight from its clamped end, then curved: with one radius, or piece by piece (`of_pieces`).
 
     For a tube of pieces `curved_length` is the sum of their lengths, and `curvature` the largest |u*_xy|: another value
     scales all pieces. The stiffnesses are those of the straight part and of pieces without their own. Omitted or None
@@ -260,7 +260,7 @@ class Tube(Displayed):
 
     @property
     def straightened_strain(self) -> float:
-        """Largest surface strain when the curved part is held straight: r kappa / (1 - r kappa).
+        """Largest surface strain if the curved part is straightened: r kappa / (1 - r kappa).
 
         For slotted pieces it is the bound of their `slots`, or without these the strain of the tube without slots.
         """
@@ -310,7 +310,7 @@ def material_doubts(tube: Tube) -> Iterator[str]:
 
 
 def piece_strain(tube: Tube, piece: Piece) -> float:
-    """Largest surface strain of a piece of a tube that is held straight, with its `slots` if they are defined."""
+    """Largest surface strain of a piece of a tube if it is straightened, with its `slots` if they are defined."""
     curvature = piece.largest_curvature
     strain = surface_strain(tube.outer_diameter / 2, curvature, curvature)
     return piece.strain_ratio(float(tube.bending_stiffness)) * float(strain)
@@ -342,7 +342,7 @@ class TubeStretch(NamedTuple):
 
 
 def stretches(tube: Tube) -> list[TubeStretch]:
-    """Stretches of a tube from its held end, the straight part first."""
+    """Stretches of a tube from its clamped end, the straight part first."""
     kb, kt = float(tube.bending_stiffness), float(tube.torsional_stiffness)
     out = [TubeStretch(tube.straight_length, (0.0, 0.0, 0.0), kb, kt)] if tube.straight_length > 0 else []
     for piece in tube.chain:

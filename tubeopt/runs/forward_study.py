@@ -20,7 +20,7 @@ def solve_shape(
     load: ExternalLoad,
     options: Annotated[Options, Arguments(forward_kinematics, "method", "tolerance", "verify", "time_limit")],
 ) -> Equilibrium:
-    """The equilibrium of a robot at given joint values. A calibrated robot takes readings."""
+    """The equilibrium of a robot at given joint values; for a calibrated robot these are drive readings."""
     equilibrium = forward_kinematics(robot, *joints, load=load, **options)
     if not equilibrium.arc_length[-1]:
         LOGGER.warning("no tube is in front of the base plate at these translations; the tip lies in the plate")

@@ -43,7 +43,7 @@ from .workshop_file import CameraRecording, load_camera, load_heating_log, load_
 
 @dataclass(frozen=True)
 class Success:
-    """Success probability of a heating: window and limit are kept on rigs with uncertain parameters."""
+    """Probability that a heating stays within window and limit on rigs with uncertain parameters."""
 
     probability: float
     """Fraction of the random rigs that succeed."""

@@ -142,7 +142,7 @@ Shaken = Annotated[bool, Field(description="ignore the friction of the robot fil
 def follow_path(
     robot: RobotPath, path: WaypointsPath, load: ExternalLoad, shaken: Shaken = False, progress: Progress | None = None
 ) -> Path:
-    """Slow motion through waypoints of joint values, and its snaps. A calibrated robot takes readings."""
+    """Slow motion through waypoints of joint values, and its snaps; a calibrated robot's are drive readings."""
     last = len(path.rotations) - 1
     # Waypoint 0 is the start, so that the last one is the count of steps.
     step = None if progress is None else lambda waypoint: progress(waypoint, last)

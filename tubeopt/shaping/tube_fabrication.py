@@ -292,7 +292,7 @@ def _same_rig(a: Rig, b: Rig) -> bool:
 
 
 def _consistent(mold: Mold, plan: HeatingPlan) -> bool:
-    """True if the mold holds the heated tube and has the lead and growth of the heating."""
+    """True if the mold fits the heated tube and has the lead and growth of the heating."""
     groove = mold.grooves[0]
     uneven = abs(groove.centreline.lead_in.length - groove.centreline.lead_out.length)
     differences = [groove.free_length - plan.free_length, uneven, groove.growth - plan.growth]

@@ -119,7 +119,7 @@ class DoctorReport(Report[Doctor]):
         return f"tubeopt {__version__}"
 
     def conclude(self) -> None:
-        """Raise SolveError where the self-test failed."""
+        """Raise SolveError if the self-test failed."""
         if not self.answer.passed:
             off = self.answer.difference
             raise SolveError(f"the self-test failed: re-integration moves the tip by {off:.1e} m")
@@ -349,7 +349,7 @@ class Figures(Displayed):
 
 
 class FigureReport(Report[Figures]):
-    """Report as of the own command, with a caption and data for each picture."""
+    """Report of a study for a paper, with a caption and data for each picture."""
 
     def record(self) -> dict[str, Any]:
         return self.answer.shown.record()

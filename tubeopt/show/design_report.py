@@ -323,7 +323,7 @@ class DesignReport(Report[DesignAnswer]):
 
 
 def _draw_maps(robots: Sequence[ConcentricRobot], path: Path | None) -> Any:
-    """Draw the maps of margins before and after; they are computed here, since they take long."""
+    """Draw stability maps before and after the design; they are computed only here, since this takes long."""
     from ..stability import stability_map
     from .plots.design import plot_before_after
 

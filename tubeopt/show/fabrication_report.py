@@ -459,7 +459,7 @@ class FabricationReport(Report[Fabrication]):
         }
 
     def conclude(self) -> None:
-        """Raise SolveError if a window is missed, or kept by few rigs, or mold and heating disagree."""
+        """Raise SolveError if a tube misses its window, few random rigs succeed, or mold and heating disagree."""
         faults = _faults(self.answer)
         if faults:
             raise SolveError("; ".join(faults))

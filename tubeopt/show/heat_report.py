@@ -36,21 +36,21 @@ QUANTILES = (0.05, 0.5, 0.95)
 
 
 def _window_text(plan: HeatingPlan) -> str:
-    """Window and hold time, and whether they are kept, as text."""
+    """Text of the window and the hold time, and whether they are satisfied."""
     low, high = plan.spec.window_degC
     window = f"{low:g} to {high:g} degC for {plan.spec.hold_time:g} s"
     return f"held: {window}" if plan.feasible else f"MISSED ({window}), {plan.verdict}"
 
 
 def hold_duties(plan: HeatingPlan) -> tuple[int, int]:
-    """Largest and smallest duty during the hold."""
+    """Largest and smallest duty, 0 to 255, during the hold."""
     # The last instant is the end of the hold: its duty is that of the slot after it.
     duties = plan.duty[plan.in_hold][:-1]
     return int(duties.max()), int(duties.min())
 
 
 def _duties_text(plan: HeatingPlan) -> str:
-    """Duties during the hold, as text."""
+    """Text of the duties during the hold."""
     largest, smallest = hold_duties(plan)
     duties = f"{largest}" if largest == smallest else f"{largest} falling to {smallest}"
     return f"{duties} of 255, {plan.spec.slot:g} s each"
@@ -173,7 +173,7 @@ SUCCESS: tuple[Quantity[Any], ...] = (
 
 
 def success_text(success: Success | None) -> str:
-    """Probability that a heating keeps window and limit, as text."""
+    """Text of the probability that a heating stays within window and limit."""
     if success is None:
         return "success: not known, since no uncertain rigs were sampled (--samples 0)"
     low, high = success.interval
@@ -510,7 +510,7 @@ class OvenReport(Report[OvenPlan]):
         return [self.save_record(directory), path]
 
     def conclude(self) -> None:
-        """Raise SolveError where a requirement is violated."""
+        """Raise SolveError if a requirement is violated."""
         if not self.answer.feasible:
             raise SolveError("; ".join(self.answer.problems))
 
@@ -539,7 +539,7 @@ RUN = described(
 
 
 def _readings_text(run: HeatingRun) -> str:
-    """Readings of the hold, and whether they are in the window, as text."""
+    """Text of the readings in the hold, and whether they are in the window."""
     if run.held is None:
         return "nothing was measured"
     readings = f"{run.held[0]:.1f} to {run.held[1]:.1f} degC"

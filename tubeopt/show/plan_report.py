@@ -62,7 +62,7 @@ METHODS = {
 def _clearance_text(p: Proof) -> str | None:
     """Proved and measured clearance, as text; None without obstacles."""
     measured = f"({p.measured_clearance * TO_MM:.3f} mm measured)"
-    # -inf where no bound is shown, +inf without obstacles.
+    # -inf if no bound is shown, +inf without obstacles.
     if np.isfinite(p.least_clearance):
         return f"at least {at_least(p.least_clearance):.3f} mm at all times {measured}"
     return f"none is shown {measured}" if p.least_clearance < 0 else None
@@ -285,7 +285,7 @@ class TrajectoryReport(Report[Trajectory]):
         return {"trajectory": self.answer}
 
     def pictures(self) -> dict[str, Drawing]:
-        """The motion, and its section by the plane of the study."""
+        """Pictures of the motion, and of its section by the plane of the study."""
         pictures: dict[str, Drawing] = {"trajectory": drawing("trajectory.plot_trajectory", self.answer)}
         if self.answer.cut is not None:
             pictures["section"] = drawing("trajectory.plot_section", self.answer)
@@ -457,7 +457,7 @@ class ArmsReport(Report[ArmsPlan]):
         return [*paths, self.save_record(directory)]
 
     def pictures(self) -> dict[str, Drawing]:
-        """The arms and their distances, and a page that plays if viser is installed."""
+        """Pictures of the arms and their distances, and a page with the motion if viser is installed."""
         pictures = {"arms": drawing("trajectory.plot_arms", self.answer)}
         if find_spec("viser") is not None:
             from .viewer.host import arms_page

@@ -142,7 +142,7 @@ class WorkspaceReport(Report[Findings]):
         return {"samples": self.answer.workspace}
 
     def pictures(self) -> dict[str, Drawing]:
-        """The workspace, seen from two sides and cut."""
+        """Pictures of the workspace: from two sides, and in a section."""
         a = self.answer
         return {"workspace": drawing("workspace.plot_workspace", a.workspace, loss=a.loss)}
 

@@ -228,7 +228,7 @@ def nowhere(rows: int, size: int) -> Values:
 
 
 Evaluate = Callable[[Array], Values]
-"""Function x (X,) -> values, NaN where they are not defined."""
+"""Function x (X,) -> values, NaN if they are not defined."""
 
 
 @dataclass(frozen=True, eq=False)

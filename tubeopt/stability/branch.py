@@ -173,7 +173,7 @@ def _correct(
 ) -> tuple[Array, bool] | None:
     """Point of the branch in the plane across a step, by Newton's method; and True if that took few iterations.
 
-    None where it converges slowly: a shorter step stays on the same branch, a slow one may have left it.
+    None if it converges slowly: a shorter step stays on the same branch, a slow one may have left it.
     """
     direction, x, last = step / np.linalg.norm(step), unknowns + step, np.inf
     for iteration in range(7):

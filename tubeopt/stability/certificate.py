@@ -163,7 +163,7 @@ class Certificate(Displayed):
     margin: Annotated[float, "certificate"]
     """mu_cert; above 0 no rotations can make the robot snap, and there is one equilibrium for each.
 
-    -inf where nothing can be proved: eccentric tubes that are not three equal ones per segment.
+    -inf if nothing can be proved: eccentric tubes that are not three equal ones per segment.
     """
     translations: Annotated[Array, unit("mm"), form(".6g"), "translations"]
     """(n,) translations of the robot, m."""

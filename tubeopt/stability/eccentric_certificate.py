@@ -260,7 +260,7 @@ class Segment:
 
 
 def segments_of(assembly: Assembly) -> tuple[Segment, ...] | None:
-    """Segments of a robot, base to tip; None where nothing is proved.
+    """Segments of a robot, base to tip; None if nothing can be proved for it.
 
     Nothing is proved if a segment is not made of three equal tubes, or curves too tightly for the table.
     """
@@ -392,7 +392,7 @@ def proof_gradient(robot: Robot, translations: Array) -> dict[str, Array]:
     """Derivatives of `proof` with respect to each of PARAMETERS, (n,), by central differences.
 
     Tubes that move together change together; each has an equal part of the derivative. One-sided where the other side
-    has no proof; NaN where neither has one.
+    has no proof; NaN if neither has one.
     """
     assembly = robot.assembly(translations)
 
@@ -426,7 +426,7 @@ def proof_gradient(robot: Robot, translations: Array) -> dict[str, Array]:
 def proof(assembly: Assembly) -> tuple[float, Segment | None]:
     """Smallest `proved_margin` of all segments, at most 1, and its segment.
 
-    -inf where nothing can be proved, 1 where nothing is curved.
+    -inf if nothing can be proved, 1 where nothing is curved.
     """
     segments = segments_of(assembly)
     if segments is None:

@@ -210,7 +210,9 @@ class TipTable:
 
 @lru_cache(maxsize=16)
 def table_of(bundle: ShootingArm, k: int) -> TipTable:
-    """Table of the first k tubes of a bundle, refined until its Fourier series is resolved."""
+    """Table from tip angles to plate angles for the first k tubes of a bundle, refined to resolve its
+    Fourier series.
+    """
     size = (RELATIVE,) * (k - 1) + ((COMMON,) if bundle.offsets else ())
     while True:
         tips = _tips(_grid(size), k).reshape(-1, k)
@@ -586,7 +588,7 @@ def find_equilibria(
 
 
 def _without_load(member: Unloaded, most_starts: int) -> list[PlainPoint]:
-    """All equilibria without a load; raises SolveError where their degree is not 1."""
+    """All equilibria without a load; raises SolveError if their degree is not 1."""
     problem, rotations = member.problem, member.rotations
     certain = CERTAIN if problem.assembly.even else CERTAIN_OF_PIECES
     if not problem.assembly.eccentric and worst_case(problem).margin > certain:

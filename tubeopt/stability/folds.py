@@ -77,14 +77,14 @@ def turning_point(
     x: Array,
     border: Array,
 ) -> TurningPoint | None:
-    """Solve g(x, t) = 0 and sigma(x, t) = 0 by Newton's method from close by; None where it does not converge.
+    """Solution of g(x, t) = 0 and sigma(x, t) = 0 by Newton's method from a close guess; None if it does not converge.
 
     sigma is the bordered determinant, [H p; p' 0] [v; sigma] = [0; 1], which vanishes exactly where H is singular, and
     whose matrix is regular there (Griewank, Reddien 1984; Govaerts, Numerical Methods for Bifurcations of Dynamical
     Equilibria, 2000). The derivatives of H and by t are differences: they shape the steps, not the result.
 
     Args:
-        at: the equations in x at t; None where they are of another structure.
+        at: the equations in x at t; None if they are of another structure.
         turn: of a step in x, rad.   border: p (U,), the softest direction.
     """
     start, size = t, len(x)
@@ -148,13 +148,13 @@ def branch_end(family: Family, last: AnyPoint, goal: float) -> Loss | None:
 
 
 def fold_ahead(family: Family, last: AnyPoint, far: float) -> Loss | None:
-    """Fold close ahead of a point of a stable branch, up to t = `far`; None where none is found."""
+    """Fold close after a point of a stable branch, up to t = `far`; None if none is found."""
     result = fold(family, last)
     return result if result is not None and last.t - 1e-6 * max(1.0, abs(last.t)) <= result.t <= far else None
 
 
 def fold(family: Family, point: AnyPoint) -> Loss | None:
-    """Fold of a branch close to a point of it; None where Newton's method does not converge to one."""
+    """Fold of a branch close to a point of it; None if Newton's method does not converge to one."""
     known = point.member
 
     def equations(t: float) -> Callable[[Array], Any] | None:
@@ -173,7 +173,7 @@ def fold(family: Family, point: AnyPoint) -> Loss | None:
 
 
 def bifurcation(family: Family, point: AnyPoint, goal: float) -> Loss | None:
-    """Root of the margin on the branch of `point`, which continues beyond it; None where it does not continue."""
+    """Root of the margin on the branch of `point`, which continues beyond it; None if it does not continue."""
 
     def solved(t: float) -> AnyPoint | None:
         member = family.member(t, point)

@@ -259,7 +259,7 @@ def _distance(a: FrictionEquilibrium, b: FrictionEquilibrium) -> float:
 def _flow(family: Family, current: FrictionEquilibrium, t: float, *, pushed: bool) -> FrictionEquilibrium | None:
     """State at rest after the energy flow at fraction t, on its own or after a push in the softest direction.
 
-    None where the flow does not end in a state.
+    None if the flow does not end in a state.
     """
     (rotations, translations), load = family.path.at(t), family.load_at(t)
     contact, before, x = start_increment(family.path.robot, current, rotations, translations, load)
@@ -305,7 +305,7 @@ class FrictionBand(Displayed):
     first_order: Array
     """(M, 3) half widths along the axes of the plate, m; valid for small friction only."""
     guaranteed: Array
-    """(M,) proved radius around the equilibrium for every history, m; inf where the certificate is not positive."""
+    """(M,) proved radius around the equilibrium for every history, m; inf if the certificate is not positive."""
 
     @property
     def tip_half_widths(self) -> Array:

@@ -256,7 +256,7 @@ def _margins_ahead(before: Sequence[Equilibrium], snap: Array) -> Array:
 def _refine_boundary(
     directions: Array, period: float, boundary: Array, first_snaps: Callable[[Array], Array]
 ) -> tuple[Array, Array]:
-    """Directions and rows of the boundary, with more where it ends or jumps between two directions.
+    """Directions and rows of the snap boundary, with further ones where it ends or jumps.
 
     Args:
         directions: (D,) angles, rad; they repeat after `period`.   boundary: (D, 2 + A), a row for each.

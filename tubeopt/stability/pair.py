@@ -244,7 +244,7 @@ class _Shot:
 def pair_fold(pair: Pair) -> PairFold | None:
     """First fold of two tubes of one curvature each on a rotation from the relaxed pose, where a'(x) = 0.
 
-    None where a grows up to the opposed pose x = pi, which then is stable.
+    None if a grows up to the opposed pose x = pi, which then is stable.
     """
     shot = _Shot.at(pair, 0.0, np.zeros(len(pair.psi)))
     while shot.a_x >= 0:

@@ -157,7 +157,7 @@ def profiles(problem: ReducedProblem, tips: Array) -> Array:
 
 
 def _chunks(tips: Array) -> list[Array]:
-    """Equal chunks, the last one padded: compiled functions take a fixed number of points."""
+    """Tip angles in chunks of equal size, the last one padded: compiled functions take a fixed number of points."""
     size = next((size for size in CHUNKS if len(tips) > size // 2), CHUNKS[-1])
     missing = -len(tips) % size
     padded = np.concatenate([tips, np.repeat(tips[-1:], missing, axis=0)])

@@ -421,7 +421,7 @@ class SnapAssessment(Displayed):
     certificate: Certificate
     """Proved lower bound on the margin over all rotations."""
     worst: WorstMargin | None
-    """Smallest margin found by search; None where the search ended on a fold (margin 0)."""
+    """Smallest margin found by search; None if the search ended on a fold (margin 0)."""
     start: Array | None = None
     """(n,) rotations at the start of a straight path with a snap, rad; None if no snap is known."""
     end: Array | None = None
@@ -482,7 +482,7 @@ class EccentricSnapAssessment(SnapAssessment):
     untwisted: float | None = None
     """Margin of the softest untwisted shape, with one tube of a segment against the two others.
 
-    Below 0 two more equilibria have its joint rotations, and the robot snaps on some path, shown or not. None where the
+    Below 0 two more equilibria have its joint rotations, and the robot snaps on some path, shown or not. None if the
     robot is not made of segments of three equal tubes.
     """
 

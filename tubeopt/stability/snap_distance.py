@@ -119,7 +119,7 @@ class SnapDistance(Displayed):
     """The equilibrium."""
     turn: float
     """Largest turn of every tube, either way and in any order, that is proved to cause no snap, rad. It is a lower
-    bound of the true distance, 0.93 of it in the median. inf where the certificate at the translations is positive.
+    bound of the true distance, 0.93 of it in the median. inf if the certificate at the translations is positive.
     """
     status: SnapDistanceStatus
     """Result of the proof."""
@@ -464,7 +464,7 @@ def _range_of_cosine(low: Array, high: Array) -> tuple[Array, Array]:
 
 
 def _factors(green: Array, ever: Mask) -> Array:
-    """(n, N, U) rows of the root of the compliance of each tube at the points (N, n) where it is ever curved."""
+    """(n, N, U) rows of the square root of the compliance of each tube, at points (N, n) where it can be curved."""
     n, ends = len(green), np.cumsum([0, *ever.sum(0)])
     out = np.zeros((n, len(ever), ends[-1]))
     for k in range(n):
@@ -511,7 +511,7 @@ def snap_distance(equilibrium: Equilibrium, *, time_limit: float = TIME_LIMIT) -
 
 @small
 def least_snap_distance(equilibria: Iterable[Equilibrium]) -> float:
-    """Smallest snap distance of equilibria, rad; inf where no turn can snap at any of them.
+    """Smallest snap distance of equilibria, rad; inf if no turn can snap at any of them.
 
     Equilibria are checked from the smallest margin on. Most then need one check only: whether their distance is larger
     than the smallest one.
@@ -527,7 +527,7 @@ def least_snap_distance(equilibria: Iterable[Equilibrium]) -> float:
 
 @small
 def proved_turn(equilibrium: Equilibrium, most: float, precision: float = 1.0) -> float:
-    """Turn up to `most` (rad) that is proved to cause no snap, to a relative precision; inf where none can snap.
+    """Turn up to `most` (rad) that is proved to cause no snap, to a relative precision; inf if none can snap.
 
     With precision 1 the answer is `most` or 0: one check.
 
@@ -538,7 +538,7 @@ def proved_turn(equilibrium: Equilibrium, most: float, precision: float = 1.0) -
 
 
 def _distance(equilibrium: Equilibrium, limit: float, precision: float = PRECISION) -> SnapDistance:
-    """Snap distance, or `limit` (rad) where it is larger; errors as of `snap_distance`."""
+    """Snap distance, or `limit` (rad) if that is smaller; errors as of `snap_distance`."""
     start_time, robot = perf_counter(), equilibrium.robot
     refuse_friction(equilibrium)
     if equilibrium.load is not None:

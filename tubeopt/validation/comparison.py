@@ -108,7 +108,7 @@ class ErrorTable:
 class Validation(Displayed):
     """Measured and predicted tips of N configurations in the plate frame, in SI units.
 
-    NaN where nothing was measured, or there is no stable equilibrium.
+    NaN if nothing was measured, or there is no stable equilibrium.
     """
 
     robot: Robot
@@ -267,7 +267,7 @@ def join(comparisons: Sequence[Validation]) -> Validation:
 
 
 def check_tubes(robot: Robot, measurements: Measurements) -> None:
-    """Raise InputError where measurements are of another number of tubes."""
+    """Raise InputError if measurements are of another number of tubes."""
     if measurements.n_tubes != robot.n_tubes:
         raise InputError(f"the measurements are of {measurements.n_tubes} tubes; the robot has {robot.n_tubes}")
 

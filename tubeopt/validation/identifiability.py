@@ -40,7 +40,7 @@ NO_EFFECT = 1e-4
 
 
 def undetermined(parameters: Sequence[Parameter], jacobian: Array, length: float) -> tuple[list[int], list[str]]:
-    """Indices of parameters to hold, so that all others are determined, and the reasons in words.
+    """Indices of parameters to fix so that all others are determined, and the reasons as text.
 
     Args:
         jacobian: (V, 3, P + F) of the residuals by parameters and registration, directions in units of the arm's

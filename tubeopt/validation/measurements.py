@@ -94,7 +94,7 @@ class Measurements(Displayed):
     behind: Array | None = None
     """(S,) distance of each sensor behind the tip along the arm, m; None is all at the tip."""
     orientation: Array | None = None
-    """(N, 3, 3) frame of the tip's sensor in the device's, NaN where it was not seen; None for none."""
+    """(N, 3, 3) frame of the tip's sensor in the device's, NaN if it was not seen; None for none."""
     sensor_axis: Array | None = None
     """(3,) direction along the tube, towards the tip, in the frame of the tip's sensor; None finds out which of +-x,
     +-y, +-z it is."""
@@ -178,12 +178,12 @@ class Measurements(Displayed):
 
     @property
     def station_position(self) -> Array:
-        """(N, K, 3) mean over the sensors of each station that were seen, m; NaN where none was."""
+        """(N, K, 3) mean over the sensors of each station that were seen, m; NaN if none was."""
         return np.stack([_mean(self._at(station)) for station in self.stations], axis=1)
 
     @property
     def tip_position(self) -> Array:
-        """(N, 3) position of the foremost station, m; NaN where it was not seen."""
+        """(N, 3) position of the foremost station, m; NaN if it was not seen."""
         return np.asarray(self.station_position[:, 0])
 
     @property
@@ -268,7 +268,7 @@ def _sensors(value: ArrayLike, count: int) -> Array:
         raise InputError(f"sensors have shape {sensors.shape}; it must be ({count}, sensors, 3)")
     if np.isinf(sensors).any():
         entry = np.argwhere(np.isinf(sensors))[0].tolist()
-        raise InputError(f"sensors{entry} is {sensors[tuple(entry)]}; it must be finite, or NaN where nothing was seen")
+        raise InputError(f"sensors{entry} is {sensors[tuple(entry)]}; it must be finite, or NaN if nothing was seen")
     sensors[np.isnan(sensors).any(2)] = np.nan
     unseen = np.isnan(sensors).all((1, 2))
     if unseen.any():
@@ -277,7 +277,7 @@ def _sensors(value: ArrayLike, count: int) -> Array:
 
 
 def _mean(sensors: Array) -> Array:
-    """(N, 3) mean over the sensors (N, s, 3) that were seen; NaN where none was."""
+    """(N, 3) mean over the sensors (N, s, 3) that were seen; NaN if none was."""
     return np.asarray(np.ma.masked_invalid(sensors).mean(1).filled(np.nan))
 
 

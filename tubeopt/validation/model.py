@@ -34,7 +34,7 @@ from .registration import FREEDOMS, SENSOR_FRAME, BasePose, MeasuredDirections, 
 
 @dataclass(frozen=True, eq=False)
 class PredictedPoses:
-    """Stable equilibria of N configurations, each found on its own; NaN where none was. Plate frame, SI."""
+    """Stable equilibria of N configurations, each found on its own; NaN if none was. Plate frame, SI."""
 
     position: Array
     """(N, K, 3) positions of K stations, the foremost first."""
@@ -220,7 +220,7 @@ def about_z(angle: ArrayLike) -> Array:
 
 
 def stations_of(shape: Equilibrium | Arm, stations: Array) -> Array:
-    """(K, 3) positions of stations behind the tip; on the plate's axis where they are behind the plate."""
+    """(K, 3) positions, m, of sensors at distances behind the tip; on the plate's axis for those behind the plate."""
     # Breakpoints that coincide give equal arc lengths, which a spline does not accept.
     at, distinct = shape.arc_length[-1] - stations, np.append(True, np.diff(shape.arc_length) > 0)
     line = scipy.interpolate.CubicHermiteSpline(
@@ -542,7 +542,7 @@ class ArmModel:
         return poses
 
     def _placed(self, setup: Setup, poses: PredictedPoses) -> tuple[Array, Array]:
-        """Stations (N, K, 3), with the sensor where it sits, and directions (N, 3), in the plate frame."""
+        """Positions (N, K, 3), m, of the sensors on the arm, and directions (N, 3), in the plate frame."""
         stations = poses.position.copy()
         stations[:, 0] += poses.frame @ setup.sensor_offset
         x, y = setup.sensor_tilt

@@ -93,7 +93,7 @@ class Registration:
 
     @classmethod
     def of_saved(cls, saved: SavedRegistration) -> Registration:
-        """The registration that a calibration holds."""
+        """Registration that is stored in a calibration."""
         return cls("saved", np.array(saved.rotation), np.array(saved.translation))
 
     def saved(self, recording: str) -> SavedRegistration:

@@ -115,7 +115,7 @@ class Comparison(Displayed):
 
     @property
     def chosen(self) -> tuple[str, ...]:
-        """Names of the parameters that were kept."""
+        """Names of the parameters in the selection."""
         return tuple(name for step in self.steps for name in step.parameters)
 
 
@@ -392,7 +392,7 @@ class _Search:
         return tuple(steps)
 
     def _refused(self) -> tuple[SelectionStep, ...]:
-        """Gain of each other effect in addition to the kept ones, best first."""
+        """Gain of each effect that is not selected, added to the selected ones; best first."""
         weights, out = self._weights(self.slopes), list[SelectionStep]()
         for kind in self.known:
             if kind in self.now.effects or not any(p.kind == kind for p in self.slopes.model.parameters):
@@ -421,7 +421,7 @@ class _Search:
         return tuple(rival for rival in self.known if self._in_place(rival, kind) is not None)
 
     def _gain(self, before: Array, after: Array) -> tuple[float, float]:
-        """Relative decrease of the held-out error, and the same over its standard error between blocks."""
+        """Relative decrease of the held-out error, and that decrease over its standard error between blocks."""
         own, scale = self.block[self.model.row], weigh(self.model, self.options, self.initial_trial.sigma)
         first, then = scale.losses(before), scale.losses(after)
         differences = np.array([(first - then)[own == k].sum() for k in np.unique(own)])
@@ -653,7 +653,7 @@ class Slopes:
         )
 
     def beside(self, kind: str, weights: Weights, fold: Index) -> Array:
-        """(V, 3) residuals held out with one more effect than the fit has; weights as for `sets`."""
+        """(V, 3) held-out residuals with one more effect than the fit; weights as for `sets`."""
         own = np.array([p.kind == kind or p.kind in self.base for p in self.model.parameters])
         fewer = self.model.with_parameters([p for p, mine in zip(self.model.parameters, own, strict=True) if mine])
         residuals = self.residuals + self.jumps.get(kind, 0.0)

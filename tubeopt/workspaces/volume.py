@@ -52,7 +52,7 @@ def voxel_volume(workspace: Workspace, size: float | None = None, *, min_margin:
 
 
 def volume_of(voxels: Voxels) -> Volume:
-    """Volume of voxels, as `voxel_volume`."""
+    """Volume of voxels: their number times their size, less half of the voxels on the surface, m^3."""
     cube = voxels.size**3
     first = voxels.index[voxels.early > 0]
     once, twice = int((voxels.count == 1).sum()), int((voxels.count == 2).sum())

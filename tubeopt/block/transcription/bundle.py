@@ -230,7 +230,7 @@ class BundleProblem:
 
     @cached_property
     def inputs(self) -> tuple[Array, ...]:
-        """Inputs of `bundle_energy` that x leaves unchanged."""
+        """Inputs of `bundle_energy` that are independent of x."""
         bundle, curved = self.bundle, self._of_sections[1][self.point_section]
         moment = bundle.bending_stiffness * bundle.curvature * curved
         place = np.broadcast_arrays(bundle.offset, bundle.angle)
@@ -382,7 +382,7 @@ class BundleProblem:
 
     @property
     def tip_tube(self) -> int:
-        """Tube that ends last, of several the first."""
+        """Tube that ends last; of several, the first."""
         return self.order[-1].ends[0]
 
     def place(self, s: float) -> int:

@@ -108,7 +108,7 @@ def interpolated_columns(sections: CrossSections, nodes: Array) -> Array:
 
 
 def shifted_columns(table: Any, detail: int, lengths: Any, ends: Any, tubes: Any) -> Any:
-    """Columns (X, P) of `interpolated_columns` after a shift: every tube keeps its polynomials.
+    """Columns (X, P) of `interpolated_columns` after tubes are shifted along; each keeps its polynomials.
 
     Args:
         lengths: (P,) of the pieces, m.

@@ -162,7 +162,7 @@ class LoadedProblem:
 
     @property
     def tip_tube(self) -> int:
-        """Tube that ends last, of several the innermost."""
+        """Tube that ends last; of several, the innermost."""
         return self.torsion.tip_tube
 
     @property

@@ -38,7 +38,7 @@ from .mesh import Compliant, Mesh, ahead, compliant, green_of, integrals, reach
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """k eccentric tubes that are curved together, at the p points where they are curved."""
+    """Group of k eccentric tubes that are curved together, at the p points where they are curved."""
 
     tubes: Index
     """Tubes (k,) that the block couples."""

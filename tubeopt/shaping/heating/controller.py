@@ -98,8 +98,8 @@ def decide(
     After the end of the schedule, and after waiting longer than its patience, the count is 0.
 
     Args:
-        override: external effective mean count of this slot, (B,) or one; NaN for none. It is limited as any
-            correction, and the integral becomes the one with which the law would have chosen it.
+        override: external effective mean count of this slot, (B,) or one; NaN for none. Its correction is
+            limited as that of the law, whose integral is set so that the law would choose the same count.
     """
     index = np.minimum(state.index, len(law.planned) - 1)
     running = (state.index < len(law.planned)) & (state.waited <= law.patience)
@@ -168,7 +168,7 @@ class LoopHistory:
     """(B,) True for rigs that completed the schedule."""
 
     def in_hold(self, law: HeatingLaw) -> Array:
-        """(T, B) True for times in the hold, its end included; not while the schedule waits."""
+        """(T, B) True for times in the hold, its end included, while the schedule does not wait."""
         first, last = law.hold
         return np.asarray((self.index >= first) & (self.index <= last) & ~waiting(law, self.index, self.reading))
 

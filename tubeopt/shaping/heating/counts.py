@@ -243,7 +243,7 @@ def max_count(model: ThermalModel, state: State, spec: HeatingSpec, rig: Rig) ->
 
 
 def achievable_limits(model: ThermalModel, spec: HeatingSpec, rig: Rig) -> Limits:
-    """Limits, raised to the ramp and mean current of PWM count 1 from rest, the least that heats."""
+    """Limits, raised if necessary so that a PWM count of 1 is allowed at rest; no smaller count heats."""
     usable = 1 - RAMP_MARGIN
     rate = count_rate_of(model, rig, spec)
     if rate > usable * spec.ramp:
@@ -289,7 +289,7 @@ class MinimumTime(NamedTuple):
 def minimum_time_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, reserve: float) -> MinimumTime | None:
     """Largest PWM counts within the limits until the window is reached, then the hold; None if it is not reached.
 
-    None where the window is not reached in time, or the coldest point warms ever more slowly and far too slowly.
+    It is not reached if the time is too short, or if the coldest point warms more and more slowly and far too slowly.
 
     Args:
         model: one member. reserve: distance from the window's ends and the limit, K.
@@ -341,7 +341,7 @@ def _greatest(
 
 
 def _hold(model: ThermalModel, spec: HeatingSpec, rig: Rig, state: State, high: float) -> Array:
-    """(H,) duties that bring the curved part to the middle of the window and keep it there."""
+    """(H,) duties that bring the curved part to the middle of the window and hold it there."""
     middle = 0.5 * sum(spec.window_degC)
     together = max(round(MIN_INTERVAL / spec.slot), 1)
     levels: list[float] = []
@@ -427,7 +427,7 @@ def _hottest(state: State) -> float:
 
 
 def _duty_for_target(model: ThermalModel, state: State, most: float, span: float, target: float) -> float:
-    """Greatest duty, up to `most`, that keeps all points below `target` (degC) after `span` s."""
+    """Largest duty, up to `most`, at which all points are below `target` (degC) after `span` s."""
     less = max(most - PROBE / COUNTS, 0.0)
     top, bottom = (_hottest(advance(model, state, level, span)) for level in (most, less))
     if top <= target or most <= less:

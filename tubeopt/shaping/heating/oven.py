@@ -360,7 +360,7 @@ class MoldBlock:
         return result.t, result.y.T
 
     def surface_mean(self, mold: Array) -> Array:
-        """(S,) mean over the mold's faces of the cells behind them, K, of (S, N)."""
+        """(S,) mean temperature of the cells at the faces of the mold, K, from all cells (S, N)."""
         weight = self.surface_area / self.surface_area.sum()
         return np.asarray(mold[:, self.surface_cell] @ weight)
 
@@ -380,7 +380,7 @@ def arc_points(tube: Tube) -> Array:
 
 
 def mold_length(oven: Oven, tube: Tube) -> float:
-    """Length of the mold, m, as given or by default; raises InputError where the arc does not fit into the plates."""
+    """Length of the mold, m, as given or by default; raises InputError if the arc does not fit into the plates."""
     extent = np.ptp(arc_points(tube), axis=0)
     length = float(extent[0]) + 2 * oven.mold.lead if oven.mold_length is None else oven.mold_length
     if oven.mold_length is not None and extent[0] >= length:

@@ -207,7 +207,7 @@ class HeatingPlan(Displayed):
 
     @property
     def verdict(self) -> str:
-        """ "held" if all limits are satisfied; otherwise the violations, in short."""
+        """ "held" if all limits are satisfied; otherwise a short text of the violations."""
         if self.feasible:
             return "held"
         circuit = self.rig.circuit
@@ -245,7 +245,7 @@ class HeatingPlan(Displayed):
 
     @property
     def cold_end(self) -> float:
-        """Length of tube at each end, from the clamp's edge, that is colder than the window as the hold ends, m.
+        """Length of tube at each end, from the clamp's edge, that is below the window at the end of the hold, m.
 
         Infinite if the middle of the tube is.
         """

@@ -84,7 +84,7 @@ def plan_heating(
             f"ambient of the rig is {rig.ambient - ZERO_CELSIUS:g} degC; it must be below the window, which begins at "
             f"{spec.window_degC[0]:g} degC"
         )
-    thermal_model(tube, rig, PROGRAM)  # raises InputError where tube and mold do not fit
+    thermal_model(tube, rig, PROGRAM)  # raises InputError if tube and mold do not fit
     own = _own_terms(requirements, objective, grid_places(tube, rig, PROGRAM, fixed=not spec.free))
     schedule = best_schedule(tube, rig, spec, own)
     changes = find_cures(tube, rig, spec, schedule) if cures and own is NO_TERMS and not schedule.feasible else ()

@@ -99,7 +99,7 @@ def with_parameters(rig: Any, values: Mapping[str, Any]) -> Any:
 
 
 def rig_parameters(tube: Tube, rig: Rig, resolution: Resolution, expressions: Mapping[str, Any] | None = None) -> Any:
-    """Column of all parameters of tube and rig in the program; `Parameters` takes it apart.
+    """Column of all parameters of tube and rig in the program; `Parameters.of` is the inverse.
 
     Properties, fractions of the cells (n,), geometry of the shells, and the weights of the vents at the covered cells.
 
@@ -197,7 +197,7 @@ def instant(resolution: Resolution) -> ca.Function:
 
 @dataclass(frozen=True)
 class TimeMesh:
-    """Numbers of intervals of heating and hold, and of collocation points in each; short where the phases meet."""
+    """Numbers of time intervals of heating and hold, and of collocation points in each."""
 
     heating: int = 14
     hold: int = 10

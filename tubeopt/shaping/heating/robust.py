@@ -100,7 +100,7 @@ class Band:
     too_hot: Annotated[float, "fraction that rises above window or limit"]
 
     def quantiles(self, fraction: float = 0.9) -> tuple[Array, Array]:
-        """Lower and upper temperature (T,) of the curved part that this fraction of the rigs keeps, degC."""
+        """Lower and upper temperature (T,), degC, that this fraction of the rigs does not exceed in the curved part."""
         tail = 0.5 * (1 - fraction)
         return np.quantile(self.coldest, tail, axis=1), np.quantile(self.hottest, 1 - tail, axis=1)
 
@@ -324,7 +324,7 @@ def nominal_law(plan: HeatingPlan, sensor: Sensor) -> HeatingLaw:
 
 
 def prolonged(plan: HeatingPlan, slots: int) -> Array:
-    """(slots,) mean counts of a plan's heating and hold, continued with the last one."""
+    """(slots,) mean PWM counts of a plan's heating and hold; the last one is repeated."""
     last = round(plan.hold_end / plan.spec.slot)
     return np.append(plan.ideal_duty[:last], np.full(slots - last, plan.ideal_duty[last - 1]))
 

@@ -291,7 +291,7 @@ class Schedule:
 
     @property
     def breaks_limits(self) -> bool:
-        """True if ramp or mean current exceed their limits, which other counts may keep."""
+        """True if ramp or mean current exceed their limits; other counts may satisfy them."""
         outcome = self.outcome
         return outcome.steepest > self.spec.ramp or outcome.mean_current > self.run.rig.circuit.current_limit
 
@@ -540,7 +540,7 @@ def realised_schedule(tube: Tube, spec: HeatingSpec, ideal: Ideal) -> Schedule:
 
 
 def _outcome_of_counts(tube: Tube, rig: Rig, spec: HeatingSpec, counts: Counts, start: float) -> Outcome:
-    """Outcome of counts with a hold that starts at `start`, s, and with their own mesh error."""
+    """Outcome of PWM counts with a hold that starts at `start`, s, and the mesh error of this simulation."""
     fine, coarse = (thermal_model(tube, rig, grid) for grid in (FINE, COARSE))
     history = resimulate(fine, spec.slot, counts / COUNTS)
     error = mesh_error((coarse, simulate(coarse, spec.slot, counts / COUNTS)), (fine, history), spec, start)
@@ -554,7 +554,7 @@ def ideal_duties(ideal: Ideal, spec: HeatingSpec) -> Array:
 
 
 def commanded_duties(duty: Array, rig: Rig) -> Array:
-    """Duties of the switch for effective duties: the part of each pulse that inductance takes is added."""
+    """Duties of the switch for effective duties: the part of each pulse that inductance absorbs is added."""
     return np.where(duty > 0, np.minimum(duty + rig.circuit.lost_share, 1.0), 0.0)
 
 

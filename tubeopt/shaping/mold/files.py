@@ -260,7 +260,7 @@ CLOSED = ("OUTLINE", "GROOVE")
 
 
 def _loops(pieces: Sequence[Arc]) -> list[list[Arc]]:
-    """Closed outlines, mm, in a sequence of pieces: each ends where it has begun."""
+    """Closed outlines, mm, in a sequence of pieces."""
     loops: list[list[Arc]] = [[]]
     for piece in pieces:
         loops[-1].append(piece)

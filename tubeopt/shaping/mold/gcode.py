@@ -196,7 +196,7 @@ def pass_depths(depth: float, step: float) -> tuple[float, ...]:
 
 
 def _passes(groove: Groove, mold: Mold) -> Iterator[str]:
-    """Lines that cut a groove, pass by pass."""
+    """Lines of G-code that cut a groove, pass by pass."""
     milling = mold.spec.milling
     yield f"(tube {groove.number}: width {_mm(groove.width)}, depth {_mm(groove.depth)})"
     for depth in pass_depths(groove.depth, milling.step_down):
@@ -208,7 +208,7 @@ def _passes(groove: Groove, mold: Mold) -> Iterator[str]:
 
 
 def drilled(holes: Sequence[Hole], thickness: float, spec: MoldSpec) -> Iterator[str]:
-    """Lines that drill holes of one diameter through a plate; thickness: of the plate, m."""
+    """Lines of G-code that drill holes of one diameter through a plate of a `thickness`, m."""
     shop, milling = spec.workshop, spec.milling
     has_cycle = shop.dialect in CANNED
     for purpose in dict.fromkeys(hole.purpose for hole in holes):
@@ -234,7 +234,7 @@ def drilled(holes: Sequence[Hole], thickness: float, spec: MoldSpec) -> Iterator
 
 
 def outlined(size: Point, thickness: float, spec: MoldSpec) -> Iterator[str]:
-    """Lines that cut out a plate, clockwise: climb milling. thickness: of the plate, m."""
+    """Lines of G-code that cut out a plate of a `thickness`, m, clockwise: climb milling."""
     shop = spec.workshop
     radius, top = shop.outline_diameter / 2, thickness - shop.tab_height
     low, (x, y) = -radius, (size[0] + radius, size[1] + radius)
@@ -252,7 +252,7 @@ def outlined(size: Point, thickness: float, spec: MoldSpec) -> Iterator[str]:
 
 
 def _tabs(start: Point, end: Point, spec: MoldSpec) -> Iterator[Arc]:
-    """Tabs on one side of the outline, where the cutter is lifted."""
+    """Intervals on one side of the outline, m, where the cutter is lifted to leave tabs."""
     shop, side = spec.workshop, Arc.between(start, end)
     count = max(1, round(side.length / shop.tab_pitch))
     half = 0.5 * min(shop.tab_width + shop.outline_diameter, 0.9 * side.length / count)
@@ -262,20 +262,20 @@ def _tabs(start: Point, end: Point, spec: MoldSpec) -> Iterator[Arc]:
 
 
 def _approach(point: Point, spec: MoldSpec) -> Iterator[str]:
-    """Rapid moves to a point just above the plate."""
+    """Lines of G-code that move rapidly to a point just above the plate."""
     yield f"G0 Z{_mm(spec.milling.safe_height)}"
     yield f"G0 X{_mm(point[0])} Y{_mm(point[1])}"
     yield f"G0 Z{_mm(NEAR)}"
 
 
 def _plunge(point: Point, depth: float, spec: MoldSpec) -> Iterator[str]:
-    """Approach of a point, and a plunge to a depth (m)."""
+    """Lines of G-code that approach a point and plunge to a depth (m)."""
     yield from _approach(point, spec)
     yield f"G1 Z{_mm(-depth)}{_feed(spec.milling.plunge_feed)}"
 
 
 def _retract(spec: MoldSpec) -> Iterator[str]:
-    """Move out of the plate at the feed."""
+    """Line of G-code that moves the tool out of the plate at its feed."""
     yield f"G1 Z{_mm(NEAR)}{_feed(spec.milling.feed)}"
 
 
@@ -283,7 +283,7 @@ def _retract(spec: MoldSpec) -> Iterator[str]:
 
 
 def program(title: str, clear: float, spec: MoldSpec, stages: Sequence[Stage]) -> str:
-    """Text of a program; clear: smallest distance of the stock's clamps from the plate, m."""
+    """Text of a G-code program; clear: smallest distance of the stock's clamps from the plate, m."""
     shop = spec.workshop
     high = f"G0 Z{_mm(shop.change_height)}"
     path_control = {"linuxcnc": ["G64 P0.005"], "mach": ["G64"], "grbl": []}[shop.dialect]
@@ -302,7 +302,7 @@ def program(title: str, clear: float, spec: MoldSpec, stages: Sequence[Stage]) -
 
 
 def _tool_change(spec: MoldSpec, stage: Stage, number: int, high: str) -> Iterator[str]:
-    """Lines that change to the tool of a stage and set Z for it; high: move to the height of tool changes."""
+    """Lines of G-code that change to the tool of a stage and set Z for it; high: move to the height of tool changes."""
     shop = spec.workshop
     yield f"(tool {number}: {stage.tool})"
     if shop.touch_plate is None:
@@ -333,7 +333,7 @@ def _feed(feed: float) -> str:
 
 
 def _move(piece: Arc) -> str:
-    """Move along a line or an arc."""
+    """Line of G-code that moves along a line or an arc."""
     x, y = piece.end
     if not piece.curvature:
         return f"G1 X{_mm(x)} Y{_mm(y)}"
@@ -382,7 +382,7 @@ class Motion:
 
     @property
     def time(self) -> float:
-        """Duration, s; a drill cycle at its feed, down and up."""
+        """Duration, s; a drill cycle moves down and up at its feed."""
         length = math.hypot(self.piece.length, self.end - self.start) * (2 if self.cycle else 1)
         return length / (RAPID if self.feed is None else self.feed)
 
@@ -460,7 +460,7 @@ def _motions(machine: _Machine, line: int, words: list[tuple[str, float]]) -> It
 
 
 def _arc(line: int, start: Point, end: Point, *, centre: Point, left: bool) -> Arc:
-    """Arc of a line of the program; left: counter-clockwise."""
+    """Arc in the plane for a G2 or G3 line of the program; left: counter-clockwise."""
     radius, end_radius = math.dist(start, centre), math.dist(end, centre)
     if abs(radius - end_radius) > 5e-6:
         raise InputError(

@@ -233,7 +233,7 @@ class Mandrel(Displayed):
 
 
 def plan_mandrel(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -> Mandrel:
-    """Mandrel for a tube that is a space curve: turned for a helix that leaves a core, otherwise printed.
+    """Mandrel for a tube that is a space curve: turned for a helix with space for a core, otherwise printed.
 
     Args:
         tube: a tube made of pieces; planar tubes take a plate (`plan_mold`).
@@ -385,7 +385,7 @@ def _sides(points: Array, count: int) -> Array:
 
 
 def _overlaps_in_view(curve: Winding, up: Array, width: float) -> bool:
-    """True if a groove of `width` (m), seen along `up`, meets itself or has a bend tighter than half its width."""
+    """True if a groove of `width` (m), seen along `up`, overlaps itself or bends tighter than half its width."""
     first = np.cross(up, [1.0, 0.0, 0.0] if abs(up[0]) < 0.9 else [0.0, 1.0, 0.0])
     first /= np.linalg.norm(first)
     plane = np.column_stack([first, np.cross(up, first)])

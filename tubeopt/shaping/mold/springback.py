@@ -103,11 +103,11 @@ class Calibration(Displayed):
     obtained_curvature: Array
     """(N,) curvatures of the tubes set in the molds, 1/m."""
     fraction_interval: Annotated[tuple[float, float] | None, unit("percent"), "95 % interval of the fraction"]
-    """None where trials are too few."""
+    """None if trials are too few."""
     slope_interval: Annotated[tuple[float, float] | None, unit("mm"), "95 % interval of the slope"]
-    """None where trials are too few, or without a slope."""
+    """None if trials are too few, or without a slope."""
     noise: Annotated[float, unit("percent"), "scatter between equal tubes"]
-    """Standard deviation of the lost fraction about the model; NaN where trials are too few."""
+    """Standard deviation of the lost fraction about the model; NaN if trials are too few."""
     remarks: Annotated[tuple[str, ...], "remarks on the fit"]
 
     @property
@@ -237,7 +237,7 @@ _INTERPOLATE = np.linalg.inv(chebyshev.chebvander(_NODES, ORDER))
 
 
 def tube_in_mold(tube: Tube, back: Springback) -> Tube:
-    """Tube as its mold holds it: with curvatures that spring back to the tube's, and a curved part before shrinkage.
+    """Tube in the shape of its mold: before spring-back of its curvatures and shrinkage of its curved part.
 
     The natural twist stays, since trials of planar bends say nothing about it.
     """

@@ -374,7 +374,7 @@ def plot_oven(plan: OvenPlan, *, title: str = "") -> Figure:
 
 
 def oven_steps(plan: OvenPlan) -> list[str]:
-    """Steps for the technician, one sentence each."""
+    """Steps for the technician, as sentences."""
     oven = plan.oven
     setting = oven.set_temperature - ZERO_CELSIUS
     device = oven.method.replace("_", " ")

@@ -78,7 +78,7 @@ def plot_load_limits(
     """Picture of the smallest tip force that ends the equilibrium of a robot, over its direction in planes.
 
     Args:
-        limits: plane such as "xy" -> (T,) forces, N; NaN where none was found.
+        limits: plane such as "xy" -> (T,) forces, N; NaN if none was found.
         angles: (T,) rad, from the first axis of each plane to its second.
         kinds: "fold", "bifurcation" or "" for each.
     """

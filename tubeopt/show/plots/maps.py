@@ -326,7 +326,7 @@ def plot_branch(
 
 
 def smooth(branch: Branch) -> Branch:
-    """Branch with more points on a cubic spline through its own points, which are kept."""
+    """Branch with further points on a cubic spline through its own points."""
     columns = np.column_stack([branch.fraction, branch.rotations, branch.tip_rotations])
     # Over its own length a branch is single-valued, also at folds, where it turns back in the input.
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(columns, axis=0), axis=1))])

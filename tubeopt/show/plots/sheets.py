@@ -149,7 +149,7 @@ def groove_numbers(groove: Groove, mold: Mold) -> dict[str, str]:
 
 
 def mold_steps(mold: Mold) -> list[str]:
-    """Steps from the stock to the finished tube."""
+    """Steps, as text, from the stock to the finished tube."""
     spec = mold.spec
     heat, clamps = spec.heat, spec.clamps
     bolts = sum(hole.purpose == "bolt" for hole in mold.holes)
@@ -177,7 +177,7 @@ def _program_words(mold: Mold) -> str:
 
 
 def _slot_steps(mold: Mold) -> list[str]:
-    """Step that lays the thermocouple into its slot; none without a slot."""
+    """Step, as text, that places the thermocouple in its slot; empty without a slot."""
     wire = mold.spec.slot.wire * TO_MM
     return [
         f"Mill the lid with its lower face up (mirrored programs). A thermocouple of {wire:g} mm goes into its slot: "
@@ -210,7 +210,7 @@ def mandrel_numbers(mandrel: Mandrel) -> dict[str, str]:
 
 
 def mandrel_steps(mandrel: Mandrel) -> list[str]:
-    """Steps from the stock to the finished tube."""
+    """Steps, as text, from the stock to the finished tube."""
     heat, turned = mandrel.spec.heat, isinstance(mandrel.body, Cylinder)
     cut = (
         "Turn the cylinder. Mill the groove (mandrel.nc, or by hand from mandrel.csv: feed and rotation)."

@@ -103,7 +103,7 @@ class MeanErrors(NamedTuple):
     separation: Array
     """(S,) separations of the mirror actuation, rad."""
     error: Array
-    """(S, D) mean tip errors, mm; NaN where nothing was measured."""
+    """(S, D) mean tip errors, mm; NaN if nothing was measured."""
 
 
 def _mean_errors(direction: Array, separation: Array, errors: Array) -> MeanErrors:
@@ -234,7 +234,7 @@ KEPT, REFUSED = "#0072B2", "#B8BEC6"
 
 @picture
 def plot_effects(comparison: Comparison) -> Figure:
-    """Picture of held-out errors: of the robot as given, with every useful effect, and gains of the refused effects.
+    """Picture of held-out errors: before any effect, with every useful effect, and gains of the rejected effects.
 
     If points were passed in both directions, a second panel splits their error into a part that depends on the
     direction and one that does not.

@@ -78,13 +78,13 @@ class Player:
         return self.playback
 
     def start(self, waypoints: ViewerWaypoints) -> str:
-        """Prepare a trajectory, go to its beginning, and return a description; raises as `take` does."""
+        """Description of a trajectory that is loaded and shown at its start; raises as `take` does."""
         path = self.take(waypoints).path
         self.to(0.0)
         return f"{len(path.equilibria)} waypoints, {len(path.snaps)} snaps on the path"
 
     def replay(self) -> str:
-        """Play the recorded motion, and return a description; raises as `recorded` and `take` do."""
+        """Description of the recorded motion, which is played; raises as `recorded` and `take` do."""
         description = self.start(recorded(self._session()))
         self.toggle()
         return description

@@ -65,7 +65,7 @@ class Session:
     trail: Array | None = None
     """(k, 4) tips (m) that the robot has passed, with the margin there, oldest first."""
     recording: tuple[Array, ...] | None = None
-    """Joint values (2n,), rad and m, that were passed since recording began; None where nothing is recorded."""
+    """Joint values (2n,), rad and m, that were passed since recording began; None if nothing is recorded."""
     recorded_from: Equilibrium | None = None
     """Equilibrium at the start of the recording; None: not recording."""
 

@@ -417,7 +417,7 @@ class Turn(NamedTuple):
     """Snap distance by the kernel."""
 
     turn: float
-    """Largest turn of all tubes that is proved to cause no snap, rad; inf where no turn can snap."""
+    """Largest turn of all tubes that is proved to cause no snap, rad; inf if no turn can snap."""
     couplings: int
     """Number of coupled pairs, summed over the collocation points."""
 
@@ -432,7 +432,7 @@ def turn_compiled(
     most: float,
     precision: float,
 ) -> Turn | None:
-    """Snap distance of the equilibrium at joint values (n,), which `start` describes; None where the kernel has none.
+    """Snap distance of the equilibrium at joint values (n,), given by `start`; None without a kernel for it.
 
     Args:
         most: largest turn that is searched, rad.

@@ -45,7 +45,7 @@ def constrained_least_squares(matrix: Array, right: Array, rows: Array, bounds: 
 
     Args:
         matrix: (r, m) of full column rank.   right: (r,).
-        rows: (k, m).   bounds: (k,); -inf where there is none.
+        rows: (k, m).   bounds: (k,); -inf if there is none.
     """
     compiled = compiled_least_squares() if matrix.shape[1] <= MOST_VARIABLES else None
     if compiled is None:
@@ -105,7 +105,7 @@ class CompiledLeastSquares:
         self._allocate(1024)
 
     def _allocate(self, size: int) -> None:
-        """Allocate memory with a known address: NumPy takes as long for an address as a solve."""
+        """Allocate memory with a known address, since NumPy needs as long for an address as a solve takes."""
         self._memory, self._numbers = np.zeros(size), np.zeros(MOST_VARIABLES, dtype=np.int64)
         self._addresses = self._memory.ctypes.data, self._numbers.ctypes.data
 
