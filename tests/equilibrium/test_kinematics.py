@@ -28,8 +28,7 @@ from tests.examples import (
 )
 from tubeopt import ConcentricRobot, Discretisation, Equilibrium, InputError, Newton, SolveError, Status, Tube
 from tubeopt.equilibrium.file import ALONG_THE_ARM, ARRAYS
-from tubeopt.equilibrium.kinematics import forward_kinematics, to_equilibrium
-from tubeopt.equilibrium.problem import METHODS
+from tubeopt.equilibrium.kinematics import METHODS, forward_kinematics, to_equilibrium
 from tubeopt.typing import Array
 
 SOME_POSES = settings(max_examples=40)

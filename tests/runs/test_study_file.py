@@ -8,7 +8,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from tubeopt.equilibrium.problem import METHODS
+from tubeopt.equilibrium.kinematics import METHODS
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.errors import InputError
 from tubeopt.runs.study_file import STUDY_KINDS, load_study

@@ -19,12 +19,15 @@ from ..block.transcription.arm import ArmShape, between, evaluate_arm
 from ..block.transcription.arm_response import LinearisedArm
 from ..block.transcription.arm_state import hat
 from ..equilibrium.directions import Change, Directions
-from ..equilibrium.linearised import Linearised
+from ..equilibrium.kinematics import to_equilibrium, under_load
+from ..equilibrium.linearised import Linearised, linearise
 from ..equilibrium.member import PlainPoint, Point, Unloaded
 from ..equilibrium.problem import reduced_assembly
+from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..robots.assembly import assemble
 from ..robots.concentric import ConcentricRobot
+from ..robots.load import Load
 from ..robots.tubes import Tube
 from ..stability.certificate import worst_case, worst_of_pair
 from ..typing import Array, Index
@@ -225,6 +228,23 @@ class Pose:
         """Shape of the arm."""
         solved = self.solved
         return evaluate_arm(self.problem, solved.member.rotations, solved.state, solved.torsion)
+
+    @cached_property
+    def equilibrium(self) -> Equilibrium:
+        """The pose as an equilibrium."""
+        return to_equilibrium(self.solved, "guess")
+
+    def under(self, load: Load) -> Equilibrium:
+        """Equilibrium at the same joint values on the same branch under a load.
+
+        Raises:
+            SolveError: the branch ends before the full load.
+        """
+        return under_load(self.equilibrium, load)
+
+    def derivatives_of(self, equilibrium: Equilibrium) -> Linearised:
+        """Derivatives of another equilibrium of the same design and joint values, by the same unknowns."""
+        return linearise(equilibrium, self.wrt, more=self.more, along=self.along)
 
     @property
     def twist(self) -> Twist:

@@ -17,8 +17,8 @@ from ..block.transcription.buffered import mapped
 from ..equilibrium.arm_change import SHAPE_POINTS
 from ..equilibrium.directions import Change, Directions
 from ..equilibrium.jacobian import margin_slopes
-from ..equilibrium.kinematics import sure_margin, to_equilibrium, under_load
-from ..equilibrium.linearised import curvature_at, linearise, position_at
+from ..equilibrium.kinematics import sure_margin
+from ..equilibrium.linearised import curvature_at, position_at
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..physics.strain import bend_from_own, surface_strain
@@ -330,12 +330,11 @@ def tip_deflection(state: DesignState, index: PoseNumber, load: Load) -> tuple[A
         SolveError: the robot does not withstand the load.
     """
     pose, chain = state.pose(index), state.chain(index)
-    plain = to_equilibrium(pose.solved, "guess")
-    pushed = under_load(plain, load)
-    of = linearise(pushed, pose.wrt, more=pose.more, along=pose.along)
+    pushed = pose.under(load)
+    of = pose.derivatives_of(pushed)
     # Both the loaded and the unloaded tip move with the design, so that the slope is a difference too.
     change = (of.tip_position - pose.derivatives.tip_position) @ chain
-    return pushed.tip_position - plain.tip_position, change
+    return pushed.tip_position - pose.arm.position[-1], change
 
 
 def margin_under(state: DesignState, index: PoseNumber, load: Load) -> tuple[float, Array]:
@@ -345,12 +344,13 @@ def margin_under(state: DesignState, index: PoseNumber, load: Load) -> tuple[flo
         SolveError: the robot does not withstand the load, or coinciding breakpoints move apart.
     """
     pose, chain = state.pose(index), state.chain(index)
-    plain, names, rows = _unloaded(state, index)
-    pushed, pieces = under_load(plain, load), np.eye(state.layout.size)[state.free_pieces]
+    pushed = pose.under(load)
     margin = sure_margin(pushed)
     if load.has_energy:
-        slope = linearise(pushed, pose.wrt, more=pose.more, along=pose.along).one_margin @ chain
+        slope = pose.derivatives_of(pushed).one_margin @ chain
     else:
+        _, names, rows = _unloaded(state, index)
+        pieces = np.eye(state.layout.size)[state.free_pieces]
         # Without an energy the Hessian is not symmetric, and the margin is that of its symmetric part.
         free = [(step, robots) for _, step, robots in _free_pieces(state)]
         slope = margin_slopes(pushed, names, free, sure=True) @ np.concatenate([rows, pieces])
@@ -391,8 +391,8 @@ def _unloaded(state: DesignState, index: PoseNumber) -> _UnloadedPose:
     """Equilibrium of a pose without load, its parameters that depend on unknowns, and their derivatives."""
     rows = dict(zip(JOINTS, state.joint_slopes(index), strict=True)) | state.resized
     moved = {name: part for name, part in rows.items() if part.any()}
-    plain = to_equilibrium(state.pose(index).solved, "guess")
-    return _UnloadedPose(plain, [*moved], np.concatenate([np.zeros((0, state.layout.size)), *moved.values()]))
+    changes = np.concatenate([np.zeros((0, state.layout.size)), *moved.values()])
+    return _UnloadedPose(state.pose(index).equilibrium, [*moved], changes)
 
 
 class _PieceStep(NamedTuple):

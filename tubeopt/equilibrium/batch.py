@@ -24,9 +24,9 @@ from ..solvers.compiled.loaded import solve_many_loaded_compiled
 from ..solvers.settings import NEWTON
 from ..solvers.time_limit import LONG_TIME_LIMIT, check_time, limited
 from ..typing import Array, Index, Mask, StatusEnum
-from .kinematics import forward_kinematics, largest_error
+from .kinematics import TOLERANCE, forward_kinematics, largest_error
 from .member import sample_arms
-from .problem import TOLERANCE, check_load, loaded_rules
+from .problem import check_load, loaded_rules
 
 CHUNK = 2048
 """Number of configurations per call of the kernel: large against its overhead, small enough to occupy all workers."""

@@ -36,14 +36,14 @@ from ..block.transcription.bundle import (
     start_unknowns,
     tip_slopes,
 )
-from ..block.transcription.second_variation import stiffnesses
+from ..block.transcription.second_variation import softest_of, stiffnesses
 from ..block.transcription.tableau import tableau
 from ..errors import InputError
 from ..robots.eccentric import BundleRobot
 from ..robots.load import Load, masses
 from ..robots.robot import Robot
-from ..solvers.newton import NewtonResult, descend, full_steps
-from ..solvers.settings import LEAST_STIFFNESS, NEWTON, Newton
+from ..solvers.newton import NewtonResult, full_steps
+from ..solvers.settings import LEAST_STIFFNESS
 from ..solvers.time_limit import check_time
 from ..typing import Array
 from .member import AnyPoint, Errors, Member, Point
@@ -232,20 +232,14 @@ class Bundled(Member[BundleState]):
         """False under moments and follower forces, which have no energy."""
         return self.problem.load is None or self.problem.load.has_energy
 
+    def form(self, state: BundleState) -> Array:
+        """(U, U) matrix whose smallest eigenvalue is the margin."""
+        return margin_form(state)
+
     def softest(self, state: BundleState) -> Array:
         """(U,) unit vector of the smallest eigenvalue."""
         form = margin_form(state)
-        if self.descends:
-            return softest(state, np.linalg.eigh(form)[1][:, 0])
-        values, vectors = np.linalg.eig(form)
-        return softest(state, vectors[:, int(np.argmin(values.real))].real)
-
-    def flutters(self, state: BundleState) -> bool:
-        """True if the softest mode has complex eigenvalues."""
-        if self.descends:
-            return False
-        values = np.linalg.eigvals(margin_form(state))
-        return bool(abs(values[int(np.argmin(values.real))].imag) > 1e-9)
+        return softest(state, np.linalg.eigh(form)[1][:, 0] if self.descends else softest_of(form)[0])
 
     def profile(self, state: BundleState) -> Profile:
         """Raises InputError: a bundle has no profile of torsion alone."""
@@ -270,24 +264,8 @@ class Bundled(Member[BundleState]):
         share = float(room.min(initial=np.inf))
         return self.at(state.x + (1.0 if share > 1 else TO_BOUNDARY * share) * step)
 
-    def solve(self, x: Array, iterations: int = NEWTON.iterations) -> NewtonResult[BundleState]:
-        """Result of Newton's method with full steps from x (U,); vanishing sections are exchanged or
-        stay at length 0.
-        """
-        return self._with_sections(
-            x, lambda own, at: full_steps(own.at(at), own.advanced, own.turn, own.residual, iterations)
-        )
-
-    def descend(self, x: Array, settings: Newton = NEWTON) -> NewtonResult[BundleState]:
-        """Minimise the energy from x (U,) by guarded Newton steps."""
-        return self._with_sections(
-            x, lambda own, at: descend(own.at(at), own.advanced, own.turn, own.residual, settings)
-        )
-
-    def _with_sections(
-        self, x: Array, newton: Callable[[Bundled, Array], NewtonResult[BundleState]]
-    ) -> NewtonResult[BundleState]:
-        """Result of a Newton method, with the sections of length 0 that it finds.
+    def newton(self, x: Array, method: Callable[..., NewtonResult[BundleState]]) -> NewtonResult[BundleState]:
+        """Result of a Newton method with the sections of length 0 that it finds.
 
         A section that vanishes is exchanged: the boundaries at its ends change places. Where it vanishes in both orders
         its boundaries stay together. They separate again as soon as this lowers the energy.
@@ -296,7 +274,8 @@ class Bundled(Member[BundleState]):
         for _ in range(EXCHANGES):
             check_time()
             try:
-                result = newton(own, opened(own.problem, x, VANISHING))
+                start = own.at(opened(own.problem, x, VANISHING))
+                result = method(start, own.advanced, own.turn, own.residual)
             except VanishingError as end:
                 order = own.problem.order
                 pair = frozenset(order[end.section - 1 : end.section + 1])

@@ -59,15 +59,16 @@ def largest_twist(margin: float) -> float:
 
 
 @lru_cache(maxsize=64)
-def shortest_arm(robot: Robot) -> float:
-    """Smallest reference length (m) for translations: arms may be shorter, down to length 0."""
-    return SHORT_ARM * max(tube.length for tube in robot.tubes)
+def reference_length(equilibrium: Equilibrium) -> float:
+    """Length (m) of the arm, to which translations are compared; arms may be shorter, down to length 0."""
+    return max(float(equilibrium.arc_length[-1]), SHORT_ARM * max(tube.length for tube in equilibrium.robot.tubes))
 
 
-def small_motion(turn: Array, shift: Array, length: float) -> bool:
-    """True for motions after which Newton's method stays on the branch of an arm of this length (m)."""
-    largest_turn, largest_shift = (max(map(abs, change.tolist())) for change in (turn, shift))
-    return bool(largest_turn <= LARGEST_TURN and largest_shift <= LARGEST_SHIFT * length)
+def small_motion(start: Equilibrium, rotations: Array, translations: Array) -> bool:
+    """True for motions from `start` after which Newton's method stays on the branch."""
+    changes = rotations - start.rotations, translations - start.translations
+    largest_turn, largest_shift = (max(map(abs, change.tolist())) for change in changes)
+    return bool(largest_turn <= LARGEST_TURN and largest_shift <= LARGEST_SHIFT * reference_length(start))
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import reprlib
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Annotated, Any
 
@@ -25,7 +25,7 @@ from ..arguments import renamed, typed
 from ..block.transcription.arm import ArmSolution, Profile, profile
 from ..block.transcription.loaded import monotonicity
 from ..block.transcription.reduced import ReducedProblem, evaluate
-from ..errors import InputError, SolveError, positive
+from ..errors import InputError, SolveError, choice, positive
 from ..files.field_metadata import POSITIVE, OneOf, unit
 from ..robots.eccentric import BundleRobot
 from ..robots.load import Load
@@ -34,7 +34,7 @@ from ..solvers.blas import small
 from ..solvers.compiled.binding import Start, kernel_of, solve_compiled
 from ..solvers.compiled.loaded import solve_loaded_compiled
 from ..solvers.ipopt import solve_ipopt, solve_loaded_ipopt
-from ..solvers.settings import LARGEST_RATIO, LARGEST_TWIST, Ipopt, Newton
+from ..solvers.settings import LARGEST_RATIO, LARGEST_TWIST, NEWTON, Ipopt, Newton
 from ..solvers.time_limit import limited
 from ..typing import Array
 from .bundle import Bundled
@@ -47,7 +47,6 @@ from .continuation import (
     bifurcates,
     largest_twist,
     reach,
-    shortest_arm,
     small_motion,
     step_to,
 )
@@ -56,18 +55,81 @@ from .problem import (
     DEFAULT_DISCRETISATION,
     LOADED_DISCRETISATION,
     LOADED_REFINEMENTS,
-    METHODS,
     REFINEMENTS,
-    TOLERANCE,
     Discretisation,
-    Method,
-    SolveRequest,
     check_load,
     loaded_rules,
-    method_of,
 )
 from .result import Accuracy, Equilibrium, Statistics, Status, refuse_friction, refuse_load
-from .verification import verify_equilibrium
+
+# --- Method -----------------------------------------------------------------------------------------------------------
+
+METHODS = ("newton", "ipopt", "energy")
+
+TOLERANCE = 1e-8
+"""Default tolerance of theta(s), rad, and of the tip relative to the length of the arm."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """Name of a method, one of METHODS, with the settings of its solver."""
+
+    name: str
+    newton: Newton = NEWTON
+    ipopt: Ipopt | None = None
+
+
+NAMED = {name: Method(name) for name in METHODS}
+
+
+@dataclass(frozen=True)
+class SolveRequest:
+    """Method, tolerance and start of the clock of a solve."""
+
+    method: Method = NAMED["newton"]
+    tolerance: float = TOLERANCE
+    """Largest error, as TOLERANCE."""
+    start_time: float = field(default_factory=time.perf_counter)
+    """Start of the clock, s."""
+
+    def by_kernel(self, load: Load | None, discretisation: Discretisation) -> bool:
+        """True if a compiled kernel may solve: by Newton's method with its settings, on its collocation points.
+
+        Under a load, the only settings allowed are also the kernel's.
+        """
+        if load is not None:
+            return self.method.name == "newton"
+        return self.method is NAMED["newton"] and discretisation == DEFAULT_DISCRETISATION
+
+
+def method_of(method: str | Newton | Ipopt, load: Load | None, discretisation: Discretisation) -> Method:
+    """Method from its name or the settings of its solver.
+
+    Raises:
+        InputError: neither of them, or a method that cannot solve under the load.
+    """
+    if isinstance(method, Newton):
+        by = Method("newton", newton=method)
+    elif isinstance(method, Ipopt):
+        by = Method("ipopt", ipopt=method)
+    else:
+        by = NAMED[choice("method", method, METHODS)]
+    if isinstance(load, Load):
+        _must_bear(by, load, discretisation)
+    return by
+
+
+def _must_bear(by: Method, load: Load, discretisation: Discretisation) -> None:
+    """Raise InputError for methods and settings that are not supported under a load."""
+    if replace(by.newton, margin_tolerance=NEWTON.margin_tolerance) != NEWTON:
+        raise InputError("method has settings other than margin_tolerance; only this one applies under load")
+    if by.name != "newton" and not load.has_energy:
+        raise InputError(
+            f"method is {by.name!r}; under a moment or a follower force, which have no energy, it must be 'newton'"
+        )
+    if discretisation != DEFAULT_DISCRETISATION:
+        raise InputError("discretisation is given; under load it is chosen automatically")
+
 
 # --- From a solution to an equilibrium --------------------------------------------------------------------------------
 
@@ -236,13 +298,10 @@ def unloaded(
 
     It is solved on the default mesh or, where that is too coarse, with elements half as long.
     """
-    if len(robot.moving_together) < robot.n_tubes:
-        _check_tied_translations(robot, tuple(translations.tolist()))
     start, max_change = None, LARGEST_TWIST
     if guess is not None:
         turn, arm, points = rotations - guess.rotations, guess.arm, guess.points
-        length = max(float(arm.arc_length[-1]), shortest_arm(robot))
-        if guess.margin <= 0 or not small_motion(turn, translations - guess.translations, length):
+        if guess.margin <= 0 or not small_motion(guess, rotations, translations):
             return None
         sampled = arm.arc_length, arm.rotation, arm.torsion, points.point, points.point_rotation
         start, max_change = Start(*sampled, turn, guess.translations), largest_twist(guess.margin)
@@ -272,12 +331,6 @@ def unloaded(
     return None
 
 
-@lru_cache(maxsize=256)
-def _check_tied_translations(robot: Robot, translations: tuple[float, ...]) -> None:
-    """Raise InputError if tubes on one carriage have different translations, which the kernel does not check."""
-    robot.admit(np.array(translations))
-
-
 def loaded(start: Equilibrium, member: Loaded, request: SolveRequest) -> Equilibrium | None:
     """Stable equilibrium under a dead load, grown from an unloaded `start` or by a small change of a loaded one."""
     robot, rotations, shift, load = member.robot, member.rotations, member.translations, member.load
@@ -287,7 +340,7 @@ def loaded(start: Equilibrium, member: Loaded, request: SolveRequest) -> Equilib
     if start.load is None:
         how, close = "the load before, from none", not turn.any() and np.array_equal(start.translations, shift)
     else:
-        how, close = "guess", small_motion(turn, shift - start.translations, float(start.arc_length[-1]))
+        how, close = "guess", small_motion(start, rotations, np.array(shift))
     if not close:
         return None
     inputs = at_points(start, problem)
@@ -419,8 +472,8 @@ def forward_kinematics(  # noqa: PLR0913
     guess = None if start is None else _start_of(robot, start, tolerance)
     if not robot.fixed_sections and (solver.name != "newton" or discretisation != DEFAULT_DISCRETISATION or verify):
         raise InputError("kind is bundle; its equilibria have the method newton, the default mesh and no verification")
-    if not robot.fixed_sections:
-        robot.admit(shift)
+    if not robot.fixed_sections or len(robot.moving_together) < robot.n_tubes:
+        _check_carriages(robot, translation)
     request = SolveRequest(solver, tolerance, start_time)
     if load is not None:
         check_load(robot, load, translation)
@@ -449,7 +502,13 @@ def forward_kinematics(  # noqa: PLR0913
         joints = np.concatenate([guess.rotations, guess.translations])
         path = SampledJointPath(robot, joints, np.concatenate([alpha, shift]), discretisation)
         result = on_branch(Family(path, load, guess.load), guess, request)
-    return verify_equilibrium(result) if verify else result
+    return result.verified() if verify else result
+
+
+@lru_cache(maxsize=256)
+def _check_carriages(robot: Robot, translations: tuple[float, ...]) -> None:
+    """Raise InputError for translations that carriages do not allow, which the kernel does not check."""
+    robot.admit(np.array(translations))
 
 
 def _start_of(robot: Robot, start: Any, tolerance: float) -> Equilibrium:
@@ -558,8 +617,7 @@ def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: t
     quick = unloaded(robot, rotations, np.array(translations), guess, request)
     if quick is not None:
         return quick
-    turn, shift = rotations - guess.rotations, translations - guess.translations
-    if not small_motion(turn, shift, max(float(guess.arc_length[-1]), shortest_arm(robot))):
+    if not small_motion(guess, rotations, np.array(translations)):
         return None
     joints = np.concatenate([guess.rotations, guess.translations])
     family = Family(SampledJointPath(robot, joints, np.concatenate([rotations, translations])))

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -192,7 +193,7 @@ class Member(ABC, Generic[S]):
 
     def descend(self, x: Array, settings: Newton = NEWTON) -> NewtonResult[S]:
         """Minimise the energy from x (U,) by guarded Newton steps."""
-        return descend(self.at(x), self.moved, self.turn, self.residual, settings)
+        return self.newton(x, partial(descend, settings=settings))
 
     def from_home(self) -> NewtonResult[S]:
         """State after turning all tubes together from home, with a descent at each step that leaves saddles."""
@@ -264,7 +265,11 @@ class Member(ABC, Generic[S]):
 
     def flutters(self, state: S) -> bool:
         """True if the softest mode of a solved state has complex eigenvalues: an oscillation, which has no fold."""
-        return not self.descends and softest_of(state.hessian)[1]
+        return not self.descends and softest_of(self.form(state))[1]
+
+    def form(self, state: S) -> Array:
+        """(U, U) matrix whose smallest eigenvalue is the margin, where the equations have no energy."""
+        return np.asarray(state.hessian)
 
     @abstractmethod
     def with_inputs(
@@ -315,13 +320,11 @@ class Member(ABC, Generic[S]):
 
     def solve(self, x: Array, iterations: int = NEWTON.iterations) -> NewtonResult[S]:
         """Solve by Newton's method with full steps from x (U,)."""
-        return full_steps(
-            self.at(x),
-            lambda state, step: self.at(state.x + step),
-            self.turn,
-            self.residual,
-            iterations,
-        )
+        return self.newton(x, partial(full_steps, iterations=iterations))
+
+    def newton(self, x: Array, method: Callable[..., NewtonResult[S]]) -> NewtonResult[S]:
+        """Result of `full_steps` or `descend` of `solvers/newton.py` from x (U,)."""
+        return method(self.at(x), lambda state, step: self.at(state.x + step), self.turn, self.residual)
 
 
 def elements_of(mesh: Mesh, assembly: Assembly, other: Assembly) -> Index | None:
@@ -349,7 +352,8 @@ class Unloaded(Member[Evaluation]):
     ) -> Unloaded:
         """Member of a robot at joint values."""
         problem = reduced_problem(robot, translations, discretisation)
-        return Unloaded(robot, problem, rotations, translations, discretisation)
+        kind = OffCentreline if problem.assembly.eccentric else Unloaded
+        return kind(robot, problem, rotations, translations, discretisation)
 
     @staticmethod
     def of_equilibrium(
@@ -376,30 +380,6 @@ class Unloaded(Member[Evaluation]):
     def at(self, x: Array) -> Evaluation:
         """State at unknowns x (U,)."""
         return evaluate(self.problem, self.rotations, x)
-
-    def descend(self, x: Array, settings: Newton = NEWTON) -> NewtonResult[Evaluation]:
-        """Minimise the energy from x (U,) by guarded Newton steps.
-
-        Tubes off the centreline have no such energy: Newton's method solves from the minimum of the same tubes on it.
-        """
-        if self.problem.assembly.eccentric:
-            concentric = self._on_centreline()
-            # Offsets are a perturbation (d |u| < 1/4): the concentric minimum is close to the solution.
-            start = concentric.descend(concentric.unknowns(self.at(x).theta), settings)
-            return self.solve(self.unknowns(start.state.theta), settings.iterations)
-        return super().descend(x, settings)
-
-    def from_home(self) -> NewtonResult[Evaluation]:
-        """State after turning all tubes together from home with descents; for eccentric tubes from the concentric
-        result.
-        """
-        if not self.problem.assembly.eccentric:
-            return super().from_home()
-        return self.solve(self.unknowns(self._on_centreline().from_home().state.theta))
-
-    def _on_centreline(self) -> Unloaded:
-        """Same tubes without offsets, which have an energy."""
-        return replace(self, problem=on_centreline(self.problem))
 
     def turn(self, state: Evaluation, step: Array) -> float:
         """Largest rotation (rad) of a tube by a step."""
@@ -463,7 +443,11 @@ class Unloaded(Member[Evaluation]):
         if elements is None:
             return None
         problem = reduce(assembly, make_mesh(assembly, elements, family=d.family, degree=d.degree))
-        return Unloaded(self.robot, problem, rotations, translations, d) if problem.size == self.problem.size else None
+        return (
+            replace(self, problem=problem, rotations=rotations, translations=translations)
+            if problem.size == self.problem.size
+            else None
+        )
 
     def transfer(self, point: AnyPoint) -> Array:
         """(U,) unknowns of a point from another mesh: the twist is interpolated with its slopes."""
@@ -483,14 +467,30 @@ class Unloaded(Member[Evaluation]):
         """Sum of the bending energies (J), which may cancel, and the energy."""
         return self.problem.energy_parts + abs(state.energy)
 
+
+@dataclass(frozen=True, eq=False)
+class OffCentreline(Unloaded):
+    """Equations without a load of tubes off the centreline, which have no energy."""
+
+    def descend(self, x: Array, settings: Newton = NEWTON) -> NewtonResult[Evaluation]:
+        """Solve by Newton's method from the minimum of the energy of the same tubes on the centreline."""
+        concentric = self._on_centreline()
+        # Offsets are a perturbation (d |u| < 1/4): the concentric minimum is close to the solution.
+        start = concentric.descend(concentric.unknowns(self.at(x).theta), settings)
+        return self.solve(self.unknowns(start.state.theta), settings.iterations)
+
+    def from_home(self) -> NewtonResult[Evaluation]:
+        """Solve by Newton's method from the result of `Member.from_home` for the same tubes on the centreline."""
+        return self.solve(self.unknowns(self._on_centreline().from_home().state.theta))
+
+    def _on_centreline(self) -> Unloaded:
+        """Same tubes on the centreline, where they have an energy."""
+        return Unloaded(self.robot, on_centreline(self.problem), self.rotations, self.translations, self.discretisation)
+
     @property
     def descends(self) -> bool:
-        """True if descent of the energy applies: all tubes are concentric.
-
-        At a fold of eccentric tubes the same tubes on the centreline may have a minimum close by, in which a descent of
-        their energy would end.
-        """
-        return not self.problem.assembly.eccentric
+        """False: close to a fold the minimum on the centreline may belong to another branch."""
+        return False
 
 
 PlainPoint = Point[Unloaded, Evaluation]

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -22,7 +21,6 @@ from ..robots.limits import MOST_BEND
 from ..robots.load import FORCE, MOMENT, Load, Stretch, masses
 from ..robots.robot import Robot
 from ..solvers.compiled.loaded import ROUGH_DEGREE, LoadedRules
-from ..solvers.settings import NEWTON, Ipopt, Newton
 from ..typing import Array
 
 
@@ -190,7 +188,6 @@ def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
             raise InputError("this robot is eccentric; only concentric robots and bundles can be loaded")
         length = assembly.total_length
     else:
-        robot.admit(np.array(translations))
         length = max(d + tube.curved_length for d, tube in zip(translations, robot.tubes, strict=True))
         if _moments_along(load):
             raise InputError("distributed of the load has moments; a bundle has forces per length only")
@@ -274,72 +271,3 @@ def _bounds(assembly: Assembly, load: Load, density: Array) -> tuple[float, floa
     force = sum(math.hypot(*part.force) for part in load.acting) + weight + along * assembly.total_length
     moment = sum(math.hypot(*part.moment) for part in load.acting)
     return float(force), moment + turning * assembly.total_length
-
-
-# --- Method -----------------------------------------------------------------------------------------------------------
-
-METHODS = ("newton", "ipopt", "energy")
-
-TOLERANCE = 1e-8
-"""Default tolerance of theta(s), rad, and of the tip relative to the length of the arm."""
-
-
-@dataclass(frozen=True)
-class Method:
-    """Name of a method, one of METHODS, with the settings of its solver."""
-
-    name: str
-    newton: Newton = NEWTON
-    ipopt: Ipopt | None = None
-
-
-NAMED = {name: Method(name) for name in METHODS}
-
-
-@dataclass(frozen=True)
-class SolveRequest:
-    """Method, tolerance and start of the clock of a solve."""
-
-    method: Method = NAMED["newton"]
-    tolerance: float = TOLERANCE
-    """Largest error, as TOLERANCE."""
-    start_time: float = field(default_factory=time.perf_counter)
-    """Start of the clock, s."""
-
-    def by_kernel(self, load: Load | None, discretisation: Discretisation) -> bool:
-        """True if a compiled kernel may solve: by Newton's method with its settings, on its collocation points.
-
-        Under a load, the only settings allowed are also the kernel's.
-        """
-        if load is not None:
-            return self.method.name == "newton"
-        return self.method is NAMED["newton"] and discretisation == DEFAULT_DISCRETISATION
-
-
-def method_of(method: str | Newton | Ipopt, load: Load | None, discretisation: Discretisation) -> Method:
-    """Method from its name or the settings of its solver.
-
-    Raises:
-        InputError: neither of them, or a method that cannot solve under the load.
-    """
-    if isinstance(method, Newton):
-        by = Method("newton", newton=method)
-    elif isinstance(method, Ipopt):
-        by = Method("ipopt", ipopt=method)
-    else:
-        by = NAMED[choice("method", method, METHODS)]
-    if isinstance(load, Load):
-        _must_bear(by, load, discretisation)
-    return by
-
-
-def _must_bear(by: Method, load: Load, discretisation: Discretisation) -> None:
-    """Raise InputError for methods and settings that are not supported under a load."""
-    if replace(by.newton, margin_tolerance=NEWTON.margin_tolerance) != NEWTON:
-        raise InputError("method has settings other than margin_tolerance; only this one applies under load")
-    if by.name != "newton" and not load.has_energy:
-        raise InputError(
-            f"method is {by.name!r}; under a moment or a follower force, which have no energy, it must be 'newton'"
-        )
-    if discretisation != DEFAULT_DISCRETISATION:
-        raise InputError("discretisation is given; under load it is chosen automatically")

@@ -13,7 +13,7 @@ from ..block.transcription.arm import between
 from ..block.transcription.reduced import ReducedProblem
 from ..bodies.obstacles import Scene
 from ..equilibrium.bundle_derivatives import BundleDerivatives
-from ..equilibrium.continuation import shortest_arm
+from ..equilibrium.continuation import reference_length
 from ..equilibrium.jacobian import compiled_slopes, derivatives_of
 from ..equilibrium.kinematics import forward_kinematics, one_step, point_of
 from ..equilibrium.linearised import Linearised
@@ -186,7 +186,7 @@ class Posture:
         None if the robot snaps, or is too close to a snap for steps of ordinary length.
         """
         current, moved = self.equilibrium, np.abs(q - self.q)
-        longest = LARGEST_SHIFT * max(float(current.arc_length[-1]), shortest_arm(self.space.robot))
+        longest = LARGEST_SHIFT * reference_length(current)
         turn, shift = moved[: self.space.robot.n_tubes].max(), moved[self.space.robot.n_tubes :].max(initial=0.0)
         steps = max(1, ceil(max(turn / LARGEST_TURN, shift / longest) - 1e-9))
         try:

@@ -28,8 +28,8 @@ from ..arguments import typed
 from ..bodies.obstacles import Obstacle, checked_obstacles, scene_of
 from ..display import Displayed
 from ..equilibrium.jacobian import position_slopes
-from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.problem import TOLERANCE, check_load
+from ..equilibrium.kinematics import TOLERANCE, forward_kinematics
+from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import verifications
 from ..errors import InputError, SolveError, finite, instance, positive

@@ -372,7 +372,7 @@ def _from_fold(search: Search, path: Array, fold: PairFold) -> SnapOnPath | None
     sign, t = np.sign(relative[1] - relative[0]), fold.turn / abs(relative[1] - relative[0])
     rotations = path[0] + t * (path[1] - path[0])
 
-    member = Unloaded(search.robot, search.problem, rotations, tuple(search.translations.tolist()))
+    member = Unloaded.of(search.robot, rotations, tuple(search.translations.tolist()))
     lost = Point.at(member, sign * fold.z, t)
     after = fall(lost, fold.direction) if fold.beyond is None else Point.at(member, sign * fold.beyond, t)
     return None if after is None else SnapOnPath(path, Event(lost, after).snap(0), followed=False)
