@@ -201,8 +201,8 @@ def test_robot_show_warns(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text("kind: concentric\ntubes:\n" + "\n".join(tubes))
     assert answer(run("robot", "show", str(path), "--json"))["warnings"] == [
-        "tube 1 is strained 6.67 % when held straight, beyond the 6 % limit of superelasticity of nitinol",
-        "tube 2 is strained 2.04 % when held straight, beyond the 1 % limit of nitinol for repeated bending",
+        "tube 1 is strained 6.67 % when straightened, beyond the 6 % limit of superelasticity of nitinol",
+        "tube 2 is strained 2.04 % when straightened, beyond the 1 % limit of nitinol for repeated bending",
         "tube 1 has 0 mm of radial clearance in tube 2, less than the 0.01 mm that sliding needs: friction "
         "will wind the tubes up",
         "tube 2 has 0.125 mm of radial clearance in tube 3, more than 0.1 mm: its axis may lie beside the outer tube's",
@@ -230,7 +230,7 @@ def test_robot_show_warns(run: Run, tmp_path: Path) -> None:
         (["--tolerance", "x"], "--tolerance-rad is 'x'; it must be a number"),
         (
             ["--translations-mm", "201,0,0"],
-            "--translations-mm has 201 for tube 1; it must be at most its straight length, 200: it is held there",
+            "--translations-mm has 201 for tube 1; it must be at most its straight length, 200, where it is clamped",
         ),
         (
             ["--rotations-deg", "1e9,0,0"],

@@ -139,7 +139,9 @@ def test_missed_window_is_reported_with_remedy(run: Run, tmp_path: Path) -> None
     flags = ("--material", "steel", "--hold-s", "5", "--longest-s", "40", "--loss-percent", "0")
     outcome = run("heat", RIG, *flags, "--charges-percent", "none", "--out", str(tmp_path))
     assert outcome.code == 3
-    assert re.search(r"no schedule was found that holds 500 to 550 degC for 5 s: it is missed by \d+\.\d", outcome.err)
+    assert re.search(
+        r"no schedule was found that keeps 500 to 550 degC for 5 s: the window is missed by \d+\.\d", outcome.err
+    )
     plan = json.loads((tmp_path / "plan.json").read_text())
     assert not plan["feasible"]
     assert plan["shortfall_K"] > 300

@@ -370,7 +370,7 @@ def test_certify_a_box(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_certify_reports_assumptions_of_proof(run: Run) -> None:
     text = one_line(run("certify", ETR).out)
     assert "thesis ETR cannot snap at any rotation (proved, also at 0.336 of its torsional stiffness)" in text
-    assert "the share of torsional stiffness that may be lost with the proof still holding" in text
+    assert "the share of torsional stiffness that may be lost with the proof still valid" in text
     assert "change of the certificate" in text
 
 
@@ -454,7 +454,7 @@ def test_every_kind_of_study_runs(run: Run, tmp_path: Path) -> None:
         ),
         (
             ["snap", THESIS, "--to-mm", "300,0,0"],
-            "--to-mm has 300 for tube 1; it must be at most its straight length, 200: it is held there",
+            "--to-mm has 300 for tube 1; it must be at most its straight length, 200, where it is clamped",
         ),
         (["follow", THESIS, "none.csv"], "none.csv: there is no such file"),
         (

@@ -130,7 +130,7 @@ JOINTS = [f"{name}_{k}_{unit}" for name, unit in (("rotation", "deg"), ("transla
     [
         (
             "0,0,0,0,0,900",
-            "column translation_3_mm is 900; it must be at most its straight length, 100: it is held there",
+            "column translation_3_mm is 900; it must be at most its straight length, 100, where it is clamped",
         ),
         ("0,0,0,-9e4,0,0", "column translation_1_mm is -9E+4; it must be at least -4000, 10 lengths of the tube"),
         ("0,0,1e9,0,0,0", "column rotation_3_deg is 1E+9; it must be at most 57296 (159 turns) to either side"),

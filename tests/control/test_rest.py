@@ -192,7 +192,7 @@ def test_hold_home_and_relative_joints_of_the_server() -> None:
     tick(100)
     assert not arm.servo.moving
     assert 0.05 < arm.servo.equilibrium.rotations[0] < 0.1 - 1e-3
-    assert arm.report(0.3)["why"] == "held by command"
+    assert arm.report(0.3)["why"] == "stopped by command"
 
 
 @pytest.mark.parametrize(("kind", "count"), [("python", 300), ("c", 3000)])

@@ -226,7 +226,7 @@ def test_no_message_ends_the_node(robot: Robot) -> None:
         robot.send("sensor_cp", message)
         assert robot.warned[-1].startswith("sensor_cp is refused: ")
     robot.send("servo_jp", SimpleNamespace())  # no message at all
-    assert "the robot is held: AttributeError" in robot.warned[-1]
+    assert "the robot stopped: AttributeError" in robot.warned[-1]
     robot.tick()
     assert "AttributeError" in robot.told["why"].data
     assert robot.told["operating_state"].data == "FAULT"
@@ -243,7 +243,7 @@ def test_a_step_that_fails_stops_the_robot_and_the_node_goes_on(robot: Robot, mo
         broken.setattr(robot.robot.servo, "step", fail)
         robot.send("move_jp", move)
         robot.tick()
-    assert "the robot is held: RuntimeError in a step: of CasADi" in robot.told["why"].data
+    assert "the robot stopped: RuntimeError in a step: of CasADi" in robot.told["why"].data
     assert robot.bus.log[-1] == ("error", robot.told["why"].data)
     robot.send("move_jp", move)
     assert "the robot is FAULT; enable it first" in robot.warned[-1]
@@ -267,7 +267,7 @@ def test_messages_of_crtk_are_used_where_installed(robot: Robot) -> None:
     robot.tick(50)
     assert robot.told["measured_js"].position == pytest.approx(np.add(SEED, turn), abs=1e-6)
     robot.send("hold", robot.module.Empty())
-    assert robot.robot.report(0.0)["why"] == "held by command"
+    assert robot.robot.report(0.0)["why"] == "stopped by command"
     assert not robot.warned
     # Services say what comes of a state command.
     robot.send("move_jr", robot.module.JointState(position=turn))

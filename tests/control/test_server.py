@@ -429,7 +429,7 @@ def test_any_error_stops_the_robot_in_fault_until_it_is_enabled_again(
         move = json.dumps({"op": "move_jp", "rotations": there[0], "translations": there[1]})
         await commander.send(move)
         words = (await told(commander, "error"))["words"]
-        assert words.startswith("the robot is held: ")
+        assert words.startswith("the robot stopped: ")
         assert str(error) in words
         assert (await told(watcher, "error"))["words"] == words
         watcher.transport.abort()

@@ -106,7 +106,7 @@ def test_slicer_moves_the_robot_by_point_and_transform() -> None:
         client.send_message(pyigtl.PointMessage([[float("nan")] * 3], device_name="Target"), wait=False)
         assert "finite" in (await until(client, lambda status: status.code == 12)).words
         client.send_message(pyigtl.StringMessage("hold"), wait=False)
-        await until(client, lambda status: "held by command" in status.words)
+        await until(client, lambda status: "stopped by command" in status.words)
 
     session(talk)
 

@@ -133,7 +133,7 @@ def test_what_is_shown_holds_for_every_robot_in_the_ranges() -> None:
     assert best <= bound <= best + 0.2
     assert not shown_infeasible(compile_task(replace(task, requirements=(SnapFree(bound - 1e-3),))))
     strained = replace(task, requirements=(Strain((0.0025,), in_poses=False),))
-    assert "tube 1 held straight is strained by at least 0.2506 %" in shown_infeasible(compile_task(strained))
+    assert "tube 1, if straightened, is strained by at least 0.2506 %" in shown_infeasible(compile_task(strained))
     assert min(robot.tubes[0].straightened_strain for robot in drawn(strained)) >= 0.0025
     assert not shown_infeasible(compile_task(replace(task, requirements=(Strain((0.0045,), in_poses=False),))))
 

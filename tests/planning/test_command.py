@@ -68,7 +68,7 @@ def test_a_trajectory_made_elsewhere_is_refuted(run: Run, tmp_path: Path) -> Non
     assert outcome.code == 3
     assert "the robot snaps" in outcome.err
     # The path before it is long, so that the line is broken anywhere.
-    assert f"naive.csv does not hold, {ASSUMING}".replace(" ", "") in "".join(outcome.out.split())
+    assert f"naive.csv is not proved, {ASSUMING}".replace(" ", "") in "".join(outcome.out.split())
     assert "has no robot" in refused(run("verify", str(path)))[0]
     path.write_text("rotation_1_deg,rotation_2_deg,rotation_4_deg\n0,0,0\n")
     report = refused(run("verify", str(path), "--robot", THESIS))

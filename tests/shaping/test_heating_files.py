@@ -164,7 +164,7 @@ def test_a_battery_is_never_left_with_less_than_nothing() -> None:
     model = thermal_model(TUBE, rig, COARSE)
     history = resimulate(model, 5.0, np.full(360, 1.0))
     (words,) = [words for words in remarks(rig, history, 300.0) if "battery" in words]
-    assert re.fullmatch(r"the heating takes \d+ % of the battery's capacity; the battery holds 2 %", words)
+    assert re.fullmatch(r"the heating takes \d+ % of the battery's capacity; the battery has 2 %", words)
 
 
 @pytest.mark.parametrize("kelvin", [250.0, 300.0, 373.15])

@@ -219,7 +219,7 @@ def test_what_no_plate_holds_is_refused() -> None:
         return str(error.value)
 
     helix = Tube.of_pieces(*DIAMETERS, [Piece.helix(0.1, 20e-3, 30e-3)])
-    assert refused(helix) == "tube 1 is a space curve; a plate holds planar bends only: use a mandrel"
+    assert refused(helix) == "tube 1 is a space curve; a plate is for planar bends only: use a mandrel"
     planes = Tube.of_pieces(*DIAMETERS, [Piece(0.03, (10.0, 0.0, 0.0)), Piece(0.03, (0.0, 10.0, 0.0))])
     assert "space curve" in refused(planes)
     # By 300 deg to one side, then to the other.

@@ -31,7 +31,7 @@ def test_friction_holds_the_tip_within_what_is_told() -> None:
     off = np.abs([e.tip_position for e in passed.equilibria] - plan.tip_position).max(0) * 1e3
     assert (off <= 1.02 * np.array(report)).all()
     assert off[0] > 0.3 * report[0]
-    assert any(row[0] == "friction holds it" and "to first order" in row[1] for row in TrajectoryReport(plan).rows())
+    assert any(row[0] == "effect of friction" and "to first order" in row[1] for row in TrajectoryReport(plan).rows())
 
 
 def test_inverse_kinematics_reports_the_snap_distance() -> None:

@@ -202,7 +202,7 @@ def test_the_table_is_what_its_script_makes() -> None:
     assert (coarse < stored + 1e-4).all()
     assert coarse == pytest.approx(stored, rel=5e-3, abs=1e-4)
     assert [theorem.longest(0.0, angle) for angle in (0.3, 1.2)] == pytest.approx([0.3, 1.2], abs=1e-7)
-    with pytest.raises(InputError, match=r"the bound holds from 0 to 0\.2525"):
+    with pytest.raises(InputError, match=r"the bound is valid from 0 to 0\.2525"):
         theorem.longest(0.26, 1.0)
 
 

@@ -137,7 +137,7 @@ def test_a_common_rotation_is_the_yaw_of_the_registration() -> None:
     assert [e.held for e in fitted.estimates] == [False, False, False, True]
     assert fitted.remarks[0] == (
         "rotation_3 cannot be distinguished from a change of rotation_1 and rotation_2 together with the registration; "
-        "held at 0 deg"
+        "fixed at 0 deg"
     )
     held = fitted.estimates[3]
     assert (held.value, held.standard_error, held.low, held.high) == (0.0, np.inf, -np.inf, np.inf)
@@ -170,7 +170,7 @@ def test_a_parameter_without_effect_is_named() -> None:
     known = FitOptions(registration="base-axis", base=DEVICE_BASE, folds=0)
     fitted = fit(inputs, noisy(together, 1), ["curvature", "nu"], known)
     assert [e.held for e in fitted.estimates] == [False, True]
-    assert "held at 0.3488" in fitted.remarks[0]
+    assert "fixed at 0.3488" in fitted.remarks[0]
 
 
 def test_residuals_beyond_the_noise_that_was_given_are_said() -> None:

@@ -142,7 +142,7 @@ def present(answer: Report[Any], output: Output, *, written: Iterable[Path] = ()
     ending: Exception | None = None
     try:
         with reporting_saved(
-            "nothing was saved" if output.out is None else f"{output.out} may hold a part of the answer"
+            "nothing was saved" if output.out is None else f"{output.out} may contain a part of the answer"
         ):
             _write(answer, output, files, pictures)
         # After saving: a design that misses its goal is still written, and then ends with code 3.

@@ -32,7 +32,7 @@ LOGGER = logging.getLogger("tubeopt")
 REFUSED = {
     1: "no stable equilibrium was found from tubes without torsion",
     3: "there is no equilibrium to continue from, or to return to",
-    4: "the branch does not lead there: the robot would snap",
+    4: "the branch does not reach these joint values: the robot would snap",
     5: "the motion is longer than one call may be",
 }
 # Return values of the functions without a result; 2 is bad input.

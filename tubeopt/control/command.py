@@ -175,7 +175,7 @@ WORDS = {
     Why.RATE: "a joint moves as fast as it may",
     Why.RANGE: "a joint is at the end of its range",
     Why.ORDER: "tubes or carriages touch",
-    Why.MARGIN: "the margin is held at its floor",
+    Why.MARGIN: "the margin is at its lower limit",
     Why.SHORTENED: "the guard has shortened the step",
     Why.HELD: "no step is safe, the robot stays where it is",
     Why.OBSTACLE: "the arm slides along an obstacle",

@@ -48,7 +48,7 @@ SURE = 0.8
 ROUND_OFF = 1e-9
 
 # Text of the event when the watchdog stops a stream.
-LATE = "no command has come in time: held"
+LATE = "no command arrived in time; the robot stops"
 
 # Keys of each kind of motion: p position, v velocity, r relative to now; c of the tip, j of the joints.
 KINDS = {
@@ -156,7 +156,7 @@ class CrtkRobot:
         if name == "state_command":
             self._change(message.get("command"))
         elif name == "hold":
-            self.hold("held by command")
+            self.hold("stopped by command")
         elif name == "set_js":
             self._resume(self._joints(message))
         elif name == "free":

@@ -159,8 +159,9 @@ class RobotServer:
     """Serves one robot until it is stopped.
 
     Args:
-        robot: what is commanded.   options: see `ServerOptions`.
-        clock: time in s that never decreases.   tell: called with an event and its words, such as "held" and why.
+        robot: robot to serve.   options: see `ServerOptions`.
+        clock: function that returns a time in s; it must never decrease.
+        tell: called with the name of an event, such as "held", and a sentence on it.
     """
 
     def __init__(
@@ -238,7 +239,7 @@ class RobotServer:
     def _failed(self, error: Exception) -> str:
         """Stop the robot after an error; returns the sentence that reports it."""
         words = str(error) if isinstance(error, InputError | SolveError) else f"{type(error).__name__}: {error}"
-        words = f"the robot is held: {words}"[:LONGEST_WORDS]
+        words = f"the robot stopped: {words}"[:LONGEST_WORDS]
         with self._robot_in_hand:
             self.robot.fault(words)
         if words != self._logged:
@@ -324,7 +325,7 @@ class RobotServer:
             raise InputError("another client already controls the robot")
         if not client.commander:
             self._commander, client.commander = client, True
-            self._say("commander", "has come")
+            self._say("commander", "connected")
 
     def _leave(self, client: _Client) -> None:
         self._clients.discard(client)
@@ -332,7 +333,7 @@ class RobotServer:
             self._commander = None
             with self._robot_in_hand:
                 self.robot.release()
-            self._say("commander", "has gone")
+            self._say("commander", "disconnected")
 
     async def _hear(self, client: _Client, read: Callable[[], dict[str, Any]]) -> str:
         """Execute a command read by `read`; returns the error as text, or ""."""
@@ -374,7 +375,7 @@ class RobotServer:
                     except InputError as error:
                         client.events.append(("error", str(error)))
         except (InputError, ValueError, struct.error) as error:
-            LOGGER.warning("a client by OpenIGTLink is sent away: %s", error)
+            LOGGER.warning("a client by OpenIGTLink is rejected: %s", error)
         finally:
             publishing.cancel()
             self._leave(client)

@@ -123,7 +123,8 @@ def _strains(program: Program) -> Iterator[str]:
             strain = surface_strain(diameter / 2, bend, bend)
             if strain > limit * (1 + SURELY):
                 yield (
-                    f"tube {i + 1} held straight is strained by at least {100 * strain:.4g} %, and {100 * limit:.4g} % "
+                    f"tube {i + 1}, if straightened, is strained by at least {100 * strain:.4g} %, "
+                    f"and {100 * limit:.4g} % "
                     "is allowed"
                 )
 

@@ -127,7 +127,7 @@ def separate_breakpoints(goal: Goal, at: Posture) -> Posture:
 
 
 def crossings(goal: Goal, at: Posture, section: float) -> Iterator[Posture]:
-    """Postures beyond each change of the order across a section not longer than `section`, m."""
+    """Postures with two breakpoints swapped, one for each pair closer than `section`, m."""
     return cross_breakpoints(goal, at, breakpoint_order(goal, at).closed(at.q[goal.space.robot.n_tubes :], section))
 
 

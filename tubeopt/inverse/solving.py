@@ -641,5 +641,5 @@ def _stalled(goal: Goal, at: Posture) -> str:
     """Message of a session that cannot reach its target."""
     if goal.clock.over:
         return f"the time limit was reached before the target: {miss_text(goal, at)}"
-    why = ", ".join(active_constraints(goal, at)) or "the branch of equilibria does not lead on"
+    why = ", ".join(active_constraints(goal, at)) or "the branch of equilibria does not continue"
     return f"the target cannot be reached from here: {miss_text(goal, at)}: {why}"

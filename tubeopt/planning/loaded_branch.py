@@ -385,7 +385,7 @@ class _Bounds:
         return np.asarray(by_tubes + by_load + by_turns + by_force.sum(1) + by_moments.sum((1, 2)))
 
     def hessian_chord_error(self) -> Array:
-        """(B,) bound on the deficit of the second variation along the chord, relative to the one linear in time.
+        """(B,) bound on how far the second variation along the chord is below its linear interpolation in time, over T.
 
         It is `CHORD_ERROR` times a bound on its second time derivative, at fixed torques and moments, relative to T.
         Infinite where tubes vary, since T is then not linear in time. See "Between loaded equilibria" in

@@ -381,7 +381,9 @@ class PairReach(Displayed):
     """Largest shift of either plate along its own axes, to both sides, m."""
     tilt: float = 0.0
     """Largest rotation of either plate about its own x and y, to both sides, rad."""
-    words: str = field(default="share of the pairs of places that both tips hold without touching", init=False)
+    words: str = field(
+        default="share of the pairs of places that both tips reach without contact between the arms", init=False
+    )
     """Label of the value."""
 
     def __post_init__(self) -> None:

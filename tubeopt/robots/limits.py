@@ -124,7 +124,7 @@ def reading_fault(tube: Tube, key: str, value: float) -> str:
     if key.endswith("_deg") and abs(value) > largest:
         return f"at most {largest} ({MOST_TURN / math.tau:.0f} turns) to either side"
     if key.endswith("_mm") and value > tube.straight_length * TO_MM + ROUNDED:
-        return f"at most its straight length, {tube.straight_length * TO_MM:g}: it is held there"
+        return f"at most its straight length, {tube.straight_length * TO_MM:g}, where it is clamped"
     if key.endswith("_mm") and value < -FAR * tube.length * TO_MM:
         return f"at least {-FAR * tube.length * TO_MM:g}, {FAR:g} lengths of the tube behind home"
     return ""

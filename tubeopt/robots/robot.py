@@ -276,7 +276,7 @@ def fit_warnings(robot: Robot) -> list[str]:
     warnings = []
     for i, tube in enumerate(robot.tubes, start=1):
         strain, name = tube.straightened_strain, tube.material.name
-        reached = f"tube {i} is strained {strain * 100:.2f} % when held straight, beyond the"
+        reached = f"tube {i} is strained {strain * 100:.2f} % when straightened, beyond the"
         if strain > tube.material.superelastic_strain:
             warnings.append(
                 f"{reached} {tube.material.superelastic_strain * 100:.3g} % limit of superelasticity of {name}"

@@ -304,8 +304,8 @@ def material_doubts(tube: Tube) -> Iterator[str]:
     max_strain = max(MAX_STRAIN, tube.material.superelastic_strain)
     if strain > max_strain:
         yield (
-            f"curvature is {tube.curvature:g} per m, which strains the tube by {100 * strain:.3g} % when it is held "
-            f"straight; {tube.material.name} springs back from at most {100 * max_strain:g} %"
+            f"curvature is {tube.curvature:g} per m, which strains the tube by {100 * strain:.3g} % when it is "
+            f"straightened; {tube.material.name} springs back from at most {100 * max_strain:g} %"
         )
 
 

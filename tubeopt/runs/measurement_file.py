@@ -83,7 +83,7 @@ class MeasurementMap(Entry):
     formulas: dict[str, str] = Field(
         {},
         description="joint values from several columns, with factors and constants, then the unit. In a translation, "
-        "`home` is the position of the tube's held end at home, minus its straight length",
+        "`home` is the position of the tube's clamped end at home, minus its straight length",
         examples=["{rotation_1: 0.5 * motor_1 - motor_2 + 12.5, deg}"],
     )
     frame_rate_Hz: Positive | None = Field(None, description="frame rate of an export that counts frames")
@@ -142,7 +142,7 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
     # Columns that only the other file has do not belong to this one.
     mine = {k: v for k, v in entry.columns.items() if k in recorded.table.columns or entry.joints is None}
     meanings = {**recorded.meaning, **mine}
-    # Where a drive reports the place of the held end, that of home is to be taken off.
+    # Where a drive reports the place of the clamped end, that of home is to be taken off.
     home = [-tube.straight_length for tube in robot.tubes]
     own_formulas = entry.formulas if entry.joints is None else {}
     tips = columns_of(recorded.table, meanings, str(path), home, own_formulas)

@@ -59,7 +59,7 @@ def _verdict_text(verdict: SnapAssessment) -> str:
     if verdict.snap is None:
         search = f"least margin found {found_margin}"
         if verdict.worst is not None and verdict.worst.margin < 0:
-            search += ", an unstable equilibrium, so some path leads to a snap"
+            search += ", an unstable equilibrium, so some path has a snap"
         return f"not proved (certificate {proved}), and search found no snap ({search})"
     # A search that finds nothing within the limits is no proof that nothing is there.
     beyond = "" if verdict.decided else "search found that "
@@ -118,7 +118,7 @@ def _certificate_text(a: Certification) -> str:
     if not np.isfinite(margin):
         return "none"
     if isinstance(a.verdict, EccentricSnapAssessment):
-        return f"{margin:.6f}, the share of torsional stiffness that may be lost with the proof still holding"
+        return f"{margin:.6f}, the share of torsional stiffness that may be lost with the proof still valid"
     return f"{margin:.6f}, a lower bound of the margin at all rotations"
 
 

@@ -222,7 +222,9 @@ class ShippedReport(Report[ShippedFiles]):
     file = "shipped.json"
 
     def table(self) -> str:
-        """A line per file, however long, so that it can be searched; of robots with their tubes, not the folder."""
+        """Table with a line per file, not wrapped, for search; robots have their number of tubes in place of the
+        folder.
+        """
         files = self.answer.files
         if {file.folder for file in files} == {"robots"}:
             rows = [("name", "kind", "tubes"), *((f.name, f.kind or "", str(f.n_tubes)) for f in files)]

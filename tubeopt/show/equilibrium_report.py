@@ -48,7 +48,7 @@ TUBE: tuple[Quantity[Tube], ...] = (
         words=lambda tube: "–" if (ratio := _poisson_ratio(tube)) is None else f"{ratio:.6g}",
     ),
     Quantity(
-        "straightened_strain_percent", "strain of the straightened tube", form=".6g", label="strain held straight"
+        "straightened_strain_percent", "strain of the straightened tube", form=".6g", label="strain when straightened"
     ),
 )
 
@@ -158,7 +158,7 @@ EQUILIBRIUM = described(
     Quantity("tip_by_history_mm",
              "largest displacement of the tip by friction along x, y and z, for any history, to first order; absent "
              "without friction", lambda e: by_history(e), optional=True),
-    line("friction holds it", lambda e: _history_text(e)),
+    line("effect of friction", lambda e: _history_text(e)),
     Quantity("tip_by_clearance_mm",
              "tip position after tilting by the clearance between the tubes, to first order; absent without clearance",
              lambda e: _tilted(e, "tip_position"), optional=True),

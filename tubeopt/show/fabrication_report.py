@@ -347,7 +347,9 @@ class MandrelReport(Report[Mandrel]):
         return f"mandrel of tube {self.answer.number}"
 
     def save(self, directory: Path) -> list[Path]:
-        """Write mandrel.json and mandrel.stl, of a turned one mandrel.csv and mandrel.nc, and the sheet setup.pdf."""
+        """Write mandrel.json, mandrel.stl and the sheet setup.pdf, for a turned mandrel also mandrel.csv and
+        mandrel.nc.
+        """
         from .plots.sheets import plot_setup_sheet
 
         paths = [self.save_record(directory), *write_mandrel(self.answer, directory)]

@@ -180,7 +180,7 @@ def success_text(success: Success | None) -> str:
     fraction = f"{100 * success.probability:.0f} % of {success.samples} uncertain rigs keep window and limit"
     bounds = f"(95 %: {100 * low:.0f} to {100 * high:.0f} %)"
     if not success.sensor:
-        return f"success: {fraction} {bounds}; no sensor closes the loop"
+        return f"success: {fraction} {bounds}; open loop, without a sensor"
     alone = f"by the schedule alone {100 * (success.open_loop or 0):.0f} % of the same rigs do"
     return f"success: {fraction} {bounds}; the sensor closes the loop ({success.sensor}); {alone}"
 
@@ -294,8 +294,8 @@ class HeatingReport(Report[Heating]):
 def missed(plan: HeatingPlan) -> str:
     """Violated conditions of a plan, as text."""
     low, high = plan.spec.window_degC
-    window = f"no schedule was found that holds {low:g} to {high:g} degC for {plan.spec.hold_time:g} s"
-    misses = [f"it is missed by {plan.shortfall:.1f} K", *plan.reasons] if plan.shortfall > 0 else []
+    window = f"no schedule was found that keeps {low:g} to {high:g} degC for {plan.spec.hold_time:g} s"
+    misses = [f"the window is missed by {plan.shortfall:.1f} K", *plan.reasons] if plan.shortfall > 0 else []
     return f"{window}{':' if misses else ' within the limits:'} {'; '.join((*misses, *plan.broken))}"
 
 

@@ -206,7 +206,7 @@ TRAJECTORY = described(
              lambda t: None if t.deviation is None else t.deviation.max(), form=".3f", label="largest deviation"),
     Quantity("tip_by_history_mm",
              "largest displacement of the tip by friction along x, y and z, over all samples, to first order; absent "
-             "without friction", lambda t: largest_by_history(t), optional=True, label="friction holds it",
+             "without friction", lambda t: largest_by_history(t), optional=True, label="effect of friction",
              words="within ± {tip_by_history_mm:.3f} mm along x, y, z, to first order"),
     Quantity("least_snap_distance_deg",
              "smallest snap distance at the samples: all tubes can turn by this much, each either way, without a snap: "
@@ -325,7 +325,7 @@ class CheckedReport(Report[VerifiedTrajectory]):
     def table(self) -> Group:
         """Verdict and numbers; `conclude` raises the faults."""
         a = self.answer
-        verdict = "holds" if a.proof.holds else "does not hold"
+        verdict = "is proved" if a.proof.holds else "is not proved"
         return Group(Text(f"{a.file} {verdict}, {_assuming(a.proof)}"), two_columns("", self.rows()))
 
     def conclude(self) -> None:

@@ -406,7 +406,7 @@ ESTIMATE: tuple[Quantity[tuple[int, ForceEstimate]], ...] = (
 
 CONFIDENCE = (
     "standard errors are to second order in the noise; ForceEstimate.coverage computes how often the ellipsoid of a "
-    "row holds the force, and contains asks the region of the likelihood"
+    "row contains the force, and contains asks the region of the likelihood"
 )
 """Remark on standard errors."""
 

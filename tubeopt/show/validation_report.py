@@ -362,7 +362,7 @@ PLACEMENT = described(
         "number of waypoints, with home and detours around snaps",
         lambda p: len(p.measured),
         form="d",
-        label="waypoints with home and what leads round snaps",
+        label="waypoints with home and detours around snaps",
     ),
     Quantity("least_margin", "smallest margin", lambda p: p.margin.min(), form=".3f", label="least margin"),
     "noise",

@@ -618,7 +618,9 @@ class NamedProgram:
 
     def failure(self, solution: ProblemSolution) -> str:
         """Message of a failed solve, with its status and worst constraints."""
-        missed = "; ".join(str(each) for each in solution.violations[:NAMED_VIOLATIONS]) or "all constraints hold"
+        missed = (
+            "; ".join(str(each) for each in solution.violations[:NAMED_VIOLATIONS]) or "all constraints are satisfied"
+        )
         verdict = solution.statistics.verdict.replace("_", " ").lower()
         return (
             f"{self.name}: {solution.status} (IPOPT: {verdict}, {solution.statistics.iterations} iterations): {missed}"

@@ -207,7 +207,7 @@ def table() -> Array:
 def longest(delta: float, angle: float) -> float:
     """Largest length x with phi below `angle` (rad, at most pi / 2): a shorter segment cannot snap."""
     if not 0 <= delta <= DELTAS[-1]:
-        raise InputError(f"delta is {delta:g}; the bound holds from 0 to {DELTAS[-1]:g}")
+        raise InputError(f"delta is {delta:g}; the bound is valid from 0 to {DELTAS[-1]:g}")
     i = min(int(np.searchsorted(DELTAS, delta, side="right")) - 1, len(DELTAS) - 2)
     row = (delta - DELTAS[i]) / (DELTAS[i + 1] - DELTAS[i])
     position = angle / ANGLES[1]

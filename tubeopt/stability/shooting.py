@@ -118,7 +118,7 @@ def gain_of(problem: ReducedProblem) -> Array:
 
 
 def shoot(bundle: ShootingArm, tips: Array, *, steps: int = STEPS_PER_ELEMENT, slopes: bool = False) -> Shot:
-    """Joint rotations for tip angles (B, k) of the first k tubes and 0 for all others; lengths are of all tubes.
+    """Joint rotations for tip angles (B, k) of the first k tubes; the other tubes have tip angle 0 and no rotation.
 
     Args:
         steps: integration steps per element.   slopes: whether to integrate the derivatives.

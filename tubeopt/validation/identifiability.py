@@ -62,13 +62,13 @@ def undetermined(parameters: Sequence[Parameter], jacobian: Array, length: float
         if with_it:
             remarks.append(
                 f"{parameter.name} cannot be distinguished from a change of {join(with_it)} together with the "
-                f"registration; held at {shown(parameter.start, parameter.unit)}"
+                f"registration; fixed at {shown(parameter.start, parameter.unit)}"
             )
         else:
             remarks.append(
                 f"{parameter.name} has next to no effect on the measured tips: a change by "
                 f"{shown(parameter.scale, parameter.unit)} moves them by less than "
-                f"{shown(NO_EFFECT * length, 'm')} (RMS) once the registration has followed; held at "
+                f"{shown(NO_EFFECT * length, 'm')} (RMS) after a new registration; fixed at "
                 f"{shown(parameter.start, parameter.unit)}"
             )
     return held, remarks
@@ -100,7 +100,7 @@ def doubts(
     for k in free:
         p = parameters[k]
         if min(values[k] - p.low, p.high - values[k]) <= 1e-6 * p.scale:
-            remarks.append(f"{p.name} ended at the edge of its range: the interval does not hold there")
+            remarks.append(f"{p.name} ended at the edge of its range: the interval is not valid there")
         if half[k] > p.scale:
             remarks.append(f"{p.name} is hardly determined: its interval is wider than any plausible range")
     for a, j in enumerate(free):

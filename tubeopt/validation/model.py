@@ -58,8 +58,8 @@ def solve_poses(
 ) -> PredictedPoses:
     """Poses at joint values (N, n) of the model; stations (K,) behind the tip, m, the foremost first.
 
-    Each row is solved on its own. Along `runs` of rows on end the branch is followed: where a row on its own leads to
-    another equilibrium than the one before it, it is solved from there, until both motions agree or the branch ends.
+    Each row is solved alone, without a start. In `runs` of consecutive rows, a row that ends on another branch than the
+    row before is solved again from that row, until both solutions agree or the branch ends.
 
     Raises:
         InputError: joint values at which the robot cannot be; the row is named.

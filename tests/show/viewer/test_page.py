@@ -124,10 +124,10 @@ def test_the_tip_is_led_and_stops_at_its_limit(tab: Tab) -> None:
     tab.tab("Tip")
     for axis, value in zip("xyz", (20, -80, 165), strict=True):
         tab.type(f"target {axis} (mm)", value)
-    tab.press("Lead the tip there")
+    tab.press("Move the tip there")
     tab.wait_for_tip(np.array([0.02, -0.08, 0.165]))
     tab.type("target z (mm)", 600)
-    tab.press("Lead the tip there")
+    tab.press("Move the tip there")
     message = tab.wait_for("message", "short of the target")
     assert "at its end" in message or "margin" in message or "touching" in message
 

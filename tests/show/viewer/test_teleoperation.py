@@ -125,7 +125,7 @@ def test_the_tip_stops_at_the_floor_of_the_margin_and_says_so(monkeypatch: pytes
     floor = session.equilibrium.margin - 0.05
     session, text = led(session, (-0.3, -1.0, 0.0), 40, floor)
     session, back = led(session, (0.3, 1.0, 0.0), 40, floor)
-    assert "margin is held at its floor" in text + back
+    assert "margin is at its lower limit" in text + back
     assert session.equilibrium.margin >= floor
     assert not session.log
 
@@ -160,7 +160,7 @@ def test_keys_lead_the_tip_on_the_page_and_the_recording_is_played_again(tab: Ta
     tab.box("record what the robot passes").click()
     tab.page.keyboard.press("KeyL")  # not ticked yet
     tab.tab("Tip")
-    tab.box("lead the tip by keys").click()
+    tab.box("move the tip by keys").click()
     tab.wait_for("hand", "along x, y, z")
     assert np.array_equal(tab.tip, start)
     tab.page.get_by_text("What happened").focus()

@@ -467,7 +467,7 @@ def residual(problem: ReducedProblem, state: Evaluation) -> float:
 def worst_equation(problem: ReducedProblem, state: Evaluation) -> str:
     """Name of the most violated collocation equation, with its violation."""
     if not problem.size:
-        return "all equations hold"
+        return "all equations are satisfied"
     # A NaN counts as the largest violation, since no number can be compared with it.
     violation = np.abs(problem.factor @ state.gradient)
     k = int(np.argmax(np.where(np.isfinite(violation), violation, np.inf)))

@@ -278,7 +278,7 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
              f"{1e3 * safety.budget:.0f} ms"),
         Part("monostable", f"{monostable:.3g} ms (74HC123, +-20 %), drives the cut-out; retriggered by pin "
              f"{pins['tick']} AND drain high (74HC132, drain by 10 kohm and a {min(reference, 4.7):g} V Zener diode)",
-             "a shorted switch holds the drain low, a dead board sends no tick: both open the cut-out"),
+             "a shorted switch keeps the drain low, a dead board sends no tick: both open the cut-out"),
         Part("pull-up", f"1 kohm, {math.ceil(charged**2 / 500) / 2:g} W, across the open cut-out",
              "the drain is high before the cut-out closes, unless the switch is shorted"),
         Part("thermal cut-out", f"normally closed, {clamp} degC, on the fixed clamp, in the supply of the cut-out",
@@ -290,7 +290,7 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
              f"most {resistance:g} mohm, avalanche {1e3 * MARGIN * avalanche:.2g} mJ",
              f"{peak:.0f} A while on; warms by {heat:.1f} W, up to {MOSFET_HEAT:g} W need no heat sink"),
         Part("TVS diode", f"{standoff} V standoff, clamps below {voltage} V, from drain to source",
-             f"cables of 2 uH hold {1e3 * avalanche:.2g} mJ"),
+             f"cables of 2 uH store {1e3 * avalanche:.2g} mJ"),
         Part("gate driver", "2 A or more; 10 ohm to the gate, 10 kohm from gate to source",
              "without signal the switch must stay off"),
         Part("diode", f"Schottky, {voltage} V, {math.ceil(peak / 10) * 10} A of pulse, across the tube",

@@ -456,7 +456,7 @@ def calibrate(
         weakest = int(np.argmax(errors)) if len(free) else 0
         if not len(free) or errors[weakest] < WEAK:
             break
-        remarks.append(f"{free[weakest]} is not determined by the log; it is held at what the file says")
+        remarks.append(f"{free[weakest]} is not determined by the log; it keeps the value of the file")
         free.pop(weakest)
     freedom = max(problem.count - len(free), 1)
     quantile = float(scipy.special.stdtrit(freedom, 0.5 + confidence / 2))

@@ -169,7 +169,7 @@ def remarks(rig: Rig, history: History, wall: float) -> tuple[str, ...]:
     if left < 0:
         used = rig.battery.state_of_charge - left
         messages.append(
-            f"the heating takes {100 * used:.0f} % of the battery's capacity; the battery holds "
+            f"the heating takes {100 * used:.0f} % of the battery's capacity; the battery has "
             f"{100 * rig.battery.state_of_charge:.0f} %"
         )
     elif left < MIN_CHARGE:

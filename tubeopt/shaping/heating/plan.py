@@ -411,8 +411,8 @@ def reasons_of(schedule: Schedule) -> tuple[str, ...]:
     blocking = blocking_limits(schedule.run.model, spec, rig, schedule.counts[:last], states)
     descriptions = {
         "duty": "the switch conducts all the time",
-        "current": f"the mean current of {rig.circuit.current_limit:g} A allows no count more",
-        "ramp": f"the ramp of {spec.ramp:g} K/s allows no count more",
+        "current": f"the mean current of {rig.circuit.current_limit:g} A allows no larger count",
+        "ramp": f"the ramp of {spec.ramp:g} K/s allows no larger count",
     }
     reasons = [
         f"{description} in {spec.slot * blocking.count(limit):g} of the {spec.slot * last:g} s to the end of the hold"
@@ -420,7 +420,7 @@ def reasons_of(schedule: Schedule) -> tuple[str, ...]:
         if blocking.count(limit) > MIN_BLOCKED * last
     ]
     if reasons and schedule.run.start > (1 - MIN_GAIN) * spec.longest_heating:
-        reasons.append(f"the heating may last {spec.longest_heating:g} s at most")
+        reasons.append(f"the heating time is limited to {spec.longest_heating:g} s")
     if not reasons or outcome.hottest + outcome.mesh.hottest > spec.limit - HOPELESS:
         reasons.insert(
             0,
@@ -455,7 +455,7 @@ def schedule_csv(plan: HeatingPlan) -> str:
     }
     rows = zip(*([f"{value:{form}}" for value in values] for values, form in columns.values()), strict=True)
     comment = (
-        f"{plan.rig.name or 'rig'}: every duty holds for {plan.spec.slot:g} s; hold from {plan.hold_start:g} to "
+        f"{plan.rig.name or 'rig'}: every duty lasts {plan.spec.slot:g} s; hold from {plan.hold_start:g} to "
         f"{plan.hold_end:g} s; battery at {plan.rig.battery.voltage:.2f} V at rest"
     )
     return to_csv(tuple(columns), rows, comment)

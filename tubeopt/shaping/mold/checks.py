@@ -169,7 +169,7 @@ def held_in_plane(number: int, tube: Tube, spec: MoldSpec, limitation: str) -> T
     """Tube in the shape of a planar mold.
 
     Raises:
-        InputError: a straight tube, or a space curve; `limitation` begins the reason, such as "a plate holds".
+        InputError: a straight tube, or a space curve; `limitation` begins the reason, such as "a plate is for".
     """
     if tube.curved_length == 0:
         raise InputError(f"tube {number} has no curved part; it needs no mold")

@@ -317,7 +317,7 @@ def _blank(number: int, tube: Tube, spec: MoldSpec) -> Blank:
     """Groove of a tube without its position on the plate."""
     if not isinstance(tube, Tube):
         raise InputError(f"tube {number} is a {type(tube).__name__}; it must be a Tube")
-    held = held_in_plane(number, tube, spec, "a plate holds")
+    held = held_in_plane(number, tube, spec, "a plate is for")
     cold = cold_end(tube, spec.material, spec.heat).of_length(spec.cold_length)
     mill, width = choose_mill(number, tube, spec)
     lead = max(spec.clamps.least_lead, cold.length - spec.clamps.gap)

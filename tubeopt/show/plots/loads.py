@@ -229,7 +229,7 @@ def plot_friction_band(band: FrictionBand, *, magnified: float = 1.0) -> Figure:
     """
     figure = new_figure(6.4, 3.6)
     wider = "" if magnified == 1 else f", drawn {magnified:g} times as wide"
-    headed(figure, f"{band.equilibrium.robot.name or 'robot'}: where friction can hold it{wider}")
+    headed(figure, f"{band.equilibrium.robot.name or 'robot'}: range of its positions with friction{wider}")
     line, tangent = band.equilibrium.position, band.equilibrium.frame[:, :, 2]
     for axes, across in zip(figure.subplots(1, 2), (0, 1), strict=True):
         plane = [across, 2]

@@ -93,7 +93,7 @@ def plot_checked(checked: VerifiedTrajectory) -> Figure:
         panels[2].axvline(float(at), color="#C1272D", lw=1.2, label="snaps")
         legend_beside(panels[2])
     share_x(panels, joints.time)
-    verdict = "holds" if proof.holds else "does not hold"
+    verdict = "is proved" if proof.holds else "is not proved"
     seconds = number(float(joints.time[-1] - joints.time[0]), 1)
     margin_text = f"least margin {proof.least_margin:.3f}"
     return headed(

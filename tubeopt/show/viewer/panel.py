@@ -448,7 +448,7 @@ class Panel:
         self._check(
             "drag the tip", False, partial(self._tab.show, "target"), hint="Drag the arrows at the tip to move it."
         )
-        self._check("lead the tip by keys, gamepad or 3-D mouse", False, partial(self._tab.show, "hand"))
+        self._check("move the tip by keys, gamepad or 3-D mouse", False, partial(self._tab.show, "hand"))
         boxes = [self._gui.add_text(f"target {axis} (mm)", "0") for axis in "xyz"]
 
         def go() -> None:
@@ -456,7 +456,7 @@ class Panel:
             if values is not None:
                 self._tab.move_tip(values / TO_MM, released=True)
 
-        self._button("Lead the tip there", go)
+        self._button("Move the tip there", go)
         return margin, boxes
 
     def _play_controls(self) -> Any:

@@ -173,7 +173,7 @@ def pull(
         return session, ""
     # Margin and obstacles come first, before joints at their limits.
     active = sorted(active_constraints(goal, current), key=lambda text: not text.startswith(("margin", "arm")))
-    reasons = ", ".join(active) or "no joint leads nearer to it"
+    reasons = ", ".join(active) or "no joint motion brings the tip closer"
     return session, f"the tip stops {error * TO_MM:.2f} mm short of the target: {reasons}"
 
 

@@ -195,7 +195,7 @@ class RobotNode(LifecycleNode):
             self.get_logger().warning(words)
             self._out["error"].publish(String(data=words))
         except Exception as error:  # any error of one message or step stops the robot, and the node continues
-            words = f"the robot is held: {type(error).__name__} in {op}: {error}"
+            words = f"the robot stopped: {type(error).__name__} in {op}: {error}"
             self.robot.fault(words)
             self.get_logger().error(words)
 
