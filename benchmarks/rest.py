@@ -5,7 +5,8 @@
 Each robot starts at random joint values, and its servo is led to a random target within a length of its longest tube
 that is out of reach. It moves until it has rested for two seconds. Printed: how long it takes from 1 mm off its last
 place until rest, reversals in the last two seconds, largest accelerations over their limits, least margin, and how much
-closer inverse kinematics comes, from the same start (`ik --closest`) and from where the servo rests. Kinds: the servo
+closer inverse kinematics comes: `ik --closest`, which searches from many starts, and the descent of `ik --closest` from
+the place of rest. A servo approaches its target at every step, so it can rest at a local minimum only. Kinds: the servo
 in Python, in C, and the robot of the server, commanded by servo_cp in time of its own. With `--reach` the targets are
 tips of random joint values, and what counts is whether they are reached.
 """
@@ -30,7 +31,10 @@ from tubeopt.control.c_library import CLibrary, c_library
 from tubeopt.control.command import Command, ServoOptions
 from tubeopt.control.crtk import CrtkRobot
 from tubeopt.control.servo import Servo
+from tubeopt.inverse.closest import approach
+from tubeopt.inverse.goal import pose_question
 from tubeopt.inverse.joints import joint_space
+from tubeopt.inverse.posture import posture_of
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
 
@@ -157,6 +161,13 @@ def closest(robot: Robot, start: Any, target: Array, floor: float) -> float:
     return float(np.linalg.norm(result.equilibrium.tip_position - target))
 
 
+def lowest(robot: Robot, rest: tubeopt.Equilibrium, target: Array, floor: float) -> float:
+    """Distance (m) of the local minimum that `ik --closest` descends to from the rest, by continuous motion."""
+    goal = pose_question(robot, target, None, start=rest, min_margin=floor)
+    end = approach(goal, posture_of(goal.space, rest))
+    return np.inf if end is None else float(np.linalg.norm(end.posture.equilibrium.tip_position - target))
+
+
 def measure(name: str, asked: argparse.Namespace, number: int) -> list[dict[str, Any]]:
     """Motions of one robot: as many that end out of reach, or with `--reach` as many targets within."""
     robot = tubeopt.load_robot(name)
@@ -182,7 +193,7 @@ def measure(name: str, asked: argparse.Namespace, number: int) -> list[dict[str,
             row["closest"] = closest(robot, start, target, asked.floor)
             if row["closest"] < result.distance - CLOSER:
                 rest = tubeopt.follow(robot, *([each] for each in result.joints), start=start).equilibria[-1]
-                row["closest from rest"] = closest(robot, rest, target, asked.floor)
+                row["closest from rest"] = lowest(robot, rest, target, asked.floor)
         out.append(row)
         if asked.verbose:
             print(row, file=sys.stderr, flush=True)

@@ -221,3 +221,24 @@ def test_accelerations_are_kept_whatever_is_commanded(kind: str, count: int) -> 
         assert np.abs(speed[3:]).max() <= 0.05 + 1e-9
         assert not space.outside(space.join(step.rotations, step.translations))
         last = speed
+
+
+# At home the transitions of both tubes are at the plate, where the distance has a kink: the translation alone would bring
+# the tip no closer there, but rotations do.
+KINK = ([2.8692, -0.122], [0.0041, 0.0041]), (-0.0019, -0.0813, 0.0402)
+
+
+@pytest.mark.parametrize("kind", ["python", "c"])
+def test_robot_rests_at_kink_only_where_no_rotation_brings_it_closer(kind: str) -> None:
+    start, away = KINK
+    servo = made(kind, TWO_TUBES, start, speed=0.2, shift_rate=0.2, **ACCELERATIONS)
+    steps = [servo.step(Command(position=away), 4e-3) for _ in range(1500)]
+    assert reversals(joints_of(steps)[-500:]) == 0
+    assert np.abs(steps[-1].translations).max() < 1e-6
+    known = inverse_kinematics(TWO_TUBES, away, start=start, on_failure="closest", min_margin=0.1)
+    best = np.linalg.norm(known.equilibrium.tip_position - away)
+    assert steps[-1].distance < best + 1e-5
+    # A rotation by 0.1 rad from there takes the tip farther away.
+    for turn in np.array([[0.1, 0], [-0.1, 0], [0, 0.1], [0, -0.1]]):
+        beside = forward_kinematics(TWO_TUBES, steps[-1].rotations + turn, steps[-1].translations)
+        assert np.linalg.norm(beside.tip_position - away) > steps[-1].distance

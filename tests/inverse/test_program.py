@@ -66,7 +66,7 @@ EQUATIONS = (
 
 def program_at(goal: Goal, at: Posture) -> tuple[Problem, dict[str, np.ndarray]]:
     """The program of a goal, and its variables at a posture."""
-    program = posed(goal, at, breakpoint_order(goal, at))
+    program = posed(goal, at, breakpoint_order(goal.space, at))
     n = at.space.robot.n_tubes
     start = {"rotations": at.q[:n], "translations": at.q[n:]}
     return program, start | torsion_guess(at.solution.member.problem, at.solution.torsion)

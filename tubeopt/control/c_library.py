@@ -30,6 +30,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import InputError, SolveError
 from ..files.files import write_text
+from ..inverse.breakpoint_order import breakpoints
 from ..inverse.joints import JointSpace, joint_space
 from ..physics.certificate import coupling_rate_function
 from ..robots.assembly import LENGTH_ROUND_OFF
@@ -190,8 +191,13 @@ def _data(robot: Robot, space: JointSpace) -> str:
     """Tubes, joints and limits as C."""
     n, m = robot.n_tubes, len(space.lower)
     carriage = [next(c for c, group in enumerate(space.carriages) if i in group) for i in range(n)]
+    home = robot.assembly(robot.home_translations)
     first = [0] * n + [group[0] for group in space.carriages]
+    # Where the breakpoints of each carriage are at its translation 0.
+    zero = space.offset[n:] - robot.home_translations
+    breaks = [(c, s + zero[group[0]]) for c, group in enumerate(space.carriages) for s in breakpoints(home, group)]
     tables: dict[str, ArrayLike] = {
+        "BREAK_AT": [s for _, s in breaks],
         "SPREAD": space.spread,
         "OFFSET": space.offset,
         "LOWER": space.lower,
@@ -200,16 +206,17 @@ def _data(robot: Robot, space: JointSpace) -> str:
         "ORDER": space.rows if space.rows.size else np.zeros(1),
         "LEAST": space.least if space.least.size else np.zeros(1),
     }
+    rows = 2 * m + len(space.least) + 1 + 2 * len(breaks)
     defines = {
         "JOINTS": m,
         "ORDERS": len(space.least),
-        "MOST_ROWS": 2 * m + len(space.least) + 1
-        if robot.assembly(robot.home_translations).eccentric
-        else f"({2 * m + len(space.least) + 1} + TUBEOPT_MOST_CONTACTS)",
+        "BREAKS": len(breaks),
+        "MOST_ROWS": f"({rows}{'' if home.eccentric else ' + TUBEOPT_MOST_CONTACTS'})",
         "LONGEST_TUBE": space.length,
     }
     lines = [*(f"#define {key} {value}" for key, value in defines.items()), c_tables(tables)]
     lines += [f"static const long long CARRIAGES[] = {{{', '.join(map(str, carriage))}}};"]
+    lines += [f"static const int BREAK_CARRIAGE[] = {{{', '.join(str(c) for c, _ in breaks)}}};"]
     lines += [f"static const int FIRST[] = {{{', '.join(map(str, first))}}};"]
     lines += [pieces_text(robot), f"static const Tubes ROBOT = {tubes_text(robot)};\n\n"]
     return "\n".join(lines)

@@ -19,6 +19,7 @@ from ..equilibrium.jacobian import compiled_slopes, compiled_turn
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
+from ..inverse.breakpoint_order import breakpoint_order
 from ..inverse.goal import BODY_REACH, angle
 from ..inverse.joints import Configuration, JointSpace, configuration, joint_space, shift_of
 from ..inverse.posture import Posture, start_posture
@@ -227,7 +228,7 @@ class Guard:
             if found < floor:
                 return False
             least, at = min((least, at), (found, k))
-        near = BRAKING[max(at - 1, 0) : at + 2] if least < floor + 2 * ROOM else ()
+        near = BRAKING[max(at - 1, 0) : at + 2] if least < floor + 4 * ROOM else ()
         return all(margin((one + two) / 2) >= floor for one, two in pairwise(near))
 
     def _next(self, stop: Array, dt: float) -> tuple[Array, Array]:
@@ -328,6 +329,10 @@ SEEN = 1e-6
 # the distance over the robot's length, times two, below which the robot rests: 0.1 nm for an arm of 0.2 m.
 DEAD, GAIN = 1e-7, 1e-9
 
+# Length (m) of a section between breakpoints that steps keep open where they keep the order: derivatives are those of
+# this side, and the tip is as close as at the kink to less than a micrometre.
+KEPT = 1e-7
+
 # Singular value of a task below which it leaves a motion free: above round-off of the Jacobian, below any motion that
 # counts.
 FREE = 1e-6
@@ -407,6 +412,10 @@ class Servo:
         """(m,) factors on it."""
         self._last: Array = np.zeros(len(self.space.scale))
         """(m,) last step over the scales."""
+        self._ordered = self._progress = False
+        """True if steps keep the order of breakpoints, and if one of them was taken."""
+        self._first_order = 0
+        """Number of the first row of the order of breakpoints."""
         self._ease = 1.0
         """Part of the push of the objective: it halves where the push goes back and forth."""
         self._goal: Array | None = None
@@ -462,6 +471,7 @@ class Servo:
         missed = any(float(np.linalg.norm(part.gap)) > part.met for task in tasks for part in task.parts)
         if missed and guard.here is here and Why.HELD not in why:
             why |= Why.NO_CLOSER
+        self._choose_order(guard.here is here, Why.NO_CLOSER in why, bool((active >= self._first_order).any()))
         return ServoStep(arm, why, *remaining)
 
     def snap_distance(self, most: float) -> float | None:
@@ -491,6 +501,19 @@ class Servo:
         last, self._goal = self._goal, command.position
         if last is None or self._goal is None or dist(last, self._goal) > 2 * self.options.speed * dt:
             self._damping, self._damped, self._patience = 0.0, 0, PATIENCE
+            self._ordered = False
+
+    def _choose_order(self, rests: bool, no_closer: bool, at_kink: bool) -> None:
+        """Keep the order of breakpoints after a step that brings the tip no closer; release it where it is not needed.
+
+        Where breakpoints coincide the distance has kinks: a step across one may not descend although another step on
+        this side does. At rest on this side, a step across is tried again.
+        """
+        if not self._ordered:
+            self._ordered, self._progress = no_closer, False
+        elif self._progress if rests else not at_kink:
+            self._ordered = False
+        self._progress |= not rests
 
     def _box(self, near: tuple[Array, Array], dt: float) -> tuple[Array, Array]:
         """(m,) smallest and largest joint change in the quadratic program, from the changes `near` that a cycle allows.
@@ -587,6 +610,12 @@ class Servo:
             kinds.append((sum(map(len, more)), Why.OBSTACLE))
             rows.append(near)
             more.append(lower)
+        self._first_order = sum(map(len, more))
+        if self._ordered:
+            row, bound = breakpoint_order(self.space, here).kept(here.q, KEPT)
+            kinds.append((self._first_order, Why(0)))
+            rows.append(row * self.space.scale)
+            more.append(bound)
         return Constraints(np.concatenate(rows), np.concatenate(more), kinds)
 
     def _why(self, active: Index, here: Posture, low: Array, high: Array, kinds: Sequence[tuple[int, Why]]) -> Why:

@@ -14,6 +14,7 @@ import numpy as np
 from ..robots.assembly import Assembly
 from ..typing import Array
 from .goal import Goal
+from .joints import JointSpace
 from .posture import Posture
 
 # Ten times the distance at which a target counts as met: breakpoints that are closer make no difference to an answer.
@@ -48,10 +49,17 @@ class OrderConstraints:
 
     def constrain(self, q: Array, rows: Array, bounds: Array) -> tuple[Array, Array]:
         """Constraints of a step from joint values q (m,), extended by the order of breakpoints."""
-        own = np.zeros((self.changeable, len(q)))
-        own[:, len(q) - self.rows.shape[1] :] = self.rows[: self.changeable]
-        own_bounds = np.minimum(self.bound[: self.changeable] - own @ q, 0.0)
+        own, own_bounds = self.kept(q, 0.0)
         return np.vstack([rows, own]), np.concatenate([bounds, own_bounds])
+
+    def kept(self, q: Array, length: float) -> tuple[Array, Array]:
+        """Rows (k, m) and bounds (k,) of steps from q (m,) after which sections have at least this length (m).
+
+        Sections that are shorter do not get shorter still.
+        """
+        rows = np.zeros((self.changeable, len(q)))
+        rows[:, len(q) - self.rows.shape[1] :] = self.rows[: self.changeable]
+        return rows, np.minimum(self.bound[: self.changeable] - rows @ q + length, 0.0)
 
     def closed(self, shift: Array, section: float) -> list[tuple[Array, float]]:
         """Rows and bounds of sections not longer than `section` (m) at translations (G,)."""
@@ -59,9 +67,8 @@ class OrderConstraints:
         return [(self.rows[k], float(self.bound[k])) for k in np.flatnonzero(length <= section)]
 
 
-def breakpoint_order(goal: Goal, at: Posture) -> OrderConstraints:
+def breakpoint_order(space: JointSpace, at: Posture) -> OrderConstraints:
     """Order of breakpoints of a posture."""
-    space = goal.space
     n, groups = space.robot.n_tubes, len(space.carriages)
     if not space.robot.fixed_sections:  # a solve of a bundle finds the order
         none = np.zeros((0, groups))
@@ -72,7 +79,7 @@ def breakpoint_order(goal: Goal, at: Posture) -> OrderConstraints:
     rows, bound = [], []
     for k, tubes in enumerate(space.carriages):
         unit = np.eye(groups)[k]
-        for s in _breakpoints(assembly, tubes):
+        for s in breakpoints(assembly, tubes):
             if s > 0:
                 marks.append((s, unit))
             else:
@@ -95,7 +102,7 @@ def breakpoint_order(goal: Goal, at: Posture) -> OrderConstraints:
     return OrderConstraints(length, length_slope, np.reshape(rows, (-1, groups)), np.array(bound), changeable)
 
 
-def _breakpoints(assembly: Assembly, tubes: tuple[int, ...]) -> list[float]:
+def breakpoints(assembly: Assembly, tubes: Sequence[int]) -> list[float]:
     """Distinct arc lengths, m, of transitions, ends and joints of pieces for the tubes of one carriage."""
     mine = list(tubes)
     ends, transitions = assembly.end[mine], assembly.transition[mine]
@@ -113,7 +120,7 @@ def separate_breakpoints(goal: Goal, at: Posture) -> Posture:
     n = space.robot.n_tubes
     # A step of its own for each carriage: with equal ones breakpoints that coincide would stay together.
     step = MOVED_PAST * space.length * np.arange(1, len(space.carriages) + 1)[::-1]
-    position = np.sort(np.append([s for g in space.carriages for s in _breakpoints(at.problem.assembly, g)], 0.0))
+    position = np.sort(np.append([s for g in space.carriages for s in breakpoints(at.problem.assembly, g)], 0.0))
     if (np.diff(position) > CLOSED_SECTION).all():
         return at
     for sign in (1.0, -1.0):
@@ -128,7 +135,8 @@ def separate_breakpoints(goal: Goal, at: Posture) -> Posture:
 
 def crossings(goal: Goal, at: Posture, section: float) -> Iterator[Posture]:
     """Postures with two breakpoints swapped, one for each pair closer than `section`, m."""
-    return cross_breakpoints(goal, at, breakpoint_order(goal, at).closed(at.q[goal.space.robot.n_tubes :], section))
+    shift = at.q[goal.space.robot.n_tubes :]
+    return cross_breakpoints(goal, at, breakpoint_order(goal.space, at).closed(shift, section))
 
 
 def cross_breakpoints(goal: Goal, at: Posture, sections: Sequence[tuple[Array, float]]) -> Iterator[Posture]:

@@ -148,7 +148,7 @@ class _MissProblem:
         goal, scale, m = self.goal, self.goal.space.scale, len(at.q)
         residual, jacobian = goal.residual(at), goal.slope(at, side=side) * scale
         rows, bounds, names = goal.constraints(at)
-        rows, bounds = breakpoint_order(goal, at).constrain(at.q, rows, np.minimum(bounds, 0.0))
+        rows, bounds = breakpoint_order(goal.space, at).constrain(at.q, rows, np.minimum(bounds, 0.0))
         regularisation = (CURVATURE + 1e-3 * float(residual @ residual)) * np.eye(m)
         hessian, slope = jacobian.T @ jacobian + regularisation, jacobian.T @ residual
         if last is not None and isinstance(last.model, _Lagrangian):

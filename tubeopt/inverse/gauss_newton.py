@@ -349,10 +349,11 @@ class _CostProblem:
         cost, right = goal.cost_rows(at, 1e-3)
         right *= min(1.0, MAX_RIGHT / max(float(np.linalg.norm(right)), 1e-300))
         target = on_target(goal.slope(at, side=side), goal.residual(at))
-        return StepModel(cost, right, *target, *breakpoint_order(goal, at).constrain(at.q, *goal.inequalities(at)))
+        order = breakpoint_order(goal.space, at)
+        return StepModel(cost, right, *target, *order.constrain(at.q, *goal.inequalities(at)))
 
     def after(self, current: Posture, x: Array) -> Restored:
-        order = breakpoint_order(self.goal, current)
+        order = breakpoint_order(self.goal.space, current)
         return moved(self.goal, current, x, self.goal.slope(current), tolerance=ON_TARGET, order=order)
 
     def after_crossing(self, crossed: Posture) -> Posture | None:

@@ -350,7 +350,7 @@ class _OrderSolution(NamedTuple):
 
 def _solve_order(goal: Goal, at: Posture) -> _OrderSolution:
     """Solve the program within the order of breakpoints of a posture."""
-    order = breakpoint_order(goal, at)
+    order = breakpoint_order(goal.space, at)
     if not len(at.problem.mesh.length):
         return _OrderSolution(None, 0, [])  # all tubes are withdrawn, and nothing is left to turn
     program = posed(goal, at, order)

@@ -585,10 +585,10 @@ def _attempts(goal: Goal, current: Posture, near: _Slopes | None) -> Iterator[_A
         yield _Attempt(current, fresh, None, False)
     if goal.hindered:
         yield _Attempt(current, fresh, None, True)
-    yield _Attempt(current, fresh, breakpoint_order(goal, current), True)
+    yield _Attempt(current, fresh, breakpoint_order(goal.space, current), True)
     for crossed in crossings(goal, current, CLOSING_SECTION):
         slopes = _Slopes(goal.slope(crossed), crossed.margin_slope(), 0)
-        yield _Attempt(crossed, slopes, breakpoint_order(goal, crossed), True)
+        yield _Attempt(crossed, slopes, breakpoint_order(goal.space, crossed), True)
 
 
 def _is_clear(goal: Goal, current: Posture) -> bool:

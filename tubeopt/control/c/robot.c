@@ -46,6 +46,7 @@ struct tubeopt_memory {
     int moves, was_moving;                              /* its stop point, after this memory, is in use; for tubeopt_undo */
     Ball ball;                                          /* that a servo with a least snap distance proved last */
     double wall;                                        /* margin that such a servo keeps, since less was closer to a snap */
+    int ordered, progress;                              /* whether servo steps keep the order of breakpoints, and one was taken */
     double damping, ease, last[JOINTS], stiff[JOINTS], goal[3], damped, patience; /* squared, of steps that did not bring the tip closer; part of the push; last step */
 #if TUBEOPT_LOADS
     int bears;

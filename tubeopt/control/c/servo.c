@@ -15,6 +15,7 @@
 #define SEEN 1e-6  /* of a joint's scale: of a shorter whole step the curvature drowns in round-off */
 #define SLOW 0.01  /* part of the decrease that is asked for, below which the next step solves for the whole distance */
 #define DEAD 1e-7  /* of a joint's scale: a joint with a shorter whole step rests */
+#define KEPT 1e-7  /* length (m) of a section that steps keep open where they keep the order of breakpoints */
 #define GAIN 1e-9  /* of the longest tube: a whole step that brings the tip half as much closer leaves the robot at rest */
 
 static const double BRAKING[BRAKINGS + 1] = {0, 0.13, 0.3, 0.5, 0.75, 1};
@@ -24,6 +25,7 @@ typedef struct {
     double margin[JOINTS], rate[JOINTS], low[JOINTS], high[JOINTS];
     double near[2][JOINTS]; /* ends of a step within rates, over the scale */
     int rows, why;
+    int order, at_kink; /* number of the first row of the order of breakpoints; whether a step ends at one of these */
 } Aim;
 
 /* What the arm is to keep clear of. */
@@ -139,6 +141,33 @@ static int may_stop(tubeopt_memory *m, const tubeopt_command *c, double floor, c
     return stated_margin(m, 1) >= floor;
 }
 
+/* Rows of a step that keeps the order of breakpoints along the arm: sections between them do not close. */
+static void keep_order(const double *q, Quadratic *p) {
+    double at[BREAKS + 1] = {0};
+    int carriage[BREAKS + 1] = {-1}, count = 1; /* the first is the plate */
+    for (int b = 0; b < BREAKS; b++) {
+        double s = q[N + BREAK_CARRIAGE[b]] + BREAK_AT[b];
+        int k = count;
+        if (s <= 0) { /* behind the plate: it stays there */
+            double *row = new_row(p, fmin(KEPT + s, 0));
+            memset(row, 0, JOINTS * sizeof(double));
+            row[N + BREAK_CARRIAGE[b]] = -SCALE[N + BREAK_CARRIAGE[b]];
+            continue;
+        }
+        for (; k > 1 && at[k - 1] > s; k--) at[k] = at[k - 1], carriage[k] = carriage[k - 1];
+        at[k] = s;
+        carriage[k] = BREAK_CARRIAGE[b];
+        count++;
+    }
+    for (int k = 1; k < count; k++) {
+        if (carriage[k] == carriage[k - 1]) continue;
+        double *row = new_row(p, fmin(KEPT - (at[k] - at[k - 1]), 0));
+        memset(row, 0, JOINTS * sizeof(double));
+        row[N + carriage[k]] = SCALE[N + carriage[k]];
+        if (carriage[k - 1] >= 0) row[N + carriage[k - 1]] = -SCALE[N + carriage[k - 1]];
+    }
+}
+
 /* Rows of a step over the joints' scale: rates and ranges, order, floor of the margin, which it need not raise by more
    than `rise`; where that is 0, to stay keeps them all. */
 static void hedge(const tubeopt_memory *m, const tubeopt_command *c, const Bodies *bodies, const double *q, double rise,
@@ -172,6 +201,8 @@ static void hedge(const tubeopt_memory *m, const tubeopt_command *c, const Bodie
     double raised = fmin(fmin(0.5 * (least + ROOM - stated_margin(m, 0)), RISE * most), rise);
     memcpy(new_row(p, raised), aim->margin, sizeof aim->margin);
     keep_clear(m, bodies, rise, p, aim);
+    aim->order = p->count;
+    if (m->ordered) keep_order(q, p);
 }
 
 /* The step (n) over the joints' scale that brings the tip closest, in least squares with a little damping, and within
@@ -199,10 +230,12 @@ static int step_towards(tubeopt_memory *m, const tubeopt_command *c, const Bodie
             if (step[k]) share = fmin(share, fmax(0, aim->near[step[k] > 0][k] / step[k]));
     }
     aim->clipped = share;
-    aim->why = 0;
+    aim->why = aim->at_kink = 0;
     for (int k = 0; k < p.actives; k++) {
         int r = p.active[k], joint = r / 2;
-        if (r >= 2 * JOINTS)
+        if (r >= aim->order)
+            aim->at_kink = 1;
+        else if (r >= 2 * JOINTS)
             aim->why |= r < 2 * JOINTS + ORDERS ? TUBEOPT_AT_ORDER : r == 2 * JOINTS + ORDERS ? TUBEOPT_AT_MARGIN : TUBEOPT_AT_BODY;
         else {
             double end = r % 2 ? UPPER[joint] - q[joint] : q[joint] - LOWER[joint], used = fabs(step[joint]) * SCALE[joint];
@@ -258,7 +291,7 @@ static int can_brake(tubeopt_memory *robot, const tubeopt_command *c, const Ball
         if (found < least) at = k;
         least = fmin(least, found);
     }
-    if (least >= floor + 2 * ROOM) return 1;
+    if (least >= floor + 4 * ROOM) return 1;
     return (at == 0 || braking_margin(robot, c, s, q, speed, (BRAKING[at - 1] + BRAKING[at]) / 2) >= floor) &&
            (at == BRAKINGS || braking_margin(robot, c, s, q, speed, (BRAKING[at] + BRAKING[at + 1]) / 2) >= floor);
 }
@@ -349,6 +382,18 @@ static void straight_to(tubeopt_memory *m, const tubeopt_joints *goal, const dou
     aim->why = aim->clipped < 1 ? TUBEOPT_AT_RATE : 0;
 }
 
+/* Keep the order of breakpoints after a step that brings the tip no closer, and release it where it is not needed. Where breakpoints
+   coincide the distance has kinks: a step across one may not descend although another step on this side does. At rest on this side, a
+   step across is tried again. */
+static void choose_order(tubeopt_memory *m, int rests, int no_closer, int at_kink) {
+    if (!m->ordered) {
+        m->ordered = no_closer;
+        m->progress = 0;
+    } else if (rests ? m->progress : !at_kink)
+        m->ordered = 0;
+    m->progress |= !rests;
+}
+
 static tubeopt_status servo_step(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command *c, const tubeopt_joints *goal,
                                  const Bodies *bodies, tubeopt_pose *pose, tubeopt_report *report) {
     Aim aim;
@@ -370,6 +415,7 @@ static tubeopt_status servo_step(tubeopt_memory *m, tubeopt_memory *robot, const
     if (led(c) || sqrt(moved) > 2 * c->speed * c->step) { /* another target */
         m->damping = m->damped = 0;
         m->patience = PATIENCE;
+        m->ordered = 0;
     }
     memcpy(m->goal, c->position, sizeof m->goal);
     floor = fmin(c->min_margin, stated_margin(m, 0)); /* what is below it does not get worse */
@@ -378,6 +424,7 @@ static tubeopt_status servo_step(tubeopt_memory *m, tubeopt_memory *robot, const
         report->why = take(m, robot, c, bodies, q, step, floor, &aim, report);
     int rests = !memcmp(&m->origin, &m->joints, sizeof next), missed = fmax(report->distance, report->angle) > NEAR;
     if (rests && missed && !goal && !(report->why & TUBEOPT_HELD)) report->why |= TUBEOPT_NO_CLOSER;
+    choose_order(m, rests, report->why & TUBEOPT_NO_CLOSER, aim.at_kink);
     m->before = here;
     tell(m, 0, pose);
     return TUBEOPT_DONE;
