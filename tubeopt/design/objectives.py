@@ -85,7 +85,7 @@ class Objective(Displayed):
         "tip_curvature": curvature of the arm at its tip at `translations`, all tubes bending to one side; maximised.
         "turning_radius": its inverse; minimised.
         "reach_radius": largest distance of the tip from the plate axis at height `depth`, m.
-        "strain": largest strain of any tube held straight.
+        "strain": largest strain of any tube, if straightened.
         "length": overall length of the longest tube.
         "margin": smallest certificate where a certificate is required, else the smallest margin of the task poses.
         "tip_deflection": largest displacement of the tip by `tip_force` and `tip_moment` over all task poses.

@@ -252,7 +252,7 @@ def search_design(
 
     Raises:
         InputError: a task with poses, a certificate over a box or under a force, or numbers out of range.
-        DesignNotFoundError: no start leads to a design that satisfies the requirements.
+        DesignNotFoundError: no start gives a design that satisfies the requirements.
         SolveError: the design violates a requirement when it is checked again.
 
     Examples:
@@ -293,7 +293,7 @@ def search_pair(
 
     Raises:
         InputError: not two tasks; tasks that `search_design` does not support; numbers out of range.
-        DesignNotFoundError: no start leads to designs that satisfy the requirements.
+        DesignNotFoundError: no start gives designs that satisfy the requirements.
         SolveError: a design violates a requirement when it is checked again.
 
     Examples:

@@ -399,7 +399,7 @@ class IkSession:
     def solve(self, position: ArrayLike, *, direction: ArrayLike | None = None) -> InverseSolution:
         """The solution for the next target, near the last one.
 
-        `.path` leads from the last solution to it without a jump, with joint values inserted where the straight path
+        `.path` goes from the last solution to it without a jump, with joint values inserted where the straight path
         would jump. If there is no such path, `.jump` gives the reason.
 
         Raises:

@@ -119,11 +119,11 @@ class Motion:
         opti: a `casadi.Opti` or a `tubeopt.Problem`; receives the unknowns and constraints.
         robot: robot that moves; without a load.
         knots: number of knots, evenly spaced in time, or their times as fractions of the duration, from 0 to 1.
-        between: number of further equilibria inside every interval, at which margin and clearance hold too. With 0,
+        between: number of further equilibria inside every interval, at which margin and clearance are limited. With 0,
             knots may end on either side of a small body.
         duration: s, a number or an expression; None makes it an unknown.
         min_margin: smallest margin at the knots, a number or an expression, below 1.
-        limits: ranges of the joints; by default those of the robot. The order of the tubes holds too.
+        limits: ranges of the joints; by default those of the robot. The order of the tubes is a constraint too.
         name: prefix of the names of its variables and constraints.
 
     Attributes:

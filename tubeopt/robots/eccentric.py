@@ -151,7 +151,7 @@ class EccentricRobot(SheathedRobot):
     """Distance of the tube axes from the centreline, m; None is OD / sqrt(3). 0 is the equivalent concentric robot,
     which cannot be built."""
     transmission_length: Annotated[float, unit("mm"), NOT_NEGATIVE, "straight length behind the base plate"] = 0.0
-    """Straight length of each tube between its held end and its `straight_length`, m."""
+    """Straight length of each tube between its clamped end and its `straight_length`, m."""
     name: str = ""
     """Name in tables and figures."""
     joint_limits: JointLimits | None = None

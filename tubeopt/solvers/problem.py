@@ -69,7 +69,7 @@ class Problem(NamedProgram):
 
         Raises:
             InputError: an unknown variable, or one without finite bounds.
-            SolveError: no start led to an optimum. The message counts the results; `solution` is the nearest miss.
+            SolveError: no start reached an optimum. The message counts the results; `solution` is the nearest miss.
         """
         names = [over] if isinstance(over, str) else list(over)
         lower, upper = _box(self, names)

@@ -96,7 +96,7 @@ def snapping_loss(
     A model without stability overestimates the workspace: some of its equilibria are unstable, and the robot never
     remains there. This function computes equilibria of all kinds, from tip rotations over a whole turn and the
     translations within the robot's limits. It sorts their tips into voxels. A voxel with unstable equilibria only is
-    lost. One with a stable equilibrium is not, even if every path there leads through a snap; use `follow` and
+    lost. One with a stable equilibrium is not, even if every path to it has a snap; use `follow` and
     `stability_map` for paths.
 
     Args:
