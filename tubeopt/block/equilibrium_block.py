@@ -109,7 +109,7 @@ def verified_equilibrium(block: ComposedBlock[N], value: Callable[[Any], Any]) -
 def rebuilt(robot: Robot, numbers: dict[str, Any]) -> Robot:
     """A robot with other DIMENSIONS of its tubes, (n,) each, or PIECES.
 
-    Diameters and material stay; a stiffness that differs from theirs becomes a stiffness of its own.
+    Diameters and material do not change; a stiffness that does not follow from them is stored with the tube.
     """
     current = dimensions_of(robot.tubes)
     if is_general(robot):

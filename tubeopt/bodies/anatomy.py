@@ -33,7 +33,7 @@ class TransformedBody:
 
     @property
     def stands_for(self) -> str:
-        """Reference of the distance of points or an open surface, as text; "" for a solid."""
+        """Text that says from what distances to points or an open surface are measured; "" for a solid."""
         return str(getattr(self.body, "stands_for", ""))
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:

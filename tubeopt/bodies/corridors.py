@@ -178,7 +178,7 @@ class MeshObstacle(Displayed):
 
     @property
     def stands_for(self) -> str:
-        """Text for messages: what distances from an open mesh refer to; empty for a closed mesh."""
+        """Text that says from what distances of an open mesh are measured; "" for a closed mesh."""
         return "" if self.closed else open_surface(self.name, len(self.faces))
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:
@@ -231,7 +231,7 @@ class MeshObstacle(Displayed):
 
 
 def open_surface(name: str, count: int) -> str:
-    """Reference of the distance from an open surface of `count` triangles, as text."""
+    """Text that says from what distances are measured: an open surface of `count` triangles, by its name."""
     return f"the {count} triangle{'' if count == 1 else 's'} of {name}, an open surface: it has no inside"
 
 

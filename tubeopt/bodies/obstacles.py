@@ -230,7 +230,7 @@ class Scene:
 
     @cached_property
     def stands_for(self) -> tuple[str, ...]:
-        """References of the distances of all points and open surfaces, as text; solids have none."""
+        """Texts that say from what distances are measured, for points and open surfaces; empty for solids."""
         texts = (getattr(body, "stands_for", "") for body in self.bodies)
         return tuple(dict.fromkeys(filter(None, texts)))
 

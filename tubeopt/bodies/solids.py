@@ -205,7 +205,7 @@ def field_of_points(
 
 
 def _points_as_text(points: Array, radius: float, name: str) -> str:
-    """Reference of the distance from balls, as text; warns if an arm may pass between them."""
+    """Text that says from what distances are measured: balls around points. Warns if an arm may pass between them."""
     balls = f"the {len(points)} points of {name}, each a ball of {radius * 1e3:g} mm"
     gap = largest_gap(points)
     if gap is None:

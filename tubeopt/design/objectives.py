@@ -151,7 +151,7 @@ class Objective(Displayed):
 
     @property
     def description(self) -> Kind:
-        """Name, unit and direction of its kind."""
+        """Name, unit and direction of the objective, from its kind."""
         return KINDS[self.kind]
 
 

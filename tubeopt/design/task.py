@@ -100,7 +100,9 @@ def tube_distances(tubes: Sequence[Tube], low: Sequence[float] | Array, high: Se
 
 
 def worst_order(tubes: Sequence[Tube], ranges: Sequence[TranslationRange]) -> tuple[float, str]:
-    """Smallest distance of the order over sets of translations, m, and a clause with the set and the tubes."""
+    """Smallest distance (m) in the order constraints over sets of translations, and a clause that names
+    set and tubes.
+    """
     return min(
         (_worst(tube_distances(tubes, translations.low, translations.high), translations) for translations in ranges),
         key=lambda pair: pair[0],
@@ -128,7 +130,7 @@ def check_order(ranges: Sequence[TranslationRange], shortest: dict[str, Array], 
 
 
 def _worst(distances: Array, translations: TranslationRange) -> tuple[float, str]:
-    """Smallest distance of the order, and a clause for it."""
+    """Smallest distance (m) in the order constraints, and a clause that names it."""
     k, n = int(np.argmin(distances)), len(translations.low)
     distance = float(distances[k])
     size = f"{abs(distance) * 1e3:.4g} mm"

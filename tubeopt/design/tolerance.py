@@ -26,8 +26,8 @@ from ..typing import Array, Progress
 class Tolerances:
     """Independent errors of every tube: standard deviations, or half widths where uniform.
 
-    Translations count from home, which each tube finds by its own transition: a longer straight part is a longer
-    transmission, and no longer arm. Of tubes made of pieces all are bent, stiffened and stretched alike.
+    Translations are relative to home, where the transition of each tube is at the plate. So a longer straight part
+    gives a longer transmission, not a longer arm. In tubes made of pieces all pieces change in the same proportion.
     """
 
     curvature: Annotated[

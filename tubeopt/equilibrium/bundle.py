@@ -181,7 +181,7 @@ class Bundled(Member[BundleState]):
         return load if load is None or self.factor == 1.0 else load.scaled(self.factor)
 
     def owner(self, state: BundleState) -> Bundled:
-        """Member of a state, which may have its boundaries in another order."""
+        """Equations that a state belongs to; its boundaries may have another order than these."""
         return self if state.problem is self.problem else replace(self, problem=state.problem)
 
     def on(self, **mesh: Any) -> Bundled:

@@ -293,7 +293,7 @@ class Linearised(ArmChange):
         return np.asarray(out / arm.elastic(mode, softness))
 
     def _load_change(self, mode: Response, by: Array) -> Array:
-        """Part (Q,) of the change of Q - mu T by forces, moments and the frame.
+        """Part (Q,) of the change of Q - mu T of a mode due to forces, moments and the frame.
 
         `by` is the gradient (X, n + 4).
         """
@@ -311,7 +311,7 @@ class Linearised(ArmChange):
         return np.asarray(out - (twice @ arm.axis[..., None]).ravel() @ self.forcing.force.reshape(-1, size))
 
     def _mode_gains(self, mode: Response, softness: float, *, worst: bool) -> Array:
-        """Change (T,) of the second variation less the margin times its elastic part, per width of a strip."""
+        """Change (T,) of Q - mu T of a mode (second variation Q, elastic part T) per width of a strip."""
         arm, strips, n = self.arm, self.strips, self.n
         index = strips.index
         if not len(index):

@@ -176,7 +176,7 @@ SIGNATURES = {
 
 
 def kind_of(content: bytes) -> str:
-    """Kind of a file that is no text table; "" for a possible one."""
+    """Kind of a file that cannot be a text table, such as a PDF; "" for a possible table."""
     start = content.removeprefix(b"\xef\xbb\xbf").lstrip()
     for signature, kind in SIGNATURES.items():
         if start.startswith(signature):

@@ -207,7 +207,7 @@ def rows(answer: A, quantities: Sequence[Quantity[A]]) -> list[tuple[str, str]]:
 
 
 def columns(parts: Iterable[B], quantities: Sequence[Quantity[B]]) -> tuple[list[str], list[list[str]]]:
-    """Parts of an answer for a person: names of the quantities with words or a format, and their rows."""
+    """Column names and rows of a table with one row per part of an answer."""
     shown = [quantity for quantity in quantities if quantity.words or quantity.form]
     known = ((part, record(part, quantities)) for part in parts)
     return [q.name for q in shown], [[q.text(part, values) or "" for q in shown] for part, values in known]

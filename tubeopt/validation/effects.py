@@ -180,8 +180,8 @@ RAMP_JUMPS = 3
 def heated_pieces(length: float, curvature: float, dead: float, fade: float) -> tuple[Piece, ...]:
     """Pieces of a curved part with straight ends of length `dead` and linear ramps of length `fade` next to them, m.
 
-    A ramp is a staircase with its jumps at the points of Gauss and Legendre, each as high as the weight: it has the
-    ramp's first moments, so that it needs few arcs.
+    Each ramp is replaced by a staircase with jumps at the Gauss-Legendre points, as high as their weights. Few arcs
+    then have the same first moments as the ramp.
 
     Raises:
         InputError: straight ends and ramps are longer than the curved part.

@@ -128,7 +128,7 @@ class _Force:
 
     @cached_property
     def trial(self) -> Trial:
-        """Trial at the force; raises SolveError if it does not exist, or lies beyond the range of the linearisation."""
+        """Force and its equilibrium; raises SolveError if it does not exist or is beyond the linearised range."""
         return self._near if self is self._model.start else self._model.tried_at(self.x, self._near)
 
     def moved(self, step: Array) -> _Force:
@@ -149,7 +149,7 @@ class _Pushed:
         self.start = _Force(self, axes.T @ start.force, start)
 
     def tried_at(self, x: Array, near: Trial) -> Trial:
-        """Trial at components x (m,); raises SolveError if it does not exist."""
+        """Force with components x (m,) and its equilibrium; raises SolveError if it does not exist."""
         force = self._held + self._axes @ x
         self.tried += 1
         if self.tried > self._most_steps:

@@ -490,7 +490,7 @@ def _equal(joints: Array) -> Index:
 def deal(measurements: Measurements, folds: int, group: Index | None = None) -> Index:
     """(N,) fold of each row: blocks of a path, or configurations in a fixed, shuffled order without a path.
 
-    All rows at one place are in one fold. There are fewer folds than asked for where there are fewer places.
+    All rows at one place are in one fold. There are at most as many folds as places.
     """
     where = passes(measurements).group if group is None else group
     distinct, inverse, counts = np.unique(where, return_inverse=True, return_counts=True)

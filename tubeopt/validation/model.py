@@ -105,7 +105,7 @@ def rubbed_poses(
 ) -> PredictedPoses:
     """Poses at joint values (N, n) of the model along `runs` of rows; each run begins without a history.
 
-    Rows of a run behind one at which the motion is lost have none; `margins` are not known of all where not asked for.
+    Rows of a run after the motion is lost have none. Without `margins` some margins are unknown.
 
     Raises:
         InputError: joint values at which the robot cannot be.
@@ -520,7 +520,7 @@ class ArmModel:
     ) -> PredictedPoses:
         """Equilibria of every row, at its own joint values or at others; the last few are remembered.
 
-        Along a path with friction `margins` are known of all only where they are asked for.
+        Along a path with friction all margins are known only with `margins`.
 
         Raises:
             InputError: there is no such robot, or it cannot be at these joint values.

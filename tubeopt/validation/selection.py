@@ -134,14 +134,14 @@ def compare_effects(
     """Set of effects that best predicts held-out data, with as few parameters as possible.
 
     Args:
-        effects: kinds out of `effects.EFFECTS` to choose from; none for all that these data can speak of but
-            "clearance", which takes long.
-        options: as for `fit`, with folds; priors keep the many parameters in hand and are always on while comparing.
+        effects: kinds out of `effects.EFFECTS` to try; only these are tried. By default all that these data can
+            determine, without the slow ones such as "clearance".
+        options: as for `fit`, with folds; priors are always on during a comparison.
         progress: called with the number of steps done, and 0.
-        time_limit: s, on the clock.
+        time_limit: maximum run time, s.
 
     Raises:
-        InputError: an effect that is unknown or of which the data cannot speak, folds out of range, and what `validate`
+        InputError: an effect that is unknown or that the data cannot determine, folds out of range, and what `validate`
             raises.
         SolveError: no row has a stable shape.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.

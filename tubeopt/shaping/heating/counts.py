@@ -113,7 +113,7 @@ def ripple(tube: Tube, rig: Rig, spec: HeatingSpec) -> float:
 def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array, *, hurried: bool = False) -> Counts:
     """PWM counts (T,) by sum-up rounding, reduced where they would exceed ramp or current limit.
 
-    Omitted counts follow in later slots, unless the tube has forgotten them by then: the sum falls behind by at most
+    Omitted counts follow in later slots, unless the tube has lost their heat by then: the sum falls behind by at most
     half a count and what makes the tube `MAX_COLDER` colder. One count is worth several K/s, so rounding alone breaks
     the ramp by as much. Where one count breaks the limits from rest, counts break them by as much as it does.
 

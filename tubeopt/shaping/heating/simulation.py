@@ -29,7 +29,7 @@ BATCH = 60
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """State of B members."""
+    """Temperatures and battery state of B rigs."""
 
     cells: Array
     """(B, n, 1+M) temperatures of the tube (first) and of the shells around it, K."""

@@ -162,7 +162,7 @@ def groove_stages(mold: Mold) -> list[Stage]:
 
 
 def slot_paths(mold: Mold) -> list[tuple[Arc, ...]]:
-    """Paths of the cutter of all slots, on the lid that is turned over: x from its other side."""
+    """Cutter paths of all slots, m, for the lid turned over: x is measured from its other side."""
     return [tuple(mirrored(piece, mold.size[0]) for piece in slot.centreline.bend) for slot in mold.slots]
 
 
