@@ -223,7 +223,7 @@ def test_accelerations_are_kept_whatever_is_commanded(kind: str, count: int) -> 
         last = speed
 
 
-# At home the transitions of both tubes are at the plate, where the distance has a kink: the translation alone would bring
+# At home the transitions of both tubes are at the plate, where the distance has a kink. The translation alone brings
 # the tip no closer there, but rotations do.
 KINK = ([2.8692, -0.122], [0.0041, 0.0041]), (-0.0019, -0.0813, 0.0402)
 

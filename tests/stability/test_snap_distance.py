@@ -15,6 +15,7 @@ from tubeopt import (
     InputError,
     Load,
     find_equilibria,
+    find_load_limit,
     find_snap,
     follow,
     forward_kinematics,
@@ -22,8 +23,12 @@ from tubeopt import (
     snap_distance,
     snap_free_certificate,
 )
+from tubeopt.equilibrium.kinematics import point_of
+from tubeopt.equilibrium.member import discretisation_of, sample_rotation
+from tubeopt.equilibrium.problem import reduced_problem
 from tubeopt.equilibrium.result import Equilibrium
-from tubeopt.stability.snap_distance import PairForm, SnapDistanceStatus, least_snap_distance
+from tubeopt.stability.certificate import arm_sections
+from tubeopt.stability.snap_distance import PairForm, SnapDistanceStatus, least_snap_distance, tip_torques
 from tubeopt.typing import Array
 
 FOUR = nested((0.15, 0.05, 18.0), (0.1, 0.05, 14.0), (0.05, 0.06, 8.0), (0.0, 0.08, 6.0))
@@ -369,3 +374,81 @@ def test_the_range_of_a_cosine_is_its_range() -> None:
     assert largest == pytest.approx(sampled.max(0), abs=1e-5)
     assert (smallest <= sampled.min(0)).all()
     assert (largest >= sampled.max(0)).all()
+
+
+# --- Forces -----------------------------------------------------------------------------------------------------------
+
+# Degrees; proved force, mN; that of an earlier derivation, which bounds the motion by the softened energy.
+FORCES = (
+    ([0.0, 0.0, 0.0], 33.98593, 28.826732),
+    (np.degrees([0.0, 1.0, 2.0]).tolist(), 33.98593, 22.277304),
+    ([200.0, 0.0, 0.0], 8.83852, 5.926654),
+)
+
+
+@pytest.mark.parametrize(("degrees", "proved", "earlier"), FORCES)
+def test_force_is_proved_and_below_every_limit(degrees: list[float], proved: float, earlier: float) -> None:
+    pose = turned(THESIS, degrees)
+    force = snap_distance(pose).force
+    assert 1e3 * force == pytest.approx(proved, rel=1e-5)
+    assert 1e3 * force > earlier
+    random = np.random.default_rng(3)
+    for direction in [*random.normal(size=(8, 3)), -pose.tip_rotation[:, 2]]:
+        load = Load(tuple((force * direction / np.linalg.norm(direction)).tolist()))
+        limit = find_load_limit(THESIS, pose.rotations, None, load, equilibrium=pose, up_to=4.0)
+        assert limit is None or limit.factor > 1
+
+
+@pytest.mark.parametrize("name", ["crl_ctr", "till_snapping_pair", "example_pieces"])
+def test_forces_that_change_within_the_proved_one_cause_no_snap(name: str) -> None:
+    robot = load_robot(CONFIGS / f"{name}.yaml")
+    pose = here = forward_kinematics(robot, np.linspace(0.3, 1.5, robot.n_tubes))
+    force, random = snap_distance(pose).force, np.random.default_rng(4)
+    for direction in random.normal(size=(6, 3)):
+        load = Load(tuple((0.999 * force * direction / np.linalg.norm(direction)).tolist()))
+        here = forward_kinematics(robot, pose.rotations, load=load, start=here)
+        assert here.margin > 0
+    # Without the force the robot is where it was.
+    back = forward_kinematics(robot, pose.rotations, load=Load((0.0, 0.0, 1e-12)), start=here)
+    assert back.tip_position == pytest.approx(pose.tip_position, abs=1e-8)
+
+
+@pytest.mark.parametrize("degrees", [[100.0, -40.0, 0.0], [200.0, 0.0, 0.0]])
+def test_angles_and_torques_under_a_force_are_within_their_bounds(degrees: list[float]) -> None:
+    pose, random = turned(THESIS, degrees), np.random.default_rng(5)
+    force, form = snap_distance(pose).force, PairForm.of(pose)
+    softening = arm_sections(THESIS, np.zeros(3)).softening(1.0, pairs=False)
+    box = form.under_force(force, softening, tip_torques(pose))
+    assert box is not None
+    before, shares = PairForm.of(pose).psi, []
+    for direction in random.normal(size=(8, 3)):
+        load = Load(tuple((force * direction / np.linalg.norm(direction)).tolist()))
+        bent = forward_kinematics(THESIS, pose.rotations, load=load, start=pose)
+        problem = reduced_problem(THESIS, (0.0, 0.0, 0.0), discretisation_of(pose))
+        angles, moment = sample_rotation(bent, problem.arc_length) + problem.phase, problem.moment
+        first, second = np.triu_indices(3, 1)
+        coupled = moment[:, first] * moment[:, second] != 0
+        assert (np.abs((angles[:, first] - angles[:, second])[coupled] - before) < box).all()
+
+        # On the mesh of the load: z + L' B (torques of the pairs) is what the force contributes, up to L' B t.
+        point = point_of(bent)
+        problem, state = point.member.problem.torsion, point.state
+        lever = bent.arc_length[-1] - problem.arc_length
+        own, across = (
+            np.stack([np.cos(at := state.theta + problem.phase), np.sin(at)]),
+            np.stack([-np.sin(at), np.cos(at)]),
+        )
+        natural = np.einsum("cai,ai->ac", own, problem.moment) / problem.stiffness.sum(1)[:, None]
+        pairs = -np.einsum("ac,cai->ai", natural, across) * problem.moment
+        unbalanced = state.x[: problem.size] + np.einsum("a,ai,aiu->u", problem.weight, pairs, problem.spread)
+        largest = force * (lever / problem.stiffness.sum(1))[:, None] * problem.moment
+        bound = np.abs((problem.weight[:, None] * largest)[..., None] * problem.spread).sum((0, 1))
+        shares.append(float((np.abs(unbalanced) / bound).max()))
+    # The bound is no larger than necessary, and never too small.
+    assert 0.7 < max(shares) < 1
+
+
+def test_a_force_on_eccentric_tubes_is_refused() -> None:
+    pose = forward_kinematics(load_robot(CONFIGS / "thesis_etr.yaml"), [0.0, 0.0, 0.0])
+    with pytest.raises(InputError, match="concentric tubes only"):
+        _ = snap_distance(pose).force

@@ -28,6 +28,19 @@ new breakpoints:
 
 The arm is cut at the breakpoints before and after the slides, once for each choice of their directions. H is taken at
 the longest transmissions, which are the softest, and at the coupling that makes it least.
+
+A dead force of at most F at the tip bends the arm: K (u - u*) is its moment, at most F (L - s). So it turns tube i by
+torques tau_i of at most t_i = F (L - s) |a_i| / K per length, whatever the shape. With bending eliminated,
+
+    z + A' w sin(psi + x) + L' B tau = 0,   x = -A M^-1 L' B tau,   M = 1 + A' diag(w c) A,
+
+where c are mean cosines between psi and psi + x. If H is the smallest M in a box [-X, X], then by Cauchy and Schwarz
+
+    |x_p| <= sqrt(a_p' H^-1 a_p) sqrt(t' |B L H^-1 L' B| t).
+
+If this is below X_p for every pair, x never reaches the border of the box while the force changes. If moreover
+H > F nu, with nu F the softening by forces up to F of `ArmSections.softening`, the energy stays strictly convex in the
+box: the equilibrium never ends. Both hold for every path of forces of at most F.
 """
 
 from __future__ import annotations
@@ -53,7 +66,7 @@ from ..errors import InputError, positive
 from ..solvers.blas import small
 from ..solvers.time_limit import TIME_LIMIT, check_time, limited
 from ..typing import Array, Mask, StatusEnum
-from .certificate import snap_free_certificate
+from .certificate import arm_sections, snap_free_certificate
 from .following import find_snap
 
 MOST_CHANGE = 3.0
@@ -171,6 +184,26 @@ class SnapDistance(Displayed):
             InputError: eccentric tubes, and tubes made of pieces, for which no such distance is known.
         """
         return self._largest(0.0, 1.0)
+
+    @cached_property
+    def force(self) -> float:
+        """Largest dead force at the tip that is proved to cause no snap, in any direction and also while it changes, N.
+
+        It acts at these joint values, without weight and friction. It is a lower bound: 0.1 to 0.6 of the smallest
+        limit found along random directions.
+
+        Raises:
+            InputError: eccentric tubes, for which no such force is known.
+        """
+        e = self.equilibrium
+        if e.robot.assembly(e.translations).eccentric:
+            raise InputError("robot has eccentric tubes; a force is known for concentric tubes only")
+        softening = arm_sections(e.robot, e.translations).softening(1.0, pairs=False)
+        form, torques = PairForm.of(e), tip_torques(e)
+        largest = 1 / softening
+        return _largest(lambda F: form.under_force(F, softening, torques) is not None, largest / 4, largest, PRECISION)[
+            0
+        ]
 
     def time(self, turn_rate: float, shift_rate: float) -> float:
         """Time within which nothing snaps if all joints move at up to these rates: proved, s.
@@ -437,6 +470,31 @@ class PairForm:
             A, w = self.slides.A, np.where(cosine < 0, self.slides.upper, self.slides.lower)
         return np.asarray(1 + np.linalg.eigvalsh((A.T * (w * cosine)[:, None, :]) @ A)[:, 0])
 
+    def under_force(self, force: float, softening: float, torques: Array) -> Array | None:
+        """(P,) largest change of the angles, rad, by dead tip forces of at most `force` (N), also while they change.
+
+        None where it is not proved that they cause no snap.
+
+        Args:
+            softening: `ArmSections.softening` of 1 N.   torques: as of `tip_torques`.
+        """
+        x = np.zeros_like(self.psi)
+        for _ in range(SWEEPS):
+            cosine = _range_of_cosine(self.psi - x, self.psi + x)[0]
+            H = np.eye(self.A.shape[1]) + self.A.T @ ((self.w * cosine)[:, None] * self.A)
+            if np.linalg.eigvalsh(H).min(initial=1.0) <= softening * force + ROUND_OFF:
+                return None
+            inverse = np.linalg.inv(H)
+            work = np.abs(torques @ inverse @ torques.T).sum()
+            change = force * np.sqrt(work * np.einsum("pu,uv,pv->p", self.A, inverse, self.A))
+            if (change <= x).all():
+                return x
+            if change.max() > MOST_CHANGE:
+                return None
+            # The changes grow towards the box from below; a box larger by 1e-4 is left after few sweeps.
+            x = (1 + 1e-4) * change + SPARE
+        return None
+
     def boxes(self, r: float) -> Array:
         """(S, 2 P) ranges of the changes J d of the angles over the parts of the ball of radius r, rad."""
         n = self.J.shape[1]
@@ -448,6 +506,19 @@ class PairForm:
         )
         corners = 2 * r * chains @ self.J.T
         return np.concatenate([np.maximum(-corners.min(1), 0), np.maximum(corners.max(1), 0)], axis=-1)
+
+
+def tip_torques(equilibrium: Equilibrium) -> Array:
+    """(R, U) largest torques of 1 N at the tip on tubes at collocation points, N m, times the change of the angles by
+    the unknowns: rows t L' B of the derivation above.
+    """
+    problem = reduced_problem(
+        equilibrium.robot, tuple(equilibrium.translations.tolist()), discretisation_of(equilibrium)
+    )
+    lever = equilibrium.arc_length[-1] - problem.arc_length
+    largest = (lever / problem.stiffness.sum(1))[:, None] * np.abs(problem.moment)
+    rows = (problem.weight[:, None] * largest)[..., None] * problem.spread
+    return np.asarray(rows[largest > 0])
 
 
 def _widening(matrix: Array) -> Array:
