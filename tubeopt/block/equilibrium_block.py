@@ -503,7 +503,7 @@ class EquilibriumBlock(ComposedBlock[N]):
             self.program.set_guess(jacobian.unknown, jacobian.start(self))
 
     def restore(self, laid: Layout) -> None:
-        """Set the layout of the elements, one that the block has had before."""
+        """Set the layout of the elements to an earlier layout of the block."""
         self.layout = laid
         self.program.set_value(self.numbers, laid.numbers())
         name = self.label + "order of breakpoints"

@@ -475,7 +475,7 @@ class TwoBallHull(TabulatedBody):
         return root(square + (along - t) ** 2) - radius - slope * t
 
     def balls(self) -> Balls:
-        """Balls around pieces of the axis, which are no longer than the body is thick unless there are too many."""
+        """Balls around pieces of the axis, each at most as long as the body is thick unless that gives too many."""
         start, axis, (length, radius, slope, _) = np.split(np.array(self._row), [3, 6])
         count = int(np.clip(np.ceil(length / (2 * min(radius, radius + slope * length))), 1, MAX_BALLS))
         ends = np.linspace(0.0, length, count + 1)

@@ -116,7 +116,7 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
 
 
 def header_text(name: str, n: int, *, loads: bool, centred: bool = True) -> str:
-    """The header of a library for n tubes, which are all on the centreline or not."""
+    """Text of the C header of a library for n tubes; `centred` if all are on the centreline."""
     values = {
         "loads": str(int(loads)),
         "compliance": str(int(centred)),

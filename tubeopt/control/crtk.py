@@ -147,7 +147,7 @@ class CrtkRobot:
         """Execute a message {"op": name, ...}: start a motion, stop, or change the state.
 
         Raises:
-            InputError: it makes no sense, or not in this state; nothing changes.
+            InputError: a command that is invalid, or not allowed in this state; nothing changes.
         """
         name = message.get("op")
         if not (isinstance(name, str) and name in COMMANDS):

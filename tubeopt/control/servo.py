@@ -444,7 +444,7 @@ class Servo:
         """Result of one step of `dt` seconds; if no motion is safe, the joint values do not change.
 
         Raises:
-            InputError: `dt` or the joint values of the command make no sense.
+            InputError: `dt` or the joint values of the command are invalid.
         """
         dt = time_step(dt)
         check_places(command, self.space.robot)

@@ -171,7 +171,7 @@ def _without_effect(robot: ConcentricRobot) -> Iterator[str]:
 
 
 def _bend_of(tube: Tube, end: float, ends: Array, kb: Array) -> float:
-    """Displacement, m, of the end (m from the plate) of a tube by its bend; kb and `ends` of all tubes."""
+    """Displacement, m, of the end of a tube because of its bend; kb and `ends` are those of all tubes."""
     start = end - tube.curved_length
     cuts = np.unique(np.clip([start, *ends, end], start, end))
     present = ends > 0.5 * (cuts[1:] + cuts[:-1])[:, None]

@@ -125,7 +125,7 @@ class Bundled(Member[BundleState]):
         start: Callable[[Bundle, list[float]], Start],
         discretisation: Discretisation = DEFAULT_DISCRETISATION,
     ) -> Bundled:
-        """Member with the boundaries of a `start`, a function of the bundle and of the places of its load."""
+        """Equations of a bundle with the boundaries that `start` returns for it and the places of its load."""
         bundle = bundle_at(robot, translations)
         mesh = {"degree": discretisation.degree, "refinement": discretisation.refinement}
         problem = problem_at(bundle, start(bundle, _places(load)), load=load, density=_density(robot, load), **mesh)

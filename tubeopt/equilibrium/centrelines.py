@@ -149,7 +149,7 @@ def chained_approximation(
 
 
 def _segment(robot: SegmentedEccentricRobot, k: int, rotations: Array, advance: float) -> Equilibrium:
-    """Segment `k` for itself, advanced by `advance` <= 0, with the straight tubes of the inner segments in it.
+    """Robot of segment `k` alone, advanced by `advance` <= 0, with the straight tubes of the inner segments in it.
 
     Its tubes' straight parts, with rotation and torsion unchanged along them, lie behind its own plate.
     """

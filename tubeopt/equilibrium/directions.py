@@ -482,7 +482,7 @@ class Directions:
         return np.asarray((position > own.straight_length) & (not own.general))
 
     def _softness(self, i: int) -> float:
-        """Compliance 1 / kt of a tube at the plate, on the side that its motion comes from, 1/(N m^2)."""
+        """Compliance 1 / kt of a tube at the plate, on the side from which the tube moves, 1/(N m^2)."""
         return float(_held(self.assembly, self.side)[i])
 
     @property

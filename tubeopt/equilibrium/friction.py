@@ -341,7 +341,7 @@ def _finer(contact: Contact) -> LoadedProblem:
 
 
 def _smooth_error(current: FrictionEquilibrium) -> float:
-    """Error of theta, rad, by the moments of the tubes between the collocation points."""
+    """Error of theta, rad, estimated from the moments of the tubes between the collocation points."""
     problem = current.contact.problem
     mesh, n, t = problem.mesh, problem.assembly.n_tubes, problem.mesh.tableau
     if not problem.size:

@@ -186,7 +186,7 @@ def to_si(number: Decimal, unit: Decimal) -> float:
 def in_unit(value: float, unit: Decimal) -> int | float | Decimal:
     """Convert a value from SI to a unit, with the fewest digits that `to_si` converts back to the same float.
 
-    The result is an int or a float if that has the digits, otherwise a `Decimal`.
+    The result is an int or a float if it represents the digits exactly, otherwise a `Decimal`.
     """
     exact = _CONTEXT.divide(Decimal(value), unit)
     # A float has 15 to 17 digits. Units that are no power of ten (deg, rpm) need more to come back.
@@ -198,7 +198,7 @@ def in_unit(value: float, unit: Decimal) -> int | float | Decimal:
 
 
 def simplest(number: Decimal) -> int | float | Decimal:
-    """Convert a decimal to an int or a float, if that has its digits."""
+    """Convert a decimal to an int or a float if that represents all digits; otherwise return it unchanged."""
     if number == number.to_integral_value() and abs(number) < 10**15:
         return int(number)
     return float(number) if Decimal(repr(float(number))) == number else number

@@ -212,7 +212,7 @@ def jump_between(goal: Goal, before: Posture, after: Posture) -> tuple[str, bool
 
 
 def _large_motion(goal: Goal, before: Posture, after: Posture) -> list[str]:
-    """Text of the joint that moves farthest beyond the motion that the tip explains; empty if none does."""
+    """Text on the joint that moves much more than the motion of the tip requires; "" if there is none."""
     n = goal.space.robot.n_tubes
     moved = np.abs(after.q - before.q) / goal.space.scale
     size = float(np.linalg.norm(after.tip - before.tip)) / goal.space.length

@@ -223,7 +223,7 @@ class JointSpace:
         return turns + [f"translation of {carriage_name(tubes)}" for tubes in self.carriages]
 
     def active(self, q: Array) -> list[str]:
-        """Texts of active limits: joints at the end of their range, tubes at their order."""
+        """Texts on active limits: joints at the end of their range, tubes at the limit of their order."""
         m, words = len(self.scale), []
         for k in range(m):
             row = k if q[k] - self.lower[k] <= self.upper[k] - q[k] else m + k

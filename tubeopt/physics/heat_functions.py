@@ -99,7 +99,7 @@ class _Circuit(NamedTuple):
 
 
 def _circuit(R_half: ca.SX, lumped: ca.SX, duty: ca.SX, p: Properties) -> _Circuit:
-    """Currents at a duty where half the tube has R_half, ohm."""
+    """Currents at a duty, A, if half the tube has the resistance R_half, ohm."""
     I_on = (heat.open_circuit_voltage(lumped[CHARGE], p) - lumped[SAG]) / heat.loop_resistance(R_half, p)
     on = heat.effective_duty(duty, p)
     # The mean square of a pulsed current is d I^2, not (d I)^2.

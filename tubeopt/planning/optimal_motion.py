@@ -134,7 +134,7 @@ class Motion:
             tube.
 
     Raises:
-        InputError: an argument that makes no sense.
+        InputError: an invalid argument.
 
     Examples:
         >>> import casadi, tubeopt

@@ -228,7 +228,7 @@ def plan_task(
     """Task of a plan, with its clock running; `places` are configurations that its joint space must contain.
 
     Raises:
-        InputError: arguments of another kind, or with numbers that make no sense.
+        InputError: arguments of another kind, or with invalid numbers.
     """
     instance("options", options, PlanOptions)
     clock = Clock(options.time_limit)
@@ -300,7 +300,7 @@ def path_cost(extra: CustomObjective, n: int) -> Expression:
     """Custom cost on the path, as an expression of one pose on it.
 
     Raises:
-        InputError: it makes no sense, or speaks of more than joint values, tip position and tip direction.
+        InputError: an invalid cost, or one that uses more than joint values, tip position and tip direction.
     """
     extra.checked()
     cost = recorded(extra.expression, n, 1, extra.words)

@@ -156,7 +156,7 @@ def build_roadmap(
             seed count.
 
     Raises:
-        InputError: numbers that make no sense.
+        InputError: invalid numbers.
         SolveError: fewer than two points were found.
 
     Examples:

@@ -70,7 +70,7 @@ class Assembly:
         return self.lengthwise is not None
 
     def cross_sections(self, arc_length: Array, inside: Array) -> CrossSections:
-        """Cross-sections at arc lengths (X,), m; `inside` (X,) decides at breakpoints."""
+        """Cross-sections at arc lengths (X,), m; at breakpoints, on the side of `inside` (X,)."""
         section = np.searchsorted(self.start, inside, side="right") - 1
         if self.even:
             return self.of_sections(section)

@@ -173,7 +173,7 @@ def breaks_of(quantities: Sequence[Quantity], length: float) -> Array:
 
 
 def on_panels(quantity: Quantity, breaks: Array) -> list[Array]:
-    """Coefficients of a quantity on panels that its own are made of, or cut into."""
+    """Coefficients of a quantity on panels between `breaks`, which are its own panels or parts of them."""
     if not isinstance(quantity, Series):
         return [np.array([quantity])] * (len(breaks) - 1)
     out = []

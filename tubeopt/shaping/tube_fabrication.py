@@ -215,7 +215,7 @@ def rig_as_drawn(rig: Rig, mold: Mold) -> Rig:
 
 
 def drawn_vents(groove: Groove, spec: MoldSpec) -> tuple[float, ...]:
-    """Fraction of the tube's surface that the drawn vents bare, from the end of the mold to its middle."""
+    """Fraction of the tube's surface that the drawn vents leave uncovered, from the end of the mold to its middle."""
     if not groove.vents:
         return (0.0,)
     profile = np.asarray(spec.vents.profile)

@@ -244,7 +244,7 @@ class TubeSurface(NamedTuple):
 
 
 def visible(equilibrium: Equilibrium) -> list[TubeSurface]:
-    """Visible stretches of tubes, outermost first: from the end of the last tube around it to its own end."""
+    """Visible stretches of tubes, outermost first, each from the end of the tubes around it to its own end."""
     axes = equilibrium.robot.axes
     shown = []
     # Tubes are numbered from the innermost, so those with larger index can be around this one.

@@ -395,7 +395,7 @@ def _approach(bundle: ShootingArm, target: Array, starts: Array) -> Array:
 
 
 def _finish(bundle: ShootingArm, target: Array, starts: Array) -> Preimage:
-    """Distinct solutions from starts close to them; tip angles such that the joints have no full turns too many."""
+    """Distinct solutions from close starts, with the tip angles for which the joints have no extra full turns."""
     tips, residual = _newton(bundle, target, starts, STEPS_PER_ELEMENT, 12, SOLVED)
     tips = tips[residual < SOLVED]
     if not len(tips):

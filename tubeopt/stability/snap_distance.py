@@ -220,7 +220,7 @@ class SnapDistance(Displayed):
         return self._largest(turn, shift) if shift else self.turn / turn
 
     def _largest(self, turn: float, shift: float) -> float:
-        """Largest factor of a turn (rad) and a slide (m) of all tubes that is proved."""
+        """Largest factor at which a turn (rad) and a slide (m) of all tubes are proved to cause no snap."""
         e = self.equilibrium
         if e.robot.assembly(e.translations).eccentric or not e.robot.even:
             raise InputError("robot has eccentric tubes or tubes made of pieces; a slide is known for others only")

@@ -170,7 +170,7 @@ class Sessions:
         return np.concatenate([deal(m, folds, p) for m, p in zip(self.recordings, self.places, strict=True)])
 
     def blocks(self, most: int) -> Index:
-        """(N,) block of each row, `most` of each recording: different recordings are in different blocks."""
+        """(N,) block of each row, at most `most` blocks per recording; no block has rows of two recordings."""
         counts = [min(most, len(np.unique(place))) for place in self.places]
         each = zip(self.recordings, counts, self.places, strict=True)
         return np.concatenate([most * k + deal(m, count, place) for k, (m, count, place) in enumerate(each)])

@@ -165,7 +165,7 @@ class JointSamples:
     """Admissible joint values of a robot; see `workspace` for the methods.
 
     Raises:
-        InputError: unknown method, no samples, a seed that is none, limits that leave no joint values.
+        InputError: an unknown method, no samples, an invalid seed, or limits without admissible joint values.
     """
 
     robot: Robot
@@ -482,7 +482,7 @@ class _Disk:
         self._file.close()
 
     def append(self, rows: Array, failures: list[tuple[int, str]]) -> None:
-        """Add rows, on the disk when this returns; reasons of failures before the rows that they are of."""
+        """Append rows, which are on disk when this returns; failures are written before their rows."""
         try:
             if failures:
                 with (self._directory / FAILURES).open("a", encoding="utf-8") as file:

@@ -328,7 +328,7 @@ def shape_of(torsion: Torsion, fraction: Any = 1.0, *, steps: int = SHAPE_STEPS)
 
 
 def softened_fields(grid: Grid, length: Any, softness: tuple[Any, ...], end: Any, inner: Any) -> tuple[Any, Any]:
-    """A Jacobi field of an element of softened tubes, collocated as its torsion is.
+    """Jacobi field of an element of softened tubes, collocated like its torsion.
 
     The fields y = d theta, v = d w are linearised at the state of the element, with torsional stiffness (1 - margin) kt
     in the equation of w: y' = g c v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). From y = 1, v = 0 at

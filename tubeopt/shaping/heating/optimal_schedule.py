@@ -142,7 +142,8 @@ class Shift:
 
     @classmethod
     def between(cls, ideal: Ideal, tube: Tube, model: ThermalModel, history: History, slots: int, own: Array) -> Shift:
-        """Shift from an ideal schedule to the simulation of its duties on a finer model in so many slots.
+        """Temperature differences between an ideal schedule and a simulation of its duties on a finer model, over
+        `slots`.
 
         `own` are the values of own requirements at the simulation.
         """

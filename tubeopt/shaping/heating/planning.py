@@ -169,9 +169,9 @@ class TriedChange:
 def find_cures(tube: Tube, rig: Rig, spec: HeatingSpec, best: Schedule) -> tuple[Cure, ...]:
     """Changes that would make a schedule feasible, or nearly so; the best first.
 
-    The search ends at the first that cures. A change that frees no parameter of the rig is first tried by the
-    minimum-time schedule. Others, and those that it does not satisfy, are tried by the program, and confirmed by whole
-    counts.
+    The search ends at the first change that makes the schedule feasible. A change that frees no parameter of the rig is
+    first tried with the minimum-time schedule. If this fails, or parameters are free, the optimal control program tries
+    the change, and whole counts confirm it.
 
     Args:
         best: schedule without any change.

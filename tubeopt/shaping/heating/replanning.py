@@ -200,7 +200,7 @@ class Replanner:
 
 
 def straight_slots(planned: Array) -> int:
-    """Number of the first planned counts that a line from the first to the last of them approximates."""
+    """Number of planned counts, from the first on, that a straight line approximates."""
     longest = min(len(planned), MAX_SLOTS)
     for slots in range(longest, 2, -1):
         line = np.linspace(planned[0], planned[slots - 1], slots)

@@ -407,7 +407,9 @@ class RigCourse:
         return row if time is None else self.at_time(row, self.T_amb, time)
 
     def _weights(self, distance: float) -> Any:
-        """(1, n) weights of the cells at a distance from the middle: of two neighbours, where their place is known."""
+        """(1, n) interpolation weights of the cells at a distance from the middle; of two cells if positions are
+        numbers.
+        """
         at, n = self.grid.places, self.resolution.cells
         k = int(np.clip(np.searchsorted(-at, -distance) - 1, 0, n - 2))
         if self.grid.fixed or k >= n - self.resolution.curved:

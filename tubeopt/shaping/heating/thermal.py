@@ -59,7 +59,7 @@ def cell_widths(tube: Tube, rig: Rig, resolution: Resolution) -> Array:
 
 
 def cell_fractions(resolution: Resolution, lengths: Sequence[float], decay: float) -> Array:
-    """(n,) width of each cell as a fraction of its zone; the zones' lengths and the decay in the clamp in m."""
+    """(n,) width of each cell as a fraction of its zone; `lengths` of the zones and `decay` in the clamp in m."""
     grip = np.diff(_graded(resolution.grip, DECAYS * decay / lengths[GRIP]))[::-1]
     uniform = [np.full(n, 1.0 / n) for n in (resolution.clearance, resolution.lead)]
     return np.concatenate([grip, *uniform, np.diff(_graded(resolution.curved, GRADED / lengths[CURVED]))])

@@ -80,7 +80,7 @@ def clamp_corners(clamp: Clamp, spec: ClampSpec, travel: float = 0.0) -> Array:
 
 @dataclass(frozen=True)
 class Groove:
-    """Groove of one tube on a plate; the properties of its blank are also its own."""
+    """Groove of one tube on a plate, with the properties of its blank."""
 
     blank: Blank
     """Groove without its position on the plate."""

@@ -29,7 +29,7 @@ def note(
     colour: str = INK,
     level: bool = False,
 ) -> Annotation:
-    """Annotation with its edge nearest to the point `at` (2,) `shift` (2,) points off it; `separate` may move it.
+    """Annotation at an offset of `shift` (2,) points from the point `at` (2,); `separate` may move it.
 
     level: the middle of the text is `shift` off the point, instead of its lower or upper edge.
     """

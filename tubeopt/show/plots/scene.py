@@ -317,7 +317,7 @@ NAME_DISTANCE = 10.0
 
 
 def _name_tubes(axes: Axes, equilibrium: Equilibrium, view: Projection) -> None:
-    """Name each tube to the lower right of the middle of where it shows, and the tip to its upper left."""
+    """Draw the name of each tube to the lower right of its visible part, and that of the tip to its upper left."""
     line = SampledCentreline(equilibrium)
     for bundle in tube_groups(equilibrium):
         middle = (bundle.start + bundle.end) / 2

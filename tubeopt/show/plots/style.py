@@ -85,7 +85,7 @@ HEIGHT_POWER = 0.35
 
 
 def styled(draw: Callable[P, T]) -> Callable[P, T]:
-    """Give `draw` the style of this module, whatever the caller's settings of Matplotlib are."""
+    """Decorate `draw` so that it uses the style of this module, independent of the caller's Matplotlib settings."""
 
     @wraps(draw)
     def wrapper(*args: P.args, **kwargs: P.kwargs) -> T:

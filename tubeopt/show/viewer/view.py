@@ -98,7 +98,7 @@ def without_times(robot: Robot, path: Waypoints) -> ViewerWaypoints:
 
 
 def recorded(session: Session) -> ViewerWaypoints:
-    """Recording of a session as waypoints, without rests, at the speeds of a file without times.
+    """Recording of a session as waypoints, without pauses, at the default speeds.
 
     Raises:
         InputError: nothing was recorded, or the robot did not move.
@@ -186,7 +186,7 @@ BODIES = ",".join((*TABLES, *IMAGES, ".gz", *MESHES))
 
 
 class LoadedFiles:
-    """Folder of loaded files under their own names, so that a file finds those that it names."""
+    """Folder of loaded files with their original names, so that references between the files work."""
 
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
