@@ -37,7 +37,7 @@ SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class LoadedChart(TipCoordinates):
-    """Tip coordinates of a robot under a load: points are equilibria without it, arms those after it has grown."""
+    """Tip coordinates of a robot under a load: a point describes the unloaded equilibrium, its arm the loaded one."""
 
     def of(self, equilibrium: Equilibrium) -> Array:
         """Tip coordinates of an equilibrium, after its load is removed.

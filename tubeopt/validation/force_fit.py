@@ -172,7 +172,7 @@ class _Pushed:
         return (state.trial.jacobian @ self._axes)[:, None]
 
     def costly(self, state: _Force) -> bool:
-        """Derivatives come with the equilibrium."""
+        """False, since the derivatives are computed together with the equilibrium."""
         return False
 
 

@@ -245,7 +245,7 @@ class LinearisedArm(ArmState):
         return PointChanges(torque, moment, bending, moment_rate, twist)
 
     def _integrals(self, changes: PointChanges, softness: float) -> tuple[Array, Array]:
-        """Integrals up to the points, (P, r, C), and of the rates of the state, (P, 2 half, C).
+        """Integrals of phi' (with u) up to the points, (P, r, C), and of the rates of the state, (P, 2 half, C).
 
         The first integrates phi', and contains u after it.
         """

@@ -182,7 +182,7 @@ class Chain:
 
     @property
     def detail(self) -> int:
-        """Number of coefficients a channel; the natural turn has one more than the twist."""
+        """Number of coefficients per channel; the natural turn has one more than the natural twist."""
         return int(self.z.shape[1]) + 1
 
     @property
