@@ -238,7 +238,7 @@ def in_units(value: Any, unit: str) -> Any:
 
 
 def with_unit(unit: str, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Values in SI with the unit in which they are shown; the unit is added to their keys."""
+    """Values converted from SI to a unit, by their names with this unit at the end."""
     return {f"{name}_{unit}" if unit else name: in_units(value, unit) for name, value in values.items()}
 
 

@@ -277,7 +277,7 @@ def _held_out(errors: ErrorSummary, axis: float | None) -> tuple[str, str]:
 
 
 def _alike(c: Comparison) -> int:
-    """Number of folds without which the selection has the same effects."""
+    """Number of folds that can be left out without a change of the selected effects."""
     return sum(set(kinds) == {step.effect for step in c.steps} for kinds in c.chosen_by_fold)
 
 

@@ -1,8 +1,8 @@
 """Schedules of whole PWM counts: sum-up rounding that respects limits, and the minimum-time schedule.
 
 The minimum-time schedule has in every slot the greatest count that keeps the limits, then the hold. More power never
-makes any point of the rig colder, so nothing warms up sooner. The ideal schedule reserves part of the ramp for counts
-that it does not know; this one knows them.
+makes any point of the rig colder, so nothing warms up sooner. The ideal schedule needs a reserve in the ramp for
+rounding to counts; this one does not.
 """
 
 from __future__ import annotations

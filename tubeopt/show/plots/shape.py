@@ -42,7 +42,7 @@ def plot_shape(
 
     Args:
         ghosts: other equilibria, drawn translucent.
-        remark: a line more of the heading, as of what the ghosts are.
+        remark: additional line of the heading, such as the meaning of the ghosts.
         view: elevation and azimuth of the viewer, deg; None looks across the widest side of the shape.
 
     Examples:

@@ -156,7 +156,7 @@ def titled(response: Any, title: str, head: str = "") -> Any:
 
 
 def titled_page(page: str, title: str) -> str:
-    """The text of a page of viser's with another title."""
+    """Text of an HTML page of viser with another title."""
     return page.replace(UNTITLED.decode(), f"<title>{escape(title)}</title>", 1)
 
 
