@@ -162,7 +162,7 @@ def torment(name: str, number: int, seconds: float, seed: int, *, node: bool = F
     rates = np.repeat([options.turn_rate, options.shift_rate], n)
     most = np.repeat([TURN, SHIFT], n)
     place = np.concatenate([start.rotations, start.translations])
-    speed, span, path = np.zeros(2 * n), PERIOD, list[np.ndarray]()
+    speed, span, path, ends = np.zeros(2 * n), PERIOD, list[np.ndarray](), set[int]()
     while counts["messages"] < number and time.monotonic() - start_time < seconds:
         counts["messages"] += 1
         goal, shift = space.split(many[random.integers(len(many))])
@@ -181,6 +181,7 @@ def torment(name: str, number: int, seconds: float, seed: int, *, node: bool = F
         if sets:  # the drives have moved by themselves
             here, speed = arm.servo.equilibrium, np.zeros(2 * n)
             place = np.concatenate([here.rotations, here.translations])
+            ends.update((len(path) - 1, len(path)))  # both ends of that motion, which is long and straight
             path.append(place)
         now += PERIOD * random.choice([0.2, 1.0, 1.0, 1.0, 3.0])
         sent = arm.sent
@@ -203,9 +204,10 @@ def torment(name: str, number: int, seconds: float, seed: int, *, node: bool = F
         place = reached
         path.append(reached)
         if len(path) >= EVERY:
-            rotations, translations = np.split(np.array(path[:: EVERY // 20] + path[-1:]), 2, axis=1)
+            passed_by = sorted({*range(0, len(path), EVERY // 20), len(path) - 1, *ends} - {-1})
+            rotations, translations = np.split(np.array(path)[passed_by], 2, axis=1)
             passed = tubeopt.follow(robot, rotations, translations, start=branch)
-            branch, path = passed.equilibria[-1], []
+            branch, path, ends = passed.equilibria[-1], [], set()
             counts["snaps"] += (
                 bool(passed.snaps) or float(np.linalg.norm(branch.tip_position - here.tip_position)) > 1e-6
             )
