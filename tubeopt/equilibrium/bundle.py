@@ -298,8 +298,8 @@ class Bundled(Member[BundleState]):
     def separated(self, state: BundleState, freed: set[frozenset[object]]) -> tuple[BundleProblem, Array] | None:
         """Problem and unknowns after a section of length 0 is freed, in one of both orders; None if none would grow.
 
-        A section may grow once per solve; if it vanishes again, it is shorter than VANISHING. `freed` are the boundaries that
-        have been freed.
+        A section may grow once per solve; if it vanishes again, it is shorter than VANISHING. `freed` are the
+        boundaries that have been freed.
         """
         problem = self.problem
         for section, force in zip(problem.held, holding_forces(state).tolist(), strict=True):
