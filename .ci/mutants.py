@@ -16,7 +16,7 @@ AREAS = {
     "proofs": (
         *(f"planning/{name}.py" for name in (
             "branch", "loaded_branch", "sections", "loaded_sections", "clearance_bound", "arms", "proof",
-            "trajectory_trace", "goals", "reach_share",
+            "trajectory_trace", "goals", "reach_fraction",
         )),
         *(f"stability/{name}.py" for name in (
             "certificate", "worst", "pair", "deflection", "eccentric_bound", "eccentric_certificate",

@@ -152,7 +152,7 @@ def _called(tree: ast.Module, module: str) -> Iterator[Text]:
                 if words := _words(part):
                     yield Text(f"message {module}", where, words)
         elif isinstance(node, ast.Call) and _name(node.func) == "Quantity":
-            for part in (*node.args[1:2], *(one.value for one in node.keywords if one.arg in ("label", "words"))):
+            for part in (*node.args[1:2], *(one.value for one in node.keywords if one.arg in ("label", "text"))):
                 if words := _words(part):
                     yield Text(f"label {module}", where, words)
         elif isinstance(node, ast.Call):

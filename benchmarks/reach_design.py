@@ -24,7 +24,7 @@ from tubeopt import ConcentricRobot, InputError, PlanOptions, SolveError
 from tubeopt.bodies.distance_field import DistanceField
 from tubeopt.bodies.images import field_of_image
 from tubeopt.bodies.phantoms import LUMEN, TARGET, bronchial_tree
-from tubeopt.planning import ReachShare, RegionReach
+from tubeopt.planning import ReachFraction, RegionReach
 from tubeopt.typing import Array
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -99,18 +99,18 @@ def searched(
     return factors
 
 
-def judge(robot: ConcentricRobot, body: DistanceField, places: Array, seed: int) -> tuple[ReachShare, str]:
+def judge(robot: ConcentricRobot, body: DistanceField, places: Array, seed: int) -> tuple[ReachFraction, str]:
     """What the robot reaches of places that were not searched with, and how many plans to some of them are proved."""
     requested = RegionReach(WITHDRAWN, places, (body,), options=replace(OPTIONS, seed=seed + 100), count=500)
     result = requested.evaluate(robot, np.zeros(0))
     proved, planned = requested.plans_proved(robot, np.zeros(0), result, PLANNED)
-    return result, f"{result.share:.2f} of {len(places)} other places reached; {proved} of {planned} plans proved"
+    return result, f"{result.fraction:.2f} of {len(places)} other places reached; {proved} of {planned} plans proved"
 
 
 NAMES = {"none": "as it is", "simplex": "simplex", "evolution": "differential evolution"}
 
 
-def draw(judged: dict[str, ReachShare], path: Path) -> None:
+def draw(judged: dict[str, ReachFraction], path: Path) -> None:
     """The places that are reached, and those that are not, seen from the front, with the way to them."""
     figure, axes = plt.subplots(1, len(judged), figsize=(3.2 * len(judged), 3.6), layout="constrained", sharey=True)
     centres = np.array([[start, stop] for start, stop, _, _ in bronchial_tree().stretches])
@@ -120,7 +120,7 @@ def draw(judged: dict[str, ReachShare], path: Path) -> None:
         for reached, colour in ((True, "#0072B2"), (False, "#D55E00")):
             some = 1e3 * result.targets[result.reached == reached]
             panel.plot(some[:, 0], some[:, 2], ".", color=colour, label="reached" if reached else "not reached")
-        panel.set(title=f"{NAMES[solver]}: {100 * result.share:.0f} %", xlabel="x (mm)", aspect="equal")
+        panel.set(title=f"{NAMES[solver]}: {100 * result.fraction:.0f} %", xlabel="x (mm)", aspect="equal")
         panel.set(xlim=(-55, 15), ylim=(20, 108))
         panel.spines[["top", "right"]].set_visible(False)
     np.atleast_1d(axes)[0].set_ylabel("z (mm)")

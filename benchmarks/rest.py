@@ -138,7 +138,7 @@ def lead(servo: Any, target: Array, dt: float, server: bool) -> Rest:
         float(np.linalg.norm(tips[-1] - target)),
         (here.rotations, here.translations),
         tips[-1],
-        arm.report(0.0)["why"] if server else why.words,
+        arm.report(0.0)["why"] if server else why.text,
         (time.perf_counter() - start_time) / (len(sent) - 1) * 1e3,
         np.vstack([q[:-1:EVERY], q[-1:]]),
     )

@@ -211,7 +211,7 @@ def wheel(python: Path, repeats: int) -> Wheel:
     return Wheel(float(np.abs(answers[0] - answers[1]).max()), min(seconds[0]), min(seconds[1]))
 
 
-def wheel_in_words(found: Wheel) -> str:
+def wheel_text(found: Wheel) -> str:
     """What is asked of a wheel, and whether it holds."""
     holds = found.difference <= EQUAL and found.seconds <= SLOWER * found.here
     return (
@@ -251,7 +251,7 @@ def main() -> None:
         table("Starts of a process", columns, rows),
         table("On the clock", ("what", "checkout", "at most (s)", "asked"), clock),
     ]
-    show(tables, [wheel_in_words(of_wheel)] if of_wheel else [])
+    show(tables, [wheel_text(of_wheel)] if of_wheel else [])
 
 
 def called(checkout: str) -> str:

@@ -20,9 +20,9 @@ from tubeopt import load_robot, snap_free_certificate, trace_branch
 from tubeopt.robots.robot import Robot
 from tubeopt.show.surfaces import robot_parts
 from tubeopt.show.viewer.insights import torsion_plot
-from tubeopt.show.viewer.page_text import log_words, readout
+from tubeopt.show.viewer.page_text import log_text, readout
 from tubeopt.show.viewer.session import Session, move_joint, open_session
-from tubeopt.show.viewer.teleoperation import pull
+from tubeopt.show.viewer.teleoperation import drag_tip
 
 LIMIT = 50e-3
 """Most seconds from a slider to a new shape, for the robot of the thesis."""
@@ -40,7 +40,7 @@ class Measurement:
 def drawn(session: Session) -> int:
     """Everything that a motion changes on the page, in the form in which it is sent; returns its size in bytes."""
     size = sum(part.surface.vertices.astype(np.float32).nbytes for part in robot_parts(session.equilibrium))
-    text = readout(session, 0.0) + log_words(session.log) + torsion_plot(session.equilibrium)
+    text = readout(session, 0.0) + log_text(session.log) + torsion_plot(session.equilibrium)
     return size + len(text.encode())
 
 
@@ -77,7 +77,7 @@ def parts(robot: Robot, repeats: int) -> list[Measurement]:
     calls: list[tuple[str, Callable[[], object]]] = [
         ("surfaces", partial(robot_parts, current)),
         ("plot of torsion", partial(torsion_plot, current)),
-        ("tip led by 2 mm", partial(pull, session, current.tip_position + np.array([2e-3, 0.0, 0.0]))),
+        ("tip led by 2 mm", partial(drag_tip, session, current.tip_position + np.array([2e-3, 0.0, 0.0]))),
         ("certificate", partial(snap_free_certificate, robot, current.translations)),
         ("S-curve", partial(trace_branch, robot, low, high, current.translations)),
     ]

@@ -85,7 +85,7 @@ def run(seed: int, *, tracker_only: bool = False) -> Run:
             force = phi * force + np.sqrt(1 - phi**2) * random.normal(0, o.force, 3)
         load = tubeopt.Load((force[0], force[1], force[2]))
         arm = tubeopt.forward_kinematics(robot, turn + turned, shift + shifted, load=load, start=arm, method=METHOD)
-        curvature = -fibre.rows(exact.model(arm, still)).gap.reshape(6, 2)
+        curvature = -fibre.rows(exact.model(arm, still)).innovation.reshape(6, 2)
         wrench = arm.base_wrench + random.normal(size=6) * np.repeat([5e-3, 1e-3], 3)
         tilt = Rotation.from_rotvec(random.normal(0, np.radians(0.5), 3)).as_matrix()
         tip = TipReading(arm.tip_position + random.normal(0, 3e-4, 3), direction=tilt @ arm.tip_rotation[:, 2])

@@ -45,7 +45,7 @@ def main(out: Path) -> list[Path]:
         way = tubeopt.follow(robot, [e.rotations for e in arms], [e.translations for e in arms], start=arms[0])
         left = np.array([np.linalg.norm(e.tip_position - TARGET) for e in arms])
         tables.append((name, left, np.array([e.margin for e in arms])))
-        words = steps[-1].why.words if left[-1] > 1e-5 else "there"
+        words = steps[-1].why.text if left[-1] > 1e-5 else "there"
         print(f"{name}: {left[-1] * 1e3:.2f} mm from the target, {len(way.snaps)} snaps; {words}")
     path = out / "control_valley.png"
     plot_ways(tables, path)

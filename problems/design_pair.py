@@ -15,7 +15,7 @@ from pathlib import Path
 
 from tubeopt.runs.design_study import PairStudy
 from tubeopt.runs.study_file import load_study
-from tubeopt.show.plots.design import plot_pair_places, plot_pair_shares
+from tubeopt.show.plots.design import plot_pair_fractions, plot_pair_places
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -27,15 +27,16 @@ def main(out: Path, samples: int = 60) -> list[Path]:
     answer = study.model_copy(update={"seconds": Decimal(samples)}).run()
     print(f"{answer.search.tried} pairs of robots tried in {samples} s")
     for name, one in (("two CRL robots side by side", answer.before), ("sized and placed together", answer.after)):
-        alone = ", ".join(f"{100 * each.share:.0f} %" for each in one.reached)
+        alone = ", ".join(f"{100 * each.fraction:.0f} %" for each in one.reached)
         print(
-            f"{name}: alone they reach {alone} of the points, together {100 * one.share:.0f} % of the pairs of points"
+            f"{name}: alone they reach {alone} of the points, "
+            f"together {100 * one.fraction:.0f} % of the pairs of points"
         )
     print(f"motions of both arms to such pairs that are proved: {answer.proved} of {answer.planned}")
     fractions, names = (answer.before, answer.after), answer.names
     targets = answer.plates[0].placed(answer.after.reached[0].targets)
     paths = [out / "design_pair.png", out / "design_pair_places.png"]
-    plot_pair_shares(fractions, paths[0], names=names)
+    plot_pair_fractions(fractions, paths[0], names=names)
     plot_pair_places(fractions, paths[1], names=names, places=targets)
     return paths
 

@@ -64,7 +64,7 @@ def main(out: Path) -> list[Path]:
     print(f"lattice of {' x '.join(map(str, lung.values.shape))} nodes, short by {lung.error * 1e3:.2f} mm at most")
     withdrawn = (np.zeros(3), np.array([-0.033, -0.092, -0.096]))
     options = tubeopt.PlanOptions(clearance=2e-4)
-    goal = tubeopt.TipGoal(anatomy.place("right main bronchus"))
+    goal = tubeopt.TipGoal(anatomy.position("right main bronchus"))
     plan = tubeopt.plan_trajectory(robot, withdrawn, goal, obstacles=anatomy.bodies, options=options)
     print(f"clearance at least {plan.proof.least_clearance * 1e3:.2f} mm at all times, proved: {plan.proved}")
     picture = out / "plan_bronchus.png"

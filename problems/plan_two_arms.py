@@ -33,8 +33,8 @@ def main(out: Path) -> list[Path]:
     best = place_pair(reached, min_distance=0.01, max_distance=0.03, max_tilt=np.radians(30))
     apart = np.linalg.norm(best.bases[1].origin - best.bases[0].origin)
     print(f"in voxels of {best.size * 1e3:.0f} mm:")
-    print(f"side by side, 30 mm apart: {100 * beside.share:.0f} % of a workspace is shared")
-    print(f"{apart * 1e3:.0f} mm apart, leaning and turned: {100 * best.share:.0f} %")
+    print(f"side by side, 30 mm apart: {100 * beside.fraction:.0f} % of a workspace is shared")
+    print(f"{apart * 1e3:.0f} mm apart, leaning and turned: {100 * best.fraction:.0f} %")
 
     arms = [
         tubeopt.PlacedRobot(robot, base_frame([x, 0, 0], [-8 * x, 0, 1]), name)

@@ -72,7 +72,7 @@ def wanted_of_pair(one: Any, other: Any, own: Any) -> tuple[float, float]:
 
 
 for each in (wanted, wanted_of_pair):
-    each.words, each.ranges = "what is wanted", np.zeros((0, 2))  # type: ignore[attr-defined]
+    each.description, each.ranges = "what is wanted", np.zeros((0, 2))  # type: ignore[attr-defined]
 
 
 def _joints(**more: Any) -> Callable[[], dict[str, Any]]:

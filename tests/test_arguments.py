@@ -22,7 +22,7 @@ from tubeopt.arguments import typed
 from tubeopt.control.command import Command
 from tubeopt.control.servo import Servo
 from tubeopt.inverse.mirror import mirror_inverse
-from tubeopt.solvers.time_limit import LateError, within
+from tubeopt.solvers.time_limit import OutOfTimeError, within
 
 HOLDING_ITSELF: list[Any] = []
 HOLDING_ITSELF.append(HOLDING_ITSELF)
@@ -51,7 +51,7 @@ def test_a_wrong_type_is_refused_in_a_sentence(name: str, monkeypatch: pytest.Mo
             try:
                 with within(ENOUGH):
                     function(**{**inputs(), parameter.name: value})
-            except (InputError, SolveError, LateError, OSError):
+            except (InputError, SolveError, OutOfTimeError, OSError):
                 pass
             except Exception as error:  # any other kind is the fault that is looked for
                 raw.append(f"{parameter.name} as {label}: {type(error).__name__}: {error}")

@@ -31,7 +31,7 @@ class ArgumentCheck(NamedTuple):
     """Test of a value."""
     expected: str
     """Description of allowed values, as "a number"."""
-    late: bool = False
+    deferred: bool = False
     """True if the check is slow and runs only after an error, as for lists."""
 
 
@@ -54,8 +54,8 @@ def typed(target: T) -> T:
         """Build the checks at the first call: annotations may name types that are imported later."""
         nonlocal ready
         every = _checks(target)
-        checks.update({name: check for name, check in every.items() if not check.late})
-        lists.update({name: check for name, check in every.items() if check.late})
+        checks.update({name: check for name, check in every.items() if not check.deferred})
+        lists.update({name: check for name, check in every.items() if check.deferred})
         positional[:] = [(k, name, checks[name]) for k, name in enumerate(names) if name in checks]
         ready = True
 
@@ -181,11 +181,11 @@ def _either(parts: tuple[Any, ...]) -> ArgumentCheck | None:
             return None
         checks.append(check)
     expected = " or ".join(dict.fromkeys(check.expected for check in checks))
-    late = any(check.late for check in checks)
+    deferred = any(check.deferred for check in checks)
     if len(checks) == 2:  # the usual case, without a generator, since every solve checks its start
         first, second = checks[0].holds, checks[1].holds
-        return ArgumentCheck(lambda value: first(value) or second(value), expected, late)
-    return ArgumentCheck(lambda value: any(check.holds(value) for check in checks), expected, late)
+        return ArgumentCheck(lambda value: first(value) or second(value), expected, deferred)
+    return ArgumentCheck(lambda value: any(check.holds(value) for check in checks), expected, deferred)
 
 
 def _fixed(parts: tuple[Any, ...]) -> ArgumentCheck:

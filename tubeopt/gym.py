@@ -108,8 +108,8 @@ class CtrVectorEnv(VectorEnv[Any, Any, Any]):
         try:
             self._arms, self._goals = Branches(self.robot, num_envs), Branches(self.robot, num_envs)
         except LookupError:
-            words = f"robot has {self.robot.n_tubes} tubes and no compiled kernel"
-            raise InputError(f"{words}; at most 6 tubes are supported, with a C compiler") from None
+            reason = f"robot has {self.robot.n_tubes} tubes and no compiled kernel"
+            raise InputError(f"{reason}; at most 6 tubes are supported, with a C compiler") from None
         self._q: Array = np.tile(self._known[0], (num_envs, 1))
         self._from, self._to = self._q.copy(), self._q.copy()
         self._time = np.zeros(num_envs, dtype=int)

@@ -157,8 +157,8 @@ def test_points_of_no_triangle_count_as_well(tmp_path: Path) -> None:
 def test_plan_of_arms_reports_reference_of_clearance() -> None:
     proofs = [SimpleNamespace(clearance_from=text) for text in (("wall", "sheet"), ("sheet",), ())]
     (row,) = (quantity for quantity in ARMS if quantity.name == "clearance from")
-    assert row.text(SimpleNamespace(proof=SimpleNamespace(proofs=proofs)), {}) == "wall; sheet"  # type: ignore[arg-type]
-    assert row.text(SimpleNamespace(proof=SimpleNamespace(proofs=proofs[2:])), {}) is None  # type: ignore[arg-type]
+    assert row.row_text(SimpleNamespace(proof=SimpleNamespace(proofs=proofs)), {}) == "wall; sheet"  # type: ignore[arg-type]
+    assert row.row_text(SimpleNamespace(proof=SimpleNamespace(proofs=proofs[2:])), {}) is None  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("count", [2, 60, 700])

@@ -40,10 +40,10 @@ from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.joints import joint_space
 from tubeopt.robots.robot import Robot
 from tubeopt.solvers.compiled.binding import solve_compiled
+from tubeopt.solvers.compiled.friction import friction_source
 from tubeopt.solvers.compiled.heating import heating_source
 from tubeopt.solvers.compiled.library import FLAGS, compile_to, compiler, source
 from tubeopt.solvers.compiled.loaded import loaded_source
-from tubeopt.solvers.compiled.rubbing import rubbing_source
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 
@@ -94,7 +94,7 @@ def test_the_library_has_the_answers_of_the_general_solver_and_of_its_derivative
         assert found.margin == pytest.approx(known.margin, abs=1e-8)
         jacobian, slopes = known.jacobian(), thesis.slopes()
         assert slopes.position == pytest.approx(jacobian.position, abs=1e-9)
-        assert slopes.turn == pytest.approx(jacobian.rotation, abs=1e-8)
+        assert slopes.rotation == pytest.approx(jacobian.rotation, abs=1e-8)
         assert slopes.tip_rotations == pytest.approx(jacobian.tip_rotations, abs=1e-8)
         assert slopes.margin == pytest.approx(jacobian.margin, abs=1e-5)
         light = forward_kinematics(THESIS, rotations, shift, load=Load(force=(1e-9, 0, 0)))
@@ -119,7 +119,7 @@ def test_pieces_and_tubes_off_the_centreline_have_the_answers_and_derivatives_of
         assert (slopes.compliance is None) == eccentric
         same = 1e-5 if eccentric else 1e-9  # differences, or the implicit function theorem
         assert slopes.position == pytest.approx(jacobian.position, abs=same)
-        assert slopes.turn == pytest.approx(jacobian.rotation, rel=2 * same, abs=same)
+        assert slopes.rotation == pytest.approx(jacobian.rotation, rel=2 * same, abs=same)
         assert slopes.tip_rotations == pytest.approx(jacobian.tip_rotations, abs=10 * same)
         assert slopes.margin == pytest.approx(jacobian.margin, abs=100 * same)
     start = library.solve(*space.split(0.5 * space.inside() + 0.5 * space.middle()))
@@ -160,7 +160,7 @@ def test_under_load_it_has_the_answers_of_python_and_its_tip_is_led(thesis: CRob
         assert pose.position[-1] == pytest.approx(known.tip_position, abs=1e-9)
     jacobian, slopes = known.jacobian(), library.slopes()
     assert slopes.position == pytest.approx(jacobian.position, abs=1e-6)
-    assert slopes.turn == pytest.approx(jacobian.rotation, abs=1e-5)
+    assert slopes.rotation == pytest.approx(jacobian.rotation, abs=1e-5)
     assert slopes.margin == pytest.approx(jacobian.margin, abs=1e-5)
     assert known.compliance is not None
     assert slopes.compliance == pytest.approx(known.compliance, rel=1e-9)
@@ -236,7 +236,7 @@ def test_tubes_made_of_pieces_bear_loads_and_have_a_compliance(pieces: CRobot) -
         slopes, jacobian = library.slopes(), known.jacobian()
         assert slopes.compliance == pytest.approx(known.compliance, rel=1e-6, abs=1e-9 * np.abs(light).max())
         assert slopes.position == pytest.approx(jacobian.position, abs=1e-6)
-        assert slopes.turn == pytest.approx(jacobian.rotation, rel=1e-6, abs=1e-5)
+        assert slopes.rotation == pytest.approx(jacobian.rotation, rel=1e-6, abs=1e-5)
         library.bear()
 
 
@@ -573,7 +573,7 @@ def preprocessed(text: str, folder: Path) -> str:
 
 
 def test_c_for_other_compilers_has_no_word_of_gcc(tmp_path: Path) -> None:
-    texts = [source(2, False), source(2, True), loaded_source(2), rubbing_source(2)]
+    texts = [source(2, False), source(2, True), loaded_source(2), friction_source(2)]
     texts += [
         heating_source(),
         *(text for name, text in c_library(PIECES, loads=True).files.items() if name.endswith(".c")),
@@ -633,7 +633,7 @@ def test_the_library_leaves_the_plate_and_comes_back(thesis: CRobot) -> None:
     known = forward_kinematics(THESIS, START[0], shift).jacobian()
     slopes = thesis.slopes()
     assert slopes.position == pytest.approx(known.position, abs=1e-12)
-    assert slopes.turn == pytest.approx(known.rotation, abs=1e-10)
+    assert slopes.rotation == pytest.approx(known.rotation, abs=1e-10)
     there = thesis.follow(START[0], shift + 5e-3)
     cold = forward_kinematics(THESIS, START[0], shift + 5e-3)
     assert there.tip_position == pytest.approx(cold.tip_position, abs=1e-10)

@@ -92,7 +92,7 @@ def test_what_cannot_be_is_left_out_and_what_is_late_is_compared_with_its_own_ti
     seed = forward_kinematics(THESIS, *SEED)
     estimator = StateEstimator(seed, replace(MODEL, tip_offset=1e-3))
     here = TipReading(seed.tip_position)
-    assert "no joint values" in estimator.measured(0.0, here).words
+    assert "no joint values" in estimator.measured(0.0, here).message
     with pytest.raises(InputError, match="call `encoders` first"):
         estimator.estimate()
     estimator.encoders(0.0, *SEED)
@@ -101,12 +101,12 @@ def test_what_cannot_be_is_left_out_and_what_is_late_is_compared_with_its_own_ti
     assert then.used
     assert then.before < 1e-9
     far = estimator.measured(0.0, TipReading(seed.tip_position + np.array([0.2, 0, 0])))
-    assert "farther off" in far.words
+    assert "farther off" in far.message
     for _ in range(9):
         far = estimator.measured(0.0, TipReading(seed.tip_position + np.array([0.2, 0, 0])))
-    assert "10 in a row: the robot may have snapped" in far.words
+    assert "10 in a row: the robot may have snapped" in far.message
     assert estimator.estimate().rotation_offsets == pytest.approx(0, abs=1e-9)
-    assert "no joint values" in estimator.measured(2.0, here).words
+    assert "no joint values" in estimator.measured(2.0, here).message
     with pytest.raises(InputError, match="more than that of the last"):
         estimator.encoders(0.5, *SEED)
 
@@ -121,7 +121,7 @@ def test_a_branch_that_ends_is_said() -> None:
     before = estimator.estimate().equilibrium
     assert estimator.measured(0.1, TipReading(before.tip_position)).used
     estimator.encoders(0.2, np.radians([230.0, 0.0, 0.0]), home)
-    assert "may have snapped" in estimator.measured(0.2, TipReading(before.tip_position)).words
+    assert "may have snapped" in estimator.measured(0.2, TipReading(before.tip_position)).message
     with pytest.raises(SolveError, match="branch"):
         estimator.estimate()
     estimator.encoders(0.3, np.radians([190.0, 0.0, 0.0]), home)
@@ -157,7 +157,7 @@ def readings_of(arm: Equilibrium, random: np.random.Generator | None = None) -> 
     fibre = CurvatureReading((0.004, 0.02, 0.05, 0.08, 0.11), np.zeros((5, 2)))
     base = BaseReading(arm.base_wrench + noise(0, 1.0, 6) * np.repeat([5e-3, 1e-3], 3))
     model = StateEstimator(arm).states.model(arm, np.zeros(9))
-    expected = -fibre.rows(model).gap.reshape(-1, 2)
+    expected = -fibre.rows(model).innovation.reshape(-1, 2)
     return [
         replace(tip, position=arm.tip_position + noise(0, tip.noise, 3), direction=turned @ arm.tip_rotation[:, 2]),
         TipReading(arm.tip_position + noise(0, tip.noise, 3), rotation=turned @ axes),
@@ -196,7 +196,7 @@ def test_derivatives_of_all_readings(*, pieces: bool) -> None:
             x = x0.copy()
             x[k] += sign * step
             model = states.model(arm_at(x), x)
-            sides.append([reading.rows(model).gap for reading in readings])
+            sides.append([reading.rows(model).innovation for reading in readings])
         for known, ahead, behind in zip(slopes, *sides, strict=True):
             scale = np.abs(known * states.sigma).max()
             assert known[:, k] * states.sigma[k] == pytest.approx((behind - ahead) / 2e-3, abs=1e-4 * scale)

@@ -65,7 +65,7 @@ def test_robot_rests_where_target_is_out_of_reach(kind: str, away: tuple[float, 
     assert np.abs(np.diff(joints, axis=0)).max() < 1e-6
     last = steps[-1]
     assert Why.NO_CLOSER in last.why
-    assert "no small motion" in last.why.words
+    assert "no small motion" in last.why.text
     # Inverse kinematics from there finds no closer place either.
     start = forward_kinematics(THESIS, last.rotations, last.translations)
     known = inverse_kinematics(THESIS, away, start=start, on_failure="closest", min_margin=0.1)

@@ -132,7 +132,7 @@ def test_a_margin_that_is_missed_already_gets_no_worse() -> None:
         if not 0.05 < start.margin < 0.9:
             continue
         servo = Servo(CRL, start, options=ServoOptions(min_margin=start.margin - 1e-12, turn_rate=10.0))
-        slope = servo.guard.here.margin_slope()[:3]
+        slope = servo.guard.posture.margin_slope()[:3]
         goal = start.rotations - 0.3 * slope / np.linalg.norm(slope) + 0.1 * random.normal(size=3), start.translations
         steps = run(servo, Command(joints=goal), 15)
         assert min(step.equilibrium.margin for step in steps) >= start.margin - 1e-9

@@ -59,7 +59,7 @@ async def until(client: Any, holds: Callable[[Any], bool]) -> Any:
     for _ in range(400):
         if holds(status := await heard(client, "Robot")):
             return status
-    raise AssertionError(status.words)
+    raise AssertionError(status.text)
 
 
 def test_slicer_sees_tip_centreline_and_state_at_40_hz() -> None:
@@ -88,7 +88,7 @@ def test_slicer_moves_the_robot_by_point_and_transform() -> None:
         await heard(client, "Robot")
         client.send_message(pyigtl.PointMessage([goal.tolist()], device_name="Target"), wait=False)
         refused = await until(client, lambda status: status.code == 12)
-        assert "move_cp is rejected: the robot is DISABLED" in refused.words
+        assert "move_cp is rejected: the robot is DISABLED" in refused.text
         client.send_message(pyigtl.StringMessage("enable", device_name="Command"), wait=False)
         await until(client, lambda status: status.name == "ENABLED")
         client.send_message(pyigtl.PointMessage([goal.tolist()], device_name="Target"), wait=False)
@@ -102,11 +102,11 @@ def test_slicer_moves_the_robot_by_point_and_transform() -> None:
         assert (await heard(client, "TipToPlate")).matrix[:3, 2] == pytest.approx(first.tip_rotation[:, 2], abs=1e-3)
         far = pyigtl.PointMessage([[0.0, 0.0, 900.0]], device_name="Target")
         client.send_message(far, wait=False)
-        assert "position is 0.9 m from the plate" in (await until(client, lambda status: status.code == 12)).words
+        assert "position is 0.9 m from the plate" in (await until(client, lambda status: status.code == 12)).text
         client.send_message(pyigtl.PointMessage([[float("nan")] * 3], device_name="Target"), wait=False)
-        assert "finite" in (await until(client, lambda status: status.code == 12)).words
+        assert "finite" in (await until(client, lambda status: status.code == 12)).text
         client.send_message(pyigtl.StringMessage("hold"), wait=False)
-        await until(client, lambda status: "stopped by command" in status.words)
+        await until(client, lambda status: "stopped by command" in status.text)
 
     session(talk)
 
@@ -119,7 +119,7 @@ def test_one_client_controls_and_a_broken_message_ends_a_connection() -> None:
         other = pyigtl.OpenIGTLinkClient(port=server.slicer_port)
         await heard(other, "Robot")
         other.send_message(pyigtl.StringMessage("disable"), wait=False)
-        assert "another client already controls" in (await until(other, lambda status: status.code == 12)).words
+        assert "another client already controls" in (await until(other, lambda status: status.code == 12)).text
         await asyncio.to_thread(other.stop)
         message = bytearray(pyigtl.StringMessage("disable").pack())
         for spoilt in (message[:57] + bytes([message[57] ^ 1]) + message[58:], b"\xff" * 58, b"GET / HTTP/1.1" * 9):

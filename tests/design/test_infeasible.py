@@ -37,7 +37,7 @@ from tubeopt.design.infeasibility import apply_changes, best_of, shown_infeasibl
 from tubeopt.design.optimize import DesignStatus
 from tubeopt.design.program import Program, compile_task
 from tubeopt.design.solve import multistart
-from tubeopt.solvers.time_limit import LateError, within
+from tubeopt.solvers.time_limit import OutOfTimeError, within
 from tubeopt.typing import Array
 
 
@@ -57,7 +57,7 @@ def test_certificate_falls_to_the_closed_form() -> None:
     error = refused(task, "the certified margin is at most")
     best = snap_free_certificate(equal_pair(0.1, 0.05, 15.0))
     change = error.relaxations[0].changes[0]
-    assert change.limit.words == "certified margin"
+    assert change.limit.description == "certified margin"
     assert best - 0.03 * abs(best) <= change.value <= best + 1e-6
     assert f"must fall from 0.5 to {change.limit.shown(change.value)}" in str(error)
 
@@ -70,7 +70,7 @@ def test_relaxation_is_enough_and_not_more_than_needed() -> None:
     task = DesignTask(two_tubes(), free, (SnapFree(0.1), strain, target), Objective("change"), solver=few)
     error = refused(task)
     path = error.relaxations[0]
-    assert path.words in str(error)
+    assert path.text in str(error)
     assert path.task == apply_changes(task, path.changes)
     assert optimize_design(path.task, turns=1, start=path.attempt).verification.satisfied
     less = tuple(replace(change, amount=0.5 * change.amount) for change in path.changes)
@@ -174,7 +174,7 @@ def test_a_search_that_time_ends_says_what_it_found() -> None:
     programs = compile_task(task)
     with within(1e-9):
         ranking = multistart(programs, starts=2)
-    assert ranking.late == 2
+    assert ranking.out_of_time == 2
     assert not ranking.designs
     with pytest.raises(DesignNotFoundError, match="the time limit ended 2 of them"):
         best_of(ranking)
@@ -193,13 +193,13 @@ def test_the_best_on_the_way_is_the_answer_where_time_ends(monkeypatch: pytest.M
         best = program.lately.best
         count += best is not None and best.violation == 0
         if count > 3:
-            raise LateError
+            raise OutOfTimeError
         return plain(program, x)
 
     monkeypatch.setattr(solve, "evaluate", evaluated)
     ranking = multistart(compile_task(task))
     monkeypatch.undo()
     (result,) = ranking.designs
-    assert result.late
-    assert ranking.late == 1
+    assert result.out_of_time
+    assert ranking.out_of_time == 1
     assert snap_free_certificate(result.robot) >= 0.05 - 1e-6

@@ -52,7 +52,7 @@ class Certified(CustomRequirement):
     """The certificate at home, as an own requirement."""
 
     limit: float
-    words, size = "certificate at home", 0.1
+    description, size = "certificate at home", 0.1
 
     def expression(self, q: Quantities) -> Any:
         return q.certificate() - self.limit
@@ -63,7 +63,7 @@ class Longest(CustomRequirement):
     """Length of all tubes."""
 
     limit: float
-    words, unit, factor, size, is_upper_bound = "length of every tube", "mm", 1e3, 1e-2, True
+    description, unit, factor, size, is_upper_bound = "length of every tube", "mm", 1e3, 1e-2, True
 
     def expression(self, q: Quantities) -> Any:
         return self.limit - q.tubes["straight_length"] - q.tubes["curved_length"]
@@ -74,7 +74,7 @@ class Height(CustomRequirement):
     """Height of the tip in every pose."""
 
     limit: float
-    words, unit, factor, size = "height of the tips", "mm", 1e3, 1e-3
+    description, unit, factor, size = "height of the tips", "mm", 1e3, 1e-3
 
     def expression(self, q: Quantities) -> Any:
         return ca.vertcat(*(pose.tip_position[2] for pose in q.poses)) - self.limit
@@ -85,7 +85,7 @@ class Changed(CustomObjective):
     """The built-in objective "change", of the curvatures of a robot."""
 
     curvature: tuple[float, ...]
-    words = "change of the curvatures"
+    description = "change of the curvatures"
 
     def expression(self, q: Quantities) -> Any:
         return ca.sumsqr(q.tubes["curvature"] / ca.DM(self.curvature) - 1)
@@ -180,7 +180,7 @@ def test_a_small_number_is_minimised_as_exactly_as_any_other() -> None:
 
     @dataclass(frozen=True)
     class Metal(CustomObjective):
-        words, unit, factor = "metal of all tubes", "mm3", 1e9
+        description, unit, factor = "metal of all tubes", "mm3", 1e9
 
         def expression(self, q: Quantities) -> Any:
             od, bore, length = (q.tubes[name] for name in ("outer_diameter", "inner_diameter", "straight_length"))
@@ -222,7 +222,7 @@ def test_infeasible_own_requirement_is_relaxed_in_words() -> None:
 class Fixed(CustomRequirement):
     """A certificate that may not be eased: it has no field `limit`."""
 
-    words, limit, size = "fixed certificate", 0.5, 0.1
+    description, limit, size = "fixed certificate", 0.5, 0.1
 
     def expression(self, q: Quantities) -> Any:
         return q.certificate() - self.limit
@@ -235,7 +235,7 @@ def test_what_cannot_be_relaxed_is_kept_while_the_rest_is() -> None:
     with pytest.raises(InfeasibleDesignError) as caught:
         optimize_design(task)
     (path,) = caught.value.relaxations
-    assert [change.limit.words for change in path.changes] == ["overall length of tube 1"]
+    assert [change.limit.description for change in path.changes] == ["overall length of tube 1"]
     solution = optimize_design(path.task)
     assert snap_free_certificate(solution.robot) == pytest.approx(0.5, abs=1e-4)
     assert solution.objective == pytest.approx(optimize_design(tightest(pair, 0.5, 30.0), turns=0).objective, rel=1e-4)
@@ -246,7 +246,7 @@ class Odd(CustomRequirement):
     """An own requirement of which something is wrong."""
 
     name: str
-    words = "odd"
+    description = "odd"
 
     def expression(self, q: Quantities) -> Any:
         match self.name:
@@ -285,7 +285,7 @@ class Nameless(CustomObjective):
 
 
 def test_own_objective_says_what_it_is() -> None:
-    with pytest.raises(InputError, match="words of Nameless is ''"):
+    with pytest.raises(InputError, match="description of Nameless is ''"):
         replace(posed_task(), objective=Nameless())
 
 
@@ -307,7 +307,9 @@ def test_a_design_that_a_payload_moves_least() -> None:
     assert solution.objectives["tip_deflection"] == pytest.approx(smallest, rel=1e-5)
     assert smallest < 0.8 * farthest(task.robot, poses, force)
     # What binds are bounds: at each of them the price is how the objective changes with what is bounded.
-    price = next(one for one in solution.sensitivities if one.limit.words == "upper bound of the curvature of tube 2")
+    price = next(
+        one for one in solution.sensitivities if one.limit.description == "upper bound of the curvature of tube 2"
+    )
     sides = []
     for step in (0.05, -0.05):
         tubes = list(solution.robot.tubes)
@@ -326,7 +328,7 @@ class SureUnder(CustomRequirement):
     """Every pose keeps a margin under a load."""
 
     limit: float
-    words = "margin under the load"
+    description = "margin under the load"
 
     def expression(self, q: Quantities) -> Any:
         return q.poses[0].margin_under(TWISTED) - self.limit
@@ -359,7 +361,7 @@ def aim_under(force: tuple[float, float, float]) -> Objective:
 @dataclass(frozen=True)
 class Strained(CustomRequirement):
     limit: float
-    words, unit, factor, size, is_upper_bound = "strain of all pieces", "%", 1e2, 1e-3, True
+    description, unit, factor, size, is_upper_bound = "strain of all pieces", "%", 1e2, 1e-3, True
 
     def expression(self, q: Quantities) -> Any:
         return self.limit - ca.vertcat(*(q.straightened_strain(i) for i in range(q.n_tubes)))

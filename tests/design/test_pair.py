@@ -15,12 +15,12 @@ import tubeopt
 from tests.command_line import ROOT, Run, answer, refused
 from tests.conftest import draw_quickly
 from tests.design.tasks import two_tubes
-from tubeopt import ConcentricRobot, DesignTask, InputError, PairReach, PlanOptions, ReachShare, search_pair
+from tubeopt import ConcentricRobot, DesignTask, InputError, PairReach, PlanOptions, ReachFraction, search_pair
 from tubeopt.bodies.frames import base_frame
 from tubeopt.design import Free, Strain
 from tubeopt.design.optimize import DesignStatus
 from tubeopt.inverse.arm_surface import ArmSurface
-from tubeopt.planning import PairShare
+from tubeopt.planning import PairFraction
 from tubeopt.show.plots.design import plot_pair_places
 from tubeopt.typing import Array
 
@@ -42,7 +42,7 @@ def test_arms_are_no_closer_than_is_told() -> None:
     """Surfaces sampled at 700 places of each arm come no closer than the bound, and hardly stay farther."""
     desired = pair()
     result = desired.evaluate(CRL, CRL, np.zeros(0))
-    assert result.reached[0].share == 1.0
+    assert result.reached[0].fraction == 1.0
     gaps = []
     for i, j in np.argwhere(np.isfinite(result.apart)):
         sides = []
@@ -59,7 +59,7 @@ def test_arms_are_no_closer_than_is_told() -> None:
     assert min(gaps) > -1e-6
     assert np.median(gaps) < 4e-4
     assert not result.held.diagonal().any()
-    assert result.share == result.held.sum() / 6
+    assert result.fraction == result.held.sum() / 6
 
 
 def test_plates_that_are_moved_hold_what_moved_places_are_for_plates_that_are_not() -> None:
@@ -79,7 +79,7 @@ def test_arms_are_the_ones_to_which_ways_lead_not_those_that_a_robot_takes_at_on
     other = max(known, key=lambda e: float(np.linalg.norm(e.tip_position - at_once.tip_position)))
     assert np.linalg.norm(other.tip_position - at_once.tip_position) > 5e-3
     row = {"rotations": turns[None], "translations": shift[None], "tip_rotations": other.tip_rotations[None]}
-    fraction = ReachShare(other.tip_position[None], np.zeros(1), 5e-4, **row)
+    fraction = ReachFraction(other.tip_position[None], np.zeros(1), 5e-4, **row)
     arm = fraction.arm(CRL, 0)
     assert arm is not None
     np.testing.assert_allclose(arm.tip_position, other.tip_position, atol=1e-9)
@@ -89,7 +89,7 @@ def test_arms_are_the_ones_to_which_ways_lead_not_those_that_a_robot_takes_at_on
 class Together:
     """Curvatures of the inner tubes of both, which shall be 1.5 and 0.5 times a number of its own."""
 
-    words = "likeness"
+    description = "likeness"
     ranges = np.array([[10.0, 30.0]])
 
     def __call__(self, one: ConcentricRobot, other: ConcentricRobot, own: Array) -> tuple[float, float]:
@@ -105,7 +105,7 @@ def test_both_robots_and_own_numbers_are_searched_at_once() -> None:
     result = search_pair((tasks[0], tasks[1]), Together(), time_limit=60)
     one, other = result.value
     assert [one.tubes[0].curvature, other.tubes[0].curvature] == pytest.approx([30.0, 10.0], abs=0.5)
-    assert result.own == pytest.approx([20.0], abs=0.3)
+    assert result.variables == pytest.approx([20.0], abs=0.3)
     assert result.after > result.before
     assert result.solutions[1].verification.satisfied
     assert result.status is DesignStatus.SATISFIED
@@ -167,11 +167,11 @@ def test_the_map_of_places_has_what_the_other_arm_holds(monkeypatch: pytest.Monk
     draw_quickly(monkeypatch)
     positions = np.array([[0.0, 0.0, 0.05], [0.01, 0.0, 0.06], [0.0, 0.02, 0.07]])
 
-    def reach(miss: list[float]) -> ReachShare:
-        return ReachShare(positions, np.array(miss), 1e-3, *np.zeros((3, 3, 3)))
+    def reach(miss: list[float]) -> ReachFraction:
+        return ReachFraction(positions, np.array(miss), 1e-3, *np.zeros((3, 3, 3)))
 
     apart = np.array([[0.0, 0.003, 0.001], [0.004, 0.0, 0.005], [np.nan, np.nan, np.nan]])
-    fraction = PairShare((reach([0.0, 0.0, 1.0]), reach([0.0, 0.0, 0.0])), apart, 0.002)
+    fraction = PairFraction((reach([0.0, 0.0, 1.0]), reach([0.0, 0.0, 0.0])), apart, 0.002)
     figure = plot_pair_places((fraction, fraction), places=positions, names=("a", "b"))
     white, first, _, second = figure.axes[0].collections  # of the first arm, then of the second
     assert white.get_offsets().tolist() == [[0.0, 70.0]]

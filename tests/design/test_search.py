@@ -24,7 +24,7 @@ CRL = ROOT / "configs" / "robots" / "crl_ctr.yaml"
 class Bent:
     """Curvature of the inner tube over 100/m, and a number of its own that is best at 0.3."""
 
-    words = "curvature"
+    description = "curvature"
     ranges = np.array([[-1.0, 1.0]])
 
     def __call__(self, robot: ConcentricRobot, own: Array) -> tuple[float, float]:
@@ -41,7 +41,7 @@ def test_a_search_ends_at_the_strain_that_is_allowed() -> None:
     )  # held straight, where its inside was shorter by as much
     assert result.value.tubes[0].curvature == pytest.approx(min(largest, 60.0), rel=5e-3)
     assert result.value.tubes[0].curvature <= largest * (1 + 1e-6)
-    assert result.own == pytest.approx([0.3], abs=0.02)
+    assert result.variables == pytest.approx([0.3], abs=0.02)
     assert result.after > result.before
     assert result.solution.verification.satisfied
 

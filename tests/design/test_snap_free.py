@@ -91,7 +91,7 @@ def test_prices_are_those_of_differences() -> None:
         optimize_design(replace(task, requirements=(SnapFree(0.05 + step),)), turns=1).objective
         for step in (1e-3, -1e-3)
     ]
-    assert price.limit.words == "certified margin"
+    assert price.limit.description == "certified margin"
     assert price.derivative == pytest.approx((values[0] - values[1]) / 2e-3, rel=1e-4)
     assert "less certified margin buys" in price.sentence
 
@@ -132,7 +132,7 @@ def test_largest_certificate_has_the_least_curvature() -> None:
     design = optimize_design(task, turns=1)
     assert design.objective == pytest.approx(design.certificate, abs=1e-6)
     assert [tube.curvature for tube in design.robot.tubes] == pytest.approx([5.0, 5.0], abs=1e-5)
-    assert {price.limit.words.split(" of ")[0] for price in design.sensitivities} == {"lower bound"}
+    assert {price.limit.description.split(" of ")[0] for price in design.sensitivities} == {"lower bound"}
 
 
 def test_diameters_walls_and_several_objectives() -> None:

@@ -36,7 +36,7 @@ def program_of(*requirements: Any, ordered: bool = False) -> Any:
     """Of two poses, of which only this is known."""
     task = SimpleNamespace(requirements=requirements, ordered=ordered, translation_ranges=())
     return SimpleNamespace(
-        task=task, task_poses=(0, 1), own=((0, 1),) * len(requirements), added=SimpleNamespace(points=())
+        task=task, task_poses=(0, 1), requirement_poses=((0, 1),) * len(requirements), added=SimpleNamespace(points=())
     )
 
 
@@ -286,7 +286,7 @@ def test_the_strain_of_several_poses_is_the_largest_of_each() -> None:
 
 def test_an_own_requirement_is_kept_to_a_millionth_of_its_step(monkeypatch: pytest.MonkeyPatch) -> None:
     one: Any = SimpleNamespace(
-        expression=None, words="own", is_upper_bound=False, limit=1.0, factor=1.0, unit="", size=2.0
+        expression=None, description="own", is_upper_bound=False, limit=1.0, factor=1.0, unit="", size=2.0
     )
     for left, retained in ((-1.9e-6, True), (-2.1e-6, False)):
         monkeypatch.setattr(verify, "recorded", lambda *_, left=left: lambda look: np.array([0.5, left]))

@@ -466,7 +466,7 @@ def test_one_tube_off_the_centreline_may_change_alone(name: str) -> None:
             problem = reduced_assembly(replace(bundle, **{name: values}))
             member = Unloaded(e.robot, problem, e.rotations, tuple(e.translations.tolist()), DEFAULT_DISCRETISATION)
             x = member.unknowns(sample_rotation(e, problem.arc_length)) if start is None else start
-            point = Point.near(member, x, "no equilibrium")
+            point = Point.solved_near(member, x, "no equilibrium")
             shape = evaluate_arm(problem, e.rotations, point.state, point.torsion)
             report.append(np.array([*shape.position[-1], point.margin]))
             if k == 0:

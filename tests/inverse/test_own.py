@@ -25,7 +25,7 @@ class Aside(CustomRequirement):
     """How far the middle of the arm stays on one side."""
 
     limit: float
-    words, unit, factor, size = "place of the middle", "mm", 1e3, 1e-3
+    description, unit, factor, size = "place of the middle", "mm", 1e3, 1e-3
 
     def expression(self, q: Quantities) -> Any:
         return ca.vertcat(*(pose.position(0.5)[0] for pose in q.poses)) - self.limit
@@ -34,7 +34,7 @@ class Aside(CustomRequirement):
 class Close(CustomObjective):
     """The built-in objective "nearest", of REFERENCE."""
 
-    words = "distance from a reference"
+    description = "distance from a reference"
 
     def expression(self, q: Quantities) -> Any:
         (pose,) = q.poses
@@ -47,7 +47,7 @@ class Turning(CustomRequirement):
     """What poses are asked for in designs only."""
 
     limit: float = 0.0
-    words = "how far the tip turns"
+    description = "how far the tip turns"
 
     def expression(self, q: Quantities) -> Any:
         return ca.sumsqr(q.poses[0].turning) - self.limit

@@ -89,9 +89,9 @@ def test_trajectories_with_carriages_apart_are_followed_and_have_no_fault() -> N
 def test_reach_from_a_start_with_carriages_apart() -> None:
     start = tubeopt.forward_kinematics(TWO_TUBE, [0.0, 0.0], APART)
     goal = tubeopt.forward_kinematics(TWO_TUBE, [0.3, 0.2], (-0.025, -0.01))
-    fraction = tubeopt.evaluate_reach(TWO_TUBE, start, [goal.tip_position], count=20)
-    assert fraction.share == 1.0
-    reached = tubeopt.forward_kinematics(TWO_TUBE, fraction.rotations[0], fraction.translations[0])
+    reach = tubeopt.evaluate_reach(TWO_TUBE, start, [goal.tip_position], count=20)
+    assert reach.fraction == 1.0
+    reached = tubeopt.forward_kinematics(TWO_TUBE, reach.rotations[0], reach.translations[0])
     np.testing.assert_allclose(reached.tip_position, goal.tip_position, atol=5e-4)
     stays = tubeopt.evaluate_reach(TWO_TUBE, ([0.0, 0.0], APART), [start.tip_position], count=20)
     assert stays.miss == 0.0  # the tip is there before the robot moves

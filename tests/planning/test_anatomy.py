@@ -185,7 +185,7 @@ def test_files_make_the_anatomy_that_the_library_makes(tmp_path: Path, caplog: p
     assert result.target is not None
     assert expected.target is not None
     assert len(result.target) == len(expected.target)
-    assert np.allclose(result.place("carina"), [0, 0, 0.042], atol=1e-6)
+    assert np.allclose(result.position("carina"), [0, 0, 0.042], atol=1e-6)
     robot = str(ROOT / "configs" / "robots" / "crl_ctr.yaml")
     plan = {"kind": "plan", "robot": robot, "anatomy": "anatomy.yaml", "tip_at": "carina"}
     study = check(PlanStudy, plan, tmp_path / "plan.yaml")
@@ -237,7 +237,7 @@ def test_a_case_of_one_image_per_structure_is_that_of_all_its_labels(tmp_path: P
     assert result.target is not None
     assert expected.target is not None
     assert len(result.target) == len(expected.target)
-    assert np.allclose(result.place("target1"), expected.landmarks["carina"], atol=1e-6)
+    assert np.allclose(result.position("target1"), expected.landmarks["carina"], atol=1e-6)
     case["structures"] = [{"file": "tissue.nii.gz"}]
     (tmp_path / "case.yaml").write_text(yaml.safe_dump({"anatomy": case}))
     (barred,) = load_anatomy(tmp_path / "case.yaml").bodies

@@ -216,7 +216,7 @@ def test_moments_of_tubes_beside_the_centreline_change_as_a_quotient() -> None:
     k = DerivativeBounds(*(np.full((1, 1), each) for each in (1.0, fall, fall, fall)))
     flat = np.zeros((1, 1, 2, 2))
     bounds = bare(
-        pull=still,
+        natural_curvature=still,
         pairing=DerivativeBounds(flat + pairs, flat, flat, flat),
         offset=np.array([0.01]),
         zero=np.zeros((1, 1, 2)),

@@ -105,7 +105,7 @@ def test_a_tube_beside_the_centreline_is_softer_where_the_arm_bends_away_from_it
     """k = kb / (1 + d u . a) of one tube, whose moment bends the arm to d u = share at most, against a."""
     kb, offset = 3.0, 0.01
     rows = np.zeros((4, 1, 2))
-    bounds: Any = SimpleNamespace(pull=rows + kb * share / offset * (1 - share), bending=rows + kb)
+    bounds: Any = SimpleNamespace(moment=rows + kb * share / offset * (1 - share), bending=rows + kb)
     direction = np.array([[0.6, 0.8]]) * offset
     constants = Constants(NONE, bounds, np.array([offset]), direction, np.ones(1))  # type: ignore[arg-type]
     found = CurvatureBounds.of(constants, np.zeros(1, dtype=int))
@@ -136,7 +136,7 @@ def varying(move: Array) -> tuple[Constants, Callable[[float], tuple[Array, Arra
         bending=table(kb, *(kb * p**k for k in (1, 2, 3))),
         torsional=table(1 / compliance)[0],
         compliance=table(*(compliance * q**k for k in (1, 2, 3))),
-        pull=table(*(a * r**k for k in range(4))),
+        moment=table(*(a * r**k for k in range(4))),
         twist=table(*(twist * w**k for k in range(3))),
         stiffest=table(kb, 1 / compliance),
     )
@@ -154,7 +154,7 @@ def test_what_moving_along_tubes_that_vary_adds_has_their_derivatives() -> None:
     transport = TransportBounds.of(constants, move, np.zeros(2, dtype=int))
     length = 1 - np.eye(2)
     for jet, function in (
-        (transport.pulls, lambda t: at(t)[0] / at(t)[1].sum()),
+        (transport.natural_curvature, lambda t: at(t)[0] / at(t)[1].sum()),
         (transport.pairs, lambda t: at(t)[0][:, None] * at(t)[0] / at(t)[1].sum() * length),
         (transport.bending_compliance, lambda t: 1 / at(t)[1].sum()),
         (transport.compliance, lambda t: at(t)[2]),
@@ -180,7 +180,7 @@ def test_bounds_of_several_stretches_hold_in_each_of_them(order: list[int]) -> N
     constants, _ = varying(np.ones(2))
     bounds, stretches = constants.bounds, [np.full(2, k) for k in order]
     for table, change in (
-        (bounds.pull, 3.0),
+        (bounds.moment, 3.0),
         (bounds.bending, 0.5),
         (bounds.torsional, 0.25),
         (bounds.compliance, 2.0),
@@ -194,7 +194,7 @@ def test_bounds_of_several_stretches_hold_in_each_of_them(order: list[int]) -> N
     assert bending.stiffness == pytest.approx(0.5 * 3.5)
     assert transport.compliance.v == pytest.approx(4 * np.array([0.3, 0.8]))
     assert transport.compliance.d == pytest.approx(2 * np.array([0.3 * 0.7, 0.8 * 1.3]))
-    for rates in (bounds.bending[1:], bounds.pull[1:], bounds.twist[1:], bounds.compliance):
+    for rates in (bounds.bending[1:], bounds.moment[1:], bounds.twist[1:], bounds.compliance):
         rates[...] = 0.0
     still = TransportBounds.of(replace(constants), np.ones(2), *stretches)
     assert still.still

@@ -34,10 +34,10 @@ def test_places_lie_in_the_region_and_point_into_the_cone() -> None:
     assert np.median(1 - z[:, 2]) == pytest.approx((1 - np.cos(0.3)) / 2, rel=0.05)
     box = np.array([f.origin for f in EntryRegion(box=(1e-3, 0.0, 2e-3)).frames(64)])
     assert (np.abs(box).max(0) <= [1e-3, 0, 2e-3]).all()
-    two = EntryRegion(places=np.array([[0, 0, 1e-3], [0, 0, 2e-3]]), cone=0.2).frames(8)
+    two = EntryRegion(positions=np.array([[0, 0, 1e-3], [0, 0, 2e-3]]), cone=0.2).frames(8)
     assert {f.origin[2] for f in two} == {1e-3, 2e-3}
     assert [f.axes[2, 2] for f in two[:2]] == [1.0, 1.0]
-    assert len(EntryRegion(places=np.eye(3)).frames(2)) == 3, "each of them, however few are asked for"
+    assert len(EntryRegion(positions=np.eye(3)).frames(2)) == 3, "each of them, however few are asked for"
     with pytest.raises(InputError, match="entry has 1000000 base poses to check; it must have at most 16384"):
         region.frames(10**6)
 
@@ -71,7 +71,7 @@ def test_a_plate_that_is_blocked_is_moved_and_all_holds_where_it_was_said() -> N
         ({"cone": 2.0}, "cone of the entry is 114.592 deg"),
         ({"radius": -1.0}, "radius of the entry is -1"),
         ({"box": (1e-3, 0.0)}, "must be 3 numbers"),
-        ({"places": np.zeros((0, 3))}, "places of the entry"),
+        ({"positions": np.zeros((0, 3))}, "positions of the entry"),
     ],
 )
 def test_what_is_no_region_is_refused(given: dict[str, Any], message: str) -> None:

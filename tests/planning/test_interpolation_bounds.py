@@ -69,7 +69,7 @@ def stub(offset: float, still: bool, h: float, *, wide: bool = False) -> Any:
     constants = SimpleNamespace(
         offset=np.full(2, offset),
         still=still,
-        bounds=SimpleNamespace(torsional=torsional, pull=[np.array(k) for k in (0.9, 0.5, 0.4, 0.1)], twist=[0.31]),
+        bounds=SimpleNamespace(torsional=torsional, moment=[np.array(k) for k in (0.9, 0.5, 0.4, 0.1)], twist=[0.31]),
         smallest=lambda table, *_: np.full((1, 2), 3.0),
         largest=lambda table, *_: np.full((1, 2), table),
     )
@@ -102,7 +102,7 @@ def drift_of(still: bool) -> Any:
         twist_slope=jet(*WOUND),
         moment=lambda pair, bow: (np.full((1, 2), DRIFTED), None),
         bend=lambda turn, bow: (FIRST, SECOND),
-        pulls=jet(0.45, 0.25, 0.2),
+        natural_curvature=jet(0.45, 0.25, 0.2),
         bending_compliance=DerivativeBounds(np.full(1, 0.5), np.full(1, 0.15), np.full(1, 0.11)),
     )
 
@@ -174,7 +174,7 @@ FORCE, ALONG, LEVER, COUPLE = 0.8, 0.33, 0.7, 0.21
 
 def loaded_stub(h: float, *, wide: bool = False) -> Any:
     result = stub(0.0, False, h, wide=wide)
-    result.pull = SimpleNamespace(per_length=(ALONG, COUPLE))
+    result.load = SimpleNamespace(per_length=(ALONG, COUPLE))
     result._felt = np.array([[0.3, 0.4, 0.0, 0, 0, 0]] * 2), np.array([[0.0, 0.0, FORCE, 0, 0, 0]] * 2)
     result.ends, result._lever = np.array([[1.0, 1.0]]), np.array([LEVER])
     result.torque = np.array([[0.2, 0.45], [0.45, 0.1]])

@@ -31,7 +31,7 @@ from tubeopt.planning.loaded_branch import (
     _TimeDerivatives,
     loaded_branch,
 )
-from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
+from tubeopt.planning.loaded_sections import DeadLoad, LoadedArms, LoadedIntervals
 from tubeopt.planning.sections import PARTS, Constants, DerivativeBounds, Intervals
 from tubeopt.robots.load import PointLoad, Stretch
 from tubeopt.typing import Array
@@ -111,7 +111,7 @@ def bounds_of(g: SimpleNamespace) -> Any:
         length=g.h.jet,
         spring=g.spring.jet,
         force=g.force.jet,
-        pull=g.pull.jet,
+        natural_curvature=g.pull.jet,
         slope=g.pull.jet.v,
         pairing=g.pairing.jet,
         pairs=g.pairing.jet.v,
@@ -461,7 +461,7 @@ def test_the_second_variation_curves_as_the_products_of_what_it_is_made_of() -> 
         weight=(y[None], both[None]),
         swing=swing[None],
         pairing=DerivativeBounds(pairs[None], none.d, none.d, none.d),
-        pull=DerivativeBounds(slope[None], none.d, none.d, none.d),
+        natural_curvature=DerivativeBounds(slope[None], none.d, none.d, none.d),
         chord=SimpleNamespace(theta=theta.jet, pair=pair.jet, tangent=tangent.jet, moment=moment.jet),
         intervals=SimpleNamespace(length=(first[None], h.table[0][None])),
         couple=couple.jet,
@@ -588,7 +588,7 @@ def test_a_point_of_loaded_arms_is_off_its_chord_by_the_sum_of_what_turns_and_le
 def loaded(load: Load) -> tuple[LoadedIntervals, _Bounds]:
     """Those of an arm with transmissions that stays where it is."""
     arm = forward_kinematics(STEPPED, [0.3, 0.1], [-0.02, -0.01], load=load)
-    arms = LoadedArms.of(Constants.of(STEPPED), [arm, arm], pull=Pull.of(STEPPED, load))
+    arms = LoadedArms.of(Constants.of(STEPPED), [arm, arm], load=DeadLoad.of(STEPPED, load))
     intervals = LoadedIntervals.of(arms, np.array([0]), np.array([1]))
     return intervals, _Bounds(intervals)
 
@@ -658,7 +658,7 @@ def test_torques_and_moments_between_points_are_those_of_statics() -> None:
     along = Stretch(0.0, 0.05, (0.0, 2.0, 0.0), (0.02, 0.0, 0.05))
     load = Load(force=(0.05, 0.1, 0.2), moment=(1e-3, 2e-3, 3e-3), points=(point,), distributed=(along,))
     arm = forward_kinematics(robot, [0.3, 1.5], [0.0, -0.003], load=load)
-    arms = LoadedArms.of(Constants.of(robot), [arm], pull=Pull.of(robot, load))
+    arms = LoadedArms.of(Constants.of(robot), [arm], load=DeadLoad.of(robot, load))
     s = (arm.arc_length[1:] + arm.arc_length[:-1])[np.diff(arm.arc_length) > 1e-6] / 2
     positions, step = np.zeros(len(s), dtype=int), 1e-6
     current, before, after = (arms.points(positions, s + d * step) for d in (0, -1, 1))
@@ -739,7 +739,7 @@ def test_forces_and_levers_are_the_most_of_both_ends_of_a_section_and_of_the_tim
     load = Load(force=(0.01, 0.0, 0.0), distributed=(per_length, 0.0, 0.0))
     robot = nested((0.0, 0.05, 0.0), (0.0, 0.03, 0.0))
     arms = [forward_kinematics(robot, [0.0, 0.0], shift, load=load) for shift in ([-0.01, -0.01], [-0.008, -0.009])]
-    table = LoadedArms.of(Constants.of(robot), arms, pull=Pull.of(robot, load))
+    table = LoadedArms.of(Constants.of(robot), arms, load=DeadLoad.of(robot, load))
     intervals = LoadedIntervals.of(table, np.array([0]), np.array([1]))
     for k in range(intervals.length[0].shape[1]):
         sizes = [
@@ -757,7 +757,7 @@ def test_forces_and_levers_are_the_most_of_both_ends_of_a_section_and_of_the_tim
     straight = intervals.lever / intervals.bending.stiffness
     assert intervals.bending.max_u == pytest.approx(straight)
     along, weight = np.array([[0.0, 3.0, 4.0, 0.1, 0.0, 0.0], [1.0, 0, 0, 0, 0.2, 0]]), np.diag([0.0, 1.5, 2.0])
-    hanging = Pull(np.array([np.inf]), np.zeros((1, 6)), np.zeros((2, 2)), along, weight)
+    hanging = DeadLoad(np.array([np.inf]), np.zeros((1, 6)), np.zeros((2, 2)), along, weight)
     assert hanging.per_length == pytest.approx((5.0 + 1.0 + 1.5 + 2.0, 0.1 + 0.2))
 
 
@@ -765,9 +765,9 @@ def test_moments_that_cancel_along_a_section_are_the_most_at_its_ends() -> None:
     """M on the tip against 30 M / m along the arm: from less than M the other side at the plate, through 0, to M."""
     moment, robot = 1e-3, nested((0.04, 0.05, 0.0))
     along = Stretch(0.0, 0.06, moment=(-30 * moment, 0.0, 0.0))
-    pull = Pull.of(robot, Load(moment=(moment, 0.0, 0.0), distributed=(along,)))
+    pull = DeadLoad.of(robot, Load(moment=(moment, 0.0, 0.0), distributed=(along,)))
     arms = [forward_kinematics(robot, [0.0], [shift]) for shift in (0.0, 0.002)]
-    intervals = LoadedIntervals.of(LoadedArms.of(Constants.of(robot), arms, pull=pull), np.array([0]), np.array([1]))
+    intervals = LoadedIntervals.of(LoadedArms.of(Constants.of(robot), arms, load=pull), np.array([0]), np.array([1]))
     ends = [moment * (1 - 30 * (cuts[0, -1] - cuts[0])) for cuts in (intervals.start_cuts, intervals.end_cuts)]
     for k in range(intervals.length[0].shape[1]):
         largest = max(abs(end[at]) for end in ends for at in (k, k + 1))
@@ -784,9 +784,9 @@ def test_moments_twist_the_outermost_tube_by_their_whole_size_where_they_act() -
     at, moment = np.array([0.0, 0.01, 0.01, 0.03, 0.04, 0.07]), np.array([3.0, 0.0, 4.0])
     points = tuple(PointLoad(position, moment=tuple((k + 1) * moment)) for k, position in enumerate(at.tolist()))
     along = Stretch(0.005, 0.035, moment=(0.0, 0.3, 0.4))
-    pull = Pull.of(robot, Load(moment=tuple(10 * moment), distributed=(along,), points=points))
+    pull = DeadLoad.of(robot, Load(moment=tuple(10 * moment), distributed=(along,), points=points))
     arm = forward_kinematics(robot, [0.0, 0.0], [0.0, 0.0])
-    intervals = LoadedIntervals.of(LoadedArms.of(Constants.of(robot), [arm, arm], pull=pull), *np.array([[0], [1]]))
+    intervals = LoadedIntervals.of(LoadedArms.of(Constants.of(robot), [arm, arm], load=pull), *np.array([[0], [1]]))
     ends, per_length = intervals.twisting
     long = intervals.length[0][0] > 1e-9
     results = dict(zip(np.round(intervals.start_cuts[0, 1:][long], 9).tolist(), ends[0, long].tolist(), strict=True))
@@ -804,9 +804,9 @@ def test_what_is_ahead_of_a_place_that_moves_through_a_load_changes_there() -> N
     """An outer tube ends 2 mm farther on a stretch of load, which begins before: no change there, and 2 mm here."""
     robot = nested((0.04, 0.05, 0.0), (0.02, 0.03, 0.0))
     along = Stretch(0.01, 0.02, force=(0.3, 0.0, 0.0), moment=(0.0, 0.2, 0.0))
-    pull = Pull.of(robot, Load(distributed=(along,)))
+    pull = DeadLoad.of(robot, Load(distributed=(along,)))
     arms = [forward_kinematics(robot, [0.0, 0.0], [0.0, shift]) for shift in (-0.018, -0.016)]
-    intervals = LoadedIntervals.of(LoadedArms.of(Constants.of(robot), arms, pull=pull), np.array([0]), np.array([1]))
+    intervals = LoadedIntervals.of(LoadedArms.of(Constants.of(robot), arms, load=pull), np.array([0]), np.array([1]))
     k = int(
         np.argmax(np.isclose(intervals.start_cuts[0], 0.01) & np.isclose(np.roll(intervals.start_cuts[0], -1), 0.012))
     )
@@ -833,7 +833,7 @@ def test_no_branch_is_sought_where_a_moment_passes_from_one_tube_to_another(
     robot = nested((0.04, 0.05, 4.0), (0.02, 0.03, 3.0))
     shifts = [-0.02, 0.0], [-0.02 - inwards, 0.0]
     arms = [forward_kinematics(robot, [0.0, 0.0], shift, load=load) for shift in shifts]
-    table = LoadedArms.of(Constants.of(robot), arms, pull=Pull.of(robot, load))
+    table = LoadedArms.of(Constants.of(robot), arms, load=DeadLoad.of(robot, load))
     ends = np.array([0]), np.array([1])
     assert Intervals.of(table, *ends).ordered.all()
     assert LoadedIntervals.of(table, *ends).ordered.item() == ordered
@@ -848,7 +848,7 @@ def test_no_branch_of_loaded_arms_is_shown_where_a_part_of_the_proof_is_missing(
 ) -> None:
     load = Load(force=(1e-3, 0.0, 0.0))
     arms = [forward_kinematics(STEPPED, [angle, 0.1], [-0.02, -0.01], load=load) for angle in (0.3, 0.301)]
-    table = LoadedArms.of(Constants.of(STEPPED), arms, pull=Pull.of(STEPPED, load))
+    table = LoadedArms.of(Constants.of(STEPPED), arms, load=DeadLoad.of(STEPPED, load))
     intervals, margins = LoadedIntervals.of(table, np.array([0]), np.array([1])), np.ones(2)
     assert loaded_branch(intervals, margins).unbroken.all()
     if lost.startswith("margin"):
@@ -871,14 +871,14 @@ def test_the_moment_of_all_that_acts_to_one_side_of_a_straight_arm_is_its_lever(
     def both(parts: Array) -> Array:
         return np.array([parts[0], 0.0, 0.0, 0.0, parts[1], 0.0])
 
-    pull = Pull(
+    pull = DeadLoad(
         at=np.array([at, np.inf]),
         points=np.stack([both(point), both(tip)]),
         stretches=np.array([[start, end]]),
         along=both(along)[None],
         weight=np.array([[4.0, 0.0, 0.0]]),
     )
-    arms = SimpleNamespace(ends=np.array([[length]]), pull=pull)
+    arms = SimpleNamespace(ends=np.array([[length]]), load=pull)
     true = length * tip[0] + tip[1] + at * point[0] + point[1] + along[0] * (end**2 - start**2) / 2
     true += along[1] * (end - start) + 4.0 * length**2 / 2
     assert vars(LoadedArms)["_lever"].func(arms) == pytest.approx([true])

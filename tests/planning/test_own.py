@@ -22,7 +22,7 @@ class Height(CustomObjective):
 
     weight: float = 1.0
     what: str = "tip_position"
-    words, unit, factor = "height of the tip", "mm", 1e3
+    description, unit, factor = "height of the tip", "mm", 1e3
 
     def expression(self, q: Quantities) -> Any:
         part = getattr(q.poses[0], self.what)

@@ -23,7 +23,7 @@ from tubeopt.bodies.obstacles import Sphere
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.planning.branch import ProvedBranch, branch
 from tubeopt.planning.loaded_branch import loaded_branch
-from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
+from tubeopt.planning.loaded_sections import DeadLoad, LoadedArms, LoadedIntervals
 from tubeopt.planning.sections import Constants, Intervals, SolvedArms
 from tubeopt.robots.lengthwise import lengthwise, variation
 from tubeopt.workspaces import snapping_loss
@@ -141,7 +141,7 @@ def between(chain: list[Equilibrium], load: Load | None) -> tuple[SolvedArms, In
         arms = SolvedArms.of(constants, chain)
         intervals = Intervals.of(arms, *ends)
         return arms, intervals, branch(intervals, margins)
-    loaded = LoadedArms.of(constants, chain, pull=Pull.of(chain[0].robot, load))
+    loaded = LoadedArms.of(constants, chain, load=DeadLoad.of(chain[0].robot, load))
     pair = LoadedIntervals.of(loaded, *ends)
     return loaded, pair, loaded_branch(pair, margins)
 
@@ -161,7 +161,7 @@ def test_bounds_of_what_varies_hold() -> None:
             for true, largest in (
                 (kb, np.array([-1, *bounds.bending[1:, i, c + 1]])),
                 (1 / kt, np.array([1 / bounds.torsional[i, c + 1], *bounds.compliance[:, i, c + 1]])),
-                (kb * (x + 1j * y), bounds.pull[:, i, c + 1]),
+                (kb * (x + 1j * y), bounds.moment[:, i, c + 1]),
                 (z, bounds.twist[:, i, c + 1]),
             ):
                 size = np.abs(true).max()

@@ -15,8 +15,8 @@ from tubeopt.bodies.frames import base_frame
 from tubeopt.bodies.obstacles import Sphere, scene_of
 from tubeopt.inverse.clock import Clock
 from tubeopt.planning import arms as several_arms
-from tubeopt.planning import branch, loaded_branch, reach_share, trajectory_trace
-from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
+from tubeopt.planning import branch, loaded_branch, reach_fraction, trajectory_trace
+from tubeopt.planning.loaded_sections import DeadLoad, LoadedArms, LoadedIntervals
 from tubeopt.planning.sections import PARTS, Constants, DerivativeBounds, Intervals, SolvedArms, linear
 from tubeopt.planning.trajectory_trace import Cells, ClearanceTarget, Sizes, clearance_bounds
 from tubeopt.robots.robot import Robot
@@ -105,7 +105,7 @@ def test_the_gradient_along_the_chord_of_two_tubes_is_that_of_the_sine_of_their_
     one, other = inner.bending_stiffness, outer.bending_stiffness
     coupling = one * other / (one + other) * curvature**2
     chain = [forward_kinematics(robot, [angle, 0.0], load=Load()) for angle in np.pi / 2 + np.array([-turn, turn]) / 2]
-    arms = LoadedArms.of(Constants.of(robot), chain, pull=Pull.of(robot, Load()))
+    arms = LoadedArms.of(Constants.of(robot), chain, load=DeadLoad.of(robot, Load()))
     intervals = LoadedIntervals.of(arms, np.array([0]), np.array([1]))
     result = loaded_branch._Bounds(intervals).gradient().item()
     off = coupling * (1 - np.cos(turn / 2))
@@ -480,8 +480,8 @@ def test_pieces_of_arms_at_rest_that_cross_in_their_middle_are_as_far_apart_as_t
     x, y, z = np.eye(3)
     one, other = np.array([-0.2 * x, 0.2 * x]), np.array([z - 0.3 * y, z + 0.3 * y])
     thick = np.array([0.05, 0.05]), np.array([0.03, 0.03])
-    result = reach_share._apart(
-        reach_share._Arm(one, thick[0], 0.4**2, 0.001), reach_share._Arm(other, thick[1], 0.6**2, 0.002)
+    result = reach_fraction._apart(
+        reach_fraction._Arm(one, thick[0], 0.4**2, 0.001), reach_fraction._Arm(other, thick[1], 0.6**2, 0.002)
     )
     assert result == pytest.approx(1 - 0.08 - 0.003)
 
@@ -490,11 +490,11 @@ def test_an_arm_at_rest_is_as_thick_as_at_the_nearer_point_and_bends_off_its_pie
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """An arc that a tube leaves half-way: 11 points, of pieces of a tenth."""
-    monkeypatch.setattr(reach_share, "REST_POINTS", 11)
+    monkeypatch.setattr(reach_fraction, "REST_POINTS", 11)
     robot, curvature, length, count = nested((0.0, 0.08, 5.0), (0.0, 0.043, 5.0)), 5.0, 0.08, 11
     arm = forward_kinematics(robot, [0.0, 0.0])
     result: Any = SimpleNamespace(reached=np.array([True]), arm=lambda robot, k: arm)
-    line, thick, square, bow = reach_share._at_rest(robot, result, base_frame([0, 0, 0], [0, 0, 1]))[0]
+    line, thick, square, bow = reach_fraction._at_rest(robot, result, base_frame([0, 0, 0], [0, 0, 1]))[0]
     assert len(line) == count
     assert square == pytest.approx((length / 10) ** 2)
     sagitta = (1 - np.cos(curvature * length / 20)) / curvature

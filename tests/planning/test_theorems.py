@@ -147,28 +147,28 @@ def test_the_guard_makes_no_step_towards_a_body() -> None:
     ball = Sphere(tuple(reached.tolist()), 1e-3)
     options = ServoOptions(clearance=2e-3)
     guard, free = (Guard(THESIS, (start, None), None, bodies, options) for bodies in ([ball], []))
-    requested = np.zeros(len(guard.here.q))
+    requested = np.zeros(len(guard.posture.q))
     requested[0] = 2 * DEG
     for _ in range(12):
         free.go(requested, Why(0), 1e-3)
         _, why = guard.go(requested, Why(0), 1e-3)
     assert Why.HELD in why
     radius = 1e-3 + THESIS.tubes[0].outer_diameter / 2
-    gap = np.linalg.norm(guard.here.tip - reached) - radius
+    gap = np.linalg.norm(guard.posture.tip - reached) - radius
     assert gap >= 2e-3 - 1e-6
-    assert np.linalg.norm(free.here.tip - reached) - radius < 0
+    assert np.linalg.norm(free.posture.tip - reached) - radius < 0
 
 
 def test_the_guard_keeps_the_floor_of_the_margin() -> None:
     """A turn of the inner tube towards the snap, asked for again and again."""
     floor = 0.5
     guard = Guard(THESIS, (np.zeros(3), None), None, [], ServoOptions(min_margin=floor))
-    requested = np.zeros(len(guard.here.q))
+    requested = np.zeros(len(guard.posture.q))
     requested[0] = 4 * DEG
     for _ in range(60):
         _, why = guard.go(requested, Why(0), 1e-3)
     assert Why.HELD in why
-    assert floor <= guard.here.margin < floor + 0.05
+    assert floor <= guard.posture.margin < floor + 0.05
 
 
 def test_the_guard_begins_within_the_ranges_and_the_margin() -> None:

@@ -37,7 +37,7 @@ from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.posture import posture_of
-from tubeopt.inverse.search import Wall, pocket, wall
+from tubeopt.inverse.search import Obstruction, find_obstruction, pocket
 from tubeopt.inverse.task import Task, TipCoordinates
 from tubeopt.planning import plan
 from tubeopt.planning.goals import least_miss, path_around, step_constraints
@@ -289,12 +289,14 @@ def test_a_turn_that_must_snap_is_told_at_once() -> None:
 
 
 def test_of_several_goals_all_must_be_proved_to_be_out_of_reach(monkeypatch: pytest.MonkeyPatch) -> None:
-    likely, sure = Wall("most states", False), Wall("every state", True)
+    likely, sure = Obstruction("most states", False), Obstruction("every state", True)
     z = np.zeros(6)
     for pair, report in (((likely, sure), likely), ((sure, likely), likely), ((sure, sure), sure)):
-        walls = iter(pair)
-        monkeypatch.setattr(search, "_walls", lambda *_, walls=walls: [next(walls)])
-        assert wall(Task(TipCoordinates(joint_space(THESIS)), (), 0.05, 0.0), z, [z, z], Clock(1.0)) is report
+        reports = iter(pair)
+        monkeypatch.setattr(search, "_obstructions", lambda *_, reports=reports: [next(reports)])
+        assert (
+            find_obstruction(Task(TipCoordinates(joint_space(THESIS)), (), 0.05, 0.0), z, [z, z], Clock(1.0)) is report
+        )
 
 
 def test_no_more_is_said_of_a_goal_than_is_known_of_its_equilibria(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -28,7 +28,7 @@ from tubeopt.bodies.obstacles import Sphere, scene_of
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.planning.loaded_branch import CHORD_ERROR, _Bounds, _Displacement, loaded_branch
-from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
+from tubeopt.planning.loaded_sections import DeadLoad, LoadedArms, LoadedIntervals
 from tubeopt.planning.sections import PARTS, SHAPE_ERROR, Constants
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
@@ -40,7 +40,7 @@ EVERYTHING = Load(force=(0.01, -0.02, 0.005), gravity=(0, 3.0, -9.81), distribut
 
 def intervals_of(chain: list[Equilibrium], load: Load) -> tuple[LoadedIntervals, Array]:
     robot = chain[0].robot
-    arms = LoadedArms.of(Constants.of(robot), chain, pull=Pull.of(robot, load))
+    arms = LoadedArms.of(Constants.of(robot), chain, load=DeadLoad.of(robot, load))
     one = np.arange(len(chain) - 1)
     return LoadedIntervals.of(arms, one, one + 1), np.array([min(e.margin, 1.0) for e in chain])
 
@@ -60,7 +60,7 @@ def test_arms_between_two_loaded_equilibria_are_where_the_bound_says(robot: Robo
     intervals, margins = intervals_of(chain[::2], load)
     result = loaded_branch(intervals, margins)
     assert result.unbroken.all()
-    inside = LoadedArms.of(intervals.arms.constants, chain[1::2], pull=intervals.arms.pull)
+    inside = LoadedArms.of(intervals.arms.constants, chain[1::2], load=intervals.arms.load)
     for k in range(count):
         for section in np.flatnonzero(intervals.length[0][k] > 0):
             x = np.linspace(0, 1, 9)
@@ -219,7 +219,7 @@ def test_the_error_between_points_of_a_loaded_rod_is_bounded_by_its_third_deriva
     """Its square is |u|^4 + |u'|^2, by differences of the arm as it is solved for."""
     robot = ConcentricRobot((Tube(1e-3, 0.8e-3, 0.0, 0.1, curvature),))
     arm = forward_kinematics(robot, [0.0], load=SIDEWAYS)
-    arms = LoadedArms.of(Constants.of(robot), [arm], pull=Pull.of(robot, SIDEWAYS))
+    arms = LoadedArms.of(Constants.of(robot), [arm], load=DeadLoad.of(robot, SIDEWAYS))
     s, size = arm.arc_length, np.linalg.norm(arm.curvature, axis=1)
     slope = np.linalg.norm(np.diff(arm.curvature, axis=0), axis=1) / np.diff(s)
     third = np.hypot((size[1:] + size[:-1]) ** 2 / 4, slope)
@@ -352,7 +352,9 @@ def test_the_moment_of_the_load_is_no_larger_than_its_lever_on_a_straight_arm() 
     """|m_w| <= L |F| + L^2 / 2 |w|: a straight arm that a force and a load per length push across reaches it."""
     robot = ConcentricRobot((Tube(1e-3, 0.8e-3, 0.0, 0.1, 0.0),))
     load = Load(force=(1e-5, 0.0, 0.0), distributed=(2e-4, 0.0, 0.0))
-    arms = LoadedArms.of(Constants.of(robot), [forward_kinematics(robot, [0.0], load=load)], pull=Pull.of(robot, load))
+    arms = LoadedArms.of(
+        Constants.of(robot), [forward_kinematics(robot, [0.0], load=load)], load=DeadLoad.of(robot, load)
+    )
     true = float(np.linalg.norm(arms.moment, axis=1).max())
     assert true == pytest.approx(0.1 * 1e-5 + 0.1**2 / 2 * 2e-4, rel=1e-4)
     assert 0.999 * arms._lever[0] <= true <= arms._lever[0] * (1 + 1e-6)
@@ -361,9 +363,9 @@ def test_the_moment_of_the_load_is_no_larger_than_its_lever_on_a_straight_arm() 
 def test_bending_stiffness_is_the_sum_of_the_tubes_that_are_there() -> None:
     """K, N m^2, from the base to the tip, along which tubes end."""
     arm = forward_kinematics(THESIS, np.zeros(3), HOME, load=SIDEWAYS)
-    arms = LoadedArms.of(Constants.of(THESIS), [arm], pull=Pull.of(THESIS, SIDEWAYS))
+    arms = LoadedArms.of(Constants.of(THESIS), [arm], load=DeadLoad.of(THESIS, SIDEWAYS))
     each = np.array([tube.bending_stiffness for tube in THESIS.tubes])
-    _, stiffness = arms._pulls(arms._values[0])
+    _, stiffness = arms._moments(arms._values[0])
     inside = np.abs(arms.arc_length[:, None] - arms.ends[0]).min(1) > 1e-5
     true = (each * (arms.arc_length[:, None] < arms.ends[0])).sum(1)
     np.testing.assert_allclose(stiffness[inside], true[inside], rtol=1e-9)

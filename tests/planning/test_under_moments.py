@@ -23,7 +23,7 @@ from tubeopt.block.transcription.loaded import monotonicity
 from tubeopt.equilibrium.kinematics import point_of, sure_margin
 from tubeopt.planning import trajectory_trace
 from tubeopt.planning.loaded_branch import CHORD_ERROR, _Bounds, _Displacement, loaded_branch
-from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
+from tubeopt.planning.loaded_sections import DeadLoad, LoadedArms, LoadedIntervals
 from tubeopt.planning.sections import Constants
 
 HOME = THESIS.home_translations
@@ -40,7 +40,7 @@ def intervals_of(*arms: Equilibrium) -> LoadedIntervals:
     """Those between neighbours in a row of equilibria."""
     robot, load = arms[0].robot, arms[0].load
     assert load is not None
-    row = LoadedArms.of(Constants.of(robot), arms, pull=Pull.of(robot, load))
+    row = LoadedArms.of(Constants.of(robot), arms, load=DeadLoad.of(robot, load))
     one = np.arange(len(arms) - 1)
     return LoadedIntervals.of(row, one, one + 1)
 

@@ -72,11 +72,11 @@ def test_limits_move_home_and_a_robot_that_has_nothing_in_order_has_the_home_of_
 def test_the_tip_is_the_tube_that_ends_farthest(
     robot: Robot, translations: tuple[float, ...], tip: int, words: str
 ) -> None:
-    from tubeopt.show.formatting import tip_in_words, tip_number
+    from tubeopt.show.formatting import tip_number, tip_text
 
     e = tubeopt.forward_kinematics(robot, np.zeros(robot.n_tubes), translations)
     assert tip_number(e) == tip
-    assert tip_in_words(robot, e.tube_end) == words
+    assert tip_text(robot, e.tube_end) == words
     assert ("the tip is the end of tube" in caption(e)) is bool(words)
     # The arm ends where that tube does.
     assert e.tube_end[tip - 1] == pytest.approx(e.arc_length[-1], abs=1e-12)

@@ -54,6 +54,6 @@ def test_bounds_of_cells_hold_a_little_beyond_them_and_behind_the_end() -> None:
     assert result.stiffest[1, 0, inner] == pytest.approx([kt(s + BEYOND) for s in cells[inner]], rel=1e-10)
     assert result.torsional[0, -2] == pytest.approx(2 * start, rel=1e-6)
     assert result.torsional[:, -1] == pytest.approx(result.torsional[:, -2])
-    assert not any(result.__dict__[name][..., -1].any() for name in ("bending", "compliance", "pull", "twist"))
+    assert not any(result.__dict__[name][..., -1].any() for name in ("bending", "compliance", "moment", "twist"))
     assert (np.diff(result.cuts[1])[1:] == 0).all()
-    assert result.pull[0, 1, 1:-1] == pytest.approx(even.bending_stiffness * even.curvature)
+    assert result.moment[0, 1, 1:-1] == pytest.approx(even.bending_stiffness * even.curvature)

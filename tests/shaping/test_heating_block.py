@@ -170,7 +170,7 @@ class CoolClamps(CustomRequirement):
     """Clamps below a limit, K."""
 
     limit: float
-    words, unit, is_upper_bound, size = "clamp temperature", "K", True, 10.0
+    description, unit, is_upper_bound, size = "clamp temperature", "K", True, 10.0
 
     def expression(self, q: Any) -> Any:
         return self.limit - q.clamp_temperature
@@ -180,7 +180,7 @@ class CoolClamps(CustomRequirement):
 class Energy(CustomObjective):
     """Energy from the battery, with the weights of objective "energy"."""
 
-    words, weight = "energy", 1e-4
+    description, weight = "energy", 1e-4
 
     def expression(self, q: Any) -> Any:
         return 5 * q.energy + 100 * q.hold_start

@@ -101,7 +101,7 @@ class Spring:
 SPRING: tuple[Quantity[Spring], ...] = (
     Quantity("length_mm", "length", form=".1f"),
     Quantity("turns_deg", "turns", form=".0f"),
-    Quantity("stiffness", "stiffness in N/m", words="{stiffness:g} N/m, {length_mm:g} mm long"),
+    Quantity("stiffness", "stiffness in N/m", text="{stiffness:g} N/m, {length_mm:g} mm long"),
     line("energy", lambda spring: None if spring.mate is None else "shared"),
 )
 
@@ -157,7 +157,7 @@ def test_fields_that_a_list_does_not_name_follow_where_it_says_so() -> None:
 def test_a_field_of_a_part_has_the_marks_of_the_part() -> None:
     case = Case(Needle(0.25, 0.0))
     (length,) = described(Case, of_field(Case, "length", form=".0f"))
-    assert (length.value(case), length.text(case, {"length_mm": 250.0})) == (250.0, "250 mm")
+    assert (length.value(case), length.row_text(case, {"length_mm": 250.0})) == (250.0, "250 mm")
 
 
 def test_parts_are_described_by_lists_of_their_own() -> None:

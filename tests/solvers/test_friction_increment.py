@@ -34,7 +34,7 @@ def way(seed: int) -> tuple[ConcentricRobot, Array, Friction]:
 
 def poses(given: ConcentricRobot, rows: Array, rub: Friction) -> PredictedPoses:
     alpha, shift = np.hsplit(rows, 2)
-    return posing.rubbed_poses(given, (alpha, shift), np.array([0.0, 0.03]), [np.arange(len(rows))], rub)
+    return posing.poses_with_friction(given, (alpha, shift), np.array([0.0, 0.03]), [np.arange(len(rows))], rub)
 
 
 def test_no_step_is_too_long_or_changes_the_order_of_breakpoints() -> None:

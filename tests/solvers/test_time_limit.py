@@ -17,7 +17,7 @@ from tests.examples import THESIS
 from tubeopt import InputError, SolveError, design, shaping, validation, workspaces
 from tubeopt.errors import TimeLimitError
 from tubeopt.solvers.parallel import each
-from tubeopt.solvers.time_limit import LateError, check_time, limited, time_left, within
+from tubeopt.solvers.time_limit import OutOfTimeError, check_time, limited, time_left, within
 
 TINY = 1e-9
 """s; reached before anything is computed."""
@@ -106,7 +106,7 @@ def test_the_nearest_limit_counts_and_ends_who_set_it() -> None:
     assert outer(time_limit=5.0) <= 5
     with pytest.raises(TimeLimitError, match="outer reached"):
         outer(time_limit=TINY)
-    with within(TINY), pytest.raises(LateError):
+    with within(TINY), pytest.raises(OutOfTimeError):
         inner(time_limit=50.0)
     assert time_left() == math.inf
 
@@ -126,7 +126,7 @@ def test_a_sweep_keeps_what_was_done_by_its_limit(tmp_path: Path) -> None:
 
 
 def test_workers_keep_the_limit() -> None:
-    with pytest.raises(LateError), within(0.5):
+    with pytest.raises(OutOfTimeError), within(0.5):
         list(each(_endless, [1, 2], workers=2))
 
 

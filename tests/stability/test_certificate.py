@@ -181,7 +181,7 @@ def test_pair_section_and_share() -> None:
     certificate = certify(THESIS)
     assert certificate.pair == (0, 1)
     assert not certificate.snap_free
-    fraction = certificate.share
+    fraction = certificate.pair_fractions
     assert fraction == pytest.approx(fraction.T)
     assert np.triu(fraction).sum() == pytest.approx(1.0)
     assert certificate.section is not None

@@ -134,7 +134,7 @@ def test_two_tubes_of_pieces_take_the_whole_of_what_their_margin_lacks(name: str
     result = certify(robot)
     assert result.margin > convexity(robot, robot.home_translations) + 1e-2
     assert result.pair == (0, 1)
-    assert result.share[0, 1] == pytest.approx(1.0, abs=1e-9)
+    assert result.pair_fractions[0, 1] == pytest.approx(1.0, abs=1e-9)
 
 
 def test_pairs_that_can_oppose_each_other_all_along_have_the_certificate_of_pairs() -> None:

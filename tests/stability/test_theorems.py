@@ -64,7 +64,7 @@ def test_what_bends_and_twists_an_arm_is_summed_as_by_brute_force() -> None:
 
 def test_three_equal_tubes_share_what_takes_from_the_certificate() -> None:
     robot = EccentricRobot(Tube(1.2e-3, 1.0e-3, 0.0, 0.08, 12.0), transmission_length=0.05)
-    fraction = certify(robot).share
+    fraction = certify(robot).pair_fractions
     assert np.triu(fraction, 1).sum() == pytest.approx(1.0)
     assert np.diag(fraction).max() == 0
 

@@ -96,7 +96,7 @@ def test_one_recording_gives_what_a_list_of_it_gives() -> None:
 
 def test_slopes_of_all_recordings_have_the_shape_of_an_arrow() -> None:
     recordings = [session(seed, drives, 12) for seed, drives in enumerate(DRIVES)]
-    parameters = choose_parameters(robot(), recordings, NAMES, own=("latency", "rotation"))
+    parameters = choose_parameters(robot(), recordings, NAMES, per_recording=("latency", "rotation"))
     for shared in (False, True):
         model = Sessions(robot(), recordings, shared=shared).with_parameters(parameters)
         assert model.freedoms == (6 if shared else 18)
@@ -127,7 +127,7 @@ def test_a_registration_that_is_shared_is_one() -> None:
         )
         for read in (wide, small)
     ]  # fmt: skip
-    options = FitOptions(registration="rigid", folds=0, own=("latency",))
+    options = FitOptions(registration="rigid", folds=0, per_recording=("latency",))
     model = Sessions(robot(), recordings, shared=True)
     (part,) = model.start.registration.parts
     assert np.degrees(Rotation.from_matrix(part.rotation @ turn).magnitude()) < 6
@@ -143,7 +143,7 @@ def test_a_file_lists_recordings(tmp_path: Path, capsys: pytest.CaptureFixture[s
     names = "latency,rotation_2,curvature_2"
     command = ["validate", str(tmp_path / "robot.yaml"), str(tmp_path / "both.yaml"), "--fit", names, "--folds", "3"]
     with pytest.raises(SystemExit) as end:
-        main([*command, "--own", "registration,rotation", "--json"])
+        main([*command, "--per-recording", "registration,rotation", "--json"])
     record = json.loads(capsys.readouterr().out)
     assert end.value.code == 0
     assert [e["name"] for e in record["estimates"]] == ["latency", "rotation_2@1", "rotation_2@2", "curvature_2"]
@@ -166,7 +166,7 @@ def test_the_heated_shape_is_recovered_and_its_uncertainty_is_reported(tmp_path:
     true = replace(robot(), tubes=(ramped(inner, 4 * MM, 16 * MM), ramped(outer, 3 * MM, 10 * MM)))
     truth = {"dead_length_1": 4 * MM, "dead_length_2": 3 * MM, "fade_1": 16 * MM, "fade_2": 10 * MM, "curvature": 1.0}
     recordings = [session(seed, trivial(), 200, true) for seed in range(2)]
-    options = FitOptions(own=("registration",), folds=3)
+    options = FitOptions(per_recording=("registration",), folds=3)
     fitted = fit(robot(), recordings, ["dead_length_all", "fade_all", "curvature"], options)
     for e in fitted.estimates:
         assert e.value == pytest.approx(truth[e.name], abs=3 * e.standard_error)

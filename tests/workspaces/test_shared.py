@@ -32,14 +32,14 @@ def test_two_balls_share_a_lens() -> None:
     whole = 4 / 3 * np.pi * RADIUS**3
     assert result.volumes == pytest.approx(whole, rel=0.16)  # voxels on the surface count whole
     assert result.shared == pytest.approx(lens, rel=0.25)
-    assert result.share == pytest.approx(lens / whole, rel=0.12)
+    assert result.fraction == pytest.approx(lens / whole, rel=0.12)
     for x in (0, apart):
-        assert (np.linalg.norm(result.places - [x, 0, AHEAD], axis=1) < RADIUS + 2e-3).all()
+        assert (np.linalg.norm(result.positions - [x, 0, AHEAD], axis=1) < RADIUS + 2e-3).all()
 
 
 def test_a_pair_leans_until_both_reach_the_same() -> None:
     best = place_pair([ball(8000)] * 2, min_distance=0.03, max_distance=0.05, max_tilt=0.6)
-    assert best.share > 0.85
+    assert best.fraction > 0.85
     middles = [base.placed([0, 0, AHEAD]) for base in best.bases]
     assert np.linalg.norm(middles[0] - middles[1]) < 4e-3
     apart = np.linalg.norm(best.bases[0].origin - best.bases[1].origin)

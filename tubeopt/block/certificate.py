@@ -97,7 +97,9 @@ def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
     block.demand(f"{name}, inside", ca.vec(defect), upper=0.0, scale=inside, entries=labels)
     starts = [*(f"element {k + 1}" for k in range(elements)), "the plate"]
     labels = [
-        f"Jacobi field {c + 1}, row {i + 1}, where {place} begins" for place in starts for c, i in np.ndindex(n, n)
+        f"Jacobi field {c + 1}, row {i + 1}, where {section_name} begins"
+        for section_name in starts
+        for c, i in np.ndindex(n, n)
     ]
     block.demand(f"{name}, ahead", ca.vec(matrices - ca.horzcat(y, plate)), upper=0.0, entries=labels)
     det = functions.determinant_function(n)

@@ -13,7 +13,7 @@ from .quantities import Quantities
 class Custom(ABC):
     """Base of custom requirements and objectives; a subclass is a frozen dataclass of its data."""
 
-    words: str = ""
+    description: str = ""
     """Description of the quantity, for messages and tables."""
     unit: str = ""
     """Unit of the displayed value."""
@@ -27,8 +27,8 @@ class Custom(ABC):
     def checked(self) -> None:
         """Raise InputError for an empty description or a number out of range."""
         name = type(self).__name__
-        if not self.words:
-            raise InputError(f"words of {name} is {self.words!r}; it must be a description")
+        if not self.description:
+            raise InputError(f"description of {name} is {self.description!r}; it must not be empty")
         if finite(f"factor of {name}", self.factor) == 0:
             raise InputError(f"factor of {name} is 0; it must turn SI into the unit that is shown")
 
@@ -42,7 +42,7 @@ class CustomRequirement(Custom):
         >>> @dataclass(frozen=True)
         ... class Height(CustomRequirement):
         ...     limit: float
-        ...     words, unit, factor, size = "height of the tips", "mm", 1e3, 1e-3
+        ...     description, unit, factor, size = "height of the tips", "mm", 1e3, 1e-3
         ...
         ...     def expression(self, q):
         ...         return casadi.vertcat(*(pose.tip_position[2] for pose in q.poses)) - self.limit

@@ -133,7 +133,7 @@ def _unloaded_torsion(initial: InitialEquilibrium, start: Array, inside: Array) 
 def _loaded_torsion(initial: InitialEquilibrium, start: Array, inside: Array) -> StartValues:
     """Torsion of an equilibrium under load, interpolated between its shape points."""
     s = initial.arm.arc_length
-    theta, w = initial.arm.rotation - initial.robot.assembly(initial.translations).wound(s).T, initial.arm.torsion
+    theta, w = initial.arm.rotation - initial.robot.assembly(initial.translations).twist_angle(s).T, initial.arm.torsion
     if is_general(initial.robot):
         # The unknowns have no natural twist, and refer to the stiffness where a tube is clamped.
         w = np.gradient(theta, s, axis=1)
@@ -149,7 +149,7 @@ def bending_moment_of(initial: InitialEquilibrium, arc_length: Array) -> Array:
     assembly = initial.robot.assembly(initial.translations)
     known, at = initial.points, initial.points.point
     sections = assembly.cross_sections(at, at)
-    theta, kb = known.point_rotation - sections.wound + sections.phase, sections.stiffness
+    theta, kb = known.point_rotation - sections.twist_angle + sections.phase, sections.stiffness
     unloaded = section_function("curvature", len(kb), kb.shape[1], False)(theta, kb, sections.moment)[0]
     bending = (known.point_curvature - unloaded) * kb.sum(1)[:, None]
     return np.array([np.interp(arc_length, at, row) for row in bending.T])

@@ -186,16 +186,16 @@ class PoseQuantities:
         """Rotation vector (3, 2 n) of the tip's frame per rotations, and translations, rad/m. For designs only."""
         return ca.reshape(self._of("turning"), 3, 2 * self._n_tubes)
 
-    def drawn(self, share: float) -> PoseQuantities:
+    def retracted(self, fraction: float) -> PoseQuantities:
         """Quantities of the arm during deployment, when a fraction of its length is deployed. For designs only.
 
         Every tube is as in the pose, or retracted without rotation so that it ends at this fraction.
         """
         if not isinstance(self._number, int):
             raise InputError("the arm is already retracted; give the fraction of the whole arm")
-        if not 0 < finite("share", share) < 1:
-            raise InputError(f"share is {share:g}; it must be from 0 (base plate) to 1 (whole arm)")
-        return PoseQuantities(self._look, (self._number, float(share)), self._n_tubes)
+        if not 0 < finite("fraction", fraction) < 1:
+            raise InputError(f"fraction is {fraction:g}; it must be from 0 (base plate) to 1 (whole arm)")
+        return PoseQuantities(self._look, (self._number, float(fraction)), self._n_tubes)
 
 
 def _load(inputs: Any) -> Load:

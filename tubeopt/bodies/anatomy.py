@@ -38,10 +38,10 @@ class TransformedBody:
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:
         """Smooth signed distance, m."""
-        own = (
+        local = (
             row[0] * x + row[1] * y + row[2] * z + o for row, o in zip(self.frame.axes, self.frame.origin, strict=True)
         )
-        return self.body.distance(*own)
+        return self.body.distance(*local)
 
     def signed_distance(self, points: ArrayLike) -> Array:
         """Signed distances (...) of points (..., 3), m."""
@@ -99,7 +99,7 @@ class Anatomy(Displayed):
         """Bodies that are distance fields."""
         return tuple(body for body in self.bodies if isinstance(body, DistanceField))
 
-    def place(self, name: str) -> Array:
+    def position(self, name: str) -> Array:
         """Position of a landmark (3,), m, or points of the target (N, 3), m, for a goal of the tip.
 
         Raises:

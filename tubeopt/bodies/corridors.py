@@ -196,8 +196,8 @@ class MeshObstacle(Displayed):
     def distance_within(self, points: Array, within: Array) -> Array:
         """Distances (N,) of points (N, 3) from the surface, exact below `within` (N,), otherwise at least that."""
         bound = self.lattice.signed_distance(points)
-        near = bound < within
-        bound[near] = self.surface.signed_distance(points[near])
+        is_close = bound < within
+        bound[is_close] = self.surface.signed_distance(points[is_close])
         return bound
 
     SOLID = True
@@ -253,7 +253,7 @@ def load_mesh(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | Non
 
 def read_mesh(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | None = None) -> MeshObstacle:
     """Read a mesh as `load_mesh`, without its warning of an open surface."""
-    own = file_axes(path, axes) or "RAS"
+    letters = file_axes(path, axes) or "RAS"
     points, faces = _loaded(path, scale)
     if not len(faces):
         raise InputError(
@@ -263,7 +263,7 @@ def read_mesh(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | Non
     # STL repeats common corners; points without a face are omitted.
     _, first, number = np.unique(points, axis=0, return_index=True, return_inverse=True)
     used, corners = np.unique(first[number.ravel()][faces], return_inverse=True)
-    return _surface(path, ras(points[used], own), corners.reshape(-1, 3))
+    return _surface(path, ras(points[used], letters), corners.reshape(-1, 3))
 
 
 def warn_of_open(path: str | PathLike[str], body: MeshObstacle) -> None:
@@ -284,15 +284,15 @@ def load_points(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | N
     Raises:
         InputError: no such file, no points in it, numbers that are not finite, axes that contradict the file's.
     """
-    own = file_axes(path, axes) or "RAS"
+    letters = file_axes(path, axes) or "RAS"
     if str(path).lower().endswith(".csv"):
         table = read_csv(path, PLACE)
         table.expect(PLACE)
         points = table.numbers(PLACE, MM)
         table.check()
-        return ras(points, own)
+        return ras(points, letters)
     vertices, faces = _loaded(path, scale)
-    points = ras(vertices, own)
+    points = ras(vertices, letters)
     if not len(faces):
         return points
     isolated = np.setdiff1d(np.arange(len(points)), faces)

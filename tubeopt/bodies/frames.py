@@ -339,11 +339,11 @@ def stated_axes(path: str | PathLike[str]) -> str | None:
     Raises:
         InputError: no such file, unknown axes, or both.
     """
-    words = {"".join(part.decode() for part in parts).lower() for parts in STATED.findall(_statements(path))}
-    unknown = sorted(words - WORDS.keys())
+    names = {"".join(part.decode() for part in parts).lower() for parts in STATED.findall(_statements(path))}
+    unknown = sorted(names - WORDS.keys())
     if unknown:
         raise InputError(f"{path}: it states the axes {unknown[0]!r}; they must be {' or '.join(AXES)}")
-    known = sorted({WORDS[word] for word in words})
+    known = sorted({WORDS[word] for word in names})
     if len(known) > 1:
         raise InputError(f"{path}: it states two kinds of axes, {' and '.join(known)}; it must state one")
     return known[0] if known else None

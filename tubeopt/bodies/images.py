@@ -371,7 +371,7 @@ def _segments(header: dict[str, Any], layers: int, path: Path) -> dict[int, Labe
 def _nrrd(path: Path, axes: str | None) -> ImageData:
     nrrd = import_extra("nrrd", "anatomy", "NRRD files")
     head = nrrd.read_header(str(path))
-    size_of_number = next((size for words, size in BYTES.items() if any(word in head["type"] for word in words)), 1)
+    size_of_number = next((size for names, size in BYTES.items() if any(word in head["type"] for word in names)), 1)
     sizes = [int(size) for size in head["sizes"]]
     # Layers are the first axis. A sequence of one volume has an axis without direction.
     layered = len(sizes) == 4 and sizes[0] > 1 and str((head.get("kinds") or [""])[0]).lower() == "list"
@@ -391,12 +391,12 @@ def _nrrd(path: Path, axes: str | None) -> ImageData:
     affine = np.eye(4)
     affine[:3, :3] = rows.T
     affine[:3, 3] = np.asarray(header.get("space origin", np.zeros(3)), dtype=float)
-    words = space.split("-") if "-" in space else list(space)
-    if space and not (len(words) == 3 and words[2] in ("superior", "s") and all(word in SIGNS for word in words[:2])):
+    names = space.split("-") if "-" in space else list(space)
+    if space and not (len(names) == 3 and names[2] in ("superior", "s") and all(word in SIGNS for word in names[:2])):
         raise InputError(
             f"{path}: its space is {space!r}; it must be right-anterior-superior, or with left or posterior"
         )
-    letters, has_directions = "".join(word[0] for word in words).upper(), header.get("space directions") is not None
+    letters, has_directions = "".join(word[0] for word in names).upper(), header.get("space directions") is not None
     signs = _signs(path, letters if has_directions else "", axes)
     if not has_directions:
         _signs(path, letters, axes)  # for its errors

@@ -90,9 +90,9 @@ def convex(plane: Array) -> Mask:
     """Mask (f,) of the convex polygons (f, k, 2): they turn to one side only, and once around."""
     side = np.roll(plane, -1, axis=1) - plane
     after = np.roll(side, -1, axis=1)
-    turn = np.arctan2(_cross(side, after), (side * after).sum(-1))
-    once = np.abs(np.abs(turn.sum(1)) - 2 * np.pi) < ROUND
-    return np.asarray(once & ((turn > -ROUND).all(1) | (turn < ROUND).all(1)))
+    exterior_angle = np.arctan2(_cross(side, after), (side * after).sum(-1))
+    once = np.abs(np.abs(exterior_angle.sum(1)) - 2 * np.pi) < ROUND
+    return np.asarray(once & ((exterior_angle > -ROUND).all(1) | (exterior_angle < ROUND).all(1)))
 
 
 def ear_clipped(plane: Array) -> Index:
@@ -179,11 +179,11 @@ def _obj(content: bytes) -> Polygons:
     points: list[list[float]] = []
     faces: list[list[int]] = []
     for line in content.decode("utf-8", "replace").replace("\\\r\n", " ").replace("\\\n", " ").splitlines():
-        words = line.split("#", 1)[0].split()
-        if words[:1] == ["v"]:
-            points.append([float(words[k]) for k in (1, 2, 3)])
-        elif words[:1] == ["f"]:
-            named = [int(word.split("/", 1)[0]) for word in words[1:]]
+        tokens = line.split("#", 1)[0].split()
+        if tokens[:1] == ["v"]:
+            points.append([float(tokens[k]) for k in (1, 2, 3)])
+        elif tokens[:1] == ["f"]:
+            named = [int(word.split("/", 1)[0]) for word in tokens[1:]]
             if any(number == 0 or -number > len(points) for number in named):
                 raise ValueError(f"face {len(faces) + 1} has a corner that is no point")
             faces.append([number - 1 if number > 0 else len(points) + number for number in named])
@@ -248,16 +248,16 @@ class Element(NamedTuple):
 def _header(text: str) -> tuple[str, list[Element]]:
     """Format and elements of a PLY file."""
     form, elements = "", list[Element]()
-    for words in map(str.split, text.splitlines()[1:]):
-        if words[:1] == ["format"]:
-            form = words[1]
-        elif words[:1] == ["element"]:
-            elements.append(Element(words[1], int(words[2]), {}))
-        elif words[:1] == ["property"]:
-            kinds = words[2:4] if words[1] == "list" else words[1:2]
+    for tokens in map(str.split, text.splitlines()[1:]):
+        if tokens[:1] == ["format"]:
+            form = tokens[1]
+        elif tokens[:1] == ["element"]:
+            elements.append(Element(tokens[1], int(tokens[2]), {}))
+        elif tokens[:1] == ["property"]:
+            kinds = tokens[2:4] if tokens[1] == "list" else tokens[1:2]
             order = ORDER.get(form)
             types = tuple("<f8" if order is None else order + NUMBERS[kind] for kind in kinds)
-            elements[-1].properties[words[-1]] = types
+            elements[-1].properties[tokens[-1]] = types
     if form not in (*ORDER, "ascii") or any(element.length < 0 for element in elements):
         raise ValueError(f"its format is {form!r}; it must be ascii, {' or '.join(ORDER)}")
     return form, elements
@@ -362,10 +362,10 @@ class _Reader:
             values = np.frombuffer(self.content, form, count, self.at)
             self.at += count * form.itemsize
             return values.astype(float)
-        words: list[str] = []
-        while len(words) < count:
-            words += self.line().split()
-        return np.array(words[:count], dtype=float)
+        tokens: list[str] = []
+        while len(tokens) < count:
+            tokens += self.line().split()
+        return np.array(tokens[:count], dtype=float)
 
     def whole(self, count: int, kind: str) -> list[int]:
         """Read the next whole numbers of at least 0; raises ValueError for others."""
@@ -379,30 +379,30 @@ class _Reader:
         """Read the points and polygons."""
         points, faces = np.zeros((0, 3)), list[list[int]]()
         while self.at < len(self.content):
-            words = self.line().split()
-            if not words or words[0] not in (*CELLS, "POINTS", "POINT_DATA", "CELL_DATA"):
+            tokens = self.line().split()
+            if not tokens or tokens[0] not in (*CELLS, "POINTS", "POINT_DATA", "CELL_DATA"):
                 continue
-            if words[0].endswith("_DATA"):
+            if tokens[0].endswith("_DATA"):
                 break
-            if words[0] == "POINTS":
-                points = self.numbers(3 * int(words[1]), words[2]).reshape(-1, 3)
+            if tokens[0] == "POINTS":
+                points = self.numbers(3 * int(tokens[1]), tokens[2]).reshape(-1, 3)
                 continue
-            cells = self.cells(int(words[1]), int(words[2]))
-            if words[0] in ("LINES", "TRIANGLE_STRIPS") and cells:
-                raise UnreadError(f"{words[0]}, which are not read")
-            if words[0] == "POLYGONS":
+            cells = self.cells(int(tokens[1]), int(tokens[2]))
+            if tokens[0] in ("LINES", "TRIANGLE_STRIPS") and cells:
+                raise UnreadError(f"{tokens[0]}, which are not read")
+            if tokens[0] == "POLYGONS":
                 faces += cells
         return Polygons.of_faces(points, faces)
 
     def cells(self, first: int, second: int) -> list[list[int]]:
         """Read the corners of cells: each after its number of corners, or, since version 5, all after their offsets."""
         start = self.at
-        words = self.line().split() if not self.binary or self.content[start : start + 7] == b"OFFSETS" else []
-        if words[:1] == ["OFFSETS"]:
-            ends = self.whole(first, words[1])
-            while (words := self.line().split())[:1] != ["CONNECTIVITY"]:
+        tokens = self.line().split() if not self.binary or self.content[start : start + 7] == b"OFFSETS" else []
+        if tokens[:1] == ["OFFSETS"]:
+            ends = self.whole(first, tokens[1])
+            while (tokens := self.line().split())[:1] != ["CONNECTIVITY"]:
                 continue
-            row = self.whole(second, words[1])
+            row = self.whole(second, tokens[1])
             return [row[a:b] for a, b in pairwise(ends)]
         self.at = start
         row, cells, k = self.whole(second, "int"), list[list[int]](), 0

@@ -133,8 +133,8 @@ def program() -> TyperGroup:
     )
     root.callback()(_options)
     group: Any = get_command(root)
-    for words, what in COMMANDS.items():
-        *groups, name = words.split()
+    for command_name, what in COMMANDS.items():
+        *groups, name = command_name.split()
         parent = group
         for word in groups:
             kind, help_text = GROUPS[word]

@@ -119,11 +119,11 @@ def serve(study: ServeEntry, output: Output) -> None:
     robot, how = study.robot, ServerOptions(token=study.token or "", **values(ServerOptions, study, *SERVER))
     check_installed(slicer=how.slicer_port is not None)
 
-    def _tell(event: str, words: str, **more: float) -> None:
+    def _tell(event: str, message: str, **more: float) -> None:
         if output.as_json:
-            print(json.dumps({"event": event, "words": words} | more), flush=True)
+            print(json.dumps({"event": event, "words": message} | more), flush=True)
         elif not output.quiet and event in ("compiling", "stopped"):
-            print(words, file=sys.stderr, flush=True)
+            print(message, file=sys.stderr, flush=True)
 
     def _compiling() -> None:
         _tell("compiling", f"compiling {robot.name or 'the robot'} for this machine, unless it was served before")

@@ -60,16 +60,16 @@ def command(example: str, *, note: str = "", without: Sequence[str] = ()) -> Cal
     def _of(function: Command) -> Command:
         # Annotations are strings here; Typer needs the types.
         parameters = inspect.signature(function, eval_str=True).parameters
-        own = [part for name, part in parameters.items() if name != "output"]
-        return _command(function, own, example, note, without)
+        flags = [part for name, part in parameters.items() if name != "output"]
+        return _command(function, flags, example, note, without)
 
     return _of
 
 
 def _command(
-    function: Command, own: Sequence[inspect.Parameter], example: str, note: str, without: Sequence[str] = ()
+    function: Command, parameters: Sequence[inspect.Parameter], example: str, note: str, without: Sequence[str] = ()
 ) -> Command:
-    """Function for Typer with the parameters `own` and the flags of all commands, passed on as one `Output`."""
+    """Function for Typer with the parameters `parameters` and the flags of all commands, passed on as one `Output`."""
     shared = [
         part.replace(kind=inspect.Parameter.KEYWORD_ONLY)
         for part in inspect.signature(Output, eval_str=True).parameters.values()
@@ -80,7 +80,7 @@ def _command(
         output = Output(**{part.name: typed.pop(part.name) for part in shared})
         function(**typed, output=output)
 
-    signature = inspect.Signature([*own, *shared])
+    signature = inspect.Signature([*parameters, *shared])
     _run.__name__, _run.__doc__ = function.__name__, flowing(function.__doc__ or "")
     _run.__signature__ = signature  # type: ignore[attr-defined]
     _run.__annotations__ = {part.name: part.annotation for part in signature.parameters.values()}
@@ -205,14 +205,14 @@ def _with_study(
     """Command of a function of a study, which `study_of` builds from the texts of the parameters `keyed`."""
     _, *parts = inspect.signature(function, eval_str=True).parameters.values()  # the first is the study
     names = {part.name for part in parts}
-    own = [part for part in parts if part.name not in ("output", *(part.name for part in keyed))]
+    unkeyed = [part for part in parts if part.name not in ("output", *(part.name for part in keyed))]
 
     def _run(output: Output, **typed: Any) -> None:
         with study_of(typed) as study:
             function(study, output=output, **{key: value for key, value in typed.items() if key in names})
 
     _run.__name__, _run.__doc__ = function.__name__, function.__doc__
-    return _command(_run, [*keyed, *own], example, note, without)
+    return _command(_run, [*keyed, *unkeyed], example, note, without)
 
 
 def answer(study: Study, output: Output) -> None:
@@ -224,7 +224,7 @@ def ask(study: Study, output: Output) -> Any:
     """Run a study with a progress bar, after checks that its answer can be saved."""
     # An optimisation takes minutes: a directory that cannot be written is reported before.
     can_be_saved(output.out)
-    command_of = {row.kind: words for words, row in COMMANDS.items() if isinstance(row, StudyCommand)}
+    command_of = {row.kind: command_name for command_name, row in COMMANDS.items() if isinstance(row, StudyCommand)}
     check_formats(output, command_of.get(study.kind, study.kind.replace("_", " ")))
     # Studies of rigs and molds have no robot.
     robot = getattr(study, "robot", None)
@@ -344,7 +344,7 @@ def _option(
         metavar=None if kind is bool else _metavar(key, field),
         help=description + " Required." * required,
         show_default=shown or default is not None,
-        autocompletion=files(key) if _is_file(field) else words(choices) if choices else None,
+        autocompletion=files(key) if _is_file(field) else completion(choices) if choices else None,
     )
     return _parameter(key, kind | None if default is None else kind, option, default)
 
@@ -443,7 +443,7 @@ FOLDERS = {
 """Keys with built-in files in a folder of another name -> folder."""
 
 
-def words(choices: Sequence[str]) -> Completion:
+def completion(choices: Sequence[str]) -> Completion:
     """Function that completes one of several words."""
     return lambda incomplete: [word for word in choices if word.startswith(incomplete)]
 

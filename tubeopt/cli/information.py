@@ -11,7 +11,7 @@ from ..robots.file import load_robot
 from ..show.command_report import examine, shipped_files, shipped_folders
 from ..show.reports import report
 from .commands import ROBOT
-from .flags import command, files, words
+from .flags import command, completion, files
 from .output import OF_PICTURES, Output, can_be_saved, present
 
 
@@ -43,7 +43,7 @@ def list_files(
         typer.Argument(
             metavar="[FOLDER]",
             help="Show only this kind: robots, rigs, studies, ...",
-            autocompletion=words(shipped_folders()),
+            autocompletion=completion(shipped_folders()),
         ),
     ] = None,
 ) -> None:

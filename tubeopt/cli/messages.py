@@ -154,10 +154,10 @@ def _similar_flags(flag: str, known: list[str]) -> str:
     units = {name: unit_of(name.strip("-").replace("-", "_")) for name in (flag, *known)}
     # --tip-mm and --tip-deg are similar: names are compared without units.
     stems = {name: name.strip("-")[: -len(unit) or None].rstrip("-") for name, unit in units.items()}
-    own, known_stems = stems.pop(flag), list(stems.values())
-    close = [own] if own in known_stems else []
+    flag_stem, known_stems = stems.pop(flag), list(stems.values())
+    close = [flag_stem] if flag_stem in known_stems else []
     for cutoff in (0.85, 0.6):  # weaker matches only without strong ones
-        close = close or difflib.get_close_matches(own, known_stems, cutoff=cutoff)
+        close = close or difflib.get_close_matches(flag_stem, known_stems, cutoff=cutoff)
     alike = [name for stem in dict.fromkeys(close) for name in known if stems[name] == stem]
     if alike:
         return f"; did you mean {' or '.join(alike)}?"
@@ -212,14 +212,14 @@ def _with_flag(line: str, flags: Mapping[str, str]) -> str:
     subject, verb, predicate = re.match("(.*?)( is | has |$)(.*)", line).groups()  # type: ignore[union-attr]
     if not verb or ":" in subject or subject.startswith("-"):
         return line
-    words = _words(subject)
+    keywords = _words(subject)
     # The library says "speed of the tip", the flag is --tip-speed-mm-per-s: words are compared without order.
-    keys = [key for key, flag in flags.items() if flag and _words(split_unit(key)[0]) <= words]
+    keys = [key for key, flag in flags.items() if flag and _words(split_unit(key)[0]) <= keywords]
     # With several candidates no flag is better than a wrong one.
     if len(keys) != 1:
         return line
     stem, unit = split_unit(keys[0])
-    text = f"{flags[keys[0]]}{verb}{predicate}" if words == _words(stem) else f"{flags[keys[0]]}: {line}"
+    text = f"{flags[keys[0]]}{verb}{predicate}" if keywords == _words(stem) else f"{flags[keys[0]]}: {line}"
     return in_input_units(text) if unit in ("mm", "deg") else text
 
 

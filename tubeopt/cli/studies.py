@@ -21,7 +21,7 @@ from ..show.heat_report import with_live_page
 from ..show.page import FONTS
 from ..show.progress import working
 from ..show.reports import report, to_dict
-from .flags import answer, ask, command, files, has_pictures, study_command, words
+from .flags import answer, ask, command, completion, files, has_pictures, study_command
 from .interruption import reporting_saved
 from .output import OF_PICTURES, Output, can_be_saved, check_formats, present
 
@@ -61,7 +61,7 @@ def figure(
             "--journal",
             metavar=f"[{'|'.join(JOURNALS)}]",
             help="Publisher: sets column width, file format and font. --width-mm overrides the width.",
-            autocompletion=words(tuple(JOURNALS)),
+            autocompletion=completion(tuple(JOURNALS)),
         ),
     ] = "ieee",
 ) -> None:

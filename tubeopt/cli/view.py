@@ -72,10 +72,10 @@ def view(study: ViewEntry, output: Output, robot: str) -> None:
     shown = View(entry.robot, out=output.out, obstacles=entry.obstacles)
     if entry.study is not None:
         path, start = entry.study
-        own = getattr(start, "robot", None)
-        if own is None:
+        robot_of_start = getattr(start, "robot", None)
+        if robot_of_start is None:
             raise InputError(f"{path}: a study of kind {start.kind} has no robot to be shown")
-        if own != shown.robot:
+        if robot_of_start != shown.robot:
             raise InputError(f"{path}: the robot of the study differs from {robot}")
         shown = replace(shown, **_start_of(start, path))
     # Flags replace the keys of the study.

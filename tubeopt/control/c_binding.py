@@ -82,7 +82,7 @@ class CSlopes:
 
     position: Array
     """(3, 2n) derivatives of the tip position."""
-    turn: Array
+    rotation: Array
     """(3, 2n) turn vector of the tip."""
     tip_rotations: Array
     """Derivatives (n, 2n) of the tip rotations."""
@@ -274,9 +274,9 @@ def servo_of(
         return servo
     if building is not None:
         building()
-    here = servo.equilibrium
+    current = servo.equilibrium
     try:
-        return CServo(c_library(robot), (here.rotations, here.translations), servo.options)
+        return CServo(c_library(robot), (current.rotations, current.translations), servo.options)
     except (InputError, SolveError, OSError, subprocess.SubprocessError) as error:
         LOGGER.info("the servo runs in Python: %s", error)
         return servo
@@ -364,8 +364,8 @@ class CServo:
             )
         self.space = joint_space(library.robot)
         self._robot = CRobot(library)
-        if words := self.space.outside(configuration(self.space, "start", start)):
-            raise InputError(f"start is out of range: {words}")
+        if violation := self.space.outside(configuration(self.space, "start", start)):
+            raise InputError(f"start is out of range: {violation}")
         self.equilibrium = self._before = self._robot.solve(*start)
 
     @property
@@ -383,9 +383,9 @@ class CServo:
         check_places(command, self.space.robot)
         if command.pivot is not None:
             raise InputError("the servo of a C library does not support a pivot")
-        here, o = self.equilibrium, self.options
-        self._before = here
-        goal_position = here.tip_position if command.position is None else command.position
+        current, o = self.equilibrium, self.options
+        self._before = current
+        goal_position = current.tip_position if command.position is None else command.position
         velocity = np.zeros(3) if command.velocity is None else command.velocity
         pointing = np.zeros(3) if command.direction is None else command.direction
         # Without a target the robot brakes.
@@ -398,7 +398,7 @@ class CServo:
         if command.joints is not None:
             rotations, shift = self.space.split(at_most(configuration(self.space, "joints", command.joints), "joints"))
             if not self.space.admissible(self.space.join(rotations, np.array(shift), "joints")):
-                return ServoStep(here, Why.HELD | Why.RANGE, np.nan, np.nan)
+                return ServoStep(current, Why.HELD | Why.RANGE, np.nan, np.nan)
             self.equilibrium, why = self._robot.servo_joints(arguments, rotations, shift)
             return ServoStep(self.equilibrium, why, np.nan, np.nan)
         self.equilibrium, distance, angle, why = self._robot.servo(arguments)
@@ -412,9 +412,9 @@ class CServo:
     @property
     def moving(self) -> bool:
         """True if the robot must brake before it rests."""
-        here, before = self.equilibrium, self._before
+        current, before = self.equilibrium, self._before
         moved = max(
-            np.abs(here.rotations - before.rotations).max(), np.abs(here.translations - before.translations).max()
+            np.abs(current.rotations - before.rotations).max(), np.abs(current.translations - before.translations).max()
         )
         return self.limited and bool(moved > RESTS)
 
@@ -439,8 +439,8 @@ class CServo:
     def resume(self, joints: Configuration) -> None:
         """Continue at rest from joint values reached by another motion, on the branch of the straight path to them."""
         q, least = configuration(self.space, "joints", joints), self.options.min_margin
-        if words := self.space.outside(q):
-            raise InputError(f"joints are out of range: {words}")
+        if violation := self.space.outside(q):
+            raise InputError(f"joints are out of range: {violation}")
         rotations, shift = self.space.split(q)
         reached = self._robot.follow(rotations, np.array(shift))
         if reached.margin < least:

@@ -266,9 +266,9 @@ def tubes_text(robot: Robot) -> str:
 
 def pieces_text(robot: Robot) -> str:
     """The C struct PIECES of the tubes of a robot, and its tables."""
-    own = piece_tables(lengthwise(robot.tubes))
-    tables = {f"PIECES_{name}": array for name, array in own.items()}
-    entries = [*map(str, piece_sizes(own)), *tables, "0"]  # no refinement
+    arrays = piece_tables(lengthwise(robot.tubes))
+    tables = {f"PIECES_{name}": array for name, array in arrays.items()}
+    entries = [*map(str, piece_sizes(arrays)), *tables, "0"]  # no refinement
     return f"{c_tables(tables)}static const Pieces PIECES = {{{', '.join(entries)}}};\n"
 
 

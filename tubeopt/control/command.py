@@ -166,7 +166,7 @@ class Why(enum.IntFlag):
     NO_CLOSER = 128
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """Reasons as text; empty without any."""
         return "; ".join(WORDS[bit] for bit in Why if bit in self)
 

@@ -129,7 +129,7 @@ class CrtkRobot:
         self.state, self.homed = "DISABLED", True
         self._goal: _Goal | None = None
         self._why = Why(0)
-        self._words = ""
+        self._message = ""
         self._before = servo.equilibrium
         self._moved, self._took = 0.0, (0.0, 0.0)
         self.sent: float | None = None
@@ -186,15 +186,15 @@ class CrtkRobot:
         """Stop and keep the position after the commander has disconnected."""
         self._goal = None
 
-    def hold(self, words: str) -> None:
+    def hold(self, message: str) -> None:
         """Stop and keep the position, and report the reason."""
-        self._goal, self._why, self._words = None, Why(0), words
+        self._goal, self._why, self._message = None, Why(0), message
 
-    def fault(self, words: str) -> None:
+    def fault(self, message: str) -> None:
         """Stop after an internal error; only the commands enable and disable end this state."""
-        if (self.state, self._words) != ("FAULT", words):
-            self.events.append(("error", words))
-        self.hold(words)
+        if (self.state, self._message) != ("FAULT", message):
+            self.events.append(("error", message))
+        self.hold(message)
         self.state = "FAULT"
 
     def tick(self, clock: Callable[[], float], dt: float) -> None:
@@ -235,7 +235,7 @@ class CrtkRobot:
         self.sent = now
         if brakes or self._goal is None:
             return
-        self._why, self._words = why | limit, (why | limit).words
+        self._why, self._message = why | limit, (why | limit).text
         if not goal.stream:
             self._arrive(goal, now)
 
@@ -254,13 +254,13 @@ class CrtkRobot:
         # With limited accelerations the target is the stop point of the robot, beyond the end of the step.
         most = np.repeat([o.turn_acceleration or np.inf, o.shift_acceleration or np.inf], n)
         change = goal.rates * span + goal.rates * np.abs(goal.rates) / (2 * most)
-        here = space.join(arm.rotations, arm.translations)
+        current = space.join(arm.rotations, arm.translations)
         free = space.join(arm.rotations + change[:n], arm.translations + change[n:])
         q = space.clip(free)
         limit = Why(0) if np.array_equal(q, free) else Why.RANGE
         if not space.ordered(q):  # all joints stop together: none is pushed by another
-            room, closing = np.maximum(space.rows @ here - space.least, 0.0), space.rows @ (here - q)
-            q, limit = here + (q - here) * np.min(room[closing > 0] / closing[closing > 0]), limit | Why.ORDER
+            room, closing = np.maximum(space.rows @ current - space.least, 0.0), space.rows @ (current - q)
+            q, limit = current + (q - current) * np.min(room[closing > 0] / closing[closing > 0]), limit | Why.ORDER
         rotations, shift = space.split(q)
         return Command(joints=(rotations, np.array(shift))), limit
 
@@ -270,27 +270,27 @@ class CrtkRobot:
 
     def _arrive(self, goal: _Goal, now: float) -> None:
         """End a move that has reached its target or no longer comes closer."""
-        turn, shift = self._missing(goal.command)
-        left = max(turn, shift)
+        angle, shift = self._missing(goal.command)
+        left = max(angle, shift)
         if left < goal.closest - min(CLOSER, goal.closest / 2) or goal.closest == math.inf:
             goal.closest, goal.closer = left, now
         if left < ARRIVED:
-            self._goal, self._words = None, ""
+            self._goal, self._message = None, ""
         elif now - goal.closer > STUCK:
             self._goal = None
-            parts = {f"{math.degrees(turn):.3g} deg": turn, f"{shift * TO_MM:.3g} mm": shift}
-            far = " and ".join(words for words, missing in parts.items() if missing >= ARRIVED)
-            self._words = f"the move has ended {far} short: {self._words or 'it comes no closer'}"
-            self.events.append(("warning", self._words))
+            parts = {f"{math.degrees(angle):.3g} deg": angle, f"{shift * TO_MM:.3g} mm": shift}
+            far = " and ".join(part for part, missing in parts.items() if missing >= ARRIVED)
+            self._message = f"the move has ended {far} short: {self._message or 'it comes no closer'}"
+            self.events.append(("warning", self._message))
 
     def _missing(self, command: Command) -> tuple[float, float]:
         """Remaining distance of a move to its target, rad and m."""
         arm = self.servo.equilibrium
         if command.joints is not None:
-            turn, shift = command.joints
-            return float(np.abs(turn - arm.rotations).max()), float(np.abs(shift - arm.translations).max())
-        turn = 0.0 if command.direction is None else math.dist(command.direction, arm.tip_rotation[:, 2])
-        return turn, 0.0 if command.position is None else math.dist(command.position, arm.tip_position)
+            angle, shift = command.joints
+            return float(np.abs(angle - arm.rotations).max()), float(np.abs(shift - arm.translations).max())
+        angle = 0.0 if command.direction is None else math.dist(command.direction, arm.tip_rotation[:, 2])
+        return angle, 0.0 if command.position is None else math.dist(command.position, arm.tip_position)
 
     def _change(self, desired: Any) -> None:
         if not (isinstance(desired, str) and desired in STATE_COMMANDS):
@@ -305,7 +305,7 @@ class CrtkRobot:
             raise InputError(f"{desired} is rejected: the robot is {self.state}, which allows {', '.join(allowed)}")
         self._goal = None
         if (self.state, self.homed) != before:
-            self._why, self._words = Why(0), ""
+            self._why, self._message = Why(0), ""
             self.events.append(("status", f"{self.state}, {'homed' if self.homed else 'not homed'}"))
 
     def _resume(self, at: Command) -> None:
@@ -320,7 +320,7 @@ class CrtkRobot:
             self.servo.resume(at.joints)
         except SolveError as error:
             raise InputError(f"set_js is rejected: {error}") from None
-        self._goal, self._before, self._words = None, self.servo.equilibrium, ""
+        self._goal, self._before, self._message = None, self.servo.equilibrium, ""
 
     def _joints_from_here(self, message: Mapping[str, Any]) -> Command:
         """Command of joint values relative to the current ones."""
@@ -336,15 +336,15 @@ class CrtkRobot:
     def _rates(self, message: Mapping[str, Any]) -> Array:
         """(2n,) velocities of the joints."""
         arm, rates = self.servo.equilibrium, self._pairs(message)
-        turn, shift = (at_most(rates[name], name) for name in KINDS["jv"])
-        self.servo.space.join(arm.rotations + turn, arm.translations + shift, "the commanded velocities")
-        return np.concatenate([turn, shift])
+        rotation_rates, shift = (at_most(rates[name], name) for name in KINDS["jv"])
+        self.servo.space.join(arm.rotations + rotation_rates, arm.translations + shift, "the commanded velocities")
+        return np.concatenate([rotation_rates, shift])
 
     def _pose_from_here(self, message: Mapping[str, Any]) -> Command:
         """Command of a pose relative to the current one, along and about the axes of the plate."""
-        arm, turn = self.servo.equilibrium, _turn(message, "turn", "rad")
+        arm, rotation = self.servo.equilibrium, _turn(message, "turn", "rad")
         position = arm.tip_position + _numbers(message, "translation", "m")
-        turned = _turned(arm, turn).tolist() if turn is not None and turn.any() else None
+        turned = _turned(arm, rotation).tolist() if rotation is not None and rotation.any() else None
         return self._pose({"position": position.tolist(), "direction": turned})
 
     def _joints(self, message: Mapping[str, Any]) -> Command:
@@ -362,8 +362,8 @@ class CrtkRobot:
         q = configuration(
             self.servo.space, "joints", (joints[0], joints[1])
         )  # raises InputError for what no joint gives
-        if words := self.servo.space.outside(q):
-            raise InputError(f"the commanded joint values are out of range: {words}")
+        if violation := self.servo.space.outside(q):
+            raise InputError(f"the commanded joint values are out of range: {violation}")
         return Command(joints=(joints[0], joints[1]))
 
     def _pose(self, message: Mapping[str, Any]) -> Command:
@@ -404,23 +404,23 @@ class CrtkRobot:
             "measured_cv": self._velocity(),
             "margin": arm.margin,
             "snap_warning": bool(arm.margin < floor + WARNING or Why.HELD in self._why),
-            "why": self._words,
+            "why": self._message,
             "shape": np.round(arm.position, 7).tolist(),
         }
 
     def snap_distance(self) -> float | None:
         """Proved snap distance at the present pose, rad, at most FAR_FROM_SNAP; None if unknown."""
-        turn = self.servo.snap_distance(FAR_FROM_SNAP)
-        return None if turn is None else min(turn, FAR_FROM_SNAP)
+        distance = self.servo.snap_distance(FAR_FROM_SNAP)
+        return None if distance is None else min(distance, FAR_FROM_SNAP)
 
     def _velocity(self) -> dict[str, Any]:
         """Velocity of the tip in the last step, m/s and rad/s, in the plate frame."""
         arm, before = self.servo.equilibrium, self._before
         if not self._moved:
             return {"linear": [0.0] * 3, "angular": [0.0] * 3}
-        turn = scipy.spatial.transform.Rotation.from_matrix(arm.tip_rotation @ before.tip_rotation.T).as_rotvec()
+        rotation = scipy.spatial.transform.Rotation.from_matrix(arm.tip_rotation @ before.tip_rotation.T).as_rotvec()
         linear = (arm.tip_position - before.tip_position) / self._moved
-        return {"linear": linear.tolist(), "angular": (turn / self._moved).tolist()}
+        return {"linear": linear.tolist(), "angular": (rotation / self._moved).tolist()}
 
 
 def _check_keys(name: str, message: Mapping[str, Any]) -> None:
@@ -433,9 +433,9 @@ def _check_keys(name: str, message: Mapping[str, Any]) -> None:
             )
 
 
-def _turned(arm: Any, turn: Array) -> Array:
+def _turned(arm: Any, rotation: Array) -> Array:
     """(3,) direction of the tip after a turn (3,), rad, about axes of the plate."""
-    return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(turn).apply(arm.tip_rotation[:, 2]))
+    return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(rotation).apply(arm.tip_rotation[:, 2]))
 
 
 def _turn(message: Mapping[str, Any], name: str, unit: str) -> Array | None:

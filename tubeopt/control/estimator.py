@@ -100,7 +100,7 @@ class EstimatorOptions:
 class Rows(NamedTuple):
     """Difference between a reading and its prediction by the model."""
 
-    gap: Array
+    innovation: Array
     """(R,) measured less expected numbers."""
     slopes: Array
     """(R, K) derivatives of the expected numbers by the state."""
@@ -126,22 +126,24 @@ class TipReading:
     def rows(self, of: Model) -> Rows:
         """Difference between the reading and its prediction by a model."""
         arm, frame = of.equilibrium, of.equilibrium.tip_rotation
-        gaps = [vector("position", self.position, 3, "x, y, z in m") - arm.tip_position - of.tip_offset]
+        innovations = [vector("position", self.position, 3, "x, y, z in m") - arm.tip_position - of.tip_offset]
         slopes, noise = [of.change.tip_position + of.offset_slopes], [positive("noise", self.noise)] * 3
-        axis, turn = frame[:, 2], of.change.tip_rotation
+        axis, rotation_slopes = frame[:, 2], of.change.tip_rotation
         if self.direction is not None:
             measured, across = vector("direction", self.direction, 3), frame[:, :2].T
-            gaps.append(across @ measured / max(float(np.linalg.norm(measured)), 1e-300))
+            innovations.append(across @ measured / max(float(np.linalg.norm(measured)), 1e-300))
             # The axis e turns by psi x e.
-            slopes.append(across @ np.cross(turn, axis, axis=0))
+            slopes.append(across @ np.cross(rotation_slopes, axis, axis=0))
         if self.rotation is not None:
             tube = int(last_tube(arm.tube_end))
-            own = frame @ scipy.spatial.transform.Rotation.from_rotvec([0, 0, arm.rotation[tube, -1]]).as_matrix()
+            tube_frame = (
+                frame @ scipy.spatial.transform.Rotation.from_rotvec([0, 0, arm.rotation[tube, -1]]).as_matrix()
+            )
             measured = vector("rotation", np.ravel(self.rotation), 9).reshape(3, 3)
-            gaps.append(scipy.spatial.transform.Rotation.from_matrix(measured @ own.T).as_rotvec())
-            slopes.append(turn + np.outer(axis, of.change.tip_rotations[tube]))
-        noise += [positive("angle_noise", self.angle_noise)] * (sum(map(len, gaps)) - 3)
-        return Rows(np.concatenate(gaps), np.concatenate(slopes), np.array(noise))
+            innovations.append(scipy.spatial.transform.Rotation.from_matrix(measured @ tube_frame.T).as_rotvec())
+            slopes.append(rotation_slopes + np.outer(axis, of.change.tip_rotations[tube]))
+        noise += [positive("angle_noise", self.angle_noise)] * (sum(map(len, innovations)) - 3)
+        return Rows(np.concatenate(innovations), np.concatenate(slopes), np.array(noise))
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,16 +171,16 @@ class CurvatureReading:
             raise InputError(f"stations must be at least half a grating, {half:g} m, behind the tip of the tube")
         if measured.shape != (len(stations), 2) or not np.isfinite(measured).all():
             raise InputError(f"curvature must have two finite numbers for each of the {len(stations)} stations")
-        places = of.equilibrium.tube_end[self.tube] - stations
-        gaps, slopes = [np.zeros(0)], [np.zeros((0, of.change.size))]
-        for place, value in zip(places.tolist(), measured, strict=True):
-            if place + half > 0:
-                ends = place - half, place + half
+        positions = of.equilibrium.tube_end[self.tube] - stations
+        innovations, slopes = [np.zeros(0)], [np.zeros((0, of.change.size))]
+        for position, value in zip(positions.tolist(), measured, strict=True):
+            if position + half > 0:
+                ends = position - half, position + half
                 expected, slope = curvature_in_tube(of.change, self.tube, ends, of.pace[self.tube])
-                gaps.append(value - expected)
+                innovations.append(value - expected)
                 slopes.append(slope)
-        gap = np.concatenate(gaps)
-        return Rows(gap, np.concatenate(slopes), np.full(len(gap), positive("noise", self.noise)))
+        innovation = np.concatenate(innovations)
+        return Rows(innovation, np.concatenate(slopes), np.full(len(innovation), positive("noise", self.noise)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,9 +196,9 @@ class BaseReading:
 
     def rows(self, of: Model) -> Rows:
         """Difference between the reading and its prediction by a model."""
-        gap = vector("wrench", self.wrench, 6, "force in N, moment in N m") - of.equilibrium.base_wrench
+        innovation = vector("wrench", self.wrench, 6, "force in N, moment in N m") - of.equilibrium.base_wrench
         noise = [positive("force_noise", self.force_noise)] * 3 + [positive("moment_noise", self.moment_noise)] * 3
-        return Rows(gap, base_wrench_change(of.change), np.array(noise))
+        return Rows(innovation, base_wrench_change(of.change), np.array(noise))
 
 
 Reading = TipReading | CurvatureReading | BaseReading
@@ -369,7 +371,7 @@ class Correction(Displayed):
 
     used: bool
     """True if a reading corrected the state."""
-    words: str
+    message: str
     """Reason for an unused reading; "" where all were used."""
     surprise: float
     """Squared innovations over their covariance, of the readings that were used."""
@@ -419,10 +421,10 @@ class StateEstimator:
     def encoders(self, time: float, rotations: ArrayLike, translations: ArrayLike) -> None:
         """Add joint values (n,) that were measured or sent at a time, s; times must increase."""
         n = self.states.n
-        turn, shift = vector("rotations", rotations, n), vector("translations", translations, n)
+        alpha, shift = vector("rotations", rotations, n), vector("translations", translations, n)
         if self._past and not time > self._past[-1][0]:
             raise InputError(f"time is {time:g} s; it must be more than that of the last joint values")
-        self._past.append((finite("time", time), turn, shift))
+        self._past.append((finite("time", time), alpha, shift))
         while time - self._past[0][0] > MEMORY and len(self._past) > 2:
             self._past.popleft()
         while len(self._updates) > 1 and self._updates[1].time < time - MEMORY:
@@ -439,8 +441,8 @@ class StateEstimator:
         try:
             return self._update(time, readings, joints)
         except SolveError as error:
-            words = f"the model has no equilibrium there, the robot may have snapped: {error}"
-            return Correction(False, words, 0.0, 0, np.nan, np.nan)
+            message = f"the model has no equilibrium there, the robot may have snapped: {error}"
+            return Correction(False, message, 0.0, 0, np.nan, np.nan)
 
     def estimate(self, time: float | None = None) -> StateEstimate:
         """StateEstimate at a time, s, by default that of the last joint values.
@@ -487,8 +489,8 @@ class StateEstimator:
             return self._past[-1][1:]
         (a, *first), (b, *last) = self._past[k - 1], self._past[k]
         x = (time - a) / (b - a)
-        turn, shift = ((1 - x) * one + x * two for one, two in zip(first, last, strict=True))
-        return turn, shift
+        alpha, shift = ((1 - x) * one + x * two for one, two in zip(first, last, strict=True))
+        return alpha, shift
 
     def _before(self, time: float) -> int:
         """Number of updates up to a time."""
@@ -502,42 +504,42 @@ class StateEstimator:
     def _update(self, time: float, readings: Sequence[Reading], joints: tuple[Array, Array]) -> Correction:
         count = self._before(time)
         x0, root0 = self._state_at(time, count)
-        x, root, used, words = x0, root0, list(readings), ""
+        x, root, used, message = x0, root0, list(readings), ""
         slopes, values, surprise = self._updates[0].slopes, self._updates[0].values, 0.0
         for k in range(LINEARISATIONS):
             model = self.states.model(self.at(x, *joints), x)
             rows = [reading.rows(model) for reading in used]
             if k == 0:
                 surprises = [_surprise(each, root) for each in rows]
-                near = [s <= len(r.gap) * GATE**2 for s, r in zip(surprises, rows, strict=True)]
-                self._left_out = 0 if all(near) else self._left_out + 1
-                if not all(near):
-                    words = "it is farther off than could be"
+                plausible = [s <= len(r.innovation) * GATE**2 for s, r in zip(surprises, rows, strict=True)]
+                self._left_out = 0 if all(plausible) else self._left_out + 1
+                if not all(plausible):
+                    message = "it is farther off than could be"
                     if self._left_out >= LOST:
-                        words += f", as {self._left_out} in a row: the robot may have snapped; start a new estimator"
-                before = after = _tip_distance(used, [each.gap for each in rows])
-                surprise = sum(s for s, good in zip(surprises, near, strict=True) if good)
-                used = [each for each, good in zip(used, near, strict=True) if good]
-                rows = [each for each, good in zip(rows, near, strict=True) if good]
+                        message += f", as {self._left_out} in a row: the robot may have snapped; start a new estimator"
+                before = after = _tip_distance(used, [each.innovation for each in rows])
+                surprise = sum(s for s, good in zip(surprises, plausible, strict=True) if good)
+                used = [each for each, good in zip(used, plausible, strict=True) if good]
+                rows = [each for each, good in zip(rows, plausible, strict=True) if good]
                 if not used:
-                    return Correction(False, words, 0.0, 0, before, before)
+                    return Correction(False, message, 0.0, 0, before, before)
             noise = np.concatenate([each.noise for each in rows])
             slopes = np.concatenate([each.slopes for each in rows]) / noise[:, None]
             # Linear in the state: what the model expects at x, and the derivatives there.
-            values = np.concatenate([each.gap for each in rows]) / noise + slopes @ x
+            values = np.concatenate([each.innovation for each in rows]) / noise + slopes @ x
             last, (x, root) = x, potter(x0, root0, slopes, values)
             if np.abs((x - last) / np.sqrt((root**2).sum(1))).max() < SETTLED:
                 break
         # The distance of the tip after the last step, by the derivatives.
         if not np.isnan(before):
-            after = _tip_distance(used, [each.gap - each.slopes @ (x - last) for each in rows])
+            after = _tip_distance(used, [each.innovation - each.slopes @ (x - last) for each in rows])
         later = self._updates[count:]
         del self._updates[count:]
         self._updates.append(_Update(time, slopes, values, x, root))
         for update in later:
             x, root = potter(*self._state_at(update.time, len(self._updates)), update.slopes, update.values)
             self._updates.append(update._replace(x=x, root=root))
-        return Correction(True, words, surprise, len(values), before, after)
+        return Correction(True, message, surprise, len(values), before, after)
 
     @without_unit_warnings()
     def _robot(self, x: Array) -> ConcentricRobot:
@@ -560,17 +562,17 @@ class StateEstimator:
     def at(self, x: Array, rotations: Array, translations: Array) -> Equilibrium:
         """Equilibrium at measured joint values under an estimated state, on the branch of the last one."""
         robot, parts = self._robot(x), self.states.whole(x)
-        turn, shift = rotations + parts["rotation"], translations + parts["translation"]
+        alpha, shift = rotations + parts["rotation"], translations + parts["translation"]
         last = self._arm if robot is self._arm.robot else replace(self._arm, robot=robot)
         try:
             if self.states.loaded:
                 known = self.options.known or Load()
                 force = tuple(np.add(known.force, parts["force"]).tolist())
                 load = replace(known, force=force)
-                arm = forward_kinematics(robot, turn, shift, load=load, start=last, method=METHOD)
+                arm = forward_kinematics(robot, alpha, shift, load=load, start=last, method=METHOD)
             else:
-                quick = one_step(robot, last, turn, tuple(shift.tolist()))
-                arm = forward_kinematics(robot, turn, shift, start=last) if quick is None else quick
+                quick = one_step(robot, last, alpha, tuple(shift.tolist()))
+                arm = forward_kinematics(robot, alpha, shift, start=last) if quick is None else quick
         except InputError as error:
             raise SolveError(str(error)) from None
         self._arm = arm
@@ -581,10 +583,12 @@ def _surprise(rows: Rows, root: Array) -> float:
     """Squared innovations over their covariance."""
     spread = rows.slopes @ root
     covariance = spread @ spread.T + np.diag(rows.noise**2)
-    return float(rows.gap @ np.linalg.solve(covariance, rows.gap)) if len(rows.gap) else 0.0
+    return float(rows.innovation @ np.linalg.solve(covariance, rows.innovation)) if len(rows.innovation) else 0.0
 
 
-def _tip_distance(readings: Sequence[Reading], gaps: Sequence[Array]) -> float:
+def _tip_distance(readings: Sequence[Reading], innovations: Sequence[Array]) -> float:
     """Distance of the first measured tip from the expected one, m; NaN without one."""
-    own = (gap for reading, gap in zip(readings, gaps, strict=True) if isinstance(reading, TipReading))
-    return float(np.linalg.norm(next(own, np.full(3, np.nan))[:3]))
+    tip_innovations = (
+        innovation for reading, innovation in zip(readings, innovations, strict=True) if isinstance(reading, TipReading)
+    )
+    return float(np.linalg.norm(next(tip_innovations, np.full(3, np.nan))[:3]))

@@ -155,7 +155,7 @@ class Knots:
         """
         space, (count, m) = self.coordinates.space, self.z.shape
         most = MAX_CONTACTS
-        gap, slope = np.full((count, most), np.inf), np.zeros((count, most, m))
+        distances, slope = np.full((count, most), np.inf), np.zeros((count, most, m))
         x = np.arange(PLACES_PER_STEP) / PLACES_PER_STEP
         fine, along, moved = (_between(table, x) for table in (self.points, self.along, self.slopes[2]))
         end = self.coordinates.translations(self.z) + [tube.length - tube.straight_length for tube in space.robot.tubes]
@@ -168,10 +168,10 @@ class Knots:
             points = distance.argmin(1)
             nearest = np.argsort(distance.min(1))[:most]
             body, at = [bodies[i] for i in nearest], points[nearest]
-            gap[k, : len(at)] = distance[nearest, at]
+            distances[k, : len(at)] = distance[nearest, at]
             away = scene.gradients(body, fine[k, at])
             slope[k, : len(at)] = (away[:, None] @ moved[k, at])[:, 0]
-        return gap, slope
+        return distances, slope
 
 
 def _between(table: Array, x: Array) -> Array:
@@ -199,8 +199,8 @@ def improvement(knots: Knots, aim: Aim, contacts: tuple[Array, Array], trust: fl
     n, count, width = rows.shape
     m = width - 1
     hessian, matrix = np.zeros((n * width, n * width)), np.zeros((n, count, n, width))
-    own = (np.arange(n)[:, None] * width + np.arange(m)).ravel()
-    hessian[np.ix_(own, own)] = path.T @ path + KNOT_DAMPING * np.eye(n * m)
+    joint_columns = (np.arange(n)[:, None] * width + np.arange(m)).ravel()
+    hessian[np.ix_(joint_columns, joint_columns)] = path.T @ path + KNOT_DAMPING * np.eye(n * m)
     gradient = np.full((n, width), SLACK_PRICE)
     gradient[:, :m] = -(right @ path).reshape(n, m)
     matrix[np.arange(n), :, np.arange(n)] = rows
@@ -239,8 +239,8 @@ def _way(knots: Knots, aim: Aim) -> tuple[Array, Array]:
         desired.append(((aim.direction - knots.direction[-1]) * space.length, knots.slopes[3][-1] * space.length))
     last = np.zeros((3 * len(desired), n * m))
     last[:, -m:] = TIP_WEIGHT / space.length * np.concatenate([slope for _, slope in desired])
-    gap = TIP_WEIGHT / space.length * np.concatenate([gap for gap, _ in desired])
-    return np.concatenate([matrix.reshape(-1, n * m), last]), np.concatenate([right.ravel(), gap])
+    tip_error = TIP_WEIGHT / space.length * np.concatenate([tip_error for tip_error, _ in desired])
+    return np.concatenate([matrix.reshape(-1, n * m), last]), np.concatenate([right.ravel(), tip_error])
 
 
 def _rows(knots: Knots, contacts: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -250,16 +250,16 @@ def _rows(knots: Knots, contacts: tuple[Array, Array]) -> tuple[Array, Array]:
     """
     space, joints, slope = knots.coordinates.space, knots.joints, knots.slopes[0]
     n = space.robot.n_tubes
-    turn, order = slope[:, :n], space.rows @ slope / space.length
-    gap, toward = contacts
+    rotation_rows, order = slope[:, :n], space.rows @ slope / space.length
+    distances, toward = contacts
     size = 1 + np.abs(knots.fields)
-    rows = [turn, -turn, order, knots.slopes[1] / size[..., None], toward / (0.1 * space.length)]
+    rows = [rotation_rows, -rotation_rows, order, knots.slopes[1] / size[..., None], toward / (0.1 * space.length)]
     least = [
         (space.lower - joints)[:, :n],
         (joints - space.upper)[:, :n],
         (space.least - joints @ space.rows.T) / space.length,
         -knots.fields / size,
-        -gap / (0.1 * space.length),
+        -distances / (0.1 * space.length),
     ]
     hard = 2 * n + len(space.least)
     matrix = np.concatenate(rows, axis=1)
@@ -282,9 +282,9 @@ def _range(knots: Knots, trust: float) -> tuple[Array, Array]:
 @lru_cache(maxsize=16)
 def _program(n: int, m: int, rows: int) -> ca.Function:
     """Solver of the quadratic program of N knots with m coordinates, one slack and `rows` constraints each."""
-    near = np.abs(np.arange(n)[:, None] - np.arange(n)) <= 1
+    adjacent = np.abs(np.arange(n)[:, None] - np.arange(n)) <= 1
     moved = np.append(np.ones(m, dtype=bool), False)
-    hessian = _pattern(np.kron(near, np.outer(moved, moved)))
+    hessian = _pattern(np.kron(adjacent, np.outer(moved, moved)))
     matrix = _pattern(np.kron(np.eye(n, dtype=bool), np.ones((rows, m + 1), dtype=bool)))
     return ca.conic("ahead", SOLVER, {"h": hessian, "a": matrix}, QUIET)
 
@@ -348,7 +348,7 @@ class PredictiveServo:
         self._count = knots
         self._way: Array | None = None
         self._aim: Aim | None = None
-        self._trust, self._last = LARGEST_TRUST, np.zeros((knots, len(self._guard.here.q)))
+        self._trust, self._last = LARGEST_TRUST, np.zeros((knots, len(self._guard.posture.q)))
         self._waited, self._near = 0, True
 
     @property
@@ -375,7 +375,7 @@ class PredictiveServo:
         if command.position is None or command.pivot is not None or command.joints is not None:
             raise InputError("a servo with look-ahead follows a position, and a direction if one is given")
         aim = Aim(command.position, command.direction)
-        remaining, here = self._guard.left(command), self._guard.here
+        remaining, current = self._guard.left(command), self._guard.posture
         if self._near and remaining[0] < CLOSE * self._guard.space.length and not self._new(aim):
             step = self._servo.step(command, dt)
             # If the servo comes to rest before the target, a look-ahead of one step is not enough.
@@ -396,7 +396,7 @@ class PredictiveServo:
                 return ServoStep(reached, lacking, *remaining)
         self._waited += 1
         if self._waited <= PATIENCE:
-            arm, _ = self._guard.go(np.zeros(len(here.q)), Why(0), dt)
+            arm, _ = self._guard.go(np.zeros(len(current.q)), Why(0), dt)
             return ServoStep(arm, lacking | Why.HELD, *remaining)
         return self._servo.step(command, dt)
 
@@ -421,8 +421,8 @@ class PredictiveServo:
 
     def _knots(self, aim: Aim) -> Knots | None:
         """Path to a target, the present one if it fits; None if no joint values are known for the target."""
-        here = self._guard.here
-        first, floor = self._coordinates.of(here.equilibrium), min(self._floor, here.margin)
+        current = self._guard.posture
+        first, floor = self._coordinates.of(current.equilibrium), min(self._floor, current.margin)
         if self._new(aim):
             self._aim, end = aim, self._goal(aim)
             self._way = None
@@ -464,16 +464,16 @@ class PredictiveServo:
 
     def _along(self, knots: Knots, dt: float) -> tuple[Array, float]:
         """Joint change (m,) along the path in `dt` seconds at full speed, and the number of points that are passed."""
-        space, here, options = self._guard.space, self._guard.here, self.options
-        rate = np.where(np.arange(len(here.q)) < space.robot.n_tubes, options.turn_rate, options.shift_rate)
+        space, current, options = self._guard.space, self._guard.posture, self.options
+        rate = np.where(np.arange(len(current.q)) < space.robot.n_tubes, options.turn_rate, options.shift_rate)
         turned = np.abs(np.diff(knots.joints, axis=0)) / np.maximum(rate, 1e-300)
         moved = np.linalg.norm(np.diff(knots.tip, axis=0), axis=1) / max(options.speed, 1e-300)
         time = np.concatenate([[0.0], np.cumsum(np.maximum(turned.max(1), moved))])
         passed = float(np.interp(dt, time, np.arange(len(time))))
         at = _places(knots.z, np.array([passed]))
-        change = np.clip(self._coordinates.joints(at)[0], space.lower, space.upper) - here.q
-        share = float((np.abs(change) / np.maximum(rate * dt, 1e-300)).max())
-        return np.clip(change / max(share, 1.0), *self._guard.ends(dt)), passed
+        change = np.clip(self._coordinates.joints(at)[0], space.lower, space.upper) - current.q
+        ratio = float((np.abs(change) / np.maximum(rate * dt, 1e-300)).max())
+        return np.clip(change / max(ratio, 1.0), *self._guard.ends(dt)), passed
 
 
 def _places(z: Array, at: Array) -> Array:

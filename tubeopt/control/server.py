@@ -72,7 +72,7 @@ LOCAL = ("127.0.0.1", "localhost", "::1")
 ROLES = ("commander", "watcher")
 
 # Maximum number of characters of a reported error.
-LONGEST_WORDS = 300
+LONGEST_MESSAGE = 300
 
 # Time for which one thread of Python may delay the others, s: a small part of a period.
 TURNS = 2e-4
@@ -123,17 +123,17 @@ class Pace:
         self.steps = self.missed = 0
         self._times = np.zeros((REMEMBERED, 2))
 
-    def add(self, took: float, late: float, missed: int) -> None:
+    def add(self, took: float, delay: float, missed: int) -> None:
         """Record a step: its duration and delay, s, and the number of missed periods before it."""
-        self._times[self.steps % REMEMBERED] = took, late
+        self._times[self.steps % REMEMBERED] = took, delay
         self.steps += 1
         self.missed += missed
 
     def quantiles(self, fraction: float) -> tuple[float, float]:
         """Quantiles, s, of the processor time and of the delay of the last steps."""
         known = self._times[: min(self.steps, REMEMBERED)]
-        took, late = np.quantile(known, fraction, axis=0) if len(known) else (0.0, 0.0)
-        return float(took), float(late)
+        took, delay = np.quantile(known, fraction, axis=0) if len(known) else (0.0, 0.0)
+        return float(took), float(delay)
 
 
 @contextmanager
@@ -170,7 +170,7 @@ class RobotServer:
         options: ServerOptions | None = None,
         *,
         clock: Callable[[], float] = time.monotonic,
-        tell: Callable[[str, str], object] = lambda event, words: None,
+        tell: Callable[[str, str], object] = lambda event, message: None,
     ) -> None:
         self.robot, self.options, self._clock = robot, options or ServerOptions(), clock
         self._say = tell
@@ -226,28 +226,28 @@ class RobotServer:
         """Run one step per period. Missed steps are not repeated: joints never exceed their rates."""
         period, due = self.options.period, time.perf_counter()
         while not self._ended.is_set():
-            start_time, late = time.thread_time(), time.perf_counter() - due
+            start_time, delay = time.thread_time(), time.perf_counter() - due
             try:
                 with self._robot_in_hand:
                     self.robot.tick(self._clock, period)
             except Exception as error:  # any error of a step stops the robot, and the loop continues
                 self._failed(error)
-            self.pace.add(time.thread_time() - start_time, late, int(late / period))
+            self.pace.add(time.thread_time() - start_time, delay, int(delay / period))
             due = max(due + period, time.perf_counter())
             time.sleep(max(due - time.perf_counter(), 0.0))
 
     def _failed(self, error: Exception) -> str:
         """Stop the robot after an error; returns the sentence that reports it."""
-        words = str(error) if isinstance(error, InputError | SolveError) else f"{type(error).__name__}: {error}"
-        words = f"the robot stopped: {words}"[:LONGEST_WORDS]
+        error_text = str(error) if isinstance(error, InputError | SolveError) else f"{type(error).__name__}: {error}"
+        error_text = f"the robot stopped: {error_text}"[:LONGEST_MESSAGE]
         with self._robot_in_hand:
-            self.robot.fault(words)
-        if words != self._logged:
+            self.robot.fault(error_text)
+        if error_text != self._logged:
             known = isinstance(error, InputError | SolveError)
-            LOGGER.warning(words, exc_info=None if known else error)
-            self._say("held", words)
-            self._logged = words
-        return words
+            LOGGER.warning(error_text, exc_info=None if known else error)
+            self._say("held", error_text)
+            self._logged = error_text
+        return error_text
 
     async def _publish(self) -> None:
         while True:
@@ -296,8 +296,8 @@ class RobotServer:
                 self._clients.add(client)
                 publishing = asyncio.create_task(self._send_state(client))
                 async for message in socket:
-                    if words := await self._hear(client, partial(_read, message)):
-                        await socket.send(_event("error", words))
+                    if error_text := await self._hear(client, partial(_read, message)):
+                        await socket.send(_event("error", error_text))
             finally:
                 if publishing is not None:
                     publishing.cancel()
@@ -370,8 +370,8 @@ class RobotServer:
                         continue
                     try:
                         self._command_by(client)
-                        if words := await self._hear(client, read):
-                            client.events.append(("error", words))
+                        if error_text := await self._hear(client, read):
+                            client.events.append(("error", error_text))
                     except InputError as error:
                         client.events.append(("error", str(error)))
         except (InputError, ValueError, struct.error) as error:
@@ -387,9 +387,9 @@ class RobotServer:
             while True:
                 await client.news.wait()
                 client.news.clear()
-                words = next((words for kind, words in reversed(client.events) if kind == "error"), "")
+                error_text = next((error_text for kind, error_text in reversed(client.events) if kind == "error"), "")
                 client.events.clear()
-                for message in _slicer_state(self._report, words) if self._report else ():
+                for message in _slicer_state(self._report, error_text) if self._report else ():
                     client.socket.write(message.pack())
                 await client.socket.drain()
 
@@ -429,18 +429,18 @@ def _status_class() -> Any:
         """State message: a code, the name of an error, and a text."""
 
         def __init__(
-            self, code: int = STATUS_OK, name: str = "", words: str = "", device_name: str | None = None
+            self, code: int = STATUS_OK, name: str = "", text: str = "", device_name: str | None = None
         ) -> None:
             super().__init__(device_name=device_name)
-            self.code, self.name, self.words = code, name, words
+            self.code, self.name, self.text = code, name, text
             self._message_type, self._valid_message = "STATUS", True
 
         def _pack_content(self) -> bytes:
-            return struct.pack("> H q 20s", self.code, 0, self.name.encode()[:20]) + self.words.encode() + b"\0"
+            return struct.pack("> H q 20s", self.code, 0, self.name.encode()[:20]) + self.text.encode() + b"\0"
 
         def _unpack_content(self, content: bytes) -> None:
             self.code, _, name = struct.unpack("> H q 20s", content[:30])
-            self.name, self.words = (part.rstrip(b"\0").decode() for part in (name, content[30:]))
+            self.name, self.text = (part.rstrip(b"\0").decode() for part in (name, content[30:]))
 
     messages.message_type_to_class_constructor["STATUS"] = StatusMessage
     return StatusMessage
@@ -459,14 +459,14 @@ def _slicer_state(report: dict[str, Any], failure: str) -> list[Any]:
         code = UNKNOWN
     elif not state["is_homed"]:
         code = NOT_READY
-    elif code == STATUS_OK and Why.NO_CLOSER.words in why:
+    elif code == STATUS_OK and Why.NO_CLOSER.text in why:
         code = UNREACHABLE
-    words = f"{state['state']}, margin {report['margin']:.3f}" + (f": {why}" if why else "")
+    text = f"{state['state']}, margin {report['margin']:.3f}" + (f": {why}" if why else "")
     names = [f"{k}" for k in range(CENTRELINE)]
     return [
         TransformMessage(pose, device_name="TipToPlate"),
         PointMessage(few.tolist(), names=names, device_name="Centreline"),
-        _status_class()(code, state["state"], words, device_name="Robot"),
+        _status_class()(code, state["state"], text, device_name="Robot"),
     ]
 
 
@@ -508,8 +508,8 @@ async def _slicer_message(reader: asyncio.StreamReader) -> Callable[[], dict[str
     return read
 
 
-def _event(kind: str, words: str) -> str:
-    return json.dumps({"op": kind, "words": words[:LONGEST_WORDS]})
+def _event(kind: str, message: str) -> str:
+    return json.dumps({"op": kind, "words": message[:LONGEST_MESSAGE]})
 
 
 def _read(message: str | bytes) -> dict[str, Any]:

@@ -37,26 +37,26 @@ HALVINGS = 4
 
 
 class Ball(NamedTuple):
-    """Joint values around which a rotation of every tube by up to `turn` is proved to cause no snap."""
+    """Joint values around which a rotation of every tube by up to `radius` is proved to cause no snap."""
 
     rotations: Array
     """(n,) rotations of the joints, rad."""
     translations: Array
     """(n,) translations of the tubes, m."""
-    turn: float
+    radius: float
     """Largest turn of every tube that is proved to cause no snap, rad; 0 without a proof."""
 
     def left(self, arm: Equilibrium) -> float:
         """Turn that the proof still allows for all tubes at joint values, rad; -1 outside of its range."""
         if np.abs(arm.translations - self.translations).max() > LENGTH_ROUND_OFF:
             return -1.0
-        return max(-1.0, self.turn - float(np.ptp(arm.rotations - self.rotations)) / 2)
+        return max(-1.0, self.radius - float(np.ptp(arm.rotations - self.rotations)) / 2)
 
 
-class Place(NamedTuple):
+class GuardState(NamedTuple):
     """State that `undo` restores."""
 
-    here: Posture
+    posture: Posture
     """Stop point of the robot."""
     arm: Equilibrium
     speed: Array
@@ -78,22 +78,22 @@ class Guard:
         self.space: JointSpace = joint_space(robot, limits).holding(*shift_of(robot, start))
         self.scene: Scene = scene_of(checked_obstacles(obstacles))
         self._monitor = ClearanceMonitor(self.scene)
-        self.here: Posture
+        self.posture: Posture
         """Posture of rest after braking from now on; without accelerations, the current one."""
         self.arm: Equilibrium
         """Current equilibrium of the robot."""
         self.speed: Array
         """(m,) speeds of the joints after the last step, rad/s and m/s."""
-        self.before: Place
+        self.before: GuardState
         eccentric = robot.assembly(robot.home_translations).eccentric
-        self.turn: float | None = None if eccentric else options.min_snap_distance
+        self.min_distance: float | None = None if eccentric else options.min_snap_distance
         """Turn (rad) that must be proved to cause no snap where the robot stops; None if the margin counts."""
         self.ball: Ball
         """Last proof of it."""
-        self.wall = 0.0
+        self.margin_limit = 0.0
         """Margin that the next step keeps in its place, since less was closer to a snap."""
         self.restart(start)
-        rotation = np.arange(len(self.here.q)) < robot.n_tubes
+        rotation = np.arange(len(self.posture.q)) < robot.n_tubes
         accelerations = [getattr(options, f"{name}_acceleration") or np.inf for name in ("turn", "shift")]
         self.acceleration: Array = np.where(rotation, *accelerations)
         self.rate: Array = np.where(rotation, options.turn_rate, options.shift_rate)
@@ -103,29 +103,29 @@ class Guard:
 
     def restart(self, start: Configuration) -> None:
         """Set the state to rest at a start; errors as of `Servo`."""
-        here, least = start_posture(self.space, start), self.options.min_margin
-        if words := self.space.outside(here.q):
-            raise InputError(f"start is out of range: {words}")
-        self.ball, self.wall = Ball(here.equilibrium.rotations, here.equilibrium.translations, 0.0), 0.0
-        if self.turn is not None:
-            if proved_turn(here.equilibrium, self.turn) < self.turn:
+        current, least = start_posture(self.space, start), self.options.min_margin
+        if violation := self.space.outside(current.q):
+            raise InputError(f"start is out of range: {violation}")
+        self.ball, self.margin_limit = Ball(current.equilibrium.rotations, current.equilibrium.translations, 0.0), 0.0
+        if self.min_distance is not None:
+            if proved_turn(current.equilibrium, self.min_distance) < self.min_distance:
                 raise InputError(
-                    f"start has a snap distance below min_snap_distance, {np.degrees(self.turn):g} deg; "
+                    f"start has a snap distance below min_snap_distance, {np.degrees(self.min_distance):g} deg; "
                     "start where no such turn of the tubes snaps"
                 )
-            self.ball = self.ball._replace(turn=self.turn)
-        elif here.margin < least:
-            raise InputError(f"start has margin {here.margin:.3g}; it must be min_margin, {least:g}, or more")
-        self.here, self.arm, self.speed = here, here.equilibrium, np.zeros(len(here.q))
+            self.ball = self.ball._replace(radius=self.min_distance)
+        elif current.margin < least:
+            raise InputError(f"start has margin {current.margin:.3g}; it must be min_margin, {least:g}, or more")
+        self.posture, self.arm, self.speed = current, current.equilibrium, np.zeros(len(current.q))
         self.keep()
 
     def keep(self) -> None:
         """Store the state that `undo` restores."""
-        self.before = Place(self.here, self.arm, self.speed)
+        self.before = GuardState(self.posture, self.arm, self.speed)
 
     def undo(self) -> None:
         """Restore the state before the last step."""
-        self.here, self.arm, self.speed = self.before
+        self.posture, self.arm, self.speed = self.before
 
     def ends(self, dt: float) -> tuple[Array, Array]:
         """(m,) smallest and largest change of the stop point in a cycle, within rates and accelerations.
@@ -137,7 +137,7 @@ class Guard:
         v, most = self.speed, self.acceleration * dt
         fast = np.minimum(v + most, np.maximum(self.rate, v - most))
         slow = np.maximum(v - most, np.minimum(-self.rate, v + most))
-        ahead = self.here.q - self._joints(self.arm)
+        ahead = self.posture.q - self._joints(self.arm)
         low, high = (by * dt + by * np.abs(by) / (2 * self.acceleration) - ahead for by in (slow, fast))
         return low, high
 
@@ -149,13 +149,13 @@ class Guard:
         `closer` decides whether a part of the change brings the tip closer to its target; where none does, the robot
         rests.
         """
-        here = self.here
+        current = self.posture
         self.keep()
         if not any(abs(by) > 1e-14 for by in (change / self.space.scale).tolist()):
             return self._follow(dt), why
-        floor, guarded, passed = min(self.options.min_margin, here.margin), False, False
+        floor, guarded, passed = min(self.options.min_margin, current.margin), False, False
         for halving in range(HALVINGS + 1):
-            q = here.q + change / 2**halving
+            q = current.q + change / 2**halving
             posture = self._passes(q, floor)
             ball = None if posture is None else self._proved(posture)
             if posture is None or ball is None:
@@ -163,10 +163,10 @@ class Guard:
             elif closer(posture, 1 / 2**halving):
                 reserve = min(floor + ROOM / 2, posture.margin, self.arm.margin)
                 if not self.limited or ball.left(self.arm) > 0 or self._can_brake(posture, reserve, dt):
-                    self.here, self.ball, passed = posture, ball, True
+                    self.posture, self.ball, passed = posture, ball, True
                     break
                 guarded = True
-        self.wall = here.margin if guarded else self.wall if Why.MARGIN in why else 0.0
+        self.margin_limit = current.margin if guarded else self.margin_limit if Why.MARGIN in why else 0.0
         if passed:
             why |= Why.SHORTENED if guarded else Why(0)
         else:
@@ -177,32 +177,32 @@ class Guard:
         """Posture at joint values q (m,) of a stop point; None if the posture, or the motion to it, is not allowed."""
         rotations, shift = self.space.split(q)
         try:
-            reached = one_step(self.space.robot, self.here.equilibrium, rotations, shift)
+            reached = one_step(self.space.robot, self.posture.equilibrium, rotations, shift)
         except (SolveError, InputError):
             return None
-        if reached is None or (self.turn is None and reached.margin < floor):
+        if reached is None or (self.min_distance is None and reached.margin < floor):
             return None
         posture = Posture(self.space, q, reached)
         if self.scene.bodies:
             posture.outline.look_around(self._monitor, self.sight)
-            if (missing := self._missing(posture)) > 0 and missing > self._missing(self.here):
+            if (missing := self._missing(posture)) > 0 and missing > self._missing(self.posture):
                 return None
         return posture
 
     def _proved(self, at: Posture) -> Ball | None:
-        """Last proof, or a new one for a posture, of a turn of at least `self.turn`; None without a proof.
+        """Last proof, or a new one for a posture, of a turn of at least `self.min_distance`; None without a proof.
 
         While tubes only turn, a ball WIDER as large is tried first: further steps in it need no proof.
         """
-        arm, turn = at.equilibrium, self.turn
-        if turn is None or self.ball.left(arm) >= turn:
+        arm, distance = at.equilibrium, self.min_distance
+        if distance is None or self.ball.left(arm) >= distance:
             return self.ball
-        turns = np.array_equal(arm.translations, self.here.equilibrium.translations)
-        wide = min(WIDER * turn, FARTHEST_TURN) if turns else turn
+        turns = np.array_equal(arm.translations, self.posture.equilibrium.translations)
+        wide = min(WIDER * distance, FARTHEST_TURN) if turns else distance
         proved = proved_turn(arm, wide)
-        if proved < turn < wide:
-            proved = proved_turn(arm, turn)
-        return Ball(arm.rotations, arm.translations, proved) if proved >= turn else None
+        if proved < distance < wide:
+            proved = proved_turn(arm, distance)
+        return Ball(arm.rotations, arm.translations, proved) if proved >= distance else None
 
     def _can_brake(self, rest: Posture, floor: float, dt: float) -> bool:
         """True if the margin stays above `floor` at the next position of the robot and while it brakes to rest.
@@ -228,8 +228,8 @@ class Guard:
             if found < floor:
                 return False
             least, at = min((least, at), (found, k))
-        near = BRAKING[max(at - 1, 0) : at + 2] if least < floor + 4 * ROOM else ()
-        return all(margin((one + two) / 2) >= floor for one, two in pairwise(near))
+        neighbours = BRAKING[max(at - 1, 0) : at + 2] if least < floor + 4 * ROOM else ()
+        return all(margin((one + two) / 2) >= floor for one, two in pairwise(neighbours))
 
     def _next(self, stop: Array, dt: float) -> tuple[Array, Array]:
         """(m,) joint values after a cycle, from which the robot can brake to its stop point s.
@@ -244,12 +244,12 @@ class Guard:
     def _follow(self, dt: float) -> Equilibrium:
         """Equilibrium of the robot after moving for one cycle towards its stop point."""
         if not self.limited:
-            self.arm = self.here.equilibrium
+            self.arm = self.posture.equilibrium
             return self.arm
-        q, self.speed = self._next(self.here.q, dt)
+        q, self.speed = self._next(self.posture.q, dt)
         reached = Posture(self.space, self._joints(self.arm), self.arm).to(q)
         if reached is None:  # the guard has looked ahead: it does not happen
-            self.here, self.speed = start_posture(self.space, self.arm), 0 * self.speed
+            self.posture, self.speed = start_posture(self.space, self.arm), 0 * self.speed
         else:
             self.arm = reached.equilibrium
         return self.arm
@@ -345,12 +345,12 @@ class Part(NamedTuple):
     target: Any
     rows: Array
     """Derivatives of the part by the joints."""
-    gap: Array
+    error: Array
     """Gap to the target."""
     most: float
-    """Largest motion in a cycle, in the norm of the gap."""
+    """Largest motion in a cycle, in the norm of the error."""
     met: float
-    """Largest norm of the gap of a target that is met."""
+    """Largest norm of the error of a target that is met."""
 
 
 class Task(NamedTuple):
@@ -449,29 +449,29 @@ class Servo:
         dt = time_step(dt)
         check_places(command, self.space.robot)
         guard, m = self.guard, len(self.space.scale)
-        here = guard.here
+        current = guard.posture
         remaining = guard.left(command)
         self._note_target(command, dt)
         groups = [group for group in self._groups if group or not self._damping]
-        tasks = [task for group in groups if (task := self._task(group, command, here, dt)) is not None]
+        tasks = [task for group in groups if (task := self._task(group, command, current, dt)) is not None]
         if not tasks:
             return ServoStep(*guard.go(np.zeros(m), Why(0), dt), *remaining)
-        near = guard.ends(dt)
-        low, high = self._box(near, dt)
-        rows, bounds, kinds = self._constraints(here, low, high)
+        limits = guard.ends(dt)
+        low, high = self._box(limits, dt)
+        rows, bounds, kinds = self._constraints(current, low, high)
         # Where the margin cannot be raised, it is at least not lowered: then to stay keeps all.
         solved = self._by_priority(tasks, rows, bounds) or self._by_priority(tasks, rows, np.minimum(bounds, 0.0))
         if solved is None:
             return ServoStep(guard.go(np.zeros(m), Why(0), dt)[0], Why.HELD, *remaining)
         step, active = solved
-        why = self._why(active, here, low, high, kinds)
+        why = self._why(active, current, low, high, kinds)
         # The first rows are rates and ranges, which nothing exceeds, not by rounding either.
         step = np.minimum(np.maximum(step, bounds[:m]), -bounds[m : 2 * m])
-        arm, why = self._take(step, [part for task in tasks for part in task.parts], near, why, dt)
-        missed = any(float(np.linalg.norm(part.gap)) > part.met for task in tasks for part in task.parts)
-        if missed and guard.here is here and Why.HELD not in why:
+        arm, why = self._take(step, [part for task in tasks for part in task.parts], limits, why, dt)
+        missed = any(float(np.linalg.norm(part.error)) > part.met for task in tasks for part in task.parts)
+        if missed and guard.posture is current and Why.HELD not in why:
             why |= Why.NO_CLOSER
-        self._choose_order(guard.here is here, Why.NO_CLOSER in why, bool((active >= self._first_order).any()))
+        self._choose_order(guard.posture is current, Why.NO_CLOSER in why, bool((active >= self._first_order).any()))
         return ServoStep(arm, why, *remaining)
 
     def snap_distance(self, most: float) -> float | None:
@@ -515,8 +515,8 @@ class Servo:
             self._ordered = False
         self._progress |= not rests
 
-    def _box(self, near: tuple[Array, Array], dt: float) -> tuple[Array, Array]:
-        """(m,) smallest and largest joint change in the quadratic program, from the changes `near` that a cycle allows.
+    def _box(self, limits: tuple[Array, Array], dt: float) -> tuple[Array, Array]:
+        """(m,) smallest and largest joint change in the quadratic program within the `limits` of a cycle.
 
         A damped step is shortened as a whole once it is known: at its corners a box would turn it. Only a joint that
         moves the other way, and first has to brake, stays.
@@ -524,47 +524,47 @@ class Servo:
         most = np.full(len(self.space.scale), SHIFT * self.space.length)
         most[: self.space.robot.n_tubes] = TURN
         if not self._damping:
-            return np.maximum(near[0], -most), np.minimum(near[1], most)
+            return np.maximum(limits[0], -most), np.minimum(limits[1], most)
         brakes = np.where(np.isfinite(self.guard.acceleration), 0.51 * self.guard.acceleration * dt**2, 0.0)
-        return np.where(near[0] < -brakes, -most, 0.0), np.where(near[1] > brakes, most, 0.0)
+        return np.where(limits[0] < -brakes, -most, 0.0), np.where(limits[1] > brakes, most, 0.0)
 
     def _take(
-        self, step: Array, parts: Sequence[Part], near: tuple[Array, Array], why: Why, dt: float
+        self, step: Array, parts: Sequence[Part], limits: tuple[Array, Array], why: Why, dt: float
     ) -> tuple[Equilibrium, Why]:
         """Equilibrium after the largest part of a step (m,), over the scales, that is safe and reduces the distance.
 
         The damping is the curvature of half the squared distance along the step, which Gauss-Newton leaves out. Within
         reach it vanishes with the distance; out of reach it lets the steps converge.
         """
-        share, scale, last = 1.0, self.space.scale, self._last
+        portion, scale, last = 1.0, self.space.scale, self._last
         if self._damping:
             step = np.where(np.abs(step) < DEAD, 0.0, step)  # a joint at its place does not tremble while others move
-            share = min([1.0, *(_allowed(part.most, part.rows @ (step * scale)) for part in parts)])
-            ends = np.where(step > 0, near[1], near[0]) / scale
-            share = min(share, float(np.divide(ends, step, out=np.ones_like(step), where=step != 0).min()))
-            share = max(share, 0.0)
+            portion = min([1.0, *(_allowed(part.most, part.rows @ (step * scale)) for part in parts)])
+            ends = np.where(step > 0, limits[1], limits[0]) / scale
+            portion = min(portion, float(np.divide(ends, step, out=np.ones_like(step), where=step != 0).min()))
+            portion = max(portion, 0.0)
         reverses = step * last < 0
         self._stiff = np.where(reverses, np.minimum(4 * self._stiff, MOST_STIFF), np.maximum(1.0, self._stiff / 1.2))
         turned, size = float(step @ last), float(np.abs(step).max())
-        fraction = min([1.0, *(_allowed(part.most, part.gap) for part in parts)])
+        fraction = min([1.0, *(_allowed(part.most, part.error) for part in parts)])
         far, rated = not self._damping and fraction < 1, Why.RATE in why
         if self._damping:
             back = turned < -0.5 * float(np.linalg.norm(step) * np.linalg.norm(last))
         else:
             self._stiff[:] = 1.0
-            back = far and bool(((share * step * last < -0.5 * last**2) & (np.abs(last) > 10 * DEAD)).any())
+            back = far and bool(((portion * step * last < -0.5 * last**2) & (np.abs(last) > 10 * DEAD)).any())
         # A velocity has no distance, and that of a pivot has kinks at the points of the shape.
         led = any(part.name == "velocity" for part in parts)
-        gaps = [part for part in parts if part.name != "pivot" and not led]
-        before = sum(float(part.gap @ part.gap) for part in gaps)
-        whole = sum(_square(part.gap - part.rows @ (step * scale)) for part in gaps)
-        if (self._damping and gaps and before - whole < GAIN * before**0.5) or share * size < DEAD**2:
+        with_error = [part for part in parts if part.name != "pivot" and not led]
+        before = sum(float(part.error @ part.error) for part in with_error)
+        whole = sum(_square(part.error - part.rows @ (step * scale)) for part in with_error)
+        if (self._damping and with_error and before - whole < GAIN * before**0.5) or portion * size < DEAD**2:
             return self.guard.go(0 * step, why & ~Why.RATE, dt)
 
         def closer(posture: Posture, part_of: float) -> bool:
-            made = share * part_of * step
-            model = sum(_square(part.gap - part.rows @ (made * scale)) for part in gaps)
-            after = sum(_square(self._gap(part.name, part.target, posture)) for part in gaps)
+            made = portion * part_of * step
+            model = sum(_square(part.error - part.rows @ (made * scale)) for part in with_error)
+            after = sum(_square(self._error(part.name, part.target, posture)) for part in with_error)
             square = float(made @ made)
             seen = square > SEEN**2
             curved = min((after - model) / square, MOST_CURVED) if seen else 0.0
@@ -573,9 +573,9 @@ class Servo:
             slow = far and not rated and before - after < SLOW * fraction * before
             if grows or slow or (self._damping and curved > self._damping):
                 self._damping = max(curved, min(4 * self._damping * grows, MOST_CURVED), DAMPING**2)
-            elif self._damping and share * part_of == 1 and seen:
+            elif self._damping and portion * part_of == 1 and seen:
                 self._damping = max(curved, self._damping / 2) if self._damping > 2 * DAMPING**2 else 0.0
-            if descends and self._damping and share * part_of < 1:  # far from rest: perhaps it does without again
+            if descends and self._damping and portion * part_of < 1:  # far from rest: perhaps it does without again
                 self._damped += 1
                 if self._damped >= self._patience:
                     self._damping, self._damped, self._patience = 0.0, 0, 2 * self._patience
@@ -584,46 +584,46 @@ class Servo:
                 self._last = np.where(step == 0, last, made)
             return descends
 
-        arm, why = self.guard.go(share * step * scale, why, dt, closer)
+        arm, why = self.guard.go(portion * step * scale, why, dt, closer)
         if Why.HELD in why:
             self._damping = 0.0  # another direction may pass
         return arm, why
 
-    def _constraints(self, here: Posture, low: Array, high: Array) -> Constraints:
+    def _constraints(self, current: Posture, low: Array, high: Array) -> Constraints:
         """Constraints of a step: rates and ranges, order, margin, bodies. Those violated already must not get worse."""
-        options, m = self.options, len(here.q)
-        bounds = np.minimum(here.step_bounds, 0.0)
+        options, m = self.options, len(current.q)
+        bounds = np.minimum(current.step_bounds, 0.0)
         ends = np.maximum(bounds[: 2 * m], np.concatenate([low, -high]))
         bounds[: 2 * m] = np.minimum(ends, 0.0) / self._twice
         rows, more, kinds = [self._sides], [bounds], [(2 * m, Why.ORDER)]
-        slope = here.margin_slope() * self.space.scale
+        slope = current.margin_slope() * self.space.scale
         if any(up := slope.tolist()):
             # The most that the margin can rise within rates and ranges: a required rise above it has no solution.
             ends = bounds.tolist()
             rise = RISE * sum(-by * ends[m + k] if by > 0 else by * ends[k] for k, by in enumerate(up))
             kinds.append((len(bounds), Why.MARGIN))
             rows.append(slope[None])
-            least = options.min_margin if self.guard.turn is None else self.guard.wall
-            more.append(np.array([min(APPROACH * (least + ROOM - here.margin), rise)]))
+            least = options.min_margin if self.guard.min_distance is None else self.guard.margin_limit
+            more.append(np.array([min(APPROACH * (least + ROOM - current.margin), rise)]))
         if self.guard.scene.bodies:
-            near, lower = self._body_rows(here, np.maximum(high, -low))
+            body_rows, lower = self._body_rows(current, np.maximum(high, -low))
             kinds.append((sum(map(len, more)), Why.OBSTACLE))
-            rows.append(near)
+            rows.append(body_rows)
             more.append(lower)
         self._first_order = sum(map(len, more))
         if self._ordered:
-            row, bound = breakpoint_order(self.space, here).kept(here.q, KEPT)
+            row, bound = breakpoint_order(self.space, current).kept(current.q, KEPT)
             kinds.append((self._first_order, Why(0)))
             rows.append(row * self.space.scale)
             more.append(bound)
         return Constraints(np.concatenate(rows), np.concatenate(more), kinds)
 
-    def _why(self, active: Index, here: Posture, low: Array, high: Array, kinds: Sequence[tuple[int, Why]]) -> Why:
+    def _why(self, active: Index, current: Posture, low: Array, high: Array, kinds: Sequence[tuple[int, Why]]) -> Why:
         """Reasons (flags of `Why`) for the active rows of the constraints."""
-        m, reasons, ends = len(here.q), set[Why](), np.concatenate([low, -high])
+        m, reasons, ends = len(current.q), set[Why](), np.concatenate([low, -high])
         for row in active.tolist():
             if row < 2 * m:
-                reasons.add(Why.RANGE if here.step_bounds[row] > ends[row] else Why.RATE)
+                reasons.add(Why.RANGE if current.step_bounds[row] > ends[row] else Why.RATE)
             else:
                 reasons.add(next(kind for first, kind in reversed(kinds) if row >= first))
         return Why(sum(reasons))
@@ -691,12 +691,12 @@ class Servo:
         parts = [self._part(name, target, at, dt) for name in group if (target := getattr(command, name)) is not None]
         if not parts:
             return None
-        shares = [1.0 if self._damping else _allowed(part.most, part.gap) for part in parts]
-        targets = [share * part.gap for share, part in zip(shares, parts, strict=True)]
+        factors = [1.0 if self._damping else _allowed(part.most, part.error) for part in parts]
+        targets = [factor * part.error for factor, part in zip(factors, parts, strict=True)]
         matrix = np.concatenate([part.rows * self.space.scale for part in parts])
         return Task(matrix, np.concatenate(targets), True, tuple(parts))
 
-    def _gap(self, name: str, target: Any, at: Posture) -> Array:
+    def _error(self, name: str, target: Any, at: Posture) -> Array:
         """Difference from one part of a command, in units of the robot's length or of the joints' scales."""
         if name == "position":
             return np.asarray((target - at.tip) / self.space.length)
@@ -726,24 +726,26 @@ class Servo:
         length, speed = self.space.length, self.options.speed * dt / self.space.length
         met = MET / length
         if name == "velocity":
-            gap = _at_most(self.options.speed, target) * (dt / length)
-            return Part(name, target, at.jacobian.tip / length, gap, np.inf, np.inf)
-        gap = self._gap(name, target, at)
+            error = _at_most(self.options.speed, target) * (dt / length)
+            return Part(name, target, at.jacobian.tip / length, error, np.inf, np.inf)
+        error = self._error(name, target, at)
         if name == "position":
-            return Part(name, target, at.jacobian.tip / length, gap, speed, met)
+            return Part(name, target, at.jacobian.tip / length, error, speed, met)
         if name == "direction":
             # As fast as the tip would turn about a tenth of the robot.
-            return Part(name, target, np.cross(at.jacobian.turn, at.direction[:, None], axis=0), gap, 10 * speed, MET)
+            return Part(
+                name, target, np.cross(at.jacobian.rotation, at.direction[:, None], axis=0), error, 10 * speed, MET
+            )
         if name == "joints":
             # Straight there, as fast as the slowest joint allows.
             rate = self.guard.rate * dt / self.space.scale
-            steps = float((np.abs(gap) / np.maximum(rate, 1e-300)).max())
+            steps = float((np.abs(error) / np.maximum(rate, 1e-300)).max())
             return Part(
-                name, target, self._unit / self.space.scale, gap, float(np.linalg.norm(gap)) / max(steps, 1.0), MET
+                name, target, self._unit / self.space.scale, error, float(np.linalg.norm(error)) / max(steps, 1.0), MET
             )
         (k, along), across, _ = self._foot(target, at)
         moved = (1 - along) * at.along[k] + along * at.along[k + 1]
-        return Part(name, target, self.space.by_joints(across @ moved), gap, speed, met)
+        return Part(name, target, self.space.by_joints(across @ moved), error, speed, met)
 
     def _objective(self, at: Posture, dt: float) -> Array:
         """(m,) joint step, in units of the scales, that best improves the objective; its length is `push` times the
@@ -778,20 +780,20 @@ def _at_most(length: float, vector: Array) -> Array:
     return vector * min(length / max(hypot(*vector.tolist()), 1e-300), 1.0)
 
 
-def _softness(at: Posture, turn: float = 1e-4) -> Array:
+def _softness(at: Posture, fraction: float = 1e-4) -> Array:
     """(m,) relative change of the translational compliance of the tip by the joints, by differences.
 
     0 without a kernel, and where a difference cannot be computed.
     """
-    space, here = at.space, _yield(at.equilibrium)
+    space, current = at.space, _yield(at.equilibrium)
     out = np.zeros(len(at.q))
-    for k in range(len(out)) if here is not None else ():
+    for k in range(len(out)) if current is not None else ():
         q = at.q.copy()
-        q[k] += turn * space.scale[k] * (1 if q[k] < space.upper[k] else -1)
+        q[k] += fraction * space.scale[k] * (1 if q[k] < space.upper[k] else -1)
         reached = one_step(space.robot, at.equilibrium, *space.split(q))
         found = None if reached is None else _yield(reached)
-        if here is not None and found is not None:
-            out[k] = (found / here - 1) / (q[k] - at.q[k])
+        if current is not None and found is not None:
+            out[k] = (found / current - 1) / (q[k] - at.q[k])
     return out
 
 

@@ -36,7 +36,7 @@ Function = Callable[[Quantities], Any]
 class Limit:
     """Limit that a group of constraints expresses."""
 
-    words: str
+    description: str
     """Name of the limited quantity."""
     value: float
     """Value of the limit, SI."""
@@ -91,7 +91,7 @@ def statements(
     n, count, always = len(pieces), max(poses, default=-1) + 1, isinstance(requirement, CustomRequirement)
 
     def record(function: Function, limit: Limit) -> Expression:
-        return recorded(function, n, count, limit.words, pieces)
+        return recorded(function, n, count, limit.description, pieces)
 
     return tuple(
         Statement(k, limit, record(function, limit), None if vector is None else record(vector, limit), always)
@@ -105,7 +105,7 @@ def _stated(requirement: Requirement, n: int, poses: Poses, points: Points) -> S
         case CustomRequirement():
             movable = requirement.relaxed(requirement.size) is not None
             limit = Limit(
-                requirement.words,
+                requirement.description,
                 float(requirement.limit),
                 bool(requirement.is_upper_bound),
                 requirement.unit,
@@ -175,7 +175,7 @@ def _stated_of_poses(requirement: Requirement, poses: Poses, points: Points) -> 
 def arms(q: Quantities, poses: Poses, deployed: bool) -> list[PoseQuantities]:
     """Arms of some poses; with `deployed` also the partly deployed ones."""
     fractions = DEPLOYED_FRACTIONS if deployed else ()
-    return [arm for k in poses for arm in (q.poses[k], *(q.poses[k].drawn(fraction) for fraction in fractions))]
+    return [arm for k in poses for arm in (q.poses[k], *(q.poses[k].retracted(fraction) for fraction in fractions))]
 
 
 def _remaining_stroke(limit: float, poses: Poses, q: Quantities) -> Any:

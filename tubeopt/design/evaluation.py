@@ -64,7 +64,7 @@ def rows_of(program: Program, state: DesignState) -> list[Rows]:
     rows = [
         group
         for group in rows
-        if group.always or group.jacobian.any() or group.values.min() < 0 or group.limit.words in POSED
+        if group.always or group.jacobian.any() or group.values.min() < 0 or group.limit.description in POSED
     ]
     if not program.elastic:
         return rows
@@ -219,18 +219,18 @@ class Evaluated:
     @property
     def violation(self) -> tuple[float, str]:
         """Largest violation, in steps of its limit, and the name of that limit."""
-        worst = [(-float(group.values.min(initial=0.0)), group.limit.words) for group in self.groups]
+        worst = [(-float(group.values.min(initial=0.0)), group.limit.description) for group in self.groups]
         worst.append((-float(self.fixed[0].min(initial=0.0)), "limits of the joints and order of the tubes"))
         return max(worst)
 
     def note(self) -> None:
         """Store the design if it is the best up to now, as the result in case the time limit ends the search."""
         # Feasible designs are ranked by objective, all others by violation alone.
-        short, words = self.violation
+        short, worst = self.violation
         if short <= FEASIBLE:
             passed = PassedDesign(self.state.x, self.objective[0], 0.0, "")
         else:
-            passed = PassedDesign(self.state.x, np.inf, short, words)
+            passed = PassedDesign(self.state.x, np.inf, short, worst)
         lately = self.program.lately
         if lately.best is None or passed.order < lately.best.order:
             lately.best = passed
@@ -297,7 +297,7 @@ class Attempt:
     """Name of the limit that is violated most; "" if none is."""
     optimum: Optimum | None
     """Result of IPOPT; None if feasibility was not reached."""
-    late: bool = False
+    out_of_time: bool = False
     """True if a time limit ended the search here."""
 
     @property

@@ -221,7 +221,7 @@ def _applies_to_any_pose(requirement: Requirement, n: int) -> bool:
         return True
     try:
         # Recorded for one pose, an expression raises if it names a second one.
-        return bool(recorded(requirement.expression, n, 1, requirement.words, (1,) * n).quantities)
+        return bool(recorded(requirement.expression, n, 1, requirement.description, (1,) * n).quantities)
     except InputError:
         return False
 
@@ -237,7 +237,11 @@ def carry(old: Program, added: Added, x: Array, seed: int = 0) -> tuple[Program,
     first_via_old, first_via_new = len(old.task_poses), len(new.task_poses)
     pairs = [
         # strict=False: a box that got points has more poses than before, the old ones first.
-        *(pair for before, after in zip(old.own, new.own, strict=True) for pair in zip(before, after, strict=False)),
+        *(
+            pair
+            for before, after in zip(old.requirement_poses, new.requirement_poses, strict=True)
+            for pair in zip(before, after, strict=False)
+        ),
         *([(old.depth_pose, new.depth_pose)] if old.depth_pose is not None and new.depth_pose is not None else []),
         *((first_via_old + k, first_via_new + k) for k in range(len(added.vias))),
     ]

@@ -23,7 +23,7 @@ import scipy
 
 from ..errors import SolveError, without_unit_warnings
 from ..physics.strain import surface_strain
-from ..solvers.time_limit import LateError
+from ..solvers.time_limit import OutOfTimeError
 from ..stability import snap_free_certificate
 from ..typing import Array
 from .constraints import Limit, relaxed
@@ -43,8 +43,8 @@ def shown_infeasible(program: Program) -> str:
     """Reason why no design in the ranges of a task satisfies it; "" if none of the bounds proves it."""
     kinds = (_dimensions, _targets) if program.task.space.pieced else (_dimensions, _strains, _targets, _certificates)
     for kind in kinds:
-        for words in kind(program):
-            return words
+        for reason in kind(program):
+            return reason
     return ""
 
 
@@ -83,7 +83,7 @@ def _dimensions(program: Program) -> Iterator[str]:
     )
     if missed.status == 0 and missed.fun > SURELY:
         against = np.flatnonzero(missed.ineqlin.marginals < -1e-9)
-        names = dict.fromkeys(f"{rows[k][0].words} {_at(rows[k][0])}" for k in against)
+        names = dict.fromkeys(f"{rows[k][0].description} {_at(rows[k][0])}" for k in against)
         yield f"the ranges of the dimensions exclude {' with '.join(names)}"
 
 
@@ -180,10 +180,10 @@ class LimitChange:
     value: float
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """Description as a clause."""
         verb = "rise" if self.limit.is_upper_bound else "fall"
-        return f"{self.limit.words} must {verb} from {self.limit.shown()} to {self.limit.shown(self.value)}"
+        return f"{self.limit.description} must {verb} from {self.limit.shown()} to {self.limit.shown(self.value)}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,9 +195,9 @@ class Relaxation:
     attempt: Attempt
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """Description of all changes."""
-        return " and ".join(change.words for change in self.changes)
+        return " and ".join(change.text for change in self.changes)
 
 
 class DesignNotFoundError(SolveError):
@@ -234,12 +234,12 @@ def best_of(ranking: Ranking) -> Attempt:
         for name, count in ranking.failures.items()
     )
     tried = f"of {starts} starts, {limits}"
-    if ranking.late:
-        tried += f"; the time limit ended {ranking.late} of them"
+    if ranking.out_of_time:
+        tried += f"; the time limit ended {ranking.out_of_time} of them"
     relaxations: list[Relaxation] = []
-    with suppress(LateError):
+    with suppress(OutOfTimeError):
         relaxations = smallest_relaxations(ranking.failed)
-    eased = ", or ".join(each.words for each in relaxations) or "no relaxation was found that makes the task feasible"
+    eased = ", or ".join(each.text for each in relaxations) or "no relaxation was found that makes the task feasible"
     if shown:
         message = f"no design meets all requirements, since {shown}; {tried}; {eased}"
         raise InfeasibleDesignError(message, relaxations, closest)
@@ -265,8 +265,8 @@ def smallest_relaxations(failed: Sequence[Attempt]) -> list[Relaxation]:
     moved = np.flatnonzero(slack > SLACK_TOLERANCE)
     groups = evaluated_at(program, x).groups
     values = [float(group.values.min()) for group in groups]
-    near = [k for k in np.argsort(values) if groups[k].limit.movable]
-    candidates = moved if len(moved) > 1 else np.array([k for k in near if k not in moved], dtype=int)
+    by_value = [k for k in np.argsort(values) if groups[k].limit.movable]
+    candidates = moved if len(moved) > 1 else np.array([k for k in by_value if k not in moved], dtype=int)
     for k in candidates[:3]:
         single = _elastic(program, x, np.arange(len(values)) == k)
         relaxation = None if single is None else _apply(single)

@@ -25,7 +25,7 @@ from .requirements import ROUNDED, Rows, deviations
 class Kind(NamedTuple):
     """Description of an objective."""
 
-    words: str
+    description: str
     """Name of the objective."""
     unit: str
     """Unit for display."""
@@ -142,15 +142,15 @@ class Objective(Displayed):
                 raise InputError("translations are allowed for the objectives tip_curvature and turning_radius only")
             object.__setattr__(self, "translations", numbers("translations of the objective", self.translations))
 
-    words, unit, factor, sign = (
-        Delegate[str]("description"),
-        Delegate[str]("description"),
-        Delegate[float]("description"),
-        Delegate[int]("description"),
+    description, unit, factor, sign = (
+        Delegate[str]("traits"),
+        Delegate[str]("traits"),
+        Delegate[float]("traits"),
+        Delegate[int]("traits"),
     )
 
     @property
-    def description(self) -> Kind:
+    def traits(self) -> Kind:
         """Name, unit and direction of the objective, from its kind."""
         return KINDS[self.kind]
 
@@ -160,13 +160,13 @@ AnyObjective = Objective | CustomObjective
 
 
 def key_of(objective: AnyObjective) -> str:
-    """Name of an objective within its task: its kind, or the words of a custom one."""
-    return objective.kind if isinstance(objective, Objective) else objective.words
+    """Name of an objective within its task: its kind, or the description of a custom one."""
+    return objective.kind if isinstance(objective, Objective) else objective.description
 
 
 def shown(objective: AnyObjective, value: float) -> str:
     """Text of an objective's value with its name and unit."""
-    return f"{objective.words} {value * objective.factor:.6g} {objective.unit}".strip()
+    return f"{objective.description} {value * objective.factor:.6g} {objective.unit}".strip()
 
 
 def aim(
@@ -190,10 +190,10 @@ def aim(
         else partial(_numbers, objective, poses, certified, depth_pose)
     )
     last = max([*poses, depth_pose or 0] if isinstance(objective, Objective) else poses, default=-1)
-    expression = recorded(numbers, len(pieces), last + 1, objective.words, pieces)
+    expression = recorded(numbers, len(pieces), last + 1, objective.description, pieces)
     count = expression.value.numel_out()
     if isinstance(objective, CustomObjective) and count != 1:
-        raise InputError(f"the objective {objective.words} has {count} numbers; it must be one")
+        raise InputError(f"the objective {objective.description} has {count} numbers; it must be one")
     return expression
 
 

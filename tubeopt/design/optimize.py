@@ -18,7 +18,7 @@ from ..errors import InputError, SolveError, finite, instance, whole
 from ..files.field_metadata import Range, key
 from ..robots.concentric import ConcentricRobot
 from ..solvers.blas import small
-from ..solvers.time_limit import LONG_TIME_LIMIT, LateError, check_time, limited, time_left, within
+from ..solvers.time_limit import LONG_TIME_LIMIT, OutOfTimeError, check_time, limited, time_left, within
 from ..stability import snap_free_certificate
 from ..typing import Array, Progress, StatusEnum
 from .evaluation import Attempt, Report
@@ -95,9 +95,13 @@ class DesignSolution(Displayed):
         They name dimensions at a bound, tubes that hardly bend the arm, open obstacles, and an unusual search.
         """
         avoided = of_kind(self.task.requirements, Avoid)
-        closed = (words for requirement in avoided for words in scene_of(requirement.obstacles).stands_for)
+        closed = (body for requirement in avoided for body in scene_of(requirement.obstacles).stands_for)
         late = ("the time limit ended the search: a better design may be near",) if self.out_of_time else ()
-        return (*remarks(self.robot, self.dimensions), *(f"the clearance is from {words}" for words in closed), *late)
+        return (
+            *remarks(self.robot, self.dimensions),
+            *(f"the clearance is from {body}" for body in closed),
+            *late,
+        )
 
     @property
     def status(self) -> DesignStatus:
@@ -200,14 +204,14 @@ def optimize_design(
                 task=task,
                 verification=Verification((*solution.verification.checks, design.check)),
                 seconds=time.perf_counter() - start_time,
-                out_of_time=design.late or solution.out_of_time,
+                out_of_time=design.out_of_time or solution.out_of_time,
             )
     with within(search_time):
         ranking = search(task, start=start)
     try:
         return solution_of(task, ranking, turns, start_time)
-    except LateError as late:
-        late.best = ranking.designs[0]
+    except OutOfTimeError as error:
+        error.best = ranking.designs[0]
         raise
 
 
@@ -230,13 +234,13 @@ def _search(
         added = start.program.added
         ranking = rank([solve_from(recompiled(task, start.program), start.x, report, keep=True)])
     retries = task.solver.retries
-    if not ranking.designs and starts < retries and not ranking.late:
+    if not ranking.designs and starts < retries and not ranking.out_of_time:
         ranking = search(compile_task(task, added), starts=retries)
     best, rounds = add_worst_cases(best_of(ranking), report)
     # Designs whose program has the same unknowns come with the same cases; the others can only be listed.
     alike = [design for design in ranking.designs[1:] if design.program.layout is best.program.layout]
     designs = (best, *(alike or ranking.designs[1:]))
-    return replace(ranking, designs=designs, late=ranking.late + best.late, rounds=rounds)
+    return replace(ranking, designs=designs, out_of_time=ranking.out_of_time + best.out_of_time, rounds=rounds)
 
 
 class _ForceDesign(NamedTuple):
@@ -247,7 +251,7 @@ class _ForceDesign(NamedTuple):
     ranking: Ranking
     check: Check
     """Certificate under the force, N."""
-    late: bool
+    out_of_time: bool
     """True if the time limit ended the search."""
 
 
@@ -265,7 +269,7 @@ def _search_under_force(
     low = required_margin = requirement.margin
     best: _ForceDesign | None = None
     high = 1.0  # smallest required margin of a design that withstands the force; no certificate exceeds 1
-    late = False
+    out_of_time = False
     try:
         with within(search_time):
             for _ in range(FORCE_ROUNDS):
@@ -287,8 +291,8 @@ def _search_under_force(
                 )
                 shortfall = requirement.margin - certificate
                 if shortfall <= 0:
-                    words = f"certificate under forces on the tip of up to {force}"
-                    best = _ForceDesign(unloaded_task, ranking, Check(words, f"{certificate:.5f}", True), False)
+                    name = f"certificate under forces on the tip of up to {force}"
+                    best = _ForceDesign(unloaded_task, ranking, Check(name, f"{certificate:.5f}", True), False)
                     high = required_margin
                     if high - low <= FORCE_ACCURACY:
                         break
@@ -297,16 +301,16 @@ def _search_under_force(
                 else:
                     low = required_margin
                     required_margin = min(required_margin + 1.1 * shortfall + FORCE_ACCURACY / 2, (low + high) / 2)
-    except LateError:
+    except OutOfTimeError:
         if best is None:
             raise
-        late = True
+        out_of_time = True
     if best is None:
         raise SolveError(
             f"no design was found that is certified for {force}: the required certificate without force reached "
             f"{low:.4f}"
         )
-    return best._replace(late=late)
+    return best._replace(out_of_time=out_of_time)
 
 
 def add_worst_cases(design: Attempt, report: Report | None = None) -> tuple[Attempt, int]:
@@ -318,8 +322,8 @@ def add_worst_cases(design: Attempt, report: Report | None = None) -> tuple[Atte
     while True:
         try:
             violation = worst_cases(design.program, design.x)
-        except LateError:
-            return replace(design, late=True), rounds
+        except OutOfTimeError:
+            return replace(design, out_of_time=True), rounds
         if not violation.description:
             return design, rounds
         if rounds >= ROUNDS:
@@ -352,7 +356,7 @@ def solution_of(task: DesignTask, ranking: Ranking, turns: int, start_time: floa
         added=program.added,
         verification=verification,
         seconds=time.perf_counter() - start_time,
-        out_of_time=bool(ranking.late),
+        out_of_time=bool(ranking.out_of_time),
     )
     if not verification.satisfied:
         raise SolveError(f"verification of the design failed: {verification.violations}", solution)
@@ -455,8 +459,8 @@ def pareto_front(
         except SolveError:
             if not points:
                 raise
-            return ParetoFront(task, key_of(objective), tuple(points), margin, design.late)
-        if design.late and points:
+            return ParetoFront(task, key_of(objective), tuple(points), margin, design.out_of_time)
+        if design.out_of_time and points:
             return ParetoFront(task, key_of(objective), tuple(points), margin, True)
         points.append(FrontPoint(margin, design.value(objective), design.robot))
         if progress is not None:

@@ -163,13 +163,13 @@ def _changed_piece(tube: Tube, piece: Piece, values: UnknownValues) -> Piece:
     if shape:
         shape[0] = shape[0] if any(abs(c) > MIN_BEND for c in shape) else MIN_BEND
         x, y = Series((0.0, piece.length), (tuple(shape),)), 0.0
-    own = {field: value for (field, _), (value, _) in values.items() if field != "piece_shape"}
-    bend = own.get("piece_curvature")
+    new_values = {field: value for (field, _), (value, _) in values.items() if field != "piece_shape"}
+    bend = new_values.get("piece_curvature")
     if bend is not None:
         bend = bend if abs(bend) > MIN_BEND else MIN_BEND
         x, y = (times(q, bend) for q in bend_of((x, y), piece.length)[1])
-    if "piece_plane" in own:
-        x, y = turned(x, y, own["piece_plane"])
+    if "piece_plane" in new_values:
+        x, y = turned(x, y, new_values["piece_plane"])
     stiffness: dict[str, Any] = {}
     for name, factor in zip(("bending", "torsional"), factors(values), strict=True):
         # A factor of 1 leaves a stiffness None, so that the piece keeps that of the tube.
@@ -177,7 +177,7 @@ def _changed_piece(tube: Tube, piece: Piece, values: UnknownValues) -> Piece:
             drawn = getattr(piece, f"{name}_stiffness")
             base = float(getattr(tube, f"{name}_stiffness")) if drawn is None else drawn
             stiffness[f"{name}_stiffness"] = times(base, factor)
-    return replace(piece, precurvature=(x, y, own.get("piece_twist", z)), **stiffness)
+    return replace(piece, precurvature=(x, y, new_values.get("piece_twist", z)), **stiffness)
 
 
 def factors(values: UnknownValues) -> tuple[float, float]:
@@ -216,7 +216,9 @@ def change_of(directions: Directions, unknown: Unknown, values: PieceValues) -> 
         # Behind its end, a tube has neither stiffness nor a change of it.
         present = (directions.arm.stiffness[..., i] > 0).astype(float)
         inside = (local > 0) & (local < length)
-        dx, dy, dkb, dkt, wound = _piece_rates(unknown, values[i, j], local / length, length, directions.values[..., i])
+        dx, dy, dkb, dkt, turned = _piece_rates(
+            unknown, values[i, j], local / length, length, directions.values[..., i]
+        )
         size = np.hypot(x, y)
         # A straight section has no direction: divided by 1 its rates are 0, not 0 / 0.
         solid = np.where(size > 0, size, 1.0)
@@ -224,12 +226,12 @@ def change_of(directions: Directions, unknown: Unknown, values: PieceValues) -> 
         out.stiffness[..., i] += bent * dkb
         # The moment is kb |u*|, the phase atan2(u*_y, u*_x): product rule, and rates in polar coordinates.
         out.moment[..., i] += bent * (dkb * size + kb * (x * dx + y * dy) / solid)
-        out.phase[..., i] += wound + inside * (x * dy - y * dx) / solid**2
+        out.phase[..., i] += turned + inside * (x * dy - y * dx) / solid**2
         # d (1 / kt) = -dkt / kt^2: the twist rate is the torsional moment times 1 / kt.
         out.rate[..., i] += -(inside * dkt) / kt**2
         out.transmission[i] += _compliance_change(directions, i, (low, low + length), dkt / kt)
         if unknown.field == "piece_twist":
-            out.wound[i] += length
+            out.twist_angle[i] += length
     return out
 
 
@@ -432,7 +434,7 @@ class DesignSpace:
     @property
     def names(self) -> tuple[str, ...]:
         """Description of each unknown."""
-        return tuple(_piece_words(unknown) if unknown.pieces else _tube_words(unknown) for unknown in self.unknowns)
+        return tuple(_piece_text(unknown) if unknown.pieces else _tube_text(unknown) for unknown in self.unknowns)
 
     def tubes(self, x: Array) -> tuple[Tube, ...]:
         """Tubes at x (D,); raises InputError if they have no wall."""
@@ -541,13 +543,13 @@ def design_space(tubes: Sequence[Tube], free: Sequence[Free]) -> DesignSpace:
     return DesignSpace(tuple(tubes), unknowns, start, lower, upper, scale, pieced)
 
 
-def _tube_words(unknown: Unknown) -> str:
+def _tube_text(unknown: Unknown) -> str:
     tubes = ", ".join(str(i + 1) for i in unknown.tubes)
     factor = "factor of " if unknown.scaled else ""
     return f"{factor}{NAMES[unknown.field]} of tube{'s' * (len(unknown.tubes) > 1)} {tubes}"
 
 
-def _piece_words(unknown: Unknown) -> str:
+def _piece_text(unknown: Unknown) -> str:
     names = ", ".join(f"{j + 1} of tube {i + 1}" for i, j in unknown.pieces)
     order = f"{unknown.order + 1}. " if unknown.field == "piece_shape" else ""
     return f"{order}{NAMES[unknown.field]} of piece{'s' * (len(unknown.pieces) > 1)} {names}"
@@ -584,9 +586,9 @@ def _piece_entries(
                     f"piece {j + 1} of tube {i + 1} has a free curvature and a free shape; it has one of them"
                 )
         for group in [(position,) for position in positions] if dimension.tie == "each" else [tuple(positions)]:
-            own = tuple(sorted({i for i, _ in group}))
+            tube_numbers = tuple(sorted({i for i, _ in group}))
             unknowns = (
-                Unknown(dimension.field, own, False, group, k, dimension.torsion_share)
+                Unknown(dimension.field, tube_numbers, False, group, k, dimension.torsion_share)
                 for k in range(dimension.coefficients)
             )
             entries += [(dimension, unknown) for unknown in unknowns]

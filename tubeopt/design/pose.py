@@ -82,14 +82,14 @@ def arm_points(pose: Pose, fraction: Array) -> Array:
 def arm_slopes(pose: Pose, fraction: Array) -> Array:
     """Derivatives (K, 3, L) of `arm_points` at fixed fractions of the length, which changes too."""
     k, h, x, nodes = _segments(pose, fraction)
-    position, turn, arc = pose.shape_slopes
+    position, rotation, arc = pose.shape_slopes
     tangent = pose.arm.frame[:, :, 2]
     weights, rates = _cubic(x)
     dh = arc[k + 1] - arc[k]
     moved = weights[0][:, None, None] * position[k] + weights[2][:, None, None] * position[k + 1]
     for w, end in ((weights[1], k), (weights[3], k + 1)):
         # A turn vector w moves a tangent t by w x t = -[t] w.
-        turned = -hat(tangent[end]) @ turn[end]
+        turned = -hat(tangent[end]) @ rotation[end]
         moved = moved + w[:, None, None] * (h[:, None, None] * turned + tangent[end][:, :, None] * dh[:, None, :])
     # x = (fraction L - s_k) / h: at a fixed fraction of a length that changes, x changes too.
     dx = (fraction[:, None] * arc[-1] - arc[k] - x[:, None] * dh) / h[:, None]
@@ -200,7 +200,7 @@ class ShapeSlopes(NamedTuple):
 
     position: Array
     """Derivative (m, 3, L) of the positions of points, m per unit of the joints or dimensions."""
-    turn: Array
+    rotation: Array
     """Rotation vectors (m, 3, L) of the frame, rad."""
     arc_length: Array
     """Derivative (m, L) of the arc lengths of points, m per unit of the joints or dimensions."""

@@ -89,7 +89,7 @@ class Program:
     task: DesignTask
     added: Added
     layout: Layout
-    own: tuple[tuple[int, ...], ...]
+    requirement_poses: tuple[tuple[int, ...], ...]
     """Numbers of the poses that belong to each requirement."""
     stated: tuple[tuple[Statement, ...], ...]
     """Limits of each requirement as expressions."""
@@ -120,7 +120,7 @@ def compile_task(task: DesignTask, added: Added | None = None) -> Program:
     """Lay out the unknowns of a task, and record its requirements and objectives as expressions."""
     added = Added() if added is None else added
     poses: list[PoseKind] = []
-    own: list[tuple[int, ...]] = []
+    requirement_poses: list[tuple[int, ...]] = []
 
     def free(count: int) -> tuple[int, ...]:
         first = sum(isinstance(pose, FreePose) for pose in poses)
@@ -131,29 +131,31 @@ def compile_task(task: DesignTask, added: Added | None = None) -> Program:
     targets: dict[int, tuple[float, ...]] = {}
     for requirement, points in zip(task.requirements, points_of(task.requirements, added), strict=True):
         if isinstance(requirement, Poses):
-            own.append(tuple(range(len(poses), len(poses) + len(requirement.rotations))))
+            requirement_poses.append(tuple(range(len(poses), len(poses) + len(requirement.rotations))))
             poses.extend(FixedPose(*pair) for pair in zip(requirement.rotations, requirement.translations, strict=True))
         else:
-            own.append(free(len(points)))
-            targets |= dict(zip(own[-1], points, strict=True))
+            requirement_poses.append(free(len(points)))
+            targets |= dict(zip(requirement_poses[-1], points, strict=True))
     deep = [objective for objective in task.built_in if objective.kind == "reach_radius"]
     depth_pose = free(1)[0] if deep else None
     if depth_pose is not None:
         targets[depth_pose] = (float(deep[0].depth or 0.0),)
     certified = _certified(task, added)
-    stated, aims = _recorded(task, added, own, len(poses), depth_pose, certified)
+    stated, aims = _recorded(task, added, requirement_poses, len(poses), depth_pose, certified)
     # Last, so that the numbers of the task poses stay as exchange adds points of joint paths.
     poses.extend(added.vias)
     kinds = [objective.kind for objective in task.built_in]
     auxiliary = tuple(kind for kind in BOUNDED if kind in kinds)
     layout = Layout(task.space, tuple(poses), certified, auxiliary)
-    return Program(task, added, layout, tuple(own), stated, aims, depth_pose, targets, *_bounds(task, layout))
+    return Program(
+        task, added, layout, tuple(requirement_poses), stated, aims, depth_pose, targets, *_bounds(task, layout)
+    )
 
 
 def _recorded(
     task: DesignTask,
     added: Added,
-    own: Sequence[tuple[int, ...]],
+    requirement_poses: Sequence[tuple[int, ...]],
     count: int,
     depth_pose: int | None,
     certified: tuple[tuple[float, ...], ...],
@@ -170,7 +172,7 @@ def _recorded(
     for number, (requirement, points) in enumerate(zip(requirements, points_of(requirements, added), strict=True)):
         match requirement:
             case Coverage() | Reach():
-                stated.append(statements(requirement, pieces, own[number], points))
+                stated.append(statements(requirement, pieces, requirement_poses[number], points))
             case SnapFreeInUse():
                 stated.append(statements(requirement, pieces, all_poses))
             case _:
@@ -239,13 +241,13 @@ def _bounds(task: DesignTask, layout: Layout) -> _Bounds:
     )
     auxiliary = np.reshape([BOUNDED[name] for name in layout.auxiliary], (-1, 3)).T
     parts = zip((space.lower, space.upper, space.scale), of_a_pose, auxiliary, strict=True)
-    return _Bounds(*(np.concatenate([own, *[joints] * layout.free_poses, more]) for own, joints, more in parts))
+    return _Bounds(*(np.concatenate([design, *[joints] * layout.free_poses, more]) for design, joints, more in parts))
 
 
-def recompiled(task: DesignTask, near: Program) -> Program:
+def recompiled(task: DesignTask, program: Program) -> Program:
     """Program of a task with the added cases and the pose guesses of another program."""
     # A copy of the guesses: neither program may move the starts of the other.
-    return replace(compile_task(task, near.added), guesses=dict(near.guesses))
+    return replace(compile_task(task, program.added), guesses=dict(program.guesses))
 
 
 def slack_name(k: int) -> str:

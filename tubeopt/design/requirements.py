@@ -323,7 +323,7 @@ def deviations(q: Quantities, poses: Sequence[int]) -> Any:
     """Vectors (3 K,), m, between the fully and the partly deployed arm, for all poses one after the other."""
     return ca.vertcat(
         *(
-            q.poses[k].drawn(fraction).position(along) - q.poses[k].position(fraction * along)
+            q.poses[k].retracted(fraction).position(along) - q.poses[k].position(fraction * along)
             for k in poses
             for fraction in DEPLOYED_FRACTIONS
             for along in ALONG
@@ -346,8 +346,8 @@ class Deployment(Checked, CustomRequirement):
         Typical(1e-6, 0.2),
         "largest distance between the deploying arm and the fully deployed arm",
     ]
-    words, unit, factor, size, is_upper_bound = "deviation of the deployment", "mm", 1e3, 1e-3, True
-    _owner = words
+    description, unit, factor, size, is_upper_bound = "deviation of the deployment", "mm", 1e3, 1e-3, True
+    _owner = description
 
     def expression(self, q: Quantities) -> Any:
         """Limit minus the distance, at every checked point."""

@@ -20,7 +20,7 @@ from ..display import Displayed
 from ..errors import InputError, SolveError, instance, positive, whole
 from ..robots.concentric import ConcentricRobot
 from ..solvers.blas import small
-from ..solvers.time_limit import TIME_LIMIT, LateError, limited, within
+from ..solvers.time_limit import TIME_LIMIT, OutOfTimeError, limited, within
 from ..typing import Array, Delegate, Progress
 from .evaluation import FEASIBLE, attempt, robot_at, violation
 from .infeasibility import best_of
@@ -41,7 +41,7 @@ SIMPLEX_SIZE = 1e-3
 
 class _Score(Protocol):
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Name of the value."""
 
     @property
@@ -52,7 +52,7 @@ class _Score(Protocol):
 class SearchObjective(_Score, Protocol):
     """Goal for one robot and k further unknowns, which start at 0."""
 
-    def __call__(self, robot: ConcentricRobot, own: Array) -> tuple[float, float]:
+    def __call__(self, robot: ConcentricRobot, variables: Array) -> tuple[float, float]:
         """Score from 0 (best) to 1, which must differ between neighbours, and the value; larger values are better.
 
         Raises:
@@ -63,7 +63,7 @@ class SearchObjective(_Score, Protocol):
 class PairObjective(_Score, Protocol):
     """Goal for two robots and k further unknowns, like `SearchObjective` for one."""
 
-    def __call__(self, one: ConcentricRobot, other: ConcentricRobot, own: Array) -> tuple[float, float]:
+    def __call__(self, one: ConcentricRobot, other: ConcentricRobot, variables: Array) -> tuple[float, float]:
         """Score and value, as in `SearchObjective`."""
 
 
@@ -79,7 +79,7 @@ class Searched(Displayed):
     """Value at the dimensions of the task."""
     after: float
     """Value of the best design."""
-    own: Array = field(repr=False)
+    variables: Array = field(repr=False)
     """Further unknowns (k,) of the best design, SI."""
     tried: int
     """Number of evaluated designs or pairs."""
@@ -135,7 +135,7 @@ class _Designs(NamedTuple):
 
     dimensions: list[Array]
     """Free dimensions (D,) of each robot."""
-    own: Array
+    variables: Array
     """Further unknowns (k,)."""
 
 
@@ -158,22 +158,24 @@ class _SimplexSearch:
     def ranges(self) -> Array:
         """Bounds (D + k, 2) of all unknowns."""
         spaces = [program.layout.space for program in self.programs]
-        own = np.reshape(np.asarray(self.goal.ranges, dtype=float), (-1, 2))
-        return np.concatenate([*(np.column_stack([space.lower, space.upper]) for space in spaces), own])
+        variables = np.reshape(np.asarray(self.goal.ranges, dtype=float), (-1, 2))
+        return np.concatenate([*(np.column_stack([space.lower, space.upper]) for space in spaces), variables])
 
     def from_unit(self, u: Array) -> _Designs:
         """Designs at a point of the unit cube."""
         low, high = self.ranges.T
         # Clipped, since `to_unit` may leave the cube by round-off.
         x = low + np.clip(u, 0.0, 1.0) * (high - low)
-        *dimensions, own = np.split(x, np.cumsum([program.layout.designs for program in self.programs]))
-        return _Designs(dimensions, own)
+        *dimensions, variables = np.split(x, np.cumsum([program.layout.designs for program in self.programs]))
+        return _Designs(dimensions, variables)
 
     def to_unit(self, at: _Designs) -> Array:
         """Point of the unit cube of designs."""
         low, high = self.ranges.T
         # A range without width has no unit: its coordinate is 0, not 0 / 0.
-        return np.asarray((np.concatenate([*at.dimensions, at.own]) - low) / np.where(high > low, high - low, 1.0))
+        return np.asarray(
+            (np.concatenate([*at.dimensions, at.variables]) - low) / np.where(high > low, high - low, 1.0)
+        )
 
     def __call__(self, u: Array) -> float:
         """Score at a point of the unit cube; above 1 if a requirement is violated."""
@@ -198,7 +200,7 @@ class _SimplexSearch:
         """Score and value of designs that satisfy their requirements."""
         try:
             robots = [robot_at(program, x) for program, x in zip(self.programs, at.dimensions, strict=True)]
-            score, value = self.goal(*robots, at.own)
+            score, value = self.goal(*robots, at.variables)
         except (InputError, SolveError):
             # The worst score among designs that satisfy the requirements, still below that of any other design.
             return 1.0, 0.0
@@ -302,8 +304,8 @@ def search_pair(
         >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
         >>> task = tubeopt.DesignTask(robot, free=[Free("curvature", (0,), 1.0, 20.0)], ordered=False)
         >>> class Alike:
-        ...     words, ranges = "likeness of curvatures", ()
-        ...     def __call__(self, one, other, own):
+        ...     description, ranges = "likeness of curvatures", ()
+        ...     def __call__(self, one, other, variables):
         ...         apart = abs(one.tubes[0].curvature - other.tubes[0].curvature) / 20
         ...         return apart, 1 - apart
         >>> float(tubeopt.search_pair((task, task), Alike(), time_limit=1).after)
@@ -343,16 +345,16 @@ def _search(
     programs = tuple(compile_task(task) for task in tasks)
     search = _SimplexSearch(programs, objective, progress)
     # Further unknowns start at 0, or at the bound nearest to it.
-    own = np.clip(np.zeros(len(objective.ranges)), *np.reshape(objective.ranges, (-1, 2)).T)
+    variables = np.clip(np.zeros(len(objective.ranges)), *np.reshape(objective.ranges, (-1, 2)).T)
     with within(time_limit - search_time):
-        first = _Designs([best_of(multistart(program, starts=1, seed=seed)).x for program in programs], own)
+        first = _Designs([best_of(multistart(program, starts=1, seed=seed)).x for program in programs], variables)
     with within(time_limit - search_time):
-        _, before = search.evaluate(_Designs([program.layout.space.start for program in programs], own))
+        _, before = search.evaluate(_Designs([program.layout.space.start for program in programs], variables))
     draws = zip(*(start_values(program, seed + k, starts)[1:] for k, program in enumerate(programs)), strict=True)
     # A generator: these starts are made feasible within the search time below, not before it.
-    more = (_Designs([to_feasibility(*pair) for pair in zip(programs, draw, strict=True)], own) for draw in draws)
+    more = (_Designs([to_feasibility(*pair) for pair in zip(programs, draw, strict=True)], variables) for draw in draws)
     search_start = time.perf_counter()
-    with within(search_time), suppress(LateError):
+    with within(search_time), suppress(OutOfTimeError):
         for k, start in enumerate(chain([first], more)):
             # The time that a start leaves over is used by the next ones.
             search.minimise_from(start, search_start + search_time * (k + 1) / starts)
@@ -361,7 +363,9 @@ def _search(
     attempts = [attempt(program, x) for program, x in zip(programs, search.best.dimensions, strict=True)]
     solutions = [solution_of(task, rank([end]), turns, start_time) for task, end in zip(tasks, attempts, strict=True)]
     seconds = time.perf_counter() - start_time
-    return solutions, Searched(objective.words, before, search.value, search.best.own, search.tried, seconds)
+    return solutions, Searched(
+        objective.description, before, search.value, search.best.variables, search.tried, seconds
+    )
 
 
 def _check(task: DesignTask) -> None:

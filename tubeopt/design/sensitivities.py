@@ -20,7 +20,7 @@ from .parameters import UNITS
 from .solve import cell_of, cell_rows
 
 # Steps of a limit within which it may be active. A design at which IPOPT did not converge is no nearer to its limits.
-NEAR_LIMIT = 1e-3
+ACTIVE_LIMIT = 1e-3
 
 # Part of the objective's slope that no multipliers of active limits explain. Above it the design is no optimum to first
 # order, and prices would be wrong by at least that part.
@@ -68,11 +68,11 @@ def _multipliers(design: Attempt) -> tuple[Array, Array] | None:
     evaluated = design.evaluated
     values, jacobian = evaluated.rows()
     sections = cell_rows(evaluated.state, cell_of(evaluated.state))
-    near = np.flatnonzero(values < NEAR_LIMIT)
-    closed = np.flatnonzero(sections.lengths < NEAR_LIMIT)
-    low, high = ((program.scale * NEAR_LIMIT > abs(x - bound)) for bound in (program.lower, program.upper))
+    active = np.flatnonzero(values < ACTIVE_LIMIT)
+    closed = np.flatnonzero(sections.lengths < ACTIVE_LIMIT)
+    low, high = ((program.scale * ACTIVE_LIMIT > abs(x - bound)) for bound in (program.lower, program.upper))
     unit = np.eye(len(x))
-    columns = [jacobian[near], sections.slopes[closed], -sections.slopes[closed], unit[low], -unit[high]]
+    columns = [jacobian[active], sections.slopes[closed], -sections.slopes[closed], unit[low], -unit[high]]
     matrix = (np.concatenate(columns) * program.scale).T
     slope = evaluated.objective[1] * program.scale
     if not matrix.size:
@@ -81,9 +81,9 @@ def _multipliers(design: Attempt) -> tuple[Array, Array] | None:
     if residual > OPTIMALITY_GAP * float(np.linalg.norm(slope)):
         return None
     out = np.zeros(len(values))
-    out[near] = price[: len(near)]
+    out[active] = price[: len(active)]
     bounds = np.zeros(len(x))
-    first = len(near) + 2 * len(closed)
+    first = len(active) + 2 * len(closed)
     bounds[low] = price[first : first + low.sum()]
     bounds[high] -= price[first + low.sum() :]
     return out, bounds
@@ -99,8 +99,8 @@ def _bounds(design: Attempt, multipliers: Array) -> list[tuple[Limit, float]]:
         unit, factor = ("", 1.0) if unknown.scaled else UNITS[unknown.field]
         value = float((space.upper if is_upper else space.lower)[k])
         description = f"{'upper' if is_upper else 'lower'} bound of the {name}"
-        near = abs(design.x[k] - value) <= 1e-4 * space.scale[k]
-        if near and space.upper[k] > space.lower[k]:
+        at_bound = abs(design.x[k] - value) <= 1e-4 * space.scale[k]
+        if at_bound and space.upper[k] > space.lower[k]:
             size = min(float(space.scale[k]), 0.2 * abs(value)) if value else float(space.scale[k])
             out.append((Limit(description, value, is_upper, unit, factor, size), abs(price)))
     return out
@@ -112,7 +112,7 @@ def _sensitivity(design: Attempt, limit: Limit, price: float) -> Sensitivity:
     sign = 1.0 if limit.is_upper_bound else -1.0
     if len(objectives) == 1 and objectives[0].weight == 1.0:
         objective = objectives[0]
-        name, unit, factor, direction = objective.words, objective.unit, objective.factor, objective.sign
+        name, unit, factor, direction = objective.description, objective.unit, objective.factor, objective.sign
     else:
         name, unit, factor, direction = "weighted objective", "", 1.0, 1
     derivative = -direction * price * sign
@@ -122,7 +122,7 @@ def _sensitivity(design: Attempt, limit: Limit, price: float) -> Sensitivity:
     verb = "more" if limit.is_upper_bound else "less"
     change = "less" if direction > 0 else "more"
     shown = f"{step:g} {limit.unit}".strip()
-    sentence = f"{shown} {verb} {limit.words} buys {f'{gain:.3g} {unit}'.strip()} {change} {name}"
+    sentence = f"{shown} {verb} {limit.description} buys {f'{gain:.3g} {unit}'.strip()} {change} {name}"
     return Sensitivity(limit, derivative, sentence)
 
 

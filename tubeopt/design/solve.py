@@ -27,7 +27,7 @@ from ..robots.tubes import Tube
 from ..solvers.ipopt import Values, minimise, nowhere
 from ..solvers.parallel import executor, run_all
 from ..solvers.sampling import sobol
-from ..solvers.time_limit import LateError
+from ..solvers.time_limit import OutOfTimeError
 from ..typing import Array, Progress
 from .evaluation import FEASIBLE, Attempt, Evaluated, MoreRows, Report, attempt, cubed, evaluate, prices, squared
 from .objectives import KINDS
@@ -113,8 +113,8 @@ def _price_of_cubes(program: Program, in_cubes: Attempt) -> float:
     """
     groups = in_cubes.evaluated.groups
     balls = [group for group in groups if group.vector is not None]
-    near = any((cubed(group).values < CUBE_PRICE * group.limit.value / group.limit.size).any() for group in balls)
-    if not near:
+    is_close = any((cubed(group).values < CUBE_PRICE * group.limit.value / group.limit.size).any() for group in balls)
+    if not is_close:
         return 0.0
     if program.elastic:
         return np.inf if any(group.slack is not None and group.slack[0] > SLACK_TOLERANCE for group in balls) else 0.0
@@ -547,7 +547,7 @@ class Ranking:
     failed: tuple[Attempt, ...]
     """Final designs of infeasible starts, the smallest violation first."""
 
-    late: int = 0
+    out_of_time: int = 0
     """Number of starts that a time limit ended."""
     rounds: int = 0
     """Number of rounds that added worst cases to the best design."""
@@ -564,15 +564,15 @@ def solve_from(program: Program, start: Array, report: Report | None = None, *, 
     With poses of other starts as guesses, a design would depend on the order of starts: it is solved without them
     unless `keep` is set.
     """
-    own = program if keep else replace(program, guesses={})
+    program_alone = program if keep else replace(program, guesses={})
     try:
-        return solve(own, start, report)
-    except LateError:
-        best = own.lately.best
+        return solve(program_alone, start, report)
+    except OutOfTimeError:
+        best = program_alone.lately.best
         if best is None:
-            return Attempt(own, own.lower, np.inf, np.inf, NOTHING, None, late=True)
-        x = np.clip(best.x, own.lower, own.upper)
-        return Attempt(own, x, best.objective, best.violation, best.worst, None, late=True)
+            return Attempt(program_alone, program_alone.lower, np.inf, np.inf, NOTHING, None, out_of_time=True)
+        x = np.clip(best.x, program_alone.lower, program_alone.upper)
+        return Attempt(program_alone, x, best.objective, best.violation, best.worst, None, out_of_time=True)
 
 
 def rank(attempts: Sequence[Attempt]) -> Ranking:
@@ -588,8 +588,8 @@ def rank(attempts: Sequence[Attempt]) -> Ranking:
             counts[k] += 1
     failed = sorted((a for a in attempts if not a.feasible), key=lambda a: a.violation)
     failures = Counter(a.worst for a in failed)
-    late = sum(a.late for a in attempts)
-    return Ranking(tuple(designs), tuple(counts), dict(failures.most_common()), tuple(failed), late)
+    timed_out = sum(a.out_of_time for a in attempts)
+    return Ranking(tuple(designs), tuple(counts), dict(failures.most_common()), tuple(failed), timed_out)
 
 
 def _same(a: Attempt, b: Attempt) -> bool:

@@ -367,8 +367,8 @@ def stroke_force(state: DesignState, index: PoseNumber) -> tuple[float, Array]:
     """
     plain, names, rows = _unloaded(state, index)
     free = _free_pieces(state)
-    turn = state.pose(index).derivatives.tip_rotation @ state.chain(index)
-    varied = [Varied(step, robots, turn[:, k]) for k, step, robots in free]
+    rotation_slopes = state.pose(index).derivatives.tip_rotation @ state.chain(index)
+    varied = [Varied(step, robots, rotation_slopes[:, k]) for k, step, robots in free]
     slopes = stroke_slopes(plain, names, STRONGEST, varied=varied)
     if slopes is None:
         # The value is capped at STRONGEST, and a capped value has no slope.

@@ -125,7 +125,7 @@ def choose_from_stock(
         whole(name, value, 1)
     choices = stock_choices(task, stock, clearance)
     bounds = [_bound(with_sizes(task, sizes)) for sizes in choices]
-    late = False
+    out_of_time = False
     order = np.argsort(bounds, kind="stable")
     candidates: list[Candidate] = []
     with executor(workers) as pool:
@@ -133,10 +133,10 @@ def choose_from_stock(
             best = sorted(_minimised(task, candidate) for candidate in candidates if candidate.robot is not None)
             limit = best[keep - 1] if len(best) >= keep else np.inf
             batch = order[k : k + workers]
-            late = late or time_left() == 0
-            ended = [i for i in batch if late or bounds[i] >= limit]
+            out_of_time = out_of_time or time_left() == 0
+            ended = [i for i in batch if out_of_time or bounds[i] >= limit]
             candidates += [
-                Candidate(choices[i], bounds[i], None, None, "out of time" if late else "pruned") for i in ended
+                Candidate(choices[i], bounds[i], None, None, "out of time" if out_of_time else "pruned") for i in ended
             ]
             tasks = [(with_sizes(task, choices[i]), choices[i], bounds[i]) for i in batch if i not in ended]
             candidates += run_all(partial(_design, starts=starts), tasks, pool)
@@ -145,7 +145,7 @@ def choose_from_stock(
     designs = sorted((each for each in candidates if each.robot is not None), key=lambda each: _minimised(task, each))
     if not designs:
         why = f"no design was found with any of {len(choices)} choices from stock: {candidates[0].status}"
-        raise TimeLimitError(f"{why}; the time limit was {time_limit:g} s") if late else SolveError(why)
+        raise TimeLimitError(f"{why}; the time limit was {time_limit:g} s") if out_of_time else SolveError(why)
     without_design = sorted(
         (candidate for candidate in candidates if candidate.robot is None),
         key=lambda candidate: candidate.status in ("pruned", "out of time"),
@@ -215,11 +215,11 @@ def _design(item: tuple[DesignTask, tuple[StockTube, ...], float], starts: int) 
     if not ranking.designs:
         shown = shown_infeasible(program)
         status = f"infeasible: {shown}" if shown else f"not found: {next(iter(ranking.failures))}"
-        return Candidate(sizes, bound, None, None, "out of time" if ranking.late and not shown else status)
+        return Candidate(sizes, bound, None, None, "out of time" if ranking.out_of_time and not shown else status)
     try:
         design, _ = add_worst_cases(ranking.designs[0])
     except SolveError as error:
         return Candidate(sizes, bound, None, None, f"not found: {error}")
-    if design.late:
+    if design.out_of_time:
         return Candidate(sizes, bound, None, None, "out of time")
     return Candidate(sizes, bound, design.value(task.objectives[0]), design.robot, "design")

@@ -377,10 +377,10 @@ def _check_objectives(task: DesignTask) -> None:
     for objective in task.objectives:
         if isinstance(objective, CustomObjective):
             objective.checked()
-            if objective.words in KINDS:
+            if objective.description in KINDS:
                 raise InputError(
                     "a user-defined objective has the description "
-                    f"{objective.words!r} of a built-in one; use another description"
+                    f"{objective.description!r} of a built-in one; use another description"
                 )
             continue
         if objective.translations is not None:

@@ -140,7 +140,8 @@ def sample_tubes(tubes: Sequence[Tube], tolerances: Tolerances, samples: int, se
     size = (samples, len(tubes), 4)
     errors = random.standard_normal(size) if tolerances.distribution == "normal" else random.uniform(-1, 1, size)
     return [
-        tuple(_made(tube, tolerances, own) for tube, own in zip(tubes, row, strict=True)) for row in errors.tolist()
+        tuple(_made(tube, tolerances, tube_errors) for tube, tube_errors in zip(tubes, row, strict=True))
+        for row in errors.tolist()
     ]
 
 

@@ -225,10 +225,10 @@ def _check_targets(program: Program, equilibria: tuple[Equilibrium, ...]) -> Ite
     row_of = {number: k for k, number in enumerate(program.task_poses)}
     requirements = program.task.requirements
     points = points_of(requirements, program.added)
-    for requirement, own, positions in zip(requirements, program.own, points, strict=True):
+    for requirement, pose_numbers, positions in zip(requirements, program.requirement_poses, points, strict=True):
         if not isinstance(requirement, Reach | Coverage):
             continue
-        poses = [equilibria[row_of[number]] for number in own]
+        poses = [equilibria[row_of[number]] for number in pose_numbers]
         targets = requirement.targets if isinstance(requirement, Reach) else [requirement] * len(positions)
         tolerance = np.array([target.tolerance for target in targets])
         distance = np.linalg.norm([e.tip_position for e in poses] - np.array(positions), axis=1)
@@ -292,14 +292,14 @@ def count_snaps(
     start = np.array([np.pi if tube.curvature < 0 else 0.0 for tube in robot.tubes])
     snaps, snapped = 0, 0
     for _ in range(turns):
-        turn = np.zeros(n)
+        direction = np.zeros(n)
         # The last tube stays: turning all tubes together changes no shape, only relative turns do.
-        turn[: n - 1] = random.choice([-1.0, 0.0, 1.0], n - 1)
-        if n > 1 and not turn.any():
-            turn[random.integers(n - 1)] = random.choice([-1.0, 1.0])
+        direction[: n - 1] = random.choice([-1.0, 0.0, 1.0], n - 1)
+        if n > 1 and not direction.any():
+            direction[random.integers(n - 1)] = random.choice([-1.0, 1.0])
         # A random offset: from the exactly aligned home, a turn and its reverse are mirror images.
         offset = start + random.uniform(-0.5, 0.5, n)
-        rotations = np.array([start, offset, offset + 2 * np.pi * turn, offset, start])
+        rotations = np.array([start, offset, offset + 2 * np.pi * direction, offset, start])
         count = len(follow(robot, rotations, np.tile(home, (5, 1))).snaps)
         snaps, snapped = snaps + count, snapped + (count > 0)
     return snaps, snapped
@@ -425,11 +425,11 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
 def check_custom(requirement: CustomRequirement, robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Check:
     """Check of a custom requirement, by its expression at the numbers of the robot and its equilibria."""
     pieces = [len(tube.pieces) or 1 for tube in robot.tubes]
-    expression = recorded(requirement.expression, robot.n_tubes, len(equilibria), requirement.words, pieces)
+    expression = recorded(requirement.expression, robot.n_tubes, len(equilibria), requirement.description, pieces)
     try:
         excess = float(expression(numbers_of(robot, equilibria)).min())
     except FloatingPointError:
-        return Check(requirement.words, "not a finite number", False)
+        return Check(requirement.description, "not a finite number", False)
     value = requirement.limit - excess if requirement.is_upper_bound else requirement.limit + excess
     satisfied = excess >= -RELATIVE_TOLERANCE * requirement.size
-    return Check(requirement.words, f"{value * requirement.factor:.6g} {requirement.unit}".strip(), satisfied)
+    return Check(requirement.description, f"{value * requirement.factor:.6g} {requirement.unit}".strip(), satisfied)

@@ -197,7 +197,7 @@ class ArmChange(Directions):
         """(n, Q) change of theta at each tube's own end."""
         ends = np.clip(self.assembly.end, 0.0, self.cuts[-1])
         index = np.abs(self.cuts - ends[:, None]).argmin(1)
-        return np.asarray(self.response.state[index, np.arange(self.n)] + self.entered.wound)
+        return np.asarray(self.response.state[index, np.arange(self.n)] + self.entered.twist_angle)
 
     @cached_property
     def moved(self) -> Array:
@@ -210,9 +210,9 @@ class ArmChange(Directions):
         Of breakpoints that coincide the foremost counts.
         """
         points, pace = self.breakpoints, self.side * self.entered.speed
-        each = [own for own in points.groups if points.index[own[0]] > 0]
-        knots = np.concatenate([[0.0], self.cuts[points.index[[own[0] for own in each]]]]) if each else np.zeros(1)
-        speed = self.side * np.array([pace[[*own]].max(0) for own in each])
+        each = [group for group in points.groups if points.index[group[0]] > 0]
+        knots = np.concatenate([[0.0], self.cuts[points.index[[group[0] for group in each]]]]) if each else np.zeros(1)
+        speed = self.side * np.array([pace[[*group]].max(0) for group in each])
         fraction = [np.interp(s, knots, row) for row in np.eye(len(knots))[1:]]
         return np.stack(fraction, axis=1) @ speed if fraction else np.zeros((len(s), self.size))
 
@@ -282,9 +282,9 @@ class ArmChange(Directions):
         """(Q,) change of int |u|^2 ds, 1/m."""
         arm, u = self.arm, self.arm.at.curvature
         # d(int |u|^2 ds) = int 2 u . du ds, and the jump of |u|^2 where breakpoints move.
-        pull = (2 * arm.weights.ravel()[:, None] * u).ravel()
+        weighted = (2 * arm.weights.ravel()[:, None] * u).ravel()
         squared = self._gained((self._strip_values.curvature**2).sum(1).reshape(2, -1))
-        return np.asarray(pull @ self.response.curvature.reshape(-1, self.size) + squared @ self.widths)
+        return np.asarray(weighted @ self.response.curvature.reshape(-1, self.size) + squared @ self.widths)
 
     @cached_property
     def energy(self) -> Array:

@@ -147,22 +147,22 @@ class Bundled(Member[BundleState]):
         robot, statistics, points = equilibrium.robot, equilibrium.statistics, equilibrium.points
         assert isinstance(robot, BundleRobot)
         shift, rotations = tuple(equilibrium.translations.tolist()), equilibrium.rotations
-        bundle, own, t = bundle_at(robot, shift), equilibrium.load, tableau("gauss", statistics.degree)
+        bundle, applied, t = bundle_at(robot, shift), equilibrium.load, tableau("gauss", statistics.degree)
         first, ends = equilibrium.section_start, np.append(equilibrium.section_start[1:], equilibrium.arc_length[-1])
         count = np.bincount(np.searchsorted(first, points.point, side="right") - 1, minlength=len(first)) // t.degree
         h = np.repeat((ends - first) / count, count * t.degree)
         bend = points.point_curvature * h[:, None]
         lengths = np.tile(t.weights, len(h) // t.degree)[:, None] * (h[:, None] + bend @ bundle.levers.T)
         reached = np.cumsum(lengths, axis=0)[np.cumsum(count * t.degree) - 1]
-        start = Start(solved_order(bundle, _places(own), ends, reached), ends - first, np.zeros((len(ends), 2)))
+        start = Start(solved_order(bundle, _places(applied), ends, reached), ends - first, np.zeros((len(ends), 2)))
         d = Discretisation(degree=statistics.degree, refinement=statistics.refinement)
-        member = Bundled.of(robot, rotations, shift, own, start=lambda *_: start, discretisation=d)
+        member = Bundled.of(robot, rotations, shift, applied, start=lambda *_: start, discretisation=d)
         member = replace(member, problem=replace(member.problem, count=count, nominal=(ends - first) / count))
         problem, base = member.problem, equilibrium.rotation[:, 0]
         # theta at the points is the sum of p up to there.
         turn = np.asarray(np.linalg.solve(problem.up_to, points.point_rotation - base), dtype=float)
         x = problem.unknowns(turn, bend.ravel(), base - rotations)
-        if own is not None or (load is None and discretisation in (None, d)):
+        if applied is not None or (load is None and discretisation in (None, d)):
             return member, x
         point = Point(0.0, member, member.at(x), equilibrium.margin)
         d = discretisation or (DEFAULT_DISCRETISATION if load is None else LOADED_DISCRETISATION)
@@ -205,7 +205,7 @@ class Bundled(Member[BundleState]):
         """State at unknowns x (U,)."""
         return evaluate(self.problem, self.rotations, x, self.factor)
 
-    def turn(self, state: BundleState, step: Array) -> float:
+    def largest_rotation(self, state: BundleState, step: Array) -> float:
         """Largest rotation (rad) of a tube or of the arm by a step."""
         problem = state.problem
         change = problem.push(step)
@@ -214,7 +214,7 @@ class Bundled(Member[BundleState]):
 
     def residual(self, state: BundleState) -> float:
         """Largest violation of the equations, as an error of theta or of the arm's direction, rad."""
-        return self.turn(state, state.gradient)
+        return self.largest_rotation(state, state.gradient)
 
     def margin(self, state: BundleState) -> float:
         """Smallest eigenvalue of the second variation, at most 1; see `margin_form`."""
@@ -261,8 +261,8 @@ class Bundled(Member[BundleState]):
             raise VanishingError(state, int(closing[0]))
         with np.errstate(divide="ignore", invalid="ignore"):
             room = np.concatenate([(-h / dh)[free][dh[free] < 0], (-g / dg)[dg < 0]])
-        share = float(room.min(initial=np.inf))
-        return self.at(state.x + (1.0 if share > 1 else TO_BOUNDARY * share) * step)
+        fraction = float(room.min(initial=np.inf))
+        return self.at(state.x + (1.0 if fraction > 1 else TO_BOUNDARY * fraction) * step)
 
     def newton(self, x: Array, method: Callable[..., NewtonResult[BundleState]]) -> NewtonResult[BundleState]:
         """Result of a Newton method with the sections of length 0 that it finds.
@@ -270,30 +270,30 @@ class Bundled(Member[BundleState]):
         A section that vanishes is exchanged: the boundaries at its ends change places. Where it vanishes in both orders
         its boundaries stay together. They separate again as soon as this lowers the energy.
         """
-        own, exchanges, freed, spent = self, set[frozenset[object]](), set[frozenset[object]](), 0
+        member, exchanges, freed, spent = self, set[frozenset[object]](), set[frozenset[object]](), 0
         for _ in range(EXCHANGES):
             check_time()
             try:
-                start = own.at(opened(own.problem, x, VANISHING))
-                result = method(start, own.advanced, own.turn, own.residual)
+                start = member.at(opened(member.problem, x, VANISHING))
+                result = method(start, member.advanced, member.largest_rotation, member.residual)
             except VanishingError as end:
-                order = own.problem.order
+                order = member.problem.order
                 pair = frozenset(order[end.section - 1 : end.section + 1])
                 if end.section == 0:
                     break
                 problem, x = exchanged(end.state, end.section, hold=pair in exchanges)
                 exchanges.add(pair)
-                own = replace(own, problem=problem)
+                member = replace(member, problem=problem)
                 continue
             spent += result.iterations
-            apart = own.separated(result.state, freed) if result.converged else None
+            apart = member.separated(result.state, freed) if result.converged else None
             if apart is None:
                 # After a change the first steps open a section, and say nothing about the branch.
-                contraction = 0.0 if own is not self else result.contraction
+                contraction = 0.0 if member is not self else result.contraction
                 return replace(result, iterations=spent, contraction=contraction if result.converged else np.inf)
             problem, x = apart
-            own = replace(own, problem=problem)
-        return NewtonResult(own.at(x), False, spent, np.inf)
+            member = replace(member, problem=problem)
+        return NewtonResult(member.at(x), False, spent, np.inf)
 
     def separated(self, state: BundleState, freed: set[frozenset[object]]) -> tuple[BundleProblem, Array] | None:
         """Problem and unknowns after a section of length 0 is freed, in one of both orders; None if none would grow.
@@ -312,7 +312,7 @@ class Bundled(Member[BundleState]):
             across, x = exchanged(state, section, hold=True)
             other = replace(self, problem=across)
             # The state is the same but in the held section: few steps settle it.
-            result = full_steps(other.at(x), other.advanced, other.turn, other.residual, 4)
+            result = full_steps(other.at(x), other.advanced, other.largest_rotation, other.residual, 4)
             if result.converged and holding_forces(result.state)[across.held.index(section)] < 0:
                 freed.add(pair)
                 return rearranged(result.state, across.order, tuple(sorted(rest)))
@@ -320,17 +320,17 @@ class Bundled(Member[BundleState]):
 
     def moved(self, state: BundleState, step: Array) -> BundleState:
         """State after a step of a descent; a section that vanishes stays at length 0."""
-        own = self.owner(state)
+        member = self.owner(state)
         try:
-            return own.advanced(state, step)
+            return member.advanced(state, step)
         except VanishingError as end:
             problem, x = rearranged(state, state.problem.order, tuple(sorted({*state.problem.held, end.section})))
-            return replace(own, problem=problem).at(x)
+            return replace(member, problem=problem).at(x)
 
     def at_rest(self, state: BundleState) -> NewtonResult[BundleState]:
         """Solution next to a state at the end of a descent; sections of length 0 stay so."""
         try:
-            return full_steps(state, self.advanced, self.turn, self.residual, 4)
+            return full_steps(state, self.advanced, self.largest_rotation, self.residual, 4)
         except VanishingError as end:
             return NewtonResult(end.state, False, 0, np.inf)
 
@@ -339,8 +339,8 @@ class Bundled(Member[BundleState]):
         apart = self.separated(state, set())
         if apart is None:
             return None
-        own = replace(self, problem=apart[0])
-        return own.at(opened(own.problem, apart[1], VANISHING))
+        member = replace(self, problem=apart[0])
+        return member.at(opened(member.problem, apart[1], VANISHING))
 
     # --- Answers ------------------------------------------------------------------------------------------------------
 
@@ -442,8 +442,8 @@ class Bundled(Member[BundleState]):
 
     def distance(self, point: AnyPoint, state: BundleState) -> float:
         """Largest difference (rad) of the twist and of the arm's direction."""
-        own = self.owner(state)
-        return own.turn(state, state.x - own.transfer(point))
+        member = self.owner(state)
+        return member.largest_rotation(state, state.x - member.transfer(point))
 
     def round_off(self, state: BundleState) -> float:
         """Sum of elastic energy and work (J), which may cancel."""

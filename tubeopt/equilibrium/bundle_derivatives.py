@@ -38,10 +38,10 @@ class BundleResponse:
     def lengths(self) -> Array:
         """Derivative (m, 2 n) of the lengths h of elements of a straight arm, m."""
         problem = self.state.problem
-        own = np.zeros((len(problem.order), 2 * problem.n))
+        boundary_shift = np.zeros((len(problem.order), 2 * problem.n))
         for k, boundary in enumerate(problem.order):
-            own[k, [problem.n + i for i in boundary.tubes]] = 1.0
-        return problem.lengths_by_boundaries @ own
+            boundary_shift[k, [problem.n + i for i in boundary.tubes]] = 1.0
+        return problem.lengths_by_boundaries @ boundary_shift
 
     @cached_property
     def _bend(self) -> Array:
@@ -85,15 +85,15 @@ class BundleResponse:
     def x(self) -> Array:
         """Derivative (U, 2 n) of the unknowns."""
         state, problem = self.state, self.state.problem
-        right = problem.pull(problem.weight[:, None, None] * (state.local_hessian @ self._local))
+        right = problem.adjoint_sums(problem.weight[:, None, None] * (state.local_hessian @ self._local))
         # theta = x sqrt(|beta| / kt) at the plate: its derivative by x depends on the transmission, too.
         rows, sprung = problem.sprung_rows, problem.sprung
-        pull = (state.gradient - state.x)[rows]
-        right[rows, problem.n + sprung] -= pull / (2 * problem.bundle.transmission[sprung])
+        spring_slope = (state.gradient - state.x)[rows]
+        right[rows, problem.n + sprung] -= spring_slope / (2 * problem.bundle.transmission[sprung])
         if state.loading is not None:
             count = 2 * len(problem.weight)
-            own = state.loading.second @ self._independent
-            follow = own[:count] + problem.lengths_by_bend.T @ own[count : count + len(problem.order)]
+            by_parameter = state.loading.second @ self._independent
+            follow = by_parameter[:count] + problem.lengths_by_bend.T @ by_parameter[count : count + len(problem.order)]
             right[problem.split :] -= state.factor * problem.bend_map.T @ follow
             right -= state.factor * state.loading.torsional_slope @ self._bend
         return np.asarray(-scipy.linalg.solve(state.hessian, right))
@@ -122,7 +122,7 @@ class BundleResponse:
         """Derivative (2 n,) of the elastic energy, J."""
         problem, state = self.state.problem, self.state
         weighted = (problem.weight[:, None] * state.by_local).ravel()
-        gradient = problem.pull((problem.weight[:, None] * state.by_local)[..., None])[:, 0]
+        gradient = problem.adjoint_sums((problem.weight[:, None] * state.by_local)[..., None])[:, 0]
         gradient[problem.sprung_rows] += state.x[problem.sprung_rows]
         out = np.asarray(weighted @ self._local.reshape(len(weighted), -1) + gradient @ self.x)
         # A tube without a transmission gets one as it moves back.
@@ -185,7 +185,7 @@ class BundleResponse:
         table = np.zeros((len(problem.weight), 2 * problem.n + 3))
         table[:, -3:-1] = 2 * problem.weight[:, None] * state.bend / state.h[:, None]
         table[:, -1] = -problem.weight * (state.bend**2).sum(1) / state.h**2
-        gradient = problem.pull(table[..., None])[:, 0]
+        gradient = problem.adjoint_sums(table[..., None])[:, 0]
         return np.asarray(table.ravel() @ self._local.reshape(table.size, -1) + gradient @ self.x)
 
     @property

@@ -153,9 +153,9 @@ def _segment(robot: SegmentedEccentricRobot, k: int, rotations: Array, advance: 
 
     Its tubes' straight parts, with rotation and torsion unchanged along them, lie behind its own plate.
     """
-    own = robot.segments[k]
-    inner = tuple(replace(tube, straight_length=own.length, curved_length=0.0) for tube in robot.segments[:k])
-    alone = SegmentedEccentricRobot((*inner, own), offset=0.0)
+    segment = robot.segments[k]
+    inner = tuple(replace(tube, straight_length=segment.length, curved_length=0.0) for tube in robot.segments[:k])
+    alone = SegmentedEccentricRobot((*inner, segment), offset=0.0)
     turned = np.concatenate([np.zeros(3 * k), rotations])
-    shifts = np.repeat([advance + own.curved_length] * k + [advance], 3)
+    shifts = np.repeat([advance + segment.curved_length] * k + [advance], 3)
     return forward_kinematics(alone, turned, shifts)

@@ -190,7 +190,7 @@ def _mismatch(assembly: Assembly, e: Equilibrium, outer: int, at: Array) -> tupl
     angle = np.column_stack([np.interp(inside, e.arc_length, row) for row in e.rotation])
     sections = assembly.cross_sections(inside, inside)
     stiffness = sections.stiffness
-    angle += sections.phase - sections.wound
+    angle += sections.phase - sections.twist_angle
 
     def curvature(tubes: slice) -> Array:
         part = angle[:, tubes], stiffness[:, tubes], sections.moment[:, tubes]

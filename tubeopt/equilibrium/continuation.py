@@ -196,12 +196,12 @@ class Family:
         """Load at t as a constant load and a factor, if it grows from 0."""
         return (self.load, t) if self.before is None else (self.load_at(t), 1.0)
 
-    def member(self, t: float, near: AnyPoint) -> Member[Any]:
+    def member(self, t: float, point: AnyPoint) -> Member[Any]:
         """Problem at t, for a solution near another one."""
         rotations, translations = self.path.at(t)
         shift, (load, factor) = tuple(translations.tolist()), self._factored(t)
-        if isinstance(near.member, Bundled):
-            return near.member.near(near, rotations, shift, load, factor)
+        if isinstance(point.member, Bundled):
+            return point.member.near(point, rotations, shift, load, factor)
         if load is None:
             return Unloaded.of(self.path.robot, rotations, shift, self.path.discretisation)
         return Loaded.of(self.path.robot, rotations, shift, load, self.path.discretisation, factor)

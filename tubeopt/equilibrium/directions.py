@@ -83,12 +83,14 @@ def placed_breakpoints(assembly: Assembly, between: bytes) -> PlacedBreakpoints:
     """Breakpoints of all tubes of an arm; `between` are the bytes of the arc lengths (P + 1,) between the pieces."""
     rows = [_places(assembly, i) for i in range(assembly.n_tubes)]
     # Breakpoints behind the plate are out of the arm; one at the plate may move into it.
-    own = [(i, s, k == len(row) - 1) for i, row in enumerate(rows) for k, s in enumerate(row) if s > -LENGTH_ROUND_OFF]
-    arc_length = np.array([s for _, s, _ in own])
+    placed = [
+        (i, s, k == len(row) - 1) for i, row in enumerate(rows) for k, s in enumerate(row) if s > -LENGTH_ROUND_OFF
+    ]
+    arc_length = np.array([s for _, s, _ in placed])
     breakpoints = breakpoints_of(
         assembly.n_tubes,
-        tube=tuple(i for i, _, _ in own),
-        end=tuple(end for _, _, end in own),
+        tube=tuple(i for i, _, _ in placed),
+        end=tuple(end for _, _, end in placed),
         index=tuple(np.frombuffer(between).searchsorted(arc_length - 2 * LENGTH_ROUND_OFF).tolist()),
         in_front=tuple((arc_length > LENGTH_ROUND_OFF).tolist()),
     )
@@ -218,8 +220,8 @@ def _places(assembly: Assembly, tube: int) -> list[float]:
     """Arc lengths (m) of the breakpoints of a tube in their order."""
     if assembly.lengthwise is None:
         return [float(assembly.transition[tube]), float(assembly.end[tube])]
-    own = sorted(cut - float(assembly.transmission[tube]) for cut in assembly.lengthwise.cuts[tube])
-    return [s for k, s in enumerate(own) if not k or s - own[k - 1] > LENGTH_ROUND_OFF]
+    cuts = sorted(cut - float(assembly.transmission[tube]) for cut in assembly.lengthwise.cuts[tube])
+    return [s for k, s in enumerate(cuts) if not k or s - cuts[k - 1] > LENGTH_ROUND_OFF]
 
 
 def _sections(assembly: Assembly, s: Array, near: Array, present: Mask) -> CrossSections:
@@ -264,7 +266,7 @@ class Change:
     """(P, K, n) change of the moment m."""
     phase: Array
     """(P, K, n) change of the phase of the precurvature."""
-    wound: Array
+    twist_angle: Array
     """(n,) change of the natural twist up to the ends of the tubes."""
     force: Array | None = None
     """(P, K, 3) change of the force on the cross-sections; None for none."""
@@ -276,7 +278,7 @@ class Entered:
 
     forcing: Forcing
     """Derivatives without the motion of breakpoints."""
-    wound: Array
+    twist_angle: Array
     """(n, Q) derivatives of the natural twist up to the ends of the tubes."""
     speed: Array
     """(J, Q) motion of the breakpoints towards the tip."""
@@ -341,7 +343,7 @@ class Directions:
         for column, change in enumerate(self._more, start=n * len(self.wrt)):
             forcing.transmission[:, column], forcing.compliance[..., column] = change.transmission, change.rate
             forcing.data[..., column] = np.concatenate([change.phase, change.stiffness, change.moment], axis=2)
-            into.wound[:, column] += change.wound
+            into.twist_angle[:, column] += change.twist_angle
             if change.force is not None:
                 forcing.force[..., column] = change.force
         if self._along is None:
@@ -355,7 +357,7 @@ class Directions:
             compliance=_combined(forcing.compliance, along),
             force=_combined(forcing.force, along),
         )
-        return Entered(forcing, into.wound @ along, into.speed @ along)
+        return Entered(forcing, into.twist_angle @ along, into.speed @ along)
 
     @cached_property
     def strips(self) -> Uncovered:
@@ -380,14 +382,14 @@ class Directions:
 
     def _enter(self, entered: Entered, first: int, name: str) -> None:
         """Enter the changes by a parameter of the tubes into n columns from the first one on."""
-        arm, into, own = self.arm, entered.forcing, slice(first, first + self.n)
+        arm, into, columns = self.arm, entered.forcing, slice(first, first + self.n)
         if name == "rotations":
-            into.alpha[:, own] = np.eye(self.n)
+            into.alpha[:, columns] = np.eye(self.n)
             return
         if name == "translations" and self.assembly.lengthwise is None and not self._density.any():
-            entered.speed[:, own] = self.breakpoints.of_tubes
+            entered.speed[:, columns] = self.breakpoints.of_tubes
             # A tube that moves forward has less of its straight part below the plate.
-            into.transmission[:, own] = np.diag(-_held(self.assembly, self.side))
+            into.transmission[:, columns] = np.diag(-_held(self.assembly, self.side))
             return
         i = np.arange(self.n)
         kb, m, column = self.n + i, 2 * self.n + i, first + i
@@ -419,14 +421,14 @@ class Directions:
 
         A point x of the tube behind the straight part, l, moves by (x - l) / L for each unit of the length L.
         """
-        arm, into, n, own, points = self.arm, entered.forcing, self.n, self.tubes[i], self.breakpoints
+        arm, into, n, tube, points = self.arm, entered.forcing, self.n, self.tubes[i], self.breakpoints
         column = first + i
         held, mine, table = float(self.assembly.transmission[i]), points.tube == i, self.assembly.lengthwise
 
         def moves(position: Array) -> Array:
             if name == "translations":
                 return np.ones_like(position)
-            return np.maximum(position - own.straight_length, 0.0) / (own.curved_length or np.inf)
+            return np.maximum(position - tube.straight_length, 0.0) / (tube.curved_length or np.inf)
 
         pace = moves(self.placed.arc_length[mine] + held)
         if name == "curved_length":
@@ -437,10 +439,10 @@ class Directions:
         if self._density[i] and end > -self.side * LENGTH_ROUND_OFF:
             # The tube's weight moves beyond all points before its end, by the density per unit of motion.
             into.force[..., column] += (self._arc_length < end)[..., None] * (self._density[i] * self._gravity)
-        stretches = name == "curved_length" and own.curved_length > 0
+        stretches = name == "curved_length" and tube.curved_length > 0
         if table is None:
             if stretches:
-                grown = max(held - own.straight_length, 0.0) / own.curved_length
+                grown = max(held - tube.straight_length, 0.0) / tube.curved_length
                 into.transmission[i, column] += grown * self._softness(i)
             return
         position = self._arc_length + held
@@ -452,13 +454,13 @@ class Directions:
         if stretches:
             straight = np.array([tube.straight_length for tube in self.tubes])
             up_to = table.compliant(self.assembly.transmission)[i] - table.compliant(straight)[i]
-            into.transmission[i, column] += max(float(up_to), 0.0) / own.curved_length
+            into.transmission[i, column] += max(float(up_to), 0.0) / tube.curved_length
             ends = np.array([tube.length for tube in self.tubes])
             straight_angle, full_angle = table.values(np.stack([straight, ends]))[5][:, i]
-            turned = arm.problem.compliant.sections.wound.reshape(arm.phase.shape)[..., i] - straight_angle
+            turned = arm.problem.compliant.sections.twist_angle.reshape(arm.phase.shape)[..., i] - straight_angle
             # The twist is per length, so that a longer curved part winds more, in proportion.
-            into.data[..., i, column] += np.where(moved != 0, turned, 0.0) / own.curved_length
-            entered.wound[i, column] += (full_angle - straight_angle) / own.curved_length
+            into.data[..., i, column] += np.where(moved != 0, turned, 0.0) / tube.curved_length
+            entered.twist_angle[i, column] += (full_angle - straight_angle) / tube.curved_length
 
     @cached_property
     def _arc_length(self) -> Array:
@@ -478,8 +480,8 @@ class Directions:
 
     def _bendable(self, i: int) -> Array:
         """(P, K) True at points on the curved part of a tube with one curvature."""
-        own, position = self.tubes[i], self._arc_length + self.assembly.transmission[i]
-        return np.asarray((position > own.straight_length) & (not own.general))
+        tube, position = self.tubes[i], self._arc_length + self.assembly.transmission[i]
+        return np.asarray((position > tube.straight_length) & (not tube.general))
 
     def _softness(self, i: int) -> float:
         """Compliance 1 / kt of a tube at the plate, on the side from which the tube moves, 1/(N m^2)."""

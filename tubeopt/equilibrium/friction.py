@@ -36,7 +36,7 @@ from ..robots.concentric import Friction, check_friction
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.compiled.rubbing import FrictionStart, Rubbed, rub_compiled
+from ..solvers.compiled.friction import FrictionStart, FrictionStates, friction_motion
 from ..solvers.friction_increment import FRICTION_TOLERANCE, Increment, held_margin, imbalance, increment
 from ..solvers.newton import full_steps
 from ..solvers.settings import LEAST_STIFFNESS, NEWTON, ONWARD
@@ -299,7 +299,7 @@ def _under_load(robot: Robot, held: FrictionEquilibrium, state: LoadedState, sta
     result = ArmSolution.of(
         arm,
         problem.torsion.assembly,
-        points=CollocationPoints(s, state.theta + problem.wound, state.curvature),
+        points=CollocationPoints(s, state.theta + problem.twist_angle, state.curvature),
         margin=held.margin,
         energy=held.increment.state.energy + state.work,
         residual=imbalance(held.contact, held.increment.state, held.increment.torque),
@@ -417,7 +417,7 @@ def _fronts(contact: Contact) -> list[tuple[Index, Array]]:
 
 def sweep(
     robot: Robot, current: FrictionEquilibrium, joints: Array, behind: Array, *, margins: bool = True
-) -> Rubbed | None:
+) -> FrictionStates | None:
     """States at rows of joint values (T, 2n) by the compiled kernel; None without a kernel for this robot and friction.
 
     The first row is that of `current`. There are fewer states if a step is too long or the robot snaps; then
@@ -429,15 +429,17 @@ def sweep(
     """
     start = FrictionStart(current.increment.state.x, current.increment.torque, current.increment.signs)
     steps, inputs = steps_along(robot, joints)
-    many = rub_compiled(robot, current.contact.friction, steps, start, behind, margins=margins)
+    many = friction_motion(robot, current.contact.friction, steps, start, behind, margins=margins)
     if many is None or len(steps) == len(joints):
         return many
     # Of the finer steps only the requested rows are reported.
     reached = inputs[(inputs > 0) & (inputs <= len(many.margin))] - 1
-    return Rubbed(**{field.name: getattr(many, field.name)[reached] for field in fields(Rubbed)})
+    return FrictionStates(**{field.name: getattr(many, field.name)[reached] for field in fields(FrictionStates)})
 
 
-def swept(robot: Robot, current: FrictionEquilibrium, joints: Array, many: Rubbed, k: int) -> FrictionEquilibrium:
+def swept(
+    robot: Robot, current: FrictionEquilibrium, joints: Array, many: FrictionStates, k: int
+) -> FrictionEquilibrium:
     """State after the k-th step from `current` along rows (T, 2n), from the results of `sweep`."""
     if not k:
         return current

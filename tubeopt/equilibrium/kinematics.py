@@ -235,7 +235,7 @@ def point_of(
         SolveError: Newton's method does not converge, as at a fold.
     """
     member, x = unsolved(equilibrium, load, discretisation)
-    return Point.near(member, x, FOLDED)
+    return Point.solved_near(member, x, FOLDED)
 
 
 def unsolved(
@@ -350,7 +350,7 @@ def loaded(start: Equilibrium, member: Loaded, request: SolveRequest) -> Equilib
         rules = loaded_rules(robot, shift, load, refinement)
         if solution is not None:
             # Start from the coarse solution; its polynomials are those of the elastic rotation, without natural twist.
-            coarse = [solution.points.point_rotation - problem.wound, solution.points.point_curvature]
+            coarse = [solution.points.point_rotation - problem.twist_angle, solution.points.point_curvature]
             table = problem.mesh.interpolated(np.concatenate(coarse, axis=1), rules.problem.torsion.arc_length)
             inputs, turn, margin = (table[:, : len(turn)], table[:, len(turn) :]), 0 * turn, solution.margin
         problem, solution = rules.problem, solve_loaded_compiled(rules, (rotations, turn), inputs, margin)
@@ -652,7 +652,7 @@ def on_branch(family: Family, guess: Equilibrium, request: SolveRequest) -> Equi
     point, shortest = _start(family, last), SHORTEST_STEP if load_grows else SHARPEST_STEP
     if load_grows:
         # The unloaded equilibrium was sampled from another mesh: Newton's method solves it once on this one.
-        point = Point.near(point.member, point.state.x, FOLDED)
+        point = Point.solved_near(point.member, point.state.x, FOLDED)
     # Without a load the branch of the start is followed whether it stays stable or not.
     stable = load_grows or (family.load is not None and point.margin > 0)
     point = reach(family, point, stable=stable, shortest=shortest)
@@ -702,5 +702,5 @@ def equilibrium_at(
     s = member.torsion.arc_length
     theta = rotation_at(s).T.reshape(-1, robot.n_tubes)
     curvature = None if load is None or curvature_at is None else curvature_at(s).T
-    point = Point.near(member, member.unknowns(theta, curvature), FOLDED)
+    point = Point.solved_near(member, member.unknowns(theta, curvature), FOLDED)
     return _to_tolerance(point, "a program", SolveRequest(start_time=start_time))

@@ -368,9 +368,9 @@ def sharing(carriages: tuple[tuple[int, ...], ...], wrt: tuple[str, ...]) -> Arr
     n = sum(len(tubes) for tubes in carriages)
     along, first = np.eye(n * len(wrt)), n * wrt.index("translations")
     for tubes in carriages:
-        own = first + np.array(tubes)
+        members = first + np.array(tubes)
         # The mean over a carriage: sums over its tubes give the change by their common motion.
-        along[np.ix_(own, own)] = 1 / len(tubes)
+        along[np.ix_(members, members)] = 1 / len(tubes)
     return along
 
 
@@ -421,8 +421,10 @@ def position_at(of: Linearised, fraction: float) -> tuple[Array, Array]:
     # The last shape point moves with the tip; the others are at fixed arc lengths.
     change[-1] -= np.outer(of.shape.frame[-1][:, 2], longer)
     k, weights, rates = _weights(of, fraction)
-    own = slice(4 * k, 4 * k + 5)
-    return weights @ table[own], np.tensordot(weights, change[own], 1) + fraction * np.outer(rates @ table[own], longer)
+    near = slice(4 * k, 4 * k + 5)
+    return weights @ table[near], np.tensordot(weights, change[near], 1) + fraction * np.outer(
+        rates @ table[near], longer
+    )
 
 
 def curvature_at(of: Linearised, fraction: float) -> tuple[Array, Array]:
@@ -459,7 +461,7 @@ def curvature_in_tube(of: Linearised, tube: int, ends: tuple[float, float], move
     arm, (first, last) = of.arm, ends
     value, change = np.zeros(2), np.zeros((2, of.size))
     # A tube made of pieces has axes of its own, which its natural twist turns; theta is that of its precurvature.
-    turned = of.problem.compliant.sections.wound.reshape(arm.phase.shape) - arm.phase
+    turned = of.problem.compliant.sections.twist_angle.reshape(arm.phase.shape) - arm.phase
     for k in np.flatnonzero((of.cuts[1:] > first) & (of.cuts[:-1] < last)).tolist():
         # Curvature jumps where elements meet: each part of the stretch has points of its own, which move with its ends.
         low, high = max(first, of.cuts[k]), min(last, of.cuts[k + 1])
@@ -472,9 +474,9 @@ def curvature_in_tube(of: Linearised, tube: int, ends: tuple[float, float], move
             at = of.section(k, fraction, (1 - x) * from_ + x * to)
             theta = float(at.rotation[tube] + arm.tableau.basis((fraction,), 0)[0] @ turned[k, :, tube])
             c, s = np.cos(theta), np.sin(theta)
-            own = np.array([[c, s], [-s, c]])
-            u = own @ at.curvature
-            by = own @ at.by_curvature + np.outer([u[1], -u[0]], at.by_tubes[tube])
+            to_tube = np.array([[c, s], [-s, c]])
+            u = to_tube @ at.curvature
+            by = to_tube @ at.by_curvature + np.outer([u[1], -u[0]], at.by_tubes[tube])
             value += weight * (high - low) * u
             change += weight * ((high - low) * by + np.outer(u, to - from_))
     return value / (last - first), change / (last - first)

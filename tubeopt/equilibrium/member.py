@@ -130,7 +130,7 @@ class Point(Generic[M, S]):
         return Point(t, member, state, member.margin(state))
 
     @staticmethod
-    def near(member: M, x: Array, failure: str, iterations: int = NEWTON.iterations) -> Point[M, S]:
+    def solved_near(member: M, x: Array, failure: str, iterations: int = NEWTON.iterations) -> Point[M, S]:
         """Point found by Newton's method from unknowns x (U,); raises SolveError with the message `failure`."""
         result = member.solve(x, iterations)
         if not result.converged:
@@ -139,7 +139,7 @@ class Point(Generic[M, S]):
 
     def onto(self, member: M, failure: str, iterations: int = NEWTON.iterations) -> Point[M, Any]:
         """Point of another problem close to this one; raises SolveError with the message `failure`."""
-        return Point.near(member, member.transfer(self), failure, iterations)
+        return Point.solved_near(member, member.transfer(self), failure, iterations)
 
 
 AnyPoint = Point[Any, Any]
@@ -216,7 +216,7 @@ class Member(ABC, Generic[S]):
         direction = self.softest(state)
         # 0.05 rad is small against the distance between minima, and enough for the energy to fall by more than
         # round-off.
-        direction = direction * (0.05 / self.turn(state, direction))
+        direction = direction * (0.05 / self.largest_rotation(state, direction))
         return state.x + direction, state.x - direction
 
     def moved(self, state: S, step: Array) -> S:
@@ -232,7 +232,7 @@ class Member(ABC, Generic[S]):
         return None
 
     @abstractmethod
-    def turn(self, state: S, step: Array) -> float:
+    def largest_rotation(self, state: S, step: Array) -> float:
         """Largest rotation (rad) of a tube or of the arm at a point by a step (U,) from a state."""
 
     @abstractmethod
@@ -324,7 +324,7 @@ class Member(ABC, Generic[S]):
 
     def newton(self, x: Array, method: Callable[..., NewtonResult[S]]) -> NewtonResult[S]:
         """Result of `full_steps` or `descend` of `solvers/newton.py` from x (U,)."""
-        return method(self.at(x), lambda state, step: self.at(state.x + step), self.turn, self.residual)
+        return method(self.at(x), lambda state, step: self.at(state.x + step), self.largest_rotation, self.residual)
 
 
 def elements_of(mesh: Mesh, assembly: Assembly, other: Assembly) -> Index | None:
@@ -381,7 +381,7 @@ class Unloaded(Member[Evaluation]):
         """State at unknowns x (U,)."""
         return evaluate(self.problem, self.rotations, x)
 
-    def turn(self, state: Evaluation, step: Array) -> float:
+    def largest_rotation(self, state: Evaluation, step: Array) -> float:
         """Largest rotation (rad) of a tube by a step."""
         return torsional_turn(self.problem, step)
 
@@ -419,7 +419,9 @@ class Unloaded(Member[Evaluation]):
         return ArmSolution.of(
             arm,
             problem.assembly,
-            points=CollocationPoints(problem.arc_length, state.theta + problem.assembly.wound(problem.arc_length)),
+            points=CollocationPoints(
+                problem.arc_length, state.theta + problem.assembly.twist_angle(problem.arc_length)
+            ),
             margin=point.margin,
             energy=arm.energy,
             residual=self.residual(state),
@@ -574,7 +576,7 @@ class Loaded(Member[LoadedState]):
         """State at unknowns x (U,)."""
         return loaded.evaluate(self.problem, self.rotations, x, self.factor)
 
-    def turn(self, state: LoadedState, step: Array) -> float:
+    def largest_rotation(self, state: LoadedState, step: Array) -> float:
         """Largest rotation (rad) of a tube by a step, or of the arm if its curvature changed equally all along."""
         tubes = np.abs(self.torsion.factor @ step[: self.torsion.size]).max(initial=0.0)
         length = self.torsion.assembly.total_length
@@ -610,7 +612,7 @@ class Loaded(Member[LoadedState]):
         return ArmSolution.of(
             loaded_arm(problem, profile, state),
             problem.torsion.assembly,
-            points=CollocationPoints(problem.torsion.arc_length, state.theta + problem.wound, state.curvature),
+            points=CollocationPoints(problem.torsion.arc_length, state.theta + problem.twist_angle, state.curvature),
             margin=point.margin,
             energy=elastic_energy(problem, profile, state),
             residual=self.residual(state),
@@ -772,14 +774,14 @@ def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
         arm = np.stack([equilibrium.rotation.T, equilibrium.torsion.T])
         return sample_arms(robot, shift, equilibrium.arc_length, arm, arc_length)
     theta = equilibrium.point_rotation
-    return theta if robot.even else theta - assembly_of(robot, tuple(shift.tolist())).wound(arc_length)
+    return theta if robot.even else theta - assembly_of(robot, tuple(shift.tolist())).twist_angle(arc_length)
 
 
 def sample_arms(robot: Robot, translations: Array, s: Array, arms: Array, arc_length: Array) -> Array:
     """(..., N, n) theta or phi at arc lengths (N,) of arms (..., 2, m, n), rotation and torsion at s (m,)."""
     rotation, torsion = arms[..., 0, :, :], arms[..., 1, :, :]
     even = robot.even
-    phi = rotation if even else rotation - robot.assembly(translations).wound(s)
+    phi = rotation if even else rotation - robot.assembly(translations).twist_angle(s)
     if len(s) < 2:
         return np.repeat(phi, len(arc_length), axis=-2)
     if not even:

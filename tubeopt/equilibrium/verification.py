@@ -56,8 +56,8 @@ def verifications(equilibria: Sequence[Equilibrium]) -> list[Verification]:
     n, state = arms.robot.n_tubes, arms.base()
     # By integration from the shape's own values at the plate, the joint rotations must come out.
     base = [
-        own[:n] - arms.transmitted(assembly, own[n : 2 * n]) - each.rotations
-        for each, assembly, own in zip(equilibria, arms.assemblies, state, strict=True)
+        at_plate[:n] - arms.transmitted(assembly, at_plate[n : 2 * n]) - each.rotations
+        for each, assembly, at_plate in zip(equilibria, arms.assemblies, state, strict=True)
     ]
     # Sections are integrated one by one: at a breakpoint the right-hand side jumps, which would cost DOP853 its order.
     worst, loose, bent = np.zeros((3, len(equilibria)))
@@ -145,11 +145,11 @@ class _Arms:
         """Arms of a list of equilibria of one robot under one load."""
         robot, load, along = equilibria[0].robot, equilibria[0].load or Load(), []
         for tube in robot.tubes:
-            own, start = [], 0.0
+            pieces, start = [], 0.0
             for length, (x, y, z), kb, kt in stretches(tube):
-                own.append((start, start + length, (kb, kt, x, y, z)))
+                pieces.append((start, start + length, (kb, kt, x, y, z)))
                 start += length
-            along.append(tuple(own))
+            along.append(tuple(pieces))
         placed = tuple(cut(robot.assembly(each.translations), load.cuts()) for each in equilibria)
         return _Arms(equilibria, load, placed, tuple(along))
 
@@ -169,7 +169,10 @@ class _Arms:
             return state
         each = zip(rows.tolist(), s.tolist(), state, strict=True)
         return np.array(
-            [_past_points(self.equilibria[b], self.assemblies[b], s, own, ending=ending) for b, s, own in each]
+            [
+                _past_points(self.equilibria[b], self.assemblies[b], s, arm_state, ending=ending)
+                for b, s, arm_state in each
+            ]
         )
 
     def section(self, k: int) -> _Section:
@@ -180,7 +183,10 @@ class _Arms:
         mass = np.array([masses(self.robot.tubes, self.load) @ each.present[k] for each in some])
         parts = [
             [
-                next(((first - held, own) for first, end, own in tube if first - held <= middle < end - held), None)
+                next(
+                    ((first - held, numbers) for first, end, numbers in tube if first - held <= middle < end - held),
+                    None,
+                )
                 for tube, held in zip(self.along, each.transmission.tolist(), strict=True)
             ]
             for each, middle in zip(some, (start + length / 2).tolist(), strict=True)
@@ -211,8 +217,8 @@ class _Arms:
     def transmitted(self, assembly: Assembly, torque: Array) -> Array:
         """(n,) rotation of the tubes from their clamped ends to the plate, rad."""
         out = np.zeros(assembly.n_tubes)
-        for i, (own, held) in enumerate(zip(self.along, assembly.transmission.tolist(), strict=True)):
-            for start, end, (_, kt, _, _, z) in own:
+        for i, (pieces, held) in enumerate(zip(self.along, assembly.transmission.tolist(), strict=True)):
+            for start, end, (_, kt, _, _, z) in pieces:
                 stop = min(end, held)
                 if stop > start and not vary((z, kt)):
                     out[i] += (at(z, 0.0) + torque[i] / at(kt, 0.0)) * (stop - start)
@@ -320,13 +326,13 @@ class _Section:
         frame = state[:, 2 * n : 2 * n + 9].reshape(count, 3, 3)
         per_length = self.load.per_length(self.arc_lengths(x))
         along, couple = per_length[:, FORCE], np.einsum("bij,bi->bj", frame, per_length[:, MOMENT])
-        own = np.einsum("bij,bi->bj", frame, state[:, -3:])
+        local_moment = np.einsum("bij,bi->bj", frame, state[:, -3:])
         if self.load.gravity is not None:
             along = along + self.mass[:, None] * np.array(self.load.gravity)
         out[np.arange(count), n + outermost(self.present)] -= couple[:, 2]
         total = (state[:, n : 2 * n] * self.present).sum(1)
-        out[:, -5] = -u.imag * total + own[:, 1] - couple[:, 0]
-        out[:, -4] = u.real * total - own[:, 0] - couple[:, 1]
+        out[:, -5] = -u.imag * total + local_moment[:, 1] - couple[:, 0]
+        out[:, -4] = u.real * total - local_moment[:, 0] - couple[:, 1]
         out[:, -3:] = -along
 
     def integrated(self, state: Array) -> Array:

@@ -319,11 +319,11 @@ def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mappin
         case "value_error":
             return [f"{path} {context['error']}".strip()]
         case "literal_error":
-            words = re.findall(r"'(.*?)'", context["expected"])
+            expected = re.findall(r"'(.*?)'", context["expected"])
             if "<name>" in loc:
                 # The material of a tube is a name or a mapping; pydantic only lists the names.
-                words.append("a mapping with its keys")
-            return [f"{path} is {shown(value)}; it must be {_either(words)}{nearest(value, words)}"]
+                expected.append("a mapping with its keys")
+            return [f"{path} is {shown(value)}; it must be {_either(expected)}{nearest(value, expected)}"]
         case "too_short":
             return [f"{path} has {_items(context['actual_length'])}; it must have at least {context['min_length']}"]
         case "too_long":
@@ -372,8 +372,8 @@ def _known_keys(model: type[BaseModel], loc: Sequence[int | str]) -> list[str]:
     return [key for each in alternatives for key in each.model_fields]
 
 
-def _either(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
+def _either(alternatives: Sequence[str]) -> str:
+    return alternatives[0] if len(alternatives) == 1 else f"{', '.join(alternatives[:-1])} or {alternatives[-1]}"
 
 
 def _items(count: int) -> str:

@@ -283,17 +283,17 @@ def _renamed(table: CsvTable, known: Collection[str]) -> CsvTable:
         target = known_names.get(word, "")
         if not target or target in columns:
             continue
-        own = split_unit(target)[1]
-        if not unit and own:
+        target_unit = split_unit(target)[1]
+        if not unit and target_unit:
             # A number without unit could be in mm or in m: no guess.
             problems.append(f"column {name} has no unit; call it {target}, or {word} with another unit")
-        elif unit == own:
+        elif unit == target_unit:
             columns[k] = target
-        elif (unit, own) == ("K", "degC"):
+        elif (unit, target_unit) == ("K", "degC"):
             # The offset is no factor: Kelvin is not among the units of `CONFUSED_UNITS`.
             columns[k], scales[k] = target, Scale(Decimal(1), ZERO_CELSIUS)
-        elif (size := dict(alternative_units(own)).get(unit)) is not None:
-            columns[k], scales[k] = target, Scale(CONTEXT.divide(size, dict(alternative_units(unit))[own]))
+        elif (size := dict(alternative_units(target_unit)).get(unit)) is not None:
+            columns[k], scales[k] = target, Scale(CONTEXT.divide(size, dict(alternative_units(unit))[target_unit]))
     refuse(table.path, problems)
     if tuple(columns) == table.columns:
         return table

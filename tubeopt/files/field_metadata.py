@@ -126,7 +126,7 @@ TYPICAL_REGION = Typical(1e-4, 1.0)
 class OneOf:
     """Allowed words of a field."""
 
-    words: tuple[str, ...]
+    choices: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -260,7 +260,7 @@ def check_fields(what: Any, owner: str = "") -> None:
         elif field.kind is bool:
             instance(label, value, bool)
         elif field.kind is str:
-            choice(label, value, allowed.words) if allowed is not None else instance(label, value, str)
+            choice(label, value, allowed.choices) if allowed is not None else instance(label, value, str)
         elif isinstance(field.kind, type) and dataclasses.is_dataclass(field.kind):
             instance(label, value, field.kind)
     check_typical(what, owner)

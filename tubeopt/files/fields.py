@@ -92,8 +92,8 @@ def entry_of(
         names: fields to use; by default all.
     """
     # A key that the entry defines itself replaces the one of the dataclass: it may have another form.
-    own = {*(extra or {}), *base.model_fields}
-    keys = {key: field for key, field in keys_of(what, names).items() if key not in own}
+    replaced = {*(extra or {}), *base.model_fields}
+    keys = {key: field for key, field in keys_of(what, names).items() if key not in replaced}
     described = what if base is Part else base
     doc = (described.__doc__ or "").partition("\n\n")[0]
     model = create_model(described.__name__, __base__=base, __doc__=doc, **(extra or {}), **keys)
@@ -245,7 +245,7 @@ def _kind(kind: Any, marks: tuple[Any, ...], suffix: str) -> KeyType:
         if isinstance(mark, Named):
             return _by_name(kind, mark.known)
         if isinstance(mark, OneOf) and (kind is str or isinstance(kind, tuple)):  # text, or besides text an object
-            return _plain_type(Literal[mark.words])
+            return _plain_type(Literal[mark.choices])
     if isinstance(kind, tuple):
         return _one_or_several(kind, marks, suffix)
     if kind is float:

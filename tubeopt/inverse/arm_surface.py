@@ -158,11 +158,11 @@ class ArmSurface:
         if not scene.bodies:
             return np.inf
         if scene in self._known and enough <= self._known[scene].within:
-            near = self._known[scene]
-            if not len(near.row):
-                return near.within
-            smallest = min(near.within, float(near.contacts.distance.min(initial=np.inf)))
-            doubtful = near.row[near.at_least < min(enough, smallest)]
+            distances = self._known[scene]
+            if not len(distances.row):
+                return distances.within
+            smallest = min(distances.within, float(distances.contacts.distance.min(initial=np.inf)))
+            doubtful = distances.row[distances.at_least < min(enough, smallest)]
             return min(smallest, self._between(scene, doubtful)) if len(doubtful) else smallest
         known, exact = self._clear.get(scene, (-np.inf, False))
         if not exact and known < enough:

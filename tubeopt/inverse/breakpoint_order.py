@@ -49,8 +49,8 @@ class OrderConstraints:
 
     def constrain(self, q: Array, rows: Array, bounds: Array) -> tuple[Array, Array]:
         """Constraints of a step from joint values q (m,), extended by the order of breakpoints."""
-        own, own_bounds = self.kept(q, 0.0)
-        return np.vstack([rows, own]), np.concatenate([bounds, own_bounds])
+        order_rows, order_bounds = self.kept(q, 0.0)
+        return np.vstack([rows, order_rows]), np.concatenate([bounds, order_bounds])
 
     def kept(self, q: Array, length: float) -> tuple[Array, Array]:
         """Rows (k, m) and bounds (k,) of steps from q (m,) after which sections have at least this length (m).
@@ -75,19 +75,19 @@ def breakpoint_order(space: JointSpace, at: Posture) -> OrderConstraints:
         return OrderConstraints(np.zeros(0), none, np.reshape(space.rows[:, n:], (-1, groups)), space.least, 0)
     problem = at.problem
     assembly, shift = problem.assembly, at.q[n:]
-    marks = [(0.0, np.zeros(groups))]
+    breaks = [(0.0, np.zeros(groups))]
     rows, bound = [], []
     for k, tubes in enumerate(space.carriages):
         unit = np.eye(groups)[k]
         for s in breakpoints(assembly, tubes):
             if s > 0:
-                marks.append((s, unit))
+                breaks.append((s, unit))
             else:
                 rows.append(-unit)
                 bound.append(float(s - shift[k]))
-    marks.sort(key=lambda mark: mark[0])
-    position = np.array([mark[0] for mark in marks])
-    slope = np.array([mark[1] for mark in marks])
+    breaks.sort(key=lambda point: point[0])
+    position = np.array([point[0] for point in breaks])
+    slope = np.array([point[1] for point in breaks])
     cuts = np.append(assembly.start, assembly.total_length)
     owner = slope[np.abs(position[:, None] - cuts).argmin(0)]
     section = np.diff(owner, axis=0)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from ..solvers.time_limit import LateError as LateError
+from ..solvers.time_limit import OutOfTimeError as OutOfTimeError
 from ..solvers.time_limit import time_left
 
 

@@ -63,7 +63,7 @@ class Extras:
 
     def active(self, at: Posture) -> list[str]:
         """Descriptions of the constraints that are active or violated at a posture."""
-        return [each.words for each, e in self.constraints if e(values(at)).min() < 1e-4 * each.size]
+        return [each.description for each, e in self.constraints if e(values(at)).min() < 1e-4 * each.size]
 
 
 NOTHING = Extras()
@@ -79,13 +79,15 @@ def extras(cost: CustomObjective | None, constraints: Sequence[CustomRequirement
         recorded_cost = None
     elif isinstance(cost, CustomObjective):
         cost.checked()
-        expression = recorded(cost.expression, n, 1, cost.words)
+        expression = recorded(cost.expression, n, 1, cost.description)
         if expression.value.numel_out() != 1:
-            raise InputError(f"the cost {cost.words} has {expression.value.numel_out()} numbers; it must be one")
+            raise InputError(f"the cost {cost.description} has {expression.value.numel_out()} numbers; it must be one")
         recorded_cost = cost, expression
     else:
         raise InputError(f"extra_cost is {cost!r}; it must be a CustomObjective")
-    return Extras(recorded_cost, tuple((each, recorded(each.expression, n, 1, each.words)) for each in constraints))
+    return Extras(
+        recorded_cost, tuple((each, recorded(each.expression, n, 1, each.description)) for each in constraints)
+    )
 
 
 def _finite(objective: CustomObjective | CustomRequirement, evaluate: Callable[[], T]) -> T:
@@ -94,7 +96,7 @@ def _finite(objective: CustomObjective | CustomRequirement, evaluate: Callable[[
         return evaluate()
     except FloatingPointError:
         raise InputError(
-            f"the expression of {objective.words} is not finite at a pose on the path to the target"
+            f"the expression of {objective.description} is not finite at a pose on the path to the target"
         ) from None
 
 
@@ -145,7 +147,7 @@ def linear(at: Posture) -> Callable[[Quantity], tuple[Array, Array]]:
             case "tip_position":
                 return at.jacobian.tip
             case "tip_direction":
-                return np.cross(at.jacobian.turn, at.direction[:, None], axis=0)
+                return np.cross(at.jacobian.rotation, at.direction[:, None], axis=0)
             case "margin":
                 return at.margin_slope()[None]
             case "position":
@@ -279,8 +281,8 @@ class Goal:
 
     def turning(self, at: Posture, *, side: int = 1) -> Array:
         """Derivative (3, m) of the tip direction."""
-        turn = (at.jacobian if side > 0 else at.backward).turn
-        return np.asarray(np.cross(turn, at.direction[:, None], axis=0))
+        rotation = (at.jacobian if side > 0 else at.backward).rotation
+        return np.asarray(np.cross(rotation, at.direction[:, None], axis=0))
 
     def position_error(self, at: Posture) -> float:
         """Distance of the tip from the target, m."""

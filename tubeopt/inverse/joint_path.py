@@ -95,9 +95,9 @@ def _joints(task: Task, points: Array, parts: int) -> Array:
     """Joint values (W, m) along straight motions between points in tip coordinates."""
     rows = [points[:1]]
     for a, b in pairwise(points):
-        marks = task.line(a, b)
+        waypoints = task.line(a, b)
         steps = np.arange(1, parts + 1)[:, None, None] / parts
-        rows.append((marks[:-1] + steps * np.diff(marks, axis=0)).transpose(1, 0, 2).reshape(-1, len(a)))
+        rows.append((waypoints[:-1] + steps * np.diff(waypoints, axis=0)).transpose(1, 0, 2).reshape(-1, len(a)))
     line = np.concatenate(rows)
     return task.coordinates.joints(line)
 
@@ -188,27 +188,27 @@ def jump_between(goal: Goal, before: Posture, after: Posture) -> tuple[str, bool
     No jump: the tip stays near the straight line, no joint moves farther than the motion of the tip explains, and
     margin and clearance are kept. Snaps are found as far as steps of ordinary length show them.
     """
-    words = _large_motion(goal, before, after)
+    reasons = _large_motion(goal, before, after)
     count = 1 + int(np.ceil(float(np.abs((after.q - before.q) / goal.space.scale).max()) / CHECKED_EVERY))
     deviation, margin, violation, current = 0.0, np.inf, 0.0, before
     for k in range(1, count + 1):
         following = current.to(before.q + (after.q - before.q) * (k / count) if k < count else after.q)
         if following is None or (k == count and not same_posture(following, after)):
-            return ", ".join([*words, "the robot snaps on the straight path, or comes close to a snap"]), False
+            return ", ".join([*reasons, "the robot snaps on the straight path, or comes close to a snap"]), False
         current = following
         if k < count:
             deviation = max(deviation, _distance_from_line(current.tip, before.tip, after.tip))
             margin = min(margin, current.margin)
             violation = max(violation, goal.violation(current) if goal.hindered else 0.0)
     if deviation > DEVIATION * float(np.linalg.norm(after.tip - before.tip)) + MIN_DEVIATION:
-        words.append(f"the tip leaves the line between the targets by {deviation * 1e3:.3g} mm")
+        reasons.append(f"the tip leaves the line between the targets by {deviation * 1e3:.3g} mm")
     if margin < min(goal.kept_margin, before.margin, after.margin) - EXTRA_MARGIN:
-        words.append(f"the margin falls to {margin:.4g}")
+        reasons.append(f"the margin falls to {margin:.4g}")
     if violation > SLACK + max(goal.kept_clearance - goal.clearance, 0.0):
-        words.append(
+        reasons.append(
             "the arm comes too close to an obstacle" if goal.scene.bodies else "a custom constraint is violated"
         )
-    return ", ".join(words), True
+    return ", ".join(reasons), True
 
 
 def _large_motion(goal: Goal, before: Posture, after: Posture) -> list[str]:
@@ -219,8 +219,8 @@ def _large_motion(goal: Goal, before: Posture, after: Posture) -> list[str]:
     if goal.pointed:
         size += angle(before.direction, after.direction)
     allowed = np.where(np.arange(len(moved)) < n, TURN_PER_MOVE, SHIFT_PER_MOVE) * size + MIN_JUMP
-    turn = np.arctan2(after.tip[1], after.tip[0]) - np.arctan2(before.tip[1], before.tip[0])
-    allowed[:n] += TURN_PER_AZIMUTH * abs(float(turn + np.pi) % (2 * np.pi) - np.pi)
+    azimuth = np.arctan2(after.tip[1], after.tip[0]) - np.arctan2(before.tip[1], before.tip[0])
+    allowed[:n] += TURN_PER_AZIMUTH * abs(float(azimuth + np.pi) % (2 * np.pi) - np.pi)
     worst = int(np.argmax(moved - allowed))
     if moved[worst] <= allowed[worst]:
         return []

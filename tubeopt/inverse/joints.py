@@ -121,8 +121,8 @@ class JointSpace:
 
     def _independent(self, rotations: Array, translations: Array) -> Array:
         """Joint values (m,), with the translation of the first tube of every carriage."""
-        own = np.asarray(translations) - self.offset[self.robot.n_tubes :]
-        return np.concatenate([rotations, own[[tubes[0] for tubes in self.carriages]]])
+        advance = np.asarray(translations) - self.offset[self.robot.n_tubes :]
+        return np.concatenate([rotations, advance[[tubes[0] for tubes in self.carriages]]])
 
     def _moved_apart(self, shift: Array, name: str) -> str:
         """Message on the tubes for which no joint values give the translations (n,)."""
@@ -224,14 +224,14 @@ class JointSpace:
 
     def active(self, q: Array) -> list[str]:
         """Texts on active limits: joints at the end of their range, tubes at the limit of their order."""
-        m, words = len(self.scale), []
+        m, names = len(self.scale), []
         for k in range(m):
             row = k if q[k] - self.lower[k] <= self.upper[k] - q[k] else m + k
             end = self.lower[k] if row == k else self.upper[k]
             if abs(q[k] - end) <= CLOSE * self.scale[k] or not self.lower[k] < q[k] < self.upper[k]:
-                words.append(self.limit(row))
+                names.append(self.limit(row))
         excess = self.rows @ q - self.least
-        return words + [name for name, size in zip(self.row_names, excess, strict=True) if size <= CLOSE * self.length]
+        return names + [name for name, size in zip(self.row_names, excess, strict=True) if size <= CLOSE * self.length]
 
     def limit(self, row: int) -> str:
         """Description of a row of `inequalities`, from 0."""
@@ -243,19 +243,19 @@ class JointSpace:
         unit = f"{np.degrees(end):.4g} deg" if k < self.robot.n_tubes else f"{end * 1e3:.4g} mm"
         return f"{self.names[k]} at its end ({unit})"
 
-    def wrap(self, q: Array, near: Array) -> Array:
-        """Joint values q (..., m) with rotations moved by full turns into their ranges, closest to `near`.
+    def wrap(self, q: Array, reference: Array) -> Array:
+        """Joint values q (..., m) with rotations moved by full turns into their ranges, closest to `reference`.
 
         A rotation without such a value stays out of its range.
         """
-        n, turn = self.robot.n_tubes, 2 * np.pi
+        n, full_turn = self.robot.n_tubes, 2 * np.pi
         out = q.copy()
         rotations, low, high = q[..., :n], self.lower[:n], self.upper[:n]
-        first = np.ceil((low - 1e-9 - rotations) / turn)
-        last = np.floor((high + 1e-9 - rotations) / turn)
-        nearest = np.round((near[..., :n] - rotations) / turn)
+        first = np.ceil((low - 1e-9 - rotations) / full_turn)
+        last = np.floor((high + 1e-9 - rotations) / full_turn)
+        nearest = np.round((reference[..., :n] - rotations) / full_turn)
         turns = np.where(first <= last, np.clip(nearest, first, np.maximum(first, last)), nearest)
-        moved = rotations + turn * turns
+        moved = rotations + full_turn * turns
         inside = np.clip(moved, low, high)
         out[..., :n] = np.where(np.abs(moved - inside) <= 2e-9, inside, moved)
         return out
@@ -356,9 +356,9 @@ def _joint_space(
     spread[:n, :n] = np.eye(n)
     for k, group in enumerate(carriages):
         spread[n + np.array(group), n + k] = 1.0
-    turn = np.array(allowed.rotations).reshape(n, 2)
-    lower = np.array([*turn[:, 0], *((low - offset)[list(group)].max() for group in carriages)])
-    upper = np.array([*turn[:, 1], *((high - offset)[list(group)].min() for group in carriages)])
+    rotation_limits = np.array(allowed.rotations).reshape(n, 2)
+    lower = np.array([*rotation_limits[:, 0], *((low - offset)[list(group)].max() for group in carriages)])
+    upper = np.array([*rotation_limits[:, 1], *((high - offset)[list(group)].min() for group in carriages)])
     upper = np.where((upper - lower <= LENGTH_ROUND_OFF) & (lower - upper <= SAME_POSITION), lower, upper)
     rows = np.array([spread[n + demand.ahead] - spread[n + demand.behind] for demand in order])
     minimum = np.array([demand.distance - offset[demand.ahead] + offset[demand.behind] for demand in order])
@@ -467,12 +467,14 @@ def scaled_weights(space: JointSpace, weights: Any) -> Array:
         return 1 / space.scale
     n = space.robot.n_tubes
     try:
-        turn, shift = weights
+        per_rotation, shift = weights
     except (TypeError, ValueError):
         raise InputError(
             "weights must be a pair: for rotations (n,), per rad, and for translations (n,), per m"
         ) from None
-    values = [vector(f"weights of {what}", value, n) for what, value in (("rotations", turn), ("translations", shift))]
+    values = [
+        vector(f"weights of {what}", value, n) for what, value in (("rotations", per_rotation), ("translations", shift))
+    ]
     if min(value.min() for value in values) < 0:
         raise InputError("weights must be at least 0")
     together = [float(np.sqrt((values[1][list(tubes)] ** 2).sum())) for tubes in space.carriages]

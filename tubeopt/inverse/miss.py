@@ -46,8 +46,8 @@ def limiting_constraint(goal: Goal, at: Posture) -> tuple[str, str]:
     if names[k] < 0:
         return next(iter(goal.extras.active(at)), ""), "relax that constraint"
     body = int(names[k]) // MAX_CONTACTS
-    words = f"arm at obstacle {body + 1} ({type(goal.scene.bodies[body]).__name__.lower()})"
-    return words, "allow a smaller clearance" if goal.clearance else "move the target away from it"
+    name = f"arm at obstacle {body + 1} ({type(goal.scene.bodies[body]).__name__.lower()})"
+    return name, "allow a smaller clearance" if goal.clearance else "move the target away from it"
 
 
 def millimetres(length: float) -> str:
@@ -59,19 +59,19 @@ def millimetres(length: float) -> str:
 def miss_text(goal: Goal, at: Posture) -> str:
     """Text of the position and direction errors of a posture."""
     position, direction = goal.position_error(at), goal.direction_error(at)
-    words = []
+    parts = []
     if position > POSITION_TOLERANCE or not goal.pointed:
-        words.append(f"{millimetres(position)} short")
-    if goal.pointed and (direction > DIRECTION_TOLERANCE or not words):
-        words.append(f"{np.degrees(direction):.3g} deg off the direction")
-    return " and ".join(words)
+        parts.append(f"{millimetres(position)} short")
+    if goal.pointed and (direction > DIRECTION_TOLERANCE or not parts):
+        parts.append(f"{np.degrees(direction):.3g} deg off the direction")
+    return " and ".join(parts)
 
 
 def active_constraints(goal: Goal, at: Posture) -> list[str]:
     """Texts of the constraints that are active at the end of a search."""
-    words = goal.space.active(at.q)
+    names = goal.space.active(at.q)
     if at.margin - goal.kept_margin < 1e-3:
-        words.append(f"margin at its bound ({goal.min_margin:g})")
+        names.append(f"margin at its bound ({goal.min_margin:g})")
     for k in np.unique(goal.contacts(at, goal.kept_clearance + 1e-5).body).tolist():
-        words.append(f"arm at obstacle {k + 1} ({type(goal.scene.bodies[k]).__name__.lower()})")
-    return words + goal.extras.active(at)
+        names.append(f"arm at obstacle {k + 1} ({type(goal.scene.bodies[k]).__name__.lower()})")
+    return names + goal.extras.active(at)

@@ -216,23 +216,23 @@ def nearest_starts(
     q, tip, pointing = known.q[chosen], known.tip[chosen], known.direction[chosen]
     if not len(q):
         return q
-    near = space.middle() if reference is None else reference
-    turn = np.arctan2(position[1], position[0]) - np.arctan2(tip[:, 1], tip[:, 0])
+    centre = space.middle() if reference is None else reference
+    azimuth = np.arctan2(position[1], position[0]) - np.arctan2(tip[:, 1], tip[:, 0])
     n = space.robot.n_tubes
     turned = q.copy()
-    turned[:, :n] += turn[:, None]
-    turned = space.wrap(turned, near)
+    turned[:, :n] += azimuth[:, None]
+    turned = space.wrap(turned, centre)
     outside = ~((turned >= space.lower) & (turned <= space.upper)).all(1)
     # Where whole turns do not help, turn as far as the narrowest range allows.
     lower_turns, upper_turns = (space.lower[:n] - q[:, :n]).max(1), (space.upper[:n] - q[:, :n]).min(1)
     # The turn within -pi .. pi, the shortest of those that differ by whole turns.
-    part = np.clip((turn + np.pi) % (2 * np.pi) - np.pi, lower_turns, np.maximum(upper_turns, lower_turns))
+    part = np.clip((azimuth + np.pi) % (2 * np.pi) - np.pi, lower_turns, np.maximum(upper_turns, lower_turns))
     turned[outside] = q[outside]
     turned[outside, :n] += part[outside, None]
-    turn = np.where(outside, part, turn)
-    cost = np.linalg.norm(_turned(tip, turn) - position, axis=1) / space.length
+    azimuth = np.where(outside, part, azimuth)
+    cost = np.linalg.norm(_turned(tip, azimuth) - position, axis=1) / space.length
     if direction is not None:
-        cost = cost + DIRECTION_WEIGHT * np.linalg.norm(_turned(pointing, turn) - direction, axis=1)
+        cost = cost + DIRECTION_WEIGHT * np.linalg.norm(_turned(pointing, azimuth) - direction, axis=1)
     if reference is not None:
         cost = cost + NEARNESS_WEIGHT * np.linalg.norm((turned - reference) / space.scale, axis=1)
     # Rounded, so that round-off does not choose among mirror images.
@@ -255,7 +255,7 @@ def spread_starts(space: JointSpace, q: Array, count: int, *, first: int) -> Ite
     # Rotations against the outermost tube, as points of circles; the turn of the whole robot follows from the target.
     features = np.hstack([np.cos(relative), np.sin(relative), q[:, n:] / space.scale[n:]])
     # Distance from the nearest chosen one (Gonzalez, Theor. Comput. Sci. 38 (1985)).
-    distance = np.min([np.linalg.norm(features - own, axis=1) for own in features[: max(first, 1)]], axis=0)
+    distance = np.min([np.linalg.norm(features - chosen, axis=1) for chosen in features[: max(first, 1)]], axis=0)
     for _ in range(min(count, len(q)) - max(first, 1)):
         # Rounded, so that of mirror images the more promising one is taken.
         farthest = int(np.argmax(np.round(distance, 9)))
@@ -275,7 +275,7 @@ def _mirrored(space: JointSpace, table: StartTable) -> StartTable:
     inside = ((flipped >= space.lower) & (flipped <= space.upper)).all(1)
     images = flipped, table.tip * mirror, table.direction * mirror, table.margin
     q, tip, direction, margin = (
-        np.concatenate([own, image[inside]]) for own, image in zip(table.arrays, images, strict=True)
+        np.concatenate([array, image[inside]]) for array, image in zip(table.arrays, images, strict=True)
     )
     return StartTable(q, tip, direction, margin, table.tried, table.complete)
 
@@ -484,8 +484,8 @@ class Multistart:
         reference = goal.reference if goal.named else None
         target = (goal.position, goal.direction)
         known = known_starts(goal.space, goal.clock)
-        near = nearest_starts(goal.space, known, target, min_margin=goal.kept_margin, reference=reference)
-        for q in spread_starts(goal.space, near, count, first=0 if self.everywhere else NEAREST):
+        nearest = nearest_starts(goal.space, known, target, min_margin=goal.kept_margin, reference=reference)
+        for q in spread_starts(goal.space, nearest, count, first=0 if self.everywhere else NEAREST):
             start = start_at(goal.space, q)
             if start is not None and start.margin >= goal.kept_margin:
                 yield start
@@ -526,8 +526,8 @@ class Multistart:
         posture = solve_program(self.goal, start)
         if posture.reached:
             return posture
-        near = self.goal.position_error(posture.posture) <= 1e-4 and self.goal.allowed(posture.posture)
-        finished = reach(self.goal, posture.posture) if near else posture
+        is_close = self.goal.position_error(posture.posture) <= 1e-4 and self.goal.allowed(posture.posture)
+        finished = reach(self.goal, posture.posture) if is_close else posture
         return replace(finished, iterations=posture.iterations + finished.iterations)
 
     def _hopeless(self) -> bool:
@@ -587,15 +587,15 @@ class Multistart:
 
     def failure(self, on_failure: str) -> InverseSolution:
         """Closest pose, returned or raised as SolveError with the miss and its cause; a solution if it is on target."""
-        goal, late = self.goal, self.goal.clock.over
+        goal, out_of_time = self.goal, self.goal.clock.over
         search = closest_of(goal, self.ends)
         if search is None:
-            raise SolveError(self._without_a_pose(late))
+            raise SolveError(self._without_a_pose(out_of_time))
         self.iterations, self.solves = self.iterations + search.iterations, self.solves + search.solves
         at = search.posture
         if goal.met(at) and goal.allowed(at, SLACK):  # what the searches from the starts missed
             return self._packed(at, InverseStatus.REACHED)
-        status = InverseStatus.TIMED_OUT if late else InverseStatus.CLOSEST
+        status = InverseStatus.TIMED_OUT if out_of_time else InverseStatus.CLOSEST
         closest = self._packed(at, status)
         if on_failure == "closest":
             return closest
@@ -603,29 +603,29 @@ class Multistart:
         tried = f"in {count} start{'' if count == 1 else 's'}" + (
             f" and {self.clear} clear of the obstacles" if self.clear else ""
         )
-        if late:
+        if out_of_time:
             tried = f"within {self.goal.options.time_limit:g} s, {tried.replace('in', 'after', 1)}"
-        cause, advice = self._cause(at, late)
+        cause, advice = self._cause(at, out_of_time)
         raise SolveError(f"target not reached {tried}: {miss_text(goal, at)}: {cause}; {advice}", closest)
 
-    def _cause(self, at: Posture, late: bool) -> tuple[str, str]:
+    def _cause(self, at: Posture, out_of_time: bool) -> tuple[str, str]:
         """Cause of the miss of the closest pose, and advice: the first cause that applies."""
         goal = self.goal
         beyond = goal.beyond_reach()
         if beyond > 0:
             distance = f"the target is out of reach, {millimetres(beyond)} beyond the longest arm"
             return distance, "move it closer to the plate"
-        if late:
+        if out_of_time:
             return "whether the target can be reached is not known", "increase time_limit"
         limit, advice = limiting_constraint(goal, at)
         if limit and goal.pointed:
             advice = "leave the direction free, or give it a direction_weight"
         return (limit, advice) if limit else ("the search ended in a local minimum", "increase starts")
 
-    def _without_a_pose(self, late: bool) -> str:
+    def _without_a_pose(self, out_of_time: bool) -> str:
         """Message of a search without a closest pose."""
         goal = self.goal
-        if late:
+        if out_of_time:
             return (
                 f"no answer was found within {goal.options.time_limit:g} s, which ran out before any search had ended: "
                 "whether the target can be reached is not known"

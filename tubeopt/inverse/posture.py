@@ -31,7 +31,7 @@ class TipJacobian(NamedTuple):
 
     tip: Array
     """Derivative (3, m) of the position."""
-    turn: Array
+    rotation: Array
     """Derivative (3, m) of the frame, as rotation vectors."""
     margin: Array
     """Derivative (m,) of the margin."""
@@ -187,8 +187,8 @@ class Posture:
         """
         current, moved = self.equilibrium, np.abs(q - self.q)
         longest = LARGEST_SHIFT * reference_length(current)
-        turn, shift = moved[: self.space.robot.n_tubes].max(), moved[self.space.robot.n_tubes :].max(initial=0.0)
-        steps = max(1, ceil(max(turn / LARGEST_TURN, shift / longest) - 1e-9))
+        angle, shift = moved[: self.space.robot.n_tubes].max(), moved[self.space.robot.n_tubes :].max(initial=0.0)
+        steps = max(1, ceil(max(angle / LARGEST_TURN, shift / longest) - 1e-9))
         try:
             for k in range(1, steps + 1):
                 rotations, shift = self.space.split(self.q + (q - self.q) * (k / steps) if k < steps else q)

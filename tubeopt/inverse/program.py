@@ -114,26 +114,26 @@ def _program(question: ProgramStructure, _thread: int) -> Problem:
     def parameter(name: str, rows: int = 1, columns: int = 1) -> Any:
         return ca.reshape(problem.parameter(name, np.zeros(rows * columns)), rows, columns)
 
-    turn, shift = problem.variable("rotations", n), problem.variable("translations", groups, scale=length / 2)
+    alpha, shift = problem.variable("rotations", n), problem.variable("translations", groups, scale=length / 2)
     margin = min_margin = parameter("least margin")
     if question.objective == "margin":
         margin = problem.variable("margin", lower=0.0, upper=0.999)
         problem.subject_to("margin above its bound", margin - min_margin)
         problem.maximize(margin)
     moved = ca.vertcat(*(shift[k] for i in range(n) for k, tubes in enumerate(question.carriages) if i in tubes))
-    own = {
+    replaced = {
         "transmission": parameter("transmission at 0", n) - moved,
         "lengths": parameter("lengths at 0", elements) + parameter("lengths per translation", elements, groups) @ shift,
     }
     if structure.grid.detail:
-        own["transmission"] += (1 - parameter("compliance ratio", n)) * moved
-        passed = ca.vertcat(0, ca.cumsum(own["lengths"])) - parameter("cuts", elements + 1)
+        replaced["transmission"] += (1 - parameter("compliance ratio", n)) * moved
+        passed = ca.vertcat(0, ca.cumsum(replaced["lengths"])) - parameter("cuts", elements + 1)
         out = moved - parameter("translations of the mesh", n)
         table = parameter("along", *structure.shapes["along"])
-        own["along"] = shifted_columns(
+        replaced["along"] = shifted_columns(
             table, structure.grid.detail, parameter("lengths of the mesh", elements), passed, out
         )
-    arm = add_torsion(problem, structure, turn, own)
+    arm = add_torsion(problem, structure, alpha, replaced)
     frame, tip, points, bend = _shape(arm)
     direction, target, weight = frame[:, 2], parameter("direction", 3), parameter("direction weight")
     problem.subject_to("tip position", tip - parameter("position", 3), upper=0.0, scale=length)
@@ -152,7 +152,7 @@ def _program(question: ProgramStructure, _thread: int) -> Problem:
         thick = ca.reshape(ca.repmat(radius.T, 2 * SHAPE_STEPS, 1), 1, -1)
         clear = far(points, ca.horzcat(radius[0], thick))
         problem.subject_to(f"clearance of obstacle {k + 1}", clear - clearance, scale=length)
-    off = parameter("weights", n + groups) * (ca.vertcat(turn, shift) - parameter("reference", n + groups))
+    off = parameter("weights", n + groups) * (ca.vertcat(alpha, shift) - parameter("reference", n + groups))
     cost = {"nearest": ca.sumsqr(off) / 2, "margin": -margin, "curvature": bend * length / 2}[question.objective]
     problem.minimize(cost + weight * ca.sumsqr(direction - target) / 2 if question.aimed else cost)
     return problem
@@ -226,8 +226,8 @@ def _element_shape(grid: Grid) -> ca.Function:
     torsion = torsion_of(symbolic_element(grid))
     frame, start = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3)
     h, points, before, ahead = torsion.element.length / SHAPE_STEPS, [], start, frame[:, 2]
-    for turn, shift, _ in shape_of(torsion, steps=SHAPE_STEPS):
-        position, turned = start + frame @ shift, frame @ rotation_matrix(turn)
+    for rotation_vector, shift, _ in shape_of(torsion, steps=SHAPE_STEPS):
+        position, turned = start + frame @ shift, frame @ rotation_matrix(rotation_vector)
         # Halfway on the cubic with the tangents at both ends.
         points += [(before + position) / 2 + h * (ahead - turned[:, 2]) / 8, position]
         before, ahead = position, turned[:, 2]
@@ -453,6 +453,6 @@ def _read(goal: Goal, at: Posture, solution: ProblemSolution, order: OrderConstr
     point = Point.of(member, result)
     if point.margin <= 0:
         return None
-    near = to_equilibrium(point, "inverse kinematics")
+    equilibrium = to_equilibrium(point, "inverse kinematics")
     # Once more from there, on a mesh as fine as forward kinematics takes.
-    return Posture(goal.space, q, near).to(q)
+    return Posture(goal.space, q, equilibrium).to(q)

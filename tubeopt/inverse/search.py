@@ -27,7 +27,7 @@ SEARCHES = ("auto", "rrt_connect", "optimal")
 """Search methods."""
 
 
-WALL_SECONDS, WALL_FRACTION = 5.0, 0.15
+OBSTRUCTION_SECONDS, OBSTRUCTION_FRACTION = 5.0, 0.15
 """Maximum duration of the search for obstructions, s, and fraction of the remaining time."""
 
 # A certificate takes about as long as the check of a motion.
@@ -96,10 +96,12 @@ def find_path(
         if task.motion(start, goal):
             return PathResult(np.stack([start, goal]), "straight", tried)
     seconds = improving if how == "optimal" else None
-    between = wall(task, start, goals, clock.part(WALL_FRACTION, most=WALL_SECONDS), seed=seed)
-    if between is not None and between.proved:
-        return PathResult(None, "search", tried, None, between.words, True)
-    if how != "rrt_connect" and between is None:
+    obstruction = find_obstruction(
+        task, start, goals, clock.part(OBSTRUCTION_FRACTION, most=OBSTRUCTION_SECONDS), seed=seed
+    )
+    if obstruction is not None and obstruction.proved:
+        return PathResult(None, "search", tried, None, obstruction.message, True)
+    if how != "rrt_connect" and obstruction is None:
         part = clock.part(DETOUR_FRACTION, most=DETOUR_SECONDS)
         for goal in goals:
             for shift in islice(certified_translations(task, start, goal, part), MAX_DETOURS):
@@ -109,7 +111,7 @@ def find_path(
                 if task.path(points):
                     detour = PathResult(np.stack(points), "detour", tried)
                     return _improved(task, detour, goals, clock, seconds, seed)
-    reason = "" if between is None else between.words
+    reason = "" if obstruction is None else obstruction.message
     result = by_sampling(task, start, goals, clock, seed=seed, tried=tried, reason=reason)
     return _improved(task, result, goals, clock, seconds, seed)
 
@@ -309,14 +311,14 @@ def shorten(task: Task, points: Array, clock: Clock, *, seed: int = 0) -> Array:
         if clock.over or len(path) < 3:
             break
         lengths = np.array([np.linalg.norm((b - a) / task.scale) for a, b in pairwise(path)])
-        marks = np.concatenate([[0.0], np.cumsum(lengths)])
-        a, b = np.sort(random.uniform(0, marks[-1], 2))
-        i, j = (int(np.searchsorted(marks, x, side="right") - 1) for x in (a, b))
+        arc_lengths = np.concatenate([[0.0], np.cumsum(lengths)])
+        a, b = np.sort(random.uniform(0, arc_lengths[-1], 2))
+        i, j = (int(np.searchsorted(arc_lengths, x, side="right") - 1) for x in (a, b))
         i, j = min(i, len(path) - 2), min(j, len(path) - 2)
         if i == j:
             continue
-        first = path[i] + (a - marks[i]) / max(lengths[i], 1e-12) * (path[i + 1] - path[i])
-        last = path[j] + (b - marks[j]) / max(lengths[j], 1e-12) * (path[j + 1] - path[j])
+        first = path[i] + (a - arc_lengths[i]) / max(lengths[i], 1e-12) * (path[i + 1] - path[i])
+        last = path[j] + (b - arc_lengths[j]) / max(lengths[j], 1e-12) * (path[j + 1] - path[j])
         old = [first, *path[i + 1 : j + 1], last]
         if task.length([first, last]) < task.length(old) and task.motion(first, last):
             path = [*path[: i + 1], first, last, *path[j + 1 :]]
@@ -346,10 +348,10 @@ FAILED_MOTIONS = 1500
 
 
 @dataclass(frozen=True)
-class Wall:
+class Obstruction:
     """Obstruction that separates start and goal."""
 
-    words: str
+    message: str
     proved: bool
 
 
@@ -383,7 +385,9 @@ class _Section:
         return self.points(np.stack([axis.ravel() for axis in axes], axis=1)) if counts else self.base[None]
 
 
-def wall(task: Task, start: Array, goals: Sequence[Array], clock: Clock, *, seed: int = 0) -> Wall | None:
+def find_obstruction(
+    task: Task, start: Array, goals: Sequence[Array], clock: Clock, *, seed: int = 0
+) -> Obstruction | None:
     """Obstruction between a start and all goals (m,); None if none is found within the time.
 
     With several goals it is the weakest one: not proved if any of them is not.
@@ -398,16 +402,18 @@ def wall(task: Task, start: Array, goals: Sequence[Array], clock: Clock, *, seed
         task, coordinates=coordinates, min_margin=margin, margin_reserve=0.0, min_clearance_reserve=0.0, ends=None
     )
     random = np.random.default_rng(seed)
-    walls = []
+    obstructions = []
     for goal in goals:
-        between = next(iter(_walls(bare, start, goal, clock, random)), None)
-        if between is None:
+        obstruction = next(iter(_obstructions(bare, start, goal, clock, random)), None)
+        if obstruction is None:
             return None
-        walls.append(between)
-    return min(walls, key=lambda each: each.proved, default=None)
+        obstructions.append(obstruction)
+    return min(obstructions, key=lambda each: each.proved, default=None)
 
 
-def _walls(task: Task, start: Array, goal: Array, clock: Clock, random: np.random.Generator) -> Iterator[Wall]:
+def _obstructions(
+    task: Task, start: Array, goal: Array, clock: Clock, random: np.random.Generator
+) -> Iterator[Obstruction]:
     for section in _sections(task, start, goal):
         if clock.over:
             return
@@ -420,12 +426,12 @@ def _walls(task: Task, start: Array, goal: Array, clock: Clock, random: np.rando
             continue
         what = "margin and clearance" if task.obstacles else "the margin"
         if k == 0:
-            words = f"every path passes {section.name}, where {what} cannot be kept"
-            yield Wall(words, not task.coordinates.eccentric)
+            reason = f"every path passes {section.name}, where {what} cannot be kept"
+            yield Obstruction(reason, not task.coordinates.eccentric)
         else:
-            words = f"{what} are kept at none" if task.obstacles else "the margin is kept at none"
-            words = f"every path passes {section.name}, where {words} of {len(grid)} states on a grid"
-            yield Wall(f"{words} (evidence, not a proof)", False)
+            reason = f"{what} are kept at none" if task.obstacles else "the margin is kept at none"
+            reason = f"every path passes {section.name}, where {reason} of {len(grid)} states on a grid"
+            yield Obstruction(f"{reason} (evidence, not a proof)", False)
 
 
 def _any(task: Task, z: Array, clock: Clock) -> bool:

@@ -255,9 +255,9 @@ def _aim(goal: Goal, last: Configuration | None, load: Load, *, fixed: bool) -> 
             last.equilibrium.robot, last.rotations, last.translations, load=load, start=last.equilibrium
         )
         offset = goal.position - e.tip_position
-        turn = 0.0 if goal.direction is None else angle(e.tip_rotation[:, 2], goal.direction)
-        last_miss, miss = miss, max(float(np.linalg.norm(offset)) / float(e.arc_length[-1]), turn)
-        if max(float(np.linalg.norm(offset)), turn) <= AIM_TOLERANCE:
+        direction_error = 0.0 if goal.direction is None else angle(e.tip_rotation[:, 2], goal.direction)
+        last_miss, miss = miss, max(float(np.linalg.norm(offset)) / float(e.arc_length[-1]), direction_error)
+        if max(float(np.linalg.norm(offset)), direction_error) <= AIM_TOLERANCE:
             return last, e
         # Counted and not refused at once: Broyden's slope may still be that of the start.
         poor += miss > AIM_GAIN * last_miss
@@ -509,11 +509,11 @@ class IkSession:
 
     def _step(self, goal: Goal, last: Goal, current: Posture) -> _SessionStep:
         """Step to a goal on the line to the `last` one; raises SolveError if the branch does not reach it."""
-        near = self._near
-        if current.margin < goal.kept_margin + CAREFUL or (near is not None and near.age >= STALE_STEPS):
-            near = None
+        slopes = self._near
+        if current.margin < goal.kept_margin + CAREFUL or (slopes is not None and slopes.age >= STALE_STEPS):
+            slopes = None
         solves = 0
-        for attempt in _attempts(goal, current, near):
+        for attempt in _attempts(goal, current, slopes):
             end = _null_space_step(goal, attempt)
             solves += end.solves
             if end.posture is not None:
@@ -571,15 +571,15 @@ class _Attempt(NamedTuple):
     """True if obstacles and custom constraints limit the step."""
 
 
-def _attempts(goal: Goal, current: Posture, near: _Slopes | None) -> Iterator[_Attempt]:
+def _attempts(goal: Goal, current: Posture, old_slopes: _Slopes | None) -> Iterator[_Attempt]:
     """Settings of a step, the fastest first.
 
     With derivatives of earlier steps, unguarded; with new ones, then guarded. Derivatives change with the order of
     breakpoints: so the last ones keep the order, from here and from beyond each near change.
     """
     clear = _is_clear(goal, current)
-    if near is not None and clear:
-        yield _Attempt(current, near, None, False)
+    if old_slopes is not None and clear:
+        yield _Attempt(current, old_slopes, None, False)
     fresh = _Slopes(goal.slope(current), current.margin_slope(), 0)
     if clear:
         yield _Attempt(current, fresh, None, False)
@@ -612,10 +612,10 @@ class _StepEnd(NamedTuple):
 
 def _null_space_step(goal: Goal, attempt: _Attempt) -> _StepEnd:
     """Step to the target and, in the null space, towards larger margin, then corrections."""
-    current, near, order, guarded = attempt
+    current, slopes, order, guarded = attempt
     residual = goal.residual(current)
     if goal.reached(current, STEP_TOLERANCE, STEP_TOLERANCE):
-        return _StepEnd(current, near, 0)
+        return _StepEnd(current, slopes, 0)
     rows, bounds = goal.space.inequalities(current.q)
     if current.margin < goal.kept_margin + CAREFUL or (guarded and goal.hindered):
         rows, bounds = goal.inequalities(current)
@@ -623,18 +623,18 @@ def _null_space_step(goal: Goal, attempt: _Attempt) -> _StepEnd:
         rows, bounds = order.constrain(current.q, rows, bounds)
     scale = goal.space.scale
     # The length of the shortest motion to the target limits that in the null space.
-    size = float(np.linalg.norm(np.linalg.pinv(near.target * scale) @ residual))
-    ascent = near.margin * scale if current.margin < 1 - 1e-6 else np.zeros(len(scale))
+    size = float(np.linalg.norm(np.linalg.pinv(slopes.target * scale) @ residual))
+    ascent = slopes.margin * scale if current.margin < 1 - 1e-6 else np.zeros(len(scale))
     steepness = float(np.linalg.norm(ascent))
     if steepness > 0:
         ascent = ascent * (NULL_SPACE_STEP * size * min(1.0, 1.0 / steepness))
-    target = on_target(near.target, residual)
+    target = on_target(slopes.target, residual)
     chosen = StepModel(np.diag(1 / scale), ascent, *target, rows, np.minimum(bounds, 0.0)).step(goal, FIRST_STEP)
     if chosen is None:
-        return _StepEnd(None, near, 1)
+        return _StepEnd(None, slopes, 1)
     max_steps = 4 if order is None else 8
-    end = moved(goal, current, chosen.x, near.target, tolerance=STEP_TOLERANCE, max_steps=max_steps, order=order)
-    return _StepEnd(end.posture, _Slopes(end.slope, near.margin, near.age + 1), end.solves)
+    end = moved(goal, current, chosen.x, slopes.target, tolerance=STEP_TOLERANCE, max_steps=max_steps, order=order)
+    return _StepEnd(end.posture, _Slopes(end.slope, slopes.margin, slopes.age + 1), end.solves)
 
 
 def _stalled(goal: Goal, at: Posture) -> str:

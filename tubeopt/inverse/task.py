@@ -35,7 +35,7 @@ from ..equilibrium.result import Equilibrium
 from ..robots.load import Load
 from ..typing import Array, Delegate, Mask
 from .arm_surface import cubic, outer_radius
-from .clock import Clock, LateError
+from .clock import Clock, OutOfTimeError
 from .joints import JointSpace
 
 BATCH = 8
@@ -80,9 +80,9 @@ class ArmBatch:
         """Centrelines (r, p, 3) of the equilibria `rows` (r,) at arc lengths s (r, p), by cubic interpolation."""
         along = self.arc_length[rows]
         k = np.clip((along[:, None, :] <= s[:, :, None]).sum(2) - 1, 0, along.shape[1] - 2)
-        row, own = rows[:, None], np.arange(len(rows))[:, None]
-        start = along[own, k]
-        h = along[own, k + 1] - start
+        row, index = rows[:, None], np.arange(len(rows))[:, None]
+        start = along[index, k]
+        h = along[index, k + 1] - start
         x = (np.where(h > 0, (s - start) / np.where(h > 0, h, 1.0), 1.0))[..., None]
         p, q, a, b = self.points[row, k], self.points[row, k + 1], self.tangents[row, k], self.tangents[row, k + 1]
         return np.asarray(cubic(p, q, a, b, x, h[..., None]))
@@ -152,7 +152,7 @@ class TipCoordinates:
         """Arms of points z (N, m); stable are those with at least `margin`, one number or (N,).
 
         Raises:
-            LateError: the clock is over before all of them are computed.
+            OutOfTimeError: the clock is over before all of them are computed.
         """
         n = self.space.robot.n_tubes
         shift = self.translations(z)
@@ -160,7 +160,7 @@ class TipCoordinates:
         parts = []
         for k in range(0, len(z), BATCH):
             if clock is not None and clock.over:
-                raise LateError
+                raise OutOfTimeError
             parts.append(self._batch(z[k : k + BATCH, :n], shift[k : k + BATCH], required[k : k + BATCH, None]))
         rotations, fields, points, tangents, s = (np.concatenate(part) for part in zip(*parts, strict=True))
         tubes = self.space.robot.tubes
@@ -246,7 +246,7 @@ class Task:
     ends: Array | None = None
     """Points (k, m) in tip coordinates that other code has checked."""
     clock: Clock = field(default_factory=lambda: Clock(math.inf))
-    """Time limit: after it, evaluating points raises LateError, and further motions count as invalid."""
+    """Time limit: after it, evaluating points raises OutOfTimeError, and further motions count as invalid."""
     work: Work = field(default_factory=Work)
     """Counted work, shared with tasks made from this one by `replace`."""
     _valid: dict[tuple[bytes, bytes], int] = field(default_factory=dict, init=False, repr=False)
@@ -304,11 +304,11 @@ class Task:
         step = step[rows, None, None]
         middle = np.take_along_axis(s[rows], np.argsort(distance[rows], axis=1)[:, :WINDOWS], axis=1)
         for _ in range(2):
-            near = middle[..., None] + np.linspace(-1, 1, WINDOW_POINTS) * step
-            near = np.clip(near, 0.0, s[rows, -1, None, None]).reshape(len(rows), -1)
-            distance = self._surface_distance(arms, near, arms.at(near, rows), rows)
+            arc_lengths = middle[..., None] + np.linspace(-1, 1, WINDOW_POINTS) * step
+            arc_lengths = np.clip(arc_lengths, 0.0, s[rows, -1, None, None]).reshape(len(rows), -1)
+            distance = self._surface_distance(arms, arc_lengths, arms.at(arc_lengths, rows), rows)
             smallest[rows] = np.minimum(smallest[rows], distance.min(1))
-            middle = np.take_along_axis(near, distance.argmin(1)[:, None], axis=1)
+            middle = np.take_along_axis(arc_lengths, distance.argmin(1)[:, None], axis=1)
             step = step * 2 / (WINDOW_POINTS - 1)
         return np.asarray(smallest)
 
@@ -379,7 +379,7 @@ class Task:
         if key not in self._valid:
             try:
                 fineness = self._fineness(start, end)
-            except LateError:
+            except OutOfTimeError:
                 return None
             if fineness is None:
                 return None

@@ -114,11 +114,11 @@ def crossing_function(n: int, columns: int, terms: int, parts: int) -> ca.Functi
     """
     end, stiffness = ca.SX.sym("end", 2 * n + 2, columns), ca.SX.sym("K")
     mu, force, h, lever = (ca.SX.sym(name) for name in ("mu", "F", "h", "lever"))
-    pairs, pull, kt = ca.SX.sym("pairs", 2), ca.SX.sym("pull", n), ca.SX.sym("kt", n)
+    pairs, natural_moment, kt = ca.SX.sym("pairs", 2), ca.SX.sym("natural_moment", n), ca.SX.sym("kt", n)
     # S of the module docstring: (Y_i + Y_j)^2 puts |c_ij| on both diagonal entries and beside them.
-    coupled = pair_couplings(stiffness, pull)
+    coupled = pair_couplings(stiffness, natural_moment)
     opposing = pairs[0] * ca.diag(ca.sum2(coupled)) + pairs[1] * coupled
-    slope = pull / stiffness
+    slope = natural_moment / stiffness
     slopes, stiffnesses = ca.repmat(slope, 1, columns), ca.repmat(kt, 1, columns)
     # A bounded sum of large terms x^k / k! loses digits: short parts keep the terms small.
     total, part = end, h / parts
@@ -138,7 +138,7 @@ def crossing_function(n: int, columns: int, terms: int, parts: int) -> ca.Functi
             )
             previous, term = y, part / (power + 1) * change
             total = total + term
-    inputs = [end, mu, pairs, force, h, lever, stiffness, pull, kt]
+    inputs = [end, mu, pairs, force, h, lever, stiffness, natural_moment, kt]
     return ca.Function("crossing", inputs, [total], {"cse": True})
 
 
@@ -150,19 +150,23 @@ def _plate_function(n: int, sections: int) -> ca.Function:
     output is their derivative by mu.
     """
     mu, pairs, force = ca.MX.sym("mu"), ca.MX.sym("pairs", 2), ca.MX.sym("F")
-    h, stiffness, pull = ca.MX.sym("h", sections), ca.MX.sym("K", sections), ca.MX.sym("pull", n, sections)
+    h, stiffness, natural_moment = (
+        ca.MX.sym("h", sections),
+        ca.MX.sym("K", sections),
+        ca.MX.sym("natural_moment", n, sections),
+    )
     kt, held = ca.MX.sym("kt", n, sections), ca.MX.sym("l", n)
     crossing = crossing_function(n, n + 1, *WHOLE)
     # At the free tip P = 0 and p = 0; the columns are unit values of Y_1, ..., Y_n and phi.
     state: Any = ca.vertcat(ca.DM.eye(n + 1), ca.DM.zeros(n + 1, n + 1))
     lever: Any = 0.0
     for k in reversed(range(sections)):
-        state = crossing(state, mu, pairs, force, h[k], lever, stiffness[k], pull[:, k], kt[:, k])
+        state = crossing(state, mu, pairs, force, h[k], lever, stiffness[k], natural_moment[:, k], kt[:, k])
         lever = lever + h[k]
     residual = plate_conditions(state, kt[:, 0], held)
     # One tangent carried through all sections; the derivative by Newton's method needs no other.
     slope = ca.reshape(ca.jtimes(ca.vec(residual), mu, ca.MX(1)), n + 1, n + 1)
-    return ca.Function("plate", [mu, pairs, force, h, stiffness, pull, kt, held], [residual, slope])
+    return ca.Function("plate", [mu, pairs, force, h, stiffness, natural_moment, kt, held], [residual, slope])
 
 
 def plate_conditions(state: Any, kt: Any, held: Any) -> Any:
@@ -194,10 +198,10 @@ def largest_eigenvalue(
     Returns:
         The eigenvalue, infinite if numbers overflow, and the mode at the tip.
     """
-    length, stiffness, pull = sections
+    length, stiffness, natural_moment = sections
     kt = tubes[0] if np.ndim(tubes[0]) == 2 else np.repeat(tubes[0][:, None], len(length), axis=1)
     function = _plate_function(len(kt), len(length))
-    inputs: list[Any] = [pairs, force, length, stiffness, pull.T, kt, tubes[1]]
+    inputs: list[Any] = [pairs, force, length, stiffness, natural_moment.T, kt, tubes[1]]
     mu, last = 0.0, np.inf
     for _ in range(ITERATIONS):
         residual, slope = (np.array(part) for part in function(mu, *inputs))
@@ -237,8 +241,8 @@ def base_determinant(eigenvalue: Any, data: dict[str, Any], series: tuple[int, i
     crossing = crossing_function(n, n, *series)
     state: Any = ca.vertcat(ca.DM.eye(n), ca.DM.zeros(n + 2, n))
     for k in reversed(range(sections)):
-        stiffness, pull = ca.sum1(data["stiffness"][:, k]), ca.fabs(data["moment"][:, k])
-        state = crossing(state, 1 / eigenvalue, TURNED, 0.0, data["length"][k], 0.0, stiffness, pull, kt[k])
+        stiffness, natural_moment = ca.sum1(data["stiffness"][:, k]), ca.fabs(data["moment"][:, k])
+        state = crossing(state, 1 / eigenvalue, TURNED, 0.0, data["length"][k], 0.0, stiffness, natural_moment, kt[k])
     # Without a force p stays 0 and phi has no effect, so the last condition drops out.
     return ca.det(plate_conditions(state, kt[0], data["transmission"])[:n, :])
 

@@ -471,7 +471,7 @@ def stored_heat(T: Temperatures, v: Volumes, p: Properties) -> Any:
 class FrozenJacobian(NamedTuple):
     """Entries of the Jacobian of the heat flows into cells and shells (1 + M, n), W/K."""
 
-    own: Any
+    same_cell: Any
     """(1 + M, n) derivatives by the cell's own temperature."""
     outward: Any
     """(1 + M, n) derivatives by the temperature of the next shell of the same cell, 0 in the last row."""
@@ -489,9 +489,9 @@ def frozen_jacobian(T: Temperatures, cells: Any, v: Volumes, p: Properties) -> F
     rows, n = cells.shape
     J = ca.jacobian(ca.vec(by_cell(flows.tube, flows.mold)), ca.vec(cells))
     # By columns, a shell is 1 entry from the next one outward and `rows` entries from the next cell.
-    own, outward, along = (_diagonal(J, offset) for offset in (0, 1, rows))
+    same_cell, outward, along = (_diagonal(J, offset) for offset in (0, 1, rows))
     return FrozenJacobian(
-        ca.reshape(own, rows, n), ca.reshape(ca.vertcat(outward, 0), rows, n), ca.reshape(along, rows, n - 1)
+        ca.reshape(same_cell, rows, n), ca.reshape(ca.vertcat(outward, 0), rows, n), ca.reshape(along, rows, n - 1)
     )
 
 

@@ -143,9 +143,9 @@ def cell_functions() -> tuple[ca.Function, ...]:
     T, T_next, T_clamp, q_clamp, q_loss, R_half, duty, coefficient = (ca.SX.sym(name) for name in scalars)
     lumped, load, column = ca.SX.sym("lumped", LUMPED), ca.SX.sym("load", 4), ca.SX.sym("p", len(PROPERTIES))
     p, drive, I_on = Properties.of(column), heat.Drive(load[0], load[1], load[2]), load[3]
-    own = {name: ca.SX.sym(name) for name in OF_A_CELL}
+    of_cell = {name: ca.SX.sym(name) for name in OF_A_CELL}
     # A law of one cell that took another coefficient would fail at once on None.
-    v = heat.Volumes(**{item.name: own.get(item.name) for item in fields(heat.Volumes)})
+    v = heat.Volumes(**{item.name: of_cell.get(item.name) for item in fields(heat.Volumes)})
     cell = heat.cell_balance(T, T_clamp, drive, v, p)
     leak = heat.leak_heat(drive, coefficient, p)
     start = _circuit(R_half, lumped, duty, p)
@@ -154,10 +154,10 @@ def cell_functions() -> tuple[ca.Function, ...]:
     battery = heat.battery_rates(drive, lumped[SAG], p)
     rates = _lumped_rates(lumps.clamp / p.C_clamp, battery, lumps.surroundings, drive, I_on, lumped, p)
     laws = {
-        "ohm": ([T, own["R_tube"], column], [heat.cell_resistance(T, v, p)]),
+        "ohm": ([T, of_cell["R_tube"], column], [heat.cell_resistance(T, v, p)]),
         "load": ([R_half, lumped, duty, column], [ca.vertcat(*start.drive, start.I_on)]),
         "cell": (
-            [T, T_clamp, load, *own.values(), coefficient, column],
+            [T, T_clamp, load, *of_cell.values(), coefficient, column],
             [cell.net, leak, cell.clamp, cell.air, heat.tube_capacity(T, v, p), ca.jacobian(cell.clamp + cell.air, T)],
         ),
         "link": ([T, T_next, coefficient, column], [link, ca.jacobian(link, T), ca.jacobian(link, T_next)]),
@@ -181,12 +181,12 @@ def step_function(resolution: Resolution) -> ca.Function:
     rates, inputs = functions["rates"], functions["rates"].sx_in()
     cells, lumped, duty, p, q = inputs
     h = ca.SX.sym("span")
-    capacity, own, outward, along = functions["linearised"](cells, p, q)
+    capacity, same_cell, outward, along = functions["linearised"](cells, p, q)
     # Losses to clamp and air are in the second factor, which is exact where a cell has no shells.
     across = -outward - ca.vertcat(ca.DM(1, cells.size2()), outward[:-1, :])
     # C - gamma h (A + B) = (C - gamma h A) C^-1 (C - gamma h B) but for gamma^2 h^2 A C^-1 B.
     solve_outward = _tridiagonal(capacity - GAMMA * h * across, -GAMMA * h * outward[:-1, :])
-    solve_along = _tridiagonal((capacity - GAMMA * h * (own - across)).T, -GAMMA * h * along.T)
+    solve_along = _tridiagonal((capacity - GAMMA * h * (same_cell - across)).T, -GAMMA * h * along.T)
 
     def stage(rate: Any) -> Any:
         return solve_along((capacity * solve_outward(capacity * rate)).T).T

@@ -70,8 +70,8 @@ def _magnus(curvature: Any, length: Any) -> tuple[Any, Any]:
 
 def magnus_step(rotation: Any, position: Any, curvature: Any, length: Any) -> tuple[Any, Any]:
     """Pose after a step of `length`, m, with `curvature` (2, 3), 1/m, at the three GAUSS_POINTS."""
-    turn, shift = exponential(*_magnus(curvature, length))
-    return rotation @ turn, position + rotation @ shift
+    rotation_step, shift = exponential(*_magnus(curvature, length))
+    return rotation @ rotation_step, position + rotation @ shift
 
 
 def magnus_quaternion(quaternion: Any, position: Any, curvature: Any, length: Any) -> tuple[Any, Any]:
@@ -90,9 +90,9 @@ def _quaternion_step() -> ca.Function:
     omega, v = _magnus(curvature, length)
     # (cos(t / 2), sin(t / 2) w / t) as series in t^2 / 4: no branch at t = 0.
     quarter = ca.dot(omega, omega) / 4
-    turn = ca.vertcat(_series(quarter, 0), _series(quarter, 1) * omega / 2)
+    step = ca.vertcat(_series(quarter, 0), _series(quarter, 1) * omega / 2)
     _, shift = exponential(omega, v)
-    ends = [quaternion_product(quaternion, turn), position + rotation_matrix(quaternion) @ shift]
+    ends = [quaternion_product(quaternion, step), position + rotation_matrix(quaternion) @ shift]
     return ca.Function("quaternion_step", [quaternion, position, curvature, length], ends)
 
 

@@ -8,7 +8,7 @@ from .optimal_motion import Motion
 from .plan import EntryRegion, plan_from_region, plan_trajectory
 from .proof import Proof, verify_trajectory
 from .question import PlanOptions
-from .reach_share import PairReach, PairShare, ReachShare, RegionReach, evaluate_reach
+from .reach_fraction import PairFraction, PairReach, ReachFraction, RegionReach, evaluate_reach
 from .roadmap import Roadmap, build_roadmap, load_roadmap
 from .tip_path import follow_the_leader, follow_tip_path
 from .trajectory import Entry, PlanStatistics, Trajectory
@@ -19,15 +19,15 @@ __all__ = [
     "Entry",
     "EntryRegion",
     "Motion",
+    "PairFraction",
     "PairProof",
     "PairReach",
-    "PairShare",
     "PlacedRobot",
     "PlanOptions",
     "PlanStatistics",
     "Proof",
     "RateLimits",
-    "ReachShare",
+    "ReachFraction",
     "RegionReach",
     "Roadmap",
     "TipGoal",

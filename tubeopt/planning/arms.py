@@ -425,8 +425,8 @@ class ArmsProof(Displayed):
             return ProofStatus.PROVED
         refuted = any(proof.faults and not proof.open for proof in self.proofs)
         refuted |= any(CLOSE in fault for fault in self.faults)
-        late = any(proof.open for proof in self.proofs)
-        return ProofStatus.OPEN if late and not refuted else ProofStatus.FAULTY
+        unfinished = any(proof.open for proof in self.proofs)
+        return ProofStatus.OPEN if unfinished and not refuted else ProofStatus.FAULTY
 
 
 def checked_arms(arms: Sequence[PlacedRobot]) -> tuple[PlacedRobot, ...]:

@@ -209,8 +209,8 @@ def plan_arms(
             break
     twice = tuple(k for k in order if sum(move.arm == k for move in moves) > 1)
     for k in twice:
-        own = replace(motions[k], proof=proof.proofs[k], obstacles=bodies_in_frame(known[k].base, bodies))
-        motions = (*motions[:k], own, *motions[k + 1 :])
+        final = replace(motions[k], proof=proof.proofs[k], obstacles=bodies_in_frame(known[k].base, bodies))
+        motions = (*motions[:k], final, *motions[k + 1 :])
     return ArmsPlan(known, motions, order, bodies, min_margin, options.clearance, proof, clock.seconds, twice)
 
 

@@ -98,9 +98,9 @@ def _at_ends(gain: Array) -> Array:
     return np.stack([total - gain, total])
 
 
-def _with_pairs(own: Array) -> AngleChange:
+def _with_pairs(single: Array) -> AngleChange:
     """Bounds on theta_i, and the bounds on theta_i - theta_j that follow from them."""
-    return own, pair_differences(own)
+    return single, pair_differences(single)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,13 +128,13 @@ class _Bounds:
         # Cauchy-Schwarz: y_i(s) = int y_i' <= sqrt(int 1 / kt_i) sqrt(int kt_i y_i'^2). The energies of two tubes add,
         # so their bounds add as squares.
         flexibility = [np.cumsum(length[..., None] * self.compliance.v, axis=1) for length in intervals.length]
-        own = np.sqrt(np.maximum(*flexibility) + self.transmission.v[:, None])
-        self.weight: AngleChange = own, np.hypot(own[..., :, None], own[..., None, :])
+        single = np.sqrt(np.maximum(*flexibility) + self.transmission.v[:, None])
+        self.weight: AngleChange = single, np.hypot(single[..., :, None], single[..., None, :])
         """Bounds sqrt((|beta_i| + s) / kt_i) on |y_i|, and those on |y_i - y_j|, for |y| = 1 in the energy norm."""
         self.torque = self.bending.pairs.sum(3)
-        pairs, pulls, b = self.transport.pairs, self.transport.pulls, self.bending
+        pairs, natural, b = self.transport.pairs, self.transport.natural_curvature, self.bending
         self.pairing = DerivativeBounds(b.pairs, pairs.d, pairs.dd, pairs.ddd)
-        self.pull = DerivativeBounds(b.moment / b.stiffness[..., None], pulls.d, pulls.dd, pulls.ddd)
+        self.natural_curvature = DerivativeBounds(b.moment / b.stiffness[..., None], natural.d, natural.dd, natural.ddd)
         """m_i m_j / k (B, K, n, n) and m_i / k (B, K, n), with their changes along tubes that vary."""
         self.zero = np.zeros_like(self.torque)
 
@@ -162,12 +162,12 @@ class _Bounds:
     def chord(self, dtheta: AngleChange) -> AngleDerivatives:
         """Time derivatives of the chord theta~: only the natural twist of tubes that vary is not linear in time."""
         twist_tt = self.transport.twist_deviation.dd
-        own = DerivativeBounds(dtheta[0], dtheta[0], twist_tt)
-        return own, DerivativeBounds(dtheta[1], dtheta[1], pair_differences(twist_tt))
+        single = DerivativeBounds(dtheta[0], dtheta[0], twist_tt)
+        return single, DerivativeBounds(dtheta[1], dtheta[1], pair_differences(twist_tt))
 
     def cross_sections(self, angles: AngleDerivatives) -> tuple[DerivativeBounds, DerivativeBounds]:
         """Moments M (B, K, n) and curvature u (B, K) where the angles have these time derivatives."""
-        u, k = self.bending.along((self.pull * unit_vector(angles[0])).map(lambda bound: bound.sum(2)))
+        u, k = self.bending.along((self.natural_curvature * unit_vector(angles[0])).map(lambda bound: bound.sum(2)))
         moment = (self.pairing * unit_vector(angles[1])).map(lambda bound: bound.sum(3))
         return (moment * inverse(k).map(lambda bound: bound[..., None]) if self.offset.any() else moment), u
 
@@ -217,22 +217,22 @@ class _Bounds:
     def norm(self, dtheta: AngleChange) -> Array:
         """(B,) least factor of `weight` that bounds `dtheta` in all sections of positive length."""
         exists = self.length.v[..., None] > 0
-        own = np.where(exists & (dtheta[0] > 0), dtheta[0] / self.weight[0], 0.0).max((1, 2), initial=0.0)
+        single = np.where(exists & (dtheta[0] > 0), dtheta[0] / self.weight[0], 0.0).max((1, 2), initial=0.0)
         ratio = dtheta[1] / self.weight[1]
         pair = np.where(exists[..., None] & (dtheta[1] > 0), ratio, 0.0).max((1, 2, 3), initial=0.0)
-        return np.asarray(np.maximum(own, pair))
+        return np.asarray(np.maximum(single, pair))
 
     def angle_change(self) -> tuple[AngleChange, Mask]:
         """Bound on the difference of theta between both ends, all along the arm, and (B,) True for valid bounds.
 
         It is sampled; in between, a function differs from its chord by at most h^2 / 8 times its second derivative.
         """
-        own, pair = self.intervals.changes
+        single, pair = self.intervals.changes
         # The natural twist is not quite linear in time.
         twist = _with_pairs(self.transport.twist_deviation.d)
-        own, pair = own + twist[0], pair + twist[1]
-        error = self._between_samples((own, pair))
-        wide = own + 2 * error, pair + 2 * pair_differences(error)
+        single, pair = single + twist[0], pair + twist[1]
+        error = self._between_samples((single, pair))
+        wide = single + 2 * error, pair + 2 * pair_differences(error)
         # The error bound is linear in the change that it bounds. So if twice the first error covers the error of the
         # widened change, the widened change is a bound.
         valid = (self._between_samples(wide) <= 2 * error + 1e-15).all((1, 2))
@@ -287,19 +287,19 @@ class _Bounds:
         DF e' = -d/dt F(theta~ + e, t) at constant e, and F(theta~, t) is 0 at both ends. DF e'' and DF e''' equal the
         part of -F_tt and -F_ttt that contains lower derivatives of e.
         """
-        own = self.weight[0]
+        single = self.weight[0]
         # A function that is 0 at both ends has a slope of at most half of its largest second derivative.
         e_t = ((ball.residual_tt / 2 + ball.jacobian_t * ball.radius) / ball.contraction)[:, None, None]
         twist = self.transport.twist_deviation
-        orders = [dtheta[0] + e_t * own, twist.order(2), twist.order(3)]
+        orders = [dtheta[0] + e_t * single, twist.order(2), twist.order(3)]
         pairs = [dtheta[1] + e_t[..., None] * self.weight[1], *(pair_differences(each) for each in orders[1:])]
         for order in (1, 2):
-            moment, u = self.cross_sections((DerivativeBounds(own, *orders), DerivativeBounds(own, *pairs)))
+            moment, u = self.cross_sections((DerivativeBounds(single, *orders), DerivativeBounds(single, *pairs)))
             theta = self.rotation(moment, u.map(self._stretch)).order(order + 1)
             size = (self.norm(self.response(_with_pairs(theta))) / ball.contraction)[:, None, None]
-            orders[order] = orders[order] + size * own
+            orders[order] = orders[order] + size * single
             pairs[order] = pairs[order] + size[..., None] * self.weight[1]
-        return DerivativeBounds(own, *orders), DerivativeBounds(own, *pairs)
+        return DerivativeBounds(single, *orders), DerivativeBounds(single, *pairs)
 
     def tangent_derivatives(self, dtheta: AngleChange, ball: _Ball) -> DerivativeBounds:
         """(B, K) time derivatives of the tangent along the solution, to the third, as means over each section."""

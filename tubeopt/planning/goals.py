@@ -310,14 +310,14 @@ def ends(
     clock: Clock | None = None,
     *,
     modulo_turns: bool = False,
-    near: Callable[[Array], Array] | None = None,
+    nearby: Callable[[Array], Array] | None = None,
     enough: int = 1,
 ) -> list[End]:
     """Equilibria at a goal, nearest to the start first.
 
     Args:
         clock: time for the search of joint values with the tip at a goal.
-        near: tip coordinates (k, m) with tips near a position (3,), from which a tip goal is solved first, up to
+        nearby: tip coordinates (k, m) with tips near a position (3,), from which a tip goal is solved first, up to
             `enough` equilibria; if that fails, it is solved from the start.
 
     Raises:
@@ -325,7 +325,7 @@ def ends(
         SolveError: no equilibrium at the goal has the required margin and clearance.
     """
     clock = clock or Clock(math.inf)
-    equilibria, complete = _near_equilibria(task, goal, near, enough, clock), False
+    equilibria, complete = _near_equilibria(task, goal, nearby, enough, clock), False
     if not equilibria:
         equilibria, complete = _equilibria(task, start, goal, clock)
     reasons: list[str] = []
@@ -346,9 +346,9 @@ def ends(
 def requested_ends(task: PlanTask, start: Equilibrium, goal: Any, enough: int) -> list[End]:
     """Equilibria at a goal by the options of the task; for a tip goal, up to `enough` found from a roadmap."""
     known = task.options.roadmap
-    near = None if known is None else partial(known.near, task, count=NEAR_POINTS)
+    nearby = None if known is None else partial(known.near, task, count=NEAR_POINTS)
     clock = Clock(GOALS_FRACTION * task.clock.left)
-    return ends(task, start, goal, clock, modulo_turns=task.options.modulo_turns, near=near, enough=enough)
+    return ends(task, start, goal, clock, modulo_turns=task.options.modulo_turns, nearby=nearby, enough=enough)
 
 
 def _nearest(task: PlanTask, start: Equilibrium, candidates: list[End]) -> list[End]:
@@ -455,14 +455,14 @@ def _equilibria(task: PlanTask, start: Equilibrium, goal: Any, clock: Clock) -> 
 
 
 def _near_equilibria(
-    task: PlanTask, goal: Any, near: Callable[[Array], Array] | None, enough: int, clock: Clock
+    task: PlanTask, goal: Any, nearby: Callable[[Array], Array] | None, enough: int, clock: Clock
 ) -> list[Equilibrium]:
     """Equilibria at a tip goal, by Gauss-Newton from known points near it.
 
     Any valid ones, in a fraction of the time that the one nearest to the start takes.
     """
     tip_goal = _tip_goal(goal)
-    if near is None or tip_goal is None or task.coordinates.load is not None:
+    if nearby is None or tip_goal is None or task.coordinates.load is not None:
         return []
     space, equilibria = task.coordinates.space, list[Equilibrium]()
     options, weights = _options(task, clock.left), 1 / space.scale
@@ -481,7 +481,7 @@ def _near_equilibria(
             options,
             clock=clock,
         )
-        points = near(question.position)
+        points = nearby(question.position)
         for q in task.coordinates.joints(points):
             start = start_at(space, q)
             if start is None or start.margin < question.kept_margin or not start.admissible:
@@ -589,11 +589,11 @@ def _turned(task: PlanTask, e: Equilibrium, start: Array, modulo: bool) -> list[
         ranges.append(range(first, last + 1))
     _in_range(space, "goal", np.clip(e.rotations, space.lower[:n], space.upper[:n]), e.translations)
     # In wide ranges only the turns nearest to the start: there are many others, farther away.
-    near = []
+    turn_choices = []
     for each, difference in zip(ranges, (start - e.rotations) / (2 * np.pi), strict=True):
         all_turns = np.array(each)
-        near.append(all_turns[np.argsort(np.abs(all_turns - difference))][:MAX_TURNS].tolist())
-    return [_end(task, e, turns) for turns in product(*near)]
+        turn_choices.append(all_turns[np.argsort(np.abs(all_turns - difference))][:MAX_TURNS].tolist())
+    return [_end(task, e, turns) for turns in product(*turn_choices)]
 
 
 def _end(task: PlanTask, e: Equilibrium, turns: Sequence[int]) -> End:

@@ -151,7 +151,7 @@ class _Bounds:
         self.pairs, self.slope = b.pairs, b.moment / b.stiffness[..., None]
         """Couplings |a_i||a_j| / K (B, K, n, n), and slopes A_i = |a_i| / K (B, K, n), 1/m."""
         self.pairing = replace(self.transport.pairs, v=self.pairs)
-        self.pull = replace(self.transport.pulls, v=self.slope)
+        self.natural_curvature = replace(self.transport.natural_curvature, v=self.slope)
         """`pairs` and `slope` with their changes along tubes that vary."""
         self.length, self.spring = linear(*intervals.length), intervals.transmission
         self.lever, self.u = intervals.lever, b.max_u
@@ -159,8 +159,8 @@ class _Bounds:
         """Bounds on |m_c| (B, K); moments that twist a tube, at the ends of sections and per length (B, K, n)."""
         compliance = self.length.v[..., None] / self.kt
         # Cauchy-Schwarz, as in `branch`: |y_i| <= sqrt(int 1 / kt_i) where T = 1.
-        own = np.sqrt(np.cumsum(compliance, axis=1) + self.spring.v[:, None])
-        self.weight: AngleChange = own, np.hypot(own[..., :, None], own[..., None, :])
+        single = np.sqrt(np.cumsum(compliance, axis=1) + self.spring.v[:, None])
+        self.weight: AngleChange = single, np.hypot(single[..., :, None], single[..., None, :])
         """Bounds on |y_i| and |y_i - y_j| where T = 1."""
         self.swing = self._swing(compliance)
         """(B, K) bound on int |psi'| up to the end of every section where T = 1."""
@@ -192,16 +192,16 @@ class _Bounds:
         affine in the differences x. Every x with x >= sampled + L(x) is a bound. With x_k+1 = sampled + L(x_k), one is
         2 x_6 - x_2 if 2 (x_7 - x_6) <= x_3 - x_2. (Two rounds spread a change to all tubes, torques and moments.)
         """
-        own, pair = self.intervals.changes
-        rounds = [_Changes((own, pair), torque, moment, np.ones(len(own), dtype=bool))]
+        single, pair = self.intervals.changes
+        rounds = [_Changes((single, pair), torque, moment, np.ones(len(single), dtype=bool))]
         first, last = ROUNDS
         for _ in range(last + 1):
             error = self._between_samples(rounds[-1])
-            angle = own + error.theta, pair + pair_differences(error.theta)
+            angle = single + error.theta, pair + pair_differences(error.theta)
             rounds.append(_Changes(angle, torque + error.torque, moment + error.moment, rounds[0].valid))
         x_2, x_3, x_6, x_7 = (rounds[k].parts for k in (first, first + 1, last, last + 1))
         valid = [
-            (2 * (d - c) <= b - a + 1e-15).reshape(len(own), -1).all(1)
+            (2 * (d - c) <= b - a + 1e-15).reshape(len(single), -1).all(1)
             for a, b, c, d in zip(x_2, x_3, x_6, x_7, strict=True)
         ]
         theta, difference, torque, moment = (2 * c - a for a, c in zip(x_2, x_6, strict=True))
@@ -221,7 +221,7 @@ class _Bounds:
         torque_slope = self.pairs.sum(3) + self.slope * lever[..., None] + self.along
         change = (self.pairs * c.angle[1]).sum(3)
         change += self.slope * (c.moment[..., None] + lever[..., None] * c.angle[0])
-        change += self.transport.gain(np.ones_like(self.pairs)) + self.pull.d * lever[..., None]
+        change += self.transport.gain(np.ones_like(self.pairs)) + self.natural_curvature.d * lever[..., None]
         frame = np.cumsum(self.length.d * self.u + self.length.v * du, axis=1)
         change += self.along * frame[..., None]
         # m' = u x t + n, with moments per length.
@@ -235,7 +235,7 @@ class _Bounds:
 
     def _curvature_change(self, c: _Changes) -> Array:
         """(B, K) bound on the change of u = (M + sum a_i) / K."""
-        by_tubes = (self.slope * c.angle[0] + self.pull.d).sum(2)
+        by_tubes = (self.slope * c.angle[0] + self.natural_curvature.d).sum(2)
         return np.asarray(c.moment / self.stiffness + by_tubes + self.lever * self.transport.bending_compliance.d)
 
     def _twist(self, torque: DerivativeBounds) -> DerivativeBounds:
@@ -247,7 +247,7 @@ class _Bounds:
 
     def _bend(self, theta: DerivativeBounds, moment: DerivativeBounds) -> DerivativeBounds:
         """Bend of every section, h u (B, K), rad."""
-        by_tubes = (self.pull * unit_vector(theta)).map(lambda bound: bound.sum(2))
+        by_tubes = (self.natural_curvature * unit_vector(theta)).map(lambda bound: bound.sum(2))
         return self.length * replace(by_tubes + moment * self.transport.bending_compliance, v=self.u)
 
     def _balance(
@@ -260,7 +260,9 @@ class _Bounds:
         by_load = unit_vector(theta) * moment.map(lambda bound: bound[..., None])
         by_tubes = (self.pairing * unit_vector(pair)).map(lambda bound: bound.sum(3))
         by_moments = tangent.map(lambda bound: bound[..., None] * self.along)
-        each = self.length.map(lambda bound: bound[..., None]) * (self.pull * by_load + by_tubes + by_moments)
+        each = self.length.map(lambda bound: bound[..., None]) * (
+            self.natural_curvature * by_load + by_tubes + by_moments
+        )
         return (each + tangent.map(lambda bound: bound[..., None] * self.kick)).map(_to_tip), moment
 
     def _size(self, torque: Array, moment: Array) -> Array:
@@ -287,13 +289,17 @@ class _Bounds:
 
     def _response(self, size: Array) -> _Changes:
         """Rotations due to torques and moments with sqrt(T) = `size` (B,), and the changes of T_i and M by these."""
-        own, pair, h = self.weight[0] * size[:, None, None], self.weight[1] * size[:, None, None, None], self.length.v
+        single, pair, h = (
+            self.weight[0] * size[:, None, None],
+            self.weight[1] * size[:, None, None, None],
+            self.length.v,
+        )
         frame = self.swing * size[:, None]
         moment = _to_tip(h * frame * self.force.v) + frame * self.couple.v
-        by_load = self.slope * (own * self.lever[..., None] + moment[..., None])
+        by_load = self.slope * (single * self.lever[..., None] + moment[..., None])
         by_moments = (h[..., None] * self.along + self.kick) * frame[..., None]
         torque = _to_tip(h[..., None] * ((self.pairs * pair).sum(3) + by_load) + by_moments)
-        return _Changes((own, pair), torque, moment, np.ones(len(size), dtype=bool))
+        return _Changes((single, pair), torque, moment, np.ones(len(size), dtype=bool))
 
     def tangent_derivatives(self, radius: Array, convexity: Array) -> DerivativeBounds:
         """(B, K) time derivatives of the tangent of the equilibria, to the third.
@@ -353,7 +359,7 @@ class _Bounds:
         """
         h, w, lever = self.length.v, self.weight, self.lever
         if stretched:
-            geometry, dc, da = self._geometry_change(), self.pairing.d / 2, self.pull.d / 2
+            geometry, dc, da = self._geometry_change(), self.pairing.d / 2, self.natural_curvature.d / 2
         else:
             none = np.zeros_like(h)
             geometry, dc, da = _GeometryChange(none, np.zeros_like(w[0]), none, none), np.zeros(()), np.zeros(())
@@ -398,16 +404,16 @@ class _Bounds:
         # Squares of the changes of y, of int h r and of the transmissions, where T = 1.
         grown = _square_over(h.d, np.minimum(start, end))
         base = _square_over(self.spring.d, self.spring.v - self.spring.d)
-        own = np.sqrt(np.cumsum(grown[..., None] / self.kt, axis=1) + base[:, None])
+        single = np.sqrt(np.cumsum(grown[..., None] / self.kt, axis=1) + base[:, None])
         bending = np.cumsum(h.v / self.stiffness, axis=1), np.cumsum(grown / self.stiffness, axis=1)
-        y = DerivativeBounds(self.weight[0], own, np.zeros_like(own))
-        dpair = np.hypot(own[..., :, None], own[..., None, :])
+        y = DerivativeBounds(self.weight[0], single, np.zeros_like(single))
+        dpair = np.hypot(single[..., :, None], single[..., None, :])
         pair = DerivativeBounds(self.weight[1], dpair, np.zeros_like(dpair))
         by_tubes = (self.pairing * unit_vector(chord.pair) * pair * pair).map(lambda bound: bound.sum((2, 3)) / 2)
-        pull = self.pull * unit_vector(chord.theta)
-        by_load = (pull * chord.moment.map(lambda bound: bound[..., None]) * y * y).map(lambda bound: bound.sum(2))
+        moments = self.natural_curvature * unit_vector(chord.theta)
+        by_load = (moments * chord.moment.map(lambda bound: bound[..., None]) * y * y).map(lambda bound: bound.sum(2))
         # psi, by the rotations of the tubes and by the moments.
-        psi = (chord.tangent * h * (pull * y).map(lambda bound: bound.sum(2))).map(lambda b: np.cumsum(b, axis=1))
+        psi = (chord.tangent * h * (moments * y).map(lambda bound: bound.sum(2))).map(lambda b: np.cumsum(b, axis=1))
         psi = psi + chord.tangent * DerivativeBounds(np.sqrt(bending[0]), np.sqrt(bending[1]), zero)
         psi = replace(psi, v=self.swing)
         # Integrated by parts, m_w.(psi x psi') is n |psi|^2 / 2, besides n.(psi x (psi x e)): together 3 / 2.

@@ -32,7 +32,7 @@ def uncovered(load: Load) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Pull:
+class DeadLoad:
     """Dead load on n tubes: forces and moments in world axes."""
 
     at: Array
@@ -53,13 +53,13 @@ class Pull:
         return float(force), float(np.linalg.norm(self.along[:, MOMENT], axis=1).sum())
 
     @staticmethod
-    def of(robot: Robot, load: Load) -> Pull:
+    def of(robot: Robot, load: Load) -> DeadLoad:
         """Arrays of a load that is covered completely."""
         distributed: Any = load.distributed or ()
         uniform = [Stretch(0.0, np.inf, distributed)] * bool(distributed)
         parts = distributed if distributed and isinstance(distributed[0], Stretch) else uniform
         gravity = np.zeros(3) if load.gravity is None else np.array(load.gravity)
-        return Pull(
+        return DeadLoad(
             at=np.array([part.at for part in load.acting]),
             points=np.array([(*part.force, *part.moment) for part in load.acting]),
             stretches=np.array([(part.start, part.end) for part in parts]).reshape(-1, 2),
@@ -103,7 +103,7 @@ def _on_outermost(size: Array, exists: Mask) -> Array:
 class LoadedArms(SolvedArms):
     """Arrays of equilibria under a load."""
 
-    pull: Pull
+    load: DeadLoad
 
     @cached_property
     def ends(self) -> Array:
@@ -113,7 +113,7 @@ class LoadedArms(SolvedArms):
     @property
     def load_positions(self) -> Array:
         """(F,) arc lengths at which the load acts, m."""
-        return self.pull.load_positions
+        return self.load.load_positions
 
     @cached_property
     def _inside(self) -> tuple[Array, Array]:
@@ -131,7 +131,7 @@ class LoadedArms(SolvedArms):
     @cached_property
     def _felt(self) -> tuple[Array, Array]:
         """(P, 6) total force and moment between each point and the tip, on either side of the point."""
-        ahead, before = (self.pull.on(self.arc_length, self.ends[self.owner], s) for s in self._inside)
+        ahead, before = (self.load.on(self.arc_length, self.ends[self.owner], s) for s in self._inside)
         return ahead, before
 
     @cached_property
@@ -142,9 +142,9 @@ class LoadedArms(SolvedArms):
     @cached_property
     def kicks(self) -> Array:
         """(P, n) decrease of the torques by point moments, N m."""
-        torque = self.tangent @ self.pull.points[:, MOMENT].T
-        torque *= np.abs(self.arc_length[:, None] - self.pull.at) <= JUMP
-        return np.asarray((torque[..., None] * self.pull.twists(self.ends)[self.owner]).sum(1))
+        torque = self.tangent @ self.load.points[:, MOMENT].T
+        torque *= np.abs(self.arc_length[:, None] - self.load.at) <= JUMP
+        return np.asarray((torque[..., None] * self.load.twists(self.ends)[self.owner]).sum(1))
 
     @cached_property
     def _values(self) -> tuple[Array, Array]:
@@ -159,7 +159,7 @@ class LoadedArms(SolvedArms):
             tables.append(table)
         return tables[0], tables[1]
 
-    def _pulls(self, values: Array) -> tuple[Array, Array]:
+    def _moments(self, values: Array) -> tuple[Array, Array]:
         """Moments a_i (P, n, 2) of the tubes, N m, and total bending stiffness K (P,), N m^2."""
         stiffness, _, x, y, *_ = values
         cos, sin = np.cos(self.rotation), np.sin(self.rotation)
@@ -174,9 +174,9 @@ class LoadedArms(SolvedArms):
     @cached_property
     def moment(self) -> Array:
         """(P, 2) bending moment of the bundle in the Bishop frame, N m."""
-        pulls, stiffness = self._pulls(self._values[1])
+        moments, stiffness = self._moments(self._values[1])
         bent = np.concatenate([e.curvature for e in self.equilibria])
-        return np.asarray(stiffness[:, None] * bent - pulls.sum(1))
+        return np.asarray(stiffness[:, None] * bent - moments.sum(1))
 
     @cached_property
     def reactions(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
@@ -193,14 +193,14 @@ class LoadedArms(SolvedArms):
         """
         sides = []
         for k, values in enumerate(self._values):
-            pulls, stiffness = self._pulls(values)
+            moments, stiffness = self._moments(values)
             straight = np.where(stiffness > 0, stiffness, 1.0)[:, None]
             torque, moment = (each[k] for each in self.reactions)
-            x, y = ((moment + pulls.sum(1)) / straight).T
+            x, y = ((moment + moments.sum(1)) / straight).T
             force = np.einsum("pij,pi->pj", self._frames, self._felt[k][:, FORCE])
-            along = np.einsum("pij,pi->pj", self._frames, self.pull.per_length_at(self._inside[k]))
+            along = np.einsum("pij,pi->pj", self._frames, self.load.per_length_at(self._inside[k]))
             # Balance of torques of a tube: t' = u_x a_y - u_y a_x; moments per length act on the outermost tube.
-            twisting = x[:, None] * pulls[:, :, 1] - y[:, None] * pulls[:, :, 0]
+            twisting = x[:, None] * moments[:, :, 1] - y[:, None] * moments[:, :, 0]
             twisting -= _on_outermost(along[:, 2], self._sides[k] < self.constants.ended)
             torsion = torque.sum(1)
             # Balance of bending moments: m' = (n_y, -n_x) + t (-u_y, u_x), with the total torque t of the tubes.
@@ -243,15 +243,15 @@ class LoadedArms(SolvedArms):
             return errors
         h, owner = np.diff(self.arc_length)[inner], self.owner[inner]
         bend = CurvatureBounds.of(c, *self.crossed)
-        transport, pull = (
+        transport, moment_rates = (
             TransportBounds.of(c, np.array(1.0), *self.crossed),
-            [c.largest(each, *self.crossed) for each in c.bounds.pull],
+            [c.largest(each, *self.crossed) for each in c.bounds.moment],
         )
-        pulls = self._felt[0][inner], self._felt[1][inner + 1]
-        force = np.maximum(*(np.linalg.norm(each[:, FORCE], axis=1) for each in pulls))
+        loads = self._felt[0][inner], self._felt[1][inner + 1]
+        force = np.maximum(*(np.linalg.norm(each[:, FORCE], axis=1) for each in loads))
         # The moment is at most that of the load on a straight arm. A torque grows by |u| |a| per length, and by applied
         # moments on its tube.
-        moment, (along, couple) = self._lever[owner], self.pull.per_length
+        moment, (along, couple) = self._lever[owner], self.load.per_length
         u = bend.max_u + moment / bend.stiffness
         grows = u[:, None] * bend.moment + couple
         torque = np.maximum(np.abs(self.reactions[0][0][inner]), np.abs(self.torque[inner + 1])) + h[:, None] * grows
@@ -261,9 +261,9 @@ class LoadedArms(SolvedArms):
         swing = unit_vector(DerivativeBounds(turn, turn, turning))
         total, growing = torque.sum(1), grows.sum(1)
         bending = force + u * total + couple
-        by_tubes = replace(transport.pulls, v=bend.moment / bend.stiffness[:, None], ddd=None) * swing
+        by_tubes = replace(transport.natural_curvature, v=bend.moment / bend.stiffness[:, None], ddd=None) * swing
         du = bending / bend.stiffness + moment * transport.bending_compliance.d + by_tubes.d.sum(1)
-        a = DerivativeBounds(*pull[:3]) * swing
+        a = DerivativeBounds(*moment_rates[:3]) * swing
         grown = du[:, None] * a.v + u[:, None] * a.d + couple * u[:, None]
         turned_on = grown * compliance.v + 2 * grows * compliance.d + torque * compliance.dd + twist_slope.d
         bent = force * u + along + du * total + u * growing + couple * u
@@ -286,7 +286,7 @@ class LoadedArms(SolvedArms):
     @cached_property
     def _lever(self) -> Array:
         """(E,) bound on the moment that the load exerts on the bundle, N m."""
-        length, p = self.ends.max(1), self.pull
+        length, p = self.ends.max(1), self.load
         force, moment = (np.linalg.norm(p.points[:, k], axis=1) for k in (FORCE, MOMENT))
         start, end = (np.minimum(each, length[:, None]) for each in p.stretches.T[:, None])
         per_length, couple = (np.linalg.norm(p.along[:, k], axis=1) for k in (FORCE, MOMENT))
@@ -319,7 +319,7 @@ class LoadedIntervals(Intervals):
         """Intervals between equilibria (B,) and (B,); not `ordered` where a moment passes to another tube."""
         intervals = super().of(arms, start, end)
         assert isinstance(arms, LoadedArms)
-        twists = arms.pull.twists(arms.ends)[:, arms.pull.points[:, MOMENT].any(1)]
+        twists = arms.load.twists(arms.ends)[:, arms.load.points[:, MOMENT].any(1)]
         same = (twists[start] == twists[end]).all((1, 2))
         return replace(intervals, ordered=intervals.ordered & same)
 
@@ -329,7 +329,7 @@ class LoadedIntervals(Intervals):
         tables = []
         for e, cuts in ((self.start, self.start_cuts), (self.end, self.end_cuts)):
             ends, inside = self.arms.ends[e][:, None], (cuts[:, :-1] + cuts[:, 1:]) / 2
-            tables.append([self.arms.pull.on(s, ends, inside) for s in (cuts[:, :-1], cuts[:, 1:])])
+            tables.append([self.arms.load.on(s, ends, inside) for s in (cuts[:, :-1], cuts[:, 1:])])
         table, jets = np.array(tables), []
         for part in (FORCE, MOMENT):
             size = np.linalg.norm(table[..., part], axis=-1).max((0, 1))
@@ -350,13 +350,13 @@ class LoadedIntervals(Intervals):
     @cached_property
     def twisting(self) -> tuple[Array, Array]:
         """(B, K, n) sizes of applied moments on each tube, at the ends of the sections, N m, and per length, N."""
-        pull, cuts = self.arms.pull, (self.start_cuts + self.end_cuts) / 2
-        middle, moment = (cuts[:, :-1] + cuts[:, 1:]) / 2, np.linalg.norm(pull.points[:, MOMENT], axis=1)
+        load, cuts = self.arms.load, (self.start_cuts + self.end_cuts) / 2
+        middle, moment = (cuts[:, :-1] + cuts[:, 1:]) / 2, np.linalg.norm(load.points[:, MOMENT], axis=1)
         # Number of sections before each moment; at the plate a moment twists nothing.
-        before = (middle[..., None] < np.minimum(pull.at, cuts[:, -1:])[:, None]).sum(1)
+        before = (middle[..., None] < np.minimum(load.at, cuts[:, -1:])[:, None]).sum(1)
         acts = np.arange(1, middle.shape[1] + 1)[:, None] == before[:, None]
-        at_ends = acts @ (moment[:, None] * pull.twists(self.arms.ends[self.start]))
-        size = np.linalg.norm(pull.per_length_at(middle), axis=-1)
+        at_ends = acts @ (moment[:, None] * load.twists(self.arms.ends[self.start]))
+        size = np.linalg.norm(load.per_length_at(middle), axis=-1)
         return at_ends, _on_outermost(size, self.stretch < self.arms.constants.ended)
 
     @cached_property

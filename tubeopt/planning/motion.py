@@ -182,10 +182,10 @@ def out_of_range(space: JointSpace, alpha: Array, shift: Array) -> list[str]:
         value = f"{np.degrees(q[k, joint]):.5g} deg" if joint < n else f"{q[k, joint] * 1e3:.5g} mm"
         faults.append(f"{name} leaves its range at sample {k + 1}, {value}")
     if len(space.least):
-        late = (space.least - q @ space.rows.T).max(0) / space.length
-        row = int(np.argmax(late))
-        if late[row] > SLACK:
-            far = late[row] * space.length * TO_MM
+        excess = (space.least - q @ space.rows.T).max(0) / space.length
+        row = int(np.argmax(excess))
+        if excess[row] > SLACK:
+            far = excess[row] * space.length * TO_MM
             faults.append(f"tubes leave their order: {space.row_faults[row]}, by {far:.4g} mm")
     return faults
 
@@ -200,12 +200,12 @@ def too_fast(space: JointSpace, rates: Sequence[tuple[Array, Array]], tip_rate: 
     for order, limit in enumerate(limits.of(space)):
         max_rate = np.concatenate([limit[:n], (space.spread @ np.append(np.zeros(n), limit[n:]))[n:]])
         for kind, what in enumerate(("rotation", "translation")):
-            own, allowed = rates[kind][order], max_rate[kind * n : kind * n + n]
-            i = int(np.argmax(own / allowed))
+            needed, allowed = rates[kind][order], max_rate[kind * n : kind * n + n]
+            i = int(np.argmax(needed / allowed))
             factor, unit = units[order][kind]
-            if own[i] > allowed[i] * (1 + 1e-3 * order + SLACK):
+            if needed[i] > allowed[i] * (1 + 1e-3 * order + SLACK):
                 faults.append(
-                    f"{what} of tube {i + 1} reaches {own[i] * factor:.4g} {unit}; "
+                    f"{what} of tube {i + 1} reaches {needed[i] * factor:.4g} {unit}; "
                     f"it must be at most {allowed[i] * factor:.4g} {unit}"
                 )
     return faults

@@ -25,7 +25,7 @@ from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance, positive, vector, whole
 from ..files.field_metadata import TYPICAL_REGION, typical_length
-from ..inverse.clock import Clock, LateError
+from ..inverse.clock import Clock, OutOfTimeError
 from ..inverse.search import PathResult, find_path, shorten, without_corners
 from ..robots.limits import JointLimits
 from ..robots.load import Load
@@ -88,7 +88,7 @@ MAX_OVERSPEED = 1.1
 """Largest ratio of the tip speed to its limit that is repaired by slowing the motion down."""
 
 # A motion without its end is useless.
-LATE_SECONDS = 0.25
+EXTRA_SECONDS = 0.25
 """Largest overrun of the time limit for following an unproved motion to its end, s."""
 
 # Round-off: start and goal are the same joint values.
@@ -119,15 +119,15 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[Base
     candidates = list[BaseCandidate]()
     scanned = aim == "length" and extra is None and any(isinstance(body, DistanceField) for body in task.obstacles)
     max_seconds = SCANNED_SECONDS * clock.parallel_slowdown if scanned else task.options.smoothing_seconds
-    own = Clock(min(max_seconds, SMOOTHING_FRACTION * clock.left), clock)
+    smoothing_clock = Clock(min(max_seconds, SMOOTHING_FRACTION * clock.left), clock)
     for name in ("length", "time") if aim == "time" else (aim,):
-        if aim == "none" or own.left < MIN_SMOOTHING or not _worth_smoothing(task, curves):
+        if aim == "none" or smoothing_clock.left < MIN_SMOOTHING or not _worth_smoothing(task, curves):
             break
-        best = smooth(task, first, points, limits, name, own)
+        best = smooth(task, first, points, limits, name, smoothing_clock)
         if best is not None:
             exact = name == "margin" or extra is not None
             joints = best.motion.sampled(task.scale)[1]
-            rounder = None if exact else _rounded(task, first, joints, best.points[-1], limits, own)
+            rounder = None if exact else _rounded(task, first, joints, best.points[-1], limits, smoothing_clock)
             motion = best.motion if name == "effort" else rounder or at_full_speed(best.motion, limits)
             candidates.append(BaseCandidate(motion, name, best.iterations, len(best.points)))
     if aim in ("length", "time") and extra is None:
@@ -205,8 +205,8 @@ def build(
             return build(task, first, end, motion.slower(overspeed), statistics)
         return proof.faults
     # An unfinished proof may not have reached the last samples.
-    late = Clock(LATE_SECONDS)
-    arms = (*proof.samples, *track(task, proof.samples[-1], q[len(proof.samples) :], late))
+    extra_clock = Clock(EXTRA_SECONDS)
+    arms = (*proof.samples, *track(task, proof.samples[-1], q[len(proof.samples) :], extra_clock))
     if len(arms) < len(q):
         return (no_time(clock),)
     if end is not None and float(np.abs(task.coordinates.of(arms[-1]) - end.point).max()) > 1e-3:
@@ -334,7 +334,7 @@ def plan_trajectory(  # noqa: PLR0913
 
 
 def _planned(task: PlanTask, start: Any, goal: Any) -> Trajectory:
-    """Plan of a task; raises as `plan_trajectory`, and LateError."""
+    """Plan of a task; raises as `plan_trajectory`, and OutOfTimeError."""
     coordinates, options = task.coordinates, task.options
     first = start_equilibrium(coordinates.space, start, coordinates.load)
     task = reserve_deflection(task, first.translations)
@@ -422,7 +422,7 @@ def _smooth_and_prove(task: PlanTask, first: Equilibrium, end: End, path: PathRe
             points = shorten(task, path.points, cut, seed=task.options.seed)
         raw = task.length(path.points)
         motions = motions_near(task, first, points)
-    except LateError:
+    except OutOfTimeError:
         return (no_time(clock),)
     smoothed = clock.seconds
     faults: Faults = ()
@@ -445,17 +445,17 @@ def _search_error(task: PlanTask, first: Equilibrium, goals: Sequence[End], path
     if path.closest is not None and len(path.closest) > 1:
         distance = min(float(np.linalg.norm((path.closest[-1] - each.point) / task.scale)) for each in goals)
         points, motion = path.closest, None
-        with suppress(LateError):
+        with suppress(OutOfTimeError):
             points, motion = _affordable(task, path.closest, actuators(task, first), clock.left)
         if motion is not None:
             statistics = PlanStatistics("partial", "", path.motions, 0.0, 0.0, 0, len(points), clock.seconds)
             result = build(task, first, None, motion, statistics)
             partial = result if isinstance(result, Trajectory) and result.proof.holds else None
-    near = f"; the closest state is {distance:.3g} (joint scales) from the goal" if distance == distance else ""
+    nearest = f"; the closest state is {distance:.3g} (joint scales) from the goal" if distance == distance else ""
     why = f"; {path.why}" if path.why else ""
     count = "1 motion was" if path.motions == 1 else f"{path.motions} motions were"
     tried = f"{count} tried in {clock.seconds:.1f} s"
-    return SolveError(f"no plan was found within {clock.limit:g} s: {tried}{near}{why}", partial)
+    return SolveError(f"no plan was found within {clock.limit:g} s: {tried}{nearest}{why}", partial)
 
 
 def _affordable(task: PlanTask, points: Array, limits: Limits, left: float) -> tuple[Array, JointMotion | None]:
@@ -488,14 +488,14 @@ class EntryRegion(Displayed):
     """Allowed positions and orientations of the base plate, in the frame of the given plate.
 
     Raises:
-        InputError: more than one of radius, box and places, none of them and no cone, or numbers out of range.
+        InputError: more than one of radius, box and positions, none of them and no cone, or numbers out of range.
     """
 
     radius: float = 0.0
     """Radius of the disc normal to the plate's z axis, m."""
     box: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Half extents along x, y and z, m."""
-    places: Array | None = field(default=None, repr=False)
+    positions: Array | None = field(default=None, repr=False)
     """(N, 3) points instead of a disc or box, m."""
     cone: float = 0.0
     """Half angle of the cone about z, rad, below a right one."""
@@ -504,29 +504,29 @@ class EntryRegion(Displayed):
         typical_length("radius of the entry", self.radius, TYPICAL_REGION, zero=True)
         for size in vector("box of the entry", self.box, 3, "along x, y and z"):
             typical_length("box of the entry", size, TYPICAL_REGION, zero=True)
-        if self.places is not None:
-            object.__setattr__(self, "places", checked_points(self.places, "places of the entry"))
+        if self.positions is not None:
+            object.__setattr__(self, "positions", checked_points(self.positions, "positions of the entry"))
         positive("cone of the entry", self.cone, zero=True)
         if self.cone >= np.pi / 2:
             raise InputError(f"cone of the entry is {np.degrees(self.cone):g} deg; it must be less than 90 deg")
-        if (self.radius > 0) + any(self.box) + (self.places is not None) > 1:
-            raise InputError("the entry has several regions; it must have one of a radius, a box, and places")
-        if not (self.radius or any(self.box) or self.places is not None or self.cone):
-            raise InputError("the entry has no freedom; it must have a radius, a box, places or a cone")
+        if (self.radius > 0) + any(self.box) + (self.positions is not None) > 1:
+            raise InputError("the entry has several regions; it must have one of a radius, a box, and positions")
+        if not (self.radius or any(self.box) or self.positions is not None or self.cone):
+            raise InputError("the entry has no freedom; it must have a radius, a box, positions or a cone")
 
     def frames(self, count: int, seed: int = 0) -> list[Frame]:
         """Evenly distributed poses of the plate; the first is not tilted and in the middle of a disc or box.
 
-        Every one of given `places` has a pose, even if `count` is smaller.
+        Every one of given `positions` has a pose, even if `count` is smaller.
         """
-        count = max(whole("count", count, 1), 0 if self.places is None else len(self.places))
+        count = max(whole("count", count, 1), 0 if self.positions is None else len(self.positions))
         if count > MAX_BASE_POSES:
             raise InputError(f"the entry has {count} base poses to check; it must have at most {MAX_BASE_POSES}")
         unit = sobol(5, count, seed)
         unit[0] = 0.5, 0.5, 0.5, 0.0, 0.0
-        if self.places is not None:
-            points = self.places[np.arange(count) % len(self.places)]
-            unit[: len(self.places), 3] = 0.0
+        if self.positions is not None:
+            points = self.positions[np.arange(count) % len(self.positions)]
+            unit[: len(self.positions), 3] = 0.0
         elif self.radius:
             # The root spreads points evenly over the area of a disc.
             far, turn = self.radius * np.sqrt(unit[:, 0]), 2 * np.pi * unit[:, 1]
@@ -606,8 +606,8 @@ def plan_from_region(
 
     def planned(frame: Frame, left: int) -> Trajectory:
         limit = max(task.clock.left / min(left, SPLIT), 1e-3)
-        bodies, own = bodies_in_frame(frame, obstacles), replace(options, time_limit=limit)
-        return plan_trajectory(robot, start, goal_seen(goal, frame), obstacles=bodies, options=own, **given)
+        bodies, plan_options = bodies_in_frame(frame, obstacles), replace(options, time_limit=limit)
+        return plan_trajectory(robot, start, goal_seen(goal, frame), obstacles=bodies, options=plan_options, **given)
 
     why, unproved, tried = "", None, 0
     for k in order:
@@ -683,11 +683,11 @@ def _miss(task: PlanTask, arms: Lines, goal: TipGoal, frame: Frame) -> float:
         x, y, z = np.asarray(target.position, dtype=float)
         # Turned about z as a whole an arm remains an equilibrium: only radius and height of its tip matter.
         miss = np.hypot(np.hypot(tip[:, 0], tip[:, 1]) - np.hypot(x, y), tip[:, 2] - z)
-        near = np.argsort(miss)[:NEAREST_ARMS]
-        turn = np.arctan2(y, x) - np.arctan2(tip[near, 1], tip[near, 0])
+        nearest = np.argsort(miss)[:NEAREST_ARMS]
+        turn = np.arctan2(y, x) - np.arctan2(tip[nearest, 1], tip[nearest, 0])
         axes = scipy.spatial.transform.Rotation.from_rotvec(turn[:, None] * [0.0, 0.0, 1.0]).as_matrix()
         # Points are rows: R p is p @ R^T.
-        rotated = Lines(frame.placed(arms.points[near] @ axes.transpose(0, 2, 1)), arms.radius[near])
+        rotated = Lines(frame.placed(arms.points[nearest] @ axes.transpose(0, 2, 1)), arms.radius[nearest])
         missing = np.maximum(task.clearance - _clearance(task, rotated), 0.0)
-        smallest = min(smallest, float((miss[near] + missing).min(initial=np.inf)))
+        smallest = min(smallest, float((miss[nearest] + missing).min(initial=np.inf)))
     return smallest

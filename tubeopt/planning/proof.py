@@ -112,23 +112,23 @@ def paced(verifier: TrajectoryVerifier, links: Sequence[Link], span: float, limi
             return Pace(math.inf, measured)
         # Derivatives by the fraction of a link, divided by h^2 and h^3, are those by time.
         rates = np.array([link.rates for link in links]).reshape(-1, 2).T / row.passed ** np.array([[2], [3]])
-        own, attained = row.fastest(rates, min(measured * (1 + TIGHT), limit))
-        largest, attained = float(own.max(initial=0.0)), max(measured, attained)
+        bounds, attained = row.fastest(rates, min(measured * (1 + TIGHT), limit))
+        largest, attained = float(bounds.max(initial=0.0)), max(measured, attained)
         sharp = attained * (1 + TIGHT)
         # A bound must be sharp and within the limit, unless a speed that occurs exceeds the limit anyway.
-        loose = own > (min(sharp, limit) if attained <= limit else sharp)
+        loose = bounds > (min(sharp, limit) if attained <= limit else sharp)
         loose &= np.array([link.end.at - link.start.at >= SHORTEST for link in links], dtype=bool)
         # Over distances below the accuracy of the tips the speed cannot be known better.
-        loose &= own * row.passed > TOLERANCE * verifier.length
+        loose &= bounds * row.passed > TOLERANCE * verifier.length
         if not loose.any() or verifier.exhausted:
             break
         # The excess of the bound falls with the square of the length, and faster near folds; halves use the cubic.
-        best = np.minimum(own, row.speed + HERMITE * rates[1] * row.passed**2)
+        best = np.minimum(bounds, row.speed + HERMITE * rates[1] * row.passed**2)
         wide = np.maximum(best - attained, TIGHT * attained) / (TIGHT * attained or 1.0)
         # Assume a factor 2^3 per bisection; links that are loose after that are bisected in the next round.
         times = np.where(loose, np.ceil(np.log2(wide) / 3).clip(1, MAX_HALVINGS), 0).tolist()
         parts: list[Link] = []
-        for link, count, bound in zip(links, times, own.tolist(), strict=True):
+        for link, count, bound in zip(links, times, bounds.tolist(), strict=True):
             # The bound of a whole link is valid for its halves.
             more = [replace(link, fastest=bound)] if count else []
             for _ in range(int(count)):
@@ -516,7 +516,7 @@ def proved(first: Equilibrium, t: Array, joints: Array, requirements: Trajectory
     unproved += _tip_faults(pace, tip_limit, pushed=forced is not None)
     if forced is not None:
         unproved += _force_faults(forced, requirements.min_margin)
-    late = bool(unproved) and verifier.clock.over
+    out_of_time = bool(unproved) and verifier.clock.over
     steps = [step.equilibrium for step in trace.steps]
     reintegration = _again([steps[k] for k in np.unique(np.linspace(0, len(steps) - 1, VERIFIED).astype(int))])
     if reintegration > AGREEMENT * verifier.length:
@@ -547,7 +547,7 @@ def proved(first: Equilibrium, t: Array, joints: Array, requirements: Trajectory
         statistics=ProofStatistics(verifier.count + 1, trace.steps[-1].at),
         end=steps[-1],
         faults=(*faults, *unproved),
-        open=late and not faults,
+        open=out_of_time and not faults,
         samples=_at_samples(trace.steps, t),
         clearance_from=verifier.scene.stands_for,
     )
@@ -561,10 +561,10 @@ def _first(robot: Robot, start: Equilibrium | None, joints: tuple[Array, Array],
     first = forward_kinematics(robot, *joints, load=load) if start is None else start
     if not first.stable:
         raise InputError(f"start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
-    own = np.concatenate([first.rotations - joints[0], first.translations - joints[1]])
-    if np.abs(own).max() > 1e-6:
+    offset = np.concatenate([first.rotations - joints[0], first.translations - joints[1]])
+    if np.abs(offset).max() > 1e-6:
         raise InputError("start is at other joint values than the first sample; they must be the same")
-    if own.any() or first.load != load:  # within round-off of a file, or yet to be loaded
+    if offset.any() or first.load != load:  # within round-off of a file, or yet to be loaded
         first = forward_kinematics(robot, *joints, load=load, start=first)
     return first
 

@@ -18,7 +18,7 @@ from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite, instance, positive, whole
 from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, OneOf, Typical, check_fields, check_size, key, unit
-from ..inverse.clock import Clock, LateError
+from ..inverse.clock import Clock, OutOfTimeError
 from ..inverse.joints import JointSpace, joint_space, shift_of
 from ..inverse.search import SEARCHES, PathResult
 from ..inverse.task import ArmBatch, Task, TipCoordinates
@@ -56,7 +56,7 @@ class LoadedChart(TipCoordinates):
         required, loaded = np.broadcast_to(margin, len(z)), dict[int, Equilibrium]()
         for k in np.flatnonzero(plain.stable).tolist():
             if clock is not None and clock.over:
-                raise LateError
+                raise OutOfTimeError
             e = self._loaded(z[k, : shift.shape[1]], plain.rotations[k], shift[k])
             if e is not None:
                 loaded[k] = e
@@ -64,8 +64,8 @@ class LoadedChart(TipCoordinates):
         width = max((len(e.arc_length) for e in loaded.values()), default=plain.points.shape[1])
         points, tangents, s = (_widened(table, width) for table in (plain.points, plain.tangents, plain.arc_length))
         for k, e in loaded.items():
-            own = e.position, e.frame[:, :, 2], e.arc_length
-            points[k], tangents[k], s[k] = (_widened(table[None], width)[0] for table in own)
+            samples = e.position, e.frame[:, :, 2], e.arc_length
+            points[k], tangents[k], s[k] = (_widened(table[None], width)[0] for table in samples)
         return ArmBatch(plain.rotations, stable, points, tangents, s, plain.tube_end)
 
     def _loaded(self, tips: Array, rotations: Array, translations: Array) -> Equilibrium | None:
@@ -207,10 +207,10 @@ class PlanTask(Task):
 
     @contextmanager
     def in_time(self) -> Iterator[None]:
-        """Context that turns a LateError into a SolveError."""
+        """Context that turns a OutOfTimeError into a SolveError."""
         try:
             yield
-        except LateError:
+        except OutOfTimeError:
             limit = f"{self.clock.limit:g} s"
             raise SolveError(f"no path was found within the time limit of {limit}") from None
 
@@ -303,11 +303,11 @@ def path_cost(extra: CustomObjective, n: int) -> Expression:
         InputError: an invalid cost, or one that uses more than joint values, tip position and tip direction.
     """
     extra.checked()
-    cost = recorded(extra.expression, n, 1, extra.words)
+    cost = recorded(extra.expression, n, 1, extra.description)
     for quantity in cost.quantities:
         if quantity.pose is None or quantity.name not in PATH_QUANTITIES:
             known = ", ".join(PATH_QUANTITIES)
-            raise InputError(f"the cost {extra.words} uses {quantity.name}; on a path it may use {known}")
+            raise InputError(f"the cost {extra.description} uses {quantity.name}; on a path it may use {known}")
     if cost.value.numel_out() != 1:
-        raise InputError(f"the cost {extra.words} has {cost.value.numel_out()} numbers; it must be one")
+        raise InputError(f"the cost {extra.description} has {cost.value.numel_out()} numbers; it must be one")
     return cost

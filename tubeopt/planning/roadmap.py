@@ -20,7 +20,7 @@ from ..arguments import typed
 from ..bodies.obstacles import Obstacle, Same
 from ..display import Displayed
 from ..errors import InputError, SolveError
-from ..inverse.clock import Clock, LateError
+from ..inverse.clock import Clock, OutOfTimeError
 from ..inverse.search import PathResult
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
@@ -65,13 +65,13 @@ class Roadmap(Displayed):
         self._match(task)
         count, ends = len(self.points), np.stack([start, *goals])
         scaled = np.concatenate([self.points, ends]) / task.scale
-        near = np.argsort(np.linalg.norm(scaled[count:, None] - scaled[:count], axis=2), axis=1)
-        near = near[:, : 2 * NEIGHBOURS]
-        to_ends = np.column_stack([np.repeat(np.arange(count, len(scaled)), near.shape[1]), near.ravel()])
+        neighbours = np.argsort(np.linalg.norm(scaled[count:, None] - scaled[:count], axis=2), axis=1)
+        neighbours = neighbours[:, : 2 * NEIGHBOURS]
+        to_ends = np.column_stack([np.repeat(np.arange(count, len(scaled)), neighbours.shape[1]), neighbours.ravel()])
         straight = np.column_stack([np.full(len(goals), count), count + 1 + np.arange(len(goals))])
         edges = np.concatenate([self.edges, to_ends, straight])
         length = np.linalg.norm(scaled[edges[:, 0]] - scaled[edges[:, 1]], axis=1) + 1e-9
-        own: dict[tuple[int, int], bool] = {}
+        with_ends: dict[tuple[int, int], bool] = {}
         points = scaled * task.scale
         edges.sort(axis=1)
         name = edges @ [len(scaled), 1]
@@ -85,13 +85,13 @@ class Roadmap(Displayed):
             # From both ends inwards: the first and the last edge are new to the roadmap.
             for a, b in sorted(pairs, key=lambda pair: min(pairs.index(pair), len(pairs) - 1 - pairs.index(pair))):
                 low, high = sorted((a, b))
-                if (low, high) in self.known or (low, high) in own:
+                if (low, high) in self.known or (low, high) in with_ends:
                     continue
                 tried += 1
                 holds = task.motion(points[a], points[b])
                 if clock.left == 0:  # a check that ran out of time proves nothing
                     break
-                (self.known if high < count else own)[low, high] = holds
+                (self.known if high < count else with_ends)[low, high] = holds
                 if not holds:
                     open_ &= name != low * len(scaled) + high
                     break
@@ -178,7 +178,7 @@ def roadmap_of(task: PlanTask, count: int) -> Roadmap:
         z = np.column_stack([random.uniform(-np.pi, np.pi, (DRAWN, n)), random.choice(shifts, DRAWN)])
         try:
             valid.append(z[task.holds(z)])
-        except LateError:
+        except OutOfTimeError:
             break
         total += len(valid[-1])
     points = np.concatenate(valid)[:count] if valid else np.zeros((0, len(space.lower)))
@@ -187,8 +187,8 @@ def roadmap_of(task: PlanTask, count: int) -> Roadmap:
             f"no roadmap was found within {options.time_limit:g} s: {len(points)} free configurations were found"
         )
     scaled = points / task.scale
-    _, near = scipy.spatial.cKDTree(scaled).query(scaled, k=min(NEIGHBOURS + 1, len(points)))
-    edges = np.column_stack([np.repeat(np.arange(len(points)), near.shape[1] - 1), near[:, 1:].ravel()])
+    _, neighbours = scipy.spatial.cKDTree(scaled).query(scaled, k=min(NEIGHBOURS + 1, len(points)))
+    edges = np.column_stack([np.repeat(np.arange(len(points)), neighbours.shape[1] - 1), neighbours[:, 1:].ravel()])
     return Roadmap(points, task.coordinates.parameters, np.unique(np.sort(edges, axis=1), axis=0))
 
 

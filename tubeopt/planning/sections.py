@@ -72,9 +72,9 @@ def unit_vector(angle: DerivativeBounds) -> DerivativeBounds:
     return DerivativeBounds(np.ones_like(angle.d), angle.d, angle.d**2 + angle.dd, third)
 
 
-def pair_differences(own: Array) -> Array:
+def pair_differences(single: Array) -> Array:
     """(..., n, n) bounds on theta_i - theta_j from those on theta_i (..., n), by the triangle inequality."""
-    return own[..., :, None] + own[..., None, :] if own.ndim else own
+    return single[..., :, None] + single[..., None, :] if single.ndim else single
 
 
 def inverse(size: DerivativeBounds) -> DerivativeBounds:
@@ -172,7 +172,7 @@ class CurvatureBounds:
     @staticmethod
     def of(c: Constants, *stretches: Index) -> CurvatureBounds:
         """Bounds for cross-sections where each tube is in any of the given stretches (..., n)."""
-        moment, kb = c.largest(c.bounds.pull[0], *stretches), c.smallest(c.bounds.bending[0], *stretches)
+        moment, kb = c.largest(c.bounds.moment[0], *stretches), c.smallest(c.bounds.bending[0], *stretches)
         # k(0); any positive number where no tube is present, since nothing bends there.
         k_0 = np.where(kb.any(-1), kb.sum(-1), 1.0)
         k_u_0 = np.linalg.norm(kb @ c.direction, axis=-1)
@@ -232,8 +232,8 @@ class TransportBounds:
 
     still: bool
     """True if nothing varies; everything but 1 / kt and 1 / k is then a 0 without shape."""
-    pulls: DerivativeBounds
-    """(..., n) pulls a_i / k, with a_i = kb_i u*_xy in the tube's own frame, 1/m."""
+    natural_curvature: DerivativeBounds
+    """(..., n) bending a_i / k by each tube, with a_i = kb_i u*_xy in the tube's own frame, 1/m."""
     pairs: DerivativeBounds
     """Couplings a_i a_j / k (..., n, n), 0 for i = j."""
     compliance: DerivativeBounds
@@ -267,9 +267,9 @@ class TransportBounds:
             return DerivativeBounds(value, *rows, *(np.zeros_like(value) for _ in range(3 - len(rows))))
 
         bending_compliance = inverse(by_time(kb, *b.bending[1:]).map(lambda part: part.sum(-1)))
-        pull = by_time(c.largest(b.pull[0], *stretches), *b.pull[1:])
-        pulls = pull * bending_compliance.map(lambda part: part[..., None])
-        pairs = pulls.map(lambda part: part[..., :, None]) * pull.map(lambda part: part[..., None, :])
+        moment = by_time(c.largest(b.moment[0], *stretches), *b.moment[1:])
+        natural = moment * bending_compliance.map(lambda part: part[..., None])
+        pairs = natural.map(lambda part: part[..., :, None]) * moment.map(lambda part: part[..., None, :])
         pairs = pairs.map(lambda part: part * (1 - np.eye(part.shape[-1])))
         compliance = by_time(1 / c.smallest(b.torsional, *stretches), *b.compliance)
         slope, bend, third = (c.largest(rate, *stretches) for rate in b.compliance)
@@ -279,13 +279,13 @@ class TransportBounds:
             np.zeros_like(move), twist_slope.v * move**2 / 2, twist_slope.v * move**2, twist_slope.d * move**2
         )
         return TransportBounds(
-            False, pulls, pairs, compliance, compliance_slope, twist_slope, twist_deviation, bending_compliance
+            False, natural, pairs, compliance, compliance_slope, twist_slope, twist_deviation, bending_compliance
         )
 
     def bend(self, turn: Array, second_derivative: Array) -> tuple[Array, Array]:
         """(...) additions to the derivatives u_t, u_tt; `turn` bounds |theta_t|, `second_derivative` |theta_tt|."""
         # (a e)'' without a theta'^2, which is there for tubes that do not vary as well.
-        a = self.pulls
+        a = self.natural_curvature
         return (
             (a.d, a.dd)
             if self.still

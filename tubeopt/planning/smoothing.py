@@ -328,10 +328,10 @@ def smooth(
         return None
     for _ in range(REFINEMENTS + 1):
         arms = task.coordinates.arms(z, 0.0)
-        near = _near(task, arms)
-        if clock.left < clock.parallel_slowdown * building(near):
+        near_task = _near(task, arms)
+        if clock.left < clock.parallel_slowdown * building(near_task):
             return None
-        result = _solve(near, (z, arms), step, limits, objective, reserve, clock)
+        result = _solve(near_task, (z, arms), step, limits, objective, reserve, clock)
         if result is None:
             return None
         iterations += result.iterations

@@ -300,16 +300,16 @@ def load_trajectory(path: str | PathLike[str], robot: Robot | None = None) -> Ti
     read_csv(path)  # first: an empty file names no robot, either
     if robot is None and not named:
         raise InputError(f"{path}: the file has no robot; give --robot ROBOT.yaml")
-    own = robot if robot is not None else load_robot(resolve_file(named[0], Path(path).parent))
-    turns, shifts = joint_columns(own.n_tubes)
+    arm = robot if robot is not None else load_robot(resolve_file(named[0], Path(path).parent))
+    turns, shifts = joint_columns(arm.n_tubes)
     table = read_csv(path, (TIME, *turns, *shifts))
     moved = table.expect([TIME, *turns], together=shifts)
     time, rotations = table.numbers([TIME], RAD)[:, 0], table.numbers(turns, DEG)
-    home = np.tile(own.home_readings, (len(table.rows), 1))
+    home = np.tile(arm.home_readings, (len(table.rows), 1))
     translations = table.numbers(shifts, MM) if moved else home
-    check_joints(table, own)
+    check_joints(table, arm)
     table.check()
-    return TimedJoints(own, time, *to_model(own, rotations, translations), _tips(path, comments, own.n_tubes))
+    return TimedJoints(arm, time, *to_model(arm, rotations, translations), _tips(path, comments, arm.n_tubes))
 
 
 def _tips(path: str | PathLike[str], comments: list[str], n: int) -> Array | None:

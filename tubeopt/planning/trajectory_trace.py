@@ -38,7 +38,7 @@ from ..stability.following import find_snap
 from ..typing import Array, Index, Mask
 from .branch import ProvedBranch, branch
 from .loaded_branch import loaded_branch
-from .loaded_sections import LoadedArms, LoadedIntervals, Pull, uncovered
+from .loaded_sections import DeadLoad, LoadedArms, LoadedIntervals, uncovered
 from .sections import PARTS, Constants, Intervals, SolvedArms
 
 # Halving cells in space costs no equilibrium, halving intervals in time costs one: the larger part is left to time.
@@ -226,8 +226,8 @@ def _halve(cells: Cells, intervals: Intervals, along: Mask, scene: Scene, within
             parted(some.points, axis, new),
             parted(some.distance, axis, distances),
         )
-        for own, points, distance in zip(*tables, strict=True):
-            changed: dict[str, Any] = {name: own}
+        for values, points, distance in zip(*tables, strict=True):
+            changed: dict[str, Any] = {name: values}
             parts.append(replace(some, **changed, points=points, distance=distance))
     return Cells.concatenated(parts)
 
@@ -423,7 +423,7 @@ class TrajectoryVerifier:
         """Intervals between pairs of a list of equilibria."""
         if self.load is None or self.unprovable:
             return Intervals.of(SolvedArms.of(self.constants, equilibria), start, end)
-        arms = LoadedArms.of(self.constants, equilibria, pull=Pull.of(self.robot, self.load))
+        arms = LoadedArms.of(self.constants, equilibria, load=DeadLoad.of(self.robot, self.load))
         return LoadedIntervals.of(arms, start, end)
 
     def prove(self, intervals: Intervals) -> ProvedBranch:

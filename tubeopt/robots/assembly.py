@@ -85,7 +85,7 @@ class Assembly:
         moment, none = kb * self.curvature * self.curved[section], np.zeros(kb.shape)
         return CrossSections(kb, moment, none, none + self.torsional_stiffness, none, none)
 
-    def wound(self, arc_length: Array) -> Array:
+    def twist_angle(self, arc_length: Array) -> Array:
         """Natural rotation (X, n) of the tubes between their clamped ends and arc lengths (X,), rad; 0
         for even tubes.
         """
@@ -131,7 +131,7 @@ class Assembly:
         """Tube of each of the `breakpoints`."""
         each = list(range(self.n_tubes))
         cuts = () if self.lengthwise is None else self.lengthwise.cuts
-        return [*each, *each, *(i for i, own in enumerate(cuts) for _ in own)]
+        return [*each, *each, *(i for i, tube_cuts in enumerate(cuts) for _ in tube_cuts)]
 
     @property
     def n_sections(self) -> int:
@@ -232,8 +232,8 @@ def assemble(
 
 def _breakpoints(transition: Array, end: Array, table: Lengthwise | None, beta: Array) -> list[float]:
     points = [*transition.tolist(), *end.tolist()]
-    for own, held in zip(() if table is None else table.cuts, beta.tolist(), strict=table is not None):
-        points += [s + held for s in own]
+    for tube_cuts, held in zip(() if table is None else table.cuts, beta.tolist(), strict=table is not None):
+        points += [s + held for s in tube_cuts]
     return points
 
 
@@ -361,7 +361,10 @@ def joints_of(assembly: Assembly) -> list[Array]:
         return [np.zeros(0)] * assembly.n_tubes
     positions = table.breaks - assembly.transmission[:, None]
     first, last = assembly.transition + LENGTH_ROUND_OFF, assembly.end - LENGTH_ROUND_OFF
-    return [own[(own > a) & (own < b)] for own, a, b in zip(positions, first, last, strict=True)]
+    return [
+        tube_joints[(tube_joints > a) & (tube_joints < b)]
+        for tube_joints, a, b in zip(positions, first, last, strict=True)
+    ]
 
 
 def where_of(assembly: Assembly) -> Array:
@@ -388,7 +391,7 @@ def order_of(assembly: Assembly, carriages: Sequence[tuple[int, ...]], *, side: 
                 same = tuple(i for i in mine if abs(values[i] - values[mine[0]]) <= 1e-9)
                 groups.append((float(values[mine[0]]), -max(same), Breakpoint(same, at_end)))
                 mine = [i for i in mine if i not in same]
-    joints = [(float(s), i) for i, own in enumerate(joints_of(assembly)) for s in own]
+    joints = [(float(s), i) for i, tube_joints in enumerate(joints_of(assembly)) for s in tube_joints]
     groups += [(s, -i, Breakpoint((i,), False, k)) for k, (s, i) in enumerate(joints, start=1)]
     # A transition at the plate to within round-off goes to the chosen side. An end there has no section in front.
     nudge = side * 1e-9

@@ -332,7 +332,7 @@ class BundleRobot(Robot):
         """Tubes on one axis, inner to outer."""
         out: list[list[int]] = []
         for i in sorted(range(len(self.tubes)), key=lambda i: self.tubes[i].outer_diameter):
-            same = [own for own in out if np.abs(self.axes[own[0]] - self.axes[i]).max() <= SAME_AXIS]
+            same = [stack for stack in out if np.abs(self.axes[stack[0]] - self.axes[i]).max() <= SAME_AXIS]
             if same and self.tubes[same[0][-1]].outer_diameter <= self.tubes[i].inner_diameter:
                 same[0].append(i)
             else:
@@ -347,7 +347,7 @@ class BundleRobot(Robot):
     @cached_property
     def nested_pairs(self) -> tuple[tuple[int, int], ...]:
         """Pairs of nested tubes: each tube and the next one around it on its axis."""
-        return tuple(pair for own in self.stacks for pair in pairwise(own))
+        return tuple(pair for stack in self.stacks for pair in pairwise(stack))
 
     def admit(self, translations: Array) -> None:
         """Raise InputError for a translation that moves a tube out of its carriage."""
@@ -404,20 +404,20 @@ def free_channel(robot: EccentricRobot | SegmentedEccentricRobot | BundleRobot) 
         if not any(i == around for _, around in robot.nested_pairs)
     ]
     widest = 2 * float((np.hypot(*centre.T) + outer).max())
-    wall = (getattr(robot, "sheath_diameter", None) or widest) / 2
+    radius = (getattr(robot, "sheath_diameter", None) or widest) / 2
 
     def room(at: Array) -> Array:
         """Radius (P,) of the free circle around each point (P, 2)."""
         to_tubes = np.linalg.norm(at[:, None] - centre, axis=2) - outer
-        return np.asarray(np.minimum(to_tubes.min(1), wall - np.linalg.norm(at, axis=1)))
+        return np.asarray(np.minimum(to_tubes.min(1), radius - np.linalg.norm(at, axis=1)))
 
     # A grid that is refined around its best points: the room is 1-Lipschitz, so that a cell of half-width r that could
     # hold a better point has a room of at least best - r sqrt 2 at its centre.
-    half = wall / 16
-    axis = np.arange(-wall + half, wall, 2 * half)
+    half = radius / 16
+    axis = np.arange(-radius + half, radius, 2 * half)
     cells = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     best = np.zeros(2)
-    while half > 1e-10 * wall:
+    while half > 1e-10 * radius:
         free = room(cells)
         if free.max() > room(best[None])[0]:
             best = cells[int(free.argmax())]

@@ -582,8 +582,8 @@ def robot_to_dict(robot: Robot) -> dict[str, Any]:
             tube_to_dict(tube) | {"offset_mm": in_unit(d, MM), "angle_deg": in_unit(phi, DEG)}
             for tube, d, phi in offsets
         ]
-        for number, own in enumerate(robot.carriages or (), start=1):
-            for i in own:
+        for number, carriage in enumerate(robot.carriages or (), start=1):
+            for i in carriage:
                 tubes[i]["carriage"] = number
         data = {"kind": "bundle", "name": robot.name, "tubes": tubes} | to_data(robot, ["offset", "angle", "carriages"])
     else:

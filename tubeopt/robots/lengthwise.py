@@ -27,7 +27,7 @@ from .pieces import Piece, Quantity, Series, breaks_of, on_panels, part_of, valu
 from .tubes import Tube, stretches
 
 # What the table holds: EI, GJ, u*, and the integral of u*_z from the held end.
-QUANTITIES = ("bending_stiffness", "torsional_stiffness", "x", "y", "z", "wound")
+QUANTITIES = ("bending_stiffness", "torsional_stiffness", "x", "y", "z", "twist_angle")
 
 # Gauss points of a panel for the torsional compliance 1 / GJ: exact up to degree 63, so for all that 64 coefficients
 # resolve.
@@ -42,7 +42,7 @@ class CrossSections:
     """Cross-sections of n tubes at X arc lengths of an arm, (X, n) each; stiffness and moment are 0 beyond a tube.
 
     EI, m = EI |u*_xy|, the direction `phase` of the natural moment for a tube without elastic torsion, GJ, and the
-    natural twist u*_z with its integral `wound` from the clamped end.
+    natural twist u*_z with its integral `twist_angle` from the clamped end.
     """
 
     stiffness: Array
@@ -50,7 +50,7 @@ class CrossSections:
     phase: Array
     torsional_stiffness: Array
     twist: Array
-    wound: Array
+    twist_angle: Array
 
 
 class _PanelPoints(NamedTuple):
@@ -169,16 +169,16 @@ class Lengthwise:
 
     def at(self, position: Array, inside: Array, present: Mask) -> CrossSections:
         """Cross-sections at arc lengths (X, n) from the clamped ends; `inside` as in `values`; `present` is (X, n)."""
-        bending, torsional, x, y, z, wound = self.values(position, inside)
+        bending, torsional, x, y, z, twist_angle = self.values(position, inside)
         kb = bending * present
         # The natural twist turns the tube's frame by int u*_z ds, and u*_xy with it.
         return CrossSections(
             stiffness=kb,
             moment=kb * np.hypot(x, y),
-            phase=wound + np.arctan2(y, x),
+            phase=twist_angle + np.arctan2(y, x),
             torsional_stiffness=torsional,
             twist=z * present,
-            wound=wound,
+            twist_angle=twist_angle,
         )
 
 
@@ -210,22 +210,22 @@ class _Panel:
 def lengthwise(tubes: tuple[Tube, ...]) -> Lengthwise:
     """Table of a bundle of tubes, cached."""
     panels = [_panels(tube) for tube in tubes]
-    n, count = len(tubes), max(len(own) for own in panels)
+    n, count = len(tubes), max(len(tube_panels) for tube_panels in panels)
     # `values` always fills T_0 and T_1.
-    width = max(2, *(len(c) for own in panels for panel in own for c in panel.channels))
+    width = max(2, *(len(c) for tube_panels in panels for panel in tube_panels for c in panel.channels))
     breaks, table = np.full((n, count + 1), np.inf), np.zeros((n, count, len(QUANTITIES), width))
     direction, detail, twist = np.zeros((3, n, count))
     compliance = np.zeros((n, count + 1))
-    for i, own in enumerate(panels):
-        breaks[i, : len(own) + 1] = [0.0, *(panel.high for panel in own)]
-        compliance[i, 1 : len(own) + 1] = list(accumulate(panel.compliance for panel in own))
+    for i, tube_panels in enumerate(panels):
+        breaks[i, : len(tube_panels) + 1] = [0.0, *(panel.high for panel in tube_panels)]
+        compliance[i, 1 : len(tube_panels) + 1] = list(accumulate(panel.compliance for panel in tube_panels))
         for name, column in (("direction", direction), ("detail", detail), ("twist", twist)):
-            column[i, : len(own)] = [getattr(panel, name) for panel in own]
-        for k, panel in enumerate(own):
+            column[i, : len(tube_panels)] = [getattr(panel, name) for panel in tube_panels]
+        for k, panel in enumerate(tube_panels):
             for q, coefficients in enumerate(panel.channels):
                 table[i, k, q, : len(coefficients)] = coefficients
     bent = np.asarray(table[:, :, 2:4].any((2, 3)))
-    cuts = tuple(_cuts(tube, own) for tube, own in zip(tubes, panels, strict=True))
+    cuts = tuple(_cuts(tube, tube_panels) for tube, tube_panels in zip(tubes, panels, strict=True))
     return Lengthwise(breaks, table, bent, direction, detail, twist, cuts, compliance)
 
 
@@ -263,27 +263,27 @@ def _degree(coefficients: Array) -> int:
 def _panels(tube: Tube) -> list[_Panel]:
     """Panels of a tube from its clamped end."""
     out: list[_Panel] = []
-    start, wound = 0.0, 0.0
+    start, twist_angle = 0.0, 0.0
     for length, precurvature, bending, torsional in stretches(tube):
         quantities = (bending, torsional, *precurvature)
         numbers = [float(q) for q in quantities if not isinstance(q, Series)]
         if len(numbers) == len(quantities):
-            out.append(_constant(start, length, numbers, wound))
-            wound += numbers[-1] * length
+            out.append(_constant(start, length, numbers, twist_angle))
+            twist_angle += numbers[-1] * length
         else:
-            varying = _varying(start, breaks_of(quantities, length), quantities, wound)
+            varying = _varying(start, breaks_of(quantities, length), quantities, twist_angle)
             out += varying
-            wound = float(chebyshev.chebval(1.0, varying[-1].channels[-1]))
+            twist_angle = float(chebyshev.chebval(1.0, varying[-1].channels[-1]))
         start += length
     return out
 
 
-def _constant(start: float, length: float, numbers: list[float], wound: float) -> _Panel:
-    """Panel of constant quantities, with the natural rotation `wound` at its start."""
+def _constant(start: float, length: float, numbers: list[float], twist_angle: float) -> _Panel:
+    """Panel of constant quantities, with the natural rotation `twist_angle` at its start."""
     _, torsional, x, y, z = numbers
     half = z * length / 2
-    # wound + z s with s = (x + 1) length / 2.
-    turned = [wound + half, half] if z else [wound]
+    # twist_angle + z s with s = (x + 1) length / 2.
+    turned = [twist_angle + half, half] if z else [twist_angle]
     return _Panel(
         start,
         start + length,
@@ -295,15 +295,15 @@ def _constant(start: float, length: float, numbers: list[float], wound: float) -
     )
 
 
-def _varying(start: float, breaks: Array, quantities: Sequence[Quantity], wound: float) -> list[_Panel]:
-    """Panels of varying quantities between breaks, with the natural rotation `wound` at the start."""
+def _varying(start: float, breaks: Array, quantities: Sequence[Quantity], twist_angle: float) -> list[_Panel]:
+    """Panels of varying quantities between breaks, with the natural rotation `twist_angle` at the start."""
     out, (nodes, weights) = [], gauss_rule()
     for k, channels in enumerate(zip(*(on_panels(q, breaks) for q in quantities), strict=True)):
         low, length = start + breaks[k], breaks[k + 1] - breaks[k]
         # Integral of u*_z from the beginning of the panel; ds = (length / 2) dx.
         turned = chebyshev.chebint(channels[4], lbnd=-1, scl=length / 2)
-        turned[0] += wound
-        wound = float(chebyshev.chebval(1.0, turned))
+        turned[0] += twist_angle
+        twist_angle = float(chebyshev.chebval(1.0, turned))
         out.append(
             _Panel(
                 low,
@@ -362,8 +362,8 @@ class Variation:
         cuts: (n, C) where cells end, from the held end, m; the first is the straight part. Tubes of fewer cells are
             filled up with cells without length.
         bending: (4, ...) kb from below, |kb'|, |kb''|, |kb'''|.
-        torsional: kt from below.   ease: (3, ...) |(1 / kt)'|, |(1 / kt)''|, |(1 / kt)'''|.
-        pull: (4, ...) |a|, |a'|, |a''|, |a'''|.
+        torsional: kt from below.   compliance: (3, ...) |(1 / kt)'|, |(1 / kt)''|, |(1 / kt)'''|.
+        moment: (4, ...) |a|, |a'|, |a''|, |a'''|.
         twist: (3, ...) |u*_z|, |u*_z'|, |u*_z''|.
         stiffest: (2, ...) kb and kt from above.
     """
@@ -372,14 +372,14 @@ class Variation:
     bending: Array
     torsional: Array
     compliance: Array
-    pull: Array
+    moment: Array
     twist: Array
     stiffest: Array
 
     @property
     def still(self) -> bool:
         """True if no quantity varies along a cell."""
-        return not any(rates.any() for rates in (self.bending[1:], self.compliance, self.pull[1:], self.twist[1:]))
+        return not any(rates.any() for rates in (self.bending[1:], self.compliance, self.moment[1:], self.twist[1:]))
 
 
 @lru_cache(maxsize=128)
@@ -387,14 +387,14 @@ def variation(tubes: tuple[Tube, ...]) -> Variation:
     """The bounds of some tubes."""
     table = lengthwise(tubes)
     cells = [_cells(tube) for tube in tubes]
-    longest = max(2, *(len(own) for own in cells))
-    cuts = np.array([[cut for *_, cut in [*own, *[own[-1]] * (longest - len(own))]] for own in cells])
+    longest = max(2, *(len(tube_cells) for tube_cells in cells))
+    cuts = np.array([[cut for *_, cut in [*row, *[row[-1]] * (longest - len(row))]] for row in cells])
     bounds = np.zeros((BOUNDS, len(tubes), longest + 1))
-    for i, own in enumerate(cells):
-        for c, (low, high, _) in enumerate(own):
+    for i, tube_cells in enumerate(cells):
+        for c, (low, high, _) in enumerate(tube_cells):
             bounds[:, i, c] = _bounds(table, i, low, high)
         # Cells that fill up have no length; they repeat the last one, so that no bound of theirs is 0.
-        bounds[:, i, len(own) : longest] = bounds[:, i, len(own) - 1, None]
+        bounds[:, i, len(tube_cells) : longest] = bounds[:, i, len(tube_cells) - 1, None]
         # Behind the end kt stays what it was, since 1 / kt is taken there too.
         bounds[4, i, longest] = bounds[4, i, longest - 1]
     return Variation(cuts, bounds[0:4], bounds[4], bounds[5:8], bounds[8:12], bounds[12:15], bounds[15:])
@@ -443,12 +443,12 @@ def _bounds(table: Lengthwise, tube: int, low: float, high: float) -> Array:
 def _parts(coefficients: Array, ends: Array, length: float, halvings: int) -> list[Array]:
     """Bounds of quantities (5, D) on parts of an interval (2,) within -1 to 1 of a panel."""
     middle, half = ends.mean(), (ends[1] - ends[0]) / 2
-    own = part_of(coefficients.T, ends).T
-    values = chebyshev.chebval(chebyshev.chebpts1(coefficients.shape[1]), own.T)
+    part = part_of(coefficients.T, ends).T
+    values = chebyshev.chebval(chebyshev.chebpts1(coefficients.shape[1]), part.T)
     still = (coefficients[:, 1:] == 0).all(1)
     # Converting a constant adds round-off, which would count as a rate of change.
-    own[still] = coefficients[still]
-    bound = _bound(own, length * half / 2)
+    part[still] = coefficients[still]
+    bound = _bound(part, length * half / 2)
     # Values at Chebyshev points lie above the true minimum, the bound below it: this compares both ends.
     loose = (bound[[0, 4]] < CLOSE * values[:2].min(1)).any() or halvings > HALVINGS - MIN_HALVINGS
     if halvings and loose and not still.all():
@@ -461,10 +461,10 @@ def _bound(coefficients: Array, half: float) -> Array:
     """Bounds (BOUNDS,) of kb, kt, x, y and z (5, D) on -1 to 1, a stretch of twice `half`, m."""
     kb, kt, x, y, z = coefficients
     # |a|^2 = a_x^2 + a_y^2 is one polynomial. Its bound is closer than the bounds of both parts together.
-    pull = [chebyshev.chebmul(kb, each) for each in (x, y)]
-    square = chebyshev.chebadd(*(chebyshev.chebmul(each, each) for each in pull))
+    moment = [chebyshev.chebmul(kb, each) for each in (x, y)]
+    square = chebyshev.chebadd(*(chebyshev.chebmul(each, each) for each in moment))
     (_, *bending), (_, kt1, kt2, kt3), twist = (_sizes(each, half) for each in (kb, kt, z))
-    sides = [_sizes(each, half) for each in pull]
+    sides = [_sizes(each, half) for each in moment]
     # c_0 minus the sum of |c_k|, k > 0: a lower bound, since |T_k| <= 1 and c_0 > 0.
     low = [2 * each[0] - np.abs(each).sum() for each in (kb, kt)]
     # (1 / k)' = -k' / k^2. (1 / k)'' = 2 k'^2 / k^3 - k'' / k^2. (1 / k)''' = 6 k' k'' / k^3 - 6 k'^3 / k^4 - k''' /
@@ -505,7 +505,7 @@ class Steps:
 
     cuts: (n, C) where stretches end, from the held end, m; the first is the straight part.  bending, torsional,
     curvature, phase, twist: (n, C) EI, GJ, |u*_xy|, the direction of that in the tube's own frame, and u*_z.
-    wound: (n, C) natural turn where stretches begin.
+    twist_angle: (n, C) natural turn where stretches begin.
     """
 
     cuts: Array
@@ -514,7 +514,7 @@ class Steps:
     curvature: Array
     phase: Array
     twist: Array
-    wound: Array
+    twist_angle: Array
 
 
 def steps_of(tubes: Sequence[Tube]) -> Steps:
@@ -529,8 +529,8 @@ def steps_of(tubes: Sequence[Tube]) -> Steps:
     table = np.array([[*row, *[(0.0, *row[-1][1:])] * (longest - len(row))] for row in rows], dtype=float)
     length, x, y, z, bending, torsional = table.transpose(2, 0, 1)
     # The turn where a stretch begins: the sum without its own part.
-    wound = np.cumsum(length * z, axis=1) - length * z
-    return Steps(np.cumsum(length, axis=1), bending, torsional, np.hypot(x, y), np.arctan2(y, x), z, wound)
+    twist_angle = np.cumsum(length * z, axis=1) - length * z
+    return Steps(np.cumsum(length, axis=1), bending, torsional, np.hypot(x, y), np.arctan2(y, x), z, twist_angle)
 
 
 def varies(tubes: Sequence[Tube]) -> bool:

@@ -91,8 +91,8 @@ def check_turn(rotations: Array) -> None:
 def _warn_of_degrees(rotations: Array) -> None:
     """Warn of rotations (..., n) that turn tubes against one another beyond USUAL_TURN."""
     # Turning all tubes together winds nothing up: differences to the outermost count.
-    own = rotations if rotations.shape[-1] == 1 else rotations - rotations[..., -1:]
-    turn = float(np.abs(own).max())
+    relative = rotations if rotations.shape[-1] == 1 else rotations - rotations[..., -1:]
+    turn = float(np.abs(relative).max())
     if turn > USUAL_TURN:
         largest = float(rotations.ravel()[int(np.argmax(np.abs(rotations)))])
         turns = turn / (2 * np.pi)

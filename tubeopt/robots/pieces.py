@@ -180,13 +180,13 @@ def on_panels(quantity: Quantity, breaks: Array) -> list[Array]:
     for low, high in pairwise(breaks):
         # The middle of a panel lies inside one of the series; ends may differ by round-off.
         panel = min(int(np.searchsorted(quantity.breaks, (low + high) / 2)) - 1, len(quantity.coefficients) - 1)
-        own = np.array(quantity.coefficients[panel])
+        coefficients = np.array(quantity.coefficients[panel])
         first, last = quantity.breaks[panel : panel + 2]
         if first == low and last == high:
-            out.append(own)
+            out.append(coefficients)
             continue
         ends = (2 * np.array([low, high]) - first - last) / (last - first)
-        out.append(part_of(own, ends))
+        out.append(part_of(coefficients, ends))
     return out
 
 
@@ -428,8 +428,10 @@ class Piece(Displayed):
 
     def bending_factor(self, tube_stiffness: float) -> float:
         """Smallest bending stiffness along the piece over that of the whole tube, N m^2, at most 1."""
-        own = tube_stiffness if self.bending_stiffness is None else extremes([self.bending_stiffness], self.length)[0]
-        return min(1.0, float(own) / tube_stiffness)
+        stiffness = (
+            tube_stiffness if self.bending_stiffness is None else extremes([self.bending_stiffness], self.length)[0]
+        )
+        return min(1.0, float(stiffness) / tube_stiffness)
 
     def strain_ratio(self, tube_stiffness: float) -> float:
         """Largest strain relative to a piece without slots, in a tube of bending stiffness `whole` (N m^2)."""
@@ -448,8 +450,8 @@ class Piece(Displayed):
     def stiffened(self, factor: float, torsional_factor: float | None = None) -> Piece:
         """Piece with its own stiffnesses multiplied by `factor`, or in torsion by `torsional_factor`."""
         factors = factor, factor if torsional_factor is None else torsional_factor
-        own = self.bending_stiffness, self.torsional_stiffness
-        bending, torsional = (None if a is None else times(a, b) for a, b in zip(own, factors, strict=True))
+        stiffnesses = self.bending_stiffness, self.torsional_stiffness
+        bending, torsional = (None if a is None else times(a, b) for a, b in zip(stiffnesses, factors, strict=True))
         return replace(self, bending_stiffness=bending, torsional_stiffness=torsional)
 
     def bent(self, change: float) -> Piece:

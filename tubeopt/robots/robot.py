@@ -65,8 +65,8 @@ class Robot(Displayed, ABC):
     @property
     def home_readings(self) -> Array:
         """Readings (n,) of the carriages at home, m, if no carriage yields."""
-        own = self.calibration
-        return self.home_translations if own is None else own.to_readings(0.0, self._home)[1]
+        calibration = self.calibration
+        return self.home_translations if calibration is None else calibration.to_readings(0.0, self._home)[1]
 
     @cached_property
     def _home(self) -> Array:

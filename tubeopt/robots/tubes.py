@@ -113,8 +113,8 @@ class Tube(Displayed):
         }
         for name, modulus in moduli.items():
             stiffness = getattr(self, name)
-            own = stiffness is None or isinstance(stiffness, OfCrossSection)
-            value = OfCrossSection(modulus * self.second_moment) if own else positive(name, stiffness)
+            from_section = stiffness is None or isinstance(stiffness, OfCrossSection)
+            value = OfCrossSection(modulus * self.second_moment) if from_section else positive(name, stiffness)
             object.__setattr__(self, name, value)
 
     def _join_pieces(self) -> None:
@@ -220,9 +220,9 @@ class Tube(Displayed):
             return True
         if isinstance(self.arc, Series):  # it varies along a piece
             return False
-        own = float(self.bending_stiffness), float(self.torsional_stiffness)
+        stiffnesses = float(self.bending_stiffness), float(self.torsional_stiffness)
         return all(
-            precurvature == (self.arc, 0.0, 0.0) and (bending, torsional) == own
+            precurvature == (self.arc, 0.0, 0.0) and (bending, torsional) == stiffnesses
             for _, precurvature, bending, torsional in stretches(self)[self.straight_length > 0 :]
         )
 

@@ -47,7 +47,7 @@ from ..files.field_metadata import Typical
 from ..files.fields import EntryOf, Part, keys_from, keys_in, values, with_keys
 from ..files.units import unit_of
 from ..files.yaml_file import load_yaml
-from ..planning import PairReach, PlanOptions, ReachShare, RegionReach
+from ..planning import PairReach, PlanOptions, ReachFraction, RegionReach
 from ..robots.concentric import ConcentricRobot
 from ..robots.file import MaterialChoice, Range, material_of
 from ..robots.pieces import Slots
@@ -331,9 +331,9 @@ class RegionAnswer(Displayed):
 
     search: SearchedDesign
     """Search that found the design."""
-    before: ReachShare
+    before: ReachFraction
     """Reached fraction of the given robot, for points that the search did not use and larger roadmaps."""
-    after: ReachShare
+    after: ReachFraction
     """Reached fraction of the design, for the same points."""
     proved: Annotated[int, "number of proved plans"]
     planned: Annotated[int, "number of plans made to these places"]
@@ -343,14 +343,14 @@ class RegionAnswer(Displayed):
     @property
     def summary(self) -> str:
         """Sentence on the reached fractions, which are lower bounds: a larger roadmap may reach more points."""
-        before, after = (f"at least {100 * reached.share:.0f} %" for reached in (self.before, self.after))
+        before, after = (f"at least {100 * reached.fraction:.0f} %" for reached in (self.before, self.after))
         judged = f"of {len(self.after.targets)} places not searched with"
         return f"{self.search.objective}: {before} before, {after} after, {judged}"
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """Remark that the roadmap may be too small, if almost nothing is reached."""
-        if self.after.share > DOUBTFUL_FRACTION:
+        if self.after.fraction > DOUBTFUL_FRACTION:
             return ()
         return (f"next to nothing of the region was reached; {POSSIBLE_CAUSES}: raise objective.points",)
 
@@ -444,7 +444,7 @@ class RegionEntry(SearchPart):
         assert isinstance(robot, ConcentricRobot)
         # 0 is the base plate as given.
         before = evaluation.evaluate(robot, np.zeros(len(evaluation.ranges)))
-        after = evaluation.evaluate(search.value, search.own)
-        plans = with_plan_time(evaluation).plans_proved(search.value, search.own, after, PLANNED_POINTS)
+        after = evaluation.evaluate(search.value, search.variables)
+        plans = with_plan_time(evaluation).plans_proved(search.value, search.variables, after, PLANNED_POINTS)
         proved, planned = plans
-        return RegionAnswer(search, before, after, proved, planned, searched.base(search.own))
+        return RegionAnswer(search, before, after, proved, planned, searched.base(search.variables))

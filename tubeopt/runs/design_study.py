@@ -35,7 +35,7 @@ from ..files.checked import Count, Entry, NotNegative, Number, Positive, Whole, 
 from ..files.field_metadata import Typical, key
 from ..files.fields import EntryOf, values
 from ..files.units import TO_MM
-from ..planning import PairReach, PairShare
+from ..planning import PairFraction, PairReach
 from ..stability import ASSUMING
 from ..typing import Array, Progress
 from .design_parts import (
@@ -193,9 +193,9 @@ class PairAnswer(Displayed):
 
     search: SearchedPair
     """Search that found the designs."""
-    before: PairShare
+    before: PairFraction
     """Reached fraction of the given robots, for points that the search did not use and larger roadmaps."""
-    after: PairShare
+    after: PairFraction
     """Reached fraction of the designs, for the same points."""
     proved: Annotated[int, "number of proved plans"]
     planned: Annotated[int, "number of plans of both arms to such pairs"]
@@ -212,7 +212,7 @@ class PairAnswer(Displayed):
             for name, solution in zip(self.names, self.search.solutions, strict=True)
             for remark in solution.remarks
         ]
-        if min(arm.share for arm in self.after.reached) <= DOUBTFUL_FRACTION:
+        if min(arm.fraction for arm in self.after.reached) <= DOUBTFUL_FRACTION:
             remarks.append(f"an arm reached next to nothing by itself; {POSSIBLE_CAUSES}: raise points")
         return tuple(remarks)
 
@@ -323,8 +323,8 @@ class PairStudy(Timed, SearchPart, Multistart):
             **self.multistart,
         )
         before = evaluation.evaluate(first.robot, second.robot, np.zeros(len(evaluation.ranges)))
-        after = evaluation.evaluate(*search.value, search.own)
-        plans = with_plan_time(evaluation).plans_proved(*search.value, search.own, after, PLANNED_PAIRS)
+        after = evaluation.evaluate(*search.value, search.variables)
+        plans = with_plan_time(evaluation).plans_proved(*search.value, search.variables, after, PLANNED_PAIRS)
         proved, planned = plans
         name_1, name_2 = (arm.placed(shared(self.anatomy)).called for arm in self.arms)
-        return PairAnswer(search, before, after, proved, planned, (name_1, name_2), searched.plates(search.own))
+        return PairAnswer(search, before, after, proved, planned, (name_1, name_2), searched.plates(search.variables))

@@ -152,8 +152,8 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
         joints = tips
     if entry.joints is not None:
         table = read_recorded(folder / entry.joints).table
-        own = entry.joint_columns or {k: v for k, v in entry.columns.items() if k in table.columns}
-        joints = columns_of(table, own, str(path), home, entry.formulas)
+        joint_columns = entry.joint_columns or {k: v for k, v in entry.columns.items() if k in table.columns}
+        joints = columns_of(table, joint_columns, str(path), home, entry.formulas)
     _complete(path, entry, tips, joints, robot)
     measurements = measured(
         tips,

@@ -94,8 +94,10 @@ class MoldStudy(Study):
     def _spec(self) -> MoldSpec:
         """Specification of the mold file, with the keys of the study replacing its own."""
         material = None if self.material is None else mold_material(self.material)
-        own = {"material": material, **self.in_si("springback", "cold_length_mm")}
-        return replace(self.mold or MoldSpec(), **{name: value for name, value in own.items() if value is not None})
+        overrides = {"material": material, **self.in_si("springback", "cold_length_mm")}
+        return replace(
+            self.mold or MoldSpec(), **{name: value for name, value in overrides.items() if value is not None}
+        )
 
     def run(self, progress: Progress | None = None) -> RobotMold:
         """Plan the mold; raises InputError if none is possible."""

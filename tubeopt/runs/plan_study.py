@@ -130,7 +130,7 @@ class Aimed(Started):
         if self.tip_mm is not None:
             position = np.array(self.si("tip_mm"))
         elif self.tip_at is not None:
-            position = around.place(self.tip_at)
+            position = around.position(self.tip_at)
         else:
             return joints_of(
                 self.robot, self.si("goal_deg") or self.si("start_deg"), self.si("goal_mm") or self.si("start_mm")
@@ -182,7 +182,7 @@ class PlanStudy(Aimed, Surrounded, Loaded, Study):
         if self.tip_at is not None:
             if self.anatomy is None:
                 raise ValueError("tip_at is given without an anatomy; it is the name of a landmark of the anatomy")
-            self.anatomy.place(self.tip_at)
+            self.anatomy.position(self.tip_at)
         if self.leader and self.tip_path_mm is not None:
             raise ValueError("leader needs a goal, not a curve for the tip")
         if self.external_load is not None and (self.leader or self.tip_path_mm is not None):
@@ -390,8 +390,8 @@ class VerifyStudy(Surrounded, Loaded, Timed):
             return self
         # Kind and robot are those of the trajectory.
         shared = (VerifyStudy.model_fields.keys() & PlanStudy.model_fields) - {"kind", "robot"}
-        own = {key: getattr(self, key) for key in self.model_fields_set & shared}
-        return self.study.model_copy(update={key: value for key, value in own.items() if value is not None})
+        overrides = {key: getattr(self, key) for key in self.model_fields_set & shared}
+        return self.study.model_copy(update={key: value for key, value in overrides.items() if value is not None})
 
     def run(self, progress: Progress | None = None) -> VerifiedTrajectory:
         """Verify the trajectory; raises SolveError if its equilibria cannot be followed."""

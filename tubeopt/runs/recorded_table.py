@@ -344,9 +344,9 @@ class Columns:
         """Numbers in SI, shape (rows, M); with `missing`, NaN for cells of `NOTHING`."""
         out = np.empty((len(self.table.rows), len(meanings)))
         for k, meaning in enumerate(meanings):
-            own = self.formulas.get(meaning) or Formula((self.known[meaning],))
-            columns, units = zip(*own.terms, strict=True)
-            out[:, k] = self.table.numbers(columns, units, gaps=NOTHING if missing else ()).sum(1) + own.constant
+            formula = self.formulas.get(meaning) or Formula((self.known[meaning],))
+            columns, units = zip(*formula.terms, strict=True)
+            out[:, k] = self.table.numbers(columns, units, gaps=NOTHING if missing else ()).sum(1) + formula.constant
         return out
 
     def time(self) -> Array | None:
@@ -482,9 +482,9 @@ def columns_of(
         elif unit not in units:
             problems.append(f"formulas.{meaning} is {text!r}; it must end with a comma and {', '.join(units)}")
         else:
-            own = home[int(match[2]) - 1] if match[1] == "translation" else None
+            home_value = home[int(match[2]) - 1] if match[1] == "translation" else None
             try:
-                sums[meaning] = formula_of(rule, units[unit], table.columns, own)
+                sums[meaning] = formula_of(rule, units[unit], table.columns, home_value)
             except ValueError as error:
                 problems.append(f"formulas.{meaning} {error}")
     refuse(where, problems)

@@ -208,9 +208,9 @@ class LoadEntry(Part):
         for name, parts in (("points", points), ("distributed_mN_per_m", stretches)):
             for k, part in enumerate(parts):
                 # A part without force and moment is a forgotten key, not a load of 0.
-                own = [key for key in type(part).model_fields if key.startswith(("force", "moment"))]
-                if not part.model_fields_set & set(own):
-                    raise InputError(f"{name}[{k}] has no load; it must have {' or '.join(own)}")
+                keys = [key for key in type(part).model_fields if key.startswith(("force", "moment"))]
+                if not part.model_fields_set & set(keys):
+                    raise InputError(f"{name}[{k}] has no load; it must have {' or '.join(keys)}")
         if along and isinstance(along[0], Part):
             along = tuple(part.build() for part in along)
         elif along is not None:
@@ -252,11 +252,11 @@ class Loaded(Entry):
     @property
     def external_load(self) -> Load | None:
         """Load of the study; None without one."""
-        own = {key: getattr(self, key) for key in LOAD_KEYS if getattr(self, key) is not None}
-        if self.load is None and not own:
+        overrides = {key: getattr(self, key) for key in LOAD_KEYS if getattr(self, key) is not None}
+        if self.load is None and not overrides:
             return None
         # Copied, since entries are frozen; `build` checks the sum of both.
-        return (self.load or check(LoadEntry, {}, "")).model_copy(update=own).build()
+        return (self.load or check(LoadEntry, {}, "")).model_copy(update=overrides).build()
 
 
 ExternalLoad = Annotated[Load | None, Keys(Loaded, "external_load")]

@@ -213,8 +213,8 @@ def page() -> str:
         schema = json.loads(text)
         title = schema["title"].removeprefix("tubeopt ").capitalize()
         lines += [f"## {title} (`{name}`)", ""]
-        own = [("", schema)] if "properties" in schema else []
-        parts = [part for part in (*own, *schema.get("$defs", {}).items()) if "properties" in part[1]]
+        root = [("", schema)] if "properties" in schema else []
+        parts = [part for part in (*root, *schema.get("$defs", {}).items()) if "properties" in part[1]]
         parts = [part for part in parts if part[0] not in done]
         done |= {part for part, _ in parts if part}
         tables = {part: _rows(keys) for part, keys in parts}

@@ -37,7 +37,7 @@ from ..files.checked import Entry, Positive, check_kind
 from ..files.fields import keys_of, values
 from ..files.shipped import find_file
 from ..files.yaml_file import load_yaml
-from ..solvers.time_limit import LONG_TIME_LIMIT, LateError, late_error, within
+from ..solvers.time_limit import LONG_TIME_LIMIT, OutOfTimeError, time_limit_error, within
 from ..typing import Progress
 
 
@@ -90,9 +90,9 @@ class Timed(Study):
         try:
             with within(limit):
                 return self.run_in(out, progress)
-        except LateError as late:
+        except OutOfTimeError as error:
             # The best result by then is kept in the error, and saved by the command.
-            raise late_error(self.kind, limit, late.best) from None
+            raise time_limit_error(self.kind, limit, error.best) from None
 
 
 @dataclass(frozen=True)

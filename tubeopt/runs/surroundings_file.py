@@ -67,9 +67,9 @@ def _of_table(path: str | PathLike[str]) -> list[tuple[str, Any]]:
     columns, rows = COLUMNS.split(","), []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         if line.lstrip().startswith("#"):
-            key, _, words = line.lstrip("# ").partition("=")
+            key, _, value = line.lstrip("# ").partition("=")
             # 3D Slicer names the columns in a comment.
-            columns = [each.strip() for each in words.split(",")] if key.strip() == "columns" else columns
+            columns = [each.strip() for each in value.split(",")] if key.strip() == "columns" else columns
         elif line.strip():
             cells = dict(zip(columns, (cell.strip() for cell in line.split(",")), strict=False))
             try:
@@ -125,14 +125,14 @@ def load_landmarks(path: str | PathLike[str], axes: str | None = None) -> dict[s
         InputError: no such file, invalid columns or cells, a repeated name, unknown axes or axes that contradict the
             file.
     """
-    own, kind = required_axes(path, axes), Path(path).suffix.lower()
+    letters, kind = required_axes(path, axes), Path(path).suffix.lower()
     if kind == ".txt":
-        return {Path(path).stem: ras(_numbers(path, (3,), "x, y and z in mm") * 1e-3, own)}
+        return {Path(path).stem: ras(_numbers(path, (3,), "x, y and z in mm") * 1e-3, letters)}
     if kind in (".fcsv", ".json"):
-        return {name: ras(point, own) for name, point in markups(path).items()}
+        return {name: ras(point, letters) for name, point in markups(path).items()}
     table = read_csv(path, PLACE)
     table.expect(("name", *PLACE))
-    points, known = ras(table.numbers(PLACE, MM), own), dict[str, Array]()
+    points, known = ras(table.numbers(PLACE, MM), letters), dict[str, Array]()
     for k, row in enumerate(points):
         name = table.cell(k, "name")
         if not name or name in known:
@@ -161,10 +161,10 @@ def load_pose(path: str | PathLike[str], axes: str | None = None) -> Frame:
         raise InputError(
             f"{path}: the matrix is not a pose; it must have a right-handed rotation, a position, and the row 0 0 0 1"
         )
-    own = required_axes(path, axes)
+    letters = required_axes(path, axes)
     # U V^T is the rotation nearest to the matrix in the Frobenius norm: digits in files are rounded.
     u, _, v = np.linalg.svd(rotation)
-    return Frame(ras((u @ v).T, own).T, ras(matrix[:3, 3] * 1e-3, own))
+    return Frame(ras((u @ v).T, letters).T, ras(matrix[:3, 3] * 1e-3, letters))
 
 
 def _numbers(path: str | PathLike[str], shape: tuple[int, ...], what: str) -> Array:
@@ -309,8 +309,8 @@ class BasePart(Entry):
             return frame
         # An anatomy reports unknown landmarks.
         known, axes = Anatomy(landmarks=landmarks), self.axes or "RAS"
-        position = ras(self.si("position_mm"), axes) if self.at is None else known.place(self.at)
-        direction = ras(self.si("direction"), axes) if self.towards is None else known.place(self.towards) - position
+        position = ras(self.si("position_mm"), axes) if self.at is None else known.position(self.at)
+        direction = ras(self.si("direction"), axes) if self.towards is None else known.position(self.towards) - position
         return base_frame(position, direction, self.si("roll_deg"))
 
 

@@ -157,8 +157,13 @@ class NewRig(NewTubes):
     @property
     def usual(self) -> dict[str, Any]:
         """Defaults of the keys."""
-        own = {"name": "my rig", "capacity_Ah": Decimal(60), "charge_percent": Decimal(100), "mold": "calcium_silicate"}
-        return own | USUAL_SINGLE
+        values = {
+            "name": "my rig",
+            "capacity_Ah": Decimal(60),
+            "charge_percent": Decimal(100),
+            "mold": "calcium_silicate",
+        }
+        return values | USUAL_SINGLE
 
     def text(self, path: Path) -> str:
         """Text of the rig file; raises InputError for an invalid rig."""

@@ -13,7 +13,7 @@ from ..files.field_metadata import Typical
 from ..files.fields import keys_from, values
 from ..typing import Progress
 from ..validation import (
-    OWN,
+    PER_RECORDING,
     BasePose,
     Comparison,
     Fit,
@@ -56,7 +56,7 @@ MeasuredFor = Annotated[
     Field(description="parameters to estimate: rotation_all, translation_all, curvature_2, ...", examples=["NAME,.."]),
 ]
 
-FIT_KEYS = ("own", "folds", "confidence", "noise_mm", "axis_noise_deg", "loss", "priors")
+FIT_KEYS = ("per_recording", "folds", "confidence", "noise_mm", "axis_noise_deg", "loss", "priors")
 """Keys that only a fit uses."""
 
 KEYS = {
@@ -106,8 +106,8 @@ class ValidationStudy(Timed):
     compare: bool = Field(
         False, description="add effects one by one, most useful first, until none improves the prediction"
     )
-    own: list[Literal["registration", *OWN]] = Field(  # type: ignore[valid-type]
-        list(FitOptions.own),
+    per_recording: list[Literal["registration", *PER_RECORDING]] = Field(  # type: ignore[valid-type]
+        list(FitOptions.per_recording),
         description="effects and registration that every recording has of its own; others are common",
     )
     folds: Annotated[Whole, AfterValidator(_valid_folds)] | None = Field(
@@ -136,7 +136,9 @@ class ValidationStudy(Timed):
         if self.fit and not self.compare:
             with rewording(KEYS):
                 # Unknown names are refused here, before minutes of fitting.
-                choose_parameters(self.robot, self.measurements, self.fit, self.registration or "rigid", self.own)
+                choose_parameters(
+                    self.robot, self.measurements, self.fit, self.registration or "rigid", self.per_recording
+                )
         return self
 
     def _base(self) -> BasePose:
@@ -150,7 +152,7 @@ class ValidationStudy(Timed):
             folds=folds,
             noise=tuple(self.in_si("noise_mm", "axis_noise_deg").values()),
             confidence=self.si("confidence"),
-            own=tuple(self.own),
+            per_recording=tuple(self.per_recording),
             **values(FitOptions, self),
         )
 

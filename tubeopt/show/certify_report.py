@@ -100,7 +100,7 @@ def _readings(a: Certification, rotations: Array) -> tuple[Array, Array]:
 
 def _fractions(a: Certification) -> list[tuple[tuple[int, int], float]]:
     """Pairs of tubes, from 1, and the fraction by which each reduces a margin of 1; the largest first."""
-    fraction = a.verdict.certificate.share
+    fraction = a.verdict.certificate.pair_fractions
     # The matrix is symmetric: each pair once.
     pairs = [((i + 1, j + 1), float(fraction[i, j])) for i, j in itertools.combinations(range(len(fraction)), 2)]
     return sorted((pair for pair in pairs if pair[1] > 0), key=lambda pair: -pair[1])
@@ -213,35 +213,35 @@ CERTIFICATION = described(
     Quantity("assumed", "assumptions of all results", lambda a: ASSUMING),
     Quantity("certificate", "certificate",
              lambda a: a.verdict.certificate.margin if np.isfinite(a.verdict.certificate.margin) else None,
-             words=_certificate_text),
+             text=_certificate_text),
     of_field(Certification, "force", optional=True),
-    of_field(Certification, "forced", label="under a force on the tip", words=_force_text, optional=True),
+    of_field(Certification, "forced", label="under a force on the tip", text=_force_text, optional=True),
     Quantity("untwisted_margin", "margin of the softest untwisted equilibrium, in closed form; eccentric robots only",
              lambda a: a.verdict.untwisted if isinstance(a.verdict, EccentricSnapAssessment) else None),
     Quantity("margin_found", "smallest margin found",
-             lambda a: None if a.verdict.worst is None else a.verdict.worst.margin, words=_smallest_margin_text,
+             lambda a: None if a.verdict.worst is None else a.verdict.worst.margin, text=_smallest_margin_text,
              label="least margin found"),
     Quantity("found_at_deg", "rotations of the smallest margin",
              lambda a: None if a.verdict.worst is None else a.verdict.worst.equilibrium.rotations),
     Quantity("limiting_tubes", "the two tubes that limit the certificate, from 1",
              lambda a: None if a.verdict.certificate.pair is None else [i + 1 for i in a.verdict.certificate.pair]),
     Quantity("limiting_section_mm", "ends of the section that limits the certificate",
-             lambda a: a.verdict.certificate.section, label="limited by", words=_limiting_text),
+             lambda a: a.verdict.certificate.section, label="limited by", text=_limiting_text),
     Quantity("shares", "part of the margin of 1 that each pair of tubes takes", _fractions, of=SHARE,
-             label="takes from the margin", words=_fractions_text),
+             label="takes from the margin", text=_fractions_text),
     Quantity("gradient", "derivatives of the certificate by the parameters of each tube, per unit of the key",
              _gradient),
     Quantity("paths_tried", "number of paths searched for a snap", lambda a: a.verdict.paths),
     Quantity("paths_lost", "number of these paths where the equilibrium was lost", lambda a: a.verdict.failed),
     line("the snap", _snap_text),
     Quantity("rotation_limits_deg", "allowed rotations", lambda a: np.array(a.robot.limits.rotations),
-             words=_limits_text, label="rotations allowed"),
+             text=_limits_text, label="rotations allowed"),
     line("the search for a snap", _search_text),
     Quantity("within_limits", "true if the snap is within the limits", lambda a: a.verdict.within_limits),
     Quantity("path_deg", "rotations from the relaxed pose to beyond the snap", lambda a: _path_rotations(a.verdict)),
     Quantity("snap", "the snap found", lambda a: a.verdict.snap, of=SNAP),
     Quantity("repeat", "command that reproduces the snap", command),
-    of_field(Certification, "box", label="box", words="{box[lower_mm]:.6g} mm to {box[upper_mm]:.6g} mm", of=BOX),
+    of_field(Certification, "box", label="box", text="{box[lower_mm]:.6g} mm to {box[upper_mm]:.6g} mm", of=BOX),
     line("searched by", lambda a: None if a.box is None else f"{BOX_METHOD}, {a.box.evaluations} evaluations"),
 )  # fmt: skip
 

@@ -95,16 +95,16 @@ def _self_test_text(a: Doctor) -> str:
 DOCTOR = described(
     Doctor,
     of_field(Doctor, "versions", label="versions",
-             words=lambda a: ", ".join(f"{name} {v}" for name, v in a.versions.items())),
-    of_field(Doctor, "system", words="{system}"),
-    of_field(Doctor, "kernel", words="{kernel}"),
-    of_field(Doctor, "threads", label="threads", words=lambda a: ", ".join(f"{k}={v}" for k, v in a.threads.items())
+             text=lambda a: ", ".join(f"{name} {v}" for name, v in a.versions.items())),
+    of_field(Doctor, "system", text="{system}"),
+    of_field(Doctor, "kernel", text="{kernel}"),
+    of_field(Doctor, "threads", label="threads", text=lambda a: ", ".join(f"{k}={v}" for k, v in a.threads.items())
              or "as the libraries choose, one for small problems"),
     Quantity("cache", "folder of the cache", lambda a: str(a.cache),
-             words=lambda a: f"{a.cache}, {a.cache_bytes / 1e6:.1f} MB", label="cache"),
+             text=lambda a: f"{a.cache}, {a.cache_bytes / 1e6:.1f} MB", label="cache"),
     "cache_bytes",
     Quantity("missing", "missing packages of each extra",
-             lambda a: {name: list(lacks) for name, lacks in a.missing.items()}, label="extras", words=_extras_text),
+             lambda a: {name: list(lacks) for name, lacks in a.missing.items()}, label="extras", text=_extras_text),
     "passed difference solve",
     line("self-test", _self_test_text),
 )  # fmt: skip
@@ -239,7 +239,7 @@ class ShippedReport(Report[ShippedFiles]):
 
 class WrittenReport(Report[WrittenFile]):
     command = "init"
-    quantities = (Quantity("then", "command that uses the file", words="{then}", label="next"),)
+    quantities = (Quantity("then", "command that uses the file", text="{then}", label="next"),)
 
     def title(self) -> str:
         return ""
@@ -251,7 +251,7 @@ LIBRARY = described(
     Quantity("tubes", "number of tubes", lambda a: a.robot.n_tubes),
     "prefix",
     Quantity("sources", "files of the library", lambda a: list(a.files), label="files",
-             words=lambda a: ", ".join(a.files)),
+             text=lambda a: ", ".join(a.files)),
     Quantity("lines", "lines of C", lambda a: sum(
         text.count("\n") for file, text in a.files.items() if file.endswith((".c", ".h")))),
 )  # fmt: skip

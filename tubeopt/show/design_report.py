@@ -23,7 +23,7 @@ from ..equilibrium.result import Equilibrium
 from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import TO_MM
-from ..planning import PairShare, ReachShare
+from ..planning import PairFraction, ReachFraction
 from ..robots.concentric import ConcentricRobot
 from ..robots.file import save_robot
 from ..runs.design_parts import RegionAnswer
@@ -50,16 +50,16 @@ CAPTIONS = {
 
 DIMENSION = described(
     Dimension,
-    of_field(Dimension, "name", label="", words=lambda d: f"{d.name} ({d.unit})" if d.unit else d.name),
+    of_field(Dimension, "name", label="", text=lambda d: f"{d.name} ({d.unit})" if d.unit else d.name),
     "unit before after",
     Quantity(
-        "bound", "active bound, `lower` or `upper`", lambda d: d.bound or None, label="", words="at its {bound} bound"
+        "bound", "active bound, `lower` or `upper`", lambda d: d.bound or None, label="", text="at its {bound} bound"
     ),
 )
 
 BINDING = described(
     Sensitivity,
-    Quantity("limit", "requirement, as text", lambda sensitivity: sensitivity.limit.words),
+    Quantity("limit", "requirement, as text", lambda sensitivity: sensitivity.limit.description),
     Quantity("value", "limit value", lambda sensitivity: sensitivity.limit.value * sensitivity.limit.factor),
     Quantity("unit", "unit of the limit", lambda sensitivity: sensitivity.limit.unit),
     "derivative sentence",
@@ -75,7 +75,7 @@ POSE = described(
 CHECK = described(
     Check,
     "what value",
-    of_field(Check, "satisfied", label="", words=lambda check: "satisfied" if check.satisfied else "VIOLATED"),
+    of_field(Check, "satisfied", label="", text=lambda check: "satisfied" if check.satisfied else "VIOLATED"),
 )
 
 
@@ -126,8 +126,8 @@ REGION = described(
     ),
     Quantity("tried", "number of designs evaluated", lambda r: r.search.tried),
     Quantity("places", "number of independent places for the evaluation", lambda r: len(r.after.targets)),
-    Quantity("before", "lower bound on the fraction of them that the given robot reaches", lambda r: r.before.share),
-    Quantity("after", "lower bound on the fraction of them that the design reaches", lambda r: r.after.share),
+    Quantity("before", "lower bound on the fraction of them that the given robot reaches", lambda r: r.before.fraction),
+    Quantity("after", "lower bound on the fraction of them that the design reaches", lambda r: r.after.fraction),
     "planned proved",
     Quantity("base_mm", "position of the plate in the frame of the given plate", lambda r: r.base.origin),
     Quantity(
@@ -160,26 +160,26 @@ SOLUTION = described(
     Quantity("task", "name of the task", lambda s: s.task.name),
     Quantity("robot", "name of the robot", lambda s: s.robot.name),
     of_field(DesignSolution, "certificate", label="certificate",
-             words="{certificate:.6f}, a lower bound of the margin at all rotations"),
+             text="{certificate:.6f}, a lower bound of the margin at all rotations"),
     of_field(DesignSolution, "dimensions", of=DIMENSION),
     of_field(DesignSolution, "sensitivities", of=BINDING),
-    of_field(DesignSolution, "equilibria", label="task poses", words=_poses_text, of=POSE),
+    of_field(DesignSolution, "equilibria", label="task poses", text=_poses_text, of=POSE),
     Quantity("checks", "independent checks of the result", lambda s: s.verification.checks, of=CHECK),
-    Quantity("starts", "number of starts", lambda s: s.ranking.starts, label="starts", words=_starts_text),
+    Quantity("starts", "number of starts", lambda s: s.ranking.starts, label="starts", text=_starts_text),
     Quantity("designs", "number of distinct designs found", lambda s: len(s.ranking.designs)),
     Quantity("failures", "number of failed starts, by stage", lambda s: s.ranking.failures),
-    of_field(DesignSolution, "rounds", label="worst cases added", words="in {rounds} rounds"),
+    of_field(DesignSolution, "rounds", label="worst cases added", text="in {rounds} rounds"),
     "seconds",
 )  # fmt: skip
 
 CHOICE: tuple[Quantity[tuple[AnyObjective, Candidate]], ...] = (
     Quantity("sizes", "sizes, inner to outer", lambda c: [size.name for size in c[1].sizes], label="inner to outer",
-             words=lambda c: ", ".join(size.name for size in c[1].sizes)),
+             text=lambda c: ", ".join(size.name for size in c[1].sizes)),
     Quantity("value", "value of the objective", lambda c: c[1].objective and c[1].objective * c[0].factor,
              label="value",
-             words=lambda c: "–" if c[1].objective is None else f"{c[1].objective * c[0].factor:.5g} {c[0].unit}"),
+             text=lambda c: "–" if c[1].objective is None else f"{c[1].objective * c[0].factor:.5g} {c[0].unit}"),
     Quantity("status", "design, not found, infeasible, pruned or out of time, with the reason", lambda c: c[1].status,
-             label="", words="{status}"),
+             label="", text="{status}"),
 )  # fmt: skip
 """Quantities of a choice from stock, with the objective that ranks it."""
 
@@ -197,7 +197,7 @@ DESIGN = described(
     *within((line("as manufactured", _snap_free_text), line("tip spread", _spread_text)), lambda a: a.tolerance),
     *within(SEARCHED, lambda a: a.region),
     Quantity("stock", "choices from stock, best first; null unless requested", lambda a: _choices(a), of=CHOICE,
-             label="from stock", words=lambda a: _best_text(a)),
+             label="from stock", text=lambda a: _best_text(a)),
     line("seconds", "{seconds:.1f}"),
 )  # fmt: skip
 
@@ -307,7 +307,7 @@ class DesignReport(Report[DesignAnswer]):
         remarks = self.answer.remarks
         lines += ["", *(f"- {remark}" for remark in remarks)] if remarks else []
         lines += ["", "## Requirements that bind", ""]
-        rows = [(o.limit.words, o.limit.shown(), o.sentence) for o in s.sensitivities]
+        rows = [(o.limit.description, o.limit.shown(), o.sentence) for o in s.sensitivities]
         lines += _markdown(("limit", "at", "price"), rows) if rows else ["None."]
         lines += ["", "## Checked again", ""]
         lines += _markdown(
@@ -336,7 +336,7 @@ def _draw_maps(robots: Sequence[ConcentricRobot], path: Path | None) -> Any:
 def _objectives(a: DesignAnswer) -> dict[str, float]:
     """Values of the objectives, by key with unit; for a region, the fraction that the design reaches."""
     if a.region is not None:
-        return {"reach_share": a.region.after.share}
+        return {"reach_share": a.region.after.fraction}
     values = {}
     for objective in a.solution.task.objectives:
         unit = {"1/m": "_per_m", "mm": "_mm", "%": "_percent"}.get(objective.unit, "")
@@ -361,9 +361,9 @@ class _Arm:
     solution: DesignSolution
     plate: Frame
     """Frame of its plate."""
-    before: ReachShare
+    before: ReachFraction
     """Places that the given robot reaches alone."""
-    after: ReachShare
+    after: ReachFraction
     """Places that the design reaches alone."""
 
 
@@ -380,7 +380,7 @@ def _percent(fraction: float) -> str:
 def _reach_text(a: PairAnswer) -> str:
     """Fractions of targets that each arm reaches alone, as text."""
     return "; ".join(
-        f"{arm.name} {_percent(arm.before.share)} before, {_percent(arm.after.share)} after" for arm in _arms(a)
+        f"{arm.name} {_percent(arm.before.fraction)} before, {_percent(arm.after.fraction)} after" for arm in _arms(a)
     )
 
 
@@ -399,8 +399,10 @@ ARM: tuple[Quantity[_Arm], ...] = (
     Quantity("position_mm", "position of its plate in the shared frame", lambda a: a.plate.origin),
     Quantity("direction", "direction of the arm at its plate, in the shared frame", lambda a: a.plate.axes[:, 2]),
     Quantity("roll_deg", "rotation of its plate about that direction, as in `base`", lambda a: roll_of(a.plate)),
-    Quantity("reached_before", "fraction of the places that the given robot reaches alone", lambda a: a.before.share),
-    Quantity("reached_after", "fraction of the places that the design reaches alone", lambda a: a.after.share),
+    Quantity(
+        "reached_before", "fraction of the places that the given robot reaches alone", lambda a: a.before.fraction
+    ),
+    Quantity("reached_after", "fraction of the places that the design reaches alone", lambda a: a.after.fraction),
     Quantity("certificate", "lower bound on its margin at all rotations", lambda a: a.solution.certificate),
     Quantity("dimensions", "free dimensions", lambda a: a.solution.dimensions, of=DIMENSION),
     Quantity("checks", "independent checks of the result", lambda a: a.solution.verification.checks, of=CHECK),
@@ -413,16 +415,16 @@ PAIR = described(
              lambda a: a.search.before),
     Quantity("searched_after", "fraction of the pairs of places of the search, designs", lambda a: a.search.after),
     Quantity("tried", "number of pairs of robots evaluated", lambda a: a.search.tried,
-             words="{tried}; no optimum is claimed", label="pairs of robots evaluated"),
+             text="{tried}; no optimum is claimed", label="pairs of robots evaluated"),
     Quantity("places", "number of independent places for the evaluation", lambda a: len(a.after.apart)),
-    Quantity("before", "fraction of their pairs that the given robots reach", lambda a: a.before.share),
-    Quantity("after", "fraction of their pairs that the designs reach", lambda a: a.after.share),
-    line("pairs of places reached", lambda a: f"{_percent(a.before.share)} before, {_percent(a.after.share)} after, of "
-         f"{len(a.after.apart)} places not searched with"),
+    Quantity("before", "fraction of their pairs that the given robots reach", lambda a: a.before.fraction),
+    Quantity("after", "fraction of their pairs that the designs reach", lambda a: a.after.fraction),
+    line("pairs of places reached", lambda a: f"{_percent(a.before.fraction)} before, "
+         f"{_percent(a.after.fraction)} after, of {len(a.after.apart)} places not searched with"),
     line("reached by itself", _reach_text),
     Quantity("clearance_mm", "clearance between the arms", lambda a: a.after.clearance),
     "planned",
-    of_field(PairAnswer, "proved", label="proved", words="{proved} of {planned} motions of both arms to such pairs"),
+    of_field(PairAnswer, "proved", label="proved", text="{proved} of {planned} motions of both arms to such pairs"),
     line("plates", _plates_text),
     Quantity("arms", "the two arms", _arms, of=ARM),
     Quantity("remarks", "active limits, tubes with little effect, a coarse search"),
@@ -431,7 +433,7 @@ PAIR = described(
 )  # fmt: skip
 
 
-def pairs_of_places(reach: PairShare, places: Sequence[Array]) -> str:
+def pairs_of_places(reach: PairFraction, places: Sequence[Array]) -> str:
     """CSV of all pairs of targets: both positions, lower bound on the distance of the arms, 1 if reached.
 
     places: positions (3,) in the frame that both share, mm.
@@ -478,7 +480,7 @@ class PairReport(Report[PairAnswer]):
         a = self.answer
         shares, places = (a.before, a.after), a.plates[0].placed(a.after.reached[0].targets)
         pictures: dict[str, Drawing] = {
-            "pairs": drawing("design.plot_pair_shares", shares, names=a.names),
+            "pairs": drawing("design.plot_pair_fractions", shares, names=a.names),
             "places": drawing("design.plot_pair_places", shares, names=a.names, places=places),
         }
         for arm in _arms(a):

@@ -20,7 +20,7 @@ from ..robots.order import ends_inside
 from ..robots.robot import Robot, clearances, fit_warnings
 from ..robots.tubes import OfCrossSection, Tube
 from ..typing import Array
-from .formatting import counted, ends_in_words, margin_in_words, millimetres, order_remarks, tip_in_words, tip_number
+from .formatting import counted, ends_text, margin_text, millimetres, order_remarks, tip_number, tip_text
 from .quantities import LOADED, SNAP_DISTANCE, Quantity, described, line, of_field, readings, within
 from .report import Report, grid, remarks
 
@@ -38,14 +38,14 @@ TUBE: tuple[Quantity[Tube], ...] = (
     Quantity("curved_length_mm", "curved length", digits=9, form=".6g"),
     Quantity("length_mm", "overall length", digits=9, form=".6g"),
     Quantity("curvature_per_m", "precurvature", form=".6g"),
-    Quantity("material", "material", lambda tube: tube.material.name, words="{material}"),
+    Quantity("material", "material", lambda tube: tube.material.name, text="{material}"),
     Quantity("bending_stiffness_N_mm2", "bending stiffness EI", form=".6g"),
     Quantity("torsional_stiffness_N_mm2", "torsional stiffness GJ", form=".6g"),
     Quantity(
         "poisson_ratio",
         "Poisson's ratio",
         _poisson_ratio,
-        words=lambda tube: "–" if (ratio := _poisson_ratio(tube)) is None else f"{ratio:.6g}",
+        text=lambda tube: "–" if (ratio := _poisson_ratio(tube)) is None else f"{ratio:.6g}",
     ),
     Quantity(
         "straightened_strain_percent", "strain of the straightened tube", form=".6g", label="strain when straightened"
@@ -79,7 +79,7 @@ def _channel(robot: Robot) -> float | None:
     return None if isinstance(robot, ConcentricRobot) else free_channel(robot).diameter  # type: ignore[arg-type]
 
 
-def _channel_in_words(robot: Robot) -> str:
+def _channel_text(robot: Robot) -> str:
     """Text of the free channel; "" for concentric robots."""
     if isinstance(robot, ConcentricRobot):
         return ""
@@ -115,7 +115,7 @@ class RobotReport(Report[AnyRobot]):
         lines = remarks(fit_warnings(self.answer), what="warning")
         properties = grid(("tube", *numbers), cells, title=self.title(), key=True)
         home = [Text(reason)] if (reason := _home_reason(self.answer)) else []
-        channel = [Text(text)] if (text := _channel_in_words(self.answer)) else []
+        channel = [Text(text)] if (text := _channel_text(self.answer)) else []
         return Group(properties, *channel, *home, *(lines or [Text("no warnings", style="green")]))
 
 
@@ -125,7 +125,7 @@ def _home_reason(robot: Robot) -> str:
         return ""
     inside = ends_inside(robot, np.array([tube.curved_length for tube in robot.tubes]))
     if inside and robot.nested_curves:
-        return f"the translations at home are not 0: at 0, {ends_in_words(inside)}"
+        return f"the translations at home are not 0: at 0, {ends_text(inside)}"
     return "the translations at home are not 0: limits or order of the tubes do not allow 0"
 
 
@@ -152,7 +152,7 @@ EQUILIBRIUM = described(
     Quantity("tip_tube",
              "number of the tube at the tip: the one that ends farthest from the plate, of several the innermost; "
              "null if all are withdrawn", lambda e: tip_number(e), label="the tip is",
-             words=lambda e: tip_in_words(e.robot, e.tube_end) or None),
+             text=lambda e: tip_text(e.robot, e.tube_end) or None),
     Quantity("remarks", "carriages that are out of order; absent if none is",
              lambda e: order_remarks(e.robot, e.translations) or None, optional=True),
     Quantity("tip_by_history_mm",
@@ -169,16 +169,16 @@ EQUILIBRIUM = described(
     Quantity("tip_direction", "direction of the tip", lambda e: e.tip_rotation[:, 2], form=".4f",
              label="pointing along"),
     "tip_rotations",
-    of_field(Equilibrium, "margin", label="margin", words=lambda e: margin_in_words(e.margin)),
+    of_field(Equilibrium, "margin", label="margin", text=lambda e: margin_text(e.margin)),
     *SNAP_DISTANCE,
     "energy",
     *LOADED,
     "residual mesh_error tip_error",
     line("estimated error", "{mesh_error_rad:.1e} rad along the tubes, {tip_error_mm:.1e} mm at the tip"),
     of_field(Equilibrium, "verification", of=VERIFICATION, label="re-integration differs",
-             words="{verification[tip_position_mm]:.1e} mm at the tip, {verification[rotation_rad]:.1e} rad"),
+             text="{verification[tip_position_mm]:.1e} mm at the tip, {verification[rotation_rad]:.1e} rad"),
     Quantity("statistics", "method, mesh, iterations and time", lambda e: dict(vars(e.statistics)), label="solved",
-             words=lambda e: _solver_text(e)),
+             text=lambda e: _solver_text(e)),
 )  # fmt: skip
 
 

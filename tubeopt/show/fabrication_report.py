@@ -187,21 +187,21 @@ def _radii(c: Calibration) -> list[float] | None:
 
 CALIBRATION = described(
     Calibration,
-    Quantity("trials", "the trials", _trials, of=TRIAL, words=lambda c: str(len(c.mold_curvature)), label="trials"),
-    of_field(Calibration, "model", label="model", words="{model}"),
+    Quantity("trials", "the trials", _trials, of=TRIAL, text=lambda c: str(len(c.mold_curvature)), label="trials"),
+    of_field(Calibration, "model", label="model", text="{model}"),
     Quantity("fraction_percent", "lost fraction of the curvature at small curvature", lambda c: c.springback.fraction,
-             words=lambda c: f"{c.springback.fraction * 100:.3g} %{_interval_text(c.fraction_interval)}",
+             text=lambda c: f"{c.springback.fraction * 100:.3g} %{_interval_text(c.fraction_interval)}",
              label="lost at small curvature"),
     Quantity("slope_mm", "increase of the lost fraction with the mold curvature", lambda c: c.springback.slope,
              label="and per 1/m of curvature",
-             words=lambda c: None if c.model != "linear" else
+             text=lambda c: None if c.model != "linear" else
              f"{c.springback.slope * 100:.3g} %{_interval_text(c.slope_interval)}"),
     Quantity("shrinkage_percent", "fraction of the bend length lost on cooling",
              lambda c: c.springback.shrinkage),
     Quantity("radius_range_mm", "smallest and largest mold radius of the trials", _radii, digits=9, optional=True),
     "fraction_interval slope_interval",
     of_field(Calibration, "noise", label="scatter of one tube",
-             words=lambda c: "unknown" if math.isnan(c.noise) else f"{c.noise * 100:.2g} %"),
+             text=lambda c: "unknown" if math.isnan(c.noise) else f"{c.noise * 100:.2g} %"),
     "remarks",
 )  # fmt: skip
 
@@ -311,7 +311,7 @@ MANDREL = described(
     Mandrel,
     "number",
     Quantity("made", "method, turned or printed", lambda m: "turned" if isinstance(m.body, Cylinder) else "printed",
-             words="{made}", label="turned or printed"),
+             text="{made}", label="turned or printed"),
     Quantity("diameter_mm", "diameter of the cylinder", _turned(lambda b: 2 * b.radius), form=".4f", optional=True,
              label="cylinder, diameter"),
     Quantity("length_mm", "length of the cylinder", _turned(lambda b: b.length), form=".4g", optional=True,

@@ -32,7 +32,7 @@ def in_a_word(margin: float) -> str:
     return "close to a snap" if margin < CLOSE_TO_A_SNAP else "stable"
 
 
-def margin_in_words(margin: float) -> str:
+def margin_text(margin: float) -> str:
     """Stability margin with its meaning."""
     return in_a_word(margin) if np.isnan(margin) else f"{round(margin, 3) + 0.0:.3f}, {in_a_word(margin)}"
 
@@ -42,7 +42,7 @@ def released(energy: float, template: str) -> str:
     return "" if np.isnan(energy) else template.format(energy * TO_MILLI)
 
 
-def ends_in_words(inside: Sequence[EndInside]) -> str:
+def ends_text(inside: Sequence[EndInside]) -> str:
     """Tubes that end inside outer tubes, as text; "" without any."""
     return "; ".join(
         f"tube {end.tube + 1} ends {end.depth * TO_MM:.4g} mm inside tube {end.around + 1}" for end in inside
@@ -55,12 +55,12 @@ def tip_number(equilibrium: Equilibrium) -> int | None:
     return None if tip is None else tip + 1
 
 
-def tip_in_words(robot: Robot, end: Array) -> str:
+def tip_text(robot: Robot, end: Array) -> str:
     """Tube at the tip, as text, if tubes end at arc lengths (n,), m; "" if all ends are in order."""
     tip, inside = tip_tube(end), ends_inside(robot, end)
     if tip is None:
         return "at the plate, since all tubes are withdrawn"
-    return f"the end of tube {tip + 1}; {ends_in_words(inside)}" if inside else ""
+    return f"the end of tube {tip + 1}; {ends_text(inside)}" if inside else ""
 
 
 def order_remarks(robot: Robot, translations: Array) -> list[str]:

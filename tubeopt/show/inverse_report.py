@@ -21,7 +21,7 @@ from ..files.units import MM, TO_MILLI, TO_MM, in_unit
 from ..inverse import InverseSolution
 from ..robots.file import joint_cells, joint_columns, waypoints_csv
 from ..runs.inverse_study import DIRECTION, POSITION, Postures, Row, TargetTable
-from .formatting import counted, degrees, millimetres, row, tip_in_words, tip_number
+from .formatting import counted, degrees, millimetres, row, tip_number, tip_text
 from .quantities import SNAP_DISTANCE, Quantity, described, line, of_field, readings, rows, within
 from .report import Drawing, Report, drawing, grid, two_columns
 
@@ -35,38 +35,38 @@ SOLUTION = described(
     InverseSolution,
     "target_position target_direction",
     Quantity("status", "result of the search", lambda s: s.status.name),
-    of_field(InverseSolution, "rotations", form="", label="rotations", words=lambda s: degrees(s.rotations, ".6f")),
+    of_field(InverseSolution, "rotations", form="", label="rotations", text=lambda s: degrees(s.rotations, ".6f")),
     of_field(InverseSolution, "translations", form="", label="translations",
-             words=lambda s: millimetres(s.translations, ".4f")),
+             text=lambda s: millimetres(s.translations, ".4f")),
     *readings(lambda s: s.equilibrium),
     Quantity("tip_position_mm", "tip position in the frame of the plate", lambda s: s.equilibrium.tip_position,
              form=".6f", label="tip position"),
     Quantity("tip_tube",
              "number of the tube at the tip: the one that ends farthest from the plate, of several the innermost; "
              "null if all are withdrawn", lambda s: tip_number(s.equilibrium), label="the tip is",
-             words=lambda s: tip_in_words(s.equilibrium.robot, s.equilibrium.tube_end) or None),
+             text=lambda s: tip_text(s.equilibrium.robot, s.equilibrium.tube_end) or None),
     of_field(InverseSolution, "position_error", label="misses by",
-             words=lambda s: f"{_error(s.position_error * TO_MM)} mm"),
+             text=lambda s: f"{_error(s.position_error * TO_MM)} mm"),
     Quantity("tip_direction", "direction of the tip", lambda s: s.equilibrium.tip_rotation[:, 2], form=".4f",
              label="pointing along"),
     Quantity("direction_error_deg", "angle between the tip and its target direction",
              lambda s: None if s.target_direction is None else s.direction_error, label="off the direction by",
-             words=lambda s: None if s.target_direction is None else f"{_error(np.degrees(s.direction_error))} deg"),
+             text=lambda s: None if s.target_direction is None else f"{_error(np.degrees(s.direction_error))} deg"),
     of_field(InverseSolution, "margin", form=".3f", label="margin"),
     *within(SNAP_DISTANCE, lambda s: s.equilibrium),
     Quantity("clearance_mm", "distance of the arm from obstacles", label="clear of obstacles by",
-             words=lambda s: f"{s.clearance * TO_MM:.4f} mm" if np.isfinite(s.clearance) else None),
+             text=lambda s: f"{s.clearance * TO_MM:.4f} mm" if np.isfinite(s.clearance) else None),
     Quantity("clearance_from",
              "reference of that distance, for obstacles that are points or open surfaces; absent otherwise",
              lambda s: s.scene.stands_for or None, optional=True, label="clearance from",
-             words=lambda s: "; ".join(s.scene.stands_for) or None),
+             text=lambda s: "; ".join(s.scene.stands_for) or None),
     Quantity("energy_mJ", "elastic energy", lambda s: s.equilibrium.energy),
     "cold_start_agrees straight_from_seed reachable",
-    of_field(InverseSolution, "path", label="snap-free path", words=lambda s: _path_text(s)),
+    of_field(InverseSolution, "path", label="snap-free path", text=lambda s: _path_text(s)),
     "jump",
-    of_field(InverseSolution, "active", label="limited by", words=lambda s: ", ".join(s.active) or None),
+    of_field(InverseSolution, "active", label="limited by", text=lambda s: ", ".join(s.active) or None),
     Quantity("statistics", "starts, iterations and time", lambda s: asdict(s.statistics), label="solved",
-             words=lambda s: _solver_text(s)),
+             text=lambda s: _solver_text(s)),
 )  # fmt: skip
 
 
@@ -160,7 +160,7 @@ ROW = described(
     "number",
     *TARGET_QUANTITIES,
     # The target is known without a solution, so that its keys come from the row.
-    *within([q for q in SOLUTION if q.key not in {own.key for own in TARGET_QUANTITIES}], lambda r: r.solution),
+    *within([q for q in SOLUTION if q.key not in {target.key for target in TARGET_QUANTITIES}], lambda r: r.solution),
     "problem",
 )
 
@@ -172,7 +172,7 @@ TARGETS = described(
         "reached",
         "number of targets reached",
         lambda a: len(_reached(a)),
-        words="{reached} of {targets} targets",
+        text="{reached} of {targets} targets",
         label="reached",
     ),
     line("largest error", lambda a: _of_reached(a, lambda s: f"{max(x.position_error for x in s) * TO_MM:.1e} mm")),

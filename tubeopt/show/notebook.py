@@ -193,7 +193,7 @@ def _least(margins: Any) -> str:
 
 CERTIFICATE = described(
     Certificate,
-    of_field(Certificate, "margin", words=lambda c: f"{c.margin:.6g}, a lower bound of the margin at all rotations"),
+    of_field(Certificate, "margin", text=lambda c: f"{c.margin:.6g}, a lower bound of the margin at all rotations"),
     line("so that", lambda c: "no rotations make it snap" if c.snap_free else "nothing is proved"),
     "translations",
     line("limited by", lambda c: None if c.pair is None else f"tubes {c.pair[0] + 1} and {c.pair[1] + 1}"),

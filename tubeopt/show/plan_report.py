@@ -27,15 +27,15 @@ from ..stability import ASSUMING
 from ..stability.deflection import ForceBound
 from ..typing import Array
 from .equilibrium_report import by_history
-from .formatting import at_least, tip_in_words, tip_number
+from .formatting import at_least, tip_number, tip_text
 from .quantities import (
     Quantity,
     described,
-    distance_in_words,
-    joints_in_words,
+    distance_text,
+    joints_text,
     known_distance,
     line,
-    load_in_words,
+    load_text,
     of_field,
     readings,
     rows,
@@ -80,7 +80,7 @@ def _assuming(p: Proof) -> str:
     """Text of the assumptions of a proof."""
     forced = "" if p.forced is None else f"any force of up to {p.forced.max_force * 1e3:g} mN on the tip"
     if p.end.load is not None:
-        return f"under {load_in_words(p.end.load)}{forced and f' and {forced}'}, {BEYOND}"
+        return f"under {load_text(p.end.load)}{forced and f' and {forced}'}, {BEYOND}"
     return f"under {forced}, assuming no weight or friction" if forced else ASSUMING
 
 
@@ -109,14 +109,14 @@ PROOF = described(
     Quantity("proved", "true if all requirements are proved", lambda p: p.holds),
     Quantity("assumed", "assumptions of all results", _assuming),
     "faults followed snap least_margin",
-    of_field(Proof, "least_clearance", label="clearance", words=_clearance_text),
+    of_field(Proof, "least_clearance", label="clearance", text=_clearance_text),
     Quantity(
         "clearance_from",
         "reference of the clearance, for obstacles that are points or open surfaces; absent otherwise",
         lambda p: p.clearance_from or None,
         optional=True,
         label="clearance from",
-        words=lambda p: "; ".join(p.clearance_from) or None,
+        text=lambda p: "; ".join(p.clearance_from) or None,
     ),
     Quantity("clearance_bound_mm", "lower bound on the distance between the checked instants"),
     "measured_clearance",
@@ -131,7 +131,7 @@ PROOF = described(
     line("path of the tip", "{tip_length_mm:.2f} mm, in steps of at most {largest_tip_step_mm:.2f} mm"),
     line("speed of the tip", _tip_speed_text),
     "largest_tip_step tip_length largest_tip_rate measured_tip_rate reintegration",
-    of_field(Proof, "equilibria", label="followed again", words=_equilibria_text),
+    of_field(Proof, "equilibria", label="followed again", text=_equilibria_text),
 )
 
 
@@ -153,7 +153,7 @@ def _ends(k: int, name: str, label: str) -> Quantity[Trajectory]:
         lambda t: t,
         of=joints,
         label=label,
-        words=lambda t: joints_in_words(t.arms[k]),
+        text=lambda t: joints_text(t.arms[k]),
     )
 
 
@@ -195,25 +195,25 @@ TRAJECTORY = described(
     Quantity("tip_position_mm", "tip position at the end", lambda t: t.tip_position[-1], form=".3f",
              label="tip at the end"),
     Quantity("duration_s", "duration of the motion", lambda t: t.time[-1],
-             words="{duration_s:.2f} s, {samples} samples", label="duration"),
+             text="{duration_s:.2f} s, {samples} samples", label="duration"),
     Quantity("samples", "number of samples", lambda t: len(t.time)),
     Quantity("tip_rotations_deg", "rotation of every tube at its own tip, at the end", lambda t: t.end.tip_rotations),
-    line("the tip is", lambda t: tip_in_words(t.robot, t.arms[-1].tube_end) or None),
+    line("the tip is", lambda t: tip_text(t.robot, t.arms[-1].tube_end) or None),
     of_field(Trajectory, "turns", label="full turns added",
-             words=lambda t: ", ".join(str(turn) for turn in t.turns) if any(t.turns) else None),
+             text=lambda t: ", ".join(str(turn) for turn in t.turns) if any(t.turns) else None),
     Quantity("status", "result of the planning"),
     Quantity("largest_deviation_mm", "largest deviation from the requested path",
              lambda t: None if t.deviation is None else t.deviation.max(), form=".3f", label="largest deviation"),
     Quantity("tip_by_history_mm",
              "largest displacement of the tip by friction along x, y and z, over all samples, to first order; absent "
              "without friction", lambda t: largest_by_history(t), optional=True, label="effect of friction",
-             words="within ± {tip_by_history_mm:.3f} mm along x, y, z, to first order"),
+             text="within ± {tip_by_history_mm:.3f} mm along x, y, z, to first order"),
     Quantity("least_snap_distance_deg",
              "smallest snap distance at the samples: all tubes can turn by this much, each either way, without a snap: "
              "proved; null if no turn can snap; absent if unknown, as under load",
              lambda t: known_distance(lambda: t.least_snap_distance), optional=True),
     line("snap distance",
-         lambda t: distance_in_words(known_distance(lambda: t.least_snap_distance), " at every sample")),
+         lambda t: distance_text(known_distance(lambda: t.least_snap_distance), " at every sample")),
     line("plate", _entry_text),
     of_field(Trajectory, "entry", of=ENTRY, optional=True),
     of_field(Trajectory, "proof", of=PROOF),
@@ -397,10 +397,10 @@ ARMS = described(
     Quantity("duration_s", "time until the last arm rests", form=".2f", label="duration"),
     Quantity("order", "order of planning, arms from 1", lambda p: [k + 1 for k in p.order],
              label="planning order",
-             words=lambda p: ", ".join(str(k + 1) for k in p.order)),
+             text=lambda p: ", ".join(str(k + 1) for k in p.order)),
     Quantity("withdrawn_first", "arms that withdraw first and continue later, from 1",
              lambda p: [k + 1 for k in p.withdrawn_first],
-             words=lambda p: ", ".join(str(k + 1) for k in p.withdrawn_first) or None, label="withdraw first"),
+             text=lambda p: ", ".join(str(k + 1) for k in p.withdrawn_first) or None, label="withdraw first"),
     line("arms", lambda p: "; ".join(_motion_text(arm) for arm in _arms(p))),
     line("distances between arms", lambda p: "; ".join(_distance_text(pair) for pair in p.proof.pairs)),
     # Each sentence once, in the order of the arms.

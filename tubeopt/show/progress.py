@@ -92,9 +92,9 @@ class _Count(ProgressColumn):
     def render(self, task: Task) -> Text:
         if task.total is None:
             return Text("")
-        words = [f"{task.completed:.0f}/{task.total:.0f}"]
+        parts = [f"{task.completed:.0f}/{task.total:.0f}"]
         speed = task.finished_speed or task.speed
         if speed and task.total >= MANY:
-            words.append(f"{speed:.3g}/s")
+            parts.append(f"{speed:.3g}/s")
         failed = task.fields.get("failed", 0)
-        return Text("  ".join([*words, *([f"{failed} failed"] if failed else [])]))
+        return Text("  ".join([*parts, *([f"{failed} failed"] if failed else [])]))

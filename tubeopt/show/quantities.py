@@ -45,7 +45,7 @@ class Quantity(Generic[A]):
     without its unit. Numbers, arrays, text, None, lists and mappings of them."""
     form: str = ""
     """Format of the number or numbers in the table, which the unit follows; "" for no row."""
-    words: str | Callable[[A], str | None] | None = None
+    text: str | Callable[[A], str | None] | None = None
     """Row of the table instead of the number: a template, or a function of the answer; None for no row.
 
     A template names keys of the record, as in "{tip_error_mm:.1e} mm".
@@ -94,14 +94,14 @@ class Quantity(Generic[A]):
             return shown
         return np.round(shown, self.digits).tolist()
 
-    def text(self, answer: A, known: Mapping[str, Any]) -> str | None:
+    def row_text(self, answer: A, known: Mapping[str, Any]) -> str | None:
         """Text of the quantity's row in the table; None if it has no row."""
-        if callable(self.words):
-            return self.words(answer)
-        if not (self.words or self.form) or (self.key and known.get(self.key) is None):
+        if callable(self.text):
+            return self.text(answer)
+        if not (self.text or self.form) or (self.key and known.get(self.key) is None):
             return None
-        if self.words is not None:
-            return _TEMPLATE.vformat(self.words, (), known)
+        if self.text is not None:
+            return _TEMPLATE.vformat(self.text, (), known)
         return f"{self.number(known)} {self.sign}".strip()
 
     def number(self, known: Mapping[str, Any]) -> str:
@@ -169,9 +169,9 @@ def _of_parts(hint: Any) -> tuple[Quantity[Any], ...] | None:
     return next((described(each) for each in kinds if _marked(each)), None)
 
 
-def line(label: str, words: str | Callable[[A], str | None]) -> Quantity[A]:
+def line(label: str, text: str | Callable[[A], str | None]) -> Quantity[A]:
     """Quantity that has a row in the table and no key in the record."""
-    return Quantity("", label, words=words)
+    return Quantity("", label, text=text)
 
 
 def within(quantities: Sequence[Quantity[B]], part: Callable[[A], B | None]) -> tuple[Quantity[A], ...]:
@@ -187,10 +187,10 @@ def _lifted(q: Quantity[B], part: Callable[[A], B | None]) -> Quantity[A]:
 
         return get
 
-    # A row of words alone has no value to find.
+    # A row of text alone has no value to find.
     get = of_the_whole(q.si_value) if q.key else None
-    words = of_the_whole(q.words) if callable(q.words) else q.words
-    return Quantity(q.key, q.about, get, q.form, words, q.of, q.label, q.digits, q.optional)
+    text = of_the_whole(q.text) if callable(q.text) else q.text
+    return Quantity(q.key, q.about, get, q.form, text, q.of, q.label, q.digits, q.optional)
 
 
 def record(answer: A, quantities: Iterable[Quantity[A]]) -> dict[str, Any]:
@@ -202,15 +202,15 @@ def record(answer: A, quantities: Iterable[Quantity[A]]) -> dict[str, Any]:
 def rows(answer: A, quantities: Sequence[Quantity[A]]) -> list[tuple[str, str]]:
     """Rows of an answer for the table: names and texts."""
     known = record(answer, quantities)
-    texts = ((q.name, q.text(answer, known)) for q in quantities)
+    texts = ((q.name, q.row_text(answer, known)) for q in quantities)
     return [(name, text) for name, text in texts if text is not None]
 
 
 def columns(parts: Iterable[B], quantities: Sequence[Quantity[B]]) -> tuple[list[str], list[list[str]]]:
     """Column names and rows of a table with one row per part of an answer."""
-    shown = [quantity for quantity in quantities if quantity.words or quantity.form]
+    shown = [quantity for quantity in quantities if quantity.text or quantity.form]
     known = ((part, record(part, quantities)) for part in parts)
-    return [q.name for q in shown], [[q.text(part, values) or "" for q in shown] for part, values in known]
+    return [q.name for q in shown], [[q.row_text(part, values) or "" for q in shown] for part, values in known]
 
 
 _AS_IT_IS = frozenset([bool, str, dict, type(None)])
@@ -263,7 +263,7 @@ class _Template(string.Formatter):
 _TEMPLATE = _Template()
 
 
-def load_in_words(load: Load) -> str:
+def load_text(load: Load) -> str:
     """Text of a load in one line."""
     at_tip = []
     if any(load.force):
@@ -295,13 +295,13 @@ def _on_the_plate(e: Equilibrium) -> str:
 LOADED: tuple[Quantity[Equilibrium], ...] = within(
     (
         Quantity[Equilibrium]("load", "what pushes, in words; absent without load",
-                              lambda e: load_in_words(e.load or Load()), label="load", words="{load}", optional=True),
+                              lambda e: load_text(e.load or Load()), label="load", text="{load}", optional=True),
         Quantity("potential_mJ", "elastic energy less the work of the load", optional=True),
         Quantity("compliance",
                  "6 x 6 compliance: translation (m) and rotation (rad) of the tip per force (N) and moment (N m) there",
-                 label="a force at the tip moves it", words=_softness, optional=True),
+                 label="a force at the tip moves it", text=_softness, optional=True),
         Quantity("base_force_mN", "force of the load on the plate", lambda e: e.base_wrench[:3],
-                 label="on the plate", words=_on_the_plate, optional=True),
+                 label="on the plate", text=_on_the_plate, optional=True),
         Quantity("base_moment_mN_m", "moment of the load on the plate", lambda e: e.base_wrench[3:], optional=True),
     ),
     lambda e: None if e.load is None else e,
@@ -317,7 +317,7 @@ def known_distance(read: Callable[[], float]) -> float | None:
         return None
 
 
-def distance_in_words(distance: float | None, where: str = "") -> str | None:
+def distance_text(distance: float | None, where: str = "") -> str | None:
     """Text of a snap distance (rad) with its meaning."""
     if distance is None:
         return None
@@ -331,14 +331,14 @@ SNAP_DISTANCE: tuple[Quantity[Equilibrium], ...] = (
              "all tubes can turn by this much, each either way and in any order, without a snap: proved; null if no "
              "turn can snap; absent if unknown, as under load",
              lambda e: known_distance(lambda: e.snap_distance), optional=True),
-    line("snap distance", lambda e: distance_in_words(known_distance(lambda: e.snap_distance))),
+    line("snap distance", lambda e: distance_text(known_distance(lambda: e.snap_distance))),
 )  # fmt: skip
 """Snap distance of an equilibrium by turns of its tubes."""
 
 
 READINGS: tuple[Quantity[tuple[Array, Array]], ...] = (
     Quantity("readings_deg", "readings of the drives for these rotations; calibrated robots only", lambda read: read[0],
-             label="the drives read", words=lambda read: _words(read, ".6g"), optional=True),
+             label="the drives read", text=lambda read: _words(read, ".6g"), optional=True),
     Quantity("readings_mm", "readings of the drives for these translations; calibrated robots only",
              lambda read: read[1], optional=True),
 )  # fmt: skip
@@ -350,15 +350,15 @@ def readings(of: Callable[[A], Equilibrium]) -> tuple[Quantity[A], ...]:
 
 
 def _read(e: Equilibrium) -> tuple[Array, Array] | None:
-    own = e.robot.calibration
-    return None if own is None or own.reads_true else to_readings(e.robot, e.rotations, e.translations)
+    calibration = e.robot.calibration
+    return None if calibration is None or calibration.reads_true else to_readings(e.robot, e.rotations, e.translations)
 
 
 def _words(joints: tuple[Array, Array], form: str) -> str:
     return f"{degrees(joints[0], form)}, {millimetres(joints[1], form)}"
 
 
-def joints_in_words(e: Equilibrium) -> str:
+def joints_text(e: Equilibrium) -> str:
     """Text of joint values, and of the drive readings of a calibrated robot there."""
     text = f"rotations {degrees(e.rotations, '.4g')}, translations {millimetres(e.translations, '.4g')}"
     read = _read(e)

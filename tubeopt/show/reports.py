@@ -171,8 +171,8 @@ def page() -> str:
     commands = {_signatures(kind.quantities): command for command, kind in reports().items()}
     for command, kind in reports().items():
         lines += [f"## `tubeopt {command}`", "", "| key | meaning |", "|---|---|"]
-        own = {signatures: link for signatures, link in commands.items() if link != command}
-        known = {signatures: _link(link) for signatures, link in own.items()}
+        others = {signatures: link for signatures, link in commands.items() if link != command}
+        known = {signatures: _link(link) for signatures, link in others.items()}
         rows = _keys(kind.quantities, "", command, known | described, described)
         lines += [f"| `{path}` | {about} |" for path, about in rows]
         lines.append("")

@@ -23,8 +23,8 @@ from ..runs.stability_studies import Equilibria, LoadLimitResult, RobotMap, Stra
 from ..stability import LoadLimit, Snap
 from ..typing import Array
 from ..validation import ForceEstimate, ForceRecord
-from .formatting import counted, degrees, in_a_word, margin_in_words, millimetres, released, row, tip_number
-from .quantities import Quantity, described, line, load_in_words, of_field, readings, record, rows, within
+from .formatting import counted, degrees, in_a_word, margin_text, millimetres, released, row, tip_number
+from .quantities import Quantity, described, line, load_text, of_field, readings, record, rows, within
 from .report import Drawing, Report, drawing, grid, remarks, to_text, two_columns
 
 JOINTS: tuple[Quantity[Any], ...] = tuple(
@@ -66,11 +66,11 @@ SNAP = described(
         "energy_released_mJ",
         "energy released; null for a load without energy",
         label="energy released",
-        words=lambda snap: released(snap.energy_released, "{:.4f} mJ") or None,
+        text=lambda snap: released(snap.energy_released, "{:.4f} mJ") or None,
     ),
     line("tubes' tips before", lambda snap: degrees(snap.before.tip_rotations, ".6f")),
     line("tubes' tips after", lambda snap: degrees(snap.after.tip_rotations, ".6f")),
-    line("margin after", lambda snap: margin_in_words(snap.after.margin)),
+    line("margin after", lambda snap: margin_text(snap.after.margin)),
     of_field(Snap, "before", of=STATE),
     of_field(Snap, "after", of=STATE),
 )
@@ -86,7 +86,7 @@ STRAIGHT_MOTION = described(
     line("from", "rotations {from_deg:.9g} deg, translations {from_mm:.9g} mm"),
     line("to", "rotations {to_deg:.9g} deg, translations {to_mm:.9g} mm"),
     of_field(StraightMotion, "snap", of=SNAP),
-    of_field(StraightMotion, "arrived", label="tip at the end", words="{arrived[tip_position_mm]:.4f} mm", of=STATE),
+    of_field(StraightMotion, "arrived", label="tip at the end", text="{arrived[tip_position_mm]:.4f} mm", of=STATE),
 )  # fmt: skip
 
 PATH = described(
@@ -272,12 +272,12 @@ MAP = described(
     Quantity("least_margin_before_a_snap", "smallest margin of the points reached without a snap",
              _min_margin_before_snap),
     Quantity("snapped_fraction", "fraction of the map that is reached after a snap", lambda a: (a.map.snaps > 0).mean(),
-             label="reached after a snap", words=lambda a: f"{100 * (a.map.snaps > 0).mean():.1f} % of the map"),
+             label="reached after a snap", text=lambda a: f"{100 * (a.map.snaps > 0).mean():.1f} % of the map"),
     Quantity("most_snaps", "largest number of snaps on the path to a point", lambda a: a.map.snaps.max()),
     Quantity("snapping_fraction", "fraction of all directions from home with a snap", _snapping_fraction,
-             label="directions with a snap", words=lambda a: f"{100 * _snapping_fraction(a):.1f} % of all directions"),
+             label="directions with a snap", text=lambda a: f"{100 * _snapping_fraction(a):.1f} % of all directions"),
     Quantity("nearest_snap_deg", "nearest snap: smallest rotation from home", _nearest, label="the nearest snap",
-             words="at {nearest_snap_deg:.6f} deg"),
+             text="at {nearest_snap_deg:.6f} deg"),
     Quantity("directions_deg", "directions, from the axis of the first tube", lambda a: a.map.directions),
     Quantity("boundary_deg", "rotations of the first snap in every direction", lambda a: a.map.boundary),
 )  # fmt: skip
@@ -314,14 +314,14 @@ HAPPENS = {
 
 LIMIT = described(
     LoadLimit,
-    of_field(LoadLimit, "factor", label="lost at", words="{factor:.9g} times the load"),
-    of_field(LoadLimit, "kind", label="there", words=lambda a: HAPPENS[a.kind]),
+    of_field(LoadLimit, "factor", label="lost at", text="{factor:.9g} times the load"),
+    of_field(LoadLimit, "kind", label="there", text=lambda a: HAPPENS[a.kind]),
     line("tip before", lambda a: millimetres(a.before.tip_position, ".4f")),
     line("tip after", lambda a: None if a.after is None else millimetres(a.after.tip_position, ".4f")),
     of_field(LoadLimit, "tip_jump", label="the tip jumps",
-             words=lambda a: None if a.after is None else f"{a.tip_jump * TO_MM:.4f} mm"),
+             text=lambda a: None if a.after is None else f"{a.tip_jump * TO_MM:.4f} mm"),
     of_field(LoadLimit, "energy_released", label="energy released by tubes and load",
-             words=lambda a: released(a.energy_released, "{:.4f} mJ") or None),
+             text=lambda a: released(a.energy_released, "{:.4f} mJ") or None),
     line("margin after", lambda a: _margin_after_text(a)),
     of_field(LoadLimit, "before", of=STATE),
     of_field(LoadLimit, "after", of=STATE),
@@ -335,14 +335,14 @@ def _margin_after_text(limit: LoadLimit) -> str | None:
     if limit.kind == "bifurcation":
         # The load of `after` exceeds the limit by a small fraction, so its margin is small and no sign of a snap.
         return f"{limit.after.margin:.1e}, at a load just above the limit"
-    return margin_in_words(limit.after.margin)
+    return margin_text(limit.after.margin)
 
 
 LOAD_LIMIT = described(
     LoadLimitResult,
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     *JOINTS,
-    Quantity("load", "the load, as text", lambda a: load_in_words(a.load), label="load", words="{load}"),
+    Quantity("load", "the load, as text", lambda a: load_text(a.load), label="load", text="{load}"),
     "up_to",
     of_field(LoadLimitResult, "limit", of=LIMIT),
 )  # fmt: skip
@@ -394,7 +394,7 @@ FORCE = described(
              lambda e: np.sqrt(np.diag(e.covariance))),
     "directions errors",
     Quantity("undetermined", "directions in which the force cannot be distinguished from zero", label="",
-             words="{undetermined}"),
+             text="{undetermined}"),
     "residual",
 )  # fmt: skip
 

@@ -44,7 +44,7 @@ def _groups(groups: tuple[ErrorGroup, ...], key: str, length: float) -> list[dic
     return [{key: round(float(np.degrees(g.value)), 6)} | _summary(g.summary, length) for g in groups]
 
 
-def _errors_in_words(summary: ErrorSummary, length: float) -> str:
+def _errors_text(summary: ErrorSummary, length: float) -> str:
     values = [("mean", summary.mean), ("RMS", summary.rms), ("95 % below", summary.p95), ("max", summary.max)]
     return ", ".join(f"{name} {x * TO_MM:.2f} mm ({100 * x / length:.1f} %)" for name, x in values)
 
@@ -115,28 +115,28 @@ COMPARISON = described(
     Validation,
     Quantity("robot", "name of the robot", lambda v: v.robot.name),
     Quantity("measurements", "file of the measurements", lambda v: v.measurements.source),
-    Quantity("count", "number of measured configurations", lambda v: len(v.measurements), words=_measured,
+    Quantity("count", "number of measured configurations", lambda v: len(v.measurements), text=_measured,
              label="measured"),
     of_field(Validation, "registration", label="registration",
-             words=lambda v: _registered(v.registration), of=REGISTRATION),
-    of_field(Validation, "registration_error", label="known to", words="{registration_error[turn_deg]:.2f} deg and "
+             text=lambda v: _registered(v.registration), of=REGISTRATION),
+    of_field(Validation, "registration_error", label="known to", text="{registration_error[turn_deg]:.2f} deg and "
              "{registration_error[reach_mm]:.2f} mm at the arm's length (standard errors)"),
     Quantity("error", "errors of the tip", lambda v: _summary(v.summary, v.length),
-             words=lambda v: _errors_in_words(v.summary, v.length), label="tip error"),
+             text=lambda v: _errors_text(v.summary, v.length), label="tip error"),
     Quantity("by_direction", "errors by direction", lambda v: _groups(v.by_direction, "direction_deg", v.length),
-             label="worst direction", words=lambda v: _worst(v.by_direction)),
+             label="worst direction", text=lambda v: _worst(v.by_direction)),
     Quantity("by_separation", "errors by separation", lambda v: _groups(v.by_separation, "separation_deg", v.length),
-             label="worst separation", words=lambda v: _worst(v.by_separation)),
-    of_field(Validation, "length", label="percentages", words="of the arm's length, {length_mm:.1f} mm"),
+             label="worst separation", text=lambda v: _worst(v.by_separation)),
+    of_field(Validation, "length", label="percentages", text="of the arm's length, {length_mm:.1f} mm"),
     Quantity("sensor_spread_rms_mm", "RMS distance of sensors from their mean",
              lambda v: np.sqrt((v.measurements.sensor_spread**2).mean())),
     Quantity("least_margin", "smallest margin of the configurations", lambda v: np.nanmin(v.margin)),
     Quantity("axis_error_rms_deg", "RMS angle between measured and predicted direction", _axis_error, form=".2f"),
     Quantity("stations", "errors at each distance behind the tip", lambda v: _stations(v)),
-    of_field(Validation, "parity", label="both directions", words=lambda v: _parity_text(v)),
+    of_field(Validation, "parity", label="both directions", text=lambda v: _parity_text(v)),
     Quantity("recordings", "errors and registration of each of several recordings",
              lambda v: [_recording(part) for part in v.recordings], label="by recording",
-             words=lambda v: ", ".join(f"{part.measurements.source} RMS {part.summary.rms * TO_MM:.2f} mm"
+             text=lambda v: ", ".join(f"{part.measurements.source} RMS {part.summary.rms * TO_MM:.2f} mm"
                                        for part in v.recordings) or None),
     Quantity("remarks", "remarks on the measurements"),
 )  # fmt: skip
@@ -186,14 +186,14 @@ def _estimate(e: Estimate) -> dict[str, Any]:
 
 
 FIT_ERRORS: tuple[Quantity[Fit], ...] = (
-    line("tip error before", lambda f: _errors_in_words(f.before.summary, f.before.length)),
-    line("after the fit", lambda f: _errors_in_words(f.after.summary, f.after.length)),
+    line("tip error before", lambda f: _errors_text(f.before.summary, f.before.length)),
+    line("after the fit", lambda f: _errors_text(f.after.summary, f.after.length)),
     Quantity("held_out", "errors of held-out configurations",
              lambda f: _summary(f.held_out, f.after.length) if f.held_out else None, label="held out",
-             words=lambda f: _errors_in_words(f.held_out, f.after.length) if f.held_out else None),
+             text=lambda f: _errors_text(f.held_out, f.after.length) if f.held_out else None),
     Quantity("held_out_recordings", "errors of recordings, common parameters fitted to the others",
              lambda f: [_summary(s, f.after.length) for s in f.by_recording] or None, label="held-out recordings",
-             words=lambda f: ", ".join(f"RMS {s.rms * TO_MM:.2f} mm" for s in f.by_recording) or None),
+             text=lambda f: ", ".join(f"RMS {s.rms * TO_MM:.2f} mm" for s in f.by_recording) or None),
 )  # fmt: skip
 
 FIT = described(
@@ -202,7 +202,7 @@ FIT = described(
     "confidence correlation noise remarks axis_noise",
     Quantity("calibration", "calibration of drives, sensor, plate and registration, as in robot.yaml",
              lambda f: None if f.robot.calibration is None else calibration_to_dict(f.robot.calibration),
-             label="drives", words="their offsets, gains and latency go into robot.yaml of --out, with sensor, plate "
+             label="drives", text="their offsets, gains and latency go into robot.yaml of --out, with sensor, plate "
              "and registration: `tubeopt validate` of it with these measurements gives the error after the fit again"),
     Quantity("held_out_axis_deg", "RMS angle between measured and predicted direction, held out",
              lambda f: None if f.held_out_axis_errors is None else np.sqrt(np.nanmean(f.held_out_axis_errors**2)),
@@ -289,7 +289,7 @@ EFFECTS_THAT_PAY = described(
     Comparison,
     "folds",
     Quantity("start", "held-out errors of the given robot", lambda c: _summary(c.start, _length(c)),
-             label="as given", words="RMS {start[rms_mm]:.2f} mm held out"),
+             label="as given", text="RMS {start[rms_mm]:.2f} mm held out"),
     "start_axis",
     Quantity("steps", "effects that reduce the held-out errors, in order",
              lambda c: [_step(s, _length(c)) for s in c.steps]),
@@ -297,10 +297,10 @@ EFFECTS_THAT_PAY = described(
              "held-out errors that include the choice of effects, to first order; the rows held out for steps and fit"
              " took part in that choice", lambda c: _summary(c.chosen_anew, _length(c)),
              label="held out, choice included",
-             words="RMS {chosen_anew[rms_mm]:.2f} mm; the rows held out below took part in the choice of effects"),
+             text="RMS {chosen_anew[rms_mm]:.2f} mm; the rows held out below took part in the choice of effects"),
     Quantity("chosen_by_fold", "effects that are chosen without each held-out block",
              lambda c: [list(kinds) for kinds in c.chosen_by_fold], label="same effects chosen",
-             words=lambda c: f"in {_alike(c)} of {len(c.chosen_by_fold)} choices without one block"),
+             text=lambda c: f"in {_alike(c)} of {len(c.chosen_by_fold)} choices without one block"),
     "dropped",
     Quantity("refused", "effects that do not reduce the held-out errors further",
              lambda c: [_step(s, _length(c)) for s in c.refused]),
@@ -342,8 +342,8 @@ class EffectsReport(Report[Comparison]):
 def _expected(p: Placement) -> list[dict[str, Any]]:
     rows = zip(p.parameters, p.units, p.standard_errors.tolist(), p.random.tolist(), strict=True)
     return [
-        {"name": name} | with_unit(SUFFIXES[unit], {"standard_error": own, "at_random": random})
-        for name, unit, own, random in rows
+        {"name": name} | with_unit(SUFFIXES[unit], {"standard_error": error, "at_random": random})
+        for name, unit, error, random in rows
     ]
 
 
@@ -380,11 +380,11 @@ class PlacementReport(Report[Placement]):
         """Table of the expected errors."""
         p = self.answer
         cells = []
-        for name, unit, own, random in zip(p.parameters, p.units, p.standard_errors, p.random, strict=True):
+        for name, unit, error, random in zip(p.parameters, p.units, p.standard_errors, p.random, strict=True):
             suffix = SUFFIXES[unit]
             sign = SIGNS.get(suffix, suffix)
-            shown = (f"{in_units(float(x), suffix):.3g} {sign}".strip() for x in (own, random))
-            cells.append((name, *shown, f"{random / own:.1f}"))
+            shown = (f"{in_units(float(x), suffix):.3g} {sign}".strip() for x in (error, random))
+            cells.append((name, *shown, f"{random / error:.1f}"))
         heads = ("parameter", "standard error >", "at random >", "times less >")
         return [grid(heads, cells, key=True)]
 

@@ -31,7 +31,7 @@ LOSS = described(
              label="lost fraction of the whole volume"),
     Quantity("lost_equilibria_interval", "95 % confidence interval of the fraction of all equilibria in lost voxels",
              lambda loss: list(loss.interval),
-             words="{lost_equilibria_interval[0]:.2g} to {lost_equilibria_interval[1]:.2g}"),
+             text="{lost_equilibria_interval[0]:.2g} to {lost_equilibria_interval[1]:.2g}"),
 )  # fmt: skip
 
 
@@ -64,7 +64,7 @@ def _dexterity_text(a: Findings) -> str:
 
 MERIDIAN: tuple[Quantity[Volume], ...] = (
     Quantity("meridian_volume_cm3", "volume as a body of revolution", lambda volume: volume.value, label="",
-             words="{meridian_volume_cm3:.4g} cm3 as a body of revolution, "
+             text="{meridian_volume_cm3:.4g} cm3 as a body of revolution, "
              "{meridian_first_half_cm3:.4g} from the first half of the samples"),
     Quantity("meridian_first_half_cm3", "volume as a body of revolution, from the first half of the samples",
              lambda volume: volume.half),
@@ -73,7 +73,7 @@ MERIDIAN: tuple[Quantity[Volume], ...] = (
 
 ALPHA: tuple[Quantity[Volume], ...] = (
     Quantity("alpha_volume_cm3", "volume of the alpha shape", lambda volume: volume.value, label="",
-             words="{alpha_volume_cm3:.4g} cm3 as alpha shape of radius {alpha_radius_mm:.3g} mm"),
+             text="{alpha_volume_cm3:.4g} cm3 as alpha shape of radius {alpha_radius_mm:.3g} mm"),
     Quantity("alpha_radius_mm", "radius of the alpha shape", lambda volume: volume.scale),
 )  # fmt: skip
 """Volume as an alpha shape, which does not always exist."""
@@ -84,7 +84,7 @@ WORKSPACE = described(
     Quantity("method", "sampling method of the joint values", lambda a: a.workspace.method),
     Quantity("seed", "seed of random and Sobol samples", lambda a: a.workspace.seed),
     Quantity("samples", "number of samples", lambda a: len(a.workspace),
-             words="{samples} ({method}), {without_equilibrium} without a stable equilibrium", label="samples"),
+             text="{samples} ({method}), {without_equilibrium} without a stable equilibrium", label="samples"),
     Quantity("without_equilibrium", "number of samples without a stable equilibrium",
              lambda a: len(a.workspace.failures)),
     Quantity("counted", "number of samples with the required margin", lambda a: a.voxels.samples),
@@ -95,14 +95,14 @@ WORKSPACE = described(
     Quantity("voxel_mm", "edge of a voxel", lambda a: a.voxels.size),
     Quantity("voxels", "number of voxels reached", lambda a: len(a.voxels)),
     Quantity("volume_cm3", "volume", lambda a: a.volume.value,
-             words="{volume_cm3:.4g} cm3 in {voxels} voxels of {voxel_mm:g} mm"),
+             text="{volume_cm3:.4g} cm3 in {voxels} voxels of {voxel_mm:g} mm"),
     Quantity("volume_surface_cm3", "half of the volume of the voxels on the surface, as error estimate",
              lambda a: a.volume.surface, label="",
-             words="+- {volume_surface_cm3:.4g} cm3 (half of the voxels on the surface)"),
+             text="+- {volume_surface_cm3:.4g} cm3 (half of the voxels on the surface)"),
     Quantity("volume_first_half_cm3", "volume from the first half of the samples", lambda a: a.volume.half, label="",
-             words="{volume_first_half_cm3:.4g} cm3 from the first half of the samples"),
+             text="{volume_first_half_cm3:.4g} cm3 from the first half of the samples"),
     Quantity("volume_unseen_cm3", "estimated volume not yet sampled", lambda a: a.volume.unseen, label="",
-             words="{volume_unseen_cm3:.4g} cm3 estimated as not yet sampled"),
+             text="{volume_unseen_cm3:.4g} cm3 estimated as not yet sampled"),
     *within(MERIDIAN, lambda a: a.meridian),
     *within(ALPHA, lambda a: a.alpha),
     line("dexterity", _dexterity_text),
@@ -111,7 +111,7 @@ WORKSPACE = described(
     Quantity("largest_dexterity", "largest fraction of all directions in which a voxel is reached",
              lambda a: a.voxels.dexterity.max()),
     of_field(Findings, "loss", label="unstable",
-             words="{snapping[unstable]} of {snapping[equilibria]} equilibria", of=LOSS),
+             text="{snapping[unstable]} of {snapping[equilibria]} equilibria", of=LOSS),
     line("lost to snapping", lambda a: None if a.loss is None else _loss_text(a.loss)),
 )  # fmt: skip
 
@@ -157,7 +157,7 @@ FAILURE: tuple[Quantity[tuple[int, str]], ...] = (
 
 SWEEP = described(
     Sweep,
-    of_field(Sweep, "points", label="points", words=lambda a: _points(a)),
+    of_field(Sweep, "points", label="points", text=lambda a: _points(a)),
     "computed",
     Quantity("failed", "number of failed points", lambda a: len(a.failures), form="d", label="failed"),
     of_field(Sweep, "failures", of=FAILURE),

@@ -35,7 +35,7 @@ from .named_program import ProblemStatus
 from .newton import NewtonResult
 from .problem import Problem
 from .settings import NO_SENSITIVITIES, Ipopt
-from .time_limit import MIN_SECONDS, LateError, check_time, time_left
+from .time_limit import MIN_SECONDS, OutOfTimeError, check_time, time_left
 
 EQUILIBRIUM = Ipopt(tolerance=1e-12, iterations=300, expand=True)
 """Default settings for equilibria."""
@@ -335,9 +335,9 @@ def minimise(
         report: function called with the objective of each iteration, or None.
 
     Raises:
-        LateError: the nearest time limit is reached.
+        OutOfTimeError: the nearest time limit is reached.
     """
-    late: list[LateError] = []
+    timeouts: list[OutOfTimeError] = []
 
     @lru_cache(maxsize=1)
     def values_at(x: bytes) -> Values:
@@ -345,15 +345,15 @@ def minimise(
         try:
             check_time()
             return evaluate(np.frombuffer(x).copy())
-        except LateError as error:
+        except OutOfTimeError as error:
             # An exception must not pass through IPOPT: it is raised again when IPOPT has ended.
-            late.append(error)
+            timeouts.append(error)
             return nowhere(rows, size)
 
     size, rows = len(start), 0
     rows = len(values_at(start.tobytes()).constraints)
-    if late:
-        raise late[0]
+    if timeouts:
+        raise timeouts[0]
     program = _functions(values_at, size, rows)
     x = ca.MX.sym("x", size)
     f, g = program(x)
@@ -367,8 +367,8 @@ def minimise(
     stats = solver.stats()
     solution = np.clip(np.array(result["x"]).ravel(), lower, upper)
     values = values_at(solution.tobytes())
-    if late:
-        raise late[0]
+    if timeouts:
+        raise timeouts[0]
     return Optimum(
         x=solution,
         values=values,

@@ -24,7 +24,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 from ..errors import InputError, SolveError
 from ..typing import Progress
 from .common_data import COMMON, NotLoadedError, common_data, packed, unpacked, using
-from .time_limit import LateError, timed
+from .time_limit import OutOfTimeError, timed
 
 __all__ = ["Failure", "Outcome", "common_data", "each", "executor"]
 
@@ -239,7 +239,7 @@ class _Run(Generic[A, B]):
         except BrokenProcessPool:
             self.lost = sorted([*self.lost, (index, item)], key=lambda lost: lost[0])
             return None
-        except (NotLoadedError, LateError):
+        except (NotLoadedError, OutOfTimeError):
             raise
         except CancelledError:
             raise SolveError("the connection to the cluster is lost; finished points are kept") from None
@@ -284,7 +284,7 @@ def _compute(item: Any) -> _Computed:
     start = time.perf_counter()
     try:
         value, failure = function(item), None
-    except LateError:
+    except OutOfTimeError:
         raise
     except Exception as error:  # any failure of one item leaves the other items unaffected
         value, failure = None, Failure(type(error).__name__, str(error) or "no message")

@@ -96,7 +96,7 @@ class Weights:
 
     sigma: Array
     """Standard deviation (V,) of a coordinate of each observation."""
-    share: Array
+    weight: Array
     """Weight (V,) of each observation; 0 leaves it out."""
     prior: Array
     """Standard deviation (P,) of each parameter around its start, infinite without a prior."""
@@ -118,7 +118,7 @@ class Weights:
 
     def cost(self, residuals: Array) -> float:
         """Cost of the observations, without the priors."""
-        return float(self.share @ self.losses(residuals))
+        return float(self.weight @ self.losses(residuals))
 
     def of(self, residuals: Array) -> Array:
         """Weights (V,) of the squared residuals (V, k), by the loss."""
@@ -128,7 +128,7 @@ class Weights:
             softened = np.minimum(1.0, self.robust_from / np.maximum(size, self.robust_from))
         elif self.loss == "soft_l1":
             softened = 1 / np.sqrt(1 + (size / self.robust_from) ** 2)
-        return np.asarray(self.share * softened / self.sigma**2)
+        return np.asarray(self.weight * softened / self.sigma**2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,7 @@ _UNTIL: ContextVar[float] = ContextVar("until", default=math.inf)
 """Time of the earliest limit, by `time.time`, which processes share."""
 
 
-class LateError(Exception):
+class OutOfTimeError(Exception):
     """Error of a computation at its time limit. It is no `SolveError`, which some callers treat as a failed attempt.
 
     Attributes:
@@ -49,17 +49,17 @@ def time_left() -> float:
 
 
 def check_time() -> None:
-    """Raise `LateError` if the earliest limit is reached."""
+    """Raise `OutOfTimeError` if the earliest limit is reached."""
     until = _UNTIL.get()
     if until != math.inf and time.time() > until:
-        raise LateError
+        raise OutOfTimeError
 
 
 class within:  # noqa: N801  # read as a verb: with within(seconds)
     """Context with a time limit; a class, since a generator would cost more in every solve.
 
     Raises:
-        LateError: the limit is reached.
+        OutOfTimeError: the limit is reached.
     """
 
     __slots__ = ("_seconds", "_token")
@@ -95,16 +95,16 @@ def limited(question: F) -> F:
         try:
             with within(limit):
                 return question(*args, **inputs)
-        except LateError as late:
+        except OutOfTimeError as error:
             if outer <= limit:  # the limit of the caller, who handles it
                 raise
-            result = "" if late.best is None else " with an answer that it could not check"
-            raise late_error(question.__name__, limit, late.best, result) from None
+            result = "" if error.best is None else " with an answer that it could not check"
+            raise time_limit_error(question.__name__, limit, error.best, result) from None
 
     return with_limit  # type: ignore[return-value]
 
 
-def late_error(name: str, limit: float, best: Any = None, progress: str = "") -> TimeLimitError:
+def time_limit_error(name: str, limit: float, best: Any = None, progress: str = "") -> TimeLimitError:
     """Error of a question that reached its limit; `progress` describes its partial result."""
     return TimeLimitError(
         f"{name} reached its time limit of {limit:g} s{progress or ' without a result'}; increase time_limit",

@@ -125,8 +125,8 @@ def _continue(family: Family, start: PlainPoint, first_step: float) -> tuple[lis
     tangent = _tangent(system(unknowns)[1], np.append(np.zeros(len(unknowns) - 1), 1.0))
     points, folds = [start], list[PlainPoint]()
     while len(points) < MAX_POINTS:
-        turn = max(largest_turn(tangent), abs(float(tangent[-1])))
-        corrected = _correct(system, largest_turn, unknowns, tangent * (step / turn))
+        angle = max(largest_turn(tangent), abs(float(tangent[-1])))
+        corrected = _correct(system, largest_turn, unknowns, tangent * (step / angle))
         if corrected is None:
             step /= 2
             if step < 1e-8:
@@ -179,10 +179,10 @@ def _correct(
     for iteration in range(7):
         residual, jacobian = system(x)
         change = np.linalg.solve(np.vstack([jacobian, direction]), -np.append(residual, 0.0))
-        turn = largest_turn(change)
-        if turn > 0.5 * last or turn > 0.3:
+        angle = largest_turn(change)
+        if angle > 0.5 * last or angle > 0.3:
             return None
-        x, last = x + change, turn
-        if turn < 1e-9:
+        x, last = x + change, angle
+        if angle < 1e-9:
             return x, iteration <= 2
     return None

@@ -111,7 +111,7 @@ def arm_sections(robot: Robot, near: Array, far: Array | None = None) -> ArmSect
         start=start,
         length=length,
         stiffness=np.maximum(certain_kb.sum(1), softest_kb),
-        natural_moment=np.where(possible & ~behind, cells.pull[0], 0.0).max(2),
+        natural_moment=np.where(possible & ~behind, cells.moment[0], 0.0).max(2),
         torsional=cells.torsional.min(1),
         transmission=transmission.max(0),
     )
@@ -179,7 +179,7 @@ class Certificate(Displayed):
     """
     section: tuple[float, float] | None
     """Section (start, end) with the largest reduction of the margin by the coupling, m."""
-    share: Array
+    pair_fractions: Array
     """(n, n) fraction of 1 - margin due to each pair; sums to 1 above the diagonal."""
 
     @property
@@ -197,7 +197,7 @@ class Certificate(Displayed):
     @property
     def statistics(self) -> CertificateStatistics:
         """Numbers of tubes and of coupled pairs."""
-        return CertificateStatistics(len(self.translations), int((np.triu(self.share, 1) > 0).sum()))
+        return CertificateStatistics(len(self.translations), int((np.triu(self.pair_fractions, 1) > 0).sum()))
 
     @property
     def snap_free(self) -> bool:

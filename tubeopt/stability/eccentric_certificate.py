@@ -286,10 +286,10 @@ def _segment(assembly: Assembly, k: int) -> Segment | None:
     if (np.ptp(table, axis=1) > EQUAL * np.abs(table).max(1) + np.array([0, 0, 0, 0, LENGTH_ROUND_OFF])).any():
         return None
     kb, kt, curvature, offset, transmission = table[:, 0]
-    turn = (assembly.offset_angle - assembly.offset_angle[tubes[0]]) / (2 * np.pi / 3)
-    sector = np.round(turn).astype(int) % 3
+    sector_angle = (assembly.offset_angle - assembly.offset_angle[tubes[0]]) / (2 * np.pi / 3)
+    sector = np.round(sector_angle).astype(int) % 3
     present = assembly.present[k]
-    wrong_angle = np.abs(turn - np.round(turn)) > EQUAL
+    wrong_angle = np.abs(sector_angle - np.round(sector_angle)) > EQUAL
     if offset <= 0 or (present & (wrong_angle | (np.abs(assembly.offset - offset) > EQUAL * offset))).any():
         return None
     stiffness = np.bincount(sector, weights=assembly.bending_stiffness * present, minlength=3)

@@ -87,7 +87,7 @@ def energy_map(
     tip_maps = [_tip_map(problem, tube) for tube in tubes]
     # Fixed is the elastic rotation; natural twist adds a known angle.
     ends = np.maximum(problem.assembly.end, 0.0)[list(tubes)]
-    natural_twist = problem.assembly.wound(ends)[[0, 1], list(tubes)]
+    natural_twist = problem.assembly.twist_angle(ends)[[0, 1], list(tubes)]
     base = alpha[list(tubes)] + natural_twist
     energy = np.empty((samples, samples))
     row_start = np.zeros(problem.size)

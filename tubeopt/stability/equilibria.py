@@ -499,7 +499,7 @@ def add(equilibria: list[Any], member: Member[Any], x: Array) -> bool:
     result = member.solve(x, iterations=30)
     if not result.converged:
         return False
-    if any(member.turn(result.state, result.state.x - known.state.x) < SAME for known in equilibria):
+    if any(member.largest_rotation(result.state, result.state.x - known.state.x) < SAME for known in equilibria):
         return False
     equilibria.append(Point.of(member, result, 1.0))
     return True
@@ -517,7 +517,7 @@ def _descend(result: list[LoadedPoint], member: Loaded, explored: set[int]) -> i
         explored.add(k)
         values, vectors = (np.linalg.eigh if member.descends else np.linalg.eig)(point.state.hessian)
         for direction in vectors.real.T[(values.real < 0) & (values.imag == 0)]:
-            push = NUDGE / member.turn(point.state, direction) * direction
+            push = NUDGE / member.largest_rotation(point.state, direction) * direction
             for side in (push, -push):
                 landed = slide(member, point.state.x + side)
                 new += landed.converged and add(result, member, landed.state.x)

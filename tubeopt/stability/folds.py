@@ -72,7 +72,7 @@ class TurningPoint:
 
 def turning_point(
     at: Callable[[float], Callable[[Array], Equations] | None],
-    turn: Callable[[Array], float],
+    size_of: Callable[[Array], float],
     t: float,
     x: Array,
     border: Array,
@@ -85,7 +85,7 @@ def turning_point(
 
     Args:
         at: the equations in x at t; None if they are of another structure.
-        turn: of a step in x, rad.   border: p (U,), the softest direction.
+        size_of: largest rotation of a step in x, rad.   border: p (U,), the softest direction.
     """
     start, size = t, len(x)
     for iteration in range(1, FOLD_ITERATIONS + 1):
@@ -104,7 +104,7 @@ def turning_point(
             # sigma' = -w' H' v with the solutions v and w of the bordered system and of its transpose.
             w, right = np.linalg.solve(bordered.T, unit)[:-1], np.linalg.solve(bordered, unit)
             v, sigma = right[:-1], right[-1]
-            h = FOLD_DIFFERENCE / turn(v)
+            h = FOLD_DIFFERENCE / size_of(v)
             hessian_v = (equations(x + h * v).hessian - equations(x - h * v).hessian) / (2 * h)
             gradient_t = (high.gradient - low.gradient) / (t_high - t_low)
             hessian_t_v = (high.hessian - low.hessian) @ v / (t_high - t_low)
@@ -112,7 +112,7 @@ def turning_point(
             step = np.linalg.solve(matrix, -np.append(state.gradient, sigma))
         except np.linalg.LinAlgError:
             return None
-        largest_turn = turn(step[:-1])
+        largest_turn = size_of(step[:-1])
         x, t = x + step[:-1], t + float(step[-1])
         # The fold is close: a step this long leads to another one, or to none.
         if not np.isfinite(largest_turn) or largest_turn > np.pi / 2 or abs(t - start) > 0.5:
@@ -161,10 +161,10 @@ def fold(family: Family, point: AnyPoint) -> Loss | None:
         member = family.like(known, t)
         return None if member is None else member.at
 
-    def turn(step: Array) -> float:
-        return float(known.turn(point.state, step))
+    def size_of(step: Array) -> float:
+        return float(known.largest_rotation(point.state, step))
 
-    result = turning_point(equations, turn, point.t, point.state.x, point.softest)
+    result = turning_point(equations, size_of, point.t, point.state.x, point.softest)
     member = None if result is None else family.like(known, result.t)
     if result is None or member is None:
         return None
@@ -225,7 +225,7 @@ def fall(lost: AnyPoint, direction: Array) -> AnyPoint | None:
     Under loads without an energy the path is that of viscous tubes, x' = -g, to the first of two sides.
     """
     member, x = lost.member, lost.state.x
-    push = NUDGE / member.turn(lost.state, direction) * direction
+    push = NUDGE / member.largest_rotation(lost.state, direction) * direction
     along = lost.unresisted * np.copysign(1.0, lost.unresisted @ direction)
 
     def uphill(x: Array) -> Array:
@@ -247,7 +247,7 @@ def slide(member: Member[Any], x: Array) -> NewtonResult[Any]:
 
     def step(state: Any, time: float) -> tuple[Array, float, bool]:
         change, not_convex = member.downhill(state, time)
-        return change, member.turn(state, change), not_convex
+        return change, member.largest_rotation(state, change), not_convex
 
     def moved(state: Any, change: Array) -> Any:
         result = member.moved(state, change)

@@ -226,8 +226,8 @@ class Search:
         out = np.clip(np.zeros_like(path), self.low, self.high)
         angles = path[:, self.coupled]
         low, high = (self.low[self.coupled] - angles).max(1), (self.high[self.coupled] - angles).min(1)
-        turn = np.where(low <= high, np.clip(0.0, low, high), 0.0)
-        out[:, self.coupled] = angles + turn[:, None]
+        shift = np.where(low <= high, np.clip(0.0, low, high), 0.0)
+        out[:, self.coupled] = angles + shift[:, None]
         return np.asarray(out)
 
     def relative(self, start: Array, joints: Array) -> Array:
@@ -316,9 +316,9 @@ def _on_paths(search: Search, start: Array, ends: Iterable[Array], *, within: bo
 def _turns(search: Search, start: Array) -> Iterator[Array]:
     """(n,) rotations after a full turn of one coupled tube, for each of them but the outermost."""
     for tube in search.coupled[:-1]:
-        turn = TURN * (np.arange(len(start)) == tube)
-        fits = [end for end in (start + turn, start - turn) if search.within(end)]
-        yield fits[0] if fits else start + turn
+        full_turn = TURN * (np.arange(len(start)) == tube)
+        fits = [end for end in (start + full_turn, start - full_turn) if search.within(end)]
+        yield fits[0] if fits else start + full_turn
 
 
 def _further_turns(search: Search, start: Array) -> Iterator[Array]:
@@ -341,8 +341,8 @@ def _pair(search: Search) -> SnapOnPath | None:
     path = _pair_path(search, poses, fold)
     result = search.follow(*path)
     if result is not None:
-        turn = np.ptp(result.snap.rotations[search.coupled] - result.path[0][search.coupled])
-        if abs(turn - fold.turn) < 1e-6:
+        angle = np.ptp(result.snap.rotations[search.coupled] - result.path[0][search.coupled])
+        if abs(angle - fold.turn) < 1e-6:
             return result
     return _from_fold(search, path, fold)
 
@@ -583,9 +583,9 @@ def _paths(n: int, shapes: list[Untwisted], bends: Array) -> Iterator[tuple[Arra
             # All segments turn alike: the outer ones keep their direction relative to this one.
             start = tips + further
             start[odd] -= np.pi
-            for turn in (TURN, -TURN):
+            for angle in (TURN, -TURN):
                 end = start.copy()
-                end[odd] += turn
+                end[odd] += angle
                 yield _rounded(start), _rounded(end)
 
 

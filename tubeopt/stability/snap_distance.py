@@ -219,18 +219,18 @@ class SnapDistance(Displayed):
             raise InputError("turn_rate and shift_rate are both 0; one of them must be above 0")
         return self._largest(turn, shift) if shift else self.turn / turn
 
-    def _largest(self, turn: float, shift: float) -> float:
+    def _largest(self, turn_rate: float, shift: float) -> float:
         """Largest factor at which a turn (rad) and a slide (m) of all tubes are proved to cause no snap."""
         e = self.equilibrium
         if e.robot.assembly(e.translations).eccentric or not e.robot.even:
             raise InputError("robot has eccentric tubes or tubes made of pieces; a slide is known for others only")
         longest = max(tube.length for tube in e.robot.tubes)
-        largest = max(longest / shift, math.pi / turn if turn else 0.0)
+        largest = max(longest / shift, math.pi / turn_rate if turn_rate else 0.0)
 
         def proves(factor: float) -> bool:
             for signs in itertools.product((-1.0, 1.0), repeat=e.robot.n_tubes):
                 form = PairForm.sliding(e, np.array(signs) * (shift * factor))
-                if not form.proves(form.boxes(turn * factor)):
+                if not form.proves(form.boxes(turn_rate * factor)):
                     return False
             return True
 
@@ -361,8 +361,8 @@ class PairForm:
             H = np.eye(len(z)) + A.T @ ((w * np.cos(psi))[:, None] * A)
             z = z - np.linalg.solve(H, z + A.T @ (w * np.sin(psi)))
         form = _at(D @ equilibrium.rotations + half + A @ z, w, A, D, z)
-        turn = (before.transmission - after.transmission) / kt
-        return replace(form, slides=Slides(lower, upper, turn, D, softest))
+        rate_change = (before.transmission - after.transmission) / kt
+        return replace(form, slides=Slides(lower, upper, rate_change, D, softest))
 
     def h(self, x: Array) -> Array:
         """Nonlinear part h(x) of the torques, for changes x (..., P) of the angles."""
@@ -617,9 +617,9 @@ def _distance(equilibrium: Equilibrium, limit: float, precision: float = PRECISI
     if not equilibrium.stable:
         raise InputError(f"equilibrium has a margin of {equilibrium.margin:.3g}; it must be above 0")
     compiled = compiled_turn(equilibrium, most=limit, precision=precision)
-    turn, couplings, boxes = math.inf, 0, 0
+    radius, couplings, boxes = math.inf, 0, 0
     if compiled is not None:
-        turn, couplings = compiled
+        radius, couplings = compiled
     elif not (certificate := snap_free_certificate(robot, equilibrium.translations)) > 0:
         if robot.assembly(equilibrium.translations).eccentric:
             raise InputError(
@@ -628,12 +628,12 @@ def _distance(equilibrium: Equilibrium, limit: float, precision: float = PRECISI
             )
         form = PairForm.of(equilibrium)
         couplings = len(form.psi)
-        first, turn, boxes = min(FIRST_TURN, limit / 2), limit, 1
+        first, radius, boxes = min(FIRST_TURN, limit / 2), limit, 1
         if limit >= math.pi or not form.proves(form.boxes(limit)):
-            turn, boxes = _largest(lambda r: form.proves(form.boxes(r)), first, min(limit, math.pi), precision)
-    status = SnapDistanceStatus.NEVER if turn == math.inf else SnapDistanceStatus.PROVED
+            radius, boxes = _largest(lambda r: form.proves(form.boxes(r)), first, min(limit, math.pi), precision)
+    status = SnapDistanceStatus.NEVER if radius == math.inf else SnapDistanceStatus.PROVED
     seconds = perf_counter() - start_time
-    return SnapDistance(equilibrium, turn, status, SnapDistanceStatistics(couplings, boxes, seconds))
+    return SnapDistance(equilibrium, radius, status, SnapDistanceStatistics(couplings, boxes, seconds))
 
 
 def _largest(proves: Callable[[float], bool], first: float, limit: float, precision: float) -> tuple[float, int]:

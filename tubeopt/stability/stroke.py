@@ -95,7 +95,7 @@ class Varied:
     """Step of the central difference, in the unit of the parameter."""
     robots: tuple[Robot, Robot]
     """Robots at plus and minus one step."""
-    turn: Array
+    rotation: Array
     """(3,) rotation vector of the tip per unit of the parameter, rad."""
 
 
@@ -145,7 +145,7 @@ def stroke_slopes(
         slopes.append(-_rate(loss, sides, step) / rate_by_force)
     for parameter in varied:
         robots = [Posed(robot, first.rotations, tuple(first.translations.tolist())) for robot in parameter.robots]
-        sides = _pushed(robots, loss.t, force, parameter.step * np.cross(parameter.turn, force))
+        sides = _pushed(robots, loss.t, force, parameter.step * np.cross(parameter.rotation, force))
         slopes.append(-_rate(loss, sides, parameter.step) / rate_by_force)
     return value, np.array(slopes)
 

@@ -202,8 +202,8 @@ def worst_margin(
     tips = min(ends, key=lambda end: end[1])[0][None] if ends else np.zeros((1, n))
     member = replace(member, rotations=to_base(problem, tips)[0])
     failure = "the worst equilibrium found is a fold (margin 0), which Newton cannot solve again"
-    point = Point.near(member, member.unknowns(profiles(problem, tips)[0]), failure)
-    equilibrium = to_equilibrium(point, "search for the least margin")
+    solved = Point.solved_near(member, member.unknowns(profiles(problem, tips)[0]), failure)
+    equilibrium = to_equilibrium(solved, "search for the least margin")
     unstable = np.array([tips for tips, result in ends if result < 0]).reshape(-1, n)
     return WorstMargin(equilibrium, 0 if pair else len(ends), unstable)
 

@@ -2,7 +2,7 @@
 
 from ..bodies.frames import RegistrationError
 from .comparison import ErrorGroup, ErrorSummary, ErrorTable, Validation, group_errors, validate
-from .effects import EFFECTS, KINDS, OWN
+from .effects import EFFECTS, KINDS, PER_RECORDING
 from .fitting import Estimate, Fit, FitOptions, fit
 from .force import ForceEstimate, ForceRecord, estimate_force, estimate_forces
 from .identifiability import Placement, where_to_measure
@@ -14,7 +14,7 @@ from .selection import Comparison, SelectionStep, compare_effects
 __all__ = [
     "EFFECTS",
     "KINDS",
-    "OWN",
+    "PER_RECORDING",
     "SENSOR_FRAME",
     "BasePose",
     "Comparison",

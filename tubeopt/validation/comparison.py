@@ -220,10 +220,10 @@ def validate(
         return join([validate(robot, m, registration=registration, base=base) for m in each])
     check_tubes(robot, measurements)
     known = robot.calibration.registration if robot.calibration is not None else None
-    own = known is not None and known.recording == measurements.mark
-    method = registration or ("saved" if own else "rigid")
+    saved_here = known is not None and known.recording == measurements.mark
+    method = registration or ("saved" if saved_here else "rigid")
     model = ArmModel(robot, measurements, (), method, base)
-    if model.failures and not own:
+    if model.failures and not saved_here:
         row, reason = model.failures[0]
         raise SolveError(f"row {row + 1}: {reason}")
     result = compare_at(model, model.start, robot)
@@ -242,11 +242,11 @@ def join(comparisons: Sequence[Validation]) -> Validation:
     )
     begins = np.cumsum([0, *(len(v.measurements) for v in comparisons)]).tolist()
     along = np.full((len(measured), len(measurements.stations)), np.nan)
-    for begin, v in zip(begins, comparisons, strict=False):
+    for first, v in zip(begins, comparisons, strict=False):
         at = np.searchsorted(measurements.stations, v.measurements.stations)
-        along[begin : begin + len(v.along), at] = v.along
+        along[first : first + len(v.along), at] = v.along
     axes = [v.axis_errors for v in comparisons]
-    pairs = [begin + passes(v.measurements).pairs for begin, v in zip(begins, comparisons, strict=False)]
+    pairs = [first + passes(v.measurements).pairs for first, v in zip(begins, comparisons, strict=False)]
     return replace(
         last,
         measurements=measurements,
@@ -351,9 +351,9 @@ def registration_error(model: ArmModel, state: ParameterState[Registration]) -> 
     if hessian is None:
         return RegistrationError(math.inf, math.inf, narrow, mirror)
     inverse = np.linalg.inv(hessian)
-    pull = weight[:, None] * np.cross(measured + lever, predicted - measured) @ turns.T
+    moment = weight[:, None] * np.cross(measured + lever, predicted - measured) @ turns.T
     shift = np.where(a[:, None], 0.0, predicted - measured) / (~a).sum() if freedoms == 6 else np.zeros_like(measured)
-    moved = np.hstack([pull @ inverse, shift])  # effect of each observation on rotation and translation
+    moved = np.hstack([moment @ inverse, shift])  # effect of each observation on rotation and translation
     alone = np.zeros((moved.shape[1],) * 2)
     alone[: len(turns), : len(turns)] = inverse
     if freedoms == 6:

@@ -120,8 +120,8 @@ class Setup:
         calibration = replace(self.drives, found_by=found_by, rotation_middles=middles, **mounts)
         drives = None if calibration.trivial else calibration
         if isinstance(base, ConcentricRobot):
-            rubbing = replace(friction_of(base) or Friction(), torque=tuple(self.friction.tolist()) or (0.0,))
-            friction = None if rubbing.trivial else rubbing
+            contact = replace(friction_of(base) or Friction(), torque=tuple(self.friction.tolist()) or (0.0,))
+            friction = None if contact.trivial else contact
             loose = tuple(self.clearance.tolist()) if self.clearance.any() else None
             return replace(base, tubes=tubes, calibration=drives, friction=friction, clearance=loose)
         if isinstance(base, SegmentedEccentricRobot):
@@ -155,15 +155,16 @@ class Setup:
             float(getattr(self, name)[k] / getattr(first, name)[k]) if getattr(first, name)[k] else 1.0
             for name in ("curvature", "curved_length", "bending_stiffness", "torsional_stiffness")
         )
-        own = dict(zip(first.pieces, self.piece_curvature.tolist(), strict=True))
+        curvatures = dict(zip(first.pieces, self.piece_curvature.tolist(), strict=True))
         pieces = tuple(
-            piece.bent(own.get((k, j), 0.0)).stretched(longer).stiffened(kb, kt) for j, piece in enumerate(tube.pieces)
+            piece.bent(curvatures.get((k, j), 0.0)).stretched(longer).stiffened(kb, kt)
+            for j, piece in enumerate(tube.pieces)
         )
         return {"pieces": pieces, "curvature": bend * max(piece.largest_curvature for piece in pieces)}
 
 
 # Effects that a recording may have of its own: homing of the drives, clocks, and where plate and sensor are mounted.
-OWN = ("latency", "translation", "rotation", "plate_shift", "plate_tilt", "sensor_offset", "sensor_tilt")
+PER_RECORDING = ("latency", "translation", "rotation", "plate_shift", "plate_tilt", "sensor_offset", "sensor_tilt")
 
 # What describes the tubes, how they rub, and how loose they are.
 TUBES = ("friction", "clearance", "piece_curvature", "dead_length", "fade", *DIMENSIONS)

@@ -48,7 +48,7 @@ from .comparison import (
     registration_error,
     validate,
 )
-from .effects import OWN
+from .effects import PER_RECORDING
 from .identifiability import doubts, entangled_history, least_certain, left_out, louder, undetermined
 from .measurements import Measurements, recordings_of
 from .model import ParameterState
@@ -83,15 +83,15 @@ def hold_out(
 
     A fold without which the parameters leave the allowed robots keeps those of the whole fit.
     """
-    own = fold[model.row]
+    fold_of_row = fold[model.row]
     out = np.empty_like(fit.residuals)
-    for k in np.unique(own):
-        training = replace(weights, share=weights.share * (own != k))
+    for k in np.unique(fold_of_row):
+        training = replace(weights, weight=weights.weight * (fold_of_row != k))
         try:
             without = descend(model, training, fit.state, jacobian=fit.jacobian, solver=BY_CHORDS)
-            out[own == k] = without.residuals[own == k]
+            out[fold_of_row == k] = without.residuals[fold_of_row == k]
         except SolveError:
-            out[own == k] = fit.residuals[own == k]
+            out[fold_of_row == k] = fit.residuals[fold_of_row == k]
     return out
 
 
@@ -106,36 +106,36 @@ def hold_out_recordings(
     # Without slopes and priors a number does not move.
     held = np.append(common, np.full(model.freedoms, model.shared))
     slopes = np.where(held, 0.0, fit.jacobian)
-    own = replace(weights, prior=np.where(common, np.inf, weights.prior))
+    separate = replace(weights, prior=np.where(common, np.inf, weights.prior))
     out = np.empty_like(fit.residuals)
     for k in range(len(model.models)):
         mine = model.recording == k
-        others = replace(weights, share=weights.share * ~mine)
+        others = replace(weights, weight=weights.weight * ~mine)
         try:
             without = descend(model, others, fit.state, jacobian=fit.jacobian, solver=BY_CHORDS)
-            inside = replace(own, share=own.share * mine)
-            near = replace(fit, state=without.state, residuals=without.residuals, jacobian=slopes)
-            out[mine] = hold_out(model, inside, near, fold)[mine]
+            inside = replace(separate, weight=separate.weight * mine)
+            local_fit = replace(fit, state=without.state, residuals=without.residuals, jacobian=slopes)
+            out[mine] = hold_out(model, inside, local_fit, fold)[mine]
         except SolveError:
             out[mine] = fit.residuals[mine]
     return out
 
 
 def predicted_held_out(
-    model: Sessions, weights: Weights, near: RobustDescent[ParameterState[Registrations]], fold: Index
+    model: Sessions, weights: Weights, descent: RobustDescent[ParameterState[Registrations]], fold: Index
 ) -> Array:
     """(V, 3) approximate held-out residuals, from observations linearised about a state; nothing is solved."""
-    own, w, jacobian, x = fold[model.row], weights.of(near.residuals), near.jacobian, near.state.x
-    square, slope = normal_equations(model, weights, near.state, near.residuals, jacobian)
+    fold_of_row, w, jacobian, x = fold[model.row], weights.of(descent.residuals), descent.jacobian, descent.state.x
+    square, slope = normal_equations(model, weights, descent.state, descent.residuals, jacobian)
     free = np.full(model.freedoms, np.inf)
     low, high = model.bounds - x
     bounds = np.append(low, -free), np.append(high, free)
-    out = np.empty_like(near.residuals)
-    for k in np.unique(own):
-        mine = own == k
-        a, b = weighted_sums(jacobian[mine], near.residuals[mine], w[mine])
+    out = np.empty_like(descent.residuals)
+    for k in np.unique(fold_of_row):
+        mine = fold_of_row == k
+        a, b = weighted_sums(jacobian[mine], descent.residuals[mine], w[mine])
         # The normal equations without the rows of the fold: one Newton step, cut at the bounds.
-        out[mine] = near.residuals[mine] + jacobian[mine] @ np.clip(-solved(square - a, slope - b), *bounds)
+        out[mine] = descent.residuals[mine] + jacobian[mine] @ np.clip(-solved(square - a, slope - b), *bounds)
     return out
 
 
@@ -146,9 +146,12 @@ def bootstrap_errors(
 
     Each draw is refitted to first order (one Gauss-Newton step from the fit), so that nothing is solved.
     """
-    own, w = block[model.row], weights.of(fit.residuals)
-    labels = np.unique(own)
-    parts = [weighted_sums(fit.jacobian[own == k], fit.residuals[own == k], w[own == k]) for k in labels]
+    block_of_row, w = block[model.row], weights.of(fit.residuals)
+    labels = np.unique(block_of_row)
+    parts = [
+        weighted_sums(fit.jacobian[block_of_row == k], fit.residuals[block_of_row == k], w[block_of_row == k])
+        for k in labels
+    ]
     squares, slopes = np.array([a for a, _ in parts]), np.array([b for _, b in parts])
     equations = normal_equations(model, weights, fit.state, fit.residuals, fit.jacobian)
     # What is of no row: priors count once in every draw.
@@ -195,13 +198,13 @@ class FitOptions:
     """Prior on each number of the drawing, with the standard deviation `prior` of its effect."""
     noise: tuple[float | None, float | None] = (None, None)
     """Standard deviation of a measured coordinate (m), of a measured direction (rad); None estimates it."""
-    own: tuple[str, ...] = ("registration", "latency", "translation", "rotation")
-    """Effects of `effects.OWN`, and "registration", that every recording has of its own; others are common."""
+    per_recording: tuple[str, ...] = ("registration", "latency", "translation", "rotation")
+    """Effects of `effects.PER_RECORDING`, and "registration", with one value per recording; others are common."""
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for name in self.own:
-            choice("own", name, ("registration", *OWN))
+        for name in self.per_recording:
+            choice("per_recording", name, ("registration", *PER_RECORDING))
         if not 0 < finite("confidence", self.confidence) < 1:
             raise InputError(f"confidence is {self.confidence:g}; it must lie between 0 and 1")
         for name, value in zip(("position", "direction"), self.noise, strict=True):
@@ -319,8 +322,8 @@ def fit(
 ) -> Fit:
     """Estimate chosen parameters of a robot from measured tips, jointly with the registration.
 
-    Of several recordings tubes, friction and drives are common, and each has `options.own` for itself. The robot has
-    these of the last recording.
+    Of several recordings tubes, friction and drives are common, and each has `options.per_recording` for itself. The
+    robot has these of the last recording.
 
     Args:
         parameters: names out of `effects.KINDS`, such as "latency", "curvature_2", "rotation_1", "rotation_all".
@@ -336,7 +339,7 @@ def fit(
     options = options or FitOptions()
     recordings = recordings_of(measurements)
     check_tubes(robot, recordings[0])
-    chosen = choose_parameters(robot, recordings, parameters, options.registration, options.own)
+    chosen = choose_parameters(robot, recordings, parameters, options.registration, options.per_recording)
     report = progress or (lambda count, total: None)
     model = sessions(robot, recordings, chosen, options)
     report(1, 4)
@@ -351,11 +354,11 @@ def sessions(
     robot: Robot, recordings: Sequence[Measurements], chosen: Sequence[Parameter], options: FitOptions
 ) -> Sessions:
     """Model of recordings; raises InputError for fewer numbers than unknowns, or more folds than rows."""
-    shared = "registration" not in options.own
+    shared = "registration" not in options.per_recording
     freedoms = FREEDOMS[options.registration]
     for k, m in enumerate(recordings):
-        own = sum(p.recording in (None, k) for p in chosen)
-        check_counts(m, own + freedoms, options.folds)
+        n_parameters = sum(p.recording in (None, k) for p in chosen)
+        check_counts(m, n_parameters + freedoms, options.folds)
     model = Sessions(robot, recordings, options.registration, options.base, shared=shared)
     return model.with_parameters(chosen)
 
@@ -517,9 +520,9 @@ class FitProblem:
         wide = scipy.special.stdtrit(max(1, len(np.unique(block)) - 1), (1 + options.confidence) / 2) * blocked
         compared = []
         for k, error in enumerate(known):
-            own = validate(self._calibrated(k), model.recordings[k])
-            registration = replace(own.registration, method=model.method)
-            compared.append(replace(own, registration=registration, registration_error=error))
+            comparison = validate(self._calibrated(k), model.recordings[k])
+            registration = replace(comparison.registration, method=model.method)
+            compared.append(replace(comparison, registration=registration, registration_error=error))
         after = join(compared)
         starts = zip(model.models, model.parts(model.start), strict=True)
         return Fit(
@@ -583,7 +586,7 @@ class FitProblem:
 
 
 def _estimates(
-    parameters: Sequence[Parameter], values: Array, own: tuple[Array, Array], blocks: tuple[Array, Array]
+    parameters: Sequence[Parameter], values: Array, errors: tuple[Array, Array], blocks: tuple[Array, Array]
 ) -> tuple[Estimate, ...]:
     return tuple(
         Estimate(
@@ -591,10 +594,10 @@ def _estimates(
             unit=p.unit,
             start=p.start,
             value=float(values[k]),
-            standard_error=float(own[0][k]),
-            low=float(values[k] - own[1][k]),
-            high=float(values[k] + own[1][k]),
-            held=bool(np.isinf(own[0][k])),
+            standard_error=float(errors[0][k]),
+            low=float(values[k] - errors[1][k]),
+            high=float(values[k] + errors[1][k]),
+            held=bool(np.isinf(errors[0][k])),
             block_error=float(blocks[0][k]),
             block_low=float(values[k] - blocks[1][k]),
             block_high=float(values[k] + blocks[1][k]),

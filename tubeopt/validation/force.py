@@ -305,15 +305,15 @@ def _of_plate(robot: Robot, measurements: Measurements, method: str | None) -> A
     """(N, K, 3) measured positions of the stations in the plate frame, m."""
     saved = robot.calibration.registration if robot.calibration is not None else None
     if method is None:
-        own = saved is not None and saved.recording == measurements.mark
+        saved_here = saved is not None and saved.recording == measurements.mark
         at_plate = saved is None or (np.allclose(saved.rotation, np.eye(3)) and not any(saved.translation))
-        if not (own or at_plate):
+        if not (saved_here or at_plate):
             raise InputError(
                 "registration is missing, and the robot's calibration has one; it must be "
                 "'saved' for positions of that device, or 'none' for positions in the base "
                 "frame"
             )
-        method = "saved" if own else "none"
+        method = "saved" if saved_here else "none"
     if choice("registration", method, ("none", "saved")) == "none":
         return measurements.station_position
     if saved is None:

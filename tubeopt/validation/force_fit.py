@@ -123,8 +123,8 @@ def fit(trial: Trial, base: Load, measured: Measured, effort: Effort, axes: Arra
 class _Force:
     """Force with components x (m,) along the axes, N; its trial is computed when needed, from a trial nearby."""
 
-    def __init__(self, model: _Pushed, x: Array, near: Trial) -> None:
-        self._model, self.x, self._near = model, x, near
+    def __init__(self, model: _Pushed, x: Array, trial: Trial) -> None:
+        self._model, self.x, self._near = model, x, trial
 
     @cached_property
     def trial(self) -> Trial:
@@ -148,18 +148,18 @@ class _Pushed:
         self._base, self._measured, self._most_steps, self.tried = base, measured, most_steps, 0
         self.start = _Force(self, axes.T @ start.force, start)
 
-    def tried_at(self, x: Array, near: Trial) -> Trial:
+    def tried_at(self, x: Array, trial: Trial) -> Trial:
         """Force with components x (m,) and its equilibrium; raises SolveError if it does not exist."""
         force = self._held + self._axes @ x
         self.tried += 1
         if self.tried > self._most_steps:
             raise SolveError("the step limit was reached")
         # The Jacobian is over the noise: times it, this is in m.
-        moved = np.abs(near.jacobian @ (force - near.force)).max() * self._measured.noise
-        if moved > LONGEST_MOVE * float(near.equilibrium.arc_length[-1]):
+        moved = np.abs(trial.jacobian @ (force - trial.force)).max() * self._measured.noise
+        if moved > LONGEST_MOVE * float(trial.equilibrium.arc_length[-1]):
             raise SolveError("the force moves the arm beyond the range of the linearisation")
         try:
-            return trial_at(near.equilibrium, self._base, force, self._measured)
+            return trial_at(trial.equilibrium, self._base, force, self._measured)
         except InputError as error:
             raise SolveError(str(error)) from None
 
@@ -176,10 +176,10 @@ class _Pushed:
         return False
 
 
-def trial_at(near: Equilibrium, base: Load, force: Array, measured: Measured) -> Trial:
+def trial_at(equilibrium: Equilibrium, base: Load, force: Array, measured: Measured) -> Trial:
     load = replace(base, force=tuple(np.add(base.force, force).tolist()))
     with without_unit_warnings():  # trial forces may be unusual
-        e = under_load(near, load)
+        e = under_load(equilibrium, load)
     noise = measured.noise
     tip = last_tube(e.robot.assembly(e.translations).end)
     away = e.tip_rotation @ about_z(e.rotation[int(tip), -1]) @ measured.offset
@@ -299,9 +299,9 @@ def _second_moment(linear: Array, bent: Array) -> Array:
 def _moved(trial: Trial, base: Load, measured: Measured, by: Array, axes: Array) -> Array | None:
     """(3,) change of the fitted force along axes (3, m), N, if residuals change `by` (3 P,); None without a fit."""
     moved = replace(measured, position=measured.position + measured.noise * by.reshape(-1, 3))
-    near = replace(trial, residual=trial.residual + by)
+    shifted = replace(trial, residual=trial.residual + by)
     try:
-        return np.asarray(fit(near, base, moved, QUICK, axes)[0].force - trial.force)
+        return np.asarray(fit(shifted, base, moved, QUICK, axes)[0].force - trial.force)
     except (InputError, SolveError):
         return None
 
@@ -310,9 +310,9 @@ def _unbounded(linear: Array, bent: Array, right: Array, lost: Mask) -> Covarian
     """Covariance where the directions `lost` (3,) have no bound."""
     bounded_axes = right[~lost]
     square = bounded_axes @ _second_moment(linear, bent) @ bounded_axes.T
-    own, turns = np.linalg.eigh(square)
-    directions = np.vstack([turns.T @ bounded_axes, right[lost]])
-    errors = np.append(np.sqrt(np.maximum(own, 0.0)), np.full(int(lost.sum()), np.inf))
+    eigenvalues, eigenvectors = np.linalg.eigh(square)
+    directions = np.vstack([eigenvectors.T @ bounded_axes, right[lost]])
+    errors = np.append(np.sqrt(np.maximum(eigenvalues, 0.0)), np.full(int(lost.sum()), np.inf))
     # Infinite in every entry that a direction without a bound contributes to.
     bounded = np.isfinite(errors)
     matrix = (directions[bounded].T * errors[bounded] ** 2) @ directions[bounded]

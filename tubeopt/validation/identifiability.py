@@ -126,18 +126,20 @@ def least_certain(parameters: Sequence[Parameter], free: Sequence[int], half: Ar
     Args:
         free, half, correlation: as for `doubts`.
     """
-    own = [k for k in free if parameters[k].kind in TUBE_KINDS]
-    related = correlation[np.ix_(own, own)] - np.eye(len(own))
+    tube_parameters = [k for k in free if parameters[k].kind in TUBE_KINDS]
+    related = correlation[np.ix_(tube_parameters, tube_parameters)] - np.eye(len(tube_parameters))
     if not related.size or np.abs(related).max() < 0.9:
         return []
-    scale = np.array([parameters[k].scale for k in own])
-    deviation = half[own] / scale
-    variance, directions = np.linalg.eigh(correlation[np.ix_(own, own)] * np.outer(deviation, deviation))
+    scale = np.array([parameters[k].scale for k in tube_parameters])
+    deviation = half[tube_parameters] / scale
+    variance, directions = np.linalg.eigh(
+        correlation[np.ix_(tube_parameters, tube_parameters)] * np.outer(deviation, deviation)
+    )
     step = directions[:, -1] * math.sqrt(max(variance[-1], 0.0))
     step *= np.sign(step[np.argmax(np.abs(step))])
     parts = [
         f"{parameters[k].name} {'+' if x > 0 else '-'}{shown(abs(x) * s, parameters[k].unit)}"
-        for k, x, s in zip(own, step.tolist(), scale.tolist(), strict=True)
+        for k, x, s in zip(tube_parameters, step.tolist(), scale.tolist(), strict=True)
         if abs(x) > 0.1 * np.abs(step).max()
     ]
     return [
@@ -181,7 +183,7 @@ def entangled_history(model: Sessions, fit: RobustDescent[ParameterState[Registr
     if not fitted:
         return []
     known = groups(model.robot, model.recordings, model.method)
-    names = [name for kind, own in known.items() if EFFECTS[kind].history for name in own if name not in fitted]
+    names = [name for kind, choices in known.items() if EFFECTS[kind].history for name in choices if name not in fitted]
     if not names:
         return []
     parameters = choose_parameters(model.robot, model.recordings, names, model.method)

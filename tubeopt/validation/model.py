@@ -23,7 +23,7 @@ from ..errors import ImplausibleWarning, InputError, SolveError, choice
 from ..robots.concentric import ConcentricRobot, Friction, friction_of
 from ..robots.order import last_tube
 from ..robots.robot import Robot
-from ..solvers.compiled.rubbing import Rubbed
+from ..solvers.compiled.friction import FrictionStates
 from ..stability.friction_path import segment_with_friction, start_with_friction
 from ..typing import Array, Index, Mask
 from .effects import Setup
@@ -94,7 +94,7 @@ def solve_poses(
     return poses
 
 
-def rubbed_poses(
+def poses_with_friction(
     robot: Robot,
     joints: tuple[Array, Array],
     stations: Array,
@@ -158,7 +158,7 @@ class _ObservedPath:
         if loose(self.robot):
             tilt(poses, row, to_held_equilibrium(self.robot, held, "way"), self.stations)
 
-    def put_many(self, rows: Index, translations: Array, many: Rubbed) -> None:
+    def put_many(self, rows: Index, translations: Array, many: FrictionStates) -> None:
         """Set rows from the results of the kernel, at translations (N, n) of all rows."""
         poses, last = self.poses, self._last(translations[rows])
         poses.length[rows], poses.margin[rows], poses.position[rows] = many.length, many.margin, many.stations
@@ -185,10 +185,10 @@ def tilt(poses: PredictedPoses, row: int, shape: Equilibrium, stations: Array) -
 def _followed(robot: Robot, batch: EquilibriumBatch, run: Index) -> Iterator[tuple[int, Equilibrium]]:
     """Rows of a run solved again on the branch of the rows before, if a cold solve ended on another one."""
     # Twist of every tube between its drive and its tip: a snap is a jump of it.
-    own = batch.tip_rotations[run] - batch.rotations[run]
+    twist = batch.tip_rotations[run] - batch.rotations[run]
     driven = np.abs(np.diff(batch.rotations[run], axis=0)).max(1, initial=0.0)
     # A tip that turns against its drive by so much more than any drive turned may be in another equilibrium.
-    jumps = np.flatnonzero(np.abs(np.diff(own, axis=0)).max(1, initial=0.0) > 0.5 + 15.0 * driven) + 1
+    jumps = np.flatnonzero(np.abs(np.diff(twist, axis=0)).max(1, initial=0.0) > 0.5 + 15.0 * driven) + 1
     current, next_row = None, 0
     for jump in jumps.tolist():
         if jump < next_row:
@@ -212,11 +212,11 @@ def _followed(robot: Robot, batch: EquilibriumBatch, run: Index) -> Iterator[tup
 
 def about_z(angle: ArrayLike) -> Array:
     """(..., 3, 3) turns about z."""
-    turn = np.zeros((*np.shape(angle), 3, 3))
-    turn[..., 0, 0] = turn[..., 1, 1] = np.cos(angle)
-    turn[..., 1, 0], turn[..., 0, 1] = np.sin(angle), -np.sin(angle)
-    turn[..., 2, 2] = 1.0
-    return turn
+    rotation = np.zeros((*np.shape(angle), 3, 3))
+    rotation[..., 0, 0] = rotation[..., 1, 1] = np.cos(angle)
+    rotation[..., 1, 0], rotation[..., 0, 1] = np.sin(angle), -np.sin(angle)
+    rotation[..., 2, 2] = 1.0
+    return rotation
 
 
 def stations_of(shape: Equilibrium | Arm, stations: Array) -> Array:
@@ -237,8 +237,8 @@ def _by_row(robot: Robot, rotations: Array, translations: Array, error: InputErr
     for k in range(len(rotations)):
         try:
             robot.assembly(translations[k])
-        except InputError as own:
-            return InputError(f"row {k + 1}: {own}")
+        except InputError as cause:
+            return InputError(f"row {k + 1}: {cause}")
     return error
 
 
@@ -342,7 +342,7 @@ class ArmModel:
             return
         earlier, wrapped = self.turns, np.array(m.wrapped or (False,) * m.n_tubes)
         gained = np.flatnonzero(np.array(self.first.drives.rotation_gains) != 1.0).tolist()
-        moves = [(k, earlier[k] + turn) for k in gained for turn in range(-TURNS, TURNS + 1)]
+        moves = [(k, earlier[k] + count) for k in gained for count in range(-TURNS, TURNS + 1)]
         fitting, min_misfit = np.zeros(m.n_tubes), self._misfit(np.zeros(m.n_tubes)) if moves else 0.0
         as_read = min_misfit
         while moves:
@@ -506,12 +506,12 @@ class ArmModel:
             yields_alike = known.drives.translation_compliance == setup.drives.translation_compliance
             if yields_alike and known.same_tubes(setup) and np.array_equal(joints, [alpha, shift]):
                 return yielding
-        near = None
+        guess = None
         if self._gave_way:
             _, _, before, last_shift = self._gave_way[0]
             # Carriages that yield by as much as before, at the new readings.
-            near = last_shift + shift - before
-        yielding = yielded(setup.robot(self.robot), alpha, shift, np.array(setup.drives.translation_compliance), near)
+            guess = last_shift + shift - before
+        yielding = yielded(setup.robot(self.robot), alpha, shift, np.array(setup.drives.translation_compliance), guess)
         self._gave_way[:] = [(setup.copy(), alpha, shift, yielding), *self._gave_way[:2]]
         return yielding
 
@@ -535,7 +535,7 @@ class ArmModel:
         if friction is None or not runs:
             poses = solve_poses(robot, alpha, shift, self.stations, runs)
         else:
-            poses = rubbed_poses(robot, (alpha, shift), self.stations, runs, friction, margins=margins)
+            poses = poses_with_friction(robot, (alpha, shift), self.stations, runs, friction, margins=margins)
         # Joint values that are given come from differences, which ask for them once.
         if joints is None:
             self._solved[:] = [(setup.copy(), alpha, shift, poses), *self._solved[:2]]
@@ -548,8 +548,8 @@ class ArmModel:
         x, y = setup.sensor_tilt
         # R_y(y) R_x(x) e_z: the axis of the tube, turned about x, then about y.
         direction = poses.frame @ np.array([np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x)])
-        turn = setup.plate_turn
-        return stations @ turn.T + setup.plate_shift, direction @ turn.T
+        plate_rotation = setup.plate_turn
+        return stations @ plate_rotation.T + setup.plate_shift, direction @ plate_rotation.T
 
     def predicted(self, state: ParameterState[Registration]) -> Array:
         """(V, 3) predicted sensor values.
@@ -640,13 +640,13 @@ class ArmModel:
         """(V, 3, F) derivatives of the predictions by the registration's freedoms."""
         out = np.zeros((*predicted.shape, self.freedoms))
         for k in range(self.freedoms):
-            turn, shift = state.registration.rates(k)
+            rotation, shift = state.registration.rates(k)
             lever = np.where(
                 self.directed[:, None],
                 predicted,
                 predicted + state.registration.rotation.T @ state.registration.translation,
             )
-            out[..., k] = np.cross(turn, lever) + np.where(self.directed[:, None], 0.0, shift)
+            out[..., k] = np.cross(rotation, lever) + np.where(self.directed[:, None], 0.0, shift)
         return out
 
 

@@ -11,7 +11,7 @@ from ..errors import InputError, nearest
 from ..robots.concentric import ConcentricRobot
 from ..robots.robot import Robot
 from ..typing import Array
-from .effects import EFFECTS, KINDS, OWN, Context, Effect, Setup, Span, members
+from .effects import EFFECTS, KINDS, PER_RECORDING, Context, Effect, Setup, Span, members
 from .measurements import Measurements, recordings_of
 from .registration import FITS_PLATE
 
@@ -52,11 +52,11 @@ def choose_parameters(
     measurements: Measurements | Sequence[Measurements],
     names: Sequence[str],
     registration: str = "rigid",
-    own: Sequence[str] = (),
+    per_recording: Sequence[str] = (),
 ) -> tuple[Parameter, ...]:
     """The parameters with these names; "rotation_all" is one for every tube, and so on.
 
-    Of several recordings an effect in `own` has a parameter for each: "rotation_2@1", "rotation_2@2".
+    Of several recordings an effect in `per_recording` has a parameter for each: "rotation_2@1", "rotation_2@2".
 
     Raises:
         InputError: no name, a name that is unknown, given twice, or means nothing for this robot and these data;
@@ -74,7 +74,7 @@ def choose_parameters(
         return tuple(chosen)
     out: list[Parameter] = []
     for common in chosen:
-        parts = enumerate(recordings) if common.kind in own and common.kind in OWN else ()
+        parts = enumerate(recordings) if common.kind in per_recording and common.kind in PER_RECORDING else ()
         each = [_parameter(replace(context, recordings=(m,)), common.name, registration, k) for k, m in parts]
         out += each or [common]
     return tuple(out)

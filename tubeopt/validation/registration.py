@@ -78,10 +78,10 @@ class Registration:
         if not len(step):
             return self
         turns = [np.array(self.rates(k)[0]) * x for k, x in enumerate(step[:3])]
-        turn = scipy.spatial.transform.Rotation.from_rotvec(np.sum(turns, axis=0)).as_matrix()
+        increment = scipy.spatial.transform.Rotation.from_rotvec(np.sum(turns, axis=0)).as_matrix()
         # The plate's centre c as the device sees it: R c + t = 0.
         centre = -self.rotation.T @ self.translation + (step[3:] if len(step) > 3 else 0.0)
-        rotation = self.rotation @ turn.T
+        rotation = self.rotation @ increment.T
         return Registration(self.method, rotation, -rotation @ centre)
 
     def rates(self, k: int) -> tuple[Array, Array]:
@@ -175,7 +175,7 @@ def _noise_ratio(registration: Registration, m: Array, p: Array, d: MeasuredDire
     left = registration.apply(m) - p, d.measured @ registration.rotation.T - d.predicted
     # A position has three degrees of freedom, a direction two.
     each = [math.sqrt((r**2).sum() / (k * len(r))) for k, r in zip((3, 2), left, strict=True)]
-    position, direction = (known or max(own, 1e-12) for known, own in zip(d.noise, each, strict=True))
+    position, direction = (known or max(estimated, 1e-12) for known, estimated in zip(d.noise, each, strict=True))
     return position / direction
 
 

@@ -185,7 +185,8 @@ class _Search:
         self.progress = progress
         self.given, self.options = options, replace(options, priors=True)
         named = {
-            k: choose_parameters(robot, recordings, v, options.registration, options.own) for k, v in known.items()
+            k: choose_parameters(robot, recordings, v, options.registration, options.per_recording)
+            for k, v in known.items()
         }
         self.idle = [p for some in named.values() for p in some if p.idle]
         active = {k: tuple(p for p in some if not p.idle) for k, some in named.items()}
@@ -226,8 +227,8 @@ class _Search:
     def _better(self) -> _Trial | None:
         """First of the most promising sets that is better than the current one; None without any."""
         sets, cost = self.sets, self._cost(self.now)
-        near = sets.cost(sets.base) + CROOKED * sets.inflation
-        best = [effects for effects in sets.explore() if effects != sets.base and sets.cost(effects) <= near]
+        limit = sets.cost(sets.base) + CROOKED * sets.inflation
+        best = [effects for effects in sets.explore() if effects != sets.base and sets.cost(effects) <= limit]
         for effects in best[:TRIED_SETS]:
             trial = self._tried(effects)
             if trial is not None and self._cost(trial) < cost:
@@ -262,8 +263,8 @@ class _Search:
     def _fewer(self) -> _Trial | None:
         """Set without the effect that improves the fit least for its cost; None if all are worth their cost."""
         now, sets, cost = Effects(self.now.effects), self.sets, self._cost(self.now)
-        near = sets.cost(now) + CROOKED * sets.inflation
-        tried = (self._tried(now - {kind}) for kind in self.now.effects if sets.cost(now - {kind}) <= near)
+        limit = sets.cost(now) + CROOKED * sets.inflation
+        tried = (self._tried(now - {kind}) for kind in self.now.effects if sets.cost(now - {kind}) <= limit)
         evidence = {trial: self._worth(trial) for trial in tried if trial is not None}
         idle = [trial for trial, value in evidence.items() if value < 0 or self._cost(trial) < cost]
         return min(idle, key=lambda trial: evidence[trial], default=None)
@@ -422,9 +423,9 @@ class _Search:
 
     def _gain(self, before: Array, after: Array) -> tuple[float, float]:
         """Relative decrease of the held-out error, and that decrease over its standard error between blocks."""
-        own, scale = self.block[self.model.row], weigh(self.model, self.options, self.initial_trial.sigma)
+        block_of_row, scale = self.block[self.model.row], weigh(self.model, self.options, self.initial_trial.sigma)
         first, then = scale.losses(before), scale.losses(after)
-        differences = np.array([(first - then)[own == k].sum() for k in np.unique(own)])
+        differences = np.array([(first - then)[block_of_row == k].sum() for k in np.unique(block_of_row)])
         total = max(float(first.sum()), 1e-300)
         # Losses are squares: the root gives the part by which the error itself falls.
         gain = 1 - float(np.sqrt(max(0.0, then.sum()) / total))
@@ -505,11 +506,11 @@ class HeldOutSets:
         rows = np.repeat(self.fold, 3)
         self.squares = np.array([table[rows == k].T @ table[rows == k] for k in np.unique(self.fold)])
         self.free = self.slopes.shape[2] - self.count
-        own = self.scale[: self.count]
+        scale = self.scale[: self.count]
         self.absent, self.drawn, self.low, self.high = (
-            each * own for each in (self.absent, self.drawn, self.low, self.high)
+            each * scale for each in (self.absent, self.drawn, self.low, self.high)
         )
-        self.inverse = 1 / (self.prior * own) ** 2
+        self.inverse = 1 / (self.prior * scale) ** 2
         self.known: dict[Effects, float] = {}
         # For independent errors of unit variance the optimism is twice the number of parameters and freedoms.
         optimism = self.lost(self.base) - self.seen(self.base)
@@ -531,8 +532,8 @@ class HeldOutSets:
     def lost(self, effects: Effects) -> float:
         """Held-out loss of a set of effects."""
         total = self.squares.sum(0)
-        steps = (self._step(effects, total - own) for own in self.squares)
-        return float(sum(step @ own @ step for step, own in zip(steps, self.squares, strict=True)))
+        steps = (self._step(effects, total - square) for square in self.squares)
+        return float(sum(step @ square @ step for step, square in zip(steps, self.squares, strict=True)))
 
     def seen(self, effects: Effects) -> float:
         """Loss of a set of effects in the fit to all rows."""
@@ -564,10 +565,10 @@ class HeldOutSets:
     def _solve(self, square: Array, step: Array, free: Mask) -> None:
         """Fill in the free part of a step."""
         at = np.flatnonzero(free)
-        own = np.flatnonzero(at < self.count)
+        with_prior = np.flatnonzero(at < self.count)
         matrix, slope = square[np.ix_(at, at)], square[at] @ step
-        matrix[own, own] += self.inverse[at[own]]
-        slope[own] -= (self.drawn * self.inverse)[at[own]]
+        matrix[with_prior, with_prior] += self.inverse[at[with_prior]]
+        slope[with_prior] -= (self.drawn * self.inverse)[at[with_prior]]
         # Small against the unit length of columns: only columns that are alike need it.
         matrix[np.arange(len(at)), np.arange(len(at))] += 1e-12
         step[at] = -np.linalg.solve(matrix, slope)
@@ -654,12 +655,12 @@ class Slopes:
 
     def beside(self, kind: str, weights: Weights, fold: Index) -> Array:
         """(V, 3) held-out residuals with one more effect than the fit; weights as for `sets`."""
-        own = np.array([p.kind == kind or p.kind in self.base for p in self.model.parameters])
-        fewer = self.model.with_parameters([p for p, mine in zip(self.model.parameters, own, strict=True) if mine])
+        kept = np.array([p.kind == kind or p.kind in self.base for p in self.model.parameters])
+        fewer = self.model.with_parameters([p for p, mine in zip(self.model.parameters, kept, strict=True) if mine])
         residuals = self.residuals + self.jumps.get(kind, 0.0)
-        state = ParameterState(self.state.x[own], self.state.registration)
-        near = RobustDescent(state, residuals, self.of(fewer.parameters), True)
-        return predicted_held_out(fewer, replace(weights, prior=weights.prior[own]), near, fold)
+        state = ParameterState(self.state.x[kept], self.state.registration)
+        descent = RobustDescent(state, residuals, self.of(fewer.parameters), True)
+        return predicted_held_out(fewer, replace(weights, prior=weights.prior[kept]), descent, fold)
 
 
 def slopes_around(
@@ -669,34 +670,34 @@ def slopes_around(
 
     An effect that cannot begin, since there is no such robot, is left out.
     """
-    own, motion = model.parameters, fit.state.registration
-    table, jumps, chosen = [fit.jacobian[..., : len(own)]], dict[str, Array](), list(own)
-    late = [some for some in others if _begins(model, some)]
-    early = [some for some in others if some not in late]
-    for some in ([p for each in early for p in each], *late):
-        more = model.with_parameters([*own, *some])
+    parameters, motion = model.parameters, fit.state.registration
+    table, jumps, chosen = [fit.jacobian[..., : len(parameters)]], dict[str, Array](), list(parameters)
+    unstarted = [some for some in others if _begins(model, some)]
+    started = [some for some in others if some not in unstarted]
+    for some in ([p for each in started for p in each], *unstarted):
+        more = model.with_parameters([*parameters, *some])
         state = ParameterState(np.append(fit.state.x, [p.start for p in some]), motion)
         try:
-            slopes = more.jacobian(state, skip=len(own))
+            slopes = more.jacobian(state, skip=len(parameters))
             jump = more.residuals(state) - fit.residuals
         except (InputError, SolveError):
             continue
-        table.append(slopes[..., len(own) : len(own) + len(some)])
+        table.append(slopes[..., len(parameters) : len(parameters) + len(some)])
         chosen += some
-        if some in late:
+        if some in unstarted:
             jumps[some[0].kind] = jump
-    for kind in dict.fromkeys(p.kind for p in own):
-        mine = np.array([p.kind == kind for p in own])
-        if _begins(model, [p for p in own if p.kind == kind]):
-            fewer = model.with_parameters([p for p in own if p.kind != kind])
+    for kind in dict.fromkeys(p.kind for p in parameters):
+        mine = np.array([p.kind == kind for p in parameters])
+        if _begins(model, [p for p in parameters if p.kind == kind]):
+            fewer = model.with_parameters([p for p in parameters if p.kind != kind])
             jumps[kind] = fit.residuals - fewer.residuals(ParameterState(fit.state.x[~mine], motion))
-    x = np.append(fit.state.x, [p.start for p in chosen[len(own) :]])
+    x = np.append(fit.state.x, [p.start for p in chosen[len(parameters) :]])
     return Slopes(
         model=model.with_parameters(chosen),
         state=ParameterState(x, motion),
-        base=Effects(p.kind for p in own),
+        base=Effects(p.kind for p in parameters),
         residuals=fit.residuals,
-        table=np.concatenate([*table, fit.jacobian[..., len(own) :]], axis=2),
+        table=np.concatenate([*table, fit.jacobian[..., len(parameters) :]], axis=2),
         jumps=jumps,
     )
 

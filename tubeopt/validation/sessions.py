@@ -30,7 +30,10 @@ class Registrations:
     def moved(self, step: Array) -> Registrations:
         """Registrations after a small step in the freedoms of each."""
         return Registrations(
-            tuple(part.moved(own) for part, own in zip(self.parts, np.split(step, len(self.parts)), strict=True))
+            tuple(
+                part.moved(part_step)
+                for part, part_step in zip(self.parts, np.split(step, len(self.parts)), strict=True)
+            )
         )
 
 
@@ -93,7 +96,7 @@ class Sessions:
             for k in range(len(self.models))
         ]
         each = zip(self.models, copied.columns, strict=True)
-        copied.models = tuple(m.with_parameters([copied.parameters[j] for j in own]) for m, own in each)
+        copied.models = tuple(m.with_parameters([copied.parameters[j] for j in columns]) for m, columns in each)
         copied.start = ParameterState(np.array([p.start for p in parameters]), self.start.registration)
         return copied
 
@@ -137,10 +140,10 @@ class Sessions:
         """(V, 3, P + F) derivatives of `residuals`; those by the first `skip` parameters are left at 0."""
         count = len(self.parameters)
         out = np.zeros((len(self.row), 3, count + self.freedoms))
-        for k, (model, own) in enumerate(zip(self.models, self.columns, strict=True)):
-            slopes = model.jacobian(self.part(state, k), skip=int(np.searchsorted(own, skip)))
-            begin = count + (0 if self.shared else k) * model.freedoms
-            at = np.append(own, np.arange(begin, begin + model.freedoms))
+        for k, (model, columns) in enumerate(zip(self.models, self.columns, strict=True)):
+            slopes = model.jacobian(self.part(state, k), skip=int(np.searchsorted(columns, skip)))
+            first = count + (0 if self.shared else k) * model.freedoms
+            at = np.append(columns, np.arange(first, first + model.freedoms))
             out[np.ix_(np.flatnonzero(self.recording == k), np.arange(3), at)] = slopes
         return out
 
@@ -171,6 +174,6 @@ class Sessions:
 
     def blocks(self, most: int) -> Index:
         """(N,) block of each row, at most `most` blocks per recording; no block has rows of two recordings."""
-        counts = [min(most, len(np.unique(place))) for place in self.places]
+        counts = [min(most, len(np.unique(group))) for group in self.places]
         each = zip(self.recordings, counts, self.places, strict=True)
-        return np.concatenate([most * k + deal(m, count, place) for k, (m, count, place) in enumerate(each)])
+        return np.concatenate([most * k + deal(m, count, group) for k, (m, count, group) in enumerate(each)])

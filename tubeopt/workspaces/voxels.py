@@ -222,7 +222,7 @@ class SharedWorkspace(Displayed):
     """(2,) volumes of the workspaces, m^3."""
     shared: float
     """Volume that both reach, m^3."""
-    places: Array
+    positions: Array
     """(V, 3) centres of the voxels that both reach, in the frame that the robots share, m."""
     bases: tuple[Frame, Frame]
     """Frames of the base plates."""
@@ -233,7 +233,7 @@ class SharedWorkspace(Displayed):
         return self.shared
 
     @property
-    def share(self) -> float:
+    def fraction(self) -> float:
         """Fraction of the smaller workspace that the other robot also reaches."""
         return float(self.shared / self.volumes.min())
 

@@ -29,7 +29,7 @@ from tubeopt.robots.file import robot_to_yaml
 from tubeopt.show.page import margin_colour
 from tubeopt.show.surfaces import SampledCentreline, Surface, obstacle_surface, plate_part, robot_parts
 from tubeopt.show.viewer import host, insights, page_text
-from tubeopt.show.viewer.overlays import cut_parts, cut_words, swept_volume
+from tubeopt.show.viewer.overlays import cut_parts, cut_text, swept_volume
 from tubeopt.show.viewer.scene import between
 from tubeopt.show.viewer.session import move_joint, note, open_session, record
 from tubeopt.show.viewer.view import ViewerWaypoints, load_waypoints, make_playback, play_to, snaps_between, state_at
@@ -85,7 +85,7 @@ def test_a_cut_leaves_what_lies_before_the_plane_and_fills_what_it_cuts(normal: 
     height = 0.02 + 0.005
     assert enclosed(together) == pytest.approx(np.pi * height**2 * (0.06 - height) / 3, rel=0.02)
     area = np.pi * (0.02**2 - 0.005**2) * 1e4
-    assert float(cut_words([rest, filled], plane).split()[-4]) == pytest.approx(area, rel=0.01)
+    assert float(cut_text([rest, filled], plane).split()[-4]) == pytest.approx(area, rel=0.01)
     (whole,) = cut_parts([ball], 1.0, other)
     assert enclosed(whole.surface) == pytest.approx(enclosed(obstacle_surface(ball, 1.0)))
     assert cut_parts([ball], 1.0, before) == []
@@ -145,21 +145,21 @@ def test_ticks_are_round() -> None:
 
 def test_the_readout_shows_the_snap_distance() -> None:
     e = forward_kinematics(THESIS, [0.0, 1.0, 2.0])
-    assert page_text.snap_words(e) == "snap distance: at least 51.9 deg<br>"
-    assert page_text.snap_words(e) in page_text.readout(open_session(THESIS, e.rotations), None)
-    assert not page_text.snap_words(forward_kinematics(THESIS, [0.0, 1.0, 2.0], load=Load((1e-3, 0.0, 0.0))))
+    assert page_text.snap_distance_text(e) == "snap distance: at least 51.9 deg<br>"
+    assert page_text.snap_distance_text(e) in page_text.readout(open_session(THESIS, e.rotations), None)
+    assert not page_text.snap_distance_text(forward_kinematics(THESIS, [0.0, 1.0, 2.0], load=Load((1e-3, 0.0, 0.0))))
 
 
 def test_words_are_escaped() -> None:
     session = open_session(replace(THESIS, name="<script>alert(1)</script>"))
-    assert "<script" not in page_text.readout(session, None) + page_text.log_words(note(session, "<b>").log)
+    assert "<script" not in page_text.readout(session, None) + page_text.log_text(note(session, "<b>").log)
     for k in range(page_text.SHOWN_EVENTS + 1):
         session = note(session, f"the {k + 1}th")
-    first, *_, last = re.findall(r"value=.(\d+).[^>]*>(.*?)</li>", page_text.log_words(session.log))
+    first, *_, last = re.findall(r"value=.(\d+).[^>]*>(.*?)</li>", page_text.log_text(session.log))
     assert (first, last) == (("13", "the 13th"), ("1", "and earlier ones"))
-    assert "&lt;b&gt;<br>two" in page_text.message_words("<b>\ntwo", bad=True)
-    assert "cannot snap at any rotation" in page_text.certificate_words(0.2)
-    assert "not proved" in page_text.certificate_words(-0.2)
+    assert "&lt;b&gt;<br>two" in page_text.message_text("<b>\ntwo", bad=True)
+    assert "cannot snap at any rotation" in page_text.certificate_text(0.2)
+    assert "not proved" in page_text.certificate_text(-0.2)
 
 
 # --- trajectories ----------------------------------------------------------------------------------------------------

@@ -14,10 +14,10 @@ from tubeopt.show.viewer import View
 from tubeopt.show.viewer.session import (
     DIRECTIONS,
     Session,
+    equilibrium_load_text,
     go_home,
     head_of,
     load_effect,
-    load_words,
     move_joint,
     newtons_per_metre,
     open_session,
@@ -25,7 +25,7 @@ from tubeopt.show.viewer.session import (
     push_on,
     redesign,
 )
-from tubeopt.show.viewer.teleoperation import pull
+from tubeopt.show.viewer.teleoperation import drag_tip
 from tubeopt.stability.following import push
 
 from .browser import Tab
@@ -86,7 +86,7 @@ def test_joints_move_under_the_load() -> None:
     assert moved.equilibrium.load == load
     assert moved.equilibrium.tip_position == pytest.approx(alone.tip_position, abs=1e-10)
     assert go_home(moved).equilibrium.tip_position == pytest.approx(session.equilibrium.tip_position, abs=1e-10)
-    for refused in (lambda: pull(moved, [0, 0, 0.2]), lambda: redesign(moved, THESIS)):
+    for refused in (lambda: drag_tip(moved, [0, 0, 0.2]), lambda: redesign(moved, THESIS)):
         with pytest.raises(InputError, match="without load only"):
             refused()
     assert all(other.load == load for other in other_equilibria(moved))
@@ -99,11 +99,12 @@ def test_what_a_load_does_in_a_sentence() -> None:
     deflection, limit = result
     assert limit is not None
     assert limit.factor == pytest.approx(2.1846, abs=1e-4)
-    assert load_words(current) == f"10.00 mN: tip moved by {1e3 * deflection:.4f} mm, snaps at 2.1846 times as much"
+    expected = f"10.00 mN: tip moved by {1e3 * deflection:.4f} mm, snaps at 2.1846 times as much"
+    assert equilibrium_load_text(current) == expected
     plain = turned().equilibrium
-    assert load_words(plain) == ""
+    assert equilibrium_load_text(plain) == ""
     far = push(plain, Load((-0.03, 0, 0))).equilibria[-1]
-    assert load_words(far).startswith("30.00 mN: t")
+    assert equilibrium_load_text(far).startswith("30.00 mN: t")
     scale = newtons_per_metre(plain)
     assert scale * (head_of(current, scale) - current.tip_position) == pytest.approx([-0.01, 0, 0])
 
@@ -119,7 +120,7 @@ def test_a_force_that_is_typed_and_a_snap_by_it(tab: Tab) -> None:
     tab.type("force x (mN)", -10)
     tab.press("Put the load on")
     tab.wait_for_tip(gentle.tip_position)
-    report, text = tab.wait_for("load-limit", "snaps at"), load_words(gentle)
+    report, text = tab.wait_for("load-limit", "snaps at"), equilibrium_load_text(gentle)
     assert NUMBER.sub("", report) == NUMBER.sub("", text)
     assert numbers(report) == pytest.approx(numbers(text), abs=1.01e-4)
     assert float(tab.read("margin")) == pytest.approx(gentle.margin, abs=1.01e-4)

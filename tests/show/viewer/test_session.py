@@ -34,7 +34,7 @@ from tubeopt.show.viewer.session import (
     redesign,
     space_of,
 )
-from tubeopt.show.viewer.teleoperation import pull
+from tubeopt.show.viewer.teleoperation import drag_tip
 from tubeopt.typing import Array
 
 ETR = load_robot(CONFIGS / "thesis_etr.yaml")
@@ -199,7 +199,7 @@ def test_the_way_on_which_the_tip_was_led_is_recorded() -> None:
     """In joint values it is no straight line, so that both ends would not tell how the robot got there."""
     session = record(open_session(THESIS), True)
     start, target = session.equilibrium.tip_position, np.array([0.05, -0.06, 0.2])
-    guided, text = pull(session, target)
+    guided, text = drag_tip(session, target)
     assert not text
     recording = guided.recording
     assert recording is not None
@@ -216,7 +216,7 @@ def test_the_way_on_which_the_tip_was_led_is_recorded() -> None:
 def test_the_tip_follows_the_hand() -> None:
     session = turned(open_session(THESIS), 60)
     target = session.equilibrium.tip_position + np.array([0.01, 0.01, 0.005])
-    guided, text = pull(session, target)
+    guided, text = drag_tip(session, target)
     assert not text
     current = guided.equilibrium
     solved = forward_kinematics(THESIS, current.rotations, current.translations, start=current)
@@ -228,7 +228,7 @@ def test_the_tip_stops_at_the_margin_and_says_so() -> None:
     fixed = replace(THESIS.limits, translations=((0.0, 0.0),) * 3)
     session = turned(open_session(replace(THESIS, joint_limits=fixed)), 150)
     goal = find_equilibria(THESIS, np.radians([230, 0, 0]))[0].tip_position
-    guided, text = pull(session, goal, min_margin=0.9)
+    guided, text = drag_tip(session, goal, min_margin=0.9)
     assert guided.equilibrium.margin >= 0.9 - 1e-6
     assert not guided.last
     # Around the snap it comes close to the target. How close after so few steps, round-off of the processor decides.
@@ -239,14 +239,14 @@ def test_the_tip_stops_at_the_margin_and_says_so() -> None:
 def test_the_tip_stops_out_of_reach_and_at_obstacles() -> None:
     session = open_session(THESIS)
     beside = Sphere((0.06, 0.0, 0.1), 0.02)  # at times no part of the arm is near it
-    assert not pull(session, [0.02, -0.08, 0.165], obstacles=[beside])[1]
-    far, text = pull(session, [0.0, 0.0, 1.0])
+    assert not drag_tip(session, [0.02, -0.08, 0.165], obstacles=[beside])[1]
+    far, text = drag_tip(session, [0.0, 0.0, 1.0])
     error = np.linalg.norm(far.equilibrium.tip_position - [0.0, 0.0, 1.0])
     assert error > 0.3
     assert text.startswith(f"the tip stops {error * 1e3:.2f} mm short of the target: ")
     assert "at its end" in text or "touching" in text
     ball = Sphere((0.0, -0.13, 0.165), 0.03)
-    stopped, text = pull(session, [0.0, -0.13, 0.165], obstacles=[ball])
+    stopped, text = drag_tip(session, [0.0, -0.13, 0.165], obstacles=[ball])
     assert text
     clear = ball.signed_distance(stopped.equilibrium.tip_position)
     assert clear > 0

@@ -111,8 +111,8 @@ def interpolate(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Arr
     element, x = mesh.locate(arc_length)
     h = mesh.length[element][:, None]
     even = x[:, None] * h * arm.torque[element] + h**2 * mesh.interpolated(arm.moment, arc_length, integrals=2)
-    wound = h * mesh.interpolated(arm.extra, arc_length, integrals=1)
-    return np.asarray(arm.rotation[element] + arm.compliance[element] * even + wound)
+    twist_angle = h * mesh.interpolated(arm.extra, arc_length, integrals=1)
+    return np.asarray(arm.rotation[element] + arm.compliance[element] * even + twist_angle)
 
 
 def torque_at(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Array:
@@ -160,7 +160,7 @@ def sections_along(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) 
     rate = (stretch / points.torsional_stiffness).reshape(theta.shape)
     return Sections(
         elastic=theta,
-        rotation=theta + points.wound.reshape(theta.shape),
+        rotation=theta + points.twist_angle.reshape(theta.shape),
         torsion=rate * torques_at(problem, arm, x) + points.twist.reshape(theta.shape),
         rate=rate,
         moment=moment.reshape(theta.shape),
@@ -264,7 +264,7 @@ class Between(NamedTuple):
     """Shape point (S,) before each."""
     length: Array
     """Distance (S,) from that point to the next, m."""
-    share: Array
+    fraction: Array
     """Fraction (S,) of that distance; below 0 or above 1 beyond the ends."""
 
 
@@ -368,14 +368,14 @@ def evaluate_arm(problem: ReducedProblem, rotations: Array, state: Evaluation, t
     mesh, n = problem.mesh, problem.assembly.n_tubes
     elements = len(mesh.length)
     if not elements:
-        still, zero = rotations[:, None] + problem.assembly.wound(np.zeros(1)).T, np.zeros((1, 3))
+        still, zero = rotations[:, None] + problem.assembly.twist_angle(np.zeros(1)).T, np.zeros((1, 3))
         return Arm(np.zeros(1), still, np.zeros((n, 1)), zero[:, :2], zero, np.eye(3)[None], 0.0, 0.0, 0.0)
     at_ends, finer, *inside = _sections(problem, torsion, steps := _steps(problem))
     length = np.repeat(mesh.length / steps, steps)
     u = np.zeros((elements, steps.max() * len(GAUSS_POINTS), 2))
     for part in inside:
-        own = steps == part.curvature.shape[1] // len(GAUSS_POINTS)
-        u[own, : part.curvature.shape[1]] = part.curvature[own]
+        with_steps = steps == part.curvature.shape[1] // len(GAUSS_POINTS)
+        u[with_steps, : part.curvature.shape[1]] = part.curvature[with_steps]
     u = u.reshape(elements, -1, len(GAUSS_POINTS), 2)[np.arange(steps.max()) < steps[:, None]]
     turn, position = _poses(u, length)
     # One step for two from the same curvatures: no further cross-sections, and an estimate of the error.

@@ -84,19 +84,19 @@ class Bundle:
 class Boundary(NamedTuple):
     """End of a section."""
 
-    own: float
+    arc_length: float
     """Own arc length of its tubes from the plate, of a place of the sheath its arc length, m."""
     tubes: tuple[int, ...] = ()
     """Tubes that end or begin to curve at the boundary, side by side at one offset."""
     ends: tuple[int, ...] = ()
     """Tubes that end at the boundary."""
-    place: bool = False
+    is_load_jump: bool = False
     """True for a place of the sheath, where the force on a cross-section jumps."""
 
     @property
     def key(self) -> tuple[object, ...]:
         """Name that stays the same when tubes move."""
-        return self.tubes, self.ends, self.own if self.place else None
+        return self.tubes, self.ends, self.arc_length if self.is_load_jump else None
 
 
 def boundaries(bundle: Bundle, places: Sequence[float] = ()) -> list[Boundary]:
@@ -139,7 +139,9 @@ def natural_start(bundle: Bundle, rotations: Array, places: Sequence[float] = ()
         kb = bundle.bending_stiffness * present
         u = (kb * bundle.curvature * curved) @ direction / (kb.sum() + bundle.sheath)
         stretch = 1 + bundle.levers @ u
-        to_go = [(b.own - done[b.tubes[0]]) / stretch[b.tubes[0]] if b.tubes else b.own - arc for b in left]
+        to_go = [
+            (b.arc_length - done[b.tubes[0]]) / stretch[b.tubes[0]] if b.tubes else b.arc_length - arc for b in left
+        ]
         k = int(np.argmin(to_go))
         h = max(to_go[k], 0.0)
         order.append(left.pop(k))
@@ -299,7 +301,7 @@ class BundleProblem:
     @cached_property
     def straight(self) -> Array:
         """Lengths h (m,) of the elements of each section of a straight arm, m."""
-        return np.asarray(self.lengths_by_boundaries @ np.array([b.own for b in self.order]))
+        return np.asarray(self.lengths_by_boundaries @ np.array([b.arc_length for b in self.order]))
 
     @cached_property
     def _bend_scale(self) -> Array:
@@ -360,7 +362,7 @@ class BundleProblem:
         h = (self.lengths_by_bend @ bend)[self.point_section]
         return np.column_stack([self.up_to @ turn + twist, turn, bend.reshape(-1, 2), h])
 
-    def pull(self, table: Array) -> Array:
+    def adjoint_sums(self, table: Array) -> Array:
         """Sums (U, Q) of a table (N, 2 n + 3, Q) times the derivatives of theta, p, kappa and h by x."""
         count, _, q = table.shape
         by_turn = (self.turned.T @ table[:, : self.n].reshape(count, -1)).reshape(count + 1, self.n, q)
@@ -385,9 +387,9 @@ class BundleProblem:
         """Tube that ends last; of several, the first."""
         return self.order[-1].ends[0]
 
-    def place(self, s: float) -> int:
+    def boundary_at(self, s: float) -> int:
         """Section that ends at an arc length of the sheath; the last one at and beyond the tip."""
-        return next((k for k, b in enumerate(self.order) if b.place and b.own == s), len(self.order) - 1)
+        return next((k for k, b in enumerate(self.order) if b.is_load_jump and b.arc_length == s), len(self.order) - 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -459,7 +461,7 @@ def evaluate(problem: BundleProblem, rotations: Array, x: Array, factor: float =
     energy, by_local, second, _ = (part.copy() for part in mapped(bundle_energy(n), count)(local, *problem.inputs))
     second = second.reshape(count, 2 * n + 3, 2 * n + 3)
     weighted = problem.weight[:, None] * by_local
-    gradient, hessian = problem.pull(weighted[..., None])[:, 0], _hessian(problem, second)
+    gradient, hessian = problem.adjoint_sums(weighted[..., None])[:, 0], _hessian(problem, second)
     by_bend = weighted[:, 2 * n : -1].ravel() + problem.lengths_by_bend.T @ (problem.in_section @ weighted[:, -1])
     spring = x[problem.sprung_rows]
     total = float(problem.weight @ energy[:, 0]) + float(spring @ spring) / 2
@@ -627,7 +629,7 @@ def work_of(problem: BundleProblem, bend: Array, h: Array, length: Array) -> Wor
     for part in load.acting:
         turns = load.frame == "tip" and part.at == np.inf
         tip_force, tip_moment = (tip @ value if turns else np.array(value) for value in (part.force, part.moment))
-        beyond = problem.point_section <= problem.place(part.at)
+        beyond = problem.point_section <= problem.boundary_at(part.at)
         ahead[beyond] += tip_force
         moments[beyond] += tip_moment
         total += np.concatenate([tip_force, tip_moment])
@@ -650,9 +652,9 @@ def work_of(problem: BundleProblem, bend: Array, h: Array, length: Array) -> Wor
     slope_across = 2 * (stage @ np.tensordot(gravity, kinds[:, :2], 1)).swapaxes(0, 1) @ orientation.stage_slope
     first = t.ravel() @ by_c.reshape(-1, size) + across.ravel() @ by_e.reshape(-1, size)
     second = np.zeros((size, size))
-    own = (weight[:, None] * by_h).T @ (t[:, None] @ by_n)[:, 0]
+    mixed = (weight[:, None] * by_h).T @ (t[:, None] @ by_n)[:, 0]
     bent = (weight * h * (per_length_slope * t).sum(1))[:, None] * by_s
-    second += own + own.T - by_s.T @ bent
+    second += mixed + mixed.T - by_s.T @ bent
     turned = slope_t.T @ by_c.reshape(-1, size) + slope_across.reshape(2 * count, -1).T @ by_e.reshape(-1, size)
     second[: 2 * count] += turned
     second[:, : 2 * count] += turned.T
@@ -805,12 +807,12 @@ def _shortened(problem: BundleProblem, turn: Array, bend: Array, sections: Seque
     """Overwrite p (N, n) and kappa (N, 2) of short sections: rates of the section before them, times their length."""
     rate_of, h = np.column_stack([turn, bend]), problem.straight + problem.lengths_by_bend @ bend.ravel()
     for k in sections:
-        own = problem.point_section == k
+        in_section = problem.point_section == k
         neighbour = (
             np.flatnonzero(problem.point_section == k - 1)[-1] if k else np.flatnonzero(problem.point_section == 1)[0]
         )
         rate = rate_of[neighbour] / max(h[problem.point_section[neighbour]], length)
-        turn[own], bend[own] = length * rate[:-2], length * rate[-2:]
+        turn[in_section], bend[in_section] = length * rate[:-2], length * rate[-2:]
 
 
 def opened(problem: BundleProblem, x: Array, least: float) -> Array:
@@ -909,15 +911,15 @@ def carried(problem: BundleProblem, state: BundleState) -> Array:
 def followed(state: BundleState, bundle: Bundle, places: Sequence[float] = ()) -> Start:
     """Boundaries of a bundle in order, close to a state of the same tubes at other translations or places."""
     known = state.problem
-    places_of_known = np.cumsum(known.lengths(state.x) * known.count).tolist()
-    ends = {b.key: place for b, place in zip(known.order, places_of_known, strict=True)}
-    s, own = known.up_to @ state.h, known.up_to @ state.length
+    known_arc_lengths = np.cumsum(known.lengths(state.x) * known.count).tolist()
+    ends = {b.key: arc_length for b, arc_length in zip(known.order, known_arc_lengths, strict=True)}
+    s, tube_lengths = known.up_to @ state.h, known.up_to @ state.length
 
     def reached(b: Boundary) -> float:
         if b.key in ends or not b.tubes:
-            return float(ends.get(b.key, b.own))
-        along = own[:, b.tubes[0]]
-        return float(np.interp(b.own, [0.0, *along], [0.0, *s]) + max(b.own - along[-1], 0.0))
+            return float(ends.get(b.key, b.arc_length))
+        along = tube_lengths[:, b.tubes[0]]
+        return float(np.interp(b.arc_length, [0.0, *along], [0.0, *s]) + max(b.arc_length - along[-1], 0.0))
 
     order = ordered(bundle, sorted(boundaries(bundle, places), key=reached))
     last = max(k for k, b in enumerate(order) if b.ends)
@@ -932,7 +934,7 @@ def ordered(bundle: Bundle, order: Sequence[Boundary]) -> list[Boundary]:
     lever = np.array([bundle.levers[b.tubes[0]] if b.tubes else np.zeros(2) for b in order])
     for k in range(len(out)):
         same = np.flatnonzero(np.abs(lever - lever[k]).max(1) <= SAME_PLACE).tolist()
-        for number, b in zip(same, sorted((order[i] for i in same), key=lambda b: b.own), strict=True):
+        for number, b in zip(same, sorted((order[i] for i in same), key=lambda b: b.arc_length), strict=True):
             out[number] = b
     return out
 
@@ -943,19 +945,19 @@ def moved_order(problem: BundleProblem, bundle: Bundle, places: Sequence[float])
     length = float((problem.nominal * problem.count).sum())
     if ((bundle.transmission > SAME_PLACE) != (problem.bundle.transmission > SAME_PLACE)).any():
         return ()
-    if {b.key for b in problem.order} != {key for key, b in now.items() if b.tubes or b.own < length}:
+    if {b.key for b in problem.order} != {key for key, b in now.items() if b.tubes or b.arc_length < length}:
         return ()
     order = [now[b.key] for b in problem.order]
     return tuple(order) if ordered(bundle, order) == order else ()
 
 
-def solved_order(bundle: Bundle, places: Sequence[float], ends: Array, own: Array) -> tuple[Boundary, ...]:
+def solved_order(bundle: Bundle, places: Sequence[float], ends: Array, tube_lengths: Array) -> tuple[Boundary, ...]:
     """Boundaries in order, from their places (m,) on the centreline and own lengths (m, n) of the tubes there, m."""
 
     def reached(b: Boundary) -> float:
         if not b.tubes:
-            return b.own
-        to_go = b.own - own[:, b.tubes[0]]
+            return b.arc_length
+        to_go = b.arc_length - tube_lengths[:, b.tubes[0]]
         k = int(np.argmin(np.abs(to_go)))
         return float(ends[k] + to_go[k])
 

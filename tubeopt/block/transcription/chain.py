@@ -97,9 +97,9 @@ def interpolated_columns(sections: CrossSections, nodes: Array) -> Array:
     """
     count, n = len(nodes), sections.stiffness.shape[1]
     curvature = sections.moment / np.where(sections.stiffness > 0, sections.stiffness, 1.0)
-    turn = sections.phase - sections.wound
+    turn = sections.phase - sections.twist_angle
     x, y = curvature * np.cos(turn), curvature * np.sin(turn)
-    parts = sections.stiffness, sections.torsional_stiffness, x, y, sections.wound
+    parts = sections.stiffness, sections.torsional_stiffness, x, y, sections.twist_angle
     fit = np.linalg.inv(np.polynomial.chebyshev.chebvander(2 * nodes - 1, count - 1))
     tables = [fit @ part.reshape(-1, count, n) for part in parts]
     joined = np.concatenate(tables, axis=1).transpose(0, 2, 1)
@@ -415,14 +415,14 @@ def remade(tube: Tube, **dimensions: Any) -> Tube:
 
 def piece_numbers(tubes: Sequence[Tube], like: Chain) -> dict[str, Array]:
     """PIECES of tubes, relative to the pieces of `like`."""
-    own = chain_of(tuple(tubes))
-    if own.owner.tolist() != like.owner.tolist() or own.piece.tolist() != like.piece.tolist():
+    chain = chain_of(tuple(tubes))
+    if chain.owner.tolist() != like.owner.tolist() or chain.piece.tolist() != like.piece.tolist():
         raise InputError("the pieces of the tubes differ from those of the block")
-    start = dict(own.start)
+    start = dict(chain.start)
     first = [like.piece.tolist().index(k) for k in range(len(like.owner))]
-    turned = np.arctan2(own.y, own.x)[first, 0] - np.arctan2(like.y, like.x)[first, 0]
+    turned = np.arctan2(chain.y, chain.x)[first, 0] - np.arctan2(like.y, like.x)[first, 0]
     start["piece_plane"] = (turned + np.pi) % (2 * np.pi) - np.pi
-    for name, mine, old in (("bending", own.kb, like.kb), ("torsion", own.kt, like.kt)):
-        ratio = mine[first, 0] / _stiffness(own, mine)[first] / (old[first, 0] / _stiffness(like, old)[first])
+    for name, mine, old in (("bending", chain.kb, like.kb), ("torsion", chain.kt, like.kt)):
+        ratio = mine[first, 0] / _stiffness(chain, mine)[first] / (old[first, 0] / _stiffness(like, old)[first])
         start[f"piece_{name}_factor"] = ratio
     return start

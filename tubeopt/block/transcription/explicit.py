@@ -248,8 +248,8 @@ def explicit_parameters(robot: Robot) -> Array:
     if not home.even:
         known = steps_of(tubes)
         start = np.pad(known.cuts, ((0, 0), (1, 0)))[:, :-1]
-        direction = known.phase + known.wound - known.twist * start
-        end_turn = known.wound[:, -1] + known.twist[:, -1] * (known.cuts - start)[:, -1]
+        direction = known.phase + known.twist_angle - known.twist * start
+        end_turn = known.twist_angle[:, -1] + known.twist[:, -1] * (known.cuts - start)[:, -1]
         tables = known.cuts, known.bending, known.torsional, known.bending * known.curvature, direction, known.twist
         return np.concatenate([*(table.ravel(order="F") for table in tables), end_turn])
     return np.concatenate(
@@ -448,12 +448,12 @@ def _step(n: int, eccentric: bool, twisted: bool = False) -> ca.Function:
 
     state, stiffness = (theta, w, y, v), (kt, softening * kt)
     march = partial(_runge_kutta, balance) if eccentric else partial(_nystrom, balance, natural)
-    near, near_w, *fields = march(state, params, stiffness, h)
+    start, start_w, *fields = march(state, params, stiffness, h)
     # Cubic Hermite interpolation at the middle, of order 4 as the step.
-    middle = (theta + near) / 2 + h / 8 * (rate(near, near_w) - rate(theta, w))
-    curvatures = ca.horzcat(*(curvature(at + natural[k], *params) for k, at in ((2, near), (1, middle), (0, theta))))
+    middle = (theta + start) / 2 + h / 8 * (rate(start, start_w) - rate(theta, w))
+    curvatures = ca.horzcat(*(curvature(at + natural[k], *params) for k, at in ((2, start), (1, middle), (0, theta))))
     inputs = [theta, w, y, v, h, kb, m, kt, softening, *parameters]
-    return ca.Function("step", inputs, [near, near_w, *fields, ca.densify(curvatures)], {"cse": True})
+    return ca.Function("step", inputs, [start, start_w, *fields, ca.densify(curvatures)], {"cse": True})
 
 
 def _nystrom(

@@ -186,9 +186,9 @@ class LoadedProblem:
         return self.torsion.mesh
 
     @cached_property
-    def wound(self) -> Array:
+    def twist_angle(self) -> Array:
         """Natural rotations (N, n) of the tubes up to the points, rad."""
-        return self.torsion.assembly.wound(self.torsion.arc_length)
+        return self.torsion.assembly.twist_angle(self.torsion.arc_length)
 
     @property
     def size(self) -> int:

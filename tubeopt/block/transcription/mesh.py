@@ -278,10 +278,10 @@ def green_of(t: Tableau, start: Array, length: Array, rate: Array | None = None)
     rate = np.ones((len(length), t.degree)) if rate is None else rate
     start, length = start[..., None], length[:, None]
     # int rate ds up to each point: begin of its element and what the matrix A adds inside.
-    near = start + length * (rate @ t.matrix.T)
-    near = near.reshape(*near.shape[:-2], -1)
+    at_points = start + length * (rate @ t.matrix.T)
+    at_points = at_points.reshape(*at_points.shape[:-2], -1)
     # Between elements the kernel min(s, r) is smooth, so that its collocated value is exact.
-    green = np.minimum(near[..., :, None], near[..., None, :])
+    green = np.minimum(at_points[..., :, None], at_points[..., None, :])
     # Within one the kernel has a kink: A diag(rate / b) A' is symmetric, which L L' needs.
     within = start[..., None] + length[..., None] * ((t.matrix * (rate / t.weights)[..., None, :]) @ t.matrix.T)
     for e in range(len(length)):

@@ -106,7 +106,7 @@ def _selected_panels(order: Order, assembly: Assembly) -> Array:
 
     B panels, tube by tube, the straight part first; beyond the end of a tube its last panel is selected.
     """
-    counts = [1 + (len(own) + 1) * has_curve(assembly, i) for i, own in enumerate(joints_of(assembly))]
+    counts = [1 + (len(joints) + 1) * has_curve(assembly, i) for i, joints in enumerate(joints_of(assembly))]
     out = np.zeros((len(order.front), sum(counts)))
     for i, first in enumerate(np.cumsum([0, *counts[:-1]]).tolist()):
         out[np.arange(len(out)), first + np.minimum(order.panel[:, i], counts[i] - 1)] = 1.0
@@ -403,7 +403,7 @@ def layout_numbers(layout: Layout, column: Any = None) -> LayoutNumbers:
     if column is None:
         return LayoutNumbers(*(ca.DM(part) for part in parts))
     columns = ca.vertsplit(column, np.cumsum([0, *(part.size for part in parts)]).tolist())
-    return LayoutNumbers(*(ca.reshape(own, *part.shape) for own, part in zip(columns, parts, strict=True)))
+    return LayoutNumbers(*(ca.reshape(each, *part.shape) for each, part in zip(columns, parts, strict=True)))
 
 
 def model_of(grid: Grid, numbers: LayoutNumbers, unknowns: tuple[Any, ...], inputs: Mapping[str, Any]) -> Model:

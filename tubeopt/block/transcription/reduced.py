@@ -335,10 +335,10 @@ def _factor(mesh: Mesh, compliant: Compliant, unknowns: tuple[Index, Index]) -> 
     factor, start = np.zeros((len(point), len(point))), reach(mesh, compliant)[elements].T
     green = green_of(mesh.tableau, start, mesh.length[elements], compliant.rate[elements].transpose(2, 0, 1))
     ends = np.searchsorted(tube, np.arange(len(start) + 1)).tolist()  # the unknowns are sorted by tube
-    for own, (first, last) in zip(green, pairwise(ends), strict=True):
+    for block, (first, last) in zip(green, pairwise(ends), strict=True):
         if first < last:
             mine = point[first:last]
-            factor[first:last, first:last] = np.linalg.cholesky(own[mine[:, None], mine])
+            factor[first:last, first:last] = np.linalg.cholesky(block[mine[:, None], mine])
     return factor
 
 

@@ -142,12 +142,12 @@ def _linearise(problem: ReducedProblem, theta: Array) -> Iterator[_Linearised]:
         k, p = len(t), len(o)
         # Gamma + P (g - 1) W / kt: rotation by a torque, directly and by the stretch of its tube.
         compliance = block.compliance + (block.up_to * extra.T[t][:, None, :]) @ block.beyond
-        own = np.ix_(o, t, t)
-        relative = stretched[own].transpose(2, 1, 0) * twist[np.ix_(o, t)].T[:, None, :]
+        diagonal = np.ix_(o, t, t)
+        relative = stretched[diagonal].transpose(2, 1, 0) * twist[np.ix_(o, t)].T[:, None, :]
         # P w g': a turn stretches the tubes, which turns them; it is subtracted from 1 below.
         matrix = -(block.up_to[:, o][None, :, None, :] * relative[:, None]).reshape(k * p, k * p)
         matrix.ravel()[:: k * p + 1] += 1.0
-        yield _Linearised(block, matrix, compliance, turned[own].swapaxes(1, 2))
+        yield _Linearised(block, matrix, compliance, turned[diagonal].swapaxes(1, 2))
 
 
 def _real(values: NDArray[Any]) -> Array:

@@ -127,7 +127,7 @@ static void sample_arm(const Bed *bed, const Layout *from, int pieces, const dou
             double basis = 1;
             for (int j = 0; j <= STEPS; j++) basis *= j == k ? 1 : (t - j) / (k - j);
             for (int i = 0; i < N; i++)
-                theta[x][i] += basis * (rotation[e * STEPS + k][i] - wound_at(&PIECES, i, s[e * STEPS + k] + from->transmission[i]));
+                theta[x][i] += basis * (rotation[e * STEPS + k][i] - twist_angle_at(&PIECES, i, s[e * STEPS + k] + from->transmission[i]));
         }
     }
 }

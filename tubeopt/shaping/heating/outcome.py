@@ -156,14 +156,14 @@ def _distinct(value: float, limit: float) -> str:
     return repr(value)
 
 
-def remarks(rig: Rig, history: History, wall: float) -> tuple[str, ...]:
-    """Remarks on mold and battery; `wall` is the hottest temperature of the groove, K."""
+def remarks(rig: Rig, history: History, mold_temperature: float) -> tuple[str, ...]:
+    """Remarks on mold and battery; `mold_temperature` is the hottest temperature of the groove, K."""
     messages = []
     mold = rig.mold.material
-    if wall > mold.limit_temperature:
+    if mold_temperature > mold.limit_temperature:
         messages.append(
             f"the mold of {mold.name.replace('_', ' ')} {mold.failure} above {mold.limit_temperature_degC:.0f} degC; "
-            f"its groove reaches {math.ceil(wall - ZERO_CELSIUS)} degC"
+            f"its groove reaches {math.ceil(mold_temperature - ZERO_CELSIUS)} degC"
         )
     left = rig.battery.state_of_charge - float(history.lumped[-1, 0, CHARGE])
     if left < 0:

@@ -275,9 +275,9 @@ class MoldBlock:
             (np.concatenate([g, g, -g, -g]), (rows, columns)), shape=2 * (number.size,)
         )
         # Weights of the cells at the points of the curved part: linear between the middles of the middle layer.
-        place, weights = np.abs(arc_points(tube)), np.zeros((POINTS, *cells))
+        points, weights = np.abs(arc_points(tube)), np.zeros((POINTS, *cells))
         along, across = (
-            np.array([np.interp(place[:, axis], self.middles[axis], unit) for unit in np.eye(cells[axis])])
+            np.array([np.interp(points[:, axis], self.middles[axis], unit) for unit in np.eye(cells[axis])])
             for axis in range(2)
         )
         weights[..., cells[2] // 2] = np.einsum("xp,yp->pxy", along, across)
@@ -374,9 +374,9 @@ def arc_points(tube: Tube) -> Array:
     if not tube.curvature:
         return np.stack([(np.linspace(0.0, 1.0, POINTS) - 0.5) * tube.curved_length, np.zeros(POINTS)], 1)
     radius = 1 / tube.curvature
-    place = radius * np.stack([np.sin(angle), np.cos(angle)], 1)
+    points = radius * np.stack([np.sin(angle), np.cos(angle)], 1)
     # The box around the arc is in the middle of the plates.
-    return np.asarray(place - (place.max(0) + place.min(0)) / 2)
+    return np.asarray(points - (points.max(0) + points.min(0)) / 2)
 
 
 def mold_length(oven: Oven, tube: Tube) -> float:

@@ -244,8 +244,8 @@ def write_dxf(drawing: Drawing, centreline: Sequence[Arc], path: Path) -> Path:
             _add(space, piece, layer)
     for centre, diameter in drawing.circles:
         space.add_circle(centre, diameter / 2, dxfattribs={"layer": "HOLES"})
-    for place, text in drawing.texts:
-        attributes = {"layer": "TEXT", "height": TEXT_HEIGHT_MM, "insert": place}
+    for position, text in drawing.texts:
+        attributes = {"layer": "TEXT", "height": TEXT_HEIGHT_MM, "insert": position}
         space.add_text(text, dxfattribs=attributes)
     with atomic_write(path) as temporary:
         document.saveas(temporary)
@@ -310,7 +310,7 @@ def _add(space: object, piece: Arc, layer: str) -> None:
 
 def svg_of(drawing: Drawing) -> str:
     """SVG of a drawing in its true size, with a group for every layer."""
-    low = min([0.0, *(place[1] for place, _ in drawing.texts)]) - MARGIN_MM / 2
+    low = min([0.0, *(position[1] for position, _ in drawing.texts)]) - MARGIN_MM / 2
     longest = max(len(text) for _, text in drawing.texts) * 0.6 * TEXT_HEIGHT_MM
     right = max(drawing.size[0] + MARGIN_MM, longest)
     width, height = right + MARGIN_MM, drawing.size[1] + MARGIN_MM - low

@@ -24,7 +24,7 @@ from ...design import (
 from ...design.requirements import of_kind
 from ...errors import InputError
 from ...files.units import TO_MM
-from ...planning import PairShare
+from ...planning import PairFraction
 from ...stability import StabilityMap
 from ...typing import Array
 from ..page import tube_colour
@@ -206,7 +206,7 @@ def plot_stock(choice: StockChoice, *, task: DesignTask, limit: int = 12) -> Fig
 
 def _axis_name(objective: Objective | CustomObjective) -> str:
     """Name of an objective with its unit."""
-    return f"{objective.words} ({objective.unit})" if objective.unit else objective.words
+    return f"{objective.description} ({objective.unit})" if objective.unit else objective.description
 
 
 TICK_STEP = 5
@@ -214,27 +214,27 @@ TICK_STEP = 5
 
 
 @picture
-def plot_pair_shares(
-    shares: tuple[PairShare, PairShare], *, names: tuple[str, str] = ("one", "other"), title: str = ""
+def plot_pair_fractions(
+    reaches: tuple[PairFraction, PairFraction], *, names: tuple[str, str] = ("one", "other"), title: str = ""
 ) -> Figure:
     """Figure of the distance between two arms with their tips at any two targets, before and after.
 
     Grey: an arm does not reach its target, or both targets are the same.
 
     Args:
-        shares: results for the initial robots, and for the designs.
+        reaches: results for the initial robots, and for the designs.
         names: names of the arms.   title: heading; by default the names of the arms.
     """
     figure = new_figure(7.2, 3.4)
     panels = figure.subplots(1, 2, sharey=True)
     # The clearance is the middle of the colours: satisfied and violated pairs differ in hue.
-    largest = 2 * TO_MM * max(shares[1].clearance, 1e-4)
-    for panel, reach, when in zip(panels, shares, ("as given", "as designed"), strict=True):
+    largest = 2 * TO_MM * max(reaches[1].clearance, 1e-4)
+    for panel, reach, when in zip(panels, reaches, ("as given", "as designed"), strict=True):
         # NaN lets the grey of the panel show.
         table = np.where(np.eye(len(reach.apart), dtype=bool), np.nan, reach.apart * TO_MM)
         panel.set_facecolor(FAINT)
         panel.imshow(table, vmin=0, vmax=largest, cmap="RdBu")
-        panel.set(title=f"{when}: {100 * reach.share:.0f} % of pairs", xlabel=f"target number of {names[1]}")
+        panel.set(title=f"{when}: {100 * reach.fraction:.0f} % of pairs", xlabel=f"target number of {names[1]}")
         panel.set(xticks=range(0, len(table), TICK_STEP), yticks=range(0, len(table), TICK_STEP))
     panels[0].set_ylabel(f"target number of {names[0]}")
     where: dict[str, Any] = {"location": "bottom", "shrink": 0.6, "aspect": 40, "extend": "both"}
@@ -245,7 +245,11 @@ def plot_pair_shares(
 
 @picture
 def plot_pair_places(
-    shares: tuple[PairShare, PairShare], *, places: Array, names: tuple[str, str] = ("one", "other"), title: str = ""
+    reaches: tuple[PairFraction, PairFraction],
+    *,
+    places: Array,
+    names: tuple[str, str] = ("one", "other"),
+    title: str = "",
 ) -> Figure:
     """Map of the targets of two arms, before and after, coloured by the targets that remain for the other arm.
 
@@ -253,21 +257,21 @@ def plot_pair_places(
     of the other targets that the other tip then reaches without contact. White: the arm does not reach the target.
 
     Args:
-        shares: results for the initial robots, and for the designs.
+        reaches: results for the initial robots, and for the designs.
         places: (N, 3) positions of the targets in a common frame, m.
         names: names of the arms.   title: heading; by default it assigns the halves to the arms.
 
     Raises:
-        InputError: the number of places is not that of the shares.
+        InputError: the number of places is not that of the reaches.
     """
-    if any(np.shape(places) != (len(reach.apart), 3) for reach in shares):
-        raise InputError(f"places has shape {np.shape(places)}; it must be ({len(shares[0].apart)}, 3)")
+    if any(np.shape(places) != (len(reach.apart), 3) for reach in reaches):
+        raise InputError(f"places has shape {np.shape(places)}; it must be ({len(reaches[0].apart)}, 3)")
     figure = new_figure(7.0, 7.6)
     panels = figure.subplots(2, 2, sharex=True, sharey="row")
     # Half of the largest extent and a tenth of it as an edge: all panels have one scale.
     middle, half = (places.max(0) + places.min(0)) / 2 * TO_MM, 0.6 * float(np.ptp(places, axis=0).max()) * TO_MM
-    for column, reach, when in zip(panels.T, shares, ("as given", "as designed"), strict=True):
-        column[0].set_title(f"{when}: {100 * reach.share:.0f} % of pairs")
+    for column, reach, when in zip(panels.T, reaches, ("as given", "as designed"), strict=True):
+        column[0].set_title(f"{when}: {100 * reach.fraction:.0f} % of pairs")
         column[1].set_xlabel("x (mm)")
         for axes, axis in zip(column, (2, 1), strict=True):  # seen along y, and along z
             drawn = [_draw_halves(axes, places[:, [0, axis]] * TO_MM, reach, arm) for arm in (0, 1)]
@@ -280,7 +284,7 @@ def plot_pair_places(
     return headed(figure, title or f"tip of {names[0]}: left half,  tip of {names[1]}: right half")
 
 
-def _draw_halves(axes: Axes, points: Array, reach: PairShare, arm: int) -> Collection:
+def _draw_halves(axes: Axes, points: Array, reach: PairFraction, arm: int) -> Collection:
     """Left (arm 0) or right half of each point (N, 2), mm, coloured by the targets left for the other arm."""
     from matplotlib.markers import MarkerStyle
 

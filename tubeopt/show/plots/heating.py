@@ -332,13 +332,13 @@ def _draw_wires(axes: Axes, wiring: Wiring) -> None:
         axes.plot(*zip(*path, strict=True), **signal)
         axes.text(*at, label, fontsize=7, color=INK)
     axes.plot([], [], label="signals", **signal)
-    words = (
+    text = (
         "The monostable closes the cut-out while ticks meet a high drain: a shorted switch or a dead board opens it.\n"
         "There is one ground: battery, driver and board are joined at the MOSFET's source. Current sensor, divider\n"
         "and thermometer take theirs from the board. Between pulses the tube is at the battery's plus: a bead that\n"
         "touches its metal would put that on the converter. A coat of ceramic cement or a foil of mica insulates it."
     )
-    axes.text(0.03, 0.0, words, fontsize=7, color=INK, va="top")
+    axes.text(0.03, 0.0, text, fontsize=7, color=INK, va="top")
     axes.legend(loc="upper left", fontsize=7, bbox_to_anchor=(0.0, 1.0))
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def note(
     axes: Axes,
-    words: str,
+    text: str,
     at: ArrayLike,
     shift: ArrayLike,
     *,
@@ -37,7 +37,7 @@ def note(
     horizontal = "left" if across > 2 else "right" if across < -2 else "center"
     vertical = "center" if level or abs(across) > 2 * abs(up) else "bottom" if up > 0 else "top"
     return axes.annotate(
-        words,
+        text,
         (x, y),
         (across, up),
         textcoords="offset points",
@@ -96,15 +96,15 @@ def names_above(axes: Axes, names: Mapping[float, str], *, panel_width: float) -
     """
     low, high = axes.get_xlim()
     row_ends: list[float] = []
-    for x, words in sorted(names.items()):
-        lines = words.split("\n")
+    for x, text in sorted(names.items()):
+        lines = text.split("\n")
         half = LETTER * (max(map(len, lines)) + 1) / 2
         middle = 72 * panel_width * (x - low) / (high - low)
         row = next((k for k, end in enumerate(row_ends) if middle - half > end), len(row_ends))
         row_ends[row : row + 1] = [middle + half]
         where: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
         look: dict[str, Any] = {"fontsize": 7, "color": FAINT, "ha": "center", "va": "bottom"}
-        axes.annotate(words, (x, 1), (0, 2 + ROW * len(lines) * row), **where, **look)
+        axes.annotate(text, (x, 1), (0, 2 + ROW * len(lines) * row), **where, **look)
     return len(row_ends)
 
 

@@ -250,9 +250,9 @@ def _uncover(axes: Axes) -> bool:
     if axes.get_title() or axes.get_title("left"):
         _legend_again(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
         return True
-    own: Any = legend._ncols  # type: ignore[attr-defined]  # noqa: SLF001
+    n_columns: Any = legend._ncols  # type: ignore[attr-defined]  # noqa: SLF001
     # As many columns as the panel is wide: above it, every row of a legend costs height.
-    columns = int(np.clip(axes.bbox.width / box.width * own, 1, len(legend.get_texts())))
+    columns = int(np.clip(axes.bbox.width / box.width * n_columns, 1, len(legend.get_texts())))
     where: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.1}
     _legend_again(axes, ncols=columns, **where)
     return True
@@ -302,12 +302,12 @@ def _break_headings_and_legends(figure: Figure) -> None:
         legend = axes.get_legend()
         if legend is None or not legend.get_texts():
             continue
-        own: Any = legend._ncols  # type: ignore[attr-defined]  # noqa: SLF001
+        n_columns: Any = legend._ncols  # type: ignore[attr-defined]  # noqa: SLF001
         legend_width = legend.get_window_extent().width
-        if legend_width > width and own > 1:
-            legend = _legend_again(axes, ncols=max(int(own * width / legend_width), 1), columnspacing=1.0)
+        if legend_width > width and n_columns > 1:
+            legend = _legend_again(axes, ncols=max(int(n_columns * width / legend_width), 1), columnspacing=1.0)
         for text in legend.get_texts():
-            _break_lines(text, 0.4 * width if own == 1 else width)
+            _break_lines(text, 0.4 * width if n_columns == 1 else width)
     for legend in list(figure.legends):
         entries = [text.get_text() for text in legend.get_texts()]
         columns = int(len(entries) * page_width / legend.get_window_extent().width)

@@ -140,9 +140,9 @@ def plot_force_estimates(estimates: Mapping[str, Sequence[ForceEstimate]], *, tr
             covariance = repeated[0].covariance[np.ix_([i, j], [i, j])] * TO_MILLI**2
             # x' C^-1 x = c is an ellipse with half axes sqrt(c lambda_i) along the eigenvectors of C.
             variances, directions = np.linalg.eigh(covariance)
-            turn = np.linspace(0, 2 * np.pi, 181)
+            angle = np.linspace(0, 2 * np.pi, 181)
             half_axes = directions * np.sqrt(CHI_SQUARED_95 * variances)
-            ellipse = true[[i, j], None] * TO_MILLI + half_axes @ np.array([np.cos(turn), np.sin(turn)])
+            ellipse = true[[i, j], None] * TO_MILLI + half_axes @ np.array([np.cos(angle), np.sin(angle)])
             panel.plot(*ellipse, color=colour, lw=1.2)
         panel.plot(*(true[[i, j]] * TO_MILLI), "+", ms=9, mew=1.5, color=INK, zorder=5)
         panel.set(xlabel=f"force along {AXES[i]} (mN)", ylabel=f"force along {AXES[j]} (mN)")

@@ -32,7 +32,7 @@ from .style import (
     new_figure,
     number,
     picture,
-    rotations_in_words,
+    rotations_text,
 )
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def plot_energy_maps(maps: Sequence[EnergyMap], *, titles: Sequence[str] = ()) -
             panel.axis("off")
             continue
         filled = _draw_energy(panel, maps[k], levels)
-        title = "".join(rotations_in_words(e.rotations) for e in maps[k].equilibria[:1])
+        title = "".join(rotations_text(e.rotations) for e in maps[k].equilibria[:1])
         panel.set_title(titles[k] if titles else title, loc="left")
     if len({(*each.tubes, *each.first[[0, -1]], *each.second[[0, -1]]) for each in maps}) == 1:
         for panel in panels.ravel():
@@ -221,8 +221,8 @@ def _filled(stability_map: StabilityMap, fine: Array, selected: Mask, curves: Se
     first, second = (axis[selected] for axis in np.meshgrid(angles, angles, indexing="ij"))
     known = np.vstack([np.column_stack([first, second]), *(curve.known for curve in curves)])
     # At a fold margin^2 is linear in the distance to it (saddle-node), which a cubic follows; a root it cannot.
-    own = np.clip(stability_map.margin[selected], 0, 1) ** 2
-    square = np.concatenate([own, *(curve.square for curve in curves)])
+    squared = np.clip(stability_map.margin[selected], 0, 1) ** 2
+    square = np.concatenate([squared, *(curve.square for curve in curves)])
     if not len(known):
         return np.full((len(fine), len(fine)), np.nan)
     points = np.stack(np.meshgrid(fine, fine), axis=-1).reshape(-1, 2)

@@ -38,13 +38,13 @@ def plot_mold(mold: Mold, *, title: str = "") -> Figure:
     axes = figure.add_subplot()
     draw_mold(axes, mold)
     axes.set(xlabel="x (mm)", ylabel="y (mm)")
-    radii = ",  ".join(f"tube {groove.number}: {radius_words(groove.held, '.2f', ' mm')}" for groove in mold.grooves)
+    radii = ",  ".join(f"tube {groove.number}: {radius_text(groove.held, '.2f', ' mm')}" for groove in mold.grooves)
     heading = mold_heading(mold)
     entitle(axes, f"{f'{title}: m{heading[1:]}' if title else heading}\nradius of the groove  {radii}")
     return figure
 
 
-def radius_words(tube: Tube, digits: str, unit: str = "") -> str:
+def radius_text(tube: Tube, digits: str, unit: str = "") -> str:
     """Radius of a tube, mm, the smallest one if it varies; "straight" for a straight tube."""
     if tube.curvature == 0:
         return "straight"
@@ -219,9 +219,9 @@ def draw_plan(side: Axes, mandrel: Mandrel) -> None:
     if isinstance(body, Cylinder):
         table = rotation_table(mandrel)
         bend = (table[:, 0] >= 0) & (table[:, 0] <= mandrel.held.curved_length + 1e-12)
-        feed, turn = table[:, 1] * TO_MM, np.degrees(table[:, 2])
-        side.plot(turn, feed, color=INK, lw=1.0, ls=(0, (4, 2)), label="leads, tangent")
-        side.plot(turn[bend], feed[bend], color=tube_colour(mandrel.number - 1), lw=1.8, label="bend")
+        feed, winding = table[:, 1] * TO_MM, np.degrees(table[:, 2])
+        side.plot(winding, feed, color=INK, lw=1.0, ls=(0, (4, 2)), label="leads, tangent")
+        side.plot(winding[bend], feed[bend], color=tube_colour(mandrel.number - 1), lw=1.8, label="bend")
         side.set(xlabel="rotation (deg)", ylabel="feed from the chuck's end (mm)")
         side.legend(loc="best")
         return

@@ -158,19 +158,19 @@ def draw_bars(
     quantity: str,
     *,
     colours: str | Sequence[str],
-    words: Sequence[str] | None = None,
+    labels: Sequence[str] | None = None,
 ) -> Any:
     """Horizontal bars, the first one on top; returns them.
 
     Args:
         names: of the bars, at their left.   values: (N,), in the unit of `quantity`, the name of the scale.
-        words: text at the end of every bar.
+        labels: text at the end of every bar.
     """
     rows = np.arange(len(names))
     bars = axes.barh(rows, values, color=colours, height=BAR)
     axes.set_yticks(rows, names)
     axes.set_ylim(len(names) - 0.4, -0.6)
-    if words is not None:
-        axes.bar_label(bars, words, padding=4, fontsize=7)
+    if labels is not None:
+        axes.bar_label(bars, labels, padding=4, fontsize=7)
     axes.set_xlabel(quantity)
     return bars

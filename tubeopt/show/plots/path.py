@@ -32,7 +32,7 @@ from .style import (
     new_figure,
     number,
     picture,
-    rotations_in_words,
+    rotations_text,
     styled,
 )
 from .trajectory import film_ending, save_film
@@ -187,7 +187,7 @@ def plot_snap(
     before, after = snap.before, snap.after
     figure = new_figure(7.0, 4.9)
     robot = before.robot
-    joints = rotations_in_words(snap.rotations, 3)
+    joints = rotations_text(snap.rotations, 3)
     if np.any(snap.translations):
         joints += f", translations ({millimetres(snap.translations)}) mm"
     energy = released(snap.energy_released, ", {:.2f} mJ are released")

@@ -72,7 +72,7 @@ def widest_view(points: Array) -> Projection:
     # At 90 deg the bend would lie in the plane of the picture; 60 deg brings it a little forwards.
     best = np.degrees(np.arctan2(along[1], along[0])) - 60.0
     # At multiples of 90 deg a wall would be seen edge-on; 30 and 60 deg show both walls.
-    azimuths = np.array([quarter + turn for quarter in (-180, -90, 0, 90) for turn in (30, 60)])
+    azimuths = np.array([quarter + offset for quarter in (-180, -90, 0, 90) for offset in (30, 60)])
     # The largest cosine is the nearest azimuth, whatever multiples of 360 deg lie between.
     return Projection(18.0, float(azimuths[np.argmax(np.cos(np.radians(azimuths - best)))]))
 

@@ -327,8 +327,8 @@ def _torsion_curve(equilibrium: Equilibrium, tube: int, end: float) -> TorsionCu
     cuts = np.unique(np.searchsorted(s, [0.0, *equilibrium.section_start, s[-1]] - np.array(1e-12)))
     parts: list[Array] = []
     for first, last in pairwise(cuts[cuts < len(s)]):
-        own = slice(first, last + 1)
-        slopes = slope[own].copy()
+        stretch = slice(first, last + 1)
+        slopes = slope[stretch].copy()
         if first > 0:
             # The result holds theta' in front of a jump; behind it theta' follows from the points of the section.
             # Krogh's polynomial takes a repeated abscissa as value and slope. At the first point the slope is the
@@ -339,8 +339,8 @@ def _torsion_curve(equilibrium: Equilibrium, tube: int, end: float) -> TorsionCu
             conditions[2::2] = slope[points[2::2]]
             slopes[0] = scipy.interpolate.KroghInterpolator(s[points] - s[first], conditions).derivative(0.0)
         # 300 points over the arm are finer than the pixels of a panel; points of the solution are kept.
-        fine = np.union1d(s[own], np.linspace(s[first], s[last], 2 + int(300 * (s[last] - s[first]) / s[-1])))
-        cubic = scipy.interpolate.CubicHermiteSpline(s[own], theta[own], slopes)
+        fine = np.union1d(s[stretch], np.linspace(s[first], s[last], 2 + int(300 * (s[last] - s[first]) / s[-1])))
+        cubic = scipy.interpolate.CubicHermiteSpline(s[stretch], theta[stretch], slopes)
         if parts and abs(slopes[0] - slope[first]) > JUMP * np.ptp(slope):
             parts.append(np.full((3, 1), np.nan))
         parts.append(np.array([fine, cubic(fine), cubic(fine, 1)]))

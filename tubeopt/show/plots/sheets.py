@@ -20,7 +20,7 @@ from ...shaping.mold.mold import Groove, Mold
 from ...shaping.tube_fabrication import TubeFabrication
 from ..page import WIDTH
 from .heating import draw_duty, draw_temperature
-from .mold import draw_mold, draw_plan, draw_space, extent, mold_heading, radius_words
+from .mold import draw_mold, draw_plan, draw_space, extent, mold_heading, radius_text
 from .style import Figure, new_figure, picture
 
 A4 = (297.0, 210.0)
@@ -108,8 +108,8 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
     _write(figure, EDGE, EDGE + 3, key)
     top, shown = bottom - 4, part.grooves[:MAX_COLUMNS]
     columns = [EDGE, *(EDGE + 52.0 + 30.0 * k for k in range(len(shown)))]
-    for x, words in zip(columns, ("mm, tubes cold", *(f"tube {groove.number}" for groove in shown)), strict=True):
-        _write(figure, x, top, words, weight="bold")
+    for x, heading in zip(columns, ("mm, tubes cold", *(f"tube {groove.number}" for groove in shown)), strict=True):
+        _write(figure, x, top, heading, weight="bold")
     tables = [groove_numbers(groove, part) for groove in shown]
     _write_table(figure, columns, top - ROW, *tables)
     if len(part.grooves) > len(shown):
@@ -128,8 +128,8 @@ def groove_numbers(groove: Groove, mold: Mold) -> dict[str, str]:
     passes = math.ceil(groove.depth / mold.spec.milling.step_down - 1e-9)
     return {
         "tube, outer / inner diameter": f"{tube.outer_diameter * TO_MM:.3f} / {tube.inner_diameter * TO_MM:.3f}",
-        "required radius": radius_words(tube, ".2f"),
-        "mold radius": radius_words(groove.held, ".3f"),
+        "required radius": radius_text(tube, ".2f"),
+        "mold radius": radius_text(groove.held, ".3f"),
         "spring-back of the curvature": f"{100 * (1 - back.obtained(1.0) if back.slope == 0 else lost):.2f} %",
         "bend, length / angle": f"{groove.bend_length * TO_MM:.2f} / {math.degrees(groove.bend_angle):.2f}°",
         "groove, width / depth": f"{groove.width * TO_MM:.3f} / {groove.depth * TO_MM:.3f}",
@@ -160,7 +160,7 @@ def mold_steps(mold: Mold) -> list[str]:
         f"{math.ceil(clamp_distance(mold) * TO_MM)} mm from the plate, with a board below. {bolts} bolts of "
         f"{spec.plate.bolt_diameter * TO_MM:g} mm, 2 dowels of {spec.plate.dowel_diameter * TO_MM:g} mm (ream them), "
         f"{len(mold.vents)} vents of {spec.vents.diameter * TO_MM:g} mm in the lid.",
-        f"Programs in this order, Z set on the face with each tool: {_program_words(mold)}.",
+        f"Programs in this order, Z set on the face with each tool: {_program_text(mold)}.",
         *_slot_steps(mold),
         "Cut the tube and mark the bend. Press it into the groove, marks on the ends of the bend; dowels, lid, bolts.",
         f"Clamps at the distances of the table from the plate, {clamps.grip * TO_MM:g} mm of tube in each. The {fixed} "
@@ -171,7 +171,7 @@ def mold_steps(mold: Mold) -> list[str]:
     ]
 
 
-def _program_words(mold: Mold) -> str:
+def _program_text(mold: Mold) -> str:
     """Text of the program files of both plates, with tools and durations."""
     return "; ".join(f"{p.file} {p.tool}, {math.ceil(p.time / 60)} min" for p in programs_of(mold))
 

@@ -18,12 +18,12 @@ from ...errors import InputError
 from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...typing import Array
-from ..formatting import in_a_word, tip_in_words
+from ..formatting import in_a_word, tip_text
 from ..page import FAINT as FAINT
 from ..page import FONTS, HEADINGS, TITLED, WIDTH
 from ..page import INK as INK
 from ..page import narrow as narrow
-from ..quantities import load_in_words
+from ..quantities import load_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes
@@ -257,7 +257,7 @@ def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) 
     """
     kind = "Concentric" if equilibrium.robot.nested_pairs or equilibrium.robot.n_tubes == 1 else "Eccentric"
     name = title or equilibrium.robot.name or f"{kind} robot, {equilibrium.robot.n_tubes} tubes"
-    joints = [rotations_in_words(equilibrium.rotations)]
+    joints = [rotations_text(equilibrium.rotations)]
     if np.any(equilibrium.translations):
         # Tubes on one carriage share a translation, which is named once.
         first = [tubes[0] for tubes in equilibrium.robot.moving_together]
@@ -267,17 +267,17 @@ def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) 
     verdict = f"{margin}, {word}" if word in ("unstable", "at a snap") else margin
     verdict = "margin unknown" if np.isnan(equilibrium.margin) else verdict
     state = [f"tip ({millimetres(equilibrium.tip_position)}) mm", verdict]
-    load = "" if equilibrium.load is None else f"load: {load_in_words(equilibrium.load)}"
+    load = "" if equilibrium.load is None else f"load: {load_text(equilibrium.load)}"
     # Only a hyphen in front of a number that begins a word is a minus: names such as "A-1" keep theirs.
     more = [re.sub(r"(?<![\w.])-(?=\d)", "\N{MINUS SIGN}", load)] if load else []
-    if tip := tip_in_words(equilibrium.robot, equilibrium.tube_end):
+    if tip := tip_text(equilibrium.robot, equilibrium.tube_end):
         more.append(f"the tip is {tip}")
     if narrow:
         return "\n".join([name, *joints, *state, *more])
     return "\n".join([f"{name}:  {',  '.join(state)}", ",  ".join(joints), *more])
 
 
-def rotations_in_words(rotations: Array, digits: int = 1) -> str:
+def rotations_text(rotations: Array, digits: int = 1) -> str:
     """Rotations (n,), rad, in deg, for a heading."""
     return f"rotations ({', '.join(f'{number(angle, digits)}°' for angle in np.degrees(rotations))})"
 

@@ -219,8 +219,8 @@ def _foreign_panels(figure: Figure, axes: Axes | None) -> Iterator[Axes]:
 def _covered(figure: Figure, texts: Sequence[PlacedText], boxes: Array) -> Iterator[tuple[Axes, Mask]]:
     """Panels, and the texts (N,) of other panels inside their area, where one would hide the other."""
     for axes in figure.axes:
-        own = np.array([each.axes is axes for each in texts])
-        for panel in _foreign_panels(figure, axes) if own.any() else ():
-            covered = own & _overlap(figure, boxes, _box(panel.bbox))[:, 0]
+        on_axes = np.array([each.axes is axes for each in texts])
+        for panel in _foreign_panels(figure, axes) if on_axes.any() else ():
+            covered = on_axes & _overlap(figure, boxes, _box(panel.bbox))[:, 0]
             if covered.any():
                 yield panel, covered

@@ -20,7 +20,7 @@ from ...inverse.arm_surface import ArmSurface
 from ...planning import ArmsPlan, Trajectory
 from ...runs.plan_study import VerifiedTrajectory
 from ...typing import Array
-from ..quantities import load_in_words
+from ..quantities import load_text
 from .labels import legend_beside, note
 from .panels import CLEARANCE, DEVIATION, MARGIN, PanelScale, draw_joints, draw_over, share_x
 from .projection import Projection, SceneBox
@@ -103,7 +103,7 @@ def plot_checked(checked: VerifiedTrajectory) -> Figure:
 
 def _under_load(arm: Equilibrium) -> str:
     """Load of an arm as the last part of a heading; "" without a load."""
-    return "" if arm.load is None else f",  under {load_in_words(arm.load)}"
+    return "" if arm.load is None else f",  under {load_text(arm.load)}"
 
 
 class Followed(NamedTuple):
@@ -390,9 +390,9 @@ def _arms_scene(plan: ArmsPlan, times: Array) -> PlotScene:
     """Every arm at some instants, with the path of its tip up to the last."""
     arms, paths = [], []
     rows = zip(*(plan.rows_at(float(t)) for t in times), strict=True)
-    for arm, motion, own in zip(plan.arms, plan.trajectories, rows, strict=True):
-        arms += swept_arms([motion.arms[row] for row in own], arm.base)
-        passed = slice(own[-1] + 1)
+    for arm, motion, arm_rows in zip(plan.arms, plan.trajectories, rows, strict=True):
+        arms += swept_arms([motion.arms[row] for row in arm_rows], arm.base)
+        passed = slice(arm_rows[-1] + 1)
         paths.append(TipPath(motion.time[passed], arm.base.placed(motion.tip_position[passed])))
     return PlotScene(arms, plan.obstacles, paths)
 

@@ -261,7 +261,7 @@ def _draw_steps(axes: Axes, c: Comparison) -> None:
     labels = [f"{value:.2f}" for value in values[: len(steps)]] + [
         gain.replace("-", "\N{MINUS SIGN}") for gain in gains
     ]
-    bars = draw_bars(axes, names, values, f"RMS tip error held out (mm), {c.folds} blocks", colours=KEPT, words=labels)
+    bars = draw_bars(axes, names, values, f"RMS tip error held out (mm), {c.folds} blocks", colours=KEPT, labels=labels)
     for bar, label in zip(bars[len(steps) :], axes.get_yticklabels()[len(steps) :], strict=True):
         bar.set(facecolor="none", edgecolor=REFUSED, lw=0.9)
         label.set_color(FAINT)

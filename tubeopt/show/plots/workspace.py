@@ -226,11 +226,11 @@ def _section(workspace: Workspace, size: float | None) -> _Section:
     margin[where] = -store.margin
     patches[1:-1, 1:-1][where] = store.patches
     empty = np.isinf(margin)
-    near = np.zeros(shape, np.uint64)
+    neighbours = np.zeros(shape, np.uint64)
     for i, j in np.ndindex(3, 3):
         # A bit per patch of directions; the union over a cell and its eight neighbours counts none twice.
-        near |= patches[i : i + shape[0], j : j + shape[1]]
-    fractions = np.bitwise_count(near) / PATCHES
+        neighbours |= patches[i : i + shape[0], j : j + shape[1]]
+    fractions = np.bitwise_count(neighbours) / PATCHES
     # Empty cells are inf here and lose against any neighbour.
     smallest = minimum_filter(margin, 3, mode="nearest")
     return _Section(edge, first, np.where(empty, np.nan, smallest), np.where(empty, np.nan, fractions))

@@ -253,9 +253,9 @@ def arms_page(plan: ArmsPlan) -> str:
         ViewerScene(server.scene).layer("obstacles", obstacle_parts(plan.obstacles, reach))
         scenes = []
         for k, (arm, motion) in enumerate(zip(plan.arms, plan.trajectories, strict=True)):
-            turn = Rotation.from_matrix(arm.base.axes).as_quat(scalar_first=True)
+            wxyz = Rotation.from_matrix(arm.base.axes).as_quat(scalar_first=True)
             prefix = f"/arm_{k + 1}"
-            server.scene.add_frame(prefix, show_axes=False, wxyz=tuple(turn), position=tuple(arm.base.origin * SCALE))
+            server.scene.add_frame(prefix, show_axes=False, wxyz=tuple(wxyz), position=tuple(arm.base.origin * SCALE))
             server.scene.add_label(f"{prefix}/name", arm.called)
             scenes.append(ViewerScene(server.scene, prefix))
             scenes[-1].layer(f"{prefix[1:]}/plate", [plate_part(plate_radius(motion.start))])

@@ -23,7 +23,7 @@ from ...typing import Array
 from ..page import margin_colour, tube_colour
 from ..plots.maps import fold_points, smooth, stable_parts
 from .panel import Panel
-from .session import Session, load_words
+from .session import Session, equilibrium_load_text
 
 MAP_SAMPLES = 13
 """Points per axis of the small stability map."""
@@ -121,7 +121,7 @@ class Insights:
         current = self._session().equilibrium
         if self._panel.push is not None and self._loaded is not current:
             self._loaded = current
-            self._panel.push.report(load_words(current))
+            self._panel.push.report(equilibrium_load_text(current))
 
     def _trace_curve(self) -> None:
         key = self._curve_key()
@@ -392,6 +392,6 @@ def map_plot(chart: StabilityMap, equilibrium: Equilibrium) -> str:
     relative = np.degrees(equilibrium.rotations - equilibrium.rotations[still])
     # Into [-180, 180) deg, the range of the map.
     wrapped = (relative + 180) % 360 - 180
-    wound = bool(np.abs(wrapped - relative)[[first, second]].max() > 1e-9)
-    body.append(axes.dot(float(wrapped[first]), float(wrapped[second]), "#111", hollow=wound))
+    wrapped_around = bool(np.abs(wrapped - relative)[[first, second]].max() > 1e-9)
+    body.append(axes.dot(float(wrapped[first]), float(wrapped[second]), "#111", hollow=wrapped_around))
     return frame(axes, body, "margin over two rotations", angles=(True, True))

@@ -43,7 +43,7 @@ def cut_parts(obstacles: Sequence[Obstacle], reach: float, plane: Plane | None) 
     return [part for part in (*cut, Part(SECTION, filled, SECTION_COLOUR)) if len(part.surface.faces)]
 
 
-def cut_words(parts: Sequence[Part], plane: Plane | None) -> str:
+def cut_text(parts: Sequence[Part], plane: Plane | None) -> str:
     """Position of the plane and the cut area of bodies, as text."""
     if plane is None:
         return ""

@@ -50,8 +50,8 @@ def readout(session: Session, certificate: float | None) -> str:
         f'<div style="{BOX}" data-testid="readout">'
         f"<b>{escape(e.robot.name or 'robot')}</b> &nbsp; {badge}<br>"
         f"{tube_colours(e.robot.n_tubes)}<br>{lines} {bar}"
-        f'<span data-testid="snap distance">{snap_words(e)}</span>'
-        f'<span data-testid="certificate">{certificate_words(certificate)}</span></div>'
+        f'<span data-testid="snap distance">{snap_distance_text(e)}</span>'
+        f'<span data-testid="certificate">{certificate_text(certificate)}</span></div>'
     )
 
 
@@ -70,7 +70,7 @@ def tube_colours(n_tubes: int) -> str:
     return f'<span data-testid="tubes">{" ".join(marks)}</span>'
 
 
-def certificate_words(certificate: float | None) -> str:
+def certificate_text(certificate: float | None) -> str:
     """Certificate at these translations, as text."""
     if certificate is None:
         return "certificate: …"
@@ -80,7 +80,7 @@ def certificate_words(certificate: float | None) -> str:
     return f"certificate {shown}: not proved free of snaps"
 
 
-def snap_words(e: Equilibrium) -> str:
+def snap_distance_text(e: Equilibrium) -> str:
     """Proved snap distance, as text and a line break; "" where none is known, or where the certificate is positive."""
     distance = known_distance(lambda: e.snap_distance)
     return (
@@ -88,7 +88,7 @@ def snap_words(e: Equilibrium) -> str:
     )
 
 
-def log_words(log: Sequence[SessionEvent]) -> str:
+def log_text(log: Sequence[SessionEvent]) -> str:
     """Log of events, latest first."""
     rows = [
         f'<li data-testid="event" value="{number}" style="{"color:#c81e1e" if event.snap else ""}">'
@@ -101,7 +101,7 @@ def log_words(log: Sequence[SessionEvent]) -> str:
     return f'<div style="{BOX};max-height:220px;overflow-y:auto" data-testid="log">{body}</div>'
 
 
-def message_words(text: str, *, bad: bool = False) -> str:
+def message_text(text: str, *, bad: bool = False) -> str:
     """Message to the user, a line for each sentence.
 
     Messages that are `bad` stay visible while the panel scrolls (`page.css`).
@@ -115,7 +115,7 @@ def message_words(text: str, *, bad: bool = False) -> str:
     )
 
 
-def ghost_words(ghosts: Sequence[Equilibrium]) -> str:
+def ghost_text(ghosts: Sequence[Equilibrium]) -> str:
     """Number of other equilibria at these joint values, as text."""
     stable = sum(ghost.stable for ghost in ghosts)
     count = counted(len(ghosts), "other equilibrium", "other equilibria")
@@ -146,7 +146,7 @@ def legend() -> str:
     return f'<div style="{BOX}" data-testid="legend">{"".join(rows)}</div>'
 
 
-def key_words(token: str, keys: str) -> str:
+def keys_text(token: str, keys: str) -> str:
     """Note on the keys that move the tip, with the token of the robot for the script of the page."""
     return f'<div style="{BOX}" data-testid="hand" data-hand="{escape(token)}">{escape(keys)}</div>'
 

@@ -22,7 +22,7 @@ from ...robots.robot import Robot
 from ...robots.tubes import Tube
 from ...typing import Array
 from .overlays import ACROSS
-from .page_text import Commands, key_words, legend, log_words, message_words, readout, typed
+from .page_text import Commands, keys_text, legend, log_text, message_text, readout, typed
 from .scene import Mark, ViewerScene
 from .session import (
     DIRECTIONS,
@@ -116,7 +116,7 @@ def with_knob(robot: Robot, knob: Knob, value: float) -> Robot:
     raise InputError(f"the tubes of a {type(robot).__name__} cannot be changed here")
 
 
-OWN_GRAVITY = "as given"
+GIVEN_GRAVITY = "as given"
 
 EFFECT = '<div data-testid="load-limit" style="font:12px sans-serif;padding:2px 10px 6px">{}</div>'
 
@@ -142,15 +142,15 @@ class PushPanel:
         check: Callable[..., Any],
         initial: Load | None = None,
     ) -> None:
-        own = None if initial is None else initial.gravity
-        self._tab, self._choices = tab, DIRECTIONS if own is None else {**DIRECTIONS, OWN_GRAVITY: own}
+        gravity = None if initial is None else initial.gravity
+        self._tab, self._choices = tab, DIRECTIONS if gravity is None else {**DIRECTIONS, GIVEN_GRAVITY: gravity}
         self._effect = gui.add_html(EFFECT.format(""))
         self._shown: tuple[float, ...] = (0.0, 0.0, 0.0)
         hint = "Drag the arrows at the head of the force on the tip."
         check("drag a force", False, partial(tab.show, "force"), hint=hint)
         self._boxes = [gui.add_text(f"force {axis} (mN)", "0") for axis in "xyz"]
         self._gravity = gui.add_dropdown("gravity", tuple(self._choices))
-        self._gravity.value = OWN_GRAVITY if own else "none"
+        self._gravity.value = GIVEN_GRAVITY if gravity else "none"
 
         def put_on() -> None:
             force = numbers(self._boxes)
@@ -248,7 +248,7 @@ class Panel:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(390)
         self._readout = gui.add_html("")
-        self._message = gui.add_html(message_words(""))
+        self._message = gui.add_html(message_text(""))
         self._keys = gui.add_html("")
         tabs = gui.add_tab_group()
         with tabs.add_tab("Joints"):
@@ -273,7 +273,7 @@ class Panel:
         with tabs.add_tab("Save"):
             self._save_controls()
         with gui.add_folder("What happened"):
-            self._log = gui.add_html(log_words(()))
+            self._log = gui.add_html(log_text(()))
         plots = gui.add_panel()
         with plots.add_tab("Plots"):
             self._plots = {name: gui.add_html("") for name in ("torsion", "curve", "map")}
@@ -289,16 +289,16 @@ class Panel:
 
     def say(self, text: str, *, bad: bool = False) -> None:
         """Show a message below the readout."""
-        self._message.content = message_words(text, bad=bad)
+        self._message.content = message_text(text, bad=bad)
 
     def show_keys(self, token: str | None) -> None:
         """Let the script of the page move the tip by its token; None: no longer."""
-        self._keys.content = "" if token is None else key_words(token, KEYS)
+        self._keys.content = "" if token is None else keys_text(token, KEYS)
 
     def show(self, session: Session, certificate: float | None, torsion: str | None) -> None:
         """Show readout, log, load, and the plot of torsion unless it is None."""
         self._readout.content = readout(session, certificate)
-        self._log.content = log_words(session.log)
+        self._log.content = log_text(session.log)
         if torsion is not None:
             self.plot("torsion", torsion)
         if self.push is not None:
@@ -494,10 +494,10 @@ class Panel:
             self._shown[id(slider)] = round(value, 4)
 
             # The default binds the knob of this round; a closure would see the last one.
-            def turn(value: float, knob: Knob = knob) -> None:
+            def change_value(value: float, knob: Knob = knob) -> None:
                 change(lambda session: redesign(session, with_knob(session.robot, knob, value)), key=knob.label)
 
-            out.append((knob, self._when_moved(slider, turn)))
+            out.append((knob, self._when_moved(slider, change_value)))
         self._check("stability map", False, partial(self._tab.show, "map"))
         self._button("Back to the robot as loaded", lambda: change(lambda session: redesign(session, robot)))
         self._button("Save robot as YAML", partial(self._tab.save, "robot"))

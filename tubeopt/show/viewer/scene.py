@@ -303,13 +303,13 @@ def between(before: Equilibrium, after: Equilibrium, count: int) -> list[Equilib
     u = (1 - weights) * first + weights * after.curvature
     h = np.diff(s)
     # Mean curvature times length is the rotation vector of a step; without its third entry, no twist of the frame.
-    turn = np.concatenate([(u[:, :-1] + u[:, 1:]) / 2 * h[:, None], np.zeros((count + 1, len(h), 1))], axis=2)
+    omega = np.concatenate([(u[:, :-1] + u[:, 1:]) / 2 * h[:, None], np.zeros((count + 1, len(h), 1))], axis=2)
     frame = np.empty((count + 1, len(s), 3, 3))
     frame[:, 0] = after.frame[0]
     position = np.zeros((count + 1, len(s), 3))
     position[:, 0] = after.position[0]
     for k in range(len(h)):
-        frame[:, k + 1] = frame[:, k] @ scipy.spatial.transform.Rotation.from_rotvec(turn[:, k]).as_matrix()
+        frame[:, k + 1] = frame[:, k] @ scipy.spatial.transform.Rotation.from_rotvec(omega[:, k]).as_matrix()
         # r' = R e3 by the trapezoidal rule.
         position[:, k + 1] = position[:, k] + h[k] * (frame[:, k, :, 2] + frame[:, k + 1, :, 2]) / 2
     # The few points integrate to within a per cent: what is missing at both ends is shared out between them.

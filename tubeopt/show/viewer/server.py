@@ -23,12 +23,12 @@ from ...workspaces import workspace
 from ..surfaces import Part
 from .host import LOCAL, AddedHandler, address_of, page_title, quiet_server, saved
 from .insights import Insights, Worker, torsion_plot
-from .overlays import COLOUR, OPACITY, ComparedRobot, comparison_session, cut_parts, cut_words, swept_volume
-from .page_text import Change, Commands, ghost_words
+from .overlays import COLOUR, OPACITY, ComparedRobot, comparison_session, cut_parts, cut_text, swept_volume
+from .page_text import Change, Commands, ghost_text
 from .panel import ForceArrow, Panel
 from .scene import Mark, ViewerScene, animate, ghost_parts, look_from
 from .session import Session, other_equilibria
-from .teleoperation import PATH, Channel, TipServo, pull
+from .teleoperation import PATH, Channel, TipServo, drag_tip
 from .view import (
     LoadedFiles,
     Playback,
@@ -205,7 +205,7 @@ class Tab(Commands):
 
     def move_tip(self, target: np.ndarray, *, released: bool) -> None:
         def moved(session: Session) -> tuple[Session, str]:
-            return pull(session, target, min_margin=self.panel.min_margin, obstacles=self._obstacles)
+            return drag_tip(session, target, min_margin=self.panel.min_margin, obstacles=self._obstacles)
 
         # While the target is dragged, all steps together are one change for undo.
         self.change(moved, dragged=None if released else "target")
@@ -359,7 +359,7 @@ class Tab(Commands):
             return
         ghosts = other_equilibria(self.session)
         self.scene.layer("ghosts", ghost_parts(ghosts))
-        self._say(ghost_words(ghosts))
+        self._say(ghost_text(ghosts))
 
     def _show(self, layer: str, on: bool) -> None:
         """Show or hide a layer."""
@@ -388,7 +388,7 @@ class Tab(Commands):
             reach = max(tube.length for tube in self.session.robot.tubes)
             parts = cut_parts(self._obstacles, reach, self._plane)
             self.scene.layer("obstacles", parts)
-            self._say(cut_words(parts, self._plane))
+            self._say(cut_text(parts, self._plane))
         elif layer == "workspace":
             self._say(f"solving {CLOUD} configurations …")
             cloud = workspace(self.session.robot, CLOUD)

@@ -275,9 +275,9 @@ def other_equilibria(session: Session) -> list[Equilibrium]:
     Raises:
         SolveError: the set that was found is not complete.
     """
-    own = session.equilibrium
-    equilibria = find_equilibria(session.robot, own.rotations, own.translations, load=own.load)
-    distance = [float(np.abs(each.tip_rotations - own.tip_rotations).max()) for each in equilibria]
+    shown = session.equilibrium
+    equilibria = find_equilibria(session.robot, shown.rotations, shown.translations, load=shown.load)
+    distance = [float(np.abs(each.tip_rotations - shown.tip_rotations).max()) for each in equilibria]
     # The session's own equilibrium is among them; the nearest is left out unless it clearly differs.
     nearest = int(np.argmin(distance)) if equilibria else -1
     return [each for k, each in enumerate(equilibria) if k != nearest or distance[k] > SAME_TIP]
@@ -401,7 +401,7 @@ def load_effect(equilibrium: Equilibrium) -> tuple[float, LoadLimit | None] | No
     return float(np.linalg.norm(equilibrium.tip_position - unloaded.tip_position)), limit
 
 
-def load_words(equilibrium: Equilibrium) -> str:
+def equilibrium_load_text(equilibrium: Equilibrium) -> str:
     """Effect of the load in a sentence; "" without load."""
     load = equilibrium.load
     if load is None:

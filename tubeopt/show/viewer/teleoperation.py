@@ -125,7 +125,7 @@ class TipServo:
             self._servo, self._bodies = servo, obstacles
         # Two messages may come at once; a step of no duration has no velocity.
         step = servo.step(Command(velocity=SPEED * velocity), max(duration, 1e-3))
-        return moved_to(session, step.equilibrium), step.why.words
+        return moved_to(session, step.equilibrium), step.why.text
 
 
 PART_LENGTH = 0.05
@@ -139,7 +139,7 @@ QUICK = InverseOptions(steps=20)
 """Options of a step towards the target, with few iterations."""
 
 
-def pull(
+def drag_tip(
     session: Session, target: ArrayLike, *, min_margin: float = 0.05, obstacles: Sequence[Obstacle] = ()
 ) -> tuple[Session, str]:
     """Session after moving the tip towards `target` (3,), m, by Gauss-Newton steps within all limits.

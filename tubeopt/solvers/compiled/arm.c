@@ -172,7 +172,7 @@ static void sample(const Unknowns *q, const Guess *g, double theta[][N]) {
                               h * t * u * (w[0] * u - w[g->next] * t);
             theta[x][i] += g->turn[i];
             if (winding[i])
-                theta[x][i] -= wound_at(q->tubes->pieces, i, q->s[x] + fmax(q->tubes->straight[i] - g->shift[i], 0));
+                theta[x][i] -= twist_angle_at(q->tubes->pieces, i, q->s[x] + fmax(q->tubes->straight[i] - g->shift[i], 0));
         }
     }
 }
@@ -312,7 +312,7 @@ static double add_piece(const Unknowns *q, const Profile *arm, int p, double *po
             double torque = arm->torque[p][i];
             for (int j = 0; j < MOST_DEGREE; j++)
                 torque += l->length[p] * looks->once[j * looks->count + 3 * looks->steps + k] * arm->moment[p][j * N + i];
-            out->rotation[at][i] = ends[k].phi[i] + ends[k].tubes.wound[i];
+            out->rotation[at][i] = ends[k].phi[i] + ends[k].tubes.twist_angle[i];
             out->torsion[at][i] = stretch[i] * torque * ends[k].tubes.rate[i] + twist_on(q->tubes, l, p, i, (double)k / STEPS);
         }
         if (!k) continue;
@@ -345,7 +345,7 @@ static void at_plate(const Unknowns *q, const Profile *arm, Answer *out) {
     memset(out->torsion[0], 0, sizeof out->torsion[0]);
     memset(out->curvature[0], 0, sizeof out->curvature[0]);
     memcpy(out->rotation[0], arm->rotation[0], sizeof out->rotation[0]);
-    for (int i = 0; i < N; i++) out->rotation[0][i] += wound_at(q->tubes->pieces, i, q->layout->transmission[i]);
+    for (int i = 0; i < N; i++) out->rotation[0][i] += twist_angle_at(q->tubes->pieces, i, q->layout->transmission[i]);
 }
 
 /* Everything along the arm, and what mesh and steps get wrong; out->energy is that of the elements already. */
@@ -372,7 +372,7 @@ static void finish(const Unknowns *q, const State *state, const Profile *arm, An
     memcpy(out->point, q->s, q->points * sizeof(double));
     memcpy(out->point_rotation, state->theta, q->points * sizeof(state->theta[0]));
     for (int x = 0; x < q->points; x++)
-        for (int i = 0; i < N; i++) out->point_rotation[x][i] += q->at[x].wound[i];
+        for (int i = 0; i < N; i++) out->point_rotation[x][i] += q->at[x].twist_angle[i];
     tips_and_lever(q, pulls, out, error);
 }
 

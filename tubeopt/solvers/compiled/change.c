@@ -91,7 +91,7 @@ static void add_gains(const Unknowns *q, const Jump *jump, int side, const doubl
         double sign = which ? -side : side;
         for (int i = 0; i < N; i++) {
             double torque = ends ? 0 : a->arm->torque[p][i], swayed = ends ? 0 : a->mode.torque[p][i];
-            theta[i] = rotation[i] + tubes->phase[i] - tubes->wound[i];
+            theta[i] = rotation[i] + tubes->phase[i] - tubes->twist_angle[i];
             all += tubes->stiffness[i];
             a->gains.jolts[p][i] += sign * tubes->rate[i] * torque;
             *stored -= sign * tubes->rate[i] * torque * torque / 2;

@@ -86,13 +86,13 @@ def slope_constants() -> str:
     )
 
 
-def rubbing_constants() -> str:
-    """Constants and tables of `rubbing.c`."""
+def friction_constants() -> str:
+    """Constants and tables of `friction.c`."""
     numbers = {
         "MOST_CHANGES": STICK_CHANGES,
         "HARDLY": SLIP_ROUND_OFF,
         "HONEST": FRICTION_TOLERANCE,
-        "RUB_ITERATIONS": FRICTION_ITERATIONS,
+        "FRICTION_ITERATIONS": FRICTION_ITERATIONS,
         "ONWARD": ONWARD,
         "LARGEST_RATIO": LARGEST_RATIO,
         "LARGEST_TWIST": LARGEST_TWIST,

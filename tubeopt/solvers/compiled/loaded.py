@@ -153,7 +153,7 @@ def _kernel(n: int) -> Kernel | None:
 
 def _sections(at: CrossSections) -> Array:
     """Cross-sections (m, 5, n) as an array of the C struct Sections."""
-    return np.stack((at.stiffness, at.moment, at.phase, 1 / at.torsional_stiffness, at.wound), axis=1)
+    return np.stack((at.stiffness, at.moment, at.phase, 1 / at.torsional_stiffness, at.twist_angle), axis=1)
 
 
 @lru_cache(maxsize=64)
@@ -279,7 +279,7 @@ def _solution(answer: dict[str, Any], problem: LoadedProblem) -> ArmSolution:
         position=answer["position"][:m].copy(),
         frame=answer["frame"][:m].copy(),
     )
-    theta, curvature = answer["theta"][:points] + problem.wound, answer["curvature"][:points].copy()
+    theta, curvature = answer["theta"][:points] + problem.twist_angle, answer["curvature"][:points].copy()
     return ArmSolution.of(
         arm,
         torsion.assembly,

@@ -76,7 +76,7 @@ static void lay_point(const Stage *s, const State *state, const Torsion *torsion
             uneven += once[b] * (p->at[x].rate[i] - mean) * torsion->torque[x][i];
         }
         turned[i] = torsion->theta[e][i] + h * (mean * even + uneven);
-        out->rotation[at][i] = turned[i] + p->ends[end].wound[i];
+        out->rotation[at][i] = turned[i] + p->ends[end].twist_angle[i];
         out->torsion[at][i] = torque * p->ends[end].rate[i] + p->ends_twist[end * N + i];
     }
     bend_freely(&p->ends[end], turned, natural);

@@ -76,7 +76,7 @@ static inline Section section_at(const Pieces *t, int tube, int panel, double x,
         s.moment = sqrt(here[2] * here[2] + here[3] * here[3]);
     }
     s.moment *= s.stiffness;
-    s.phase = s.wound + direction;
+    s.phase = s.twist_angle + direction;
     return s;
 }
 
@@ -112,7 +112,7 @@ static double chebyshev_slope(const double *c, int n, double x) {
     return sum;
 }
 
-/* Slopes along a tube of what it is at `place` from its held end, on a panel; of `wound`, u*_z. */
+/* Slopes along a tube of what it is at `place` from its held end, on a panel; of `twist_angle`, u*_z. */
 static Section passing_of(const Pieces *t, int tube, int panel, double place, int present) {
     const double *breaks = t->breaks + tube * (t->most + 1) + panel, *c = coefficients_of(t, tube, panel);
     double x = fraction(t, tube, panel, place), by = 2 / (breaks[1] - breaks[0]), here[4], slope[5];
@@ -142,8 +142,8 @@ static double twist_of(const Pieces *t, int tube, int panel, double place) {
 }
 
 /* The integral of u*_z of a tube up to `place`. */
-static double wound_at(const Pieces *t, int tube, double place) {
-    return section_of(t, tube, panel_of(t, tube, place), place, 1).wound;
+static double twist_angle_at(const Pieces *t, int tube, double place) {
+    return section_of(t, tube, panel_of(t, tube, place), place, 1).twist_angle;
 }
 
 /* Whether a tube has any u*_z. */

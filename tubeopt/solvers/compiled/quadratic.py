@@ -66,18 +66,18 @@ def by_least_distance(matrix: Array, right: Array, rows: Array, bounds: Array) -
     x = scipy.linalg.solve_triangular(r, q.T @ right)
     kept = np.isfinite(bounds).nonzero()[0]
     cone = scipy.linalg.solve_triangular(r, rows[kept].T, trans=1).T
-    length, gap = np.linalg.norm(cone, axis=1), (bounds - rows @ x)[kept]
+    length, slack = np.linalg.norm(cone, axis=1), (bounds - rows @ x)[kept]
     idle = length <= 1e-14 * length.max(initial=0.0)
     if (bounds[kept[idle]] > FEASIBLE).any():
         return None
-    kept, cone, gap, length = kept[~idle], cone[~idle], gap[~idle], length[~idle]
-    gap, cone = gap / length, cone / length[:, None]
-    scale = float(gap.max(initial=0.0))
+    kept, cone, slack, length = kept[~idle], cone[~idle], slack[~idle], length[~idle]
+    slack, cone = slack / length, cone / length[:, None]
+    scale = float(slack.max(initial=0.0))
     if scale <= 0:
         return LeastSquares(x, np.zeros(0, dtype=int))
     # Least |y| with cone y >= gap / scale: y is the residual of the dual over its last entry.
-    dual, last = np.vstack([cone.T, gap / scale]), np.append(np.zeros(m), 1.0)
-    weights, _ = scipy.optimize.nnls(dual, last, maxiter=50 * len(gap))
+    dual, last = np.vstack([cone.T, slack / scale]), np.append(np.zeros(m), 1.0)
+    weights, _ = scipy.optimize.nnls(dual, last, maxiter=50 * len(slack))
     residual = dual @ weights - last
     if -residual[-1] <= FEASIBLE:
         return None

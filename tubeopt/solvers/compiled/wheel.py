@@ -10,12 +10,12 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from .friction import friction_source
 from .heating import heating_source
 from .library import MOST_TUBES, cache_path, compile_to, compiler, source
 from .loaded import loaded_source
 from .packaged import Generation, Kind, generations, processor_features
 from .quadratic import quadratic_source
-from .rubbing import rubbing_source
 
 
 def package_kernels(folder: Path, *, everywhere: bool) -> list[Path]:
@@ -72,7 +72,7 @@ def texts() -> dict[Kind, str]:
             (n, "concentric"): source(n, False),
             (n, "eccentric"): source(n, True),
             (n, "loaded"): loaded_source(n),
-            (n, "rubbing"): rubbing_source(n),
+            (n, "friction"): friction_source(n),
         }
     return result
 

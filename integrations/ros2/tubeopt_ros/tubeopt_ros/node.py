@@ -254,7 +254,7 @@ class RobotNode(LifecycleNode):
         arm, slopes = self.robot.servo.equilibrium, self.robot.servo.slopes
         if (turn := self.robot.snap_distance()) is not None:
             self._publish("snap_distance", Float64(data=turn))
-        self._publish("jacobian", matrix(np.vstack([slopes.position, slopes.turn])))
+        self._publish("jacobian", matrix(np.vstack([slopes.position, slopes.rotation])))
         self._display.frames(arm, stamp)
         self._publish("shape", self._display.markers(arm, told["snap_warning"], stamp))
         if self._pace.steps % round(1 / self._period) < self._every:  # once per second

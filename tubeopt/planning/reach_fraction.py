@@ -26,7 +26,7 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite, instance, items, positive, whole
 from ..files.field_metadata import TYPICAL_TIP_ERROR, typical_length
 from ..inverse.arm_surface import ArmSurface
-from ..inverse.clock import LateError
+from ..inverse.clock import OutOfTimeError
 from ..robots.limits import check_target
 from ..robots.robot import Robot
 from ..solvers.blas import small
@@ -58,7 +58,7 @@ SHORTER = 0.5 ** np.arange(5)
 
 
 @dataclass(frozen=True, eq=False)
-class ReachShare(Displayed):
+class ReachFraction(Displayed):
     """Result of `evaluate_reach`: fraction of N targets that the tip reaches, and the arms there."""
 
     targets: Array
@@ -82,7 +82,7 @@ class ReachShare(Displayed):
         return np.asarray(self.miss <= self.tolerance)
 
     @property
-    def share(self) -> float:
+    def fraction(self) -> float:
         """Fraction of the targets that are reached."""
         return float(self.reached.mean())
 
@@ -111,7 +111,7 @@ def evaluate_reach(
     min_margin: float = 0.05,
     options: PlanOptions = DEFAULT_PLAN,
     count: int = 300,
-) -> ReachShare:
+) -> ReachFraction:
     """Targets that the tip reaches from a start, by paths with margin and clearance.
 
     The fraction is a lower estimate that improves with `count` on average.
@@ -132,7 +132,7 @@ def evaluate_reach(
         >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
         >>> home = tubeopt.forward_kinematics(robot, [0.0, 0.0])
         >>> turned = home.tip_position * [-1.0, -1.0, 1.0]  # half a turn away
-        >>> tubeopt.evaluate_reach(robot, home, [turned, [0.0, 0.0, 1.0]], count=20).share
+        >>> tubeopt.evaluate_reach(robot, home, [turned, [0.0, 0.0, 1.0]], count=20).fraction
         0.5
     """
     points = checked_points(targets)
@@ -145,10 +145,10 @@ def evaluate_reach(
     miss = np.linalg.norm(first.tip_position - points, axis=1)
     joints, tips = np.full((len(points), len(first_point)), np.nan), np.full((len(points), n), np.nan)
     examined = 0
-    with suppress(LateError, SolveError):  # results so far are returned
+    with suppress(OutOfTimeError, SolveError):  # results so far are returned
         roadmap = roadmap_of(task, count)
-        examined, own = len(roadmap), task.from_to(first_point, first_point)
-        search = _Search(own, roadmap, first_point, own.arms(roadmap.points).tip)
+        examined, point_task = len(roadmap), task.from_to(first_point, first_point)
+        search = _Search(point_task, roadmap, first_point, point_task.arms(roadmap.points).tip)
         for k, point in enumerate(points):
             for distance, z in search.approach(point, tolerance):
                 if distance >= miss[k] or task.clock.over:
@@ -156,7 +156,7 @@ def evaluate_reach(
                 if search.reaches(z):
                     miss[k], joints[k], tips[k] = distance, task.coordinates.joints(z[None])[0], z[:n]
     configurations = np.array([task.coordinates.space.joint(q) for q in joints])
-    return ReachShare(points, miss, tolerance, configurations[:, :n], configurations[:, n:], tips, examined)
+    return ReachFraction(points, miss, tolerance, configurations[:, :n], configurations[:, n:], tips, examined)
 
 
 @dataclass(eq=False)
@@ -251,7 +251,7 @@ class RegionReach(Displayed):
     """Largest shift of the plate along each of its axes, to both sides, m."""
     tilt: float = 0.0
     """Largest rotation of the plate about its x and its y axis, to both sides, rad."""
-    words: str = field(default="share of the region that is reached", init=False)
+    description: str = field(default="share of the region that is reached", init=False)
     """Label of the value."""
 
     def __post_init__(self) -> None:
@@ -268,20 +268,20 @@ class RegionReach(Displayed):
         bounds = np.array([self.shift] * 3 * bool(self.shift) + [self.tilt] * 2 * bool(self.tilt))
         return np.column_stack([-bounds, bounds])
 
-    def base(self, own: Array) -> Frame:
+    def base(self, variables: Array) -> Frame:
         """Pose of the plate in the frame of the given plate after a move by numbers (k,)."""
-        shift, tilt = np.split(np.asarray(own, dtype=float), [3 * bool(self.shift)])
+        shift, tilt = np.split(np.asarray(variables, dtype=float), [3 * bool(self.shift)])
         turn = np.append(tilt, 0.0) if len(tilt) else np.zeros(3)
         axes = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix()
         return Frame(axes, shift if len(shift) else np.zeros(3))
 
-    def evaluate(self, robot: Robot, own: Array) -> ReachShare:
+    def evaluate(self, robot: Robot, variables: Array) -> ReachFraction:
         """Targets that a robot reaches from a moved plate.
 
         Raises:
             InputError, SolveError: as of `evaluate_reach`.
         """
-        frame = self.base(own)
+        frame = self.base(variables)
         return evaluate_reach(
             robot,
             self.start,
@@ -293,15 +293,15 @@ class RegionReach(Displayed):
             count=self.count,
         )
 
-    def __call__(self, robot: Robot, own: Array) -> tuple[float, float]:
+    def __call__(self, robot: Robot, variables: Array) -> tuple[float, float]:
         """Score, from 0 (all targets reached) to 1, and the fraction of reached targets."""
-        reach = self.evaluate(robot, own)
-        return score([reach], reach.share)
+        reach = self.evaluate(robot, variables)
+        return score([reach], reach.fraction)
 
-    def plans_proved(self, robot: Robot, own: Array, reach: ReachShare, limit: int) -> tuple[int, int]:
+    def plans_proved(self, robot: Robot, variables: Array, reach: ReachFraction, limit: int) -> tuple[int, int]:
         """Numbers of proved and of attempted plans to the first reached targets, at most `limit` of them."""
         some, proved = np.flatnonzero(reach.reached)[:limit], 0
-        bodies, options = bodies_in_frame(self.base(own), self.obstacles), replace(self.options, objective="none")
+        bodies, options = bodies_in_frame(self.base(variables), self.obstacles), replace(self.options, objective="none")
         arguments: dict[str, Any] = {"obstacles": bodies, "min_margin": self.min_margin, "options": options}
         for k in some.tolist():
             goal = reach.arm(robot, k)
@@ -310,7 +310,7 @@ class RegionReach(Displayed):
         return proved, len(some)
 
 
-def score(results: Sequence[ReachShare], fraction: float) -> tuple[float, float]:
+def score(results: Sequence[ReachFraction], fraction: float) -> tuple[float, float]:
     """Score, from 0 (all reached) to 1, from a fraction and the distances from missed targets; and the fraction."""
     missed = [np.minimum(np.maximum(each.miss - each.tolerance, 0.0) / FAR_MISS, 1.0) for each in results]
     return float(np.mean(missed) + 1 - fraction) / 2, fraction
@@ -322,10 +322,10 @@ REST_POINTS = 100
 
 
 @dataclass(frozen=True, eq=False)
-class PairShare(Displayed):
+class PairFraction(Displayed):
     """Result of `PairReach`: pairs of N targets for two tips."""
 
-    reached: tuple[ReachShare, ReachShare]
+    reached: tuple[ReachFraction, ReachFraction]
     """Targets that each robot reaches by itself."""
     apart: Array = field(repr=False)
     """(N, N) lower bound on the distance of the arms at rest, m; NaN for unreached targets.
@@ -342,7 +342,7 @@ class PairShare(Displayed):
             return np.asarray((self.apart >= self.clearance) & ~np.eye(len(self.apart), dtype=bool))
 
     @property
-    def share(self) -> float:
+    def fraction(self) -> float:
         """Fraction of the ordered pairs of different targets that are reached."""
         count = len(self.apart)
         return float(self.held.sum() / (count * (count - 1)))
@@ -381,7 +381,7 @@ class PairReach(Displayed):
     """Largest shift of either plate along its own axes, to both sides, m."""
     tilt: float = 0.0
     """Largest rotation of either plate about its own x and y, to both sides, rad."""
-    words: str = field(
+    description: str = field(
         default="share of the pairs of places that both tips reach without contact between the arms", init=False
     )
     """Label of the value."""
@@ -413,42 +413,44 @@ class PairReach(Displayed):
         """(k, 2) ranges of the motions of the plates: of the first as in `RegionReach`, then of the second."""
         return np.concatenate([side.ranges for side in self.sides])
 
-    def plates(self, own: Array) -> tuple[Frame, Frame]:
+    def plates(self, variables: Array) -> tuple[Frame, Frame]:
         """Poses of the plates after a move by numbers (k,)."""
         first, second = (
             base.inverse.of(side.base(numbers))
-            for base, side, numbers in zip(self.bases, self.sides, np.split(np.asarray(own), 2), strict=True)
+            for base, side, numbers in zip(self.bases, self.sides, np.split(np.asarray(variables), 2), strict=True)
         )
         return first, second
 
-    def evaluate(self, one: Robot, other: Robot, own: Array) -> PairShare:
+    def evaluate(self, one: Robot, other: Robot, variables: Array) -> PairFraction:
         """Pairs of targets that two robots reach from moved plates.
 
         Raises:
             InputError, SolveError: as for `evaluate_reach`.
         """
-        numbers = np.split(np.asarray(own, dtype=float), 2)
+        numbers = np.split(np.asarray(variables, dtype=float), 2)
         sides = [side.evaluate(robot, x) for side, robot, x in zip(self.sides, (one, other), numbers, strict=True)]
         arms = [
-            _at_rest(robot, own_reach, base)
-            for robot, own_reach, base in zip((one, other), sides, self.plates(own), strict=True)
+            _at_rest(robot, side_reach, base)
+            for robot, side_reach, base in zip((one, other), sides, self.plates(variables), strict=True)
         ]
         apart = np.full((len(self.targets),) * 2, np.nan)
         for i, first in arms[0].items():
             for j, second in arms[1].items():
                 apart[i, j] = _apart(first, second)
-        return PairShare((sides[0], sides[1]), apart, self.options.clearance)
+        return PairFraction((sides[0], sides[1]), apart, self.options.clearance)
 
-    def __call__(self, one: Robot, other: Robot, own: Array) -> tuple[float, float]:
+    def __call__(self, one: Robot, other: Robot, variables: Array) -> tuple[float, float]:
         """Score, from 0 (all pairs reached) to 1, with the distances from missed targets; and the fraction of pairs."""
-        result = self.evaluate(one, other, own)
-        return score(result.reached, result.share)
+        result = self.evaluate(one, other, variables)
+        return score(result.reached, result.fraction)
 
-    def plans_proved(self, one: Robot, other: Robot, own: Array, reach: PairShare, limit: int) -> tuple[int, int]:
+    def plans_proved(
+        self, one: Robot, other: Robot, variables: Array, reach: PairFraction, limit: int
+    ) -> tuple[int, int]:
         """Numbers of proved and of attempted motions to reached pairs, chosen evenly, at most `limit` of them."""
         pairs = np.argwhere(reach.held)
         some = pairs[np.unique(np.linspace(0, len(pairs) - 1, limit).astype(int))] if len(pairs) else pairs
-        arms = [PlacedRobot(robot, base) for robot, base in zip((one, other), self.plates(own), strict=True)]
+        arms = [PlacedRobot(robot, base) for robot, base in zip((one, other), self.plates(variables), strict=True)]
         options, proved = replace(self.options, objective="none"), 0
         arguments: dict[str, Any] = {"obstacles": self.obstacles, "min_margin": self.min_margin, "options": options}
         for pair in some.tolist():
@@ -472,7 +474,7 @@ class _Arm(NamedTuple):
     """Bound on the distance of the centreline from its pieces, m."""
 
 
-def _at_rest(robot: Robot, reach: ReachShare, base: Frame) -> dict[int, _Arm]:
+def _at_rest(robot: Robot, reach: ReachFraction, base: Frame) -> dict[int, _Arm]:
     """Arms at the reached targets, by number of the target."""
     arms: dict[int, _Arm] = {}
     for k in np.flatnonzero(reach.reached).tolist():

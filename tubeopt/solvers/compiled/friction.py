@@ -16,13 +16,13 @@ from ...typing import Array
 from ..friction_increment import Signs
 from ..time_limit import check_time
 from .binding import address, memory_of, with_kernel
-from .constants import rubbing_constants
+from .constants import friction_constants
 from .library import MOST_TUBES, MOST_UNKNOWNS, Kernel, kernel_text, load_kernel
 from .text import HERE, with_included
 
 
 @dataclass(frozen=True, eq=False)
-class Rubbed:
+class FrictionStates:
     """States after K increments of a motion with friction."""
 
     stations: Array
@@ -58,18 +58,18 @@ class FrictionStart(NamedTuple):
     """Signs of slip (R,) of its friction rows."""
 
 
-def rubbing_source(n: int) -> str:
+def friction_source(n: int) -> str:
     """C text of the kernel for n concentric tubes with friction."""
-    return kernel_text(n) + rubbing_constants() + with_included(HERE / "rubbing.c")
+    return kernel_text(n) + friction_constants() + with_included(HERE / "friction.c")
 
 
 @lru_cache(maxsize=MOST_TUBES)
 def _kernel(n: int) -> Kernel | None:
-    kernel = load_kernel((n, "rubbing"), lambda: rubbing_source(n), np.dtype([]))
+    kernel = load_kernel((n, "friction"), lambda: friction_source(n), np.dtype([]))
     if kernel is not None:
         pointer, whole = ctypes.c_void_p, ctypes.c_longlong
-        kernel.functions.rub.argtypes = [*[pointer] * 2, ctypes.c_double, whole, *[pointer] * 9]
-        kernel.functions.rub.restype = whole
+        kernel.functions.friction_motion.argtypes = [*[pointer] * 2, ctypes.c_double, whole, *[pointer] * 9]
+        kernel.functions.friction_motion.restype = whole
     return kernel
 
 
@@ -78,7 +78,7 @@ def simple(friction: Friction) -> bool:
     return not (friction.sliding or any(any(friction.of(name)) for name in ("plate", "jumps", "ends")))
 
 
-def rub_compiled(
+def friction_motion(
     robot: Robot,
     friction: Friction,
     joints: Array,
@@ -86,7 +86,7 @@ def rub_compiled(
     behind: Array,
     *,
     margins: bool = True,
-) -> Rubbed | None:
+) -> FrictionStates | None:
     """Increments along rows of joint values (T, 2n), one step per row, from a state at row 0.
 
     They end before the first step that fails in the kernel. None if there is no kernel for this robot and friction, or
@@ -115,12 +115,12 @@ def rub_compiled(
     arrays = [address(array) for array in (alpha, shift, sizes, states[0], states[1], slips, behind, out)]
     pieces = ELEMENTS * 2.0**friction.refinement
     scalars = prepared.address, address(capacity), pieces, len(joints)
-    count = kernel.functions.rub(*scalars, *arrays, memory_of(kernel).addresses[0])
+    count = kernel.functions.friction_motion(*scalars, *arrays, memory_of(kernel).addresses[0])
     if count < 0:
         return None
     parts = np.split(out[1:count], np.cumsum([3 * len(behind), 9, n, 1, 1, 1]), axis=1)
     stations, frame, rotation, margin, length, heat, violation = parts
-    return Rubbed(
+    return FrictionStates(
         stations=stations.reshape(len(stations), len(behind), 3),
         frame=frame.reshape(-1, 3, 3),
         rotation=rotation,

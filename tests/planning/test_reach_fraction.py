@@ -36,7 +36,7 @@ def test_what_is_reached_is_there_and_plans_lead_to_it() -> None:
     result = evaluate_reach(ROBOT, start, targets, count=40)
     assert result.reached[:-1].all()
     assert not result.reached[-1]
-    assert result.share == pytest.approx(5 / 6)
+    assert result.fraction == pytest.approx(5 / 6)
     assert result.miss[-1] > 0.5 * targets[-1, 2]
     for k in np.flatnonzero(result.reached):
         arms = find_equilibria(ROBOT, result.rotations[k], result.translations[k])
@@ -51,7 +51,7 @@ def test_a_wall_takes_away_what_is_behind_it() -> None:
     start = (np.zeros(2), ROBOT.home_translations)
     tip = tubeopt.forward_kinematics(ROBOT, *start).tip_position
     targets = np.array([tip, tip * [-1.0, -1.0, 1.0]])  # all tubes turned by half a turn
-    assert evaluate_reach(ROBOT, start, targets, count=20).share == 1.0
+    assert evaluate_reach(ROBOT, start, targets, count=20).fraction == 1.0
     away = tip * [1.0, 1.0, 0.0]
     wall = HalfSpace(tuple((-0.2 * away).tolist()), tuple(away.tolist()))
     assert evaluate_reach(ROBOT, start, targets, obstacles=[wall], count=20).reached.tolist() == [True, False]

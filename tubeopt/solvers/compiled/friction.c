@@ -1,7 +1,7 @@
 /* A motion of tubes that rub along each other, increment by increment: what equilibrium/friction.py, solvers/friction_increment.py and
    stability/friction_path.py do where all goes well. What does not (a step that Newton's method is not at ease with, a
    snap, a state that is held by friction alone) ends it, and is left to them. */
-#include "sticking.c"
+#include "stick_slip.c"
 
 #define LONG 0.3 /* part of the longest step of a state with margin 0 from which the next may be longer still */
 #define HARDLY_SOFTER 1e-6 /* 1 / margin - 1 below which margins differ from 1 less accurately: eigenvalues gather there */
@@ -138,7 +138,7 @@ static int increment(Held *h, int guess, Room *w) {
     signed char kept[MOST_UNKNOWNS];
     const Unknowns *q = &h->q;
     look(h);
-    for (int k = 0; k < RUB_ITERATIONS; k++) {
+    for (int k = 0; k < FRICTION_ITERATIONS; k++) {
         double size, load[MOST_UNKNOWNS];
         if (last > CHORD_STEP && !model_energy(h, w)) return DECLINED;
         slip_freely(h, w);
@@ -275,7 +275,7 @@ CASADI_SYMBOL_EXPORT size_t answer_size(void) { return sizeof(Answer); }
    `out` (count, 3 stations + 9 + N + 4) gets stations `behind` the tip, the tip's frame by rows, rotations of the tubes
    there, margin (0 where `sizes` says that it is not wanted), length, the heat since row 0, and the violation of the laws
    of friction. -1 where the state is not one of these tubes. */
-CASADI_SYMBOL_EXPORT long long rub(const Tubes *tubes, const double *friction, double pieces, long long count,
+CASADI_SYMBOL_EXPORT long long friction_motion(const Tubes *tubes, const double *friction, double pieces, long long count,
                                    const double *alpha, const double *shift, const long long *sizes, double *z,
                                    double *torque, signed char *sign, const double *behind, double *out, Room *w) {
     Motion m = {tubes, {friction, pieces}, w, (int)sizes[3], 0, 0};
