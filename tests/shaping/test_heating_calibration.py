@@ -89,6 +89,10 @@ def test_prediction_at_a_place() -> None:
         (lambda: HeatingLog(TIME, DUTY, voltage=TIME[:4]), "voltage of the log has shape (4,)"),
         (lambda: calibrate(TUBE, thesis_rig(), log(), ["los"]), "parameter is 'los'; it must be one of loss"),
         (lambda: calibrate(TUBE, thesis_rig(), log(), []), "one of loss"),
+        (
+            lambda: predict(TUBE, [thesis_rig()], replace(log(), position=0.5)),
+            "position of a thermometer is 500 mm from the middle of the tube; it must be less than",
+        ),
         (lambda: calibrate(TUBE, thesis_rig(), log(), confidence=1.0), "confidence is 1; it must be between 0 and 1"),
     ],
 )

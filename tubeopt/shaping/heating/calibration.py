@@ -390,6 +390,11 @@ class RigFit(Displayed):
 def predict(tube: Tube, rigs: Sequence[Rig], log: HeatingLog, grid: Resolution = FINE) -> dict[str, Array]:
     """(T, B) channels of a log as each rig predicts them, simulated in steps of at most `STEP`, s."""
     model = stack([thermal_model(tube, rig, grid) for rig in rigs])
+    if (off := float(log.positions.max())) >= model.half_length:
+        raise InputError(
+            f"position of a thermometer is {off * 1e3:g} mm from the middle of the tube; it must be less than "
+            f"{model.half_length * 1e3:.4g} mm, where the tube ends"
+        )
     # A thermometer outside the mold counts as at its edge.
     farthest = model.half_length - float(model.position[model.zone == LEAD][0])
     positions = np.minimum(log.positions, farthest)
