@@ -54,10 +54,10 @@ class GymOptions(Displayed):
     """"reach": an episode ends within the tolerance of a point. "path": the goal moves for the whole episode."""
     turn: Annotated[float, unit("deg"), POSITIVE, "largest change of a rotation by an action"] = math.radians(5)
     shift: Annotated[float, unit("mm"), POSITIVE, "largest change of a translation by an action"] = 1e-3
-    repeats: Annotated[int, Range(least=1), "times that a step repeats its action"] = 10
+    repeats: Annotated[int, Range(minimum=1), "times that a step repeats its action"] = 10
     tolerance: Annotated[float, unit("mm"), POSITIVE, "distance of the tip from its goal that counts as none"] = 1e-3
     largest_tolerance: Annotated[float, unit("mm"), POSITIVE, "largest tolerance of a curriculum"] = 0.02
-    steps: Annotated[int, Range(least=1), "steps of an episode at most"] = 150
+    steps: Annotated[int, Range(minimum=1), "steps of an episode at most"] = 150
     representation: str = "egocentric"
     """"egocentric": joint values of a tube relative to the next inner one. "proprioceptive": each its own."""
     randomisation: Annotated[float, NOT_NEGATIVE, "largest relative change of stiffnesses and curvatures"] = 0.0
@@ -226,11 +226,11 @@ class CtrVectorEnv(VectorEnv[Any, Any, Any]):
         for _ in range(self.options.repeats):
             q = np.clip(q + change, space.lower, space.upper)
             for _ in range(SWEEPS):
-                for row, minimum in zip(space.rows, space.least, strict=True):
+                for row, minimum in zip(space.rows, space.row_lower, strict=True):
                     joint = int(np.flatnonzero(row)[0])  # the innermost tube is moved, as in CTR-Reach
                     q[:, joint] += np.maximum(minimum - q @ row, 0.0) / row[joint]
         inside = (q >= space.lower - 1e-12) & (q <= space.upper + 1e-12)
-        fits = np.hstack([q @ space.rows.T >= space.least - 1e-9, inside]).all(1, keepdims=True)
+        fits = np.hstack([q @ space.rows.T >= space.row_lower - 1e-9, inside]).all(1, keepdims=True)
         self._q = np.where(fits, q, before)
         snaps = self._arms.go(*self._joints(self._q), np.zeros(self.num_envs, dtype=bool))
         self._q[snaps] = before[snaps]

@@ -76,7 +76,7 @@ def test_a_joint_at_the_end_of_its_range_stays_and_the_others_bring_the_tip_ther
 def test_tubes_that_touch_stay_in_order_while_the_tip_goes_on(seed: Equilibrium) -> None:
     space, speed = joint_space(THESIS), 0.05
     steps = run(Servo(THESIS, seed, options=ServoOptions(shift_rate=0.2)), Command(velocity=(-speed, 0, 0)), 220)
-    gaps = [float((space.rows @ space.join(s.rotations, s.translations) - space.least).min()) for s in steps]
+    gaps = [float((space.rows @ space.join(s.rotations, s.translations) - space.row_lower).min()) for s in steps]
     assert min(gaps) > -1e-9 * space.length
     touching = [k for k, step in enumerate(steps) if Why.ORDER in step.why]
     assert max(gaps[k] for k in touching) < 1e-9

@@ -54,7 +54,7 @@ class Rack:
     """
 
     width: Annotated[float, unit("mm"), POSITIVE, "of the board"] = 0.3
-    slack: Annotated[float, unit("percent"), Range(least=0.0, most=0.5), "of the width"] = 0.1
+    slack: Annotated[float, unit("percent"), Range(minimum=0.0, maximum=0.5), "of the width"] = 0.1
     kiln: Annotated[float, key("dried_degC"), POSITIVE, "at which it was dried"] = 333.15
     board: Annotated[Wood, Named({"oak": OAK}), "what it is made of"] = OAK
     pegs: Annotated[tuple[Peg, ...], "by default two"] = (Peg(0.01), Peg(0.02))
@@ -130,8 +130,8 @@ def test_errors_are_reported_in_units_of_file(data: dict[str, object], message: 
 
 @dataclass(frozen=True)
 class Nail:
-    length: Annotated[float, unit("mm"), Range(above=0.0015, most=0.0125), "of the shaft"] = 0.0115
-    strokes: Annotated[int, Range(least=1), "of the hammer"] = 3
+    length: Annotated[float, unit("mm"), Range(above=0.0015, maximum=0.0125), "of the shaft"] = 0.0115
+    strokes: Annotated[int, Range(minimum=1), "of the hammer"] = 3
 
 
 def nail(data: dict[str, object]) -> Nail:
@@ -221,8 +221,8 @@ def test_error_in_one_of_several_values_is_reported() -> None:
 
 @dataclass(frozen=True)
 class Tries:
-    count: Annotated[int, Range(least=2, most=9), "of them"] = 3
-    offset: Annotated[float, Range(least=-2.0), "from the first"] = 0.0
+    count: Annotated[int, Range(minimum=2, maximum=9), "of them"] = 3
+    offset: Annotated[float, Range(minimum=-2.0), "from the first"] = 0.0
     loud: Annotated[bool, "whether they are told"] = False
 
     def __post_init__(self) -> None:

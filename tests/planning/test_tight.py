@@ -375,7 +375,7 @@ def test_steps_towards_a_place_are_those_that_end_within_ranges_and_order(robot:
         for step in random.uniform(-1.1 * longest, 1.1 * longest, (60, len(q))) * random.uniform(0.01, 1, (60, 1)):
             reached = q + step * task.scale
             within = (reached[n:] >= space.lower[n:]).all() and (reached[n:] <= space.upper[n:]).all()
-            allowed = within and (space.rows @ reached >= space.least).all() and np.abs(step).max() <= longest
+            allowed = within and (space.rows @ reached >= space.row_lower).all() and np.abs(step).max() <= longest
             assert (rows @ step >= bounds).all() == allowed
             observed.add(bool(allowed))
     assert observed == {True, False}

@@ -204,12 +204,12 @@ def _data(robot: Robot, space: JointSpace) -> str:
         "UPPER": space.upper,
         "SCALE": space.scale,
         "ORDER": space.rows if space.rows.size else np.zeros(1),
-        "LEAST": space.least if space.least.size else np.zeros(1),
+        "LEAST": space.row_lower if space.row_lower.size else np.zeros(1),
     }
-    rows = 2 * m + len(space.least) + 1 + 2 * len(breaks)
+    rows = 2 * m + len(space.row_lower) + 1 + 2 * len(breaks)
     defines = {
         "JOINTS": m,
-        "ORDERS": len(space.least),
+        "ORDERS": len(space.row_lower),
         "BREAKS": len(breaks),
         "MOST_ROWS": f"({rows}{'' if home.eccentric else ' + TUBEOPT_MOST_CONTACTS'})",
         "LONGEST_TUBE": space.length,

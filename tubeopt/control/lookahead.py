@@ -257,11 +257,11 @@ def _rows(knots: Knots, contacts: tuple[Array, Array]) -> tuple[Array, Array]:
     least = [
         (space.lower - joints)[:, :n],
         (joints - space.upper)[:, :n],
-        (space.least - joints @ space.rows.T) / space.length,
+        (space.row_lower - joints @ space.rows.T) / space.length,
         -knots.fields / size,
         -distances / (0.1 * space.length),
     ]
-    hard = 2 * n + len(space.least)
+    hard = 2 * n + len(space.row_lower)
     matrix = np.concatenate(rows, axis=1)
     slack = np.ones((*matrix.shape[:2], 1))
     slack[:, :hard] = 0.0

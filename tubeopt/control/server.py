@@ -82,15 +82,15 @@ TURNS = 2e-4
 class ServerOptions:
     """Settings of a server."""
 
-    port: Annotated[int, Range(least=0, most=65535), "TCP port of the server; 0 selects a free port"] = 8765
+    port: Annotated[int, Range(minimum=0, maximum=65535), "TCP port of the server; 0 selects a free port"] = 8765
     token: str = ""
     """Password of the clients; "" makes a random one."""
     period: Annotated[
-        float, unit("s"), Range(above=0.0, most=1.0), Typical(1e-5, 0.2), "period of the control loop"
+        float, unit("s"), Range(above=0.0, maximum=1.0), Typical(1e-5, 0.2), "period of the control loop"
     ] = 1e-3
     publish: Annotated[float, unit("Hz"), POSITIVE, "rate of published states"] = 40.0
     slicer_port: Annotated[
-        int | None, Range(least=0, most=65535), "TCP port for 3D Slicer by OpenIGTLink; default none"
+        int | None, Range(minimum=0, maximum=65535), "TCP port for 3D Slicer by OpenIGTLink; default none"
     ] = None
 
     def __post_init__(self) -> None:

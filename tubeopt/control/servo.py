@@ -346,8 +346,8 @@ class Part(NamedTuple):
     rows: Array
     """Derivatives of the part by the joints."""
     error: Array
-    """Gap to the target."""
-    most: float
+    """Error to the target."""
+    max_step: float
     """Largest motion in a cycle, in the norm of the error."""
     met: float
     """Largest norm of the error of a target that is met."""
@@ -539,14 +539,14 @@ class Servo:
         portion, scale, last = 1.0, self.space.scale, self._last
         if self._damping:
             step = np.where(np.abs(step) < DEAD, 0.0, step)  # a joint at its place does not tremble while others move
-            portion = min([1.0, *(_allowed(part.most, part.rows @ (step * scale)) for part in parts)])
+            portion = min([1.0, *(_allowed(part.max_step, part.rows @ (step * scale)) for part in parts)])
             ends = np.where(step > 0, limits[1], limits[0]) / scale
             portion = min(portion, float(np.divide(ends, step, out=np.ones_like(step), where=step != 0).min()))
             portion = max(portion, 0.0)
         reverses = step * last < 0
         self._stiff = np.where(reverses, np.minimum(4 * self._stiff, MOST_STIFF), np.maximum(1.0, self._stiff / 1.2))
         turned, size = float(step @ last), float(np.abs(step).max())
-        fraction = min([1.0, *(_allowed(part.most, part.error) for part in parts)])
+        fraction = min([1.0, *(_allowed(part.max_step, part.error) for part in parts)])
         far, rated = not self._damping and fraction < 1, Why.RATE in why
         if self._damping:
             back = turned < -0.5 * float(np.linalg.norm(step) * np.linalg.norm(last))
@@ -691,7 +691,7 @@ class Servo:
         parts = [self._part(name, target, at, dt) for name in group if (target := getattr(command, name)) is not None]
         if not parts:
             return None
-        factors = [1.0 if self._damping else _allowed(part.most, part.error) for part in parts]
+        factors = [1.0 if self._damping else _allowed(part.max_step, part.error) for part in parts]
         targets = [factor * part.error for factor, part in zip(factors, parts, strict=True)]
         matrix = np.concatenate([part.rows * self.space.scale for part in parts])
         return Task(matrix, np.concatenate(targets), True, tuple(parts))

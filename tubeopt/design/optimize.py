@@ -143,10 +143,10 @@ FORCE_ACCURACY = 2e-3
 def optimize_design(
     task: DesignTask,
     *,
-    starts: Annotated[int, Range(least=1)] = 1,
-    seed: Annotated[int, Range(least=0)] = 0,
+    starts: Annotated[int, Range(minimum=1)] = 1,
+    seed: Annotated[int, Range(minimum=0)] = 0,
     workers: int = 1,
-    turns: Annotated[int, Range(least=0)] = 6,
+    turns: Annotated[int, Range(minimum=0)] = 6,
     progress: Progress | None = None,
     start: Attempt | None = None,
     time_limit: float = LONG_TIME_LIMIT,

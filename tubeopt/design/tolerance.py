@@ -81,7 +81,7 @@ def tolerance_analysis(  # noqa: PLR0913
     translations: Sequence[Sequence[float]] | None = None,
     poses: Sequence[tuple[Array, Array]] = (),
     margin: float = 0.0,
-    samples: Annotated[int, Range(least=2)] = 500,
+    samples: Annotated[int, Range(minimum=2)] = 500,
     workers: int = 1,
     progress: Progress | None = None,
     time_limit: float = LONG_TIME_LIMIT,

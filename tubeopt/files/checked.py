@@ -100,19 +100,19 @@ def unusual(key: str, unit: str, value: Any, typical: Typical) -> Iterator[str]:
     largest = max(numbers, key=abs)
     size = abs(to_si(largest, UNITS[unit] if unit else Decimal(1)))
     # 0 has no size: it is the same in every unit.
-    if size == 0 or typical.least <= size <= typical.most:
+    if size == 0 or typical.minimum <= size <= typical.maximum:
         return
     listed = ", ".join(str(number) for number in numbers)
     sentence = f"{key} is {f'[{listed}]' if isinstance(value, list) else listed}"
     # Kelvin and Celsius differ by an offset; all other units by a factor.
     alike = [(other, scale, Decimal(0)) for other, scale in alternative_units(unit)]
     for other, scale, zero in [("K", Decimal(1), ZERO_CELSIUS)] if unit == "degC" else alike:
-        if typical.least <= abs(to_si(largest - zero, scale)) <= typical.most:
+        if typical.minimum <= abs(to_si(largest - zero, scale)) <= typical.maximum:
             factor = scale / UNITS[unit]
             right = ", ".join(f"{float((number - zero) * factor):.6g}" for number in numbers)
             yield f"{sentence}; that would be usual in {unit_text(other) or 'parts of 1'}: was {right} meant?"
             return
-    low, high = (f"{bound / float(UNITS[unit] if unit else 1):.4g}" for bound in (typical.least, typical.most))
+    low, high = (f"{bound / float(UNITS[unit] if unit else 1):.4g}" for bound in (typical.minimum, typical.maximum))
     yield f"{sentence}; usual is {low} to {high}"
 
 

@@ -18,7 +18,7 @@ the shape of an array, or when it is None.
 A parameter of a function has its description in the section Args of the docstring, so that the page of the API, the
 help of the command and the page about files repeat one text:
 
-    def stability_map(robot: Robot, *, samples: Annotated[int, Range(least=2)] = 24) -> StabilityMap:
+    def stability_map(robot: Robot, *, samples: Annotated[int, Range(minimum=2)] = 24) -> StabilityMap:
         \"\"\"Margin over two rotations.
 
         Args:
@@ -87,23 +87,23 @@ class Range:
 
     above: float | None = None
     """Exclusive lower bound."""
-    least: float | None = None
+    minimum: float | None = None
     """Lower bound."""
-    most: float | None = None
+    maximum: float | None = None
     """Upper bound."""
     below: float | None = None
     """Exclusive upper bound."""
 
 
-POSITIVE, NOT_NEGATIVE, MARGIN = Range(above=0.0), Range(least=0.0), Range(least=0.0, below=1.0)
+POSITIVE, NOT_NEGATIVE, MARGIN = Range(above=0.0), Range(minimum=0.0), Range(minimum=0.0, below=1.0)
 
 
 @dataclass(frozen=True)
 class Typical:
     """Typical magnitude of a number other than 0, in SI; other numbers cause a warning about the unit."""
 
-    least: float
-    most: float
+    minimum: float
+    maximum: float
 
 
 TYPICAL_CLEARANCE = Typical(1e-5, 0.1)
@@ -268,12 +268,12 @@ def check_fields(what: Any, owner: str = "") -> None:
 
 def _checked(label: str, value: Any, allowed: Range, sign: str) -> float:
     # `positive` says "greater than 0", which is clearer than a bound of 0.
-    bounded = allowed.above == 0 or allowed.least == 0
-    number = positive(label, value, zero=allowed.least == 0) if bounded else finite(label, value)
-    if allowed.least is not None and number < allowed.least:
-        raise InputError(f"{label} is {number:g}{sign}; it must be at least {allowed.least:g}{sign}")
-    if allowed.most is not None and number > allowed.most:
-        raise InputError(f"{label} is {number:g}{sign}; it must be at most {allowed.most:g}{sign}")
+    bounded = allowed.above == 0 or allowed.minimum == 0
+    number = positive(label, value, zero=allowed.minimum == 0) if bounded else finite(label, value)
+    if allowed.minimum is not None and number < allowed.minimum:
+        raise InputError(f"{label} is {number:g}{sign}; it must be at least {allowed.minimum:g}{sign}")
+    if allowed.maximum is not None and number > allowed.maximum:
+        raise InputError(f"{label} is {number:g}{sign}; it must be at most {allowed.maximum:g}{sign}")
     if allowed.below is not None and number >= allowed.below:
         raise InputError(f"{label} is {number:g}{sign}; it must be below {allowed.below:g}{sign}")
     return number
@@ -315,15 +315,17 @@ def check_size(label: str, value: Any, usual: Typical, file_unit: str) -> None:
     if not all(isinstance(each, float | int) for each in several):
         return
     number = max(several, key=abs)
-    if number == 0 or usual.least <= abs(number) <= usual.most:
+    if number == 0 or usual.minimum <= abs(number) <= usual.maximum:
         return
     own_unit = si_unit(file_unit)
     sign = f" {unit_text(own_unit)}".rstrip()
     # The unit of the file is the likeliest mistake: its number was given without conversion.
     sizes = sorted(alternative_units(own_unit), key=lambda alternative: alternative[0] != file_unit)
-    probable = next((other for other, size in sizes if usual.least <= abs(number) * float(size) <= usual.most), None)
+    probable = next(
+        (other for other, size in sizes if usual.minimum <= abs(number) * float(size) <= usual.maximum), None
+    )
     # Small numbers are often correct, such as a gap of 1 um. Only a unit that explains them is worth a warning.
-    if probable is None and abs(number) < usual.least:
+    if probable is None and abs(number) < usual.minimum:
         return
     question = "" if probable is None else f": was {number:g} {unit_text(probable)} meant?"
-    warn_implausible(f"{label} is {number:g}{sign}; usual is {usual.least:g} to {usual.most:g}{sign}{question}")
+    warn_implausible(f"{label} is {number:g}{sign}; usual is {usual.minimum:g} to {usual.maximum:g}{sign}{question}")

@@ -263,7 +263,7 @@ def _kind(kind: Any, marks: tuple[Any, ...], suffix: str) -> KeyType:
 def _bounds(marks: tuple[Any, ...]) -> dict[str, float]:
     """Bounds of a number in SI, by their names in pydantic."""
     allowed = next((mark for mark in marks if isinstance(mark, Range)), Range())
-    bounds = {"gt": allowed.above, "ge": allowed.least, "le": allowed.most, "lt": allowed.below}
+    bounds = {"gt": allowed.above, "ge": allowed.minimum, "le": allowed.maximum, "lt": allowed.below}
     return {name: bound for name, bound in bounds.items() if bound is not None}
 
 

@@ -77,7 +77,7 @@ class InverseOptions(Displayed):
         str, OneOf(METHODS), "solver: gauss_newton, nlp (IPOPT), or auto (gauss_newton, then nlp if it fails)"
     ] = "auto"
     """Solver: "auto" (Gauss-Newton, and the nonlinear program if it stalls), "gauss_newton" or "nlp"."""
-    starts: Annotated[int, Range(least=1), "largest number of starting configurations"] = 48
+    starts: Annotated[int, Range(minimum=1), "largest number of starting configurations"] = 48
     steps: int = 30
     """Maximum number of steps from one start to the target; fewer stop sooner for targets out of reach."""
     distinct: float = 0.05

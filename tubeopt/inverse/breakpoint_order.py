@@ -72,7 +72,7 @@ def breakpoint_order(space: JointSpace, at: Posture) -> OrderConstraints:
     n, groups = space.robot.n_tubes, len(space.carriages)
     if not space.robot.fixed_sections:  # a solve of a bundle finds the order
         none = np.zeros((0, groups))
-        return OrderConstraints(np.zeros(0), none, np.reshape(space.rows[:, n:], (-1, groups)), space.least, 0)
+        return OrderConstraints(np.zeros(0), none, np.reshape(space.rows[:, n:], (-1, groups)), space.row_lower, 0)
     problem = at.problem
     assembly, shift = problem.assembly, at.q[n:]
     breaks = [(0.0, np.zeros(groups))]
@@ -98,7 +98,7 @@ def breakpoint_order(space: JointSpace, at: Posture) -> OrderConstraints:
             rows.append(row)
             bound.append(float(row @ shift - (second - first)))
     length = problem.mesh.length - length_slope @ shift
-    rows, bound, changeable = [*rows, *space.rows[:, n:]], [*bound, *space.least], len(bound)
+    rows, bound, changeable = [*rows, *space.rows[:, n:]], [*bound, *space.row_lower], len(bound)
     return OrderConstraints(length, length_slope, np.reshape(rows, (-1, groups)), np.array(bound), changeable)
 
 

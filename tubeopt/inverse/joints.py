@@ -55,8 +55,8 @@ class JointSpace:
     upper: Array
     """Upper bounds (m,)."""
     rows: Array
-    """Order of the tubes as rows (k, m): rows q >= least."""
-    least: Array
+    """Order of the tubes as rows (k, m): rows q >= row_lower."""
+    row_lower: Array
     """Bounds (k,) of the order, m."""
     row_names: tuple[str, ...]
     """Descriptions (k,) of active rows."""
@@ -159,7 +159,7 @@ class JointSpace:
 
     def ordered(self, q: Array) -> Mask:
         """Mask (...) of the joint values q (..., m) that satisfy the order, except for round-off."""
-        return np.asarray((q @ self.rows.T >= self.least - SLACK * self.length).all(-1))
+        return np.asarray((q @ self.rows.T >= self.row_lower - SLACK * self.length).all(-1))
 
     def outside(self, q: Array, slack: float = SLACK) -> str:
         """Text on a joint out of its range, by more than `slack` of its scale, or on tubes out of order; "" if there is
@@ -170,7 +170,7 @@ class JointSpace:
             unit, factor = ("deg", np.degrees(1.0)) if k < n else ("mm", TO_MM)
             value, low, high = (each[k] * factor for each in (q, self.lower, self.upper))
             return f"{self.names[k]} is {value:.6g} {unit}; it must be from {low:.6g} to {high:.6g} {unit}"
-        missing = self.least - self.rows @ q
+        missing = self.row_lower - self.rows @ q
         if missing.max(initial=0.0) <= SLACK * self.length:
             return ""
         worst = int(np.argmax(missing))
@@ -189,7 +189,7 @@ class JointSpace:
     @cached_property
     def _ends(self) -> Array:
         """Bounds (2m + k,) of these rows."""
-        return np.concatenate([self.lower, -self.upper, self.least])
+        return np.concatenate([self.lower, -self.upper, self.row_lower])
 
     def free_sides(self, bounds: Array) -> tuple[int, ...]:
         """Sides (n,) that translations can move to: -1 if a translation can shrink but not grow, else 1.
@@ -230,7 +230,7 @@ class JointSpace:
             end = self.lower[k] if row == k else self.upper[k]
             if abs(q[k] - end) <= CLOSE * self.scale[k] or not self.lower[k] < q[k] < self.upper[k]:
                 names.append(self.limit(row))
-        excess = self.rows @ q - self.least
+        excess = self.rows @ q - self.row_lower
         return names + [name for name, size in zip(self.row_names, excess, strict=True) if size <= CLOSE * self.length]
 
     def limit(self, row: int) -> str:
@@ -287,7 +287,7 @@ class JointSpace:
             narrow = low[:n] > high[:n]
             low[:n][narrow], high[:n][narrow] = self.lower[:n][narrow], self.upper[:n][narrow]
             points = low + unit * (high - low)
-            chosen = points[(points @ self.rows.T >= self.least).all(1)] if len(self.least) else points
+            chosen = points[(points @ self.rows.T >= self.row_lower).all(1)] if len(self.row_lower) else points
             if len(chosen) >= count:
                 return np.asarray(chosen[:count])
         if len(chosen) >= count // 4:
@@ -374,7 +374,7 @@ def _joint_space(
         lower=lower,
         upper=upper,
         rows=rows.reshape(-1, len(lower))[variable],
-        least=minimum[variable],
+        row_lower=minimum[variable],
         row_names=tuple(demand.name for demand, varies in zip(order, variable, strict=True) if varies),
         row_faults=tuple(demand.broken for demand, varies in zip(order, variable, strict=True) if varies),
         spread=spread,

@@ -172,7 +172,7 @@ def _key(space: JointSpace, size: int) -> str:
         space.lower,
         space.upper,
         space.rows,
-        space.least,
+        space.row_lower,
         space.joint(space.lower),
         space.robot.axes,
         np.array([getattr(space.robot, "sheath_stiffness", 0.0)]),

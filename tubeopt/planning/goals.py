@@ -174,7 +174,7 @@ def step_constraints(task: PlanTask, z: Array, longest: float) -> tuple[Array, A
     unit = np.eye(m)
     rows = [unit[n:], -unit[n:], space.rows * space.scale, unit, -unit]
     bounds = [(space.lower - z)[n:] / space.scale[n:], (z - space.upper)[n:] / space.scale[n:]]
-    bounds += [space.least - space.rows @ z, np.full(2 * m, -longest)]
+    bounds += [space.row_lower - space.rows @ z, np.full(2 * m, -longest)]
     # At most 0: the step 0 is allowed even from a point that is slightly out of range.
     return np.vstack(rows), np.minimum(np.concatenate(bounds), 0.0)
 

@@ -181,8 +181,8 @@ def out_of_range(space: JointSpace, alpha: Array, shift: Array) -> list[str]:
         name = f"rotation of tube {joint + 1}" if joint < n else f"translation of carriage {joint - n + 1}"
         value = f"{np.degrees(q[k, joint]):.5g} deg" if joint < n else f"{q[k, joint] * 1e3:.5g} mm"
         faults.append(f"{name} leaves its range at sample {k + 1}, {value}")
-    if len(space.least):
-        excess = (space.least - q @ space.rows.T).max(0) / space.length
+    if len(space.row_lower):
+        excess = (space.row_lower - q @ space.rows.T).max(0) / space.length
         row = int(np.argmax(excess))
         if excess[row] > SLACK:
             far = excess[row] * space.length * TO_MM

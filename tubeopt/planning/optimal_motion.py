@@ -621,8 +621,8 @@ class Motion:
             rows = np.flatnonzero(np.isfinite(end)).tolist()
             bound = ca.DM(end[rows] / space.scale[rows] - sign * JOINT_ROUND_OFF)
             self._demand(f"{name} end of the ranges", sign * (inner[rows, :] - ca.repmat(bound, 1, count)))
-        if len(space.least):
-            excess = ca.DM(space.rows) @ self._path.inner - ca.repmat(ca.DM(space.least), 1, count)
+        if len(space.row_lower):
+            excess = ca.DM(space.rows) @ self._path.inner - ca.repmat(ca.DM(space.row_lower), 1, count)
             self._demand("order of the tubes", excess / space.length + JOINT_ROUND_OFF)
 
     def _fix(self, name: str, knot: int, point: Array) -> None:

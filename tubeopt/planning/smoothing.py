@@ -380,7 +380,7 @@ def _solve(
         task.coordinates.kind,
         space.carriages,
         len(step),
-        len(space.least),
+        len(space.row_lower),
         task.obstacles,
         space.length,
         task.cost,
@@ -464,7 +464,7 @@ def _bounds(
     for name in ("speed", "force", "twist"):
         upper[name][:] = 0.0
     inside = ((np.arange(knots) > 0) & (np.arange(knots) < knots - 1))[:, None]
-    lower["order"] = np.tile(space.least / space.length - JOINT_ROUND_OFF, 2 * (knots - 1))
+    lower["order"] = np.tile(space.row_lower / space.length - JOINT_ROUND_OFF, 2 * (knots - 1))
     ends = q[[0, -1]] / task.scale
     lower["ranges"] = np.tile(np.minimum(space.lower / task.scale, ends.min(0)) - JOINT_ROUND_OFF, 2 * (knots - 1))
     upper["ranges"] = np.tile(np.maximum(space.upper / task.scale, ends.max(0)) + JOINT_ROUND_OFF, 2 * (knots - 1))

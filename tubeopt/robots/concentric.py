@@ -68,7 +68,7 @@ class Friction(Displayed):
     ] = False
     refinement: Annotated[
         int,
-        Range(least=-2, most=4),
+        Range(minimum=-2, maximum=4),
         "number of mesh bisections, for a sharper boundary between slip and stick; -1 and "
         "-2 coarsen the mesh and save time",
     ] = 0

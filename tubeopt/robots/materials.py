@@ -23,12 +23,12 @@ class ThermalData:
         InputError: a constant is not positive, a slope is not finite, or the emissivity is above 1.
     """
 
-    density: Annotated[float, unit("kg_per_m3"), Range(least=100.0, most=23000.0)]
-    heat_capacity: Annotated[float, unit("J_per_kg_K"), Range(above=0.0, most=10000.0)]
-    conductivity: Annotated[float, unit("W_per_m_K"), Range(above=0.0, most=2500.0), "thermal conductivity"]
+    density: Annotated[float, unit("kg_per_m3"), Range(minimum=100.0, maximum=23000.0)]
+    heat_capacity: Annotated[float, unit("J_per_kg_K"), Range(above=0.0, maximum=10000.0)]
+    conductivity: Annotated[float, unit("W_per_m_K"), Range(above=0.0, maximum=2500.0), "thermal conductivity"]
     resistivity: Annotated[float, unit("ohm_m"), POSITIVE, Typical(1e-9, 1e-4), "electrical resistivity"]
     expansion: Annotated[float, unit("per_K"), POSITIVE, Typical(1e-7, 1e-3), "coefficient of thermal expansion"]
-    emissivity: Annotated[float, Range(above=0.0, most=1.0), "total emissivity"]
+    emissivity: Annotated[float, Range(above=0.0, maximum=1.0), "total emissivity"]
     heat_capacity_slope: Annotated[float, unit("per_K"), "relative change of the property per K"] = 0.0
     conductivity_slope: Annotated[float, unit("per_K"), "relative change of the property per K"] = 0.0
     resistivity_slope: Annotated[float, unit("per_K"), "relative change of the property per K"] = 0.0

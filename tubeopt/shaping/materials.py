@@ -18,7 +18,7 @@ INSULATING_RESISTIVITY = 1e3
 Next to a tube of 1e-6 ohm m with a thousandth of the mold's section, less than 1e-6 of the current leaks into the mold.
 """
 
-AMBIENT_RANGE = Range(least=ZERO_CELSIUS - 40.0, most=ZERO_CELSIUS + 60.0)
+AMBIENT_RANGE = Range(minimum=ZERO_CELSIUS - 40.0, maximum=ZERO_CELSIUS + 60.0)
 """Allowed ambient temperatures, K."""
 
 PRICE_CLASSES = ("low", "moderate", "high")
@@ -33,18 +33,18 @@ class MoldMaterial:
     """
 
     name: Annotated[str, "name in files and on the command line"]
-    conductivity: Annotated[float, unit("W_per_m_K"), Range(above=0.0, most=2500.0), "thermal"]
-    density: Annotated[float, unit("kg_per_m3"), Range(least=10.0, most=23000.0), "density"]
-    heat_capacity: Annotated[float, unit("J_per_kg_K"), Range(above=0.0, most=10000.0), "heat capacity"]
+    conductivity: Annotated[float, unit("W_per_m_K"), Range(above=0.0, maximum=2500.0), "thermal"]
+    density: Annotated[float, unit("kg_per_m3"), Range(minimum=10.0, maximum=23000.0), "density"]
+    heat_capacity: Annotated[float, unit("J_per_kg_K"), Range(above=0.0, maximum=10000.0), "heat capacity"]
     limit_temperature: Annotated[
         float,
         key("limit_degC"),
-        Range(above=0.0, most=4000.0),
+        Range(above=0.0, maximum=4000.0),
         "limit temperature; above it the mold surface chars, scales or softens",
     ]
     failure: Annotated[str, Absent("fails"), "effect above the limit, in a few words"]
     resistivity: Annotated[float, unit("ohm_m"), POSITIVE, "electrical"]
-    emissivity: Annotated[float, Range(above=0.0, most=1.0), Absent(0.9), "total"]
+    emissivity: Annotated[float, Range(above=0.0, maximum=1.0), Absent(0.9), "total"]
     price_class: Annotated[str, OneOf(PRICE_CLASSES), Absent("moderate"), "low, moderate or high"]
     source: Annotated[str, "source of the numbers"]
     expansion: Annotated[float, unit("per_K"), POSITIVE, "mean coefficient of thermal expansion up to 500 degC"] = 8e-6

@@ -108,9 +108,9 @@ def stability_map(
     translations: ArrayLike | None = None,
     *,
     tubes: tuple[int, int] = (0, 1),
-    samples: Annotated[int, Range(least=2)] = 24,
-    directions: Annotated[int, Range(least=4)] = 120,
-    workers: Annotated[int, Range(least=0)] = 1,
+    samples: Annotated[int, Range(minimum=2)] = 24,
+    directions: Annotated[int, Range(minimum=4)] = 120,
+    workers: Annotated[int, Range(minimum=0)] = 1,
     progress: Callable[[int, int], object] | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> StabilityMap:

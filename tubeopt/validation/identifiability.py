@@ -276,12 +276,12 @@ class Placement(Displayed):
 def where_to_measure(
     robot: Robot,
     parameters: Sequence[str],
-    count: Annotated[int, Range(least=3)] = 30,
+    count: Annotated[int, Range(minimum=3)] = 30,
     *,
     min_margin: Annotated[float, MARGIN] = 0.1,
     noise: Annotated[float, unit("mm"), POSITIVE, TYPICAL_NOISE] = 0.5e-3,
     registration: Annotated[str, OneOf(PLANNED_REGISTRATIONS)] = "rigid",
-    seed: Annotated[int, Range(least=0)] = 0,
+    seed: Annotated[int, Range(minimum=0)] = 0,
     time_limit: float = TIME_LIMIT,
 ) -> Placement:
     """Configurations within the joint limits with tips that determine parameters best.

@@ -261,7 +261,7 @@ def _box(space: JointSpace) -> JointBox:
 def _bounds(space: JointSpace, forward: Array) -> tuple[Array, Array]:
     """Smallest and largest value of each component of forward q over all admissible q."""
     bounds = list(zip(space.lower.tolist(), space.upper.tolist(), strict=True))
-    rows = {"A_ub": -space.rows, "b_ub": -space.least} if len(space.least) else {}
+    rows = {"A_ub": -space.rows, "b_ub": -space.row_lower} if len(space.row_lower) else {}
     low, high = (
         np.array([sign * scipy.optimize.linprog(sign * row, bounds=bounds, **rows).fun for row in forward])
         for sign in (1.0, -1.0)
@@ -276,12 +276,12 @@ SAMPLES, HEAD, FAILURES = "samples.npy", "workspace.json", "failures.jsonl"
 @limited
 def workspace(
     robot: Robot,
-    samples: Annotated[int, Range(least=1)] = 10_000,
+    samples: Annotated[int, Range(minimum=1)] = 10_000,
     *,
     method: Annotated[str, OneOf(METHODS)] = "sobol",
-    seed: Annotated[int, Range(least=0)] = 0,
+    seed: Annotated[int, Range(minimum=0)] = 0,
     out: str | PathLike[str] | None = None,
-    workers: Annotated[int, Range(least=0)] = 1,
+    workers: Annotated[int, Range(minimum=0)] = 1,
     progress: Progress | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> Workspace:

@@ -202,8 +202,8 @@ def examine(
     workspace: Workspace,
     size: Annotated[float | None, key("voxel_mm"), POSITIVE, Typical(1e-5, 0.1)] = None,
     *,
-    min_margin: Annotated[float, Range(most=1.0)] = 0.0,
-    loss: Annotated[int, Range(least=0)] = 0,
+    min_margin: Annotated[float, Range(maximum=1.0)] = 0.0,
+    loss: Annotated[int, Range(minimum=0)] = 0,
     progress: Progress | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> Findings:

@@ -93,7 +93,7 @@ class Oven(Displayed):
         float,
         key("setting_degC"),
         REQUIRED,
-        Range(least=ZERO_CELSIUS + 100.0, most=ZERO_CELSIUS + 1000.0),
+        Range(minimum=ZERO_CELSIUS + 100.0, maximum=ZERO_CELSIUS + 1000.0),
         "temperature setting of the oven, furnace or bath",
     ] = 525.0 + ZERO_CELSIUS
     method: Annotated[str, OneOf(METHODS), "kind of heating: oven (with a fan), furnace (still air) or salt_bath"] = (
@@ -102,20 +102,20 @@ class Oven(Displayed):
     uniformity: Annotated[
         float,
         unit("K"),
-        Range(least=0.0, most=100.0),
+        Range(minimum=0.0, maximum=100.0),
         "largest difference between the setting and the temperature at the mold",
     ] = 6.0
     convection: Annotated[
         float | None,
         unit("W_per_m2_K"),
-        Range(above=0.0, most=1e4),
+        Range(above=0.0, maximum=1e4),
         "heat transfer coefficient to the mold without radiation; default 20 in an oven, 10 in a furnace, 600 in a "
         "salt bath",
     ] = None
     heating_power: Annotated[
         float | None,
         unit("W"),
-        Range(above=0.0, most=1e6),
+        Range(above=0.0, maximum=1e6),
         "power that the oven can give to the mold beyond its own losses; default unlimited",
     ] = None
     on_floor: Annotated[bool, "the mold lies on a floor and gets no heat from below; default on a rack"] = False
@@ -123,11 +123,11 @@ class Oven(Displayed):
     mold_length: Annotated[
         float | None,
         unit("mm"),
-        Range(above=0.0, most=2.0),
+        Range(above=0.0, maximum=2.0),
         "length of the mold; default the chord of the curved part and both leads",
     ] = None
     ambient: Annotated[
-        float, unit("degC"), Range(least=ZERO_CELSIUS - 40.0, most=ZERO_CELSIUS + 60.0), "ambient temperature"
+        float, unit("degC"), Range(minimum=ZERO_CELSIUS - 40.0, maximum=ZERO_CELSIUS + 60.0), "ambient temperature"
     ] = 25.0 + ZERO_CELSIUS
     transfer_time: Annotated[float, unit("s"), NOT_NEGATIVE, "time in air between oven and quench"] = 15.0
     quench: Annotated[

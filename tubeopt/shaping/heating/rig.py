@@ -85,12 +85,12 @@ class Battery:
     capacity: Annotated[
         float,
         unit("Ah"),
-        Range(above=0.0, most=1e6 * AMPERE_HOUR),
+        Range(above=0.0, maximum=1e6 * AMPERE_HOUR),
         Typical(0.5 * AMPERE_HOUR, 1000 * AMPERE_HOUR),
         "capacity",
     ] = 60.0 * AMPERE_HOUR
     state_of_charge: Annotated[
-        float, unit("percent"), Range(above=0.0, most=1.0), "state of charge, percent of the capacity"
+        float, unit("percent"), Range(above=0.0, maximum=1.0), "state of charge, percent of the capacity"
     ] = 1.0
     open_circuit: Annotated[
         tuple[tuple[float, float], ...],
@@ -98,12 +98,12 @@ class Battery:
         "pairs of state of charge (0 to 1) and voltage at rest, both increasing; linear interpolation",
     ] = OPEN_CIRCUIT
     internal_resistance: Annotated[
-        float, unit("mohm"), Range(above=0.0, most=10.0), OHMS, "immediate internal resistance"
+        float, unit("mohm"), Range(above=0.0, maximum=10.0), OHMS, "immediate internal resistance"
     ] = 0.008
     sag_resistance: Annotated[
-        float, unit("mohm"), Range(least=0.0, most=10.0), OHMS, "additional resistance after the voltage sag"
+        float, unit("mohm"), Range(minimum=0.0, maximum=10.0), OHMS, "additional resistance after the voltage sag"
     ] = 0.006
-    sag_time: Annotated[float, unit("s"), Range(above=0.0, most=1e4), "time constant of the sag (63 %)"] = 30.0
+    sag_time: Annotated[float, unit("s"), Range(above=0.0, maximum=1e4), "time constant of the sag (63 %)"] = 30.0
 
     def __post_init__(self) -> None:
         check_fields(self, "the battery")
@@ -158,13 +158,15 @@ class Circuit:
     """Resistances between battery and tube, and current limits."""
 
     cable_resistance: Annotated[
-        float, unit("mohm"), Range(least=0.0, most=10.0), OHMS, "total resistance of the cables"
+        float, unit("mohm"), Range(minimum=0.0, maximum=10.0), OHMS, "total resistance of the cables"
     ] = 0.005
     contact_resistance: Annotated[
-        float, unit("mohm"), Range(least=0.0, most=10.0), OHMS, "total contact resistance of both clamps"
+        float, unit("mohm"), Range(minimum=0.0, maximum=10.0), OHMS, "total contact resistance of both clamps"
     ] = 0.004
-    mosfet_resistance: Annotated[float, unit("mohm"), Range(least=0.0, most=10.0), OHMS, "R_DS(on)"] = 0.002
-    pwm_frequency: Annotated[float, unit("Hz"), Range(above=0.0, most=1e6), Typical(10.0, 1e5), "PWM frequency"] = 490.0
+    mosfet_resistance: Annotated[float, unit("mohm"), Range(minimum=0.0, maximum=10.0), OHMS, "R_DS(on)"] = 0.002
+    pwm_frequency: Annotated[float, unit("Hz"), Range(above=0.0, maximum=1e6), Typical(10.0, 1e5), "PWM frequency"] = (
+        490.0
+    )
     lost_on_time: Annotated[
         float,
         unit("us"),
@@ -175,14 +177,14 @@ class Circuit:
     cutout_opening: Annotated[
         float,
         unit("ms"),
-        Range(above=0.0, most=0.5),
+        Range(above=0.0, maximum=0.5),
         Typical(1e-4, 0.2),
         "opening time of the cut-out in series with the MOSFET: a contactor with a Zener diode at its coil takes 10 to "
         "15 ms, a high-side switch below 1 ms",
     ] = 0.015
-    current_limit: Annotated[float, unit("A"), Range(above=0.0, most=2000.0), "limit of the mean current"] = 40.0
+    current_limit: Annotated[float, unit("A"), Range(above=0.0, maximum=2000.0), "limit of the mean current"] = 40.0
     peak_limit: Annotated[
-        float, unit("A"), Range(above=0.0, most=5000.0), "limit of the current while the MOSFET conducts"
+        float, unit("A"), Range(above=0.0, maximum=5000.0), "limit of the current while the MOSFET conducts"
     ] = 200.0
 
     def __post_init__(self) -> None:
@@ -208,19 +210,19 @@ class Circuit:
 class Clamps:
     """The two equal clamps, as lumped heat capacities."""
 
-    mass: Annotated[float, unit("g"), Range(above=0.0, most=50.0), Typical(5e-4, 5.0), "mass of one clamp"] = 0.05
+    mass: Annotated[float, unit("g"), Range(above=0.0, maximum=50.0), Typical(5e-4, 5.0), "mass of one clamp"] = 0.05
     heat_capacity: Annotated[
-        float, unit("J_per_kg_K"), Range(above=0.0, most=5000.0), "heat capacity of the clamp metal"
+        float, unit("J_per_kg_K"), Range(above=0.0, maximum=5000.0), "heat capacity of the clamp metal"
     ] = 896.0
     area: Annotated[
-        float, unit("cm2"), Range(above=0.0, most=1.0), "surface area of one clamp that is cooled by air"
+        float, unit("cm2"), Range(above=0.0, maximum=1.0), "surface area of one clamp that is cooled by air"
     ] = 4e-3
     contact_conductance: Annotated[
-        float, unit("W_per_m2_K"), Range(above=0.0, most=1e6), "thermal conductance between tube and clamp"
+        float, unit("W_per_m2_K"), Range(above=0.0, maximum=1e6), "thermal conductance between tube and clamp"
     ] = 3000.0
-    grip: Annotated[float, unit("mm"), Range(above=0.0, most=0.2), "length of tube in each clamp"] = 10e-3
+    grip: Annotated[float, unit("mm"), Range(above=0.0, maximum=0.2), "length of tube in each clamp"] = 10e-3
     clearance: Annotated[
-        float, unit("mm"), Range(above=0.0, most=0.2), "length of uncovered tube between clamp and mold at each end"
+        float, unit("mm"), Range(above=0.0, maximum=0.2), "length of uncovered tube between clamp and mold at each end"
     ] = 5e-3
 
     def __post_init__(self) -> None:
@@ -235,31 +237,31 @@ class MoldBed:
     width: Annotated[
         float,
         unit("mm"),
-        Range(above=0.0, most=2.0),
+        Range(above=0.0, maximum=2.0),
         Typical(2e-3, 2.0),
         "width of the mold around the tube",
     ] = 0.1
     thickness: Annotated[
-        float, unit("mm"), Range(above=0.0, most=2.0), Typical(1e-3, 1.0), "thickness of both plates together"
+        float, unit("mm"), Range(above=0.0, maximum=2.0), Typical(1e-3, 1.0), "thickness of both plates together"
     ] = 25.4e-3
     lead: Annotated[
         float,
         unit("mm"),
-        Range(above=0.0, most=2.0),
+        Range(above=0.0, maximum=2.0),
         Typical(5e-4, 1.0),
         "length of straight tube in the mold on each side of the curved part",
     ] = 20e-3
     side_clearance: Annotated[
         float | None,
         unit("um"),
-        Range(above=0.0, most=5e-3),
+        Range(above=0.0, maximum=5e-3),
         "side clearance: air gap on each side of a tube in the middle of its groove. "
         "Default gap_um, or 50 um without gap_um",
     ] = None
     gap: Annotated[
         float | None,
         unit("um"),
-        Range(above=0.0, most=5e-3),
+        Range(above=0.0, maximum=5e-3),
         "uniform air gap that conducts as much heat as the air in the groove; it limits the "
         "heat flow at first. By default computed for a square groove with this side "
         "clearance and the tube on its floor and wall",
@@ -270,14 +272,14 @@ class MoldBed:
     wire: Annotated[
         float,
         unit("mm"),
-        Range(least=0.0, most=2e-3),
+        Range(minimum=0.0, maximum=2e-3),
         Typical(2e-5, 1e-3),
         "diameter of the wires of a thermocouple in the slot of the lid; it draws heat from the middle. 0: none",
     ] = 0.0
     anchor: Annotated[
         float,
         unit("mm"),
-        Range(above=0.0, most=0.2),
+        Range(above=0.0, maximum=0.2),
         Typical(1e-3, 0.1),
         "length of each wire on the tube, from the middle of the curved part",
     ] = ANCHOR
@@ -326,7 +328,7 @@ class Rig(Displayed):
     convection: Annotated[
         float | None,
         unit("W_per_m2_K"),
-        Range(above=0.0, most=1e4),
+        Range(above=0.0, maximum=1e4),
         "heat transfer coefficient of uncovered surfaces in air; by default computed for the tube",
     ] = None
     loss_factor: Annotated[

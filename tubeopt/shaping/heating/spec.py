@@ -73,7 +73,7 @@ class HeatingSpec(Displayed):
     most_vent: Annotated[
         float,
         unit("percent"),
-        Range(above=0.0, most=0.5),
+        Range(above=0.0, maximum=0.5),
         "largest open fraction of the tube's surface, with --free vents",
     ] = 0.4
 

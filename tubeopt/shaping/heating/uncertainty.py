@@ -19,7 +19,7 @@ from .calibration import FACTORS
 from .rig import Rig
 from .thermal import ThermalModel, stack, thermal_data, thermal_model, uniform_gap_of
 
-PART = Range(least=0.0, most=0.99)
+PART = Range(minimum=0.0, maximum=0.99)
 """Range of half-widths that are fractions."""
 
 

@@ -18,16 +18,16 @@ DIALECTS = ("grbl", "linuxcnc", "mach")
 WORK_OFFSETS = ("G54", "G55", "G56", "G57", "G58", "G59")
 
 
-LENGTH, LENGTH_OR_ZERO = Range(above=0.0, most=2.0), Range(least=0.0, most=2.0)
+LENGTH, LENGTH_OR_ZERO = Range(above=0.0, maximum=2.0), Range(minimum=0.0, maximum=2.0)
 """Allowed lengths of molds and tools, m: none is longer, and a larger number is probably in mm."""
 
 SMALL, STEP = Typical(1e-5, 0.4), Typical(1e-6, 0.02)
 """Typical sizes of parts of molds and tools, and typical depths of single cuts, m."""
 
-CUT = Range(least=1e-5, most=2.0)
+CUT = Range(minimum=1e-5, maximum=2.0)
 """Allowed depths of single cuts, m; below them, a program has thousands of passes that machines cannot resolve."""
 
-FEED, SPEED = Range(least=2e-5, most=1.0), Range(above=0.0, most=2000.0)
+FEED, SPEED = Range(minimum=2e-5, maximum=1.0), Range(above=0.0, maximum=2000.0)
 """Allowed feeds, m/s (at least 1.2 mm/min), and spindle speeds, 1/s."""
 
 

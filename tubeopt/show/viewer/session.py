@@ -124,8 +124,10 @@ def check(
         low, high = space.lower[k] * factor, space.upper[k] * factor
         raise InputError(f"{space.names[k]} is {q[k] * factor:g} {unit}; it must be from {low:g} to {high:g} {unit}")
     # Order of tubes: rows q >= least, a row for each pair of neighbours. Negative residuals are violations.
-    residual = space.rows @ q - space.least
-    allowed_residual = np.zeros_like(residual) if start is None else np.minimum(space.rows @ start - space.least, 0.0)
+    residual = space.rows @ q - space.row_lower
+    allowed_residual = (
+        np.zeros_like(residual) if start is None else np.minimum(space.rows @ start - space.row_lower, 0.0)
+    )
     violated = [space.row_names[k] for k in np.flatnonzero(residual < allowed_residual - 1e-9 * space.length)]
     if order and violated:
         raise InputError(f"the tubes would be out of order: {', '.join(violated)}")
@@ -145,7 +147,7 @@ def allowed(robot: Robot, q: Array, joint: int) -> tuple[JointBound, JointBound]
     """
     space = space_of(robot)
     low, high = (JointBound(float(ends[joint]), "end of its range") for ends in (space.lower, space.upper))
-    for order, lower, name in zip(space.rows, space.least, space.row_names, strict=True):
+    for order, lower, name in zip(space.rows, space.row_lower, space.row_names, strict=True):
         if order[joint] != 0:
             # Solves order . q = min(lower, present value) for this joint, with the others fixed.
             bound = JointBound(float((min(lower, order @ q) - order @ q) / order[joint] + q[joint]), name)
