@@ -187,8 +187,8 @@ class Energy(CustomObjective):
 
 
 def test_requirement_that_is_satisfied_changes_nothing() -> None:
-    terms = optimal_control.OwnTerms((lambda q: (400.0 - q.clamp_temperature) / 100,))
-    plain, own = solve_ideal(TUBE, thesis_rig(), SPEC), solve_ideal(TUBE, thesis_rig(), SPEC, own=terms)
+    terms = optimal_control.CustomTerms((lambda q: (400.0 - q.clamp_temperature) / 100,))
+    plain, own = solve_ideal(TUBE, thesis_rig(), SPEC), solve_ideal(TUBE, thesis_rig(), SPEC, custom=terms)
     assert own.objective == pytest.approx(plain.objective, rel=1e-6)
 
 

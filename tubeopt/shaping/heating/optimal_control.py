@@ -35,7 +35,7 @@ from .rig_course import (
     parameter_count,
 )
 
-OWN, PARAMETERS = (0, 2, 3, 4), 5
+LOCAL, PARAMETERS = (0, 2, 3, 4), 5
 """Inputs of `instant`: those that are unknowns of the instant other than rates, and the parameters of tube and rig."""
 
 
@@ -48,29 +48,29 @@ class Derivative(NamedTuple):
 
 @lru_cache(maxsize=8)
 def instant_derivatives(resolution: Resolution) -> tuple[Derivative, Derivative]:
-    """Jacobian and Hessian of `instant` by its own unknowns and the length of its interval.
+    """Jacobian and Hessian of `instant` by its local unknowns and the length of its interval.
 
     The rates, in which the equations are linear, are left out. The Jacobian of the equations is a function of (own
-    unknowns, parameters). The Hessian, of (own unknowns, parameters, multipliers, weight), is that of the equations
+    unknowns, parameters). The Hessian, of (local unknowns, parameters, multipliers, weight), is that of the equations
     times multipliers, and of the energy, power times length, times a weight.
     """
     whole = instant(resolution)
     inputs = whole.sx_in()
-    sizes = np.cumsum([0, *(inputs[k].numel() for k in OWN), 1]).tolist()
-    own, parameters = ca.SX.sym("own", sizes[-1]), inputs[PARAMETERS]
-    z, circuit, I_sq, design, length = ca.vertsplit(own, sizes)
+    sizes = np.cumsum([0, *(inputs[k].numel() for k in LOCAL), 1]).tolist()
+    local, parameters = ca.SX.sym("local", sizes[-1]), inputs[PARAMETERS]
+    z, circuit, I_sq, design, length = ca.vertsplit(local, sizes)
     equations, power = whole(z, ca.SX(*z.shape), circuit, I_sq, design, parameters)
     multipliers, weight = ca.SX.sym("multipliers", equations.numel()), ca.SX.sym("weight")
     # Derivatives of one instant serve all points by a map: the pattern is built and coloured once.
-    J = ca.jacobian(equations, own)
-    H = ca.hessian(ca.dot(multipliers, equations) + weight * length * power, own)[0]
-    jacobian = ca.Function("slopes", [own, parameters], [J.nz[:]], {"cse": True})
-    hessian = ca.Function("bends", [own, parameters, multipliers, weight], [H.nz[:]], {"cse": True})
+    J = ca.jacobian(equations, local)
+    H = ca.hessian(ca.dot(multipliers, equations) + weight * length * power, local)[0]
+    jacobian = ca.Function("slopes", [local, parameters], [J.nz[:]], {"cse": True})
+    hessian = ca.Function("bends", [local, parameters, multipliers, weight], [H.nz[:]], {"cse": True})
     return Derivative(jacobian, J.sparsity()), Derivative(hessian, H.sparsity())
 
 
 def exact_derivatives(
-    problem: dict[str, Any], resolution: Resolution, *, parameters: Any, own: Any, rest: dict[str, Any], weights: Any
+    problem: dict[str, Any], resolution: Resolution, *, parameters: Any, local: Any, rest: dict[str, Any], weights: Any
 ) -> dict[str, ca.Function]:
     """Jacobian of the constraints of a program and Hessian of its Lagrangian, as options of its `nlpsol`.
 
@@ -78,25 +78,27 @@ def exact_derivatives(
 
     Args:
         parameters: of tube and rig.
-        own: (Y, N) own unknowns of every instant and the length of its interval, linear in the unknowns.
+        local: (Y, N) unknowns of every instant and the length of its interval, linear in the unknowns.
         rest: objective "f" without the energy; all constraints "g", where the equations of the instants, which come
             first, are reduced to their rates.
         weights: (1, N) of power times length in the objective.
     """
     x, p, g = (problem[name] for name in "xpg")
     jacobian, hessian = instant_derivatives(resolution)
-    count, size = own.size2(), jacobian.pattern.size1()
+    count, size = local.size2(), jacobian.pattern.size1()
     factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", g.numel())
     of_instants = ca.reshape(multipliers[: count * size], size, count)
-    J_nonzeros = jacobian.nonzeros.map("slopes", "serial", count, [1], [])(own, parameters)
-    H_nonzeros = hessian.nonzeros.map("bends", "serial", count, [1], [])(own, parameters, of_instants, factor * weights)
-    # Chain rule with a constant matrix, as own unknowns and interval lengths are linear in x.
-    own_by_x = ca.jacobian(ca.vec(own), x)
+    J_nonzeros = jacobian.nonzeros.map("slopes", "serial", count, [1], [])(local, parameters)
+    H_nonzeros = hessian.nonzeros.map("bends", "serial", count, [1], [])(
+        local, parameters, of_instants, factor * weights
+    )
+    # Chain rule with a constant matrix, as local unknowns and interval lengths are linear in x.
+    local_by_x = ca.jacobian(ca.vec(local), x)
     # Only the first constraints, the equations of instants, depend on x through them.
     others = ca.MX(g.numel() - count * size, x.numel())
-    J = ca.jacobian(rest["g"], x) + ca.vertcat(ca.mtimes(_blocks(jacobian.pattern, J_nonzeros), own_by_x), others)
+    J = ca.jacobian(rest["g"], x) + ca.vertcat(ca.mtimes(_blocks(jacobian.pattern, J_nonzeros), local_by_x), others)
     lagrangian = factor * rest["f"] + ca.dot(multipliers, rest["g"])
-    H = ca.hessian(lagrangian, x)[0] + ca.mtimes([own_by_x.T, _blocks(hessian.pattern, H_nonzeros), own_by_x])
+    H = ca.hessian(lagrangian, x)[0] + ca.mtimes([local_by_x.T, _blocks(hessian.pattern, H_nonzeros), local_by_x])
     inputs = {"x": x, "p": p}
     return {
         "jac_g": _function("jac_g", inputs, {"g": g, "jac_g_x": J}),
@@ -214,8 +216,8 @@ class Program:
     """Solver with a convex part of the Hessian, for when the others fail."""
     split: Any
     """Function that takes the column of unknowns apart."""
-    own: Any
-    """Function (unknowns, parameters) -> values of own requirements."""
+    custom: Any
+    """Function (unknowns, parameters) -> values of custom requirements."""
     sizes: dict[str, int]
     """Number of constraints of each kind, in their order."""
 
@@ -267,7 +269,7 @@ class _Unknowns:
 
 
 @dataclass(frozen=True, eq=False)
-class OwnTerms:
+class CustomTerms:
     """Requirements and objective of a user, as functions of the course; compared by identity."""
 
     requirements: tuple[Callable[[RigCourse], Any], ...] = ()
@@ -278,12 +280,12 @@ class OwnTerms:
     """Places of the cells of the rig."""
 
 
-NO_TERMS = OwnTerms()
+NO_TERMS = CustomTerms()
 """The program of the built-in objectives alone."""
 
 
 @lru_cache(maxsize=8)
-def program(s: Structure, own: OwnTerms = NO_TERMS) -> Program:
+def program(s: Structure, custom: CustomTerms = NO_TERMS) -> Program:
     """Compiled program of a structure."""
     x, mesh = _Unknowns(**{name: ca.MX.sym(name, *shape) for name, shape in s.unknowns.items()}), s.mesh
     p, task = ca.MX.sym("p", parameter_count(s.resolution)), ca.MX.sym("task", len(TASK))
@@ -298,7 +300,7 @@ def program(s: Structure, own: OwnTerms = NO_TERMS) -> Program:
         hold=w["hold"],
         designs=x.designs(s),
         column=p,
-        grid=own.grid,
+        grid=custom.grid,
     )
     limits = course.limits(w, x.misses)
     limits["limit"] = limits["limit"][:, : s.soft_limit * s.points]
@@ -309,12 +311,12 @@ def program(s: Structure, own: OwnTerms = NO_TERMS) -> Program:
         **limits,
         # Copies of the design are equal from interval to interval, as those of the duration.
         "chosen": ca.diff(ca.horzcat(x.design[s.copied], x.copies), 1, 1) if s.copied else ca.MX(0, 1),
-        "own": ca.veccat(ca.MX(0, 1), *(requirement(course) for requirement in own.requirements)),
+        "custom": ca.veccat(ca.MX(0, 1), *(requirement(course) for requirement in custom.requirements)),
     }
     smooth = course.regularisation(w, x.design)
     linear = w["w_time"] * x.durations[0] + w["w_miss"] * x.misses[0]
-    if own.objective is not None:
-        linear += own.objective(course)
+    if custom.objective is not None:
+        linear += custom.objective(course)
     # Energy is the quadrature of power, with the weights of the collocation.
     quadrature = np.tile(tableau("radau", mesh.degree).weights, mesh.intervals)
     energy = w["w_energy"] / SCALE.energy * ca.DM(quadrature).T
@@ -330,7 +332,7 @@ def program(s: Structure, own: OwnTerms = NO_TERMS) -> Program:
         problem,
         s.resolution,
         parameters=p,
-        own=ca.vertcat(x.z, x.circuit, course.I_sq, course.designs, course.length),
+        local=ca.vertcat(x.z, x.circuit, course.I_sq, course.designs, course.length),
         rest={"f": smooth + linear, "g": ca.veccat(*blocks.values())},
         weights=energy,
     )
@@ -342,7 +344,7 @@ def program(s: Structure, own: OwnTerms = NO_TERMS) -> Program:
         restart=ca.nlpsol("heating_again", "ipopt", problem, {**exact, **WARM, "ipopt.max_iter": RESTART_ITERATIONS}),
         exact=ca.nlpsol("heating_exact", "ipopt", problem, {**exact, **COLD}),
         split=ca.Function("split", [x.column], [x.z, x.circuit, x.I_sq, x.durations[0], x.misses[0], x.design]),
-        own=ca.Function("own", [x.column, problem["p"]], [blocks["own"]]),
+        custom=ca.Function("custom", [x.column, problem["p"]], [blocks["custom"]]),
         sizes={name: int(block.numel()) for name, block in blocks.items()},
     )
 

@@ -17,7 +17,7 @@ from ...physics.heat_functions import CHARGE, CLAMP, SAG
 from ...robots.tubes import Tube
 from ...typing import Array
 from .counts import count_rate, full_current
-from .optimal_control import NO_TERMS, OwnTerms, Program, Structure, program
+from .optimal_control import NO_TERMS, CustomTerms, Program, Structure, program
 from .rig import COUNTS, Rig
 from .rig_course import LIMIT_RANGES, SCALE, TASK, VENTS, rig_parameters
 from .simulation import FINE_STEP, History, State, advance, at_rest, simulate, simulate_feedback, warming, warming_span
@@ -55,7 +55,7 @@ WEIGHTS = {
     "time": {"w_time": 1.0, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 1.0, "w_I_sq": 0.01},
     "energy": {"w_time": 0.3, "w_energy": 5.0, "w_centre": 0.02, "w_miss": 3.0, "w_I_sq": 0.01},
     "margin": {"w_time": 0.3, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 1.0, "w_I_sq": 0.01},
-    "own": {"w_time": 0.0, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 3.0, "w_I_sq": 0.01},
+    "custom": {"w_time": 0.0, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 3.0, "w_I_sq": 0.01},
 }
 """Weights per s / 30, J / 1e4, square of 25 K, K, and square of changes by 100 A^2.
 
@@ -110,8 +110,8 @@ class Ideal:
     x: Array
     """Scaled unknowns without the copies of the design."""
     multipliers: Multipliers
-    own: Array
-    """Values of own requirements, which must be at least 0."""
+    custom: Array
+    """Values of custom requirements, which must be at least 0."""
     structure: Structure
     """Structure of the program."""
 
@@ -137,15 +137,17 @@ class Shift:
     """(H, 1 + c) differences in the hold, at the start of the curved part and at its cells."""
     tube: Array
     """(N, n) differences at all points and cells."""
-    own: Array
-    """Values of own requirements at the simulation less those at the solution."""
+    custom: Array
+    """Values of custom requirements at the simulation less those at the solution."""
 
     @classmethod
-    def between(cls, ideal: Ideal, tube: Tube, model: ThermalModel, history: History, slots: int, own: Array) -> Shift:
+    def between(
+        cls, ideal: Ideal, tube: Tube, model: ThermalModel, history: History, slots: int, custom: Array
+    ) -> Shift:
         """Temperature differences between an ideal schedule and a simulation of its duties on a finer model, over
         `slots`.
 
-        `own` are the values of own requirements at the simulation.
+        `custom` are the values of custom requirements at the simulation.
         """
         slot = float(history.time[1])
         # The hold of the program may end within the slot after the last heated one.
@@ -158,7 +160,9 @@ class Shift:
         fine = np.array([np.interp(coarse.position, model.position, row) for row in at_time])
         first = len(ideal.time) - len(ideal.hold)
         edge = np.array([[np.interp(curve_start(model), model.position, row)] for row in at_time[first:]])
-        return cls(np.hstack([edge, fine[first:][:, coarse.curved]]) - ideal.hold, fine - ideal.tube, own - ideal.own)
+        return cls(
+            np.hstack([edge, fine[first:][:, coarse.curved]]) - ideal.hold, fine - ideal.tube, custom - ideal.custom
+        )
 
 
 def solve_ideal(  # noqa: PLR0913
@@ -171,7 +175,7 @@ def solve_ideal(  # noqa: PLR0913
     shift: Shift | None = None,
     guess: Ideal | None = None,
     soft_limit: bool = True,
-    own: OwnTerms = NO_TERMS,
+    custom: CustomTerms = NO_TERMS,
 ) -> Ideal:
     """Best schedule with a duty of any value.
 
@@ -182,13 +186,13 @@ def solve_ideal(  # noqa: PLR0913
         guess: earlier solution of a similar question.
         soft_limit: whether objective "margin" maximises the distance to the limit too. Where the window is missed it
             must not, since the limit would be relaxed as well.
-        own: requirements and objective of a user.
+        custom: requirements and objective of a user.
 
     Raises:
         SolveError: IPOPT did not converge; the message names the worst constraint.
     """
     structure = Structure(PROGRAM, soft_limit=soft_limit and spec.objective == "margin", chosen=spec.free)
-    nlp = program(structure, own)
+    nlp = program(structure, custom)
     x = guess.x if guess is not None else first_guess(structure, tube, rig, spec)
     lower, upper = _unknown_bounds(structure, tube, rig, spec)
     lbg, ubg = _constraint_bounds(nlp, shift)
@@ -197,7 +201,7 @@ def solve_ideal(  # noqa: PLR0913
         tubes[:] = (
             spec.limit - reserve[1] + ZERO_CELSIUS - rig.ambient - (0 if shift is None else shift.tube)
         ) / SCALE.T
-    task = task_of(tube, rig, spec, reserve, ramp_reserve, own=own.objective is not None)
+    task = task_of(tube, rig, spec, reserve, ramp_reserve, custom=custom.objective is not None)
     x = np.clip(np.concatenate([x, structure.copies_of(x[-2 - VENTS :])]), lower, upper)
     bounds = {"lbx": lower, "ubx": upper, "lbg": lbg, "ubg": ubg}
     p = np.concatenate([rig_parameters(tube, rig, structure.resolution), task])
@@ -222,12 +226,12 @@ def solve_ideal(  # noqa: PLR0913
     if spec.objective == "margin" and soft_limit and answer.miss > 0:
         return solve_ideal(
             tube, rig, spec,
-            reserve=reserve, ramp_reserve=ramp_reserve, shift=shift, guess=guess, soft_limit=False, own=own,
+            reserve=reserve, ramp_reserve=ramp_reserve, shift=shift, guess=guess, soft_limit=False, custom=custom,
         )  # fmt: skip
     return answer
 
 
-def own_values(tube: Tube, spec: HeatingSpec, ideal: Ideal, own: OwnTerms, run: OwnRun) -> Array:
+def custom_values(tube: Tube, spec: HeatingSpec, ideal: Ideal, custom: CustomTerms, run: CustomRun) -> Array:
     """Values of the user's requirements in a simulation on the fine grid."""
     s = ideal.structure
     coarse = thermal_model(tube, ideal.rig, s.resolution)
@@ -249,10 +253,10 @@ def own_values(tube: Tube, spec: HeatingSpec, ideal: Ideal, own: OwnTerms, run: 
     design = np.concatenate([lengths, vents])
     x = np.concatenate([*parts, np.zeros(s.points), design, s.copies_of(design)])
     p = np.concatenate([rig_parameters(tube, ideal.rig, s.resolution), task_of(tube, ideal.rig, spec, (0, 0), 0.0)])
-    return np.asarray(program(s, own).own(x, p).full().ravel())
+    return np.asarray(program(s, custom).custom(x, p).full().ravel())
 
 
-class OwnRun(NamedTuple):
+class CustomRun(NamedTuple):
     """Simulation on the fine grid, for the user's requirements."""
 
     model: ThermalModel
@@ -287,9 +291,9 @@ def _part_of_slots(tube: Tube, rig: Rig, slot: float) -> float:
 
 
 def task_of(
-    tube: Tube, rig: Rig, spec: HeatingSpec, reserve: tuple[float, float], ramp_reserve: float, *, own: bool = False
+    tube: Tube, rig: Rig, spec: HeatingSpec, reserve: tuple[float, float], ramp_reserve: float, *, custom: bool = False
 ) -> Array:
-    """Values by the names of `TASK`, with reserves as of `solve_ideal`; `own`: with the weights of an own objective."""
+    """Values by the names of `TASK`, with reserves as of `solve_ideal`; `custom`: weights of a custom objective."""
     low, high = spec.window_degC
     # By sum-up rounding the mean current is up to a whole count greater.
     current = max(rig.circuit.current_limit - full_current(tube, rig) / COUNTS, 0.5 * rig.circuit.current_limit)
@@ -300,7 +304,7 @@ def task_of(
         "limit": spec.limit - reserve[1] + ZERO_CELSIUS,
         "ramp": planned_ramp(tube, rig, spec, ramp_reserve),
         "current": current,
-        **WEIGHTS["own" if own else spec.objective],
+        **WEIGHTS["custom" if custom else spec.objective],
     }
     return np.array([values[name] for name in TASK])
 
@@ -323,7 +327,7 @@ def _unknown_bounds(s: Structure, tube: Tube, rig: Rig, spec: HeatingSpec) -> tu
     I_full = full_current(tube, rig, leaking=False)
     I_sq_max[0] = spec.ramp / (COUNTS * count_rate(tube, rig)) * I_full**2 / SCALE.I_sq
     ranges = {"clearance": (rig.clamps.clearance, spec.clearance_range), "lead": (rig.mold.lead, spec.lead_range)}
-    lengths = np.array([ends if name in spec.free else (own, own) for name, (own, ends) in ranges.items()])
+    lengths = np.array([ends if name in spec.free else (value, value) for name, (value, ends) in ranges.items()])
     vents = vent_profile(rig, np.linspace(0.0, 1.0, VENTS))
     vent_range = (0 * vents, 0 * vents + spec.most_vent) if "vents" in spec.free else (vents, vents)
     limits = {
@@ -344,13 +348,13 @@ def _constraint_bounds(nlp: Program, shift: Shift | None) -> tuple[Array, Array]
         "same": (0.0, 0.0),
         **LIMIT_RANGES,
         "chosen": (0.0, 0.0),
-        "own": (0.0, np.inf),
+        "custom": (0.0, np.inf),
     }
     if shift is not None:
         # The constraints have the units of their scales.
         limits["low"] = (-shift.hold / SCALE.window, np.inf)
         limits["high"] = (-np.inf, -shift.hold / SCALE.window)
-        limits["own"] = (-shift.own, np.inf)
+        limits["custom"] = (-shift.custom, np.inf)
         if nlp.structure.soft_limit:
             limits["limit"] = (-np.inf, -shift.tube / SCALE.T)
     return _bounds(limits, nlp.sizes)
@@ -373,8 +377,8 @@ def _ideal(
     if "vents" in spec.free:
         mold = replace(mold, vents=tuple(np.clip(design[2:, 0], 0.0, 0.5).tolist()))
     numbers = CourseNumbers(Z.T, circuit.T, I_sq.ravel(), np.full(s.mesh.heating, float(duration[0, 0])))
-    # The copies of the design, and their constraints, are the last ones before own constraints.
-    count = nlp.sizes["own"]
+    # The copies of the design, and their constraints, are the last ones before custom constraints.
+    count = nlp.sizes["custom"]
     kept = len(solution["lam_g"]) - count - s.copies
     constraints = np.concatenate([solution["lam_g"][:kept], solution["lam_g"][kept + s.copies :]])
     return replace(
@@ -384,7 +388,7 @@ def _ideal(
         objective=float(solution["f"][0]),
         x=solution["x"][: len(solution["x"]) - s.copies],
         multipliers=Multipliers(solution["lam_x"][: len(solution["x"]) - s.copies], constraints),
-        own=solution["g"][len(solution["g"]) - count :],
+        custom=solution["g"][len(solution["g"]) - count :],
     )
 
 
@@ -411,7 +415,7 @@ def ideal_of(s: Structure, tube: Tube, rig: Rig, spec: HeatingSpec, numbers: Cou
         objective=math.nan,
         x=np.zeros(0),
         multipliers=Multipliers(np.zeros(0), np.zeros(0)),
-        own=np.zeros(0),
+        custom=np.zeros(0),
         structure=s,
     )
 

@@ -342,8 +342,8 @@ class MoldBlock:
         def jacobian(_: float, y: Array) -> scipy.sparse.csc_array:
             mold = y[:cells]
             capacity = self.heat_capacity(mold)
-            own = self.conduction + scipy.sparse.diags_array(self.from_medium(mold, medium)[1])
-            by_mold = scipy.sparse.diags_array(1 / capacity) @ own
+            decay = self.conduction + scipy.sparse.diags_array(self.from_medium(mold, medium)[1])
+            by_mold = scipy.sparse.diags_array(1 / capacity) @ decay
             # The slope of the heat capacity changes little within a step: Newton's method converges without it.
             lagging = scipy.sparse.eye_array(POINTS) / self.lag
             return scipy.sparse.block_array([[by_mold, None], [self.onto_tube / self.lag, -lagging]], format="csc")

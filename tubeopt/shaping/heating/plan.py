@@ -148,8 +148,8 @@ class HeatingPlan(Displayed):
     iterations: Annotated[int, "iterations of the optimal control problem in its last round; 0 if it was not needed"]
     feedback: Feedback | None = None
     """Feedback controller for the sensor, if one was given."""
-    own_miss: float = 0.0
-    """Largest violation of own requirements in their sizes, 0 without any."""
+    custom_miss: float = 0.0
+    """Largest violation of custom requirements in their sizes, 0 without any."""
 
     time, ideal_duty, ideal_temperature = (
         Delegate[Array]("course"),
@@ -174,11 +174,11 @@ class HeatingPlan(Displayed):
 
     @property
     def feasible(self) -> bool:
-        """True if all limits and own requirements are satisfied.
+        """True if all limits and custom requirements are satisfied.
 
         The limits are window and temperature limit including mesh error, ramp, and the currents of the circuit.
         """
-        return self.outcome.feasible and not self.own_miss
+        return self.outcome.feasible and not self.custom_miss
 
     @property
     def mesh_error(self) -> float:
@@ -218,7 +218,7 @@ class HeatingPlan(Displayed):
         )
         broken = [f"{value:.1f} {unit} (limit {limit:g})" for value, limit, unit in bounds if value > limit]
         miss = [f"misses the window by {self.shortfall:.1f} K"] if self.shortfall > 0 else []
-        miss += ["misses an own requirement"] if self.own_miss else []
+        miss += ["misses a custom requirement"] if self.custom_miss else []
         return ", ".join(miss + ([f"exceeds limits: {', '.join(broken)}"] if broken else []))
 
     @property
@@ -317,7 +317,7 @@ class HeatingPlan(Displayed):
             quench_time=quench_time(tube, spec, float(T_end.max())),
             growth=float(2 * thermal_data(tube).expansion * rise.sum()),
             iterations=iterations,
-            own_miss=schedule.own_miss,
+            custom_miss=schedule.custom_miss,
         )
 
 

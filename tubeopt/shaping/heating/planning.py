@@ -15,7 +15,7 @@ from ...solvers.blas import small
 from ...solvers.time_limit import TIME_LIMIT, limited
 from ..materials import CALCIUM_SILICATE, check_temperatures, warn_of_limit
 from .counts import count_rate, full_current
-from .optimal_control import NO_TERMS, OwnTerms
+from .optimal_control import NO_TERMS, CustomTerms
 from .optimal_schedule import Ideal, solve_ideal
 from .outcome import Outcome, broken, hold_slots
 from .plan import MIN_GAIN, Cure, HeatingPlan
@@ -55,10 +55,10 @@ def plan_heating(
             with the probability that uncertain rigs keep the window (see `design_feedback`).
         cures: whether changes that would help are searched where the window is missed.
         time_limit: maximum run time, s.
-        requirements: own requirements: objects, or functions of the course of the rig (attributes as of `HeatingBlock`)
-            that return expressions, each entry at least 0. The plan is corrected until its counts satisfy them on the
+        requirements: objects, or functions of the course of the rig (attributes as of `HeatingBlock`) that
+            return expressions, each entry at least 0. The plan is corrected until its counts satisfy them on the
             fine grid; no cures are searched.
-        objective: own objective, an object or a function of the course, of the order of 1; replaces that of `spec`.
+        objective: custom objective, an object or a function of the course, of the order of 1; replaces that of `spec`.
 
     Raises:
         InputError: a tube without curved part, or an invalid rig or window. A material without thermal data or recipe
@@ -85,15 +85,15 @@ def plan_heating(
             f"{spec.window_degC[0]:g} degC"
         )
     thermal_model(tube, rig, PROGRAM)  # raises InputError if tube and mold do not fit
-    own = _own_terms(requirements, objective, grid_places(tube, rig, PROGRAM, fixed=not spec.free))
-    schedule = best_schedule(tube, rig, spec, own)
-    changes = find_cures(tube, rig, spec, schedule) if cures and own is NO_TERMS and not schedule.feasible else ()
+    custom = _custom_terms(requirements, objective, grid_places(tube, rig, PROGRAM, fixed=not spec.free))
+    schedule = best_schedule(tube, rig, spec, custom)
+    changes = find_cures(tube, rig, spec, schedule) if cures and custom is NO_TERMS and not schedule.feasible else ()
     iterations = 0 if schedule.program is None else schedule.program.ideal.iterations
     plan = HeatingPlan.of(tube, spec, schedule, iterations, cures=changes)
     return plan if sensor is None else replace(plan, feedback=design_feedback(plan, sensor))
 
 
-def _own_terms(requirements: Sequence[Any], objective: Any, grid: GridPlaces) -> OwnTerms:
+def _custom_terms(requirements: Sequence[Any], objective: Any, grid: GridPlaces) -> CustomTerms:
     """User's requirements and objective as scaled functions of the temperature course."""
     if not requirements and objective is None:
         return NO_TERMS
@@ -119,7 +119,7 @@ def _own_terms(requirements: Sequence[Any], objective: Any, grid: GridPlaces) ->
         def minimised(course: RigCourse) -> Any:
             return factor * objective.expression(course)  # type: ignore[arg-type]
 
-    return OwnTerms(tuple(requirement(value) for value in requirements), minimised, grid)
+    return CustomTerms(tuple(requirement(value) for value in requirements), minimised, grid)
 
 
 # --- changes that would help ------------------------------------------------------------------------------------------

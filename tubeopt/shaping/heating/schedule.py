@@ -31,8 +31,8 @@ from .counts import (
     rollout,
     would_centre,
 )
-from .optimal_control import NO_TERMS, OwnTerms
-from .optimal_schedule import Ideal, OwnRun, Shift, own_values, planned_ramp, solve_ideal
+from .optimal_control import NO_TERMS, CustomTerms
+from .optimal_schedule import CustomRun, Ideal, Shift, custom_values, planned_ramp, solve_ideal
 from .outcome import MeshError, Outcome, hold_slots, mesh_error, outcome_of
 from .rig import COUNTS, Rig
 from .simulation import History, at_rest, resimulate, simulate
@@ -276,18 +276,18 @@ class Schedule:
     """Comparison with the requirements."""
     program: Programmed | None = None
     """Optimal control problem, if it was solved."""
-    own: Array = field(default_factory=lambda: np.zeros(0))
-    """Values of own requirements, scaled, which must be at least 0."""
+    custom: Array = field(default_factory=lambda: np.zeros(0))
+    """Values of custom requirements, scaled, which must be at least 0."""
 
     @property
     def feasible(self) -> bool:
         """True if every requirement is satisfied."""
-        return self.outcome.feasible and not self.own_miss
+        return self.outcome.feasible and not self.custom_miss
 
     @property
-    def own_miss(self) -> float:
-        """Largest violation of own requirements, scaled; 0 if all are satisfied."""
-        return max(-float(self.own.min(initial=0.0)), 0.0)
+    def custom_miss(self) -> float:
+        """Largest violation of custom requirements, scaled; 0 if all are satisfied."""
+        return max(-float(self.custom.min(initial=0.0)), 0.0)
 
     @property
     def breaks_limits(self) -> bool:
@@ -303,7 +303,7 @@ class Schedule:
         """
         outcome, circuit = self.outcome, self.run.rig.circuit
         excess = max(outcome.steepest / self.spec.ramp, outcome.mean_current / circuit.current_limit, 1.0)
-        return len(outcome.broken), int(math.log(excess, 1.25)), outcome.excess > 0, self.own_miss, outcome.shortfall
+        return len(outcome.broken), int(math.log(excess, 1.25)), outcome.excess > 0, self.custom_miss, outcome.shortfall
 
 
 def checked(spec: HeatingSpec, run: Run, counts: Counts, program: Programmed | None = None) -> Schedule:
@@ -313,11 +313,11 @@ def checked(spec: HeatingSpec, run: Run, counts: Counts, program: Programmed | N
     return Schedule(spec, run, counts, history, outcome, program)
 
 
-def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec, own: OwnTerms = NO_TERMS) -> Schedule:
+def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec, custom: CustomTerms = NO_TERMS) -> Schedule:
     """Schedule that satisfies every requirement, or the one with the smallest miss of the window."""
-    if own is not NO_TERMS:
-        # The other methods know nothing of own requirements and objectives.
-        return _corrected(tube, rig, spec, RAMP_RESERVE, rounds=ROUNDS, own=own)
+    if custom is not NO_TERMS:
+        # The other methods know nothing of custom requirements and objectives.
+        return _corrected(tube, rig, spec, RAMP_RESERVE, rounds=ROUNDS, custom=custom)
     minimum_time, rig_given = spec.objective == "time", not spec.free
     if minimum_time and rig_given and (soonest := _minimum_time_schedule(tube, rig, spec)) is not None:
         return soonest
@@ -444,7 +444,7 @@ def _fell_behind(schedule: Schedule, spec: HeatingSpec) -> bool:
 
 
 def _corrected(
-    tube: Tube, rig: Rig, spec: HeatingSpec, ramp_reserve: float, *, rounds: int, own: OwnTerms = NO_TERMS
+    tube: Tube, rig: Rig, spec: HeatingSpec, ramp_reserve: float, *, rounds: int, custom: CustomTerms = NO_TERMS
 ) -> Schedule:
     """Schedule of the optimal control problem after deferred correction, in at most so many rounds."""
     swing = ripple(tube, rig, spec)
@@ -456,31 +456,31 @@ def _corrected(
         # The rig is chosen in the first round: a correction belongs to the rig on which it was computed.
         on, task = (rig, spec) if ideal is None else (ideal.rig, replace(spec, free=()))
         ideal = solve_ideal(
-            tube, on, task, reserve=reserve, ramp_reserve=ramp_reserve, shift=shift, guess=ideal, own=own
+            tube, on, task, reserve=reserve, ramp_reserve=ramp_reserve, shift=shift, guess=ideal, custom=custom
         )
         duties = commanded_duties(ideal_duties(ideal, spec), ideal.rig)
         run = _run(tube, ideal.rig, spec, duties, hold_start(ideal, spec))
         rounding, schedule = WindowReserve(swing, 4 * swing), None
         # No counts repair a large miss of the mean duties: none are computed before the correction, which may.
-        if round_ or rounds == 1 or own.requirements or swing > FINE_SWING or not _hopeless(ideal, run, spec):
+        if round_ or rounds == 1 or custom.requirements or swing > FINE_SWING or not _hopeless(ideal, run, spec):
             schedule = _guarded(tube, spec, run, 1.0, Programmed(ideal, shift, reserve))
-            if own.requirements:
-                schedule = replace(schedule, own=_own_values_of(schedule, tube, ideal, own))
+            if custom.requirements:
+                schedule = replace(schedule, custom=_custom_values_of(schedule, tube, ideal, custom))
             # The margin is that of the fine grid only after a correction.
             if best is None or spec.objective == "margin" or _no_worse(schedule, best):
                 best = schedule
-            if schedule.outcome.shortfall <= 0 and not schedule.own_miss and (spec.objective != "margin" or round_):
+            if schedule.outcome.shortfall <= 0 and not schedule.custom_miss and (spec.objective != "margin" or round_):
                 break
             if ideal.miss > (SETTLED if round_ else 10 * HOPELESS):
                 break
             rounding = _rounding_loss(schedule, spec)
-        values = ideal.own if schedule is None else schedule.own
-        if own.requirements and shift is not None:
+        values = ideal.custom if schedule is None else schedule.custom
+        if custom.requirements and shift is not None:
             # Whole counts differ from round to round: the worst difference so far is corrected.
-            values = np.minimum(values, ideal.own + shift.own)
+            values = np.minimum(values, ideal.custom + shift.custom)
         slots = heated_slots(ideal, spec)
         previous, shift = shift, Shift.between(ideal, tube, run.model, run.history, slots, values)
-        settled = schedule is None or not schedule.own_miss
+        settled = schedule is None or not schedule.custom_miss
         if previous is not None and settled and np.abs(previous.hold - shift.hold).max() < SAME_SHIFT:
             break
         reserve = WindowReserve(*(loss + run.error.largest + RESERVE for loss in rounding))
@@ -493,19 +493,19 @@ def _corrected(
             break
         # Temperatures rise nearly in proportion to the duty.
         scale *= 1 - (excess + RESERVE) / (spec.limit + ZERO_CELSIUS - best.run.model.T_amb)
-        best = replace(_guarded(tube, spec, best.run, scale, best.program), own=best.own)
+        best = replace(_guarded(tube, spec, best.run, scale, best.program), custom=best.custom)
     return best
 
 
-def _own_values_of(schedule: Schedule, tube: Tube, ideal: Ideal, own: OwnTerms) -> Array:
-    """Values of own requirements under the counts of a schedule."""
-    run = OwnRun(schedule.run.model, schedule.history, schedule.counts / COUNTS, schedule.run.start)
-    return own_values(tube, schedule.spec, ideal, own, run)
+def _custom_values_of(schedule: Schedule, tube: Tube, ideal: Ideal, custom: CustomTerms) -> Array:
+    """Values of custom requirements under the counts of a schedule."""
+    run = CustomRun(schedule.run.model, schedule.history, schedule.counts / COUNTS, schedule.run.start)
+    return custom_values(tube, schedule.spec, ideal, custom, run)
 
 
 def _no_worse(schedule: Schedule, best: Schedule) -> bool:
     """True if a schedule misses the user's requirements and the window by no more than the best one."""
-    return (schedule.own_miss, schedule.outcome.shortfall) <= (best.own_miss, best.outcome.shortfall)
+    return (schedule.custom_miss, schedule.outcome.shortfall) <= (best.custom_miss, best.outcome.shortfall)
 
 
 def _guarded(tube: Tube, spec: HeatingSpec, run: Run, scale: float, program: Programmed | None) -> Schedule:
