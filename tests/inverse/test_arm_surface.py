@@ -193,7 +193,7 @@ def test_distances_change_with_the_joints_as_their_slopes_say() -> None:
         for k, ahead in ((len(arm.position) // 3, 0.0), (edge, 0.3e-3), (len(arm.position) - 1, 3e-3)):
             x, _, z = arm.frame[k].T
             scene = Scene((Sphere(tuple((arm.position[k] + 4e-3 * x + ahead * z).tolist()), 2e-3),))
-            contacts = at.outline.contacts(scene, 0.01)
+            contacts = at.surface.contacts(scene, 0.01)
             closest = contacts.chosen(np.array([int(contacts.distance.argmin())]))
             assert k != edge or closest.arc_length[0] == arm.tube_end[1]
             report, by = at.contact_slopes(scene, closest)[0], 1e-5

@@ -37,7 +37,7 @@ from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.posture import posture_of
-from tubeopt.inverse.search import Obstruction, find_obstruction, pocket
+from tubeopt.inverse.search import Obstruction, find_obstruction, trapped_region
 from tubeopt.inverse.task import Task, TipCoordinates
 from tubeopt.planning import plan
 from tubeopt.planning.goals import least_miss, path_around, step_constraints
@@ -169,10 +169,10 @@ def test_the_arm_between_points_of_the_chart_is_the_arm() -> None:
         arms = coordinates.arms(coordinates.of(e)[None], 0.0)
         s, line = arms.fine()
         posture = posture_of(space, e)
-        np.testing.assert_allclose(line[0], posture.outline.at(s[0])[0], atol=2e-6)
+        np.testing.assert_allclose(line[0], posture.surface.at(s[0])[0], atol=2e-6)
         position = line[0, random.integers(20, 120)] + random.normal(size=3) * 5e-3
         body = Sphere(tuple(position.tolist()), 2e-4)
-        smallest = posture.outline.clearance(Scene((body,)))
+        smallest = posture.surface.clearance(Scene((body,)))
         own = float(Task(coordinates, (body,), 0.0, max(smallest, 0.0)).clearances(arms)[0])
         assert own == pytest.approx(smallest, abs=3e-6 if smallest > 5e-4 else 5e-5)
 
@@ -360,8 +360,8 @@ def test_a_closed_pocket_is_told_from_an_open_place() -> None:
     z = TipCoordinates(joint_space(THESIS)).of(forward_kinematics(THESIS, *HOME))
     tiny = JointLimits(((-0.02, 0.02),) * 3, ((0.0, 0.0),) * 3)
     small = Task(TipCoordinates(joint_space(THESIS, tiny)), (), 0.05, 0.0)
-    assert pocket(small, z, Clock(60.0)) is not None
-    assert pocket(Task(TipCoordinates(joint_space(THESIS)), (), 0.05, 0.0), z, Clock(60.0)) is None
+    assert trapped_region(small, z, Clock(60.0)) is not None
+    assert trapped_region(Task(TipCoordinates(joint_space(THESIS)), (), 0.05, 0.0), z, Clock(60.0)) is None
 
 
 @pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE], ids=lambda robot: robot.name)

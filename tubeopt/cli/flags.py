@@ -27,7 +27,7 @@ from pydantic import PlainValidator
 from pydantic.fields import FieldInfo
 
 from ..errors import InputError, SolveError
-from ..files.checked import Entry, check, check_kind, marks_in
+from ..files.checked import Entry, check, check_kind, metadata_in
 from ..files.shipped import ENDINGS, FOLDER, find_file, resolve_file, shipped
 from ..files.units import parse_number, simplest, unit_of
 from ..files.yaml_file import load_yaml, read_flow
@@ -422,7 +422,7 @@ def _plain(annotation: Any) -> Any:
 
 def _is_file(field: FieldInfo) -> bool:
     """True if a key is the path of a file."""
-    return any(isinstance(mark, PlainValidator) for mark in (*field.metadata, *marks_in(field.annotation)))
+    return any(isinstance(mark, PlainValidator) for mark in (*field.metadata, *metadata_in(field.annotation)))
 
 
 # --- completion in the shell: words, built-in files, and existing files -----------------------------------------------

@@ -259,8 +259,8 @@ class CrtkRobot:
         q = space.clip(free)
         limit = Why(0) if np.array_equal(q, free) else Why.RANGE
         if not space.ordered(q):  # all joints stop together: none is pushed by another
-            room, closing = np.maximum(space.rows @ current - space.row_lower, 0.0), space.rows @ (current - q)
-            q, limit = current + (q - current) * np.min(room[closing > 0] / closing[closing > 0]), limit | Why.ORDER
+            slack, closing = np.maximum(space.rows @ current - space.row_lower, 0.0), space.rows @ (current - q)
+            q, limit = current + (q - current) * np.min(slack[closing > 0] / closing[closing > 0]), limit | Why.ORDER
         rotations, shift = space.split(q)
         return Command(joints=(rotations, np.array(shift))), limit
 

@@ -195,7 +195,7 @@ def improvement(knots: Knots, aim: Aim, contacts: tuple[Array, Array], trust: fl
 
     None if the solver finds no answer.
     """
-    (path, right), (rows, least) = _way(knots, aim), _rows(knots, contacts)
+    (path, right), (rows, least) = path_terms(knots, aim), _rows(knots, contacts)
     n, count, width = rows.shape
     m = width - 1
     hessian, matrix = np.zeros((n * width, n * width)), np.zeros((n, count, n, width))
@@ -219,7 +219,7 @@ def improvement(knots: Knots, aim: Aim, contacts: tuple[Array, Array], trust: fl
     return answer if program.stats()["success"] and np.isfinite(answer).all() else None
 
 
-def _way(knots: Knots, aim: Aim) -> tuple[Array, Array]:
+def path_terms(knots: Knots, aim: Aim) -> tuple[Array, Array]:
     """Rows and right-hand sides of the least-squares objective of all knots, in units of the scales.
 
     They are for knot spacing, and for the distance of the tip from its aim.
@@ -346,7 +346,7 @@ class PredictiveServo:
         self._clearance = self.options.clearance + CLEARANCE_RESERVE
         self._coordinates = TipCoordinates(self._guard.space)
         self._count = knots
-        self._way: Array | None = None
+        self._path: Array | None = None
         self._aim: Aim | None = None
         self._trust, self._last = LARGEST_TRUST, np.zeros((knots, len(self._guard.posture.q)))
         self._waited, self._near = 0, True
@@ -359,7 +359,7 @@ class PredictiveServo:
     @property
     def path(self) -> Array | None:
         """(K, m) tip rotations (rad) and carriage translations (m) of the planned path; None without one."""
-        return None if self._way is None else self._way.copy()
+        return None if self._path is None else self._path.copy()
 
     @small
     def step(self, command: Command, dt: float) -> ServoStep[Equilibrium]:
@@ -391,8 +391,8 @@ class PredictiveServo:
             if Why.HELD not in lacking:
                 self._waited = 0
                 # The rest of the path is divided into the same number of knots.
-                if self._way is not None:
-                    self._way = _places(self._way, np.linspace(passed, self._count, self._count + 1))
+                if self._path is not None:
+                    self._path = _places(self._path, np.linspace(passed, self._count, self._count + 1))
                 return ServoStep(reached, lacking, *remaining)
         self._waited += 1
         if self._waited <= PATIENCE:
@@ -411,7 +411,7 @@ class PredictiveServo:
             undone = float((change * self._last).sum()) < 0
             self._trust = float(np.clip(self._trust * (0.5 if undone else 2.0), SMALLEST_TRUST, LARGEST_TRUST))
             self._last = change
-            self._way = np.concatenate([knots.z[:1], knots.z[1:] + change * self._guard.space.scale])
+            self._path = np.concatenate([knots.z[:1], knots.z[1:] + change * self._guard.space.scale])
         lacking = Why(0)
         if knots.fields[1:].min() < -ALLOWED_VIOLATION:
             lacking |= Why.MARGIN
@@ -425,16 +425,16 @@ class PredictiveServo:
         first, floor = self._coordinates.of(current.equilibrium), min(self._floor, current.margin)
         if self._new(aim):
             self._aim, end = aim, self._goal(aim)
-            self._way = None
+            self._path = None
             if end is None:
                 return None
             self._trust, self._last = LARGEST_TRUST, np.zeros_like(self._last)
             self._waited, self._near = 0, True
-            self._way = first + np.linspace(0, 1, self._count + 1)[:, None] * (end - first)
-        if self._way is None:
+            self._path = first + np.linspace(0, 1, self._count + 1)[:, None] * (end - first)
+        if self._path is None:
             return None
         self._aim = aim
-        return Knots.at(self._coordinates, np.concatenate([first[None], self._way[1:]]), floor)
+        return Knots.at(self._coordinates, np.concatenate([first[None], self._path[1:]]), floor)
 
     def _new(self, aim: Aim) -> bool:
         """True if no path is planned, or if the planned path leads to another target."""

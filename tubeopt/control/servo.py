@@ -184,7 +184,7 @@ class Guard:
             return None
         posture = Posture(self.space, q, reached)
         if self.scene.bodies:
-            posture.outline.look_around(self._monitor, self.sight)
+            posture.surface.look_around(self._monitor, self.sight)
             if (missing := self._missing(posture)) > 0 and missing > self._missing(self.posture):
                 return None
         return posture
@@ -259,7 +259,7 @@ class Guard:
 
     def _missing(self, at: Posture) -> float:
         """Missing clearance, m."""
-        return self.options.clearance - at.outline.clearance(self.scene, self.options.clearance)
+        return self.options.clearance - at.surface.clearance(self.scene, self.options.clearance)
 
     def left(self, command: Command) -> tuple[float, float]:
         """Remaining distance (m) and angle (rad) to a command; NaN for parts that it does not have."""
@@ -554,8 +554,8 @@ class Servo:
             self._stiff[:] = 1.0
             back = far and bool(((portion * step * last < -0.5 * last**2) & (np.abs(last) > 10 * DEAD)).any())
         # A velocity has no distance, and that of a pivot has kinks at the points of the shape.
-        led = any(part.name == "velocity" for part in parts)
-        with_error = [part for part in parts if part.name != "pivot" and not led]
+        by_velocity = any(part.name == "velocity" for part in parts)
+        with_error = [part for part in parts if part.name != "pivot" and not by_velocity]
         before = sum(float(part.error @ part.error) for part in with_error)
         whole = sum(_square(part.error - part.rows @ (step * scale)) for part in with_error)
         if (self._damping and with_error and before - whole < GAIN * before**0.5) or portion * size < DEAD**2:
@@ -675,7 +675,7 @@ class Servo:
         farthest = BODY_REACH * self.space.length
         reach = clearance + APART + min(float(moved.max()) / APPROACH, farthest)
         self.guard.sight = FARTHER * reach
-        contacts = at.outline.contacts(scene, reach)
+        contacts = at.surface.contacts(scene, reach)
         if not len(contacts.body):
             return np.zeros((0, len(rate))), np.zeros(0)
         slope = at.contact_slopes(scene, contacts)

@@ -260,8 +260,8 @@ class Bundled(Member[BundleState]):
         if len(closing):
             raise VanishingError(state, int(closing[0]))
         with np.errstate(divide="ignore", invalid="ignore"):
-            room = np.concatenate([(-h / dh)[free][dh[free] < 0], (-g / dg)[dg < 0]])
-        fraction = float(room.min(initial=np.inf))
+            step_limits = np.concatenate([(-h / dh)[free][dh[free] < 0], (-g / dg)[dg < 0]])
+        fraction = float(step_limits.min(initial=np.inf))
         return self.at(state.x + (1.0 if fraction > 1 else TO_BOUNDARY * fraction) * step)
 
     def newton(self, x: Array, method: Callable[..., NewtonResult[BundleState]]) -> NewtonResult[BundleState]:

@@ -691,9 +691,9 @@ class Loaded(Member[LoadedState]):
 
     def _same_points(self, known: LoadedProblem) -> bool:
         """True if points and unknowns of another problem correspond one to one to those of this one."""
-        own, other = self.problem.torsion, known.torsion
-        same_mesh = len(own.weight) == len(other.weight) and np.array_equal(own.mesh.section, other.mesh.section)
-        return same_mesh and np.array_equal(own.flat, other.flat)
+        one, other = self.problem.torsion, known.torsion
+        same_mesh = len(one.weight) == len(other.weight) and np.array_equal(one.mesh.section, other.mesh.section)
+        return same_mesh and np.array_equal(one.flat, other.flat)
 
     def _twist(self, point: AnyPoint) -> Array:
         """(N, n) twist of a point at the collocation points of this member, for all tubes."""

@@ -70,8 +70,8 @@ def _typical_ranges(model: type[BaseModel]) -> tuple[tuple[str, Typical | None],
     """Keys with a typical range, and keys that may contain entries, with None."""
     ranges = []
     for key, field in model.model_fields.items():
-        marks = (*field.metadata, *marks_in(field.annotation))
-        typical = next((mark for mark in marks if isinstance(mark, Typical)), None)
+        metadata = (*field.metadata, *metadata_in(field.annotation))
+        typical = next((item for item in metadata if isinstance(item, Typical)), None)
         if typical is not None or any(True for _ in models(field.annotation)):
             ranges.append((key, typical))
     return tuple(ranges)
@@ -85,11 +85,11 @@ def models(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from models(part)
 
 
-def marks_in(annotation: Any) -> Iterator[Any]:
+def metadata_in(annotation: Any) -> Iterator[Any]:
     """Metadata in an annotation and in its parts."""
     yield from getattr(annotation, "__metadata__", ())
     for part in get_args(annotation):
-        yield from marks_in(part)
+        yield from metadata_in(part)
 
 
 def unusual(key: str, unit: str, value: Any, typical: Typical) -> Iterator[str]:

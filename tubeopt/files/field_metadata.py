@@ -171,7 +171,7 @@ class FieldSpec:
     kind: Any
     """Type of its value, without None; a tuple of both types for one number or several."""
     optional: bool
-    marks: tuple[Any, ...]
+    metadata: tuple[Any, ...]
 
     @property
     def sign(self) -> str:
@@ -181,7 +181,7 @@ class FieldSpec:
 
     def first(self, kind: type[M]) -> M | None:
         """First mark of a type; None without one."""
-        return next((mark for mark in self.marks if isinstance(mark, kind)), None)
+        return next((mark for mark in self.metadata if isinstance(mark, kind)), None)
 
 
 @functools.lru_cache(maxsize=256)
@@ -206,7 +206,9 @@ def _parameter(function: Callable[..., Any], name: str) -> FieldSpec:
     hint = eval(part.annotation, vars(sys.modules[plain.__module__]))
     spec = _read(name, MISSING if part.default is part.empty else part.default, hint)
     about = argument_docs(plain)[name]
-    return dataclasses.replace(spec, marks=(*spec.marks, about.removesuffix(f",{spec.sign}") if spec.sign else about))
+    return dataclasses.replace(
+        spec, metadata=(*spec.metadata, about.removesuffix(f",{spec.sign}") if spec.sign else about)
+    )
 
 
 def argument_docs(function: Callable[..., Any]) -> dict[str, str]:
@@ -219,12 +221,12 @@ def argument_docs(function: Callable[..., Any]) -> dict[str, str]:
 
 
 def _read(name: str, default: Any, hint: Any) -> FieldSpec:
-    kind, marks = (hint.__origin__, hint.__metadata__) if get_origin(hint) is Annotated else (hint, ())
+    kind, metadata = (hint.__origin__, hint.__metadata__) if get_origin(hint) is Annotated else (hint, ())
     optional = get_origin(kind) in (Union, types.UnionType)
     if optional:
         parts = tuple(part for part in get_args(kind) if part is not types.NoneType)
         kind, optional = (parts[0], True) if len(parts) == 1 else (parts, len(parts) < len(get_args(kind)))
-    return FieldSpec(name, default, kind, optional, tuple(marks))
+    return FieldSpec(name, default, kind, optional, tuple(metadata))
 
 
 class Checked:

@@ -192,7 +192,7 @@ def keys_in(what: Any, names: tuple[str, ...] = ()) -> tuple[FileKey, ...]:
 def _file_key(spec: FieldSpec) -> FileKey:
     kind, absent = spec.kind, spec.first(Absent)
     key = spec.first(Key) or Key("")
-    annotation, read, write = _kind(kind, spec.marks, key.unit)
+    annotation, read, write = _kind(kind, spec.metadata, key.unit)
     default: Any = spec.default if absent is None else absent.value
     # A list of parts has no default in a file: an empty list and no key mean the same.
     several = get_origin(kind) is tuple and dataclasses.is_dataclass(get_args(kind)[0])
@@ -238,8 +238,8 @@ def _plain_type(annotation: Any) -> KeyType:
     return KeyType(annotation, lambda value: value, lambda value: value)
 
 
-def _kind(kind: Any, marks: tuple[Any, ...], suffix: str) -> KeyType:
-    for mark in marks:
+def _kind(kind: Any, metadata: tuple[Any, ...], suffix: str) -> KeyType:
+    for mark in metadata:
         if isinstance(mark, Written):
             return KeyType(mark.entry, lambda entry: entry.build(), mark.write)
         if isinstance(mark, Named):
@@ -247,31 +247,31 @@ def _kind(kind: Any, marks: tuple[Any, ...], suffix: str) -> KeyType:
         if isinstance(mark, OneOf) and (kind is str or isinstance(kind, tuple)):  # text, or besides text an object
             return _plain_type(Literal[mark.choices])
     if isinstance(kind, tuple):
-        return _one_or_several(kind, marks, suffix)
+        return _one_or_several(kind, metadata, suffix)
     if kind is float:
-        return _number(marks, suffix)
+        return _number(metadata, suffix)
     if kind is int:
-        limits: dict[str, Any] = {name: int(bound) for name, bound in _bounds(marks).items()}
+        limits: dict[str, Any] = {name: int(bound) for name, bound in _bounds(metadata).items()}
         return _plain_type(Annotated[Whole, Field(**limits)])
     if get_origin(kind) is tuple:
-        return _several(get_args(kind), marks, suffix)
+        return _several(get_args(kind), metadata, suffix)
     if dataclasses.is_dataclass(kind):
         return KeyType(entry_of(typing.cast(Any, kind)), lambda entry: entry.build(), to_data)
     return _plain_type(kind)
 
 
-def _bounds(marks: tuple[Any, ...]) -> dict[str, float]:
+def _bounds(metadata: tuple[Any, ...]) -> dict[str, float]:
     """Bounds of a number in SI, by their names in pydantic."""
-    allowed = next((mark for mark in marks if isinstance(mark, Range)), Range())
+    allowed = next((mark for mark in metadata if isinstance(mark, Range)), Range())
     bounds = {"gt": allowed.above, "ge": allowed.minimum, "le": allowed.maximum, "lt": allowed.below}
     return {name: bound for name, bound in bounds.items() if bound is not None}
 
 
-def _number(marks: tuple[Any, ...], suffix: str) -> KeyType:
+def _number(metadata: tuple[Any, ...], suffix: str) -> KeyType:
     scale, zero = UNITS[suffix] if suffix else Decimal(1), ZERO_CELSIUS if suffix == "degC" else Decimal(0)
     # Rounded to a float: a bound of pi/2 rad is 90 deg in messages and schemas, not 90.000000000000002.
     limits = {
-        name: Decimal(repr(float((Decimal(repr(bound)) - zero) / scale))) for name, bound in _bounds(marks).items()
+        name: Decimal(repr(float((Decimal(repr(bound)) - zero) / scale))) for name, bound in _bounds(metadata).items()
     }
 
     def _write(value: float) -> Any:
@@ -280,14 +280,14 @@ def _number(marks: tuple[Any, ...], suffix: str) -> KeyType:
         # Digits are added until the same float comes back.
         return value if scale == 1 else in_unit(value, scale)
 
-    typical = [mark for mark in marks if isinstance(mark, Typical)]
+    typical = [mark for mark in metadata if isinstance(mark, Typical)]
     bounds: dict[str, Any] = {name: int(limit) if limit == int(limit) else limit for name, limit in limits.items()}
     annotation: Any = Annotated[Decimal, Field(**bounds), BeforeValidator(decimal), *typical]
     return KeyType(annotation, lambda number: to_si(number + zero, scale), _write)
 
 
-def _several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str) -> KeyType:
-    inner, read, write = _kind(kinds[0], marks, suffix)
+def _several(kinds: tuple[Any, ...], metadata: tuple[Any, ...], suffix: str) -> KeyType:
+    inner, read, write = _kind(kinds[0], metadata, suffix)
     size = None if kinds[-1] is ... else len(kinds)
     min_size = size or (1 if kinds[0] is float else 0)
     exact = [] if size is None else [BeforeValidator(three if size == 3 else functools.partial(as_many, size))]
@@ -298,8 +298,8 @@ def _several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str) -> Key
     )
 
 
-def _one_or_several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str) -> KeyType:
-    single, several = (_kind(kind, marks, suffix) for kind in kinds)
+def _one_or_several(kinds: tuple[Any, ...], metadata: tuple[Any, ...], suffix: str) -> KeyType:
+    single, several = (_kind(kind, metadata, suffix) for kind in kinds)
     number: Any = Annotated[single.annotation, Tag("<number>")]
     listed: Any = Annotated[several.annotation, Tag("<list>")]
     # A discriminator chooses one alternative: without it, messages would list the faults of both.

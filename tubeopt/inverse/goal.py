@@ -303,7 +303,7 @@ class Goal:
     def violation(self, at: Posture) -> float:
         """Largest violation of clearance, m, or of a custom constraint, in steps times the robot's length."""
         missing = -float(self.extras.excess(at).min(initial=0.0)) * self.space.length
-        close = self.kept_clearance - at.outline.clearance(self.scene, self.kept_clearance)
+        close = self.kept_clearance - at.surface.clearance(self.scene, self.kept_clearance)
         if close > 0 and len(self.scene.bodies) > BODIES_PER_STEP:
             self.touched.update(self.contacts(at, self.kept_clearance).body.tolist())
         return max(0.0, close, missing)
@@ -323,12 +323,12 @@ class Goal:
 
     def contacts(self, at: Posture, within: float) -> Contacts:
         """Contacts of the arm with obstacles closer than `within`, m."""
-        return at.outline.contacts(self.scene, within)
+        return at.surface.contacts(self.scene, within)
 
     def ahead(self, at: Posture) -> Contacts:
         """Contacts with the obstacles that constrain a step from `at`."""
         within = self.kept_clearance + BODY_REACH * self.space.length
-        return at.outline.contacts(self.scene, within, BODIES_PER_STEP, frozenset(self.touched))
+        return at.surface.contacts(self.scene, within, BODIES_PER_STEP, frozenset(self.touched))
 
     def constraints(self, at: Posture) -> LinearConstraints:
         """Linearised constraints of a step: joints, order, margin, custom constraints, and clearances."""

@@ -166,7 +166,7 @@ class Posture:
         return slope if known.all() else np.where(known, slope, 0.0)
 
     @cached_property
-    def outline(self) -> ArmSurface:
+    def surface(self) -> ArmSurface:
         """Surface of the arm."""
         return ArmSurface(self.equilibrium)
 

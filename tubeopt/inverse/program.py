@@ -411,7 +411,7 @@ def posed(goal: Goal, at: Posture, order: OrderConstraints) -> Problem:
         "direction weight": np.array(goal.direction_weight or 0.0),
         "least margin": np.array(goal.min_margin + MARGIN_BEYOND),
         "clearance": np.array(goal.kept_clearance),
-        "radius": at.outline.radius(mesh.start + 0.5 * mesh.length),
+        "radius": at.surface.radius(mesh.start + 0.5 * mesh.length),
         "reference": at.q if goal.objective is None else goal.reference,
         "weights": 1 / space.scale if goal.objective is None else goal.weights,
         "order": order.rows,

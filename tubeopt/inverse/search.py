@@ -249,7 +249,7 @@ def closed_off(task: Task, start: Array, goals: Sequence[Array], clock: Clock, *
     for name, points in (("goal", goals), ("start", [start])):
         states = 0
         for point in points:
-            count = pocket(task, point, clock, seed=seed)
+            count = trapped_region(task, point, clock, seed=seed)
             if count is None:
                 break
             states += count
@@ -489,7 +489,7 @@ def _section(name: str, base: Array, free: Array, lower: Array, upper: Array, ta
     return _Section(name, base, free, np.array(low), np.array(high), np.array(step))
 
 
-def pocket(task: Task, point: Array, clock: Clock, *, seed: int = 0) -> int | None:
+def trapped_region(task: Task, point: Array, clock: Clock, *, seed: int = 0) -> int | None:
     """Number of states in a closed region around a point; None if the region is open or the clock is over.
 
     Motions of random length and direction are tried: this is evidence, not a proof.

@@ -596,7 +596,7 @@ def _is_clear(goal: Goal, current: Posture) -> bool:
     if goal.extras.constraints:
         return False
     enough = goal.kept_clearance + MIN_CLEARANCE + CLEARANCE_PER_MOVE * goal.position_error(current)
-    return current.outline.clearance(goal.scene, enough) >= enough
+    return current.surface.clearance(goal.scene, enough) >= enough
 
 
 class _StepEnd(NamedTuple):

@@ -594,10 +594,10 @@ def at_rest(equilibrium: Equilibrium, base: Frame, chord: float) -> tuple[Capsul
     length = float(equilibrium.arc_length[-1])
     # Radii step at the ends of tubes: no capsule spans such a step.
     s = np.union1d(np.linspace(0.0, length, 2 + int(length / chord)), ends[(ends > 0) & (ends < length)])
-    outline = ArmSurface(equilibrium)
-    points = outline.centreline(s)
+    surface = ArmSurface(equilibrium)
+    points = surface.centreline(s)
     world = base.placed(points)
-    radius = outline.radius((s[:-1] + s[1:]) / 2) + outline.bend * np.diff(s) ** 2 / 8
+    radius = surface.radius((s[:-1] + s[1:]) / 2) + surface.bend * np.diff(s) ** 2 / 8
     return tuple(
         Capsule(tuple(a), tuple(b), float(r))
         for a, b, r in zip(world[:-1].tolist(), world[1:].tolist(), radius, strict=True)

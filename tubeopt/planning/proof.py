@@ -302,11 +302,11 @@ class _Row:
 
 def fastest_on_cubic(mean: Array, start: Array, end: Array) -> float:
     """Upper bound on the speed along a cubic, from its mean velocity (3,) and those at both ends, m/s."""
-    x, bow = np.linspace(0.0, 1.0, SAMPLES + 1)[:, None], mean - (start + end) / 2
+    x, deviation = np.linspace(0.0, 1.0, SAMPLES + 1)[:, None], mean - (start + end) / 2
     # 6 x (1 - x) has mean 1 and is 0 at both ends: `bow` makes the mean right. The second derivative is -12 bow, which
     # bounds the speed between samples.
-    velocity = start + (end - start) * x + 6 * x * (1 - x) * bow
-    return float(np.linalg.norm(velocity, axis=1).max() + 12 * np.linalg.norm(bow) / (8 * SAMPLES**2))
+    velocity = start + (end - start) * x + 6 * x * (1 - x) * deviation
+    return float(np.linalg.norm(velocity, axis=1).max() + 12 * np.linalg.norm(deviation) / (8 * SAMPLES**2))
 
 
 ACCURACY = 1.2e-5

@@ -481,13 +481,13 @@ def _at_rest(robot: Robot, reach: ReachFraction, base: Frame) -> dict[int, _Arm]
         e = reach.arm(robot, k)
         if e is None:
             continue
-        outline = ArmSurface(e)
-        line, radius = outline.line(REST_POINTS)
+        surface = ArmSurface(e)
+        line, radius = surface.line(REST_POINTS)
         # A piece is as thick as the thicker of its ends: the arm becomes thinner towards its tip.
         thick = np.maximum.accumulate(radius[::-1])[::-1]
         thick[1:] = np.maximum(thick[1:], thick[:-1])
         square = (float(e.arc_length[-1]) / (REST_POINTS - 1)) ** 2
-        arms[k] = _Arm(base.placed(line), thick, square, outline.bend * square / 8)
+        arms[k] = _Arm(base.placed(line), thick, square, surface.bend * square / 8)
     return arms
 
 

@@ -406,7 +406,7 @@ def free_channel(robot: EccentricRobot | SegmentedEccentricRobot | BundleRobot) 
     widest = 2 * float((np.hypot(*centre.T) + outer).max())
     radius = (getattr(robot, "sheath_diameter", None) or widest) / 2
 
-    def room(at: Array) -> Array:
+    def clearance(at: Array) -> Array:
         """Radius (P,) of the free circle around each point (P, 2)."""
         to_tubes = np.linalg.norm(at[:, None] - centre, axis=2) - outer
         return np.asarray(np.minimum(to_tubes.min(1), radius - np.linalg.norm(at, axis=1)))
@@ -418,12 +418,12 @@ def free_channel(robot: EccentricRobot | SegmentedEccentricRobot | BundleRobot) 
     cells = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     best = np.zeros(2)
     while half > 1e-10 * radius:
-        free = room(cells)
-        if free.max() > room(best[None])[0]:
+        free = clearance(cells)
+        if free.max() > clearance(best[None])[0]:
             best = cells[int(free.argmax())]
-        cells = cells[free >= room(best[None])[0] - half * math.sqrt(2)]
+        cells = cells[free >= clearance(best[None])[0] - half * math.sqrt(2)]
         half /= 2
         corners = half * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
         cells = (cells[:, None] + corners).reshape(-1, 2)
-    between = Channel(2 * float(room(best[None])[0]), (float(best[0]), float(best[1])), None)
+    between = Channel(2 * float(clearance(best[None])[0]), (float(best[0]), float(best[1])), None)
     return max([between, *bores], key=lambda one: one.diameter)

@@ -133,12 +133,12 @@ def of_field(kind: type[A], name: str, **changes: Any) -> Quantity[A]:
         changes: attributes of `Quantity` that the marks do not have, or that this list has otherwise. By default a
             field that has parts with marks (`X`, `X | None`, `tuple[X, ...]`) is described by all of these.
     """
-    marks = _marked(kind).get(name) or _of_part(kind, name)
+    metadata = _marked(kind).get(name) or _of_part(kind, name)
     # Reversed, so that of two marks of one type the first is kept.
-    first: dict[type, Any] = {type(mark): mark for mark in reversed(marks[1:])}
+    first: dict[type, Any] = {type(mark): mark for mark in reversed(metadata[1:])}
     named, shown = first.get(Key, Key("")), first.get(Form, Form(""))
     key = named.name or (f"{name}_{named.unit}" if named.unit else name)
-    marked = {"form": shown.spec, "label": shown.label, "of": _of_parts(marks[0])}
+    marked = {"form": shown.spec, "label": shown.label, "of": _of_parts(metadata[0])}
     return Quantity(key, **{"about": first[str], "get": attrgetter(name)} | marked | changes)
 
 

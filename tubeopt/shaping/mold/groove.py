@@ -171,9 +171,9 @@ class Centreline:
         s = [spaced(piece.length, step) for piece in self.pieces]
         starts = np.cumsum([0.0, *(piece.length for piece in self.pieces[:-1])])
         return Samples(
-            arc_length=np.concatenate([start + own for start, own in zip(starts, s, strict=True)]),
-            points=np.vstack([piece.point(own) for piece, own in zip(self.pieces, s, strict=True)]),
-            tangents=np.vstack([piece.tangent(own) for piece, own in zip(self.pieces, s, strict=True)]),
+            arc_length=np.concatenate([start + local for start, local in zip(starts, s, strict=True)]),
+            points=np.vstack([piece.point(local) for piece, local in zip(self.pieces, s, strict=True)]),
+            tangents=np.vstack([piece.tangent(local) for piece, local in zip(self.pieces, s, strict=True)]),
         )
 
     def bend_point(self, s: Array) -> Array:
