@@ -1,8 +1,8 @@
 """The least time between two tips of the robot of the thesis, around a sphere on the straight path between them.
 
 One nonlinear program has the joint values and rates at 9 knots, an equilibrium at each, and the duration as unknowns.
-Rates, accelerations, a margin of 0.3 and a clearance of 1 mm are its constraints. `Motion` starts it on a path that is
-clear of the sphere.
+Rates, accelerations, a margin of 0.3 and a clearance of 1 mm are its constraints. `Motion` starts it at the motion
+through the sphere.
 
 Result: the path around the sphere takes 1 % more time than the motion through it. The final configuration is free,
 only its tip is given.

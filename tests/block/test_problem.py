@@ -230,3 +230,33 @@ def test_wrong_input_is_named() -> None:
         Ipopt(tolerance=0.0)
     with pytest.raises(InputError, match="hessian is 'none'"):
         Ipopt(hessian="none")
+
+
+@pytest.mark.parametrize("pull", [0.04, 0.1])
+def test_breakpoints_pass_only_where_the_objective_decreases(pull: float) -> None:
+    """The energy has a kink where a transition passes the plate: 0.014 N behind it, 0.070 N in front of it."""
+    start, step = np.array([0.0, -0.02]), 1e-5
+    near = forward_kinematics(TWO_TUBE, [0.0, 1.0], start)
+    problem = Problem("pull")
+    shift = problem.variable("shift", 2, guess=start, scale=0.1)
+    block = EquilibriumBlock(problem, near, translations=shift)
+    problem.minimize(block.energy - pull * shift[0] + 2.5 * ca.sumsqr(shift - ca.DM(start)))
+    solution = problem.solve()
+
+    def objective(first: float) -> float:
+        at = np.array([first, solution.value("shift")[1]])
+        energy = forward_kinematics(TWO_TUBE, [0.0, 1.0], at).energy
+        return float(energy - pull * first + 2.5 * ((at - start) ** 2).sum())
+
+    first = solution.value("shift")[0]
+    around = np.diff([objective(first + x) for x in (-step, 0.0, step)]) / step
+    if pull < 0.07:
+        assert abs(first) < 1e-8
+        assert solution.statistics.solves == 1
+        # A minimum in both orders of transition and plate.
+        assert around[0] < -0.02
+        assert around[1] > 0.02
+    else:
+        assert first > 3e-3
+        assert solution.statistics.reorderings >= 1
+        assert np.abs(around).max() < 1e-4

@@ -56,6 +56,26 @@ def test_cubics_are_those_of_hermite() -> None:
         assert float(value) == pytest.approx(np.trapezoid((spline(fine, order) ** 2).sum(1), fine), rel=1e-4)
 
 
+def test_a_switched_function_is_the_same_or_constant() -> None:
+    """Values, first and second derivatives of two knots, one on and one off, in a program of both."""
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p", 1)
+    one = ca.Function("one", [x, p], [ca.vertcat(x[0] ** 2 * x[1], ca.sin(x[1]) * p)])
+    at, numbers = np.array([[0.3, 1.2], [-0.7, 0.4]]), 1.7
+    table, weight = ca.MX.sym("table", 2, 2), np.array([0.6, -1.3])
+
+    def parts(values: Any) -> list[Any]:
+        column = ca.vec(values)
+        cost = ca.dot(ca.DM(weight), column[:2]) + ca.dot(ca.DM(weight), column[2:])
+        derivatives = [column, ca.jacobian(column, table), ca.hessian(cost, ca.vec(table))[0]]
+        return [np.array(part) for part in ca.Function("parts", [table], derivatives)(at)]
+
+    flags = ca.DM([[1.0, 0.0]])
+    switched = parts(KnotFunction.of(one).switched(5.0).at(2)(ca.vertcat(table, flags), numbers))
+    plain = parts(ca.horzcat(one(table[:, 0], numbers), ca.DM([5.0, 5.0])))
+    for result, expected in zip(switched, plain, strict=True):
+        np.testing.assert_allclose(result, expected, atol=1e-14)
+
+
 @pytest.mark.parametrize("directions", [1, 64])
 def test_derivatives_knot_by_knot_are_those_of_casadi(directions: int) -> None:
     x, p = ca.SX.sym("x", 3), ca.SX.sym("p", 2)

@@ -421,24 +421,34 @@ class EquilibriumBlock(ComposedBlock[N]):
         """
         return self.name, frozenset(neighbours(self.layout.order, row))
 
-    def reorder(self, solution: Any, row: int | None = None) -> None:
+    def reorder(self, solution: Any, rows: int | Sequence[int] | None = None) -> None:
         """Swap breakpoints that coincide at a solution, and start the next solve there.
 
         Only numbers of the program change. With `casadi.Opti` the start of your own variables is set by
         `opti.set_initial(solution.value_variables())` before.
 
         Args:
-            row: one of `closed`, or of `swappable` near a meeting; None is the first of `closed`.
+            rows: one or several of `closed`, or of `swappable` near a meeting; None is the first of `closed`. A pair
+                that is not adjacent after the other swaps keeps its order.
 
         Raises:
             InputError: breakpoints do not meet there, or the block has too few elements for the new order.
         """
-        rows = self.closed(solution) if row is None else self.swappable()
-        if not rows or (row is not None and row not in rows):
+        chosen = self.closed(solution)[:1] if rows is None else list(np.atleast_1d(rows))
+        if not chosen or (rows is not None and not set(chosen) <= set(self.swappable())):
             raise InputError("no breakpoints meet at this solution that can be swapped")
         solved = self.model.at(solution.value)
         numbers = {key: np.array(solution.value(part)).ravel() for key, part in self._inputs.values.items()}
-        order = swapped(self.layout.order, rows[0] if row is None else row)
+        order, pairs = self.layout.order, [frozenset(neighbours(self.layout.order, row)) for row in chosen]
+        while pairs:
+            adjacent = {
+                frozenset(neighbours(order, k)): k for k in range(len(order_labels(order))) if may_swap(order, k)
+            }
+            ready = [pair for pair in pairs if pair in adjacent]
+            if not ready:
+                break
+            order = swapped(order, adjacent[ready[0]])
+            pairs.remove(ready[0])
         self.restore(layout(assembly_at(self.robot, self._bundle, numbers), order, elements=self.layout.n_elements))
         model = self._start_model(numbers)
         min_margins = [float(np.array(solution.value(bound.min_margin)).item()) for bound in self.margins]

@@ -132,6 +132,24 @@ class KnotFunction:
             ca.Function("hessian", [x, p, weight], [hessian + diagonal]),
         )
 
+    def switched(self, off: float) -> KnotFunction:
+        """Function with a last entry of x that is 1 or 0; with 0 its values are `off`, at no cost."""
+        (a, r), b = (self.value.size1_in(k) for k in range(2)), self.value.size1_out(0)
+        x, p, weight = ca.MX.sym("x", a + 1), ca.MX.sym("p", r), ca.MX.sym("weight", b)
+
+        def switch(function: ca.Function, otherwise: float) -> ca.Function:
+            inputs = [x, p, weight][: function.n_in()]
+            own = function.mx_in()
+            zero = ca.Function("off", own, [ca.DM(function.sparsity_out(0), otherwise)])
+            out = ca.Function.if_else("switch", function, zero)(x[a], x[:a], *inputs[1:])
+            rows = {"slope": (0, 1), "gradient": (1, 0), "hessian": (1, 1)}.get(function.name(), (0, 0))
+            out = ca.diagcat(out, ca.MX(*rows)) if any(rows) else out
+            return ca.Function(function.name(), inputs, [ca.densify(out) if function.name() == "gradient" else out])
+
+        return KnotFunction(
+            switch(self.value, off), switch(self.slope, 0.0), switch(self.gradient, 0.0), switch(self.hessian, 0.0)
+        )
+
     def at(self, count: int) -> ca.Function:
         """Function (x (a, count), p) -> (b, count), knot by knot; p is no unknown.
 

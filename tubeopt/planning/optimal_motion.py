@@ -9,6 +9,7 @@ with the translations d_k of q_k. Ranges, order, rates and accelerations are bou
 at all times. Margin and clearance hold at knots: `Motion.trajectory` follows the equilibria between them, and
 `Motion.solve` raises the reserve at knots until they hold there too. Where breakpoints of tubes meet, derivatives of
 equilibria jump: a solve that oscillates there is repeated with a fixed order of breakpoints, which are then swapped.
+Distances from bodies are evaluated only at equilibria close to them.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot, check_robot
 from ..solvers.named_program import MANY_DIRECTIONS, NamedProgram, ProblemSolution, ProblemStatus
 from ..solvers.settings import Ipopt
-from ..typing import Array
+from ..typing import Array, Mask
 from .knots import Cubics, arm_at_knot
 from .motion import ANY_RATES, DEFAULT_RATES, JointMotion, RateLimits
 from .plan import Faults, build
@@ -77,12 +78,23 @@ APART, LEAST_FORCE = 1e-6, 1e-4
 """Smallest distance of ordered breakpoints over the length of the robot, and smallest multiplier of it that swaps
 them."""
 
+FAR, NEAR = 1.0, 0.02
+"""Distance from bodies of equilibria without a constraint, and distance over the clearance up to which they have one,
+m.
+"""
+
 ORDERS = 4
 """Maximum number of orders of breakpoints that are solved."""
 
 # The start is nearly a motion; a larger barrier would move it away from its path, and takes twice as many iterations.
 SOLVERS = Ipopt(tolerance=1e-8, iterations=200, barrier=1e-4, push=1e-5), Ipopt(tolerance=1e-8, barrier=1e-2)
 """Settings for a `Problem`, and those after they failed."""
+
+ROUGH = Ipopt(tolerance=1e-3, iterations=40, barrier=1e-4, push=1e-5)
+"""Settings for a start."""
+
+QUICK = (Ipopt(tolerance=1e-8, iterations=100, barrier=1e-3, push=1e-4),)
+"""Settings for a start that may lead nowhere."""
 
 TIME_LIMIT = 600.0
 """Time limit of the check between knots and of the proof, s."""
@@ -178,6 +190,7 @@ class Motion:
         self._target: tuple[Array, Array | None] | None = None
         self._paths: dict[tuple[Any, ...], Array] = {}
         self._sides: Any = None
+        self._warm = False
         space, n, m, count = self._space, robot.n_tubes, len(self._space.scale), len(self.times)
         # Times of all equilibria; every `_stride`th is at a knot.
         self._stride = whole("between", between, 0) + 1
@@ -211,6 +224,8 @@ class Motion:
         rotations, self._shifts = self._per_tube(q)
         reserves = ca.reshape(self._reserve, 2, stations)
         self._floor = ca.repmat(ca.MX(min_margin), 1, stations) + reserves[0, :]
+        # 1 at equilibria with a constraint on the clearance. Others, which are far from bodies, cost less.
+        self._near = self.program.parameter(f"{name}: near bodies", np.ones(stations))
         alpha, fields = ca.vertsplit(self._arms("balance", slice(None)), [0, n, n + self._coordinates.kind.sections])
         self.tip_rotations = self._tips[:, :: self._stride]
         shift = ca.horzcat(self._offset, ca.DM.zeros(n, stations - 1))
@@ -352,7 +367,7 @@ class Motion:
         self._bodies = checked_obstacles(bodies if isinstance(bodies, Sequence) else [bodies])
         self._clearance = typical_length("clearance", clearance, TYPICAL_CLEARANCE, zero=True)
         self._begin_clear()
-        distances = self.distances(self._bodies) - self._clearance
+        distances = self._distances(self._bodies, self._near.T) - self._clearance
         rows = distances.shape[0] // len(self._stations)
         reserves = ca.reshape(self._reserve, 2, len(self._stations))[1, :]
         distances -= ca.repmat(ca.vec(ca.repmat(reserves, rows, 1)), 1, len(self._bodies))
@@ -361,7 +376,10 @@ class Motion:
 
     def distances(self, bodies: Sequence[Obstacle]) -> Any:
         """(a, bodies) distances of points of the surface from bodies, one equilibrium after the other, m."""
-        table = self._arms("distances", slice(None), *bodies)
+        return self._distances(bodies, None)
+
+    def _distances(self, bodies: Sequence[Obstacle], near: Any) -> Any:
+        table = self._arms("distances", slice(None), *bodies, near=near)
         return ca.horzcat(*(ca.vec(part) for part in ca.vertsplit(table, table.shape[0] // len(bodies))))
 
     @cached_property
@@ -402,11 +420,14 @@ class Motion:
         """(3, p) points of the arm at a knot, plate to tip, m."""
         return ca.reshape(self._shapes[:, range(len(self.times))[knot]], 3, -1)
 
-    def _arms(self, what: str, stations: slice, *bodies: Obstacle) -> Any:
-        """Columns of quantities of all equilibria, from `arm_at_knot`."""
+    def _arms(self, what: str, stations: slice, *bodies: Obstacle, near: Any = None) -> Any:
+        """Columns of quantities of all equilibria, from `arm_at_knot`; FAR, without a cost, where `near` is 0."""
         x = ca.vertcat(self._tips, self._shifts, self._floor)[:, stations]
         numbers = np.concatenate([self._coordinates.parameters, self._coordinates.radius])
-        return arm_at_knot(self._coordinates.kind, what, bodies).at(x.shape[1])(x, ca.DM(numbers))
+        function = arm_at_knot(self._coordinates.kind, what, bodies)
+        if near is not None:
+            function, x = function.switched(FAR), ca.vertcat(x, near)
+        return function.at(x.shape[1])(x, ca.DM(numbers))
 
     # --- costs --------------------------------------------------------------------------------------------------------
 
@@ -444,12 +465,14 @@ class Motion:
             for at, part in ((self._stations, z), (self.times, v))
         )
         self._set_guess(z, v, duration)
+        self._warm = True
 
     def solve(self, *, start: Trajectory | ProblemSolution | None = None, **settings: Any) -> Trajectory:
         """Solve the program and check the motion between knots; repeat with larger reserves at knots where it fails.
 
         Args:
-            start: start values; by default the least time along a path that is clear of the bodies.
+            start: start values; by default the optimum without bodies, and if that fails, the least time along a path
+                that is clear of them.
             settings: those of `Problem.solve`. An Opti needs a solver and an objective before.
 
         Raises:
@@ -459,12 +482,50 @@ class Motion:
             self.warm_start(start)
         elif start is not None:
             settings["start"] = start
+        try:
+            if (
+                start is None
+                and not self._warm
+                and self._bodies
+                and isinstance(self.opti, NamedProgram)
+                and "solver" not in settings
+            ):
+                guesses = {name: each.guess for name, each in self.opti.variables.items()}
+                result = self._around(settings)
+                if result is not None:
+                    return result
+                for name, guess in guesses.items():
+                    self.opti.set_guess(name, guess)
+            return self._refined(settings, SOLVERS)
+        finally:
+            self._activate(np.ones(len(self._stations), dtype=bool))
+
+    def _around(self, settings: dict[str, Any]) -> Trajectory | None:
+        """Trajectory from the optimum without bodies, which is pushed out of them; None if none is found."""
+        try:
+            self._guess(bodies=False)
+            self._activate(np.zeros(len(self._stations), dtype=bool))
+            self._reset()
+            # Its accuracy does not matter.
+            self._restart(self.opti.attempt(ROUGH))
+            return self._refined(settings, QUICK)
+        except SolveError:
+            return None
+
+    def _reset(self) -> None:
+        """Set reserves and order of breakpoints as before the first solve."""
         if self._sides is not None:
             self.program.set_value(self._sides, np.zeros(self._sides.numel()))
+        self.program.set_value(self._reserve, np.tile(FIRST_RESERVES, len(self._stations)))
+
+    def _refined(self, settings: dict[str, Any], solvers: Sequence[Ipopt]) -> Trajectory:
+        """Trajectory of the program from its guess; reserves are raised where it violates a requirement."""
+        self._reset()
         reserve, room = np.tile(FIRST_RESERVES, (len(self._stations), 1)), 0.0
+        active = self._activate(self._close())
         for last in [False] * REPETITIONS + [True]:
             self.program.set_value(self._reserve, reserve.ravel())
-            solution = self._solution(settings)
+            solution = self._solution(settings, solvers)
             missing = self._missing(solution, room)
             if missing is None:
                 result = self._built(solution)
@@ -474,20 +535,40 @@ class Motion:
                 missing = self._missing(solution, room)
                 if missing is None:
                     raise SolveError(f"{self.name}: {'; '.join(result)}")
-            if last or not (missing.margin or missing.clearance):
-                raise SolveError(f"{self.name}: {missing}")
-            beside = {k * self._stride + i for k in missing.intervals for i in range(self._stride + 1)}
-            # The minimum between knots moves with the knots, so a little more than is missing.
             short = np.array([missing.margin, missing.clearance])
-            reserve[sorted(beside)] += np.where(short > 0, 1.5 * short + LEAST_RESERVES, 0.0)
+            beside = sorted({k * self._stride + i for k in missing.intervals for i in range(self._stride + 1)})
+            if last or not (short > 0).any():
+                raise SolveError(f"{self.name}: {missing}")
+            if missing.clearance and not active[beside].all():
+                active[beside] = True
+                self._activate(active)
+            else:
+                # The minimum between knots moves with the knots, so a little more than is missing.
+                reserve[beside] += np.where(short > 0, 1.5 * short + LEAST_RESERVES, 0.0)
             self._restart(solution)
         raise AssertionError
 
-    def _solution(self, settings: dict[str, Any]) -> Any:
-        """Solution of the program; of a `Problem` without other settings by SOLVERS, one after the other."""
+    def _activate(self, active: Mask) -> Mask:
+        """Set which equilibria have a constraint on the clearance."""
+        self.program.set_value(self._near, active.astype(float))
+        return active
+
+    def _close(self) -> Mask:
+        """True for equilibria whose start values are close to bodies, and their neighbours."""
+        count = len(self._stations)
+        if not isinstance(self.opti, NamedProgram) or not self._bodies:
+            return np.ones(count, dtype=bool)
+        x = np.array(self.opti.evaluate(ca.vertcat(self._tips, self._shifts, self._floor), {}, {}))
+        numbers = np.concatenate([self._coordinates.parameters, self._coordinates.radius])
+        function = arm_at_knot(self._coordinates.kind, "distances", self._bodies).value.map(count)
+        distances = np.array(function(x, np.tile(numbers[:, None], count)))
+        return np.convolve(distances.min(0) < self._clearance + NEAR, np.ones(3), "same") > 0
+
+    def _solution(self, settings: dict[str, Any], solvers: Sequence[Ipopt]) -> Any:
+        """Solution of the program; of a `Problem` without other settings by `solvers`, one after the other."""
         own = isinstance(self.opti, NamedProgram) and "solver" not in settings
         guesses = {name: each.guess for name, each in self.opti.variables.items()} if own else {}
-        for solver in SOLVERS if own else SOLVERS[-1:]:
+        for solver in solvers if own else solvers[-1:]:
             try:
                 return self.opti.solve(**({"solver": solver} if own else {}), **settings)
             except RuntimeError as error:
@@ -496,7 +577,7 @@ class Motion:
                     solution = self._in_fixed_order(failed)
                     if solution is not None:
                         return solution
-                if solver is SOLVERS[-1]:
+                if solver is solvers[-1]:
                     raise SolveError(f"{self.name}: {error}") from None
                 for name, guess in guesses.items():
                     self.opti.set_guess(name, guess)
@@ -651,13 +732,18 @@ class Motion:
                 f"the start is {1e3 * distance:.3g} mm from a body; it must be at least {1e3 * self._clearance:g} mm"
             )
 
-    def _guess(self) -> None:
-        """Start on a path from start to goal that is clear of the bodies, in the least time along it."""
+    def _guess(self, *, bodies: bool = True) -> None:
+        """Start on a path from start to goal that is clear of the bodies, in the least time along it.
+
+        Without `bodies` the path is straight.
+        """
         if self._first is None:
             return
+        self._warm = False
         begin = self._coordinates.of(self._first)
         task = self._task(0.05 if isinstance(self._margin, ca.MX) else float(self._margin))
-        points = self._waypoints(task, begin, self._end(task))
+        end = self._end(task)
+        points = self._waypoints(task, begin, end) if bodies else np.stack([begin, end])
         curves = joint_curves(task, points)
         z = [
             a + np.linspace(0, 1, len(q))[:, None] * (b - a) for (a, b), q in zip(pairwise(points), curves, strict=True)

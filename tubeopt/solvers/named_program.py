@@ -6,7 +6,7 @@ import io
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from os import PathLike
@@ -265,8 +265,8 @@ class Watch(ca.Callback):
         super().__init__()
         self._sizes = {"f": 1, "x": unknowns, "lam_x": unknowns, "lam_p": parameters}
         self._sizes |= dict.fromkeys(("g", "lam_g"), constraints)
-        self.test: Callable[[Array, Array, Array], bool] | None = None
-        """Function (x, g, multipliers of g) -> whether to stop, in the scale of the solver."""
+        self.test: Callable[[Array, Array, Array, Array], bool] | None = None
+        """Function (x, g, multipliers of g, of x) -> whether to stop, in the scale of the solver."""
         self.construct("watch", {})
 
     def get_n_in(self) -> int:
@@ -283,7 +283,7 @@ class Watch(ca.Callback):
         if self.test is None:
             return [0.0]
         values = {ca.nlpsol_out(i): value for i, value in enumerate(arg)}
-        return [float(self.test(*(np.array(values[name]).ravel() for name in ("x", "g", "lam_g"))))]
+        return [float(self.test(*(np.array(values[name]).ravel() for name in ("x", "g", "lam_g", "lam_x"))))]
 
 
 def ipopt_function(  # noqa: PLR0913
@@ -560,13 +560,13 @@ class NamedProgram:
         *,
         start: ProblemSolution | None = None,
         warm: WarmStart = AT_SOLUTION,
-        interrupt: Callable[[Array, Array, Array], bool] | None = None,
+        interrupt: Callable[[Array, Array, Array, Array], bool] | None = None,
     ) -> ProblemSolution:
         """Solve once and return the result, solved or not; breakpoints keep their order.
 
         Args:
             start: earlier solution with its multipliers; `warm` says how close it is to that of the program.
-            interrupt: function (x, g, multipliers) -> whether to stop there, in the scale of the solver.
+            interrupt: function (x, g, multipliers of g, of x) -> whether to stop there, in the scale of the solver.
         """
         start_time = time.perf_counter()
         function, watch = self._solver(in_time(solver), warm=None if start is None else warm)
@@ -577,8 +577,7 @@ class NamedProgram:
         if start is not None:
             guess |= {name: v for name, v in start.values.items() if name in guess and v.shape == guess[name].shape}
             # IPOPT minimises f + lam g: its signs are opposite to those of `ProblemSolution`.
-            inputs["lam_x0"] = -self._known(start.bound_multipliers, self.variables) * x.scale
-            inputs["lam_g0"] = -self._known(start.multipliers, self._constraints) * g.scale
+            inputs["lam_g0"], inputs["lam_x0"], _ = self.scaled_multipliers(start)
         inputs["x0"] = np.concatenate([*guess.values(), np.zeros(0)]) / x.scale
         p = np.concatenate([*(numbers for _, numbers in self._parameters.values()), np.zeros(0)])
         bounds = {"lbx": x.lower, "ubx": x.upper, "lbg": g.lower, "ubg": g.upper}
@@ -607,6 +606,44 @@ class NamedProgram:
             ),
             program=self,
         )
+
+    def iterate(self, x: Array, multipliers: Array, of_bounds: Array) -> ProblemSolution:
+        """Iterate of the solver as a solution that is not solved.
+
+        Args:
+            x, multipliers, of_bounds: unknowns, multipliers of constraints and bounds, with signs and scale of IPOPT.
+        """
+        scales = [Stacked(list(part.values())).scale for part in (self.variables, self._constraints)]
+        return ProblemSolution(
+            status=ProblemStatus.STOPPED,
+            objective=math.nan,
+            values=self._split(x * scales[0], self.variables),
+            multipliers=self._split(-multipliers / scales[1], self._constraints),
+            bound_multipliers=self._split(-of_bounds / scales[0], self.variables),
+            parameters={name: numbers.copy() for name, (_, numbers) in self._parameters.items()},
+            violations=(),
+            statistics=ProblemStatistics(Watch.STOPPED, 0, 0.0, *map(len, scales)),
+            program=self,
+        )
+
+    def derivative(self, name: str, values: Mapping[str, Array]) -> Any:
+        """Sparse gradient of the objective ("nlp_grad_f") or Jacobian of the constraints ("nlp_jac_g"), scaled.
+
+        An `attempt` before has built these functions.
+
+        Args:
+            values: variables; others have their guess, and parameters their present value.
+        """
+        function = next(function for function, _ in self._solvers.values())
+        x = np.concatenate([values.get(key, each.guess) for key, each in self.variables.items()])
+        p = np.concatenate([*(numbers for _, numbers in self._parameters.values()), np.zeros(0)])
+        return function.get_function(name)(x / Stacked(list(self.variables.values())).scale, p)[1].sparse()
+
+    def scaled_multipliers(self, at: ProblemSolution) -> tuple[Array, Array, Array]:
+        """Multipliers of constraints and bounds with signs and scale of IPOPT, and which constraints are equations."""
+        x, g = (Stacked(list(part.values())) for part in (self.variables, self._constraints))
+        of_bounds = -self._known(at.bound_multipliers, self.variables) * x.scale
+        return -self._known(at.multipliers, self._constraints) * g.scale, of_bounds, g.lower == g.upper
 
     def violated(self, names: Sequence[str], values: dict[str, Array], tolerance: float) -> tuple[Violation, ...]:
         """Violations of the named constraints at values of the variables, worst first."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Container, Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +11,16 @@ import numpy as np
 
 from ..errors import InputError, SolveError, nearest
 from ..typing import Array
-from .named_program import NAMED, Attempts, NamedProgram, ProblemSolution, ProblemStatistics, ProblemStatus, Watch
+from .named_program import (
+    NAMED,
+    Attempts,
+    NamedProgram,
+    ProblemSolution,
+    ProblemStatistics,
+    ProblemStatus,
+    Watch,
+)
+from .order_swaps import Meeting, kept, order_name, order_rows, passing, restore
 from .sampling import sobol
 from .settings import AT_SOLUTION, NEAR_SOLUTION, Ipopt
 
@@ -46,8 +55,9 @@ class Problem(NamedProgram):
     ) -> ProblemSolution:
         """Solve the program from its guesses, or from an earlier solution with its multipliers.
 
-        If breakpoints of a block meet and their order has a multiplier, they are swapped, and the solve continues from
-        there. The new order is kept if the objective does not grow. The same happens after a failed solve.
+        If breakpoints of a block meet and press against each other, they are swapped if the objective then decreases
+        to first order, and the solve continues from there. The new order is kept if the objective does not grow. After
+        a failed solve breakpoints that meet are swapped, too.
         `statistics` covers all of it: iterations, solves, swaps, and the decrease of the objective by swaps.
 
         Args:
@@ -101,7 +111,7 @@ class Problem(NamedProgram):
         if best is None:
             worst = f"; nearest: {self.failure(nearest_miss)}" if nearest_miss else ""
             raise SolveError(f"{self.name}: {attempts}{worst}", nearest_miss)
-        _restore(self, best[1])
+        restore(self, best[1])
         _guess(self, best[0].values)
         return _announced(self, replace(best[0], attempts=attempts))
 
@@ -135,91 +145,59 @@ def _announced(problem: NamedProgram, solution: ProblemSolution) -> ProblemSolut
     return solution
 
 
-# At a barrier parameter of 1e-5 the objective of the order is known to about a hundredth. With 1e-4 swaps are made that
-# the optimum does not need; with 1e-6 ten iterations more are made in an order that is left.
-NEAR_BARRIER, NEAR_STEP = 1e-5, 0.1
-"""Barrier parameter and step, scaled, below which the solver is close enough to the optimum of an order."""
-
-NEAR = 1e-3
-"""Distance of breakpoints over the arm's length below which they may meet there."""
-
-
-class _Meeting:
-    """Test at an iterate close to the optimum whether constraints push two breakpoints past each other."""
-
-    def __init__(self, problem: NamedProgram) -> None:
-        blocks = {_order_name(block): block for block in problem.blocks}
-        self.swappable: list[tuple[Any, int]] = []
-        """Blocks with the rows of their distances that may be swapped."""
-        self.rows: list[int] = []
-        """Rows of swappable distances in the constraints of the program."""
-        first = 0
-        for name, size in problem.constraint_sizes.items():
-            if name in blocks:
-                rows = blocks[name].swappable()
-                self.swappable += [(blocks[name], row) for row in rows]
-                self.rows += [first + row for row in rows]
-            first += size
-        self.last: Array | None = None
-        self.pressed: dict[Any, int] = {}
-        """Row with the largest multiplier of every block with pressing breakpoints at the last iterate."""
-
-    def __call__(self, x: Array, g: Array, multipliers: Array) -> bool:
-        step = np.inf if self.last is None else float(np.abs(x - self.last).max(initial=0.0))
-        self.last = x
-        distance, force = g[self.rows], -multipliers[self.rows]
-        # On the central path all products are the barrier parameter.
-        if step < NEAR_STEP and (distance * force).max(initial=0.0) < NEAR_BARRIER:
-            pressed = np.flatnonzero((distance < NEAR) & (force > np.abs(distance)))
-            self.pressed = dict(self.swappable[k] for k in sorted(pressed, key=lambda k: float(force[k])))
-        return bool(self.pressed)
-
-
 def _in_best_order(problem: NamedProgram, solver: Ipopt, start: ProblemSolution | None, limit: int) -> ProblemSolution:
     """Solution after swapping breakpoints that are pushed past each other, as long as the objective does not grow.
 
-    The first swap interrupts the solver when it is close to the optimum of the order. Every pair of breakpoints is
-    swapped at most once: if it presses in both orders, the optimum is where its breakpoints meet.
-
-    A swap that changes nothing is kept as well: of several breakpoints at one position, all have to be swapped before
-    the objective decreases.
+    Only breakpoints that pass each other with a smaller objective, to first order, are swapped (`order_swaps`). The
+    first swap interrupts the solver when it is close to the optimum of the order. Every pair of breakpoints is swapped
+    at most once.
     """
-    meeting = _Meeting(problem) if limit else None
+    meeting = Meeting(problem) if limit else None
     swapped: set[object] = set()
     points: list[ProblemSolution] = []
     result = problem.attempt(solver, start=start, interrupt=meeting)
     efforts = [result.statistics]
     while not (worse := _is_worse(result, points)):
-        pressed: dict[Any, int] = {}
+        passed: dict[Any, list[int]] = {}
         if meeting is not None and _interrupted(result):
-            pressed = meeting.pressed
+            passed = meeting.passing
         elif len(points) < limit:
-            rows = {block: block.pressing(result, but=swapped) for block in problem.blocks}
-            pressed = {block: row for block, row in rows.items() if row is not None}
-        if not pressed:
+            passed = _passing_at(problem, result, swapped)
+        if not passed:
             break
         points.append(result)
         layouts = _layouts(problem)
-        for block, row in pressed.items():
-            swapped.add(block.pair(row))
-            block.reorder(result, row)
-        _begin_at(problem, result)
+        for block, rows in passed.items():
+            swapped.update(block.pair(row) for row in rows)
+            block.reorder(result, rows)
+        _begin_at(problem, result, passed)
         # The point is feasible and nearly optimal in the new order too, so the solve starts with the multipliers of
         # the old one. Only those of the order itself would hold the breakpoints together.
-        names = {_order_name(block) for block in problem.blocks}
+        names = {order_name(block) for block in passed}
         multipliers = {name: values for name, values in result.multipliers.items() if name not in names}
         again = replace(result, values={}, multipliers=multipliers)
         result = problem.attempt(solver, start=again, warm=NEAR_SOLUTION if _interrupted(result) else AT_SOLUTION)
         efforts.append(result.statistics)
     if worse and points:
         # The last swap did not help: back to the point before it.
-        _restore(problem, layouts)
+        restore(problem, layouts)
         result = points.pop()
         if _interrupted(result):
             result = problem.attempt(solver, start=result, warm=NEAR_SOLUTION)
             efforts.append(result.statistics)
     gained = points[0].objective - result.objective if points else 0.0
     return _with_effort(result, efforts, len(points), gained)
+
+
+def _passing_at(problem: NamedProgram, solution: ProblemSolution, swapped: Container[object]) -> dict[Any, list[int]]:
+    """Rows of every block whose breakpoints coincide at an optimum and pass each other, without those `swapped`."""
+    if all(block.pressing(solution) is None for block in problem.blocks):
+        return {}
+    closed = {block: block.closed(solution) for block in problem.blocks}
+    order = order_rows(problem)[0]
+    near = np.array([row in closed[block] for block, row in order])
+    fresh = np.array([block.pair(row) not in swapped for block, row in order])
+    return passing(problem, solution, near & fresh, near) if (near & fresh).any() else {}
 
 
 def _is_worse(result: ProblemSolution, points: Sequence[ProblemSolution]) -> bool:
@@ -235,11 +213,6 @@ def _is_worse(result: ProblemSolution, points: Sequence[ProblemSolution]) -> boo
 def _interrupted(result: ProblemSolution) -> bool:
     """True if a `_Meeting` stopped the solver."""
     return result.statistics.verdict == Watch.STOPPED
-
-
-def _order_name(block: Any) -> str:
-    """Name of the constraint on the order of the breakpoints of a block."""
-    return f"{block.label}order of breakpoints"
 
 
 def _with_effort(
@@ -273,12 +246,12 @@ def _retry(problem: NamedProgram, solver: Ipopt, missed: ProblemSolution, limit:
         if not blocked or _arrangement(problem) in visited:
             break
         visited.add(_arrangement(problem))
-        _begin_at(problem, missed)
+        _begin_at(problem, missed, blocked)
         missed = problem.attempt(solver)
         efforts.append(missed.statistics)
         if missed.status is ProblemStatus.SOLVED:
             return _with_effort(missed, efforts, len(efforts) - 1)
-    _restore(problem, layouts)
+    restore(problem, layouts)
     _guess(problem, guesses)
     return _with_effort(first, efforts, 0)
 
@@ -290,26 +263,24 @@ def _with_cause(problem: NamedProgram, solver: Ipopt, failed: ProblemSolution) -
     """
     owned = tuple(block.label for block in problem.blocks if block.label)
     names = [name for name in problem.constraint_sizes if not name.startswith(owned)]
-    layouts, guesses = _layouts(problem), {name: each.guess for name, each in problem.variables.items()}
     try:
-        for block in problem.blocks:
-            block.start_at(lambda part: problem.evaluate(part, failed.values, {}))
-        at_equilibria = {
-            name: each.guess if name.startswith(owned) else failed.values[name]
-            for name, each in problem.variables.items()
-        }
-        violations = problem.violated(names, at_equilibria, 10 * solver.tolerance)
+        with kept(problem):
+            for block in problem.blocks:
+                block.start_at(lambda part: problem.evaluate(part, failed.values, {}))
+            at_equilibria = {
+                name: each.guess if name.startswith(owned) else failed.values[name]
+                for name, each in problem.variables.items()
+            }
+            violations = problem.violated(names, at_equilibria, 10 * solver.tolerance)
     except (InputError, SolveError):
         violations = ()
-    _restore(problem, layouts)
-    _guess(problem, guesses)
     equations = [each for each in failed.violations if each.name.startswith(owned)]
     return replace(failed, violations=(*violations, *equations)[:NAMED] if violations else failed.violations)
 
 
-def _begin_at(problem: NamedProgram, solution: ProblemSolution) -> None:
-    """Start the variables that belong to no block at a solution; blocks have set their own start."""
-    owned = {name for name in solution.values for block in problem.blocks if block.owns(name)}
+def _begin_at(problem: NamedProgram, solution: ProblemSolution, swapped: Iterable[Any]) -> None:
+    """Start all variables at a solution but those of `swapped` blocks, which have set their own start."""
+    owned = {name for name in solution.values for block in swapped if block.owns(name)}
     _guess(problem, {name: value for name, value in solution.values.items() if name not in owned})
 
 
@@ -321,12 +292,6 @@ def _guess(problem: NamedProgram, values: Mapping[str, Array]) -> None:
 
 def _layouts(problem: NamedProgram) -> list[object]:
     return [block.layout for block in problem.blocks]
-
-
-def _restore(problem: NamedProgram, layouts: list[object]) -> None:
-    for block, layout in zip(problem.blocks, layouts, strict=True):
-        if block.layout is not layout:
-            block.restore(layout)
 
 
 def _arrangement(problem: NamedProgram) -> Hashable:
