@@ -76,6 +76,22 @@ def test_heat_plan_takes_the_rig(run: Run) -> None:
     assert answer(run("heat", "plan", "rig.yaml", "--sensor", "thermocouple", "--json"))["success_probability"] > 0.5
 
 
+@pytest.mark.parametrize("what", ["robot", "rig"])
+def test_the_help_states_the_values_of_the_template(run: Run, what: str) -> None:
+    assert run("init", what).code == 0
+    file = load_yaml(f"{what}.yaml")
+    tubes = file["tubes"] if what == "robot" else [file["tube"]]
+    keys = ("outer_diameter_mm", "inner_diameter_mm", "straight_length_mm", "curved_length_mm", "radius_mm")
+    written = {key: ",".join(str(tube[key]) for tube in tubes) for key in keys} | {"name": file["name"]}
+    if what == "rig":
+        battery = file["battery"]
+        written |= {"mold": file["mold"]["material"], "capacity_Ah": str(battery["capacity_Ah"])}
+        written |= {"charge_percent": str(battery["state_of_charge_percent"])}
+    text = " ".join(run("init", what, "--help").out.replace("│", " ").split())
+    shown = re.findall(r"--(\S+) \S+ [^\[]*\[default: \(([^)]*)\)\]", text)
+    assert written.items() <= {flag.replace("-", "_"): value for flag, value in shown}.items()
+
+
 def test_every_key_has_a_comment_and_others_may_follow(run: Run) -> None:
     assert run("init", "rig").code == 0
     text = Path("rig.yaml").read_text()

@@ -117,6 +117,7 @@ def study_command(
     arguments: Mapping[str, tuple[str, str]] | None = None,
     flags: Mapping[str, str] | None = None,
     defaults: Mapping[str, str] | None = None,
+    usual: Mapping[str, Any] | None = None,
     without: Sequence[str] = (),
 ) -> Callable[[Callable[..., None]], Command]:
     """Decorate a function of a study as a command. Keys that are mappings, or lists of them, have no flag.
@@ -124,6 +125,7 @@ def study_command(
     Args:
         example, note, without: as for `command`.
         arguments, flags, defaults: as for `StudyCommand`.
+        usual: defaults of keys that are set later than by the fields, shown in the help.
     """
     positional = {"robot": ROBOT} if arguments is None else arguments
     keys = _Keys(study, tuple(positional), flags or {})
@@ -132,7 +134,8 @@ def study_command(
     keyed = [_argument(key, *positional[key], required=key in required) for key in positional]
     for key in flag_of:
         default = (defaults or {}).get(key, _default_text(keys.fields[key]))
-        keyed.append(_option(key, keys.fields[key], keys.flags[key], default, required=key in required))
+        shown = as_typed((usual or {}).get(key)) or ""
+        keyed.append(_option(key, keys.fields[key], keys.flags[key], default, shown=shown, required=key in required))
     default_of = {part.name: part.default for part in keyed}
     constant = {"kind": _kind_of(study)} if "kind" in study.model_fields else {}
 
@@ -163,7 +166,7 @@ def study_file_command(study: type[F], *, example: str, note: str = "") -> Calla
         _argument(
             "study",
             "STUDY.yaml",
-            f"Study of kind {kind}; `tubeopt init study --kind {kind}` writes one.",
+            f"Study of kind {kind}; `tubeopt init study --kind {kind}` writes one. Flags replace its keys.",
             required=True,
         )
     ]

@@ -34,15 +34,16 @@ Force = Annotated[bool, typer.Option("--force", help="Replace an existing file."
     NewRobot,
     arguments={},
     flags={"robot_kind": "--kind"},
+    usual=check(NewRobot, {}, "").usual,
     example="tubeopt init robot mine.yaml --outer-diameter-mm 1,1.4 --inner-diameter-mm 0.8,1.1",
     without=WITHOUT,
 )
 def robot(study: NewRobot, output: Output, file: File = None, force: Force = False) -> None:
     """Write a template of a robot file, by default robot.yaml.
 
-    Without flags, it prompts for the tubes if it runs in a terminal. With any flag, missing values have defaults: two
-    nitinol tubes of 1 and 1.3 mm outer diameter, or the tube of the thesis for an eccentric robot. Every key has a
-    comment; optional keys are commented out.
+    Without flags, it prompts for the tubes if it runs in a terminal. With any flag, missing values have defaults. The
+    tubes of an eccentric robot are equal: give one number for each dimension. Its default is the tube of the thesis.
+    Every key has a comment; optional keys are commented out.
     """
     path = _free(file or Path("robot.yaml"), force)
     _write(path, _from_flags_or_prompts(study, NewRobot, lambda new: new.text(path)), f"fk {path}", output)
@@ -51,6 +52,7 @@ def robot(study: NewRobot, output: Output, file: File = None, force: Force = Fal
 @study_command(
     NewRig,
     arguments={},
+    usual=check(NewRig, {}, "").usual,
     example="tubeopt init rig mine.yaml --mold steel --outer-diameter-mm 1.5 --inner-diameter-mm 1.2",
     without=WITHOUT,
 )
@@ -58,8 +60,8 @@ def rig(study: NewRig, output: Output, file: File = None, force: Force = False) 
     """Write a template of a rig file, by default rig.yaml.
 
     Without flags, it prompts for battery, mold and tube if it runs in a terminal. With any flag, missing values have
-    defaults: a full battery of 60 Ah, a mold of calcium silicate, and the tube of the thesis. A rig has one tube: give
-    one number for each dimension. Every key has a comment; optional keys are commented out.
+    defaults; those of the tube are from the thesis. A rig has one tube: give one number for each dimension. Every key
+    has a comment; optional keys are commented out.
     """
     path = _free(file or Path("rig.yaml"), force)
     _write(
@@ -74,6 +76,7 @@ def rig(study: NewRig, output: Output, file: File = None, force: Force = False) 
     NewStudy,
     arguments={},
     flags={"study_kind": "--kind"},
+    usual={"study_kind": check(NewStudy, {}, "").kind},
     example="tubeopt init study mine.yaml --kind snap --robot thesis_ctr --set to_deg=[360,0,0]",
     without=WITHOUT,
 )
@@ -91,9 +94,8 @@ def study(
 ) -> None:
     """Write a template of a study file, by default study.yaml, for `tubeopt run` or, with kind sweep, `tubeopt sweep`.
 
-    Without flags, it prompts for kind and robot if it runs in a terminal. With any flag, missing values have defaults:
-    kind forward_kinematics, and a built-in robot of that kind of study. Every key has a comment; optional keys are
-    commented out.
+    Without flags, it prompts for kind and robot if it runs in a terminal. With any flag, missing values have defaults.
+    Every key has a comment; optional keys are commented out.
     """
     path = _free(file or Path("study.yaml"), force)
     extra = dict(_pair(text) for text in keys or ())

@@ -75,7 +75,8 @@ class Output:
         typer.Option(
             "--width-mm",
             metavar="MM",
-            help="Width of saved plots in mm, 50 to 300, at 600 dpi; a journal column has about 88, a page 180.",
+            help="Width of saved plots in mm, 50 to 300, at 600 dpi; a journal column has about 88, a page 180. "
+            "By default every plot has its own width, at 200 dpi, or that of --journal.",
         ),
     ] = None
     no_title: Annotated[

@@ -67,9 +67,9 @@ def figure(
 ) -> None:
     """Make the plots of a study for a paper, with captions, data and the command in separate files.
 
-    Saves what `tubeopt run` saves. Each plot has the format of the journal, 600 dpi and no heading. The file
-    captions.txt has the headings, command.txt the command and the versions. NAME_data.csv has the values in the plot
-    NAME. Exit codes are those of the command of the study.
+    Saves what `tubeopt run` saves, in DIR of --out, which is required. Each plot has the format of the journal, 600 dpi
+    and no heading. The file captions.txt has the headings, command.txt the command and the versions. NAME_data.csv has
+    the values in the plot NAME. Exit codes are those of the command of the study.
     """
     style = JOURNALS[choice("--journal", journal, tuple(JOURNALS))]
     if output.out is None:

@@ -127,8 +127,8 @@ class ServoOptions(Displayed):
         unit("deg"),
         Range(above=0.0, below=math.pi),
         Typical(1e-3, 1.5),
-        "smallest proved snap distance: no rotation of the tubes by less may cause a snap. It replaces min_margin "
-        "for concentric robots; by default min_margin applies",
+        "smallest proved snap distance, less than 180 deg: no rotation of the tubes by less may cause a snap. It "
+        "replaces min_margin; default none. It has no effect on eccentric robots",
     ] = None
 
     def __post_init__(self) -> None:

@@ -402,7 +402,9 @@ class HeatingCalibrationStudy(TubeOnRig):
     noise_V: Positive | None = Field(None, description="known standard deviation of voltage noise; default estimated")
     noise_A: Positive | None = Field(None, description="known standard deviation of current noise; default estimated")
     position_mm: Number = Field(
-        Decimal(0), description="position of the thermometer, from the middle of the curved part"
+        Decimal(0),
+        description="distance of the thermometer from the middle of the curved part, to either side; "
+        "beyond the edge of the mold, that edge is used",
     )
     lag_s: NotNegative = Field(Decimal(0), description="time constant of the thermometers")
 

@@ -245,7 +245,8 @@ class Loaded(Entry):
         LoadEntry | None,
         PlainValidator(_entry, json_schema_input_type=str | LoadEntry | None),
         Field(
-            description="external load: path of a load file, or its keys as {tip_force_mN: [20, 0, 0]}; default no load"
+            description="external load: path of a load file, or its keys as {tip_force_mN: [20, 0, 0]}; default no "
+            "load. Other load keys, such as tip_force_mN, replace its values"
         ),
     ] = None
 

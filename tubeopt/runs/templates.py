@@ -111,7 +111,7 @@ class NewRobot(NewTubes):
     """Keys that are prompted for in a dialogue, in order."""
 
     tubes: Count | None = Field(
-        None, le=6, description="number of tubes, at most 6; by default that of the other lists, or 2"
+        None, le=6, description="number of tubes of a concentric robot, at most 6; the lists of dimensions give it too"
     )
     name: str | None = Field(None, description="name of the robot")
     robot_kind: Literal["concentric", "eccentric"] | None = Field(
@@ -258,8 +258,14 @@ class NewStudy(Entry):
     prompted: ClassVar = ("study_kind", "robot")
     """Keys that are prompted for in a dialogue, in order."""
 
-    study_kind: str | None = Field(None, description="kind of study, such as snap, plan or design", examples=["KIND"])
-    robot: str | None = Field(None, description="robot: a file, or a name of `tubeopt robot list`")
+    study_kind: str | None = Field(
+        None,
+        description="kind of study, such as snap, plan or design; an unknown one prints the list",
+        examples=["KIND"],
+    )
+    robot: str | None = Field(
+        None, description="robot: a file, or a name of `tubeopt robot list`; by default one that suits the kind"
+    )
 
     @field_validator("study_kind")
     @classmethod

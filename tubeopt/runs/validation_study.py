@@ -53,7 +53,10 @@ RecordingsPath = Annotated[
 
 MeasuredFor = Annotated[
     list[str],
-    Field(description="parameters to estimate: rotation_all, translation_all, curvature_2, ...", examples=["NAME,.."]),
+    Field(
+        description="parameters to estimate, such as rotation_all or curvature_2; an unknown name prints the list",
+        examples=["NAME,.."],
+    ),
 ]
 
 FIT_KEYS = ("per_recording", "folds", "confidence", "noise_mm", "axis_noise_deg", "loss", "priors")
@@ -100,7 +103,8 @@ class ValidationStudy(Timed):
     )
     fit: list[str] = Field(
         [],
-        description="parameters to estimate: latency, rotation_all, curvature_2, ...; with compare, the effects to try",
+        description="parameters to estimate, such as rotation_all or curvature_2; default none. With compare, the "
+        "effects to try, such as rotation; default all that apply. An unknown name prints the list",
         examples=["NAME,.."],
     )
     compare: bool = Field(
