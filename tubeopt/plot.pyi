@@ -27,6 +27,7 @@ from .show.plots.shape import plot_equilibria, plot_shape, plot_shapes, plot_tor
 from .show.plots.sheets import plot_fabrication_sheet, plot_setup_sheet
 from .show.plots.style import new_figure, picture, save_figure
 from .show.plots.trajectory import plot_arms, plot_checked, plot_section, plot_trajectory, save_film
+from .show.plots.tube_photo import plot_mark_sheet, plot_measured_tube
 from .show.plots.validation import plot_effects, plot_error_table, plot_errors, plot_residuals, plot_simulated_circles
 from .show.plots.workspace import plot_inverse, plot_targets, plot_workspace
 
@@ -53,7 +54,9 @@ __all__ = [
     "plot_inverse",
     "plot_load_limits",
     "plot_mandrel",
+    "plot_mark_sheet",
     "plot_materials",
+    "plot_measured_tube",
     "plot_mold",
     "plot_oven",
     "plot_pair_fractions",

@@ -109,3 +109,41 @@ def test_every_bad_cell_is_named(tmp_path: Path) -> None:
     table.write_text("mold_radius,obtained_radius_mm\n100,3\n", encoding="utf-8")
     with pytest.raises(InputError, match="column mold_radius has no unit; call it mold_radius_mm"):
         load_trials(table)
+
+
+def test_errors_of_measurement_are_not_scatter_of_tubes() -> None:
+    """Radii with known errors: the fit counts exact ones more, its scatter is that of the tubes, its interval holds."""
+    random, hits, scatters = np.random.default_rng(3), 0, []
+    molds = np.tile(RADII, 4)
+    for _ in range(300):
+        error = np.where(np.arange(len(molds)) % 2, 0.02, 0.002)
+        kappa = (1 - 0.08 + random.normal(0, 0.004, len(molds))) / molds
+        tubes = 1 / kappa
+        measured = tubes * (1 + error * random.normal(size=len(molds)))
+        fit = calibrate_springback(molds, measured, obtained_error=error * tubes, model="constant")
+        assert fit.fraction_interval is not None
+        low, high = fit.fraction_interval
+        hits += low < 0.08 < high
+        scatters.append(fit.noise)
+        widest = calibrate_springback(molds, measured, model="constant").fraction_interval
+        assert widest is not None
+    assert 275 <= hits <= 297
+    assert np.mean(scatters) == pytest.approx(0.004, rel=0.25)
+    # Ten exact radii with scatter 0.0045 determine it; the others add little.
+    assert high - low < 0.5 * (widest[1] - widest[0])
+
+
+def test_errors_that_explain_all_leave_no_scatter() -> None:
+    fit = calibrate_springback(RADII, RADII * 1.08, obtained_error=RADII * 0.01)
+    assert fit.noise == 0
+    assert fit.fraction_interval is not None
+    assert fit.fraction_interval[1] - fit.fraction_interval[0] > 0.01
+    with pytest.raises(InputError, match="obtained_error has 1 numbers and obtained_radius 5"):
+        calibrate_springback(RADII, RADII, obtained_error=[1e-3])
+
+
+def test_bad_errors_in_a_file_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "trials.csv"
+    path.write_text("mold_radius_mm,obtained_radius_mm,obtained_error_mm\n60,65,0\n80,87,0.4\n")
+    with pytest.raises(InputError, match=r"row 1 \(line 2\), column obtained_error_mm is 0; it must be greater than 0"):
+        load_trials(path)

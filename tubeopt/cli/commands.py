@@ -241,9 +241,26 @@ COMMANDS: dict[str, StudyCommand | str] = {
     "mold calibrate": StudyCommand(
         "mold_calibration",
         "Estimate spring-back from trials: the fraction of the mold's curvature that tubes lose.",
-        arguments={"trials": ("TRIALS.csv", "Trials, one per row: columns mold_radius_mm and obtained_radius_mm.")},
+        arguments={
+            "trials": (
+                "TRIALS.csv",
+                "Trials, one per row: columns mold_radius_mm, obtained_radius_mm and, if known, obtained_error_mm "
+                "(standard error).",
+            )
+        },
         example="tubeopt mold calibrate example_trials --out results",
     ),
+    "mold measure": StudyCommand(
+        "tube_photo",
+        """Measure the radius of a tube in a scan or photo, with its 95 % interval.
+
+        A scan has its scale from its resolution. Take a photo on the sheet of `tubeopt mold sheet`, with all four
+        marks in it: they also correct the tilt. With --mold-radius-mm and --out, the result is added to trials.csv for
+        `tubeopt mold calibrate`.""",
+        arguments={"photo": ("PHOTO", "Scan or photo: PNG, JPEG or TIFF.")},
+        example="tubeopt mold measure scan.png --mold-radius-mm 60 --out results",
+    ),
+    "mold sheet": "sheet.sheet",
     "mold materials": StudyCommand(
         "mold_materials",
         "Rank mold materials for a tube: heat loss, limit temperature, leakage current, and reasons.",

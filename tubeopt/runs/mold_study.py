@@ -16,7 +16,9 @@ from ..shaping.heating.rig import Rig
 from ..shaping.materials import mold_material
 from ..shaping.mold.heat import HeatSpec
 from ..shaping.mold.mandrel import Mandrel, plan_mandrel
+from ..shaping.mold.measured_tube import MeasuredTube, measure_tube
 from ..shaping.mold.mold import RobotMold, chosen_tubes, plan_robot_mold
+from ..shaping.mold.photo import TubePhoto, load_photo
 from ..shaping.mold.ranking import MaterialRating, rank_mold_materials
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.mold.springback import Calibration, Springback, calibrate_springback
@@ -161,7 +163,10 @@ class MaterialsStudy(Timed):
 TrialsPath = Annotated[
     Trials,
     in_file(load_trials, "a CSV file"),
-    Field(description="path of a CSV file with the columns mold_radius_mm and obtained_radius_mm"),
+    Field(
+        description="path of a CSV file with the columns mold_radius_mm, obtained_radius_mm and, if known, "
+        "obtained_error_mm (standard error)"
+    ),
 ]
 
 
@@ -170,4 +175,22 @@ def calibrate_mold(
     trials: TrialsPath, options: Annotated[Options, Arguments(calibrate_springback, "model")]
 ) -> Calibration:
     """Spring-back of tubes, from trials."""
-    return calibrate_springback(trials.mold_radius, trials.obtained_radius, **options)
+    return calibrate_springback(
+        trials.mold_radius, trials.obtained_radius, obtained_error=trials.obtained_error, **options
+    )
+
+
+PhotoPath = Annotated[
+    TubePhoto,
+    in_file(load_photo, "a picture", kind=TubePhoto),
+    Field(description="path of a scan or photo: PNG, JPEG or TIFF"),
+]
+
+
+@question("measuring the tube", timed=False)
+def measure_photo(
+    photo: PhotoPath,
+    options: Annotated[Options, Arguments(measure_tube, "dpi", "marks", "scale_error", "mold_radius")],
+) -> MeasuredTube:
+    """Radius of a tube in a scan or photo, with its 95 % interval."""
+    return measure_tube(photo, **options)

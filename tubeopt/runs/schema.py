@@ -195,6 +195,7 @@ TITLES = {
     "SnapStudy": "Study: first snap",
     "StabilityMapStudy": "Study: stability map",
     "SweepEntry": "Study: sweep",
+    "TubePhotoStudy": "Study: measure a tube in a photo",
     "ValidationStudy": "Study: validate and calibrate",
     "VerifyStudy": "Study: verify a trajectory",
     "WorkspaceStudy": "Study: workspace",

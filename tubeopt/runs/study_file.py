@@ -265,6 +265,7 @@ STUDY_KINDS = Kinds(
         "mandrel": "mold_study.mandrel",
         "mold_materials": "mold_study.MaterialsStudy",
         "mold_calibration": "mold_study.calibrate_mold",
+        "tube_photo": "mold_study.measure_photo",
         "fabrication": "heating_study.FabricationStudy",
     }
 )

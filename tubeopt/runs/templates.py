@@ -241,6 +241,7 @@ OF_RIGS: dict[str, Data] = {
     "heating_run": {"simulate": "thesis_calcium_silicate"},
     "heating_calibration": {"rig": "thesis_calcium_silicate", "log": "heating_log"},
     "mold_calibration": {"trials": "example_trials"},
+    "tube_photo": {},
     "verify": {},
 }
 """Kind of a study without a robot -> example values of its required keys."""

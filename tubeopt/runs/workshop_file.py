@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
+from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -14,8 +16,9 @@ from ..arguments import typed
 from ..constants import ZERO_CELSIUS
 from ..errors import InputError
 from ..files.checked import Positive, check, check_kind
-from ..files.csv_file import read_csv, refuse
+from ..files.csv_file import read_csv, refuse, to_csv
 from ..files.fields import Part, entry_of, keys_from, to_data
+from ..files.files import write_text
 from ..files.shipped import find_file
 from ..files.units import MM, TO_MM, decimal, in_unit, parse_number, to_si
 from ..files.units import PER_M as ONE
@@ -23,6 +26,7 @@ from ..files.yaml_file import load_yaml, save_yaml
 from ..shaping.heating.calibration import HeatingLog
 from ..shaping.heating.oven import Oven
 from ..shaping.heating.rig import Battery, Rig
+from ..shaping.mold.measured_tube import MeasuredTube
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.mold.springback import RADII, Calibration, Springback
 from ..typing import Array
@@ -205,6 +209,7 @@ def load_camera(path: str | PathLike[str]) -> CameraRecording:
 # --- molds: specification, material and spring-back; trials of spring-back --------------------------------------------
 
 TRIAL_COLUMNS = ("mold_radius_mm", "obtained_radius_mm")
+ERROR_COLUMN = "obtained_error_mm"
 NOTE = "note"
 
 
@@ -281,17 +286,25 @@ class Trials:
     """Mold radii (N,), m."""
     obtained_radius: Array
     """(N,) radii of the finished tubes, m."""
+    obtained_error: Array | None = None
+    """(N,) standard errors of these radii, m; None without this column."""
 
 
 def load_trials(path: str | PathLike[str]) -> Trials:
-    """Load spring-back trials from CSV with columns `mold_radius_mm`, `obtained_radius_mm` and optionally `note`.
+    """Load spring-back trials from CSV with columns `mold_radius_mm`, `obtained_radius_mm`, and optionally
+    `obtained_error_mm` and `note`.
 
     Raises:
         InputError: no such file, an unknown or missing column, a cell that is no positive number; one line per problem.
     """
-    table = read_csv(path, (*TRIAL_COLUMNS, NOTE))
-    table.expect(TRIAL_COLUMNS, [NOTE])
+    table = read_csv(path, (*TRIAL_COLUMNS, ERROR_COLUMN, NOTE))
+    table.expect(TRIAL_COLUMNS, [ERROR_COLUMN, NOTE])
     radii = table.numbers(TRIAL_COLUMNS, MM)
+    errors = table.numbers([ERROR_COLUMN], MM)[:, 0] if ERROR_COLUMN in table.columns else None
+    for row, error in enumerate(() if errors is None else errors):
+        if not 0 < error <= 0.5 * radii[row, 1] and not table.problems:
+            half = f"it must be greater than 0 and at most half the radius, {0.5 * radii[row, 1] * TO_MM:g}"
+            table.complain(row, ERROR_COLUMN, f"is {table.cell(row, ERROR_COLUMN)}; {half}")
     for row in range(len(table.rows)):
         for k, column in enumerate(TRIAL_COLUMNS):
             # A cell that is no number has a problem already, and was read as 0.
@@ -301,4 +314,25 @@ def load_trials(path: str | PathLike[str]) -> Trials:
                 allowed = f"it must be {RADII[0] * TO_MM:g} to {RADII[1] * TO_MM:g}, as radii of curved tubes are"
                 table.complain(row, column, f"is {table.cell(row, column)}; {allowed}")
     table.check()
-    return Trials(radii[:, 0], radii[:, 1])
+    return Trials(radii[:, 0], radii[:, 1], errors)
+
+
+def save_trial(measured: MeasuredTube, mold_radius: float, path: Path) -> None:
+    """Add a measured tube to a CSV file of trials, as `load_trials` reads it; its photo's name is the note.
+
+    An older row of the same photo is replaced.
+
+    Raises:
+        InputError: the file exists and is no file of trials with these columns, or cannot be written.
+    """
+    columns = (*TRIAL_COLUMNS, ERROR_COLUMN, NOTE)
+    rows: list[Sequence[object]] = []
+    if path.exists():
+        load_trials(path)
+        table = read_csv(path, columns)
+        if table.columns != columns:
+            raise InputError(f"{path}: columns are {', '.join(table.columns)}; they must be {', '.join(columns)}")
+        rows = [row for row in table.rows if row[-1] != measured.photo.name]
+    numbers = mold_radius, measured.radius, measured.standard_error
+    rows.append([*(f"{number * TO_MM:.6g}" for number in numbers), measured.photo.name])
+    write_text(path, to_csv(columns, rows, "Trials of spring-back, measured in photos: `tubeopt mold calibrate`."))

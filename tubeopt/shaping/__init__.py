@@ -6,7 +6,9 @@ from .mold.files import write_mold
 from .mold.heat import ColdEnd, HeatSpec, cold_end, heat_drawn, heat_flow, thermal_growth
 from .mold.layout import Hole
 from .mold.mandrel import Mandrel, plan_mandrel, predict_wound_tube, write_mandrel
+from .mold.measured_tube import MeasuredTube, measure_tube
 from .mold.mold import Clamp, Groove, Mold, plan_mold, predict_tube, predict_tubes
+from .mold.photo import TubePhoto, load_photo
 from .mold.ranking import MaterialRating, rank_mold_materials
 from .mold.spec import ClampSpec, EndMill, GrooveSpec, MillingSpec, MoldSpec, PlateSpec, VentSpec
 from .mold.springback import Calibration, Springback, calibrate_springback
@@ -29,17 +31,21 @@ __all__ = [
     "Hole",
     "Mandrel",
     "MaterialRating",
+    "MeasuredTube",
     "MillingSpec",
     "Mold",
     "MoldMaterial",
     "MoldSpec",
     "PlateSpec",
     "Springback",
+    "TubePhoto",
     "VentSpec",
     "calibrate_springback",
     "cold_end",
     "heat_drawn",
     "heat_flow",
+    "load_photo",
+    "measure_tube",
     "mold_material",
     "plan_mandrel",
     "plan_mold",

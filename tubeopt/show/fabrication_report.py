@@ -18,12 +18,13 @@ from ..robots.file import save_robot
 from ..robots.tubes import Tube
 from ..runs.heating_study import Fabrication, TubeParts
 from ..runs.mold_study import MoldRanking
-from ..runs.workshop_file import save_rig, save_springback, springback_to_dict
+from ..runs.workshop_file import save_rig, save_springback, save_trial, springback_to_dict
 from ..shaping.mold.checks import Check, pressing_strain
 from ..shaping.mold.files import write_mold
 from ..shaping.mold.gcode import Program, clamp_distance, programs_of
 from ..shaping.mold.layout import Hole
 from ..shaping.mold.mandrel import Block, Cylinder, Mandrel, predict_wound_tube, write_mandrel
+from ..shaping.mold.measured_tube import MeasuredTube, RadiusErrors
 from ..shaping.mold.mold import Clamp, Groove, RobotMold, predict_tube
 from ..shaping.mold.ranking import MaterialRating
 from ..shaping.mold.springback import Calibration, Springback
@@ -230,6 +231,52 @@ class CalibrationReport(Report[Calibration]):
         """Write calibration.json and springback.yaml."""
         save_springback(self.answer, directory / "springback.yaml")
         return [self.save_record(directory), directory / "springback.yaml"]
+
+
+MEASURED = described(
+    MeasuredTube,
+    Quantity("photo", "name of the picture", lambda m: m.photo.name),
+    Quantity("radius_mm", "radius of the bend", label="radius", words=lambda m:
+             f"{m.radius * TO_MM:.4g} mm (95 %: {m.interval[0] * TO_MM:.4g} to {m.interval[1] * TO_MM:.4g} mm)"),
+    Quantity("interval_mm", "95 % interval of the radius"),
+    Quantity("standard_error_mm", "standard error of the radius", form=".2g", label="standard error"),
+    Quantity("errors", "contributions to the interval", of=described(RadiusErrors)),
+    Quantity("bend_length_mm", "length of the bend", lambda m: m.arc.length, form=".4g", label="bend, length"),
+    Quantity("bend_angle_deg", "angle of the bend", lambda m: m.angle, form=".4g", label="bend, angle"),
+    Quantity("leads_mm", "straight parts at both ends", lambda m: m.arc.leads, form=".1f", label="straight parts"),
+    Quantity("fades_mm", "lengths over which the curvature fades to them", lambda m: m.arc.fades, form=".1f",
+             label="curvature fades over"),
+    Quantity("deviation_um", "root mean square deviation of the centreline from the circle", lambda m: m.arc.rms,
+             form=".0f", label="deviation from a circle"),
+    Quantity("largest_deviation_um", "largest smooth deviation from the circle", lambda m: m.arc.largest),
+    Quantity("tube_width_mm", "width of the tube in the picture", lambda m: m.trace.width, form=".2f",
+             label="width of the tube"),
+    Quantity("scale_from", "source of the scale: marks or resolution", lambda m: m.scale_source, words="{scale_from}",
+             label="scale from"),
+    Quantity("tilt_deg", "angle between the camera's axis and the normal of the sheet", lambda m: m.scale.tilt,
+             form=".1f", label="tilt of the camera"),
+    Quantity("pixel_um", "size of a pixel", lambda m: m.scale.pitch, form=".0f", label="pixel"),
+    Quantity("mold_radius_mm", "radius of the mold", optional=True),
+    Quantity("remarks", "remarks on the measurement"),
+)  # fmt: skip
+
+
+class MeasuredTubeReport(Report[MeasuredTube]):
+    command = "mold measure"
+    quantities = MEASURED
+    file = "measurement.json"
+    drawn = (("measurement", "tube_photo.plot_measured_tube"),)
+
+    def title(self) -> str:
+        return self.answer.photo.name
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write measurement.json and, if the radius of the mold is known, add a row to trials.csv."""
+        paths = [self.save_record(directory)]
+        if self.answer.mold_radius is not None:
+            paths.append(directory / "trials.csv")
+            save_trial(self.answer, self.answer.mold_radius, paths[-1])
+        return paths
 
 
 RATING = described(

@@ -44,6 +44,7 @@ MODULES = {
         "Calibration",
         "MoldRanking",
         "Mandrel",
+        "MeasuredTube",
     ),
     "heat_report": (
         "Heating",

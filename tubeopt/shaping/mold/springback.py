@@ -107,7 +107,8 @@ class Calibration(Displayed):
     slope_interval: Annotated[tuple[float, float] | None, unit("mm"), "95 % interval of the slope"]
     """None if trials are too few, or without a slope."""
     noise: Annotated[float, unit("percent"), "scatter between equal tubes"]
-    """Standard deviation of the lost fraction about the model; NaN if trials are too few."""
+    """Standard deviation of the lost fraction about the model, without the errors of measurement; NaN if trials are too
+    few."""
     remarks: Annotated[tuple[str, ...], "remarks on the fit"]
 
     @property
@@ -125,11 +126,14 @@ def calibrate_springback(
     mold_radius: Sequence[float] | Array,
     obtained_radius: Sequence[float] | Array,
     *,
+    obtained_error: Sequence[float] | Array | None = None,
     model: Annotated[str, OneOf(MODELS)] = "auto",
 ) -> Calibration:
     """Fit the spring-back to pairs of mold radius and obtained radius (m) by least squares of the lost fraction.
 
     Args:
+        obtained_error: standard errors of the obtained radii, m. Trials count by the variances of measurement and
+            scatter together. None: all trials count alike, and errors of measurement are part of the scatter.
         model: model of the lost curvature fraction: constant, linear (increases with curvature) or auto (selected from
             the trials). "auto" selects linear if the 95 % interval of the slope excludes 0. The intervals ignore this
             selection. In 600 simulated sets of 6 trials they cover the fraction in 91 to 97 %, and a small slope that
@@ -144,12 +148,13 @@ def calibrate_springback(
     if len(molds) != len(tubes):
         raise InputError(f"mold_radius has {len(molds)} numbers and obtained_radius {len(tubes)}; they must be pairs")
     kappa, lost = 1 / molds, 1 - molds / tubes
+    error = None if obtained_error is None else _errors(obtained_error, tubes) * molds / tubes**2
     distinct = len(np.unique(np.round(molds, 9)))
     if model == "linear" and distinct < 2:
         raise InputError("model is linear; that needs trials in molds of at least 2 different radii")
-    values, intervals, noise = _least_squares(kappa, lost, 2 if model == "linear" else 1)
+    values, intervals, noise = _least_squares(kappa, lost, error, 2 if model == "linear" else 1)
     if model == "auto" and distinct >= 2 and len(molds) >= 4:
-        line, ends, about = _least_squares(kappa, lost, 2)
+        line, ends, about = _least_squares(kappa, lost, error, 2)
         # The interval excludes 0 if both ends have one sign. A range of round-off shows no slope.
         if ends and ends[1][0] * ends[1][1] > 0 and abs(line[1]) * np.ptp(kappa) > SLOPE_ROUND_OFF:
             values, intervals, noise = line, ends, about
@@ -175,18 +180,38 @@ class PolynomialFit(NamedTuple):
     intervals: list[tuple[float, float]]
     """95 % intervals; empty with too few trials."""
     noise: float
-    """Standard deviation of the trials about the polynomial; NaN with too few trials."""
+    """Standard deviation of the tubes about the polynomial; NaN with too few trials."""
 
 
-def _least_squares(kappa: Array, lost: Array, order: int) -> PolynomialFit:
-    """Fit the lost fraction by a polynomial of the mold's curvature with `order` coefficients."""
+def _least_squares(kappa: Array, lost: Array, error: Array | None, order: int) -> PolynomialFit:
+    """Fit the lost fraction by a polynomial of the mold's curvature with `order` coefficients.
+
+    error: standard errors of the lost fractions from measurement alone; None if unknown.
+    """
     matrix = np.vander(kappa, order, increasing=True)
-    values = np.asarray(np.linalg.lstsq(matrix, lost, rcond=None)[0], dtype=float)
     dof = len(lost) - order
+
+    def weighted(noise: float) -> tuple[Array, float, Array]:
+        """Coefficients, sum of the squares of the scaled deviations, and their variances, for a scatter of tubes."""
+        deviation = np.ones(len(lost)) if error is None else np.hypot(error, noise)
+        scaled = matrix / deviation[:, None]
+        values = np.asarray(np.linalg.lstsq(scaled, lost / deviation, rcond=None)[0], dtype=float)
+        squares = float(np.sum(((lost - matrix @ values) / deviation) ** 2))
+        return values, squares, np.diag(np.linalg.inv(scaled.T @ scaled))
+
+    values, squares, variances = weighted(0.0)
     if dof < 1:
         return PolynomialFit(values, [], math.nan)
-    noise = float(np.sqrt(np.sum((lost - matrix @ values) ** 2) / dof))
-    standard_error = noise * np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix)))
+    noise = 0.0
+    if error is None:
+        noise = math.sqrt(squares / dof)
+        variances = noise**2 * variances
+    elif squares > dof:
+        # The scatter that explains the deviations beyond the errors of measurement (Paule and Mandel 1982).
+        most = 10 * float(np.std(lost))
+        noise = float(scipy.optimize.brentq(lambda trial: weighted(trial)[1] - dof, 0.0, most))
+        values, _, variances = weighted(noise)
+    standard_error = np.sqrt(variances)
     # Student's t, since the noise is estimated from the same trials.
     half_width = scipy.special.stdtrit(dof, (1 + 0.95) / 2) * standard_error
     intervals = [(float(v - h), float(v + h)) for v, h in zip(values, half_width, strict=True)]
@@ -205,6 +230,22 @@ def _radii(name: str, values: Sequence[float] | Array) -> Array:
                 "as radii of curved tubes are"
             )
     return radii
+
+
+def _errors(values: Sequence[float] | Array, tubes: Array) -> Array:
+    """(N,) checked standard errors of obtained radii, m."""
+    if len(values) != len(tubes):
+        raise InputError(
+            f"obtained_error has {len(values)} numbers and obtained_radius {len(tubes)}; they must be pairs"
+        )
+    errors = np.array([positive(f"obtained_error of trial {k}", value) for k, value in enumerate(values, start=1)])
+    for k, (error, radius) in enumerate(zip(errors.tolist(), tubes.tolist(), strict=True), start=1):
+        if error > 0.5 * radius:
+            raise InputError(
+                f"obtained_error of trial {k} is {1e3 * error:g} mm; it must be at most half the radius, "
+                f"{500 * radius:.4g} mm"
+            )
+    return errors
 
 
 def _remarks(back: Springback, lost: Array, trials: int, distinct: int) -> tuple[str, ...]:
