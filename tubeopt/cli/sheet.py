@@ -21,9 +21,10 @@ def sheet(
     output: Output,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="File to write.")] = Path("marks.pdf"),
 ) -> None:
-    """Write the sheet on which a tube is photographed for `tubeopt mold measure`: A4 or Letter, four marks.
+    """Write the sheet with four marks for photos of tubes, to print on A4 or Letter.
 
-    Print it at 100 % and measure the distances of its marks. A printer that is off needs --marks-mm there.
+    Print it at 100 % and measure the distances of its marks. If they differ from the printed ones, give them to
+    `tubeopt mold measure` by --marks-mm.
     """
     if file.suffix != ".pdf":
         raise InputError(f"{file}: the name of the sheet must end in .pdf")

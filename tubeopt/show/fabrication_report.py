@@ -237,7 +237,7 @@ MEASURED = described(
     MeasuredTube,
     Quantity("photo", "name of the picture", lambda m: m.photo.name),
     Quantity("radius_mm", "radius of the bend", label="radius", words=lambda m:
-             f"{m.radius * TO_MM:.4g} mm (95 %: {m.interval[0] * TO_MM:.4g} to {m.interval[1] * TO_MM:.4g} mm)"),
+             f"{m.radius * TO_MM:.2f} mm (95 %: {m.interval[0] * TO_MM:.2f} to {m.interval[1] * TO_MM:.2f} mm)"),
     Quantity("interval_mm", "95 % interval of the radius"),
     Quantity("standard_error_mm", "standard error of the radius", form=".2g", label="standard error"),
     Quantity("errors", "contributions to the interval", of=described(RadiusErrors)),

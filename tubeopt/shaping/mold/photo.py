@@ -90,7 +90,7 @@ def load_photo(path: str | PathLike[str]) -> TubePhoto:
         # Transparent parts are paper.
         upright = Image.alpha_composite(Image.new("RGBA", upright.size, "white"), upright.convert("RGBA"))
     deep = upright.mode.startswith("I") or upright.mode == "F"
-    grey = np.asarray(upright if deep else upright.convert("L"), dtype=np.float32)
+    grey: Array = np.asarray(upright if deep else upright.convert("L"), dtype=float)
     brightest = float(grey.max()) if deep else 255.0
     focal = noted.get(ExifTags.Base.FocalLengthIn35mmFilm)
     cameras = ExifTags.Base.ExposureTime, ExifTags.Base.FNumber, ExifTags.Base.FocalLength
@@ -139,18 +139,18 @@ class PhotoScale:
         """
         if self.focal is None:
             return points
-        return mapped(np.linalg.inv(self._raised(height, factor * self.focal)), mapped(self.to_pixels, points))
+        return unmapped(self._raised(height, factor * self.focal), mapped(self.to_pixels, points))
 
     def lowered(self, points: Array, height: float) -> Array:
         """Inverse of `raised`."""
         if self.focal is None:
             return points
-        return mapped(np.linalg.inv(self.to_pixels), mapped(self._raised(height, self.focal), points))
+        return unmapped(self.to_pixels, mapped(self._raised(height, self.focal), points))
 
     def _raised(self, height: float, focal: float) -> Array:
         """(3, 3) homography from the plane `height` above the sheet to pixels."""
         x, y, away, origin = self._pose(focal).T
-        return self._camera(focal) @ np.column_stack([x, y, origin - height * away])
+        return np.asarray(self._camera(focal) @ np.column_stack([x, y, origin - height * away]))
 
     def _camera(self, focal: float) -> Array:
         """(3, 3) camera matrix with square pixels."""
@@ -168,6 +168,11 @@ def mapped(homography: Array, points: Array) -> Array:
     """(N, 2) points under a homography."""
     full = np.column_stack([points, np.ones(len(points))]) @ homography.T
     return np.asarray(full[:, :2] / full[:, 2:])
+
+
+def unmapped(homography: Array, points: Array) -> Array:
+    """(N, 2) points under the inverse of a homography."""
+    return mapped(np.asarray(np.linalg.inv(homography), dtype=float), points)
 
 
 def scale_of(photo: TubePhoto, dpi: float | None = None, marks: tuple[float, float] = SHEET_MARKS) -> PhotoScale:
@@ -191,7 +196,7 @@ def scale_of(photo: TubePhoto, dpi: float | None = None, marks: tuple[float, flo
     seen = f"{len(found)} of 4 marks were found" if len(found) else "no marks were found"
     noted = "no resolution" if photo.dpi is None else f"{photo.dpi:g} dpi, which is not that of a scanner"
     if photo.camera:
-        noted = "notes of a camera, whose resolution says nothing of the size"
+        noted = "notes of a camera, which say nothing of the size"
     raise InputError(
         f"{photo.name}: {seen}, and the file has {noted}; take the photo on the sheet of `tubeopt mold sheet` with all "
         "four marks in it, or give the resolution of a scan (dpi)"

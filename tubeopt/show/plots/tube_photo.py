@@ -45,8 +45,8 @@ def plot_measured_tube(measured: MeasuredTube) -> Figure:
     low_end, high_end = np.multiply(m.interval, TO_MM)
     entitle(
         axes,
-        f"{m.photo.name}: radius {m.radius * TO_MM:.4g} mm (95 %: {low_end:.4g} to {high_end:.4g} mm)\n"
-        f"bend of {m.arc.length * TO_MM:.4g} mm, {math.degrees(m.angle):.4g}°",
+        f"{m.photo.name}: radius {m.radius * TO_MM:.2f} mm (95 %: {low_end:.2f} to {high_end:.2f} mm)\n"
+        f"bend of {m.arc.length * TO_MM:.1f} mm, {math.degrees(m.angle):.1f}°",
     )
     return figure
 
@@ -84,7 +84,8 @@ def plot_mark_sheet(marks: tuple[float, float]) -> Figure:
         "metre away or more, with all four marks.",
     )
     for k, line in enumerate(text):
-        axes.text(*(middle - np.array([0, tall / 2 + 5 + 4.5 * k])), line, ha="center", va="center", fontsize=6.5)
+        x, y = middle - np.array([0, tall / 2 + 5 + 4.5 * k])
+        axes.text(x, y, line, ha="center", va="center", fontsize=6.5)
     return figure
 
 
