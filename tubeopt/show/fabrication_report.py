@@ -236,7 +236,7 @@ class CalibrationReport(Report[Calibration]):
 MEASURED = described(
     MeasuredTube,
     Quantity("photo", "name of the picture", lambda m: m.photo.name),
-    Quantity("radius_mm", "radius of the bend", label="radius", words=lambda m:
+    Quantity("radius_mm", "radius of the bend", label="radius", text=lambda m:
              f"{m.radius * TO_MM:.2f} mm (95 %: {m.interval[0] * TO_MM:.2f} to {m.interval[1] * TO_MM:.2f} mm)"),
     Quantity("interval_mm", "95 % interval of the radius"),
     Quantity("standard_error_mm", "standard error of the radius", form=".2g", label="standard error"),
@@ -251,7 +251,7 @@ MEASURED = described(
     Quantity("largest_deviation_um", "largest smooth deviation from the circle", lambda m: m.arc.largest),
     Quantity("tube_width_mm", "width of the tube in the picture", lambda m: m.trace.width, form=".2f",
              label="width of the tube"),
-    Quantity("scale_from", "source of the scale: marks or resolution", lambda m: m.scale_source, words="{scale_from}",
+    Quantity("scale_from", "source of the scale: marks or resolution", lambda m: m.scale_source, text="{scale_from}",
              label="scale from"),
     Quantity("tilt_deg", "angle between the camera's axis and the normal of the sheet", lambda m: m.scale.tilt,
              form=".1f", label="tilt of the camera"),

@@ -17,7 +17,7 @@ from .arc_fit import FittedArc, fit_arc
 from .photo import SHEET_MARKS, PhotoScale, TubePhoto, scale_of
 from .tube_trace import TubeTrace, trace_tube
 
-LEAST_ANGLE = math.radians(4.0)
+MIN_ANGLE = math.radians(4.0)
 """Angle of a bend, rad, below which a radius says little."""
 
 HEIGHT_RANGE = 0.2
@@ -113,7 +113,7 @@ def measure_tube(
     *,
     dpi: Annotated[float | None, POSITIVE] = None,
     marks: Annotated[tuple[float, float], unit("mm")] = SHEET_MARKS,
-    scale_error: Annotated[float, unit("percent"), Range(least=0.0, most=0.2)] = 0.005,
+    scale_error: Annotated[float, unit("percent"), Range(minimum=0.0, maximum=0.2)] = 0.005,
     mold_radius: Annotated[float | None, unit("mm"), POSITIVE] = None,
 ) -> MeasuredTube:
     """Measure the radius of the tube in a scan or photo.
@@ -133,10 +133,10 @@ def measure_tube(
     trace = trace_tube(photo, scale)
     height = 0.5 * trace.width if scale.focal is not None else 0.0
     arc = fit_arc(scale.raised(trace.points, height))
-    if arc.length < LEAST_ANGLE * arc.radius:
+    if arc.length < MIN_ANGLE * arc.radius:
         raise InputError(
             f"{photo.name}: the tube bends by {math.degrees(arc.length / arc.radius):.2g} deg; it must be at least "
-            f"{math.degrees(LEAST_ANGLE):g} deg for a radius"
+            f"{math.degrees(MIN_ANGLE):g} deg for a radius"
         )
     sigma = trace.edge / 1.35
     errors = RadiusErrors(

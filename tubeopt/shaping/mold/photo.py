@@ -46,7 +46,7 @@ FILM_DIAGONAL = 43.27e-3
 MARK_PIXELS = 1600
 """Pixels along the longer side of the image in which marks are searched."""
 
-LEAST_DOT = 20
+MIN_DOT = 20
 """Smallest number of pixels of the dot of a mark in this image."""
 
 
@@ -240,7 +240,7 @@ def find_marks(grey: Array) -> Array:
     labels, _ = ndimage.label(small < 0.6 * paper)
     area = np.bincount(labels.ravel())
     area[0] = 0
-    index = np.flatnonzero(area >= LEAST_DOT)
+    index = np.flatnonzero(area >= MIN_DOT)
     if len(index) < 2:
         return np.empty((0, 2))
     centre = np.array(ndimage.center_of_mass(labels > 0, labels, index))

@@ -20,25 +20,25 @@ from ...errors import InputError
 from ...typing import Array
 from .photo import MARK_RADII, PhotoScale, TubePhoto, mapped, shrunk
 
-WIDEST = 5e-3
+MAX_WIDTH = 5e-3
 """Width of a line, m, above which it is no tube."""
 
 SEARCH_PITCH = 0.12e-3
 """Size of the pixels, m, in which the tube is searched."""
 
-SHORTEST = 8e-3
+MIN_LENGTH = 8e-3
 """Length of a line, m, below which it is no tube."""
 
 NOISE_FACTOR = 6.0
 """Contrast of a line over the noise of the image."""
 
-LEAST_CONTRAST = 0.04
+MIN_CONTRAST = 0.04
 """Smallest contrast of a line."""
 
 STATION = 0.3e-3
 """Distance of the stations along the centreline, m."""
 
-MOST_BLUR = 1.0e-3
+MAX_EDGE = 1.0e-3
 """Distance, m, between the points of an edge at a quarter and three quarters of the contrast, in focus."""
 
 
@@ -81,8 +81,8 @@ def trace_tube(photo: TubePhoto, scale: PhotoScale) -> TubeTrace:
     if not traces:
         where = "between the marks" if scale.size is not None else "in the image"
         raise InputError(
-            f"{photo.name}: no tube was found {where}; there must be one line, {1e3 * SHORTEST:g} mm long or more, "
-            f"thinner than {1e3 * WIDEST:g} mm, with paper around it"
+            f"{photo.name}: no tube was found {where}; there must be one line, {1e3 * MIN_LENGTH:g} mm long or more, "
+            f"thinner than {1e3 * MAX_WIDTH:g} mm, with paper around it"
         )
     curved = [trace for trace in traces if _sagitta(trace.points) > max(0.35 * trace.width, 2 * flat.pitch)]
     if not curved:
@@ -94,10 +94,10 @@ def trace_tube(photo: TubePhoto, scale: PhotoScale) -> TubeTrace:
             f"{1e3 * _length(curved[1].points):.0f} mm long; there must be one tube, with nothing across it"
         )
     tube = curved[0]
-    if tube.edge > MOST_BLUR:
+    if tube.edge > MAX_EDGE:
         raise InputError(
             f"{photo.name}: the tube is out of focus: its edges are {1e3 * tube.edge:.2g} mm wide; they must be at "
-            f"most {1e3 * MOST_BLUR:g} mm"
+            f"most {1e3 * MAX_EDGE:g} mm"
         )
     return TubeTrace(tube.points, tube.width, tube.edge, tube.dark, len(traces) - len(curved))
 
@@ -120,22 +120,22 @@ def _lines(flat: _Flat, dark: bool) -> list[Array]:
     factor = max(1, round(SEARCH_PITCH / flat.pitch))
     pitch = factor * flat.pitch
     grey = shrunk(flat.grey, factor) * (1 if dark else -1)
-    window = max(3, round(WIDEST / pitch))
+    window = max(3, round(MAX_WIDTH / pitch))
     contrast = ndimage.grey_closing(ndimage.gaussian_filter(grey, 0.7), size=(window, window)) - grey
     noise = 1.48 * float(np.median(np.abs(contrast - np.median(contrast))))
-    mask = contrast > np.median(contrast) + max(LEAST_CONTRAST, NOISE_FACTOR * noise)
+    mask = contrast > np.median(contrast) + max(MIN_CONTRAST, NOISE_FACTOR * noise)
     # A highlight along the tube divides it.
     mask = ndimage.binary_closing(mask, iterations=max(1, round(0.25e-3 / pitch)))
     labels, _ = ndimage.label(mask, np.ones((3, 3)))
     lines = []
     for k, box in enumerate(ndimage.find_objects(labels), start=1):
         extent = max(part.stop - part.start for part in box) * pitch
-        if extent < 0.6 * SHORTEST:
+        if extent < 0.6 * MIN_LENGTH:
             continue
         cells = np.argwhere(labels[box] == k) + np.array([box[0].start, box[1].start])
         order = _along(cells)
         length = float(order.max())
-        if length * pitch < SHORTEST or len(cells) > length * (WIDEST / pitch) or len(cells) > 0.15 * length**2:
+        if length * pitch < MIN_LENGTH or len(cells) > length * (MAX_WIDTH / pitch) or len(cells) > 0.15 * length**2:
             continue
         bins = (order / max(3.0, 0.5 * len(cells) / length)).astype(int)
         count = np.maximum(np.bincount(bins), 1)
@@ -184,7 +184,7 @@ def _profiles(flat: _Flat, points: Array, dark: bool) -> tuple[Array, float, flo
     tangent = np.gradient(points, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1)[:, None]
     normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
-    reach, step = 0.8 * WIDEST / flat.pitch, 0.25
+    reach, step = 0.8 * MAX_WIDTH / flat.pitch, 0.25
     across = np.arange(-reach, reach + step, step)
     at = points[:, None] + across[:, None] * normal[:, None]
     grey = ndimage.map_coordinates(flat.grey, at.reshape(-1, 2).T, order=1, mode="nearest").reshape(at.shape[:2])

@@ -16,7 +16,7 @@ from .style import Axes, Figure, disk, entitle, new_figure, picture
 SHEET = 279.4, 210.0
 """Length of Letter and width of A4, mm: the sheet fits both."""
 
-MOST_PIXELS = 1400
+MAX_PIXELS = 1400
 """Pixels along the longer side of a photo in a picture."""
 
 
@@ -30,7 +30,7 @@ def plot_measured_tube(measured: MeasuredTube) -> Figure:
     left, top = np.maximum(low - edge, 0).astype(int)
     right, bottom = np.minimum(high + edge, grey.shape[::-1]).astype(int)
     part = grey[top:bottom, left:right]
-    factor = max(1, max(part.shape) // MOST_PIXELS)
+    factor = max(1, max(part.shape) // MAX_PIXELS)
     tall, wide = part.shape
     figure = new_figure(6.0, float(np.clip(6.0 * tall / wide, 2.5, 7.5)) + 0.7)
     axes = figure.add_subplot()
