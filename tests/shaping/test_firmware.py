@@ -114,9 +114,7 @@ def test_the_firmware_leads_as_the_law_does(heater: Path) -> None:
                 count, memory = decide(law, memory, np.array([reading]))
             hottest.append(rigs[1].hottest - ZERO_CELSIUS)
             rigs[1].pass_time(int(count[0]), 0.1)
-        # Counts differ by one in some slots since the reading is corrected for stem loss; the cause is not known.
-        assert np.abs(found.columns[5] - hottest).max() < 6.0
-        assert np.abs(found.columns[5] - hottest).mean() < 1.0
+        assert np.abs(found.columns[5] - hottest).max() < 1.0
 
 
 @needs_a_compiler
@@ -140,8 +138,7 @@ def test_the_firmware_follows_a_lead_as_the_law_does_and_goes_on_alone(heater: P
             count, memory = decide(law, memory, np.array([reading]), leads.get((k - TESTED) // 5, np.nan))
         hottest.append(rigs[1].hottest - ZERO_CELSIUS)
         rigs[1].pass_time(int(count[0]), 0.1)
-    assert np.abs(found.columns[5] - hottest).max() < 6.0
-    assert np.abs(found.columns[5] - hottest).mean() < 1.0
+    assert np.abs(found.columns[5] - hottest).max() < 1.0
 
 
 FAULTS = {

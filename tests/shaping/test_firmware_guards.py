@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C++ compiler")
 SLOT_MS, TICKS, TICK_MS, HOLD_FIRST = 300, 3, 100, 6
 PROPORTIONAL, INTEGRAL, SHARE, HOLDBACK, LOST = 0.01, 0.02, 0.25, 10.0, 1.75
 HOLD_FLOOR = 40.0
-MOST_COUNT, TEST_COUNT, TEST_TICKS, CUTOUT_MS = 249, 2, 2, 150
+MOST_COUNT, HALF, TEST_COUNT, TEST_TICKS, CUTOUT_MS = 249, 0.50390625, 2, 2, 150
 PATIENCE_MS, LONGEST_MS, STUCK_MS, STUCK_HOLDING_MS = 1490, 9000, 300, 1400
 TOO_HOT, LOWEST_READING, HIGHEST_READING, START_BELOW = 558.0, -20.0, 900.0, 80.0
 STUCK_WITHIN, STUCK_RISE = 0.125, 3.0
@@ -55,6 +55,7 @@ HEADER = f"""#include <stdint.h>
 #define SHARE ({SHARE}f)
 #define HOLDBACK ({HOLDBACK}f)
 #define MOST_COUNT {MOST_COUNT}u
+#define HALF {HALF}f
 #define TEST_COUNT {TEST_COUNT}u
 #define TEST_TICKS {TEST_TICKS}u
 #define CUTOUT_MS {CUTOUT_MS}u
@@ -386,7 +387,7 @@ class Twin:
             self.lead = wish + step, step, left - 1
         wanted = planned * (1 + share)
         due = wanted + self.owed
-        self.count = int(clip(math.floor(due + LOST + 0.5), 0, MOST_COUNT)) if due > 0.5 else 0
+        self.count = int(clip(math.floor(due + LOST + 1 - HALF), 0, MOST_COUNT)) if due > HALF else 0
         given = max(self.count - LOST, 0.0)
         self.owed = clip(due - given, -1 - LOST, 1.0) if wanted > 0 else 0.0
         self.state = "holding" if self.place >= HOLD_FIRST else "heating"
@@ -502,7 +503,7 @@ def scripted(seed: int) -> list[Row]:
 
 def test_the_heater_does_what_its_twin_does_whatever_happens(heater: Path) -> None:
     reasons = set()
-    for seed in range(110):
+    for seed in range(200):
         rows = scripted(seed)
         check_heater(heater, rows)
         twin = Twin()

@@ -14,7 +14,7 @@ import numpy as np
 from ...constants import ZERO_CELSIUS
 from ...files.files import write_text
 from ...typing import Array
-from ..heating.controller import MOST_COUNT, Feedback, HeatingLaw
+from ..heating.controller import HALF, MOST_COUNT, Feedback, HeatingLaw
 from ..heating.counts import full_current
 from ..heating.cutout import cut_out, stop_current
 from ..heating.plan import HeatingPlan, slot_milliseconds
@@ -96,13 +96,15 @@ def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tupl
         "INTEGRAL": _float(law.integral),
         "SHARE": _float(law.share),
         "MOST_COUNT": f"{MOST_COUNT}u",
+        "HALF": _float(HALF),
         "HOLDBACK": _float(law.holdback),
         "HOLD_FLOOR": _float(law.floor),
         "PATIENCE_MS": f"{round(1000 * law.patience)}ul",
         "LONGEST_MS": f"{round(1000 * law.longest)}ul",
         "LOST": _float(law.lost),
         "TOO_HOT": _float(law.ceiling),
-        "CORRECTION": _float(sensor.correction / (float(law.reference.max()) - ambient)),
+        # By the reference before rounding, as the readings of the law: a thousandth of a kelvin adds up in `owed`.
+        "CORRECTION": _float(sensor.correction / (float(feedback.law.reference.max()) - ambient)),
         "CORRECTED_FROM": _float(ambient),
         "LOWEST_READING": _float(sensor.lowest),
         "HIGHEST_READING": _float(sensor.highest),

@@ -32,6 +32,10 @@ from .sensors import MeasuredRig, Sensor
 from .thermal import ThermalModel, TubeExtremes, tube_extremes
 from .uncertainty import Uncertainty
 
+# Leads and planned counts are hundredths: at 0.5 they meet ties, which single precision of the boards rounds otherwise.
+HALF = 0.5 + 2**-8
+"""Part of a count that is not rounded up."""
+
 MOST_COUNT = 249
 """Largest count of a controlled heating: in every period a pause remains, in which the cut-out is retriggered."""
 
@@ -117,8 +121,8 @@ def decide(
     correction = np.where(overridden, external, correction)
     effective = np.where(running, planned * np.maximum(1 + correction, 0.0), 0.0)
     due = effective + state.owed
-    # Half a count rounds to one; the part of a pulse that inductance takes is added first.
-    count = np.where(due > 0.5, np.clip(np.floor(due + law.lost + 0.5), 0, MOST_COUNT), 0.0)
+    # The part of a pulse that inductance takes is added first.
+    count = np.where(due > HALF, np.clip(np.floor(due + law.lost + 1 - HALF), 0, MOST_COUNT), 0.0)
     realised = np.maximum(count - law.lost, 0.0)
     return count.astype(np.int64), LawState(
         index=np.where(waits, state.index, state.index + 1),

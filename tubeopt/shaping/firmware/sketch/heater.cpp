@@ -238,7 +238,7 @@ void decide() {
   }
   const float wanted = share > -1 ? planned * (1 + share) : 0;
   const float due = wanted + owed;
-  count = due > 0.5f ? (uint8_t)clip(floorf(due + LOST + 0.5f), 0, MOST_COUNT) : 0;
+  count = due > HALF ? (uint8_t)clip(floorf(due + LOST + 1 - HALF), 0, MOST_COUNT) : 0;
   const float given = count > LOST ? count - LOST : 0;
   owed = wanted > 0 ? clip(due - given, -1 - LOST, 1) : 0;
   state = place >= HOLD_FIRST ? HOLDING : HEATING;
