@@ -211,7 +211,9 @@ def test_transfer_cools_mold_in_air():
         ({"set_temperature": ZERO_CELSIUS + 555.0}, "set the oven at 544 degC at most"),
         ({"uniformity": 30.0}, "too narrow for an oven that is off by up to 30 K"),
         ({"set_temperature": ZERO_CELSIUS + 568.0}, "scales quickly above 570 degC"),
-        ({"heating_power": 20.0}, "within 12 h"),
+        ({"heating_power": 20.0}, "after 12 h, below the window at 500 degC; the mold weighs 5.5 kg: 20 W are too"),
+        ({"mold": replace(SLAB, width=1.0, thickness=1.0), "mold_length": 2.0}, "15740.0 kg: use thinner plates"),
+        ({"set_temperature": ZERO_CELSIUS + 450.0}, "set it above 506 degC and below 544 degC"),
         ({"method": "salt_bath", "mold": replace(SLAB, material=CALCIUM_SILICATE)}, "soaks up salt"),
     ],
 )
@@ -232,6 +234,17 @@ def test_impossible_oven_is_refused_with_reason(changes, words):
 def test_bad_input_names_field_and_value(changes, window, words):
     with pytest.raises(InputError, match=words):
         plan_oven(TUBE, oven(**changes), window_degC=window)
+
+
+def test_window_narrower_than_oven_is_the_only_problem():
+    plan = plan_oven(TUBE, oven(uniformity=30.0))
+    assert plan.problems == ("the window of 500 to 550 degC is too narrow for an oven that is off by up to 30 K",)
+
+
+def test_metal_without_recipe_is_refused():
+    steel = replace(TUBE.material, name="steel_304", youngs_modulus=193e9, shear_modulus=77e9)
+    with pytest.raises(InputError, match=r"steel_304.*heat recipes exist for nitinol only"):
+        plan_oven(replace(TUBE, material=steel), oven())
 
 
 def test_oven_refuses_unknown_method_and_hot_setting():

@@ -44,6 +44,7 @@ from ...files.field_metadata import (
 from ...robots.file import TubeEntry, tube_to_dict
 from ...robots.tubes import Tube
 from ...typing import Array, StatusEnum
+from ..materials import check_temperatures
 from .plan import AGEING_DEGC, AIR, QUENCHED_DEGC, SHORTEST_AGEING, WATER, cooling_rate
 from .rig import MoldBed, Rig
 from .thermal import SURFACE_TRANSFER, gap_transfer, thermal_data
@@ -440,6 +441,7 @@ def plan_oven(
     positive("hold_time", hold_time)
     if tube.curved_length <= 0:
         raise InputError(f"curved_length is {tube.curved_length:g} m; a tube to be shape-set must have a curved part")
+    check_temperatures(tube.material, "window_degC", low, high)
     block = MoldBlock(oven, tube)
     cells = block.volume.size
     start = np.full(cells + POINTS, oven.ambient)
@@ -464,7 +466,9 @@ def plan_oven(
     hot_time, hot = soak(start, oven.uniformity, late)
     hottest = hot[:, cells:].max(1) - ZERO_CELSIUS
     time, states = soak(start, 0.0, late)
-    problems = problems_of(oven, (low, high), warm, late, np.stack([hot_time, hottest]))
+    mass = float(oven.mold.material.density * block.size.prod())
+    reached = coldest - ZERO_CELSIUS
+    problems = problems_of(oven, (low, high), warm, late, np.stack([hot_time, hottest]), reached=reached, mass=mass)
     tail = cool(block, oven, tube, states[-1])
     rise = float(states[-1, cells:].mean()) - oven.ambient
     material = oven.mold.material
@@ -487,7 +491,7 @@ def plan_oven(
         quench_time=tail.quench_time,
         ageing_time=tail.ageing_time,
         energy=block.stored(states[-1, :cells], oven.ambient),
-        mold_mass=float(material.density * block.size.prod()),
+        mold_mass=mass,
         hot_radius=radius * grown,
         cold_radius=radius * grown / shrunk,
         groove_radius=radius * shrunk / grown,
@@ -501,12 +505,15 @@ def plan_oven(
     )
 
 
-def problems_of(oven: Oven, window: tuple[float, float], warm: float, late: float, hot: Array) -> tuple[str, ...]:
+def problems_of(
+    oven: Oven, window: tuple[float, float], warm: float, late: float, hot: Array, *, reached: float, mass: float
+) -> tuple[str, ...]:
     """Messages on violated requirements.
 
     Args:
         oven: oven. window: degC. warm: time until the coldest point is in the window, s. late: end of the soak, s.
         hot: (2, S) times, s, and hottest point, degC, in an oven hotter than its setting.
+        reached: coldest point at the end, degC. mass: of the mold, kg.
     """
     (low, high), material = window, oven.mold.material
     setting = oven.set_temperature - ZERO_CELSIUS
@@ -519,22 +526,28 @@ def problems_of(oven: Oven, window: tuple[float, float], warm: float, late: floa
         )
     if oven.method == "salt_bath" and material.density < POROUS:
         problems.append(f"a mold of {material.name} ({material.density:g} kg/m^3) is porous and soaks up salt")
-    if below <= low:
+    if high - low <= 2 * oven.uniformity:
+        problems.append(
+            f"the window of {low:g} to {high:g} degC is too narrow for an oven that is off by up to "
+            f"{oven.uniformity:g} K"
+        )
+    elif below <= low:
         problems.append(
             f"the oven may be at {below:g} degC, where no point reaches the window at {low:g} degC; set it above "
-            f"{low + oven.uniformity:g} degC"
+            f"{low + oven.uniformity:g} degC and below {high - oven.uniformity:g} degC"
         )
     elif math.isinf(warm):
-        problems.append(f"the coldest point does not reach {low:g} degC within {LONGEST / 3600:g} h")
-    if hot[1].max() > high:
-        advice = (
-            f"set the oven at {high - oven.uniformity:g} degC at most"
-            if high - low > 2 * oven.uniformity
-            else f"the window is too narrow for an oven that is off by up to {oven.uniformity:g} K"
+        cure = "use thinner plates, or a material of higher diffusivity"
+        if oven.heating_power is not None:
+            cure = f"{oven.heating_power:g} W are too little, or the mold is too heavy"
+        problems.append(
+            f"the coldest point is at {reached:.0f} degC after {LONGEST / 3600:g} h, below the window at {low:g} degC; "
+            f"the mold weighs {mass:.1f} kg: {cure}"
         )
+    elif hot[1].max() > high:
         problems.append(
             f"the hottest point passes {high:g} degC after {np.interp(high, hot[1], hot[0]):.0f} s, before the soak "
-            f"ends after {late:.0f} s; {advice}"
+            f"ends after {late:.0f} s; set the oven at {high - oven.uniformity:g} degC at most"
         )
     return tuple(problems)
 
@@ -547,6 +560,9 @@ def remarks_of(oven: Oven, tail: Cooling) -> tuple[str, ...]:
             f"heat transfer of {oven.transfer_coefficient:g} W/(m^2 K) is assumed for this method; measure the mold's "
             "temperature once, and give convection_W_per_m2_K"
         )
+    material = oven.mold.material
+    if oven.quench == "water_in_mold" and material.density < POROUS:
+        problems.append(f"a mold of {material.name} is porous and soaks up water; dry it before the next use")
     if tail.ageing_time > SHORTEST_AGEING:
         problems.append(
             f"the tube cools from {AGEING_DEGC[1]:g} to {AGEING_DEGC[0]:g} degC in {tail.ageing_time:.0f} s, where "
