@@ -217,7 +217,7 @@ class Program:
     split: Any
     """Function that takes the column of unknowns apart."""
     custom: Any
-    """Function (unknowns, parameters) -> values of custom requirements."""
+    """Function (unknowns without slacks, parameters) -> values of custom requirements."""
     sizes: dict[str, int]
     """Number of constraints of each kind, in their order."""
 
@@ -311,18 +311,22 @@ def program(s: Structure, custom: CustomTerms = NO_TERMS) -> Program:
         **limits,
         # Copies of the design are equal from interval to interval, as those of the duration.
         "chosen": ca.diff(ca.horzcat(x.design[s.copied], x.copies), 1, 1) if s.copied else ca.MX(0, 1),
-        "custom": ca.veccat(ca.MX(0, 1), *(requirement(course) for requirement in custom.requirements)),
     }
+    values = ca.veccat(ca.MX(0, 1), *(requirement(course) for requirement in custom.requirements))
+    # From a start that violates them, IPOPT would take a hundred steps or more; slacks let it move on.
+    slacks = ca.MX.sym("slacks", values.numel())
+    blocks["custom"] = values + slacks
     smooth = course.regularisation(w, x.design)
-    linear = w["w_time"] * x.durations[0] + w["w_miss"] * x.misses[0]
+    linear = w["w_time"] * x.durations[0] + w["w_miss"] * x.misses[0] + w["w_custom"] * ca.sum1(slacks)
     if custom.objective is not None:
         linear += custom.objective(course)
     # Energy is the quadrature of power, with the weights of the collocation.
     quadrature = np.tile(tableau("radau", mesh.degree).weights, mesh.intervals)
     energy = w["w_energy"] / SCALE.energy * ca.DM(quadrature).T
 
+    column = ca.vertcat(x.column, slacks)
     problem = {
-        "x": x.column,
+        "x": column,
         "p": ca.veccat(p, task),
         "f": smooth + linear + ca.sum2(course.power * energy * course.length),
         "g": ca.veccat(*blocks.values()),
@@ -343,8 +347,8 @@ def program(s: Structure, custom: CustomTerms = NO_TERMS) -> Program:
         convex=ca.nlpsol("heating", "ipopt", problem, {**convex, **COLD}),
         restart=ca.nlpsol("heating_again", "ipopt", problem, {**exact, **WARM, "ipopt.max_iter": RESTART_ITERATIONS}),
         exact=ca.nlpsol("heating_exact", "ipopt", problem, {**exact, **COLD}),
-        split=ca.Function("split", [x.column], [x.z, x.circuit, x.I_sq, x.durations[0], x.misses[0], x.design]),
-        custom=ca.Function("custom", [x.column, problem["p"]], [blocks["custom"]]),
+        split=ca.Function("split", [column], [x.z, x.circuit, x.I_sq, x.durations[0], x.misses[0], x.design]),
+        custom=ca.Function("custom", [x.column, problem["p"]], [values]),
         sizes={name: int(block.numel()) for name, block in blocks.items()},
     )
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,6 +63,25 @@ WEIGHTS = {
 
 The changes are of the mean square current.
 """
+
+
+# Requirements and objective are of the order of 1, so multipliers rarely exceed the first. With 100 as the first the
+# program takes half as many iterations again.
+CUSTOM_WEIGHTS = 10.0, 1e3
+"""Weights of the violation of custom requirements; the second where the first leaves one."""
+
+# From a larger one the few iterations of a restart are lost. Half and twice change no plan.
+RESTART_SLACK = 0.05
+"""Violation of custom requirements, scaled, from which a program is not restarted but solved anew."""
+
+# The last barrier parameter is 1e-6: slacks that are not needed are smaller than this.
+CUSTOM_TOLERANCE = 1e-4
+"""Violation of custom requirements, scaled, that counts as none."""
+
+
+# The first of each is the start without custom requirements. A dose wants a hotter hold, cold clamps a shorter heating.
+START_LEVELS, START_STRETCHES = (0.5, 0.8), (1.0, 1.5, 2.0, 3.0)
+"""Temperatures of starts within the window, as fractions of its width, and their heating times by the shortest."""
 
 
 class CourseNumbers(NamedTuple):
@@ -174,7 +195,7 @@ def solve_ideal(  # noqa: PLR0913
     ramp_reserve: float = 0.75,
     shift: Shift | None = None,
     guess: Ideal | None = None,
-    soft_limit: bool = True,
+    soft_limit: bool | None = None,
     custom: CustomTerms = NO_TERMS,
 ) -> Ideal:
     """Best schedule with a duty of any value.
@@ -185,13 +206,14 @@ def solve_ideal(  # noqa: PLR0913
         shift: difference of a finer model, by which the bounds of temperatures are corrected.
         guess: earlier solution of a similar question.
         soft_limit: whether objective "margin" maximises the distance to the limit too. Where the window is missed it
-            must not, since the limit would be relaxed as well.
+            must not, since the limit would be relaxed as well. None tries what `guess` had, then the other.
         custom: requirements and objective of a user.
 
     Raises:
         SolveError: IPOPT did not converge; the message names the worst constraint.
     """
-    structure = Structure(PROGRAM, soft_limit=soft_limit and spec.objective == "margin", chosen=spec.free)
+    soft = (guess is None or guess.structure.soft_limit) if soft_limit is None else soft_limit
+    structure = Structure(PROGRAM, soft_limit=soft and spec.objective == "margin", chosen=spec.free)
     nlp = program(structure, custom)
     x = guess.x if guess is not None else first_guess(structure, tube, rig, spec)
     lower, upper = _unknown_bounds(structure, tube, rig, spec)
@@ -203,32 +225,68 @@ def solve_ideal(  # noqa: PLR0913
         ) / SCALE.T
     task = task_of(tube, rig, spec, reserve, ramp_reserve, custom=custom.objective is not None)
     x = np.clip(np.concatenate([x, structure.copies_of(x[-2 - VENTS :])]), lower, upper)
-    bounds = {"lbx": lower, "ubx": upper, "lbg": lbg, "ubg": ubg}
     p = np.concatenate([rig_parameters(tube, rig, structure.resolution), task])
+    count = nlp.sizes["custom"]
+    slacks = np.maximum(lbg[len(lbg) - count :] - nlp.custom(x, p).full().ravel(), 0.0)
+    # Where the start satisfies all requirements, the program needs no slack.
+    most = np.inf if slacks.any() else 0.0
+    bounds = {
+        "lbx": np.append(lower, np.zeros(count)), "ubx": np.append(upper, np.full(count, most)),
+        "lbg": lbg, "ubg": ubg,
+    }  # fmt: skip
 
     # The first solver that converges: from the earlier solution, anew, and with the convex Hessian.
     attempts: list[tuple[Any, dict[str, Array]]] = [(nlp.exact, {}), (nlp.convex, {})]
     # The multipliers of a program with other constraints are of no use.
-    if guess is not None and not spec.free and guess.multipliers.constraints.size == lbg.size:
-        start = {"lam_x0": guess.multipliers.bounds, "lam_g0": guess.multipliers.constraints}
-        attempts.insert(0, (nlp.restart, start))
+    known = guess is not None and guess.multipliers.constraints.size == lbg.size
+    if guess is not None and known and not spec.free and slacks.max(initial=0.0) < RESTART_SLACK:
+        of_g = guess.multipliers.constraints
+        # Slacks are stationary.
+        of_x = np.append(guess.multipliers.bounds, -CUSTOM_WEIGHTS[0] - of_g[len(of_g) - count :])
+        attempts.insert(0, (nlp.restart, {"lam_x0": of_x, "lam_g0": of_g}))
+    solved = _first_success(nlp, attempts, x=np.append(x, slacks), p=p, **bounds)
+    if solved.x[len(x) :].max(initial=0.0) > CUSTOM_TOLERANCE:
+        p[-1] = CUSTOM_WEIGHTS[1]
+        with suppress(SolveError):
+            solved = _first_success(nlp, attempts[-2:-1], x=solved.x, p=p, **bounds)
+    answer = _ideal(nlp, tube, rig, spec, solved)
+    if spec.objective == "margin" and soft_limit is not False and soft == (answer.miss > 0):
+        return solve_ideal(
+            tube, rig, spec,
+            reserve=reserve, ramp_reserve=ramp_reserve, shift=shift, guess=guess, soft_limit=not soft, custom=custom,
+        )  # fmt: skip
+    return answer
+
+
+class _Solved(NamedTuple):
+    """Solution of IPOPT: unknowns, constraints, multipliers of both, scaled objective, iterations."""
+
+    x: Array
+    g: Array
+    lam_x: Array
+    lam_g: Array
+    f: float
+    iterations: int
+
+
+def _first_success(
+    nlp: Program, attempts: Sequence[tuple[Any, dict[str, Array]]], *, x: Array, **numbers: Array
+) -> _Solved:
+    """Solution of the first solver that converges; raises SolveError where none does."""
     for solver, start in attempts:
-        solution = solver(x0=x, p=p, **start, **bounds)
+        solution = solver(x0=x, **start, **numbers)
         stats = solver.stats()
         if stats["success"]:
             break
-    g = solution["g"].full().ravel()
-    violation = np.maximum(lbg - g, g - ubg)
+    values = {name: value.full().ravel() for name, value in solution.items()}
+    violation = np.maximum(numbers["lbg"] - values["g"], values["g"] - numbers["ubg"])
     if not stats["success"] and violation.max() > 1e-5:
         raise SolveError(f"IPOPT found no heating schedule ({stats['return_status'].replace('_', ' ').lower()}): "
                          f"{nlp.worst(violation)}")  # fmt: skip
-    answer = _ideal(nlp, tube, rig, spec, {name: value.full().ravel() for name, value in solution.items()}, stats)
-    if spec.objective == "margin" and soft_limit and answer.miss > 0:
-        return solve_ideal(
-            tube, rig, spec,
-            reserve=reserve, ramp_reserve=ramp_reserve, shift=shift, guess=guess, soft_limit=False, custom=custom,
-        )  # fmt: skip
-    return answer
+    return _Solved(
+        values["x"], values["g"], values["lam_x"], values["lam_g"],
+        float(values["f"][0]), int(stats["iter_count"]),
+    )  # fmt: skip
 
 
 def custom_values(tube: Tube, spec: HeatingSpec, ideal: Ideal, custom: CustomTerms, run: CustomRun) -> Array:
@@ -254,6 +312,23 @@ def custom_values(tube: Tube, spec: HeatingSpec, ideal: Ideal, custom: CustomTer
     x = np.concatenate([*parts, np.zeros(s.points), design, s.copies_of(design)])
     p = np.concatenate([rig_parameters(tube, ideal.rig, s.resolution), task_of(tube, ideal.rig, spec, (0, 0), 0.0)])
     return np.asarray(program(s, custom).custom(x, p).full().ravel())
+
+
+def custom_start(tube: Tube, rig: Rig, spec: HeatingSpec, custom: CustomTerms) -> Ideal:
+    """Controlled heating with the best objective, less what it violates, as a start of `solve_ideal`."""
+    s = Structure(PROGRAM, soft_limit=spec.objective == "margin", chosen=spec.free)
+    p = np.concatenate([rig_parameters(tube, rig, s.resolution), task_of(tube, rig, spec, (0, 0), 0.0)])
+    nlp, starts = program(s, custom), []
+    objective = nlp.exact.get_function("nlp_f")
+    for level, stretch in product(START_LEVELS, START_STRETCHES):
+        x = first_guess(s, tube, rig, spec, level=level, stretch=stretch)
+        unknowns = np.append(x, s.copies_of(x[-2 - VENTS :]))
+        values = nlp.custom(unknowns, p).full().ravel()
+        starts.append((float(objective(np.append(unknowns, np.maximum(-values, 0.0)), p)), values, x))
+    _, values, x = min(starts, key=lambda start: start[0])
+    z, circuit, I_sq, durations = np.split(x, np.cumsum([rows * columns for rows, columns in s.unknowns.values()]))[:4]
+    numbers = CourseNumbers(z.reshape(s.points, -1), circuit.reshape(s.points, 2), I_sq, durations)
+    return replace(ideal_of(s, tube, rig, spec, numbers), x=x, custom=values)
 
 
 class CustomRun(NamedTuple):
@@ -305,6 +380,7 @@ def task_of(
         "ramp": planned_ramp(tube, rig, spec, ramp_reserve),
         "current": current,
         **WEIGHTS["custom" if custom else spec.objective],
+        "w_custom": CUSTOM_WEIGHTS[0],
     }
     return np.array([values[name] for name in TASK])
 
@@ -364,11 +440,9 @@ def _constraint_bounds(nlp: Program, shift: Shift | None) -> tuple[Array, Array]
 
 
 @without_unit_warnings()
-def _ideal(
-    nlp: Program, tube: Tube, rig: Rig, spec: HeatingSpec, solution: dict[str, Array], stats: dict[str, Any]
-) -> Ideal:
+def _ideal(nlp: Program, tube: Tube, rig: Rig, spec: HeatingSpec, solved: _Solved) -> Ideal:
     s = nlp.structure
-    Z, circuit, I_sq, duration, miss, design = (part.full() for part in nlp.split(solution["x"]))
+    Z, circuit, I_sq, duration, miss, design = (part.full() for part in nlp.split(solved.x))
     clamps, mold = rig.clamps, rig.mold
     if "clearance" in spec.free:
         clamps = replace(clamps, clearance=SCALE.length * float(design[0, 0]))
@@ -379,16 +453,16 @@ def _ideal(
     numbers = CourseNumbers(Z.T, circuit.T, I_sq.ravel(), np.full(s.mesh.heating, float(duration[0, 0])))
     # The copies of the design, and their constraints, are the last ones before custom constraints.
     count = nlp.sizes["custom"]
-    kept = len(solution["lam_g"]) - count - s.copies
-    constraints = np.concatenate([solution["lam_g"][:kept], solution["lam_g"][kept + s.copies :]])
+    kept, size = len(solved.g) - count - s.copies, len(solved.x) - count - s.copies
+    constraints = np.append(solved.lam_g[:kept], solved.lam_g[kept + s.copies :])
     return replace(
         ideal_of(s, tube, replace(rig, clamps=clamps, mold=mold), spec, numbers),
         miss=float(miss[0, 0]),
-        iterations=int(stats["iter_count"]),
-        objective=float(solution["f"][0]),
-        x=solution["x"][: len(solution["x"]) - s.copies],
-        multipliers=Multipliers(solution["lam_x"][: len(solution["x"]) - s.copies], constraints),
-        custom=solution["g"][len(solution["g"]) - count :],
+        iterations=solved.iterations,
+        objective=solved.f,
+        x=solved.x[:size],
+        multipliers=Multipliers(solved.lam_x[:size], constraints),
+        custom=solved.g[kept + s.copies :] - solved.x[size + s.copies :],
     )
 
 
@@ -423,29 +497,38 @@ def ideal_of(s: Structure, tube: Tube, rig: Rig, spec: HeatingSpec, numbers: Cou
 # --- start: the schedule of a controller that knows the model ---------------------------------------------------------
 
 
-def first_guess(s: Structure, tube: Tube, rig: Rig, spec: HeatingSpec) -> Array:
+def first_guess(
+    s: Structure, tube: Tube, rig: Rig, spec: HeatingSpec, *, level: float = 0.5, stretch: float = 1.0
+) -> Array:
     """Unknowns of a schedule that heats as fast as the ramp allows.
 
     If that misses the window by far, the schedule heats as long as allowed instead. Of two optima, IPOPT ends at the
     one on the side of its start.
+
+    Args:
+        level: temperature of the hold in the window, 0 to 1.
+        stretch: factor on the heating time.
     """
-    target = 0.5 * sum(spec.window_degC) + ZERO_CELSIUS
-    soonest = (target - rig.ambient) / min(0.9 * spec.ramp, 1e3)
-    unknowns, miss = _controlled(s, tube, rig, spec, soonest)
-    if miss > 0 and soonest < spec.longest_heating:
-        unknowns, miss = _controlled(s, tube, rig, spec, spec.longest_heating)
+    low, high = spec.window_degC
+    target = low + level * (high - low) + ZERO_CELSIUS
+    heating = min(stretch * (target - rig.ambient) / min(0.9 * spec.ramp, 1e3), spec.longest_heating)
+    unknowns, miss = _controlled(s, tube, rig, spec, target, heating)
+    if miss > 0 and heating < spec.longest_heating:
+        unknowns, miss = _controlled(s, tube, rig, spec, target, spec.longest_heating)
     design = np.array([rig.clamps.clearance, rig.mold.lead]) / SCALE.length
     vents = vent_profile(rig, np.linspace(0.0, 1.0, VENTS))
     return np.concatenate([unknowns, np.full(s.points, miss), design, vents])
 
 
-def _controlled(s: Structure, tube: Tube, rig: Rig, spec: HeatingSpec, heating: float) -> tuple[Array, float]:
+def _controlled(
+    s: Structure, tube: Tube, rig: Rig, spec: HeatingSpec, target: float, heating: float
+) -> tuple[Array, float]:
     """States, circuit, currents and durations of a controlled heating of this duration (s), and its miss, K.
 
-    The controller knows the model and keeps the hottest cell on the ramp to the middle of the window.
+    The controller knows the model and keeps the hottest cell on the ramp to the target, K.
     """
     model = thermal_model(tube, rig, s.resolution)
-    target, ramp = 0.5 * sum(spec.window_degC) + ZERO_CELSIUS, min(0.9 * spec.ramp, 1e3)
+    ramp = min(0.9 * spec.ramp, 1e3)
     count = int(np.clip(np.ceil((heating + spec.covered_time) / GUESS_SLOT), 200, 2000))
     slot = (heating + spec.covered_time) / count
 

@@ -514,7 +514,7 @@ class RigCourse:
 
 
 TASK = (
-    "hold", "low", "high", "limit", "ramp", "current", "w_time", "w_energy", "w_centre", "w_miss", "w_I_sq",
+    "hold", "low", "high", "limit", "ramp", "current", "w_time", "w_energy", "w_centre", "w_miss", "w_I_sq", "w_custom",
 )  # fmt: skip
 """Parameters of the question: hold (s), window and limit (K), ramp (K/s), mean current (A), and objective weights."""
 
