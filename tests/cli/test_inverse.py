@@ -150,7 +150,7 @@ def test_target_beside_plate_ends_with_time_limit(run: Run) -> None:
     pieces = str(ROOT / "configs" / "robots" / "example_pieces.yaml")
     start_time = time.perf_counter()
     outcome = run("ik", pieces, "--target-mm", "0.030,0.010,0.045", "--time-limit-s", "0.05")
-    assert time.perf_counter() - start_time < 10
+    assert time.perf_counter() - start_time < 60
     assert outcome.code == 3
     text = " ".join(outcome.err.split())
     assert "was 30, 10, 45 meant?" in text
@@ -158,8 +158,15 @@ def test_target_beside_plate_ends_with_time_limit(run: Run) -> None:
     assert "whether the target can be reached is not known" in text
 
 
+def test_end_at_a_time_limit_names_its_flag(run: Run) -> None:
+    outcome = run("snap", "till_snapping_pair", "--to-deg", "360,0", "--time-limit-s", "0.0001")
+    assert outcome.code == 3
+    assert "time limit of 0.0001 s" in outcome.err
+    assert "--time-limit-s" in outcome.err
+
+
 def test_postures_omitted_by_time_limit_are_reported(run: Run) -> None:
-    some = run("ik", THESIS, *TARGET, "--all", "--json", "--time-limit-s", "0.3", "--starts", "2000")
+    some = run("ik", THESIS, *TARGET, "--all", "--json", "--time-limit-s", "1.5", "--starts", "9000")
     assert answer(some)["timed_out"]
     assert not answer(run("ik", THESIS, *TARGET, "--all", "--json", "--starts", "2"))["timed_out"]
 

@@ -124,8 +124,9 @@ def failure(error: Exception) -> tuple[str, int, str] | None:
     """Message, exit code and kind of an error; None for an unexpected one."""
     for kind, (code, name) in CODES.items():
         if isinstance(error, kind):
-            # The library reports in m and rad; commands read mm and deg.
-            return "\n".join(map(in_input_units, str(error).splitlines())), code, name
+            # The library reports in m and rad; commands read mm and deg. Every time limit of theirs has this flag.
+            text = str(error).replace("increase time_limit", "increase --time-limit-s")
+            return "\n".join(map(in_input_units, text.splitlines())), code, name
     # Errors of Typer about arguments: their class has no public name.
     message, context = getattr(error, "format_message", None), getattr(error, "ctx", None)
     if message is None:
