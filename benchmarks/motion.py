@@ -54,7 +54,8 @@ def run(robot: Robot, seed: int, knots: int) -> Task | None:
     reach = max(tube.straight_length for tube in robot.tubes)
     ends = []
     for _ in range(2):
-        shift = np.sort(-reach * rng.uniform(0.1, 0.8, robot.n_tubes))
+        # Tubes that are withdrawn together are in order.
+        shift = np.full(robot.n_tubes, -reach * rng.uniform(0.1, 0.8))
         ends.append(tubeopt.forward_kinematics(robot, rng.uniform(-1.5, 1.5, robot.n_tubes), shift))
     try:
         free = motion(robot, ends[0], ends[1], knots, [])
@@ -87,14 +88,15 @@ def main() -> None:
     results: dict[str, list[Task]] = {}
     for name in options.robots:
         robot = tubeopt.load_robot(ROOT / "configs" / "robots" / f"{name}.yaml")
-        tasks, seed = results.setdefault(name, []), 0
-        while len(tasks) < options.tasks:
+        tasks = results.setdefault(name, [])
+        for seed in range(10 * options.tasks):
+            if len(tasks) == options.tasks:
+                break
             task = run(robot, seed, options.knots)
             if task is not None:
                 tasks.append(task)
                 if not options.json:
                     print(f"{name}, seed {seed}: {task}", flush=True)
-            seed += 1
     if options.json:
         dump({name: [asdict(task) for task in tasks] for name, tasks in results.items()})
         return
