@@ -336,6 +336,8 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec, custom: CustomTerms =
         counted = _nearest_schedule(tube, rig, spec, nearest, None)
         if not counted.breaks_limits and not counted.outcome.excess:
             return counted
+    # For other objectives later rounds found counts with a smaller miss where one count alone exceeds the ramp.
+    hopeless = hopeless and minimum_time
     best = _corrected(tube, rig, spec, ramp_reserve, rounds=1 if hopeless else ROUNDS)
     if minimum_time and not rig_given and best.outcome.shortfall <= HOPELESS:
         soonest = _minimum_time_schedule(tube, best.run.rig, spec)
