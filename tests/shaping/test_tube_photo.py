@@ -166,6 +166,7 @@ def test_the_command_and_its_files(run: Run, tmp_path: Path) -> None:
         (("{scan}", "--dpi", "0"), "--dpi is 0; it must be greater than 0"),
         (("{scan}", "--dpi", "20"), "dpi is 20; it must be 90 to 10000"),
         (("{scan}", "--marks-mm", "240"), "marks"),
+        (("{scan}", "--marks-mm", "24,17"), "marks are 24 x 17 mm; both must be 50 to 1000 mm"),
         (("{scan}", "--scale-error-percent", "30"), "--scale-error-percent is 30; it must be at most 20"),
         (("{scan}", "--mold-radius-mm", "-5"), "--mold-radius-mm is -5; it must be greater than 0"),
         (("{cut}",), "the picture cannot be read"),

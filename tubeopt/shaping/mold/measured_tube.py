@@ -20,6 +20,9 @@ from .tube_trace import TubeTrace, trace_tube
 MIN_ANGLE = math.radians(4.0)
 """Angle of a bend, rad, below which a radius says little."""
 
+MARK_RANGE = 0.05, 1.0
+"""Distances of marks on a sheet, m."""
+
 HEIGHT_RANGE = 0.2
 """Part by which the height of the tube's axis above the sheet may differ from half its width in the image."""
 
@@ -129,6 +132,11 @@ def measure_tube(
         InputError: no scale, no tube, several tubes, a tube out of focus, or one with too little bend.
     """
     wide, tall = (positive("marks", float(side)) for side in vector("marks", marks, 2, "length and width"))
+    if not all(MARK_RANGE[0] <= side <= MARK_RANGE[1] for side in (wide, tall)):
+        raise InputError(
+            f"marks are {TO_MM * wide:g} x {TO_MM * tall:g} mm; both must be {TO_MM * MARK_RANGE[0]:g} to "
+            f"{TO_MM * MARK_RANGE[1]:g} mm"
+        )
     scale = scale_of(photo, dpi, (wide, tall))
     trace = trace_tube(photo, scale)
     height = 0.5 * trace.width if scale.focal is not None else 0.0
