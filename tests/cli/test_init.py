@@ -103,7 +103,7 @@ def test_every_key_has_a_comment_and_others_may_follow(run: Run) -> None:
     assert tubeopt.load_rig("more.yaml") == tubeopt.load_rig("rig.yaml")
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("verify", "sweep")])
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("verify", "tube_photo", "sweep")])
 def test_a_study_of_every_kind_can_be_read(run: Run, kind: str) -> None:
     report = answer(run("init", "study", "--kind", kind, "--json"))
     assert report["then"] == "tubeopt run study.yaml"
@@ -152,6 +152,7 @@ def test_a_sweep(run: Run) -> None:
         (("study", "--kind", "snp"), "--kind is 'snp'; it must be one of forward_kinematics, "),
         (("study", "--robot", "thesis_crt"), "thesis_crt: there is no such file, and no built-in robot has this name"),
         (("study", "--kind", "verify"), "trajectory is missing; --set trajectory=VALUE gives it"),
+        (("study", "--kind", "tube_photo"), "photo is missing; --set photo=VALUE gives it"),
         (("study", "--kind", "heating", "--robot", "thesis_ctr"), "a study of kind heating has no robot"),
         (("study", "--set", "to_deg"), "--set is 'to_deg'; it must be KEY=VALUE"),
         (
