@@ -73,3 +73,9 @@ def test_a_command_without_plots_has_no_flags_for_them(run: Run, command: str) -
     shown = run(*command.split(), "--help").out
     assert not any(flag in shown for flag in ("--plot", "--format", "--width-mm"))
     assert formats_of(command) == ()
+
+
+def test_a_sweep_has_formats_of_its_table_alone(run: Run) -> None:
+    shown = run("sweep", "--help").out
+    assert not any(flag in shown for flag in ("--plot", "--width-mm", "--no-title", "png"))
+    assert all(form in shown for form in formats_of("sweep"))

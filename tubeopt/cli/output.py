@@ -50,7 +50,7 @@ class Output:
         typer.Option(
             "--out",
             metavar="DIR",
-            help="Directory for result files and plots; created if missing.",
+            help="Directory for result files and plots, created if missing; without it, no result file is saved.",
             show_default=False,
         ),
     ] = None
@@ -66,8 +66,8 @@ class Output:
         typer.Option(
             "--format",
             metavar="F,..",
-            help="File formats to save with --out, separated by commas: png, pdf, svg, eps or tiff for plots. "
-            "Some commands also have gif or mp4 (a film), parquet or mat (tables), and stl, glb, urdf or mjcf (robot).",
+            help="File formats to save, separated by commas: png, pdf, svg, eps or tiff for plots. "
+            "An unknown one prints all formats of the command. Films, tables and robot models need --out.",
         ),
     ] = PICTURE_FORMATS[0]
     width_mm: Annotated[

@@ -88,7 +88,7 @@ def figure(
         FONTS.reset(token)
 
 
-@command("tubeopt sweep sweep_tips --workers 1 --out results", without=("plot", "width_mm"))
+@command("tubeopt sweep sweep_tips --workers 1 --out results", without=OF_PICTURES)
 def sweep(
     study: Annotated[
         str,
@@ -118,12 +118,23 @@ def sweep(
     time_limit_s: Annotated[
         float, typer.Option("--time-limit-s", metavar="S", help="Time limit for all remaining points.")
     ] = SWEEP_LIMIT,
+    table_format: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            metavar="F,..",
+            help="Further formats of the table, separated by commas: parquet, mat; default CSV and NumPy files only.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Run a study over a grid or random samples of its parameters.
 
     With --out, the same command resumes an interrupted run. Without --out, the table is printed as CSV, and nothing is
     saved.
     """
+    if table_format is not None:  # a sweep has no plots, so that it has none of their formats
+        output = replace(output, formats=table_format)
     question = load_sweep(study)
     can_be_saved(output.out)
     check_formats(output, "sweep")

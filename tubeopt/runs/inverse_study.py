@@ -156,7 +156,9 @@ class InverseStudy(Surrounded, Loaded, Study):
         None, description="target position of the tip in the base frame", examples=["X,Y,Z"]
     )
     direction: Triple | None = Field(
-        None, description="direction of the tip, any length; default any direction", examples=["X,Y,Z"]
+        None,
+        description="direction of the tip in the base frame, any length; default any direction",
+        examples=["X,Y,Z"],
     )
     targets: Annotated[Targets, in_file(load_targets, "a CSV file")] | None = Field(
         None,

@@ -84,7 +84,9 @@ class MoldStudy(Study):
     )
     springback: SpringbackPath = None
     cold_length_mm: Annotated[NotNegative | None, Typical(1e-4, 0.5)] = Field(
-        None, description="length of cold tube between clamp and heated part; default estimated"
+        None,
+        description="length of tube beside a clamp that stays too cold; the curved part begins beyond it; "
+        "default estimated",
     )
 
     @model_validator(mode="after")

@@ -117,7 +117,9 @@ class Aimed(Started):
     tip_at: str | None = Field(
         None, description="goal of the tip in the anatomy: name of a landmark, or target for the target region"
     )
-    tip_direction: Triple | None = Field(None, description="direction of the tip, any length; default any direction")
+    tip_direction: Triple | None = Field(
+        None, description="direction of the tip in the base frame, any length; default any direction"
+    )
 
     @model_validator(mode="after")
     def _points_at_something(self) -> Self:

@@ -318,7 +318,8 @@ class LoadLimitStudy(Posed, Loaded, Timed):
     )
     axial: bool = Field(
         False,
-        description="use an axial force of 1 mN against the tip as load (stroke force)",
+        description="use as load a force of 1 mN against the initial direction of the tip (stroke force); "
+        "it keeps its direction",
     )
     up_to: Positive | None = Field(
         None,

@@ -31,7 +31,8 @@ class HeatingSpec(Displayed):
     )
     hold_time: Annotated[float, key("hold_s"), POSITIVE, "hold time at the set temperature, 1 to 1800 s"] = 60.0
     limit_degC: Annotated[
-        float | None, "temperature limit of every point at all times; default the upper end of the window"
+        float | None,
+        "temperature limit of every point at all times, up to 1200 degC; default the upper end of the window",
     ] = None
     ramp: Annotated[
         float,
@@ -48,14 +49,19 @@ class HeatingSpec(Displayed):
         "the window's ends and to the limit)",
     ] = "time"
     longest_heating: Annotated[
-        float, key("longest_s"), POSITIVE, Typical(2.0, 7200.0), "largest heating time before the hold time"
+        float,
+        key("longest_s"),
+        POSITIVE,
+        Typical(2.0, 7200.0),
+        "largest heating time before the hold time, up to 1800 s",
     ] = 360.0
     slot: Annotated[float, key("slot_s"), POSITIVE, Typical(5e-3, 60.0), "duration of one duty-cycle value"] = 0.5
     quench: Annotated[str, OneOf(QUENCHES), "cooling after the hold time: water or air"] = "water"
     free: Annotated[
         tuple[str, ...],
         OneOf(FREE),
-        "rig parameters to optimise for an even temperature: clearance (between clamp and mold), lead, vents",
+        "rig parameters to optimise for an even temperature: clearance (between clamp and mold), "
+        "lead (straight tube in the mold beside the curved part), vents",
     ] = ()
     lead_range: Annotated[
         tuple[float, float], unit("mm"), POSITIVE, Typical(5e-4, 1.0), "bounds of the lead, with --free lead"
@@ -74,7 +80,7 @@ class HeatingSpec(Displayed):
         float,
         unit("percent"),
         Range(above=0.0, maximum=0.5),
-        "largest open fraction of the tube's surface, with --free vents",
+        "largest open fraction of the tube's surface, up to 50 %, with --free vents",
     ] = 0.4
 
     def __post_init__(self) -> None:

@@ -258,7 +258,8 @@ class MoldSpec(Displayed):
         float | None,
         unit("mm"),
         LENGTH_OR_ZERO,
-        "length of cold tube between clamp and heated part; by default estimated by a fin model",
+        "length of tube beside a clamp that stays too cold; the curved part begins beyond it; "
+        "by default estimated by a fin model",
     ] = None
     growth: Annotated[
         float | None,
