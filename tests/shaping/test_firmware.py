@@ -391,6 +391,11 @@ def test_a_run_says_whether_its_readings_kept_the_window(
         shown.conclude()
 
 
+def test_a_test_of_the_cutout_shows_no_readings() -> None:
+    shown = HeatingRunReport(HeatingRun((), "done", opened=0.019, allowed=0.055))
+    assert dict(shown.rows()) == {"ended": "done", "cut-out": "opened after 19 ms; the tube allows 55 ms"}
+
+
 def test_a_sketch_for_a_heating_that_is_not_held_says_so() -> None:
     outcome = plan().outcome
     held = ClosedLoopHeating(plan(), led(), Wiring(), plan().rig.circuit.pwm_frequency)

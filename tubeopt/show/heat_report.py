@@ -522,13 +522,15 @@ RUN = described(
     HeatingRun,
     of_field(HeatingRun, "reason", label="ended", text="{reason}"),
     Quantity("done", "true if the whole schedule was executed"),
-    Quantity("time_s", "duration", label="after", text="{time_s:.1f} s"),
-    Quantity("hottest_degC", "highest reading", label="greatest reading", text="{hottest_degC:.1f} degC"),
+    # A test of the cut-out has no readings.
+    Quantity("time_s", "duration", label="after", text=lambda r: f"{r.time:.1f} s" if r.rows else None),
+    Quantity("hottest_degC", "highest reading", label="greatest reading",
+             text=lambda r: f"{r.hottest:.1f} degC" if r.rows else None),
     "window",
     Quantity("lowest_degC", "lowest reading in the hold; null without one", lambda r: r.held and r.held[0]),
     Quantity("highest_degC", "highest reading in the hold", lambda r: r.held and r.held[1]),
     Quantity("shortfall_K", "miss of the window by the readings of the hold; 0 if it is kept",
-             label="in the hold", text=lambda r: _readings_text(r)),
+             label="in the hold", text=lambda r: _readings_text(r) if r.opened is None else None),
     of_field(HeatingRun, "opened", label="cut-out", optional=True,
              text=lambda r: None if r.opened is None else f"opened after {1e3 * r.opened:.0f} ms; the tube allows "
              f"{1e3 * r.allowed:.0f} ms"),
