@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.polynomial import legendre
-from scipy.optimize import least_squares
-from scipy.special import stdtrit
 
 from ...typing import Array
 
@@ -80,7 +79,9 @@ def fit_circle(points: Array) -> Circle:
     # Linear start: x^2 + y^2 = 2 a x + 2 b y + c.
     a, b, c = np.linalg.lstsq(np.column_stack([2 * x, 2 * y, np.ones(len(x))]), x * x + y * y, rcond=None)[0]
     start = np.array([a, b, math.sqrt(c + a * a + b * b)])
-    solved = least_squares(lambda p: np.hypot(x - p[0], y - p[1]) - p[2], start, method="lm", xtol=1e-14).x
+    solved = scipy.optimize.least_squares(
+        lambda p: np.hypot(x - p[0], y - p[1]) - p[2], start, method="lm", xtol=1e-14
+    ).x
     return Circle(middle + scale * solved[:2], float(scale * solved[2]))
 
 
@@ -111,7 +112,7 @@ def fit_arc(points: Array) -> FittedArc:
     return FittedArc(
         *circle,
         standard_error,
-        float(stdtrit(SHAPES, 0.975)) * standard_error,
+        float(scipy.special.stdtrit(SHAPES, 0.975)) * standard_error,
         used,
         bend,
         fades,
@@ -190,7 +191,7 @@ def _trapezoid(points: Array, s: Array) -> Trapezoid:
     guess = np.clip(first_guess, np.array(lower) + 1e-6, np.array(upper) - 1e-6)
     sizes = [0.01, 0.01, 0.1, 1, 0.1, 0.1, 0.1, 0.1]
     # Without a lead the length of its ramp has no effect, and the search would not end.
-    p = least_squares(distances, guess, bounds=(lower, upper), x_scale=sizes, ftol=1e-5, max_nfev=50).x
+    p = scipy.optimize.least_squares(distances, guess, bounds=(lower, upper), x_scale=sizes, ftol=1e-5, max_nfev=50).x
     start, end, *lengths = (float(x * total) for x in p[4:])
     return Trapezoid(start, end, lengths[0], lengths[1], float(total**2 * np.sum(distances(p) ** 2)))
 

@@ -14,8 +14,7 @@ from os import PathLike
 from pathlib import Path
 
 import numpy as np
-from scipy import ndimage
-from scipy.spatial import cKDTree
+import scipy
 
 from ...errors import InputError
 from ...files.files import read_bytes
@@ -236,18 +235,18 @@ def find_marks(grey: Array) -> Array:
     small = shrunk(grey, factor)
     # Paper around the marks is brighter, whatever the light: marks are smaller than an eighth of the image.
     window = max(small.shape) // 8
-    paper = ndimage.grey_closing(small, size=(window, window))
-    labels, _ = ndimage.label(small < 0.6 * paper)
+    paper = scipy.ndimage.grey_closing(small, size=(window, window))
+    labels, _ = scipy.ndimage.label(small < 0.6 * paper)
     area = np.bincount(labels.ravel())
     area[0] = 0
     index = np.flatnonzero(area >= MIN_DOT)
     if len(index) < 2:
         return np.empty((0, 2))
-    centre = np.array(ndimage.center_of_mass(labels > 0, labels, index))
-    found = ndimage.find_objects(labels)
+    centre = np.array(scipy.ndimage.center_of_mass(labels > 0, labels, index))
+    found = scipy.ndimage.find_objects(labels)
     area, boxes = area[index], [found[k - 1] for k in index]
     marks = []
-    for a, b in cKDTree(centre).query_pairs(r=window / 8):
+    for a, b in scipy.spatial.cKDTree(centre).query_pairs(r=window / 8):
         ring, dot = (a, b) if area[a] > area[b] else (b, a)
         tall, wide = (part.stop - part.start for part in boxes[ring])
         inner, middle, outer = (1.0 * r * r for r in MARK_RADII)
@@ -269,7 +268,7 @@ def _refined(grey: Array, factor: int, centre: Array, tall: float, wide: float) 
     part = grey[top : math.ceil(row + reach[0]) + 1, left : math.ceil(column + reach[1]) + 1]
     bright, dark = np.percentile(part, 90), np.percentile(part, 10)
     weight = np.clip((0.75 * bright + 0.25 * dark - part) / (bright - dark), 0.0, None)
-    y, x = ndimage.center_of_mass(weight)
+    y, x = scipy.ndimage.center_of_mass(weight)
     return left + float(x), top + float(y)
 
 

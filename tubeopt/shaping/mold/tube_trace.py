@@ -12,9 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
+import scipy
 
 from ...errors import InputError
 from ...typing import Array
@@ -111,7 +109,7 @@ def _flattened(photo: TubePhoto, scale: PhotoScale) -> _Flat:
     columns, rows = (np.arange(inset, side - inset, pitch) for side in scale.size)
     x, y = np.meshgrid(columns, rows)
     at = mapped(scale.to_pixels, np.column_stack([x.ravel(), y.ravel()]))
-    grey = ndimage.map_coordinates(photo.grey, at[:, ::-1].T, order=1, mode="nearest").reshape(x.shape)
+    grey = scipy.ndimage.map_coordinates(photo.grey, at[:, ::-1].T, order=1, mode="nearest").reshape(x.shape)
     return _Flat(grey, pitch, np.array([inset, inset]))
 
 
@@ -121,14 +119,14 @@ def _lines(flat: _Flat, dark: bool) -> list[Array]:
     pitch = factor * flat.pitch
     grey = shrunk(flat.grey, factor) * (1 if dark else -1)
     window = max(3, round(MAX_WIDTH / pitch))
-    contrast = ndimage.grey_closing(ndimage.gaussian_filter(grey, 0.7), size=(window, window)) - grey
+    contrast = scipy.ndimage.grey_closing(scipy.ndimage.gaussian_filter(grey, 0.7), size=(window, window)) - grey
     noise = 1.48 * float(np.median(np.abs(contrast - np.median(contrast))))
     mask = contrast > np.median(contrast) + max(MIN_CONTRAST, NOISE_FACTOR * noise)
     # A highlight along the tube divides it.
-    mask = ndimage.binary_closing(mask, iterations=max(1, round(0.25e-3 / pitch)))
-    labels, _ = ndimage.label(mask, np.ones((3, 3)))
+    mask = scipy.ndimage.binary_closing(mask, iterations=max(1, round(0.25e-3 / pitch)))
+    labels, _ = scipy.ndimage.label(mask, np.ones((3, 3)))
     lines = []
-    for k, box in enumerate(ndimage.find_objects(labels), start=1):
+    for k, box in enumerate(scipy.ndimage.find_objects(labels), start=1):
         extent = max(part.stop - part.start for part in box) * pitch
         if extent < 0.6 * MIN_LENGTH:
             continue
@@ -155,10 +153,10 @@ def _along(cells: Array) -> Array:
         if (other := index.get((row + down, column + right))) is not None
     ]
     start, end, weight = (np.array(part) for part in zip(*links, strict=True))
-    graph = coo_array((weight, (start, end)), shape=(len(cells), len(cells))).tocsr()
+    graph = scipy.sparse.coo_array((weight, (start, end)), shape=(len(cells), len(cells))).tocsr()
     # The pixel that is farthest from any pixel is an end.
-    far = int(np.argmax(dijkstra(graph, directed=False, indices=0)))
-    return np.asarray(dijkstra(graph, directed=False, indices=far))
+    far = int(np.argmax(scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=0)))
+    return np.asarray(scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=far))
 
 
 def _trace(flat: _Flat, line: Array, dark: bool) -> TubeTrace | None:
@@ -187,9 +185,9 @@ def _profiles(flat: _Flat, points: Array, dark: bool) -> tuple[Array, float, flo
     reach, step = 0.8 * MAX_WIDTH / flat.pitch, 0.25
     across = np.arange(-reach, reach + step, step)
     at = points[:, None] + across[:, None] * normal[:, None]
-    grey = ndimage.map_coordinates(flat.grey, at.reshape(-1, 2).T, order=1, mode="nearest").reshape(at.shape[:2])
+    grey = scipy.ndimage.map_coordinates(flat.grey, at.reshape(-1, 2).T, order=1, mode="nearest").reshape(at.shape[:2])
     # Noise is averaged along the tube, over less than its curve can turn.
-    depth = ndimage.gaussian_filter1d(grey, 1.0, axis=0) * (-1 if dark else 1)
+    depth = scipy.ndimage.gaussian_filter1d(grey, 1.0, axis=0) * (-1 if dark else 1)
     near = np.abs(across) < 0.5 * reach
     peak = np.where(near, depth, -np.inf).argmax(axis=1)
     results = np.full((len(points), 4), np.nan)
@@ -237,7 +235,7 @@ def _smooth(points: Array, length: float) -> Array:
     # Mirrored at its ends, a curve keeps them and its direction there.
     pad = min(len(points) - 1, int(4 * sigma) + 1)
     before, after = 2 * points[0] - points[pad:0:-1], 2 * points[-1] - points[-2 : -pad - 2 : -1]
-    return np.asarray(ndimage.gaussian_filter1d(np.vstack([before, points, after]), sigma, axis=0)[pad:-pad])
+    return np.asarray(scipy.ndimage.gaussian_filter1d(np.vstack([before, points, after]), sigma, axis=0)[pad:-pad])
 
 
 def _resampled(points: Array, step: float) -> Array:
