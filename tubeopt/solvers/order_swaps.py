@@ -20,8 +20,7 @@ from itertools import zip_longest
 from typing import Any
 
 import numpy as np
-from scipy.optimize import Bounds, LinearConstraint, milp
-from scipy.sparse.linalg import splu
+import scipy
 
 from ..errors import InputError, SolveError
 from ..typing import Array
@@ -172,9 +171,15 @@ def _steepest(distances: Array, slopes: tuple[Array, Array], tested: Array, of: 
     parts = np.hstack([distances, -eye, eye, none])
     above = np.hstack([np.zeros_like(distances), eye, none, np.diag(far)])
     below = np.hstack([np.zeros_like(distances), none, eye, -np.diag(far)])
-    rows = [LinearConstraint(parts, 0, 0), LinearConstraint(above, -np.inf, far), LinearConstraint(below, -np.inf, 0)]
-    bounds = Bounds(np.r_[of.box[0], np.zeros(3 * count)], np.r_[of.box[1], far, far, tested])
-    result = milp(cost, constraints=rows, bounds=bounds, integrality=np.r_[np.zeros(size + 2 * count), np.ones(count)])
+    rows = [
+        scipy.optimize.LinearConstraint(parts, 0, 0),
+        scipy.optimize.LinearConstraint(above, -np.inf, far),
+        scipy.optimize.LinearConstraint(below, -np.inf, 0),
+    ]
+    bounds = scipy.optimize.Bounds(np.r_[of.box[0], np.zeros(3 * count)], np.r_[of.box[1], far, far, tested])
+    result = scipy.optimize.milp(
+        cost, constraints=rows, bounds=bounds, integrality=np.r_[np.zeros(size + 2 * count), np.ones(count)]
+    )
     step = distances @ result.x[:size]
     return (
         np.where(step < -LEAST_SLIDE * far, step, 0.0) if result.success and result.fun < -of.least else np.zeros(count)
@@ -219,5 +224,5 @@ class Lagrangian:
         others = self.multipliers.copy()
         others[self.equations], others[self.rows] = 0.0, 0.0
         total, equations = slope.toarray().ravel() + jacobian.T @ others, jacobian[self.equations]
-        adjoint = splu(equations[:, self.owned].T.tocsc()).solve(-total[self.owned])
+        adjoint = scipy.sparse.linalg.splu(equations[:, self.owned].T.tocsc()).solve(-total[self.owned])
         return (total + equations.T @ adjoint)[~self.owned], jacobian[self.rows][:, ~self.owned].toarray()
