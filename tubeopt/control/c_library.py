@@ -206,7 +206,7 @@ def _data(robot: Robot, space: JointSpace) -> str:
         "ORDER": space.rows if space.rows.size else np.zeros(1),
         "LEAST": space.row_lower if space.row_lower.size else np.zeros(1),
     }
-    rows = 2 * m + len(space.row_lower) + 1 + 2 * len(breaks)
+    rows = 2 * m + len(space.row_lower) + 1 + len(breaks)
     defines = {
         "JOINTS": m,
         "ORDERS": len(space.row_lower),

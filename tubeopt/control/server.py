@@ -72,7 +72,7 @@ LOCAL = ("127.0.0.1", "localhost", "::1")
 ROLES = ("commander", "watcher")
 
 # Maximum number of characters of a reported error.
-LONGEST_MESSAGE = 300
+LONGEST_TEXT = 300
 
 # Time for which one thread of Python may delay the others, s: a small part of a period.
 TURNS = 2e-4
@@ -239,7 +239,7 @@ class RobotServer:
     def _failed(self, error: Exception) -> str:
         """Stop the robot after an error; returns the sentence that reports it."""
         error_text = str(error) if isinstance(error, InputError | SolveError) else f"{type(error).__name__}: {error}"
-        error_text = f"the robot stopped: {error_text}"[:LONGEST_MESSAGE]
+        error_text = f"the robot stopped: {error_text}"[:LONGEST_TEXT]
         with self._robot_in_hand:
             self.robot.fault(error_text)
         if error_text != self._logged:
@@ -509,7 +509,7 @@ async def _slicer_message(reader: asyncio.StreamReader) -> Callable[[], dict[str
 
 
 def _event(kind: str, message: str) -> str:
-    return json.dumps({"op": kind, "words": message[:LONGEST_MESSAGE]})
+    return json.dumps({"op": kind, "words": message[:LONGEST_TEXT]})
 
 
 def _read(message: str | bytes) -> dict[str, Any]:

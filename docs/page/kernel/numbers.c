@@ -2,14 +2,17 @@
    of its own. Each is straight, then curved with one radius. */
 #define JOINTS (2 * N)
 #define ORDERS (2 * (N - 1))
-#define MOST_ROWS (2 * JOINTS + ORDERS + 1 + TUBEOPT_MOST_CONTACTS)
+#define BREAKS (2 * N)
+#define MOST_ROWS (2 * JOINTS + ORDERS + 1 + BREAKS + TUBEOPT_MOST_CONTACTS)
+#define NOWHERE (-1e3) /* place (m) of a breakpoint that a tube does not have: always behind the plate */
 #define LONGEST_TUBE longest
 #define PANELS 2
 
 static double longest, SPREAD[2 * N * JOINTS], OFFSET[2 * N], LOWER[JOINTS], UPPER[JOINTS], SCALE[JOINTS];
 static double ORDER[ORDERS * JOINTS], LEAST[ORDERS];
 static long long CARRIAGES[N];
-static int FIRST[2 * N];
+static int FIRST[2 * N], BREAK_CARRIAGE[BREAKS];
+static double BREAK_AT[BREAKS]; /* transition and end of each tube at its translation 0 */
 
 static double breaks[N][PANELS + 1], coefficients[N][PANELS][2][LANES], counts[N][PANELS][CHANNELS + 1];
 static double direction[N][PANELS], bent[N][PANELS], detail[N][PANELS], twist[N][PANELS], compliance[N][PANELS];
@@ -82,7 +85,9 @@ static void use_tubes(int tubes, const Given *given) {
         MASS[i] = g->mass;
         longest = fmax(longest, ROBOT.whole[i]);
         use_panels(i, g);
-        CARRIAGES[i] = FIRST[N + i] = i;
+        CARRIAGES[i] = FIRST[N + i] = BREAK_CARRIAGE[2 * i] = BREAK_CARRIAGE[2 * i + 1] = i;
+        BREAK_AT[2 * i] = g->curvature ? 0 : NOWHERE;
+        BREAK_AT[2 * i + 1] = i < tubes ? g->curved : NOWHERE;
         LOWER[i] = g->turn[0];
         UPPER[i] = g->turn[1];
         LOWER[N + i] = g->shift[0];
