@@ -233,7 +233,7 @@ class Bundled(Member[BundleState]):
         return self.problem.load is None or self.problem.load.has_energy
 
     def form(self, state: BundleState) -> Array:
-        """(U, U) matrix whose smallest eigenvalue is the margin."""
+        """(U, U) matrix of the second variation; its smallest eigenvalue is the margin."""
         return margin_form(state)
 
     def softest(self, state: BundleState) -> Array:

@@ -60,7 +60,7 @@ def largest_twist(margin: float) -> float:
 
 @lru_cache(maxsize=64)
 def reference_length(equilibrium: Equilibrium) -> float:
-    """Length (m) of the arm, to which translations are compared; arms may be shorter, down to length 0."""
+    """Length (m) of the arm as a scale for translations; at least SHORT_ARM of the longest tube."""
     return max(float(equilibrium.arc_length[-1]), SHORT_ARM * max(tube.length for tube in equilibrium.robot.tubes))
 
 

@@ -268,7 +268,7 @@ class Member(ABC, Generic[S]):
         return not self.descends and softest_of(self.form(state))[1]
 
     def form(self, state: S) -> Array:
-        """(U, U) matrix whose smallest eigenvalue is the margin, where the equations have no energy."""
+        """(U, U) matrix of the equations; its smallest eigenvalue is the margin if they have no energy."""
         return np.asarray(state.hessian)
 
     @abstractmethod

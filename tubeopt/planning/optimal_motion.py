@@ -79,8 +79,8 @@ APART, LEAST_FORCE = 1e-6, 1e-4
 them."""
 
 FAR, NEAR = 1.0, 0.02
-"""Distance from bodies of equilibria without a constraint, and distance over the clearance up to which they have one,
-m.
+"""Distances from bodies, m: beyond the first an equilibrium has no constraint. Up to the second plus the clearance it
+has one.
 """
 
 ORDERS = 4
@@ -554,7 +554,7 @@ class Motion:
         return active
 
     def _close(self) -> Mask:
-        """True for equilibria whose start values are close to bodies, and their neighbours."""
+        """Mask of the equilibria that start close to bodies, and of their neighbours."""
         count = len(self._stations)
         if not isinstance(self.opti, NamedProgram) or not self._bodies:
             return np.ones(count, dtype=bool)

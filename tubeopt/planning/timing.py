@@ -391,9 +391,7 @@ def violated(
 
 
 def _shortfall(task: PlanTask, equilibria: Sequence[Equilibrium], goal: int | None) -> Array:
-    """(2, T) amounts by which margin and clearance (m) fall short of the requirements with reserve; <= 0
-    if satisfied.
-    """
+    """(2, T) shortfalls of margin and clearance (m), with reserve; at most 0 if satisfied."""
     joints = [task.coordinates.space.join(e.rotations, e.translations) for e in equilibria]
     q = np.reshape(joints, (-1, len(task.scale))) / task.scale
     step = np.append(np.abs(np.diff(q, axis=0)).max(1), 0.0)[: len(q)]

@@ -99,7 +99,7 @@ def _readings(a: Certification, rotations: Array) -> tuple[Array, Array]:
 
 
 def _fractions(a: Certification) -> list[tuple[tuple[int, int], float]]:
-    """Pairs of tubes, from 1, and the fraction by which each reduces a margin of 1; the largest first."""
+    """Pairs of tubes, from 1, and the fraction of a margin of 1 that each takes; the largest first."""
     fraction = a.verdict.certificate.pair_fractions
     # The matrix is symmetric: each pair once.
     pairs = [((i + 1, j + 1), float(fraction[i, j])) for i, j in itertools.combinations(range(len(fraction)), 2)]

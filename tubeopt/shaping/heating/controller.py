@@ -102,8 +102,8 @@ def decide(
     After the end of the schedule, and after waiting longer than its patience, the count is 0.
 
     Args:
-        override: external effective mean count of this slot, (B,) or one; NaN for none. Its correction is
-            limited as that of the law, whose integral is set so that the law would choose the same count.
+        override: external effective mean count of this slot, (B,) or one; NaN for none. It has
+            the limits of the law. The integral of the law follows it, so that the law continues with the same count.
     """
     index = np.minimum(state.index, len(law.planned) - 1)
     running = (state.index < len(law.planned)) & (state.waited <= law.patience)

@@ -23,10 +23,10 @@ MARGIN = 0.04
 """Part of the constant curvature that is left out at either end: the ramps are not known exactly."""
 
 LESS = 1.5
-"""Factor by which leads must reduce the sum of squares to be believed."""
+"""Smallest reduction of the sum of squares by straight ends; with less, the whole tube counts as curved."""
 
 SHAPES = 5
-"""Number of shapes, beyond a circle, of which the deviations are read."""
+"""Number of shapes beyond a circle that describe the deviations."""
 
 RANDOM_CORRELATION = 1.5
 """Factor on the standard error: deviations of long waves are larger than those of the shapes that are read."""

@@ -24,7 +24,7 @@ MARK_RANGE = 0.05, 1.0
 """Distances of marks on a sheet, m."""
 
 HEIGHT_RANGE = 0.2
-"""Part by which the height of the tube's axis above the sheet may differ from half its width in the image."""
+"""Relative error of the height of the tube's axis above the sheet, taken as half its width in the image."""
 
 UNEVEN = 0.01
 """Half-width of the interval from deviations, relative to the radius, above which a remark reports it."""

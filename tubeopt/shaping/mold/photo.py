@@ -34,10 +34,10 @@ NO_RESOLUTION = 72.0, 96.0
 """Resolutions that programs write where they know none."""
 
 USUAL_FOCAL, FOCAL_RANGE = 30e-3, 0.5
-"""Focal length of a camera without a note, m on 35 mm film, and the part by which others differ."""
+"""Focal length of a camera that notes none, m on 35 mm film, and its relative error."""
 
 NOTED_RANGE = 0.1
-"""Part by which a noted focal length may be wrong."""
+"""Relative error of a noted focal length."""
 
 FILM_DIAGONAL = 43.27e-3
 """Diagonal of a picture on 35 mm film, m."""
@@ -116,7 +116,7 @@ class PhotoScale:
     middle: tuple[float, float] = (0.0, 0.0)
     """Pixel (column, row) on the camera's axis."""
     focal_range: float = 0.0
-    """Part by which the focal length may be wrong."""
+    """Relative error of the focal length."""
 
     @property
     def pitch(self) -> float:

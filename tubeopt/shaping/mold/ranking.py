@@ -49,7 +49,7 @@ class MaterialRating:
 
     @property
     def shortfall(self) -> float | None:
-        """Difference, K, by which the plan on the rig misses the window; None without a rig."""
+        """Miss of the window by the plan on the rig, K; None without a rig."""
         return None if self.plan is None else self.plan.shortfall
 
     @property
