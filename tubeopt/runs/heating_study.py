@@ -404,7 +404,7 @@ class HeatingCalibrationStudy(TubeOnRig):
     position_mm: Number = Field(
         Decimal(0),
         description="distance of the thermometer from the middle of the curved part, to either side; "
-        "beyond the edge of the mold, that edge is used",
+        "on the tube beyond the mold, the edge of the mold is used",
     )
     lag_s: NotNegative = Field(Decimal(0), description="time constant of the thermometers")
 
