@@ -26,7 +26,9 @@ from tubeopt import (
     load_robot,
     snap_free_certificate,
 )
-from tubeopt.equilibrium.bundle_derivatives import BundleResponse, bundle_response
+from tubeopt.block.transcription.bundle import BundleState
+from tubeopt.equilibrium.directions import PARAMETERS
+from tubeopt.equilibrium.jacobian import derivatives_of, shifted
 from tubeopt.equilibrium.kinematics import point_of
 from tubeopt.errors import InputError
 from tubeopt.inverse.joints import joint_space
@@ -141,18 +143,28 @@ def shoot(
     return violated, y[3 * n : 3 * n + 3]
 
 
+def length_forces(state: BundleState) -> Array:
+    """Derivatives (n,) lambda of the energy by the own lengths of the tubes, N."""
+    problem, count = state.problem, 2 * len(state.problem.weight)
+    by_length = problem.in_section @ (problem.weight * state.by_local[:, -1])
+    if state.loading is not None:
+        by_length = by_length - state.factor * state.loading.first[count : count + len(problem.order)]
+    out = np.zeros(problem.n)
+    for boundary, value in zip(problem.order, (by_length @ problem.lengths_by_boundaries).tolist(), strict=True):
+        out[list(boundary.ends)] = value
+    return out
+
+
 def compared(seed: int, tightest: float = 0.15) -> Array | None:
     """Largest violation of the integrated equations, and of the tip; None where ends of tubes stay together."""
     rng = np.random.default_rng(seed)
     robot, alpha, shift = random_bundle(rng, tightest)
     force = rng.uniform(-0.2, 0.2, 3) * (seed % 2)
     pose = robot.fk(alpha, shift, load=Load(tuple(force)) if seed % 2 else None)
-    arm = bundle_response(pose)
-    if arm.state.problem.held:
+    state = point_of(pose).state
+    if state.problem.held:
         return None
-    constant = np.zeros(robot.n_tubes)
-    for boundary, value in zip(arm.state.problem.order, arm.length_forces.tolist(), strict=True):
-        constant[list(boundary.ends)] = value
+    constant = length_forces(state)
     violated, tip = shoot(robot, pose, constant, force)
     return np.array([np.abs(violated).max(), np.abs(tip - pose.tip_position).max()])
 
@@ -281,22 +293,53 @@ def uneven() -> tuple[BundleRobot, Array, Array, Load]:
     return robot, np.array([0.3, 1.0, -2.0]), np.array([-0.01, 0.02, 0.003]), Load((0.03, 0.02, -0.01))
 
 
-def test_derivatives_are_those_of_differences(uneven: Any) -> None:
-    robot, alpha, shift, load = uneven
+@pytest.mark.parametrize("load", [None, *LOADS[1:5]])
+def test_derivatives_are_those_of_differences(uneven: Any, load: Load | None) -> None:
+    robot, alpha, shift, _ = uneven
+    robot = replace(robot, tubes=tuple(replace(t, mass_per_length=0.02 * k) for k, t in enumerate(robot.tubes, 1)))
     pose = robot.fk(alpha, shift, load=load)
-    jacobian, joints, h = pose.jacobian(), np.concatenate([alpha, shift]), 2e-5
-    for k in range(6):
-        step = h * (np.arange(6) == k)
-        ahead, behind = (robot.fk(*np.split(joints + way * step, 2), load=load, start=pose) for way in (1, -1))
-        assert np.abs((ahead.tip_position - behind.tip_position) / (2 * h) - jacobian.position[:, k]).max() < 1e-6
+    jacobian, along = pose.jacobian(wrt=PARAMETERS), derivatives_of(pose, PARAMETERS).position
+    for c, (name, i) in enumerate((name, i) for name in PARAMETERS for i in range(3)):
+        unit = {"rotations": 1.0, "curvature": 10.0}.get(name, getattr(robot.tubes[i], name, 0.05))
+        h = 3e-5 * unit
+        sides = [shifted(pose, name, i, way * h) for way in (1, -1)]
+        # The start is an equilibrium of another robot.
+        ahead, behind = (each.robot.fk(each.rotations, each.translations, load=load, start=pose) for each in sides)
+
+        change = {
+            name: (getattr(ahead, name) - getattr(behind, name)) / (2 * h)
+            for name in ("tip_position", "tip_rotations", "energy", "margin", "position", "arc_length")
+        }
         turn = ahead.tip_rotation @ behind.tip_rotation.T
         about = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / (4 * h)
-        assert np.abs(about - jacobian.rotation[:, k]).max() < 1e-5
-        assert (
-            np.abs((ahead.tip_rotations - behind.tip_rotations) / (2 * h) - jacobian.tip_rotations[:, k]).max() < 1e-4
-        )
-        assert (ahead.energy - behind.energy) / (2 * h) == pytest.approx(jacobian.energy[k], abs=1e-5)
-    assert jacobian.margin.shape == (6,)
+        assert unit * np.abs(change["tip_position"] - jacobian.position[:, c]).max() < 1e-8
+        assert unit * np.abs(about - jacobian.rotation[:, c]).max() < 1e-7
+        assert unit * np.abs(change["tip_rotations"] - jacobian.tip_rotations[:, c]).max() < 1e-7
+        assert unit * change["energy"] == pytest.approx(unit * jacobian.energy[c], abs=1e-8)
+        assert unit * change["margin"] == pytest.approx(unit * jacobian.margin[c], abs=1e-7)
+        # Points of the shape move along the arm, those of the derivative stay at fixed arc lengths.
+        moved = change["position"] - change["arc_length"][:, None] * pose.frame[:, :, 2]
+        assert unit * np.abs(moved - along[:, :, c])[:-1].max() < 1e-8
+
+
+@pytest.mark.parametrize("load", [None, Load((0.03, 0.02, -0.01))])
+def test_a_clamp_that_moves_back_from_the_plate_leaves_a_transmission(uneven: Any, load: Load | None) -> None:
+    robot, alpha, shift, _ = uneven
+    shift = np.array([robot.tubes[0].straight_length, 0.0, 0.0])
+    pose, h = robot.fk(alpha, shift, load=load), 1e-6
+    jacobian = pose.jacobian(wrt=["translations"])
+    # One-sided differences to second order: no transmission is shorter than none.
+    one, two = (robot.fk(alpha, shift - np.array([k * h, 0, 0]), load=load, start=pose) for k in (1, 2))
+    for quantity, slope in (("tip_position", jacobian.position[:, 0]), ("margin", jacobian.margin[0])):
+        here, back, far = (np.asarray(getattr(each, quantity)) for each in (pose, one, two))
+        assert np.abs((3 * here - 4 * back + far) / (2 * h) - slope).max() < 1e-5 * max(1.0, np.abs(slope).max())
+
+
+def test_its_curvature_is_free_only_where_its_sections_tell(uneven: Any) -> None:
+    robot, alpha, shift, _ = uneven
+    straight = replace(robot, tubes=(replace(robot.tubes[0], curvature=0.0), *robot.tubes[1:]))
+    with pytest.raises(InputError, match="would begin to curve in front of the plate"):
+        straight.fk(alpha, shift + np.array([0.02, 0, 0])).jacobian(wrt=["curvature"])
 
 
 @pytest.mark.parametrize(
@@ -355,10 +398,7 @@ def test_it_snaps_where_the_integrated_equations_are_singular() -> None:
     assert snap.energy_released > 1e-5
     assert snap.after.margin > 0
     pose, held = snap.before, point_of(snap.before).member.problem
-    response = BundleResponse(point_of(pose).member, point_of(pose).state)
-    constant = np.zeros(3)
-    for boundary, value in zip(held.order, response.length_forces.tolist(), strict=True):
-        constant[list(boundary.ends)] = value
+    constant = length_forces(point_of(pose).state)
     lever = held.bundle.levers
     z = np.concatenate([pose.torsion[:, 0] / (1 + lever @ pose.curvature[0]), constant])
 
@@ -447,8 +487,6 @@ def test_what_a_bundle_does_not_support_is_named(uneven: Any) -> None:
         robot.fk(alpha, shift, load=Load(distributed=((0.0, 0.02, (0, 0, 0), (0.01, 0, 0)),)))
     with pytest.raises(InputError, match="supports concentric and eccentric robots only"):
         snap_free_certificate(robot)
-    with pytest.raises(InputError, match="wrt names 'curvature'"):
-        robot.fk(alpha, shift).jacobian(wrt=["curvature"])
     with pytest.raises(InputError, match=r"must be at least 0\.002 m apart"):
         BundleRobot(robot.tubes[:2], (0.0005, 0.0005), (0.0, np.pi))
     with pytest.raises(InputError, match="offset has 1 numbers; it must have 3"):

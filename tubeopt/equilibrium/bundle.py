@@ -25,13 +25,13 @@ from ..block.transcription.bundle import (
     followed,
     holding_forces,
     margin_form,
+    mode_of,
     moved_order,
     natural_start,
     opened,
     place_slopes,
     problem_at,
     rearranged,
-    softest,
     solved_order,
     start_unknowns,
     tip_slopes,
@@ -239,7 +239,9 @@ class Bundled(Member[BundleState]):
     def softest(self, state: BundleState) -> Array:
         """(U,) unit vector of the smallest eigenvalue."""
         form = margin_form(state)
-        return softest(state, np.linalg.eigh(form)[1][:, 0] if self.descends else softest_of(form)[0])
+        vector = np.linalg.eigh(form)[1][:, 0] if self.descends else softest_of(form)[0]
+        unknowns = mode_of(state, vector).unknowns
+        return np.asarray(unknowns / np.linalg.norm(unknowns))
 
     def profile(self, state: BundleState) -> Profile:
         """Raises InputError: a bundle has no profile of torsion alone."""
@@ -402,9 +404,10 @@ class Bundled(Member[BundleState]):
         """Same equations at other joint values and load, with the boundaries in the same order."""
         known = self.problem
         problem = known
-        if translations != self.translations or load is not known.load:
-            assert isinstance(self.robot, BundleRobot)
-            bundle = bundle_at(self.robot, translations)
+        assert isinstance(self.robot, BundleRobot)
+        # Equal inputs share one object.
+        bundle = bundle_at(self.robot, translations)
+        if bundle is not known.bundle or load is not known.load:
             order = moved_order(known, bundle, _places(load))
             if not order:
                 return None
@@ -415,7 +418,8 @@ class Bundled(Member[BundleState]):
         self, point: AnyPoint, rotations: Array, translations: tuple[float, ...], load: Load | None, factor: float
     ) -> Bundled:
         """Same equations at other inputs, with boundaries and elements as at a point close by."""
-        like, state = point.member.with_inputs(rotations, translations, load, factor), point.state
+        known, state = replace(point.member, robot=self.robot), point.state
+        like = known.with_inputs(rotations, translations, load, factor)
         length = state.problem.lengths(state.x) * state.problem.count
         if like is not None and np.array_equal(
             element_counts(length, self.discretisation.refinement), state.problem.count

@@ -8,7 +8,7 @@ which the last margins predict.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, TypeVar
 
@@ -201,7 +201,9 @@ class Family:
         rotations, translations = self.path.at(t)
         shift, (load, factor) = tuple(translations.tolist()), self._factored(t)
         if isinstance(point.member, Bundled):
-            return point.member.near(point, rotations, shift, load, factor)
+            # The start of the path may be an equilibrium of another robot.
+            member = replace(point.member, robot=self.path.robot)
+            return member.near(point, rotations, shift, load, factor)
         if load is None:
             return Unloaded.of(self.path.robot, rotations, shift, self.path.discretisation)
         return Loaded.of(self.path.robot, rotations, shift, load, self.path.discretisation, factor)

@@ -8,10 +8,10 @@ from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy
 
 from ..arguments import typed
 from ..block.transcription.loaded import compliance_along, evaluate, symmetric_part
+from ..block.transcription.second_variation import modes
 from ..errors import InputError, finite
 from ..robots.assembly import LENGTH_ROUND_OFF, Assembly
 from ..robots.load import Load, PointLoad
@@ -30,13 +30,13 @@ from ..solvers.compiled.binding import (
     turn_compiled,
 )
 from ..typing import Array
-from .bundle_derivatives import BundleDerivatives
 from .directions import check_wrt
 from .kinematics import point_of
-from .linearised import Linearised, linearise, sharing
+from .linearised import linearise, sharing
+from .linearised_bundle import linearise_bundle
 from .member import Loaded, LoadedPoint, discretisation_of
 from .problem import DEFAULT_DISCRETISATION, loaded_problem, loading_of
-from .result import Equilibrium, Jacobian
+from .result import Derivatives, Equilibrium, Jacobian
 
 JOINTS = ("rotations", "translations")
 """Default parameters of a Jacobian."""
@@ -48,12 +48,13 @@ def derivatives_of(
     *,
     side: int = 1,
     carriages: Carriages | None = None,
-) -> Linearised | BundleDerivatives:
+) -> Derivatives:
     """Derivatives of an equilibrium, computed when they are read; by default with the `carriages` of the robot."""
     carriages = equilibrium.robot.moving_together if carriages is None else carriages
-    if not equilibrium.robot.fixed_sections:
-        return BundleDerivatives(equilibrium, wrt, sharing(carriages, tuple(wrt)))
-    return linearise(equilibrium, wrt, side, along=sharing(carriages, tuple(wrt)))
+    along = sharing(carriages, tuple(wrt))
+    if equilibrium.robot.fixed_sections:
+        return linearise(equilibrium, wrt, side, along=along)
+    return linearise_bundle(equilibrium, wrt, side, along=along)
 
 
 def compiled_slopes(
@@ -137,7 +138,7 @@ def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int
 
 
 @lru_cache(maxsize=8)
-def _kept(equilibrium: Equilibrium, wrt: tuple[str, ...], side: int) -> Linearised | BundleDerivatives:
+def _kept(equilibrium: Equilibrium, wrt: tuple[str, ...], side: int) -> Derivatives:
     """`derivatives_of`, cached for later reads of a Jacobian."""
     return derivatives_of(equilibrium, wrt, side=side)
 
@@ -170,9 +171,6 @@ def position_slopes(equilibrium: Equilibrium, carriages: Carriages | None = None
 
 STEP = 1e-5
 """Step of the differences: rad, or a fraction of the arm's length, of its inverse, or of a stiffness."""
-
-APART = 1e-6
-"""Distance of two eigenvalues, and cosine of a left and a right eigenvector, below which there is no derivative."""
 
 
 class Posed(NamedTuple):
@@ -249,7 +247,7 @@ def margin_slopes(
     differences = [difference_of(e, name, tube) for name in wrt for tube in range(len(e.rotations))]
     differences += [Difference(step, [Posed(robot, e.rotations, shift) for robot in pair]) for step, pair in varied]
     matrix = symmetric_part(point.member.problem, point.state) if sure else point.state.hessian
-    result = _modes(matrix, symmetric=sure)
+    result = modes(matrix, symmetric=sure)
     if result is None:
         return np.full(len(differences), np.nan)
     return np.array([_slope(point, result, difference, sure=sure) for difference in differences])
@@ -257,28 +255,11 @@ def margin_slopes(
 
 def margin_slopes_of(e: Equilibrium, wrt: Sequence[str]) -> Array:
     """(Q,) derivatives of the margin of any equilibrium; tubes of a carriage share the derivative equally."""
-    if e.load is None or e.load.has_energy:
+    if e.load is None or e.load.has_energy or not e.robot.fixed_sections:
         return jacobian(e, wrt=wrt).margin
     check_wrt(wrt, 1)
     shared, result = sharing(e.robot.moving_together, tuple(wrt)), margin_slopes(e, wrt)
     return result if shared is None else np.asarray(result @ shared)
-
-
-def _modes(matrix: Array, *, symmetric: bool) -> tuple[Array, Array] | None:
-    """Left and right eigenvectors of the eigenvalue of smallest real part; of a complex pair, of one of them.
-
-    None if another eigenvalue has the same real part, or where it is defective.
-    """
-    if symmetric:
-        values, right = np.linalg.eigh(matrix)
-        left = right
-    else:
-        values, left, right = scipy.linalg.eig(matrix, left=True)
-    order = np.lexsort((-values.imag, values.real))
-    k, larger = order[0], order[1 + (abs(values[order[0]].imag) > 0) :]
-    w, v = left[:, k], right[:, k]
-    double = len(larger) > 0 and values[larger[0]].real - values[k].real < APART
-    return None if double or abs(np.vdot(w, v)) < APART else (w, v)
 
 
 def _slope(point: LoadedPoint, modes: tuple[Array, Array], difference: Difference, *, sure: bool) -> float:

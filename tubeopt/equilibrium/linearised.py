@@ -36,7 +36,7 @@ from .arm_change import SHAPE_POINTS, ArmChange
 from .directions import Change, Directions
 from .member import discretisation_of, sample_rotation
 from .problem import loaded_problem, reduced_problem
-from .result import Equilibrium, refuse_friction
+from .result import Derivatives, Equilibrium, refuse_friction
 
 # --- Margin of tubes off the centreline -------------------------------------------------------------------------------
 
@@ -402,7 +402,7 @@ def standing_of(equilibrium: Equilibrium, straight: bool = True) -> LinearisedAr
 # --- At a fraction of the arm's length --------------------------------------------------------------------------------
 
 
-def centreline_point(of: Linearised, fraction: float) -> Array:
+def centreline_point(of: Derivatives, fraction: float) -> Array:
     """Position (3,) at a fraction of the arm's length in front of the plate, m."""
     table = of.shape.position
     if len(of.cuts) < 2:
@@ -411,7 +411,7 @@ def centreline_point(of: Linearised, fraction: float) -> Array:
     return np.asarray(weights @ table[4 * k : 4 * k + 5])
 
 
-def position_at(of: Linearised, fraction: float) -> tuple[Array, Array]:
+def position_at(of: Derivatives, fraction: float) -> tuple[Array, Array]:
     """Position (3,) at a fraction of the arm's length in front of the plate, m, and its change (3, Q)."""
     table = of.shape.position
     change = of.position.copy()
@@ -482,12 +482,12 @@ def curvature_in_tube(of: Linearised, tube: int, ends: tuple[float, float], move
     return value / (last - first), change / (last - first)
 
 
-def _longer(of: Linearised) -> Array:
+def _longer(of: Derivatives) -> Array:
     """(Q,) change of the arm's length."""
     return np.asarray(of.shape.frame[-1][:, 2] @ of.pushed)
 
 
-def _place(of: Linearised, fraction: float) -> tuple[int, float]:
+def _place(of: Derivatives, fraction: float) -> tuple[int, float]:
     """Element at a fraction of the arm's length, and the fraction within the element."""
     (k,), _, (x,) = between(of.cuts, np.array([fraction * of.cuts[-1]]))
     return int(k), float(x)
@@ -504,7 +504,7 @@ class _ShapeWeights(NamedTuple):
     """Weights (5,) of the derivative, 1/m."""
 
 
-def _weights(of: Linearised, fraction: float) -> _ShapeWeights:
+def _weights(of: Derivatives, fraction: float) -> _ShapeWeights:
     """Weights of the shape points at a fraction of the length."""
     k, x = _place(of, fraction)
     powers = np.arange(len(ENDS))

@@ -165,9 +165,26 @@ READ_LATER = ("tip_rotations", "margin", "energy")
 
 
 class Derivatives(Protocol):
-    """Derivatives of an equilibrium, computed when they are read; names as in `Jacobian`."""
+    """Derivatives of an equilibrium in Q directions, computed when they are read; names as in `Jacobian`."""
 
-    wrt: tuple[str, ...]
+    @property
+    def wrt(self) -> tuple[str, ...]: ...
+
+    @property
+    def size(self) -> int:
+        """Number Q of directions."""
+
+    @property
+    def shape(self) -> ArmShape:
+        """Shape of the arm."""
+
+    @property
+    def cuts(self) -> Array:
+        """Arc lengths (P + 1,) of the ends of the elements, m."""
+
+    @property
+    def pushed(self) -> Array:
+        """Motion (3, Q) of the tip along its axis as the arm grows, m."""
 
     @property
     def tip_position(self) -> Array: ...
@@ -183,6 +200,15 @@ class Derivatives(Protocol):
 
     @property
     def energy(self) -> Array: ...
+
+    @property
+    def position(self) -> Array: ...
+
+    @property
+    def bend(self) -> Array: ...
+
+    @property
+    def total_bend(self) -> float: ...
 
 
 @dataclass(frozen=True)

@@ -100,10 +100,10 @@ def _finite(objective: CustomObjective | CustomRequirement, evaluate: Callable[[
         ) from None
 
 
-def _linearised(at: Posture) -> Linearised:
-    """Derivatives of a posture with its sections at fixed arc lengths."""
+def _with_sections(at: Posture) -> Linearised:
+    """Derivatives of a posture with its cross-sections along the arm."""
     if not isinstance(at.derivatives, Linearised):
-        raise InputError("kind is bundle; expressions of positions and curvatures along its arm are not available")
+        raise InputError("kind is bundle; expressions of the curvature along its arm are not available")
     return at.derivatives
 
 
@@ -122,9 +122,9 @@ def values(at: Posture) -> Callable[[Quantity], Array]:
             case "tip_direction":
                 return at.direction
             case "position":
-                return centreline_point(_linearised(at), quantity.at[0])
+                return centreline_point(at.derivatives, quantity.at[0])
             case "curvature" if quantity.at:
-                return curvature_at(_linearised(at), quantity.at[0])[0]
+                return curvature_at(_with_sections(at), quantity.at[0])[0]
             case name if quantity.pose is None:
                 return np.array([getattr(tube, name) for tube in at.space.robot.tubes])
             case name:
@@ -151,9 +151,9 @@ def linear(at: Posture) -> Callable[[Quantity], tuple[Array, Array]]:
             case "margin":
                 return at.margin_slope()[None]
             case "position":
-                return position_at(_linearised(at), quantity.at[0])[1] @ at.space.spread
+                return position_at(at.derivatives, quantity.at[0])[1] @ at.space.spread
             case "curvature" if quantity.at:
-                return curvature_at(_linearised(at), quantity.at[0])[1] @ at.space.spread
+                return curvature_at(_with_sections(at), quantity.at[0])[1] @ at.space.spread
             case _:
                 return np.zeros((quantity.size(n), len(at.q)))
 

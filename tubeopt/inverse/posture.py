@@ -12,13 +12,11 @@ import numpy as np
 from ..block.transcription.arm import between
 from ..block.transcription.reduced import ReducedProblem
 from ..bodies.obstacles import Scene
-from ..equilibrium.bundle_derivatives import BundleDerivatives
 from ..equilibrium.continuation import reference_length
 from ..equilibrium.jacobian import compiled_slopes, derivatives_of
 from ..equilibrium.kinematics import forward_kinematics, one_step, point_of
-from ..equilibrium.linearised import Linearised
 from ..equilibrium.member import PlainPoint
-from ..equilibrium.result import Equilibrium, refuse_load
+from ..equilibrium.result import Derivatives, Equilibrium, refuse_load
 from ..errors import InputError, SolveError
 from ..solvers.settings import LARGEST_SHIFT, LARGEST_TURN
 from ..typing import Array, Delegate
@@ -96,11 +94,11 @@ class Posture:
         return self.solution.member.problem
 
     @cached_property
-    def derivatives(self) -> Linearised | BundleDerivatives:
+    def derivatives(self) -> Derivatives:
         """Derivatives by rotations and translations; one-sided, for growing translations, if both sides differ."""
         return self._derivatives(1)
 
-    def _derivatives(self, side: int) -> Linearised | BundleDerivatives:
+    def _derivatives(self, side: int) -> Derivatives:
         return derivatives_of(self.equilibrium, side=side, carriages=self.space.carriages)
 
     @cached_property

@@ -250,6 +250,34 @@ def bent_anyhow(n: int) -> ca.Function:
 # h): that tubes have a fixed own length is a linear condition.
 
 
+class _BundleEnergy(NamedTuple):
+    """Energy of a bundle over an element of the centreline, as an expression of its arguments."""
+
+    local: ca.SX
+    """v = (theta (n,), p (n,), kappa (2,), h)."""
+    tubes: ca.SX
+    """kb, kt and m (3 n,)."""
+    places: list[ca.SX]
+    """d and phi (n,), and the bending stiffness of the sheath."""
+    energy: ca.SX
+    """Energy, J."""
+    length: ca.SX
+    """Lengths g (n,) of the tubes, m."""
+
+
+def _bundle_energy(n: int) -> _BundleEnergy:
+    theta, turn, bend, h = ca.SX.sym("theta", n), ca.SX.sym("p", n), ca.SX.sym("kappa", 2), ca.SX.sym("h")
+    kb, kt, m, d, phi = (ca.SX.sym(name, n) for name in ("kb", "kt", "m", "d", "phi"))
+    sheath = ca.SX.sym("sheath")
+    length = h * _stretch(bend / h, d, phi)
+    twisting = ca.dot(kt, turn**2 / length) / 2
+    bending = ca.sumsqr(bend) * (ca.sum1(kb / length) + sheath / h) / 2
+    natural = ca.dot(m**2 / ca.if_else(kb > 0, kb, 1), length) / 2
+    coupling = ca.dot(natural_moments(theta, m), ca.repmat(bend.T, n, 1))
+    energy = twisting + bending + natural - coupling
+    return _BundleEnergy(ca.vertcat(theta, turn, bend, h), ca.vertcat(kb, kt, m), [d, phi, sheath], energy, length)
+
+
 @lru_cache(maxsize=16)
 def bundle_energy(n: int) -> ca.Function:
     """Elastic energy of n tubes of fixed own length in a sheath, over an element of the centreline, with derivatives.
@@ -260,16 +288,25 @@ def bundle_energy(n: int) -> ca.Function:
     Returns of the function: energy (J), gradient (2 n + 3), Hessian (2 n + 3, 2 n + 3), and lengths g (n,) of the
     tubes, m.
     """
-    theta, turn, bend, h = ca.SX.sym("theta", n), ca.SX.sym("p", n), ca.SX.sym("kappa", 2), ca.SX.sym("h")
-    kb, kt, m, d, phi = (ca.SX.sym(name, n) for name in ("kb", "kt", "m", "d", "phi"))
-    sheath = ca.SX.sym("sheath")
-    length = h * _stretch(bend / h, d, phi)
-    twisting = ca.dot(kt, turn**2 / length) / 2
-    bending = ca.sumsqr(bend) * (ca.sum1(kb / length) + sheath / h) / 2
-    natural = ca.dot(m**2 / ca.if_else(kb > 0, kb, 1), length) / 2
-    coupling = ca.dot(natural_moments(theta, m), ca.repmat(bend.T, n, 1))
-    energy = twisting + bending + natural - coupling
-    v = ca.vertcat(theta, turn, bend, h)
+    v, tubes, places, energy, length = _bundle_energy(n)
     hessian, gradient = ca.hessian(energy, v)
     outputs = [energy, ca.densify(gradient), ca.densify(hessian), length]
-    return ca.Function("bundle_energy", [v, kb, kt, m, d, phi, sheath], outputs, {"cse": True})
+    return ca.Function("bundle_energy", [v, *ca.vertsplit(tubes, n), *places], outputs, {"cse": True})
+
+
+@lru_cache(maxsize=16)
+def bundle_energy_changes(n: int) -> ca.Function:
+    """Derivatives of `bundle_energy`, and of its second variation a' Hessian b for two directions of v.
+
+    Args of the function: those of `bundle_energy`, and a, b (2 n + 3,).
+
+    Returns of the function: gradient of the energy by kb, kt and m (3 n); derivative of its gradient by them
+    (3 n, 2 n + 3); gradient of the second variation by v, kb, kt and m (5 n + 3).
+    """
+    v, tubes, places, energy, _ = _bundle_energy(n)
+    a, b = ca.SX.sym("a", v.shape[0]), ca.SX.sym("b", v.shape[0])
+    gradient = ca.gradient(energy, v)
+    second = ca.dot(ca.jtimes(gradient, v, b), a)
+    outputs = [ca.gradient(energy, tubes), ca.jacobian(gradient, tubes).T, ca.gradient(second, ca.vertcat(v, tubes))]
+    inputs = [v, *ca.vertsplit(tubes, n), *places, a, b]
+    return ca.Function("bundle_energy_changes", inputs, [ca.densify(each) for each in outputs], {"cse": True})

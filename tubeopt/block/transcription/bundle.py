@@ -226,6 +226,11 @@ class BundleProblem:
         return np.asarray(self._of_sections[0][self.point_section])
 
     @cached_property
+    def curved(self) -> Mask:
+        """Mask (N, n) of the tubes whose curved part is there."""
+        return np.asarray(self._of_sections[1][self.point_section])
+
+    @cached_property
     def stiffness(self) -> Array:
         """Bending stiffnesses kb (N, n) of the tubes present at the points, N m^2."""
         return self.bundle.bending_stiffness * self.present
@@ -233,8 +238,8 @@ class BundleProblem:
     @cached_property
     def inputs(self) -> tuple[Array, ...]:
         """Inputs of `bundle_energy` that are independent of x."""
-        bundle, curved = self.bundle, self._of_sections[1][self.point_section]
-        moment = bundle.bending_stiffness * bundle.curvature * curved
+        bundle = self.bundle
+        moment = bundle.bending_stiffness * bundle.curvature * self.curved
         place = np.broadcast_arrays(bundle.offset, bundle.angle)
         return self.stiffness, bundle.torsional_stiffness * self.present, moment, *place, np.array([bundle.sheath])
 
@@ -339,9 +344,13 @@ class BundleProblem:
         by_x, _, start = self._bending
         return np.asarray(start + by_x @ x[self.split :])
 
+    def lengths_of(self, bend: Array) -> Array:
+        """Lengths h (m,) of the elements of each section at kappa (2 N,), m."""
+        return np.asarray(self.straight + self.lengths_by_bend @ bend)
+
     def lengths(self, x: Array) -> Array:
         """Lengths h (m,) of the elements of each section at unknowns x, m."""
-        return np.asarray(self.straight + self.lengths_by_bend @ self.bend(x))
+        return self.lengths_of(self.bend(x))
 
     def torsion(self, x: Array) -> tuple[Array, Array]:
         """Turns p (N, n) of the tubes, and their rotations (n,) at the plate by the twist of the transmissions, rad."""
@@ -448,7 +457,7 @@ def evaluate(problem: BundleProblem, rotations: Array, x: Array, factor: float =
     n, count = problem.n, len(problem.weight)
     (turn, twist), bend = problem.torsion(x), problem.bend(x)
     theta = rotations + problem.up_to @ turn + twist
-    h = (problem.straight + problem.lengths_by_bend @ bend)[problem.point_section]
+    h = problem.lengths_of(bend)[problem.point_section]
     bend = bend.reshape(-1, 2)
     length = h[:, None] + bend @ problem.bundle.levers.T
     geometry = theta, turn, bend, h, length
@@ -685,6 +694,27 @@ def work_of(problem: BundleProblem, bend: Array, h: Array, length: Array) -> Wor
     return Work(value, first, second, torsional, torsional_slope, total)
 
 
+def work_second_change(state: BundleState, left: Array, right: Array) -> Array:
+    """Gradient (2 N + m + n,) of the second variation of the work along directions (U,), by kappa, h and own lengths.
+
+    It is symmetric in `right` and in what it is differentiated by: one central difference along `right`.
+    """
+    problem, count = state.problem, 2 * len(state.problem.weight)
+    along = np.zeros(count + len(problem.order) + problem.n)
+    by_left, by_right = problem.bend_map @ left[problem.split :], problem.bend_map @ right[problem.split :]
+    along[:count], along[count : -problem.n] = by_left, problem.lengths_by_bend @ by_left
+    # A step that turns the arm by as much balances truncation and round-off, at a relative error of 1e-10.
+    step = 1e-5 / max(float(np.abs(np.cumsum(by_right.reshape(-1, 2), axis=0)).max()), 1e-300)
+    out = np.zeros_like(along)
+    for way in (1, -1):
+        bend = state.bend + way * step * by_right.reshape(-1, 2)
+        h = problem.lengths_of(bend.ravel())[problem.point_section]
+        work = work_of(problem, bend, h, h[:, None] + bend @ problem.bundle.levers.T)
+        out += way * along @ work.second / (2 * step)
+        out[:count] += way * left @ work.torsional_slope / (2 * step)
+    return out
+
+
 def _centres(bundle: Bundle) -> Array:
     """Places (n, 2) of the tubes in the cross-section, m."""
     return np.asarray(bundle.offset[:, None] * np.column_stack([np.cos(bundle.angle), np.sin(bundle.angle)]))
@@ -750,10 +780,20 @@ def margin_form(state: BundleState) -> Array:
     return np.asarray(basis.T @ state.hessian @ basis)
 
 
-def softest(state: BundleState, vector: Array) -> Array:
-    """Unit vector (U,) of unknowns from a vector of the margin's form."""
-    out = _relative(state)[:, : len(vector)] @ vector
-    return np.asarray(out / np.linalg.norm(out))
+class BundleMode(NamedTuple):
+    """Direction of the unknowns for a vector of the margin's form."""
+
+    unknowns: Array
+    """Change (U,) of the unknowns."""
+    relaxed: Array
+    """Change (U,) with the same torsion, and the bending that minimises the elastic energy; equal without a load."""
+
+
+def mode_of(state: BundleState, vector: Array) -> BundleMode:
+    """Direction of the unknowns for a vector of `margin_form`; T of it is the square of the vector."""
+    basis, split = _relative(state), state.problem.split
+    # Columns of torsion have the bending that minimises the elastic energy.
+    return BundleMode(basis[:, : len(vector)] @ vector, basis[:, :split] @ vector[:split])
 
 
 def _relative(state: BundleState) -> Array:
@@ -805,7 +845,7 @@ def start_unknowns(problem: BundleProblem, start: Start) -> Array:
 
 def _shortened(problem: BundleProblem, turn: Array, bend: Array, sections: Sequence[int], length: float) -> None:
     """Overwrite p (N, n) and kappa (N, 2) of short sections: rates of the section before them, times their length."""
-    rate_of, h = np.column_stack([turn, bend]), problem.straight + problem.lengths_by_bend @ bend.ravel()
+    rate_of, h = np.column_stack([turn, bend]), problem.lengths_of(bend.ravel())
     for k in sections:
         in_section = problem.point_section == k
         neighbour = (

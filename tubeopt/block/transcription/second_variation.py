@@ -37,6 +37,9 @@ REAL = 1e-6
 """Imaginary part, relative to its size, below which an eigenvalue counts as real: round-off splits two that are almost
 equal by as much. Only a real eigenvalue belongs to a fold."""
 
+SEPARATE = 1e-6
+"""Distance of two eigenvalues, and cosine of a left and a right eigenvector, below which a mode has no derivative."""
+
 
 def margin(problem: ReducedProblem, state: Evaluation) -> float:
     """Smallest eigenvalue of the second variation relative to its torsional part, at most 1.
@@ -84,6 +87,23 @@ def softest_of(matrix: Array) -> tuple[Array, bool]:
     k = int(np.argmin(values.real))
     direction = columns[:, k].real
     return np.asarray(direction / np.linalg.norm(direction)), bool(abs(values[k].imag) > REAL)
+
+
+def modes(matrix: Array, *, symmetric: bool) -> tuple[Array, Array] | None:
+    """Left and right eigenvectors of the eigenvalue of smallest real part; of a complex pair, of one of them.
+
+    None if another eigenvalue has the same real part, or where it is defective.
+    """
+    if symmetric:
+        values, right = np.linalg.eigh(matrix)
+        left = right
+    else:
+        values, left, right = scipy.linalg.eig(matrix, left=True)
+    order = np.lexsort((-values.imag, values.real))
+    k, larger = order[0], order[1 + (abs(values[order[0]].imag) > 0) :]
+    w, v = left[:, k], right[:, k]
+    double = len(larger) > 0 and values[larger[0]].real - values[k].real < SEPARATE
+    return None if double or abs(np.vdot(w, v)) < SEPARATE else (w, v)
 
 
 def stiffnesses(matrix: Array, *, symmetric: bool) -> Array:

@@ -1,0 +1,374 @@
+"""Derivatives of an equilibrium of a bundle robot by joint values and dimensions, by the implicit function theorem.
+
+The gradient of the energy E(x, c) stays 0 along the equilibrium x(c): dx/dc = -E_xx^-1 E_xc. A section of a bundle ends
+where its tubes have fixed own lengths, so that every section moves with the curvature of all others: in place of the
+chain of elements of tubes with fixed sections, one matrix E_xx joins them.
+
+The mode z of the margin mu makes z'Hz / z'Tz stationary, with H = E_xx and T the second variation of tubes without
+coupling, see `margin_form`. No change of the mode matters to it: d mu = z'(dH - mu dT)z / z'Tz. Under a load without
+an energy H is not symmetric, and the left mode takes the place of the first z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+import scipy
+
+from ..block.transcription.arm import ArmShape, along_elements
+from ..block.transcription.buffered import mapped
+from ..block.transcription.bundle import (
+    BundleMode,
+    BundleState,
+    bundle_arm,
+    margin_form,
+    mode_of,
+    work_second_change,
+)
+from ..block.transcription.collocated import ENDS
+from ..block.transcription.orientation import orient, tangent_slopes, tangents
+from ..block.transcription.second_variation import modes
+from ..errors import InputError, SolveError
+from ..physics.shape import world_turns
+from ..physics.torsion import bundle_energy_changes
+from ..solvers.settings import LEAST_STIFFNESS
+from ..typing import Array, Mask
+from .bundle import Bundled
+from .directions import check_wrt
+from .kinematics import point_of
+from .linearised import FLAT
+from .result import Equilibrium
+
+CHANGED: dict[str, dict[str, float]] = {
+    "rotations": {"alpha": 1},
+    "translations": {"transmission": -1, "transition": 1, "end": 1},
+    "curvature": {"curvature": 1},
+    "straight_length": {"transmission": 1},
+    "curved_length": {"end": 1},
+    "bending_stiffness": {"bending_stiffness": 1},
+    "torsional_stiffness": {"torsional_stiffness": 1},
+}
+"""Changes of the quantities of a tube in `Bundle`, and of its rotation alpha, per unit of each parameter."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearisedBundle:
+    """Derivatives of a solved state of a bundle in Q directions, computed when they are read; names as in `Jacobian`.
+
+    A table (N, 2 n + 3, Q) has the changes of theta, p, kappa and h at the points.
+    """
+
+    member: Bundled
+    state: BundleState
+    wrt: tuple[str, ...]
+    """Names of PARAMETERS, n columns each."""
+    along: Array | None = None
+    """Combinations (n len(wrt), Q) of these columns that replace them, or None."""
+
+    def __post_init__(self) -> None:
+        bundle = self.state.problem.bundle
+        if "curvature" in self.wrt and ((bundle.curvature == 0) & (bundle.transition > 0)).any():
+            raise InputError(
+                "wrt names 'curvature', but a straight tube would begin to curve in front of the plate. Give that tube "
+                "a curvature, or move it back until its curved part begins at the plate."
+            )
+
+    # --- Changes of the tubes -----------------------------------------------------------------------------------------
+
+    @property
+    def size(self) -> int:
+        """Number Q of directions."""
+        return self.state.problem.n * len(self.wrt) if self.along is None else self.along.shape[1]
+
+    def _of_tubes(self, quantity: str) -> Array:
+        """Change (n, Q) of a quantity of the tubes."""
+        one = np.eye(self.state.problem.n)
+        columns = np.concatenate([CHANGED[name].get(quantity, 0.0) * one for name in self.wrt], axis=1)
+        return columns if self.along is None else columns @ self.along
+
+    @cached_property
+    def _data(self) -> Array:
+        """Change (N, 3 n, Q) of kb, kt and m at the points."""
+        problem = self.state.problem
+        bundle, present, curved = problem.bundle, problem.present[..., None], problem.curved[..., None]
+        kb, kt = self._of_tubes("bending_stiffness"), self._of_tubes("torsional_stiffness")
+        m = bundle.curvature[:, None] * kb + bundle.bending_stiffness[:, None] * self._of_tubes("curvature")
+        return np.concatenate([present * kb, present * kt, curved * m], axis=1)
+
+    @cached_property
+    def _straight(self) -> Array:
+        """Change (m, Q) of the lengths h of elements of a straight arm, m."""
+        problem = self.state.problem
+        transition, end = self._of_tubes("transition"), self._of_tubes("end")
+        moved = np.zeros((len(problem.order), self.size))
+        for k, boundary in enumerate(problem.order):
+            for i in boundary.tubes:
+                moved[k] += (end if i in boundary.ends else transition)[i]
+        return problem.lengths_by_boundaries @ moved
+
+    @cached_property
+    def _held_bend(self) -> Array:
+        """Change (2 N, Q) of kappa at fixed x, by which sections of length 0 stay so."""
+        return self.state.problem.held_bend(self._straight)
+
+    @cached_property
+    def _free(self) -> Mask:
+        """Mask (n,) of the tubes that are clamped at the plate."""
+        return np.isin(np.arange(self.state.problem.n), self.state.problem.sprung, invert=True)
+
+    @cached_property
+    def _plate_twist(self) -> Array:
+        """Twist rates (n,) of tubes that are clamped at the plate, 0 of others, rad/m."""
+        state, problem = self.state, self.state.problem
+        at_plate, k = problem.tableau.basis((0.0,), 0)[0], problem.tableau.degree
+        length = np.where(problem.present[:k], state.length[:k], 1.0)
+        return np.where(self._free, (at_plate @ state.turn[:k]) / (at_plate @ length), 0.0)
+
+    @cached_property
+    def _at_plate(self) -> Array:
+        """Change (n, Q) of the rotations at the plate at fixed x: a clamp that moves back gives a transmission."""
+        return self._of_tubes("alpha") + self._plate_twist[:, None] * self._of_tubes("transmission")
+
+    @cached_property
+    def _softer(self) -> Array:
+        """Relative change (s, Q) of the stiffnesses kt / |beta| of the transmissions."""
+        problem, sprung = self.state.problem, self.state.problem.sprung
+        kt, length = self._of_tubes("torsional_stiffness")[sprung], self._of_tubes("transmission")[sprung]
+        bundle = problem.bundle
+        return np.asarray(kt.T / bundle.torsional_stiffness[sprung] - length.T / bundle.transmission[sprung]).T
+
+    # --- Change of the equilibrium ------------------------------------------------------------------------------------
+
+    @cached_property
+    def _local(self) -> Array:
+        """Table of the changes at fixed x."""
+        problem, n = self.state.problem, self.state.problem.n
+        out = np.zeros((len(problem.weight), 2 * n + 3, self.size))
+        out[:, :n] = self._at_plate
+        out[:, 2 * n : -1] = self._held_bend.reshape(-1, 2, self.size)
+        out[:, -1] = (self._straight + problem.lengths_by_bend @ self._held_bend)[problem.point_section]
+        return out
+
+    @cached_property
+    def _tubes_by(self) -> tuple[Array, Array]:
+        """Gradient (N, 3 n) of the energy by kb, kt and m, and derivative (N, 2 n + 3, 3 n) of `by_local` by them."""
+        first, mixed, _ = self._changes(np.zeros(self._local.shape[:2]), np.zeros(self._local.shape[:2]))
+        return first, mixed
+
+    def _changes(self, left: Array, right: Array) -> tuple[Array, Array, Array]:
+        """Results of `bundle_energy_changes` at the points, for directions (N, 2 n + 3)."""
+        state, problem = self.state, self.state.problem
+        count, n = state.theta.shape
+        local = np.column_stack([state.theta, state.turn, state.bend, state.h])
+        outputs = mapped(bundle_energy_changes(n), count)(local, *problem.inputs, left, right)
+        first, mixed, third = (part.copy() for part in outputs)
+        # CasADi stores (3 n, 2 n + 3) by columns.
+        return first, mixed.reshape(count, 2 * n + 3, 3 * n), third
+
+    @cached_property
+    def x(self) -> Array:
+        """Derivative (U, Q) of the unknowns."""
+        state, problem = self.state, self.state.problem
+        by_point = state.local_hessian @ self._local
+        if self._data.any():
+            by_point += self._tubes_by[1] @ self._data
+        right = problem.adjoint_sums(problem.weight[:, None, None] * by_point)
+        right[problem.sprung_rows] += state.x[problem.sprung_rows, None] * self._softer
+        if state.loading is not None:
+            count, m = 2 * len(problem.weight), len(problem.order)
+            by_place = state.loading.second @ self._placed(self._held_bend)
+            follow = by_place[:count] + problem.lengths_by_bend.T @ by_place[count : count + m]
+            right[problem.split :] -= state.factor * problem.bend_map.T @ follow
+            right -= state.factor * state.loading.torsional_slope @ self._held_bend
+        return np.asarray(-scipy.linalg.solve(state.hessian, right))
+
+    def _placed(self, bend: Array) -> Array:
+        """Changes (2 N + m + n, Q) of kappa, h and own lengths, on which the work of a load depends, with kappa."""
+        h = self._straight + self.state.problem.lengths_by_bend @ bend
+        return np.concatenate([bend, h, self._of_tubes("end")])
+
+    @cached_property
+    def changes(self) -> Array:
+        """Table of all changes."""
+        out = self._local.copy()
+        for q, step in enumerate(self.x.T):
+            out[..., q] += self.state.problem.push(step)
+        return out
+
+    @property
+    def _bend(self) -> Array:
+        """Change (2 N, Q) of kappa."""
+        return self.changes[:, -3:-1].reshape(-1, self.size)
+
+    # --- Energy and curvature -----------------------------------------------------------------------------------------
+
+    @cached_property
+    def energy(self) -> Array:
+        """Derivative (Q,) of the elastic energy, J."""
+        problem, state = self.state.problem, self.state
+        by_point = problem.weight[:, None] * state.by_local
+        out = np.tensordot(by_point, self.changes, 2)
+        spring = state.x[problem.sprung_rows]
+        out += spring @ self.x[problem.sprung_rows] + spring**2 @ self._softer / 2
+        # Where a clamp moves back from the plate, the new transmission is twisted as the tube is.
+        twisted = problem.bundle.torsional_stiffness * self._plate_twist**2 / 2
+        out += twisted @ self._of_tubes("transmission")
+        if self._data.any():
+            out += np.tensordot(problem.weight[:, None] * self._tubes_by[0], self._data, 2)
+        return np.asarray(out)
+
+    @property
+    def total_bend(self) -> float:
+        """Integral of the squared curvature, 1/m."""
+        return float(self.state.problem.weight @ ((self.state.bend**2).sum(1) / self.state.h))
+
+    @cached_property
+    def bend(self) -> Array:
+        """Derivative (Q,) of `total_bend`, 1/m."""
+        state, weight = self.state, self.state.problem.weight
+        u = state.bend / state.h[:, None]
+        by_h = -(weight * (u**2).sum(1)) @ self.changes[:, -1]
+        return np.asarray(np.tensordot(2 * weight[:, None] * u, self.changes[:, -3:-1], 2) + by_h)
+
+    # --- Shape --------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def shape(self) -> ArmShape:
+        """Shape of the arm."""
+        return bundle_arm(self.member.rotations, self.state)
+
+    @property
+    def cuts(self) -> Array:
+        """Arc lengths (P + 1,) of the ends of the elements, m."""
+        return self.shape.arc_length[:: len(ENDS) - 1]
+
+    @cached_property
+    def _moved(self) -> Array:
+        """Motion (p, Q) along the arm of the points of the shape, m."""
+        k = self.state.problem.tableau.degree
+        h = self.changes[::k, -1]
+        start = np.cumsum(h, axis=0) - h
+        return along_elements(start[:, None] + ENDS[:, None] * h[:, None], len(h))
+
+    @property
+    def pushed(self) -> Array:
+        """Motion (3, Q) of the tip along its axis as the arm grows, m."""
+        return np.asarray(self.shape.frame[-1, :, 2, None] * self._moved[-1])
+
+    @cached_property
+    def _oriented(self) -> tuple[Array, Array]:
+        """Change (N, 3, Q) of the tangents at the points, and turn (3, Q) of the tip frame about world axes, rad."""
+        orientation = orient(self.state.problem.mesh, self.state.bend)
+        stage, end = orientation.stage, orientation.start[-1]
+        turned = (orientation.stage_slope.reshape(4 * len(stage), -1) @ self._bend).reshape(len(stage), 4, self.size)
+        return tangent_slopes(stage) @ turned, 2 * (world_turns() @ end) @ (orientation.start_slope[-1] @ self._bend)
+
+    @cached_property
+    def position(self) -> Array:
+        """Derivative (p, 3, Q) of the points of the shape at fixed arc lengths, m; of the last one, of the tip."""
+        state, problem, k = self.state, self.state.problem, self.state.problem.tableau.degree
+        tangent = tangents(orient(problem.mesh, state.bend).stage)
+        # The offset in an element is h int t dx: with the polynomial of t through the points.
+        rates = state.h[:, None, None] * self._oriented[0] + tangent[..., None] * self.changes[:, None, -1]
+        elements = len(rates) // k
+        inside = problem.tableau.basis(tuple(ENDS.tolist()), 1) @ rates.reshape(elements, k, 3 * self.size)
+        foot = np.cumsum(inside[:, -1], axis=0) - inside[:, -1]
+        out = along_elements(foot[:, None] + inside, elements).reshape(-1, 3, self.size)
+        out[:-1] -= self.shape.frame[:-1, :, 2, None] * self._moved[:-1, None]
+        return np.asarray(out)
+
+    @property
+    def tip_position(self) -> Array:
+        """Derivative (3, Q) of the tip position, m."""
+        return np.asarray(self.position[-1])
+
+    @property
+    def tip_rotation(self) -> Array:
+        """Turn (3, Q) of the tip frame about world axes, rad."""
+        return self._oriented[1]
+
+    @property
+    def tip_rotations(self) -> Array:
+        """Derivative (n, Q) of theta at the ends of the tubes, rad."""
+        return self._at_plate + self.state.problem.tip_rows @ self.x
+
+    # --- Margin -------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def margin(self) -> Array:
+        """Derivative (Q,) of the margin; NaN at a double eigenvalue, and where the mode oscillates."""
+        state, problem, n = self.state, self.state.problem, self.state.problem.n
+        mu = self.member.margin(state)
+        if mu >= FLAT:
+            return np.zeros(self.size)
+        pair = modes(margin_form(state), symmetric=self.member.descends or not state.factor)
+        if pair is None or any(np.abs(np.imag(vector)).max() > 0 for vector in pair):
+            return np.full(self.size, np.nan)
+        pairing = float(np.real(pair[0] @ pair[1]))
+        left, right = (mode_of(state, np.real(vector)) for vector in pair)
+        out = self._elastic_change(left.unknowns, right.unknowns)
+        if state.loading is not None:
+            moves = self._placed(self._bend)
+            out -= state.factor * work_second_change(state, left.unknowns, right.unknowns) @ moves
+            # Of T, bending counts from the curvature that the rotations of the mode bring by themselves.
+            out -= mu * self._elastic_change(left.unknowns, right.unknowns)
+            out += mu * self._elastic_change(left.relaxed, right.relaxed)
+        # Torsion of T: kt p^2 / g of the tubes, and that of the transmissions, 1 of unknowns at scale.
+        a, b = problem.push(left.unknowns)[:, n : 2 * n], problem.push(right.unknowns)[:, n : 2 * n]
+        length, kt = np.where(problem.present, state.length, 1.0), problem.bundle.torsional_stiffness
+        stretched = self.changes[:, None, -1] + problem.bundle.levers @ self.changes[:, -3:-1]
+        energy = (problem.weight[:, None] * problem.present * a * b / length)[..., None]
+        softened = self._data[:, n : 2 * n] - (kt / length)[..., None] * stretched
+        out -= mu * (energy * softened).sum((0, 1))
+        sprung = left.unknowns[problem.sprung_rows] * right.unknowns[problem.sprung_rows]
+        out -= mu * sprung @ self._softer
+        out -= self._new_transmissions(left, right, mu)
+        return np.asarray(out / pairing)
+
+    def _elastic_change(self, left: Array, right: Array) -> Array:
+        """Change (Q,) of the second variation of the elastic energy for two directions (U,)."""
+        problem, n = self.state.problem, self.state.problem.n
+        by_point = problem.weight[:, None] * self._changes(problem.push(left), problem.push(right))[2]
+        out = np.tensordot(by_point[:, : 2 * n + 3], self.changes, 2)
+        out += np.tensordot(by_point[:, 2 * n + 3 :], self._data, 2)
+        sprung = problem.sprung_rows
+        return np.asarray(out + (left[sprung] * right[sprung]) @ self._softer)
+
+    def _new_transmissions(self, left: BundleMode, right: BundleMode, mu: float) -> Array:
+        """Decrease (Q,) of the margin where a clamp moves back from the plate: the mode twists what lies between."""
+        problem, n = self.state.problem, self.state.problem.n
+        longer = self._of_tubes("transmission") * self._free[:, None]
+        if not longer.any():
+            return np.zeros(self.size)
+        if not self.member.descends:
+            return np.where(longer.any(0), np.nan, 0.0)
+
+        def torque(mode: BundleMode) -> Array:
+            """Torques (n,) of a mode at the plate."""
+            along = (1 - mu) * problem.push(mode.unknowns) + mu * problem.push(mode.relaxed)
+            return np.asarray(problem.weight @ (self.state.local_hessian @ along[..., None])[:, :n, 0])
+
+        softness = 1 / (problem.bundle.torsional_stiffness * (1 - mu))
+        return np.asarray((softness * torque(left) * torque(right)) @ longer)
+
+
+def linearise_bundle(
+    equilibrium: Equilibrium, wrt: Sequence[str], side: int = 1, along: Array | None = None
+) -> LinearisedBundle:
+    """Derivatives of an equilibrium of a bundle robot; `wrt`, `side` and `along` as in `Directions`.
+
+    Raises:
+        InputError: an unknown name or side.
+        SolveError: the equilibrium is a fold.
+    """
+    check_wrt(wrt, side)
+    if abs(equilibrium.margin) < LEAST_STIFFNESS:
+        raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
+    point = _point_of(equilibrium)
+    return LinearisedBundle(point.member, point.state, tuple(wrt), along)
+
+
+_point_of = lru_cache(maxsize=8)(point_of)
