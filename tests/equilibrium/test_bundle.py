@@ -29,7 +29,7 @@ from tubeopt import (
 from tubeopt.block.transcription.bundle import BundleState
 from tubeopt.equilibrium.directions import PARAMETERS
 from tubeopt.equilibrium.jacobian import derivatives_of, shifted
-from tubeopt.equilibrium.kinematics import point_of
+from tubeopt.equilibrium.kinematics import point_of, unsolved
 from tubeopt.errors import InputError
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.posture import start_posture
@@ -397,8 +397,9 @@ def test_it_snaps_where_the_integrated_equations_are_singular() -> None:
     assert abs(snap.before.margin) < 1e-9
     assert snap.energy_released > 1e-5
     assert snap.after.margin > 0
-    pose, held = snap.before, point_of(snap.before).member.problem
-    constant = length_forces(point_of(pose).state)
+    pose = snap.before
+    member, x = unsolved(pose)
+    held, constant = member.problem, length_forces(member.at(x))
     lever = held.bundle.levers
     z = np.concatenate([pose.torsion[:, 0] / (1 + lever @ pose.curvature[0]), constant])
 

@@ -6,13 +6,15 @@ import pickle
 import shlex
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
+from time import process_time
 
 import numpy as np
 import pytest
 
+from tests.equilibrium.test_bundle import random_bundle
 from tests.equilibrium.test_random_pieces import random_robot as random_pieces
 from tests.examples import CONFIGS, CRL, THESIS
 from tests.stability.robots import random_robot
@@ -52,6 +54,7 @@ def general_solver() -> Iterator[None]:
     """Forward kinematics without the kernel."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(kinematics, "solve_compiled", lambda *_: None)
+        patch.setattr(kinematics, "solve_bundle_compiled", lambda *_: None)
         yield
 
 
@@ -383,6 +386,65 @@ def test_a_batch_under_load_is_that_of_single_solves(robot: ConcentricRobot) -> 
         assert batch.margin[k] == pytest.approx(one.margin, abs=1e-9)
         assert batch.energy[k] == pytest.approx(one.energy, rel=1e-10)
         assert batch.compliance[k] == pytest.approx(one.compliance, abs=1e-10 * np.abs(one.compliance).max())
+
+
+def check_same_bundle(one: Equilibrium, other: Equilibrium) -> None:
+    for name in ("tip_position", "tip_rotations", "section_start", "tube_end", "point_rotation"):
+        assert getattr(one, name) == pytest.approx(getattr(other, name), abs=1e-10), name
+    # Inside elements the shape is integrated here, and a polynomial there.
+    for name in ("position", "frame", "rotation"):
+        assert getattr(one, name) == pytest.approx(getattr(other, name), abs=1e-9), name
+    for name in ("torsion", "curvature", "point_curvature"):
+        assert getattr(one, name) == pytest.approx(getattr(other, name), abs=1e-8), name
+    # Eigenvalues gather at margin 1.
+    assert one.margin == pytest.approx(other.margin, abs=1e-9 if other.margin < 0.999 else 1e-7)
+    assert one.energy == pytest.approx(other.energy, rel=1e-11, abs=1e-15)
+    assert one.mesh_error <= 1.1 * other.mesh_error + 1e-11
+    assert one.residual < 1e-9
+
+
+@compiler
+def test_bundles_are_those_of_the_general_solver(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At random joint values, after a small motion from there, and where ends of tubes meet."""
+    for seed in range(12):
+        random = np.random.default_rng(seed)
+        robot, alpha, shift = random_bundle(random)
+        one = robot.fk(alpha, shift)
+        turned, moved = alpha + random.uniform(-0.2, 0.2, len(alpha)), shift - random.uniform(0.0, 2e-3, len(alpha))
+        warm = robot.fk(turned, moved, start=one)
+        check_same_bundle(one, general(robot, alpha, shift))
+        check_same_bundle(warm, general(robot, turned, moved, guess=one))
+    robot = ETR.bundle()
+    for degrees in ([0.0, 0.0, 0.0], [40.0, 40.0, 40.0], [0.0, 60.0, -60.0]):
+        check_same_bundle(robot.fk(np.radians(degrees)), general(robot, np.radians(degrees)))
+    # The kernel also exchanges boundaries that a step makes meet.
+    monkeypatch.setattr(kinematics, "_descend", None)
+    solved = 0
+    for seed in range(30):
+        robot, alpha, shift = random_bundle(np.random.default_rng(seed))
+        with suppress(TypeError):
+            robot.fk(alpha, shift)
+            solved += 1
+    assert solved >= 29
+
+
+@compiler
+def test_bundles_take_at_most_five_times_as_long_as_the_balance_of_the_thesis() -> None:
+    alpha = np.radians([30.0, 100.0, -20.0])
+
+    def seconds(robot: Robot) -> float:
+        robot.fk(alpha)
+        times = []
+        for _ in range(20):
+            start = process_time()
+            for _ in range(20):
+                robot.fk(alpha)
+            times.append(process_time() - start)
+        return min(times)
+
+    robot = load_robot("thesis_etr")
+    assert isinstance(robot, EccentricRobot)
+    assert seconds(robot.bundle()) < 5 * seconds(robot)
 
 
 def check_same_loaded(one: Equilibrium, other: Equilibrium) -> None:

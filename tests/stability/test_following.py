@@ -67,7 +67,7 @@ def test_zero_load_moves_a_robot_as_none(k: int) -> None:
 def test_the_kernel_only_saves_time(load: Load | None, monkeypatch: pytest.MonkeyPatch) -> None:
     paths = np.radians([[0, 0, 0], [250, 30, 0], [20, 60, 0]]), np.array([[0, 0, 0], [-0.02, -0.01, 0], [0, 0, 0]])
     fast = follow(THESIS, *paths, load=load)
-    monkeypatch.setattr(motion, "kernel_of", lambda _: None)
+    monkeypatch.setattr(motion, "followed_by_kernel", lambda _: False)
     slow = follow(THESIS, *paths, load=load)
     assert [s.index for s in fast.snaps] == [s.index for s in slow.snaps]
     assert fast.snaps

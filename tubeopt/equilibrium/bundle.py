@@ -12,7 +12,10 @@ import scipy
 
 from ..block.transcription.arm import ArmSolution, CollocationPoints, Profile
 from ..block.transcription.bundle import (
+    CLOSING,
     HELD,
+    TO_BOUNDARY,
+    VANISHING,
     Bundle,
     BundleProblem,
     BundleState,
@@ -42,6 +45,7 @@ from ..errors import InputError
 from ..robots.eccentric import BundleRobot
 from ..robots.load import Load, masses
 from ..robots.robot import Robot
+from ..solvers.compiled.bundle import BundleStart
 from ..solvers.newton import NewtonResult, full_steps
 from ..solvers.settings import LEAST_STIFFNESS
 from ..solvers.time_limit import check_time
@@ -52,15 +56,6 @@ from .result import Equilibrium
 
 EXCHANGES = 20
 """Maximum number of exchanges of boundaries; 94 of 100 random robots of two to four tubes needed none."""
-
-VANISHING = 1e-10
-"""Length (m) of an element below which its section counts as vanishing."""
-
-CLOSING = 1e-4
-"""Length (m) of an element below which a step that closes its section leads to an exchange."""
-
-TO_BOUNDARY = 0.5
-"""Fraction of the way to a section or a tube without length that a step may go."""
 
 
 class VanishingError(Exception):
@@ -90,6 +85,17 @@ def bundle_at(robot: BundleRobot, translations: tuple[float, ...]) -> Bundle:
         end=shift + curved,
         sheath=robot.sheath_stiffness,
     )
+
+
+def bundle_start(equilibrium: Equilibrium, translations: Array) -> BundleStart | None:
+    """Start of a compiled solve at translations (n,), m; None for a mesh that the kernel does not have."""
+    points, statistics = equilibrium.points, equilibrium.statistics
+    if equilibrium.load is not None or statistics.degree != DEFAULT_DISCRETISATION.degree:
+        return None
+    ends = np.append(equilibrium.section_start[1:], equilibrium.arc_length[-1])
+    twist = equilibrium.rotation[:, 0] - equilibrium.rotations
+    sampled = points.point, points.point_rotation, points.point_curvature
+    return BundleStart(ends, *sampled, equilibrium.rotations, twist, translations - equilibrium.translations)
 
 
 def _places(load: Load | None) -> list[float]:

@@ -31,13 +31,14 @@ from ..robots.eccentric import BundleRobot
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot, joint_values
 from ..solvers.blas import small
-from ..solvers.compiled.binding import Start, kernel_of, solve_compiled
+from ..solvers.compiled.binding import Solved, Start, kernel_of, solve_compiled
+from ..solvers.compiled.bundle import bundle_kernel, solve_bundle_compiled
 from ..solvers.compiled.loaded import solve_loaded_compiled
 from ..solvers.ipopt import solve_ipopt, solve_loaded_ipopt
 from ..solvers.settings import LARGEST_RATIO, LARGEST_TWIST, NEWTON, Ipopt, Newton
 from ..solvers.time_limit import limited
 from ..typing import Array
-from .bundle import Bundled
+from .bundle import Bundled, bundle_at, bundle_start
 from .continuation import (
     SHARPEST_STEP,
     SHORTEST_STEP,
@@ -298,20 +299,20 @@ def unloaded(
 
     It is solved on the default mesh or, where that is too coarse, with elements half as long.
     """
-    start, max_change = None, LARGEST_TWIST
+    max_change, refinements = LARGEST_TWIST, [0, 1]
     if guess is not None:
-        turn, arm, points = rotations - guess.rotations, guess.arm, guess.points
         if guess.margin <= 0 or not small_motion(guess, rotations, translations):
             return None
-        sampled = arm.arc_length, arm.rotation, arm.torsion, points.point, points.point_rotation
-        start, max_change = Start(*sampled, turn, guess.translations), largest_twist(guess.margin)
+        max_change = largest_twist(guess.margin)
+        if not robot.fixed_sections:
+            refinements = [guess.statistics.refinement]  # a bundle keeps the mesh of its start
     # Finer meshes are left to the general solver: the kernel has static memory for the elements of these two.
-    for refinement in (0, 1):
-        solved = solve_compiled(robot, rotations, translations, start, refinement)
+    for refinement in refinements:
+        solved = _by_kernel(robot, rotations, translations, guess, refinement)
         if solved is None or solved.largest_change > max_change:
             return None
         # A Newton iteration that contracts slowly may have converged to another branch.
-        if start is not None and solved.contraction > LARGEST_RATIO:
+        if guess is not None and solved.contraction > LARGEST_RATIO:
             return None
         result = solved.solution
         length = float(result.arm.arc_length[-1])
@@ -322,13 +323,31 @@ def unloaded(
             iterations=result.iterations,
             elements=solved.elements,
             degree=DEFAULT_DISCRETISATION.degree,
-            start="tubes without torsion" if start is None else "guess",
+            start="tubes without torsion" if guess is None else "guess",
             seconds=time.perf_counter() - request.start_time - solved.loading,
             refinement=refinement,
             loading=solved.loading,
         )
         return build_equilibrium(robot, rotations, translations, result, statistics)
     return None
+
+
+def _by_kernel(
+    robot: Robot, rotations: Array, translations: Array, guess: Equilibrium | None, refinement: int
+) -> Solved | None:
+    """Solution of the compiled kernel of a robot; None where there is none."""
+    if isinstance(robot, BundleRobot):
+        bundle = bundle_at(robot, tuple(translations.tolist()))
+        near = None if guess is None else bundle_start(guess, translations)
+        if guess is not None and near is None:
+            return None
+        return solve_bundle_compiled(bundle, rotations, near, refinement)
+    if guess is None:
+        return solve_compiled(robot, rotations, translations, None, refinement)
+    arm, points = guess.arm, guess.points
+    sampled = arm.arc_length, arm.rotation, arm.torsion, points.point, points.point_rotation
+    start = Start(*sampled, rotations - guess.rotations, guess.translations)
+    return solve_compiled(robot, rotations, translations, start, refinement)
 
 
 def loaded(start: Equilibrium, member: Loaded, request: SolveRequest) -> Equilibrium | None:
@@ -363,6 +382,14 @@ def loaded(start: Equilibrium, member: Loaded, request: SolveRequest) -> Equilib
             solved = Loaded(robot, problem, rotations, shift, discretisation)
             return equilibrium_of(solved, solution, how, request.start_time)
     return None
+
+
+def followed_by_kernel(family: Family) -> bool:
+    """True if a compiled kernel may follow a family; it minimises an energy, and that of bundles without a load."""
+    robot, loads = family.path.robot, [load for load in family.loads if load is not None]
+    if not robot.fixed_sections:
+        return not loads and bundle_kernel(robot.n_tubes) is not None
+    return kernel_of(robot) is not None and all(load.has_energy for load in loads)
 
 
 def nearby(family: Family, guess: Equilibrium, t: float, request: SolveRequest) -> Equilibrium | None:
@@ -638,7 +665,7 @@ def on_branch(family: Family, guess: Equilibrium, request: SolveRequest) -> Equi
     Raises:
         SolveError: as `forward_kinematics`.
     """
-    discretisation, kernel = family.path.discretisation, kernel_of(family.path.robot) is not None
+    discretisation, kernel = family.path.discretisation, followed_by_kernel(family)
     load_grows = family.load is not None and guess.load is None and not family.path.moves
     last = Milestone(0.0, guess)
     if kernel and request.by_kernel(family.load, discretisation):

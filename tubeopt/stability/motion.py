@@ -19,14 +19,13 @@ from ..equilibrium.continuation import (
     follow,
     step_to,
 )
-from ..equilibrium.kinematics import along, point_of, to_equilibrium
+from ..equilibrium.kinematics import along, followed_by_kernel, point_of, to_equilibrium
 from ..equilibrium.member import AnyPoint
 from ..equilibrium.problem import LOADED_DISCRETISATION
 from ..equilibrium.result import Equilibrium, Statistics
 from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.compiled.binding import kernel_of
 from ..typing import Array, Delegate, StatusEnum
 from .folds import PAST, Loss, branch_end, fall, fold_ahead
 
@@ -134,10 +133,9 @@ def motion(family: Family, origin: Equilibrium) -> Iterator[Milestone | Event]:
     step. Then the general continuation takes over, until the branch has ended in a snap or `HANDOVER` is behind.
     """
     last, scale = Milestone(0.0, origin), max(family.span(), FOLD_RANGE)
-    # The kernel minimises an energy.
-    kernel = kernel_of(family.path.robot) if all(load is None or load.has_energy for load in family.loads) else None
+    kernel = followed_by_kernel(family)
     while last.t < 1.0:
-        if kernel is not None:
+        if kernel:
             for milestone in along(family, last):
                 yield milestone
                 last = milestone
@@ -145,7 +143,7 @@ def motion(family: Family, origin: Equilibrium) -> Iterator[Milestone | Event]:
                 return
         start = replace(point_of(last.pose, None if family.load is None else Load()), t=last.t)
         far, ahead = 1.0, None
-        if kernel is not None:
+        if kernel:
             far = min(1.0, last.t + HANDOVER / scale)
             ahead = fold_ahead(family, start, min(1.0, last.t + FOLD_RANGE / scale))
         result = _continue(family, start, far) if ahead is None else leave(family, start, ahead, 1.0)

@@ -48,6 +48,15 @@ SAME_PLACE = 1e-9
 HELD = 1e-12
 """Length (m) of the sections between boundaries that stay together."""
 
+VANISHING = 1e-10
+"""Length (m) of an element below which its section counts as vanishing."""
+
+CLOSING = 1e-4
+"""Length (m) of an element below which a step that closes its section leads to an exchange."""
+
+TO_BOUNDARY = 0.5
+"""Fraction of the way to a section or a tube without length that a step may go."""
+
 ELEMENT = 0.025
 """Largest length (m) of an element: estimated errors of the thesis robot are then about 1e-11 rad."""
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from .bundle import bundle_source
 from .friction import friction_source
 from .heating import heating_source
 from .library import MOST_TUBES, cache_path, compile_to, compiler, source
@@ -73,6 +74,7 @@ def texts() -> dict[Kind, str]:
             (n, "eccentric"): source(n, True),
             (n, "loaded"): loaded_source(n),
             (n, "friction"): friction_source(n),
+            (n, "bundle"): bundle_source(n),
         }
     return result
 
