@@ -148,6 +148,17 @@ def count_rate_of(model: ThermalModel, rig: Rig, spec: HeatingSpec) -> float:
     return within.rate
 
 
+def count_breaks_limits(model: ThermalModel, rig: Rig, spec: HeatingSpec) -> bool:
+    """True if the smallest count that heats exceeds ramp or mean current: no schedule keeps these limits.
+
+    The first slot that heats begins at rest, and a larger count heats more.
+    """
+    smallest = math.floor(1 + COUNTS * rig.circuit.lost_share + 1e-9)
+    within = resimulate(model, spec.slot, [smallest / COUNTS]).within
+    assert within is not None
+    return bool(within.rate > spec.ramp or within.mean_current > rig.circuit.current_limit)
+
+
 def _distinct(value: float, limit: float) -> str:
     """Text of a value with as many digits as it needs to differ from its limit."""
     for digits in range(1, 6):

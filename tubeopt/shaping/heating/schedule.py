@@ -5,7 +5,9 @@ objectives, the ideal schedule solves an optimal control problem on a coarse gri
 simulated in steps of a tenth of a second on a grid with three times as many cells and shells. If that misses the
 window, the bounds of the program are shifted by the difference between the two grids, and it is solved again (deferred
 correction): the result holds on the fine grid. Counts never break the ramp where one count alone keeps it. If they fall
-behind the ideal schedule for that, it is solved again with a larger reserve below the ramp.
+behind the ideal schedule for that, it is solved again with a larger reserve below the ramp. If one count alone exceeds
+the ramp no schedule keeps it, and no program is solved: the search for the smallest miss takes the lowest ramp of a
+count in its place.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from .counts import (
     Counts,
     MinimumTime,
     Rollout,
+    achievable_limits,
     guarded_counts,
     minimum_time_counts,
     ripple,
@@ -33,7 +36,7 @@ from .counts import (
 )
 from .optimal_control import NO_TERMS, CustomTerms
 from .optimal_schedule import CustomRun, Ideal, Shift, custom_start, custom_values, planned_ramp, solve_ideal
-from .outcome import MeshError, Outcome, hold_slots, mesh_error, outcome_of
+from .outcome import MeshError, Outcome, count_breaks_limits, hold_slots, mesh_error, outcome_of
 from .rig import COUNTS, Rig
 from .simulation import History, at_rest, resimulate, simulate
 from .spec import HeatingSpec
@@ -41,6 +44,11 @@ from .thermal import COARSE, FINE, ThermalModel, curved_temperatures, thermal_mo
 
 # --- mean duties with the smallest miss: search over the start and the temperature of the hold ------------------------
 
+
+# At the lowest ramp of coarse counts, a second count must wait until the tube is hot. With 1.1 all windows are reached
+# that 1.25 reaches.
+COARSE_RAMPS = 1.0, 1.1
+"""Ramps of coarse counts, as multiples of the lowest."""
 
 # The default longest heating is 360 s: 800 starts keep its grid at 0.5 s. With half of them a hold begins 1.5 s later.
 MAX_STARTS = 800
@@ -325,6 +333,8 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec, custom: CustomTerms =
         # The other methods know nothing of custom requirements and objectives.
         return _corrected(tube, rig, spec, RAMP_RESERVE, rounds=ROUNDS, custom=custom)
     minimum_time, rig_given = spec.objective == "time", not spec.free
+    if rig_given and count_breaks_limits(thermal_model(tube, rig, FINE), rig, spec):
+        return _coarse_schedule(tube, rig, spec)
     if minimum_time and rig_given and (soonest := _minimum_time_schedule(tube, rig, spec)) is not None:
         return soonest
     # The largest distance from the window's ends needs counts that do not fall behind.
@@ -332,12 +342,10 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec, custom: CustomTerms =
     nearest, counted = (nearest_hold(tube, rig, spec) if rig_given else None), None
     hopeless = nearest is not None and nearest.miss > HOPELESS
     if nearest is not None and hopeless:
-        # No program had a smaller miss than this search where one count alone keeps the limits.
+        # No program had a smaller miss than this search.
         counted = _nearest_schedule(tube, rig, spec, nearest, None)
         if not counted.breaks_limits and not counted.outcome.excess:
             return counted
-    # For other objectives later rounds found counts with a smaller miss where one count alone exceeds the ramp.
-    hopeless = hopeless and minimum_time
     best = _corrected(tube, rig, spec, ramp_reserve, rounds=1 if hopeless else ROUNDS)
     if minimum_time and not rig_given and best.outcome.shortfall <= HOPELESS:
         soonest = _minimum_time_schedule(tube, best.run.rig, spec)
@@ -425,6 +433,26 @@ def _nearest_schedule(
         if 0 <= margin <= 4 * RESERVE or (margin > 0 and not reached_cap):
             break
         nearest = with_raised_caps(model, rig, spec, nearest, margin - RESERVE)
+    assert best is not None
+    return best
+
+
+def _coarse_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
+    """Schedule for a rig with a count that exceeds ramp or mean current: at the lowest limits that its counts keep.
+
+    A larger ramp is tried where the window is missed, and taken where that halves the miss.
+    """
+    lowest = achievable_limits(thermal_model(tube, rig, FINE), spec, rig)
+    best: Schedule | None = None
+    for factor in COARSE_RAMPS:
+        eased = replace(lowest.spec, ramp=factor * lowest.spec.ramp)
+        nearest = nearest_hold(tube, lowest.rig, eased)
+        found = _nearest_schedule(tube, lowest.rig, eased, nearest, None)
+        schedule = checked(spec, replace(found.run, rig=rig), found.counts)
+        if best is None or schedule.outcome.shortfall < 0.5 * best.outcome.shortfall:
+            best = schedule
+        if best.outcome.shortfall <= 0:
+            break
     assert best is not None
     return best
 
