@@ -27,6 +27,8 @@ from tubeopt import (
     snap_free_certificate,
 )
 from tubeopt.block.transcription.bundle import BundleState
+from tubeopt.control.command import Command
+from tubeopt.control.servo import Servo
 from tubeopt.equilibrium.directions import PARAMETERS
 from tubeopt.equilibrium.jacobian import derivatives_of, shifted
 from tubeopt.equilibrium.kinematics import point_of, unsolved
@@ -496,3 +498,24 @@ def test_what_a_bundle_does_not_support_is_named(uneven: Any) -> None:
         BundleRobot(robot.tubes, robot.offset, robot.angle, sheath_diameter=0.01)
     with pytest.raises(InputError, match=r"points\[0\] of the load is at 0.3 m"):
         robot.fk(alpha, shift, load=Load(points=((0.3, (0.1, 0.0, 0.0)),)))
+
+
+def test_a_servo_leads_its_tip_and_stops_before_it_snaps() -> None:
+    robot = bundle_of_thesis()
+    start, target = robot.fk(np.zeros(3)), robot.fk(np.radians([20.0, 80.0, -60.0])).tip_position
+    servo, steps = Servo(robot, start), []
+    for _ in range(20):
+        steps.append(servo.step(Command(position=target), 0.05))
+    assert np.linalg.norm(steps[-1].equilibrium.tip_position - target) < 1e-6
+    again = follow(robot, [s.rotations for s in steps], [s.translations for s in steps])
+    assert not again.snaps
+    assert again.equilibria[-1].tip_position == pytest.approx(steps[-1].equilibrium.tip_position, abs=1e-10)
+    # A straight turn of the second tube snaps at 210 deg; the servo leads the others around it.
+    robot = long_bundle()
+    start = robot.fk(np.radians([30.0, 195.0, 30.0]))
+    servo, goal = Servo(robot, start), (np.radians([30.0, 230.0, 30.0]), np.zeros(3))
+    steps = [servo.step(Command(joints=goal), 0.05) for _ in range(20)]
+    assert min(step.equilibrium.margin for step in steps) >= 0.05 - 1e-9
+    again = follow(robot, [s.rotations for s in steps], [s.translations for s in steps])
+    assert not again.snaps
+    assert again.equilibria[-1].margin == pytest.approx(steps[-1].equilibrium.margin, abs=1e-8)

@@ -85,7 +85,7 @@ class Guard:
         self.speed: Array
         """(m,) speeds of the joints after the last step, rad/s and m/s."""
         self.before: GuardState
-        eccentric = robot.assembly(robot.home_translations).eccentric
+        eccentric = bool(robot.axes.any()) or not robot.fixed_sections
         self.min_distance: float | None = None if eccentric else options.min_snap_distance
         """Turn (rad) that must be proved to cause no snap where the robot stops; None if the margin counts."""
         self.ball: Ball
