@@ -677,11 +677,8 @@ def on_branch(family: Family, guess: Equilibrium, request: SolveRequest) -> Equi
         if last.t == 1.0:
             return last.pose
     shortest = SHORTEST_STEP if load_grows else SHARPEST_STEP
-    if load_grows:
-        # The unloaded equilibrium was sampled from another mesh: Newton's method solves it once on this one.
-        point = point_of(guess, family.load, discretisation)
-    else:
-        point = _start(family, last)
+    # An unloaded equilibrium was sampled from another mesh: Newton's method solves it once on this one.
+    point = point_of(guess, family.load, discretisation) if load_grows else _start(family, last)
     # Without a load the branch of the start is followed whether it stays stable or not.
     stable = load_grows or (family.load is not None and point.margin > 0)
     point = reach(family, point, stable=stable, shortest=shortest)
