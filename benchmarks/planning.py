@@ -231,12 +231,12 @@ if __name__ == "__main__":
     parser.add_argument("--corridors", type=int, default=10)
     parser.add_argument("--timed", type=int, default=0, help="queries timed against the least that their paths take")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--search", default="auto")
+    parser.add_argument("--method", default="auto")
     chosen = parser.parse_args()
     thesis = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
     assert isinstance(thesis, ConcentricRobot)
     if chosen.queries:
-        run_queries(thesis, chosen.queries, chosen.seed, PlanOptions(search=chosen.search))
+        run_queries(thesis, chosen.queries, chosen.seed, PlanOptions(method=chosen.method))
     if chosen.timed:
         run_timed(chosen.timed, chosen.seed)
     run_corridors(thesis, chosen.corridors, chosen.seed)

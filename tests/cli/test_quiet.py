@@ -33,7 +33,7 @@ def test_no_binding_speaks_after_the_answer() -> None:
 def test_a_plan_by_random_search_is_quiet(tmp_path: Path) -> None:
     pytest.importorskip("ompl")
     plan = f"kind: plan\nrobot: {ROOT}/configs/robots/two_tube.yaml\nstart_deg: [0, 0]\ngoal_deg: [300, 0]\n"
-    (tmp_path / "plan.yaml").write_text(f"{plan}search: rrt_connect\nobjective: none\n")
+    (tmp_path / "plan.yaml").write_text(f"{plan}method: rrt_connect\nobjective: none\n")
     done = process("plan", str(tmp_path / "plan.yaml"), "--quiet")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 

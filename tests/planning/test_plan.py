@@ -122,7 +122,7 @@ def test_every_fault_is_told() -> None:
 def test_random_search_alone_finds_a_way() -> None:
     start, goal = ([0.0, 0.0], None), ([300 * DEG, 0.0], None)
     assert find_snap(TWO_TUBE, start, goal) is not None
-    options = PlanOptions(search="rrt_connect", objective="none")
+    options = PlanOptions(method="rrt_connect", objective="none")
     plan = plan_trajectory(TWO_TUBE, start, goal, options=options)
     assert plan.statistics.how == "search"
     assert plan.proof.holds
@@ -302,7 +302,7 @@ def test_tips_that_exist_are_not_refused(robot: Robot) -> None:
 def test_an_optimal_search_is_no_longer_than_what_it_begins_with() -> None:
     start, goal = ([0.0, 0.0], None), ([300 * DEG, 0.0], None)
     first = plan_trajectory(TWO_TUBE, start, goal, options=PlanOptions(objective="none"))
-    options = PlanOptions(search="optimal", search_seconds=0.3, objective="none")
+    options = PlanOptions(method="optimal", search_seconds=0.3, objective="none")
     plan = plan_trajectory(TWO_TUBE, start, goal, options=options)
     assert plan.proof.holds
     assert plan.statistics.raw_length <= first.statistics.raw_length * (1 + 1e-9)

@@ -392,7 +392,7 @@ def _search(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], see
             return _Search(task, goals, path)
         left = max(0.0, until - clock.seconds)
     search = Clock(NEAREST_FRACTION * left if postures else left)
-    find = partial(find_path, how=options.search, improving=options.search_seconds)
+    find = partial(find_path, how=options.method, improving=options.search_seconds)
     path = find(task, start, [end.point for end in goals], search, seed=seed)
     if path.impossible and (of_the_tip(goal) or len(goals) == MAX_ENDS or task.coordinates.load is not None):
         path = replace(

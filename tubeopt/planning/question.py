@@ -124,7 +124,7 @@ class PlanOptions(Displayed):
         InputError: a value that is not allowed.
     """
 
-    search: Annotated[
+    method: Annotated[
         str,
         OneOf(SEARCHES),
         "search algorithm: rrt_connect, auto (simple paths, then rrt_connect) or optimal (auto, then shorter paths)",
