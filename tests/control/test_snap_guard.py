@@ -12,14 +12,14 @@ from tests.control.test_servo import of_four
 from tests.examples import CRL, THESIS
 from tubeopt import ConcentricRobot, InputError, find_snap, follow, forward_kinematics, load_robot
 from tubeopt.control import servo as servo_module
-from tubeopt.control.c_binding import CServo
+from tubeopt.control.c_binding import CRobot, CServo
 from tubeopt.control.c_library import c_library
 from tubeopt.control.command import Command, ServoOptions, Why
 from tubeopt.control.crtk import FAR_FROM_SNAP, CrtkRobot
 from tubeopt.control.servo import Servo
 from tubeopt.inverse.joints import joint_space
 from tubeopt.solvers.compiled.library import compile_to, compiler
-from tubeopt.stability.snap_distance import proved_turn
+from tubeopt.stability.snap_distance import proved_turn, snap_distance
 
 TWO_TUBES = load_robot("configs/robots/two_tube.yaml")
 ROBOTS = {"thesis": THESIS, "crl": CRL, "two": TWO_TUBES, "four": of_four()}
@@ -135,6 +135,25 @@ def test_snap_distance_is_reported(kind: str) -> None:
     distance = robot.snap_distance()
     assert distance is not None
     assert 6.9 < np.degrees(distance) < 7.1113
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_time_within_which_nothing_snaps(name: str) -> None:
+    if compiler() is None:
+        pytest.skip("no C compiler")
+    robot, space = ROBOTS[name], joint_space(ROBOTS[name])
+    drawn = (space.split(q) for q in space.sample(64)[3:])
+    joints = next(q for q in drawn if snap_distance(forward_kinematics(robot, *q)).turn < 2.0)
+    arm = CRobot(c_library(robot))
+    arm.solve(*joints)
+    seconds = snap_distance(forward_kinematics(robot, *joints)).time(2.0, 0.05)
+    found = arm.snap_time(2.0, 0.05, 100.0)
+    assert found is not None
+    assert 0.95 * seconds < found < 1.03 * seconds  # to two per cent
+    assert arm.snap_time(2.0, 0.05, 0.9 * seconds) == 0.9 * seconds
+    turns = arm.snap_distance(3.0)
+    assert turns is not None
+    assert found * 2.0 < turns
 
 
 def test_starts_too_close_to_a_snap_are_refused() -> None:

@@ -27,6 +27,7 @@ from tubeopt.equilibrium.kinematics import point_of
 from tubeopt.equilibrium.member import discretisation_of, sample_rotation
 from tubeopt.equilibrium.problem import reduced_problem
 from tubeopt.equilibrium.result import Equilibrium
+from tubeopt.inverse.joints import joint_space
 from tubeopt.stability.certificate import arm_sections
 from tubeopt.stability.snap_distance import PairForm, SnapDistanceStatus, least_snap_distance, tip_torques
 from tubeopt.typing import Array
@@ -66,7 +67,8 @@ REFERENCE = (
 
 
 def without_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys.modules[snap_distance.__module__], "compiled_turn", lambda *_, **__: None)
+    for name in ("compiled_turn", "compiled_motion"):
+        monkeypatch.setattr(sys.modules[snap_distance.__module__], name, lambda *_, **__: None)
 
 
 @pytest.mark.parametrize("compiled", [True, False])
@@ -267,6 +269,34 @@ BOXES = (
     (np.degrees([0.0, 1.0, 2.0]).tolist(), 43.650),
     ([200.0, 0.0, 0.0], 5.945),
 )
+
+
+SLIDING = ("thesis_ctr", "crl_ctr", "two_tube", "endonasal_ctr")
+
+
+@pytest.mark.parametrize("name", SLIDING)
+def test_the_kernel_proves_slides_that_python_proves(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, random = load_robot(CONFIGS / f"{name}.yaml"), np.random.default_rng(len(name))
+    space = joint_space(robot)
+    drawn = space.sample(64)[random.integers(64, size=2)]
+    results = [snap_distance(forward_kinematics(robot, *space.split(q))) for q in drawn]
+    compiled = [(each.time(1.0, 0.01), each.slide) for each in results]
+    without_kernel(monkeypatch)
+    for each, (seconds, slide) in zip(results, compiled, strict=True):
+        again = snap_distance(each.equilibrium)
+        # Both boxes are proofs; which one is found close to the largest motion depends on the iteration.
+        assert 0.97 < seconds / again.time(1.0, 0.01) < 1.03
+        assert 0.97 < slide / again.slide < 1.03
+
+
+def test_slides_have_no_snap_if_no_tubes_are_coupled(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Curved parts of this arm do not overlap. Withdrawn by half a metre it has no length at all.
+    robot = load_robot(CONFIGS / "toronto_ctr.yaml")
+    e = forward_kinematics(robot, [0.1, 0.5, -0.2], [0.335, 0.17, 0.073])
+    by_kernel = snap_distance(e).time(1.0, 0.01)
+    without_kernel(monkeypatch)
+    assert by_kernel == pytest.approx(snap_distance(e).time(1.0, 0.01), rel=2e-3)
+    assert by_kernel > 1.0
 
 
 @pytest.mark.parametrize(("degrees", "box"), BOXES)

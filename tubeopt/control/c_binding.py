@@ -116,6 +116,8 @@ class CRobot:
         self._shape = self.function("shape")
         self._distance = self.function("snap_distance")
         self._distance.argtypes, self._distance.restype = [ctypes.c_void_p, ctypes.c_double], ctypes.c_double
+        self._time = self.function("snap_time")
+        self._time.argtypes, self._time.restype = [ctypes.c_void_p, *[ctypes.c_double] * 3], ctypes.c_double
         self._shape_at = self.memory, POINTS, *map(_at, (self._length, self._points))
         self._calls = {
             name: (self.function(name), self.memory, *map(_at, arguments))
@@ -211,6 +213,14 @@ class CRobot:
         It is at most `most`, inf if no turn can snap, and None if it is unknown.
         """
         found: float = self._distance(self.memory, most)
+        return None if found < 0 else found
+
+    def snap_time(self, turn_rate: float, shift_rate: float, most: float) -> float | None:
+        """Time, s, at most `most`, within which nothing snaps if joints move at up to these rates, rad/s and m/s.
+
+        It is proved; None if it is unknown.
+        """
+        found: float = self._time(self.memory, turn_rate, shift_rate, most)
         return None if found < 0 else found
 
     def slopes(self) -> CSlopes:

@@ -22,10 +22,12 @@ from ..solvers.compiled.binding import (
     SAME_ARM,
     Carriages,
     Moved,
+    Reach,
     Slopes,
     Start,
     Turn,
     kernel_of,
+    motion_compiled,
     slopes_compiled,
     turn_compiled,
 )
@@ -87,11 +89,25 @@ def compiled_turn(at: Equilibrium, *, most: float, precision: float) -> Turn | N
     Args:
         most: largest turn that is searched, rad.   precision: relative precision of the turn.
     """
+    known = _known_to_kernel(at)
+    return None if known is None else turn_compiled(*known, most=most, precision=precision)
+
+
+def compiled_motion(at: Equilibrium, turn: float, slide: float, *, most: float, precision: float) -> float | None:
+    """Largest factor up to `most` on turns (rad) and slides (m) of all tubes that is proved to cause no snap.
+
+    As `compiled_turn`; None also for tubes made of pieces.
+    """
+    known = _known_to_kernel(at)
+    return None if known is None else motion_compiled(*known, Reach(turn, slide), most=most, precision=precision)
+
+
+def _known_to_kernel(at: Equilibrium) -> tuple[Robot, Array, Array, Start, int] | None:
+    """Robot, joint values, shape and refinement of an equilibrium; None if the kernel has another mesh."""
     mesh = discretisation_of(at)
     if len(at.arc_length) < 2 or replace(mesh, refinement=0) != DEFAULT_DISCRETISATION:
         return None
-    joints = at.rotations, at.translations
-    return turn_compiled(at.robot, *joints, _start_at(at), mesh.refinement, most=most, precision=precision)
+    return at.robot, at.rotations, at.translations, _start_at(at), mesh.refinement
 
 
 def _by_kernel(

@@ -58,7 +58,7 @@ from ..arguments import typed
 from ..block.transcription.mesh import green_of
 from ..block.transcription.reduced import evaluate, to_unknowns
 from ..display import Displayed
-from ..equilibrium.jacobian import compiled_turn
+from ..equilibrium.jacobian import compiled_motion, compiled_turn
 from ..equilibrium.member import discretisation_of, sample_rotation
 from ..equilibrium.problem import reduced_problem
 from ..equilibrium.result import Equilibrium, refuse_friction
@@ -81,8 +81,11 @@ SPARE = 1e-10
 NEWTON_STEPS = 40
 """Newton's method from below needs 4 to 10 steps, and up to 25 beside the largest ball, where two fixed points meet."""
 
-SWEEPS, ROOM = 200, 1.3
+SWEEPS, ROOM = 2000, 1.3
 """Maximum number of images of a box with slides, and factor on the remaining steps by which the box is enlarged."""
+
+SHRINKS = 8
+"""Images of a box between two checks of H in it."""
 
 POLISH = 3
 """Newton steps on the given equilibrium: one that was saved, or solved on another mesh, is right to 1e-9 only."""
@@ -95,6 +98,9 @@ FIRST_TURN = 0.1
 
 SLIDING_PRECISION = 1e-3
 """Relative precision of the snap distance with slides, where a try takes 2^n times as long."""
+
+SMALLEST = 1e-6
+"""Fraction of the largest factor; a smaller one counts as none."""
 
 SECTORS = 4
 """Number of tubes up to which S is proved by its n! simplices. They give a median of 0.93 of the true distance, one box
@@ -226,6 +232,9 @@ class SnapDistance(Displayed):
             raise InputError("robot has eccentric tubes or tubes made of pieces; a slide is known for others only")
         longest = max(tube.length for tube in e.robot.tubes)
         largest = max(longest / shift, math.pi / turn_rate if turn_rate else 0.0)
+        compiled = compiled_motion(e, turn_rate, shift, most=largest, precision=SLIDING_PRECISION)
+        if compiled is not None:
+            return compiled
 
         def proves(factor: float) -> bool:
             for signs in itertools.product((-1.0, 1.0), repeat=e.robot.n_tubes):
@@ -321,9 +330,13 @@ class PairForm:
             reduced_problem(robot, tuple(at.tolist()), discretisation_of(equilibrium)).mesh
             for at in (shift, shift + slide)
         ]
-        longest = min((mesh.length[mesh.collocated].max(initial=0.0) or mesh.length.max()) for mesh in meshes)
+        longest = min(
+            mesh.length[mesh.collocated].max(initial=0.0) or mesh.length.max(initial=0.0) or np.inf for mesh in meshes
+        )
         cuts = np.unique(np.maximum([straight, end], 0).round(12))
-        counts = np.ceil(np.diff(cuts) / longest).astype(int)
+        middle = (cuts[:-1] + cuts[1:])[:, None] / 2
+        coupled = ((straight.min(0) < middle) & (middle < end.max(0))).sum(1) > 1
+        counts = np.maximum(np.ceil(coupled * np.diff(cuts) / longest), 1).astype(int)
         tableau = meshes[0].tableau
         length = np.repeat(np.diff(cuts) / counts, counts)
         start = cuts[0] + np.concatenate([[0.0], np.cumsum(length)[:-1]])
@@ -418,11 +431,20 @@ class PairForm:
 
     def proves(self, y: Array) -> bool:
         """True if all changes d with J d in the boxes y (S, 2 P) lead to one stable equilibrium without a snap."""
+        if not len(self.psi):
+            return True
         y = y + np.tile(self.defect, 2)
         box = self._by_newton(y) if self.slides is None else self._by_sweeps(y)
-        if box is None or not (self.image(y, box) <= box).all():
-            return False
-        return bool((self.least_eigenvalue(box) > ROUND_OFF).all())
+        while box is not None and box.max() <= MOST_CHANGE and (self.image(y, box) <= box).all():
+            if (self.least_eigenvalue(box) > ROUND_OFF).all():
+                return True
+            smaller = self.image(y, box)  # which holds its own image, too
+            for _ in range(SHRINKS):
+                smaller = self.image(y, smaller)
+            if (box - smaller).max() < SPARE:
+                return False
+            box = smaller
+        return False
 
     def _by_newton(self, y: Array) -> Array | None:
         """Box around the least fixed point, from below by Newton's method; None if it finds none.
@@ -448,15 +470,15 @@ class PairForm:
         The map of slides is not convex, so that Newton's method steps too far. The steps shrink by a ratio; the box
         includes the sum of the remaining ones, with a reserve.
         """
-        u, size = y, math.inf
+        u, size, wider = y, math.inf, y + SPARE  # images of a wider start hold those of y
         for _ in range(SWEEPS):
-            image = self.image(y, u)
+            image = self.image(wider, u)
             step, before = image - u, size
             size = float(step.max())
             if image.max() > MOST_CHANGE:
                 return None
-            box = image + step * (ROOM / max(before / size - 1, 1e-3)) + SPARE if size > 0 else u + SPARE
-            if (self.image(y, box) <= box).all():
+            box = image + step * (ROOM / max(before / size - 1, 1e-3)) if size > 0 else image
+            if (box <= MOST_CHANGE).all() and (self.image(y, box) <= box).all():
                 return box
             u = image
         return None
@@ -642,7 +664,7 @@ def _largest(proves: Callable[[float], bool], first: float, limit: float, precis
     Each success is a proof by itself; only the size relies on smaller sets being easier to prove.
     """
     proved, refused, tries, factor = 0.0, limit, 0, first
-    while refused - proved > precision * refused:
+    while refused - proved > precision * refused and refused > SMALLEST * limit:
         check_time()
         tries += 1
         if proves(factor):

@@ -362,6 +362,21 @@ double tubeopt_snap_distance(tubeopt_memory *m, double most) {
     return -1;
 }
 
+double tubeopt_snap_time(tubeopt_memory *m, double turn_rate, double shift_rate, double most) {
+#if SLOPES
+    if (m->started && !bears(m) && most > 0 && turn_rate >= 0 && shift_rate >= 0) {
+        Workspace *w = &m->work;
+        Guess guess = guess_of(m->answers + m->here, NULL, m->joints.translations);
+        int lacked = 0;
+        double time = largest_motion(&ROBOT, m->joints.rotations, m->joints.translations, turn_rate, shift_rate, most, TURN_PRECISION, &guess,
+                                     &w->slides, &w->trial, w->matrix, &w->couplings, &lacked);
+        return lacked && !time ? -1 : time;
+    }
+#endif
+    (void)m, (void)turn_rate, (void)shift_rate, (void)most;
+    return -1;
+}
+
 tubeopt_status tubeopt_shape(const tubeopt_memory *m, int count, double *arc_length, double (*position)[3]) {
     if (!m->started) return TUBEOPT_NOT_STARTED;
     if (count < 2) return TUBEOPT_BAD_INPUT;

@@ -171,6 +171,11 @@ tubeopt_status tubeopt_slopes_at(tubeopt_memory *memory, tubeopt_slopes *slopes)
    `most`, or INFINITY where no turn can snap; -1 where it is not known: under load, off the centreline, of five tubes. */
 double tubeopt_snap_distance(tubeopt_memory *memory, double most);
 
+/* Time, s, at most `most`, within which it is proved that nothing snaps while each joint moves either way, at up to these rates
+   (rad/s, m/s). Whether it is `most` takes 1 to 8 ms, a shorter time ten times as long. -1 where it is not known: as above, and
+   of tubes made of pieces. */
+double tubeopt_snap_time(tubeopt_memory *memory, double turn_rate, double shift_rate, double most);
+
 /* `count` equally spaced points of the centreline from plate to tip: arc lengths (m) and positions. */
 tubeopt_status tubeopt_shape(const tubeopt_memory *memory, int count, double *arc_length, double (*position)[3]);
 

@@ -277,12 +277,49 @@ static double braking_margin(tubeopt_memory *robot, const tubeopt_command *c, co
     return step_to(robot, &next) || bear_to(robot, &next, 1) ? -1 : stated_margin(robot, 1);
 }
 
-/* Whether a robot can follow a stop point s: in a ball about s without slides it can. Else where it is next, and some places on the
-   way on which it brakes to s, keep a margin. Where the least of them, or that at `rest`, is close to the floor, there are two more places about it. */
-static int can_brake(tubeopt_memory *robot, const tubeopt_command *c, const Ball *ball, const double *s, double floor, double rest) {
+#if SLOPES
+/* Whether nothing can snap between a stop point, solved last, the one before and the robot, in any order of their joints: 1 or 0.
+   Then robot and stop point are on one branch, as before. -1 where slides are not known, as of tubes made of pieces. */
+static int proves_way(tubeopt_memory *m, const tubeopt_joints *stop, const tubeopt_joints *robot) {
+    double slide[2][N], low = 0, high = 0, by[N];
+    Workspace *w = &m->work;
+    Guess guess = guess_of(m->answers + !m->here, NULL, stop->translations);
+    for (int i = 0; i < N; i++) {
+        const tubeopt_joints *ends[2] = {&m->joints, robot};
+        slide[0][i] = slide[1][i] = 0;
+        for (int k = 0; k < 2; k++) {
+            double turn = ends[k]->rotations[i] - stop->rotations[i], shift = ends[k]->translations[i] - stop->translations[i];
+            low = fmin(low, turn), high = fmax(high, turn);
+            slide[0][i] = fmin(slide[0][i], shift), slide[1][i] = fmax(slide[1][i], shift);
+        }
+    }
+    for (int sides = 0; sides < 1 << N; sides++) {
+        int other = 0, found;
+        for (int i = 0; i < N; i++) {
+            int side = sides >> i & 1;
+            by[i] = slide[side][i];
+            other |= !by[i] && (side || slide[1][i]); /* of a tube that slides one way, or none, that way only */
+        }
+        if (other) continue;
+        found = find_slides(&ROBOT, stop->rotations, stop->translations, by, &guess, &w->slides, &w->trial, w->matrix, &w->couplings);
+        if (found < 0) return -1;
+        if (!found || !proves_turn(&w->couplings, (high - low) / 2)) return 0;
+    }
+    return 1;
+}
+#endif
+
+/* Whether a robot can follow a stop point s: in a ball about s, or where its way there is proved, it can. Where slides are not known, the next
+   place and some on the way on which it brakes to s keep a margin. Where the least of them, or that at `rest`, is close to the floor, there are two more places about it. */
+static int can_brake(tubeopt_memory *robot, tubeopt_memory *m, const tubeopt_joints *stop, const tubeopt_command *c, const Ball *ball, const double *s,
+                     double floor, double rest) {
     double q[JOINTS], speed[JOINTS], least = rest;
     int at = BRAKINGS;
     if (sees_snaps(robot, c) && turn_left(ball, &robot->joints) > 0) return 1;
+#if SLOPES
+    int proved = sees_snaps(robot, c) ? proves_way(m, stop, &robot->joints) : -1;
+    if (proved >= 0) return proved;
+#endif
     independent(&robot->joints, q);
     follow_stop(c, s, c->step, q, speed);
     for (int k = 0; k < BRAKINGS; k++) {
@@ -346,7 +383,7 @@ static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command 
         if (!closer || back || slow || (m->damping && curved > m->damping)) m->damping = fmax(fmax(curved, fmin(4 * m->damping * (!closer || back), MOST_CURVED)), DAMPING * DAMPING);
         else if (m->damping && share == 1 && seen) m->damping = m->damping > 2 * DAMPING * DAMPING ? fmax(curved, m->damping / 2) : 0;
         if (!closer) continue;
-        if (robot != m && !can_brake(robot, c, &ball, there, fmin(fmin(floor + ROOM / 2, stated_margin(robot, 0)), stated_margin(m, 1)), stated_margin(m, 1))) {
+        if (robot != m && !can_brake(robot, m, &next, c, &ball, there, fmin(fmin(floor + ROOM / 2, stated_margin(robot, 0)), stated_margin(m, 1)), stated_margin(m, 1))) {
             guarded = 1;
             continue;
         }

@@ -450,6 +450,46 @@ def turn_compiled(
     return Turn(turn, couplings.value) if turn >= 0 else None
 
 
+class Reach(NamedTuple):
+    """Set of joint motions, to be scaled: all tubes at once, each either way."""
+
+    turn: float
+    """Largest turn, rad."""
+    slide: float
+    """Largest slide, m."""
+
+
+def motion_compiled(
+    robot: Robot,
+    rotations: Array,
+    translations: Array,
+    start: Start,
+    refinement: int,
+    reach: Reach,
+    *,
+    most: float,
+    precision: float,
+) -> float | None:
+    """Largest factor on `reach` at which it is proved that nothing snaps.
+
+    None without a kernel for the equilibrium at joint values (n,), given by `start`.
+
+    Args:
+        most: largest factor that is searched.
+        precision: relative precision of the factor.
+    """
+    prepared = with_kernel(robot, refinement)
+    if prepared is None or not prepared.kernel.differentiable:
+        return None
+    deviation = _at_hand(prepared, rotations, translations, start)
+    if deviation is None or deviation > SAME_ARM:
+        return None
+    joints = np.stack([rotations, translations]).astype(float)
+    arrays = *memory_of(prepared.kernel).addresses, prepared.address, address(joints[0]), address(joints[1])
+    result = float(prepared.kernel.functions.motion_distance(*arrays, *reach, most, precision))
+    return result if result >= 0 else None
+
+
 @lru_cache(maxsize=256)
 def _request(moved: Moved, compliance: bool, either: bool) -> tuple[NDArray[np.int64], int]:
     """C struct Asked, (2 n + 2,), with the requested derivatives, and its address."""

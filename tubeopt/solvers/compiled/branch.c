@@ -10,14 +10,20 @@ static double parts_of(const double *alpha, const double *shift, const double *t
     return ceil(most - 1e-9);
 }
 
+/* An equilibrium as a guess after turns (n) of the bases, or NULL without, from translations (n) there. */
+static Guess guess_of(const Answer *at, const double *turn, const double *shift) {
+    static const double none[N];
+    return (Guess){at->pieces * STEPS + 1, at->points, 1, N, at->arc_length, at->rotation[0], at->torsion[0],
+                   at->point, at->point_rotation[0], turn ? turn : none, shift};
+}
+
 /* The equilibrium at joint values a small step from those of the last one: 0, or 1 where it is not small or Newton's method is
    not at ease. */
 static int small_step(const Tubes *tubes, const Answer *last, const double *alpha, const double *shift, const double *to_alpha,
                       const double *to_shift, Workspace *w, Answer *next) {
     double turn[N];
     for (int i = 0; i < N; i++) turn[i] = to_alpha[i] - alpha[i];
-    Guess guess = {last->pieces * STEPS + 1, last->points, 1, N, last->arc_length, last->rotation[0], last->torsion[0],
-                   last->point, last->point_rotation[0], turn, shift};
+    Guess guess = guess_of(last, turn, shift);
     if (solve(tubes, to_alpha, to_shift, &guess, w, next)) return 1;
     /* Where a branch ends and another one begins close by, only the margin shows a step across the gap. */
     if (next->margin < last->margin / 2) return 1;

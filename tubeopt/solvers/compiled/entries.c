@@ -88,4 +88,15 @@ CASADI_SYMBOL_EXPORT double snap_distance(Workspace *w, double most, double prec
     *couplings = w->couplings.count;
     return known ? largest_turn(&w->couplings, most, precision) : -1;
 }
+
+/* The largest factor up to `most` at which turns by `turn` and slides by `slide` of all tubes are proved to cause no snap at `at`,
+   the equilibrium at these joint values; -1 where it is not known. */
+CASADI_SYMBOL_EXPORT double motion_distance(Workspace *w, const Answer *at, const Tubes *tubes, const double *alpha, const double *shift,
+                                            double turn, double slide, double most, double precision) {
+    Guess guess = guess_of(at, NULL, shift);
+    int lacked = 0;
+    double proved = largest_motion(tubes, alpha, shift, turn, slide, most, precision, &guess, &w->slides, &w->trial, w->matrix,
+                                   &w->couplings, &lacked);
+    return lacked ? -1 : proved;
+}
 #endif

@@ -41,6 +41,7 @@ typedef struct {
 #if SLOPES
     Around around;
     Couplings couplings;
+    Slides slides;
 #endif
 } Workspace;
 

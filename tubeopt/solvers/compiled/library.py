@@ -362,5 +362,6 @@ def library(n: int, eccentric: bool) -> Kernel | None:
     if kernel.differentiable:
         functions.differentiate.argtypes = [pointer] * 5
         functions.snap_distance.argtypes = [pointer, ctypes.c_double, ctypes.c_double, pointer]
-        functions.snap_distance.restype = ctypes.c_double
+        functions.motion_distance.argtypes = [*[pointer] * 5, *[ctypes.c_double] * 4]
+        functions.snap_distance.restype = functions.motion_distance.restype = ctypes.c_double
     return kernel
