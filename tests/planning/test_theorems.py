@@ -11,10 +11,10 @@ import pytest
 
 from tests.examples import DEG, THESIS, nested
 from tubeopt import InputError, forward_kinematics, verify_trajectory
-from tubeopt.block.transcription.arm_state import hat
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.command import ServoOptions, Why
 from tubeopt.control.servo import Guard
+from tubeopt.physics.shape import hat
 from tubeopt.planning.branch import branch, least_root, rotating_tangent
 from tubeopt.planning.loaded_branch import CHORD_ERROR
 from tubeopt.planning.sections import Constants, Intervals, SolvedArms

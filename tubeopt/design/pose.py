@@ -17,7 +17,6 @@ import numpy as np
 from ..block.quantities import CLEARANCES
 from ..block.transcription.arm import ArmShape, between, evaluate_arm
 from ..block.transcription.arm_response import LinearisedArm
-from ..block.transcription.arm_state import hat
 from ..equilibrium.directions import Change, Directions
 from ..equilibrium.kinematics import to_equilibrium, under_load
 from ..equilibrium.linearised import Linearised, linearise
@@ -25,6 +24,7 @@ from ..equilibrium.member import PlainPoint, Point, Unloaded
 from ..equilibrium.problem import reduced_assembly
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
+from ..physics.shape import hat
 from ..robots.assembly import assemble
 from ..robots.concentric import ConcentricRobot
 from ..robots.load import Load

@@ -15,7 +15,6 @@ from ..block.transcription.arm_response import Forcing, Response
 from ..block.transcription.arm_state import (
     SectionInputs,
     SectionValues,
-    cross,
     data_slopes_of,
     energy_of,
     sections_of,
@@ -23,6 +22,7 @@ from ..block.transcription.arm_state import (
 )
 from ..block.transcription.collocated import ENDS
 from ..errors import InputError, SolveError
+from ..physics.shape import cross
 from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.load import FORCE, MOMENT
 from ..robots.order import SAME_END, twisted_tube

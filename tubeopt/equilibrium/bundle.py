@@ -8,7 +8,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import scipy
 
 from ..block.transcription.arm import ArmSolution, CollocationPoints, Profile
 from ..block.transcription.bundle import (
@@ -39,7 +38,6 @@ from ..block.transcription.bundle import (
     start_unknowns,
     tip_slopes,
 )
-from ..block.transcription.second_variation import softest_of, stiffnesses
 from ..block.transcription.tableau import tableau
 from ..errors import InputError
 from ..robots.eccentric import BundleRobot
@@ -51,7 +49,7 @@ from ..solvers.settings import LEAST_STIFFNESS
 from ..solvers.time_limit import check_time
 from ..typing import Array
 from .member import AnyPoint, Errors, Member, Point
-from .problem import DEFAULT_DISCRETISATION, EXTRA_COLLOCATION_POINTS, LOADED_DISCRETISATION, Discretisation
+from .problem import DEFAULT_DISCRETISATION, LOADED_DISCRETISATION, Discretisation
 from .result import Equilibrium
 
 EXCHANGES = 20
@@ -222,16 +220,10 @@ class Bundled(Member[BundleState]):
         """Largest violation of the equations, as an error of theta or of the arm's direction, rad."""
         return self.largest_rotation(state, state.gradient)
 
-    def margin(self, state: BundleState) -> float:
-        """Smallest eigenvalue of the second variation, at most 1; see `margin_form`."""
-        return min(1.0, float(self._stiffnesses(state).min()))
-
-    def _stiffnesses(self, state: BundleState) -> Array:
-        return stiffnesses(margin_form(state), symmetric=self.descends or not self.factor)
-
-    def index(self, state: BundleState) -> int:
-        """Number of unstable directions."""
-        return int((self._stiffnesses(state) < 0).sum())
+    @property
+    def is_symmetric(self) -> bool:
+        """True under loads with an energy, and without load."""
+        return self.descends or not self.factor
 
     @property
     def descends(self) -> bool:
@@ -243,10 +235,8 @@ class Bundled(Member[BundleState]):
         return margin_form(state)
 
     def softest(self, state: BundleState) -> Array:
-        """(U,) unit vector of the smallest eigenvalue."""
-        form = margin_form(state)
-        vector = np.linalg.eigh(form)[1][:, 0] if self.descends else softest_of(form)[0]
-        unknowns = mode_of(state, vector).unknowns
+        """(U,) unit vector of the unknowns for the softest direction of the form."""
+        unknowns = mode_of(state, super().softest(state)).unknowns
         return np.asarray(unknowns / np.linalg.norm(unknowns))
 
     def profile(self, state: BundleState) -> Profile:
@@ -389,16 +379,10 @@ class Bundled(Member[BundleState]):
 
     def _errors(self, point: AnyPoint) -> Errors:
         """Estimated errors: the change by a Newton step with more points."""
-        state = point.state
-        finer = self.on(degree=self.problem.tableau.degree + EXTRA_COLLOCATION_POINTS)
-        refined = finer.at(finer.transfer(point))
-        shift = LEAST_STIFFNESS if abs(point.margin) < LEAST_STIFFNESS else 0.0
-        step = np.asarray(
-            np.linalg.solve(refined.hessian + shift * np.eye(len(refined.x)), -refined.gradient), dtype=float
-        )
+        finer, state, step = self.refined(point)
         last = len(self.problem.order) - 1
-        pose = place_slopes(refined, last)
-        tip = pose.position + pose.by_x[:3] @ step - place_slopes(state, last).position
+        pose = place_slopes(state, last)
+        tip = pose.position + pose.by_x[:3] @ step - place_slopes(point.state, last).position
         theta = np.abs(finer.problem.push(step)[:, : self.problem.n]).max()
         return Errors(2 * float(theta), float(np.linalg.norm(tip)), 0.0)
 
@@ -458,12 +442,3 @@ class Bundled(Member[BundleState]):
     def round_off(self, state: BundleState) -> float:
         """Sum of elastic energy and work (J), which may cancel."""
         return abs(state.energy) + 2 * abs(state.work)
-
-    def tangent(self, point: AnyPoint) -> Array | None:
-        """(U,) linear prediction of the unknowns' change with the load factor; None if anything else changed."""
-        if point.state.problem is not self.problem or not np.array_equal(point.member.rotations, self.rotations):
-            return None
-        if self.problem.load is None:
-            return None
-        step = scipy.linalg.lapack.dgesv(point.state.hessian, -point.state.load_slope)[2]
-        return np.asarray(step * (self.factor - point.state.factor))

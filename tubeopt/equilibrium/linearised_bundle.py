@@ -18,7 +18,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 import scipy
 
-from ..block.transcription.arm import ArmShape, along_elements
+from ..block.transcription.arm import ArmShape, along_elements, cumulate
 from ..block.transcription.buffered import mapped
 from ..block.transcription.bundle import (
     BundleMode,
@@ -32,14 +32,12 @@ from ..block.transcription.collocated import ENDS
 from ..block.transcription.orientation import orient, tangent_slopes, tangents
 from ..block.transcription.second_variation import modes
 from ..errors import InputError, SolveError
-from ..physics.shape import world_turns
 from ..physics.torsion import bundle_energy_changes
-from ..solvers.settings import LEAST_STIFFNESS
 from ..typing import Array, Mask
 from .bundle import Bundled
 from .directions import check_wrt
 from .kinematics import point_of
-from .linearised import FLAT
+from .linearised import APART, FLAT
 from .result import Equilibrium
 
 CHANGED: dict[str, dict[str, float]] = {
@@ -262,9 +260,9 @@ class LinearisedBundle:
     def _oriented(self) -> tuple[Array, Array]:
         """Change (N, 3, Q) of the tangents at the points, and turn (3, Q) of the tip frame about world axes, rad."""
         orientation = orient(self.state.problem.mesh, self.state.bend)
-        stage, end = orientation.stage, orientation.start[-1]
+        stage = orientation.stage
         turned = (orientation.stage_slope.reshape(4 * len(stage), -1) @ self._bend).reshape(len(stage), 4, self.size)
-        return tangent_slopes(stage) @ turned, 2 * (world_turns() @ end) @ (orientation.start_slope[-1] @ self._bend)
+        return tangent_slopes(stage) @ turned, orientation.turn_slope() @ self._bend
 
     @cached_property
     def position(self) -> Array:
@@ -273,10 +271,7 @@ class LinearisedBundle:
         tangent = tangents(orient(problem.mesh, state.bend).stage)
         # The offset in an element is h int t dx: with the polynomial of t through the points.
         rates = state.h[:, None, None] * self._oriented[0] + tangent[..., None] * self.changes[:, None, -1]
-        elements = len(rates) // k
-        inside = problem.tableau.basis(tuple(ENDS.tolist()), 1) @ rates.reshape(elements, k, 3 * self.size)
-        foot = np.cumsum(inside[:, -1], axis=0) - inside[:, -1]
-        out = along_elements(foot[:, None] + inside, elements).reshape(-1, 3, self.size)
+        out = cumulate(problem.tableau, rates.reshape(-1, k, 3, self.size))
         out[:-1] -= self.shape.frame[:-1, :, 2, None] * self._moved[:-1, None]
         return np.asarray(out)
 
@@ -365,7 +360,7 @@ def linearise_bundle(
         SolveError: the equilibrium is a fold.
     """
     check_wrt(wrt, side)
-    if abs(equilibrium.margin) < LEAST_STIFFNESS:
+    if abs(equilibrium.margin) < APART:
         raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
     point = _point_of(equilibrium)
     return LinearisedBundle(point.member, point.state, tuple(wrt), along)

@@ -44,7 +44,7 @@ from ..block.transcription.reduced import (
     to_unknowns,
     worst_equation,
 )
-from ..block.transcription.second_variation import least, margin, softest, softest_of, stiffnesses, unstable_directions
+from ..block.transcription.second_variation import least, margin, softenings, softest_of, stiffnesses
 from ..errors import SolveError
 from ..robots.assembly import LENGTH_ROUND_OFF, Assembly
 from ..robots.load import Load
@@ -146,6 +146,17 @@ AnyPoint = Point[Any, Any]
 """Point with or without a load."""
 
 
+class Refined(NamedTuple):
+    """Newton step on a finer mesh."""
+
+    member: Any
+    """Equations on the finer mesh."""
+    state: Any
+    """State that was transferred to it."""
+    step: Array
+    """Step (U,) of the unknowns to the solution."""
+
+
 @dataclass(frozen=True, eq=False)
 class Member(ABC, Generic[S]):
     """Equations of a robot at joint values on one mesh, with U unknowns x."""
@@ -157,6 +168,11 @@ class Member(ABC, Generic[S]):
     translations: tuple[float, ...]
     """(n,) joint translations, m."""
     discretisation: Discretisation
+
+    @property
+    def factor(self) -> float:
+        """Factor on the load of the problem."""
+        return 1.0
 
     @property
     @abstractmethod
@@ -243,13 +259,32 @@ class Member(ABC, Generic[S]):
         """Text on the equation with the largest violation; by default only the size of the violation."""
         return f"the largest residual is {self.residual(state):.2g} rad"
 
-    @abstractmethod
-    def margin(self, state: S) -> float:
-        """Stability margin of a solved state."""
+    def form(self, state: S) -> Array:
+        """(U, U) second variation, which has the margin as smallest eigenvalue, or the linearised equations."""
+        return np.asarray(state.hessian)
 
-    @abstractmethod
+    @property
+    def is_symmetric(self) -> bool:
+        """True if `form` is symmetric: the equations have an energy, as without a load all of `form` have."""
+        return self.descends
+
+    def margin(self, state: S) -> float:
+        """Stability margin of a solved state: the smallest real part of the eigenvalues of `form`, at most 1."""
+        form = self.form(state)
+        if self.is_symmetric:
+            return least(form)
+        return min(1.0, float(stiffnesses(form, symmetric=False).min(initial=1.0)))
+
     def index(self, state: S) -> int:
-        """Number of unstable directions of a solved state."""
+        """Number of unstable directions of a solved state: eigenvalues of `form` with a negative real part."""
+        return int((stiffnesses(self.form(state), symmetric=self.is_symmetric) < 0).sum())
+
+    def softest(self, state: S) -> Array:
+        """(U,) unit vector of the eigenvalue of `form` with the smallest real part."""
+        if not self.is_symmetric:
+            return softest_of(self.form(state))[0]
+        vectors: Array = np.linalg.eigh(self.form(state))[1]
+        return vectors[:, 0]
 
     @abstractmethod
     def profile(self, state: S) -> Profile:
@@ -259,17 +294,9 @@ class Member(ABC, Generic[S]):
     def solution(self, point: AnyPoint) -> ArmSolution:
         """Shape, energy and estimated errors of a solved point."""
 
-    @abstractmethod
-    def softest(self, state: S) -> Array:
-        """(U,) unit vector of the smallest eigenvalue of a solved state."""
-
     def flutters(self, state: S) -> bool:
         """True if the softest mode of a solved state has complex eigenvalues: an oscillation, which has no fold."""
         return not self.descends and softest_of(self.form(state))[1]
-
-    def form(self, state: S) -> Array:
-        """(U, U) matrix of the equations; its smallest eigenvalue is the margin if they have no energy."""
-        return np.asarray(state.hessian)
 
     @abstractmethod
     def with_inputs(
@@ -294,8 +321,22 @@ class Member(ABC, Generic[S]):
         """Sum of the sizes (J) of the energies that may cancel in the potential."""
 
     def tangent(self, point: AnyPoint) -> Array | None:
-        """(U,) predicted change of the unknowns from a point to this member; None if it costs more than one solve."""
-        return None
+        """(U,) linear prediction of the unknowns' change with the load factor; None if anything else changed."""
+        if point.member.problem is not self.problem or not np.array_equal(point.member.rotations, self.rotations):
+            return None
+        if self.load is None:
+            return None
+        step = scipy.linalg.lapack.dgesv(point.state.hessian, -point.state.load_slope)[2]
+        return np.asarray(step * (self.factor - point.state.factor))
+
+    def refined(self, point: AnyPoint) -> Refined:
+        """Newton step of a solved point on a mesh with more points per element, which estimates its errors."""
+        finer = self.on(degree=self.discretisation.degree + EXTRA_COLLOCATION_POINTS)
+        state = finer.at(finer.transfer(point))
+        # At a fold the step along the softest direction is unbounded: its stiffness counts as at least this.
+        shift = LEAST_STIFFNESS if abs(point.margin) < LEAST_STIFFNESS else 0.0
+        step = np.linalg.solve(state.hessian + shift * np.eye(len(state.x)), -state.gradient)
+        return Refined(finer, state, np.asarray(step))
 
     def downhill(self, state: S, time: float) -> tuple[Array, bool]:
         """(U,) implicit Euler step of the flow x' = -g, and True if its matrix is not positive definite.
@@ -393,14 +434,6 @@ class Unloaded(Member[Evaluation]):
         """Element, tube and arc length with the largest violation of the torsion equations."""
         return worst_equation(self.problem, state)
 
-    def margin(self, state: Evaluation) -> float:
-        """Smallest eigenvalue of the second variation relative to its torsional part."""
-        return margin(self.problem, state)
-
-    def index(self, state: Evaluation) -> int:
-        """Number of negative eigenvalues of the second variation."""
-        return unstable_directions(self.problem, state)
-
     def profile(self, state: Evaluation) -> arms.Profile:
         """Rotation and torsion along the arm, integrated from the collocation points."""
         return arms.profile(self.problem, self.rotations, state)
@@ -429,10 +462,6 @@ class Unloaded(Member[Evaluation]):
             iterations=point.iterations,
             index=0 if point.margin > 0 else self.index(state),
         )
-
-    def softest(self, state: Evaluation) -> Array:
-        """(U,) eigenvector of the smallest eigenvalue of the second variation."""
-        return softest(self.problem, state)
 
     def with_inputs(
         self, rotations: Array, translations: tuple[float, ...], load: Load | None, factor: float
@@ -493,6 +522,14 @@ class OffCentreline(Unloaded):
     def descends(self) -> bool:
         """False: close to a fold the minimum on the centreline may belong to another branch."""
         return False
+
+    def margin(self, state: Evaluation) -> float:
+        """Fraction of their torsional stiffness that the tubes may lose at a fixed state before the first fold."""
+        return margin(self.problem, state)
+
+    def index(self, state: Evaluation) -> int:
+        """Number of folds that tubes at least as stiff as these have met; see `second_variation`."""
+        return int((softenings(self.problem, state.theta) > 1).sum()) if self.problem.size else 0
 
 
 PlainPoint = Point[Unloaded, Evaluation]
@@ -589,18 +626,10 @@ class Loaded(Member[LoadedState]):
         bend = np.abs(np.repeat(self.problem.softness, 2) * state.gradient[split:]).max(initial=0.0)
         return max(float(tubes), self.torsion.assembly.total_length * float(bend))
 
-    def margin(self, state: LoadedState) -> float:
-        """Smallest eigenvalue of the second variation relative to its torsional and bending part, at most 1.
-
-        Under loads without an energy, the smallest real part of the eigenvalues of the linearised equations.
-        """
-        if self.problem.couples is None or not state.factor:  # without load the equations have an energy
-            return least(state.hessian)
-        return min(1.0, float(stiffnesses(state.hessian, symmetric=False).min(initial=1.0)))
-
-    def index(self, state: LoadedState) -> int:
-        """Number of eigenvalues with a negative real part."""
-        return int((stiffnesses(state.hessian, symmetric=self.descends) < 0).sum())
+    @property
+    def is_symmetric(self) -> bool:
+        """True under loads with an energy, and without load."""
+        return self.descends or not self.factor
 
     def profile(self, state: LoadedState) -> arms.Profile:
         """Rotation and torsion along the arm, integrated from the collocation points."""
@@ -634,12 +663,8 @@ class Loaded(Member[LoadedState]):
 
     def _errors(self, point: LoadedPoint) -> Errors:
         """Estimated errors: the change by one Newton step on a mesh with more points per element."""
-        finer = self.on(degree=self.discretisation.degree + EXTRA_COLLOCATION_POINTS)
-        problem, state = finer.problem, finer.at(finer.transfer(point))
-        # At a fold the step along the softest direction is unbounded: its stiffness counts as at least this.
-        shift = LEAST_STIFFNESS if abs(point.margin) < LEAST_STIFFNESS else 0.0
-        step = np.linalg.solve(state.hessian + shift * np.eye(problem.size), -state.gradient)
-        split = problem.torsion.size
+        finer, state, step = self.refined(point)
+        problem, split = finer.problem, finer.problem.torsion.size
         theta = np.abs(problem.torsion.factor @ step[:split]).max(initial=0.0)
         tip_change = tip_position(problem, state) + tip_slopes(problem, state)[:3] @ step
         tip_change -= tip_position(self.problem, point.state)
@@ -648,13 +673,6 @@ class Loaded(Member[LoadedState]):
         margin = abs(finer.margin(state) - point.margin) if hardly_softened else 0.0
         # Between the points the error of theta is up to 1.6 times that at the points (measured).
         return Errors(2 * float(theta), float(np.linalg.norm(tip_change)), margin)
-
-    def softest(self, state: LoadedState) -> Array:
-        """(U,) eigenvector of the eigenvalue with the smallest real part."""
-        if not self.descends:
-            return softest_of(state.hessian)[0]
-        vectors: Array = np.linalg.eigh(state.hessian)[1]
-        return vectors[:, 0]
 
     @property
     def descends(self) -> bool:
@@ -712,13 +730,6 @@ class Loaded(Member[LoadedState]):
         twist = np.abs(twist_change).max(initial=0.0)
         # The frames are unit quaternions: a rotation by a moves one by a / 2.
         return max(float(twist), 2 * float(np.linalg.norm(state.orientation.stage - frames, axis=1).max()))
-
-    def tangent(self, point: AnyPoint) -> Array | None:
-        """(U,) linear prediction of the unknowns' change with the load factor; None if anything else changed."""
-        if point.member.problem is not self.problem or not np.array_equal(point.member.rotations, self.rotations):
-            return None
-        step = scipy.linalg.lapack.dgesv(point.state.hessian, -point.state.load_slope)[2]
-        return np.asarray(step * (self.factor - point.state.factor))
 
     def round_off(self, state: LoadedState) -> float:
         """Sum of elastic energy and work (J), which may cancel."""

@@ -159,3 +159,19 @@ def carry_function() -> ca.Function:
     pose, u, h = ca.SX.sym("pose", 12), ca.SX.sym("u", 6), ca.SX.sym("h")
     rotation, position = magnus_step(ca.reshape(pose[:9], 3, 3), pose[9:], ca.reshape(u, 2, 3), h)
     return ca.Function("carry", [pose, u, h], [ca.vertcat(ca.vec(rotation), position)], {"cse": True})
+
+
+# --- Cross products ---------------------------------------------------------------------------------------------------
+
+HAT = np.array([[0.0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]])
+"""Matrix (3, 9) from a to the matrix of b -> a x b, by rows."""
+
+
+def hat(a: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Matrices (..., 3, 3) of b -> a x b, of vectors a (..., 3)."""
+    return np.asarray((a @ HAT).reshape(*a.shape, 3))
+
+
+def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Cross product (..., 3) of vectors."""
+    return np.asarray((hat(a) @ b[..., None])[..., 0])

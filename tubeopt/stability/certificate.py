@@ -17,7 +17,7 @@ from ..arguments import typed
 from ..block.transcription.arm import evaluate_arm, profile
 from ..block.transcription.arm_response import LinearisedArm
 from ..block.transcription.buffered import mapped
-from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate
+from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, torsional_hessian
 from ..block.transcription.second_variation import least as least_value
 from ..display import Displayed
 from ..equilibrium.linearised import Linearised
@@ -287,7 +287,7 @@ def estimated_certificate(robot: Robot, shift: Array) -> float:
         return proof(assembly)[0]
     problem = reduced_assembly(assembly)
     if robot.even:
-        return least_value(np.eye(problem.size) + _coupled(problem)) if problem.size else 1.0
+        return least_value(torsional_hessian(problem, _at_worst(problem)[0]))
     value, pair = worst_case(problem).margin, pair_of(problem)
     return value if pair is None else max(value, least_margin_of_pair(pair).bound)
 
@@ -327,17 +327,9 @@ def worst_case(problem: ReducedProblem, opposition: Array | None = None) -> Oppo
     y = np.zeros((count, n))
     if not problem.size:
         return OpposedSpectrum(1.0, y, 1.0)
-    values, vectors = np.linalg.eigh(_coupled(problem, opposition))
+    values, vectors = np.linalg.eigh(torsional_hessian(problem, _at_worst(problem, opposition)[0]))
     y.ravel()[problem.flat] = problem.factor @ vectors[:, 0]
-    return OpposedSpectrum(min(1.0, 1.0 + float(values[0])), y, 1.0 + float(values[min(1, len(values) - 1)]))
-
-
-def _coupled(problem: ReducedProblem, opposition: Array | None = None) -> Array:
-    """(U, U) second variation in the worst case less its torsional part, which is the identity in whitened unknowns."""
-    second = np.zeros(problem.size**2)
-    pairs = problem.pairs
-    second[pairs.positions] = _at_worst(problem, opposition)[0].ravel()[pairs.entries] * pairs.weight
-    return np.asarray(problem.factor.T @ second.reshape(problem.size, -1) @ problem.factor)
+    return OpposedSpectrum(min(1.0, float(values[0])), y, float(values[min(1, len(values) - 1)]))
 
 
 @typed

@@ -188,4 +188,4 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> ScaledLoss | None
 def _restart(point: AnyPoint, member: Member[Any]) -> AnyPoint:
     """Equilibrium of the same robot on another mesh, or at a slightly larger load, close to a point."""
     failure = "no equilibrium on the mesh of a larger load, or just beyond the loss of stability"
-    return replace(point.onto(member, failure), t=member.factor)  # type: ignore[attr-defined]
+    return replace(point.onto(member, failure), t=member.factor)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...physics.shape import GAUSS_POINTS, carry_function
+from ...physics.shape import GAUSS_POINTS, HAT, carry_function
 from ...robots.assembly import Assembly
 from ...robots.lengthwise import CrossSections
 from ...typing import Array, Index
@@ -308,14 +308,10 @@ def frames_at_points(t: Tableau, length: Array, shape: ArmShape) -> Array:
     elements, count = len(length), 2 * len(ENDS) - 1
     index = shape_points(elements)
     frame, step = shape.frame[index], length[:, None, None, None]
-    turning = (shape.curvature[index] @ _HAT).reshape(frame.shape)
+    turning = (shape.curvature[index] @ HAT[:2]).reshape(frame.shape)
     frames = np.concatenate([frame, step * (frame @ turning)[:, 1:]], 1)
     inside = hermite(t.family, t.degree) @ frames.reshape(elements, count, 9)
     return np.asarray(inside.reshape(elements, t.degree, 3, 3))
-
-
-_HAT = np.array([[0.0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0]])
-"""Matrix (2, 9) from (u_x, u_y) to hat(u), by rows."""
 
 
 @lru_cache(maxsize=64)

@@ -21,8 +21,9 @@ import numpy as np
 import scipy
 
 from ...errors import SolveError
+from ...physics.shape import cross, hat
 from ...typing import Array, Index
-from .arm_state import ArmState, cross, hat
+from .arm_state import ArmState
 
 
 @dataclass(frozen=True, eq=False)

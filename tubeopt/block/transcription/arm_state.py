@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...physics.shape import hat
 from ...typing import Array, Index
 from .arm import ArmShape, frames_at_points
 from .buffered import bent_function, section_function
@@ -155,20 +156,6 @@ def _eccentric_sections(inputs: SectionInputs, offsets: Offsets) -> _EccentricSe
         part.reshape(count, 3 * n, value.shape[1]).swapaxes(1, 2) for value, part in zip(out[:4], out[4:], strict=True)
     ]
     return _EccentricSections(*out[:4], *slopes)
-
-
-_HAT = np.array([[0.0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]])
-"""Matrix (3, 9) from a to the matrix of b -> a x b, by rows."""
-
-
-def hat(a: Array) -> Array:
-    """Matrices (..., 3, 3) of b -> a x b, of vectors a (..., 3)."""
-    return np.asarray((a @ _HAT).reshape(*a.shape, 3))
-
-
-def cross(a: Array, b: Array) -> Array:
-    """Cross product (..., 3) of vectors."""
-    return np.asarray((hat(a) @ b[..., None])[..., 0])
 
 
 class FromTip(NamedTuple):

@@ -30,16 +30,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from ...physics.shape import frame_forms, rotation_matrix_function, world_turns
+from ...physics.shape import frame_forms, hat, rotation_matrix_function
 from ...physics.torsion import bundle_energy
 from ...robots.load import FORCE, Load, Stretch
 from ...typing import Array, Index, Mask
 from .arm import ArmShape, along_elements
-from .arm_state import hat
 from .buffered import mapped
 from .collocated import ENDS
 from .mesh import Mesh
-from .orientation import adjoint, orient, second_derivative, tangent_slopes, tangents
+from .orientation import adjoint, centreline, orient, second_derivative, tangent_slopes, tangents
 from .tableau import Tableau, tableau
 
 SAME_PLACE = 1e-9
@@ -696,7 +695,7 @@ def work_of(problem: BundleProblem, bend: Array, h: Array, length: Array) -> Wor
             torsional_slope += np.outer(row, tip_moment @ slope)
         else:
             # Virtual work of a load that turns with the tip.
-            turn, reach = 2 * (world_turns() @ end) @ orientation.start_slope[-1], t.T @ (weight[:, None] * by_h)
+            turn, reach = orientation.turn_slope(), t.T @ (weight[:, None] * by_h)
             reach[:, : 2 * count] += np.tensordot(weight * h, slope_t.reshape(count, 3, -1), 1)
             second[:, : 2 * count] -= reach.T @ hat(tip_force) @ turn
             second[: 2 * count, : 2 * count] -= turn.T @ hat(tip_moment) @ turn
@@ -756,7 +755,7 @@ def place_slopes(state: BundleState, section: int) -> PlaceSlopes:
     by_bend = np.concatenate(
         [
             np.tensordot(weight * state.h, slopes, 1) + by_length @ problem.lengths_by_bend,
-            2 * (world_turns() @ orientation.start[end]) @ orientation.start_slope[end],
+            orientation.turn_slope(end),
         ]
     )
     by_x[:, problem.split :] = by_bend @ problem.bend_map
@@ -912,29 +911,21 @@ def bundle_arm(rotations: Array, state: BundleState) -> ArmShape:
     problem = state.problem
     (count, n), k = state.theta.shape, problem.tableau.degree
     pieces = count // k
-    orientation, at = orient(problem.mesh, state.bend), tuple(ENDS.tolist())
+    at = tuple(ENDS.tolist())
     values, integrals = problem.tableau.basis(at, 0), problem.tableau.basis(at, 1)
-    h = state.h.reshape(pieces, k)[:, :1, None]
-    turn, tangent = state.turn.reshape(pieces, k, n), tangents(orientation.stage).reshape(pieces, k, 3)
+    h, turn = state.h.reshape(pieces, k)[:, 0], state.turn.reshape(pieces, k, n)
     base = rotations + problem.torsion(state.x)[1]
     ends = np.cumsum(problem.tableau.weights @ turn, axis=0)
     start = base + np.concatenate([np.zeros((1, n)), ends[:-1]])
-    # Q' = (u_x Omega_x + u_y Omega_y) Q / 2 at the points, integrated by their polynomial; |Q| = 1 at the ends only.
-    rate = (orientation.rate @ orientation.stage[:, :, None] / 2).reshape(pieces, k, 4)
-    quaternion = orientation.start[:-1, None] + integrals @ rate
-    quaternion[:, -1] = orientation.start[1:]
-    quaternion /= np.linalg.norm(quaternion, axis=2, keepdims=True)
-    offset = h * (integrals @ tangent)
-    foot = np.cumsum(np.concatenate([np.zeros((1, 3)), offset[:-1, -1]]), axis=0)
-    s = np.cumsum(np.concatenate([[0.0], h[:-1, 0, 0]]))[:, None] + h[:, 0] * ENDS
-    frame = mapped(rotation_matrix_function(), pieces * len(ENDS))(quaternion.reshape(-1, 4))[0]
+    s = (np.cumsum(h) - h)[:, None] + h[:, None] * ENDS
+    position, frame = centreline(problem.mesh, orient(problem.mesh, state.bend), h)
     return ArmShape(
         arc_length=along_elements(s, pieces)[:, 0],
         rotation=along_elements(start[:, None] + integrals @ turn, pieces).T.copy(),
-        torsion=along_elements(values @ turn / h, pieces).T.copy(),
-        curvature=along_elements(values @ state.bend.reshape(pieces, k, 2) / h, pieces),
-        position=along_elements(foot[:, None] + offset, pieces),
-        frame=along_elements(frame, pieces).reshape(-1, 3, 3).swapaxes(1, 2).copy(),
+        torsion=along_elements(values @ turn / h[:, None, None], pieces).T.copy(),
+        curvature=along_elements(values @ state.bend.reshape(pieces, k, 2) / h[:, None, None], pieces),
+        position=position,
+        frame=frame,
     )
 
 

@@ -26,15 +26,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...physics.shape import frame_forms, quaternion_rates, rotation_matrix_function, tangent_forms, world_turns
+from ...physics.shape import frame_forms, hat, quaternion_rates, rotation_matrix_function, tangent_forms, world_turns
 from ...robots.load import FORCE, MOMENT, Load
 from ...robots.order import outermost, twisted_tube
 from ...typing import Array, Index
 from .arm import ArmShape, Profile, along_elements, arc_lengths, integrate, pushed, sections_along
-from .buffered import mapped, section_function
+from .buffered import section_function
 from .collocated import ENDS
 from .mesh import Mesh
-from .orientation import IDENTITY, Orientation, adjoint, orient, second_derivative, tangent_slopes, tangents
+from .orientation import IDENTITY, Orientation, adjoint, centreline, orient, second_derivative, tangent_slopes, tangents
 from .reduced import ReducedProblem, row_of, to_unknowns, torsional_hessian
 
 # --- Dead moments -----------------------------------------------------------------------------------------------------
@@ -345,7 +345,7 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
     if problem.load.frame == "tip":
         # Virtual work of a load that turns with the tip.
         reach, turn = _tip(problem, orientation, by_x)
-        wrench_slope = reach.T @ _cross(sums.turning[FORCE]) + turn.T @ _cross(sums.turning[MOMENT])
+        wrench_slope = reach.T @ hat(sums.turning[FORCE]) + turn.T @ hat(sums.turning[MOMENT])
         hessian += factor * (wrench_slope @ turn)
     return LoadedState(
         x=x,
@@ -411,11 +411,6 @@ def _load_sums(problem: LoadedProblem, orientation: Orientation) -> _LoadSums:
     return _LoadSums(problem.ahead + turning, problem.base + turning, turning)
 
 
-def _cross(a: Array) -> Array:
-    """Matrix (3, 3) of b -> a x b."""
-    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
-
-
 def tip_frame(orientation: Orientation) -> Array:
     """Bishop frame (3, 3) of the tip."""
     return np.array(rotation_matrix_function()(orientation.start[-1]))
@@ -427,7 +422,7 @@ def _tip(problem: LoadedProblem, orientation: Orientation, curvature_slope: Arra
     by_u = tangent_slopes(orientation.stage) @ orientation.stage_slope
     # The tip is int t ds: its derivative is the weighted sum of those of the tangents.
     reach = (problem.torsion.weight @ by_u.reshape(count, -1)).reshape(3, -1) @ curvature_slope
-    turn = 2 * (world_turns() @ orientation.start[-1]) @ orientation.start_slope[-1] @ curvature_slope
+    turn = orientation.turn_slope() @ curvature_slope
     return reach, turn
 
 
@@ -541,23 +536,14 @@ def loaded_arm(problem: LoadedProblem, profile: Profile, state: LoadedState) -> 
     sections = sections_along(torsion, profile, tuple(ENDS.tolist()))
     bending = (state.x[torsion.size :].reshape(-1, 2) * problem.softness[:, None]).reshape(elements, t.degree, 2)
     curvature = sections.curvature + t.lagrange(ENDS) @ bending
-    orientation, integrals = state.orientation, mesh.length[:, None, None] * t.lagrange(ENDS, integrals=1)
-    # Q' = (u_x Omega_x + u_y Omega_y) Q / 2 at the points, integrated by their polynomial.
-    rate = (orientation.rate @ orientation.stage[:, :, None] / 2).reshape(elements, t.degree, 4)
-    quaternion = orientation.start[:-1, None] + integrals @ rate
-    quaternion[:, -1] = orientation.start[1:]
-    # Collocation preserves the norm at the ends of elements only.
-    quaternion /= np.linalg.norm(quaternion, axis=2, keepdims=True)
-    offset = integrals @ tangents(orientation.stage).reshape(elements, t.degree, 3)
-    start = np.cumsum(np.concatenate([np.zeros((1, 3)), offset[:-1, -1]]), axis=0)
-    frame = mapped(rotation_matrix_function(), elements * len(ENDS))(quaternion.reshape(-1, 4))[0]
+    position, frame = centreline(mesh, state.orientation, mesh.length)
     return ArmShape(
         arc_length=arc_lengths(mesh),
         rotation=along_elements(sections.rotation, elements).T.copy(),
         torsion=along_elements(sections.torsion, elements).T.copy(),
         curvature=along_elements(curvature, elements),
-        position=along_elements(start[:, None] + offset, elements),
-        frame=along_elements(frame, elements).reshape(-1, 3, 3).swapaxes(1, 2).copy(),
+        position=position,
+        frame=frame,
     )
 
 

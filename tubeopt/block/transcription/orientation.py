@@ -11,11 +11,15 @@ normalised. The equations are linear in Q and in u, so that first and second der
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from ...physics.shape import quaternion_rates, tangent_forms
+from ...physics.shape import quaternion_rates, rotation_matrix_function, tangent_forms, world_turns
 from ...typing import Array
+from .arm import along_elements, cumulate
+from .buffered import mapped
+from .collocated import ENDS
 from .mesh import Mesh
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
@@ -41,6 +45,10 @@ class Orientation:
     """Derivative (N, 4, 2 N) of `stage` by the curvature (N, 2)."""
     start_slope: Array
     """Derivative (P + 1, 4, 2 N) of `start` by the curvature (N, 2)."""
+
+    def turn_slope(self, element: int = -1) -> Array:
+        """Derivative (3, 2 N) of the turn about world axes by the curvature, where an element begins; at the tip -1."""
+        return np.asarray(2 * (world_turns() @ self.start[element]) @ self.start_slope[element])
 
 
 def orient(mesh: Mesh, curvature: Array) -> Orientation:
@@ -143,3 +151,28 @@ def tangents(stage: Array) -> Array:
 def tangent_slopes(stage: Array) -> Array:
     """Derivative (N, 3, 4) of `tangents` by Q."""
     return np.asarray(2 * (stage @ tangent_forms()).swapaxes(0, 1))
+
+
+class Centreline(NamedTuple):
+    """Centreline at ENDS of the elements."""
+
+    position: Array
+    """Positions (m, 3), m."""
+    frame: Array
+    """Bishop frames (m, 3, 3)."""
+
+
+def centreline(mesh: Mesh, orientation: Orientation, length: Array) -> Centreline:
+    """Centreline with an orientation that was found on a mesh, of elements that are `length` (P,) long, m."""
+    t, elements = mesh.tableau, len(length)
+    tangent = tangents(orientation.stage).reshape(elements, t.degree, 3)
+    # Q' = (u_x Omega_x + u_y Omega_y) Q / 2 at the points, integrated by their polynomial.
+    rate = (orientation.rate @ orientation.stage[:, :, None] / 2).reshape(elements, t.degree, 4)
+    turned = mesh.length[:, None, None] * (t.basis(tuple(ENDS.tolist()), 1) @ rate)
+    quaternion = orientation.start[:-1, None] + turned
+    quaternion[:, -1] = orientation.start[1:]
+    # Collocation preserves the norm at the ends of elements only.
+    quaternion /= np.linalg.norm(quaternion, axis=2, keepdims=True)
+    frame = mapped(rotation_matrix_function(), elements * len(ENDS))(quaternion.reshape(-1, 4))[0]
+    frames = along_elements(frame, elements).reshape(-1, 3, 3).swapaxes(1, 2).copy()
+    return Centreline(cumulate(t, length[:, None, None] * tangent), frames)

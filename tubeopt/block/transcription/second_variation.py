@@ -61,23 +61,6 @@ def least(matrix: Array) -> float:
     return min(1.0, float(scipy.linalg.lapack.dsyevr(matrix, compute_v=0, range="I", il=1, iu=1)[0][0]))
 
 
-def unstable_directions(problem: ReducedProblem, state: Evaluation) -> int:
-    """Number of negative eigenvalues of the second variation; of eccentric tubes, of eigenvalues of K above 1."""
-    if not problem.size:
-        return 0
-    if problem.assembly.eccentric:
-        return int((softenings(problem, state.theta) > 1).sum())
-    return int((np.linalg.eigvalsh(state.hessian) < 0).sum())
-
-
-def softest(problem: ReducedProblem, state: Evaluation) -> Array:
-    """Direction (U,) in z of the smallest stiffness; it is 0 at a fold."""
-    if not problem.assembly.eccentric:
-        vectors: Array = np.linalg.eigh(state.hessian)[1]
-        return vectors[:, 0]
-    return softest_of(state.hessian)[0]
-
-
 def softest_of(matrix: Array) -> tuple[Array, bool]:
     """Unit direction (U,) of the eigenvalue with the smallest real part, and True if that eigenvalue is complex.
 
