@@ -24,9 +24,12 @@ from tubeopt import (
     find_snap,
     follow,
     load_robot,
+    plan_trajectory,
     snap_free_certificate,
+    verify_trajectory,
 )
 from tubeopt.block.transcription.bundle import BundleState
+from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.command import Command
 from tubeopt.control.servo import Servo
 from tubeopt.equilibrium.directions import PARAMETERS
@@ -35,6 +38,8 @@ from tubeopt.equilibrium.kinematics import point_of, unsolved
 from tubeopt.errors import InputError
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.posture import start_posture
+from tubeopt.planning.proof import ProofStatus
+from tubeopt.planning.question import PlanOptions
 from tubeopt.robots.eccentric import free_channel
 from tubeopt.typing import Array
 
@@ -519,3 +524,31 @@ def test_a_servo_leads_its_tip_and_stops_before_it_snaps() -> None:
     again = follow(robot, [s.rotations for s in steps], [s.translations for s in steps])
     assert not again.snaps
     assert again.equilibria[-1].margin == pytest.approx(steps[-1].equilibrium.margin, abs=1e-8)
+
+
+def test_plans_are_paths_that_can_be_followed() -> None:
+    robot = bundle_of_thesis()
+    start, goal = (robot.fk(np.radians([turn] * 3)) for turn in (60.0, -60.0))
+    body = Sphere(tuple(robot.fk(np.zeros(3)).position[-3]), 3e-3)
+    plan = plan_trajectory(robot, start, goal, obstacles=[body], options=PlanOptions(clearance=5e-4))
+    assert not plan.proved
+    assert plan.proof.status is ProofStatus.FOLLOWED
+    path = follow(robot, plan.rotations, plan.translations)
+    assert not path.snaps
+    assert path.equilibria[-1].tip_position == pytest.approx(goal.tip_position, abs=1e-9)
+    # The largest radius of the robot, and the chord between shape points.
+    radius = robot.least_sheath_diameter / 2
+    gaps = [np.linalg.norm(e.position - body.centre, axis=1).min() - body.radius - radius for e in path.equilibria]
+    assert 5e-4 - 1e-6 <= min(gaps) < 2e-3
+    assert plan.proof.measured_clearance == pytest.approx(min(gaps), abs=3e-4)
+    assert plan.proof.measured_clearance <= min(gaps) + 1e-9
+    assert plan.proof.least_clearance == -np.inf
+    loaded = plan_trajectory(robot, start, robot.fk(np.radians([60.0, 68.0, 64.0])), load=Load((0.1, 0.0, 0.0)))
+    assert loaded.arms[-1].load is not None
+    assert np.abs(loaded.arms[-1].compliance).max() > 0
+    # A turn that snaps is refuted.
+    robot = long_bundle()
+    proof = verify_trajectory(robot, [0.0, 1.0], np.radians([[30.0, 180.0, 30.0], [30.0, 230.0, 30.0]]))
+    assert proof.status is ProofStatus.FAULTY
+    assert proof.snap is not None
+    assert 180 + 50 * proof.snap == pytest.approx(210.1645, abs=0.06)

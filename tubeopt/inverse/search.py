@@ -136,6 +136,8 @@ def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) 
     """
     space = task.coordinates.space
     n = space.robot.n_tubes
+    if not space.robot.fixed_sections:  # bundles have no certificate
+        return
     ends = start[n:], goal[n:]
     drawn = space.sample(DETOUR_SAMPLES)[:, n:]
     # On the path from an end to a sample the certificate usually grows: the first point that has it is the nearest.

@@ -148,10 +148,10 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[Base
 def _worth_smoothing(task: PlanTask, curves: Sequence[Array]) -> bool:
     """True if a path, curves of joint values (k, m), can become much shorter: none is shorter than the straight line.
 
-    Among bodies smoothing takes twice as long; its equations are without a load.
+    Among bodies smoothing takes twice as long; its equations are those of fixed sections without a load.
     """
     options = task.options
-    if task.coordinates.load is not None:
+    if task.coordinates.load is not None or not task.coordinates.space.robot.fixed_sections:
         return False
     length = sum(float(np.linalg.norm(np.diff(q / task.scale, axis=0), axis=1).sum()) for q in curves)
     if length < SHORT or options.objective != "length" or options.extra_cost is not None:

@@ -326,6 +326,7 @@ class ProofStatus(StatusEnum):
 
     PROVED = "the trajectory is proved from end to end"
     OPEN = "the time limit was reached before the proof finished; no violation was found"
+    FOLLOWED = "no violation was found at the equilibria of the motion; nothing is proved between them"
     FAULTY = "a requirement is violated or not proved"
 
 
@@ -383,7 +384,7 @@ class Proof(Displayed):
     faults: Annotated[tuple[str, ...], "violated or unproved requirements, as text"]
     """Empty for a proved trajectory."""
     open: bool = False
-    """True if a time limit ended the proof before anything was refuted."""
+    """True if nothing was refuted before a time limit ended the proof, or no proof exists, as for bundles."""
     forced: ForceBound | None = None
     """Bounds for all rotations and the translations of the trajectory under any tip force up to `max_force`; None
     without one. Margin, faults and clearance then include any such force.
@@ -409,7 +410,9 @@ class Proof(Displayed):
         """Result of the proof, as a sentence."""
         if self.holds:
             return ProofStatus.PROVED
-        return ProofStatus.OPEN if self.open else ProofStatus.FAULTY
+        if not self.open:
+            return ProofStatus.FAULTY
+        return ProofStatus.OPEN if self.end.robot.fixed_sections else ProofStatus.FOLLOWED
 
     @property
     def holds(self) -> bool:
@@ -488,6 +491,8 @@ def verify_trajectory(  # noqa: PLR0913
     instance("limits", limits, JointLimits, optional=True)
     instance("rate_limits", rate_limits, RateLimits, optional=True)
     instance("start", start, Equilibrium, optional=True)
+    if max_force and not robot.fixed_sections:
+        raise InputError("max_force is given; nothing is proved of bundles under forces that may change")
     alpha, shift = checked_waypoints(robot, rotations, translations)
     t = _times(time, len(alpha))
     if finite("min_margin", min_margin) >= 1:
@@ -516,7 +521,7 @@ def proved(first: Equilibrium, t: Array, joints: Array, requirements: Trajectory
     unproved += _tip_faults(pace, tip_limit, pushed=forced is not None)
     if forced is not None:
         unproved += _force_faults(forced, requirements.min_margin)
-    out_of_time = bool(unproved) and verifier.clock.over
+    unfinished = bool(unproved) and (verifier.clock.over or not robot.fixed_sections)
     steps = [step.equilibrium for step in trace.steps]
     reintegration = _again([steps[k] for k in np.unique(np.linspace(0, len(steps) - 1, VERIFIED).astype(int))])
     if reintegration > AGREEMENT * verifier.length:
@@ -547,7 +552,7 @@ def proved(first: Equilibrium, t: Array, joints: Array, requirements: Trajectory
         statistics=ProofStatistics(verifier.count + 1, trace.steps[-1].at),
         end=steps[-1],
         faults=(*faults, *unproved),
-        open=out_of_time and not faults,
+        open=unfinished and not faults,
         samples=_at_samples(trace.steps, t),
         clearance_from=verifier.scene.stands_for,
     )
@@ -665,7 +670,7 @@ def _branch_faults(
 
 def _again(equilibria: Sequence[Equilibrium]) -> float:
     """Largest difference of a tip from its re-integration, m; under a load the largest estimate of its error."""
-    if equilibria[0].load is not None:
+    if equilibria[0].load is not None or not equilibria[0].robot.fixed_sections:
         return max(e.tip_error for e in equilibria)
     return max(check.tip_position for check in verifications(equilibria))
 

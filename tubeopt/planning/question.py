@@ -21,7 +21,7 @@ from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, OneOf, Typical, check
 from ..inverse.clock import Clock, OutOfTimeError
 from ..inverse.joints import JointSpace, joint_space, shift_of
 from ..inverse.search import SEARCHES, PathResult
-from ..inverse.task import ArmBatch, Task, TipCoordinates
+from ..inverse.task import ArmBatch, JointCoordinates, Task, TipCoordinates
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
@@ -246,7 +246,10 @@ def plan_task(
     rate_limits.of(space)
     if options.max_force and rate_limits.tip is not None:
         raise InputError("rate_limits.tip and max_force are both given; there is no bound on the tip speed under force")
-    coordinates = TipCoordinates(space) if load is None else _loaded(space, load, options)
+    if robot.fixed_sections:
+        coordinates = TipCoordinates(space) if load is None else _loaded(space, load, options)
+    else:
+        coordinates = _of_joints(space, load, options)
     return PlanTask(
         coordinates,
         bodies,
@@ -266,10 +269,23 @@ def _loaded(space: JointSpace, load: Load, options: PlanOptions) -> LoadedChart:
     what = uncovered(load)
     if what:
         raise InputError(f"load has {what}; no trajectory can be proved under it")
+    _must_not_smooth("a load", options)
+    return LoadedChart(space, load)
+
+
+def _of_joints(space: JointSpace, load: Load | None, options: PlanOptions) -> JointCoordinates:
+    """Coordinates of a bundle; raises InputError for options that it does not support."""
+    instance("load", load, Load, optional=True)
+    if options.max_force:
+        raise InputError("max_force is given; nothing is proved of bundles under forces that may change")
+    _must_not_smooth("a bundle", options)
+    return JointCoordinates(space, load)
+
+
+def _must_not_smooth(what: str, options: PlanOptions) -> None:
     for name in ("roadmap", "extra_cost"):
         if getattr(options, name):
-            raise InputError(f"{name} and a load are both given; a plan under load does not support {name}")
-    return LoadedChart(space, load)
+            raise InputError(f"{name} and {what} are both given; plans then do not support {name}")
 
 
 def reserve_deflection(task: PlanTask, *translations: Array) -> PlanTask:

@@ -30,6 +30,7 @@ from ..bodies.obstacles import Scene
 from ..equilibrium.kinematics import forward_kinematics, linearised, one_step, sure_margin
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
+from ..inverse.arm_surface import ArmSurface
 from ..inverse.clock import Clock
 from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.load import Load
@@ -362,6 +363,8 @@ class TrajectoryVerifier:
 
     def cuts(self, translations: Array) -> Array:
         """(..., 1 + C n + F) arc lengths of plate, breakpoints at translations (..., n), and load points, m."""
+        if not self.robot.fixed_sections:
+            return np.zeros((*translations.shape[:-1], 1))
         moving = self.constants.breakpoints(translations)
         positions = np.zeros(0) if self.load is None else np.unique(self.load.cuts())
         fixed = np.broadcast_to(positions, (*moving.shape[:-1], len(positions)))
@@ -369,14 +372,11 @@ class TrajectoryVerifier:
 
     @cached_property
     def unprovable(self) -> str:
-        """Reason why no proof is possible for this load, or ''."""
+        """Reason why no proof is possible for this robot or load, or ''."""
+        if not self.robot.fixed_sections:
+            return "what lies between equilibria of a bundle is not bounded"
         what = "" if self.load is None else uncovered(self.load)
         return f"what lies between equilibria under {what} is not bounded" if what else ""
-
-    @property
-    def max_bisections(self) -> int:
-        """Maximum number of bisections without a rotation bound; 0 where no proof is possible."""
-        return 0 if self.unprovable else MAX_HALVINGS
 
     @property
     def exhausted(self) -> bool:
@@ -421,22 +421,19 @@ class TrajectoryVerifier:
 
     def intervals(self, equilibria: Sequence[Equilibrium], start: Index, end: Index) -> Intervals:
         """Intervals between pairs of a list of equilibria."""
-        if self.load is None or self.unprovable:
+        if self.load is None:
             return Intervals.of(SolvedArms.of(self.constants, equilibria), start, end)
         arms = LoadedArms.of(self.constants, equilibria, load=DeadLoad.of(self.robot, self.load))
         return LoadedIntervals.of(arms, start, end)
 
     def prove(self, intervals: Intervals) -> ProvedBranch:
-        """Proof results for intervals; nothing is proved for a load that the bounds do not cover."""
+        """Proof results for intervals."""
         if isinstance(intervals, LoadedIntervals):
             margin = np.array([self.sure_margin(e) for e in intervals.arms.equilibria])
             result, unstable = loaded_branch(intervals, margin), margin <= 0
             # Shorter intervals do not help at an equilibrium without a positive `sure_margin`.
             bounded = result.rotation_bounded & ~unstable[intervals.start] & ~unstable[intervals.end]
             return replace(result, rotation_bounded=bounded)
-        if self.unprovable:
-            none = np.zeros(len(intervals.start), dtype=bool)
-            return ProvedBranch(none, np.full(intervals.length[0].shape, np.inf), none, np.full((2, len(none)), np.inf))
         return branch(intervals, self._stiffness(intervals.arms))
 
     def _stiffness(self, arms: SolvedArms) -> Array:
@@ -475,6 +472,8 @@ def follow(verifier: TrajectoryVerifier, first: Equilibrium, t: Array, joints: A
     """Follow joint values (T, 2n), linear between times (T,), from an equilibrium at the first of them."""
     origin = TraceStep(0.0 if len(joints) > 1 else 1.0, first, joints[0])
     steps, snap = _take_steps(verifier, origin, t, joints)
+    if verifier.unprovable:
+        return _unproved(verifier, steps, snap)
     while True:
         pairs = pairwise([step for step in steps if snap is None or step.at < snap or step is origin])
         try:
@@ -494,6 +493,15 @@ def follow(verifier: TrajectoryVerifier, first: Equilibrium, t: Array, joints: A
     steps = [origin, *(link.end for link in links)]
     margin = 0.0 if snap is not None else _least_margin(verifier, steps)
     return TrajectoryTrace(tuple(steps), snap, tuple(unproved), margin, clearance, measured, tuple(links))
+
+
+def _unproved(verifier: TrajectoryVerifier, steps: list[TraceStep], snap: float | None) -> TrajectoryTrace:
+    """Margin and clearance at the equilibria of a motion, without a proof between them."""
+    links = tuple(Link(a, b) for a, b in pairwise(steps))
+    distances = [ArmSurface(step.equilibrium).clearance(verifier.scene) for step in steps]
+    margin = 0.0 if snap is not None else _least_margin(verifier, steps)
+    clearance = -math.inf if verifier.scene.bodies else math.inf
+    return TrajectoryTrace(tuple(steps), snap, ((0.0, steps[-1].at),), margin, clearance, min(distances), links)
 
 
 def _take_steps(
@@ -558,7 +566,7 @@ def prove_branch(verifier: TrajectoryVerifier, links: list[Link]) -> Proved:
             rows = zip(some, result.rotation_bounded, result.unbroken, result.chord_error, result.rates.T, strict=True)
             for link, bounded, unbroken, error, rates in rows:
                 unbounded = 0 if bounded else link.unbounded + 1
-                short = link.end.at - link.start.at < SHORTEST or unbounded > verifier.max_bisections
+                short = link.end.at - link.start.at < SHORTEST or unbounded > MAX_HALVINGS
                 if unbroken:
                     proved.append(replace(link, chord_error=error, unbounded=unbounded, rates=rates))
                 elif verifier.exhausted or short:

@@ -372,7 +372,7 @@ class BundleRobot(Robot):
         """
         raise InputError(
             "kind is bundle; this function supports concentric and eccentric robots only. Bundles have forward and "
-            "inverse kinematics, loads, Jacobians, compliances, snaps and motions through waypoints"
+            "inverse kinematics, loads, Jacobians, compliances, snaps, motions through waypoints, plans and a servo"
         )
 
 
