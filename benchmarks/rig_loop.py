@@ -16,7 +16,7 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -36,9 +36,10 @@ from tubeopt import (
     plan_heating,
 )
 from tubeopt.shaping.heating.controller import HeatingLaw
-from tubeopt.shaping.heating.sensors import Sensor
+from tubeopt.shaping.heating.sensors import Sensor, equipped
+from tubeopt.typing import Array
 
-from .rig_thermal import KELVIN, Bench
+from .rig_thermal import KELVIN, Bench, Fleet
 from .timing import ROOT, show, table
 
 SAMPLES = 20
@@ -113,69 +114,130 @@ def _meant(name: str, words: list[str]) -> bool:
 
 
 class Feeler:
-    """A sensor on the bench: lag, steps, noise, and a bias that grows with the rise up to `hot` degC."""
+    """A sensor on every rig of a fleet: lag, steps, noise, and a bias that grows with the rise up to `hot` degC.
 
-    def __init__(self, sensor: Sensor, bench: Bench, bias: float, hot: float) -> None:
-        self.sensor, self.bench, self.bias, self.hot = sensor, bench, bias, hot
-        self.shown = self.target(bench.state[: bench.n] - KELVIN)
-        self.noise = np.random.default_rng(0)
-
-    def target(self, tube: np.ndarray) -> float:
-        """degC without error, with the tube at (n,) degC."""
-        bench, ambient = self.bench, self.bench.rig.ambient - KELVIN
-        if isinstance(self.sensor, TubeResistance):
-            contact = self.bench.rig.circuit.contact_resistance
-            warm = 1 + bench.metal.resistivity_slope * (tube + KELVIN - bench.metal.reference_temperature)
-            ratio = (2 * float(bench.ohms @ warm) + contact) / (2 * bench.cold + contact)
-            return ambient + (ratio - 1) * (1 / self.sensor.slope + ambient - 25)
-        places = self.sensor.positions if isinstance(self.sensor, Camera) else (getattr(self.sensor, "position", 0.0),)
-        return float(np.interp(bench.half - np.abs(places), bench.place, tube).mean())
-
-    def follow(self, tube: np.ndarray, span: float) -> None:
-        """Let the reading follow a step of `span` s that ends at these temperatures."""
-        kept = math.exp(-span / self.sensor.lag) if self.sensor.lag else 0.0
-        self.shown = self.target(tube) + (self.shown - self.target(tube)) * kept
-
-    def read(self) -> float:
-        """degC."""
-        ambient = self.bench.rig.ambient - KELVIN
-        off = self.bias * min(max((self.shown - ambient) / (self.hot - ambient), 0.0), 1.0)
-        value = self.shown + off + self.sensor.noise * float(self.noise.standard_normal())
-        return round(value / self.sensor.quantum) * self.sensor.quantum if self.sensor.quantum else value
-
-
-def led(case: Case, law: HeatingLaw, bias: float) -> tuple[float, float, float]:
-    """Coldest and hottest of the curved part in the hold, and hottest ever, degC; infinite where there was no hold.
-
-    The law as a board runs it: share = proportional e + integral of e, counts by error diffusion, and it waits while
-    the tube lags behind.
+    Args:
+        bias: (B,) of the corrected reading, K. lag: (B,) or one, s; by default that of the sensor.
     """
-    planned, reference = np.round(100 * law.planned) / 100, np.round(10 * law.reference) / 10
-    bench = Bench(case.tube, case.rig)
-    feeler = Feeler(case.sensor, bench, bias, float(reference.max()) + 1e-3)
-    place, total, owed, waited = 0, 0.0, 0.0, 0.0
+
+    def __init__(
+        self, sensor: Sensor, fleet: Fleet, bias: Array, hot: float, lag: Array | float | None = None, seed: int = 0
+    ) -> None:
+        self.sensor, self.fleet, self.bias, self.hot = sensor, fleet, bias, hot
+        self.lag = np.maximum(sensor.lag if lag is None else lag, 1e-9)
+        self.noise = np.random.default_rng(seed)
+        self.shown = self.before = self.target()
+
+    def target(self) -> Array:
+        """(B,) degC without error."""
+        fleet, sensor, metal = self.fleet, self.sensor, self.fleet.metal
+        if isinstance(sensor, TubeResistance):
+            ratio = (2 * fleet.half_resistance() + fleet.contact) / (2 * fleet.cold + fleet.contact)
+            rise = fleet.ambient - metal["reference_temperature"]
+            return np.asarray(fleet.ambient - KELVIN + (ratio - 1) * (1 / sensor.slope + rise))
+        places = sensor.positions if isinstance(sensor, Camera) else (getattr(sensor, "position", 0.0),)
+        at = fleet.first.half - np.abs(places)
+        return np.array([np.interp(at, fleet.first.place, tube).mean() for tube in fleet.tube])
+
+    def follow(self, span: float) -> None:
+        """Let the readings follow a step of `span` s that has just passed."""
+        target = self.target()
+        # The target rises in a straight line.
+        slope, kept = (target - self.before) / span, np.exp(-span / self.lag)
+        self.shown = target - self.lag * slope + (self.shown - self.before + self.lag * slope) * kept
+        self.before = target
+
+    def read(self) -> Array:
+        """(B,) degC."""
+        ambient = self.fleet.ambient - KELVIN
+        off = self.bias * np.clip((self.shown - ambient) / (self.hot - ambient), 0.0, 1.0)
+        value = self.shown + off + self.sensor.noise * self.noise.standard_normal(len(self.shown))
+        return np.round(value / self.sensor.quantum) * self.sensor.quantum if self.sensor.quantum else value
+
+
+@dataclass(frozen=True)
+class Led:
+    """What became of every rig: (B,) coldest and hottest of the curved part in the hold, hottest ever, degC; and why
+    its board ended. Without a hold the first two are infinite.
+    """
+
+    low: Array
+    high: Array
+    top: Array
+    reason: np.ndarray
+    time: Array
+
+    @property
+    def done(self) -> np.ndarray:
+        """Whether the board says that it was a success."""
+        return self.reason == "done"
+
+
+TICKS = 5
+"""Of a slot: times at which a board looks at its thermometer."""
+
+
+def led(fleet: Fleet, law: HeatingLaw, feeler: Feeler, tables: Sequence[tuple[float, Array]] = ()) -> Led:
+    """The law as a board runs it, on every rig of a fleet.
+
+    share = proportional e + integral of e, counts by error diffusion; it waits while the tube lags behind, and in the
+    hold while the reading is below its floor; a reading above the ceiling stops it at the next tick.
+
+    Args:
+        tables: voltage at rest and schedule of several charges, the fullest battery first.
+    """
+    count_of, size = len(law.planned), len(fleet.ambient)
+    planned = np.round(100 * np.tile(law.planned, (size, 1))) / 100
+    # The first table from the emptiest whose battery is no fuller than this one.
+    for volt, schedule in tables[::-1]:
+        chosen = (volt <= fleet.rest() + 0.05) | (volt == tables[-1][0])
+        planned[chosen] = np.round(100 * np.asarray(schedule)) / 100
+    reference = np.round(10 * law.reference) / 10
     first, last = law.hold
-    low, high, top = math.inf, -math.inf, -math.inf
-    while place < len(planned) and waited <= law.patience:
-        error = float(reference[place]) - feeler.read()
-        total = min(max(total + law.integral * law.slot * error, -law.share), law.share)
-        share = min(max(law.proportional * error + total, -law.share), law.share)
-        desired = float(planned[place]) * (1 + share)
+    place, total, owed, waited = np.zeros(size, dtype=int), *np.zeros((3, size))
+    low, high, top, ended = np.full(size, np.inf), np.full(size, -np.inf), np.full(size, -np.inf), np.zeros(size)
+    reason = np.full(size, "", dtype="U20")
+    rows = np.arange(size)
+
+    def end(which: np.ndarray, why: str) -> None:
+        fresh = which & (reason == "")
+        reason[fresh], ended[fresh] = why, feeler.time
+
+    feeler.time = 0.0
+    while (reason == "").any():
+        reading = feeler.read()
+        end(reading > law.ceiling, "over-temperature")
+        end(place >= count_of, "done")
+        at = np.minimum(place, count_of - 1)
+        error = reference[at] - reading
+        behind = (error > law.holdback) & (place <= first)
+        waits = behind | ((reading < law.floor) & (place >= first))
+        waited = waited + np.where(waits, law.slot, 0.0)
+        late = waited > law.patience
+        end(late & (place >= first) & ~behind, "too cold")
+        end(late, "behind schedule")
+        now = planned[rows, at]
+        most = np.where(now > 0, np.clip(law.bare_count / np.maximum(now, 1e-9) - 1, 0.0, law.share), law.share)
+        total = np.clip(total + law.integral * law.slot * error, -law.share, most)
+        share = np.clip(law.proportional * error + total, -law.share, most)
+        desired = now * np.maximum(1 + share, 0.0)
         due = desired + owed
-        count = min(max(math.floor(due + law.lost + 0.5), 0), 255) if due > 0.5 else 0
-        owed = min(max(due - max(count - law.lost, 0.0), -1 - law.lost), 1.0) if desired > 0 else 0.0
-        seen = bench.pass_time(count, law.slot)
-        for tube in seen:
-            feeler.follow(tube, law.slot / len(seen))
-        top = max(top, float(seen.max()))
-        if first <= place < last:
-            bend = np.column_stack([bench.bend_begins(seen), seen[:, bench.bend_from :]])
-            low, high = min(low, float(bend.min())), max(high, float(bend.max()))
-        if error > law.holdback and place <= first:
-            waited += law.slot
-        else:
-            place += 1
-    return (low, high, top) if place >= len(planned) else (-math.inf, math.inf, top)
+        counts = np.where(due > 0.5 + 2**-8, np.clip(np.floor(due + law.lost + 0.5 - 2**-8), 0, 249), 0.0)
+        owed = np.where(desired > 0, np.clip(due - np.maximum(counts - law.lost, 0.0), -1 - law.lost, 1.0), 0.0)
+        held = (place >= first) & (place < last) & ~waits
+        place = np.where(waits, place, place + 1)
+        for tick in range(TICKS):
+            if tick:
+                end(feeler.read() > law.ceiling, "over-temperature")
+            running = reason == ""
+            cold, hot = fleet.bend()
+            inside = held & running
+            low[inside], high[inside] = np.minimum(low, cold)[inside], np.maximum(high, hot)[inside]
+            fleet.pass_time(np.where(running, counts, 0), law.slot / TICKS)
+            feeler.follow(law.slot / TICKS)
+            feeler.time += law.slot / TICKS
+            top = np.maximum(top, fleet.tube.max(1))
+    return Led(low, high, top, reason, ended)
 
 
 def room(plan: HeatingPlan, low: float, high: float, top: float) -> float:
@@ -186,12 +248,17 @@ def room(plan: HeatingPlan, low: float, high: float, top: float) -> float:
 
 def measure(case: Case, objective: str) -> Found:
     """Plan it, find its law, and lead it here."""
-    plan = plan_heating(case.tube, case.rig, HeatingSpec(objective=objective))
+    rig = equipped(case.rig, case.sensor)
+    plan = plan_heating(case.tube, rig, HeatingSpec(objective=objective))
     feedback: Feedback = design_feedback(plan, case.sensor, samples=SAMPLES)
     law, off = feedback.law, case.sensor.bias
     low, high = feedback.history.extremes(law)
     stated = room(plan, float(low[0]), float(high[0]), float(feedback.history.top[:, 0].max()))
-    runs = np.array([led(case, law, bias) for bias in ((0.0, off, -off) if off else (0.0,))])
+    biases = np.array([0.0, off, -off] if off else [0.0])
+    fleet = Fleet([Bench(case.tube, rig)] * len(biases))
+    found = led(fleet, law, Feeler(case.sensor, fleet, biases, float(law.reference.max())))
+    runs = np.column_stack([found.low, found.high, found.top])
+    runs[~found.done, :2] = -math.inf, math.inf
     unbiased = room(plan, *runs[0])
     worst = float(runs[:, 0].min()), float(runs[:, 1].max()), float(runs[:, 2].max())
     result = Found(case.name, plan.verdict, stated, *worst, room(plan, *worst), unbiased)

@@ -9,13 +9,16 @@ Along half the tube, per metre, with d the part of time in which the current I f
 
     rho c(T) A T_t = (k(T) A T_x)_x + d I_tube^2 rho_e(T) / A - q
 
-and around it a cylinder of mold with the plates' cross-section, in r and x. Clamps are lumps of metal.
+and around it a cylinder of mold with the plates' cross-section, in r and x. Clamps are lumps of metal. A thermocouple
+on the middle draws heat by its wires, by the closed form of a fin in every part of a wire. A `Bench` is one rig; a
+`Fleet` many on one grid, where the mold conducts by its temperature.
 """
 
 from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -106,6 +109,50 @@ def groove_resistance(diameter: float, side: float, ratio: float) -> float:
     return float(1 / (radial[0] * (1 - warm[0])).sum() - math.log(node[-1] / 0.5) / (2 * math.pi * ratio))
 
 
+@functools.lru_cache(maxsize=512)
+def wire_loss(wire: float, anchor: float, cement: float = 1.0) -> tuple[float, float]:
+    """Part of the tube's rise that a thermocouple misses, and heat that both wires take away per rise, W/K.
+
+    A wire is a fin in four parts: cemented to the tube, beside it in the slot, through the lid, in the air. In each its
+    rise is that of what surrounds it, linear in x, plus exponentials; rise and flow are continuous between them.
+
+    Args:
+        wire: diameter, m. anchor: length of a wire in the slot, m. cement: its conductivity, W/(m K).
+    """
+    air_hot, wall, foil, lid, hole, bonded, end = 0.056, 0.85, 50e-6, 6.35e-3, 1.2e-3, 3e-3, 30e-3
+    flow = 25.0 * math.pi / 4 * wire**2
+    shape = 2 * math.pi / math.acosh(1 + 2 * foil / wire)
+    beside = 2 * math.pi * air_hot / math.log(1.8)
+    through = 2 * math.pi * air_hot / math.log(hole / wire)
+    # Length of every part, conductances to tube and surroundings, and the rise of these at its ends.
+    parts = [
+        (bonded, shape * (cement + air_hot), beside, wall, wall),
+        (anchor - bonded, shape * air_hot, beside, wall, wall),
+        (lid, 0.0, through, wall, 0.0),
+        (end, 0.0, 15.0 * math.pi * wire, 0.0, 0.0),
+    ]
+    size = len(parts)
+    matrix, right = np.zeros((2 * size, 2 * size)), np.zeros(2 * size)
+    ends = []
+    for length, to_tube, to_wall, first, last in parts:
+        m = math.sqrt((to_tube + to_wall) / flow)
+        rest = [(to_tube + to_wall * rise) / (to_tube + to_wall) for rise in (first, last)]
+        # Rise a e^(-m x) + b e^(m (x - length)) + rest, and its slope, at both ends.
+        decay, slope = math.exp(-m * length), (rest[1] - rest[0]) / length
+        ends.append((np.array([[1, decay], [-m, m * decay]]), np.array([[decay, 1], [-m * decay, m]]), rest, slope))
+    matrix[0, :2], right[0] = ends[0][0][1], -ends[0][3]
+    for k in range(size - 1):
+        here, there = ends[k], ends[k + 1]
+        matrix[1 + 2 * k : 3 + 2 * k, 2 * k : 2 * k + 2] = here[1]
+        matrix[1 + 2 * k : 3 + 2 * k, 2 * k + 2 : 2 * k + 4] = -there[0]
+        right[1 + 2 * k : 3 + 2 * k] = [there[2][0] - here[2][1], there[3] - here[3]]
+    matrix[-1, -2:], right[-1] = ends[-1][1][1], -ends[-1][3]
+    found = np.linalg.solve(matrix, right)
+    bead = float(ends[0][0][0] @ found[:2] + ends[0][2][0])
+    leaving = float(ends[2][0][1] @ found[4:6] + ends[2][3])
+    return 1 - bead, -2 * flow * leaving
+
+
 def laplacian(one: Array, other: Array, g: Array, size: int) -> scipy.sparse.csr_array:
     """Matrix of the heat that leaves nodes by conductances g between pairs of them."""
     rows, columns = np.concatenate([one, other, one, other]), np.concatenate([other, one, one, other])
@@ -162,6 +209,11 @@ class Bench:
         self.to_air = open_part * (convection(tube.outer_diameter, rig.ambient) if given is None else given)
         self.radiating = open_part * self.metal.emissivity * SIGMA
         self.to_clamp = np.where(clamped, rig.clamps.contact_conductance * girth * w, 0.0)
+        if rig.mold.wire:
+            # Both wires, half of them on this half of the tube.
+            inner = self.half - np.cumsum(w)
+            under = np.clip(rig.mold.anchor - inner, 0.0, w) / rig.mold.anchor
+            self.to_air = self.to_air + 0.5 * wire_loss(rig.mold.wire, rig.mold.anchor)[1] * under
         self.ohms = np.where(clamped, 0.0, rig.resistivity_factor * self.metal.resistivity * w / self.section)
         self.apart = self.place[1:] - self.place[:-1]
         self.n = n
@@ -184,10 +236,13 @@ class Bench:
         k = 2 * math.pi * mold.conductivity * scale
         tubes, ring = np.arange(self.mold_from, n), n + np.arange(rings * c).reshape(rings, c)
         clamp = n + rings * c
-        gap = w / (self._gap_resistance() / scale / (1 - self.vent[self.mold_from :]) + math.log(node[0] / face[0]) / k)
+        self.gap_air = self._gap_resistance() / scale / (1 - self.vent[self.mold_from :]) / w
+        self.wall = math.log(node[0] / face[0]) / k / w
+        gap = 1 / (self.gap_air + self.wall)
         outward = np.outer(k / np.log(node[1:] / node[:-1]), w)
         area = math.pi * np.diff(face**2)
         along = np.outer(mold.conductivity * scale * area, 1 / self.apart[self.mold_from :])
+        self.outward, self.sideways = outward, along
         links = [
             (tubes, ring[0], gap),
             (ring[:-1], ring[1:], outward),
@@ -198,7 +253,9 @@ class Bench:
         self.linear = laplacian(one, other, g, clamp + 1)
         self.loss = np.zeros(clamp + 1)
         self.loss[:n] = self.to_air
-        self.loss[ring[-1]] = w / (math.log(face[-1] / node[-1]) / k + 1 / (OUTSIDE * 2 * math.pi * face[-1]))
+        self.last_wall = math.log(face[-1] / node[-1]) / k / w
+        self.last_air = 1 / (OUTSIDE * 2 * math.pi * face[-1]) / w
+        self.loss[ring[-1]] = 1 / (self.last_wall + self.last_air)
         self.loss[clamp] = OUTSIDE * rig.clamps.area
         self.heat = np.empty(clamp + 1)
         self.heat[:n] = self.metal.density * self.metal.heat_capacity * self.section * self.width
@@ -309,3 +366,163 @@ class Bench:
         battery, mean = self.rig.battery, on * self.current()[0]
         self.used += mean * span / battery.capacity
         self.sag += (mean * battery.sag_resistance - self.sag) * (1 - math.exp(-span / battery.sag_time))
+
+
+REFERENCE = 200.0 + KELVIN
+"""Temperature at which a mold conducts as its material says, K."""
+
+FORWARD = 0.6
+"""Weight of the new temperatures in a step of a fleet; one half would leave the fastest modes undamped."""
+
+
+class Fleet:
+    """Many benches with one grid, stepped at once: alternating directions, radius first (Douglas and Gunn 1964).
+
+    Arrays are (n, 1 + M, B): cells along the tube, the tube and M rings, benches.
+
+    Args:
+        slopes: relative change of the mold's conductivity per K, of each bench.
+    """
+
+    def __init__(self, benches: Sequence[Bench], slopes: Array | float = 0.0) -> None:
+        first = self.first = benches[0]
+        n, covered = first.n, first.n - first.mold_from
+        rings = (first.clamp - n) // covered
+
+        def of_all(name: str) -> Array:
+            """Of every bench, these last."""
+            return np.moveaxis(np.array([getattr(bench, name) for bench in benches]), 0, -1)
+
+        def along(name: str) -> Array:
+            """(n, rings, B) of what a bench has (rings, covered), 0 where there is no mold."""
+            values = np.moveaxis(of_all(name), 0, 1)
+            return np.concatenate([np.zeros((first.mold_from, *values.shape[1:])), values])
+
+        heat = of_all("heat")
+        self.heat = np.ones((n, 1 + rings, len(benches)))
+        self.heat[:, 0] = heat[:n]
+        self.heat[first.mold_from :, 1:] = np.moveaxis(heat[n:-1].reshape(rings, covered, -1), 0, 1)
+        self.clamp_heat, self.clamp_loss = heat[-1], of_all("loss")[-1]
+        self.gap_air, self.wall = of_all("gap_air"), of_all("wall")
+        self.last_wall, self.last_air = of_all("last_wall"), of_all("last_air")
+        self.outward, self.sideways = along("outward"), along("sideways")
+        self.to_air, self.radiating = of_all("to_air"), of_all("radiating")
+        self.to_clamp, self.ohms = of_all("to_clamp"), of_all("ohms")
+        self.leak = of_all("leak")
+        self.slopes = np.broadcast_to(np.asarray(slopes, dtype=float), len(benches))
+        of_metals = [vars(bench.metal) for bench in benches]
+        self.metal = {key: np.array([data[key] for data in of_metals]) for key in of_metals[0]}
+        conducting = self.metal["conductivity"] * of_all("section")
+        self.along_tube = conducting / first.apart[:, None]
+        self.ambient = np.array([bench.rig.ambient for bench in benches])
+        circuits, batteries = [bench.rig.circuit for bench in benches], [bench.rig.battery for bench in benches]
+        self.series = np.array([c.resistance for c in circuits])
+        self.contact = np.array([c.contact_resistance for c in circuits])
+        self.lost = np.array([c.lost_on_time * c.pwm_frequency for c in circuits])
+        self.inner = np.array([b.internal_resistance for b in batteries])
+        self.sagging = np.array([b.sag_resistance for b in batteries])
+        self.sag_time = np.array([b.sag_time for b in batteries])
+        self.left = np.array([b.state_of_charge for b in batteries])
+        self.capacity = np.array([b.capacity for b in batteries])
+        self.charges, self.volts = np.array(batteries[0].open_circuit).T
+        self.sag = np.zeros(len(benches))
+        self.T = np.broadcast_to(self.ambient, self.heat.shape).copy()
+        self.clamp = self.ambient.copy()
+        self.cold = self.half_resistance()
+
+    @property
+    def tube(self) -> Array:
+        """(B, n) degC."""
+        return self.T[:, 0].T - KELVIN
+
+    def bend(self) -> tuple[Array, Array]:
+        """Coldest and hottest of every curved part, degC."""
+        tube, k = self.tube, self.first.bend_from
+        whole = np.column_stack([self.first.bend_begins(tube), tube[:, k:]])
+        return whole.min(1), whole.max(1)
+
+    def half_resistance(self) -> Array:
+        """(B,) ohm."""
+        warm = self.T[:, 0] - self.metal["reference_temperature"]
+        return np.asarray((self.ohms * (1 + self.metal["resistivity_slope"] * warm)).sum(0))
+
+    def rest(self) -> Array:
+        """(B,) voltage of the batteries at rest, V."""
+        return np.interp(self.left, self.charges, self.volts)
+
+    def currents(self) -> tuple[Array, Array]:
+        """(B,) while the switch conducts, A, and the part of it that flows through the tube."""
+        whole = 2 * self.half_resistance()
+        share = np.where(np.isinf(self.leak), 1.0, 1 / (1 + whole / self.leak))
+        return (self.rest() - self.sag) / (self.inner + self.series + whole * share), share
+
+    def conductances(self) -> tuple[Array, Array, Array]:
+        """Outwards (n, M, B) and along (n - 1, 1 + M, B) by the temperatures, and losses to the air (n, 1 + M, B)."""
+        first, T, metal = self.first, self.T, self.metal
+        k, mold = first.mold_from, T[:, 1:]
+
+        def factor(temperature: Array) -> Array:
+            return np.maximum(1 + self.slopes * (temperature - REFERENCE), 0.2)
+
+        outwards = np.zeros((first.n, mold.shape[1], T.shape[2]))
+        outwards[k:, 0] = 1 / (self.gap_air + self.wall / factor(T[k:, 1]))
+        outwards[k:, 1:] = self.outward[k:] * factor(0.5 * (mold[k:, 1:] + mold[k:, :-1]))
+        along = np.zeros((first.n - 1, *T.shape[1:]))
+        middle = 0.5 * (T[1:, 0] + T[:-1, 0]) - metal["reference_temperature"]
+        along[:, 0] = self.along_tube * (1 + metal["conductivity_slope"] * middle)
+        along[k:, 1:] = self.sideways[k:] * factor(0.5 * (mold[k + 1 :] + mold[k:-1]))
+        losses = np.zeros_like(T)
+        losses[:, 0] = self.to_air
+        losses[k:, -1] = 1 / (self.last_air + self.last_wall / factor(T[k:, -1]))
+        return outwards, along, losses
+
+    def pass_time(self, counts: Array, span: float) -> None:
+        """One step of every bench at its count of 255."""
+        duty = counts / 255
+        on = np.where(duty == 1, 1.0, np.maximum(duty - self.lost, 0.0))
+        first, T, metal, ambient = self.first, self.T, self.metal, self.ambient
+        outwards, along, losses = self.conductances()
+        total, share = self.currents()
+        power, tube = on * total**2, T[:, 0].copy()
+        flow = -losses * (T - ambient)
+        q = outwards * (T[:, :-1] - T[:, 1:])
+        flow[:, :-1] -= q
+        flow[:, 1:] += q
+        q = along * (T[:-1] - T[1:])
+        flow[:-1] -= q
+        flow[1:] += q
+        warm = tube - metal["reference_temperature"]
+        ohms = self.ohms * (1 + metal["resistivity_slope"] * warm)
+        contact = 0.25 * power * self.contact
+        into_clamp = self.to_clamp * (tube - self.clamp)
+        flow[:, 0] += power * share**2 * ohms - self.radiating * (tube**4 - ambient**4) - into_clamp
+        flow[: first.edge, 0] += contact * (first.width[: first.edge] / first.rig.clamps.grip)[:, None]
+        cover = first.width[first.mold_from :] / first.width[first.mold_from :].sum()
+        flow[first.mold_from :, 1] += power * share * (1 - share) * ohms.sum(0) * cover[:, None]
+        held = self.heat / span
+        held[:, 0] *= 1 + metal["heat_capacity_slope"] * warm
+        bare = losses.copy()
+        bare[:, 0] += 4 * self.radiating * tube**3 + self.to_clamp
+        change = tridiagonal(held + FORWARD * bare, FORWARD * outwards, flow, axis=1)
+        self.T = T + tridiagonal(held, FORWARD * along, held * change, axis=0)
+        self.clamp += span / self.clamp_heat * (
+            into_clamp.sum(0) + contact - self.clamp_loss * (self.clamp - ambient)
+        )  # fmt: skip
+        self.left = self.left - on * total * span / self.capacity
+        self.sag += (on * total * self.sagging - self.sag) * (1 - np.exp(-span / self.sag_time))
+
+
+def tridiagonal(own: Array, links: Array, right: Array, axis: int) -> Array:
+    """Solve own x + sum of links (x - neighbour) = right along an axis, for all others at once (Thomas 1949)."""
+    own, links, right = (np.moveaxis(values, axis, 0) for values in (own, links, right))
+    pivot, x = own.copy(), right.copy()
+    pivot[:-1] += links
+    pivot[1:] += links
+    for k in range(1, len(x)):
+        part = links[k - 1] / pivot[k - 1]
+        pivot[k] -= part * links[k - 1]
+        x[k] += part * x[k - 1]
+    x[-1] /= pivot[-1]
+    for k in range(len(x) - 2, -1, -1):
+        x[k] = (x[k] + links[k] * x[k + 1]) / pivot[k]
+    return np.moveaxis(x, 0, axis)

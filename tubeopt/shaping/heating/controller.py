@@ -6,7 +6,9 @@ The planned schedule is corrected by a fraction. In every slot, with e = referen
 
 The fraction is bounded, and so is s: there is no windup. Losses, battery and resistance change the required power by a
 factor, so a fraction corrects them, in the ramp as in the hold. The bound is what the ensemble of rigs requires: a
-thermometer that reads too little gets no more power than that. While the reading is more than `holdback` below its
+thermometer that reads too little gets no more power than that. A mold that draws more heat than planned gets more
+power, and the bare tube beside the clamps, which no thermometer sees, gets hotter: no correction raises the count above
+`bare_count`. While the reading is more than `holdback` below its
 reference the schedule waits, and in the hold while it is below `floor`: only time in the window counts. If it waits too
 long, the heating stops: "behind schedule" before the hold, "too cold" in it.
 Whole counts come from error diffusion: the remainder of rounding is added in the next slot.
@@ -58,6 +60,8 @@ class HeatingLaw:
     """Integral gain, 1/(K s)."""
     share: float = 0.5
     """Largest correction, as a fraction of the planned count."""
+    bare_count: float = math.inf
+    """Largest effective count by a correction, at which the bare tube beside the clamps keeps its limit."""
     holdback: float = 15.0
     """Largest error below the reference without waiting, before the hold, K."""
     floor: float = -math.inf
@@ -68,6 +72,11 @@ class HeatingLaw:
     """Longest total time of waiting, s."""
     lost: float = 0.0
     """Counts that inductance takes from every pulse; they are added to the effective count."""
+
+    def largest(self, planned: Array) -> Array:
+        """Largest corrections at planned counts, as fractions of them."""
+        allowed = self.bare_count / np.where(planned > 0, planned, math.inf) - 1
+        return np.where(planned > 0, np.clip(allowed, 0.0, self.share), self.share)
 
     @property
     def longest(self) -> float:
@@ -110,14 +119,15 @@ def decide(
     error = law.reference[index] - reading
     waits = waiting(law, index, reading)
     # Both the integral and the sum are limited: after a long error it does not overshoot (windup).
-    total = np.clip(state.total + law.integral * law.slot * error, -law.share, law.share)
-    correction = np.clip(law.proportional * error + total, -law.share, law.share)
     planned = law.planned[index]
+    most = law.largest(planned)
+    total = np.clip(state.total + law.integral * law.slot * error, -law.share, most)
+    correction = np.clip(law.proportional * error + total, -law.share, most)
     overridden = np.isfinite(override) & (planned > 0)
     external = np.where(overridden, override, 0.0) / np.where(overridden, planned, 1.0) - 1
-    external = np.clip(external, -law.share, law.share)
+    external = np.clip(external, -law.share, most)
     # The integral that would have given this correction: no jump when the override ends.
-    total = np.where(overridden, np.clip(external - law.proportional * error, -law.share, law.share), total)
+    total = np.where(overridden, np.clip(external - law.proportional * error, -law.share, most), total)
     correction = np.where(overridden, external, correction)
     effective = np.where(running, planned * np.maximum(1 + correction, 0.0), 0.0)
     due = effective + state.owed

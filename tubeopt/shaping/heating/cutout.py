@@ -24,7 +24,7 @@ from .counts import full_current, heating_rate
 from .plan import HeatingPlan
 from .rig import COUNTS, Rig
 from .simulation import State, advance, at_rest, circuit_state, resimulate, simulate
-from .thermal import FINE, ThermalModel, stack, thermal_model
+from .thermal import FINE, ThermalModel, stack, thermal_data, thermal_model
 from .uncertainty import ENSEMBLE
 
 SHORTED_LIMIT = 650.0
@@ -67,8 +67,15 @@ def cutout_delay(rig: Rig, frequency: float | None = None) -> float:
 
 
 def short_rise(tube: Tube, rig: Rig, frequency: float) -> float:
-    """Temperature rise (K) of a tube by a shorted switch with pulses of a frequency (Hz), without losses."""
-    return heating_rate(tube, rig, full_current(tube, rig, leaking=False)) * cutout_delay(rig, frequency)
+    """Temperature rise (K) of a tube by a shorted switch with pulses of a frequency (Hz), without losses.
+
+    Of the bare tube, or of the gripped tube by the contact where a conductive mold draws more current than the tube.
+    """
+    data = thermal_data(tube)
+    gripped = data.density * tube.cross_section * data.heat_capacity * rig.clamps.grip
+    contact = 0.25 * full_current(tube, rig) ** 2 * rig.circuit.contact_resistance / gripped
+    rate = max(heating_rate(tube, rig, full_current(tube, rig, leaking=False)), contact)
+    return rate * cutout_delay(rig, frequency)
 
 
 def stop_current(tube: Tube, rig: Rig) -> float:

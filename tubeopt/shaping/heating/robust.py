@@ -5,6 +5,7 @@ All are simulated on one ensemble (`Uncertainty.ensemble`), whose first member i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, NamedTuple
@@ -210,6 +211,15 @@ INSIDE = 0.25
 WIDE, RESERVE = 4.0, 1.25
 """Largest correction in the choice of gains, a fraction of the planned count, and factor on those that rigs require."""
 
+DRAWING, DRAWING_RIGS = {"board": 1.0, "conductivity": 1.0, "gap": -1.0}, 12
+"""Draws with which a mold takes most heat, and number of such rigs for the largest count of a correction."""
+
+BELOW_REFERENCE = 4.0
+"""Smallest distance of the hold's floor below its reference, K: eight deviations of a thermocouple's noise."""
+
+BARE_EXCESS, BARE_STEPS = 5.0, 5
+"""Excess of the bare tube over the limit on these rigs, K: half of `MOST_EXCESS`; and bisections of that count."""
+
 RIGS = 48
 """Number of random rigs for the choice of gains and set-point; other rigs test them."""
 
@@ -347,7 +357,38 @@ def _tuned(plan: HeatingPlan, sensor: Sensor, uncertainty: Uncertainty, seed: in
     _, law, history = best
     # The authority that these rigs require: their lasting corrections, and the answer to an error without waiting.
     lasting = float(np.abs(history.total[:, history.finished]).max(initial=0.0))
-    return replace(law, share=min(RESERVE * lasting + law.proportional * law.holdback, WIDE))
+    share = min(RESERVE * lasting + law.proportional * law.holdback, WIDE)
+    # Time counts only where the tube is in the window although the sensor reads too much by its bias; a floor that the
+    # reference hardly exceeds would never be reached.
+    reachable = float(law.reference[slice(*law.hold)].min()) - BELOW_REFERENCE
+    law = replace(law, share=share, floor=min(law.floor + sensor.bias, max(law.floor, reachable)))
+    return replace(law, bare_count=_bare_count(plan, law, sensor, uncertainty, seed))
+
+
+def _bare_count(plan: HeatingPlan, law: HeatingLaw, sensor: Sensor, uncertainty: Uncertainty, seed: int) -> float:
+    """Largest effective count at which the bare tube keeps the limit on rigs whose molds draw most heat.
+
+    Infinite if it keeps it at any correction.
+    """
+    draws = uncertainty.draws(DRAWING_RIGS, seed)
+    for name, end in DRAWING.items():
+        if name in uncertainty.unknown:
+            draws[:, uncertainty.unknown.index(name)] = end
+    model = uncertainty.model(plan.tube, plan.rig, draws)
+    limit = plan.spec.limit + BARE_EXCESS
+
+    def hottest(count: float) -> float:
+        trial = replace(law, bare_count=count)
+        return float(run_loop(model, trial, sensor, bias=-sensor.bias, seed=seed).top.max())
+
+    if hottest(math.inf) <= limit:
+        return math.inf
+    low = float(law.planned[law.hold[0] :].max())
+    high = (1 + law.share) * float(law.planned.max())
+    for _ in range(BARE_STEPS):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if hottest(middle) <= limit else (low, middle)
+    return low
 
 
 def _best_shift(plan: HeatingPlan, lowest: Array, highest: Array, top: Array) -> tuple[float, float]:

@@ -139,7 +139,10 @@ class Uncertainty(Displayed):
     def ensemble(self, tube: Tube, rig: Rig, samples: int, *, sensor_bias: float = 0.0, seed: int = 0) -> Ensemble:
         """Nominal rig and `samples` random ones; `sensor_bias` is the half-width of the bias of their sensors, K."""
         draws = self.draws(samples, seed)
-        members = [(tube, rig), *(self.member(tube, rig, draw) for draw in draws)]
         bias = sensor_bias * np.random.default_rng(seed).uniform(-1, 1, samples)
-        model = stack([thermal_model(*member, ENSEMBLE) for member in members])
+        model = stack([thermal_model(tube, rig, ENSEMBLE), self.model(tube, rig, draws)])
         return Ensemble(model, draws, np.concatenate([[0.0], bias]))
+
+    def model(self, tube: Tube, rig: Rig, draws: Array) -> ThermalModel:
+        """Thermal model of the rigs of given samples (S, number of `unknown`)."""
+        return stack([thermal_model(*self.member(tube, rig, draw), ENSEMBLE) for draw in draws])

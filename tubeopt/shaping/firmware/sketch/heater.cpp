@@ -219,19 +219,24 @@ float clip(float value, float low, float high) { return value < low ? low : valu
 void decide() {
   if (place >= SLOTS) return stop(DONE);
   const float error = reference_at(place) - reading;
+  // A reading that does not move may be that of a thermometer that lost touch: what was learnt before goes on.
+  const bool still = place >= HOLD_FIRST && hardware_milliseconds() - stuck_since > STILL_MS;
+  const float corrected = still ? 0 : error;
   // Without current the tube would never come to where the schedule waits for it.
   const bool behind = error > HOLDBACK && place <= HOLD_FIRST;
   const bool waits = !dry && (behind || (reading < HOLD_FLOOR && place >= HOLD_FIRST));
   if (waits) waited += SLOT_MS;
   if (waited > PATIENCE_MS) return stop(place >= HOLD_FIRST && !behind ? TOO_COLD : BEHIND_SCHEDULE);
-  total = clip(total + INTEGRAL * (SLOT_MS / 1000.0f) * error, -SHARE, SHARE);
-  float share = clip(PROPORTIONAL * error + total, -SHARE, SHARE);
   const float planned = planned_at(table, place);
+  // The bare tube beside the clamps, which no thermometer sees, keeps its limit at BARE_COUNT.
+  const float most = planned > 0 ? clip(BARE_COUNT / planned - 1, 0, SHARE) : SHARE;
+  total = clip(total + INTEGRAL * (SLOT_MS / 1000.0f) * corrected, -SHARE, most);
+  float share = clip(PROPORTIONAL * corrected + total, -SHARE, most);
   if (led) {
     // As far as the share allows; the sum becomes the one that would have said the same, and goes on from there.
     if (planned > 0) {
-      share = clip(lead / planned - 1, -SHARE, SHARE);
-      total = clip(share - PROPORTIONAL * error, -SHARE, SHARE);
+      share = clip(lead / planned - 1, -SHARE, most);
+      total = clip(share - PROPORTIONAL * corrected, -SHARE, most);
     }
     lead += lead_step;
     --led;
