@@ -45,12 +45,13 @@ from tubeopt.design.evaluation import robot_at
 from tubeopt.design.exchange import reachable
 from tubeopt.design.infeasibility import DesignNotFoundError
 from tubeopt.design.parameters import as_pieces, design_space
-from tubeopt.design.pose import FRACTIONS, arm_points, arm_slopes
+from tubeopt.design.pose import FRACTIONS
 from tubeopt.design.program import compile_task, corners
 from tubeopt.design.state import DesignState, FixedPose, FreePose, Layout
 from tubeopt.design.task import DesignSolver
 from tubeopt.design.verify import largest_strain
 from tubeopt.equilibrium.kinematics import sure_margin
+from tubeopt.equilibrium.linearised import position_changes, positions_at
 from tubeopt.robots.pieces import Slots
 from tubeopt.runs.design_parts import FreeEntry
 from tubeopt.solvers.sampling import sobol
@@ -191,9 +192,10 @@ def test_points_along_the_arm_move_as_differences_say() -> None:
     beta = np.array(shift) - [tube.straight_length for tube in robot.tubes]
     x = np.concatenate([0.9 * space.start, turned, beta])
     state = DesignState(layout, x)
-    slope = arm_slopes(state.pose(0), FRACTIONS) @ state.chain(0)
+    slope = position_changes(state.pose(0).derivatives, FRACTIONS) @ state.chain(0)
     for k, row in enumerate(np.eye(len(x))):
-        up, down = (arm_points(DesignState(layout, x + 1e-6 * sign * row).pose(0), FRACTIONS) for sign in (1, -1))
+        poses = [DesignState(layout, x + 1e-6 * sign * row).pose(0) for sign in (1, -1)]
+        up, down = (positions_at(pose.derivatives, FRACTIONS) for pose in poses)
         result = (up - down) / 2e-6
         assert np.abs(slope[:, :, k] - result).max() < 2e-6 * np.abs(result).max() + 1e-9
 

@@ -9,9 +9,10 @@ import pytest
 
 from tests.examples import random_robot
 from tubeopt import forward_kinematics, snap_free_certificate
-from tubeopt.design.pose import Pose, Twist, solve_pose
+from tubeopt.design.pose import FRACTIONS, Pose, Twist, solve_pose
 from tubeopt.equilibrium.arm_change import SHAPE_POINTS
 from tubeopt.equilibrium.directions import PARAMETERS
+from tubeopt.equilibrium.linearised import position_changes, positions_at
 from tubeopt.robots.tubes import Tube
 from tubeopt.typing import Array
 
@@ -51,11 +52,11 @@ def test_values_are_those_of_forward_kinematics(seed: int, n: int) -> None:
 def test_derivatives_are_those_of_differences(seed: int, n: int) -> None:
     _, numbers = random_numbers(seed, n)
     pose = pose_of(numbers)
-    position, turn, arc = pose.shape_slopes
-    assert np.allclose(pose.derivatives.tip_position, position[-1], rtol=1e-13, atol=0)
-    assert np.allclose(pose.derivatives.tip_rotation, turn[-1], rtol=1e-13, atol=1e-13 * np.abs(turn[-1]).max())
+    of = pose.derivatives
+    position, turn = position_changes(of, FRACTIONS), of.tip_rotation[None]
+    assert np.allclose(of.tip_position, position[-1], rtol=1e-12, atol=1e-15)
     theta, bend = _section_slopes(pose)
-    parts = (position, turn, arc, theta, bend, pose.derivatives.one_margin, pose.certificate[1])
+    parts = (position, turn, of.moved, theta, bend, of.one_margin, pose.certificate[1])
     for k, (name, i) in enumerate((name, i) for name in PARAMETERS for i in range(n)):
         size = 1e-6 * (abs(numbers[name][i]) if name in PARAMETERS[2:] else 1.0)
         sides = []
@@ -66,7 +67,7 @@ def test_derivatives_are_those_of_differences(seed: int, n: int) -> None:
         if sides[0].arm.position.shape != sides[1].arm.position.shape:
             continue  # the mesh itself changes
         changes = [_difference(a, b) / (2 * size) for a, b in zip(_values(sides[0]), _values(sides[1]), strict=True)]
-        frame = changes[1] @ pose.arm.frame.swapaxes(1, 2)
+        frame = changes[1] @ pose.arm.frame[-1:].swapaxes(1, 2)
         changes[1] = np.stack([frame[:, 2, 1], frame[:, 0, 2], frame[:, 1, 0]], axis=1)
         for part, change in zip(parts, changes, strict=True):
             floor = 1e-7 * max(1.0, 1e-9 / size)
@@ -77,8 +78,8 @@ def _values(pose: Pose) -> tuple[Array, ...]:
     scalars = (np.array(pose.margin), np.array(pose.certificate[0]))
     theta, bend = pose.derivatives.sections
     return (
-        pose.arm.position,
-        pose.arm.frame,
+        positions_at(pose.derivatives, FRACTIONS),
+        pose.arm.frame[-1:],
         pose.arm.arc_length,
         theta[..., : len(pose.solved.member.rotations)],
         bend,

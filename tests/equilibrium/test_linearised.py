@@ -28,8 +28,8 @@ from tubeopt.block.transcription.arm_response import LinearisedArm
 from tubeopt.equilibrium.directions import PARAMETERS
 from tubeopt.equilibrium.jacobian import derivatives_of
 from tubeopt.equilibrium.linearised import Linearised, curvature_at, linearise
-from tubeopt.equilibrium.member import Point, Unloaded, sample_rotation
-from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_assembly
+from tubeopt.equilibrium.member import OffCentreline, Point, sample_rotation
+from tubeopt.equilibrium.problem import reduced_assembly
 from tubeopt.robots.robot import Robot, resized
 from tubeopt.typing import Array
 
@@ -150,7 +150,7 @@ def test_every_derivative_under_every_load_is_that_of_differences(load: str, nam
     number, column = sorted(LOADS).index(load), PARAMETERS.index(name)
     n = 1 + number % 4
     e = forward_kinematics(_robot(n, (number + column) % 2 == 1), ROTATIONS[:n], SHIFT[:n], load=LOADS[load])
-    assert np.isnan(e.jacobian().margin).all() == (not LOADS[load].has_energy)
+    assert np.isfinite(e.jacobian().margin).all()
     _check(e, name, (1e-10, 2e-9, 2e-9, 1e-6 * e.energy * 2e-3 + 1e-13, 3e-8))
 
 
@@ -283,8 +283,9 @@ def test_where_breakpoints_meet_both_sides_are_those_of_differences(
             desired, result = _one_sided(e, name, step), _columns(e, name, step, side)
             assert np.abs(result - desired)[:-2].max() < 2e-9, (pieces, tube)
             assert abs(result[-2] - desired[-2]) < 1e-7 * e.energy + 1e-13
-            assert np.isnan(result[-1]) == (not load.has_energy)
-            assert not load.has_energy or abs(result[-1] - desired[-1]) < 3e-8
+            # Without an energy both sides of a difference must have the same breakpoints.
+            unknown = np.isnan(result[-1]) and not load.has_energy
+            assert unknown or abs(result[-1] - desired[-1]) < 3e-8
 
 
 def test_under_a_load_of_nothing_it_is_that_without_load() -> None:
@@ -464,7 +465,7 @@ def test_one_tube_off_the_centreline_may_change_alone(name: str) -> None:
             values = getattr(bundle, name).copy()
             values[tube] *= 1 + 2e-3 * k
             problem = reduced_assembly(replace(bundle, **{name: values}))
-            member = Unloaded(e.robot, problem, e.rotations, tuple(e.translations.tolist()), DEFAULT_DISCRETISATION)
+            member = OffCentreline(e.robot, problem, e.rotations, tuple(e.translations.tolist()))
             x = member.unknowns(sample_rotation(e, problem.arc_length)) if start is None else start
             point = Point.solved_near(member, x, "no equilibrium")
             shape = evaluate_arm(problem, e.rotations, point.state, point.torsion)

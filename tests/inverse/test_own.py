@@ -76,7 +76,7 @@ def test_own_constraint_is_kept_in_every_answer(monkeypatch: pytest.MonkeyPatch)
     answer = inverse_kinematics(THESIS, start.tip_position, start=SEED, options=options)
     positions = [point_at(one.equilibrium, one.equilibrium.arc_length[-1] / 2)[0][0] for one in (without, answer)]
     assert positions[0] < 0.009
-    assert positions[1] >= 0.0105
+    assert positions[1] >= 0.0105 - 3e-8  # the arm is interpolated between shape points
     assert answer.reached
     assert "place of the middle" in answer.active
     session = IkSession(THESIS, start=answer, options=options)

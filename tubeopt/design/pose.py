@@ -10,27 +10,26 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ..block.quantities import CLEARANCES
-from ..block.transcription.arm import ArmShape, between, evaluate_arm
+from ..block.transcription.arm import ArmShape, evaluate_arm
 from ..block.transcription.arm_response import LinearisedArm
 from ..equilibrium.directions import Change, Directions
 from ..equilibrium.kinematics import to_equilibrium, under_load
-from ..equilibrium.linearised import Linearised, linearise
+from ..equilibrium.linearised import Linearised, linearise, position_changes, positions_at
 from ..equilibrium.member import PlainPoint, Point, Unloaded
 from ..equilibrium.problem import reduced_assembly
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
-from ..physics.shape import hat
 from ..robots.assembly import assemble
 from ..robots.concentric import ConcentricRobot
 from ..robots.load import Load
 from ..robots.tubes import Tube
 from ..stability.certificate import worst_case, worst_of_pair
-from ..typing import Array, Index
+from ..typing import Array
 
 # Points at which the clearance is evaluated within each of the CLEARANCES parts of the arm; the smallest of a part
 # becomes a row.
@@ -45,57 +44,6 @@ HELD_OFF = 2e-5
 RAMP = 3e-3
 
 
-def _cubic(x: Array) -> tuple[Array, Array]:
-    """Weights (4, K) of p0, h t0, p1, h t1 in Hermite's cubic at x (K,), and their derivatives by x."""
-    weights = np.stack([(1 + 2 * x) * (1 - x) ** 2, x * (1 - x) ** 2, x**2 * (3 - 2 * x), -(x**2) * (1 - x)])
-    return weights, np.stack([6 * x * (x - 1), (1 - x) * (1 - 3 * x), 6 * x * (1 - x), x * (3 * x - 2)])
-
-
-class _Segments(NamedTuple):
-    """Cubic segments between shape points, with K points on them."""
-
-    k: Index
-    """Index (K,) of the shape point before each point."""
-    h: Array
-    """Length (K,) of the segment, m."""
-    x: Array
-    """Fraction (K,) of the segment, 0 to 1."""
-    nodes: Array
-    """Coefficients (4, K, 3) of the weights of `_cubic`."""
-
-
-def _segments(pose: Pose, fraction: Array) -> _Segments:
-    """Segments at fractions (K,) of the arm's length."""
-    s, position, tangent = pose.arm.arc_length, pose.arm.position, pose.arm.frame[:, :, 2]
-    k, h, x = between(s, fraction * s[-1])
-    # Hermite's cubic takes slopes by x = (s - s_k) / h: h times the unit tangents.
-    nodes = np.stack([position[k], h[:, None] * tangent[k], position[k + 1], h[:, None] * tangent[k + 1]])
-    return _Segments(k, h, x, nodes)
-
-
-def arm_points(pose: Pose, fraction: Array) -> Array:
-    """Centreline (K, 3) at fractions (K,) of the arm's length, cubic between the shape points."""
-    segments = _segments(pose, fraction)
-    return np.asarray(np.einsum("wk,wkc->kc", _cubic(segments.x)[0], segments.nodes))
-
-
-def arm_slopes(pose: Pose, fraction: Array) -> Array:
-    """Derivatives (K, 3, L) of `arm_points` at fixed fractions of the length, which changes too."""
-    k, h, x, nodes = _segments(pose, fraction)
-    position, rotation, arc = pose.shape_slopes
-    tangent = pose.arm.frame[:, :, 2]
-    weights, rates = _cubic(x)
-    dh = arc[k + 1] - arc[k]
-    moved = weights[0][:, None, None] * position[k] + weights[2][:, None, None] * position[k + 1]
-    for w, end in ((weights[1], k), (weights[3], k + 1)):
-        # A turn vector w moves a tangent t by w x t = -[t] w.
-        turned = -hat(tangent[end]) @ rotation[end]
-        moved = moved + w[:, None, None] * (h[:, None, None] * turned + tangent[end][:, :, None] * dh[:, None, :])
-    # x = (fraction L - s_k) / h: at a fixed fraction of a length that changes, x changes too.
-    dx = (fraction[:, None] * arc[-1] - arc[k] - x[:, None] * dh) / h[:, None]
-    return np.asarray(moved + np.einsum("wk,wkc->kc", rates, nodes)[:, :, None] * dx[:, None, :])
-
-
 # From 1: the point at the plate is the same for all designs.
 FRACTIONS = (np.arange(CLEARANCES * WITHIN) + 1) / (CLEARANCES * WITHIN)
 
@@ -108,12 +56,13 @@ def arm_clearance(pose: Pose, body: Any, chain: Array, thicker: Array, ended: Ar
     `chain` (Q, X) takes the directions of the pose to the unknowns; `thicker` and `ended` (n, X) are the changes of the
     radii of the tubes and of their ends.
     """
-    radius, rounder = _radius(pose, thicker, ended, pose.shape_slopes.arc_length[-1] @ chain)
-    points = arm_points(pose, FRACTIONS)
+    of = pose.derivatives
+    radius, rounder = _radius(pose, thicker, ended, of.moved[-1] @ chain)
+    points = positions_at(of, FRACTIONS)
     distance = body.signed_distance(points) - radius - HELD_OFF
     # The minimum over several points has the slope of the point where it is reached.
     worst = distance.reshape(CLEARANCES, WITHIN).argmin(1) + WITHIN * np.arange(CLEARANCES)
-    local = np.einsum("kc,kcl->kl", body.gradient(points[worst]), arm_slopes(pose, FRACTIONS[worst]))
+    local = np.einsum("kc,kcl->kl", body.gradient(points[worst]), position_changes(of, FRACTIONS[worst]))
     return distance[worst], local @ chain - rounder[worst]
 
 
@@ -195,17 +144,6 @@ def moving(rows: Array) -> tuple[Array, Array]:
     return rows[:, columns], np.eye(rows.shape[1])[columns]
 
 
-class ShapeSlopes(NamedTuple):
-    """Derivatives of position, frame and arc length of m shape points."""
-
-    position: Array
-    """Derivative (m, 3, L) of the positions of points, m per unit of the joints or dimensions."""
-    rotation: Array
-    """Rotation vectors (m, 3, L) of the frame, rad."""
-    arc_length: Array
-    """Derivative (m, L) of the arc lengths of points, m per unit of the joints or dimensions."""
-
-
 class Pose:
     """Solved pose of n tubes with m shape points; derivatives are computed on first use.
 
@@ -266,16 +204,6 @@ class Pose:
     @cached_property
     def _standing(self) -> LinearisedArm:
         return LinearisedArm(self.problem, self.solved.member.rotations, self.solved.state.theta, self.arm)
-
-    @property
-    def shape_slopes(self) -> ShapeSlopes:
-        """Derivatives of the shape at its points, which move with the lengths."""
-        of = self.derivatives
-        # `position` is that at a fixed arc length: a shape point also moves along its tangent, by d s. The slope of the
-        # tip contains the change of the length already.
-        position = of.position + self.arm.frame[:, :, 2, None] * of.moved[:, None]
-        position[-1] = of.tip_position
-        return ShapeSlopes(position, of.turned, of.moved)
 
     @cached_property
     def certificate(self) -> tuple[float, Array]:

@@ -18,7 +18,7 @@ from ..equilibrium.arm_change import SHAPE_POINTS
 from ..equilibrium.directions import Change, Directions
 from ..equilibrium.jacobian import margin_slopes
 from ..equilibrium.kinematics import sure_margin
-from ..equilibrium.linearised import curvature_at, position_at
+from ..equilibrium.linearised import curvature_at, position_changes, positions_at
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..physics.strain import bend_from_own, surface_strain
@@ -315,7 +315,8 @@ def _of_pose(pose: Pose, quantity: Quantity) -> tuple[Array, Array]:
         case "margin":
             return np.array([pose.margin]), of.one_margin[None]
         case "position":
-            return position_at(of, quantity.at[0])
+            fraction = np.array(quantity.at[:1])
+            return positions_at(of, fraction)[0], position_changes(of, fraction)[0]
         case _:
             return curvature_at(of, quantity.at[0])
 

@@ -217,18 +217,6 @@ class ArmChange(Directions):
         return np.stack(fraction, axis=1) @ speed if fraction else np.zeros((len(s), self.size))
 
     @cached_property
-    def turned(self) -> Array:
-        """(m, 3, Q) turn vector of the frames at the moving shape points, rad."""
-        arm, n = self.arm, self.n
-        rates = arm.frame[..., :2] @ self.response.curvature
-        inside = arm.tableau.basis(SHAPE_POINTS, 1)[1:] @ rates.reshape(arm.elements, arm.degree, 3 * self.size)
-        inside = (arm.h * inside).reshape(arm.elements, len(SHAPE_POINTS) - 1, 3, self.size)
-        turned = (self.response.state[:-1, None, n : n + 3] + inside).reshape(-1, 3, self.size)
-        # A place that moves along the arm also turns with the arm's bend there.
-        bend = (self.shape.frame[1:, :, :2] @ self.shape.curvature[1:, :, None]) * self.moved[1:, None]
-        return np.concatenate([np.zeros((1, 3, self.size)), turned + bend])
-
-    @cached_property
     def _sections_along(self) -> tuple[Array, Array]:
         """Slopes phi' (P, K, n), and phase, kb, m and b (P, K, 3 n + 2), at the points."""
         arm = self.arm

@@ -7,10 +7,10 @@ which the last margins predict.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -321,6 +321,47 @@ def reach(
     return [start, *follow(family, start, goal, stable=stable, shortest=shortest)][-1]
 
 
+class Equations(Protocol):
+    """Residual (U,) and its Jacobian (U, U) at unknowns x (U,)."""
+
+    @property
+    def gradient(self) -> Array: ...
+    @property
+    def hessian(self) -> Array: ...
+
+
+EquationsAt = Callable[[float], Callable[[Array], Equations] | None]
+"""Function of the parameter t that returns the equations there, a function of x; None if their unknowns differ."""
+
+
+class PathRates(NamedTuple):
+    """Derivatives of the equations by the parameter t of a path, at constant unknowns."""
+
+    gradient: Array
+    """Derivative (U,) of the residual."""
+    hessian: Array
+    """Derivative (U, U) of its Jacobian."""
+
+
+def path_rates(at: EquationsAt, x: Array, t: float, here: Equations | None = None) -> PathRates | None:
+    """Derivatives at unknowns x (U,) by central differences; `here` are the equations at t.
+
+    At the end of a path the equations may exist on one side only: the difference is one-sided. None if they exist on
+    neither.
+    """
+    # The round-off 1e-16 / 1e-6 is far below SYMMETRIC.
+    dt = 1e-6 * max(1.0, abs(t))
+    sides = [(t_side, side(x)) for t_side in (t - dt, t + dt) if (side := at(t_side)) is not None]
+    if len(sides) == 1 and here is not None:
+        sides.append((t, here))
+    if len(sides) < 2:
+        return None
+    (t_low, low), (t_high, high) = sides
+    return PathRates(
+        *((b - a) / (t_high - t_low) for a, b in ((low.gradient, high.gradient), (low.hessian, high.hessian)))
+    )
+
+
 def bifurcates(family: Family, last: AnyPoint) -> bool:
     """True if the branch ends in a bifurcation: w . g_t = 0 at its last point.
 
@@ -328,12 +369,13 @@ def bifurcates(family: Family, last: AnyPoint) -> bool:
 
     At a fold w . g_t is not 0: the change of the equations pushes the robot along its softest direction.
     """
-    # Difference of the gradient, whose round-off 1e-16 / 1e-6 is far below SYMMETRIC.
-    dt = 1e-6 * max(1.0, abs(last.t))
-    times = (last.t - dt, last.t + dt, last.t)
-    members = [member for t in times if (member := family.like(last.member, t)) is not None]
-    if len(members) < 2:
+
+    def at(t: float) -> Callable[[Array], Equations] | None:
+        member = family.like(last.member, t)
+        return None if member is None else member.at
+
+    rates = path_rates(at, last.state.x, last.t, last.state)
+    if rates is None:
         return False
-    low, high = (member.at(last.state.x).gradient for member in members[:2])
-    g_t, w = high - low, last.unresisted
+    g_t, w = rates.gradient, last.unresisted
     return bool(abs(w @ g_t) <= SYMMETRIC * np.linalg.norm(w) * np.linalg.norm(g_t))

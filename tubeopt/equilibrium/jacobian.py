@@ -8,6 +8,7 @@ from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 
 from ..arguments import typed
 from ..block.transcription.loaded import compliance_along, evaluate, symmetric_part
@@ -32,7 +33,6 @@ from ..solvers.compiled.binding import (
     turn_compiled,
 )
 from ..typing import Array
-from .directions import check_wrt
 from .kinematics import point_of
 from .linearised import linearise, sharing
 from .linearised_bundle import linearise_bundle
@@ -150,7 +150,18 @@ def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int
         SolveError: the equilibrium is a fold, where derivatives are infinite.
     """
     by_kernel = _by_kernel(equilibrium, wrt, side)
-    return Jacobian.of(partial(_kept, equilibrium, tuple(wrt), side)) if by_kernel is None else by_kernel
+    if by_kernel is not None:
+        return by_kernel
+    load, derivatives = equilibrium.load, partial(_kept, equilibrium, tuple(wrt), side)
+    if load is None or load.has_energy or not equilibrium.robot.fixed_sections:
+        return Jacobian.of(derivatives)
+    return Jacobian.of(derivatives, margin=partial(_margin_by_differences, equilibrium, tuple(wrt)))
+
+
+def _margin_by_differences(equilibrium: Equilibrium, wrt: tuple[str, ...]) -> Array:
+    """`margin_slopes` by joint values and dimensions; tubes of a carriage share the derivative equally."""
+    shared, result = sharing(equilibrium.robot.moving_together, wrt), margin_slopes(equilibrium, wrt)
+    return result if shared is None else np.asarray(result @ shared)
 
 
 @lru_cache(maxsize=8)
@@ -269,15 +280,6 @@ def margin_slopes(
     return np.array([_slope(point, result, difference, sure=sure) for difference in differences])
 
 
-def margin_slopes_of(e: Equilibrium, wrt: Sequence[str]) -> Array:
-    """(Q,) derivatives of the margin of any equilibrium; tubes of a carriage share the derivative equally."""
-    if e.load is None or e.load.has_energy or not e.robot.fixed_sections:
-        return jacobian(e, wrt=wrt).margin
-    check_wrt(wrt, 1)
-    shared, result = sharing(e.robot.moving_together, tuple(wrt)), margin_slopes(e, wrt)
-    return result if shared is None else np.asarray(result @ shared)
-
-
 def _slope(point: LoadedPoint, modes: tuple[Array, Array], difference: Difference, *, sure: bool) -> float:
     """Derivative of the margin by a central difference, from the left and right mode."""
     (step, sides), (left, right), member = difference, modes, point.member
@@ -289,7 +291,7 @@ def _slope(point: LoadedPoint, modes: tuple[Array, Array], difference: Differenc
     problems = [loaded_problem(robot, shift, problem.load, member.discretisation, pieces) for robot, _, shift in sides]
     alphas = [alpha for _, alpha, _ in sides]
     ahead, behind = (evaluate(each, alpha, x).gradient for each, alpha in zip(problems, alphas, strict=True))
-    change = -np.linalg.solve(point.state.hessian, ahead - behind) / 2
+    change = -scipy.linalg.lu_solve(_factorised(point), ahead - behind) / 2
     result = [
         evaluate(each, alpha, x + sign * change) for each, alpha, sign in zip(problems, alphas, (1, -1), strict=True)
     ]
@@ -297,6 +299,13 @@ def _slope(point: LoadedPoint, modes: tuple[Array, Array], difference: Differenc
         symmetric_part(each, state) if sure else state.hessian for each, state in zip(problems, result, strict=True)
     )
     return float((np.vdot(left, (further - back) @ right) / np.vdot(left, right)).real) / (2 * step)
+
+
+@lru_cache(maxsize=4)
+def _factorised(point: LoadedPoint) -> tuple[Array, Array]:
+    """LU factors of the equations at a point."""
+    factors: tuple[Array, Array] = scipy.linalg.lu_factor(point.state.hessian)
+    return factors
 
 
 def _cut(assembly: Assembly) -> tuple[int, int]:

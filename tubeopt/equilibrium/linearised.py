@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..block.transcription.arm import between
+from ..block.transcription.arm import between, shape_points
 from ..block.transcription.arm_response import LinearisedArm, Response
 from ..block.transcription.arm_state import sections_of
 from ..block.transcription.buffered import bent_function, mapped, section_function
@@ -32,7 +32,7 @@ from ..block.transcription.second_variation import Mode, worst_mode
 from ..errors import SolveError
 from ..physics.certificate import worst_function
 from ..physics.shape import cross, hat
-from ..typing import Array
+from ..typing import Array, Index
 from .arm_change import SHAPE_POINTS, ArmChange
 from .directions import Change, Directions
 from .member import discretisation_of, sample_rotation
@@ -403,28 +403,28 @@ def standing_of(equilibrium: Equilibrium, straight: bool = True) -> LinearisedAr
 # --- At a fraction of the arm's length --------------------------------------------------------------------------------
 
 
-def centreline_point(of: Derivatives, fraction: float) -> Array:
-    """Position (3,) at a fraction of the arm's length in front of the plate, m."""
-    table = of.shape.position
+def positions_at(of: Derivatives, fractions: Array) -> Array:
+    """Positions (K, 3) at fractions (K,) of the arm's length in front of the plate, m."""
     if len(of.cuts) < 2:
-        return np.asarray(table[-1])
-    k, weights, _ = _weights(of, fraction)
-    return np.asarray(weights @ table[4 * k : 4 * k + 5])
+        return np.repeat(of.shape.position[-1:], len(fractions), axis=0)
+    through = _through(of, fractions)
+    return np.asarray(np.einsum("kw,kwc->kc", through.weights, of.shape.position[through.points]))
 
 
-def position_at(of: Derivatives, fraction: float) -> tuple[Array, Array]:
-    """Position (3,) at a fraction of the arm's length in front of the plate, m, and its change (3, Q)."""
-    table = of.shape.position
-    change = of.position.copy()
+def position_changes(of: Derivatives, fractions: Array) -> Array:
+    """Changes (K, 3, Q) of the positions at fractions (K,) of the arm's length, which changes too."""
+    # A shape point also moves along its tangent; the change of the last one contains that already.
+    change = of.position + of.shape.frame[:, :, 2, None] * of.moved[:, None]
+    change[-1] = of.position[-1]
     if len(of.cuts) < 2:
-        return table[-1], change[-1]
-    longer = _longer(of)
-    # The last shape point moves with the tip; the others are at fixed arc lengths.
-    change[-1] -= np.outer(of.shape.frame[-1][:, 2], longer)
-    k, weights, rates = _weights(of, fraction)
-    near = slice(4 * k, 4 * k + 5)
-    return weights @ table[near], np.tensordot(weights, change[near], 1) + fraction * np.outer(
-        rates @ table[near], longer
+        return np.repeat(change[-1:], len(fractions), axis=0)
+    through, ends = _through(of, fractions), of.moved[:: len(ENDS) - 1]
+    start, end = ends[through.element], ends[through.element + 1]
+    # x = (fraction L - s_k) / h: at a fixed fraction of a length that changes, x changes too.
+    along = np.einsum("kw,kwc->kc", through.rates, of.shape.position[through.points])
+    passed = fractions[:, None] * of.moved[-1] - start - through.x * (end - start)
+    return np.asarray(
+        np.einsum("kw,kwcq->kcq", through.weights, change[through.points]) + along[..., None] * passed[:, None]
     )
 
 
@@ -433,7 +433,7 @@ def curvature_at(of: Linearised, fraction: float) -> tuple[Array, Array]:
     if len(of.cuts) < 2:
         return np.zeros(2), np.zeros((2, of.size))
     k, x = _place(of, fraction)
-    result = of.section(k, x, fraction * _longer(of))
+    result = of.section(k, x, fraction * of.moved[-1])
     return result.curvature, result.by_curvature
 
 
@@ -483,32 +483,31 @@ def curvature_in_tube(of: Linearised, tube: int, ends: tuple[float, float], move
     return value / (last - first), change / (last - first)
 
 
-def _longer(of: Derivatives) -> Array:
-    """(Q,) change of the arm's length."""
-    return np.asarray(of.shape.frame[-1][:, 2] @ of.pushed)
-
-
 def _place(of: Derivatives, fraction: float) -> tuple[int, float]:
     """Element at a fraction of the arm's length, and the fraction within the element."""
     (k,), _, (x,) = between(of.cuts, np.array([fraction * of.cuts[-1]]))
     return int(k), float(x)
 
 
-class _ShapeWeights(NamedTuple):
-    """Weights of the polynomial through the shape points of an element."""
+class _Through(NamedTuple):
+    """Polynomials through the shape points of elements, at K places."""
 
-    element: int
-    """Number of the element."""
-    value: Array
-    """Weights (5,) of the value."""
-    rate: Array
-    """Weights (5,) of the derivative, 1/m."""
+    element: Index
+    """Numbers (K,) of the elements."""
+    x: Array
+    """Fractions (K, 1) of the elements."""
+    points: Index
+    """Indices (K, 5) of the shape points of the elements."""
+    weights: Array
+    """Weights (K, 5) of the values."""
+    rates: Array
+    """Weights (K, 5) of the derivatives along the arm, 1/m."""
 
 
-def _weights(of: Derivatives, fraction: float) -> _ShapeWeights:
-    """Weights of the shape points at a fraction of the length."""
-    k, x = _place(of, fraction)
-    powers = np.arange(len(ENDS))
-    rates = powers * np.power(x, np.maximum(powers - 1, 0))
-    step = of.cuts[k + 1] - of.cuts[k]
-    return _ShapeWeights(k, np.power(x, powers) @ THROUGH_ENDS, rates @ THROUGH_ENDS / step)
+def _through(of: Derivatives, fractions: Array) -> _Through:
+    """Polynomials at fractions (K,) of the length."""
+    k, length, x = between(of.cuts, fractions * of.cuts[-1])
+    powers, x = np.arange(len(ENDS)), x[:, None]
+    weights = np.power(x, powers) @ THROUGH_ENDS
+    rates = powers * np.power(x, np.maximum(powers - 1, 0)) / length[:, None] @ THROUGH_ENDS
+    return _Through(k, x, shape_points(len(of.cuts) - 1)[k], weights, rates)

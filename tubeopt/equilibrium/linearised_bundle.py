@@ -244,17 +244,12 @@ class LinearisedBundle:
         return self.shape.arc_length[:: len(ENDS) - 1]
 
     @cached_property
-    def _moved(self) -> Array:
+    def moved(self) -> Array:
         """Motion (p, Q) along the arm of the points of the shape, m."""
         k = self.state.problem.tableau.degree
         h = self.changes[::k, -1]
         start = np.cumsum(h, axis=0) - h
         return along_elements(start[:, None] + ENDS[:, None] * h[:, None], len(h))
-
-    @property
-    def pushed(self) -> Array:
-        """Motion (3, Q) of the tip along its axis as the arm grows, m."""
-        return np.asarray(self.shape.frame[-1, :, 2, None] * self._moved[-1])
 
     @cached_property
     def _oriented(self) -> tuple[Array, Array]:
@@ -272,7 +267,7 @@ class LinearisedBundle:
         # The offset in an element is h int t dx: with the polynomial of t through the points.
         rates = state.h[:, None, None] * self._oriented[0] + tangent[..., None] * self.changes[:, None, -1]
         out = cumulate(problem.tableau, rates.reshape(-1, k, 3, self.size))
-        out[:-1] -= self.shape.frame[:-1, :, 2, None] * self._moved[:-1, None]
+        out[:-1] -= self.shape.frame[:-1, :, 2, None] * self.moved[:-1, None]
         return np.asarray(out)
 
     @property

@@ -126,9 +126,9 @@ class Jacobian(Displayed):
     tip_rotations: Array
     """(n, Q) derivatives of theta at each tube's own end, rad per unit."""
     margin: Array
-    """(Q,) derivatives of the margin.
+    """(Q,) derivatives of the margin; NaN if it is a double eigenvalue.
 
-    NaN if it is a double eigenvalue, and under a load without an energy: see `Equilibrium.margin_slopes`.
+    Under a load without an energy they take a hundred times as long, and are NaN where breakpoints meet.
     """
     energy: Array
     """(Q,) derivatives of the elastic energy, J per unit."""
@@ -139,11 +139,14 @@ class Jacobian(Displayed):
         return np.concatenate([self.position, self.rotation])
 
     @classmethod
-    def of(cls, derivatives: Callable[[], Derivatives]) -> Jacobian:
-        """Jacobian from `derivatives`, which is called again when more than the pose of the tip is read."""
+    def of(cls, derivatives: Callable[[], Derivatives], margin: Callable[[], Array] | None = None) -> Jacobian:
+        """Jacobian from `derivatives`, which is called again when more than the pose of the tip is read.
+
+        The derivatives of the margin are those of `margin` if it is given.
+        """
         result, jacobian = derivatives(), object.__new__(cls)
         pose = {"position": result.tip_position.copy(), "rotation": result.tip_rotation.copy()}
-        jacobian.__dict__.update(wrt=result.wrt, **pose, _derivatives=derivatives)
+        jacobian.__dict__.update(wrt=result.wrt, **pose, _derivatives=derivatives, _margin=margin)
         return jacobian
 
     if not TYPE_CHECKING:  # which would take any name for an attribute
@@ -152,8 +155,10 @@ class Jacobian(Displayed):
             derivatives = self.__dict__.get("_derivatives")
             if derivatives is None or name not in READ_LATER:
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            margin = self.__dict__["_margin"]
             with small:
-                self.__dict__[name] = value = getattr(derivatives(), name).copy()
+                value = margin() if name == "margin" and margin else getattr(derivatives(), name).copy()
+            self.__dict__[name] = value
             return value
 
     def __getstate__(self) -> dict[str, Any]:
@@ -183,8 +188,8 @@ class Derivatives(Protocol):
         """Arc lengths (P + 1,) of the ends of the elements, m."""
 
     @property
-    def pushed(self) -> Array:
-        """Motion (3, Q) of the tip along its axis as the arm grows, m."""
+    def moved(self) -> Array:
+        """Motion (m, Q) along the arm of the shape points, which stay at fixed fractions of the elements, m."""
 
     @property
     def tip_position(self) -> Array: ...
@@ -366,12 +371,8 @@ class Equilibrium(Displayed):
         return result
 
     def margin_slopes(self, *, wrt: Sequence[str] = ("rotations", "translations")) -> Array:
-        """(Q,) derivatives of the margin as in `jacobian`, also under a load without an energy.
-
-        `jacobian` has NaN there, since they take a hundred times as long. NaN if breakpoints meet.
-        """
-        result: Array = lazy_import("tubeopt.equilibrium.jacobian.margin_slopes_of")(self, wrt)
-        return result
+        """(Q,) derivatives of the margin, as in `jacobian`."""
+        return self.jacobian(wrt=wrt).margin
 
     def collocated(self) -> tuple[ReducedProblem, Profile]:
         """The collocated problem of this equilibrium, and its torsion along the arm; not with a load or friction.

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..block.custom import CustomObjective, CustomRequirement
 from ..block.quantities import Expression, Quantity, recorded
 from ..bodies.obstacles import Obstacle, Scene, checked_obstacles, scene_of
-from ..equilibrium.linearised import Linearised, centreline_point, curvature_at, position_at
+from ..equilibrium.linearised import Linearised, curvature_at, position_changes, positions_at
 from ..errors import InputError, finite, instance, vector
 from ..robots.limits import JointLimits, check_target
 from ..robots.robot import Robot, check_robot
@@ -122,7 +122,7 @@ def values(at: Posture) -> Callable[[Quantity], Array]:
             case "tip_direction":
                 return at.direction
             case "position":
-                return centreline_point(at.derivatives, quantity.at[0])
+                return np.asarray(positions_at(at.derivatives, np.array(quantity.at[:1]))[0])
             case "curvature" if quantity.at:
                 return curvature_at(_with_sections(at), quantity.at[0])[0]
             case name if quantity.pose is None:
@@ -151,7 +151,7 @@ def linear(at: Posture) -> Callable[[Quantity], tuple[Array, Array]]:
             case "margin":
                 return at.margin_slope()[None]
             case "position":
-                return position_at(at.derivatives, quantity.at[0])[1] @ at.space.spread
+                return np.asarray(position_changes(at.derivatives, np.array(quantity.at[:1]))[0] @ at.space.spread)
             case "curvature" if quantity.at:
                 return curvature_at(_with_sections(at), quantity.at[0])[1] @ at.space.spread
             case _:

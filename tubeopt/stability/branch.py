@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..display import Displayed
-from ..equilibrium.continuation import Family, SampledJointPath
+from ..equilibrium.continuation import Family, SampledJointPath, path_rates
 from ..equilibrium.kinematics import forward_kinematics, point_of, to_equilibrium
 from ..equilibrium.member import PlainPoint, Point, Unloaded
 from ..equilibrium.result import Equilibrium, refuse_load
@@ -115,8 +115,9 @@ def _continue(family: Family, start: PlainPoint, first_step: float) -> tuple[lis
     def system(unknowns: Array) -> tuple[Array, Array]:
         """Residual (U,) and its Jacobian (U, U + 1); the column of t is a central difference."""
         t, x = unknowns[-1] / scale, unknowns[:-1]
-        state, after, before = (member(at).at(x) for at in (t, t + 1e-6, t - 1e-6))
-        return state.gradient, np.column_stack([state.hessian, (after.gradient - before.gradient) / (2e-6 * scale)])
+        state, rates = member(t).at(x), path_rates(lambda t: member(t).at, x, t)
+        assert rates is not None
+        return state.gradient, np.column_stack([state.hessian, rates.gradient / scale])
 
     def largest_turn(step: Array) -> float:
         return float(np.abs(factor @ step[:-1]).max(initial=0.0))

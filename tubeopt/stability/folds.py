@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import scipy
 
-from ..equilibrium.continuation import Family, bifurcates
+from ..equilibrium.continuation import EquationsAt, Family, bifurcates, path_rates
 from ..equilibrium.member import AnyPoint, Member, Point
 from ..solvers.newton import NewtonResult, downhill, flow
 from ..solvers.settings import LEAST_STIFFNESS
@@ -48,15 +48,6 @@ PAST = 1e-4
 """Distance in t, or fraction of a load, to a point beyond a smooth change of branch."""
 
 
-class Equations(Protocol):
-    """Residual (U,) and its Jacobian (U, U)."""
-
-    @property
-    def gradient(self) -> Array: ...
-    @property
-    def hessian(self) -> Array: ...
-
-
 @dataclass(frozen=True, eq=False)
 class TurningPoint:
     """Turning point of a branch."""
@@ -71,7 +62,7 @@ class TurningPoint:
 
 
 def turning_point(
-    at: Callable[[float], Callable[[Array], Equations] | None],
+    at: EquationsAt,
     size_of: Callable[[Array], float],
     t: float,
     x: Array,
@@ -92,12 +83,10 @@ def turning_point(
         equations = at(t)
         if equations is None:
             return None
-        state, dt = equations(x), 1e-6 * max(1.0, abs(t))
-        # At the end of a path, equations of the same structure may exist on one side only: a one-sided difference.
-        sides = [(t_side, side(x)) for t_side in (t - dt, t + dt) if (side := at(t_side)) is not None]
-        if not sides:
+        state = equations(x)
+        by_t = path_rates(at, x, t, state)
+        if by_t is None:
             return None
-        (t_low, low), (t_high, high) = [*sides, (t, state)][:2]
         try:
             bordered = np.block([[state.hessian, border[:, None]], [border, np.zeros(1)]])
             unit = np.append(np.zeros(size), 1.0)
@@ -106,9 +95,7 @@ def turning_point(
             v, sigma = right[:-1], right[-1]
             h = FOLD_DIFFERENCE / size_of(v)
             hessian_v = (equations(x + h * v).hessian - equations(x - h * v).hessian) / (2 * h)
-            gradient_t = (high.gradient - low.gradient) / (t_high - t_low)
-            hessian_t_v = (high.hessian - low.hessian) @ v / (t_high - t_low)
-            matrix = np.block([[state.hessian, gradient_t[:, None]], [-w @ hessian_v, -w @ hessian_t_v]])
+            matrix = np.block([[state.hessian, by_t.gradient[:, None]], [-w @ hessian_v, -w @ by_t.hessian @ v]])
             step = np.linalg.solve(matrix, -np.append(state.gradient, sigma))
         except np.linalg.LinAlgError:
             return None
