@@ -23,6 +23,7 @@ from tubeopt import (
     find_load_limit,
     find_snap,
     follow,
+    forward_kinematics,
     load_robot,
     plan_trajectory,
     snap_free_certificate,
@@ -35,12 +36,14 @@ from tubeopt.control.servo import Servo
 from tubeopt.equilibrium.directions import PARAMETERS
 from tubeopt.equilibrium.jacobian import derivatives_of, shifted
 from tubeopt.equilibrium.kinematics import point_of, unsolved
+from tubeopt.equilibrium.problem import Discretisation
 from tubeopt.errors import InputError
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.posture import start_posture
 from tubeopt.planning.proof import ProofStatus
 from tubeopt.planning.question import PlanOptions
 from tubeopt.robots.eccentric import free_channel
+from tubeopt.robots.file import robot_from_dict, robot_to_dict
 from tubeopt.typing import Array
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -237,6 +240,27 @@ def test_segments_are_stacks_of_tubes_of_own_length() -> None:
     assert np.linalg.norm(pose.tip_position - thesis.tip_position) < 5e-4
     # The stretches of three tubes at 120 deg add up to 0 where all three are present.
     assert abs((pose.tube_end - thesis.tube_end).sum()) < 1e-5
+    # The key of a file; curves begin beyond the tube around them, so that home is that of the segments.
+    data = robot_to_dict(robot) | {"model": "energy"}
+    bundle = robot_from_dict(data)
+    assert bundle == robot.bundle() == robot_from_dict(robot_to_dict(bundle))
+    assert bundle.home_translations == pytest.approx(robot.home_translations, abs=1e-15)
+
+
+def test_margins_without_offsets_are_concentric_on_a_mesh_of_the_same_elements() -> None:
+    """On the default mesh of two elements the concentric margin close to 1 is 4.6e-7 too large."""
+    like, tubes = bundle_of_thesis().tubes[0], []
+    for k in range(3):
+        nested = Tube(1e-3 + 2e-4 * k, 0.9e-3 + 2e-4 * k, 0.0, like.curved_length, curvature=like.curvature)
+        nested = nested.resized("bending_stiffness", float(like.bending_stiffness))
+        tubes.append(nested.resized("torsional_stiffness", float(like.torsional_stiffness)))
+    alpha, bundle = np.radians([30.0, 100.0, -20.0]), BundleRobot(tuple(tubes), (0.0,) * 3, (0.0,) * 3)
+    mine, concentric = bundle.fk(alpha), ConcentricRobot(tuple(tubes))
+    for refinement, elements, off in ((0, 2, 4.6253e-7), (1, 4, 0.0)):
+        other = forward_kinematics(concentric, alpha, discretisation=Discretisation(refinement=refinement))
+        assert other.statistics.elements == elements
+        assert other.margin - mine.margin == pytest.approx(off, abs=1e-9)
+        assert other.tip_position == pytest.approx(mine.tip_position, abs=1e-11)
 
 
 def test_unequal_tubes_under_a_force_on_the_sheath_agree_with_rods() -> None:

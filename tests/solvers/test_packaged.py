@@ -15,6 +15,7 @@ from tests.examples import TWO_TUBE
 from tubeopt import forward_kinematics
 from tubeopt.solvers.compiled import binding, packaged, wheel
 from tubeopt.solvers.compiled import library as building
+from tubeopt.solvers.compiled.bundle import bundle_source
 from tubeopt.solvers.compiled.friction import friction_source
 from tubeopt.solvers.compiled.heating import heating_source
 from tubeopt.solvers.compiled.loaded import loaded_source
@@ -126,7 +127,12 @@ def test_where_there_is_no_kernel_it_is_said_once(
 def test_every_kernel_compiles_for_processors_with_fused_multiplication() -> None:
     # Where it does not, it is compiled without the processor's own instructions, and is half as fast, unnoticed.
     texts = [building.source(2, eccentric) for eccentric in (False, True)]
-    for text in (*texts, loaded_source(2), friction_source(2), heating_source(), quadratic_source()):
+    for text in (
+        *texts,
+        *(make(2) for make in (loaded_source, friction_source, bundle_source)),
+        heating_source(),
+        quadratic_source(),
+    ):
         report = subprocess.run(
             ["cc", "-fsyntax-only", "-D__FMA__", "-w", "-x", "c", "-"], input=text, text=True, capture_output=True
         )

@@ -88,6 +88,7 @@ class SheathedRobot(Robot):
             joint_limits=self.joint_limits,
             calibration=self.calibration,
             carriages=self.moving_together,
+            nested_curves=count == 1,
         )
 
     @cached_property
@@ -276,6 +277,8 @@ class BundleRobot(Robot):
     """Conversion of drive readings to joint values; None if they are equal."""
     carriages: tuple[tuple[int, ...], ...] | None = None
     """Tubes, from 0, that one carriage translates: a partition. None if each tube has its own."""
+    nested_curves: Annotated[bool, "the curve of a tube may begin inside the tube around it"] = True
+    """True if the curve of a tube may begin inside the tube around it; of segments it begins beyond."""
     fixed_sections = False
 
     def __post_init__(self) -> None:

@@ -426,15 +426,19 @@ class ConcentricEntry(RobotEntry):
         return ConcentricRobot(tubes, **self.common(), friction=friction, clearance=self.si("clearance_mm"))
 
 
+Model = Literal["thesis", "energy"]
+MODEL: Any = Field(
+    "thesis", description="thesis: a balance of moments, with tubes that end together; energy: that of a bundle"
+)
+
+
 @keys_from(EccentricRobot)
 class EccentricEntry(RobotEntry):
     """A one-segment eccentric tube robot: three equal tubes side by side in a sheath."""
 
     kind: Literal["eccentric"]
     tube: TubeEntry
-    model: Literal["thesis", "energy"] = Field(
-        "thesis", description="thesis: a balance of moments, with tubes that end together; energy: that of a bundle"
-    )
+    model: Model = MODEL
 
     def build(self) -> EccentricRobot | BundleRobot:
         """Robot in SI."""
@@ -448,11 +452,13 @@ class SegmentedEccentricEntry(RobotEntry):
 
     kind: Literal["segmented_eccentric"]
     segments: list[TubeEntry] = Field(min_length=1)
+    model: Model = MODEL
 
-    def build(self) -> SegmentedEccentricRobot:
+    def build(self) -> SegmentedEccentricRobot | BundleRobot:
         """Robot in SI."""
         segments = tuple(tube.build() for tube in self.segments)
-        return SegmentedEccentricRobot(segments, **values(SegmentedEccentricRobot, self), **self.common())
+        robot = SegmentedEccentricRobot(segments, **values(SegmentedEccentricRobot, self), **self.common())
+        return robot.bundle() if self.model == "energy" else robot
 
 
 class BundleTubeEntry(TubeEntry):
@@ -463,7 +469,7 @@ class BundleTubeEntry(TubeEntry):
     carriage: int | None = Field(None, description="number of the carriage; by default the tube has its own")
 
 
-@keys_from(BundleRobot, "sheath_stiffness", "sheath_diameter")
+@keys_from(BundleRobot, "sheath_stiffness", "sheath_diameter", "nested_curves")
 class BundleEntry(RobotEntry):
     """Tubes at any offsets in a sheath, each with its own length, rotation and translation."""
 
@@ -476,7 +482,7 @@ class BundleEntry(RobotEntry):
             tuple(tube.build() for tube in self.tubes),
             tuple(to_si(tube.offset_mm, MM) for tube in self.tubes),
             tuple(to_si(tube.angle_deg, DEG) for tube in self.tubes),
-            **values(BundleRobot, self, "sheath_stiffness", "sheath_diameter"),
+            **values(BundleRobot, self, "sheath_stiffness", "sheath_diameter", "nested_curves"),
             **self.common(),
             carriages=self._carriages(),
         )

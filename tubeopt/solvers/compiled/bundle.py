@@ -40,8 +40,11 @@ from ..settings import (
 from ..time_limit import check_time
 from .binding import SOLVED, Solved, address, memory_of
 from .constants import DEGREE
-from .library import MOST_PIECES, MOST_TUBES, Kernel, load_kernel
+from .library import MOST_PIECES, Kernel, load_kernel
 from .text import c_tables, c_text
+
+MOST_TUBES = 9
+"""Largest number of tubes in the kernel: those of three segments."""
 
 CHECK_DEGREE = DEGREE + 1
 """Collocation points per element for the error estimate."""

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from .bundle import MOST_TUBES as MOST_BUNDLED
 from .bundle import bundle_source
 from .friction import friction_source
 from .heating import heating_source
@@ -74,9 +75,8 @@ def texts() -> dict[Kind, str]:
             (n, "eccentric"): source(n, True),
             (n, "loaded"): loaded_source(n),
             (n, "friction"): friction_source(n),
-            (n, "bundle"): bundle_source(n),
         }
-    return result
+    return result | {(n, "bundle"): bundle_source(n) for n in range(1, MOST_BUNDLED + 1)}
 
 
 def keep(folder: Path) -> int:
