@@ -344,7 +344,7 @@ static int lay_out_slides(const Tubes *t, const double *shift, const double *aft
    is not stable, -1 where there is no room for them, or a tube is made of pieces. */
 static int find_slides(const Tubes *t, const double *alpha, const double *shift, const double *slide, const Guess *guess, Slides *s,
                        State *trial, double *h, Couplings *c) {
-    double after[N], step, stiffness[3], g[MOST_UNKNOWNS], factor[MOST_COUPLINGS];
+    double after[N], step = 0, stiffness[3], g[MOST_UNKNOWNS], factor[MOST_COUPLINGS];
     const Unknowns *q = s->fine;
     State *state = &s->state;
     c->q = q, c->softest = q + 1, c->trial = trial, c->h = h, c->count = 0, c->slides = 1;
