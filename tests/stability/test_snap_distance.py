@@ -28,7 +28,10 @@ from tubeopt.equilibrium.member import discretisation_of, sample_rotation
 from tubeopt.equilibrium.problem import reduced_problem
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.joints import joint_space
+from tubeopt.robots.load import PointLoad
+from tubeopt.stability.boxes import range_of_cosine
 from tubeopt.stability.certificate import arm_sections
+from tubeopt.stability.loaded_distance import LoadedForm
 from tubeopt.stability.snap_distance import PairForm, SnapDistanceStatus, least_snap_distance, tip_torques
 from tubeopt.typing import Array
 
@@ -237,8 +240,10 @@ def test_an_equilibrium_by_another_search_is_as_far() -> None:
 
 def test_what_has_no_distance_is_refused() -> None:
     at: Array = np.array([0.0, 1.0, 2.0])
-    with pytest.raises(InputError, match=r"equilibrium has a load; it must have none"):
-        snap_distance(forward_kinematics(THESIS, at, load=Load((1e-3, 0, 0))))
+    with pytest.raises(InputError, match=r"load has a moment or turns with the tip"):
+        snap_distance(forward_kinematics(THESIS, at, load=Load(moment=(1e-3, 0, 0))))
+    with pytest.raises(InputError, match=r"equilibrium has a load; a slide is known without load only"):
+        _ = snap_distance(forward_kinematics(THESIS, at, load=Load((1e-3, 0, 0)))).slide
     rubbed = follow(TWO_TUBE, [[0.0, 0.0], [0.0, 0.5]], friction=Friction(torque=1e-3)).equilibria[-1]
     with pytest.raises(InputError, match="friction"):
         snap_distance(rubbed)
@@ -398,12 +403,110 @@ def test_the_range_of_a_cosine_is_its_range() -> None:
     random = np.random.default_rng(3)
     low = random.uniform(-9, 9, 300)
     high = low + random.uniform(0, 7, 300)
-    smallest, largest = sys.modules[snap_distance.__module__]._range_of_cosine(low, high)
+    smallest, largest = range_of_cosine(low, high)
     sampled = np.cos(np.linspace(low, high, 4001))
     assert smallest == pytest.approx(sampled.min(0), abs=1e-5)
     assert largest == pytest.approx(sampled.max(0), abs=1e-5)
     assert (smallest <= sampled.min(0)).all()
     assert (largest >= sampled.max(0)).all()
+
+
+# --- Known loads ------------------------------------------------------------------------------------------------------
+
+LOADED = (
+    ("thesis_ctr", 0.1),
+    ("thesis_ctr", 0.6),
+    ("crl_ctr", 0.2),
+    ("till_snapping_pair", 0.5),
+    ("example_pieces", 0.3),
+)
+
+
+def loaded(name: str, share: float, seed: int = 3) -> Equilibrium:
+    """A pose under a share of the force that is proved to be borne there, in a random direction, and own weight."""
+    robot, random = load_robot(CONFIGS / f"{name}.yaml"), np.random.default_rng(seed)
+    pose = forward_kinematics(robot, random.uniform(-1.5, 1.5, robot.n_tubes))
+    force = random.normal(size=3)
+    force *= share * snap_distance(pose).force / np.linalg.norm(force)
+    points = (PointLoad(0.6 * float(pose.arc_length[-1]), tuple((-force / 3).tolist())),)
+    return forward_kinematics(robot, pose.rotations, load=Load(tuple(force.tolist()), points=points))
+
+
+def form_of(e: Equilibrium) -> LoadedForm:
+    point = point_of(e)
+    return LoadedForm.of(point.member.problem, point.state)
+
+
+@pytest.mark.parametrize(("name", "share"), LOADED)
+def test_a_known_load_leaves_a_ball_without_a_snap(name: str, share: float) -> None:
+    e = loaded(name, share)
+    distance, random = snap_distance(e), np.random.default_rng(2)
+    assert 0.02 < distance.turn < 3.0
+    n, load = e.robot.n_tubes, e.load
+    corners = distance.turn * 0.999 * random.choice([-1.0, -0.3, 1.0], (6, n))
+    path = follow(e.robot, np.vstack([e.rotations, e.rotations + corners, e.rotations]), start=e, load=load)
+    assert not path.snaps
+    assert path.equilibria[-1].tip_position == pytest.approx(e.tip_position, abs=1e-8)
+    for direction in (*np.eye(n), -np.eye(n)[0], random.choice([-1.0, 1.0], n)):
+        end = e.rotations + 3.0 * direction
+        snap = find_snap(e.robot, (e.rotations, None), (end, None), equilibrium=e, load=load)
+        assert snap is None or np.abs(snap.rotations - e.rotations).max() > distance.turn
+
+
+@pytest.mark.parametrize(("name", "share"), LOADED)
+def test_the_loaded_form_is_the_equilibrium(name: str, share: float) -> None:
+    e = loaded(name, share)
+    form, step = form_of(e), 1e-5
+    assert form.defect.max() < 1e-12
+    for k in range(e.robot.n_tubes):
+        by = step * np.eye(e.robot.n_tubes)[k]
+        sides = [forward_kinematics(e.robot, e.rotations + s * by, load=e.load, start=e) for s in (-1, 1)]
+        low, high = (rows_of(form, side) for side in sides)
+        assert form.J[:, k] == pytest.approx((high - low) / (2 * step), abs=1e-7)
+
+
+def rows_of(form: LoadedForm, e: Equilibrium) -> Array:
+    """(R,) pairs, tubes and bending of an equilibrium on the mesh of a form."""
+    point = point_of(e)
+    torsion, state = point.member.problem.torsion, point.state
+    theta = state.theta[np.nonzero(torsion.moment)]
+    i, j = np.nonzero((form.point[:, None] == form.point) & np.triu(np.ones((len(theta),) * 2, dtype=bool), 1))
+    return np.concatenate([theta[i] - theta[j], theta, state.x[torsion.size :]])
+
+
+@pytest.mark.parametrize(("name", "share"), LOADED)
+def test_what_a_turn_changes_under_a_load_is_within_its_bounds(name: str, share: float) -> None:
+    e = loaded(name, share)
+    form, turn, random = form_of(e), snap_distance(e).turn, np.random.default_rng(5)
+    before, largest = rows_of(form, e), []
+    boxes = form.boxes(0.99 * turn)
+    box = form.closed(boxes + np.tile(form.defect, 2))
+    assert box is not None
+    low, high = -box[:, : len(before)].max(0), box[:, len(before) :].max(0)
+    change = form._bounds(box).change.max(0)  # of the moment
+    for corner in random.choice([-1.0, 1.0], (4, e.robot.n_tubes)):
+        turned = forward_kinematics(e.robot, e.rotations + 0.99 * turn * corner, load=e.load, start=e)
+        x = rows_of(form, turned) - before
+        assert (low - 1e-9 <= x).all()
+        assert (x <= high + 1e-9).all()
+        largest.append((x / high).max())
+        # q is the moment, whitened: dW/du = B m.
+        moment = np.linalg.norm(x[-2 * len(form.weight) :].reshape(-1, 2), axis=1) / (form.weight * form.softness)
+        assert (moment <= change * (1 + 1e-9)).all()
+    assert max(largest) > 0.3
+
+
+def test_a_weak_load_changes_little() -> None:
+    pose = forward_kinematics(THESIS, [0.0, 1.0, 2.0])
+    weak = snap_distance(forward_kinematics(THESIS, pose.rotations, load=Load((1e-7, 0, 0)))).turn
+    assert 1.0 < weak / pose.snap_distance < 1.15  # parts of another shape, in which a little more is proved
+    assert weak < snap_distance(pose).nearest
+
+
+def test_a_certificate_under_load_is_a_distance() -> None:
+    robot = load_robot(CONFIGS / "crl_ctr.yaml")
+    e = forward_kinematics(robot, [0.3, 2.0, -1.0], [-0.02, 0.0, 0.0], load=Load((1e-3, 0, 0)))
+    assert snap_distance(e).turn == np.inf
 
 
 # --- Forces -----------------------------------------------------------------------------------------------------------

@@ -29,6 +29,8 @@ new breakpoints:
 The arm is cut at the breakpoints before and after the slides, once for each choice of their directions. H is taken at
 the longest transmissions, which are the softest, and at the coupling that makes it least.
 
+Under a known dead load the second variation and the map are others: `loaded_distance`.
+
 A dead force of at most F at the tip bends the arm: K (u - u*) is its moment, at most F (L - s). So it turns tube i by
 torques tau_i of at most t_i = F (L - s) |a_i| / K per length, whatever the shape. With bending eliminated,
 
@@ -59,6 +61,7 @@ from ..block.transcription.mesh import green_of
 from ..block.transcription.reduced import evaluate, to_unknowns
 from ..display import Displayed
 from ..equilibrium.jacobian import compiled_motion, compiled_turn
+from ..equilibrium.kinematics import point_of
 from ..equilibrium.member import discretisation_of, sample_rotation
 from ..equilibrium.problem import reduced_problem
 from ..equilibrium.result import Equilibrium, refuse_friction
@@ -66,26 +69,13 @@ from ..errors import InputError, positive
 from ..solvers.blas import small
 from ..solvers.time_limit import TIME_LIMIT, check_time, limited
 from ..typing import Array, Mask, StatusEnum
-from .certificate import arm_sections, snap_free_certificate
+from .boxes import FULL_TURN, MOST_CHANGE, ROUND_OFF, SPARE, SWEEPS, Form, range_of_cosine
+from .certificate import arm_sections, loaded_worst_case, snap_free_certificate
 from .following import find_snap
-
-MOST_CHANGE = 3.0
-"""Largest change (rad) of an angle in a box. Below pi, h has one extremum beside 0 in it."""
-
-ROUND_OFF = 1e-9
-"""H must exceed this. Its eigenvalues are right to about 1e-12, so that a smaller value would do."""
-
-SPARE = 1e-10
-"""Width (rad) of the box beyond the fixed point, so that it is mapped inside itself by more than round-off."""
+from .loaded_distance import LoadedForm
 
 NEWTON_STEPS = 40
 """Newton's method from below needs 4 to 10 steps, and up to 25 beside the largest ball, where two fixed points meet."""
-
-SWEEPS, ROOM = 2000, 1.3
-"""Maximum number of images of a box with slides, and factor on the remaining steps by which the box is enlarged."""
-
-SHRINKS = 8
-"""Images of a box between two checks of H in it."""
 
 POLISH = 3
 """Newton steps on the given equilibrium: one that was saved, or solved on another mesh, is right to 1e-9 only."""
@@ -96,8 +86,8 @@ PRECISION = 1e-6
 FIRST_TURN = 0.1
 """Turn that a search begins with, rad."""
 
-SLIDING_PRECISION = 1e-3
-"""Relative precision of the snap distance with slides, where a try takes 2^n times as long."""
+SLOW_PRECISION = 1e-3
+"""Relative precision with slides and under a load, where a try takes ten times as long."""
 
 SMALLEST = 1e-6
 """Fraction of the largest factor; a smaller one counts as none."""
@@ -106,7 +96,6 @@ SECTORS = 4
 """Number of tubes up to which S is proved by its n! simplices. They give a median of 0.93 of the true distance, one box
 for all of S 0.84; for five tubes 120 simplices would take a second."""
 
-FULL_TURN = 2 * math.pi
 FARTHEST = 2 * FULL_TURN
 """Largest rotation of one tube in the search of its fold, rad: a branch may continue after a full turn."""
 
@@ -166,6 +155,9 @@ class SnapDistance(Displayed):
         The true distance is between `turn` and this one.
         """
         n = self.equilibrium.robot.n_tubes
+        if self.equilibrium.load is not None:  # all tubes turned alike turn the arm against the load
+            ways = (np.array(d, dtype=float) for d in itertools.product((-1, 0, 1), repeat=n) if any(d))
+            return float(np.nanmin([math.inf, *(np.abs(self._fold(d)).max() for d in ways)]))
         corners = [np.array(c, dtype=float) for c in itertools.product((0, 1), repeat=n) if 0 < sum(c) < n]
         pairs = [(a, b) for a, b in itertools.product(corners, repeat=2) if (a <= b).all() and (b - a).sum() == 1]
         # The nearest fold touches the ball at a corner, or on a face if turning some tube does not matter there.
@@ -201,12 +193,14 @@ class SnapDistance(Displayed):
         Raises:
             InputError: eccentric tubes, for which no such force is known.
         """
-        e = self.equilibrium
+        e = _unloaded(self.equilibrium, "force")
         if e.robot.assembly(e.translations).eccentric:
             raise InputError("robot has eccentric tubes; a force is known for concentric tubes only")
         softening = arm_sections(e.robot, e.translations).softening(1.0, pairs=False)
-        form, torques = PairForm.of(e), tip_torques(e)
         largest = 1 / softening
+        if not reduced_problem(e.robot, tuple(e.translations.tolist()), discretisation_of(e)).size:
+            return largest  # no tubes are coupled
+        form, torques = PairForm.of(e), tip_torques(e)
         return _largest(lambda F: form.under_force(F, softening, torques) is not None, largest / 4, largest, PRECISION)[
             0
         ]
@@ -227,12 +221,12 @@ class SnapDistance(Displayed):
 
     def _largest(self, turn_rate: float, shift: float) -> float:
         """Largest factor at which a turn (rad) and a slide (m) of all tubes are proved to cause no snap."""
-        e = self.equilibrium
+        e = _unloaded(self.equilibrium, "slide")
         if e.robot.assembly(e.translations).eccentric or not e.robot.even:
             raise InputError("robot has eccentric tubes or tubes made of pieces; a slide is known for others only")
         longest = max(tube.length for tube in e.robot.tubes)
         largest = max(longest / shift, math.pi / turn_rate if turn_rate else 0.0)
-        compiled = compiled_motion(e, turn_rate, shift, most=largest, precision=SLIDING_PRECISION)
+        compiled = compiled_motion(e, turn_rate, shift, most=largest, precision=SLOW_PRECISION)
         if compiled is not None:
             return compiled
 
@@ -243,7 +237,7 @@ class SnapDistance(Displayed):
                     return False
             return True
 
-        return _largest(proves, largest / 16, largest, SLIDING_PRECISION)[0]
+        return _largest(proves, largest / 16, largest, SLOW_PRECISION)[0]
 
     def _radius(self, direction: Array) -> float:
         """Half of max - min of the turns at the first fold along a direction (n,), rad; inf without one."""
@@ -257,7 +251,7 @@ class SnapDistance(Displayed):
         e = self.equilibrium
         longest = max(float(np.ptp(direction)), float(np.abs(direction).max()))
         end = e.rotations + direction * (FARTHEST / longest)
-        snap = find_snap(e.robot, (e.rotations, e.translations), (end, e.translations), equilibrium=e)
+        snap = find_snap(e.robot, (e.rotations, e.translations), (end, e.translations), equilibrium=e, load=e.load)
         return np.full(len(direction), np.nan) if snap is None else snap.rotations - e.rotations
 
 
@@ -278,7 +272,7 @@ class Slides:
 
 
 @dataclass(frozen=True, eq=False)
-class PairForm:
+class PairForm(Form):
     """Equations of an equilibrium in the angles between its tubes: P couplings, n tubes, U unknowns."""
 
     psi: Array
@@ -416,7 +410,7 @@ class PairForm:
 
     def slid(self, slides: Slides, low: Array, high: Array) -> Array:
         """(..., 2 P) widening of the image of a box [x] because of slides."""
-        bottom, top = _range_of_cosine(self.psi + low - np.pi / 2, self.psi + high - np.pi / 2)  # of the sine
+        bottom, top = range_of_cosine(self.psi + low - np.pi / 2, self.psi + high - np.pi / 2)  # of the sine
         # Torques T = D' w' sin of the weakest or strongest coupling; turns of the bases from none to the whole one.
         lower, upper = (
             np.minimum(slides.lower * bottom, slides.upper * bottom),
@@ -429,28 +423,14 @@ class PairForm:
         strips = np.maximum(np.concatenate([-changes.min(0), changes.max(0)], axis=-1), 0)
         return np.asarray(turns @ _widening(self.J).T + strips @ _widening(self.G).T)
 
-    def proves(self, y: Array) -> bool:
-        """True if all changes d with J d in the boxes y (S, 2 P) lead to one stable equilibrium without a snap."""
-        if not len(self.psi):
-            return True
-        y = y + np.tile(self.defect, 2)
-        box = self._by_newton(y) if self.slides is None else self._by_sweeps(y)
-        while box is not None and box.max() <= MOST_CHANGE and (self.image(y, box) <= box).all():
-            if (self.least_eigenvalue(box) > ROUND_OFF).all():
-                return True
-            smaller = self.image(y, box)  # which holds its own image, too
-            for _ in range(SHRINKS):
-                smaller = self.image(y, smaller)
-            if (box - smaller).max() < SPARE:
-                return False
-            box = smaller
-        return False
-
-    def _by_newton(self, y: Array) -> Array | None:
+    def closed(self, y: Array) -> Array | None:
         """Box around the least fixed point, from below by Newton's method; None if it finds none.
 
-        Plain iteration needs thousands of images close to the largest ball.
+        Plain iteration needs thousands of images close to the largest ball. With slides the map is not convex, so that
+        Newton's method steps too far.
         """
+        if self.slides is not None:
+            return super().closed(y)
         u, one = y, np.ones_like(y)
         for _ in range(NEWTON_STEPS):
             image = self.image(y, u)
@@ -464,29 +444,10 @@ class PairForm:
                 break
         return np.asarray(np.maximum(u, 0.0) + SPARE * wider)
 
-    def _by_sweeps(self, y: Array) -> Array | None:
-        """Box around the least fixed point by plain iteration, with slides; None if it finds none.
-
-        The map of slides is not convex, so that Newton's method steps too far. The steps shrink by a ratio; the box
-        includes the sum of the remaining ones, with a reserve.
-        """
-        u, size, wider = y, math.inf, y + SPARE  # images of a wider start hold those of y
-        for _ in range(SWEEPS):
-            image = self.image(wider, u)
-            step, before = image - u, size
-            size = float(step.max())
-            if image.max() > MOST_CHANGE:
-                return None
-            box = image + step * (ROOM / max(before / size - 1, 1e-3)) if size > 0 else image
-            if (box <= MOST_CHANGE).all() and (self.image(y, box) <= box).all():
-                return box
-            u = image
-        return None
-
     def least_eigenvalue(self, u: Array) -> Array:
         """(S,) lower bound of the eigenvalues of H in each of the boxes (S, 2 P): at the smallest cosines."""
         count = len(self.psi)
-        cosine = _range_of_cosine(self.psi - u[..., :count], self.psi + u[..., count:])[0]
+        cosine = range_of_cosine(self.psi - u[..., :count], self.psi + u[..., count:])[0]
         A, w = self.A, self.w
         if self.slides is not None:
             A, w = self.slides.A, np.where(cosine < 0, self.slides.upper, self.slides.lower)
@@ -502,7 +463,7 @@ class PairForm:
         """
         x = np.zeros_like(self.psi)
         for _ in range(SWEEPS):
-            cosine = _range_of_cosine(self.psi - x, self.psi + x)[0]
+            cosine = range_of_cosine(self.psi - x, self.psi + x)[0]
             H = np.eye(self.A.shape[1]) + self.A.T @ ((self.w * cosine)[:, None] * self.A)
             if np.linalg.eigvalsh(H).min(initial=1.0) <= softening * force + ROUND_OFF:
                 return None
@@ -549,13 +510,6 @@ def _widening(matrix: Array) -> Array:
     return np.block([[positive, negative], [negative, positive]])
 
 
-def _range_of_cosine(low: Array, high: Array) -> tuple[Array, Array]:
-    """Least and largest cosine of angles between `low` and `high`, rad."""
-    ends = np.stack([np.cos(low), np.cos(high)])
-    has_min, has_max = (np.floor((high - at) / FULL_TURN) > np.floor((low - at) / FULL_TURN) for at in (np.pi, 0.0))
-    return np.where(has_min, -1.0, ends.min(0)), np.where(has_max, 1.0, ends.max(0))
-
-
 def _factors(green: Array, ever: Mask) -> Array:
     """(n, N, U) rows of the square root of the compliance of each tube, at points (N, n) where it can be curved."""
     n, ends = len(green), np.cumsum([0, *ever.sum(0)])
@@ -582,12 +536,13 @@ def snap_distance(equilibrium: Equilibrium, *, time_limit: float = TIME_LIMIT) -
     """Largest turn of all tubes that is proved to cause no snap, and the snaps by turning one tube.
 
     Args:
-        equilibrium: stable, of concentric tubes, without load and friction. Its translations stay as they are.
+        equilibrium: stable, of concentric tubes, without friction and without load or under dead forces. Translations
+            and load stay as they are.
         time_limit: maximum run time, s.
 
     Raises:
-        InputError: an unstable equilibrium, one under load or friction, eccentric tubes that the certificate does not
-            cover.
+        InputError: an unstable equilibrium, one under friction, or under a load that has moments or turns with the tip;
+            eccentric tubes that the certificate does not cover.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
@@ -606,13 +561,14 @@ def snap_distance(equilibrium: Equilibrium, *, time_limit: float = TIME_LIMIT) -
 def least_snap_distance(equilibria: Iterable[Equilibrium]) -> float:
     """Smallest snap distance of equilibria, rad; inf if no turn can snap at any of them.
 
-    Equilibria are checked from the smallest margin on. Most then need one check only: whether their distance is larger
+    Loads are refused: there every check takes 0.1 s. Equilibria are checked from the smallest margin on. Most then need one check only: whether their distance is larger
     than the smallest one.
 
     Raises:
         InputError: as `snap_distance`.
     """
     smallest = math.inf
+    equilibria = [_unloaded(e, "smallest snap distance") for e in equilibria]
     for equilibrium in sorted(equilibria, key=lambda e: e.margin):
         smallest = min(smallest, _distance(equilibrium, smallest).turn)
     return smallest
@@ -634,13 +590,23 @@ def _distance(equilibrium: Equilibrium, limit: float, precision: float = PRECISI
     """Snap distance, or `limit` (rad) if that is smaller; errors as of `snap_distance`."""
     start_time, robot = perf_counter(), equilibrium.robot
     refuse_friction(equilibrium)
-    if equilibrium.load is not None:
-        raise InputError("equilibrium has a load; it must have none: the snap distance is known without load only")
     if not equilibrium.stable:
         raise InputError(f"equilibrium has a margin of {equilibrium.margin:.3g}; it must be above 0")
-    compiled = compiled_turn(equilibrium, most=limit, precision=precision)
+    load = equilibrium.load
+    if load is not None:
+        load.require_energy("its snap distance is not known")
+    compiled = compiled_turn(equilibrium, most=limit, precision=precision) if load is None else None
     radius, couplings, boxes = math.inf, 0, 0
-    if compiled is not None:
+    form: PairForm | LoadedForm
+    if load is not None:
+        point = point_of(equilibrium)
+        form = LoadedForm.of(point.member.problem, point.state)
+        free = snap_free_certificate(robot, equilibrium.translations)
+        if not loaded_worst_case(robot, equilibrium.translations, free, form.largest_force) > ROUND_OFF:
+            couplings = len(form.psi)
+            loose, most = max(precision, SLOW_PRECISION), min(limit, math.pi)
+            radius, boxes = _largest(lambda r: form.proves(form.boxes(r)), FIRST_TURN, most, loose)
+    elif compiled is not None:
         radius, couplings = compiled
     elif not (certificate := snap_free_certificate(robot, equilibrium.translations)) > 0:
         if robot.assembly(equilibrium.translations).eccentric:
@@ -656,6 +622,12 @@ def _distance(equilibrium: Equilibrium, limit: float, precision: float = PRECISI
     status = SnapDistanceStatus.NEVER if radius == math.inf else SnapDistanceStatus.PROVED
     seconds = perf_counter() - start_time
     return SnapDistance(equilibrium, radius, status, SnapDistanceStatistics(couplings, boxes, seconds))
+
+
+def _unloaded(equilibrium: Equilibrium, word: str) -> Equilibrium:
+    if equilibrium.load is not None:
+        raise InputError(f"equilibrium has a load; a {word} is known without load only")
+    return equilibrium
 
 
 def _largest(proves: Callable[[float], bool], first: float, limit: float, precision: float) -> tuple[float, int]:
