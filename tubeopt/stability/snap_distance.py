@@ -561,8 +561,8 @@ def snap_distance(equilibrium: Equilibrium, *, time_limit: float = TIME_LIMIT) -
 def least_snap_distance(equilibria: Iterable[Equilibrium]) -> float:
     """Smallest snap distance of equilibria, rad; inf if no turn can snap at any of them.
 
-    Loads are refused: there every check takes 0.1 s. Equilibria are checked from the smallest margin on. Most then need one check only: whether their distance is larger
-    than the smallest one.
+    Equilibria are checked from the smallest margin on. Most then need one check only: whether their distance is larger
+    than the smallest one. Under a load every check takes 0.1 s, so that loads are refused.
 
     Raises:
         InputError: as `snap_distance`.
