@@ -53,6 +53,23 @@ def test_another_metal_is_refused_with_what_it_needs_instead(material: Material)
         rank_mold_materials(of(material))
 
 
+def test_each_metal_has_its_stress_relief() -> None:
+    for name, relief in (("titanium", "480 to 650 degC"), ("Elgiloy", "480 to 540 degC"), ("steel 304", "350 to 400")):
+        with pytest.raises(InputError, match=f"relieve its stress: .*{relief}"):
+            recipe_for(Material(name, 110e9, 42e9))
+
+
+@pytest.mark.parametrize(("finish", "fits"), [(-30.0, False), (-15.0, True), (30.0, True), (60.0, False)])
+def test_nitinol_is_superelastic_in_the_body_by_its_af(
+    caplog: pytest.LogCaptureFixture, finish: float, fits: bool
+) -> None:
+    thermal = replace(THERMAL_DATA["nitinol"], austenite_finish=finish + 273.15)
+    tube = of(replace(TUBE.material, thermal=thermal))
+    with caplog.at_level(logging.WARNING):
+        plan_mold(tube)
+    assert ("superelastic in the body" not in caplog.text) == fits
+
+
 def test_a_mold_of_another_metal_says_that_there_is_no_recipe() -> None:
     assert any("is not nitinol" in words for words in plan_mold(of(STAINLESS)).remarks)
     assert not any("is not nitinol" in words for words in plan_mold(TUBE).remarks)

@@ -7,6 +7,7 @@ messages are shown with the file and the path of the part.
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from os import PathLike
@@ -32,6 +33,7 @@ from .concentric import ConcentricRobot, Friction
 from .eccentric import BundleRobot, EccentricRobot, SegmentedEccentricRobot
 from .limits import JointLimits, reading_fault
 from .materials import MATERIALS, NITINOL, Material
+from .passport import Passport, load_passport
 from .pieces import BEND, LENGTH, Piece, Precurvature, Quantity, Series, Slots, check_table, extremes, turned
 from .robot import Robot
 from .tubes import OfCrossSection, Tube, material_doubts
@@ -319,6 +321,10 @@ class TubeEntry(Part):
     )
     radius_mm: Positive | None = Field(None, description="radius of the precurvature, instead of curvature_per_m")
     material: MaterialChoice = "nitinol"
+    passport: Annotated[Passport, in_file(load_passport, "a passport", kind=Passport)] | None = Field(
+        None,
+        description="path of the passport of the tube, relative to this file; its measured radius replaces the drawn",
+    )
 
     @field_validator("curved_length_mm")
     @classmethod
@@ -351,7 +357,9 @@ class TubeEntry(Part):
     def _curvature(self) -> float:
         if (self.curvature_per_m is None) == (self.radius_mm is None):
             raise ValueError(_one_of("curvature_per_m", "radius_mm", both=self.radius_mm is not None))
-        return float(1 / (self.radius_mm * MM) if self.radius_mm is not None else self.curvature_per_m or 0)
+        drawn = float(1 / (self.radius_mm * MM) if self.radius_mm is not None else self.curvature_per_m or 0)
+        measured = None if self.passport is None else self.passport.measured
+        return drawn if measured is None else math.copysign(1 / measured.radius, drawn)
 
     def _of_pieces(self, tube: Tube, entries: list[PieceEntry]) -> Tube:
         """Tube of pieces with the cross-section, material and stiffnesses of `tube`."""

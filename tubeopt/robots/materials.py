@@ -35,6 +35,12 @@ class ThermalData:
     reference_temperature: Annotated[
         float, key("reference_degC"), POSITIVE, "reference temperature of the properties"
     ] = 25.0 + ZERO_CELSIUS
+    austenite_finish: Annotated[
+        float | None,
+        key("austenite_finish_degC"),
+        POSITIVE,
+        "austenite finish temperature (Af) of nitinol, as delivered or measured; default unknown",
+    ] = None
 
     def __post_init__(self) -> None:
         check_fields(self)

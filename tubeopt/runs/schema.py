@@ -19,6 +19,7 @@ from pydantic_core import core_schema
 from ..files.checked import Entry
 from ..files.files import write_text
 from ..robots.file import ROBOT_KINDS
+from ..robots.passport import PASSPORT_KINDS
 from .design_parts import STOCK_KINDS
 from .inverse_study import JointsFile
 from .study_file import STUDY_KINDS
@@ -59,6 +60,7 @@ def schemas() -> dict[str, str]:
         "joints.schema.json": _schema({"joints": JointsFile}, "tubeopt joint values"),
         "obstacles.schema.json": _schema({"obstacles": ObstacleFile}, "tubeopt obstacles"),
         "mold.schema.json": _schema(MOLD_KINDS, "tubeopt mold"),
+        "passport.schema.json": _schema(PASSPORT_KINDS, "tubeopt passport of a tube"),
         "rig.schema.json": _schema(RIG_KINDS, "tubeopt rig"),
         "oven.schema.json": _schema(OVEN_KINDS, "tubeopt oven"),
         "robot.schema.json": _schema(ROBOT_KINDS, "tubeopt robot"),
@@ -111,6 +113,11 @@ TITLES = {
     "VentSpec": "Vents",
     "SlotSpec": "Slot",
     "WorkshopSpec": "Milling machine and G-code",
+    # passports
+    "HeatingEntry": "Heating of a passport",
+    "RadiusEntry": "Measured radius of a passport",
+    "SpringbackTrialsEntry": "Spring-back of a passport",
+    "ValidationEntry": "Validation of a passport",
     # rigs
     "BatteryEntry": "Battery",
     "Circuit": "Circuit (cables, contacts, MOSFET)",

@@ -190,7 +190,9 @@ LOGGER = logging.getLogger(__name__)
 
 NITINOL_NAMES = re.compile(r"nitinol|ni-?ti\b|ti-?ni\b|nickel.titanium", re.IGNORECASE)
 
-OTHER_NAMES = re.compile(r"steel|titan|alumin|brass|copper|cobalt|inconel|tungsten|magnesium", re.IGNORECASE)
+OTHER_NAMES = re.compile(
+    r"steel|titan|alumin|brass|copper|cobalt|mp35n|elgiloy|conichrome|inconel|tungsten|magnesium", re.IGNORECASE
+)
 
 NITINOL_DENSITY = 6200.0, 6700.0
 """Densities of nitinol, kg/m^3: 6450 (SMA Inc., Selected Properties of NiTi).
@@ -219,6 +221,21 @@ class Recipe:
     """Damage to the metal above this temperature, as text."""
 
 
+SUPERELASTIC = -20.0, 37.0
+"""Af, degC, of nitinol that is superelastic in the body: below body temperature; and not more than 57 K below it, where
+the stress at which martensite forms, 6.5 MPa/K above Af, is that of slip (Duerig, Pelton, Stoeckel, Mater. Sci. Eng. A
+273-275 (1999))."""
+
+NEEDED = {
+    "steel": "1 h at 350 to 400 degC, of austenitic steels",
+    "titan": "1 to 4 h at 480 to 650 degC in vacuum or argon, of Ti-6Al-4V",
+    "cobalt|mp35n|elgiloy|conichrome": "4 to 5 h at 480 to 540 degC, which also hardens cold-worked Co-Cr-Ni alloys",
+    "brass|copper": "1 h at 200 to 275 degC",
+    "alumin": "none; bend it solution-treated (T4), and age it afterwards",
+    "inconel": "1 h at 760 to 870 degC, of solution-strengthened nickel alloys",
+}
+"""Usual stress relief of metals, by what their names contain (ASM Handbook, vol. 4, Heat Treating)."""
+
 NITINOL_RECIPE = Recipe("nitinol", (400.0, 600.0), 700.0, "it is annealed there and springs back no more")
 """Shape setting at 400 to 550 degC (Pelton, DiCello, Miyazaki, Min. Invas. Ther. & Allied Technol. 9 (2000)), at 500 to
 550 degC by the maker of the thesis' tubes; above 700 degC nitinol is annealed, and its cold work is gone."""
@@ -244,11 +261,12 @@ def recipe_for(material: Material) -> Recipe:
     by_stiffness = thermal is None and NITINOL_STIFFNESS[0] <= stiffness <= NITINOL_STIFFNESS[1]
     # Aluminium and brass are about as stiff, but called so.
     if OTHER_NAMES.search(name) or not (by_density or by_stiffness):
+        relief = next((words for pattern, words in NEEDED.items() if re.search(pattern, name, re.IGNORECASE)), "")
         raise InputError(
             f"material {name!r} is not nitinol (Young's modulus {1e-9 * stiffness:.3g} "
             f"GPa{'' if thermal is None else f', {thermal.density:g} kg/m^3'}); heat recipes "
             "exist for nitinol only. Alternatively bend the tube beyond its yield point "
-            "over a smaller radius, and relieve its stress"
+            "over a smaller radius, and relieve its stress" + (f": {relief}" if relief else "")
         )
     return NITINOL_RECIPE
 
@@ -270,6 +288,13 @@ def check_temperatures(material: Material, name: str, low: float, high: float) -
         )
     if low < least or high > most:
         LOGGER.warning(f"{name} is {given}; {recipe.metal} is shape-set at {least:g} to {most:g} degC")
+    finish = None if material.thermal is None else material.thermal.austenite_finish
+    if finish is not None and not SUPERELASTIC[0] <= finish - ZERO_CELSIUS <= SUPERELASTIC[1]:
+        coldest, hottest = SUPERELASTIC
+        LOGGER.warning(
+            f"austenite_finish_degC of {material.name!r} is {finish - ZERO_CELSIUS:.0f}; it must be {coldest:g} to "
+            f"{hottest:g} degC for a tube that is superelastic in the body"
+        )
 
 
 def warn_of_limit(material: Material, limit: float) -> None:

@@ -15,6 +15,7 @@ from ..constants import ZERO_CELSIUS
 from ..errors import SolveError
 from ..files.units import TO_MM, per_si
 from ..robots.file import save_robot
+from ..robots.passport import begin_passport, continue_passport
 from ..robots.tubes import Tube
 from ..runs.heating_study import Fabrication, TubeParts
 from ..runs.mold_study import MoldRanking
@@ -230,7 +231,9 @@ class CalibrationReport(Report[Calibration]):
     def save(self, directory: Path) -> list[Path]:
         """Write calibration.json and springback.yaml."""
         save_springback(self.answer, directory / "springback.yaml")
-        return [self.save_record(directory), directory / "springback.yaml"]
+        fitted = {"trials": len(self.answer.mold_curvature), "lost_percent": 100 * self.answer.springback.fraction}
+        passport = continue_passport(directory, "springback", **fitted)
+        return [self.save_record(directory), directory / "springback.yaml", *passport]
 
 
 MEASURED = described(
@@ -276,7 +279,9 @@ class MeasuredTubeReport(Report[MeasuredTube]):
         if self.answer.mold_radius is not None:
             paths.append(directory / "trials.csv")
             save_trial(self.answer, self.answer.mold_radius, paths[-1])
-        return paths
+        radius, error = self.answer.radius, self.answer.standard_error
+        of = {"source": self.answer.photo.name, "radius_mm": radius, "error_mm": error}
+        return paths + continue_passport(directory, "measurements", **of)
 
 
 RATING = described(
@@ -481,7 +486,7 @@ class FabricationReport(Report[Fabrication]):
         )
 
     def save(self, directory: Path) -> list[Path]:
-        """Write robot.yaml, fabrication.json, and for tube N mold/, heating/, rig.yaml and sheet.pdf in tube_N/."""
+        """Write robot.yaml, fabrication.json, and mold/, heating/, rig.yaml, sheet.pdf and passport.yaml in tube_N/."""
         from .plots.sheets import plot_fabrication_sheet
 
         save_robot(self.answer.robot, directory / "robot.yaml")
@@ -496,6 +501,11 @@ class FabricationReport(Report[Fabrication]):
             success = success_text(part.heating.success)
             plot_fabrication_sheet(part.fabrication, folder / "sheet.pdf", title=title, success=success)
             paths.append(folder / "sheet.pdf")
+            tube, groove = part.fabrication.tube, part.fabrication.groove
+            if not tube.pieces:  # one radius is that of one arc
+                of = {"robot": self.answer.robot.name or "", "tube": part.number}
+                radii = {"drawn_radius": 1 / abs(tube.curvature), "mold_radius": groove.radius}
+                paths.append(begin_passport(folder, **of, **radii))
         return paths
 
     def pictures(self) -> dict[str, Drawing]:

@@ -15,6 +15,7 @@ from ..constants import ZERO_CELSIUS
 from ..errors import SolveError
 from ..files.files import write_text
 from ..files.units import TO_MM
+from ..robots.passport import continue_passport
 from ..runs.heating_run import HeatingRun, HeatingRunStudy
 from ..runs.heating_study import ClosedLoopHeating, Heating, Success
 from ..runs.workshop_file import rig_to_dict, save_rig
@@ -558,6 +559,16 @@ class HeatingRunReport(Report[HeatingRun]):
 
     def title(self) -> str:
         return self.answer.name
+
+    def save(self, directory: Path) -> list[Path]:
+        """Continue the passport in the folder by a heating with current."""
+        run = self.answer
+        if not any(row["state"] in ("heating", "holding") and not row["dry"] for row in run.rows):
+            return []
+        lowest, highest = run.held or (None, None)
+        readings = {"lowest_degC": lowest, "highest_degC": highest, "time_s": run.time}
+        log = "" if run.log is None else run.log.name
+        return continue_passport(directory, "heatings", ended=run.reason, **readings, log=log)
 
     def conclude(self) -> None:
         """Raise SolveError if the rig stopped early, or if readings of the hold missed the window."""

@@ -12,6 +12,7 @@ from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import SIGNS, TO_MM
 from ..robots.file import calibration_to_dict, save_robot, waypoints_csv
+from ..robots.passport import continue_passport
 from ..typing import Array
 from ..validation import (
     Comparison,
@@ -148,8 +149,11 @@ class ValidationReport(Report[Validation]):
     file = "report.json"
 
     def save(self, directory: Path) -> list[Path]:
-        """Write report.json and residuals.csv."""
-        return [self.save_record(directory), save_residuals(directory, self.answer)]
+        """Write report.json and residuals.csv, and continue the passport in the folder."""
+        v = self.answer
+        of = {"robot": v.robot.name or "", "configurations": len(v.errors), "mean_error_mm": float(v.errors.mean())}
+        passport = continue_passport(directory, "validations", **of)
+        return [self.save_record(directory), save_residuals(directory, v), *passport]
 
     def pictures(self) -> dict[str, Drawing]:
         return _pictures(self.answer, "")

@@ -1,0 +1,68 @@
+"""Passport of a tube: what commands append to it, and the radius that a robot file takes from it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tubeopt import InputError, load_robot
+from tubeopt.robots.passport import PASSPORT_FILE, begin_passport, continue_passport, load_passport
+from tubeopt.runs.heating_run import HeatingRun
+from tubeopt.shaping.mold.springback import calibrate_springback
+from tubeopt.show.fabrication_report import CalibrationReport
+from tubeopt.show.heat_report import HeatingRunReport
+
+ROBOT = """kind: concentric
+tubes:
+  - {outer_diameter_mm: 1.0, inner_diameter_mm: 0.8, straight_length_mm: 50, curved_length_mm: 60, curvature_per_m: -10,
+     passport: tube_1/passport.yaml}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Folder of a tube of 100 mm, as `fabricate` leaves it."""
+    begin_passport(tmp_path / "tube_1", robot="mine", tube=1, drawn_radius=0.1, mold_radius=0.09)
+    return tmp_path / "tube_1"
+
+
+def test_a_robot_file_takes_the_measured_radius(folder: Path) -> None:
+    path = folder.parent / "robot.yaml"
+    path.write_text(ROBOT, encoding="utf-8")
+    assert load_robot(path).tubes[0].curvature == pytest.approx(-10)
+    assert load_passport(folder / PASSPORT_FILE).measured is None
+    for radius, error in ((0.104, 1e-3), (0.101, 0.5e-3)):
+        continue_passport(folder, "measurements", source="scan.png", radius_mm=radius, error_mm=error)
+    # Weights 1 to 4: the second measurement is twice as sure.
+    assert load_robot(path).tubes[0].curvature == pytest.approx(-1 / 0.1016, rel=1e-6)
+    measured = load_passport(folder / PASSPORT_FILE).measured
+    assert measured is not None
+    assert measured.standard_error == pytest.approx(1e-3 / math.sqrt(5))
+
+
+def test_commands_continue_the_passport_in_their_folder(folder: Path) -> None:
+    row = {"state": "holding", "dry": False, "temperature_degC": 521.5, "time_s": 93.0}
+    for state, dry in (("holding", False), ("holding", True)):
+        HeatingRunReport(HeatingRun(({**row, "state": state, "dry": dry},), "done")).save(folder)
+    trials = calibrate_springback(np.array([0.06, 0.08, 0.1]), np.array([0.066, 0.088, 0.11]))
+    CalibrationReport(trials).save(folder)
+    passport = load_passport(folder / PASSPORT_FILE)
+    # A dry run is no heating.
+    assert [(h.ended, float(h.lowest_degC or 0), float(h.time_s)) for h in passport.heatings] == [("done", 521.5, 93.0)]
+    assert [s.trials for s in passport.springback] == [3]
+    assert float(passport.springback[0].lost_percent) == pytest.approx(100 / 11, abs=0.01)
+
+
+def test_without_a_passport_nothing_is_written(tmp_path: Path) -> None:
+    assert continue_passport(tmp_path, "heatings", ended="done", time_s=1.0) == []
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_invalid_passport_is_refused_and_kept(folder: Path) -> None:
+    before = (folder / PASSPORT_FILE).read_text(encoding="utf-8")
+    with pytest.raises(InputError, match="error_mm"):
+        continue_passport(folder, "measurements", radius_mm=0.1, error_mm=0.0)
+    assert (folder / PASSPORT_FILE).read_text(encoding="utf-8") == before
