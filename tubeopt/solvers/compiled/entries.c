@@ -50,6 +50,7 @@ CASADI_SYMBOL_EXPORT void follow_many(const Tubes *const *tubes, long long count
         Answer *next = spare + 1;
         double done = 0, from_alpha[N], from_shift[N], at_alpha[N], at_shift[N], length, longest, step;
         lost[k] = cold[k] && solve(tubes[k], to_alpha, to_shift, NULL, w, spare);
+        if (!cold[k] && !memcmp(alpha, to_alpha, sizeof at_alpha) && !memcmp(shift, to_shift, sizeof at_shift)) continue; /* at rest */
         if (!cold[k]) {
             length = fmax(last->arc_length[last->pieces * STEPS], tubes[k]->whole[0] / 10);
             longest = step = 1 / parts_of(alpha, shift, to_alpha, to_shift, length);
