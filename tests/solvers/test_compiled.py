@@ -544,6 +544,25 @@ def test_columns_of_a_jacobian_are_those_asked_for() -> None:
     assert joints.position == pytest.approx(every.position[:, :6], rel=1e-9)  # the kernel's, and the general one's
 
 
+@compiler
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("name", ["two_tube", "thesis_ctr", "grassmann_ctr"])
+def test_slopes_by_dimensions_are_those_of_the_general_solver(name: str, side: int) -> None:
+    robot, rng = load_robot(name), np.random.default_rng(3)
+    for retracted in (0.0, 0.015):  # at home all breakpoints meet
+        shift = robot.home_translations - retracted * rng.uniform(0, 1, robot.n_tubes)
+        at = forward_kinematics(robot, rng.uniform(-2, 2, robot.n_tubes), shift)
+        mine, other = at.jacobian(wrt=PARAMETERS, side=side), derivatives_of(at, PARAMETERS, side=side)
+        pairs = [(mine.position, other.tip_position), (mine.rotation, other.tip_rotation), (mine.energy, other.energy)]
+        pairs.append((mine.tip_rotations, other.tip_rotations))
+        if np.isfinite(other.margin).all():
+            pairs.append((mine.margin, other.margin))
+        for a, b in pairs:
+            of_parameter = (np.reshape(part, (-1, len(PARAMETERS), robot.n_tubes)) for part in (a, b))
+            for one, known in zip(*(np.moveaxis(part, 1, 0) for part in of_parameter), strict=True):
+                assert np.abs(one - known).max() < 1e-7 * np.abs(known).max() + 1e-12
+
+
 @pytest.mark.filterwarnings("ignore::tubeopt.errors.ImplausibleWarning")
 @compiler
 def test_a_margin_that_two_modes_share_has_no_slope_unless_one_of_them_is_asked_for() -> None:

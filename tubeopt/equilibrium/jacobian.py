@@ -14,7 +14,7 @@ from ..arguments import typed
 from ..block.transcription.loaded import compliance_along, evaluate, symmetric_part
 from ..block.transcription.second_variation import modes
 from ..errors import InputError, finite
-from ..robots.assembly import LENGTH_ROUND_OFF, Assembly
+from ..robots.assembly import DIMENSIONS, LENGTH_ROUND_OFF, Assembly
 from ..robots.load import Load, PointLoad
 from ..robots.order import SAME_END, twisted_tube
 from ..robots.robot import Robot, resized
@@ -32,7 +32,8 @@ from ..solvers.compiled.binding import (
     slopes_compiled,
     turn_compiled,
 )
-from ..typing import Array
+from ..typing import Array, Index
+from .directions import PARAMETERS
 from .kinematics import point_of
 from .linearised import linearise, sharing
 from .linearised_bundle import linearise_bundle
@@ -42,6 +43,9 @@ from .result import Derivatives, Equilibrium, Jacobian
 
 JOINTS = ("rotations", "translations")
 """Default parameters of a Jacobian."""
+
+RELATIVE = ("curvature", "bending_stiffness", "torsional_stiffness")
+"""Dimensions that the kernel changes by parts of themselves."""
 
 
 def derivatives_of(
@@ -117,17 +121,45 @@ def _by_kernel(
 
     None if the kernel has none, as under a load, or where it converges to another equilibrium.
     """
-    if equilibrium.load is not None or not set(wrt) <= set(JOINTS) or side not in (1, -1):
+    robot, joints = equilibrium.robot, set(wrt) <= set(JOINTS)
+    if equilibrium.load is not None or side not in (1, -1):
         return None
-    n = equilibrium.robot.n_tubes
-    result = compiled_slopes(equilibrium, (side,) * n, carriages, either=False)
+    scale = None if joints else _dimension_scale(robot, tuple(wrt))
+    if not joints and scale is None:
+        return None
+    result = compiled_slopes(equilibrium, (side,) * robot.n_tubes, carriages, either=False, dimensions=not joints)
     if result is None or result.deviation > SAME_ARM:
         return None
     tables = result.position, result.turn, result.tip_rotations, result.margin, result.energy
     if tuple(wrt) == JOINTS:
         return Jacobian(JOINTS, *tables)
-    columns = [JOINTS.index(name) * n + i for name in wrt for i in range(n)]
-    return Jacobian(tuple(wrt), *(table[..., columns] for table in tables))
+    n = robot.n_tubes
+    table = np.empty((8 + n, 7 * n))
+    table[:3, : 2 * n], table[3:6, : 2 * n], table[6:-2, : 2 * n], table[-2, : 2 * n], table[-1, : 2 * n] = tables
+    if scale is not None and result.dimensions is not None:
+        table[:, 2 * n :] = result.dimensions / scale
+    table = table[:, _columns(tuple(wrt), n)]
+    return Jacobian(tuple(wrt), table[:3], table[3:6], table[6:-2], table[-2], table[-1])
+
+
+@lru_cache(maxsize=64)
+def _columns(wrt: tuple[str, ...], n: int) -> Index:
+    """Numbers (Q,) of the columns of `wrt` among n for each of PARAMETERS."""
+    return np.array([PARAMETERS.index(name) * n + i for name in wrt for i in range(n)])
+
+
+@lru_cache(maxsize=64)
+def _dimension_scale(robot: Robot, wrt: tuple[str, ...]) -> Array | None:
+    """Factors (5 n,) of the derivatives by dimensions of the kernel, which changes some by parts of themselves.
+
+    None for other parameters, for tubes made of pieces, and for straight tubes that get a curvature or a curved part.
+    """
+    shapes = [name for name in ("curvature", "curved_length") if name in wrt]
+    straight = not all(getattr(tube, name) for name in shapes for tube in robot.tubes)
+    if straight or not robot.even or not set(wrt) <= set(PARAMETERS):
+        return None
+    scale = [getattr(tube, name) if name in RELATIVE else 1.0 for name in DIMENSIONS for tube in robot.tubes]
+    return np.where(np.equal(scale, 0), 1.0, scale)
 
 
 @typed

@@ -20,6 +20,7 @@ from ...robots.lengthwise import Lengthwise, lengthwise
 from ...robots.robot import Robot
 from ...typing import Array, Mask
 from ..time_limit import check_time
+from .constants import DEGREE
 from .library import MOST_TUBES, Kernel, library
 
 SOLVED = 0
@@ -345,6 +346,11 @@ class Slopes(NamedTuple):
     """Derivatives (m, 3, Q) of shape points at fixed arc lengths, the last at the tip; None if the meshes differ."""
     deviation: float
     """Largest difference of the rotations from the start's, rad; infinite if the meshes differ."""
+    dimensions: Array | None = None
+    """Derivatives (8 + n, 5 n) by DIMENSIONS, if requested: tip position, turn, tip rotations, margin and energy.
+
+    Curvatures and stiffnesses change by parts of themselves.
+    """
 
 
 def slopes_compiled(
@@ -356,6 +362,7 @@ def slopes_compiled(
     *,
     compliance: bool = False,
     either: bool = True,
+    dimensions: bool = False,
 ) -> Slopes | None:
     """Derivatives of the equilibrium at joint values (n,), solved from a start close to it.
 
@@ -366,6 +373,7 @@ def slopes_compiled(
             one.
         compliance: also compute the compliance of the tip.
         either: for a margin of two modes, return the derivative by either of them; False returns NaN.
+        dimensions: also compute the derivatives by dimensions of tubes that each have one curvature.
     """
     prepared = with_kernel(robot, 0)
     if prepared is None:
@@ -381,6 +389,12 @@ def slopes_compiled(
     at = _writable_address(out)
     if not kernel.functions.differentiate(_request(moved, compliance, either)[1], *memory.addresses, at, at + 8 * size):
         return None
+    columns = None
+    if dimensions:
+        columns = np.empty((5 * n, 8 + n))
+        varied = np.empty(kernel.functions.varied_size() // 8 * memory.fields["pieces"] * DEGREE)
+        places = _writable_address(varied), _writable_address(columns)
+        kernel.functions.differentiate_dimensions(*memory.addresses, moved.sides[0], *places)
     end = size - 36 - 2 * n
     table = out[:end].reshape(7 + n, 2 * n)
     return Slopes(
@@ -392,6 +406,7 @@ def slopes_compiled(
         energy=out[end + 36 : size],
         along=out[size:].reshape(points, 3, 2 * n) if deviation < np.inf else None,
         deviation=deviation,
+        dimensions=None if columns is None else columns.T,
     )
 
 

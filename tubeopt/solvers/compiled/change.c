@@ -53,15 +53,17 @@ static Section beside(const Unknowns *q, int tube, double s, double near) {
     return here;
 }
 
-/* The breakpoints of tubes in front of the plate, each place once, where these tubes move to c->side. */
-static void add_jumps(const Unknowns *q, const int *mine, Around *a, Change *c) {
+/* The breakpoints of tubes in front of the plate, each place once, where these tubes move to c->side, or only their ends. */
+static void add_jumps(const Unknowns *q, const int *mine, int ends, Around *a, Change *c) {
     const Layout *l = q->layout;
     const Pieces *t = q->tubes->pieces;
     double places[MOST_CUTS], nudge = c->side * ROUND_OFF_LENGTH;
     int count = 0;
     for (int i = 0; i < N; i++)
-        for (int k = 0; mine[i] && k < t->most_cuts && isfinite(t->cuts[i * t->most_cuts + k]); k++)
+        for (int k = 0, first = count; mine[i] && k < t->most_cuts && isfinite(t->cuts[i * t->most_cuts + k]); k++) {
+            if (ends) count = first;
             places[count++] = t->cuts[i * t->most_cuts + k] - l->transmission[i];
+        }
     qsort(places, count, sizeof(double), compare);
     c->count = 0;
     for (int k = 0; k < count; k++) {
@@ -291,14 +293,39 @@ static void change_by(const Unknowns *q, const State *state, const Answer *out, 
     column->margin = -a->released / a->form * formed;
 }
 
-/* A tube that moves forward: its transmission becomes shorter, by what lies there on the side from which it moves, and so
-   turns the base less; at a fixed shape it is a stiffer spring. */
-static void shorten(const Unknowns *q, const Around *a, int tube, Change *c) {
+/* A tube whose transmission grows by `length`, as it moves back, by what lies there on the side from which it moves: it turns
+   the base more; at a fixed shape it is a softer spring. */
+static void lengthen(const Unknowns *q, const Around *a, int tube, double length, Change *c) {
     double torque = a->arm->torque[0][tube], swayed = a->mode.torque[0][tube];
-    double rate = beside(q, tube, 0, -c->side * ROUND_OFF_LENGTH).rate;
-    c->base[tube] = -rate * torque;
-    c->energy += rate * torque * torque / 2;
-    c->formed += rate * swayed * swayed * a->released;
+    double rate = length * beside(q, tube, 0, -c->side * ROUND_OFF_LENGTH).rate;
+    c->base[tube] = rate * torque;
+    c->energy -= rate * torque * torque / 2;
+    c->formed -= rate * swayed * swayed * a->released;
+}
+
+/* Slopes at a point by theta, kb and m of all tubes: of t' and u by columns, and of the energy per length. */
+typedef struct {
+    double torque[3 * N * N], bend[3 * N * 2], energy[3 * N];
+} Varied;
+
+static void find_varied(const Around *a, int point, Varied *v) {
+    const double *in[3] = {a->direction[point], a->at[point].stiffness, a->at[point].moment};
+    double *out[8] = {0, 0, 0, 0, v->torque, 0, v->bend, v->energy};
+    linear(in, out, 0, 0, 0);
+}
+
+/* What changes `by` of theta, kb and m make of t', bends, energy and y'V''y at a point. */
+static void add_varied(const Unknowns *q, int p, int b, int solved, const double *by, const Varied *v, Around *a, Change *c) {
+    double weight = q->layout->length[p] * q->tableau->weights[b];
+    int at = p * q->tableau->degree + b;
+    for (int r = 0; r < 3 * N; r++) {
+        if (by[r] == 0) continue;
+        for (int i = 0; i < N; i++) a->change.moment[p][b * N + i] += by[r] * v->torque[r * N + i];
+        for (int j = 0; j < 2; j++) a->sway[at][j] += by[r] * v->bend[r * 2 + j];
+        c->energy += weight * by[r] * v->energy[r];
+        if (q->layout->collocated[p]) c->formed += by[r] * a->lean[solved + b][r];
+    }
+    c->sways = 1;
 }
 
 /* Tubes that move forward carry what varies along them past the points. */
@@ -308,9 +335,8 @@ static void carry_along(const Unknowns *q, const int *mine, Around *a, Change *c
     memset(a->sway, 0, l->pieces * k * sizeof a->sway[0]);
     for (int p = 0; p < l->pieces; solved += k * l->collocated[p++])
         for (int b = 0, varies = 0; b < k; b++) {
-            double by[3 * N] = {0}, turned[3 * N * N], bent[3 * N * 2], stored[3 * N];
+            double by[3 * N] = {0};
             double weight = l->length[p] * q->tableau->weights[b], x = q->tableau->nodes[b];
-            int at = p * k + b;
             for (int i = 0; i < N; i++) {
                 if (!mine[i] || l->across[p].even[i]) continue;
                 double place = l->start[p] + l->transmission[i] + x * l->length[p];
@@ -325,15 +351,8 @@ static void carry_along(const Unknowns *q, const int *mine, Around *a, Change *c
                 c->formed += weight * rate.rate * swayed * swayed * a->released;
             }
             if (!varies) break;
-            const double *in[3] = {a->direction[at], a->at[at].stiffness, a->at[at].moment};
-            double *out[8] = {0, 0, 0, 0, turned, 0, bent, stored};
-            linear(in, out, 0, 0, 0);
-            for (int r = 0; r < 3 * N; r++) {
-                for (int i = 0; i < N; i++) a->change.moment[p][b * N + i] += by[r] * turned[r * N + i];
-                for (int j = 0; j < 2; j++) a->sway[at][j] += by[r] * bent[r * 2 + j];
-                c->energy += weight * by[r] * stored[r];
-                if (l->collocated[p]) c->formed += by[r] * a->lean[solved + b][r];
-            }
-            c->sways = 1;
+            Varied v;
+            find_varied(a, p * k + b, &v);
+            add_varied(q, p, b, solved, by, &v, a, c);
         }
 }

@@ -116,7 +116,8 @@ def cache_directory() -> Path:
 
 def source(n: int, eccentric: bool) -> str:
     """C text of the kernel for n concentric or eccentric tubes."""
-    return kernel_text(n, eccentric) + (HERE / "entries.c").read_text()
+    parts = ["entries.c"] if eccentric else ["dimensions.c", "entries.c"]
+    return kernel_text(n, eccentric) + "".join((HERE / name).read_text() for name in parts)
 
 
 def kernel_text(n: int, eccentric: bool = False, capacity: Capacity = CAPACITY) -> str:
@@ -361,6 +362,8 @@ def library(n: int, eccentric: bool) -> Kernel | None:
     functions.solve_many.restype = functions.follow_many.restype = None
     if kernel.differentiable:
         functions.differentiate.argtypes = [pointer] * 5
+        functions.differentiate_dimensions.argtypes = [pointer, pointer, ctypes.c_int, pointer, pointer]
+        functions.differentiate_dimensions.restype, functions.varied_size.restype = None, ctypes.c_size_t
         functions.snap_distance.argtypes = [pointer, ctypes.c_double, ctypes.c_double, pointer]
         functions.motion_distance.argtypes = [*[pointer] * 5, *[ctypes.c_double] * 4]
         functions.snap_distance.restype = functions.motion_distance.restype = ctypes.c_double

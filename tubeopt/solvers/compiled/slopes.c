@@ -40,11 +40,11 @@ static void by_carriage(const Unknowns *q, const State *state, const Answer *out
     int mine[N], size = 0;
     for (int i = 0; i < N; i++) {
         size += mine[i] = carriage[i] == own;
-        if (mine[i]) shorten(q, a, i, &change);
+        if (mine[i]) lengthen(q, a, i, -1, &change);
     }
     clear_gains(q, a);
     carry_along(q, mine, a, &change);
-    add_jumps(q, mine, a, &change);
+    add_jumps(q, mine, 0, a, &change);
     change.pushed = pushes(q, out, mine, side);
     change_by(q, state, out, h, &change, along != NULL, a, &column);
     for (int i = 0; i < N; i++)
