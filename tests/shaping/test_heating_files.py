@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.rig_thermal import Bench
 from tubeopt import HeatingSpec, InputError, Material, Tube, load_rig, save_rig
 from tubeopt.robots.file import robot_from_dict, robot_to_dict
 from tubeopt.robots.materials import NITINOL
 from tubeopt.runs.workshop_file import load_heating_log, rig_from_dict
 from tubeopt.shaping.heating.calibration import HeatingLog, calibrate
 from tubeopt.shaping.heating.outcome import remarks
-from tubeopt.shaping.heating.plan import arduino_header, quench_time, slot_milliseconds
+from tubeopt.shaping.heating.plan import LEFT, arduino_header, left_in_mold, quench_time, slot_milliseconds
 from tubeopt.shaping.heating.rig import Battery
 from tubeopt.shaping.heating.robust import assess
 from tubeopt.shaping.heating.simulation import resimulate
@@ -170,6 +171,19 @@ def test_a_battery_is_never_left_with_less_than_nothing() -> None:
 @pytest.mark.parametrize("kelvin", [250.0, 300.0, 373.15])
 def test_a_cold_tube_needs_no_quench(kelvin: float) -> None:
     assert quench_time(TUBE, HeatingSpec(), kelvin) == 0.0
+
+
+def test_a_tube_left_in_its_mold_cools_as_on_a_model_of_its_own() -> None:
+    """An opened lid leaves the upper half in air: faster than the closed mold, slower than moving air all around."""
+    plan, found = thesis_plan(), left_in_mold(thesis_plan())
+    closed = Bench(plan.tube, plan.rig)
+    for count in plan.duty[: round(plan.hold_end / plan.spec.slot)]:
+        closed.pass_time(float(count), plan.spec.slot)
+    opened = Bench(plan.tube, replace(plan.rig, mold=replace(plan.rig.mold, vents=(0.5,))))
+    opened.state = closed.state.copy()
+    hottest = [bench.pass_time(0.0, LEFT)[-1].max() for bench in (closed, opened)]
+    assert [found.closed, found.opened] == pytest.approx(hottest, abs=8.0)
+    assert 100 < found.opened < found.closed - 30
 
 
 def test_legends_of_a_plan_hide_no_curve() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
@@ -23,9 +23,9 @@ from .counts import Counts, blocking_limits, heating_rate
 from .outcome import Outcome, hold_slots, remarks
 from .rig import COUNTS, Rig
 from .schedule import HOPELESS, Schedule
-from .simulation import stored
+from .simulation import State, advance, simulate, stored
 from .spec import HeatingSpec
-from .thermal import thermal_data
+from .thermal import stack, thermal_data, thermal_model
 
 WATER, AIR = 2000.0, 50.0
 """Heat transfer coefficients of the quench, W/(m^2 K): agitated water, averaged over film boiling; moving air, with
@@ -345,6 +345,28 @@ def quench_time(tube: Tube, spec: HeatingSpec, T_hot: float) -> float:
     rate = cooling_rate(tube, WATER if spec.quench == "water" else AIR)
     T_medium, T_cold = 20.0 + ZERO_CELSIUS, QUENCHED_DEGC + ZERO_CELSIUS
     return 0.0 if T_hot <= T_cold else max(0.0, math.log((T_hot - T_medium) / (T_cold - T_medium)) / rate)
+
+
+class LeftInMold(NamedTuple):
+    """Hottest point of a tube that is left in its mold for `LEFT` s after the hold, degC."""
+
+    closed: float
+    opened: float
+    """Lid opened at the end of the hold: the upper half of the tube is in air."""
+
+
+LEFT, OPENED = 10.0, 0.5
+"""Time in the mold after the hold, s, and fraction of the surface that an opened lid leaves in air."""
+
+
+def left_in_mold(plan: HeatingPlan) -> LeftInMold:
+    """Temperatures of a tube that is not quenched at once, in the closed mold and with a hinged lid opened."""
+    opened = replace(plan.rig, mold=replace(plan.rig.mold, vents=(OPENED,)))
+    closed = thermal_model(plan.tube, plan.rig)
+    heated = simulate(closed, plan.spec.slot, plan.duty[: round(plan.hold_end / plan.spec.slot)] / COUNTS).state(-1)
+    both = State(*(np.concatenate([part, part]) for part in (heated.cells, heated.lumped)))
+    after = advance(stack([closed, thermal_model(plan.tube, opened)]), both, 0.0, LEFT)
+    return LeftInMold(*(after.cells[..., 0].max(1) - ZERO_CELSIUS).tolist())
 
 
 class Ageing(NamedTuple):

@@ -13,7 +13,7 @@ from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
 from ...shaping.firmware.boards import root_mean_square
 from ...shaping.heating.cutout import cut_out
-from ...shaping.heating.plan import HeatingPlan
+from ...shaping.heating.plan import LEFT, HeatingPlan, left_in_mold
 from ...shaping.mold.gcode import clamp_distance, programs_of
 from ...shaping.mold.mandrel import Cylinder, Mandrel
 from ...shaping.mold.mold import Groove, Mold
@@ -291,15 +291,15 @@ def time_line(plan: HeatingPlan) -> list[str]:
     # np.interp needs increasing abscissae, and integer duties let the temperature ripple.
     rising = np.maximum.accumulate(middle[: start + 1])
     goals = [middle[0] + fraction * (middle[start] - middle[0]) for fraction in QUARTERS]
-    off = plan.spec.slot * plan.table_length
+    off, left = plan.spec.slot * plan.table_length, left_in_mold(plan)
     return [
         f"0 s: switched on, {middle[0]:.0f} °C",
         *(f"{np.interp(goal, rising, plan.time[: start + 1]):.1f} s: {goal:.0f} °C" for goal in goals),
         f"{plan.hold_start:g} s: the hold begins, {middle[start]:.0f} °C",
         f"{plan.hold_end:g} s: the hold ends; the last pulse is at {off:g} s",
-        f"lid off and the tube into {plan.spec.quench} at once; it is below 100 °C {plan.quench_time:.2f} s later. In "
-        f"the closed mold it is still at {plan.temperature[-1].max():.0f} °C {plan.time[-1] - plan.hold_end:.0f} s "
-        "after the hold: fix the lid by clips, not by bolts, and have tongs ready",
+        f"lid off and the tube into {plan.spec.quench} at once; it is below 100 °C {plan.quench_time:.2f} s later. "
+        f"{LEFT:.0f} s after the hold a tube in the closed mold is still at {left.closed:.0f} °C. Under a hinged lid, "
+        f"opened at once, it is at {left.opened:.0f} °C. Fix the lid by a hinge or clips, and have tongs ready",
     ]
 
 
