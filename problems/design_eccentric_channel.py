@@ -1,0 +1,89 @@
+"""The tightest turn of an eccentric robot with a free channel of 1.2 mm in its middle that cannot snap.
+
+Curvature, diameter and offset of three equal tubes are free. The sheath is as wide as that of the thesis, the tubes are
+as long, and have at least 0.3 of their stiffness. The certificate of 0.05 proves that no rotation snaps, by the balance
+of moments of the thesis. The energy model, which also has the axial forces, has no such proof: its margin is computed
+at random rotations.
+
+Result: a turning radius of 71.5 mm, where the robot of the thesis has 120 mm and no room between its tubes.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import scipy
+
+import tubeopt
+from tubeopt.robots.eccentric import EccentricRobot, free_channel, sheath_inner_diameter
+from tubeopt.typing import Array
+
+ROOT = Path(__file__).resolve().parents[1]
+CHANNEL, MARGIN, STIFFNESS = 1.2e-3, 0.05, 0.3
+"""Diameter of the channel, m; certificate; fraction of the bending stiffness of the thesis."""
+
+
+def robot_of(x: Array, thesis: EccentricRobot) -> EccentricRobot:
+    """Robot with the curvature (1/m), and outer diameter and offset (mm), of `x`; walls are in proportion."""
+    curvature, outer, offset = x[0], 1e-3 * x[1], 1e-3 * x[2]
+    inner = outer * thesis.tube.inner_diameter / thesis.tube.outer_diameter
+    tube = replace(thesis.tube, outer_diameter=outer, inner_diameter=inner, curvature=curvature)
+    return replace(thesis, tube=tube, offset=offset, name="eccentric robot with a channel")
+
+
+def main(out: Path, samples: int = 200) -> list[Path]:
+    """Design the robot, save its picture into `out`, and return its path."""
+    thesis = tubeopt.load_robot("thesis_etr")
+    assert isinstance(thesis, EccentricRobot)
+    sheath = 1e3 * sheath_inner_diameter(thesis.tube.outer_diameter)
+    constraints = [
+        lambda x: tubeopt.snap_free_certificate(robot_of(x, thesis)) - MARGIN,
+        lambda x: 2 * x[2] - x[1] - 1e3 * CHANNEL,
+        lambda x: sheath - 2 * x[2] - x[1],
+        lambda x: robot_of(x, thesis).tube.bending_stiffness / thesis.tube.bending_stiffness - STIFFNESS,
+    ]
+    start = np.array([thesis.tube.curvature, 1.45, 1.33])
+    optimum = scipy.optimize.minimize(
+        lambda x: -x[0] / thesis.tube.curvature,
+        start,
+        method="SLSQP",
+        bounds=[(5.0, 30.0), (0.8, 1.92), (1.0, 2.0)],
+        constraints=[{"type": "ineq", "fun": each} for each in constraints],
+    )
+    assert optimum.success, optimum.message
+    robot = robot_of(optimum.x, thesis)
+    bundle = robot.bundle()
+    print(
+        f"curvature {robot.tube.curvature:.2f} per m, tubes of {1e3 * robot.tube.outer_diameter:.3f} mm at "
+        f"{1e3 * robot.distance:.3f} mm"
+    )
+    print(f"certificate {tubeopt.snap_free_certificate(robot):.4f}, thesis {tubeopt.snap_free_certificate(thesis):.4f}")
+    room = free_channel(replace(bundle, tubes=tuple(replace(t, inner_diameter=1e-6) for t in bundle.tubes)))
+    print(f"channel between the tubes {1e3 * room.diameter:.3f} mm, sheath {1e3 * bundle.least_sheath_diameter:.3f} mm")
+    for name, each in (("this robot", robot), ("thesis", thesis)):
+        bent = each.bundle().fk(np.zeros(3))
+        print(f"{name}: turning radius {1e3 / np.linalg.norm(bent.curvature[0]):.1f} mm by the energy")
+    turns = np.random.default_rng(0).uniform(-np.pi, np.pi, (samples, 3))
+    least = min(bundle.fk(rotations).margin for rotations in turns)
+    print(f"least margin of the energy at {samples} random rotations: {least:.3f}")
+    figure, axes = plt.subplots(figsize=(4, 4))
+    for name, each in (("this robot", bundle), ("robot of the thesis", thesis.bundle())):
+        line = 1e3 * each.fk(np.zeros(3)).position
+        axes.plot(-line[:, 1], line[:, 2], label=name)
+    axes.set(xlabel="y (mm)", ylabel="z (mm)", aspect="equal")
+    axes.legend(frameon=False)
+    path = out / "design_eccentric_channel.png"
+    figure.savefig(path, bbox_inches="tight")
+    plt.close(figure)
+    return [path]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="directory for the picture")
+    for path in main(parser.parse_args().out):
+        print(f"saved {path}")
