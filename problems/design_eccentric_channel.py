@@ -1,11 +1,11 @@
-"""The tightest turn of an eccentric robot with a free channel of 1.2 mm in its middle that cannot snap.
+"""The tightest certified turn of an eccentric robot with a free channel of 1.2 mm in its middle.
 
 Curvature, diameter and offset of three equal tubes are free. The sheath is as wide as that of the thesis, the tubes are
 as long, and have at least 0.3 of their stiffness. The certificate of 0.05 proves that no rotation snaps, by the balance
-of moments of the thesis. The energy model, which also has the axial forces, has no such proof: its margin is computed
-at random rotations.
+of moments of the thesis. It is no proof for the energy model, in which ends of tubes pass each other.
 
-Result: a turning radius of 71.5 mm, where the robot of the thesis has 120 mm and no room between its tubes.
+Result: a turning radius of 71.5 mm, where the robot of the thesis has 120 mm and no room between its tubes. But in the
+energy model it has two stable equilibria at some rotations: it may snap where the ends of two tubes meet.
 """
 
 from __future__ import annotations
@@ -70,6 +70,15 @@ def main(out: Path, samples: int = 200) -> list[Path]:
     turns = np.random.default_rng(0).uniform(-np.pi, np.pi, (samples, 3))
     least = min(bundle.fk(rotations).margin for rotations in turns)
     print(f"least margin of the energy at {samples} random rotations: {least:.3f}")
+    # Along this path the ends of the first and the third tube are about to meet.
+    first, last = np.radians([-125.85, 48.13, 19.81]), np.radians([-131.45, 56.04, 39.55])
+    pose = bundle.fk(first)
+    for x in np.linspace(0, 1, 9)[1:]:
+        pose = bundle.fk(first + x * (last - first), start=pose)
+    other = bundle.fk(last)
+    apart = 1e3 * np.linalg.norm(pose.tip_position - other.tip_position)
+    print(f"two stable equilibria of the energy at {np.round(np.degrees(last), 2)} deg: tips {apart:.2f} mm apart")
+    print(f"margins {pose.margin:.4f} and {other.margin:.4f}, energies {pose.energy:.6f} and {other.energy:.6f} J")
     figure, axes = plt.subplots(figsize=(4, 4))
     for name, each in (("this robot", bundle), ("robot of the thesis", thesis.bundle())):
         line = 1e3 * each.fk(np.zeros(3)).position

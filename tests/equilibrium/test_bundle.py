@@ -576,3 +576,29 @@ def test_plans_are_paths_that_can_be_followed() -> None:
     assert proof.status is ProofStatus.FAULTY
     assert proof.snap is not None
     assert 180 + 50 * proof.snap == pytest.approx(210.1645, abs=0.06)
+
+
+def test_a_certificate_of_the_balance_is_none_of_the_energy() -> None:
+    """A robot that cannot snap by the balance of the thesis has two minima of the energy, by the order of its ends."""
+    thesis = load_robot("thesis_etr")
+    assert isinstance(thesis, EccentricRobot)
+    slender = replace(thesis.tube, outer_diameter=1.421e-3, inner_diameter=1.162e-3, curvature=13.98)
+    robot = replace(thesis, tube=slender, offset=1.31e-3)
+    assert snap_free_certificate(robot) > 0.05
+    bundle = robot.bundle()
+    first, last = np.radians([-125.85, 48.13, 19.81]), np.radians([-131.45, 56.04, 39.55])
+    pose = bundle.fk(first)
+    for x in np.linspace(0.0, 1.0, 9)[1:]:
+        pose = bundle.fk(first + x * (last - first), start=pose)
+    other = bundle.fk(last)
+    assert np.linalg.norm(pose.tip_position - other.tip_position) > 4e-3
+    assert pose.tube_end.argsort().tolist() != other.tube_end.argsort().tolist()
+    for each in (pose, other):
+        assert each.margin > 0.06
+        member, x = unsolved(each)
+        assert member.residual(member.at(x)) < 1e-10
+        # Both stay on a mesh of four times as many elements, with all eigenvalues of the second variation positive.
+        finer = member.on(refinement=2)
+        result = finer.solve(finer.transfer(point_of(each)))
+        assert result.converged
+        assert finer.owner(result.state).margin(result.state) == pytest.approx(each.margin, abs=1e-8)
