@@ -51,7 +51,9 @@ def motion(robot: Robot, start: Any, goal: Any, knots: int, bodies: list[Any]) -
 def run(robot: Robot, seed: int, knots: int) -> Task | None:
     """Task of a seed; None if start, goal or sphere make no task."""
     rng = np.random.default_rng(seed)
-    reach = max(tube.straight_length for tube in robot.tubes)
+    # No tube is withdrawn past the plate.
+    lengths = [tube.straight_length + tube.curved_length for tube in robot.tubes]
+    reach = min(max(tube.straight_length for tube in robot.tubes), *lengths)
     ends = []
     for _ in range(2):
         # Tubes that are withdrawn together are in order.

@@ -402,6 +402,8 @@ class NamedProgram:
         self.variables: dict[str, _Variable] = {}
         self._constraints: dict[str, _Constraint] = {}
         self._parameters: dict[str, tuple[Any, Array]] = {}
+        # Names of variables and parameters by the hash of their symbol.
+        self._names: dict[int, str] = {}
         self._objective: Any = ca.MX(0.0)
         self._solvers: dict[tuple[Ipopt, WarmStart | None], tuple[ca.Function, Watch | None]] = {}
         self._functions: dict[int, tuple[Any, ca.Function]] = {}
@@ -433,6 +435,7 @@ class NamedProgram:
         table = {key: _table(f"{key} of {name!r}", value, size) for key, value in numbers.items()}
         _ordered(name, table)
         self.variables[name] = _Variable(ca.MX.sym(name, size), **table)
+        self._names[self.variables[name].symbol.__hash__()] = name
         self._changed()
         return self.variables[name].symbol
 
@@ -445,6 +448,7 @@ class NamedProgram:
         self._free(name)
         numbers = np.asarray(value, dtype=float).ravel()
         self._parameters[name] = ca.MX.sym(name, len(numbers)), _table(f"value of {name!r}", numbers, len(numbers))
+        self._names[self._parameters[name][0].__hash__()] = name
         self._changed()
         return self._parameters[name][0]
 
@@ -497,18 +501,18 @@ class NamedProgram:
 
     def set_value(self, parameter: Any, value: ArrayLike) -> None:
         """Set the value of a parameter, by its symbol or name."""
-        name = self._name_of(parameter, {key: symbol for key, (symbol, _) in self._parameters.items()}, "parameter")
+        name = self._name_of(parameter, self._parameters, "parameter")
         symbol, old = self._parameters[name]
         self._parameters[name] = symbol, _table(f"value of {name!r}", value, len(old))
 
     def set_guess(self, variable: Any, value: ArrayLike) -> None:
         """Set the start value of a variable, by its symbol or name."""
-        name = self._name_of(variable, {key: each.symbol for key, each in self.variables.items()}, "variable")
+        name = self._name_of(variable, self.variables, "variable")
         self.variables[name].guess = _table(f"guess of {name!r}", value, len(self.variables[name].guess))
 
     def set_bounds(self, variable: Any, lower: ArrayLike, upper: ArrayLike) -> None:
         """Set the bounds of a variable, by its symbol or name."""
-        name = self._name_of(variable, {key: each.symbol for key, each in self.variables.items()}, "variable")
+        name = self._name_of(variable, self.variables, "variable")
         each, bounds = self.variables[name], {"lower": lower, "upper": upper}
         table = {key: _table(f"{key} of {name!r}", value, len(each.guess)) for key, value in bounds.items()}
         _ordered(name, {**table, "scale": each.scale})
@@ -702,9 +706,8 @@ class NamedProgram:
             if what in table:
                 return what
             raise InputError(f"there is no {kind} {what!r}{nearest(what, table)}")
-        for name, symbol in table.items():
-            if isinstance(what, ca.MX) and symbol.__hash__() == what.__hash__():
-                return name
+        if isinstance(what, ca.MX) and (name := self._names.get(what.__hash__())) in table:
+            return str(name)
         raise InputError(f"{what} is no {kind} of {self.name}; it must be one of its symbols or their name")
 
     def _known(self, numbers: dict[str, Array], table: dict[str, Any]) -> Array:

@@ -141,6 +141,12 @@ MUMPS: dict[str, Any] = {
 
 # The program is nearly linear: each barrier problem needs little accuracy.
 COLD: dict[str, Any] = {"ipopt.barrier_tol_factor": 100.0}
+# A solution from a start that violates custom requirements is corrected in any case: it needs less accuracy. For
+# objective "margin" a smaller barrier takes half as many steps from there, for "energy" up to twice as many.
+ROUGH: dict[str, Any] = {**COLD, "ipopt.tol": 3e-3, "ipopt.compl_inf_tol": 3e-3}
+ROUGH_BARRIER = {True: 1e-3, False: 1e-2}
+"""First barrier parameter of `Program.rough`, with and without a soft limit."""
+
 WARM: dict[str, Any] = {
     "ipopt.mu_init": 1e-5,
     "ipopt.warm_start_init_point": "yes",
@@ -210,6 +216,8 @@ class Program:
     structure: Structure
     exact: Any
     """Solver with the exact Hessian."""
+    rough: Any
+    """Solver of less accuracy, for starts that violate custom requirements; None without any."""
     restart: Any
     """Solver that starts at an earlier solution and takes few steps."""
     convex: Any
@@ -342,11 +350,13 @@ def program(s: Structure, custom: CustomTerms = NO_TERMS) -> Program:
     )
     exact = {**IPOPT.options(), **MUMPS, **derivatives}
     convex = {**exact, "hess_lag": _convex_hessian(problem, smooth)}
+    rough = {**exact, **ROUGH, "ipopt.mu_init": ROUGH_BARRIER[s.soft_limit]}
     return Program(
         structure=s,
         convex=ca.nlpsol("heating", "ipopt", problem, {**convex, **COLD}),
         restart=ca.nlpsol("heating_again", "ipopt", problem, {**exact, **WARM, "ipopt.max_iter": RESTART_ITERATIONS}),
         exact=ca.nlpsol("heating_exact", "ipopt", problem, {**exact, **COLD}),
+        rough=ca.nlpsol("heating_rough", "ipopt", problem, rough) if custom.requirements else None,
         split=ca.Function("split", [column], [x.z, x.circuit, x.I_sq, x.durations[0], x.misses[0], x.design]),
         custom=ca.Function("custom", [x.column, problem["p"]], [values]),
         sizes={name: int(block.numel()) for name, block in blocks.items()},

@@ -236,7 +236,8 @@ def solve_ideal(  # noqa: PLR0913
     }  # fmt: skip
 
     # The first solver that converges: from the earlier solution, anew, and with the convex Hessian.
-    attempts: list[tuple[Any, dict[str, Array]]] = [(nlp.exact, {}), (nlp.convex, {})]
+    cold = nlp.rough if slacks.any() else nlp.exact
+    attempts: list[tuple[Any, dict[str, Array]]] = [(cold, {}), (nlp.convex, {})]
     # The multipliers of a program with other constraints are of no use.
     known = guess is not None and guess.multipliers.constraints.size == lbg.size
     if guess is not None and known and not spec.free and slacks.max(initial=0.0) < RESTART_SLACK:
