@@ -6,7 +6,8 @@ Each robot starts at random joint values, and its servo is led to a random targe
 that is out of reach. It moves until it has rested for two seconds. Printed: how long it takes from 1 mm off its last
 place until rest, reversals in the last two seconds, largest accelerations over their limits, least margin, and how much
 closer inverse kinematics comes: `ik --closest`, which searches from many starts, and the descent of `ik --closest` from
-the place of rest. A servo approaches its target at every step, so it can rest at a local minimum only. Kinds: the servo
+the place of rest. A servo approaches its target at every step, so it can rest at a local minimum only; `--certify`
+checks that, by multipliers and second derivatives. Kinds: the servo
 in Python, in C, and the robot of the server, commanded by servo_cp in time of its own. With `--reach` the targets are
 tips of random joint values, and what counts is whether they are reached.
 """
@@ -14,8 +15,10 @@ tips of random joint values, and what counts is whether they are reached.
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 import time
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -23,6 +26,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import scipy
 
 import tubeopt
 from benchmarks.timing import dump, show, table
@@ -31,6 +35,7 @@ from tubeopt.control.c_library import CLibrary, c_library
 from tubeopt.control.command import Command, ServoOptions
 from tubeopt.control.crtk import CrtkRobot
 from tubeopt.control.servo import Servo
+from tubeopt.equilibrium.jacobian import compiled_slopes
 from tubeopt.inverse.closest import approach
 from tubeopt.inverse.goal import pose_question
 from tubeopt.inverse.joints import joint_space
@@ -51,6 +56,11 @@ RESTS, MOVES = 1e-3, 1e-9
 
 REVERSALS, CLOSER = 5, 1e-4
 """Reversals that are too many, and distance (m) by which inverse kinematics must not come closer."""
+
+ACTIVE, NEAR_FLOOR, STEP, FLAT, SOME = 1e-6, 0.012, 4e-5, 1e-3, 1e-4
+"""Distance of an active limit in units of the joints, and of the margin from its floor with the servo's room; step
+inside; shares of the largest second derivative below which one counts as 0, and of the slope below which a multiplier
+does."""
 
 EVERY = 5
 """Steps after which the way of a motion is followed."""
@@ -168,6 +178,106 @@ def lowest(robot: Robot, rest: tubeopt.Equilibrium, target: Array, floor: float)
     return np.inf if end is None else float(np.linalg.norm(end.posture.equilibrium.tip_position - target))
 
 
+def local(robot: Robot, rest: tubeopt.Equilibrium, target: Array, floor: float) -> tuple[str, float]:
+    """Whether a rest is a local minimum of the distance, and how much closer (m) its model has a minimum.
+
+    Active limits are ranges, order, and the floor of the margin. Where breakpoints meet, the distance has a kink, and
+    the joint values around are looked into side by side. On each side: multipliers by non-negative least squares (KKT), and
+    the Hessian of the Lagrangian on the directions that the limits leave, by differences at points inside. "minimum"
+    where it is positive definite, "flat" where it is singular, as for a tube without a curve in front of the plate;
+    "saddle" where it has a negative eigenvalue, "unknown" where no side has points inside.
+    """
+    space = joint_space(robot)
+    q, n = space.join(rest.rotations, rest.translations), robot.n_tubes
+    limits = [
+        side * unit
+        for side, end in ((1, space.lower), (-1, space.upper))
+        for k, unit in enumerate(np.eye(len(q)))
+        if abs(q[k] - end[k]) < ACTIVE * space.scale[k]
+    ]
+    limits += [
+        row * space.scale
+        for row, least in zip(space.rows, space.row_lower, strict=True)
+        if row @ q - least < ACTIVE * space.longest
+    ]
+    kinks = [row for row in meetings(robot, rest) @ space.spread[n:] * space.scale if np.abs(row).max() > 0]
+    # A kink of which the limits leave one side only is none.
+    sides = np.array(limits).reshape(-1, len(q)).T
+    kinks = [
+        row for row in kinks if not limits or min(scipy.optimize.nnls(sides, sign * row)[1] for sign in (1, -1)) > 1e-9
+    ]
+    answers = []
+    for signs in itertools.product((1, -1), repeat=len(kinks)):
+        rows = np.array([*limits, *(sign * row for sign, row in zip(signs, kinks, strict=True))]).reshape(-1, len(q))
+        rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+        # The least motion away from all of them: w = a - b with a, b >= 0.
+        found = scipy.optimize.linprog(np.ones(2 * len(q)), np.hstack([-rows, rows]), -np.ones(len(rows)))
+        if found.status == 0:
+            inside = found.x[: len(q)] - found.x[len(q) :]
+            answers.append(on_side(rest, target, floor, (space, q, rows, inside)))
+    kinds = [kind for kind, _ in answers]
+    worst = next((kind for kind in ("saddle", "flat") if kind in kinds), "minimum") if kinds else "unknown"
+    return worst, max((gain for _, gain in answers), default=np.nan)
+
+
+def meetings(robot: Robot, rest: tubeopt.Equilibrium) -> Array:
+    """(M, n) slopes, by the translations, of the distances of breakpoints that meet each other or the plate."""
+    n, found = robot.n_tubes, [np.zeros(robot.n_tubes)]
+    ends = [(k, rest.translations[k] + at) for k, tube in enumerate(robot.tubes) for at in (0.0, tube.curved_length)]
+    close = ACTIVE * max(tube.length for tube in robot.tubes)
+    for a, (i, s) in enumerate(ends):
+        found += [np.eye(n)[i]] * int(abs(s) < close)
+        found += [np.eye(n)[i] - np.eye(n)[j] for j, r in ends[:a] if i != j and abs(r - s) < close and s > -close]
+    return np.unique(found, axis=0)
+
+
+def on_side(rest: tubeopt.Equilibrium, target: Array, floor: float, side: tuple[Any, ...]) -> tuple[str, float]:
+    """Kind of a rest, and gain (m), as of `local`, on one side of kinks."""
+    space, q, rows, inside = side
+    robot, distance = space.robot, float(np.linalg.norm(rest.tip_position - target))
+
+    def slopes(by: Array) -> tuple[Array, Array]:
+        """Slopes of half the squared distance and of the margin by the scaled joints, at a point inside."""
+        at = tubeopt.forward_kinematics(robot, *space.split(q + (STEP * inside + by) * space.scale), start=rest)
+        slope = compiled_slopes(at, (1,) * robot.n_tubes, space.carriages, either=False)
+        pull = (at.tip_position - target) @ slope.position
+        return tuple(part @ space.spread * space.scale for part in (pull, slope.margin))
+
+    pull, margin = slopes(np.zeros(len(q)))
+    at_floor = rest.margin < floor + NEAR_FLOOR
+    size = float(np.linalg.norm(margin))
+    rows = np.vstack([rows, margin / size]) if at_floor else rows
+    force = scipy.optimize.nnls(rows.T, pull)[0] if len(rows) else np.zeros(0)
+    strong = rows[force > SOME * np.linalg.norm(pull)]
+    free = scipy.linalg.null_space(strong) if len(strong) else np.eye(len(q))
+    # Rows without a multiplier that no direction of the critical cone leaves: normals may depend on one another.
+    for _ in range(len(rows) if free.shape[1] else 0):
+        cone = rows @ free
+        held = [
+            k
+            for k, row in enumerate(cone)
+            if np.abs(row).max() > 1e-9
+            and -scipy.optimize.linprog(-row, -cone, np.full(len(cone), 1e-12), bounds=(-1, 1)).fun < 1e-6
+        ]
+        if not held:
+            break
+        free = free @ scipy.linalg.null_space(cone[held])
+        if not free.shape[1]:
+            break
+    if not free.shape[1]:
+        return "minimum", 0.0
+    left = free.T @ (pull - rows.T @ force)
+    weight, step = (force[-1] / size if at_floor else 0.0), STEP / 4
+    ends = [[slopes(step * way * one) for one in (-1, 1)] for way in free.T]
+    columns = [(b[0] - a[0] - weight * (b[1] - a[1])) / (2 * step) for a, b in ends]
+    hessian = free.T @ np.array(columns).T
+    values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
+    largest = max(np.abs(values).max(), 1e-3 * space.longest**2)
+    along, steep = vectors.T @ left, values > FLAT * largest
+    gain = float((along[steep] ** 2 / values[steep]).sum()) / 2 / distance
+    return "saddle" if (values < -FLAT * largest).any() else "minimum" if steep.all() else "flat", gain
+
+
 def measure(name: str, asked: argparse.Namespace, number: int) -> list[dict[str, Any]]:
     """Motions of one robot: as many that end out of reach, or with `--reach` as many targets within."""
     robot = tubeopt.load_robot(name)
@@ -189,6 +299,11 @@ def measure(name: str, asked: argparse.Namespace, number: int) -> list[dict[str,
         k += 1
         if not asked.reach and result.distance < NEAR:
             continue
+        if len(out) < asked.certify:
+            rest = tubeopt.follow(robot, *np.split(result.path, 2, axis=1), start=start).equilibria[-1]
+            row["kind"], row["gain"] = local(robot, rest, target, asked.floor)
+            if np.linalg.norm(rest.tip_position - result.tip) > ARRIVED:
+                row["kind"] = "another branch"
         if len(out) < asked.compare:
             row["closest"] = closest(robot, start, target, asked.floor)
             if row["closest"] < result.distance - CLOSER:
@@ -225,6 +340,8 @@ def summary(name: str, rows: Sequence[dict[str, Any]]) -> list[str]:
         sum(row["distance"] - row.get("closest from rest", np.inf) > CLOSER for row in known),
         f"{np.median([row['milliseconds'] for row in rows]):.3f}",
         sum(row.get("snaps", 0) for row in rows),
+        ", ".join(f"{count} {kind}" for kind, count in Counter(row["kind"] for row in rows if "kind" in row).items()),
+        f"{1e9 * max((row['gain'] for row in rows if 'gain' in row), default=np.nan):.0f}",
     )
     return [str(cell) for cell in cells]
 
@@ -235,6 +352,7 @@ def main() -> None:
     parser.add_argument("--number", type=int, default=1000, help="of targets, over all robots")
     parser.add_argument("--kind", choices=("python", "c", "server"), default="c")
     parser.add_argument("--compare", type=int, default=0, help="motions of each robot compared with ik --closest")
+    parser.add_argument("--certify", type=int, default=0, help="motions of each robot whose rest is looked into")
     parser.add_argument("--dt", type=float, default=2e-3, help="cycle, s")
     parser.add_argument("--floor", type=float, default=0.1, help="of the margin")
     parser.add_argument("--snap-deg", type=float, default=0.0, help="least snap distance in place of the floor")
@@ -252,7 +370,7 @@ def main() -> None:
         dump({"motions": rows})
         return
     first = "", "motions", "s to rest", "most", "reverse", "a / limit", "least margin"
-    columns = *first, "no reason", "met", "as close", "closer from rest", "ms / step", "snaps"
+    columns = *first, "no reason", "met", "as close", "closer from rest", "ms / step", "snaps", "kinds", "gain, nm"
     lines = [summary(name, [row for row in rows if row["robot"] == name]) for name in asked.robots]
     show([table("motions to random targets", columns, [*lines, summary("all", rows)])], [])
 
