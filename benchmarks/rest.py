@@ -182,10 +182,10 @@ def local(robot: Robot, rest: tubeopt.Equilibrium, target: Array, floor: float) 
     """Whether a rest is a local minimum of the distance, and how much closer (m) its model has a minimum.
 
     Active limits are ranges, order, and the floor of the margin. Where breakpoints meet, the distance has a kink, and
-    the joint values around are looked into side by side. On each side: multipliers by non-negative least squares (KKT), and
-    the Hessian of the Lagrangian on the directions that the limits leave, by differences at points inside. "minimum"
-    where it is positive definite, "flat" where it is singular, as for a tube without a curve in front of the plate;
-    "saddle" where it has a negative eigenvalue, "unknown" where no side has points inside.
+    the joint values around are looked into side by side. On each side: multipliers by non-negative least squares (KKT),
+    and the Hessian of the Lagrangian on the directions that the limits leave, by differences at points inside.
+    "minimum" where it is positive definite, "flat" where it is singular, as for a tube without a curve in front of the
+    plate; "saddle" where it has a negative eigenvalue, "unknown" where no side has points inside.
     """
     space = joint_space(robot)
     q, n = space.join(rest.rotations, rest.translations), robot.n_tubes
@@ -240,6 +240,7 @@ def on_side(rest: tubeopt.Equilibrium, target: Array, floor: float, side: tuple[
         """Slopes of half the squared distance and of the margin by the scaled joints, at a point inside."""
         at = tubeopt.forward_kinematics(robot, *space.split(q + (STEP * inside + by) * space.scale), start=rest)
         slope = compiled_slopes(at, (1,) * robot.n_tubes, space.carriages, either=False)
+        assert slope is not None, "there is no compiled kernel"
         pull = (at.tip_position - target) @ slope.position
         return tuple(part @ space.spread * space.scale for part in (pull, slope.margin))
 
