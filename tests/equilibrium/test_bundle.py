@@ -602,3 +602,15 @@ def test_a_certificate_of_the_balance_is_none_of_the_energy() -> None:
         result = finer.solve(finer.transfer(point_of(each)))
         assert result.converged
         assert finer.owner(result.state).margin(result.state) == pytest.approx(each.margin, abs=1e-8)
+    # On the way the branch ends at a stable point, where the ends of two tubes meet.
+    snap = find_snap(bundle, (first, None), (first + 2 * (last - first), None))
+    assert snap is not None
+    assert snap.before.margin > 0.1
+    assert snap.after.margin > 0.05
+    assert snap.energy_released == pytest.approx(snap.before.energy - snap.after.energy, rel=1e-6)
+    assert snap.energy_released > 1e-4
+    ends = np.sort(snap.before.tube_end)
+    assert np.diff(ends).min() < 1e-5
+    beyond = bundle.fk(first + 1.2 * (last - first))
+    landed = follow(bundle, [snap.after.rotations, beyond.rotations], start=snap.after)
+    assert landed.equilibria[-1].tip_position == pytest.approx(beyond.tip_position, abs=1e-9)

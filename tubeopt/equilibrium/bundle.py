@@ -332,13 +332,14 @@ class Bundled(Member[BundleState]):
         except VanishingError as end:
             return NewtonResult(end.state, False, 0, np.inf)
 
-    def released(self, state: BundleState) -> BundleState | None:
+    def released(self, state: BundleState, freed: set[frozenset[object]]) -> BundleState | None:
         """State from which a descent continues after a section of length 0 is freed; None if none would grow."""
-        apart = self.separated(state, set())
+        apart = self.separated(state, freed)
         if apart is None:
             return None
         member = replace(self, problem=apart[0])
-        return member.at(opened(member.problem, apart[1], VANISHING))
+        start = member.at(opened(member.problem, apart[1], VANISHING))
+        return start if np.isfinite(start.energy) else None
 
     # --- Answers ------------------------------------------------------------------------------------------------------
 

@@ -239,10 +239,10 @@ def slide(member: Member[Any], x: Array) -> NewtonResult[Any]:
     def moved(state: Any, change: Array) -> Any:
         result = member.moved(state, change)
         # A section of a bundle that closes changes the unknowns, and the energy by more than round-off.
-        same = len(result.x) == len(state.x)
+        same = len(result.x) == len(state.x) or not np.isfinite(result.potential)
         return None if same and member.descends and result.potential > state.potential + round_off else result
 
-    result = flow(start, step, moved, lambda state: member.owner(state).at_rest(state))
-    while result.converged and (start := member.owner(result.state).released(result.state)) is not None:
+    result, freed = flow(start, step, moved, lambda state: member.owner(state).at_rest(state)), set[frozenset[object]]()
+    while result.converged and (start := member.owner(result.state).released(result.state, freed)) is not None:
         result = flow(start, step, moved, lambda state: member.owner(state).at_rest(state))
     return result
