@@ -201,9 +201,9 @@ def led(fleet: Fleet, law: HeatingLaw, feeler: Feeler, tables: Sequence[tuple[fl
 
     def end(which: np.ndarray, why: str) -> None:
         fresh = which & (reason == "")
-        reason[fresh], ended[fresh] = why, feeler.time
+        reason[fresh], ended[fresh] = why, clock
 
-    feeler.time = 0.0
+    clock = 0.0
     while (reason == "").any():
         reading = feeler.read()
         end(reading > law.ceiling, "over-temperature")
@@ -235,7 +235,7 @@ def led(fleet: Fleet, law: HeatingLaw, feeler: Feeler, tables: Sequence[tuple[fl
             low[inside], high[inside] = np.minimum(low, cold)[inside], np.maximum(high, hot)[inside]
             fleet.pass_time(np.where(running, counts, 0), law.slot / TICKS)
             feeler.follow(law.slot / TICKS)
-            feeler.time += law.slot / TICKS
+            clock += law.slot / TICKS
             top = np.maximum(top, fleet.tube.max(1))
     return Led(low, high, top, reason, ended)
 

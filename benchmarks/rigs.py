@@ -20,6 +20,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tubeopt import HeatingPlan, HeatingSpec, Rig, Thermocouple, Tube, design_feedback, load_rig, plan_heating
 from tubeopt.shaping.firmware.boards import Wiring, pwm_frequency
@@ -156,9 +157,9 @@ class Kept:
 def measure(objective: str, sensor: Sensor, rigs: int, seed: int, file: str) -> Kept:
     """Plan, design and use on drawn rigs."""
     rig = load_rig(ROOT / "configs" / "rigs" / f"{file}.yaml")
-    assert rig.tube is not None
     rig = equipped(rig, sensor)
     rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=pwm_frequency(Wiring(), rig)))
+    assert rig.tube is not None
     plan = plan_heating(rig.tube, rig, HeatingSpec(objective=objective))
     feedback = design_feedback(plan, sensor, samples=rigs, seed=seed)
     members = list(drawn(rig.tube, rig, rigs, seed))
@@ -181,10 +182,11 @@ def measure(objective: str, sensor: Sensor, rigs: int, seed: int, file: str) -> 
     )
 
 
-def in_window(plan: HeatingPlan, found: Led) -> Array:
+def in_window(plan: HeatingPlan, found: Led) -> NDArray[np.bool_]:
     """(B,) whether the curved part was in the window for the whole hold, and all of the tube below the limit."""
     low, high = plan.spec.window_degC
-    return found.done & (found.low >= low) & (found.high <= high) & (found.top <= plan.spec.limit)
+    inside = (found.low >= low) & (found.high <= high) & (found.top <= plan.spec.limit)
+    return np.asarray(found.done & inside)
 
 
 @dataclass(frozen=True)
@@ -204,8 +206,8 @@ def shorted(file: str, count: int, seed: int) -> list[Shorted]:
     From the short on the whole current flows until monostable (1.5 periods and a fifth) and cut-out have opened.
     """
     rig = load_rig(ROOT / "configs" / "rigs" / f"{file}.yaml")
-    assert rig.tube is not None
     rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=pwm_frequency(Wiring(), rig)))
+    assert rig.tube is not None
     plan = plan_heating(rig.tube, rig, HeatingSpec(), cures=False)
     delay = 1.8 / rig.circuit.pwm_frequency + rig.circuit.cutout_opening
     stated = {short.state: short for short in cut_out(plan).shorts}
@@ -219,7 +221,7 @@ def shorted(file: str, count: int, seed: int) -> list[Shorted]:
         steps = math.ceil(delay / 1e-3)
         for _ in range(steps):
             fleet.pass_time(np.full(len(fleet.ambient), 255.0), delay / steps)
-        return fleet.tube.max(1)
+        return np.asarray(fleet.tube.max(1))
 
     for k in range(max(due) + 1):
         if k in due:
@@ -255,7 +257,7 @@ def main() -> None:
     ]
     shorts = [short for file in options.shorts for short in shorted(file, options.rigs, options.seed)]
     if options.json:
-        print(json.dumps([asdict(one) for one in (*results, *shorts)]))
+        print(json.dumps([*map(asdict, results), *map(asdict, shorts)]))
         return
     columns = ("objective", "sensor", "stated, %", "alone, %", "here, %", "95 %", "hottest, degC", "missed", "silent")
     rows = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
 import subprocess
@@ -96,7 +97,8 @@ def run(
 
         def answer() -> tuple[int, ...]:
             while not (line := process.stdout.readline()).startswith("="):  # type: ignore[union-attr]
-                found.lines.append(json.loads(line))
+                with contextlib.suppress(ValueError):  # a reset breaks a line off
+                    found.lines.append(json.loads(line))
             return tuple(int(word) for word in line[1:].split())
 
         (count, *_), command, frozen = answer(), start, None

@@ -503,9 +503,10 @@ class FabricationReport(Report[Fabrication]):
             paths.append(folder / "sheet.pdf")
             tube, groove = part.fabrication.tube, part.fabrication.groove
             if not tube.pieces:  # one radius is that of one arc
-                of = {"robot": self.answer.robot.name or "", "tube": part.number}
-                radii = {"drawn_radius": 1 / abs(tube.curvature), "mold_radius": groove.radius}
-                paths.append(begin_passport(folder, **of, **radii))
+                name, drawn = self.answer.robot.name or "", 1 / abs(tube.curvature)
+                paths.append(
+                    begin_passport(folder, robot=name, tube=part.number, drawn_radius=drawn, mold_radius=groove.radius)
+                )
         return paths
 
     def pictures(self) -> dict[str, Drawing]:
