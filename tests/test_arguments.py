@@ -21,7 +21,7 @@ from tubeopt import InputError, SolveError
 from tubeopt.arguments import typed
 from tubeopt.control.command import Command
 from tubeopt.control.servo import Servo
-from tubeopt.inverse.mirror import mirror_inverse
+from tubeopt.inverse.mirror import mirror_inverse, mirror_pose, mirror_to_tip
 from tubeopt.solvers.time_limit import OutOfTimeError, within
 
 HOLDING_ITSELF: list[Any] = []
@@ -106,6 +106,8 @@ def test_every_public_function_is_among_them() -> None:
         (lambda: tubeopt.ConcentricRobot(ONE), "tubes is .*; it must be a list of tubes"),
         (lambda: tubeopt.friction_band(PAIR, home()), "equilibrium is .*; it must be an Equilibrium"),
         (lambda: mirror_inverse(PAIR, 0.1, 3.0), "robot is .*; it must be an EccentricRobot"),
+        (lambda: mirror_to_tip(PAIR, (0.0, 0.0, 0.1)), "robot is .*; it must be an EccentricRobot"),
+        (lambda: mirror_pose(PAIR, (0.0, 0.0, 0.1)), "robot is .*; it must be an EccentricRobot"),
         (lambda: tubeopt.find_snap(PAIR, 3, ([0, 0], None)), "start is .*; it must be a pair"),
         (lambda: tubeopt.find_equilibria("robot.yaml", [0, 0]), "robot is 'robot.yaml'; it must be a robot"),
         (

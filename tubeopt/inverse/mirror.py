@@ -75,6 +75,7 @@ def arc_curvature(equilibrium: Equilibrium) -> Array:
     return np.asarray(2 * tip[:2] / square if square else np.zeros(2))
 
 
+@typed
 def permuted_tips(
     robot: EccentricRobot, direction: float, separation: float, *, translations: ArrayLike | None = None
 ) -> tuple[Array, Array]:
@@ -153,6 +154,7 @@ def mirror_inverse(
     return pose
 
 
+@typed
 def mirror_to_tip(
     robot: EccentricRobot,
     position: ArrayLike,
@@ -197,6 +199,7 @@ def mirror_to_tip(
     return pose
 
 
+@typed
 def mirror_closed_form(
     robot: EccentricRobot, position: ArrayLike, *, assignment: Sequence[int] = (0, 1, 2)
 ) -> MirrorInput:
@@ -217,6 +220,7 @@ def mirror_closed_form(
     return MirrorInput(direction, separation, mirror_rotations(direction, separation, assignment), np.full(3, shift))
 
 
+@typed
 def mirror_pose(robot: EccentricRobot, position: ArrayLike, *, assignment: Sequence[int] = (0, 1, 2)) -> MirrorPose:
     """Mirror actuation and translation that bring the tip of the full model to `position`.
 
