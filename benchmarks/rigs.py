@@ -35,9 +35,9 @@ from .rig_thermal import HOT, KELVIN, Bench, Fleet, air, wire_loss
 from .timing import ROOT, show, table
 
 RANGES = {
-    # Boards: densities and conductivities of calcium silicate as its table has them, at 200 degC; each by itself.
-    "density": (450.0, 1200.0),
-    "conductivity": (0.08, 0.29),
+    # Parts of the ranges of `BOARDS`, from the least to the greatest, each by itself.
+    "density": (0.0, 1.0),
+    "conductivity": (0.0, 1.0),
     # Relative change of a board's conductivity per K: from a dense crystalline one to a light one with wide pores, in
     # which radiation grows (data sheets of boards: 0.10 to 0.17 W/(m K) from 400 to 800 degC).
     "slope": (-3e-4, 15e-4),
@@ -69,7 +69,13 @@ RANGES = {
 SHIPPED = ("thesis_calcium_silicate", "thesis_mdf", "thesis_steel")
 """Files in configs/rigs."""
 
-GEOMETRIC = ("density", "conductivity", "gap", "clamps", "cement")
+BOARDS = {
+    "calcium_silicate": {"density": (450.0, 1200.0), "conductivity": (0.08, 0.29)},
+    "mdf": {"conductivity": (0.12, 0.15)},
+}
+"""Range of boards in the table of molds; what is not here is as in the file."""
+
+GEOMETRIC = ("gap", "clamps", "cement")
 """What is drawn by its logarithm."""
 
 
@@ -80,7 +86,7 @@ def drawn(tube: Tube, rig: Rig, count: int, seed: int) -> Iterator[tuple[Tube, R
     own, data, board = Bench(tube, rig), tube.material.thermal, rig.mold.material
     # The gap that conducts as the groove's air does in `rig_thermal`.
     gap = own._gap_resistance() * air(rig.ambient + HOT / 2)[1] * math.pi * tube.outer_diameter
-    wide = board.conductivity_range is not None
+    spans = BOARDS.get(board.name, {})
     for _ in range(count):
         d = {}
         for name, (low, high) in RANGES.items():
@@ -95,8 +101,7 @@ def drawn(tube: Tube, rig: Rig, count: int, seed: int) -> Iterator[tuple[Tube, R
         )
         material = replace(
             board,
-            density=d["density"] if wide else board.density,
-            conductivity=d["conductivity"] if wide else board.conductivity,
+            **{name: low * (high / low) ** d[name] for name, (low, high) in spans.items()},
             heat_capacity=board.heat_capacity * d["board_heat"],
             conductivity_range=None,
             density_range=None,
