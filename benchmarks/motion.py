@@ -22,7 +22,10 @@ from tubeopt.robots.robot import Robot
 from .timing import ROOT, dump, show, table
 
 RADIUS, CLEARANCE, MARGIN = 5e-3, 1e-3, 0.1
-"""Radius of the sphere and clearance, m, and margin."""
+"""Largest radius of the sphere and clearance, m, and margin."""
+
+SHORT_CURVE, SMALL_RADIUS = 0.03, 1e-3
+"""Length (m) of the shortest curve below which the sphere has the second radius, m: paths of the tip are 10 mm long."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +54,10 @@ def motion(robot: Robot, start: Any, goal: Any, knots: int, bodies: list[Any]) -
 def run(robot: Robot, seed: int, knots: int) -> Task | None:
     """Task of a seed; None if start, goal or sphere make no task."""
     rng = np.random.default_rng(seed)
-    # No tube is withdrawn past the plate.
-    lengths = [tube.straight_length + tube.curved_length for tube in robot.tubes]
-    reach = min(max(tube.straight_length for tube in robot.tubes), *lengths)
+    curves = [tube.curved_length for tube in robot.tubes]
+    # Withdrawn past the plate, by more than its curve, a tube makes no task.
+    reach = min(max(tube.straight_length for tube in robot.tubes), 2 * min(curves))
+    radius = RADIUS if min(curves) > SHORT_CURVE else SMALL_RADIUS
     ends = []
     for _ in range(2):
         # Tubes that are withdrawn together are in order.
@@ -66,11 +70,11 @@ def run(robot: Robot, seed: int, knots: int) -> Task | None:
     path = free.tip_position
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
     centre = np.array([np.interp(along[-1] / 2, along, column) for column in path.T])
-    if min(np.linalg.norm(path[k] - centre) for k in (0, -1)) < 3 * RADIUS:
+    if min(np.linalg.norm(path[k] - centre) for k in (0, -1)) < 3 * radius:
         return None
     begin = time.process_time()
     try:
-        around = motion(robot, ends[0], ends[1], knots, [tubeopt.Sphere(tuple(centre), RADIUS)])
+        around = motion(robot, ends[0], ends[1], knots, [tubeopt.Sphere(tuple(centre), radius)])
     except tubeopt.InputError:
         # The arm at the start touches the sphere.
         return None
