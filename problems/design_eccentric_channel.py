@@ -80,8 +80,8 @@ def main(out: Path, samples: int = 200) -> list[Path]:
     print(f"two stable equilibria of the energy at {np.round(np.degrees(last), 2)} deg: tips {apart:.2f} mm apart")
     print(f"margins {pose.margin:.4f} and {other.margin:.4f}, energies {pose.energy:.6f} and {other.energy:.6f} J")
     figure, axes = plt.subplots(figsize=(4, 4))
-    for name, each in (("this robot", bundle), ("robot of the thesis", thesis.bundle())):
-        line = 1e3 * each.fk(np.zeros(3)).position
+    for name, one in (("this robot", bundle), ("robot of the thesis", thesis.bundle())):
+        line = 1e3 * one.fk(np.zeros(3)).position
         axes.plot(-line[:, 1], line[:, 2], label=name)
     axes.set(xlabel="y (mm)", ylabel="z (mm)", aspect="equal")
     axes.legend(frameon=False)

@@ -145,7 +145,7 @@ def _by_kernel(
 @lru_cache(maxsize=64)
 def _columns(wrt: tuple[str, ...], n: int) -> Index:
     """Numbers (Q,) of the columns of `wrt` among n for each of PARAMETERS."""
-    return np.array([PARAMETERS.index(name) * n + i for name in wrt for i in range(n)])
+    return np.array([PARAMETERS.index(name) * n + i for name in wrt for i in range(n)], dtype=np.intp)
 
 
 @lru_cache(maxsize=64)

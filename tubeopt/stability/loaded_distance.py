@@ -106,9 +106,9 @@ class LoadedForm(Form):
 
         # The gradient by turns of the bases: of couplings, of the load on natural bends, and through the curvature.
         of_tube = np.eye(torsion.moment.shape[1])[tube]
-        slope = np.zeros((len(B), 2, len(point)))
-        slope[point, :, np.arange(len(point))] = (bend * beside).T
-        slope = slope.reshape(2 * len(B), -1)
+        by_point = np.zeros((len(B), 2, len(point)))
+        by_point[point, :, np.arange(len(point))] = (bend * beside).T
+        slope = by_point.reshape(2 * len(B), -1)
         twice = np.repeat(D, 2)
         by_uu = (np.eye(2 * len(B)) - state.hessian[split:, split:]) / np.outer(twice, twice)
         pulled = by_uu @ (slope @ of_tube)
