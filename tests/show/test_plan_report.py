@@ -42,6 +42,8 @@ def test_inverse_kinematics_reports_the_snap_distance() -> None:
     assert any(
         name == "snap distance" and f"at least {shown:.1f} deg" in text for name, text in rows(solution, SOLUTION)
     )
-    loaded = inverse_kinematics(THESIS, target, load=Load((0.0, 1e-3, 0.0)))
-    assert "snap_distance_deg" not in record(loaded, SOLUTION)
-    assert all(name != "snap distance" for name, _ in rows(loaded, SOLUTION))
+    pushed = inverse_kinematics(THESIS, target, load=Load((0.0, 1e-3, 0.0)))
+    assert 0 < record(pushed, SOLUTION)["snap_distance_deg"] < 1.1 * shown
+    turned = inverse_kinematics(THESIS, target, load=Load(moment=(0.0, 1e-4, 0.0)))
+    assert "snap_distance_deg" not in record(turned, SOLUTION)
+    assert all(name != "snap distance" for name, _ in rows(turned, SOLUTION))

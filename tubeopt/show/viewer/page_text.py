@@ -81,8 +81,11 @@ def certificate_text(certificate: float | None) -> str:
 
 
 def snap_distance_text(e: Equilibrium) -> str:
-    """Proved snap distance, as text and a line break; "" where none is known, or where the certificate is positive."""
-    distance = known_distance(lambda: e.snap_distance)
+    """Proved snap distance, as text and a line break; "" where none is known, or where the certificate is positive.
+
+    Under a load it takes too long for a page that follows the mouse: 0.1 to 0.5 s.
+    """
+    distance = known_distance(lambda: e.snap_distance) if e.load is None else None
     return (
         "" if distance is None or np.isinf(distance) else f"snap distance: at least {np.degrees(distance):.1f} deg<br>"
     )
