@@ -13,7 +13,7 @@ of simplicity, Edelsbrunner and Muecke 1990). If round-off may decide, another d
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,8 +25,13 @@ from .distance_field import UP
 from .obstacles import unit_vectors
 
 _ANGLES = [0.7, 0.4, 1.1], [2.3, 0.5, 0.2], [1.2, 2.9, 0.8]
-# Axes of rays (3, 3, 3), used one after the other: many surfaces have edges along the coordinate axes.
-DIRECTIONS = scipy.spatial.transform.Rotation.from_euler("xyz", _ANGLES).as_matrix()
+
+
+@lru_cache(maxsize=1)
+def ray_axes() -> Array:
+    """Axes of rays (3, 3, 3), used one after the other: many surfaces have edges along the coordinate axes."""
+    return np.asarray(scipy.spatial.transform.Rotation.from_euler("xyz", _ANGLES).as_matrix())
+
 
 # Area over the squared size of the surface below which round-off may decide on which side of an edge a ray passes.
 AREA_ROUND_OFF = 1e-13
@@ -125,7 +130,7 @@ class Rays:
 def winding_number(rays: list[Rays], points: Array) -> Array:
     """Winding numbers (N,) of points (N, 3) in a surface, given by its rays from `rays_of`."""
     out, open_rows = np.zeros(len(points)), np.arange(len(points))
-    for direction, surface in zip(DIRECTIONS, rays, strict=True):
+    for direction, surface in zip(ray_axes(), rays, strict=True):
         out[open_rows], doubtful = surface.winding(_rotated(points[open_rows], direction))
         open_rows = open_rows[doubtful]
         if not len(open_rows):
@@ -134,8 +139,8 @@ def winding_number(rays: list[Rays], points: Array) -> Array:
 
 
 def rays_of(corners: Array) -> list[Rays]:
-    """Surface of triangles (f, 3, 3) in the axes of all DIRECTIONS."""
-    return [Rays(_rotated(corners, direction)) for direction in DIRECTIONS]
+    """Surface of triangles (f, 3, 3) in all `ray_axes`."""
+    return [Rays(_rotated(corners, direction)) for direction in ray_axes()]
 
 
 def _rotated(points: Array, axes: Array) -> Array:

@@ -483,19 +483,15 @@ class Motion:
         elif start is not None:
             settings["start"] = start
         try:
-            if (
-                start is None
-                and not self._warm
-                and self._bodies
-                and isinstance(self.opti, NamedProgram)
-                and "solver" not in settings
-            ):
+            if start is None and not self._warm and self._bodies and isinstance(self.opti, NamedProgram):
                 guesses = {name: each.guess for name, each in self.opti.variables.items()}
-                result = self._around(settings)
+                result = self._around(settings) if "solver" not in settings else None
                 if result is not None:
                     return result
                 for name, guess in guesses.items():
                     self.opti.set_guess(name, guess)
+                # The search of a path takes as long as the optimum without bodies, which mostly is the better start.
+                self._guess(bodies=True)
             return self._refined(settings, SOLVERS)
         finally:
             self._activate(np.ones(len(self._stations), dtype=bool))
@@ -732,14 +728,15 @@ class Motion:
                 f"the start is {1e3 * distance:.3g} mm from a body; it must be at least {1e3 * self._clearance:g} mm"
             )
 
-    def _guess(self, *, bodies: bool = True) -> None:
+    def _guess(self, *, bodies: bool | None = None) -> None:
         """Start on a path from start to goal that is clear of the bodies, in the least time along it.
 
-        Without `bodies` the path is straight.
+        Without `bodies` the path is straight; by default that of a `Problem`, since `solve` looks for another one.
         """
         if self._first is None:
             return
         self._warm = False
+        bodies = not isinstance(self.opti, NamedProgram) if bodies is None else bodies
         begin = self._coordinates.of(self._first)
         task = self._task(0.05 if isinstance(self._margin, ca.MX) else float(self._margin))
         end = self._end(task)
