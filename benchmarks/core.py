@@ -88,6 +88,12 @@ def eccentric() -> Iterable[Call]:
     return [partial(forward_kinematics, one, a) for a in np.random.default_rng(7).uniform(-1, 1, (200, 3))]
 
 
+def bundles() -> Iterable[Call]:
+    """The same rotations of the same tubes by the energy model."""
+    one = robot("thesis_etr").bundle()
+    return [partial(forward_kinematics, one, a) for a in np.random.default_rng(7).uniform(-1, 1, (200, 3))]
+
+
 def warm(translate: bool) -> Iterable[Call]:
     """Steps of a path, each from the one before."""
     one, last = robot(), []
@@ -174,6 +180,7 @@ def designs(name: str, most: float, aim: str, *more: Any) -> Iterable[Call]:
 QUESTIONS = {
     "cold": Question("forward kinematics, cold", cold, of_pose),
     "eccentric": Question("the same of an eccentric robot", eccentric, lambda pose: pose.tip_position),
+    "bundle": Question("the same by the energy model", bundles, lambda pose: pose.tip_position),
     "warm": Question("forward kinematics, warm", partial(warm, translate=True), of_pose),
     "held": Question("the same, translations held", partial(warm, translate=False), of_pose),
     "force": Question("the same under a force on the tip", partial(loaded, Load((0.02, 0.01, 0.0))), of_pose),

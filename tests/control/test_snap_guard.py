@@ -149,7 +149,8 @@ def test_time_within_which_nothing_snaps(name: str) -> None:
     seconds = snap_distance(forward_kinematics(robot, *joints)).time(2.0, 0.05)
     found = arm.snap_time(2.0, 0.05, 100.0)
     assert found is not None
-    assert 0.95 * seconds < found < 1.03 * seconds  # to two per cent
+    # Both are proofs; near the limit the iterations find other boxes.
+    assert 0.95 * seconds < found < 1.03 * seconds
     assert arm.snap_time(2.0, 0.05, 0.9 * seconds) == 0.9 * seconds
     turns = arm.snap_distance(3.0)
     assert turns is not None

@@ -9,7 +9,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from time import process_time
 
 import numpy as np
 import pytest
@@ -426,25 +425,6 @@ def test_bundles_are_those_of_the_general_solver(monkeypatch: pytest.MonkeyPatch
             robot.fk(alpha, shift)
             solved += 1
     assert solved >= 29
-
-
-@compiler
-def test_bundles_take_at_most_five_times_as_long_as_the_balance_of_the_thesis() -> None:
-    alpha = np.radians([30.0, 100.0, -20.0])
-
-    def seconds(robot: Robot) -> float:
-        robot.fk(alpha)
-        times = []
-        for _ in range(20):
-            start = process_time()
-            for _ in range(20):
-                robot.fk(alpha)
-            times.append(process_time() - start)
-        return min(times)
-
-    robot = load_robot("thesis_etr")
-    assert isinstance(robot, EccentricRobot)
-    assert seconds(robot.bundle()) < 5 * seconds(robot)
 
 
 def check_same_loaded(one: Equilibrium, other: Equilibrium) -> None:

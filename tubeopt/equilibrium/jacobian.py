@@ -45,7 +45,7 @@ JOINTS = ("rotations", "translations")
 """Default parameters of a Jacobian."""
 
 RELATIVE = ("curvature", "bending_stiffness", "torsional_stiffness")
-"""Dimensions that the kernel changes by parts of themselves."""
+"""Dimensions of which the kernel takes relative changes."""
 
 
 def derivatives_of(
@@ -150,7 +150,7 @@ def _columns(wrt: tuple[str, ...], n: int) -> Index:
 
 @lru_cache(maxsize=64)
 def _dimension_scale(robot: Robot, wrt: tuple[str, ...]) -> Array | None:
-    """Factors (5 n,) of the derivatives by dimensions of the kernel, which changes some by parts of themselves.
+    """Values (5 n,) of dimensions by relative changes of which the kernel differentiates; 1 of others.
 
     None for other parameters, for tubes made of pieces, and for straight tubes that get a curvature or a curved part.
     """

@@ -109,7 +109,7 @@ class LinearisedBundle:
 
     @cached_property
     def _held_bend(self) -> Array:
-        """Change (2 N, Q) of kappa at fixed x, by which sections of length 0 stay so."""
+        """Change (2 N, Q) of kappa at fixed x, which keeps the length 0 of held sections."""
         return self.state.problem.held_bend(self._straight)
 
     @cached_property

@@ -235,7 +235,7 @@ class BundleProblem:
 
     @cached_property
     def curved(self) -> Mask:
-        """Mask (N, n) of the tubes whose curved part is there."""
+        """Mask (N, n) of the tubes that are curved at the points."""
         return np.asarray(self._of_sections[1][self.point_section])
 
     @cached_property

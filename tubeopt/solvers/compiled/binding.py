@@ -349,7 +349,7 @@ class Slopes(NamedTuple):
     dimensions: Array | None = None
     """Derivatives (8 + n, 5 n) by DIMENSIONS, if requested: tip position, turn, tip rotations, margin and energy.
 
-    Curvatures and stiffnesses change by parts of themselves.
+    Those by curvatures and stiffnesses are by relative changes.
     """
 
 
@@ -428,6 +428,15 @@ def _at_hand(prepared: Prepared, rotations: Array, translations: Array, start: S
     return float(np.abs(rotation - start.rotation).max())
 
 
+def _prepared_at(robot: Robot, rotations: Array, translations: Array, start: Start, refinement: int) -> Prepared | None:
+    """Kernel with the equilibrium of `start` in its memory; None without derivatives, or if it solves another one."""
+    prepared = with_kernel(robot, refinement)
+    if prepared is None or not prepared.kernel.differentiable:
+        return None
+    deviation = _at_hand(prepared, rotations, translations, start)
+    return None if deviation is None or deviation > SAME_ARM else prepared
+
+
 class Turn(NamedTuple):
     """Snap distance by the kernel."""
 
@@ -453,11 +462,8 @@ def turn_compiled(
         most: largest turn that is searched, rad.
         precision: relative precision of the turn.
     """
-    prepared = with_kernel(robot, refinement)
-    if prepared is None or not prepared.kernel.differentiable:
-        return None
-    deviation = _at_hand(prepared, rotations, translations, start)
-    if deviation is None or deviation > SAME_ARM:
+    prepared = _prepared_at(robot, rotations, translations, start, refinement)
+    if prepared is None:
         return None
     couplings = ctypes.c_longlong()
     workspace = memory_of(prepared.kernel).addresses[0]
@@ -493,11 +499,8 @@ def motion_compiled(
         most: largest factor that is searched.
         precision: relative precision of the factor.
     """
-    prepared = with_kernel(robot, refinement)
-    if prepared is None or not prepared.kernel.differentiable:
-        return None
-    deviation = _at_hand(prepared, rotations, translations, start)
-    if deviation is None or deviation > SAME_ARM:
+    prepared = _prepared_at(robot, rotations, translations, start, refinement)
+    if prepared is None:
         return None
     joints = np.stack([rotations, translations]).astype(float)
     arrays = *memory_of(prepared.kernel).addresses, prepared.address, address(joints[0]), address(joints[1])

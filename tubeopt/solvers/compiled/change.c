@@ -293,8 +293,8 @@ static void change_by(const Unknowns *q, const State *state, const Answer *out, 
     column->margin = -a->released / a->form * formed;
 }
 
-/* A tube whose transmission grows by `length`, as it moves back, by what lies there on the side from which it moves: it turns
-   the base more; at a fixed shape it is a softer spring. */
+/* Growth of the transmission of a tube by `length`. Its compliance is that at the plate, on the side from which the tube
+   moves. The base turns more; at a fixed shape the transmission is a softer spring. */
 static void lengthen(const Unknowns *q, const Around *a, int tube, double length, Change *c) {
     double torque = a->arm->torque[0][tube], swayed = a->mode.torque[0][tube];
     double rate = length * beside(q, tube, 0, -c->side * ROUND_OFF_LENGTH).rate;

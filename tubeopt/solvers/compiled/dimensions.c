@@ -1,9 +1,9 @@
 /* What the dimensions of tubes, each of one curvature, change at a solved equilibrium: after `differentiate`, which leaves
-   the second variation factorised. Curvatures and stiffnesses change by parts of themselves, lengths by metres. */
+   the second variation factorised. Derivatives are by relative changes of curvatures and stiffnesses, and by lengths in m. */
 
 enum { CURVATURE, STRAIGHT, CURVED, BENDING, TORSION, DIMENSIONS };
 
-/* A tube whose moment m, and kb where it is `stiffer`, grow by a part of themselves. */
+/* Relative growth of the moment m of a tube, and where it is `stiffer` of kb. */
 static void bend_more(const Unknowns *q, int tube, int stiffer, const Varied *varied, Around *a, Change *c) {
     const Layout *l = q->layout;
     int k = q->tableau->degree, solved = 0;
@@ -17,7 +17,7 @@ static void bend_more(const Unknowns *q, int tube, int stiffer, const Varied *va
         }
 }
 
-/* A tube whose kt grows by a part of itself: it twists as if it had as much less torque. */
+/* Relative growth of kt of a tube: the twist is that of a torque smaller by the same fraction. */
 static void harden(const Unknowns *q, int tube, Around *a, Change *c) {
     const Layout *l = q->layout;
     int k = q->tableau->degree;
