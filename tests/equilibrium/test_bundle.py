@@ -353,6 +353,49 @@ def test_derivatives_are_those_of_differences(uneven: Any, load: Load | None) ->
         assert unit * np.abs(moved - along[:, :, c])[:-1].max() < 1e-8
 
 
+ARRANGED = [*((name, i, 0.005 if name == "offset" else 1.0) for name in ("offset", "angle") for i in range(3))]
+
+
+@pytest.mark.parametrize("load", [None, *LOADS[1:4]])
+def test_derivatives_by_the_arrangement_are_those_of_differences(uneven: Any, load: Load | None) -> None:
+    robot, alpha, shift, _ = uneven
+    robot = replace(robot, sheath_stiffness=0.01)
+    compare_arrangement(robot, robot.fk(alpha, shift, load=load), [*ARRANGED, ("sheath_stiffness", 0, 0.01)], 1e-8)
+    with pytest.raises(InputError, match="under gravity"):
+        robot.fk(alpha, shift, load=LOADS[4]).jacobian(wrt=["offset"])
+
+
+def test_derivatives_by_the_arrangement_where_boundaries_stay_together() -> None:
+    thesis = bundle_of_thesis()
+    # Wider than touching, so that tubes may move to either side.
+    robot = replace(thesis, offset=tuple(1.05 * d for d in thesis.offset))
+    poses = (robot.fk(alpha) for alpha in np.random.default_rng(0).uniform(-np.pi, np.pi, (400, 3)))
+    pose = next(pose for pose in poses if point_of(pose).state.problem.held)
+    compare_arrangement(robot, pose, ARRANGED, 3e-7)
+
+
+def compare_arrangement(robot: BundleRobot, pose: Any, parameters: Any, limit: float) -> None:
+    """Compare the Jacobian of a pose by its arrangement with differences of re-solved equilibria."""
+    jacobian = pose.jacobian(wrt=["offset", "angle", "sheath_stiffness"])
+    for c, (name, i, unit) in enumerate(parameters):
+        sides = []
+        for step in (3e-5 * unit, -3e-5 * unit):
+            value: Any = robot.sheath_stiffness + step
+            if name != "sheath_stiffness":
+                value = tuple(d + step * (i == k) for k, d in enumerate(getattr(robot, name)))
+            moved = replace(robot, **{name: value})
+            sides.append(moved.fk(pose.rotations, pose.translations, load=pose.load, start=pose))
+        ahead, behind = sides
+        for quantity, slope in (
+            ("tip_position", jacobian.position[:, c]),
+            ("tip_rotations", jacobian.tip_rotations[:, c]),
+            ("margin", jacobian.margin[c]),
+            ("energy", jacobian.energy[c]),
+        ):
+            change = (getattr(ahead, quantity) - getattr(behind, quantity)) / 6e-5
+            assert np.abs(change - unit * slope).max() < limit
+
+
 @pytest.mark.parametrize("load", [None, Load((0.03, 0.02, -0.01))])
 def test_a_clamp_that_moves_back_from_the_plate_leaves_a_transmission(uneven: Any, load: Load | None) -> None:
     robot, alpha, shift, _ = uneven

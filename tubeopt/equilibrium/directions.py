@@ -243,13 +243,22 @@ PARAMETERS = ("rotations", "translations", *DIMENSIONS)
 """Parameters of the derivatives of an equilibrium, n columns each, per rad, per m, or per SI unit."""
 
 
-def check_wrt(wrt: Sequence[str], side: int) -> None:
-    """Raise InputError for a name that is not among PARAMETERS, or a side that is neither 1 nor -1."""
+ARRANGEMENT = ("offset", "angle", "sheath_stiffness")
+"""Further parameters of a bundle robot; the last is one number, all others are n."""
+
+
+def columns_of(wrt: Sequence[str], n: int) -> list[int]:
+    """Numbers of columns of parameters of n tubes."""
+    return [1 if name == ARRANGEMENT[-1] else n for name in wrt]
+
+
+def check_wrt(wrt: Sequence[str], side: int, allowed: Sequence[str] = PARAMETERS) -> None:
+    """Raise InputError for a name that is not `allowed`, or a side that is neither 1 nor -1."""
     if side not in (1, -1):
         raise InputError(f"side is {side!r}; it must be 1 (forward) or -1 (backward)")
     for name in wrt:
-        if name not in PARAMETERS:
-            raise InputError(f"wrt names {name!r}; it may name {', '.join(PARAMETERS)}")
+        if name not in allowed:
+            raise InputError(f"wrt names {name!r}; it may name {', '.join(allowed)}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ from ..physics.certificate import worst_function
 from ..physics.shape import cross, hat
 from ..typing import Array, Index
 from .arm_change import SHAPE_POINTS, ArmChange
-from .directions import Change, Directions
+from .directions import Change, Directions, columns_of
 from .member import discretisation_of, sample_rotation
 from .problem import loaded_problem, reduced_problem
 from .result import Derivatives, Equilibrium, refuse_friction
@@ -366,8 +366,8 @@ def sharing(carriages: tuple[tuple[int, ...], ...], wrt: tuple[str, ...]) -> Arr
     """
     if "translations" not in wrt or all(len(tubes) == 1 for tubes in carriages):
         return None
-    n = sum(len(tubes) for tubes in carriages)
-    along, first = np.eye(n * len(wrt)), n * wrt.index("translations")
+    counts = columns_of(wrt, sum(len(tubes) for tubes in carriages))
+    along, first = np.eye(sum(counts)), sum(counts[: wrt.index("translations")])
     for tubes in carriages:
         members = first + np.array(tubes)
         # The mean over a carriage: sums over its tubes give the change by their common motion.

@@ -24,6 +24,7 @@ from ..block.transcription.bundle import (
     BundleMode,
     BundleState,
     bundle_arm,
+    holding_forces,
     margin_form,
     mode_of,
     work_second_change,
@@ -35,7 +36,7 @@ from ..errors import InputError, SolveError
 from ..physics.torsion import bundle_energy_changes
 from ..typing import Array, Mask
 from .bundle import Bundled
-from .directions import check_wrt
+from .directions import ARRANGEMENT, PARAMETERS, check_wrt, columns_of
 from .kinematics import point_of
 from .linearised import APART, FLAT
 from .result import Equilibrium
@@ -48,6 +49,9 @@ CHANGED: dict[str, dict[str, float]] = {
     "curved_length": {"end": 1},
     "bending_stiffness": {"bending_stiffness": 1},
     "torsional_stiffness": {"torsional_stiffness": 1},
+    "offset": {"offset": 1},
+    "angle": {"angle": 1},
+    "sheath_stiffness": {"sheath": 1},
 }
 """Changes of the quantities of a tube in `Bundle`, and of its rotation alpha, per unit of each parameter."""
 
@@ -62,9 +66,9 @@ class LinearisedBundle:
     member: Bundled
     state: BundleState
     wrt: tuple[str, ...]
-    """Names of PARAMETERS, n columns each."""
+    """Names of PARAMETERS and of the ARRANGEMENT, with columns as `columns_of`."""
     along: Array | None = None
-    """Combinations (n len(wrt), Q) of these columns that replace them, or None."""
+    """Combinations (.., Q) of these columns that replace them, or None."""
 
     def __post_init__(self) -> None:
         bundle = self.state.problem.bundle
@@ -73,39 +77,74 @@ class LinearisedBundle:
                 "wrt names 'curvature', but a straight tube would begin to curve in front of the plate. Give that tube "
                 "a curvature, or move it back until its curved part begins at the plate."
             )
+        if self._moves_axes and self.state.problem.density:
+            raise InputError("wrt names offset or angle under gravity; these have derivatives under other loads only")
 
     # --- Changes of the tubes -----------------------------------------------------------------------------------------
 
     @property
     def size(self) -> int:
         """Number Q of directions."""
-        return self.state.problem.n * len(self.wrt) if self.along is None else self.along.shape[1]
+        return sum(columns_of(self.wrt, self.state.problem.n)) if self.along is None else self.along.shape[1]
 
     def _of_tubes(self, quantity: str) -> Array:
-        """Change (n, Q) of a quantity of the tubes."""
-        one = np.eye(self.state.problem.n)
-        columns = np.concatenate([CHANGED[name].get(quantity, 0.0) * one for name in self.wrt], axis=1)
-        return columns if self.along is None else columns @ self.along
+        """Change (n, Q) of a quantity of the tubes; (1, Q) of the sheath."""
+        n = self.state.problem.n
+        rows, counts = 1 if quantity == "sheath" else n, columns_of(self.wrt, n)
+        columns = [
+            CHANGED[name].get(quantity, 0.0) * np.eye(rows, count) for name, count in zip(self.wrt, counts, strict=True)
+        ]
+        together = np.concatenate(columns, axis=1)
+        return together if self.along is None else together @ self.along
+
+    @property
+    def _moves_axes(self) -> bool:
+        """True if the axes of tubes move in the cross-section."""
+        return bool({"offset", "angle"} & set(self.wrt))
+
+    @cached_property
+    def _levers(self) -> Array:
+        """Change (n, 2, Q) of the levers of the tubes, m."""
+        bundle = self.state.problem.bundle
+        c, s, d = (each[:, None] for each in (np.cos(bundle.angle), np.sin(bundle.angle), bundle.offset))
+        out, turned = self._of_tubes("offset"), d * self._of_tubes("angle")
+        return np.stack([s * out + c * turned, -c * out + s * turned], axis=1)
+
+    def _longer(self, bend: Array) -> Array:
+        """Change (m, Q) of the lengths h of elements at kappa (2 N,), by the levers alone."""
+        problem = self.state.problem
+        if not self._moves_axes:
+            return np.zeros((len(problem.order), self.size))
+        turned = problem.before @ bend.reshape(-1, 2)
+        return -problem.lengths_by_boundaries @ np.einsum("mc,mcq->mq", turned, problem.at_boundaries(self._levers))
+
+    def _longer_adjoint(self, forces: Array) -> Array:
+        """Derivative (2 N, Q) of forces (m,) times `_longer`, by kappa."""
+        problem = self.state.problem
+        by_boundary = (problem.lengths_by_boundaries.T @ forces)[:, None, None] * problem.at_boundaries(self._levers)
+        return -np.tensordot(problem.before, by_boundary, (0, 0)).reshape(-1, self.size)
 
     @cached_property
     def _data(self) -> Array:
-        """Change (N, 3 n, Q) of kb, kt and m at the points."""
+        """Change (N, 5 n + 1, Q) of kb, kt, m, d, phi and the sheath at the points."""
         problem = self.state.problem
         bundle, present, curved = problem.bundle, problem.present[..., None], problem.curved[..., None]
         kb, kt = self._of_tubes("bending_stiffness"), self._of_tubes("torsional_stiffness")
         m = bundle.curvature[:, None] * kb + bundle.bending_stiffness[:, None] * self._of_tubes("curvature")
-        return np.concatenate([present * kb, present * kt, curved * m], axis=1)
+        everywhere = np.concatenate([self._of_tubes(name) for name in ("offset", "angle", "sheath")])
+        same = np.broadcast_to(everywhere, (len(present), *everywhere.shape))
+        return np.concatenate([present * kb, present * kt, curved * m, same], axis=1)
 
     @cached_property
     def _straight(self) -> Array:
-        """Change (m, Q) of the lengths h of elements of a straight arm, m."""
+        """Change (m, Q) of the lengths h of elements at fixed kappa, m."""
         problem = self.state.problem
         transition, end = self._of_tubes("transition"), self._of_tubes("end")
         moved = np.zeros((len(problem.order), self.size))
         for k, boundary in enumerate(problem.order):
             for i in boundary.tubes:
                 moved[k] += (end if i in boundary.ends else transition)[i]
-        return problem.lengths_by_boundaries @ moved
+        return problem.lengths_by_boundaries @ moved + self._longer(self.state.bend)
 
     @cached_property
     def _held_bend(self) -> Array:
@@ -152,7 +191,7 @@ class LinearisedBundle:
 
     @cached_property
     def _tubes_by(self) -> tuple[Array, Array]:
-        """Gradient (N, 3 n) of the energy by kb, kt and m, and derivative (N, 2 n + 3, 3 n) of `by_local` by them."""
+        """Gradient (N, 5 n + 1) of the energy by the data; derivative (N, 2 n + 3, 5 n + 1) of `by_local` by them."""
         first, mixed, _ = self._changes(np.zeros(self._local.shape[:2]), np.zeros(self._local.shape[:2]))
         return first, mixed
 
@@ -163,8 +202,8 @@ class LinearisedBundle:
         local = np.column_stack([state.theta, state.turn, state.bend, state.h])
         outputs = mapped(bundle_energy_changes(n), count)(local, *problem.inputs, left, right)
         first, mixed, third = (part.copy() for part in outputs)
-        # CasADi stores (3 n, 2 n + 3) by columns.
-        return first, mixed.reshape(count, 2 * n + 3, 3 * n), third
+        # CasADi stores (5 n + 1, 2 n + 3) by columns.
+        return first, mixed.reshape(count, 2 * n + 3, 5 * n + 1), third
 
     @cached_property
     def x(self) -> Array:
@@ -181,6 +220,13 @@ class LinearisedBundle:
             follow = by_place[:count] + problem.lengths_by_bend.T @ by_place[count : count + m]
             right[problem.split :] -= state.factor * problem.bend_map.T @ follow
             right -= state.factor * state.loading.torsional_slope @ self._held_bend
+        if self._moves_axes:
+            # Forces on the lengths, less those that hold sections of length 0.
+            forces = problem.in_section @ (problem.weight * state.by_local[:, -1])
+            if state.loading is not None:
+                forces -= state.factor * state.loading.first[2 * len(problem.weight) :][: len(forces)]
+            forces[[*problem.held]] -= holding_forces(state)
+            right[problem.split :] += problem.bend_map.T @ self._longer_adjoint(forces)
         return np.asarray(-scipy.linalg.solve(state.hessian, right))
 
     def _placed(self, bend: Array) -> Array:
@@ -306,10 +352,12 @@ class LinearisedBundle:
             # Of T, bending counts from the curvature that the rotations of the mode bring by themselves.
             out -= mu * self._elastic_change(left.unknowns, right.unknowns)
             out += mu * self._elastic_change(left.relaxed, right.relaxed)
+            out -= self._work_change(left.unknowns, right.unknowns)
         # Torsion of T: kt p^2 / g of the tubes, and that of the transmissions, 1 of unknowns at scale.
         a, b = problem.push(left.unknowns)[:, n : 2 * n], problem.push(right.unknowns)[:, n : 2 * n]
         length, kt = np.where(problem.present, state.length, 1.0), problem.bundle.torsional_stiffness
         stretched = self.changes[:, None, -1] + problem.bundle.levers @ self.changes[:, -3:-1]
+        stretched += np.einsum("ac,icq->aiq", state.bend, self._levers)
         energy = (problem.weight[:, None] * problem.present * a * b / length)[..., None]
         softened = self._data[:, n : 2 * n] - (kt / length)[..., None] * stretched
         out -= mu * (energy * softened).sum((0, 1))
@@ -324,8 +372,32 @@ class LinearisedBundle:
         by_point = problem.weight[:, None] * self._changes(problem.push(left), problem.push(right))[2]
         out = np.tensordot(by_point[:, : 2 * n + 3], self.changes, 2)
         out += np.tensordot(by_point[:, 2 * n + 3 :], self._data, 2)
+        for one, other in ((left, right), (right, left)) if self._moves_axes else ():
+            bend, h = self._pushed(one)
+            forced = problem.weight[:, None] * (self.state.local_hessian @ problem.push(other)[..., None])[..., 0]
+            out += forced[:, -3:-1].ravel() @ bend + (problem.in_section @ forced[:, -1]) @ h
         sprung = problem.sprung_rows
         return np.asarray(out + (left[sprung] * right[sprung]) @ self._softer)
+
+    def _pushed(self, step: Array) -> tuple[Array, Array]:
+        """Changes of kappa (2 N, Q) and of the lengths h (m, Q) by a step (U,), as the levers change."""
+        problem = self.state.problem
+        longer = self._longer(problem.bend_map @ step[problem.split :])
+        bend = problem.held_bend(longer)
+        return bend, longer + problem.lengths_by_bend @ bend
+
+    def _work_change(self, left: Array, right: Array) -> Array:
+        """Change (Q,) of the second variation of the work for two directions (U,), as the levers change."""
+        state, problem = self.state, self.state.problem
+        if not self._moves_axes or state.loading is None:
+            return np.zeros(self.size)
+        out, none = np.zeros(self.size), np.zeros((problem.n, self.size))
+        for one, other, second in ((left, right, state.loading.second), (right, left, state.loading.second.T)):
+            bend = problem.bend_map @ other[problem.split :]
+            along = second @ np.concatenate([bend, problem.lengths_by_bend @ bend, none[:, 0]])
+            out += along @ np.concatenate([*self._pushed(one), none])
+        out += left @ state.loading.torsional_slope @ self._pushed(right)[0]
+        return state.factor * out
 
     def _new_transmissions(self, left: BundleMode, right: BundleMode, mu: float) -> Array:
         """Decrease (Q,) of the margin where a clamp moves back from the plate: the mode twists what lies between."""
@@ -354,7 +426,7 @@ def linearise_bundle(
         InputError: an unknown name or side.
         SolveError: the equilibrium is a fold.
     """
-    check_wrt(wrt, side)
+    check_wrt(wrt, side, (*PARAMETERS, *ARRANGEMENT))
     if abs(equilibrium.margin) < APART:
         raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
     point = _point_of(equilibrium)

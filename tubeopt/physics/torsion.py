@@ -255,10 +255,8 @@ class _BundleEnergy(NamedTuple):
 
     local: ca.SX
     """v = (theta (n,), p (n,), kappa (2,), h)."""
-    tubes: ca.SX
-    """kb, kt and m (3 n,)."""
-    places: list[ca.SX]
-    """d and phi (n,), and the bending stiffness of the sheath."""
+    data: list[ca.SX]
+    """kb, kt, m, d and phi (n,), and the bending stiffness of the sheath."""
     energy: ca.SX
     """Energy, J."""
     length: ca.SX
@@ -275,7 +273,7 @@ def _bundle_energy(n: int) -> _BundleEnergy:
     natural = ca.dot(m**2 / ca.if_else(kb > 0, kb, 1), length) / 2
     coupling = ca.dot(natural_moments(theta, m), ca.repmat(bend.T, n, 1))
     energy = twisting + bending + natural - coupling
-    return _BundleEnergy(ca.vertcat(theta, turn, bend, h), ca.vertcat(kb, kt, m), [d, phi, sheath], energy, length)
+    return _BundleEnergy(ca.vertcat(theta, turn, bend, h), [kb, kt, m, d, phi, sheath], energy, length)
 
 
 @lru_cache(maxsize=16)
@@ -288,10 +286,10 @@ def bundle_energy(n: int) -> ca.Function:
     Returns of the function: energy (J), gradient (2 n + 3), Hessian (2 n + 3, 2 n + 3), and lengths g (n,) of the
     tubes, m.
     """
-    v, tubes, places, energy, length = _bundle_energy(n)
+    v, data, energy, length = _bundle_energy(n)
     hessian, gradient = ca.hessian(energy, v)
     outputs = [energy, ca.densify(gradient), ca.densify(hessian), length]
-    return ca.Function("bundle_energy", [v, *ca.vertsplit(tubes, n), *places], outputs, {"cse": True})
+    return ca.Function("bundle_energy", [v, *data], outputs, {"cse": True})
 
 
 @lru_cache(maxsize=16)
@@ -300,13 +298,14 @@ def bundle_energy_changes(n: int) -> ca.Function:
 
     Args of the function: those of `bundle_energy`, and a, b (2 n + 3,).
 
-    Returns of the function: gradient of the energy by kb, kt and m (3 n); derivative of its gradient by them
-    (3 n, 2 n + 3); gradient of the second variation by v, kb, kt and m (5 n + 3).
+    Returns of the function: gradient of the energy by the data, kb to the sheath (5 n + 1); derivative of its gradient
+    by them (5 n + 1, 2 n + 3); gradient of the second variation by v and the data (7 n + 4).
     """
-    v, tubes, places, energy, _ = _bundle_energy(n)
+    v, inputs, energy, _ = _bundle_energy(n)
+    data = ca.vertcat(*inputs)
     a, b = ca.SX.sym("a", v.shape[0]), ca.SX.sym("b", v.shape[0])
     gradient = ca.gradient(energy, v)
     second = ca.dot(ca.jtimes(gradient, v, b), a)
-    outputs = [ca.gradient(energy, tubes), ca.jacobian(gradient, tubes).T, ca.gradient(second, ca.vertcat(v, tubes))]
-    inputs = [v, *ca.vertsplit(tubes, n), *places, a, b]
-    return ca.Function("bundle_energy_changes", inputs, [ca.densify(each) for each in outputs], {"cse": True})
+    outputs = [ca.gradient(energy, data), ca.jacobian(gradient, data).T, ca.gradient(second, ca.vertcat(v, data))]
+    dense = [ca.densify(each) for each in outputs]
+    return ca.Function("bundle_energy_changes", [v, *inputs, a, b], dense, {"cse": True})

@@ -304,11 +304,18 @@ class BundleProblem:
         return np.asarray(np.linalg.inv(np.tril(np.ones((m, m))) * self.count))
 
     @cached_property
+    def before(self) -> Array:
+        """Weights (m, N) of the sum over the elements in front of each boundary."""
+        return np.asarray((self.point_section <= np.arange(len(self.order))[:, None]) * self.weight)
+
+    def at_boundaries(self, lever: Array) -> Array:
+        """Values (m, ...) at the boundaries of a quantity (n, ...) of the tubes; 0 at places of the sheath."""
+        return np.array([lever[b.tubes[0]] if b.tubes else np.zeros(lever.shape[1:]) for b in self.order])
+
+    @cached_property
     def lengths_by_bend(self) -> Array:
         """Derivative (m, 2 N) of the lengths h by kappa: longer tubes on the outside of the bend end earlier."""
-        before = self.point_section <= np.arange(len(self.order))[:, None]
-        lever = np.array([self.bundle.levers[b.tubes[0]] if b.tubes else np.zeros(2) for b in self.order])
-        longer = (before * self.weight)[:, :, None] * lever[:, None]
+        longer = self.before[:, :, None] * self.at_boundaries(self.bundle.levers)[:, None]
         return np.asarray(-self.lengths_by_boundaries @ longer.reshape(len(self.order), -1))
 
     @cached_property
