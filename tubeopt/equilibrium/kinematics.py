@@ -122,7 +122,7 @@ def method_of(method: str | Newton | Ipopt, load: Load | None, discretisation: D
 
 def _must_bear(by: Method, load: Load, discretisation: Discretisation) -> None:
     """Raise InputError for methods and settings that are not supported under a load."""
-    if replace(by.newton, margin_tolerance=NEWTON.margin_tolerance) != NEWTON:
+    if by.newton is not NEWTON and replace(by.newton, margin_tolerance=NEWTON.margin_tolerance) != NEWTON:
         raise InputError("method has settings other than margin_tolerance; only this one applies under load")
     if by.name != "newton" and not load.has_energy:
         raise InputError(
@@ -350,6 +350,10 @@ def _by_kernel(
     return solve_compiled(robot, rotations, translations, start, refinement)
 
 
+LOADED_MESHES = tuple(replace(LOADED_DISCRETISATION, refinement=k) for k in range(LOADED_REFINEMENTS + 1))
+"""Meshes under a load, from coarse to fine."""
+
+
 def loaded(start: Equilibrium, member: Loaded, request: SolveRequest) -> Equilibrium | None:
     """Stable equilibrium under a dead load, grown from an unloaded `start` or by a small change of a loaded one."""
     robot, rotations, shift, load = member.robot, member.rotations, member.translations, member.load
@@ -378,8 +382,7 @@ def loaded(start: Equilibrium, member: Loaded, request: SolveRequest) -> Equilib
         theta_error, tip_error, margin_error = solution.errors
         error = float(largest_error(theta_error, tip_error, problem.torsion.assembly.total_length))
         if margin_error <= request.method.newton.margin_tolerance and error <= request.tolerance:
-            discretisation = replace(LOADED_DISCRETISATION, refinement=refinement)
-            solved = Loaded(robot, problem, rotations, shift, discretisation)
+            solved = Loaded(robot, problem, rotations, shift, LOADED_MESHES[refinement])
             return equilibrium_of(solved, solution, how, request.start_time)
     return None
 
@@ -504,32 +507,55 @@ def forward_kinematics(  # noqa: PLR0913
     request = SolveRequest(solver, tolerance, start_time)
     if load is not None:
         check_load(robot, load, translation)
-        # Under a load without a start, the branch of the unloaded equilibrium is followed while the load grows.
-        guess = guess if guess is not None else forward_kinematics(robot, alpha, shift, tolerance=tolerance)
-        discretisation = LOADED_DISCRETISATION
     elif guess is not None and guess.load is not None:
         raise InputError("start has a load, but no load is given; give the load, or a start without load")
 
-    # 1. The compiled kernel, for one solve without a load: from tubes without torsion, or close to the start.
-    result = None
-    if load is None and request.by_kernel(None, discretisation):
-        result = unloaded(robot, alpha, shift, guess, request)
-    if result is None and guess is None:
-        # 2. The general solver from tubes without torsion, or from home.
-        member: Member[Any]
-        if isinstance(robot, BundleRobot):
-            member = Bundled.cold(robot, alpha, translation)
-        else:
-            member = Unloaded.of(robot, alpha, translation, discretisation)
-        point, how = _descend(member, solver)
-        result = _to_tolerance(point, how, request)
-    elif result is None:
-        # 3. Continuation from the start, along joints and load.
-        assert guess is not None
-        joints = np.concatenate([guess.rotations, guess.translations])
-        path = SampledJointPath(robot, joints, np.concatenate([alpha, shift]), discretisation)
-        result = on_branch(Family(path, load, guess.load), guess, request)
+    if load is None and guess is None:
+        result = _from_scratch(robot, alpha, shift, discretisation, request)
+    else:
+        if guess is None:
+            # The branch of the unloaded equilibrium is followed while the load grows.
+            without_load = SolveRequest(tolerance=tolerance, start_time=start_time)
+            guess = _from_scratch(robot, alpha, shift, DEFAULT_DISCRETISATION, without_load)
+        result = _from_start(guess, robot, (alpha, shift), load, discretisation, request)
     return result.verified() if verify else result
+
+
+def _from_scratch(
+    robot: Robot, rotations: Array, translations: Array, discretisation: Discretisation, request: SolveRequest
+) -> Equilibrium:
+    """Stable equilibrium without a load: by the compiled kernel, or by the general solver from home at the latest."""
+    if request.by_kernel(None, discretisation):
+        result = unloaded(robot, rotations, translations, None, request)
+        if result is not None:
+            return result
+    member: Member[Any]
+    if isinstance(robot, BundleRobot):
+        member = Bundled.cold(robot, rotations, tuple(translations.tolist()))
+    else:
+        member = Unloaded.of(robot, rotations, tuple(translations.tolist()), discretisation)
+    return _to_tolerance(*_descend(member, request.method), request)
+
+
+def _from_start(
+    guess: Equilibrium,
+    robot: Robot,
+    joints: tuple[Array, Array],
+    load: Load | None,
+    discretisation: Discretisation,
+    request: SolveRequest,
+) -> Equilibrium:
+    """Equilibrium at joint values and under a load, on the branch of an equilibrium at others."""
+    if load is not None:
+        discretisation = LOADED_DISCRETISATION
+    elif request.by_kernel(None, discretisation):
+        # A small motion takes one solve.
+        result = unloaded(robot, *joints, guess, request)
+        if result is not None:
+            return result
+    before = np.concatenate([guess.rotations, guess.translations])
+    path = SampledJointPath(robot, before, np.concatenate(joints), discretisation)
+    return on_branch(Family(path, load, guess.load), guess, request)
 
 
 @lru_cache(maxsize=256)
@@ -658,31 +684,38 @@ def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: t
     return forward_kinematics(robot, rotations, translations, start=result)
 
 
-@small
 def on_branch(family: Family, guess: Equilibrium, request: SolveRequest) -> Equilibrium:
     """Equilibrium at t = 1 of a family on the branch of `guess`, the equilibrium at t = 0.
 
     Raises:
         SolveError: as `forward_kinematics`.
     """
-    discretisation, kernel = family.path.discretisation, followed_by_kernel(family)
     load_grows = family.load is not None and guess.load is None and not family.path.moves
     last = Milestone(0.0, guess)
-    if kernel and request.by_kernel(family.load, discretisation):
+    if followed_by_kernel(family) and request.by_kernel(family.load, family.path.discretisation):
         if load_grows:
             quick = nearby(family, guess, 1.0, request)
             last = last if quick is None else Milestone(1.0, quick)
         else:
             last = [last, *along(family, last, request)][-1]
-        if last.t == 1.0:
-            return last.pose
+    return last.pose if last.t == 1.0 else _continued(family, last, load_grows, request)
+
+
+@small
+def _continued(family: Family, last: Milestone, load_grows: bool, request: SolveRequest) -> Equilibrium:
+    """Equilibrium at t = 1 by the general solver, from where the compiled kernel stopped.
+
+    `load_grows` is True if a load grows from none and nothing else changes.
+    """
     shortest = SHORTEST_STEP if load_grows else SHARPEST_STEP
-    # An unloaded equilibrium was sampled from another mesh: Newton's method solves it once on this one.
-    point = point_of(guess, family.load, discretisation) if load_grows else _start(family, last)
+    point = _start(family, last)
     # Without a load the branch of the start is followed whether it stays stable or not.
     stable = load_grows or (family.load is not None and point.margin > 0)
     point = reach(family, point, stable=stable, shortest=shortest)
     if point.t < 1.0 and load_grows:
+        if not point.t:
+            # The start was sampled from the mesh without load, and is not solved on this one yet.
+            point = point_of(last.pose, family.load, family.path.discretisation)
         if point.member.flutters(point.state):
             ending = "it begins to flutter"
         else:

@@ -324,13 +324,18 @@ class Member(ABC, Generic[S]):
         """Sum of the sizes (J) of the energies that may cancel in the potential."""
 
     def tangent(self, point: AnyPoint) -> Array | None:
-        """(U,) linear prediction of the unknowns' change with the load factor; None if anything else changed."""
+        """(U,) linear prediction of the unknowns' change with the load factor; None if anything else changed.
+
+        It includes Newton's step at the point, which may be sampled from another mesh.
+        """
         if point.member.problem is not self.problem or not np.array_equal(point.member.rotations, self.rotations):
             return None
         if self.load is None:
             return None
-        step = scipy.linalg.lapack.dgesv(point.state.hessian, -point.state.load_slope)[2]
-        return np.asarray(step * (self.factor - point.state.factor))
+        state = point.state
+        # The equations are linear in the factor: this is their residual at the new one.
+        residual = state.gradient + (self.factor - state.factor) * state.load_slope
+        return np.asarray(scipy.linalg.lapack.dgesv(state.hessian, -residual)[2])
 
     def refined(self, point: AnyPoint) -> Refined:
         """Newton step of a solved point on a mesh with more points per element, which estimates its errors."""
@@ -805,7 +810,7 @@ def sample_arms(robot: Robot, translations: Array, s: Array, arms: Array, arc_le
         around = phi[..., piece[:, None] * SHAPE_STEPS + np.arange(SHAPE_STEPS + 1), :]
         return np.asarray(np.einsum("ak,...aki->...ai", basis, around))
     k, length, fraction = between(s, arc_length)
-    h, x = length[:, None], np.clip(fraction, 0.0, 1.0)[:, None]
+    h, x = length[:, None], np.minimum(np.maximum(fraction, 0.0), 1.0)[:, None]
     value = rotation[..., k, :] * ((1 + 2 * x) * (1 - x) ** 2) + rotation[..., k + 1, :] * (x**2 * (3 - 2 * x))
     value += h * (torsion[..., k, :] * (x * (1 - x) ** 2) - torsion[..., k + 1, :] * (x**2 * (1 - x)))
     return np.asarray(value)

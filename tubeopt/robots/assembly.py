@@ -138,7 +138,7 @@ class Assembly:
         """Number of sections m."""
         return len(self.length)
 
-    @property
+    @cached_property
     def total_length(self) -> float:
         """Arc length of the tip, m; 0 if no tube reaches beyond the plate by more than LENGTH_ROUND_OFF."""
         return float(self.end.max()) if self.n_sections else 0.0

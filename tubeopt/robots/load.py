@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, fields, replace
+from functools import cached_property
 from numbers import Real
 from typing import Annotated, Any, TypeGuard
 
@@ -97,7 +98,7 @@ class Load(Displayed):
         points = items("points", self.points, object, POINT)
         set_field(self, "points", tuple(_point(k, entry) for k, entry in enumerate(points)))
 
-    @property
+    @cached_property
     def has_energy(self) -> bool:
         """True for forces of constant direction without moments: stable equilibria are then minima of an energy."""
         has_moment = any(any(part.moment) for part in self.acting) or _has_moment(self.distributed)

@@ -270,7 +270,8 @@ class Between(NamedTuple):
 
 def between(s: Array, at: Array) -> Between:
     """Positions of arc lengths (S,) between shape points (m,), m at least 2."""
-    k = np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(s) - 2)
+    # `np.clip` takes longer than the two.
+    k = np.minimum(np.maximum(s.searchsorted(at, side="right") - 1, 0), len(s) - 2)
     length = s[k + 1] - s[k]
     return Between(k, length, (at - s[k]) / length)
 

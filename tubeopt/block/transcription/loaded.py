@@ -31,7 +31,7 @@ from ...robots.load import FORCE, MOMENT, Load
 from ...robots.order import outermost, twisted_tube
 from ...typing import Array, Index
 from .arm import ArmShape, Profile, along_elements, arc_lengths, integrate, pushed, sections_along
-from .buffered import section_function
+from .buffered import mapped, section_function
 from .collocated import ENDS
 from .mesh import Mesh
 from .orientation import IDENTITY, Orientation, adjoint, centreline, orient, second_derivative, tangent_slopes, tangents
@@ -413,7 +413,8 @@ def _load_sums(problem: LoadedProblem, orientation: Orientation) -> _LoadSums:
 
 def tip_frame(orientation: Orientation) -> Array:
     """Bishop frame (3, 3) of the tip."""
-    return np.array(rotation_matrix_function()(orientation.start[-1]))
+    # CasADi stores by columns.
+    return np.asarray(mapped(rotation_matrix_function(), 1)(orientation.start[-1])[0].reshape(3, 3).T.copy())
 
 
 def _tip(problem: LoadedProblem, orientation: Orientation, curvature_slope: Array) -> tuple[Array, Array]:
