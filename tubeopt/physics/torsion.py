@@ -70,6 +70,23 @@ def natural_moments(theta: Any, moment: Any) -> Any:
     return about_x + ca.horzcat(-moment[:, 1] * sin, moment[:, 1] * cos)
 
 
+def jacobi_rates(y: Any, v: Any, slope: Any, g: Any = None, turned: Any = None) -> tuple[Any, Any]:
+    """Derivatives by arc length of fields y = d theta and v = d w: the linearised equations of torsion.
+
+        y' = g v + w (dg/dtheta) y,      kt v' = (dM/dtheta) y.
+
+    Args:
+        y, v: fields (n,), or several as columns (n, N).
+        slope: dM/dtheta (n, n), or over kt: the second result is as `slope` y.
+        g, turned: g (n,) and, for eccentric tubes, w dg/dtheta (n, n); g is 1 for None.
+
+    Returns:
+        y', and `slope` y, which does not depend on v.
+    """
+    y_rate = v if g is None else ca.diag(g) @ v
+    return y_rate if turned is None else y_rate + turned @ y, slope @ y
+
+
 def _stretch(u: Any, offset: Any, angle: Any) -> Any:
     """Stretch g (n,) at curvature u."""
     return 1 + offset * (u[0] * ca.sin(angle) - u[1] * ca.cos(angle))

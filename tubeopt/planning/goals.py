@@ -45,6 +45,9 @@ from .question import PlanTask
 STARTS, GAUSS_NEWTON_STEPS = 8, 20
 """Starts of the reachability test, half of them nearest in the table, half spread; and Gauss-Newton steps from each."""
 
+SHORTER = 0.5 ** np.arange(5)
+"""Fractions of a step that are tried."""
+
 LONGEST_STEP = 0.4
 """Largest change of a coordinate, in units of the joints' scales."""
 
@@ -118,28 +121,39 @@ def least_miss(task: PlanTask, position: Array, clock: Clock | None = None) -> f
     for q in spread_starts(space, known, STARTS, first=STARTS // 2):
         if clock is not None and clock.over:
             return 0.0
-        smallest = min(smallest, _closest(task, q, position))
+        smallest = min(smallest, approach(task, q, position, enough=NEAR * space.length)[0])
         if smallest <= NEAR * space.length:
             return 0.0
     return float(smallest) if np.isfinite(smallest) else 0.0
 
 
-def _closest(task: PlanTask, start: Array, position: Array) -> float:
-    """Distance of the tip after Gauss-Newton from joint values (m,), used as tip rotations, m."""
-    length, z = task.coordinates.space.length, start
-    miss = np.inf
+def approach(
+    task: PlanTask, start: Array, position: Array, *, enough: float, valid: bool = False
+) -> tuple[float, Array]:
+    """Distance of the tip from a position (3,), m, after Gauss-Newton from tip coordinates (m,), and the last ones.
+
+    Args:
+        enough: distance at which the search ends, m.
+        valid: stay where margin, clearance and ranges hold, as they must at the start.
+    """
+    z, tips = start, tips_about(task, start)
+    miss = float(np.linalg.norm(tips[0] - position))
     for _ in range(GAUSS_NEWTON_STEPS):
-        tips = tips_about(task, z)
-        distance = float(np.linalg.norm(tips[0] - position))
-        # A step that gains less than a thousandth is at a local minimum, or at a limit.
-        if distance > (1 - 1e-3) * miss:
-            break
-        miss = distance
-        step = None if miss <= NEAR * length else step_towards(task, z, tips, position)
+        step = None if miss <= enough else step_towards(task, z, tips, position)
         if step is None:
             break
-        z = z + step
-    return miss
+        tried = z + SHORTER[:, None] * step
+        arms = task.arms(tried) if valid else task.coordinates.arms(tried, 0.0)
+        left = np.linalg.norm(arms.tip - position, axis=1)
+        if valid:
+            left[task.reserves(tried, arms=arms) < 0] = np.inf
+        best = int(left.argmin())
+        # A step that gains less than a thousandth is at a local minimum, or at a limit.
+        if left[best] > (1 - 1e-3) * miss:
+            break
+        z, miss = tried[best], float(left[best])
+        tips = tips_about(task, z)
+    return miss, z
 
 
 def tips_about(task: PlanTask, z: Array) -> Array:

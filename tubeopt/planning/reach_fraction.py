@@ -34,7 +34,7 @@ from ..stability import find_equilibria
 from ..typing import Array, Mask
 from .arms import PlacedRobot
 from .arms_plan import plan_arms
-from .goals import check_start, checked_points, start_equilibrium, step_towards, tips_about
+from .goals import approach, check_start, checked_points, start_equilibrium
 from .motion import DEFAULT_RATES
 from .plan import plan_trajectory
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, plan_task
@@ -43,18 +43,12 @@ from .roadmap import Roadmap, roadmap_of
 POINTS, CONNECTED_POINTS = 30, 4
 """Number of roadmap nodes, nearest tip first, considered per target; and of reachable ones that start the approach."""
 
-GAUSS_NEWTON_STEPS = 15
-"""Maximum number of Gauss-Newton steps from each of these."""
-
 # Beyond this, the distance from a target does not distinguish designs.
 FAR_MISS = 0.01
 """Distance from a target, m, beyond which it does not contribute to the score of a region."""
 
 SAME = 0.05
 """Largest difference of tip rotations (rad) of equal equilibria at the same joint values."""
-
-SHORTER = 0.5 ** np.arange(5)
-"""Fractions of a step that are tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,29 +181,11 @@ class _Search:
             if j not in self.reachable:
                 self.reachable[j] = self.reaches(self.roadmap.points[j])
             if self.reachable[j]:
-                ends.append(_approach(self.task, self.roadmap.points[j], point, 0.2 * tolerance))
+                start = self.roadmap.points[j]
+                ends.append(approach(self.task, start, point, enough=0.2 * tolerance, valid=True))
                 if ends[-1][0] <= tolerance:
                     break
         return sorted(ends, key=lambda end: end[0])
-
-
-def _approach(task: PlanTask, start: Array, point: Array, enough: float) -> tuple[float, Array]:
-    """Distance from a target (m) after Gauss-Newton over valid points, and the last point."""
-    z, tips = start, tips_about(task, start)
-    miss = float(np.linalg.norm(tips[0] - point))
-    for _ in range(GAUSS_NEWTON_STEPS):
-        step = None if miss <= enough else step_towards(task, z, tips, point)
-        if step is None:
-            break
-        tried = z + SHORTER[:, None] * step
-        arms = task.arms(tried)
-        left = np.where(task.reserves(tried, arms=arms) >= 0, np.linalg.norm(arms.tip - point, axis=1), np.inf)
-        best = int(left.argmin())
-        if left[best] > 0.99 * miss:
-            break
-        z, miss = tried[best], float(left[best])
-        tips = tips_about(task, z)
-    return miss, z
 
 
 def check_reach_arguments(tolerance: float, min_margin: float, options: PlanOptions, count: int) -> None:

@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 from ...physics.shape import GAUSS_POINTS, magnus_quaternion, rotation_matrix
-from ...physics.torsion import CrossSection, bent_anyhow, section_functions, symbolic_section
+from ...physics.torsion import CrossSection, bent_anyhow, jacobi_rates, section_functions, symbolic_section
 from .chain import LocalTubes, column_length, local_tubes
 from .tableau import Tableau, tableau
 
@@ -327,36 +327,41 @@ def shape_of(torsion: Torsion, fraction: Any = 1.0, *, steps: int = SHAPE_STEPS)
     return out
 
 
+def softened(element: Element, theta: Any, w: Any, x: Any, margin: Any) -> tuple[Any, ...]:
+    """Coefficients of `jacobi_rates` of tubes softened by `margin`, at the fraction x of an element with theta, w.
+
+    Softening multiplies kt where w changes, with the state kept: the definition of the margin.
+    """
+    _, slope, *stretch = element.balance(theta, x)
+    gain = ca.diag(1 / ((1 - margin) * element.torsional_stiffness)) @ slope
+    return gain, *stretch[:1], *(ca.diag(w) @ by_theta for by_theta in stretch[1:])
+
+
 def softened_fields(grid: Grid, length: Any, softness: tuple[Any, ...], end: Any, inner: Any) -> tuple[Any, Any]:
     """Jacobi field of an element of softened tubes, collocated like its torsion.
 
-    The fields y = d theta, v = d w are linearised at the state of the element, with torsional stiffness (1 - margin) kt
-    in the equation of w: y' = g c v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). From y = 1, v = 0 at
-    the tip, det y > 0 along the arm and det(y - |beta| v) > 0 at the plate if and only if the margin is larger.
+    From y = 1, v = 0 at the tip, det y > 0 along the arm and det(y - |beta| v) > 0 at the plate if and only if the
+    margin is larger.
 
     Args:
-        softness: (dM/dtheta) / ((1 - margin) kt) (n, n K) at the points; of eccentric tubes also w dg/dtheta (n, n K),
-            and of these and of tubes made of pieces g c (n, K).
+        softness: coefficients `softened`, side by side for all points.
         end: y above v (2n,) where the element ends.  inner: y (n, K) at its points.
 
     Returns:
         y above v (2n,) where the element begins, and the defect (n, K) of the collocated equations.
     """
     t, n, count = grid.tableau, grid.n_tubes, grid.degree
-    gain, *stretching = softness
+    at_points = list(zip(*(ca.horzsplit(part, part.shape[1] // count) for part in softness), strict=True))
     y, v = end[:n], end[n:]
-    gained = _at_points(gain, inner)
-    # Backwards from the end: the integral from a point to the end has the weights b - a_kj.
-    slope = ca.repmat(v, 1, count) - length * gained @ (t.weights - t.adjoint).T
-    if stretching:
-        slope = stretching[-1] * slope
-    if len(stretching) > 1:
-        slope += _at_points(stretching[0], inner)
-    defect = inner - ca.repmat(y, 1, count) + length * slope @ (t.weights - t.matrix).T
-    return ca.vertcat(y - length * slope @ t.weights, v - length * gained @ t.weights), defect
 
+    def rates(v: Any) -> list[Any]:
+        """y' and v' (n, K) at the points, where v is (n, K)."""
+        columns = [jacobi_rates(inner[:, k], v[:, k], *at) for k, at in enumerate(at_points)]
+        return [ca.horzcat(*part) for part in zip(*columns, strict=True)]
 
-def _at_points(matrices: Any, columns: Any) -> Any:
-    """Products (n, K) of matrices (n, n K), side by side, with columns (n, K)."""
-    n = columns.shape[0]
-    return ca.horzcat(*(matrices[:, k * n : (k + 1) * n] @ columns[:, k] for k in range(columns.shape[1])))
+    # v' depends on y only. Backwards from the end: the integral from a point to the end has the weights b - a_kj.
+    at_end = ca.repmat(v, 1, count)
+    v_rate = rates(at_end)[1]
+    y_rate = rates(at_end - length * v_rate @ (t.weights - t.adjoint).T)[0]
+    defect = inner - ca.repmat(y, 1, count) + length * y_rate @ (t.weights - t.matrix).T
+    return ca.vertcat(y - length * y_rate @ t.weights, v - length * v_rate @ t.weights), defect

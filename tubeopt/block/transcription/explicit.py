@@ -24,11 +24,11 @@ import casadi as ca
 import numpy as np
 
 from ...physics.shape import exponential
-from ...physics.torsion import section_functions
+from ...physics.torsion import jacobi_rates, section_functions
 from ...robots.lengthwise import steps_of, varies
 from ...robots.robot import Robot
 from ...typing import Array
-from .collocated import Element, Torsion
+from .collocated import Element, Torsion, softened
 from .functions import determinant_function
 
 State = list[Any]
@@ -99,10 +99,9 @@ def _step_function(n: int, eccentric: bool, slopes: bool, varying: bool) -> ca.F
         if not slopes:
             return derivative
         theta_by_tip, torque_by_tip = state[3:]
-        theta_slope = ca.diag(g * rate) @ torque_by_tip
-        if eccentric:
-            theta_slope += ca.diag(rate * torque) @ (out[4] @ theta_by_tip)
-        return [*derivative, theta_slope, out[1] @ theta_by_tip]
+        stretch = (g, ca.diag(rate * torque) @ out[4]) if eccentric else ()
+        fields = jacobi_rates(theta_by_tip, ca.diag(rate) @ torque_by_tip, out[1], *stretch)
+        return [*derivative, *fields]
 
     after = [ca.densify(part) for part in classical_step(state, rates, -h)]
     inputs = [part for section in sections for part in section]
@@ -164,18 +163,8 @@ def marched_fields(torsion: Torsion, fields: Any, margin: Any) -> Any:
 def _field_rate(element: Element, x: float, theta: Any, w: Any, margin: Any) -> Callable[[Any], Any]:
     """Right-hand side of the Jacobi fields, a function of the fields, at the fraction x of an element with theta, w."""
     n = element.grid.n_tubes
-    _, stiffness, *stretch = element.balance(theta, x)
-    # Softening multiplies kt where w changes, with the state kept: the definition of the margin.
-    gain = ca.diag(1 / ((1 - margin) * element.torsional_stiffness)) @ stiffness
-
-    def rate(fields: Any) -> Any:
-        y, v = fields[:n, :], fields[n:, :]
-        y_rate = ca.diag(stretch[0]) @ v if stretch else v
-        if len(stretch) > 1:
-            y_rate += ca.diag(w) @ (stretch[1] @ y)
-        return ca.vertcat(y_rate, gain @ y)
-
-    return rate
+    softness = softened(element, theta, w, x, margin)
+    return lambda fields: ca.vertcat(*jacobi_rates(fields[:n, :], fields[n:, :], *softness))
 
 
 # --- Explicit map from tip rotations to the equilibrium ---------------------------------------------------------------
@@ -472,11 +461,11 @@ def _nystrom(
     # theta'' does not depend on theta': Nystrom's method of order 4 has three stages, not four.
     k1, slope = gains(theta)
     # Fields of the linearised equation, by the same method and stages: dM/dtheta is computed once.
-    f1 = slope @ y
+    f1 = jacobi_rates(y, v, slope)[1]
     k2, slope = gains(theta - h / 2 * w + h**2 / 8 * k1, 1)
-    f2 = slope @ (y - h / 2 * v + h**2 / 8 * f1)
+    f2 = jacobi_rates(y - h / 2 * v + h**2 / 8 * f1, v, slope)[1]
     k3, slope = gains(theta - h * w + h**2 / 2 * k2, 2)
-    f3 = slope @ (y - h * v + h**2 / 2 * f2)
+    f3 = jacobi_rates(y - h * v + h**2 / 2 * f2, v, slope)[1]
     return [
         theta - h * w + h**2 / 6 * (k1 + 2 * k2),
         w - h / 6 * (k1 + 4 * k2 + k3),
@@ -496,8 +485,8 @@ def _runge_kutta(
     def rates(state: State, _: int) -> State:
         theta, w, y, v = state
         moment, slope, _, g, g_by_theta = balance(theta, *inputs)
-        y_rate = ca.diag(g) @ v + ca.diag(w) @ (g_by_theta @ y)
-        return [g * w, moment / kt[0], y_rate, ca.diag(1 / kt[1]) @ slope @ y]
+        fields = jacobi_rates(y, v, ca.diag(1 / kt[1]) @ slope, g, ca.diag(w) @ g_by_theta)
+        return [g * w, moment / kt[0], *fields]
 
     return classical_step(list(state), rates, -h)
 

@@ -18,6 +18,7 @@ from .collocated import (
     energy_of,
     loaded_points,
     shape_of,
+    softened,
     softened_fields,
     symbolic_element,
     torsion_of,
@@ -210,12 +211,10 @@ def twist_function(grid: Grid) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def softness_function(grid: Grid) -> ca.Function:
-    """Function (margin, theta, w (n,), fraction x, data of an element) -> `softness` of `softened_fields` there."""
+    """Function (margin, theta, w (n,), fraction x, data of an element) -> coefficients `softened` of Jacobi fields."""
     element = symbolic_element(grid)
     margin, w, x = ca.SX.sym("margin"), ca.SX.sym("w", grid.n_tubes), ca.SX.sym("x")
-    _, stiff, *stretching = element.balance(element.theta, x)
-    outputs = [ca.diag(1 / ((1 - margin) * element.torsional_stiffness)) @ stiff]
-    outputs += [ca.diag(w) @ turned for turned in stretching[1:]] + stretching[:1]
+    outputs = softened(element, element.theta, w, x, margin)
     inputs = [margin, element.theta, w, x, *element.data]
     return ca.Function("softness", inputs, [ca.densify(part) for part in outputs], OPTIONS)
 
@@ -265,7 +264,7 @@ def _softness(grid: Grid) -> tuple[Any, ...]:
         size = 2 * field_size(grid)
         return (ca.SX.sym("A", size, size * count),)
     gain, turned, stretch = ca.SX.sym("G", n, n * count), ca.SX.sym("S", n, n * count), ca.SX.sym("g", n, count)
-    return (gain, *((turned,) * grid.eccentric), *((stretch,) * grid.stretched))
+    return (gain, *((stretch,) * grid.stretched), *((turned,) * grid.eccentric))
 
 
 @lru_cache(maxsize=16)
