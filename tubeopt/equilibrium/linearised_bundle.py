@@ -116,7 +116,8 @@ class LinearisedBundle:
         if not self._moves_axes:
             return np.zeros((len(problem.order), self.size))
         turned = problem.before @ bend.reshape(-1, 2)
-        return -problem.lengths_by_boundaries @ np.einsum("mc,mcq->mq", turned, problem.at_boundaries(self._levers))
+        changes = np.einsum("mc,mcq->mq", turned, problem.at_boundaries(self._levers))
+        return -np.asarray(problem.lengths_by_boundaries @ changes)
 
     def _longer_adjoint(self, forces: Array) -> Array:
         """Derivative (2 N, Q) of forces (m,) times `_longer`, by kappa."""

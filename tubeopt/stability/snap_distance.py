@@ -58,7 +58,6 @@ import numpy as np
 
 from ..arguments import typed
 from ..block.transcription.mesh import green_of
-from ..block.transcription.reduced import evaluate, to_unknowns
 from ..display import Displayed
 from ..equilibrium.jacobian import compiled_motion, compiled_turn
 from ..equilibrium.kinematics import point_of
@@ -78,7 +77,7 @@ NEWTON_STEPS = 40
 """Newton's method from below needs 4 to 10 steps, and up to 25 beside the largest ball, where two fixed points meet."""
 
 POLISH = 3
-"""Newton steps on the given equilibrium: one that was saved, or solved on another mesh, is right to 1e-9 only."""
+"""Newton steps on an equilibrium that was sampled from another mesh."""
 
 PRECISION = 1e-6
 """Relative precision of the radius. At 1e-3 it takes half the time, and the ball is up to 0.1 % smaller."""
@@ -293,13 +292,9 @@ class PairForm(Form):
     @staticmethod
     def of(equilibrium: Equilibrium) -> PairForm:
         """Pair form of an equilibrium of concentric tubes without a load."""
-        shift = tuple(equilibrium.translations.tolist())
-        problem = reduced_problem(equilibrium.robot, shift, discretisation_of(equilibrium))
-        z = to_unknowns(problem, equilibrium.rotations, sample_rotation(equilibrium, problem.arc_length))
-        state = evaluate(problem, equilibrium.rotations, z)
-        for _ in range(POLISH if problem.size else 0):
-            z = z - np.linalg.solve(state.hessian, state.gradient)
-            state = evaluate(problem, equilibrium.rotations, z)
+        # Solved again: an equilibrium that was saved, or found on another mesh, is right to 1e-9 only.
+        point = point_of(equilibrium, discretisation=discretisation_of(equilibrium))
+        problem, state = point.member.problem, point.state
         theta, moment = state.theta + problem.phase, problem.moment
         first, second = np.triu_indices(moment.shape[1], 1)
         product = (problem.weight / problem.stiffness.sum(1))[:, None] * moment[:, first] * moment[:, second]
@@ -308,7 +303,7 @@ class PairForm(Form):
         # A tube curved backwards pulls in the opposite direction: half a turn is in the angle, and w > 0.
         w, half = np.abs(product[a, pair]), np.where(product[a, pair] < 0, np.pi, 0.0)
         D = np.eye(moment.shape[1])[i] - np.eye(moment.shape[1])[j]
-        return _at(theta[a, i] - theta[a, j] + half, w, problem.spread[a, i] - problem.spread[a, j], D, z)
+        return _at(theta[a, i] - theta[a, j] + half, w, problem.spread[a, i] - problem.spread[a, j], D, state.z)
 
     @staticmethod
     def sliding(equilibrium: Equilibrium, slide: Array) -> PairForm:

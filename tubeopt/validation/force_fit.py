@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from ..block.transcription.loaded import position_slopes, tip_slopes
-from ..equilibrium.kinematics import point_of, under_load
+from ..equilibrium.kinematics import under_load
+from ..equilibrium.linearised import linearise, position_changes, positions_at, tip_forces
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, without_unit_warnings
 from ..robots.load import Load
@@ -183,23 +183,17 @@ def trial_at(equilibrium: Equilibrium, base: Load, force: Array, measured: Measu
     noise = measured.noise
     tip = last_tube(e.robot.assembly(e.translations).end)
     away = e.tip_rotation @ about_z(e.rotation[int(tip), -1]) @ measured.offset
-    # The compliance of the tip has these slopes already; other points need the Hessian.
+    # The compliance of the tip has these slopes already; other points need the whole arm.
     if len(measured.arc_length) == 1 and abs(measured.arc_length[0] - e.arc_length[-1]) <= ARRIVED:
         slopes = e.compliance[:3, :3] + _rotation_slope(e.compliance[3:, :3], away)
         return Trial(force, e, (measured.position[0] - e.tip_position - away) / noise, slopes / noise)
-    point = point_of(e)
-    problem, state = point.member.problem, point.state
-    # dx/dF = H^-1 (dp/dx)': a force at the tip enters the equations by the slopes of the tip (virtual work).
-    moved = np.linalg.solve(state.hessian, tip_slopes(problem, state)[:3].T)
-    residuals, rows = [], []
-    for s, position in zip(measured.arc_length, measured.position, strict=True):
-        point_position, slopes = position_slopes(problem, state, float(s))
-        residuals.append(position - point_position)
-        rows.append(slopes @ moved)
+    known, fractions = linearise(e, (), more=tip_forces), measured.arc_length / e.arc_length[-1]
+    residuals = measured.position - positions_at(known, fractions)
+    slopes = position_changes(known, fractions)
     if away.any():
         residuals[0] -= away
-        rows[0] += _rotation_slope(e.compliance[3:, :3], away)
-    return Trial(force, e, np.concatenate(residuals) / noise, np.concatenate(rows) / noise)
+        slopes[0] += _rotation_slope(e.compliance[3:, :3], away)
+    return Trial(force, e, residuals.ravel() / noise, slopes.reshape(-1, 3) / noise)
 
 
 def _rotation_slope(turns: Array, away: Array) -> Array:

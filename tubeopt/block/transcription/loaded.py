@@ -558,13 +558,6 @@ def integration_to(problem: LoadedProblem, s: float) -> Array:
     return np.asarray(weight)
 
 
-def position_slopes(problem: LoadedProblem, state: LoadedState, s: float) -> tuple[Array, Array]:
-    """Position (3,) at arc length s, m, and its derivative (3, U + 2 N) by x."""
-    orientation, weight = state.orientation, integration_to(problem, s)
-    by_u = weight @ (tangent_slopes(orientation.stage) @ orientation.stage_slope).reshape(len(weight), -1)
-    return weight @ tangents(orientation.stage), by_u.reshape(3, -1) @ state.curvature_slope
-
-
 def compliance_along(problem: LoadedProblem, state: LoadedState, s: float, tube: int) -> Array:
     """Compliance (6, 6) at arc length s: translation (m) and rotation (rad) by a dead force (N) and moment (N m) there.
 
@@ -580,7 +573,8 @@ def compliance_along(problem: LoadedProblem, state: LoadedState, s: float, tube:
     tangent = np.array(rotation_matrix_function()(quaternion / np.linalg.norm(quaternion)))[:, 2]
     row, rest = _twist(problem, weight, tube)
     turn[:, : torsion.size] += np.outer(tangent, row)
-    slopes = np.concatenate([position_slopes(problem, state, s)[1], turn])
+    by_u = weight @ (tangent_slopes(orientation.stage) @ orientation.stage_slope).reshape(len(weight), -1)
+    slopes = np.concatenate([by_u.reshape(3, -1) @ state.curvature_slope, turn])
     out = slopes @ np.linalg.solve(state.hessian, slopes.T)
     out[3:, 3:] += rest * np.outer(tangent, tangent)
     return np.asarray(out)
