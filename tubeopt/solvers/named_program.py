@@ -327,7 +327,11 @@ def ipopt_function(  # noqa: PLR0913
             for option, function in (("grad_f", "nlp_grad_f"), ("jac_g", "nlp_jac_g"), ("hess_lag", "nlp_hess_l")):
                 if derivatives.has_function(function):
                     options[option] = derivatives.get_function(function)
-        elif settings.expand and settings.hessian == "limited-memory":
+        elif not settings.expand:
+            with few_directions(MANY_DIRECTIONS):
+                g = ca.vertcat(*rows)
+                options["jac_g"] = ca.Function("jac_g", [x, p], [g, ca.jacobian(g, x)], ["x", "p"], ["g", "jac_g_x"])
+        elif settings.hessian == "limited-memory":
             # Constraint by constraint: rows of a few constraints that depend on all variables are cheap in reverse
             # mode, and would spoil the colouring of the others, which are local.
             slopes = ca.vertcat(ca.SX(0, x.numel()), *(ca.jacobian(row, x) for row in rows))

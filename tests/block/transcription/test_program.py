@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -9,6 +10,7 @@ from tests.examples import CRL, MM, THESIS, eccentric_assembly, nested, newton
 from tubeopt import ConcentricRobot, Problem, ProblemSolution, ProblemStatus, forward_kinematics
 from tubeopt.block.transcription import arm as arms
 from tubeopt.block.transcription.mesh import make_mesh
+from tubeopt.block.transcription.model import side_by_side
 from tubeopt.block.transcription.program import (
     add_torsion,
     structure_of,
@@ -123,3 +125,21 @@ def test_names_of_the_equations_are_words() -> None:
     assert names[-1] == "torsion at the end, tube 3"
     desired = {"torsion equation, tube 2, section 3, point 4", "continuity of torsion, tube 3, section 2"}
     assert {"base rotation, tube 1", *desired} <= set(names)
+
+
+def test_elements_side_by_side_have_the_derivatives_of_all_at_once() -> None:
+    """Values, Jacobian and Hessian of a mapped element with its own Jacobian equal those that CasADi derives."""
+    x, y = ca.SX.sym("x", 2), ca.SX.sym("y", 1, 2)
+    one = ca.Function("one", [x, y], [ca.sin(x) * y.T, x[0] * y[1] ** 2, ca.SX(1, 1)])
+    at = ca.MX.sym("at", 4, 3)
+    arguments = at[:2, :], ca.reshape(at[2:, :] ** 2, 1, 6)
+    weights = np.random.default_rng(0).normal(size=12)
+    numbers = np.random.default_rng(1).normal(size=(4, 3))
+    results = []
+    for mapped in (one.map(3), side_by_side(one, 3)):
+        values = ca.veccat(*mapped(*arguments))
+        hessian = ca.hessian(ca.dot(ca.DM(weights), values), ca.vec(at))[0]
+        results.append(ca.Function("all", [at], [values, ca.jacobian(values, ca.vec(at)), hessian])(numbers))
+    for theirs, ours in zip(*results, strict=True):
+        assert np.array(theirs).any()
+        np.testing.assert_allclose(np.array(ours), np.array(theirs), rtol=0, atol=1e-14)
