@@ -9,9 +9,9 @@ with `Opti`, its user swaps the same breakpoints by hand and solves again.
 
 The target compares equal answers: where breakpoints meet it is against `Opti` by hand. In the given order of `Opti`
 `Problem` then takes 1.06 to 1.11 times as long, at the same number of iterations: it evaluates gradients in other
-orders at three points, and builds a second solver for the start with multipliers. Times are processor times of one thread for the
-composition and for all solves, which include the derivatives. All run in turn REPETITIONS times; shown is the run with
-the median ratio, since times of single runs differ by a fifth on a shared machine.
+orders at three points, and builds a second solver for the start with multipliers. Times are processor times of one
+thread for the composition and for all solves, which include the derivatives. All run in turn REPETITIONS times; shown
+is the run with the median ratio, since times of single runs differ by a fifth on a shared machine.
 """
 
 from __future__ import annotations
