@@ -23,7 +23,6 @@ force phi and p drop out.
 from __future__ import annotations
 
 from functools import lru_cache
-from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -256,36 +255,3 @@ PARAMETERS = (
     "translation",
 )
 """Parameters of the certificate, (n,) each: dimensions of the tubes, SI, and translations."""
-
-
-Rows = tuple[tuple[int, ...], ...]
-Pattern = tuple[tuple[int, ...], Rows, Rows]
-
-
-@lru_cache(maxsize=128)
-def determinant_function(pattern: Pattern) -> Any:
-    """Function (lambda, PARAMETERS...) -> D(lambda); 1 - mu_cert is the largest root of D.
-
-    `pattern` fixes the order of breakpoints: the breakpoint at the end of each section (2 i for the transition of tube
-    i, 2 i + 1 for its end), and which tubes are present and curved on it.
-    """
-    ends, present, curved = pattern
-    n = len(present[0])
-    symbols = {name: ca.SX.sym(name, n) for name in PARAMETERS}
-    # Each tube is clamped at beta < 0: -beta is its length below the plate.
-    beta = symbols["translation"] - symbols["straight_length"]
-    transition = beta + symbols["straight_length"]
-    tip = transition + symbols["curved_length"]
-    # D is smooth only while the breakpoints keep their order, so each order has its own function.
-    cuts = [ca.SX(0), *((tip if e % 2 else transition)[e // 2] for e in ends)]
-    masks = (ca.DM(present).T, ca.DM(curved).T)
-    data = {
-        "torsional_stiffness": symbols["torsional_stiffness"],
-        "transmission": -beta,
-        "length": ca.vertcat(*(b - a for a, b in pairwise(cuts))),
-        "stiffness": masks[0] * symbols["bending_stiffness"],
-        "moment": masks[1] * (symbols["bending_stiffness"] * symbols["curvature"]),
-    }
-    eigenvalue = ca.SX.sym("lambda")
-    determinant = base_determinant(eigenvalue, data, ONCE)
-    return ca.Function("determinant", [eigenvalue, *symbols.values()], [determinant], {"cse": True})

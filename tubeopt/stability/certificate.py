@@ -25,8 +25,8 @@ from ..equilibrium.member import PlainPoint, Point, Unloaded
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_assembly, reduced_problem
 from ..errors import InputError, positive
 from ..files.field_metadata import form, unit
-from ..physics.certificate import APART, OPPOSED, PARAMETERS, Pattern, largest_eigenvalue, worst_function
-from ..robots.assembly import LENGTH_ROUND_OFF, Assembly, merge
+from ..physics.certificate import APART, OPPOSED, PARAMETERS, largest_eigenvalue, worst_function
+from ..robots.assembly import merge
 from ..robots.lengthwise import variation
 from ..robots.limits import check_force
 from ..robots.robot import Robot, shifts
@@ -392,19 +392,6 @@ def _of_segments(robot: Robot, shift: Array) -> Certificate:
         tubes = list(segment.tubes)
         fraction[np.ix_(tubes, tubes)] = (1 - np.eye(3)) / 3
     return Certificate(margin, shift, gradient, None, None if segment is None else segment.section, fraction)
-
-
-def breakpoint_pattern(assembly: Assembly) -> Pattern:
-    """Order of breakpoints for `physics.certificate.determinant_function`.
-
-    Breakpoints that coincide count for the first tube.
-    """
-    breakpoints = np.stack([assembly.transition, assembly.end], axis=1).ravel()
-    ends = [
-        int(np.argmax(np.abs(breakpoints - stop) <= 2 * LENGTH_ROUND_OFF)) for stop in assembly.start + assembly.length
-    ]
-    present, curved = (tuple(map(tuple, mask.astype(int).tolist())) for mask in (assembly.present, assembly.curved))
-    return tuple(ends), present, curved
 
 
 def _linearised(
