@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from ..arguments import typed
-from ..block.transcription.loaded import compliance_along, evaluate, symmetric_part
+from ..block.transcription.loaded import compliance_along, symmetric_part
 from ..block.transcription.second_variation import modes
 from ..errors import InputError, finite
 from ..robots.assembly import DIMENSIONS, LENGTH_ROUND_OFF, Assembly
@@ -38,7 +38,7 @@ from .kinematics import point_of
 from .linearised import linearise, sharing
 from .linearised_bundle import linearise_bundle
 from .member import Loaded, LoadedPoint, discretisation_of
-from .problem import DEFAULT_DISCRETISATION, loaded_problem, loading_of
+from .problem import DEFAULT_DISCRETISATION, loading_of
 from .result import Derivatives, Equilibrium, Jacobian
 
 JOINTS = ("rotations", "translations")
@@ -223,11 +223,9 @@ def position_slopes(equilibrium: Equilibrium, carriages: Carriages | None = None
 
 # --- Margin under a load without an energy ----------------------------------------------------------------------------
 
-# How the margin under a load without an energy changes with joint values and tubes.
-#
-# With H the linearised equations and w, v the left and right eigenvectors of the eigenvalue l of the margin, dl = w'dH
-# v / w'v, where the equilibrium moves by H dx = -dg. Both dg and dH are differences of two problems, a step further and
-# a step back: the eigenvectors are not solved for again. Of the symmetric part w is v.
+# How an eigenvalue l of the linearised equations H changes with joint values and tubes. With its left and right
+# eigenvectors w and v, dl = w'dH v / w'v, where the equilibrium moves by H dx = -dg. Both dg and dH are differences of
+# two problems, a step further and a step back: the eigenvectors are not solved for again. Of a symmetric H w is v.
 
 STEP = 1e-5
 """Step of the differences: rad, or a fraction of the arm's length, of its inverse, or of a stiffness."""
@@ -244,13 +242,42 @@ class Posed(NamedTuple):
     """Translations (n,), m."""
 
 
-class Difference(NamedTuple):
-    """Central difference by one parameter."""
+class Change(NamedTuple):
+    """Change of a robot or its joint values by one parameter."""
 
     step: float
     """Step to either side, in the unit of the parameter."""
     sides: list[Posed]
     """Robot a step further, then a step back; empty where one of them does not exist."""
+
+
+class Difference(NamedTuple):
+    """Central difference of equations with the same unknowns (U,)."""
+
+    step: float
+    """Step to either side."""
+    ahead: Loaded
+    """Equations a step further."""
+    behind: Loaded
+    """Equations a step back."""
+
+    def gradient(self, x: Array) -> Array:
+        """(U,) derivative of the residual at unknowns x (U,)."""
+        return np.asarray((self.ahead.at(x).gradient - self.behind.at(x).gradient) / (2 * self.step))
+
+    def stiffness(self, x: Array, rate: Array, modes: tuple[Array, Array], *, sure: bool = False) -> float:
+        """Derivative of w'Hv for left and right modes w, v (U,), where x changes at a rate (U,).
+
+        Of the symmetric part of H, if `sure`.
+        """
+
+        def form(member: Loaded, x: Array) -> Array:
+            state = member.at(x)
+            return symmetric_part(member.problem, state) if sure else state.hessian
+
+        left, right = modes
+        change = form(self.ahead, x + self.step * rate) - form(self.behind, x - self.step * rate)
+        return float(np.vdot(left, change @ right).real) / (2 * self.step)
 
 
 def unit_of(e: Equilibrium, name: str, tube: int) -> float:
@@ -282,13 +309,36 @@ def shifted(e: Equilibrium, name: str, tube: int, step: float) -> Posed:
     return Posed(robot, joints["rotations"], tuple(joints["translations"].tolist()))
 
 
-def difference_of(e: Equilibrium, name: str, tube: int) -> Difference:
-    """Central difference by a parameter of a tube."""
+def change_by(e: Equilibrium, name: str, tube: int) -> Change:
+    """Change by a parameter of a tube."""
     step = STEP * unit_of(e, name, tube)
     try:
-        return Difference(step, [shifted(e, name, tube, sign * step) for sign in (1, -1)])
+        return Change(step, [shifted(e, name, tube, sign * step) for sign in (1, -1)])
     except InputError:
-        return Difference(step, [])
+        return Change(step, [])
+
+
+def difference_of(member: Loaded, change: Change, loads: tuple[Load, Load]) -> Difference | None:
+    """Difference of the equations of a member by a change, under a load at each side.
+
+    None where a side does not exist, and where breakpoints that coincide move apart.
+    """
+    sides = list[Loaded]()
+    for (robot, rotations, shift), load in zip(change.sides, loads, strict=False):
+        try:
+            assembly, _ = loading_of(robot, shift, load)
+        except InputError:  # the arm does not exist
+            return None
+        side = member.with_inputs(rotations, shift, load, member.factor, robot)
+        if side is None or _with_length(assembly) != _with_length(member.torsion.assembly):
+            return None
+        sides.append(side)
+    return Difference(change.step, *sides) if sides else None
+
+
+def _with_length(assembly: Assembly) -> int:
+    """Number of sections of an arm that have a length."""
+    return int((assembly.length > LENGTH_ROUND_OFF).sum())
 
 
 def margin_slopes(
@@ -303,47 +353,25 @@ def margin_slopes(
         SolveError: the equilibrium is a fold.
     """
     point: LoadedPoint = point_of(e)
-    shift = point.member.translations
-    differences = [difference_of(e, name, tube) for name in wrt for tube in range(len(e.rotations))]
-    differences += [Difference(step, [Posed(robot, e.rotations, shift) for robot in pair]) for step, pair in varied]
-    matrix = symmetric_part(point.member.problem, point.state) if sure else point.state.hessian
+    member, x = point.member, point.state.x
+    changes = [change_by(e, name, tube) for name in wrt for tube in range(len(e.rotations))]
+    changes += [
+        Change(step, [Posed(robot, e.rotations, member.translations) for robot in pair]) for step, pair in varied
+    ]
+    matrix, slopes = symmetric_part(member.problem, point.state) if sure else point.state.hessian, list[float]()
     result = modes(matrix, symmetric=sure)
     if result is None:
-        return np.full(len(differences), np.nan)
-    return np.array([_slope(point, result, difference, sure=sure) for difference in differences])
-
-
-def _slope(point: LoadedPoint, modes: tuple[Array, Array], difference: Difference, *, sure: bool) -> float:
-    """Derivative of the margin by a central difference, from the left and right mode."""
-    (step, sides), (left, right), member = difference, modes, point.member
-    problem, x = member.problem, point.state.x
-    pieces = tuple(np.bincount(problem.mesh.section, minlength=problem.torsion.assembly.n_sections).tolist())
-    cut = [_cut(loading_of(robot, shift, problem.load)[0]) for robot, _, shift in sides]
-    if cut != 2 * [_cut(problem.torsion.assembly)]:
-        return float("nan")
-    problems = [loaded_problem(robot, shift, problem.load, member.discretisation, pieces) for robot, _, shift in sides]
-    alphas = [alpha for _, alpha, _ in sides]
-    ahead, behind = (evaluate(each, alpha, x).gradient for each, alpha in zip(problems, alphas, strict=True))
-    change = -scipy.linalg.lu_solve(_factorised(point), ahead - behind) / 2
-    result = [
-        evaluate(each, alpha, x + sign * change) for each, alpha, sign in zip(problems, alphas, (1, -1), strict=True)
-    ]
-    further, back = (
-        symmetric_part(each, state) if sure else state.hessian for each, state in zip(problems, result, strict=True)
-    )
-    return float((np.vdot(left, (further - back) @ right) / np.vdot(left, right)).real) / (2 * step)
-
-
-@lru_cache(maxsize=4)
-def _factorised(point: LoadedPoint) -> tuple[Array, Array]:
-    """LU factors of the equations at a point."""
-    factors: tuple[Array, Array] = scipy.linalg.lu_factor(point.state.hessian)
-    return factors
-
-
-def _cut(assembly: Assembly) -> tuple[int, int]:
-    """Numbers of sections of an arm, and of those that have a length."""
-    return assembly.n_sections, int((assembly.length > LENGTH_ROUND_OFF).sum())
+        return np.full(len(changes), np.nan)
+    factors, scale = scipy.linalg.lu_factor(point.state.hessian), np.vdot(*result)
+    left, right = result[0], result[1] / scale
+    for change in changes:
+        difference = difference_of(member, change, (member.problem.load,) * 2)
+        if difference is None:
+            slopes.append(np.nan)
+            continue
+        rate = -scipy.linalg.lu_solve(factors, difference.gradient(x))
+        slopes.append(difference.stiffness(x, rate, (left, right), sure=sure))
+    return np.array(slopes)
 
 
 # --- Compliance -------------------------------------------------------------------------------------------------------

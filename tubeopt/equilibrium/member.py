@@ -688,20 +688,26 @@ class Loaded(Member[LoadedState]):
         return self.problem.couples is None
 
     def with_inputs(
-        self, rotations: Array, translations: tuple[float, ...], load: Load | None, factor: float
+        self,
+        rotations: Array,
+        translations: tuple[float, ...],
+        load: Load | None,
+        factor: float,
+        robot: Robot | None = None,
     ) -> Loaded | None:
-        """Same equations at other joint values; the load acts at the same points."""
+        """Same equations at other joint values, or of another robot; the load acts at the same points."""
         assert load is not None
-        if translations == self.translations and load is self.problem.load:
+        robot = robot or self.robot
+        if robot is self.robot and translations == self.translations and load is self.problem.load:
             return replace(self, rotations=rotations, factor=factor)
-        assembly, _ = loading_of(self.robot, translations, load)
+        assembly, _ = loading_of(robot, translations, load)
         elements = elements_of(self.problem.mesh, self.problem.torsion.assembly, assembly)
         if elements is None:
             return None
-        problem = loaded_problem(self.robot, translations, load, self.discretisation, tuple(elements.tolist()))
+        problem = loaded_problem(robot, translations, load, self.discretisation, tuple(elements.tolist()))
         if problem.size != self.problem.size:
             return None
-        return Loaded(self.robot, problem, rotations, translations, self.discretisation, factor)
+        return Loaded(robot, problem, rotations, translations, self.discretisation, factor)
 
     def transfer(self, point: AnyPoint) -> Array:
         """(U,) unknowns of a point from another mesh: bending is interpolated by the polynomials of the elements."""

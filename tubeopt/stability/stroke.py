@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..block.transcription.loaded import LoadedProblem, evaluate
 from ..block.transcription.mesh import section_needs
-from ..equilibrium.jacobian import STEP, Posed, difference_of
+from ..equilibrium.jacobian import STEP, Change, Difference, Posed, change_by, difference_of
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.problem import LOADED_DISCRETISATION, loaded_problem
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive
 from ..robots.load import Load
@@ -124,62 +121,36 @@ def stroke_slopes(
     if result is None:
         return None
     loss, scale = result
-    member = loss.point.member
-    force = np.array(member.problem.load.force)
-    at_forces = [_Side(member.problem, member.rotations, loss.t * (1 + sign * STEP)) for sign in (1, -1)]
+    member, force = loss.point.member, np.array(loss.point.member.problem.load.force)
     value = loss.t * scale * unit
-    rate_by_force = _rate(loss, at_forces, STEP * value)
+    ahead, behind = (replace(member, factor=loss.t * (1 + sign * STEP)) for sign in (1, -1))
+    rate_by_force = _rate(loss, Difference(STEP * value, ahead, behind))
+
+    def slope(change: Change, rotation: Array, name: str) -> float:
+        """Derivative by a parameter that turns the tip by a rotation vector (3,) per unit."""
+        turned = change.step * np.cross(rotation, force)
+        further, back = (Load(tuple((force + sign * turned).tolist())) for sign in (1, -1))
+        difference = difference_of(member, change, (further, back))
+        if difference is None:
+            raise SolveError(f"a stroke force has no derivative with respect to {name}: breakpoints coincide there")
+        return -_rate(loss, difference) / rate_by_force
+
     tip_turns = first.jacobian(wrt=wrt).rotation
-    slopes = []
-    for k, (name, tube) in enumerate((name, i) for name in wrt for i in range(len(first.rotations))):
-        step, robots = difference_of(first, name, tube)
-        try:
-            sides = _pushed(robots, loss.t, force, step * np.cross(tip_turns[:, k], force))
-        except InputError:  # the arm does not exist on one side
-            sides = []
-        if len(sides) < 2 or any(side.problem.size != member.problem.size for side in sides):
-            raise SolveError(
-                f"a stroke force has no derivative with respect to {name} of "
-                f"tube {tube + 1}: breakpoints coincide there"
-            )
-        slopes.append(-_rate(loss, sides, step) / rate_by_force)
+    names = [(name, tube) for name in wrt for tube in range(len(first.rotations))]
+    slopes = [
+        slope(change_by(first, name, tube), tip_turns[:, k], f"{name} of tube {tube + 1}")
+        for k, (name, tube) in enumerate(names)
+    ]
     for parameter in varied:
-        robots = [Posed(robot, first.rotations, tuple(first.translations.tolist())) for robot in parameter.robots]
-        sides = _pushed(robots, loss.t, force, parameter.step * np.cross(parameter.rotation, force))
-        slopes.append(-_rate(loss, sides, parameter.step) / rate_by_force)
+        sides = [Posed(robot, first.rotations, tuple(first.translations.tolist())) for robot in parameter.robots]
+        slopes.append(slope(Change(parameter.step, sides), parameter.rotation, "a piece of a tube"))
     return value, np.array(slopes)
 
 
-class _Side(NamedTuple):
-    """Problem on one side of a central difference."""
-
-    problem: LoadedProblem
-    rotations: Array
-    factor: float
-    """Factor on the load."""
-
-
-def _pushed(robots: Sequence[Posed], factor: float, force: Array, change: Array) -> list[_Side]:
-    """Problems at plus and minus one step, under a force that changes with the step.
-
-    Raises:
-        InputError: the arm does not exist there.
-    """
-    return [
-        _Side(
-            loaded_problem(robot, shift, Load(tuple((force + sign * change).tolist())), LOADED_DISCRETISATION),
-            alpha,
-            factor,
-        )
-        for (robot, alpha, shift), sign in zip(robots, (1, -1), strict=False)
-    ]
-
-
-def _rate(loss: Loss, sides: Sequence[_Side], step: float) -> float:
-    """Derivative of the function that vanishes at the loss of stability, from problems two steps apart."""
+def _rate(loss: Loss, difference: Difference) -> float:
+    """Derivative of the function that vanishes at the loss of stability."""
     x, v, hessian = loss.point.state.x, loss.direction, loss.point.state.hessian
-    plus, minus = (evaluate(side.problem, side.rotations, x, side.factor).gradient for side in sides)
-    g_p = (plus - minus) / (2 * step)
+    g_p = difference.gradient(x)
     along_v = float(v @ g_p) / float(np.linalg.norm(v))
     if loss.kind == "fold":
         return along_v
@@ -190,8 +161,4 @@ def _rate(loss: Loss, sides: Sequence[_Side], step: float) -> float:
     # H is singular along v: the branch is followed in the complement of v.
     bordered = np.block([[hessian, v[:, None]], [v, np.zeros(1)]])
     dx = np.linalg.solve(bordered, np.append(-g_p, 0.0))[:-1]
-    stiffness_plus, stiffness_minus = (
-        float(v @ evaluate(side.problem, side.rotations, x + sign * step * dx, side.factor).hessian @ v)
-        for side, sign in zip(sides, (1, -1), strict=True)
-    )
-    return (stiffness_plus - stiffness_minus) / (2 * step)
+    return difference.stiffness(x, dx, (v, v))
