@@ -22,12 +22,13 @@ from tubeopt import (
     verify_trajectory,
 )
 from tubeopt.bodies.obstacles import scene_of
+from tubeopt.equilibrium.continuation import Family, SampledJointPath, meetings
 from tubeopt.errors import InputError
 from tubeopt.inverse.clock import Clock
 from tubeopt.planning import PlanOptions, trajectory_trace
 from tubeopt.planning.proof import HERMITE, _Row, fastest_on_cubic
 from tubeopt.planning.sections import DerivativeBounds, inverse, unit_vector
-from tubeopt.planning.trajectory_trace import ClearanceTarget, Link, TraceStep, TrajectoryVerifier, _divided, _meetings
+from tubeopt.planning.trajectory_trace import ClearanceTarget, Link, TraceStep, TrajectoryVerifier, _divided
 from tubeopt.robots.load import PointLoad
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
@@ -446,12 +447,21 @@ def test_breakpoints_that_meet_at_once_are_met_by_one_step(size: float) -> None:
 def test_meetings_at_one_time_are_one_and_parts_beside_them_are_none() -> None:
     """Gaps that differ by 1e-13 m of 1e-4 m where one of them is 0; by 1e-8 m; and a part 1e-9 beside a meeting."""
     before, after = np.array([0.0, 2e-5, 2e-5 + 1e-13, 3e-5]), np.array([0.0, -8e-5, -8e-5, -7e-5])
-    result = _meetings(np.array([before, after]))[0]
+    result = meetings(np.array([before, after]))[0]
     assert result == pytest.approx([0.2, 0.3], abs=1e-8)
-    assert _meetings(np.array([[0.0, 0.9e-9], [0.0, -1e-3]]))[0] == pytest.approx([0.9e-6], rel=1e-3)
-    assert not _meetings(np.array([[0.0, 0.9e-12], [0.0, -1e-3]]))
+    assert meetings(np.array([[0.0, 0.9e-9], [0.0, -1e-3]]))[0] == pytest.approx([0.9e-6], rel=1e-3)
+    assert not meetings(np.array([[0.0, 0.9e-12], [0.0, -1e-3]]))
     parts = _divided(np.array([0.2, 0.3 + 1e-9, 1.0]), np.array([0.3, 1 - 1e-9]))
     assert parts.tolist() == [0.2, 0.3, 1 - 1e-9, 1.0]
+
+
+def test_a_path_has_events_where_a_breakpoint_passes_a_place_of_a_load() -> None:
+    """Both tubes pass the plate, and the end of one of them passes a force."""
+    path = SampledJointPath(TWO_TUBE, np.array([0, 0, -0.03, -0.01]), np.array([0, 0, 0.01, 0.03]))
+    load = Load(points=(PointLoad(0.085, (0.03, 0.0, 0.0)),))
+    assert TWO_TUBE.assembly([-0.03, -0.01]).breakpoints == pytest.approx([-0.03, -0.01, 0.07, 0.09])
+    assert Family(path).events() == pytest.approx([0.25, 0.75, 1])
+    assert Family(path, load, load).events() == pytest.approx([0.25, 0.375, 0.75, 1])
 
 
 def test_sections_change_at_the_plate_behind_it_and_at_places_of_a_load() -> None:

@@ -13,6 +13,7 @@ from functools import lru_cache
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.load import Load, between
@@ -121,8 +122,8 @@ class SampledJointPath:
                 rows.append(np.concatenate(self.at(t)))
         return rows
 
-    def events(self) -> list[float]:
-        """Fractions of the path with coinciding breakpoints, or one at the plate; the last is 1.
+    def events(self, cuts: ArrayLike = ()) -> list[float]:
+        """Fractions of the path with coinciding breakpoints, or one at the plate or at `cuts` (m); the last is 1.
 
         The order of the breakpoints may change there.
         """
@@ -131,14 +132,30 @@ class SampledJointPath:
         n = len(self.start) // 2
         rates = self.end[n:] - self.start[n:]
         assembly = self.robot.assembly(self.start[n:])
-        points = np.array([*assembly.breakpoints, 0.0])
-        speeds = np.append(rates[assembly.breakpoint_tubes], 0.0)
-        # Points p + v t and q + w t meet at t = (p - q) / (w - v); the plate is a point at rest.
-        # Tubes that move with equal speed never meet.
-        distance, closing = points[:, None] - points, speeds - speeds[:, None]
-        moving = np.abs(closing) > LENGTH_ROUND_OFF
-        times = distance[moving] / closing[moving]
-        return [*sorted({round(float(t), 12) for t in times if 1e-9 < t < 1 - 1e-9}), 1.0]
+        points, moved = np.array(assembly.breakpoints), rates[assembly.breakpoint_tubes]
+        fixed = np.append(cuts, 0.0)
+        ends = np.array([np.concatenate([each, fixed]) for each in (points, points + moved)])
+        return [*(t for t in meetings(ends).get(0, np.zeros(0)).tolist() if 1e-9 < t < 1 - 1e-9), 1.0]
+
+
+def meetings(points: Array) -> dict[int, Array]:
+    """Fractions between waypoints at which some of P points (T, P) coincide, by number of the waypoint.
+
+    There the order of the sections changes, and with it the motion of the arm. Points closer than LENGTH_ROUND_OFF are
+    one to the solver; meetings at the same time, except for round-off, are one fraction.
+    """
+    difference = points[:, :, None] - points[:, None, :]
+    before, after = difference[:-1], difference[1:]
+    result: dict[int, Array] = {}
+    crossed = (before > LENGTH_ROUND_OFF) & (after < -LENGTH_ROUND_OFF)
+    for k in np.flatnonzero(crossed.any((1, 2))):
+        a, passed = before[k][crossed[k]], (before - after)[k][crossed[k]]
+        order, distinct = np.argsort(a / passed), list[float]()
+        for x, same in zip((a / passed)[order].tolist(), (LENGTH_ROUND_OFF / passed)[order].tolist(), strict=True):
+            if not distinct or x - distinct[-1] > same:
+                distinct.append(x)
+        result[int(k)] = np.array(distinct)
+    return result
 
 
 def steps_along(robot: Robot, joints: Array) -> tuple[Array, Index]:
@@ -147,13 +164,10 @@ def steps_along(robot: Robot, joints: Array) -> tuple[Array, Index]:
     home = robot.assembly(robot.home_translations)
     moved = joints[:, n:] - robot.home_translations
     points = np.array(home.breakpoints) + moved[:, home.breakpoint_tubes]
-    points = np.concatenate([points, np.zeros((len(joints), 1))], axis=1)
-    order = np.sign(points[:, :, None] - points[:, None])
-    # A sign that changes is a pair that passed; one that becomes 0 is a meeting at the row itself.
-    meet = (order[1:] * order[:-1] < 0).any((1, 2))
     turn, shift = (np.abs(np.diff(part, axis=0)).max(1) for part in (joints[:, :n], joints[:, n:]))
     longest = LARGEST_SHIFT * max(tube.length for tube in robot.tubes)
-    several = meet | (turn > LARGEST_TURN) | (shift > longest)
+    several = (turn > LARGEST_TURN) | (shift > longest)
+    several[list(meetings(np.concatenate([points, np.zeros((len(joints), 1))], axis=1)))] = True
     rows = [joints[:1]]
     for k, split in enumerate(several.tolist()):
         rows.append(
@@ -185,6 +199,10 @@ class Family:
         """Family at constant joint values with t as the factor on the load of a problem."""
         joints = np.concatenate([member.rotations, member.translations])
         return Family(SampledJointPath(member.robot, joints, joints, member.discretisation), member.problem.load)
+
+    def events(self) -> list[float]:
+        """`SampledJointPath.events` of the path, also where a breakpoint passes a place where a load jumps."""
+        return self.path.events(np.concatenate([np.zeros(0) if each is None else each.cuts() for each in self.loads]))
 
     def load_at(self, t: float) -> Load | None:
         """Load at t."""

@@ -27,12 +27,12 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from ..bodies.obstacles import Scene
+from ..equilibrium.continuation import meetings
 from ..equilibrium.kinematics import forward_kinematics, linearised, one_step, sure_margin
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..inverse.arm_surface import ArmSurface
 from ..inverse.clock import Clock
-from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..stability.following import find_snap
@@ -511,12 +511,12 @@ def _take_steps(
     steps, n = [origin], joints.shape[1] // 2
     span = float(t[-1] - t[0]) or 1.0
     size = np.array([LARGEST_TURN] * n + [LARGEST_SHIFT * verifier.length] * n)
-    meetings = _meetings(verifier.cuts(joints[:, n:]))
+    meeting_at = meetings(verifier.cuts(joints[:, n:]))
     for k in range(len(joints) - 1):
         a, b = joints[k], joints[k + 1]
         count = max(1, int(np.ceil((np.abs(b - a) / size).max() - 1e-9)))
         parts = np.arange(1, count + 1) / count
-        for x in _divided(parts, meetings[k]) if k in meetings else parts:
+        for x in _divided(parts, meeting_at[k]) if k in meeting_at else parts:
             q = b if x == 1 else a + (b - a) * x
             last = k == len(joints) - 2 and x == 1  # exactly 1, however times are rounded
             at = 1.0 if last else float(t[k] + (t[k + 1] - t[k]) * x - t[0]) / span
@@ -527,26 +527,6 @@ def _take_steps(
             if verifier.exhausted:
                 return steps, None
     return steps, None
-
-
-def _meetings(points: Array) -> dict[int, Array]:
-    """Fractions between waypoints at which some of P points (T, P) coincide, by number of the waypoint.
-
-    There the order of the sections changes, and with it the motion of the arm. Points closer than ROUND_OFF are one to
-    the solver; meetings at the same time, except for round-off, are one fraction.
-    """
-    difference = points[:, :, None] - points[:, None, :]
-    before, after = difference[:-1], difference[1:]
-    meetings: dict[int, Array] = {}
-    crossed = (before > LENGTH_ROUND_OFF) & (after < -LENGTH_ROUND_OFF)
-    for k in np.flatnonzero(crossed.any((1, 2))):
-        a, passed = before[k][crossed[k]], (before - after)[k][crossed[k]]
-        order, distinct = np.argsort(a / passed), list[float]()
-        for x, same in zip((a / passed)[order].tolist(), (LENGTH_ROUND_OFF / passed)[order].tolist(), strict=True):
-            if not distinct or x - distinct[-1] > same:
-                distinct.append(x)
-        meetings[int(k)] = np.array(distinct)
-    return meetings
 
 
 def _divided(parts: Array, meetings: Array) -> Array:

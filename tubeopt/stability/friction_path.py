@@ -199,7 +199,7 @@ def _along(family: Family, current: FrictionEquilibrium) -> Iterator[FrictionEqu
     where friction alone holds it, else with a push. A flow of more than `SMOOTH_TURN` is a snap.
     """
     t, snap_before, step = 0.0, -1.0, StepLength(family)
-    for goal in family.path.events():
+    for goal in family.events():
         while t < goal:
             t_next = goal if t + step.size >= goal - 1e-12 else t + step.size
             state = _next_state(family, current, t_next)

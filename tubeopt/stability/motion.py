@@ -160,7 +160,7 @@ def _continue(family: Family, start: AnyPoint, far: float) -> AnyPoint | Event:
     point, shortest = start, SHORTEST_STEP
     while point.t < far:
         # Breakpoints change places at the events of the path: continuation goes from one to the next.
-        goal = next(t for t in family.path.events() if t > point.t)
+        goal = next(t for t in family.events() if t > point.t)
         for step in follow(family, point, goal, shortest=shortest):
             point = step
             if point.t >= far:
