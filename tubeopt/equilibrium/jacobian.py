@@ -362,8 +362,8 @@ def margin_slopes(
     result = modes(matrix, symmetric=sure)
     if result is None:
         return np.full(len(changes), np.nan)
-    factors, scale = scipy.linalg.lu_factor(point.state.hessian), np.vdot(*result)
-    left, right = result[0], result[1] / scale
+    factors, scale = scipy.linalg.lu_factor(point.state.hessian), np.vdot(result.left, result.right)
+    left, right = result.left, result.right / scale
     for change in changes:
         difference = difference_of(member, change, (member.problem.load,) * 2)
         if difference is None:

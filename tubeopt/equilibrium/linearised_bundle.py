@@ -342,10 +342,10 @@ class LinearisedBundle:
         if mu >= FLAT:
             return np.zeros(self.size)
         pair = modes(margin_form(state), symmetric=self.member.descends or not state.factor)
-        if pair is None or any(np.abs(np.imag(vector)).max() > 0 for vector in pair):
+        if pair is None or np.imag(pair.value):
             return np.full(self.size, np.nan)
-        pairing = float(np.real(pair[0] @ pair[1]))
-        left, right = (mode_of(state, np.real(vector)) for vector in pair)
+        pairing = float(np.real(pair.left @ pair.right))
+        left, right = (mode_of(state, np.real(vector)) for vector in (pair.left, pair.right))
         out = self._elastic_change(left.unknowns, right.unknowns)
         if state.loading is not None:
             moves = self._placed(self._bend)

@@ -44,7 +44,7 @@ from ..block.transcription.reduced import (
     to_unknowns,
     worst_equation,
 )
-from ..block.transcription.second_variation import least, margin, softenings, softest_of, stiffnesses
+from ..block.transcription.second_variation import REAL, Pair, least, margin, modes, softenings, stiffnesses
 from ..errors import SolveError
 from ..robots.assembly import LENGTH_ROUND_OFF, Assembly
 from ..robots.load import Load
@@ -283,11 +283,14 @@ class Member(ABC, Generic[S]):
         return int((stiffnesses(self.form(state), symmetric=self.is_symmetric) < 0).sum())
 
     def softest(self, state: S) -> Array:
-        """(U,) unit vector of the eigenvalue of `form` with the smallest real part."""
-        if not self.is_symmetric:
-            return softest_of(self.form(state))[0]
-        vectors: Array = np.linalg.eigh(self.form(state))[1]
-        return vectors[:, 0]
+        """(U,) unit vector of the eigenvalue of `form` with the smallest real part; of a plane for a complex one."""
+        direction = self._softest_pair(state).right.real
+        return np.asarray(direction / np.linalg.norm(direction))
+
+    def _softest_pair(self, state: S) -> Pair:
+        pair = modes(self.form(state), symmetric=self.is_symmetric, any_of_two=True)
+        assert pair is not None
+        return pair
 
     @abstractmethod
     def profile(self, state: S) -> Profile:
@@ -299,7 +302,7 @@ class Member(ABC, Generic[S]):
 
     def flutters(self, state: S) -> bool:
         """True if the softest mode of a solved state has complex eigenvalues: an oscillation, which has no fold."""
-        return not self.descends and softest_of(self.form(state))[1]
+        return not self.descends and bool(abs(self._softest_pair(state).value.imag) > REAL)
 
     @abstractmethod
     def with_inputs(

@@ -24,6 +24,10 @@ from ...errors import SolveError
 from ...physics.shape import cross, hat
 from ...typing import Array, Index
 from .arm_state import ArmState
+from .loaded import LoadedState, evaluate
+from .loaded import unknowns as loaded_unknowns
+from .reduced import torsional_hessian
+from .second_variation import modes
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,11 +118,6 @@ class ResponseChain:
         *_, out, singular = scipy.linalg.lapack.dgbsv(self.lower, self.upper, self._storage.T, right)
         return None if singular or not np.isfinite(out).all() else np.asarray(out)
 
-    def factorised(self) -> Callable[[Array], Array]:
-        """Function that solves for one right-hand side after another, even if the matrix is nearly singular."""
-        factors, pivots, _ = scipy.linalg.lapack.dgbtrf(self._storage.T, self.lower, self.upper)
-        return lambda right: scipy.linalg.lapack.dgbtrs(factors, self.lower, self.upper, right, pivots)[0]
-
 
 @dataclass(frozen=True, eq=False)
 class Response:
@@ -191,7 +190,8 @@ class LinearisedArm(ArmState):
         """Derivative (P, K, n + 2, n + 2) of M and u by theta and b at the points."""
         return self.at.slopes.reshape(self.elements, self.degree, self.n + 2, self.n + 2)
 
-    def _bending_slopes(self, softness: float) -> Array:
+    @cached_property
+    def _bending_slopes(self) -> Array:
         """Derivatives of t' and u at the points.
 
         They are by phi (P, K, n + 2, n) without a load, else by (phi, psi, m) (P, K, n + 2, n + 6).
@@ -199,13 +199,9 @@ class LinearisedArm(ArmState):
         n = self.n
         if self.load is None:
             return self._slopes[..., :n]
-        by_moment = self._slopes[..., n:]
-        if softness != 1.0:
-            by_moment = by_moment.copy()
-            by_moment[..., n:, :] *= softness
         out = np.empty((self.elements, self.degree, n + 2, n + 6))
         out[..., :n] = self._slopes[..., :n]
-        np.matmul(by_moment, self._moment_slopes, out=out[..., n:])
+        np.matmul(self._slopes[..., n:], self._moment_slopes, out=out[..., n:])
         if self.moment_density is not None:
             out[..., :n, n : n + 3] -= cross(self.axis[..., None, :], self.moment_density)
         return out
@@ -215,16 +211,15 @@ class LinearisedArm(ArmState):
         out = matrix @ rates.reshape(self.elements, self.degree, -1)
         return np.asarray(out.reshape(rates.shape))
 
-    def _point_changes(self, q: Array, starts: Array, forced: Forced | None, softness: float = 1.0) -> PointChanges:
+    def _point_changes(self, q: Array, starts: Array, forced: Forced | None) -> PointChanges:
         """Changes at the points for given changes of (phi, psi) there; loads do not change with phi alone.
 
         Args:
             q: changes (P, K, half, C) at the points.
             starts: changes (P or 1, 1, half, C) of t and m where the elements begin.
             forced: forced parts.
-            softness: factor on the compliance.
         """
-        n, half, slopes = self.n, self.half, self._bending_slopes(softness)
+        n, half, slopes = self.n, self.half, self._bending_slopes
         bending = slopes[..., :half] @ q
         if self.load is None:
             moment = moment_rate = np.zeros((self.elements, self.degree, 3, q.shape[3]))
@@ -245,14 +240,14 @@ class LinearisedArm(ArmState):
             twist = forced.phi if twist is None else twist + forced.phi
         return PointChanges(torque, moment, bending, moment_rate, twist)
 
-    def _integrals(self, changes: PointChanges, softness: float) -> tuple[Array, Array]:
+    def _integrals(self, changes: PointChanges) -> tuple[Array, Array]:
         """Integrals of phi' (with u) up to the points, (P, r, C), and of the rates of the state, (P, 2 half, C).
 
         The first integrates phi', and contains u after it.
         """
         n, half, k, count = self.n, self.half, self.degree, changes.torque.shape[-1]
         rates = np.empty((self.elements, k, 2 * half, count))
-        np.multiply((softness * self.twist_compliance)[..., None], changes.torque, out=rates[..., :n, :])
+        np.multiply(self.twist_compliance[..., None], changes.torque, out=rates[..., :n, :])
         if changes.twist is not None:
             rates[..., :n, :] += changes.twist
         rates[..., half : half + n, :] = changes.bending[..., :n, :]
@@ -267,8 +262,9 @@ class LinearisedArm(ArmState):
         end = self.weights[:, None] @ rates.reshape(self.elements, k, -1)
         return inner, end.reshape(self.elements, 2 * half, count)
 
-    def _maps(self, softness: float) -> Maps:
-        """Linear maps of all elements, softened by a factor.
+    @cached_property
+    def _maps(self) -> Maps:
+        """Linear maps of all elements.
 
         Columns are phi and u at the points, (K, n) and (2, K), then the state where the element begins.
         """
@@ -280,7 +276,7 @@ class LinearisedArm(ArmState):
             axes = self.frame[..., :2].transpose(0, 2, 3, 1)[:, None].copy()
             np.multiply(self.ahead[:, :, None, None], axes, out=q[..., n:, k * n : r].reshape(-1, k, 3, 2, k))
         starts = _units(half, r + size, r + half)[None, None]
-        inner, end = self._integrals(self._point_changes(q, starts, None, softness), softness)
+        inner, end = self._integrals(self._point_changes(q, starts, None))
         # The start of an element adds itself to phi at every point, and to the state at the end.
         next_row = r + size + 1
         inner[:, : k * n].reshape(self.elements, k, -1)[..., r::next_row] += 1.0
@@ -292,16 +288,11 @@ class LinearisedArm(ArmState):
         unknowns = np.asarray(np.linalg.solve(matrix, inner[..., r:]))
         return Maps(matrix, end[..., :r], unknowns, end[..., r:] + end[..., :r] @ unknowns)
 
-    @cached_property
-    def _unsoftened_maps(self) -> Maps:
-        """Linear maps without softening."""
-        return self._maps(1.0)
-
     def _forced_maps(self, forced: Forced) -> tuple[Array, Array]:
         """Forced phi and u at the points (P, r, C), and states at the ends of the elements (P, 2 half, C)."""
-        maps = self._unsoftened_maps
+        maps = self._maps
         none = np.zeros((1, self.degree, self.half, forced.phi.shape[-1]))
-        inner, end = self._integrals(self._point_changes(none, none[:, :1], forced), 1.0)
+        inner, end = self._integrals(self._point_changes(none, none[:, :1], forced))
         solved = np.asarray(np.linalg.solve(maps.matrix, inner))
         return solved, self._turn_joint_moments(end, 1) + maps.end_by_unknowns @ solved
 
@@ -317,11 +308,10 @@ class LinearisedArm(ArmState):
                 states[element - first, self.half + tube] -= cross(self.end_frame[element, :, 2], moment) @ psi
         return states
 
-    def _chain(self, softness: float, ends: Array, turns: Array | None = None) -> ResponseChain:
+    def _chain(self, ends: Array, turns: Array | None = None) -> ResponseChain:
         """Equations of (t, m) at the plate (half) and the states (P, 2 half) at the ends of the elements.
 
         Args:
-            softness: factor on the compliance.
             ends: maps (P, 2 half, 2 half) from the start of an element to its end.
             turns: change (P, 2 half, 3) of the states by a turn of the tip, with which a follower force turns.
         """
@@ -333,7 +323,7 @@ class LinearisedArm(ArmState):
         chain.diagonal(half)[half:] = 1.0
         # Less those at their starts by the maps; theta at the plate turns by the transmission times the torque there.
         matrix[:size, :half] = -ends[0, :, half:]
-        matrix[:size, :n] -= ends[0, :, :n] * (softness * self.transmission)
+        matrix[:size, :n] -= ends[0, :, :n] * self.transmission
         for k in range(1, self.elements):
             matrix[k * size : (k + 1) * size, half + (k - 1) * size : half + k * size] = -ends[k]
         last, tip_rows = total - size, slice(total - half, total)
@@ -370,9 +360,9 @@ class LinearisedArm(ArmState):
         if not self.elements:
             return self._response_without_arm(forcing.jumps, start[:n])
         forced, columns = self._forced(forcing)
-        maps, turned = self._unsoftened_maps, 0 if self._follower_slopes is None else 3
+        maps, turned = self._maps, 0 if self._follower_slopes is None else 3
         inner, ends = (None, None) if forced is None else self._forced_maps(forced)
-        chain = self._chain(1.0, maps.end, ends[..., :turned] if ends is not None and turned else None)
+        chain = self._chain(maps.end, ends[..., :turned] if ends is not None and turned else None)
         jumps = forcing.jumps[:, self.chain_rows]
         if forcing.side < 0:
             self._turn_joint_moments(jumps, 0)
@@ -387,7 +377,7 @@ class LinearisedArm(ArmState):
         result = chain.solve(right)
         if result is None:
             raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
-        state = self._states(result, 1.0)
+        state = self._states(result)
         state[0] += start
         q = maps.unknowns @ state[:-1]
         all_forced = None
@@ -403,7 +393,7 @@ class LinearisedArm(ArmState):
         if self.load is None:
             state = self._full_states(state)
             state[:, n : n + 3] = forcing.jumps[:, n : n + 3]
-        return self._response(state, q, all_forced, 1.0)
+        return self._response(state, q, all_forced)
 
     def _response_without_arm(self, jumps: Array, turn: Array) -> Response:
         """Response of an arm of length zero with tubes turned by `turn` (n, Q) at the plate."""
@@ -416,13 +406,13 @@ class LinearisedArm(ArmState):
         changes = PointChanges(phi, vector, bending, vector, None)
         return Response(state, phi, vector, lambda: changes, None)
 
-    def _states(self, result: Array, softness: float) -> Array:
+    def _states(self, result: Array) -> Array:
         """States (P + 1, 2 half, C) where elements begin, from a solution (half + P 2 half, C) of the chain."""
         n, half = self.n, self.half
         state = np.zeros((self.elements + 1, 2 * half, result.shape[1]))
         state[1:] = result[half:].reshape(self.elements, 2 * half, -1)
         state[0, half:] = result[:half]
-        state[0, :n] = (softness * self.transmission)[:, None] * result[:n]
+        state[0, :n] = self.transmission[:, None] * result[:n]
         return state
 
     def _full_states(self, state: Array) -> Array:
@@ -453,7 +443,7 @@ class LinearisedArm(ArmState):
             forced.moment[..., :3] = self._follower_slopes
         return forced, columns
 
-    def _response(self, state: Array, q: Array, forced: Forced | None, softness: float) -> Response:
+    def _response(self, state: Array, q: Array, forced: Forced | None) -> Response:
         """Response from states (P + 1, 2 n + 6, Q), and phi and u at the points (P, r, Q).
 
         Without a load the states have the jumps of psi between the elements in place of psi.
@@ -464,10 +454,10 @@ class LinearisedArm(ArmState):
             psi = self._psi(state, q[:, k * n :].reshape(elements, 2, k, -1).swapaxes(1, 2))
 
             def at_points() -> PointChanges:
-                return self._point_changes(np.concatenate([phi, psi], axis=2), starts, forced, softness)
+                return self._point_changes(np.concatenate([phi, psi], axis=2), starts, forced)
 
             return Response(state, phi, psi, at_points, self._moment_slopes)
-        changes = self._point_changes(phi, starts, forced, softness)
+        changes = self._point_changes(phi, starts, forced)
         curvature = changes.bending[..., n:, :]
         turns = self.weights[:, None] @ (self.frame[..., :2] @ curvature).reshape(elements, k, -1)
         state[1:, n : n + 3] += turns.reshape(elements, 3, -1)
@@ -491,51 +481,49 @@ class LinearisedArm(ArmState):
             out += by_data[element] @ forcing.data[element]
         return np.asarray(out)
 
+    def mode(self, margin: float, *, one_of_two: bool = False) -> tuple[Response, float] | None:
+        """Buckling mode, one column, and the factor 1 / (1 - margin) by which the arm is softened.
+
+        None if the margin is that of another mesh, or if it is double, unless `one_of_two` modes will do.
+        """
+        n, loaded, solved = self.n, self.loaded, self.mesh.collocated
+        state: LoadedState | None = None
+        if loaded is not None:
+            theta, curvature = (table.reshape(-1, table.shape[-1]) for table in (self.phi, self.at.curvature))
+            state = evaluate(loaded, self.alpha, loaded_unknowns(loaded, self.alpha, theta, curvature))
+        hessian = torsional_hessian(self.problem, self._slopes[solved, :, :n, :n]) if state is None else state.hessian
+        pair = modes(hessian, symmetric=True, any_of_two=one_of_two)
+        if pair is None or abs(pair.value - margin) > SAME_MODE:
+            return None
+        y, softness = np.zeros((self.elements, self.degree, n)), 1 / (1 - margin)
+        y[solved] = (self.problem.spread @ pair.right[: self.problem.size]).reshape(-1, self.degree, n)
+        if state is None:
+            return self.torsion_mode(-(self._slopes[..., :n, :n] @ y[..., None])[..., 0], softness), softness
+        # dm' = -n x (e x psi): the moment of the mode by its turn psi, and its torques by both.
+        bent = (state.curvature_slope @ pair.right).reshape(self.elements, self.degree, 2, 1)
+        psi, psi_ends = self._from_plate((self.frame[..., :2] @ bent)[..., 0], np.zeros(3))
+        moment_rate = (self._moment_rate_slopes @ psi[..., None])[..., 0]
+        moment, moment_ends, _ = self._from_tip(-moment_rate, np.zeros(3))
+        change = np.concatenate([y, psi, moment], axis=2)[..., None]
+        torque_rate = self._bending_slopes[..., :n, :] @ change
+        mode = self.torsion_mode(-torque_rate[..., 0], softness)
+        mode.state[:, n : n + 3, 0], mode.state[:, 2 * n + 3 :, 0] = psi_ends, moment_ends
+        bending = np.concatenate([torque_rate, bent], axis=2)
+        changes = PointChanges(mode.torque, moment[..., None], bending, moment_rate[..., None], None)
+        return Response(mode.state, mode.phi, psi[..., None], lambda: changes, self._moment_slopes), softness
+
     def torsion_mode(self, decrease: Array, softness: float) -> Response:
-        """Mode without bending, one column, with torques that fall by `decrease` (P, K, n) towards the tip."""
+        """Mode without bending, one column, with torques that fall by `decrease` (P, K, n) towards the tip.
+
+        The arm is softened by a factor.
+        """
         n = self.n
         torque, tip_side, _ = self._from_tip(decrease, np.zeros(n))
-        rates, state = softness * self.compliance * torque, np.zeros((self.elements + 1, self.size, 1))
-        turns = np.concatenate([softness * self.transmission * tip_side[:1], (self.weights[..., None] * rates).sum(1)])
-        state[:, :n, 0], state[:, n + 3 : 2 * n + 3, 0] = np.cumsum(turns, axis=0), tip_side
-        phi = state[:-1, None, :n, 0] + self.ahead @ rates
-        none = np.zeros((*self.axis.shape[:2], n + 2, 1))
+        phi, ends = self._from_plate(softness * self.compliance * torque, softness * self.transmission * tip_side[0])
+        state, none = np.zeros((self.elements + 1, self.size, 1)), np.zeros((*self.axis.shape[:2], n + 2, 1))
+        state[:, :n, 0], state[:, n + 3 : 2 * n + 3, 0] = ends, tip_side
         changes = PointChanges(torque[..., None], none[..., :3, :], none, none[..., :3, :], None)
         return Response(state, phi[..., None], none[..., :3, :], lambda: changes, None)
-
-    def mode(self, margin: float, *, one_of_two: bool = False) -> tuple[Response, float] | None:
-        """Buckling mode of the arm softened by its margin, one column, and the factor 1 / (1 - margin).
-
-        None if the mesh is too coarse for the mode, or if the eigenvalue is double, unless `one_of_two` modes will do.
-        """
-        known = margin
-        for _ in range(MODE_STEPS):
-            # Inverse iteration at a shift close to the eigenvalue, where the matrix is not singular: one step from any
-            # start gives the mode, up to others.
-            shifted = margin - SHIFT
-            softness = 1 / (1 - shifted)
-            maps = self._maps(softness)
-            solve = self._chain(softness, maps.end).factorised()
-            angle = np.arange(self.half * (1 + 2 * self.elements), dtype=float)
-            # Irregular starts, so that symmetry makes none orthogonal to a mode; the second shows other modes.
-            grown = solve(np.column_stack([np.cos(angle), np.sin(angle)]))
-            size = np.abs(grown[:, 0]).max()
-            result = solve(grown[:, 0] / size)
-            result /= np.abs(result).max()
-            # Part of the second start that is not the first mode.
-            second = np.abs(grown[:, 1] - result * ((result @ grown[:, 1]) / (result @ result))).max()
-            state = self._states(result[:, None], softness)
-            q = maps.unknowns @ state[:-1]
-            mode = self._response(self._full_states(state) if self.load is None else state, q, None, softness)
-            margin = self.quotient(mode, softness)
-            # Every mode grows by one over the distance of its eigenvalue from the shift.
-            if abs(margin - shifted) * size < DOUBLE * second:
-                if not one_of_two:
-                    return None
-                break
-            if second < MIXED * size:
-                break
-        return (mode, softness) if abs(margin - known) < SAME_MODE else None
 
     def elastic(self, mode: Response, softness: float) -> float:
         """Elastic part T of the second variation along a mode of one column, J."""
@@ -545,31 +533,9 @@ class LinearisedArm(ArmState):
         density = (self.compliance * torque**2).sum(2) + (b**2).sum(2) / self.stiffness.sum(2)
         return float(softness**2 * ((self.weights * density).sum() + self.transmission @ plate_torque**2))
 
-    def quotient(self, mode: Response, softness: float) -> float:
-        """Ratio of the second variation to its elastic part T along a mode of one column."""
-        y, psi, curvature = (part[..., 0] for part in (mode.phi, mode.psi, mode.curvature))
-        bending = (self.frame[..., :2] @ curvature[..., None])[..., 0]
-        form = (y * (self._slopes[..., : self.n, : self.n] @ y[..., None])[..., 0]).sum(2)
-        if self.load is not None:
-            # Work of the forces and moments in the second order of the turn psi.
-            form -= (self.force * cross(psi, cross(psi, self.axis)) + self.moment * cross(psi, bending)).sum(2)
-        return 1.0 + float((self.weights * form).sum()) / self.elastic(mode, softness)
-
-
-MODE_STEPS = 4
-"""Maximum number of inverse iterations, each at the quotient of the last mode."""
-
-MIXED = 3e-7
-"""Largest part of another mode in a mode; the derivative of the margin has an error of about that size."""
 
 SAME_MODE = 1e-6
-"""Largest difference of the quotient of a mode from the margin."""
-
-SHIFT = 1e-12
-"""Offset from the margin for the computation of a mode: more than round-off of the matrix, and far less than DOUBLE."""
-
-DOUBLE = 1e-9
-"""Distance of eigenvalues below which they count as double, without a unique mode and derivative."""
+"""Largest difference of the eigenvalue of a mode from the margin."""
 
 
 @lru_cache(maxsize=64)

@@ -169,6 +169,15 @@ class FromTip(NamedTuple):
     """Values (P + 1, r) at the ends of the elements, on the side of the plate."""
 
 
+class FromPlate(NamedTuple):
+    """Quantities (r,) integrated from the plate of an arm of P elements."""
+
+    points: Array
+    """Values (P, K, r) at the points."""
+    ends: Array
+    """Values (P + 1, r) at the ends of the elements."""
+
+
 class JointMoment(NamedTuple):
     """Moment that acts where two elements meet."""
 
@@ -213,7 +222,7 @@ class ArmState:
         loaded: LoadedProblem | None = None,
         straight: bool = True,
     ) -> None:
-        self.problem, self.alpha, self.shape = problem, alpha, shape
+        self.problem, self.loaded, self.alpha, self.shape = problem, loaded, alpha, shape
         self.mesh, self.tableau, self.length = problem.mesh, problem.mesh.tableau, problem.mesh.length
         self.n = problem.assembly.n_tubes
         self.elements, self.degree = len(self.length), self.tableau.degree
@@ -324,11 +333,15 @@ class ArmState:
         self.torque, self.torque_tip_side, self.torque_plate_side = self._from_tip(decrease, tip, jumps)
         self.stretched_torque = self.torque * stretch.reshape(points)
         """Torques times stretch, g t (P, K, n), N m."""
-        turns = self._from_start @ (self.compliance * self.stretched_torque)
         # Between clamp and plate a tube twists by t int ds / kt.
         at_plate = self.alpha + self.transmission * self.torque_plate_side[0]
-        self.phi_ends = at_plate + _beyond(self.elements)[::-1, ::-1] @ turns[:, -1]
-        self.phi = self.phi_ends[:-1, None] + turns[:, :-1]
+        self.phi, self.phi_ends = self._from_plate(self.compliance * self.stretched_torque, at_plate)
+
+    def _from_plate(self, rates: Array, start: Array) -> FromPlate:
+        """Quantities (r,) integrated from their values `start` (r,) at the plate, with rates (P, K, r)."""
+        integrals = self._from_start @ rates
+        ends = start + _beyond(self.elements)[::-1, ::-1] @ integrals[:, -1]
+        return FromPlate(ends[:-1, None] + integrals[:, :-1], ends)
 
     def _from_tip(self, decrease: Array, tip: Array, jumps: Array | None = None) -> FromTip:
         """Quantities (r,) integrated from their values at the tip towards the plate.

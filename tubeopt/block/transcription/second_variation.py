@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -37,8 +37,15 @@ REAL = 1e-6
 """Imaginary part, relative to its size, below which an eigenvalue counts as real: round-off splits two that are almost
 equal by as much. Only a real eigenvalue belongs to a fold."""
 
+DOUBLE = 1e-9
+"""Distance of two eigenvalues of a symmetric matrix below which they count as double, without a unique mode.
+
+Round-off mixes modes by 1e-16 over their distance: by up to 1e-7.
+"""
+
 SEPARATE = 1e-6
-"""Distance of two eigenvalues, and cosine of a left and a right eigenvector, below which a mode has no derivative."""
+"""Distance of two eigenvalues of another matrix, and cosine of left and right eigenvector, below which a mode has no
+derivative."""
 
 
 def margin(problem: ReducedProblem, state: Evaluation) -> float:
@@ -61,32 +68,30 @@ def least(matrix: Array) -> float:
     return min(1.0, float(scipy.linalg.lapack.dsyevr(matrix, compute_v=0, range="I", il=1, iu=1)[0][0]))
 
 
-def softest_of(matrix: Array) -> tuple[Array, bool]:
-    """Unit direction (U,) of the eigenvalue with the smallest real part, and True if that eigenvalue is complex.
+class Pair(NamedTuple):
+    """Eigenvalue of smallest real part with its eigenvectors."""
 
-    The direction of a complex eigenvalue is one of a plane.
-    """
-    values, columns = np.linalg.eig(matrix)
-    k = int(np.argmin(values.real))
-    direction = columns[:, k].real
-    return np.asarray(direction / np.linalg.norm(direction)), bool(abs(values[k].imag) > REAL)
+    value: complex
+    left: Array
+    right: Array
 
 
-def modes(matrix: Array, *, symmetric: bool) -> tuple[Array, Array] | None:
-    """Left and right eigenvectors of the eigenvalue of smallest real part; of a complex pair, of one of them.
+def modes(matrix: Array, *, symmetric: bool, any_of_two: bool = False) -> Pair | None:
+    """Eigenvalue of smallest real part, with left and right eigenvectors; of a complex pair, one of them.
 
-    None if another eigenvalue has the same real part, or where it is defective.
+    None if another eigenvalue has the same real part or where it is defective, unless any of the vectors will do.
     """
     if symmetric:
-        values, right = np.linalg.eigh(matrix)
-        left = right
-    else:
-        values, left, right = scipy.linalg.eig(matrix, left=True)
+        values, columns, *_ = scipy.linalg.lapack.dsyevr(matrix, range="I", il=1, iu=min(2, len(matrix)))
+        double = len(matrix) > 1 and values[1] - values[0] < DOUBLE
+        return None if double and not any_of_two else Pair(float(values[0]), columns[:, 0], columns[:, 0])
+    values, left, right = scipy.linalg.eig(matrix, left=True)
     order = np.lexsort((-values.imag, values.real))
     k, larger = order[0], order[1 + (abs(values[order[0]].imag) > 0) :]
     w, v = left[:, k], right[:, k]
     double = len(larger) > 0 and values[larger[0]].real - values[k].real < SEPARATE
-    return None if double or abs(np.vdot(w, v)) < SEPARATE else (w, v)
+    unusable = double or abs(np.vdot(w, v)) < SEPARATE
+    return None if unusable and not any_of_two else Pair(complex(values[k]), w, v)
 
 
 def stiffnesses(matrix: Array, *, symmetric: bool) -> Array:
