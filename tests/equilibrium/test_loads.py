@@ -33,9 +33,11 @@ from tubeopt.equilibrium.kinematics import point_of, to_equilibrium
 from tubeopt.equilibrium.member import Loaded
 from tubeopt.equilibrium.problem import loaded_problem
 from tubeopt.robots.load import between
+from tubeopt.robots.order import twisted_tube
 from tubeopt.robots.tubes import mass_per_length
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.typing import Array
+from tubeopt.validation.model import about_z
 
 MM = 1e-3
 ROTATIONS = (0.0, 1.0, 2.0)
@@ -232,6 +234,37 @@ def test_compliance_along_the_arm_is_that_of_differences(thesis: ConcentricRobot
         # Of the frame, which has not the tube's twist in it: alike across the arm.
         across = np.eye(3) - np.outer(current.frame[position[2]][:, 2], current.frame[position[2]][:, 2])
         assert np.abs(across @ (compliance[3:, k] - turned)).max() < 1e-5 * np.abs(compliance[3:]).max()
+
+
+@pytest.mark.parametrize(
+    "load",
+    [
+        Load((0.05, -0.02, 0.0), moment=(2e-3, 1e-3, -1e-3)),
+        Load((0.05, -0.02, 0.03), moment=(1e-3, 0.0, 1e-3), frame="tip"),
+        Load(points=((0.04, (0.0, 0.02, 0.0), (1e-3, 0.0, 2e-3)),)),
+    ],
+)
+def test_compliance_along_the_arm_under_moments_is_that_of_differences(thesis: ConcentricRobot, load: Load) -> None:
+    at = 0.08
+    compliance = forward_kinematics(thesis, WOUND, load=load).compliance_at(at)
+
+    def pushed(push: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Position and frame of the tube that the moment twists."""
+        e = forward_kinematics(
+            thesis, WOUND, load=dataclasses.replace(load, points=(*load.points, (at, tuple(push[:3]), tuple(push[3:]))))
+        )
+        k = int(np.argmin(np.abs(e.arc_length - at)))
+        assert abs(e.arc_length[k] - at) < 1e-12
+        return e.position[k], e.frame[k] @ about_z(e.rotation[int(twisted_tube(e.tube_end, at)), k])
+
+    _, frame = pushed(np.zeros(6))
+    for k, step in enumerate(np.diag([1e-3] * 3 + [1e-5] * 3)):
+        (ahead, ahead_frame), (behind, behind_frame) = pushed(step), pushed(-step)
+        moved = (ahead - behind) / (2 * step[k])
+        turn = (ahead_frame - behind_frame) @ frame.T / (2 * step[k])
+        turned = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
+        assert np.abs(compliance[:3, k] - moved).max() < 1e-6 * np.abs(compliance[:3]).max()
+        assert np.abs(compliance[3:, k] - turned).max() < 1e-6 * np.abs(compliance[3:]).max()
 
 
 def test_compliance_along_the_arm_ends_at_the_tip(thesis: ConcentricRobot) -> None:

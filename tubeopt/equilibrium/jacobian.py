@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from ..arguments import typed
-from ..block.transcription.loaded import compliance_along, symmetric_part
+from ..block.transcription.loaded import compliance, symmetric_part
 from ..block.transcription.second_variation import modes
 from ..errors import InputError, finite
 from ..robots.assembly import DIMENSIONS, LENGTH_ROUND_OFF, Assembly
@@ -385,8 +385,6 @@ def compliance_of(equilibrium: Equilibrium) -> Array:
 
 def compliance_at(equilibrium: Equilibrium, arc_length: float, tube: int | None) -> Array:
     """Compliance (6, 6) of a point of the arm; see `Equilibrium.compliance_at`."""
-    if equilibrium.load is not None and not equilibrium.load.has_energy:
-        raise InputError("the load has a moment or turns with the tip; compliance is then available at the tip only")
     point = point_of(equilibrium, Load())
     assembly, length = point.member.problem.torsion.assembly, float(equilibrium.arc_length[-1])
     if not 0 <= finite("arc_length", arc_length) <= length * (1 + 1e-12):
@@ -401,7 +399,7 @@ def compliance_at(equilibrium: Equilibrium, arc_length: float, tube: int | None)
     with_end = Loaded.of(equilibrium.robot, point.member.rotations, point.member.translations, cut)
     failure = "the equilibrium is a fold (margin 0), where the compliance is infinite"
     result: LoadedPoint = point.onto(with_end, failure)
-    return compliance_along(with_end.problem, result.state, min(arc_length, length), chosen)
+    return compliance(with_end.problem, result.state, min(arc_length, length), chosen)
 
 
 def base_wrench_of(equilibrium: Equilibrium) -> Array:

@@ -666,7 +666,8 @@ class Loaded(Member[LoadedState]):
 
     def compliance(self, state: LoadedState) -> Array:
         """Compliance (6, 6) of the tip of a solved state."""
-        return compliance(self.problem, state)
+        torsion = self.torsion
+        return compliance(self.problem, state, torsion.assembly.total_length, torsion.tip_tube)
 
     def base_wrench(self, state: LoadedState) -> Array:
         """Wrench (6,) of the load on the plate."""
@@ -677,7 +678,7 @@ class Loaded(Member[LoadedState]):
         finer, state, step = self.refined(point)
         problem, split = finer.problem, finer.problem.torsion.size
         theta = np.abs(problem.torsion.factor @ step[:split]).max(initial=0.0)
-        tip_change = tip_position(problem, state) + tip_slopes(problem, state)[:3] @ step
+        tip_change = tip_position(problem, state) + tip_slopes(problem, state.orientation, state.curvature_slope) @ step
         tip_change -= tip_position(self.problem, point.state)
         # The margin is less accurate than the shape only for arms that loads hardly soften.
         hardly_softened = point.margin > HARDLY_SOFTENED and self.descends

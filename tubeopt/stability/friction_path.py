@@ -16,7 +16,7 @@ import scipy
 from ..arguments import typed
 from ..block.transcription.contact import evaluate_contact, make_contact
 from ..block.transcription.loaded import LoadedState, integration_to
-from ..block.transcription.orientation import tangent_slopes
+from ..block.transcription.orientation import position_slopes
 from ..display import Displayed
 from ..equilibrium.continuation import Family, SampledJointPath, largest_twist
 from ..equilibrium.friction import (
@@ -353,9 +353,7 @@ def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
     # First order: points move by -J H^-1 P' lam, with |lam| at most the capacity D.
     response = scipy.linalg.solve(state.hessian, contact.rows.T, assume_a="sym")
     weights = np.array([integration_to(problem, s) for s in equilibrium.arc_length.tolist()])
-    orientation = state.elastic.orientation
-    tangents = (tangent_slopes(orientation.stage) @ orientation.stage_slope).reshape(len(orientation.stage), -1)
-    slopes = (weights @ tangents).reshape(len(weights), 3, -1) @ state.elastic.curvature_slope
+    slopes = position_slopes(state.elastic.orientation, weights) @ state.elastic.curvature_slope
     first_order = np.abs(slopes @ response[: problem.size]) @ contact.capacity
 
     # Any order: |x - x0| <= |P' lam| / mu, where the energy is convex with the constant mu.

@@ -383,7 +383,7 @@ def evaluate_arm(problem: ReducedProblem, rotations: Array, state: Evaluation, t
     energy = state.energy + float((mesh.length * (finer.bending @ _finer(mesh).weights))[~mesh.collocated].sum())
     if problem.assembly.eccentric:
         # |z|^2 / 2 is int t^2 / (2 kt); with stretch it is int g t^2 / (2 kt).
-        energy += _torsion(problem, torsion) - float(state.z @ state.z) / 2
+        energy += torsional_energy(problem, torsion) - float(state.z @ state.z) / 2
     return Arm(
         arc_length=arc_lengths(mesh),
         rotation=along_elements(at_ends.rotation, elements).T,
@@ -397,7 +397,7 @@ def evaluate_arm(problem: ReducedProblem, rotations: Array, state: Evaluation, t
     )
 
 
-def _torsion(problem: ReducedProblem, torsion: Profile) -> float:
+def torsional_energy(problem: ReducedProblem, torsion: Profile) -> float:
     """Torsional energy int g t^2 / (2 kt), J, transmissions included."""
     mesh = problem.mesh
     torque = torsion.torque[:, None, :] + mesh.length[:, None, None] * (mesh.tableau.matrix @ torsion.moment)

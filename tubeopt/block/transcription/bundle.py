@@ -38,7 +38,16 @@ from .arm import ArmShape, along_elements
 from .buffered import mapped
 from .collocated import ENDS
 from .mesh import Mesh
-from .orientation import adjoint, centreline, orient, second_derivative, tangent_slopes, tangents
+from .orientation import (
+    adjoint,
+    centreline,
+    moment_work,
+    orient,
+    position_slopes,
+    second_derivative,
+    tangent_slopes,
+    tangents,
+)
 from .tableau import Tableau, tableau
 
 SAME_PLACE = 1e-9
@@ -691,10 +700,9 @@ def work_of(problem: BundleProblem, bend: Array, h: Array, length: Array) -> Wor
     torsional, torsional_slope = np.zeros(problem.size), np.zeros((problem.size, 2 * count))
     if not load.has_energy:
         value = np.nan
-        pulled = (weight[:, None] * moments) @ kinds[:, :2].reshape(3, 32)
-        half = (pulled.reshape(count, 8, 4) @ stage[:, :, None]).reshape(count, 2, 4)
-        first[: 2 * count] += (half @ stage[:, :, None]).ravel()
-        second[: 2 * count, : 2 * count] += (2 * half @ orientation.stage_slope).reshape(2 * count, -1)
+        turned, turned_slope = moment_work(orientation, weight[:, None] * moments)
+        first[: 2 * count] += turned.ravel()
+        second[: 2 * count, : 2 * count] += turned_slope
         row, end = problem.tip_rows[problem.tip_tube], orientation.start[-1]
         torsional += (tip_moment @ tip[:, 2]) * row
         if load.frame == "world":
@@ -757,11 +765,10 @@ def place_slopes(state: BundleState, section: int) -> PlaceSlopes:
     weight = problem.weight * (problem.point_section <= section)
     tangent, by_x = tangents(orientation.stage), np.zeros((6, problem.size))
     by_length = (problem.in_section @ (weight[:, None] * tangent)).T
-    slopes = tangent_slopes(orientation.stage) @ orientation.stage_slope
     end = int(np.searchsorted(problem.section, section, side="right"))
     by_bend = np.concatenate(
         [
-            np.tensordot(weight * state.h, slopes, 1) + by_length @ problem.lengths_by_bend,
+            position_slopes(orientation, weight * state.h) + by_length @ problem.lengths_by_bend,
             orientation.turn_slope(end),
         ]
     )

@@ -26,15 +26,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...physics.shape import frame_forms, hat, quaternion_rates, rotation_matrix_function, tangent_forms, world_turns
+from ...physics.shape import hat, rotation_matrix_function, tangent_forms, world_turns
 from ...robots.load import FORCE, MOMENT, Load
 from ...robots.order import outermost, twisted_tube
 from ...typing import Array, Index
-from .arm import ArmShape, Profile, along_elements, arc_lengths, integrate, pushed, sections_along
+from .arm import ArmShape, Profile, along_elements, arc_lengths, integrate, pushed, sections_along, torsional_energy
 from .buffered import mapped, section_function
 from .collocated import ENDS
 from .mesh import Mesh
-from .orientation import IDENTITY, Orientation, adjoint, centreline, orient, second_derivative, tangent_slopes, tangents
+from .orientation import (
+    Orientation,
+    adjoint,
+    centreline,
+    moment_work,
+    orient,
+    position_slopes,
+    second_derivative,
+    tangent_slopes,
+    tangents,
+)
 from .reduced import ReducedProblem, row_of, to_unknowns, torsional_hessian
 
 # --- Dead moments -----------------------------------------------------------------------------------------------------
@@ -52,6 +62,16 @@ from .reduced import ReducedProblem, row_of, to_unknowns, torsional_hessian
 
 END = 1e-12
 """Distance (m) within which a moment acts where a tube ends: round-off of a length."""
+
+
+class TubeTurn(NamedTuple):
+    """Rotation of a tube at a place."""
+
+    tube: int
+    row: Array
+    """Derivative (U,) by z."""
+    compliance: float
+    """Rotation by a unit torque there, rad/(N m)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +92,14 @@ class Couples:
     """Rotations (C, U) of the tubes where the moments act, by z."""
     following: bool
     """The moment at the tip turns with it."""
-    rest: Array
-    """Rotations (J, C) at the joints by unit torques, less their part through z, rad/(N m)."""
+    compliance: Array
+    """Torsional compliances (C,) of the tubes up to the moments, rad/(N m)."""
+
+    def rest(self, turn: TubeTurn) -> Array:
+        """Rotation (C,) of a tube at a place by a unit torque of each moment, less its part through z, rad/(N m)."""
+        # int ds / kt up to the nearer of two places on one tube, less its part L L' through the collocation points.
+        shared = np.where(self.tube == turn.tube, np.minimum(self.compliance, turn.compliance), 0.0)
+        return np.asarray(shared - self.row @ turn.row)
 
     def quaternions(self, orientation: Orientation) -> Array:
         """Quaternions (C, 4) where the moments act."""
@@ -101,7 +127,7 @@ def couples_of(torsion: ReducedProblem, load: Load, per_length: Array, spread: A
     `spread` (N, n, U) is the derivative of the rotations at the points by z.
     """
     assembly, mesh = torsion.assembly, torsion.mesh
-    point_compliance, end_compliance = torsion.softness
+    point_compliance = torsion.softness[0]
     at_joints = [part for part in load.acting[::-1] if any(part.moment) or part.at == np.inf]
     # The element that starts there, at the tip the number of elements.
     joint = np.searchsorted(mesh.start, [part.at - END for part in at_joints])
@@ -109,14 +135,10 @@ def couples_of(torsion: ReducedProblem, load: Load, per_length: Array, spread: A
     outer_tube = np.repeat(outermost(assembly.present)[mesh.section], mesh.tableau.degree)
     on_point = outer_tube[point]
     tube = np.concatenate([on_joint, on_point])
-    compliance = np.concatenate([end_compliance[joint, on_joint], point_compliance[point, on_point]])
-    rows = [
-        # A torque twists its tube up to where it acts, and no farther.
-        row_of(torsion, j, np.minimum(point_compliance[:, j], end))
-        for j, end in zip(on_joint.tolist(), compliance.tolist(), strict=False)
-    ]
-    row, count = np.concatenate([rows, spread[point, on_point]]), len(joint)
-    total = np.where(tube[:count, None] == tube, np.minimum(compliance[:count, None], compliance), 0.0)
+    turns = [tube_turn(torsion, j, element) for j, element in zip(on_joint.tolist(), joint.tolist(), strict=True)]
+    compliance = np.concatenate([[turn.compliance for turn in turns], point_compliance[point, on_point]])
+    rows = [turn.row for turn in turns]
+    row = np.concatenate([rows, spread[point, on_point]])
     return Couples(
         along=np.where((outer_tube[:, None] == np.arange(assembly.n_tubes))[..., None], per_length[:, None], 0.0),
         moment=np.concatenate([[part.moment for part in at_joints], (per_length.T * torsion.weight).T[point]]),
@@ -125,8 +147,7 @@ def couples_of(torsion: ReducedProblem, load: Load, per_length: Array, spread: A
         tube=tube,
         row=row,
         following=load.frame == "tip",
-        # int ds / kt up to the nearer of two places, less its part L L' through the collocation points.
-        rest=total - row[:count] @ row.T,
+        compliance=compliance,
     )
 
 
@@ -166,19 +187,9 @@ class LoadedProblem:
         return self.torsion.tip_tube
 
     @property
-    def tip_row(self) -> Array:
-        """Rotation (U,) of the tip tube at its end, by z."""
-        return _tip_tube(self.torsion)[0]
-
-    @property
-    def tip_rest(self) -> float:
-        """Torsional compliance of the tip tube at its end, less its part through z, rad/(N m)."""
-        return self.tip_lever - float(self.tip_row @ self.tip_row)
-
-    @property
     def tip_lever(self) -> float:
         """Torsional compliance of the tip tube at its end, rad/(N m)."""
-        return _tip_tube(self.torsion)[1]
+        return float(self.torsion.softness[1][-1, self.torsion.tip_tube])
 
     @property
     def mesh(self) -> Mesh:
@@ -265,14 +276,6 @@ def load_problem(torsion: ReducedProblem, load: Load, density: Array) -> LoadedP
     return LoadedProblem(torsion, load, *_ahead(mesh, load, per_length), couples)
 
 
-@lru_cache(maxsize=64)
-def _tip_tube(torsion: ReducedProblem) -> tuple[Array, float]:
-    """Rotation of the tip tube at its end: (U,) by z, and by a unit torque there, rad/(N m)."""
-    tip = torsion.tip_tube
-    point_compliance, end_compliance = torsion.softness
-    return row_of(torsion, tip, point_compliance[:, tip]), float(end_compliance[-1, tip])
-
-
 def _ahead(mesh: Mesh, load: Load, per_length: Array) -> tuple[Array, Array]:
     """Total force and moment (N, 6) between each point and the tip, and beyond the plate (6,), in world axes.
 
@@ -321,10 +324,9 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
     # First and second derivatives of the work by the curvature.
     by_u, by_uu, couples = first.gradient, second_derivative(orientation, first, forms), problem.couples
     if couples is not None:
-        moment_forms = (weight[:, None] * sums.ahead[:, MOMENT]) @ frame_forms()[:, :2].reshape(3, 32)
-        half_slope = (moment_forms.reshape(count, 8, 4) @ orientation.stage[:, :, None]).reshape(count, 2, 4)
-        by_u = by_u + (half_slope @ orientation.stage[:, :, None])[:, :, 0]
-        by_uu += (2 * half_slope @ orientation.stage_slope).reshape(2 * count, 2 * count)
+        turned, turned_slope = moment_work(orientation, weight[:, None] * sums.ahead[:, MOMENT])
+        by_u = by_u + turned
+        by_uu += turned_slope
     # Torque on the tubes per length: of the cross-section at its own curvature.
     torque = moment - factor * (by_u[:, None, :] @ slope)[:, 0] / weight[:, None]
     softened = stiffness.copy()
@@ -344,7 +346,8 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
         hessian[:split] -= factor * (couples.row.T @ torque_slope)
     if problem.load.frame == "tip":
         # Virtual work of a load that turns with the tip.
-        reach, turn = _tip(problem, orientation, by_x)
+        turn = orientation.turn_slope() @ by_x
+        reach = tip_slopes(problem, orientation, by_x)
         wrench_slope = reach.T @ hat(sums.turning[FORCE]) + turn.T @ hat(sums.turning[MOMENT])
         hessian += factor * (wrench_slope @ turn)
     return LoadedState(
@@ -417,43 +420,14 @@ def tip_frame(orientation: Orientation) -> Array:
     return np.asarray(mapped(rotation_matrix_function(), 1)(orientation.start[-1])[0].reshape(3, 3).T.copy())
 
 
-def _tip(problem: LoadedProblem, orientation: Orientation, curvature_slope: Array) -> tuple[Array, Array]:
-    """Derivatives (3, U + 2 N) by x of the tip position, and of the rotation of its frame about world axes."""
-    count = len(orientation.stage)
-    by_u = tangent_slopes(orientation.stage) @ orientation.stage_slope
-    # The tip is int t ds: its derivative is the weighted sum of those of the tangents.
-    reach = (problem.torsion.weight @ by_u.reshape(count, -1)).reshape(3, -1) @ curvature_slope
-    turn = orientation.turn_slope() @ curvature_slope
-    return reach, turn
-
-
-def tip_slopes(problem: LoadedProblem, state: LoadedState) -> Array:
-    """Derivative (6, U + 2 N) of the tip pose by x: position, and rotation of the tip tube about world axes."""
-    reach, turn = _tip(problem, state.orientation, state.curvature_slope)
-    turn[:, : len(problem.tip_row)] += np.outer(tip_frame(state.orientation)[:, 2], problem.tip_row)
-    return np.concatenate([reach, turn])
+def tip_slopes(problem: LoadedProblem, orientation: Orientation, curvature_slope: Array) -> Array:
+    """Derivative (3, U + 2 N) by x of the tip position."""
+    return np.asarray(position_slopes(orientation, problem.torsion.weight) @ curvature_slope)
 
 
 def tip_position(problem: LoadedProblem, state: LoadedState) -> Array:
     """Position (3,) of the tip, m."""
     return np.asarray(problem.torsion.weight @ tangents(state.orientation.stage))
-
-
-def compliance(problem: LoadedProblem, state: LoadedState) -> Array:
-    """Compliance (6, 6): translation (m) and rotation (rad) of the tip by a dead force (N) and moment (N m) there.
-
-    All are in world axes.
-    """
-    slopes = tip_slopes(problem, state)
-    response = np.linalg.solve(state.hessian, slopes.T)
-    out = slopes @ response
-    # Twist by a torque at the tip that z does not determine: by the added moment, and by that of the load as the tip
-    # turns.
-    tangent = tip_frame(state.orientation)[:, 2]
-    out[3:, 3:] += problem.tip_rest * np.outer(tangent, tangent)
-    if problem.couples is not None:
-        out[3:] += state.factor * np.outer(tangent, problem.couples.rest[0] @ state.torque_slope @ response)
-    return np.asarray(out)
 
 
 def symmetric_part(problem: LoadedProblem, state: LoadedState) -> Array:
@@ -464,8 +438,10 @@ def symmetric_part(problem: LoadedProblem, state: LoadedState) -> Array:
     couples = problem.couples
     assert couples is not None
     joints = len(couples.joint)
+    turns = map(TubeTurn, couples.tube.tolist(), couples.row, couples.compliance.tolist())
+    rest = np.array([couples.rest(turn)[:joints] for turn, _ in zip(turns, range(joints), strict=False)])
     # Twists w at joints with energy w' rest^-1 w / 2, in coordinates where that is the identity.
-    size, vectors = np.linalg.eigh(couples.rest[:, :joints])
+    size, vectors = np.linalg.eigh(rest)
     root = (vectors * np.sqrt(np.maximum(size, 0.0))) @ vectors.T
     across = -state.factor / 2 * root @ state.torque_slope[:joints]
     # x' A x depends on the symmetric part only: if it is positive in all directions, no small motion gains work.
@@ -520,14 +496,10 @@ def loaded_profile(problem: LoadedProblem, rotations: Array, state: LoadedState)
 def elastic_energy(problem: LoadedProblem, profile: Profile, state: LoadedState) -> float:
     """Elastic energy of bending and torsion, J.
 
-    Moments twist tubes beyond z, so torsion is integrated: half of int t^2 / kt replaces z'z / 2.
+    Moments twist tubes beyond z, so the torsional energy along the arm replaces z'z / 2.
     """
-    torsion, mesh = problem.torsion, problem.mesh
-    t, rate = mesh.tableau, torsion.compliant.rate
-    torque = profile.torque[:, None] + mesh.length[:, None, None] * (t.adjoint @ profile.moment)
-    twice_torsional = np.einsum("p,k,pki->", mesh.length, t.weights, rate * torque**2)
-    z = state.x[: torsion.size]
-    return state.energy + float(twice_torsional + torsion.compliant.transmission @ profile.torque[0] ** 2 - z @ z) / 2
+    z = state.x[: problem.torsion.size]
+    return state.energy + torsional_energy(problem.torsion, profile) - float(z @ z) / 2
 
 
 def loaded_arm(problem: LoadedProblem, profile: Profile, state: LoadedState) -> ArmShape:
@@ -558,41 +530,32 @@ def integration_to(problem: LoadedProblem, s: float) -> Array:
     return np.asarray(weight)
 
 
-def compliance_along(problem: LoadedProblem, state: LoadedState, s: float, tube: int) -> Array:
+def compliance(problem: LoadedProblem, state: LoadedState, s: float, tube: int) -> Array:
     """Compliance (6, 6) at arc length s: translation (m) and rotation (rad) by a dead force (N) and moment (N m) there.
 
-    All are in world axes. The axial part of the moment twists `tube`, whose rotation is that of the compliance.
+    All are in world axes. The axial part of the moment twists `tube`, whose rotation is that of the compliance. An
+    element ends at s.
     """
-    torsion, orientation, weight = problem.torsion, state.orientation, integration_to(problem, s)
-    quaternion = IDENTITY + np.einsum("k,krc,kc->r", weight, orientation.rate, orientation.stage) / 2
-    # Product rule of rate(u) Q / 2: by Q, and by u.
-    by_stage = np.einsum("k,krc,kcj->rj", weight, orientation.rate, orientation.stage_slope) / 2
-    by_rate = np.einsum("k,jrc,kc->rkj", weight, quaternion_rates(), orientation.stage) / 2
-    slope = (by_stage + by_rate.reshape(4, -1)) @ state.curvature_slope
-    turn = 2 * (world_turns() @ quaternion) @ slope
-    tangent = np.array(rotation_matrix_function()(quaternion / np.linalg.norm(quaternion)))[:, 2]
-    row, rest = _twist(problem, weight, tube)
-    turn[:, : torsion.size] += np.outer(tangent, row)
-    by_u = weight @ (tangent_slopes(orientation.stage) @ orientation.stage_slope).reshape(len(weight), -1)
-    slopes = np.concatenate([by_u.reshape(3, -1) @ state.curvature_slope, turn])
-    out = slopes @ np.linalg.solve(state.hessian, slopes.T)
+    orientation, weight = state.orientation, integration_to(problem, s)
+    element = int(np.searchsorted(problem.mesh.start, s - END))
+    tangent = tangents(orientation.start[element][None])[0]
+    twist, by_u = tube_turn(problem.torsion, tube, element), position_slopes(orientation, weight)
+    slopes = np.concatenate([by_u, orientation.turn_slope(element)]) @ state.curvature_slope
+    slopes[3:, : problem.torsion.size] += np.outer(tangent, twist.row)
+    response = np.linalg.solve(state.hessian, slopes.T)
+    out = slopes @ response
+    # Twist by a torque that z does not determine: of the added moment, and of those of the load as the arm turns.
+    rest = twist.compliance - float(twist.row @ twist.row)
     out[3:, 3:] += rest * np.outer(tangent, tangent)
+    if problem.couples is not None:
+        out[3:] += state.factor * np.outer(tangent, problem.couples.rest(twist) @ state.torque_slope @ response)
     return np.asarray(out)
 
 
-def _twist(problem: LoadedProblem, weight: Array, tube: int) -> tuple[Array, float]:
-    """Derivative (U,) of the rotation of a tube at an arc length by z, and the remaining compliance there, rad/(N m).
-
-    `weight` (N,) are the quadrature weights from the plate to the place.
-    """
-    torsion, mesh = problem.torsion, problem.mesh
-    rate, behind, t = torsion.compliant.rate[:, :, tube].ravel(), torsion.compliant.transmission[tube], mesh.tableau
-    element = np.repeat(np.arange(len(mesh.length)), t.degree)
-    elements_before = np.where(element < element[:, None], torsion.weight, 0.0)
-    within_element = np.kron(np.diag(mesh.length), t.matrix)
-    # Row of the Green's function to the place s: the integral up to the nearer of point and s.
-    green = (elements_before + within_element) * rate / torsion.weight
-    compliance_to_points = behind + green @ weight
-    compliance_at_place = behind + float((weight**2 * rate / torsion.weight).sum())
-    row = row_of(torsion, tube, compliance_to_points)
-    return row, compliance_at_place - float(row @ row)
+@lru_cache(maxsize=256)
+def tube_turn(torsion: ReducedProblem, tube: int, element: int) -> TubeTurn:
+    """Rotation of a tube where an element begins; the number of elements is the tip."""
+    point_compliance, end_compliance = torsion.softness
+    end = float(end_compliance[element, tube])
+    # A torque twists its tube up to where it acts, and no farther.
+    return TubeTurn(tube, row_of(torsion, tube, np.minimum(point_compliance[:, tube], end)), end)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...physics.shape import quaternion_rates, rotation_matrix_function, tangent_forms, world_turns
+from ...physics.shape import frame_forms, quaternion_rates, rotation_matrix_function, tangent_forms, world_turns
 from ...typing import Array
 from .arm import along_elements, cumulate
 from .buffered import mapped
@@ -143,6 +143,17 @@ def second_derivative(orientation: Orientation, first: Adjoint, forms: Array) ->
     return np.asarray(out + mixed.T)
 
 
+def moment_work(orientation: Orientation, moments: Array) -> tuple[Array, Array]:
+    """Virtual work of moments (N, 3) that act beyond the points, per turn of the frame there by the curvature.
+
+    It is (R'm)_xy (N, 2), with its derivative (2 N, 2 N) by the curvature.
+    """
+    stage, count = orientation.stage, len(orientation.stage)
+    forms = (moments @ frame_forms()[:, :2].reshape(3, 32)).reshape(count, 8, 4)
+    half = (forms @ stage[:, :, None]).reshape(count, 2, 4)
+    return (half @ stage[:, :, None])[:, :, 0], (2 * half @ orientation.stage_slope).reshape(2 * count, -1)
+
+
 def tangents(stage: Array) -> Array:
     """Tangents (N, 3) R e3 = Q' T Q of quaternions (N, 4), which need not be normalised."""
     return np.asarray(((stage @ tangent_forms()) * stage).sum(2).T)
@@ -151,6 +162,13 @@ def tangents(stage: Array) -> Array:
 def tangent_slopes(stage: Array) -> Array:
     """Derivative (N, 3, 4) of `tangents` by Q."""
     return np.asarray(2 * (stage @ tangent_forms()).swapaxes(0, 1))
+
+
+def position_slopes(orientation: Orientation, weight: Array) -> Array:
+    """Derivative (..., 3, 2 N) by the curvature of positions, integrals of the tangent with weights (..., N)."""
+    count = len(orientation.stage)
+    by_u = tangent_slopes(orientation.stage) @ orientation.stage_slope
+    return np.asarray((weight @ by_u.reshape(count, -1)).reshape(*weight.shape[:-1], 3, -1))
 
 
 class Centreline(NamedTuple):
