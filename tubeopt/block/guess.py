@@ -6,10 +6,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
-import scipy
 
 from ..robots.load import Load
-from ..robots.robot import Robot, is_general
+from ..robots.robot import Robot
 from ..typing import Array
 from .transcription import arm as arms
 from .transcription import functions
@@ -109,37 +108,17 @@ def collocation_points(model: Model) -> tuple[Array, Array]:
 
 def start_values(initial: InitialEquilibrium, model: Model) -> StartValues:
     """An equilibrium on the elements of a model; beyond its tip the values are those at the tip."""
-    start, inside = collocation_points(model)
-    if initial.load is None:
-        torsion = _unloaded_torsion(initial, start, inside)
-    else:
-        torsion = _loaded_torsion(initial, start, inside)
-    if not model.grid.loaded:
-        return torsion
-    at_start, at_nodes = (bending_moment_of(initial, s) for s in (start, inside))
-    # The moments at the points of an element are one column of unknowns.
-    return torsion._replace(moments=(at_start, at_nodes.T.reshape(model.n_elements, -1).T))
-
-
-def _unloaded_torsion(initial: InitialEquilibrium, start: Array, inside: Array) -> StartValues:
     problem, arm = initial.collocated()
-    tip = float(problem.assembly.total_length)
-    start, inside = np.minimum(start, tip), np.minimum(inside, tip)
+    start, inside = (np.minimum(s, problem.assembly.total_length) for s in collocation_points(model))
     theta = arms.interpolate(problem, arm, start).T
+    # The unknowns refer to the stiffness where a tube is clamped.
     twist = arms.torque_at(problem, arm, start) / [tube.torsional_stiffness for tube in initial.robot.tubes]
-    return StartValues(theta, twist.T, arms.interpolate(problem, arm, inside).T)
-
-
-def _loaded_torsion(initial: InitialEquilibrium, start: Array, inside: Array) -> StartValues:
-    """Torsion of an equilibrium under load, interpolated between its shape points."""
-    s = initial.arm.arc_length
-    theta, w = initial.arm.rotation - initial.robot.assembly(initial.translations).twist_angle(s).T, initial.arm.torsion
-    if is_general(initial.robot):
-        # The unknowns have no natural twist, and refer to the stiffness where a tube is clamped.
-        w = np.gradient(theta, s, axis=1)
-    between = scipy.interpolate.CubicHermiteSpline(s, theta, w, axis=1)(np.clip(inside, s[0], s[-1]))
-    rotation, torsion = (np.array([np.interp(start, s, row) for row in table]) for table in (theta, w))
-    return StartValues(rotation, torsion, between)
+    moments: tuple[Array, ...] = ()
+    if model.grid.loaded:
+        at_start, at_nodes = (bending_moment_of(initial, s) for s in (start, inside))
+        # The moments at the points of an element are one column of unknowns.
+        moments = at_start, at_nodes.T.reshape(model.n_elements, -1).T
+    return StartValues(theta, twist.T, arms.interpolate(problem, arm, inside).T, moments)
 
 
 def bending_moment_of(initial: InitialEquilibrium, arc_length: Array) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..block.transcription import arm as arms
 from ..block.transcription import loaded
-from ..block.transcription.arm import EXTRA_QUADRATURE_POINTS, ArmSolution, CollocationPoints
+from ..block.transcription.arm import EXTRA_QUADRATURE_POINTS
 from ..block.transcription.buffered import section_function
 from ..block.transcription.contact import (
     DEGREE,
@@ -26,7 +26,7 @@ from ..block.transcription.contact import (
     make_contact,
     unknowns_of,
 )
-from ..block.transcription.loaded import LoadedProblem, LoadedState, base_wrench, load_problem, loaded_arm
+from ..block.transcription.loaded import LoadedProblem, LoadedState, load_problem
 from ..block.transcription.mesh import sections_at
 from ..block.transcription.reduced import reduce, to_unknowns
 from ..block.transcription.second_variation import least
@@ -295,23 +295,15 @@ def _under_load(robot: Robot, held: FrictionEquilibrium, state: LoadedState, sta
     assert problem is not None
     # A residual changes x by the inverse of the Hessian, whose largest eigenvalue is 1 / margin.
     theta_error = error / max(min(1.0, abs(held.margin)), LEAST_STIFFNESS)
-    arm, s = loaded_arm(problem, held.profile, state), problem.torsion.arc_length
-    result = ArmSolution.of(
-        arm,
-        problem.torsion.assembly,
-        points=CollocationPoints(s, state.theta + problem.twist_angle, state.curvature),
-        margin=held.margin,
+    errors = Errors(theta_error, theta_error * lever(problem.torsion) + _bending_error(held), float("nan"))
+    member = Loaded(robot, problem, held.rotations, tuple(held.translations.tolist()), Discretisation(degree=DEGREE))
+    solved = replace(
+        member.solution(Point(0.0, member, state, held.margin), held.profile, errors),
         energy=held.increment.state.energy + state.work,
         residual=imbalance(held.contact, held.increment.state, held.increment.torque),
-        errors=Errors(theta_error, theta_error * lever(problem.torsion) + _bending_error(held), float("nan")),
-        iterations=0,
         index=0 if held.margin > 0 else int((np.linalg.eigvalsh(held.increment.state.hessian) < 0).sum()),
-        work=state.work,
-        base_wrench=base_wrench(problem, state),
     )
-    shift = tuple(held.translations.tolist())
-    member = Loaded(robot, problem, held.rotations, shift, Discretisation(degree=DEGREE))
-    return equilibrium_of(member, result, start, method="increment")
+    return equilibrium_of(member, solved, start, method="increment")
 
 
 def _bending_error(current: FrictionEquilibrium) -> float:

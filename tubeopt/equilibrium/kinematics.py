@@ -256,10 +256,9 @@ def unsolved(
 
 
 def collocated(equilibrium: Equilibrium) -> tuple[ReducedProblem, Profile]:
-    """Problem of an unloaded equilibrium on its own mesh, and the torsion along its arm."""
-    refuse_load(equilibrium)
+    """Equations of the rotations of an equilibrium on its own mesh, and the torsion along its arm."""
     point = point_of(equilibrium, discretisation=discretisation_of(equilibrium))
-    return point.member.problem, point.torsion
+    return point.member.torsion, point.torsion
 
 
 def linearised(equilibrium: Equilibrium) -> Array:

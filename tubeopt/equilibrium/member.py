@@ -646,9 +646,17 @@ class Loaded(Member[LoadedState]):
         """Rotation and torsion along the arm, integrated from the collocation points."""
         return loaded_profile(self.problem, self.rotations, state)
 
-    def solution(self, point: AnyPoint) -> ArmSolution:
-        """Shape, energy, compliance, base wrench and estimated errors of a solved point."""
-        state, problem, profile = point.state, self.problem, point.torsion
+    def solution(
+        self, point: AnyPoint, profile: arms.Profile | None = None, errors: Errors | None = None
+    ) -> ArmSolution:
+        """Shape, energy, compliance, base wrench and estimated errors of a solved point.
+
+        With friction, `profile` and `errors` replace the rotations along the arm and the errors of the mesh. There is
+        no compliance then: it depends on which tubes slide.
+        """
+        state, problem = point.state, self.problem
+        profile = point.torsion if profile is None else profile
+        known = errors is None and abs(point.margin) >= LEAST_STIFFNESS
         return ArmSolution.of(
             loaded_arm(problem, profile, state),
             problem.torsion.assembly,
@@ -656,11 +664,11 @@ class Loaded(Member[LoadedState]):
             margin=point.margin,
             energy=elastic_energy(problem, profile, state),
             residual=self.residual(state),
-            errors=self._errors(point),
+            errors=self._errors(point) if errors is None else errors,
             iterations=point.iterations,
             index=0 if point.margin > 0 else self.index(state),
             work=state.work,
-            compliance=None if abs(point.margin) < LEAST_STIFFNESS else self.compliance(state),
+            compliance=self.compliance(state) if known else None,
             base_wrench=self.base_wrench(state),
         )
 
