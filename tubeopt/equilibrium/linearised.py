@@ -28,7 +28,7 @@ from ..block.transcription.arm_state import sections_of
 from ..block.transcription.buffered import bent_function, mapped, section_function
 from ..block.transcription.collocated import ENDS, THROUGH_ENDS
 from ..block.transcription.reduced import ReducedProblem
-from ..block.transcription.second_variation import Mode, worst_mode
+from ..block.transcription.second_variation import Mode, eccentric_sections, worst_mode
 from ..errors import SolveError
 from ..physics.certificate import worst_function
 from ..physics.shape import cross, hat
@@ -114,20 +114,13 @@ class _ModeAlongArm:
     """Mode along the arm: y, tau, a, b, t / kt and g' y at the points (N, n), and at breakpoints."""
 
     def __init__(self, problem: ReducedProblem, theta: Array, mode: Mode) -> None:
-        assembly, count = problem.assembly, len(problem.weight)
-        n, kt, weight = assembly.n_tubes, assembly.torsional_stiffness, problem.weight[:, None]
-        balance = section_function("balance", count, n, True)
-        offsets = assembly.offset, assembly.offset_angle
-        outputs = balance(theta, problem.stiffness, problem.moment, *offsets)
-        moment, turned, _, g, stretched = (part.copy() for part in outputs)
+        weight = problem.weight[:, None]
+        at = eccentric_sections(problem, theta)
         assert problem.stretch is not None
         up_to, beyond, _ = problem.stretch
-        self.problem, self.mode, self.g = problem, mode, g
-        # CasADi stores dM_i/dtheta_j by columns, (point, j, i).
-        turned, slope_g = (part.reshape(count, n, n).swapaxes(1, 2) for part in (turned, stretched))
-        self.twist = -(beyond @ moment) / kt
-        self.stretched = np.einsum("aij,aj->ai", slope_g, mode.y)
-        self.tau_rate = np.einsum("aij,aj->ai", turned, mode.y)
+        self.problem, self.mode, self.g, self.twist = problem, mode, at.g, at.twist
+        self.stretched = np.einsum("aij,aj->ai", at.g_slope, mode.y)
+        self.tau_rate = np.einsum("aij,aj->ai", at.slope, mode.y)
         # tau' = M' y and tau = 0 at the tip: the torque of the mode, as w is that of the state.
         self.tau, self.tau_start = -(beyond @ self.tau_rate), -(weight * self.tau_rate).sum(0)
         # The transpose of P sums over the points from a place to the tip.
@@ -135,7 +128,7 @@ class _ModeAlongArm:
         self.b = np.zeros_like(theta)
         for block in problem.blocks:
             inside = np.ix_(block.points, block.tubes)
-            compliance = block.compliance + (block.up_to * ((g - 1) / kt).T[block.tubes][:, None]) @ block.beyond
+            compliance = at.rotation_by_torque(problem, block)
             self.b[inside] = np.einsum("iab,ai->bi", compliance, mode.zeta[inside]) / weight[block.points]
 
     @property

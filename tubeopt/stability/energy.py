@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline, row_of
+from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline, tube_turn
 from ..display import Displayed
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..equilibrium.result import Equilibrium
@@ -127,11 +127,8 @@ class _TipMap(NamedTuple):
 
 def _tip_map(problem: ReducedProblem, tube: int) -> _TipMap:
     # theta(end) responds to the moment at a point by the compliance up to there, which the integral has exactly.
-    inside, at_ends = problem.softness
-    breakpoints = np.append(problem.mesh.start, problem.assembly.total_length)
-    compliance = at_ends[int(np.abs(breakpoints - problem.assembly.end[tube]).argmin()), tube]
-    a = row_of(problem, tube, inside[:, tube])
-    return _TipMap(a, float(np.sqrt(max(compliance - a @ a, 1e-30))))
+    turn = tube_turn(problem, tube, int(np.argmin(np.abs(problem.cuts - problem.assembly.end[tube]))))
+    return _TipMap(turn.row, float(np.sqrt(max(turn.compliance - turn.row @ turn.row, 1e-30))))
 
 
 class _FixedTips(NamedTuple):

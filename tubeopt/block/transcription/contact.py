@@ -29,7 +29,7 @@ from . import loaded
 from .arm import Profile, integrate, pushed
 from .loaded import LoadedProblem, LoadedState, Loading, load_problem
 from .mesh import element_counts, loaded_mesh, make_mesh
-from .reduced import Evaluation, ReducedProblem, evaluate, reduce, to_unknowns
+from .reduced import Evaluation, ReducedProblem, evaluate, reduce, to_unknowns, tube_turn
 
 DEGREE = 6
 """Collocation points of an element of the mesh."""
@@ -197,14 +197,10 @@ def _rotations_between(problem: ReducedProblem, arc_length: Array, tube: Index) 
     the nearer one. So z conditions the rotations at the places, and y whitens their conditional covariance.
     """
     by_z, columns = np.zeros((len(arc_length), problem.size)), []
-    point_compliance, end_compliance = problem.softness
-    ends = np.append(problem.mesh.start, problem.assembly.total_length)
-    for j in np.unique(tube):
-        at_tube, unknowns = np.flatnonzero(tube == j), np.flatnonzero(problem.tube == j)
-        compliance = np.array([end_compliance[np.argmin(np.abs(ends - s)), j] for s in arc_length[at_tube]])
-        shared = np.minimum(compliance[:, None], point_compliance[problem.point[unknowns], j])
-        factor = problem.factor[np.ix_(unknowns, unknowns)]
-        by_z[np.ix_(at_tube, unknowns)] = scipy.linalg.solve_triangular(factor, shared.T, lower=True).T
+    for j in np.unique(tube).tolist():
+        at_tube = np.flatnonzero(tube == j)
+        turns = [tube_turn(problem, j, int(np.argmin(np.abs(problem.cuts - s)))) for s in arc_length[at_tube]]
+        by_z[at_tube], compliance = [turn.row for turn in turns], np.array([turn.compliance for turn in turns])
         conditional = np.minimum(compliance[:, None], compliance) - by_z[at_tube] @ by_z[at_tube].T
         values, vectors = np.linalg.eigh(conditional)
         positive = values > NEGLIGIBLE_COMPLIANCE * max(float(compliance.max()), 1e-300)

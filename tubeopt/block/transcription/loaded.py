@@ -21,7 +21,7 @@ B (R'm)_xy to dW/du, where R is the Bishop frame, and each moment twists its tub
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -45,7 +45,7 @@ from .orientation import (
     tangent_slopes,
     tangents,
 )
-from .reduced import ReducedProblem, row_of, to_unknowns, torsional_hessian
+from .reduced import ReducedProblem, TubeTurn, to_unknowns, torsional_hessian, tube_turn
 
 # --- Dead moments -----------------------------------------------------------------------------------------------------
 
@@ -62,16 +62,6 @@ from .reduced import ReducedProblem, row_of, to_unknowns, torsional_hessian
 
 END = 1e-12
 """Distance (m) within which a moment acts where a tube ends: round-off of a length."""
-
-
-class TubeTurn(NamedTuple):
-    """Rotation of a tube at a place."""
-
-    tube: int
-    row: Array
-    """Derivative (U,) by z."""
-    compliance: float
-    """Rotation by a unit torque there, rad/(N m)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -550,12 +540,3 @@ def compliance(problem: LoadedProblem, state: LoadedState, s: float, tube: int) 
     if problem.couples is not None:
         out[3:] += state.factor * np.outer(tangent, problem.couples.rest(twist) @ state.torque_slope @ response)
     return np.asarray(out)
-
-
-@lru_cache(maxsize=256)
-def tube_turn(torsion: ReducedProblem, tube: int, element: int) -> TubeTurn:
-    """Rotation of a tube where an element begins; the number of elements is the tip."""
-    point_compliance, end_compliance = torsion.softness
-    end = float(end_compliance[element, tube])
-    # A torque twists its tube up to where it acts, and no farther.
-    return TubeTurn(tube, row_of(torsion, tube, np.minimum(point_compliance[:, tube], end)), end)

@@ -19,7 +19,7 @@ with the cross-section at phi + phase in place of theta, and int ds / kt in plac
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -441,13 +441,24 @@ def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Arra
     return whitened(problem, theta[p, t] - rotations[t])
 
 
-def row_of(problem: ReducedProblem, tube: int, lever: Array) -> Array:
-    """Derivative (U,) of the rotation of a tube at one point by the unknowns z.
+class TubeTurn(NamedTuple):
+    """Rotation of a tube at a place."""
 
-    Args:
-        lever: turn (N,) of the tube there by a torque at each collocation point, rad/(N m).
-    """
-    return whitened(problem, np.where(problem.tube == tube, lever[problem.point], 0.0))
+    tube: int
+    row: Array
+    """Derivative (U,) by z."""
+    compliance: float
+    """Rotation by a unit torque there, rad/(N m)."""
+
+
+@lru_cache(maxsize=64)
+def tube_turn(problem: ReducedProblem, tube: int, element: int) -> TubeTurn:
+    """Rotation of a tube where an element begins; the number of elements is the tip."""
+    point_compliance, end_compliance = problem.softness
+    end = float(end_compliance[element, tube])
+    # A torque twists its tube up to where it acts, and no farther.
+    turns = np.where(problem.tube == tube, np.minimum(point_compliance[:, tube], end)[problem.point], 0.0)
+    return TubeTurn(tube, whitened(problem, turns), end)
 
 
 def whitened(problem: ReducedProblem, turns: Array) -> Array:

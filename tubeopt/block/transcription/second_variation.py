@@ -133,29 +133,48 @@ class _Linearised:
         return np.asarray(np.linalg.solve(self.system, -right.reshape(self.system.shape)))
 
 
-def _linearise(problem: ReducedProblem, theta: Array) -> Iterator[_Linearised]:
+class EccentricSections(NamedTuple):
+    """Cross-sections of eccentric tubes in equilibrium at N points."""
+
+    slope: Array
+    """Derivative dM_i/dtheta_j (N, i, j) of the torsional moments."""
+    g: Array
+    """Stretch (N, n)."""
+    g_slope: Array
+    """Derivative dg_i/dtheta_j (N, i, j)."""
+    twist: Array
+    """Torsion w (N, n), rad/m."""
+
+    def rotation_by_torque(self, problem: ReducedProblem, block: Block) -> Array:
+        """Rotation Gamma + P (g - 1) W / kt (k, p, p) by a torque: directly, and by the stretch of its tube."""
+        extra = ((self.g - 1) / problem.assembly.torsional_stiffness).T[block.tubes]
+        return np.asarray(block.compliance + (block.up_to * extra[:, None, :]) @ block.beyond)
+
+
+def eccentric_sections(problem: ReducedProblem, theta: Array) -> EccentricSections:
+    """Cross-sections at rotations theta (N, n) of the points."""
     assembly, count = problem.assembly, len(problem.weight)
-    n, kt = assembly.n_tubes, assembly.torsional_stiffness
-    balance = section_function("balance", count, n, True)
-    offsets = assembly.offset, assembly.offset_angle
-    moment, turned, _, g, stretched = balance(theta, problem.stiffness, problem.moment, *offsets)
+    balance = section_function("balance", count, assembly.n_tubes, True)
+    outputs = balance(theta, problem.stiffness, problem.moment, assembly.offset, assembly.offset_angle)
+    moment, slope, _, g, g_slope = (part.copy() for part in outputs)
     assert problem.stretch is not None
-    # w = -W M / kt, since torsion vanishes at the tip.
-    twist = -(problem.stretch[1] @ moment) / kt
-    extra = (g - 1) / kt
     # CasADi stores dM_i/dtheta_j by columns, (point, j, i).
-    turned, stretched = turned.reshape(count, n, n), stretched.reshape(count, n, n)
+    slope, g_slope = (part.reshape(count, assembly.n_tubes, -1).swapaxes(1, 2) for part in (slope, g_slope))
+    # w = -W M / kt, since torsion vanishes at the tip.
+    return EccentricSections(slope, g, g_slope, -(problem.stretch[1] @ moment) / assembly.torsional_stiffness)
+
+
+def _linearise(problem: ReducedProblem, theta: Array) -> Iterator[_Linearised]:
+    at = eccentric_sections(problem, theta)
     for block in problem.blocks:
         t, o = block.tubes, block.points
         k, p = len(t), len(o)
-        # Gamma + P (g - 1) W / kt: rotation by a torque, directly and by the stretch of its tube.
-        compliance = block.compliance + (block.up_to * extra.T[t][:, None, :]) @ block.beyond
         diagonal = np.ix_(o, t, t)
-        relative = stretched[diagonal].transpose(2, 1, 0) * twist[np.ix_(o, t)].T[:, None, :]
+        relative = at.g_slope[diagonal].transpose(1, 2, 0) * at.twist[np.ix_(o, t)].T[:, None, :]
         # P w g': a turn stretches the tubes, which turns them; it is subtracted from 1 below.
         matrix = -(block.up_to[:, o][None, :, None, :] * relative[:, None]).reshape(k * p, k * p)
         matrix.ravel()[:: k * p + 1] += 1.0
-        yield _Linearised(block, matrix, compliance, turned[diagonal].swapaxes(1, 2))
+        yield _Linearised(block, matrix, at.rotation_by_torque(problem, block), at.slope[diagonal])
 
 
 def _real(values: NDArray[Any]) -> Array:
