@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -127,8 +128,9 @@ class _TipMap(NamedTuple):
 
 def _tip_map(problem: ReducedProblem, tube: int) -> _TipMap:
     # theta(end) responds to the moment at a point by the compliance up to there, which the integral has exactly.
-    turn = tube_turn(problem, tube, int(np.argmin(np.abs(problem.cuts - problem.assembly.end[tube]))))
-    return _TipMap(turn.row, float(np.sqrt(max(turn.compliance - turn.row @ turn.row, 1e-30))))
+    turn = tube_turn(problem, tube, int(np.argmin(np.abs(problem.cuts - float(problem.assembly.end[tube])))))
+    rest = turn.compliance - float(turn.row @ turn.row)
+    return _TipMap(turn.row, math.sqrt(max(rest, 1e-30)))
 
 
 class _FixedTips(NamedTuple):
