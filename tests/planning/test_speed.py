@@ -459,7 +459,7 @@ def test_a_path_has_events_where_a_breakpoint_passes_a_place_of_a_load() -> None
     """Both tubes pass the plate, and the end of one of them passes a force."""
     path = SampledJointPath(TWO_TUBE, np.array([0, 0, -0.03, -0.01]), np.array([0, 0, 0.01, 0.03]))
     load = Load(points=(PointLoad(0.085, (0.03, 0.0, 0.0)),))
-    assert TWO_TUBE.assembly([-0.03, -0.01]).breakpoints == pytest.approx([-0.03, -0.01, 0.07, 0.09])
+    assert TWO_TUBE.assembly(np.array([-0.03, -0.01])).breakpoints == pytest.approx([-0.03, -0.01, 0.07, 0.09])
     assert Family(path).events() == pytest.approx([0.25, 0.75, 1])
     assert Family(path, load, load).events() == pytest.approx([0.25, 0.375, 0.75, 1])
 

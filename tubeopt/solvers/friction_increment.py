@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ..block.transcription.contact import Contact, ContactState, evaluate_contact
 from ..block.transcription.second_variation import least
 from ..typing import Array
-from .newton import FLOW_STEPS, STRIDE, grown, shortened
+from .newton import flow
 from .settings import FRICTION_ITERATIONS, LAST_STEP, NEWTON_ROUND_OFF, STICK_CHANGES
 
 # --- Sticking and slipping --------------------------------------------------------------------------------------------
@@ -329,52 +329,74 @@ def softest(contact: Contact, state: ContactState, signs: Signs) -> Array:
     return np.asarray(direction / contact.largest_rotation(direction))
 
 
-def slide(
-    contact: Contact, rotations: Array, x: Array, before: Array, push: Array | None = None
-) -> tuple[Increment, float] | None:
-    """State of rest of the energy flow with friction, and the heat (J); None if it is not found.
+class _Slid(NamedTuple):
+    """State of a flow with friction."""
 
-    The flow starts at x, or at the lower of x +- `push` (X,). Linearly implicit Euler steps in the norm of the
-    torsional energy, each with exact friction from the last state, grow into Newton steps as the flow comes to rest.
+    state: ContactState
+    before: Array
+    """Relative rotations (R,) that slips are measured from."""
+    heat: float
+    """Heat of the flow, J."""
+    signs: Signs | None = None
+    """Signs of the slips of the last step."""
+
+
+class _Slip(NamedTuple):
+    step: Array
+    signs: Signs
+
+
+class Rest(NamedTuple):
+    """End of a flow with friction."""
+
+    increment: Increment
+    heat: float
+    """Heat of the flow, J."""
+
+
+def slide(contact: Contact, rotations: Array, x: Array, before: Array, push: Array | None = None) -> Rest | None:
+    """State of rest of the energy flow with friction; None if it is not found.
+
+    The flow starts at x, or at the lower of x +- `push` (X,). Each step of `newton.flow` has exact friction from the
+    last state.
     """
-    starts = [x] if push is None else [x + push, x - push]
-    sides = [evaluate_contact(contact, rotations, start) for start in starts]
-    heats = [float(contact.capacity @ np.abs(side.relative_rotations - before)) for side in sides]
-    lower = min(range(len(sides)), key=lambda k: sides[k].energy + heats[k])
-    state, heat = sides[lower], heats[lower] if push is not None else 0.0
-    before = state.relative_rotations if push is not None else before
-    delay, turn, signs = 1.0, np.inf, None
-    for count in range(FLOW_STEPS):
-        # Near rest Newton's method takes over, which also finds states that only friction holds. If the flow merely
-        # creeps past a lost state, it finds nothing nearby, and the flow continues.
-        if turn < SLOW and (delay > 1e6 or count % PATIENT == 0):
-            last = increment(contact, rotations, state.x, before, signs)
-            if last is not None and last.converged and contact.largest_rotation(last.state.x - state.x) < NEAR:
-                return last, heat + last.heat
-        model = model_of(contact.rows, state.gradient, state.hessian + np.eye(len(x)) / delay)
-        result = None
+
+    def heat_to(state: ContactState, before: Array) -> float:
+        return float(contact.capacity @ np.abs(state.relative_rotations - before))
+
+    def step(at: _Slid, time: float) -> _Slip | None:
+        model = model_of(contact.rows, at.state.gradient, at.state.hessian + np.eye(len(x)) / time)
         # If the energy is not convex, the rows that stuck in the last step may still hold the state.
-        if model is not None and (not model.negative or signs is not None):
-            free = state.relative_rotations - before + contact.rows @ model.step
-            result = choose(model, free, contact.capacity, signs if model.negative else None)
-        if model is None or result is None:
-            delay *= 0.25
-            continue
-        move = model.step - model.response @ result[0]
-        turn = contact.largest_rotation(move)
-        if turn > STRIDE:
-            delay *= shortened(turn)
-            continue
-        trial = evaluate_contact(contact, rotations, state.x + move)
-        trial_heat, current_heat = (
-            float(contact.capacity @ np.abs(at.relative_rotations - before)) for at in (trial, state)
-        )
+        if model is None or (model.negative and at.signs is None):
+            return None
+        free = at.state.relative_rotations - at.before + contact.rows @ model.step
+        result = choose(model, free, contact.capacity, at.signs if model.negative else None)
+        return None if result is None else _Slip(model.step - model.response @ result[0], result[1])
+
+    def moved(at: _Slid, slip: _Slip) -> _Slid | None:
+        state, trial = at.state, evaluate_contact(contact, rotations, at.state.x + slip.step)
+        heat = heat_to(trial, at.before)
         # Round-off of the energy is that of its parts.
         work = 0.0 if contact.loaded is None else abs(state.elastic.potential - state.elastic.energy)
-        scale = contact.problem.energy_parts + abs(state.energy) + work
-        if trial.energy + trial_heat > state.energy + current_heat + 1e-13 * scale:
-            delay *= 0.25
-            continue
-        state, before, heat, signs = trial, trial.relative_rotations, heat + trial_heat, result[1]
-        delay = grown(delay, turn)
-    return None
+        round_off = 1e-13 * (contact.problem.energy_parts + abs(state.energy) + work)
+        risen = trial.energy + heat > state.energy + heat_to(state, at.before) + round_off
+        return None if risen else _Slid(trial, trial.relative_rotations, at.heat + heat, slip.signs)
+
+    def rest(at: _Slid, turn: float, time: float, count: int) -> Rest | None:
+        # Near rest Newton's method takes over, which also finds states that only friction holds. If the flow merely
+        # creeps past a lost state, it finds nothing nearby, and the flow continues.
+        if turn >= SLOW or (time <= 1e6 and count % PATIENT):
+            return None
+        last = increment(contact, rotations, at.state.x, at.before, at.signs)
+        if last is None or not last.converged or contact.largest_rotation(last.state.x - at.state.x) >= NEAR:
+            return None
+        return Rest(last, at.heat + last.heat)
+
+    starts = [x] if push is None else [x + push, x - push]
+    start = min(
+        (evaluate_contact(contact, rotations, side) for side in starts),
+        key=lambda side: side.energy + heat_to(side, before),
+    )
+    # A push turns work into heat at once, as a step does.
+    first = (before, 0.0) if push is None else (start.relative_rotations, heat_to(start, before))
+    return flow(_Slid(start, *first), step, lambda _, slip: contact.largest_rotation(slip.step), moved, rest)

@@ -19,6 +19,8 @@ from .settings import LAST_STEP, LONGEST_STEP, NEWTON, NEWTON_ROUND_OFF, Newton
 from .time_limit import check_time
 
 S = TypeVar("S")
+C = TypeVar("C")
+R = TypeVar("R")
 
 
 class OfEnergy(Protocol):
@@ -186,52 +188,47 @@ FLOW_STEPS = 2000
 
 def flow(
     state: S,
-    step: Callable[[S, float], tuple[Array, float, bool]],
-    moved: Callable[[S, Array], S | None],
-    solved: Callable[[S], NewtonResult[S]],
-) -> NewtonResult[S]:
-    """State of rest at the end of the gradient flow from a state, and the number of steps.
+    step: Callable[[S, float], C | None],
+    turn: Callable[[S, C], float],
+    moved: Callable[[S, C], S | None],
+    rest: Callable[[S, float, float, int], R | None],
+) -> R | None:
+    """State of rest at the end of the gradient flow from a state; None if it finds none.
 
     Args:
-        step: returns the change of a state in a time, its largest turn (rad), and True if its matrix is not positive.
+        step: returns the change of a state in a time; None if its matrix is not positive.
+        turn: largest turn of a change of a state, rad.
         moved: returns the state after a change; None if its energy rises.
-        solved: returns the state at rest, from one close to it.
+        rest: returns the state of rest, if the flow has come close to it; from a state, the largest turn (rad) of the
+            last step, the time of the next one, and the number of steps so far.
     """
-    time = 1.0
-    for count in range(1, FLOW_STEPS + 1):
-        change, turn, not_convex = step(state, time)
-        if not_convex or turn > STRIDE:
+    time, size = 1.0, np.inf
+    for count in range(FLOW_STEPS):
+        last = rest(state, size, time, count)
+        if last is not None:
+            return last
+        change = step(state, time)
+        if change is None:
             # The matrix H + 1 / time is positive for a time short enough.
-            time *= 0.25 if not_convex else shortened(turn)
-            continue
-        # A rise of energy means that the model of second order is valid for a shorter time only.
-        following = moved(state, change)
-        if following is None:
             time *= 0.25
             continue
-        state, time = following, grown(time, turn)
-        # A long time step that hardly moves is Newton's step close to rest, or passes a fold.
-        if turn < 1e-6 and time > 1e6:
-            last = solved(state)
-            if last.converged:
-                return NewtonResult(last.state, True, count, 0.0)
-    return NewtonResult(state, False, FLOW_STEPS, 0.0)
+        size = turn(state, change)
+        if size > STRIDE:
+            # A step is about proportional to its time; 0.8 is a safety factor.
+            time *= max(0.1, 0.8 * STRIDE / size)
+            continue
+        following = moved(state, change)
+        if following is None:
+            # A rise of energy means that the model of second order is valid for a shorter time only.
+            time *= 0.25
+            continue
+        # At most three times as long: the curvature of the valley, which may lengthen a step, is known here only. The
+        # limit 1e12 keeps 1 / time above round-off of the Hessian.
+        state, time = following, min(time * min(3.0, max(1.0, 0.8 * STRIDE / max(size, 1e-12))), 1e12)
+    return None
 
 
 def downhill(x: Array, push: Array, gradient: Callable[[Array], Array]) -> list[Array]:
     """Points (U,) at x +- `push` with energy decreasing away from x; both points if neither has."""
     down = [side for side in (push, -push) if float(gradient(x + side) @ side) < 0]
     return [x + side for side in down or (push, -push)]
-
-
-def shortened(turn: float) -> float:
-    """Factor on the time step after a step with too large a rotation (rad)."""
-    # A step is about proportional to its time; 0.8 is a safety factor.
-    return max(0.1, 0.8 * STRIDE / turn)
-
-
-def grown(time: float, turn: float) -> float:
-    """Next time step after one with this rotation (rad)."""
-    # At most three times as long: the curvature of the valley, which may lengthen a step, is known here only. The
-    # limit 1e12 keeps 1 / time above round-off of the Hessian.
-    return min(time * min(3.0, max(1.0, 0.8 * STRIDE / max(turn, 1e-12))), 1e12)

@@ -520,7 +520,7 @@ def _descend(result: list[LoadedPoint], member: Loaded, explored: set[int]) -> i
             push = NUDGE / member.largest_rotation(point.state, direction) * direction
             for side in (push, -push):
                 landed = slide(member, point.state.x + side)
-                new += landed.converged and add(result, member, landed.state.x)
+                new += landed is not None and add(result, member, landed.state.x)
     return new
 
 

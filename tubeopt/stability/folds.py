@@ -8,7 +8,7 @@ potential energy (`fall`).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -220,21 +220,21 @@ def fall(lost: AnyPoint, direction: Array) -> AnyPoint | None:
         return np.asarray(gradient if member.descends else (gradient @ along) * direction)
 
     ends = [slide(member, start) for start in downhill(x, push, uphill)]
-    points = [Point.of(member, end, lost.t) for end in ends if end.converged]
+    points = [Point.of(member, end, lost.t) for end in ends if end is not None]
     minima = [point for point in points if point.margin > -NEUTRAL]
     # Next to a symmetric bifurcation both sides have the same energy to round-off: the first is taken.
     lowest = min((point.state.potential for point in minima), default=0.0)
     return next((point for point in minima if not point.state.potential > lowest + 1e-12), None)
 
 
-def slide(member: Member[Any], x: Array) -> NewtonResult[Any]:
-    """Minimum of the potential energy at the end of its gradient flow from x (U,)."""
+def slide(member: Member[Any], x: Array) -> NewtonResult[Any] | None:
+    """Minimum of the potential energy at the end of its gradient flow from x (U,); None if it is not found."""
     start = member.at(x)
     round_off = 1e-13 * member.round_off(start)
 
-    def step(state: Any, time: float) -> tuple[Array, float, bool]:
+    def step(state: Any, time: float) -> Array | None:
         change, not_convex = member.downhill(state, time)
-        return change, member.largest_rotation(state, change), not_convex
+        return None if not_convex else change
 
     def moved(state: Any, change: Array) -> Any:
         result = member.moved(state, change)
@@ -242,7 +242,13 @@ def slide(member: Member[Any], x: Array) -> NewtonResult[Any]:
         same = len(result.x) == len(state.x) or not np.isfinite(result.potential)
         return None if same and member.descends and result.potential > state.potential + round_off else result
 
-    result, freed = flow(start, step, moved, lambda state: member.owner(state).at_rest(state)), set[frozenset[object]]()
-    while result.converged and (start := member.owner(result.state).released(result.state, freed)) is not None:
-        result = flow(start, step, moved, lambda state: member.owner(state).at_rest(state))
+    def rest(state: Any, turn: float, time: float, count: int) -> NewtonResult[Any] | None:
+        # A long time step that hardly moves is Newton's step close to rest, or passes a fold.
+        last = member.owner(state).at_rest(state) if turn < 1e-6 and time > 1e6 else None
+        return last and (replace(last, iterations=count, contraction=0.0) if last.converged else None)
+
+    steps = step, member.largest_rotation, moved, rest
+    result, freed = flow(start, *steps), set[frozenset[object]]()
+    while result is not None and (start := member.owner(result.state).released(result.state, freed)) is not None:
+        result = flow(start, *steps)
     return result

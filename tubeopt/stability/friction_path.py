@@ -272,7 +272,7 @@ def _flow(family: Family, current: FrictionEquilibrium, t: float, *, pushed: boo
     landed = slide(contact, rotations, x, before, push)
     if landed is None:
         return None
-    return FrictionEquilibrium(contact, rotations, translations, landed[0], current.heat + landed[1])
+    return FrictionEquilibrium(contact, rotations, translations, landed.increment, current.heat + landed.heat)
 
 
 # --- Band of friction -------------------------------------------------------------------------------------------------
