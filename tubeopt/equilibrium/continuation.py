@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -26,11 +25,6 @@ from .problem import DEFAULT_DISCRETISATION, Discretisation
 from .result import Equilibrium
 
 P = TypeVar("P", bound=AnyPoint)
-
-# A translation is compared with the length of the arm. Without this lower bound an arm of length zero, as at full
-# retraction, could not move at all.
-SHORT_ARM = 0.1
-"""Smallest length of an arm, over the longest tube's, for which tubes couple noticeably."""
 
 
 # Close to a fold the state moves by the square root of the distance to it: a fold is known to 1e-4 rad here.
@@ -57,19 +51,6 @@ def largest_twist(margin: float) -> float:
     the hysteresis ends on the branch beyond it, where Newton's method converges well, and the snap would be missed.
     """
     return min(max(2 * abs(margin) * LARGEST_TWIST, SOFT_TWIST), LARGEST_TWIST)
-
-
-@lru_cache(maxsize=64)
-def reference_length(equilibrium: Equilibrium) -> float:
-    """Length (m) of the arm as a scale for translations; at least SHORT_ARM of the longest tube."""
-    return max(float(equilibrium.arc_length[-1]), SHORT_ARM * max(tube.length for tube in equilibrium.robot.tubes))
-
-
-def small_motion(start: Equilibrium, rotations: Array, translations: Array) -> bool:
-    """True for motions from `start` after which Newton's method stays on the branch."""
-    changes = rotations - start.rotations, translations - start.translations
-    largest_turn, largest_shift = (max(map(abs, change.tolist())) for change in changes)
-    return bool(largest_turn <= LARGEST_TURN and largest_shift <= LARGEST_SHIFT * reference_length(start))
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,7 +35,7 @@ from ..solvers.compiled.binding import Solved, Start, kernel_of, solve_compiled
 from ..solvers.compiled.bundle import bundle_kernel, solve_bundle_compiled
 from ..solvers.compiled.loaded import solve_loaded_compiled
 from ..solvers.ipopt import solve_ipopt, solve_loaded_ipopt
-from ..solvers.settings import LARGEST_RATIO, LARGEST_TWIST, NEWTON, Ipopt, Newton
+from ..solvers.settings import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST, NEWTON, Ipopt, Newton
 from ..solvers.time_limit import limited
 from ..typing import Array
 from .bundle import Bundled, bundle_at, bundle_start
@@ -48,7 +48,6 @@ from .continuation import (
     bifurcates,
     largest_twist,
     reach,
-    small_motion,
     step_to,
 )
 from .member import AnyPoint, Loaded, Member, Point, Unloaded, at_points, discretisation_of
@@ -289,6 +288,25 @@ def sure_margin(equilibrium: Equilibrium) -> float:
 # less than one step of the general solver; more would be spent on a branch that ends.
 SHORTEST_COMPILED = 1 / 128
 """Fraction of the longest step along a path below which the general solver takes over from the compiled kernel."""
+
+
+# A translation is compared with the length of the arm. Without this lower bound an arm of length zero, as at full
+# retraction, could not move at all.
+SHORT_ARM = 0.1
+"""Smallest length of an arm, over the longest tube's, for which tubes couple noticeably."""
+
+
+@lru_cache(maxsize=64)
+def reference_length(equilibrium: Equilibrium) -> float:
+    """Length (m) of the arm as a scale for translations; at least SHORT_ARM of the longest tube."""
+    return max(float(equilibrium.arc_length[-1]), SHORT_ARM * max(tube.length for tube in equilibrium.robot.tubes))
+
+
+def small_motion(start: Equilibrium, rotations: Array, translations: Array) -> bool:
+    """True for motions from `start` after which Newton's method stays on the branch."""
+    changes = rotations - start.rotations, translations - start.translations
+    largest_turn, largest_shift = (max(map(abs, change.tolist())) for change in changes)
+    return bool(largest_turn <= LARGEST_TURN and largest_shift <= LARGEST_SHIFT * reference_length(start))
 
 
 def unloaded(
@@ -533,7 +551,8 @@ def _from_scratch(
         member = Bundled.cold(robot, rotations, tuple(translations.tolist()))
     else:
         member = Unloaded.of(robot, rotations, tuple(translations.tolist()), discretisation)
-    return _to_tolerance(*_descend(member, request.method), request)
+    point, how = _descend(member, request.method)
+    return _to_tolerance(point, how, request)
 
 
 def _from_start(
@@ -712,15 +731,13 @@ def _continued(family: Family, last: Milestone, load_grows: bool, request: Solve
     stable = load_grows or (family.load is not None and point.margin > 0)
     point = reach(family, point, stable=stable, shortest=shortest)
     if point.t < 1.0 and load_grows:
-        if not point.t:
-            # The start was sampled from the mesh without load, and is not solved on this one yet.
-            point = point_of(last.pose, family.load, family.path.discretisation)
         if point.member.flutters(point.state):
             ending = "it begins to flutter"
         else:
             ending = "it bifurcates" if bifurcates(family, point) else "it ends in a fold"
         why = f"{ending} at {100 * point.t:.4g} % of the load"
-        raise SolveError(f"{Status.BRANCH_ENDED_UNDER_LOAD}: {why}", to_equilibrium(point, "the load before"))
+        best = to_equilibrium(point, "the load before") if point.t else last.pose
+        raise SolveError(f"{Status.BRANCH_ENDED_UNDER_LOAD}: {why}", best)
     if point.t < 1.0:
         why = f"it ends {100 * point.t:.2f} % of the path from the start to the goal"
         raise SolveError(f"{Status.BRANCH_ENDED}: {why}", last.pose)

@@ -347,14 +347,14 @@ class Equilibrium(Displayed):
     def compliance_at(self, arc_length: float, tube: int | None = None) -> Array:
         """(6, 6) compliance at an arc length (m): motion (m, rad) of a cross-section per small dead load (N, N m).
 
-        In world axes. Concentric tubes only, without load or under dead forces.
+        In world axes, for concentric tubes.
 
         Args:
             tube: the tube, from 0, that carries the moment and is measured. By default the outermost tube there; at the
                 tip the one that ends last.
 
         Raises:
-            InputError: an arc length outside the arm, a tube that is not there, a load without an energy.
+            InputError: an arc length outside the arm, or a tube that is not there.
         """
         result: Array = lazy_import("tubeopt.equilibrium.jacobian.compliance_at")(self, arc_length, tube)
         return result

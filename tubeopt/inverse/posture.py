@@ -12,9 +12,8 @@ import numpy as np
 from ..block.transcription.arm import between
 from ..block.transcription.reduced import ReducedProblem
 from ..bodies.obstacles import Scene
-from ..equilibrium.continuation import reference_length
 from ..equilibrium.jacobian import compiled_slopes, derivatives_of
-from ..equilibrium.kinematics import forward_kinematics, one_step, point_of
+from ..equilibrium.kinematics import forward_kinematics, one_step, point_of, reference_length
 from ..equilibrium.member import PlainPoint
 from ..equilibrium.result import Derivatives, Equilibrium, refuse_load
 from ..errors import InputError, SolveError
