@@ -90,8 +90,11 @@ def range_of_cosine(low: Array, high: Array) -> tuple[Array, Array]:
     return np.where(has_min, -1.0, ends.min(0)), np.where(has_max, 1.0, ends.max(0))
 
 
-def range_of_bend(sine: Array, cosine: Array, u: Array) -> Array:
-    """(..., 2 P) box of sine (1 - cos x) + cosine (x - sin x) for x in boxes u (..., 2 P) within -pi and pi."""
+def bends(sine: Array, cosine: Array, u: Array) -> Array:
+    """(4, ..., P) values of sine (1 - cos x) + cosine (x - sin x) among which its least and largest one in boxes are.
+
+    At the low end of boxes u (..., 2 P) within -pi and pi, the high end, 0, and the extremum beside 0, if in the box.
+    """
 
     def at(x: Array) -> Array:
         return np.asarray(sine * (1 - np.cos(x)) + cosine * (x - np.sin(x)))
@@ -99,5 +102,10 @@ def range_of_bend(sine: Array, cosine: Array, u: Array) -> Array:
     low, high = -u[..., : len(sine)], u[..., len(sine) :]
     extremum = np.mod(np.pi - 2 * np.arctan2(sine, cosine), FULL_TURN) - np.pi  # other than 0
     inside = (low <= extremum) & (extremum <= high)
-    values = np.stack([at(low), at(high), np.zeros_like(low), np.where(inside, at(extremum), 0.0)])
+    return np.stack([at(low), at(high), np.zeros_like(low), np.where(inside, at(extremum), 0.0)])
+
+
+def range_of_bend(sine: Array, cosine: Array, u: Array) -> Array:
+    """(..., 2 P) boxes of the values of `bends`."""
+    values = bends(sine, cosine, u)
     return np.concatenate([-values.min(0), values.max(0)], axis=-1)

@@ -68,7 +68,18 @@ from ..errors import InputError, positive
 from ..solvers.blas import small
 from ..solvers.time_limit import TIME_LIMIT, check_time, limited
 from ..typing import Array, Mask, StatusEnum
-from .boxes import FULL_TURN, MOST_CHANGE, ROUND_OFF, SPARE, SWEEPS, Form, range_of_cosine
+from .boxes import (
+    FULL_TURN,
+    MOST_CHANGE,
+    ROUND_OFF,
+    SPARE,
+    SWEEPS,
+    Form,
+    bends,
+    range_of_bend,
+    range_of_cosine,
+    widened,
+)
 from .certificate import arm_sections, loaded_worst_case, snap_free_certificate
 from .following import find_snap
 from .loaded_distance import LoadedForm
@@ -366,57 +377,41 @@ class PairForm(Form):
         rate_change = (before.transmission - after.transmission) / kt
         return replace(form, slides=Slides(lower, upper, rate_change, D, softest))
 
-    def h(self, x: Array) -> Array:
-        """Nonlinear part h(x) of the torques, for changes x (..., P) of the angles."""
-        return np.asarray(np.sin(self.psi) * (1 - np.cos(x)) + np.cos(self.psi) * (x - np.sin(x)))
-
-    @cached_property
-    def extremum(self) -> Array:
-        """(P,) the x in [-pi, pi) other than 0 at which h' = 2 sin(x / 2) sin(psi + x / 2) is 0."""
-        return np.asarray(np.mod(np.pi - 2 * self.psi, FULL_TURN) - np.pi)
-
     def image(self, y: Array, u: Array) -> Array:
         """Box (..., 2 P) that contains the image of the box [x] under the map. Boxes are written u = (-low, high),
         (..., 2 P).
         """
-        low, high, values = self._range_of_h(u)
-        image = y + np.concatenate([-values.min(0), values.max(0)], axis=-1) @ _widening(self.G * self.w).T
-        return image if self.slides is None else image + self.slid(self.slides, low, high)
+        image = y + widened(self.G * self.w, range_of_bend(np.sin(self.psi), np.cos(self.psi), u))
+        return image if self.slides is None else image + self.slid(self.slides, u)
 
     def slope(self, u: Array) -> Array:
         """(..., 2 P, 2 P) derivatives of the image of a box [x] by the box, without slides."""
-        low, high, values = self._range_of_h(u)
-        count = len(self.psi)
-        by_low, by_high = (np.sin(self.psi) * np.sin(x) + np.cos(self.psi) * (1 - np.cos(x)) for x in (low, high))
+        sine, cosine, count = np.sin(self.psi), np.cos(self.psi), len(self.psi)
+        low, high, values = -u[..., :count], u[..., count:], bends(sine, cosine, u)
+        by_low, by_high = (sine * np.sin(x) + cosine * (1 - np.cos(x)) for x in (low, high))
+        # Rows are the ends of the box of u; the image is linear in the box of the bends, the columns.
         out, k = np.zeros((*u.shape, 2 * count)), np.arange(count)
-        for row, which, sign in ((0, values.argmin(0), -1.0), (count, values.argmax(0), 1.0)):
-            out[..., row + k, k] = np.where(which == 0, -sign * by_low, 0.0)
-            out[..., row + k, count + k] = np.where(which == 1, sign * by_high, 0.0)
-        return _widening(self.G * self.w) @ out
+        for column, which, sign in ((0, values.argmin(0), -1.0), (count, values.argmax(0), 1.0)):
+            out[..., k, column + k] = np.where(which == 0, -sign * by_low, 0.0)
+            out[..., count + k, column + k] = np.where(which == 1, sign * by_high, 0.0)
+        return widened(self.G * self.w, out).swapaxes(-1, -2)
 
-    def _range_of_h(self, u: Array) -> tuple[Array, Array, Array]:
-        """Lower and upper ends of the boxes u, and values (4, ..., P) of h at both ends, at 0, and at the inner
-        extremum.
-        """
-        low, high = -u[..., : len(self.psi)], u[..., len(self.psi) :]
-        inside = (low <= self.extremum) & (self.extremum <= high)
-        other = np.where(inside, self.h(self.extremum), 0.0)
-        return low, high, np.stack([self.h(low), self.h(high), np.zeros_like(low), other])
-
-    def slid(self, slides: Slides, low: Array, high: Array) -> Array:
+    def slid(self, slides: Slides, u: Array) -> Array:
         """(..., 2 P) widening of the image of a box [x] because of slides."""
-        bottom, top = range_of_cosine(self.psi + low - np.pi / 2, self.psi + high - np.pi / 2)  # of the sine
+        count = len(self.psi)
+        # The range of the sine.
+        bottom, top = range_of_cosine(self.psi - u[..., :count] - np.pi / 2, self.psi + u[..., count:] - np.pi / 2)
         # Torques T = D' w' sin of the weakest or strongest coupling; turns of the bases from none to the whole one.
         lower, upper = (
             np.minimum(slides.lower * bottom, slides.upper * bottom),
             np.maximum(slides.lower * top, slides.upper * top),
         )
-        torques = np.concatenate([-lower, upper], axis=-1) @ _widening(slides.D.T).T
-        turns = np.maximum(torques @ _widening(np.diag(slides.turn)).T, 0)
+        torques = widened(slides.D.T, np.concatenate([-lower, upper], axis=-1))
+        turns = np.maximum(widened(np.diag(slides.turn), torques), 0)
         # -(w' - w) sin, where w' - w is between least - w and most - w.
         changes = np.stack([(self.w - w) * sine for w in (slides.lower, slides.upper) for sine in (bottom, top)])
         strips = np.maximum(np.concatenate([-changes.min(0), changes.max(0)], axis=-1), 0)
-        return np.asarray(turns @ _widening(self.J).T + strips @ _widening(self.G).T)
+        return widened(self.J, turns) + widened(self.G, strips)
 
     def closed(self, y: Array) -> Array | None:
         """Box around the least fixed point, from below by Newton's method; None if it finds none.
@@ -497,12 +492,6 @@ def tip_torques(equilibrium: Equilibrium) -> Array:
     largest = (lever / problem.stiffness.sum(1))[:, None] * np.abs(problem.moment)
     rows = (problem.weight[:, None] * largest)[..., None] * problem.spread
     return np.asarray(rows[largest > 0])
-
-
-def _widening(matrix: Array) -> Array:
-    """(2 P, 2 Q) matrix that maps the widths of a box (-low, high) to those of its image under a matrix (P, Q)."""
-    positive, negative = np.maximum(matrix, 0), np.maximum(-matrix, 0)
-    return np.block([[positive, negative], [negative, positive]])
 
 
 def _factors(green: Array, ever: Mask) -> Array:
