@@ -20,6 +20,7 @@ from tubeopt import (
     Load,
     SegmentedEccentricRobot,
     Tube,
+    find_equilibria,
     find_load_limit,
     find_snap,
     follow,
@@ -561,7 +562,7 @@ def test_what_a_bundle_does_not_support_is_named(uneven: Any) -> None:
     with pytest.raises(InputError, match="a bundle has forces per length only"):
         robot.fk(alpha, shift, load=Load(distributed=((0.0, 0.02, (0, 0, 0), (0.01, 0, 0)),)))
     with pytest.raises(InputError, match="supports concentric and eccentric robots only"):
-        snap_free_certificate(robot)
+        find_equilibria(robot, alpha, shift)
     with pytest.raises(InputError, match=r"must be at least 0\.002 m apart"):
         BundleRobot(robot.tubes[:2], (0.0005, 0.0005), (0.0, np.pi))
     with pytest.raises(InputError, match="offset has 1 numbers; it must have 3"):

@@ -12,6 +12,7 @@ from rich.text import Text
 
 from ..equilibrium.readings import to_readings
 from ..files.units import SIGNS, TO_MILLI, TO_MM, per_si, unit_of
+from ..robots.eccentric import BundleRobot
 from ..runs.stability_studies import Certification
 from ..stability import ASSUMING, EccentricSnapAssessment, Finding, SnapAssessment, WorstCertificate
 from ..typing import Array
@@ -50,6 +51,8 @@ def _verdict_text(verdict: SnapAssessment) -> str:
     # The certificate of eccentric robots bounds the torsional stiffness, not the margin.
     if verdict.finding is Finding.SNAP_FREE and isinstance(verdict, EccentricSnapAssessment):
         return f"{verdict.finding} (proved, also at {1 - verdict.certificate.margin:.3g} of its torsional stiffness)"
+    if verdict.finding is Finding.SNAP_FREE and isinstance(verdict.robot, BundleRobot):
+        return f"{verdict.finding} (proved, certificate {proved}; least margin found {found_margin})"
     if verdict.finding is Finding.SNAP_FREE:
         return f"{verdict.finding} (margin {proved} proved; {found_margin} found)"
     # An unstable equilibrium that the robot must pass proves a snap, though no path was followed to one.
@@ -89,7 +92,8 @@ def command(a: Certification) -> str | None:
         return None
     angles, shift = _readings(a, verdict.worst.equilibrium.rotations)
     # 1e-4 deg is finer than any drive, and keeps the command short.
-    return f"tubeopt equilibria {file} --rotations-deg {flag(np.round(angles, 4))} --translations-mm {flag(shift)}"
+    question = "fk" if isinstance(a.robot, BundleRobot) else "equilibria"
+    return f"tubeopt {question} {file} --rotations-deg {flag(np.round(angles, 4))} --translations-mm {flag(shift)}"
 
 
 def _readings(a: Certification, rotations: Array) -> tuple[Array, Array]:
@@ -106,8 +110,10 @@ def _fractions(a: Certification) -> list[tuple[tuple[int, int], float]]:
     return sorted((pair for pair in pairs if pair[1] > 0), key=lambda pair: -pair[1])
 
 
-def _fractions_text(a: Certification) -> str:
-    """Text on the fractions by which pairs of tubes reduce the margin from 1."""
+def _fractions_text(a: Certification) -> str | None:
+    """Text on the fractions by which pairs of tubes reduce the margin from 1; None for bundles, which have none."""
+    if isinstance(a.robot, BundleRobot):
+        return None
     fractions = [f"tubes {i} and {j} {100 * fraction:.1f} %" for (i, j), fraction in _fractions(a)]
     return ", ".join(fractions) or "nothing: no two tubes are coupled"
 
@@ -119,6 +125,8 @@ def _certificate_text(a: Certification) -> str:
         return "none"
     if isinstance(a.verdict, EccentricSnapAssessment):
         return f"{margin:.6f}, the share of torsional stiffness that may be lost with the proof still valid"
+    if isinstance(a.robot, BundleRobot):
+        return f"{margin:.6f}, of the energy with its coupling at worst, relative to that without"
     return f"{margin:.6f}, a lower bound of the margin at all rotations"
 
 
@@ -160,7 +168,8 @@ def _search_text(a: Certification) -> str | None:
     if verdict.snap is not None or not verdict.paths:
         return None
     lost = f", its equilibria were lost on {verdict.failed} of them" if verdict.failed else ""
-    return f"{verdict.paths} paths from the relaxed pose, none with a snap{lost}"
+    where = "between random rotations" if isinstance(a.robot, BundleRobot) else "from the relaxed pose"
+    return f"{verdict.paths} paths {where}, none with a snap{lost}"
 
 
 def _snap_text(a: Certification) -> str | None:
@@ -214,6 +223,9 @@ CERTIFICATION = described(
     Quantity("certificate", "certificate",
              lambda a: a.verdict.certificate.margin if np.isfinite(a.verdict.certificate.margin) else None,
              text=_certificate_text),
+    Quantity("obstacle", "reason why nothing can be proved for a bundle",
+             lambda a: a.verdict.certificate.obstacle or None, text=lambda a: a.verdict.certificate.obstacle or None,
+             label="nothing is proved, since", optional=True),
     of_field(Certification, "force", optional=True),
     of_field(Certification, "forced", label="under a force on the tip", text=_force_text, optional=True),
     Quantity("untwisted_margin", "margin of the softest untwisted equilibrium, in closed form; eccentric robots only",

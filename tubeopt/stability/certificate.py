@@ -7,6 +7,7 @@ force at the tip the parts of the form by the force are bounded as well (see bel
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, NamedTuple
 
@@ -20,19 +21,23 @@ from ..block.transcription.buffered import mapped
 from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, torsional_hessian
 from ..block.transcription.second_variation import least as least_value
 from ..display import Displayed
+from ..equilibrium.bundle import bundle_at
 from ..equilibrium.linearised import Linearised
 from ..equilibrium.member import PlainPoint, Point, Unloaded
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_assembly, reduced_problem
 from ..errors import InputError, positive
 from ..files.field_metadata import form, unit
 from ..physics.certificate import APART, OPPOSED, PARAMETERS, largest_eigenvalue, worst_function
-from ..robots.assembly import merge
+from ..robots.assembly import assemble, merge
+from ..robots.eccentric import BundleRobot
 from ..robots.lengthwise import variation
 from ..robots.limits import check_force
 from ..robots.robot import Robot, shifts
+from ..robots.tubes import Tube
 from ..solvers.blas import small
 from ..solvers.time_limit import check_time
 from ..typing import Array, StatusEnum
+from .bundle_certificate import bundle_proof
 from .eccentric_certificate import proof, proof_gradient
 from .pair import least_margin_of_pair, margins, pair_of
 from .shooting import profiles, to_base
@@ -143,7 +148,7 @@ class CertificateStatus(StatusEnum):
 
     SNAP_FREE = "it is proved that the robot cannot snap at any rotation"
     OPEN = "it is not proved that the robot cannot snap"
-    NONE = "there is no proof for this arrangement of eccentric tubes"
+    NONE = "there is no proof for this arrangement of tubes side by side"
 
 
 @dataclass(frozen=True)
@@ -163,7 +168,8 @@ class Certificate(Displayed):
     margin: Annotated[float, "certificate"]
     """mu_cert; above 0 no rotations can make the robot snap, and there is one equilibrium for each.
 
-    -inf if nothing can be proved: eccentric tubes that are not three equal ones per segment.
+    -inf if nothing can be proved: eccentric tubes that are not three equal ones per segment, and bundles with an
+    `obstacle`.
     """
     translations: Annotated[Array, unit("mm"), form(".6g"), "translations"]
     """(n,) translations of the robot, m."""
@@ -180,7 +186,9 @@ class Certificate(Displayed):
     section: tuple[float, float] | None
     """Section (start, end) with the largest reduction of the margin by the coupling, m."""
     pair_fractions: Array
-    """(n, n) fraction of 1 - margin due to each pair; sums to 1 above the diagonal."""
+    """(n, n) fraction of 1 - margin due to each pair; sums to 1 above the diagonal, and 0 for bundles."""
+    obstacle: str = ""
+    """Reason why nothing can be proved for a bundle, as a sentence."""
 
     @property
     def value(self) -> float:
@@ -223,6 +231,10 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
     before the proof fails (see `eccentric_certificate`). Above 0 they cannot snap, but it is no bound on the margin.
     Other arrangements have no proof, and the number is -inf.
 
+    Bundles: a lower bound of the second variation of their energy, relative to its parts that stiffen (see
+    `bundle_certificate`). Above 0 they cannot snap, but it is no bound on the margin. It is -inf where bending may
+    change the order of the ends: `certify` names the tubes, and how far apart their ends must be.
+
     `max_force` includes all dead forces on the tip of at most that size, in any direction: above 0 the robot cannot
     snap or buckle under any of them. Moments, follower forces and forces along the arm are not covered.
 
@@ -241,6 +253,10 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
         -0.996
     """
     shift = shifts(robot, translations)
+    if isinstance(robot, BundleRobot):
+        if positive("max_force", max_force, zero=True):
+            raise InputError(f"max_force is {max_force:g} N; it must be 0 for bundles: there is no proof under force")
+        return bundle_proof(bundle_at(robot, tuple(shift.tolist()))).margin
     assembly = robot.assembly(shift)
     check_force(robot.tubes, "max_force", positive("max_force", max_force, zero=True), assembly.total_length)
     if max_force and assembly.eccentric:
@@ -282,6 +298,8 @@ def _of_pieces(robot: Robot, shift: Array) -> tuple[float, Array | None]:
 def estimated_certificate(robot: Robot, shift: Array) -> float:
     """Snap-free certificate without the bound on the mesh error: for searches, not for proofs."""
     check_time()
+    if isinstance(robot, BundleRobot):
+        return snap_free_certificate(robot, shift)
     assembly = robot.assembly(shift)
     if assembly.eccentric:
         return proof(assembly)[0]
@@ -347,6 +365,14 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
         False
     """
     n, shift = robot.n_tubes, shifts(robot, translations)
+    if isinstance(robot, BundleRobot):
+        found = bundle_proof(bundle_at(robot, tuple(shift.tolist())))
+
+        def changed(tubes: Sequence[Tube], moved: Array) -> float:
+            return snap_free_certificate(replace(robot, tubes=tuple(tubes)), moved)
+
+        gradient = proof_gradient(robot, shift, changed, [(i,) for i in range(n)])
+        return Certificate(found.margin, shift, gradient, None, None, np.zeros((n, n)), found.obstacle)
     if robot.assembly(shift).eccentric:
         return _of_segments(robot, shift)
     problem, opposition, proved = _problem(robot, shift), None, None
@@ -385,8 +411,13 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
 
 def _of_segments(robot: Robot, shift: Array) -> Certificate:
     """Certificate of eccentric tubes; all three tubes of a segment reduce the margin equally."""
-    margin, segment = proof(robot.assembly(shift))
-    gradient = proof_gradient(robot, shift)
+    assembly = robot.assembly(shift)
+    margin, segment = proof(assembly)
+
+    def proved(tubes: Sequence[Tube], moved: Array) -> float:
+        return proof(assemble(tubes, moved, offset=assembly.offset, offset_angle=assembly.offset_angle))[0]
+
+    gradient = proof_gradient(robot, shift, proved, robot.moving_together)
     fraction = np.zeros((robot.n_tubes, robot.n_tubes))
     if segment is not None:
         tubes = list(segment.tubes)

@@ -18,6 +18,7 @@ may lose before the proof fails, or before the untwisted shape is a fold.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -29,9 +30,10 @@ import scipy
 from ..block.transcription.buffered import section_function
 from ..errors import InputError
 from ..physics.certificate import PARAMETERS
-from ..robots.assembly import LENGTH_ROUND_OFF, Assembly, assemble
+from ..robots.assembly import LENGTH_ROUND_OFF, Assembly
 from ..robots.eccentric import PLACES
 from ..robots.robot import Robot
+from ..robots.tubes import Tube
 from ..typing import Array
 
 # --- Bound of the length of a segment ---------------------------------------------------------------------------------
@@ -230,6 +232,9 @@ EQUAL = 1e-9
 STEP = 1e-4
 """Relative step of the differences for derivatives."""
 
+LENGTHS = ("straight_length", "curved_length", "translation")
+"""PARAMETERS that are lengths."""
+
 DIRECTIONS = np.arange(12) * np.pi / 6
 """Directions c of the untwisted shapes: the softest lie at 30 deg and every 60 deg from there."""
 
@@ -388,38 +393,39 @@ def untwisted_tips(n: int, shape: Untwisted, bends: Array) -> tuple[Array, int]:
     return tips, odd
 
 
-def proof_gradient(robot: Robot, translations: Array) -> dict[str, Array]:
-    """Derivatives of `proof` with respect to each of PARAMETERS, (n,), by central differences.
+def proof_gradient(
+    robot: Robot, translations: Array, proved: Callable[[Sequence[Tube], Array], float], groups: Sequence[Sequence[int]]
+) -> dict[str, Array]:
+    """Derivatives of a certificate with respect to each of PARAMETERS, (n,), by central differences.
 
-    Tubes that move together change together; each has an equal part of the derivative. One-sided where the other side
-    has no proof; NaN if neither has one.
+    `proved` is the certificate of tubes at translations (n,). Tubes of one of the `groups` change together, and those
+    that move together move together; each has an equal part of the derivative. One-sided where the other side has no
+    proof; NaN if neither has one.
     """
-    assembly = robot.assembly(translations)
 
-    def proved(name: str, group: list[int], change: float) -> float:
+    def changed(name: str, group: Sequence[int], change: float) -> float:
         tubes, shift = list(robot.tubes), translations.copy()
         try:
             if name == "translation":
-                shift[group] += change
+                shift[[*group]] += change
             else:
                 for i in group:
                     tubes[i] = replace(tubes[i], **{name: getattr(tubes[i], name) + change})
-            return proof(assemble(tubes, shift, offset=assembly.offset, offset_angle=assembly.offset_angle))[0]
+            return proved(tubes, shift)
         except InputError:  # no such tubes
             return -np.inf
 
-    value, out = proof(assembly)[0], {name: np.full(assembly.n_tubes, np.nan) for name in PARAMETERS}
-    for name in PARAMETERS:
-        for group in map(list, robot.moving_together):
-            size = (
-                float(np.abs(getattr(assembly, name)[group[0]])) if hasattr(assembly, name) else assembly.total_length
-            )
+    value, out = proved(robot.tubes, translations), {name: np.full(robot.n_tubes, np.nan) for name in PARAMETERS}
+    longest = max(tube.length for tube in robot.tubes)
+    for name in PARAMETERS if np.isfinite(value) else ():
+        for group in robot.moving_together if name == "translation" else groups:
+            size = longest if name in LENGTHS else abs(float(getattr(robot.tubes[group[0]], name)))
             h = STEP * max(size, 1e-300)
-            values = ((-h, proved(name, group, -h)), (0.0, value), (h, proved(name, group, h)))
+            values = ((-h, changed(name, group, -h)), (0.0, value), (h, changed(name, group, h)))
             finite = [(x, y) for x, y in values if np.isfinite(y)]
             if len(finite) > 1:
                 (low, first), *_, (high, last) = finite
-                out[name][group] = (last - first) / (high - low) / len(group)
+                out[name][[*group]] = (last - first) / (high - low) / len(group)
     return out
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 import scipy
@@ -20,6 +21,7 @@ from ..display import Displayed
 from ..equilibrium.member import Point, Unloaded
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import SolveError
+from ..robots.eccentric import BundleRobot
 from ..robots.robot import Robot
 from ..solvers.blas import small
 from ..solvers.sampling import sobol
@@ -515,6 +517,7 @@ def assess_snapping(
     - Tubes off the centreline: one tube of a segment is turned once back and forth. Its other two tubes are fixed, and
       all other segments curve to one side. In the middle are the untwisted shapes of the closed form (see
       `eccentric_certificate`).
+    - Bundles are decided only by a certificate above 0. Paths are random, between rotations inside the limits.
 
     Args:
         translations: (n,) m; default home.
@@ -537,14 +540,20 @@ def assess_snapping(
         worst = worst_margin(robot, translations, effort=effort)
     except SolveError:
         worst = None
-    if robot.assembly(certificate.translations).eccentric:
+    if isinstance(robot, BundleRobot) or not robot.assembly(certificate.translations).eccentric:
+        assessment = SnapAssessment(robot, certificate, worst)
+    else:
         return _eccentric(robot, certificate, worst, progress)
     if certificate.snap_free:
-        return SnapAssessment(robot, certificate, worst)
+        return assessment
+    if isinstance(robot, BundleRobot):
+        low, high = np.array(robot.limits.rotations).T
+        paths = low + (high - low) * sobol(2 * robot.n_tubes, effort.random_paths).reshape(-1, 2, robot.n_tubes)
+        return _on_given_paths(assessment, [(_rounded(start), _rounded(end)) for start, end in paths], progress)
     unstable = np.empty((0, robot.n_tubes)) if worst is None else worst.unstable
     result, search = search_snap(robot, certificate.translations, unstable, effort.random_paths, progress)
     decided = len(search.coupled) == 2 and (result is not None or robot.even)
-    assessment = SnapAssessment(robot, certificate, worst, paths=search.paths, failed=search.failed, decided=decided)
+    assessment = replace(assessment, paths=search.paths, failed=search.failed, decided=decided)
     if result is None:
         return assessment
     start, end = result.path
@@ -561,17 +570,28 @@ def _eccentric(
     if certificate.snap_free:
         return assessment
     bends = np.array([np.sign(tube.curvature) for tube in robot.tubes])
-    paths = list(_paths(robot.n_tubes, shapes, bends))
+    return _on_given_paths(assessment, list(_paths(robot.n_tubes, shapes, bends)), progress)
+
+
+Assessment = TypeVar("Assessment", bound=SnapAssessment)
+
+
+def _on_given_paths(
+    assessment: Assessment, paths: list[tuple[Array, Array]], progress: Callable[[int, int], object] | None
+) -> Assessment:
+    """Assessment with the first snap on straight paths between rotations (n,)."""
+    robot, shift, failed = assessment.robot, assessment.certificate.translations, 0
     for k, (start, end) in enumerate(paths):
         if progress is not None:
             progress(k, len(paths))
         try:
-            snap = find_snap(robot, (start, certificate.translations), (end, certificate.translations))
+            snap = find_snap(robot, (start, shift), (end, shift))
         except SolveError:
+            failed += 1
             continue
         if snap is not None:
-            return replace(assessment, start=start, end=end, snap=snap, paths=k + 1)
-    return replace(assessment, paths=len(paths))
+            return replace(assessment, start=start, end=end, snap=snap, paths=k + 1, failed=failed)
+    return replace(assessment, paths=len(paths), failed=failed)
 
 
 def _paths(n: int, shapes: list[Untwisted], bends: Array) -> Iterator[tuple[Array, Array]]:

@@ -14,11 +14,13 @@ from ..arguments import typed
 from ..block.transcription.reduced import ReducedProblem, evaluate, to_unknowns
 from ..block.transcription.second_variation import margin, softenings
 from ..display import Displayed
-from ..equilibrium.kinematics import to_equilibrium
+from ..equilibrium.batch import forward_kinematics_batch
+from ..equilibrium.kinematics import forward_kinematics, to_equilibrium
 from ..equilibrium.member import Point, Unloaded
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, Settings, vector
 from ..files.field_metadata import form, unit
+from ..robots.eccentric import BundleRobot
 from ..robots.robot import Robot, shifts
 from ..solvers.blas import small
 from ..solvers.sampling import sobol
@@ -172,7 +174,8 @@ def worst_margin(
     margin is a function of them. A Sobol sequence samples it over one turn of each relative tip angle, and the method
     of Nelder and Mead improves the best samples. For two coupled tubes made of pieces the result is the global minimum
     (see `stability.pair`). For tubes off the centreline every segment is searched alone, over one turn of the tips of
-    its tubes. The others stay in their softest untwisted shape, where one local search starts.
+    its tubes. The others stay in their softest untwisted shape, where one local search starts. Of bundles, joint
+    rotations are searched, and stable equilibria alone.
 
     Args:
         translations: (n,) m; default home.
@@ -191,6 +194,8 @@ def worst_margin(
         True
     """
     n, shift = robot.n_tubes, tuple(shifts(robot, translations).tolist())
+    if isinstance(robot, BundleRobot):
+        return _of_bundle(robot, np.array(shift), effort)
     member = Unloaded.of(robot, np.zeros(n), shift)
     problem = member.problem
     pair = None if robot.even else pair_of(problem)
@@ -206,6 +211,20 @@ def worst_margin(
     equilibrium = to_equilibrium(solved, "search for the least margin")
     unstable = np.array([tips for tips, result in ends if result < 0]).reshape(-1, n)
     return WorstMargin(equilibrium, 0 if pair else len(ends), unstable)
+
+
+def _of_bundle(robot: BundleRobot, translations: Array, effort: SnapSearch) -> WorstMargin:
+    """Smallest margin of the stable equilibria at the ends of local searches over joint rotations."""
+
+    def margins(rotations: Array) -> Array:
+        batch = forward_kinematics_batch(robot, rotations, translations)
+        return np.where(batch.converged, batch.margin, 1.0)
+
+    samples = 2 * np.pi * sobol(robot.n_tubes, effort.samples)
+    starts = samples[np.argsort(margins(samples))[:LOCAL_SEARCHES]]
+    ends = minimise_together(margins, starts, x=1e-4, f=1e-7)
+    best = min(ends, key=lambda end: end[1])[0]
+    return WorstMargin(forward_kinematics(robot, best, translations), len(ends), np.empty((0, robot.n_tubes)))
 
 
 def _subspaces(problem: ReducedProblem) -> list[tuple[Array, Index]]:
@@ -306,7 +325,7 @@ def worst_certificate(
     if (low > high).any():
         i = int(np.argmax(low > high))
         raise InputError(f"lower translation of tube {i + 1} is {low[i]:g} m; it must be at most upper, {high[i]:g} m")
-    robot.assembly(high)
+    robot.admit(high)
     carriages = _moving(robot, low, high)
     count = 0
 

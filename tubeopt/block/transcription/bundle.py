@@ -152,7 +152,7 @@ def natural_start(bundle: Bundle, rotations: Array, places: Sequence[float] = ()
     done, arc, order, lengths, curvatures = np.zeros(n), 0.0, [], [], []
     direction = np.column_stack([np.cos(rotations), np.sin(rotations)])
     while any(b.ends for b in left):
-        present, curved = _tubes_at(bundle, left)
+        present, curved = tubes_at(bundle, left)
         kb = bundle.bending_stiffness * present
         u = (kb * bundle.curvature * curved) @ direction / (kb.sum() + bundle.sheath)
         stretch = 1 + bundle.levers @ u
@@ -168,7 +168,7 @@ def natural_start(bundle: Bundle, rotations: Array, places: Sequence[float] = ()
     return Start(tuple(order), np.array(lengths), np.array(curvatures).reshape(-1, 2))
 
 
-def _tubes_at(bundle: Bundle, ahead: Sequence[Boundary]) -> tuple[Mask, Mask]:
+def tubes_at(bundle: Bundle, ahead: Sequence[Boundary]) -> tuple[Mask, Mask]:
     """Masks (n,) of the tubes that are present, and of those that are curved, between the plate and the boundaries
     `ahead`.
     """
@@ -208,7 +208,7 @@ class BundleProblem:
 
     @cached_property
     def _of_sections(self) -> tuple[Mask, Mask]:
-        rows = [_tubes_at(self.bundle, self.order[k:]) for k in range(len(self.order))]
+        rows = [tubes_at(self.bundle, self.order[k:]) for k in range(len(self.order))]
         return np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
 
     @cached_property
