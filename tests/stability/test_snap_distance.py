@@ -127,6 +127,14 @@ def test_the_smallest_distance_along_a_path() -> None:
     assert least_snap_distance([]) == np.inf
 
 
+def test_the_smallest_distance_along_a_path_under_a_load() -> None:
+    push = Load((0.01, 0.0, 0.005))
+    start = forward_kinematics(THESIS, [0.0, 0.0, 0.0], load=push)
+    path = follow(THESIS, np.radians([[0, 0, 0], [60, -20, 10]]), start=start, load=push).equilibria[::4]
+    distances = [e.snap_distance for e in path]
+    assert least_snap_distance(path) == pytest.approx(min(distances), rel=2e-3)
+
+
 def test_two_tubes_are_half_their_one_fold_away() -> None:
     # Turning one tube by 2 r, or both against each other by r each, is the same motion but for a turn of the whole.
     robot = load_robot(CONFIGS / "till_snapping_pair.yaml")

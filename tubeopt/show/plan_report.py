@@ -210,10 +210,10 @@ TRAJECTORY = described(
              text="within ± {tip_by_history_mm:.3f} mm along x, y, z, to first order"),
     Quantity("least_snap_distance_deg",
              "smallest snap distance at the samples: all tubes can turn by this much, each either way, without a snap: "
-             "proved; null if no turn can snap; absent if unknown, as under load",
-             lambda t: known_distance(lambda: t.least_snap_distance), optional=True),
+             "proved; null if no turn can snap; absent if unknown or under load",
+             lambda t: _quick_distance(t), optional=True),
     line("snap distance",
-         lambda t: distance_text(known_distance(lambda: t.least_snap_distance), " at every sample")),
+         lambda t: distance_text(_quick_distance(t), " at every sample")),
     line("plate", _entry_text),
     of_field(Trajectory, "entry", of=ENTRY, optional=True),
     of_field(Trajectory, "proof", of=PROOF),
@@ -234,6 +234,11 @@ def largest_by_history(t: Trajectory) -> Array | None:
     half_widths = [half for k in chosen if (half := by_history(t.arms[k])) is not None]
     # Per axis: the largest along x and along y may be at different instants.
     return np.max(half_widths, axis=0) if half_widths else None
+
+
+def _quick_distance(t: Trajectory) -> float | None:
+    """Smallest snap distance, rad; None if unknown, or under a load, where a sample takes 0.1 s."""
+    return known_distance(lambda: t.least_snap_distance) if all(e.load is None for e in t.arms) else None
 
 
 def _search_text(t: Trajectory) -> str:

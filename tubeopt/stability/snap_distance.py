@@ -546,13 +546,12 @@ def least_snap_distance(equilibria: Iterable[Equilibrium]) -> float:
     """Smallest snap distance of equilibria, rad; inf if no turn can snap at any of them.
 
     Equilibria are checked from the smallest margin on. Most then need one check only: whether their distance is larger
-    than the smallest one. Under a load every check takes 0.1 s, so that loads are refused.
+    than the smallest one. A check takes 0.1 ms, under a load 0.1 s.
 
     Raises:
         InputError: as `snap_distance`.
     """
     smallest = math.inf
-    equilibria = [_unloaded(e, "smallest snap distance") for e in equilibria]
     for equilibrium in sorted(equilibria, key=lambda e: e.margin):
         smallest = min(smallest, _distance(equilibrium, smallest).turn)
     return smallest
