@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..block.transcription.arm import evaluate_arm, profile
+from ..block.transcription.arm import evaluate_arm
 from ..block.transcription.arm_response import LinearisedArm
 from ..block.transcription.buffered import mapped
-from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, torsional_hessian
+from ..block.transcription.reduced import ReducedProblem, torsional_hessian
 from ..block.transcription.second_variation import least as least_value
 from ..display import Displayed
 from ..equilibrium.bundle import bundle_at
@@ -393,18 +393,16 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     span = float(assembly.start[k]), float(assembly.start[k] + assembly.length[k])
 
     slope = np.full(n * len(PARAMETERS), np.nan)
+    member = Unloaded.of(robot, np.zeros(n), tuple(shift.tolist()))
     if opposition is not None:
         # The smallest margin of two tubes made of pieces belongs to an equilibrium.
-        member = Unloaded.of(robot, np.zeros(n), tuple(shift.tolist()))
-        point = worst_of_pair(member, worst_case(problem).margin)
-        if point is not None:
-            at_point = point.member.problem, point.member.rotations, point.state
-            slope = _linearised(robot, *at_point, point.margin).one_margin
+        worst = worst_of_pair(member, worst_case(problem).margin)
+        if worst is not None:
+            slope = _linearised(worst).one_margin
     elif next_eigenvalue - margin >= 1e-9:
         # Rotations do not enter the worst case: any state will do, such as tubes without torsion.
-        untwisted = np.zeros(n)
-        state = evaluate(problem, untwisted, np.zeros(problem.size))
-        slope = _linearised(robot, problem, untwisted, state, 1.0).certificate(margin, y)
+        untwisted = Point(0.0, member, member.at(np.zeros(problem.size)), 1.0)
+        slope = _linearised(untwisted).certificate(margin, y)
     gradient = dict(zip(PARAMETERS, slope.reshape(-1, n), strict=True))
     return Certificate(margin if proved is None else proved, shift, gradient, (int(i), int(j)), span, fraction)
 
@@ -425,13 +423,12 @@ def _of_segments(robot: Robot, shift: Array) -> Certificate:
     return Certificate(margin, shift, gradient, None, None if segment is None else segment.section, fraction)
 
 
-def _linearised(
-    robot: Robot, problem: ReducedProblem, rotations: Array, state: Evaluation, margin: float
-) -> Linearised:
-    """Derivatives of the certificate or margin with respect to PARAMETERS at a solved state."""
-    arm = evaluate_arm(problem, rotations, state, profile(problem, rotations, state))
+def _linearised(point: PlainPoint) -> Linearised:
+    """Derivatives of the certificate or margin with respect to PARAMETERS at a point."""
+    problem, rotations, state = point.member.problem, point.member.rotations, point.state
+    arm = LinearisedArm(problem, rotations, state.theta, evaluate_arm(problem, rotations, state, point.torsion))
     names = tuple("translations" if name == "translation" else name for name in PARAMETERS)
-    return Linearised(LinearisedArm(problem, rotations, state.theta, arm), robot.tubes, margin, names)
+    return Linearised(arm, point.member.robot.tubes, point.margin, names)
 
 
 def worst_of_pair(member: Unloaded, above: float) -> PlainPoint | None:
