@@ -9,8 +9,10 @@ derivatives serve several steps; SciPy's `least_squares` computes them at every 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, Protocol, Self, TypeVar
+from functools import partial
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -192,12 +194,15 @@ def descend(
     known = first if jacobian is None else jacobian
     slopes, fresh = model.jacobian(state) if known is None else known, True
     cost, damping, obstacle = cost_of(model, weights, state, residuals), solver.first_damping, ""
+    free = np.full(model.freedoms, np.inf)
     for _ in range(solver.iterations):
+        low, high = bounds - state.x
+        range_of_step = np.append(low, -free), np.append(high, free)
         square, slope = normal_equations(model, weights, state, residuals, slopes)
         relative = max(solver.settled, NEARLY_SETTLED) if model.costly(state) else solver.settled
         before, accepted, enough = cost, False, relative * cost + solver.round_off * len(residuals)
         while not accepted and damping < MAX_DAMPING:
-            step = _step(square, slope, damping, state.x, bounds)
+            step = bounded_step(square, slope, range_of_step, partial(solved, damping=damping))
             # Within the bounds the model promises between -slope.p and twice as much.
             if -slope @ step <= enough:
                 break
@@ -233,23 +238,26 @@ def cost_of(model: Observed[P], weights: Weights, state: P, residuals: Array) ->
     return weights.cost(residuals) + float((((state.x - model.start.x) / weights.prior) ** 2).sum())
 
 
-def _step(square: Array, slope: Array, damping: float, x: Array, bounds: Array) -> Array:
-    """Damped step within the bounds (2, P); parameters at a bound are fixed, and all others are solved for again."""
-    size, count = len(slope), len(x)
-    at_bound = np.zeros(size, dtype=bool)
-    step = np.zeros(size)
-    # An active set: every pass stops at one more bound, so that it ends after as many as there are parameters.
-    for _ in range(count + 1):
-        free = np.flatnonzero(~at_bound)
-        fixed = square[np.ix_(free, at_bound.nonzero()[0])] @ step[at_bound]
-        step[free] = -solved(square[np.ix_(free, free)], slope[free] + fixed, damping)
-        target = x + step[:count]
-        beyond = (target < bounds[0]) | (target > bounds[1])
-        beyond &= ~at_bound[:count]
+def bounded_step(square: Array, slope: Array, bounds: tuple[Array, Array], solve: Callable[..., Any]) -> Array:
+    """Step x (Q,) of least x'Sx / 2 + slope.x within bounds (Q,), by an active set.
+
+    What is beyond a bound stays at it, and all others are solved for again; equal bounds fix a component.
+
+    Args:
+        solve: returns the solution of normal equations.
+    """
+    low, high = bounds
+    fixed = low == high
+    step = np.where(fixed, low, 0.0)
+    # Every pass stops at one more bound, so that it ends after as many as there are.
+    while not fixed.all():
+        free, held = np.flatnonzero(~fixed), np.flatnonzero(fixed)
+        step[free] = -solve(square[np.ix_(free, free)], slope[free] + square[np.ix_(free, held)] @ step[held])
+        beyond = ~fixed & ((step < low) | (step > high))
         if not beyond.any():
             break
-        step[:count][beyond] = np.clip(target, *bounds)[beyond] - x[beyond]
-        at_bound[:count] |= beyond
+        step[beyond] = np.clip(step, low, high)[beyond]
+        fixed |= beyond
     return step
 
 

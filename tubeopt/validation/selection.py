@@ -36,9 +36,9 @@ from ..errors import InputError, SolveError, nearest
 from ..files.field_metadata import form, unit
 from ..robots.robot import Robot
 from ..solvers.blas import small
-from ..solvers.robust_least_squares import RobustDescent, Weights, cost_of, descend
+from ..solvers.robust_least_squares import RobustDescent, Weights, bounded_step, cost_of, descend
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
-from ..typing import Array, Index, Mask, Progress
+from ..typing import Array, Index, Progress
 from .comparison import BLOCKS, ErrorSummary, check_registration, check_tubes, distances, registration_error
 from .fitting import BY_CHORDS, Fit, FitOptions, FitProblem, predicted_held_out, sessions, weigh
 from .identifiability import left_out
@@ -543,35 +543,19 @@ class HeldOutSets:
 
     def _step(self, effects: Effects, square: Array) -> Array:
         """Step that minimises a sum of squares; a parameter at the edge of its range stays there."""
-        n, step = self.count, np.zeros(len(square))
+        n, free = self.count, np.full(self.free, np.inf)
         chosen = np.array([kind in effects for kind in self.kinds], dtype=bool)
-        step[:n] = np.where(chosen, 0.0, self.absent)
-        change = [(kind in effects) - float(kind in self.base) for kind in self.jumps]
-        step[n + self.free : -1] = change * self.scale[n + self.free :]
+        change = [(kind in effects) - float(kind in self.base) for kind in self.jumps] * self.scale[n + self.free :]
         # Residuals are the last column: with the factor 1, step' S step is the loss of residuals + J step.
-        step[-1] = 1.0
-        free = np.concatenate([chosen, np.ones(self.free, dtype=bool), np.zeros(len(change) + 1, dtype=bool)])
-        while free.any():
-            step[free] = 0.0
-            self._solve(square, step, free)
-            # A parameter that is fixed at its edge is not freed again, so that this loop ends.
-            beyond = free[:n] & ((step[:n] < self.low - 1e-9) | (step[:n] > self.high + 1e-9))
-            if not beyond.any():
-                break
-            step[:n][beyond] = np.clip(step[:n], self.low, self.high)[beyond]
-            free[:n] &= ~beyond
-        return step
-
-    def _solve(self, square: Array, step: Array, free: Mask) -> None:
-        """Fill in the free part of a step."""
-        at = np.flatnonzero(free)
-        with_prior = np.flatnonzero(at < self.count)
-        matrix, slope = square[np.ix_(at, at)], square[at] @ step
-        matrix[with_prior, with_prior] += self.inverse[at[with_prior]]
-        slope[with_prior] -= (self.drawn * self.inverse)[at[with_prior]]
+        given = np.append(change, 1.0)
+        low, high = (np.where(chosen, edge, self.absent) for edge in (self.low, self.high))
+        bounds = np.concatenate([low, -free, given]), np.concatenate([high, free, given])
+        matrix, slope = square.copy(), np.zeros(len(square))
         # Small against the unit length of columns: only columns that are alike need it.
-        matrix[np.arange(len(at)), np.arange(len(at))] += 1e-12
-        step[at] = -np.linalg.solve(matrix, slope)
+        matrix.ravel()[:: len(square) + 1] += 1e-12
+        matrix[np.arange(n), np.arange(n)] += self.inverse
+        slope[:n] = -self.drawn * self.inverse
+        return bounded_step(matrix, slope, bounds, np.linalg.solve)
 
     def explore(self, starts: Sequence[Effects] = ()) -> list[Effects]:
         """Sets in the order of their costs: all neighbours on the descent by single changes from each start.
