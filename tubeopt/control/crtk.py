@@ -369,7 +369,7 @@ class CrtkRobot:
     def _pose(self, message: Mapping[str, Any]) -> Command:
         position, pointing = _numbers(message, "position", "m"), message.get("direction")
         command = Command(position=position, direction=None if pointing is None else _numbers(message, "direction", ""))
-        far, longest = float(np.linalg.norm(position)), self.servo.space.longest
+        far, longest = math.hypot(*position), self.servo.space.longest
         if far > longest + ROUND_OFF:
             raise InputError(
                 f"position is {far:g} m from the plate; it must be at most {longest:g} m, the length of the longest arm"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from functools import partial
 
@@ -212,8 +213,8 @@ class RobotNode(LifecycleNode):
         gap = np.array(place) - self.robot.servo.equilibrium.tip_position
         if not np.isfinite(gap).all():
             raise tubeopt.InputError(f"position is {place}; every number must be finite")
-        if not np.linalg.norm(gap) <= self.robot.servo.space.length:
-            raise tubeopt.InputError(f"position is {np.linalg.norm(gap):g} m from the tip; it is in metres")
+        if not math.hypot(*gap) <= self.robot.servo.space.length:
+            raise tubeopt.InputError(f"position is {math.hypot(*gap):g} m from the tip; it is in metres")
         told = stamped(WrenchStamped(), self._now(), self._plate)
         force = told.wrench.force
         force.x, force.y, force.z = np.linalg.solve(compliance[:3, :3], gap).tolist()
