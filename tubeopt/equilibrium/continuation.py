@@ -294,18 +294,19 @@ def follow(
         if near_end:
             power = max(power, 1)
             # The prediction is poor far from the end: it shortens one step to a twentieth at most.
-            step = min(step, max(TOWARDS_END * _distance_to_end(point, before, power), step / 20, min_step))
+            to_end = distance_to_end(point.t - before.t, before.margin, point.margin, power)
+            step = min(step, max(TOWARDS_END * to_end, step / 20, min_step))
 
 
-def _distance_to_end(point: AnyPoint, before: AnyPoint, power: int) -> float:
-    """Distance in t to the point where the margin vanishes, predicted from two points; infinity if the margin grows.
+def distance_to_end(step: float, before: float, margin: float, power: int) -> float:
+    """Distance in t to the point where the margin vanishes, from margins a step apart; infinity if the margin grows.
 
     margin^power falls linearly with t: the first power towards a bifurcation, the second towards a fold.
     """
-    if not 0 < point.margin < before.margin:
+    if not 0 < margin < before:
         return np.inf
     # m^p falls linearly: t_end - t = (t - t_0) m^p / (m_0^p - m^p).
-    return (point.t - before.t) / ((before.margin / point.margin) ** power - 1)
+    return step / ((before / margin) ** power - 1)
 
 
 def reach(

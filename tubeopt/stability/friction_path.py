@@ -18,7 +18,7 @@ from ..block.transcription.contact import evaluate_contact, make_contact
 from ..block.transcription.loaded import LoadedState, integration_to
 from ..block.transcription.orientation import position_slopes
 from ..display import Displayed
-from ..equilibrium.continuation import Family, SampledJointPath, largest_twist
+from ..equilibrium.continuation import Family, SampledJointPath, distance_to_end, largest_twist
 from ..equilibrium.friction import (
     FrictionEquilibrium,
     bent_at,
@@ -107,9 +107,7 @@ class StepLength:
         if self._before is None or current.held_margin < MIN_MARGIN:
             return float("inf")
         t_before, before = self._before
-        # m^2 falls linearly: t_f - t = (t - t_before) m^2 / (m_before^2 - m^2).
-        m2_before, m2 = before.held_margin**2, current.held_margin**2
-        return TOWARDS_FRICTION_FOLD * (t - t_before) * m2 / (m2_before - m2) if m2 < m2_before else float("inf")
+        return TOWARDS_FRICTION_FOLD * distance_to_end(t - t_before, before.held_margin, current.held_margin, 2)
 
 
 @dataclass(frozen=True, eq=False)
