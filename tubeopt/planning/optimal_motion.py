@@ -43,7 +43,7 @@ from ..inverse.task import TipCoordinates
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot, check_robot
 from ..solvers.named_program import MANY_DIRECTIONS, NamedProgram, ProblemSolution, ProblemStatus
-from ..solvers.settings import Ipopt
+from ..solvers.settings import NEAR_SOLUTION, Ipopt
 from ..typing import Array, Mask
 from .knots import Cubics, arm_at_knot
 from .motion import ANY_RATES, DEFAULT_RATES, JointMotion, RateLimits
@@ -93,7 +93,16 @@ SOLVERS = Ipopt(tolerance=1e-8, iterations=200, barrier=1e-4, push=1e-5), Ipopt(
 ROUGH = Ipopt(tolerance=1e-3, iterations=40, barrier=1e-4, push=1e-5)
 """Settings for a start."""
 
-QUICK = (Ipopt(tolerance=1e-8, iterations=100, barrier=1e-3, push=1e-4),)
+# Inside a body nearly all steps are shortened. Full steps for a while, without a test, lead out of it sooner.
+QUICK = (
+    Ipopt(
+        tolerance=1e-8,
+        iterations=100,
+        barrier=1e-3,
+        push=1e-4,
+        further={"watchdog_shortened_iter_trigger": 1, "watchdog_trial_iter_max": 10},
+    ),
+)
 """Settings for a start that may lead nowhere."""
 
 TIME_LIMIT = 600.0
@@ -518,10 +527,10 @@ class Motion:
         """Trajectory of the program from its guess; reserves are raised where it violates a requirement."""
         self._reset()
         reserve, room = np.tile(FIRST_RESERVES, (len(self._stations), 1)), 0.0
-        active = self._activate(self._close())
+        active, solution = self._activate(self._close()), None
         for last in [False] * REPETITIONS + [True]:
             self.program.set_value(self._reserve, reserve.ravel())
-            solution = self._solution(settings, solvers)
+            solution = self._solution(settings, solvers, solution)
             missing = self._missing(solution, room)
             if missing is None:
                 result = self._built(solution)
@@ -560,9 +569,17 @@ class Motion:
         distances = np.array(function(x, np.tile(numbers[:, None], count)))
         return np.convolve(distances.min(0) < self._clearance + NEAR, np.ones(3), "same") > 0
 
-    def _solution(self, settings: dict[str, Any], solvers: Sequence[Ipopt]) -> Any:
-        """Solution of the program; of a `Problem` without other settings by `solvers`, one after the other."""
+    def _solution(self, settings: dict[str, Any], solvers: Sequence[Ipopt], near: Any = None) -> Any:
+        """Solution of the program; of a `Problem` without other settings by `solvers`, one after the other.
+
+        Args:
+            near: solution with slightly smaller reserves, whose multipliers halve the number of iterations.
+        """
         own = isinstance(self.opti, NamedProgram) and "solver" not in settings
+        if own and near is not None and not self.opti.blocks:
+            again: ProblemSolution = self.opti.attempt(solvers[0], start=near, warm=NEAR_SOLUTION)
+            if again.status is ProblemStatus.SOLVED:
+                return again
         guesses = {name: each.guess for name, each in self.opti.variables.items()} if own else {}
         for solver in solvers if own else solvers[-1:]:
             try:
