@@ -48,6 +48,9 @@ SAMPLES = 20
 METAL = 5e9
 """Young's modulus, Pa, below which no current heats a tube."""
 
+STIFF = 100e9
+"""Young's modulus, Pa, above which a tube is of steel, which is not set by heat."""
+
 
 @dataclass(frozen=True)
 class Case:
@@ -98,13 +101,13 @@ def cases(robots: list[str], rigs: list[str], sensors: list[str]) -> Iterator[Ca
 
 
 def tubes(robots: list[str]) -> Iterator[tuple[str, Tube]]:
-    """Curved metal tubes of the shipped robots."""
+    """Curved tubes of nitinol of the shipped robots."""
     for path in sorted((ROOT / "configs" / "robots").glob("*.yaml")):
         if not _meant(path.stem, robots):
             continue
         robot, before = load_robot(path), []
         for k, tube in enumerate(robot.tubes, start=1):
-            if tube.curved_length > 0 and tube.material.youngs_modulus > METAL and tube not in before:
+            if tube.curved_length > 0 and METAL < tube.material.youngs_modulus < STIFF and tube not in before:
                 before.append(tube)
                 yield f"{path.stem} {k}", tube
 

@@ -10,8 +10,9 @@ Along half the tube, per metre, with d the part of time in which the current I f
     rho c(T) A T_t = (k(T) A T_x)_x + d I_tube^2 rho_e(T) / A - q
 
 and around it a cylinder of mold with the plates' cross-section, in r and x. Clamps are lumps of metal. A thermocouple
-on the middle draws heat by its wires, by the closed form of a fin in every part of a wire. A `Bench` is one rig; a
-`Fleet` many on one grid, where the mold conducts by its temperature.
+on the middle draws heat by its wires, by the closed form of a fin in every part of a wire. The mold conducts by its
+temperature: between two nodes as the table of its material says at their mean. A `Bench` is one rig; a `Fleet` many on
+one grid.
 """
 
 from __future__ import annotations
@@ -153,6 +154,24 @@ def wire_loss(wire: float, anchor: float, cement: float = 1.0) -> tuple[float, f
     return 1 - bead, -2 * flow * leaving
 
 
+REFERENCE = 200.0
+"""Temperature at which a mold conducts as its material says, degC."""
+
+
+def mold_factor(table: Sequence[tuple[float, float]], slope: Array | float, temperature: Array) -> Array:
+    """Conductivity of a mold at temperatures in K, as a part of that at `REFERENCE`.
+
+    Args:
+        table: degC and W/(m K), none for a constant. slope: change of this part per K, beside the table.
+    """
+    degrees = temperature - KELVIN
+    part = np.maximum(1 + slope * (degrees - REFERENCE), 0.2)
+    if len(table):
+        at, value = zip(*table, strict=True)
+        part = part * np.interp(degrees, at, value) / np.interp(REFERENCE, at, value)
+    return np.asarray(part)
+
+
 def laplacian(one: Array, other: Array, g: Array, size: int) -> scipy.sparse.csr_array:
     """Matrix of the heat that leaves nodes by conductances g between pairs of them."""
     rows, columns = np.concatenate([one, other, one, other]), np.concatenate([other, one, one, other])
@@ -250,7 +269,10 @@ class Bench:
             (np.arange(n), np.full(n, clamp), self.to_clamp),
         ]
         one, other, g = (np.concatenate([np.ravel(link[j]) for link in links]) for j in range(3))
-        self.linear = laplacian(one, other, g, clamp + 1)
+        # Gap with its wall, rings, and into the clamp.
+        self.one, self.other, self.straight = one, other, g
+        self.gaps, self.in_mold = slice(0, c), slice(c, len(g) - n)
+        self.curve, self.slope = mold.conductivity_curve, mold.conductivity_slope
         self.loss = np.zeros(clamp + 1)
         self.loss[:n] = self.to_air
         self.last_wall = math.log(face[-1] / node[-1]) / k / w
@@ -301,10 +323,20 @@ class Bench:
         share = 1.0 if math.isinf(self.leak) else self.leak / (self.leak + whole)
         return (rest - self.sag) / (battery.internal_resistance + self.rig.circuit.resistance + whole * share), share
 
+    def conductances(self) -> Array:
+        """Of all links, by the temperatures, W/K."""
+        g, T = self.straight.copy(), self.state
+        mean = 0.5 * (T[self.one] + T[self.other])
+        g[self.in_mold] *= mold_factor(self.curve, self.slope, mean[self.in_mold])
+        g[self.gaps] = 1 / (self.gap_air + self.wall / mold_factor(self.curve, self.slope, T[self.first_ring]))
+        return np.asarray(g)
+
     def gains(self, on: float) -> Array:
         """Heat that every unknown gains, W, with the switch conducting a part `on` of the time."""
         rig, T, n = self.rig, self.state, self.n
-        flow = -(self.linear @ T) - self.loss * (T - rig.ambient)
+        crossing = self.conductances() * (T[self.one] - T[self.other])
+        flow = np.bincount(self.other, crossing, len(T)) - np.bincount(self.one, crossing, len(T))
+        flow -= self.loss * (T - rig.ambient)
         tube = T[:n]
         flow[:n] -= self.radiating * (tube**4 - rig.ambient**4)
         slope = 1 + self.metal.conductivity_slope * (0.5 * (tube[1:] + tube[:-1]) - self.metal.reference_temperature)
@@ -345,7 +377,8 @@ class Bench:
         links = laplacian(np.arange(n - 1), np.arange(1, n), g, len(heat))
         bend = self.loss.copy()
         bend[:n] += 4 * self.radiating * tube**3
-        matrix = self.linear + links + scipy.sparse.diags_array(bend)
+        linear = laplacian(self.one, self.other, self.conductances(), len(heat))
+        matrix = linear + links + scipy.sparse.diags_array(bend)
         solve = [
             scipy.sparse.linalg.splu((scipy.sparse.diags_array(heat / part) + matrix).tocsc()).solve
             for part in (h, h / 2)
@@ -368,9 +401,6 @@ class Bench:
         self.sag += (mean * battery.sag_resistance - self.sag) * (1 - math.exp(-span / battery.sag_time))
 
 
-REFERENCE = 200.0 + KELVIN
-"""Temperature at which a mold conducts as its material says, K."""
-
 FORWARD = 0.6
 """Weight of the new temperatures in a step of a fleet; one half would leave the fastest modes undamped."""
 
@@ -378,13 +408,11 @@ FORWARD = 0.6
 class Fleet:
     """Many benches with one grid, stepped at once: alternating directions, radius first (Douglas and Gunn 1964).
 
-    Arrays are (n, 1 + M, B): cells along the tube, the tube and M rings, benches.
-
-    Args:
-        slopes: relative change of the mold's conductivity per K, of each bench.
+    Arrays are (n, 1 + M, B): cells along the tube, the tube and M rings, benches, whose molds have one table of the
+    conductivity.
     """
 
-    def __init__(self, benches: Sequence[Bench], slopes: Array | float = 0.0) -> None:
+    def __init__(self, benches: Sequence[Bench]) -> None:
         first = self.first = benches[0]
         n, covered = first.n, first.n - first.mold_from
         rings = (first.clamp - n) // covered
@@ -409,7 +437,8 @@ class Fleet:
         self.to_air, self.radiating = of_all("to_air"), of_all("radiating")
         self.to_clamp, self.ohms = of_all("to_clamp"), of_all("ohms")
         self.leak = of_all("leak")
-        self.slopes = np.broadcast_to(np.asarray(slopes, dtype=float), len(benches))
+        assert all(bench.curve == first.curve for bench in benches)
+        self.slopes = np.array([bench.slope for bench in benches])
         of_metals = [vars(bench.metal) for bench in benches]
         self.metal = {key: np.array([data[key] for data in of_metals]) for key in of_metals[0]}
         conducting = self.metal["conductivity"] * of_all("section")
@@ -462,7 +491,7 @@ class Fleet:
         k, mold = first.mold_from, T[:, 1:]
 
         def factor(temperature: Array) -> Array:
-            return np.maximum(1 + self.slopes * (temperature - REFERENCE), 0.2)
+            return mold_factor(first.curve, self.slopes, temperature)
 
         outwards = np.zeros((first.n, mold.shape[1], T.shape[2]))
         outwards[k:, 0] = 1 / (self.gap_air + self.wall / factor(T[k:, 1]))

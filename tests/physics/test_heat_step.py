@@ -18,7 +18,7 @@ def test_a_step_of_any_length_keeps_the_heat_of_an_insulated_rig(span: float) ->
     values = dict.fromkeys(PROPERTIES, 1.0) | {
         "c_slope": 0.0, "k_slope": 0.0, "h_clamp": 0.0, "h_air": 0.0, "eps_sigma": 0.0, "h_outer": 0.0, "c_tube": 0.9,
         "kA": 1.6e-5, "h_gap": 0.4, "R_wall": 0.8, "k_mold": 0.5, "c_mold": 1e6, "G_leak": 0.0, "G_wire": 0.0,
-        "T_amb": 298.0,
+        "T_amb": 298.0, "f_mold": 1.1, "f_25": -6e-4, "f_200": 9e-4, "f_350": 1e-3, "f_500": -4e-4, "f_700": -9e-4,
     }  # fmt: skip
     p = np.array([values[name] for name in PROPERTIES])
     width = rng.uniform(1e-3, 4e-3, GRID.cells)

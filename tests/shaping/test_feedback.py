@@ -34,6 +34,7 @@ from tubeopt.shaping.heating.sensors import lagged_reading
 from tubeopt.shaping.heating.simulation import at_rest
 from tubeopt.shaping.heating.thermal import curved_temperatures, stack, thermal_model
 from tubeopt.shaping.heating.uncertainty import ENSEMBLE, Uncertainty
+from tubeopt.shaping.materials import MDF, STEEL
 
 from .heating_reference import TUBE, integrate, thesis_rig
 
@@ -81,7 +82,9 @@ def test_a_led_rig_does_what_an_adaptive_integrator_says_of_its_counts() -> None
 
 
 def test_resistance_alone_is_told_to_be_no_thermometer() -> None:
-    told = design_feedback(plan(), TubeResistance(), replace(Uncertainty.of_a_workshop(), board=False), samples=40)
+    told = design_feedback(
+        plan(), TubeResistance(), replace(Uncertainty.of_a_workshop(), board=False, slope=False), samples=40
+    )
     assert told.probability < 0.5
     assert told.contributions[0].name == "resistivity_slope"
     assert told.contributions[0].deviation > 20
@@ -265,6 +268,26 @@ def test_boards_are_drawn_as_wide_as_their_table() -> None:
     light, dense = material.board(-1.0), material.board(1.0)
     assert (light.conductivity, dense.conductivity) == pytest.approx((0.08, 0.29))
     assert (light.density, dense.density) == pytest.approx((450.0, 1200.0))
+    assert all(made.board(1.0).conductivity == made.conductivity_range[1] for made in (material, MDF))
     assert material.board(0.0).conductivity == pytest.approx(math.sqrt(0.08 * 0.29))
     with pytest.raises(InputError, match=r"conductivity_range of mold material 'calcium_silicate' is 0\.2 to 0\.3"):
         replace(material, conductivity_range=(0.2, 0.3))
+    assert (material.sloped(-1.0).conductivity_slope, material.sloped(1.0).conductivity_slope) == (-3e-4, 15e-4)
+    with pytest.raises(InputError, match=r"conductivity_slope_range .* is 0\.0001 to 0\.002 per K"):
+        replace(material, conductivity_slope_range=(1e-4, 2e-3))
+
+
+def test_a_board_conducts_as_its_data_sheet_says() -> None:
+    """Marinite I: 0.127 W/(m K) at 24 degC, 0.124 at 538; scaled, a board of another conductivity keeps the shape."""
+    material = thesis_rig().mold.material
+    at = np.array([24.0, 149.0, 205.0, 316.0, 425.0, 538.0, 900.0]) + 273.15
+    measured = [0.127, 0.118, 0.117, 0.114, 0.117, 0.124, 0.124]
+    assert material.conductivity * material.conductivity_factor(at) == pytest.approx(measured, rel=2e-3)
+    light = material.board(-1.0)
+    assert light.conductivity_factor(at) == pytest.approx(material.conductivity_factor(at))
+    growing = replace(material, conductivity_curve=(), conductivity_slope=1.5e-3)
+    assert growing.conductivity_factor(np.array([298.15, 673.15])) == pytest.approx([1 - 0.2625, 1.3])
+    assert STEEL.conductivity * STEEL.conductivity_factor(773.15) == pytest.approx(54 - 0.0333 * 500, rel=1e-3)
+    for wrong in (((20.0, 0.1), (20.0, 0.2)), ((20.0, -0.1),), ((20.0, 0.1, 3.0),)):
+        with pytest.raises(InputError, match="conductivity_curve of mold material 'calcium_silicate' must be pairs"):
+            replace(material, conductivity_curve=wrong)

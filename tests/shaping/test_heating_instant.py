@@ -25,7 +25,7 @@ from tubeopt.shaping.heating.simulation import (
     warming_span,
 )
 from tubeopt.shaping.heating.thermal import leak_resistance, stack, thermal_model, uniform_gap_of
-from tubeopt.shaping.materials import CALCIUM_SILICATE, STEEL
+from tubeopt.shaping.materials import CALCIUM_SILICATE, GLASS_MICA, MDF, STEEL
 from tubeopt.solvers.compiled.heating import Windows, heating_kernel
 from tubeopt.typing import Array
 
@@ -111,22 +111,39 @@ class ByHand:
         rig, T, w = self.rig, self.T, self.width[i]
         material = rig.mold.material
         k = rig.loss_factor * material.conductivity
+        f = [np.nan, *(self.factor(at) for at in T[i, 1:])]
         half = math.log(self.faces[1] / self.faces[0]) / 2 / (2 * math.pi * k * w)
         gap = 1 / (
             rig.loss_factor * gap_conductance(uniform_gap_of(TUBE, rig), rig.ambient) * touching * self.girth * w
         )
-        self.move((i, 0), (i, 1), (T[i, 0] - T[i, 1]) / (gap + half))
+        self.move((i, 0), (i, 1), (T[i, 0] - T[i, 1]) / (gap + half / f[1]))
         self.heat[i, 1] += self.stray * w / self.width[FIRST:].sum()
         for j in range(1, GRID.shells + 1):
             ring = math.pi * (self.faces[j] ** 2 - self.faces[j - 1] ** 2)
             self.capacity[i, j] = rig.loss_factor * material.density * material.heat_capacity * ring * w
             if j < GRID.shells:
-                self.move((i, j), (i, j + 1), (T[i, j] - T[i, j + 1]) / (2 * half))
+                self.move((i, j), (i, j + 1), (T[i, j] - T[i, j + 1]) / (2 * half) * (f[j] + f[j + 1]) / 2)
             if i + 1 < len(self.width):
                 distance = (w + self.width[i + 1]) / 2
-                self.move((i + 1, j), (i, j), k * ring * (T[i + 1, j] - T[i, j]) / distance)
+                both = (f[j] + self.factor(T[i + 1, j])) / 2
+                self.move((i + 1, j), (i, j), both * k * ring * (T[i + 1, j] - T[i, j]) / distance)
         air = 1 / (10.0 * 2 * math.pi * self.faces[-1] * w)
-        self.give_off(i, GRID.shells, (T[i, -1] - rig.ambient) / (half + air))
+        self.give_off(i, GRID.shells, (T[i, -1] - rig.ambient) / (half / self.curve(rig.ambient) + air))
+
+    def curve(self, at: float) -> float:
+        """Conductivity of the mold by its data sheet, with its slope, as a part of that at 200 degC."""
+        material = self.rig.mold.material
+        degrees, values = zip(*(material.conductivity_curve or ((0.0, 1.0),)), strict=True)
+        ratio = np.interp(at - 273.15, degrees, values) / np.interp(200.0, degrees, values)
+        return float(ratio * (1 + material.conductivity_slope * (at - 473.15)))
+
+    def factor(self, at: float) -> float:
+        """The same, linear between five temperatures, with corners that are rounded over 15 K."""
+        bends = 273.15 + np.array([25.0, 200.0, 350.0, 500.0, 700.0])
+        values = [self.curve(bend) for bend in bends]
+        slopes = [0.0, *np.diff(values) / np.diff(bends), 0.0]
+        rounded = ((at - bend + math.hypot(at - bend, 15.0)) / 2 for bend in bends)
+        return values[0] + sum((b - a) * x for a, b, x in zip(slopes, slopes[1:], rounded, strict=False))
 
     def move(self, giver: tuple[int, int], taker: tuple[int, int], flow: float) -> None:
         self.heat[giver] -= flow
@@ -137,7 +154,7 @@ class ByHand:
         self.lost += flow
 
 
-@pytest.mark.parametrize("material", [CALCIUM_SILICATE, STEEL])
+@pytest.mark.parametrize("material", [CALCIUM_SILICATE, replace(MDF, conductivity_slope=-4e-4), STEEL, GLASS_MICA])
 def test_the_balance_is_that_of_loops_over_the_cells(material: Any) -> None:
     rigs = [rig_of(material), replace(rig_of(material), loss_factor=0.9)]
     model = stack([thermal_model(TUBE, rig, GRID) for rig in rigs])
@@ -175,7 +192,7 @@ def test_what_the_battery_gives_is_stored_or_lost_at_every_instant(material: Any
 
 def test_the_jacobian_of_the_implicit_steps_is_that_of_the_flows() -> None:
     """Without current and with a conductivity that does not depend on temperature, by central differences."""
-    model = thermal_model(ideal_tube(emissivity=0.3), rig_of(STEEL), GRID)
+    model = thermal_model(ideal_tube(emissivity=0.3), rig_of(GLASS_MICA), GRID)
     cells, lumped = states(1, model.T_amb)
     n, m = cells.shape[1:]
     columns = instant_functions(GRID)["linearised"](cells[0].T, model.properties[0], model.volumes[0])

@@ -36,7 +36,7 @@ from tubeopt.shaping.heating.thermal import (
     vent_profile,
     zones,
 )
-from tubeopt.shaping.materials import CALCIUM_SILICATE, STEEL
+from tubeopt.shaping.materials import CALCIUM_SILICATE, GLASS_MICA, MDF, STEEL, MoldMaterial
 from tubeopt.shaping.mold.heat import HeatSpec, heat_flow
 
 from .heating_reference import (
@@ -55,8 +55,9 @@ SCHEDULE = np.concatenate([np.linspace(3, 16, 40).round(), np.full(60, 10.0)]) /
 
 
 def into_mold(model: ThermalModel, state: State) -> float:
-    """Heat (W) from the last cell of the tube into the first shell."""
-    return float(conductance(model, "G_gap")[-1] * (state.cells[0, -1, 0] - state.cells[0, -1, 1]))
+    """Heat (W) from the last cell of the tube into the first shell, for a mold of constant conductivity."""
+    gap, wall = (conductance(model, name)[-1] for name in ("G_gap", "G_wall"))
+    return float((state.cells[0, -1, 0] - state.cells[0, -1, 1]) / (1 / gap + 1 / wall))
 
 
 def test_a_tube_that_only_stands_in_air_warms_up_exponentially() -> None:
@@ -127,7 +128,8 @@ def test_the_mold_is_a_half_space_beside_a_wide_tube() -> None:
 
 def test_a_hot_wire_loses_what_the_laplace_transform_says() -> None:
     """The shells against the inverted closed form of a cylinder in an endless medium behind a contact."""
-    rig = with_mold(Rig(), gap=air_conductivity(298.15 + 250.0) / 300.0, width=0.3, thickness=0.3)
+    board = replace(CALCIUM_SILICATE, conductivity_curve=())
+    rig = with_mold(Rig(), material=board, gap=air_conductivity(298.15 + 250.0) / 300.0, width=0.3, thickness=0.3)
     tube = ideal_tube(density=1e12)
     model = thermal_model(tube, rig, Resolution(1, 1, 2, 4, 40))
     start = at_rest(model)
@@ -138,9 +140,7 @@ def test_a_hot_wire_loses_what_the_laplace_transform_says() -> None:
         state = advance(model, state, 0.0, after - before, 100)
         found.append(into_mold(model, state) / float(model.width[-1]))
     spec = HeatSpec(set_temperature=798.15, ambient=298.15, contact_conductance=300.0)
-    np.testing.assert_allclose(
-        found, heat_flow(tube.outer_diameter, CALCIUM_SILICATE, spec, np.array(times)), rtol=0.01
-    )
+    np.testing.assert_allclose(found, heat_flow(tube.outer_diameter, board, spec, np.array(times)), rtol=0.01)
 
 
 def test_it_is_of_second_order_along_the_tube() -> None:
@@ -236,12 +236,35 @@ def test_the_program_and_the_simulation_have_the_same_physics(material: object, 
     assert float(power) == pytest.approx(slow[0, DRAWN], rel=1e-12)
 
 
+@pytest.mark.parametrize("material", [CALCIUM_SILICATE, replace(CALCIUM_SILICATE, conductivity_slope=1.5e-3), MDF])
+def test_steady_heat_is_the_integral_of_the_conductivity(material: MoldMaterial) -> None:
+    """Kirchhoff: q ln(R / r) / (2 pi) is the integral of k(T), of the data sheet itself, between two radii."""
+    tube = ideal_tube(density=1e12)
+    rig = with_mold(Rig(), material=material, width=0.03, thickness=0.03)
+    model = thermal_model(tube, rig, Resolution(1, 1, 2, 4, 40))
+    start = at_rest(model)
+    start.cells[:, :, 0] += 500.0
+    state = advance(model, start, 0.0, 6e4, 3000)
+    shells = state.cells[0, -1, 1:]
+    outer = conductance(model, "G_outer")[-1] / model.width[-1] * (shells[-1] - model.T_amb)
+    first, last = 10, 39
+    ratio = (rig.mold.radius / (tube.outer_diameter / 2)) ** ((last - first) / 40)
+    at = np.linspace(shells[last], shells[first], 2001)
+    integral = np.trapezoid(material.conductivity * material.conductivity_factor(at), at)
+    assert shells[first] - shells[last] > 200
+    assert outer * math.log(ratio) / (2 * math.pi) == pytest.approx(integral, rel=0.01)
+    # Marinite I conducts nearly the same at all temperatures.
+    constant = material.conductivity * (at[-1] - at[0])
+    assert abs(constant / integral - 1) > (0.005 if material is CALCIUM_SILICATE else 0.05)
+
+
 def test_loss_scales_all_that_leaves_the_tube() -> None:
     """Twice the loss and nothing else: the temperature of the mold stays, the heat into it doubles."""
     tube = ideal_tube(density=1e12)
     flows = []
     for factor in (1.0, 2.0):
-        model = thermal_model(tube, replace(thesis_rig(), loss_factor=factor), COARSE)
+        rig = with_mold(thesis_rig(), material=GLASS_MICA)
+        model = thermal_model(tube, replace(rig, loss_factor=factor), COARSE)
         start = at_rest(model)
         start.cells[:, :, 0] += 500.0
         state = advance(model, start, 0.0, 20.0, 40)

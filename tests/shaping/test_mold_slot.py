@@ -1,4 +1,4 @@
-"""Slots of lids for thermocouples: in the drawing, the solid and the program, and a wire that fits into them."""
+"""Lids: slots for thermocouples and hinges, in drawing, solid and program; a wire that fits, a lid that opens."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from tubeopt import InputError, MoldSpec, load_robot, plan_mold
-from tubeopt.shaping.mold.files import draw_plate, manifold, plate_part, write_mold
-from tubeopt.shaping.mold.gcode import programs, slot_deviation, slot_paths
+from tubeopt.shaping.mold.files import draw_plate, halves, manifold, plate_part, write_mold
+from tubeopt.shaping.mold.gcode import programs, slot_deviation, slot_paths, stages_of
 from tubeopt.shaping.mold.groove import polygon
 from tubeopt.shaping.mold.mold import Mold, chosen_tubes
-from tubeopt.shaping.mold.spec import EndMill, MillingSpec, SlotSpec
+from tubeopt.shaping.mold.spec import EndMill, HingeSpec, MillingSpec, PlateSpec, SlotSpec, WorkshopSpec
 from tubeopt.show.plots.sheets import groove_numbers, mold_steps
 from tubeopt.typing import Array
 
@@ -24,7 +24,10 @@ pytest.importorskip("manifold3d")
 ROBOTS = sorted(path.stem for path in (Path(__file__).parents[2] / "configs/robots").glob("*.yaml"))
 
 
-def molds(name: str) -> list[Mold]:
+HINGED = MoldSpec(hinge=HingeSpec(screw_diameter=3.2e-3))
+
+
+def molds(name: str, spec: MoldSpec) -> list[Mold]:
     """A mold for each planar tube of a shipped robot."""
     robot = load_robot(name)
     found = []
@@ -34,7 +37,7 @@ def molds(name: str) -> list[Mold]:
         return []
     for number in numbers:
         try:
-            found.append(plan_mold(robot.tubes[number - 1]))
+            found.append(plan_mold(robot.tubes[number - 1], spec))
         except InputError:
             continue  # a tube that no plate sets has no lid either
     return found
@@ -47,9 +50,10 @@ def bar(mold: Mold, width: float, bottom: float) -> Any:
     return solid.translate((0.0, 0.0, 1e3 * bottom))
 
 
+@pytest.mark.parametrize("spec", [MoldSpec(), HINGED], ids=["bolted", "hinged"])
 @pytest.mark.parametrize("name", ROBOTS)
-def test_a_thermocouple_lies_in_the_closed_mold_of_every_shipped_tube(name: str) -> None:
-    for mold in molds(name):
+def test_a_thermocouple_lies_in_the_closed_mold_of_every_shipped_tube(name: str, spec: MoldSpec) -> None:
+    for mold in molds(name, spec):
         (groove,) = mold.grooves
         assert groove.slot is not None, groove.number
         base, lid = (plate_part(mold, part).solid() for part in ("base", "lid"))
@@ -58,7 +62,7 @@ def test_a_thermocouple_lies_in_the_closed_mold_of_every_shipped_tube(name: str)
         assert (wire ^ lid).volume() < 1e-9
         assert (wire ^ base).volume() < 1e-9
         # Without the slot it would be in the lid.
-        whole = plate_part(plan_mold(groove.tube, MoldSpec(slot=SlotSpec(wire=0.0))), "lid").solid()
+        whole = plate_part(plan_mold(groove.tube, replace(spec, slot=SlotSpec(wire=0.0))), "lid").solid()
         assert (wire ^ whole).volume() > 0.1 * wire.volume()
         # Its legs leave through holes at both ends.
         for x, y in (groove.slot.centreline.lead_in.start, groove.slot.centreline.lead_out.end):
@@ -106,3 +110,102 @@ def test_a_lid_has_no_slot_where_none_is_wanted_or_no_end_mill_fits() -> None:
     assert not plan_mold(tube, MoldSpec(milling=coarse)).slots
     closed = plan_mold(tube, replace(MoldSpec(), vents=replace(MoldSpec().vents, profile=(0.0,))))
     assert [hole.purpose for hole in closed.slots[0].exits] == ["wire", "wire"]
+
+
+# --- hinges -----------------------------------------------------------------------------------------------------------
+
+
+def pieces_of_lid(mold: Mold) -> tuple[Any, Any]:
+    """Solids (mm) of a hinged lid and of its strip."""
+    pieces = sorted(plate_part(mold, "lid").solid().decompose(), key=lambda piece: piece.volume())
+    assert len(pieces) == 2
+    return pieces[1], pieces[0]
+
+
+def bolt(hole: Any, bottom: float, top: float, radius: float) -> Any:
+    """Cylinder in the middle of a hole, mm."""
+    solid = manifold().Manifold.cylinder(top - bottom, radius, radius, 48)
+    return solid.translate((1e3 * hole.centre[0], 1e3 * hole.centre[1], bottom))
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_hinged_lids_of_all_shipped_tubes_open_without_collision(name: str) -> None:
+    """Over the tube, the strip, and the bolts of the latches with their nuts; to beyond a right angle, by the pin."""
+    for mold in molds(name, HINGED):
+        hinge, (groove,), up = mold.hinge, mold.grooves, 6.35
+        assert hinge is not None
+        base, (lid, strip) = plate_part(mold, "base").solid(), pieces_of_lid(mold)
+        fixed = [base, strip]
+        for latch in hinge.latches:
+            fixed += [bolt(latch, -12.7, up + 7.0, 2.5), bolt(latch, up + 1.5, up + 6.0, 4.4)]
+        # The tube lies on the floor of its groove, along the bend.
+        corners = 1e3 * polygon(groove.centreline, groove.tube.outer_diameter)
+        tube = manifold().Manifold.extrude(manifold().CrossSection([corners]), 1e3 * groove.tube.outer_diameter)
+        fixed.append(tube.translate((0.0, 0.0, -1e3 * groove.depth)))
+        wire = bar(mold, 0.25e-3, groove.tube.outer_diameter - groove.depth + 0.05e-3)
+        assert all((lid ^ part).volume() < 1e-6 for part in fixed)
+        assert (wire ^ lid).volume() < 1e-9
+        # A hinge turns about its pin, a millimetre above the lid's upper face.
+        axis = np.array([0.0, 1e3 * hinge.pin, up + 1.0])
+        for angle in (2, 5, 9, 14, 22, 40, 80, 120):
+            opened = (lid + wire).translate(tuple(-axis)).rotate((-angle, 0.0, 0.0)).translate(tuple(axis))
+            assert opened.bounding_box()[5] > up + 20 * np.sin(np.radians(angle))
+            assert all((opened ^ part).volume() < 1e-6 for part in fixed), (groove.number, angle)
+        # A lid that were cut off the strip behind its pin could not open.
+        (_, edge), (start, _) = halves(mold)
+        assert edge < hinge.pin < start
+
+
+def test_screws_of_hinges_go_through_what_they_join() -> None:
+    mold = plan_mold(load_robot("thesis_ctr").tubes[0], HINGED)
+    hinge = mold.hinge
+    assert hinge is not None
+    base, (lid, strip) = plate_part(mold, "base").solid(), pieces_of_lid(mold)
+    for hole in hinge.on_lid:
+        screw = bolt(hole, -12.0, 10.0, 1.5)
+        assert (screw ^ lid).volume() < 1e-9
+        # Its head is flush in the lid, on whole material of the base.
+        assert (screw ^ base).volume() == pytest.approx(12.0 * np.pi * 1.5**2, rel=0.01)
+    for hole in hinge.on_strip:
+        screw = bolt(hole, -13.0, 10.0, 1.5)
+        assert all((screw ^ part).volume() < 1e-9 for part in (base, strip, lid))
+    reaches = [hinge.pin - hole.centre[1] for hole in hinge.on_lid] + [h.centre[1] - hinge.pin for h in hinge.on_strip]
+    assert reaches == pytest.approx([8e-3] * 8)
+    nuts = [bolt(hole, 0.0, 10.0, 4.4) for hole in hinge.openings]
+    assert all((nut ^ lid).volume() < 1e-9 < (nut ^ base.translate((0, 0, 5))).volume() for nut in nuts)
+    assert not mold.holes
+    assert mold.statistics.holes == 6
+
+
+@pytest.mark.parametrize("cut_out", [True, False])
+def test_the_hinged_lid_is_cut_off_its_strip(tmp_path: Path, cut_out: bool) -> None:
+    spec = replace(HINGED, workshop=WorkshopSpec(cut_out=cut_out))
+    mold = plan_mold(load_robot("thesis_etr").tubes[0], spec)
+    assert mold.hinge is not None
+    last = programs(mold, "lid")[-1]
+    assert "cut between the hinged lid and its strip" in last.text
+    level = [m.piece for m in last.motions if m.end < -6.35e-3 and abs(m.piece.start[1] - mold.hinge.pin) < 1e-9]
+    assert sum(piece.length for piece in level) > 0.8 * mold.size[0]
+    assert "hinged" not in "".join(program.text for program in programs(mold, "base"))
+    assert len(stages_of(mold, "lid")) == 5
+    outlines = draw_plate(mold, "lid").pieces["OUTLINE"]
+    assert len(outlines) == 8
+    names = {path.name for path in write_mold(mold, tmp_path)}
+    assert {"lid.stl", "lid.dxf", "lid.svg", "base.dxf"} <= names
+    import ezdxf
+
+    outer = ezdxf.readfile(tmp_path / "lid.dxf").modelspace().query('LWPOLYLINE[layer=="OUTLINE"]')
+    assert [line.closed for line in outer] == [True, True]
+    circles = ezdxf.readfile(tmp_path / "lid.dxf").modelspace().query('CIRCLE[layer=="HOLES"]')
+    assert len(circles) == len(mold.lid_holes)
+    steps = " ".join(mold_steps(mold))
+    assert "half a turn of each nut" in steps
+    assert "dowels" not in steps
+
+
+def test_plates_without_room_for_hinges_are_refused() -> None:
+    tube = load_robot("thesis_etr").tubes[0]
+    with pytest.raises(InputError, match=r"no room for hinges along its upper edge; they need 26\.8 mm"):
+        plan_mold(tube, replace(HINGED, plate=PlateSpec(size=(155e-3, 45e-3))))
+    with pytest.raises(InputError, match=r"latch_diameter of the hinge is 7 mm; the nut of a bolt"):
+        MoldSpec(hinge=HingeSpec(screw_diameter=3e-3, latch_diameter=7e-3))

@@ -43,7 +43,7 @@ def fourier(place: float, half: float, diffusivity: float, conductivity: float, 
 
 @pytest.mark.parametrize(("material", "after"), [(STEEL, 240.0), (CALCIUM_SILICATE, 900.0)])
 def test_salt_bath_is_product_of_three_plates(material, after):
-    material = replace(material, heat_capacity_slope=0.0)
+    material = replace(material, heat_capacity_slope=0.0, conductivity_curve=())
     bath = oven(method="salt_bath", mold=replace(SLAB, material=material))
     block = MoldBlock(bath, TUBE)
     start = np.full(block.volume.size + POINTS, bath.ambient)

@@ -29,6 +29,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..constants import ZERO_CELSIUS
+
 GRIP, CLEARANCE, LEAD, CURVED = range(4)
 """Zones from the clamp to the middle of the curved part; the last two are in the mold."""
 
@@ -62,9 +64,18 @@ class Properties:
     """Transfer through the air gap into the mold."""
     # Mold.
     R_wall: Any
-    """Thermal resistance of the inner half of the innermost shell, m K/W."""
+    """Thermal resistance of the inner half of the innermost shell, m K/W; at k_mold."""
     k_mold: Any
-    """Thermal conductivity of the mold, W/(m K)."""
+    """Thermal conductivity of the mold where its factor is 1, W/(m K)."""
+    f_mold: Any
+    """Factor on the conductivity of the mold at and below the first of `BENDS`."""
+    f_25: Any
+    """Slope of this factor above 25 degC, 1/K."""
+    f_200: Any
+    """Change of the slope at 200 degC, 1/K; and so on at the other `BENDS`."""
+    f_350: Any
+    f_500: Any
+    f_700: Any
     c_mold: Any
     """Heat capacity of the mold per volume, J/(m^3 K)."""
     h_outer: Any
@@ -114,6 +125,12 @@ class Properties:
 
 PROPERTIES = tuple(item.name for item in fields(Properties))
 """Names of the properties in the order of their columns."""
+
+BENDS = np.array([25.0, 200.0, 350.0, 500.0, 700.0]) + ZERO_CELSIUS
+"""Temperatures, K, between which the conductivity of the mold is linear; constant outside."""
+
+ROUNDED = 15.0
+"""Distance from a bend, K, within which it is rounded."""
 
 
 @dataclass(frozen=True)
@@ -176,15 +193,17 @@ class Volumes:
     G_rad: Any
     """Coefficient (n,) of radiation of each cell, W/K^4."""
     G_gap: Any
-    """(c,) conductances into the first shell, W/K."""
+    """(c,) conductances of the air gap, W/K."""
+    G_wall: Any
+    """(c,) conductances from the gap into the first shell at k_mold, W/K."""
     C_mold: Any
     """(c, M) heat capacities of the shells, J/K."""
     G_radial: Any
-    """(c, M-1) conductances between shells of one cell, W/K."""
+    """(c, M-1) conductances between shells of one cell at k_mold, W/K."""
     G_outer: Any
     """(c,) conductances from the outermost shell to air, W/K."""
     G_shell: Any
-    """(c-1, M) conductances between shells of neighbouring cells, W/K."""
+    """(c-1, M) conductances between shells of neighbouring cells at k_mold, W/K."""
     clamp_fraction: Any
     """(n,) fraction of the clamp around each cell."""
     mold_fraction: Any
@@ -207,7 +226,7 @@ class Volumes:
 def volume_shapes(resolution: Resolution) -> dict[str, tuple[int, int]]:
     """Rows and columns of the fields of `Volumes`, in their order."""
     n, c, m = resolution.cells, resolution.covered, resolution.shells
-    sizes = (n, n, n - 1, n, n, n, c, (c, m), (c, m - 1), c, (c - 1, m), n, c)
+    sizes = (n, n, n - 1, n, n, n, c, c, (c, m), (c, m - 1), c, (c - 1, m), n, c)
     shapes = (size if isinstance(size, tuple) else (size, 1) for size in sizes)
     return dict(zip((item.name for item in fields(Volumes)), shapes, strict=True))
 
@@ -235,8 +254,8 @@ def volumes(p: Properties, width: Any, vent: Any, shells: Shells, resolution: Re
         G_clamp=gripped * p.h_clamp * width,
         G_air=p.h_air * bare + p.G_wire * on_leg,
         G_rad=p.eps_sigma * bare,
-        # 1 / (1 / h_gap + R_wall), without dividing by an h_gap that vents reduce to 0.
-        G_gap=covered * h_gap / (1 + h_gap * p.R_wall),
+        G_gap=covered * h_gap,
+        G_wall=covered / p.R_wall,
         C_mold=ca.mtimes(covered, (p.c_mold * shells.area).T),
         # Steady flow between the radii r < R of a ring: 2 pi k dx (T_r - T_R) / ln(R / r).
         G_radial=2 * math.pi * p.k_mold * ca.mtimes(covered, (1 / shells.log_ratio).T),
@@ -333,20 +352,61 @@ class HeatFlows(NamedTuple):
     """Air around half the rig."""
 
 
-def energy_balance(T: Temperatures, drive: Drive, v: Volumes, p: Properties) -> HeatFlows:
-    """Net heat flows into the cells of half the tube, half of the mold, one clamp and the air."""
+class MoldConductances(NamedTuple):
+    """Conductances of the mold at its temperatures, W/K."""
+
+    gap: Any
+    """Conductances (c,) from the tube into the first shell."""
+    radial: Any
+    """Conductances (c, M-1) between shells of one cell."""
+    along: Any
+    """Conductances (c-1, M) between shells of neighbouring cells."""
+
+
+def mold_factor(T: Any, p: Properties) -> Any:
+    """Conductivity of the mold at temperatures T as a factor on k_mold: linear between `BENDS`."""
+    changes = (p.f_25, p.f_200, p.f_350, p.f_500, p.f_700)
+    # max(x, 0) = (x + |x|) / 2, rounded at the bend: without a corner, for the program of a schedule.
+    beyond = [T - at + ca.sqrt((T - at) ** 2 + ROUNDED**2) for at in BENDS.tolist()]
+    return p.f_mold + 0.5 * sum(change * x for change, x in zip(changes, beyond, strict=True))
+
+
+def mold_conductances(mold: Any, v: Volumes, p: Properties) -> MoldConductances:
+    """Conductances at temperatures (c, M) of the shells: the mean of the conductivities of two neighbours."""
+    f = mold_factor(mold, p)
+    return MoldConductances(
+        gap_conductance(f[:, 0], v),
+        0.5 * v.G_radial * (f[:, :-1] + f[:, 1:]),
+        0.5 * v.G_shell * (f[:-1, :] + f[1:, :]),
+    )
+
+
+def gap_conductance(factor: Any, v: Volumes) -> Any:
+    """Conductance of air gap and wall, whose conductivity has this factor, in series, W/K."""
+    # 1 / (1 / G_gap + 1 / (factor G_wall)), without dividing by a G_gap that vents reduce to 0.
+    return v.G_gap * factor * v.G_wall / (v.G_gap + factor * v.G_wall)
+
+
+def energy_balance(
+    T: Temperatures, drive: Drive, v: Volumes, p: Properties, mold: MoldConductances | None = None
+) -> HeatFlows:
+    """Net heat flows into the cells of half the tube, half of the mold, one clamp and the air.
+
+    `mold`: conductances of the mold; by default those at its temperatures.
+    """
     first = T.tube.numel() - T.mold.size1()
+    mold = mold_conductances(T.mold, v, p) if mold is None else mold
     # Joule heat of the cells and contacts, less the losses into the clamp and to the air.
     cell = cell_balance(T.tube, T.clamp, drive, v, p)
     # Conduction along the tube.
     q_tube = conduction(T.tube[:-1], T.tube[1:], v.G_tube, p)
     # Through the air gap of the groove into the innermost shell.
-    q_gap = v.G_gap * (T.tube[first:] - T.mold[:, 0])
+    q_gap = mold.gap * (T.tube[first:] - T.mold[:, 0])
     # Joule heat of the current that bypasses the tube in a conductive mold, at its inner surface.
     q_leak = leak_heat(drive, v.mold_fraction, p)
     # Conduction in the mold, outwards and along the tube.
-    q_radial = v.G_radial * (T.mold[:, :-1] - T.mold[:, 1:])
-    q_along = v.G_shell * (T.mold[1:, :] - T.mold[:-1, :])
+    q_radial = mold.radial * (T.mold[:, :-1] - T.mold[:, 1:])
+    q_along = mold.along * (T.mold[1:, :] - T.mold[:-1, :])
     # From the outer surface of the mold to the air.
     q_outer = v.G_outer * (T.mold[:, -1] - p.T_amb)
     lump = clamp_balance(T.clamp, ca.sum1(cell.clamp), ca.sum1(cell.air) + ca.sum1(q_outer), drive, p)
@@ -480,14 +540,18 @@ class FrozenJacobian(NamedTuple):
 
 
 def frozen_jacobian(T: Temperatures, cells: Any, v: Volumes, p: Properties) -> FrozenJacobian:
-    """Approximate Jacobian for the implicit step: Joule heat is left out.
+    """Approximate Jacobian for the implicit step: Joule heat and the slope of the mold's conductivity are left out.
 
-    It is symmetric except for the slope of the conductivity. `cells` (1 + M, n) are the symbols of which T consists.
+    It is symmetric except for the slope of the tube's conductivity. `cells` (1 + M, n) are the symbols of which T
+    consists.
     """
+    now = mold_conductances(T.mold, v, p)
+    frozen = MoldConductances(*(ca.SX.sym("frozen", value.shape) for value in now))
     # The current depends on the resistance of all cells: with it the Jacobian would be full.
-    flows = energy_balance(T, Drive(0.0, 0.0, 0.0), v, p)
+    flows = energy_balance(T, Drive(0.0, 0.0, 0.0), v, p, frozen)
     rows, n = cells.shape
     J = ca.jacobian(ca.vec(by_cell(flows.tube, flows.mold)), ca.vec(cells))
+    J = ca.substitute(J, ca.veccat(*frozen), ca.veccat(*now))
     # By columns, a shell is 1 entry from the next one outward and `rows` entries from the next cell.
     same_cell, outward, along = (_diagonal(J, offset) for offset in (0, 1, rows))
     return FrozenJacobian(

@@ -27,6 +27,10 @@ Blom and Hundsdorfer, SIAM J. Sci. Comput. 20 (1999)): the root with the small e
 most a sixth too small."""
 
 
+GROWTH = 1.15
+"""Largest factor by which a conductance of the mold exceeds that of the Jacobian in the second stage of a step: where
+temperatures change a lot within a step, the stage overshoots, and a Jacobian that is too small would not be stable."""
+
 OF_A_CELL = ("C_tube", "R_tube", "G_clamp", "G_air", "G_rad", "clamp_fraction")
 """Entries of `Volumes` for one cell of the tube, in the argument order of laws and kernel."""
 
@@ -50,7 +54,8 @@ def instant_functions(resolution: Resolution) -> dict[str, ca.Function]:
     are (1 + M, n); shells without a mold have no effect.
 
     rates: of cells and lumped state. warming: rates of the first two rows, which a current heats. span: rates of the
-    tube without and with full duty, and the current while the MOSFET conducts. current, at temperatures of the tube
+    tube without and with full duty, and the current while the MOSFET conducts. stage: rates with conductances of the
+    mold that are at most GROWTH times those at temperatures given last. current, at temperatures of the tube
     (n,): this one, its part through the tube, the terminal voltage, and the resistance of half the tube. linearised:
     heat capacities, 1 where there is no mold, and the `frozen_jacobian`. stored: heat above ambient in the whole rig.
     """
@@ -69,6 +74,11 @@ def instant_functions(resolution: Resolution) -> dict[str, ca.Function]:
     cell_rates = heat.by_cell(rates.T.tube, rates.T.mold)
     battery = heat.BatteryRates(rates.charge, rates.V_sag)
     lumped_rates = _lumped_rates(rates.T.clamp, battery, flows.surroundings, drive, I_on, lumped, p)
+    start = ca.SX.sym("start", rows, n)
+    before = heat.mold_conductances(start[1:, n - resolution.covered :].T, v, p)
+    pairs = zip(heat.mold_conductances(T.mold, v, p), before, strict=True)
+    bounded = heat.MoldConductances(*(ca.fmin(now, GROWTH * then) for now, then in pairs))
+    staged = heat.state_rates(x, heat.energy_balance(T, drive, v, p, bounded), drive, v, p)
     capacity = heat.by_cell(heat.tube_capacity(T.tube, v, p), v.C_mold, bare=1.0)
 
     R_half = ca.sum1(heat.cell_resistance(tube, v, p))
@@ -77,6 +87,7 @@ def instant_functions(resolution: Resolution) -> dict[str, ca.Function]:
     circuit = ca.vertcat(current, current * heat.tube_fraction(R_half, p), terminal, R_half)
     functions = {
         "rates": ([cells, lumped, duty, column, q], [cell_rates, lumped_rates]),
+        "stage": ([cells, lumped, duty, column, q, start], [heat.by_cell(staged.T.tube, staged.T.mold)]),
         # Joule heat enters the tube, leak heat the first shell; the other rows do not depend on duty.
         "warming": ([cells, lumped, duty, column, q], [cell_rates[:2, :]]),
         "current": ([tube, lumped, column, q], [circuit]),
@@ -137,15 +148,17 @@ def cell_functions() -> tuple[ca.Function, ...]:
     ohm: resistance of a cell. load: `Drive` at a duty, with the current while the MOSFET conducts. cell: net heat flow
     of a cell by itself, heat of its part of the mold by the current beside the tube, heat flows into the clamp and to
     the air, its heat capacity, and the slope of these losses in its temperature. link: heat flow from the next cell,
-    and its slopes in both temperatures. lumps: rates of the lumped state.
+    and its slopes in both temperatures. lumps: rates of the lumped state. factor: of the mold's conductivity at a
+    temperature. gap: conductance of gap and wall, for this factor.
     """
-    scalars = ("T", "T_next", "T_clamp", "q_clamp", "q_loss", "R_half", "duty", "coefficient")
-    T, T_next, T_clamp, q_clamp, q_loss, R_half, duty, coefficient = (ca.SX.sym(name) for name in scalars)
+    scalars = ("T", "T_next", "T_clamp", "q_clamp", "q_loss", "R_half", "duty", "coefficient", "factor")
+    T, T_next, T_clamp, q_clamp, q_loss, R_half, duty, coefficient, factor = (ca.SX.sym(name) for name in scalars)
     lumped, load, column = ca.SX.sym("lumped", LUMPED), ca.SX.sym("load", 4), ca.SX.sym("p", len(PROPERTIES))
     p, drive, I_on = Properties.of(column), heat.Drive(load[0], load[1], load[2]), load[3]
     of_cell = {name: ca.SX.sym(name) for name in OF_A_CELL}
+    of_gap = {name: ca.SX.sym(name) for name in ("G_gap", "G_wall")}
     # A law of one cell that took another coefficient would fail at once on None.
-    v = heat.Volumes(**{item.name: of_cell.get(item.name) for item in fields(heat.Volumes)})
+    v = heat.Volumes(**{item.name: (of_cell | of_gap).get(item.name) for item in fields(heat.Volumes)})
     cell = heat.cell_balance(T, T_clamp, drive, v, p)
     leak = heat.leak_heat(drive, coefficient, p)
     start = _circuit(R_half, lumped, duty, p)
@@ -162,6 +175,8 @@ def cell_functions() -> tuple[ca.Function, ...]:
         ),
         "link": ([T, T_next, coefficient, column], [link, ca.jacobian(link, T), ca.jacobian(link, T_next)]),
         "lumps": ([T_clamp, q_clamp, q_loss, load, lumped, column], [rates]),
+        "factor": ([T, column], [heat.mold_factor(T, p)]),
+        "gap": ([factor, *of_gap.values()], [heat.gap_conductance(factor, v)]),
     }
     return tuple(
         ca.Function(f"law_{name}", inputs, [ca.densify(value) for value in outputs], {"cse": True})
@@ -195,7 +210,7 @@ def step_function(resolution: Resolution) -> ca.Function:
     rate, lumped_rate = rates(cells, lumped, duty, p, q)
     k_1 = stage(rate)
     predicted = lumped + h * lumped_rate
-    k_2 = stage(rates(cells + h * k_1, predicted, duty, p, q)[0] - 2 * k_1)
+    k_2 = stage(functions["stage"](cells + h * k_1, predicted, duty, p, q, cells) - 2 * k_1)
     cells_next = cells + h * (1.5 * k_1 + 0.5 * k_2)
     # Rates at the end and not at u + h k_1, which overshoots where the equations are stiff.
     lumped_next = lumped + 0.5 * h * (lumped_rate + rates(cells_next, predicted, duty, p, q)[1])

@@ -112,6 +112,7 @@ TITLES = {
     "SpringbackEntry": "Spring-back",
     "VentSpec": "Vents",
     "SlotSpec": "Slot",
+    "HingeSpec": "Hinge",
     "WorkshopSpec": "Milling machine and G-code",
     # passports
     "HeatingEntry": "Heating of a passport",

@@ -7,10 +7,13 @@ import re
 from dataclasses import dataclass, replace
 from typing import Annotated
 
+import numpy as np
+
 from ..constants import ZERO_CELSIUS
 from ..errors import InputError, choice
 from ..files.field_metadata import POSITIVE, Absent, OneOf, Range, check_fields, key, unit
 from ..robots.materials import Material
+from ..typing import Array
 
 INSULATING_RESISTIVITY = 1e3
 """Smallest resistivity (ohm m) of an electrical insulator.
@@ -20,6 +23,12 @@ Next to a tube of 1e-6 ohm m with a thousandth of the mold's section, less than 
 
 AMBIENT_RANGE = Range(minimum=ZERO_CELSIUS - 40.0, maximum=ZERO_CELSIUS + 60.0)
 """Allowed ambient temperatures, K."""
+
+CONDUCTIVITY_AT = 200.0
+"""Temperature, degC, at which a material has its `conductivity`."""
+
+LEAST_FACTOR = 0.2
+"""Smallest factor of a slope on the conductivity: at no temperature a mold conducts nothing."""
 
 PRICE_CLASSES = ("low", "moderate", "high")
 
@@ -33,7 +42,9 @@ class MoldMaterial:
     """
 
     name: Annotated[str, "name in files and on the command line"]
-    conductivity: Annotated[float, unit("W_per_m_K"), Range(above=0.0, maximum=2500.0), "thermal"]
+    conductivity: Annotated[
+        float, unit("W_per_m_K"), Range(above=0.0, maximum=2500.0), "thermal; with a curve or a slope, at 200 degC"
+    ]
     density: Annotated[float, unit("kg_per_m3"), Range(minimum=10.0, maximum=23000.0), "density"]
     heat_capacity: Annotated[float, unit("J_per_kg_K"), Range(above=0.0, maximum=10000.0), "heat capacity"]
     limit_temperature: Annotated[
@@ -57,16 +68,50 @@ class MoldMaterial:
     conductivity_range: Annotated[
         tuple[float, float] | None,
         unit("W_per_m_K"),
-        "smallest and largest conductivity of boards of this name, from cold to hot; default the uncertainty alone",
+        "smallest and largest conductivity of boards of this name; default the uncertainty alone",
     ] = None
     density_range: Annotated[
         tuple[float, float] | None,
         unit("kg_per_m3"),
         "densities of these boards: the densest conducts best; default the density",
     ] = None
+    conductivity_curve: Annotated[
+        tuple[tuple[float, float], ...],
+        unit("W_per_m_K"),
+        "pairs of temperature (degC, increasing) and conductivity, as of a data sheet; linear between them, constant "
+        "outside, scaled to the conductivity at 200 degC; default constant",
+    ] = ()
+    conductivity_slope: Annotated[
+        float,
+        unit("per_K"),
+        Range(minimum=-1e-2, maximum=1e-2),
+        "relative change of the conductivity per K, in addition to the curve",
+    ] = 0.0
+    conductivity_slope_range: Annotated[
+        tuple[float, float] | None,
+        unit("per_K"),
+        "smallest and largest slope of boards of this name; default the slope",
+    ] = None
 
     def __post_init__(self) -> None:
         check_fields(self, f"mold material {self.name!r}")
+        owner = f"of mold material {self.name!r}"
+        try:
+            curve = np.array(self.conductivity_curve, dtype=float).reshape(-1, 2)
+        except (TypeError, ValueError):
+            curve = np.zeros((1, 2))
+        if not np.isfinite(curve).all() or (np.diff(curve[:, 0]) <= 0).any() or (curve[:, 1] <= 0).any():
+            raise InputError(
+                f"conductivity_curve {owner} must be pairs (degC, W/(m K)) with increasing temperatures and "
+                "conductivities above 0"
+            )
+        object.__setattr__(self, "conductivity_curve", tuple((float(t), float(k)) for t, k in curve))
+        slopes = self.conductivity_slope_range
+        if slopes is not None and not -1e-2 <= slopes[0] <= self.conductivity_slope <= slopes[1] <= 1e-2:
+            raise InputError(
+                f"conductivity_slope_range {owner} is {slopes[0]:g} to {slopes[1]:g} per K; it must be within 0.01 per "
+                f"K of 0 and include its slope, {self.conductivity_slope:g}"
+            )
         for name in ("conductivity", "density"):
             span = getattr(self, f"{name}_range")
             if span is not None and not 0 < span[0] <= getattr(self, name) <= span[1]:
@@ -75,12 +120,26 @@ class MoldMaterial:
                     f"and include its {name}, {getattr(self, name):g}"
                 )
 
+    def conductivity_factor(self, temperature: Array | float) -> Array:
+        """Conductivity at temperatures in K, as a factor on `conductivity`; at least `LEAST_FACTOR`."""
+        degrees = np.asarray(temperature, dtype=float) - ZERO_CELSIUS
+        factor = np.asarray(1 + self.conductivity_slope * (degrees - CONDUCTIVITY_AT))
+        if self.conductivity_curve:
+            at, value = np.array(self.conductivity_curve).T
+            factor = factor * np.interp(degrees, at, value) / np.interp(CONDUCTIVITY_AT, at, value)
+        return np.maximum(factor, LEAST_FACTOR)
+
+    def sloped(self, draw: float) -> MoldMaterial:
+        """This material with the least slope of its conductivity at -1, and the largest one at 1."""
+        low, high = self.conductivity_slope_range or (self.conductivity_slope,) * 2
+        return replace(self, conductivity_slope=low + 0.5 * (draw + 1) * (high - low))
+
     def board(self, draw: float) -> MoldMaterial:
         """Board of this material: the lightest and least conductive at -1, the densest and most conductive at 1."""
         spans = {name: getattr(self, f"{name}_range") for name in ("conductivity", "density")}
         # Geometric: a board of twice the conductivity is as likely as one of half.
         drawn = {
-            name: span[0] * (span[1] / span[0]) ** (0.5 * (draw + 1))
+            name: min(span[0] * (span[1] / span[0]) ** (0.5 * (draw + 1)), span[1])
             for name, span in spans.items()
             if span is not None
         }
@@ -104,7 +163,7 @@ class MoldMaterial:
 
 STEEL = MoldMaterial(
     name="steel",
-    conductivity=51.9,
+    conductivity=47.3,
     density=7870.0,
     heat_capacity=486.0,
     limit_temperature=570.0 + ZERO_CELSIUS,
@@ -114,16 +173,18 @@ STEEL = MoldMaterial(
     price_class="low",
     expansion=14.2e-6,
     heat_capacity_slope=8.7e-4,
-    source="AISI 1018, MatWeb: 51.9 W/(m K), 7870 kg/m^3, 486 J/(kg K) at 50-100 degC, 1.59e-7 ohm m at 0 degC "
-    "(annealed); limit: wustite forms above 570 degC (Birks, Meier, Pettit, High-Temperature Oxidation of Metals, "
-    "2006); emissivity of oxidised steel, Incropera et al., Table A.11. Expansion from 20 to 525 degC, and the slope "
-    "of the heat capacity to 666 J/(kg K) at 500 degC, of carbon steel: EN 1993-1-2, section 3.4.1",
+    conductivity_curve=((20.0, 53.3), (800.0, 27.4)),
+    source="AISI 1018, MatWeb: 7870 kg/m^3, 486 J/(kg K) at 50-100 degC, 1.59e-7 ohm m at 0 degC (annealed). "
+    "Conductivity of carbon steel, 54 - 0.0333 T/degC: EN 1993-1-2, section 3.4.1.3 (MatWeb has 51.9 W/(m K) at 100 "
+    "degC, the standard 50.7). Limit: wustite forms above 570 degC (Birks, Meier, Pettit, High-Temperature Oxidation "
+    "of Metals, 2006); emissivity of oxidised steel, Incropera et al., Table A.11. Expansion from 20 to 525 degC, and "
+    "the slope of the heat capacity to 666 J/(kg K) at 500 degC, of carbon steel: EN 1993-1-2, section 3.4.1",
 )
 """Low-carbon steel, the mold of the thesis' Figure 4.2."""
 
 MDF = MoldMaterial(
     name="mdf",
-    conductivity=0.14,
+    conductivity=0.17,
     density=750.0,
     heat_capacity=1700.0,
     limit_temperature=300.0 + ZERO_CELSIUS,
@@ -131,8 +192,10 @@ MDF = MoldMaterial(
     resistivity=1e8,
     emissivity=0.9,
     price_class="low",
-    conductivity_range=(0.12, 0.15),
-    source="0.12-0.15 W/(m K): Facts about particleboard and MDF (EWPAA). 750 kg/m^3, 1700 J/(kg K): makeitfrom.com "
+    conductivity_range=(0.15, 0.19),
+    conductivity_curve=((20.0, 0.12), (200.0, 0.15), (350.0, 0.07), (500.0, 0.09), (800.0, 0.35)),
+    source="0.12-0.15 W/(m K) when cold: Facts about particleboard and MDF (EWPAA). Over temperature as wood and its "
+    "char, a quarter more at 200 degC: EN 1995-1-2, Annex B. 750 kg/m^3, 1700 J/(kg K): makeitfrom.com "
     "after Wood Handbook, USDA Forest Service. Limit: charring isotherm 300 degC of EN 1995-1-2. Resistivity of wood "
     "at about 8 % moisture, order of magnitude, Wood Handbook. Emissivity of wood: Incropera et al., Table A.11",
 )
@@ -150,13 +213,15 @@ GLASS_MICA = MoldMaterial(
     price_class="high",
     expansion=11.2e-6,
     source="Macor, Corning data sheet: 1.46 W/(m K), 2520 kg/m^3, 790 J/(kg K), 800 degC continuous use, "
-    "1e14 ohm m (more than 1e16 ohm cm) at 25 degC, expansion from 25 to 600 degC; emissivity assumed",
+    "1e14 ohm m (more than 1e16 ohm cm) at 25 degC, expansion from 25 to 600 degC; emissivity assumed. No source was "
+    "found for the conductivity over temperature: it is constant, within the uncertainty of the rig (20 %). The CRC "
+    "Materials Science and Engineering Handbook has 1.2 W/(m K) for such ceramics",
 )
 """Machinable glass-mica ceramic, the mold of the thesis' Figure 4.4: up to a thousand dollars a slab."""
 
 CALCIUM_SILICATE = MoldMaterial(
     name="calcium_silicate",
-    conductivity=0.12,
+    conductivity=0.117,
     density=737.0,
     heat_capacity=1255.0,
     limit_temperature=927.0 + ZERO_CELSIUS,
@@ -167,10 +232,14 @@ CALCIUM_SILICATE = MoldMaterial(
     expansion=6e-6,
     conductivity_range=(0.08, 0.29),
     density_range=(450.0, 1200.0),
-    source="Density, conductivity and heat capacity as usually quoted for Marinite I board (BNZ Materials) at 200 "
-    "degC. Boards differ (0.08 to 0.29 W/(m K), 450 to 1200 kg/m^3): use the data of your board. Limit 927 degC "
-    "(1700 degF) of ASTM C656. Resistivity of dry board is an order of magnitude; emissivity and expansion are "
-    "assumptions",
+    conductivity_curve=((24.0, 0.127), (149.0, 0.118), (205.0, 0.117), (316.0, 0.114), (425.0, 0.117), (538.0, 0.124)),
+    conductivity_slope_range=(-3e-4, 15e-4),
+    source="Density, heat capacity at 200 degC and measured conductivity: data sheet of Marinite I board, BNZ "
+    "Materials, as in table 3 of the NIST Parallel Panel experiments (MaCFP, github.com/MaCFP/macfp-db). Boards differ "
+    "(0.08 to 0.29 W/(m K), 450 to 1200 kg/m^3): use the data of your board. The conductivity of light ones grows by "
+    "15e-4 per K: 0.055, 0.074, 0.098 W/(m K) at 25, 200, 400 degC, 240 kg/m^3 (ASTM C533, from secondary sources). "
+    "That of crystalline ones falls; that of Marinite I by 4e-4 per K up to 316 degC. Limit 927 degC (1700 degF) of "
+    "ASTM C656. Resistivity of dry board is an order of magnitude; emissivity and expansion are assumptions",
 )
 """Machinable calcium silicate board, the mold of the thesis' Figure 4.5."""
 

@@ -109,7 +109,7 @@ MOLD = described(
     ),
     Quantity("programs", "G-code of both plates, in order of machining", lambda a: programs_of(a.mold), of=PROGRAM),
     Quantity("clear_mm", "free room for clamps next to the plates", lambda a: clamp_distance(a.mold)),
-    Quantity("holes", "holes for bolts, dowels and vents", lambda a: a.mold.holes, of=described(Hole)),
+    Quantity("holes", "holes of the lower plate", lambda a: a.mold.base_holes, of=described(Hole)),
     Quantity("checks", "checks, and whether they passed", lambda a: [_check(c) for c in a.mold.checks]),
     Quantity("remarks", "remarks for making and using it", lambda a: [*a.left_out, *a.mold.remarks]),
 )

@@ -253,6 +253,10 @@ class MoldBlock:
     def __init__(self, oven: Oven, tube: Tube, cells: tuple[int, int, int] = CELLS) -> None:
         bed, material = oven.mold, oven.mold.material
         self.material = material
+        # Neither curve nor slope changes much over the last hundred K, which take most of the time.
+        self.conductivity = material.conductivity * float(
+            material.conductivity_factor(0.5 * (oven.ambient + oven.set_temperature))
+        )
         self.size = np.array([mold_length(oven, tube), bed.width, bed.thickness])
         steps = self.size * (0.5, 0.5, 1.0) / cells
         self.middles = [step * (np.arange(count) + 0.5) for step, count in zip(steps, cells, strict=True)]
@@ -263,7 +267,7 @@ class MoldBlock:
             order, area = np.moveaxis(number, axis, 0), steps.prod() / step
             # Heat between neighbours: k A (T_2 - T_1) / (distance of the middles).
             pairs.append(np.stack([order[:-1].ravel(), order[1:].ravel()]))
-            conductances.append(np.full(pairs[-1].shape[1], material.conductivity * area / step))
+            conductances.append(np.full(pairs[-1].shape[1], self.conductivity * area / step))
             # Length and width are halved at planes of symmetry; a floor closes the lower face.
             for end in [-1] if axis < 2 or oven.on_floor else [0, -1]:
                 outside.append([order[end].ravel(), np.full(order[end].size, area), np.full(order[end].size, step / 2)])
@@ -305,7 +309,7 @@ class MoldBlock:
         The face of a cell is colder than its middle by what conduction to it needs: flux = (T_face - T) k / depth.
         """
         at = temperature[self.surface_cell]
-        inner = self.material.conductivity / self.surface_depth
+        inner = self.conductivity / self.surface_depth
         radiating = medium.emissivity * STEFAN_BOLTZMANN
         surface = at.copy()
         # Newton's method for the temperature of the face. Conduction dominates: the third step is below round-off.

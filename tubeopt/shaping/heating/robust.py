@@ -211,7 +211,7 @@ INSIDE = 0.25
 WIDE, RESERVE = 4.0, 1.25
 """Largest correction in the choice of gains, a fraction of the planned count, and factor on those that rigs require."""
 
-DRAWING, DRAWING_RIGS = {"board": 1.0, "conductivity": 1.0, "gap": -1.0}, 12
+DRAWING, DRAWING_RIGS = {"board": 1.0, "slope": 1.0, "conductivity": 1.0, "gap": -1.0}, 12
 """Draws with which a mold takes most heat, and number of such rigs for the largest count of a correction."""
 
 BELOW_REFERENCE = 4.0

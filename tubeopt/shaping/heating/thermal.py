@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ...constants import STEFAN_BOLTZMANN, ZERO_CELSIUS
 from ...errors import InputError
-from ...physics.heat import CURVED, GRIP, LEAD, PROPERTIES, Properties, Resolution, Shells, zones
+from ...physics.heat import BENDS, CURVED, GRIP, LEAD, PROPERTIES, Properties, Resolution, Shells, zones
 from ...physics.heat_functions import volumes_function
 from ...robots.materials import ThermalData
 from ...robots.tubes import Tube
@@ -248,8 +248,13 @@ def properties(tube: Tube, rig: Rig, shells: int) -> Properties:
     h_bare = rig.convection or natural_convection(tube.outer_diameter, rig.ambient + HOT, rig.ambient)
     faces, nodes = shell_radii(rig, tube, shells)
     k_mold = factor * mold.conductivity
-    # From the last node to the mold's surface by conduction, then by transfer to the air, in series.
-    R_outer = ca.log(faces[-1] / nodes[-1]) / (2 * math.pi * k_mold) + 1 / (SURFACE_TRANSFER * 2 * math.pi * faces[-1])
+    at_bends = mold.conductivity_factor(BENDS)
+    # Slopes between the bends, none outside; and their changes.
+    changes = np.diff(np.diff(at_bends) / np.diff(BENDS), prepend=0.0, append=0.0)
+    # From the last node to the mold's surface by conduction, then by transfer to the air, in series. The surface hardly
+    # warms up.
+    k_cold = k_mold * float(mold.conductivity_factor(rig.ambient))
+    R_outer = ca.log(faces[-1] / nodes[-1]) / (2 * math.pi * k_cold) + 1 / (SURFACE_TRANSFER * 2 * math.pi * faces[-1])
     return Properties(
         c_tube=data.density * section * data.heat_capacity,
         c_slope=data.heat_capacity_slope,
@@ -264,6 +269,8 @@ def properties(tube: Tube, rig: Rig, shells: int) -> Properties:
         h_gap=gap_transfer(tube, rig) * girth * factor,
         R_wall=ca.log(nodes[0] / faces[0]) / (2 * math.pi * k_mold),
         k_mold=k_mold,
+        f_mold=at_bends[0],
+        **{f"f_{bend - ZERO_CELSIUS:.0f}": change for bend, change in zip(BENDS, changes, strict=True)},
         c_mold=factor * mold.density * mold.heat_capacity,
         h_outer=1 / R_outer,
         G_leak=0.0 if mold.electrically_insulating else 1 / leak_resistance(tube, rig),

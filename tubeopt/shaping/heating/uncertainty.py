@@ -60,6 +60,9 @@ class Uncertainty(Displayed):
     gap: Annotated[float, unit("percent"), PART, "uncertainty of the uniform air gap between tube and groove"] = 0.0
     conductivity: Annotated[float, unit("percent"), PART, "uncertainty of the thermal conductivity of the mold"] = 0.0
     board: Annotated[bool, "any board of the mold material: its ranges of conductivity and density"] = False
+    slope: Annotated[bool, "any change of its conductivity with temperature that boards of the mold material have"] = (
+        False
+    )
     heat_capacity: Annotated[
         float, unit("percent"), PART, "uncertainty of the heat capacity of the tube, latent heat included"
     ] = 0.0
@@ -86,7 +89,8 @@ class Uncertainty(Displayed):
         """Uncertainty of a rig without any measurement: assumed."""
         return cls(
             loss=0.15, contact_resistance=0.3, resistivity=0.1, resistivity_slope=0.2, gap=0.5, conductivity=0.2,
-            board=True, heat_capacity=0.06, inner_diameter=20e-6, ambient=5.0, charge=0.2, lost_on_time=10e-6,
+            board=True, slope=True, heat_capacity=0.06, inner_diameter=20e-6, ambient=5.0, charge=0.2,
+            lost_on_time=10e-6,
         )  # fmt: skip
 
     @property
@@ -119,7 +123,7 @@ class Uncertainty(Displayed):
                 f"must be less than the wall allows (diameters {1e3 * tube.inner_diameter:g} "
                 f"and {1e3 * tube.outer_diameter:g} mm)"
             )
-        material = rig.mold.material
+        material = rig.mold.material.sloped(by["slope"]) if self.slope else rig.mold.material
         if self.board and material.conductivity_range is not None:
             material = material.board(by["board"])
         else:

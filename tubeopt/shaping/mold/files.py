@@ -49,11 +49,13 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
     """
     width, height = (extent * TO_MM for extent in mold.size)
     outline = rectangle(width, height)
+    if part == "lid" and mold.hinge:
+        outline = tuple(piece for low, high in halves(mold) for piece in _strip(width, low * TO_MM, high * TO_MM))
     centre = tuple(in_mm(piece) for groove in mold.grooves for piece in groove.centreline.pieces)
     walls = [in_mm(piece) for groove in mold.grooves for piece in _groove_outline(groove, mold.size)]
     slots = [in_mm(piece) for slot in mold.slots for piece in outline_of(slot.centreline.bend, slot.mill.diameter / 2)]
     jaws = tuple(in_mm(line) for groove in mold.grooves for clamp in groove.clamps for line in _jaws(clamp, mold))
-    holes = mold.lid_holes if part == "lid" else mold.holes
+    holes = mold.lid_holes if part == "lid" else mold.base_holes
     base = part == "base"
     return Drawing(
         size=(width, height),
@@ -66,6 +68,19 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
         circles=tuple(((hole.centre[0] * TO_MM, hole.centre[1] * TO_MM), hole.diameter * TO_MM) for hole in holes),
         texts=tuple(_texts(mold, part)),
     )
+
+
+def halves(mold: Mold) -> tuple[tuple[float, float], ...]:
+    """Lower and upper edge (m) of a hinged lid, and of its strip; of a bolted lid alone."""
+    if mold.hinge is None:
+        return ((0.0, mold.size[1]),)
+    pin, cut = mold.hinge.pin, mold.spec.gap / 2
+    return (0.0, pin - cut), (pin + cut, mold.size[1])
+
+
+def _strip(width: float, low: float, high: float) -> list[Arc]:
+    """Outline of a rectangle from the left edge to the right one, between two heights."""
+    return _around(np.array([(0.0, low), (width, low), (width, high), (0.0, high)]))
 
 
 def _groove_outline(groove: Groove, size: Point) -> tuple[Arc, ...]:
@@ -106,6 +121,15 @@ def _texts(mold: Mold, part: str) -> list[tuple[Point, str]]:
             f"{slot.depth * TO_MM:g} deep, {slot.centreline.length * TO_MM:.1f} mm long"
             for slot in mold.slots
         ]
+    if mold.hinge:
+        screws, reach = spec.hinge.screw_diameter * TO_MM, spec.hinge.reach * TO_MM
+        lines.append(
+            f"hinges: pins {mold.hinge.pin * TO_MM:.2f} mm above the lower edge; screws {screws:g}, {reach:g} mm from "
+            "the pins, countersunk from the lower face"
+            + (f"; the upper strip stays on the base, {spec.gap * TO_MM:g} mm from the lid" if part == "lid" else "")
+        )
+        latch = spec.hinge.latch_diameter if part == "lid" else plate.bolt_diameter
+        lines.append(f"latches: holes of {latch * TO_MM:g} mm for a bolt with nut and slotted washer")
     step = 1.6 * TEXT_HEIGHT_MM
     jaws = (line for groove in mold.grooves for clamp in groove.clamps for line in _jaws(clamp, mold))
     below = min(-3 * TEXT_HEIGHT_MM, min(line.start[1] for line in jaws) * TO_MM - 2 * TEXT_HEIGHT_MM)
@@ -376,14 +400,18 @@ def _plate_solid(mold: Mold, part: str) -> Any:
     """Solid of a plate (mm): its outline with holes, extruded; from the base the grooves are cut."""
     library, plate = manifold(), mold.spec.plate
     base = part == "base"
-    holes = mold.holes if base else mold.lid_holes
+    holes = mold.base_holes if base else mold.lid_holes
     drills = [
         library.CrossSection.circle(hole.diameter / 2 * TO_MM, HOLE_SIDES).translate(
             (hole.centre[0] * TO_MM, hole.centre[1] * TO_MM)
         )
         for hole in holes
     ]
-    outline = library.CrossSection.square((mold.size[0] * TO_MM, mold.size[1] * TO_MM))
+    outline = library.CrossSection()
+    for low, high in halves(mold) if not base else ((0.0, mold.size[1]),):
+        outline += library.CrossSection.square((mold.size[0] * TO_MM, (high - low) * TO_MM)).translate(
+            (0.0, low * TO_MM)
+        )
     drilled = library.CrossSection.batch_boolean([outline, *drills], library.OpType.Subtract)
     if not base:
         solid = library.Manifold.extrude(drilled, plate.lid_thickness * TO_MM)

@@ -19,7 +19,7 @@ import numpy as np
 
 from ...errors import InputError, SolveError
 from ...files.units import TO_MM
-from .checks import THROUGH, beyond_edge, overrun
+from .checks import OVERRUN, THROUGH, beyond_edge, overrun
 from .groove import Arc, Centreline, Point, directed_distance, mirrored
 from .layout import Hole
 from .mold import PARTS, Groove, Mold
@@ -140,13 +140,16 @@ def stages_of(mold: Mold, part: str) -> list[Stage]:
     thickness = spec.plate.thickness if base else spec.plate.lid_thickness
     turned = [replace(hole, centre=(mold.size[0] - hole.centre[0], hole.centre[1])) for hole in mold.lid_holes]
     # A lid with slots lies with its lower face up.
-    holes = mold.holes if base else turned if mold.slots else mold.lid_holes
+    holes = mold.base_holes if base else turned if mold.slots else mold.lid_holes
     stages = groove_stages(mold) if base else slot_stages(mold)
     for diameter in sorted({hole.diameter for hole in holes}):
         lines = tuple(drilled([hole for hole in holes if hole.diameter == diameter], thickness, spec))
         stages.append(Stage(f"drill {diameter * TO_MM:g} mm", diameter, shop.drill_spindle, lines))
+    cut = [] if base or mold.hinge is None else list(across(mold.size[0], mold.hinge.pin, thickness, spec))
     if shop.cut_out:
-        cutter, lines = shop.outline_diameter, tuple(outlined(mold.size, thickness, spec))
+        cut += outlined(mold.size, thickness, spec)
+    if cut:
+        cutter, lines = shop.outline_diameter, tuple(cut)
         stages.append(Stage(f"end mill {cutter * TO_MM:g} mm", cutter, spec.milling.spindle, lines))
     return stages
 
@@ -235,10 +238,22 @@ def drilled(holes: Sequence[Hole], thickness: float, spec: MoldSpec) -> Iterator
 
 def outlined(size: Point, thickness: float, spec: MoldSpec) -> Iterator[str]:
     """Lines of G-code that cut out a plate of a `thickness`, m, clockwise: climb milling."""
-    shop = spec.workshop
-    radius, top = shop.outline_diameter / 2, thickness - shop.tab_height
+    radius = spec.workshop.outline_diameter / 2
     low, (x, y) = -radius, (size[0] + radius, size[1] + radius)
-    corners = [(low, low), (low, y), (x, y), (x, low), (low, low)]
+    yield from _cut_through([(low, low), (low, y), (x, y), (x, low), (low, low)], thickness, spec)
+
+
+def across(width: float, height: float, thickness: float, spec: MoldSpec) -> Iterator[str]:
+    """Lines of G-code that cut a hinged lid from its strip, at a height above the lower edge, m."""
+    beyond = spec.workshop.outline_diameter / 2 + OVERRUN
+    yield "(cut between the hinged lid and its strip)"
+    yield from _cut_through([(-beyond, height), (width + beyond, height)], thickness, spec)
+
+
+def _cut_through(corners: Sequence[Point], thickness: float, spec: MoldSpec) -> Iterator[str]:
+    """Lines of G-code that cut through a plate along a chain of lines, with tabs."""
+    shop = spec.workshop
+    top = thickness - shop.tab_height
     for depth in pass_depths(thickness + THROUGH, shop.outline_step):
         yield from _plunge(corners[0], depth, spec)
         for start, end in pairwise(corners):

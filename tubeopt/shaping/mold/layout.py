@@ -175,12 +175,13 @@ def _placed(blanks: Sequence[Blank], shifts: Sequence[Array], spec: MoldSpec) ->
 def _plate(blanks: Sequence[Blank], shifts: Sequence[Array], spec: MoldSpec) -> tuple[Point, Array]:
     """Size of the plate, and its lower left corner in the frame of the shifts, m."""
     low, high = _extent(blanks, shifts)
+    more = np.array([0.0, spec.upper_margin - spec.plate.margin])
     if spec.plate.size is not None:
         size = spec.plate.size
     else:
-        width, height = (math.ceil((x + 2 * spec.plate.margin) / PLATE_STEP - 1e-9) for x in high - low)
+        width, height = (math.ceil((x + 2 * spec.plate.margin) / PLATE_STEP - 1e-9) for x in high - low + more)
         size = (round(width * PLATE_STEP, 9), round(height * PLATE_STEP, 9))
-    return size, (low + high) / 2 - np.array(size) / 2
+    return size, (low + high + more) / 2 - np.array(size) / 2
 
 
 def _extent(blanks: Sequence[Blank], shifts: Sequence[Array]) -> tuple[Array, Array]:
@@ -255,7 +256,7 @@ VENT_BRIDGE = 0.5e-3
 
 @dataclass(frozen=True)
 class Hole:
-    """Round hole through a plate, for a "bolt", "dowel" or "vent"."""
+    """Round hole through a plate, for a "bolt", "dowel", "vent", "wire", "hinge" or "latch"."""
 
     purpose: Annotated[str, "purpose of the hole"]
     centre: Annotated[Point, unit("mm"), "centre of the hole"]
@@ -317,6 +318,86 @@ def place_fasteners(
             "larger plate or smaller holes"
         )
     return tuple(holes)
+
+
+@dataclass(frozen=True)
+class Hinge:
+    """Hinges along the upper edge of a lid, and its latches."""
+
+    pin: float
+    """Height of the pin's axis above the plate's lower edge, m; it is over the upper face of the lid."""
+    on_lid: tuple[Hole, ...]
+    """Screws of the leaves on the lid."""
+    on_strip: tuple[Hole, ...]
+    """Screws of the leaves on the strip, through the lower plate as well."""
+    latches: tuple[Hole, ...]
+    """Bolts of the latches in the lower plate."""
+    openings: tuple[Hole, ...]
+    """Holes of the lid around them."""
+
+    @property
+    def base_holes(self) -> tuple[Hole, ...]:
+        """Holes of the lower plate."""
+        return (*self.on_strip, *self.latches)
+
+    @property
+    def lid_holes(self) -> tuple[Hole, ...]:
+        """Holes of lid and strip."""
+        return (*self.on_lid, *self.on_strip, *self.openings)
+
+
+HINGES = 0.2, 0.8
+"""Middles of the hinges, as fractions of the lid's width."""
+
+LATCHES = 0.12, 0.88
+"""Targets of the latches, likewise."""
+
+
+def place_hinge(size: Point, curves: Sequence[Centreline], widths: Sequence[float], spec: MoldSpec) -> Hinge:
+    """Hinges of a lid, and a latch near either lower corner, clear of grooves and of each other.
+
+    Raises:
+        InputError: a groove is too near to the screws or leaves the plate by its upper edge, or the plate is too small.
+    """
+    hinge, wall, bolt = spec.hinge, spec.groove.wall, spec.plate.bolt_diameter
+    pin = size[1] - spec.behind
+    half = 0.5 * hinge.screw_distance
+    places = [size[0] * part + side for part in HINGES for side in (-half, half)]
+    on_lid, on_strip = (
+        tuple(Hole("hinge", (x, pin + side * hinge.reach), hinge.screw_diameter) for x in places) for side in (-1, 1)
+    )
+    # On the lid countersunk from below, on the strip nothing may be under it.
+    heads = [(np.array([hole.centre for hole in on_lid]), hinge.screw_diameter)]
+    heads.append((np.column_stack([np.linspace(0.0, size[0], 200), np.full(200, pin - spec.gap / 2)]), 0.0))
+    close = any(
+        (curve.distance(points) < width / 2 + radius + wall - SLACK).any()
+        for curve, width in zip(curves, widths, strict=True)
+        for points, radius in heads
+    )
+    if close or places[2] - places[1] < 2 * hinge.screw_diameter + wall:
+        raise InputError(
+            f"the plate of {size[0] * 1e3:g} x {size[1] * 1e3:g} mm has no room for hinges along its upper edge; they "
+            f"need {spec.upper_margin * 1e3:.3g} mm between it and the grooves: use a larger plate, or a bolted lid"
+        )
+    inset = hinge.latch_diameter / 2 + wall
+    rim = _rim(size, inset, FASTENER_STEP)
+    free = rim[:, 1] < 0.5 * size[1]
+    for curve, width in zip(curves, widths, strict=True):
+        free &= curve.distance(rim) >= (width + hinge.latch_diameter) / 2 + wall
+    centres: list[Point] = []
+    for part in LATCHES:
+        for centre in centres:
+            free &= np.linalg.norm(rim - centre, axis=1) >= hinge.latch_diameter + wall
+        distance = np.where(free, np.linalg.norm(rim - np.array([part * size[0], inset]), axis=1), np.inf)
+        nearest = int(distance.argmin())
+        if not np.isfinite(distance[nearest]):
+            raise InputError(
+                f"the plate of {size[0] * 1e3:g} x {size[1] * 1e3:g} mm has no room for two latches of "
+                f"{hinge.latch_diameter * 1e3:g} mm in its lower half: use a larger plate, or a bolted lid"
+            )
+        centres.append((float(rim[nearest, 0]), float(rim[nearest, 1])))
+    latches, openings = (tuple(Hole("latch", c, d) for c in centres) for d in (bolt, hinge.latch_diameter))
+    return Hinge(pin, on_lid, on_strip, latches, openings)
 
 
 def place_vents(curve: Centreline, width: float, vents: VentSpec) -> tuple[Hole, ...]:

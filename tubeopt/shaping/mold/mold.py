@@ -38,7 +38,7 @@ from .checks import (
 )
 from .groove import Centreline, Point, bend_of, clipped_area, polygon
 from .heat import ColdEnd, cold_end, thermal_growth
-from .layout import Blank, Hole, Slot, nest, place_fasteners, place_slot, place_vents
+from .layout import Blank, Hinge, Hole, Slot, nest, place_fasteners, place_hinge, place_slot, place_vents
 from .spec import ENDS, ClampSpec, EndMill, MoldSpec
 from .springback import Springback, bend_direction, tube_from_mold
 
@@ -184,7 +184,7 @@ class MoldStatus(StatusEnum):
 
 @dataclass(frozen=True)
 class MoldStatistics:
-    """Numbers of grooves, holes through both plates, checks and remarks."""
+    """Numbers of grooves, holes of the lower plate, checks and remarks."""
 
     grooves: int
     holes: int
@@ -203,11 +203,13 @@ class Mold(Displayed):
     grooves: tuple[Groove, ...]
     """Grooves, one per tube."""
     holes: tuple[Hole, ...]
-    """Holes for bolts and dowels through both plates."""
+    """Holes for bolts and dowels through both plates; none with a hinge."""
     checks: tuple[Check, ...]
     """Checks, with numbers and limits."""
     remarks: tuple[str, ...]
     """Remarks for making and using the mold."""
+    hinge: Hinge | None = None
+    """Hinges and latches of the lid, in place of bolts and dowels."""
 
     @property
     def value(self) -> tuple[Groove, ...]:
@@ -222,7 +224,7 @@ class Mold(Displayed):
     @property
     def statistics(self) -> MoldStatistics:
         """Numbers of grooves, holes, checks and remarks."""
-        return MoldStatistics(len(self.grooves), len(self.holes), len(self.checks), len(self.remarks))
+        return MoldStatistics(len(self.grooves), len(self.base_holes), len(self.checks), len(self.remarks))
 
     @property
     def vents(self) -> tuple[Hole, ...]:
@@ -235,15 +237,25 @@ class Mold(Displayed):
         return tuple(groove.slot for groove in self.grooves if groove.slot is not None)
 
     @property
+    def base_holes(self) -> tuple[Hole, ...]:
+        """All holes of the lower plate."""
+        return (*self.holes, *(self.hinge.base_holes if self.hinge else ()))
+
+    @property
     def lid_holes(self) -> tuple[Hole, ...]:
-        """All holes of the lid."""
-        return (*self.holes, *self.vents, *(hole for slot in self.slots for hole in slot.exits))
+        """All holes of the lid, with those of its strip."""
+        return (
+            *self.holes,
+            *(self.hinge.lid_holes if self.hinge else ()),
+            *self.vents,
+            *(hole for slot in self.slots for hole in slot.exits),
+        )
 
     @property
     def base_volume(self) -> float:
         """Volume of the lower plate, m^3: plate minus grooves and holes."""
         plate = self.size[0] * self.size[1] * self.spec.plate.thickness
-        holes = sum(math.pi / 4 * hole.diameter**2 for hole in self.holes) * self.spec.plate.thickness
+        holes = sum(math.pi / 4 * hole.diameter**2 for hole in self.base_holes) * self.spec.plate.thickness
         grooves = 0.0
         for groove in self.grooves:
             # Lengthened beyond the plate, so that a corner of the plate cuts it off.
@@ -253,8 +265,12 @@ class Mold(Displayed):
 
     @property
     def lid_volume(self) -> float:
-        """Volume of the top plate, m^3: plate minus holes, vents and slots, vents counted in both."""
+        """Volume of the top plate, m^3: plate minus holes, vents and slots, vents counted in both.
+
+        With a hinge, lid and strip are counted without the cut between them.
+        """
         open_area = sum(math.pi / 4 * hole.diameter**2 for hole in self.lid_holes)
+        open_area += self.size[0] * self.spec.gap if self.hinge else 0.0
         slots = sum(slot.centreline.length * slot.mill.diameter * slot.depth for slot in self.slots)
         return (self.size[0] * self.size[1] - open_area) * self.spec.plate.lid_thickness - slots
 
@@ -305,12 +321,14 @@ def plan_mold(
     if len(blanks) > 1:
         checks.append(wall_check(layout.min_wall, spec))
     widths = [blank.width for blank in blanks]
-    holes = place_fasteners(layout.size, layout.centrelines, widths, spec)
+    of_layout = layout.size, layout.centrelines, widths, spec
+    hinge = place_hinge(*of_layout) if spec.hinged else None
+    holes = () if hinge else place_fasteners(*of_layout)
     grooves = tuple(
         _groove(blank, curve, layout.size, spec) for blank, curve in zip(blanks, layout.centrelines, strict=True)
     )
     remarks = *_remarks(grooves, spec), *machining_remarks(layout.size, widths, spec)
-    return Mold(spec, layout.size, grooves, holes, tuple(checks), remarks)
+    return Mold(spec, layout.size, grooves, holes, tuple(checks), remarks, hinge)
 
 
 def _blank(number: int, tube: Tube, spec: MoldSpec) -> Blank:

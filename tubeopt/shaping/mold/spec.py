@@ -241,6 +241,30 @@ class SlotSpec:
 
 
 @dataclass(frozen=True)
+class HingeSpec:
+    """Lid on two hinges along its upper edge, opened by latches along its lower one, in place of bolts and dowels.
+
+    One leaf of a hinge is on the lid, the other on a strip that is cut off the lid and stays on the lower plate.
+    """
+
+    screw_diameter: Annotated[
+        float, unit("mm"), LENGTH_OR_ZERO, SMALL, "diameter of the holes for the hinges' screws; 0 for a bolted lid"
+    ] = 0.0
+    screw_distance: Annotated[float, unit("mm"), LENGTH, SMALL, "distance of the two screws of a leaf"] = 15e-3
+    reach: Annotated[float, unit("mm"), LENGTH, SMALL, "distance of the screws from the pin"] = 8e-3
+    latch_diameter: Annotated[
+        float,
+        unit("mm"),
+        LENGTH,
+        SMALL,
+        "diameter of the lid's holes around the latches: nut and bolt pass through when the slotted washer is out",
+    ] = 11e-3
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the hinge")
+
+
+@dataclass(frozen=True)
 class MoldSpec(Displayed):
     """Material, fit, plate and tools of a mold; every key has a default.
 
@@ -282,6 +306,9 @@ class MoldSpec(Displayed):
     clamps: Annotated[ClampSpec, "the clamps outside the plate"] = field(default_factory=ClampSpec)
     vents: Annotated[VentSpec, "vents of the top plate over the bend"] = field(default_factory=VentSpec)
     slot: Annotated[SlotSpec, "slot of the lid for a thermocouple"] = field(default_factory=SlotSpec)
+    hinge: Annotated[HingeSpec, "hinged lid, for a quench within seconds; default a bolted lid"] = field(
+        default_factory=HingeSpec
+    )
     heat: Annotated[HeatSpec, "heating conditions of the mold design"] = field(default_factory=HeatSpec)
 
     def __post_init__(self) -> None:
@@ -290,3 +317,30 @@ class MoldSpec(Displayed):
         if isinstance(self.springback, (int, float)):
             object.__setattr__(self, "springback", Springback(self.springback))
         check_fields(self, "the mold")
+        if self.hinged and self.hinge.latch_diameter < 1.6 * self.plate.bolt_diameter:
+            raise InputError(
+                f"latch_diameter of the hinge is {self.hinge.latch_diameter * 1e3:g} mm; the nut of a bolt in a hole "
+                f"of {self.plate.bolt_diameter * 1e3:g} mm needs at least {1.6e3 * self.plate.bolt_diameter:g} mm"
+            )
+
+    @property
+    def hinged(self) -> bool:
+        """True for a lid on hinges."""
+        return self.hinge.screw_diameter > 0
+
+    @property
+    def gap(self) -> float:
+        """Width of the cut between a hinged lid and its strip, m; the pin is over its middle."""
+        return self.workshop.outline_diameter
+
+    @property
+    def behind(self) -> float:
+        """Distance of the pin from the plate's upper edge, m."""
+        return self.hinge.reach + self.hinge.screw_diameter / 2 + self.groove.wall
+
+    @property
+    def upper_margin(self) -> float:
+        """Distance from grooves to the upper edge of an automatically sized plate, m."""
+        # A countersunk head is twice as wide as its screw.
+        ahead = self.hinge.reach + self.hinge.screw_diameter + self.groove.wall
+        return max(self.plate.margin, self.behind + ahead) if self.hinged else self.plate.margin

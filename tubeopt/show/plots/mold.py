@@ -11,7 +11,7 @@ import numpy as np
 
 from ...files.units import TO_MILLI, TO_MM
 from ...robots.tubes import Tube
-from ...shaping.mold.files import draw_plate
+from ...shaping.mold.files import draw_plate, halves
 from ...shaping.mold.groove import Arc
 from ...shaping.mold.mandrel import Cylinder, Mandrel, rotation_table
 from ...shaping.mold.mold import Groove, Mold, clamp_corners
@@ -69,10 +69,14 @@ def draw_mold(axes: Axes, mold: Mold) -> None:
     axes.add_patch(plate)
     for groove in mold.grooves:
         _draw_groove(axes, groove, mold, plate)
-    for hole in mold.holes:
-        face = "white" if hole.purpose == "bolt" else FAINT
+    for hole in mold.base_holes:
+        face = "white" if hole.purpose in ("bolt", "latch") else FAINT
         centre = np.multiply(hole.centre, TO_MM)
         disk(axes, centre, hole.diameter / 2 * TO_MM, fc=face, ec=INK, lw=0.6, zorder=3)
+    if mold.hinge:
+        for (_, upper), (lower, _) in itertools.pairwise(halves(mold)):
+            for edge in (upper, lower):
+                axes.plot([0, drawing.size[0]], [edge * TO_MM] * 2, color=INK, lw=0.6, ls=(0, (3, 2)), zorder=2)
     low, high = extent(mold)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
 

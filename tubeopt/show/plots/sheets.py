@@ -104,7 +104,10 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
     axes.set_axis_off()
     facts = f"{mold_heading(part)}, drawn 1:{scale:g}. Zero: lower left corner, upper face of the base."
     _write(figure, EDGE, A4[1] - EDGE - 6, facts)
-    key = "White: bolts; dark: dowels; ringed: vents of the lid; grey: clamps, with an arrow where one slides."
+    marks = (
+        "White: bolts; dark: dowels" if part.hinge is None else "White: latches; dark: screws of hinges; dashed: cut"
+    )
+    key = f"{marks}; ringed: vents of the lid; grey: clamps, with an arrow where one slides."
     _write(figure, EDGE, EDGE + 3, key)
     top, shown = bottom - 4, part.grooves[:MAX_COLUMNS]
     columns = [EDGE, *(EDGE + 52.0 + 30.0 * k for k in range(len(shown)))]
@@ -152,22 +155,51 @@ def mold_steps(mold: Mold) -> list[str]:
     """Steps, as text, from the stock to the finished tube."""
     spec = mold.spec
     heat, clamps = spec.heat, spec.clamps
-    bolts = sum(hole.purpose == "bolt" for hole in mold.holes)
     degrees = heat.set_temperature - ZERO_CELSIUS
     fixed = "distal" if clamps.sliding_end == "proximal" else "proximal"
     return [
         f"Cut both plates (base and lid, *.nc for {spec.workshop.dialect}). Clamp the stock at least "
-        f"{math.ceil(clamp_distance(mold) * TO_MM)} mm from the plate, with a board below. {bolts} bolts of "
-        f"{spec.plate.bolt_diameter * TO_MM:g} mm, 2 dowels of {spec.plate.dowel_diameter * TO_MM:g} mm (ream them), "
+        f"{math.ceil(clamp_distance(mold) * TO_MM)} mm from the plate, with a board below. {_fasteners(mold)}, "
         f"{len(mold.vents)} vents of {spec.vents.diameter * TO_MM:g} mm in the lid.",
         f"Programs in this order, Z set on the face with each tool: {_program_text(mold)}.",
         *_slot_steps(mold),
-        "Cut the tube and mark the bend. Press it into the groove, marks on the ends of the bend; dowels, lid, bolts.",
+        *_hinge_steps(mold),
+        "Cut the tube and mark the bend. Press it into the groove, marks on the ends of the bend; "
+        + ("lid down, washers in, nuts on." if mold.hinge else "dowels, lid, bolts."),
         f"Clamps at the distances of the table from the plate, {clamps.grip * TO_MM:g} mm of tube in each. The {fixed} "
         f"one is fixed; the {clamps.sliding_end} one must slide outwards by the travel in the table, or the hot tube "
         "buckles.",
-        f"Heat the bend to {degrees:.0f} ± {heat.tolerance:.0f} °C for {heat.hold_time:g} s, then quench in water.",
+        f"Heat the bend to {degrees:.0f} ± {heat.tolerance:.0f} °C for {heat.hold_time:g} s, then quench in water"
+        + (": half a turn of each nut, washers out, lid up, tube out by tongs." if mold.hinge else "."),
         "Trim the ends. Scan the tube: `tubeopt mold measure SCAN.png`, then `tubeopt mold calibrate TRIALS.csv`.",
+    ]
+
+
+def _fasteners(mold: Mold) -> str:
+    """Number and size of bolts and dowels, or of hinges and latches, as text."""
+    plate, hinge = mold.spec.plate, mold.hinge
+    if hinge is None:
+        bolts = sum(hole.purpose == "bolt" for hole in mold.holes)
+        return (
+            f"{bolts} bolts of {plate.bolt_diameter * TO_MM:g} mm, 2 dowels of {plate.dowel_diameter * TO_MM:g} mm "
+            "(ream them)"
+        )
+    return (
+        f"{len(hinge.on_lid) // 2} hinges with screws of {mold.spec.hinge.screw_diameter * TO_MM:g} mm, "
+        f"{len(hinge.latches)} latches of {plate.bolt_diameter * TO_MM:g} mm"
+    )
+
+
+def _hinge_steps(mold: Mold) -> list[str]:
+    """Step, as text, that mounts hinges and latches; empty for a bolted lid."""
+    if mold.hinge is None:
+        return []
+    spec = mold.spec.hinge
+    return [
+        "Hinges: the strip cut off the lid stays on the base. One leaf on it, one on the lid, pin over the cut. Two "
+        f"screws in each leaf, {spec.screw_distance * TO_MM:g} mm apart and {spec.reach * TO_MM:g} mm from the pin, "
+        "countersunk from below, nuts on the leaves. Latches: bolts from below through the base; on the lid a slotted "
+        f"washer of at least {1.6e3 * spec.latch_diameter:.0f} mm and a nut. Nuts pass through the holes of the lid.",
     ]
 
 

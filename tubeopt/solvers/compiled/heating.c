@@ -16,14 +16,16 @@ typedef struct {
 } Lines;
 
 /* A rig as heating.py hands it over, and what a step works with. The first numbers belong to cells of the tube, `conduction`
-   to those before their next one; `outward` are conductances from a row to the next one, from the last to the air;
-   `along` from a cell of a shell to the next one. */
+   to those before their next one; `outside` are conductances from a row to the next one, from the last to the air, and
+   `beside` from a cell of a shell to the next one, where the mold conducts by a factor of 1; `outward` and `along` the same
+   at the last temperatures given to `conduct`. */
 typedef struct {
     int cells, rows, size;
     double gh; /* GAMMA times the step of which the matrices are */
-    const double *p, *heat, *resistance, *to_clamp, *to_air, *radiating, *grip_share, *conduction, *cover_share;
-    const double *outward, *along;
+    const double *p, *heat, *resistance, *to_clamp, *to_air, *radiating, *grip_share, *conduction, *cover_share, *wall;
+    const double *outside, *beside;
     double *x, *capacity, *before, *first, *second, *between, *leaving, *left, *right, *flow, *turned;
+    double *outward, *along, *factor;
     Lines outwards, sideways; /* of a stage, whose matrix is the product of both */
 } Rig;
 
@@ -57,8 +59,30 @@ static void transpose(In from, int rows, int columns, Out to) {
         for (int c = 0; c < columns; c++) to[c * rows + r] = from[r * columns + c];
 }
 
-/* The matrices of the stages of steps over h, physics.heat.frozen_jacobian in its two directions, but for what depends on
-   temperatures. What leaves to clamp and air stands in the second, which is exact where a cell has no shells. */
+/* Conductances of the mold at temperatures x, by the mean of the factors of two neighbours, at most `most` times the last
+   ones. Not of the last row, to the air. */
+static void conduct(Rig *r, In x, double most) {
+    int n = r->cells, last = r->size - n;
+    Out f = r->factor;
+    for (int i = n; i < r->size; i++) {
+        const double *in[] = {x + i, r->p};
+        double *out[] = {f + i};
+        law_factor(in, out, 0, 0, 0);
+    }
+    for (int i = 0; i < n; i++) {
+        const double *in[] = {f + n + i, r->outside + i, r->wall + i};
+        double conductance, *out[] = {&conductance};
+        law_gap(in, out, 0, 0, 0);
+        r->outward[i] = smaller(conductance, most * r->outward[i]);
+    }
+    for (int i = n; i < last; i++)
+        r->outward[i] = smaller(0.5 * r->outside[i] * (f[i] + f[i + n]), most * r->outward[i]);
+    for (int i = n; i + 1 < r->size; i++)
+        r->along[i] = smaller(0.5 * r->beside[i] * (f[i] + f[i + 1]), most * r->along[i]);
+}
+
+/* The matrices of the stages of steps over h, physics.heat.frozen_jacobian in its two directions, at the conductances of the
+   mold, but for what depends on temperatures of the tube. What leaves to clamp and air stands in the second, which is exact where a cell has no shells. */
 static void put_shells(Rig *r, double h) {
     int n = r->cells, rows = r->rows, last = r->size - n;
     Out diagonal = r->outwards.diagonal, beside = r->outwards.beside, own = r->between, coupled = r->first;
@@ -148,10 +172,12 @@ static void exchange_heat(const Rig *r, In x, Out gain) {
     }
 }
 
-/* ROS2 over h, for which the shells stand in the matrices, at a duty. */
+/* ROS2 over h at a duty. */
 static void step(Rig *r, double h, double duty, double lumped[LUMPED]) {
     double slow[LUMPED], later[LUMPED], faster[LUMPED];
     Out x = r->x, first = r->first, second = r->second, between = r->between;
+    conduct(r, x, 1e9);
+    put_shells(r, h);
     heat_cells(r, x, lumped, duty, first, r->capacity, slow);
     exchange_heat(r, x, first);
     factor_stage(r);
@@ -159,6 +185,7 @@ static void step(Rig *r, double h, double duty, double lumped[LUMPED]) {
     for (int i = 0; i < r->size; i++) between[i] = x[i] + h * first[i];
     for (int k = 0; k < LUMPED; k++) later[k] = lumped[k] + h * slow[k];
     heat_cells(r, between, later, duty, second, r->before, faster);
+    conduct(r, between, GROWTH);
     exchange_heat(r, between, second);
     for (int i = 0; i < r->cells; i++) second[i] *= r->capacity[i] / r->before[i];
     for (int i = 0; i < r->size; i++) second[i] -= 2 * r->capacity[i] * first[i];
@@ -179,7 +206,7 @@ static double *lay_out(Rig *r, long long cells, long long rows, double *memory) 
     r->sideways = (Lines){.rows = n, .wide = m};
     double **fields[] = {&r->x, &r->first, &r->second, &r->between, &r->capacity, &r->turned, &r->outwards.diagonal,
                          &r->outwards.beside, &r->outwards.inverse, &r->outwards.ratio, &r->sideways.diagonal,
-                         &r->sideways.beside, &r->sideways.inverse, &r->sideways.ratio};
+                         &r->sideways.beside, &r->sideways.inverse, &r->sideways.ratio, &r->outward, &r->along, &r->factor};
     double **tube[] = {&r->before, &r->leaving, &r->left, &r->right, &r->flow};
     int room = r->size + (n > m ? n : m); /* a row more */
     for (size_t k = 0; k < sizeof fields / sizeof *fields; k++, memory += room) *fields[k] = memory;
@@ -197,12 +224,13 @@ CASADI_SYMBOL_EXPORT long long workspace_size(long long n, long long rows) {
 /* The numbers of a member and its temperatures, (n, rows). */
 static void begin(Rig *r, const double *p, const double *q, const double *cells) {
     const double **tube[] = {&r->heat,      &r->resistance, &r->to_clamp,   &r->to_air,
-                             &r->radiating, &r->grip_share, &r->conduction, &r->cover_share};
+                             &r->radiating, &r->grip_share, &r->conduction, &r->cover_share, &r->wall};
     r->p = p;
-    r->gh = -1; /* of no step */
     for (size_t k = 0; k < sizeof tube / sizeof *tube; k++, q += r->cells) *tube[k] = q;
-    r->outward = q;
-    r->along = q + r->size;
+    r->outside = q;
+    r->beside = q + r->size;
+    memcpy(r->outward, r->outside, r->size * sizeof(double));
+    memcpy(r->along, r->beside, r->size * sizeof(double));
     memcpy(r->capacity, q + 2 * r->size, r->size * sizeof(double));
     transpose(cells, r->cells, r->rows, r->x);
     for (int i = 0; i < r->cells; i++) r->x[r->size + i] = r->between[r->size + i] = p[AMBIENT];
@@ -225,7 +253,6 @@ CASADI_SYMBOL_EXPORT void march(long long n, long long rows, long long members, 
         memcpy(lump, lumped + (place[0] * members + b) * LUMPED, sizeof lump);
         for (long long s = 0; s < windows; s++) {
             double h = span[s] / steps[s];
-            if (GAMMA * h != r.gh) put_shells(&r, h);
             for (long long k = 0; k < steps[s]; k++) step(&r, h, duty[s * members + b], lump);
             transpose(r.x, r.rows, r.cells, cells + (place[s + 1] * members + b) * r.size);
             memcpy(lumped + (place[s + 1] * members + b) * LUMPED, lump, sizeof lump);
@@ -244,6 +271,7 @@ CASADI_SYMBOL_EXPORT void spread(long long n, long long rows, const double *p, c
     for (int full = 0; full < 2; full++) {
         Out rate = out + full * n;
         out[2 * n] = heat_cells(&r, r.x, lumped, full, r.first, r.before, slow);
+        conduct(&r, r.x, 1e9);
         exchange_heat(&r, r.x, r.first);
         for (int i = 0; i < n; i++) rate[i] = r.first[i] / r.before[i];
     }

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...physics.heat import PROPERTIES, Resolution, volume_shapes
-from ...physics.heat_functions import CLAMP, GAMMA, LUMPED, OF_A_CELL, cell_functions
+from ...physics.heat_functions import CLAMP, GAMMA, GROWTH, LUMPED, OF_A_CELL, cell_functions
 from ...typing import Array
 from .library import kernel_path, open_library
 from .text import c_text
@@ -23,7 +23,13 @@ def heating_source() -> str:
     generator = ca.CodeGenerator("heat.c")
     for law in cell_functions():
         generator.add(law)
-    constants = {"AMBIENT": PROPERTIES.index("T_amb"), "CLAMP": CLAMP, "LUMPED": LUMPED, "GAMMA": GAMMA}
+    constants = {
+        "AMBIENT": PROPERTIES.index("T_amb"),
+        "CLAMP": CLAMP,
+        "LUMPED": LUMPED,
+        "GAMMA": GAMMA,
+        "GROWTH": GROWTH,
+    }
     return c_text(constants, generator, "heating.c")
 
 
@@ -44,7 +50,7 @@ def heating_kernel() -> Any:
 def _fields(volumes: Array, resolution: Resolution) -> Array:
     """Coefficients (B, V) in the order of the kernel, (B, F).
 
-    They are eight numbers for each of the n cells of the tube, and three fields (1 + M, n) with rows for the tube and
+    They are nine numbers for each of the n cells of the tube, and three fields (1 + M, n) with rows for the tube and
     each shell: conductances outwards and along, and capacities. Shells of cells without a mold have capacity 1 and
     conduct nothing, so that all rows have the same form.
     """
@@ -53,9 +59,11 @@ def _fields(volumes: Array, resolution: Resolution) -> Array:
     ends = np.cumsum([height * width for height, width in shapes.values()])[:-1]
     columns = zip(shapes.items(), np.split(volumes, ends, axis=1), strict=True)
     parts = {name: part.reshape(len(part), width, height) for (name, (height, width)), part in columns}
-    tube, fields = np.zeros((len(volumes), 8, n)), np.zeros((len(volumes), 3, rows, n))
-    for row, name in zip(tube.swapaxes(0, 1), (*OF_A_CELL, "G_tube", "mold_fraction"), strict=True):
-        row[:, bare if name == "mold_fraction" else 0 :][:, : parts[name].shape[2]] = parts[name][:, 0]
+    tube, fields = np.zeros((len(volumes), 9, n)), np.zeros((len(volumes), 3, rows, n))
+    for row, name in zip(tube.swapaxes(0, 1), (*OF_A_CELL, "G_tube", "mold_fraction", "G_wall"), strict=True):
+        row[:, bare if name in ("mold_fraction", "G_wall") else 0 :][:, : parts[name].shape[2]] = parts[name][:, 0]
+    # Cells without a mold have no gap, either; a wall of 0 would give no number.
+    tube[:, -1, :bare] = 1.0
     outward, along, capacity = fields.swapaxes(0, 1)
     outward[:, :, bare:] = np.concatenate([parts[name] for name in ("G_gap", "G_radial", "G_outer")], axis=1)
     along[:, 1:, bare : n - 1], capacity[:, 1:, :bare], capacity[:, 1:, bare:] = (
