@@ -211,6 +211,9 @@ def by_sampling(
         # Where long motions fail, short ones may succeed.
         planner.setRange(LONG_MOTION / 4)
         planner.solve(base.PlannerTerminationCondition(lambda: clock.over))
+    # With the trees of BIT*, OMPL prints lines on leaks when Python ends.
+    if seconds is not None or problem.hasExactSolution():
+        return _ompl_path(problem, scale, start, goals, count[0])
     data = base.PlannerData(information)
     planner.getPlannerData(data)
     tags = [data.getVertex(k).getTag() for k in range(data.numVertices())]
