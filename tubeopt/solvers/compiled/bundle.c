@@ -19,6 +19,10 @@
 #define SHARED (N + 2 * MOST_SECTIONS)   /* rotations where an element begins, h and lambda of all sections */
 #define WIDTH ((N * CHECK_DEGREE + 3) / 4 * 4 + (SHARED + 3) / 4 * 4)
 
+#define FIRST_LANCZOS 6 /* steps for the margin before eigenvalues near 1 are separated */
+#define NEAR_ONE 1e-8   /* distance from 1 that separates them */
+#define FARTHER 10      /* times the distance found, since a few steps find less than all of it */
+
 enum { SOLVED = 0, DECLINED = 1 };
 
 #include "four.c"
@@ -111,7 +115,7 @@ typedef struct {
     Factors factors;
     Functional by;
     Step step;
-    double basis[LANCZOS + 1][MOST_UNKNOWNS], vector[MOST_UNKNOWNS];
+    double basis[LANCZOS + 1][MOST_UNKNOWNS], vector[MOST_UNKNOWNS], most; /* most: scale of `soften` */
     Answer arm;
 } Workspace;
 
@@ -472,7 +476,7 @@ static int is_minimum(const Layout *l, const double *matrix) {
     return 1;
 }
 
-/* Factors of the second variation with its torsional part 1 + shift times; 0 unless it is positive definite where own
+/* Factors of the second variation plus shift times its torsional part without coupling; 0 unless it is positive definite where own
    lengths are constant. */
 static int factorise(const Layout *l, const State *state, double shift, Factors *f) {
     int m = l->sections, shared = N + 2 * m;
@@ -480,7 +484,11 @@ static int factorise(const Layout *l, const State *state, double shift, Factors 
     for (int e = l->pieces - 1; e >= 0; e--) {
         Piece *p = &f->piece[e];
         put_element(l, state, e, f);
-        for (int r = 0; r < p->rows; r++) p->matrix[r * WIDTH + r] += shift;
+        for (int i = 0; i < N && shift; i++)
+            for (int b = 0; b < l->rule->degree && p->first[i] >= 0; b++) {
+                int r = p->first[i] + b;
+                p->matrix[r * WIDTH + r] += shift * state->h[l->section[e]] / state->length[e * l->rule->degree + b][i];
+            }
         if (e + 1 < l->pieces) add_ahead(l, p, f->root, shared);
         if (!eliminate(p->matrix, p->rows, p->rows + filled_up(shared), WIDTH)) return 0;
         for (int r = 0; r < shared; r++)
@@ -706,31 +714,56 @@ static double holding_force(const Layout *l, const Workspace *w, int j) {
     return out;
 }
 
-/* 1 if held sections would not grow, in the order of their boundaries and in the other one. */
-static int stay_held(const double *alpha, Workspace *w) {
-    const Layout *l = &w->layout;
+/* A held section is free from now on, and long enough to grow. */
+static void set_free(Layout *l, State *state, int j, int (*freed)[MOST_SECTIONS]) {
+    int k = l->rule->degree, a = l->order[j], b = l->order[j - 1];
+    freed[a][b] = freed[b][a] = 1;
+    l->held[j] = 0;
+    state->h[j] = VANISHING;
+    for (int x = 0; x < l->points; x++) {
+        if (l->section[x / k] != j) continue;
+        for (int i = 0; i < N; i++) state->turn[x][i] *= VANISHING / HELD;
+        for (int c = 0; c < 2; c++) state->bend[x][c] *= VANISHING / HELD;
+    }
+}
+
+enum { STAYS, GROWS, UNKNOWN };
+
+/* Whether held sections would grow, in the order of their boundaries or in the other one: the first that does is then free,
+   once in a solve. */
+static int grown(Layout *l, const double *alpha, Workspace *w, int (*freed)[MOST_SECTIONS]) {
     int none = 1, closed;
     for (int j = 0; j < l->sections; j++) none &= !l->held[j];
-    if (none) return 1;
-    for (int j = 1; j < l->sections; j++)
-        if (l->held[j] && holding_force(l, w, j) < 0) return 0;
+    if (none) return STAYS;
     memcpy(&w->finer, &w->state, sizeof w->state);
     for (int j = 1; j < l->sections; j++) {
-        if (!l->held[j]) continue;
+        if (!l->held[j] || freed[l->order[j]][l->order[j - 1]]) continue;
+        if (holding_force(l, w, j) < 0) {
+            set_free(l, &w->state, j, freed);
+            return GROWS;
+        }
+    }
+    for (int j = 1; j < l->sections; j++) {
+        if (!l->held[j] || freed[l->order[j]][l->order[j - 1]]) continue;
         Answer *other = &w->arm;
         memcpy(&w->other, l, sizeof *l);
         w->other.order[j] = l->order[j - 1];
         w->other.order[j - 1] = l->order[j];
         memcpy(&w->state, &w->finer, sizeof w->state);
-        if (!lay_out(&w->other) || minimise(&w->other, alpha, 1, w, other, &closed) || holding_force(&w->other, w, j) < 0) return 0;
+        if (!lay_out(&w->other) || minimise(&w->other, alpha, 1, w, other, &closed)) return UNKNOWN;
+        if (holding_force(&w->other, w, j) < 0) {
+            memcpy(l, &w->other, sizeof *l);
+            set_free(l, &w->state, j, freed);
+            return GROWS;
+        }
     }
     memcpy(&w->state, &w->finer, sizeof w->state);
-    return 1;
+    return STAYS;
 }
 
 /* --- answers ----------------------------------------------------------------------------------------------------------- */
 
-/* x <- D S^-1 D x: S is the second variation of torsion, with bending and lengths eliminated, and 1 / D^2 without coupling. */
+/* x <- most D S^-1 D x: S is the second variation of torsion, with bending and lengths eliminated, and 1 / D^2 without coupling. */
 static void soften(const void *of, double *x) {
     Workspace *w = (Workspace *)of;
     const Layout *l = &w->layout;
@@ -742,28 +775,42 @@ static void soften(const void *of, double *x) {
             if (!(t->behind[i] > 0)) continue;
             double root = sqrt(t->kt[i] / t->behind[i]);
             if (!pass) w->by.twist[i] = x[n++] * root;
-            else x[n++] = -w->step.twist[i] * root;
+            else x[n++] = -w->most * w->step.twist[i] * root;
         }
         for (int y = 0; y < l->points; y++)
             for (int i = 0; i < N; i++) {
                 if (!l->present[l->section[y / k]][i]) continue;
                 double root = sqrt(l->rule->weights[y % k] * t->kt[i] / w->state.length[y][i]);
                 if (!pass) w->by.value[y][N + i] = x[n++] * root;
-                else x[n++] = -w->step.turn[y][i] * root;
+                else x[n++] = -w->most * w->step.turn[y][i] * root;
             }
         if (!pass) solve_step(l, &w->factors, &w->by, &w->step);
     }
 }
 
+/* Least eigenvalue of S relative to 1 / D^2, at most 1. Eigenvalues near 1 are close to one another: where it is one of
+   them, a few steps with S less nearly that much separate it from the others. */
 static double margin_of(Workspace *w) {
     const Layout *l = &w->layout;
     int n = 0;
+    double margin;
     for (int i = 0; i < N; i++) n += l->tubes->behind[i] > 0;
     for (int y = 0; y < l->points; y++)
         for (int i = 0; i < N; i++) n += l->present[l->section[y / l->rule->degree]][i];
     anywhere(w->vector, n);
-    Krylov inverse = {soften, w, 1, n, LANCZOS, MOST_UNKNOWNS, 0, EIGENVALUE_ERROR, EIGENVALUE_ERROR, 1, w->basis[0]};
-    return fmin(1, 1 / largest_of(&inverse, w->vector));
+    Krylov inverse = {soften, w, 1, n, FIRST_LANCZOS, MOST_UNKNOWNS, 0, EIGENVALUE_ERROR, EIGENVALUE_ERROR, 1, w->basis[0]};
+    w->most = 1;
+    margin = 1 / largest_of(&inverse, w->vector);
+    if (inverse.settled) return fmin(1, margin);
+    inverse.steps = LANCZOS;
+    w->most = FARTHER * fmax(1 - margin, NEAR_ONE);
+    while (w->most < 1 && !factorise(l, &w->state, w->most - 1, &w->factors)) w->most *= FARTHER;
+    if (w->most >= 1) {
+        w->most = 1;
+        if (!factorise(l, &w->state, 0, &w->factors)) return 0;
+    }
+    inverse.most = w->most;
+    return fmin(1, 1 - w->most * (1 - 1 / largest_of(&inverse, w->vector)));
 }
 
 /* The arm at the shape points, by poses (R by columns, then p) that `carry` moves on. */
@@ -863,15 +910,19 @@ static int compare_finer(const double *alpha, Workspace *w, Answer *out) {
 CASADI_SYMBOL_EXPORT int solve_bundle(const Tubes *t, const double *alpha, const Start *from, long long halvings,
                                       Workspace *w, Answer *out) {
     Layout *l = &w->layout;
-    int closed, exchanged[MOST_SECTIONS][MOST_SECTIONS] = {{0}};
+    int closed, growth = GROWS, exchanged[MOST_SECTIONS][MOST_SECTIONS] = {{0}}, freed[MOST_SECTIONS][MOST_SECTIONS] = {{0}};
     out->iterations = 0;
     out->contraction = out->largest_change = 0;
     if (!(from ? take_up(t, from, l, &w->state) : begin(t, alpha, (int)halvings, l, &w->state))) return DECLINED;
-    while (minimise(l, alpha, from != NULL, w, out, &closed)) {
-        if (!closed || !exchange(l, &w->state, closed, exchanged)) return DECLINED;
-        out->contraction = 0; /* the first steps then open the section, and say nothing about the branch */
+    while (growth == GROWS) {
+        while (minimise(l, alpha, from != NULL, w, out, &closed)) {
+            if (!closed || !exchange(l, &w->state, closed, exchanged)) return DECLINED;
+            out->contraction = 0; /* the first steps then open the section, and say nothing about the branch */
+        }
+        growth = grown(l, alpha, w, freed);
+        /* Along a branch that is left to the general solver: sections that open may lead to another one. */
+        if (growth == UNKNOWN || (growth == GROWS && from)) return DECLINED;
     }
-    if (!stay_held(alpha, w)) return DECLINED;
     lay_arm(l, &w->state, alpha, out);
     lay_sections(l, &w->state, out);
     if (from) out->largest_change = twisted_since(l, alpha, from, &w->state);

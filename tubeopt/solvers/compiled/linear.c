@@ -255,7 +255,8 @@ ALWAYS_INLINE double largest_of(Krylov *l, double *vector) {
         }
         beside = sqrt(dot(next, next, n));
         int end = m + 1 == n || beside < 1e-13;
-        if (l->symmetric || end || m + 1 == steps || m % 2 == 0) {
+        /* Many steps are many roots: each costs as much as the step. */
+        if (end || m + 1 == steps || (m < 8 ? l->symmetric || m % 2 == 0 : m % 4 == 0)) {
             value = l->symmetric ? largest_of_hessenberg(small, m + 1, 1, y)
                                  : largest_of_hessenberg(small, m + 1, LANCZOS, y);
             if (!(value > -1)) return -1;
