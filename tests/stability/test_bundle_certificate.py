@@ -16,11 +16,13 @@ from tubeopt import (
     ConcentricRobot,
     EccentricRobot,
     InputError,
+    Load,
     Tube,
     assess_snapping,
     certify,
     find_snap,
     load_robot,
+    snap_distance,
     snap_free_certificate,
     worst_margin,
 )
@@ -232,6 +234,9 @@ def test_tubes_of_unequal_length_have_nearly_the_certificate_of_the_thesis() -> 
     worst = worst_margin(robot)
     assert 0 < worst.margin - certificate.margin < 0.04
     assert assess_snapping(robot).finding is Finding.SNAP_FREE
+    assert snap_distance(worst.equilibrium).turn == np.inf
+    with pytest.raises(InputError, match="bundle with a load"):
+        snap_distance(robot.fk(np.zeros(3), load=Load((0.01, 0.0, 0.0))))
     step, (first, *others) = 1e-4, robot.tubes
     longer = replace(robot, tubes=(first.resized("curved_length", first.curved_length + step), *others))
     slope = (snap_free_certificate(longer) - certificate.margin) / step

@@ -65,6 +65,7 @@ from ..equilibrium.member import discretisation_of, sample_rotation
 from ..equilibrium.problem import reduced_problem
 from ..equilibrium.result import Equilibrium, refuse_friction
 from ..errors import InputError, positive
+from ..robots.eccentric import BundleRobot
 from ..solvers.blas import small
 from ..solvers.time_limit import TIME_LIMIT, check_time, limited
 from ..typing import Array, Mask, StatusEnum
@@ -578,6 +579,8 @@ def _distance(equilibrium: Equilibrium, limit: float, precision: float = PRECISI
     load = equilibrium.load
     if load is not None:
         load.require_energy("its snap distance is not known")
+        if isinstance(robot, BundleRobot):
+            raise InputError("equilibrium is of a bundle with a load; its snap distance is known without load only")
     compiled = compiled_turn(equilibrium, most=limit, precision=precision) if load is None else None
     radius, couplings, boxes = math.inf, 0, 0
     form: PairForm | LoadedForm
