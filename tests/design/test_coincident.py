@@ -59,7 +59,7 @@ def test_a_pose_drawn_back_has_the_derivatives_of_all_its_tubes_at_once(name: st
     robot = _robot(name, pieces=pieces)
     n = robot.n_tubes
     free = Free("piece_curvature" if pieces else "curvature", tubes=(0,), lower=1.0, upper=40.0)
-    layout = Layout(design_space(robot.tubes, [free]), (FreePose(0),), (), ())
+    layout = Layout(design_space(robot, [free]), (FreePose(0),), (), ())
     shift = np.array([-0.01, -0.013, -0.011])[:n] - [tube.straight_length for tube in robot.tubes]
     _checked(layout, np.concatenate([layout.space.start, ROTATIONS[:n], shift]), (0, share))
 
@@ -71,7 +71,7 @@ def _lengths(name: str, tie: str) -> Layout:
     lower, upper = (0.5, 1.5) if tie == "scaled" else (0.02, 0.3)
     free = Free("curved_length", tubes=tuple(range(n)), lower=lower, upper=upper, tie=tie)
     pose = FixedPose(ROTATIONS[:n], tuple(0.09 - tube.curved_length for tube in robot.tubes))
-    return Layout(design_space(robot.tubes, [free]), (pose,), (), ())
+    return Layout(design_space(robot, [free]), (pose,), (), ())
 
 
 @pytest.mark.parametrize("side", [1, -1])

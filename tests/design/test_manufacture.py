@@ -63,7 +63,7 @@ def test_shares_and_spreads_are_those_of_the_samples(monkeypatch: pytest.MonkeyP
     """Of 100 certificates from -0.1 to 0.89 ten are below 0 and one is 0; tips are k mm off, and two are lost."""
     taken = 0
 
-    def batch(tubes: Any, translations: Any, poses: Any) -> tuple[Array, Array]:
+    def batch(tubes: Any, robot: Any, translations: Any, poses: Any) -> tuple[Array, Array]:
         nonlocal taken
         if len(tubes) == 1:
             return np.ones(1), np.zeros((1, 2, 3))

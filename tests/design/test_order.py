@@ -12,7 +12,7 @@ import pytest
 from tubeopt import ConcentricRobot, DesignTask, InputError, inverse_kinematics, optimize_design, plan_trajectory
 from tubeopt.design import DesignSolution, Free, Objective, Poses, SnapFree
 from tubeopt.design.requirements import Requirement
-from tubeopt.design.task import TranslationRange, worst_order
+from tubeopt.design.task import TranslationRange, tube_order, worst_order
 
 from .tasks import three_tubes, two_tubes
 
@@ -104,10 +104,11 @@ def test_an_order_that_no_lengths_keep_is_refused() -> None:
 
 
 def test_the_worst_order_is_told() -> None:
-    tubes = two_tubes().tubes
+    robot = two_tubes()
+    order, tubes = tube_order(robot), robot.tubes
     ahead = TranslationRange("here", (0.08, 0.0), (0.08, 0.0))
-    gap, text = worst_order(tubes, [TranslationRange("at translations 0", (0.0, 0.0), (0.0, 0.0)), ahead])
+    gap, text = worst_order(order, tubes, [TranslationRange("at translations 0", (0.0, 0.0), (0.0, 0.0)), ahead])
     assert gap == pytest.approx(-0.01)
     assert text == "the carriage of tube 1 stands 10 mm before that of tube 2 here"
-    gap, text = worst_order(tubes, [TranslationRange("there", (-0.09, -0.065), (-0.09, -0.065))])
+    gap, text = worst_order(order, tubes, [TranslationRange("there", (-0.09, -0.065), (-0.09, -0.065))])
     assert (gap, text) == (pytest.approx(-0.01), "tube 1 ends 10 mm behind the plate there")

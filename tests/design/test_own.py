@@ -39,6 +39,7 @@ from tubeopt.design import (
 )
 from tubeopt.design.evaluation import state_at
 from tubeopt.design.objectives import aim
+from tubeopt.design.parameters import design_space
 from tubeopt.design.program import Program, compile_task
 from tubeopt.design.verify import check_custom, numbers_of
 from tubeopt.equilibrium.kinematics import sure_margin
@@ -379,7 +380,8 @@ def test_strain_held_straight_is_a_quantity_of_own_requirements() -> None:
 def test_the_stiffness_against_a_small_force_is_that_of_the_unloaded_arm() -> None:
     robot, force = two_tubes(), np.array([1e-3, -2e-3, 5e-4])
     e = forward_kinematics(robot, [0.0, 2.0], [-0.01, -0.005])
-    expression = aim(Objective("tip_stiffness", tip_force=tuple(force)), (1, 1), (0,), (), None)
+    straight = [Free("straight_length", (0,), 0.1, 0.2)]
+    expression = aim(Objective("tip_stiffness", tip_force=tuple(force)), design_space(robot, straight), (0,), (), None)
     assert expression is not None
     result = expression(numbers_of(robot, [e]))[0]
     assert result == pytest.approx(force @ force / (force @ e.compliance[:3, :3] @ force), rel=1e-2)

@@ -106,7 +106,7 @@ def chained() -> ConcentricRobot:
 def test_changes_are_those_of_central_differences(robot: ConcentricRobot, free: list[Free]) -> None:
     # Turned so far that the margin is well below 1, next to which the mesh changes it by 1e-7.
     shift, turned = (-0.033, -0.021, -0.0052), (0.3, 2.5, -2.5)
-    space = design_space(robot.tubes, free)
+    space = design_space(robot, free)
     fixed = int(robot is THESIS)
     layout = Layout(space, (FreePose(0), FixedPose(turned, shift))[: 1 + fixed], (shift,), ())
     random, n = np.random.default_rng(3), robot.n_tubes
@@ -160,7 +160,7 @@ def test_deflections_and_margins_under_a_load_change_as_equilibria_say(load: Loa
         Free("outer_diameter", (1,), 1.1e-3, 1.4e-3),
         Free("curved_length", (1,), 0.02, 0.25),
     ]
-    space = design_space(robot.tubes, free)
+    space = design_space(robot, free)
     start = np.array([1.32e-3, 0.064, 11.0, 0.3, 4.0, 0.7])
     beta = np.array([-0.033, -0.021, -0.0052]) - [tube.straight_length for tube in space.tubes(start)]
     x = np.concatenate([start, [0.3, 2.5, -1.0], beta])
@@ -187,7 +187,7 @@ def test_deflections_and_margins_under_a_load_change_as_equilibria_say(load: Loa
 
 def test_points_along_the_arm_move_as_differences_say() -> None:
     robot, shift, turned = chained(), (-0.033, -0.021, -0.0052), (0.3, 2.5, -1.0)
-    space = design_space(robot.tubes, [PATTERN, Free("piece_curvature", (0, 1), -30.0, 30.0)])
+    space = design_space(robot, [PATTERN, Free("piece_curvature", (0, 1), -30.0, 30.0)])
     layout = Layout(space, (FreePose(0),), (), ())
     beta = np.array(shift) - [tube.straight_length for tube in robot.tubes]
     x = np.concatenate([0.9 * space.start, turned, beta])
@@ -203,7 +203,9 @@ def test_points_along_the_arm_move_as_differences_say() -> None:
 def test_the_certificate_of_an_s_in_an_arc_changes_as_differences_say() -> None:
     inner = Tube.of_pieces(1.0e-3, 0.7e-3, [Piece(0.04, -24.0), Piece(0.04, -22.0)], straight_length=0.04)
     outer = Tube.of_pieces(1.6e-3, 1.2e-3, [Piece(0.045, 26.0), Piece(0.02, (-20.0, 0.0, 4.0))], straight_length=0.02)
-    space = design_space((inner, outer), [Free("piece_curvature", (0, 1), -30.0, 30.0), PATTERN_OF_TWO])
+    space = design_space(
+        ConcentricRobot((inner, outer)), [Free("piece_curvature", (0, 1), -30.0, 30.0), PATTERN_OF_TWO]
+    )
     layout = Layout(space, (), ((-0.004, -0.001),), ())
     x = 0.95 * space.start
 
@@ -525,7 +527,7 @@ def test_opposed_tubes_hold_each_other_straight() -> None:
     pieces = [Piece(0.02, 9.0), Piece(0.03, lambda s: (-6.0 - 100 * s, 3.0, 4.0), **slots)]
     kinds = {"bending_stiffness": 2e-3, "torsional_stiffness": 2e-2, "straight_length": 0.04}
     tubes = tuple(Tube.of_pieces(outer, outer - 3e-4, pieces, **kinds) for outer in (0.9e-3, 1.3e-3))
-    space = design_space(tubes, [Free("piece_plane", (0,), -1.0, 1.0)])
+    space = design_space(ConcentricRobot(tuple(tubes)), [Free("piece_plane", (0,), -1.0, 1.0)])
     pose = FixedPose((0.0, np.pi), (0.0, 0.0))
     state = DesignState(Layout(space, (pose,), (), ()), space.start)
     robot = ConcentricRobot(tubes)
@@ -550,7 +552,7 @@ def test_stroke_forces_change_as_those_of_other_robots(turned: float) -> None:
         Free("piece_curvature", (0, 1), -30.0, 30.0),
         Free("piece_bending_factor", (1,), 0.2, 1.0, tie="equal", torsion_share=0.4),
     ]
-    space = design_space((inner, outer), free)
+    space = design_space(ConcentricRobot((inner, outer)), free)
     x = np.array([0.92e-3, 23.0, 13.0, 17.0, 11.0, 0.95])
 
     def force(at: Array) -> float:

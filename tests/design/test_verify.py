@@ -190,7 +190,7 @@ def test_a_tip_is_as_near_to_its_target_as_the_worst_of_all() -> None:
 
 def test_tubes_are_in_order_in_the_poses_too(monkeypatch: pytest.MonkeyPatch) -> None:
     for gap, retained in ((0.0, True), (-1e-3, False)):
-        monkeypatch.setattr(verify, "worst_order", lambda tubes, positions, gap=gap: (gap, "in words"))
+        monkeypatch.setattr(verify, "worst_order", lambda order, tubes, positions, gap=gap: (gap, "in words"))
         checks = verify.verify(program_of(ordered=True), ROBOT, np.zeros(0), (arm(), arm())).checks
         assert [check.satisfied for check in checks] == [retained]
 

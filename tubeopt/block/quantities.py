@@ -29,6 +29,9 @@ TUBES = (
 )
 """Names of dimensions and stiffnesses of the tubes, (n,) each, SI."""
 
+PLACES = ("offset", "angle")
+"""Names of the places of tubes in a bundle robot, (n,) each, SI."""
+
 CLEARANCES = 24
 """Number of parts of the arm, each with its smallest clearance."""
 
@@ -45,6 +48,9 @@ SIZES = {
     "margin_under": 1,
     "stroke_force": 1,
     "certificate": 1,
+    "channel": 1,
+    "sheath_diameter": 1,
+    "sheath_stiffness": 1,
 }
 """Size of each quantity; those that are not listed have one number per tube."""
 
@@ -71,7 +77,7 @@ class Quantity:
         """Number of entries for n tubes."""
         if self.name in ("jacobian", "turning"):
             return 6 * n
-        return n if self.pose is None and self.name in TUBES else SIZES.get(self.name, n)
+        return SIZES.get(self.name, n) if self.pose is not None or self.name not in TUBES else n
 
 
 Look = Callable[[Quantity], Any]
@@ -79,13 +85,13 @@ Look = Callable[[Quantity], Any]
 
 
 class Tubes(Mapping[str, Any]):
-    """TUBES by name, (n,) each, inner to outer."""
+    """TUBES by name, (n,) each, inner to outer; of bundle robots in designs also PLACES."""
 
     def __init__(self, look: Look) -> None:
         self._look = look
 
     def __getitem__(self, name: str) -> Any:
-        if name not in TUBES:
+        if name not in (*TUBES, *PLACES):
             raise InputError(f"tubes have no {name!r}; they have {', '.join(TUBES)}")
         return self._look(Quantity(name))
 
@@ -229,6 +235,21 @@ class Quantities:
             raise InputError("translations of a certificate must be numbers")
         row = vector("translations of a certificate", inputs, self.n_tubes)
         return self._look(Quantity("certificate", at=tuple(row.tolist())))
+
+    @property
+    def channel(self) -> Any:
+        """Diameter of the largest free circle between the tubes of a bundle robot, m. For designs only."""
+        return self._look(Quantity("channel"))
+
+    @property
+    def sheath_diameter(self) -> Any:
+        """Inner diameter of the sheath of a bundle robot, m. For designs only."""
+        return self._look(Quantity("sheath_diameter"))
+
+    @property
+    def sheath_stiffness(self) -> Any:
+        """Bending stiffness of the sheath of a bundle robot, N m^2. For designs only."""
+        return self._look(Quantity("sheath_stiffness"))
 
     def straightened_strain(self, tube: int) -> Any:
         """Largest strain (pieces,) of every piece of a straightened tube, with its slots if known. For designs only.

@@ -13,10 +13,15 @@ import numpy as np
 
 from ..block.custom import CustomRequirement
 from ..block.quantities import Expression, PoseQuantities, Quantities, recorded
+from ..robots.robot import Robot
+from .parameters import DesignSpace
 from .requirements import (
     DEPLOYED_FRACTIONS,
     Avoid,
+    Bore,
+    Channel,
     Coverage,
+    Girth,
     Length,
     Nesting,
     Reach,
@@ -78,28 +83,28 @@ Stated = Iterator[tuple[Limit, Function, Function | None]]
 
 
 def statements(
-    requirement: Requirement, pieces: Sequence[int], poses: Poses, points: Points = ()
+    requirement: Requirement, space: DesignSpace, poses: Poses, points: Points = ()
 ) -> tuple[Statement, ...]:
     """Limits of a requirement as expressions; () if it has none.
 
     Args:
-        pieces: number of pieces of each tube.
+        space: unknowns of the design.
         poses: numbers of the poses to which it applies: its own for Reach and Coverage, also those on joint paths for
             SnapFreeInUse, all task poses for others.
         points: positions for Coverage, translations of the certificate for SnapFree.
     """
-    n, count, always = len(pieces), max(poses, default=-1) + 1, isinstance(requirement, CustomRequirement)
+    pieces, count, always = space.pieces, max(poses, default=-1) + 1, isinstance(requirement, CustomRequirement)
 
     def record(function: Function, limit: Limit) -> Expression:
-        return recorded(function, n, count, limit.description, pieces)
+        return recorded(function, len(pieces), count, limit.description, pieces)
 
     return tuple(
         Statement(k, limit, record(function, limit), None if vector is None else record(vector, limit), always)
-        for k, (limit, function, vector) in enumerate(_stated(requirement, n, poses, points))
+        for k, (limit, function, vector) in enumerate(_stated(requirement, space.robot, poses, points))
     )
 
 
-def _stated(requirement: Requirement, n: int, poses: Poses, points: Points) -> Stated:
+def _stated(requirement: Requirement, robot: Robot, poses: Poses, points: Points) -> Stated:
     """Limits of requirements on tubes alone: each with the distance to it, and the vector if its length is limited."""
     match requirement:
         case CustomRequirement():
@@ -117,9 +122,21 @@ def _stated(requirement: Requirement, n: int, poses: Poses, points: Points) -> S
         case SnapFree(required_margin=lower):
             limit = Limit("certified margin", lower, False, "", 1.0, 0.1)
             yield limit, lambda q: ca.vertcat(*(q.certificate(row) for row in points)) - lower, None
-        case Nesting(clearance=lower) if n > 1:
+        case Nesting(clearance=lower) if robot.nested_pairs:
+            inner, outer = (list(tubes) for tubes in zip(*robot.nested_pairs, strict=True))
             limit = Limit("clearance of the diameters", lower, False, "mm", 1e3, 1e-4)
-            yield limit, lambda q: q.tubes["inner_diameter"][1:] - q.tubes["outer_diameter"][:-1] - lower, None
+            yield limit, lambda q: q.tubes["inner_diameter"][outer] - q.tubes["outer_diameter"][inner] - lower, None
+        case Channel(diameter=lower):
+            limit = Limit("channel between the tubes", lower, False, "mm", 1e3, 1e-4)
+            yield limit, lambda q: q.channel - lower, None
+        case Bore(diameter=lower):
+            around = {outer for _, outer in robot.nested_pairs}
+            innermost = [i for i in range(robot.n_tubes) if i not in around]
+            limit = Limit("bore of the innermost tubes", lower, False, "mm", 1e3, 1e-4)
+            yield limit, lambda q: q.tubes["inner_diameter"][innermost] - lower, None
+        case Girth(limit=upper):
+            limit = Limit("diameter of the sheath", upper, True, "mm", 1e3, 1e-4)
+            yield limit, lambda q: upper - q.sheath_diameter, None
         case Wall(thickness=lower):
             limit = Limit("wall thickness", lower, False, "mm", 1e3, 1e-4)
             yield limit, lambda q: (q.tubes["outer_diameter"] - q.tubes["inner_diameter"]) / 2 - lower, None
@@ -194,6 +211,9 @@ LIMITS = {
     SnapFreeInUse: ("margin", -1),
     Nesting: ("clearance", -1),
     Wall: ("thickness", -1),
+    Channel: ("diameter", -1),
+    Bore: ("diameter", -1),
+    Girth: ("limit", 1),
     Stroke: ("limit", 1),
     StrokeForce: ("limit", -1),
     Coverage: ("tolerance", 1),

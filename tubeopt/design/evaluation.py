@@ -5,20 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 
 from ..block.quantities import Quantity
 from ..errors import InputError, SolveError, without_unit_warnings
-from ..robots.concentric import ConcentricRobot
+from ..robots.eccentric import BundleRobot
 from ..solvers.ipopt import Optimum
 from ..solvers.time_limit import check_time
 from ..typing import Array
 from .constraints import Limit, Statement
 from .objectives import AnyObjective, key_of
 from .program import BOUNDED, PassedDesign, Program, slack_name
-from .state import DesignState, FreePose
-from .task import DesignTask, order_distances, tube_distances
+from .state import DesignState, FreePose, axes_slopes, sheath
+from .task import DesignedRobot, DesignTask, order_distances, tube_distances, tube_order
 
 # Fraction of a step by which limits are kept inside: IPOPT satisfies constraints to 1e-8, and a design that is off by
 # that would fail its verification.
@@ -99,36 +100,78 @@ def linear_rows(state: DesignState, task: DesignTask) -> tuple[Array, Array]:
     are omitted, since the task has checked them.
     """
     layout, unmoved, limits = state.layout, np.zeros((state.layout.n, 1)), task.robot.joint_limits
+    order = tube_order(task.robot)
     straight, curved = (state.slopes[name] for name in ("straight_length", "curved_length"))
     length, longer = np.array([tube.length for tube in state.tubes]), straight + curved
     values: list[Array] = []
     slopes: list[Array] = []
     for k in (k for k, pose in enumerate(layout.poses) if isinstance(pose, FreePose)):
         shift, moved = state.joint_values(k)[1], state.joint_slopes(k)[1]
-        values.append(tube_distances(state.tubes, shift, shift))
-        slopes.append(order_distances(straight, curved, moved, moved))
+        values.append(tube_distances(order, state.tubes, shift, shift))
+        slopes.append(order_distances(order, straight, curved, moved, moved))
+        if len(layout.carriages) < layout.n:
+            # A carriage moves with its first tube; the others stay clamped behind the plate, too.
+            values.append(np.array([tube.straight_length for tube in state.tubes]) - shift)
+            slopes.append(straight - moved)
         if limits is not None:
             low, high = np.array(limits.translations).T
             values += [shift - low, high - shift]
             slopes += [moved, -moved]
-    values.append(length[:-1] - length[1:])
+    inner, outer = list(order.inner), list(order.outer)
+    values.append(length[inner] - length[outer])
     # An inner tube is at least as long as the next outer one, or their carriages could not be in order.
-    slopes.append(longer[:-1] - longer[1:])
+    slopes.append(longer[inner] - longer[outer])
     for translations in task.translation_ranges:
-        values.append(tube_distances(state.tubes, translations.low, translations.high))
-        slopes.append(order_distances(straight, curved, unmoved, unmoved))
+        values.append(tube_distances(order, state.tubes, translations.low, translations.high))
+        slopes.append(order_distances(order, straight, curved, unmoved, unmoved))
     slope = np.concatenate(slopes)
     moves = slope.any(axis=1)
     return np.concatenate(values)[moves] / 1e-2 - ORDER_INSIDE, slope[moves] / 1e-2
 
 
+# Part of the largest product of offset and precurvature, 1/4, that a bundle stays below.
+SLENDER = 0.25 * (1 - 1e-6)
+
+
+def fit_rows(state: DesignState) -> tuple[Array, Array]:
+    """Constraints that a bundle can be built, in steps of 0.1 mm, >= 0 if satisfied, and their derivatives.
+
+    Tubes side by side do not overlap, nested ones fit, the sheath contains all, and none is curved too tightly.
+    """
+    robot, given, slopes = state.robot, state.layout.space.robot, state.slopes
+    if not (isinstance(robot, BundleRobot) and isinstance(given, BundleRobot)):
+        return np.zeros(0), np.zeros((0, state.layout.size))
+    values, changes = [], []
+    radius, wider = np.array([tube.outer_diameter / 2 for tube in robot.tubes]), slopes["outer_diameter"] / 2
+    axes, moved, (width, widened) = robot.axes, axes_slopes(state), sheath(state)
+    together = {frozenset(pair) for stack in given.stacks for pair in combinations(stack, 2)}
+    for i, j in combinations(range(robot.n_tubes), 2):
+        if frozenset((i, j)) not in together:
+            apart = axes[i] - axes[j]
+            far = float(np.linalg.norm(apart))
+            values.append(far - radius[i] - radius[j])
+            changes.append(apart @ (moved[i] - moved[j]) / max(far, 1e-300) - wider[i] - wider[j])
+    for i, o in given.nested_pairs:
+        values.append(robot.tubes[o].inner_diameter - robot.tubes[i].outer_diameter)
+        changes.append(slopes["inner_diameter"][o] - slopes["outer_diameter"][i])
+    for i, tube in enumerate(robot.tubes):
+        values.append(width / 2 - robot.offset[i] - radius[i])
+        changes.append(widened / 2 - slopes["offset"][i] - wider[i])
+        bend = robot.offset[i] * np.sign(tube.curvature) * slopes["curvature"][i]
+        values.append(1e-2 * (SLENDER - robot.offset[i] * abs(tube.curvature)))
+        changes.append(-1e-2 * (abs(tube.curvature) * slopes["offset"][i] + bend))
+    slope = np.array(changes)
+    moves = slope.any(axis=1)
+    return np.array(values)[moves] / 1e-4 - INSIDE, slope[moves] / 1e-4
+
+
 def fixed_rows(program: Program, state: DesignState) -> tuple[Array, Array]:
     """Constraints that are never relaxed, and their derivatives.
 
-    They are the joint limits, the order of the tubes, the depth of the reach, and the bounds by auxiliary unknowns.
+    They are the joint limits, the order and fit of the tubes, the depth of the reach, and the bounds by auxiliary
+    unknowns.
     """
-    values, change = linear_rows(state, program.task)
-    parts, changes = [values], [change]
+    parts, changes = map(list, zip(linear_rows(state, program.task), fit_rows(state), strict=True))
     for objective in program.task.built_in:
         if objective.depth is not None and program.depth_pose is not None:
             tip, slope = state.quantity(Quantity("tip_position", program.depth_pose))
@@ -220,7 +263,7 @@ class Evaluated:
     def violation(self) -> tuple[float, str]:
         """Largest violation, in steps of its limit, and the name of that limit."""
         worst = [(-float(group.values.min(initial=0.0)), group.limit.description) for group in self.groups]
-        worst.append((-float(self.fixed[0].min(initial=0.0)), "limits of the joints and order of the tubes"))
+        worst.append((-float(self.fixed[0].min(initial=0.0)), "limits of the joints, or order or fit of the tubes"))
         return max(worst)
 
     def note(self) -> None:
@@ -275,11 +318,11 @@ def state_at(program: Program, x: Array) -> DesignState:
 
 
 @without_unit_warnings()
-def robot_at(program: Program, x: Array) -> ConcentricRobot:
+def robot_at(program: Program, x: Array) -> DesignedRobot:
     """Robot at x; raises InputError if its tubes do not nest."""
     task = program.task
-    tubes = program.layout.space.tubes(x[: program.layout.designs])
-    return replace(task.robot, tubes=tubes, name=f"{task.robot.name}, {task.name}".strip(", "))
+    dimensions = program.layout.space.fields(x[: program.layout.designs])
+    return replace(task.robot, **dimensions, name=f"{task.robot.name}, {task.name}".strip(", "))
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,7 +349,7 @@ class Attempt:
         return self.violation <= FEASIBLE
 
     @property
-    def robot(self) -> ConcentricRobot:
+    def robot(self) -> DesignedRobot:
         """Robot with the dimensions of x."""
         return robot_at(self.program, self.x)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -12,20 +13,24 @@ import numpy as np
 
 from ..block.custom import CustomRequirement
 from ..block.quantities import recorded
+from ..equilibrium.bundle import Bundled
+from ..equilibrium.kinematics import to_equilibrium
+from ..equilibrium.member import Point
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError
+from ..errors import InputError, SolveError
 from ..robots.concentric import ConcentricRobot
+from ..robots.eccentric import BundleRobot
 from ..solvers.sampling import sobol
 from ..stability import find_equilibria, follow, worst_certificate
 from ..typing import Array
 from .evaluation import robot_at, state_at, violation
 from .parameters import Free
-from .pose import Twist
+from .pose import Guess, Twist
 from .program import Added, Program, compile_task, corners
 from .requirements import Coverage, Reach, Requirement, SnapFree, SnapFreeInUse, Target, of_kind
 from .solve import to_feasibility, with_joints
 from .state import FreePose, Via
-from .task import DesignTask
+from .task import DesignedRobot, DesignTask
 
 Box = tuple[tuple[float, ...], tuple[float, ...]]
 """Smallest and largest translations (n,), m."""
@@ -60,7 +65,7 @@ class CheckedMotion:
     """Fraction of the path before the robot snaps; None without a snap."""
 
 
-def motions(program: Program, robot: ConcentricRobot, x: Array) -> list[CheckedMotion]:
+def motions(program: Program, robot: DesignedRobot, x: Array) -> list[CheckedMotion]:
     """Quasi-static motions through the task poses in order; after a snap the next motion starts anew."""
     state = state_at(program, x)
     poses = program.task_poses
@@ -87,8 +92,10 @@ def worst_in_box(robot: ConcentricRobot, box: Box) -> tuple[float, tuple[float, 
     return worst.margin, tuple(worst.translations.tolist())
 
 
-def certified_at(program: Program, robot: ConcentricRobot) -> tuple[tuple[float, ...], ...]:
+def certified_at(program: Program, robot: DesignedRobot) -> tuple[tuple[float, ...], ...]:
     """Translations of the certificates of a design: those of the program, and the worst ones of each box."""
+    if not isinstance(robot, ConcentricRobot):
+        return ()
     boxes = [each.box for each in of_kind(program.task.requirements, SnapFree) if each.box is not None]
     return tuple(dict.fromkeys([*program.layout.certified, *(worst_in_box(robot, box)[1] for box in boxes)]))
 
@@ -109,7 +116,7 @@ def worst_cases(program: Program, x: Array) -> WorstCases:
     # If the margin is the objective, the value that the design claims must hold in the omitted cases too.
     claimed = float(x[program.layout.column("margin")]) if "margin" in program.layout.auxiliary else -np.inf
     for certificate in of_kind(program.task.requirements, SnapFree):
-        if certificate.box is not None:
+        if certificate.box is not None and isinstance(robot, ConcentricRobot):
             margin, row = worst_in_box(robot, certificate.box)
             if margin < max(certificate.required_margin, claimed) - certificate.tolerance:
                 added = replace(added, translations=(*added.translations, row))
@@ -133,7 +140,7 @@ def worst_cases(program: Program, x: Array) -> WorstCases:
     return WorstCases(added, ", ".join(descriptions))
 
 
-def _weak_points(program: Program, robot: ConcentricRobot, x: Array, min_margin: float) -> list[Via]:
+def _weak_points(program: Program, robot: DesignedRobot, x: Array, min_margin: float) -> list[Via]:
     """Worst point of each joint path with a margin below `min_margin`.
 
     The pose that this point becomes starts from the equilibrium found there.
@@ -141,14 +148,17 @@ def _weak_points(program: Program, robot: ConcentricRobot, x: Array, min_margin:
     vias: list[Via] = []
     for motion in motions(program, robot, x):
         if motion.snap is not None:
-            fraction, equilibrium = _inside_fold(robot, motion, motion.snap)
+            if isinstance(robot, BundleRobot):
+                fraction, equilibrium = _untwisted_saddle(robot, motion, motion.snap)
+            else:
+                fraction, equilibrium = _inside_fold(robot, motion, motion.snap)
         elif motion.margin.min() < min_margin:
             k = int(np.argmin(motion.margin))
             fraction, equilibrium = float(motion.fraction[k]), motion.equilibria[k]
         else:
             continue
         # The number of the pose that this point becomes: exchange appends it to all poses.
-        program.guesses[len(program.layout.poses) + len(vias)] = twist_of(equilibrium)
+        program.guesses[len(program.layout.poses) + len(vias)] = guess_of(equilibrium)
         vias.append(Via(motion.first, motion.second, fraction))
     return vias
 
@@ -168,8 +178,33 @@ def _inside_fold(robot: ConcentricRobot, motion: CheckedMotion, snap: float) -> 
     return t, min(find_equilibria(robot, *joints), key=lambda e: e.margin)
 
 
-def twist_of(equilibrium: Equilibrium) -> Twist:
-    """Twist of an equilibrium, as the initial guess of a pose close to it."""
+def _untwisted_saddle(robot: BundleRobot, motion: CheckedMotion, snap: float) -> tuple[float, Equilibrium]:
+    """Fraction of a snapping motion of a bundle, and the equilibrium of smallest margin found along it.
+
+    Between two folds lies a saddle, in which tubes are wound up less than in the states on either side: Newton's
+    method from tubes without torsion ends there.
+    """
+    k = int(snap * PATH_POINTS)
+    found = [(float(motion.fraction[k]), motion.equilibria[k])]
+    start, end = motion.equilibria[0], motion.equilibria[-1]
+    for t in motion.fraction.tolist():
+        joints = (
+            a + t * (b - a) for a, b in ((start.rotations, end.rotations), (start.translations, end.translations))
+        )
+        rotations, translations = joints
+        with suppress(SolveError):
+            member = Bundled.cold(robot, rotations, tuple(translations.tolist()))
+            point = Point.solved_near(
+                member, member.untwisted(), "there is no equilibrium close to tubes without torsion"
+            )
+            found.append((t, to_equilibrium(point, "tubes without torsion")))
+    return min(found, key=lambda pair: pair[1].margin)
+
+
+def guess_of(equilibrium: Equilibrium) -> Guess:
+    """Guess of a pose close to an equilibrium."""
+    if not equilibrium.robot.fixed_sections:
+        return equilibrium
     length = max(float(equilibrium.tube_end.max()), 1e-300)
     return Twist(equilibrium.point / length, equilibrium.point_rotation - equilibrium.rotations)
 

@@ -18,7 +18,9 @@ from ..files.field_metadata import POSITIVE, OneOf, check_fields, unit
 from ..physics.torsion import cross_section
 from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.load import ZERO, Load
+from ..robots.robot import Robot
 from ..typing import Delegate
+from .parameters import DesignSpace
 from .requirements import ROUNDED, Rows, deviations
 
 
@@ -83,6 +85,7 @@ class Objective(Displayed):
 
     kind:
         "tip_curvature": curvature of the arm at its tip at `translations`, all tubes bending to one side; maximised.
+            Of a bundle, halfway along the arm in the first task pose.
         "turning_radius": its inverse; minimised.
         "reach_radius": largest distance of the tip from the plate axis at height `depth`, m.
         "strain": largest strain of any tube, if straightened.
@@ -170,14 +173,14 @@ def shown(objective: AnyObjective, value: float) -> str:
 
 
 def aim(
-    objective: AnyObjective, pieces: Sequence[int], poses: Sequence[int], certified: Rows, depth_pose: int | None
+    objective: AnyObjective, space: DesignSpace, poses: Sequence[int], certified: Rows, depth_pose: int | None
 ) -> Expression | None:
     """CasADi expression of an objective in its own sign, SI; None for the change of the unknowns.
 
     The largest of its numbers counts if it is minimised, the smallest if it is maximised.
 
     Args:
-        pieces: number of pieces of each tube.
+        space: unknowns of the design.
         poses: numbers of the poses that count.
         certified: translations of the certificate, m.
         depth_pose: number of the pose of reach_radius.
@@ -187,8 +190,9 @@ def aim(
     numbers = (
         objective.expression
         if isinstance(objective, CustomObjective)
-        else partial(_numbers, objective, poses, certified, depth_pose)
+        else partial(_numbers, objective, space.robot, poses, certified, depth_pose)
     )
+    pieces = space.pieces
     last = max([*poses, depth_pose or 0] if isinstance(objective, Objective) else poses, default=-1)
     expression = recorded(numbers, len(pieces), last + 1, objective.description, pieces)
     count = expression.value.numel_out()
@@ -197,7 +201,14 @@ def aim(
     return expression
 
 
-def _numbers(objective: Objective, poses: Sequence[int], certified: Rows, depth_pose: int | None, q: Quantities) -> Any:
+def _numbers(
+    objective: Objective,
+    robot: Robot,
+    poses: Sequence[int],
+    certified: Rows,
+    depth_pose: int | None,
+    q: Quantities,
+) -> Any:
     at = [q.poses[k] for k in poses]
     match objective.kind:
         case "strain":
@@ -229,9 +240,9 @@ def _numbers(objective: Objective, poses: Sequence[int], certified: Rows, depth_
             assert depth_pose is not None
             return ca.norm_2(q.poses[depth_pose].tip_position[:2])
         case "tip_curvature":
-            return _tip_curvature(objective, q)
+            return _tip_curvature(objective, robot, q)
         case _:
-            return 1 / _tip_curvature(objective, q)
+            return 1 / _tip_curvature(objective, robot, q)
 
 
 def _scaled(jacobian: Any) -> Any:
@@ -274,8 +285,10 @@ def _swept(tips: Sequence[Any]) -> Any:
     return np.pi / 3 * ca.sqrt(total**2 + 1e-12**2)
 
 
-def _tip_curvature(objective: Objective, q: Quantities) -> Any:
-    """Curvature of the section at the tip, 1/m, with all tubes bending to one side."""
+def _tip_curvature(objective: Objective, robot: Robot, q: Quantities) -> Any:
+    """Curvature of the section at the tip, 1/m, with all tubes bending to one side; of a bundle as in `Objective`."""
+    if not robot.fixed_sections:
+        return ca.norm_2(q.poses[0].curvature(0.5))
     shift = ca.DM.zeros(q.n_tubes) if objective.translations is None else ca.DM(objective.translations)
     kb, end = q.tubes["bending_stiffness"], shift + q.tubes["curved_length"]
     stiffness = kb * (end >= ca.mmax(end) - LENGTH_ROUND_OFF)

@@ -16,7 +16,7 @@ from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite, instance, whole
 from ..files.field_metadata import Range, key
-from ..robots.concentric import ConcentricRobot
+from ..robots.eccentric import BundleRobot
 from ..solvers.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, OutOfTimeError, check_time, limited, time_left, within
 from ..stability import snap_free_certificate
@@ -30,7 +30,7 @@ from .program import Added, Program, compile_task, recompiled
 from .requirements import Avoid, SnapFree, SnapFreeInUse, of_kind
 from .sensitivities import Dimension, Sensitivity, remarks, sensitivities
 from .solve import Ranking, multistart, rank, solve_from
-from .task import DesignTask
+from .task import DesignedRobot, DesignTask
 from .verify import Check, Verification, solve_again, verify
 
 
@@ -59,9 +59,9 @@ class DesignSolution(Displayed):
 
     task: DesignTask
     """Task that the design solves."""
-    robot: ConcentricRobot
+    robot: DesignedRobot
     """Robot with the designed tubes."""
-    certificate: Annotated[float, "lower bound on the margin at all rotations"]
+    certificate: Annotated[float | None, "lower bound on the margin at all rotations; null for eccentric robots"]
     """Smallest certificate over the translations and the box of the certificate requirements; at home without any."""
     equilibria: Annotated[tuple[Equilibrium, ...], key("poses"), "the task poses"]
     """Equilibria, solved again by forward kinematics, in the order of the requirements."""
@@ -84,7 +84,7 @@ class DesignSolution(Displayed):
     """True if the time limit ended the search: a better design may be near."""
 
     @property
-    def value(self) -> ConcentricRobot:
+    def value(self) -> DesignedRobot:
         """Robot with the designed tubes."""
         return self.robot
 
@@ -341,11 +341,12 @@ def solution_of(task: DesignTask, ranking: Ranking, turns: int, start_time: floa
     verification = verify(program, robot, x, equilibria, turns=turns)
     values = {key_of(objective): best.value(objective) for objective in task.objectives}
     certified = certified_at(program, robot) or (tuple(robot.home_translations.tolist()),)
+    bundled = isinstance(robot, BundleRobot)
     single = len(task.objectives) == 1 and task.objectives[0].weight == 1.0
     solution = DesignSolution(
         task=task,
         robot=robot,
-        certificate=min(snap_free_certificate(robot, row) for row in certified),
+        certificate=None if bundled else min(snap_free_certificate(robot, row) for row in certified),
         equilibria=equilibria,
         objective=next(iter(values.values())) if single else best.objective,
         objectives=values,
@@ -375,9 +376,16 @@ def dimensions(program: Program, x: Array) -> tuple[Dimension, ...]:
         if unknown.pieces:
             rows.append(Dimension(name, unit, float(space.start[k]) * factor, float(x[k]) * factor, bound))
             continue
-        for i in unknown.tubes:
-            before, after = (getattr(each[i], unknown.field) * factor for each in (space.robot_tubes, tubes))
-            rows.append(Dimension(f"{NAMES[unknown.field]} of tube {i + 1}", unit, before, after, bound))
+        for i in unknown.entries:
+            if unknown.field in space.arranged:
+                before, after = (
+                    space.arranged[unknown.field][i],
+                    space.arrangement(x[: len(space.start)])[unknown.field][i],
+                )
+            else:
+                before, after = (getattr(each[i], unknown.field) for each in (space.robot_tubes, tubes))
+            name = f"{NAMES[unknown.field]} of tube {i + 1}" if unknown.tubes else name
+            rows.append(Dimension(name, unit, before * factor, after * factor, bound))
     return tuple(rows)
 
 
@@ -387,7 +395,7 @@ class FrontPoint:
 
     margin: float
     objective: float
-    robot: ConcentricRobot
+    robot: DesignedRobot
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,9 @@ from ..block.transcription.chain import bend_of
 from ..display import Displayed
 from ..equilibrium.directions import Change, Directions
 from ..errors import InputError, choice, finite, items, whole
+from ..robots.eccentric import BundleRobot
 from ..robots.pieces import Piece, Quantity, Series, Slots, times, turned, values
+from ..robots.robot import Robot
 from ..robots.tubes import STIFFNESSES, OfCrossSection, Tube, second_moment
 from ..typing import Array
 
@@ -51,6 +53,11 @@ class Unknown:
     """Degree of the coefficient of a shape."""
     torsion_share: float | None = None
     """Relative loss of torsional stiffness per relative loss of bending stiffness by slots; None without loss."""
+
+    @property
+    def entries(self) -> tuple[int, ...]:
+        """Entries of the dimension that it determines: tubes, or the one number of the sheath."""
+        return self.tubes or (0,)
 
 
 UnknownValues = Mapping[tuple[str, int], tuple[float, float | None]]
@@ -101,8 +108,16 @@ def with_slots(tubes: Sequence[Tube], slotted: Sequence[PieceIndex], slots: Slot
     )
 
 
-def start_of(tubes: Sequence[Tube], unknown: Unknown) -> float:
+def start_of(robot: Robot, tubes: Sequence[Tube], unknown: Unknown) -> float:
     """Initial value of an unknown, averaged over its pieces or tubes."""
+    if unknown.field in SHEATH and isinstance(robot, BundleRobot):
+        return (
+            robot.sheath_stiffness
+            if unknown.field == SHEATH[0]
+            else robot.sheath_diameter or robot.least_sheath_diameter
+        )
+    if unknown.field in PLACES and not unknown.scaled:
+        return float(np.mean([getattr(robot, unknown.field)[i] for i in unknown.tubes]))
     if unknown.pieces:
         return float(np.mean([_start(tubes[i], j, unknown.field, unknown.order) for i, j in unknown.pieces]))
     return 1.0 if unknown.scaled else float(np.mean([getattr(tubes[i], unknown.field) for i in unknown.tubes]))
@@ -302,8 +317,12 @@ def _compliance_change(directions: Directions, tube: int, ends: tuple[float, flo
 
 TUBE_FIELDS = ("curvature", "straight_length", "curved_length", "outer_diameter", "inner_diameter")
 
-# Dimensions of a tube, or of its pieces, that may be free.
-FIELDS = (*TUBE_FIELDS, *PIECE_FIELDS)
+# Dimensions of the arrangement of a bundle robot: places of the tubes, (n,) each, and numbers of the sheath.
+PLACES = ("offset", "angle")
+SHEATH = ("sheath_stiffness", "sheath_diameter")
+
+# Dimensions of a tube, of its pieces, or of an arrangement that may be free.
+FIELDS = (*TUBE_FIELDS, *PIECE_FIELDS, *PLACES, *SHEATH)
 
 DIAMETERS = ("outer_diameter", "inner_diameter")
 
@@ -312,6 +331,10 @@ TIES = ("each", "equal", "scaled")
 NAMES = {
     **{field: field.replace("_", " ") for field in TUBE_FIELDS},
     **{field: words for field, (words, _, _) in PIECE_FIELDS.items()},
+    "offset": "offset",
+    "angle": "angle of the offset",
+    "sheath_stiffness": "bending stiffness of the sheath",
+    "sheath_diameter": "inner diameter of the sheath",
 }
 
 # How a dimension is shown: its unit, and what turns SI into it.
@@ -319,6 +342,10 @@ UNITS = {
     "curvature": ("1/m", 1.0),
     **dict.fromkeys(TUBE_FIELDS[1:], ("mm", 1000.0)),
     **{field: (unit, factor) for field, (_, unit, factor) in PIECE_FIELDS.items()},
+    "offset": ("mm", 1000.0),
+    "angle": ("deg", 180 / np.pi),
+    "sheath_stiffness": ("N mm^2", 1e6),
+    "sheath_diameter": ("mm", 1000.0),
 }
 
 # Dimensions of whole tubes that may be free where tubes are made of pieces.
@@ -351,7 +378,7 @@ class Free(Displayed):
     field: str
     """Name of the dimension, one of `FIELDS`."""
     tubes: tuple[int, ...]
-    """Tubes, from 0, inner to outer."""
+    """Tubes, from 0, inner to outer; () for a dimension of the sheath."""
     lower: float
     """SI; for "scaled", a factor."""
     upper: float
@@ -374,7 +401,10 @@ class Free(Displayed):
         what = f"tubes of the free {NAMES[self.field]}"
         numbers = items(what, self.tubes, object, "tubes, counted from 0")
         object.__setattr__(self, "tubes", tuple(whole(f"one of the {what}", i) for i in numbers))
-        if not self.tubes:
+        of_sheath = self.field in SHEATH
+        if of_sheath and (self.tubes or self.tie == "scaled"):
+            raise InputError(f"{what} are given; a sheath has no tubes, and its range is no factor")
+        if not self.tubes and not of_sheath:
             raise InputError(f"{what} is empty; there must be at least one")
         twice = [i for k, i in enumerate(self.tubes) if i in self.tubes[:k]]
         if twice:
@@ -382,7 +412,7 @@ class Free(Displayed):
         low, high = (finite(f"{name} bound of {NAMES[self.field]}", getattr(self, name)) for name in ("lower", "upper"))
         if low > high:
             raise InputError(f"bounds of {NAMES[self.field]} are {low:g} and {high:g}; the lower must not be greater")
-        signed = ("curvature", "piece_curvature", "piece_shape", "piece_plane", "piece_twist")
+        signed = ("curvature", "angle", "piece_curvature", "piece_shape", "piece_plane", "piece_twist")
         if low < 0 and (self.field not in signed or self.tie == "scaled"):
             raise InputError(f"lower bound of {NAMES[self.field]} is {low:g}; it must be at least 0")
         self._check_pieces()
@@ -421,7 +451,10 @@ class Free(Displayed):
 class DesignSpace:
     """The D unknowns of a design, one per free value: (D,) in SI, factors where scaled."""
 
+    robot: Robot
+    """Robot with the starting dimensions."""
     robot_tubes: tuple[Tube, ...]
+    """Tubes of the robot, of pieces if the design has such unknowns."""
     unknowns: tuple[Unknown, ...]
     start: Array
     lower: Array
@@ -436,6 +469,39 @@ class DesignSpace:
         """Description of each unknown."""
         return tuple(_piece_text(unknown) if unknown.pieces else _tube_text(unknown) for unknown in self.unknowns)
 
+    @property
+    def pieces(self) -> list[int]:
+        """Number of pieces of each tube; a tube of one curvature is one piece."""
+        return [len(tube.pieces) or 1 for tube in self.robot_tubes]
+
+    @cached_property
+    def arranged(self) -> dict[str, tuple[float, ...]]:
+        """Starting values of PLACES (n,) and of the SHEATH (1,) of a bundle.
+
+        A sheath that touches the tubes has no diameter of its own.
+        """
+        robot = self.robot
+        if not isinstance(robot, BundleRobot):
+            return {}
+        out = {"offset": robot.offset, "angle": robot.angle, "sheath_stiffness": (robot.sheath_stiffness,)}
+        if robot.sheath_diameter is not None or any(unknown.field == SHEATH[1] for unknown in self.unknowns):
+            out["sheath_diameter"] = (robot.sheath_diameter or robot.least_sheath_diameter,)
+        return out
+
+    def arrangement(self, x: Array) -> dict[str, tuple[float, ...]]:
+        """PLACES (n,) and numbers of the SHEATH (1,) of a bundle at x (D,), as `arranged`."""
+        out = {name: list(values) for name, values in self.arranged.items()}
+        for unknown, value in zip(self.unknowns, x.tolist(), strict=True):
+            for i in unknown.entries if unknown.field in out else ():
+                out[unknown.field][i] = value * (self.arranged[unknown.field][i] if unknown.scaled else 1.0)
+        return {name: tuple(values) for name, values in out.items()}
+
+    def fields(self, x: Array) -> dict[str, Any]:
+        """Fields of the robot at x (D,) that depend on unknowns; raises InputError for tubes without a wall."""
+        arrangement = self.arrangement(x)
+        sheath = {name: arrangement.pop(name)[0] for name in SHEATH if name in arrangement}
+        return {"tubes": self.tubes(x), **arrangement, **sheath}
+
     def tubes(self, x: Array) -> tuple[Tube, ...]:
         """Tubes at x (D,); raises InputError if they have no wall."""
         values: list[dict[str, float]] = [{} for _ in self.robot_tubes]
@@ -448,13 +514,14 @@ class DesignSpace:
         return changed_tubes(changed, piece_values(self.unknowns, x.tolist())) if self.pieced else changed
 
     def expressions(self, x: Any) -> dict[str, Any]:
-        """Expressions (n,) of all GRADED dimensions in x (D,)."""
+        """Expressions (n,) of all GRADED dimensions and of the arrangement in x (D,)."""
         out: dict[str, Any] = {}
-        for name in GRADED:
-            column = ca.MX([getattr(tube, name) for tube in self.robot_tubes])
+        start = {name: tuple(getattr(tube, name) for tube in self.robot_tubes) for name in GRADED} | self.arranged
+        for name, row in start.items():
+            column = ca.MX(list(row))
             for k, unknown in enumerate(self.unknowns):
-                for i in unknown.tubes if unknown.field == name else ():
-                    column[i] = x[k] * (getattr(self.robot_tubes[i], name) if unknown.scaled else 1.0)
+                for i in unknown.entries if unknown.field == name else ():
+                    column[i] = x[k] * (row[i] if unknown.scaled else 1.0)
             out[name] = column
         if any(unknown.field in DIAMETERS for unknown in self.unknowns):
             second = second_moment(out["outer_diameter"], out["inner_diameter"])
@@ -490,8 +557,9 @@ class DesignSpace:
         return ca.Function("slopes", [x], slopes)
 
     def slopes(self, x: Array) -> dict[str, Array]:
-        """Derivatives (n, D) of all GRADED dimensions by x (D,)."""
-        return {name: slope.full() for name, slope in zip(GRADED, self._graded(x), strict=True)}
+        """Derivatives (n, D) of all GRADED dimensions and of the arrangement by x (D,)."""
+        names = (*GRADED, *self.arranged)
+        return {name: slope.full() for name, slope in zip(names, self._graded(x), strict=True)}
 
 
 def _changed(tube: Tube, changes: dict[str, float]) -> Tube:
@@ -514,14 +582,21 @@ def _entries(free: Sequence[Free]) -> list[tuple[Free, Unknown]]:
             if (dimension.field, i) in taken:
                 raise InputError(f"{NAMES[dimension.field]} of tube {i + 1} is free twice; it must be named once")
             taken.add((dimension.field, i))
-        groups = [(i,) for i in dimension.tubes] if dimension.tie == "each" else [dimension.tubes]
+        each = dimension.tie == "each" and dimension.tubes
+        groups = [(i,) for i in dimension.tubes] if each else [dimension.tubes]
         entries += [(dimension, Unknown(dimension.field, group, dimension.tie == "scaled")) for group in groups]
     return entries
 
 
-def design_space(tubes: Sequence[Tube], free: Sequence[Free]) -> DesignSpace:
-    """Unknowns of a design that starts from `tubes`; the start is clipped to the bounds."""
+def design_space(robot: Robot, free: Sequence[Free]) -> DesignSpace:
+    """Unknowns of a design that starts from a robot; the start is clipped to the bounds."""
+    tubes: Sequence[Tube] = robot.tubes
     for dimension in free:
+        of_bundles, is_bundle = dimension.field in (*PLACES, *SHEATH), isinstance(robot, BundleRobot)
+        if of_bundles and not is_bundle:
+            raise InputError(f"free {NAMES[dimension.field]} is a dimension of eccentric robots; the tubes are nested")
+        if is_bundle and dimension.field in PIECE_FIELDS:
+            raise InputError(f"free {NAMES[dimension.field]} is a dimension of nested tubes; the robot is eccentric")
         for i in dimension.tubes:
             if not 0 <= i < len(tubes):
                 raise InputError(
@@ -536,14 +611,16 @@ def design_space(tubes: Sequence[Tube], free: Sequence[Free]) -> DesignSpace:
         raise InputError("free is empty; a design needs at least one free dimension")
     lower, upper = (np.array([getattr(dimension, side) for dimension, _ in entries]) for side in ("lower", "upper"))
     unknowns = tuple(unknown for _, unknown in entries)
-    start = np.clip([start_of(tubes, unknown) for unknown in unknowns], lower, upper)
+    start = np.clip([start_of(robot, tubes, unknown) for unknown in unknowns], lower, upper)
     span = np.where(upper > lower, upper - lower, 1.0)
     # The size of the start, from a tenth of the range to all of it: near 0 it would make steps of no size.
     scale = np.where(np.abs(start) > 0, np.minimum(span, np.maximum(np.abs(start), 0.1 * span)), span)
-    return DesignSpace(tuple(tubes), unknowns, start, lower, upper, scale, pieced)
+    return DesignSpace(robot, tuple(tubes), unknowns, start, lower, upper, scale, pieced)
 
 
 def _tube_text(unknown: Unknown) -> str:
+    if not unknown.tubes:
+        return NAMES[unknown.field]
     tubes = ", ".join(str(i + 1) for i in unknown.tubes)
     factor = "factor of " if unknown.scaled else ""
     return f"{factor}{NAMES[unknown.field]} of tube{'s' * (len(unknown.tubes) > 1)} {tubes}"

@@ -8,7 +8,8 @@ tube, are smooth in all lengths.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -18,18 +19,23 @@ from ..block.quantities import CLEARANCES
 from ..block.transcription.arm import ArmShape, evaluate_arm
 from ..block.transcription.arm_response import LinearisedArm
 from ..equilibrium.directions import Change, Directions
-from ..equilibrium.kinematics import to_equilibrium, under_load
+from ..equilibrium.jacobian import derivatives_of
+from ..equilibrium.kinematics import forward_kinematics, to_equilibrium, under_load
 from ..equilibrium.linearised import Linearised, linearise, position_changes, positions_at
+from ..equilibrium.linearised_bundle import LinearisedBundle, linearise_bundle
 from ..equilibrium.member import PlainPoint, Point, Unloaded
 from ..equilibrium.problem import reduced_assembly
-from ..equilibrium.result import Equilibrium
+from ..equilibrium.result import Derivatives, Equilibrium
 from ..errors import SolveError
 from ..robots.assembly import assemble
 from ..robots.concentric import ConcentricRobot
+from ..robots.eccentric import BundleRobot
 from ..robots.load import Load
+from ..robots.robot import Robot
 from ..robots.tubes import Tube
 from ..stability.certificate import worst_case, worst_of_pair
 from ..typing import Array
+from .parameters import DesignSpace
 
 # Points at which the clearance is evaluated within each of the CLEARANCES parts of the arm; the smallest of a part
 # becomes a row.
@@ -48,16 +54,15 @@ RAMP = 3e-3
 FRACTIONS = (np.arange(CLEARANCES * WITHIN) + 1) / (CLEARANCES * WITHIN)
 
 
-def arm_clearance(pose: Pose, body: Any, chain: Array, thicker: Array, ended: Array) -> tuple[Array, Array]:
+def arm_clearance(pose: AnyPose, body: Any, chain: Array, radius: Array, rounder: Array) -> tuple[Array, Array]:
     """Smallest distance (CLEARANCES,) of the arm's surface from a body in each part of the arm, minus HELD_OFF, m.
 
     The second value is its derivative (CLEARANCES, X).
 
-    `chain` (Q, X) takes the directions of the pose to the unknowns; `thicker` and `ended` (n, X) are the changes of the
-    radii of the tubes and of their ends.
+    `chain` (Q, X) takes the directions of the pose to the unknowns; `radius` (K,) is that of the arm at FRACTIONS of
+    its length, m, and `rounder` (K, X) its derivative.
     """
     of = pose.derivatives
-    radius, rounder = _radius(pose, thicker, ended, of.moved[-1] @ chain)
     points = positions_at(of, FRACTIONS)
     distance = body.signed_distance(points) - radius - HELD_OFF
     # The minimum over several points has the slope of the point where it is reached.
@@ -66,7 +71,7 @@ def arm_clearance(pose: Pose, body: Any, chain: Array, thicker: Array, ended: Ar
     return distance[worst], local @ chain - rounder[worst]
 
 
-def _radius(pose: Pose, thicker: Array, ended: Array, longer: Array) -> tuple[Array, Array]:
+def arm_radius(pose: Pose, thicker: Array, ended: Array, longer: Array) -> tuple[Array, Array]:
     """Radius (K,) of the arm at FRACTIONS of its length, and its derivative (K, X).
 
     `thicker` and `ended` (n, X) are the derivatives of the radii and ends of the tubes, `longer` (X,) of the length.
@@ -87,6 +92,60 @@ def _radius(pose: Pose, thicker: Array, ended: Array, longer: Array) -> tuple[Ar
     sloping = (beyond[k, tube] > 0) & (beyond[k, tube] < 1)
     rate = np.where(sloping, (radii[0] - radii[tube]) / RAMP, 0.0)
     return each[k, tube], change + rate[:, None] * (fraction * longer - ended[tube])
+
+
+# --- Poses of bundles -------------------------------------------------------------------------------------------------
+
+
+class _DraftBundle(BundleRobot):
+    """Bundle of a trial design, whose tubes may overlap."""
+
+    def __post_init__(self) -> None:
+        pass
+
+
+class BundlePose:
+    """Solved pose of a bundle; derivatives as of `Pose`, by PARAMETERS and the ARRANGEMENT."""
+
+    def __init__(self, equilibrium: Equilibrium, wrt: Sequence[str] = (), along: Array | None = None) -> None:
+        self.equilibrium, self.wrt, self.along = equilibrium, tuple(wrt), along
+        self.arm, self.margin = equilibrium.arm, equilibrium.margin
+
+    def under(self, load: Load) -> Equilibrium:
+        """Equilibrium under a load, as `Pose.under`."""
+        return under_load(self.equilibrium, load)
+
+    def derivatives_of(self, equilibrium: Equilibrium) -> LinearisedBundle:
+        """Derivatives of another equilibrium of the same design and joint values, by the same unknowns."""
+        return linearise_bundle(equilibrium, self.wrt, along=self.along)
+
+    @property
+    def guess(self) -> Equilibrium:
+        """Guess for a nearby pose."""
+        return self.equilibrium
+
+    @cached_property
+    def derivatives(self) -> LinearisedBundle:
+        """Derivatives of the pose at fixed arc lengths."""
+        return self.derivatives_of(self.equilibrium)
+
+    @cached_property
+    def by_joints(self) -> Derivatives:
+        """Derivatives of the pose by the joint values, tube by tube."""
+        return derivatives_of(self.equilibrium)
+
+
+def solve_bundle(
+    robot: BundleRobot, rotations: Array, translations: Array, guess: Equilibrium | None = None
+) -> Equilibrium:
+    """Equilibrium on the branch of `guess`, or the result of descent from tubes without torsion."""
+    if guess is not None:
+        with suppress(SolveError):
+            return forward_kinematics(robot, rotations, translations, start=guess)
+    return forward_kinematics(robot, rotations, translations)
+
+
+# --- Poses of concentric tubes ----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +244,7 @@ class Pose:
         return linearise(equilibrium, self.wrt, more=self.more, along=self.along)
 
     @property
-    def twist(self) -> Twist:
+    def guess(self) -> Twist:
         """Guess for a nearby pose."""
         length = max(self.problem.assembly.total_length, 1e-300)
         return Twist(self.problem.arc_length / length, self.solved.state.theta - self.solved.member.rotations)
@@ -217,3 +276,44 @@ class Pose:
         if worst is not None:
             return worst.margin, Pose(worst, self.wrt, self.more, self.along).derivatives.one_margin
         return value, self.derivatives.certificate(value, mode)
+
+
+AnyPose = Pose | BundlePose
+"""Solved pose of a design."""
+
+Guess = Twist | Equilibrium
+"""Start of the solve of a pose: of a bundle, an equilibrium."""
+
+
+def draft(space: DesignSpace, x: Array) -> Robot:
+    """Robot of a trial design at its dimensions x (D,); its tubes need not fit.
+
+    Raises:
+        InputError: tubes without a wall.
+    """
+    robot = space.robot
+    if not isinstance(robot, BundleRobot):
+        return _Draft(space.tubes(x))
+    return _DraftBundle(**{field.name: getattr(robot, field.name) for field in fields(robot)} | space.fields(x))
+
+
+def posed(
+    robot: Robot,
+    rotations: Array,
+    translations: Array,
+    guess: Guess | None = None,
+    wrt: Sequence[str] = (),
+    more: Callable[[Directions], Sequence[Change]] | None = None,
+    along: Array | None = None,
+) -> AnyPose:
+    """Solved pose near `guess`, or by descent from tubes without torsion; other arguments as of `Pose`.
+
+    Raises:
+        SolveError: no equilibrium was found.
+        InputError: translations that carriages do not allow.
+    """
+    if isinstance(robot, BundleRobot):
+        known = guess if isinstance(guess, Equilibrium) else None
+        return BundlePose(solve_bundle(robot, rotations, translations, known), wrt, along)
+    twist = guess if isinstance(guess, Twist) else None
+    return Pose(solve_pose(robot.tubes, rotations, translations, twist), wrt, more, along)

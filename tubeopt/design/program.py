@@ -18,7 +18,7 @@ from ..block.quantities import Expression, PoseNumber
 from ..typing import Array
 from .constraints import Points, Statement, statements
 from .objectives import POSED, AnyObjective, Objective, aim
-from .pose import Twist
+from .pose import Guess
 from .requirements import Coverage, Poses, Reach, Requirement, SnapFree, SnapFreeInUse, of_kind
 from .state import DesignState, FixedPose, FreePose, Layout, PoseKind, Via
 from .task import DesignTask, extreme_lengths
@@ -107,7 +107,7 @@ class Program:
     """Typical changes (X,), SI."""
     elastic: bool = False
     """True if every group of rows has a slack; the sum of slacks then replaces the objective."""
-    guesses: dict[PoseNumber, Twist] = field(default_factory=dict)
+    guesses: dict[PoseNumber, Guess] = field(default_factory=dict)
     lately: Lately = field(default_factory=Lately, init=False, repr=False)
 
     @property
@@ -163,7 +163,7 @@ def _recorded(
     """Requirements and objectives as recorded expressions for `count` task poses and translations of the
     certificate.
     """
-    pieces = [len(tube.pieces) or 1 for tube in task.space.robot_tubes]
+    space = task.space
     task_poses, all_poses = tuple(range(count)), tuple(range(count + len(added.vias)))
     stated = []
     requirements = task.requirements
@@ -172,15 +172,15 @@ def _recorded(
     for number, (requirement, points) in enumerate(zip(requirements, points_of(requirements, added), strict=True)):
         match requirement:
             case Coverage() | Reach():
-                stated.append(statements(requirement, pieces, requirement_poses[number], points))
+                stated.append(statements(requirement, space, requirement_poses[number], points))
             case SnapFreeInUse():
-                stated.append(statements(requirement, pieces, all_poses))
+                stated.append(statements(requirement, space, all_poses))
             case _:
-                stated.append(statements(requirement, pieces, task_poses, certified))
+                stated.append(statements(requirement, space, task_poses, certified))
     aims = {}
     for objective in task.objectives:
         on_paths = isinstance(objective, Objective) and objective.kind not in POSED
-        expression = aim(objective, pieces, all_poses if on_paths else task_poses, certified, depth_pose)
+        expression = aim(objective, space, all_poses if on_paths else task_poses, certified, depth_pose)
         if expression is not None:
             aims[objective] = expression
     return tuple(stated), aims
@@ -227,7 +227,7 @@ class _Bounds(NamedTuple):
 
 
 def _bounds(task: DesignTask, layout: Layout) -> _Bounds:
-    space, n = layout.space, layout.n
+    space, n, first = layout.space, layout.n, [tubes[0] for tubes in layout.carriages]
     low_tubes = np.array([tube.length for tube in space.tubes(space.start)])
     longest = extreme_lengths(task, "upper")
     high_tubes = longest["straight_length"] + longest["curved_length"]
@@ -235,9 +235,9 @@ def _bounds(task: DesignTask, layout: Layout) -> _Bounds:
     # beta is minus the length of a tube behind the plate: from all of the longest possible tube to nothing. Changes
     # that matter are 1 rad and a fifth of a tube, which may have length 0.
     of_a_pose = (
-        np.concatenate([turns[:, 0], -high_tubes]),
-        np.concatenate([turns[:, 1], np.zeros(n)]),
-        np.concatenate([np.ones(n), np.maximum(0.2 * low_tubes, 1e-3)]),
+        np.concatenate([turns[:, 0], -high_tubes[first]]),
+        np.concatenate([turns[:, 1], np.zeros(len(first))]),
+        np.concatenate([np.ones(n), np.maximum(0.2 * low_tubes[first], 1e-3)]),
     )
     auxiliary = np.reshape([BOUNDED[name] for name in layout.auxiliary], (-1, 3)).T
     parts = zip((space.lower, space.upper, space.scale), of_a_pose, auxiliary, strict=True)

@@ -19,8 +19,9 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, choice, finite, finite_array, instance, items, numbers, positive, triple, vector, whole
 from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, REQUIRED, Checked, Typical, check_fields, key, unit
-from ..robots.concentric import ConcentricRobot
+from ..robots.load import ZERO, Load
 from ..robots.order import last_tube
+from ..robots.robot import Robot
 from ..robots.tubes import Tube
 from ..typing import Array, Mask
 
@@ -50,7 +51,7 @@ def retracted(tubes: Sequence[Tube], translations: Array, fraction: float) -> Re
     return Retracted(translations - np.maximum(beyond, 0.0), beyond > 0, last)
 
 
-def draw(robot: ConcentricRobot, equilibrium: Equilibrium, fraction: float) -> Equilibrium:
+def draw(robot: Robot, equilibrium: Equilibrium, fraction: float) -> Equilibrium:
     """The arm of a pose withdrawn to a fraction of its length, by forward kinematics."""
     return forward_kinematics(
         robot, equilibrium.rotations, retracted(robot.tubes, equilibrium.translations, fraction).translations
@@ -201,6 +202,44 @@ class Wall(Checked):
 
     thickness: Annotated[float, key("wall_mm"), POSITIVE, Typical(1e-5, 0.01), "smallest wall thickness"]
     _owner = "a wall"
+
+
+@dataclass(frozen=True)
+class Channel(Checked):
+    """Smallest diameter of the largest free circle between the tubes of an eccentric robot, m."""
+
+    diameter: Annotated[
+        float,
+        key("channel_mm"),
+        POSITIVE,
+        Typical(1e-5, 0.05),
+        "smallest diameter of the free circle between the tubes of an eccentric robot",
+    ]
+    _owner = "a channel"
+
+
+@dataclass(frozen=True)
+class Bore(Checked):
+    """Smallest inner diameter, m, of every tube that contains no other one."""
+
+    diameter: Annotated[
+        float, key("bore_mm"), POSITIVE, Typical(1e-5, 0.05), "smallest inner diameter of tubes without one inside"
+    ]
+    _owner = "a bore"
+
+
+@dataclass(frozen=True)
+class Girth(Checked):
+    """Largest inner diameter of the sheath of an eccentric robot, m."""
+
+    limit: Annotated[
+        float,
+        key("girth_mm"),
+        POSITIVE,
+        Typical(1e-5, 0.1),
+        "largest inner diameter of the sheath of an eccentric robot",
+    ]
+    _owner = "a girth"
 
 
 LENGTHS = ("length", "straight_length", "curved_length")
@@ -355,6 +394,31 @@ class Deployment(Checked, CustomRequirement):
         return self.limit - ca.sqrt(ca.sum1(gaps**2).T + ROUNDED**2)
 
 
+@dataclass(frozen=True)
+class Deflection(Checked, CustomRequirement):
+    """Largest displacement of the tip, m, by a dead force and moment on it, in every task pose."""
+
+    limit: Annotated[float, unit("mm"), POSITIVE, REQUIRED, Typical(1e-6, 1.0), "largest displacement of the tip"] = (
+        1e-3
+    )
+    tip_force: Annotated[tuple[float, float, float], unit("mN"), "force on the tip, in the base frame"] = ZERO
+    tip_moment: Annotated[tuple[float, float, float], unit("mN_m"), "moment on the tip, in the base frame"] = ZERO
+    description, unit, factor, size, is_upper_bound = "tip deflection under the required load", "mm", 1e3, 1e-3, True
+    _owner = "a deflection"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("tip_force", "tip_moment"):
+            object.__setattr__(self, name, triple(f"{name} of a deflection", getattr(self, name)))
+        if not any((*self.tip_force, *self.tip_moment)):
+            raise InputError("tip_force and tip_moment of a deflection are 0; one must not be 0")
+
+    def expression(self, q: Quantities) -> Any:
+        """Limit minus the displacement, in every task pose."""
+        moved = [pose.deflection(Load(self.tip_force, self.tip_moment)) for pose in q.poses]
+        return ca.vertcat(*(self.limit - ca.sqrt(ca.sumsqr(each) + ROUNDED**2) for each in moved))
+
+
 # Length (m) by which norms are smoothed at 0, where they have no derivative.
 ROUNDED = 1e-6
 
@@ -404,6 +468,9 @@ Requirement = (
     | Strain
     | Nesting
     | Wall
+    | Channel
+    | Bore
+    | Girth
     | Length
     | Stroke
     | StrokeForce

@@ -29,7 +29,7 @@ from .optimize import DesignSolution, DesignStatus, solution_of
 from .program import Program, compile_task
 from .requirements import SnapFree, of_kind
 from .solve import multistart, rank, start_values, to_feasibility
-from .task import DesignTask
+from .task import DesignedRobot, DesignTask
 
 # Part of every range. Scores of planning are steps of 1/count: a smaller simplex sees one value only and stops, a
 # larger one leaves the requirements.
@@ -102,7 +102,7 @@ class SearchedDesign(Searched):
     status = Delegate[DesignStatus]("solution")
 
     @property
-    def value(self) -> ConcentricRobot:
+    def value(self) -> DesignedRobot:
         """Designed robot."""
         return self.solution.robot
 
@@ -115,7 +115,7 @@ class SearchedPair(Searched):
     """Designs, verified by independent code."""
 
     @property
-    def value(self) -> tuple[ConcentricRobot, ConcentricRobot]:
+    def value(self) -> tuple[DesignedRobot, DesignedRobot]:
         """The two designed robots."""
         return self.solutions[0].robot, self.solutions[1].robot
 

@@ -11,7 +11,7 @@ import scipy
 
 from ..constants import GRAVITY
 from ..files.field_metadata import form, key
-from ..robots.concentric import ConcentricRobot
+from ..robots.robot import Robot
 from ..robots.tubes import Tube, mass_per_length
 from ..typing import Array
 from .constraints import Limit
@@ -138,7 +138,7 @@ class Dimension:
     """"lower" or "upper" if the dimension is at that bound, else ""."""
 
 
-def remarks(robot: ConcentricRobot, dimensions: Sequence[Dimension]) -> tuple[str, ...]:
+def remarks(robot: Robot, dimensions: Sequence[Dimension]) -> tuple[str, ...]:
     """Sentences on a designed robot, each with its number."""
     at_bounds = (
         f"{each.name} lies on its {each.bound} bound, {each.after:.4g} {each.unit}, which the design hangs on"
@@ -148,7 +148,7 @@ def remarks(robot: ConcentricRobot, dimensions: Sequence[Dimension]) -> tuple[st
     return (*at_bounds, *_without_effect(robot))
 
 
-def _without_effect(robot: ConcentricRobot) -> Iterator[str]:
+def _without_effect(robot: Robot) -> Iterator[str]:
     """Remarks on tubes that move the arm at home less by their bend than the stiffest tube sags under its own weight.
 
     The bend has the curvature kb kappa / sum kb over the tubes at each place, the sag is w L^4 / (8 kb).

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -22,8 +23,10 @@ import numpy as np
 import scipy
 
 from ..errors import InputError, SolveError, without_unit_warnings
+from ..robots.eccentric import BundleRobot
 from ..robots.limits import JointLimits
-from ..robots.tubes import Tube
+from ..robots.order import demands, in_order, translation_ranges
+from ..robots.robot import Robot
 from ..solvers.ipopt import Values, minimise, nowhere
 from ..solvers.parallel import executor, run_all
 from ..solvers.sampling import sobol
@@ -31,7 +34,7 @@ from ..solvers.time_limit import OutOfTimeError
 from ..typing import Array, Progress
 from .evaluation import FEASIBLE, Attempt, Evaluated, MoreRows, Report, attempt, cubed, evaluate, prices, squared
 from .objectives import KINDS
-from .pose import Pose, solve_pose
+from .pose import AnyPose, draft, posed
 from .program import BOUNDED, Program
 from .requirements import Avoid, of_kind
 from .state import DesignState, FreePose
@@ -103,6 +106,9 @@ def _optimum_in_cubes(program: Program, x: Array, report: Report | None) -> Atte
         x = to_feasibility(program, optimum.x, report)
         candidates.append(attempt(program, x))
     best = min(candidates, key=_rank)
+    # Sections of a bundle end where its shape decides; they have no order to search.
+    if not program.task.robot.fixed_sections:
+        return best
     return min(best, _through_cells(best, report), key=_rank)
 
 
@@ -149,10 +155,10 @@ def with_joints(program: Program, design: Array, random: np.random.Generator) ->
     if not layout.free_poses:
         return x
     try:
-        tubes = layout.space.tubes(design)
+        robot = draft(layout.space, design)
     except InputError:
         return x
-    joints, poses = _sample(tubes, program.task.robot.joint_limits, random, program.task.solver.poses)
+    joints, poses = _sample(robot, program.task.robot.joint_limits, random, program.task.solver.poses)
     if not poses:
         return x
     tips = np.array([pose.arm.position[-1] for pose in poses])
@@ -171,24 +177,37 @@ def with_joints(program: Program, design: Array, random: np.random.Generator) ->
         distance = np.linalg.norm(offsets, axis=1)
         best = int(np.argmin(distance + penalty + PER_RADIAN * turned))
         turned = np.array([np.abs((row - joints[best])[: layout.n]).max() for row in joints])
-        x[layout.joints(pose)[0]], x[layout.joints(pose)[1]] = np.split(joints[best], 2)
-        program.guesses[index] = poses[best].twist
+        x[layout.joints(pose)[0]], x[layout.joints(pose)[1]] = np.split(joints[best], [layout.n])
+        program.guesses[index] = poses[best].guess
     return np.clip(x, program.lower, program.upper)
 
 
 def _sample(
-    tubes: tuple[Tube, ...], limits: JointLimits | None, random: np.random.Generator, count: int
-) -> tuple[list[Array], list[Pose]]:
-    """Random joint values (2 n,), rotations then beta, and their stable poses.
+    robot: Robot, limits: JointLimits | None, random: np.random.Generator, count: int
+) -> tuple[list[Array], list[AnyPose]]:
+    """Random joint values (n + C,), rotations then beta of the carriages, and their stable poses.
 
     Carriages and ends are in order, and within the limits of translations where these leave a range.
     """
-    n = len(tubes)
+    tubes, n = robot.tubes, robot.n_tubes
     length = np.array([tube.length for tube in tubes])
     straight = np.array([tube.straight_length for tube in tubes])
     joints: list[Array] = []
-    poses: list[Pose] = []
-    for _ in range(count):
+    poses: list[AnyPose] = []
+    first = [group[0] for group in robot.moving_together]
+    for _ in range(count if isinstance(robot, BundleRobot) else 0):
+        rotations = random.uniform(-np.pi, np.pi, n)
+        with suppress(InputError, SolveError):
+            ranges = translation_ranges(tubes, robot.limits)
+            # At the ends of a range that round-off has closed, there is nothing to draw.
+            shift = in_order(robot, ranges, demands(robot), lambda low, high: random.uniform(low, max(low, high)))
+            if shift is None:
+                break
+            pose = posed(robot, rotations, shift)
+            if pose.margin > 0:
+                joints.append(np.concatenate([rotations, (shift - straight)[first]]))
+                poses.append(pose)
+    for _ in range(0 if isinstance(robot, BundleRobot) else count):
         rotations = random.uniform(-np.pi, np.pi, n)
         beta = np.zeros(n)
         ahead, behind = 0.0, 0.0
@@ -201,12 +220,12 @@ def _sample(
             beta[i] = random.uniform(low, high) if high > low else high
             ahead, behind = beta[i], max(beta[i] + length[i], 0.0)
         try:
-            solved = solve_pose(tubes, rotations, beta + straight)
+            pose = posed(robot, rotations, beta + straight)
         except (InputError, SolveError):
             continue
-        if solved.margin > 0:
+        if pose.margin > 0:
             joints.append(np.concatenate([rotations, beta]))
-            poses.append(Pose(solved))
+            poses.append(pose)
     return joints, poses
 
 
@@ -637,7 +656,7 @@ def start_values(program: Program, seed: int, count: int) -> list[Array]:
 def _nests(program: Program, design: Array) -> bool:
     """True if dimensions make tubes that nest."""
     try:
-        replace(program.task.robot, tubes=program.layout.space.tubes(design), joint_limits=None)
+        replace(program.task.robot, **program.layout.space.fields(design), joint_limits=None)
     except InputError:
         return False
     return True

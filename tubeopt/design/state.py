@@ -11,25 +11,41 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
+import scipy
 
 from ..block.quantities import PoseNumber, Quantity
 from ..block.transcription.buffered import mapped
 from ..equilibrium.arm_change import SHAPE_POINTS
-from ..equilibrium.directions import Change, Directions
+from ..equilibrium.directions import ARRANGEMENT, Change, Directions
 from ..equilibrium.jacobian import margin_slopes
 from ..equilibrium.kinematics import sure_margin
-from ..equilibrium.linearised import curvature_at, position_changes, positions_at
+from ..equilibrium.linearised import Linearised, curvature_at, position_changes, positions_at
+from ..equilibrium.linearised_bundle import LinearisedBundle
 from ..equilibrium.result import Equilibrium
-from ..errors import SolveError
+from ..errors import InputError, SolveError
 from ..physics.strain import bend_from_own, surface_strain
 from ..robots.assembly import DIMENSIONS
 from ..robots.concentric import ConcentricRobot
+from ..robots.eccentric import BundleRobot, channel_between
 from ..robots.load import Load
+from ..robots.robot import Robot
 from ..robots.tubes import Tube
 from ..stability.stroke import Varied, stroke_slopes
 from ..typing import Array
 from .parameters import DesignSpace, change_of, piece_values
-from .pose import Pose, Twist, arm_clearance, moving, solve_pose, without_solving
+from .pose import (
+    FRACTIONS,
+    AnyPose,
+    BundlePose,
+    Guess,
+    Pose,
+    arm_clearance,
+    arm_radius,
+    draft,
+    moving,
+    posed,
+    without_solving,
+)
 from .requirements import retracted
 
 
@@ -62,7 +78,10 @@ PoseKind = FreePose | FixedPose | Via
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Layout of the unknowns x (X,): D dimensions, 2 n joint values of each of F free poses, auxiliary unknowns."""
+    """Layout of the unknowns x (X,): D dimensions, joint values of each of F free poses, auxiliary unknowns.
+
+    Joint values are n rotations, and the beta of the first tube of each of C carriages.
+    """
 
     space: DesignSpace
     poses: tuple[PoseKind, ...]
@@ -87,18 +106,28 @@ class Layout:
         return sum(isinstance(pose, FreePose) for pose in self.poses)
 
     @property
+    def carriages(self) -> tuple[tuple[int, ...], ...]:
+        """Tubes of each carriage."""
+        return self.space.robot.moving_together
+
+    @property
+    def joint_count(self) -> int:
+        """Number n + C of unknown joint values of a free pose."""
+        return self.n + len(self.carriages)
+
+    @property
     def size(self) -> int:
         """Number of unknowns X."""
-        return self.designs + 2 * self.n * self.free_poses + len(self.auxiliary)
+        return self.designs + self.joint_count * self.free_poses + len(self.auxiliary)
 
     def joints(self, pose: FreePose) -> tuple[slice, slice]:
         """Columns of the rotations and of beta of a free pose."""
-        first = self.designs + 2 * self.n * pose.index
-        return slice(first, first + self.n), slice(first + self.n, first + 2 * self.n)
+        first = self.designs + self.joint_count * pose.index
+        return slice(first, first + self.n), slice(first + self.n, first + self.joint_count)
 
     def column(self, name: str) -> int:
         """Column of an auxiliary unknown."""
-        return self.designs + 2 * self.n * self.free_poses + self.auxiliary.index(name)
+        return self.designs + self.joint_count * self.free_poses + self.auxiliary.index(name)
 
 
 # First parameters by which every pose is differentiated.
@@ -120,12 +149,12 @@ class DesignState:
         SolveError: (on use) a pose has no equilibrium.
     """
 
-    def __init__(self, layout: Layout, x: Array, guesses: dict[PoseNumber, Twist] | None = None) -> None:
+    def __init__(self, layout: Layout, x: Array, guesses: dict[PoseNumber, Guess] | None = None) -> None:
         self.layout = layout
         self.x = x
-        self.guesses: dict[PoseNumber, Twist] = {} if guesses is None else guesses
+        self.guesses: dict[PoseNumber, Guess] = {} if guesses is None else guesses
         self._known: dict[Quantity, tuple[Array, Array]] = {}
-        self._poses: dict[PoseNumber, Pose] = {}
+        self._poses: dict[PoseNumber, AnyPose] = {}
         self._moved: dict[PoseNumber, tuple[Array, Array]] = {}
         self._chains: dict[PoseNumber, Array] = {}
 
@@ -136,9 +165,14 @@ class DesignState:
         return self._known[quantity]
 
     @cached_property
+    def robot(self) -> Robot:
+        """Robot with the dimensions of x, whose tubes need not fit."""
+        return draft(self.layout.space, self.x[: self.layout.designs])
+
+    @property
     def tubes(self) -> tuple[Tube, ...]:
         """Tubes with the dimensions of x."""
-        return self.layout.space.tubes(self.x[: self.layout.designs])
+        return self.robot.tubes
 
     @cached_property
     def slopes(self) -> dict[str, Array]:
@@ -183,24 +217,29 @@ class DesignState:
             return (np.array(pose.rotations), still), (np.array(pose.translations), still)
         (alpha, beta), unit = self.layout.joints(pose), np.eye(self.layout.size)
         # beta counts from the clamped end: the translation, which counts from home, grows with the straight part.
-        straight = np.array([tube.straight_length for tube in self.tubes])
-        return (self.x[alpha], unit[alpha]), (self.x[beta] + straight, unit[beta] + self.slopes["straight_length"])
+        leading, carriage = [tubes[0] for tubes in self.layout.carriages], np.zeros(self.layout.n, dtype=int)
+        for k, tubes in enumerate(self.layout.carriages):
+            carriage[[*tubes]] = k
+        straight = np.array([self.tubes[i].straight_length for i in leading])
+        shift, moved = self.x[beta] + straight, unit[beta] + self.slopes["straight_length"][leading]
+        return (self.x[alpha], unit[alpha]), (shift[carriage], moved[carriage])
 
-    def pose(self, index: PoseNumber) -> Pose:
+    def pose(self, index: PoseNumber) -> AnyPose:
         """Solved pose."""
         if index not in self._poses:
             joints, slopes = self.joint_values(index), self.joint_slopes(index)
-            solved = solve_pose(self.tubes, *joints, self.guesses.get(index))
             # Only directions that some unknown moves are differentiated; the chain rule to all unknowns comes after.
             directions, self._chains[index] = moving(np.concatenate([*slopes, self._reshaped]))
-            pose = Pose(solved, (*JOINTS, *self.resized), self.piece_changes, directions)
-            self._poses[index], self.guesses[index] = pose, pose.twist
+            wrt, guess = (*JOINTS, *self.resized), self.guesses.get(index)
+            pose = posed(self.robot, *joints, guess, wrt, self.piece_changes, directions)
+            self._poses[index], self.guesses[index] = pose, pose.guess
         return self._poses[index]
 
     @cached_property
     def resized(self) -> dict[str, Array]:
-        """Derivatives (n, X) of the DIMENSIONS that depend on unknowns of whole tubes."""
+        """Derivatives (n, X) of the DIMENSIONS and the ARRANGEMENT that depend on unknowns of whole tubes."""
         names = [name for name in DIMENSIONS if name != "curvature" or not self.layout.space.pieced]
+        names += [name for name in ARRANGEMENT if name in self.slopes]
         return {name: self.slopes[name] for name in names if self.slopes[name].any()}
 
     @cached_property
@@ -272,7 +311,15 @@ def _value_and_change(state: DesignState, quantity: Quantity) -> tuple[Array, Ar
             return _row(state.certificate_at(quantity.at))
         case "straightened_strain":
             return _row(straightened_strain(state, *quantity.at))
+        case "channel":
+            return _row(channel(state))
+        case "sheath_diameter":
+            return _row(sheath(state))
     if quantity.pose is None:
+        if isinstance(state.robot, BundleRobot) and quantity.name in ARRANGEMENT:
+            return np.atleast_1d(getattr(state.robot, quantity.name)), state.slopes[quantity.name]
+        if quantity.name not in state.slopes:
+            raise InputError(f"{quantity.name} is a dimension of eccentric robots; the tubes are nested")
         return np.array([getattr(tube, quantity.name) for tube in state.tubes]), state.slopes[quantity.name]
     match quantity.name:
         case "rotations" | "translations":
@@ -290,8 +337,14 @@ def _value_and_change(state: DesignState, quantity: Quantity) -> tuple[Array, Ar
             return state.jacobian(quantity.pose, turning=quantity.name == "turning")
         case "clearance":
             ended = state.joint_slopes(quantity.pose)[1] + state.slopes["curved_length"]
-            chain, thicker = state.chain(quantity.pose), 0.5 * state.slopes["outer_diameter"]
-            return arm_clearance(state.pose(quantity.pose), quantity.at[0], chain, thicker, ended)
+            pose, chain, thicker = state.pose(quantity.pose), state.chain(quantity.pose), state.slopes["outer_diameter"]
+            if isinstance(pose, Pose):
+                radius = arm_radius(pose, 0.5 * thicker, ended, pose.derivatives.moved[-1] @ chain)
+            else:
+                # A sheath of one diameter is around the tubes.
+                width, wider = sheath(state)
+                radius = np.full(len(FRACTIONS), width / 2), np.tile(wider / 2, (len(FRACTIONS), 1))
+            return arm_clearance(pose, quantity.at[0], chain, *radius)
     chain = state.chain(quantity.pose)
     value, change = _of_pose(state.pose(quantity.pose), quantity)
     return value, change @ chain
@@ -302,7 +355,7 @@ def _row(number: tuple[float, Array]) -> tuple[Array, Array]:
     return np.array(number[:1]), number[1][None]
 
 
-def _of_pose(pose: Pose, quantity: Quantity) -> tuple[Array, Array]:
+def _of_pose(pose: AnyPose, quantity: Quantity) -> tuple[Array, Array]:
     """Value and derivative (.., Q) of a quantity of a pose, in its directions of differentiation."""
     of = pose.derivatives
     match quantity.name:
@@ -317,8 +370,59 @@ def _of_pose(pose: Pose, quantity: Quantity) -> tuple[Array, Array]:
         case "position":
             fraction = np.array(quantity.at[:1])
             return positions_at(of, fraction)[0], position_changes(of, fraction)[0]
-        case _:
+        case _ if isinstance(of, Linearised):
             return curvature_at(of, quantity.at[0])
+        case _:
+            return of.curvature_at(quantity.at[0])
+
+
+# --- arrangements -----------------------------------------------------------------------------------------------------
+
+
+def sheath(state: DesignState) -> tuple[float, Array]:
+    """Inner diameter of the sheath of a bundle, m, and its gradient (X,); one that touches the tubes is around them."""
+    robot = state.robot
+    if not isinstance(robot, BundleRobot):
+        raise InputError("sheath_diameter is a dimension of eccentric robots; the tubes are nested")
+    if robot.sheath_diameter is not None:
+        return robot.sheath_diameter, state.slopes["sheath_diameter"][0]
+    widest = int(np.argmax([d + tube.outer_diameter / 2 for d, tube in zip(robot.offset, robot.tubes, strict=True)]))
+    return robot.least_sheath_diameter, 2 * state.slopes["offset"][widest] + state.slopes["outer_diameter"][widest]
+
+
+def axes_slopes(state: DesignState) -> Array:
+    """Derivative (n, 2, X) of the places of the tube axes in the cross-section of a bundle."""
+    robot = state.robot
+    assert isinstance(robot, BundleRobot)
+    c, s = np.cos(robot.angle)[:, None], np.sin(robot.angle)[:, None]
+    out, turned = state.slopes["offset"], np.array(robot.offset)[:, None] * state.slopes["angle"]
+    return np.stack([c * out - s * turned, s * out + c * turned], axis=1)
+
+
+# Of the sheath: surfaces closer to the largest free circle than this touch it.
+TOUCHING = 1e-7
+
+
+def channel(state: DesignState) -> tuple[float, Array]:
+    """Diameter of the largest free circle between the tubes of a bundle, m, and its gradient (X,).
+
+    The circle is a maximum over its centre: its radius changes as the distances of the surfaces that it touches from
+    the centre, weighted by the forces of equal sum with which these hold it in balance.
+    """
+    robot = state.robot
+    if not isinstance(robot, BundleRobot):
+        raise InputError("channel is a dimension of eccentric robots; the tubes are nested")
+    free, (width, wider) = channel_between(robot), sheath(state)
+    away = np.array(free.centre) - robot.axes
+    outwards = np.array([*away, -np.array(free.centre)])
+    far = np.linalg.norm(outwards, axis=1)
+    radius = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
+    distance = np.append(far[:-1] - radius, width / 2 - far[-1])
+    outwards /= np.maximum(far, 1e-300)[:, None]
+    near = np.flatnonzero(distance - free.diameter / 2 < TOUCHING * width)
+    share, _ = scipy.optimize.nnls(np.vstack([outwards[near].T, np.ones(len(near))]), np.array([0.0, 0.0, 1.0]))
+    by_tubes = -np.einsum("ic,icx->ix", outwards[:-1], axes_slopes(state)) - state.slopes["outer_diameter"] / 2
+    return free.diameter, 2 * share @ np.vstack([by_tubes, wider / 2])[near]
 
 
 # --- loads ------------------------------------------------------------------------------------------------------------
@@ -347,7 +451,7 @@ def margin_under(state: DesignState, index: PoseNumber, load: Load) -> tuple[flo
     pose, chain = state.pose(index), state.chain(index)
     pushed = pose.under(load)
     margin = sure_margin(pushed)
-    if load.has_energy:
+    if load.has_energy or isinstance(pose, BundlePose):
         slope = pose.derivatives_of(pushed).one_margin @ chain
     else:
         _, names, rows = _unloaded(state, index)
@@ -482,6 +586,8 @@ def straightened_strain(state: DesignState, tube: int, number: int) -> tuple[flo
 def pose_strain(state: DesignState, index: PoseNumber, tube: int) -> tuple[float, Array]:
     """Largest bending strain of a tube in a pose, and its gradient (X,); 0 if the tube is behind the plate."""
     shape, of = state.tubes[tube], state.pose(index).derivatives
+    if isinstance(of, LinearisedBundle):
+        return _bundle_strain(state, of, index, tube)
     n, mesh = of.n, of.problem.mesh
     # Sections in which the tube is present from end to end; the others have no strain of it.
     sections = np.flatnonzero((of.arm.stiffness[..., tube] > 0).all(1) & (mesh.length > 0))
@@ -509,6 +615,21 @@ def pose_strain(state: DesignState, index: PoseNumber, tube: int) -> tuple[float
         return value, change
     ratio, raised = _ratio(state, tube, int(number[piece]))
     return ratio * value, ratio * change + value * raised
+
+
+def _bundle_strain(state: DesignState, of: LinearisedBundle, index: PoseNumber, tube: int) -> tuple[float, Array]:
+    """Largest bending strain of a tube of a bundle in a pose, and its gradient (X,), as `pose_strain`."""
+    at, diameter = of.along_tube(tube), state.tubes[tube].outer_diameter
+    elements, places = at.theta.shape
+    if not elements:
+        return 0.0, np.zeros(state.layout.size)
+    natural = np.repeat(at.natural, places)
+    inputs = np.column_stack([at.theta.ravel(), at.curvature.reshape(-1, 2), natural, np.full(len(natural), diameter)])
+    strains, slopes = (part.copy() for part in mapped(_strain(), len(inputs))(inputs))
+    worst = int(np.argmax(strains[:, 0]))
+    slope, (k, x) = slopes.reshape(-1, 5)[worst], divmod(worst, places)
+    change = slope[0] * at.turned[k, x] + slope[1:3] @ at.bent[k, x] + slope[3] * at.curved[k]
+    return float(strains[worst, 0]), change @ state.chain(index) + slope[4] * state.slopes["outer_diameter"][tube]
 
 
 def _pieces_at(shape: Tube, arc_length: Array) -> Array:

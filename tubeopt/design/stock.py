@@ -33,7 +33,7 @@ from .parameters import of_section
 from .program import compile_task
 from .requirements import Length, Nesting, Strain, Wall
 from .solve import multistart
-from .task import DesignTask
+from .task import DesignedRobot, DesignTask
 
 # Requirements on dimensions alone, which bound a candidate without an equilibrium.
 CHEAP = (Length, Nesting, Wall)
@@ -69,7 +69,7 @@ class Candidate:
     """Lower bound on the minimised objective, from the requirements on dimensions alone."""
     objective: float | None
     """Objective of the design in its own sign, SI; None without a design."""
-    robot: ConcentricRobot | None
+    robot: DesignedRobot | None
     status: str
     """"design", "pruned", "out of time", "not found" with the limit violated most, or "infeasible" with the reason."""
 
@@ -160,6 +160,8 @@ def stock_choices(task: DesignTask, stock: Sequence[StockTube], clearance: float
     if len(task.objectives) > 1:
         raise InputError("a choice from stock needs one objective; the task has several")
     typical_length("clearance", clearance, TYPICAL_TUBE_CLEARANCE, zero=True)
+    if not isinstance(task.robot, ConcentricRobot):
+        raise InputError("tubes from stock are nested; the robot is eccentric")
     choices = list(combinations(stock, task.robot.n_tubes, clearance))
     if not choices:
         raise InputError(f"no {task.robot.n_tubes} tubes in stock nest with a clearance of {clearance * 1e3:g} mm")

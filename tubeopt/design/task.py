@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,13 +12,16 @@ from ..block.custom import CustomObjective, CustomRequirement
 from ..display import Displayed
 from ..errors import InputError, Settings, instance, items
 from ..robots.concentric import ConcentricRobot
+from ..robots.eccentric import BundleRobot, SheathedRobot
+from ..robots.robot import Robot
 from ..robots.tubes import Tube, slots_unknown
 from ..typing import Array
 from .objectives import KINDS, POSED, AnyObjective, Objective, key_of
-from .parameters import DesignSpace, Free, design_space
+from .parameters import NAMES, PLACES, DesignSpace, Free, design_space
 from .requirements import (
     Avoid,
     Coverage,
+    Deflection,
     Deployment,
     Length,
     Poses,
@@ -30,6 +34,9 @@ from .requirements import (
     StrokeForce,
     of_kind,
 )
+
+DesignedRobot = ConcentricRobot | BundleRobot
+"""Robot that a design can change."""
 
 # Length (m) by which round-off may take tubes out of order: what inverse kinematics and planning allow.
 ORDER_SLACK = 1e-10
@@ -44,15 +51,34 @@ class TranslationRange:
     high: tuple[float, ...]
 
 
+class TubeOrder(NamedTuple):
+    """Pairs of nested tubes of different carriages, which must be in order."""
+
+    inner: tuple[int, ...]
+    """Inner tube (P,) of each pair, from 0."""
+    outer: tuple[int, ...]
+    """Tube (P,) around it."""
+    curves_apart: bool
+    """True if the curve of an inner tube must begin beyond the tube around it."""
+
+
+def tube_order(robot: Robot) -> TubeOrder:
+    """Pairs of nested tubes of a robot, one for every two carriages."""
+    carriage = {i: tubes for tubes in robot.moving_together for i in tubes}
+    pairs = {(carriage[i], carriage[o]): (i, o) for i, o in reversed(robot.nested_pairs)}
+    inner, outer = zip(*sorted(pairs.values()), strict=True) if pairs else ((), ())
+    return TubeOrder(tuple(inner), tuple(outer), not robot.nested_curves)
+
+
 def ordered_ranges(
-    n_tubes: int, requirements: Sequence[Requirement], objectives: Sequence[AnyObjective]
+    robot: Robot, requirements: Sequence[Requirement], objectives: Sequence[AnyObjective]
 ) -> tuple[TranslationRange, ...]:
     """Translations that require an order of the tubes.
 
-    They are 0, which is then home, and the translations of requirements and objectives.
+    They are 0, which is then home, and the translations of requirements and objectives. Segments have another home.
     """
-    zero = (0.0,) * n_tubes
-    ranges = [TranslationRange("at translations 0", zero, zero)]
+    zero = (0.0,) * robot.n_tubes
+    ranges = [TranslationRange("at translations 0", zero, zero)] if robot.nested_curves else []
     for requirement in requirements:
         match requirement:
             case SnapFree(translations=rows, box=box):
@@ -81,66 +107,85 @@ def ordered_ranges(
     ]
 
 
-def order_distances(straight: Array, curved: Array, low: Array, high: Array) -> Array:
-    """Distances (3 n - 2,), m, in the order constraints: of carriages, of ends, of ends from the plate; < 0 if
-    violated.
+def order_distances(order: TubeOrder, straight: Array, curved: Array, low: Array, high: Array) -> Array:
+    """Distances, m, in the order constraints; < 0 if violated.
 
+    They are of carriages (P,), of ends (P,), of ends from the plate (n,), and for `curves_apart` of curves (P,).
     Translations may lie between `low` and `high`. The function is linear, so that it maps derivatives (n, X) too.
     """
-    carriages = straight[:-1] - straight[1:] + low[1:] - high[:-1]
-    return np.concatenate([carriages, curved[:-1] - curved[1:] + low[:-1] - high[1:], curved + low])
+    i, o = list(order.inner), list(order.outer)
+    carriages = straight[i] - straight[o] + low[o] - high[i]
+    ends = curved[i] - curved[o] + low[i] - high[o]
+    curves = [low[i] - curved[o] - high[o]] if order.curves_apart else []
+    return np.concatenate([carriages, ends, curved + low, *curves])
 
 
-def tube_distances(tubes: Sequence[Tube], low: Sequence[float] | Array, high: Sequence[float] | Array) -> Array:
-    """Distances (3 n - 2,), m, in the order constraints of tubes between two rows of translations."""
+def tube_distances(
+    order: TubeOrder, tubes: Sequence[Tube], low: Sequence[float] | Array, high: Sequence[float] | Array
+) -> Array:
+    """Distances, m, in the order constraints of tubes between two rows of translations, as `order_distances`."""
     straight, curved = (
         np.array([getattr(tube, name) for tube in tubes]) for name in ("straight_length", "curved_length")
     )
-    return order_distances(straight, curved, np.array(low), np.array(high))
+    return order_distances(order, straight, curved, np.array(low), np.array(high))
 
 
-def worst_order(tubes: Sequence[Tube], ranges: Sequence[TranslationRange]) -> tuple[float, str]:
+def worst_order(order: TubeOrder, tubes: Sequence[Tube], ranges: Sequence[TranslationRange]) -> tuple[float, str]:
     """Smallest distance (m) in the order constraints over sets of translations, and a clause that names
     set and tubes.
     """
     return min(
-        (_worst(tube_distances(tubes, translations.low, translations.high), translations) for translations in ranges),
+        (
+            _worst(order, tube_distances(order, tubes, translations.low, translations.high), translations)
+            for translations in ranges
+        ),
         key=lambda pair: pair[0],
     )
 
 
-def check_order(ranges: Sequence[TranslationRange], shortest: dict[str, Array], longest: dict[str, Array]) -> None:
+def check_order(
+    order: TubeOrder,
+    ranges: Sequence[TranslationRange],
+    shortest: dict[str, Array],
+    longest: dict[str, Array],
+) -> None:
     """Raise InputError if no lengths within their bounds (n,) satisfy the order at all sets of translations."""
     for translations in ranges:
         lows = order_distances(
+            order,
             longest["straight_length"],
             longest["curved_length"],
             np.array(translations.low),
             np.array(translations.high),
         )
-        n = len(translations.low)
+        count, outer = len(order.outer), list(order.outer)
+        starts = [("straight_length", 0), ("curved_length", count)]
+        starts += [("curved_length", len(lows) - count)] if order.curves_apart else []
         # The outer tube of a pair counts with its least length.
-        for name, first in (("straight_length", 0), ("curved_length", n - 1)):
-            lows[first : first + n - 1] += longest[name][1:] - shortest[name][1:]
-        distance, clause = _worst(lows, translations)
+        for name, first in starts:
+            lows[first : first + count] += longest[name][outer] - shortest[name][outer]
+        distance, clause = _worst(order, lows, translations)
         if distance < -ORDER_SLACK:
             raise InputError(
                 f"{clause}, whatever lengths are chosen; ordered=False (in a file: ordered: false) allows it"
             )
 
 
-def _worst(distances: Array, translations: TranslationRange) -> tuple[float, str]:
+def _worst(order: TubeOrder, distances: Array, translations: TranslationRange) -> tuple[float, str]:
     """Smallest distance (m) in the order constraints, and a clause that names it."""
-    k, n = int(np.argmin(distances)), len(translations.low)
+    k, n, pairs = int(np.argmin(distances)), len(translations.low), len(order.inner)
     distance = float(distances[k])
     size = f"{abs(distance) * 1e3:.4g} mm"
-    if k >= 2 * (n - 1):
-        i = k - 2 * (n - 1) + 1
+    if 2 * pairs <= k < 2 * pairs + n:
+        i = k - 2 * pairs + 1
         side = f"ends {size} behind the plate" if distance < 0 else f"ends {size} beyond the plate"
         return distance, f"tube {i} {side} {translations.description}"
-    i = k % (n - 1) + 1
-    inner, outer = f"tube {i}", f"tube {i + 1}"
-    if k < n - 1:
+    pair = (k if k < 2 * pairs else k - n) % pairs
+    inner, outer = f"tube {order.inner[pair] + 1}", f"tube {order.outer[pair] + 1}"
+    if k >= 2 * pairs:
+        side = "inside" if distance < 0 else "beyond the end of"
+        return distance, f"the curve of {inner} begins {size} {side} {outer} {translations.description}"
+    if k < pairs:
         side = "before" if distance < 0 else "behind"
         return distance, f"the carriage of {inner} stands {size} {side} that of {outer} {translations.description}"
     side = "inside" if distance < 0 else "beyond"
@@ -186,8 +231,8 @@ class DesignTask(Displayed):
             or translations for another number of tubes.
     """
 
-    robot: ConcentricRobot
-    """Robot with the starting dimensions."""
+    robot: DesignedRobot
+    """Robot with the starting dimensions; an eccentric one becomes its bundle, which has an energy."""
     free: tuple[Free, ...]
     """Dimensions that may change."""
     requirements: tuple[Requirement, ...] = ()
@@ -205,8 +250,12 @@ class DesignTask(Displayed):
     """Settings of the search."""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.robot, ConcentricRobot):
-            raise InputError(f"robot is a {type(self.robot).__name__}; a design needs a ConcentricRobot")
+        if isinstance(self.robot, SheathedRobot):
+            object.__setattr__(self, "robot", self.robot.bundle())
+        if not isinstance(self.robot, DesignedRobot):
+            raise InputError(
+                f"robot is a {type(self.robot).__name__}; a design needs a robot, as of tubeopt.load_robot"
+            )
         object.__setattr__(self, "free", items("free", self.free, Free, "Free"))
         requirements = items("requirements", self.requirements, Requirement, "requirements (SnapFree, Reach, ...)")
         if not isinstance(self.objective, AnyObjective):
@@ -228,7 +277,13 @@ class DesignTask(Displayed):
         _check_requirements(self)
         _check_objectives(self)
         _check_pieces(self)
-        check_order(self.translation_ranges, *(extreme_lengths(self, side) for side in ("lower", "upper")))
+        if isinstance(self.robot, BundleRobot):
+            _check_bundle(self, self.robot)
+        check_order(
+            tube_order(self.robot),
+            self.translation_ranges,
+            *(extreme_lengths(self, side) for side in ("lower", "upper")),
+        )
 
     @property
     def objectives(self) -> tuple[AnyObjective, ...]:
@@ -243,12 +298,12 @@ class DesignTask(Displayed):
     @property
     def translation_ranges(self) -> tuple[TranslationRange, ...]:
         """Translations that require an order of the tubes."""
-        return ordered_ranges(self.robot.n_tubes, self.requirements, self.objectives) if self.ordered else ()
+        return ordered_ranges(self.robot, self.requirements, self.objectives) if self.ordered else ()
 
     @property
     def space(self) -> DesignSpace:
         """The unknown dimensions and their bounds."""
-        return design_space(self.robot.tubes, self.free)
+        return design_space(self.robot, self.free)
 
     @property
     def has_poses(self) -> bool:
@@ -303,7 +358,7 @@ def _check_requirements(task: DesignTask) -> None:
                 raise InputError(f"strain has {len(limits)} limits; it must be 1 or {n} (one per tube)")
             case Length(tube=tube) if not 0 <= tube < n:
                 raise InputError(f"length names tube {tube + 1}; the robot has tubes 1 to {n}")
-            case SnapFreeInUse() | Stroke() | Avoid() | Deployment() if not task.has_poses:
+            case SnapFreeInUse() | Stroke() | Avoid() | Deployment() | Deflection() if not task.has_poses:
                 raise InputError(
                     f"{type(requirement).__name__} needs task poses; the task must have Reach, Coverage or Poses"
                 )
@@ -316,6 +371,43 @@ def _check_requirements(task: DesignTask) -> None:
     for kind in (SnapFree, SnapFreeInUse, Strain, Stroke, StrokeForce):
         if len(of_kind(task.requirements, kind)) > 1:
             raise InputError(f"{kind.__name__} is given twice; it must be given once")
+
+
+def _check_bundle(task: DesignTask, robot: BundleRobot) -> None:
+    """Raise InputError for what designs of bundles do not support."""
+    for requirement in task.requirements:
+        if isinstance(requirement, SnapFree | StrokeForce):
+            other = ": require SnapFreeInUse, the margin in use" if isinstance(requirement, SnapFree) else ""
+            raise InputError(
+                f"{type(requirement).__name__} is given for an eccentric robot; designs support it for concentric "
+                f"robots only{other}"
+            )
+        if isinstance(requirement, Poses):
+            for row in requirement.translations:
+                robot.admit(np.array(row))
+        deployed = isinstance(requirement, Deployment) or getattr(requirement, "deployed", False)
+        if deployed and len(robot.moving_together) < robot.n_tubes:
+            raise InputError(
+                "a deployment retracts tubes one by one; tubes of this robot share carriages, so that it has none"
+            )
+    for objective in task.built_in:
+        if objective.kind == "stroke_force":
+            raise InputError("objective stroke_force is given for an eccentric robot; it needs a concentric one")
+        if objective.kind == "deployment" and len(robot.moving_together) < robot.n_tubes:
+            raise InputError("objective deployment retracts tubes one by one; tubes of this robot share carriages")
+        if objective.kind in ("tip_curvature", "turning_radius") and not of_kind(task.requirements, Poses):
+            raise InputError(
+                f"objective {objective.kind} of an eccentric robot is that of its first task pose; give poses"
+            )
+    for stack in robot.stacks:
+        for name in PLACES:
+            free = [unknown for unknown in task.space.unknowns if unknown.field == name]
+            if any(0 < len(set(stack) & set(unknown.tubes)) < len(stack) for unknown in free):
+                nested = ", ".join(str(i + 1) for i in stack)
+                raise InputError(
+                    f"the {NAMES[name]} of tubes {nested}, which are nested, is not free together; name "
+                    "all in one, equal"
+                )
 
 
 def _given_poses(task: DesignTask, what: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Annotated
@@ -15,11 +16,13 @@ from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError, SolveError, instance, vector, whole
 from ..files.field_metadata import NOT_NEGATIVE, OneOf, Range, Typical, check_fields, key, unit
 from ..robots.concentric import ConcentricRobot
+from ..robots.eccentric import BundleRobot
 from ..robots.tubes import Tube
 from ..solvers.parallel import executor, run_all
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
-from ..stability import snap_free_certificate
+from ..stability import follow, snap_free_certificate
 from ..typing import Array, Progress
+from .task import DesignedRobot
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,10 @@ class ToleranceAnalysis:
     """Statistics of robots with random manufacturing errors."""
 
     certificate: Array
-    """Smallest mu_cert (S,) of each sample over the translations."""
+    """Smallest mu_cert (S,) of each sample over the translations.
+
+    Of a bundle, its smallest margin on the straight joint paths through the poses; 0 if it snaps there.
+    """
     snap_free: Annotated[float, key("snap_free_probability"), "fraction of them that is snap-free"]
     """Fraction of the samples with a positive margin."""
     interval: Annotated[tuple[float, float], key("interval_95"), "95 % confidence interval of this fraction"]
@@ -75,7 +81,7 @@ class ToleranceAnalysis:
 @typed
 @limited
 def tolerance_analysis(  # noqa: PLR0913
-    robot: ConcentricRobot,
+    robot: DesignedRobot,
     tolerances: Tolerances,
     *,
     translations: Sequence[Sequence[float]] | None = None,
@@ -110,13 +116,15 @@ def tolerance_analysis(  # noqa: PLR0913
     for pose in poses:
         for name, values in zip(("rotations of a pose", "translations of a pose"), pose, strict=True):
             vector(name, values, robot.n_tubes)
-    nominal = _batch((robot.tubes,), where, tuple(poses))
+    if isinstance(robot, BundleRobot) and not poses:
+        raise InputError("poses is empty; errors of an eccentric robot are compared at joint values and between them")
+    nominal = _batch((robot.tubes,), robot, where, tuple(poses))
     if np.isnan(nominal[1]).any():
         raise SolveError("the nominal robot has no stable equilibrium at a compared pose")
     tubes = sample_tubes(robot.tubes, tolerances, samples)
     batches = [tubes[k : k + 64] for k in range(0, samples, 64)]
     with executor(min(workers, len(batches))) as pool:
-        parts = run_all(partial(_batch, translations=where, poses=tuple(poses)), batches, pool, progress)
+        parts = run_all(partial(_batch, robot=robot, translations=where, poses=tuple(poses)), batches, pool, progress)
     certificate, tip = (np.concatenate([part[k] for part in parts]) for k in range(2))
     distance = np.linalg.norm(tip - nominal[1], axis=2)
     free = int((certificate > 0).sum())
@@ -165,17 +173,41 @@ def _made(tube: Tube, tolerances: Tolerances, errors: Sequence[float]) -> Tube:
 
 def _batch(
     batch: Sequence[tuple[Tube, ...]],
+    robot: DesignedRobot,
     translations: tuple[tuple[float, ...], ...],
     poses: tuple[tuple[Array, Array], ...],
 ) -> tuple[Array, Array]:
     """Smallest certificate (B,) and tips (B, P, 3) of sampled tubes."""
-    certificates = np.empty(len(batch))
+    certificates = np.zeros(len(batch))
     tips = np.full((len(batch), len(poses), 3), np.nan)
     for k, tubes in enumerate(batch):
-        robot, straight = ConcentricRobot(tubes), np.array([tube.straight_length for tube in tubes])
-        certificates[k] = min(snap_free_certificate(robot, np.minimum(row, straight)) for row in translations)
+        straight = np.array([tube.straight_length for tube in tubes])
+        rotations, shift = (np.array([pose[part] for pose in poses], dtype=float) for part in (0, 1))
+        if isinstance(robot, BundleRobot):
+            for carriage in robot.moving_together:
+                straight[[*carriage]] = straight[[*carriage]].min()
+            with suppress(SolveError):
+                certificates[k], tips[k] = _used(replace(robot, tubes=tubes), rotations, np.minimum(shift, straight))
+            continue
+        sample = ConcentricRobot(tubes)
+        certificates[k] = min(snap_free_certificate(sample, np.minimum(row, straight)) for row in translations)
         if poses:
-            rotations, shift = (np.array([pose[part] for pose in poses], dtype=float) for part in (0, 1))
-            solved = forward_kinematics_batch(robot, rotations, np.minimum(shift, straight))
+            solved = forward_kinematics_batch(sample, rotations, np.minimum(shift, straight))
             tips[k, solved.stable] = solved.tip_position[solved.stable]
     return certificates, tips
+
+
+# Rows of a joint path between two poses, at which its margin is read; `follow` finds snaps between rows.
+ROWS = 8
+
+
+def _used(robot: BundleRobot, rotations: Array, translations: Array) -> tuple[float, Array]:
+    """Smallest margin on the joint paths through poses (P, n), 0 if the robot snaps there, and tips (P, 3), m."""
+    at = np.linspace(0, len(rotations) - 1, ROWS * (len(rotations) - 1) + 1)
+    rows = [
+        np.column_stack([np.interp(at, np.arange(len(table)), column) for column in table.T])
+        for table in (rotations, translations)
+    ]
+    path = follow(robot, *rows)
+    margin = 0.0 if path.snaps else min(e.margin for e in path.equilibria)
+    return margin, np.array([e.tip_position for e in path.equilibria[::ROWS]])

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+import scipy
 
 from ..arguments import typed
 from ..block.custom import CustomRequirement
-from ..block.quantities import CLEARANCES, Look, Quantity, recorded
+from ..block.quantities import CLEARANCES, PLACES, Look, Quantity, recorded
 from ..equilibrium.kinematics import forward_kinematics, sure_margin, under_load
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import point_at
@@ -19,6 +19,7 @@ from ..errors import SolveError, whole
 from ..files.field_metadata import form
 from ..physics.strain import surface_strain
 from ..robots.concentric import ConcentricRobot
+from ..robots.eccentric import BundleRobot, channel_between
 from ..robots.pieces import Series
 from ..robots.robot import shifts
 from ..robots.tubes import Tube, piece_strain
@@ -32,7 +33,10 @@ from .program import Program, points_of
 from .requirements import (
     DEPLOYED_FRACTIONS,
     Avoid,
+    Bore,
+    Channel,
     Coverage,
+    Girth,
     Length,
     Nesting,
     Reach,
@@ -47,7 +51,7 @@ from .requirements import (
     of_kind,
 )
 from .state import STRONGEST
-from .task import ORDER_SLACK, pose_ranges, worst_order
+from .task import ORDER_SLACK, DesignedRobot, pose_ranges, tube_order, worst_order
 
 # Fraction of a limit, or of a step of a custom requirement, by which it may be violated.
 RELATIVE_TOLERANCE = 1e-6
@@ -91,7 +95,7 @@ class Verification:
 
 
 def verify(
-    program: Program, robot: ConcentricRobot, x: Array, equilibria: tuple[Equilibrium, ...], *, turns: int = 6
+    program: Program, robot: DesignedRobot, x: Array, equilibria: tuple[Equilibrium, ...], *, turns: int = 6
 ) -> Verification:
     """Check all requirements of the design x (X,) on its robot and the equilibria of its task poses.
 
@@ -105,7 +109,7 @@ def verify(
     pose_translations = [e.translations for e in equilibria]
     ranges = (*task.translation_ranges, *(pose_ranges(pose_translations) if task.ordered else ()))
     if ranges:
-        distance, clause = worst_order(robot.tubes, ranges)
+        distance, clause = worst_order(tube_order(robot), robot.tubes, ranges)
         checks.append(Check("order of the tubes", clause, distance >= -ORDER_SLACK))
     return Verification((*checks, *_check_targets(program, equilibria)))
 
@@ -113,14 +117,14 @@ def verify(
 def _checks_of(
     requirement: Requirement,
     program: Program,
-    robot: ConcentricRobot,
+    robot: DesignedRobot,
     x: Array,
     equilibria: tuple[Equilibrium, ...],
     turns: int,
 ) -> Iterator[Check]:
     """Checks of one requirement; those on targets are in `_check_targets`."""
     match requirement:
-        case SnapFree():
+        case SnapFree() if isinstance(robot, ConcentricRobot):
             yield from _check_certificate(program, robot, requirement, turns)
         case SnapFreeInUse(margin=limit, tolerance=tolerance) if equilibria:
             arms = {"margin at the task poses": equilibria}
@@ -149,11 +153,23 @@ def _checks_of(
         case Wall(thickness=limit):
             wall = min((tube.outer_diameter - tube.inner_diameter) / 2 for tube in robot.tubes)
             yield Check("smallest wall thickness", _mm(wall), wall >= limit * (1 - RELATIVE_TOLERANCE))
-        case Nesting(clearance=limit) if robot.n_tubes > 1:
-            clearance = min(outer.inner_diameter - inner.outer_diameter for inner, outer in pairwise(robot.tubes))
+        case Nesting(clearance=limit) if robot.nested_pairs:
+            clearance = min(
+                robot.tubes[o].inner_diameter - robot.tubes[i].outer_diameter for i, o in robot.nested_pairs
+            )
             # An absolute tolerance, 1 nm: the limit may be 0, and a fraction of it would allow nothing.
             satisfied = clearance >= limit - 1e-3 * TOLERANCE
             yield Check("least clearance of the diameters", _mm(clearance), satisfied)
+        case Channel(diameter=limit) if isinstance(robot, BundleRobot):
+            free = channel_between(robot).diameter
+            yield Check("free circle between the tubes", _mm(free), free >= limit * (1 - RELATIVE_TOLERANCE))
+        case Bore(diameter=limit):
+            around = {o for _, o in robot.nested_pairs}
+            bore = min(tube.inner_diameter for i, tube in enumerate(robot.tubes) if i not in around)
+            yield Check("smallest bore of an innermost tube", _mm(bore), bore >= limit * (1 - RELATIVE_TOLERANCE))
+        case Girth(limit=limit) if isinstance(robot, BundleRobot):
+            girth = robot.sheath_diameter or robot.least_sheath_diameter
+            yield Check("inner diameter of the sheath", _mm(girth), girth <= limit * (1 + RELATIVE_TOLERANCE))
         case Length(field=field, tube=i, limit=limit, least=at_least):
             length = getattr(robot.tubes[i], field)
             below, above = limit * (1 - RELATIVE_TOLERANCE), limit * (1 + RELATIVE_TOLERANCE)
@@ -247,7 +263,7 @@ def _check_targets(program: Program, equilibria: tuple[Equilibrium, ...]) -> Ite
                 yield Check(f"direction at target {k + 1}", f"{np.degrees(angle):.3f} deg off", satisfied)
 
 
-def solve_again(program: Program, robot: ConcentricRobot, x: Array) -> tuple[Equilibrium, ...]:
+def solve_again(program: Program, robot: DesignedRobot, x: Array) -> tuple[Equilibrium, ...]:
     """Equilibria of all task poses by forward kinematics from scratch.
 
     If the robot must reach the poses on joint paths, these are the equilibria at the ends of the paths.
@@ -260,7 +276,7 @@ def solve_again(program: Program, robot: ConcentricRobot, x: Array) -> tuple[Equ
     return tuple(forward_kinematics(robot, *pair) for pair in joints)
 
 
-def deployments(robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> tuple[Equilibrium, ...]:
+def deployments(robot: DesignedRobot, equilibria: tuple[Equilibrium, ...]) -> tuple[Equilibrium, ...]:
     """Partly deployed arms of all poses."""
     return tuple(draw(robot, pose, fraction) for pose in equilibria for fraction in DEPLOYED_FRACTIONS)
 
@@ -269,7 +285,7 @@ def deployments(robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> 
 @small
 @limited
 def count_snaps(
-    robot: ConcentricRobot,
+    robot: DesignedRobot,
     turns: int,
     seed: int = 0,
     translations: Array | None = None,
@@ -334,13 +350,16 @@ def _sections_at(tube: Tube, s: Array) -> _TubeSections:
     return _TubeSections(precurvature, stiffness, ratio)
 
 
-def largest_strain(requirement: Strain, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> Array:
+def largest_strain(requirement: Strain, robot: DesignedRobot, equilibria: tuple[Equilibrium, ...]) -> Array:
     """Largest bending strain (n,) of every tube, straightened and in poses as required. Independent of physics.torsion.
 
     In poses it is evaluated on both sides of every shape point, from the balance of bending moments.
     """
     largest = np.array([tube.straightened_strain if requirement.straightened else 0.0 for tube in robot.tubes])
     for e in equilibria if requirement.in_poses else ():
+        if isinstance(robot, BundleRobot):
+            largest = np.maximum(largest, _bundle_strain(robot, e))
+            continue
         for offset in (-1e-9, 1e-9):  # m: the arm's curvature jumps at breakpoints
             s = e.arc_length + offset
             # In front of the plate, up to the end of the tube: its translation and its curved length.
@@ -360,8 +379,33 @@ def largest_strain(requirement: Strain, robot: ConcentricRobot, equilibria: tupl
     return largest
 
 
-def arm_distance(body: Any, robot: ConcentricRobot, equilibrium: Equilibrium) -> float:
+def _bundle_strain(robot: BundleRobot, e: Equilibrium) -> Array:
+    """Largest bending strain (n,) of every tube of a bundle in an equilibrium.
+
+    Own arc lengths, at which a tube begins to curve and ends, are integrals of its stretch along the arm.
+    """
+    lever = np.array(robot.offset)[:, None] * np.column_stack([np.sin(robot.angle), -np.cos(robot.angle)])
+    largest, stretch = np.zeros(robot.n_tubes), 1 + lever @ e.curvature.T
+    middle = (e.arc_length[1:] + e.arc_length[:-1]) / 2
+    for i, tube in enumerate(robot.tubes):
+        # The places of the sections are known: the last place where the tube is straight is one of them.
+        own = scipy.integrate.cumulative_simpson(stretch[i], x=e.arc_length, initial=0.0)
+        starts = e.section_start[np.abs(np.interp(e.section_start, e.arc_length, own) - e.translations[i]) < 1e-5]
+        curves_from = float(starts[0]) if len(starts) else (0.0 if e.translations[i] <= 0 else np.inf)
+        for k in np.flatnonzero(middle < e.tube_end[i]):
+            natural = tube.curvature if middle[k] > curves_from else 0.0
+            for j in (k, k + 1):
+                direction = np.array([np.cos(e.rotation[i, j]), np.sin(e.rotation[i, j])])
+                bend = float(np.linalg.norm(e.curvature[j] / stretch[i, j] - natural * direction))
+                largest[i] = max(largest[i], surface_strain(tube.outer_diameter / 2, bend, abs(natural)))
+    return largest
+
+
+def arm_distance(body: Any, robot: DesignedRobot, equilibrium: Equilibrium) -> float:
     """Smallest distance (m) from a body to the arm's surface at its shape points in front of the plate."""
+    if isinstance(robot, BundleRobot):
+        width = robot.sheath_diameter or robot.least_sheath_diameter
+        return float((body.signed_distance(equilibrium.position) - width / 2)[1:].min())
     ends = equilibrium.tube_end
     radius = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
     arm_radius = np.array([radius[np.flatnonzero(ends >= s - 1e-9)].max() for s in equilibrium.arc_length])
@@ -372,7 +416,7 @@ def _mm(value: float) -> str:
     return f"{value * 1e3:.4f} mm"
 
 
-def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Look:
+def numbers_of(robot: DesignedRobot, equilibria: Sequence[Equilibrium]) -> Look:
     """Function that evaluates quantities of a robot and of its equilibria.
 
     Loaded poses and withdrawn arms are solved by forward kinematics, points on the arm by adaptive integration.
@@ -382,6 +426,11 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
         """Numbers (k,) of one quantity."""
         if quantity.name == "certificate":
             return np.array([snap_free_certificate(robot, np.array(quantity.at))])
+        if quantity.name == "channel" and isinstance(robot, BundleRobot):
+            return np.array([channel_between(robot).diameter])
+        if quantity.name in ("sheath_diameter", "sheath_stiffness", *PLACES) and isinstance(robot, BundleRobot):
+            value = getattr(robot, quantity.name)
+            return np.atleast_1d(robot.least_sheath_diameter if value is None else value)
         if quantity.name == "straightened_strain":
             tube, number = robot.tubes[quantity.at[0]], quantity.at[1]
             return np.array([piece_strain(tube, tube.pieces[number]) if tube.pieces else tube.straightened_strain])
@@ -422,7 +471,7 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
     return value_of
 
 
-def check_custom(requirement: CustomRequirement, robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Check:
+def check_custom(requirement: CustomRequirement, robot: DesignedRobot, equilibria: Sequence[Equilibrium]) -> Check:
     """Check of a custom requirement, by its expression at the numbers of the robot and its equilibria."""
     pieces = [len(tube.pieces) or 1 for tube in robot.tubes]
     expression = recorded(requirement.expression, robot.n_tubes, len(equilibria), requirement.description, pieces)

@@ -270,10 +270,10 @@ def linearised(equilibrium: Equilibrium) -> Array:
 def sure_margin(equilibrium: Equilibrium) -> float:
     """Lower bound of the linearised equations relative to the elastic form, at most 1.
 
-    The margin, or under a load without an energy the smallest eigenvalue of their symmetric part. Above 0 there is no
-    other equilibrium close by.
+    The margin, or of fixed sections under a load without an energy the smallest eigenvalue of their symmetric part.
+    Above 0 there is no other equilibrium close by.
     """
-    if equilibrium.load is None or equilibrium.load.has_energy:
+    if equilibrium.load is None or equilibrium.load.has_energy or not equilibrium.robot.fixed_sections:
         return min(equilibrium.margin, 1.0)
     member, x = unsolved(equilibrium)
     return monotonicity(member.problem, member.at(x))
@@ -647,8 +647,10 @@ def _descend(member: Member[Any], solver: Method) -> tuple[AnyPoint, str]:
     # Newton's method ended in a saddle, or did not converge: symmetric tubes that oppose one another are such a case.
     # On the path from home every step ends in a minimum.
     result = member.from_home()
+    if not result.converged:
+        raise SolveError(f"no stable equilibrium was found: the descent from home did not converge{failure}")
     point = Point.of(member, result)
-    if point.margin <= 0 or not result.converged:
+    if point.margin <= 0:
         raise SolveError(f"no stable equilibrium was found: the best has margin {point.margin:.3g}{failure}")
     return _by_method(point, solver), "the path from home"
 

@@ -425,7 +425,7 @@ def curvature_at(of: Linearised, fraction: float) -> tuple[Array, Array]:
     """Curvature (2,) in the Bishop frame at a fraction of the arm's length, 1/m, and its change (2, Q)."""
     if len(of.cuts) < 2:
         return np.zeros(2), np.zeros((2, of.size))
-    k, x = _place(of, fraction)
+    k, x = place_of(of, fraction)
     result = of.section(k, x, fraction * of.moved[-1])
     return result.curvature, result.by_curvature
 
@@ -476,7 +476,7 @@ def curvature_in_tube(of: Linearised, tube: int, ends: tuple[float, float], move
     return value / (last - first), change / (last - first)
 
 
-def _place(of: Derivatives, fraction: float) -> tuple[int, float]:
+def place_of(of: Derivatives, fraction: float) -> tuple[int, float]:
     """Element at a fraction of the arm's length, and the fraction within the element."""
     (k,), _, (x,) = between(of.cuts, np.array([fraction * of.cuts[-1]]))
     return int(k), float(x)

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -38,7 +39,7 @@ from ..typing import Array, Mask
 from .bundle import Bundled
 from .directions import ARRANGEMENT, PARAMETERS, check_wrt, columns_of
 from .kinematics import point_of
-from .linearised import APART, FLAT
+from .linearised import APART, FLAT, place_of
 from .result import Equilibrium
 
 CHANGED: dict[str, dict[str, float]] = {
@@ -54,6 +55,23 @@ CHANGED: dict[str, dict[str, float]] = {
     "sheath_stiffness": {"sheath": 1},
 }
 """Changes of the quantities of a tube in `Bundle`, and of its rotation alpha, per unit of each parameter."""
+
+
+class TubeAlongArm(NamedTuple):
+    """A tube in E elements of an arm, at ENDS (x,) of each, with changes at fixed fractions of the elements."""
+
+    theta: Array
+    """Rotation (E, x), rad."""
+    curvature: Array
+    """Curvature (E, x, 2) per own length, in the Bishop frame, 1/m."""
+    natural: Array
+    """Precurvature (E,), 1/m."""
+    turned: Array
+    """Change (E, x, Q) of the rotation."""
+    bent: Array
+    """Change (E, x, 2, Q) of the curvature."""
+    curved: Array
+    """Change (E, Q) of the precurvature."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +90,8 @@ class LinearisedBundle:
 
     def __post_init__(self) -> None:
         bundle = self.state.problem.bundle
-        if "curvature" in self.wrt and ((bundle.curvature == 0) & (bundle.transition > 0)).any():
+        straight = (bundle.curvature == 0) & (bundle.transition > 0)
+        if "curvature" in self.wrt and self._of_tubes("curvature")[straight].any():
             raise InputError(
                 "wrt names 'curvature', but a straight tube would begin to curve in front of the plate. Give that tube "
                 "a curvature, or move it back until its curved part begins at the plate."
@@ -123,7 +142,7 @@ class LinearisedBundle:
         """Derivative (2 N, Q) of forces (m,) times `_longer`, by kappa."""
         problem = self.state.problem
         by_boundary = (problem.lengths_by_boundaries.T @ forces)[:, None, None] * problem.at_boundaries(self._levers)
-        return -np.tensordot(problem.before, by_boundary, (0, 0)).reshape(-1, self.size)
+        return np.asarray(-np.tensordot(problem.before, by_boundary, (0, 0)).reshape(-1, self.size))
 
     @cached_property
     def _data(self) -> Array:
@@ -332,27 +351,90 @@ class LinearisedBundle:
         """Derivative (n, Q) of theta at the ends of the tubes, rad."""
         return self._at_plate + self.state.problem.tip_rows @ self.x
 
+    # --- Curvature at a place, strain ---------------------------------------------------------------------------------
+
+    def curvature_at(self, fraction: float) -> tuple[Array, Array]:
+        """Curvature (2,) in the Bishop frame at a fraction of the arm's length, 1/m, and its change (2, Q)."""
+        degree, (element, x) = self.state.problem.tableau.degree, place_of(self, fraction)
+        values, rates = (self.state.problem.tableau.basis((x,), order)[0] for order in (0, -1))
+        inside = slice(element * degree, (element + 1) * degree)
+        kappa, h = self.state.bend[inside], self.state.h[inside][0]
+        bend, change = self.changes[inside, -3:-1], self.changes[inside][0, -1]
+        u = values @ kappa / h
+        # The place stays at its fraction of the whole arm, and so moves within its element.
+        ends = self.moved[:: len(ENDS) - 1][element : element + 2]
+        passed = (fraction * self.moved[-1] - (1 - x) * ends[0] - x * ends[1]) / h
+        moved = np.tensordot(values, bend, 1) / h - np.outer(u, change / h)
+        return u, moved + np.outer(rates @ kappa / h, passed)
+
+    def along_tube(self, tube: int) -> TubeAlongArm:
+        """State of a tube at ENDS of the elements that it runs through."""
+        problem, state, k = self.state.problem, self.state, self.state.problem.tableau.degree
+        first, at = np.flatnonzero(problem.present[::k, tube]) * k, tuple(ENDS.tolist())
+        points = first[:, None] + np.arange(k)
+        values, integrals = problem.tableau.basis(at, 0), problem.tableau.basis(at, 1)
+        n, start = problem.n, problem.tableau.matrix[0]
+        turn, dturn = state.turn[points, tube], self.changes[points, n + tube]
+        # theta at the first point, less the turn up to there, is theta where the element begins.
+        theta = (state.theta[first, tube] - turn @ start)[:, None] + turn @ integrals.T
+        dtheta = self.changes[first, tube] - np.einsum("k,ekq->eq", start, dturn)
+        dtheta = dtheta[:, None] + np.einsum("xk,ekq->exq", integrals, dturn)
+        bend, dbend = (np.einsum("xk,ekc...->exc...", values, table[points]) for table in (state.bend, self._bends))
+        lever, dlever = problem.bundle.levers[tube], self._levers[tube]
+        length = state.h[first][:, None] + bend @ lever
+        longer = self.changes[first, -1][:, None] + np.einsum("c,excq->exq", lever, dbend) + bend @ dlever
+        u = bend / length[..., None]
+        du = (dbend - u[..., None] * longer[:, :, None]) / length[..., None, None]
+        natural = problem.bundle.curvature[tube] * problem.curved[first, tube]
+        dnatural = problem.curved[first, tube, None] * self._of_tubes("curvature")[tube]
+        return TubeAlongArm(theta, u, natural, dtheta, du, dnatural)
+
+    @property
+    def _bends(self) -> Array:
+        """Change (N, 2, Q) of kappa at the points."""
+        return self.changes[:, -3:-1]
+
     # --- Margin -------------------------------------------------------------------------------------------------------
 
     @cached_property
     def margin(self) -> Array:
-        """Derivative (Q,) of the margin; NaN at a double eigenvalue, and where the mode oscillates."""
-        state, problem, n = self.state, self.state.problem, self.state.problem.n
-        mu = self.member.margin(state)
+        """Derivative (Q,) of the margin; NaN at a double eigenvalue."""
+        return self._margin(one_of_two=False)
+
+    @cached_property
+    def one_margin(self) -> Array:
+        """Derivative (Q,) of the margin; at a double eigenvalue, of one of its modes."""
+        return self._margin(one_of_two=True)
+
+    def _margin(self, *, one_of_two: bool) -> Array:
+        state, mu = self.state, self.member.margin(self.state)
         if mu >= FLAT:
             return np.zeros(self.size)
-        pair = modes(margin_form(state), symmetric=self.member.descends or not state.factor)
-        if pair is None or np.imag(pair.value):
+        symmetric, form = self.member.descends or not state.factor, margin_form(state)
+        pair = modes(form, symmetric=symmetric, any_of_two=one_of_two)
+        if pair is None:
             return np.full(self.size, np.nan)
-        pairing = float(np.real(pair.left @ pair.right))
-        left, right = (mode_of(state, np.real(vector)) for vector in (pair.left, pair.right))
-        out = self._elastic_change(left.unknowns, right.unknowns)
+        value, left, right = pair
+        pairing = np.vdot(left, right)
+        # The forms are bilinear: of a mode that oscillates its real and imaginary parts count apart.
+        out = np.zeros(self.size, dtype=complex)
+        for one, factor in ((left.real, 1.0), (left.imag, -1j)):
+            for other, times in ((right.real, 1.0), (right.imag, 1j)):
+                if one.any() and other.any():
+                    out += (
+                        factor * times * self._forms_change(mode_of(state, one), mode_of(state, other), complex(value))
+                    )
+        return np.asarray(np.real(out / pairing))
+
+    def _forms_change(self, left: BundleMode, right: BundleMode, value: complex) -> Array:
+        """Change (Q,) of the second variation less `value` times T, for two modes."""
+        state, problem, n = self.state, self.state.problem, self.state.problem.n
+        out, stiffer = self._elastic_change(left.unknowns, right.unknowns), np.zeros(self.size)
         if state.loading is not None:
             moves = self._placed(self._bend)
-            out -= state.factor * work_second_change(state, left.unknowns, right.unknowns) @ moves
             # Of T, bending counts from the curvature that the rotations of the mode bring by themselves.
-            out -= mu * self._elastic_change(left.unknowns, right.unknowns)
-            out += mu * self._elastic_change(left.relaxed, right.relaxed)
+            stiffer += out - self._elastic_change(left.relaxed, right.relaxed)
+            out -= state.factor * work_second_change(state, left.unknowns, right.unknowns) @ moves
             out -= self._work_change(left.unknowns, right.unknowns)
         # Torsion of T: kt p^2 / g of the tubes, and that of the transmissions, 1 of unknowns at scale.
         a, b = problem.push(left.unknowns)[:, n : 2 * n], problem.push(right.unknowns)[:, n : 2 * n]
@@ -361,11 +443,10 @@ class LinearisedBundle:
         stretched += np.einsum("ac,icq->aiq", state.bend, self._levers)
         energy = (problem.weight[:, None] * problem.present * a * b / length)[..., None]
         softened = self._data[:, n : 2 * n] - (kt / length)[..., None] * stretched
-        out -= mu * (energy * softened).sum((0, 1))
+        stiffer += (energy * softened).sum((0, 1))
         sprung = left.unknowns[problem.sprung_rows] * right.unknowns[problem.sprung_rows]
-        out -= mu * sprung @ self._softer
-        out -= self._new_transmissions(left, right, mu)
-        return np.asarray(out / pairing)
+        stiffer += sprung @ self._softer
+        return np.asarray(out - value * stiffer - self._new_transmissions(left, right, float(np.real(value))))
 
     def _elastic_change(self, left: Array, right: Array) -> Array:
         """Change (Q,) of the second variation of the elastic energy for two directions (U,)."""

@@ -395,17 +395,23 @@ class Channel(NamedTuple):
 
 
 def free_channel(robot: EccentricRobot | SegmentedEccentricRobot | BundleRobot) -> Channel:
-    """Largest circle inside the sheath that touches no tube, or the widest bore of an innermost tube.
-
-    A circle between the tubes is found by branch and bound on squares of the cross-section, to 1e-10 of the sheath.
-    """
-    centre, tubes = robot.axes, robot.tubes
-    outer = np.array([tube.outer_diameter / 2 for tube in tubes])
+    """Largest circle inside the sheath that touches no tube, or the widest bore of an innermost tube."""
+    centre, around = robot.axes, {outer for _, outer in robot.nested_pairs}
     bores = [
         Channel(tube.inner_diameter, (float(centre[i][0]), float(centre[i][1])), i)
-        for i, tube in enumerate(tubes)
-        if not any(i == around for _, around in robot.nested_pairs)
+        for i, tube in enumerate(robot.tubes)
+        if i not in around
     ]
+    return max([channel_between(robot), *bores], key=lambda one: one.diameter)
+
+
+def channel_between(robot: EccentricRobot | SegmentedEccentricRobot | BundleRobot) -> Channel:
+    """Largest circle inside the sheath that touches no tube; its diameter is negative where tubes overlap everywhere.
+
+    It is found by branch and bound on squares of the cross-section, to 1e-10 of the sheath.
+    """
+    centre = robot.axes
+    outer = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
     widest = 2 * float((np.hypot(*centre.T) + outer).max())
     radius = (getattr(robot, "sheath_diameter", None) or widest) / 2
 
@@ -428,5 +434,4 @@ def free_channel(robot: EccentricRobot | SegmentedEccentricRobot | BundleRobot) 
         half /= 2
         corners = half * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
         cells = (cells[:, None] + corners).reshape(-1, 2)
-    between = Channel(2 * float(clearance(best[None])[0]), (float(best[0]), float(best[1])), None)
-    return max([between, *bores], key=lambda one: one.diameter)
+    return Channel(2 * float(clearance(best[None])[0]), (float(best[0]), float(best[1])), None)

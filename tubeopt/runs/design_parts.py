@@ -15,10 +15,14 @@ from ..bodies.corridors import Corridor
 from ..bodies.frames import Frame
 from ..design import (
     Avoid,
+    Bore,
+    Channel,
     Coverage,
+    Deflection,
     Deployment,
     DesignTask,
     Free,
+    Girth,
     Length,
     Nesting,
     Objective,
@@ -38,7 +42,7 @@ from ..design import (
     search_design,
     tolerance_analysis,
 )
-from ..design.parameters import TUBE_FIELDS
+from ..design.parameters import PLACES, SHEATH, TUBE_FIELDS
 from ..design.requirements import Requirement
 from ..display import Displayed
 from ..errors import InputError
@@ -49,6 +53,7 @@ from ..files.units import unit_of
 from ..files.yaml_file import load_yaml
 from ..planning import PairReach, PlanOptions, ReachFraction, RegionReach
 from ..robots.concentric import ConcentricRobot
+from ..robots.eccentric import BundleRobot, SheathedRobot
 from ..robots.file import MaterialChoice, Range, material_of
 from ..robots.pieces import Slots
 from ..robots.tubes import Tube
@@ -92,6 +97,11 @@ RANGES = {
         if field.name in TUBE_FIELDS
     },
     **{f"{name}_factor": Ranged(name, "", "range of one factor for all these tubes", scaled=True) for name in SCALED},
+    **{
+        field.key: Ranged(field.name, unit_of(field.key), "range, of an eccentric robot")
+        for field in keys_in(BundleRobot)
+        if field.name in (*PLACES, *SHEATH)
+    },
     **{f"{piece.field}_{piece.unit}" if piece.unit else piece.field: piece for piece in OF_PIECES},
 }
 """Keys for the range of a free dimension."""
@@ -101,7 +111,7 @@ RANGES = {
 class FreeEntry(Part):
     """Free dimension of some tubes; the value of its key is the allowed range."""
 
-    tubes: Annotated[list[Whole], Field(min_length=1)] = Field(description="numbers of the tubes, 1 for the innermost")
+    tubes: list[Whole] = Field([], description="numbers of the tubes, 1 for the innermost; none for a sheath")
     equal: bool = Field(False, description="one common value for all these tubes or pieces, instead of one each")
     pieces: list[Whole] = Field(
         [],
@@ -124,6 +134,8 @@ class FreeEntry(Part):
             raise ValueError(f"gives {len(keys)} ranges; it must give one of {', '.join(RANGES)}")
         key = keys[0]
         dimension, (low, high) = RANGES[key], self.si(key)
+        if not self.tubes and dimension.field not in SHEATH:
+            raise ValueError("has no tubes; give the numbers of the tubes, as tubes: [1, 2]")
         if dimension.scaled and self.equal:
             raise ValueError(f"gives equal with {key}; a factor is already the same for all its tubes")
         return Free(
@@ -189,7 +201,9 @@ class AvoidEntry(Part):
         return Avoid(self.obstacles, self.si("clearance_mm"), self.deployed)
 
 
-NUMBERS = [(kind, field) for kind in (Nesting, Wall, Stroke, Deployment, StrokeForce) for field in keys_in(kind)]
+ONE_NUMBER = (Nesting, Wall, Channel, Bore, Girth, Stroke, Deployment, StrokeForce)
+
+NUMBERS = [(kind, field) for kind in ONE_NUMBER for field in keys_in(kind)]
 """Requirements of one number each, with its field."""
 
 
@@ -200,6 +214,7 @@ class Requirements(Part):
     snap_free: EntryOf[SnapFree] | None = None
     snap_free_in_use: EntryOf[SnapFreeInUse] | None = None
     strain: EntryOf[Strain] | None = None
+    deflection: EntryOf[Deflection] | None = None
     lengths: list[LengthEntry] = Field([])
     reach: list[EntryOf[Target]] = Field([])
     coverage: EntryOf[Coverage] | None = None
@@ -209,7 +224,7 @@ class Requirements(Part):
 
     def build(self) -> tuple[Requirement, ...]:
         """Requirements in SI; task poses in the order reach, coverage, poses."""
-        out = _built(self.snap_free, self.snap_free_in_use, self.strain, *self.lengths)
+        out = _built(self.snap_free, self.snap_free_in_use, self.strain, self.deflection, *self.lengths)
         for kind, field in NUMBERS:
             if (number := getattr(self, field.key)) is not None:
                 out.append(kind(field.read(number)))
@@ -238,11 +253,9 @@ class DesignedRobot(Entry):
 
     def task_for(self, *objectives: Objective) -> DesignTask:
         """Design task in SI; raises InputError if its parts do not fit together."""
-        # Design variables are dimensions of nested tubes; eccentric robots have other constraints.
-        if not isinstance(self.robot, ConcentricRobot):
-            raise InputError("robot must be a concentric robot")
         free = tuple(entry.build() for entry in self.free)
-        return DesignTask(self.robot, free, self.requirements.build(), objectives, self.name, self.ordered)
+        robot = self.robot.bundle() if isinstance(self.robot, SheathedRobot) else self.robot
+        return DesignTask(robot, free, self.requirements.build(), objectives, self.name, self.ordered)
 
 
 MULTISTART = ("starts", "seed", "turns")

@@ -171,6 +171,7 @@ TITLES = {
     "SnapFreeInUse": "Requirement: snap-free at task poses",
     "StockStudy": "Stock of a design",
     "Strain": "Requirement: largest strain",
+    "Deflection": "Deflection of the tip",
     "Stretch": "Distributed load",
     "StructurePart": "Image of one structure",
     "Target": "Target of the tip",

@@ -290,7 +290,7 @@ class DesignReport(Report[DesignAnswer]):
         if s.equilibria:
             pictures["poses"] = drawing("design.plot_poses", s)
         # Two tubes have a single relative rotation: a map over two would show nothing more.
-        if s.robot.n_tubes > 2:
+        if s.robot.n_tubes > 2 and isinstance(s.robot, ConcentricRobot):
             pictures["maps"] = lambda path=None: _draw_maps((s.task.robot, s.robot), path)
         if a.front is not None:
             pictures["pareto"] = drawing("design.plot_front", a.front)
@@ -322,7 +322,7 @@ class DesignReport(Report[DesignAnswer]):
         return "\n".join(lines) + "\n"
 
 
-def _draw_maps(robots: Sequence[ConcentricRobot], path: Path | None) -> Any:
+def _draw_maps(robots: Sequence[Any], path: Path | None) -> Any:
     """Draw stability maps before and after the design; they are computed only here, since this takes long."""
     from ..stability import stability_map
     from .plots.design import plot_before_after

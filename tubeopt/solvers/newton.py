@@ -132,6 +132,9 @@ def damped_newton(
             if trial.energy <= state.energy + 1e-4 * slope + 1e-13 * abs(state.energy):
                 break
             step, slope = step / 2, slope / 2
+        if not np.isfinite(trial.energy):
+            # No such arm, however short the step: the last one is kept.
+            return Descent(state, iteration, False)
         state = trial
     return Descent(state, settings.descent_iterations, False)
 

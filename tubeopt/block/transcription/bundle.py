@@ -879,9 +879,19 @@ def _shortened(problem: BundleProblem, turn: Array, bend: Array, sections: Seque
 
 def opened(problem: BundleProblem, x: Array, least: float) -> Array:
     """Unknowns (U,) close to x in which every element of a free section is at least `least` long, m."""
-    short = np.setdiff1d(np.flatnonzero(problem.lengths(x) < least), problem.held)
-    if not len(short) or len(problem.order) < 2:
-        return x
+    out, short = x, np.zeros(0, dtype=np.intp)
+    # Lengths that are opened take from those of other sections: these may then be too short, too.
+    while len(problem.order) > 1:
+        found = np.setdiff1d(np.flatnonzero(problem.lengths(out) < least * (1 - 1e-6)), [*problem.held, *short])
+        if not len(found):
+            break
+        short = np.union1d(short, found)
+        out = _opened(problem, x, short, least)
+    return out
+
+
+def _opened(problem: BundleProblem, x: Array, short: Index, least: float) -> Array:
+    """Unknowns (U,) close to x in which every element of the sections `short` has the length `least`, m."""
     (turn, twist), bend = problem.torsion(x), problem.bend(x).reshape(-1, 2)
     turn = turn.copy()
     _shortened(problem, turn, bend, short.tolist(), least)

@@ -1,0 +1,186 @@
+"""Designs of eccentric robots: derivatives, optima, and what is checked again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.equilibrium.test_bundle import length_forces, shoot
+from tubeopt import BundleRobot, DesignTask, EccentricRobot, Load, load_robot, optimize_design
+from tubeopt.block.quantities import Quantity
+from tubeopt.bodies import Sphere
+from tubeopt.design import (
+    Bore,
+    Channel,
+    Deflection,
+    Free,
+    Girth,
+    Objective,
+    Poses,
+    Reach,
+    SnapFree,
+    SnapFreeInUse,
+    Strain,
+    StrokeForce,
+    Target,
+    Wall,
+)
+from tubeopt.design.evaluation import evaluated_at
+from tubeopt.design.program import compile_task
+from tubeopt.design.state import DesignState
+from tubeopt.equilibrium.kinematics import point_of
+from tubeopt.errors import InputError
+
+ROOT = Path(__file__).resolve().parents[2]
+THREE = (0, 1, 2)
+EQUAL = (
+    Free("curvature", THREE, 4.0, 30.0, "equal"),
+    Free("outer_diameter", THREE, 0.8e-3, 1.92e-3, "equal"),
+    Free("inner_diameter", THREE, 0.5e-3, 1.7e-3, "equal"),
+    Free("offset", THREE, 1e-3, 2e-3, "equal"),
+)
+
+
+def thesis() -> EccentricRobot:
+    robot = load_robot("thesis_etr")
+    assert isinstance(robot, EccentricRobot)
+    return robot
+
+
+def posed(*degrees: Any, shift: float = 0.0) -> Poses:
+    rows = [tuple(row) for row in np.radians(degrees).tolist()]
+    return Poses(tuple(rows), ((shift,) * len(rows[0]),) * len(rows))
+
+
+def test_derivatives_of_every_quantity_are_those_of_solved_designs() -> None:
+    free = (
+        *EQUAL,
+        Free("curved_length", THREE, 0.05, 0.12),
+        Free("angle", (1,), 1.9, 2.3),
+        Free("sheath_stiffness", (), 0.0, 0.01),
+        Free("sheath_diameter", (), 3e-3, 6e-3),
+    )
+    task = DesignTask(thesis(), free, (posed([30, 100, -20], [0, 60, -60], shift=-0.01),))
+    program = compile_task(task)
+    x = program.layout.space.start.copy()
+    x[3:] = 1.45e-3, 0.094, 0.09, 0.098, 2.05, 0.004, 4.9e-3
+    state = DesignState(program.layout, x)
+    force, moment = Load((0.02, 0.01, -0.01)), Load((0.02, 0.01, -0.01), (0.001, 0.0, 0.002))
+    body = Sphere((0.02, -0.02, 0.05), 0.01)
+    quantities = [
+        *(Quantity(name, 0) for name in ("tip_position", "tip_direction", "margin", "jacobian")),
+        *(Quantity("curvature", 0, (fraction,)) for fraction in (0.5, 0.97)),
+        *(Quantity("strain", pose, (tube,)) for pose in (0, 1) for tube in THREE),
+        Quantity("position", 0, (0.4,)),
+        Quantity("clearance", 0, (body,)),
+        Quantity("deflection", 0, (force,)),
+        *(Quantity("margin_under", 0, (load,)) for load in (force, moment)),
+        *(Quantity(name) for name in ("channel", "sheath_diameter", "offset", "angle", "bending_stiffness")),
+    ]
+    known = {quantity: state.quantity(quantity) for quantity in quantities}
+    for k, scale in enumerate(program.scale):
+        step = 1e-5 * scale * np.eye(len(x))[k]
+        ahead, behind = (DesignState(program.layout, x + way * step, dict(state.guesses)) for way in (1, -1))
+        for quantity, (value, slope) in known.items():
+            change = (np.ravel(ahead.quantity(quantity)[0]) - np.ravel(behind.quantity(quantity)[0])) / 2e-5
+            expected = scale * slope.reshape(value.size, -1)[:, k]
+            assert np.abs(change - expected).max() < 2e-8, (quantity.name, program.layout.space.names[k])
+
+
+def test_rows_of_the_fit_have_their_derivatives() -> None:
+    program = compile_task(DesignTask(thesis(), (*EQUAL, Free("angle", (1,), 1.9, 2.3))))
+    x = program.layout.space.start.copy()
+    x[3] *= 1.1
+    values, slopes = evaluated_at(program, x).fixed
+    # Three pairs of tubes side by side, and curvature and sheath of each.
+    assert (values >= -1e-6).all()
+    for k, scale in enumerate(program.scale):
+        step = 1e-6 * scale * np.eye(len(x))[k]
+        ahead, behind = (evaluated_at(program, x + way * step).fixed[0] for way in (1, -1))
+        assert (ahead - behind) / 2e-6 == pytest.approx(scale * slopes[:, k], abs=1e-6)
+
+
+@pytest.fixture(scope="module")
+def tight() -> Any:
+    """Tightest turn with a channel of 1.2 mm in the sheath of the thesis."""
+    requirements = (
+        posed([0, 0, 0], [180, 0, 0]),
+        SnapFreeInUse(0.05, paths=False),
+        Channel(1.2e-3),
+        Girth(4.14e-3),
+        Bore(0.6e-3),
+        Wall(0.1e-3),
+        Strain((0.02,)),
+        Deflection(6e-3, (0.2, 0.0, 0.0)),
+    )
+    return optimize_design(DesignTask(thesis(), EQUAL, requirements, Objective("turning_radius")))
+
+
+def test_a_turn_is_tighter_with_a_channel(tight: Any) -> None:
+    robot = tight.robot
+    assert isinstance(robot, BundleRobot)
+    assert tight.verification.satisfied
+    assert tight.certificate is None
+    # The robot of the thesis has 120 mm, and no room between its tubes.
+    assert 0.06 < tight.objective < 0.08
+    tube, offset = robot.tubes[0], robot.offset[0]
+    # The largest free circle lies between two tubes and the sheath, not in the middle.
+    across, pocket = offset * 0.5, 4.14e-3 / 2 - 0.6e-3
+    apart = np.hypot(offset * np.sin(np.pi / 3), pocket - across)
+    assert apart == pytest.approx(tube.outer_diameter / 2 + 0.6e-3, rel=1e-5)
+    assert 2 * offset - tube.outer_diameter < 1.2e-3
+    assert 2 * offset + tube.outer_diameter == pytest.approx(4.14e-3, rel=1e-5)
+    bent = robot.fk(np.zeros(3), load=Load((0.2, 0.0, 0.0)))
+    straight = robot.fk([np.pi, 0, 0], load=Load((0.2, 0.0, 0.0)))
+    moved = [np.linalg.norm(e.tip_position - robot.fk(e.rotations).tip_position) for e in (bent, straight)]
+    assert max(moved) == pytest.approx(6e-3, rel=1e-4)
+    # All bent to one side, the tubes of one length have the curvature of one.
+    assert 1 / np.linalg.norm(bent.robot.fk(np.zeros(3)).curvature[3]) == pytest.approx(tight.objective, rel=1e-4)
+
+
+def test_a_design_is_an_equilibrium_of_integrated_forces(tight: Any) -> None:
+    """Shooting knows nothing of the energy, nor of its derivatives."""
+    pose = tight.robot.fk(np.radians([20.0, 75.0, -110.0]))
+    violated, tip = shoot(tight.robot, pose, length_forces(point_of(pose).state), np.zeros(3))
+    assert np.abs(violated).max() < 1e-8
+    assert np.abs(tip - pose.tip_position).max() < 1e-9
+
+
+def test_carriages_reach_targets_together() -> None:
+    robot = load_robot(ROOT / "configs" / "bundles" / "steerable_sheath.yaml")
+    known = robot.fk(np.radians([0, 40, 0]), np.array([0.0, -0.01, 0.0]))
+    target = known.tip_position + np.array([4e-3, 0.0, 3e-3])
+    free = (Free("curvature", (0, 1), 5.0, 25.0), Free("sheath_stiffness", (), 0.001, 0.01))
+    solution = optimize_design(DesignTask(robot, free, (Reach((Target(tuple(target), 2e-4),)),)))
+    assert solution.verification.satisfied
+    assert np.linalg.norm(solution.equilibria[0].tip_position - target) < 2e-4
+
+
+@pytest.mark.parametrize(
+    ("requirement", "message"),
+    [
+        (SnapFree(0.05), "SnapFree is given for an eccentric robot.*SnapFreeInUse, the margin in use"),
+        (StrokeForce(0.1), "StrokeForce needs task poses|StrokeForce is given for an eccentric robot"),
+        (SnapFreeInUse(0.05, deployed=True), "tubes of this robot share carriages"),
+        (Poses(((0.0, 0.0, 0.0),), ((0.0, 0.0, -0.01),)), "must be equal, since they share a carriage"),
+    ],
+)
+def test_what_designs_of_bundles_do_not_support_is_named(requirement: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        DesignTask(thesis(), EQUAL, (requirement, *(() if isinstance(requirement, Poses) else (posed([0, 0, 0]),))))
+
+
+def test_wrong_dimensions_are_named() -> None:
+    pair = load_robot("two_tube")
+    with pytest.raises(InputError, match="free offset is a dimension of eccentric robots"):
+        DesignTask(pair, (Free("offset", (0,), 0.0, 1e-3),))
+    with pytest.raises(InputError, match="a sheath has no tubes"):
+        Free("sheath_stiffness", (0,), 0.0, 1.0)
+    with pytest.raises(InputError, match="is a dimension of nested tubes"):
+        DesignTask(thesis(), (Free("piece_twist", THREE, -1.0, 1.0),))
+    segments = load_robot(ROOT / "configs" / "robots" / "example_three_segment_etr.yaml")
+    with pytest.raises(InputError, match="offset of tubes 1, 4, 7, which are nested, is not free together"):
+        DesignTask(segments, (Free("offset", (0, 1, 2), 1e-3, 2e-3, "equal"),))
