@@ -292,24 +292,38 @@ NO_TERMS = CustomTerms()
 """The program of the built-in objectives alone."""
 
 
-@lru_cache(maxsize=8)
-def program(s: Structure, custom: CustomTerms = NO_TERMS) -> Program:
-    """Compiled program of a structure."""
-    x, mesh = _Unknowns(**{name: ca.MX.sym(name, *shape) for name, shape in s.unknowns.items()}), s.mesh
+def _course(s: Structure, grid: GridPlaces) -> tuple[_Unknowns, Any, Any, RigCourse]:
+    """Unknowns, parameters of the rig, values of `TASK`, and the course that they determine."""
+    x = _Unknowns(**{name: ca.MX.sym(name, *shape) for name, shape in s.unknowns.items()})
     p, task = ca.MX.sym("p", parameter_count(s.resolution)), ca.MX.sym("task", len(TASK))
-    w = dict(zip(TASK, ca.vertsplit(task), strict=True))
     course = RigCourse(
         s.resolution,
-        mesh,
+        s.mesh,
         z=x.z,
         circuit=x.circuit,
         I_sq_nodes=x.I_sq,
         durations=x.durations,
-        hold=w["hold"],
+        hold=task[TASK.index("hold")],
         designs=x.designs(s),
         column=p,
-        grid=custom.grid,
+        grid=grid,
     )
+    return x, p, task, course
+
+
+@lru_cache(maxsize=8)
+def custom_function(s: Structure, custom: CustomTerms) -> ca.Function:
+    """Function (unknowns without slacks, parameters) -> values of every custom requirement, a column each."""
+    x, p, task, course = _course(s, custom.grid)
+    values = [ca.vec(ca.MX(requirement(course))) for requirement in custom.requirements]
+    return ca.Function("requirements", [x.column, ca.veccat(p, task)], values)
+
+
+@lru_cache(maxsize=8)
+def program(s: Structure, custom: CustomTerms = NO_TERMS) -> Program:
+    """Compiled program of a structure."""
+    x, p, task, course = _course(s, custom.grid)
+    w, mesh = dict(zip(TASK, ca.vertsplit(task), strict=True)), s.mesh
     limits = course.limits(w, x.misses)
     limits["limit"] = limits["limit"][:, : s.soft_limit * s.points]
     blocks = {

@@ -19,7 +19,7 @@ from ...physics.heat_functions import CHARGE, CLAMP, SAG
 from ...robots.tubes import Tube
 from ...typing import Array
 from .counts import count_rate, full_current
-from .optimal_control import NO_TERMS, CustomTerms, Program, Structure, program
+from .optimal_control import NO_TERMS, CustomTerms, Program, Structure, custom_function, program
 from .rig import COUNTS, Rig
 from .rig_course import LIMIT_RANGES, SCALE, TASK, VENTS, rig_parameters
 from .simulation import FINE_STEP, History, State, advance, at_rest, simulate, simulate_feedback, warming, warming_span
@@ -78,6 +78,9 @@ RESTART_SLACK = 0.05
 CUSTOM_TOLERANCE = 1e-4
 """Violation of custom requirements, scaled, that counts as none."""
 
+
+DENSER = 3
+"""Factor on the numbers of intervals at whose points custom requirements are evaluated in a simulation."""
 
 # The first of each is the start without custom requirements. A dose wants a hotter hold, cold clamps a shorter heating.
 START_LEVELS, START_STRETCHES = (0.5, 0.8), (1.0, 1.5, 2.0, 3.0)
@@ -291,10 +294,16 @@ def _first_success(
 
 
 def custom_values(tube: Tube, spec: HeatingSpec, ideal: Ideal, custom: CustomTerms, run: CustomRun) -> Array:
-    """Values of the user's requirements in a simulation on the fine grid."""
+    """Values of the user's requirements in a simulation on the fine grid, at the points of the program.
+
+    They are reduced by as much as the smallest value of the requirement is smaller between these points.
+    """
     s = ideal.structure
     coarse = thermal_model(tube, ideal.rig, s.resolution)
     slot = float(run.history.time[1])
+    # The hold of a simulation begins with a slot. Its end is the last point, not that of a slot more, in which it cools.
+    if spec.hold_slots > 1:
+        spec = replace(spec, hold_time=spec.hold_time - spec.slot)
     # Shells of both grids lie at other radii: theirs are those of the program's grid.
     history = simulate(coarse, slot, run.duties)
     cells = np.array([np.interp(coarse.position, run.model.position, row) for row in run.history.tube[:, 0]])
@@ -306,13 +315,19 @@ def custom_values(tube: Tube, spec: HeatingSpec, ideal: Ideal, custom: CustomTer
         resistance=run.history.resistance,
     )
     effective = np.maximum(run.duties - ideal.rig.circuit.lost_share, 0.0)
-    parts = [part.ravel() for part in unknowns_of(s, coarse, history, effective, spec, run.start)]
     vents = vent_profile(ideal.rig, np.linspace(0.0, 1.0, VENTS))
     lengths = np.array([ideal.rig.clamps.clearance, ideal.rig.mold.lead]) / SCALE.length
     design = np.concatenate([lengths, vents])
-    x = np.concatenate([*parts, np.zeros(s.points), design, s.copies_of(design)])
     p = np.concatenate([rig_parameters(tube, ideal.rig, s.resolution), task_of(tube, ideal.rig, spec, (0, 0), 0.0)])
-    return np.asarray(program(s, custom).custom(x, p).full().ravel())
+    dense = replace(s.mesh, heating=DENSER * s.mesh.heating, hold=DENSER * s.mesh.hold)
+    columns = []
+    for at in (s, replace(s, mesh=dense)):
+        parts = [part.ravel() for part in unknowns_of(at, coarse, history, effective, spec, run.start)]
+        x = np.concatenate([*parts, np.zeros(at.points), design, at.copies_of(design)])
+        columns.append([value.full().ravel() for value in custom_function(at, custom).call([x, p])])
+    return np.concatenate(
+        [np.zeros(0)] + [own - max(own.min() - denser.min(), 0.0) for own, denser in zip(*columns, strict=True)]
+    )
 
 
 def custom_start(tube: Tube, rig: Rig, spec: HeatingSpec, custom: CustomTerms) -> Ideal:

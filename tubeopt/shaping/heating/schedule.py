@@ -301,7 +301,7 @@ class Schedule:
     @property
     def custom_miss(self) -> float:
         """Largest violation of custom requirements, scaled; 0 if all are satisfied."""
-        return max(-float(self.custom.min(initial=0.0)), 0.0)
+        return max(0.0, -float(self.custom.min(initial=0.0)))
 
     @property
     def breaks_limits(self) -> bool:
