@@ -301,7 +301,7 @@ def custom_values(tube: Tube, spec: HeatingSpec, ideal: Ideal, custom: CustomTer
     s = ideal.structure
     coarse = thermal_model(tube, ideal.rig, s.resolution)
     slot = float(run.history.time[1])
-    # The hold of a simulation begins with a slot. Its end is the last point, not that of a slot more, in which it cools.
+    # The hold of a simulation begins with a slot. Its end is the last point, not that of one slot more, which cools.
     if spec.hold_slots > 1:
         spec = replace(spec, hold_time=spec.hold_time - spec.slot)
     # Shells of both grids lie at other radii: theirs are those of the program's grid.
