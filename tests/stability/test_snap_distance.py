@@ -442,8 +442,7 @@ def loaded(name: str, share: float, seed: int = 3) -> Equilibrium:
 
 
 def form_of(e: Equilibrium) -> LoadedForm:
-    point = point_of(e)
-    return LoadedForm.of(point.member.problem, point.state)
+    return LoadedForm.of(e)
 
 
 @pytest.mark.parametrize(("name", "share"), LOADED)

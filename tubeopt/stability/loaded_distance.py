@@ -39,7 +39,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..block.transcription.loaded import LoadedProblem, LoadedState
+from ..equilibrium.kinematics import point_of, to_equilibrium
+from ..equilibrium.linearised import linearise
+from ..equilibrium.result import Equilibrium
 from ..typing import Array, Index
 from .boxes import ROUND_OFF, Form, range_of_bend, range_of_cosine, widened
 
@@ -87,8 +89,12 @@ class LoadedForm(Form):
     """(T + N,) positive estimate of the softest variation, for the bound by Schur."""
 
     @staticmethod
-    def of(problem: LoadedProblem, state: LoadedState) -> LoadedForm:
-        """Form of a solved equilibrium under dead forces."""
+    def of(equilibrium: Equilibrium) -> LoadedForm:
+        """Form of an equilibrium under dead forces."""
+        # Solved again: an equilibrium that was saved, or found on another mesh, is right to 1e-9 only.
+        solved = point_of(equilibrium)
+        problem, state = solved.member.problem, solved.state
+        by_turns = linearise(to_equilibrium(solved, "guess"), ("rotations",)).response
         torsion, D = problem.torsion, problem.softness
         point, tube = np.nonzero(torsion.moment)
         B, K, split = torsion.weight, torsion.stiffness.sum(1), torsion.size
@@ -104,19 +110,10 @@ class LoadedForm(Form):
         bending = np.eye(split + 2 * len(B))[split:]
         rows = np.vstack([turning[i] - turning[j], turning, bending])
 
-        # The gradient by turns of the bases: of couplings, of the load on natural bends, and through the curvature.
-        of_tube = np.eye(torsion.moment.shape[1])[tube]
-        by_point = np.zeros((len(B), 2, len(point)))
-        by_point[point, :, np.arange(len(point))] = (bend * beside).T
-        slope = by_point.reshape(2 * len(B), -1)
-        twice = np.repeat(D, 2)
-        by_uu = (np.eye(2 * len(B)) - state.hessian[split:, split:]) / np.outer(twice, twice)
-        pulled = by_uu @ (slope @ of_tube)
-        direct = np.vstack([of_tube[i] - of_tube[j], of_tube, np.zeros((2 * len(B), of_tube.shape[1]))])
-        local = np.concatenate([w * np.cos(psi), B[point] * bend * along, np.zeros(2 * len(B))])
-        force = local[:, None] * direct
-        force[len(i) : len(i) + len(point)] -= slope.T @ pulled
-        force[len(i) + len(point) :] -= twice[:, None] * pulled
+        phi = by_turns.phi.reshape(*torsion.moment.shape, -1)
+        bent = by_turns.bending_moment.reshape(len(B), 2, -1) * np.sqrt(B / K)[:, None, None]
+        J = np.vstack([phi[point[i], tube[i]] - phi[point[j], tube[j]], phi[point, tube], bent.reshape(2 * len(B), -1)])
+
         response = np.linalg.solve(state.hessian, np.column_stack([rows.T, state.gradient]))
         G = rows @ response[:, :-1]
 
@@ -127,7 +124,7 @@ class LoadedForm(Form):
             hessian=state.hessian,
             rows=rows,
             G=G,
-            J=direct - G @ force,
+            J=J,
             defect=np.abs(rows @ response[:, -1]),
             psi=psi,
             w=w,

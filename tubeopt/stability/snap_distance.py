@@ -585,8 +585,7 @@ def _distance(equilibrium: Equilibrium, limit: float, precision: float = PRECISI
     radius, couplings, boxes = math.inf, 0, 0
     form: PairForm | LoadedForm
     if load is not None:
-        point = point_of(equilibrium)
-        form = LoadedForm.of(point.member.problem, point.state)
+        form = LoadedForm.of(equilibrium)
         free = snap_free_certificate(robot, equilibrium.translations)
         if not loaded_worst_case(robot, equilibrium.translations, free, form.largest_force) > ROUND_OFF:
             couplings = len(form.psi)
