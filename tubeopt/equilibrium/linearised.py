@@ -27,8 +27,8 @@ from ..block.transcription.arm_response import LinearisedArm, Response
 from ..block.transcription.arm_state import sections_of
 from ..block.transcription.buffered import bent_function, mapped, section_function
 from ..block.transcription.collocated import ENDS, THROUGH_ENDS
-from ..block.transcription.reduced import ReducedProblem
-from ..block.transcription.second_variation import Mode, eccentric_sections, worst_mode
+from ..block.transcription.reduced import ReducedProblem, eccentric_sections
+from ..block.transcription.second_variation import Mode, worst_mode
 from ..errors import SolveError
 from ..physics.certificate import worst_function
 from ..physics.shape import cross, hat

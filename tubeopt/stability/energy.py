@@ -129,8 +129,7 @@ class _TipMap(NamedTuple):
 def _tip_map(problem: ReducedProblem, tube: int) -> _TipMap:
     # theta(end) responds to the moment at a point by the compliance up to there, which the integral has exactly.
     turn = tube_turn(problem, tube, int(np.argmin(np.abs(problem.cuts - float(problem.assembly.end[tube])))))
-    rest = turn.compliance - float(turn.row @ turn.row)
-    return _TipMap(turn.row, math.sqrt(max(rest, 1e-30)))
+    return _TipMap(turn.row, math.sqrt(max(turn.rest, 1e-30)))
 
 
 class _FixedTips(NamedTuple):

@@ -14,7 +14,7 @@ those of eccentric tubes satisfy the eccentric equations.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import pairwise
@@ -94,18 +94,23 @@ def _step_function(n: int, eccentric: bool, slopes: bool, varying: bool) -> ca.F
             theta = theta + section.pop()
         out = section_function.call([theta, *section])
         g = (out[3] if slopes else out[1]) if eccentric else ca.SX.ones(n)
-        # theta' = g T / kt, T' = M, and the length of a tube grows by g against the direction of s.
-        derivative = [g * rate * torque, out[0], -g]
-        if not slopes:
-            return derivative
-        theta_by_tip, torque_by_tip = state[3:]
-        stretch = (g, ca.diag(rate * torque) @ out[4]) if eccentric else ()
-        fields = jacobi_rates(theta_by_tip, ca.diag(rate) @ torque_by_tip, out[1], *stretch)
-        return [*derivative, *fields]
+        # The length of a tube grows by g against the direction of s.
+        return [g * rate * torque, out[0], -g, *(_field_rates(out, torque, state[3:], rate) if slopes else ())]
 
     after = [ca.densify(part) for part in classical_step(state, rates, -h)]
     inputs = [part for section in sections for part in section]
     return ca.Function("step", [*state, h, *inputs], [*after, rates(state, 0)[0]], {"cse": True})
+
+
+def _field_rates(out: Sequence[Any], torque: Any, fields: Sequence[Any], rate: Any, softness: Any = 1) -> Any:
+    """Derivatives by arc length of Jacobi fields of theta and of the torque T, theta' = g T / kt, T' = M.
+
+    Args:
+        out: outputs of `balance`.   rate: 1 / kt (n,).   softness: factor on the compliance that the fields feel.
+    """
+    y, torque_change = fields
+    stretch = (out[3], ca.diag(rate * torque) @ out[4]) if len(out) > 3 else ()
+    return jacobi_rates(y, ca.diag(softness * rate) @ torque_change, out[1], *stretch)
 
 
 def classical_step(state: State, rates: Callable[[State, int], State], h: Any) -> State:
@@ -477,18 +482,16 @@ def _nystrom(
 def _runge_kutta(
     balance: Any, state: tuple[Any, ...], inputs: tuple[Any, ...], kt: tuple[Any, Any], h: Any
 ) -> list[Any]:
-    """Step of order 4 of theta' = g w, w' = M / kt.
-
-    It also steps the Jacobi fields of softened tubes; see `_nystrom`.
-    """
+    """The same of theta' = g w, kt w' = M; see `_nystrom`."""
+    theta, w, y, v = state
 
     def rates(state: State, _: int) -> State:
-        theta, w, y, v = state
-        moment, slope, _, g, g_by_theta = balance(theta, *inputs)
-        fields = jacobi_rates(y, v, ca.diag(1 / kt[1]) @ slope, g, ca.diag(w) @ g_by_theta)
-        return [g * w, moment / kt[0], *fields]
+        theta, torque, *fields = state
+        out = balance(theta, *inputs)
+        return [out[3] * torque / kt[0], out[0], *_field_rates(out, torque, fields, 1 / kt[0], kt[0] / kt[1])]
 
-    return classical_step(list(state), rates, -h)
+    theta, torque, y, torque_change = classical_step([theta, kt[0] * w, y, ca.diag(kt[1]) @ v], rates, -h)
+    return [theta, torque / kt[0], y, ca.diag(1 / kt[1]) @ torque_change]
 
 
 @lru_cache(maxsize=1)

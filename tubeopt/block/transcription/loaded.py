@@ -535,8 +535,7 @@ def compliance(problem: LoadedProblem, state: LoadedState, s: float, tube: int) 
     response = np.linalg.solve(state.hessian, slopes.T)
     out = slopes @ response
     # Twist by a torque that z does not determine: of the added moment, and of those of the load as the arm turns.
-    rest = twist.compliance - float(twist.row @ twist.row)
-    out[3:, 3:] += rest * np.outer(tangent, tangent)
+    out[3:, 3:] += twist.rest * np.outer(tangent, tangent)
     if problem.couples is not None:
         out[3:] += state.factor * np.outer(tangent, problem.couples.rest(twist) @ state.torque_slope @ response)
     return np.asarray(out)

@@ -370,7 +370,8 @@ def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
     energy = float(z @ z) / 2 + float(problem.weight @ bending[:, 0])
     extra = None
     if problem.stretch is not None:
-        extra, residual, slope = _stretch_terms(problem, torque, torque_slope, stretch)
+        at = EccentricSections.of(problem, torque, torque_slope, *stretch)
+        extra, residual, slope = _stretch_terms(problem, at)
         gradient -= residual
         hessian -= slope
     return Evaluation(z, theta, energy, gradient, hessian, torque, extra)
@@ -406,23 +407,53 @@ class _StretchTerms(NamedTuple):
     """Derivative (U, U) of that change by z."""
 
 
-def _stretch_terms(problem: ReducedProblem, moment: Array, stiffness: Array, stretch: list[Array]) -> _StretchTerms:
-    """Terms of the stretch of eccentric tubes, from the outputs of `balance`."""
+class EccentricSections(NamedTuple):
+    """Cross-sections of eccentric tubes in equilibrium at N points."""
+
+    slope: Array
+    """Derivative dM_i/dtheta_j (N, i, j) of the torsional moments."""
+    g: Array
+    """Stretch (N, n)."""
+    g_slope: Array
+    """Derivative dg_i/dtheta_j (N, i, j)."""
+    twist: Array
+    """Torsion w (N, n), rad/m."""
+
+    @staticmethod
+    def of(problem: ReducedProblem, moment: Array, slope: Array, g: Array, g_slope: Array) -> EccentricSections:
+        """Cross-sections from outputs of `balance`."""
+        assert problem.stretch is not None
+        # CasADi stores dM_i/dtheta_j by columns, (point, j, i).
+        slope, g_slope = (part.reshape(*moment.shape, -1).swapaxes(1, 2) for part in (slope, g_slope))
+        # w = -W M / kt, since torsion vanishes at the tip.
+        twist = -(problem.stretch[1] @ moment) / problem.assembly.torsional_stiffness
+        return EccentricSections(slope, g, g_slope, twist)
+
+    def rotation_by_torque(self, problem: ReducedProblem, block: Block) -> Array:
+        """Rotation Gamma + P (g - 1) W / kt (k, p, p) by a torque: directly, and by the stretch of its tube."""
+        extra = ((self.g - 1) / problem.assembly.torsional_stiffness).T[block.tubes]
+        return np.asarray(block.compliance + (block.up_to * extra[:, None, :]) @ block.beyond)
+
+
+def eccentric_sections(problem: ReducedProblem, theta: Array) -> EccentricSections:
+    """Cross-sections at rotations theta (N, n) of the points."""
+    balance = section_function("balance", len(problem.weight), problem.assembly.n_tubes, True)
+    outputs = balance(theta, problem.stiffness, problem.moment, *problem.assembly.offsets)
+    moment, slope, _, g, g_slope = (part.copy() for part in outputs)
+    return EccentricSections.of(problem, moment, slope, g, g_slope)
+
+
+def _stretch_terms(problem: ReducedProblem, at: EccentricSections) -> _StretchTerms:
+    """Terms of the stretch of eccentric tubes."""
     assert problem.stretch is not None
     up_to, beyond, inverse = problem.stretch
-    kt = problem.assembly.torsional_stiffness
-    count, n = moment.shape
-    # w = 0 at the tip: kt w = -int M from the point to the tip, with the sums W.
-    twist = -(beyond @ moment) / kt
-    extra = (stretch[0] - 1) * twist
+    extra = (at.g - 1) * at.twist
     change = up_to @ extra
-    slope_g = stretch[1].reshape(count, n, n).swapaxes(1, 2)
-    slope_moment = stiffness.reshape(count, n, n).swapaxes(1, 2)
     # d(change)[a, i] / d(theta)[b, j] = P_ab dg_i/dtheta_j[b] w_bi - sum_c P_ac (g - 1)_ci W_cb dM_i/dtheta_j[b] / kt_i
-    direct = (slope_g * twist[:, :, None]).swapaxes(0, 1)[:, None] * up_to[:, :, None]
+    direct = (at.g_slope * at.twist[:, :, None]).swapaxes(0, 1)[:, None] * up_to[:, :, None]
     # P (g - 1) W / kt of each tube: the product rule's second part without a loop over c.
-    crossed = (up_to * ((stretch[0] - 1) / kt).T[:, None, :]) @ beyond
-    through = crossed[:, :, :, None] * slope_moment.swapaxes(0, 1)[:, None]
+    crossed = (up_to * ((at.g - 1) / problem.assembly.torsional_stiffness).T[:, None, :]) @ beyond
+    through = crossed[:, :, :, None] * at.slope.swapaxes(0, 1)[:, None]
     p, t = problem.point, problem.tube
     chosen = (direct - through)[t[:, None], p[:, None], p, t]
     return _StretchTerms(extra, inverse @ change[p, t], inverse @ chosen @ problem.factor)
@@ -449,6 +480,11 @@ class TubeTurn(NamedTuple):
     """Derivative (U,) by z."""
     compliance: float
     """Rotation by a unit torque there, rad/(N m)."""
+
+    @property
+    def rest(self) -> float:
+        """Part of that rotation that z does not determine, rad/(N m)."""
+        return self.compliance - float(self.row @ self.row)
 
 
 @lru_cache(maxsize=64)

@@ -30,8 +30,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ...typing import Array
-from .buffered import section_function
-from .reduced import Block, Evaluation, ReducedProblem
+from .reduced import Block, Evaluation, ReducedProblem, eccentric_sections
 
 REAL = 1e-6
 """Imaginary part, relative to its size, below which an eigenvalue counts as real: round-off splits two that are almost
@@ -131,37 +130,6 @@ class _Linearised:
         """Matrix K (k p, k p) with the eigenvalues 1 - mu."""
         right = self.compliance[:, :, None, :] * self.slope.transpose(1, 2, 0)[:, None]
         return np.asarray(np.linalg.solve(self.system, -right.reshape(self.system.shape)))
-
-
-class EccentricSections(NamedTuple):
-    """Cross-sections of eccentric tubes in equilibrium at N points."""
-
-    slope: Array
-    """Derivative dM_i/dtheta_j (N, i, j) of the torsional moments."""
-    g: Array
-    """Stretch (N, n)."""
-    g_slope: Array
-    """Derivative dg_i/dtheta_j (N, i, j)."""
-    twist: Array
-    """Torsion w (N, n), rad/m."""
-
-    def rotation_by_torque(self, problem: ReducedProblem, block: Block) -> Array:
-        """Rotation Gamma + P (g - 1) W / kt (k, p, p) by a torque: directly, and by the stretch of its tube."""
-        extra = ((self.g - 1) / problem.assembly.torsional_stiffness).T[block.tubes]
-        return np.asarray(block.compliance + (block.up_to * extra[:, None, :]) @ block.beyond)
-
-
-def eccentric_sections(problem: ReducedProblem, theta: Array) -> EccentricSections:
-    """Cross-sections at rotations theta (N, n) of the points."""
-    assembly, count = problem.assembly, len(problem.weight)
-    balance = section_function("balance", count, assembly.n_tubes, True)
-    outputs = balance(theta, problem.stiffness, problem.moment, assembly.offset, assembly.offset_angle)
-    moment, slope, _, g, g_slope = (part.copy() for part in outputs)
-    assert problem.stretch is not None
-    # CasADi stores dM_i/dtheta_j by columns, (point, j, i).
-    slope, g_slope = (part.reshape(count, assembly.n_tubes, -1).swapaxes(1, 2) for part in (slope, g_slope))
-    # w = -W M / kt, since torsion vanishes at the tip.
-    return EccentricSections(slope, g, g_slope, -(problem.stretch[1] @ moment) / assembly.torsional_stiffness)
 
 
 def _linearise(problem: ReducedProblem, theta: Array) -> Iterator[_Linearised]:
