@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
@@ -9,12 +10,14 @@ import numpy as np
 import pytest
 
 from tubeopt import InputError, load_robot
+from tubeopt.cli.app import main
 from tubeopt.robots.passport import PASSPORT_FILE, begin_passport, continue_passport, load_passport
 from tubeopt.runs.heating_run import HeatingRun
 from tubeopt.shaping.mold.springback import calibrate_springback
 from tubeopt.show.fabrication_report import CalibrationReport
 from tubeopt.show.heat_report import HeatingRunReport
 
+CONFIGS = Path(__file__).parents[2] / "configs"
 ROBOT = """kind: concentric
 tubes:
   - {outer_diameter_mm: 1.0, inner_diameter_mm: 0.8, straight_length_mm: 50, curved_length_mm: 60, curvature_per_m: -10,
@@ -66,3 +69,33 @@ def test_an_invalid_passport_is_refused_and_kept(folder: Path) -> None:
     with pytest.raises(InputError, match="error_mm"):
         continue_passport(folder, "measurements", radius_mm=0.1, error_mm=0.0)
     assert (folder / PASSPORT_FILE).read_text(encoding="utf-8") == before
+
+
+def test_fabricate_begins_a_passport_that_validate_and_measure_continue(tmp_path: Path) -> None:
+    """By the program itself: from the drawing to the errors of the tip."""
+    robot, rig = str(CONFIGS / "robots" / "thesis_etr.yaml"), str(CONFIGS / "rigs" / "thesis_calcium_silicate.yaml")
+    # The schedule alone succeeds on few uncertain rigs: the files are written, and the command says so.
+    assert _run("fabricate", robot, "--rig", rig, "--out", str(tmp_path), "--samples", "8") == 3
+    folder = tmp_path / "tube_1"
+    begun = load_passport(folder / PASSPORT_FILE)
+    assert (begun.robot, begun.tube) == ("thesis ETR", 1)
+    assert [float(begun.drawn_radius_mm), float(begun.mold_radius_mm)] == pytest.approx([120.0, 120.0])
+    assert [begun.heatings, begun.measurements, begun.springback, begun.validations] == [[], [], [], []]
+    # The robot that is written beside it is the one that was asked for.
+    assert load_robot(tmp_path / "robot.yaml").tubes[0].curvature == load_robot(robot).tubes[0].curvature
+    measured = str(CONFIGS / "experiments" / "synthetic_etr.csv")
+    assert _run("validate", robot, measured, "--out", str(folder)) == 0
+    (validation,) = load_passport(folder / PASSPORT_FILE).validations
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert validation.configurations == report["count"] == 48
+    assert float(validation.mean_error_mm) == pytest.approx(report["error"]["mean_mm"], rel=1e-3)
+    # A folder without a passport gets none.
+    assert _run("validate", robot, measured, "--out", str(tmp_path / "elsewhere")) == 0
+    assert not (tmp_path / "elsewhere" / PASSPORT_FILE).exists()
+
+
+def _run(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(list(arguments))
+    assert isinstance(ended.value.code, int)
+    return ended.value.code

@@ -243,6 +243,7 @@ def root_mean_square(plan: HeatingPlan) -> float:
 def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     """Parts between battery and tube, rated for the plan's currents and a shorted switch, and those of the board."""
     rig, safety = plan.rig, cut_out(plan)
+    short = rig.battery.open_circuit[-1][1] / rig.battery.internal_resistance
     rms, peak, rest, circuit = root_mean_square(plan), safety.current, rig.battery.voltage, rig.circuit
     fuse = next((size for size in FUSES if size >= MARGIN * rms), FUSES[-1])
     # A cable must outlive its fuse.
@@ -269,15 +270,19 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     monostable = 1e3 * MONOSTABLE_PERIODS / circuit.pwm_frequency
     return (
         Part("fuse", f"{fuse} A, fast (gR), at the battery's plus; above {safety.least_melting:.0f} A2s for its "
-             f"pulses, soonest at {peak:.0f} A",
+             f"pulses, soonest at {peak:.0f} A; breaks {short / 1e3:.2g} kA DC, which the battery gives into a short",
              f"{current}; backs up the cut-out: {safety.withstood:.0f} A2s ({1e3 * safety.budget:.0f} ms of a short) "
              "take the tube to 650 degC"),
+        Part("control fuse", "1 A, in the wire from the fuse to stop, cut-out coil and board",
+             f"thin wires do not survive {fuse} A"),
+        Part("supply", "5 V regulator for board and logic, 12 V for driver and coil, behind the control fuse",
+             "USB alone drives neither coil nor gate"),
         Part("cut-out", f"contactor or high-side switch, normally open, {rated} A DC, opens within "
              f"{1e3 * circuit.cutout_opening:g} ms; a Zener diode at a coil, no plain diode",
              f"shorted switch: tube at {safety.peak:.0f} degC after {1e3 * safety.delay:.0f} ms, 650 degC after "
              f"{1e3 * safety.budget:.0f} ms"),
-        Part("monostable", f"{monostable:.3g} ms (74HC123, +-20 %), drives the cut-out; retriggered by pin "
-             f"{pins['tick']} AND drain high (74HC132, drain by 10 kohm and a {min(reference, 4.7):g} V Zener diode)",
+        Part("monostable", f"{monostable:.3g} ms (74HC123, +-20 %), drives the cut-out by a transistor; retriggered by "
+             f"pin {pins['tick']} AND drain high (74HC132, drain by 10 kohm, {min(reference, 4.7):g} V Zener diode)",
              "a shorted switch keeps the drain low, a dead board sends no tick: both open the cut-out"),
         Part("pull-up", f"1 kohm, {math.ceil(charged**2 / 500) / 2:g} W, across the open cut-out",
              "the drain is high before the cut-out closes, unless the switch is shorted"),
@@ -285,20 +290,21 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
              f"clamps reach {plan.clamp_temperature.max():.0f} degC"),
         Part("emergency stop", "normally closed, in the supply of the cut-out, second contact to the board",
              "stops without the board too"),
-        Part("cable", f"{cable:g} mm2 copper, as short as can be", current),
+        Part("cable", f"{cable:g} mm2 copper, as short as can be; crimped and bolted lugs, no plugs", current),
         Part("MOSFET", f"{'' if many == 1 else f'{many} in parallel, each '}{voltage} V, {rated} A, logic level, at "
              f"most {resistance:g} mohm, avalanche {1e3 * MARGIN * avalanche:.2g} mJ",
              f"{peak:.0f} A while on; warms by {heat:.1f} W, up to {MOSFET_HEAT:g} W need no heat sink"),
         Part("TVS diode", f"{standoff} V standoff, clamps below {voltage} V, from drain to source",
-             f"cables of 2 uH store {1e3 * avalanche:.2g} mJ"),
-        Part("gate driver", "2 A or more; 10 ohm to the gate, 10 kohm from gate to source",
+             f"cables of 2 uH store {1e3 * avalanche:.2g} mJ a pulse: {avalanche * circuit.pwm_frequency:.2g} W on "
+             "average"),
+        Part("gate driver", "2 A or more; 10 ohm to the gate, 10 kohm from gate to source, 1 uF at its supply",
              "without signal the switch must stay off"),
         Part("diode", f"Schottky, {voltage} V, {math.ceil(peak / 10) * 10} A of pulse, across the tube",
              "the loop's inductance"),
         Part("reverse polarity", "diode in the supply of cut-out and board",
              "a reversed battery does not close the cut-out"),
         Part("current sensor", hall, f"{current}; the board stops at {limit:.0f} A"),
-        Part("divider", f"{upper} kohm to the wire behind the cut-out, {LOWER / 1e3:g} kohm and 1 nF to ground",
+        Part("divider", f"{upper} kohm, at the wire behind the cut-out, {LOWER / 1e3:g} kohm and 1 nF to ground",
              f"1 : {ratio:g}, {rest:.1f} V at rest are {rest / ratio:.2f} of {reference:g} V"),
         Part("thermometer", sensor, f"at the middle of the curved part, which is at {rest:.1f} V between pulses"),
         Part("isolation", "USB isolator between computer and board", "the battery's minus is the board's ground"),

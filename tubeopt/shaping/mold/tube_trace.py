@@ -94,7 +94,7 @@ def trace_tube(photo: TubePhoto, scale: PhotoScale) -> TubeTrace:
     tube = curved[0]
     if tube.edge > MAX_EDGE:
         raise InputError(
-            f"{photo.name}: the tube is out of focus: its edges are {1e3 * tube.edge:.2g} mm wide; they must be at "
+            f"{photo.name}: the tube is out of focus: its edges are {1e3 * tube.edge:.3g} mm wide; they must be at "
             f"most {1e3 * MAX_EDGE:g} mm"
         )
     return TubeTrace(tube.points, tube.width, tube.edge, tube.dark, len(traces) - len(curved))
@@ -224,7 +224,8 @@ def _edges(across: Array, depth: Array, top: int) -> tuple[float, float, float, 
             ends.append(x[i] + (x[i + 1] - x[i]) * (y[i] - level) / (y[i] - y[i + 1]))
         crossings.append(ends)
     right, left = crossings
-    edge = 0.5 * (right[0] - right[2] + left[2] - left[0])
+    # The shadow that a tube casts widens one edge; blur widens both.
+    edge = min(right[0] - right[2], left[2] - left[0])
     return 0.5 * (right[1] + left[1]), right[1] - left[1], edge, contrast
 
 

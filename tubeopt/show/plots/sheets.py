@@ -32,6 +32,9 @@ EDGE = 12.0
 ROW = 4.6
 """Distance of two rows of numbers, mm."""
 
+STEP_SIZES = 7.5, 6.8, 6.2, 5.6, 5.0
+"""Sizes of the letters of the steps, points: the largest with which they fit the page."""
+
 STEP_LETTERS, LINE_LETTERS = 78, 84
 """Letters per line of the steps, and of the lists of a heating sheet."""
 
@@ -69,8 +72,13 @@ def _write_table(figure: Figure, columns: Sequence[float], top: float, *values: 
 def _write_steps(figure: Figure, x: float, top: float, steps: Sequence[str], remarks: Sequence[str]) -> None:
     """Write numbered steps, and the remarks below them."""
     marked = [*((f"{k}.", step) for k, step in enumerate(steps, start=1)), *(("!", remark) for remark in remarks)]
-    lines = [f"{mark}  {textwrap.fill(text, STEP_LETTERS, subsequent_indent='      ')}" for mark, text in marked]
-    _write(figure, x, top, "\n".join(lines))
+    for size in STEP_SIZES:
+        letters = int(STEP_LETTERS * STEP_SIZES[0] / size)
+        lines = [f"{mark}  {textwrap.fill(text, letters, subsequent_indent='      ')}" for mark, text in marked]
+        # A point is 0.353 mm, a line 1.35 of its size.
+        if "\n".join(lines).count("\n") * 0.353 * 1.45 * size < top - EDGE:
+            break
+    _write(figure, x, top, "\n".join(lines), size=size)
 
 
 SCALES = (1.0, 1.5, 2.0, 2.5, 4.0, 5.0, 10.0)
@@ -159,9 +167,11 @@ def mold_steps(mold: Mold) -> list[str]:
     fixed = "distal" if clamps.sliding_end == "proximal" else "proximal"
     return [
         f"Cut both plates (base and lid, *.nc for {spec.workshop.dialect}). Clamp the stock at least "
-        f"{math.ceil(clamp_distance(mold) * TO_MM)} mm from the plate, with a board below. {_fasteners(mold)}, "
+        f"{math.ceil(clamp_distance(mold) * TO_MM)} mm from the plate, on a waste board; "
+        f"zero X and Y at the lower left corner of the plate. {_fasteners(mold)}, "
         f"{len(mold.vents)} vents of {spec.vents.diameter * TO_MM:g} mm in the lid.",
-        f"Programs in this order, Z set on the face with each tool: {_program_text(mold)}.",
+        f"Programs in this order, Z set on the face with each tool: {_program_text(mold)}. Mill dry with an extractor "
+        "and a mask; break the edges of grooves and holes by hand.",
         *_slot_steps(mold),
         *_hinge_steps(mold),
         "Cut the tube and mark the bend. Press it into the groove, marks on the ends of the bend; "
