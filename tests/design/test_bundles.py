@@ -26,7 +26,10 @@ from tubeopt.design import (
     Strain,
     StrokeForce,
     Target,
+    Tolerances,
     Wall,
+    pareto_front,
+    tolerance_analysis,
 )
 from tubeopt.design.evaluation import evaluated_at
 from tubeopt.design.program import compile_task
@@ -145,8 +148,28 @@ def test_a_design_is_an_equilibrium_of_integrated_forces(tight: Any) -> None:
     """Shooting knows nothing of the energy, nor of its derivatives."""
     pose = tight.robot.fk(np.radians([20.0, 75.0, -110.0]))
     violated, tip = shoot(tight.robot, pose, length_forces(point_of(pose).state), np.zeros(3))
-    assert np.abs(violated).max() < 1e-8
+    # Newtons; axial forces are 1 N.
+    assert np.abs(violated).max() < 2e-7
     assert np.abs(tip - pose.tip_position).max() < 1e-9
+
+
+def test_fronts_and_tolerances_of_bundles() -> None:
+    turn = posed([0, 0, 0], [180, 0, 0])
+    free = (Free("curvature", THREE, 4.0, 14.0, "equal"),)
+    task = DesignTask(thesis(), free, (turn, SnapFreeInUse(0.05, paths=False)), Objective("turning_radius"))
+    front = pareto_front(task, [0.1, 0.3])
+    tighter, safer = front.points
+    assert tighter.objective < safer.objective
+    for point in front.points:
+        assert point.robot.fk([np.pi, 0, 0]).margin == pytest.approx(point.margin, abs=1e-5)
+    poses = [(np.radians(row), np.zeros(3)) for row in ([0.0, 0, 0], [180, 0, 0])]
+    spread = tolerance_analysis(safer.robot, Tolerances(curvature=0.03), poses=poses, samples=8)
+    assert spread.snap_free == 1.0
+    # The margin falls where the curvature is larger: by chance both occur.
+    assert spread.certificate.min() < 0.3 < spread.certificate.max()
+    assert 1e-4 < spread.spread[0] < 1e-2
+    with pytest.raises(InputError, match="poses is empty"):
+        tolerance_analysis(safer.robot, Tolerances(), samples=2)
 
 
 def test_carriages_reach_targets_together() -> None:
