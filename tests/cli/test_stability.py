@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import shlex
 from dataclasses import replace
@@ -505,7 +506,9 @@ def unreachable(*arguments: Any, **options: Any) -> None:
 def test_a_directory_that_cannot_be_written_is_refused_before_the_work(
     run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(stability_studies, "stability_map", unreachable)
+    # Help texts are read from the signature of the function that is replaced.
+    replaced = functools.wraps(stability_studies.stability_map)(functools.partial(unreachable))
+    monkeypatch.setattr(stability_studies, "stability_map", replaced)
     file = tmp_path / "file"
     file.touch()
     assert refused(run("stability-map", THESIS, "--out", str(file))) == [
