@@ -1,4 +1,4 @@
-"""Certificate of bundles: a lower bound of the second variation of their energy at all equilibria.
+"""Certificate of bundles: a lower bound of the second variation of their energy at all equilibria within bounds.
 
 In an arm whose boundaries (ends of tubes, and places where they begin to curve) keep their order, let y_i be the change
 of a rotation, v that of the curvature u of the centreline, X_b that of the place of a boundary. With the change w'_i of
@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..block.transcription.bundle import SAME_PLACE, Boundary, Bundle, boundaries, tubes_at
+from ..block.transcription.bundle import Boundary, Bundle, boundaries, tubes_at
 from ..block.transcription.tableau import tableau
 from ..typing import Array, Mask
 
@@ -37,13 +37,16 @@ TWISTS = 3
 RESERVE = 1e-6
 """Relative increase of the bounds of curvature beyond their fixed point."""
 
+ROUND_OFF = 1e-15
+"""Width of a strip, and distance of two offsets, m, below which they are round-off."""
+
 DEGREE, ELEMENTS = 6, 5
 """Points per element, and elements in the length of the arm. More of either change certificates by 1e-15."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Bounds of all equilibria at all rotations, on m sections between boundaries in the order of their own lengths."""
+    """Bounds of the equilibria that motions from home can reach, on m sections between boundaries in order."""
 
     order: tuple[Boundary, ...]
     """Boundaries at which the sections end."""
@@ -107,17 +110,17 @@ def bounds_of(bundle: Bundle) -> Bounds | None:
         balanced = (moment.sum(1) + axial) / room
         return Bounds(order, present, moment, stiffness, balanced, bend, place, off, across)
 
+    # The reserve is part of the map: on sections without curved tubes U is of second order in the others.
     curvature = moment.sum(1) / stiffness
     for _ in range(CONTRACTIONS):
         if (next_bounds := at(curvature)) is None:
             return None
-        change = np.abs(next_bounds.curvature - curvature).max()
-        curvature = next_bounds.curvature
-        if change <= RESERVE / 10 * curvature.max():
+        larger = (1 + RESERVE) * next_bounds.curvature
+        change, curvature = np.abs(larger - curvature).max(), larger
+        if change <= 1e-14 * curvature.max():
             break
-    curvature = (1 + RESERVE) * curvature
     found = at(curvature)
-    if found is None or (found.curvature > curvature).any():
+    if found is None or (found.curvature > (1 - RESERVE / 2) * curvature).any():
         return None
     return replace(found, curvature=curvature)
 
@@ -150,7 +153,7 @@ def _axial_moment(bundle: Bundle, order: tuple[Boundary, ...], present: Mask, cu
     out = np.zeros(len(order))
     left = list(range(n))
     while left:
-        here = np.abs(bundle.levers - bundle.levers[left[0]]).max(1) <= SAME_PLACE
+        here = np.abs(bundle.levers - bundle.levers[left[0]]).max(1) <= ROUND_OFF
         left = [i for i in left if not here[i]]
         last = [k for k, boundary in enumerate(order) if here[boundary.tubes[0]]]
         force = 0.0
@@ -184,7 +187,7 @@ def passing(bundle: Bundle, bounds: Bounds) -> Passing | None:
             i, j = b.tubes[0], c.tubes[0]
             lever = float(np.linalg.norm(bundle.levers[i] - bundle.levers[j]))
             apart = lever * float(bounds.bend[k])
-            if lever > SAME_PLACE and c.arc_length - b.arc_length <= apart:
+            if lever > ROUND_OFF and c.arc_length - b.arc_length <= apart:
                 found.append((apart - (c.arc_length - b.arc_length), Passing((i, j), apart)))
     return max(found)[1] if found else None
 
@@ -211,7 +214,7 @@ def bundle_proof(bundle: Bundle) -> Proof:
         return Proof(
             -np.inf,
             f"tubes {i + 1} and {j + 1} may end, or begin to curve, in either order, and the arm may snap where the "
-            f"order changes. Own lengths that differ by {1e3 * meeting.apart:.2f} mm keep their order.",
+            f"order changes. Own lengths that differ by more than about {1e3 * meeting.apart:.2f} mm keep it.",
         )
     return Proof(_least_second_variation(bundle, bounds))
 
@@ -233,8 +236,9 @@ def _least_second_variation(bundle: Bundle, bounds: Bounds) -> float:
     jump, across, u, (low, high) = bounds.jump, bounds.across, bounds.curvature, bounds.place
 
     # Strips: the sections of an arm have their boundaries somewhere between `low` and `high`.
+    # Also the thinnest count: one that is left out would lack a tube.
     cuts = np.unique(np.concatenate([[0.0], low, high]))
-    cuts = np.concatenate([[0.0], cuts[1:][np.diff(cuts) > SAME_PLACE]])
+    cuts = np.concatenate([[0.0], cuts[1:][np.diff(cuts) > ROUND_OFF]])
     parts = [np.linspace(a, b, 1 + int(np.ceil(ELEMENTS * (b - a) / cuts[-1]))) for a, b in pairwise(cuts)]
     ends = np.concatenate([[0.0], *(part[1:] for part in parts)])
     h, middle, rule = np.diff(ends), (ends[1:] + ends[:-1])[:, None] / 2, tableau("gauss", DEGREE)
@@ -263,7 +267,7 @@ def _least_second_variation(bundle: Bundle, bounds: Bounds) -> float:
     twist_at = np.array([weight @ growth - within(place) @ growth for place in low])
 
     # Magnitudes as linear forms of the whitened unknowns: eta' at the points, eta at the plate, R at the points.
-    count, sprung = len(s), np.flatnonzero(bundle.transmission > SAME_PLACE)
+    count, sprung = len(s), np.flatnonzero(bundle.transmission > 0)
     split = n * count + len(sprung)
     size = split + count
     y, y_at = np.zeros((n, count, size)), np.zeros((len(u), n, size))

@@ -168,6 +168,7 @@ class Certificate(Displayed):
     margin: Annotated[float, "certificate"]
     """mu_cert; above 0 no rotations can make the robot snap, and there is one equilibrium for each.
 
+    Of bundles, one within the bounds of the proof, which no motion from home leaves.
     -inf if nothing can be proved: eccentric tubes that are not three equal ones per segment, and bundles with an
     `obstacle`.
     """
