@@ -342,6 +342,11 @@ def test_parts_bear_the_currents() -> None:
     assert peak**2 * plan().duty.max() / 255 / plan().rig.circuit.pwm_frequency < 0.21 * low < low < safety.withstood
     assert int(parts["MOSFET"].split(", ")[1].split()[0]) >= peak
     assert int(parts["fuse"].split()[0]) <= 6 * float(parts["cable"].split()[0])
+    # The main switch takes what the cut-out takes, and no wire of a pin is thinner than its fuse allows.
+    assert parts["main switch"].split(", ")[2].split()[0] == parts["cut-out"].split(", ")[2].split()[0]
+    assert int(parts["main switch"].split(", ")[2].split()[0]) >= peak
+    thin = [float(section) for section in re.findall(r"([0-9.]+) mm2", parts["thin wires"])]
+    assert int(parts["control fuse"].split()[0]) <= 6 * min(thin)
 
 
 def simulated(limit: float = 558.0) -> SimulatedLine:

@@ -220,6 +220,12 @@ CURRENT_DENSITY = 6.0
 Assumed, on the safe side of IEC 60364-5-52 for single cores up to 25 mm2.
 """
 
+CONTROL = 1.0
+"""Rating of the control fuse, A."""
+
+THIN = (0.25, 0.5)
+"""Sections of the wires to the pins, and of those behind the control fuse, mm2 (IEC 60228; chosen for strength)."""
+
 CABLES = (1.5, 2.5, 4, 6, 10, 16, 25, 35, 50)
 """Sections of stranded cables (IEC 60228), mm2."""
 
@@ -273,7 +279,9 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
              f"pulses, soonest at {peak:.0f} A; breaks {short / 1e3:.2g} kA DC, which the battery gives into a short",
              f"{current}; backs up the cut-out: {safety.withstood:.0f} A2s ({1e3 * safety.budget:.0f} ms of a short) "
              "take the tube to 650 degC"),
-        Part("control fuse", "1 A, in the wire from the fuse to stop, cut-out coil and board",
+        Part("main switch", f"battery isolator, lockable, {rated} A DC, behind the fuse",
+             "cuts tube, cut-out and board off for work on the rig"),
+        Part("control fuse", f"{CONTROL:g} A, at the lug of the main switch, in the wire to the supply",
              f"thin wires do not survive {fuse} A"),
         Part("supply", "5 V regulator for board and logic, 12 V for driver and coil, behind the control fuse",
              "USB alone drives neither coil nor gate"),
@@ -281,9 +289,11 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
              f"{1e3 * circuit.cutout_opening:g} ms; a Zener diode at a coil, no plain diode",
              f"shorted switch: tube at {safety.peak:.0f} degC after {1e3 * safety.delay:.0f} ms, 650 degC after "
              f"{1e3 * safety.budget:.0f} ms"),
-        Part("monostable", f"{monostable:.3g} ms (74HC123, +-20 %), drives the cut-out by a transistor; retriggered by "
-             f"pin {pins['tick']} AND drain high (74HC132, drain by 10 kohm, {min(reference, 4.7):g} V Zener diode)",
+        Part("monostable", f"{monostable:.3g} ms (74HC123, +-20 %), retriggered by pin {pins['tick']} AND drain "
+             f"high (74HC132); 10 kohm at the drain's lug, {min(reference, 4.7):g} V Zener diode at the gate's input",
              "a shorted switch keeps the drain low, a dead board sends no tick: both open the cut-out"),
+        Part("coil switch", f"logic-level transistor, {voltage} V, {CONTROL:g} A, 10 kohm from gate to source, between "
+             "coil and ground", "the monostable drives no coil; without it the coil is off"),
         Part("pull-up", f"1 kohm, {math.ceil(charged**2 / 500) / 2:g} W, across the open cut-out",
              "the drain is high before the cut-out closes, unless the switch is shorted"),
         Part("thermal cut-out", f"normally closed, {clamp} degC, on the fixed clamp, in the supply of the cut-out",
@@ -291,6 +301,9 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
         Part("emergency stop", "normally closed, in the supply of the cut-out, second contact to the board",
              "stops without the board too"),
         Part("cable", f"{cable:g} mm2 copper, as short as can be; crimped and bolted lugs, no plugs", current),
+        Part("thin wires", f"{THIN[1]:g} mm2 behind the control fuse, {THIN[0]:g} mm2 to the pins, twisted with "
+             "their ground; driver to gate at most 10 cm",
+             f"{CONTROL:g} A at {CURRENT_DENSITY:g} A/mm2 need {CONTROL / CURRENT_DENSITY:.2f} mm2"),
         Part("MOSFET", f"{'' if many == 1 else f'{many} in parallel, each '}{voltage} V, {rated} A, logic level, at "
              f"most {resistance:g} mohm, avalanche {1e3 * MARGIN * avalanche:.2g} mJ",
              f"{peak:.0f} A while on; warms by {heat:.1f} W, up to {MOSFET_HEAT:g} W need no heat sink"),

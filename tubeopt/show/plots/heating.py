@@ -219,46 +219,63 @@ def plot_feedback(answer: ClosedLoopHeating) -> Figure:
 Path = Sequence[tuple[float, float]]
 
 BOXES = {
-    "battery": (0.03, 0.44, 0.14, 0.35),
-    "fuse": (0.195, 0.67, 0.07, 0.1),
-    "cut-out": (0.305, 0.66, 0.1, 0.12),
-    "current\nsensor": (0.45, 0.66, 0.11, 0.12),
-    "tube\nin its mold": (0.62, 0.65, 0.16, 0.14),
-    "stop,\nthermal": (0.22, 0.38, 0.09, 0.12),
-    "mono-\nstable": (0.36, 0.38, 0.1, 0.12),
-    "gate\ndriver": (0.55, 0.37, 0.12, 0.12),
-    "MOSFET": (0.76, 0.33, 0.16, 0.2),
-    "board": (0.22, 0.03, 0.5, 0.13),
-    "thermometer": (0.835, 0.03, 0.15, 0.13),
+    "battery": (0.02, 0.44, 0.1, 0.35),
+    "fuse": (0.14, 0.67, 0.06, 0.1),
+    "main\nswitch": (0.22, 0.67, 0.075, 0.1),
+    "cut-out": (0.345, 0.66, 0.11, 0.12),
+    "1 kohm": (0.365, 0.82, 0.07, 0.05),
+    "current\nsensor": (0.5, 0.66, 0.09, 0.12),
+    "tube\nin its mold": (0.645, 0.65, 0.13, 0.14),
+    "control\nfuse, diode": (0.18, 0.52, 0.11, 0.09),
+    "supply\n5 V, 12 V": (0.18, 0.36, 0.11, 0.1),
+    "stop,\nthermal": (0.335, 0.52, 0.075, 0.09),
+    "coil\nswitch": (0.428, 0.52, 0.065, 0.09),
+    "mono-\nstable": (0.415, 0.35, 0.075, 0.1),
+    "10 kohm": (0.765, 0.56, 0.075, 0.05),
+    "1 uF": (0.68, 0.485, 0.055, 0.05),
+    "gate\ndriver": (0.6, 0.35, 0.09, 0.1),
+    "MOSFET,\nTVS diode": (0.79, 0.33, 0.16, 0.2),
+    "board": (0.18, 0.03, 0.555, 0.13),
+    "thermometer": (0.83, 0.03, 0.16, 0.13),
 }
 """Positions of the parts: left, bottom, width, height."""
 
 CURRENT: tuple[Path, ...] = (
-    ((0.17, 0.72), (0.195, 0.72)),
-    ((0.265, 0.72), (0.305, 0.72)),
-    ((0.405, 0.72), (0.45, 0.72)),
-    ((0.56, 0.72), (0.62, 0.72)),
-    ((0.78, 0.72), (0.84, 0.72), (0.84, 0.53)),
-    ((0.84, 0.33), (0.84, 0.28), (0.2, 0.28), (0.2, 0.51), (0.17, 0.51)),
-    ((0.59, 0.72), (0.59, 0.87), (0.81, 0.87), (0.81, 0.72)),
+    ((0.12, 0.72), (0.14, 0.72)),
+    ((0.2, 0.72), (0.22, 0.72)),
+    ((0.295, 0.72), (0.345, 0.72)),
+    ((0.455, 0.72), (0.5, 0.72)),
+    ((0.59, 0.72), (0.645, 0.72)),
+    ((0.775, 0.72), (0.87, 0.72), (0.87, 0.53)),
+    ((0.87, 0.33), (0.87, 0.28), (0.15, 0.28), (0.15, 0.51), (0.12, 0.51)),
+    ((0.62, 0.72), (0.62, 0.87), (0.81, 0.87), (0.81, 0.72)),
 )
 """Wires of the tube's current; the last but one is the ground.
 
 The last is the path through the diode when the transistor is off.
 """
 
-GROUND: tuple[Path, ...] = (((0.64, 0.37), (0.64, 0.28)), ((0.68, 0.16), (0.68, 0.28)))
-"""Wires from the gate driver and the board to the ground."""
+GROUND: tuple[Path, ...] = (
+    ((0.21, 0.36), (0.21, 0.28)),
+    ((0.485, 0.52), (0.505, 0.52), (0.505, 0.28)),
+    ((0.66, 0.35), (0.66, 0.28)),
+    ((0.71, 0.485), (0.71, 0.28)),
+    ((0.71, 0.16), (0.71, 0.28)),
+)
+"""Wires from supply, coil switch, gate driver and its capacitor, and the board to the ground."""
 
-JOINTS = ((0.285, 0.72), (0.43, 0.72), (0.59, 0.72), (0.81, 0.72), (0.84, 0.6), (0.64, 0.28), (0.68, 0.28))
+JOINTS = (
+    (0.32, 0.72), (0.475, 0.72), (0.62, 0.72), (0.81, 0.72), (0.87, 0.585), (0.37, 0.49), (0.64, 0.49), (0.21, 0.28),
+    (0.505, 0.28), (0.66, 0.28), (0.71, 0.28),
+)  # fmt: skip
 TERMINALS = {
-    "+": (0.15, 0.72),
-    "\N{MINUS SIGN}": (0.15, 0.51),
-    "drain": (0.84, 0.505),
-    "source": (0.84, 0.355),
-    "GND": (0.68, 0.14),
+    "+": (0.105, 0.72),
+    "\N{MINUS SIGN}": (0.105, 0.51),
+    "drain": (0.87, 0.505),
+    "source": (0.87, 0.355),
+    "GND": (0.71, 0.14),
 }
-DIODE, DIODE_SIZE = (0.7, 0.87), 0.022
+DIODE, DIODE_SIZE = (0.715, 0.87), 0.022
 """Centre and half width of the diode symbol; its bar is towards the battery's plus."""
 
 
@@ -267,8 +284,8 @@ def plot_wiring(answer: ClosedLoopHeating) -> Figure:
     """Picture of the wiring: parts, poles, pins of the board, and ratings for the plan's currents."""
     from matplotlib.patches import Polygon
 
-    figure = new_figure(11.0, 6.6)
-    grid = figure.add_gridspec(1, 2, width_ratios=(1.5, 1.0))
+    figure = new_figure(12.0, 7.2)
+    grid = figure.add_gridspec(1, 2, width_ratios=(1.6, 1.0))
     axes, text = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
     for part in (axes, text):
         part.set_axis_off()
@@ -291,7 +308,7 @@ def _draw_parts(axes: Axes, board: str) -> None:
     for name, (x, y, w, h) in BOXES.items():
         box = FancyBboxPatch((x, y), w, h, boxstyle="round,pad=0.005", facecolor="white", edgecolor=FAINT)
         axes.add_patch(box)
-        axes.text(x + w / 2, y + h / 2, board if name == "board" else name, ha="center", va="center", fontsize=9)
+        axes.text(x + w / 2, y + h / 2, board if name == "board" else name, ha="center", va="center", fontsize=8)
     for name, at in TERMINALS.items():
         size = 13 if len(name) == 1 else 7
         axes.text(*at, name, ha="center", va="center", fontsize=size, color=INK)
@@ -315,18 +332,27 @@ def _draw_wires(axes: Axes, wiring: Wiring) -> None:
     pins = wiring.known.pins
     read = f"pin {pins['select']}, SPI" if wiring.converter != "analog" else f"pin {pins['temperature']}"
     signals: tuple[tuple[Path, str, tuple[float, float]], ...] = (
-        (((0.6, 0.16), (0.6, 0.37)), f"pin {pins['gate']}", (0.607, 0.2)),
-        (((0.67, 0.43), (0.76, 0.43)), "gate", (0.69, 0.44)),
-        (((0.505, 0.66), (0.505, 0.16)), f"pin {pins['current']}", (0.512, 0.2)),
-        (((0.43, 0.72), (0.43, 0.6), (0.333, 0.6), (0.333, 0.16)), f"pin {pins['voltage']},\ndivider", (0.338, 0.19)),
-        (((0.25, 0.38), (0.25, 0.16)), f"pin {pins['stop']}\nto GND", (0.256, 0.19)),
-        (((0.285, 0.72), (0.285, 0.5)), "", (0.0, 0.0)),
-        (((0.31, 0.43), (0.36, 0.43)), "", (0.0, 0.0)),
-        (((0.39, 0.5), (0.39, 0.66)), "coil", (0.393, 0.53)),
-        (((0.42, 0.38), (0.42, 0.16)), f"pin {pins['tick']},\ntick", (0.426, 0.19)),
-        (((0.84, 0.6), (0.45, 0.6), (0.45, 0.5)), "drain high", (0.53, 0.61)),
-        (((0.96, 0.16), (0.96, 0.63), (0.7, 0.63), (0.7, 0.65)), "on the tube", (0.86, 0.64)),
-        (((0.835, 0.095), (0.72, 0.095)), read, (0.732, 0.105)),
+        (((0.63, 0.16), (0.63, 0.35)), f"pin {pins['gate']}", (0.635, 0.2)),
+        (((0.69, 0.4), (0.79, 0.4)), "10 ohm", (0.722, 0.41)),
+        (((0.575, 0.66), (0.575, 0.16)), f"pin {pins['current']}", (0.58, 0.2)),
+        (((0.475, 0.72), (0.475, 0.64), (0.52, 0.64), (0.52, 0.16)), f"pin {pins['voltage']},\ndivider", (0.524, 0.19)),
+        (((0.345, 0.52), (0.345, 0.16)), f"pin {pins['stop']}\nto GND", (0.35, 0.19)),
+        (((0.32, 0.72), (0.32, 0.845), (0.365, 0.845)), "", (0.0, 0.0)),
+        (((0.435, 0.845), (0.475, 0.845), (0.475, 0.72)), "", (0.0, 0.0)),
+        (((0.32, 0.72), (0.32, 0.565), (0.29, 0.565)), "", (0.0, 0.0)),
+        (((0.235, 0.52), (0.235, 0.46)), "", (0.0, 0.0)),
+        (((0.25, 0.36), (0.25, 0.16)), "5 V", (0.255, 0.2)),
+        (((0.27, 0.46), (0.27, 0.49), (0.64, 0.49), (0.64, 0.45)), "12 V", (0.3, 0.465)),
+        (((0.64, 0.49), (0.64, 0.51), (0.68, 0.51)), "", (0.0, 0.0)),
+        (((0.37, 0.49), (0.37, 0.52)), "", (0.0, 0.0)),
+        (((0.37, 0.61), (0.37, 0.66)), "coil", (0.385, 0.625)),
+        (((0.435, 0.66), (0.435, 0.61)), "", (0.0, 0.0)),
+        (((0.45, 0.45), (0.45, 0.52)), "", (0.0, 0.0)),
+        (((0.43, 0.35), (0.43, 0.16)), f"pin {pins['tick']},\ntick", (0.435, 0.19)),
+        (((0.87, 0.585), (0.84, 0.585)), "", (0.0, 0.0)),
+        (((0.765, 0.585), (0.545, 0.585), (0.545, 0.4), (0.49, 0.4)), "drain high", (0.6, 0.592)),
+        (((0.97, 0.16), (0.97, 0.69), (0.79, 0.69), (0.775, 0.69)), "on the tube", (0.885, 0.7)),
+        (((0.83, 0.095), (0.735, 0.095)), read, (0.745, 0.105)),
     )
     for path, label, at in signals:
         axes.plot(*zip(*path, strict=True), **signal)
@@ -334,6 +360,8 @@ def _draw_wires(axes: Axes, wiring: Wiring) -> None:
     axes.plot([], [], label="signals", **signal)
     text = (
         "The monostable closes the cut-out while ticks meet a high drain: a shorted switch or a dead board opens it.\n"
+        "The main switch cuts all off. Stop, thermal switch and coil switch are in the coil's current. The 10 kohm\n"
+        "sit at the drain's lug: no wire beyond them carries its peaks. 1 uF stands at the pins of the driver.\n"
         "There is one ground: battery, driver and board are joined at the MOSFET's source. Current sensor, divider\n"
         "and thermometer take theirs from the board. Between pulses the tube is at the battery's plus: a bead that\n"
         "touches its metal would put that on the converter. A coat of ceramic cement or a foil of mica insulates it."
