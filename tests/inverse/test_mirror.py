@@ -1,4 +1,4 @@
-"""Mirror actuation: the map, its six assignments, and its inverse for a bend and for a tip."""
+"""Mirror actuation: the map, its six assignments, its inverse for a bend and for a tip, and several segments."""
 
 from __future__ import annotations
 
@@ -10,15 +10,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.examples import CONFIGS, DEG, MM
-from tubeopt import EccentricRobot, InputError, Tube, forward_kinematics, load_robot
+from tubeopt import (
+    EccentricRobot,
+    Equilibrium,
+    InputError,
+    SegmentedEccentricRobot,
+    Tube,
+    forward_kinematics,
+    load_robot,
+)
 from tubeopt.inverse.mirror import (
     ASSIGNMENTS,
     STRAIGHT,
+    MirrorPose,
     arc_curvature,
     mirror_inverse,
+    mirror_pose,
     mirror_rotations,
     mirror_to_tip,
     permuted_tips,
+    segment_curvatures,
 )
 
 ETR = load_robot(CONFIGS / "thesis_etr.yaml")
@@ -175,3 +186,113 @@ def test_nothing_to_bend() -> None:
         mirror_inverse(EccentricRobot(Tube(1e-3, 0.8e-3, 0.0, 0.1, 0.0)), 0.0, 1.0)
     with pytest.raises(InputError, match=r"behind the base plate"):
         mirror_to_tip(ETR, (0.0, 0.0, 0.0), translations=np.full(3, -0.094))
+
+
+# --- several segments ---
+
+THREE = load_robot(CONFIGS / "example_three_segment_etr.yaml")
+assert isinstance(THREE, SegmentedEccentricRobot)
+TWO = replace(THREE, segments=THREE.segments[1:])
+ADVANCED = {TWO: np.repeat([0.08, 0.025], 3), THREE: np.repeat([0.125, 0.08, 0.03], 3)}
+"""Translations with a straight part between the segments, m."""
+ACTUATIONS = (((20.0, -130.0, 75.0), (50.0, 80.0, 20.0)), ((-170.0, 10.0, 100.0), (110.0, 35.0, 65.0)))
+"""Directions and separations, deg."""
+
+
+def posed(robot: SegmentedEccentricRobot, which: int) -> Equilibrium:
+    """Arm of two or three segments under a mirror actuation."""
+    direction, separation = (np.radians(each)[: len(robot.segments)] for each in ACTUATIONS[which])
+    return forward_kinematics(robot, mirror_rotations(direction, separation), ADVANCED[robot])
+
+
+def is_mirrored(pose: MirrorPose) -> bool:
+    """Whether two tubes of each segment turn by opposite angles from the third."""
+    middle, ahead, behind = pose.rotations.reshape(-1, 3).T
+    return bool(np.allclose(ahead + behind, 2 * middle, atol=1e-12) and np.all(ahead - middle >= -1e-12))
+
+
+def test_rotations_of_segments() -> None:
+    both = mirror_rotations([0.3, -1.0], [0.5, 2.0], (1, 0, 2))
+    assert both == pytest.approx([*mirror_rotations(0.3, 0.5, (1, 0, 2)), *mirror_rotations(-1.0, 2.0, (1, 0, 2))])
+    with pytest.raises(InputError, match=r"^separation has 1 numbers; it must be 2 numbers \(one per segment\)$"):
+        mirror_rotations([0.3, -1.0], [0.5])
+
+
+@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize("robot", [TWO, THREE], ids=["two", "three"])
+def test_inverse_for_the_bend_of_every_segment(robot: SegmentedEccentricRobot, which: int) -> None:
+    bend = segment_curvatures(posed(robot, which))
+    pose = mirror_inverse(
+        robot, np.arctan2(bend[:, 1], bend[:, 0]), np.linalg.norm(bend, axis=1), translations=ADVANCED[robot]
+    )
+    reached = forward_kinematics(robot, pose.rotations, pose.translations)
+    assert segment_curvatures(reached) == pytest.approx(bend, abs=1e-9)
+    # The bends have one actuation, the one that they came from.
+    assert np.degrees(pose.separation) == pytest.approx(ACTUATIONS[which][1][: len(bend)], abs=1e-6)
+    assert reached.tip_position == pytest.approx(posed(robot, which).tip_position, abs=1e-9)
+    assert is_mirrored(pose)
+
+
+@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize("robot", [TWO, THREE], ids=["two", "three"])
+def test_poses_of_segments(robot: SegmentedEccentricRobot, which: int) -> None:
+    wanted = posed(robot, which)
+    tip, axis = wanted.tip_position, wanted.tip_rotation[:, 2]
+    held = mirror_to_tip(robot, tip, translations=ADVANCED[robot], tolerance=1e-9)
+    assert held.translations == pytest.approx(ADVANCED[robot], abs=1e-15)
+    free, aimed = mirror_pose(robot, tip), mirror_pose(robot, tip, direction=2 * axis)
+    for pose in (held, free, aimed):
+        reached = forward_kinematics(robot, pose.rotations, pose.translations)
+        assert reached.tip_position == pytest.approx(tip, abs=1e-9)
+        assert reached.stable
+        assert is_mirrored(pose)
+        robot.assembly(pose.translations)  # in the order of the tubes
+    assert aimed.equilibrium.tip_rotation[:, 2] == pytest.approx(axis, abs=1e-9)
+
+
+def test_turning_the_target_turns_all_tubes() -> None:
+    """The three places are symmetric: a third of a turn of arm and directions is one of the tip, exactly."""
+    wanted, third = posed(TWO, 0), 2 * np.pi / 3
+    turn = np.array([[np.cos(third), -np.sin(third), 0], [np.sin(third), np.cos(third), 0], [0, 0, 1]])
+    bend = segment_curvatures(wanted)
+    size = np.linalg.norm(bend, axis=1)
+    azimuth = np.arctan2(bend[:, 1], bend[:, 0])
+    # A third of a turn moves tube 1 to the place of tube 2: the roles of the tubes move on too.
+    one = mirror_inverse(TWO, azimuth, size, translations=ADVANCED[TWO])
+    other = mirror_inverse(TWO, azimuth + third, size, translations=ADVANCED[TWO], assignment=(1, 2, 0))
+    assert other.equilibrium.tip_position == pytest.approx(turn @ one.equilibrium.tip_position, abs=1e-10)
+    assert other.separation == pytest.approx(one.separation, abs=1e-9)
+    # On the centreline every angle is symmetric.
+    centred = replace(TWO, offset=0.0)
+    rotations = mirror_rotations([0.3, 2.0], [0.8, 1.5])
+    before, after = (forward_kinematics(centred, rotations + turned).tip_position for turned in (0.0, third))
+    assert after == pytest.approx(turn @ before, abs=1e-11)
+
+
+def test_bend_of_segments_by_the_law_of_three_vectors() -> None:
+    """Tubes of one direction on the centreline bend a segment by kappa EI / (EI + EI of the straight tubes inside)."""
+    centred = replace(THREE, offset=0.0)
+    bend = segment_curvatures(forward_kinematics(centred, mirror_rotations([np.pi / 2] * 3, [0.0] * 3)))
+    stiffness = np.array([tube.bending_stiffness for tube in THREE.segments])
+    curvature = np.array([tube.curvature for tube in THREE.segments])
+    assert bend[:, 0] == pytest.approx(curvature * stiffness / np.cumsum(stiffness), rel=1e-10)
+    assert bend[:, 1] == pytest.approx(0, abs=1e-10)
+
+
+def test_a_stretched_arm_of_segments() -> None:
+    straight = mirror_inverse(THREE, [0.4, -2.0, 1.0], [0.0, 0.0, 0.0])
+    assert straight.separation == pytest.approx([STRAIGHT] * 3, abs=1e-6)
+    assert straight.equilibrium.tip_position == pytest.approx([0, 0, 0.12], abs=1e-9)
+
+
+def test_what_segments_cannot_reach() -> None:
+    with pytest.raises(InputError, match=r"^curvature of segment 1 is 20 per m; towards 28\.65 deg the search ends at"):
+        mirror_inverse(TWO, [0.5, 0.0], [20.0, 1.0], translations=ADVANCED[TWO])
+    with pytest.raises(InputError, match=r"^curvature is \[1.0, -1.0\]; every number must be at least 0$"):
+        mirror_inverse(TWO, [0.5, 0.0], [1.0, -1.0])
+    with pytest.raises(InputError, match=r"^segment 2 is straight or behind the base plate and cannot bend$"):
+        mirror_inverse(TWO, [0.5, 0.0], [1.0, 1.0], translations=np.repeat([0.02, -0.05], 3))
+    with pytest.raises(InputError, match=r"^position was not reached: the closest tip that was found is .* mm away"):
+        mirror_pose(TWO, (0.0, 0.0, 0.3))
+    with pytest.raises(InputError, match=r"^direction is given; the mirror actuation of one segment"):
+        mirror_pose(ETR, (0.01, 0.0, 0.08), direction=(0.0, 0.0, 1.0))
