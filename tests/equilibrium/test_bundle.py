@@ -18,16 +18,21 @@ from tubeopt import (
     ConcentricRobot,
     EccentricRobot,
     Load,
+    Measurements,
     SegmentedEccentricRobot,
     Tube,
+    estimate_force,
     find_equilibria,
     find_load_limit,
     find_snap,
+    find_stroke_force,
     follow,
     forward_kinematics,
     load_robot,
     plan_trajectory,
     snap_free_certificate,
+    stability_map,
+    trace_branch,
     verify_trajectory,
 )
 from tubeopt.block.transcription.bundle import BundleState
@@ -45,7 +50,9 @@ from tubeopt.planning.proof import ProofStatus
 from tubeopt.planning.question import PlanOptions
 from tubeopt.robots.eccentric import free_channel
 from tubeopt.robots.file import robot_from_dict, robot_to_dict
+from tubeopt.show.plan_report import TrajectoryReport
 from tubeopt.typing import Array
+from tubeopt.validation.fitting import FitOptions, fit
 
 ROOT = Path(__file__).resolve().parents[2]
 THIRDS = (0.0, 2 * np.pi / 3, -2 * np.pi / 3)
@@ -561,8 +568,10 @@ def test_what_a_bundle_does_not_support_is_named(uneven: Any) -> None:
     robot, alpha, shift, _ = uneven
     with pytest.raises(InputError, match="a bundle has forces per length only"):
         robot.fk(alpha, shift, load=Load(distributed=((0.0, 0.02, (0, 0, 0), (0.01, 0, 0)),)))
-    with pytest.raises(InputError, match="supports concentric and eccentric robots only"):
+    with pytest.raises(InputError, match="fk finds one, follow leads to others"):
         find_equilibria(robot, alpha, shift)
+    with pytest.raises(InputError, match="follow leads to the first"):
+        trace_branch(robot, alpha, alpha + 1.0, shift)
     with pytest.raises(InputError, match=r"must be at least 0\.002 m apart"):
         BundleRobot(robot.tubes[:2], (0.0005, 0.0005), (0.0, np.pi))
     with pytest.raises(InputError, match="offset has 1 numbers; it must have 3"):
@@ -620,6 +629,45 @@ def test_plans_are_paths_that_can_be_followed() -> None:
     assert proof.status is ProofStatus.FAULTY
     assert proof.snap is not None
     assert 180 + 50 * proof.snap == pytest.approx(210.1645, abs=0.06)
+
+
+def test_plans_lead_to_joint_values() -> None:
+    robot, goal = bundle_of_thesis(), np.radians([40.0, 20.0, -20.0])
+    plan = plan_trajectory(robot, (np.zeros(3), np.zeros(3)), (goal, np.zeros(3)))
+    assert plan.proof.status is ProofStatus.FOLLOWED
+    assert plan.rotations[-1] == pytest.approx(goal, abs=1e-9)
+    # It is not integrated again.
+    assert "(estimated)" in dict(TrajectoryReport(plan).rows())["followed again"]
+
+
+def test_maps_and_stroke_forces_without_offsets_are_concentric() -> None:
+    robot = load_robot("thesis_ctr")
+    assert isinstance(robot, ConcentricRobot)
+    bundle = BundleRobot(robot.tubes, (0.0,) * 3, (0.0,) * 3)
+    mine, other = (stability_map(each, robot.home_translations, samples=3, directions=4) for each in (bundle, robot))
+    assert mine.margin == pytest.approx(other.margin, abs=1e-5)
+    assert (mine.snaps == other.snaps).all()
+    assert mine.boundary == pytest.approx(other.boundary, abs=1e-6, nan_ok=True)
+    by_bundle, known = (find_stroke_force(each, np.zeros(3), robot.home_translations) for each in (bundle, robot))
+    assert by_bundle is not None
+    assert known is not None
+    assert by_bundle.factor == pytest.approx(known.factor, rel=1e-6)
+
+
+def test_calibration_finds_the_curvature_and_the_force_of_a_bundle(uneven: Any) -> None:
+    robot, _, shift, load = uneven
+    rotations = np.random.default_rng(4).uniform(-1.0, 1.0, (6, 3))
+    bent = robot.tubes[1].resized("curvature", 0.9 * robot.tubes[1].curvature)
+    real = replace(robot, tubes=(robot.tubes[0], bent, robot.tubes[2]))
+    tips = np.array([real.fk(alpha, shift).tip_position for alpha in rotations])
+    measured = Measurements(rotations, np.tile(shift, (6, 1)), tips)
+    found = fit(robot, measured, ["curvature_2"], FitOptions(registration="none"))
+    assert found.robot.tubes[1].curvature == pytest.approx(bent.curvature, rel=1e-6)
+    pushed = robot.fk(rotations[0], shift, load=load)
+    force = estimate_force(robot, rotations[0], shift, tip_position=pushed.tip_position, noise=1e-5)
+    assert force.force == pytest.approx(load.force, abs=1e-6)
+    with pytest.raises(InputError, match="for a bundle the tip only is allowed"):
+        estimate_force(robot, rotations[0], shift, points=[(0.02, pushed.position[5])])
 
 
 def test_a_certificate_of_the_balance_is_none_of_the_energy() -> None:

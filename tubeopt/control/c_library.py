@@ -91,10 +91,12 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
         loads: include tip force and weight.
 
     Raises:
-        InputError: more than MOST_TUBES tubes, a prefix that is no name in C; loads on tubes off the centreline, or
-            of unknown weight.
+        InputError: a bundle, more than MOST_TUBES tubes, a prefix that is no name in C; loads on tubes off the
+            centreline, or of unknown weight.
         SolveError: no stable equilibrium is found for the answers that its test knows.
     """
+    if not robot.fixed_sections:
+        raise InputError("kind is bundle; there is no C library of it, but of concentric and eccentric ones")
     if robot.n_tubes > MOST_TUBES:
         raise InputError(f"robot has {robot.n_tubes} tubes; a C library is made of at most {MOST_TUBES}")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", prefix):

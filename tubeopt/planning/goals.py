@@ -458,10 +458,12 @@ def _equilibria(task: PlanTask, start: Equilibrium, goal: Any, clock: Clock) -> 
         return _first_reachable(task, start, tip_goal.single_goals(), clock), False
     rotations, shift = joints_of(space, "goal", goal)
     equilibria: list[Equilibrium] = []
-    if task.coordinates.eccentric or space.robot.n_tubes <= SEARCHED_TUBES or clock.left > SEARCH_SECONDS:
+    few = task.coordinates.eccentric or space.robot.n_tubes <= SEARCHED_TUBES
+    # All equilibria of a bundle cannot be searched: the one of `fk` is taken.
+    if space.robot.fixed_sections and (few or clock.left > SEARCH_SECONDS):
         with suppress(SolveError):
             equilibria = [e for e in find_equilibria(space.robot, rotations, shift) if e.stable]
-    complete = bool(equilibria) and (task.coordinates.eccentric or space.robot.n_tubes <= SEARCHED_TUBES)
+    complete = bool(equilibria) and few
     if not equilibria:
         equilibria = [forward_kinematics(space.robot, rotations, shift)]
     # A large margin is the best sign of a branch that the robot can reach.

@@ -375,7 +375,9 @@ class Proof(Displayed):
     paces: Paces
     """Speeds, accelerations and path length."""
     reintegration: Annotated[
-        float, unit("mm"), "largest difference of a tip from adaptive re-integration; under a load, the estimated error"
+        float,
+        unit("mm"),
+        "largest difference of a tip from adaptive re-integration; under a load or of a bundle, the estimated error",
     ]
     statistics: ProofStatistics
     """Effort of the proof."""
@@ -669,7 +671,7 @@ def _branch_faults(
 
 
 def _again(equilibria: Sequence[Equilibrium]) -> float:
-    """Largest difference of a tip from its re-integration, m; under a load the largest estimate of its error."""
+    """Largest difference of a tip from its re-integration, m; under a load or of a bundle the largest estimate."""
     if equilibria[0].load is not None or not equilibria[0].robot.fixed_sections:
         return max(e.tip_error for e in equilibria)
     return max(check.tip_position for check in verifications(equilibria))

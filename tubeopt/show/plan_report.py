@@ -70,7 +70,7 @@ def _clearance_text(p: Proof) -> str | None:
 
 def _equilibria_text(p: Proof) -> str:
     """Number of equilibria of the proof, and their independent check, as text."""
-    if p.end.load is not None:
+    if p.end.load is not None or not p.end.robot.fixed_sections:
         return f"through {p.equilibria} equilibria, tips right to {p.reintegration * TO_MM:.0e} mm (estimated)"
     checked = f", re-integrated to {p.reintegration * TO_MM:.0e} mm (DOP853)" if np.isfinite(p.reintegration) else ""
     return f"through {p.equilibria} equilibria{checked}"

@@ -69,7 +69,7 @@ def trace_branch(
         time_limit: maximum run time, s.
 
     Raises:
-        InputError: wrong number of joint values, equal start and end, a step that is not positive.
+        InputError: wrong number of joint values, equal start and end, a step that is not positive, a bundle.
         SolveError: the branch could not be followed.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
@@ -81,6 +81,8 @@ def trace_branch(
         >>> len(branch.folds)
         2
     """
+    if not robot.fixed_sections:
+        raise InputError("kind is bundle; its branch is not traced through folds, follow leads to the first")
     shift = shifts(robot, translations)
     alpha, beta = vector("start", start, robot.n_tubes), vector("end", end, robot.n_tubes)
     check_turn(np.stack([alpha, beta]))

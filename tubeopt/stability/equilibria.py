@@ -22,7 +22,7 @@ from ..equilibrium.kinematics import forward_kinematics, to_equilibrium
 from ..equilibrium.member import AnyPoint, Loaded, LoadedPoint, Member, PlainPoint, Point, Unloaded, sample_rotation
 from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium
-from ..errors import Settings, SolveError
+from ..errors import InputError, Settings, SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
 from ..solvers.blas import small
@@ -567,7 +567,7 @@ def find_equilibria(
 
     Raises:
         InputError: wrong number of joint values, one that is not finite, a tube out of its actuator; a load on an
-            eccentric robot.
+            eccentric robot, a bundle.
         SolveError: the degree of the set is not 1: an equilibrium is missing, or the joint values are a fold.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
@@ -579,6 +579,8 @@ def find_equilibria(
         [True, True, False]
     """
     alpha, translation = joint_values(robot, rotations, translations)
+    if not robot.fixed_sections:
+        raise InputError("kind is bundle; not all its equilibria are found, fk finds one, follow leads to others")
     shift = tuple(translation.tolist())
     result = _without_load(Unloaded.of(robot, alpha, shift), search.most_starts)
     equilibria = [to_equilibrium(point, "search over tip angles") for point in result]

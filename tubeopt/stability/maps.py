@@ -146,8 +146,8 @@ def stability_map(
         raise InputError(f"tubes is {tubes}; they must be two different tubes from 0 to {robot.n_tubes - 1}")
     shift = shifts(robot, translations)
     # Tubes curved in one plane: opposite rotations give mirror images.
-    assembly = robot.assembly(shift)
-    mirrored = assembly.even and not assembly.eccentric and directions % 2 == 0
+    assembly = robot.assembly(shift) if robot.fixed_sections else None
+    mirrored = assembly is not None and assembly.even and not assembly.eccentric and directions % 2 == 0
     origin = forward_kinematics(robot, np.zeros(robot.n_tubes), shift)
     angles = np.linspace(-np.pi, np.pi, samples)
     rows = [

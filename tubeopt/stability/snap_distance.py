@@ -594,6 +594,8 @@ def _distance(equilibrium: Equilibrium, limit: float, precision: float = PRECISI
     elif compiled is not None:
         radius, couplings = compiled
     elif not (certificate := snap_free_certificate(robot, equilibrium.translations)) > 0:
+        if isinstance(robot, BundleRobot):
+            raise InputError("equilibrium is of a bundle without a certificate above 0; its snap distance is not known")
         if robot.assembly(equilibrium.translations).eccentric:
             raise InputError(
                 f"equilibrium is of an eccentric robot with a certificate of {certificate:.3g}; it must be above 0: "

@@ -14,6 +14,7 @@ from ..equilibrium.jacobian import STEP, Change, Difference, Posed, change_by, d
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive
+from ..robots.eccentric import BundleRobot
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.blas import small
@@ -74,9 +75,12 @@ def find_stroke_force(
 
 def _push(first: Equilibrium, up_to: float) -> tuple[float, Load]:
     """Force against the tip, N, near the buckling load of the weakest part as a column of the whole length."""
-    arm = first.robot.assembly(first.translations)
-    weakest = float(section_needs(arm).stiffness.min())
-    unit = min(up_to, 1.1 * weakest / arm.total_length**2)
+    robot, length = first.robot, float(first.arc_length[-1])
+    if isinstance(robot, BundleRobot):
+        weakest = robot.sheath_stiffness + min(tube.bending_stiffness for tube in robot.tubes)
+    else:
+        weakest = float(section_needs(robot.assembly(first.translations)).stiffness.min())
+    unit = min(up_to, 1.1 * weakest / length**2)
     return unit, Load(tuple((-unit * first.tip_rotation[:, 2]).tolist()))
 
 

@@ -19,14 +19,14 @@ from ..errors import InputError, without_unit_warnings
 from ..robots.assembly import DIMENSIONS, dimensions_of
 from ..robots.calibration import Calibration
 from ..robots.concentric import ConcentricRobot, Friction, friction_of
-from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
+from ..robots.eccentric import BundleRobot, EccentricRobot, SegmentedEccentricRobot
 from ..robots.pieces import Piece
 from ..robots.robot import Robot, drawn_clearance
 from ..robots.tubes import Tube
 from ..typing import Array
 from .measurements import Measurements
 
-CommonRobot = ConcentricRobot | EccentricRobot | SegmentedEccentricRobot
+CommonRobot = ConcentricRobot | EccentricRobot | SegmentedEccentricRobot | BundleRobot
 
 
 @dataclass(eq=False)
@@ -131,6 +131,8 @@ class Setup:
             extra = max(0.0, base.transmission_length + float(self.straight_length[0] - first.straight_length[0]))
             tube = replace(tubes[0], straight_length=base.tube.straight_length)
             return replace(base, tube=tube, transmission_length=extra, calibration=drives)
+        if isinstance(base, BundleRobot):
+            return replace(base, tubes=tubes, calibration=drives)
         raise InputError(f"robot is a {type(base).__name__}; only robots that a file can describe can be calibrated")
 
     def _tube(self, tube: Tube, k: int, first: Setup) -> Tube:

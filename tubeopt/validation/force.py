@@ -276,12 +276,13 @@ def estimate_forces(
         )
     alpha, shift = Timeline.of(measurements).driven(setup.drives, np.zeros(robot.n_tubes))
     stations = measurements.stations
+    _check_points(robot, bool(np.any(stations > 0)))
     positions = (_of_plate(robot, measurements, registration) - setup.plate_shift) @ setup.plate_turn
     estimates: list[ForceEstimate | None] = []
     failures = []
     last: Equilibrium | None = None
     for row in range(len(measurements)):
-        length = robot.assembly(shift[row]).total_length
+        length = _arm_length(robot, shift[row])
         present = np.isfinite(positions[row, :, 0])
         try:
             joints = joint_values(robot, alpha[row], shift[row])
@@ -365,10 +366,20 @@ def estimate_force(  # noqa: PLR0913
         0.02
     """
     alpha, shift = joint_values(robot, rotations, translations)
-    readings = _measured(
-        float(robot.assembly(shift).total_length), tip_position, points, typical_length("noise", noise, TYPICAL_NOISE)
-    )
+    readings = _measured(_arm_length(robot, shift), tip_position, points, typical_length("noise", noise, TYPICAL_NOISE))
+    _check_points(robot, points is not None and len(points) > 0)
     return _fitted(robot, (alpha, shift), readings, _known(known), start)
+
+
+def _arm_length(robot: Robot, translations: Array) -> float:
+    """Arc length of the tip, m; inf for a bundle, whose tip moves along the centreline."""
+    return float(robot.assembly(translations).total_length) if robot.fixed_sections else np.inf
+
+
+def _check_points(robot: Robot, behind: bool) -> None:
+    """Raise InputError for points of a bundle behind the tip."""
+    if behind and not robot.fixed_sections:
+        raise InputError("points behind the tip are measured; for a bundle the tip only is allowed")
 
 
 def _known(load: Load | None) -> Load:

@@ -73,7 +73,7 @@ class Measured:
     """Measured points of an arm, in the plate frame."""
 
     arc_length: Array
-    """(P,) arc lengths, m."""
+    """(P,) arc lengths, m; inf for the tip of a bundle."""
     position: Array
     """(P, 3) measured positions, m."""
     noise: float
@@ -181,10 +181,10 @@ def trial_at(equilibrium: Equilibrium, base: Load, force: Array, measured: Measu
     with without_unit_warnings():  # trial forces may be unusual
         e = under_load(equilibrium, load)
     noise = measured.noise
-    tip = last_tube(e.robot.assembly(e.translations).end)
+    tip = last_tube(e.tube_end)
     away = e.tip_rotation @ about_z(e.rotation[int(tip), -1]) @ measured.offset
     # The compliance of the tip has these slopes already; other points need the whole arm.
-    if len(measured.arc_length) == 1 and abs(measured.arc_length[0] - e.arc_length[-1]) <= ARRIVED:
+    if len(measured.arc_length) == 1 and measured.arc_length[0] >= e.arc_length[-1] - ARRIVED:
         slopes = e.compliance[:3, :3] + _rotation_slope(e.compliance[3:, :3], away)
         return Trial(force, e, (measured.position[0] - e.tip_position - away) / noise, slopes / noise)
     known, fractions = linearise(e, (), more=tip_forces), measured.arc_length / e.arc_length[-1]

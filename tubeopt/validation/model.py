@@ -236,7 +236,7 @@ def _by_row(robot: Robot, rotations: Array, translations: Array, error: InputErr
     """Error for the first invalid row, with the message of a single configuration."""
     for k in range(len(rotations)):
         try:
-            robot.assembly(translations[k])
+            robot.admit(translations[k])
         except InputError as cause:
             return InputError(f"row {k + 1}: {cause}")
     return error

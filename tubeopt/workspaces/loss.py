@@ -132,7 +132,7 @@ def snapping_loss(
 
 def require_centred(robot: Robot) -> None:
     """Raise InputError for tubes off the centreline."""
-    if robot.assembly(robot.home_translations).eccentric:
+    if not robot.fixed_sections or robot.assembly(robot.home_translations).eccentric:
         raise InputError("the loss to snapping is supported for concentric robots only")
 
 

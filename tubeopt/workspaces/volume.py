@@ -86,7 +86,8 @@ def meridian_volume(workspace: Workspace, size: float | None = None, *, min_marg
     """
     robot = workspace.robot
     turns = np.diff(np.array(robot.limits.rotations), axis=1)
-    if robot.assembly(robot.home_translations).eccentric or turns.min() < 2 * np.pi - 1e-9:
+    eccentric = not robot.fixed_sections or robot.assembly(robot.home_translations).eccentric
+    if eccentric or turns.min() < 2 * np.pi - 1e-9:
         raise InputError(
             "the workspace is not a body of revolution: the robot is "
             "eccentric, or rotations are limited to less than a full turn"

@@ -16,7 +16,7 @@ from ...errors import InputError, finite
 from ...files.units import TO_MILLI, TO_MM, parse_number
 from ...inverse.mirror import mirror_rotations
 from ...robots.concentric import ConcentricRobot
-from ...robots.eccentric import EccentricRobot, SegmentedEccentricRobot
+from ...robots.eccentric import BundleRobot, EccentricRobot, SegmentedEccentricRobot
 from ...robots.load import Load
 from ...robots.robot import Robot
 from ...robots.tubes import Tube
@@ -111,7 +111,7 @@ def with_knob(robot: Robot, knob: Knob, value: float) -> Robot:
         return replace(robot, tube=tubes[0])
     if isinstance(robot, SegmentedEccentricRobot):
         return replace(robot, segments=tuple(tubes))
-    if isinstance(robot, ConcentricRobot):
+    if isinstance(robot, ConcentricRobot | BundleRobot):
         return replace(robot, tubes=tuple(tubes))
     raise InputError(f"the tubes of a {type(robot).__name__} cannot be changed here")
 
@@ -261,7 +261,7 @@ class Panel:
         with tabs.add_tab("Tip"):
             self._margin, self._targets = self._tip_controls(view.min_margin)
         self.push: PushPanel | None = None
-        if not robot.assembly(robot.home_translations).eccentric:
+        if not (robot.fixed_sections and robot.assembly(robot.home_translations).eccentric):
             with tabs.add_tab("Load"):
                 self.push = PushPanel(gui, tab, self._numbers, self._button, self._check, view.load)
         with tabs.add_tab("Play"):
