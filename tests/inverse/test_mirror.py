@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from tubeopt import (
     forward_kinematics,
     load_robot,
 )
+from tubeopt.inverse import mirror
 from tubeopt.inverse.mirror import (
     ASSIGNMENTS,
     STRAIGHT,
@@ -160,6 +162,29 @@ def test_inverse_in_front_of_the_plate() -> None:
     behind = np.full(3, -0.04)
     tip = forward_kinematics(robot, mirror_rotations(1.0, 0.8), behind).tip_position
     assert mirror_to_tip(robot, tip, translations=behind).separation == pytest.approx(0.8, abs=1e-6)
+
+
+@pytest.mark.parametrize("separation", [0.4, 1.2, 1.9])
+def test_exact_derivatives_need_few_equilibria(separation: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without derivatives a search takes 15 to 20 equilibria; wrong ones would not converge in ten."""
+    solved = forward_kinematics(ETR, mirror_rotations(0.7, separation))
+    drawn = forward_kinematics(ETR, mirror_rotations(0.7, separation), np.full(3, -0.02))
+    bend = arc_curvature(solved)
+    calls: list[int] = []
+
+    def counted(*args: Any) -> Equilibrium:
+        calls.append(1)
+        return forward_kinematics(*args)
+
+    monkeypatch.setattr(mirror, "forward_kinematics", counted)
+    for search in (
+        lambda: mirror_to_tip(ETR, solved.tip_position),
+        lambda: mirror_pose(ETR, drawn.tip_position),
+        lambda: mirror_inverse(ETR, float(np.arctan2(bend[1], bend[0])), float(np.linalg.norm(bend))),
+    ):
+        calls.clear()
+        assert search().separation == pytest.approx(separation, abs=1e-6)
+        assert len(calls) <= 10
 
 
 @pytest.mark.parametrize("distance", [1e-5, 1e-4, 2e-3])

@@ -4,7 +4,7 @@ One tube points in the direction, and the other two are rotated from it by the s
 3.51). The sum of three equal vectors then has that direction and the length 1 + 2 cos(separation): the arm bends in a
 plane, from the precurvature at separation 0 to straight at 120 deg. Torsion and offsets of the tubes change this law a
 little. So a search for a bend or a tip starts from the law, or from its closed form for an arm of constant curvature,
-and solves the full equations by the trust-region method of SciPy's `least_squares`.
+and solves the full equations by the trust-region method of SciPy's `least_squares` with their exact derivatives.
 
 A robot of several segments has this actuation in each. The start is then a chain of arcs, and a Gauss-Newton method
 with the exact derivatives of the tip solves the full equations: translations are kept in the order of the tubes.
@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -22,6 +23,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
+from ..equilibrium.jacobian import position_slopes
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.linearised import curvature_at, linearise
 from ..equilibrium.result import Equilibrium
@@ -76,6 +78,14 @@ def mirror_separation(fraction: float) -> float:
     return math.acos((3 * min(fraction, 1.0) - 1) / 2)
 
 
+def _law_slope(x: float, y: float) -> Array:
+    """Derivatives (2, 2) of direction and separation, rad, by a bend (x, y) as a fraction of the precurvature."""
+    size = max(math.hypot(x, y), 1e-9)
+    # Beyond the largest bend, the separation stays 0.
+    rate = -1.5 / math.sin(mirror_separation(size)) / size if size < 1 else 0.0
+    return np.array([[-y / size**2, x / size**2], [rate * x, rate * y]])
+
+
 def arc_curvature(equilibrium: Equilibrium) -> Array:
     """Curvature (2,) of the arc from plate to tip, 1/m, as a vector along x and y of the plate.
 
@@ -88,6 +98,14 @@ def arc_curvature(equilibrium: Equilibrium) -> Array:
     tip = equilibrium.tip_position - [0.0, 0.0, max(float(assembly.transition.min()), 0.0)]
     square = float(tip @ tip)
     return np.asarray(2 * tip[:2] / square if square else np.zeros(2))
+
+
+def _arc_slope(equilibrium: Equilibrium) -> Array:
+    """Derivative (2, 3) of `arc_curvature` by the tip position, at fixed translations."""
+    assembly = equilibrium.robot.assembly(equilibrium.translations)
+    tip = equilibrium.tip_position - [0.0, 0.0, max(float(assembly.transition.min()), 0.0)]
+    square = float(tip @ tip)
+    return np.asarray((2 * np.eye(3)[:2] - 4 * np.outer(tip[:2], tip) / square) / square)
 
 
 @typed
@@ -162,7 +180,9 @@ def mirror_inverse(
     curvature = positive("curvature", finite("curvature", curvature), zero=True)
     arm = _Arm(robot, translations, tuple(assignment), azimuth)
     target = curvature * np.array([math.cos(azimuth), math.sin(azimuth)])
-    pose = arm.solve(target, lambda equilibrium: arc_curvature(equilibrium) - target, arm.max_curvature)
+    pose = arm.solve(
+        target, lambda equilibrium: arc_curvature(equilibrium) - target, arm.max_curvature, by_tip=_arc_slope
+    )
     if pose.error > 1e-7 * arm.max_curvature:
         max_curvature = float(np.linalg.norm(arc_curvature(arm.pose(*arm.inputs(arm.full)))))
         if curvature < max_curvature:
@@ -371,6 +391,7 @@ class _Arm:
         residual: Callable[[Equilibrium], Array],
         scale: float,
         shift: float | None = None,
+        by_tip: Callable[[Equilibrium], Array] = lambda _: np.eye(3),
     ) -> MirrorPose:
         """Pose of the smallest `residual`, from a curvature vector `start` (2,), 1/m.
 
@@ -380,6 +401,7 @@ class _Arm:
         Args:
             scale: change of the residual by the curvature `max_curvature`.
             shift: start of the translation, m; None for a fixed one.
+            by_tip: derivative (r, 3) of the residual by the tip position.
         """
         size = float(np.linalg.norm(start))
         start = start * min(1.0, self.max_curvature / size) if size else start
@@ -398,9 +420,24 @@ class _Arm:
         if shift is not None:
             initial, low, high = (translation / self.length for translation in (shift, *self.travel))
             guess, bounds = [*guess, initial], ([*bounds[0], low], [*bounds[1], max(high, low + 1e-9)])
+        apart = np.zeros(3)
+        apart[list(self.assignment[1:])] = 1.0, -1.0
+
+        pose = lru_cache(maxsize=2)(self.pose)  # residual and slope need the same equilibrium
+
+        def slope(x: Array) -> Array:
+            equilibrium = pose(*actuation(x))
+            by_joints = position_slopes(equilibrium)
+            by_angles = by_joints[:, :3] @ np.column_stack([np.ones(3), apart])
+            parts = [by_angles if bent else by_angles @ _law_slope(float(x[0]), float(x[1]))]
+            if len(x) > 2:
+                parts.append(by_joints[:, 3:].sum(1, keepdims=True) * self.length)
+            return by_tip(equilibrium) @ np.hstack(parts) / scale
+
         solution = scipy.optimize.least_squares(
-            lambda x: residual(self.pose(*actuation(x))) / scale,
+            lambda x: residual(pose(*actuation(x))) / scale,
             guess,
+            jac=slope,
             bounds=bounds,
             xtol=1e-14,
             ftol=1e-14,
@@ -498,14 +535,10 @@ class _Segments:
                 angle[[j, k + j]] = one, two
                 slope[j, 2 * j] = slope[k + j, 2 * j + 1] = 1.0
                 continue
-            size = max(math.hypot(one, two), 1e-9)
-            separation = mirror_separation(size)
             # A tube of positive precurvature and rotation 0 bends towards -y.
             angle[j] = math.atan2(two, one) + math.copysign(math.pi / 2, self.curvature[j])
-            angle[k + j] = separation
-            slope[j, 2 * j : 2 * j + 2] = np.array([-two, one]) / size**2
-            if size < 1:
-                slope[k + j, 2 * j : 2 * j + 2] = -1.5 / math.sin(separation) / size * np.array([one, two])
+            angle[k + j] = mirror_separation(math.hypot(one, two))
+            slope[[j, k + j], 2 * j : 2 * j + 2] = _law_slope(one, two)
         return angle, slope
 
     def unknowns(self, bend: Array, q: Array, free: bool) -> tuple[Array, tuple[bool, ...]]:
