@@ -32,8 +32,8 @@ def test_plan_saves_all_files(run: Run, tmp_path: Path) -> None:
         for kind in (".dxf", ".svg", ".stl", "_1.nc", "_2.nc", "_3.nc", "_4.nc")
     }
     assert [program["tool"] for program in out["programs"]] == [
-        *("end mill 2 mm", "drill 3 mm", "drill 5.5 mm", "end mill 4 mm"),
-        *("end mill 0.4 mm", "drill 1.5 mm", "drill 3 mm", "drill 5.5 mm", "end mill 4 mm"),
+        *("end mill 2 mm", "drill 2.8 mm", "drill 5.5 mm", "end mill 4 mm"),
+        *("end mill 0.4 mm", "drill 1.5 mm", "drill 2.8 mm", "drill 5.5 mm", "end mill 4 mm"),
     ]
     (groove,) = out["grooves"]
     assert groove["mold_radius_mm"] == pytest.approx(120)

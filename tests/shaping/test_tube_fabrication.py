@@ -72,7 +72,7 @@ def test_the_sheet_tells_what_is_seen_at_the_rig() -> None:
     model = thermal_model(TUBE, thesis_rig(), FINE)
     history = integrate(model, plan.spec.slot, plan.duty[:-1] / 255, rtol=1e-5)
     middle = history.tube[:, 0, -1] - 273.15
-    told = [re.match(r"([\d.]+) s: .*?([\d.]+) °C", line) for line in time_line(plan)]
+    told = [re.match(r"([\d.]+) s: .*?([\d.]+) °C", line) for line in time_line(made_of(plan))]
     seen = [(float(found[1]), float(found[2])) for found in told if found]
     assert len(seen) == 5
     for time, value in seen:
@@ -81,7 +81,7 @@ def test_the_sheet_tells_what_is_seen_at_the_rig() -> None:
     assert float(current.split(" / ")[0]) == pytest.approx(plan.current.max(), abs=0.5)
     words = " ".join(preparation(made_of(plan)) + safety(plan))
     assert f"{plan.rig.battery.voltage:.2f} V" in words
-    assert "Polarity: battery plus, fuse, cut-out, proximal clamp" in words
+    assert "Polarity: battery plus, fuse, main switch, cut-out, proximal clamp" in words
 
 
 def made_of(plan: HeatingPlan) -> TubeFabrication:

@@ -34,6 +34,12 @@ POINT = 0.3
 SLOT_PASS = 0.5
 """Depth of one pass of a slot, in diameters of its end mill."""
 
+REAMED = 0.2e-3
+"""Diameter (m) that holes of dowels are drilled smaller by, for a reamer (common for 3 to 6 mm)."""
+
+PILOTED = 8e-3
+"""Holes above this diameter, m, are first drilled by the largest smaller drill of their plate."""
+
 PROBING = 1.0
 """Feed (mm/s) towards a touch plate."""
 
@@ -54,8 +60,18 @@ class Stage:
     """Diameter of the tool, m."""
     spindle: float
     """Spindle speed, 1/s."""
+    feed: float
+    """Feed along the path, or of a drill, m/s."""
+    step: float
+    """Largest depth of a pass, or of a drilling step, m."""
     lines: tuple[str, ...]
     """Lines of the program."""
+
+    @property
+    def data(self) -> str:
+        """Tool with its cutting data, as text."""
+        feed, step = self.feed * TO_MM * PER_MINUTE, self.step * TO_MM
+        return f"{self.tool}, {self.spindle * PER_MINUTE:.0f} rpm, {feed:.0f} mm/min, steps {step:g} mm"
 
 
 @dataclass(frozen=True)
@@ -103,6 +119,20 @@ def clamp_distance(mold: Mold) -> float:
     return beyond_edge([groove.width for groove in mold.grooves], mold.spec)
 
 
+def stock_size(mold: Mold, part: str) -> tuple[float, float, float]:
+    """Width, height and thickness (m) of the stock of a plate; in whole mm with room for tools and clamps."""
+    shop, plate = mold.spec.workshop, mold.spec.plate
+    thickness = plate.thickness if part == "base" else plate.lid_thickness
+    beside = 2 * clamp_distance(mold) * TO_MM
+    width, height = (math.ceil(side * TO_MM + beside) / TO_MM for side in mold.size) if shop.cut_out else mold.size
+    return width, height, thickness
+
+
+def drill_diameter(hole: Hole) -> float:
+    """Diameter (m) of the drill of a hole: smaller by `REAMED` for a dowel."""
+    return round(hole.diameter - REAMED, 6) if hole.purpose == "dowel" else hole.diameter
+
+
 def programs(mold: Mold, part: str) -> list[Program]:
     """Programs of a plate: one, or without a touch plate one for each tool.
 
@@ -110,14 +140,22 @@ def programs(mold: Mold, part: str) -> list[Program]:
         InputError: a program takes too long.
         SolveError: a program, read back, has a hazardous move.
     """
-    turned = ", lower face up" if part == "lid" and mold.slots else ""
-    stages, title = stages_of(mold, part), f"{part} of a mold{turned}, {mold.spec.material.name}"
+    stages, title = stages_of(mold, part), f"{part} of a mold, {mold.spec.material.name}"
+    zero = ["zero: lower left corner and upper face of the plate"]
+    if part == "lid" and mold.slots:
+        zero = [
+            "lower face up, turned over about its left edge",
+            "zero: lower left corner as it lies, lower right one when closed",
+            "z = 0: its lower face, which lies on top",
+        ]
+    size = " x ".join(f"{side * TO_MM:g}" for side in stock_size(mold, part))
+    header = [f"{title}, for {mold.spec.workshop.dialect}", *zero, f"stock: {size} mm or wider"]
     files: dict[str, Sequence[Stage]] = {f"{part}_{k}.nc": [stage] for k, stage in enumerate(stages, start=1)}
     if mold.spec.workshop.touch_plate is not None:
         files = {f"{part}.nc": stages}
     of_plate = []
     for file, of_file in files.items():
-        each = Program(file, part, of_file[0].tool, program(title, clamp_distance(mold), mold.spec, of_file))
+        each = Program(file, part, of_file[0].tool, program(header, clamp_distance(mold), mold.spec, of_file))
         for hazard in hazards(each.motions):
             raise SolveError(f"{each.file}: {hazard}")
         check_duration(each.file, each.time)
@@ -142,15 +180,21 @@ def stages_of(mold: Mold, part: str) -> list[Stage]:
     # A lid with slots lies with its lower face up.
     holes = mold.base_holes if base else turned if mold.slots else mold.lid_holes
     stages = groove_stages(mold) if base else slot_stages(mold)
-    for diameter in sorted({hole.diameter for hole in holes}):
-        lines = tuple(drilled([hole for hole in holes if hole.diameter == diameter], thickness, spec))
-        stages.append(Stage(f"drill {diameter * TO_MM:g} mm", diameter, shop.drill_spindle, lines))
+    drills = sorted({drill_diameter(hole) for hole in holes})
+    for diameter, wider in zip(drills, [*drills[1:], 0.0], strict=True):
+        of_drill = [hole for hole in holes if drill_diameter(hole) == diameter]
+        if wider > PILOTED:
+            of_drill += [replace(hole, purpose="pilot") for hole in holes if drill_diameter(hole) > PILOTED]
+        lines = tuple(drilled(of_drill, diameter, thickness, spec))
+        tool = f"drill {diameter * TO_MM:g} mm"
+        stages.append(Stage(tool, diameter, shop.drill_spindle, shop.drill_feed, shop.peck, lines))
     cut = [] if base or mold.hinge is None else list(across(mold.size[0], mold.hinge.pin, thickness, spec))
     if shop.cut_out:
         cut += outlined(mold.size, thickness, spec)
     if cut:
         cutter, lines = shop.outline_diameter, tuple(cut)
-        stages.append(Stage(f"end mill {cutter * TO_MM:g} mm", cutter, spec.milling.spindle, lines))
+        tool = f"end mill {cutter * TO_MM:g} mm"
+        stages.append(Stage(tool, cutter, spec.milling.spindle, shop.outline_feed, shop.outline_step, lines))
     return stages
 
 
@@ -160,7 +204,8 @@ def groove_stages(mold: Mold) -> list[Stage]:
     for mill in sorted({groove.mill for groove in mold.grooves}, key=lambda mill: mill.diameter):
         grooves = sorted((g for g in mold.grooves if g.mill == mill), key=lambda g: g.number)
         lines = tuple(line for groove in grooves for line in _passes(groove, mold))
-        stages.append(Stage(f"end mill {mill.diameter * TO_MM:g} mm", mill.diameter, mold.spec.milling.spindle, lines))
+        tool, milling = f"end mill {mill.diameter * TO_MM:g} mm", mold.spec.milling
+        stages.append(Stage(tool, mill.diameter, milling.spindle, milling.feed, milling.step_down, lines))
     return stages
 
 
@@ -181,7 +226,8 @@ def slot_stages(mold: Mold) -> list[Stage]:
             lines += [_move(piece) + (_feed(milling.feed) if k == 0 else "") for k, piece in enumerate(path)]
             lines += _retract(mold.spec)
     diameter = mold.slots[0].mill.diameter
-    return [Stage(f"end mill {diameter * TO_MM:g} mm", diameter, milling.spindle, tuple(lines))]
+    step = min(milling.step_down, SLOT_PASS * diameter)
+    return [Stage(f"end mill {diameter * TO_MM:g} mm", diameter, milling.spindle, milling.feed, step, tuple(lines))]
 
 
 def groove_gcode(mold: Mold) -> str:
@@ -210,14 +256,14 @@ def _passes(groove: Groove, mold: Mold) -> Iterator[str]:
             yield from _retract(mold.spec)
 
 
-def drilled(holes: Sequence[Hole], thickness: float, spec: MoldSpec) -> Iterator[str]:
-    """Lines of G-code that drill holes of one diameter through a plate of a `thickness`, m."""
+def drilled(holes: Sequence[Hole], diameter: float, thickness: float, spec: MoldSpec) -> Iterator[str]:
+    """Lines of G-code that drill holes by a drill of a `diameter` through a plate of a `thickness`, m."""
     shop, milling = spec.workshop, spec.milling
     has_cycle = shop.dialect in CANNED
     for purpose in dict.fromkeys(hole.purpose for hole in holes):
         yield f"({purpose}s)"
         of_purpose = [hole for hole in holes if hole.purpose == purpose]
-        depth = thickness + THROUGH + POINT * of_purpose[0].diameter
+        depth = thickness + THROUGH + POINT * diameter
         if has_cycle:
             yield f"G0 Z{_mm(milling.safe_height)}"
             for k, hole in enumerate(of_purpose):
@@ -297,14 +343,13 @@ def _retract(spec: MoldSpec) -> Iterator[str]:
 # --- programs ---------------------------------------------------------------------------------------------------------
 
 
-def program(title: str, clear: float, spec: MoldSpec, stages: Sequence[Stage]) -> str:
-    """Text of a G-code program; clear: smallest distance of the stock's clamps from the plate, m."""
+def program(header: Sequence[str], clear: float, spec: MoldSpec, stages: Sequence[Stage]) -> str:
+    """Text of a G-code program with its `header`; clear: smallest distance of the stock's clamps from the plate, m."""
     shop = spec.workshop
     high = f"G0 Z{_mm(shop.change_height)}"
     path_control = {"linuxcnc": ["G64 P0.005"], "mach": ["G64"], "grbl": []}[shop.dialect]
     lines = [
-        f"({title}, for {shop.dialect})",
-        "(zero: lower left corner and upper face of the plate)",
+        *(f"({line})" for line in header),
         f"(clamps: {math.ceil(clear * TO_MM)} mm and more from the plate)",
         f"G21 G90 G91.1 G94 G17 G40 G49 G80 {shop.work_offset}",
         *path_control,
@@ -319,7 +364,7 @@ def program(title: str, clear: float, spec: MoldSpec, stages: Sequence[Stage]) -
 def _tool_change(spec: MoldSpec, stage: Stage, number: int, high: str) -> Iterator[str]:
     """Lines of G-code that change to the tool of a stage and set Z for it; high: move to the height of tool changes."""
     shop = spec.workshop
-    yield f"(tool {number}: {stage.tool})"
+    yield f"(tool {number}: {stage.data})"
     if shop.touch_plate is None:
         yield "(set Z to 0 on the plate's upper face with this tool)"
         return

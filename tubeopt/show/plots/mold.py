@@ -12,7 +12,8 @@ import numpy as np
 from ...files.units import TO_MILLI, TO_MM
 from ...robots.tubes import Tube
 from ...shaping.mold.files import draw_plate, halves
-from ...shaping.mold.groove import Arc
+from ...shaping.mold.gcode import slot_paths
+from ...shaping.mold.groove import Arc, outline_of
 from ...shaping.mold.mandrel import Cylinder, Mandrel, rotation_table
 from ...shaping.mold.mold import Groove, Mold, clamp_corners
 from ...shaping.mold.ranking import MAX_LEAK, MaterialRating
@@ -79,6 +80,23 @@ def draw_mold(axes: Axes, mold: Mold) -> None:
                 axes.plot([0, drawing.size[0]], [edge * TO_MM] * 2, color=INK, lw=0.6, ls=(0, (3, 2)), zorder=2)
     low, high = extent(mold)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+
+
+def draw_lid(axes: Axes, mold: Mold) -> None:
+    """Draw the lid as it lies when it is milled, in mm: with slots its lower face is up."""
+    from matplotlib.patches import Polygon, Rectangle
+
+    (width, height), slots = np.array(mold.size) * TO_MM, slot_paths(mold)
+    for low, high in halves(mold):
+        axes.add_patch(Rectangle((0, low * TO_MM), width, (high - low) * TO_MM, fc=PLATE, ec=INK, lw=0.9, zorder=0))
+    for slot, path in zip(mold.slots, slots, strict=True):
+        outline = outline_of(path, slot.mill.diameter / 2)
+        axes.add_patch(Polygon(_line(outline), fc=SLOT, ec=tube_colour(0), lw=0.8, zorder=2))
+    for hole in mold.lid_holes:
+        x, y = np.multiply(hole.centre, TO_MM)
+        face = FAINT if hole.purpose in ("dowel", "hinge") else "white"
+        disk(axes, (width - x if slots else x, y), hole.diameter / 2 * TO_MM, fc=face, ec=INK, lw=0.5, zorder=3)
+    axes.set(xlim=(0, width), ylim=(0, height), aspect="equal")
 
 
 def _draw_groove(axes: Axes, groove: Groove, mold: Mold, plate: Rectangle) -> None:

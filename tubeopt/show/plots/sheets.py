@@ -14,13 +14,22 @@ from ...files.units import TO_MM
 from ...shaping.firmware.boards import root_mean_square
 from ...shaping.heating.cutout import cut_out
 from ...shaping.heating.plan import LEFT, HeatingPlan, left_in_mold
-from ...shaping.mold.gcode import clamp_distance, programs_of
+from ...shaping.mold.checks import THROUGH
+from ...shaping.mold.gcode import (
+    PER_MINUTE,
+    REAMED,
+    TOLERANCE,
+    clamp_distance,
+    programs,
+    stages_of,
+    stock_size,
+)
 from ...shaping.mold.mandrel import Cylinder, Mandrel
-from ...shaping.mold.mold import Groove, Mold
+from ...shaping.mold.mold import PARTS, Groove, Mold
 from ...shaping.tube_fabrication import TubeFabrication
 from ..page import WIDTH
 from .heating import draw_duty, draw_temperature
-from .mold import draw_mold, draw_plan, draw_space, extent, mold_heading, radius_text
+from .mold import draw_lid, draw_mold, draw_plan, draw_space, extent, mold_heading, radius_text
 from .style import Figure, new_figure, picture
 
 A4 = (297.0, 210.0)
@@ -29,8 +38,14 @@ A4 = (297.0, 210.0)
 EDGE = 12.0
 """Empty border, mm."""
 
-ROW = 4.6
+ROW = 3.9
 """Distance of two rows of numbers, mm."""
+
+BETWEEN = 10.0
+"""Space between the drawings of base and lid, mm."""
+
+TOOL_COLUMNS = 0.0, 22.0, 52.0, 70.0, 92.0, 112.0, 128.0
+"""Columns of the table of tools, mm."""
 
 STEP_SIZES = 7.5, 6.8, 6.2, 5.6, 5.0
 """Sizes of the letters of the steps, points: the largest with which they fit the page."""
@@ -81,7 +96,7 @@ def _write_steps(figure: Figure, x: float, top: float, steps: Sequence[str], rem
     _write(figure, x, top, "\n".join(lines), size=size)
 
 
-SCALES = (1.0, 1.5, 2.0, 2.5, 4.0, 5.0, 10.0)
+SCALES = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 10.0)
 """Reductions of the drawing of a mold."""
 
 MAX_COLUMNS = 3
@@ -100,32 +115,56 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
         _write_steps(figure, 150.0, top, mandrel_steps(part), part.remarks)
         return figure
     figure = _new_sheet(f"Set-up sheet{': ' + title if title else ''}")
+    shown, tools = part.grooves[:MAX_COLUMNS], tool_rows(part)
+    tables = [groove_numbers(groove, part) for groove in shown]
     low, high = extent(part)
-    available = np.array([A4[0] - 2 * EDGE, 0.47 * A4[1] - EDGE])
+    plate = np.array(part.size) * TO_MM
+    # Base and lid side by side; what the tables need is below them.
+    sizes = np.array([high[0] - low[0] + plate[0], max(high[1] - low[1], plate[1])])
+    below = EDGE + 1.5 * ROW + ROW * (len(tables[0]) + len(tools) + 3)
+    available = np.array([A4[0] - 2 * EDGE - BETWEEN, A4[1] - EDGE - 16 - below])
     # A round reduction, so that lengths can be measured on the sheet.
-    fitting = [scale for scale in SCALES if (high - low <= available * scale).all()]
+    fitting = [scale for scale in SCALES if (sizes <= available * scale).all()]
     scale = fitting[0] if fitting else SCALES[-1]
-    wide, tall = (high - low) / scale
-    bottom = A4[1] - EDGE - 9 - tall
+    (wide, tall), base = (high - low) / scale, EDGE - low[0] / scale
+    # Heights of the lower edges of both plates are the same.
+    bottom = A4[1] - EDGE - 13 - tall
     axes = figure.add_axes((EDGE / A4[0], bottom / A4[1], wide / A4[0], tall / A4[1]))
     draw_mold(axes, part)
     axes.set_axis_off()
-    facts = f"{mold_heading(part)}, drawn 1:{scale:g}. Zero: lower left corner, upper face of the base."
-    _write(figure, EDGE, A4[1] - EDGE - 6, facts)
+    left, foot = EDGE + wide + BETWEEN, bottom - low[1] / scale
+    lid = figure.add_axes((left / A4[0], foot / A4[1], plate[0] / scale / A4[0], plate[1] / scale / A4[1]))
+    draw_lid(lid, part)
+    lid.set_axis_off()
+    for x, y in ((base, foot), (left, foot)):
+        _write(figure, x - 2.6, y + 1.0, "0", size=9, weight="bold")
+    turned = "lower face up as milled, turned over about its left edge" if part.slots else "from above"
+    _write(
+        figure,
+        EDGE,
+        A4[1] - EDGE - 6,
+        f"{mold_heading(part)}, drawn 1:{scale:g}. 0: zero of X and Y, Z = 0 on the face.",
+    )
+    head = foot + plate[1] / scale + 4.5
+    _write(figure, base, head, "base, from above", weight="bold")
+    _write(figure, left, head, f"lid, {turned}", weight="bold")
     marks = (
         "White: bolts; dark: dowels" if part.hinge is None else "White: latches; dark: screws of hinges; dashed: cut"
     )
-    key = f"{marks}; ringed: vents of the lid; grey: clamps, with an arrow where one slides."
+    key = f"{marks}; ringed: vents of the lid; coloured: its slots; grey: clamps, with an arrow where one slides."
     _write(figure, EDGE, EDGE + 3, key)
-    top, shown = bottom - 4, part.grooves[:MAX_COLUMNS]
+    top = bottom - 3
     columns = [EDGE, *(EDGE + 52.0 + 30.0 * k for k in range(len(shown)))]
     for x, heading in zip(columns, ("mm, tubes cold", *(f"tube {groove.number}" for groove in shown)), strict=True):
         _write(figure, x, top, heading, weight="bold")
-    tables = [groove_numbers(groove, part) for groove in shown]
     _write_table(figure, columns, top - ROW, *tables)
+    lowest = top - (len(tables[0]) + 1.6) * ROW
     if len(part.grooves) > len(shown):
         numbers = ", ".join(str(groove.number) for groove in part.grooves[len(shown) :])
-        _write(figure, EDGE, top - (len(tables[0]) + 1.4) * ROW, f"tubes {numbers}: see mold.json")
+        _write(figure, columns[0], lowest + 0.7 * ROW, f"tubes {numbers}: see mold.json")
+    for row, words in enumerate(tools):
+        for x, text in zip(TOOL_COLUMNS, words, strict=True):
+            _write(figure, EDGE + x, lowest - ROW * row, text, weight="normal" if row else "bold")
     _write_steps(figure, 158.0, top, mold_steps(part), part.remarks)
     return figure
 
@@ -136,6 +175,10 @@ def groove_numbers(groove: Groove, mold: Mold) -> dict[str, str]:
     lost = 1 - abs(tube.curvature / groove.curvature) if groove.curvature else 0.0
     end, travel = groove.before_bend + groove.bend_length, max(clamp.travel for clamp in groove.clamps)
     # Without the tolerance, a depth of whole steps would take one pass more by round-off.
+    fit, outer = mold.spec.groove, tube.outer_diameter
+    least = (outer + fit.clearance) * TO_MM
+    widest = max(outer + fit.most_clearance, groove.width) * TO_MM
+    deepest = (groove.depth + fit.depth_step) * TO_MM
     passes = math.ceil(groove.depth / mold.spec.milling.step_down - 1e-9)
     return {
         "tube, outer / inner diameter": f"{tube.outer_diameter * TO_MM:.3f} / {tube.inner_diameter * TO_MM:.3f}",
@@ -144,6 +187,9 @@ def groove_numbers(groove: Groove, mold: Mold) -> dict[str, str]:
         "spring-back of the curvature": f"{100 * (1 - back.obtained(1.0) if back.slope == 0 else lost):.2f} %",
         "bend, length / angle": f"{groove.bend_length * TO_MM:.2f} / {math.degrees(groove.bend_angle):.2f}°",
         "groove, width / depth": f"{groove.width * TO_MM:.3f} / {groove.depth * TO_MM:.3f}",
+        "limits of its width": f"{least:.2f} to {widest:.2f}",
+        "limits of its depth": f"{least:.2f} to {deepest:.2f}",
+        "mean radius by the tube's play": play_text(groove),
         "end mill / passes": f"{groove.mill.diameter * TO_MM:g} / {passes} × {len(groove.cutter_offsets)}",
         "slot in the lid, width / depth / length": "none"
         if groove.slot is None
@@ -159,6 +205,58 @@ def groove_numbers(groove: Groove, mold: Mold) -> dict[str, str]:
     }
 
 
+def play_text(groove: Groove) -> str:
+    """Smallest and largest mean radius (mm) of a tube that uses its play in the groove, as text.
+
+    The middle of the bend moves by half the play, and its ends by as much the other way.
+    """
+    curvature, length = abs(groove.curvature), groove.bend_length
+    change = 8 * (groove.width - groove.tube.outer_diameter) / length**2
+    if curvature <= change:
+        return "more than the bend"
+    return f"{TO_MM / (curvature + change):.1f} to {TO_MM / (curvature - change):.1f}"
+
+
+def tool_rows(mold: Mold) -> list[tuple[str, ...]]:
+    """Rows of the table of tools, with a heading: program, tool, speed, feed, plunge, step, minutes."""
+    plunge = f"{mold.spec.milling.plunge_feed * TO_MM * PER_MINUTE:.0f}"
+    rows: list[tuple[str, ...]] = [("program", "tool", "rpm", "mm/min", "plunge", "step", "min")]
+    for part in PARTS:
+        files, stages = programs(mold, part), stages_of(mold, part)
+        for k, stage in enumerate(stages):
+            # With a touch plate, all tools are in one program.
+            each, own = files[min(k, len(files) - 1)], len(files) == len(stages)
+            rows.append((
+                each.file, stage.tool, f"{stage.spindle * PER_MINUTE:.0f}",
+                f"{stage.feed * TO_MM * PER_MINUTE:.0f}", "-" if stage.tool.startswith("drill") else plunge,
+                f"{stage.step * TO_MM:g}", f"{math.ceil(each.time / 60)}" if own or k == 0 else '"',
+            ))  # fmt: skip
+    return rows
+
+
+THREADS = {2.2: 2.0, 2.7: 2.5, 3.2: 3.0, 4.3: 4.0, 5.3: 5.0, 6.4: 6.0, 8.4: 8.0, 10.5: 10.0, 13.0: 12.0}
+"""Fine clearance hole and nominal diameter of metric threads, mm (ISO 273, from memory)."""
+
+SCREW_LENGTHS = (*range(4, 11, 2), 12, 16, *range(20, 71, 5), *range(80, 201, 10))
+"""Lengths of screws, mm (ISO 4017, from memory)."""
+
+PIN_LENGTHS = (*range(4, 33, 2), *range(35, 101, 5))
+"""Lengths of dowel pins, mm (ISO 2338, from memory)."""
+
+LEAF = 1.0
+"""Thickness of a leaf of a hinge, mm (assumed)."""
+
+
+def screw_text(hole: float, grip: float) -> str:
+    """Screw of a clearance hole with the next length for plates of `grip`, as text; m.
+
+    Nut and two washers with two turns beyond take 1.7 diameters.
+    """
+    nominal = max((size for least, size in THREADS.items() if least <= hole * TO_MM + 1e-9), default=hole * TO_MM)
+    length = next((each for each in SCREW_LENGTHS if each >= grip * TO_MM + 1.7 * nominal), SCREW_LENGTHS[-1])
+    return f"M{nominal:g} × {length}"
+
+
 def mold_steps(mold: Mold) -> list[str]:
     """Steps, as text, from the stock to the finished tube."""
     spec = mold.spec
@@ -166,12 +264,13 @@ def mold_steps(mold: Mold) -> list[str]:
     degrees = heat.set_temperature - ZERO_CELSIUS
     fixed = "distal" if clamps.sliding_end == "proximal" else "proximal"
     return [
-        f"Cut both plates (base and lid, *.nc for {spec.workshop.dialect}). Clamp the stock at least "
-        f"{math.ceil(clamp_distance(mold) * TO_MM)} mm from the plate, on a waste board; "
-        f"zero X and Y at the lower left corner of the plate. {_fasteners(mold)}, "
-        f"{len(mold.vents)} vents of {spec.vents.diameter * TO_MM:g} mm in the lid.",
-        f"Programs in this order, Z set on the face with each tool: {_program_text(mold)}. Mill dry with an extractor "
-        "and a mask; break the edges of grooves and holes by hand.",
+        f"Stock, at least: base {_stock_text(mold, 'base')}, lid {_stock_text(mold, 'lid')} mm. Clamp it "
+        f"{math.ceil(clamp_distance(mold) * TO_MM)} mm or more from the plate, on a waste board. Faces flat within "
+        f"{spec.groove.clearance * TO_MM:g} mm, the tube's least play; thickness up to +{THROUGH * TO_MM:g} mm; "
+        f"cutter's path within {TOLERANCE * TO_MM:g} mm; the rest ISO 2768-m.",
+        f"Programs of the table in its order (for {spec.workshop.dialect}), zero X and Y at corner 0, Z on the upper "
+        "face with each tool. Mill dry with an extractor and a mask; break the edges of grooves and holes by hand.",
+        f"{_fasteners(mold)}. {len(mold.vents)} vents of {spec.vents.diameter * TO_MM:g} mm in the lid.",
         *_slot_steps(mold),
         *_hinge_steps(mold),
         "Cut the tube and mark the bend. Press it into the groove, marks on the ends of the bend; "
@@ -185,18 +284,32 @@ def mold_steps(mold: Mold) -> list[str]:
     ]
 
 
+def _stock_text(mold: Mold, part: str) -> str:
+    """Width, height and thickness of a plate's stock, mm, as text."""
+    return " × ".join(f"{side * TO_MM:g}" for side in stock_size(mold, part))
+
+
 def _fasteners(mold: Mold) -> str:
-    """Number and size of bolts and dowels, or of hinges and latches, as text."""
+    """Number, size and length of bolts and dowels, or of hinges and latches, with their fits, as text."""
     plate, hinge = mold.spec.plate, mold.hinge
+    grip = plate.thickness + plate.lid_thickness
+    bolt = screw_text(plate.bolt_diameter, grip)
     if hinge is None:
-        bolts = sum(hole.purpose == "bolt" for hole in mold.holes)
+        bolts, pin = sum(hole.purpose == "bolt" for hole in mold.holes), plate.dowel_diameter * TO_MM
+        length = max((each for each in PIN_LENGTHS if each <= grip * TO_MM), default=PIN_LENGTHS[0])
         return (
-            f"{bolts} bolts of {plate.bolt_diameter * TO_MM:g} mm, 2 dowels of {plate.dowel_diameter * TO_MM:g} mm "
-            "(ream them)"
+            f"{bolts} bolts {bolt} with nuts, holes {plate.bolt_diameter * TO_MM:g} mm. 2 dowels {pin:g} m6 × "
+            f"{length}: drilled {pin - REAMED * TO_MM:g} mm, reamed {pin:g} H7 in the base (pins stay) and {pin:g} "
+            "F7 in the lid (it slides)"
         )
+    screw = mold.spec.hinge.screw_diameter
+    leaf = LEAF / TO_MM
     return (
-        f"{len(hinge.on_lid) // 2} hinges with screws of {mold.spec.hinge.screw_diameter * TO_MM:g} mm, "
-        f"{len(hinge.latches)} latches of {plate.bolt_diameter * TO_MM:g} mm"
+        f"{len(hinge.on_lid) // 2} hinges: {len(hinge.on_lid)} screws {screw_text(screw, plate.lid_thickness + leaf)} "
+        f"in the lid, {len(hinge.on_strip)} screws {screw_text(screw, grip + leaf)} through strip and base, "
+        f"countersunk 90° to {2 * screw * TO_MM:g} mm, {screw / 2 * TO_MM:g} mm deep. {len(hinge.latches)} latches: "
+        f"bolts {bolt}, holes {plate.bolt_diameter * TO_MM:g} mm, "
+        f"in the lid {mold.spec.hinge.latch_diameter * TO_MM:g} mm (piloted)"
     )
 
 
@@ -206,25 +319,21 @@ def _hinge_steps(mold: Mold) -> list[str]:
         return []
     spec = mold.spec.hinge
     return [
-        "Hinges: the strip cut off the lid stays on the base. One leaf on it, one on the lid, pin over the cut. Two "
-        f"screws in each leaf, {spec.screw_distance * TO_MM:g} mm apart and {spec.reach * TO_MM:g} mm from the pin, "
-        "countersunk from below, nuts on the leaves. Latches: bolts from below through the base; on the lid a slotted "
-        f"washer of at least {1.6e3 * spec.latch_diameter:.0f} mm and a nut. Nuts pass through the holes of the lid.",
+        "Hinges: the strip cut off the lid stays on the base. One leaf on it, one on the lid, pin over the cut, screws "
+        f"{spec.screw_distance * TO_MM:g} mm apart and {spec.reach * TO_MM:g} mm from the pin, heads below, nuts on "
+        "the leaves. Latches: bolts from below through the base; on the lid a slotted washer of at least "
+        f"{1.6e3 * spec.latch_diameter:.0f} mm and a nut. Nuts pass through the holes of the lid.",
     ]
-
-
-def _program_text(mold: Mold) -> str:
-    """Text of the program files of both plates, with tools and durations."""
-    return "; ".join(f"{p.file} {p.tool}, {math.ceil(p.time / 60)} min" for p in programs_of(mold))
 
 
 def _slot_steps(mold: Mold) -> list[str]:
     """Step, as text, that places the thermocouple in its slot; empty without a slot."""
     wire = mold.spec.slot.wire * TO_MM
     return [
-        f"Mill the lid with its lower face up (mirrored programs). A thermocouple of {wire:g} mm goes into its slot: "
-        "bead in the middle, a leg to each side, out by the holes at its ends. Cement the bead and 3 mm of each leg "
-        "flush; insulate them by mica of 0.05 mm.",
+        f"Mill the lid with its lower face up, as drawn (mirrored programs): its zero is the lower right corner of the "
+        f"closed mold. A thermocouple of {wire:g} mm goes into its slot: bead in the middle, a leg "
+        "to each side, out by the holes at its ends. Cement the bead and 3 mm of each leg flush; insulate them by "
+        "mica of 0.05 mm.",
     ][: len(mold.slots)]
 
 
@@ -292,7 +401,7 @@ def plot_fabrication_sheet(fabrication: TubeFabrication, *, title: str = "", suc
     _write(figure, EDGE, A4[1] - EDGE - 6, f"{plan.rig.name or 'rig'}, mold of {plan.rig.mold.material.name}")
     _write_table(figure, (EDGE, EDGE + 62.0), top, heating_numbers(fabrication))
     for head, lines, y in (
-        ("Time line", time_line(plan), A4[1] - EDGE - 6),
+        ("Time line", time_line(fabrication), A4[1] - EDGE - 6),
         ("Before", preparation(fabrication), A4[1] - EDGE - 50),
         ("Safety", safety(plan), A4[1] - EDGE - 104),
     ):
@@ -326,8 +435,9 @@ def heating_numbers(fabrication: TubeFabrication) -> dict[str, str]:
     }
 
 
-def time_line(plan: HeatingPlan) -> list[str]:
+def time_line(fabrication: TubeFabrication) -> list[str]:
     """Steps of a heating as text: time, s, after switching on, and temperature of the middle of the curved part."""
+    plan, hinged = fabrication.heating, fabrication.mold.hinge is not None
     middle = plan.temperature[:, plan.temperature.shape[1] // 2]
     start = int(np.flatnonzero(plan.in_hold)[0])
     # np.interp needs increasing abscissae, and integer duties let the temperature ripple.
@@ -339,9 +449,14 @@ def time_line(plan: HeatingPlan) -> list[str]:
         *(f"{np.interp(goal, rising, plan.time[: start + 1]):.1f} s: {goal:.0f} °C" for goal in goals),
         f"{plan.hold_start:g} s: the hold begins, {middle[start]:.0f} °C",
         f"{plan.hold_end:g} s: the hold ends; the last pulse is at {off:g} s",
-        f"lid off and the tube into {plan.spec.quench} at once; it is below 100 °C {plan.quench_time:.2f} s later. "
-        f"{LEFT:.0f} s after the hold a tube in the closed mold is still at {left.closed:.0f} °C. Under a hinged lid, "
-        f"opened at once, it is at {left.opened:.0f} °C. Fix the lid by a hinge or clips, and have tongs ready",
+        f"{'half a turn of each nut, washers out, lid up' if hinged else 'clamps and bolts off, lid off'}; tongs put "
+        f"the tube into {plan.spec.quench}, and it is below 100 °C {plan.quench_time:.2f} s later. {LEFT:.0f} s after "
+        f"the hold a tube in the closed mold is still at {left.closed:.0f} °C. "
+        + (
+            f"Under this mold's hinged lid, opened at once, it is at {left.opened:.0f} °C"
+            if hinged
+            else f"This lid is bolted; under a hinged one (key `hinge` of the mold) it is at {left.opened:.0f} °C"
+        ),
     ]
 
 
@@ -354,7 +469,8 @@ def preparation(fabrication: TubeFabrication) -> list[str]:
         f"{spec.clamps.sliding_end} one slides outwards by {plan.growth * TO_MM:.2f} mm and more.",
         f"Battery rested and disconnected: {battery.voltage:.2f} V. With another voltage take its own schedule "
         "(`tubeopt heat plan rig.yaml --battery-V`), not this one.",
-        f"Polarity: battery plus, fuse, cut-out, {fixed} clamp; {spec.clamps.sliding_end} clamp, MOSFET (drain), its "
+        f"Polarity: battery plus, fuse, main switch, cut-out, {fixed} clamp; "
+        f"{spec.clamps.sliding_end} clamp, MOSFET (drain), its "
         "source to battery minus. A diode across the tube has its ring on the side of the fuse. The tube itself has no "
         "polarity.",
         "Power off: the resistance from each clamp to the plates must be high if the mold insulates. From clamp to "
