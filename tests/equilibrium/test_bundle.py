@@ -43,7 +43,7 @@ from tubeopt.equilibrium.directions import PARAMETERS
 from tubeopt.equilibrium.jacobian import derivatives_of, shifted
 from tubeopt.equilibrium.kinematics import point_of, unsolved
 from tubeopt.equilibrium.problem import Discretisation
-from tubeopt.errors import InputError
+from tubeopt.errors import ImplausibleWarning, InputError
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.posture import start_posture
 from tubeopt.planning.proof import ProofStatus
@@ -470,6 +470,64 @@ def long_bundle(length: float = 0.164) -> BundleRobot:
     return BundleRobot((one,) * 3, (one.outer_diameter / np.sqrt(3),) * 3, THIRDS)
 
 
+def test_forces_per_length_end_with_the_arm(uneven: Any) -> None:
+    robot, alpha, shift, _ = uneven
+    with pytest.warns(ImplausibleWarning, match="it is cut at the length of the arm"):
+        beyond = robot.fk(alpha, shift, load=Load(distributed=((0.01, 0.2, (0.5, 0.0, 0.0)),)))
+    whole = robot.fk(alpha, shift, load=Load(distributed=((0.01, 0.09, (0.5, 0.0, 0.0)),)))
+    assert beyond.tip_position == pytest.approx(whole.tip_position, abs=1e-10)
+    assert beyond.base_wrench[:3] == pytest.approx([0.04, 0.0, 0.0], abs=1e-9)
+
+
+def test_moments_per_length_are_the_limit_of_many_moments(uneven: Any) -> None:
+    robot, alpha, shift, _ = uneven
+    tips = []
+    free, start, end, rate = robot.fk(alpha, shift), 0.022, 0.048, np.array([0.4, -0.3, 0.2])
+    for count in (4, 8):
+        step = (end - start) / count
+        places = start + step * (np.arange(count) + 0.5)
+        points = tuple((float(s), (0.0, 0.0, 0.0), tuple(rate * step)) for s in places)
+        tips.append(robot.fk(alpha, shift, load=Load(points=points)).tip_position)
+    spread = robot.fk(alpha, shift, load=Load(distributed=((start, end, (0.0, 0.0, 0.0), tuple(rate)),)))
+    # The midpoint rule has errors of the second order, which extrapolation removes.
+    limit, moved = (4 * tips[1] - tips[0]) / 3, np.linalg.norm(spread.tip_position - free.tip_position)
+    assert moved > 1e-3
+    assert np.linalg.norm(spread.tip_position - limit) < 1e-5 * moved
+    # A cut fixes a point of the mesh, which else slides along the sheath: the equations are the same.
+    none, whole = (0.0, 0.0, 0.0), float(max(t.curved_length + d for t, d in zip(robot.tubes, shift, strict=True)))
+    one = robot.fk(alpha, shift, load=Load(distributed=((0.0, whole, none, tuple(rate)),)))
+    parts = Load(distributed=((0.0, 0.033, none, tuple(rate)), (0.033, whole, none, tuple(rate))))
+    assert robot.fk(alpha, shift, load=parts).tip_position == pytest.approx(one.tip_position, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "load",
+    [
+        Load(distributed=((0.01, 0.088, (0.0, 0.0, 0.0), (0.3, -0.2, 0.4)),)),
+        Load(distributed=lambda s: (0.1, 0.0, 0.2, 0.2 * np.cos(20 * s), 0.3, 10 * s)),
+    ],
+)
+def test_derivatives_under_moments_per_length_are_those_of_differences(uneven: Any, load: Load) -> None:
+    robot, alpha, shift, _ = uneven
+    point = point_of(robot.fk(alpha, shift, load=load))
+    state, member = point.state, point.member
+    rng, h = np.random.default_rng(8), 1e-5
+    for _ in range(3):
+        way = rng.normal(size=len(state.x))
+        slope = (member.at(state.x + h * way).gradient - member.at(state.x - h * way).gradient) / (2 * h)
+        assert np.abs(slope - state.hessian @ way).max() < 1e-7 * np.abs(slope).max()
+    pose, h = robot.fk(alpha, shift, load=load), 1e-5
+    for name, at in (("rotations", alpha), ("translations", shift)):
+        jacobian = pose.jacobian(wrt=[name]).matrix
+        for k in range(3):
+            a, b = (
+                robot.fk(*((alpha + w, shift) if at is alpha else (alpha, shift + 0.1 * w)), load=load).tip_position
+                for w in (h * np.eye(3)[k], -h * np.eye(3)[k])
+            )
+            step = h if at is alpha else 0.1 * h
+            assert np.abs((a - b) / (2 * step) - jacobian[:3, k]).max() < 1e-5
+
+
 def test_it_snaps_where_the_integrated_equations_are_singular() -> None:
     robot, start = long_bundle(), np.radians([30.0, 200.0, 30.0])
     snap = find_snap(robot, (start, None), (np.radians([30.0, 230.0, 30.0]), None))
@@ -566,8 +624,6 @@ def test_robot_files_keep_a_bundle(tmp_path: Path, uneven: Any) -> None:
 
 def test_what_a_bundle_does_not_support_is_named(uneven: Any) -> None:
     robot, alpha, shift, _ = uneven
-    with pytest.raises(InputError, match="a bundle has forces per length only"):
-        robot.fk(alpha, shift, load=Load(distributed=((0.0, 0.02, (0, 0, 0), (0.01, 0, 0)),)))
     with pytest.raises(InputError, match="fk finds one, follow leads to others"):
         find_equilibria(robot, alpha, shift)
     with pytest.raises(InputError, match="follow leads to the first"):

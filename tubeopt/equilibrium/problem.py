@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -173,12 +173,6 @@ def _check_points(load: Load, length: float) -> None:
             )
 
 
-def _moments_along(load: Load) -> bool:
-    """True if a load has moments per length."""
-    bare = replace(load, moment=(0.0, 0.0, 0.0), points=(), force=(0.0, 0.0, 0.0), frame="world")
-    return not bare.has_energy
-
-
 @lru_cache(maxsize=CACHED_PROBLEMS)
 def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
     """Check a load as `check_load` does, once for each robot, load and translations."""
@@ -189,8 +183,6 @@ def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
         length = assembly.total_length
     else:
         length = max(d + tube.curved_length for d, tube in zip(translations, robot.tubes, strict=True))
-        if _moments_along(load):
-            raise InputError("distributed of the load has moments; a bundle has forces per length only")
     if not length:
         raise InputError("no tube is in front of the base plate, so no load can act on the arm")
     _check_size(robot, load, length)

@@ -32,7 +32,7 @@ import scipy
 
 from ...physics.shape import frame_forms, hat, rotation_matrix_function
 from ...physics.torsion import bundle_energy
-from ...robots.load import FORCE, Load, Stretch
+from ...robots.load import FORCE, MOMENT, Load, Stretch
 from ...typing import Array, Index, Mask
 from .arm import ArmShape, along_elements
 from .buffered import mapped
@@ -560,6 +560,7 @@ def _hessian(problem: BundleProblem, second: Array) -> Array:
 # moment of the weight about the centreline. Orientation is a function of kappa; n, h and g are functions of kappa, h
 # and S. A dead moment m does the virtual work m.dpsi + m.t dtheta with the turn of the frame, sum b R (dkappa, 0), and
 # the rotation of the tube that ends last; elsewhere than at the tip the sheath, which does not twist, takes m.t.
+# Moments per length beyond the last tube act on the tip.
 
 
 @dataclass(frozen=True, eq=False)
@@ -610,30 +611,29 @@ class Spread(NamedTuple):
 
 @lru_cache(maxsize=64)
 def _spread(load: Load, length: float, axis: int) -> Spread:
-    """Component of the distributed force of a load, a function of arc length, up to `length`, m."""
-    force = np.polynomial.Chebyshev.interpolate(
-        lambda s: load.per_length(s)[:, FORCE.start + axis], 32, domain=[0.0, length]
-    )
+    """Component of the distributed load, a function of arc length, up to `length`, m."""
+    force = np.polynomial.Chebyshev.interpolate(lambda s: load.per_length(s)[:, axis], 32, domain=[0.0, length])
     whole = force.integ()
     return Spread(force, whole(length) - whole, force.deriv())
 
 
-def _distributed(problem: BundleProblem, s: Array) -> tuple[Array, Array, Array]:
-    """Forces (N, 3) per length, those beyond the points, and the derivative of the first."""
+def _distributed(problem: BundleProblem, s: Array, kind: slice = FORCE) -> tuple[Array, Array, Array]:
+    """Forces, or moments, (N, 3) per length, those beyond the points, and the derivative of the first."""
     load, length = problem.load, float(problem.bundle.end.max())
     assert load is not None
     along, zero = load.distributed, np.zeros((len(s), 3))
     if along is None:
         return zero, zero, zero
     if callable(along):
-        parts = [_spread(load, length, axis) for axis in range(3)]
+        parts = [_spread(load, length, axis) for axis in range(6)[kind]]
         f, d, slope = (np.column_stack([one[k](s) for one in parts]) for k in range(3))
         return f, d, slope
     stretches: Any = along if isinstance(along[0], Stretch) else (Stretch(0.0, length, along),)
     beyond = zero.copy()
     for part in stretches:
-        beyond += np.maximum(part.end - np.maximum(s, part.start), 0.0)[:, None] * np.array(part.force)
-    return load.per_length(s)[:, FORCE] * (s < length)[:, None], beyond, zero
+        ahead = np.maximum(min(part.end, length) - np.maximum(s, part.start), 0.0)
+        beyond += ahead[:, None] * np.array((*part.force, *part.moment)[kind])
+    return load.per_length(s)[:, kind] * (s < length)[:, None], beyond, zero
 
 
 def work_of(problem: BundleProblem, bend: Array, h: Array, length: Array) -> Work:
@@ -700,9 +700,23 @@ def work_of(problem: BundleProblem, bend: Array, h: Array, length: Array) -> Wor
     torsional, torsional_slope = np.zeros(problem.size), np.zeros((problem.size, 2 * count))
     if not load.has_energy:
         value = np.nan
-        turned, turned_slope = moment_work(orientation, weight[:, None] * moments)
+        spread, beyond, spread_slope = _distributed(problem, up_to @ h, MOMENT)
+        total[3:] += _distributed(problem, np.zeros(1), MOMENT)[1][0]
+        turned, turned_slope = moment_work(orientation, weight[:, None] * (moments + beyond))
         first[: 2 * count] += turned.ravel()
         second[: 2 * count, : 2 * count] += turned_slope
+        # Points of a mesh that moves by ds turn by u ds more than the sheath does at a fixed place.
+        local, local_slope = moment_work(orientation, weight[:, None] * spread)
+        slid = (local * bend).sum(1)
+        by_slid = (moment_work(orientation, weight[:, None] * spread_slope)[0] * bend).sum(1)[:, None] * by_s
+        by_slid[:, : 2 * count] += (bend[..., None] * local_slope.reshape(count, 2, -1)).sum(1)
+        by_slid[np.arange(count)[:, None], np.arange(2 * count).reshape(count, 2)] += local
+        first -= slid @ by_s
+        second -= by_s.T @ by_slid
+        across_frame = weight[:, None, None] * frames[:, :, :2].swapaxes(1, 2)
+        second[: 2 * count] -= ((across_frame @ spread[..., None]) * by_s[:, None]).reshape(2 * count, -1)
+        ending = _distributed(problem, bundle.end[[last]] * (1 - 1e-12), MOMENT)[0][0]
+        second[: 2 * count, 2 * count + m + last] += (across_frame @ ending).ravel()
         row, end = problem.tip_rows[problem.tip_tube], orientation.start[-1]
         torsional += (tip_moment @ tip[:, 2]) * row
         if load.frame == "world":
