@@ -700,9 +700,9 @@ def work_of(problem: BundleProblem, bend: Array, h: Array, length: Array) -> Wor
     torsional, torsional_slope = np.zeros(problem.size), np.zeros((problem.size, 2 * count))
     if not load.has_energy:
         value = np.nan
-        spread, beyond, spread_slope = _distributed(problem, up_to @ h, MOMENT)
+        spread, rest, spread_slope = _distributed(problem, up_to @ h, MOMENT)
         total[3:] += _distributed(problem, np.zeros(1), MOMENT)[1][0]
-        turned, turned_slope = moment_work(orientation, weight[:, None] * (moments + beyond))
+        turned, turned_slope = moment_work(orientation, weight[:, None] * (moments + rest))
         first[: 2 * count] += turned.ravel()
         second[: 2 * count, : 2 * count] += turned_slope
         # Points of a mesh that moves by ds turn by u ds more than the sheath does at a fixed place.
