@@ -311,6 +311,7 @@ class _Arm:
     def __init__(
         self, robot: EccentricRobot, translations: ArrayLike | None, assignment: tuple[int, ...], azimuth: float
     ) -> None:
+        mirror_rotations(0.0, 0.0, assignment)  # refuses other assignments
         self.robot, self.assignment, self.azimuth = robot, assignment, azimuth
         self.translations = np.array(shifts(robot, translations))
         self.max_curvature = abs(robot.tube.curvature)
@@ -514,7 +515,7 @@ class _Segments:
     """
 
     def __init__(self, robot: SegmentedEccentricRobot, assignment: tuple[int, ...]) -> None:
-        mirror_rotations(0.0, 0.0, assignment)
+        mirror_rotations(0.0, 0.0, assignment)  # refuses other assignments
         self.robot, self.assignment, self.space = robot, assignment, joint_space(robot)
         stiffness = np.array([tube.bending_stiffness for tube in robot.segments])
         self.curvature = np.array([tube.curvature for tube in robot.segments])
