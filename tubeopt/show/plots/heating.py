@@ -285,20 +285,22 @@ def plot_wiring(answer: ClosedLoopHeating) -> Figure:
     from matplotlib.patches import Polygon
 
     figure = new_figure(12.0, 7.2)
-    grid = figure.add_gridspec(1, 2, width_ratios=(1.6, 1.0))
-    axes, text = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
-    for part in (axes, text):
-        part.set_axis_off()
-    axes.set(xlim=(0, 1), ylim=(-0.09, 0.97))
+    grid = figure.add_gridspec(1, 1 if narrow() else 2, width_ratios=(1.6,) if narrow() else (1.6, 1.0))
+    axes = figure.add_subplot(grid[0, 0])
+    axes.set_axis_off()
+    axes.set(xlim=(0, 1), ylim=(0.0 if narrow() else -0.09, 0.97))
     _draw_parts(axes, answer.wiring.known.title)
     _draw_wires(axes, answer.wiring)
     (x, y), half = DIODE, DIODE_SIZE
     axes.add_patch(Polygon([(x + half, y - half), (x + half, y + half), (x - half, y)], color=TUBE, zorder=2))
     axes.plot([x - half, x - half], [y - half, y + half], color=TUBE, lw=_thick(), zorder=2)
     axes.text(x, y + 1.8 * half, "diode, its bar towards plus", ha="center", fontsize=7, color=INK)
-    lines = [f"{part.name}: {part.rating}" for part in parts_list(answer.plan, answer.wiring)]
-    rows = [textwrap.fill(line, 66, subsequent_indent="    ") for line in lines]
-    text.text(0, 0.97, "\n".join(rows), fontsize=7, va="top", color=INK, linespacing=1.5)
+    if not narrow():  # a narrow page has no space for the parts list, which the sheet has too
+        text = figure.add_subplot(grid[0, 1])
+        text.set_axis_off()
+        lines = [f"{part.name}: {part.rating}" for part in parts_list(answer.plan, answer.wiring)]
+        rows = [textwrap.fill(line, 66, subsequent_indent="    ") for line in lines]
+        text.text(0, 0.97, "\n".join(rows), fontsize=7, va="top", color=INK, linespacing=1.5)
     return headed(figure, f"{answer.plan.rig.name or 'rig'}: wiring")
 
 
@@ -366,7 +368,8 @@ def _draw_wires(axes: Axes, wiring: Wiring) -> None:
         "and thermometer take theirs from the board. Between pulses the tube is at the battery's plus: a bead that\n"
         "touches its metal would put that on the converter. A coat of ceramic cement or a foil of mica insulates it."
     )
-    axes.text(0.03, 0.0, text, fontsize=7, color=INK, va="top")
+    if not narrow():
+        axes.text(0.03, 0.0, text, fontsize=7, color=INK, va="top")
     axes.legend(loc="upper left", fontsize=7, bbox_to_anchor=(0.0, 1.0))
 
 
