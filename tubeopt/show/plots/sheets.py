@@ -279,7 +279,8 @@ def mold_steps(mold: Mold) -> list[str]:
         f"one is fixed; the {clamps.sliding_end} one must slide outwards by the travel in the table, or the hot tube "
         "buckles.",
         f"Heat the bend to {degrees:.0f} ± {heat.tolerance:.0f} °C for {heat.hold_time:g} s, then quench in water"
-        + (": half a turn of each nut, washers out, lid up, tube out by tongs." if mold.hinge else "."),
+        + (": half a turn of each nut, washers out, lid up" if mold.hinge else ": clamps and bolts off, lid off")
+        + ", tube out by tongs. Until then it cools slowly; the heating sheet has the temperatures.",
         "Trim the ends. Scan the tube: `tubeopt mold measure SCAN.png`, then `tubeopt mold calibrate TRIALS.csv`.",
     ]
 
