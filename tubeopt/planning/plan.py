@@ -52,7 +52,7 @@ from .motion import DEFAULT_RATES, JointMotion, RateLimits
 from .proof import TrajectoryRequirements, proved
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, plan_task, reserve_deflection
 from .smoothing import smooth
-from .timing import Limits, actuators, at_full_speed, joint_curves, stopping_at, through, track, violated
+from .timing import Limits, actuators, at_full_speed, joint_curves, round_corners, stopping_at, through, track
 from .trajectory import Entry, PlanStatistics, Trajectory
 
 Faults = tuple[str, ...]
@@ -77,11 +77,6 @@ SAME_LENGTH = 2e-3
 # Forward kinematics follows every spacing from end to end.
 ROUNDING_SECONDS, ROUNDING_FRACTION = 5.0, 0.3
 """Maximum duration of rounding corners, s, and share of the time that smoothing leaves."""
-
-# The first rounds over a rotation of 0.4 rad, the last is nearly the path itself. Each cuts off the corners about half
-# as much as the one before.
-SPACINGS = (0.4, 0.2, 0.1, 0.05, 0.02, 0.01)
-"""Spacings of the polyline points before rounding, in units of the joint scales, tried in turn."""
 
 # Between the points of its grid the tip can be a little too fast. A larger excess has another cause.
 MAX_OVERSPEED = 1.1
@@ -127,13 +122,16 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[Base
         if best is not None:
             exact = name == "margin" or extra is not None
             joints = best.motion.sampled(task.scale)[1]
-            rounder = None if exact else _rounded(task, first, joints, best.points[-1], limits, smoothing_clock)
+            rounder = None if exact else round_corners(task, first, joints, best.points[-1], limits, smoothing_clock)
             motion = best.motion if name == "effort" else rounder or at_full_speed(best.motion, limits)
             candidates.append(BaseCandidate(motion, name, best.iterations, len(best.points)))
     if aim in ("length", "time") and extra is None:
         remaining = Clock(min(ROUNDING_SECONDS * clock.parallel_slowdown, ROUNDING_FRACTION * clock.left), clock)
         joints = np.concatenate(curves)
-        if len(curves) > 1 and (corners := _rounded(task, first, joints, points[-1], limits, remaining)) is not None:
+        if (
+            len(curves) > 1
+            and (corners := round_corners(task, first, joints, points[-1], limits, remaining)) is not None
+        ):
             candidates.append(BaseCandidate(corners, "corners", 0, len(points)))
         if aim == "time":
             candidates = [each for each in candidates if each.motion.duration <= resting.duration]
@@ -158,22 +156,6 @@ def _worth_smoothing(task: PlanTask, curves: Sequence[Array]) -> bool:
         return length >= SHORT
     straight = float(np.linalg.norm((curves[-1][-1] - curves[0][0]) / task.scale))
     return 1 - straight / length > (WORTH_AMONG_BODIES if task.obstacles else WORTH)
-
-
-def _rounded(
-    task: PlanTask, first: Equilibrium, q: Array, end: Array, limits: Limits, clock: Clock
-) -> JointMotion | None:
-    """Time-optimal motion close to joint values (k, m), with the roundest valid corners; None if none is valid in time.
-
-    `end` (m,): tip coordinates at the end.
-    """
-    for spacing in SPACINGS:
-        if clock.over:
-            return None
-        motion = through(q, task.scale, limits, spacing)
-        if not violated(task, first, motion, clock, (motion.time[-1:], end[None])).intervals.any():
-            return motion
-    return None
 
 
 def build(

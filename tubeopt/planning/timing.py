@@ -362,6 +362,28 @@ class Violations:
     """(2,) largest shortfall of margin and of clearance (m)."""
 
 
+# The first rounds over a rotation of 0.4 rad, the last is nearly the path itself. Each cuts off the corners about half
+# as much as the one before.
+SPACINGS = (0.4, 0.2, 0.1, 0.05, 0.02, 0.01)
+"""Spacings of the polyline points before rounding, in units of the joint scales, tried in turn."""
+
+
+def round_corners(
+    task: PlanTask, first: Equilibrium, q: Array, end: Array, limits: Limits, clock: Clock
+) -> JointMotion | None:
+    """Time-optimal motion close to joint values (k, m), with the roundest valid corners; None if none is valid in time.
+
+    `end` (m,): tip coordinates at the end.
+    """
+    for spacing in SPACINGS:
+        if clock.over:
+            return None
+        motion = through(q, task.scale, limits, spacing)
+        if not violated(task, first, motion, clock, (motion.time[-1:], end[None])).intervals.any():
+            return motion
+    return None
+
+
 def violated(
     task: PlanTask,
     start: Equilibrium,

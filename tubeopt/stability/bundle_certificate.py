@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..block.transcription.bundle import Boundary, Bundle, boundaries, tubes_at
+from ..block.transcription.bundle import SAME_PLACE, Boundary, Bundle, boundaries, tubes_at
 from ..block.transcription.tableau import tableau
 from ..typing import Array, Mask
 
@@ -203,7 +203,7 @@ class Proof(NamedTuple):
 
 def bundle_proof(bundle: Bundle) -> Proof:
     """Certificate of a bundle: if it is above 0, nothing snaps at any rotations."""
-    if not boundaries(bundle) or not bundle.curvature.any():
+    if bundle.end.max() <= SAME_PLACE or not bundle.curvature.any():  # no tube in front of the plate, or none curved
         return Proof(1.0)
     bounds = bounds_of(bundle)
     if bounds is None or (least_stiffness(bundle, bounds) <= 0).any():

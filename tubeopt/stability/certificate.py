@@ -255,9 +255,10 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
     """
     shift = shifts(robot, translations)
     if isinstance(robot, BundleRobot):
+        bundle = bundle_at(robot, tuple(shift.tolist()))
         if positive("max_force", max_force, zero=True):
             raise InputError(f"max_force is {max_force:g} N; it must be 0 for bundles: there is no proof under force")
-        return bundle_proof(bundle_at(robot, tuple(shift.tolist()))).margin
+        return bundle_proof(bundle).margin
     assembly = robot.assembly(shift)
     check_force(robot.tubes, "max_force", positive("max_force", max_force, zero=True), assembly.total_length)
     if max_force and assembly.eccentric:
