@@ -1,69 +1,71 @@
 """The tightest certified turn of an eccentric robot with a free channel of 1.2 mm in its middle.
 
-Curvature, diameter and offset of three tubes are free. The sheath is as wide as that of the thesis, the longest tube is
-as long, and each has at least 0.3 of the stiffness. By the energy of the tubes, each with its own length, an arm jumps
-where the order of their ends changes. So each tube is shorter than the one before, by as much as it takes to keep the
-order at all rotations. The certificate of 0.05 then proves that no rotation snaps.
+Curvature, diameters and offset of three tubes are free, and the lengths of two. The sheath is as wide as that of the
+thesis, bores are as wide in proportion, the longest tube is as long, and each has at least 0.3 of the stiffness. By the
+energy of the tubes, each with its own length, an arm jumps where the order of their ends changes. The certificate of
+0.05 proves that the order stays, and that no rotation snaps.
 
-Result: a turning radius of 76.2 mm, where the robot of the thesis has 120 mm and no room between its tubes.
+Result: a turning radius of 75.3 mm, where the robot of the thesis has 120 mm and no room between its tubes.
 """
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
-import scipy
 
 import tubeopt
-from tubeopt.robots.eccentric import BundleRobot, EccentricRobot, free_channel, sheath_inner_diameter
-from tubeopt.typing import Array
+from tubeopt.block.custom import CustomRequirement
+from tubeopt.block.quantities import Quantities
+from tubeopt.design import DesignTask, Free, Girth, Objective, Poses, SnapFree
+from tubeopt.robots.eccentric import EccentricRobot, free_channel
+from tubeopt.robots.tubes import Tube
 
 ROOT = Path(__file__).resolve().parents[1]
 CHANNEL, MARGIN, STIFFNESS = 1.2e-3, 0.05, 0.3
 """Diameter of the channel, m; certificate; fraction of the bending stiffness of the thesis."""
 
-RESERVE = 1.08
-"""Difference of the lengths of two tubes, relative to the one that a circular arc of their precurvature takes."""
+TUBES, ZERO = (0, 1, 2), (0.0, 0.0, 0.0)
+FREE = (
+    Free("curvature", TUBES, 5.0, 30.0, "equal"),
+    Free("outer_diameter", TUBES, 0.8e-3, 1.92e-3, "equal"),
+    Free("inner_diameter", TUBES, 0.5e-3, 1.7e-3, "equal"),
+    Free("offset", TUBES, 1e-3, 2e-3, "equal"),
+    Free("curved_length", (1, 2), 0.087, 0.094),
+)
 
 
-def robot_of(x: Array, thesis: EccentricRobot) -> BundleRobot:
-    """Robot with the curvature (1/m), and outer diameter and offset (mm), of `x`; walls are in proportion."""
-    curvature, outer, offset = x[0], 1e-3 * x[1], 1e-3 * x[2]
-    inner = outer * thesis.tube.inner_diameter / thesis.tube.outer_diameter
-    tube = replace(thesis.tube, outer_diameter=outer, inner_diameter=inner, curvature=curvature)
-    # Two tubes are sqrt(3) times the offset apart: in an arc their lengths differ by that times its angle.
-    step = RESERVE * np.sqrt(3) * offset * curvature * tube.curved_length
-    tubes = tuple(tube.resized("curved_length", tube.curved_length - k * step) for k in range(3))
-    like = thesis.bundle()
-    return replace(like, tubes=tubes, offset=(offset,) * 3, carriages=None, name="eccentric robot with a channel")
+@dataclass(frozen=True)
+class Room(CustomRequirement):
+    """Room in the middle between the tubes, in their bores, and stiffness, compared with the tube of the thesis."""
+
+    tube: Tube
+    description, unit, factor, size, is_upper_bound, limit = "room between the tubes", "mm", 1e3, 1e-4, False, 0.0
+
+    def expression(self, q: Quantities) -> Any:
+        """Reserves (3,) of the channel, of the bore and of the stiffness, as lengths."""
+        tubes, tube = q.tubes, self.tube
+        outer, inner = tubes["outer_diameter"][0], tubes["inner_diameter"][0]
+        stiffness = tubes["bending_stiffness"][0] / tube.bending_stiffness
+        return ca.vertcat(
+            2 * tubes["offset"][0] - outer - CHANNEL,
+            inner - outer * tube.inner_diameter / tube.outer_diameter,
+            1e-3 * (stiffness - STIFFNESS),
+        )
 
 
 def main(out: Path, samples: int = 200) -> list[Path]:
     """Design the robot, save its picture into `out`, and return its path."""
     thesis = tubeopt.load_robot("thesis_etr")
     assert isinstance(thesis, EccentricRobot)
-    sheath = 1e3 * sheath_inner_diameter(thesis.tube.outer_diameter)
-    stiffness = thesis.tube.bending_stiffness
-    constraints = [
-        lambda x: tubeopt.snap_free_certificate(robot_of(x, thesis)) - MARGIN,
-        lambda x: 2 * x[2] - x[1] - 1e3 * CHANNEL,
-        lambda x: sheath - 2 * x[2] - x[1],
-        lambda x: robot_of(x, thesis).tubes[0].bending_stiffness / stiffness - STIFFNESS,
-    ]
-    start = np.array([thesis.tube.curvature, 1.45, 1.33])
-    optimum = scipy.optimize.minimize(
-        lambda x: -x[0] / thesis.tube.curvature,
-        start,
-        method="SLSQP",
-        bounds=[(5.0, 30.0), (0.8, 1.92), (1.0, 2.0)],
-        constraints=[{"type": "ineq", "fun": each} for each in constraints],
-    )
-    assert optimum.success, optimum.message
-    robot = robot_of(optimum.x, thesis)
+    requirements = (Poses((ZERO,), (ZERO,)), SnapFree(MARGIN), Girth(thesis.sheath_inner_diameter), Room(thesis.tube))
+    design = tubeopt.optimize_design(DesignTask(thesis, FREE, requirements, Objective("turning_radius")))
+    robot = replace(design.robot, name="eccentric robot with a channel")
     tube, certificate = robot.tubes[0], tubeopt.certify(robot)
     lengths = np.round([1e3 * each.curved_length for each in robot.tubes], 2)
     print(
@@ -72,6 +74,7 @@ def main(out: Path, samples: int = 200) -> list[Path]:
     )
     print(f"certificate {certificate.margin:.4f}: {certificate.status}")
     print(f"with tubes of equal length: {tubeopt.certify(replace(robot, tubes=(tube,) * 3)).obstacle}")
+    print(f"designed in {design.seconds:.0f} s")
     room = free_channel(replace(robot, tubes=tuple(replace(each, inner_diameter=1e-6) for each in robot.tubes)))
     print(f"channel between the tubes {1e3 * room.diameter:.3f} mm, sheath {1e3 * robot.least_sheath_diameter:.3f} mm")
     for name, each in (("this robot", robot), ("thesis", thesis.bundle())):

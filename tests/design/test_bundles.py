@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.equilibrium.test_bundle import length_forces, shoot
-from tubeopt import BundleRobot, DesignTask, EccentricRobot, Load, load_robot, optimize_design
+from tubeopt import BundleRobot, DesignTask, EccentricRobot, Load, load_robot, optimize_design, snap_free_certificate
 from tubeopt.block.quantities import Quantity
 from tubeopt.bodies import Sphere
 from tubeopt.design import (
@@ -172,6 +172,23 @@ def test_fronts_and_tolerances_of_bundles() -> None:
         tolerance_analysis(safer.robot, Tolerances(), samples=2)
 
 
+def test_certificates_of_bundles_are_required() -> None:
+    # The ends keep their order by what bending changes of the lengths: both limits hold the design.
+    lengths = Free("curved_length", (1, 2), 0.087, 0.094)
+    task = DesignTask(thesis(), (*EQUAL[:1], lengths), (posed([0, 0, 0]), SnapFree(0.3)), Objective("turning_radius"))
+    front = pareto_front(task, [0.3, 0.6])
+    tighter, safer = front.points
+    assert tighter.objective < 0.95 * safer.objective < 0.95 * 0.12
+    for point in front.points:
+        assert snap_free_certificate(point.robot) == pytest.approx(point.margin, abs=1e-5)
+        assert np.ptp([tube.curved_length for tube in point.robot.tubes]) > 4e-3
+    made = tolerance_analysis(safer.robot, Tolerances(curvature=0.03), translations=[[0, 0, 0]], samples=12)
+    assert made.certificate.min() < 0.6 < made.certificate.max()
+    assert np.isinf(
+        tolerance_analysis(thesis().bundle(), Tolerances(), translations=[[0, 0, 0]], samples=2).certificate
+    ).all()
+
+
 def test_carriages_reach_targets_together() -> None:
     robot = load_robot(ROOT / "configs" / "bundles" / "steerable_sheath.yaml")
     known = robot.fk(np.radians([0, 40, 0]), np.array([0.0, -0.01, 0.0]))
@@ -185,7 +202,9 @@ def test_carriages_reach_targets_together() -> None:
 @pytest.mark.parametrize(
     ("requirement", "message"),
     [
-        (SnapFree(0.05), "SnapFree is given for an eccentric robot.*SnapFreeInUse, the margin in use"),
+        (SnapFree(0.05, max_force=0.1), "SnapFree of an eccentric robot has a force, a box or tube errors"),
+        (SnapFree(0.05, curvature_error=0.01), "require a larger margin, and check tolerances"),
+        (SnapFree(0.05, ((0.0, 0.0, -0.01),)), "must be equal, since they share a carriage"),
         (StrokeForce(0.1), "StrokeForce needs task poses|StrokeForce is given for an eccentric robot"),
         (SnapFreeInUse(0.05, deployed=True), "tubes of this robot share carriages"),
         (Poses(((0.0, 0.0, 0.0),), ((0.0, 0.0, -0.01),)), "must be equal, since they share a carriage"),

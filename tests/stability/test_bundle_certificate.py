@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,8 +29,9 @@ from tubeopt import (
 from tubeopt.block.transcription.bundle import Bundle, BundleState
 from tubeopt.equilibrium.bundle import bundle_at
 from tubeopt.equilibrium.kinematics import point_of
+from tubeopt.equilibrium.linearised_bundle import CHANGED
 from tubeopt.stability import Finding
-from tubeopt.stability.bundle_certificate import bounds_of, bundle_proof, least_stiffness
+from tubeopt.stability.bundle_certificate import bounds_of, bundle_proof, least_stiffness, proof_parts, proof_slopes
 from tubeopt.stability.certificate import CertificateStatus
 from tubeopt.typing import Array
 
@@ -307,6 +308,35 @@ def test_curves_that_begin_in_front_of_the_plate_are_certified(shift: tuple[floa
         within = np.maximum.accumulate(bounds.curvature)[ends]
         assert (np.linalg.norm(pose.point_curvature, axis=1) < within * (1 + 1e-9)).all()
         assert np.linalg.norm(robot.fk(rotations + 2 * np.pi, np.array(shift)).tip_position - pose.tip_position) < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_derivatives_of_the_proof_are_those_of_differences(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    robot, shift = apart(rng, (0.01, 0.02, 0.04)[seed % 3], 0.09)
+    bundle, n = bundle_at(replace(robot, sheath_stiffness=0.01), tuple(shift.tolist())), robot.n_tubes
+    sizes = {name: rng.normal(size=(n, 2)) for name in CHANGED if name not in ("rotations", "sheath_stiffness")}
+    for name in ("translations", "straight_length", "curved_length", "offset"):
+        sizes[name] *= 1e-3 * (bundle.transmission > 0)[:, None] if name != "offset" else 1e-4
+    sizes["sheath_stiffness"] = 0.01 * rng.normal(size=(1, 2))
+    for name in ("curvature", "bending_stiffness", "torsional_stiffness"):
+        sizes[name] *= getattr(bundle, name)[:, None]
+
+    def moved(step: float, k: int) -> Array:
+        out = {field.name: getattr(bundle, field.name) for field in fields(bundle)}
+        for name, rows in sizes.items():
+            for quantity, factor in CHANGED[name].items():
+                out[quantity] = out[quantity] + step * factor * (rows[0, k] if quantity == "sheath" else rows[:, k])
+        parts = proof_parts(Bundle(**out))
+        assert parts is not None
+        return parts
+
+    slopes = proof_slopes(bundle, sizes)
+    assert slopes.shape == (1 + n * (n - 1) // 2, 2)
+    for k in range(2):
+        difference = (moved(1e-6, k) - moved(-1e-6, k)) / 2e-6
+        assert slopes[:, k] == pytest.approx(difference, rel=1e-6, abs=1e-8)
+    assert moved(0.0, 0)[0] == bundle_proof(bundle).margin
 
 
 def test_thin_strips_count() -> None:

@@ -77,6 +77,8 @@ class Quantity:
         """Number of entries for n tubes."""
         if self.name in ("jacobian", "turning"):
             return 6 * n
+        if self.name == "order_reserve":
+            return n * (n - 1) // 2
         return SIZES.get(self.name, n) if self.pose is not None or self.name not in TUBES else n
 
 
@@ -235,6 +237,13 @@ class Quantities:
             raise InputError("translations of a certificate must be numbers")
         row = vector("translations of a certificate", inputs, self.n_tubes)
         return self._look(Quantity("certificate", at=tuple(row.tolist())))
+
+    def order_reserve(self, translations: Sequence[float]) -> Any:
+        """Own lengths, m, by which the tubes of a bundle robot differ more than bending can change, for all pairs.
+
+        The certificate of a bundle at the same translations (n,) is a proof where they are above 0. For designs only.
+        """
+        return self._look(Quantity("order_reserve", at=tuple(translations)))
 
     @property
     def channel(self) -> Any:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..block.custom import CustomRequirement
 from ..block.quantities import Expression, PoseQuantities, Quantities, recorded
+from ..robots.eccentric import BundleRobot
 from ..robots.robot import Robot
 from .parameters import DesignSpace
 from .requirements import (
@@ -33,6 +34,9 @@ from .requirements import (
     StrokeForce,
     Wall,
 )
+
+ORDER_RESERVE = 1e-6
+"""Reserve (m) of the order of the ends in a design: above what optimisation violates limits by."""
 
 Function = Callable[[Quantities], Any]
 
@@ -122,6 +126,10 @@ def _stated(requirement: Requirement, robot: Robot, poses: Poses, points: Points
         case SnapFree(required_margin=lower):
             limit = Limit("certified margin", lower, False, "", 1.0, 0.1)
             yield limit, lambda q: ca.vertcat(*(q.certificate(row) for row in points)) - lower, None
+            if isinstance(robot, BundleRobot) and robot.n_tubes > 1:
+                # Their ends must keep their order, or the number proves nothing.
+                limit = Limit("reserve of the order of the ends", ORDER_RESERVE, False, "mm", 1e3, 1e-3, movable=False)
+                yield limit, lambda q: ca.vertcat(*(q.order_reserve(row) for row in points)) - ORDER_RESERVE, None
         case Nesting(clearance=lower) if robot.nested_pairs:
             inner, outer = (list(tubes) for tubes in zip(*robot.nested_pairs, strict=True))
             limit = Limit("clearance of the diameters", lower, False, "mm", 1e3, 1e-4)

@@ -94,10 +94,9 @@ def worst_in_box(robot: ConcentricRobot, box: Box) -> tuple[float, tuple[float, 
 
 def certified_at(program: Program, robot: DesignedRobot) -> tuple[tuple[float, ...], ...]:
     """Translations of the certificates of a design: those of the program, and the worst ones of each box."""
-    if not isinstance(robot, ConcentricRobot):
-        return ()
     boxes = [each.box for each in of_kind(program.task.requirements, SnapFree) if each.box is not None]
-    return tuple(dict.fromkeys([*program.layout.certified, *(worst_in_box(robot, box)[1] for box in boxes)]))
+    worst = [worst_in_box(robot, box)[1] for box in boxes] if isinstance(robot, ConcentricRobot) else []
+    return tuple(dict.fromkeys([*program.layout.certified, *worst]))
 
 
 class WorstCases(NamedTuple):

@@ -23,6 +23,7 @@ import scipy
 
 from ..errors import SolveError, without_unit_warnings
 from ..physics.strain import surface_strain
+from ..robots.eccentric import BundleRobot
 from ..solvers.time_limit import OutOfTimeError
 from ..stability import snap_free_certificate
 from ..typing import Array
@@ -147,7 +148,7 @@ def _targets(program: Program) -> Iterator[str]:
 
 def _certificates(program: Program) -> Iterator[str]:
     space = program.layout.space
-    if any(unknown.field != "curvature" for unknown in space.unknowns):
+    if any(unknown.field != "curvature" for unknown in space.unknowns) or isinstance(space.robot, BundleRobot):
         return
     curvatures = _smallest_values(program, "curvature").tolist()
     tubes = tuple(replace(tube, curvature=bend) for tube, bend in zip(space.robot_tubes, curvatures, strict=True))

@@ -16,7 +16,6 @@ from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite, instance, whole
 from ..files.field_metadata import Range, key
-from ..robots.eccentric import BundleRobot
 from ..solvers.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, OutOfTimeError, check_time, limited, time_left, within
 from ..stability import snap_free_certificate
@@ -61,7 +60,7 @@ class DesignSolution(Displayed):
     """Task that the design solves."""
     robot: DesignedRobot
     """Robot with the designed tubes."""
-    certificate: Annotated[float | None, "lower bound on the margin at all rotations; null for eccentric robots"]
+    certificate: Annotated[float | None, "lower bound on the margin at all rotations; null if nothing is proved"]
     """Smallest certificate over the translations and the box of the certificate requirements; at home without any."""
     equilibria: Annotated[tuple[Equilibrium, ...], key("poses"), "the task poses"]
     """Equilibria, solved again by forward kinematics, in the order of the requirements."""
@@ -341,12 +340,12 @@ def solution_of(task: DesignTask, ranking: Ranking, turns: int, start_time: floa
     verification = verify(program, robot, x, equilibria, turns=turns)
     values = {key_of(objective): best.value(objective) for objective in task.objectives}
     certified = certified_at(program, robot) or (tuple(robot.home_translations.tolist()),)
-    bundled = isinstance(robot, BundleRobot)
+    certificate = min(snap_free_certificate(robot, row) for row in certified)
     single = len(task.objectives) == 1 and task.objectives[0].weight == 1.0
     solution = DesignSolution(
         task=task,
         robot=robot,
-        certificate=None if bundled else min(snap_free_certificate(robot, row) for row in certified),
+        certificate=certificate if np.isfinite(certificate) else None,
         equilibria=equilibria,
         objective=next(iter(values.values())) if single else best.objective,
         objectives=values,

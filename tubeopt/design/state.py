@@ -16,6 +16,7 @@ import scipy
 from ..block.quantities import PoseNumber, Quantity
 from ..block.transcription.buffered import mapped
 from ..equilibrium.arm_change import SHAPE_POINTS
+from ..equilibrium.bundle import bundle_at
 from ..equilibrium.directions import ARRANGEMENT, Change, Directions
 from ..equilibrium.jacobian import margin_slopes
 from ..equilibrium.kinematics import sure_margin
@@ -30,6 +31,7 @@ from ..robots.eccentric import BundleRobot, channel_between
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..robots.tubes import Tube
+from ..stability.bundle_certificate import proof_parts, proof_slopes
 from ..stability.stroke import Varied, stroke_slopes
 from ..typing import Array
 from .parameters import DesignSpace, change_of, piece_values
@@ -157,6 +159,7 @@ class DesignState:
         self._poses: dict[PoseNumber, AnyPose] = {}
         self._moved: dict[PoseNumber, tuple[Array, Array]] = {}
         self._chains: dict[PoseNumber, Array] = {}
+        self._proofs: dict[tuple[float, ...], tuple[Array, Array]] = {}
 
     def quantity(self, quantity: Quantity) -> tuple[Array, Array]:
         """Value and derivative (.., X) of a quantity; poses are numbered as in the layout."""
@@ -296,8 +299,24 @@ class DesignState:
             change[:, column] = -np.diff(np.stack(list(ends)), axis=0)[0] / (2 * step[column])
         return jacobians(self), change
 
+    def proof_at(self, translations: tuple[float, ...]) -> tuple[Array, Array]:
+        """`proof_parts` of a bundle at translations (n,), m, and their derivatives (.., X)."""
+        if translations not in self._proofs:
+            assert isinstance(self.robot, BundleRobot)
+            bundle, (rows, chain) = bundle_at(self.robot, translations), moving(self._reshaped)
+            if (parts := proof_parts(bundle)) is None:
+                raise SolveError("the tubes curve too tightly, relative to their offsets, for a certificate")
+            split = np.cumsum([len(part) for part in self.resized.values()])
+            slopes = dict(zip(self.resized, np.split(rows, split)[:-1], strict=True))
+            change = proof_slopes(bundle, slopes) @ chain if slopes else np.zeros((len(parts), self.layout.size))
+            self._proofs[translations] = parts, change
+        return self._proofs[translations]
+
     def certificate_at(self, translations: tuple[float, ...]) -> tuple[float, Array]:
-        """Certificate mu_cert at translations (n,), m, and its gradient (X,)."""
+        """Certificate mu_cert at translations (n,), m, and its gradient (X,); of bundles if ends keep their order."""
+        if isinstance(self.robot, BundleRobot):
+            parts, change = self.proof_at(translations)
+            return float(parts[0]), change[0]
         solved = without_solving(self.tubes, np.array(translations))
         directions, chain = moving(self._reshaped)
         value, slope = Pose(solved, [*self.resized], self.piece_changes, directions).certificate
@@ -309,6 +328,9 @@ def _value_and_change(state: DesignState, quantity: Quantity) -> tuple[Array, Ar
     match quantity.name:
         case "certificate":
             return _row(state.certificate_at(quantity.at))
+        case "order_reserve":
+            parts, slope = state.proof_at(quantity.at)
+            return parts[1:], slope[1:]
         case "straightened_strain":
             return _row(straightened_strain(state, *quantity.at))
         case "channel":

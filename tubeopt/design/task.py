@@ -376,12 +376,16 @@ def _check_requirements(task: DesignTask) -> None:
 def _check_bundle(task: DesignTask, robot: BundleRobot) -> None:
     """Raise InputError for what designs of bundles do not support."""
     for requirement in task.requirements:
-        if isinstance(requirement, SnapFree | StrokeForce):
-            other = ": require SnapFreeInUse, the margin in use" if isinstance(requirement, SnapFree) else ""
-            raise InputError(
-                f"{type(requirement).__name__} is given for an eccentric robot; designs support it for concentric "
-                f"robots only{other}"
-            )
+        if isinstance(requirement, StrokeForce):
+            raise InputError("StrokeForce is given for an eccentric robot; designs support it for concentric ones only")
+        if isinstance(requirement, SnapFree):
+            if requirement.max_force or requirement.box is not None or requirement.growth > 1:
+                raise InputError(
+                    "SnapFree of an eccentric robot has a force, a box or tube errors; its proof covers given "
+                    "translations without them: require a larger margin, and check tolerances"
+                )
+            for row in requirement.translations or ():
+                robot.admit(np.array(row))
         if isinstance(requirement, Poses):
             for row in requirement.translations:
                 robot.admit(np.array(row))

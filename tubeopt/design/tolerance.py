@@ -58,9 +58,10 @@ class ToleranceAnalysis:
     """Statistics of robots with random manufacturing errors."""
 
     certificate: Array
-    """Smallest mu_cert (S,) of each sample over the translations.
+    """Smallest mu_cert (S,) of each sample over the translations; -inf if nothing is proved.
 
-    Of a bundle, its smallest margin on the straight joint paths through the poses; 0 if it snaps there.
+    Of a bundle without translations, its smallest margin on the straight joint paths through the poses; 0 if it snaps
+    there.
     """
     snap_free: Annotated[float, key("snap_free_probability"), "fraction of them that is snap-free"]
     """Fraction of the samples with a positive margin."""
@@ -95,7 +96,7 @@ def tolerance_analysis(  # noqa: PLR0913
     """Sample robots with random manufacturing errors.
 
     Args:
-        translations: translations (T, n), m, of the certificate; None is home.
+        translations: translations (T, n), m, of the certificate; None is home, and of a bundle no certificate.
         poses: joint values (rotations, translations), rad and m, at which tips are compared.
         margin: margin for which the fraction of samples is reported.
         samples: number of random robots.
@@ -116,8 +117,13 @@ def tolerance_analysis(  # noqa: PLR0913
     for pose in poses:
         for name, values in zip(("rotations of a pose", "translations of a pose"), pose, strict=True):
             vector(name, values, robot.n_tubes)
-    if isinstance(robot, BundleRobot) and not poses:
-        raise InputError("poses is empty; errors of an eccentric robot are compared at joint values and between them")
+    if isinstance(robot, BundleRobot) and translations is None:
+        if not poses:
+            raise InputError(
+                "poses is empty, and so is translations; errors of an eccentric robot are compared at joint values and "
+                "between them, or by its certificate at translations"
+            )
+        where = ()
     nominal = _batch((robot.tubes,), robot, where, tuple(poses))
     if np.isnan(nominal[1]).any():
         raise SolveError("the nominal robot has no stable equilibrium at a compared pose")
@@ -186,8 +192,13 @@ def _batch(
         if isinstance(robot, BundleRobot):
             for carriage in robot.moving_together:
                 straight[[*carriage]] = straight[[*carriage]].min()
+            made = replace(robot, tubes=tubes)
             with suppress(SolveError):
-                certificates[k], tips[k] = _used(replace(robot, tubes=tubes), rotations, np.minimum(shift, straight))
+                if poses:
+                    certificates[k], tips[k] = _used(made, rotations, np.minimum(shift, straight))
+            if translations:
+                rows = (np.minimum(row, straight) for row in translations)
+                certificates[k] = min(snap_free_certificate(made, row) for row in rows)
             continue
         sample = ConcentricRobot(tubes)
         certificates[k] = min(snap_free_certificate(sample, np.minimum(row, straight)) for row in translations)

@@ -124,7 +124,7 @@ def _checks_of(
 ) -> Iterator[Check]:
     """Checks of one requirement; those on targets are in `_check_targets`."""
     match requirement:
-        case SnapFree() if isinstance(robot, ConcentricRobot):
+        case SnapFree():
             yield from _check_certificate(program, robot, requirement, turns)
         case SnapFreeInUse(margin=limit, tolerance=tolerance) if equilibria:
             arms = {"margin at the task poses": equilibria}
@@ -192,14 +192,14 @@ def _checks_of(
             yield check_custom(requirement, robot, equilibria)
 
 
-def _check_certificate(program: Program, robot: ConcentricRobot, requirement: SnapFree, turns: int) -> Iterator[Check]:
+def _check_certificate(program: Program, robot: DesignedRobot, requirement: SnapFree, turns: int) -> Iterator[Check]:
     """Checks of a certificate: its value, with tube errors, by a search for smaller margins, and by full turns."""
     translations = [np.array(row) for row in certified_at(program, robot)]
     certificates = [snap_free_certificate(robot, row) for row in translations]
     lowest = requirement.required_margin - requirement.tolerance - TOLERANCE
     yield Check("certificate", f"{min(certificates):.5f}", min(certificates) >= lowest)
     # Growth 1 means no errors; a tube that is not even has no single curvature to change.
-    if requirement.growth > 1 and all(tube.even for tube in robot.tubes):
+    if requirement.growth > 1 and isinstance(robot, ConcentricRobot) and robot.even:
         worst = _smallest_with_errors(robot, requirement, translations)
         name = f"least certificate of {PERTURBED_ROBOTS} robots with random errors of their tubes"
         yield Check(name, f"{worst:.5f}", worst >= requirement.margin - requirement.tolerance - TOLERANCE)

@@ -14,18 +14,23 @@ equilibria at all rotations: with them Q >= T - N, where T = sum int kt eta'^2 /
 is a form of Y_i = |y_i(0)| + int |eta_i'| and R = |r|, r = v - sum m_i n_i eta_i / K, with coefficients above 0. The
 derivation is in docs/theory-proofs.md. If T - N is positive for every scale of the precurvatures from 0 to 1, each set
 of rotations has one equilibrium within the bounds, which moves smoothly: nothing snaps.
+
+Derivatives are complex steps: f(x + j h y) = f(x) + j h f'(x) y to round-off for a small h. All functions here allow
+complex numbers, and compare them by their real parts first. So they differentiate the branches that count.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from itertools import combinations, pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..block.transcription.bundle import SAME_PLACE, Boundary, Bundle, boundaries, tubes_at
 from ..block.transcription.tableau import tableau
+from ..equilibrium.linearised_bundle import CHANGED
 from ..typing import Array, Mask
 
 CONTRACTIONS = 100
@@ -40,8 +45,32 @@ RESERVE = 1e-6
 ROUND_OFF = 1e-15
 """Width of a strip, and distance of two offsets, m, below which they are round-off."""
 
+STEP = 1e-30
+"""Complex step of the derivatives: products of two of them are far below round-off, and do not underflow."""
+
 DEGREE, ELEMENTS = 6, 5
 """Points per element, and elements in the length of the arm. More of either change certificates by 1e-15."""
+
+
+def _size(x: Array) -> Array:
+    """Magnitudes; of complex numbers by their real parts, at 0 by their imaginary parts."""
+    if not np.iscomplexobj(x):
+        return np.abs(x)
+    return np.where(x.real != 0, x * np.sign(x.real), 1j * np.abs(x.imag))
+
+
+def _norm(x: Array) -> Array:
+    """Lengths (...,) of vectors (..., 2)."""
+    return np.asarray(np.sqrt((x * x).sum(-1)))
+
+
+def _largest_eigenvalue(matrix: Array) -> Any:
+    """Largest eigenvalue of a symmetric matrix: its derivative is that of the form at its eigenvector."""
+    if not np.iscomplexobj(matrix):
+        return np.linalg.eigvalsh(matrix)[-1]
+    values, vectors = np.linalg.eigh(matrix.real)
+    v = vectors[:, -1]
+    return values[-1] + 1j * (v @ matrix.imag @ v)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +79,8 @@ class Bounds:
 
     order: tuple[Boundary, ...]
     """Boundaries at which the sections end."""
+    own_length: Array
+    """Own arc length (m,) of the tubes of each boundary from the plate, m."""
     present: Mask
     """Tubes (m, n) of the sections."""
     moment: Array
@@ -71,7 +102,7 @@ class Bounds:
     def jump(self) -> Array:
         """Jump (m,) of the curvature at the boundaries, 1/m; 0 at the tip."""
         u, K, off = self.curvature, self.stiffness, self.off_balance
-        gained = np.abs(np.diff(self.moment, axis=0)).sum(1) - np.diff(K) * u[:-1] + off[:-1] + off[1:]
+        gained = _size(np.diff(self.moment, axis=0)).sum(1) - np.diff(K) * u[:-1] + off[:-1] + off[1:]
         return np.append(np.minimum(u[:-1] + u[1:], gained / K[1:]), 0.0)
 
 
@@ -81,20 +112,22 @@ def bounds_of(bundle: Bundle) -> Bounds | None:
     An equilibrium with |u| <= U is in balance with |u| < U. So none can leave this range while precurvatures grow from
     0 to their values.
     """
-    order = tuple(sorted(boundaries(bundle), key=lambda b: b.arc_length))
+    real = replace(bundle, **{field.name: np.real(getattr(bundle, field.name)) for field in fields(bundle)})
+    order = tuple(sorted(boundaries(real), key=lambda b: b.arc_length))
+    own_length = np.array([bundle.end[b.ends[0]] if b.ends else bundle.transition[b.tubes[0]] for b in order])
     rows = [tubes_at(bundle, order[k:]) for k in range(len(order))]
     present, curved = (np.array([row[k] for row in rows]) for k in (0, 1))
-    moment = np.abs(bundle.bending_stiffness * bundle.curvature) * curved
+    moment = _size(bundle.bending_stiffness * bundle.curvature) * curved
     kb = bundle.bending_stiffness * present
     stiffness = kb.sum(1) + bundle.sheath
     # |sum kb_i d_i a_i|: 0 for equal tubes spread evenly around the centreline.
-    uneven = np.linalg.norm(kb @ bundle.levers, axis=1)
+    uneven = _norm(kb @ bundle.levers)
 
     def at(curvature: Array) -> Bounds | None:
         stretch = bundle.offset * curvature[:, None]
         if (stretch >= 0.5).any():
             return None
-        bend, place = _places(bundle, order, curvature)
+        bend, place = _places(bundle, order, own_length, curvature)
         lengths = place[1] - np.append(0.0, place[0, :-1])
         # |u| (K - uneven |u|) is at most the sum of all moments in balance.
         room = stiffness - uneven * curvature
@@ -108,7 +141,7 @@ def bounds_of(bundle: Bundle) -> Bounds | None:
             of_others = moment.sum(1, keepdims=True) - moment + off[:, None]
             across = np.minimum(curvature[:, None], of_others / stiffness[:, None])
         balanced = (moment.sum(1) + axial) / room
-        return Bounds(order, present, moment, stiffness, balanced, bend, place, off, across)
+        return Bounds(order, own_length, present, moment, stiffness, balanced, bend, place, off, across)
 
     # The reserve is part of the map: on sections without curved tubes U is of second order in the others.
     curvature = moment.sum(1) / stiffness
@@ -125,15 +158,16 @@ def bounds_of(bundle: Bundle) -> Bounds | None:
     return replace(found, curvature=curvature)
 
 
-def _places(bundle: Bundle, order: tuple[Boundary, ...], curvature: Array) -> tuple[Array, Array]:
+def _places(bundle: Bundle, order: tuple[Boundary, ...], own: Array, curvature: Array) -> tuple[Array, Array]:
     """Largest bends (m,) up to the boundaries, rad, and their first and last arc lengths (2, m), m."""
-    bend, place, reached, before = np.zeros(len(order)), np.zeros((2, len(order))), 0.0, 0.0
+    bend, place = np.zeros_like(curvature), np.zeros((2, len(order)), curvature.dtype)
+    reached = before = curvature.dtype.type(0)
     for k, boundary in enumerate(order):
         # s = own length - int d a.u, and the section begins at `before` or later.
         d, u = bundle.offset[boundary.tubes[0]], curvature[k]
-        last = max((boundary.arc_length + d * (reached - u * before)) / (1 - d * u), before)
+        last = max((own[k] + d * (reached - u * before)) / (1 - d * u), before)
         reached += u * (last - before)
-        before = max(boundary.arc_length - d * reached, before)
+        before = max(own[k] - d * reached, before)
         bend[k], place[:, k] = reached, (before, max(last, before))
     return bend, place
 
@@ -150,7 +184,7 @@ def _axial_moment(bundle: Bundle, order: tuple[Boundary, ...], present: Mask, cu
     on = np.vstack([present[1:], np.zeros(n, dtype=bool)])
     released = bundle.bending_stiffness * on * both / 2
     sheath = bundle.sheath * np.maximum(curvature, np.append(curvature[1:], 0.0)) ** 2 / 2
-    out = np.zeros(len(order))
+    out = np.zeros_like(curvature)
     left = list(range(n))
     while left:
         here = np.abs(bundle.levers - bundle.levers[left[0]]).max(1) <= ROUND_OFF
@@ -175,21 +209,25 @@ class Passing(NamedTuple):
     """Difference of own lengths from which on they cannot, m."""
 
 
-def passing(bundle: Bundle, bounds: Bounds) -> Passing | None:
-    """Boundaries whose order is not proved, those that lack most; None if all keep their order.
+def reserves(bundle: Bundle, bounds: Bounds) -> dict[tuple[int, int], tuple[Any, Any]]:
+    """Pairs of tubes i < j, each with the least reserve with which boundaries keep their order, and what that takes.
+
+    Both are differences of own lengths, m; the reserve is < 0 if the order may change.
 
     Boundary b is before c if tube c is not yet at its own length where tube b is: both differ by int (lever_c -
     lever_b).u there. At one offset no boundary passes another.
     """
-    found: list[tuple[float, Passing]] = []
+    found: dict[tuple[int, int], tuple[Any, Any]] = {}
     for k, b in enumerate(bounds.order):
-        for c in bounds.order[k + 1 :]:
-            i, j = b.tubes[0], c.tubes[0]
-            lever = float(np.linalg.norm(bundle.levers[i] - bundle.levers[j]))
-            apart = lever * float(bounds.bend[k])
-            if lever > ROUND_OFF and c.arc_length - b.arc_length <= apart:
-                found.append((apart - (c.arc_length - b.arc_length), Passing((i, j), apart)))
-    return max(found)[1] if found else None
+        for later, c in enumerate(bounds.order[k + 1 :], start=k + 1):
+            lever = _norm(bundle.levers[b.tubes[0]] - bundle.levers[c.tubes[0]])
+            if lever > ROUND_OFF:
+                apart = lever * bounds.bend[k]
+                pair = min(b.tubes[0], c.tubes[0]), max(b.tubes[0], c.tubes[0])
+                kept = bounds.own_length[later] - bounds.own_length[k] - apart
+                if pair not in found or kept < found[pair][0]:
+                    found[pair] = kept, apart
+    return found
 
 
 class Proof(NamedTuple):
@@ -208,25 +246,61 @@ def bundle_proof(bundle: Bundle) -> Proof:
     bounds = bounds_of(bundle)
     if bounds is None or (least_stiffness(bundle, bounds) <= 0).any():
         return Proof(-np.inf, "the tubes curve too tightly, relative to their offsets, for a proof.")
-    meeting = passing(bundle, bounds)
-    if meeting is not None:
-        i, j = meeting.tubes
+    kept = reserves(bundle, bounds)
+    if kept and (meeting := min(kept.items(), key=lambda pair: pair[1][0]))[1][0] <= 0:
+        (i, j), (_, apart) = meeting
         return Proof(
             -np.inf,
             f"tubes {i + 1} and {j + 1} may end, or begin to curve, in either order, and the arm may snap where the "
-            f"order changes. Own lengths that differ by more than about {1e3 * meeting.apart:.2f} mm keep it.",
+            f"order changes. Own lengths that differ by more than about {1e3 * apart:.2f} mm keep it.",
         )
-    return Proof(_least_second_variation(bundle, bounds))
+    return Proof(float(_least_second_variation(bundle, bounds)))
+
+
+def proof_parts(bundle: Bundle) -> Array | None:
+    """Numbers whose signs decide the proof: the bound of Q / T if boundaries keep their order; then the reserves (m) of
+    all pairs of tubes, in the order of `combinations`. None if the tubes curve too tightly.
+
+    Tubes at one offset, and those without a boundary in front of the plate, have the length of the arm as reserve.
+    """
+    n = len(bundle.end)
+    pairs = [*combinations(range(n), 2)]
+    if bundle.end.max() <= SAME_PLACE or not bundle.curvature.any():
+        return np.array([1.0, *(bundle.end.max() for _ in pairs)])
+    bounds = bounds_of(bundle)
+    if bounds is None or (least_stiffness(bundle, bounds) <= 0).any():
+        return None
+    kept = reserves(bundle, bounds)
+    free = bundle.end.max(), 0.0
+    return np.array([_least_second_variation(bundle, bounds), *(kept.get(pair, free)[0] for pair in pairs)])
+
+
+def proof_slopes(bundle: Bundle, slopes: Mapping[str, Array]) -> Array:
+    """Derivatives (1 + n (n - 1) / 2, Q) of `proof_parts` along Q directions, in which parameters change by `slopes`.
+
+    These are (n, Q) of the names in CHANGED, (1, Q) of the sheath. At kinks derivatives are one-sided.
+    """
+    columns = []
+    for k in range(next(iter(slopes.values())).shape[1]):
+        moved = {field.name: getattr(bundle, field.name) + 0j for field in fields(bundle)}
+        for name, rows in slopes.items():
+            for quantity, factor in CHANGED[name].items():
+                change = rows[0, k] if quantity == "sheath" else rows[:, k]
+                moved[quantity] = moved[quantity] + 1j * STEP * factor * change
+        parts = proof_parts(Bundle(**moved))
+        assert parts is not None
+        columns.append(parts.imag / STEP)
+    return np.array(columns).T
 
 
 def least_stiffness(bundle: Bundle, bounds: Bounds) -> Array:
     """Bounds (m,) from below of the bending stiffness, int sum kb_i |v - u b_i / g_i|^2 / g_i per |v|^2, N m^2."""
     kb, stretch = bundle.bending_stiffness * bounds.present, bundle.offset * bounds.curvature[:, None]
-    first_order = 3 * np.linalg.norm(kb @ bundle.levers, axis=1) * bounds.curvature
+    first_order = 3 * _norm(kb @ bundle.levers) * bounds.curvature
     return np.asarray(bounds.stiffness - first_order - 2 * (kb * stretch * (1 / (1 - stretch) ** 2 - 1)).sum(1))
 
 
-def _least_second_variation(bundle: Bundle, bounds: Bounds) -> float:
+def _least_second_variation(bundle: Bundle, bounds: Bounds) -> Any:
     """Least eigenvalue of T - N relative to T.
 
     N consists of the pairs of tubes, with the signs of eta kept, and of a form of magnitudes. It is computed as a sum
@@ -238,8 +312,9 @@ def _least_second_variation(bundle: Bundle, bounds: Bounds) -> float:
     # Strips: the sections of an arm have their boundaries somewhere between `low` and `high`.
     # Also the thinnest count: one that is left out would lack a tube.
     cuts = np.unique(np.concatenate([[0.0], low, high]))
-    cuts = np.concatenate([[0.0], cuts[1:][np.diff(cuts) > ROUND_OFF]])
-    parts = [np.linspace(a, b, 1 + int(np.ceil(ELEMENTS * (b - a) / cuts[-1]))) for a, b in pairwise(cuts)]
+    cuts = np.concatenate([[0.0], cuts[1:][np.diff(cuts).real > ROUND_OFF]])
+    counts = np.ceil(ELEMENTS * np.diff(cuts).real / cuts[-1].real).astype(int)
+    parts = [np.linspace(a, b, 1 + count) for (a, b), count in zip(pairwise(cuts), counts, strict=True)]
     ends = np.concatenate([[0.0], *(part[1:] for part in parts)])
     h, middle, rule = np.diff(ends), (ends[1:] + ends[:-1])[:, None] / 2, tableau("gauss", DEGREE)
     possible = (np.append(0.0, low[:-1]) < middle) & (middle < high)
@@ -256,8 +331,9 @@ def _least_second_variation(bundle: Bundle, bounds: Bounds) -> float:
     pairs = largest(bounds.moment[:, :, None] * bounds.moment[:, None] / least[:, None, None])
     off_balance = largest(((bounds.stiffness - least) * u + bounds.off_balance) / least)
     up_to = np.where(element < element[:, None], weight, 0.0) + np.kron(np.diag(h), rule.matrix)
+    number = up_to.dtype
 
-    def within(length: float) -> Array:
+    def within(length: Any) -> Array:
         """Weights (N,) of the integral up to an arc length at the end of an element."""
         return np.where(s < length, weight, 0.0)
 
@@ -267,10 +343,10 @@ def _least_second_variation(bundle: Bundle, bounds: Bounds) -> float:
     twist_at = np.array([weight @ growth - within(place) @ growth for place in low])
 
     # Magnitudes as linear forms of the whitened unknowns: eta' at the points, eta at the plate, R at the points.
-    count, sprung = len(s), np.flatnonzero(bundle.transmission > 0)
+    count, sprung = len(s), np.flatnonzero(bundle.transmission.real > 0)
     split = n * count + len(sprung)
     size = split + count
-    y, y_at = np.zeros((n, count, size)), np.zeros((len(u), n, size))
+    y, y_at = np.zeros((n, count, size), number), np.zeros((len(u), n, size), number)
     for i in range(n):
         per_unknown = np.sqrt((1 + largest(d[i] * u)) / (weight * kt[i]))
         columns = slice(i * count, (i + 1) * count)
@@ -280,7 +356,7 @@ def _least_second_variation(bundle: Bundle, bounds: Bounds) -> float:
         y[i, :, column] = y_at[:, i, column] = np.sqrt(bundle.transmission[i] / kt[i])
     v = np.einsum("ai,iaz->az", rate, y)
     v[:, split:] += np.diag(1 / np.sqrt(weight * K))
-    moved = np.zeros((len(u), size))
+    moved = np.zeros((len(u), size), number)
     for k, boundary in enumerate(bounds.order):
         lever = d[boundary.tubes[0]]
         moved[k] = lever * (within(high[k]) @ v + jump[:k] @ moved[:k]) / (1 - lever * u[k])
@@ -292,7 +368,7 @@ def _least_second_variation(bundle: Bundle, bounds: Bounds) -> float:
         turned_at[k:] += step
 
     # The form N: pairs with signs, and all else.
-    opposed, rest = np.zeros((split, split)), np.zeros((size, size))
+    opposed, rest = np.zeros((split, split), number), np.zeros((size, size), number)
     same = np.zeros_like(rest)
 
     def add(a: Array, b: Array) -> None:
@@ -309,7 +385,7 @@ def _least_second_variation(bundle: Bundle, bounds: Bounds) -> float:
             opposed += apart.T @ (coupling * apart)
             same += together.T @ (coupling * together)
     for k, boundary in enumerate(bounds.order):
-        torque, square = np.zeros(size), 0.0
+        torque, square = np.zeros(size, number), number.type(0)
         for i in np.flatnonzero(bounds.present[k]).tolist():
             at = y_at[k, i] + turned_at[k, i]
             if i in boundary.ends:
@@ -324,7 +400,7 @@ def _least_second_variation(bundle: Bundle, bounds: Bounds) -> float:
                 square += m * twist_at[k, i] * ((1 + d[i] * u[k]) * change + d[i] * jump[k] * side)
         add(moved[k, None], torque[None] + square * moved[k, None] / 2)
 
-    of_eta, of_r = (np.linalg.eigvalsh(part)[-1] for part in (rest[:split, :split], rest[split:, split:]))
-    mixed = np.linalg.norm(rest[:split, split:], 2)
-    apart = np.array([[1 - np.linalg.eigvalsh(opposed)[-1] - of_eta, -mixed], [-mixed, 1 - of_r]])
-    return float(max(np.linalg.eigvalsh(apart)[0], 1 - np.linalg.eigvalsh(same + rest)[-1]))
+    of_eta, of_r = _largest_eigenvalue(rest[:split, :split]), _largest_eigenvalue(rest[split:, split:])
+    mixed = np.sqrt(_largest_eigenvalue(rest[:split, split:].T @ rest[:split, split:]))
+    apart = np.array([[_largest_eigenvalue(opposed) + of_eta, mixed], [mixed, of_r]])
+    return 1 - min(_largest_eigenvalue(apart), _largest_eigenvalue(same + rest))

@@ -37,7 +37,7 @@ from ..robots.tubes import Tube
 from ..solvers.blas import small
 from ..solvers.time_limit import check_time
 from ..typing import Array, StatusEnum
-from .bundle_certificate import bundle_proof
+from .bundle_certificate import bundle_proof, proof_slopes
 from .eccentric_certificate import proof, proof_gradient
 from .pair import least_margin_of_pair, margins, pair_of
 from .shooting import profiles, to_base
@@ -368,12 +368,11 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     """
     n, shift = robot.n_tubes, shifts(robot, translations)
     if isinstance(robot, BundleRobot):
-        found = bundle_proof(bundle_at(robot, tuple(shift.tolist())))
-
-        def changed(tubes: Sequence[Tube], moved: Array) -> float:
-            return snap_free_certificate(replace(robot, tubes=tuple(tubes)), moved)
-
-        gradient = proof_gradient(robot, shift, changed, [(i,) for i in range(n)])
+        bundle = bundle_at(robot, tuple(shift.tolist()))
+        found, gradient = bundle_proof(bundle), {name: np.full(n, np.nan) for name in PARAMETERS}
+        for name in PARAMETERS if np.isfinite(found.margin) else ():
+            of = "translations" if name == "translation" else name
+            gradient[name] = proof_slopes(bundle, {of: np.eye(n)})[0]
         return Certificate(found.margin, shift, gradient, None, None, np.zeros((n, n)), found.obstacle)
     if robot.assembly(shift).eccentric:
         return _of_segments(robot, shift)

@@ -149,13 +149,20 @@ def plot_tolerance(analysis: ToleranceAnalysis, *, heading: str = "") -> Figure:
     figure = new_figure(7.4 if poses else 4.6, 3.2)
     axes = figure.add_subplot(1, 2 if poses else 1, 1)
     values = analysis.certificate
-    low, high = float(values.min()), float(values.max())
+    bounded = values[np.isfinite(values)]
+    low, high = (float(bounded.min()), float(bounded.max())) if len(bounded) else (0.0, 0.0)
     width = max(high - low, 1e-6) / 30
     # One edge lies at 0, so that no bar is of both kinds.
     edges = width * np.arange(np.floor(low / width), np.ceil(high / width) + 1)
     for kind, colour, name in ((values > 0, FREE, "snap-free"), (values <= 0, LOST, "not proved snap-free")):
         if kind.any():
-            axes.hist(values[kind], edges.tolist(), color=colour, label=f"{name}, {100 * kind.mean():.1f} %")
+            # A bundle without any proof has -inf: it counts in the number only.
+            axes.hist(
+                values[kind & np.isfinite(values)],
+                edges.tolist(),
+                color=colour,
+                label=f"{name}, {100 * kind.mean():.1f} %",
+            )
     axes.axvline(0.0, color=INK, lw=0.8)
     axes.set(xlabel="certificate", ylabel=f"of {len(values)} samples")
     legend_above(axes, 2)
