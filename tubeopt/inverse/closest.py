@@ -15,7 +15,7 @@ import scipy
 
 from ..typing import Array, Index
 from .breakpoint_order import breakpoint_order, separate_breakpoints
-from .gauss_newton import FIRST_STEP, SLACK, AcceptedStep, DescentSearch, Restored, StepModel, descend
+from .gauss_newton import FIRST_STEP, SLACK, AcceptedStep, DescentSearch, GoalProblem, Restored, StepModel, descend
 from .goal import Goal
 from .posture import Posture
 
@@ -61,7 +61,7 @@ def approach(goal: Goal, start: Posture) -> DescentSearch | None:
         return None
     start = restored(goal, separate_breakpoints(goal, first), max_steps=RESTORATIONS) or first
     end = descend(_MissProblem(goal), start, size=FIRST_STEP, max_steps=MAX_STEPS, max_solves=MAX_SOLVES)
-    return DescentSearch(end.posture, goal.reached(end.posture, 1e-8, 1e-8), end.steps, end.solves)
+    return DescentSearch(end.iterate, goal.reached(end.iterate, 1e-8, 1e-8), end.steps, end.solves)
 
 
 def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]]) -> DescentSearch | None:
@@ -108,7 +108,7 @@ def restored(goal: Goal, at: Posture, *, max_steps: int) -> Posture | None:
         if goal.allowed(at, SLACK):
             return at
         model = StepModel(np.diag(1 / goal.space.scale), np.zeros(len(at.q)), *none, *goal.constraints(at)[:2])
-        chosen = model.step(goal, FIRST_STEP)
+        chosen = model.step(goal.space.scale, FIRST_STEP)
         nearer = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
         if nearer is None:
             return None
@@ -128,11 +128,8 @@ class _Lagrangian(StepModel):
     """Identifiers (c,) of the constraints; rows after them are the order of breakpoints."""
 
 
-@dataclass(frozen=True, eq=False)
-class _MissProblem:
+class _MissProblem(GoalProblem):
     """Half the squared residual, among allowed postures."""
-
-    goal: Goal
 
     def value(self, at: Posture) -> float:
         return 0.5 * _miss(self.goal, at) ** 2
@@ -143,7 +140,7 @@ class _MissProblem:
     def converged(self, at: Posture, values: Sequence[float]) -> bool:
         return False
 
-    def model(self, at: Posture, side: int, last: AcceptedStep | None) -> _Lagrangian:
+    def model(self, at: Posture, side: int, last: AcceptedStep[Posture] | None) -> _Lagrangian:
         """Quadratic model of the residual and linearised constraints at a posture."""
         goal, scale, m = self.goal, self.goal.space.scale, len(at.q)
         residual, jacobian = goal.residual(at), goal.slope(at, side=side) * scale
@@ -159,7 +156,7 @@ class _MissProblem:
         return _Lagrangian(root / scale, right, *none, rows, bounds, at, hessian, slope, names)
 
     def _updated(
-        self, last: AcceptedStep, before: _Lagrangian, at: Posture, slope: Array, rows: Array, names: Index
+        self, last: AcceptedStep[Posture], before: _Lagrangian, at: Posture, slope: Array, rows: Array, names: Index
     ) -> Array:
         """Powell's damped BFGS update of the Hessian B by a step s and the change y of the Lagrangian's gradient."""
         scale, B = self.goal.space.scale, before.hessian
@@ -185,7 +182,7 @@ class _MissProblem:
         B = B - np.outer(Bs, Bs) / sBs + np.outer(y, y) / sy
         return np.asarray(B + CURVATURE * np.eye(len(B)))
 
-    def after(self, current: Posture, x: Array) -> Restored:
+    def after(self, current: Posture, x: Array) -> Restored[Posture]:
         at = current.to(self.goal.space.clip(current.q + x))
         return Restored(None if at is None else restored(self.goal, at, max_steps=4), 1)
 

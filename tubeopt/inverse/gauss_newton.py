@@ -3,11 +3,13 @@
     minimise  |A x - b|^2 + |A' x - b'|^2   over motions x (m,) of the joints
     subject to  rows x >= bounds,  |x_k| <= size scale_k
 
-Every iterate is a solved, stable equilibrium. A `DescentProblem` defines the objective; near a posture its model is |A
-x - b|^2 / 2. A' and b' only guide the step, as Levenberg-Marquardt damping does. A problem also defines how a posture
-after a step is restored to its constraints. A step is accepted if the objective decreases by a fraction of the decrease
-that the model predicts; else the trust region shrinks (Nocedal and Wright, Numerical Optimization, 2006, algorithm
-4.1).
+A `DescentProblem` defines the objective; near an iterate its model is |A x - b|^2 / 2. A' and b' only guide the step,
+as Levenberg-Marquardt damping does. A problem also defines how an iterate after a step is restored to its constraints.
+A step is accepted if the objective decreases by a fraction of the decrease that the model predicts; else the trust
+region shrinks (Nocedal and Wright, Numerical Optimization, 2006, algorithm 4.1).
+
+Iterates of inverse kinematics are postures: solved, stable equilibria. Those of mirror actuation (`mirror.py`) are
+postures in other coordinates.
 
 Derivatives differ to either side where breakpoints along the arm coincide. So a descent ends only if neither side
 promises a decrease, and neither does a posture beyond the next change of their order.
@@ -17,17 +19,21 @@ promises a decrease, and neither does a posture beyond the next change of their 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from ..solvers.compiled.quadratic import LeastSquares, constrained_least_squares
 from ..typing import Array, Index
 from .breakpoint_order import SHORT_SECTION, OrderConstraints, breakpoint_order, crossings
+from .clock import Clock
 from .goal import Goal
 from .posture import Posture
+
+P = TypeVar("P")
+"""Iterate of a descent."""
 
 SLACK = 1e-9
 """Clearance (m) that may be missing by round-off."""
@@ -51,7 +57,7 @@ The factor applies to the trust region after a rejected step.
 
 @dataclass(frozen=True, eq=False)
 class StepModel:
-    """Quadratic program of a step near a posture, in motions x (m,) of the joints."""
+    """Quadratic program of a step near an iterate, in changes x (m,) of the unknowns."""
 
     matrix: Array
     """Matrix A (r, m) of the linear residuals A x - b."""
@@ -66,9 +72,9 @@ class StepModel:
     bounds: Array
     """Lower bounds (c,) of the linear constraints."""
 
-    def step(self, goal: Goal, size: float) -> LeastSquares | None:
+    def step(self, scale: Array, size: float) -> LeastSquares | None:
         """Solution in the trust region |x_k| <= size scale_k; None if the constraints exclude it."""
-        unit = np.diag(1 / goal.space.scale)
+        unit = np.diag(1 / scale)
         return constrained_least_squares(
             np.vstack([self.matrix, self.guide_matrix]),
             np.concatenate([self.right, self.guide_right]),
@@ -77,22 +83,22 @@ class StepModel:
         )
 
     def decrease(self, x: Array) -> float:
-        """Predicted decrease of the objective by a motion."""
+        """Predicted decrease of the objective by a step."""
         residual = self.matrix @ x - self.right
         return 0.5 * float(self.right @ self.right - residual @ residual)
 
 
 @dataclass(frozen=True, eq=False)
-class AcceptedStep:
+class AcceptedStep(Generic[P]):
     """Accepted step of the Gauss-Newton iteration."""
 
     model: StepModel
     x: Array
-    """Motion (m,) of the joints."""
+    """Change (m,) of the unknowns."""
     active: Index
     """Numbers of the active rows, and after them of the active sides of the trust region."""
-    posture: Posture
-    """Posture after the step."""
+    iterate: P
+    """Iterate after the step."""
     value: float
     """Objective after the step."""
     size: float
@@ -100,39 +106,50 @@ class AcceptedStep:
 
 
 @dataclass(frozen=True, eq=False)
-class Restored:
-    """Posture after it was restored to its constraints."""
+class Restored(Generic[P]):
+    """Iterate after it was restored to its constraints."""
 
-    posture: Posture | None
-    """Posture that satisfies the constraints; None if none was found."""
+    iterate: P | None
+    """Iterate that satisfies the constraints; None if none was found."""
     solves: int
     """Number of equilibria solved."""
 
 
-class DescentProblem(Protocol):
+class DescentProblem(Protocol[P]):
     """Objective and constraints of a descent."""
 
     @property
-    def goal(self) -> Goal:
-        """Target, constraints and clock."""
+    def scale(self) -> Array:
+        """Units (m,) of the unknowns."""
 
-    def value(self, at: Posture) -> float:
-        """Objective value at a posture."""
+    @property
+    def clock(self) -> Clock:
+        """Time limit."""
+
+    @property
+    def touched(self) -> Collection[int]:
+        """Numbers of the bodies that iterates came too close to; a model knows those when it is made."""
+
+    def value(self, at: P) -> float:
+        """Objective value at an iterate."""
 
     def min_decrease(self, value: float) -> float:
         """Smallest predicted decrease of the objective that is worth a step."""
 
-    def converged(self, at: Posture, values: Sequence[float]) -> bool:
+    def converged(self, at: P, values: Sequence[float]) -> bool:
         """True if the descent may end, after these objectives of all iterates."""
 
-    def model(self, at: Posture, side: int, last: AcceptedStep | None) -> StepModel:
-        """Model near a posture, for translations that grow (side 1) or shrink (-1); `last` is the step before it."""
+    def model(self, at: P, side: int, last: AcceptedStep[P] | None) -> StepModel:
+        """Model near an iterate, for translations that grow (side 1) or shrink (-1); `last` is the step before it."""
 
-    def after(self, current: Posture, x: Array) -> Restored:
-        """Posture after a motion, restored to the constraints."""
+    def after(self, current: P, x: Array) -> Restored[P]:
+        """Iterate after a step, restored to the constraints."""
 
-    def after_crossing(self, crossed: Posture) -> Posture | None:
-        """Posture beyond a change of the order of breakpoints, restored to the constraints."""
+    def two_sided(self, at: P) -> bool:
+        """True if derivatives differ to either side, as where breakpoints coincide."""
+
+    def across(self, at: P) -> Iterable[P]:
+        """Iterates beyond the next changes of the order of breakpoints, restored to the constraints."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,28 +165,29 @@ class DescentSearch:
     """Number of equilibria solved."""
 
 
-class GaussNewtonDescent(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class GaussNewtonDescent(Generic[P]):
     """Result of a descent."""
 
-    posture: Posture
+    iterate: P
     steps: int
     solves: int
     """Number of equilibria solved."""
 
 
 def descend(
-    problem: DescentProblem, start: Posture, *, size: float, max_steps: int, max_solves: float = np.inf
-) -> GaussNewtonDescent:
+    problem: DescentProblem[P], start: P, *, size: float, max_steps: int, max_solves: float = np.inf
+) -> GaussNewtonDescent[P]:
     """Minimise the objective of a problem from a start; `size` is the first trust region."""
     current, side, steps, solves = start, 1, 0, 0
-    last: AcceptedStep | None = None
+    last: AcceptedStep[P] | None = None
     values = [problem.value(current)]
-    while steps < max_steps and solves < max_solves and not problem.goal.clock.over:
+    while steps < max_steps and solves < max_solves and not problem.clock.over:
         if problem.converged(current, values):
             break
         step, count = _trust_region_step(problem, current, values[-1], size, side=side, last=last)
         solves += count
-        if step is None and side > 0 and current.two_sided:
+        if step is None and side > 0 and problem.two_sided(current):
             # Where a section is closed, derivatives differ to either side: the other side may still descend.
             side, size, last = -1, 0.5 * FIRST_STEP, None
             continue
@@ -180,55 +198,82 @@ def descend(
             solves += count
         if step is None:
             break
-        current, size, side = step.posture, step.size, 1
+        current, size, side = step.iterate, step.size, 1
         values.append(step.value)
         steps += 1
     return GaussNewtonDescent(current, steps, solves)
 
 
 def _trust_region_step(
-    problem: DescentProblem,
-    current: Posture,
+    problem: DescentProblem[P],
+    current: P,
     value: float,
     size: float,
     *,
     side: int = 1,
-    last: AcceptedStep | None = None,
-) -> tuple[AcceptedStep | None, int]:
+    last: AcceptedStep[P] | None = None,
+) -> tuple[AcceptedStep[P] | None, int]:
     """Largest step tried that decreases the objective enough, None without one, and the equilibria solved."""
-    goal, solves = problem.goal, 0
-    model, known_bodies = problem.model(current, side, last), len(goal.touched)
-    while size > SHORTEST_STEP and not goal.clock.over:
-        chosen = model.step(goal, size)
+    scale, solves = problem.scale, 0
+    model, known_bodies = problem.model(current, side, last), len(problem.touched)
+    while size > SHORTEST_STEP and not problem.clock.over:
+        chosen = model.step(scale, size)
         predicted = 0.0 if chosen is None else model.decrease(chosen.x)
         if chosen is None or predicted <= problem.min_decrease(value):
             break
         trial = problem.after(current, chosen.x)
         solves += trial.solves
-        trial_value = np.inf if trial.posture is None else problem.value(trial.posture)
-        if trial.posture is not None and value - trial_value >= ACCEPTED * predicted:
+        trial_value = np.inf if trial.iterate is None else problem.value(trial.iterate)
+        if trial.iterate is not None and value - trial_value >= ACCEPTED * predicted:
             faithful = value - trial_value >= FAITHFUL * predicted
             size = min(2 * size, 2 * FIRST_STEP) if faithful else size
-            return AcceptedStep(model, chosen.x, chosen.active, trial.posture, trial_value, size), solves
-        size = SHRINK * min(size, float(np.abs(chosen.x / goal.space.scale).max()))
-        if len(goal.touched) > known_bodies:  # obstacles that the model did not know
-            model, known_bodies = problem.model(current, side, last), len(goal.touched)
+            return AcceptedStep(model, chosen.x, chosen.active, trial.iterate, trial_value, size), solves
+        size = SHRINK * min(size, float(np.abs(chosen.x / scale).max()))
+        if len(problem.touched) > known_bodies:  # obstacles that the model did not know
+            model, known_bodies = problem.model(current, side, last), len(problem.touched)
     return None, solves
 
 
-def _step_across(problem: DescentProblem, current: Posture, value: float) -> tuple[AcceptedStep | None, int]:
+def _step_across(problem: DescentProblem[P], current: P, value: float) -> tuple[AcceptedStep[P] | None, int]:
     """Step from beyond a change of the order of breakpoints to a smaller objective, and the equilibria solved."""
     solves = 0
-    for crossed in crossings(problem.goal, current, SHORT_SECTION * problem.goal.space.length):
-        start = problem.after_crossing(crossed)
-        if start is None:
-            continue
+    for start in problem.across(current):
         # Short, since the next change of order may be as close as this one was.
         step, count = _trust_region_step(problem, start, problem.value(start), 0.1 * FIRST_STEP)
         solves += count
         if step is not None and step.value < value - problem.min_decrease(value):
             return step, solves
     return None, solves
+
+
+@dataclass(frozen=True, eq=False)
+class GoalProblem:
+    """Descent among the postures of a goal; subclasses add the objective."""
+
+    goal: Goal
+
+    @property
+    def scale(self) -> Array:
+        return self.goal.space.scale
+
+    @property
+    def clock(self) -> Clock:
+        return self.goal.clock
+
+    @property
+    def touched(self) -> Collection[int]:
+        return self.goal.touched
+
+    def two_sided(self, at: Posture) -> bool:
+        return at.two_sided
+
+    def across(self, at: Posture) -> Iterator[Posture]:
+        crossed = crossings(self.goal, at, SHORT_SECTION * self.goal.space.length)
+        return (end for each in crossed if (end := self.after_crossing(each)) is not None)
+
+    def after_crossing(self, crossed: Posture) -> Posture | None:
+        """Posture beyond a change of the order of breakpoints, restored to the constraints."""
+        raise NotImplementedError
 
 
 # --- to the target ----------------------------------------------------------------------------------------------------
@@ -251,15 +296,12 @@ PATIENCE, STAGNANT = 5, 0.97
 def reach(goal: Goal, start: Posture) -> DescentSearch:
     """Levenberg-Marquardt descent from a stable posture to the target, and out of obstacles."""
     end = descend(_TargetProblem(goal), start, size=FIRST_STEP, max_steps=goal.options.steps)
-    reached = goal.reached(end.posture, 1e-8, 1e-8) and goal.allowed(end.posture, SLACK)
-    return DescentSearch(end.posture, reached, end.steps, end.solves)
+    reached = goal.reached(end.iterate, 1e-8, 1e-8) and goal.allowed(end.iterate, SLACK)
+    return DescentSearch(end.iterate, reached, end.steps, end.solves)
 
 
-@dataclass(frozen=True, eq=False)
-class _TargetProblem:
+class _TargetProblem(GoalProblem):
     """Half the square of the residual and of the missing clearances."""
-
-    goal: Goal
 
     def value(self, at: Posture) -> float:
         residual = np.concatenate([self.goal.residual(at), self.goal.collisions(at)[0]])
@@ -275,13 +317,13 @@ class _TargetProblem:
             return True
         return self.goal.reached(at, ON_TARGET, ON_TARGET) and self.goal.allowed(at, SLACK)
 
-    def model(self, at: Posture, side: int, last: AcceptedStep | None) -> StepModel:
+    def model(self, at: Posture, side: int, last: AcceptedStep[Posture] | None) -> StepModel:
         missing, collision_slope = self.goal.collisions(at)
         residual = np.concatenate([self.goal.residual(at), missing])
         jacobian = np.vstack([self.goal.slope(at, side=side), collision_slope])
         return StepModel(jacobian, -residual, *damping(self.goal, residual), *self.goal.inequalities(at))
 
-    def after(self, current: Posture, x: Array) -> Restored:
+    def after(self, current: Posture, x: Array) -> Restored[Posture]:
         """Posture after a motion; None if it violates a constraint: the step is too long then."""
         at = current.to(self.goal.space.clip(current.q + x))
         if at is None or at.margin < min(self.goal.kept_margin, current.margin):
@@ -289,9 +331,9 @@ class _TargetProblem:
         deeper = self.goal.violation(at) > self.goal.violation(current) + SLACK
         return Restored(None if deeper else at, 1)
 
-    def after_crossing(self, crossed: Posture) -> Posture | None:
+    def across(self, at: Posture) -> Iterator[Posture]:
         """None, since other starts cover the other orders."""
-        return None
+        return iter(())
 
 
 def damping(goal: Goal, residual: Array) -> tuple[Array, Array]:
@@ -326,14 +368,11 @@ def improve(goal: Goal, start: Posture) -> DescentSearch:
     if not goal.ranked:
         return DescentSearch(start, True, 0, 0)
     end = descend(_CostProblem(goal), start, size=0.5 * FIRST_STEP, max_steps=IMPROVING_STEPS)
-    return DescentSearch(end.posture, True, end.steps, end.solves)
+    return DescentSearch(end.iterate, True, end.steps, end.solves)
 
 
-@dataclass(frozen=True, eq=False)
-class _CostProblem:
+class _CostProblem(GoalProblem):
     """Cost among postures on target: each step is brought back to it, in the same order of breakpoints."""
-
-    goal: Goal
 
     def value(self, at: Posture) -> float:
         return self.goal.cost(at)
@@ -344,7 +383,7 @@ class _CostProblem:
     def converged(self, at: Posture, values: Sequence[float]) -> bool:
         return len(values) > 1 and values[-2] - values[-1] < 1e-7 * max(abs(values[-1]), 1e-3)
 
-    def model(self, at: Posture, side: int, last: AcceptedStep | None) -> StepModel:
+    def model(self, at: Posture, side: int, last: AcceptedStep[Posture] | None) -> StepModel:
         goal = self.goal
         cost, right = goal.cost_rows(at, 1e-3)
         right *= min(1.0, MAX_RIGHT / max(float(np.linalg.norm(right)), 1e-300))
@@ -352,12 +391,12 @@ class _CostProblem:
         order = breakpoint_order(goal.space, at)
         return StepModel(cost, right, *target, *order.constrain(at.q, *goal.inequalities(at)))
 
-    def after(self, current: Posture, x: Array) -> Restored:
+    def after(self, current: Posture, x: Array) -> Restored[Posture]:
         order = breakpoint_order(self.goal.space, current)
         return moved(self.goal, current, x, self.goal.slope(current), tolerance=ON_TARGET, order=order)
 
     def after_crossing(self, crossed: Posture) -> Posture | None:
-        return correct(self.goal, crossed, self.goal.slope(crossed), tolerance=ON_TARGET).posture
+        return correct(self.goal, crossed, self.goal.slope(crossed), tolerance=ON_TARGET).iterate
 
 
 def on_target(slope: Array, residual: Array) -> tuple[Array, Array]:
@@ -366,7 +405,7 @@ def on_target(slope: Array, residual: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class ConstraintCorrection(Restored):
+class ConstraintCorrection(Restored[Posture]):
     """Posture brought back onto the target; None if that fails or violates constraints."""
 
     slope: Array
@@ -416,7 +455,7 @@ def correct(
         if order is not None:
             rows, bounds = order.constrain(at.q, rows, bounds)
         model = StepModel(slope, -residual, *damping(goal, residual), rows, np.minimum(bounds, 0.0))
-        chosen = model.step(goal, FIRST_STEP)
+        chosen = model.step(goal.space.scale, FIRST_STEP)
         next_at = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
         solves += 1
         if next_at is None:

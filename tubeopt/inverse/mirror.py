@@ -3,19 +3,18 @@
 One tube points in the direction, and the other two are rotated from it by the separation to either side (thesis, eq.
 3.51). The sum of three equal vectors then has that direction and the length 1 + 2 cos(separation): the arm bends in a
 plane, from the precurvature at separation 0 to straight at 120 deg. Torsion and offsets of the tubes change this law a
-little. So a search for a bend or a tip starts from the law, or from its closed form for an arm of constant curvature,
-and solves the full equations by the trust-region method of SciPy's `least_squares` with their exact derivatives.
+little. So a search for a bend or a tip starts from the law, or from its closed form for an arm of constant curvature.
+The Gauss-Newton method of `gauss_newton` then solves the full equations in these coordinates, with exact derivatives.
 
-A robot of several segments has this actuation in each. The start is then a chain of arcs, and a Gauss-Newton method
-with the exact derivatives of the tip solves the full equations: translations are kept in the order of the tubes.
+A robot of several segments has this actuation in each, and a chain of arcs as start.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -23,7 +22,6 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..equilibrium.jacobian import position_slopes
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.linearised import curvature_at, linearise
 from ..equilibrium.result import Equilibrium
@@ -33,6 +31,8 @@ from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.robot import shifts
 from ..solvers.compiled.quadratic import constrained_least_squares
 from ..typing import Array
+from .clock import Clock
+from .gauss_newton import AcceptedStep, Restored, StepModel, descend
 from .goal import unit_vector
 from .joints import joint_space
 from .posture import Posture
@@ -76,14 +76,6 @@ def mirror_separation(fraction: float) -> float:
     It is 0 for fractions of 1 and more.
     """
     return math.acos((3 * min(fraction, 1.0) - 1) / 2)
-
-
-def _law_slope(x: float, y: float) -> Array:
-    """Derivatives (2, 2) of direction and separation, rad, by a bend (x, y) as a fraction of the precurvature."""
-    size = max(math.hypot(x, y), 1e-9)
-    # Beyond the largest bend, the separation stays 0.
-    rate = -1.5 / math.sin(mirror_separation(size)) / size if size < 1 else 0.0
-    return np.array([[-y / size**2, x / size**2], [rate * x, rate * y]])
 
 
 def arc_curvature(equilibrium: Equilibrium) -> Array:
@@ -175,16 +167,22 @@ def mirror_inverse(
         SolveError: forward kinematics failed on the path, or the robot snaps on it.
     """
     if isinstance(robot, SegmentedEccentricRobot):
-        return _Segments(robot, tuple(assignment)).bend(bending_direction, curvature, translations)
+        return _bend_segments(robot, bending_direction, curvature, translations, assignment)
     azimuth = finite("bending_direction", bending_direction)
     curvature = positive("curvature", finite("curvature", curvature), zero=True)
-    arm = _Arm(robot, translations, tuple(assignment), azimuth)
-    target = curvature * np.array([math.cos(azimuth), math.sin(azimuth)])
-    pose = arm.solve(
-        target, lambda equilibrium: arc_curvature(equilibrium) - target, arm.max_curvature, by_tip=_arc_slope
-    )
+    arm = _Arm(robot, translations, assignment, azimuth)
+    target = curvature * arm.towards[0]
+
+    def miss(q: Array) -> Miss:
+        at = arm.posture(q)
+        residual = (arc_curvature(at.equilibrium) - target) / arm.max_curvature
+        return Miss(residual, lambda: _arc_slope(at.equilibrium) @ at.slope("tip_position") / arm.max_curvature)
+
+    end = arm.search(target / arm.max_curvature, arm.held, False, miss)
+    pose = arm.pose(end, end.miss.size * arm.max_curvature)
     if pose.error > 1e-7 * arm.max_curvature:
-        max_curvature = float(np.linalg.norm(arc_curvature(arm.pose(*arm.inputs(arm.full)))))
+        most = arm.posture(arm.joints(arm.towards.ravel(), (False,), arm.held)[0])
+        max_curvature = float(np.linalg.norm(arc_curvature(most.equilibrium)))
         if curvature < max_curvature:
             raise SolveError(f"no mirror actuation was found: the best misses by {pose.error:.3g} per m", pose)
         raise InputError(
@@ -220,22 +218,21 @@ def mirror_to_tip(
     if isinstance(robot, SegmentedEccentricRobot):
         typical_length("tolerance", tolerance, TYPICAL_TIP_ERROR)
         held = shifts(robot, translations)
-        return _Segments(robot, tuple(assignment)).reach(position, None, held, max(tolerance, ON_TARGET))
+        return _reach_with_segments(robot, position, None, held, max(tolerance, ON_TARGET), assignment)
     arm, target = _aimed(robot, position, translations, assignment)
     typical_length("tolerance", tolerance, TYPICAL_TIP_ERROR)
     above = target - [0.0, 0.0, arm.plate]
-    length = arm.length
-    square = max(float(above @ above), 1e-6 * length**2)
+    square = max(float(above @ above), 1e-6 * arm.length**2)
 
-    def solve(start: Array) -> MirrorPose:
-        return arm.solve(
-            start, lambda equilibrium: equilibrium.tip_position - target, arm.max_curvature * length**2 / 2
-        )
+    def pose_from(bend: Array) -> MirrorPose:
+        end = arm.search(bend, arm.held, False, arm.tip_miss(target, None))
+        return arm.pose(end, end.miss.size * arm.space.length)
 
-    pose = solve(2 * above[:2] / square)
+    pose = pose_from(2 * above[:2] / square / arm.max_curvature)
     if pose.error > tolerance:
         # Off the surface the distance can have several local minima.
-        pose = min([pose, solve(arm.full), solve(arm.full / 3)], key=lambda candidate: candidate.error)
+        others = [pose_from(arm.towards[0]), pose_from(arm.towards[0] / 3)]
+        pose = min([pose, *others], key=lambda candidate: candidate.error)
     if pose.error > tolerance:
         nearest = ", ".join(f"{1e3 * x:.4f}" for x in pose.equilibrium.tip_position)
         raise InputError(
@@ -261,8 +258,8 @@ def mirror_closed_form(
         InputError: numbers that are not finite, straight tubes, or a position out of reach; the message states why.
     """
     arm, target = _aimed(robot, position, None, assignment)
-    curvature, shift = arm.arc(target)
-    direction, separation = arm.inputs(curvature)
+    fraction, shift = arm.arc(target)
+    direction, separation = arm.angles(fraction * arm.towards.ravel(), (False,))[0].tolist()
     return MirrorInput(direction, separation, mirror_rotations(direction, separation, assignment), np.full(3, shift))
 
 
@@ -286,12 +283,14 @@ def mirror_pose(
         SolveError: the search ends off the target; the message has the distance, and `.solution` the closest pose.
     """
     if isinstance(robot, SegmentedEccentricRobot):
-        return _Segments(robot, tuple(assignment)).reach(position, direction, None, ON_TARGET)
+        return _reach_with_segments(robot, position, direction, None, ON_TARGET, assignment)
     if direction is not None:
         raise InputError("direction is given; the mirror actuation of one segment reaches a position in one direction")
     arm, target = _aimed(robot, position, None, assignment)
-    curvature, shift = arm.arc(target)
-    pose = arm.solve(curvature, lambda equilibrium: equilibrium.tip_position - target, robot.tube.curved_length, shift)
+    fraction, shift = arm.arc(target)
+    start = arm.space.join(np.zeros(3), np.full(3, shift))
+    end = arm.search(fraction * arm.towards, start, True, arm.tip_miss(target, None))
+    pose = arm.pose(end, end.miss.size * arm.space.length)
     if pose.error > 1e-7:
         raise SolveError(f"no mirror actuation was found: the best misses the position by {pose.error:.3g} m", pose)
     return pose
@@ -302,42 +301,260 @@ def _aimed(
 ) -> tuple[_Arm, Array]:
     """Robot with an arm that bends towards a position, and the checked position."""
     target = vector("position", position, 3, "x, y, z in m")
-    return _Arm(robot, translations, tuple(assignment), math.atan2(target[1], target[0])), target
+    return _Arm(robot, translations, assignment, math.atan2(target[1], target[0])), target
 
 
-class _Arm:
-    """Robot under mirror actuation, with the law of three vectors."""
+# --- coordinates ------------------------------------------------------------------------------------------------------
+
+ON_TARGET = 1e-9
+"""Largest distance of the tip from its target, m, and of its direction, rad."""
+
+ON_TARGET_RESIDUAL = 1e-12
+"""Residual that ends a search: far below `ON_TARGET`, and above round-off."""
+
+STRAIGHT_BEND = 1e-9
+"""Bend of a straight segment, as a fraction of the largest."""
+
+MOST_STEPS = 60
+"""Most steps of one search; measured ones take 4 to 15."""
+
+DAMPING = 1e-6
+"""Damping of a step: of the actuations that reach a target, it prefers a near one and hardly slows the search."""
+
+
+@dataclass(frozen=True, eq=False)
+class Miss:
+    """Distance of independent joint values (m,) from a target."""
+
+    residual: Array
+    """Residual (r,)."""
+    slope: Callable[[], Array]
+    """Function that returns its derivatives (r, m)."""
+
+    @property
+    def size(self) -> float:
+        """Norm of the residual."""
+        return float(np.linalg.norm(self.residual))
+
+
+@dataclass(frozen=True, eq=False)
+class _Actuation:
+    """Mirror actuation: an iterate of a search."""
+
+    x: Array
+    """Unknowns of `_Mirror`."""
+    q: Array
+    """Independent joint values (m,)."""
+    by_unknowns: Array
+    """Derivatives of q by x."""
+    miss: Miss
+
+
+class _Mirror:
+    """Coordinates of a robot of k segments under mirror actuation.
+
+    The unknowns x are two for each segment, and then the translations of the carriages in lengths of the robot, if they
+    are free. The two are direction and separation for a bent segment, and for a nearly straight one its bend as a
+    fraction (2,) of the largest: each pair is smooth where the other is not.
+    """
 
     def __init__(
-        self, robot: EccentricRobot, translations: ArrayLike | None, assignment: tuple[int, ...], azimuth: float
+        self, robot: EccentricRobot | SegmentedEccentricRobot, assignment: Sequence[int], azimuth: ArrayLike
     ) -> None:
         mirror_rotations(0.0, 0.0, assignment)  # refuses other assignments
-        self.robot, self.assignment, self.azimuth = robot, assignment, azimuth
-        self.translations = np.array(shifts(robot, translations))
-        self.max_curvature = abs(robot.tube.curvature)
-        self.full = self.max_curvature * np.array([math.cos(azimuth), math.sin(azimuth)])
-        if self.max_curvature == 0 or robot.tube.curved_length == 0:
+        tubes = robot.segments if isinstance(robot, SegmentedEccentricRobot) else (robot.tube,)
+        stiffness = np.array([tube.bending_stiffness for tube in tubes])
+        self.assignment, self.space = tuple(assignment), joint_space(robot)
+        self.curvature = np.array([tube.curvature for tube in tubes])
+        # The straight tubes of inner segments stiffen an outer one.
+        self.largest = self.curvature * stiffness / np.cumsum(stiffness)
+        if not (self.largest * [tube.curved_length for tube in tubes]).any():
             raise InputError("the tubes are straight and cannot bend the robot")
-        assembly = robot.assembly(self.translations)
+        count, apart = len(tubes), np.zeros(3)
+        apart[list(assignment[1:])] = 1.0, -1.0
+        self.by_angles = np.hstack([np.kron(np.eye(count), np.ones((3, 1))), np.kron(np.eye(count), apart[:, None])])
+        self.towards = np.column_stack([np.cos(azimuth), np.sin(azimuth)]) * np.ones((count, 1))
+        """Unit vectors (k, 2) in which straight segments would bend."""
+
+    def angles(self, x: Array, bent: tuple[bool, ...]) -> tuple[Array, Array]:
+        """Directions and separations (2 k,), rad, and their derivatives (2 k, 2 k) by the unknowns of the segments."""
+        k = len(bent)
+        angle, slope = np.zeros(2 * k), np.zeros((2 * k, 2 * k))
+        for j, (one, two) in enumerate(x[: 2 * k].reshape(k, 2).tolist()):
+            if bent[j]:
+                angle[[j, k + j]] = one, two
+                slope[j, 2 * j] = slope[k + j, 2 * j + 1] = 1.0
+                continue
+            size = math.hypot(one, two)
+            if size < STRAIGHT_BEND:
+                one, two = (STRAIGHT_BEND * self.towards[j]).tolist()
+            # A tube of positive precurvature and rotation 0 bends towards -y.
+            angle[j] = math.atan2(two, one) + math.copysign(math.pi / 2, self.curvature[j])
+            angle[k + j] = mirror_separation(size)
+            size = max(size, STRAIGHT_BEND)
+            # Beyond the largest bend, the separation stays 0.
+            rate = -1.5 / math.sin(mirror_separation(size)) / size if size < 1 else 0.0
+            slope[j, 2 * j : 2 * j + 2] = -two / size**2, one / size**2
+            slope[k + j, 2 * j : 2 * j + 2] = rate * one, rate * two
+        return angle, slope
+
+    def joints(self, x: Array, bent: tuple[bool, ...], held: Array) -> tuple[Array, Array]:
+        """Independent joint values (m,), and their derivatives by x; without free translations those of `held`."""
+        space, n, k = self.space, self.space.robot.n_tubes, len(bent)
+        angle, slope = self.angles(x, bent)
+        q, by_x = held.copy(), np.zeros((len(held), len(x)))
+        q[:n], by_x[:n, : 2 * k] = self.by_angles @ angle, self.by_angles @ slope
+        if len(x) > 2 * k:
+            # Clipped, since a step may leave a range by round-off.
+            q[n:] = np.clip(x[2 * k :] * space.length, space.lower[n:], space.upper[n:])
+            by_x[n:, 2 * k :] = space.length * np.eye(len(q) - n)
+        return q, by_x
+
+    def search(self, bend: Array, start: Array, free: bool, miss: Callable[[Array], Miss]) -> _Actuation:
+        """Actuation of a smallest residual, from bends (k, 2) as fractions of the largest and joint values (m,).
+
+        Args:
+            free: True if the translations are unknowns.
+        """
+        bend = np.reshape(bend, (-1, 2))
+        size = np.hypot(*bend.T)
+        bend = bend / np.maximum(size, 1.0)[:, None]
+        bent = tuple((size > 0.5).tolist())
+        turn = np.arctan2(bend[:, 1], bend[:, 0]) + np.copysign(np.pi / 2, self.curvature)
+        # A little off the ends of the separation, and off the straight segment, which has no direction.
+        apart = [max(mirror_separation(each), 1e-3) for each in size.tolist()]
+        pairs = np.where(np.array(bent)[:, None], np.column_stack([turn, apart]), bend + 1e-3 * self.towards)
+        advance = start[self.space.robot.n_tubes :] / self.space.length if free else np.zeros(0)
+        problem = _MirrorProblem(self, bent, start, free, miss)
+        first = problem.at(np.array([*np.ravel(pairs), *advance]))
+        return descend(problem, first, size=0.5, max_steps=MOST_STEPS).iterate
+
+    def posture(self, q: Array) -> Posture:
+        """Posture at independent joint values (m,)."""
+        return Posture(self.space, q, forward_kinematics(self.space.robot, *self.space.split(q)))
+
+    def pose(self, end: _Actuation, error: float) -> MirrorPose:
+        """Pose of an actuation that misses its target by `error`."""
+        rotations, shifted = self.space.split(end.q)
+        # A full turn of the three tubes of a segment changes nothing.
+        turns = np.round(rotations.reshape(-1, 3)[:, self.assignment[0]] / (2 * np.pi))
+        equilibrium = forward_kinematics(self.space.robot, rotations - 2 * np.pi * np.repeat(turns, 3), shifted)
+        middle, ahead, _ = equilibrium.rotations.reshape(-1, 3)[:, list(self.assignment)].T
+        segmented = len(middle) > 1
+        return MirrorPose(
+            direction=middle if segmented else float(middle[0]),
+            separation=ahead - middle if segmented else float(ahead[0] - middle[0]),
+            rotations=equilibrium.rotations,
+            translations=equilibrium.translations,
+            equilibrium=equilibrium,
+            error=error,
+        )
+
+    def tip_miss(self, target: Array, axis: Array | None) -> Callable[[Array], Miss]:
+        """Distance of the tip from a target (3,) in lengths of the robot, and its direction from `axis` (3,)."""
+
+        def miss(q: Array) -> Miss:
+            at = self.posture(q)
+
+            def slope() -> Array:
+                position = at.slope("tip_position") / self.space.length
+                if axis is None:
+                    return np.asarray(position)
+                return np.vstack([position, np.cross(at.slope("tip_rotation"), at.direction[:, None], axis=0)])
+
+            return Miss(self.tip_residual(at.tip, at.direction, target, axis), slope)
+
+        return miss
+
+    def tip_residual(self, tip: Array, direction: Array, target: Array, axis: Array | None) -> Array:
+        """Residual (3,) or (6,) of `tip_miss`."""
+        parts = [(tip - target) / self.space.length, *([] if axis is None else [direction - axis])]
+        return np.concatenate(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class _MirrorProblem:
+    """Half the square of a miss in the coordinates of `_Mirror`, within ranges and order of the translations."""
+
+    mirror: _Mirror
+    bent: tuple[bool, ...]
+    held: Array
+    """Independent joint values (m,), of which the translations are kept unless they are unknowns."""
+    free: bool
+    """True if the translations are unknowns."""
+    miss: Callable[[Array], Miss]
+    clock: Clock = field(default_factory=lambda: Clock(np.inf))
+    touched: tuple[int, ...] = ()
+
+    @cached_property
+    def scale(self) -> Array:
+        return np.ones(2 * len(self.bent) + self.free * len(self.mirror.space.carriages))
+
+    def at(self, x: Array) -> _Actuation:
+        """Actuation of unknowns x."""
+        q, by_unknowns = self.mirror.joints(x, self.bent, self.held)
+        return _Actuation(x, q, by_unknowns, self.miss(q))
+
+    def value(self, at: _Actuation) -> float:
+        return 0.5 * float(at.miss.residual @ at.miss.residual)
+
+    def min_decrease(self, value: float) -> float:
+        return 1e-9 * value
+
+    def converged(self, at: _Actuation, values: Sequence[float]) -> bool:
+        return values[-1] <= 0.5 * ON_TARGET_RESIDUAL**2
+
+    def model(self, at: _Actuation, side: int, last: AcceptedStep[_Actuation] | None) -> StepModel:
+        space, unit = self.mirror.space, np.eye(len(at.x))
+        moved = np.any(at.by_unknowns[space.robot.n_tubes :], axis=1).nonzero()[0] + space.robot.n_tubes
+        separations = [2 * j + 1 for j, bent in enumerate(self.bent) if bent]
+        box, by_x = unit[separations], at.by_unknowns
+        rows = np.vstack([space.rows @ by_x, by_x[moved], -by_x[moved], box, -box])
+        ranges = [space.row_lower - space.rows @ at.q, (space.lower - at.q)[moved], (at.q - space.upper)[moved]]
+        bounds = np.concatenate([*ranges, -at.x[separations], at.x[separations] - STRAIGHT])
+        guide = DAMPING * unit, np.zeros(len(at.x))
+        return StepModel(at.miss.slope() @ by_x, -at.miss.residual, *guide, rows, np.minimum(bounds, 0.0))
+
+    def after(self, current: _Actuation, x: Array) -> Restored[_Actuation]:
+        try:
+            return Restored(self.at(current.x + x), 1)
+        except SolveError:
+            return Restored(None, 1)
+
+    def two_sided(self, at: _Actuation) -> bool:
+        return False
+
+    def across(self, at: _Actuation) -> Iterator[_Actuation]:
+        return iter(())
+
+
+# --- one segment ------------------------------------------------------------------------------------------------------
+
+
+class _Arm(_Mirror):
+    """Robot of one segment, with the closed form of its arc."""
+
+    def __init__(
+        self, robot: EccentricRobot, translations: ArrayLike | None, assignment: Sequence[int], azimuth: float
+    ) -> None:
+        super().__init__(robot, assignment, azimuth)
+        self.tube, self.max_curvature = robot.tube, abs(robot.tube.curvature)
+        shift = shifts(robot, translations)
+        self.held = self.space.join(np.zeros(3), shift, "translations")
+        assembly = robot.assembly(shift)
         self.plate = max(float(assembly.transition.min()), 0.0)
         self.length = assembly.total_length - self.plate
         if self.length <= 0:
             raise InputError("the tubes are retracted behind the base plate and cannot bend the robot")
 
-    @property
-    def travel(self) -> tuple[float, float]:
-        """Smallest and largest translation of the three tubes together, m."""
-        limits, tube = np.array(self.robot.limits.translations), self.robot.tube
-        return max(float(limits[:, 0].max()), -tube.curved_length), min(float(limits[:, 1].min()), tube.straight_length)
-
-    def arc(self, target: Array) -> tuple[Array, float]:
-        """Curvature vector (2,), 1/m, and translation, m, of an arc of constant curvature to a target (3,), m.
+    def arc(self, target: Array) -> tuple[float, float]:
+        """Fraction of the precurvature, and translation, m, of an arc of constant curvature to a target (3,), m.
 
         A part of the arm below the arc may be straight.
         """
         radius, height = math.hypot(target[0], target[1]), float(target[2])
         curvature, translation = self._arc(radius, height)
-        low, high = self.travel
+        low, high = float(self.space.lower[-1]), float(self.space.upper[-1])
         if curvature > self.max_curvature * (1 + 1e-12):
             raise InputError(
                 f"position needs a curvature of {curvature:.6g} per m; it must be at most "
@@ -347,11 +564,11 @@ class _Arm:
             raise InputError(
                 f"position needs a translation of {translation:.6g} m; it must be from {low:.6g} to {high:.6g} m"
             )
-        return curvature * self.full / self.max_curvature, min(max(translation, low), high)
+        return curvature / self.max_curvature, min(max(translation, low), high)
 
     def _arc(self, radius: float, height: float) -> tuple[float, float]:
         """Curvature (1/m) and translation (m) of an arc to a point at a distance from the axis and a height, m."""
-        full_length, square = self.robot.tube.curved_length, radius**2 + height**2
+        full_length, square = self.tube.curved_length, radius**2 + height**2
         if square == 0:
             return 0.0, -full_length
         if radius == 0:
@@ -373,100 +590,8 @@ class _Arm:
         )
         return kappa, height - math.sin(kappa * full_length) / kappa
 
-    def inputs(self, curvature: Array) -> tuple[float, float]:
-        """Direction and separation for a curvature vector (2,), by the law of three vectors, clipped to its range."""
-        size = math.hypot(*curvature)
-        azimuth = math.atan2(curvature[1], curvature[0]) if size > 1e-12 * self.max_curvature else self.azimuth
-        # A tube of positive precurvature and rotation 0 bends towards -y.
-        direction = azimuth + math.copysign(math.pi / 2, self.robot.tube.curvature)
-        return _nearest_turn(direction, self.azimuth), mirror_separation(size / self.max_curvature)
-
-    def pose(self, direction: float, separation: float, shift: float | None = None) -> Equilibrium:
-        """Equilibrium for a direction, a separation, and a translation (m) if that is free."""
-        translations = self.translations if shift is None else np.full(3, shift)
-        return forward_kinematics(self.robot, mirror_rotations(direction, separation, self.assignment), translations)
-
-    def solve(
-        self,
-        start: Array,
-        residual: Callable[[Equilibrium], Array],
-        scale: float,
-        shift: float | None = None,
-        by_tip: Callable[[Equilibrium], Array] = lambda _: np.eye(3),
-    ) -> MirrorPose:
-        """Pose of the smallest `residual`, from a curvature vector `start` (2,), 1/m.
-
-        The unknowns are direction and separation for a bent arm, and the curvature vector for a nearly straight one:
-        each pair is smooth where the other is not.
-
-        Args:
-            scale: change of the residual by the curvature `max_curvature`.
-            shift: start of the translation, m; None for a fixed one.
-            by_tip: derivative (r, 3) of the residual by the tip position.
-        """
-        size = float(np.linalg.norm(start))
-        start = start * min(1.0, self.max_curvature / size) if size else start
-        bent = size > self.max_curvature / 2
-
-        def actuation(x: Array) -> tuple[float, ...]:
-            angles = (float(x[0]), float(x[1])) if bent else self.inputs(x[:2] * self.max_curvature)
-            return (*angles, *np.clip(x[2:] * self.length, *self.travel).tolist())
-
-        if bent:
-            direction, separation = self.inputs(start)
-            # The iteration stays inside of its bounds: it starts a little off them, and may end on them.
-            guess, bounds = [direction, max(separation, 1e-3)], ([-np.inf, 0.0], [np.inf, STRAIGHT])
-        else:
-            guess, bounds = (start / self.max_curvature).tolist(), ([-np.inf] * 2, [np.inf] * 2)
-        if shift is not None:
-            initial, low, high = (translation / self.length for translation in (shift, *self.travel))
-            guess, bounds = [*guess, initial], ([*bounds[0], low], [*bounds[1], max(high, low + 1e-9)])
-        apart = np.zeros(3)
-        apart[list(self.assignment[1:])] = 1.0, -1.0
-
-        pose = lru_cache(maxsize=2)(self.pose)  # residual and slope need the same equilibrium
-
-        def slope(x: Array) -> Array:
-            equilibrium = pose(*actuation(x))
-            by_joints = position_slopes(equilibrium)
-            by_angles = by_joints[:, :3] @ np.column_stack([np.ones(3), apart])
-            parts = [by_angles if bent else by_angles @ _law_slope(float(x[0]), float(x[1]))]
-            if len(x) > 2:
-                parts.append(by_joints[:, 3:].sum(1, keepdims=True) * self.length)
-            return by_tip(equilibrium) @ np.hstack(parts) / scale
-
-        solution = scipy.optimize.least_squares(
-            lambda x: residual(pose(*actuation(x))) / scale,
-            guess,
-            jac=slope,
-            bounds=bounds,
-            xtol=1e-14,
-            ftol=1e-14,
-            gtol=1e-14,
-            max_nfev=200,
-        )
-        direction, separation, *_ = actuation(solution.x)
-        equilibrium = self.pose(*actuation(solution.x))
-        return MirrorPose(
-            direction=_nearest_turn(direction, self.azimuth),
-            separation=separation,
-            rotations=equilibrium.rotations,
-            translations=equilibrium.translations,
-            equilibrium=equilibrium,
-            error=float(np.linalg.norm(residual(equilibrium))),
-        )
-
 
 # --- several segments -------------------------------------------------------------------------------------------------
-
-ON_TARGET = 1e-9
-"""Largest distance of the tip from its target, m, and of its direction, rad."""
-
-MOST_STEPS = 60
-"""Most steps of one search; measured ones take 4 to 15."""
-
-DAMPING = 1e-6
-"""Damping of a step: of the actuations that reach a target, it prefers a near one and hardly slows the search."""
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 """Gauss-Legendre rule along a segment."""
@@ -502,164 +627,18 @@ def _bends(equilibrium: Equilibrium) -> tuple[Array, Array]:
     return bend, slope
 
 
-Miss = Callable[[Array], tuple[Array, Callable[[], Array]]]
-"""Residual (r,) at independent joint values (m,), and its derivatives (r, m)."""
+class _Segments(_Mirror):
+    """Robot of several segments, with chains of arcs as starts."""
 
-
-class _Segments:
-    """Robot of k segments under mirror actuation.
-
-    The unknowns x are two for each segment, and then the translations of the carriages in lengths of the robot, if they
-    are free. The two are direction and separation for a bent segment, and for a nearly straight one its bend as a
-    fraction (2,) of the largest, as in `_Arm.solve`.
-    """
-
-    def __init__(self, robot: SegmentedEccentricRobot, assignment: tuple[int, ...]) -> None:
-        mirror_rotations(0.0, 0.0, assignment)  # refuses other assignments
-        self.robot, self.assignment, self.space = robot, assignment, joint_space(robot)
-        stiffness = np.array([tube.bending_stiffness for tube in robot.segments])
-        self.curvature = np.array([tube.curvature for tube in robot.segments])
-        # The straight tubes of inner segments stiffen an outer one.
-        self.largest = self.curvature * stiffness / np.cumsum(stiffness)
-        if not self.largest.any():
-            raise InputError("the tubes are straight and cannot bend the robot")
-        count, apart = len(stiffness), np.zeros(3)
-        apart[list(assignment[1:])] = 1.0, -1.0
-        self.by_angles = np.hstack([np.kron(np.eye(count), np.ones((3, 1))), np.kron(np.eye(count), apart[:, None])])
-
-    def angles(self, x: Array, bent: tuple[bool, ...]) -> tuple[Array, Array]:
-        """Directions and separations (2 k,), rad, and their derivatives (2 k, 2 k) by the unknowns of the segments."""
-        k = len(bent)
-        angle, slope = np.zeros(2 * k), np.zeros((2 * k, 2 * k))
-        for j, (one, two) in enumerate(x[: 2 * k].reshape(k, 2).tolist()):
-            if bent[j]:
-                angle[[j, k + j]] = one, two
-                slope[j, 2 * j] = slope[k + j, 2 * j + 1] = 1.0
-                continue
-            # A tube of positive precurvature and rotation 0 bends towards -y.
-            angle[j] = math.atan2(two, one) + math.copysign(math.pi / 2, self.curvature[j])
-            angle[k + j] = mirror_separation(math.hypot(one, two))
-            slope[[j, k + j], 2 * j : 2 * j + 2] = _law_slope(one, two)
-        return angle, slope
-
-    def unknowns(self, bend: Array, q: Array, free: bool) -> tuple[Array, tuple[bool, ...]]:
-        """Unknowns for bends (k, 2) as fractions of the largest, and which segments are bent."""
-        size = np.maximum(np.hypot(*bend.T), 1e-3)
-        bent = tuple((size > 0.5).tolist())
-        turn = np.arctan2(bend[:, 1], bend[:, 0]) + np.copysign(np.pi / 2, self.curvature)
-        # A little off the ends of the separation, and off the straight segment, which has no direction.
-        apart = [max(mirror_separation(each), 1e-3) for each in size.tolist()]
-        small = bend + np.array([1e-3, 0.0])
-        pairs = np.where(np.array(bent)[:, None], np.column_stack([turn, apart]), small)
-        advance = q[self.robot.n_tubes :] / self.space.length if free else np.zeros(0)
-        return np.array([*np.ravel(pairs), *advance]), bent
-
-    def search(self, x: Array, bent: tuple[bool, ...], q: Array, miss: Miss) -> tuple[Array, Array]:
-        """Joint values (m,) and residual from unknowns x, by the Gauss-Newton method in a trust region.
-
-        Without free translations those of `q` are kept.
-        """
-        space, n, k = self.space, self.robot.n_tubes, len(bent)
-        separations = [2 * j + 1 for j in range(k) if bent[j]]
-        box = np.eye(len(x))[separations]
-
-        def joints(x: Array) -> tuple[Array, Array]:
-            angle, slope = self.angles(x, bent)
-            out, by = q.copy(), np.zeros((len(q), len(x)))
-            out[:n], by[:n, : 2 * k] = self.by_angles @ angle, self.by_angles @ slope
-            if len(x) > 2 * k:
-                # Clipped, since a step may leave a range by round-off.
-                out[n:] = np.clip(x[2 * k :] * space.length, space.lower[n:], space.upper[n:])
-                by[n:, 2 * k :] = space.length * np.eye(len(q) - n)
-            return out, by
-
-        at, by = joints(x)
-        residual, slope = miss(at)
-        size, unit = 0.5, np.eye(len(x))
-        for _ in range(MOST_STEPS):
-            matrix = slope() @ by
-            moved = np.any(by[n:], axis=1).nonzero()[0] + n
-            rows = np.vstack([space.rows @ by, by[moved], -by[moved], box, -box])
-            bounds = [space.row_lower - space.rows @ at, (space.lower - at)[moved], (at - space.upper)[moved]]
-            limits = np.concatenate([*bounds, -x[separations], x[separations] - STRAIGHT])
-            chosen = None
-            while size > 1e-9:
-                chosen = constrained_least_squares(
-                    np.vstack([matrix, DAMPING * unit]),
-                    np.concatenate([-residual, np.zeros(len(x))]),
-                    np.vstack([rows, unit, -unit]),
-                    np.concatenate([np.minimum(limits, 0.0), np.full(2 * len(x), -size)]),
-                )
-                if chosen is None:
-                    return at, residual
-                predicted = float(residual @ residual - np.sum((residual + matrix @ chosen.x) ** 2))
-                if predicted <= 1e-28 + 1e-9 * float(residual @ residual):
-                    return at, residual
-                try:
-                    next_at, next_by = joints(x + chosen.x)
-                    next_residual, next_slope = miss(next_at)
-                except SolveError:
-                    size *= 0.35
-                    continue
-                gain = float(residual @ residual - next_residual @ next_residual)
-                if gain >= 0.05 * predicted:
-                    size = min(2 * size, 1.0) if gain > 0.7 * predicted else size
-                    break
-                size = 0.35 * min(size, float(np.abs(chosen.x).max()))
-            else:
-                return at, residual
-            x, at, by, residual, slope = x + chosen.x, next_at, next_by, next_residual, next_slope
-        return at, residual
-
-    def bend(self, bending_direction: ArrayLike, curvature: ArrayLike, translations: ArrayLike | None) -> MirrorPose:
-        """Pose of `mirror_inverse`."""
-        k = len(self.largest)
-        azimuth = vector("bending_direction", bending_direction, k, "one per segment")
-        wanted = vector("curvature", curvature, k, "one per segment")
-        if (wanted < 0).any():
-            raise InputError(f"curvature is {wanted.tolist()}; every number must be at least 0")
-        start = np.array(shifts(self.robot, translations))
-        behind = np.flatnonzero((self.robot.assembly(start).end[::3] <= 0) | (self.largest == 0))
-        if len(behind):
-            raise InputError(f"segment {behind[0] + 1} is straight or behind the base plate and cannot bend")
-        target = wanted[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
-        q, scale = self.space.join(np.zeros(3 * k), start, "translations"), np.abs(self.largest)[:, None]
-
-        def miss(q: Array) -> tuple[Array, Callable[[], Array]]:
-            bend, slope = _bends(forward_kinematics(self.robot, *self.space.split(q)))
-            by = np.zeros((2 * k, len(q)))
-            by[:, : 3 * k] = (slope / scale[..., None]).reshape(2 * k, -1)
-            return ((bend - target) / scale).ravel(), lambda: by
-
-        fraction = target / scale
-        fraction /= np.maximum(np.linalg.norm(fraction, axis=1, keepdims=True), 1.0)
-        q, residual = self.search(*self.unknowns(fraction, q, False), q, miss)
-        error = residual.reshape(k, 2) * scale
-        pose = self.pose(q, float(np.linalg.norm(error)))
-        if pose.error > 1e-7 * float(scale.max()):
-            worst = int(np.argmax(np.linalg.norm(error, axis=1)))
-            reached = float(np.linalg.norm(segment_curvatures(pose.equilibrium)[worst]))
-            raise InputError(
-                f"curvature of segment {worst + 1} is {wanted[worst]:.6g} per m; towards "
-                f"{math.degrees(azimuth[worst]):.4g} deg the search ends at {reached:.6g} per m"
-            )
-        return pose
-
-    def pose(self, q: Array, error: float) -> MirrorPose:
-        """Pose at independent joint values that are mirror-symmetric."""
-        rotations, shifted = self.space.split(q)
-        # A full turn of the three tubes of a segment changes nothing.
-        turns = np.round(rotations.reshape(-1, 3)[:, self.assignment[0]] / (2 * np.pi))
-        equilibrium = forward_kinematics(self.robot, rotations - 2 * np.pi * np.repeat(turns, 3), shifted)
-        middle, ahead, _ = equilibrium.rotations.reshape(-1, 3)[:, list(self.assignment)].T
-        shift = equilibrium.translations
-        return MirrorPose(middle, ahead - middle, equilibrium.rotations, shift, equilibrium, error)
+    def __init__(self, robot: SegmentedEccentricRobot, assignment: Sequence[int], azimuth: ArrayLike) -> None:
+        super().__init__(robot, assignment, azimuth)
+        self.segments = robot.segments
 
     def arcs(self, q: Array) -> Array:
         """Tip poses (N, 4, 4) of chains of constant-curvature arcs, at joint values (N, m): no offset, no torsion."""
-        joint, n = self.space.joint(q), self.robot.n_tubes
+        joint, n = self.space.joint(q), self.space.robot.n_tubes
         theta, begin = joint[:, :n].reshape(len(q), -1, 3), joint[:, n::3]
-        end = np.maximum(begin + [tube.curved_length for tube in self.robot.segments], 0.0)
+        end = np.maximum(begin + [tube.curved_length for tube in self.segments], 0.0)
         pose, reached = np.broadcast_to(np.eye(4), (len(q), 4, 4)), np.zeros(len(q))
         for k in reversed(range(len(self.largest))):
             start, twist = np.maximum(begin[:, k], 0.0), np.zeros((len(q), 4, 4))
@@ -671,67 +650,25 @@ class _Segments:
             reached = np.maximum(end[:, k], reached)
         return pose
 
-    def reach(
-        self, position: ArrayLike, direction: ArrayLike | None, held: ArrayLike | None, tolerance: float
-    ) -> MirrorPose:
-        """Pose of `mirror_pose`, and with `held` translations of `mirror_to_tip`."""
-        target = vector("position", position, 3, "x, y, z in m")
-        axis = None if direction is None else unit_vector("direction", direction)
-        space, length = self.space, self.space.length
+    def miss_of_arcs(self, target: Array, axis: Array | None) -> Callable[[Array], Miss]:
+        """`tip_miss` of the chain of arcs."""
+        scale, length = self.space.scale, self.space.length
 
-        def residual_of(tip: Array, tangent: Array) -> Array:
-            parts = [(tip - target) / length] + ([] if axis is None else [tangent - axis])
-            return np.concatenate(parts)
-
-        def miss(q: Array) -> tuple[Array, Callable[[], Array]]:
-            posture = Posture(space, q, forward_kinematics(self.robot, *space.split(q)))
-
-            def slope() -> Array:
-                by = posture.jacobian
-                turned = np.cross(by.rotation.T, posture.direction).T
-                return np.vstack([by.tip / length, *([] if axis is None else [turned])])
-
-            return residual_of(posture.tip, posture.direction), slope
-
-        def miss_of_arcs(q: Array) -> tuple[Array, Callable[[], Array]]:
+        def miss(q: Array) -> Miss:
             pose = self.arcs(q[None])[0]
 
             def slope() -> Array:
-                step = np.diag(1e-6 * space.scale)
-                there, back = self.arcs(q + step), self.arcs(q - step)
-                change = (there - back) / (2e-6 * space.scale)[:, None, None]
+                step = np.diag(1e-6 * scale)
+                change = (self.arcs(q + step) - self.arcs(q - step)) / (2e-6 * scale)[:, None, None]
                 return np.vstack([change[:, :3, 3].T / length, *([] if axis is None else [change[:, :3, 2].T])])
 
-            return residual_of(pose[:3, 3], pose[:3, 2]), slope
+            return Miss(self.tip_residual(pose[:3, 3], pose[:3, 2], target, axis), slope)
 
-        azimuth = math.atan2(target[1], target[0])
-        towards, count = np.array([math.cos(azimuth), math.sin(azimuth)]), len(self.largest)
-        sizes = [np.full(count, 0.1), *map(np.array, product((0.4, -0.4), repeat=count)), np.full(count, 0.9)]
-        found = []
-        for q, size in product(self._carriages(held), sizes):
-            start, bent = self.unknowns(size[:, None] * towards, q, held is None)
-            end, residual = self.search(start, bent, q, miss_of_arcs)
-            found.append((end, float(np.linalg.norm(residual))))
-        # Of chains that reach the target, the one with the least bend is tried first.
-        found.sort(key=lambda each: (max(each[1], 1e-9), self._bending(each[0])))
-        poses = []
-        for q, _ in found[:TRIED]:
-            start, bent = self.unknowns(self._fractions(q), q, held is None)
-            end, residual = self.search(start, bent, q, miss)
-            pose = self.pose(end, float(np.linalg.norm(residual[:3])) * length)
-            if pose.error <= tolerance and float(np.linalg.norm(residual[3:])) <= ON_TARGET:
-                return pose
-            poses.append((float(np.linalg.norm(residual)), pose))
-        best = min(poses, key=lambda each: each[0])[1]
-        nearest = ", ".join(f"{1e3 * x:.4f}" for x in best.equilibrium.tip_position)
-        raise InputError(
-            f"position {'' if axis is None else 'in this direction '}was not reached: the closest tip that was found "
-            f"is {1e3 * best.error:.4g} mm away, at ({nearest}) mm"
-        )
+        return miss
 
-    def _carriages(self, held: ArrayLike | None) -> list[Array]:
+    def carriages(self, held: ArrayLike | None) -> list[Array]:
         """Joint values that start a search: the held translations, or four from drawn back to advanced."""
-        space, n = self.space, self.robot.n_tubes
+        space, n = self.space, self.space.robot.n_tubes
         if held is not None:
             return [space.join(np.zeros(n), np.array(held), "translations")]
         out, none = [], np.zeros(n)
@@ -748,21 +685,95 @@ class _Segments:
                 out.append(np.concatenate([none, nearest.x]))
         return out
 
-    def _fractions(self, q: Array) -> Array:
+    def fractions(self, q: Array) -> Array:
         """Bend (k, 2) of each segment as a fraction of the largest, by the law of three vectors."""
-        theta = q[: self.robot.n_tubes].reshape(-1, 3)
+        theta = q[: self.space.robot.n_tubes].reshape(-1, 3)
         turn = np.sign(self.curvature)[:, None] * np.column_stack([np.sin(theta).mean(1), -np.cos(theta).mean(1)])
         return np.asarray(turn)
 
-    def _bending(self, q: Array) -> float:
-        """Sum of the squared bends of `_fractions`."""
-        return float(np.sum(self._fractions(q) ** 2))
+    def bending(self, q: Array) -> float:
+        """Sum of the squared bends of `fractions`."""
+        return float(np.sum(self.fractions(q) ** 2))
 
 
 TRIED = 4
 """Chains of arcs that start the search of the full model."""
 
 
-def _nearest_turn(angle: float, reference: float) -> float:
-    """Angle nearest to a reference that differs from `angle` by full turns, rad."""
-    return angle - 2 * math.pi * round((angle - reference) / (2 * math.pi))
+def _bend_segments(
+    robot: SegmentedEccentricRobot,
+    bending_direction: ArrayLike,
+    curvature: ArrayLike,
+    translations: ArrayLike | None,
+    assignment: Sequence[int],
+) -> MirrorPose:
+    """Pose of `mirror_inverse`."""
+    k = len(robot.segments)
+    azimuth = vector("bending_direction", bending_direction, k, "one per segment")
+    wanted = vector("curvature", curvature, k, "one per segment")
+    if (wanted < 0).any():
+        raise InputError(f"curvature is {wanted.tolist()}; every number must be at least 0")
+    mirror, shift = _Segments(robot, assignment, azimuth), shifts(robot, translations)
+    behind = np.flatnonzero((robot.assembly(shift).end[::3] <= 0) | (mirror.largest == 0))
+    if len(behind):
+        raise InputError(f"segment {behind[0] + 1} is straight or behind the base plate and cannot bend")
+    target, scale = wanted[:, None] * mirror.towards, np.abs(mirror.largest)[:, None]
+
+    def miss(q: Array) -> Miss:
+        bend, slope = _bends(mirror.posture(q).equilibrium)
+        by_joints = np.zeros((2 * k, len(q)))
+        by_joints[:, : 3 * k] = (slope / scale[..., None]).reshape(2 * k, -1)
+        return Miss(((bend - target) / scale).ravel(), lambda: by_joints)
+
+    start = mirror.space.join(np.zeros(3 * k), shift, "translations")
+    end = mirror.search(target / scale, start, False, miss)
+    error = np.linalg.norm(end.miss.residual.reshape(k, 2) * scale, axis=1)
+    pose = mirror.pose(end, float(np.linalg.norm(error)))
+    if pose.error > 1e-7 * float(scale.max()):
+        worst = int(np.argmax(error))
+        reached = float(np.linalg.norm(segment_curvatures(pose.equilibrium)[worst]))
+        raise InputError(
+            f"curvature of segment {worst + 1} is {wanted[worst]:.6g} per m; towards "
+            f"{math.degrees(azimuth[worst]):.4g} deg the search ends at {reached:.6g} per m"
+        )
+    return pose
+
+
+def _reach_with_segments(
+    robot: SegmentedEccentricRobot,
+    position: ArrayLike,
+    direction: ArrayLike | None,
+    held: ArrayLike | None,
+    tolerance: float,
+    assignment: Sequence[int],
+) -> MirrorPose:
+    """Pose of `mirror_pose`, and with `held` translations of `mirror_to_tip`."""
+    target = vector("position", position, 3, "x, y, z in m")
+    axis = None if direction is None else unit_vector("direction", direction)
+    mirror, count, free = (
+        _Segments(robot, assignment, math.atan2(target[1], target[0])),
+        len(robot.segments),
+        held is None,
+    )
+    sizes = [np.full(count, 0.1), *map(np.array, product((0.4, -0.4), repeat=count)), np.full(count, 0.9)]
+    of_arcs, of_arm = mirror.miss_of_arcs(target, axis), mirror.tip_miss(target, axis)
+    chains = [
+        mirror.search(size[:, None] * mirror.towards, q, free, of_arcs)
+        for q, size in product(mirror.carriages(held), sizes)
+    ]
+    # Of chains that reach the target, the one with the least bend is tried first.
+    chains.sort(key=lambda each: (max(each.miss.size, 1e-9), mirror.bending(each.q)))
+    poses = []
+    for chain in chains[:TRIED]:
+        end = mirror.search(mirror.fractions(chain.q), chain.q, free, of_arm)
+        residual = end.miss.residual
+        pose = mirror.pose(end, float(np.linalg.norm(residual[:3])) * mirror.space.length)
+        if pose.error <= tolerance and float(np.linalg.norm(residual[3:])) <= ON_TARGET:
+            return pose
+        poses.append((end.miss.size, pose))
+    best = min(poses, key=lambda each: each[0])[1]
+    nearest = ", ".join(f"{1e3 * x:.4f}" for x in best.equilibrium.tip_position)
+    raise InputError(
+        f"position {'' if axis is None else 'in this direction '}was not reached: the closest tip that was found "
+        f"is {1e3 * best.error:.4g} mm away, at ({nearest}) mm"
+    )

@@ -562,7 +562,7 @@ class Multistart:
         goal, at = self.goal, search.posture
         # The tolerance of the search is larger than that of a solution: it is corrected once more.
         if not goal.met(at):
-            at = correct(goal, at, goal.slope(at), tolerance=ON_TARGET).posture or at
+            at = correct(goal, at, goal.slope(at), tolerance=ON_TARGET).iterate or at
         good = goal.met(at) and goal.allowed(at, SLACK)
         return self._packed(at, InverseStatus.REACHED, name, method) if good else None
 

@@ -133,6 +133,10 @@ class Posture:
         """Derivatives of the tip by q, for shrinking translations."""
         return self._slopes((-1,) * self.space.robot.n_tubes).jacobian
 
+    def slope(self, name: str) -> Array:
+        """Derivatives (..., m) of one quantity of `Linearised` by q, each to its free side as in `jacobian`."""
+        return self.space.by_joints(self._by_side(self.space.free_sides(self.step_bounds), name))
+
     @property
     def two_sided(self) -> bool:
         """True if derivatives differ to either side by more than round-off, as where breakpoints coincide."""

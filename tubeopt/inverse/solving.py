@@ -629,12 +629,12 @@ def _null_space_step(goal: Goal, attempt: _Attempt) -> _StepEnd:
     if steepness > 0:
         ascent = ascent * (NULL_SPACE_STEP * size * min(1.0, 1.0 / steepness))
     target = on_target(slopes.target, residual)
-    chosen = StepModel(np.diag(1 / scale), ascent, *target, rows, np.minimum(bounds, 0.0)).step(goal, FIRST_STEP)
+    chosen = StepModel(np.diag(1 / scale), ascent, *target, rows, np.minimum(bounds, 0.0)).step(scale, FIRST_STEP)
     if chosen is None:
         return _StepEnd(None, slopes, 1)
     max_steps = 4 if order is None else 8
     end = moved(goal, current, chosen.x, slopes.target, tolerance=STEP_TOLERANCE, max_steps=max_steps, order=order)
-    return _StepEnd(end.posture, _Slopes(end.slope, slopes.margin, slopes.age + 1), end.solves)
+    return _StepEnd(end.iterate, _Slopes(end.slope, slopes.margin, slopes.age + 1), end.solves)
 
 
 def _stalled(goal: Goal, at: Posture) -> str:
