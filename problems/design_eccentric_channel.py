@@ -11,7 +11,7 @@ Result: a turning radius of 75.3 mm, where the robot of the thesis has 120 mm an
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ import tubeopt
 from tubeopt.block.custom import CustomRequirement
 from tubeopt.block.quantities import Quantities
 from tubeopt.design import DesignTask, Free, Girth, Objective, Poses, SnapFree
-from tubeopt.robots.eccentric import EccentricRobot, free_channel
+from tubeopt.robots.eccentric import BundleRobot, EccentricRobot, free_channel
 from tubeopt.robots.tubes import Tube
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -40,12 +40,13 @@ FREE = (
 )
 
 
-@dataclass(frozen=True)
 class Room(CustomRequirement):
     """Room in the middle between the tubes, in their bores, and stiffness, compared with the tube of the thesis."""
 
-    tube: Tube
     description, unit, factor, size, is_upper_bound, limit = "room between the tubes", "mm", 1e3, 1e-4, False, 0.0
+
+    def __init__(self, tube: Tube) -> None:
+        self.tube = tube
 
     def expression(self, q: Quantities) -> Any:
         """Reserves (3,) of the channel, of the bore and of the stiffness, as lengths."""
@@ -64,7 +65,8 @@ def main(out: Path, samples: int = 200) -> list[Path]:
     thesis = tubeopt.load_robot("thesis_etr")
     assert isinstance(thesis, EccentricRobot)
     requirements = (Poses((ZERO,), (ZERO,)), SnapFree(MARGIN), Girth(thesis.sheath_inner_diameter), Room(thesis.tube))
-    design = tubeopt.optimize_design(DesignTask(thesis, FREE, requirements, Objective("turning_radius")))
+    design = tubeopt.optimize_design(DesignTask(thesis.bundle(), FREE, requirements, Objective("turning_radius")))
+    assert isinstance(design.robot, BundleRobot)
     robot = replace(design.robot, name="eccentric robot with a channel")
     tube, certificate = robot.tubes[0], tubeopt.certify(robot)
     lengths = np.round([1e3 * each.curved_length for each in robot.tubes], 2)

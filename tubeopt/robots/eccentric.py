@@ -17,7 +17,9 @@ import numpy as np
 
 from ..arguments import typed
 from ..errors import InputError
-from ..files.field_metadata import NOT_NEGATIVE, check_fields, unit
+from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, REQUIRED, Checked, Typical, check_fields, unit
+from ..physics.buffer import STEEPEST, buffer_bend
+from ..physics.strain import surface_strain
 from ..typing import Array
 from .assembly import LENGTH_ROUND_OFF, Assembly, assemble
 from .calibration import Calibration
@@ -40,10 +42,101 @@ def _axes(offset: Array, angle: Array) -> Array:
     return np.asarray(offset[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
 
 
+@dataclass(frozen=True)
+class Buffer(Checked):
+    """Section between drive and plate, in which tubes merge from a gap to their places in the sheath."""
+
+    length: Annotated[float, unit("mm"), POSITIVE, REQUIRED, Typical(1e-3, 1.0), "length along the axis"] = 0.05
+    gap: Annotated[
+        float, unit("mm"), POSITIVE, REQUIRED, Typical(1e-4, 0.5), "smallest gap between two tubes at the drive"
+    ] = 0.02
+    guide: Annotated[
+        float | None, unit("mm"), POSITIVE, "length of the sheath that takes the bending moment; needed with friction"
+    ] = None
+    friction: Annotated[float, NOT_NEGATIVE, "coefficient of friction of a tube at the entrance of the sheath"] = 0.0
+    clearance: Annotated[float, unit("mm"), NOT_NEGATIVE, "room of a tube at that entrance, from side to side"] = 0.0
+    _owner = "the buffer"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.friction and self.guide is None:
+            raise InputError("guide of the buffer is missing; its friction depends on the forces there")
+
+
+class BufferedTube(NamedTuple):
+    """A tube in the buffer section."""
+
+    shift: float
+    """Distance of its axis at the drive from that in the sheath, m."""
+    slope: float
+    """Largest angle to the axis of the arm, rad."""
+    radius: float
+    """Smallest radius of its bends, m; infinite if it is straight."""
+    strain: float
+    """Largest bending strain at its surface."""
+    length: float
+    """Length of straight tube in the section, m."""
+    force: float
+    """Force across the axis, N."""
+    push: float
+    """Force that pushes drive and sheath apart, N."""
+    turn_play: float
+    """Half width of the turn of the drive that friction takes up, rad."""
+    slide_play: float
+    """Change of its length in the section between both sides of the room, m."""
+
+
+def buffered_tubes(robot: EccentricRobot | SegmentedEccentricRobot | BundleRobot) -> list[BufferedTube]:
+    """Tubes (n,) in the buffer section of a robot; [] if it has none. Each tube bends by itself.
+
+    At the drive all offsets are larger by one factor. The gap is that of the closest tubes.
+
+    Raises:
+        InputError: a tube would stand across the axis.
+    """
+    buffer, axes = robot.buffer, robot.axes
+    if buffer is None:
+        return []
+    radius = [tube.outer_diameter / 2 for tube in robot.tubes]
+    factors = [
+        (buffer.gap + radius[i] + radius[j]) / apart
+        for i, j in combinations(range(len(radius)), 2)
+        if (apart := float(np.linalg.norm(axes[i] - axes[j]))) > SAME_AXIS
+    ]
+    out = []
+    for tube, r, distance in zip(robot.tubes, radius, np.linalg.norm(axes, axis=1).tolist(), strict=True):
+        shift = (max([1.0, *factors]) - 1) * distance
+        if shift >= STEEPEST * buffer.length:
+            raise InputError(
+                f"gap of the buffer is {buffer.gap:g} m, and moves a tube by {shift:g} m over {buffer.length:g} m; it "
+                f"must move it by less than {STEEPEST:.3g} times the length"
+            )
+        bend, ei = buffer_bend(shift, buffer.length), float(tube.bending_stiffness)
+        # The moment is a pair of forces at the ends of the guide, one of which carries the force across, too.
+        pressed = ei * (2 * bend.curvature / (buffer.guide or math.inf) + bend.across)
+        room = buffer.clearance / 2 if shift else 0.0
+        longer, shorter = (buffer_bend(shift + way * room, buffer.length).length for way in (1, -1))
+        out.append(
+            BufferedTube(
+                shift,
+                bend.slope,
+                1 / bend.curvature if bend.curvature else math.inf,
+                surface_strain(r, bend.curvature, 0.0),
+                bend.length,
+                ei * bend.across,
+                ei * bend.along,
+                buffer.friction * r * pressed * bend.length / float(tube.torsional_stiffness),
+                longer - shorter,
+            )
+        )
+    return out
+
+
 class SheathedRobot(Robot):
     """k telescoping segments of three equal tubes each, in a sheath at 0, 120 and -120 deg around the centreline."""
 
     offset: float | None
+    buffer: Buffer | None
     nested_curves = False
 
     @property
@@ -89,6 +182,7 @@ class SheathedRobot(Robot):
             calibration=self.calibration,
             carriages=self.moving_together,
             nested_curves=count == 1,
+            buffer=self.buffer,
         )
 
     @cached_property
@@ -159,6 +253,8 @@ class EccentricRobot(SheathedRobot):
     """Limits of the actuators, in readings; with None the lengths of the tubes decide."""
     calibration: Calibration | None = None
     """Conversion of drive readings to joint values; None if they are equal."""
+    buffer: Annotated[Buffer | None, "section between drive and plate, in which the tubes merge; default none"] = None
+    """Section between drive and plate, in which the tubes merge; None without one."""
 
     def __post_init__(self) -> None:
         must_be_plain([self.tube], "an eccentric robot")
@@ -215,6 +311,8 @@ class SegmentedEccentricRobot(SheathedRobot):
     """Limits of the actuators of the 3 k tubes, in readings, in the order of `tubes`; with None the lengths decide."""
     calibration: Calibration | None = None
     """Conversion of drive readings to joint values; None if they are equal."""
+    buffer: Annotated[Buffer | None, "section between drive and plate, in which the tubes merge; default none"] = None
+    """Section between drive and plate, in which the tubes merge; None without one."""
 
     def __post_init__(self) -> None:
         segments = tuple(self.segments)
@@ -275,6 +373,8 @@ class BundleRobot(Robot):
     """Limits of the actuators, in readings; None allows what the lengths allow."""
     calibration: Calibration | None = None
     """Conversion of drive readings to joint values; None if they are equal."""
+    buffer: Annotated[Buffer | None, "section between drive and plate, in which the tubes merge; default none"] = None
+    """Section between drive and plate, in which the tubes merge; None without one."""
     carriages: tuple[tuple[int, ...], ...] | None = None
     """Tubes, from 0, that one carriage translates: a partition. None if each tube has its own."""
     nested_curves: Annotated[bool, "the curve of a tube may begin inside the tube around it"] = True

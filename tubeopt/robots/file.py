@@ -469,6 +469,9 @@ class SegmentedEccentricEntry(RobotEntry):
         return robot.bundle() if self.model == "energy" else robot
 
 
+OF_BUNDLE = ("sheath_stiffness", "sheath_diameter", "nested_curves", "buffer")
+
+
 class BundleTubeEntry(TubeEntry):
     """A tube of a bundle, with its place in the sheath."""
 
@@ -477,7 +480,7 @@ class BundleTubeEntry(TubeEntry):
     carriage: int | None = Field(None, description="number of the carriage; by default the tube has its own")
 
 
-@keys_from(BundleRobot, "sheath_stiffness", "sheath_diameter", "nested_curves")
+@keys_from(BundleRobot, *OF_BUNDLE)
 class BundleEntry(RobotEntry):
     """Tubes at any offsets in a sheath, each with its own length, rotation and translation."""
 
@@ -490,7 +493,7 @@ class BundleEntry(RobotEntry):
             tuple(tube.build() for tube in self.tubes),
             tuple(to_si(tube.offset_mm, MM) for tube in self.tubes),
             tuple(to_si(tube.angle_deg, DEG) for tube in self.tubes),
-            **values(BundleRobot, self, "sheath_stiffness", "sheath_diameter", "nested_curves"),
+            **values(BundleRobot, self, *OF_BUNDLE),
             **self.common(),
             carriages=self._carriages(),
         )

@@ -139,6 +139,7 @@ TITLES = {
     "ConcentricEntry": "Concentric tube robot",
     "EccentricEntry": "Eccentric tube robot, one segment",
     "SegmentedEccentricEntry": "Eccentric tube robot, several segments",
+    "Buffer": "Buffer between drive and sheath",
     "Friction": "Friction between tubes",
     "JointLimits": "Joint limits",
     "SavedRegistration": "Registration of a measuring device",

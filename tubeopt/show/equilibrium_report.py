@@ -14,7 +14,7 @@ from ..equilibrium.file import save_equilibrium
 from ..equilibrium.result import Equilibrium, Verification
 from ..files.units import TO_MILLI, TO_MM
 from ..robots.concentric import ConcentricRobot, friction_of
-from ..robots.eccentric import free_channel
+from ..robots.eccentric import BufferedTube, buffered_tubes, free_channel
 from ..robots.file import AnyRobot
 from ..robots.order import ends_inside
 from ..robots.robot import Robot, clearances, fit_warnings
@@ -59,6 +59,18 @@ NESTED: tuple[Quantity[tuple[Tube, float | None]], ...] = (
 )
 """Quantities of a tube and its radial clearance, m, in the next outer one; None without one."""
 
+BUFFERED: tuple[Quantity[BufferedTube], ...] = (
+    Quantity("shift_mm", "distance of the axis at the drive from that in the sheath", digits=9),
+    Quantity("slope_deg", "largest angle to the axis of the arm"),
+    Quantity("radius_mm", "smallest radius of the bends", lambda tube: tube.radius if tube.shift else None),
+    Quantity("strain_percent", "largest bending strain at the surface"),
+    Quantity("length_mm", "length of straight tube in the buffer", digits=9),
+    Quantity("force_N", "force across the axis"),
+    Quantity("push_N", "force that pushes drive and sheath apart"),
+    Quantity("turn_play_deg", "half width of the turn of the drive that friction at the sheath takes up"),
+    Quantity("slide_play_mm", "change of length in the buffer between both sides of the room", digits=9),
+)
+
 ROBOT: tuple[Quantity[Robot], ...] = (
     Quantity("robot", "name of the robot", lambda robot: robot.name),
     Quantity("tubes", "the tubes, inner to outer", lambda robot: _tubes(robot), of=NESTED),
@@ -70,8 +82,35 @@ ROBOT: tuple[Quantity[Robot], ...] = (
         digits=9,
         optional=True,
     ),
+    Quantity(
+        "buffer",
+        "the tubes between drive and plate, inner to outer; absent without a buffer",
+        lambda robot: _buffered(robot) or None,
+        of=BUFFERED,
+        optional=True,
+    ),
     Quantity("warnings", "possible problems in making and using it", lambda robot: fit_warnings(robot)),
 )
+
+
+def _buffered(robot: Robot) -> list[BufferedTube]:
+    """Tubes in the buffer section; [] without one."""
+    return [] if isinstance(robot, ConcentricRobot) else buffered_tubes(robot)  # type: ignore[arg-type]
+
+
+def _buffer_text(robot: Robot) -> str:
+    """Text of the tube that bends most in the buffer section; "" without one."""
+    if not (tubes := _buffered(robot)):
+        return ""
+    number, most = max(enumerate(tubes, start=1), key=lambda pair: pair[1].strain)
+    turn, slide = (max(getattr(tube, name) for tube in tubes) for name in ("turn_play", "slide_play"))
+    plays = [f"{np.degrees(turn):.3g} deg of a turn"] if turn > 0 else []
+    plays += [f"{slide * TO_MM:.3g} mm of a stroke"] if slide > 0 else []
+    return (
+        f"buffer: tube {number} moves aside by {most.shift * TO_MM:.4g} mm, at up to {np.degrees(most.slope):.3g} deg "
+        f"and {100 * most.strain:.3g} % strain, and takes {most.length * TO_MM:.4g} mm of straight tube. It pushes "
+        f"with {most.push:.3g} N, across with {most.force:.3g} N"
+    ) + (f". Play: up to {' and '.join(plays)}" if plays else "")
 
 
 def _channel(robot: Robot) -> float | None:
@@ -116,7 +155,8 @@ class RobotReport(Report[AnyRobot]):
         properties = grid(("tube", *numbers), cells, title=self.title(), key=True)
         home = [Text(reason)] if (reason := _home_reason(self.answer)) else []
         channel = [Text(text)] if (text := _channel_text(self.answer)) else []
-        return Group(properties, *channel, *home, *(lines or [Text("no warnings", style="green")]))
+        buffer = [Text(text)] if (text := _buffer_text(self.answer)) else []
+        return Group(properties, *channel, *buffer, *home, *(lines or [Text("no warnings", style="green")]))
 
 
 def _home_reason(robot: Robot) -> str:
