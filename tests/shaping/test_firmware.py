@@ -294,10 +294,15 @@ def test_a_battery_is_read_in_full_and_never_harms_its_pin(board: str, cells: in
 def test_the_current_at_which_the_board_stops_can_be_read(board: str, limit: float) -> None:
     planned = replace(plan(), rig=replace(plan().rig, circuit=replace(plan().rig.circuit, peak_limit=limit)))
     wiring, known = Wiring(board=board), BOARDS[board]
-    bought = {part.name: part.rating for part in parts_list(planned, wiring)}["current sensor"]
+    parts = {part.name: part.rating for part in parts_list(planned, wiring)}
+    bought = parts["current sensor"]
     limit = min(limit, 1.25 * full_current(TUBE, planned.rig))
     rating, slope = (float(number) for number in re.findall(r"([0-9.]+) (?:A|mV/A)", bought))
     assert rating >= 1.2 * limit
+    # Such a sensor is made: 4 V from no current to the end of its range.
+    assert 1e-3 * slope * rating == pytest.approx(4.0)
+    # A sensor of 5 V must not feed more than 3.3 V to a pin.
+    assert ("Zener diode" in parts["current sensor"]) == (known.reference < 5)
     # What the sensor that is bought puts on the pin at the limit, and what the sketch reads there.
     volt = wiring.current_zero + 1e-3 * slope * limit
     assert volt < known.reference - 0.1 * (known.reference - wiring.current_zero)
@@ -345,6 +350,12 @@ def test_parts_bear_the_currents() -> None:
     # The main switch takes what the cut-out takes, and no wire of a pin is thinner than its fuse allows.
     assert parts["main switch"].split(", ")[2].split()[0] == parts["cut-out"].split(", ")[2].split()[0]
     assert int(parts["main switch"].split(", ")[2].split()[0]) >= peak
+    # Battery and coil are of 12 V: no regulator could make 12 V of it. Two batteries need one.
+    assert "; battery for driver and coil" in parts["supply"]
+    assert "e+" not in "".join(parts.values())
+    volts = tuple((charge, 2 * volt) for charge, volt in thesis_rig().battery.open_circuit)
+    twice = replace(plan(), rig=replace(plan().rig, battery=replace(plan().rig.battery, open_circuit=volts)))
+    assert "12 V regulator" in {part.name: part.rating for part in parts_list(twice, Wiring())}["supply"]
     thin = [float(section) for section in re.findall(r"([0-9.]+) mm2", parts["thin wires"])]
     assert int(parts["control fuse"].split()[0]) <= 6 * min(thin)
 

@@ -13,11 +13,12 @@ from scipy.integrate import solve_ivp
 
 from tubeopt import ConcentricRobot, InputError, MoldSpec, Piece, Tube, forward_kinematics, load_robot
 from tubeopt.shaping import Springback, plan_mandrel, predict_wound_tube, write_mandrel
-from tubeopt.shaping.mold.mandrel import Block, Cylinder, Mandrel, solid_off_curve
+from tubeopt.shaping.materials import STEEL
+from tubeopt.shaping.mold.mandrel import Block, Cylinder, Mandrel, mandrel_gcode, solid_off_curve
 from tubeopt.shaping.mold.mold import chosen_tubes
 from tubeopt.show.fabrication_report import MandrelReport
 from tubeopt.show.plots.mold import plot_mandrel
-from tubeopt.show.plots.sheets import plot_setup_sheet
+from tubeopt.show.plots.sheets import mandrel_numbers, mandrel_steps, plot_setup_sheet
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("manifold3d")
@@ -119,6 +120,38 @@ def test_the_table_of_a_turned_one_is_the_helix(made: tuple[Tube, Mandrel, Path]
     centre = moves[:, 2] + mandrel.width / 2
     cut = np.column_stack([moves[:, 0], centre * np.cos(moves[:, 1]), centre * np.sin(moves[:, 1])])
     assert np.abs(cut - points[1:]).max() < 1e-6
+    # The tip touches the cylinder at the height that the program says, and steel is cut slower than a board.
+    assert f"(Z is 0 on the axis and {1e3 * mandrel.body.radius:.4f} on the cylinder)" in text
+    assert max(map(len, text.splitlines())) < 75
+    steel = mandrel_gcode(plan_mandrel(tube, MoldSpec(springback=BACK, material=STEEL)))
+    speeds = [float(re.findall(r"M3 S(\d+)", each)[0]) for each in (text, steel)]
+    assert speeds[0] == 12000
+    assert math.pi * mandrel.width * speeds[1] == pytest.approx(27.0, rel=1e-3)
+    rates = [float(re.findall(r"G93\nG1 .* F([\d.]+)", each)[0]) for each in (text, steel)]
+    assert rates[1] / rates[0] == pytest.approx(0.02e3 * mandrel.width * speeds[1] / 300, rel=0.01)
+
+
+def test_the_sheet_of_a_mandrel_says_how_it_is_made(made: tuple[Tube, Mandrel, Path]) -> None:
+    _, mandrel, _ = made
+    numbers, steps = mandrel_numbers(mandrel), " ".join(mandrel_steps(mandrel))
+    low, high = (float(x) for x in numbers["limits of its width"].split(" to "))
+    assert low == pytest.approx(1e3 * mandrel.tube.outer_diameter + 0.05)
+    assert low <= 1e3 * mandrel.width <= high
+    if not isinstance(mandrel.body, Cylinder):
+        assert "ceramic cord pressed into the slot" in steps
+        return
+    assert f"Turn it to {2e3 * mandrel.body.radius:.3f} ± 0.05 mm" in steps
+    assert "X 25 at the face of the jaws" in steps
+    # The radius of curvature of a helix, by finite differences along it, 0.05 mm further in and out.
+    c, found = mandrel.body.advance, []
+    for r in mandrel.body.helix_radius + np.array([-0.05e-3, 0.05e-3]):
+        t = np.arange(3) * 1e-3
+        p = np.column_stack([c * t, r * np.cos(t), r * np.sin(t)])
+        ways = np.diff(p, axis=0)
+        turn = np.linalg.norm(np.diff(ways / np.linalg.norm(ways, axis=1)[:, None], axis=0))
+        found.append(1e3 * np.linalg.norm(ways[0]) / turn)
+    told = next(value for name, value in numbers.items() if name.startswith("radius in a groove"))
+    assert [float(x) for x in told.split(" to ")] == pytest.approx(sorted(found), abs=0.006)
 
 
 def test_what_comes_off_is_what_was_asked_for(made: tuple[Tube, Mandrel, Path]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,11 +11,13 @@ import pytest
 import trimesh
 
 from tubeopt import InputError, Mold, MoldSpec, SolveError, Tube, plan_mold
+from tubeopt.shaping.materials import mold_material
 from tubeopt.shaping.mold.checks import beyond_edge
 from tubeopt.shaping.mold.files import plate_part, write_mold, write_solid
 from tubeopt.shaping.mold.gcode import hazards, programs, read_gcode, stages_of
 from tubeopt.shaping.mold.layout import Hole
-from tubeopt.shaping.mold.spec import MillingSpec, PlateSpec, VentSpec, WorkshopSpec
+from tubeopt.shaping.mold.spec import HingeSpec, MillingSpec, PlateSpec, VentSpec, WorkshopSpec
+from tubeopt.show.plots.sheets import mold_steps, tool_rows
 
 from .gcode_machine import Block, mill
 
@@ -111,6 +114,38 @@ def test_the_plate_is_cut_out_but_for_its_tabs() -> None:
     gaps = np.diff(along)
     assert np.sort(gaps)[-2:] == pytest.approx([10.0, 10.0], abs=0.3)
     assert np.sort(gaps)[-3] < 0.3
+
+
+@pytest.mark.parametrize("material", ["steel", "glass_mica", "mdf", "calcium_silicate"])
+def test_no_tool_turns_or_feeds_faster_than_the_material_allows(material: str) -> None:
+    # m/min: drills of high-speed steel in 1018; Macor. A board is cut at the speeds of the machine.
+    fastest = {"steel": 27.0, "glass_mica": 6.0}.get(material, np.inf)
+    mold = plan_mold(SMALL, replace(small().spec, material=mold_material(material), hinge=HingeSpec(3.2e-3)))
+    slowest = np.inf
+    for part in PARTS:
+        rows = [row for row in tool_rows(mold) if row[0].startswith(part)]
+        for row, text in zip(rows, texts(mold, part), strict=True):
+            size = float(row[1].split()[-2])
+            rpm, depth = float(re.findall(r"M3 S(\d+)", text)[0]), -min(way[:, 2].min() for way in mill(text).cuts)
+            drills = row[1].startswith("drill")
+            assert np.pi * 1e-3 * size * rpm < fastest * 1.003
+            assert rpm <= (3000 if drills else 12000)
+            # At most a hundredth of the diameter for each of two teeth; a board is cut no slower than that.
+            feeds = [float(word) for word in re.findall(r"G[123] [^F\n]*F([\d.]+)", text)]
+            cut = min(feeds) if drills else float(row[4])
+            asked = 120 if drills else 600 if size == 4 else 300
+            assert cut == pytest.approx(min(asked, 0.02 * size * rpm), abs=0.6)
+            plunge = cut if drills else 120 * cut / asked
+            assert min(feeds) == pytest.approx(plunge, abs=0.6)
+            assert row[2:5] == (f"{rpm:.0f}", f"{np.pi * 1e-3 * size * rpm:.1f}", f"{cut:.0f}")
+            assert row[7] == f"{depth:.1f}"
+            slowest = min(slowest, rpm / (3000 if drills else 12000))
+    assert (slowest == 1) == (fastest == np.inf)
+    steps = " ".join(mold_steps(mold))
+    assert ("Cut wet, at 27 m/min" in steps) == (material == "steel")
+    assert ("Cut dry, with an extractor" in steps) == (fastest == np.inf)
+    # A mold that conducts takes the tube to an oven: no clamps, no current.
+    assert ("`tubeopt heat oven`" in steps) == (material == "steel") == ("Clamps at the distances" not in steps)
 
 
 def test_a_program_takes_no_longer_than_a_week() -> None:

@@ -37,6 +37,7 @@ UNITS = {
     **dict.fromkeys(["deg", "deg_per_s", "deg_per_s2"], DEG),
     **dict.fromkeys(["um", "us", "mm2", "cm3", "N_mm2"], Decimal("1e-6")),
     "mm_per_min": _CONTEXT.divide(MM, _MINUTE),
+    "m_per_min": _CONTEXT.divide(Decimal(1), _MINUTE),
     "rpm": _CONTEXT.divide(Decimal(1), _MINUTE),
     "deg_per_mm": _CONTEXT.divide(DEG, MM),
     "mm3": Decimal("1e-9"),

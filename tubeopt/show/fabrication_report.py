@@ -473,7 +473,7 @@ class FabricationReport(Report[Fabrication]):
                 )
             )
             disagreement = [] if fabrication.agreed else [fabrication.disagreement]
-            of_tube = *fabrication.remarks, *plan.problems, *disagreement
+            of_tube = *fabrication.remarks, *plan.concerns, *disagreement
             notes += [f"tube {part.number}: {note}" for note in of_tube]
             notes += [f"tube {part.number}: what would help: {cure.change}" for cure in plan.cures]
         columns = ("tube", "window", "curved part", "duty", "heating", "mold", "leads", "between clamps")
@@ -499,7 +499,8 @@ class FabricationReport(Report[Fabrication]):
             save_rig(rig, paths[-1], f"The rig with the mold of tube {part.number} as drawn.")
             title = f"{self.answer.robot.name or 'robot'}, tube {part.number}"
             success = success_text(part.heating.success)
-            plot_fabrication_sheet(part.fabrication, folder / "sheet.pdf", title=title, success=success)
+            led = replace(part.fabrication, heating=part.heating.plan)
+            plot_fabrication_sheet(led, folder / "sheet.pdf", title=title, success=success)
             paths.append(folder / "sheet.pdf")
             tube, groove = part.fabrication.tube, part.fabrication.groove
             if not tube.pieces:  # one radius is that of one arc

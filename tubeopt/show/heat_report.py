@@ -190,10 +190,12 @@ def unlikely(success: Success | None) -> str:
     """Message on a feasible plan that most random rigs fail; "" for other plans."""
     if success is None or success.likely:
         return ""
-    return (
-        f"{success_text(success)}; at least one half must: close the loop (--sensor thermocouple, tubeopt heat "
-        "firmware), or calibrate the rig"
-    )
+    if success.sensor:
+        cure = "shorten the bare tube beside the clamps (clearance_mm), give the conductivity of your mold's board, or "
+        cure += "calibrate the rig"
+    else:
+        cure = "close the loop (--sensor thermocouple, tubeopt heat firmware), or calibrate the rig"
+    return f"{success_text(success)}; at least one half must: {cure}"
 
 
 BAND = described(
@@ -263,7 +265,7 @@ class HeatingReport(Report[Heating]):
             ]
             columns = ("battery >", "charge >", "curved part in the hold", "window")
             parts.append(grid(columns, cells, title="pick by the battery's voltage at rest"))
-        parts += remarks(plan.problems, what="problem")
+        parts += remarks(plan.concerns, what="problem")
         for cure in plan.cures:
             result = "sufficient" if cure.cures else f"{cure.shortfall:.1f} K remain"
             parts += remarks(["; ".join([f"{cure.change}: {result}", *cure.broken])], what="what would help")
@@ -433,7 +435,7 @@ class FeedbackReport(Report[ClosedLoopHeating]):
             grid(*columns(parts_list(answer.plan, answer.wiring), PART), title="what to build it of"),
             grid(*columns(safety.shorts, SHORT), title="switch shorts: hottest point until the cut-out has opened"),
             grid(*columns(safe_supplies(answer.plan), SUPPLY), title="safe without a cut-out"),
-            *remarks((*answer.plan.problems, *safety.problems), what="problem"),
+            *remarks((*answer.plan.problems, *answer.feedback.problems, *safety.problems), what="problem"),
         ]
 
     def save(self, directory: Path) -> list[Path]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import InputError, choice
 from ...files.field_metadata import POSITIVE, OneOf, check_fields, form, key, unit
-from ..heating.cutout import MARGIN, MONOSTABLE_PERIODS, SHORTED_LIMIT, cut_out, short_rise, stop_current
+from ..heating.cutout import MARGIN, MONOSTABLE_PERIODS, SHORTED_LIMIT, cut_out, digits, short_rise, stop_current
 from ..heating.plan import HeatingPlan
 from ..heating.rig import CHARGED, COUNTS, Battery, Rig
 
@@ -33,7 +33,10 @@ VOLTAGE_RANGE = 1.5
 converter of the ESP32 is linear up to about three quarters of its reference."""
 
 HALL = (0.04, 0.02, 0.01, 0.008, 0.005, 0.004, 0.002)
-"""Sensitivities of common Hall sensors for 100 to 2000 A with a span of 4 V, V/A."""
+"""Sensitivities of common Hall sensors for 100 to 2000 A, V/A."""
+
+HALL_SPAN = 4.0
+"""Voltage of these sensors from no current to the end of their range, V."""
 
 CURRENT_RANGE = 1.2
 """Smallest range of the current measurement, as a multiple of the current that stops the sketch."""
@@ -46,6 +49,15 @@ A diode across the tube does not clamp it.
 
 MOSFET_HEAT = 3.0
 """Largest loss of a MOSFET on a board without a heat sink, W (assumed)."""
+
+TVS_HEAT = 5.0
+"""Largest mean loss of a TVS diode on a board, W (data sheets of SMBJ diodes)."""
+
+MOST_COIL = 15.0
+"""Largest voltage of a charged battery that feeds a coil and a gate driver of 12 V, V: that of a vehicle's supply."""
+
+MOST_BIMETAL = 180.0
+"""Highest temperature of common bimetallic switches, degC; capillaries reach 500 (assumed)."""
 
 CLAMP_RESERVE = 30.0
 """Rise of the thermal cut-out above the hottest planned clamp, K."""
@@ -168,7 +180,7 @@ def hall_slope(wiring: Wiring, limit: float) -> float:
         InputError: the range does not include the limit.
     """
     board = wiring.known
-    largest = (board.reference - wiring.current_zero) / (CURRENT_RANGE * limit)
+    largest = min(board.reference - wiring.current_zero, HALL_SPAN) / (CURRENT_RANGE * limit)
     sensors = HALL if wiring.shunt_V_per_A is None else (wiring.shunt_V_per_A,)
     slope = next((slope for slope in sensors if slope <= largest), None)
     if slope is None and wiring.measures_electrics:
@@ -246,14 +258,23 @@ def root_mean_square(plan: HeatingPlan) -> float:
     return float(math.sqrt(np.convolve(square, np.ones(window) / window, mode="valid").max()))
 
 
+def fuse_of(plan: HeatingPlan) -> float:
+    """Rating of the fuse for the currents of a plan, A."""
+    return next((size for size in FUSES if size >= MARGIN * root_mean_square(plan)), FUSES[-1])
+
+
+def cable_of(plan: HeatingPlan) -> float:
+    """Section of the copper cables for the currents of a plan, mm2: they must outlive the fuse."""
+    largest = max(MARGIN * root_mean_square(plan), fuse_of(plan))
+    return next((size for size in CABLES if CURRENT_DENSITY * size >= largest), CABLES[-1])
+
+
 def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     """Parts between battery and tube, rated for the plan's currents and a shorted switch, and those of the board."""
     rig, safety = plan.rig, cut_out(plan)
     short = rig.battery.open_circuit[-1][1] / rig.battery.internal_resistance
     rms, peak, rest, circuit = root_mean_square(plan), safety.current, rig.battery.voltage, rig.circuit
-    fuse = next((size for size in FUSES if size >= MARGIN * rms), FUSES[-1])
-    # A cable must outlive its fuse.
-    cable = next((size for size in CABLES if CURRENT_DENSITY * size >= max(MARGIN * rms, fuse)), CABLES[-1])
+    fuse, cable = fuse_of(plan), cable_of(plan)
     # In parallel each has a part of the current, so that all together warm by less.
     many = next(n for n in itertools.count(1) if (rms / n) ** 2 * circuit.mosfet_resistance <= MOSFET_HEAT)
     heat, rated = (rms / many) ** 2 * circuit.mosfet_resistance, math.ceil(MARGIN * peak / 10) * 10
@@ -270,20 +291,28 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     upper = f"{upper_resistor(wiring, rig.battery) / 1e3:g}"
     limit = stop_current(plan.tube, rig)
     slope = hall_slope(wiring, limit)
-    hall = f"Hall, {math.ceil(max(MARGIN * peak, CURRENT_RANGE * limit) / 50) * 50} A, {1e3 * slope:g} mV/A"
+    low_volt = reference < 5
+    hall = f"Hall, {HALL_SPAN / slope:.0f} A, {1e3 * slope:g} mV/A"
+    # A sensor of 5 V gives up to 5 V in a short.
+    hall += f"; 1 kohm to the pin, {reference:g} V Zener diode there" if low_volt else ""
+    logic = (
+        "5 V regulator for the board, whose 3.3 V feed the logic" if low_volt else "5 V regulator for board and logic"
+    )
+    driving = "battery" if charged <= MOST_COIL else "12 V regulator"
     clamp = math.ceil((plan.clamp_temperature.max() + CLAMP_RESERVE) / 10) * 10
     pins, avalanche = wiring.known.pins, 0.5 * LOOP_INDUCTANCE * peak**2
+    overheats = avalanche * circuit.pwm_frequency > TVS_HEAT
     monostable = 1e3 * MONOSTABLE_PERIODS / circuit.pwm_frequency
     return (
-        Part("fuse", f"{fuse} A, fast (gR), at the battery's plus; above {safety.least_melting:.0f} A2s for its "
-             f"pulses, soonest at {peak:.0f} A; breaks {short / 1e3:.2g} kA DC, which the battery gives into a short",
+        Part("fuse", f"{fuse} A, fast (gR), at the battery's plus; melts above {safety.least_melting:.0f} A2s, or "
+             f"pulses of {peak:.0f} A age it; breaks the {short / 1e3:.2g} kA DC of a shorted battery",
              f"{current}; backs up the cut-out: {safety.withstood:.0f} A2s ({1e3 * safety.budget:.0f} ms of a short) "
              "take the tube to 650 degC"),
         Part("main switch", f"battery isolator, lockable, {rated} A DC, behind the fuse",
              "cuts tube, cut-out and board off for work on the rig"),
         Part("control fuse", f"{CONTROL:g} A, at the lug of the main switch, in the wire to the supply",
              f"thin wires do not survive {fuse} A"),
-        Part("supply", "5 V regulator for board and logic, 12 V for driver and coil, behind the control fuse",
+        Part("supply", f"{logic}; {driving} for driver and coil; behind the control fuse",
              "USB alone drives neither coil nor gate"),
         Part("cut-out", f"contactor or high-side switch, normally open, {rated} A DC, opens within "
              f"{1e3 * circuit.cutout_opening:g} ms; a Zener diode at a coil, no plain diode",
@@ -296,7 +325,8 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
              "coil and ground", "the monostable drives no coil; without it the coil is off"),
         Part("pull-up", f"1 kohm, {math.ceil(charged**2 / 500) / 2:g} W, across the open cut-out",
              "the drain is high before the cut-out closes, unless the switch is shorted"),
-        Part("thermal cut-out", f"normally closed, {clamp} degC, on the fixed clamp, in the supply of the cut-out",
+        Part("thermal cut-out", f"normally closed, {clamp} degC{', with a capillary' if clamp > MOST_BIMETAL else ''}, "
+             "on the fixed clamp, in the supply of the cut-out",
              f"clamps reach {plan.clamp_temperature.max():.0f} degC"),
         Part("emergency stop", "normally closed, in the supply of the cut-out, second contact to the board",
              "stops without the board too"),
@@ -305,11 +335,12 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
              "their ground; driver to gate at most 10 cm",
              f"{CONTROL:g} A at {CURRENT_DENSITY:g} A/mm2 need {CONTROL / CURRENT_DENSITY:.2f} mm2"),
         Part("MOSFET", f"{'' if many == 1 else f'{many} in parallel, each '}{voltage} V, {rated} A, logic level, at "
-             f"most {resistance:g} mohm, avalanche {1e3 * MARGIN * avalanche:.2g} mJ",
+             f"most {resistance:g} mohm, avalanche {digits(1e3 * MARGIN * avalanche)} mJ",
              f"{peak:.0f} A while on; warms by {heat:.1f} W, up to {MOSFET_HEAT:g} W need no heat sink"),
         Part("TVS diode", f"{standoff} V standoff, clamps below {voltage} V, from drain to source",
-             f"cables of 2 uH store {1e3 * avalanche:.2g} mJ a pulse: {avalanche * circuit.pwm_frequency:.2g} W on "
-             "average"),
+             f"cables of {1e6 * LOOP_INDUCTANCE:g} uH store {digits(1e3 * avalanche)} mJ a pulse: "
+             f"{digits(avalanche * circuit.pwm_frequency)} W on average"
+             + (f", more than {TVS_HEAT:g} W: slower pulses, or a supply of less voltage" if overheats else "")),
         Part("gate driver", "2 A or more; 10 ohm to the gate, 10 kohm from gate to source, 1 uF at its supply",
              "without signal the switch must stay off"),
         Part("diode", f"Schottky, {voltage} V, {math.ceil(peak / 10) * 10} A of pulse, across the tube",

@@ -38,6 +38,9 @@ from .uncertainty import Uncertainty
 HALF = 0.5 + 2**-8
 """Part of a count that is not rounded up."""
 
+MOST_EXCESS = 10.0
+"""Excess of the tube over the limit, K, that must stop the firmware whatever the bias of its sensor."""
+
 MOST_COUNT = 249
 """Largest count of a controlled heating: in every period a pause remains, in which the cut-out is retriggered."""
 
@@ -312,6 +315,21 @@ class Feedback(Displayed):
     def too_hot(self) -> float:
         """Fraction of the rigs that exceed the window in the hold, or the limit at any time."""
         return float(((self.highest > self.window[1]) | (self.top > self.limit)).mean())
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Message, with cures, if tubes of some rigs get hotter than the board's stop allows; otherwise empty.
+
+        No thermometer sees the bare tube beside the clamps.
+        """
+        hot = self.top > self.limit + MOST_EXCESS
+        if not hot.any():
+            return ()
+        return (
+            f"on {100 * hot.mean():.0f} % of the uncertain rigs the bare tube beside the clamps gets hotter than "
+            f"{self.limit + MOST_EXCESS:.0f} degC, up to {self.top.max():.0f}: no thermometer sees it. Make it "
+            "shorter (clearance_mm of the clamps), or give the conductivity of the mold's board",
+        )
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:

@@ -33,9 +33,6 @@ SHORTED_LIMIT = 650.0
 OVERSHOOT = 8.0
 """Reading above the limit, K, that stops the firmware."""
 
-MOST_EXCESS = 10.0
-"""Excess of the tube over the limit, K, that must stop the firmware whatever the bias of its sensor."""
-
 MARGIN = 1.25
 """Largest current before the firmware stops, as a multiple of the current of the cold tube; factor on ratings."""
 
@@ -191,6 +188,11 @@ def _short_budget(model: ThermalModel, state: State) -> tuple[float, float]:
     return time, i2t
 
 
+def digits(value: float) -> str:
+    """Number with two digits, without an exponent, as text."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
 # --- supplies that need no cut-out ------------------------------------------------------------------------------------
 
 
@@ -234,7 +236,7 @@ def safe_supplies(plan: HeatingPlan) -> tuple[SafeSupply, ...]:
     peak, warm_up, current = full(resistor)
     longer = None if warm_up is None else warm_up - plan.hold_start
     rating = f"{resistor:.3g} ohm, {MARGIN * current**2 * resistor:.0f} W"
-    limited = f"{current:.2g} A, {plan.rig.battery.voltage:.0f} V"
+    limited = f"{digits(current)} A, {plan.rig.battery.voltage:.0f} V"
     return tuple(
         SafeSupply(name, words, peak - ZERO_CELSIUS, warm_up, longer)
         for name, words in (("resistor in series with the battery", rating), ("supply of limited current", limited))

@@ -151,6 +151,11 @@ class HeatingPlan(Displayed):
     custom_miss: float = 0.0
     """Largest violation of custom requirements in their sizes, 0 without any."""
 
+    @property
+    def concerns(self) -> tuple[str, ...]:
+        """Problems of the schedule, and those of the feedback if there is one."""
+        return (*self.problems, *(() if self.feedback is None else self.feedback.problems))
+
     time, ideal_duty, ideal_temperature = (
         Delegate[Array]("course"),
         Delegate[Array]("course"),

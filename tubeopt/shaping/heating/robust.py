@@ -17,9 +17,9 @@ from ...errors import InputError, instance
 from ...solvers.blas import small
 from ...solvers.time_limit import TIME_LIMIT, limited
 from ...typing import Array
-from .controller import Contribution, Feedback, HeatingLaw, LoopHistory, run_loop, shifted
+from .controller import MOST_EXCESS, Contribution, Feedback, HeatingLaw, LoopHistory, run_loop, shifted
 from .counts import Counts, guarded_counts, sum_up_rounding
-from .cutout import MOST_EXCESS, OVERSHOOT
+from .cutout import OVERSHOOT
 from .outcome import hold_slots
 from .plan import HeatingPlan
 from .rig import COUNTS

@@ -19,6 +19,7 @@ import numpy as np
 
 from ...errors import InputError, SolveError
 from ...files.units import TO_MM
+from ..materials import MoldMaterial
 from .checks import OVERRUN, THROUGH, beyond_edge, overrun
 from .groove import Arc, Centreline, Point, directed_distance, mirrored
 from .layout import Hole
@@ -33,6 +34,12 @@ POINT = 0.3
 
 SLOT_PASS = 0.5
 """Depth of one pass of a slot, in diameters of its end mill."""
+
+CHIP = 0.02
+"""Largest feed per revolution, in diameters of the tool.
+
+A hundredth for each of two teeth: end mills of carbide in soft steel take 0.005 to 0.01 (Iscar, Multi-Master user
+guide), drills of 3 to 12 mm together 0.008 to 0.016 (Navy training manual 14345)."""
 
 REAMED = 0.2e-3
 """Diameter (m) that holes of dowels are drilled smaller by, for a reamer (common for 3 to 6 mm)."""
@@ -62,6 +69,8 @@ class Stage:
     """Spindle speed, 1/s."""
     feed: float
     """Feed along the path, or of a drill, m/s."""
+    plunge: float
+    """Feed into the material, m/s: that of a drill is its feed."""
     step: float
     """Largest depth of a pass, or of a drilling step, m."""
     lines: tuple[str, ...]
@@ -71,7 +80,25 @@ class Stage:
     def data(self) -> str:
         """Tool with its cutting data, as text."""
         feed, step = self.feed * TO_MM * PER_MINUTE, self.step * TO_MM
-        return f"{self.tool}, {self.spindle * PER_MINUTE:.0f} rpm, {feed:.0f} mm/min, steps {step:g} mm"
+        speed = f"{self.spindle * PER_MINUTE:.0f} rpm, {self.cutting_speed * PER_MINUTE:.0f} m/min"
+        return f"{self.tool}, {speed}, {feed:.0f} mm/min, step {step:g} mm"
+
+    @property
+    def depth(self) -> float:
+        """Depth of its deepest cut below the plate's face, m."""
+        return -min(motion.end for motion in read_gcode("\n".join(self.lines)))
+
+    @property
+    def cutting_speed(self) -> float:
+        """Speed of the tool's rim, m/s."""
+        return math.pi * self.diameter * self.spindle
+
+    def slowed(self, material: MoldMaterial) -> Stage:
+        """This stage, as slow as material and tool require; its numbers are the largest ones."""
+        fastest = material.cutting_speed or math.inf
+        spindle = min(self.spindle, fastest / (math.pi * self.diameter))
+        feed = min(self.feed, CHIP * self.diameter * spindle)
+        return replace(self, spindle=spindle, feed=feed, plunge=self.plunge * feed / self.feed)
 
 
 @dataclass(frozen=True)
@@ -133,6 +160,11 @@ def drill_diameter(hole: Hole) -> float:
     return round(hole.diameter - REAMED, 6) if hole.purpose == "dowel" else hole.diameter
 
 
+def drill_depth(diameter: float, thickness: float) -> float:
+    """Depth (m) of the point of a drill of a `diameter` below the face of a plate of a `thickness`, m."""
+    return thickness + THROUGH + POINT * diameter
+
+
 def programs(mold: Mold, part: str) -> list[Program]:
     """Programs of a plate: one, or without a touch plate one for each tool.
 
@@ -185,17 +217,22 @@ def stages_of(mold: Mold, part: str) -> list[Stage]:
         of_drill = [hole for hole in holes if drill_diameter(hole) == diameter]
         if wider > PILOTED:
             of_drill += [replace(hole, purpose="pilot") for hole in holes if drill_diameter(hole) > PILOTED]
-        lines = tuple(drilled(of_drill, diameter, thickness, spec))
-        tool = f"drill {diameter * TO_MM:g} mm"
-        stages.append(Stage(tool, diameter, shop.drill_spindle, shop.drill_feed, shop.peck, lines))
+        tool, feed = f"drill {diameter * TO_MM:g} mm", shop.drill_feed
+        drill = Stage(tool, diameter, shop.drill_spindle, feed, feed, shop.peck, ()).slowed(spec.material)
+        stages.append(replace(drill, lines=tuple(drilled(of_drill, drill, thickness, spec))))
     cut = [] if base or mold.hinge is None else list(across(mold.size[0], mold.hinge.pin, thickness, spec))
     if shop.cut_out:
         cut += outlined(mold.size, thickness, spec)
     if cut:
-        cutter, lines = shop.outline_diameter, tuple(cut)
-        tool = f"end mill {cutter * TO_MM:g} mm"
-        stages.append(Stage(tool, cutter, spec.milling.spindle, shop.outline_feed, shop.outline_step, lines))
+        cutter = milled(shop.outline_diameter, shop.outline_feed, shop.outline_step, spec)
+        stages.append(replace(cutter, lines=tuple(cut)))
     return stages
+
+
+def milled(diameter: float, feed: float, step: float, spec: MoldSpec) -> Stage:
+    """Stage of an end mill without lines, at most at the `feed`, m/s."""
+    milling, tool = spec.milling, f"end mill {diameter * TO_MM:g} mm"
+    return Stage(tool, diameter, milling.spindle, feed, milling.plunge_feed, step, ()).slowed(spec.material)
 
 
 def groove_stages(mold: Mold) -> list[Stage]:
@@ -203,9 +240,9 @@ def groove_stages(mold: Mold) -> list[Stage]:
     stages = []
     for mill in sorted({groove.mill for groove in mold.grooves}, key=lambda mill: mill.diameter):
         grooves = sorted((g for g in mold.grooves if g.mill == mill), key=lambda g: g.number)
-        lines = tuple(line for groove in grooves for line in _passes(groove, mold))
-        tool, milling = f"end mill {mill.diameter * TO_MM:g} mm", mold.spec.milling
-        stages.append(Stage(tool, mill.diameter, milling.spindle, milling.feed, milling.step_down, lines))
+        cutter = milled(mill.diameter, mold.spec.milling.feed, mold.spec.milling.step_down, mold.spec)
+        lines = tuple(line for groove in grooves for line in _passes(groove, cutter, mold))
+        stages.append(replace(cutter, lines=lines))
     return stages
 
 
@@ -218,16 +255,15 @@ def slot_stages(mold: Mold) -> list[Stage]:
     """Stage that cuts the slots of the lid, if it has any."""
     if not mold.slots:
         return []
-    milling, lines = mold.spec.milling, []
+    diameter, milling, lines = mold.slots[0].mill.diameter, mold.spec.milling, []
+    cutter = milled(diameter, milling.feed, min(milling.step_down, SLOT_PASS * diameter), mold.spec)
     for slot, path in zip(mold.slots, slot_paths(mold), strict=True):
         lines.append(f"(slot for a thermocouple, depth {_mm(slot.depth)})")
-        for depth in pass_depths(slot.depth, min(milling.step_down, SLOT_PASS * slot.mill.diameter)):
-            lines += _plunge(path[0].start, depth, mold.spec)
-            lines += [_move(piece) + (_feed(milling.feed) if k == 0 else "") for k, piece in enumerate(path)]
+        for depth in pass_depths(slot.depth, cutter.step):
+            lines += _plunge(path[0].start, depth, cutter, mold.spec)
+            lines += [_move(piece) + (_feed(cutter.feed) if k == 0 else "") for k, piece in enumerate(path)]
             lines += _retract(mold.spec)
-    diameter = mold.slots[0].mill.diameter
-    step = min(milling.step_down, SLOT_PASS * diameter)
-    return [Stage(f"end mill {diameter * TO_MM:g} mm", diameter, milling.spindle, milling.feed, step, tuple(lines))]
+    return [replace(cutter, lines=tuple(lines))]
 
 
 def groove_gcode(mold: Mold) -> str:
@@ -244,30 +280,29 @@ def pass_depths(depth: float, step: float) -> tuple[float, ...]:
     return tuple(depth * (k + 1) / count for k in range(count))
 
 
-def _passes(groove: Groove, mold: Mold) -> Iterator[str]:
+def _passes(groove: Groove, cutter: Stage, mold: Mold) -> Iterator[str]:
     """Lines of G-code that cut a groove, pass by pass."""
-    milling = mold.spec.milling
     yield f"(tube {groove.number}: width {_mm(groove.width)}, depth {_mm(groove.depth)})"
-    for depth in pass_depths(groove.depth, milling.step_down):
+    for depth in pass_depths(groove.depth, cutter.step):
         for path in cutter_paths(groove):
-            yield from _plunge(path.lead_in.start, depth, mold.spec)
+            yield from _plunge(path.lead_in.start, depth, cutter, mold.spec)
             for k, piece in enumerate(path.pieces):
-                yield _move(piece) + (_feed(milling.feed) if k == 0 else "")
+                yield _move(piece) + (_feed(cutter.feed) if k == 0 else "")
             yield from _retract(mold.spec)
 
 
-def drilled(holes: Sequence[Hole], diameter: float, thickness: float, spec: MoldSpec) -> Iterator[str]:
-    """Lines of G-code that drill holes by a drill of a `diameter` through a plate of a `thickness`, m."""
+def drilled(holes: Sequence[Hole], drill: Stage, thickness: float, spec: MoldSpec) -> Iterator[str]:
+    """Lines of G-code that drill holes through a plate of a `thickness`, m."""
     shop, milling = spec.workshop, spec.milling
     has_cycle = shop.dialect in CANNED
     for purpose in dict.fromkeys(hole.purpose for hole in holes):
         yield f"({purpose}s)"
         of_purpose = [hole for hole in holes if hole.purpose == purpose]
-        depth = thickness + THROUGH + POINT * diameter
+        depth = drill_depth(drill.diameter, thickness)
         if has_cycle:
             yield f"G0 Z{_mm(milling.safe_height)}"
             for k, hole in enumerate(of_purpose):
-                cycle = f"G98 G83 Z{_mm(-depth)} R{_mm(NEAR)} Q{_mm(shop.peck)}{_feed(shop.drill_feed)} "
+                cycle = f"G98 G83 Z{_mm(-depth)} R{_mm(NEAR)} Q{_mm(shop.peck)}{_feed(drill.feed)} "
                 yield f"{cycle if k == 0 else ''}X{_mm(hole.centre[0])} Y{_mm(hole.centre[1])}"
             yield "G80"
             continue
@@ -277,7 +312,7 @@ def drilled(holes: Sequence[Hole], diameter: float, thickness: float, spec: Mold
             for peck in pass_depths(depth, shop.peck):
                 if drilled_depth:  # back in the hole down to the last peck, faster than into the material
                     yield f"G1 Z{_mm(-drilled_depth)}{_feed(milling.feed)}"
-                yield f"G1 Z{_mm(-peck)}{_feed(shop.drill_feed)}"
+                yield f"G1 Z{_mm(-peck)}{_feed(drill.feed)}"
                 yield from _retract(spec)
                 drilled_depth = peck
 
@@ -299,16 +334,17 @@ def across(width: float, height: float, thickness: float, spec: MoldSpec) -> Ite
 def _cut_through(corners: Sequence[Point], thickness: float, spec: MoldSpec) -> Iterator[str]:
     """Lines of G-code that cut through a plate along a chain of lines, with tabs."""
     shop = spec.workshop
+    cutter = milled(shop.outline_diameter, shop.outline_feed, shop.outline_step, spec)
     top = thickness - shop.tab_height
-    for depth in pass_depths(thickness + THROUGH, shop.outline_step):
-        yield from _plunge(corners[0], depth, spec)
+    for depth in pass_depths(thickness + THROUGH, cutter.step):
+        yield from _plunge(corners[0], depth, cutter, spec)
         for start, end in pairwise(corners):
             for tab in _tabs(start, end, spec) if depth > top else ():
-                yield _move(Arc.between(start, tab.start)) + _feed(shop.outline_feed)
+                yield _move(Arc.between(start, tab.start)) + _feed(cutter.feed)
                 yield f"G1 Z{_mm(-top)}"
                 yield _move(tab)
-                yield f"G1 Z{_mm(-depth)}{_feed(spec.milling.plunge_feed)}"
-            yield _move(Arc.between(start, end)) + _feed(shop.outline_feed)
+                yield f"G1 Z{_mm(-depth)}{_feed(cutter.plunge)}"
+            yield _move(Arc.between(start, end)) + _feed(cutter.feed)
         yield from _retract(spec)
 
 
@@ -329,10 +365,10 @@ def _approach(point: Point, spec: MoldSpec) -> Iterator[str]:
     yield f"G0 Z{_mm(NEAR)}"
 
 
-def _plunge(point: Point, depth: float, spec: MoldSpec) -> Iterator[str]:
+def _plunge(point: Point, depth: float, cutter: Stage, spec: MoldSpec) -> Iterator[str]:
     """Lines of G-code that approach a point and plunge to a depth (m)."""
     yield from _approach(point, spec)
-    yield f"G1 Z{_mm(-depth)}{_feed(spec.milling.plunge_feed)}"
+    yield f"G1 Z{_mm(-depth)}{_feed(cutter.plunge)}"
 
 
 def _retract(spec: MoldSpec) -> Iterator[str]:

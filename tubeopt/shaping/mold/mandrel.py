@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from os import PathLike
@@ -39,7 +39,7 @@ from .checks import (
     strain_check,
 )
 from .files import Part, manifold, trimesh, write_parts
-from .gcode import check_duration
+from .gcode import Stage, check_duration, milled, pass_depths
 from .groove import SAGITTA, distance_to_edge, meets_itself
 from .heat import ColdEnd, cold_end
 from .spec import MoldSpec
@@ -465,35 +465,49 @@ def mandrel_gcode(mandrel: Mandrel) -> str:
 
     Feeds are in inverse time, since the speed over ground is not that of X and A.
     """
-    table, milling = rotation_table(mandrel), mandrel.spec.milling
+    table, spec, cutter = rotation_table(mandrel), mandrel.spec, mandrel_cutter(mandrel)
     assert isinstance(mandrel.body, Cylinder)
     outer = mandrel.body.radius
-    # 1e-9 is round-off: a depth of whole steps needs no further pass.
-    passes = math.ceil(mandrel.width / milling.step_down - 1e-9)
-    check_duration("mandrel.nc", passes * float(table[-1, 0] - table[0, 0]) / milling.feed)
-    safe = f"G0 Z{(outer + mandrel.width + milling.safe_height) * TO_MM:.4f}"
+    check_duration("mandrel.nc", mandrel_time(mandrel))
+    safe = f"G0 Z{(outer + mandrel.width + spec.milling.safe_height) * TO_MM:.4f}"
     lines = [
-        f"(mandrel of tube {mandrel.number}: cylinder {2 * outer * TO_MM:.4f} mm, ball-nose end mill "
-        f"{mandrel.width * TO_MM:g} mm)",
-        "(X from the chuck's end, Z from the axis, A of the tool about the work)",
-        "G21 G90 G94",
+        f"(mandrel of tube {mandrel.number}: cylinder {2 * outer * TO_MM:.4f} mm of {spec.material.name})",
+        f"({cutter.data})",
+        f"(X is {SHANK * TO_MM:g} at the face of the jaws)",
+        f"(Z is 0 on the axis and {outer * TO_MM:.4f} on the cylinder)",
+        "(A is 0 anywhere; it turns the tool about the work)",
+        f"G21 G90 G94 {spec.workshop.work_offset}",
         safe,
-        f"M3 S{milling.spindle * 60:.0f}",
+        f"M3 S{cutter.spindle * 60:.0f}",
+        f"G4 P{spec.workshop.spin_up:g}",
     ]
-    for k in range(1, passes + 1):
-        tip = np.maximum(table[:, 3], outer - mandrel.width * k / passes)
+    for depth in pass_depths(mandrel.width, cutter.step):
+        tip = np.maximum(table[:, 3], outer - depth)
         x, a = table[0, 1] * TO_MM, math.degrees(table[0, 2])
         lines += [
             safe,
             f"G0 X{x:.4f} A{a:.5f}",
-            f"G1 Z{tip[0] * TO_MM:.4f} F{milling.plunge_feed * TO_MM * 60:.1f}",
+            f"G1 Z{tip[0] * TO_MM:.4f} F{cutter.plunge * TO_MM * 60:.1f}",
             "G93",
         ]
         for start, end, z in zip(table[:-1], table[1:], tip[1:], strict=True):
-            rate = 60 * milling.feed / (end[0] - start[0])  # moves per minute
+            rate = 60 * cutter.feed / (end[0] - start[0])  # moves per minute
             lines.append(f"G1 X{end[1] * TO_MM:.4f} A{math.degrees(end[2]):.5f} Z{z * TO_MM:.4f} F{rate:.2f}")
         lines.append("G94")
     return "\n".join([*lines, safe, "M5", "M30", ""])
+
+
+def mandrel_cutter(mandrel: Mandrel) -> Stage:
+    """Ball-nose end mill of a turned mandrel, with its cutting data."""
+    milling = mandrel.spec.milling
+    cutter = milled(mandrel.width, milling.feed, milling.step_down, mandrel.spec)
+    return replace(cutter, tool=f"ball-nose {cutter.tool}")
+
+
+def mandrel_time(mandrel: Mandrel) -> float:
+    """Duration of the cuts of a turned mandrel, s."""
+    cutter, s = mandrel_cutter(mandrel), mandrel.winding.arc_length
+    return len(pass_depths(mandrel.width, cutter.step)) * float(s[-1] - s[0]) / cutter.feed
 
 
 def _read_rotary(text: str) -> Array:

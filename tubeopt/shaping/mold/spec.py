@@ -121,9 +121,11 @@ class MillingSpec:
         EndMill(d * 1e-3) for d in (0.4, 0.5, 0.6, 0.8, 1.0, 1.2, 1.5, 2.0, 2.5, 3.0)
     )
     step_down: Annotated[float, unit("mm"), CUT, STEP, "largest depth of one pass"] = 0.5e-3
-    feed: Annotated[float, unit("mm_per_min"), FEED, Typical(1e-4, 0.2), "feed along the groove"] = 5e-3
-    plunge_feed: Annotated[float, unit("mm_per_min"), FEED, Typical(1e-4, 0.2), "feed into the material"] = 2e-3
-    spindle: Annotated[float, unit("rpm"), SPEED, Typical(0.5, 1000.0), "spindle speed"] = 200.0
+    feed: Annotated[float, unit("mm_per_min"), FEED, Typical(1e-4, 0.2), "largest feed along the groove"] = 5e-3
+    plunge_feed: Annotated[
+        float, unit("mm_per_min"), FEED, Typical(1e-4, 0.2), "largest feed of end mills into the material"
+    ] = 2e-3
+    spindle: Annotated[float, unit("rpm"), SPEED, Typical(0.5, 1000.0), "largest spindle speed"] = 200.0
     safe_height: Annotated[float, unit("mm"), LENGTH, SMALL, "height above the plate for moves between cuts"] = 5e-3
 
     def __post_init__(self) -> None:
@@ -155,14 +157,16 @@ class WorkshopSpec:
     ] = None
     change_height: Annotated[float, unit("mm"), LENGTH, SMALL, "height above the plate for tool changes"] = 40e-3
     spin_up: Annotated[float, unit("s"), NOT_NEGATIVE, "waiting time after spindle start"] = 3.0
-    drill_feed: Annotated[float, unit("mm_per_min"), FEED, Typical(1e-4, 0.2), "feed of drills"] = 2e-3
-    drill_spindle: Annotated[float, unit("rpm"), SPEED, Typical(0.5, 1000.0), "spindle speed of drills"] = 50.0
+    drill_feed: Annotated[float, unit("mm_per_min"), FEED, Typical(1e-4, 0.2), "largest feed of drills"] = 2e-3
+    drill_spindle: Annotated[float, unit("rpm"), SPEED, Typical(0.5, 1000.0), "largest spindle speed of drills"] = 50.0
     peck: Annotated[float, unit("mm"), CUT, STEP, "depth of one drilling step before the drill clears its chips"] = 2e-3
     cut_out: Annotated[bool, "cut plates out of larger stock; otherwise stock has their size"] = True
     outline_diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "diameter of the end mill for the outline"] = 4e-3
     outline_reach: Annotated[float, unit("mm"), LENGTH, SMALL, "largest cutting depth of that end mill"] = 25e-3
     outline_step: Annotated[float, unit("mm"), CUT, STEP, "largest depth of one pass along the outline"] = 1e-3
-    outline_feed: Annotated[float, unit("mm_per_min"), FEED, Typical(1e-4, 0.2), "feed along the outline"] = 10e-3
+    outline_feed: Annotated[float, unit("mm_per_min"), FEED, Typical(1e-4, 0.2), "largest feed along the outline"] = (
+        10e-3
+    )
     tab_width: Annotated[float, unit("mm"), LENGTH, SMALL, "width of the tabs between plate and stock"] = 6e-3
     tab_height: Annotated[float, unit("mm"), LENGTH, SMALL, "height of the tabs"] = 2e-3
     tab_pitch: Annotated[float, unit("mm"), LENGTH, "target distance between tabs"] = 80e-3

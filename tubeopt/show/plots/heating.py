@@ -288,7 +288,7 @@ def plot_wiring(answer: ClosedLoopHeating) -> Figure:
     grid = figure.add_gridspec(1, 1 if narrow() else 2, width_ratios=(1.6,) if narrow() else (1.6, 1.0))
     axes = figure.add_subplot(grid[0, 0])
     axes.set_axis_off()
-    axes.set(xlim=(0, 1), ylim=(0.0 if narrow() else -0.09, 0.97))
+    axes.set(xlim=(0, 1), ylim=(0.0 if narrow() else -0.13, 0.97))
     _draw_parts(axes, answer.wiring.known.title)
     _draw_wires(axes, answer.wiring)
     (x, y), half = DIODE, DIODE_SIZE
@@ -366,7 +366,9 @@ def _draw_wires(axes: Axes, wiring: Wiring) -> None:
         "sit at the drain's lug: no wire beyond them carries its peaks. 1 uF stands at the pins of the driver.\n"
         "There is one ground: battery, driver and board are joined at the MOSFET's source. Current sensor, divider\n"
         "and thermometer take theirs from the board. Between pulses the tube is at the battery's plus: a bead that\n"
-        "touches its metal would put that on the converter. A coat of ceramic cement or a foil of mica insulates it."
+        "touches its metal would put that on the converter. A coat of ceramic cement or a foil of mica insulates it.\n"
+        "Test it before the first tube, with a lamp of 12 V in its place and a wire from drain to source, as a shorted\n"
+        'switch has: at a start the lamp must stay dark, and the board report "no voltage".'
     )
     if not narrow():
         axes.text(0.03, 0.0, text, fontsize=7, color=INK, va="top")

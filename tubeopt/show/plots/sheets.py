@@ -14,18 +14,22 @@ from ...files.units import TO_MM
 from ...shaping.firmware.boards import root_mean_square
 from ...shaping.heating.cutout import cut_out
 from ...shaping.heating.plan import LEFT, HeatingPlan, left_in_mold
+from ...shaping.materials import MoldMaterial
 from ...shaping.mold.checks import THROUGH
 from ...shaping.mold.gcode import (
     PER_MINUTE,
+    POINT,
     REAMED,
     TOLERANCE,
+    Stage,
     clamp_distance,
+    drill_diameter,
     programs,
     stages_of,
     stock_size,
 )
-from ...shaping.mold.mandrel import Cylinder, Mandrel
-from ...shaping.mold.mold import PARTS, Groove, Mold
+from ...shaping.mold.mandrel import SHANK, Cylinder, Mandrel, mandrel_cutter, mandrel_time
+from ...shaping.mold.mold import PARTS, Groove, Mold, clamp_corners
 from ...shaping.tube_fabrication import TubeFabrication
 from ..page import WIDTH
 from .heating import draw_duty, draw_temperature
@@ -44,7 +48,7 @@ ROW = 3.9
 BETWEEN = 10.0
 """Space between the drawings of base and lid, mm."""
 
-TOOL_COLUMNS = 0.0, 22.0, 52.0, 70.0, 92.0, 112.0, 128.0
+TOOL_COLUMNS = 0.0, 19.0, 56.0, 68.0, 81.0, 95.0, 108.0, 118.0, 131.0
 """Columns of the table of tools, mm."""
 
 STEP_SIZES = 7.5, 6.8, 6.2, 5.6, 5.0
@@ -84,6 +88,13 @@ def _write_table(figure: Figure, columns: Sequence[float], top: float, *values: 
             _write(figure, x, top - ROW * row, text)
 
 
+def _write_tools(figure: Figure, top: float, rows: Sequence[Sequence[str]]) -> None:
+    """Write the table of tools below `top`, mm."""
+    for k, row in enumerate(rows):
+        for x, text in zip(TOOL_COLUMNS, row, strict=True):
+            _write(figure, EDGE + x, top - ROW * k, text, weight="normal" if k else "bold")
+
+
 def _write_steps(figure: Figure, x: float, top: float, steps: Sequence[str], remarks: Sequence[str]) -> None:
     """Write numbered steps, and the remarks below them."""
     marked = [*((f"{k}.", step) for k, step in enumerate(steps, start=1)), *(("!", remark) for remark in remarks)]
@@ -111,7 +122,12 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
         draw_space(figure.add_axes((0.03, 0.5, 0.42, 0.42), projection="3d"), part)
         draw_plan(figure.add_axes((0.55, 0.56, 0.4, 0.34)), part)
         top = 0.46 * A4[1]
-        _write_table(figure, (EDGE, 95.0), top, mandrel_numbers(part))
+        numbers = mandrel_numbers(part)
+        _write_table(figure, (EDGE, 95.0), top, numbers)
+        if isinstance(part.body, Cylinder):
+            minutes = f"{math.ceil(mandrel_time(part) / 60)}"
+            rows = (TOOL_HEADING, _tool_row("mandrel.nc", mandrel_cutter(part), part.width, minutes))
+            _write_tools(figure, top - (len(numbers) + 1) * ROW, rows)
         _write_steps(figure, 150.0, top, mandrel_steps(part), part.remarks)
         return figure
     figure = _new_sheet(f"Set-up sheet{': ' + title if title else ''}")
@@ -136,8 +152,11 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
     lid = figure.add_axes((left / A4[0], foot / A4[1], plate[0] / scale / A4[0], plate[1] / scale / A4[1]))
     draw_lid(lid, part)
     lid.set_axis_off()
-    for x, y in ((base, foot), (left, foot)):
-        _write(figure, x - 2.6, y + 1.0, "0", size=9, weight="bold")
+    # Clamps may cover the place to the left of the corner.
+    jaws = [clamp_corners(clamp, part.spec.clamps).min(axis=0) * TO_MM for g in part.grooves for clamp in g.clamps]
+    covered = any((corner < [5.0 * scale, 5.0 * scale]).all() for corner in jaws)
+    for x, shift in ((base, 4.0 if covered else 0.0), (left, 0.0)):
+        _write(figure, x - 2.6 + shift, foot + 1.0 - shift, "0", size=9, weight="bold")
     turned = "lower face up as milled, turned over about its left edge" if part.slots else "from above"
     _write(
         figure,
@@ -162,9 +181,7 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
     if len(part.grooves) > len(shown):
         numbers = ", ".join(str(groove.number) for groove in part.grooves[len(shown) :])
         _write(figure, columns[0], lowest + 0.7 * ROW, f"tubes {numbers}: see mold.json")
-    for row, words in enumerate(tools):
-        for x, text in zip(TOOL_COLUMNS, words, strict=True):
-            _write(figure, EDGE + x, lowest - ROW * row, text, weight="normal" if row else "bold")
+    _write_tools(figure, lowest, tools)
     _write_steps(figure, 158.0, top, mold_steps(part), part.remarks)
     return figure
 
@@ -177,7 +194,7 @@ def groove_numbers(groove: Groove, mold: Mold) -> dict[str, str]:
     # Without the tolerance, a depth of whole steps would take one pass more by round-off.
     fit, outer = mold.spec.groove, tube.outer_diameter
     least = (outer + fit.clearance) * TO_MM
-    widest = max(outer + fit.most_clearance, groove.width) * TO_MM
+    widest = max(outer + fit.most_clearance, groove.width + fit.depth_step) * TO_MM
     deepest = (groove.depth + fit.depth_step) * TO_MM
     passes = math.ceil(groove.depth / mold.spec.milling.step_down - 1e-9)
     return {
@@ -218,20 +235,29 @@ def play_text(groove: Groove) -> str:
 
 
 def tool_rows(mold: Mold) -> list[tuple[str, ...]]:
-    """Rows of the table of tools, with a heading: program, tool, speed, feed, plunge, step, minutes."""
-    plunge = f"{mold.spec.milling.plunge_feed * TO_MM * PER_MINUTE:.0f}"
-    rows: list[tuple[str, ...]] = [("program", "tool", "rpm", "mm/min", "plunge", "step", "min")]
+    """Rows of the table of tools, with a heading, for all programs of both plates."""
+    rows: list[tuple[str, ...]] = [TOOL_HEADING]
     for part in PARTS:
         files, stages = programs(mold, part), stages_of(mold, part)
         for k, stage in enumerate(stages):
             # With a touch plate, all tools are in one program.
             each, own = files[min(k, len(files) - 1)], len(files) == len(stages)
-            rows.append((
-                each.file, stage.tool, f"{stage.spindle * PER_MINUTE:.0f}",
-                f"{stage.feed * TO_MM * PER_MINUTE:.0f}", "-" if stage.tool.startswith("drill") else plunge,
-                f"{stage.step * TO_MM:g}", f"{math.ceil(each.time / 60)}" if own or k == 0 else '"',
-            ))  # fmt: skip
+            minutes = f"{math.ceil(each.time / 60)}" if own or k == 0 else '"'
+            rows.append(_tool_row(each.file, stage, stage.depth, minutes))
     return rows
+
+
+TOOL_HEADING = ("program", "tool", "rpm", "m/min", "mm/min", "plunge", "step", "depth", "min")
+"""Heading of the table of tools: cutting speed in m/min, feeds in mm/min, largest step and depth in mm."""
+
+
+def _tool_row(file: str, stage: Stage, depth: float, minutes: str) -> tuple[str, ...]:
+    """Row of the table of tools; depth: of the deepest cut, m."""
+    feed, plunge = (f"{value * TO_MM * PER_MINUTE:.0f}" for value in (stage.feed, stage.plunge))
+    return (
+        file, stage.tool, f"{stage.spindle * PER_MINUTE:.0f}", f"{stage.cutting_speed * PER_MINUTE:.1f}", feed,
+        "-" if stage.tool.startswith("drill") else plunge, f"{stage.step * TO_MM:g}", f"{depth * TO_MM:.1f}", minutes,
+    )  # fmt: skip
 
 
 THREADS = {2.2: 2.0, 2.7: 2.5, 3.2: 3.0, 4.3: 4.0, 5.3: 5.0, 6.4: 6.0, 8.4: 8.0, 10.5: 10.0, 13.0: 12.0}
@@ -260,29 +286,59 @@ def screw_text(hole: float, grip: float) -> str:
 def mold_steps(mold: Mold) -> list[str]:
     """Steps, as text, from the stock to the finished tube."""
     spec = mold.spec
-    heat, clamps = spec.heat, spec.clamps
+    heat, clamps, shop = spec.heat, spec.clamps, spec.workshop
     degrees = heat.set_temperature - ZERO_CELSIUS
     fixed = "distal" if clamps.sliding_end == "proximal" else "proximal"
     return [
-        f"Stock, at least: base {_stock_text(mold, 'base')}, lid {_stock_text(mold, 'lid')} mm. Clamp it "
-        f"{math.ceil(clamp_distance(mold) * TO_MM)} mm or more from the plate, on a waste board. Faces flat within "
+        f"Stock, at least: base {_stock_text(mold, 'base')}, lid {_stock_text(mold, 'lid')} mm (base.dxf, lid.dxf). "
+        f"Clamp it {math.ceil(clamp_distance(mold) * TO_MM)} mm or more from the plate, on a waste board of "
+        f"{_waste_board(mold):g} mm. Faces flat within "
         f"{spec.groove.clearance * TO_MM:g} mm, the tube's least play; thickness up to +{THROUGH * TO_MM:g} mm; "
         f"cutter's path within {TOLERANCE * TO_MM:g} mm; the rest ISO 2768-m.",
         f"Programs of the table in its order (for {spec.workshop.dialect}), zero X and Y at corner 0, Z on the upper "
-        "face with each tool. Mill dry with an extractor and a mask; break the edges of grooves and holes by hand.",
-        f"{_fasteners(mold)}. {len(mold.vents)} vents of {spec.vents.diameter * TO_MM:g} mm in the lid.",
+        f"face with each tool. {cooling_text(spec.material)}. Break the edges of grooves and holes by hand"
+        + (f"; cut the tabs ({shop.tab_height * TO_MM:g} mm) and file them flush." if shop.cut_out else "."),
+        f"{_fasteners(mold)}."
+        + (f" {len(mold.vents)} vents of {spec.vents.diameter * TO_MM:g} mm in the lid." if mold.vents else ""),
         *_slot_steps(mold),
         *_hinge_steps(mold),
         "Cut the tube and mark the bend. Press it into the groove, marks on the ends of the bend; "
         + ("lid down, washers in, nuts on." if mold.hinge else "dowels, lid, bolts."),
-        f"Clamps at the distances of the table from the plate, {clamps.grip * TO_MM:g} mm of tube in each. The {fixed} "
-        f"one is fixed; the {clamps.sliding_end} one must slide outwards by the travel in the table, or the hot tube "
-        "buckles.",
-        f"Heat the bend to {degrees:.0f} ± {heat.tolerance:.0f} °C for {heat.hold_time:g} s, then quench in water"
-        + (": half a turn of each nut, washers out, lid up" if mold.hinge else ": clamps and bolts off, lid off")
-        + ", tube out by tongs. Until then it cools slowly; the heating sheet has the temperatures.",
+        *(
+            (
+                f"Clamps at the distances of the table from the plate, {clamps.grip * TO_MM:g} mm of tube in each. The "
+                f"{fixed} one is fixed; the {clamps.sliding_end} one must slide outwards by the travel in the table, "
+                "or the hot tube buckles.",
+                f"Heat the bend to {degrees:.0f} ± {heat.tolerance:.0f} °C for {heat.hold_time:g} s, then quench in "
+                f"water: {'half a turn of each nut, washers out, lid up' if mold.hinge else OPENED}, tube out by "
+                "tongs. Until then it cools slowly; the heating sheet has the temperatures.",
+            )
+            if spec.material.electrically_insulating
+            else (
+                f"No clamps and no current: this mold conducts. The tube, free to grow at both ends, at {degrees:.0f} "
+                f"± {heat.tolerance:.0f} °C for {heat.hold_time:g} s in an oven; `tubeopt heat oven` has the soak "
+                "time, the quench, and the radius of the groove for the hot mold.",
+            )
+        ),
         "Trim the ends. Scan the tube: `tubeopt mold measure SCAN.png`, then `tubeopt mold calibrate TRIALS.csv`.",
     ]
+
+
+OPENED = "clamps and bolts off, lid off"
+"""How a bolted mold is opened, as text."""
+
+
+def cooling_text(material: MoldMaterial) -> str:
+    """How a material is cut, dry or wet, as text."""
+    if material.cutting_speed is None:
+        return "Cut dry, with an extractor and a mask"
+    return f"Cut wet, at {material.cutting_speed * PER_MINUTE:g} m/min at most"
+
+
+def _waste_board(mold: Mold) -> int:
+    """Least thickness (mm) of the waste board: 1 mm more than tools reach into it."""
+    widest = max((drill_diameter(hole) for hole in (*mold.base_holes, *mold.lid_holes)), default=0.0)
+    return math.ceil((THROUGH + POINT * widest) * TO_MM + 1)
 
 
 def _stock_text(mold: Mold, part: str) -> str:
@@ -340,12 +396,17 @@ def _slot_steps(mold: Mold) -> list[str]:
 
 def mandrel_numbers(mandrel: Mandrel) -> dict[str, str]:
     """Table of a mandrel for the workshop; mm."""
-    body, tube, held = mandrel.body, mandrel.tube, mandrel.held
+    body, tube, held, fit = mandrel.body, mandrel.tube, mandrel.held, mandrel.spec.groove
     numbers = {"tube, outer / inner diameter": f"{tube.outer_diameter * TO_MM:.3f} / {tube.inner_diameter * TO_MM:.3f}"}
     if isinstance(body, Cylinder):
         helix = f"{body.helix_radius * TO_MM:.3f} / {body.pitch * TO_MM:.3f}, {body.handed}-handed"
         numbers["cylinder, diameter / length"] = f"{2 * body.radius * TO_MM:.3f} / {body.length * TO_MM:.1f}"
         numbers["helix, radius / pitch"] = helix
+        # A helix of radius r and advance c per rad has the radius (r^2 + c^2) / r.
+        off = fit.clearance
+        radii = (r + body.advance**2 / r for r in (body.helix_radius - off, body.helix_radius + off))
+        low, high = sorted(radius * TO_MM for radius in radii)
+        numbers[f"radius in a groove {off * TO_MM:g} mm too deep or shallow"] = f"{low:.2f} to {high:.2f}"
     else:
         numbers["block"] = " × ".join(f"{size * TO_MM:.1f}" for size in body.size)
     lead = (mandrel.free_length - held.curved_length) / 2 + mandrel.spec.clamps.grip
@@ -353,25 +414,40 @@ def mandrel_numbers(mandrel: Mandrel) -> dict[str, str]:
     end = start + held.curved_length
     numbers |= {
         "groove, width, round below": f"{mandrel.width * TO_MM:.3f}",
+        "limits of its width": f"{(tube.outer_diameter + fit.clearance) * TO_MM:.2f} to "
+        f"{max(tube.outer_diameter + fit.most_clearance, mandrel.width) * TO_MM:.2f}",
         "least radius, required / in the groove": f"{TO_MM / tube.curvature:.2f} / {TO_MM / held.curvature:.3f}",
         "cut the tube to": f"{mandrel.stock_length * TO_MM:.1f}",
         "mark: bend begins at / ends at": f"{start * TO_MM:.1f} / {end * TO_MM:.1f}",
-        "tube from clamp to clamp": f"{mandrel.free_length * TO_MM:.1f}",
     }
     return numbers
 
 
 def mandrel_steps(mandrel: Mandrel) -> list[str]:
     """Steps, as text, from the stock to the finished tube."""
-    heat, turned = mandrel.spec.heat, isinstance(mandrel.body, Cylinder)
-    cut = (
-        "Turn the cylinder. Mill the groove (mandrel.nc, or by hand from mandrel.csv: feed and rotation)."
-        if turned
-        else "Print the block (mandrel.stl); clear the groove of powder and supports."
-    )
-    fixing = "wire over every half turn" if turned else "a flat lid over the open side"
+    heat, spec, body = mandrel.spec.heat, mandrel.spec, mandrel.body
+    if isinstance(body, Cylinder):
+        diameter, material = 2 * body.radius * TO_MM, spec.material
+        steps = [
+            f"Stock: {material.name.replace('_', ' ')}, above {diameter:.1f} mm in diameter and "
+            f"{body.length * TO_MM:.0f} mm long, {SHANK * TO_MM:g} mm of it in the chuck"
+            + (", a centre at its free end" if body.length - SHANK > 4 * body.radius else "")
+            + f". Turn it to {diameter:.3f} ± {spec.groove.clearance * TO_MM:g} mm, concentric within "
+            f"{spec.groove.clearance * TO_MM:g} mm; the rest ISO 2768-m. {cooling_text(material)}.",
+            "Mill the groove on a fourth axis (mandrel.nc), or by hand from mandrel.csv (feed, rotation, tip). Zero: "
+            f"X {SHANK * TO_MM:g} at the face of the jaws, Z {diameter / 2:.3f} on the cylinder, A anywhere. The "
+            f"cutter deviates from its path by less than {TOLERANCE * TO_MM:g} mm. Break the edges.",
+        ]
+        fixing = "wire over every half turn"
+    else:
+        size = " × ".join(f"{length * TO_MM:.2f}" for length in body.size)
+        steps = [
+            "Print the block (mandrel.stl, mm) with its open side up; clear the slot of powder and supports. Measure "
+            f"it when fired: {size} mm. A block smaller by 1 % gives radii smaller by 1 %: scale the print.",
+        ]
+        fixing = "ceramic cord pressed into the slot above it, and a flat lid"
     return [
-        cut,
+        *steps,
         f"Cut the tube and mark the bend. Wind it into the groove, marks on the ends of the bend; fix it by {fixing}, "
         "and clamp one end only: the other must be free to grow.",
         f"Set it in a furnace, mandrel and all: the tube at {heat.set_temperature - ZERO_CELSIUS:.0f} ± "
@@ -450,7 +526,7 @@ def time_line(fabrication: TubeFabrication) -> list[str]:
         *(f"{np.interp(goal, rising, plan.time[: start + 1]):.1f} s: {goal:.0f} °C" for goal in goals),
         f"{plan.hold_start:g} s: the hold begins, {middle[start]:.0f} °C",
         f"{plan.hold_end:g} s: the hold ends; the last pulse is at {off:g} s",
-        f"{'half a turn of each nut, washers out, lid up' if hinged else 'clamps and bolts off, lid off'}; tongs put "
+        f"{'half a turn of each nut, washers out, lid up' if hinged else OPENED}; tongs put "
         f"the tube into {plan.spec.quench}, and it is below 100 °C {plan.quench_time:.2f} s later. {LEFT:.0f} s after "
         f"the hold a tube in the closed mold is still at {left.closed:.0f} °C. "
         + (
@@ -496,5 +572,5 @@ def safety(plan: HeatingPlan) -> list[str]:
         *cut.problems,
         "Quench with the current off and the clamps open, tongs in hand; water spits.",
         "Above the limit, or where the tube does not follow the time line: stop.",
-        *plan.problems,
+        *plan.concerns,
     ]
