@@ -295,9 +295,7 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     hall = f"Hall, {HALL_SPAN / slope:.0f} A, {1e3 * slope:g} mV/A"
     # A sensor of 5 V gives up to 5 V in a short.
     hall += f"; 1 kohm to the pin, {reference:g} V Zener diode there" if low_volt else ""
-    logic = (
-        "5 V regulator for the board, whose 3.3 V feed the logic" if low_volt else "5 V regulator for board and logic"
-    )
+    logic = "5 V regulator for the board, its 3.3 V for the logic" if low_volt else "5 V regulator for board and logic"
     driving = "battery" if charged <= MOST_COIL else "12 V regulator"
     clamp = math.ceil((plan.clamp_temperature.max() + CLAMP_RESERVE) / 10) * 10
     pins, avalanche = wiring.known.pins, 0.5 * LOOP_INDUCTANCE * peak**2

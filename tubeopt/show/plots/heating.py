@@ -367,8 +367,8 @@ def _draw_wires(axes: Axes, wiring: Wiring) -> None:
         "There is one ground: battery, driver and board are joined at the MOSFET's source. Current sensor, divider\n"
         "and thermometer take theirs from the board. Between pulses the tube is at the battery's plus: a bead that\n"
         "touches its metal would put that on the converter. A coat of ceramic cement or a foil of mica insulates it.\n"
-        "Test it before the first tube, with a lamp of 12 V in its place and a wire from drain to source, as a shorted\n"
-        'switch has: at a start the lamp must stay dark, and the board report "no voltage".'
+        "Test it before the first tube, with a lamp of 12 V in its place and a wire from drain to source: a shorted\n"
+        'switch. At a start the lamp must stay dark, and the board report "no voltage".'
     )
     if not narrow():
         axes.text(0.03, 0.0, text, fontsize=7, color=INK, va="top")

@@ -122,12 +122,12 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
         draw_space(figure.add_axes((0.03, 0.5, 0.42, 0.42), projection="3d"), part)
         draw_plan(figure.add_axes((0.55, 0.56, 0.4, 0.34)), part)
         top = 0.46 * A4[1]
-        numbers = mandrel_numbers(part)
-        _write_table(figure, (EDGE, 95.0), top, numbers)
+        facts = mandrel_numbers(part)
+        _write_table(figure, (EDGE, 95.0), top, facts)
         if isinstance(part.body, Cylinder):
             minutes = f"{math.ceil(mandrel_time(part) / 60)}"
             rows = (TOOL_HEADING, _tool_row("mandrel.nc", mandrel_cutter(part), part.width, minutes))
-            _write_tools(figure, top - (len(numbers) + 1) * ROW, rows)
+            _write_tools(figure, top - (len(facts) + 1) * ROW, rows)
         _write_steps(figure, 150.0, top, mandrel_steps(part), part.remarks)
         return figure
     figure = _new_sheet(f"Set-up sheet{': ' + title if title else ''}")
@@ -325,11 +325,11 @@ def mold_steps(mold: Mold) -> list[str]:
 
 
 OPENED = "clamps and bolts off, lid off"
-"""How a bolted mold is opened, as text."""
+"""Steps that open a bolted mold, as text."""
 
 
 def cooling_text(material: MoldMaterial) -> str:
-    """How a material is cut, dry or wet, as text."""
+    """Cooling of the tools in a material, as text."""
     if material.cutting_speed is None:
         return "Cut dry, with an extractor and a mask"
     return f"Cut wet, at {material.cutting_speed * PER_MINUTE:g} m/min at most"
