@@ -187,8 +187,8 @@ STEEL = MoldMaterial(
     "degC, the standard 50.7). Limit: wustite forms above 570 degC (Birks, Meier, Pettit, High-Temperature Oxidation "
     "of Metals, 2006); emissivity of oxidised steel, Incropera et al., Table A.11. Expansion from 20 to 525 degC, and "
     "the slope of the heat capacity to 666 J/(kg K) at 500 degC, of carbon steel: EN 1993-1-2, section 3.4.1. Cutting "
-    "speed: 90 ft/min of drills of high-speed steel in 1018 of 125 to 175 HB (protocutter.com, Feed Rates: Plain Carbon "
-    "and Alloy Steels). Carbide could be faster",
+    "speed: 90 ft/min of drills of high-speed steel in 1018 of 125 to 175 HB (protocutter.com, Feed Rates: Plain "
+    "Carbon and Alloy Steels). Carbide could be faster",
 )
 """Low-carbon steel, the mold of the thesis' Figure 4.2."""
 
