@@ -71,7 +71,7 @@ RULE = tableau("gauss", 12)
 def spiralling(free: bool) -> ca.Function:
     """Solver for theta' (12, 3), u (12, 2) and a `free` rate: the least energy, mJ, of tubes that spiral.
 
-    Parameters are the rotations and the rate, rad/m, of which only a given one counts. The tubes end together.
+    Parameters are the rotations and a rate, rad/m, which counts if it is not free. The tubes end together.
     """
     tube, one, place = ROBOT.tube, np.ones(3), np.array([0, 2, -2]) * np.pi / 3
     turn, u, rotations, given = ca.SX.sym("turn", 12, 3), ca.SX.sym("u", 12, 2), ca.SX.sym("a", 3), ca.SX.sym("rate")
@@ -148,10 +148,12 @@ def rubbing(turn: float) -> float:
 
 def main(out: Path, samples: int = 13) -> list[Path]:
     """Try at most `samples` sizes of each effect, save the picture into `out`, and return its path."""
-    figure = new_figure(8.6, 2.6)
+    figure = new_figure(7.0, 4.4)
     headed(figure, f"Mean tip error that each effect leaves at best, of {ERROR.mean() * 1e3:.1f} mm (Table 4.1)")
     worst = int(np.argmax(ERROR))
-    for axes, (name, (label, unit, sizes)) in zip(figure.subplots(1, 4, sharey=True), EFFECTS.items(), strict=True):
+    for axes, (name, (label, unit, sizes)) in zip(
+        figure.subplots(2, 2, sharey=True).ravel(), EFFECTS.items(), strict=True
+    ):
         sizes = sizes[:: -(-len(sizes) // samples)]
         remains = np.array([left(name, float(size)) for size in sizes])
         mean = remains.mean(1)
@@ -175,7 +177,8 @@ def main(out: Path, samples: int = 13) -> list[Path]:
                 f"{np.degrees(turns.max()):.0f} at most, in {1e6 * (most - ROBOT.distance):.2f} um of room; tips move "
                 f"by {moves.mean() * 1e3:.2f} mm, {moves.max() * 1e3:.2f} at most"
             )
-    figure.axes[0].set_ylabel("mean error left (mm)")
+    for axes in figure.axes[::2]:
+        axes.set_ylabel("mean error left (mm)")
     figure.axes[0].set_ylim(0, 1.05e3 * ERROR.mean())
     picture = out / "thesis_error_budget.png"
     finish(figure, picture)
