@@ -15,6 +15,7 @@ from tubeopt.equilibrium.continuation import steps_along
 from tubeopt.equilibrium.friction import sweep, swept
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.solvers.settings import LARGEST_SHIFT, LARGEST_TURN
+from tubeopt.stability import friction_path
 from tubeopt.stability.friction_path import start_with_friction
 from tubeopt.typing import Array
 from tubeopt.validation import model as posing
@@ -62,7 +63,7 @@ def test_no_step_is_too_long_or_changes_the_order_of_breakpoints() -> None:
 @pytest.mark.parametrize("seed", [2, 4, 15])  # 4 has steps that the kernel leaves to Python, 15 slides
 def test_kernel_finds_the_states_of_python(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     own = poses(*way(seed))
-    monkeypatch.setattr(posing, "sweep", lambda *_, **__: None)
+    monkeypatch.setattr(friction_path, "sweep", lambda *_, **__: None)
     other = poses(*way(seed))
     assert own.solved.all()
     assert own.position == pytest.approx(other.position, abs=1e-10)

@@ -18,7 +18,7 @@ import scipy
 
 from ..block.transcription import arm as arms
 from ..block.transcription import loaded
-from ..block.transcription.arm import ArmSolution, CollocationPoints, Profile, between, evaluate_arm
+from ..block.transcription.arm import ArmSolution, CollocationPoints, Profile, between, cubic, evaluate_arm
 from ..block.transcription.bundle import BundleState
 from ..block.transcription.collocated import SHAPE_STEPS, THROUGH_ENDS
 from ..block.transcription.loaded import (
@@ -829,6 +829,5 @@ def sample_arms(robot: Robot, translations: Array, s: Array, arms: Array, arc_le
         return np.asarray(np.einsum("ak,...aki->...ai", basis, around))
     k, length, fraction = between(s, arc_length)
     h, x = length[:, None], np.minimum(np.maximum(fraction, 0.0), 1.0)[:, None]
-    value = rotation[..., k, :] * ((1 + 2 * x) * (1 - x) ** 2) + rotation[..., k + 1, :] * (x**2 * (3 - 2 * x))
-    value += h * (torsion[..., k, :] * (x * (1 - x) ** 2) - torsion[..., k + 1, :] * (x**2 * (1 - x)))
-    return np.asarray(value)
+    ends = rotation[..., k, :], rotation[..., k + 1, :], torsion[..., k, :], torsion[..., k + 1, :]
+    return np.asarray(cubic(*ends, x, h))

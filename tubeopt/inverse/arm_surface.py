@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 
+from ..block.transcription.arm import between, cubic
 from ..bodies.obstacles import ClearanceMonitor, Scene
 from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
@@ -37,14 +37,6 @@ AHEAD, BEYOND = 5e-3, 1e-9
 
 PARTS = 4
 """Number of pieces of the centreline between two shape points for the coarse search."""
-
-
-def cubic(start: Any, end: Any, start_slope: Any, end_slope: Any, x: Any, length: Any = 1.0) -> Any:
-    """Cubic Hermite interpolation at fractions x of a length."""
-    y = 1 - x
-    return y * y * (start * (1 + 2 * x) + start_slope * (length * x)) + x * x * (
-        end * (1 + 2 * y) - end_slope * (length * y)
-    )
 
 
 _UNIT = np.eye(4)
@@ -366,6 +358,5 @@ def _hermite(s: Array, value: Array, slope: Array, at: Array) -> Array:
     """(p, 3) cubic interpolation of a curve given with its tangents at arc lengths s (m,)."""
     if len(s) < 2:
         return np.repeat(value, len(at), axis=0)
-    k = np.searchsorted(s[1:-1], at, side="right")
-    h = (s[k + 1] - s[k])[:, None]
-    return np.asarray(cubic(value[k], value[k + 1], slope[k], slope[k + 1], (at - s[k])[:, None] / h, h))
+    k, length, x = between(s, at)
+    return np.asarray(cubic(value[k], value[k + 1], slope[k], slope[k + 1], x[:, None], length[:, None]))

@@ -29,7 +29,6 @@ from ..errors import InputError, SolveError, finite, positive, vector
 from ..files.field_metadata import TYPICAL_TIP_ERROR, typical_length
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.robot import shifts
-from ..solvers.compiled.quadratic import constrained_least_squares
 from ..typing import Array
 from .clock import Clock
 from .gauss_newton import AcceptedStep, Restored, StepModel, descend
@@ -671,19 +670,11 @@ class _Segments(_Mirror):
         space, n = self.space, self.space.robot.n_tubes
         if held is not None:
             return [space.join(np.zeros(n), np.array(held), "translations")]
-        out, none = [], np.zeros(n)
-        rows, unit = space.rows[:, n:], np.eye(len(space.lower) - n)
         lower, upper = space.lower[n:], space.upper[n:]
-        for share in (0.9, 0.6, 0.3, 0.05):
-            nearest = constrained_least_squares(
-                unit,
-                lower + share * (upper - lower),
-                np.vstack([rows, unit, -unit]),
-                np.concatenate([space.row_lower, lower, -upper]),
-            )
-            if nearest is not None:
-                out.append(np.concatenate([none, nearest.x]))
-        return out
+        middle = space.middle()[:n]
+        return [
+            space.nearest(np.concatenate([middle, lower + share * (upper - lower)])) for share in (0.9, 0.6, 0.3, 0.05)
+        ]
 
     def fractions(self, q: Array) -> Array:
         """Bend (k, 2) of each segment as a fraction of the largest, by the law of three vectors."""

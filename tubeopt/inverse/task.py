@@ -21,6 +21,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ..block.transcription.arm import cubic
 from ..block.transcription.buffered import Buffered
 from ..block.transcription.explicit import (
     Kind,
@@ -36,7 +37,7 @@ from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..robots.load import Load
 from ..typing import Array, Delegate, Mask
-from .arm_surface import cubic, outer_radius
+from .arm_surface import outer_radius
 from .clock import Clock, OutOfTimeError
 from .joints import JointSpace
 

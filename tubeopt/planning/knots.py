@@ -15,11 +15,11 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from ..block.transcription.arm import cubic
 from ..block.transcription.explicit import MAX_EXPANDED_SIZE, Kind, explicit_arm, explicit_joints, explicit_size
 from ..bodies.corridors import MeshObstacle
 from ..bodies.distance_field import DistanceField
 from ..bodies.obstacles import Obstacle
-from ..inverse.arm_surface import cubic
 from ..typing import Array
 
 # --- Cubics -----------------------------------------------------------------------------------------------------------
@@ -76,9 +76,7 @@ class Cubics:
 
     def inside(self, x: float) -> Any:
         """(m, K - 1) values at the fraction x of every interval."""
-        v_0, v_1 = self.v[:, :-1] * self.h, self.v[:, 1:] * self.h
-        outer = (1 - x) ** 2 * (1 + 2 * x) * self.q[:, :-1] + x**2 * (3 - 2 * x) * self.q[:, 1:]
-        return outer + x * (1 - x) ** 2 * v_0 - x**2 * (1 - x) * v_1
+        return cubic(self.q[:, :-1], self.q[:, 1:], self.v[:, :-1], self.v[:, 1:], x, self.h)
 
 
 def differences(q: Array, time: Array) -> Array:

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from ..block.transcription.arm import cubic
 from ..equilibrium.result import Equilibrium
-from ..inverse.arm_surface import cubic
 from ..robots.lengthwise import Lengthwise, Variation, lengthwise, variation
 from ..robots.robot import Robot
 from ..typing import Array, Index, Mask

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from ..block.transcription.contact import Contact, ContactState, evaluate_contact
 from ..block.transcription.second_variation import least
 from ..typing import Array
+from .box_minimum import minimum_in_box
 from .newton import flow
-from .settings import FRICTION_ITERATIONS, LAST_STEP, NEWTON_ROUND_OFF, STICK_CHANGES
+from .settings import FRICTION_ITERATIONS, LAST_STEP, NEWTON_ROUND_OFF
 
 # --- Sticking and slipping --------------------------------------------------------------------------------------------
 
@@ -84,36 +85,24 @@ def stick_or_slip(
 
 
 def _by_descent(compliance: Array, free: Array, capacity: Array, start: Array) -> tuple[Array, Signs] | None:
-    """`stick_or_slip` by an active set method from torques (R,).
+    """`stick_or_slip` from torques (R,): they have least energy within their capacities."""
+    try:
+        least = minimum_in_box(
+            compliance, -free, (-capacity, capacity), start, solve=_regular_solution, round_off=SLIP_ROUND_OFF
+        )
+    except np.linalg.LinAlgError:
+        return None
+    if least is None:
+        return None
+    return least.x, np.where(least.inside, 0, np.sign(least.x)).astype(np.int8)
 
-    Torques within their capacity move to their minimum; then the row with the largest gain is released.
-    """
-    torque = np.clip(start, -capacity, capacity)
-    inside = np.abs(torque) < capacity
-    for _ in range(STICK_CHANGES * (len(free) + 1)):
-        rows = np.flatnonzero(inside)
-        if len(rows):
-            slip = free[rows] - compliance[rows] @ (torque * ~inside)
-            target, failed = _solve(compliance[np.ix_(rows, rows)], slip)
-            if failed:
-                return None
-            # Fraction of the move at which each row reaches its capacity.
-            move, fraction = target - torque[rows], np.full(len(rows), np.inf)
-            moving = move != 0
-            fraction[moving] = (np.copysign(capacity[rows], move) - torque[rows])[moving] / move[moving]
-            first = int(np.argmin(fraction))
-            if fraction[first] < 1:
-                torque[rows] += fraction[first] * move
-                torque[rows[first]] = np.copysign(capacity[rows[first]], move[first])
-                inside[rows[first]] = False
-                continue
-            torque[rows] = target
-        wrong = np.where(inside, 0.0, -np.sign(torque) * (free - compliance @ torque))
-        worst = int(np.argmax(wrong)) if len(wrong) else 0
-        if not len(wrong) or wrong[worst] <= SLIP_ROUND_OFF:
-            return torque, np.where(inside, 0, np.sign(torque)).astype(np.int8)
-        inside[worst] = True
-    return None
+
+def _regular_solution(matrix: Array, right: Array) -> Array:
+    """`_solve`; raises LinAlgError for a singular matrix."""
+    x, failed = _solve(matrix, right)
+    if failed:
+        raise np.linalg.LinAlgError
+    return x
 
 
 def _solve(matrix: Array, right: Array) -> tuple[Array, bool]:

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
 from ..errors import InputError, Settings, SolveError
 from ..typing import Array
+from .box_minimum import minimum_in_box
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ def descend(
         relative = max(solver.settled, NEARLY_SETTLED) if model.costly(state) else solver.settled
         before, accepted, enough = cost, False, relative * cost + solver.round_off * len(residuals)
         while not accepted and damping < MAX_DAMPING:
-            step = bounded_step(square, slope, range_of_step, partial(solved, damping=damping))
+            step = bounded_step(square, slope, range_of_step, damping=damping)
             # Within the bounds the model promises between -slope.p and twice as much.
             if -slope @ step <= enough:
                 break
@@ -238,34 +238,38 @@ def cost_of(model: Observed[P], weights: Weights, state: P, residuals: Array) ->
     return weights.cost(residuals) + float((((state.x - model.start.x) / weights.prior) ** 2).sum())
 
 
-def bounded_step(square: Array, slope: Array, bounds: tuple[Array, Array], solve: Callable[..., Any]) -> Array:
-    """Step x (Q,) of least x'Sx / 2 + slope.x within bounds (Q,), by an active set.
-
-    What is beyond a bound stays at it, and all others are solved for again; equal bounds fix a component.
+def bounded_step(
+    square: Array,
+    slope: Array,
+    bounds: tuple[Array, Array],
+    solve: Callable[..., Any] | None = None,
+    *,
+    damping: float = 0.0,
+) -> Array:
+    """Step x (Q,) of least x'Sx / 2 + slope.x within bounds (Q,); equal bounds fix a component.
 
     Args:
-        solve: returns the solution of normal equations.
+        solve: solution of normal equations; by default `solved`.
+        damping: multiple of the diagonal that is added to S.
     """
-    low, high = bounds
-    fixed = low == high
-    step = np.where(fixed, low, 0.0)
-    # Every pass stops at one more bound, so that it ends after as many as there are.
-    while not fixed.all():
-        free, held = np.flatnonzero(~fixed), np.flatnonzero(fixed)
-        step[free] = -solve(square[np.ix_(free, free)], slope[free] + square[np.ix_(free, held)] @ step[held])
-        beyond = ~fixed & ((step < low) | (step > high))
-        if not beyond.any():
-            break
-        step[beyond] = np.clip(step, low, high)[beyond]
-        fixed |= beyond
-    return step
+    solve = solve or solved
+    diagonal, fixed = np.diag(square), bounds[0] == bounds[1]
+    matrix, step = square + damping * np.diag(diagonal), np.where(fixed, bounds[0], 0.0)
+    free = np.flatnonzero(~fixed)
+    step[free] = -solve(matrix[np.ix_(free, free)], slope[free] + square[np.ix_(free, fixed)] @ step[fixed])
+    if ((step >= bounds[0]) & (step <= bounds[1])).all():
+        return step
+    round_off = 1e-10 * (np.abs(matrix) @ np.abs(step) + np.abs(slope))
+    least = minimum_in_box(matrix, slope, bounds, step, solve=solve, round_off=round_off)
+    # Where round-off repeats active sets, the cut step serves: its cost is tested anyway.
+    return np.clip(step, *bounds) if least is None else least.x
 
 
-def solved(square: Array, slope: Array, damping: float = 0.0) -> Array:
-    """Solution (Q,) of normal equations (Q, Q) x = (Q,), with damping relative to their diagonal."""
+def solved(square: Array, slope: Array) -> Array:
+    """Solution (Q,) of normal equations (Q, Q) x = (Q,)."""
     # In units of the diagonal angles and lengths count alike. Directions that no observation determines, below 1e-13,
     # do not move. What no observation depends on has an infinite scale, which round-off cannot move.
     diagonal = np.diag(square)
     scale = np.sqrt(np.where(diagonal > 0, diagonal, np.inf))
-    matrix = square / np.outer(scale, scale) + damping * np.eye(len(scale))
+    matrix = square / np.outer(scale, scale)
     return np.asarray(np.linalg.lstsq(matrix, slope / scale, rcond=1e-13)[0] / scale)

@@ -77,10 +77,9 @@ HARDLY_SOFTENED = 0.99
 SHORTEST_LOAD_STEP = 1e-3
 """Fraction of a load below which the compiled kernel leaves a failing step to the general solver."""
 
-# A descent of the dual program never repeats a set of rows. It ends after few exchanges a row unless round-off makes
-# it repeat one.
-STICK_CHANGES = 20
-"""Exchanges per row after which the search for sticking rows stops."""
+# A descent never repeats an active set. It ends after few changes a component unless round-off makes it repeat one.
+BOX_CHANGES = 20
+"""Changes of the active set per component after which the search of a minimum within a box stops."""
 
 FRICTION_ITERATIONS = 15
 """Maximum number of Newton iterations of an increment with friction."""

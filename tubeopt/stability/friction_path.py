@@ -6,9 +6,10 @@ snaps: it flows downhill, against friction, until it comes to rest.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -39,6 +40,7 @@ from ..robots.concentric import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.blas import small
+from ..solvers.compiled.friction import FrictionStates
 from ..solvers.friction_increment import FRICTION_TOLERANCE, slide, softest
 from ..solvers.settings import LARGEST_RATIO
 from ..typing import Array
@@ -128,31 +130,70 @@ def segments_with_friction(
     if not at_start or current.contact.load != load:
         current, _ = segment_with_friction(robot, current, joints[0], load)
     yield current, []
-    k = 1
-    no_stations = np.zeros(0)
+    for part in follow_with_friction(robot, joints, current, load):
+        if part.states is None:
+            yield part.end, [_to_snap(robot, part.first - 1, snap) for snap in part.snaps]
+        else:
+            yield from ((partial(swept, robot, part.start, part.rows, part.states, j), []) for j in part.numbers)
+
+
+def _to_snap(robot: Robot, segment: int, snap: FrictionSnap) -> Snap:
+    """Snap of a path on the segment from a row."""
+    before, after = to_held_equilibrium(robot, snap.before, "fold"), to_held_equilibrium(robot, snap.after, "flow")
+    return Snap(segment, snap.fraction, before, after)
+
+
+class FollowedRows(NamedTuple):
+    """Consecutive rows of a path of joint values that were followed with friction."""
+
+    first: int
+    """Number of the first of these rows."""
+    rows: Array
+    """Joint values (m, 2n), from the row before."""
+    start: FrictionEquilibrium
+    """State at the row before."""
+    end: FrictionEquilibrium
+    """State at the last of them."""
+    states: FrictionStates | None
+    """States of the compiled kernel; None for one row that step-length control reached."""
+    snaps: Sequence[FrictionSnap]
+
+    @property
+    def numbers(self) -> range:
+        """Numbers of the states in `rows`."""
+        return range(1, 1 + (1 if self.states is None else len(self.states.margin)))
+
+
+def follow_with_friction(
+    robot: Robot,
+    joints: Array,
+    current: FrictionEquilibrium,
+    load: Load | None = None,
+    *,
+    stations: Array | None = None,
+    margins: bool = False,
+    compiled: bool = True,
+) -> Iterator[FollowedRows]:
+    """Parts of a motion through rows (T, 2n), from a state at the first row.
+
+    Args:
+        stations, margins: what `sweep` returns of its states.
+        compiled: False to follow all rows with step-length control.
+    """
+    k, stations = 1, np.zeros(0) if stations is None else stations
     while k < len(joints):
         rows = joints[k - 1 : k + WAYPOINTS]
-        swept_rows = sweep(robot, current, rows, no_stations, margins=False) if load is None else None
-        count = 0 if swept_rows is None else len(swept_rows.margin)
-        if swept_rows is not None and count:
-            yield from ((partial(swept, robot, current, rows, swept_rows, j), []) for j in range(1, count + 1))
-            current, k = swept(robot, current, rows, swept_rows, count), k + count
+        states = sweep(robot, current, rows, stations, margins=margins) if compiled and load is None else None
+        count = 0 if states is None else len(states.margin)
+        if states is not None and count:
+            end = swept(robot, current, rows, states, count)
+            yield FollowedRows(k, rows, current, end, states, ())
+            current, k = end, k + count
         # Where the kernel stops, one segment is followed with step-length control.
         if count < len(rows) - 1:
-            current, snaps = segment_with_friction(robot, current, joints[k], load)
-            yield (
-                current,
-                [
-                    Snap(
-                        k - 1,
-                        snap.fraction,
-                        to_held_equilibrium(robot, snap.before, "fold"),
-                        to_held_equilibrium(robot, snap.after, "flow"),
-                    )
-                    for snap in snaps
-                ],
-            )
-            k += 1
+            end, snaps = segment_with_friction(robot, current, joints[k], load)
+            yield FollowedRows(k, joints[k - 1 : k + 1], current, end, None, snaps)
+            current, k = end, k + 1
 
 
 def start_with_friction(

@@ -14,6 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from ..block.transcription.arm import cubic
 from ..block.transcription.buffered import mapped
 from ..block.transcription.explicit import march_function
 from ..block.transcription.mesh import reach, sections_at
@@ -229,11 +230,8 @@ def _straight(bundle: ShootingArm, element: int, state: State) -> tuple[State, G
 
 def _hermite(grid: Grid, nodes: Array, h: float) -> Array:
     """(B, K, n) cubic interpolation at fractions `nodes` from the base side of a grid that runs from the tip side."""
-    value, slope = grid[0], -h * grid[1]
+    value, slope = grid
     back = (1 - nodes) * (value.shape[1] - 1)
     k = np.minimum(back.astype(int), value.shape[1] - 2)
     x = (back - k)[None, :, None]
-    left, right = value[:, k], value[:, k + 1]
-    # Cubic Hermite polynomials, from the tip side.
-    blend = left * (1 + 2 * x) * (1 - x) ** 2 + right * x**2 * (3 - 2 * x)
-    return np.asarray(blend + slope[:, k] * x * (1 - x) ** 2 - slope[:, k + 1] * x**2 * (1 - x))
+    return np.asarray(cubic(value[:, k], value[:, k + 1], slope[:, k], slope[:, k + 1], x, -h))

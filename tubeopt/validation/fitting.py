@@ -29,6 +29,7 @@ from ..solvers.robust_least_squares import (
     LeastSquaresSolver,
     RobustDescent,
     Weights,
+    bounded_step,
     descend,
     normal_equations,
     solved,
@@ -134,8 +135,8 @@ def predicted_held_out(
     for k in np.unique(fold_of_row):
         mine = fold_of_row == k
         a, b = weighted_sums(jacobian[mine], descent.residuals[mine], w[mine])
-        # The normal equations without the rows of the fold: one Newton step, cut at the bounds.
-        out[mine] = descent.residuals[mine] + jacobian[mine] @ np.clip(-solved(square - a, slope - b), *bounds)
+        # The normal equations without the rows of the fold: one Newton step within the bounds.
+        out[mine] = descent.residuals[mine] + jacobian[mine] @ bounded_step(square - a, slope - b, bounds)
     return out
 
 

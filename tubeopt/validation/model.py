@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ..block.transcription.arm import Arm, evaluate_arm
 from ..equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
 from ..equilibrium.clearance import clearance_correction
-from ..equilibrium.friction import FrictionEquilibrium, sweep, swept, to_held_equilibrium
+from ..equilibrium.friction import FrictionEquilibrium, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.readings import yielded
 from ..equilibrium.result import Equilibrium
@@ -24,7 +24,7 @@ from ..robots.concentric import ConcentricRobot, Friction, friction_of
 from ..robots.order import last_tube
 from ..robots.robot import Robot
 from ..solvers.compiled.friction import FrictionStates
-from ..stability.friction_path import segment_with_friction, start_with_friction
+from ..stability.friction_path import follow_with_friction, start_with_friction
 from ..typing import Array, Index, Mask
 from .effects import Setup
 from .measurements import Measurements, Timeline, middles_of
@@ -125,16 +125,15 @@ def poses_with_friction(
             held = start_with_friction(robot, table[0], coarse)
             table_of_poses.put(run[0], held)
             solved = 1
-            while solved < len(run):
-                many = None if loose(robot) else sweep(robot, held, table[solved - 1 :], stations, margins=margins)
-                if many is not None:
-                    count = len(many.margin)
-                    table_of_poses.put_many(run[solved : solved + count], shift, many)
-                    held, solved = swept(robot, held, table[solved - 1 :], many, count), solved + count
-                if solved < len(run):  # where the kernel gives up, a step with more care
-                    held, _ = segment_with_friction(robot, held, table[solved])
-                    table_of_poses.put(run[solved], held)
-                    solved += 1
+            for part in follow_with_friction(
+                robot, table, held, stations=stations, margins=margins, compiled=not loose(robot)
+            ):
+                rows = run[part.first : part.first + len(part.numbers)]
+                if part.states is None:
+                    table_of_poses.put(rows[0], part.end)
+                else:
+                    table_of_poses.put_many(rows, shift, part.states)
+                solved = part.first + len(rows)
         except (InputError, SolveError) as error:
             failures += [(int(row), str(error)) for row in run[solved:]]
     return replace(poses, failures=tuple(failures))

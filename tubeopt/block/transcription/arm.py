@@ -276,6 +276,13 @@ def between(s: Array, at: Array) -> Between:
     return Between(k, length, (at - s[k]) / length)
 
 
+def cubic(start: Any, end: Any, start_slope: Any, end_slope: Any, x: Any, length: Any = 1.0) -> Any:
+    """Cubic Hermite interpolation at fractions x of a length."""
+    y = 1 - x
+    ends = y * y * (1 + 2 * x) * start + x * x * (3 - 2 * x) * end
+    return ends + x * y * y * (start_slope * length) - x * x * y * (end_slope * length)
+
+
 def arc_lengths(mesh: Mesh) -> Array:
     """Arc lengths (m,) of the shape points, m."""
     inner = mesh.start[:, None] + mesh.length[:, None] * ENDS[1:]

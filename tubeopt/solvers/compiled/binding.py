@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...block.transcription.arm import ArmShape, ArmSolution, CollocationPoints
+from ...block.transcription.arm import ArmSolution, CollocationPoints
 from ...block.transcription.collocated import SHAPE_STEPS
 from ...robots.assembly import LENGTH_ROUND_OFF
 from ...robots.lengthwise import Lengthwise, lengthwise
@@ -21,7 +21,7 @@ from ...robots.robot import Robot
 from ...typing import Array, Mask
 from ..time_limit import check_time
 from .constants import DEGREE
-from .library import MOST_TUBES, Kernel, library
+from .library import MOST_TUBES, Kernel, copied_shape, library
 
 SOLVED = 0
 
@@ -296,14 +296,7 @@ def _solution(answer: dict[str, Any]) -> ArmSolution:
     """Copy of the solution in an answer."""
     m, points = answer["pieces"] * SHAPE_STEPS + 1, answer["points"]
     return ArmSolution(
-        ArmShape(
-            arc_length=answer["arc_length"][:m].copy(),
-            rotation=answer["rotation"][:m].T.copy(),
-            torsion=answer["torsion"][:m].T.copy(),
-            curvature=answer["curvature"][:m].copy(),
-            position=answer["position"][:m].copy(),
-            frame=answer["frame"][:m].copy(),
-        ),
+        copied_shape(answer, m),
         tip_rotations=answer["tip_rotations"].copy(),
         section_start=answer["section_start"][: answer["sections"]].copy(),
         tube_end=answer["tube_end"].copy(),

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ...block.transcription.arm import ArmShape, ArmSolution, CollocationPoints, gauss_fractions
+from ...block.transcription.arm import ArmSolution, CollocationPoints, gauss_fractions
 from ...block.transcription.bundle import (
     CLOSING,
     ELEMENT,
@@ -40,7 +40,7 @@ from ..settings import (
 from ..time_limit import check_time
 from .binding import SOLVED, Solved, address, memory_of
 from .constants import DEGREE
-from .library import MOST_PIECES, Kernel, load_kernel
+from .library import MOST_PIECES, Kernel, copied_shape, load_kernel
 from .text import c_tables, c_text
 
 MOST_TUBES = 9
@@ -194,11 +194,8 @@ def solve_bundle_compiled(
     answer = memory.answer()
     pieces = answer["pieces"]
     points, m = pieces * DEGREE, pieces * SHAPE_STEPS + 1
-    names = ("arc_length", "rotation", "torsion", "curvature", "position", "frame")
-    shape = {name: answer[name][:m].copy() for name in names}
-    shape["rotation"], shape["torsion"] = shape["rotation"].T.copy(), shape["torsion"].T.copy()
     solution = ArmSolution(
-        ArmShape(**shape),
+        copied_shape(answer, m),
         tip_rotations=answer["tip_rotations"].copy(),
         section_start=answer["section_start"][: answer["sections"]].copy(),
         tube_end=answer["tube_end"].copy(),

@@ -11,7 +11,7 @@ from ...block.transcription.tableau import tableau
 from ...robots.lengthwise import gauss_rule
 from ...typing import Array
 from ..friction_increment import FRICTION_TOLERANCE, SLIP_ROUND_OFF
-from ..settings import FRICTION_ITERATIONS, LARGEST_RATIO, LARGEST_TWIST, ONWARD, SOFT_TWIST, STICK_CHANGES
+from ..settings import BOX_CHANGES, FRICTION_ITERATIONS, LARGEST_RATIO, LARGEST_TWIST, ONWARD, SOFT_TWIST
 from .text import c_tables, defined
 
 DEGREE, COARSE_DEGREE = 6, 3
@@ -89,7 +89,7 @@ def slope_constants() -> str:
 def friction_constants() -> str:
     """Constants and tables of `friction.c`."""
     numbers = {
-        "MOST_CHANGES": STICK_CHANGES,
+        "MOST_CHANGES": BOX_CHANGES,
         "HARDLY": SLIP_ROUND_OFF,
         "HONEST": FRICTION_TOLERANCE,
         "FRICTION_ITERATIONS": FRICTION_ITERATIONS,

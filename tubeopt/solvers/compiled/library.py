@@ -27,7 +27,7 @@ import numpy as np
 import platformdirs
 import scipy
 
-from ...block.transcription.arm import SHAPE_RATIO
+from ...block.transcription.arm import SHAPE_RATIO, ArmShape
 from ...block.transcription.collocated import SHAPE_STEPS
 from ...block.transcription.mesh import BEND_PER_ELEMENT, WAVES_PER_ELEMENT
 from ...errors import InputError
@@ -368,3 +368,15 @@ def library(n: int, eccentric: bool) -> Kernel | None:
         functions.motion_distance.argtypes = [*[pointer] * 5, *[ctypes.c_double] * 4]
         functions.snap_distance.restype = functions.motion_distance.restype = ctypes.c_double
     return kernel
+
+
+def copied_shape(answer: dict[str, Any], points: int, curvature: str = "curvature") -> ArmShape:
+    """Copy of the shape points in a kernel's answer; `curvature` is the name of the curvature there."""
+    return ArmShape(
+        arc_length=answer["arc_length"][:points].copy(),
+        rotation=answer["rotation"][:points].T.copy(),
+        torsion=answer["torsion"][:points].T.copy(),
+        curvature=answer[curvature][:points].copy(),
+        position=answer["position"][:points].copy(),
+        frame=answer["frame"][:points].copy(),
+    )

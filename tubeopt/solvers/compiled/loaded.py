@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...block.transcription.arm import ArmShape, ArmSolution, CollocationPoints
+from ...block.transcription.arm import ArmSolution, CollocationPoints
 from ...block.transcription.collocated import ENDS, SHAPE_STEPS
 from ...block.transcription.loaded import LoadedProblem
 from ...block.transcription.mesh import sections_at
@@ -38,7 +38,7 @@ from ..settings import (
 )
 from ..time_limit import check_time
 from .binding import address, memory_of
-from .library import Kernel, load_kernel
+from .library import Kernel, copied_shape, load_kernel
 from .text import c_tables, c_text
 
 DEGREE, ROUGH_DEGREE, CHECK_DEGREE, MOST_PIECES, MOST_TUBES = 7, 3, 8, 24, 6
@@ -271,17 +271,9 @@ def solve_many_loaded_compiled(
 def _solution(answer: dict[str, Any], problem: LoadedProblem) -> ArmSolution:
     """Copy of the solution in an answer."""
     torsion, points, m = problem.torsion, len(problem.torsion.weight), SHAPE_STEPS * len(problem.mesh.length) + 1
-    arm = ArmShape(
-        arc_length=answer["arc_length"][:m].copy(),
-        rotation=answer["rotation"][:m].T.copy(),
-        torsion=answer["torsion"][:m].T.copy(),
-        curvature=answer["bent"][:m].copy(),
-        position=answer["position"][:m].copy(),
-        frame=answer["frame"][:m].copy(),
-    )
     theta, curvature = answer["theta"][:points] + problem.twist_angle, answer["curvature"][:points].copy()
     return ArmSolution.of(
-        arm,
+        copied_shape(answer, m, "bent"),
         torsion.assembly,
         points=CollocationPoints(torsion.arc_length, theta, curvature),
         margin=answer["margin"],
