@@ -59,6 +59,22 @@ def test_commands_continue_the_passport_in_their_folder(folder: Path) -> None:
     assert float(passport.springback[0].lost_percent) == pytest.approx(100 / 11, abs=0.01)
 
 
+def test_a_new_tube_keeps_the_passports_of_those_before_it(folder: Path) -> None:
+    radii = []
+    for radius in (0.1, 0.2):
+        continue_passport(folder, "measurements", source="scan.png", radius_mm=radius, error_mm=1e-3)
+        begin_passport(folder, robot="mine", tube=1, drawn_radius=0.1, mold_radius=0.09)
+        radii.append(radius)
+    # One that was only begun is replaced.
+    begin_passport(folder, robot="mine", tube=1, drawn_radius=0.1, mold_radius=0.08)
+    kept = [load_passport(folder / f"passport_{k}.yaml").measured for k in (1, 2)]
+    assert [each and each.radius for each in kept] == pytest.approx(radii)
+    assert not (folder / "passport_3.yaml").exists()
+    begun = load_passport(folder / PASSPORT_FILE)
+    assert begun.measured is None
+    assert float(begun.mold_radius_mm) == 80
+
+
 def test_without_a_passport_nothing_is_written(tmp_path: Path) -> None:
     assert continue_passport(tmp_path, "heatings", ended="done", time_s=1.0) == []
     assert not list(tmp_path.iterdir())

@@ -7,12 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tubeopt import InputError
+from tubeopt import InputError, MoldSpec, Tube, plan_mold
 from tubeopt.runs.workshop_file import load_springback, load_trials, save_springback
 from tubeopt.shaping import Springback, calibrate_springback
+from tubeopt.shaping.mold.mold import RobotMold
+from tubeopt.show.fabrication_report import MoldReport
+from tubeopt.show.plots.sheets import groove_numbers
 
 RADII = np.array([40e-3, 60e-3, 80e-3, 120e-3, 200e-3])
 
@@ -147,3 +151,50 @@ def test_bad_errors_in_a_file_are_named(tmp_path: Path) -> None:
     path.write_text("mold_radius_mm,obtained_radius_mm,obtained_error_mm\n60,65,0\n80,87,0.4\n")
     with pytest.raises(InputError, match=r"row 1 \(line 2\), column obtained_error_mm is 0; it must be greater than 0"):
         load_trials(path)
+
+
+def test_the_interval_of_a_new_tube_is_that_of_students_t() -> None:
+    molds, lost = np.full(5, 0.06), np.array([0.08, 0.085, 0.078, 0.082, 0.09])
+    back = calibrate_springback(molds, molds / (1 - lost), model="constant").springback
+    half = scipy.stats.t.ppf(0.975, 4) * lost.std(ddof=1) * np.sqrt(1 + 1 / 5)
+    assert back.uncertainty == pytest.approx(half)
+    low, high = back.interval(-1 / 0.05) or (0.0, 0.0)
+    assert (0.05 * low, 0.05 * high) == pytest.approx((1 - lost.mean() - half, 1 - lost.mean() + half))
+    # Two trials at least: one says nothing about the next.
+    assert calibrate_springback(molds[:1], molds[:1] / 0.92).springback.interval(20.0) is None
+    assert Springback(0.08).interval(20.0) is None
+
+
+@pytest.mark.parametrize("slope", [0.0, 2e-3])
+@pytest.mark.parametrize("error", [None, 0.5e-3])
+def test_nineteen_of_twenty_new_tubes_lie_in_their_interval(slope: float, error: float | None) -> None:
+    rng, molds, inside = np.random.default_rng(7), np.array([0.05, 0.06, 0.08, 0.1, 0.12, 0.12]), []
+    for _ in range(400):
+        tubes = molds / (1 - 0.08 - slope / molds + 0.004 * rng.standard_normal(6))
+        read = tubes + (error or 0.0) * rng.standard_normal(6)
+        model = "linear" if slope else "constant"
+        fit = calibrate_springback(
+            molds, read, obtained_error=None if error is None else np.full(6, error), model=model
+        )
+        mold = rng.choice(molds)
+        curvature = (1 - 0.08 - slope / mold + 0.004 * rng.standard_normal()) / mold
+        low, high = fit.springback.interval(1 / mold) or (0.0, 0.0)
+        inside.append(low <= curvature <= high)
+    # The worst of the molds decides, so that a line covers somewhat more, and errors of measurement, which hide the
+    # scatter, still more. Three deviations of 400 are 3 %.
+    assert 0.92 < np.mean(inside) <= (0.98 if error is None and not slope else 1.0)
+
+
+def test_sheet_and_record_have_the_radius_that_comes_out() -> None:
+    molds = np.array([0.06, 0.08, 0.1, 0.12])
+    back = calibrate_springback(molds, molds / (1 - np.array([0.08, 0.085, 0.082, 0.079]))).springback
+    tube = Tube(1.92e-3, 1.57e-3, 0.0, 94e-3, 1 / 0.12)
+    mold = plan_mold(tube, MoldSpec(springback=back))
+    low, high = back.interval(mold.grooves[0].curvature) or (0.0, 0.0)
+    told = groove_numbers(mold.grooves[0], mold)["radius that comes out (95 %)"]
+    assert [float(x) for x in told.split(" to ")] == pytest.approx([1e3 / high, 1e3 / low], abs=0.01)
+    assert 1e3 / high < 120 < 1e3 / low
+    record = MoldReport(RobotMold(mold, "robot", ())).record()["grooves"][0]
+    assert record["radius_interval_mm"] == pytest.approx([1e3 / high, 1e3 / low])
+    mold = plan_mold(tube, MoldSpec())
+    assert groove_numbers(mold.grooves[0], mold)["radius that comes out (95 %)"] == "no trials"

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import math
+from itertools import count
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -97,8 +98,13 @@ def load_passport(path: str | PathLike[str]) -> Passport:
 
 
 def begin_passport(directory: Path, *, robot: str, tube: int, drawn_radius: float, mold_radius: float) -> Path:
-    """Write the passport of a new tube, radii in m, into its folder and return its path."""
+    """Write the passport of a new tube, radii in m, into its folder and return its path.
+
+    A passport there that has entries belongs to a tube that was made: it is renamed, as passport_1.yaml.
+    """
     path = directory / PASSPORT_FILE
+    if path.exists() and load_yaml(path).keys() & {"heatings", "measurements", "springback", "validations"}:
+        path.rename(next(p for k in count(1) if not (p := path.with_stem(f"{path.stem}_{k}")).exists()))
     radii = {"drawn_radius_mm": _millimetres(drawn_radius), "mold_radius_mm": _millimetres(mold_radius)}
     save_yaml(path, {"kind": "passport", "robot": robot, "tube": tube} | radii, HEADER)
     return path

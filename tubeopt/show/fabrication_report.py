@@ -87,6 +87,17 @@ PROGRAM = described(
     Quantity("time_min", "machining time", lambda program: program.time / 60, form=".1f", label="that its moves take"),
 )
 
+
+def _coming(at: tuple[RobotMold, int]) -> tuple[float, float] | None:
+    """95 % interval of the radius of the tube of a groove, m; None without trials, or for a straight tube."""
+    mold = at[0].mold
+    interval = mold.spec.springback.interval(mold.grooves[at[1]].curvature)
+    if interval is None or not interval[1]:
+        return None
+    low, high = interval
+    return 1 / high, 1 / low if low else math.inf
+
+
 MOLD = described(
     RobotMold,
     "name",
@@ -104,6 +115,7 @@ MOLD = described(
         of=(
             Quantity("tube", "number of the tube, 1 for the innermost", lambda at: at[0].mold.grooves[at[1]].number),
             *within(GROOVE, lambda at: at[0].mold.grooves[at[1]]),
+            Quantity("radius_interval_mm", "95 % interval of the radius that comes out; null without trials", _coming),
             Quantity("predicted", "predicted tube", lambda at: predict_tube(at[0].mold, at[1]), of=PREDICTED),
         ),
     ),

@@ -18,7 +18,7 @@ from numpy.polynomial import chebyshev
 
 from ...display import Displayed
 from ...errors import InputError, choice, positive, vector
-from ...files.field_metadata import OneOf, check_fields, unit
+from ...files.field_metadata import OneOf, Range, check_fields, unit
 from ...robots.pieces import Piece, Quantity, Series, breaks_of, on_panels, times, values, vary, zeros
 from ...robots.tubes import Tube
 from ...typing import Array
@@ -48,6 +48,12 @@ class Springback:
     ] = 0.0
     slope: Annotated[float, unit("mm"), "increase of the lost fraction with the mold curvature"] = 0.0
     shrinkage: Annotated[float, unit("percent"), "fraction of the bend length lost on cooling"] = 0.0
+    uncertainty: Annotated[
+        float | None,
+        unit("percent"),
+        Range(minimum=0.0, maximum=1.0),
+        "half-width of the 95 % interval of the lost fraction of one new tube, as measured, from the trials",
+    ] = None
     curvature_range: tuple[float, float] | None = None
     """Mold curvatures of the trials that the numbers are from, 1/m, or None without trials."""
 
@@ -70,6 +76,14 @@ class Springback:
         """Curvature (1/m) of a tube set in a mold of `mold_curvature` (1/m), with its sign."""
         size = abs(mold_curvature)
         return math.copysign(size * (1 - self.fraction - self.slope * size), mold_curvature)
+
+    def interval(self, mold_curvature: float) -> tuple[float, float] | None:
+        """95 % interval of the curvature (1/m, without sign) of a tube set in a mold; None without enough trials."""
+        if self.uncertainty is None:
+            return None
+        size = abs(mold_curvature)
+        middle, half = abs(self.obtained(mold_curvature)), self.uncertainty * size
+        return max(middle - half, 0.0), middle + half
 
     def mold(self, curvature: float) -> float:
         """Curvature (1/m) of the mold that yields `curvature` (1/m), with its sign.
@@ -152,14 +166,21 @@ def calibrate_springback(
     distinct = len(np.unique(np.round(molds, 9)))
     if model == "linear" and distinct < 2:
         raise InputError("model is linear; that needs trials in molds of at least 2 different radii")
-    values, intervals, noise = _least_squares(kappa, lost, error, 2 if model == "linear" else 1)
+    fit = _least_squares(kappa, lost, error, 2 if model == "linear" else 1)
     if model == "auto" and distinct >= 2 and len(molds) >= 4:
-        line, ends, about = _least_squares(kappa, lost, error, 2)
+        line = _least_squares(kappa, lost, error, 2)
+        ends = line.intervals
         # The interval excludes 0 if both ends have one sign. A range of round-off shows no slope.
-        if ends and ends[1][0] * ends[1][1] > 0 and abs(line[1]) * np.ptp(kappa) > SLOPE_ROUND_OFF:
-            values, intervals, noise = line, ends, about
+        if ends and ends[1][0] * ends[1][1] > 0 and abs(line.values[1]) * np.ptp(kappa) > SLOPE_ROUND_OFF:
+            fit = line
+    values, intervals, noise, prediction = fit
     slope = float(values[1]) if len(values) == 2 else 0.0
-    back = Springback(float(values[0]), slope, curvature_range=(float(kappa.min()), float(kappa.max())))
+    back = Springback(
+        float(values[0]),
+        slope,
+        uncertainty=None if math.isnan(prediction) else min(prediction, 1.0),
+        curvature_range=(float(kappa.min()), float(kappa.max())),
+    )
     return Calibration(
         springback=back,
         model="linear" if len(values) == 2 else "constant",
@@ -181,6 +202,8 @@ class PolynomialFit(NamedTuple):
     """95 % intervals; empty with too few trials."""
     noise: float
     """Standard deviation of the tubes about the polynomial; NaN with too few trials."""
+    prediction: float
+    """Half-width of the 95 % interval of one new tube in the worst of these molds; NaN with too few trials."""
 
 
 def _least_squares(kappa: Array, lost: Array, error: Array | None, order: int) -> PolynomialFit:
@@ -192,30 +215,33 @@ def _least_squares(kappa: Array, lost: Array, error: Array | None, order: int) -
     dof = len(lost) - order
 
     def weighted(noise: float) -> tuple[Array, float, Array]:
-        """Coefficients, sum of the squares of the scaled deviations, and their variances, for a scatter of tubes."""
+        """Coefficients, sum of the squares of the scaled deviations, and covariance, for a scatter of tubes."""
         deviation = np.ones(len(lost)) if error is None else np.hypot(error, noise)
         scaled = matrix / deviation[:, None]
         values = np.asarray(np.linalg.lstsq(scaled, lost / deviation, rcond=None)[0], dtype=float)
         squares = float(np.sum(((lost - matrix @ values) / deviation) ** 2))
-        return values, squares, np.diag(np.linalg.inv(scaled.T @ scaled))
+        return values, squares, np.asarray(np.linalg.inv(scaled.T @ scaled), dtype=float)
 
-    values, squares, variances = weighted(0.0)
+    values, squares, covariance = weighted(0.0)
     if dof < 1:
-        return PolynomialFit(values, [], math.nan)
+        return PolynomialFit(values, [], math.nan, math.nan)
     noise = 0.0
     if error is None:
         noise = math.sqrt(squares / dof)
-        variances = noise**2 * variances
+        covariance = noise**2 * covariance
     elif squares > dof:
         # The scatter that explains the deviations beyond the errors of measurement (Paule and Mandel 1982).
         most = 10 * float(np.std(lost))
         noise = float(scipy.optimize.brentq(lambda trial: weighted(trial)[1] - dof, 0.0, most))
-        values, _, variances = weighted(noise)
-    standard_error = np.sqrt(variances)
+        values, _, covariance = weighted(noise)
     # Student's t, since the noise is estimated from the same trials.
-    half_width = scipy.special.stdtrit(dof, (1 + 0.95) / 2) * standard_error
+    student = float(scipy.special.stdtrit(dof, (1 + 0.95) / 2))
+    half_width = student * np.sqrt(np.diag(covariance))
     intervals = [(float(v - h), float(v + h)) for v, h in zip(values, half_width, strict=True)]
-    return PolynomialFit(values, intervals, noise)
+    of_fit = float(np.einsum("ni,ij,nj->n", matrix, covariance, matrix).max())
+    # Few trials may hide the scatter of the tubes in errors of measurement: both count, as the next tube is measured.
+    spread = float(np.sum((lost - matrix @ values) ** 2)) / dof
+    return PolynomialFit(values, intervals, noise, student * math.sqrt(spread + of_fit))
 
 
 def _radii(name: str, values: Sequence[float] | Array) -> Array:

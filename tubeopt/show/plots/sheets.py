@@ -11,7 +11,7 @@ import numpy as np
 
 from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
-from ...shaping.firmware.boards import root_mean_square
+from ...shaping.firmware.boards import cable_of, fuse_of, root_mean_square
 from ...shaping.heating.cutout import cut_out
 from ...shaping.heating.plan import LEFT, HeatingPlan, left_in_mold
 from ...shaping.materials import MoldMaterial
@@ -207,6 +207,7 @@ def groove_numbers(groove: Groove, mold: Mold) -> dict[str, str]:
         "limits of its width": f"{least:.2f} to {widest:.2f}",
         "limits of its depth": f"{least:.2f} to {deepest:.2f}",
         "mean radius by the tube's play": play_text(groove),
+        "radius that comes out (95 %)": coming_text(groove, mold),
         "end mill / passes": f"{groove.mill.diameter * TO_MM:g} / {passes} × {len(groove.cutter_offsets)}",
         "slot in the lid, width / depth / length": "none"
         if groove.slot is None
@@ -220,6 +221,15 @@ def groove_numbers(groove: Groove, mold: Mold) -> dict[str, str]:
         "growth / travel of the sliding clamp": f"{groove.growth * TO_MM:.2f} / {travel * TO_MM:.1f}",
         "trim, proximal / distal": f"{groove.trim[0] * TO_MM:.1f} / {groove.trim[1] * TO_MM:.1f}",
     }
+
+
+def coming_text(groove: Groove, mold: Mold) -> str:
+    """95 % interval of the radius (mm) of the tube by the trials of the spring-back, as text."""
+    interval = mold.spec.springback.interval(groove.curvature)
+    if interval is None or not groove.curvature:
+        return "no trials" if groove.curvature else "straight"
+    low, high = interval
+    return f"{TO_MM / high:.2f} to {TO_MM / low:.2f}" if low > 0 else f"above {TO_MM / high:.2f}"
 
 
 def play_text(groove: Groove) -> str:
@@ -480,7 +490,7 @@ def plot_fabrication_sheet(fabrication: TubeFabrication, *, title: str = "", suc
     for head, lines, y in (
         ("Time line", time_line(fabrication), A4[1] - EDGE - 6),
         ("Before", preparation(fabrication), A4[1] - EDGE - 50),
-        ("Safety", safety(plan), A4[1] - EDGE - 104),
+        ("Safety", safety(plan), A4[1] - EDGE - 108),
     ):
         _write(figure, 152.0, y, head, weight="bold")
         wrapped = [textwrap.fill(line, LINE_LETTERS, initial_indent="- ", subsequent_indent="  ") for line in lines]
@@ -505,6 +515,7 @@ def heating_numbers(fabrication: TubeFabrication) -> dict[str, str]:
         "slot (s) / pulses (Hz)": f"{plan.spec.slot:g} / {plan.rig.circuit.pwm_frequency:g}",
         "battery at rest / least under load (V)": f"{plan.rig.battery.voltage:.2f} / {plan.voltage[on].min():.2f}",
         "current while on / rms of 10 s (A)": f"{plan.peak_current:.0f} / {root_mean_square(plan):.1f}",
+        "fuse (A) / copper cable (mm²)": f"{fuse_of(plan)} / {cable_of(plan):g}",
         "energy (kJ) / charge left (%)": f"{plan.energy / 1e3:.1f} / {100 * plan.charge[-1]:.0f}",
         "clamps / wall of the groove at most (°C)": f"{hottest_clamp:.0f} / {hottest_wall:.0f}",
         "growth of the hot tube (mm)": f"{plan.growth * TO_MM:.2f}",
@@ -552,7 +563,8 @@ def preparation(fabrication: TubeFabrication) -> list[str]:
         "polarity.",
         "Power off: the resistance from each clamp to the plates must be high if the mold insulates. From clamp to "
         "clamp a multimeter measures mainly its own leads; check the current instead.",
-        "With a board: test the cut-out (`tubeopt heat run --test-cutout`), then a dry run (`--dry`). Its start checks "
+        "With a board (`tubeopt heat firmware rig.yaml` has its sketch, wiring and parts): test the cut-out (`tubeopt "
+        "heat run --test-cutout`), then a dry run (`--dry`). Its start checks "
         "switch, cut-out and the current of one pulse. Without a board: one pulse by hand; compare the current.",
     ]
 
